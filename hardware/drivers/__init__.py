@@ -1,0 +1,1 @@
+"""One vendor SDK a file, imported when it is opened."""

@@ -1,0 +1,1 @@
+"""Calibration: from observed points of known geometry to interior and exterior orientation."""

@@ -1,0 +1,1 @@
+"""The vocabulary: plain read-only data that crosses rooms, and its files."""

@@ -1,0 +1,124 @@
+"""Frames, what a camera says about itself, and sources of frames.
+
+A Frame carries only what a real camera can know: its own counter, its own clock's stamp, the pixels.
+True times, jitter, identity and visibility belong to ``mosca.data.truth``.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Literal, Protocol, runtime_checkable
+
+from mosca.data.arrays import Array, read_only_image
+
+FrameStatus = Literal["ok", "dropped", "corrupt"]
+StampEvent = Literal["exposure_start", "exposure_middle", "readout"]
+
+
+@dataclass(frozen=True)
+class CameraInfo:
+    """What a camera states of itself before the first frame.
+
+    ``bit_depth``: significant bits of a pixel (8, 10, 12 or 16). ``clock``: whose clock stamps the
+    frames. ``frame_rate_hz``: the nominal rate of pulses (trigger) or of the free-running camera.
+    """
+
+    name: str
+    width: int
+    height: int
+    bit_depth: int
+    frame_rate_hz: float
+    clock: Literal["device", "host", "session"] = "session"
+    stamp_event: StampEvent = "exposure_start"
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One exposure of one camera.
+
+    ``index`` is the camera's own frame counter, ``time_ns`` its stamp of ``stamp_event``,
+    ``exposure_ns`` the length of the exposure window, ``row_time_ns`` the delay from one row's
+    exposure to the next row's (0 for a global shutter). ``image`` is (H, W), uint8 or uint16,
+    read-only; None where the frame was dropped or is corrupt. ``note`` says why, for people.
+    """
+
+    camera: str
+    index: int
+    time_ns: int
+    exposure_ns: int
+    image: Array | None
+    status: FrameStatus = "ok"
+    stamp_event: StampEvent = "exposure_start"
+    row_time_ns: int = 0
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        if self.image is not None:
+            object.__setattr__(self, "image", read_only_image(self.image))
+        if (self.status == "ok") != (self.image is not None):
+            raise ValueError(
+                f"frame {self.index} of {self.camera}: status {self.status} with an image of "
+                f"{None if self.image is None else self.image.shape}"
+            )
+
+
+def mid_exposure_ns(frame: Frame) -> int:
+    """Time of the middle of the frame's exposure window, in the clock that stamped it [ns].
+
+    The image's intensity centroid belongs to this instant (for constant velocity exactly). With a
+    rolling shutter it is the middle of the window of the image's central row.
+    """
+    height = 0 if frame.image is None else frame.image.shape[0]
+    half_readout = frame.row_time_ns * (height - 1) // 2 if height else 0
+    if frame.stamp_event == "exposure_start":
+        return frame.time_ns + frame.exposure_ns // 2 + half_readout
+    if frame.stamp_event == "exposure_middle":
+        return frame.time_ns
+    return frame.time_ns - frame.exposure_ns // 2 - half_readout
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSet:
+    """The frames of one trigger pulse, one for each camera that delivered.
+
+    ``pulse`` counts pulses from 0 at the first set; ``time_ns`` is the median mid-exposure of its
+    frames, or the pulse's expected time where no frame came. ``frames`` maps camera name -> Frame;
+    a camera that delivered nothing usable is absent.
+    """
+
+    pulse: int
+    time_ns: int
+    frames: Mapping[str, Frame] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "frames", MappingProxyType(dict(self.frames)))
+
+
+@runtime_checkable
+class FrameSource(Protocol):
+    """Where frames come from: twin, recording and hardware are read through this one door.
+
+    Iterating yields Frames in order of arrival; per camera their indices rise. Iteration may be
+    left early. ``close`` frees everything and may be called twice; ``with`` calls it.
+    """
+
+    @property
+    def cameras(self) -> tuple[CameraInfo, ...]:
+        """What each camera says of itself, in the order of the rig."""
+        ...
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yield frames until the source ends."""
+        ...
+
+    def close(self) -> None:
+        """Free devices, files and workers."""
+        ...
+
+    def __enter__(self) -> "FrameSource":
+        """Return the source itself."""
+        ...
+
+    def __exit__(self, *exc: object) -> None:
+        """Close the source."""
+        ...

@@ -1,0 +1,120 @@
+"""TOML files checked against a pydantic model; what is wrong is said in one line that helps."""
+
+import difflib
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from mosca.errors import InputError
+
+
+class Table(BaseModel):
+    """A TOML table: frozen, and every key it does not know is an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+T = TypeVar("T", bound=BaseModel)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return the TOML document at ``path``; InputError where it is missing or not TOML."""
+    try:
+        with open(path, "rb") as file:
+            return tomllib.load(file)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file{_similar_files(path)}") from None
+    except IsADirectoryError:
+        raise InputError(f"{path}: is a folder; a TOML file is wanted") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from None
+
+
+def check(model: type[T], document: dict[str, Any], where: str | Path) -> T:
+    """Return ``document`` as ``model``; InputError names file, key, value and what is allowed."""
+    try:
+        return model.model_validate(document)
+    except ValidationError as error:
+        raise InputError(f"{where}: {_first_line(model, error)}") from None
+
+
+def _similar_files(path: Path) -> str:
+    folder = path.parent
+    if not folder.is_dir():
+        return f" (and no folder {folder})"
+    near = difflib.get_close_matches(path.name, [p.name for p in folder.iterdir()], n=1)
+    return f"; did you mean '{folder / near[0]}'?" if near else ""
+
+
+def _first_line(model: type[BaseModel], error: ValidationError) -> str:
+    first, more = error.errors()[0], error.error_count() - 1
+    place = _dotted(first["loc"])
+    if first["type"] == "extra_forbidden":
+        allowed = _keys_at(model, first["loc"][:-1])
+        key = str(first["loc"][-1])
+        near = difflib.get_close_matches(key, allowed, n=1)
+        text = f"unknown key '{place}'"
+        text += f"; did you mean '{near[0]}'?" if near else ""
+        text += f" Allowed here: {', '.join(allowed)}" if allowed else ""
+    elif first["type"] == "missing":
+        text = f"key '{place}' is missing; {_described(model, first['loc'])}add it"
+    else:
+        given = repr(first.get("input"))
+        message = first["msg"].removeprefix("Value error, ")
+        text = f"key '{place}': {given if len(given) < 60 else given[:57] + '...'} given; {message}"
+    return text + (f" (and {more} more)" if more else "")
+
+
+def _dotted(location: tuple[int | str, ...]) -> str:
+    text = ""
+    for part in location:
+        text += f"[{part}]" if isinstance(part, int) else (f".{part}" if text else str(part))
+    return text
+
+
+def _model_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[type[BaseModel]]:
+    """Return the models that may stand at ``location`` (several where a union has no tag yet)."""
+    here: list[type[BaseModel]] = [model]
+    for part in location:
+        nexts: list[type[BaseModel]] = []
+        for candidate in here:
+            if isinstance(part, str) and part in candidate.model_fields:
+                nexts += _models_in(candidate.model_fields[part].annotation)
+            elif isinstance(part, int) or any(_tag_of(candidate) == part for _ in (0,)):
+                nexts.append(candidate)
+        here = nexts or [m for m in here if _tag_of(m) == part] or here
+    return here
+
+
+def _tag_of(model: type[BaseModel]) -> Any:
+    for key in ("kind", "model"):
+        if key in model.model_fields:
+            values = get_args(model.model_fields[key].annotation)
+            if values:
+                return values[0]
+    return None
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [m for arg in get_args(annotation) for m in _models_in(arg)]
+
+
+def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    tags = [part for part in location if isinstance(part, str)]
+    models = _model_at(model, location)
+    tagged = [m for m in models if tags and _tag_of(m) == tags[-1]]
+    return sorted({name for m in (tagged or models) for name in m.model_fields})
+
+
+def _described(model: type[BaseModel], location: tuple[int | str, ...]) -> str:
+    for candidate in _model_at(model, location[:-1]):
+        field = candidate.model_fields.get(str(location[-1]))
+        if field is not None and field.description:
+            return f"({field.description}) "
+    return ""

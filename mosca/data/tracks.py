@@ -1,0 +1,100 @@
+"""Points of one instant and tracks over time: what the pipeline gives and scoring reads."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mosca.data.arrays import Array, read_only
+
+STATUSES = ("measured", "filled", "predicted")
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Triangulated points of one frame set, before they have an identity.
+
+    ``xyz`` (n, 3) world frame [m]; ``covariance`` (n, 3, 3) of the measurement [m^2]; ``n_cameras`` (n,);
+    ``residual_px`` (n,) rms reprojection error; ``rays`` (n, n_rig_cameras) index of the detection that
+    each camera contributed, -1 where it contributed none.
+    """
+
+    xyz: Array
+    covariance: Array
+    n_cameras: Array
+    residual_px: Array
+    rays: Array
+
+    def __post_init__(self) -> None:
+        n = len(np.asarray(self.xyz))
+        object.__setattr__(self, "xyz", read_only(self.xyz, (None, 3), "xyz"))
+        object.__setattr__(self, "covariance", read_only(self.covariance, (n, 3, 3), "covariance"))
+        object.__setattr__(self, "n_cameras", read_only(self.n_cameras, (n,), "n_cameras", np.int64))
+        object.__setattr__(self, "residual_px", read_only(self.residual_px, (n,), "residual_px"))
+        object.__setattr__(self, "rays", read_only(self.rays, (n, None), "rays", np.int64))
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks:
+    """Samples of trajectories as columns, one row a track and frame, sorted by (frame, track).
+
+    ``frame`` (n,) pulse number; ``time_ns`` (n,) mid-exposure; ``track`` (n,) identity; ``label`` (n,) str,
+    empty where unknown; ``xyz`` (n, 3) world frame [m]; ``covariance`` (n, 3, 3) [m^2], of the measurement
+    alone; ``n_cameras`` (n,); ``residual_px`` (n,), NaN where unknown; ``status`` (n,) one of STATUSES.
+    """
+
+    frame: Array
+    time_ns: Array
+    track: Array
+    label: Array
+    xyz: Array
+    covariance: Array
+    n_cameras: Array
+    residual_px: Array
+    status: Array
+
+    def __post_init__(self) -> None:
+        n = len(np.asarray(self.frame))
+        for name, shape, dtype in (
+            ("frame", (n,), np.int64),
+            ("time_ns", (n,), np.int64),
+            ("track", (n,), np.int64),
+            ("label", (n,), np.str_),
+            ("xyz", (n, 3), np.float64),
+            ("covariance", (n, 3, 3), np.float64),
+            ("n_cameras", (n,), np.int64),
+            ("residual_px", (n,), np.float64),
+            ("status", (n,), np.str_),
+        ):
+            object.__setattr__(self, name, read_only(getattr(self, name), shape, name, dtype))
+        unknown = set(np.unique(self.status)) - set(STATUSES)
+        if unknown:
+            raise ValueError(f"status: {sorted(unknown)} given, {STATUSES} allowed")
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    @classmethod
+    def none(cls) -> "Tracks":
+        """No samples."""
+        e = np.empty(0)
+        return cls(e, e, e, e.astype(str), np.empty((0, 3)), np.empty((0, 3, 3)), e, e, e.astype(str))
+
+    def select(self, rows: Array) -> "Tracks":
+        """Return the samples that a boolean mask or an index array (m,) names."""
+        return Tracks(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+def write_npz(tracks: Tracks, path: Path) -> None:
+    """Write all columns of ``tracks`` under their names (numpy .npz, no pickles)."""
+    with open(path, "wb") as file:
+        np.savez_compressed(file, **{name: getattr(tracks, name) for name in tracks.__dataclass_fields__})
+
+
+def read_npz(path: Path) -> Tracks:
+    """Read what ``write_npz`` wrote."""
+    with np.load(path, allow_pickle=False) as columns:
+        return Tracks(**{name: columns[name] for name in Tracks.__dataclass_fields__})

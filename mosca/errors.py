@@ -1,0 +1,17 @@
+"""Errors that a user can mend: one line that names file, key, value, what is allowed and what to do."""
+
+
+class MoscaError(Exception):
+    """A known error. The command line prints its text on one line and exits with 2."""
+
+
+class InputError(MoscaError):
+    """A file, a key or a value that cannot be used as it is."""
+
+
+class CalibrationError(MoscaError):
+    """Observations that do not determine a camera, or a camera that cannot be right."""
+
+
+class PremiseError(MoscaError):
+    """A scenario whose stated premises do not hold, so that its score would mean nothing."""

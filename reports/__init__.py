@@ -1,0 +1,1 @@
+"""What people read: records, pages, plots, recordings for the viewer."""

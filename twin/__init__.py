@@ -1,0 +1,1 @@
+"""The twin makes exposures and the truth. It shares conventions and parameter numbers with the pipeline, never formulas."""

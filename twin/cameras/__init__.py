@@ -1,0 +1,1 @@
+"""Virtual cameras: shutter, mount, lens, render, sensor, in the order that light takes."""

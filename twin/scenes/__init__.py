@@ -1,0 +1,1 @@
+"""Scenes: what moves, where its markers are, and what hides them."""

@@ -1,0 +1,91 @@
+"""A scene: a compiled MuJoCo model, its markers, and its configuration at any instant.
+
+How the subject moves (a recorded motion, a flown path, contact physics) is hidden behind one function,
+``configuration_at``: time -> qpos, defined between physics steps too. What hides the markers are the
+model's geoms outside the marker group.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import mujoco
+import numpy as np
+
+from mosca.data.arrays import Array, read_only
+
+MARKER_GROUP = 4
+"""Geom group of markers. Spheres are ball markers; cylinders are flat round targets facing their +z."""
+UNSEEN_GROUP = 5
+"""Geom group of helpers that neither show nor hide anything (collision shapes, cages)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Commands:
+    """Commands given to the subject on the session clock: ``time_ns`` (n,), ``values`` (n, k), ``names`` (k)."""
+
+    names: tuple[str, ...]
+    time_ns: Array
+    values: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time_ns", read_only(self.time_ns, (None,), "time_ns", np.int64))
+        n = len(self.time_ns)
+        object.__setattr__(self, "values", read_only(self.values, (n, len(self.names)), "values"))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A subject with markers in a world.
+
+    ``model``: compiled MjModel; markers are geoms in MARKER_GROUP (``marker_geoms``, in the order of
+    ``marker_names``). ``configuration_at(t)``: qpos (nq,) at session time t [s], for -0.1 <= t <=
+    duration_s + 0.1, a pure function (same t, same bytes, any thread). ``bodies``: rigid body name ->
+    names of the markers that it carries. ``commands``: what drove it, if anything did.
+    """
+
+    model: mujoco.MjModel
+    marker_names: tuple[str, ...]
+    marker_geoms: tuple[int, ...]
+    configuration_at: Callable[[float], Array]
+    duration_s: float
+    bodies: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    commands: Commands | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "bodies", MappingProxyType(dict(self.bodies)))
+
+    def sampler(self) -> "SceneSampler":
+        """Return a sampler with its own MjData: one for each thread."""
+        return SceneSampler(self)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneState:
+    """Where everything is at one instant, world frame [m].
+
+    ``marker_xyz`` (m, 3) centres; ``marker_axis`` (m, 3) unit +z of each marker's geom (a flat target's
+    normal); ``geom_xyz`` (g, 3) and ``geom_rotation`` (g, 3, 3) of every geom of the model.
+    """
+
+    marker_xyz: Array
+    marker_axis: Array
+    geom_xyz: Array
+    geom_rotation: Array
+
+
+class SceneSampler:
+    """Evaluates a scene's geometry at an instant by forward kinematics. Not to be shared by threads."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.data = mujoco.MjData(scene.model)
+        self._geoms = np.asarray(scene.marker_geoms, dtype=np.int64)
+
+    def at(self, time_s: float) -> SceneState:
+        """Return the geometry at session time ``time_s`` [s]."""
+        self.data.qpos[:] = self.scene.configuration_at(time_s)
+        mujoco.mj_kinematics(self.scene.model, self.data)
+        xyz = self.data.geom_xpos.copy()
+        rotation = self.data.geom_xmat.reshape(-1, 3, 3).copy()
+        return SceneState(xyz[self._geoms], rotation[self._geoms, :, 2], xyz, rotation)
