@@ -1,0 +1,100 @@
+"""OpenCV's pinhole model: ideal -> distorted, rational radial and tangential distortion.
+
+With x = X/Z, y = Y/Z, r^2 = x^2 + y^2 and q = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6):
+
+    xd = x q + 2 p1 x y + p2 (r^2 + 2 x^2)      u = cx + fx xd
+    yd = y q + p1 (r^2 + 2 y^2) + 2 p2 x y      v = cy + fy yd
+
+Source: OpenCV documentation, calib3d, "Detailed Description".
+"""
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.rig import OpenCVLens
+
+NEWTON_STEPS = 30
+CONVERGED = 1e-14
+
+
+def directions(lens: OpenCVLens, xy_px: Array) -> Array:
+    """Pixel (n, 2) -> direction (n, 3) with z = 1, camera frame; Newton's method, NaN where it fails."""
+    xy = np.asarray(xy_px, dtype=float)
+    distorted = (xy - (lens.cx_px, lens.cy_px)) / (lens.fx_px, lens.fy_px)
+    ideal = distorted.copy()
+    with np.errstate(all="ignore"):
+        for _ in range(NEWTON_STEPS):
+            value, slope, _ = _distort(lens, ideal)
+            rest = distorted - value
+            determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
+            step = np.column_stack(
+                [
+                    (slope[:, 1, 1] * rest[:, 0] - slope[:, 0, 1] * rest[:, 1]) / determinant,
+                    (slope[:, 0, 0] * rest[:, 1] - slope[:, 1, 0] * rest[:, 0]) / determinant,
+                ]
+            )
+            ideal = ideal + step
+            if not np.any(np.abs(step) > CONVERGED):
+                break
+        found = np.abs(distorted - _distort(lens, ideal)[0]).max(axis=1, initial=0.0) < 1e-10
+    ideal[~found] = np.nan
+    return np.column_stack([ideal, np.ones(len(ideal))])
+
+
+def pixels(lens: OpenCVLens, directions: Array) -> tuple[Array, Array, Array]:
+    """Direction (n, 3), camera frame -> pixel (n, 2), d pixel/d direction (n, 2, 3), d pixel/d lens (n, 2, 12).
+
+    NaN for directions behind the camera and beyond the radius where the distortion folds back.
+    """
+    v = np.asarray(directions, dtype=float)
+    front = v[:, 2] > 0
+    z = np.where(front, v[:, 2], 1.0)
+    ideal = np.column_stack([v[:, 0] / z, v[:, 1] / z])
+    with np.errstate(all="ignore"):
+        distorted, slope, by_distortion = _distort(lens, ideal)
+        # both stretches turn negative far beyond the fold, so the determinant alone does not tell
+        folded = ~((np.linalg.det(slope) > 0) & (np.trace(slope, axis1=1, axis2=2) > 0))
+    focal = np.array([lens.fx_px, lens.fy_px])
+    xy = np.array([lens.cx_px, lens.cy_px]) + focal * distorted
+    ideal_by_direction = np.zeros((len(v), 2, 3))
+    ideal_by_direction[:, 0, 0] = ideal_by_direction[:, 1, 1] = 1 / z
+    ideal_by_direction[:, :, 2] = -ideal / z[:, None]
+    by_direction = focal[:, None] * (slope @ ideal_by_direction)
+    by_lens = np.zeros((len(v), 2, 12))
+    by_lens[:, 0, 0], by_lens[:, 1, 1] = distorted[:, 0], distorted[:, 1]
+    by_lens[:, 0, 2] = by_lens[:, 1, 3] = 1.0
+    by_lens[:, :, 4:] = focal[:, None] * by_distortion
+    bad = ~front | folded
+    xy[bad], by_direction[bad], by_lens[bad] = np.nan, np.nan, np.nan
+    return xy, by_direction, by_lens
+
+
+def _distort(lens: OpenCVLens, ideal: Array) -> tuple[Array, Array, Array]:
+    """Return distorted (n, 2), its slope by ideal (n, 2, 2) and by (k1, k2, p1, p2, k3 ... k6) (n, 2, 8)."""
+    x, y = ideal[:, 0], ideal[:, 1]
+    r2 = x * x + y * y
+    above = 1 + r2 * (lens.k1 + r2 * (lens.k2 + r2 * lens.k3))
+    below = 1 + r2 * (lens.k4 + r2 * (lens.k5 + r2 * lens.k6))
+    above_slope = lens.k1 + r2 * (2 * lens.k2 + r2 * 3 * lens.k3)
+    below_slope = lens.k4 + r2 * (2 * lens.k5 + r2 * 3 * lens.k6)
+    q = above / below
+    q_slope = (above_slope - q * below_slope) / below  # d q / d r2
+    p1, p2 = lens.p1, lens.p2
+    distorted = np.column_stack(
+        [
+            x * q + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * q + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        ]
+    )
+    slope = np.empty((len(x), 2, 2))
+    slope[:, 0, 0] = q + 2 * x * x * q_slope + 2 * p1 * y + 6 * p2 * x
+    slope[:, 0, 1] = slope[:, 1, 0] = 2 * x * y * q_slope + 2 * p1 * x + 2 * p2 * y
+    slope[:, 1, 1] = q + 2 * y * y * q_slope + 6 * p1 * y + 2 * p2 * x
+    by = np.empty((len(x), 2, 8))
+    for k, power in ((0, r2), (1, r2**2), (4, r2**3)):
+        by[:, :, k] = ideal * (power / below)[:, None]
+    for k, power in ((5, r2), (6, r2**2), (7, r2**3)):
+        by[:, :, k] = ideal * (-q * power / below)[:, None]
+    by[:, 0, 2], by[:, 1, 2] = 2 * x * y, r2 + 2 * y * y
+    by[:, 0, 3], by[:, 1, 3] = r2 + 2 * x * x, 2 * x * y
+    return distorted, slope, by
