@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -12,13 +13,36 @@ from mosca.errors import InputError
 
 
 @dataclass(frozen=True)
+class Blocks:
+    """What a metric is made of, block of consecutive frames by block: for comparing runs in pairs.
+
+    ``sums`` (b,) what was added up in each block, ``weights`` (b,) how much of it there was, so that
+    sum(sums) / sum(weights) is the metric, or its square where the metric is a root mean square;
+    ``reports.compare`` states both for each name. Blocks are cut by frame number alone, so that two
+    runs of a scenario have the same cuts; 20 to 40 of them serve well.
+    """
+
+    sums: tuple[float, ...]
+    weights: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sums", tuple(float(v) for v in self.sums))
+        object.__setattr__(self, "weights", tuple(float(v) for v in self.weights))
+        if len(self.sums) != len(self.weights):
+            raise ValueError(f"blocks: {len(self.sums)} sums and {len(self.weights)} weights given")
+        if any(weight < 0 for weight in self.weights):
+            raise ValueError("blocks: a weight below 0 given")
+
+
+@dataclass(frozen=True)
 class Metric:
     """One figure with everything that is needed to read it.
 
     ``unit``: of value, ci95 and limit ("1" for a ratio). ``n``: how many independent items it is
     made of. ``ci95``: 95 % interval from a block bootstrap, or None. ``aligned_by``: what was fitted
     before comparing ("none" for an unaligned comparison). ``limit`` and ``sense``: what the
-    scenario allows, at most or at least; ``passed`` is None where there is no limit.
+    scenario allows, at most or at least; ``passed`` is None where there is no limit. ``blocks``: what
+    it is made of over time, or None.
     """
 
     name: str
@@ -30,6 +54,7 @@ class Metric:
     limit: float | None = None
     sense: Literal["at_most", "at_least"] = "at_most"
     passed: bool | None = None
+    blocks: Blocks | None = None
 
 
 @dataclass(frozen=True)
@@ -63,22 +88,40 @@ class RunRecord:
 
 def write_record(record: RunRecord, path: Path) -> None:
     """Write ``record`` as JSON, whole or not at all."""
-    write_whole(path, json.dumps(asdict(record), indent=2, allow_nan=False) + "\n")
+    write_whole(path, _numbers_on_one_line(json.dumps(asdict(record), indent=2, allow_nan=False)) + "\n")
 
 
 def read_record(path: Path) -> RunRecord:
     """Read what ``write_record`` wrote; InputError where it is missing or something else."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-        metrics = tuple(
-            Metric(**{**m, "ci95": tuple(m["ci95"]) if m["ci95"] is not None else None})
-            for m in document.pop("metrics")
-        )
-        return RunRecord(metrics=metrics, **document)
+        return RunRecord(metrics=tuple(_metric(m) for m in document.pop("metrics")), **document)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; a run folder holds a record.json") from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: not a run record: {error}") from None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(f"{path}: not a run record: {error}; give a run folder's record.json") from None
+
+
+def _metric(fields: Mapping[str, Any]) -> Metric:
+    """Return the metric that its JSON object stands for; older records hold no blocks."""
+    ci95, blocks = fields["ci95"], fields.get("blocks")
+    return Metric(
+        **{
+            **fields,
+            "ci95": ci95 if ci95 is None else _pair(*ci95),
+            "blocks": None if blocks is None else Blocks(**blocks),
+        }
+    )
+
+
+def _pair(low: float, high: float) -> tuple[float, float]:
+    return float(low), float(high)
+
+
+def _numbers_on_one_line(text: str) -> str:
+    """Return JSON ``text`` with each list of bare numbers on one line: a baseline's diff stays readable."""
+    numbers = re.compile(r"\[\n\s*(-?\d[^\]\[{}\"]*?)\s*\]")
+    return numbers.sub(lambda found: "[" + re.sub(r"\s*\n\s*", " ", found[1]) + "]", text)
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -1,0 +1,446 @@
+"""Compiled search for targets: bright runs, blobs, accepted regions.
+
+Called by ``mosca.detect``, which defines what a target is and names the source. The kernels are free of the
+GIL, run on one thread and use whole numbers only, so the same image always gives the same regions.
+
+A *run* is a row of adjoining pixels: (row, first column, end column, place of its first pixel among the
+``values``), where ``values`` holds the grey values of all bright pixels in raster order. A *blob* is an
+8-connected set of runs at the lowest threshold; a *region* is an accepted target.
+"""
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from mosca.data.arrays import Array
+
+# What Python calls is a kernel and cached; its steps are compiled with it. Numba keeps a cached kernel as
+# long as *its own* file is unchanged: a kernel and all its steps stand in one file.
+kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
+step = numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+ROW, FIRST, END, PLACE = range(4)
+
+# Columns of the table of disjoint pixel sets while a blob is grown; all but PARENT and NEXT are of the roots.
+PARENT, NEXT, LAST, SIZE, LEFT, RIGHT, TOP, BOTTOM, PEAK, DARKEST, N_TARGETS, REGION, CHECKED = range(13)
+
+
+class Search(NamedTuple):
+    """What is searched, in grey values of the image [DN] and pixels."""
+
+    highest: int
+    lowest: int
+    step: int
+    contrast: float
+    smallest_px: float
+    largest_px: float
+
+
+class Packing(NamedTuple):
+    """How the pixels in eight bytes are compared with a grey value at once (see ``bright_words``)."""
+
+    low_bits: np.uint64
+    addend: np.uint64
+    lane_shift: int
+
+
+@step
+def bright_words(words: Array, packing: Packing) -> Array:
+    """Return the indices of the words that may hold a bright pixel; most of a frame is dark.
+
+    A word is 8 bytes with a pixel in each lane of 8 or 16 bit. ``addend`` lifts the low bits of a lane into
+    its top bit exactly where they reach the grey value searched, and no lane carries into the next.
+    """
+    top_bits = ~packing.low_bits
+    n = len(words)
+    blocks = np.empty(n // 4 + 1, np.int32)
+    n_blocks = 0
+    for block in range(n // 4):
+        bits = np.uint64(0)
+        for k in range(4):
+            word = words[np.uint64(4 * block + k)]
+            bits |= ((word & packing.low_bits) + packing.addend) | word
+        blocks[n_blocks] = block
+        n_blocks += (bits & top_bits) != np.uint64(0)
+    if n % 4:
+        blocks[n_blocks] = n // 4
+        n_blocks += 1
+    found = np.empty(4 * n_blocks, np.int32)
+    n_found = 0
+    for i in range(n_blocks):
+        for k in range(4 * blocks[i], min(4 * blocks[i] + 4, n)):
+            word = words[np.uint64(k)]
+            found[n_found] = k
+            n_found += ((((word & packing.low_bits) + packing.addend) | word) & top_bits) != np.uint64(0)
+    return found[:n_found]
+
+
+@step
+def bright_runs(image: Array, words: Array, packing: Packing, level: int) -> tuple[Array, Array]:
+    """Return the runs (n, 4) of pixels above ``level`` in raster order, and their grey values."""
+    width = image.shape[1]
+    words_a_row = words.shape[1]
+    bright = bright_words(words.ravel(), packing)
+    lanes = 1 << packing.lane_shift
+    runs = np.empty((len(bright) * lanes // 2 + 1, 4), np.int32)
+    n, y, x, first_word, n_pixels = 0, 0, 0, 0, 0
+    for word in bright:
+        while word >= first_word + words_a_row:
+            y += 1
+            x = 0
+            first_word += words_a_row
+        begin = (word - first_word) << packing.lane_shift
+        x = max(x, begin)
+        end = min(begin + lanes, width)
+        while x < end:
+            if image[y, x] <= level:
+                x += 1
+                continue
+            first = x
+            while x < width and image[y, x] > level:
+                x += 1
+            runs[n, ROW], runs[n, FIRST], runs[n, END], runs[n, PLACE] = y, first, x, n_pixels
+            n_pixels += x - first
+            n += 1
+    values = np.empty(n_pixels, np.int32)
+    for i in range(n):
+        y, first, place = runs[i, ROW], runs[i, FIRST], runs[i, PLACE]
+        for k in range(runs[i, END] - first):
+            values[place + k] = image[y, first + k]
+    return runs[:n], values
+
+
+@step
+def threshold_sequence(values: Array, search: Search) -> Array:
+    """Return the thresholds, falling. Grey values that the image lacks are stepped over (step 3)."""
+    present = np.zeros(search.highest + 1, np.uint8)
+    for value in values:
+        if value <= search.highest:
+            present[value] = 1
+    thresholds = np.empty((search.highest - search.lowest) // search.step + 1, np.int32)
+    n, threshold = 0, search.highest
+    while threshold > search.lowest:
+        thresholds[n] = threshold
+        n += 1
+        while threshold > search.lowest and not present[threshold]:
+            threshold -= 1
+        threshold -= search.step
+    return thresholds[:n]
+
+
+@step
+def runs_above(runs: Array, values: Array, level: int) -> Array:
+    """Return the runs of pixels above ``level`` within ``runs`` of a lower level."""
+    above = np.empty((len(values), 4), np.int32)
+    n = 0
+    for i in range(len(runs)):
+        x, end = runs[i, FIRST], runs[i, END]
+        place = runs[i, PLACE] - x
+        while x < end:
+            if values[place + x] <= level:
+                x += 1
+                continue
+            first = x
+            while x < end and values[place + x] > level:
+                x += 1
+            above[n, ROW], above[n, FIRST], above[n, END] = runs[i, ROW], first, x
+            above[n, PLACE] = place + first
+            n += 1
+    return above[:n]
+
+
+@step
+def root_of(parent: Array, i: int) -> int:
+    """Return the representative of the set of ``i``, shortening the way to it."""
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@step
+def blobs_of(runs: Array) -> tuple[Array, Array]:
+    """Return the runs sorted by 8-connected blob, and (n + 1) where each blob begins.
+
+    Blobs are in the order of their first pixel, the runs of each in raster order.
+    """
+    n = len(runs)
+    parent = np.empty(n, np.int32)
+    above = 0  # the first run of the row above that may still touch
+    for i in range(n):
+        parent[i] = i
+        y, first, end = runs[i, ROW], runs[i, FIRST], runs[i, END]
+        while runs[above, ROW] < y - 1 or (runs[above, ROW] == y - 1 and runs[above, END] < first):
+            above += 1
+        j = above
+        while runs[j, ROW] == y - 1 and runs[j, FIRST] <= end:
+            a, b = root_of(parent, i), root_of(parent, j)
+            parent[max(a, b)] = min(a, b)
+            j += 1
+    blob = np.empty(n, np.int32)
+    start = np.zeros(n + 2, np.int32)
+    n_blobs = 0
+    for i in range(n):
+        root = root_of(parent, i)
+        if root == i:
+            blob[i] = n_blobs
+            n_blobs += 1
+        else:
+            blob[i] = blob[root]
+        start[blob[i] + 2] += 1
+    for k in range(2, n_blobs + 2):
+        start[k] += start[k - 1]
+    in_order = np.empty((n, 4), np.int32)
+    for i in range(n):
+        at = start[blob[i] + 1]
+        start[blob[i] + 1] += 1
+        for c in range(4):
+            in_order[at, c] = runs[i, c]
+    return in_order, start[: n_blobs + 1]
+
+
+@step
+def survey(runs: Array, values: Array, lowest: int, column: int) -> tuple[int, int, int]:
+    """Return the smallest and the largest grey value of a blob, and a bound of the dips between its summits.
+
+    From each pixel a path leads along its run to ``column`` and along that column to every other row; the
+    bound is the deepest dip below both ends of such a path. Where a run does not reach the column, or the
+    column leaves the blob, the path is taken to dip to ``lowest``.
+    """
+    darkest, peak, dip = np.int32(65535), np.int32(0), np.int32(0)
+    low, last_row = np.int32(65535), runs[0, ROW] - 1
+    for i in range(len(runs)):
+        first, end, place = runs[i, FIRST], runs[i, END], runs[i, PLACE]
+        if not first <= column < end:
+            for k in range(place, place + end - first):
+                darkest = min(darkest, values[k])
+                peak = max(peak, values[k])
+                dip = max(dip, values[k] - lowest)
+            continue
+        middle = place + column - first
+        left = right = np.int32(0)
+        for k in range(place, middle + 1):
+            left = max(left, values[k])
+            dip = max(dip, left - values[k])
+            darkest = min(darkest, values[k])
+        valley = values[middle]
+        for k in range(middle + 1, place + end - first):
+            right = max(right, values[k])
+            valley = min(valley, values[k])
+            dip = max(dip, values[k] - valley)
+        darkest = min(darkest, valley)
+        here = max(left, right)
+        low = min(low, values[middle])
+        if runs[i, ROW] != last_row + 1:
+            low = min(low, np.int32(lowest))
+        last_row = runs[i, ROW]
+        dip = max(dip, min(here, peak) - low)
+        if here > peak:
+            peak, low = here, values[middle]
+    return darkest, peak, dip
+
+
+@step
+def is_target(size_x: int, size_y: int, contrast: int, search: Search) -> bool:
+    """Tell whether a region passes the limits of size and contrast (step 6)."""
+    return (
+        search.smallest_px < size_x < search.largest_px
+        and search.smallest_px < size_y < search.largest_px
+        and contrast > search.contrast
+    )
+
+
+@step
+def level_of(value: int, thresholds: Array) -> int:
+    """Return the index of the first of the falling thresholds that ``value`` exceeds."""
+    low, high = 0, len(thresholds) - 1
+    while low < high:
+        middle = (low + high) // 2
+        if value > thresholds[middle]:
+            high = middle
+        else:
+            low = middle + 1
+    return low
+
+
+@step
+def pixels_by_level(runs: Array, values: Array, thresholds: Array) -> tuple[Array, Array]:
+    """Return the runs' pixels (n, 3), x, y and value, as they rise above falling thresholds.
+
+    The second array (levels + 1) says where each level's pixels begin.
+    """
+    n_pixels = 0
+    for i in range(len(runs)):
+        n_pixels += runs[i, END] - runs[i, FIRST]
+    start = np.zeros(len(thresholds) + 2, np.int32)
+    levels = np.empty(n_pixels, np.int32)
+    n = 0
+    for i in range(len(runs)):
+        for k in range(runs[i, END] - runs[i, FIRST]):
+            levels[n] = level_of(values[runs[i, PLACE] + k], thresholds)
+            start[levels[n] + 2] += 1
+            n += 1
+    for level in range(2, len(start)):
+        start[level] += start[level - 1]
+    pixels = np.empty((n_pixels, 3), np.int32)
+    n = 0
+    for i in range(len(runs)):
+        for k in range(runs[i, END] - runs[i, FIRST]):
+            at = start[levels[n] + 1]
+            start[levels[n] + 1] += 1
+            pixels[at, 0], pixels[at, 1] = runs[i, FIRST] + k, runs[i, ROW]
+            pixels[at, 2] = values[runs[i, PLACE] + k]
+            n += 1
+    return pixels, start[: len(thresholds) + 1]
+
+
+@step
+def join(sets: Array, a: int, b: int) -> int:
+    """Unite the sets of two roots and return the root: the smaller one's pixels follow the larger one's.
+
+    So the pixels of every earlier set stay an unbroken stretch of the list that starts at its root.
+    """
+    if sets[a, SIZE] < sets[b, SIZE]:
+        a, b = b, a
+    sets[b, PARENT] = a
+    sets[sets[a, LAST], NEXT] = b
+    sets[a, LAST] = sets[b, LAST]
+    sets[a, SIZE] += sets[b, SIZE]
+    sets[a, LEFT] = min(sets[a, LEFT], sets[b, LEFT])
+    sets[a, RIGHT] = max(sets[a, RIGHT], sets[b, RIGHT])
+    sets[a, TOP] = min(sets[a, TOP], sets[b, TOP])
+    sets[a, BOTTOM] = max(sets[a, BOTTOM], sets[b, BOTTOM])
+    sets[a, PEAK] = max(sets[a, PEAK], sets[b, PEAK])
+    sets[a, DARKEST] = min(sets[a, DARKEST], sets[b, DARKEST])
+    sets[a, N_TARGETS] += sets[b, N_TARGETS]
+    sets[a, REGION] = max(sets[a, REGION], sets[b, REGION])
+    return a
+
+
+@step
+def grow_regions(runs: Array, values: Array, thresholds: Array, search: Search) -> tuple[Array, Array]:
+    """Find the accepted regions of one blob by growing it from its brightest pixels down.
+
+    Pixels are added threshold by threshold; after each, every region that changed is judged with the number
+    N of separate targets that it holds so far. Returns the regions' thresholds (n) and their runs (m, 4):
+    region, row, first column, end column, sorted by region.
+    """
+    pixels, start = pixels_by_level(runs, values, thresholds)
+    left, right, top = runs[0, FIRST], runs[0, END], runs[0, ROW]
+    for i in range(len(runs)):
+        left = min(left, runs[i, FIRST])
+        right = max(right, runs[i, END])
+    sets = np.empty((len(pixels), 13), np.int32)
+    # Which pixel stands where in the blob's box, -1 before it has risen; with one pixel of rim.
+    standing = np.full((runs[-1, ROW] - top + 3, right - left + 2), np.int32(-1), np.int32)
+    # An accepted region: its first pixel, number of pixels, box and threshold.
+    found = np.empty((len(pixels), 7), np.int32)
+    n_found = 0
+    for level in range(len(thresholds)):
+        for i in range(start[level], start[level + 1]):
+            x, y, value = pixels[i, 0], pixels[i, 1], pixels[i, 2]
+            sets[i, PARENT] = sets[i, LAST] = i
+            sets[i, LEFT] = sets[i, RIGHT] = x
+            sets[i, TOP] = sets[i, BOTTOM] = y
+            sets[i, PEAK] = sets[i, DARKEST] = value
+            sets[i, SIZE], sets[i, N_TARGETS], sets[i, REGION], sets[i, CHECKED] = 1, 0, -1, -1
+            row, column = y - top + 1, x - left + 1
+            standing[row, column] = mine = i
+            for v in range(row - 1, row + 2):
+                for u in range(column - 1, column + 2):
+                    if standing[v, u] >= 0:
+                        other = root_of(sets[:, PARENT], standing[v, u])
+                        if other != mine:
+                            mine = join(sets, mine, other)
+        for i in range(start[level], start[level + 1]):
+            root = root_of(sets[:, PARENT], i)
+            region = sets[root]
+            if region[CHECKED] == level:
+                continue
+            region[CHECKED] = level
+            size_x, size_y = region[RIGHT] - region[LEFT] + 1, region[BOTTOM] - region[TOP] + 1
+            contrast = region[PEAK] - region[DARKEST]
+            if region[N_TARGETS] > 1 or not is_target(size_x, size_y, contrast, search):
+                continue
+            if region[N_TARGETS] == 0:
+                region[N_TARGETS], region[REGION] = 1, n_found
+                n_found += 1
+            target = found[region[REGION]]
+            target[0], target[1], target[2], target[3] = root, region[SIZE], region[LEFT], region[RIGHT]
+            target[4], target[5], target[6] = region[TOP], region[BOTTOM], thresholds[level]
+
+    # Mark each region's pixels in the box, then read them out row by row.
+    standing[:, :] = -1
+    for r in range(n_found):
+        i = found[r, 0]
+        for _ in range(found[r, 1]):
+            standing[pixels[i, 1] - top + 1, pixels[i, 0] - left + 1] = r
+            i = sets[i, NEXT]
+    region_runs = np.empty((len(pixels), 4), np.int32)
+    n = 0
+    for r in range(n_found):
+        for y in range(found[r, 4], found[r, 5] + 1):
+            inside = False
+            for x in range(found[r, 2], found[r, 3] + 2):
+                if (standing[y - top + 1, x - left + 1] == r) == inside:
+                    continue
+                inside = not inside
+                if inside:
+                    region_runs[n, 0], region_runs[n, 1], region_runs[n, 2] = r, y, x
+                else:
+                    region_runs[n, 3] = x
+                    n += 1
+    return found[:n_found, 6], region_runs[:n]
+
+
+@kernel
+def find_regions(
+    image: Array, words: Array, packing: Packing, search: Search
+) -> tuple[Array, Array, Array]:
+    """Find all targets: runs (m, 3) sorted by region, where each region begins (n + 1), thresholds (n)."""
+    runs, values = bright_runs(image, words, packing, search.lowest + 1)
+    thresholds = threshold_sequence(values, search)
+    lowest = thresholds[-1]
+    if lowest > search.lowest + 1:
+        runs = runs_above(runs, values, lowest)
+    runs, blob_start = blobs_of(runs)
+
+    region_runs = np.empty((len(values), 3), np.int32)
+    region_start = np.zeros(len(values) + 1, np.int32)
+    region_threshold = np.empty(len(values), np.int32)
+    n_regions, n = 0, 0
+    for blob in range(len(blob_start) - 1):
+        own = runs[blob_start[blob] : blob_start[blob + 1]]
+        left, right = own[0, FIRST], own[0, END]
+        for i in range(1, len(own)):
+            left = min(left, own[i, FIRST])
+            right = max(right, own[i, END])
+        size_x, size_y = right - left, own[-1, ROW] - own[0, ROW] + 1
+        if min(size_x, size_y) <= search.smallest_px:
+            continue  # and so is every region within
+        darkest, peak, dip = survey(own, values, lowest, (left + right) // 2)
+        if peak - darkest <= search.contrast:
+            continue  # likewise
+        if is_target(size_x, size_y, peak - darkest, search) and dip <= search.contrast + 1:
+            # Two disjoint regions are accepted only with a dip between their summits to the threshold of
+            # one of them, that is by more than B + 1, since Bmax - Bmin > B and Bmin > threshold. No path
+            # here dips as deep, so N < 2 at every threshold and the whole blob is the region.
+            for i in range(len(own)):
+                for c in range(3):
+                    region_runs[n, c] = own[i, c]
+                n += 1
+            region_threshold[n_regions] = lowest
+            n_regions += 1
+            region_start[n_regions] = n
+            continue
+        grown_thresholds, grown_runs = grow_regions(own, values, thresholds, search)
+        for i in range(len(grown_runs)):
+            for c in range(3):
+                region_runs[n, c] = grown_runs[i, c + 1]
+            n += 1
+            region_start[n_regions + grown_runs[i, 0] + 1] = n
+        for threshold in grown_thresholds:
+            region_threshold[n_regions] = threshold
+            n_regions += 1
+    return region_runs[:n], region_start[: n_regions + 1], region_threshold[:n_regions]

@@ -1,0 +1,116 @@
+"""The story, read top to bottom: frames -> frame sets -> detections -> matches -> points -> tracks.
+
+Nothing here knows where the frames come from. ``run`` is a generator: one Step a trigger pulse.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mosca.assemble import Assembly, assemble
+from mosca.data.arrays import Array
+from mosca.data.detections import Detections
+from mosca.data.frames import FrameSet, FrameSource
+from mosca.data.rig import Rig
+from mosca.data.tracks import Points
+from mosca.detect import DetectionSettings, detect
+from mosca.errors import InputError
+from mosca.match import MatchSettings, choose, hypotheses
+from mosca.track import Sample, Tracker, TrackSettings
+from mosca.triangulate import bundle_rays
+
+
+@dataclass(frozen=True)
+class PipelineSettings:
+    """Settings of all stages. ``volume``: box (low (3,), high (3,)) [m, world] in which targets can be; points
+    outside are no targets. Default: everywhere.
+    """
+
+    detection: DetectionSettings = field(default_factory=DetectionSettings)
+    match: MatchSettings = field(default_factory=MatchSettings)
+    track: TrackSettings = field(default_factory=TrackSettings)
+    volume: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What one trigger pulse gave. ``samples``: points whose identity is now certain, some of earlier pulses.
+    ``seconds``: computing time of each stage.
+    """
+
+    frame_set: FrameSet
+    detections: Mapping[str, Detections]
+    points: Points
+    samples: tuple[Sample, ...]
+    seconds: Mapping[str, float]
+
+
+def run(
+    source: FrameSource, rig: Rig, settings: PipelineSettings | None = None, assembly: Assembly | None = None
+) -> Iterator[Step]:
+    """Turn a source's frames into tracks, pulse by pulse.
+
+    ``assembly``: counts of frames and gaps, filled while running. InputError where the source lacks a camera of
+    the rig, or sends images of another size.
+    """
+    settings = PipelineSettings() if settings is None else settings
+    check_source(source, rig)
+    depth = {info.name: info.bit_depth for info in source.cameras}
+    volume = _box(settings.volume)
+    tracker = Tracker(settings.track)
+
+    for frame_set in assemble(source, source.cameras, assembly=assembly):
+        clock = _Clock()
+        detections = {
+            name: detect(frame.image, name, settings.detection, depth[name])
+            for name, frame in frame_set.frames.items()
+            if frame.image is not None
+        }
+        clock.lap("detect")
+        predicted = tracker.predict(frame_set.time_ns * 1e-9)
+        bundle = bundle_rays(rig, detections, settings.match.camera_sigma_px)
+        clock.lap("predict")
+        groups = hypotheses(bundle, settings.match, volume)
+        points = choose(groups, bundle, predicted, settings.match)
+        clock.lap("match")
+        samples = tracker.update(points, frame_set.pulse, frame_set.time_ns)
+        clock.lap("track")
+        yield Step(frame_set, detections, points, tuple(samples), clock.laps)
+
+
+def check_source(source: FrameSource, rig: Rig) -> None:
+    """Raise InputError where the source's cameras are not the rig's."""
+    given = {info.name: info for info in source.cameras}
+    for camera in rig.cameras:
+        if camera.name not in given:
+            raise InputError(
+                f"camera '{camera.name}' of the rig sends no frames; the source has {', '.join(given)}; "
+                "give the cameras the same names in both"
+            )
+        info = given[camera.name]
+        if (info.width, info.height) != (camera.width, camera.height):
+            raise InputError(
+                f"camera '{camera.name}': images are {info.width} x {info.height}, the rig file says "
+                f"{camera.width} x {camera.height}; use the calibration made at this size"
+            )
+
+
+def _box(volume: tuple[tuple[float, float, float], tuple[float, float, float]] | None) -> tuple[Array, Array]:
+    if volume is None:
+        return np.full(3, -np.inf), np.full(3, np.inf)
+    return np.asarray(volume[0], dtype=float), np.asarray(volume[1], dtype=float)
+
+
+class _Clock:
+    """Computing time of the stages of one step [s]."""
+
+    def __init__(self, now: Callable[[], float] = time.perf_counter) -> None:
+        self._now, self._last = now, now()
+        self.laps: dict[str, float] = {}
+
+    def lap(self, name: str) -> None:
+        here = self._now()
+        self.laps[name] = here - self._last
+        self._last = here

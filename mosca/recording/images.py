@@ -1,0 +1,108 @@
+"""One image file to one mono image, or to the reason why not.
+
+Decoders differ in what they do with a file that was cut short: some give the part they got. So whether a
+PNG, TIFF or BMP is whole is checked here before OpenCV decodes it.
+
+Colour is reduced to mono by one rule: luma of ITU-R BT.601, ``0.299 R + 0.587 G + 0.114 B`` rounded, as
+``cv2.COLOR_BGR2GRAY`` has it; an alpha channel is dropped. Mono images stay as they are, 8 or 16 bit.
+"""
+
+import struct
+import zlib
+
+import cv2
+import numpy as np
+
+from mosca.data.arrays import Array
+
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp")
+_PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def decode_image(data: bytes) -> tuple[Array | None, str]:
+    """Return the mono image (H, W) uint8 or uint16 of a file's bytes and "", or None and what is wrong."""
+    fault = what_is_missing(data)
+    if fault:
+        return None, fault
+    try:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        return None, f"not decodable ({error.err})"
+    if image is None:
+        return None, "not decodable as an image"
+    if image.dtype not in (np.uint8, np.uint16):
+        return None, f"{image.dtype} pixels; 8 or 16 bit unsigned wanted"
+    if image.ndim == 3 and image.shape[2] == 4:
+        image = cv2.cvtColor(image, cv2.COLOR_BGRA2GRAY)
+    elif image.ndim == 3 and image.shape[2] == 3:
+        image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    if image.ndim != 2:
+        return None, f"{image.shape[2]} channels; 1, 3 or 4 wanted"
+    return image, ""
+
+
+def what_is_missing(data: bytes) -> str:
+    """Return "" for a whole PNG, TIFF or BMP file, else what is missing or damaged, in words."""
+    if not data:
+        return "empty file"
+    if data.startswith(_PNG):
+        return _missing_in_png(data)
+    if data[:2] == b"BM":
+        return _missing_in_bmp(data)
+    if data[:4] in (b"II*\0", b"MM\0*"):
+        return _missing_in_tiff(data)
+    return "neither PNG, TIFF nor BMP"
+
+
+def _missing_in_png(data: bytes) -> str:
+    """Walk the chunks (PNG specification, section 5.3): length, type, data, CRC of type and data."""
+    place = len(_PNG)
+    while place + 12 <= len(data):
+        (length,) = struct.unpack_from(">I", data, place)
+        end = place + 8 + length
+        if end + 4 > len(data):
+            return f"PNG cut short at byte {len(data)}"
+        if zlib.crc32(memoryview(data)[place + 4 : end]) != struct.unpack_from(">I", data, end)[0]:
+            return f"PNG damaged: wrong checksum of the chunk at byte {place}"
+        if data[place + 4 : place + 8] == b"IEND":
+            return ""
+        place = end + 4
+    return f"PNG cut short at byte {len(data)}"
+
+
+def _missing_in_bmp(data: bytes) -> str:
+    if len(data) < 26:
+        return "BMP cut short in its header"
+    (declared,) = struct.unpack_from("<I", data, 2)
+    return f"BMP cut short: {len(data)} of {declared} bytes" if declared > len(data) else ""
+
+
+def _missing_in_tiff(data: bytes) -> str:
+    """Check that the first image's strips or tiles lie inside the file (TIFF 6.0, section 2)."""
+    order = "<" if data[:2] == b"II" else ">"
+    try:
+        (directory,) = struct.unpack_from(order + "I", data, 4)
+        (n_entries,) = struct.unpack_from(order + "H", data, directory)
+        values = {}
+        for k in range(n_entries):
+            tag, kind, count, _ = struct.unpack_from(order + "HHII", data, directory + 2 + 12 * k)
+            if tag in (273, 279, 324, 325):  # StripOffsets, StripByteCounts, TileOffsets, TileByteCounts
+                values[tag] = _tiff_values(data, order, directory + 2 + 12 * k + 8, kind, count)
+    except (struct.error, KeyError):
+        return f"TIFF cut short or damaged: its directory is not within its {len(data)} bytes"
+    for offsets, sizes in ((273, 279), (324, 325)):
+        if offsets in values and sizes in values:
+            ends = [a + b for a, b in zip(values[offsets], values[sizes], strict=False)]
+            if max(ends, default=0) > len(data):
+                return f"TIFF cut short: {len(data)} of {max(ends)} bytes"
+    return ""
+
+
+def _tiff_values(data: bytes, order: str, place: int, kind: int, count: int) -> tuple[int, ...]:
+    """Return the integers of a directory entry; up to four bytes stand in it, more where it points to."""
+    code, size = {3: ("H", 2), 4: ("I", 4)}[kind]
+    if count * size > 4:
+        (place,) = struct.unpack_from(order + "I", data, place)
+    if place + count * size > len(data):
+        raise struct.error
+    return struct.unpack_from(f"{order}{count}{code}", data, place)

@@ -1,0 +1,135 @@
+"""The project's MCAP layout, version 1: what stands in ``recording.mcap``, so that others can read it.
+
+The file is a plain MCAP file (mcap.dev) with uncompressed chunks; profile ``mosca-recording``.
+
+- Metadata record ``mosca-recording``: ``version`` = "1".
+- Metadata record ``camera/NAME`` for each camera, in the rig's order: ``width``, ``height``,
+  ``bit_depth``, ``frame_rate_hz``, ``clock`` (device, host or session), ``stamp_event``.
+- Attachment ``rig.toml`` (application/toml), where the rig was known.
+- Channel ``/camera/NAME/frame`` a camera, message encoding ``mosca.frame.v1``; a message a frame, lost and
+  damaged ones too, in order of arrival. ``log_time`` is the frame's stamp [ns] (0 if it is negative),
+  ``publish_time`` the host's time of arrival [ns] where it is known, else the stamp; ``sequence`` the low
+  32 bits of the camera's counter.
+- Channel ``/NAME`` for each further channel (commands, events, onboard streams) on the same clock as the
+  frames; message encoding ``json`` (an object a message) or ``application/octet-stream``.
+
+A ``mosca.frame.v1`` message, little-endian, without padding::
+
+    u32 crc32 of the header's other bytes and the note     (zlib.crc32)
+    u32 crc32 of the payload
+    u8  status         0 ok, 1 dropped, 2 corrupt
+    u8  stamp event    0 exposure_start, 1 exposure_middle, 2 readout
+    u8  bytes a pixel  1 or 2; 0 where there is no image
+    u8  reserved, 0
+    u32 height, u32 width [px]
+    i64 index, i64 time [ns], i64 exposure [ns], i64 row time [ns]
+    u32 length of the note, then the note (UTF-8)
+    payload: one blosc2 chunk (bitshuffle, LZ4 or Zstandard) of the pixels, row by row, little-endian
+"""
+
+import struct
+import zlib
+from typing import Literal, get_args
+
+import blosc2
+import numpy as np
+
+from mosca.data.frames import Frame, FrameStatus, StampEvent
+
+PROFILE = "mosca-recording"
+VERSION = "1"
+FRAME_ENCODING = "mosca.frame.v1"
+STATUSES: tuple[FrameStatus, ...] = get_args(FrameStatus)
+EVENTS: tuple[StampEvent, ...] = get_args(StampEvent)
+Codec = Literal["lz4", "zstd"]
+
+_SUMS = struct.Struct("<II")
+_HEADER = struct.Struct("<BBBBIIqqqqI")
+_CODECS = {"lz4": (blosc2.Codec.LZ4, 5), "zstd": (blosc2.Codec.ZSTD, 1)}
+
+
+class DamagedMessage(ValueError):
+    """A frame message whose header cannot be trusted."""
+
+
+def frame_topic(camera: str) -> str:
+    """Return the topic of a camera's frames."""
+    return f"/camera/{camera}/frame"
+
+
+def pack_frame(frame: Frame, codec: Codec) -> bytes:
+    """Return the message of ``frame``."""
+    image = frame.image
+    payload = (
+        b"" if image is None else _packed(image.astype(image.dtype.newbyteorder("<"), copy=False), codec)
+    )
+    height, width = (0, 0) if image is None else image.shape
+    note = frame.note.encode("utf-8")
+    header = _HEADER.pack(
+        STATUSES.index(frame.status),
+        EVENTS.index(frame.stamp_event),
+        0 if image is None else image.dtype.itemsize,
+        0,
+        height,
+        width,
+        frame.index,
+        frame.time_ns,
+        frame.exposure_ns,
+        frame.row_time_ns,
+        len(note),
+    )
+    return b"".join((_SUMS.pack(zlib.crc32(header + note), zlib.crc32(payload)), header, note, payload))
+
+
+def unpack_frame(camera: str, message: bytes) -> Frame:
+    """Return the frame of a message; a corrupt one where the pixels are damaged.
+
+    Raises DamagedMessage where the header is, so that not even the frame's time can be trusted.
+    """
+    start = _SUMS.size + _HEADER.size
+    if len(message) < start:
+        raise DamagedMessage("message cut short")
+    header_sum, payload_sum = _SUMS.unpack_from(message)
+    status, event, pixel, _, height, width, index, time_ns, exposure_ns, row_ns, n_note = _HEADER.unpack_from(
+        message, _SUMS.size
+    )
+    data_at = start + n_note
+    if zlib.crc32(memoryview(message)[_SUMS.size : data_at]) != header_sum:
+        raise DamagedMessage("wrong checksum of the header")
+    if status >= len(STATUSES) or event >= len(EVENTS):
+        raise DamagedMessage("unknown status or stamp event")
+    note = message[start:data_at].decode("utf-8", errors="replace")
+    image = None
+    if STATUSES[status] == "ok":
+        payload = message[data_at:]
+        image = None if zlib.crc32(payload) != payload_sum else _unpacked(payload, height, width, pixel)
+        if image is None:
+            status, note = STATUSES.index("corrupt"), "its pixels are damaged in the recording"
+    return Frame(camera, index, time_ns, exposure_ns, image, STATUSES[status], EVENTS[event], row_ns, note)
+
+
+def _packed(image: np.ndarray, codec: Codec) -> bytes:
+    kind, level = _CODECS[codec]
+    packed: bytes = blosc2.compress2(
+        np.ascontiguousarray(image),
+        codec=kind,
+        clevel=level,
+        filters=[blosc2.Filter.BITSHUFFLE],
+        typesize=image.dtype.itemsize,
+        nthreads=1,
+    )
+    return packed
+
+
+def _unpacked(payload: bytes, height: int, width: int, pixel: int) -> np.ndarray | None:
+    """Return the image (height, width), or None where the payload does not hold one."""
+    if pixel not in (1, 2):
+        return None
+    try:
+        pixels = blosc2.decompress2(payload, nthreads=1)
+    except (ValueError, RuntimeError):
+        return None
+    if len(pixels) != height * width * pixel:
+        return None
+    image = np.frombuffer(pixels, dtype="<u2" if pixel == 2 else "u1").reshape(height, width)
+    return image.astype(np.uint16 if pixel == 2 else np.uint8, copy=False)

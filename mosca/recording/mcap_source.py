@@ -1,0 +1,200 @@
+"""Reads ``recording.mcap``, also one whose writer was killed: up to the cut, saying so."""
+
+import json
+import struct
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Any
+
+from mcap.exceptions import McapError
+from mcap.records import Attachment, Channel, Chunk, Message, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
+from zstandard import ZstdError
+
+from mosca.data.frames import CameraInfo, Frame
+from mosca.errors import InputError
+from mosca.recording import mcap_format as layout
+
+LARGEST_RECORD = 1 << 29
+_MAGIC = b"\x89MCAP0\r\n"
+# What the mcap package raises on bytes that are not what they should be.
+_DAMAGE = (McapError, ZstdError, ValueError, KeyError, struct.error, OverflowError, RuntimeError, MemoryError)
+
+
+class McapRecording:
+    """A FrameSource over ``recording.mcap``.
+
+    Frames come in the order in which they were written. A frame whose pixels are damaged is corrupt; damage
+    beyond one frame loses the frames that it hits (gaps) and is told in ``notes``, as is a missing end.
+    """
+
+    def __init__(self, path: Path, only: Sequence[str] | None = None) -> None:
+        """Open ``path``; ``only`` names the cameras to be read and their order (default: all).
+
+        Raises InputError where it is no recording or lacks one of them.
+        """
+        self.path = path
+        self._notes: dict[str, None] = {}
+        self._running: set[ExitStack] = set()
+        self._closed = False
+        self.rig_toml_text: str | None = None
+        infos = {info.name: info for info in self._read_head()}
+        for name in only or ():
+            if name not in infos:
+                raise InputError(f"{path}: no camera '{name}' of the rig; it has {', '.join(infos)}")
+        self._cameras = tuple(infos[name] for name in (only if only is not None else infos))
+
+    @property
+    def cameras(self) -> tuple[CameraInfo, ...]:
+        """What each camera said of itself."""
+        return self._cameras
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is odd about the recording, in words; grows while frames are read."""
+        return tuple(self._notes)
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yield the frames from the start; may be done again."""
+        names = {layout.frame_topic(info.name): info.name for info in self._cameras}
+        with closing(self._messages()) as messages:
+            for channel, message in messages:
+                camera = names.get(channel.topic)
+                if camera is None or channel.message_encoding != layout.FRAME_ENCODING:
+                    continue
+                try:
+                    frame = layout.unpack_frame(camera, message.data)
+                except layout.DamagedMessage as error:
+                    self._note(f"a frame of {camera} near {message.log_time} ns is lost: {error}")
+                    continue
+                yield frame
+
+    def channel(self, name: str) -> Iterator[tuple[int, Any]]:
+        """Yield (time_ns, data) of a further channel: JSON as Python values, anything else as bytes."""
+        with closing(self._messages()) as messages:
+            for channel, message in messages:
+                if channel.topic != f"/{name}":
+                    continue
+                try:
+                    is_json = channel.message_encoding == "json"
+                    data = json.loads(message.data) if is_json else message.data
+                except ValueError as error:
+                    self._note(f"a message of {name} at {message.log_time} ns is lost: {error}")
+                    continue
+                yield message.log_time, data
+
+    def close(self) -> None:
+        """Free the file of every iteration that is under way; may be called twice."""
+        self._closed = True
+        for stack in tuple(self._running):
+            stack.close()
+
+    def __enter__(self) -> "McapRecording":
+        """Return the recording itself."""
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        """Close it."""
+        self.close()
+
+    def _note(self, text: str) -> None:
+        self._notes.setdefault(f"{self.path}: {text}")
+
+    def _messages(self) -> Generator[tuple[Channel, Message]]:
+        channels: dict[int, Channel] = {}
+        for record in self._records():
+            if isinstance(record, Channel):
+                channels[record.id] = record
+            elif isinstance(record, Message) and record.channel_id in channels:
+                yield channels[record.channel_id], record
+
+    def _records(self) -> Generator[Any]:
+        """Yield the records of the file until its end, or until what is left cannot be read."""
+        if self._closed:
+            raise InputError(f"{self.path}: the recording is closed; open it again")
+        with ExitStack() as stack:
+            self._running.add(stack)
+            stack.callback(self._running.discard, stack)
+            file = stack.enter_context(open(self.path, "rb"))
+            records = StreamReader(file, emit_chunks=True, record_size_limit=LARGEST_RECORD).records
+            while not self._closed:
+                try:
+                    record = next(records)
+                except StopIteration:
+                    return
+                except _DAMAGE as error:
+                    self._note(f"cannot be read beyond byte {file.tell()} ({_said(error)})")
+                    return
+                if not isinstance(record, Chunk):
+                    yield record
+                    continue
+                try:
+                    inner = breakup_chunk(record)
+                except _DAMAGE as error:
+                    self._note(f"damaged before byte {file.tell()}; its frames are lost ({_said(error)})")
+                    continue
+                yield from inner
+
+    def _read_head(self) -> tuple[CameraInfo, ...]:
+        """Read what stands before the first message; note a missing end."""
+        try:
+            with open(self.path, "rb") as file:
+                if file.read(len(_MAGIC)) != _MAGIC:
+                    raise InputError(f"{self.path}: is not an MCAP file; record it again or name another")
+                file.seek(-len(_MAGIC), 2)
+                if file.read() != _MAGIC:
+                    self._note("its writer did not finish; it is read up to where it was cut")
+        except OSError as error:
+            raise InputError(f"{self.path}: cannot be read: {error.strerror}") from None
+        if self.path.suffix == ".part":
+            self._note("its writer did not finish; it is read up to where it was cut")
+        metadata: dict[str, dict[str, str]] = {}
+        with closing(self._records()) as records:
+            for record in records:
+                if isinstance(record, Metadata):
+                    metadata[record.name] = record.metadata
+                elif isinstance(record, Attachment) and record.name == "rig.toml":
+                    self.rig_toml_text = record.data.decode("utf-8", errors="replace")
+                elif isinstance(record, Channel):
+                    break
+        return self._camera_infos(metadata)
+
+    def _camera_infos(self, metadata: dict[str, dict[str, str]]) -> tuple[CameraInfo, ...]:
+        version = metadata.get(layout.PROFILE, {}).get("version")
+        if version != layout.VERSION:
+            raise InputError(
+                f"{self.path}: version {version} of a mosca recording; version {layout.VERSION} can be read"
+                if version
+                else f"{self.path}: an MCAP file, but not a mosca recording; record it with mosca capture"
+            )
+        cameras = []
+        for name, fields in metadata.items():
+            if not name.startswith("camera/"):
+                continue
+            try:
+                cameras.append(_camera_info(name.removeprefix("camera/"), fields))
+            except (KeyError, ValueError) as error:
+                raise InputError(f"{self.path}: what it says of {name} is damaged: {error}") from None
+        if not cameras:
+            raise InputError(f"{self.path}: names no camera; it was cut before the first frame")
+        return tuple(cameras)
+
+
+def _said(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}".rstrip(": ")
+
+
+def _camera_info(name: str, fields: dict[str, str]) -> CameraInfo:
+    clock, event = fields["clock"], fields["stamp_event"]
+    if clock not in ("device", "host", "session") or event not in layout.EVENTS:
+        raise ValueError(f"clock {clock!r}, stamp event {event!r}")
+    return CameraInfo(
+        name,
+        int(fields["width"]),
+        int(fields["height"]),
+        int(fields["bit_depth"]),
+        float(fields["frame_rate_hz"]),
+        clock,  # type: ignore[arg-type]
+        event,
+    )

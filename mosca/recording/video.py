@@ -1,0 +1,167 @@
+"""A camera's frames in a video file, read through PyAV (FFmpeg).
+
+The frame's number comes from its presentation time: the usual spacing counts as one frame, so a frame
+that the recorder left out is dropped and shifts nothing. Where the times are too uneven to tell (more than
+a quarter of the spacing), frames are counted instead and the recording's notes say so.
+
+Mono rule: of grey and YUV formats the luma plane *as stored*, without any expansion of its range (so that
+lossless video gives the very values that were written); RGB formats through FFmpeg's conversion to grey
+(BT.601). Deeper than 8 bit gives uint16.
+"""
+
+import statistics
+from collections.abc import Generator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import av
+import numpy as np
+from av.container import InputContainer
+from av.video.frame import VideoFrame
+
+from mosca.data.arrays import Array
+from mosca.data.frames import CameraInfo, Frame
+from mosca.data.rig import Camera
+from mosca.errors import InputError
+from mosca.recording.folder import check_size
+from mosca.recording.numbered import dropped_frame, numbered_frame
+from mosca.recording.stamps import Stamps
+
+VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi")
+
+
+@dataclass(frozen=True)
+class VideoFeed:
+    """One camera's video file; ``numbers`` maps presentation time -> frame number, counted from 0."""
+
+    info: CameraInfo
+    path: Path
+    numbers: dict[int, int]
+
+    def frame_numbers(self) -> set[int]:
+        """Return the numbers of the frames that the file holds."""
+        return set(self.numbers.values())
+
+    def frames(self, first: int, last: int, stamps: Stamps) -> Generator[Frame]:
+        """Yield the frames ``first`` to ``last``: those left out are dropped, undecodable ones corrupt."""
+        name, expected = self.info.name, first
+        recorded = self.frame_numbers()
+        with open_video(self.path) as container:
+            for number, image in self._decoded(container):
+                while expected < number:
+                    yield self._absent(expected, recorded, stamps)
+                    expected += 1
+                if number == expected <= last:
+                    yield numbered_frame(name, number, stamps.of(name, number), image, "")
+                    expected += 1
+        for number in range(expected, last + 1):
+            yield self._absent(number, recorded, stamps)
+
+    def _absent(self, number: int, recorded: set[int], stamps: Stamps) -> Frame:
+        stamp = stamps.of(self.info.name, number)
+        if number in recorded:
+            fault = f"{self.path}: frame {number} cannot be decoded"
+            return numbered_frame(self.info.name, number, stamp, None, fault)
+        return dropped_frame(self.info.name, number, stamp, f"{self.path}: no frame {number}")
+
+    def _decoded(self, container: InputContainer) -> Generator[tuple[int, Array]]:
+        """Yield (number, image) of what can be decoded; a packet that cannot be is passed over."""
+        stream = container.streams.video[0]
+        packets = container.demux(stream)
+        while True:
+            try:
+                packet = next(packets)
+                frames = packet.decode()
+            except StopIteration:
+                return
+            except av.error.FFmpegError:
+                continue
+            for frame in frames:
+                if isinstance(frame, VideoFrame) and not frame.is_corrupt and frame.pts in self.numbers:
+                    yield self.numbers[frame.pts], luma(frame)
+
+
+def luma(frame: VideoFrame) -> Array:
+    """Return the mono image (H, W) of a decoded frame, uint8 or uint16, by the rule of this module."""
+    bits = frame.format.components[0].bits
+    if not frame.format.name.startswith(("gray", "yuv", "nv")) or bits > 16:
+        return np.ascontiguousarray(frame.to_ndarray(format="gray"))
+    plane = memoryview(frame.planes[0])
+    if bits <= 8:
+        rows = np.frombuffer(plane, dtype=np.uint8).reshape(-1, frame.planes[0].line_size)
+        return rows[: frame.height, : frame.width].copy()
+    order = ">u2" if frame.format.is_big_endian else "<u2"
+    deep = np.frombuffer(plane, dtype=order).reshape(-1, frame.planes[0].line_size // 2)
+    return deep[: frame.height, : frame.width].astype(np.uint16)
+
+
+def open_video(path: Path) -> InputContainer:
+    """Open a video file; InputError where it is none."""
+    try:
+        container = av.open(str(path))
+    except (av.error.FFmpegError, OSError) as error:
+        raise InputError(f"{path}: cannot be read as a video: {error.strerror}") from None
+    if not container.streams.video:
+        container.close()
+        raise InputError(f"{path}: holds no video stream")
+    return container
+
+
+def video_feed(name: str, path: Path, camera: Camera | None, rate_hz: float) -> tuple[VideoFeed, str]:
+    """Return the feed of a video file for the camera called ``name`` and a note ("" where all is well).
+
+    Raises InputError where the file is no video, holds no frame, or is not of the rig's camera's size.
+    """
+    with open_video(path) as container:
+        stream = container.streams.video[0]
+        check_size(path, (stream.width, stream.height), camera)
+        bits = stream.format.components[0].bits
+        numbers, note = _number(_presentation_times(container), path)
+        seconds = container.duration / av.time_base if container.duration else 0.0
+        if stream.average_rate and seconds * float(stream.average_rate) > max(numbers.values()) + 3:
+            note = note or f"{path}: cut short: it states {seconds:.3f} s and ends earlier"
+        info = CameraInfo(name, stream.width, stream.height, max(8, bits), rate_hz)
+    return VideoFeed(info, path, numbers), note
+
+
+def stated_rate_hz(path: Path) -> float | None:
+    """Return the frame rate that the video file states, if it does."""
+    with open_video(path) as container:
+        rate = container.streams.video[0].average_rate
+    return float(rate) if rate else None
+
+
+def _presentation_times(container: InputContainer) -> list[int]:
+    times: set[int] = set()
+    packets = container.demux(container.streams.video[0])
+    while True:
+        try:
+            packet = next(packets)
+        except (StopIteration, av.error.FFmpegError):
+            return sorted(times)
+        if packet.pts is not None and packet.size:
+            times.add(packet.pts)
+
+
+def _number(times: list[int], path: Path) -> tuple[dict[int, int], str]:
+    """Number presentation times by how many frames lie between two; by counting where that is uneven.
+
+    Containers round times to their tick, so steps are compared with the mean of the single steps, and a
+    tick is allowed on top of the quarter.
+    """
+    if not times:
+        raise InputError(f"{path}: holds no frame")
+    steps = [later - earlier for earlier, later in pairwise(times)]
+    if not steps:
+        return {times[0]: 0}, ""
+    usual = statistics.median(steps)
+    spacing = statistics.fmean(step for step in steps if step < 1.5 * usual)
+    numbers = [0]
+    for step in steps:
+        n = max(1, round(step / spacing))
+        if abs(step - n * spacing) > 0.25 * spacing + 1:
+            note = f"{path}: its times are uneven, so frames are counted; one left out would not be seen"
+            return {time: k for k, time in enumerate(times)}, note
+        numbers.append(numbers[-1] + n)
+    return dict(zip(times, numbers, strict=True)), ""

@@ -1,0 +1,182 @@
+"""Writes a recording: ``recording.mcap`` (see ``mosca.recording.mcap_format``) beside ``recording.toml``.
+
+While it is written the file is called ``recording.mcap.part``, and ``recording.toml`` comes last, so that a
+folder whose writer was killed never looks like a whole recording; what it holds can still be read.
+"""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from mcap.writer import CompressionType, Writer
+
+from mosca.data.frames import CameraInfo, Frame
+from mosca.data.whole_file import whole_file
+from mosca.errors import InputError
+from mosca.recording import mcap_format as layout
+
+MCAP_NAME = "recording.mcap"
+PART_NAME = "recording.mcap.part"
+TOML_NAME = "recording.toml"
+CHUNK_BYTES = 1 << 20
+"""A killed writer loses at most the chunk that it was filling."""
+
+_FOR_PEOPLE = """\
+# A recording of cameras. The frames are in recording.mcap, a plain MCAP file (mcap.dev): a channel
+# /camera/NAME/frame a camera, message encoding mosca.frame.v1; further channels are JSON or bytes.
+# log_time is the stamp of the frame in the clock named below [ns], publish_time the host's time of arrival.
+# A message of mosca.frame.v1 is, little-endian: u32 crc32 of header and note, u32 crc32 of payload,
+# u8 status (0 ok, 1 dropped, 2 corrupt), u8 stamp event (0 exposure_start, 1 exposure_middle, 2 readout),
+# u8 bytes a pixel, u8 0, u32 height, u32 width, i64 index, i64 time_ns, i64 exposure_ns, i64 row_time_ns,
+# u32 length of note, note, payload: one blosc2 chunk of the pixels, row by row.
+
+"""
+
+
+@dataclass
+class _Count:
+    ok: int = 0
+    dropped: int = 0
+    corrupt: int = 0
+
+
+class RecordingWriter:
+    """Context manager that writes frames and further channels to a folder as they come.
+
+    ``path``: the folder, made if need be; InputError where it holds a recording already. ``cameras``: what the
+    cameras say of themselves. ``rig_toml_text``: the rig file, kept inside. ``codec``: "lz4" (fast) or "zstd"
+    (smaller); both lossless. When the body raises, what was written stays readable as an unfinished
+    recording. Not to be shared by threads.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        cameras: Sequence[CameraInfo],
+        rig_toml_text: str | None = None,
+        codec: layout.Codec = "lz4",
+    ) -> None:
+        self.path = Path(path)
+        self._cameras = {info.name: info for info in cameras}
+        self._codec = codec
+        self._counts = {name: _Count() for name in self._cameras}
+        self._other_counts: dict[str, int] = {}
+        self._times_ns: tuple[int, int] | None = None
+        for name in (MCAP_NAME, PART_NAME):
+            if (self.path / name).exists():
+                raise InputError(f"{self.path}: holds a recording already ({name}); choose another folder")
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+            self._file = open(self.path / PART_NAME, "xb")  # noqa: SIM115 (closed by close)
+        except OSError as error:
+            raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
+        self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
+        self._mcap.start(profile=layout.PROFILE, library="mosca")
+        self._mcap.add_metadata(layout.PROFILE, {"version": layout.VERSION})
+        for info in cameras:
+            fields = {key: str(value) for key, value in asdict(info).items() if key != "name"}
+            self._mcap.add_metadata(f"camera/{info.name}", fields)
+        if rig_toml_text is not None:
+            self._mcap.add_attachment(0, 0, "rig.toml", "application/toml", rig_toml_text.encode("utf-8"))
+        text = (layout.__doc__ or "").encode("utf-8")
+        schema = self._mcap.register_schema(layout.FRAME_ENCODING, "text/plain", text)
+        self._channels = {
+            name: self._mcap.register_channel(layout.frame_topic(name), layout.FRAME_ENCODING, schema)
+            for name in self._cameras
+        }
+        self._other_channels: dict[tuple[str, str], int] = {}
+        self._json_schema: int | None = None
+
+    def write(self, frame: Frame, host_time_ns: int | None = None) -> None:
+        """Append ``frame``; ``host_time_ns`` is when it reached this machine, where that is known.
+
+        Raises ValueError for a camera that was not announced or an image of another size than announced.
+        """
+        info = self._cameras.get(frame.camera)
+        if info is None:
+            raise ValueError(f"frame of camera '{frame.camera}'; announced are {', '.join(self._cameras)}")
+        if frame.image is not None and frame.image.shape != (info.height, info.width):
+            raise ValueError(
+                f"frame {frame.index} of {frame.camera}: {frame.image.shape} given, "
+                f"{(info.height, info.width)} announced"
+            )
+        stamp = max(frame.time_ns, 0)
+        self._mcap.add_message(
+            self._channels[frame.camera],
+            log_time=stamp,
+            data=layout.pack_frame(frame, self._codec),
+            publish_time=stamp if host_time_ns is None else host_time_ns,
+            sequence=frame.index & 0xFFFFFFFF,
+        )
+        count = self._counts[frame.camera]
+        setattr(count, frame.status, getattr(count, frame.status) + 1)
+        first, last = self._times_ns or (frame.time_ns, frame.time_ns)
+        self._times_ns = (min(first, frame.time_ns), max(last, frame.time_ns))
+
+    def write_channel(self, name: str, time_ns: int, data: bytes | Mapping[str, Any]) -> None:
+        """Append a message to the further channel ``name``: bytes as they are, a mapping as JSON.
+
+        ``time_ns`` is on the frames' clock. Raises ValueError for a name that frames use.
+        """
+        if name.startswith("camera/") or not name:
+            raise ValueError(f"channel '{name}': names that start with camera/ are for frames")
+        encoding = "application/octet-stream" if isinstance(data, bytes) else "json"
+        channel = self._other_channels.get((name, encoding))
+        if channel is None:
+            channel = self._mcap.register_channel(f"/{name}", encoding, self._schema_of(encoding))
+            self._other_channels[name, encoding] = channel
+        payload = data if isinstance(data, bytes) else json.dumps(dict(data)).encode("utf-8")
+        stamp = max(time_ns, 0)
+        self._mcap.add_message(channel, log_time=stamp, data=payload, publish_time=stamp)
+        self._other_counts[name] = self._other_counts.get(name, 0) + 1
+
+    def close(self) -> None:
+        """Finish the recording: index, name, ``recording.toml``; may be called twice."""
+        if self._file.closed:
+            return
+        self._end_file()
+        (self.path / PART_NAME).replace(self.path / MCAP_NAME)
+        with whole_file(self.path / TOML_NAME) as temporary:
+            temporary.write_text(self._toml(), encoding="utf-8")
+
+    def __enter__(self) -> "RecordingWriter":
+        """Return the writer itself."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
+        """Finish the recording; when the body raised, leave it marked as unfinished."""
+        if kind is None:
+            self.close()
+        elif not self._file.closed:
+            self._end_file()
+
+    def _end_file(self) -> None:
+        self._mcap.finish()
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._file.close()
+
+    def _schema_of(self, encoding: str) -> int:
+        if encoding != "json":
+            return 0
+        if self._json_schema is None:
+            self._json_schema = self._mcap.register_schema("object", "jsonschema", b'{"type": "object"}')
+        return self._json_schema
+
+    def _toml(self) -> str:
+        first, last = self._times_ns or (0, 0)
+        document = {
+            "format": layout.PROFILE,
+            "version": int(layout.VERSION),
+            "first_time_ns": first,
+            "duration_s": (last - first) / 1e9,
+            "camera": [
+                {**asdict(info), "frames": asdict(self._counts[name])} for name, info in self._cameras.items()
+            ],
+            "channel": [{"name": name, "messages": n} for name, n in self._other_counts.items()],
+        }
+        return _FOR_PEOPLE + tomli_w.dumps(document)

@@ -1,0 +1,270 @@
+"""Compare runs: what got worse than its baseline, and runs side by side.
+
+The rule (pure; no randomness, no IO). A metric is a *regression* when it is worse than its baseline
+
+- by more than 2 % (``SMALLEST_SHARE``), and
+- by more than the half-width of the 95 % interval *of that worsening*.
+
+Whose interval? Two runs of one scenario with one seed see the same frames and the same noise, so their
+errors are paired. The interval of either run alone says how far another *session* would differ; it is
+often +-10 % and would hide a planted 5 %. What counts is the interval of the difference, taken from
+pairs: each record keeps what its metrics are made of block by block (``Blocks``), and the delete-one-block
+jackknife of the difference gives its standard error (Kuensch 1989, "The jackknife and the bootstrap for
+general stationary observations", Ann. Statist. 17(3), here with non-overlapping blocks), times
+Student's t. A uniform 5 % then stands far above its interval; a second run differs by nothing; noise that
+is not shared (a noise source was added) widens the interval by itself: the pairs then differ at random.
+
+Without blocks in both, with other seeds or other cuts, the runs are two independent samples: the
+half-width is sqrt(h_new^2 + h_baseline^2) of the halves of both ``ci95`` that face each other, as for a
+difference of independent figures. A metric with neither is deterministic (a count, say) and only the 2 % apply. Speed
+(``latency_p99``, ``frame_rate``) also depends on the machine: it is judged only between records of one
+platform, and only with intervals.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from rich.markup import escape
+from rich.table import Table
+
+from mosca.data.arrays import Array
+from reports.record import Metric, RunRecord
+from reports.units import figure, shown
+
+SMALLEST_SHARE = 0.02
+"""Worsenings up to this share of the baseline are never regressions (the contract's 2 %)."""
+FEWEST_BLOCKS = 8
+"""With fewer pairs of blocks the jackknife's standard error says little."""
+
+Combination = Literal["mean", "root_mean", "extreme"]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a metric is read: ``better`` is "less", "more" or the value it should have.
+
+    ``made_by`` tells how its blocks make the metric. "mean": sum(sums) / sum(weights). "root_mean": the
+    square root of that. "extreme": the largest of sums / weights. ``speed``: the machine is in it.
+    """
+
+    better: Literal["less", "more"] | float
+    made_by: Combination = "mean"
+    speed: bool = False
+
+
+READINGS: dict[str, Reading] = {
+    "position_rms": Reading("less", "root_mean"),
+    "position_p95": Reading("less"),
+    "position_max": Reading("less", "extreme"),
+    "relative_accuracy": Reading("less", "root_mean"),
+    "reprojection_rms": Reading("less", "root_mean"),
+    "completeness": Reading("more"),
+    "ghosts_per_frame": Reading("less"),
+    "identity_switches": Reading("less"),
+    "hota": Reading("more"),
+    "nees": Reading(3.0),
+    "coverage95": Reading(0.95),
+    "efficiency": Reading("more"),
+    "latency_p99": Reading("less", speed=True),
+    "frame_rate": Reading("more", speed=True),
+}
+"""The contract's metrics. Their blocks hold, as (sums, weights) of each block:
+
+position_rms (sum of squared 3D errors [m^2], samples); relative_accuracy (the same sums, samples times the
+working space squared [m^2]); reprojection_rms (sum of squared residuals [px^2], residuals); position_p95
+(the block's own p95 times samples, samples); position_max (the block's largest, 1); completeness (matched,
+seen); ghosts_per_frame (ghosts, frames); identity_switches (switches, 1 / number of blocks); nees (sum of
+NEES, samples); coverage95 (samples inside, samples); hota and efficiency (the block's own figure times
+samples, samples); latency_p99 and frame_rate (the block's own figure times frames, frames). A block without
+samples has weight 0."""
+
+
+@dataclass(frozen=True)
+class Regression:
+    """A metric that got worse. ``worse_by`` and ``half_width`` are in the metric's unit.
+
+    ``share``: worse_by over the baseline's size (infinite where that is 0). ``paired``: whether the
+    interval comes from pairs of blocks.
+    """
+
+    scenario: str
+    name: str
+    unit: str
+    value: float
+    baseline: float
+    worse_by: float
+    half_width: float
+    share: float
+    paired: bool
+
+    def __str__(self) -> str:
+        (new, old, width), unit = shown((self.value, self.baseline, self.half_width), self.unit, self.name)
+        share = f"{100 * self.share:.1f} %" if np.isfinite(self.share) else "from nothing"
+        return (
+            f"{self.scenario}: {self.name} {figure(new)} {unit}".rstrip()
+            + f", baseline {figure(old)}: worse by {share} (interval +-{figure(width)}, "
+            + ("paired)" if self.paired else "unpaired)")
+        )
+
+
+def reading(metric: Metric) -> Reading:
+    """Return how ``metric`` is read: by the longest known name that its own starts with, else by its sense."""
+    names = [n for n in READINGS if metric.name == n or metric.name.startswith((n + "_", n + "."))]
+    if names:
+        return READINGS[max(names, key=len)]
+    made_by: Combination = "root_mean" if "rms" in metric.name.split("_") else "mean"
+    return Reading("more" if metric.sense == "at_least" else "less", made_by)
+
+
+def regressions(record: RunRecord, baseline: RunRecord) -> tuple[Regression, ...]:
+    """Return the metrics of ``record`` that are worse than ``baseline``, by the rule in this module's head.
+
+    Metrics that only one of them has are not compared: see ``missing``. Raises ValueError for records of
+    two scenarios.
+    """
+    if record.scenario != baseline.scenario:
+        raise ValueError(f"regressions: {record.scenario} compared with {baseline.scenario}")
+    found = (
+        _regression(record, metric, baseline, before)
+        for metric in record.metrics
+        if (before := baseline.metric(metric.name)) is not None
+    )
+    return tuple(r for r in found if r is not None)
+
+
+def missing(record: RunRecord, baseline: RunRecord) -> tuple[str, ...]:
+    """Return the names of the baseline's metrics that ``record`` no longer has: a loss that no figure shows."""
+    return tuple(m.name for m in baseline.metrics if record.metric(m.name) is None)
+
+
+def _regression(record: RunRecord, new: Metric, baseline: RunRecord, old: Metric) -> Regression | None:
+    how = reading(old)
+    if how.speed and not _speed_comparable(record, new, baseline, old):
+        return None
+    worse_by = _badness(how, new.value) - _badness(how, old.value)
+    size = how.better if isinstance(how.better, float) else abs(old.value)
+    if not worse_by > SMALLEST_SHARE * size:
+        return None
+    paired = record.seed == baseline.seed and _pairable(new, old)
+    half_width = _paired_half_width(how, new, old) if paired else _unpaired_half_width(how, new, old)
+    if not worse_by > half_width:
+        return None
+    share = worse_by / size if size > 0 else float("inf")
+    return Regression(
+        record.scenario, new.name, new.unit, new.value, old.value, worse_by, half_width, share, paired
+    )
+
+
+def _badness(how: Reading, value: float) -> float:
+    """Return ``value`` turned so that more is worse; no figure at all is the worst."""
+    if np.isnan(value):
+        return float("inf")
+    if how.better == "less":
+        return value
+    return -value if how.better == "more" else abs(value - float(how.better))
+
+
+def _speed_comparable(record: RunRecord, new: Metric, baseline: RunRecord, old: Metric) -> bool:
+    platform = record.provenance.get("platform")
+    known = new.ci95 is not None and old.ci95 is not None
+    return known and platform is not None and platform == baseline.provenance.get("platform")
+
+
+def _pairable(new: Metric, old: Metric) -> bool:
+    if new.blocks is None or old.blocks is None or len(new.blocks.sums) != len(old.blocks.sums):
+        return False
+    both = (np.asarray(new.blocks.weights) > 0) & (np.asarray(old.blocks.weights) > 0)
+    return int(both.sum()) >= FEWEST_BLOCKS
+
+
+def _paired_half_width(how: Reading, new: Metric, old: Metric) -> float:
+    """Return the half-width of the worsening's 95 % interval from paired blocks, in the metric's unit.
+
+    Jackknife: theta_i is the worsening without block i; variance = (b - 1) / b sum (theta_i - mean)^2. For an
+    extreme the jackknife is not consistent (Miller 1974); a largest value scatters about as much as the
+    largest values of single blocks do (a Gumbel variable's maximum keeps its scale), hence their
+    differences' standard deviation.
+    """
+    assert new.blocks is not None
+    assert old.blocks is not None
+    sums = np.array([new.blocks.sums, old.blocks.sums])
+    weights = np.array([new.blocks.weights, old.blocks.weights])
+    used = np.all(weights > 0, axis=0)
+    sums, weights = sums[:, used], weights[:, used]
+    b = sums.shape[1]
+    if how.made_by == "extreme":
+        turned = _turned(how, sums / weights)
+        return _students_t(b - 1) * float(np.std(turned[0] - turned[1], ddof=1))
+    means = (sums.sum(axis=1, keepdims=True) - sums) / (weights.sum(axis=1, keepdims=True) - weights)
+    turned = _turned(how, np.sqrt(np.maximum(means, 0.0)) if how.made_by == "root_mean" else means)
+    without = turned[0] - turned[1]
+    variance = (b - 1) / b * float(np.sum((without - without.mean()) ** 2))
+    return _students_t(b - 1) * float(np.sqrt(variance))
+
+
+def _turned(how: Reading, values: Array) -> Array:
+    if how.better == "less":
+        return values
+    return -values if how.better == "more" else np.abs(values - float(how.better))
+
+
+def _unpaired_half_width(how: Reading, new: Metric, old: Metric) -> float:
+    """Return sqrt(h_new^2 + h_old^2) of the halves of both intervals that face each other."""
+    upwards = new.value > old.value
+    total = 0.0
+    for metric, above in ((new, not upwards), (old, upwards)):
+        if metric.ci95 is not None:
+            low, high = metric.ci95
+            total += max(0.0, high - metric.value if above else metric.value - low) ** 2
+    return float(np.sqrt(total))
+
+
+def _students_t(freedom: int) -> float:
+    """Return Student's t at 97.5 %: Cornish-Fisher expansion, Abramowitz & Stegun 26.7.5 (1e-3 from 7 on)."""
+    x = 1.959964
+    g1 = (x**3 + x) / 4
+    g2 = (5 * x**5 + 16 * x**3 + 3 * x) / 96
+    g3 = (3 * x**7 + 19 * x**5 + 17 * x**3 - 15 * x) / 384
+    return x + g1 / freedom + g2 / freedom**2 + g3 / freedom**3
+
+
+MAIN_METRICS = ("position_rms", "relative_accuracy", "completeness", "ghosts_per_frame", "frame_rate")
+
+
+def summary_table(records: Sequence[RunRecord]) -> Table:
+    """Return a terminal table: a row a run with its verdict, the main metrics beside limits, and seconds.
+
+    A figure that breaks its limit is red. Only metrics that some record has get a column.
+    """
+    columns = [n for n in MAIN_METRICS if any(r.metric(n) for r in records)]
+    table = Table(title=None, header_style="bold")
+    table.add_column("scenario", overflow="fold")
+    table.add_column("verdict")
+    for name in columns:
+        table.add_column(name.replace("_", " "), justify="right")
+    table.add_column("s", justify="right")
+    for record in records:
+        verdict = "[green]pass[/]" if record.passed else "[red]FAIL[/]"
+        cells = [_cell(record.metric(name)) for name in columns]
+        table.add_row(escape(record.scenario), verdict, *cells, f"{total_seconds(record):.1f}")
+    return table
+
+
+def _cell(metric: Metric | None) -> str:
+    if metric is None:
+        return ""
+    values = (metric.value,) if metric.limit is None else (metric.value, metric.limit)
+    numbers, unit = shown(values, metric.unit, metric.name)
+    text = figure(numbers[0])
+    if metric.limit is not None:
+        sign = "<=" if metric.sense == "at_most" else ">="
+        text += f" [dim]{sign} {figure(numbers[1])}[/]"
+    text += f" {unit}" if unit else ""
+    return f"[red]{text}[/]" if metric.passed is False else text
+
+
+def total_seconds(record: RunRecord) -> float:
+    """Return the run's seconds: timings["total"] where there is one, else the sum of all."""
+    return float(record.timings.get("total", sum(record.timings.values())))

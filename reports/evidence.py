@@ -1,0 +1,132 @@
+"""Evidence: what a page shows of one run beside its figures. Plain data, handed in by whoever scored it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mosca.data.arrays import Array, read_only, read_only_image
+from mosca.data.detections import Detections
+from mosca.data.rig import Rig
+from mosca.data.tracks import Tracks
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorTable:
+    """Errors of matched samples, one row a sample.
+
+    ``frame`` (k,) pulse; ``time_s`` (k,) the truth's instant [s from session start]; ``marker`` (k,) index
+    into the truth's names; ``error_xyz_m`` (k, 3) measured minus true position, world frame [m].
+    """
+
+    frame: Array
+    time_s: Array
+    marker: Array
+    error_xyz_m: Array
+
+    def __post_init__(self) -> None:
+        k = len(np.asarray(self.frame))
+        object.__setattr__(self, "frame", read_only(self.frame, (k,), "frame", np.int64))
+        object.__setattr__(self, "time_s", read_only(self.time_s, (k,), "time_s"))
+        object.__setattr__(self, "marker", read_only(self.marker, (k,), "marker", np.int64))
+        object.__setattr__(self, "error_xyz_m", read_only(self.error_xyz_m, (k, 3), "error_xyz_m"))
+
+    def distance_m(self) -> Array:
+        """Return the length of each error (k,) [m]."""
+        return np.linalg.norm(self.error_xyz_m, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class FrameCounts:
+    """What was there and what was found, one row a frame.
+
+    ``time_s`` (t,) [s from session start]; ``n_true_seen`` (t,) markers that could be seen; ``n_matched``
+    (t,) of them found; ``n_ghosts`` (t,) points that belong to no marker.
+    """
+
+    time_s: Array
+    n_true_seen: Array
+    n_matched: Array
+    n_ghosts: Array
+
+    def __post_init__(self) -> None:
+        t = len(np.asarray(self.time_s))
+        object.__setattr__(self, "time_s", read_only(self.time_s, (t,), "time_s"))
+        for name in ("n_true_seen", "n_matched", "n_ghosts"):
+            object.__setattr__(self, name, read_only(getattr(self, name), (t,), name, np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class CameraView:
+    """One frame of one camera and what was detected in it.
+
+    ``image`` (H, W) uint8 or uint16; ``true_xy_px`` (n, 2) where targets really were, or None.
+    """
+
+    camera: str
+    image: Array
+    detections: Detections
+    true_xy_px: Array | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "image", read_only_image(self.image))
+        if self.true_xy_px is not None:
+            object.__setattr__(self, "true_xy_px", read_only(self.true_xy_px, (None, 2), "true_xy_px"))
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What one run gave, to be drawn. Without truth (a real recording) the lower fields are None.
+
+    ``working_space_center`` and ``working_space_size`` (3,) its box in the world [m]. ``truth_time_ns`` (t,),
+    ``truth_xyz`` (t, m, 3) [m], ``truth_names`` (m). ``marker_seen`` (m,) frames in which each marker could be seen.
+    """
+
+    rig: Rig
+    working_space_center: Array
+    working_space_size: Array
+    tracks: Tracks
+    views: tuple[CameraView, ...] = ()
+    truth_time_ns: Array | None = None
+    truth_xyz: Array | None = None
+    truth_names: tuple[str, ...] = ()
+    marker_seen: Array | None = None
+    errors: ErrorTable | None = None
+    counts: FrameCounts | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("working_space_center", "working_space_size"):
+            object.__setattr__(self, name, read_only(getattr(self, name), (3,), name))
+        object.__setattr__(self, "views", tuple(self.views))
+        object.__setattr__(self, "truth_names", tuple(self.truth_names))
+        if (self.truth_time_ns is None) != (self.truth_xyz is None):
+            raise ValueError("evidence: truth_time_ns and truth_xyz belong together")
+        if self.truth_xyz is not None and self.truth_time_ns is not None:
+            t, m = len(np.asarray(self.truth_time_ns)), len(self.truth_names)
+            object.__setattr__(
+                self, "truth_time_ns", read_only(self.truth_time_ns, (t,), "truth_time_ns", np.int64)
+            )
+            object.__setattr__(self, "truth_xyz", read_only(self.truth_xyz, (t, m, 3), "truth_xyz"))
+        if self.marker_seen is not None:
+            m = len(self.truth_names)
+            object.__setattr__(
+                self, "marker_seen", read_only(self.marker_seen, (m,), "marker_seen", np.int64)
+            )
+        if self.errors is not None:
+            markers = self.errors.marker
+            if self.truth_xyz is None:
+                raise ValueError("evidence: errors without the truth that they are errors of")
+            if len(markers) and not 0 <= markers.min() <= markers.max() < len(self.truth_names):
+                raise ValueError(f"evidence: errors of marker {markers.max()}, {len(self.truth_names)} named")
+
+
+def true_positions(evidence: Evidence) -> Array:
+    """Return the true position (k, 3) of each sample of the error table: the truth nearest in time [m]."""
+    assert evidence.errors is not None
+    assert evidence.truth_time_ns is not None
+    assert evidence.truth_xyz is not None
+    times = 1e-9 * evidence.truth_time_ns
+    rows = np.clip(np.searchsorted(times, evidence.errors.time_s), 1, max(1, len(times) - 1))
+    rows = np.minimum(rows, len(times) - 1)
+    before = np.maximum(rows - 1, 0)
+    nearer = np.abs(times[before] - evidence.errors.time_s) < np.abs(times[rows] - evidence.errors.time_s)
+    return np.asarray(evidence.truth_xyz[np.where(nearer, before, rows), evidence.errors.marker])

@@ -1,0 +1,244 @@
+"""The page of a run: one self-contained HTML file that opens offline, and the comparison of several runs."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from reports.compare import regressions, total_seconds
+from reports.evidence import Evidence
+from reports.plots import pictures
+from reports.record import Metric, RunRecord, write_whole
+from reports.units import duration, figure, shown
+
+TILES = (
+    ("position_rms", "Position error, rms"),
+    ("relative_accuracy", "Of the working space"),
+    ("completeness", "Completeness"),
+    ("ghosts_per_frame", "Ghosts per frame"),
+    ("reprojection_rms", "Reprojection residual, rms"),
+    ("frame_rate", "Speed"),
+)
+"""The figures that stand large on a page: the first four of these that the record has."""
+
+
+def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
+    """Write the page of one run to ``path``, whole or not at all.
+
+    The same record and evidence give the same bytes (timings are part of the record). Nothing is loaded
+    from outside; pictures are inline SVG.
+    """
+    text = (
+        _templates()
+        .get_template("template.html.j2")
+        .render(
+            record=record,
+            badge=badge(record),
+            sentence=sentence(record),
+            tiles=_tiles(record),
+            metrics=[_metric_row(metric) for metric in record.metrics],
+            premises=[_premise_row(name, value) for name, value in record.premises.items()],
+            pictures=pictures(record, evidence),
+            counts=[(_words(name), _plain(value)) for name, value in record.counts.items()],
+            timings=[(_words(name), duration(float(value))) for name, value in record.timings.items()],
+            provenance=json.dumps(record.provenance, indent=2, default=str, ensure_ascii=False),
+        )
+    )
+    write_whole(path, text)
+
+
+def write_comparison_page(path: Path, records: Sequence[RunRecord], labels: Sequence[str] = ()) -> None:
+    """Write ``records`` side by side to ``path``: metrics by runs, each against the first run of its scenario.
+
+    ``labels``: what the runs are called (a folder's name, say), one each; else their numbers.
+    """
+    names = list(labels) or [f"run {i + 1}" for i in range(len(records))]
+    firsts = [next(r for r in records if r.scenario == record.scenario) for record in records]
+    worse = [
+        {} if record is first else {r.name: r for r in regressions(record, first)}
+        for record, first in zip(records, firsts, strict=True)
+    ]
+    metric_names = list(dict.fromkeys(m.name for record in records for m in record.metrics))
+    rows = [
+        {
+            "name": name,
+            "cells": [
+                _comparison_cell(
+                    record.metric(name), None if record is first else first.metric(name), name in lost
+                )
+                for record, first, lost in zip(records, firsts, worse, strict=True)
+            ],
+        }
+        for name in metric_names
+    ]
+    runs = [
+        {
+            "label": label,
+            "title": record.title,
+            "scenario": record.scenario,
+            "source": record.source,
+            "seed": record.seed,
+            "badge": badge(record),
+            "seconds": duration(total_seconds(record)) if record.timings else "",
+        }
+        for label, record in zip(names, records, strict=True)
+    ]
+    passed, found = sum(r.passed for r in records), sum(len(w) for w in worse)
+    text = f"{passed} of {len(records)} runs are as claimed; {found or 'no'} regression{'' if found == 1 else 's'}"
+    text += " against the first run of the same scenario."
+    page = _templates().get_template("comparison.html.j2").render(runs=runs, rows=rows, sentence=text)
+    write_whole(path, page)
+
+
+def badge(record: RunRecord) -> dict[str, str]:
+    """Return text, sign and tone of the record's verdict."""
+    if record.passed and record.expect == "fail":
+        return {"text": "Fails as it must", "sign": "✓", "tone": "good"}
+    if record.passed and all(metric.limit is None for metric in record.metrics):
+        return {"text": "Nothing claimed", "sign": "–", "tone": ""}
+    if record.passed:
+        return {"text": "Claim holds", "sign": "✓", "tone": "good"}
+    if record.expect == "fail":
+        return {"text": "Should have failed", "sign": "✗", "tone": "bad"}
+    return {"text": "Claim broken", "sign": "✗", "tone": "bad"}
+
+
+def sentence(record: RunRecord) -> str:
+    """Return what was claimed and what was found, in words."""
+    found = []
+    rms, relative = record.metric("position_rms"), record.metric("relative_accuracy")
+    if rms is not None:
+        found.append(f"positions are right to {_with_unit(rms)} rms")
+    if relative is not None:
+        found.append(f"{_with_unit(relative)} of the working space")
+    complete = record.metric("completeness")
+    if complete is not None:
+        found.append(f"{_with_unit(complete)} of the visible markers are found")
+    claims = [f"{_words(m.name)} {_bound(m)}" for m in record.metrics if m.limit is not None]
+    text = ""
+    if claims:
+        more = f" and {len(claims) - 3} more" if len(claims) > 3 else ""
+        text = f"Claimed: {', '.join(claims[:3])}{more}. "
+    residual = record.metric("reprojection_rms")
+    if rms is None and residual is not None:
+        found.append(f"rays meet to {_with_unit(residual)} rms")
+    if found:
+        text += f"Found: {', '.join(found)}. "
+    return text + _ended(record.verdict)
+
+
+def _templates() -> Environment:
+    return Environment(
+        loader=PackageLoader("reports", package_path=""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+
+
+def _tiles(record: RunRecord) -> list[dict[str, str]]:
+    tiles = []
+    for name, text in TILES:
+        metric = record.metric(name)
+        if metric is None:
+            continue
+        (value,), unit = shown((metric.value,), metric.unit, metric.name)
+        note = f"limit {_bound(metric)}" if metric.limit is not None else "no limit"
+        tiles.append({"name": text, "value": figure(value), "unit": unit, "note": note})
+    return tiles[:4]
+
+
+def _metric_row(metric: Metric) -> dict[str, Any]:
+    interval, limit = metric.ci95, metric.limit
+    values = (metric.value, *(interval or ()), *(() if limit is None else (limit,)))
+    numbers, unit = shown(values, metric.unit, metric.name)
+    mark = {True: "✓ yes", False: "✗ no", None: "–"}[metric.passed]
+    return {
+        "name": metric.name,
+        "value": figure(numbers[0]),
+        "unit": unit,
+        "interval": f"{figure(numbers[1])} … {figure(numbers[2])}" if interval else "–",
+        "limit": f"{_sign(metric)} {figure(numbers[-1])}" if limit is not None else "–",
+        "passed": metric.passed,
+        "mark": mark,
+        "tone": {True: "good", False: "bad", None: ""}[metric.passed],
+        "n": figure(metric.n),
+        "aligned_by": metric.aligned_by,
+    }
+
+
+def _premise_row(name: str, premise: Any) -> dict[str, Any]:
+    """Return one premise: {value, minimum or maximum, holds}, or a bare value."""
+    fields = premise if isinstance(premise, Mapping) else {"value": premise}
+    bounds = [f"{sign} {_plain(fields[key])}" for key, sign in (("minimum", "≥"), ("maximum", "≤"))
+              if fields.get(key) is not None]  # fmt: skip
+    holds = fields.get("holds")
+    return {
+        "name": name,
+        "value": _plain(fields.get("value")),
+        "bound": ", ".join(bounds) or "–",
+        "holds": holds,
+        "mark": "–" if holds is None else ("✓ yes" if holds else "✗ no"),
+        "tone": "" if holds is None else ("good" if holds else "bad"),
+    }
+
+
+def _comparison_cell(metric: Metric | None, first: Metric | None, regressed: bool) -> dict[str, str]:
+    if metric is None:
+        return {"value": "", "unit": "", "mark": "", "note": "", "tone": ""}
+    (value,), unit = shown((metric.value,), metric.unit, metric.name)
+    notes = [f"limit {_bound(metric)}"] if metric.limit is not None else []
+    if first is not None and first.value:
+        change = 100 * (metric.value - first.value) / abs(first.value)
+        notes.append("unchanged" if change == 0 else f"{change:+.1f} %".replace("-", "−"))
+    broken = metric.passed is False
+    return {
+        "value": figure(value),
+        "unit": unit,
+        "mark": ("✗" if broken else "") + (" ↑ worse" if regressed else ""),
+        "note": ", ".join(notes),
+        "tone": "bad" if broken or regressed else "",
+    }
+
+
+def _sign(metric: Metric) -> str:
+    return "≤" if metric.sense == "at_most" else "≥"
+
+
+def _bound(metric: Metric) -> str:
+    """Return the limit in the unit that the value is shown in: ≤ 0.3 mm."""
+    assert metric.limit is not None
+    numbers, unit = shown((metric.value, metric.limit), metric.unit, metric.name)
+    return f"{_sign(metric)} {figure(numbers[1])} {unit}".rstrip()
+
+
+def _with_unit(metric: Metric) -> str:
+    (value,), unit = shown((metric.value,), metric.unit, metric.name)
+    return f"{figure(value)} {unit}".rstrip()
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _plain(value: Any) -> str:
+    """Return a count or a premise's value for people."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int | float):
+        return figure(value)
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {_plain(item)}" for key, item in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(_plain(item) for item in value)
+    return "–" if value is None else str(value)
+
+
+def _ended(text: str) -> str:
+    text = text.strip()
+    text = text[:1].upper() + text[1:]
+    return text if not text or text[-1] in ".!?" else text + "."

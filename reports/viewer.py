@@ -1,0 +1,218 @@
+"""A run for the Rerun viewer (.rrd): cameras, images, detections, tracks and truth on one timeline.
+
+The only importer of rerun, and only inside functions: everything else runs without it. Timelines:
+"session" (time from session start) and "frame" (pulse number). Entities:
+
+    world/working_space              its box
+    world/cameras/NAME               pose; .../image: pinhole, JPEG frames; .../image/detections: 2D points
+    world/points                     reconstructed points, one colour a track
+    world/truth                      where markers really were
+
+Rerun knows pinholes only. Images and detections are shown as the camera gave them, distorted, so that 3D
+points seen through a camera are off by its distortion (exact in the 3D view).
+"""
+
+import uuid
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.detections import Detections
+from mosca.data.rig import Camera, MoscaLens, Rig
+from mosca.data.tracks import Tracks
+from mosca.errors import InputError
+
+APPLICATION = "mosca"
+JPEG_QUALITY = 75
+"""Frames are to be looked at here, not measured: a sixth of the bytes of PNG."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoggedFrame:
+    """What cameras gave at one pulse: ``images`` (H, W) and ``detections`` by camera name."""
+
+    frame: int
+    time_ns: int
+    images: Mapping[str, Array] = field(default_factory=dict)
+    detections: Mapping[str, Detections] = field(default_factory=dict)
+
+
+class RerunLog:
+    """An .rrd file that grows step by step: use it in a ``with`` block, or call ``close``.
+
+    ``working_space``: (center (3,), size (3,)) of its box in the world [m], or None. Raises InputError
+    where rerun is not installed or ``path``'s folder does not exist.
+    """
+
+    def __init__(self, path: Path, rig: Rig, working_space: tuple[Array, Array] | None = None) -> None:
+        if not path.parent.is_dir():
+            raise InputError(f"{path}: no folder {path.parent} to write it in; make it first")
+        self._rr = _rerun()
+        self._rig = rig
+        # An id of its own: the viewer lays files of one id over each other.
+        self._stream = self._rr.RecordingStream(APPLICATION, recording_id=uuid.uuid4(), send_properties=False)
+        self._stream.set_log_time_enabled(False)
+        self._stream.save(path, default_blueprint=_blueprint(rig))
+        self._closed = False
+        self._log_still("world", self._rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        if working_space is not None:
+            center, size = (np.asarray(v, dtype=np.float64) for v in working_space)
+            box = self._rr.Boxes3D(centers=[center], sizes=[size], colors=[(230, 159, 0)])
+            self._log_still("world/working_space", box)
+        for camera in rig.cameras:
+            self._log_camera(camera)
+
+    def log_step(
+        self,
+        frame: int,
+        time_ns: int,
+        images: Mapping[str, Array] | None = None,
+        detections: Mapping[str, Detections] | None = None,
+        points_xyz: Array | None = None,
+        track_ids: Array | None = None,
+    ) -> None:
+        """Log one pulse. ``points_xyz`` (n, 3) world [m], ``track_ids`` (n,) their identities.
+
+        What is None or absent stays as it was shown last; empty arrays clear it.
+        """
+        self._set_time(frame, time_ns)
+        for name, image in (images or {}).items():
+            self._stream.log(f"{_entity(self._rig.camera(name))}/image", self._compressed(image))
+        for name, found in (detections or {}).items():
+            points = self._rr.Points2D(
+                found.xy_px, radii=np.maximum(found.diameter_px / 2, 2.0), colors=[(255, 157, 46)]
+            )
+            self._stream.log(f"{_entity(self._rig.camera(name))}/image/detections", points)
+        if points_xyz is not None:
+            ids = np.arange(len(points_xyz)) if track_ids is None else np.asarray(track_ids)
+            self._log_points("world/points", points_xyz, _track_colours(ids), ids)
+
+    def log_truth(self, frame: int, time_ns: int, xyz: Array) -> None:
+        """Log where markers really were (m, 3) at one pulse; rows of NaN are left out."""
+        self._set_time(frame, time_ns)
+        there = np.asarray(xyz)[np.isfinite(xyz).all(axis=1)]
+        points = self._rr.Points3D(there, radii=0.004, colors=[(120, 130, 140)])
+        self._stream.log("world/truth", points)
+
+    def close(self) -> None:
+        """Write what is left and finish the file; may be called twice."""
+        if not self._closed:
+            self._closed = True
+            self._stream.disconnect()
+
+    def __enter__(self) -> "RerunLog":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _set_time(self, frame: int, time_ns: int) -> None:
+        self._stream.set_time("session", duration=np.timedelta64(int(time_ns), "ns"))
+        self._stream.set_time("frame", sequence=int(frame))
+
+    def _log_still(self, entity: str, what: Any) -> None:
+        self._stream.log(entity, what, static=True)
+
+    def _log_camera(self, camera: Camera) -> None:
+        pose = camera.world_from_camera
+        transform = self._rr.Transform3D(translation=pose.translation, mat3x3=pose.rotation)
+        self._log_still(_entity(camera), transform)
+        fx, fy, cx, cy = _pinhole(camera)
+        # Rerun puts pixel centres at +0.5, this project at 0.
+        pinhole = self._rr.Pinhole(
+            focal_length=[fx, fy],
+            principal_point=[cx + 0.5, cy + 0.5],
+            resolution=[camera.width, camera.height],
+            camera_xyz=self._rr.ViewCoordinates.RDF,
+            image_plane_distance=0.3,
+        )
+        self._log_still(f"{_entity(camera)}/image", pinhole)
+
+    def _log_points(self, entity: str, xyz: Array, colours: Array, ids: Array) -> None:
+        points = self._rr.Points3D(xyz, radii=0.006, colors=colours)
+        self._stream.log(entity, points, self._rr.AnyValues(track=np.asarray(ids, dtype=np.int64)))
+
+    def _compressed(self, image: Array) -> Any:
+        return self._rr.Image(_eight_bits(image)).compress(jpeg_quality=JPEG_QUALITY)
+
+
+def write_recording(
+    path: Path,
+    rig: Rig,
+    frames: Iterable[LoggedFrame],
+    tracks: Tracks,
+    truth_xyz: Array | None = None,
+    working_space: tuple[Array, Array] | None = None,
+) -> None:
+    """Write a whole run: ``frames`` in order, each with the samples of ``tracks`` of its number.
+
+    ``truth_xyz`` (t, m, 3): the truth of frame number i in row i, or None.
+    """
+    starts = np.searchsorted(tracks.frame, np.arange(int(tracks.frame[-1]) + 2 if len(tracks) else 1))
+    with RerunLog(path, rig, working_space) as log:
+        for step in frames:
+            known = 0 <= step.frame < len(starts) - 1
+            rows = slice(*starts[step.frame : step.frame + 2]) if known else slice(0, 0)
+            log.log_step(
+                step.frame, step.time_ns, step.images, step.detections, tracks.xyz[rows], tracks.track[rows]
+            )
+            if truth_xyz is not None and 0 <= step.frame < len(truth_xyz):
+                log.log_truth(step.frame, step.time_ns, truth_xyz[step.frame])
+
+
+def _rerun() -> Any:
+    try:
+        import rerun
+    except ModuleNotFoundError:
+        raise InputError("--rrd: rerun is not installed; run: pip install rerun-sdk") from None
+    return rerun
+
+
+def _blueprint(rig: Rig) -> Any:
+    """Return the viewer's layout: the world beside at most four cameras."""
+    from rerun import blueprint
+
+    images = [
+        blueprint.Spatial2DView(origin=f"{_entity(camera)}/image", name=camera.name)
+        for camera in rig.cameras[:4]
+    ]
+    world = blueprint.Spatial3DView(origin="world", name="world")
+    return blueprint.Blueprint(
+        blueprint.Horizontal(world, blueprint.Grid(*images), column_shares=[3, 2]) if images else world,
+        collapse_panels=True,
+    )
+
+
+def _entity(camera: Camera) -> str:
+    from rerun import escape_entity_path_part
+
+    return f"world/cameras/{escape_entity_path_part(camera.name)}"
+
+
+def _pinhole(camera: Camera) -> tuple[float, float, float, float]:
+    """Return fx, fy, cx, cy [px] of the lens without its distortion."""
+    lens = camera.lens
+    if isinstance(lens, MoscaLens):
+        return lens.c_mm / lens.mx_mm_per_px, lens.c_mm / lens.my_mm_per_px, lens.xp_px, lens.yp_px
+    return lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px
+
+
+def _eight_bits(image: Array) -> Array:
+    """Return ``image`` (H, W) as uint8; 16-bit ones by the power of two that their largest value needs."""
+    if image.dtype == np.uint8:
+        return image
+    return (image >> max(0, int(image.max()).bit_length() - 8)).astype(np.uint8)
+
+
+def _track_colours(ids: Array) -> Array:
+    """Return a colour (n, 3) uint8 for each identity: hues a golden angle apart, so neighbours differ."""
+    hue = (np.asarray(ids, dtype=np.float64) * 0.61803398875) % 1.0
+    waves = 0.5 + 0.5 * np.cos(2 * np.pi * (hue[:, None] - np.array([0.0, 1 / 3, 2 / 3])))
+    return (60 + 190 * waves).astype(np.uint8)

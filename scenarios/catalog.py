@@ -1,0 +1,76 @@
+"""Where scenario files are found, and the commented one to start from. No heavy imports: answers at once."""
+
+import difflib
+from dataclasses import dataclass
+from pathlib import Path
+
+from mosca.errors import InputError
+from scenarios.spec import Scenario, load_scenario
+
+ROOM = Path(__file__).resolve().parent
+TEMPLATE = ROOM / "template.toml.txt"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A scenario file and what it says."""
+
+    path: Path
+    name: str
+    spec: Scenario
+
+
+def find(name: str) -> Path:
+    """Return the scenario file that ``name`` means: a path, or the name of a built-in scenario."""
+    path = Path(name)
+    if path.exists() or path.suffix == ".toml":
+        return path
+    there = {scenario_name(p): p for p in built_in()}
+    if name in there:
+        return there[name]
+    near = difflib.get_close_matches(name, there, n=1)
+    hint = f"did you mean '{near[0]}'?" if near else "'mosca list' shows what there is"
+    raise InputError(f"{name}: no such scenario or file; {hint}")
+
+
+def built_in() -> list[Path]:
+    """Return all scenario files of the project, by name."""
+    return sorted(ROOM.rglob("*.toml"))
+
+
+def scenario_name(path: Path) -> str:
+    """Return a scenario's name: its path below the room, without the ending; elsewhere the file's stem."""
+    path = path.resolve()
+    if ROOM in path.parents:
+        return path.relative_to(ROOM).with_suffix("").as_posix()
+    return path.stem
+
+
+def entries(paths: tuple[Path, ...], tier: str | None = None) -> list[Entry]:
+    """Return the scenarios of files and folders (all built-in ones where none is named), of one tier or of all."""
+    files: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            files += sorted(path.rglob("*.toml"))
+        else:
+            files.append(path)
+    chosen = files if paths else built_in()
+    found = [Entry(path, scenario_name(path), load_scenario(path)) for path in chosen]
+    names = [e.name for e in found]
+    for entry in found:
+        if names.count(entry.name) > 1:
+            raise InputError(
+                f"{entry.path}: a second scenario is called '{entry.name}'; give one another name"
+            )
+    return [e for e in found if tier is None or tier == "full" or e.spec.tier == tier]
+
+
+def write_template(path: Path) -> None:
+    """Write a commented scenario to start from; an existing file is left alone."""
+    if path.exists():
+        raise InputError(f"{path}: exists already; choose another name")
+    if path.suffix != ".toml":
+        raise InputError(f"{path}: a scenario file ends in .toml")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: no folder {path.parent}; make it first")
+    path.write_text(TEMPLATE.read_text(encoding="utf-8"), encoding="utf-8")

@@ -1,0 +1,368 @@
+"""The command line: ``mosca VERB``. Heavy rooms are imported by the verbs that need them."""
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from mosca import __version__
+from mosca.errors import InputError, MoscaError
+
+EXIT_PASSED, EXIT_BROKEN, EXIT_ERROR = 0, 1, 2
+FILE = click.Path(path_type=Path)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(__version__, prog_name="mosca")
+def cli() -> None:
+    """A digital-twin testbench for photogrammetric marker motion capture.
+
+    Exit codes: 0 every limit met, 1 a limit broken, 2 an error you can mend (told in one line).
+    """
+
+
+@cli.command()
+@click.argument("scenario")
+@click.option("--source", default="twin", help="twin | recording:DIR | hardware:RIG.toml", show_default=True)
+@click.option("--seed", type=int, help="another seed than the scenario's")
+@click.option(
+    "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="change a key, e.g. capture.duration_s=2"
+)
+@click.option("--out", type=FILE, help="run folder  [default: runs/SCENARIO]")
+@click.option("--rrd", is_flag=True, help="also write run.rrd for the Rerun viewer")
+@click.option("--record", type=FILE, help="also record the frames into this folder")
+@click.option("--workers", type=click.IntRange(1, 64), help="rendering threads  [default: all cores]")
+def run(
+    scenario: str,
+    source: str,
+    seed: int | None,
+    overrides: tuple[str, ...],
+    out: Path | None,
+    rrd: bool,
+    record: Path | None,
+    workers: int | None,
+) -> None:
+    """Run one scenario from scene to score and write its run folder.
+
+    SCENARIO is a file or the name of a built-in scenario.
+
+    \b
+    Example:  mosca run actor --set capture.duration_s=2 --out runs/try
+    """
+    from scenarios.catalog import find, scenario_name
+    from scenarios.spec import load_scenario
+
+    path = find(scenario)
+    if seed is not None:
+        overrides = (*overrides, f"seed={seed}")
+    spec = load_scenario(path, overrides)
+    name = scenario_name(path)
+    target = out or Path("runs") / name
+    from reports.compare import summary_table
+    from scenarios.run import RunOptions, run_scenario, write_run
+
+    target.parent.mkdir(parents=True, exist_ok=True)
+    log = target.parent / f".{target.name}.rrd" if rrd else None
+    try:
+        with _progress(name) as shown:
+            options = RunOptions(source, workers or os.cpu_count() or 1, log, record, shown)
+            result = run_scenario(spec, name, path.parent, options)
+        write_run(result, target, log)
+    finally:
+        if log is not None:
+            log.unlink(missing_ok=True)
+    _print_metrics(result.record)
+    _console().print(summary_table([result.record]))
+    click.echo(f"{target / 'report.html'}")
+    sys.exit(EXIT_PASSED if result.record.passed else EXIT_BROKEN)
+
+
+@cli.command()
+@click.argument("paths", nargs=-1, type=FILE)
+@click.option("--tier", type=click.Choice(["quick", "full"]), default="quick", show_default=True)
+@click.option("--jobs", type=click.IntRange(1, 256), help="scenarios at a time  [default: all cores]")
+@click.option("--out", type=FILE, default=Path("runs/suite"), show_default=True, help="folder of run folders")
+@click.option("--junit", type=FILE, help="write JUnit XML here")
+@click.option(
+    "--compare", type=FILE, help="folder of baselines to compare with  [default: the committed ones]"
+)
+@click.option(
+    "--update-baselines", is_flag=True, help="make these results the baselines (say why in CHANGELOG)"
+)
+def suite(
+    paths: tuple[Path, ...],
+    tier: str,
+    jobs: int | None,
+    out: Path,
+    junit: Path | None,
+    compare: Path | None,
+    update_baselines: bool,
+) -> None:
+    """Run all scenarios of a tier (or those in PATH ...) on all cores, and compare with the baselines.
+
+    \b
+    Example:  mosca suite --tier quick --junit runs/suite.xml
+    """
+    from scenarios import catalog
+
+    if compare is not None and update_baselines:
+        raise InputError("--compare and --update-baselines exclude each other; give one of them")
+    entries = catalog.entries(paths, tier)
+    if not entries:
+        raise InputError(f"no scenario of tier '{tier}' in {', '.join(map(str, paths)) or 'the project'}")
+    from reports.compare import summary_table
+    from scenarios import suite as work
+
+    with _progress("suite") as shown:
+        count = 0
+
+        def told(outcome: Any) -> None:
+            nonlocal count
+            count += 1
+            shown(count, len(entries))
+
+        outcomes = work.run_suite(entries, out, jobs or os.cpu_count() or 1, told)
+    if update_baselines:
+        work.update_baselines(outcomes, work.BASELINES)
+        click.echo(f"{len(outcomes)} baselines written to {work.BASELINES}; say why in CHANGELOG.md")
+    else:
+        outcomes = work.compared(outcomes, compare or work.BASELINES)
+    if junit is not None:
+        work.write_junit(outcomes, junit)
+    _console().print(summary_table([o.record for o in outcomes if o.record is not None]))
+    bad = [line for o in outcomes for line in work.complaints(o)]
+    for line in bad:
+        click.echo(line, err=True)
+    passed = sum(o.passed for o in outcomes)
+    click.echo(f"{passed} of {len(outcomes)} scenarios as they should be; reports in {out}")
+    if any(o.record is None for o in outcomes):
+        sys.exit(EXIT_ERROR)
+    sys.exit(EXIT_PASSED if passed == len(outcomes) else EXIT_BROKEN)
+
+
+@cli.command("list")
+def list_() -> None:
+    """Show the built-in scenarios.
+
+    \b
+    Example:  mosca list
+    """
+    from rich.table import Table
+
+    from scenarios.catalog import entries
+
+    shown = Table(box=None, pad_edge=False)
+    for heading in ("scenario", "tier", "expect", "what it claims"):
+        shown.add_column(heading)
+    for entry in entries(()):
+        shown.add_row(entry.name, entry.spec.tier, entry.spec.expect, entry.spec.title)
+    _console().print(shown)
+
+
+@cli.command()
+@click.argument("path", type=FILE)
+def new(path: Path) -> None:
+    """Write a commented scenario file to start from.
+
+    \b
+    Example:  mosca new my_lab.toml
+    """
+    from scenarios.catalog import write_template
+
+    write_template(path)
+    click.echo(f"{path} written; edit it, then: mosca run {path}")
+
+
+@cli.command()
+@click.argument("recording", type=FILE)
+@click.option("--rig", required=True, type=FILE, help="rig file (TOML; also aniposelib, Caliscope, Pose2Sim)")
+@click.option("--out", required=True, type=FILE, help="tracks: .npz, .csv, .c3d or .trc")
+@click.option("--fps", type=float, help="frame rate of a recording that does not tell its own [Hz]")
+@click.option("--settings", type=FILE, help="TOML file with [detection], [match], [track] and [volume]")
+@click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="change a setting, e.g. detection.contrast_dn=10",
+)
+def reconstruct(
+    recording: Path,
+    rig: Path,
+    out: Path,
+    fps: float | None,
+    settings: Path | None,
+    overrides: tuple[str, ...],
+) -> None:
+    """Turn a recording of real (or rendered) images into tracks.
+
+    \b
+    Example:  mosca reconstruct lab/take1 --rig rig.toml --out take1.csv --fps 100
+    """
+    from scenarios.reconstruct import reconstruct_recording
+
+    with _progress(recording.name) as shown:
+        told = reconstruct_recording(recording, rig, out, fps, settings, overrides, shown)
+    for line in told:
+        click.echo(line)
+
+
+@cli.command()
+@click.argument("recording", type=FILE)
+@click.option(
+    "--target", required=True, type=FILE, help="target file (TOML): what was measured, and where it is"
+)
+@click.option("--out", required=True, type=FILE, help="rig file to write (.toml)")
+def calibrate(recording: Path, target: Path, out: Path) -> None:
+    """Calibrate cameras from a target's measured points: resection and least-squares adjustment.
+
+    \b
+    Example:  mosca calibrate lab/field --target field.toml --out rig.toml
+    """
+    from scenarios.reconstruct import calibrate_recording
+
+    for line in calibrate_recording(recording, target, out):
+        click.echo(line)
+
+
+@cli.command()
+@click.argument("runs", nargs=-1, required=True, type=FILE)
+@click.option("--out", type=FILE, default=Path("comparison.html"), show_default=True, help="page to write")
+def report(runs: tuple[Path, ...], out: Path) -> None:
+    """Compare run folders on one page.
+
+    \b
+    Example:  mosca report runs/before runs/after --out comparison.html
+    """
+    from reports.page import write_comparison_page
+    from reports.record import read_record
+
+    records = [read_record(run / "record.json" if run.is_dir() else run) for run in runs]
+    write_comparison_page(out, records, [str(run) for run in runs])
+    click.echo(f"{out}")
+
+
+@cli.group()
+def rig() -> None:
+    """Look at rig files."""
+
+
+@rig.command("check")
+@click.argument("path", type=FILE)
+def rig_check(path: Path) -> None:
+    """Read a rig file and say what its cameras see of each other's views.
+
+    \b
+    Example:  mosca rig check rig.toml
+    """
+    from scenarios.reconstruct import describe_rig
+
+    for line in describe_rig(path):
+        click.echo(line)
+
+
+@cli.command()
+@click.argument("kind", type=click.Choice(["scenario", "rig"]))
+def schema(kind: str) -> None:
+    """Print the JSON schema of scenario or rig files, for editors.
+
+    \b
+    Example:  mosca schema scenario > scenario.schema.json
+    """
+    import json
+
+    if kind == "scenario":
+        from scenarios.spec import scenario_schema
+
+        click.echo(json.dumps(scenario_schema(), indent=2))
+    else:
+        from mosca.data.rig_file import rig_schema
+
+        click.echo(json.dumps(rig_schema(), indent=2))
+
+
+def main() -> None:
+    """Run the command line; known errors become one line and exit code 2."""
+    try:
+        cli(standalone_mode=False)
+    except click.exceptions.Exit as done:
+        sys.exit(done.exit_code)
+    except click.ClickException as error:
+        click.echo(f"mosca: {error.format_message()}; 'mosca --help' shows what there is", err=True)
+        sys.exit(EXIT_ERROR)
+    except MoscaError as error:
+        click.echo(f"mosca: {error}", err=True)
+        sys.exit(EXIT_ERROR)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("mosca: stopped; nothing was left half written", err=True)
+        sys.exit(130)
+    except OSError as error:
+        if error.filename is None and error.errno is None:
+            raise
+        click.echo(f"mosca: {error.filename or 'disk'}: {error.strerror}", err=True)
+        sys.exit(EXIT_ERROR)
+
+
+class _progress:
+    """A progress bar on a terminal; nothing in a pipe. Calling it with (done, all) moves it."""
+
+    def __init__(self, title: str) -> None:
+        self._title, self._bar, self._task = title, None, None
+
+    def __enter__(self) -> Callable[[int, int], None]:
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import Progress
+
+            self._bar: Any = Progress(console=Console(stderr=True), transient=True)
+            self._bar.start()
+            self._task = self._bar.add_task(self._title, total=None)
+        return self._move
+
+    def __exit__(self, *exc: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def _move(self, done: int, total: int) -> None:
+        if self._bar is not None:
+            self._bar.update(self._task, completed=done, total=total)
+
+
+def _console() -> Any:
+    from rich.console import Console
+
+    # a pipe gets whole lines instead of a guess at a terminal's width
+    return Console(width=None if sys.stdout.isatty() else 140)
+
+
+def _print_metrics(record: Any) -> None:
+    """Print each metric beside its limit."""
+    from rich.table import Table
+
+    shown = Table(box=None, pad_edge=False)
+    for heading, side in (
+        ("metric", "left"),
+        ("value", "right"),
+        ("95 %", "right"),
+        ("limit", "right"),
+        ("", "left"),
+    ):
+        shown.add_column(heading, justify=side)  # type: ignore[arg-type]
+    for metric in record.metrics:
+        scale, unit = (1e3, "mm") if metric.unit == "m" else (1.0, "" if metric.unit == "1" else metric.unit)
+        sign = "<=" if metric.sense == "at_most" else ">="
+        shown.add_row(
+            metric.name,
+            f"{metric.value * scale:.4g} {unit}".strip(),
+            "" if metric.ci95 is None else f"{metric.ci95[0] * scale:.4g} .. {metric.ci95[1] * scale:.4g}",
+            "" if metric.limit is None else f"{sign} {metric.limit * scale:.4g} {unit}".strip(),
+            "" if metric.passed is None else ("met" if metric.passed else "BROKEN"),
+        )
+    _console().print(shown)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,132 @@
+"""The verbs for real images: calibrate from measured points, look at a rig, turn a recording into tracks."""
+
+from pathlib import Path
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from mosca.assemble import Assembly
+from mosca.calibrate.points import calibrate_from_points, summary
+from mosca.data.rig import Rig
+from mosca.data.rig_file import read_rig, write_rig
+from mosca.data.target_file import read_target
+from mosca.data.toml import Table, check, read_toml
+from mosca.errors import InputError
+from mosca.formats.tracks_file import SUFFIXES, write_tracks
+from mosca.pipeline import PipelineSettings, run
+from mosca.recording import open_recording
+from mosca.track import Sample, table
+from scenarios.build import overlap_of, stage_settings
+from scenarios.spec import DetectionSpec, MatchSpec, TrackSpec, apply_overrides
+
+
+class VolumeSpec(Table):
+    """The box in which targets can be."""
+
+    low_m: tuple[float, float, float]
+    high_m: tuple[float, float, float]
+
+    @model_validator(mode="after")
+    def _not_empty(self) -> "VolumeSpec":
+        if any(low >= high for low, high in zip(self.low_m, self.high_m, strict=True)):
+            raise ValueError(f"low_m {self.low_m} must lie below high_m {self.high_m} on each axis")
+        return self
+
+
+class ReconstructSpec(Table):
+    """Settings file of ``mosca reconstruct``."""
+
+    detection: DetectionSpec = DetectionSpec()
+    match: MatchSpec = MatchSpec()
+    track: TrackSpec = TrackSpec()
+    volume: VolumeSpec | None = Field(None, description="box in which targets can be; default: everywhere")
+
+
+def reconstruct_recording(
+    recording: Path,
+    rig_path: Path,
+    out: Path,
+    fps: float | None,
+    settings_path: Path | None,
+    overrides: tuple[str, ...],
+    progress: "object" = None,
+) -> list[str]:
+    """Run the pipeline on a recording, write its tracks to ``out`` and return what to tell, a line each."""
+    if out.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{out}: suffix '{out.suffix}' given; {', '.join(SUFFIXES)} are allowed")
+    if not out.resolve().parent.is_dir():
+        raise InputError(f"{out}: no folder {out.parent}; make it first")
+    rig = read_rig(rig_path)
+    if not any(overlap_of(a, b) for a in rig.cameras for b in rig.cameras if a is not b):
+        raise InputError(
+            f"{rig_path}: no two cameras see a common point; check poses (world_from_camera, z forward) and units (m)"
+        )
+    settings = reconstruct_settings(settings_path, overrides)
+    assembly = Assembly()
+    samples: list[Sample] = []
+    counts = np.zeros(3)
+    with open_recording(recording, rig, fps) as source:
+        rate = source.cameras[0].frame_rate_hz
+        for step in run(source, rig, settings, assembly):
+            samples += step.samples
+            counts += 1, sum(len(d) for d in step.detections.values()), len(step.points)
+            if callable(progress):
+                progress(int(counts[0]), int(counts[0]))
+    tracks = table(samples)
+    write_tracks(tracks, out, rate)
+    sets = max(counts[0], 1)
+    told = [
+        f"{assembly.frames} frames in {assembly.sets} sets, {assembly.complete_sets} of them complete",
+        f"a set has {counts[1] / sets:.1f} detections and {counts[2] / sets:.1f} points",
+        f"{len(np.unique(tracks.track))} tracks with {len(tracks)} samples in {out}",
+    ]
+    if len(tracks):
+        told.append(f"reprojection error {np.sqrt(np.mean(tracks.residual_px**2)):.3f} px rms")
+    told += [
+        f"{name}: {c.dropped} dropped, {c.corrupt} corrupt, {c.late} late, {c.doubled} doubled"
+        for name, c in assembly.cameras.items()
+        if c.dropped or c.corrupt or c.late or c.doubled
+    ]
+    told += [f"{kind}: {note}" for kind, note in assembly.notes.items()]
+    return told
+
+
+def reconstruct_settings(path: Path | None, overrides: tuple[str, ...]) -> PipelineSettings:
+    """Return the pipeline's settings of a settings file and of ``KEY=VALUE`` overrides."""
+    document = {} if path is None else read_toml(path)
+    apply_overrides(document, overrides)
+    spec = check(ReconstructSpec, document, path or "--set")
+    volume = None if spec.volume is None else (spec.volume.low_m, spec.volume.high_m)
+    return stage_settings(spec, volume)
+
+
+def calibrate_recording(recording: Path, target_path: Path, out: Path) -> list[str]:
+    """Calibrate the cameras that a target file names, write the rig and return the summary's lines."""
+    if out.suffix != ".toml":
+        raise InputError(f"{out}: a rig file ends in .toml")
+    target = read_target(target_path)
+    rig, adjustments = calibrate_from_points(recording, target)
+    write_rig(rig, out)
+    return [*summary(adjustments).splitlines(), f"{out} written"]
+
+
+def describe_rig(path: Path) -> list[str]:
+    """Return what a rig's cameras are and how far their views overlap, a line each."""
+    rig = read_rig(path)
+    lines = [
+        f"{c.name}: {c.lens.model} lens, {c.width} x {c.height} px, at "
+        f"({', '.join(f'{x:.3f}' for x in c.world_from_camera.translation)}) m"
+        for c in rig.cameras
+    ]
+    return lines + _overlaps(rig)
+
+
+def _overlaps(rig: Rig) -> list[str]:
+    lines = []
+    for k, camera in enumerate(rig.cameras):
+        for other in rig.cameras[k + 1 :]:
+            share = overlap_of(camera, other)
+            lines.append(
+                f"{camera.name} - {other.name}: {100 * share:.0f} % of {camera.name}'s image can be seen by {other.name}"
+            )
+    return lines

@@ -1,0 +1,420 @@
+"""One scenario from scene to score: build, expose, run the pipeline, meet the truth, write the run folder."""
+
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mosca.assemble import Assembly
+from mosca.data.arrays import Array
+from mosca.data.frames import FrameSource
+from mosca.data.rig import Rig
+from mosca.data.tracks import Tracks, write_npz
+from mosca.data.truth import Truth, read_truth, write_truth
+from mosca.errors import InputError, PremiseError
+from mosca.formats.tracks_csv import write_tracks_csv
+from mosca.pipeline import PipelineSettings, Step, run
+from mosca.recording import RecordingWriter, open_recording
+from mosca.track import Sample, table
+from reports.evidence import CameraView, ErrorTable, Evidence, FrameCounts
+from reports.page import write_page
+from reports.record import Blocks, Metric, RunRecord, write_record
+from scenarios.build import build_scene, calibrated, pipeline_settings, true_rig, virtual_cameras, with_fault
+from scenarios.score import Matched, Score, limits_met, metrics, pair
+from scenarios.spec import METRICS, Scenario
+from twin.source import TwinSource
+
+Progress = Callable[[int, int], None]
+VIEW_AT = 0.4
+"""Where in the run the picture of a camera is taken: a share of its length."""
+
+
+@dataclass(frozen=True, eq=False)
+class RunResult:
+    """A run's record, what the page shows beside it, its tracks and the truth (None where there is none)."""
+
+    record: RunRecord
+    evidence: Evidence
+    tracks: Tracks
+    truth: Truth | None
+    commands: Any = None
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How to run. ``source``: "twin" or "recording:DIR". ``workers``: threads that render. ``rrd``: a Rerun
+    file to write while running. ``record_to``: a folder to record the frames into. ``progress``: called with
+    pulses done and in all.
+    """
+
+    source: str = "twin"
+    workers: int = 1
+    rrd: Path | None = None
+    record_to: Path | None = None
+    progress: Progress | None = None
+
+
+def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | None = None) -> RunResult:
+    """Run ``spec``; files that it names are looked for in ``folder``. PremiseError where a premise fails."""
+    options = options or RunOptions()
+    timings: dict[str, float] = {}
+    with ExitStack() as stack, _timed(timings, "total_s"):
+        with _timed(timings, "build_s"):
+            rig = true_rig(spec, folder)
+            cameras = virtual_cameras(spec, rig)
+            known = calibrated(spec, cameras)
+            believed = with_fault(known.rig, spec.fault)
+            settings = pipeline_settings(spec)
+            scene = build_scene(spec, folder) if options.source == "twin" else None
+        source: FrameSource
+        if scene is not None:
+            source = TwinSource(
+                scene,
+                cameras,
+                frame_rate_hz=spec.capture.frame_rate_hz,
+                exposure_s=spec.capture.exposure_s,
+                pulses=round(spec.capture.duration_s * spec.capture.frame_rate_hz),
+                seed=spec.seed,
+                workers=options.workers,
+            )
+        else:
+            source = _recorded(options.source, rig)
+        stack.enter_context(source)
+        with _timed(timings, "frames_to_tracks_s"):
+            collected = _collect(source, believed, settings, spec, options, stack)
+        truth = source.truth() if isinstance(source, TwinSource) else _truth_beside(options.source)
+        if isinstance(source, TwinSource) and options.record_to is not None:
+            write_truth(truth, options.record_to / "truth.npz")
+        with _timed(timings, "score_s"):
+            space = max(spec.working_space.size_m)
+            matched = None if truth is None else pair(collected.tracks, truth, space)
+            scores = {} if matched is None else metrics(matched, space)
+            premises = {} if truth is None else _premises(spec, truth, name)
+    timings |= collected.seconds
+    record = _record(spec, name, options, scores, premises, timings, known, collected)
+    evidence = _evidence(spec, believed, collected, truth, matched)
+    return RunResult(record, evidence, collected.tracks, truth, None if scene is None else scene.commands)
+
+
+def write_run(result: RunResult, out: Path, rrd: Path | None = None) -> None:
+    """Write the run folder; it appears whole or not at all. An earlier run folder there is replaced."""
+    if out.exists() and not (out / "record.json").exists() and any(out.iterdir()):
+        raise InputError(f"{out}: holds other files and no record.json; choose a new folder with --out")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    part = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
+    try:
+        write_record(result.record, part / "record.json")
+        write_npz(result.tracks, part / "tracks.npz")
+        write_tracks_csv(result.tracks, part / "tracks.csv")
+        write_page(part / "report.html", result.record, result.evidence)
+        if result.commands is not None:
+            _write_commands(result.commands, part / "commands.csv")
+        if rrd is not None:
+            shutil.move(rrd, part / "run.rrd")
+        part.chmod(0o755)
+        if out.exists():
+            shutil.rmtree(out)
+        os.replace(part, out)
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+
+
+@dataclass(frozen=True, eq=False)
+class _Collected:
+    tracks: Tracks
+    views: tuple[CameraView, ...]
+    view_pulse: int
+    assembly: Assembly
+    seconds: Mapping[str, float]
+    pulses: int
+
+
+def _collect(
+    source: FrameSource,
+    rig: Rig,
+    settings: PipelineSettings,
+    spec: Scenario,
+    options: RunOptions,
+    stack: ExitStack,
+) -> _Collected:
+    """Run the pipeline to its end and keep what the record, the page and the viewer need."""
+    assembly = Assembly()
+    samples: list[Sample] = []
+    views: tuple[CameraView, ...] = ()
+    view_pulse, pulses = -1, round(spec.capture.duration_s * spec.capture.frame_rate_hz)
+    seconds: dict[str, float] = {}
+    latency: list[float] = []
+    log = None
+    if options.rrd is not None:
+        from reports.viewer import RerunLog
+
+        space = spec.working_space
+        log = stack.enter_context(RerunLog(options.rrd, rig, (space.center_m, space.size_m)))
+    read: FrameSource = source
+    if options.record_to is not None:
+        read = _Recorded(source, stack.enter_context(RecordingWriter(options.record_to, source.cameras)))
+    done = 0
+    for step in run(read, rig, settings, assembly):
+        samples += step.samples
+        done += 1
+        for stage, value in step.seconds.items():
+            seconds[f"{stage}_s"] = seconds.get(f"{stage}_s", 0.0) + value
+        latency.append(sum(step.seconds.values()))
+        if done == max(1, round(VIEW_AT * pulses)):
+            views, view_pulse = _views(step), step.frame_set.pulse
+        if log is not None:
+            images = {n: f.image for n, f in step.frame_set.frames.items() if f.image is not None}
+            tracked = [s for s in step.samples if s.frame == step.frame_set.pulse]
+            log.log_step(
+                step.frame_set.pulse, step.frame_set.time_ns, images, step.detections,
+                np.array([s.xyz for s in tracked]).reshape(-1, 3), np.array([s.track for s in tracked], dtype=int),
+            )  # fmt: skip
+            if isinstance(source, TwinSource) and step.frame_set.pulse < len(source.truth_xyz):
+                log.log_truth(
+                    step.frame_set.pulse, step.frame_set.time_ns, source.truth_xyz[step.frame_set.pulse]
+                )
+        if options.progress is not None:
+            options.progress(done, max(done, pulses))
+    if latency:
+        seconds["latency_p99_s"] = float(np.quantile(latency, 0.99))
+        seconds["pipeline_per_set_s"] = float(np.mean(latency))
+    return _Collected(table(samples), views, view_pulse, assembly, seconds, done)
+
+
+class _Recorded:
+    """A source whose frames are written down on their way through."""
+
+    def __init__(self, source: FrameSource, writer: RecordingWriter) -> None:
+        self._source, self._writer = source, writer
+        self.cameras = source.cameras
+
+    def __iter__(self) -> Iterator[Any]:
+        for frame in self._source:
+            self._writer.write(frame)
+            yield frame
+
+    def close(self) -> None:
+        self._source.close()
+
+    def __enter__(self) -> "_Recorded":
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def _views(step: Step) -> tuple[CameraView, ...]:
+    return tuple(
+        CameraView(name, frame.image, step.detections[name])
+        for name, frame in step.frame_set.frames.items()
+        if frame.image is not None
+    )
+
+
+def _recorded(source: str, rig: Rig) -> FrameSource:
+    kind, _, place = source.partition(":")
+    if kind == "hardware":
+        raise InputError(f"--source {source}: no camera driver is installed; use twin or recording:DIR")
+    if kind != "recording" or not place:
+        raise InputError(f"--source {source}: allowed are twin, recording:DIR and hardware:RIG.toml")
+    return open_recording(Path(place), rig)
+
+
+def _truth_beside(source: str) -> Truth | None:
+    path = Path(source.partition(":")[2]) / "truth.npz"
+    return read_truth(path) if path.exists() else None
+
+
+def _premises(spec: Scenario, truth: Truth, name: str) -> dict[str, Any]:
+    """Return what must hold for the score to mean anything, and whether it does; PremiseError where it does not."""
+    diameter = truth.diameter_px[truth.visible >= 0.5]
+    moved = np.linalg.norm(np.diff(truth.image_xy_px, axis=0), axis=-1)
+    share = spec.capture.exposure_s * spec.capture.frame_rate_hz
+    blur = moved[np.isfinite(moved)] * share
+    wanted = spec.premises
+    views = float((truth.visible >= 0.5).sum(axis=2).mean()) if truth.visible.size else 0.0
+    found: dict[str, Any] = {
+        "marker_px": _at_least(float(np.median(diameter)) if diameter.size else 0.0, wanted.marker_px),
+        "blur_px": _at_most(float(np.quantile(blur, 0.95)) if blur.size else 0.0, wanted.blur_px),
+        "views": _at_least(views, wanted.views),
+    }
+    for key, premise in found.items():
+        if not premise["holds"]:
+            bound = "minimum" if "minimum" in premise else "maximum"
+            raise PremiseError(
+                f"{name}: premise '{key}' does not hold: {premise['value']:.3g}, {bound} {premise[bound]:g}; the score "
+                f"would mean nothing. Change the cameras or the markers, or premises.{key}"
+            )
+    return found
+
+
+def _at_least(value: float, minimum: float) -> dict[str, Any]:
+    return {"value": value, "minimum": minimum, "holds": value >= minimum}
+
+
+def _at_most(value: float, maximum: float) -> dict[str, Any]:
+    return {"value": value, "maximum": maximum, "holds": value <= maximum}
+
+
+def _record(
+    spec: Scenario,
+    name: str,
+    options: RunOptions,
+    scores: Mapping[str, Score],
+    premises: Mapping[str, Any],
+    timings: Mapping[str, float],
+    known: Any,
+    collected: _Collected,
+) -> RunRecord:
+    met = limits_met(scores, spec.limits, lambda metric: METRICS[metric][1])
+    rows = tuple(
+        _metric(metric, score, spec, met) for metric, score in scores.items() if np.isfinite(score.value)
+    )
+    broken = [metric for metric, ok in met.items() if not ok]
+    passed, verdict = _verdict(spec, broken, bool(scores))
+    return RunRecord(
+        scenario=name,
+        title=spec.title,
+        seed=spec.seed,
+        source=options.source,
+        model_gap=spec.model_gap,
+        expect=spec.expect,
+        passed=passed,
+        verdict=verdict,
+        metrics=rows,
+        premises=premises,
+        counts=_counts(collected),
+        timings={key: float(value) for key, value in timings.items()},
+        provenance={
+            **provenance(),
+            "model_gap_rms_px": round(known.gap_rms_px, 6),
+            "model_gap_max_px": round(known.gap_max_px, 6),
+            "parameters": spec.model_dump(mode="json"),
+        },
+    )
+
+
+def _metric(name: str, score: Score, spec: Scenario, met: Mapping[str, bool]) -> Metric:
+    unit, sense = METRICS[name]
+    return Metric(
+        name, score.value, unit, score.n, score.ci95, "none", spec.limits.get(name),
+        "at_most" if sense == "at_most" else "at_least", met.get(name),
+        Blocks(score.sums, score.weights) if score.sums else None,
+    )  # fmt: skip
+
+
+def _verdict(spec: Scenario, broken: list[str], scored: bool) -> tuple[bool, str]:
+    if not scored:
+        return True, "no truth to score against: tracks only"
+    if spec.expect == "pass":
+        return not broken, "every limit is met" if not broken else f"broken: {', '.join(broken)}"
+    missing = [name for name in spec.fails_on if name not in broken]
+    if missing:
+        return False, f"the control was not caught: {', '.join(missing)} should have broken"
+    return True, f"fails as it must: {', '.join(spec.fails_on)} broken"
+
+
+def _counts(collected: _Collected) -> dict[str, Any]:
+    assembly = collected.assembly
+    tracks = collected.tracks
+    return {
+        "frames": assembly.frames,
+        "frame_sets": assembly.sets,
+        "complete_sets": assembly.complete_sets,
+        "empty_sets": assembly.empty_sets,
+        "dropped": sum(c.dropped for c in assembly.cameras.values()),
+        "corrupt": sum(c.corrupt for c in assembly.cameras.values()),
+        "late": sum(c.late for c in assembly.cameras.values()),
+        "tracks": len(np.unique(tracks.track)),
+        "samples": len(tracks),
+        "notes": dict(assembly.notes),
+    }
+
+
+def _evidence(
+    spec: Scenario, rig: Rig, collected: _Collected, truth: Truth | None, matched: Matched | None
+) -> Evidence:
+    base = Evidence(
+        rig,
+        np.array(spec.working_space.center_m),
+        np.array(spec.working_space.size_m),
+        collected.tracks,
+        collected.views,
+    )
+    if truth is None or matched is None:
+        return base
+    time_s = truth.time_ns * 1e-9
+    pulse = min(max(collected.view_pulse, 0), len(truth.time_ns) - 1)
+    return replace(
+        base,
+        views=tuple(_with_truth(v, truth, pulse) for v in collected.views),
+        truth_time_ns=truth.time_ns,
+        truth_xyz=truth.xyz,
+        truth_names=truth.names,
+        marker_seen=matched.seen_mask.sum(axis=0),
+        errors=ErrorTable(matched.frame, time_s[matched.frame], matched.marker, matched.error_m),
+        counts=FrameCounts(time_s, matched.seen, matched.seen - matched.missed, matched.ghosts),
+    )
+
+
+def _with_truth(view: CameraView, truth: Truth, pulse: int) -> CameraView:
+    c = truth.cameras.index(view.camera)
+    xy: Array = truth.image_xy_px[pulse, :, c]
+    return replace(view, true_xy_px=xy[np.isfinite(xy).all(axis=1) & (truth.visible[pulse, :, c] > 0)])
+
+
+def provenance() -> dict[str, Any]:
+    """Return what made a result: versions, platform, git commit."""
+    packages = ("mujoco", "numpy", "scipy", "numba", "opencv-python-headless")
+    return {
+        "versions": {"mosca": version("mosca-testbench"), "python": platform.python_version()}
+        | {name: version(name) for name in packages},
+        "platform": f"{platform.system()} {platform.machine()}",
+        "git": _git(),
+    }
+
+
+def _git() -> str:
+    """Return the commit of the checkout, with '+' where files differ from it; 'unknown' outside one."""
+    folder = Path(__file__).resolve().parent
+    try:
+        told = subprocess.run(
+            ["git", "describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*"],
+            cwd=folder, capture_output=True, text=True, timeout=10, check=True,
+        )  # fmt: skip
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return told.stdout.strip()
+
+
+def _write_commands(commands: Any, path: Path) -> None:
+    lines = [",".join(("time_ns", *commands.names))]
+    lines += [
+        ",".join((str(int(t)), *(repr(float(v)) for v in row)))
+        for t, row in zip(commands.time_ns, commands.values, strict=True)
+    ]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+class _timed:
+    """Adds the seconds of a block to a dictionary."""
+
+    def __init__(self, timings: dict[str, float], name: str) -> None:
+        self._timings, self._name = timings, name
+
+    def __enter__(self) -> None:
+        self._start = time.perf_counter()
+
+    def __exit__(self, *exc: object) -> None:
+        self._timings[self._name] = time.perf_counter() - self._start

@@ -1,0 +1,261 @@
+"""Tracks meet the truth. Pure: no files, no clocks, no twin.
+
+Per frame the measured points and the true markers are paired one to one with the least total distance, within
+``min(half the smallest distance between true markers, 1 % of the working space)``. A measured point that
+is left over is a ghost; a true marker that is left over is a miss if it was *seen*: at least half of its disc
+visible in two cameras, from the truth alone. Filled and predicted samples never count. Nothing is aligned.
+Intervals come from a bootstrap over blocks of frames, since neighbouring frames are correlated.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist, pdist
+from scipy.stats import chi2
+
+from mosca.data.arrays import Array
+from mosca.data.tracks import Tracks
+from mosca.data.truth import Truth
+
+SEEN_SHARE, SEEN_CAMERAS = 0.5, 2
+BLOCKS = 40
+RESAMPLES = 2000
+ALPHAS = np.arange(0.05, 0.96, 0.05)
+
+
+@dataclass(frozen=True, eq=False)
+class Matched:
+    """The pairing of all frames.
+
+    One row a matched pair: ``frame`` (k,) index into the truth, ``marker`` (k,), ``track`` (k,), ``error_m`` (k, 3)
+    measured minus true, ``nees`` (k,), ``residual_px`` (k,), ``n_cameras`` (k,). One row a frame: ``seen`` (t,)
+    seen markers, ``missed`` (t,), ``ghosts`` (t,). ``gate_m`` (t,): the pairing's distance limit.
+    ``seen_mask`` (t, m).
+    """
+
+    frame: Array
+    marker: Array
+    track: Array
+    error_m: Array
+    nees: Array
+    residual_px: Array
+    n_cameras: Array
+    seen: Array
+    missed: Array
+    ghosts: Array
+    gate_m: Array
+    seen_mask: Array
+
+    @property
+    def distance_m(self) -> Array:
+        """3D distance of each pair (k,) [m]."""
+        return np.linalg.norm(self.error_m, axis=1)
+
+
+@dataclass(frozen=True)
+class Score:
+    """A metric's value, the number of items behind it, its 95 % interval, and what it is made of.
+
+    ``sums`` and ``weights``: per block of frames, so that two runs can be compared block by block; what they
+    hold for each metric stands in ``reports.compare``.
+    """
+
+    value: float
+    n: int
+    ci95: tuple[float, float] | None = None
+    sums: tuple[float, ...] = ()
+    weights: tuple[float, ...] = ()
+
+
+def pair(tracks: Tracks, truth: Truth, working_space_m: float) -> Matched:
+    """Pair measured samples with true markers, frame by frame.
+
+    ``working_space_m``: the longest edge of the working space [m]. A sample whose time is farther than half
+    a period from every true instant is a ghost of the nearest one.
+    """
+    measured = tracks.select(np.asarray(tracks.status) == "measured")
+    frames = len(truth.time_ns)
+    at = _nearest(truth.time_ns, measured.time_ns)
+    in_time = _in_time(truth.time_ns, measured.time_ns, at)
+    seen_mask = (truth.visible >= SEEN_SHARE).sum(axis=2) >= SEEN_CAMERAS
+    order = np.argsort(at, kind="stable")
+    starts = np.searchsorted(at[order], np.arange(frames + 1))
+    rows_of_pairs, markers_of_pairs, frames_of_pairs = [], [], []
+    ghosts, missed, gate = np.zeros(frames, int), np.zeros(frames, int), np.zeros(frames)
+    for f in range(frames):
+        rows = order[starts[f] : starts[f + 1]]
+        gate[f] = _gate(truth.xyz[f], working_space_m)
+        usable = rows[in_time[rows]]
+        mine, theirs = _assign(measured.xyz[usable], truth.xyz[f], gate[f])
+        ghosts[f] = len(rows) - len(mine)
+        missed[f] = seen_mask[f].sum() - seen_mask[f, theirs].sum()
+        rows_of_pairs.append(usable[mine])
+        markers_of_pairs.append(theirs)
+        frames_of_pairs.append(np.full(len(mine), f))
+    rows, marker, frame = (
+        np.concatenate(parts).astype(int) if parts else np.empty(0, int)
+        for parts in (rows_of_pairs, markers_of_pairs, frames_of_pairs)
+    )
+    error = measured.xyz[rows] - truth.xyz[frame, marker]
+    covariance = measured.covariance[rows]
+    nees = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
+    return Matched(
+        frame, marker, measured.track[rows], error, nees, measured.residual_px[rows], measured.n_cameras[rows],
+        seen_mask.sum(axis=1), missed, ghosts, gate, seen_mask,
+    )  # fmt: skip
+
+
+def metrics(matched: Matched, working_space_m: float) -> dict[str, Score]:
+    """Return all metrics that a pairing gives, by name (DESIGN's names); lengths in m, image errors in px."""
+    frames = len(matched.seen)
+    if frames == 0:
+        return {}
+    k = len(matched.frame)
+    block = np.minimum(np.arange(frames) * min(BLOCKS, frames) // frames, BLOCKS - 1)
+    count = int(block.max()) + 1
+
+    def of_pairs(values: Array) -> Array:
+        return np.bincount(block[matched.frame], weights=values, minlength=count)
+
+    def of_frames(values: Array) -> Array:
+        return np.bincount(block, weights=values, minlength=count)
+
+    distance = matched.distance_m
+    pairs = of_pairs(np.ones(k))
+    seen, missed = of_frames(matched.seen), of_frames(matched.missed)
+    result: dict[str, Score] = {}
+    if k:
+        squares = of_pairs(distance**2)
+        rms = _ratio(squares, pairs, k, np.sqrt)
+        result["position_rms"] = rms
+        by_block = [distance[block[matched.frame] == b] for b in range(count)]
+        p95 = [float(np.quantile(d, 0.95)) * len(d) if len(d) else 0.0 for d in by_block]
+        largest = [float(d.max(initial=0.0)) for d in by_block]
+        filled = tuple(float(len(d) > 0) for d in by_block)
+        result["position_p95"] = Score(
+            float(np.quantile(distance, 0.95)), k, None, tuple(p95), tuple(pairs.tolist())
+        )
+        result["position_max"] = Score(float(distance.max()), k, None, tuple(largest), filled)
+        result["relative_accuracy"] = _ratio(squares, pairs * working_space_m**2, k, np.sqrt)
+        result["nees"] = _ratio(of_pairs(matched.nees), pairs, k)
+        inside = matched.nees <= chi2.ppf(0.95, 3)
+        result["coverage95"] = _ratio(of_pairs(inside), pairs, k)
+        result["reprojection_rms"] = _ratio(of_pairs(matched.residual_px**2), pairs, k, np.sqrt)
+    result["completeness"] = _ratio(seen - missed, seen, int(matched.seen.sum()))
+    result["ghosts_per_frame"] = _ratio(of_frames(matched.ghosts), of_frames(np.ones(frames)), frames)
+    result["identity_switches"] = Score(float(identity_switches(matched)), k)
+    result["hota"] = Score(hota(matched), k)
+    return result
+
+
+def identity_switches(matched: Matched) -> int:
+    """Return how often a marker is followed by another track than the one that followed it before."""
+    switches = 0
+    for marker in np.unique(matched.marker):
+        ids = matched.track[matched.marker == marker]
+        switches += int(np.count_nonzero(ids[1:] != ids[:-1]))
+    return switches
+
+
+def hota(matched: Matched) -> float:
+    """Return HOTA (Luiten et al. 2021) with similarity ``max(0, 1 - d/d0)``, d0 the pairing's gate.
+
+    The pairing of ``pair`` serves for every alpha; the mean is over alpha = 0.05 ... 0.95. Misses count
+    for seen markers only.
+    """
+    similarity = np.maximum(0.0, 1.0 - matched.distance_m / matched.gate_m[matched.frame])
+    ghosts, missed = int(matched.ghosts.sum()), int(matched.missed.sum())
+    key = matched.marker.astype(np.int64) * (int(matched.track.max(initial=0)) + 1) + matched.track
+    markers = matched.seen_mask.shape[1]
+    values = []
+    for alpha in ALPHAS:
+        good = similarity >= alpha
+        tp = int(good.sum())
+        rest = len(good) - tp
+        fn, fp = missed + rest, ghosts + rest
+        if tp == 0:
+            values.append(0.0)
+            continue
+        _, where, together = np.unique(key[good], return_inverse=True, return_counts=True)
+        tpa = together[where]
+        per_marker = np.bincount(matched.marker, minlength=markers) + _missed_of_marker(matched)
+        per_track = np.bincount(matched.track)
+        fna = per_marker[matched.marker[good]] - tpa
+        fpa = per_track[matched.track[good]] - tpa
+        association = float(np.mean(tpa / (tpa + fna + fpa)))
+        detection = tp / (tp + fn + fp)
+        values.append(np.sqrt(detection * association))
+    return float(np.mean(values))
+
+
+def per_marker_completeness(matched: Matched) -> Array:
+    """Return the share of seen frames in which each marker was found (m,), NaN where it was never seen."""
+    seen = matched.seen_mask.sum(axis=0)
+    missed = _missed_of_marker(matched)
+    return np.where(seen > 0, (seen - missed) / np.maximum(seen, 1), np.nan)
+
+
+def limits_met(
+    scores: Mapping[str, Score], limits: Mapping[str, float], sense: Callable[[str], str]
+) -> dict[str, bool]:
+    """Return for each limited metric whether its limit is met; a metric without a value does not meet it."""
+    met = {}
+    for name, limit in limits.items():
+        score = scores.get(name)
+        value = np.nan if score is None else score.value
+        met[name] = bool(value <= limit if sense(name) == "at_most" else value >= limit)
+    return met
+
+
+def _missed_of_marker(matched: Matched) -> Array:
+    """Return in how many frames each marker was seen but not found (m,)."""
+    found = np.zeros_like(matched.seen_mask)
+    found[matched.frame, matched.marker] = True
+    return (matched.seen_mask & ~found).sum(axis=0)
+
+
+def _gate(true_xyz: Array, working_space_m: float) -> float:
+    nearest = pdist(true_xyz).min() if len(true_xyz) > 1 else np.inf
+    return float(min(0.5 * nearest, 0.01 * working_space_m))
+
+
+def _assign(measured: Array, true: Array, gate: float) -> tuple[Array, Array]:
+    if len(measured) == 0 or len(true) == 0:
+        return np.empty(0, int), np.empty(0, int)
+    distance = cdist(measured, true)
+    allowed = distance <= gate
+    # beyond the gate everything is equally bad, and worse than any sum of allowed pairs
+    rows, columns = linear_sum_assignment(np.where(allowed, distance, gate * (1 + min(distance.shape))))
+    good = allowed[rows, columns]
+    return rows[good], columns[good]
+
+
+def _nearest(times: Array, wanted: Array) -> Array:
+    if len(times) == 0:
+        return np.zeros(len(wanted), int)
+    right = np.clip(np.searchsorted(times, wanted), 1, max(1, len(times) - 1))
+    left = right - 1
+    right = np.minimum(right, len(times) - 1)
+    return np.where(np.abs(times[left] - wanted) <= np.abs(times[right] - wanted), left, right)
+
+
+def _in_time(times: Array, wanted: Array, at: Array) -> Array:
+    if len(times) < 2:
+        return np.ones(len(wanted), bool)
+    return np.abs(times[at] - wanted) <= 0.5 * np.median(np.diff(times))
+
+
+def _ratio(above: Array, below: Array, n: int, finish: Callable[[Array], Array] = lambda x: x) -> Score:
+    """Score of a ratio of block sums, with its block bootstrap."""
+    above, below = np.asarray(above, dtype=float), np.asarray(below, dtype=float)
+    if below.sum() == 0:
+        return Score(1.0 if above.sum() == 0 else float("nan"), n)
+    value = float(finish(np.array(above.sum() / below.sum())))
+    rng = np.random.default_rng(0)
+    chosen = rng.integers(0, len(above), (RESAMPLES, len(above)))
+    bottom = below[chosen].sum(axis=1)
+    drawn = finish(above[chosen].sum(axis=1)[bottom > 0] / bottom[bottom > 0])
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    return Score(value, n, (float(low), float(high)), tuple(above.tolist()), tuple(below.tolist()))

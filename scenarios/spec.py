@@ -1,0 +1,307 @@
+"""What a scenario file may say, with units, bounds and defaults; nothing is computed here.
+
+The published JSON schema (``mosca schema``) is made from these tables, so that editors complete and check.
+"""
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from mosca.data.toml import Table, check, read_toml
+from mosca.errors import InputError
+
+METRICS = {
+    "position_rms": ("m", "at_most"),
+    "position_p95": ("m", "at_most"),
+    "position_max": ("m", "at_most"),
+    "relative_accuracy": ("1", "at_most"),
+    "completeness": ("1", "at_least"),
+    "ghosts_per_frame": ("1", "at_most"),
+    "identity_switches": ("1", "at_most"),
+    "hota": ("1", "at_least"),
+    "nees": ("1", "at_most"),
+    "coverage95": ("1", "at_least"),
+    "reprojection_rms": ("px", "at_most"),
+}
+"""Metrics that a scenario can limit: unit, and whether the limit is an upper or a lower one."""
+
+Vector = tuple[float, float, float]
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+
+
+class WorkingSpace(Table):
+    """The box in which accuracy is claimed. Its longest edge is "the working space" of relative figures."""
+
+    center_m: Vector = Field((0.0, 0.0, 0.0), description="centre of the box, world frame [m]")
+    size_m: tuple[Positive, Positive, Positive] = Field(description="edges of the box [m]")
+
+
+class Capture(Table):
+    """When the cameras expose."""
+
+    duration_s: Positive = Field(10.0, le=3600, description="length of the capture [s]")
+    frame_rate_hz: Positive = Field(100.0, le=2000, description="trigger pulses a second [Hz]")
+    exposure_s: Positive = Field(1e-3, description="exposure window [s]")
+
+    @model_validator(mode="after")
+    def _window_fits(self) -> "Capture":
+        if self.exposure_s >= 1.0 / self.frame_rate_hz:
+            raise ValueError(
+                f"exposure_s {self.exposure_s} does not fit between pulses at {self.frame_rate_hz} Hz; "
+                f"it must be below {1 / self.frame_rate_hz:g} s"
+            )
+        return self
+
+
+class ActorScene(Table):
+    """A person with markers on the skin, walking by a built-in gait or moved by a motion file."""
+
+    kind: Literal["actor"]
+    motion: str | None = Field(None, description="AMC or BVH file; default: the built-in gait")
+    skeleton: str | None = Field(None, description="ASF file that belongs to an AMC file")
+    start_s: NotNegative = Field(0.0, description="where in the motion file to begin [s]")
+    markers: int = Field(50, ge=30, le=60, description="markers on the skin")
+    marker_diameter_m: Positive = Field(0.02, description="diameter of the ball markers [m]")
+
+
+class DroneScene(Table):
+    """A quadrotor of AR.Drone 2.0 size and mass, flown along a path by a controller on MuJoCo's physics."""
+
+    kind: Literal["drone"]
+    path: Literal["figure_eight", "circle", "waypoints"] = Field("figure_eight", description="path flown")
+    speed_mps: Positive = Field(0.5, description="speed along the path [m/s]")
+    markers: int = Field(8, ge=5, le=16, description="ball markers on the hull")
+    marker_diameter_m: Positive = Field(0.02, description="diameter of the ball markers [m]")
+
+
+class RobotScene(Table):
+    """A four-wheel skid-steered robot on contact physics, driven by PWM commands."""
+
+    kind: Literal["robot"]
+    average_pwm: Positive = Field(30.0, description="a_m of the paper: largest average PWM value")
+    difference_pwm: Positive = Field(60.0, description="d_m of the paper: largest command difference")
+    marker_diameter_m: Positive = Field(0.04, description="diameter of the flat round targets [m]")
+
+
+class CloudScene(Table):
+    """Free points in the working space on smooth independent paths, never closer than a stated distance."""
+
+    kind: Literal["cloud"]
+    markers: int = Field(200, ge=1, le=2000, description="number of points")
+    marker_diameter_m: Positive = Field(description="diameter of the balls [m]")
+    speed_mps: NotNegative = Field(0.5, description="typical speed [m/s]")
+
+
+class OwnScene(Table):
+    """Your own MJCF or URDF model, with meshes, and a table of markers."""
+
+    kind: Literal["own"]
+    model: str = Field(description="MJCF (.xml) or URDF (.urdf) file")
+    markers: str = Field(description="marker table (.csv or .toml): name, body, x, y, z, diameter [m]")
+    motion: Literal["turntable", "physics"] | str = Field(
+        "turntable", description="'turntable', 'physics', or a CSV file of time and qpos"
+    )
+
+
+SceneSpec = Annotated[
+    ActorScene | DroneScene | RobotScene | CloudScene | OwnScene, Field(discriminator="kind")
+]
+
+
+class Cameras(Table):
+    """The rig: cameras on a ring around the working space, or a rig file."""
+
+    rig: str | None = Field(None, description="rig file; the ring's keys are then not used")
+    count: int = Field(4, ge=2, le=32, description="cameras on the ring")
+    azimuth_deg: tuple[float, ...] | None = Field(
+        None, description="where on the ring; default: evenly spaced"
+    )
+    radius_m: Positive = Field(4.0, description="radius of the ring about the working space's centre [m]")
+    height_m: float | tuple[float, ...] = Field(1.6, description="height of the cameras above the floor [m]")
+    look_at_m: Vector | None = Field(None, description="where they look; default: the working space's centre")
+    size_px: tuple[int, int] = Field((656, 491), description="image width and height [px]")
+    pixel_pitch_mm: Positive = Field(0.0099, description="pixel pitch mx = my [mm]")
+    c_mm: Positive = Field(7.5, description="principal distance [mm]")
+    K1_per_mm2: float = Field(1.0e-3, description="radial distortion, as the paper's Table 2 has it")
+    K2_per_mm4: float = Field(-1.5e-5, description="radial distortion")
+    P1_per_mm: float = Field(1.0e-4, description="decentring distortion")
+    P2_per_mm: float = Field(5.0e-5, description="decentring distortion")
+    a: float = Field(-6.0e-3, description="affinity")
+
+    @model_validator(mode="after")
+    def _lists_fit(self) -> "Cameras":
+        for name in ("azimuth_deg", "height_m"):
+            value = getattr(self, name)
+            if isinstance(value, tuple) and len(value) != self.count:
+                raise ValueError(f"{name} holds {len(value)} numbers for count = {self.count} cameras")
+        return self
+
+
+class ErrorsSpec(Table):
+    """Errors of the virtual cameras. The defaults are the gentlest that an accuracy claim may rest on."""
+
+    trigger_jitter_s: NotNegative = Field(20e-6, description="jitter of each exposure's start, rms [s]")
+    body_px: NotNegative = Field(0.03, description="shake of the camera body, rms an axis [px]")
+    psf_sigma_px: Annotated[float, Field(ge=0.2, le=10)] = Field(0.6, description="blur of the lens [px]")
+    marker_signal: Positive = Field(0.6, description="light of a covered pixel over the full well")
+    full_well_e: Positive = Field(20_000.0, description="saturation capacity [e-]")
+    read_noise_e: Positive = Field(10.0, description="dark noise [e-]")
+    background_e: NotNegative = Field(200.0, description="ambient light a pixel [e-]")
+    bits: Literal[8, 10, 12] = Field(8, description="bits of a pixel")
+
+
+class SwapFault(Table):
+    """The calibrations of two cameras stand swapped."""
+
+    kind: Literal["swap_cameras"]
+    cameras: tuple[str, str]
+
+
+class LensFault(Table):
+    """The pipeline believes in lenses without distortion."""
+
+    kind: Literal["no_distortion"]
+
+
+class ClockFault(Table):
+    """One camera exposes late, and its stamps do not say so."""
+
+    kind: Literal["clock_shift"]
+    camera: str
+    delay_s: float
+
+
+class TurnFault(Table):
+    """One camera was turned since it was calibrated."""
+
+    kind: Literal["turned_camera"]
+    camera: str
+    turn_px: float = Field(description="how far its image moves [px]")
+
+
+FaultSpec = Annotated[SwapFault | LensFault | ClockFault | TurnFault, Field(discriminator="kind")]
+
+
+class DetectionSpec(Table):
+    """Settings of target detection that differ from the pipeline's defaults."""
+
+    contrast_dn: Positive | None = Field(None, description="B: smallest contrast of a target, 8-bit counts")
+    minimum_size_px: NotNegative | None = Field(
+        None, description="D_min: smallest side of a target's box [px]"
+    )
+    maximum_size_px: Positive | None = Field(None, description="D_max: largest side of a target's box [px]")
+
+
+class MatchSpec(Table):
+    """Settings of correspondence that differ from the pipeline's defaults."""
+
+    gate_sigma: Positive | None = None
+    camera_sigma_px: Positive | None = None
+    minimum_cameras: int | None = Field(None, ge=2)
+
+
+class TrackSpec(Table):
+    """Settings of tracking that differ from the pipeline's defaults."""
+
+    acceleration_mps2: Positive | None = None
+    speed_mps: Positive | None = None
+    gate_m: Positive | None = None
+    confirm_weight: int | None = Field(None, ge=1)
+    coast_s: NotNegative | None = None
+
+
+class PipelineSpec(Table):
+    """The pipeline as a lab user would set it for this subject."""
+
+    lens_model: Literal["mosca", "opencv", "fisheye"] = Field(
+        "mosca", description="lens model of the calibration"
+    )
+    detection: DetectionSpec = DetectionSpec()
+    match: MatchSpec = MatchSpec()
+    track: TrackSpec = TrackSpec()
+
+
+class Premises(Table):
+    """What must hold for a score to mean anything; the run refuses to score where it does not."""
+
+    marker_px: NotNegative = Field(2.0, description="median image diameter of the markers, at least [px]")
+    blur_px: Positive = Field(4.0, description="95th percentile of the motion in an exposure, at most [px]")
+    views: NotNegative = Field(2.0, description="mean number of cameras that see a marker, at least")
+
+
+class Scenario(Table):
+    """One scenario: what moves, what looks, what is wrong, and what is claimed."""
+
+    title: str = Field(description="what is claimed, in one line")
+    description: str = Field("", description="why, and where the limits come from")
+    tier: Literal["quick", "full"] = Field("full", description="'quick' runs in CI, 'full' at night")
+    expect: Literal["pass", "fail"] = Field("pass", description="'fail' for a control")
+    fails_on: tuple[str, ...] = Field((), description="metrics whose limits a control must break")
+    seed: int = Field(1, ge=0, description="seed of all random streams")
+    model_gap: Literal["none", "measured", "stress"] = Field(
+        "measured", description="how far the true lens is from what the pipeline's model can express"
+    )
+    working_space: WorkingSpace
+    capture: Capture = Capture()
+    scene: SceneSpec
+    cameras: Cameras = Cameras()
+    errors: ErrorsSpec = ErrorsSpec()
+    fault: FaultSpec | None = None
+    pipeline: PipelineSpec = PipelineSpec()
+    premises: Premises = Premises()
+    limits: dict[str, float] = Field(description="metric = limit; " + ", ".join(METRICS))
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Scenario":
+        for name in (*self.limits, *self.fails_on):
+            if name not in METRICS:
+                raise ValueError(f"'{name}' is no metric; there are {', '.join(METRICS)}")
+        if not self.limits:
+            raise ValueError("[limits] is empty: a scenario without a limit claims nothing; add one")
+        missing = [name for name in self.fails_on if name not in self.limits]
+        if missing:
+            raise ValueError(f"fails_on names '{missing[0]}', which has no limit in [limits]; give it one")
+        if (self.expect == "fail") != bool(self.fails_on):
+            raise ValueError("expect = 'fail' and fails_on belong together: say which limits must break")
+        return self
+
+
+def load_scenario(path: Path, overrides: tuple[str, ...] = ()) -> Scenario:
+    """Read a scenario file; ``overrides`` are ``KEY=VALUE`` with dotted keys and TOML values.
+
+    InputError names file, key, value and what is allowed.
+    """
+    document = read_toml(path)
+    apply_overrides(document, overrides)
+    return check(Scenario, document, path)
+
+
+def apply_overrides(document: dict[str, Any], overrides: tuple[str, ...]) -> None:
+    """Change ``document`` by ``KEY=VALUE`` texts: dotted keys, TOML values, bare words as strings."""
+    for text in overrides:
+        _override(document, text)
+
+
+def _override(document: dict[str, Any], text: str) -> None:
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise InputError(f"--set {text}: KEY=VALUE is wanted, for example --set capture.duration_s=2")
+    try:
+        parsed = tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        parsed = value  # a bare word is meant as a string
+    *tables, last = key.strip().split(".")
+    here = document
+    for name in tables:
+        here = here.setdefault(name, {})
+        if not isinstance(here, dict):
+            raise InputError(f"--set {text}: '{name}' is a value, not a table")
+    here[last] = parsed
+
+
+def scenario_schema() -> dict[str, Any]:
+    """Return the JSON schema of scenario files."""
+    return Scenario.model_json_schema()

@@ -1,0 +1,170 @@
+"""What every FrameSource keeps, whatever it is made of.
+
+To add a source: write a function ``(folder) -> FrameSource`` that gives two cameras ``a`` and ``b`` of 64x48 px
+at 100 frames/s, eight pulses, with at least one frame lost, and put it into ``sources()``.
+"""
+
+import os
+from collections.abc import Callable, Iterator
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from mosca.assemble import Assembly, assemble
+from mosca.data.frames import CameraInfo, Frame, FrameSource, mid_exposure_ns
+from mosca.recording import RecordingWriter, open_recording
+
+PULSES, RATE_HZ, WIDTH, HEIGHT = 8, 100.0, 64, 48
+LOST = ("b", 3)
+Factory = Callable[[Path], FrameSource]
+
+
+def picture(camera: str, pulse: int) -> np.ndarray:
+    image = np.random.default_rng([ord(camera), pulse]).integers(0, 255, (HEIGHT, WIDTH)).astype(np.uint8)
+    image[0, 0] = pulse
+    return image
+
+
+def folder_source(folder: Path) -> FrameSource:
+    for camera in "ab":
+        (folder / camera).mkdir(parents=True)
+        for pulse in range(PULSES):
+            if (camera, pulse) != LOST:
+                cv2.imwrite(str(folder / camera / f"shot{pulse + 5:04d}.png"), picture(camera, pulse))
+    return open_recording(folder, fps=RATE_HZ)
+
+
+def video_source(folder: Path) -> FrameSource:
+    folder.mkdir()
+    for camera in "ab":
+        with av.open(str(folder / f"{camera}.mkv"), "w") as container:
+            stream = container.add_stream("ffv1", rate=int(RATE_HZ))
+            stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "gray"
+            for pulse in range(PULSES):
+                if (camera, pulse) == LOST:
+                    continue
+                frame = av.VideoFrame.from_ndarray(picture(camera, pulse), format="gray")
+                frame.pts, frame.time_base = pulse, Fraction(1, int(RATE_HZ))
+                container.mux(stream.encode(frame))
+            container.mux(stream.encode())
+    return open_recording(folder, fps=RATE_HZ)
+
+
+def mcap_source(folder: Path) -> FrameSource:
+    cameras = [CameraInfo(name, WIDTH, HEIGHT, 8, RATE_HZ) for name in "ab"]
+    with RecordingWriter(folder, cameras) as writer:
+        for pulse in range(PULSES):
+            for camera in "ab":
+                if (camera, pulse) != LOST:
+                    writer.write(Frame(camera, pulse, pulse * 10_000_000, 500_000, picture(camera, pulse)))
+    return open_recording(folder)
+
+
+def sources() -> dict[str, Factory]:
+    """Every source under contract; the twin's and the rig's factories join here."""
+    return {"folder": folder_source, "video": video_source, "mcap": mcap_source}
+
+
+@pytest.fixture(params=list(sources()))
+def source(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[FrameSource]:
+    made = sources()[request.param](tmp_path / "recording")
+    yield made
+    made.close()
+
+
+def by_camera(frames: list[Frame]) -> dict[str, list[Frame]]:
+    return {camera: [frame for frame in frames if frame.camera == camera] for camera in "ab"}
+
+
+def open_files() -> int:
+    return len(os.listdir("/proc/self/fd"))
+
+
+def test_it_is_a_frame_source(source: FrameSource) -> None:
+    assert isinstance(source, FrameSource)
+    assert [info.name for info in source.cameras] == ["a", "b"]
+
+
+def test_indices_and_times_rise_per_camera(source: FrameSource) -> None:
+    for frames in by_camera(list(source)).values():
+        assert all(a.index < b.index for a, b in pairwise(frames))
+        assert all(a.time_ns < b.time_ns for a, b in pairwise(frames))
+
+
+def test_images_are_read_only_and_of_the_stated_size(source: FrameSource) -> None:
+    infos = {info.name: info for info in source.cameras}
+    usable = [frame for frame in source if frame.status == "ok"]
+    assert len(usable) >= 2 * PULSES - 4
+    for frame in usable:
+        info = infos[frame.camera]
+        assert frame.image.shape == (info.height, info.width)
+        assert frame.image.dtype == (np.uint8 if info.bit_depth <= 8 else np.uint16)
+        with pytest.raises(ValueError, match="read-only"):
+            frame.image[0, 0] = 1
+
+
+def test_a_lost_frame_is_a_gap_not_a_shift(source: FrameSource) -> None:
+    first = min(frame.index for frame in source)
+    seen = {(f.camera, f.index - first): f for f in source if f.status == "ok"}
+    assert len(seen) < 2 * PULSES
+    for (_, pulse), frame in seen.items():
+        assert abs(mid_exposure_ns(frame) - pulse * 1e9 / RATE_HZ) < 0.2e9 / RATE_HZ
+    counts = Assembly()
+    sets = list(assemble(source, source.cameras, assembly=counts))
+    assert [s.pulse for s in sets] == list(range(PULSES))
+    for frame_set in sets:
+        for camera, frame in frame_set.frames.items():
+            assert frame.index - first == frame_set.pulse
+            assert (camera, frame_set.pulse) in seen
+    lost = sum(c.dropped + c.corrupt for c in counts.cameras.values())
+    assert lost == 2 * PULSES - len(seen)
+
+
+def test_the_same_bytes_twice(source: FrameSource) -> None:
+    def contents() -> list[tuple]:
+        return [
+            (f.camera, f.index, f.time_ns, f.exposure_ns, f.status, f.image is not None and f.image.tobytes())
+            for f in source
+        ]
+
+    assert contents() == contents()
+
+
+def test_leaving_early_frees_everything(source: FrameSource) -> None:
+    before = open_files()
+    for frame in source:
+        assert frame.camera in "ab"
+        break
+    iteration = iter(source)
+    next(iteration)
+    source.close()
+    source.close()
+    assert open_files() == before
+
+
+def test_it_closes_on_an_error(source: FrameSource) -> None:
+    before = open_files()
+
+    def fail() -> None:
+        with source as entered:
+            for _ in entered:
+                raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    assert open_files() == before
+
+
+@pytest.mark.parametrize("name", ["folder", "video", "mcap"])
+def test_recordings_give_the_very_pixels(name: str, tmp_path: Path) -> None:
+    with sources()[name](tmp_path / "recording") as source:
+        first = min(frame.index for frame in source)
+        frames = [f for f in source if f.status == "ok"]
+    assert len(frames) == 2 * PULSES - 1
+    for frame in frames:
+        np.testing.assert_array_equal(frame.image, picture(frame.camera, frame.index - first))

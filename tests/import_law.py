@@ -1,0 +1,100 @@
+"""Reads a tree's imports and holds them against the law of DESIGN section 3. Used by test_architecture."""
+
+import ast
+from pathlib import Path
+
+ROOMS = ("mosca", "twin", "hardware", "reports", "scenarios")
+STDLIB_FREE = None  # the standard library is open to every room
+
+# room (longest prefix wins): rooms it may import from, rooms or modules it may not, third-party packages
+LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
+    "mosca.data": (
+        ("mosca.data", "mosca.errors"),
+        (),
+        ("numpy", "scipy", "pydantic", "tomli_w"),
+    ),
+    "mosca": (
+        ("mosca",),
+        ("mosca.data.truth",),
+        ("numpy", "scipy", "cv2", "numba", "pydantic", "tomli_w", "mcap", "blosc2", "av", "ezc3d"),
+    ),
+    "twin": (
+        ("twin", "mosca.data", "mosca.errors"),
+        (),
+        ("mujoco", "trimesh", "numpy", "scipy", "numba", "cv2"),
+    ),
+    "hardware": (("hardware", "mosca.data", "mosca.errors"), ("mosca.data.truth",), ("numpy",)),
+    "reports": (
+        ("reports", "mosca.data", "mosca.errors"),
+        (),
+        ("numpy", "matplotlib", "mpl_toolkits", "jinja2", "rich"),
+    ),
+    "reports.viewer": (("reports", "mosca.data", "mosca.errors"), (), ("numpy", "rerun", "cv2")),
+    "scenarios": (
+        ROOMS,
+        (),
+        ("numpy", "scipy", "pydantic", "click", "rich", "junitparser", "pytest"),
+    ),
+}
+IMPORTLIB_ALLOWED = ("scenarios", "hardware.drivers")
+
+
+def violations(root: Path) -> list[str]:
+    """Return one line for each import below ``root`` that the law forbids."""
+    found = []
+    for room in ROOMS:
+        for path in sorted((root / room).rglob("*.py")):
+            module = ".".join(path.relative_to(root).with_suffix("").parts)
+            found += [f"{module}: {what}" for what in _of_file(path, module)]
+    return found
+
+
+def _of_file(path: Path, module: str) -> list[str]:
+    law = LAW[max((room for room in LAW if _within(module, room)), key=len)]
+    complaints = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for name in _imported(node):
+            if name.startswith("."):
+                complaints.append(f"relative import {name}")
+                continue
+            reason = _forbidden(name, module, law)
+            if reason:
+                complaints.append(reason)
+    return complaints
+
+
+def _imported(node: ast.AST) -> list[str]:
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if isinstance(node, ast.ImportFrom):
+        if node.level:
+            return ["." * node.level + (node.module or "")]
+        # "from mosca.data import truth" names a module too
+        return [f"{node.module}.{alias.name}" for alias in node.names]
+    return []
+
+
+def _forbidden(name: str, module: str, law: tuple[tuple[str, ...], ...]) -> str:
+    rooms, never, packages = law
+    top = name.split(".")[0]
+    if top in ROOMS:
+        if any(_within(name, room) for room in never):
+            return f"must not import {name}"
+        if not any(_within(name, room) for room in rooms):
+            return f"may not import from {name}; allowed: {', '.join(rooms)}"
+        return ""
+    if top == "importlib" and name != "importlib.metadata" and not name.startswith("importlib.metadata."):
+        return "" if any(_within(module, room) for room in IMPORTLIB_ALLOWED) else "may not use importlib"
+    if _is_standard(top) or top in packages:
+        return ""
+    return f"may not import the package {top}; allowed: {', '.join(packages)}"
+
+
+def _is_standard(top: str) -> bool:
+    import sys
+
+    return top in sys.stdlib_module_names
+
+
+def _within(name: str, room: str) -> bool:
+    return name == room or name.startswith(room + ".")

@@ -1,0 +1,80 @@
+"""Tracking: identities through noise, occlusion and crossing; nothing uncertain is handed out."""
+
+import numpy as np
+import pytest
+
+from mosca.data.tracks import Points
+from mosca.track import Tracker, TrackSettings, table
+
+STEP_NS = 10_000_000
+
+
+def points(xyz, cameras=4, sigma=2e-4):
+    xyz = np.asarray(xyz, float).reshape(-1, 3)
+    n = len(xyz)
+    return Points(
+        xyz, np.tile(sigma**2 * np.eye(3), (n, 1, 1)), np.full(n, cameras), np.full(n, 0.05), np.zeros((n, 4))
+    )
+
+
+def follow(frames, settings=None):
+    """frames: a Points each 10 ms."""
+    tracker, samples = Tracker(settings or TrackSettings()), []
+    for k, p in enumerate(frames):
+        tracker.predict(k * STEP_NS * 1e-9)
+        samples += tracker.update(p, k, k * STEP_NS)
+    return table(samples)
+
+
+def test_a_moving_target_is_one_track_from_its_first_frame():
+    path = np.array([[0.02 * k, 0.1 * np.sin(0.1 * k), 0] for k in range(60)])
+    tracks = follow([points(p) for p in path])
+    assert np.unique(tracks.track).tolist() == [0]
+    assert tracks.frame.tolist() == list(range(60))
+    # measured points are handed out as they are
+    np.testing.assert_array_equal(tracks.xyz, path)
+
+
+def test_two_cameras_need_longer_to_convince():
+    # weight 8: 4 cameras weigh 3 a sighting -> the third convinces; 2 cameras weigh 1 -> the eighth
+    assert len(follow([points([0, 0, 0], 4)] * 2)) == 0
+    assert len(follow([points([0, 0, 0], 4)] * 3)) == 3
+    assert len(follow([points([0, 0, 0], 2)] * 7)) == 0
+    assert len(follow([points([0, 0, 0], 2)] * 8)) == 8
+
+
+def test_flashes_are_never_handed_out():
+    rng = np.random.default_rng(0)
+    flashes = [points(rng.uniform(-1, 1, (3, 3)), 2) for _ in range(200)]
+    assert len(follow(flashes)) == 0
+
+
+def test_identity_survives_a_short_occlusion():
+    path = np.array([[0.01 * k, 0, 0] for k in range(80)])
+    frames = [points([]) if 30 <= k < 45 else points(p) for k, p in enumerate(path)]
+    tracks = follow(frames)
+    assert np.unique(tracks.track).tolist() == [0]
+    assert len(tracks) == 65
+
+
+def test_a_long_absence_ends_a_track():
+    frames = [points([0, 0, 0])] * 20 + [points([])] * 40 + [points([0, 0, 0])] * 20
+    assert np.unique(follow(frames).track).tolist() == [0, 1]
+
+
+def test_crossing_targets_keep_their_identities():
+    # two targets pass at 3 cm, their nearest neighbours exchanged at each frame's old places
+    k = np.arange(100)[:, None]
+    one = np.hstack([0.02 * (k - 50), 0 * k + 0.015, 0 * k])
+    two = np.hstack([-0.02 * (k - 50), 0 * k - 0.015, 0 * k])
+    tracks = follow([points(np.array([a, b])) for a, b in zip(one, two, strict=True)])
+    first = tracks.select(tracks.track == 0)
+    assert len(first) == 100
+    assert np.ptp(first.xyz[:, 1]) < 1e-9
+
+
+def test_time_cannot_run_backwards():
+    tracker = Tracker(TrackSettings())
+    tracker.predict(1.0)
+    with pytest.raises(ValueError, match="in order"):
+        tracker.predict(0.9)

@@ -1,0 +1,262 @@
+"""What counts as a regression: numbers by hand, Student's own interval, and simulated runs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from reports_examples import example_record
+from rich.console import Console
+from scipy import stats
+
+from mosca.data.arrays import Array
+from reports.compare import missing, reading, regressions, summary_table
+from reports.record import Blocks, Metric, RunRecord
+
+
+def run_with(*metrics: Metric, seed: int = 7, platform: str = "Linux x86_64") -> RunRecord:
+    return example_record(metrics=metrics, seed=seed, provenance={"platform": platform})
+
+
+def rms_of(errors: Array, blocks: int = 20, with_blocks: bool = True) -> Metric:
+    """Return position_rms of errors (n, 3), its blocks, and an interval of +-10 %, as correlated frames give."""
+    squares = np.array_split(np.sum(errors**2, axis=1), blocks)
+    made = Blocks(tuple(float(s.sum()) for s in squares), tuple(float(len(s)) for s in squares))
+    value = float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+    return Metric(
+        "position_rms",
+        value,
+        "m",
+        len(errors),
+        (0.9 * value, 1.1 * value),
+        blocks=made if with_blocks else None,
+    )
+
+
+def session(seed: int) -> Array:
+    """Return errors (2000, 3) [m] whose size changes from block to block, as it does in a motion."""
+    rng = np.random.default_rng(seed)
+    size = np.repeat(np.random.default_rng(99).uniform(0.5, 2.0, 20), 100)
+    return 1e-4 * size[:, None] * rng.normal(size=(2000, 3))
+
+
+BASE = run_with(rms_of(session(1)))
+
+
+def test_a_planted_five_percent_is_reported_although_one_runs_interval_is_wider() -> None:
+    (found,) = regressions(run_with(rms_of(1.05 * session(1))), BASE)
+    assert found.paired
+    assert found.share == pytest.approx(0.05)
+    assert found.half_width < 0.02 * found.baseline
+    assert "position_rms" in str(found)
+    assert "worse by 5.0 %" in str(found)
+
+
+def test_the_same_run_again_is_no_regression() -> None:
+    assert regressions(BASE, BASE) == ()
+
+
+def test_one_point_nine_percent_is_no_regression() -> None:
+    assert regressions(run_with(rms_of(1.019 * session(1))), BASE) == ()
+    assert len(regressions(run_with(rms_of(1.021 * session(1))), BASE)) == 1
+
+
+def test_an_improvement_is_no_regression() -> None:
+    assert regressions(run_with(rms_of(0.5 * session(1))), BASE) == ()
+
+
+def test_other_noise_of_the_same_size_is_rarely_a_regression() -> None:
+    """Same scenario and seed, but every error drawn anew: about 2.5 % of 300 may be reported, by the interval."""
+    reports = sum(
+        bool(regressions(run_with(rms_of(session(seed))), BASE_OF[seed % 10])) for seed in range(300)
+    )
+    assert reports <= 16  # binomial(300, 0.025): P(> 16) = 0.1 %
+
+
+BASE_OF = [run_with(rms_of(session(1000 + i))) for i in range(10)]
+
+
+def test_five_percent_is_found_under_noise_that_is_not_shared() -> None:
+    """5 % worse and a tenth of the noise's variance drawn anew: the pairs still show it."""
+    noisy = 1.05 * (np.sqrt(0.9) * session(1) + np.sqrt(0.1) * session(2))
+    assert len(regressions(run_with(rms_of(noisy)), BASE)) == 1
+
+
+@pytest.mark.parametrize("name", ["position_p95", "hota"])
+def test_the_paired_half_width_of_a_mean_is_students(name: str) -> None:
+    rng = np.random.default_rng(5)
+    old, new = rng.normal(10, 1, 25), rng.normal(11, 1, 25)
+    if name == "hota":
+        old, new = new, old
+    before = Metric(name, float(old.mean()), "1", 25, blocks=Blocks(tuple(old), (1.0,) * 25))
+    after = Metric(name, float(new.mean()), "1", 25, blocks=Blocks(tuple(new), (1.0,) * 25))
+    (found,) = regressions(run_with(after), run_with(before))
+    wanted = stats.t.ppf(0.975, 24) * stats.sem(new - old)
+    assert found.half_width == pytest.approx(wanted, rel=1e-3)
+
+
+def test_without_blocks_the_facing_halves_of_both_intervals_count() -> None:
+    old = Metric("position_rms", 1.00, "m", 9, (0.90, 1.03))
+    # Halves 0.03 and 0.04 facing each other: sqrt(0.03^2 + 0.04^2) = 0.05.
+    assert regressions(run_with(Metric("position_rms", 1.051, "m", 9, (1.011, 9.0))), run_with(old))
+    assert not regressions(run_with(Metric("position_rms", 1.049, "m", 9, (1.009, 9.0))), run_with(old))
+    (found,) = regressions(run_with(Metric("position_rms", 1.08, "m", 9, (1.04, 9.0))), run_with(old))
+    assert found.half_width == pytest.approx(0.05)
+    assert not found.paired
+
+
+def test_runs_of_other_seeds_are_not_paired() -> None:
+    assert regressions(run_with(rms_of(1.05 * session(1)), seed=8), BASE) == ()
+
+
+def test_few_or_different_blocks_are_not_paired() -> None:
+    assert regressions(run_with(rms_of(1.05 * session(1), blocks=19)), BASE) == ()
+    few = run_with(rms_of(session(1), blocks=7))
+    assert regressions(run_with(rms_of(1.05 * session(1), blocks=7)), few) == ()
+
+
+def test_blocks_without_samples_are_left_out() -> None:
+    blocks = Blocks((0.0, *(4.0 + i for i in range(10))), (0.0, *(1.0,) * 10))
+    old = Metric("position_p95", 8.5, "m", 10, blocks=blocks)
+    new = replace(old, value=8.5 * 1.05, blocks=Blocks(tuple(1.05 * s for s in blocks.sums), blocks.weights))
+    assert regressions(run_with(new), run_with(old))[0].paired
+
+
+def test_ghosts_from_none_are_a_regression() -> None:
+    old = Metric("ghosts_per_frame", 0.0, "1", 100)
+    (found,) = regressions(run_with(replace(old, value=0.5)), run_with(old))
+    assert found.share == float("inf")
+    assert "from nothing" in str(found)
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "after", "worse"),
+    [
+        ("nees", 3.0, 2.8, True),
+        ("nees", 2.8, 3.05, False),
+        ("nees", 3.0, 3.05, False),  # 0.05 is less than 2 % of 3
+        ("nees_detect", 3.0, 3.2, True),
+        ("coverage95", 0.95, 0.99, True),
+        ("coverage95", 0.90, 0.95, False),
+        ("completeness", 0.99, 0.95, True),
+        ("completeness", 0.95, 0.99, False),
+        ("efficiency", 0.99, 0.90, True),
+        ("efficiency.detect", 0.90, 0.99, False),
+        ("hota", 0.9, 0.8, True),
+        ("position_max", 1.0, 1.1, True),
+        ("ray_angle_rms", 1.0, 1.1, True),
+    ],
+)
+def test_which_way_is_worse(name: str, before: float, after: float, worse: bool) -> None:
+    old = Metric(name, before, "1", 10)
+    assert bool(regressions(run_with(replace(old, value=after)), run_with(old))) == worse
+
+
+def test_unknown_metrics_follow_their_sense() -> None:
+    assert reading(Metric("calibrated_cameras", 4, "1", 4, sense="at_least")).better == "more"
+    assert reading(Metric("ray_angle_rms", 4, "rad", 4)).made_by == "root_mean"
+
+
+def test_speed_is_judged_on_one_platform_with_intervals_only() -> None:
+    old, new = (
+        Metric("frame_rate", 400, "1/s", 9, (390, 410)),
+        Metric("frame_rate", 300, "1/s", 9, (290, 310)),
+    )
+    assert regressions(run_with(new), run_with(old))
+    assert not regressions(run_with(new, platform="other"), run_with(old))
+    assert not regressions(run_with(replace(new, ci95=None)), run_with(old))
+
+
+def test_an_extreme_is_judged_by_the_scatter_of_the_blocks_extremes() -> None:
+    largest = np.random.default_rng(3).gumbel(1.0, 0.1, 30)
+    old = Metric("position_max", float(largest.max()), "m", 30, blocks=Blocks(tuple(largest), (1.0,) * 30))
+    planted = replace(old, value=1.05 * old.value, blocks=Blocks(tuple(1.05 * largest), (1.0,) * 30))
+    assert len(regressions(run_with(planted), run_with(old))) == 1
+    rng, reports = np.random.default_rng(4), 0
+    for _ in range(300):
+        a, b = (rng.gumbel(1.0, 0.1, 30) for _ in range(2))
+        pair = [
+            Metric("position_max", float(v.max()), "m", 30, blocks=Blocks(tuple(v), (1.0,) * 30))
+            for v in (a, b)
+        ]
+        reports += bool(regressions(run_with(pair[0]), run_with(pair[1])))
+    assert reports <= 20
+
+
+def test_a_figure_that_can_no_longer_be_given_is_a_regression() -> None:
+    old = Metric("position_rms", 1.0, "m", 9, (0.9, 1.1))
+    assert regressions(run_with(replace(old, value=float("nan"), ci95=None)), run_with(old))
+    assert missing(run_with(), run_with(old)) == ("position_rms",)
+
+
+def test_records_of_two_scenarios_are_not_compared() -> None:
+    with pytest.raises(ValueError, match="compared with"):
+        regressions(replace(BASE, scenario="other"), BASE)
+
+
+values = st.floats(1e-4, 1e4)
+names = st.sampled_from(["position_rms", "completeness", "nees", "ghosts_per_frame", "position_max"])
+
+
+@st.composite
+def runs(draw: st.DrawFn, name: str) -> RunRecord:
+    value, below, above = draw(values), draw(st.floats(0, 0.5)), draw(st.floats(0, 0.5))
+    sums = draw(st.none() | st.lists(values, min_size=10, max_size=10))
+    blocks = None if sums is None else Blocks(tuple(sums), (1.0,) * 10)
+    return run_with(Metric(name, value, "m", 9, (value * (1 - below), value * (1 + above)), blocks=blocks))
+
+
+@st.composite
+def pairs(draw: st.DrawFn) -> tuple[RunRecord, RunRecord]:
+    name = draw(names)
+    return draw(runs(name)), draw(runs(name))
+
+
+@given(pairs())
+def test_only_one_of_two_can_be_worse_and_none_than_itself(pair: tuple[RunRecord, RunRecord]) -> None:
+    a, b = pair
+    assert regressions(a, a) == ()
+    assert not (regressions(a, b) and regressions(b, a))
+    for found in regressions(a, b):
+        assert found.worse_by > found.half_width >= 0
+        assert found.share > 0.02
+
+
+@given(pairs(), st.sampled_from([1e-3, 0.5, 4.0, 1024.0]))
+def test_the_unit_does_not_matter(pair: tuple[RunRecord, RunRecord], factor: float) -> None:
+    a, b = pair
+    if a.metrics[0].name == "nees":
+        return
+    power = 2 if reading(a.metrics[0]).made_by == "root_mean" else 1
+
+    def scaled(record: RunRecord) -> RunRecord:
+        (m,) = record.metrics
+        assert m.ci95 is not None
+        blocks = m.blocks and Blocks(tuple(s * factor**power for s in m.blocks.sums), m.blocks.weights)
+        ci95 = (m.ci95[0] * factor, m.ci95[1] * factor)
+        return replace(record, metrics=(replace(m, value=m.value * factor, ci95=ci95, blocks=blocks),))
+
+    before, after = regressions(a, b), regressions(scaled(a), scaled(b))
+    if before and after:
+        assert after[0].share == pytest.approx(before[0].share)
+    else:
+        near = (*before, *after)
+        assert all(r.share < 0.0200001 or r.worse_by < 1.000001 * r.half_width for r in near)
+
+
+def test_the_summary_shows_each_run_with_figures_and_limits() -> None:
+    console = Console(width=140, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    with console.file:
+        console.print(summary_table([example_record(), example_record(scenario="[red]odd", passed=False)]))
+    text = console.export_text()
+    for part in (
+        "accuracy/ring_of_six",
+        "[red]odd",
+        "pass",
+        "FAIL",
+        "0.245 <= 0.3 mm",
+        "99.17 >= 98 %",
+        "14.9",
+    ):
+        assert part in text

@@ -1,0 +1,165 @@
+"""Scoring against numbers worked out by hand."""
+
+import numpy as np
+import pytest
+
+from mosca.data.tracks import Tracks
+from mosca.data.truth import Truth
+from scenarios.score import hota, identity_switches, metrics, pair, per_marker_completeness
+
+SPACE = 2.0
+
+
+def truth(frames=4, visible=1.0, markers=((0, 0, 0), (1, 0, 0))):
+    xyz = np.tile(np.array(markers, float), (frames, 1, 1))
+    m = len(markers)
+    seen = np.full((frames, m, 3), float(visible))
+    return Truth(
+        np.arange(frames) * 10_000_000,
+        tuple(f"m{i}" for i in range(m)),
+        xyz,
+        seen,
+        ("a", "b", "c"),
+        np.zeros((frames, m, 3, 2)),
+        np.ones((frames, m, 3)),
+        np.zeros((frames, 3)),
+    )
+
+
+def tracks(rows):
+    """rows: (frame, track, x, y, z)."""
+    r = np.array(rows, float).reshape(-1, 5)
+    n = len(r)
+    return Tracks(
+        r[:, 0],
+        r[:, 0] * 10_000_000,
+        r[:, 1],
+        np.full(n, ""),
+        r[:, 2:],
+        np.tile(1e-6 * np.eye(3), (n, 1, 1)),
+        np.full(n, 3),
+        np.full(n, 0.1),
+        np.full(n, "measured"),
+    )
+
+
+def both(frames=4, dx=0.001):
+    return [(f, k, k + dx, 0, 0) for f in range(frames) for k in (0, 1)]
+
+
+def test_errors_of_one_and_two_millimetres():
+    rows = [(f, 0, 0.001, 0, 0) for f in range(4)] + [(f, 1, 1.0, 0.002, 0) for f in range(4)]
+    m = metrics(pair(tracks(rows), truth(), SPACE), SPACE)
+    # rms of 1 and 2 mm: sqrt((1 + 4) / 2) = 1.5811 mm
+    assert m["position_rms"].value == pytest.approx(1.5811388e-3)
+    assert m["relative_accuracy"].value == pytest.approx(1.5811388e-3 / 2)
+    assert m["position_max"].value == pytest.approx(2e-3)
+    # chi-square with sigma 1 mm: (1 + 4) / 2
+    assert m["nees"].value == pytest.approx(2.5)
+    assert m["coverage95"].value == 1.0
+    assert m["completeness"].value == 1.0
+    assert m["ghosts_per_frame"].value == 0.0
+    # similarity 0.95 and 0.9: all alphas up to 0.90 see both, 0.95 at most the better one of the two
+    assert m["hota"].value < 1.0
+    assert metrics(pair(tracks(both(dx=0.0005)), truth(), SPACE), SPACE)["hota"].value == pytest.approx(1.0)
+    assert m["reprojection_rms"].value == pytest.approx(0.1)
+
+
+def test_beyond_the_gate_is_a_ghost_and_a_miss():
+    # gate: min(half of 1 m, 1 % of 2 m) = 20 mm
+    rows = both() + [(0, 7, 0.5, 0.5, 0.5)]
+    rows[0] = (0, 0, 0.021, 0, 0)
+    scored = pair(tracks(rows), truth(), SPACE)
+    assert scored.ghosts.tolist() == [2, 0, 0, 0]
+    assert scored.missed.tolist() == [1, 0, 0, 0]
+    assert metrics(scored, SPACE)["completeness"].value == pytest.approx(7 / 8)
+
+
+def test_the_gate_is_half_the_smallest_distance_of_true_markers():
+    close = truth(markers=((0, 0, 0), (0.01, 0, 0)))
+    scored = pair(tracks([(0, 0, 0.0, 0.0051, 0)]), close, SPACE)
+    assert scored.gate_m[0] == pytest.approx(0.005)
+    assert scored.ghosts[0] == 1
+
+
+def test_unseen_markers_are_no_misses_and_no_ghosts():
+    hidden = truth(visible=0.4)
+    scored = pair(tracks(both()[:3]), hidden, SPACE)
+    assert scored.missed.sum() == 0
+    assert scored.ghosts.sum() == 0
+    assert metrics(scored, SPACE)["completeness"].value == 1.0
+
+
+def test_seen_means_half_of_the_disc_in_two_cameras():
+    one_camera = truth()
+    visible = one_camera.visible.copy()
+    visible[:, :, 1:] = 0.49
+    half = Truth(
+        *(visible if n == "visible" else getattr(one_camera, n) for n in one_camera.__dataclass_fields__)
+    )
+    assert pair(tracks([]), half, SPACE).seen.sum() == 0
+    visible[:, :, 1] = 0.5
+    half = Truth(
+        *(visible if n == "visible" else getattr(one_camera, n) for n in one_camera.__dataclass_fields__)
+    )
+    assert pair(tracks([]), half, SPACE).seen.sum() == 8
+
+
+def test_filled_samples_never_count():
+    t = tracks(both())
+    filled = Tracks(
+        *(np.full(8, "filled") if n == "status" else getattr(t, n) for n in t.__dataclass_fields__)
+    )
+    assert metrics(pair(filled, truth(), SPACE), SPACE)["completeness"].value == 0.0
+
+
+def test_identity_switches_and_hota_by_hand():
+    rows = both(4, dx=0.0005)
+    # the two tracks swap identities after two of four frames
+    swapped = [(f, (1 - k) if f >= 2 else k, x, y, z) for f, k, x, y, z in rows]
+    scored = pair(tracks(swapped), truth(), SPACE)
+    assert identity_switches(scored) == 2
+    # each pair (marker, track) is together in 2 frames, each marker and track lasts 4: A = 2 / (4 + 4 - 2) = 1/3
+    # detection is perfect at every alpha up to the similarity 1 - 0.5/20 = 0.975
+    assert hota(scored) == pytest.approx(np.sqrt(1 / 3), rel=1e-6)
+
+
+def test_the_assignment_is_the_best_of_all_not_the_first():
+    near = truth(frames=1, markers=((0, 0, 0), (0.03, 0, 0)))
+    # greedy by order would give the first point the first marker and leave the second without one
+    scored = pair(tracks([(0, 0, 0.014, 0, 0), (0, 1, 0.001, 0, 0)]), near, SPACE)
+    assert sorted(zip(scored.marker.tolist(), scored.track.tolist(), strict=True)) == [(0, 1)]
+
+
+def test_a_lost_frame_is_not_a_shift():
+    # frame numbers of the tracks start at another pulse than the truth's: time decides
+    t = tracks(both())
+    moved = Tracks(*(t.frame + 100 if n == "frame" else getattr(t, n) for n in t.__dataclass_fields__))
+    assert metrics(pair(moved, truth(), SPACE), SPACE)["completeness"].value == 1.0
+    late = Tracks(
+        *(t.time_ns + 6_000_000 if n == "time_ns" else getattr(t, n) for n in t.__dataclass_fields__)
+    )
+    assert pair(late, truth(), SPACE).ghosts.sum() == 2
+
+
+def test_no_tracks_at_all():
+    m = metrics(pair(tracks([]), truth(), SPACE), SPACE)
+    assert m["completeness"].value == 0.0
+    assert "position_rms" not in m
+
+
+def test_interval_holds_the_spread_of_blocks():
+    rng = np.random.default_rng(0)
+    frames = 400
+    rows = [(f, k, k + rng.normal(0, 1e-3), 0, 0) for f in range(frames) for k in (0, 1)]
+    m = metrics(pair(tracks(rows), truth(frames), SPACE), SPACE)["position_rms"]
+    low, high = m.ci95
+    # standard error of an rms of n independent errors: value / sqrt(2 n)
+    expected = 1e-3 / np.sqrt(2 * 800)
+    assert 0.5 * expected < (high - low) / 3.92 < 2 * expected
+    assert low < 1e-3 < high
+
+
+def test_completeness_of_each_marker():
+    rows = [row for row in both() if not (row[1] == 1 and row[0] < 1)]
+    assert per_marker_completeness(pair(tracks(rows), truth(), SPACE)).tolist() == [1.0, 0.75]

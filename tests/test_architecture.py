@@ -1,0 +1,55 @@
+"""The import law holds, and the test that says so bites."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+_spec = importlib.util.spec_from_file_location("import_law", Path(__file__).parent / "import_law.py")
+law = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(law)
+
+
+def test_every_import_keeps_the_law():
+    assert law.violations(ROOT) == []
+
+
+@pytest.mark.parametrize(
+    ("room", "line"),
+    [
+        ("mosca/detect.py", "from mosca.data.truth import Truth"),
+        ("mosca/detect.py", "from mosca.data import truth"),
+        ("mosca/detect.py", "import mujoco"),
+        ("mosca/detect.py", "from twin.source import TwinSource"),
+        ("mosca/data/rig.py", "from mosca.camera import project"),
+        ("mosca/data/rig.py", "import numba"),
+        ("twin/source.py", "from mosca.camera import project"),
+        ("twin/source.py", "from hardware.drivers import basler"),
+        ("twin/source.py", "from mosca.lenses.mosca_model import pixels"),
+        ("hardware/source.py", "import twin.source"),
+        ("hardware/source.py", "from mosca.data.truth import Truth"),
+        ("reports/page.py", "import rerun as rr"),
+        ("reports/page.py", "from mosca.camera import project"),
+        ("mosca/track.py", "from .match import Predicted"),
+        ("twin/source.py", "import importlib"),
+        ("mosca/track.py", "def f():\n    import scenarios.run"),
+    ],
+)
+def test_the_law_bites(tmp_path, room, line):
+    path = tmp_path / room
+    path.parent.mkdir(parents=True)
+    path.write_text("import numpy\n")
+    assert law.violations(tmp_path) == []
+    path.write_text(f"import numpy\n{line}\n")
+    assert len(law.violations(tmp_path)) == 1
+
+
+def test_files_can_be_read_in_one_sitting():
+    long = {
+        str(path.relative_to(ROOT)): lines
+        for room in law.ROOMS
+        for path in (ROOT / room).rglob("*.py")
+        if (lines := len(path.read_text(encoding="utf-8").splitlines())) > 480
+    }
+    assert long == {}, "a file that outgrows one sitting tells two stories: split it"

@@ -1,0 +1,180 @@
+"""What stands between the camera and a marker: analytic rays against MuJoCo's primitives.
+
+All in the camera frame, rays from its origin. Meshes are left to ``mj_multiRay`` (see ``render``); floors
+(planes) hide nothing that is above them from a camera above them and are passed over.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numba import njit
+
+from mosca.data.arrays import Array
+from twin.scenes.scene import MARKER_GROUP, UNSEEN_GROUP, Scene
+
+SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX = (
+    int(mujoco.mjtGeom.mjGEOM_SPHERE),
+    int(mujoco.mjtGeom.mjGEOM_CAPSULE),
+    int(mujoco.mjtGeom.mjGEOM_ELLIPSOID),
+    int(mujoco.mjtGeom.mjGEOM_CYLINDER),
+    int(mujoco.mjtGeom.mjGEOM_BOX),
+)
+MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
+PRIMITIVES = (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)
+
+
+@dataclass(frozen=True, eq=False)
+class Occluders:
+    """The geoms of a scene that can hide a marker.
+
+    ``geom`` (k,) ids of primitives, markers included; ``kind`` (k,) and ``size`` (k, 3) as MuJoCo has them;
+    ``marker`` (k,) the marker that a geom is, or -1; ``mesh_geom`` (q,) ids of meshes and ``mesh_radius``
+    (q,) of their bounding spheres.
+    """
+
+    geom: Array
+    kind: Array
+    size: Array
+    marker: Array
+    mesh_geom: Array
+    mesh_radius: Array
+
+
+def occluders_of(scene: Scene) -> Occluders:
+    """Return what can hide a marker in ``scene``: every visible geom outside UNSEEN_GROUP."""
+    model = scene.model
+    marker_of = {geom: k for k, geom in enumerate(scene.marker_geoms)}
+    seen = [
+        g
+        for g in range(model.ngeom)
+        if model.geom_group[g] != UNSEEN_GROUP
+        and model.geom_rgba[g, 3] > 0
+        and (model.geom_group[g] != MARKER_GROUP or g in marker_of)
+    ]
+    solid = [g for g in seen if model.geom_type[g] in PRIMITIVES]
+    meshes = [g for g in seen if model.geom_type[g] == MESH]
+    return Occluders(
+        np.array(solid, dtype=np.int64),
+        np.array([model.geom_type[g] for g in solid], dtype=np.int64),
+        np.ascontiguousarray(model.geom_size[solid], dtype=float).reshape(-1, 3),
+        np.array([marker_of.get(g, -1) for g in solid], dtype=np.int64),
+        np.array(meshes, dtype=np.int64),
+        np.array([model.geom_rbound[g] for g in meshes], dtype=float),
+    )
+
+
+@njit(nogil=True, cache=True)
+def axis_reach(kind: int, size: Array) -> Any:
+    """Half length along the geom's z axis and radius around it of a capsule that encloses the geom [m]."""
+    if kind == SPHERE:
+        return 0.0, size[0]
+    if kind == CAPSULE:
+        return size[1], size[0]
+    if kind == CYLINDER:
+        # the rim lies outside the capsule of the same axis: enclose the corner
+        return 0.0, math.sqrt(size[0] ** 2 + size[1] ** 2)
+    if kind == ELLIPSOID:
+        return 0.0, max(size[0], max(size[1], size[2]))
+    return 0.0, math.sqrt(size[0] ** 2 + size[1] ** 2 + size[2] ** 2)
+
+
+@njit(nogil=True, cache=True)
+def may_hide(
+    centre: Array, axis: Array, half: float, reach: float, x: float, y: float, z: float, r: float
+) -> bool:
+    """Whether a geom within ``reach`` of an axis segment can hide any of a marker of radius r at (x, y, z).
+
+    Conservative: every ray to the marker lies within r of the segment from the camera to its centre.
+    """
+    ax, ay, az = centre[0] - half * axis[0], centre[1] - half * axis[1], centre[2] - half * axis[2]
+    dx, dy, dz = 2 * half * axis[0], 2 * half * axis[1], 2 * half * axis[2]
+    # closest points of the segments s (x, y, z) and a + t d, s and t in 0..1
+    a = x * x + y * y + z * z
+    e = dx * dx + dy * dy + dz * dz
+    c = -(x * ax + y * ay + z * az)
+    if e < 1e-18:
+        s, t = min(max(-c / a, 0.0), 1.0), 0.0
+    else:
+        f = -(dx * ax + dy * ay + dz * az)
+        b = x * dx + y * dy + z * dz
+        det = a * e - b * b
+        s = min(max((b * f - c * e) / det, 0.0), 1.0) if det > 1e-12 * a * e else 0.0
+        t = (b * s + f) / e
+        if t < 0.0:
+            t, s = 0.0, min(max(-c / a, 0.0), 1.0)
+        elif t > 1.0:
+            t, s = 1.0, min(max((b - c) / a, 0.0), 1.0)
+    ex, ey, ez = s * x - ax - t * dx, s * y - ay - t * dy, s * z - az - t * dz
+    return ex * ex + ey * ey + ez * ez < (reach + r) ** 2
+
+
+@njit(nogil=True, cache=True)
+def hit(kind: int, size: Array, centre: Array, turn: Array, dx: float, dy: float, dz: float) -> float:
+    """Distance along (dx, dy, dz), in its lengths, at which a ray from the origin enters the geom; inf if never.
+
+    ``turn`` is the rotation geom -> camera frame. An origin inside the geom counts as not entering.
+    """
+    ox = -(turn[0, 0] * centre[0] + turn[1, 0] * centre[1] + turn[2, 0] * centre[2])
+    oy = -(turn[0, 1] * centre[0] + turn[1, 1] * centre[1] + turn[2, 1] * centre[2])
+    oz = -(turn[0, 2] * centre[0] + turn[1, 2] * centre[1] + turn[2, 2] * centre[2])
+    x = turn[0, 0] * dx + turn[1, 0] * dy + turn[2, 0] * dz
+    y = turn[0, 1] * dx + turn[1, 1] * dy + turn[2, 1] * dz
+    z = turn[0, 2] * dx + turn[1, 2] * dy + turn[2, 2] * dz
+    if kind == SPHERE:
+        return _enter_sphere(ox, oy, oz, x, y, z, size[0])
+    if kind == ELLIPSOID:
+        p, q, r = size[0], size[1], size[2]
+        return _enter_sphere(ox / p, oy / q, oz / r, x / p, y / q, z / r, 1.0)
+    if kind == CAPSULE:
+        side = _enter_side(ox, oy, oz, x, y, z, size[0], size[1])
+        low = _enter_sphere(ox, oy, oz + size[1], x, y, z, size[0])
+        high = _enter_sphere(ox, oy, oz - size[1], x, y, z, size[0])
+        return min(side, min(low, high))
+    if kind == CYLINDER:
+        nearest = _enter_side(ox, oy, oz, x, y, z, size[0], size[1])
+        if z != 0.0:
+            t = ((-size[1] if z > 0.0 else size[1]) - oz) / z
+            if t > 0.0 and (ox + t * x) ** 2 + (oy + t * y) ** 2 <= size[0] ** 2:
+                nearest = min(nearest, t)
+        return nearest
+    first, last = -np.inf, np.inf
+    for o, d, h in ((ox, x, size[0]), (oy, y, size[1]), (oz, z, size[2])):
+        if d == 0.0:
+            if abs(o) > h:
+                return np.inf
+        else:
+            one, two = (-h - o) / d, (h - o) / d
+            first, last = max(first, min(one, two)), min(last, max(one, two))
+    return first if 0.0 < first <= last else np.inf
+
+
+@njit(nogil=True, cache=True)
+def _enter_sphere(ox: float, oy: float, oz: float, x: float, y: float, z: float, r: float) -> float:
+    a = x * x + y * y + z * z
+    b = ox * x + oy * y + oz * z
+    c = ox * ox + oy * oy + oz * oz - r * r
+    d = b * b - a * c
+    if d < 0.0 or c < 0.0:
+        return np.inf
+    t = (-b - math.sqrt(d)) / a
+    return t if t > 0.0 else np.inf
+
+
+@njit(nogil=True, cache=True)
+def _enter_side(
+    ox: float, oy: float, oz: float, x: float, y: float, z: float, r: float, half: float
+) -> float:
+    """Enter the side wall of a cylinder about z."""
+    a = x * x + y * y
+    if a == 0.0:
+        return np.inf
+    b = ox * x + oy * y
+    c = ox * ox + oy * oy - r * r
+    d = b * b - a * c
+    if d < 0.0 or c < 0.0:
+        return np.inf
+    t = (-b - math.sqrt(d)) / a
+    return t if t > 0.0 and abs(oz + t * z) <= half else np.inf

@@ -1,0 +1,75 @@
+"""A marker in full view: Green's theorem along its outline.
+
+The outline (the circle where the viewing cone touches a ball, or a flat target's rim) is mapped through the exact
+lens, and the integral of the pixel kernel over its inside becomes one along it. The integrand is smooth
+and periodic, so that equal steps converge exponentially: steps of 0.45 px leave errors below 1e-6. Motion
+during the exposure is integrated by Gauss-Legendre nodes in time.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from twin.cameras.kernel import share, weight
+from twin.cameras.lens import land
+from twin.cameras.marker_view import NODE_AT, NODE_WEIGHT, nodes_for, place_at, rim
+
+OUTLINE_STEP_PX = 0.45
+LEAST_E = 1e-3
+"""Light below a thousandth of an electron is left out, so that dark pixels stay exactly dark."""
+
+
+@njit(nogil=True, cache=True)
+def add_outline(light, lens, table, reach, path, normal, r, shape, electrons, u, v, diameter):  # type: ignore[no-untyped-def]
+    """Add a marker in full view: Green's theorem along its outline, at each instant of the exposure."""
+    height, width = light.shape
+    nodes = nodes_for(lens, path)
+    points = max(16, int(math.pi * diameter / OUTLINE_STEP_PX) + 1)
+    outline = np.empty((nodes * points, 4))
+    left, right, top, bottom = 1e9, -1e9, 1e9, -1e9
+    for k in range(nodes):
+        x, y, z = place_at(path, NODE_AT[nodes, k])
+        area = 0.0
+        for j in range(points):
+            dx, dy, dz, ex, ey, ez = rim(shape, normal, x, y, z, r, 2.0 * math.pi * j / points)
+            pu, pv, ux, uy, uz, vx, vy, vz, _ok = land(lens, dx, dy, dz)
+            rise = vx * ex + vy * ey + vz * ez
+            row = outline[k * points + j]
+            row[0], row[1], row[2] = pu, pv, rise
+            area += (pu - u) * rise
+            left, right = min(left, pu), max(right, pu)
+            top, bottom = min(top, pv), max(bottom, pv)
+        # the sense of the outline's turn in the image decides the integral's sign
+        factor = NODE_WEIGHT[nodes, k] * 2.0 * math.pi / points * (1.0 if area > 0.0 else -1.0)
+        for j in range(points):
+            outline[k * points + j, 3] = factor * outline[k * points + j, 2]
+    x0, x1 = int(math.floor(left)) - reach, int(math.ceil(right)) + reach + 1
+    y0, y1 = int(math.floor(top)) - reach, int(math.ceil(bottom)) + reach + 1
+    # difference from pixel to pixel along the row: only pixels near the outline change
+    change = np.zeros((y1 - y0 + 1, x1 - x0 + 2))
+    step_x = np.empty(2 * reach + 4)
+    for i in range(outline.shape[0]):
+        pu, pv, amount = outline[i, 0], outline[i, 1], outline[i, 3]
+        px0 = int(math.floor(pu)) - reach
+        previous = 1.0
+        for q in range(2 * reach + 3):
+            here = share(table, reach, pu - (px0 + q))
+            step_x[q] = here - previous
+            previous = here
+        py0 = int(math.floor(pv)) - reach
+        for p in range(2 * reach + 2):
+            w = weight(table, reach, (py0 + p) - pv)
+            if w != 0.0:
+                row = change[py0 + p - y0]
+                w *= amount
+                for q in range(2 * reach + 3):
+                    row[px0 + q - x0] += w * step_x[q]
+    for p in range(y1 - y0 + 1):
+        if y0 + p < 0 or y0 + p >= height:
+            continue
+        collected = 0.0
+        for q in range(x1 - x0 + 1):
+            collected += change[p, q]
+            if 0 <= x0 + q < width and electrons * collected > LEAST_E:
+                light[y0 + p, x0 + q] += electrons * collected

@@ -1,0 +1,252 @@
+"""A human actor: limbs that hide, markers on the skin, moved by a recording or by a built-in walk.
+
+The model is the skeleton itself: one body a joint with a ball joint at its rest offset, under a free
+root. A configuration is the root's position and every joint's rotation, so that bones keep their length
+and MuJoCo's kinematics says where everything is. Nothing is simulated.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.motion import (
+    Motion,
+    forward_kinematics,
+    multiply_quaternions,
+    quaternions_from_euler,
+    rest_positions,
+)
+from mosca.data.motion_asf import read_asf_amc
+from mosca.data.motion_bvh import read_bvh
+from mosca.errors import InputError
+from twin.scenes.actor_markers import Seat, seats
+from twin.scenes.anatomy import FOOT_RADIUS_M, Anatomy, limb_shapes, read_anatomy
+from twin.scenes.gait import GAIT_PATHS, Gait, GaitPath, walk, walker_skeleton
+from twin.scenes.paths import SplinePath, normalized, spline_path
+from twin.scenes.scene import Scene
+from twin.scenes.world import Box, Shape, add_ball_marker, add_shape, compiled, new_stage, positive
+
+_SKIN_M = 0.12
+"""How far skin and markers reach beyond the joints [m], for the working space."""
+
+
+def build_actor(
+    *,
+    duration_s: float,
+    box_center_m: Array,
+    box_size_m: Array,
+    rng: np.random.Generator,
+    motion_file: Path | None = None,
+    skeleton_file: Path | None = None,
+    start_s: float = 0.1,
+    metres_per_unit: float | None = None,
+    frame_rate_hz: float | None = None,
+    drop_frames: int | None = None,
+    placement: Literal["center", "file"] = "center",
+    heading_deg: float = 0.0,
+    keep_in_box: bool = True,
+    gait: GaitPath = "circle",
+    speed_m_s: float = 1.0,
+    stature_m: float = 1.75,
+    markers: int = 50,
+    marker_diameter_m: float = 0.016,
+    floor: bool = True,
+) -> Scene:
+    """Return an actor with ``markers`` (30..60) ball markers in a working space, on the floor z = 0.
+
+    With ``motion_file`` (.amc with its ``skeleton_file`` .asf, or .bvh) the recording is played from
+    ``start_s`` (converted BVH files need some frames to leave an added T-pose). ``metres_per_unit``,
+    ``frame_rate_hz`` and ``drop_frames`` stand in for what the file cannot say (defaults: ASF from its
+    length, 120 Hz; BVH 0.01, the file's rate, 1 frame dropped). ``placement`` "center" turns the
+    recording by ``heading_deg`` about the vertical, puts the middle of the part played over the middle of
+    the box and its lowest heel or ball on the floor; "file" leaves it where it was. ``keep_in_box``: a recording
+    that leaves the box is an error. Between frames the motion is a C2 spline.
+
+    Without it the actor of ``stature_m`` walks: ``gait`` "in_place", "circle" (the largest in the box)
+    or "back_and_forth" along the box's longer side, at ``speed_m_s``, first step and start by ``rng``.
+
+    ``bodies``: every part that carries three markers or more. Raises InputError naming what is wrong.
+    """
+    box = Box(box_center_m, box_size_m)
+    positive({"duration_s": duration_s, "marker_diameter_m": marker_diameter_m})
+    if motion_file is None:
+        positive({"speed_m_s": speed_m_s, "stature_m": stature_m})
+        if gait not in GAIT_PATHS:
+            raise InputError(f"gait = {gait!r} given; allowed: {', '.join(GAIT_PATHS)}")
+        skeleton = walker_skeleton(stature_m)
+        if box.high[2] < stature_m:
+            raise InputError(
+                f"box_center_m = {box.center.tolist()}, box_size_m = {box.size.tolist()}: the box ends at "
+                f"{box.high[2]:.2f} m and the actor, standing on z = 0, at {stature_m} m; raise or enlarge the box"
+            )
+        walking = walk(skeleton, gait, box.center[:2], box.size[:2] / 2, speed_m_s, rng)
+        anatomy = read_anatomy(skeleton, f"stature_m = {stature_m}")
+    else:
+        motion = _read(Path(motion_file), skeleton_file, metres_per_unit, frame_rate_hz, drop_frames)
+        anatomy = read_anatomy(motion.skeleton, str(motion_file))
+        _check_length(motion, start_s, duration_s, str(motion_file))
+        motion = _placed(motion, anatomy, box, start_s, duration_s, placement, heading_deg)
+        if keep_in_box:
+            _check_inside(motion, box, start_s, duration_s, str(motion_file))
+    shapes = limb_shapes(anatomy)
+    seated = seats(anatomy, shapes, markers)
+    spec, joints = _specify(anatomy, shapes, seated, marker_diameter_m, floor)
+    names = tuple(seat.name for seat in seated)
+    model, geoms = compiled(spec, names)
+    carried = {part: tuple(s.name for s in seated if s.part == part) for part in shapes}
+    bodies = {part: those for part, those in carried.items() if len(those) >= 3}
+    if motion_file is None:
+        path: GaitConfiguration | SplinePath = GaitConfiguration(walking, _addresses(model, joints), model.nq)
+    else:
+        path = _recorded(model, joints, motion, start_s)
+    return Scene(model, names, geoms, path, duration_s, bodies)
+
+
+@dataclass(frozen=True, eq=False)
+class GaitConfiguration:
+    """The configuration of a walking actor at any time."""
+
+    gait: Gait
+    addresses: tuple[Array, Array]  # joints driven, and where their quaternions start in qpos
+    nq: int
+
+    def __call__(self, time_s: float) -> Array:
+        """Return qpos (nq,) at session time ``time_s`` [s]."""
+        root, rotations = self.gait.at(time_s)
+        joints, starts = self.addresses
+        qpos = np.empty(self.nq)
+        qpos[:3] = root
+        qpos[starts[:, None] + np.arange(4)] = rotations[joints]
+        return normalized(qpos, starts)
+
+
+def _recorded(model: mujoco.MjModel, joints: list[int], motion: Motion, start_s: float) -> SplinePath:
+    driven, starts = _addresses(model, joints)
+    frames = len(motion.root_xyz)
+    qpos = np.empty((frames, model.nq))
+    qpos[:, :3] = motion.root_xyz
+    qpos[:, starts[:, None] + np.arange(4)] = motion.rotations[:, driven]
+    return spline_path(np.arange(frames) / motion.frame_rate_hz, qpos, starts, start_s=start_s)
+
+
+def _addresses(model: mujoco.MjModel, joints: list[int]) -> tuple[Array, Array]:
+    starts = [int(model.joint(f"joint/{k}").qposadr[0]) + (3 if k == 0 else 0) for k in joints]
+    return np.array(joints), np.array(starts)
+
+
+def _specify(
+    anatomy: Anatomy, shapes: dict[str, list[Shape]], seated: list[Seat], diameter: float, floor: bool
+) -> tuple[mujoco.MjSpec, list[int]]:
+    """Return the specification and the joints that are bodies in it: those that a part needs."""
+    skeleton = anatomy.skeleton
+    rest = rest_positions(skeleton)
+    needed: set[int] = set()
+    for joint in anatomy.parts.values():
+        while joint >= 0 and joint not in needed:
+            needed.add(joint)
+            joint = int(skeleton.parents[joint])
+    spec = new_stage(floor=floor)
+    # Joints without a shape of their own (a clavicle) are moving bodies without mass otherwise.
+    spec.compiler.boundmass, spec.compiler.boundinertia = 1e-6, 1e-9
+    bodies: dict[int, mujoco.MjsBody] = {}
+    for joint in sorted(needed):
+        parent = spec.worldbody if joint == 0 else bodies[int(skeleton.parents[joint])]
+        body = parent.add_body(name=skeleton.names[joint], pos=skeleton.offsets[joint])
+        kind = mujoco.mjtJoint.mjJNT_FREE if joint == 0 else mujoco.mjtJoint.mjJNT_BALL
+        body.add_joint(name=f"joint/{joint}", type=kind)
+        bodies[joint] = body
+    for part, solids in shapes.items():
+        joint = anatomy.parts[part]
+        for k, shape in enumerate(solids):
+            add_shape(bodies[joint], shape.moved(-rest[joint]), name=f"{part}/{k}")
+    for seat in seated:
+        joint = anatomy.parts[seat.part]
+        add_ball_marker(bodies[joint], seat.name, seat.surface - rest[joint], seat.normal, diameter)
+    return spec, sorted(needed)
+
+
+def _read(
+    path: Path, skeleton_file: Path | None, unit: float | None, rate: float | None, drop: int | None
+) -> Motion:
+    suffix = path.suffix.lower()
+    if suffix == ".bvh" and skeleton_file is None:
+        dropped = 1 if drop is None else drop
+        return read_bvh(
+            path, metres_per_unit=0.01 if unit is None else unit, frame_rate_hz=rate, drop_frames=dropped
+        )
+    if suffix == ".amc" and skeleton_file is not None:
+        motion = read_asf_amc(
+            Path(skeleton_file), path, frame_rate_hz=120.0 if rate is None else rate, metres_per_unit=unit
+        )
+        kept = slice(drop or 0, None)
+        return Motion(motion.skeleton, motion.frame_rate_hz, motion.root_xyz[kept], motion.rotations[kept])
+    raise InputError(
+        f"motion_file = {path}, skeleton_file = {skeleton_file}: a .bvh alone, or an .amc with its .asf as "
+        "skeleton_file, is wanted"
+    )
+
+
+def _check_length(motion: Motion, start_s: float, duration_s: float, source: str) -> None:
+    if start_s < 0 or start_s + duration_s > motion.duration_s or len(motion.root_xyz) < 2:
+        raise InputError(
+            f"{source}: start_s = {start_s} and duration_s = {duration_s} asked for; the motion lasts "
+            f"{motion.duration_s:.3f} s ({len(motion.root_xyz)} frames at {motion.frame_rate_hz:g} Hz): "
+            "shorten the duration or start earlier"
+        )
+
+
+def _played(motion: Motion, start_s: float, duration_s: float) -> Motion:
+    first = int(np.floor(start_s * motion.frame_rate_hz))
+    last = int(np.ceil((start_s + duration_s) * motion.frame_rate_hz)) + 1
+    return Motion(
+        motion.skeleton, motion.frame_rate_hz, motion.root_xyz[first:last], motion.rotations[first:last]
+    )
+
+
+def _placed(
+    motion: Motion,
+    anatomy: Anatomy,
+    box: Box,
+    start_s: float,
+    duration_s: float,
+    placement: str,
+    heading_deg: float,
+) -> Motion:
+    if placement == "file":
+        return motion
+    if placement != "center":
+        raise InputError(f"placement = {placement!r} given; allowed: center, file")
+    turn = quaternions_from_euler(np.deg2rad([heading_deg]), "Z")
+    c, s = np.cos(np.deg2rad(heading_deg)), np.sin(np.deg2rad(heading_deg))
+    rotations = motion.rotations.copy()
+    rotations[:, 0] = multiply_quaternions(turn, rotations[:, 0])
+    root = motion.root_xyz @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    turned = Motion(motion.skeleton, motion.frame_rate_hz, root, rotations)
+    positions, world_from_joint = forward_kinematics(_played(turned, start_s, duration_s))
+    middle = (positions.min(axis=(0, 1)) + positions.max(axis=(0, 1))) / 2
+    radius = FOOT_RADIUS_M * anatomy.scale
+    lowest = np.inf  # of heel and ball; toes bend through the floor in some recordings
+    for side in ("l_", "r_"):
+        foot = anatomy.parts[f"{side}foot"]
+        for point in ("heel", "ball"):
+            arm = anatomy.points[side + point] - anatomy.points[f"{side}foot"]
+            lowest = min(lowest, float((positions[:, foot] + world_from_joint[:, foot] @ arm)[:, 2].min()))
+    shift = np.array([box.center[0] - middle[0], box.center[1] - middle[1], radius - lowest])
+    return Motion(motion.skeleton, motion.frame_rate_hz, root + shift, rotations)
+
+
+def _check_inside(motion: Motion, box: Box, start_s: float, duration_s: float, source: str) -> None:
+    positions, _ = forward_kinematics(_played(motion, start_s, duration_s))
+    low, high = positions.min(axis=(0, 1)) - _SKIN_M, positions.max(axis=(0, 1)) + _SKIN_M
+    # The floor bounds an actor from below, not the box.
+    if (low[:2] < box.low[:2]).any() or (high > box.high).any():
+        needs = " x ".join(f"{edge:.2f}" for edge in high[:2] - low[:2])
+        raise InputError(
+            f"{source}: from {start_s} s for {duration_s} s the actor moves through {needs} m up to "
+            f"{high[2]:.2f} m; the box is {' x '.join(f'{e:g}' for e in box.size)} m up to {box.high[2]:.2f} m: "
+            "enlarge it, turn the motion by heading_deg, play less of it, or set keep_in_box = false"
+        )

@@ -1,0 +1,137 @@
+"""The actor's marker set: where each of up to 60 markers sits on the body, most wanted first.
+
+Names are those of the usual full-body sets (Vicon Plug-in Gait) where they exist. Each marker is seated
+by a ray from inside its body part: it leaves the part's own shapes at the skin.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.errors import InputError
+from twin.scenes.anatomy import FORWARD, LEFT, UP, Anatomy
+from twin.scenes.world import Shape, outermost
+
+FEWEST, MOST = 30, 60
+
+
+@dataclass(frozen=True)
+class MarkerSite:
+    """A marker on ``part``: a ray from the line ``start`` -> ``end`` (named points) outward.
+
+    ``along``: where on the line the ray starts, as a share of its length. ``shift``: then moved by
+    (outward from the midline, forward, up) in metres of a 1.75 m person. ``toward``: the ray's direction
+    in the same three axes; on limbs only its share across the limb counts.
+    """
+
+    name: str
+    part: str
+    start: str
+    end: str
+    along: float
+    toward: tuple[float, float, float]
+    shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    across: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Seat:
+    """Where a marker sits: ``surface`` (3,) on the skin in rest pose coordinates [m], unit ``normal`` (3,)."""
+
+    name: str
+    part: str
+    surface: Array
+    normal: Array
+
+
+def _both(name: str, part: str, start: str, end: str, along: float, toward: tuple[float, float, float],
+          shift: tuple[float, float, float] = (0.0, 0.0, 0.0), across: bool = True) -> list[MarkerSite]:  # fmt: skip
+    def own(side: str, point: str) -> str:
+        return point if point in ("hips", "neck", "head_center") else side + point
+
+    return [
+        MarkerSite(
+            letter + name,
+            part if part in ("pelvis", "chest", "head", "abdomen") else side + part,
+            own(side, start),
+            own(side, end),
+            along,
+            toward,
+            shift,
+            across,
+        )
+        for letter, side in (("L", "l_"), ("R", "r_"))
+    ]
+
+
+def _trunk(name: str, part: str, along: float, toward: tuple[float, float, float],
+           shift: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> list[MarkerSite]:  # fmt: skip
+    return [MarkerSite(name, part, "hips", "neck", along, toward, shift, across=False)]
+
+
+_FRONT, _BACK, _OUT, _UP = (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+_HEAD = ("head", "head_center", "head_center", 0.0)
+_PELVIS = ("pelvis", "hips", "neck", 0.0)
+_PELVIC = (0.0, 0.0, 0.09)  # from the hips up to the middle of the pelvis' shape
+
+MARKER_SITES: tuple[MarkerSite, ...] = (
+    *_both("FHD", *_HEAD, (0.6, 0.75, 0.3), across=False),
+    *_both("BHD", *_HEAD, (0.6, -0.75, 0.25), across=False),
+    *_trunk("C7", "chest", 0.93, _BACK),
+    *_trunk("T10", "chest", 0.63, _BACK),
+    *_trunk("CLAV", "chest", 0.90, _FRONT),
+    *_trunk("STRN", "chest", 0.64, _FRONT),
+    *_both("ASI", *_PELVIS, (0.55, 0.8, 0.0), _PELVIC, across=False),
+    *_both("PSI", *_PELVIS, (0.34, -1.0, 0.0), _PELVIC, across=False),
+    *_both("SHO", "chest", "upper_arm", "upper_arm", 0.0, _UP, (-0.04, 0.0, 0.0), across=False),
+    *_both("ELB", "upper_arm", "upper_arm", "forearm", 0.96, (0.0, -0.6, 0.8)),
+    *_both("WRA", "wrist", "forearm", "hand", 0.95, _FRONT),
+    *_both("FIN", "hand", "hand", "fingers", 0.3, _UP),
+    *_both("KNE", "thigh", "thigh", "shank", 0.96, _OUT),
+    *_both("ANK", "shank", "shank", "foot", 0.97, _OUT),
+    *_both("HEE", "foot", "heel", "heel", 0.0, _BACK, across=False),
+    *_both("TOE", "foot", "heel", "ball", 0.95, _UP),
+    *_both("THI", "thigh", "thigh", "shank", 0.5, _OUT),
+    # 30 up to here: every part is seen.
+    *_both("WRB", "wrist", "forearm", "hand", 0.95, _BACK),
+    *_both("TIB", "shank", "shank", "foot", 0.5, _OUT),
+    *_both("UPA", "upper_arm", "upper_arm", "forearm", 0.5, _UP),
+    *_both("FRM", "forearm", "forearm", "hand", 0.4, _UP),
+    *_both("MT5", "foot", "heel", "ball", 0.68, _OUT),
+    *_both("THF", "thigh", "thigh", "shank", 0.36, _FRONT),
+    *_both("SHN", "shank", "shank", "foot", 0.28, _FRONT),
+    *_both("PNK", "hand", "hand", "fingers", 0.62, _BACK),
+    *_trunk("RBAK", "chest", 0.72, _BACK, (0.08, 0.0, 0.0)),
+    *_trunk("LBAK", "chest", 0.80, _BACK, (0.08, 0.0, 0.0)),
+    *_both("WT", *_PELVIS, (1.0, 0.0, 0.3), _PELVIC, across=False),
+    # 50 up to here: the default.
+    MarkerSite("ARIEL", "head", "head_center", "head_center", 0.0, _UP, across=False),
+    *_both("UPB", "upper_arm", "upper_arm", "forearm", 0.38, _BACK),
+    *_both("THB", "thigh", "thigh", "shank", 0.6, _BACK),
+    *_both("CLF", "shank", "shank", "foot", 0.4, _BACK),
+    *_trunk("L3", "abdomen", 0.42, _BACK),
+    *_both("CHE", "chest", "hips", "neck", 0.78, _FRONT, (0.07, 0.0, 0.0), across=False),
+)
+
+
+def seats(anatomy: Anatomy, shapes: dict[str, list[Shape]], markers: int) -> list[Seat]:
+    """Return where the first ``markers`` of the set sit; InputError outside 30..60."""
+    if not FEWEST <= markers <= MOST:
+        raise InputError(f"markers = {markers} given; {FEWEST} to {MOST} fit on an actor")
+    return [_seat(site, anatomy, shapes) for site in MARKER_SITES[:markers]]
+
+
+def _seat(site: MarkerSite, anatomy: Anatomy, shapes: dict[str, list[Shape]]) -> Seat:
+    # A skeleton without a wrist joint has the forearm reach down to the hand.
+    part = anatomy.part_or(site.part, site.part.replace("wrist", "forearm"))
+    outward = -LEFT if site.name.startswith("R") else LEFT
+    axes = np.stack([outward, FORWARD, UP])
+    start, end = anatomy.points[site.start], anatomy.points[site.end]
+    origin = start + site.along * (end - start) + anatomy.scale * np.asarray(site.shift) @ axes
+    toward = np.asarray(site.toward) @ axes
+    if site.across:
+        limb = (end - start) / np.linalg.norm(end - start)
+        toward = toward - toward @ limb * limb
+    surface, normal = outermost(shapes[part], origin, toward)
+    return Seat(site.name, part, surface, normal)

@@ -1,0 +1,198 @@
+"""TwinSource: a FrameSource whose cameras look at a scene, and the truth of what they looked at."""
+
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from threading import local
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.frames import CameraInfo, Frame
+from mosca.data.truth import Truth
+from twin.cameras.camera import VirtualCamera
+from twin.cameras.kernel import gaussian_kernel
+from twin.cameras.lens import TwinLens
+from twin.cameras.mount import shaken_pose
+from twin.cameras.occlusion import occluders_of
+from twin.cameras.render import BALL, FLAT, MarkersInCamera, MeshRays, Seen, has_meshes, render_markers
+from twin.cameras.sensor import dark_table, expose
+from twin.cameras.shutter import Exposure, open_shutter, pulse_time_s
+from twin.scenes.scene import Scene, SceneSampler
+from twin.streams import key
+
+LOOK_AHEAD = 4
+"""Pulses in work for each worker: enough to keep it busy, few enough to leave early without waste."""
+
+
+@dataclass(frozen=True, eq=False)
+class _PulseTruth:
+    xyz: Array
+    seen: tuple[Seen, ...]
+    exposures: tuple[Exposure, ...]
+
+
+class TwinSource:
+    """Exposes ``scene`` through ``cameras`` at ``frame_rate_hz`` from pulse 0, ``pulses`` times.
+
+    ``exposure_s``: the window of every exposure [s]. Same seed, same bytes: over runs, processes and numbers
+    of ``workers`` (threads), because each pulse draws from streams of its own.
+    ``truth()`` tells what really was at the pulses that have been read.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        cameras: tuple[VirtualCamera, ...],
+        *,
+        frame_rate_hz: float,
+        exposure_s: float,
+        pulses: int,
+        seed: int,
+        workers: int = 1,
+    ) -> None:
+        self.scene, self.virtual, self.pulses, self.seed = scene, tuple(cameras), pulses, seed
+        self.frame_rate_hz, self.exposure_s, self.workers = frame_rate_hz, exposure_s, max(1, workers)
+        self._lenses = tuple(
+            TwinLens.of(v.camera.lens, v.camera.width, v.camera.height, v.errors.lens_gap_px).vector
+            for v in self.virtual
+        )
+        self._kernels = tuple(gaussian_kernel(v.errors.psf_sigma_px) for v in self.virtual)
+        self._dark = tuple(dark_table(v.sensor) for v in self.virtual)
+        self._occluders = occluders_of(scene)
+        geoms = list(scene.marker_geoms)
+        sphere = scene.model.geom_type[geoms] == 2
+        self._shape = np.where(sphere, BALL, FLAT).astype(np.int64)
+        self._radius = np.ascontiguousarray(scene.model.geom_size[geoms, 0], dtype=float)
+        self._thread = local()
+        self._truth: list[_PulseTruth] = []
+        self._pool: ThreadPoolExecutor | None = None
+
+    @property
+    def cameras(self) -> tuple[CameraInfo, ...]:
+        """What each camera says of itself."""
+        return tuple(
+            CameraInfo(v.camera.name, v.camera.width, v.camera.height, v.sensor.bits, self.frame_rate_hz)
+            for v in self.virtual
+        )
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yield the frames pulse by pulse, in the rig's order; starts anew each time."""
+        self._truth = []
+        with ThreadPoolExecutor(self.workers) as self._pool:
+            waiting: deque[Future[tuple[list[Frame], _PulseTruth]]] = deque()
+            try:
+                for pulse in range(self.pulses + self.workers * LOOK_AHEAD):
+                    if pulse < self.pulses:
+                        waiting.append(self._pool.submit(self._expose_pulse, pulse))
+                    if waiting and (len(waiting) > self.workers * LOOK_AHEAD or pulse >= self.pulses - 1):
+                        frames, truth = waiting.popleft().result()
+                        self._truth.append(truth)
+                        yield from frames
+            finally:
+                for future in waiting:
+                    future.cancel()
+
+    def close(self) -> None:
+        """Stop the workers."""
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+
+    def __enter__(self) -> "TwinSource":
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    @property
+    def truth_xyz(self) -> list[Array]:
+        """True marker positions (m, 3) of the pulses read so far [m]."""
+        return [p.xyz for p in self._truth]
+
+    def truth(self) -> Truth:
+        """Return what really was at the pulses read so far."""
+        done = self._truth
+        pulse_ns = [
+            round((pulse_time_s(k, self.frame_rate_hz) + self.exposure_s / 2) * 1e9) for k in range(len(done))
+        ]
+        m, c = len(self.scene.marker_names), len(self.virtual)
+        return Truth(
+            time_ns=np.array(pulse_ns, dtype=np.int64),
+            names=self.scene.marker_names,
+            xyz=np.array([p.xyz for p in done]).reshape(-1, m, 3),
+            visible=_stack(done, "visible", (m, c)),
+            cameras=tuple(v.camera.name for v in self.virtual),
+            image_xy_px=_stack(done, "xy_px", (m, c, 2)),
+            diameter_px=_stack(done, "diameter_px", (m, c)),
+            exposure_mid_ns=np.array(
+                [[round(e.middle_s * 1e9) for e in p.exposures] for p in done], dtype=np.int64
+            ).reshape(-1, c),
+        )
+
+    def _sampler(self) -> SceneSampler:
+        if not hasattr(self._thread, "sampler"):
+            self._thread.sampler = self.scene.sampler()
+        sampler: SceneSampler = self._thread.sampler
+        return sampler
+
+    def _expose_pulse(self, pulse: int) -> tuple[list[Frame], _PulseTruth]:
+        """Expose every camera at one pulse: shutter, mount, lens and light, sensor, stamp."""
+        sampler = self._sampler()
+        frames, seen, exposures = [], [], []
+        for number, virtual in enumerate(self.virtual):
+            exposure = open_shutter(virtual, pulse, self.frame_rate_hz, self.exposure_s, self.seed)
+            light, what = self._collect(sampler, number, pulse, exposure)
+            name = virtual.camera.name
+            counts = expose(
+                light, virtual.sensor, key(self.seed, f"camera/{name}/sensor", pulse), self._dark[number]
+            )
+            frames.append(Frame(name, pulse, exposure.stamp_ns, round(self.exposure_s * 1e9), counts))
+            seen.append(what)
+            exposures.append(exposure)
+        middle = pulse_time_s(pulse, self.frame_rate_hz) + self.exposure_s / 2
+        return frames, _PulseTruth(sampler.at(middle).marker_xyz, tuple(seen), tuple(exposures))
+
+    def _collect(
+        self, sampler: SceneSampler, number: int, pulse: int, exposure: Exposure
+    ) -> tuple[Array, Seen]:
+        """Return the markers' light on a camera's pixels (H, W) [electrons], and what it saw of them."""
+        virtual, lens = self.virtual[number], self._lenses[number]
+        pose = shaken_pose(virtual, lens, pulse, self.seed)
+        rotation, position = pose.rotation, pose.translation
+        first, last = sampler.at(exposure.start_s).marker_xyz, sampler.at(exposure.end_s).marker_xyz
+        state = sampler.at(exposure.middle_s)  # last, so that the sampler's data stands at mid-exposure
+        path = (np.stack([first, state.marker_xyz, last], axis=1) - position) @ rotation
+        electrons = virtual.errors.marker_signal * virtual.sensor.full_well_e
+        markers = MarkersInCamera(
+            np.ascontiguousarray(path),
+            np.ascontiguousarray(state.marker_axis @ rotation),
+            self._radius,
+            self._shape,
+            np.full(len(path), electrons),
+        )
+        solid = self._occluders.geom
+        mesh_rays = None
+        if has_meshes(self._occluders):
+            mesh_rays = MeshRays(
+                self.scene.model, sampler.data, self._occluders, self.scene.marker_geoms, (rotation, position)
+            )
+        light = np.zeros((virtual.camera.height, virtual.camera.width), dtype=np.float32)
+        seen = render_markers(
+            light,
+            lens,
+            self._kernels[number],
+            markers,
+            self._occluders,
+            np.ascontiguousarray((state.geom_xyz[solid] - position) @ rotation),
+            np.ascontiguousarray(rotation.T @ state.geom_rotation[solid]),
+            mesh_rays,
+        )
+        return light, seen
+
+
+def _stack(done: list[_PulseTruth], name: str, shape: tuple[int, ...]) -> Array:
+    """Return one quantity of Seen as (pulses, markers, cameras, ...)."""
+    if not done:
+        return np.empty((0, *shape))
+    return np.array([np.stack([getattr(s, name) for s in p.seen], axis=1) for p in done])
