@@ -219,10 +219,9 @@ def _search(origin, start, direction, white, spread, gate, outlier, low, high): 
                         members[at] = -1
                         size -= 1
                         error = _solve(members, origin, direction, white, point, cov)
-                    if size == 2:
-                        # what remains must still be a pair that meets
-                        if error < 0.0 or error > gate * gate:
-                            continue
+                    # a pair that remains must still meet
+                    if size == 2 and error > gate * gate:
+                        continue
                     if error < 0.0 or not _inside(point, low, high):
                         continue
                     if count == room:
@@ -249,10 +248,7 @@ def _limit(freedom, sigma):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True)
 def _inside(point, low, high):  # type: ignore[no-untyped-def]
-    for k in range(3):
-        if point[k] < low[k] or point[k] > high[k]:
-            return False
-    return True
+    return low[0] <= point[0] <= high[0] and low[1] <= point[1] <= high[1] and low[2] <= point[2] <= high[2]
 
 
 @njit(nogil=True, cache=True)

@@ -144,7 +144,7 @@ class Tracker:
                 points.covariance[row],
                 cameras,
                 float(points.residual_px[row]),
-            )  # fmt: skip
+            )
         )
         if not target.confirmed:
             return []

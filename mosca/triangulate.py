@@ -71,7 +71,7 @@ def solve_point(chosen, owner, origin, direction, white, point, covariance):  # 
     """
     count = chosen.shape[0]
     depth = np.ones(count)
-    for step in range(REWEIGHTINGS):
+    for _step in range(REWEIGHTINGS):
         n00 = n01 = n02 = n11 = n12 = n22 = b0 = b1 = b2 = 0.0
         for k in range(count):
             a, o = white[chosen[k]], origin[owner[k]]

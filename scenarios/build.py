@@ -18,11 +18,15 @@ from mosca.match import MatchSettings
 from mosca.pipeline import PipelineSettings
 from mosca.track import TrackSettings
 from scenarios.spec import (
+    ActorScene,
     Cameras,
     ClockFault,
+    CloudScene,
     DetectionSpec,
+    DroneScene,
     LensFault,
     MatchSpec,
+    RobotScene,
     Scenario,
     SwapFault,
     TrackSpec,
@@ -48,11 +52,19 @@ class Stages(Protocol):
     """Anything that has the tables of the stages' settings."""
 
     @property
-    def detection(self) -> DetectionSpec: ...
+    def detection(self) -> DetectionSpec:
+        """Settings of target detection."""
+        ...
+
     @property
-    def match(self) -> MatchSpec: ...
+    def match(self) -> MatchSpec:
+        """Settings of correspondence."""
+        ...
+
     @property
-    def track(self) -> TrackSpec: ...
+    def track(self) -> TrackSpec:
+        """Settings of tracking."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +164,7 @@ def virtual_cameras(spec: Scenario, rig: Rig) -> tuple[VirtualCamera, ...]:
                 e.marker_signal,
             ),
             sensor,
-        )  # fmt: skip
+        )
         for camera in rig.cameras
     )
 
@@ -183,23 +195,66 @@ def with_fault(rig: Rig, fault: Table | None) -> Rig:
     return rig
 
 
-def build_scene(spec: Scenario, folder: Path, progress_s: float | None = None) -> Scene:
-    """Return the scene; files that the scenario names are looked for beside it."""
-    from twin.scenes.cloud import build_cloud
-    from twin.scenes.drone import build_drone
-    from twin.scenes.own import build_own
-    from twin.scenes.robot import build_robot
-
-    from twin.scenes.actor import build_actor
-
+def build_scene(spec: Scenario, folder: Path) -> Scene:
+    """Return the scene; files that the scenario names are looked for beside it (``folder``)."""
     scene = spec.scene
-    where = {
+    space = spec.working_space
+    where: dict[str, Any] = {
         "duration_s": spec.capture.duration_s,
-        "box_center_m": np.array(spec.working_space.center_m),
-        "box_size_m": np.array(spec.working_space.size_m),
+        "box_center_m": np.array(space.center_m),
+        "box_size_m": np.array(space.size_m),
         "rng": rng(spec.seed, "scene"),
     }
-    raise NotImplementedError(scene, where, build_actor, build_cloud, build_drone, build_own, build_robot)
+    if isinstance(scene, ActorScene):
+        from twin.scenes.actor import build_actor
+
+        files = {
+            name: None if given is None else _beside(given, folder)
+            for name, given in (("motion_file", scene.motion), ("skeleton_file", scene.skeleton))
+        }
+        return build_actor(
+            **where,
+            **files,
+            start_s=scene.start_s,
+            markers=scene.markers,
+            marker_diameter_m=scene.marker_diameter_m,
+        )
+    if isinstance(scene, DroneScene):
+        from twin.scenes.drone import build_drone
+
+        return build_drone(
+            **where,
+            path=scene.path,
+            speed_mps=scene.speed_mps,
+            markers=scene.markers,
+            marker_diameter_m=scene.marker_diameter_m,
+        )
+    if isinstance(scene, RobotScene):
+        from twin.scenes.robot import build_robot
+
+        return build_robot(
+            **where,
+            average_pwm=scene.average_pwm,
+            difference_pwm=scene.difference_pwm,
+            marker_diameter_m=scene.marker_diameter_m,
+        )
+    if isinstance(scene, CloudScene):
+        from twin.scenes.cloud import build_cloud
+
+        return build_cloud(
+            **where,
+            markers=scene.markers,
+            marker_diameter_m=scene.marker_diameter_m,
+            speed_mps=scene.speed_mps,
+        )
+    from twin.scenes.own import build_own
+
+    return build_own(
+        **where,
+        model_file=_beside(scene.model, folder),
+        marker_file=_beside(scene.markers, folder),
+        motion=scene.motion if scene.motion in ("turntable", "physics") else _beside(scene.motion, folder),
+    )
 
 
 def pipeline_settings(spec: Scenario) -> PipelineSettings:

@@ -26,9 +26,11 @@ def find(name: str) -> Path:
     if path.exists() or path.suffix == ".toml":
         return path
     there = {scenario_name(p): p for p in built_in()}
-    if name in there:
-        return there[name]
-    near = difflib.get_close_matches(name, there, n=1)
+    # the last part of a name is enough where it is the only one
+    short = [p for p in there.values() if p.stem == name]
+    if name in there or len(short) == 1:
+        return there.get(name) or short[0]
+    near = difflib.get_close_matches(name, [*there, *(p.stem for p in there.values())], n=1)
     hint = f"did you mean '{near[0]}'?" if near else "'mosca list' shows what there is"
     raise InputError(f"{name}: no such scenario or file; {hint}")
 

@@ -127,6 +127,6 @@ def _overlaps(rig: Rig) -> list[str]:
         for other in rig.cameras[k + 1 :]:
             share = overlap_of(camera, other)
             lines.append(
-                f"{camera.name} - {other.name}: {100 * share:.0f} % of {camera.name}'s image can be seen by {other.name}"
+                f"{camera.name} - {other.name}: {100 * share:.0f} % of the first one's view can be seen by the second"
             )
     return lines

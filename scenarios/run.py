@@ -253,8 +253,8 @@ def _premises(spec: Scenario, truth: Truth, name: str) -> dict[str, Any]:
         if not premise["holds"]:
             bound = "minimum" if "minimum" in premise else "maximum"
             raise PremiseError(
-                f"{name}: premise '{key}' does not hold: {premise['value']:.3g}, {bound} {premise[bound]:g}; the score "
-                f"would mean nothing. Change the cameras or the markers, or premises.{key}"
+                f"{name}: premise '{key}' does not hold: {premise['value']:.3g}, {bound} {premise[bound]:g}; the "
+                f"score would mean nothing. Change the cameras or the markers, or premises.{key}"
             )
     return found
 

@@ -42,8 +42,6 @@ LOWER = {
     "opencv": {"k2": "k1", "k3": "k2"},
     "fisheye": {"k2": "k1", "k3": "k2", "k4": "k3"},
 }
-# higher terms than the first groups wait for the F-test
-RICH_GROUPS = 4
 ROUNDS = 4
 
 
@@ -177,7 +175,7 @@ def _free(model: str, groups: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
 
 def _rich(model: str, n_points: int) -> list[tuple[str, ...]]:
     """Return nested sets of parameters, from the simplest to the richest that so many points allow."""
-    sets = [_free(model, GROUPS[model][:k]) for k in range(RICH_GROUPS + 1)]
+    sets = [_free(model, GROUPS[model][:k]) for k in range(len(GROUPS[model]) + 1)]
     return [free for free in sets if 6 + len(free) <= n_points] or sets[:1]
 
 

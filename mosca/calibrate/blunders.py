@@ -30,18 +30,24 @@ def robust_points(
 ) -> Array:
     """Return which points (n,) are no gross blunders, by a redescending weight from ``inliers`` (n,) on.
 
-    ``nested``: sets of free lens parameters, each richer than the one before; the last one judges.
+    ``nested``: sets of free lens parameters, each richer than the one before; the last that the points determine
+    judges, since a lens term left out looks like blunders in the corners.
     """
-    camera = start
-    for free in nested:
-        camera = fit_camera(camera, free, xy_px[inliers], xyz[inliers]).camera
+    free, camera = nested[0], start
+    for richer in nested:
+        fit = fit_camera(camera, richer, xy_px[inliers], xyz[inliers])
+        if fit.cofactors is None:
+            break
+        free, camera = richer, fit.camera
     near = inliers
     for _ in range(ROBUST_ROUNDS):
         distance = np.linalg.norm(residuals_of(camera, xy_px, xyz), axis=1)
         sigma = max(SIGMA_BY_MEDIAN * float(np.median(distance)), ROUNDING_PX)
+        before, near = near, distance < GROSS_SIGMAS * sigma
+        if (near == before).all():
+            break
         weights = np.clip(1 - (distance / (TUKEY * sigma)) ** 2, 0, 1) ** 2
-        near = distance < GROSS_SIGMAS * sigma
-        camera = fit_camera(camera, nested[-1], xy_px, xyz, weights).camera
+        camera = fit_camera(camera, free, xy_px, xyz, weights).camera
     return near
 
 

@@ -51,7 +51,9 @@ def _similar_files(path: Path) -> str:
 
 
 def _first_line(model: type[BaseModel], error: ValidationError) -> str:
-    first, more = error.errors()[0], error.error_count() - 1
+    # a misspelt key is both unknown and missing: the unknown one tells more
+    errors = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
+    first, more = errors[0], len(errors) - 1
     place = _dotted(first["loc"])
     if first["type"] == "extra_forbidden":
         allowed = _keys_at(model, first["loc"][:-1])

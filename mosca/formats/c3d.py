@@ -63,7 +63,8 @@ def write_c3d(table: MarkerTable, path: Path) -> None:
 def read_c3d(path: Path) -> MarkerTable:
     """Read the points of a C3D file; samples with a negative residual or no coordinates are absent (NaN).
 
-    Raises InputError where it cannot be read, has no points or an unknown unit.
+    Raises InputError where it cannot be read, is cut short, has no points or an unknown unit. (ezc3d itself
+    can crash on a file whose parameter section is damaged: read such files only from sources that you trust.)
     """
     path = Path(path)
     if not path.is_file():

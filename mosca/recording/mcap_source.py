@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from mcap.exceptions import McapError
+from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
-from zstandard import ZstdError
 
 from mosca.data.frames import CameraInfo, Frame
 from mosca.errors import InputError
@@ -19,7 +19,7 @@ from mosca.recording import mcap_format as layout
 LARGEST_RECORD = 1 << 29
 _MAGIC = b"\x89MCAP0\r\n"
 # What the mcap package raises on bytes that are not what they should be.
-_DAMAGE = (McapError, ZstdError, ValueError, KeyError, struct.error, OverflowError, RuntimeError, MemoryError)
+_DAMAGE = (McapError, ValueError, KeyError, struct.error, OverflowError, RuntimeError, MemoryError)
 
 
 class McapRecording:
@@ -49,6 +49,20 @@ class McapRecording:
     def cameras(self) -> tuple[CameraInfo, ...]:
         """What each camera said of itself."""
         return self._cameras
+
+    @property
+    def n_frames(self) -> int | None:
+        """How many frames the file states that it holds for these cameras; None where its end is missing."""
+        topics = {layout.frame_topic(info.name) for info in self._cameras}
+        with open(self.path, "rb") as file:
+            try:
+                summary = make_reader(file).get_summary()
+            except _DAMAGE:
+                return None
+        if summary is None or summary.statistics is None:
+            return None
+        counts = summary.statistics.channel_message_counts
+        return sum(counts.get(c.id, 0) for c in summary.channels.values() if c.topic in topics)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -129,6 +143,11 @@ class McapRecording:
                 if not isinstance(record, Chunk):
                     yield record
                     continue
+                if record.compression in ("lz4", "zstd"):
+                    raise InputError(
+                        f"{self.path}: its chunks were compressed with {record.compression}; "
+                        "version 1 leaves them plain: run 'mcap decompress' on it first"
+                    )
                 try:
                     inner = breakup_chunk(record)
                 except _DAMAGE as error:

@@ -101,6 +101,16 @@ def test_late_frames_within_the_window_are_used_and_beyond_it_counted() -> None:
         assert counts.cameras["c1"].reordered == (1 if used else 0)
 
 
+def test_one_camera_alone_may_deliver_out_of_order() -> None:
+    frames = [shot(0, p) for p in range(30)]
+    frames[12], frames[13] = frames[13], frames[12]
+    frames.insert(22, frames.pop(18))
+    sets, counts = run(frames, 1)
+    assert check_true(sets) == 0
+    assert [s.pulse for s in sets if not s.frames] == []
+    assert (counts.cameras["c0"].reordered, counts.cameras["c0"].late) == (2, 0)
+
+
 def test_doubled_frames_are_ignored_even_after_their_set() -> None:
     frames = [shot(c, p) for p in range(20) for c in range(2)]
     twice = [*frames[:11], frames[10], *frames[11:], frames[4]]
@@ -155,7 +165,7 @@ def test_a_missed_trigger_shifts_nothing_though_the_counter_has_no_gap() -> None
 @pytest.mark.parametrize("start_ns", [0, -35_000_000, 1_790_000_000_123_456_789])
 @pytest.mark.parametrize("rate_error", [-1e-3, 0.0, 1e-3])
 def test_a_wrong_nominal_rate_is_followed_over_long_runs_and_gaps(start_ns: int, rate_error: float) -> None:
-    pulses = [p for p in range(6000) if not 4000 <= p < 4400]
+    pulses = [p for p in range(6000) if not 4000 <= p < 4800]
     frames = [
         Frame("c0", p, start_ns + round(p * PERIOD_NS * (1 + rate_error)), 0, IMAGE, note=str(p))
         for p in pulses
@@ -163,7 +173,7 @@ def test_a_wrong_nominal_rate_is_followed_over_long_runs_and_gaps(start_ns: int,
     sets, counts = run(frames, 1)
     assert check_true(sets) == 0
     assert len(sets) == 6000
-    assert counts.empty_sets == 400
+    assert counts.empty_sets == 800
 
 
 def test_a_mad_stamp_is_stray_and_a_clock_that_was_set_is_an_error() -> None:
@@ -230,7 +240,7 @@ def test_random_troubles_never_put_a_frame_into_a_wrong_pulse(
         assert before_first >= 0
         assert before_first <= count.late
         assert count.stray == 0
-        if spread <= 2 and n > 1:
+        if spread <= 2:
             assert count.late == 0
             assert set(in_sets) == {f.note for f in frames if f.camera == name and f.status == "ok"}
 

@@ -16,6 +16,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
 
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
@@ -84,6 +85,7 @@ def test_round_trip(tmp_path: Path, codec: str) -> None:
     with open_recording(tmp_path / "new" / "rec") as recording:
         assert isinstance(recording, McapRecording)
         assert recording.cameras == CAMERAS
+        assert recording.n_frames == 24
         assert recording.rig_toml_text == "[[camera]]\n"
         check_equal(list(recording), written)
         assert list(recording.channel("commands")) == [(20, {"thrust": [1.5, 2]}), (40, {"thrust": []})]
@@ -220,6 +222,7 @@ def test_a_killed_writer_leaves_what_it_wrote(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     with open_recording(tmp_path) as recording:
         read = list(recording)
+        assert recording.n_frames is None
         assert "its writer did not finish" in recording.notes[0]
     # At most the chunk of 1 MiB that was being filled is lost: 3.4 of these frames, and a buffer's rest.
     assert len(read) >= written - 4
@@ -288,6 +291,16 @@ def test_damaged_pixels_are_a_corrupt_frame_and_the_rest_is_read(tmp_path: Path,
     assert len(found) == 12
     bad = [f for f in found if f.note == "its pixels are damaged in the recording"]
     assert [(f.camera, f.index, f.status, f.time_ns) for f in bad] == [("left", 2, "corrupt", 19_999_997)]
+
+
+def test_chunks_that_others_compressed_are_refused(tmp_path: Path) -> None:
+    with open(tmp_path / "recording.mcap", "wb") as file:
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start()
+        writer.add_message(writer.register_channel("/camera/left/frame", "mosca.frame.v1", 0), 0, b"", 0)
+        writer.finish()
+    with pytest.raises(InputError, match=r"compressed with zstd.*run 'mcap decompress'"):
+        open_recording(tmp_path)
 
 
 def test_a_closed_recording_says_so(tmp_path: Path) -> None:

@@ -163,7 +163,7 @@ def test_tables_have_the_fields_of_the_lenses() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(q=UNIT, position=st.tuples(FINITE, FINITE, FINITE), k=st.floats(-1, 1), kind=st.sampled_from("mof"))
-def test_written_rigs_read_back_to_the_last_bit(
+def test_written_rigs_read_back_lens_and_position_to_the_last_bit(
     tmp_path_factory: pytest.TempPathFactory, q: list[float], position: tuple, k: float, kind: str
 ) -> None:
     lens = {

@@ -45,7 +45,7 @@ def opencv_lens(matrix: Array, distortion: Array) -> WitnessLens:
         return cv2.projectPoints(np.asarray(directions, float), zero, zero, matrix, distortion)[0][:, 0]
 
     def unproject(xy: Array) -> Array:
-        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
+        stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-13)
         given = np.asarray(xy, float).reshape(-1, 1, 2)
         ideal = cv2.undistortPoints(given, matrix, distortion, None, None, None, stop)
         return np.column_stack([ideal[:, 0], np.ones(len(ideal))])

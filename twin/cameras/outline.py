@@ -33,7 +33,7 @@ def add_outline(light, lens, table, reach, path, normal, r, shape, electrons, u,
         area = 0.0
         for j in range(points):
             dx, dy, dz, ex, ey, ez = rim(shape, normal, x, y, z, r, 2.0 * math.pi * j / points)
-            pu, pv, ux, uy, uz, vx, vy, vz, _ok = land(lens, dx, dy, dz)
+            pu, pv, _ux, _uy, _uz, vx, vy, vz, _ok = land(lens, dx, dy, dz)
             rise = vx * ex + vy * ey + vz * ez
             row = outline[k * points + j]
             row[0], row[1], row[2] = pu, pv, rise
@@ -44,20 +44,20 @@ def add_outline(light, lens, table, reach, path, normal, r, shape, electrons, u,
         factor = NODE_WEIGHT[nodes, k] * 2.0 * math.pi / points * (1.0 if area > 0.0 else -1.0)
         for j in range(points):
             outline[k * points + j, 3] = factor * outline[k * points + j, 2]
-    x0, x1 = int(math.floor(left)) - reach, int(math.ceil(right)) + reach + 1
-    y0, y1 = int(math.floor(top)) - reach, int(math.ceil(bottom)) + reach + 1
+    x0, x1 = math.floor(left) - reach, math.ceil(right) + reach + 1
+    y0, y1 = math.floor(top) - reach, math.ceil(bottom) + reach + 1
     # difference from pixel to pixel along the row: only pixels near the outline change
     change = np.zeros((y1 - y0 + 1, x1 - x0 + 2))
     step_x = np.empty(2 * reach + 4)
     for i in range(outline.shape[0]):
         pu, pv, amount = outline[i, 0], outline[i, 1], outline[i, 3]
-        px0 = int(math.floor(pu)) - reach
+        px0 = math.floor(pu) - reach
         previous = 1.0
         for q in range(2 * reach + 3):
             here = share(table, reach, pu - (px0 + q))
             step_x[q] = here - previous
             previous = here
-        py0 = int(math.floor(pv)) - reach
+        py0 = math.floor(pv) - reach
         for p in range(2 * reach + 2):
             w = weight(table, reach, (py0 + p) - pv)
             if w != 0.0:

@@ -87,20 +87,20 @@ def spread_samples(light, lens, table, reach, path, electrons, cell, grid, free)
         if not ok:
             continue
         x_first, y_first = left + u - mu + 0.5 * step, top + v - mv + 0.5 * step
-        px0 = int(math.floor(x_first)) - reach
+        px0 = math.floor(x_first) - reach
         for i in range(columns):
-            start = int(math.floor(x_first + i * step)) - reach
+            start = math.floor(x_first + i * step) - reach
             for q in range(2 * reach + 2):
                 by_column[i, q] = weight(table, reach, start + q - x_first - i * step)
         for j in range(rows):
             line[:] = 0.0
             for i in range(columns):
                 if lit[j, i] != 0.0:
-                    start = int(math.floor(x_first + i * step)) - reach - px0
+                    start = math.floor(x_first + i * step) - reach - px0
                     for q in range(2 * reach + 2):
                         line[start + q] += lit[j, i] * by_column[i, q]
             y_here = y_first + j * step
-            py0 = int(math.floor(y_here)) - reach
+            py0 = math.floor(y_here) - reach
             for p in range(2 * reach + 2):
                 if 0 <= py0 + p < height:
                     w = weight(table, reach, py0 + p - y_here) * electrons * NODE_WEIGHT[nodes, k]

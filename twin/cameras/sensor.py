@@ -14,7 +14,6 @@ from scipy.stats import norm, poisson
 
 from mosca.data.arrays import Array
 
-
 GUIDE_BITS = 12
 GUIDE = 2**GUIDE_BITS
 

@@ -41,16 +41,16 @@ _YAW_ARM_M = 0.016  # rotor drag moment over thrust
 _MARGIN_M = np.array([0.45, 0.45, 0.15])  # half the drone's diagonal and the tracking error
 
 # Where the markers sit: a ray from the first point along the direction, in body axes. D1-D5 below, as in
-# the Mosca paper's figure 5, the others above; no two distances in the set are equal.
+# the Mosca paper's figure 5, the others above; the set has no symmetry.
 _MARKER_RAYS: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] = (
     ((_MOTOR_M, _MOTOR_M, 0.0), (0, 0, -1)),
-    ((0.083, -0.083, 0.0), (0, 0, -1)),
-    ((-_MOTOR_M, -_MOTOR_M, 0.0), (0, 0, -1)),
+    ((0.078, -0.078, 0.0), (0, 0, -1)),
+    ((-_MOTOR_M - _RIM_M, -_MOTOR_M, 0.0), (-0.2, 0, -1)),
     ((-0.171, 0.24, 0.0), (0.0, 0.2, -1)),
-    ((0.097, 0.006, 0.0), (0.2, 0, -1)),
+    ((0.095, 0.0, 0.0), (0.2, 0, -1)),
     ((_MOTOR_M, -_MOTOR_M - _RIM_M, 0.0), (0, -0.3, 1)),
-    ((-0.045, 0.005, 0.0), (0, 0, 1)),
-    ((-0.094, 0.094, 0.0), (0, 0, 1)),
+    ((-0.05, 0.012, 0.0), (0, 0, 1)),
+    ((-0.088, 0.088, 0.0), (0, 0, 1)),
 )
 FEWEST_MARKERS, MOST_MARKERS = 5, len(_MARKER_RAYS)
 

@@ -187,10 +187,15 @@ def add_flat_target(body: mujoco.MjsBody, name: str, surface: Array, normal: Arr
     _add_marker(body, name, mujoco.mjtGeom.mjGEOM_CYLINDER, size, center, rotation_to(normal))
 
 
-def compiled(spec: mujoco.MjSpec, marker_names: Sequence[str]) -> tuple[mujoco.MjModel, tuple[int, ...]]:
-    """Return the compiled model and the markers' geom ids in the order of ``marker_names``."""
+def compiled(
+    spec: mujoco.MjSpec, marker_names: Sequence[str], prefix: str = ""
+) -> tuple[mujoco.MjModel, tuple[int, ...]]:
+    """Return the compiled model and the markers' geom ids in the order of ``marker_names``.
+
+    ``prefix``: what an attachment has put before the markers' names in the model.
+    """
     model = spec.compile()
-    return model, tuple(int(model.geom(MARKER_PREFIX + name).id) for name in marker_names)
+    return model, tuple(int(model.geom(prefix + MARKER_PREFIX + name).id) for name in marker_names)
 
 
 def quaternion_from(rotation: Array) -> Array:

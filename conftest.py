@@ -1,0 +1,66 @@
+"""Scenario files are tests: pytest collects each ``scenarios/**/*.toml`` of the quick tier and runs it."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let ``--tier full`` collect the nightly scenarios too."""
+    parser.addoption("--tier", choices=["quick", "full"], default="quick", help="scenarios to collect")
+
+
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> "ScenarioFile | None":
+    """Collect scenario files below the room of scenarios."""
+    if file_path.suffix == ".toml" and ROOT / "scenarios" in file_path.parents:
+        return ScenarioFile.from_parent(parent, path=file_path)
+    return None
+
+
+class ScenarioFile(pytest.File):
+    """One scenario file: one test."""
+
+    def collect(self) -> Iterator["ScenarioItem"]:
+        """Yield the scenario where its tier is asked for."""
+        from scenarios.spec import load_scenario
+
+        tier = self.config.getoption("--tier")
+        if tier == "full" or load_scenario(self.path).tier == "quick":
+            yield ScenarioItem.from_parent(self, name=self.path.stem)
+
+
+class ScenarioItem(pytest.Item):
+    """Runs a scenario and holds it to its limits."""
+
+    def runtest(self) -> None:
+        """Run; a broken limit, or a control that was not caught, fails."""
+        from scenarios.catalog import scenario_name
+        from scenarios.run import run_scenario
+        from scenarios.spec import load_scenario
+
+        result = run_scenario(load_scenario(self.path), scenario_name(self.path), self.path.parent)
+        if not result.record.passed:
+            raise ScenarioFailed(result.record.verdict)
+
+    def repr_failure(self, excinfo: pytest.ExceptionInfo[BaseException], style: object = None) -> str:
+        """Tell a failed limit in one line."""
+        if isinstance(excinfo.value, ScenarioFailed):
+            return f"{self.path.name}: {excinfo.value}"
+        return str(super().repr_failure(excinfo))
+
+
+class ScenarioFailed(Exception):
+    """A scenario did not end as it should."""
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """The folder of real data sets; tests that need it are skipped where it is absent."""
+    folder = Path(os.environ.get("MOSCA_DATA", ROOT.parent / "shared" / "data"))
+    if not folder.is_dir():
+        pytest.skip(f"no real data at {folder} (set MOSCA_DATA)")
+    return folder

@@ -1,0 +1,180 @@
+"""The command line as a user meets it: exit codes, one-line errors, nothing half written, quick answers."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+MOSCA = [sys.executable, "-m", "scenarios.cli"]
+TINY = """
+title = "tiny"
+{top}
+[working_space]
+size_m = [1.0, 1.0, 1.0]
+[capture]
+duration_s = 0.3
+[scene]
+kind = "cloud"
+markers = 8
+marker_diameter_m = 0.02
+[cameras]
+radius_m = 2.0
+height_m = 0.6
+size_px = [320, 240]
+pixel_pitch_mm = 0.02
+{cameras}
+[limits]
+{limits}
+"""
+
+
+def scenario(tmp_path, top="", cameras="", limits="position_rms = 0.01"):
+    path = tmp_path / "tiny.toml"
+    path.write_text(TINY.format(top=top, cameras=cameras, limits=limits))
+    return path
+
+
+def mosca(*args, cwd, **more):
+    return subprocess.run(
+        [*MOSCA, *map(str, args)], cwd=cwd, capture_output=True, text=True, timeout=300, **more
+    )
+
+
+def one_line(result):
+    assert result.returncode == 2, result.stderr
+    lines = result.stderr.strip().splitlines()
+    assert len(lines) == 1, result.stderr
+    return lines[0]
+
+
+def test_run_writes_the_whole_folder_and_repeats_itself(tmp_path):
+    path = scenario(tmp_path)
+    records = []
+    for out, workers in (("a", 1), ("b", 2)):
+        done = mosca("run", path, "--out", out, "--workers", workers, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert {p.name for p in (tmp_path / out).iterdir()} == {
+            "record.json",
+            "report.html",
+            "tracks.csv",
+            "tracks.npz",
+        }
+        record = json.loads((tmp_path / out / "record.json").read_text())
+        record.pop("timings")
+        records.append(record)
+    assert records[0] == records[1]
+    assert (tmp_path / "a/tracks.csv").read_bytes() == (tmp_path / "b/tracks.csv").read_bytes()
+    assert "position_rms" in done.stdout
+
+
+def test_a_broken_limit_exits_1_and_a_caught_control_0(tmp_path):
+    path = scenario(tmp_path, limits="position_rms = 1e-9")
+    assert mosca("run", path, cwd=tmp_path).returncode == 1
+    path = scenario(tmp_path, 'expect = "fail"\nfails_on = ["position_rms"]', limits="position_rms = 1e-9")
+    assert mosca("run", path, cwd=tmp_path).returncode == 0
+    path = scenario(tmp_path, 'expect = "fail"\nfails_on = ["position_rms"]')
+    done = mosca("run", path, cwd=tmp_path)
+    assert done.returncode == 1
+    assert "not caught" in done.stdout
+
+
+def test_recorded_frames_give_the_same_tracks(tmp_path):
+    path = scenario(tmp_path)
+    assert mosca("run", path, "--out", "a", "--record", "rec", cwd=tmp_path).returncode == 0
+    done = mosca("run", path, "--out", "b", "--source", "recording:rec", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "a/tracks.csv").read_bytes() == (tmp_path / "b/tracks.csv").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("cameras", "says"),
+    [
+        ("azimuth_deg = [10.0, 10.0, 90.0, 180.0]", "same place"),
+        ("look_at_m = [0.0, 0.0, 50.0]", "seen by two cameras"),
+        ("c_mm = -1.0", "c_mm"),
+        ('rig = "nowhere.toml"', "nowhere.toml"),
+    ],
+)
+def test_impossible_rigs(tmp_path, cameras, says):
+    line = one_line(mosca("run", scenario(tmp_path, cameras=cameras), "--out", "x", cwd=tmp_path))
+    assert says in line
+    assert not (tmp_path / "x").exists()
+    assert not list(tmp_path.glob(".x*"))
+
+
+def test_other_bad_input(tmp_path):
+    path = scenario(tmp_path)
+    assert "unknown key" in one_line(mosca("run", path, "--set", "capture.speed=1", cwd=tmp_path))
+    assert "no such" in one_line(mosca("run", "nothing.toml", cwd=tmp_path))
+    assert "did you mean" in one_line(mosca("run", "acter", cwd=tmp_path))
+    assert "hardware" in one_line(mosca("run", path, "--source", "hardware:rig.toml", cwd=tmp_path))
+    assert "recording:DIR" in one_line(mosca("run", path, "--source", "tape", cwd=tmp_path))
+    assert "marker_px" in one_line(mosca("run", path, "--set", "premises.marker_px=50", cwd=tmp_path))
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("all I have")
+    assert "record.json" in one_line(mosca("run", path, "--out", "mine", cwd=tmp_path))
+    assert (tmp_path / "mine" / "thesis.tex").read_text() == "all I have"
+
+
+def test_ctrl_c_leaves_nothing(tmp_path):
+    path = scenario(tmp_path)
+    process = subprocess.Popen(
+        [*MOSCA, "run", str(path), "--set", "capture.duration_s=600", "--out", "x"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    time.sleep(6)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "stopped" in errors
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["tiny.toml"]
+
+
+@pytest.mark.parametrize(
+    "verb", ["run", "suite", "list", "new", "reconstruct", "calibrate", "report", "schema", "rig"]
+)
+def test_every_verb_has_help_with_an_example(verb, tmp_path):
+    done = mosca(*(["rig", "check"] if verb == "rig" else [verb]), "--help", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "Example:  mosca" in done.stdout
+
+
+def test_help_and_errors_import_nothing_heavy(tmp_path):
+    # seconds are noisy; what makes them is what is imported
+    code = (
+        "import sys, scenarios.cli as c\n"
+        "sys.argv = ['mosca'] + {args}\n"
+        "try: c.main()\n"
+        "except SystemExit: pass\n"
+        "heavy = [m for m in ('mujoco','numba','scipy','cv2','matplotlib','rerun','trimesh') if m in sys.modules]\n"
+        "assert not heavy, heavy\n"
+    )
+    scenario(tmp_path).write_text("title = 3")
+    for args in (
+        ["--help"],
+        ["--version"],
+        ["run", "--help"],
+        ["run", "no.toml"],
+        ["run", "tiny.toml"],
+        ["list"],
+    ):
+        subprocess.run(
+            [sys.executable, "-c", code.format(args=args)], cwd=tmp_path, check=True, capture_output=True
+        )
+
+
+def test_new_list_and_schema(tmp_path):
+    assert mosca("new", "my.toml", cwd=tmp_path).returncode == 0
+    assert "exists already" in one_line(mosca("new", "my.toml", cwd=tmp_path))
+    listed = mosca("list", cwd=tmp_path)
+    assert "subjects/actor" in listed.stdout
+    assert json.loads(mosca("schema", "scenario", cwd=tmp_path).stdout)["title"] == "Scenario"
+    assert os.path.getsize(Path(tmp_path, "my.toml")) > 0

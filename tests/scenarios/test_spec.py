@@ -1,0 +1,126 @@
+"""Scenario files: what is wrong is said in one line that names file, key, value and what is allowed."""
+
+import json
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from mosca.errors import InputError
+from scenarios.catalog import TEMPLATE, built_in, entries, find, scenario_name, write_template
+from scenarios.spec import load_scenario, scenario_schema
+
+GOOD = """
+title = "x"
+[working_space]
+size_m = [1.0, 1.0, 1.0]
+[scene]
+kind = "cloud"
+marker_diameter_m = 0.01
+[limits]
+position_rms = 0.001
+"""
+
+
+def write(tmp_path, text):
+    path = tmp_path / "s.toml"
+    path.write_text(text)
+    return path
+
+
+def complaint(tmp_path, text, overrides=()):
+    with pytest.raises(InputError) as caught:
+        load_scenario(write(tmp_path, text), overrides)
+    line = str(caught.value)
+    assert "\n" not in line
+    assert "s.toml" in line or "--set" in line
+    return line
+
+
+def test_a_good_one_has_the_defaults_of_the_design(tmp_path):
+    spec = load_scenario(write(tmp_path, GOOD))
+    assert spec.errors.trigger_jitter_s == 20e-6
+    assert spec.errors.body_px == 0.03
+    assert spec.errors.full_well_e == 20_000
+    assert spec.errors.read_noise_e == 10
+    assert spec.model_gap == "measured"
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        (GOOD.replace("size_m", "sise_m"), ["sise_m", "size_m"]),
+        (GOOD.replace('kind = "cloud"', 'kind = "clowd"'), ["clowd", "cloud", "actor"]),
+        (GOOD.replace("marker_diameter_m = 0.01", ""), ["marker_diameter_m", "missing"]),
+        (GOOD.replace("0.01", "-0.01"), ["-0.01", "greater than 0"]),
+        (GOOD.replace("position_rms", "position_rmse"), ["position_rmse", "position_rms"]),
+        (GOOD.replace("position_rms = 0.001", ""), ["limits", "empty"]),
+        (GOOD + "[capture]\nexposure_s = 0.02\n", ["exposure_s", "0.01"]),
+        (GOOD + "[cameras]\ncount = 1\n", ["count", "2"]),
+        (GOOD + "[cameras]\nazimuth_deg = [1.0, 2.0]\n", ["azimuth_deg", "4"]),
+        (GOOD.replace('title = "x"', 'title = "x"\nexpect = "fail"'), ["fails_on"]),
+        (GOOD.replace('title = "x"', 'title = "x'), ["not valid TOML"]),
+        (GOOD.replace("size_m = [1.0, 1.0, 1.0]", "size_m = [1.0, 1.0]"), ["size_m"]),
+    ],
+)
+def test_bad_ones(tmp_path, text, parts):
+    line = complaint(tmp_path, text)
+    for part in parts:
+        assert part in line
+
+
+def test_missing_file_suggests_a_near_name(tmp_path):
+    write(tmp_path, GOOD)
+    with pytest.raises(InputError, match=r"did you mean '.*s\.toml'"):
+        load_scenario(tmp_path / "t.toml")
+
+
+def test_overrides(tmp_path):
+    spec = load_scenario(
+        write(tmp_path, GOOD), ("capture.duration_s=2", "scene.markers=7", "title=other words")
+    )
+    assert (spec.capture.duration_s, spec.scene.markers, spec.title) == (2.0, 7, "other words")
+    assert "KEY=VALUE" in complaint(tmp_path, GOOD, ("capture.duration_s",))
+    assert "title" in complaint(tmp_path, GOOD, ("title.x=1",))
+    assert "durration_s" in complaint(tmp_path, GOOD, ("capture.durration_s=2",))
+
+
+def test_every_built_in_scenario_loads_and_there_are_enough_quick_ones():
+    found = entries(())
+    assert len(found) == len(built_in())
+    quick = [e for e in found if e.spec.tier == "quick"]
+    assert sum(e.spec.expect == "pass" for e in quick) >= 9
+    assert sum(e.spec.expect == "fail" for e in quick) >= 4
+
+
+def test_finding_by_name():
+    assert scenario_name(find("actor")) == "subjects/actor"
+    assert find("subjects/actor") == find("actor")
+    with pytest.raises(InputError, match="did you mean 'actor'"):
+        find("acter")
+
+
+def test_the_template_is_a_scenario(tmp_path):
+    path = tmp_path / "mine.toml"
+    write_template(path)
+    load_scenario(path)
+    assert path.read_text() == TEMPLATE.read_text()
+    with pytest.raises(InputError, match="exists already"):
+        write_template(path)
+    with pytest.raises(InputError, match=r"\.toml"):
+        write_template(tmp_path / "mine.txt")
+
+
+def test_schema_is_json_and_knows_the_kinds():
+    text = json.dumps(scenario_schema())
+    for kind in ("actor", "drone", "robot", "cloud", "own"):
+        assert f'"{kind}"' in text
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.binary(max_size=200))
+def test_any_bytes_are_a_known_error(tmp_path, data):
+    path = tmp_path / "s.toml"
+    path.write_bytes(data)
+    with pytest.raises(InputError):
+        load_scenario(path)
