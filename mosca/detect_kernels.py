@@ -8,7 +8,7 @@ A *run* is a row of adjoining pixels: (row, first column, end column, place of i
 8-connected set of runs at the lowest threshold; a *region* is an accepted target.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -18,7 +18,13 @@ from mosca.data.arrays import Array
 # What Python calls is a kernel and cached; its steps are compiled with it. Numba keeps a cached kernel as
 # long as *its own* file is unchanged: a kernel and all its steps stand in one file.
 kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
-step = numba.njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+_STEP: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
+step = numba.njit(**_STEP)
 
 ROW, FIRST, END, PLACE = range(4)
 
@@ -201,7 +207,7 @@ def blobs_of(runs: Array) -> tuple[Array, Array]:
 
 
 @step
-def survey(runs: Array, values: Array, lowest: int, column: int) -> tuple[int, int, int]:
+def survey(runs: Array, values: Array, lowest: int, column: int) -> tuple[Any, Any, Any]:
     """Return the smallest and the largest grey value of a blob, and a bound of the dips between its summits.
 
     From each pixel a path leads along its run to ``column`` and along that column to every other row; the
@@ -394,11 +400,15 @@ def grow_regions(runs: Array, values: Array, thresholds: Array, search: Search) 
     return found[:n_found, 6], region_runs[:n]
 
 
-@kernel
+@step
 def find_regions(
     image: Array, words: Array, packing: Packing, search: Search
-) -> tuple[Array, Array, Array]:
-    """Find all targets: runs (m, 3) sorted by region, where each region begins (n + 1), thresholds (n)."""
+) -> tuple[Array, Array, Array, int]:
+    """Find the targets of one image.
+
+    Returns the runs (m, 3) sorted by region, where each region ends (n), the last threshold at which each
+    was accepted (n), and the lowest threshold.
+    """
     runs, values = bright_runs(image, words, packing, search.lowest + 1)
     thresholds = threshold_sequence(values, search)
     lowest = thresholds[-1]
@@ -407,7 +417,7 @@ def find_regions(
     runs, blob_start = blobs_of(runs)
 
     region_runs = np.empty((len(values), 3), np.int32)
-    region_start = np.zeros(len(values) + 1, np.int32)
+    region_end = np.empty(len(values), np.int32)
     region_threshold = np.empty(len(values), np.int32)
     n_regions, n = 0, 0
     for blob in range(len(blob_start) - 1):
@@ -430,17 +440,50 @@ def find_regions(
                 for c in range(3):
                     region_runs[n, c] = own[i, c]
                 n += 1
-            region_threshold[n_regions] = lowest
+            region_threshold[n_regions], region_end[n_regions] = lowest, n
             n_regions += 1
-            region_start[n_regions] = n
             continue
         grown_thresholds, grown_runs = grow_regions(own, values, thresholds, search)
         for i in range(len(grown_runs)):
             for c in range(3):
                 region_runs[n, c] = grown_runs[i, c + 1]
             n += 1
-            region_start[n_regions + grown_runs[i, 0] + 1] = n
+            region_end[n_regions + grown_runs[i, 0]] = n
         for threshold in grown_thresholds:
             region_threshold[n_regions] = threshold
             n_regions += 1
-    return region_runs[:n], region_start[: n_regions + 1], region_threshold[:n_regions]
+    return region_runs[:n], region_end[:n_regions], region_threshold[:n_regions], lowest
+
+
+@kernel
+def find_regions_in_set(
+    images: Array, words: Array, packing: Packing, search: Search
+) -> tuple[Array, Array, Array]:
+    """Find the targets of all images (n, H, W) of a frame set.
+
+    ``words`` (n, H, ...) are the same pixels, eight bytes at a time. Returns the runs (m, 3) sorted by image
+    and region; one row (r, 4) a region: image, first run, end run, threshold; and each image's lowest
+    threshold (n).
+    """
+    lowest = np.empty(len(images), np.int32)
+    parts = [find_regions(images[0], words[0], packing, search)]
+    for i in range(1, len(images)):
+        parts.append(find_regions(images[i], words[i], packing, search))
+    n_runs, n_regions = 0, 0
+    for part in parts:
+        n_runs += len(part[0])
+        n_regions += len(part[1])
+    runs, regions = np.empty((n_runs, 3), np.int32), np.empty((n_regions, 4), np.int32)
+    n, r = 0, 0
+    for i in range(len(parts)):
+        part_runs, ends, thresholds, lowest[i] = parts[i]
+        first = n
+        for k in range(len(ends)):
+            regions[r, 0], regions[r, 1], regions[r, 2] = i, n, first + ends[k]
+            regions[r, 3] = thresholds[k]
+            n = first + ends[k]
+            r += 1
+        for k in range(len(part_runs)):
+            for c in range(3):
+                runs[first + k, c] = part_runs[k, c]
+    return runs, regions, lowest

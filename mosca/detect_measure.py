@@ -1,11 +1,11 @@
-"""Compiled measurement of detected regions: centroid, its covariance, diameter.
+"""Compiled measurement of accepted regions: centroid, its covariance, diameter.
 
 Called by ``mosca.detect``, which states the formulas. Sums are whole numbers about the corner of the mask,
-so that a shift by whole pixels or a constant grey value changes nothing.
+so that neither the order of summation nor a constant grey value changes a centroid.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,8 +45,12 @@ def mask_rows(runs: Array, dilation: int, height: int, width: int) -> tuple[int,
 
 
 @step
-def ring_of(image: Array, limit: int, left: int, right: int, top: int, bottom: int) -> tuple[int, int]:
-    """Return sum and number of the pixels not above ``limit`` on the border of a box, as far as it is inside."""
+def ring_of(image: Array, limit: int, box: tuple[int, int, int, int]) -> tuple[Any, Any]:
+    """Return sum and number of the pixels not above ``limit`` on the border of a box, as far as in the image.
+
+    ``box`` is (left, right, top, bottom), all inclusive.
+    """
+    left, right, top, bottom = box
     height, width = image.shape
     total, n = np.int64(0), np.int64(0)
     for y in (top, bottom):
@@ -74,62 +78,66 @@ def disc_diameter(flux: float, contrast: float, spread_px2: float) -> float:
     """
     ratio = flux / (math.pi * contrast)
     r2 = min(ratio, spread_px2)
-    for _ in range(5):
+    for _ in range(10):
         blur2 = max(0.5 * spread_px2 - 0.25 * r2, 1e-6)
-        r2 = ratio * (1.0 - math.exp(-0.5 * r2 / blur2))
+        last, r2 = r2, ratio * (1.0 - math.exp(-0.5 * r2 / blur2))
+        if abs(r2 - last) < 1e-3 * r2:
+            break
     return 2.0 * math.sqrt(r2)
 
 
 @step
 def is_own(runs: Array, y: int, x: int) -> bool:
     """Tell whether a pixel belongs to the region that has these runs."""
+    own = False
     for i in range(len(runs)):
-        if runs[i, 0] == y and runs[i, 1] <= x < runs[i, 2]:
-            return True
-    return False
+        own |= runs[i, 0] == y and runs[i, 1] <= x < runs[i, 2]
+    return own
 
 
 @step
-def measure(
-    image: Array,
-    runs: Array,
-    threshold: int,
-    dilation: int,
-    bg_sum: int,
-    bg_n: int,
-    noise: Noise,
-    out: Array,
-) -> None:
-    """Write centroid, covariance, diameter and peak of one region to ``out``.
+def squares_below(n: int) -> Any:
+    """Return 0 + 1 + 4 + ... + (n - 1)^2."""
+    return (n - 1) * n * (2 * n - 1) // 6
 
-    ``bg_sum`` / ``bg_n`` is the background's grey value. Pixels of the mask that are above the region's
-    ``threshold`` without being its own belong to a neighbour and are left out.
+
+@step
+def largest(image: Array, runs: Array) -> Any:
+    """Return the largest grey value within the runs."""
+    peak = np.int64(0)
+    for i in range(len(runs)):
+        for x in range(runs[i, 1], runs[i, 2]):
+            peak = max(peak, np.int64(image[runs[i, 0], x]))
+    return peak
+
+
+@step
+def moments(
+    image: Array, runs: Array, threshold: int, filled: bool, first_row: int, rows: Array, left: int
+) -> tuple[Any, Any]:
+    """Return the moments of a mask and those of the grey values in it.
+
+    Moments are the sums of (1, x, y, xx, xy, yy) about column ``left`` and row ``first_row``. Pixels of the
+    mask that are above the region's ``threshold`` without being its own belong to a neighbour and are left
+    out; where the mask is not ``filled``, all pixels but the region's own are.
     """
-    first_row, rows = mask_rows(runs, dilation, image.shape[0], image.shape[1])
-    left, right = rows[0, 0], rows[0, 1]
-    for v in range(1, len(rows)):
-        left = min(left, rows[v, 0])
-        right = max(right, rows[v, 1])
-    # Moments of the mask (n..) and of the grey values in it (s..) about its top left corner.
     n = nx = ny = nxx = nxy = nyy = np.int64(0)
-    s = sx = sy = sxx = sxy = syy = peak = np.int64(0)
+    s = sx = sy = sxx = sxy = syy = np.int64(0)
     for v in range(len(rows)):
-        y = first_row + v
-        m0 = m1 = m2 = r0 = r1 = r2 = n_bright = np.int64(0)
-        for x in range(rows[v, 0], rows[v, 1]):
-            u, value = np.int64(x - left), np.int64(image[y, x])
+        row, first, end, n_own = first_row + v, rows[v, 0], rows[v, 1], rows[v, 2]
+        a, b = np.int64(first - left), np.int64(end - left)
+        m0, m1, m2 = b - a, (b * (b - 1) - a * (a - 1)) // 2, squares_below(b) - squares_below(a)
+        r0 = r1 = r2 = n_bright = np.int64(0)
+        for column in range(first, end):
+            u, value = np.int64(column - left), np.int64(image[row, column])
             n_bright += value > threshold
             r0 += value
             r1 += value * u
             r2 += value * u * u
-            m1 += u
-            m2 += u * u
-            peak = max(peak, value)
-        m0 += rows[v, 1] - rows[v, 0]
-        if n_bright != rows[v, 2]:
-            for x in range(rows[v, 0], rows[v, 1]):
-                u, value = np.int64(x - left), np.int64(image[y, x])
-                if value > threshold and not is_own(runs, y, x):
+        if n_bright != n_own or not (filled or m0 == n_own):
+            for column in range(first, end):
+                u, value = np.int64(column - left), np.int64(image[row, column])
+                if (value > threshold or not filled) and not is_own(runs, row, column):
                     m0 -= 1
                     m1 -= u
                     m2 -= u * u
@@ -148,43 +156,90 @@ def measure(
         sy += v * r0
         sxy += v * r1
         syy += v * v * r0
-    flux = s * bg_n - n * bg_sum
+    return (n, nx, ny, nxx, nxy, nyy), (s, sx, sy, sxx, sxy, syy)
+
+
+@step
+def central(sums: tuple[Any, ...], x: float, y: float) -> tuple[float, float, float]:
+    """Return the second moments (xx, xy, yy) about (x, y) from moments about the origin."""
+    n, nx, ny, nxx, nxy, nyy = sums
+    return (
+        nxx - 2.0 * x * nx + x * x * n,
+        nxy - x * ny - y * nx + x * y * n,
+        nyy - 2.0 * y * ny + y * y * n,
+    )
+
+
+@step
+def measure(
+    image: Array,
+    runs: Array,
+    threshold: int,
+    dilation: int,
+    filled: bool,
+    bg_sum: int,
+    bg_n: int,
+    noise: Noise,
+    out: Array,
+) -> None:
+    """Write centroid, covariance, diameter and peak of one region to ``out``.
+
+    ``bg_sum`` / ``bg_n`` is the background's grey value; 0 / 1 stands for none.
+    """
+    first_row, rows = mask_rows(runs, dilation, image.shape[0], image.shape[1])
+    left, right = rows[0, 0], rows[0, 1]
+    for v in range(1, len(rows)):
+        left = min(left, rows[v, 0])
+        right = max(right, rows[v, 1])
+    mask, grey = moments(image, runs, threshold, filled, first_row, rows, left)
+    flux = grey[0] * bg_n - mask[0] * bg_sum
     x, y = -1.0, -1.0
     if flux > 0:
-        x = (sx * bg_n - nx * bg_sum) / flux
-        y = (sy * bg_n - ny * bg_sum) / flux
-    if not (0.0 <= x < right - left and 0.0 <= y < len(rows)):  # a surround brighter than the target
-        bg_sum, bg_n, flux = np.int64(0), np.int64(1), s
-        x, y = sx / flux, sy / flux
-    bg, flux_dn = bg_sum / bg_n, flux / bg_n
+        x = (grey[1] * bg_n - mask[1] * bg_sum) / flux
+        y = (grey[2] * bg_n - mask[2] * bg_sum) / flux
+    if not (0.0 <= x < right - left and 0.0 <= y < len(rows)):
+        # A surround brighter than the target: it has no background to take off.
+        bg_sum, bg_n, flux = 0, 1, grey[0]
+        x, y = grey[1] / flux, grey[2] / flux
     out[X] = left + x
     out[Y] = first_row + y
-    mask_xx = nxx - 2 * x * nx + x * x * n
-    mask_xy = nxy - x * ny - y * nx + x * y * n
-    mask_yy = nyy - 2 * y * ny + y * y * n
-    grey_xx = sxx - 2 * x * sx + x * x * s - bg * mask_xx
-    grey_xy = sxy - x * sy - y * sx + x * y * s - bg * mask_xy
-    grey_yy = syy - 2 * y * sy + y * y * s - bg * mask_yy
-    lever_x, lever_y = nx - x * n, ny - y * n
-    dark, gain, bg_dn2 = noise.dark_dn2, noise.gain_dn, noise.dark_dn2 / bg_n
+
+    bg, flux_dn = bg_sum / bg_n, flux / bg_n
+    mask_xx, mask_xy, mask_yy = central(mask, x, y)
+    grey_xx, grey_xy, grey_yy = central(grey, x, y)
+    above_xx, above_xy, above_yy = grey_xx - bg * mask_xx, grey_xy - bg * mask_xy, grey_yy - bg * mask_yy
+    if above_xx <= 0.0 or above_yy <= 0.0 or above_xx * above_yy <= above_xy * above_xy:
+        above_xx, above_xy, above_yy = grey_xx, grey_xy, grey_yy  # photons of the background count too
+    lever_x, lever_y = mask[1] - x * mask[0], mask[2] - y * mask[0]
+    dark, gain = noise.dark_dn2, noise.gain_dn
+    bg_dn2 = dark / bg_n if bg_sum > 0 else 0.0
     flux2 = flux_dn * flux_dn
-    out[XX] = (dark * mask_xx + gain * max(grey_xx, 0.0) + bg_dn2 * lever_x * lever_x) / flux2
-    out[XY] = (dark * mask_xy + gain * grey_xy + bg_dn2 * lever_x * lever_y) / flux2
-    out[YY] = (dark * mask_yy + gain * max(grey_yy, 0.0) + bg_dn2 * lever_y * lever_y) / flux2
-    out[DIAMETER] = disc_diameter(flux_dn, peak - bg, (grey_xx + grey_yy) / flux_dn)
+    out[XX] = (dark * mask_xx + gain * above_xx + bg_dn2 * lever_x * lever_x) / flux2
+    out[XY] = (dark * mask_xy + gain * above_xy + bg_dn2 * lever_x * lever_y) / flux2
+    out[YY] = (dark * mask_yy + gain * above_yy + bg_dn2 * lever_y * lever_y) / flux2
+    peak = largest(image, runs)
+    out[DIAMETER] = disc_diameter(flux_dn, peak - bg, (above_xx + above_yy) / flux_dn)
     out[PEAK] = peak
 
 
 @kernel
 def measure_regions(
-    image: Array, runs: Array, start: Array, thresholds: Array, lowest: int, dilation: int, noise: Noise
-) -> Array:
-    """Measure every region that does not touch the image's border: a table (n, N_COLUMNS)."""
-    height, width = image.shape
-    table = np.empty((len(thresholds), N_COLUMNS))
+    images: Array, runs: Array, regions: Array, lowest: Array, local: bool, dilation: int, noise: Noise
+) -> tuple[Array, Array]:
+    """Measure every region that does not touch its image's border.
+
+    ``runs``, ``regions`` and ``lowest`` are those of ``find_regions_in_set``. With ``local`` the background
+    is taken off and the mask grown; without, the region is measured as it is. Returns a table (n, N_COLUMNS)
+    and the image of each row (n).
+    """
+    height, width = images.shape[1:]
+    table = np.empty((len(regions), N_COLUMNS))
+    image_of = np.empty(len(regions), np.int32)
     n = 0
-    for r in range(len(thresholds)):
-        own = runs[start[r] : start[r + 1]]
+    for r in range(len(regions)):
+        threshold = regions[r, 3]
+        image, floor = images[regions[r, 0]], lowest[regions[r, 0]]
+        own = runs[regions[r, 1] : regions[r, 2]]
         top, bottom = own[0, 0], own[-1, 0]
         left, right = own[0, 1], own[0, 2] - 1
         for i in range(1, len(own)):
@@ -192,15 +247,19 @@ def measure_regions(
             right = max(right, own[i, 2] - 1)
         if top == 0 or left == 0 or bottom == height - 1 or right == width - 1:
             continue
-        grow = dilation if thresholds[r] == lowest else min(dilation, 1)
-        far = grow + 1
-        bg_sum, bg_n = ring_of(image, lowest, left - far, right + far, top - far, bottom + far)
-        if bg_n == 0:
-            bg_sum, bg_n = ring_of(image, thresholds[r], left - far, right + far, top - far, bottom + far)
-        if bg_n == 0:
-            bg_sum, bg_n = np.int64(thresholds[r]), np.int64(1)
-        measure(image, own, thresholds[r], grow, bg_sum, bg_n, noise, table[n])
+        grow, bg_sum, bg_n = 0, np.int64(0), np.int64(1)
+        if local:
+            # A region that ends above the lowest threshold ends where something else begins.
+            grow = dilation if threshold == floor else min(dilation, 1)
+            box = (left - grow - 1, right + grow + 1, top - grow - 1, bottom + grow + 1)
+            bg_sum, bg_n = ring_of(image, floor, box)
+            if bg_n == 0:
+                bg_sum, bg_n = ring_of(image, threshold, box)
+            if bg_n == 0:
+                bg_sum, bg_n = np.int64(threshold), np.int64(1)
+        measure(image, own, threshold, grow, local, bg_sum, bg_n, noise, table[n])
         size_x, size_y = right - left + 1, bottom - top + 1
         table[n, ELONGATION] = max(size_x, size_y) / min(size_x, size_y)
+        image_of[n] = regions[r, 0]
         n += 1
-    return table[:n]
+    return table[:n], image_of[:n]

@@ -60,6 +60,7 @@ def run(
     depth = {info.name: info.bit_depth for info in source.cameras}
     volume = _box(settings.volume)
     tracker = Tracker(settings.track)
+    typical_diameter_m = 0.0
 
     for frame_set in assemble(source, source.cameras, assembly=assembly):
         clock = _Clock()
@@ -72,12 +73,22 @@ def run(
         predicted = tracker.predict(frame_set.time_ns * 1e-9)
         bundle = bundle_rays(rig, detections, settings.match.camera_sigma_px)
         clock.lap("predict")
-        groups = hypotheses(bundle, settings.match, volume)
+        groups = hypotheses(bundle, settings.match, volume, typical_diameter_m)
         points = choose(groups, bundle, predicted, settings.match)
+        typical_diameter_m = learned_diameter(typical_diameter_m, points)
         clock.lap("match")
         samples = tracker.update(points, frame_set.pulse, frame_set.time_ns)
         clock.lap("track")
         yield Step(frame_set, detections, points, tuple(samples), clock.laps)
+
+
+def learned_diameter(known_m: float, points: Points) -> float:
+    """Return the targets' typical diameter [m], learned from the points that three cameras and more agree on."""
+    sure = points.diameter_m[points.n_cameras >= 3]
+    if len(sure) < 3:
+        return known_m
+    here = float(np.median(sure))
+    return here if known_m == 0.0 else known_m + 0.05 * (here - known_m)
 
 
 def check_source(source: FrameSource, rig: Rig) -> None:

@@ -27,7 +27,8 @@ class Bundle:
     ``origin`` (c, 3) centres of projection; ``start`` (c + 1,) first row of each camera's rays;
     ``direction`` (n, 3) unit, world; ``white`` (n, 2, 3) whitened reprojection error by direction;
     ``spread`` (n, 3, 2) direction error of one standard deviation (pseudo-inverse of ``white``);
-    ``sigma_px`` (n,) geometric mean of the error ellipse's axes, to turn whitened errors back into px.
+    ``sigma_px`` (n,) geometric mean of the error ellipse's axes, to turn whitened errors back into px;
+    ``radius_px`` (n,) of the target's image and ``angle`` (n,) that its diameter fills [rad].
     """
 
     origin: Array
@@ -36,6 +37,8 @@ class Bundle:
     white: Array
     spread: Array
     sigma_px: Array
+    radius_px: Array
+    angle: Array
 
 
 def bundle_rays(rig: Rig, detections: dict[str, Detections], camera_sigma_px: float) -> Bundle:
@@ -50,24 +53,28 @@ def bundle_rays(rig: Rig, detections: dict[str, Detections], camera_sigma_px: fl
     return Bundle(
         np.array([c.world_from_camera.translation for c in rig.cameras]),
         np.concatenate([[0], np.cumsum([len(p[0]) for p in parts])]).astype(np.int64),
-        *(np.ascontiguousarray(np.concatenate([p[k] for p in parts])) for k in range(4)),
+        *(np.ascontiguousarray(np.concatenate([p[k] for p in parts])) for k in range(6)),
     )
 
 
-def _camera_rays(camera: Camera, found: Detections, sigma_px: float) -> tuple[Array, Array, Array, Array]:
+def _camera_rays(camera: Camera, found: Detections, sigma_px: float) -> tuple[Array, ...]:
     bundle = rays(camera, found.xy_px)
     covariance = found.covariance_px2 + sigma_px**2 * np.eye(2)
     white = np.linalg.solve(np.linalg.cholesky(covariance), bundle.pixel_by_direction)
     # rows of white are at right angles to the direction: white' (white white')^-1
     spread = np.swapaxes(np.linalg.solve(white @ np.swapaxes(white, 1, 2), white), 1, 2)
-    return bundle.direction, white, spread, np.linalg.det(covariance) ** 0.25
+    # px a radian across the ray: the geometric mean of both axes
+    gram = bundle.pixel_by_direction @ np.swapaxes(bundle.pixel_by_direction, 1, 2)
+    angle = found.diameter_px / np.linalg.det(gram) ** 0.25
+    return bundle.direction, white, spread, np.linalg.det(covariance) ** 0.25, found.diameter_px / 2, angle
 
 
 @njit(nogil=True, cache=True)
-def solve_point(chosen, owner, origin, direction, white, point, covariance):  # type: ignore[no-untyped-def]
+def solve_point(chosen, owner, trust, origin, direction, white, point, covariance):  # type: ignore[no-untyped-def]
     """Intersect the rays ``chosen`` (k,) of cameras ``owner`` (k,); fills point (3,) and covariance (3, 3).
 
-    Returns the sum of squared whitened errors, or -1 where the rays do not meet in front of the cameras.
+    ``trust`` (k,): factor on each ray's whitened error, 1 or less. Returns the sum of squared whitened errors, or
+    -1 where the rays do not meet in front of the cameras.
     """
     count = chosen.shape[0]
     depth = np.ones(count)
@@ -75,7 +82,7 @@ def solve_point(chosen, owner, origin, direction, white, point, covariance):  # 
         n00 = n01 = n02 = n11 = n12 = n22 = b0 = b1 = b2 = 0.0
         for k in range(count):
             a, o = white[chosen[k]], origin[owner[k]]
-            w = 1.0 / (depth[k] * depth[k])
+            w = (trust[k] / depth[k]) ** 2
             for row in range(2):
                 p, q, r = a[row, 0], a[row, 1], a[row, 2]
                 s = w * (p * o[0] + q * o[1] + r * o[2])
@@ -107,7 +114,7 @@ def solve_point(chosen, owner, origin, direction, white, point, covariance):  # 
     covariance[1, 2] = covariance[2, 1] = c12 / det
     total = 0.0
     for k in range(count):
-        total += squared_error(white[chosen[k]], origin[owner[k]], depth[k], point)
+        total += trust[k] ** 2 * squared_error(white[chosen[k]], origin[owner[k]], depth[k], point)
     return total
 
 

@@ -236,24 +236,24 @@ def build_scene(spec: Scenario, folder: Path) -> Scene:
             **where,
             average_pwm=scene.average_pwm,
             difference_pwm=scene.difference_pwm,
-            marker_diameter_m=scene.marker_diameter_m,
+            target_diameter_m=scene.marker_diameter_m,
         )
     if isinstance(scene, CloudScene):
         from twin.scenes.cloud import build_cloud
 
         return build_cloud(
-            **where,
-            markers=scene.markers,
-            marker_diameter_m=scene.marker_diameter_m,
-            speed_mps=scene.speed_mps,
+            **where, n=scene.markers, marker_diameter_m=scene.marker_diameter_m, speed_mps=scene.speed_mps
         )
     from twin.scenes.own import build_own
 
+    given = scene.motion in ("turntable", "physics")
     return build_own(
         **where,
         model_file=_beside(scene.model, folder),
-        marker_file=_beside(scene.markers, folder),
-        motion=scene.motion if scene.motion in ("turntable", "physics") else _beside(scene.motion, folder),
+        markers_file=_beside(scene.markers, folder),
+        motion=scene.motion if given else "table",
+        motion_file=None if given else _beside(scene.motion, folder),
+        speed_mps=scene.speed_mps,
     )
 
 

@@ -62,9 +62,17 @@ class ActorScene(Table):
     kind: Literal["actor"]
     motion: str | None = Field(None, description="AMC or BVH file; default: the built-in gait")
     skeleton: str | None = Field(None, description="ASF file that belongs to an AMC file")
-    start_s: NotNegative = Field(0.0, description="where in the motion file to begin [s]")
+    start_s: NotNegative = Field(0.1, description="where in the motion file to begin [s]")
+    metres_per_unit: Positive | None = Field(None, description="unit of the motion file, where it cannot say")
+    motion_rate_hz: Positive | None = Field(None, description="frame rate of the motion file, where it lies")
+    heading_deg: float = Field(0.0, description="turn of the motion file about the vertical [deg]")
+    keep_in_box: bool = Field(True, description="whether a motion that leaves the working space is an error")
+    gait: Literal["circle", "in_place", "back_and_forth"] = Field(
+        "circle", description="path of the built-in gait"
+    )
+    speed_mps: Positive = Field(1.0, description="walking speed of the built-in gait [m/s]")
     markers: int = Field(50, ge=30, le=60, description="markers on the skin")
-    marker_diameter_m: Positive = Field(0.02, description="diameter of the ball markers [m]")
+    marker_diameter_m: Positive = Field(0.016, description="diameter of the ball markers [m]")
 
 
 class DroneScene(Table):
@@ -83,7 +91,7 @@ class RobotScene(Table):
     kind: Literal["robot"]
     average_pwm: Positive = Field(30.0, description="a_m of the paper: largest average PWM value")
     difference_pwm: Positive = Field(60.0, description="d_m of the paper: largest command difference")
-    marker_diameter_m: Positive = Field(0.04, description="diameter of the flat round targets [m]")
+    marker_diameter_m: Positive = Field(0.03, description="diameter of the flat round targets [m]")
 
 
 class CloudScene(Table):
@@ -101,9 +109,8 @@ class OwnScene(Table):
     kind: Literal["own"]
     model: str = Field(description="MJCF (.xml) or URDF (.urdf) file")
     markers: str = Field(description="marker table (.csv or .toml): name, body, x, y, z, diameter [m]")
-    motion: Literal["turntable", "physics"] | str = Field(
-        "turntable", description="'turntable', 'physics', or a CSV file of time and qpos"
-    )
+    motion: str = Field("turntable", description="'turntable', 'physics', or a CSV file of time and qpos")
+    speed_mps: Positive = Field(0.3, description="speed on the turntable [m/s]")
 
 
 SceneSpec = Annotated[

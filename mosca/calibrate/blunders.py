@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from mosca.calibrate.fit import Fit, fit_camera, linearised, residuals_of
+from mosca.calibrate.fit import ROUGHLY_CONVERGED, Fit, fit_camera, linearised, residuals_of
 from mosca.calibrate.resection import SIGMA_BY_MEDIAN
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera
@@ -35,7 +35,7 @@ def robust_points(
     """
     free, camera = nested[0], start
     for richer in nested:
-        fit = fit_camera(camera, richer, xy_px[inliers], xyz[inliers])
+        fit = fit_camera(camera, richer, xy_px[inliers], xyz[inliers], tolerance=ROUGHLY_CONVERGED)
         if fit.cofactors is None:
             break
         free, camera = richer, fit.camera
@@ -47,7 +47,7 @@ def robust_points(
         if (near == before).all():
             break
         weights = np.clip(1 - (distance / (TUKEY * sigma)) ** 2, 0, 1) ** 2
-        camera = fit_camera(camera, free, xy_px, xyz, weights).camera
+        camera = fit_camera(camera, free, xy_px, xyz, weights, ROUGHLY_CONVERGED).camera
     return near
 
 

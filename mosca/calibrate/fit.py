@@ -23,6 +23,8 @@ STEPS = 100
 UNSEEN_PX = 1e3
 # share of the sum of squares that a step must promise and bring
 CONVERGED = 1e-10
+# for fits that only compare models or find outliers
+ROUGHLY_CONVERGED = 1e-5
 # scaled parameters; principal point and turn are nearly one, so that heavy damping crawls
 FIRST_DAMPING = 1e-8
 WORST_DAMPING = 1e8
@@ -53,11 +55,17 @@ class Fit:
 
 
 def fit_camera(
-    start: Camera, free: Sequence[str], xy_px: Array, xyz: Array, weights: Array | None = None
+    start: Camera,
+    free: Sequence[str],
+    xy_px: Array,
+    xyz: Array,
+    weights: Array | None = None,
+    tolerance: float = CONVERGED,
 ) -> Fit:
     """Fit pose and the ``free`` lens parameters to pixels (n, 2) of points (n, 3) [m].
 
-    ``weights`` (n,) of the points (default 1). The other lens parameters stay as ``start`` has them.
+    ``weights`` (n,) of the points (default 1); ``tolerance`` the share of the sum of squares by which a step
+    must lower it to be followed by another. The other lens parameters stay as ``start`` has them.
     """
     columns = _columns(start.lens, free)
     root = np.ones(len(xyz)) if weights is None else np.sqrt(weights)
@@ -76,7 +84,7 @@ def fit_camera(
         trial = None
         while damping < WORST_DAMPING:
             step = np.linalg.solve(scaled + damping * np.eye(len(scale)), slope)
-            if step @ slope <= CONVERGED * cost:
+            if step @ slope <= tolerance * cost:
                 break  # not even the linear model promises a gain
             trial = _moved(camera, free, step / scale, pivot)
             if trial is not None:
@@ -90,7 +98,7 @@ def fit_camera(
         gained = cost - trial_cost
         camera, residuals, jacobian, cost = trial, trial_residuals, trial_jacobian, trial_cost
         damping = max(damping / 100, FIRST_DAMPING)
-        if gained <= CONVERGED * cost:
+        if gained <= tolerance * cost:
             break
     return Fit(camera, tuple(free), residuals, jacobian, _cofactors(jacobian, root), cost)
 

@@ -58,7 +58,7 @@ def resect(where: str, xy_px: Array, xyz: Array, rng: np.random.Generator) -> Re
     matrix, inliers = _robust_matrix(where, image, world, rng)
     back = np.array([[scale, 0, centre[0]], [0, scale, centre[1]], [0, 0, 1.0]])
     interior, rotation, origin = _factors(where, back @ matrix, world[inliers])
-    lens = OpenCVLens(interior[0, 0], interior[1, 1], interior[0, 2], interior[1, 2])
+    lens = OpenCVLens(*(float(interior[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))))
     pose = Pose(rotation.T, origin)
     # the linear solution's own residual (with its skew) judges the points, not the pinhole's
     homogeneous = np.column_stack([world, np.ones(len(world))]) @ (back @ matrix).T

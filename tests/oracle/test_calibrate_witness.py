@@ -23,7 +23,7 @@ def test_the_same_optimum_as_opencv(seed):
     done = adjust_camera("c", (W, H), "opencv", xy, points, rng, settings)
     flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3
     stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-14)
-    rms, matrix, d, turns, shifts, sigma_interior, sigma_exterior, _ = cv2.calibrateCameraExtended(
+    rms, matrix, d, turns, shifts, sigma_interior, _, _ = cv2.calibrateCameraExtended(
         [points.astype(np.float32)],
         [xy.astype(np.float32)],
         (W, H),

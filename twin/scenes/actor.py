@@ -50,7 +50,7 @@ def build_actor(
     heading_deg: float = 0.0,
     keep_in_box: bool = True,
     gait: GaitPath = "circle",
-    speed_m_s: float = 1.0,
+    speed_mps: float = 1.0,
     stature_m: float = 1.75,
     markers: int = 50,
     marker_diameter_m: float = 0.016,
@@ -63,18 +63,21 @@ def build_actor(
     ``frame_rate_hz`` and ``drop_frames`` stand in for what the file cannot say (defaults: ASF from its
     length, 120 Hz; BVH 0.01, the file's rate, 1 frame dropped). ``placement`` "center" turns the
     recording by ``heading_deg`` about the vertical, puts the middle of the part played over the middle of
-    the box and its lowest heel or ball on the floor; "file" leaves it where it was. ``keep_in_box``: a recording
-    that leaves the box is an error. Between frames the motion is a C2 spline.
+    the box and its lowest heel or ball on the floor; "file" leaves it where it was. ``keep_in_box``: a
+    recording that leaves the box is an error. Between frames the motion is a C2 spline. A recording's
+    limbs may pass a little into each other (hands on hips): nothing pushes them apart.
 
     Without it the actor of ``stature_m`` walks: ``gait`` "in_place", "circle" (the largest in the box)
-    or "back_and_forth" along the box's longer side, at ``speed_m_s``, first step and start by ``rng``.
+    or "back_and_forth" along the box's longer side, at ``speed_mps``, first step and start by ``rng``.
 
     ``bodies``: every part that carries three markers or more. Raises InputError naming what is wrong.
     """
     box = Box(box_center_m, box_size_m)
     positive({"duration_s": duration_s, "marker_diameter_m": marker_diameter_m})
     if motion_file is None:
-        positive({"speed_m_s": speed_m_s, "stature_m": stature_m})
+        positive({"speed_mps": speed_mps})
+        if not 1.3 <= stature_m <= 2.3:
+            raise InputError(f"stature_m = {stature_m} given; 1.3 to 2.3 m wanted")
         if gait not in GAIT_PATHS:
             raise InputError(f"gait = {gait!r} given; allowed: {', '.join(GAIT_PATHS)}")
         skeleton = walker_skeleton(stature_m)
@@ -83,7 +86,7 @@ def build_actor(
                 f"box_center_m = {box.center.tolist()}, box_size_m = {box.size.tolist()}: the box ends at "
                 f"{box.high[2]:.2f} m and the actor, standing on z = 0, at {stature_m} m; raise or enlarge the box"
             )
-        walking = walk(skeleton, gait, box.center[:2], box.size[:2] / 2, speed_m_s, rng)
+        walking = walk(skeleton, gait, box.center[:2], box.size[:2] / 2, speed_mps, rng)
         anatomy = read_anatomy(skeleton, f"stature_m = {stature_m}")
     else:
         motion = _read(Path(motion_file), skeleton_file, metres_per_unit, frame_rate_hz, drop_frames)

@@ -61,20 +61,20 @@ def build_cloud(
     rng: np.random.Generator,
     n: int = 200,
     marker_diameter_m: float | None = None,
-    speed_m_s: float | None = None,
+    speed_mps: float | None = None,
     floor: bool = False,
 ) -> Scene:
     """Return ``n`` free ball markers P1..Pn in the working space.
 
-    ``marker_diameter_m``: by default 1.2 % of the box's shortest edge. ``speed_m_s``: rms speed of the
+    ``marker_diameter_m``: by default 1.2 % of the box's shortest edge. ``speed_mps``: rms speed of the
     markers, by default a fifth of the shortest edge a second. ``rng`` draws everything else. All markers
     stay inside the box. Raises InputError where markers of this size would come to touch.
     """
     box = Box(box_center_m, box_size_m)
     edge = float(box.size.min())
     diameter = 0.012 * edge if marker_diameter_m is None else marker_diameter_m
-    speed = 0.2 * edge if speed_m_s is None else speed_m_s
-    positive({"duration_s": duration_s, "marker_diameter_m": diameter, "speed_m_s": speed, "n": n})
+    speed = 0.2 * edge if speed_mps is None else speed_mps
+    positive({"duration_s": duration_s, "marker_diameter_m": diameter, "speed_mps": speed, "n": n})
     counts, cell = _lattice(box, n, diameter)
     closest = (1 - LEEWAY) * float(cell.min())
     if not closest > 1.2 * diameter:
@@ -129,12 +129,12 @@ def _draw(box: Box, counts: Array, cell: Array, n: int, rng: np.random.Generator
     )
 
 
-def _at_speed(path: CloudPath, speed_m_s: float) -> CloudPath:
-    """Return the same path played at such a rate that the markers' rms speed is ``speed_m_s``."""
+def _at_speed(path: CloudPath, speed_mps: float) -> CloudPath:
+    """Return the same path played at such a rate that the markers' rms speed is ``speed_mps``."""
     times, step = np.linspace(0, 200, 400), 1e-4
     rates = [(path(t + step) - path(t)) / step for t in times]
     rms = float(np.sqrt(3 * np.mean(np.square(rates))))
-    k = speed_m_s / rms
+    k = speed_mps / rms
     return CloudPath(
         path.cells,
         path.amplitudes,

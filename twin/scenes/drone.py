@@ -70,7 +70,7 @@ def build_drone(
     box_size_m: Array,
     rng: np.random.Generator,
     path: FlightPath = "figure_eight",
-    speed_m_s: float = 0.5,
+    speed_mps: float = 0.5,
     gust_n: float = 0.02,
     mass_kg: float = MASS_KG,
     markers: int = MOST_MARKERS,
@@ -79,7 +79,7 @@ def build_drone(
 ) -> Scene:
     """Return a drone that flies ``path`` ("figure_eight", "circle", "waypoints") in the working space.
 
-    ``speed_m_s`` along the path, ``gust_n`` rms force of a smooth gust on each axis [N]; ``markers`` 5..8
+    ``speed_mps`` along the path, ``gust_n`` rms force of a smooth gust on each axis [N]; ``markers`` 5..8
     balls named D1, D2, ... of the rigid body "drone". ``rng`` draws start, gusts and waypoints. Raises
     InputError where the box has no room or the speed is too high for the path's bends.
     """
@@ -89,7 +89,7 @@ def build_drone(
         box_size_m=box_size_m,
         rng=rng,
         path=path,
-        speed_m_s=speed_m_s,
+        speed_mps=speed_mps,
         gust_n=gust_n,
         mass_kg=mass_kg,
         markers=markers,
@@ -105,7 +105,7 @@ def build_flight(
     box_size_m: Array,
     rng: np.random.Generator,
     path: FlightPath = "figure_eight",
-    speed_m_s: float = 0.5,
+    speed_mps: float = 0.5,
     gust_n: float = 0.02,
     mass_kg: float = MASS_KG,
     markers: int = MOST_MARKERS,
@@ -117,7 +117,7 @@ def build_flight(
     positive(
         {
             "duration_s": duration_s,
-            "speed_m_s": speed_m_s,
+            "speed_mps": speed_mps,
             "mass_kg": mass_kg,
             "marker_diameter_m": marker_diameter_m,
         }
@@ -128,7 +128,7 @@ def build_flight(
         )
     if not FEWEST_MARKERS <= markers <= MOST_MARKERS:
         raise InputError(f"markers = {markers} given; {FEWEST_MARKERS} to {MOST_MARKERS} fit on the drone")
-    reference = plan_flight(path, box.center, box.half_inside(_MARGIN_M, "a flying drone"), speed_m_s, rng)
+    reference = plan_flight(path, box.center, box.half_inside(_MARGIN_M, "a flying drone"), speed_mps, rng)
     names = tuple(f"D{k + 1}" for k in range(markers))
     model, geoms = compiled(_specify(mass_kg, names, marker_diameter_m, floor), names)
     first, qpos, qvel = fly(model, reference, -0.1, duration_s + 0.1, gust_n, rng)

@@ -31,25 +31,25 @@ class Reference:
     """Where the drone should be: a closed C2 curve over its length [m], flown at constant speed."""
 
     curve: CubicSpline
-    speed_m_s: float
+    speed_mps: float
     start_m: float
     yaw_phase: float
 
     def at(self, time_s: float | Array) -> tuple[Array, Array, Array, Array]:
         """Return position, velocity, acceleration (..., 3) and yaw (...) [rad] wanted at ``time_s`` (...)."""
-        way = self.start_m + self.speed_m_s * time_s
+        way = self.start_m + self.speed_mps * time_s
         yaw = _YAW_SWING_RAD * np.sin(2 * np.pi * time_s / _YAW_PERIOD_S + self.yaw_phase)
-        v = self.speed_m_s
+        v = self.speed_mps
         return self.curve(way), v * self.curve(way, 1), v * v * self.curve(way, 2), np.asarray(yaw)
 
 
 def plan_flight(
-    path: FlightPath, center: Array, half: Array, speed_m_s: float, rng: np.random.Generator
+    path: FlightPath, center: Array, half: Array, speed_mps: float, rng: np.random.Generator
 ) -> Reference:
     """Return a closed path that stays within ``half`` (3,) [m] of ``center`` (3,) [m].
 
     ``rng`` draws where it starts and, for "waypoints", six points in the box that it passes. Raises
-    InputError where the path's bends would need more than 4 m/s^2 at ``speed_m_s``.
+    InputError where the path's bends would need more than 4 m/s^2 at ``speed_mps``.
     """
     start, yaw_phase = rng.uniform(0, 1), rng.uniform(0, 2 * np.pi)
     angle = np.linspace(0, 2 * np.pi, 241)
@@ -75,13 +75,13 @@ def plan_flight(
     lengths = _lengths(knots)
     curve = CubicSpline(lengths, knots, bc_type="periodic")
     bend = float(np.linalg.norm(curve(np.linspace(0, lengths[-1], 2000), 2), axis=1).max())
-    if speed_m_s**2 * bend > LARGEST_ACCELERATION_M_S2:
+    if speed_mps**2 * bend > LARGEST_ACCELERATION_M_S2:
         fastest = np.sqrt(LARGEST_ACCELERATION_M_S2 / bend)
         raise InputError(
-            f"speed_m_s = {speed_m_s}: the tightest bend of path '{path}' in this box has a radius of "
+            f"speed_mps = {speed_mps}: the tightest bend of path '{path}' in this box has a radius of "
             f"{1 / bend:.3f} m and allows {fastest:.2f} m/s; fly more slowly, enlarge the box or take another path"
         )
-    return Reference(curve, speed_m_s, start * float(lengths[-1]), yaw_phase)
+    return Reference(curve, speed_mps, start * float(lengths[-1]), yaw_phase)
 
 
 def fly(

@@ -81,7 +81,7 @@ class Gait:
     path: GaitPath
     center: Array
     extent: Array
-    speed_m_s: float
+    speed_mps: float
     stride_hz: float
     phase: float
     heading: float
@@ -104,14 +104,14 @@ class Gait:
             return self.center, self.heading
         if self.path == "circle":
             radius = float(self.extent[0])
-            angle = self.heading + self.speed_m_s / radius * time_s
+            angle = self.heading + self.speed_mps / radius * time_s
             return self.center + radius * np.array([np.cos(angle), np.sin(angle)]), angle + np.pi / 2
         # Lane, turn, lane, turn; the draw of the phase says where in the lap the session starts.
         length = 2 * float(np.linalg.norm(self.extent))
-        lane_s = length / self.speed_m_s + _RAMP_S
+        lane_s = length / self.speed_mps + _RAMP_S
         half_lap = lane_s + _TURN_S
         lap, within = divmod(time_s + self.phase / np.pi * half_lap, half_lap)
-        walked = self.speed_m_s * _ramped(within, lane_s)
+        walked = self.speed_mps * _ramped(within, lane_s)
         side = -1.0 if lap % 2 == 0 else 1.0
         along = side * (1 - 2 * walked / length)
         turned = _quintic((within - lane_s) / _TURN_S)
@@ -123,20 +123,20 @@ def walk(
     path: GaitPath,
     center: Array,
     half_box: Array,
-    speed_m_s: float,
+    speed_mps: float,
     rng: np.random.Generator,
 ) -> Gait:
     """Return a walk about ``center`` (2,) whose limbs and markers stay within ``half_box`` (2,) [m] of it.
 
     ``rng`` draws the phase of the first step, where on the path it starts and, in place, the heading.
-    A lane too short to reach ``speed_m_s`` is walked more slowly. Raises InputError where the box has no
+    A lane too short to reach ``speed_mps`` is walked more slowly. Raises InputError where the box has no
     room.
     """
     phase, heading = rng.uniform(0, 2 * np.pi, 2)
     leg = -float(np.sum(skeleton.offsets[[skeleton.index("ltibia"), skeleton.index("lfoot")], 2]))
     # Cadence rises with speed (0.9 strides/s at 1.2 m/s); the swing of the hips makes the stride.
-    stride_hz = 0.55 + 0.3 * speed_m_s
-    share = 0.15 if path == "in_place" else speed_m_s / (4 * stride_hz * leg)
+    stride_hz = 0.55 + 0.3 * speed_mps
+    share = 0.15 if path == "in_place" else speed_mps / (4 * stride_hz * leg)
     stride, reach = _stride(skeleton, float(np.arcsin(min(share, 0.55))))
     room = half_box - reach
     least = 0.0 if path == "in_place" else _SHORTEST_PATH_M
@@ -152,8 +152,8 @@ def walk(
         axis = int(np.argmax(room))
         extent[axis] = room[axis]
         heading = axis * np.pi / 2  # from the lane's end at -extent towards +extent
-        speed_m_s = min(speed_m_s, 2 * float(room[axis]) / _RAMP_S)
-    return Gait(path, center, extent, speed_m_s, stride_hz, phase, heading, stride)
+        speed_mps = min(speed_mps, 2 * float(room[axis]) / _RAMP_S)
+    return Gait(path, center, extent, speed_mps, stride_hz, phase, heading, stride)
 
 
 def _pose(skeleton: Skeleton, phases: Array, swing: float) -> Array:

@@ -26,6 +26,12 @@ _PREFIX = "own/"
 _LAST_SEEN_GROUP = 2
 _URDF_EXTENSION = '<mujoco><compiler discardvisual="false" fusestatic="false" strippath="false"/></mujoco>'
 _TILT_RAD = 0.35
+# MuJoCo resets itself to the start when it warns of one of these.
+_DIVERGED = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+)
 
 
 def build_own(
@@ -38,14 +44,14 @@ def build_own(
     markers_file: Path,
     motion: OwnMotion = "turntable",
     motion_file: Path | None = None,
-    speed_m_s: float = 0.3,
+    speed_mps: float = 0.3,
     turn_rad_s: float = 1.0,
     floor: bool = True,
 ) -> Scene:
     """Return the model in ``model_file`` (MJCF .xml or .urdf) with the markers of ``markers_file`` on it.
 
     ``motion``: "turntable": the whole model, joints at rest, is carried about the box at up to
-    ``speed_m_s`` per axis and turned at ``turn_rad_s`` [rad/s] while it tilts (start by ``rng``);
+    ``speed_mps`` per axis and turned at ``turn_rad_s`` [rad/s] while it tilts (start by ``rng``);
     "physics": the model is let go from its first keyframe, else its rest pose, at -0.1 s;
     "table": ``motion_file`` is a CSV with header, column 1 the time [s] and then all of qpos.
     ``floor``: add the plane z = 0 unless the model brings a plane. ``bodies``: every body with markers.
@@ -69,13 +75,13 @@ def build_own(
         b: tuple(m.name for m in markers if m.body == b) for b in dict.fromkeys(m.body for m in markers)
     }
     if motion == "turntable":
-        positive({"speed_m_s": speed_m_s, "turn_rad_s": turn_rad_s})
+        positive({"speed_mps": speed_mps, "turn_rad_s": turn_rad_s})
         try:
             model, geoms = compiled(_on_turntable(spec, floor), names, _PREFIX)
         except ValueError as error:
             reason = " ".join(str(error).split())
             raise InputError(f"{model_file}: cannot be put on a turntable: {reason}; use 'physics'") from None
-        path = _turntable(model, box, speed_m_s, turn_rad_s, rng)
+        path = _turntable(model, box, speed_mps, turn_rad_s, rng)
         return Scene(model, names, geoms, path, duration_s, bodies)
     if floor and not (bare.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any():
         add_floor(spec)
@@ -164,7 +170,7 @@ def _on_turntable(spec: mujoco.MjSpec, floor: bool) -> mujoco.MjSpec:
 
 
 def _turntable(
-    model: mujoco.MjModel, box: Box, speed_m_s: float, turn_rad_s: float, rng: np.random.Generator
+    model: mujoco.MjModel, box: Box, speed_mps: float, turn_rad_s: float, rng: np.random.Generator
 ) -> Turntable:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -175,7 +181,7 @@ def _turntable(
     swing = box.half_inside(np.full(3, radius), "this model as it turns")
     phases = rng.uniform(0, 2 * np.pi, 5)
     # Unequal shares of the speed: the path fills the box and does not close.
-    rates = speed_m_s * np.array([1.0, 0.83, 0.61]) / swing
+    rates = speed_mps * np.array([1.0, 0.83, 0.61]) / swing
     return Turntable(
         box.center, swing, np.minimum(rates, 2 * np.pi), phases, turn_rad_s, pivot, model.qpos0.copy()
     )
@@ -190,7 +196,7 @@ def _let_go(model: mujoco.MjModel, duration_s: float, source: str) -> tuple[Arra
     for k in range(steps + 1):
         qpos[k], qvel[k] = data.qpos, data.qvel
         mujoco.mj_step(model, data)
-        if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or not np.isfinite(data.qpos).all():
+        if any(data.warning[kind].number for kind in _DIVERGED):
             raise InputError(
                 f"{source}: the physics diverges {k * model.opt.timestep:.3f} s after the start; use a smaller "
                 "timestep in its <option>, or motion = 'turntable' or 'table'"

@@ -17,8 +17,8 @@ from mosca.errors import InputError
 from twin.scenes.scene import MARKER_GROUP, UNSEEN_GROUP
 from twin.scenes.world import add_ball_marker, add_flat_target
 
-_TIE_M = 1e-9
-_ROUND_FACES = 3  # subdivisions of spheres: 0.1 % of the radius off
+_TIE_M = 1e-6
+_SPHERE_SUBDIVISIONS = 5  # faces 0.02 of the radius long: a marker's place is that coarse on round shapes
 
 
 class OwnMarker(Table):
@@ -107,8 +107,9 @@ def surfaces_of(model: mujoco.MjModel) -> Surfaces:
             and (part := _geom_mesh(model, int(g))) is not None
         ]
         if parts:
-            joined = trimesh.util.concatenate(parts)
-            meshes[model.body(body).name] = trimesh.Trimesh(joined.vertices, joined.faces, process=False)
+            corners = np.concatenate([part.triangles for part in parts]).reshape(-1, 3)
+            faces = np.arange(len(corners)).reshape(-1, 3)
+            meshes[model.body(body).name] = trimesh.Trimesh(corners, faces, process=False)
     return Surfaces(meshes)
 
 
@@ -128,7 +129,7 @@ def seat_markers(spec: mujoco.MjSpec, surfaces: Surfaces, markers: Sequence[OwnM
 def _geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
     """Return the geom as a triangle mesh in its body's axes; None for what has no closed surface here."""
     kinds = mujoco.mjtGeom
-    kind, size = model.geom_type[geom], model.geom_size[geom]
+    kind, size = kinds(int(model.geom_type[geom])), model.geom_size[geom]
     if kind == kinds.mjGEOM_MESH:
         data = int(model.geom_dataid[geom])
         v, f = int(model.mesh_vertadr[data]), int(model.mesh_faceadr[data])
@@ -136,17 +137,17 @@ def _geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
             model.mesh_vert[v : v + model.mesh_vertnum[data]].astype(np.float64),
             model.mesh_face[f : f + model.mesh_facenum[data]],
         )
-        if mesh.is_watertight:
-            mesh.fix_normals()
+        if mesh.is_watertight and mesh.volume < 0:
+            mesh.invert()
     elif kind in (kinds.mjGEOM_SPHERE, kinds.mjGEOM_ELLIPSOID):
-        mesh = trimesh.creation.icosphere(subdivisions=_ROUND_FACES + 1, radius=1.0)
+        mesh = trimesh.creation.icosphere(subdivisions=_SPHERE_SUBDIVISIONS, radius=1.0)
         mesh.apply_scale(size if kind == kinds.mjGEOM_ELLIPSOID else np.full(3, size[0]))
     elif kind == kinds.mjGEOM_BOX:
         mesh = trimesh.creation.box(extents=2 * size)
     elif kind == kinds.mjGEOM_CYLINDER:
-        mesh = trimesh.creation.cylinder(radius=size[0], height=2 * size[1], sections=96)
+        mesh = trimesh.creation.cylinder(radius=size[0], height=2 * size[1], sections=256)
     elif kind == kinds.mjGEOM_CAPSULE:
-        mesh = trimesh.creation.capsule(radius=size[0], height=2 * size[1], count=[64, 64])
+        mesh = trimesh.creation.capsule(radius=size[0], height=2 * size[1], count=[128, 128])
         mesh.apply_translation(-mesh.bounds.mean(axis=0))
     else:
         return None

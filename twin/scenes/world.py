@@ -15,7 +15,7 @@ from mosca.errors import InputError
 from twin.scenes.scene import MARKER_GROUP
 
 MARKER_PREFIX = "marker/"
-SEAT_M = 0.002
+SEAT_M = 0.005
 """Thickness of a ball marker's base between skin and ball [m]."""
 FLAT_HALF_THICKNESS_M = 0.0002
 """Half the thickness of a flat target's disc [m]: printed paper."""
