@@ -120,11 +120,13 @@ def bright_runs(image: Array, words: Array, packing: Packing, level: int) -> tup
 @step
 def threshold_sequence(values: Array, search: Search) -> Array:
     """Return the thresholds, falling. Grey values that the image lacks are stepped over (step 3)."""
-    present = np.zeros(search.highest + 1, np.uint8)
-    for value in values:
-        if value <= search.highest:
-            present[value] = 1
     thresholds = np.empty((search.highest - search.lowest) // search.step + 1, np.int32)
+    present = np.ones(search.highest + 1, np.uint8)
+    if search.step > 1:  # in steps of 1 absent values only repeat a binary image
+        present[:] = 0
+        for value in values:
+            if value <= search.highest:
+                present[value] = 1
     n, threshold = 0, search.highest
     while threshold > search.lowest:
         thresholds[n] = threshold

@@ -74,13 +74,17 @@ def disc_diameter(flux: float, contrast: float, spread_px2: float) -> float:
 
     A disc of radius R and plateau A under a Gaussian blur s has the flux pi R^2 A, at its centre the
     contrast A (1 - exp(-R^2 / 2 s^2)) and the mean squared radius R^2 / 2 + 2 s^2: solved for R^2 by
-    fixed-point iteration.
+    fixed-point iteration. The exponential is ((1 - t/16) / (1 + t/16))^8, right to 0.003 and the same on
+    every machine.
     """
     ratio = flux / (math.pi * contrast)
     r2 = min(ratio, spread_px2)
     for _ in range(10):
         blur2 = max(0.5 * spread_px2 - 0.25 * r2, 1e-6)
-        last, r2 = r2, ratio * (1.0 - math.exp(-0.5 * r2 / blur2))
+        t = min(0.5 * r2 / blur2, 16.0) / 16.0
+        power = ((1.0 - t) / (1.0 + t)) ** 2
+        power *= power
+        last, r2 = r2, ratio * (1.0 - power * power)
         if abs(r2 - last) < 1e-3 * r2:
             break
     return 2.0 * math.sqrt(r2)
@@ -102,48 +106,45 @@ def squares_below(n: int) -> Any:
 
 
 @step
-def largest(image: Array, runs: Array) -> Any:
-    """Return the largest grey value within the runs."""
-    peak = np.int64(0)
-    for i in range(len(runs)):
-        for x in range(runs[i, 1], runs[i, 2]):
-            peak = max(peak, np.int64(image[runs[i, 0], x]))
-    return peak
-
-
-@step
 def moments(
     image: Array, runs: Array, threshold: int, filled: bool, first_row: int, rows: Array, left: int
-) -> tuple[Any, Any]:
-    """Return the moments of a mask and those of the grey values in it.
+) -> tuple[Any, Any, Any]:
+    """Return the moments of a mask, those of the grey values in it, and the largest grey value.
 
     Moments are the sums of (1, x, y, xx, xy, yy) about column ``left`` and row ``first_row``. Pixels of the
     mask that are above the region's ``threshold`` without being its own belong to a neighbour and are left
     out; where the mask is not ``filled``, all pixels but the region's own are.
     """
     n = nx = ny = nxx = nxy = nyy = np.int64(0)
-    s = sx = sy = sxx = sxy = syy = np.int64(0)
+    s = sx = sy = sxx = sxy = syy = peak = np.int64(0)
     for v in range(len(rows)):
         row, first, end, n_own = first_row + v, rows[v, 0], rows[v, 1], rows[v, 2]
         a, b = np.int64(first - left), np.int64(end - left)
         m0, m1, m2 = b - a, (b * (b - 1) - a * (a - 1)) // 2, squares_below(b) - squares_below(a)
-        r0 = r1 = r2 = n_bright = np.int64(0)
+        r0 = r1 = r2 = n_bright = row_peak = np.int64(0)
         for column in range(first, end):
             u, value = np.int64(column - left), np.int64(image[row, column])
             n_bright += value > threshold
             r0 += value
             r1 += value * u
             r2 += value * u * u
+            row_peak = max(row_peak, value)
         if n_bright != n_own or not (filled or m0 == n_own):
+            row_peak = np.int64(0)
             for column in range(first, end):
                 u, value = np.int64(column - left), np.int64(image[row, column])
-                if (value > threshold or not filled) and not is_own(runs, row, column):
+                if value <= threshold and filled:
+                    continue
+                if is_own(runs, row, column):
+                    row_peak = max(row_peak, value)
+                else:
                     m0 -= 1
                     m1 -= u
                     m2 -= u * u
                     r0 -= value
                     r1 -= value * u
                     r2 -= value * u * u
+        peak = max(peak, row_peak)
         n += m0
         nx += m1
         nxx += m2
@@ -156,7 +157,7 @@ def moments(
         sy += v * r0
         sxy += v * r1
         syy += v * v * r0
-    return (n, nx, ny, nxx, nxy, nyy), (s, sx, sy, sxx, sxy, syy)
+    return (n, nx, ny, nxx, nxy, nyy), (s, sx, sy, sxx, sxy, syy), peak
 
 
 @step
@@ -191,7 +192,7 @@ def measure(
     for v in range(1, len(rows)):
         left = min(left, rows[v, 0])
         right = max(right, rows[v, 1])
-    mask, grey = moments(image, runs, threshold, filled, first_row, rows, left)
+    mask, grey, peak = moments(image, runs, threshold, filled, first_row, rows, left)
     flux = grey[0] * bg_n - mask[0] * bg_sum
     x, y = -1.0, -1.0
     if flux > 0:
@@ -217,7 +218,6 @@ def measure(
     out[XX] = (dark * mask_xx + gain * above_xx + bg_dn2 * lever_x * lever_x) / flux2
     out[XY] = (dark * mask_xy + gain * above_xy + bg_dn2 * lever_x * lever_y) / flux2
     out[YY] = (dark * mask_yy + gain * above_yy + bg_dn2 * lever_y * lever_y) / flux2
-    peak = largest(image, runs)
     out[DIAMETER] = disc_diameter(flux_dn, peak - bg, (above_xx + above_yy) / flux_dn)
     out[PEAK] = peak
 

@@ -3,7 +3,8 @@
 Each target is a Kalman filter with constant velocity and white acceleration (Bar-Shalom, Li and Kirubarajan 2001,
 section 6.3.2). Points and predictions are paired by the assignment of least total cost, cost the squared
 Mahalanobis distance. A new target is tentative until its sightings weigh enough: a sighting by n cameras
-weighs n - 1, since two cameras can agree by chance; its samples are handed out when it is confirmed, the
+weighs n - 1, since two cameras can agree by chance (images of odd size count for
+less than one); its samples are handed out when it is confirmed, the
 earlier ones with them. What is handed out is the measured point, not the filter's: no smoothing hides errors.
 """
 
@@ -21,7 +22,8 @@ from mosca.match import Predicted
 class TrackSettings:
     """``acceleration_mps2``: standard deviation of the targets' acceleration. ``speed_mps``: of a new target's
     velocity, each axis. ``gate_sigma``: how far from its prediction a point may lie. ``gate_m``: never farther than
-    this. ``confirm_weight``: weight of sightings that confirms a target. ``coast_s``: how long a target is
+    this; a confirmed target takes a point of two cameras from half as far, with an image of odd size from a
+    quarter (two cameras agree by chance, and the gate of a target long unseen admits many such chances). ``confirm_weight``: weight of sightings that confirms a target. ``coast_s``: how long a target is
     predicted without being seen.
     """
 
@@ -29,7 +31,7 @@ class TrackSettings:
     speed_mps: float = 1.5
     gate_sigma: float = 4.5
     gate_m: float = 0.08
-    confirm_weight: int = 8
+    confirm_weight: float = 5.0
     coast_s: float = 0.25
 
 
@@ -53,9 +55,10 @@ class _Target:
     identity: int
     mean: Array
     covariance: Array
-    weight: int
+    weight: float
     seen_s: float
     confirmed: bool = False
+    missed: int = 0
     waiting: list[Sample] = field(default_factory=list)
 
 
@@ -95,8 +98,10 @@ class Tracker:
         for row, target in pairs.items():
             _correct(target, points.xyz[row], points.covariance[row])
             certain += self._sighted(target, points, row, frame, time_ns)
-        # a tentative target that is not seen where it should be was none
-        self._targets = [t for t in self._targets if t.confirmed or t.seen_s == time_s]
+        # a tentative target that is twice not seen where it should be was none
+        for target in self._targets:
+            target.missed = 0 if target.seen_s == time_s else target.missed + 1
+        self._targets = [t for t in self._targets if t.confirmed or t.missed < 2]
         for row in range(len(points)):
             if row not in pairs:
                 certain += self._sighted(self._begin(points, row), points, row, frame, time_ns)
@@ -123,7 +128,7 @@ class Tracker:
         covariance[:3, :3] = points.covariance[row]
         covariance[3:, 3:] = self.settings.speed_mps**2 * np.eye(3)
         mean = np.concatenate([points.xyz[row], np.zeros(3)])
-        target = _Target(-1, mean, covariance, 0, 0.0)
+        target = _Target(-1, mean, covariance, 0.0, 0.0)
         self._targets.append(target)
         return target
 
@@ -131,8 +136,8 @@ class Tracker:
         """Note a sighting; return the samples that it makes certain."""
         target.seen_s = time_ns * 1e-9
         cameras = int(points.n_cameras[row])
-        target.weight += cameras - 1
-        if not target.confirmed and target.weight >= self.settings.confirm_weight:
+        target.weight += max(0.0, float(points.trusted[row]) - 1.0)
+        if not target.confirmed and target.weight >= self.settings.confirm_weight - 1e-9:
             target.confirmed, target.identity = True, self._next_identity
             self._next_identity += 1
         target.waiting.append(
@@ -200,7 +205,10 @@ def _distances(
     mean = np.array([t.mean[:3] for t in targets])
     covariance = np.array([t.covariance[:3, :3] for t in targets])
     offset = points.xyz[rows][None] - mean[:, None]
-    near = np.einsum("trk,trk->tr", offset, offset) < settings.gate_m**2
+    firm = np.array([t.confirmed for t in targets])[:, None]
+    evidence = np.clip((points.trusted[rows] - 1.0) / 2.0, 0.25, 1.0)
+    reach = settings.gate_m * np.where(firm, evidence, 1.0)
+    near = np.einsum("trk,trk->tr", offset, offset) < reach**2
     cost = np.full(near.shape, np.inf)
     t, r = np.nonzero(near)
     total = covariance[t] + points.covariance[rows[r]]

@@ -18,6 +18,8 @@ from mosca.data.detections import Detections
 from mosca.data.rig import Camera, Rig
 
 REWEIGHTINGS = 3
+LEAST_DIAMETER_PX = 0.5
+"""A target of one pixel has no measurable size; taken for this one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,8 +67,9 @@ def _camera_rays(camera: Camera, found: Detections, sigma_px: float) -> tuple[Ar
     spread = np.swapaxes(np.linalg.solve(white @ np.swapaxes(white, 1, 2), white), 1, 2)
     # px a radian across the ray: the geometric mean of both axes
     gram = bundle.pixel_by_direction @ np.swapaxes(bundle.pixel_by_direction, 1, 2)
-    angle = found.diameter_px / np.linalg.det(gram) ** 0.25
-    return bundle.direction, white, spread, np.linalg.det(covariance) ** 0.25, found.diameter_px / 2, angle
+    diameter = np.maximum(found.diameter_px, LEAST_DIAMETER_PX)
+    angle = diameter / np.linalg.det(gram) ** 0.25
+    return bundle.direction, white, spread, np.linalg.det(covariance) ** 0.25, diameter / 2, angle
 
 
 @njit(nogil=True, cache=True)
@@ -159,7 +162,14 @@ def triangulate(rig: Rig, xy_px: Any, sigma_px: float = 1.0) -> tuple[Array, Arr
             continue
         point, spread = np.empty(3), np.empty((3, 3))
         total = solve_point(
-            row_of[i, owner], owner, bundle.origin, bundle.direction, bundle.white, point, spread
+            row_of[i, owner],
+            owner,
+            np.ones(len(owner)),
+            bundle.origin,
+            bundle.direction,
+            bundle.white,
+            point,
+            spread,
         )
         if total >= 0:
             xyz[i], covariance[i] = point, spread

@@ -216,7 +216,7 @@ class TrackSpec(Table):
     acceleration_mps2: Positive | None = None
     speed_mps: Positive | None = None
     gate_m: Positive | None = None
-    confirm_weight: int | None = Field(None, ge=1)
+    confirm_weight: Positive | None = None
     coast_s: NotNegative | None = None
 
 

@@ -1,50 +1,22 @@
 """Adjustment of one camera from known points: interior and exterior orientation, their precision, and blunders.
 
-Which lens parameters are estimated is decided by the data. Pose and scale (c and my, or fx and fy) always are; the
-principal point, the affinity a, K1, (P1, P2), K2, K3 (or k1, (p1, p2), k2, k3, ...) join one group at a time, that
-one first which lowers the sum of squares most significantly (F-test), until none does. A parameter left out
-stays at zero, the principal point in the middle of the image. So weak terms cannot swing where no point
-lies. Mosca's mx is always held: c, mx and my have two degrees of freedom.
-
-Blunders are found on the way (``mosca.calibrate.blunders``), since the choice of parameters depends on them.
+Starting values come from ``resection``. Which lens parameters are estimated is decided by the data
+(``choice``), and blunders are found on the way (``blunders``): the two depend on each other.
 """
 
-from collections.abc import Iterable
 from dataclasses import astuple, dataclass, fields
 
 import numpy as np
-from scipy.stats import f as f_distribution
 
-from mosca.calibrate.blunders import LEAST_REDUNDANCY, ROUNDING_PX, robust_points, snoop
-from mosca.calibrate.fit import ROUGHLY_CONVERGED, Fit, fit_camera, residuals_of
+from mosca.calibrate.blunders import LEAST_REDUNDANCY, robust_points, snoop
+from mosca.calibrate.choice import choose_parameters, nested_parameters
+from mosca.calibrate.fit import Fit, fit_camera, residuals_of
 from mosca.calibrate.resection import Resection, aim, resect, resect_fisheye
 from mosca.data.arrays import Array, read_only
 from mosca.data.rig import LENS_MODELS, Camera, FisheyeLens, Lens, MoscaLens, OpenCVLens, Pose
 from mosca.errors import CalibrationError, InputError
 
-SCALE = {"mosca": ("c_mm", "my_mm_per_px"), "opencv": ("fx_px", "fy_px"), "fisheye": ("fx_px", "fy_px")}
-# groups of lens parameters that may join, in the order in which they become available: a radial term
-# needs the lower one before it
-GROUPS: dict[str, tuple[tuple[str, ...], ...]] = {
-    "mosca": (
-        ("xp_px", "yp_px"),
-        ("a",),
-        ("K1_per_mm2",),
-        ("P1_per_mm", "P2_per_mm"),
-        ("K2_per_mm4",),
-        ("K3_per_mm6",),
-    ),
-    "opencv": (("cx_px", "cy_px"), ("k1",), ("p1", "p2"), ("k2",), ("k3",)),
-    "fisheye": (("cx_px", "cy_px"), ("k1",), ("k2",), ("k3",), ("k4",)),
-}
-LOWER = {
-    "mosca": {"K2_per_mm4": "K1_per_mm2", "K3_per_mm6": "K2_per_mm4"},
-    "opencv": {"k2": "k1", "k3": "k2"},
-    "fisheye": {"k2": "k1", "k3": "k2", "k4": "k3"},
-}
 ROUNDS = 4
-DECENTRING = (("P1_per_mm", "P2_per_mm"), ("p1", "p2"))
-LARGEST_INFLATION = 100.0
 
 
 @dataclass(frozen=True)
@@ -130,7 +102,7 @@ def adjust_camera(
     else:
         first = resect(where, xy, world, rng)
     start = _start(name, size, model, first, settings)
-    used = robust_points(start, _rich(model, int(first.inliers.sum())), xy, world, first.inliers)
+    used = robust_points(start, nested_parameters(model, int(first.inliers.sum())), xy, world, first.inliers)
     # the choice of parameters and the rejection of points depend on each other; four rounds end a dispute
     for _ in range(ROUNDS):
         fit, chosen = _chosen_fit(where, start, xy, world, used, settings)
@@ -170,22 +142,10 @@ def _start(
     return Camera(name, size[0], size[1], lens, pose)
 
 
-def _free(model: str, groups: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
-    wanted = set(SCALE[model]).union(*groups)
-    return tuple(f.name for f in fields(LENS_MODELS[model]) if f.name in wanted)
-
-
-def _rich(model: str, n_points: int) -> list[tuple[str, ...]]:
-    """Return nested sets of parameters, from the simplest to the richest that so many points allow."""
-    sets = [_free(model, GROUPS[model][:k]) for k in range(len(GROUPS[model]) + 1)]
-    return [free for free in sets if 6 + len(free) <= n_points] or sets[:1]
-
-
 def _chosen_fit(
     where: str, start: Camera, xy: Array, world: Array, used: Array, settings: AdjustmentSettings
 ) -> tuple[Fit, tuple[tuple[str, float], ...]]:
     """Return the fit with the parameters that the used points determine, and the groups with their p-values."""
-    model = start.lens.model
     points, pixels = world[used], xy[used]
     if settings.parameters is not None:
         fit = fit_camera(start, tuple(settings.parameters), pixels, points)
@@ -195,57 +155,13 @@ def _chosen_fit(
                 "hold some parameters or measure more points, farther apart"
             )
         return fit, ()
-    fit = fit_camera(start, _free(model, ()), pixels, points)
-    joined: list[tuple[str, ...]] = []
-    chosen: list[tuple[str, float]] = []
-    while True:
-        trials = []
-        for group in GROUPS[model]:
-            lower = LOWER[model].get(group[0])
-            if group in joined or (lower is not None and (lower,) not in joined):
-                continue
-            free = _free(model, [*joined, group])
-            trial = fit_camera(fit.camera, free, pixels, points, tolerance=ROUGHLY_CONVERGED)
-            redundancy = 2 * len(points) - len(trial.parameters)
-            if trial.cofactors is None or redundancy < LEAST_REDUNDANCY or _imitated(trial, group):
-                continue
-            gain = (fit.cost - trial.cost) / len(group)
-            noise = max(trial.cost, 2 * len(points) * ROUNDING_PX**2) / redundancy
-            trials.append(
-                (float(f_distribution.sf(gain / noise, len(group), redundancy)), -gain, group, trial)
-            )
-        if not trials:
-            break
-        # p-values of strong terms all underflow to zero: the larger gain decides
-        p_value, _, group, trial = min(trials, key=lambda t: t[:2])
-        if p_value >= settings.significance:
-            break
-        fit = trial
-        joined.append(group)
-        chosen.append((", ".join(group), p_value))
-    fit = fit_camera(fit.camera, fit.free, pixels, points)
+    fit, chosen = choose_parameters(start, pixels, points, settings.significance)
     if fit.cofactors is None:
         raise CalibrationError(
             f"{where}: {len(points)} points do not determine the scale and the pose; "
             "measure more points, farther apart in depth"
         )
-    return fit, tuple(chosen)
-
-
-def _imitated(fit: Fit, group: tuple[str, ...]) -> bool:
-    """Tell whether the other unknowns can imitate decentring terms of ``group`` in the volume measured.
-
-    The variance inflation of a parameter is the ratio of its variance to what it would be if all others were
-    known. Through a wide lens over a deep target it is 4 to 8 for P1 and P2; through a long lens over a
-    shallow one 400 to 60,000 (measured on MyPTV's example), and a model with them predicts points outside the
-    target worse. Radial terms are correlated among themselves by nature, and harmless.
-    """
-    if group not in DECENTRING:
-        return False
-    assert fit.cofactors is not None
-    design = fit.jacobian.reshape(-1, fit.jacobian.shape[2])
-    inflation = np.diag(fit.cofactors) * (design**2).sum(axis=0)
-    return bool(max(inflation[fit.parameters.index(name)] for name in group) > LARGEST_INFLATION)
+    return fit, chosen
 
 
 def _judged(

@@ -22,7 +22,7 @@ STEPS = 100
 # residual of a point that the trial camera cannot image: it must not look like a perfect fit
 UNSEEN_PX = 1e3
 # share of the sum of squares that a step must promise and bring
-CONVERGED = 1e-10
+CONVERGED = 1e-8
 # for fits that only compare models or find outliers
 ROUGHLY_CONVERGED = 1e-5
 # scaled parameters; principal point and turn are nearly one, so that heavy damping crawls

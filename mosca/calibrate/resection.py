@@ -21,6 +21,7 @@ FEWEST_POINTS = 6
 # to the camera cannot be told apart
 LEAST_RELIEF = 5e-3
 SAMPLES = 300
+SAMPLES_A_FIELD_ANGLE = 60
 KEPT_SAMPLES = 10
 CONCENTRATION_STEPS = 3
 # median of |residual| (2-D, normal) -> sigma of one coordinate
@@ -95,7 +96,7 @@ def resect_fisheye(
     for half_angle in np.deg2rad(FISHEYE_HALF_ANGLES_DEG):
         f = radius / half_angle
         lens = FisheyeLens(f, f, cx, cy)
-        matrix, _ = _robust_matrix(where, lens_directions(lens, xy), world, rng)
+        matrix, _ = _robust_matrix(where, lens_directions(lens, xy), world, rng, SAMPLES_A_FIELD_ANGLE)
         left, sizes, right = np.linalg.svd(matrix[:, :3])
         if np.linalg.det(left @ right) > 0 and sizes[2] > 1e-6 * sizes[0]:
             origin = -np.linalg.solve(matrix[:, :3], matrix[:, 3])
@@ -155,14 +156,16 @@ def _extent(values: Array) -> float:
     return float(max(np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)), 1e-12))
 
 
-def _robust_matrix(where: str, image: Array, world: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+def _robust_matrix(
+    where: str, image: Array, world: Array, rng: np.random.Generator, samples: int = SAMPLES
+) -> tuple[Array, Array]:
     """Return the projection matrix (3, 4) of rays ``image`` (n, 3) and points (n, 3), and the inliers (n,)."""
     n = len(world)
     # whitened points condition the equations for flat targets too
     mean = world.mean(axis=0)
     left, sizes, right = np.linalg.svd(world - mean, full_matrices=False)
     points = np.column_stack([left * np.sqrt(n), np.ones(n)])
-    subset = np.argsort(rng.random((SAMPLES, n)), axis=1)[:, :FEWEST_POINTS]
+    subset = np.argsort(rng.random((samples, n)), axis=1)[:, :FEWEST_POINTS]
     matrices = np.concatenate([_linear(image[None], points[None]), _linear(image[subset], points[subset])])
     for _ in range(CONCENTRATION_STEPS):
         distance = _distances(matrices, image, points)

@@ -17,7 +17,8 @@ class Points:
     ``xyz`` (n, 3) world frame [m]; ``covariance`` (n, 3, 3) of the measurement [m^2]; ``n_cameras`` (n,);
     ``residual_px`` (n,) rms reprojection error; ``rays`` (n, n_rig_cameras) index of the detection that
     each camera contributed, -1 where it contributed none; ``diameter_m`` (n,) of the target, from the largest
-    of its images.
+    of its images; ``trusted`` (n,) how many cameras count in full: images of odd size (partly hidden, merged)
+    count for less than one.
     """
 
     xyz: Array
@@ -26,6 +27,7 @@ class Points:
     residual_px: Array
     rays: Array
     diameter_m: Array
+    trusted: Array
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.xyz))
@@ -35,6 +37,7 @@ class Points:
         object.__setattr__(self, "residual_px", read_only(self.residual_px, (n,), "residual_px"))
         object.__setattr__(self, "rays", read_only(self.rays, (n, None), "rays", np.int64))
         object.__setattr__(self, "diameter_m", read_only(self.diameter_m, (n,), "diameter_m"))
+        object.__setattr__(self, "trusted", read_only(self.trusted, (n,), "trusted"))
 
     def __len__(self) -> int:
         return len(self.xyz)

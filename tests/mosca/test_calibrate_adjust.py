@@ -120,6 +120,19 @@ def test_parameters_that_the_data_do_not_show_are_held():
     assert chosen == [()] * 8
 
 
+def test_decentring_is_held_where_other_parameters_imitate_it():
+    """A long lens before a shallow target, with decentring that a deep target and a wide lens do show."""
+    rng = np.random.default_rng(11)
+    for f, flatness, shown in ((900.0, 1.0, True), (6500.0, 0.02, False)):
+        matrix = np.array([[f, 0, 650], [0, f, 500], [0, 0, 1]])
+        points = grid(6) * (900 / f * 0.8, 900 / f * 0.8, flatness)
+        # tangential terms scaled so that they move the corners alike, by about 2 px
+        distortion = np.array([0, 0, 1.0, -1.0]) * 2e-3 * f / 900
+        xy = cv2.projectPoints(points, cv2.Rodrigues(TURN)[0], -TURN @ ORIGIN, matrix, distortion)[0][:, 0]
+        names = [n for n, _ in adjust("mosca", xy + rng.normal(0, 0.1, xy.shape), points).chosen]
+        assert ("P1_per_mm, P2_per_mm" in names) == shown
+
+
 def test_precision_is_what_it_says():
     """Predicted against real error, both ways: the parameters' squared standardised errors are chi-square."""
     points = grid(5)
