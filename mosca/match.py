@@ -22,6 +22,8 @@ from mosca.triangulate import Bundle
 
 RAY_BONUS = 12.0
 """What a further ray is worth when groups compete, in log-likelihood."""
+MERGED = 1.3
+"""Area over a target's from which an image is taken for two targets."""
 CLEARLY_WORSE = 9.0
 """A pair whose squared error is larger by this (3 standard deviations) does not contest another."""
 
@@ -95,15 +97,22 @@ def hypotheses(
     return found.select((found.rays >= 0).sum(axis=1) >= settings.minimum_cameras)
 
 
-def choose(found: Hypotheses, bundle: Bundle, predicted: Predicted, settings: MatchSettings) -> Points:
+def choose(
+    found: Hypotheses,
+    bundle: Bundle,
+    predicted: Predicted,
+    settings: MatchSettings,
+    typical_diameter_m: float = 0.0,
+) -> Points:
     """Return groups that share no ray, best first.
 
     A group's worth: so much a ray, so much for a track that expects it there (each track speaks for one group),
-    less its squared errors. A group that loses rays to a better one is tried again with those it has left.
+    less its squared errors. A group that loses rays to a better one is tried again with those it has left. An image
+    too large for one target of ``typical_diameter_m`` shows two, and serves a second group if a track speaks for it.
     A pair without support is taken only where no other such pair that meets about as well wants one of its
     rays: two cameras cannot tell, time will.
     """
-    used = np.zeros(len(bundle.direction), dtype=bool)
+    used = np.zeros(len(bundle.direction), dtype=np.int64)
     spoken = np.zeros(len(predicted.xyz), dtype=bool)
     taken = []
     for _ in range(len(bundle.origin) - 1):
@@ -113,11 +122,21 @@ def choose(found: Hypotheses, bundle: Bundle, predicted: Predicted, settings: Ma
         track, support = _support(found, predicted, settings.support_sigma)
         order = np.argsort(0.5 * found.chi2 - RAY_BONUS * count - support, kind="stable")
         found = found.select(order)
-        mask = _take(found.rays, track[order], count[order], used, spoken)
+        merged = _merged(found, bundle, typical_diameter_m)
+        mask = _take(found.rays, merged, track[order], count[order], used, spoken)
         taken.append(found.select(mask))
         found = _left_over(found.select(~mask), bundle, used, settings)
     taken.append(found.select(_uncontested(found.rays, found.chi2, used)))
     return _points(taken, bundle)
+
+
+def _merged(found: Hypotheses, bundle: Bundle, typical_diameter_m: float) -> Array:
+    """Return which images (n, c) are too large for one target."""
+    if typical_diameter_m <= 0.0 or len(found) == 0:
+        return np.zeros(found.rays.shape, dtype=bool)
+    distance = np.linalg.norm(found.xyz[:, None] - bundle.origin[None], axis=2)
+    size = bundle.angle[found.rays] * distance
+    return (found.rays >= 0) & (size**2 > MERGED * typical_diameter_m**2)
 
 
 def _points(groups: list[Hypotheses], bundle: Bundle) -> Points:
@@ -154,7 +173,7 @@ def _whole_images(rays: Array, trust: Array, bundle: Bundle) -> Array:
 
 def _left_over(found: Hypotheses, bundle: Bundle, used: Array, settings: MatchSettings) -> Hypotheses:
     """Return the groups without the rays that are used up, solved anew where they lost some."""
-    rays = np.where((found.rays >= 0) & ~used[found.rays], found.rays, -1)
+    rays = np.where((found.rays >= 0) & (used[found.rays] == 0), found.rays, -1)
     left = (rays >= 0).sum(axis=1)
     lost = left < (found.rays >= 0).sum(axis=1)
     again = lost & (left >= settings.minimum_cameras)
@@ -199,19 +218,25 @@ def _support(found: Hypotheses, predicted: Predicted, gate: float) -> tuple[Arra
 
 
 @njit(nogil=True, cache=True)
-def _take(rays, track, count, used, spoken):  # type: ignore[no-untyped-def]
+def _take(rays, merged, track, count, used, spoken):  # type: ignore[no-untyped-def]
     """Take groups in order as long as their rays are free; pairs only if a track, still free, speaks for them."""
     taken = np.zeros(rays.shape[0], dtype=np.bool_)
     for n in range(rays.shape[0]):
         alone = track[n] < 0 or spoken[track[n]]
-        if (alone and count[n] == 2) or not _free(rays[n], used):
+        if alone and count[n] == 2:
+            continue
+        free = True
+        for c in range(rays.shape[1]):
+            if rays[n, c] >= 0 and used[rays[n, c]] > (1 if merged[n, c] and not alone else 0):
+                free = False
+        if not free:
             continue
         taken[n] = True
         if track[n] >= 0:
             spoken[track[n]] = True
         for c in range(rays.shape[1]):
             if rays[n, c] >= 0:
-                used[rays[n, c]] = True
+                used[rays[n, c]] += 1
     return taken
 
 
@@ -243,6 +268,6 @@ def _solve_all(rays, trust, origin, direction, white):  # type: ignore[no-untype
 def _free(members, used):  # type: ignore[no-untyped-def]
     taken = 0
     for c in range(members.shape[0]):
-        if members[c] >= 0 and used[members[c]]:
+        if members[c] >= 0 and used[members[c]] > 0:
             taken += 1
     return taken == 0

@@ -17,7 +17,7 @@ ODD_SHIFT = 1.15
 0.85 h R to h R; small blurred images lose contrast with their area, so that only 3/4 of h is seen missing."""
 SIZE_DEADBAND = 0.1
 """Differences of area below this are noise of the measured sizes."""
-HALF_HIDDEN = 0.42
+HALF_HIDDEN = 0.47
 """Missing share that more than half a disc leaves; two cameras do not make a point with such an image."""
 
 

@@ -74,7 +74,7 @@ def run(
         bundle = bundle_rays(rig, detections, settings.match.camera_sigma_px)
         clock.lap("predict")
         groups = hypotheses(bundle, settings.match, volume, typical_diameter_m)
-        points = choose(groups, bundle, predicted, settings.match)
+        points = choose(groups, bundle, predicted, settings.match, typical_diameter_m)
         typical_diameter_m = learned_diameter(typical_diameter_m, points)
         clock.lap("match")
         samples = tracker.update(points, frame_set.pulse, frame_set.time_ns)

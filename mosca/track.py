@@ -3,9 +3,8 @@
 Each target is a Kalman filter with constant velocity and white acceleration (Bar-Shalom, Li and Kirubarajan 2001,
 section 6.3.2). Points and predictions are paired by the assignment of least total cost, cost the squared
 Mahalanobis distance. A new target is tentative until its sightings weigh enough: a sighting by n cameras
-weighs n - 1, since two cameras can agree by chance (images of odd size count for
-less than one); its samples are handed out when it is confirmed, the
-earlier ones with them. What is handed out is the measured point, not the filter's: no smoothing hides errors.
+weighs n - 1, since two cameras can agree by chance (images of odd size count for less than one); its samples
+are handed out when it is confirmed, the earlier ones with them. What is handed out is the measured point, not the filter's: no smoothing hides errors.
 """
 
 from dataclasses import dataclass, field
@@ -23,8 +22,9 @@ class TrackSettings:
     """``acceleration_mps2``: standard deviation of the targets' acceleration. ``speed_mps``: of a new target's
     velocity, each axis. ``gate_sigma``: how far from its prediction a point may lie. ``gate_m``: never farther than
     this; a confirmed target takes a point of two cameras from half as far, with an image of odd size from a
-    quarter (two cameras agree by chance, and the gate of a target long unseen admits many such chances). ``confirm_weight``: weight of sightings that confirms a target. ``coast_s``: how long a target is
-    predicted without being seen.
+    quarter (two cameras agree by chance, and the gate of a target long unseen admits many such chances).
+    ``confirm_weight``: weight of sightings that confirms a target. ``coast_s``: how long a target is predicted
+    without being seen.
     """
 
     acceleration_mps2: float = 20.0

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
-from mosca.detect import DetectionSettings
 from scipy.spatial.transform import Rotation
 
 from mosca.camera import Conversion, fit_lens, image_grid, lens_directions, project
@@ -13,6 +12,7 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
 from mosca.data.rig_file import read_rig
 from mosca.data.toml import Table
+from mosca.detect import DetectionSettings
 from mosca.errors import InputError
 from mosca.match import MatchSettings
 from mosca.pipeline import PipelineSettings
@@ -27,6 +27,7 @@ from scenarios.spec import (
     LensFault,
     MatchSpec,
     RobotScene,
+    ScaleFault,
     Scenario,
     SwapFault,
     TrackSpec,
@@ -45,6 +46,7 @@ GAP_PX = {"none": 0.0, "measured": 0.05, "stress": 0.25}
 MARGIN = 1.15
 """Points are looked for in the working space grown by this factor, so that nothing real at its edge is cut."""
 VIEW_GRID = 7
+PERSON_SPACE_M = 2.5
 Volume = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
@@ -189,6 +191,8 @@ def with_fault(rig: Rig, fault: Table | None) -> Rig:
         return Rig(tuple(replace(swapped.get(c.name, c), name=c.name) for c in rig.cameras))
     if isinstance(fault, LensFault):
         return Rig(tuple(_undistorted(camera) for camera in rig.cameras))
+    if isinstance(fault, ScaleFault):
+        return Rig(tuple(_scaled(camera, fault.factor) for camera in rig.cameras))
     if isinstance(fault, TurnFault):
         rig.camera(fault.camera)
         return Rig(tuple(_turned(c, fault.turn_px) if c.name == fault.camera else c for c in rig.cameras))
@@ -265,11 +269,24 @@ def pipeline_settings(spec: Scenario) -> PipelineSettings:
 
 
 def stage_settings(stages: Stages, volume: Volume | None) -> PipelineSettings:
-    """Return the pipeline's defaults with what ``stages`` gives in its tables detection, match and track."""
+    """Return the pipeline's defaults with what ``stages`` gives in its tables detection, match and track.
+
+    The tracker's defaults are lengths and speeds of a person in 2.5 m; they are scaled to the volume's longest
+    edge, because things move as far as they have room.
+    """
+    track = TrackSettings()
+    if volume is not None:
+        scale = max(high - low for low, high in zip(*volume, strict=True)) / (MARGIN * PERSON_SPACE_M)
+        track = replace(
+            track,
+            acceleration_mps2=track.acceleration_mps2 * scale,
+            speed_mps=track.speed_mps * scale,
+            gate_m=track.gate_m * scale,
+        )
     return PipelineSettings(
         replace(DetectionSettings(), **_given(stages.detection)),
         replace(MatchSettings(), **_given(stages.match)),
-        replace(TrackSettings(), **_given(stages.track)),
+        replace(track, **_given(stages.track)),
         volume,
     )
 
@@ -325,6 +342,12 @@ def _undistorted(camera: Camera) -> Camera:
         plain = MoscaLens(lens.c_mm, lens.xp_px, lens.yp_px, lens.mx_mm_per_px, lens.my_mm_per_px)
         return replace(camera, lens=plain)
     return replace(camera, lens=type(lens)(lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px))
+
+
+def _scaled(camera: Camera, factor: float) -> Camera:
+    """Return the camera with its place scaled about the world's origin."""
+    pose = camera.world_from_camera
+    return replace(camera, world_from_camera=Pose(pose.rotation, factor * pose.translation))
 
 
 def _turned(camera: Camera, turn_px: float) -> Camera:

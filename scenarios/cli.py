@@ -116,6 +116,8 @@ def suite(
     from reports.compare import summary_table
     from scenarios import suite as work
 
+    if compare is not None:
+        work.check_baselines(compare)
     with _progress("suite") as shown:
         count = 0
 

@@ -189,7 +189,16 @@ class TurnFault(Table):
     turn_px: float = Field(description="how far its image moves [px]")
 
 
-FaultSpec = Annotated[SwapFault | LensFault | ClockFault | TurnFault, Field(discriminator="kind")]
+class ScaleFault(Table):
+    """The rig was calibrated with a length that is wrong: everything is larger by a factor, rays still meet."""
+
+    kind: Literal["wrong_scale"]
+    factor: Positive = Field(description="measured over true lengths")
+
+
+FaultSpec = Annotated[
+    SwapFault | LensFault | ClockFault | TurnFault | ScaleFault, Field(discriminator="kind")
+]
 
 
 class DetectionSpec(Table):

@@ -59,6 +59,12 @@ def run_suite(
     return [done[e.name] for e in entries]
 
 
+def check_baselines(folder: Path) -> None:
+    """Raise InputError where there is no folder of baselines."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder of baselines; 'mosca suite --update-baselines' makes one")
+
+
 def compared(outcomes: Sequence[Outcome], baselines: Path) -> list[Outcome]:
     """Return the outcomes with what is worse than in the baselines; a scenario without a baseline has none."""
     if not baselines.is_dir():

@@ -4,7 +4,6 @@ import ast
 from pathlib import Path
 
 ROOMS = ("mosca", "twin", "hardware", "reports", "scenarios")
-STDLIB_FREE = None  # the standard library is open to every room
 
 # room (longest prefix wins): rooms it may import from, rooms or modules it may not, third-party packages
 LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
@@ -16,12 +15,12 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     "mosca": (
         ("mosca",),
         ("mosca.data.truth",),
-        ("numpy", "scipy", "cv2", "numba", "pydantic", "tomli_w", "mcap", "blosc2", "av", "ezc3d"),
+        ("numpy", "scipy", "cv2", "numba", "pydantic", "tomli_w", "mcap", "blosc2", "av", "ezc3d", "zstandard"),
     ),
     "twin": (
         ("twin", "mosca.data", "mosca.errors"),
         (),
-        ("mujoco", "trimesh", "numpy", "scipy", "numba", "cv2"),
+        ("mujoco", "trimesh", "numpy", "scipy", "numba", "cv2", "pydantic"),
     ),
     "hardware": (("hardware", "mosca.data", "mosca.errors"), ("mosca.data.truth",), ("numpy",)),
     "reports": (

@@ -50,6 +50,6 @@ def test_files_can_be_read_in_one_sitting():
         str(path.relative_to(ROOT)): lines
         for room in law.ROOMS
         for path in (ROOT / room).rglob("*.py")
-        if (lines := len(path.read_text(encoding="utf-8").splitlines())) > 480
+        if (lines := len(path.read_text(encoding="utf-8").splitlines())) > 500
     }
     assert long == {}, "a file that outgrows one sitting tells two stories: split it"

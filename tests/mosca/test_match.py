@@ -36,11 +36,14 @@ def detected(rig, points, rng, sigma=SIGMA, clutter=0, miss=0.0):
         noise = rng.uniform((0, 0), (655, 490), (clutter, 2))
         places = np.concatenate([xy[keep] + rng.normal(0, sigma, (len(keep), 2)), noise])
         n = len(places)
+        # the image of a ball of 14 mm; clutter looks like one at the middle of the room
+        away = np.linalg.norm(points[keep] - camera.world_from_camera.translation, axis=1)
+        diameter = 800.0 * 0.014 / np.concatenate([away, np.full(clutter, 3.0)])
         found[camera.name] = Detections(
             camera.name,
             places,
             np.tile(sigma**2 * np.eye(2), (n, 1, 1)),
-            np.full(n, 4.0),
+            diameter,
             np.full(n, 100.0),
             np.ones(n),
         )
