@@ -9,6 +9,7 @@ that agree); ``choose`` takes a set of them in which no detection serves twice, 
 and lets the tracks' predictions decide what two cameras alone leave open.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +34,8 @@ class MatchSettings:
     """``gate_sigma``: how many standard deviations a ray may pass beside the point. ``camera_sigma_px``: random
     error of image points besides detection noise (body, trigger, lens model), an axis. ``minimum_cameras``: smallest
     group. ``support_sigma``: how near a track's prediction supports a group. ``outlier_sigma``: a group of three
-    and more loses its worst ray beyond this.
+    and more loses its worst ray beyond this. ``worst_sigma_m``: a point whose largest standard deviation exceeds
+    this is none (two cameras that face each other, an image of odd size).
     """
 
     gate_sigma: float = 4.5
@@ -41,6 +43,7 @@ class MatchSettings:
     minimum_cameras: int = 2
     support_sigma: float = 4.0
     outlier_sigma: float = 4.0
+    worst_sigma_m: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +97,10 @@ def hypotheses(
         bundle.radius_px, bundle.angle, settings.gate_sigma, settings.outlier_sigma,
         np.asarray(volume[0], dtype=float), np.asarray(volume[1], dtype=float), typical_diameter_m,
     ))  # fmt: skip
-    return found.select((found.rays >= 0).sum(axis=1) >= settings.minimum_cameras)
+    enough = (found.rays >= 0).sum(axis=1) >= settings.minimum_cameras
+    if math.isfinite(settings.worst_sigma_m):
+        enough &= np.linalg.eigvalsh(found.covariance)[:, -1] <= settings.worst_sigma_m**2
+    return found.select(enough)
 
 
 def choose(

@@ -18,6 +18,8 @@ from mosca.data.detections import Detections
 from mosca.data.rig import Camera, Rig
 
 REWEIGHTINGS = 3
+LONG = 1.6
+"""Ratio of a box's sides from which an image is taken for two targets (a small disc's box reaches 3 : 2)."""
 LEAST_DIAMETER_PX = 0.5
 """A target of one pixel has no measurable size; taken for this one."""
 
@@ -67,7 +69,9 @@ def _camera_rays(camera: Camera, found: Detections, sigma_px: float) -> tuple[Ar
     spread = np.swapaxes(np.linalg.solve(white @ np.swapaxes(white, 1, 2), white), 1, 2)
     # px a radian across the ray: the geometric mean of both axes
     gram = bundle.pixel_by_direction @ np.swapaxes(bundle.pixel_by_direction, 1, 2)
-    diameter = np.maximum(found.diameter_px, LEAST_DIAMETER_PX)
+    # two targets grown together are long, and their flux and peak tell no diameter: the longer axis does
+    longer = np.where(found.elongation > LONG, np.sqrt(found.elongation), 1.0)
+    diameter = np.maximum(found.diameter_px * longer, LEAST_DIAMETER_PX)
     angle = diameter / np.linalg.det(gram) ** 0.25
     return bundle.direction, white, spread, np.linalg.det(covariance) ** 0.25, diameter / 2, angle
 

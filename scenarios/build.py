@@ -47,6 +47,7 @@ MARGIN = 1.15
 """Points are looked for in the working space grown by this factor, so that nothing real at its edge is cut."""
 VIEW_GRID = 7
 PERSON_SPACE_M = 2.5
+WORST_SIGMA_M = 0.005
 Volume = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
@@ -272,9 +273,9 @@ def stage_settings(stages: Stages, volume: Volume | None) -> PipelineSettings:
     """Return the pipeline's defaults with what ``stages`` gives in its tables detection, match and track.
 
     The tracker's defaults are lengths and speeds of a person in 2.5 m; they are scaled to the volume's longest
-    edge, because things move as far as they have room.
+    edge, because things move as far as they have room. Points less certain than 0.2 % of it are withheld.
     """
-    track = TrackSettings()
+    track, match = TrackSettings(), MatchSettings()
     if volume is not None:
         scale = max(high - low for low, high in zip(*volume, strict=True)) / (MARGIN * PERSON_SPACE_M)
         track = replace(
@@ -283,9 +284,10 @@ def stage_settings(stages: Stages, volume: Volume | None) -> PipelineSettings:
             speed_mps=track.speed_mps * scale,
             gate_m=track.gate_m * scale,
         )
+        match = replace(match, worst_sigma_m=WORST_SIGMA_M * scale)
     return PipelineSettings(
         replace(DetectionSettings(), **_given(stages.detection)),
-        replace(MatchSettings(), **_given(stages.match)),
+        replace(match, **_given(stages.match)),
         replace(track, **_given(stages.track)),
         volume,
     )

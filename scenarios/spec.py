@@ -217,6 +217,7 @@ class MatchSpec(Table):
     gate_sigma: Positive | None = None
     camera_sigma_px: Positive | None = None
     minimum_cameras: int | None = Field(None, ge=2)
+    worst_sigma_m: Positive | None = Field(None, description="points less certain than this are withheld [m]")
 
 
 class TrackSpec(Table):
