@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from mosca.data.arrays import Array
-from mosca.data.rig import LENS_MODELS, Camera, Lens, MoscaLens
+from mosca.data.rig import LENS_MODELS, Camera, FisheyeLens, Lens, MoscaLens, OpenCVLens
 from mosca.errors import InputError
 from mosca.lenses import fisheye_model, mosca_model, opencv_model
 
@@ -167,7 +167,9 @@ def _plain_lens(model: str, xy: Array, v: Array, pitch_from: Lens | None) -> Len
     if model == "mosca":
         mx = pitch_from.mx_mm_per_px if isinstance(pitch_from, MoscaLens) else 0.01
         return MoscaLens(fx * mx, cx, cy, mx, mx * fx / fy)
-    return LENS_MODELS[model](fx, fy, cx, cy)
+    if model == "opencv":
+        return OpenCVLens(fx, fy, cx, cy)
+    return FisheyeLens(fx, fy, cx, cy)
 
 
 def _cross_matrices(v: Array) -> Array:

@@ -31,7 +31,7 @@ quantisation; gain in DN per electron) goes through the centroid at first order:
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -110,7 +110,7 @@ def detect(
 
     ``bit_depth`` is the number of significant bits of a pixel (8 to 16), ``camera`` the name that the
     detections carry. ``background`` (H, W), of the image's type, is taken off first, negative values becoming
-    0 (guide to motion capture, "Marker Detection"; see ``mean_background``).
+    0 (guide to motion capture, "Marker Detection"; see ``mean_background`` and ``minimum_background``).
 
     Raises InputError for an image, a background or a bit depth that do not fit each other.
     """
@@ -171,22 +171,43 @@ def mean_background(images: Iterable[Array]) -> Array:
     Guide to motion capture, "Marker Detection": the mean of the first n frames. Raises InputError where there
     are none or where they differ in size or type.
     """
-    total: Array | None = None
-    n = 0
-    for image in images:
-        if total is None:
-            total, dtype = np.zeros(image.shape, np.float64), image.dtype
-        if image.shape != total.shape or image.dtype != dtype:
-            raise InputError(
-                f"background: image {n} is {image.shape} of {image.dtype}, the first {total.shape} of {dtype};"
-                " give images of one camera"
-            )
+    alike = _alike(images)
+    first = next(alike)
+    total, n = first.astype(np.float64), 1
+    for image in alike:
         total += image
         n += 1
-    if total is None:
-        raise InputError("background: no images given; give at least one frame without targets")
-    mean: Array = np.rint(total / n).astype(dtype)
+    mean: Array = np.rint(total / n).astype(first.dtype)
     return mean
+
+
+def minimum_background(images: Iterable[Array]) -> Array:
+    """Return the smallest value (H, W) that each pixel has in images of one camera, in their type.
+
+    For bright targets that are in every image: whatever moves by its own size leaves no trace in it, while the
+    mean keeps a share of slow targets. It lies below the mean by the noise. Raises InputError where there are
+    none or where they differ in size or type.
+    """
+    alike = _alike(images)
+    least = next(alike).copy()
+    for image in alike:
+        np.minimum(least, image, out=least)
+    return least
+
+
+def _alike(images: Iterable[Array]) -> Iterator[Array]:
+    """Yield the images, at least one, all of one size and type."""
+    first: Array | None = None
+    for n, image in enumerate(images):
+        first = image if first is None else first
+        if image.shape != first.shape or image.dtype != first.dtype:
+            raise InputError(
+                f"background: image {n} is {image.shape} of {image.dtype}, the first {first.shape} of "
+                f"{first.dtype}; give images of one camera"
+            )
+        yield image
+    if first is None:
+        raise InputError("background: no images given; give at least one frame of the camera")
 
 
 def _out_of_range(key: str, value: object, allowed: str) -> InputError:

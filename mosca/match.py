@@ -183,12 +183,10 @@ def _left_over(found: Hypotheses, bundle: Bundle, used: Array, settings: MatchSe
     left = (rays >= 0).sum(axis=1)
     lost = left < (found.rays >= 0).sum(axis=1)
     again = lost & (left >= settings.minimum_cameras)
-    solved = Hypotheses(
-        *_solve_all(rays[again], found.trust[again], bundle.origin, bundle.direction, bundle.white),
-        rays[again],
-        found.trust[again],
-        found.diameter_m[again],
+    xyz, covariance, chi2 = _solve_all(
+        rays[again], found.trust[again], bundle.origin, bundle.direction, bundle.white
     )
+    solved = Hypotheses(xyz, covariance, chi2, rays[again], found.trust[again], found.diameter_m[again])
     solved = solved.select((solved.chi2 >= 0) & (solved.chi2 <= settings.gate_sigma**2))
     both = zip(
         (getattr(found.select(~lost), name) for name in Hypotheses.__dataclass_fields__),

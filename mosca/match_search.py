@@ -214,9 +214,9 @@ def solve_members(members, trust, origin, direction, white, point, cov):  # type
 
 
 @njit(nogil=True, cache=True)
-def _widen(
+def _widen(  # type: ignore[no-untyped-def]
     members, trust, a, b, origin, start, direction, white, sigma, radius, angle, whole, point, cov, gate
-):  # type: ignore[no-untyped-def]
+):
     """Add the nearest ray of every other camera that the pair's point and its covariance admit."""
     size = 2
     for c in range(origin.shape[0]):

@@ -48,15 +48,23 @@ class Step:
 
 
 def run(
-    source: FrameSource, rig: Rig, settings: PipelineSettings | None = None, assembly: Assembly | None = None
+    source: FrameSource,
+    rig: Rig,
+    settings: PipelineSettings | None = None,
+    assembly: Assembly | None = None,
+    backgrounds: Mapping[str, Array] | None = None,
 ) -> Iterator[Step]:
     """Turn a source's frames into tracks, pulse by pulse.
 
-    ``assembly``: counts of frames and gaps, filled while running. InputError where the source lacks a camera of
-    the rig, or sends images of another size.
+    ``assembly``: counts of frames and gaps, filled while running. ``backgrounds``: camera -> image (H, W) of
+    what does not move, taken off each of its images before detection; a camera without one keeps its images
+    as they are. InputError where the source lacks a camera of the rig, or sends images of another size, and
+    where a background is of a camera that the rig lacks.
     """
     settings = PipelineSettings() if settings is None else settings
+    backgrounds = {} if backgrounds is None else backgrounds
     check_source(source, rig)
+    _check_backgrounds(backgrounds, rig)
     depth = {info.name: info.bit_depth for info in source.cameras}
     volume = _box(settings.volume)
     tracker = Tracker(settings.track)
@@ -65,7 +73,7 @@ def run(
     for frame_set in assemble(source, source.cameras, assembly=assembly):
         clock = _Clock()
         detections = {
-            name: detect(frame.image, name, settings.detection, depth[name])
+            name: detect(frame.image, name, settings.detection, depth[name], backgrounds.get(name))
             for name, frame in frame_set.frames.items()
             if frame.image is not None
         }
@@ -105,6 +113,15 @@ def check_source(source: FrameSource, rig: Rig) -> None:
             raise InputError(
                 f"camera '{camera.name}': images are {info.width} x {info.height}, the rig file says "
                 f"{camera.width} x {camera.height}; use the calibration made at this size"
+            )
+
+
+def _check_backgrounds(backgrounds: Mapping[str, Array], rig: Rig) -> None:
+    for name in backgrounds:
+        if name not in rig.names:
+            raise InputError(
+                f"background: camera '{name}' given; the rig has {', '.join(rig.names)}; "
+                "give the cameras the same names in both"
             )
 
 

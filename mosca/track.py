@@ -4,7 +4,8 @@ Each target is a Kalman filter with constant velocity and white acceleration (Ba
 section 6.3.2). Points and predictions are paired by the assignment of least total cost, cost the squared
 Mahalanobis distance. A new target is tentative until its sightings weigh enough: a sighting by n cameras
 weighs n - 1, since two cameras can agree by chance (images of odd size count for less than one); its samples
-are handed out when it is confirmed, the earlier ones with them. What is handed out is the measured point, not the filter's: no smoothing hides errors.
+are handed out when it is confirmed, the earlier ones with them. What is handed out is the measured point, not
+the filter's: no smoothing hides errors.
 """
 
 from dataclasses import dataclass, field

@@ -137,6 +137,9 @@ class RerunLog:
 
     def _log_points(self, entity: str, xyz: Array, colours: Array, ids: Array) -> None:
         points = self._rr.Points3D(xyz, radii=0.006, colors=colours)
+        if len(xyz) == 0:
+            self._stream.log(entity, points)
+            return
         self._stream.log(entity, points, self._rr.AnyValues(track=np.asarray(ids, dtype=np.int64)))
 
     def _compressed(self, image: Array) -> Any:

@@ -213,13 +213,13 @@ def build_scene(spec: Scenario, folder: Path) -> Scene:
     if isinstance(scene, ActorScene):
         from twin.scenes.actor import build_actor
 
-        files = {
+        motion: dict[str, Any] = {
             name: None if given is None else _beside(given, folder)
             for name, given in (("motion_file", scene.motion), ("skeleton_file", scene.skeleton))
         }
         return build_actor(
             **where,
-            **files,
+            **motion,
             start_s=scene.start_s,
             markers=scene.markers,
             marker_diameter_m=scene.marker_diameter_m,
@@ -251,15 +251,15 @@ def build_scene(spec: Scenario, folder: Path) -> Scene:
         )
     from twin.scenes.own import build_own
 
-    given = scene.motion in ("turntable", "physics")
-    return build_own(
-        **where,
-        model_file=_beside(scene.model, folder),
-        markers_file=_beside(scene.markers, folder),
-        motion=scene.motion if given else "table",
-        motion_file=None if given else _beside(scene.motion, folder),
-        speed_mps=scene.speed_mps,
-    )
+    files: dict[str, Any] = {
+        "model_file": _beside(scene.model, folder),
+        "markers_file": _beside(scene.markers, folder),
+    }
+    if scene.motion == "turntable":
+        return build_own(**where, **files, motion="turntable", speed_mps=scene.speed_mps)
+    if scene.motion == "physics":
+        return build_own(**where, **files, motion="physics")
+    return build_own(**where, **files, motion="table", motion_file=_beside(scene.motion, folder))
 
 
 def pipeline_settings(spec: Scenario) -> PipelineSettings:
@@ -304,7 +304,7 @@ def _beside(name: str, folder: Path) -> Path:
 
 def _sees(camera: Camera, points: Array) -> Array:
     xy = project(camera, points)
-    inside = np.isfinite(xy).all(axis=1)
+    inside = np.asarray(np.isfinite(xy).all(axis=1))
     xy = np.where(inside[:, None], xy, -1.0)
     return (
         inside

@@ -76,7 +76,7 @@ def run(
             log.unlink(missing_ok=True)
     _print_metrics(result.record)
     _console().print(summary_table([result.record]))
-    click.echo(f"{target / 'report.html'}")
+    click.echo(f"{name}: {result.record.verdict}; {target / 'report.html'}")
     sys.exit(EXIT_PASSED if result.record.passed else EXIT_BROKEN)
 
 
@@ -183,7 +183,11 @@ def new(path: Path) -> None:
 @click.option("--rig", required=True, type=FILE, help="rig file (TOML; also aniposelib, Caliscope, Pose2Sim)")
 @click.option("--out", required=True, type=FILE, help="tracks: .npz, .csv, .c3d or .trc")
 @click.option("--fps", type=float, help="frame rate of a recording that does not tell its own [Hz]")
-@click.option("--settings", type=FILE, help="TOML file with [detection], [match], [track] and [volume]")
+@click.option(
+    "--settings",
+    type=FILE,
+    help="TOML file with [background], [detection], [match], [track] and [volume]",
+)
 @click.option(
     "--set",
     "overrides",
@@ -312,14 +316,16 @@ class _progress:
     """A progress bar on a terminal; nothing in a pipe. Calling it with (done, all) moves it."""
 
     def __init__(self, title: str) -> None:
-        self._title, self._bar, self._task = title, None, None
+        self._title = title
+        self._bar: Any = None
+        self._task: Any = None
 
     def __enter__(self) -> Callable[[int, int], None]:
         if sys.stderr.isatty():
             from rich.console import Console
             from rich.progress import Progress
 
-            self._bar: Any = Progress(console=Console(stderr=True), transient=True)
+            self._bar = Progress(console=Console(stderr=True), transient=True)
             self._bar.start()
             self._task = self._bar.add_task(self._title, total=None)
         return self._move

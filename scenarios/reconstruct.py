@@ -1,16 +1,20 @@
 """The verbs for real images: calibrate from measured points, look at a rig, turn a recording into tracks."""
 
+from itertools import chain, islice
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from mosca.assemble import Assembly
 from mosca.calibrate.points import calibrate_from_points, summary
-from mosca.data.rig import Rig
+from mosca.data.arrays import Array
+from mosca.data.rig import Camera, Rig
 from mosca.data.rig_file import read_rig, write_rig
 from mosca.data.target_file import read_target
 from mosca.data.toml import Table, check, read_toml
+from mosca.detect import mean_background, minimum_background
 from mosca.errors import InputError
 from mosca.formats.tracks_file import SUFFIXES, write_tracks
 from mosca.pipeline import PipelineSettings, run
@@ -33,8 +37,21 @@ class VolumeSpec(Table):
         return self
 
 
+class BackgroundSpec(Table):
+    """What is taken off each camera's images before detection; made in a first pass over the recording."""
+
+    kind: Literal["none", "minimum", "mean"] = Field(
+        "none",
+        description="'minimum' of each pixel where targets are in every frame and move, "
+        "'mean' where the first frames show no targets",
+    )
+    frames: int = Field(100, ge=1, description="how many frames of each camera, from the first")
+
+
 class ReconstructSpec(Table):
     """Settings file of ``mosca reconstruct``."""
+
+    background: BackgroundSpec = BackgroundSpec()
 
     detection: DetectionSpec = DetectionSpec()
     match: MatchSpec = MatchSpec()
@@ -61,13 +78,15 @@ def reconstruct_recording(
         raise InputError(
             f"{rig_path}: no two cameras see a common point; check poses (world_from_camera, z forward) and units (m)"
         )
-    settings = reconstruct_settings(settings_path, overrides)
+    spec = reconstruct_spec(settings_path, overrides)
+    settings = reconstruct_settings(spec, settings_path)
+    backgrounds = recorded_backgrounds(recording, rig, fps, spec.background)
     assembly = Assembly()
     samples: list[Sample] = []
     counts = np.zeros(3)
     with open_recording(recording, rig, fps) as source:
         rate = source.cameras[0].frame_rate_hz
-        for step in run(source, rig, settings, assembly):
+        for step in run(source, rig, settings, assembly, backgrounds):
             samples += step.samples
             counts += 1, sum(len(d) for d in step.detections.values()), len(step.points)
             if callable(progress):
@@ -91,13 +110,45 @@ def reconstruct_recording(
     return told
 
 
-def reconstruct_settings(path: Path | None, overrides: tuple[str, ...]) -> PipelineSettings:
-    """Return the pipeline's settings of a settings file and of ``KEY=VALUE`` overrides."""
+def reconstruct_spec(path: Path | None, overrides: tuple[str, ...] = ()) -> ReconstructSpec:
+    """Return what a settings file and ``KEY=VALUE`` overrides say; InputError names file, key and value."""
     document = {} if path is None else read_toml(path)
     apply_overrides(document, overrides)
-    spec = check(ReconstructSpec, document, path or "--set")
+    return check(ReconstructSpec, document, path or "--set")
+
+
+def reconstruct_settings(spec: ReconstructSpec, path: Path | None = None) -> PipelineSettings:
+    """Return the pipeline's settings of ``spec``; ``path`` is the file that an InputError names."""
     volume = None if spec.volume is None else (spec.volume.low_m, spec.volume.high_m)
-    return stage_settings(spec, volume)
+    try:
+        return stage_settings(spec, volume)
+    except InputError as error:  # the stages know no files
+        raise InputError(f"{path or '--set'}: {error}") from None
+
+
+def recorded_backgrounds(
+    recording: Path, rig: Rig, fps: float | None, spec: BackgroundSpec
+) -> dict[str, Array]:
+    """Return camera -> background (H, W) of a recording's first frames, as ``spec`` has it.
+
+    Camera by camera and frame by frame, so that no more than a few images are in memory.
+    """
+    if spec.kind == "none":
+        return {}
+    return {camera.name: _background(recording, camera, fps, spec) for camera in rig.cameras}
+
+
+def _background(recording: Path, camera: Camera, fps: float | None, spec: BackgroundSpec) -> Array:
+    with open_recording(recording, Rig((camera,)), fps) as source:
+        images = (frame.image for frame in islice(source, spec.frames) if frame.image is not None)
+        first = next(images, None)
+        if first is None:
+            raise InputError(
+                f"{recording}: key 'background.frames': {spec.frames} given, but camera '{camera.name}' has no "
+                "readable image among them; give more, or background.kind = \"none\""
+            )
+        make = minimum_background if spec.kind == "minimum" else mean_background
+        return make(chain((first,), images))
 
 
 def calibrate_recording(recording: Path, target_path: Path, out: Path) -> list[str]:

@@ -68,8 +68,8 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
     """Run ``spec``; files that it names are looked for in ``folder``. PremiseError where a premise fails."""
     options = options or RunOptions()
     timings: dict[str, float] = {}
-    with ExitStack() as stack, _timed(timings, "total_s"):
-        with _timed(timings, "build_s"):
+    with ExitStack() as stack, _timed(timings, "total"):
+        with _timed(timings, "build"):
             rig = true_rig(spec, folder)
             cameras = virtual_cameras(spec, rig)
             known = calibrated(spec, cameras)
@@ -90,12 +90,12 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         else:
             source = _recorded(options.source, rig)
         stack.enter_context(source)
-        with _timed(timings, "frames_to_tracks_s"):
+        with _timed(timings, "frames_to_tracks"):
             collected = _collect(source, believed, settings, spec, options, stack)
         truth = source.truth() if isinstance(source, TwinSource) else _truth_beside(options.source)
-        if isinstance(source, TwinSource) and options.record_to is not None:
+        if isinstance(source, TwinSource) and truth is not None and options.record_to is not None:
             write_truth(truth, options.record_to / "truth.npz")
-        with _timed(timings, "score_s"):
+        with _timed(timings, "score"):
             space = max(spec.working_space.size_m)
             matched = None if truth is None else pair(collected.tracks, truth, space)
             scores = {} if matched is None else metrics(matched, space)
@@ -160,7 +160,9 @@ def _collect(
         from reports.viewer import RerunLog
 
         space = spec.working_space
-        log = stack.enter_context(RerunLog(options.rrd, rig, (space.center_m, space.size_m)))
+        log = stack.enter_context(
+            RerunLog(options.rrd, rig, (np.array(space.center_m), np.array(space.size_m)))
+        )
     read: FrameSource = source
     if options.record_to is not None:
         read = _Recorded(source, stack.enter_context(RecordingWriter(options.record_to, source.cameras)))
@@ -169,7 +171,7 @@ def _collect(
         samples += step.samples
         done += 1
         for stage, value in step.seconds.items():
-            seconds[f"{stage}_s"] = seconds.get(f"{stage}_s", 0.0) + value
+            seconds[stage] = seconds.get(stage, 0.0) + value
         latency.append(sum(step.seconds.values()))
         if done == max(1, round(VIEW_AT * pulses)):
             views, view_pulse = _views(step), step.frame_set.pulse
@@ -187,8 +189,8 @@ def _collect(
         if options.progress is not None:
             options.progress(done, max(done, pulses))
     if latency:
-        seconds["latency_p99_s"] = float(np.quantile(latency, 0.99))
-        seconds["pipeline_per_set_s"] = float(np.mean(latency))
+        seconds["latency_p99"] = float(np.quantile(latency, 0.99))
+        seconds["pipeline_per_set"] = float(np.mean(latency))
     return _Collected(table(samples), views, view_pulse, assembly, seconds, done)
 
 

@@ -209,6 +209,20 @@ class DetectionSpec(Table):
         None, description="D_min: smallest side of a target's box [px]"
     )
     maximum_size_px: Positive | None = Field(None, description="D_max: largest side of a target's box [px]")
+    lowest_dn: int | None = Field(
+        None, ge=0, description="h_min: all thresholds lie above it, 8-bit counts above the background"
+    )
+    step_dn: int | None = Field(None, ge=1, description="s: from one threshold to the next, 8-bit counts")
+    centroid: Literal["background", "paper"] | None = Field(
+        None, description="centroid above the local background, or as printed in the paper"
+    )
+    dilation_px: int | None = Field(
+        None, ge=0, le=2, description="how far the centroid's mask reaches beyond the target [px]"
+    )
+    read_noise_dn: NotNegative | None = Field(
+        None, description="noise of a dark pixel, standard deviation, 8-bit counts"
+    )
+    gain_dn_per_e: NotNegative | None = Field(None, description="system gain, 8-bit counts an electron")
 
 
 class MatchSpec(Table):

@@ -46,9 +46,8 @@ class Truth:
 def write_truth(truth: Truth, path: Path) -> None:
     """Write all fields under their names (numpy .npz, no pickles)."""
     with open(path, "wb") as file:
-        np.savez_compressed(
-            file, **{name: np.asarray(getattr(truth, name)) for name in truth.__dataclass_fields__}
-        )
+        fields = {name: np.asarray(getattr(truth, name)) for name in truth.__dataclass_fields__}
+        np.savez_compressed(file, allow_pickle=False, **fields)
 
 
 def read_truth(path: Path) -> Truth:

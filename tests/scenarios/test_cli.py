@@ -121,21 +121,24 @@ def test_other_bad_input(tmp_path):
     assert (tmp_path / "mine" / "thesis.tex").read_text() == "all I have"
 
 
-def test_ctrl_c_leaves_nothing(tmp_path):
+def test_ctrl_c_leaves_no_run_folder_and_a_readable_recording(tmp_path):
     path = scenario(tmp_path)
     process = subprocess.Popen(
-        [*MOSCA, "run", str(path), "--set", "capture.duration_s=600", "--out", "x"],
+        [*MOSCA, "run", str(path), "--set", "capture.duration_s=600", "--out", "x", "--record", "rec"],
         cwd=tmp_path,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
-    time.sleep(6)
+    deadline = time.monotonic() + 120
+    while not list(tmp_path.glob("rec/*")) and time.monotonic() < deadline:
+        time.sleep(0.2)
+    time.sleep(1.0)
     process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130
+    assert process.returncode == 130, errors
     assert "stopped" in errors
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["tiny.toml"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["rec", "tiny.toml"]
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from mosca.errors import InputError
 from twin.scenes.drone import EDGE_M, Flight, build_flight
 from twin.scenes.flight import FLIGHT_PATHS, FlightPath
 from twin.scenes.scene import MARKER_GROUP, Scene
+from twin.scenes.world import SEAT_M
 
 CENTER, SIZE = np.array([0.2, 0.1, 1.25]), np.array([2.5, 2.5, 2.5])
 
@@ -41,7 +42,7 @@ def test_markers_are_seated_on_the_airframe_and_tell_front_from_back() -> None:
     frame = [g for g in range(1, model.ngeom) if model.geom_group[g] != MARKER_GROUP]
     for marker in scene.marker_geoms:
         gap = min(mujoco.mj_geomDistance(model, data, marker, g, 0.1, None) for g in frame)
-        assert 0.0015 < gap < 0.0021
+        assert SEAT_M - 5e-4 < gap < SEAT_M + 1e-4
     assert scene.bodies == {"drone": tuple(f"D{k}" for k in range(1, 9))}
     xyz = data.geom_xpos[list(scene.marker_geoms)]
     distance = np.linalg.norm(xyz[:, None] - xyz[None], axis=-1)
