@@ -35,7 +35,8 @@ class MatchSettings:
     error of image points besides detection noise (body, trigger, lens model), an axis. ``minimum_cameras``: smallest
     group. ``support_sigma``: how near a track's prediction supports a group. ``outlier_sigma``: a group of three
     and more loses its worst ray beyond this. ``worst_sigma_m``: a point whose largest standard deviation exceeds
-    this is none (two cameras that face each other, an image of odd size).
+    this is none (two cameras that face each other, an image of odd size). ``judge_sizes``: whether all targets are
+    of one size, so that an image of odd size is partly hidden or merged and is trusted less; not for particles.
     """
 
     gate_sigma: float = 4.5
@@ -44,6 +45,7 @@ class MatchSettings:
     support_sigma: float = 4.0
     outlier_sigma: float = 4.0
     worst_sigma_m: float = math.inf
+    judge_sizes: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +98,7 @@ def hypotheses(
         bundle.origin, bundle.start, bundle.direction, bundle.white, bundle.spread, bundle.sigma_px,
         bundle.radius_px, bundle.angle, settings.gate_sigma, settings.outlier_sigma,
         np.asarray(volume[0], dtype=float), np.asarray(volume[1], dtype=float), typical_diameter_m,
+        settings.judge_sizes,
     ))  # fmt: skip
     enough = (found.rays >= 0).sum(axis=1) >= settings.minimum_cameras
     if math.isfinite(settings.worst_sigma_m):
@@ -128,7 +131,7 @@ def choose(
         track, support = _support(found, predicted, settings.support_sigma)
         order = np.argsort(0.5 * found.chi2 - RAY_BONUS * count - support, kind="stable")
         found = found.select(order)
-        merged = _merged(found, bundle, typical_diameter_m)
+        merged = _merged(found, bundle, typical_diameter_m if settings.judge_sizes else 0.0)
         mask = _take(found.rays, merged, track[order], count[order], used, spoken)
         taken.append(found.select(mask))
         found = _left_over(found.select(~mask), bundle, used, settings)

@@ -22,8 +22,13 @@ HALF_HIDDEN = 0.47
 
 
 @njit(nogil=True, cache=True)
-def search(origin, start, direction, white, spread, sigma, radius, angle, gate, outlier, low, high, typical):  # type: ignore[no-untyped-def]
+def search(
+    origin, start, direction, white, spread, sigma, radius, angle, gate, outlier, low, high, typical, judge
+):  # type: ignore[no-untyped-def]
     """All pairs of cameras, all pairs of rays on each other's epipolar lines, widened to the other cameras."""
+    if not judge:
+        # a hidden part shifts a point's centroid by nothing: every ray counts in full
+        radius = np.zeros_like(radius)
     cameras, total = origin.shape[0], direction.shape[0]
     # a ray's direction error, one standard deviation, if its target were mostly hidden
     reach, slack = np.empty(total), np.empty(total)
@@ -118,7 +123,7 @@ def search(origin, start, direction, white, spread, sigma, radius, angle, gate, 
                         error = solve_members(members, trust, origin, direction, white, point, cov)
                     # a pair that remains must still meet, with both images at least half there
                     if size == 2 and (
-                        error > gate * gate or _half_hidden(members, point, origin, angle, whole)
+                        error > gate * gate or (judge and _half_hidden(members, point, origin, angle, whole))
                     ):
                         continue
                     if error < 0.0 or not _inside(point, low, high):

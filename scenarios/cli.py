@@ -92,6 +92,9 @@ def run(
 @click.option(
     "--update-baselines", is_flag=True, help="make these results the baselines (say why in CHANGELOG)"
 )
+@click.option(
+    "--baselines", type=FILE, help="folder that --update-baselines writes to  [default: the committed ones]"
+)
 def suite(
     paths: tuple[Path, ...],
     tier: str,
@@ -100,6 +103,7 @@ def suite(
     junit: Path | None,
     compare: Path | None,
     update_baselines: bool,
+    baselines: Path | None,
 ) -> None:
     """Run all scenarios of a tier (or those in PATH ...) on all cores, and compare with the baselines.
 
@@ -108,6 +112,8 @@ def suite(
     """
     from scenarios import catalog
 
+    if baselines is not None and not update_baselines:
+        raise InputError("--baselines goes with --update-baselines; to compare with a folder give --compare")
     if compare is not None and update_baselines:
         raise InputError("--compare and --update-baselines exclude each other; give one of them")
     entries = catalog.entries(paths, tier)
@@ -128,8 +134,10 @@ def suite(
 
         outcomes = work.run_suite(entries, out, jobs or os.cpu_count() or 1, told)
     if update_baselines:
-        work.update_baselines(outcomes, work.BASELINES)
-        click.echo(f"{len(outcomes)} baselines written to {work.BASELINES}; say why in CHANGELOG.md")
+        work.update_baselines(outcomes, baselines or work.BASELINES)
+        click.echo(
+            f"{len(outcomes)} baselines written to {baselines or work.BASELINES}; say why in CHANGELOG.md"
+        )
     else:
         outcomes = work.compared(outcomes, compare or work.BASELINES)
     if junit is not None:

@@ -101,6 +101,8 @@ def reconstruct_recording(
     ]
     if len(tracks):
         told.append(f"reprojection error {np.sqrt(np.mean(tracks.residual_px**2)):.3f} px rms")
+    else:
+        told.append(_why_no_tracks(counts, settings))
     told += [
         f"{name}: {c.dropped} dropped, {c.corrupt} corrupt, {c.late} late, {c.doubled} doubled"
         for name, c in assembly.cameras.items()
@@ -108,6 +110,21 @@ def reconstruct_recording(
     ]
     told += [f"{kind}: {note}" for kind, note in assembly.notes.items()]
     return told
+
+
+def _why_no_tracks(counts: Array, settings: PipelineSettings) -> str:
+    """Return where to look, by the first stage that gave nothing; ``counts``: sets, detections, points."""
+    if counts[1] == 0:
+        return f"no detections: look at detection.contrast_dn ({settings.detection.contrast_dn:g})"
+    if counts[2] == 0:
+        return (
+            "no points: look at the rig, [volume], match.camera_sigma_px "
+            f"({settings.match.camera_sigma_px:g}) and match.worst_sigma_m ({settings.match.worst_sigma_m:g})"
+        )
+    return (
+        f"no tracks: look at track.confirm_weight ({settings.track.confirm_weight:g}), track.gate_m "
+        f"({settings.track.gate_m:g}) and, where targets differ in size, match.judge_sizes"
+    )
 
 
 def reconstruct_spec(path: Path | None, overrides: tuple[str, ...] = ()) -> ReconstructSpec:
@@ -145,7 +162,7 @@ def _background(recording: Path, camera: Camera, fps: float | None, spec: Backgr
         if first is None:
             raise InputError(
                 f"{recording}: key 'background.frames': {spec.frames} given, but camera '{camera.name}' has no "
-                "readable image among them; give more, or background.kind = \"none\""
+                'readable image among them; give more, or background.kind = "none"'
             )
         make = minimum_background if spec.kind == "minimum" else mean_background
         return make(chain((first,), images))

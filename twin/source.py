@@ -1,10 +1,10 @@
 """TwinSource: a FrameSource whose cameras look at a scene, and the truth of what they looked at."""
 
 from collections import deque
-from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from threading import local
+from threading import Lock, local
 
 import numpy as np
 
@@ -33,12 +33,36 @@ class _PulseTruth:
     exposures: tuple[Exposure, ...]
 
 
+class _Reading:
+    """One iteration over a source: its workers, and the truth of the pulses it has handed out."""
+
+    def __init__(self, workers: int) -> None:
+        self.truth: list[_PulseTruth] = []
+        self.closed = False
+        self._pool = ThreadPoolExecutor(workers)
+        self._lock = Lock()
+
+    def submit(
+        self, work: "Callable[[int], tuple[list[Frame], _PulseTruth]]", pulse: int
+    ) -> "Future[tuple[list[Frame], _PulseTruth]] | None":
+        """Hand a pulse to the workers; None after ``close``."""
+        with self._lock:
+            return None if self.closed else self._pool.submit(work, pulse)
+
+    def close(self) -> None:
+        """Drop what has not begun and wait for the rest; may be called from any thread, and again."""
+        with self._lock:
+            self.closed = True
+        self._pool.shutdown(cancel_futures=True)
+
+
 class TwinSource:
     """Exposes ``scene`` through ``cameras`` at ``frame_rate_hz`` from pulse 0, ``pulses`` times.
 
     ``exposure_s``: the window of every exposure [s]. Same seed, same bytes: over runs, processes and numbers
     of ``workers`` (threads), because each pulse draws from streams of its own.
-    ``truth()`` tells what really was at the pulses that have been read.
+    Each iteration starts anew with workers of its own; ``close`` ends those under way. ``truth()`` tells what
+    really was at the pulses that the iteration started last has read.
     """
 
     def __init__(
@@ -66,8 +90,8 @@ class TwinSource:
         self._shape = np.where(sphere, BALL, FLAT).astype(np.int64)
         self._radius = np.ascontiguousarray(scene.model.geom_size[geoms, 0], dtype=float)
         self._thread = local()
-        self._truth: list[_PulseTruth] = []
-        self._pool: ThreadPoolExecutor | None = None
+        self._latest: list[_PulseTruth] = []
+        self._readings: set[_Reading] = set()
 
     @property
     def cameras(self) -> tuple[CameraInfo, ...]:
@@ -78,26 +102,36 @@ class TwinSource:
         )
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames pulse by pulse, in the rig's order; starts anew each time."""
-        self._truth = []
-        with ThreadPoolExecutor(self.workers) as self._pool:
-            waiting: deque[Future[tuple[list[Frame], _PulseTruth]]] = deque()
-            try:
-                for pulse in range(self.pulses + self.workers * LOOK_AHEAD):
-                    if pulse < self.pulses:
-                        waiting.append(self._pool.submit(self._expose_pulse, pulse))
-                    if waiting and (len(waiting) > self.workers * LOOK_AHEAD or pulse >= self.pulses - 1):
+        """Yield the frames pulse by pulse, in the rig's order; starts anew each time, ends when closed."""
+        reading = _Reading(self.workers)
+        self._latest = reading.truth
+        self._readings.add(reading)
+        waiting: deque[Future[tuple[list[Frame], _PulseTruth]]] = deque()
+        try:
+            for pulse in range(self.pulses + self.workers * LOOK_AHEAD):
+                if pulse < self.pulses:
+                    future = reading.submit(self._expose_pulse, pulse)
+                    if future is None:
+                        return
+                    waiting.append(future)
+                if waiting and (len(waiting) > self.workers * LOOK_AHEAD or pulse >= self.pulses - 1):
+                    try:
                         frames, truth = waiting.popleft().result()
-                        self._truth.append(truth)
-                        yield from frames
-            finally:
-                for future in waiting:
-                    future.cancel()
+                    except CancelledError:  # by ``close``, from another thread
+                        return
+                    reading.truth.append(truth)
+                    for frame in frames:
+                        yield frame
+                        if reading.closed:
+                            return
+        finally:
+            reading.close()
+            self._readings.discard(reading)
 
     def close(self) -> None:
-        """Stop the workers."""
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
+        """Stop the workers; iterations under way end with the frame they have given last."""
+        for reading in tuple(self._readings):
+            reading.close()
 
     def __enter__(self) -> "TwinSource":
         return self
@@ -108,11 +142,11 @@ class TwinSource:
     @property
     def truth_xyz(self) -> list[Array]:
         """True marker positions (m, 3) of the pulses read so far [m]."""
-        return [p.xyz for p in self._truth]
+        return [p.xyz for p in self._latest]
 
     def truth(self) -> Truth:
         """Return what really was at the pulses read so far."""
-        done = self._truth
+        done = self._latest
         pulse_ns = [
             round((pulse_time_s(k, self.frame_rate_hz) + self.exposure_s / 2) * 1e9) for k in range(len(done))
         ]

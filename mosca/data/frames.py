@@ -39,7 +39,9 @@ class Frame:
     ``index`` is the camera's own frame counter, ``time_ns`` its stamp of ``stamp_event``,
     ``exposure_ns`` the length of the exposure window, ``row_time_ns`` the delay from one row's
     exposure to the next row's (0 for a global shutter). ``image`` is (H, W), uint8 or uint16,
-    read-only; None where the frame was dropped or is corrupt. ``note`` says why, for people.
+    read-only; None where the frame was dropped or is corrupt. ``note`` says why, for people. ``rows``:
+    the image's height, taken from ``image``; where there is none, what the source knows (CameraInfo.height),
+    0 if nothing.
     """
 
     camera: str
@@ -51,10 +53,12 @@ class Frame:
     stamp_event: StampEvent = "exposure_start"
     row_time_ns: int = 0
     note: str = ""
+    rows: int = 0
 
     def __post_init__(self) -> None:
         if self.image is not None:
             object.__setattr__(self, "image", read_only_image(self.image))
+            object.__setattr__(self, "rows", self.image.shape[0])
         if (self.status == "ok") != (self.image is not None):
             raise ValueError(
                 f"frame {self.index} of {self.camera}: status {self.status} with an image of "
@@ -66,10 +70,11 @@ def mid_exposure_ns(frame: Frame) -> int:
     """Time of the middle of the frame's exposure window, in the clock that stamped it [ns].
 
     The image's intensity centroid belongs to this instant (for constant velocity exactly). With a
-    rolling shutter it is the middle of the window of the image's central row.
+    rolling shutter it is the middle of the window of the image's central row; for a dropped or
+    corrupt frame whose ``rows`` are unknown (0) it is the first row's, half a readout early (after
+    ``readout`` stamps: the last row's, as much late).
     """
-    height = 0 if frame.image is None else frame.image.shape[0]
-    half_readout = frame.row_time_ns * (height - 1) // 2 if height else 0
+    half_readout = frame.row_time_ns * (frame.rows - 1) // 2 if frame.rows else 0
     if frame.stamp_event == "exposure_start":
         return frame.time_ns + frame.exposure_ns // 2 + half_readout
     if frame.stamp_event == "exposure_middle":

@@ -5,10 +5,13 @@ k4 theta^8): u = cx + fx rho cos(phi), v = cy + fy rho sin(phi). Images beyond 9
 Source: Kannala and Brandt 2006; the parameters are those of OpenCV's ``fisheye`` with zero skew.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.rig import FisheyeLens
+from mosca.lenses.fold import first_positive_root
 
 NEWTON_STEPS = 30
 CONVERGED_RAD = 1e-14
@@ -66,9 +69,15 @@ def pixels(lens: FisheyeLens, directions: Array) -> tuple[Array, Array, Array]:
     by_lens[:, 0, 2] = by_lens[:, 1, 3] = 1.0
     for k in range(4):
         by_lens[:, :, 4 + k] = focal * across * (theta ** (3 + 2 * k))[:, None]
-    bad = (slope <= 0) | (norm2 == 0) | (near & (v[:, 2] < 0))
+    bad = (slope <= 0) | (theta**2 >= fold_rad2(lens)) | (norm2 == 0) | (near & (v[:, 2] < 0))
     xy[bad], by_direction[bad], by_lens[bad] = np.nan, np.nan, np.nan
     return xy, by_direction, by_lens
+
+
+@lru_cache(maxsize=256)
+def fold_rad2(lens: FisheyeLens) -> float:
+    """Return the squared angle [rad^2] at which rho stops rising, or infinity."""
+    return first_positive_root((1.0, 3 * lens.k1, 5 * lens.k2, 7 * lens.k3, 9 * lens.k4))
 
 
 def _rho(lens: FisheyeLens, theta: Array) -> Array:

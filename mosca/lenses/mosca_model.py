@@ -9,10 +9,13 @@ ideal = measured + (dx, dy), and the ideal point is c times the tangent of the r
 correction is a function of the measured point: pixel -> ray is closed form, projection inverts it.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.rig import MoscaLens
+from mosca.lenses.fold import first_positive_root
 
 NEWTON_STEPS = 30
 CONVERGED_MM = 1e-13
@@ -60,6 +63,15 @@ def pixels(lens: MoscaLens, directions: Array) -> tuple[Array, Array, Array]:
     bad = ~(front & invertible)
     xy[bad], by_direction[bad], by_lens[bad] = np.nan, np.nan, np.nan
     return xy, by_direction, by_lens
+
+
+@lru_cache(maxsize=256)
+def fold_mm2(lens: MoscaLens) -> float:
+    """Return the squared measured radius [mm^2] at which the ideal radius stops rising, or infinity.
+
+    The slope of r + K1 r^3 + K2 r^5 + K3 r^7 by r, a polynomial in r^2.
+    """
+    return first_positive_root((1.0, 3 * lens.K1_per_mm2, 5 * lens.K2_per_mm4, 7 * lens.K3_per_mm6))
 
 
 def _measured(lens: MoscaLens, xy_px: Array) -> Array:
@@ -127,7 +139,9 @@ def _invert(lens: MoscaLens, ideal: Array) -> tuple[Array, Array]:
         slope = _ideal_slope(lens, measured)
         determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
         rest = np.abs(ideal - _ideal(lens, measured)).max(axis=1, initial=0.0)
-        # both stretches turn negative beyond the fold, so the determinant alone does not tell
+        # both stretches turn negative beyond the fold, so the determinant alone does not tell; farther out
+        # both may be positive again, so the slope alone does not tell either
         found = (rest < 1e-9) & (determinant > 0) & (slope[:, 0, 0] + slope[:, 1, 1] > 0)
+        found &= (measured**2).sum(axis=1) < fold_mm2(lens)
     measured = np.where(found[:, None], measured, 0.0)
     return measured, found

@@ -8,17 +8,22 @@ With x = X/Z, y = Y/Z, r^2 = x^2 + y^2 and q = (1 + k1 r^2 + k2 r^4 + k3 r^6) / 
 Source: OpenCV documentation, calib3d, "Detailed Description".
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.rig import OpenCVLens
+from mosca.lenses.fold import first_positive_root
 
 NEWTON_STEPS = 30
 CONVERGED = 1e-14
 
 
 def directions(lens: OpenCVLens, xy_px: Array) -> Array:
-    """Pixel (n, 2) -> direction (n, 3) with z = 1, camera frame; Newton's method, NaN where it fails."""
+    """Pixel (n, 2) -> direction (n, 3) with z = 1, camera frame; Newton's method, NaN where it fails
+    or ends beyond the fold.
+    """
     xy = np.asarray(xy_px, dtype=float)
     distorted = (xy - (lens.cx_px, lens.cy_px)) / (lens.fx_px, lens.fy_px)
     ideal = distorted.copy()
@@ -37,6 +42,7 @@ def directions(lens: OpenCVLens, xy_px: Array) -> Array:
             if not np.any(np.abs(step) > CONVERGED):
                 break
         found = np.abs(distorted - _distort(lens, ideal)[0]).max(axis=1, initial=0.0) < 1e-10
+        found &= (ideal**2).sum(axis=1) < fold_r2(lens)
     ideal[~found] = np.nan
     return np.column_stack([ideal, np.ones(len(ideal))])
 
@@ -52,8 +58,10 @@ def pixels(lens: OpenCVLens, directions: Array) -> tuple[Array, Array, Array]:
     ideal = np.column_stack([v[:, 0] / z, v[:, 1] / z])
     with np.errstate(all="ignore"):
         distorted, slope, by_distortion = _distort(lens, ideal)
-        # both stretches turn negative far beyond the fold, so the determinant alone does not tell
-        folded = ~((np.linalg.det(slope) > 0) & (np.trace(slope, axis1=1, axis2=2) > 0))
+        # both stretches turn negative beyond the fold, so the determinant alone does not tell; farther out
+        # both may be positive again, so the slope alone does not tell either
+        regular = (np.linalg.det(slope) > 0) & (np.trace(slope, axis1=1, axis2=2) > 0)
+        folded = ~(regular & ((ideal**2).sum(axis=1) < fold_r2(lens)))
     focal = np.array([lens.fx_px, lens.fy_px])
     xy = np.array([lens.cx_px, lens.cy_px]) + focal * distorted
     ideal_by_direction = np.zeros((len(v), 2, 3))
@@ -67,6 +75,20 @@ def pixels(lens: OpenCVLens, directions: Array) -> tuple[Array, Array, Array]:
     bad = ~front | folded
     xy[bad], by_direction[bad], by_lens[bad] = np.nan, np.nan, np.nan
     return xy, by_direction, by_lens
+
+
+@lru_cache(maxsize=256)
+def fold_r2(lens: OpenCVLens) -> float:
+    """Return the squared ideal radius at which the radial distortion r q(r^2) stops rising, or infinity.
+
+    With q = N / D in s = r^2 the slope by r is (N D + 2 s (N' D - N D')) / D^2; a pole (D = 0) ends it too.
+    """
+    above = np.array([1.0, lens.k1, lens.k2, lens.k3])
+    below = np.array([1.0, lens.k4, lens.k5, lens.k6])
+    order = np.arange(4)
+    # 2 s N' has the coefficients 2 k n_k, so the slope's numerator is a sum of products of the two
+    rising = np.convolve(above * (1 + 2 * order), below) - np.convolve(above, 2 * order * below)
+    return min(first_positive_root(rising), first_positive_root(below))
 
 
 def _distort(lens: OpenCVLens, ideal: Array) -> tuple[Array, Array, Array]:

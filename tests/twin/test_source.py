@@ -232,7 +232,6 @@ def test_truth_tells_who_was_seen():
     assert np.isnan(truth.image_xy_px[:, 4]).all()
 
 
-@pytest.mark.xfail(reason="finite for markers hidden or outside the image; mosca.data.truth promises NaN")
 def test_truth_gives_no_image_of_what_is_not_seen():
     _frames, truth = read(session(pulses=2))
     assert np.isnan(truth.image_xy_px[truth.visible == 0]).all()
@@ -361,7 +360,6 @@ def test_closing_twice_and_before_reading():
     source.close()
 
 
-@pytest.mark.xfail(reason="RuntimeError 'cannot schedule new futures after shutdown' from the next frame")
 def test_a_source_closed_while_it_is_read_ends():
     source = session(pulses=200)
     frames = iter(source)

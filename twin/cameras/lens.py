@@ -3,7 +3,8 @@
 Parameter numbers are those of the rig file; the formulas are written here anew (the pipeline has its own).
 On top of the model comes what the pipeline's models cannot express, the *gap*: a radial displacement
 ``g(s) = gap_px * T9(s)`` with s the distance from the image's centre over half its diagonal and T9 the
-Chebyshev polynomial of order 9, which the odd powers up to the 7th cannot follow.
+Chebyshev polynomial of order 9, which the odd powers up to the 7th cannot follow. T9 explodes outside the
+image: light that the model puts beyond s = 1.5 is not imaged.
 """
 
 import math
@@ -17,8 +18,10 @@ from mosca.data.arrays import Array
 from mosca.data.rig import FisheyeLens, Lens, MoscaLens, OpenCVLens
 
 COLLINEARITY, PINHOLE, FISHEYE = 0, 1, 2
-# layout of the parameter vector: 0 kind, 1-12 the model's own, 13 gap, 14-15 its centre, 16 its radius
-SIZE = 17
+# layout of the parameter vector: 0 kind, 1-12 the model's own, 13 gap, 14-15 its centre, 16 its radius,
+# 17 how far out the model is good: squared ideal slope, measured radius [mm^2] or angle [rad^2]
+SIZE = 18
+GAP_ENDS_AT = 1.5
 STEPS = 20
 
 
@@ -59,6 +62,7 @@ class TwinLens:
             ]
         vector[: len(numbers)] = numbers
         vector[13:17] = gap_px, (width - 1) / 2, (height - 1) / 2, math.hypot(width, height) / 2
+        vector[17] = _first_turn(lens)
         vector.setflags(write=False)
         return cls(vector)
 
@@ -69,6 +73,25 @@ class TwinLens:
     def directions(self, xy_px: Array) -> Array:
         """Pixel (n, 2) -> unit direction (n, 3), camera frame."""
         return _many_directions(self.vector, np.ascontiguousarray(xy_px, dtype=float).reshape(-1, 2))
+
+
+def _first_turn(lens: Lens) -> float:
+    """Where the radial mapping first turns back (infinity: never), in the variable that the kernels test.
+
+    A real lens's image ends there, even where the polynomial rises again farther out.
+    """
+    if isinstance(lens, MoscaLens):
+        slopes = [[7.0 * lens.K3_per_mm6, 5.0 * lens.K2_per_mm4, 3.0 * lens.K1_per_mm2, 1.0]]
+    elif isinstance(lens, FisheyeLens):
+        slopes = [[9.0 * lens.k4, 7.0 * lens.k3, 5.0 * lens.k2, 3.0 * lens.k1, 1.0]]
+    else:
+        # radius r T(s) / B(s), s = r^2: its slope vanishes with T B + 2 s (T' B - T B'), and B is its pole
+        top, bottom = np.poly1d([lens.k3, lens.k2, lens.k1, 1.0]), np.poly1d([lens.k6, lens.k5, lens.k4, 1.0])
+        twice_s = np.poly1d([2.0, 0.0])
+        turning = top * bottom + twice_s * (top.deriv() * bottom - top * bottom.deriv())
+        slopes = [turning.coeffs, bottom.coeffs]
+    turns = np.concatenate([np.roots(slope) for slope in slopes])
+    return float(min((t.real for t in turns if t.imag == 0.0 and t.real > 0.0), default=math.inf))
 
 
 @njit(nogil=True, cache=True)
@@ -90,6 +113,8 @@ def land(lens: Array, x: float, y: float, z: float) -> Any:
         ux, uy, uz = u1 / z, u2 / z, -(u1 * slope_x + u2 * slope_y) / z
         vx, vy, vz = v1 / z, v2 / z, -(v1 * slope_x + v2 * slope_y) / z
     if lens[13] != 0.0 and ok:
+        if (u - lens[14]) ** 2 + (v - lens[15]) ** 2 > (GAP_ENDS_AT * lens[16]) ** 2:
+            return u, v, ux, uy, uz, vx, vy, vz, False
         du, dv, g11, g12, g22 = _gap(lens, u, v)
         a, b, c = ux, uy, uz
         ux, uy, uz = a + g11 * a + g12 * vx, b + g11 * b + g12 * vy, c + g11 * c + g12 * vz
@@ -184,6 +209,7 @@ def _land_collinearity(lens: Array, sx: float, sy: float) -> Any:
         if ex * ex + ey * ey < 1e-26:
             ok = True
             break
+    ok = ok and xb * xb + yb * yb < lens[17]
     # d measured / d ideal is the inverse of (a b; c d); ideal = c (sx, -sy)
     px, py = lens[1] / lens[4], lens[1] / lens[5]
     u1, u2 = px * d / det, px * b / det
@@ -204,7 +230,7 @@ def _land_pinhole(lens: Array, x: float, y: float) -> Any:
     xx = m + 2.0 * x * x * dm + 2.0 * p1 * y + 6.0 * p2 * x
     xy = 2.0 * x * y * dm + 2.0 * p1 * x + 2.0 * p2 * y
     yy = m + 2.0 * y * y * dm + 6.0 * p1 * y + 2.0 * p2 * x
-    ok = xx * yy - xy * xy > 0.0 and xx + yy > 0.0
+    ok = xx * yy - xy * xy > 0.0 and xx + yy > 0.0 and rr < lens[17]
     fx, fy = lens[1], lens[2]
     return lens[3] + fx * xd, lens[4] + fy * yd, fx * xx, fx * xy, fy * xy, fy * yy, ok
 
@@ -226,14 +252,15 @@ def _land_fisheye(lens: Array, x: float, y: float, z: float) -> Any:
     fx, fy = lens[1], lens[2]
     if s < 1e-12 * abs(z):
         return lens[3] + fx * x / z, lens[4] + fy * y / z, fx / z, 0.0, 0.0, 0.0, fy / z, 0.0, z > 0.0
-    value, slope = _fisheye_radius(lens, math.atan2(s, z))
+    angle = math.atan2(s, z)
+    value, slope = _fisheye_radius(lens, angle)
     cx, cy, w = x / s, y / s, value / s
     along = slope * z / n2  # d radius / d s
     axial = -slope * s / n2  # d radius / d z
     ux, uy = fx * (cx * cx * along + cy * cy * w), fx * cx * cy * (along - w)
     vx, vy = fy * cx * cy * (along - w), fy * (cy * cy * along + cx * cx * w)
     u, v = lens[3] + fx * value * cx, lens[4] + fy * value * cy
-    return u, v, ux, uy, fx * cx * axial, vx, vy, fy * cy * axial, slope > 0.0
+    return u, v, ux, uy, fx * cx * axial, vx, vy, fy * cy * axial, slope > 0.0 and angle * angle < lens[17]
 
 
 @njit(nogil=True, cache=True)

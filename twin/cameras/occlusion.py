@@ -1,7 +1,7 @@
 """What stands between the camera and a marker: analytic rays against MuJoCo's primitives.
 
-All in the camera frame, rays from its origin. Meshes are left to ``mj_multiRay`` (see ``render``); floors
-(planes) hide nothing that is above them from a camera above them and are passed over.
+All in the camera frame, rays from its origin. Meshes are left to ``mj_multiRay`` (see ``render``). Planes and
+height fields are floors: they hide nothing that is above them from a camera above them and are passed over.
 """
 
 import math
@@ -44,7 +44,12 @@ class Occluders:
 
 
 def occluders_of(scene: Scene) -> Occluders:
-    """Return what can hide a marker in ``scene``: every visible geom outside UNSEEN_GROUP."""
+    """Return what can hide a marker in ``scene``: visible primitives and meshes outside UNSEEN_GROUP.
+
+    Passed over: planes and height fields, geoms of alpha 0, and geoms of MARKER_GROUP that are not among the
+    scene's ``marker_geoms``. Markers that are listed hide each other. (MuJoCo's ray caster, which answers for
+    markers that a mesh may hide, passes over none of these but alpha 0.)
+    """
     model = scene.model
     marker_of = {geom: k for k, geom in enumerate(scene.marker_geoms)}
     seen = [

@@ -1,4 +1,4 @@
-"""A marker in full view: Green's theorem along its outline.
+"""A marker that nothing hides: Green's theorem along its outline; the image's border cuts it by itself.
 
 The outline (the circle where the viewing cone touches a ball, or a flat target's rim) is mapped through the exact
 lens, and the integral of the pixel kernel over its inside becomes one along it. The integrand is smooth
@@ -13,7 +13,7 @@ from numba import njit
 
 from twin.cameras.kernel import share, weight
 from twin.cameras.lens import land
-from twin.cameras.marker_view import NODE_AT, NODE_WEIGHT, nodes_for, place_at, rim
+from twin.cameras.marker_view import instants, place_at, rim
 
 OUTLINE_STEP_PX = 0.45
 LEAST_E = 1e-3
@@ -21,15 +21,32 @@ LEAST_E = 1e-3
 
 
 @njit(nogil=True, cache=True)
+def outline_lands(lens, path, normal, r, shape):  # type: ignore[no-untyped-def]
+    """Whether the lens images the marker's outline, all of it and at all times, at most 4000 px large."""
+    left, right, top, bottom = 1e9, -1e9, 1e9, -1e9
+    for k in range(3):
+        for j in range(24):
+            angle = 2.0 * math.pi * j / 24
+            dx, dy, dz, _a, _b, _c = rim(shape, normal, path[k, 0], path[k, 1], path[k, 2], 1.02 * r, angle)
+            pu, pv, _d, _e, _f, _g, _h, _i, ok = land(lens, dx, dy, dz)
+            if not ok:
+                return False
+            left, right = min(left, pu), max(right, pu)
+            top, bottom = min(top, pv), max(bottom, pv)
+    return max(right - left, bottom - top) <= 4000.0
+
+
+@njit(nogil=True, cache=True)
 def add_outline(light, lens, table, reach, path, normal, r, shape, electrons, u, v, diameter):  # type: ignore[no-untyped-def]
-    """Add a marker in full view: Green's theorem along its outline, at each instant of the exposure."""
+    """Add a marker that nothing hides: Green's theorem along its outline, at each instant of the exposure."""
     height, width = light.shape
-    nodes = nodes_for(lens, path)
+    at, instant_share = instants(lens, path)
+    nodes = at.shape[0]
     points = max(16, int(math.pi * diameter / OUTLINE_STEP_PX) + 1)
     outline = np.empty((nodes * points, 4))
     left, right, top, bottom = 1e9, -1e9, 1e9, -1e9
     for k in range(nodes):
-        x, y, z = place_at(path, NODE_AT[nodes, k])
+        x, y, z = place_at(path, at[k])
         area = 0.0
         for j in range(points):
             dx, dy, dz, ex, ey, ez = rim(shape, normal, x, y, z, r, 2.0 * math.pi * j / points)
@@ -41,7 +58,7 @@ def add_outline(light, lens, table, reach, path, normal, r, shape, electrons, u,
             left, right = min(left, pu), max(right, pu)
             top, bottom = min(top, pv), max(bottom, pv)
         # the sense of the outline's turn in the image decides the integral's sign
-        factor = NODE_WEIGHT[nodes, k] * 2.0 * math.pi / points * (1.0 if area > 0.0 else -1.0)
+        factor = instant_share[k] * 2.0 * math.pi / points * (1.0 if area > 0.0 else -1.0)
         for j in range(points):
             outline[k * points + j, 3] = factor * outline[k * points + j, 2]
     x0, x1 = math.floor(left) - reach, math.ceil(right) + reach + 1

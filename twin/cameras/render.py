@@ -1,7 +1,7 @@
 """Light on the sensor: every marker's image integrated, not drawn.
 
-A marker in full view is integrated along its outline (``outline``), one partly hidden by samples of its image
-(``samples``); what hides it is asked of ``occlusion``, and of ``mj_multiRay`` where meshes are about. The shape of
+A marker that nothing hides is integrated along its outline (``outline``), also where the image's border cuts
+it, one partly hidden by samples of its image (``samples``); what hides it is asked of ``occlusion``, and of ``mj_multiRay`` where meshes are about. The shape of
 what is visible is judged at mid-exposure.
 """
 
@@ -18,8 +18,8 @@ from twin.cameras.kernel import PixelKernel
 from twin.cameras.lens import land
 from twin.cameras.marker_view import BALL, FLAT, front_of, rim
 from twin.cameras.occlusion import Occluders, axis_reach, hit, may_hide
-from twin.cameras.outline import add_outline
-from twin.cameras.samples import sample_rays, spread_samples
+from twin.cameras.outline import add_outline, outline_lands
+from twin.cameras.samples import sample_rays, share_seen, spread_samples
 from twin.scenes.scene import UNSEEN_GROUP
 
 __all__ = ["BALL", "FLAT", "MarkersInCamera", "MeshRays", "Seen", "has_meshes", "render_markers"]
@@ -46,7 +46,7 @@ class MarkersInCamera:
 @dataclass(frozen=True, eq=False)
 class Seen:
     """What the camera saw of each marker: ``visible`` (m,) share of its disc, ``xy_px`` (m, 2) image of its
-    centre at mid-exposure, ``diameter_px`` (m,) of the whole disc's image (NaN where it is not imaged).
+    centre at mid-exposure, ``diameter_px`` (m,) of the whole disc's image (both NaN where nothing is visible).
     """
 
     visible: Array
@@ -80,7 +80,8 @@ def render_markers(
                 lens, markers.path[m, 1], markers.normal[m], markers.radius[m], markers.shape[m]
             )
             free = mesh_rays.visible(int(m), samples)
-            seen[m, 0] = spread_samples(
+            seen[m, 0] = share_seen(*light.shape, cell, grid, free)
+            spread_samples(
                 light,
                 lens,
                 kernel.table,
@@ -91,6 +92,7 @@ def render_markers(
                 grid,
                 free,
             )
+    seen[seen[:, 0] == 0.0, 1:] = np.nan
     return Seen(seen[:, 0], seen[:, 1:3], seen[:, 3])
 
 
@@ -186,7 +188,7 @@ def _render_all(
         ):
             state[m] = HIDDEN
             continue
-        # the shape is judged at mid-exposure; a marker that may touch the border is sampled too
+        # what hides is judged at mid-exposure; samples also tell how much of a marker the border leaves
         near_count = 0
         for g in range(geoms):
             if geom_marker[g] != m and may_hide(
@@ -223,15 +225,15 @@ def _render_all(
                     free[i] = False
                     blocked += 1
                     break
-        if blocked == 0 and not border:
+        seen[m, 0] = share_seen(height, width, cell, grid, free) if blocked > 0 or border else 1.0
+        if blocked == 0 and (not border or outline_lands(lens, path[m], normal[m], r, shape[m])):
             state[m] = IN_VIEW
             add_outline(
                 light, lens, table, reach, path[m], normal[m], r, shape[m], electrons[m], u, v, diameter
             )
-            seen[m, 0] = 1.0
             continue
         state[m] = PARTLY
-        seen[m, 0] = spread_samples(light, lens, table, reach, path[m], electrons[m], cell, grid, free)
+        spread_samples(light, lens, table, reach, path[m], electrons[m], cell, grid, free)
     return seen, state
 
 

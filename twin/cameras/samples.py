@@ -11,7 +11,7 @@ from numba import njit
 
 from twin.cameras.kernel import weight
 from twin.cameras.lens import land, origin
-from twin.cameras.marker_view import FLAT, NODE_AT, NODE_WEIGHT, nodes_for, place_at, rim
+from twin.cameras.marker_view import FLAT, instants, place_at, rim
 from twin.cameras.outline import LEAST_E
 
 
@@ -61,28 +61,36 @@ def sample_rays(lens, centre, normal, r, shape):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
+def share_seen(height, width, cell, grid, free):  # type: ignore[no-untyped-def]
+    """Share of a marker's samples that nothing hides and that lie inside the image."""
+    left, top, step, _columns, _rows = grid
+    count, seen = cell.shape[0], 0.0
+    for n in range(count):
+        pu, pv = left + (cell[n, 0] + 0.5) * step, top + (cell[n, 1] + 0.5) * step
+        if free[n] and -0.5 <= pu <= width - 0.5 and -0.5 <= pv <= height - 0.5:
+            seen += 1.0
+    return seen / count if count > 0 else 0.0
+
+
+@njit(nogil=True, cache=True)
 def spread_samples(light, lens, table, reach, path, electrons, cell, grid, free):  # type: ignore[no-untyped-def]
-    """Add a marker's visible samples, spread by the pixel kernel along its motion; returns the share seen."""
+    """Add a marker's visible samples, spread by the pixel kernel along its motion."""
     height, width = light.shape
     left, top, step, columns, rows = grid
     count = cell.shape[0]
     if count == 0:
-        return 0.0
-    nodes = nodes_for(lens, path)
+        return
+    at, instant_share = instants(lens, path)
     mu, mv, _a, _b, _c, _d, _e, _f, _ok = land(lens, path[1, 0], path[1, 1], path[1, 2])
     lit = np.zeros((rows, columns))
-    seen = 0.0
     for n in range(count):
         if free[n]:
             lit[cell[n, 1], cell[n, 0]] = step * step
-            pu, pv = left + (cell[n, 0] + 0.5) * step, top + (cell[n, 1] + 0.5) * step
-            if -0.5 <= pu <= width - 0.5 and -0.5 <= pv <= height - 0.5:
-                seen += 1.0
     wide = int(columns * step) + 2 * reach + 4
     by_column = np.empty((columns, 2 * reach + 2))
     line = np.empty(wide)
-    for k in range(nodes):
-        x, y, z = place_at(path, NODE_AT[nodes, k])
+    for k in range(at.shape[0]):
+        x, y, z = place_at(path, at[k])
         u, v, _a, _b, _c, _d, _e, _f, ok = land(lens, x, y, z)
         if not ok:
             continue
@@ -103,9 +111,8 @@ def spread_samples(light, lens, table, reach, path, electrons, cell, grid, free)
             py0 = math.floor(y_here) - reach
             for p in range(2 * reach + 2):
                 if 0 <= py0 + p < height:
-                    w = weight(table, reach, py0 + p - y_here) * electrons * NODE_WEIGHT[nodes, k]
+                    w = weight(table, reach, py0 + p - y_here) * electrons * instant_share[k]
                     if w != 0.0:
                         for q in range(wide):
                             if 0 <= px0 + q < width and w * line[q] > 1e-2 * LEAST_E:
                                 light[py0 + p, px0 + q] += w * line[q]
-    return seen / count
