@@ -22,9 +22,9 @@ HALF_HIDDEN = 0.47
 
 
 @njit(nogil=True, cache=True)
-def search(
+def search(  # type: ignore[no-untyped-def]
     origin, start, direction, white, spread, sigma, radius, angle, gate, outlier, low, high, typical, judge
-):  # type: ignore[no-untyped-def]
+):
     """All pairs of cameras, all pairs of rays on each other's epipolar lines, widened to the other cameras."""
     if not judge:
         # a hidden part shifts a point's centroid by nothing: every ray counts in full

@@ -9,9 +9,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mosca.data.arrays import Array
 
-def first_positive_root(coefficients: Sequence[float]) -> float:
-    """Return the smallest positive real root of c0 + c1 s + c2 s^2 + ..., infinity where there is none."""
-    roots = np.polynomial.polynomial.polyroots(np.trim_zeros(np.asarray(coefficients, dtype=float), "b"))
-    positive = roots.real[np.isreal(roots) & (roots.real > 0)]
-    return float(positive.min(initial=np.inf))
+
+def first_positive_root(coefficients: Sequence[float] | Array) -> float:
+    """Return the smallest positive real root of 1 + c1 s + c2 s^2 + ..., infinity where there is none.
+
+    ``coefficients``: 1, c1, c2, ... Solved for 1 / s, whose polynomial has the leading coefficient 1, so that
+    coefficients however small (or zero) do no harm.
+    """
+    inverse = np.roots(coefficients)
+    largest = float(inverse.real[np.isreal(inverse)].max(initial=0.0))
+    return 1.0 / largest if largest > 0.0 else float("inf")

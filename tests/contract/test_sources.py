@@ -17,7 +17,11 @@ import pytest
 
 from mosca.assemble import Assembly, assemble
 from mosca.data.frames import CameraInfo, Frame, FrameSource, mid_exposure_ns
+from mosca.data.rig import Camera, MoscaLens, Pose
 from mosca.recording import RecordingWriter, open_recording
+from twin.cameras.camera import VirtualCamera
+from twin.scenes.cloud import build_cloud
+from twin.source import TwinSource
 
 PULSES, RATE_HZ, WIDTH, HEIGHT = 8, 100.0, 64, 48
 LOST = ("b", 3)
@@ -65,9 +69,44 @@ def mcap_source(folder: Path) -> FrameSource:
     return open_recording(folder)
 
 
+class Lossy:
+    """A source whose link loses one frame: the twin's own triggers all arrive."""
+
+    def __init__(self, source: FrameSource) -> None:
+        self._source = source
+        self.cameras = source.cameras
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (frame for frame in self._source if (frame.camera, frame.index) != LOST)
+
+    def close(self) -> None:
+        self._source.close()
+
+    def __enter__(self) -> "Lossy":
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def twin_source(folder: Path) -> FrameSource:
+    scene = build_cloud(
+        duration_s=1.0, box_center_m=np.zeros(3), box_size_m=np.ones(3), rng=np.random.default_rng(0), n=3
+    )
+    lens = MoscaLens(1.5, 31.0, 23.0, 0.02, 0.02)
+    looking = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    cameras = tuple(
+        VirtualCamera(Camera(name, WIDTH, HEIGHT, lens, Pose(looking, np.array([-3.0, y, 0.0]))))
+        for name, y in (("a", 0.0), ("b", 0.5))
+    )
+    return Lossy(
+        TwinSource(scene, cameras, frame_rate_hz=RATE_HZ, exposure_s=5e-4, pulses=PULSES, seed=1, workers=2)
+    )
+
+
 def sources() -> dict[str, Factory]:
-    """Every source under contract; the twin's and the rig's factories join here."""
-    return {"folder": folder_source, "video": video_source, "mcap": mcap_source}
+    """Every source under contract; the rig's factory joins here."""
+    return {"folder": folder_source, "video": video_source, "mcap": mcap_source, "twin": twin_source}
 
 
 @pytest.fixture(params=list(sources()))

@@ -18,6 +18,7 @@ from mosca.camera import (
     project_with_jacobians,
     rays,
 )
+from mosca.data.frames import Frame, mid_exposure_ns
 from mosca.data.rig import Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose
 from mosca.errors import InputError
 
@@ -166,6 +167,32 @@ def test_points_behind_and_folded_back_are_nan():
     assert np.isnan(lens_pixels(TABLE_2, np.array([[0.0, 0.0, -1.0]]))).all()
     barrel = OpenCVLens(700, 700, 320, 240, k1=-0.5)  # r (1 - r2/2) turns back at r = 0.816
     assert np.isnan(lens_pixels(barrel, np.array([[1.5, 0.0, 1.0]]))).all()
+
+
+def test_a_polynomial_that_rises_again_images_nothing_there():
+    # r (1 - 0.4 r^2 + 0.06 r^4) turns back at r = 1.0879, at a value of 0.6643, and passes it again at r = 2.0
+    lens = OpenCVLens(300, 300, 160, 110, k1=-0.4, k2=0.06)
+    xy = lens_pixels(lens, np.array([[1.08, 0.0, 1.0], [1.8, 0.0, 1.0], [2.5, 0.0, 1.0]]))
+    np.testing.assert_array_equal(np.isfinite(xy).all(axis=1), [True, False, False])
+    # nor does a pixel farther out than 0.6643 x 300 px look anywhere
+    v = lens_directions(lens, np.array([[160 + 190.0, 110.0], [160 + 210.0, 110.0], [160 + 400.0, 110.0]]))
+    np.testing.assert_array_equal(np.isfinite(v[:, 0]), [True, False, False])
+
+
+def test_a_rational_lens_ends_at_its_pole():
+    # r / (1 - r^2 / 4): the pole is at r = 2
+    lens = OpenCVLens(300, 300, 160, 110, k4=-0.25)
+    xy = lens_pixels(lens, np.array([[1.9, 0.0, 1.0], [2.1, 0.0, 1.0], [9.0, 0.0, 1.0]]))
+    np.testing.assert_array_equal(np.isfinite(xy).all(axis=1), [True, False, False])
+
+
+def test_middle_of_a_rolling_shutter_frame_without_its_image():
+    # 10 rows, 100 ns apart: the middle row's window opens 450 ns after the first's
+    image = np.zeros((10, 4), dtype=np.uint8)
+    ok = Frame("c", 0, 1000, 200, image, row_time_ns=100)
+    lost = Frame("c", 0, 1000, 200, None, "dropped", row_time_ns=100, rows=10)
+    assert mid_exposure_ns(ok) == mid_exposure_ns(lost) == 1000 + 100 + 450
+    assert mid_exposure_ns(Frame("c", 0, 1000, 200, None, "dropped", row_time_ns=100)) == 1100
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mosca.camera import fit_lens, image_grid, lens_directions
+from mosca.camera import fit_lens, image_grid, lens_directions, lens_pixels
 from mosca.data.rig import FisheyeLens, MoscaLens, OpenCVLens
 from twin.cameras.lens import TwinLens, land
 
@@ -66,3 +66,34 @@ def test_the_gap_is_what_the_pipelines_model_cannot_follow(gap, low, high):
     grid = image_grid(W, H)
     fit = fit_lens("mosca", grid, TwinLens.of(MOSCA, W, H, gap).directions(grid), MOSCA)
     assert low <= fit.rms_px <= high
+
+
+FOLDING = [
+    # r (1 - 0.4 r^2 + 0.06 r^4) has the slope 1 - 1.2 s + 0.3 s^2 in s = r^2: it turns back at r = 1.0879, where
+    # its value is 0.66431, and rises again from r = 1.678. The paper's correction runs the other way: the
+    # polynomial's argument is the measured radius, so that directions end at a tangent of 0.66431.
+    (OpenCVLens(300.0, 300.0, 328.0, 245.0, -0.4, 0.06), 1.0879),
+    (MoscaLens(1.0, 328.0, 245.0, 1 / 300, 1 / 300, K1_per_mm2=-0.4, K2_per_mm4=0.06), 0.66431),
+    (FisheyeLens(300.0, 300.0, 328.0, 245.0, -0.4, 0.06), np.tan(1.0879)),
+]
+
+
+@pytest.mark.parametrize(("lens", "last"), FOLDING, ids=["opencv", "mosca", "fisheye"])
+def test_nothing_is_imaged_beyond_the_fold(lens, last):
+    steps = np.array([0.2, 0.9, 0.999, 1.001, 1.1, 1.5, 1.7, 2.0, 2.5, 4.0])
+    about = np.deg2rad(20.0)
+    v = np.column_stack([last * steps * np.cos(about), last * steps * np.sin(about), np.ones(len(steps))])
+    imaged = np.isfinite(TwinLens.of(lens, W, H).pixels(v)).all(axis=1)
+    np.testing.assert_array_equal(imaged, steps < 1)
+    np.testing.assert_array_equal(np.isfinite(lens_pixels(lens, v)).all(axis=1), steps < 1)
+
+
+def test_the_gap_ends_outside_the_image():
+    # T9 at twice the half diagonal is 70226: a gap of 0.05 px would move light by 3500 px
+    lens = OpenCVLens(700.0, 700.0, (W - 1) / 2, (H - 1) / 2)
+    half_diagonal = np.hypot(W, H) / 2 / 700.0
+    v = np.array([[half_diagonal * s, 0.0, 1.0] for s in (1.0, 1.49, 1.51, 2.0)])
+    np.testing.assert_array_equal(
+        np.isfinite(TwinLens.of(lens, W, H, 0.05).pixels(v)).all(axis=1), [True, True, False, False]
+    )
+    assert np.isfinite(TwinLens.of(lens, W, H).pixels(v)).all()

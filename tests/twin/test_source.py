@@ -235,6 +235,9 @@ def test_truth_tells_who_was_seen():
 def test_truth_gives_no_image_of_what_is_not_seen():
     _frames, truth = read(session(pulses=2))
     assert np.isnan(truth.image_xy_px[truth.visible == 0]).all()
+    assert np.isnan(truth.diameter_px[truth.visible == 0]).all()
+    assert np.isfinite(truth.image_xy_px[truth.visible > 0]).all()
+    assert np.isfinite(truth.diameter_px[truth.visible > 0]).all()
 
 
 def test_trigger_jitter_is_20_us_rms():
@@ -360,12 +363,34 @@ def test_closing_twice_and_before_reading():
     source.close()
 
 
-def test_a_source_closed_while_it_is_read_ends():
-    source = session(pulses=200)
+@pytest.mark.parametrize("read_before", [1, 2, 7, 40])
+def test_a_source_closed_while_it_is_read_ends(read_before):
+    before = set(threading.enumerate())
+    source = session(pulses=20, workers=2)
     frames = iter(source)
-    next(frames)
+    for _ in range(read_before):
+        next(frames)
     source.close()
-    assert len(list(frames)) < 400
+    assert list(frames) == []
+    assert set(threading.enumerate()) == before
+
+
+def test_two_readings_at_once_leave_each_other_alone():
+    alone = list(session(pulses=8))
+    source = session(pulses=8, workers=2)
+    one, other = iter(source), iter(source)
+    first = [next(one) for _ in range(6)]
+    second = [next(other) for _ in range(3)]
+    # the truth is that of the reading started last: two pulses of it are read, of the first three
+    assert len(source.truth().time_ns) == 2
+    first += list(one)
+    assert len(source.truth().time_ns) == 2
+    second += list(other)
+    assert len(source.truth().time_ns) == 8
+    for frames in (first, second):
+        assert [(f.camera, f.index) for f in frames] == [(f.camera, f.index) for f in alone]
+        for frame, expected in zip(frames, alone, strict=True):
+            np.testing.assert_array_equal(frame.image, expected.image)
 
 
 def test_no_pulses_make_an_empty_truth():

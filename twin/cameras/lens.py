@@ -89,9 +89,11 @@ def _first_turn(lens: Lens) -> float:
         top, bottom = np.poly1d([lens.k3, lens.k2, lens.k1, 1.0]), np.poly1d([lens.k6, lens.k5, lens.k4, 1.0])
         twice_s = np.poly1d([2.0, 0.0])
         turning = top * bottom + twice_s * (top.deriv() * bottom - top * bottom.deriv())
-        slopes = [turning.coeffs, bottom.coeffs]
-    turns = np.concatenate([np.roots(slope) for slope in slopes])
-    return float(min((t.real for t in turns if t.imag == 0.0 and t.real > 0.0), default=math.inf))
+        slopes = [list(turning.coeffs), list(bottom.coeffs)]
+    # in 1 / s, where the leading coefficient is 1 and vanishing ones put roots at zero, not at infinity
+    inverse = np.concatenate([np.roots(slope[::-1]) for slope in slopes])
+    nearest = float(max((t.real for t in inverse if t.imag == 0.0), default=0.0))
+    return 1.0 / nearest if nearest > 0.0 else math.inf
 
 
 @njit(nogil=True, cache=True)

@@ -1,8 +1,8 @@
 """Light on the sensor: every marker's image integrated, not drawn.
 
 A marker that nothing hides is integrated along its outline (``outline``), also where the image's border cuts
-it, one partly hidden by samples of its image (``samples``); what hides it is asked of ``occlusion``, and of ``mj_multiRay`` where meshes are about. The shape of
-what is visible is judged at mid-exposure.
+it, one partly hidden by samples of its image (``samples``); what hides it is asked of ``occlusion``, and of
+``mj_multiRay`` where meshes are about. The shape of what is visible is judged at mid-exposure.
 """
 
 import math
@@ -80,7 +80,7 @@ def render_markers(
                 lens, markers.path[m, 1], markers.normal[m], markers.radius[m], markers.shape[m]
             )
             free = mesh_rays.visible(int(m), samples)
-            seen[m, 0] = share_seen(*light.shape, cell, grid, free)
+            seen[m, 0] = share_seen(light.shape[0], light.shape[1], cell, grid, free)
             spread_samples(
                 light,
                 lens,
@@ -118,7 +118,7 @@ class MeshRays:
         for geom, reach in zip(self.occluders.mesh_geom, self.occluders.mesh_radius, strict=True):
             centre = self.rotation.T @ (self.data.geom_xpos[geom] - self.position)
             for m, place in enumerate(markers.path[:, 1]):
-                if may_hide(centre, np.zeros(3), 0.0, reach, *place, markers.radius[m]):
+                if may_hide(centre, np.zeros(3), 0.0, reach, place[0], place[1], place[2], markers.radius[m]):
                     chosen[m] = 1
         return chosen
 
@@ -142,7 +142,7 @@ def has_meshes(occluders: Occluders) -> bool:
 
 
 @njit(nogil=True, cache=True)
-def _render_all(
+def _render_all(  # type: ignore[no-untyped-def]
     light,
     lens,
     table,
@@ -158,7 +158,7 @@ def _render_all(
     geom_xyz,
     geom_turn,
     mesh,
-):  # type: ignore[no-untyped-def]
+):
     """Render all markers; returns (visible, x, y, diameter) a marker and its state (MESH_NEAR: left to mesh rays)."""
     count, geoms = path.shape[0], kind.shape[0]
     seen = np.zeros((count, 4))
