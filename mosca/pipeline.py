@@ -21,6 +21,9 @@ from mosca.match import MatchSettings, choose, hypotheses
 from mosca.track import Sample, Tracker, TrackSettings
 from mosca.triangulate import bundle_rays
 
+MOST_DETECTIONS = 5000
+"""Detections an image may have; matching many more would take minutes a frame set."""
+
 
 @dataclass(frozen=True)
 class PipelineSettings:
@@ -77,6 +80,7 @@ def run(
             for name, frame in frame_set.frames.items()
             if frame.image is not None
         }
+        check_detections(detections, frame_set.pulse)
         clock.lap("detect")
         predicted = tracker.predict(frame_set.time_ns * 1e-9)
         bundle = bundle_rays(rig, detections, settings.match.camera_sigma_px)
@@ -97,6 +101,17 @@ def learned_diameter(known_m: float, points: Points) -> float:
         return known_m
     here = float(np.median(sure))
     return here if known_m == 0.0 else known_m + 0.05 * (here - known_m)
+
+
+def check_detections(detections: Mapping[str, Detections], pulse: int) -> None:
+    """Raise InputError where an image shows more targets than any target field has: its noise was detected."""
+    for name, found in detections.items():
+        if len(found) > MOST_DETECTIONS:
+            raise InputError(
+                f"camera '{name}', pulse {pulse}: {len(found)} detections, {MOST_DETECTIONS} are allowed; noise or "
+                "background is taken for targets: raise detection.contrast_dn and detection.lowest_dn, or give a "
+                "background"
+            )
 
 
 def check_source(source: FrameSource, rig: Rig) -> None:

@@ -151,7 +151,7 @@ def check_rig(rig: Rig, space: WorkingSpace) -> None:
 def virtual_cameras(spec: Scenario, rig: Rig) -> tuple[VirtualCamera, ...]:
     """Return the rig's cameras with the scenario's errors; a clock fault is built in here."""
     e = spec.errors
-    late = {spec.fault.camera: spec.fault.delay_s} if isinstance(spec.fault, ClockFault) else {}
+    late = dict.fromkeys(spec.fault.cameras, spec.fault.delay_s) if isinstance(spec.fault, ClockFault) else {}
     for name in late:
         rig.camera(name)
     sensor = Sensor(e.full_well_e, e.read_noise_e, e.bits, background_e=e.background_e)

@@ -174,10 +174,10 @@ class LensFault(Table):
 
 
 class ClockFault(Table):
-    """One camera exposes late, and its stamps do not say so."""
+    """Some cameras expose late, and their stamps do not say so."""
 
     kind: Literal["clock_shift"]
-    camera: str
+    cameras: tuple[str, ...] = Field(min_length=1)
     delay_s: float
 
 

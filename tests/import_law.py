@@ -15,7 +15,19 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     "mosca": (
         ("mosca",),
         ("mosca.data.truth",),
-        ("numpy", "scipy", "cv2", "numba", "pydantic", "tomli_w", "mcap", "blosc2", "av", "ezc3d", "zstandard"),
+        (
+            "numpy",
+            "scipy",
+            "cv2",
+            "numba",
+            "pydantic",
+            "tomli_w",
+            "mcap",
+            "blosc2",
+            "av",
+            "ezc3d",
+            "zstandard",
+        ),
     ),
     "twin": (
         ("twin", "mosca.data", "mosca.errors"),
