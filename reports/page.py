@@ -7,10 +7,11 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from mosca.data.whole_file import whole_file
 from reports.compare import regressions, total_seconds
 from reports.evidence import Evidence
 from reports.plots import pictures
-from reports.record import Metric, RunRecord, write_whole
+from reports.record import Metric, RunRecord
 from reports.units import duration, figure, shown
 
 TILES = (
@@ -46,7 +47,8 @@ def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
             provenance=json.dumps(record.provenance, indent=2, default=str, ensure_ascii=False),
         )
     )
-    write_whole(path, text)
+    with whole_file(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def write_comparison_page(path: Path, records: Sequence[RunRecord], labels: Sequence[str] = ()) -> None:
@@ -89,7 +91,8 @@ def write_comparison_page(path: Path, records: Sequence[RunRecord], labels: Sequ
     text = f"{passed} of {len(records)} runs are as claimed; {found or 'no'} regression{'' if found == 1 else 's'}"
     text += " against the first run of the same scenario."
     page = _templates().get_template("comparison.html.j2").render(runs=runs, rows=rows, sentence=text)
-    write_whole(path, page)
+    with whole_file(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
 
 
 def badge(record: RunRecord) -> dict[str, str]:

@@ -1,14 +1,13 @@
 """RunRecord: the result of one run at rest, looked at many times."""
 
 import json
-import os
 import re
-import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from mosca.data.whole_file import whole_file
 from mosca.errors import InputError
 
 
@@ -88,7 +87,9 @@ class RunRecord:
 
 def write_record(record: RunRecord, path: Path) -> None:
     """Write ``record`` as JSON, whole or not at all."""
-    write_whole(path, _numbers_on_one_line(json.dumps(asdict(record), indent=2, allow_nan=False)) + "\n")
+    text = _numbers_on_one_line(json.dumps(asdict(record), indent=2, allow_nan=False)) + "\n"
+    with whole_file(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def read_record(path: Path) -> RunRecord:
@@ -122,16 +123,3 @@ def _numbers_on_one_line(text: str) -> str:
     """Return JSON ``text`` with each list of bare numbers on one line: a baseline's diff stays readable."""
     numbers = re.compile(r"\[\n\s*(-?\d[^\]\[{}\"]*?)\s*\]")
     return numbers.sub(lambda found: "[" + re.sub(r"\s*\n\s*", " ", found[1]) + "]", text)
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write ``text`` to ``path`` through a temporary file beside it, so that no half file remains."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        os.unlink(temporary)
-        raise
