@@ -13,9 +13,8 @@ import cmath
 import math
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import islice
-from typing import Any
 
 from mosca.data.frames import CameraInfo, Frame, FrameSet, mid_exposure_ns
 from mosca.errors import InputError
@@ -77,10 +76,6 @@ class Assembly:
     empty_sets: int = 0
     cameras: dict[str, CameraCount] = field(default_factory=dict)
     notes: dict[str, str] = field(default_factory=dict)
-
-    def as_counts(self) -> dict[str, Any]:
-        """Return the counts as plain values for a record."""
-        return asdict(self)
 
     def note(self, kind: str, frame: Frame, text: str) -> None:
         """Keep the first note of its kind."""

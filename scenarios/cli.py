@@ -62,8 +62,9 @@ def run(
     name = scenario_name(path)
     target = out or Path("runs") / name
     from reports.compare import summary_table
-    from scenarios.run import RunOptions, run_scenario, write_run
+    from scenarios.run import RunOptions, check_out, run_scenario, write_run
 
+    check_out(target)
     target.parent.mkdir(parents=True, exist_ok=True)
     log = target.parent / f".{target.name}.rrd" if rrd else None
     try:

@@ -106,10 +106,17 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
     return RunResult(record, evidence, collected.tracks, truth, None if scene is None else scene.commands)
 
 
-def write_run(result: RunResult, out: Path, rrd: Path | None = None) -> None:
-    """Write the run folder; it appears whole or not at all. An earlier run folder there is replaced."""
+def check_out(out: Path) -> None:
+    """Raise InputError where ``out`` cannot become a run folder; ask before a long run, not after it."""
+    if out.is_file():
+        raise InputError(f"{out}: is a file; choose a folder with --out")
     if out.exists() and not (out / "record.json").exists() and any(out.iterdir()):
         raise InputError(f"{out}: holds other files and no record.json; choose a new folder with --out")
+
+
+def write_run(result: RunResult, out: Path, rrd: Path | None = None) -> None:
+    """Write the run folder; it appears whole or not at all. An earlier run folder there is replaced."""
+    check_out(out)
     out.parent.mkdir(parents=True, exist_ok=True)
     part = Path(tempfile.mkdtemp(dir=out.parent, prefix=f".{out.name}."))
     try:
@@ -137,7 +144,6 @@ class _Collected:
     view_pulse: int
     assembly: Assembly
     seconds: Mapping[str, float]
-    pulses: int
 
 
 def _collect(
@@ -166,10 +172,8 @@ def _collect(
     read: FrameSource = source
     if options.record_to is not None:
         read = _Recorded(source, stack.enter_context(RecordingWriter(options.record_to, source.cameras)))
-    done = 0
-    for step in run(read, rig, settings, assembly):
+    for done, step in enumerate(run(read, rig, settings, assembly), start=1):
         samples += step.samples
-        done += 1
         for stage, value in step.seconds.items():
             seconds[stage] = seconds.get(stage, 0.0) + value
         latency.append(sum(step.seconds.values()))
@@ -191,7 +195,7 @@ def _collect(
     if latency:
         seconds["latency_p99"] = float(np.quantile(latency, 0.99))
         seconds["pipeline_per_set"] = float(np.mean(latency))
-    return _Collected(table(samples), views, view_pulse, assembly, seconds, done)
+    return _Collected(table(samples), views, view_pulse, assembly, seconds)
 
 
 class _Recorded:
