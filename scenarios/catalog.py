@@ -23,7 +23,7 @@ class Entry:
 def find(name: str) -> Path:
     """Return the scenario file that ``name`` means: a path, or the name of a built-in scenario."""
     path = Path(name)
-    if path.exists() or path.suffix == ".toml":
+    if path.is_file() or path.suffix == ".toml":
         return path
     there = {scenario_name(p): p for p in built_in()}
     # the last part of a name is enough where it is the only one
