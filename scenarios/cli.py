@@ -10,6 +10,7 @@ import click
 
 from mosca import __version__
 from mosca.errors import InputError, MoscaError
+from scenarios.interrupt import was_interrupted
 
 EXIT_PASSED, EXIT_BROKEN, EXIT_ERROR = 0, 1, 2
 FILE = click.Path(path_type=Path)
@@ -311,7 +312,9 @@ def main() -> None:
     except MoscaError as error:
         click.echo(f"mosca: {error}", err=True)
         sys.exit(EXIT_ERROR)
-    except (click.Abort, KeyboardInterrupt):
+    except (click.Abort, KeyboardInterrupt, SystemError) as error:
+        if isinstance(error, SystemError) and not was_interrupted(error):
+            raise
         click.echo("mosca: stopped; nothing was left half written", err=True)
         sys.exit(130)
     except OSError as error:

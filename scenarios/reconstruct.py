@@ -21,6 +21,7 @@ from mosca.pipeline import PipelineSettings, run
 from mosca.recording import open_recording
 from mosca.track import Sample, table
 from scenarios.build import overlap_of, stage_settings
+from scenarios.interrupt import between_steps
 from scenarios.spec import DetectionSpec, MatchSpec, TrackSpec, apply_overrides
 
 
@@ -84,9 +85,10 @@ def reconstruct_recording(
     assembly = Assembly()
     samples: list[Sample] = []
     counts = np.zeros(3)
-    with open_recording(recording, rig, fps) as source:
+    with open_recording(recording, rig, fps) as source, between_steps() as stop:
         rate = source.cameras[0].frame_rate_hz
         for step in run(source, rig, settings, assembly, backgrounds):
+            stop()
             samples += step.samples
             counts += 1, sum(len(d) for d in step.detections.values()), len(step.points)
             if callable(progress):

@@ -30,6 +30,7 @@ from reports.evidence import CameraView, ErrorTable, Evidence, FrameCounts
 from reports.page import write_page
 from reports.record import Blocks, Metric, RunRecord, write_record
 from scenarios.build import build_scene, calibrated, pipeline_settings, true_rig, virtual_cameras, with_fault
+from scenarios.interrupt import between_steps
 from scenarios.score import Matched, Score, limits_met, metrics, pair
 from scenarios.spec import METRICS, Scenario
 from twin.source import TwinSource
@@ -172,7 +173,9 @@ def _collect(
     read: FrameSource = source
     if options.record_to is not None:
         read = _Recorded(source, stack.enter_context(RecordingWriter(options.record_to, source.cameras)))
+    stop = stack.enter_context(between_steps())
     for done, step in enumerate(run(read, rig, settings, assembly), start=1):
+        stop()
         samples += step.samples
         for stage, value in step.seconds.items():
             seconds[stage] = seconds.get(stage, 0.0) + value

@@ -1,0 +1,46 @@
+"""Ctrl-C that waits for the work in hand."""
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+
+@contextmanager
+def between_steps() -> Iterator[Callable[[], None]]:
+    """Hold Ctrl-C back until the yielded check is called; a second Ctrl-C interrupts at once.
+
+    An interruption inside compiled code or a callback of a C library comes out as another exception or is
+    swallowed there; between two frame sets it is clean, and what was recorded until then is whole. Outside
+    the main thread, where Python hands out no signals, the check does nothing.
+    """
+    asked = False
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+
+    def check() -> None:
+        if asked:
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield check
+        return
+    before = signal.signal(signal.SIGINT, ask)
+    try:
+        yield check
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def was_interrupted(error: BaseException | None) -> bool:
+    """True where ``error`` is what compiled code made of a Ctrl-C: an interruption down its chain of causes."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
