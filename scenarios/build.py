@@ -34,10 +34,12 @@ from scenarios.spec import (
     TurnFault,
     WorkingSpace,
 )
-from twin.cameras.camera import Errors, VirtualCamera
+from twin.cameras.camera import VirtualCamera
 from twin.cameras.lens import TwinLens
-from twin.cameras.mount import pixels_per_radian
+from twin.cameras.mount import Mount, pixels_per_radian
+from twin.cameras.optics import Optics
 from twin.cameras.sensor import Sensor
+from twin.cameras.shutter import Timing
 from twin.scenes.scene import Scene
 from twin.streams import rng
 
@@ -158,15 +160,11 @@ def virtual_cameras(spec: Scenario, rig: Rig) -> tuple[VirtualCamera, ...]:
     return tuple(
         VirtualCamera(
             camera,
-            Errors(
-                e.trigger_jitter_s,
-                late.get(camera.name, 0.0),
-                e.body_px,
-                e.psf_sigma_px,
-                GAP_PX[spec.model_gap],
-                e.marker_signal,
-            ),
+            Optics(psf_sigma_px=e.psf_sigma_px, gap_px=GAP_PX[spec.model_gap]),
+            Timing(e.trigger_jitter_s, late.get(camera.name, 0.0)),
+            Mount(e.body_px),
             sensor,
+            e.marker_signal,
         )
         for camera in rig.cameras
     )
@@ -333,7 +331,7 @@ def _looking(place: Array, target: Array, name: str) -> Pose:
 def _fitted(virtual: VirtualCamera, model: str) -> Conversion:
     camera = virtual.camera
     grid = image_grid(camera.width, camera.height)
-    lens = TwinLens.of(camera.lens, camera.width, camera.height, virtual.errors.lens_gap_px)
+    lens = TwinLens.of(camera.lens, camera.width, camera.height, virtual.optics.gap_px)
     return fit_lens(model, grid, lens.directions(grid), camera.lens)
 
 

@@ -79,10 +79,10 @@ class TwinSource:
         self.scene, self.virtual, self.pulses, self.seed = scene, tuple(cameras), pulses, seed
         self.frame_rate_hz, self.exposure_s, self.workers = frame_rate_hz, exposure_s, max(1, workers)
         self._lenses = tuple(
-            TwinLens.of(v.camera.lens, v.camera.width, v.camera.height, v.errors.lens_gap_px).vector
+            TwinLens.of(v.camera.lens, v.camera.width, v.camera.height, v.optics.gap_px).vector
             for v in self.virtual
         )
-        self._kernels = tuple(gaussian_kernel(v.errors.psf_sigma_px) for v in self.virtual)
+        self._kernels = tuple(gaussian_kernel(v.optics.psf_sigma_px) for v in self.virtual)
         self._dark = tuple(dark_table(v.sensor) for v in self.virtual)
         self._occluders = occluders_of(scene)
         geoms = list(scene.marker_geoms)
@@ -175,9 +175,11 @@ class TwinSource:
         sampler = self._sampler()
         frames, seen, exposures = [], [], []
         for number, virtual in enumerate(self.virtual):
-            exposure = open_shutter(virtual, pulse, self.frame_rate_hz, self.exposure_s, self.seed)
-            light, what = self._collect(sampler, number, pulse, exposure)
             name = virtual.camera.name
+            exposure = open_shutter(
+                virtual.timing, name, pulse, self.frame_rate_hz, self.exposure_s, self.seed
+            )
+            light, what = self._collect(sampler, number, pulse, exposure)
             counts = expose(
                 light, virtual.sensor, key(self.seed, f"camera/{name}/sensor", pulse), self._dark[number]
             )
@@ -192,12 +194,13 @@ class TwinSource:
     ) -> tuple[Array, Seen]:
         """Return the markers' light on a camera's pixels (H, W) [electrons], and what it saw of them."""
         virtual, lens = self.virtual[number], self._lenses[number]
-        pose = shaken_pose(virtual, lens, pulse, self.seed)
+        camera = virtual.camera
+        pose = shaken_pose(virtual.mount, camera.name, camera.world_from_camera, lens, pulse, self.seed)
         rotation, position = pose.rotation, pose.translation
         first, last = sampler.at(exposure.start_s).marker_xyz, sampler.at(exposure.end_s).marker_xyz
         state = sampler.at(exposure.middle_s)  # last, so that the sampler's data stands at mid-exposure
         path = (np.stack([first, state.marker_xyz, last], axis=1) - position) @ rotation
-        electrons = virtual.errors.marker_signal * virtual.sensor.full_well_e
+        electrons = virtual.marker_signal * virtual.sensor.full_well_e
         markers = MarkersInCamera(
             np.ascontiguousarray(path),
             np.ascontiguousarray(state.marker_axis @ rotation),

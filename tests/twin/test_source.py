@@ -7,6 +7,7 @@ import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -17,8 +18,11 @@ from mosca.data.arrays import Array
 from mosca.data.frames import Frame, FrameSource, mid_exposure_ns
 from mosca.data.rig import Camera, OpenCVLens, Pose
 from mosca.data.truth import Truth
-from twin.cameras.camera import Errors, VirtualCamera
+from twin.cameras.camera import VirtualCamera
+from twin.cameras.mount import Mount
+from twin.cameras.optics import Optics
 from twin.cameras.sensor import Sensor
+from twin.cameras.shutter import Timing
 from twin.scenes.scene import MARKER_GROUP, Scene
 from twin.source import TwinSource
 
@@ -27,7 +31,11 @@ FOCAL_PX = 150.0
 RATE_HZ, EXPOSURE_S = 100.0, 1e-3
 SPEED = np.array([0.3, 0.0, 0.1])
 HIDDEN, OUTSIDE, BEHIND = "hidden", "outside", "behind"
-STEADY = Errors(trigger_jitter_s=0.0, body_px=0.0, lens_gap_px=0.0)
+STEADY: dict[str, Any] = {
+    "timing": Timing(jitter_s=0.0),
+    "mount": Mount(body_px=0.0),
+    "optics": Optics(gap_px=0.0),
+}
 
 
 def scene() -> Scene:
@@ -54,14 +62,12 @@ def scene() -> Scene:
     return Scene(model, names, geoms, lambda t: np.array([SPEED[0] * t, SPEED[2] * t]), 2.0)
 
 
-def camera(
-    name: str, x: float = 0.0, errors: Errors | None = None, sensor: Sensor | None = None
-) -> VirtualCamera:
+def camera(name: str, x: float = 0.0, **parts: Any) -> VirtualCamera:
     """Return a camera at (x, -2, 0) that looks along +y, image x along the world's x."""
     looking = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
     lens = OpenCVLens(FOCAL_PX, FOCAL_PX, (W - 1) / 2, (H - 1) / 2)
     view = Camera(name, W, H, lens, Pose(looking, np.array([x, -2.0, 0.0])))
-    return VirtualCamera(view, errors or Errors(), sensor or Sensor())
+    return VirtualCamera(view, **parts)
 
 
 RIG = (camera("left", -0.05), camera("right", 0.05, sensor=Sensor(bits=12)))
@@ -141,7 +147,7 @@ def test_another_seed_makes_other_bytes():
 
 def test_cameras_differ_in_noise():
     # two cameras at one place see the same light, never the same noise
-    frames, _truth = read(session((camera("a", errors=STEADY), camera("b", errors=STEADY)), pulses=1))
+    frames, _truth = read(session((camera("a", **STEADY), camera("b", **STEADY)), pulses=1))
     noise = [frame.image[50:, :30].astype(float) for frame in frames if frame.image is not None]
     assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 4.5 / np.sqrt(noise[0].size)
 
@@ -159,10 +165,10 @@ def test_a_new_camera_moves_no_other(cameras):
     [
         camera("right", 0.05, sensor=Sensor(read_noise_e=30.0)),
         camera("right", 0.05, sensor=Sensor(bits=8)),
-        camera("right", 0.05, errors=Errors(trigger_jitter_s=1e-3)),
-        camera("right", 0.05, errors=Errors(body_px=0.5)),
-        camera("right", 0.05, errors=Errors(psf_sigma_px=1.0)),
-        camera("right", 0.05, errors=Errors(marker_signal=0.3)),
+        camera("right", 0.05, timing=Timing(jitter_s=1e-3)),
+        camera("right", 0.05, mount=Mount(body_px=0.5)),
+        camera("right", 0.05, optics=Optics(psf_sigma_px=1.0)),
+        camera("right", 0.05, marker_signal=0.3),
     ],
     ids=["read noise", "bits", "jitter", "body", "blur", "signal"],
 )
@@ -174,7 +180,7 @@ def test_noise_of_one_camera_moves_no_other(changed):
 
 def test_one_noise_leaves_the_other_noises_of_a_camera_alone():
     _frames, before = read(session())
-    louder = camera("right", 0.05, errors=Errors(body_px=0.0), sensor=Sensor(bits=12, read_noise_e=30.0))
+    louder = camera("right", 0.05, mount=Mount(body_px=0.0), sensor=Sensor(bits=12, read_noise_e=30.0))
     _frames, after = read(session((RIG[0], louder)))
     np.testing.assert_array_equal(after.exposure_mid_ns, before.exposure_mid_ns)
 
@@ -251,7 +257,7 @@ def test_trigger_jitter_is_20_us_rms():
 
 
 def test_trigger_delay_is_in_the_truth_and_not_in_the_stamps():
-    late = camera("left", -0.05, errors=replace(Errors(), trigger_delay_s=3e-3))
+    late = camera("left", -0.05, timing=Timing(delay_s=3e-3))
     frames, truth = read(session((late,)))
     _frames, on_time = read(session((RIG[0],)))
     np.testing.assert_array_equal(truth.exposure_mid_ns - on_time.exposure_mid_ns, 3_000_000)
@@ -260,7 +266,7 @@ def test_trigger_delay_is_in_the_truth_and_not_in_the_stamps():
 
 def test_true_image_is_that_of_the_true_mid_exposure():
     # 5 ms of jitter: where the marker was at each camera's own mid-exposure, by similar triangles
-    jumpy = replace(STEADY, trigger_jitter_s=5e-3)
+    jumpy = {**STEADY, "timing": Timing(jitter_s=5e-3)}
     _frames, truth = read(session((camera("left", -0.05, jumpy), camera("right", 0.05, jumpy))))
     for number, x in enumerate((-0.05, 0.05)):
         t = truth.exposure_mid_ns[:, number, None] * 1e-9

@@ -2,8 +2,17 @@
 
 from dataclasses import dataclass
 
-from twin.cameras.camera import VirtualCamera
 from twin.streams import rng
+
+
+@dataclass(frozen=True)
+class Timing:
+    """When a camera exposes. ``jitter_s`` rms of each exposure's start about its pulse; ``delay_s`` a constant
+    delay that the stamps know nothing of.
+    """
+
+    jitter_s: float = 20e-6
+    delay_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -26,12 +35,10 @@ def pulse_time_s(pulse: int, frame_rate_hz: float) -> float:
 
 
 def open_shutter(
-    camera: VirtualCamera, pulse: int, frame_rate_hz: float, exposure_s: float, seed: int
+    timing: Timing, name: str, pulse: int, frame_rate_hz: float, exposure_s: float, seed: int
 ) -> Exposure:
-    """Return the exposure that ``camera`` makes at ``pulse``: delayed, jittered; its stamp knows neither."""
+    """Return the exposure that camera ``name`` makes at ``pulse``: delayed, jittered; its stamp knows neither."""
     sent = pulse_time_s(pulse, frame_rate_hz)
-    jitter = rng(seed, f"camera/{camera.camera.name}/trigger", pulse).normal(
-        0.0, camera.errors.trigger_jitter_s
-    )
-    start = sent + camera.errors.trigger_delay_s + jitter
+    jitter = rng(seed, f"camera/{name}/trigger", pulse).normal(0.0, timing.jitter_s)
+    start = sent + timing.delay_s + jitter
     return Exposure(start, start + exposure_s, round(sent * 1e9))

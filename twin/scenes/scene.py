@@ -13,6 +13,8 @@ import mujoco
 import numpy as np
 
 from mosca.data.arrays import Array, read_only
+from twin.scenes.figure import Figure
+from twin.scenes.glow import Glow
 
 MARKER_GROUP = 4
 """Geom group of markers. Spheres are ball markers; cylinders are flat round targets facing their +z."""
@@ -41,7 +43,9 @@ class Scene:
     ``model``: compiled MjModel; markers are geoms in MARKER_GROUP (``marker_geoms``, in the order of
     ``marker_names``). ``configuration_at(t)``: qpos (nq,) at session time t [s], for -0.1 <= t <=
     duration_s + 0.1, a pure function (same t, same bytes, any thread). ``bodies``: rigid body name ->
-    names of the markers that it carries. ``commands``: what drove it, if anything did.
+    names of the markers that it carries. ``commands``: what drove it, if anything did. ``figures``: marker
+    name -> what is printed on its +z face (a marker without one shines as a whole). ``glows``: marker name ->
+    how it sends light (default: ``Glow()``).
     """
 
     model: mujoco.MjModel
@@ -51,9 +55,12 @@ class Scene:
     duration_s: float
     bodies: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     commands: Commands | None = None
+    figures: Mapping[str, Figure] = field(default_factory=dict)
+    glows: Mapping[str, Glow] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "bodies", MappingProxyType(dict(self.bodies)))
+        for name in ("bodies", "figures", "glows"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def sampler(self) -> "SceneSampler":
         """Return a sampler with its own MjData: one for each thread."""
