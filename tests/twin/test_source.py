@@ -267,7 +267,7 @@ def test_trigger_delay_is_in_the_truth_and_not_in_the_stamps():
 def test_true_image_is_that_of_the_true_mid_exposure():
     # 5 ms of jitter: where the marker was at each camera's own mid-exposure, by similar triangles
     jumpy = {**STEADY, "timing": Timing(jitter_s=5e-3)}
-    _frames, truth = read(session((camera("left", -0.05, jumpy), camera("right", 0.05, jumpy))))
+    _frames, truth = read(session((camera("left", -0.05, **jumpy), camera("right", 0.05, **jumpy))))
     for number, x in enumerate((-0.05, 0.05)):
         t = truth.exposure_mid_ns[:, number, None] * 1e-9
         for marker, start in ((0, [-0.2, 0, 0]), (1, [0.1, 0, 0.2])):
