@@ -16,6 +16,12 @@ from mosca.errors import InputError
 from mosca.lenses import fisheye_model, mosca_model, opencv_model
 
 _MODELS: dict[str, ModuleType] = {"mosca": mosca_model, "opencv": opencv_model, "fisheye": fisheye_model}
+HELD: dict[str, frozenset[str]] = {
+    "mosca": frozenset({"mx_mm_per_px"}),
+    "opencv": frozenset({"k4", "k5", "k6", "s1", "s2", "s3", "s4", "tauX", "tauY"}),
+    "fisheye": frozenset(),
+}
+"""Lens parameters that ``fit_lens`` keeps: two name one thing, or images seldom determine them."""
 
 
 def lens_directions(lens: Lens, xy_px: Array) -> Array:
@@ -100,9 +106,9 @@ def fit_lens(model: str, xy_px: Array, directions: Array, start: Lens | None = N
     """Fit a lens of ``model`` to pixels (n, 2) and their directions (n, 3), least squares in the image.
 
     ``start``: where to begin (the principal point and scale; default from the data). A Mosca lens keeps
-    the start's pixel pitch mx (c, mx and my have only two degrees of freedom) and so does
-    the rational part of OpenCV's model (k4-k6 stay as they are). InputError for an unknown model or
-    fewer than 10 usable points.
+    the start's pixel pitch mx (c, mx and my have only two degrees of freedom), and OpenCV's model its rational part,
+    thin prism and tilt (k4-k6, s1-s4, tauX, tauY stay as they are). InputError for an unknown model, fewer than 10
+    usable points, or rays that the model cannot image at all.
     """
     if model not in LENS_MODELS:
         raise InputError(f"lens model '{model}' is unknown; there are {', '.join(LENS_MODELS)}")
@@ -111,10 +117,15 @@ def fit_lens(model: str, xy_px: Array, directions: Array, start: Lens | None = N
     xy, v = xy[usable], v[usable]
     if len(xy) < 10:
         raise InputError(f"lens fit: {len(xy)} points with a ray given, at least 10 are needed")
+    beside = int(np.sum(v[:, 2] <= 0))
+    if model != "fisheye" and beside:
+        raise InputError(
+            f"lens fit: {beside} of {len(v)} rays stand 90 deg or more off the axis, which model '{model}' cannot "
+            "image; use 'fisheye', or a smaller part of the image"
+        )
     first = start if start is not None and start.model == model else _plain_lens(model, xy, v, start)
     names = [f.name for f in fields(first)]
-    held = {"mx_mm_per_px", "k4", "k5", "k6"} if model != "fisheye" else set()
-    free = [k for k, name in enumerate(names) if name not in held]
+    free = [k for k, name in enumerate(names) if name not in HELD[model]]
     values = np.array(astuple(first), dtype=float)
 
     def lens_of(x: Array) -> Any:
@@ -155,13 +166,17 @@ def image_grid(width: int, height: int, step_px: float = 16.0) -> Array:
 
 
 def _plain_lens(model: str, xy: Array, v: Array, pitch_from: Lens | None) -> Lens:
-    """Return a distortion-free lens of ``model`` from a straight line through image and tangent."""
-    angle = np.arctan2(np.hypot(v[:, 0], v[:, 1]), v[:, 2])
+    """Return a distortion-free lens of ``model`` from a straight line through image and tangent (fisheye: angle)."""
+    across = np.hypot(v[:, 0], v[:, 1])
+    angle = np.arctan2(across, v[:, 2])
     near = angle <= max(np.quantile(angle, 0.3), 1e-6)
-    tangent = v[near, :2] / v[near, 2:3]
+    if model == "fisheye":
+        ideal = v[near, :2] * (angle[near] / np.maximum(across[near], 1e-300))[:, None]
+    else:
+        ideal = v[near, :2] / v[near, 2:3]
     scales = []
     for axis in (0, 1):
-        design = np.column_stack([tangent[:, axis], np.ones(near.sum())])
+        design = np.column_stack([ideal[:, axis], np.ones(near.sum())])
         scales.append(np.linalg.lstsq(design, xy[near, axis], rcond=None)[0])
     (fx, cx), (fy, cy) = scales
     if model == "mosca":

@@ -20,7 +20,8 @@ from mosca.formats.tracks_file import SUFFIXES, write_tracks
 from mosca.pipeline import PipelineSettings, run
 from mosca.recording import open_recording
 from mosca.track import Sample, table
-from scenarios.build import overlap_of, stage_settings
+from scenarios.build import stage_settings
+from scenarios.cameras import overlap_of
 from scenarios.interrupt import between_steps
 from scenarios.spec import DetectionSpec, MatchSpec, TrackSpec, apply_overrides
 

@@ -29,7 +29,9 @@ from mosca.track import Sample, table
 from reports.evidence import CameraView, ErrorTable, Evidence, FrameCounts
 from reports.page import write_page
 from reports.record import Blocks, Metric, RunRecord, write_record
-from scenarios.build import build_scene, calibrated, pipeline_settings, true_rig, virtual_cameras, with_fault
+from scenarios.build import build_scene, pipeline_settings
+from scenarios.cameras import calibrated, deliveries, surroundings, true_rig, virtual_cameras
+from scenarios.faults import with_fault
 from scenarios.interrupt import between_steps
 from scenarios.score import Matched, Score, limits_met, metrics, pair
 from scenarios.spec import METRICS, Scenario
@@ -74,6 +76,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             rig = true_rig(spec, folder)
             cameras = virtual_cameras(spec, rig)
             known = calibrated(spec, cameras)
+            names = known.rig.names
             believed = with_fault(known.rig, spec.fault)
             settings = pipeline_settings(spec)
             scene = build_scene(spec, folder) if options.source == "twin" else None
@@ -87,6 +90,8 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
                 pulses=round(spec.capture.duration_s * spec.capture.frame_rate_hz),
                 seed=spec.seed,
                 workers=options.workers,
+                deliveries=deliveries(spec, cameras),
+                surroundings=surroundings(spec),
             )
         else:
             source = _recorded(options.source, rig)
@@ -98,6 +103,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             write_truth(truth, options.record_to / "truth.npz")
         with _timed(timings, "score"):
             space = max(spec.working_space.size_m)
+            truth = None if truth is None else _as_seen_by(truth, names)
             matched = None if truth is None else pair(collected.tracks, truth, space)
             scores = {} if matched is None else metrics(matched, space)
             premises = {} if truth is None else _premises(spec, truth, name)
@@ -173,6 +179,8 @@ def _collect(
     read: FrameSource = source
     if options.record_to is not None:
         read = _Recorded(source, stack.enter_context(RecordingWriter(options.record_to, source.cameras)))
+    if any(info.name not in rig.names for info in read.cameras):
+        read = _Chosen(read, rig.names)
     stop = stack.enter_context(between_steps())
     for done, step in enumerate(run(read, rig, settings, assembly), start=1):
         stop()
@@ -221,6 +229,46 @@ class _Recorded:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+
+class _Chosen:
+    """A source without the frames of cameras that the rig does not have: those that ride on the subject."""
+
+    def __init__(self, source: FrameSource, names: tuple[str, ...]) -> None:
+        self._source, self._names = source, frozenset(names)
+        self.cameras = tuple(info for info in source.cameras if info.name in self._names)
+
+    def __iter__(self) -> Iterator[Any]:
+        for frame in self._source:
+            if frame.camera in self._names:
+                yield frame
+
+    def close(self) -> None:
+        self._source.close()
+
+    def __enter__(self) -> "_Chosen":
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def _as_seen_by(truth: Truth, names: tuple[str, ...]) -> Truth:
+    """Return the truth of the named cameras alone: what others see does not make a marker measurable."""
+    if truth.cameras == names:
+        return truth
+    rows = [truth.cameras.index(name) for name in names]
+    return replace(
+        truth,
+        cameras=names,
+        visible=truth.visible[:, :, rows],
+        image_xy_px=truth.image_xy_px[:, :, rows],
+        diameter_px=truth.diameter_px[:, :, rows],
+        exposure_mid_ns=truth.exposure_mid_ns[:, rows],
+        camera_rotation=None if truth.camera_rotation is None else truth.camera_rotation[:, rows],
+        camera_position=None if truth.camera_position is None else truth.camera_position[:, rows],
+        frames=None,
+    )
 
 
 def _views(step: Step) -> tuple[CameraView, ...]:

@@ -9,8 +9,20 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from mosca.data.toml import Table, check, read_toml
+from mosca.data.toml import NotNegative, Positive, Table, Vector, check, read_toml
 from mosca.errors import InputError
+from scenarios.spec_cameras import (
+    Cameras,
+    CameraSpec,
+    DeliverySpec,
+    ErrorsSpec,
+    MountSpec,
+    OpticsSpec,
+    SensorSpec,
+    SurroundingsSpec,
+    TimingSpec,
+)
+from scenarios.spec_scenes import GlowSpec, LampsSpec, SceneSpec
 
 METRICS = {
     "position_rms": ("m", "at_most"),
@@ -26,10 +38,6 @@ METRICS = {
     "reprojection_rms": ("px", "at_most"),
 }
 """Metrics that a scenario can limit: unit, and whether the limit is an upper or a lower one."""
-
-Vector = tuple[float, float, float]
-Positive = Annotated[float, Field(gt=0)]
-NotNegative = Annotated[float, Field(ge=0)]
 
 
 class WorkingSpace(Table):
@@ -54,110 +62,6 @@ class Capture(Table):
                 f"it must be below {1 / self.frame_rate_hz:g} s"
             )
         return self
-
-
-class ActorScene(Table):
-    """A person with markers on the skin, walking by a built-in gait or moved by a motion file."""
-
-    kind: Literal["actor"]
-    motion: str | None = Field(None, description="AMC or BVH file; default: the built-in gait")
-    skeleton: str | None = Field(None, description="ASF file that belongs to an AMC file")
-    start_s: NotNegative = Field(0.1, description="where in the motion file to begin [s]")
-    metres_per_unit: Positive | None = Field(None, description="unit of the motion file, where it cannot say")
-    motion_rate_hz: Positive | None = Field(None, description="frame rate of the motion file, where it lies")
-    heading_deg: float = Field(0.0, description="turn of the motion file about the vertical [deg]")
-    keep_in_box: bool = Field(True, description="whether a motion that leaves the working space is an error")
-    gait: Literal["circle", "in_place", "back_and_forth"] = Field(
-        "circle", description="path of the built-in gait"
-    )
-    speed_mps: Positive = Field(1.0, description="walking speed of the built-in gait [m/s]")
-    markers: int = Field(50, ge=30, le=60, description="markers on the skin")
-    marker_diameter_m: Positive = Field(0.016, description="diameter of the ball markers [m]")
-
-
-class DroneScene(Table):
-    """A quadrotor of AR.Drone 2.0 size and mass, flown along a path by a controller on MuJoCo's physics."""
-
-    kind: Literal["drone"]
-    path: Literal["figure_eight", "circle", "waypoints"] = Field("figure_eight", description="path flown")
-    speed_mps: Positive = Field(0.5, description="speed along the path [m/s]")
-    markers: int = Field(8, ge=5, le=16, description="ball markers on the hull")
-    marker_diameter_m: Positive = Field(0.02, description="diameter of the ball markers [m]")
-
-
-class RobotScene(Table):
-    """A four-wheel skid-steered robot on contact physics, driven by PWM commands."""
-
-    kind: Literal["robot"]
-    average_pwm: Positive = Field(30.0, description="a_m of the paper: largest average PWM value")
-    difference_pwm: Positive = Field(60.0, description="d_m of the paper: largest command difference")
-    marker_diameter_m: Positive = Field(0.03, description="diameter of the flat round targets [m]")
-
-
-class CloudScene(Table):
-    """Free points in the working space on smooth independent paths, never closer than a stated distance."""
-
-    kind: Literal["cloud"]
-    markers: int = Field(200, ge=1, le=2000, description="number of points")
-    marker_diameter_m: Positive = Field(description="diameter of the balls [m]")
-    speed_mps: NotNegative = Field(0.5, description="typical speed [m/s]")
-
-
-class OwnScene(Table):
-    """Your own MJCF or URDF model, with meshes, and a table of markers."""
-
-    kind: Literal["own"]
-    model: str = Field(description="MJCF (.xml) or URDF (.urdf) file")
-    markers: str = Field(description="marker table (.csv or .toml): name, body, x, y, z, diameter [m]")
-    motion: str = Field("turntable", description="'turntable', 'physics', or a CSV file of time and qpos")
-    speed_mps: Positive = Field(0.3, description="speed on the turntable [m/s]")
-
-
-SceneSpec = Annotated[
-    ActorScene | DroneScene | RobotScene | CloudScene | OwnScene, Field(discriminator="kind")
-]
-
-
-class Cameras(Table):
-    """The rig: cameras on a ring around the working space, or a rig file."""
-
-    rig: str | None = Field(None, description="rig file; the ring's keys are then not used")
-    count: int = Field(4, ge=2, le=32, description="cameras on the ring")
-    azimuth_deg: tuple[float, ...] | None = Field(
-        None, description="where on the ring; default: evenly spaced"
-    )
-    radius_m: Positive = Field(4.0, description="radius of the ring about the working space's centre [m]")
-    height_m: float | tuple[float, ...] = Field(1.6, description="height of the cameras above the floor [m]")
-    look_at_m: Vector | None = Field(None, description="where they look; default: the working space's centre")
-    size_px: tuple[int, int] = Field((656, 491), description="image width and height [px]")
-    pixel_pitch_mm: Positive = Field(0.0099, description="pixel pitch mx = my [mm]")
-    c_mm: Positive = Field(7.5, description="principal distance [mm]")
-    K1_per_mm2: float = Field(1.0e-3, description="radial distortion, as the paper's Table 2 has it")
-    K2_per_mm4: float = Field(-1.5e-5, description="radial distortion")
-    P1_per_mm: float = Field(1.0e-4, description="decentring distortion")
-    P2_per_mm: float = Field(5.0e-5, description="decentring distortion")
-    a: float = Field(-6.0e-3, description="affinity")
-
-    @model_validator(mode="after")
-    def _lists_fit(self) -> "Cameras":
-        for name in ("azimuth_deg", "height_m"):
-            value = getattr(self, name)
-            if isinstance(value, tuple) and len(value) != self.count:
-                raise ValueError(f"{name} holds {len(value)} numbers for count = {self.count} cameras")
-        return self
-
-
-class ErrorsSpec(Table):
-    """Errors of the virtual cameras. The defaults are the gentlest that an accuracy claim may rest on."""
-
-    trigger_jitter_s: NotNegative = Field(20e-6, description="jitter of each exposure's start, rms [s]")
-    body_px: NotNegative = Field(0.03, description="shake of the camera body, rms an axis [px]")
-    psf_sigma_px: Annotated[float, Field(ge=0.2, le=10)] = Field(0.6, description="blur of the lens [px]")
-    marker_signal: Positive = Field(0.6, description="light of a covered pixel over the full well")
-    full_well_e: Positive = Field(20_000.0, description="saturation capacity [e-]")
-    read_noise_e: Positive = Field(10.0, description="dark noise [e-]")
-    background_e: NotNegative = Field(200.0, description="ambient light a pixel [e-]")
-    bits: Literal[8, 10, 12] = Field(8, description="bits of a pixel")
 
 
 class SwapFault(Table):
@@ -281,8 +185,17 @@ class Scenario(Table):
     working_space: WorkingSpace
     capture: Capture = Capture()
     scene: SceneSpec
+    glow: GlowSpec | None = None
+    lamps: LampsSpec | None = None
     cameras: Cameras = Cameras()
     errors: ErrorsSpec = ErrorsSpec()
+    optics: OpticsSpec = OpticsSpec()
+    timing: TimingSpec = TimingSpec()
+    mount: MountSpec = MountSpec()
+    sensor: SensorSpec = SensorSpec()
+    delivery: DeliverySpec = DeliverySpec()
+    surroundings: SurroundingsSpec = SurroundingsSpec()
+    camera: tuple[CameraSpec, ...] = Field((), description="what is different with one camera, by its name")
     fault: FaultSpec | None = None
     pipeline: PipelineSpec = PipelineSpec()
     premises: Premises = Premises()

@@ -1,7 +1,7 @@
 """TwinSource: a FrameSource whose cameras look at a scene, and the truth of what they looked at."""
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from threading import Lock, local
@@ -11,40 +11,40 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.truth import Truth
+from mosca.errors import InputError
+from twin.cameras.around import Around
 from twin.cameras.camera import VirtualCamera
-from twin.cameras.kernel import gaussian_kernel
-from twin.cameras.lens import TwinLens
-from twin.cameras.mount import shaken_pose
-from twin.cameras.occlusion import occluders_of
-from twin.cameras.render import BALL, FLAT, MarkersInCamera, MeshRays, Seen, has_meshes, render_markers
-from twin.cameras.sensor import dark_table, expose
-from twin.cameras.shutter import Exposure, open_shutter, pulse_time_s
+from twin.cameras.delivery import Delivery, Taken, deliver
+from twin.cameras.moment import Moment
+from twin.cameras.shutter import pulse_time_s
+from twin.cameras.station import Shot, Station
+from twin.cameras.stray import Surroundings
+from twin.cameras.subject import Subject
+from twin.logbook import PulseLog, truth_of
 from twin.scenes.scene import Scene, SceneSampler
-from twin.streams import key
 
 LOOK_AHEAD = 4
 """Pulses in work for each worker: enough to keep it busy, few enough to leave early without waste."""
 
 
 @dataclass(frozen=True, eq=False)
-class _PulseTruth:
-    xyz: Array
-    seen: tuple[Seen, ...]
-    exposures: tuple[Exposure, ...]
+class _Period:
+    """What the cameras took from one pulse until the next, in the order of the exposures."""
+
+    taken: tuple[Taken, ...]
+    log: PulseLog
 
 
 class _Reading:
-    """One iteration over a source: its workers, and the truth of the pulses it has handed out."""
+    """One iteration over a source: its workers, and the log of the pulses it has handed out."""
 
     def __init__(self, workers: int) -> None:
-        self.truth: list[_PulseTruth] = []
+        self.log: list[PulseLog] = []
         self.closed = False
         self._pool = ThreadPoolExecutor(workers)
         self._lock = Lock()
 
-    def submit(
-        self, work: "Callable[[int], tuple[list[Frame], _PulseTruth]]", pulse: int
-    ) -> "Future[tuple[list[Frame], _PulseTruth]] | None":
+    def submit(self, work: Callable[[int], _Period], pulse: int) -> Future[_Period] | None:
         """Hand a pulse to the workers; None after ``close``."""
         with self._lock:
             return None if self.closed else self._pool.submit(work, pulse)
@@ -59,10 +59,15 @@ class _Reading:
 class TwinSource:
     """Exposes ``scene`` through ``cameras`` at ``frame_rate_hz`` from pulse 0, ``pulses`` times.
 
-    ``exposure_s``: the window of every exposure [s]. Same seed, same bytes: over runs, processes and numbers
-    of ``workers`` (threads), because each pulse draws from streams of its own.
-    Each iteration starts anew with workers of its own; ``close`` ends those under way. ``truth()`` tells what
-    really was at the pulses that the iteration started last has read.
+    ``exposure_s``: the window of every exposure [s], but for cameras with one of their own. A triggered camera
+    takes a frame a pulse, one that runs free as many as fall between two pulses. ``deliveries``: camera name ->
+    what goes wrong on its frames' way; a camera that is not named delivers every frame. ``surroundings``: what
+    else sends light; None: nothing.
+
+    Same seed, same bytes: over runs, processes and numbers of ``workers`` (threads), because each frame draws
+    from streams of its own. Each iteration starts anew with workers of its own; ``close`` ends those under way.
+    ``truth()`` tells what really was at the pulses that the iteration started last has read. Raises InputError for
+    cameras that cannot be.
     """
 
     def __init__(
@@ -75,55 +80,50 @@ class TwinSource:
         pulses: int,
         seed: int,
         workers: int = 1,
+        deliveries: Mapping[str, Delivery] | None = None,
+        surroundings: Surroundings | None = None,
     ) -> None:
         self.scene, self.virtual, self.pulses, self.seed = scene, tuple(cameras), pulses, seed
         self.frame_rate_hz, self.exposure_s, self.workers = frame_rate_hz, exposure_s, max(1, workers)
-        self._lenses = tuple(
-            TwinLens.of(v.camera.lens, v.camera.width, v.camera.height, v.optics.gap_px).vector
+        self._deliveries = dict(deliveries or {})
+        names = [v.camera.name for v in self.virtual]
+        for name in self._deliveries:
+            if name not in names:
+                raise InputError(f"deliveries: camera '{name}' given; the rig has {', '.join(names)}")
+        self._subject = Subject.of(scene, self.virtual)
+        self._stations = tuple(
+            Station(
+                v,
+                self._subject,
+                frame_rate_hz=frame_rate_hz,
+                exposure_s=exposure_s,
+                duration_s=pulses / frame_rate_hz,
+                seed=seed,
+            )
             for v in self.virtual
         )
-        self._kernels = tuple(gaussian_kernel(v.optics.psf_sigma_px) for v in self.virtual)
-        self._dark = tuple(dark_table(v.sensor) for v in self.virtual)
-        self._occluders = occluders_of(scene)
-        geoms = list(scene.marker_geoms)
-        sphere = scene.model.geom_type[geoms] == 2
-        self._shape = np.where(sphere, BALL, FLAT).astype(np.int64)
-        self._radius = np.ascontiguousarray(scene.model.geom_size[geoms, 0], dtype=float)
+        self._around = None
+        if surroundings is not None and surroundings != Surroundings():
+            self._around = Around(surroundings, self._stations)
         self._thread = local()
-        self._latest: list[_PulseTruth] = []
+        self._latest: list[PulseLog] = []
         self._readings: set[_Reading] = set()
 
     @property
     def cameras(self) -> tuple[CameraInfo, ...]:
         """What each camera says of itself."""
-        return tuple(
-            CameraInfo(v.camera.name, v.camera.width, v.camera.height, v.sensor.bits, self.frame_rate_hz)
-            for v in self.virtual
-        )
+        return tuple(station.info for station in self._stations)
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames pulse by pulse, in the rig's order; starts anew each time, ends when closed."""
+        """Yield the frames as they arrive: pulse by pulse, in the rig's order; starts anew each time."""
         reading = _Reading(self.workers)
-        self._latest = reading.truth
+        self._latest = reading.log
         self._readings.add(reading)
-        waiting: deque[Future[tuple[list[Frame], _PulseTruth]]] = deque()
         try:
-            for pulse in range(self.pulses + self.workers * LOOK_AHEAD):
-                if pulse < self.pulses:
-                    future = reading.submit(self._expose_pulse, pulse)
-                    if future is None:
-                        return
-                    waiting.append(future)
-                if waiting and (len(waiting) > self.workers * LOOK_AHEAD or pulse >= self.pulses - 1):
-                    try:
-                        frames, truth = waiting.popleft().result()
-                    except CancelledError:  # by ``close``, from another thread
-                        return
-                    reading.truth.append(truth)
-                    for frame in frames:
-                        yield frame
-                        if reading.closed:
-                            return
+            for frame in deliver(self._taken(reading), self._deliveries, self.seed):
+                yield frame
+                if reading.closed:
+                    return
         finally:
             reading.close()
             self._readings.discard(reading)
@@ -142,27 +142,52 @@ class TwinSource:
     @property
     def truth_xyz(self) -> list[Array]:
         """True marker positions (m, 3) of the pulses read so far [m]."""
-        return [p.xyz for p in self._latest]
+        return [log.xyz for log in self._latest]
 
     def truth(self) -> Truth:
         """Return what really was at the pulses read so far."""
-        done = self._latest
-        pulse_ns = [
-            round((pulse_time_s(k, self.frame_rate_hz) + self.exposure_s / 2) * 1e9) for k in range(len(done))
-        ]
-        m, c = len(self.scene.marker_names), len(self.virtual)
-        return Truth(
-            time_ns=np.array(pulse_ns, dtype=np.int64),
-            names=self.scene.marker_names,
-            xyz=np.array([p.xyz for p in done]).reshape(-1, m, 3),
-            visible=_stack(done, "visible", (m, c)),
-            cameras=tuple(v.camera.name for v in self.virtual),
-            image_xy_px=_stack(done, "xy_px", (m, c, 2)),
-            diameter_px=_stack(done, "diameter_px", (m, c)),
-            exposure_mid_ns=np.array(
-                [[round(e.middle_s * 1e9) for e in p.exposures] for p in done], dtype=np.int64
-            ).reshape(-1, c),
-        )
+        return truth_of(list(self._latest), self._stations, self.scene.marker_names)
+
+    def _taken(self, reading: _Reading) -> Iterator[Taken]:
+        """Yield what the cameras take, in order, while the workers are ahead; ends when the reading is closed."""
+        waiting: deque[Future[_Period]] = deque()
+        ahead = self.workers * LOOK_AHEAD
+        for pulse in range(self.pulses + ahead):
+            if pulse < self.pulses:
+                future = reading.submit(self._expose_pulse, pulse)
+                if future is None:
+                    return
+                waiting.append(future)
+            if waiting and (len(waiting) > ahead or pulse >= self.pulses - 1):
+                try:
+                    period = waiting.popleft().result()
+                except CancelledError:  # by ``close``, from another thread
+                    return
+                reading.log.append(period.log)
+                yield from period.taken
+
+    def _expose_pulse(self, pulse: int) -> _Period:
+        """Let every camera take what it takes from a pulse until the next."""
+        moment = Moment(self._sampler(), self._subject.geoms, self._subject.bodies)
+        sights = [[s.look(e, moment) for e in s.exposures(pulse)] for s in self._stations]
+        taken: list[Taken] = []
+        shots: list[tuple[Shot, ...]] = []
+        for camera, station in enumerate(self._stations):
+            own = []
+            for sight in sights[camera]:
+                light = self._room(station)
+                own.append(station.collect(sight, moment, light))
+                ambient = station.ambient
+                if self._around is not None:
+                    self._around.add_targets(camera, sight, moment, light)
+                    ambient = self._around.ambient(camera, sight, moment, light)
+                frame = station.develop(sight.exposure, light, ambient)
+                taken.append(Taken(frame, sight.exposure.start_s, sight.exposure.nominal_s))
+            shots.append(tuple(own))
+        taken.sort(key=lambda one: one.due_s)  # stable: the rig's order for those of one trigger
+        middle = pulse_time_s(pulse, self.frame_rate_hz) + self.exposure_s / 2
+        xyz = moment.at(np.array([middle])).geom_xyz[0, self._subject.marker_at]
+        return _Period(tuple(taken), PulseLog(middle, xyz, tuple(shots)))
 
     def _sampler(self) -> SceneSampler:
         if not hasattr(self._thread, "sampler"):
@@ -170,66 +195,12 @@ class TwinSource:
         sampler: SceneSampler = self._thread.sampler
         return sampler
 
-    def _expose_pulse(self, pulse: int) -> tuple[list[Frame], _PulseTruth]:
-        """Expose every camera at one pulse: shutter, mount, lens and light, sensor, stamp."""
-        sampler = self._sampler()
-        frames, seen, exposures = [], [], []
-        for number, virtual in enumerate(self.virtual):
-            name = virtual.camera.name
-            exposure = open_shutter(
-                virtual.timing, name, pulse, self.frame_rate_hz, self.exposure_s, self.seed
-            )
-            light, what = self._collect(sampler, number, pulse, exposure)
-            counts = expose(
-                light, virtual.sensor, key(self.seed, f"camera/{name}/sensor", pulse), self._dark[number]
-            )
-            frames.append(Frame(name, pulse, exposure.stamp_ns, round(self.exposure_s * 1e9), counts))
-            seen.append(what)
-            exposures.append(exposure)
-        middle = pulse_time_s(pulse, self.frame_rate_hz) + self.exposure_s / 2
-        return frames, _PulseTruth(sampler.at(middle).marker_xyz, tuple(seen), tuple(exposures))
-
-    def _collect(
-        self, sampler: SceneSampler, number: int, pulse: int, exposure: Exposure
-    ) -> tuple[Array, Seen]:
-        """Return the markers' light on a camera's pixels (H, W) [electrons], and what it saw of them."""
-        virtual, lens = self.virtual[number], self._lenses[number]
-        camera = virtual.camera
-        pose = shaken_pose(virtual.mount, camera.name, camera.world_from_camera, lens, pulse, self.seed)
-        rotation, position = pose.rotation, pose.translation
-        first, last = sampler.at(exposure.start_s).marker_xyz, sampler.at(exposure.end_s).marker_xyz
-        state = sampler.at(exposure.middle_s)  # last, so that the sampler's data stands at mid-exposure
-        path = (np.stack([first, state.marker_xyz, last], axis=1) - position) @ rotation
-        electrons = virtual.marker_signal * virtual.sensor.full_well_e
-        markers = MarkersInCamera(
-            np.ascontiguousarray(path),
-            np.ascontiguousarray(state.marker_axis @ rotation),
-            self._radius,
-            self._shape,
-            np.full(len(path), electrons),
-        )
-        solid = self._occluders.geom
-        mesh_rays = None
-        if has_meshes(self._occluders):
-            mesh_rays = MeshRays(
-                self.scene.model, sampler.data, self._occluders, self.scene.marker_geoms, (rotation, position)
-            )
-        light = np.zeros((virtual.camera.height, virtual.camera.width), dtype=np.float32)
-        seen = render_markers(
-            light,
-            lens,
-            self._kernels[number],
-            markers,
-            self._occluders,
-            np.ascontiguousarray((state.geom_xyz[solid] - position) @ rotation),
-            np.ascontiguousarray(rotation.T @ state.geom_rotation[solid]),
-            mesh_rays,
-        )
-        return light, seen
-
-
-def _stack(done: list[_PulseTruth], name: str, shape: tuple[int, ...]) -> Array:
-    """Return one quantity of Seen as (pulses, markers, cameras, ...)."""
-    if not done:
-        return np.empty((0, *shape))
-    return np.array([np.stack([getattr(s, name) for s in p.seen], axis=1) for p in done])
+    def _room(self, station: Station) -> Array:
+        """Return this worker's room for the light on a camera's pixels (H, W) float32, dark."""
+        shape = (station.virtual.camera.height, station.virtual.camera.width)
+        rooms = self._thread.__dict__.setdefault("rooms", {})
+        if shape not in rooms:
+            rooms[shape] = np.empty(shape, dtype=np.float32)
+        room: Array = rooms[shape]
+        room.fill(0.0)
+        return room

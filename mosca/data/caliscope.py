@@ -26,6 +26,7 @@ from mosca.errors import InputError
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 LARGEST_TRANSLATION_M = 1000.0
+LARGEST_TILT_RAD = 1.5
 
 
 class CaliscopeCamera(BaseModel):
@@ -110,8 +111,14 @@ def _lens(table: CaliscopeCamera, where: str) -> OpenCVLens | FisheyeLens:
         if len(d) != 4:
             raise InputError(f"{where}: {len(d)} distortions given; a fisheye has 4 (k1 k2 k3 k4)")
         return FisheyeLens(fx, fy, cx, cy, *d)
-    if len(d) not in (4, 5, 8):
+    if len(d) not in (4, 5, 8, 12, 14):
         raise InputError(
-            f"{where}: {len(d)} distortions given; 4, 5 or 8 are allowed (k1 k2 p1 p2 k3 k4 k5 k6)"
+            f"{where}: {len(d)} distortions given; 4, 5, 8, 12 or 14 are allowed, in OpenCV's order "
+            "(k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 tauX tauY)"
+        )
+    if any(abs(tau) > LARGEST_TILT_RAD for tau in d[12:]):
+        raise InputError(
+            f"{where}: distortions tauX, tauY = {d[12]:g}, {d[13]:g} given; they are the sensor's tilt in rad, "
+            f"at most {LARGEST_TILT_RAD:g} is allowed"
         )
     return OpenCVLens(fx, fy, cx, cy, *d)

@@ -67,9 +67,11 @@ class MoscaLens:
 
 @dataclass(frozen=True)
 class OpenCVLens:
-    """OpenCV's pinhole model: ideal -> distorted with radial k1, k2, k3, rational k4, k5, k6, tangential p1, p2.
+    """OpenCV's pinhole model: ideal -> distorted with radial k1, k2, k3, rational k4, k5, k6, tangential p1, p2,
+    thin prism s1-s4 and a sensor tilted by tauX, tauY [rad, below 90 deg] about its x and y axes.
 
-    Pixel (0, 0) is the centre of the top-left pixel, as in OpenCV.
+    The distortion's fields stand in OpenCV's order of 14 coefficients. Pixel (0, 0) is the centre of the top-left
+    pixel, as in OpenCV.
     """
 
     model: ClassVar[Literal["opencv"]] = "opencv"
@@ -85,13 +87,20 @@ class OpenCVLens:
     k4: float = 0.0
     k5: float = 0.0
     k6: float = 0.0
+    s1: float = 0.0
+    s2: float = 0.0
+    s3: float = 0.0
+    s4: float = 0.0
+    tauX: float = 0.0
+    tauY: float = 0.0
 
 
 @dataclass(frozen=True)
 class FisheyeLens:
     """Equidistant (Kannala-Brandt) fisheye: image radius theta (1 + k1 theta^2 + ... + k4 theta^8).
 
-    The same model as OpenCV's ``cv2.fisheye`` with zero skew.
+    The same model as OpenCV's ``cv2.fisheye`` with zero skew, but good beyond 90 degrees from the axis too: up to
+    where the radius stops rising, 180 degrees at most.
     """
 
     model: ClassVar[Literal["fisheye"]] = "fisheye"

@@ -39,6 +39,7 @@ LARGEST_POSITION_M = 1000.0
 """A camera farther from the world's origin than this was measured in millimetres."""
 
 Positive = Annotated[float, Field(gt=0)]
+Tilt = Annotated[float, Field(ge=-1.5, le=1.5, description="tilt of the sensor [rad], below 90 deg")]
 Pixels = Annotated[int, Field(gt=0, le=65535)]
 
 
@@ -60,7 +61,7 @@ class MoscaLensTable(Table):
 
 
 class OpenCVLensTable(Table):
-    """``model = "opencv"``: pinhole with radial k1-k6 and tangential p1, p2, as OpenCV has them."""
+    """``model = "opencv"``: radial k1-k6, tangential p1, p2, thin prism s1-s4, tilt tauX, tauY, as in OpenCV."""
 
     model: Literal["opencv"]
     fx_px: Positive
@@ -75,6 +76,12 @@ class OpenCVLensTable(Table):
     k4: float = 0.0
     k5: float = 0.0
     k6: float = 0.0
+    s1: float = 0.0
+    s2: float = 0.0
+    s3: float = 0.0
+    s4: float = 0.0
+    tauX: Tilt = 0.0
+    tauY: Tilt = 0.0
 
 
 class FisheyeLensTable(Table):

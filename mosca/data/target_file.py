@@ -10,17 +10,21 @@ size_px = [1280, 1024]
 [[camera]]
 name = "left"
 file = "Calibration/left_points.txt"   # relative to the recording
+
+What is put there is described by the kinds "field", "board", "wand", "l_frame" and "scale_bar" of
+``mosca.data.target_tables``.
 """
 
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, TypeAdapter, model_validator
 
 from mosca.data.arrays import Array, read_only
+from mosca.data.target_tables import TABLES, CalibrationTable, CalibrationTarget
 from mosca.data.toml import Table, check, read_toml
 from mosca.errors import InputError
 
@@ -78,9 +82,6 @@ class PointsTarget(Table):
         return self
 
 
-TARGETS: dict[str, type[PointsTarget]] = {"points": PointsTarget}
-
-
 @dataclass(frozen=True, eq=False)
 class MeasuredPoints:
     """Pixels ``xy_px`` (n, 2), centre of the top-left pixel (0, 0), of world points ``xyz`` (n, 3) [m]."""
@@ -95,13 +96,37 @@ class MeasuredPoints:
 
 
 def read_target(path: Path) -> PointsTarget:
-    """Read a target file; InputError names the key, the value and what is allowed."""
+    """Read a target file of measured points; InputError names the key, the value and what is allowed."""
     document = read_toml(Path(path))
+    _kind_of(document, path, ("points",))
+    return check(PointsTarget, document, path)
+
+
+def read_target_file(path: Path) -> PointsTarget | CalibrationTarget:
+    """Read a target file of any kind; InputError names the key, the value and what is allowed."""
+    document = read_toml(Path(path))
+    kind = _kind_of(document, path, ("points", *TABLES))
+    if kind == "points":
+        return check(PointsTarget, document, path)
+    table: CalibrationTable = check(TABLES[kind], document, path)
+    try:
+        return table.made()
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def target_schema() -> dict[str, Any]:
+    """Return the JSON schema of the target file of all kinds, for editors that complete and check it."""
+    every = Annotated[PointsTarget | CalibrationTable, Field(discriminator="kind")]
+    return TypeAdapter(every).json_schema()
+
+
+def _kind_of(document: dict[str, Any], path: Path, allowed: tuple[str, ...]) -> str:
     kind = document.get("kind")
-    if not isinstance(kind, str) or kind not in TARGETS:
+    if not isinstance(kind, str) or kind not in allowed:
         given = "no 'kind'" if kind is None else f"kind = {kind!r}"
-        raise InputError(f"{path}: {given} given; allowed: {', '.join(map(repr, TARGETS))}")
-    return check(TARGETS[kind], document, path)
+        raise InputError(f"{path}: {given} given; allowed: {', '.join(map(repr, allowed))}")
+    return kind
 
 
 def read_measured_points(path: Path, target: PointsTarget) -> MeasuredPoints:

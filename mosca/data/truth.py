@@ -2,10 +2,55 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mosca.data.arrays import Array, read_only
+
+NO_FRAME = int(np.iinfo(np.int64).min)
+"""Stands for the mid-exposure of a camera that took no frame from a pulse until the next [ns]."""
+FRAMES = "frames."
+"""How the names of the frames' table begin in the file."""
+
+
+@dataclass(frozen=True, eq=False)
+class FramesTruth:
+    """What really was at each frame of the cameras that run free: one row a frame (n of them, m markers).
+
+    ``camera`` (n,) number in ``Truth.cameras``; ``index`` (n,) the camera's own counter; ``stamp_ns`` (n,) the
+    stamp that it gave; ``exposure_mid_ns`` (n,) the true mid-exposure, session clock; ``xyz`` (n, m, 3) marker
+    centres at that instant, world frame [m]; ``visible`` (n, m), ``image_xy_px`` (n, m, 2), ``diameter_px`` (n, m)
+    as in Truth;
+    ``camera_rotation`` (n, 3, 3), ``camera_position`` (n, 3): ``world_from_camera`` at the true mid-exposure.
+    """
+
+    camera: Array
+    index: Array
+    stamp_ns: Array
+    exposure_mid_ns: Array
+    xyz: Array
+    visible: Array
+    image_xy_px: Array
+    diameter_px: Array
+    camera_rotation: Array
+    camera_position: Array
+
+    def __post_init__(self) -> None:
+        n = len(np.asarray(self.camera))
+        m = np.shape(self.visible)[1]
+        for name in ("camera", "index", "stamp_ns", "exposure_mid_ns"):
+            object.__setattr__(self, name, read_only(getattr(self, name), (n,), name, np.int64))
+        shapes = {
+            "xyz": (n, m, 3),
+            "visible": (n, m),
+            "image_xy_px": (n, m, 2),
+            "diameter_px": (n, m),
+            "camera_rotation": (n, 3, 3),
+            "camera_position": (n, 3),
+        }
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, read_only(getattr(self, name), shape, name))
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,8 +61,13 @@ class Truth:
     clock; ``names`` the markers' names (m of them); ``xyz`` (t, m, 3) marker centres in the world [m];
     ``visible`` (t, m, c) share of the marker's disc that camera c could see (0..1; outside the image 0);
     ``cameras`` the cameras' names; ``image_xy_px`` (t, m, c, 2) the marker *centre's* true image, NaN
-    where the camera does not see it; ``diameter_px`` (t, m, c) the diameter of the whole disc's image;
-    ``exposure_mid_ns`` (t, c) true mid-exposure of each camera's frame.
+    where the camera does not see it, with a rolling shutter at its own rows' mid-exposure; ``diameter_px``
+    (t, m, c) the diameter of the whole disc's image; ``exposure_mid_ns`` (t, c) true mid-exposure of each camera's
+    frame, session clock. ``camera_rotation`` (t, c, 3, 3), ``camera_position`` (t, c, 3): the true
+    ``world_from_camera`` at that instant [m], None where it was not kept (older files).
+
+    A camera that runs free stands here with its frame nearest to the pulse; where it took none until the
+    next, with NO_FRAME, nothing visible and NaN. ``frames``: all of its frames; None where all are triggered.
     """
 
     time_ns: Array
@@ -28,32 +78,50 @@ class Truth:
     image_xy_px: Array
     diameter_px: Array
     exposure_mid_ns: Array
+    camera_rotation: Array | None = None
+    camera_position: Array | None = None
+    frames: FramesTruth | None = None
 
     def __post_init__(self) -> None:
         t, m, c = len(np.asarray(self.time_ns)), len(self.names), len(self.cameras)
         object.__setattr__(self, "names", tuple(self.names))
         object.__setattr__(self, "cameras", tuple(self.cameras))
+        shapes = {
+            "xyz": (t, m, 3),
+            "visible": (t, m, c),
+            "image_xy_px": (t, m, c, 2),
+            "diameter_px": (t, m, c),
+            "camera_rotation": (t, c, 3, 3),
+            "camera_position": (t, c, 3),
+        }
+        for name, shape in shapes.items():
+            given = getattr(self, name)
+            if given is not None:
+                object.__setattr__(self, name, read_only(given, shape, name))
         object.__setattr__(self, "time_ns", read_only(self.time_ns, (t,), "time_ns", np.int64))
-        object.__setattr__(self, "xyz", read_only(self.xyz, (t, m, 3), "xyz"))
-        object.__setattr__(self, "visible", read_only(self.visible, (t, m, c), "visible"))
-        object.__setattr__(self, "image_xy_px", read_only(self.image_xy_px, (t, m, c, 2), "image_xy_px"))
-        object.__setattr__(self, "diameter_px", read_only(self.diameter_px, (t, m, c), "diameter_px"))
         object.__setattr__(
             self, "exposure_mid_ns", read_only(self.exposure_mid_ns, (t, c), "exposure_mid_ns", np.int64)
         )
 
 
 def write_truth(truth: Truth, path: Path) -> None:
-    """Write all fields under their names (numpy .npz, no pickles)."""
+    """Write all fields under their names (numpy .npz, no pickles); those of ``frames`` as ``frames.NAME``."""
+    fields = {name: getattr(truth, name) for name in Truth.__dataclass_fields__ if name != "frames"}
+    if truth.frames is not None:
+        fields |= {FRAMES + name: getattr(truth.frames, name) for name in FramesTruth.__dataclass_fields__}
+    arrays = {name: np.asarray(value) for name, value in fields.items() if value is not None}
     with open(path, "wb") as file:
-        fields = {name: np.asarray(getattr(truth, name)) for name in truth.__dataclass_fields__}
-        np.savez_compressed(file, allow_pickle=False, **fields)
+        np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
 def read_truth(path: Path) -> Truth:
-    """Read what ``write_truth`` wrote."""
+    """Read what ``write_truth`` wrote, now or before cameras' poses and frames were kept."""
     with np.load(path, allow_pickle=False) as fields:
-        values = {name: fields[name] for name in Truth.__dataclass_fields__}
+        values: dict[str, Any] = {name: fields[name] for name in Truth.__dataclass_fields__ if name in fields}
+        if FRAMES + "camera" in fields:
+            values["frames"] = FramesTruth(
+                **{name: fields[FRAMES + name] for name in FramesTruth.__dataclass_fields__}
+            )
     values["names"] = tuple(str(n) for n in values["names"])
     values["cameras"] = tuple(str(n) for n in values["cameras"])
     return Truth(**values)

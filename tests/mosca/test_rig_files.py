@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from mosca.camera import project
 from mosca.data.rig import LENS_MODELS, Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose, Rig
 from mosca.data.rig_file import (
     FisheyeLensTable,
@@ -130,6 +131,9 @@ def test_hardware_tables_and_uncalibrated_cameras(tmp_path: Path) -> None:
         ('name = "right"', 'name = "a/b"', "name"),
         ('[[camera]]\nname = "right"', '[camera]\nname = "right"', "not valid TOML"),
         ("k1 = -0.1", "k9 = -0.1", "unknown key.*k9.* Allowed here: .*k1, k2"),
+        ("k1 = -0.1", "s4 = nan", "s4.*finite"),
+        ("k1 = -0.1", "tauX = -1.6", "tauX.*-1.6 given.*-1.5"),
+        ("k1 = -0.1", "taux = 0.1", "unknown key.*taux.*tauX"),
     ],
 )
 def test_faults_are_said_in_one_line(tmp_path: Path, old: str, new: str, message: str | None) -> None:
@@ -168,7 +172,7 @@ def test_written_rigs_read_back_lens_and_position_to_the_last_bit(
 ) -> None:
     lens = {
         "m": MoscaLens(8.0 + k, 300.0 + k, 200.0 - k, 0.0074, 0.0074 * (1 + k / 100), k, k, k, k, k, k),
-        "o": OpenCVLens(900.0 + k, 901.0, 300.0, 200.0, k, k, k, k, k, k, k, k),
+        "o": OpenCVLens(900.0 + k, 901.0, 300.0, 200.0, *(k / j for j in range(1, 15))),
         "f": FisheyeLens(900.0 + k, 901.0, 300.0, 200.0, k, k, k, k),
     }[kind]
     rig = Rig((Camera("c 1", 640, 480, lens, Pose(rotation_from_quaternion(q), np.array(position))),))
@@ -225,6 +229,27 @@ def test_any_edit_gives_a_rig_or_an_input_error(
     assert "\n" not in said
 
 
+@settings(max_examples=100, deadline=None)
+@given(
+    name=st.sampled_from(["s1", "s2", "s3", "s4", "tauX", "tauY"]),
+    value=st.one_of(
+        st.floats(), st.integers(), st.booleans(), st.text(max_size=4).map(repr), st.just("[0.1]")
+    ),
+)
+def test_any_prism_or_tilt_gives_a_rig_or_an_input_error(
+    tmp_path_factory: pytest.TempPathFactory, name: str, value: object
+) -> None:
+    path = tmp_path_factory.mktemp("rig") / "rig.toml"
+    said = str(value).lower() if isinstance(value, bool) else str(value)
+    path.write_text(GOOD.replace("k1 = -0.1", f"{name} = {said}"), encoding="utf-8", newline="")
+    error = what_it_says(path)
+    assert "\n" not in error
+    if not error:
+        lens = read_rig(path).cameras[0].lens
+        assert np.isfinite(getattr(lens, name))
+        assert name.startswith("s") or abs(getattr(lens, name)) <= 1.5
+
+
 def test_schema_is_one_that_editors_take() -> None:
     schema = rig_schema()
     assert schema["required"] == ["camera"]
@@ -279,6 +304,19 @@ def test_aniposelib_projects_as_opencv_says(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
+@pytest.mark.parametrize("count", [12, 14])
+def test_aniposelib_with_thin_prism_and_tilt_projects_as_opencv_says(tmp_path: Path, count: int) -> None:
+    given = [-0.2, 0.1, 0.001, -0.002, 0.03, 0.02, 0.01, 0.003, 0.004, -0.003, 0.002, 0.001, 0.02, -0.03]
+    text = ANIPOSE.replace("[-0.2, 0.1, 0.001, -0.002, 0.03]", str(given[:count]))
+    camera = rig_of(tmp_path, text).cameras[0]
+    points = np.random.default_rng(1).uniform(-0.5, 0.5, (20, 3))
+    expected, _ = cv2.projectPoints(
+        points, np.array([0.3, -0.2, 1.1]), np.array([0.1, 0.2, 3.0]),
+        np.array([[500.0, 0, 320], [0, 510, 240], [0, 0, 1]]), np.array(given[:count]),
+    )  # fmt: skip
+    np.testing.assert_allclose(project(camera, points), expected[:, 0], atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -286,7 +324,12 @@ def test_aniposelib_projects_as_opencv_says(tmp_path: Path) -> None:
         (
             "distortions = [-0.2, 0.1, 0.001, -0.002, 0.03]",
             "distortions = [1.0]",
-            "1 distortions given; 4, 5 or 8",
+            "1 distortions given; 4, 5, 8, 12 or 14",
+        ),
+        (
+            "distortions = [-0.2, 0.1, 0.001, -0.002, 0.03]",
+            "distortions = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.1, 2.0]",
+            "tauX, tauY = 0.1, 2 given.*rad, at most 1.5",
         ),
         ("distortions = [0.01, 0.02, 0.0, 0.0]", "distortions = [0.0]", "a fisheye has 4"),
         ("[[500.0, 0.0, 320.0]", "[[500.0, 3.0, 320.0]", "skew 3"),

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from mosca.data.rig import Camera
+from twin.cameras.ambient import Backdrop
 from twin.cameras.mount import Mount
 from twin.cameras.optics import Optics
 from twin.cameras.sensor import Sensor
@@ -13,8 +14,8 @@ from twin.cameras.shutter import Timing
 class VirtualCamera:
     """``camera``: the true geometry; the rest is what it does to light and time, each told in its own file.
 
-    ``marker_signal``: light that a pixel fully covered by a marker collects, over the full well. The defaults of
-    all are those that no scenario may soften.
+    ``marker_signal``: light that a pixel fully covered by a marker collects, over the full well. ``backdrop``: what
+    is uneven behind the targets. The defaults of all are those that no scenario may soften.
     """
 
     camera: Camera
@@ -23,3 +24,4 @@ class VirtualCamera:
     mount: Mount = field(default_factory=Mount)
     sensor: Sensor = field(default_factory=Sensor)
     marker_signal: float = 0.6
+    backdrop: Backdrop = field(default_factory=Backdrop)

@@ -1,123 +1,177 @@
-"""The twin's lenses, written from the optics side: a direction of light comes in and lands on a pixel.
+"""The twin's lenses, written from the optics side: light comes from a place and lands on a pixel.
 
-Parameter numbers are those of the rig file; the formulas are written here anew (the pipeline has its own).
-On top of the model comes what the pipeline's models cannot express, the *gap*: a radial displacement
-``g(s) = gap_px * T9(s)`` with s the distance from the image's centre over half its diagonal and T9 the
-Chebyshev polynomial of order 9, which the odd powers up to the 7th cannot follow. T9 explodes outside the
-image: light that the model puts beyond s = 1.5 is not imaged.
+Parameter numbers are those of the rig file; the formulas are written here anew (the pipeline has its own). What
+the pipeline's models cannot express, the *gap*, comes on top of the model, in the order in which light meets it:
+
+1. Entrance-pupil shift. Chief rays at a field angle theta cross the axis at ``z = shift * 2 sin^2 theta`` and not in
+   one centre; at 45 deg that is ``shift``. Even and smooth in theta like the series of Gennery (2006, "Generalized
+   camera calibration including fish-eye lenses"), and bounded behind the camera. So near and far places on one ray
+   from the centre land on different pixels, and ``land`` must be given places in metres.
+2. The lens model of the rig file.
+3. Higher radial orders: ``gap_px * T9(s)`` along the radius, s the distance from the image's centre over half
+   its diagonal, T9 the Chebyshev polynomial of order 9, which the odd powers up to the 7th cannot follow. The
+   fisheye has odd powers up to the 9th: there it is T11, and s counts from the image circle of 190 deg where that
+   lies in the image. Both explode outside: light that the model puts beyond s = 1.5 (outside that circle: s = 1)
+   is not imaged.
+4. Tilt. The sensor plane is turned about x and then y (signs as OpenCV's tauX and tauY) through the principal point,
+   as seen from the exit pupil.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numba import njit
 
 from mosca.data.arrays import Array
-from mosca.data.rig import FisheyeLens, Lens, MoscaLens, OpenCVLens
+from mosca.data.rig import Lens
+from twin.cameras.lens_models import (
+    from_collinearity,
+    from_fisheye,
+    from_pinhole,
+    land_collinearity,
+    land_fisheye,
+    land_pinhole,
+    off_plane,
+    onto_plane,
+)
+from twin.cameras.lens_vector import (
+    COLLINEARITY,
+    FISHEYE,
+    GAP,
+    KIND,
+    OWN,
+    PIVOT,
+    PLANE,
+    PUPIL,
+    RARE,
+    vector_of,
+)
+from twin.cameras.optics import Optics
 
-COLLINEARITY, PINHOLE, FISHEYE = 0, 1, 2
-# layout of the parameter vector: 0 kind, 1-12 the model's own, 13 gap, 14-15 its centre, 16 its radius,
-# 17 how far out the model is good: squared ideal slope, measured radius [mm^2] or angle [rad^2]
-SIZE = 18
-GAP_ENDS_AT = 1.5
 STEPS = 20
+
+
+@dataclass(frozen=True)
+class GapTerms:
+    """What no model of the pipeline expresses, as in ``Optics``: ``gap_px``, ``tilt_deg`` and ``pupil_shift_m``."""
+
+    gap_px: float = 0.0
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
+    pupil_shift_m: float = 0.0
+
+
+GAPS: Mapping[str, GapTerms] = MappingProxyType(
+    {
+        "none": GapTerms(),
+        "measured": GapTerms(0.05, (0.006, -0.004), 0.0001),
+        "stress": GapTerms(0.25, (0.03, -0.02), 0.0005),
+    }
+)
+"""Terms that each ``model_gap`` stands for.
+
+What they leave over an image and 2.5-7 m after the best fit of the pipeline's model of the same kind, rms px
+(measured / stress): 656 x 491 at 7.5 mm 0.028 / 0.14, 2 MP at 8 mm 0.031 / 0.16, 12 MP at 12 mm 0.035 / 0.17, 16 MP
+at 12.5 mm 0.039 / 0.20, fisheyes at 1-7 m 0.034 / 0.17. Tilt and pupil shift grow with the principal distance in px
+and the field; most of a tilt is a turn of the camera, so that with a free pose about 0.03 / 0.14 are left everywhere.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class TwinLens:
-    """A lens ready for the kernels: ``vector`` holds kind, parameters and gap."""
+    """A lens ready for the kernels: ``vector`` is laid out as ``twin.cameras.lens_vector`` says."""
 
     vector: Array
 
     @classmethod
-    def of(cls, lens: Lens, width: int, height: int, gap_px: float = 0.0) -> "TwinLens":
-        """Return the lens of a rig file's numbers, with a gap of amplitude ``gap_px``."""
-        vector = np.zeros(SIZE)
-        if isinstance(lens, MoscaLens):
-            numbers = [COLLINEARITY, lens.c_mm, lens.xp_px, lens.yp_px, lens.mx_mm_per_px, lens.my_mm_per_px]
-            numbers += [
-                lens.a,
-                lens.K1_per_mm2,
-                lens.K2_per_mm4,
-                lens.K3_per_mm6,
-                lens.P1_per_mm,
-                lens.P2_per_mm,
-            ]
-        elif isinstance(lens, OpenCVLens):
-            numbers = [PINHOLE, lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px, lens.k1, lens.k2, lens.p1]
-            numbers += [lens.p2, lens.k3, lens.k4, lens.k5, lens.k6]
-        elif isinstance(lens, FisheyeLens):
-            numbers = [
-                FISHEYE,
-                lens.fx_px,
-                lens.fy_px,
-                lens.cx_px,
-                lens.cy_px,
-                lens.k1,
-                lens.k2,
-                lens.k3,
-                lens.k4,
-            ]
-        vector[: len(numbers)] = numbers
-        vector[13:17] = gap_px, (width - 1) / 2, (height - 1) / 2, math.hypot(width, height) / 2
-        vector[17] = _first_turn(lens)
-        vector.setflags(write=False)
-        return cls(vector)
+    def of(
+        cls,
+        lens: Lens,
+        width: int,
+        height: int,
+        optics: Optics | GapTerms | float = 0.0,
+        *,
+        gap_px: float | None = None,
+    ) -> "TwinLens":
+        """Return the lens of a rig file's numbers with the gap of ``optics``; cold (see ``warmed``).
 
-    def pixels(self, directions: Array) -> Array:
-        """Direction (n, 3), camera frame -> pixel (n, 2); NaN where the lens does not image it."""
-        return _many_pixels(self.vector, np.ascontiguousarray(directions, dtype=float).reshape(-1, 3))
+        A number, or ``gap_px``, stands for higher radial orders of that amplitude alone.
+        """
+        given = optics if gap_px is None else gap_px
+        terms = GapTerms(float(given)) if isinstance(given, int | float) else given
+        return cls(vector_of(lens, width, height, terms.gap_px, terms.tilt_deg, terms.pupil_shift_m))
 
-    def directions(self, xy_px: Array) -> Array:
-        """Pixel (n, 2) -> unit direction (n, 3), camera frame."""
-        return _many_directions(self.vector, np.ascontiguousarray(xy_px, dtype=float).reshape(-1, 2))
+    def pixels(self, places: Array) -> Array:
+        """Place (n, 3) in the camera frame [m] -> pixel (n, 2); NaN where the lens does not image it.
+
+        Without a pupil shift the distance does not matter and directions of any length will do.
+        """
+        return _many_pixels(self.vector, np.ascontiguousarray(places, dtype=float).reshape(-1, 3))
+
+    def directions(self, xy_px: Array, distance_m: float = math.inf) -> Array:
+        """Pixel (n, 2) -> unit direction (n, 3) from the camera's centre to what it sees at ``distance_m``.
+
+        NaN where no light comes from. The distance matters with a pupil shift only, see ``origin``.
+        """
+        xy = np.ascontiguousarray(xy_px, dtype=float).reshape(-1, 2)
+        return _many_directions(self.vector, xy, distance_m)
 
 
-def _first_turn(lens: Lens) -> float:
-    """Where the radial mapping first turns back (infinity: never), in the variable that the kernels test.
+def warmed(vector: Array, optics: Optics, time_s: float) -> Array:
+    """Return the lens vector ``time_s`` after the session's start: interior orientation drifts as ``optics`` says.
 
-    A real lens's image ends there, even where the polynomial rises again farther out.
+    The principal distance grows by ``principal_distance_ppm_per_s``, the principal point moves by
+    ``principal_point_px_per_s``, both linear in time; distortion and gap stay. Read-only, like ``vector``.
     """
-    if isinstance(lens, MoscaLens):
-        slopes = [[7.0 * lens.K3_per_mm6, 5.0 * lens.K2_per_mm4, 3.0 * lens.K1_per_mm2, 1.0]]
-    elif isinstance(lens, FisheyeLens):
-        slopes = [[9.0 * lens.k4, 7.0 * lens.k3, 5.0 * lens.k2, 3.0 * lens.k1, 1.0]]
-    else:
-        # radius r T(s) / B(s), s = r^2: its slope vanishes with T B + 2 s (T' B - T B'), and B is its pole
-        top, bottom = np.poly1d([lens.k3, lens.k2, lens.k1, 1.0]), np.poly1d([lens.k6, lens.k5, lens.k4, 1.0])
-        twice_s = np.poly1d([2.0, 0.0])
-        turning = top * bottom + twice_s * (top.deriv() * bottom - top * bottom.deriv())
-        slopes = [list(turning.coeffs), list(bottom.coeffs)]
-    # in 1 / s, where the leading coefficient is 1 and vanishing ones put roots at zero, not at infinity
-    inverse = np.concatenate([np.roots(slope[::-1]) for slope in slopes])
-    nearest = float(max((t.real for t in inverse if t.imag == 0.0), default=0.0))
-    return 1.0 / nearest if nearest > 0.0 else math.inf
+    ppm, (right, down) = optics.principal_distance_ppm_per_s, optics.principal_point_px_per_s
+    if time_s == 0.0 or (ppm == 0.0 and right == 0.0 and down == 0.0):
+        return vector
+    scale = 1.0 + 1e-6 * ppm * time_s
+    warm = vector.copy()
+    distances = 1 if vector[KIND] == COLLINEARITY else 2
+    warm[OWN : OWN + distances] *= scale
+    warm[OWN + distances : OWN + distances + 2] += right * time_s, down * time_s
+    warm[PIVOT : PIVOT + 2] *= scale
+    warm[PIVOT + 2 : PIVOT + 4] += right * time_s, down * time_s
+    warm.setflags(write=False)
+    return warm
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def land(lens: Array, x: float, y: float, z: float) -> Any:
-    """Where light from direction (x, y, z) lands: u, v, then du and dv by (x, y, z), and whether it does.
+    """Where light from the place (x, y, z) lands: u, v, then du and dv by (x, y, z), and whether it does.
 
+    The place is in the camera frame, in metres (any length will do without a pupil shift).
     Returns (u, v, ux, uy, uz, vx, vy, vz, ok).
     """
-    if lens[0] == FISHEYE:
-        u, v, ux, uy, uz, vx, vy, vz, ok = _land_fisheye(lens, x, y, z)
+    if lens[RARE] != 0.0:
+        return _land_with_rare_terms(lens, x, y, z)
+    return _land_with_gap(lens, x, y, z)
+
+
+@njit(nogil=True, cache=True, error_model="numpy", forceinline=True)
+def _land_with_gap(lens: Array, x: float, y: float, z: float) -> Any:
+    """As ``land``, by the lens model and the higher radial orders."""
+    if lens[KIND] == FISHEYE:
+        u, v, ux, uy, uz, vx, vy, vz, ok = land_fisheye(lens, x, y, z)
     else:
-        if z <= 0.0:
+        if not z > 0.0:
             return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False
         slope_x, slope_y = x / z, y / z
-        if lens[0] == COLLINEARITY:
-            u, v, u1, u2, v1, v2, ok = _land_collinearity(lens, slope_x, slope_y)
+        if lens[KIND] == COLLINEARITY:
+            u, v, u1, u2, v1, v2, ok = land_collinearity(lens, slope_x, slope_y)
         else:
-            u, v, u1, u2, v1, v2, ok = _land_pinhole(lens, slope_x, slope_y)
+            u, v, u1, u2, v1, v2, ok = land_pinhole(lens, slope_x, slope_y)
         ux, uy, uz = u1 / z, u2 / z, -(u1 * slope_x + u2 * slope_y) / z
         vx, vy, vz = v1 / z, v2 / z, -(v1 * slope_x + v2 * slope_y) / z
-    if lens[13] != 0.0 and ok:
-        if (u - lens[14]) ** 2 + (v - lens[15]) ** 2 > (GAP_ENDS_AT * lens[16]) ** 2:
+    if lens[GAP] != 0.0 and ok:
+        if (u - lens[GAP + 1]) ** 2 + (v - lens[GAP + 2]) ** 2 > lens[GAP + 4]:
             return u, v, ux, uy, uz, vx, vy, vz, False
         du, dv, g11, g12, g22 = _gap(lens, u, v)
+        ok = (1.0 + g11) * (1.0 + g22) > g12 * g12  # a negative gap folds the image back outside it
         a, b, c = ux, uy, uz
         ux, uy, uz = a + g11 * a + g12 * vx, b + g11 * b + g12 * vy, c + g11 * c + g12 * vz
         vx, vy, vz = vx + g12 * a + g22 * vx, vy + g12 * b + g22 * vy, vz + g12 * c + g22 * vz
@@ -125,160 +179,134 @@ def land(lens: Array, x: float, y: float, z: float) -> Any:
     return u, v, ux, uy, uz, vx, vy, vz, ok
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
+def _land_with_rare_terms(lens: Array, x: float, y: float, z: float) -> Any:
+    """As ``land``, with pupil shift before and tilt behind."""
+    w, wx, wy, wz, seen = _above_pupil(lens[PUPIL], x, y, z)
+    u, v, ux, uy, uz, vx, vy, vz, ok = _land_with_gap(lens, x, y, w)
+    ux, uy, uz = ux + uz * wx, uy + uz * wy, uz * wz
+    vx, vy, vz = vx + vz * wx, vy + vz * wy, vz * wz
+    fx, fy, u0, v0 = lens[PIVOT], lens[PIVOT + 1], lens[PIVOT + 2], lens[PIVOT + 3]
+    p, q, pa, pb, qa, qb, depth = onto_plane(lens, PLANE, (u - u0) / fx, (v - v0) / fy)
+    pb, qa = pb * fx / fy, qa * fy / fx
+    return (
+        u0 + fx * p, v0 + fy * q,
+        pa * ux + pb * vx, pa * uy + pb * vy, pa * uz + pb * vz,
+        qa * ux + qb * vx, qa * uy + qb * vy, qa * uz + qb * vz,
+        ok and seen and depth > 0.0,
+    )  # fmt: skip
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def origin(lens: Array, u: float, v: float) -> Any:
-    """The direction (x, y, z) that light on pixel (u, v) comes from; not normalised for pinhole kinds."""
-    if lens[13] != 0.0:
-        # the gap's slope is below 0.05 for 0.25 px, so each substitution gains a factor of 20
-        a, b = u, v
-        for _ in range(10):
-            du, dv, _g11, _g12, _g22 = _gap(lens, a, b)
-            a, b = u - du, v - dv
-        u, v = a, b
-    if lens[0] == COLLINEARITY:
-        right = lens[4] * (u - lens[2])
-        down = lens[5] * (v - lens[3])
-        dx, dy, _a, _b, _c, _d = _collinearity_shift(lens, right, -down)
-        return (right + dx) / lens[1], (down - dy) / lens[1], 1.0
-    if lens[0] == PINHOLE:
-        target_u, target_v = (u - lens[3]) / lens[1], (v - lens[4]) / lens[2]
-        sx, sy = target_u, target_v
-        for _ in range(STEPS):
-            pu, pv, u1, u2, v1, v2, _ok = _land_pinhole(lens, sx, sy)
-            eu, ev = u - pu, v - pv
-            det = u1 * v2 - u2 * v1
-            sx, sy = sx + (v2 * eu - u2 * ev) / det, sy + (u1 * ev - v1 * eu) / det
-            if eu * eu + ev * ev < 1e-24:
-                break
-        return sx, sy, 1.0
-    a, b = (u - lens[3]) / lens[1], (v - lens[4]) / lens[2]
-    radius = math.sqrt(a * a + b * b)
-    if radius < 1e-12:
-        return a, b, 1.0
-    angle = radius
+    """The direction (x, y, z) that light on pixel (u, v) comes from; not normalised for pinhole kinds.
+
+    NaN where no light comes from. With a pupil shift the ray does not start in the camera's centre: the direction
+    is right for places infinitely far, and ``origin_at`` for those at a distance D. The parallax between the two is
+    ``shift * 2 sin^2 theta * sin theta / D`` rad, for a shift of 1 mm at 30 deg and 4 m 0.06 mrad.
+    """
+    if lens[RARE] != 0.0:
+        fx, fy, u0, v0 = lens[PIVOT], lens[PIVOT + 1], lens[PIVOT + 2], lens[PIVOT + 3]
+        p, q = off_plane(lens, PLANE, (u - u0) / fx, (v - v0) / fy)
+        u, v = u0 + fx * p, v0 + fy * q
+    if lens[GAP] != 0.0:
+        u, v = _before_gap(lens, u, v)
+    if lens[KIND] == COLLINEARITY:
+        return from_collinearity(lens, u, v)
+    if lens[KIND] == FISHEYE:
+        return from_fisheye(lens, u, v)
+    return from_pinhole(lens, u, v)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def origin_at(lens: Array, u: float, v: float, distance: float) -> Any:
+    """The place (x, y, z) [m] at ``distance`` from the camera's centre that light on pixel (u, v) comes from."""
+    x, y, z = origin(lens, u, v)
+    s2, z2 = x * x + y * y, z * z
+    n = math.sqrt(s2 + z2)
+    x, y, z = x / n, y / n, z / n
+    # the ray leaves the axis at ``start``; along it the centre's distance is reached once in front
+    start = 2.0 * lens[PUPIL] * s2 / (s2 + z2)
+    along = math.sqrt(distance * distance - start * start * (1.0 - z * z)) - start * z
+    return along * x, along * y, along * z + start
+
+
+@njit(nogil=True, cache=True, error_model="numpy", forceinline=True)
+def _above_pupil(shift: float, x: float, y: float, z: float) -> Any:
+    """Height w of a place above where its chief ray crosses the axis, dw by (x, y, z), and whether there is one.
+
+    ``w + 2 shift s^2 / (s^2 + w^2) = z``, by Newton's method. Places so near that several rays reach them are not
+    imaged: the equation's slope has to stay above a half.
+    """
+    q = x * x + y * y
+    w, slope, found = z, 1.0, False
     for _ in range(STEPS):
-        value, slope = _fisheye_radius(lens, angle)
-        step = (radius - value) / slope
-        angle += step
-        if abs(step) < 1e-15:
+        n = q + w * w
+        slope = 1.0 - 4.0 * shift * q * w / (n * n)
+        step = (w + 2.0 * shift * q / n - z) / slope
+        w -= step
+        if step * step <= 1e-18 * n:  # the next step would be that much smaller again
+            found = slope > 0.5
             break
-    s = math.sin(angle) / radius
-    return a * s, b * s, math.cos(angle)
+    n = q + w * w
+    across = -4.0 * shift * w * w / (n * n * slope)
+    return w, across * x, across * y, 1.0 / slope, found
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy", forceinline=True)
 def _gap(lens: Array, u: float, v: float) -> Any:
     """Displacement (du, dv) of the gap at (u, v) and its symmetric slope (g11, g12, g22)."""
-    x, y, radius = u - lens[14], v - lens[15], lens[16]
+    x, y, radius = u - lens[GAP + 1], v - lens[GAP + 2], lens[GAP + 3]
     s2 = (x * x + y * y) / (radius * radius)
-    # T9(s) / s and its derivative by s^2
-    q = 9.0 + s2 * (-120.0 + s2 * (432.0 + s2 * (-576.0 + s2 * 256.0)))
-    dq = -120.0 + s2 * (864.0 + s2 * (-1728.0 + s2 * 1024.0))
-    f = lens[13] / radius
+    # T9(s) / s and T11(s) / s and their derivatives by s^2
+    if lens[KIND] == FISHEYE:
+        q = -11.0 + s2 * (220.0 + s2 * (-1232.0 + s2 * (2816.0 + s2 * (-2816.0 + s2 * 1024.0))))
+        dq = 220.0 + s2 * (-2464.0 + s2 * (8448.0 + s2 * (-11264.0 + s2 * 5120.0)))
+    else:
+        q = 9.0 + s2 * (-120.0 + s2 * (432.0 + s2 * (-576.0 + s2 * 256.0)))
+        dq = -120.0 + s2 * (864.0 + s2 * (-1728.0 + s2 * 1024.0))
+    f = lens[GAP] / radius
     d = f * dq * 2.0 / (radius * radius)
     return f * q * x, f * q * y, f * q + d * x * x, d * x * y, f * q + d * y * y
 
 
-@njit(nogil=True, cache=True)
-def _collinearity_shift(lens: Array, xb: float, yb: float) -> Any:
-    """The paper's correction (dx, dy) at a measured point [mm, y up] and its slopes (xx, xy, yx, yy)."""
-    a, k1, k2, k3, p1, p2 = lens[6], lens[7], lens[8], lens[9], lens[10], lens[11]
-    rr = xb * xb + yb * yb
-    radial = ((k3 * rr + k2) * rr + k1) * rr
-    growth = (3.0 * k3 * rr + 2.0 * k2) * rr + k1
-    dx = a * yb + xb * radial + p1 * (3.0 * xb * xb + yb * yb) + 2.0 * p2 * xb * yb
-    dy = a * xb + yb * radial + 2.0 * p1 * xb * yb + p2 * (xb * xb + 3.0 * yb * yb)
-    xx = radial + 2.0 * xb * xb * growth + 6.0 * p1 * xb + 2.0 * p2 * yb
-    xy = a + 2.0 * xb * yb * growth + 2.0 * p1 * yb + 2.0 * p2 * xb
-    yy = radial + 2.0 * yb * yb * growth + 2.0 * p1 * xb + 6.0 * p2 * yb
-    return dx, dy, xx, xy, xy, yy
-
-
-@njit(nogil=True, cache=True)
-def _land_collinearity(lens: Array, sx: float, sy: float) -> Any:
-    ix, iy = lens[1] * sx, -lens[1] * sy
-    xb, yb = ix, iy
-    ok = False
-    a = b = c = d = det = 1.0
+@njit(nogil=True, cache=True, error_model="numpy")
+def _before_gap(lens: Array, u: float, v: float) -> Any:
+    """Where the model alone would have put what the gap puts at (u, v): Newton's method, NaN outside its reach."""
+    a, b = u - lens[GAP + 1], v - lens[GAP + 2]
+    # from far outside Newton's steps are small: light comes from within the gap's reach
+    near = min(1.0, math.sqrt(lens[GAP + 4] / max(a * a + b * b, 1e-300)))
+    a, b = lens[GAP + 1] + near * a, lens[GAP + 2] + near * b
     for _ in range(STEPS):
-        dx, dy, xx, xy, yx, yy = _collinearity_shift(lens, xb, yb)
-        ex, ey = ix - xb - dx, iy - yb - dy
-        a, b, c, d = 1.0 + xx, xy, yx, 1.0 + yy
-        det = a * d - b * c
-        if det <= 0.0 or a + d <= 0.0:
+        du, dv, g11, g12, g22 = _gap(lens, a, b)
+        eu, ev = u - a - du, v - b - dv
+        g11, g22 = 1.0 + g11, 1.0 + g22
+        det = g11 * g22 - g12 * g12
+        a, b = a + (g22 * eu - g12 * ev) / det, b + (g11 * ev - g12 * eu) / det
+        if eu * eu + ev * ev < 1e-20:
+            if det > 0.0 and (a - lens[GAP + 1]) ** 2 + (b - lens[GAP + 2]) ** 2 <= lens[GAP + 4]:
+                return a, b
             break
-        xb, yb = xb + (d * ex - b * ey) / det, yb + (a * ey - c * ex) / det
-        if ex * ex + ey * ey < 1e-26:
-            ok = True
-            break
-    ok = ok and xb * xb + yb * yb < lens[17]
-    # d measured / d ideal is the inverse of (a b; c d); ideal = c (sx, -sy)
-    px, py = lens[1] / lens[4], lens[1] / lens[5]
-    u1, u2 = px * d / det, px * b / det
-    v1, v2 = py * c / det, py * a / det
-    return lens[2] + xb / lens[4], lens[3] - yb / lens[5], u1, u2, v1, v2, ok
+    return math.nan, math.nan
 
 
-@njit(nogil=True, cache=True)
-def _land_pinhole(lens: Array, x: float, y: float) -> Any:
-    k1, k2, p1, p2, k3, k4, k5, k6 = lens[5], lens[6], lens[7], lens[8], lens[9], lens[10], lens[11], lens[12]
-    rr = x * x + y * y
-    top = 1.0 + ((k3 * rr + k2) * rr + k1) * rr
-    bottom = 1.0 + ((k6 * rr + k5) * rr + k4) * rr
-    m = top / bottom
-    dm = ((3.0 * k3 * rr + 2.0 * k2) * rr + k1 - m * ((3.0 * k6 * rr + 2.0 * k5) * rr + k4)) / bottom
-    xd = m * x + 2.0 * p1 * x * y + p2 * (3.0 * x * x + y * y)
-    yd = m * y + p1 * (x * x + 3.0 * y * y) + 2.0 * p2 * x * y
-    xx = m + 2.0 * x * x * dm + 2.0 * p1 * y + 6.0 * p2 * x
-    xy = 2.0 * x * y * dm + 2.0 * p1 * x + 2.0 * p2 * y
-    yy = m + 2.0 * y * y * dm + 6.0 * p1 * y + 2.0 * p2 * x
-    ok = xx * yy - xy * xy > 0.0 and xx + yy > 0.0 and rr < lens[17]
-    fx, fy = lens[1], lens[2]
-    return lens[3] + fx * xd, lens[4] + fy * yd, fx * xx, fx * xy, fy * xy, fy * yy, ok
-
-
-@njit(nogil=True, cache=True)
-def _fisheye_radius(lens: Array, angle: float) -> Any:
-    t = angle * angle
-    k1, k2, k3, k4 = lens[5], lens[6], lens[7], lens[8]
-    return (
-        angle * ((((k4 * t + k3) * t + k2) * t + k1) * t + 1.0),
-        (((9.0 * k4 * t + 7.0 * k3) * t + 5.0 * k2) * t + 3.0 * k1) * t + 1.0,
-    )
-
-
-@njit(nogil=True, cache=True)
-def _land_fisheye(lens: Array, x: float, y: float, z: float) -> Any:
-    s = math.sqrt(x * x + y * y)
-    n2 = s * s + z * z
-    fx, fy = lens[1], lens[2]
-    if s < 1e-12 * abs(z):
-        return lens[3] + fx * x / z, lens[4] + fy * y / z, fx / z, 0.0, 0.0, 0.0, fy / z, 0.0, z > 0.0
-    angle = math.atan2(s, z)
-    value, slope = _fisheye_radius(lens, angle)
-    cx, cy, w = x / s, y / s, value / s
-    along = slope * z / n2  # d radius / d s
-    axial = -slope * s / n2  # d radius / d z
-    ux, uy = fx * (cx * cx * along + cy * cy * w), fx * cx * cy * (along - w)
-    vx, vy = fy * cx * cy * (along - w), fy * (cy * cy * along + cx * cx * w)
-    u, v = lens[3] + fx * value * cx, lens[4] + fy * value * cy
-    return u, v, ux, uy, fx * cx * axial, vx, vy, fy * cy * axial, slope > 0.0 and angle * angle < lens[17]
-
-
-@njit(nogil=True, cache=True)
-def _many_pixels(lens: Array, directions: Array) -> Array:
-    out = np.empty((directions.shape[0], 2))
-    for i in range(directions.shape[0]):
-        u, v, _a, _b, _c, _d, _e, _f, ok = land(lens, directions[i, 0], directions[i, 1], directions[i, 2])
+@njit(nogil=True, cache=True, error_model="numpy")
+def _many_pixels(lens: Array, places: Array) -> Array:
+    out = np.empty((places.shape[0], 2))
+    for i in range(places.shape[0]):
+        u, v, _a, _b, _c, _d, _e, _f, ok = land(lens, places[i, 0], places[i, 1], places[i, 2])
         out[i, 0], out[i, 1] = (u, v) if ok else (np.nan, np.nan)
     return out
 
 
-@njit(nogil=True, cache=True)
-def _many_directions(lens: Array, xy: Array) -> Array:
+@njit(nogil=True, cache=True, error_model="numpy")
+def _many_directions(lens: Array, xy: Array, distance: float) -> Array:
     out = np.empty((xy.shape[0], 3))
     for i in range(xy.shape[0]):
-        x, y, z = origin(lens, xy[i, 0], xy[i, 1])
+        if lens[PUPIL] != 0.0 and distance < math.inf:
+            x, y, z = origin_at(lens, xy[i, 0], xy[i, 1], distance)
+        else:
+            x, y, z = origin(lens, xy[i, 0], xy[i, 1])
         n = math.sqrt(x * x + y * y + z * z)
         out[i, 0], out[i, 1], out[i, 2] = x / n, y / n, z / n
     return out

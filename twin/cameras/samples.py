@@ -1,7 +1,7 @@
-"""A marker partly hidden: rays through a fine grid over its image, spread by the pixel kernel.
+"""A target asked ray by ray: where a mesh may hide it, or the lens does not image all of it.
 
-16 samples a pixel each way (large images: 8) ask what is in front at mid-exposure; the visible ones are spread
-along the marker's image motion.
+16 samples a pixel each way (images of 12 px and more: 8). What is blocked leaves as boundary points, two for each run
+of blocked samples in a row; what the lens images only in part is summed from spots.
 """
 
 import math
@@ -9,29 +9,30 @@ import math
 import numpy as np
 from numba import njit
 
-from twin.cameras.kernel import weight
-from twin.cameras.lens import land, origin
-from twin.cameras.marker_view import FLAT, instants, place_at, rim
-from twin.cameras.outline import LEAST_E
+from twin.cameras.lens import land, origin, origin_at
+from twin.cameras.lens_vector import PUPIL
+from twin.cameras.outline import BALL, FIGURE, circle_of, rim
 
 
 @njit(nogil=True, cache=True)
-def sample_rays(lens, centre, normal, r, shape):  # type: ignore[no-untyped-def]
-    """Rays through a fine grid over the marker's image, those that meet the marker.
+def sample_rays(lens, centre, turn, r, shape, per_px):  # type: ignore[no-untyped-def]
+    """Rays through a fine grid over the target's image, those that meet the target (a figure: its disc).
 
-    Returns directions (n, 3), the grid cell (n, 2) that each goes through (column, row), and the grid
-    (left, top, step, columns, rows) [px].
+    ``per_px``: samples a pixel each way, 0: as many as the size asks for. Returns directions (n, 3), the grid
+    cell (n, 2) that each goes through (column, row), and the grid (left, top, step, columns, rows) [px].
     """
     x, y, z = centre[0], centre[1], centre[2]
+    circle = circle_of(shape, turn, x, y, z, 1.02 * r)
     left, right, top, bottom = 1e9, -1e9, 1e9, -1e9
     for j in range(24):
-        dx, dy, dz, _a, _b, _c = rim(shape, normal, x, y, z, 1.02 * r, 2.0 * math.pi * j / 24)
+        dx, dy, dz, _a, _b, _c = rim(circle, 2.0 * math.pi * j / 24)
         pu, pv, _d, _e, _f, _g, _h, _i, ok = land(lens, dx, dy, dz)
         if ok:
             left, right = min(left, pu), max(right, pu)
             top, bottom = min(top, pv), max(bottom, pv)
     size = max(right - left, bottom - top)
-    per_px = 16 if size < 12.0 else 8
+    if per_px == 0:
+        per_px = 16 if size < 12.0 else 8
     step = 1.0 / per_px
     columns, rows = int((right - left) * per_px) + 2, int((bottom - top) * per_px) + 2
     if size < 0.0 or size > 4000.0:
@@ -39,16 +40,22 @@ def sample_rays(lens, centre, normal, r, shape):  # type: ignore[no-untyped-def]
     directions = np.empty((columns * rows, 3))
     cell = np.empty((columns * rows, 2), dtype=np.int64)
     n = 0
+    away = math.sqrt(x * x + y * y + z * z)
+    nx, ny, nz = turn[0, 2], turn[1, 2], turn[2, 2]
     for j in range(rows):
         pv = top + (j + 0.5) * step
         for i in range(columns):
             pu = left + (i + 0.5) * step
-            dx, dy, dz = origin(lens, pu, pv)
-            if shape == FLAT:
-                across = dx * normal[0] + dy * normal[1] + dz * normal[2]
+            dx, dy, dz = origin_at(lens, pu, pv, away) if lens[PUPIL] != 0.0 else origin(lens, pu, pv)
+            # beyond the lens's last direction there is none that lands on the pixel
+            lu, lv, _a, _b, _c, _d, _e, _f, ok = land(lens, dx, dy, dz)
+            if not ok or abs(lu - pu) + abs(lv - pv) > 1e-3:
+                continue
+            if shape != BALL:
+                across = dx * nx + dy * ny + dz * nz
                 if across == 0.0:
                     continue
-                t = (x * normal[0] + y * normal[1] + z * normal[2]) / across
+                t = (x * nx + y * ny + z * nz) / across
                 inside = t > 0.0 and (t * dx - x) ** 2 + (t * dy - y) ** 2 + (t * dz - z) ** 2 <= r * r
             else:
                 b = dx * x + dy * y + dz * z
@@ -61,58 +68,34 @@ def sample_rays(lens, centre, normal, r, shape):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True)
-def share_seen(height, width, cell, grid, free):  # type: ignore[no-untyped-def]
-    """Share of a marker's samples that nothing hides and that lie inside the image."""
+def runs(cell, grid, chosen, sign):  # type: ignore[no-untyped-def]
+    """Boundary points (n, 3) of the chosen cells, row by row: (u, v, dv), the area between them times ``sign``."""
     left, top, step, _columns, _rows = grid
-    count, seen = cell.shape[0], 0.0
-    for n in range(count):
-        pu, pv = left + (cell[n, 0] + 0.5) * step, top + (cell[n, 1] + 0.5) * step
-        if free[n] and -0.5 <= pu <= width - 0.5 and -0.5 <= pv <= height - 0.5:
-            seen += 1.0
-    return seen / count if count > 0 else 0.0
+    count = cell.shape[0]
+    out = np.empty((2 * count, 3))
+    n = 0
+    i = 0
+    while i < count:
+        if not chosen[i]:
+            i += 1
+            continue
+        last = i
+        while (
+            last + 1 < count
+            and chosen[last + 1]
+            and cell[last + 1, 1] == cell[i, 1]
+            and cell[last + 1, 0] == cell[last, 0] + 1
+        ):
+            last += 1
+        v = top + (cell[i, 1] + 0.5) * step
+        out[n, 0], out[n, 1], out[n, 2] = left + cell[i, 0] * step, v, -sign * step
+        out[n + 1, 0], out[n + 1, 1], out[n + 1, 2] = left + (cell[last, 0] + 1) * step, v, sign * step
+        n += 2
+        i = last + 1
+    return out[:n]
 
 
 @njit(nogil=True, cache=True)
-def spread_samples(light, lens, table, reach, path, electrons, cell, grid, free):  # type: ignore[no-untyped-def]
-    """Add a marker's visible samples, spread by the pixel kernel along its motion."""
-    height, width = light.shape
-    left, top, step, columns, rows = grid
-    count = cell.shape[0]
-    if count == 0:
-        return
-    at, instant_share = instants(lens, path)
-    mu, mv, _a, _b, _c, _d, _e, _f, _ok = land(lens, path[1, 0], path[1, 1], path[1, 2])
-    lit = np.zeros((rows, columns))
-    for n in range(count):
-        if free[n]:
-            lit[cell[n, 1], cell[n, 0]] = step * step
-    wide = int(columns * step) + 2 * reach + 4
-    by_column = np.empty((columns, 2 * reach + 2))
-    line = np.empty(wide)
-    for k in range(at.shape[0]):
-        x, y, z = place_at(path, at[k])
-        u, v, _a, _b, _c, _d, _e, _f, ok = land(lens, x, y, z)
-        if not ok:
-            continue
-        x_first, y_first = left + u - mu + 0.5 * step, top + v - mv + 0.5 * step
-        px0 = math.floor(x_first) - reach
-        for i in range(columns):
-            start = math.floor(x_first + i * step) - reach
-            for q in range(2 * reach + 2):
-                by_column[i, q] = weight(table, reach, start + q - x_first - i * step)
-        for j in range(rows):
-            line[:] = 0.0
-            for i in range(columns):
-                if lit[j, i] != 0.0:
-                    start = math.floor(x_first + i * step) - reach - px0
-                    for q in range(2 * reach + 2):
-                        line[start + q] += lit[j, i] * by_column[i, q]
-            y_here = y_first + j * step
-            py0 = math.floor(y_here) - reach
-            for p in range(2 * reach + 2):
-                if 0 <= py0 + p < height:
-                    w = weight(table, reach, py0 + p - y_here) * electrons * instant_share[k]
-                    if w != 0.0:
-                        for q in range(wide):
-                            if 0 <= px0 + q < width and w * line[q] > 1e-2 * LEAST_E:
-                                light[py0 + p, px0 + q] += w * line[q]
+def is_round(shape):  # type: ignore[no-untyped-def]
+    """Whether a target shines as a whole disc, so that its samples are all of its light."""
+    return shape != FIGURE

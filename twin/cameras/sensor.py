@@ -1,29 +1,44 @@
-"""Light to counts, in EMVA 1288 terms: photo-electrons, dark signal, system gain K, quantisation, saturation.
+"""Light to counts, in the terms of EMVA 1288 (release 4.0, linear): photons, electrons, system gain K, dark signal.
 
-A pixel that expects mu electrons collects a Poisson number of them, the amplifier adds Gaussian read noise
-and the converter gives ``round(black + K * electrons)`` limited to the range of its bits. Random numbers are
-counted, not drawn in order: each pixel's come from (key of the frame, pixel number).
+A pixel that expects mu electrons collects a Poisson number of them, the amplifier adds Gaussian noise and the
+converter gives ``round(black + K * response(electrons))``, limited to the range of its bits. Random numbers are
+counted from (key of the frame, pixel number): no pixel depends on another, nor on the order of work.
 """
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
-from scipy.stats import norm, poisson
 
 from mosca.data.arrays import Array
+from twin.cameras.noise import STEP, mix, normal, poisson
 
-GUIDE_BITS = 12
-GUIDE = 2**GUIDE_BITS
+if TYPE_CHECKING:
+    from twin.cameras.ambient import Ambient
+
+MOST_CURVED = 0.2
+"""Largest departure from a straight line: at 0.25 the response's peak sinks below the last count."""
+GROUP = 8
+"""Pixels that are asked together whether a target lights them."""
+SEARCH = 0xFFFF
+"""Stands in a guide where 16 bits do not tell the count."""
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """``full_well_e`` saturation capacity, ``read_noise_e`` rms of the dark noise, ``bits`` 8, 10 or 12,
-    ``black_dn`` offset in counts of 8 bit (scaled with the bits), ``background_e`` ambient light a pixel.
+    """A sensor by its data sheet.
 
-    The system gain is ``K = (2^bits - 1 - black) / full_well``, so that a full well is the last count.
+    ``full_well_e`` saturation capacity; ``read_noise_e`` rms of the temporal dark noise at no exposure; ``bits`` 8,
+    10 or 12; ``black_dn`` offset in counts of 8 bit (scaled with the bits); ``background_e`` even light on all.
+    ``quantum_efficiency`` electrons a photon; ``dark_current_e_per_s``. Fixed patterns, drawn once for a camera:
+    ``dsnu_e`` rms of the dark signal, ``prnu`` rms share of the response, ``hot_pixels`` share of pixels with
+    ``hot_e`` electrons too many (mean of an exponential law), ``dead_pixels`` share that see nothing.
+    ``linearity``: share by which the response falls short of a straight line at full well (square law), 0.2 at most.
+
+    The system gain is ``K = (2^bits - 1 - black) / full_well``, so that a full well of a straight response is the
+    last count.
     """
 
     full_well_e: float = 20_000.0
@@ -31,6 +46,14 @@ class Sensor:
     bits: int = 8
     black_dn: float = 4.0
     background_e: float = 200.0
+    quantum_efficiency: float = 0.6
+    dark_current_e_per_s: float = 0.0
+    dsnu_e: float = 0.0
+    prnu: float = 0.0
+    linearity: float = 0.0
+    hot_pixels: float = 0.0
+    hot_e: float = 1_000.0
+    dead_pixels: float = 0.0
 
     @property
     def top(self) -> int:
@@ -47,120 +70,146 @@ class Sensor:
         """System gain K [DN/e-]."""
         return (self.top - self.black) / self.full_well_e
 
+    def electrons(self, photons: float) -> float:
+        """Return the mean number of electrons that a mean number of photons on a pixel frees."""
+        return self.quantum_efficiency * photons
 
-@dataclass(frozen=True, eq=False)
-class DarkTable:
-    """Distribution of the counts of a pixel that sees the background alone.
+    def photons(self, electrons: float) -> float:
+        """Return the mean number of photons on a pixel that frees a mean number of electrons."""
+        return electrons / self.quantum_efficiency
 
-    ``first``: smallest count; ``thresholds`` (n,) cumulative probabilities of first, first + 1, ... as 63-bit
-    numbers; ``guide`` (4096,): the count that all random numbers with these leading 12 bits give, or -1.
+    def edges_e(self) -> Array:
+        """Return the electrons (top,) from which on a pixel counts 1, 2, ..., top: the response turned round.
+
+        The response to e electrons is ``e - linearity e^2 / full_well`` above 0 and e below. Raises ValueError where
+        ``linearity`` lets it fold back.
+        """
+        if abs(self.linearity) > MOST_CURVED:
+            raise ValueError(f"linearity: {self.linearity} given, -{MOST_CURVED} to {MOST_CURVED} wanted")
+        straight = (np.arange(self.top) + 0.5 - self.black) / self.gain_dn_per_e
+        share = self.linearity * np.maximum(straight, 0.0) / self.full_well_e
+        return np.asarray(2.0 * straight / (1.0 + np.sqrt(1.0 - 4.0 * share)))
+
+
+def dark_table(sensor: Sensor) -> "Ambient":
+    """Return the even background of a sensor without fixed patterns, for images of any size."""
+    from twin.cameras.ambient import Ambient
+
+    return Ambient.of(sensor, sensor.background_e)
+
+
+def expose(light: Array, sensor: Sensor, key: int, ambient: "Ambient | None" = None) -> Array:
+    """Return counts (H, W), uint8 or uint16, of the targets' light (H, W) float32 [electrons] on a sensor.
+
+    ``key``: the frame's own random key (64 bit). ``ambient``: what the pixels collect besides (None: the sensor's
+    even background). Same arguments, same bytes, in any thread; no pixel's count depends on another's light.
+    Raises ValueError where sizes or sensors do not go together.
     """
-
-    first: int
-    thresholds: Array
-    guide: Array
-
-
-def dark_table(sensor: Sensor) -> DarkTable:
-    """Return the exact mixture of Poisson electrons and Gaussian noise, after quantisation."""
-    mu, k = sensor.background_e, sensor.gain_dn_per_e
-    spread = 9.0 * math.sqrt(mu + sensor.read_noise_e**2) + 10.0
-    electrons = np.arange(max(0, math.floor(mu - spread)), math.ceil(mu + spread) + 1)
-    share = poisson.pmf(electrons, mu)
-    low = max(0, math.floor(sensor.black + k * (mu - spread)))
-    counts = np.arange(low, min(sensor.top, math.ceil(sensor.black + k * (mu + spread))) + 1)
-    edges = (counts[:, None] + 0.5 - sensor.black) / k - electrons[None, :]
-    scale = max(sensor.read_noise_e, 1e-9)
-    below = (norm.cdf(edges / scale) * share).sum(axis=1)
-    below[-1] = 1.0
-    thresholds = np.floor(np.minimum(below, 1.0) * 2.0**63).astype(np.uint64)
-    ends = np.arange(GUIDE + 1, dtype=np.uint64) << np.uint64(63 - GUIDE_BITS)
-    at_start = np.searchsorted(thresholds, ends[:-1], side="right")
-    at_end = np.searchsorted(thresholds, ends[1:] - np.uint64(1), side="right")
-    guide = np.where(at_start == at_end, counts[0] + at_start, -1).astype(np.int64)
-    return DarkTable(int(counts[0]), thresholds, guide)
-
-
-def expose(light: Array, sensor: Sensor, key: int, table: DarkTable | None = None) -> Array:
-    """Return counts (H, W), uint8 or uint16, of the markers' light (H, W) [electrons] on a sensor.
-
-    ``key``: the frame's own random key (64 bit). ``table``: ``dark_table(sensor)``, if already made.
-    """
-    dark = dark_table(sensor) if table is None else table
-    out = np.empty(light.shape, dtype=np.uint8 if sensor.bits == 8 else np.uint16)
-    _expose(
-        light, out, np.uint64(key), sensor.background_e, sensor.read_noise_e, sensor.gain_dn_per_e,
-        sensor.black, sensor.top, dark.first, dark.thresholds, dark.guide,
+    ambient = dark_table(sensor) if ambient is None else ambient
+    bank = ambient.bank
+    if bank.sensor != sensor:
+        raise ValueError("ambient: it was made for another sensor; make it with Ambient.of(sensor, ...)")
+    if ambient.shape not in (None, light.shape):
+        raise ValueError(f"light: shape {light.shape} given, the ambient light's is {ambient.shape}")
+    shine, many = _whole_groups(light), ambient.index.shape == light.shape
+    index = _whole_groups(ambient.index) if many else ambient.index.ravel()
+    flat = np.ones(1, dtype=np.float32) if ambient.flat is None else _whole_groups(ambient.flat)
+    out = np.empty(shine.size, dtype=np.uint8 if sensor.bits == 8 else np.uint16)
+    frame = np.uint64(key)
+    own = np.uint64(mix(frame ^ STEP))
+    _look_up(out, index, many, frame, own, bank.guide, bank.guide_bits, bank.first, bank.thresholds)
+    lit = np.empty(shine.size // GROUP, dtype=np.int64)
+    lit = lit[: _lit_groups(shine, lit)]
+    peak = sensor.full_well_e / (2.0 * sensor.linearity) if sensor.linearity > 0.0 else math.inf
+    response = (
+        sensor.read_noise_e, sensor.gain_dn_per_e, sensor.black, float(sensor.top),
+        sensor.linearity / sensor.full_well_e, peak,
     )  # fmt: skip
-    return out
+    _draw_lit(out, shine, index, flat, lit, own, bank.levels_e, response)
+    return out[: light.size].reshape(light.shape)
 
 
-@njit(nogil=True, cache=True)
-def _mix(x):  # type: ignore[no-untyped-def]
-    """SplitMix64's finaliser (Steele, Lea and Flood 2014): 64 well mixed bits of a counter."""
-    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return x ^ (x >> np.uint64(31))
+def _whole_groups(values: Array) -> Array:
+    """Return the pixels in one row, filled up with zeros to whole groups."""
+    row = np.ascontiguousarray(values).ravel()
+    lacking = -row.size % GROUP
+    return np.pad(row, (0, lacking)) if lacking else row
 
 
-@njit(nogil=True, cache=True)
-def _uniform(state):  # type: ignore[no-untyped-def]
-    """A number in (0, 1) of 53 bits."""
-    return (float(state >> np.uint64(11)) + 0.5) / 9007199254740992.0
+@njit(nogil=True, cache=True, error_model="numpy")
+def _look_up(out, index, many, frame, own, guide, guide_bits, first, thresholds):  # type: ignore[no-untyped-def]
+    """Fill the counts that all pixels have without a target; ``many``: each pixel has a level of its own.
 
-
-@njit(nogil=True, cache=True)
-def _poisson(mu, state):  # type: ignore[no-untyped-def]
-    """A Poisson number of mean mu and the next state: Hoermann's PTRS (1993) above 10, products below."""
-    step = np.uint64(0x9E3779B97F4A7C15)
-    if mu < 10.0:
-        limit, product, n = math.exp(-mu), 1.0, -1
-        while product > limit:
-            state += step
-            product *= _uniform(_mix(state))
-            n += 1
-        return float(n), state
-    b = 0.931 + 2.53 * math.sqrt(mu)
-    a = -0.059 + 0.02483 * b
-    inverse_alpha = 1.1239 + 1.1328 / (b - 3.4)
-    v_r = 0.9277 - 3.6224 / (b - 2.0)
-    log_mu = math.log(mu)
-    while True:
-        state += step
-        u = _uniform(_mix(state)) - 0.5
-        state += step
-        v = _uniform(_mix(state))
-        us = 0.5 - abs(u)
-        k = math.floor((2.0 * a / us + b) * u + mu + 0.43)
-        if us >= 0.07 and v <= v_r:
-            return k, state
-        if k < 0.0 or (us < 0.013 and v > us):
-            continue
-        if math.log(v * inverse_alpha / (a / (us * us) + b)) <= k * log_mu - mu - math.lgamma(k + 1.0):
-            return k, state
-
-
-@njit(nogil=True, cache=True)
-def _expose(light, out, key, background, read_noise, gain, black, top, first, thresholds, guide):  # type: ignore[no-untyped-def]
-    height, width = light.shape
-    step = np.uint64(0x9E3779B97F4A7C15)
-    for y in range(height):
-        for x in range(width):
-            state = _mix(key + np.uint64(y * width + x) * step)
-            signal = light[y, x]
-            if signal == 0.0:
-                # the dark majority: one look-up; the few numbers near a threshold are searched
-                r = state >> np.uint64(1)
-                count_here = guide[r >> np.uint64(63 - GUIDE_BITS)]
-                if count_here < 0:
-                    count_here = first + np.searchsorted(thresholds, r, side="right")
-                    count_here = min(count_here, first + thresholds.shape[0] - 1)
-                out[y, x] = count_here
+    Four pixels share one 64-bit number, 16 bits each. These suffice for the guide; where a threshold is near, the
+    rest of the number comes from the pixel's own stream.
+    """
+    shift, rest_shift = np.uint64(16 - guide_bits), np.uint64(63 - guide_bits)
+    level = np.int64(index[0])
+    for word in range(out.size // 4):
+        shared = mix(frame + np.uint64(word) * STEP)
+        for j in range(4):
+            p = 4 * word + j
+            if many:
+                level = np.int64(index[p])
+            cell = (shared & np.uint64(0xFFFF)) >> shift
+            shared >>= np.uint64(16)
+            count = guide[level, cell]
+            if count == SEARCH:
+                rest = mix(own + np.uint64(p) * STEP) >> np.uint64(guide_bits + 1)
+                out[p] = first[level] + _reached(thresholds[level], (cell << rest_shift) | rest)
             else:
-                electrons, state = _poisson(signal + background, state)
-                state += step
-                radius = math.sqrt(-2.0 * math.log(_uniform(_mix(state))))
-                state += step
-                electrons += read_noise * radius * math.cos(2.0 * math.pi * _uniform(_mix(state)))
-                count = math.floor(black + gain * electrons + 0.5)
-                out[y, x] = min(max(count, 0.0), float(top))
+                out[p] = count
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _lit_groups(light, lit):  # type: ignore[no-untyped-def]
+    """Note the first pixels of the groups that a target lights, and return how many there are."""
+    found = 0
+    for group in range(light.size // GROUP):
+        total = np.float32(0.0)
+        for j in range(GROUP):
+            total += light[GROUP * group + j]
+        if total != 0.0:
+            lit[found] = GROUP * group
+            found += 1
+    return found
+
+
+@njit(nogil=True, cache=True)
+def _reached(thresholds, number):  # type: ignore[no-untyped-def]
+    """How many of the ascending thresholds the number reaches."""
+    low, high = 0, thresholds.size
+    while low < high:
+        middle = (low + high) >> 1
+        if thresholds[middle] <= number:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _draw_lit(out, light, index, flat, lit, own, levels, response):  # type: ignore[no-untyped-def]
+    """Fill the counts of the pixels that a target lights, in the groups ``lit``; each draws from its own stream."""
+    read_noise, gain, black, top, curve, peak = response
+    saturated = levels[-1]
+    for begin in lit:
+        for p in range(begin, begin + GROUP):
+            if light[p] == 0.0:
+                continue
+            level = np.int64(index[p]) if index.size > 1 else np.int64(index[0])
+            factor = flat[p] if flat.size > 1 else flat[0]
+            mean = levels[level] + np.float64(factor) * np.float64(light[p])
+            if mean >= saturated:
+                out[p] = top
+                continue
+            state = mix(own + np.uint64(p) * STEP)
+            seen = mean if mean > 0.0 else 0.0
+            electrons = poisson(seen, mix(state + STEP)) + (mean - seen)
+            electrons += read_noise * normal(mix(state + STEP + STEP))
+            if curve != 0.0 and electrons > 0.0:
+                electrons = min(electrons, peak)
+                electrons -= curve * electrons * electrons
+            count = np.floor(black + gain * electrons + 0.5)
+            count = count if count > 0.0 else 0.0
+            out[p] = count if count < top else top

@@ -1,32 +1,102 @@
-"""The shutter: when each camera's exposure window opens and closes."""
+"""The shutter: when each row of a frame collects light, and what the camera states of that time.
 
+A camera is triggered (a frame a pulse) or runs free at a rate of its own. All rows expose for the same length,
+at once (global shutter) or each a row time after the one above it (rolling shutter). A strobe shorter than the
+exposure is the only light that the targets get. True times are session seconds; what the camera states is
+nanoseconds of its own clock.
+"""
+
+import math
 from dataclasses import dataclass
+from typing import Literal
 
-from twin.streams import rng
+from mosca.data.frames import StampEvent
+from mosca.errors import InputError
+from twin.streams import key, rng
+
+ALWAYS = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True)
 class Timing:
-    """When a camera exposes. ``jitter_s`` rms of each exposure's start about its pulse; ``delay_s`` a constant
-    delay that the stamps know nothing of.
+    """When a camera exposes and how it stamps.
+
+    Trigger: ``jitter_s`` rms of each exposure's start and ``delay_s`` a constant delay, of which the stamps know
+    nothing; ``skew_s`` a known offset from the pulse, which they tell. Free running, where ``rate_hz`` is given:
+    frame n opens ``offset_s + n / rate`` after the session's start, the rate being ``drift_ppm`` higher than stated;
+    jitter and delay come on top.
+
+    ``exposure_s`` of a row (None: the capture's); ``row_time_s`` from row to row (0: global shutter). ``strobe_s``:
+    how long the light is on (None: always), from ``strobe_delay_s`` after the camera's own opening (``strobe`` "own")
+    or after the trigger pulse, for the whole rig ("rig"). It is no brighter for being short: a strobe of a quarter of
+    the exposure gives a quarter of the light.
+
+    ``stamp_event``, ``clock`` as in CameraInfo. Device and host clocks read ``clock_offset_s`` at the session's
+    start and run ``clock_drift_ppm`` fast; stamps are whole ticks of ``stamp_resolution_ns``. A host's stamp comes
+    late by a random time, exponential with mean ``stamp_jitter_s`` (its rms about that mean too).
     """
 
     jitter_s: float = 20e-6
     delay_s: float = 0.0
+    skew_s: float = 0.0
+    rate_hz: float | None = None
+    offset_s: float = 0.0
+    drift_ppm: float = 0.0
+    exposure_s: float | None = None
+    row_time_s: float = 0.0
+    strobe_s: float | None = None
+    strobe_delay_s: float = 0.0
+    strobe: Literal["own", "rig"] = "own"
+    stamp_event: StampEvent = "exposure_start"
+    clock: Literal["device", "host", "session"] = "session"
+    clock_offset_s: float = 0.0
+    clock_drift_ppm: float = 0.0
+    stamp_resolution_ns: int = 1
+    stamp_jitter_s: float = 0.0
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """The true window of one exposure, session clock [s], and the stamp of its start that the camera gives [ns]."""
+    """The true times of one frame [s], and what the camera states of them [ns].
 
+    ``number`` counts the camera's frames; ``nominal_s``: the first row's opening without delay and jitter,
+    ``start_s``: the true one; ``length_s`` of each row; ``row_time_s``, ``rows``; ``light_s`` when the strobe is on.
+    Stated: ``stamp_ns`` of the stamp event, ``exposure_ns``, ``row_time_ns``. A camera that drives its own
+    strobe states the light's window as its exposure, one of a rig's strobe its shutter's.
+    """
+
+    number: int
+    nominal_s: float
     start_s: float
-    end_s: float
+    length_s: float
+    row_time_s: float
+    rows: int
+    light_s: tuple[float, float]
     stamp_ns: int
+    exposure_ns: int
+    row_time_ns: int
+
+    @property
+    def end_s(self) -> float:
+        """When the last row closes [s]."""
+        return self.start_s + self.span_s
+
+    @property
+    def span_s(self) -> float:
+        """From the first row's opening to the last row's closing [s]."""
+        return self.length_s + (self.rows - 1) * self.row_time_s
 
     @property
     def middle_s(self) -> float:
-        """The true mid-exposure [s]."""
-        return 0.5 * (self.start_s + self.end_s)
+        """The true mid-exposure [s]: of the central row, of the light that it gets."""
+        return self.row_middle_s(0.5 * (self.rows - 1))
+
+    def row_middle_s(self, row: float) -> float:
+        """The middle of the light that a row gets [s]; of its window where it gets none."""
+        opens = self.start_s + row * self.row_time_s
+        closes = opens + self.length_s
+        on, off = max(opens, self.light_s[0]), min(closes, self.light_s[1])
+        return 0.5 * (on + off) if on < off else 0.5 * (opens + closes)
 
 
 def pulse_time_s(pulse: int, frame_rate_hz: float) -> float:
@@ -34,11 +104,147 @@ def pulse_time_s(pulse: int, frame_rate_hz: float) -> float:
     return pulse / frame_rate_hz
 
 
+def numbers_in(timing: Timing, pulse: int, frame_rate_hz: float) -> range:
+    """Return the numbers of the frames that a camera opens from a pulse until the next.
+
+    A triggered camera's frame has its pulse's number. Of a free-running one all frames of a session come exactly
+    once; those before the session's start never.
+    """
+    if timing.rate_hz is None:
+        return range(pulse, pulse + 1)
+    return range(
+        _first_number(timing, pulse_time_s(pulse, frame_rate_hz)),
+        _first_number(timing, pulse_time_s(pulse + 1, frame_rate_hz)),
+    )
+
+
 def open_shutter(
-    timing: Timing, name: str, pulse: int, frame_rate_hz: float, exposure_s: float, seed: int
+    timing: Timing,
+    name: str,
+    number: int,
+    frame_rate_hz: float,
+    exposure_s: float,
+    seed: int,
+    rows: int = 1,
 ) -> Exposure:
-    """Return the exposure that camera ``name`` makes at ``pulse``: delayed, jittered; its stamp knows neither."""
-    sent = pulse_time_s(pulse, frame_rate_hz)
-    jitter = rng(seed, f"camera/{name}/trigger", pulse).normal(0.0, timing.jitter_s)
-    start = sent + timing.delay_s + jitter
-    return Exposure(start, start + exposure_s, round(sent * 1e9))
+    """Return frame ``number`` of camera ``name``, an image of ``rows`` rows.
+
+    ``frame_rate_hz`` of the pulses; ``exposure_s``: the capture's, for a camera without one of its own.
+    """
+    length = exposure_s if timing.exposure_s is None else timing.exposure_s
+    nominal = _opens_s(timing, number, frame_rate_hz)
+    jitter = rng(seed, f"camera/{name}/trigger", number).normal(0.0, timing.jitter_s)
+    start = nominal + timing.delay_s + jitter
+    light, stated_from, stated_length, stated_row_time = ALWAYS, nominal, length, timing.row_time_s
+    if timing.strobe_s is not None and timing.strobe == "rig":
+        on = pulse_time_s(number, frame_rate_hz) + timing.strobe_delay_s
+        light = (on, on + timing.strobe_s)
+    elif timing.strobe_s is not None:
+        light = (start + timing.strobe_delay_s, start + timing.strobe_delay_s + timing.strobe_s)
+        # every row gets all of this light at once, whatever the shutter (``check_timing``)
+        stated_from, stated_length, stated_row_time = nominal + timing.strobe_delay_s, timing.strobe_s, 0.0
+    readout = (rows - 1) * stated_row_time
+    after = {
+        "exposure_start": 0.0,
+        "exposure_middle": 0.5 * (stated_length + readout),
+        "readout": stated_length + readout,
+    }
+    return Exposure(
+        number,
+        nominal,
+        start,
+        length,
+        timing.row_time_s,
+        rows,
+        light,
+        _stamp_ns(timing, name, number, stated_from + after[timing.stamp_event], seed),
+        round(stated_length * 1e9),
+        round(stated_row_time * 1e9),
+    )
+
+
+def fastest_rate_hz(rows: int, row_time_s: float, overhead_s: float = 0.0) -> float:
+    """Return the highest frame rate of a sensor that reads ``rows`` rows one after the other [1/s].
+
+    A window of fewer rows is read out faster in proportion, but for the ``overhead_s`` of each frame.
+    """
+    return 1.0 / (rows * row_time_s + overhead_s)
+
+
+def check_timing(
+    timing: Timing, name: str, rows: int, frame_rate_hz: float, exposure_s: float, overhead_s: float = 0.0
+) -> None:
+    """Raise InputError where no camera can expose like that; ``exposure_s``: the capture's."""
+    rate = frame_rate_hz if timing.rate_hz is None else timing.rate_hz
+    length = exposure_s if timing.exposure_s is None else timing.exposure_s
+    where = f"camera '{name}', timing"
+    if not rate > 0.0:
+        raise InputError(
+            f"{where}: rate_hz = {rate:g} given; a rate above 0 is wanted, or none for a triggered camera"
+        )
+    if not 0.0 < length <= 1.0 / rate:
+        raise InputError(
+            f"{where}: exposure_s = {length:g} given; above 0 and at most the frame's period, {1 / rate:g}, is wanted"
+        )
+    if timing.row_time_s < 0.0 or timing.stamp_resolution_ns < 1 or timing.stamp_jitter_s < 0.0:
+        raise InputError(
+            f"{where}: row_time_s = {timing.row_time_s:g}, stamp_resolution_ns = {timing.stamp_resolution_ns}, "
+            f"stamp_jitter_s = {timing.stamp_jitter_s:g} given; from 0, from 1 and from 0 up are wanted"
+        )
+    if timing.row_time_s > 0.0 and rate > fastest_rate_hz(rows, timing.row_time_s, overhead_s) * (1 + 1e-9):
+        raise InputError(
+            f"{where}: {rate:g} frames/s asked for; {rows} rows of row_time_s = {timing.row_time_s:g} allow "
+            f"{fastest_rate_hz(rows, timing.row_time_s, overhead_s):.6g}: read fewer rows or lower the rate"
+        )
+    if timing.strobe_s is not None:
+        _check_strobe(timing, where, rows, length)
+
+
+def _check_strobe(timing: Timing, where: str, rows: int, length_s: float) -> None:
+    strobe_s = timing.strobe_s or 0.0
+    if not strobe_s > 0.0:
+        raise InputError(f"{where}: strobe_s = {strobe_s:g} given; a length above 0 is wanted, or none")
+    if timing.strobe == "rig":
+        if timing.rate_hz is not None:
+            raise InputError(
+                f"{where}: strobe = 'rig' with rate_hz = {timing.rate_hz:g}; the rig's strobe follows its trigger: "
+                "leave rate_hz out or use strobe = 'own'"
+            )
+        return
+    all_open = (rows - 1) * timing.row_time_s
+    if timing.strobe_delay_s < all_open - 1e-12 or timing.strobe_delay_s + strobe_s > length_s + 1e-12:
+        raise InputError(
+            f"{where}: strobe_delay_s = {timing.strobe_delay_s:g}, strobe_s = {strobe_s:g} given; all rows are open "
+            f"together from {all_open:g} s to {length_s:g} s: change strobe_delay_s, strobe_s or exposure_s"
+        )
+
+
+def _first_number(timing: Timing, from_s: float) -> int:
+    """Return the number of the first frame that opens at ``from_s`` or later."""
+    return max(0, math.ceil((from_s - timing.offset_s) * _true_rate_hz(timing)))
+
+
+def _opens_s(timing: Timing, number: int, frame_rate_hz: float) -> float:
+    if timing.rate_hz is None:
+        return pulse_time_s(number, frame_rate_hz) + timing.skew_s
+    return timing.offset_s + number / _true_rate_hz(timing)
+
+
+def _true_rate_hz(timing: Timing) -> float:
+    return (timing.rate_hz or 0.0) * (1.0 + 1e-6 * timing.drift_ppm)
+
+
+def _stamp_ns(timing: Timing, name: str, number: int, event_s: float, seed: int) -> int:
+    """Return what the camera's clock reads at an event, in whole ticks."""
+    if timing.clock == "session":
+        stamp = round(event_s * 1e9)
+    else:
+        if timing.clock == "host" and timing.stamp_jitter_s > 0.0:
+            # an exponential number from a uniform one in (0, 1]
+            uniform = (key(seed, f"camera/{name}/arrival", number) + 1) / 2.0**64
+            event_s -= timing.stamp_jitter_s * math.log(uniform)
+        # the epoch is added as an integer: a float of 1.8e9 s knows no nanoseconds
+        stamp = round(timing.clock_offset_s * 1e9) + round(
+            event_s * (1.0 + 1e-6 * timing.clock_drift_ppm) * 1e9
+        )
+    return stamp // timing.stamp_resolution_ns * timing.stamp_resolution_ns

@@ -12,6 +12,8 @@ import numpy as np
 from mosca.data.arrays import Array, read_only
 
 LINE, ARC = 0, 1
+JOIN = 1e-9
+"""Pieces of a contour join to within this share of its size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,10 +28,22 @@ class Figure:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pieces", read_only(self.pieces, (None, 7), "pieces"))
+        if not np.isfinite(self.pieces).all() or not np.isin(self.pieces[:, 0], (LINE, ARC)).all():
+            raise ValueError("pieces: finite numbers are wanted, and a first one that is LINE or ARC")
+        if not 0 < self.radius < np.inf:
+            raise ValueError(f"radius = {self.radius:g} given; a finite number above zero is wanted")
 
 
 def figure(contours: Sequence[Array]) -> Figure:
-    """Return the figure of contours, each an array of pieces (k, 7)."""
+    """Return the figure of contours, each an array of pieces (k, 7).
+
+    Raises ValueError for a contour whose pieces do not join: what it encloses would not be said.
+    """
+    for pieces in contours:
+        starts, ends = piece_ends(pieces)
+        gap = np.abs(ends - np.roll(starts, -1, axis=0)).max()
+        if gap > JOIN * max(np.abs(pieces[:, 1:4]).max(), np.abs(ends).max()):
+            raise ValueError(f"a contour's pieces are {gap:g} m apart where they should join")
     pieces = np.concatenate(contours)
     line = pieces[:, 0] == LINE
     reach = np.where(
@@ -38,6 +52,16 @@ def figure(contours: Sequence[Array]) -> Figure:
         np.hypot(pieces[:, 1], pieces[:, 2]) + pieces[:, 3],
     )
     return Figure(pieces, float(reach.max()))
+
+
+def piece_ends(pieces: Array) -> tuple[Array, Array]:
+    """Return where pieces (n, 7) start and end: (n, 2) and (n, 2) [m]."""
+    line = (pieces[:, 0] == LINE)[:, None]
+    centre, radius, angle = pieces[:, 1:3], pieces[:, 3:4], pieces[:, 4:6]
+    first, last = (
+        centre + radius * np.column_stack([np.cos(angle[:, k]), np.sin(angle[:, k])]) for k in (0, 1)
+    )
+    return np.where(line, pieces[:, 1:3], first), np.where(line, pieces[:, 3:5], last)
 
 
 def circle(x: float, y: float, radius: float, gain: float = 1.0) -> Array:
@@ -68,3 +92,45 @@ def ring_sector(
             [LINE, *at(inner, start), *at(outer, start), 0.0, gain],
         ]
     )
+
+
+def outlines(cells: Array) -> list[Array]:
+    """Return the outlines of the True ones of ``cells`` (rows, columns), each by its corners (k, 2).
+
+    In cells: x to the right from the left edge, y up from the upper edge, so that row r lies between -r - 1
+    and -r. Outer edges run counter-clockwise, those of holes clockwise, and no edge lies between two True
+    cells: a contour of each adds up to the light of the cells without seams.
+    """
+    filled = np.pad(np.asarray(cells, dtype=bool), 1)
+    following: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for row, column in np.argwhere(filled):
+        x, y = int(column) - 1, 1 - int(row)  # the cell's upper left corner
+        sides = (
+            (filled[row + 1, column], (x, y - 1), (x + 1, y - 1)),
+            (filled[row, column + 1], (x + 1, y - 1), (x + 1, y)),
+            (filled[row - 1, column], (x + 1, y), (x, y)),
+            (filled[row, column - 1], (x, y), (x, y - 1)),
+        )
+        for inner, start, end in sides:
+            if not inner:
+                following.setdefault(start, []).append(end)
+    loops = []
+    while following:
+        first = next(iter(following))
+        loop = [first]
+        while True:
+            here = loop[-1]
+            there = following[here].pop()
+            if not following[here]:
+                del following[here]
+            if there == first:
+                break
+            loop.append(there)
+        loops.append(_without_straight_corners(np.array(loop, dtype=np.float64)))
+    return loops
+
+
+def _without_straight_corners(corners: Array) -> Array:
+    before, after = corners - np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0) - corners
+    turns = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    return corners[turns != 0]

@@ -1,16 +1,33 @@
 """How a target sends light to a camera: reflected back, printed, or its own."""
 
+import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
+
+import numpy as np
+
+from mosca.data.arrays import Array
+
+GlowKind = Literal["plain", "retro", "paper", "lamp"]
 
 
 @dataclass(frozen=True)
 class Blink:
-    """A lamp's code: ``bits`` shown one after the other for ``bit_s`` each, over and over, from ``start_s`` [s]."""
+    """A lamp's code: ``bits`` shown one after the other for ``bit_s`` each, over and over, from ``start_s`` [s].
+
+    Before ``start_s`` the lamp is dark.
+    """
 
     bits: tuple[bool, ...]
     bit_s: float
     start_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "bits", tuple(bool(bit) for bit in self.bits))
+        if not self.bits:
+            raise ValueError("bits: at least one is wanted")
+        _within("bit_s", self.bit_s, 0.0, math.inf, open_below=True)
+        _within("start_s", self.start_s, -math.inf, math.inf)
 
 
 @dataclass(frozen=True)
@@ -26,7 +43,7 @@ class Glow:
     towards ``shade_world`` (3,). ``blink``: code of a lamp; None: always on.
     """
 
-    kind: Literal["plain", "retro", "paper", "lamp"] = "plain"
+    kind: GlowKind = "plain"
     strength: float = 1.0
     half_deg: float = 45.0
     at_m: float | None = None
@@ -34,3 +51,51 @@ class Glow:
     shade: float = 0.0
     shade_world: tuple[float, float, float] = (0.0, 0.0, 1.0)
     blink: Blink | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(GlowKind):
+            raise ValueError(f"kind = '{self.kind}' given; allowed: {', '.join(get_args(GlowKind))}")
+        _within("strength", self.strength, 0.0, math.inf)
+        if not 0 < self.half_deg < 90:
+            raise ValueError(f"half_deg = {self.half_deg:g} given; above 0 and below 90 is allowed")
+        if self.at_m is not None:
+            _within("at_m", self.at_m, 0.0, math.inf, open_below=True)
+        _within("limb", self.limb, 0.0, 1.0)
+        _within("shade", self.shade, -1.0, 1.0)  # beyond, one side would send less than nothing
+        length = math.hypot(*self.shade_world)
+        if len(self.shade_world) != 3 or not 0 < length < math.inf:
+            raise ValueError(f"shade_world = {self.shade_world} given; a direction of 3 numbers is wanted")
+        if self.blink is not None and self.kind != "lamp":
+            raise ValueError(f"kind = '{self.kind}' with blink given; only a lamp blinks")
+
+
+def lit(blink: Blink, t0: float, t1: float) -> Array:
+    """Return when a lamp is lit between ``t0`` <= ``t1`` [s]: intervals (k, 2) [s], rising and apart.
+
+    Exact: an edge is start_s + k * bit_s rounded once for each k, wherever it is asked for, so that windows
+    that meet share their edges to the last bit. Bits lit one after the other make one interval.
+    """
+    if not -math.inf < t0 <= t1 < math.inf:
+        raise ValueError(f"t0 = {t0:g}, t1 = {t1:g} given; finite and t0 <= t1 is wanted")
+    found: list[tuple[float, float]] = []
+    # one bit more on both sides: the division may round across an edge, the edges themselves decide
+    first = max(0, math.floor((t0 - blink.start_s) / blink.bit_s) - 1)
+    last = math.floor((t1 - blink.start_s) / blink.bit_s) + 1
+    for k in range(first, last + 1):
+        if not blink.bits[k % len(blink.bits)]:
+            continue
+        begin = max(blink.start_s + k * blink.bit_s, t0)
+        end = min(blink.start_s + (k + 1) * blink.bit_s, t1)
+        if begin >= end:
+            continue
+        if found and found[-1][1] == begin:
+            found[-1] = (found[-1][0], end)
+        else:
+            found.append((begin, end))
+    return np.array(found, dtype=np.float64).reshape(-1, 2)
+
+
+def _within(name: str, value: float, low: float, high: float, *, open_below: bool = False) -> None:
+    if not (math.isfinite(value) and low <= value <= high) or (open_below and value == low):
+        below = "above" if open_below else "from"
+        raise ValueError(f"{name} = {value:g} given; a finite number {below} {low:g} to {high:g} is wanted")

@@ -17,7 +17,8 @@ from twin.scenes.figure import Figure
 from twin.scenes.glow import Glow
 
 MARKER_GROUP = 4
-"""Geom group of markers. Spheres are ball markers; cylinders are flat round targets facing their +z."""
+"""Geom group of markers. Spheres are ball markers; cylinders are flat round targets facing their +z; thin boxes
+are plates with a figure on their +z face."""
 UNSEEN_GROUP = 5
 """Geom group of helpers that neither show nor hide anything (collision shapes, cages)."""
 
@@ -44,8 +45,8 @@ class Scene:
     ``marker_names``). ``configuration_at(t)``: qpos (nq,) at session time t [s], for -0.1 <= t <=
     duration_s + 0.1, a pure function (same t, same bytes, any thread). ``bodies``: rigid body name ->
     names of the markers that it carries. ``commands``: what drove it, if anything did. ``figures``: marker
-    name -> what is printed on its +z face (a marker without one shines as a whole). ``glows``: marker name ->
-    how it sends light (default: ``Glow()``).
+    name -> what is printed on its +z face (a marker without one shines as a whole; a box must have one).
+    ``glows``: marker name -> how it sends light (default: ``Glow()``).
     """
 
     model: mujoco.MjModel
@@ -61,6 +62,16 @@ class Scene:
     def __post_init__(self) -> None:
         for name in ("bodies", "figures", "glows"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        for what, named in (("figure", self.figures), ("glow", self.glows)):
+            unknown = sorted(set(named) - set(self.marker_names))
+            if unknown:
+                raise ValueError(f"{what} of '{unknown[0]}': the scene has no such marker")
+        for name, geom in zip(self.marker_names, self.marker_geoms, strict=True):
+            kind = int(self.model.geom_type[geom])
+            if kind == mujoco.mjtGeom.mjGEOM_BOX and name not in self.figures:
+                raise ValueError(f"marker '{name}' is a plate without a figure")
+            if kind == mujoco.mjtGeom.mjGEOM_SPHERE and name in self.figures:
+                raise ValueError(f"marker '{name}' is a ball; only flat markers have figures")
 
     def sampler(self) -> "SceneSampler":
         """Return a sampler with its own MjData: one for each thread."""

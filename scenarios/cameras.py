@@ -1,0 +1,332 @@
+"""From a scenario's words to cameras: the true rig, the virtual cameras, the calibration that the pipeline gets."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mosca.camera import Conversion, fit_lens, image_grid, lens_directions, project
+from mosca.data.arrays import Array
+from mosca.data.rig import Camera, FisheyeLens, Lens, MoscaLens, Pose, Rig
+from mosca.data.rig_file import read_rig
+from mosca.data.toml import Table
+from mosca.errors import InputError
+from scenarios.build import beside
+from scenarios.spec import ClockFault, Scenario, WorkingSpace
+from scenarios.spec_cameras import Cameras, CameraSpec, ErrorsSpec
+from twin.cameras import library
+from twin.cameras.ambient import Backdrop
+from twin.cameras.camera import VirtualCamera
+from twin.cameras.context import Cloth, Context
+from twin.cameras.delivery import Delivery
+from twin.cameras.lens import GAPS, TwinLens
+from twin.cameras.mount import Mount
+from twin.cameras.optics import Optics
+from twin.cameras.sensor import Sensor
+from twin.cameras.shutter import Timing
+from twin.cameras.stray import Surroundings
+from twin.cameras.stray_glare import Glare
+from twin.cameras.stray_mirror import Mirror
+from twin.cameras.stray_world import RingLight, ShinySpot
+
+VIEW_GRID = 7
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """The rig that the pipeline believes in, and what its lens model cannot follow: rms over the cameras [px]."""
+
+    rig: Rig
+    gap_rms_px: float
+    gap_max_px: float
+
+
+def true_rig(spec: Scenario, folder: Path) -> Rig:
+    """Return the rig as it stands; InputError where it cannot work."""
+    if spec.cameras.rig is not None:
+        rig = read_rig(beside(spec.cameras.rig, folder))
+    else:
+        rig = ring(_with_chip(spec), spec.working_space)
+    windows = {camera.name: camera.window_px for camera in spec.camera if camera.window_px is not None}
+    rig = Rig(tuple(windowed(c, windows[c.name]) if c.name in windows else c for c in rig.cameras))
+    check_rig(rig, spec.working_space)
+    return rig
+
+
+def _with_chip(spec: Scenario) -> Cameras:
+    """Return the ring with size and pitch of the library's sensor, and the lens's focal length, where not said."""
+    said, changes = spec.cameras.model_fields_set, {}
+    if spec.sensor.name is not None:
+        chip = library.sensor(spec.sensor.name)
+        changes = {"size_px": (chip.width, chip.height), "pixel_pitch_mm": chip.pixel_pitch_um * 1e-3}
+    if spec.optics.lens is not None:
+        changes["c_mm"] = library.lens(spec.optics.lens).focal_length_mm
+    return spec.cameras.model_copy(update={key: value for key, value in changes.items() if key not in said})
+
+
+def ring(spec: Cameras, space: WorkingSpace) -> Rig:
+    """Return cameras on a ring around the working space, all looking at one point."""
+    centre = np.array(space.center_m)
+    target = centre if spec.look_at_m is None else np.array(spec.look_at_m)
+    azimuth = spec.azimuth_deg or tuple(45.0 + 360.0 * k / spec.count for k in range(spec.count))
+    height = spec.height_m if isinstance(spec.height_m, tuple) else (spec.height_m,) * spec.count
+    width, rows = spec.size_px
+    cameras = []
+    for k in range(spec.count):
+        turn = np.deg2rad(azimuth[k])
+        place = centre + spec.radius_m * np.array([np.cos(turn), np.sin(turn), 0.0])
+        place[2] = height[k]
+        # no two lenses are alike: principal point and distortion differ a little from camera to camera
+        lens = MoscaLens(
+            spec.c_mm * (1 + 0.004 * k),
+            (width - 1) / 2 + 3.0 - 2.0 * k,
+            (rows - 1) / 2 - 2.0 + 1.5 * k,
+            spec.pixel_pitch_mm,
+            spec.pixel_pitch_mm * 1.001,
+            spec.a,
+            spec.K1_per_mm2 * (1 + 0.1 * k),
+            spec.K2_per_mm4,
+            0.0,
+            spec.P1_per_mm,
+            spec.P2_per_mm,
+        )
+        cameras.append(Camera(f"cam{k + 1}", width, rows, lens, _looking(place, target, f"cam{k + 1}")))
+    return Rig(tuple(cameras))
+
+
+def check_rig(rig: Rig, space: WorkingSpace) -> None:
+    """Raise InputError for a rig that cannot measure the working space; says why."""
+    centre, size = np.array(space.center_m), np.array(space.size_m)
+    places = np.array([c.world_from_camera.translation for c in rig.cameras])
+    for k, camera in enumerate(rig.cameras):
+        if np.all(np.abs(places[k] - centre) < size / 2):
+            raise InputError(
+                f"camera '{camera.name}' stands inside the working space at {_text(places[k])} m; "
+                "move it out (cameras.radius_m, cameras.height_m) or make working_space.size_m smaller"
+            )
+        for other in range(k):
+            if np.linalg.norm(places[k] - places[other]) < 1e-3 * size.max():
+                raise InputError(
+                    f"cameras '{rig.cameras[other].name}' and '{camera.name}' stand at the same place "
+                    f"{_text(places[k])} m and see no depth; give them different cameras.azimuth_deg"
+                )
+    grid = centre + size * (
+        np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, VIEW_GRID)] * 3), -1).reshape(-1, 3)
+    )
+    views = np.array([_sees(camera, grid) for camera in rig.cameras])
+    blind = [camera.name for camera, seen in zip(rig.cameras, views, strict=True) if not seen.any()]
+    if not (views.sum(axis=0) >= 2).any():
+        who = f"{', '.join(blind)} see nothing of it" if blind else "their views do not overlap"
+        raise InputError(
+            f"no point of the working space is seen by two cameras: {who}; "
+            "check poses, principal distance c_mm and look_at_m"
+        )
+
+
+def virtual_cameras(spec: Scenario, rig: Rig) -> tuple[VirtualCamera, ...]:
+    """Return the rig's cameras, then those that ride on bodies, with all that the scenario says of them."""
+    known = set(rig.names)
+    for camera in spec.camera:
+        if camera.body is None and camera.name not in known:
+            raise InputError(
+                f"[[camera]] name = '{camera.name}': the rig has {', '.join(rig.names)}; "
+                "a new camera needs the body that it rides on"
+            )
+    late = dict.fromkeys(spec.fault.cameras, spec.fault.delay_s) if isinstance(spec.fault, ClockFault) else {}
+    for name in late:
+        rig.camera(name)
+    riders = [_rider(camera, spec) for camera in spec.camera if camera.body is not None]
+    return tuple(
+        _virtual(camera, _own(spec, camera.name), spec, late.get(camera.name, 0.0))
+        for camera in (*rig.cameras, *riders)
+    )
+
+
+def deliveries(spec: Scenario, cameras: tuple[VirtualCamera, ...]) -> dict[str, Delivery]:
+    """Return what goes wrong on the way of each camera's frames."""
+    names = [v.camera.name for v in cameras]
+    return {name: Delivery(**_merged(spec.delivery, _own(spec, name).delivery)) for name in names}
+
+
+def surroundings(spec: Scenario) -> Surroundings:
+    """Return what surrounds rig and subject."""
+    given = spec.surroundings
+    context = None
+    if given.context is not None:
+        said = given.context.model_dump()
+        context = Context(**{**said, "clothes": tuple(Cloth(**cloth) for cloth in said["clothes"])})
+    return Surroundings(
+        context,
+        None if given.ring_light is None else RingLight(**given.ring_light.model_dump()),
+        tuple(ShinySpot(**spot.model_dump()) for spot in given.spots),
+        tuple(Mirror(**mirror.model_dump()) for mirror in given.mirrors),
+        Glare(**given.glare.model_dump()),
+    )
+
+
+def _own(spec: Scenario, name: str) -> CameraSpec:
+    for camera in spec.camera:
+        if camera.name == name:
+            return camera
+    return CameraSpec(name=name)
+
+
+def _merged(common: Table, own: Table) -> dict[str, Any]:
+    """Return what the common table says, with the keys that the camera's own one really writes."""
+    return {**common.model_dump(), **own.model_dump(exclude_unset=True)}
+
+
+def _virtual(camera: Camera, own: CameraSpec, spec: Scenario, late_s: float) -> VirtualCamera:
+    errors = ErrorsSpec(**_merged(spec.errors, own.errors))
+    sensor_words = _merged(spec.sensor, own.sensor)
+    name = sensor_words.pop("name")
+    chip: dict[str, Any] = {
+        "full_well_e": errors.full_well_e,
+        "read_noise_e": errors.read_noise_e,
+        "bits": errors.bits,
+    }
+    timing = _merged(spec.timing, own.timing)
+    pitch_mm = spec.cameras.pixel_pitch_mm
+    if name is not None:
+        known = library.sensor(name)
+        said = spec.errors.model_fields_set | own.errors.model_fields_set
+        chip |= {key: getattr(known, key) for key in chip if key not in said}
+        pitch_mm = known.pixel_pitch_um * 1e-3
+        if "row_time_s" not in spec.timing.model_fields_set | own.timing.model_fields_set:
+            timing["row_time_s"] = known.row_time_s if known.shutter == "rolling" else 0.0
+        if "quantum_efficiency" not in spec.sensor.model_fields_set | own.sensor.model_fields_set:
+            sensor_words["quantum_efficiency"] = known.quantum_efficiency
+    optics = _merged(spec.optics, own.optics)
+    lens = optics.pop("lens")
+    f_mm = spec.cameras.c_mm if own.c_mm is None else own.c_mm
+    if lens is not None:
+        f_mm = library.lens(lens).focal_length_mm
+    gap = GAPS[spec.model_gap]
+    for key in ("tilt_deg", "pupil_shift_m"):
+        if optics[key] is None:
+            optics[key] = getattr(gap, key)
+    timing["delay_s"] += late_s
+    return VirtualCamera(
+        camera,
+        Optics(
+            psf_sigma_px=errors.psf_sigma_px, gap_px=gap.gap_px, f_mm=f_mm, pixel_pitch_mm=pitch_mm, **optics
+        ),
+        Timing(jitter_s=errors.trigger_jitter_s, **timing),
+        Mount(body_px=errors.body_px, body=own.body, **_merged(spec.mount, own.mount)),
+        Sensor(background_e=errors.background_e, **chip, **sensor_words),
+        errors.marker_signal,
+        Backdrop(**spec.surroundings.backdrop.model_dump()),
+    )
+
+
+def _rider(own: CameraSpec, spec: Scenario) -> Camera:
+    """Return a camera that rides on a body: its pose is ``body_from_camera``."""
+    forward, up = np.array(own.forward, float), np.array(own.up, float)
+    right = np.cross(forward, up)
+    if np.linalg.norm(right) <= 1e-6 * np.linalg.norm(forward) * np.linalg.norm(up):
+        raise InputError(
+            f"camera '{own.name}': forward = {own.forward} and up = {own.up} must not be parallel"
+        )
+    forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
+    pose = Pose(np.column_stack([right, np.cross(forward, right), forward]), np.array(own.place_m, float))
+    assert own.size_px is not None
+    width, height = own.size_px
+    middle = ((width - 1) / 2, (height - 1) / 2)
+    if own.fisheye_deg is not None:
+        scale = width / np.deg2rad(own.fisheye_deg)
+        return Camera(own.name, width, height, FisheyeLens(scale, scale, *middle), pose)
+    assert own.c_mm is not None
+    pitch = spec.cameras.pixel_pitch_mm
+    return Camera(own.name, width, height, MoscaLens(own.c_mm, *middle, pitch, pitch), pose)
+
+
+def windowed(camera: Camera, window_px: tuple[int, int, int, int]) -> Camera:
+    """Return the camera that reads only a window (left, top, width, height) of its image."""
+    left, top, width, height = window_px
+    if (
+        left < 0
+        or top < 0
+        or min(width, height) < 1
+        or left + width > camera.width
+        or top + height > camera.height
+    ):
+        raise InputError(
+            f"camera '{camera.name}': window_px = {list(window_px)} does not lie in its image of "
+            f"{camera.width} x {camera.height}"
+        )
+    lens = camera.lens
+    if isinstance(lens, MoscaLens):
+        moved: Lens = replace(lens, xp_px=lens.xp_px - left, yp_px=lens.yp_px - top)
+    else:
+        moved = replace(lens, cx_px=lens.cx_px - left, cy_px=lens.cy_px - top)
+    return replace(camera, width=width, height=height, lens=moved)
+
+
+def calibrated(spec: Scenario, cameras: tuple[VirtualCamera, ...]) -> Calibrated:
+    """Return the true calibration: true poses, and the pipeline's lens model fitted to the true lenses' rays.
+
+    The rays are those to the distance of the working space's centre. Cameras that ride on bodies have no pose to
+    believe in and are left out.
+    """
+    made, fits = [], []
+    for virtual in cameras:
+        camera = virtual.camera
+        if virtual.mount.body is not None:
+            continue
+        away = np.linalg.norm(camera.world_from_camera.translation - np.array(spec.working_space.center_m))
+        fit = _fitted(virtual, spec.pipeline.lens_model, float(away))
+        made.append(replace(camera, lens=fit.lens))
+        fits.append(fit)
+    rms = float(np.sqrt(np.mean([f.rms_px**2 for f in fits])))
+    return Calibrated(Rig(tuple(made)), rms, max(f.max_px for f in fits))
+
+
+def overlap_of(camera: Camera, other: Camera) -> float:
+    """Return the share of a camera's image whose rays another camera sees somewhere in front of both."""
+    grid = image_grid(camera.width, camera.height, 40.0)
+    v = lens_directions(camera.lens, grid) @ camera.world_from_camera.rotation.T
+    base = np.linalg.norm(camera.world_from_camera.translation - other.world_from_camera.translation)
+    seen = np.zeros(len(grid), bool)
+    for distance in base * np.geomspace(0.05, 20.0, 40):
+        seen |= _sees(other, camera.world_from_camera.translation + distance * v)
+    return float(seen.mean())
+
+
+def _sees(camera: Camera, points: Array) -> Array:
+    xy = project(camera, points)
+    inside = np.asarray(np.isfinite(xy).all(axis=1))
+    xy = np.where(inside[:, None], xy, -1.0)
+    return (
+        inside
+        & (xy >= -0.5).all(axis=1)
+        & (xy[:, 0] <= camera.width - 0.5)
+        & (xy[:, 1] <= camera.height - 0.5)
+    )
+
+
+def _looking(place: Array, target: Array, name: str) -> Pose:
+    """Return the pose of a camera at ``place`` that looks at ``target`` with its x axis level."""
+    forward = target - place
+    distance = np.linalg.norm(forward)
+    if distance < 1e-9:
+        raise InputError(
+            f"camera '{name}' stands at the point that it looks at; change look_at_m or height_m"
+        )
+    forward = forward / distance
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    if np.linalg.norm(right) < 1e-6:
+        right = np.array([1.0, 0.0, 0.0])
+    right = right / np.linalg.norm(right)
+    return Pose(np.column_stack([right, np.cross(forward, right), forward]), place)
+
+
+def _fitted(virtual: VirtualCamera, model: str, distance_m: float) -> Conversion:
+    camera = virtual.camera
+    grid = image_grid(camera.width, camera.height)
+    lens = TwinLens.of(camera.lens, camera.width, camera.height, virtual.optics)
+    return fit_lens(model, grid, lens.directions(grid, distance_m), camera.lens)
+
+
+def _text(point: Array) -> str:
+    return "(" + ", ".join(f"{x:g}" for x in point) + ")"

@@ -1,0 +1,163 @@
+"""From light in the image plane to pixel values, worked out without any code of the project.
+
+A pixel takes what falls on its unit square; the blur is a Gaussian. Both are separable, so that a pixel's
+answer to a point of light at (x, y) is ``spread(x - column) * spread(y - row)`` with ``spread`` the difference
+of two normal distribution functions. Three ways lead to an image, and each is a check of the others:
+``contour_image`` (Green's theorem along a polygon), ``lines_image`` (parallel scan lines, each from x0 to x1)
+and ``points_image`` (points of light with weights); ``witness_render.pixels_by_brute_force`` is a fourth.
+
+Pixel (0, 0) is the centre of the top-left pixel; x along columns, y along rows [px].
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.special import ndtr
+
+Array = NDArray[Any]
+
+
+def spread(offset: Array, sigma_px: float) -> Array:
+    """Return a pixel's answer, one axis, to light ``offset`` px from its centre: square times Gaussian."""
+    return ndtr((offset + 0.5) / sigma_px) - ndtr((offset - 0.5) / sigma_px)
+
+
+def gathered(offset: Array, sigma_px: float) -> Array:
+    """Return the integral of ``spread`` from minus infinity to ``offset``, in closed form.
+
+    The integral of the normal distribution function is z Phi(z) + phi(z).
+    """
+
+    def twice(z: Array) -> Array:
+        return z * ndtr(z) + np.exp(-z * z / 2) / np.sqrt(2 * np.pi)
+
+    return sigma_px * (twice((offset + 0.5) / sigma_px) - twice((offset - 0.5) / sigma_px))
+
+
+def axes(width: int, height: int) -> tuple[Array, Array]:
+    """Return the pixels' columns (W,) and rows (H,)."""
+    return np.arange(width, dtype=float), np.arange(height, dtype=float)
+
+
+def contour_image(polygon: Array, sigma_px: float, width: int, height: int) -> Array:
+    """Return the share of each pixel (H, W) that a closed polygon (n, 2) [px] of any shape fills.
+
+    Green's theorem: the integral of spread(x) spread(y) over the inside is that of gathered(x) spread(y) dy
+    along the edge, Gauss-Legendre with 3 points on each side. Sides must be short beside ``sigma_px``.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    following = np.roll(polygon, -1, axis=0)
+    along = ((1 + nodes) / 2)[:, None, None]
+    at = (polygon + along * (following - polygon)).reshape(-1, 2)
+    dy = (weights[:, None] / 2 * (following - polygon)[:, 1]).ravel()
+    columns, rows = axes(width, height)
+    down = dy * spread(at[:, 1] - rows[:, None], sigma_px)
+    across = gathered(at[:, 0] - columns[:, None], sigma_px)
+    image = np.einsum("rp,cp->rc", down, across)  # not by BLAS: its threads wait for each other on busy cores
+    x, y = (polygon - polygon[0]).T
+    turns_left = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) > 0
+    return image if turns_left else -image
+
+
+def beside(point: float, sigma_px: float, pixels: Array) -> Array:
+    """Return ``spread`` of one coordinate over pixels: a helper of closed forms."""
+    return spread(point - pixels, sigma_px)
+
+
+def rectangle_image(
+    x: tuple[float, float], y: tuple[float, float], sigma_px: float, width: int, height: int
+) -> Array:
+    """Return the image of an upright rectangle of light in closed form."""
+    columns, rows = axes(width, height)
+    across = gathered(x[1] - columns, sigma_px) - gathered(x[0] - columns, sigma_px)
+    down = gathered(y[1] - rows, sigma_px) - gathered(y[0] - rows, sigma_px)
+    return np.outer(down, across)
+
+
+def points_image(xy: Array, weight: Array, sigma_px: float, width: int, height: int) -> Array:
+    """Return the image of points of light (n, 2) that send ``weight`` (n,) each [px^2]."""
+    columns, rows = axes(width, height)
+    across = spread(xy[:, 0] - columns[:, None], sigma_px)
+    down = spread(xy[:, 1] - rows[:, None], sigma_px)
+    return (down * weight) @ across.T
+
+
+def lines_image(lines: Array, step_px: float, sigma_px: float, width: int, height: int) -> Array:
+    """Return the image of scan lines (n, 3): y, x0, x1 [px], each standing for a strip ``step_px`` high."""
+    columns, rows = axes(width, height)
+    across = gathered(lines[:, 2] - columns[:, None], sigma_px) - gathered(
+        lines[:, 1] - columns[:, None], sigma_px
+    )
+    down = spread(lines[:, 0] - rows[:, None], sigma_px)
+    return step_px * down @ across.T
+
+
+def lines_moments(lines: Array, step_px: float) -> tuple[float, Array]:
+    """Return area [px^2] and centroid (2,) [px] of scan lines (n, 3): y, x0, x1."""
+    length = lines[:, 2] - lines[:, 1]
+    area = length.sum()
+    if area == 0.0:
+        return 0.0, np.full(2, np.nan)
+    middle = (lines[:, 1] + lines[:, 2]) / 2
+    return float(step_px * area), np.array([length @ middle, length @ lines[:, 0]]) / area
+
+
+def scan(
+    lit: Callable[[Array], Array],
+    low: Array,
+    high: Array,
+    lines_per_px: int = 24,
+    coarse_per_px: int = 8,
+    halvings: int = 10,
+) -> tuple[Array, float]:
+    """Return the scan lines (n, 3) of what is lit between two corners [px], and their distance.
+
+    ``lit``: points (n, 2) -> bool (n,). Each line is asked every 1 / ``coarse_per_px``; where the answer
+    changes, the place is found by bisection. What is thinner than the coarse step may be missed.
+    """
+    y = np.arange(low[1] + 0.5 / lines_per_px, high[1], 1 / lines_per_px)
+    x = np.linspace(low[0], high[0], int(np.ceil((high[0] - low[0]) * coarse_per_px)) + 1)
+    answers = lit(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)).reshape(len(y), len(x))
+    answers[:, 0] = answers[:, -1] = False  # the frame must lie outside; lines then end where they must
+    row, column = np.nonzero(answers[:, 1:] != answers[:, :-1])
+    before, after, was = x[column], x[column + 1], answers[row, column]
+    for _ in range(halvings):
+        middle = (before + after) / 2
+        same = lit(np.column_stack([middle, y[row]])) == was if len(row) else np.zeros(0, bool)
+        before, after = np.where(same, middle, before), np.where(same, after, middle)
+    turn = (before + after) / 2
+    # row-major order: a line's turns come in pairs, lit from the even to the odd one
+    return np.column_stack([y[row[::2]], turn[::2], turn[1::2]]), 1 / lines_per_px
+
+
+def exposed(image_at: Callable[[float], Array], opens: Array, closes: Array, instants: int = 129) -> Array:
+    """Return the time integral (H, W) [s] of instantaneous images, each row over its own window.
+
+    ``opens``, ``closes`` (H,) [s]: when each row starts and ends to gather light (nothing where they cross).
+    The images at equal instants over all windows become a cubic spline in time, which is integrated exactly.
+    """
+    some = closes > opens
+    if not some.any():
+        return np.zeros_like(image_at(0.0))
+    times = np.linspace(opens[some].min(), closes[some].max(), instants)
+    stack = np.array([image_at(t) for t in times])
+    out = np.zeros(stack.shape[1:])
+    for row in np.flatnonzero(some):
+        out[row] = CubicSpline(times, stack[:, row]).integrate(opens[row], closes[row])
+    return out
+
+
+def row_windows(
+    height: int,
+    length_s: float,
+    row_time_s: float,
+    light_s: tuple[float, float] = (-np.inf, np.inf),
+    lit_s: tuple[float, float] = (-np.inf, np.inf),
+) -> tuple[Array, Array]:
+    """Return when each row (H,) gathers light: from row * row_time for length_s, while lamp and target shine."""
+    start = np.arange(height) * row_time_s
+    opens = np.maximum(start, max(light_s[0], lit_s[0]))
+    return opens, np.maximum(np.minimum(start + length_s, min(light_s[1], lit_s[1])), opens)

@@ -1,0 +1,138 @@
+"""What hides a marker, asked of MuJoCo's ray caster line by line, at one instant or many.
+
+A small world is built in camera coordinates: marker and obstacles are mocap bodies, so that each can be put
+where it is at an instant. Scan lines of rays look through the lens; where the answer changes along a line, the
+place is found by bisection (``witness_image.scan``).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+from witness_image import Array, lines_image, lines_moments, scan
+from witness_render import WitnessLens, ball_outline
+
+MARKER_GROUP, UNSEEN_GROUP = 4, 5
+Path = Callable[[float], Array]
+"""Time -> centre (3,) or rotation (3, 3), camera frame."""
+
+# world_from_camera: looks along the world's +y, a little down and askew
+ROTATION = (
+    np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]]) @ Rotation.from_rotvec([-0.2, 0.1, 0.15]).as_matrix()
+)
+POSITION = np.array([0.1, -2.0, 0.3])
+
+
+def fixed(value: Any) -> Path:
+    """Return a path that stays where it is."""
+    array = np.asarray(value, float)
+    return lambda t: array
+
+
+class World:
+    """One marker (geom 0, ``marker``) and what may stand before it, moving as told."""
+
+    def __init__(
+        self, at: Path, radius: float, normal: Array | None = None, turn: Path | None = None
+    ) -> None:
+        self.spec, self.paths = mujoco.MjSpec(), list[tuple[Path, Path]]()
+        self.flat, self.radius = normal is not None or turn is not None, radius
+        kind, size = mujoco.mjtGeom.mjGEOM_SPHERE, [radius, 0, 0]
+        if self.flat:
+            kind, size = mujoco.mjtGeom.mjGEOM_CYLINDER, [radius, 1e-6, 0]
+            if turn is None:
+                turn = fixed(Rotation.align_vectors([normal], [[0, 0, 1.0]])[0].as_matrix())
+        self.add(kind, size, at, turn, MARKER_GROUP)
+
+    def add(
+        self, kind: Any, size: Any, at: Path, turn: Path | None = None, group: int = 0, **more: Any
+    ) -> "World":
+        """Add a geom that goes along ``at`` [m] and turns like ``turn``, both in the camera frame."""
+        number = len(self.paths)
+        body = self.spec.worldbody.add_body(name=f"b{number}", mocap=True)
+        body.add_geom(type=kind, size=size, group=group, name=f"g{number}", **more)
+        self.paths.append((at, fixed(np.eye(3)) if turn is None else turn))
+        return self
+
+    def add_mesh(self, shape: Any, at: Path, turn: Path | None = None) -> "World":
+        """Add a trimesh."""
+        name = f"m{len(self.paths)}"
+        self.spec.add_mesh(name=name, uservert=shape.vertices.ravel(), userface=shape.faces.ravel())
+        return self.add(mujoco.mjtGeom.mjGEOM_MESH, [0, 0, 0], at, turn, meshname=name)
+
+    def compile(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """Return model and data, at instant 0."""
+        model = self.spec.compile()
+        data = mujoco.MjData(model)
+        self.move(model, data, 0.0)
+        return model, data
+
+    def move(self, model: mujoco.MjModel, data: mujoco.MjData, t: float) -> None:
+        """Put every body where it is at ``t``."""
+        for number, (at, turn) in enumerate(self.paths):
+            k = model.body(f"b{number}").mocapid[0]
+            data.mocap_pos[k] = ROTATION @ at(t) + POSITION
+            data.mocap_quat[k] = Rotation.from_matrix(ROTATION @ turn(t)).as_quat(scalar_first=True)
+        mujoco.mj_forward(model, data)
+
+
+@dataclass(frozen=True, eq=False)
+class SeenOverTime:
+    """``share`` of the marker's light that nothing hides; ``centroid`` (2,) of that light [px]; ``image`` (H, W)
+    of it; ``area`` of the whole marker's image [px^2], mean over the instants.
+    """
+
+    share: float
+    centroid: Array
+    image: Array
+    area: float
+
+
+def seen_over_time(
+    world: World,
+    lens: WitnessLens,
+    size: tuple[int, int],
+    sigma_px: float,
+    instants: int = 1,
+    length_s: float = 1.0,
+    lines_per_px: int = 24,
+) -> SeenOverTime:
+    """Return what rays see of the marker (geom 0) over an exposure: the mean of instants in cells' middles."""
+    model, data = world.compile()
+    marker = model.geom("g0").id
+    total, light, moment = 0.0, 0.0, np.zeros(2)
+    image = np.zeros((size[1], size[0]))
+    for t in (np.arange(instants) + 0.5) / instants * length_s:
+        world.move(model, data, float(t))
+        centre = world.paths[0][0](float(t))
+        outline = lens.project(ball_outline(centre, world.radius * 1.01, 200))
+        low, high = outline.min(axis=0) - 0.6, outline.max(axis=0) + 0.6
+        whole, step = scan(lambda xy: meets(model, data, lens, xy, marker, True), low, high, lines_per_px)
+        lines, step = scan(lambda xy: meets(model, data, lens, xy, marker, False), low, high, lines_per_px)
+        total += lines_moments(whole, step)[0]
+        area, centroid = lines_moments(lines, step)
+        if area > 0.0:
+            light += area
+            moment += area * centroid
+            image += lines_image(lines, step, sigma_px, *size)
+    with np.errstate(invalid="ignore"):
+        return SeenOverTime(light / total, moment / np.float64(light), image / instants, total / instants)
+
+
+def meets(
+    model: mujoco.MjModel, data: mujoco.MjData, lens: WitnessLens, xy: Array, marker: int, alone: bool
+) -> Array:
+    """Whether the rays of pixels (n, 2) meet the marker first (n,), or, ``alone``, at all (by geom groups)."""
+    directions = lens.unproject(xy) @ ROTATION.T
+    directions = np.ascontiguousarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
+    n = len(directions)
+    first, distance = np.full(n, -1, dtype=np.int32), np.zeros(n)
+    # groups: only the marker's own (other markers are put in another group by the tests), or all that can be seen
+    groups = np.array([0, 0, 0, 0, 1, 0] if alone else [1, 1, 1, 1, 1, 0], dtype=np.uint8)
+    mujoco.mj_multiRay(
+        model, data, POSITION, directions.ravel(), groups, 1, -1, first, distance, None, n, 1e6
+    )
+    return np.asarray(first == marker)

@@ -1,0 +1,126 @@
+"""Delivery: what becomes of a frame between the sensor and the reader.
+
+Frames get lost, one by one or in bursts, come late, twice, after their successor or damaged, and a camera may die
+and come back. What happens to a frame follows from (seed, camera, frame number) alone, so that the bytes depend on
+no worker and one trouble moves no other.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from mosca.data.frames import Frame
+from mosca.errors import InputError
+from twin.streams import key
+
+Fate = Literal["good", "dead", "dropped", "corrupt", "late", "reordered", "doubled"]
+SHARES = ("dropped_share", "burst_share", "corrupt_share", "late_share", "reordered_share", "doubled_share")
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """Shares of a camera's frames that meet trouble, 0 to 1; a frame that several meet has the first of this order.
+
+    Dead: those that open from ``dies_s`` to ``returns_s``, session clock (None: never). Dropped:
+    ``dropped_share`` at random and ``burst_share`` in bursts of ``burst_frames``. ``corrupt_share``: arrive
+    without a usable image. ``late_share``: come after ``late_frames`` more frames of the rig.
+    ``reordered_share``: come after the camera's next frame. ``doubled_share``: come twice.
+    """
+
+    dropped_share: float = 0.0
+    burst_share: float = 0.0
+    burst_frames: int = 10
+    corrupt_share: float = 0.0
+    late_share: float = 0.0
+    late_frames: int = 50
+    reordered_share: float = 0.0
+    doubled_share: float = 0.0
+    dies_s: float | None = None
+    returns_s: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in SHARES:
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InputError(
+                    f"delivery: {name} = {getattr(self, name)} given; a share from 0 to 1 is wanted"
+                )
+        for name in ("burst_frames", "late_frames"):
+            if getattr(self, name) < 1:
+                raise InputError(f"delivery: {name} = {getattr(self, name)} given; 1 or more is wanted")
+
+
+FAULTLESS = Delivery()
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """A frame as the sensor gave it; when its first row opened, and when that was due, session clock [s]."""
+
+    frame: Frame
+    opened_s: float
+    due_s: float
+
+
+def fate_of(delivery: Delivery, seed: int, name: str, number: int, opened_s: float) -> Fate:
+    """Return what becomes of frame ``number`` of camera ``name``, which opened at ``opened_s`` [s]."""
+    if delivery == FAULTLESS:
+        return "good"
+    returns_s = math.inf if delivery.returns_s is None else delivery.returns_s
+    if delivery.dies_s is not None and delivery.dies_s <= opened_s < returns_s:
+        return "dead"
+    if _meets(delivery.dropped_share, seed, name, "dropped", number):
+        return "dropped"
+    if delivery.burst_share > 0.0:
+        # a frame is lost unless none of the bursts that would reach it has begun
+        begins = 1.0 - (1.0 - delivery.burst_share) ** (1.0 / delivery.burst_frames)
+        for first in range(max(0, number - delivery.burst_frames + 1), number + 1):
+            if _meets(begins, seed, name, "burst", first):
+                return "dropped"
+    if _meets(delivery.corrupt_share, seed, name, "corrupt", number):
+        return "corrupt"
+    if _meets(delivery.late_share, seed, name, "late", number):
+        return "late"
+    if _meets(delivery.reordered_share, seed, name, "reordered", number):
+        return "reordered"
+    return "doubled" if _meets(delivery.doubled_share, seed, name, "doubled", number) else "good"
+
+
+def deliver(taken: Iterable[Taken], deliveries: Mapping[str, Delivery], seed: int) -> Iterator[Frame]:
+    """Yield the frames in order of arrival.
+
+    ``taken``: the rig's frames in the order in which they were made. ``deliveries``: by camera; one that is not
+    named delivers everything. What still waits when no more frames come arrives then, in the order of its making.
+    """
+    late: list[tuple[int, Frame]] = []
+    held: dict[str, list[Frame]] = {}
+    for made, shot in enumerate(taken, start=1):
+        frame, name = shot.frame, shot.frame.camera
+        fate = fate_of(deliveries.get(name, FAULTLESS), seed, name, frame.index, shot.opened_s)
+        if fate == "late":
+            late.append((made + deliveries[name].late_frames, frame))
+        elif fate == "reordered":
+            held.setdefault(name, []).append(frame)
+        elif fate == "corrupt":
+            yield _damaged(frame)
+        elif fate in ("good", "doubled"):
+            yield frame
+            if fate == "doubled":
+                yield frame
+        if fate not in ("late", "reordered"):
+            yield from held.pop(name, ())
+        while late and late[0][0] <= made:
+            yield late.pop(0)[1]
+        late.sort(key=lambda waiting: waiting[0])
+    for frames in held.values():
+        yield from frames
+    for _due, frame in late:
+        yield frame
+
+
+def _meets(share: float, seed: int, name: str, trouble: str, number: int) -> bool:
+    return share > 0.0 and key(seed, f"camera/{name}/delivery/{trouble}", number) < share * 2.0**64
+
+
+def _damaged(frame: Frame) -> Frame:
+    return replace(frame, image=None, status="corrupt", note="damaged on its way from the camera")

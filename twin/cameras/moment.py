@@ -1,0 +1,202 @@
+"""The scene's geometry about one pulse, evaluated once for all cameras whose exposures lie alike.
+
+Forward kinematics at every camera's every instant is dear; over the few milliseconds of an exposure everything
+moves along a polynomial. So a *stretch* of time is sampled at Chebyshev's nodes and interpolated by Lagrange's
+formula (Trefethen, Approximation Theory and Approximation Practice, chapters 4 to 6). With n nodes over a length
+T a coordinate is off by at most ``2 (T / 4)^n / n!`` times its n-th derivative. The number of nodes is even, so
+that mid-stretch is where the error is largest; there it is measured, and a stretch that misses TOLERANCE (a kink,
+a rotor) is evaluated instant by instant.
+
+What a camera gets depends on its own timing alone: which other cameras there are changes nothing.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from mosca.data.arrays import Array
+from twin.scenes.scene import SceneSampler
+
+TOLERANCE = 1e-8
+"""Largest error of an interpolated coordinate [m] or element of a rotation, measured mid-stretch."""
+LADDER = ((0.0025, 4), (0.005, 6), (0.010, 6), (0.025, 8))
+"""Lengths of stretches [s] and their numbers of nodes."""
+ROOM_JITTERS = 6.0
+"""How far, in rms trigger jitters, exposures may stray without leaving their stretch, at both ends."""
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Where geoms and bodies are at k instants, world frame [m].
+
+    ``geom_xyz`` (k, g, 3), ``geom_turn`` (k, g, 3, 3), ``body_xyz`` (k, b, 3), ``body_turn`` (k, b, 3, 3).
+    """
+
+    geom_xyz: Array
+    geom_turn: Array
+    body_xyz: Array
+    body_turn: Array
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A length of time: its middle and its length [s], and how many nodes it takes."""
+
+    middle_s: float
+    length_s: float
+    nodes: int
+
+    def holds(self, from_s: float, to_s: float) -> bool:
+        """Whether all of a while lies in it."""
+        half = 0.5 * self.length_s
+        return self.middle_s - half <= from_s and to_s <= self.middle_s + half
+
+
+def stretch_about(middle_s: float, span_s: float, jitter_s: float) -> Stretch | None:
+    """Return the stretch for exposures of ``span_s`` about ``middle_s``; None where interpolating would not pay."""
+    wanted = span_s + 2.0 * ROOM_JITTERS * jitter_s
+    for length, nodes in LADDER:
+        if wanted <= length:
+            return Stretch(middle_s, length, nodes)
+    return None
+
+
+class Moment:
+    """One worker's view of a scene during one pulse period; remembers what it has evaluated.
+
+    ``geoms`` (g,) and ``bodies`` (b,): the ids to be told of.
+    """
+
+    def __init__(self, sampler: SceneSampler, geoms: Array, bodies: Array) -> None:
+        self._sampler, self._geoms, self._bodies = sampler, geoms, bodies
+        self._known: dict[float, Array] = {}
+        self._stretches: dict[Stretch, tuple[Array, Array] | None] = {}
+
+    def at(self, times_s: Array, stretch: Stretch | None = None) -> Places:
+        """Return where everything is at instants (k,); ``stretch``: the one that they should lie in."""
+        rows = None
+        if stretch is not None and stretch.holds(float(times_s.min()), float(times_s.max())):
+            nodes = self._sampled(stretch)
+            if nodes is not None:
+                rows = interpolated(*nodes, times_s)
+        if rows is None:
+            rows = np.stack([self._exact(float(t)) for t in times_s])
+        k, g, b = len(times_s), len(self._geoms), len(self._bodies)
+        turns, bodies, body_turns = 3 * g, 12 * g, 12 * g + 3 * b
+        return Places(
+            rows[:, :turns].reshape(k, g, 3),
+            rows[:, turns:bodies].reshape(k, g, 3, 3),
+            rows[:, bodies:body_turns].reshape(k, b, 3),
+            rows[:, body_turns:].reshape(k, b, 3, 3),
+        )
+
+    def hold(self, time_s: float) -> SceneSampler:
+        """Return the sampler with its data at ``time_s``, for who asks MuJoCo itself."""
+        self._sampler.at(time_s)
+        return self._sampler
+
+    def _exact(self, time_s: float) -> Array:
+        """Return all coordinates at an instant in one row."""
+        row = self._known.get(time_s)
+        if row is None:
+            state = self._sampler.at(time_s)
+            data = self._sampler.data
+            row = self._known[time_s] = np.concatenate(
+                [
+                    state.geom_xyz.take(self._geoms, axis=0).ravel(),
+                    state.geom_rotation.take(self._geoms, axis=0).ravel(),
+                    data.xpos.take(self._bodies, axis=0).ravel(),
+                    data.xmat.take(self._bodies, axis=0).ravel(),
+                ]
+            )
+        return row
+
+    def _sampled(self, stretch: Stretch) -> tuple[Array, Array] | None:
+        """Return the stretch's nodes (n,) and rows (n, d); None where they would not be good enough."""
+        if stretch not in self._stretches:
+            times = chebyshev_nodes(stretch.middle_s, stretch.length_s, stretch.nodes)
+            rows = np.stack([self._exact(float(t)) for t in times])
+            middle = interpolated(times, rows, np.array([stretch.middle_s]))
+            off = np.abs(middle[0] - self._exact(stretch.middle_s)).max(initial=0.0)
+            self._stretches[stretch] = (times, rows) if off <= TOLERANCE else None
+        return self._stretches[stretch]
+
+
+def chebyshev_nodes(middle: float, length: float, n: int) -> Array:
+    """Return the n zeros of Chebyshev's polynomial over an interval, rising."""
+    return middle - 0.5 * length * np.cos(np.pi * (np.arange(n) + 0.5) / n)
+
+
+def lobatto_nodes(span: float, n: int) -> Array:
+    """Return the n Chebyshev-Gauss-Lobatto nodes of 0..span, both ends among them, rising."""
+    return 0.5 * span * (1.0 - np.cos(np.pi * np.arange(n) / (n - 1)))
+
+
+def interpolated(nodes: Array, values: Array, times: Array) -> Array:
+    """Return what ``values`` (n, d) at ``nodes`` (n,) make at ``times`` (k,): the polynomial through them (k, d)."""
+    return np.asarray(_interpolated(nodes, values, np.ascontiguousarray(times, dtype=float)))
+
+
+@njit(nogil=True, cache=True)
+def _interpolated(nodes, values, times):  # type: ignore[no-untyped-def]
+    out = np.zeros((times.shape[0], values.shape[1]))
+    for k in range(times.shape[0]):
+        for i in range(nodes.shape[0]):
+            weight = 1.0
+            for j in range(nodes.shape[0]):
+                if i != j:
+                    weight *= (times[k] - nodes[j]) / (nodes[i] - nodes[j])
+            for d in range(values.shape[1]):
+                out[k, d] += weight * values[i, d]
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Targets and what hides them in the frame of a camera at K instants.
+
+    ``path`` (m, K, 3) and ``turn`` (m, K, 3, 3) of the targets; ``solid_xyz`` (K, s, 3) and ``solid_turn``
+    (K, s, 3, 3) of what hides them [m].
+    """
+
+    path: Array
+    turn: Array
+    solid_xyz: Array
+    solid_turn: Array
+
+
+def seen_from(
+    rotation: Array, position: Array, places: Places, targets: Array, solids: Array, count: int
+) -> View:
+    """Return what a camera has before it at the first ``count`` instants of ``places``.
+
+    ``rotation`` (k, 3, 3), ``position`` (k, 3): its ``world_from_camera``; ``targets`` (m,) and ``solids`` (s,):
+    numbers of the geoms of ``places``.
+    """
+    here = _seen_from(rotation, position, places.geom_xyz, places.geom_turn, targets, solids, count)
+    return View(*here)
+
+
+@njit(nogil=True, cache=True)
+def _seen_from(rotation, position, xyz, turn, targets, solids, count):  # type: ignore[no-untyped-def]
+    path, path_turn = np.empty((targets.shape[0], count, 3)), np.empty((targets.shape[0], count, 3, 3))
+    solid, solid_turn = np.empty((count, solids.shape[0], 3)), np.empty((count, solids.shape[0], 3, 3))
+    for k in range(count):
+        r, p = rotation[k], position[k]
+        for m in range(targets.shape[0]):
+            _in_camera(r, p, xyz[k, targets[m]], turn[k, targets[m]], path[m, k], path_turn[m, k])
+        for s in range(solids.shape[0]):
+            _in_camera(r, p, xyz[k, solids[s]], turn[k, solids[s]], solid[k, s], solid_turn[k, s])
+    return path, path_turn, solid, solid_turn
+
+
+@njit(nogil=True, cache=True)
+def _in_camera(rotation, position, xyz, turn, here, turned):  # type: ignore[no-untyped-def]
+    """Write a place and its axes in the frame of a camera to ``here`` and ``turned``."""
+    x, y, z = xyz[0] - position[0], xyz[1] - position[1], xyz[2] - position[2]
+    for i in range(3):
+        a, b, c = rotation[0, i], rotation[1, i], rotation[2, i]
+        here[i] = a * x + b * y + c * z
+        for j in range(3):
+            turned[i, j] = a * turn[0, j] + b * turn[1, j] + c * turn[2, j]

@@ -1,0 +1,52 @@
+"""Veiling glare: a share of all light on the image, scattered in the lens, lies over it as a wide haze."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from mosca.data.arrays import Array
+from mosca.errors import InputError
+
+PART_PX = 8
+"""The haze is far wider than this: it is computed on parts of the image of about 8 x 8 px."""
+
+
+@dataclass(frozen=True)
+class Glare:
+    """``share`` of the light on the image that comes again as haze (ISO 9358 veiling glare: 0.005 to 0.05 of a lens);
+    ``sigma`` of its Gaussian over the image's width.
+    """
+
+    share: float = 0.0
+    sigma: float = 0.125
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.share < 1.0 or not 0.0 < self.sigma < np.inf:
+            raise InputError(
+                f"glare: share = {self.share}, sigma = {self.sigma} given; a share from 0 to below 1 and a width "
+                "above 0 are wanted"
+            )
+
+
+def veil(light: Array, glare: Glare) -> Array:
+    """Return the haze (h, w) float32 [electrons a pixel] of ``light`` (H, W) float32.
+
+    It stands at the middles of h x w equal parts of the image, the form that ``Ambient.with_extra`` takes. What would
+    fall beside the image falls on it, mirrored at its borders, so that none is lost: the mean of the haze is
+    share x the mean of the light.
+    """
+    height, width = light.shape
+    rows, columns = -(-height // PART_PX), -(-width // PART_PX)
+    parts = cv2.resize(light, (columns, rows), interpolation=cv2.INTER_AREA).astype(np.float64)
+    sigma_px = glare.sigma * width
+    haze = gaussian_filter(parts, (sigma_px * rows / height, sigma_px * columns / width), mode="reflect")
+    return np.asarray(haze * glare.share, dtype=np.float32)
+
+
+def veil_image(light: Array, glare: Glare) -> Array:
+    """Return the haze at every pixel (H, W) float32 [electrons]; its sum is share x the sum of the light."""
+    fine = cv2.resize(veil(light, glare), light.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    total, spread = glare.share * float(light.sum(dtype=float)), float(fine.sum(dtype=float))
+    return np.asarray(fine * (total / spread) if spread > 0.0 else fine, dtype=np.float32)
