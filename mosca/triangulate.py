@@ -72,7 +72,9 @@ def _camera_rays(camera: Camera, found: Detections, sigma_px: float) -> tuple[Ar
     # two targets grown together are long, and their flux and peak tell no diameter: the longer axis does
     longer = np.where(found.elongation > LONG, np.sqrt(found.elongation), 1.0)
     diameter = np.maximum(found.diameter_px * longer, LEAST_DIAMETER_PX)
-    angle = diameter / np.linalg.det(gram) ** 0.25
+    # a detection where the lens images nothing has no ray: NaN, which no gate lets through
+    with np.errstate(invalid="ignore"):
+        angle = diameter / np.linalg.det(gram) ** 0.25
     return bundle.direction, white, spread, np.linalg.det(covariance) ** 0.25, diameter / 2, angle
 
 

@@ -65,15 +65,19 @@ class Stages(Protocol):
 def build_scene(spec: Scenario, folder: Path) -> Scene:
     """Return the scene; files that the scenario names are looked for beside it (``folder``)."""
     made = _subject(spec, folder)
-    if spec.glow is not None:
-        said = spec.glow.model_dump(exclude_unset=True)
+    said = {} if spec.glow is None else spec.glow.model_dump(exclude_unset=True)
+    if said:
         glows = {name: replace(made.glows.get(name, Glow()), **said) for name in made.marker_names}
         made = replace(made, glows=glows)
     if spec.lamps is not None:
-        from twin.scenes.target_lamps import with_numbered_lamps
+        from twin.scenes.target_lamps import LAMP, with_numbered_lamps
 
         made = with_numbered_lamps(
-            made, spec.capture.frame_rate_hz, names=spec.lamps.names, frames_per_bit=spec.lamps.frames_per_bit
+            made,
+            spec.capture.frame_rate_hz,
+            names=spec.lamps.names,
+            frames_per_bit=spec.lamps.frames_per_bit,
+            glow=replace(LAMP, **{**said, "kind": "lamp"}),
         )
     return made
 

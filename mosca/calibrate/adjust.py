@@ -186,8 +186,9 @@ def _judged(
             f"{settings.max_rejected:.0%} may be rejected; check the pairs and the lens model"
         )
     everyone = residuals_of(fit.camera, xy, world)
-    # what one pixel measures on the target, at each point's own distance
-    depth = fit.camera.world_from_camera.inverse().transform(world[used])[:, 2]
+    # what one pixel measures on the target, at each point's own distance (a fisheye's scale is an angle)
+    seen = fit.camera.world_from_camera.inverse().transform(world[used])
+    depth = np.linalg.norm(seen, axis=1) if isinstance(fit.camera.lens, FisheyeLens) else seen[:, 2]
     residuals = everyone[used]
     share = redundancy / (2 * used.sum())
     sigma_px = np.sqrt(np.mean(residuals**2, axis=0) / share)

@@ -20,6 +20,7 @@ from mosca.data.frames import CameraInfo, Frame, FrameSource, mid_exposure_ns
 from mosca.data.rig import Camera, MoscaLens, Pose
 from mosca.recording import RecordingWriter, open_recording
 from twin.cameras.camera import VirtualCamera
+from twin.cameras.delivery import Delivery
 from twin.scenes.cloud import build_cloud
 from twin.source import TwinSource
 
@@ -69,26 +70,6 @@ def mcap_source(folder: Path) -> FrameSource:
     return open_recording(folder)
 
 
-class Lossy:
-    """A source whose link loses one frame: the twin's own triggers all arrive."""
-
-    def __init__(self, source: FrameSource) -> None:
-        self._source = source
-        self.cameras = source.cameras
-
-    def __iter__(self) -> Iterator[Frame]:
-        return (frame for frame in self._source if (frame.camera, frame.index) != LOST)
-
-    def close(self) -> None:
-        self._source.close()
-
-    def __enter__(self) -> "Lossy":
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
-
 def twin_source(folder: Path) -> FrameSource:
     scene = build_cloud(
         duration_s=1.0, box_center_m=np.zeros(3), box_size_m=np.ones(3), rng=np.random.default_rng(0), n=3
@@ -99,8 +80,17 @@ def twin_source(folder: Path) -> FrameSource:
         VirtualCamera(Camera(name, WIDTH, HEIGHT, lens, Pose(looking, np.array([-3.0, y, 0.0]))))
         for name, y in (("a", 0.0), ("b", 0.5))
     )
-    return Lossy(
-        TwinSource(scene, cameras, frame_rate_hz=RATE_HZ, exposure_s=5e-4, pulses=PULSES, seed=1, workers=2)
+    name, number = LOST
+    dead = Delivery(dies_s=(number - 0.5) / RATE_HZ, returns_s=(number + 0.5) / RATE_HZ)
+    return TwinSource(
+        scene,
+        cameras,
+        frame_rate_hz=RATE_HZ,
+        exposure_s=5e-4,
+        pulses=PULSES,
+        seed=1,
+        workers=2,
+        deliveries={name: dead},
     )
 
 

@@ -53,10 +53,15 @@ def contour_image(polygon: Array, sigma_px: float, width: int, height: int) -> A
     along = ((1 + nodes) / 2)[:, None, None]
     at = (polygon + along * (following - polygon)).reshape(-1, 2)
     dy = (weights[:, None] / 2 * (following - polygon)[:, 1]).ravel()
-    columns, rows = axes(width, height)
+    reach = 0.5 + 8 * sigma_px  # farther out there is nothing: 1e-15
+    low = np.clip(np.floor(polygon.min(axis=0) - reach), 0, (width, height)).astype(int)
+    high = np.clip(np.ceil(polygon.max(axis=0) + reach) + 1, low, (width, height)).astype(int)
+    columns, rows = np.arange(low[0], high[0]), np.arange(low[1], high[1])
     down = dy * spread(at[:, 1] - rows[:, None], sigma_px)
     across = gathered(at[:, 0] - columns[:, None], sigma_px)
-    image = np.einsum("rp,cp->rc", down, across)  # not by BLAS: its threads wait for each other on busy cores
+    image = np.zeros((height, width))
+    # not by BLAS: its threads wait for each other on busy cores
+    image[low[1] : high[1], low[0] : high[0]] = np.einsum("rp,cp->rc", down, across)
     x, y = (polygon - polygon[0]).T
     turns_left = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) > 0
     return image if turns_left else -image

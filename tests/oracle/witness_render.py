@@ -102,10 +102,11 @@ def paper_lens(
     return WitnessLens(project, unproject)
 
 
-def with_gap(lens: WitnessLens, gap_px: float, width: int, height: int) -> WitnessLens:
-    """The lens followed by a radial displacement gap_px * T9(s), s = distance from the centre / half diagonal.
+def with_gap(lens: WitnessLens, gap_px: float, width: int, height: int, order: int = 9) -> WitnessLens:
+    """The lens followed by a radial displacement gap_px * T(s), s = distance from the centre / half diagonal.
 
-    T9(s) = cos(9 arccos s), the Chebyshev polynomial by its trigonometric definition; s <= 1 inside the image.
+    T(s) = cos(order arccos s), the Chebyshev polynomial by its trigonometric definition; s <= 1 inside the
+    image. The order is the first that the lens's own radial powers do not reach: 9, and 11 for a fisheye.
     """
     if gap_px == 0.0:
         return lens
@@ -115,7 +116,7 @@ def with_gap(lens: WitnessLens, gap_px: float, width: int, height: int) -> Witne
     def displaced(xy: Array) -> Array:
         away = xy - centre
         distance = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-12)
-        size = gap_px * np.cos(9 * np.arccos(np.clip(distance / half_diagonal, 0, 1)))
+        size = gap_px * np.cos(order * np.arccos(np.clip(distance / half_diagonal, 0, 1)))
         return xy + away * (size / distance)[:, None]
 
     def unproject(xy: Array) -> Array:

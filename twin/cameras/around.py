@@ -10,8 +10,8 @@ from twin.cameras.ambient import Ambient
 from twin.cameras.context import ContextView, Refreshed, context_image, context_view, refresh_pulse
 from twin.cameras.lighting import ALWAYS
 from twin.cameras.moment import Moment
+from twin.cameras.occlusion import Occluders
 from twin.cameras.render import Figures, TargetsInCamera, render_targets
-from twin.cameras.shutter import pulse_time_s
 from twin.cameras.station import Sight, Station
 from twin.cameras.stray import Surroundings, stray_targets, unhidden
 from twin.cameras.stray_glare import veil
@@ -61,14 +61,14 @@ class Around:
         stray = stray_targets(
             self._given,
             camera=camera,
-            heads=self._heads(camera, sight, moment),
+            heads=self._heads(camera, sight),
             targets=self._in_world(sight),
             signal_e=station.signal_e,
             rays=SceneRays(subject.scene.model, moment.hold(sight.half_s).data),
             figures=self._figure_count,
         )
 
-        def render(targets: TargetsInCamera, hiding: tuple[object, Array, Array]) -> None:
+        def render(targets: TargetsInCamera, hiding: tuple[Occluders, Array, Array]) -> None:
             if len(targets.radius):
                 render_targets(
                     light, sight.lens, station.psf, sight.window, targets, *hiding, figures=self._figures
@@ -121,18 +121,17 @@ class Around:
             sight.lit.first,
         )
 
-    def _heads(self, camera: int, sight: Sight, moment: Moment) -> Heads:
+    def _heads(self, camera: int, sight: Sight) -> Heads:
         """Return where all cameras are while one exposes, and when their ring lights shine."""
         k = len(sight.window.nodes_s)
-        times = sight.exposure.start_s + sight.window.nodes_s
         turns, places, lit = [], [], []
         for number, station in enumerate(self._stations):
             if number == camera:
-                turn, place = sight.rotation[:k], sight.position[:k]
+                turn, place = sight.rotation, sight.position
             else:
-                turn, place = station.pose_at(times, sight.exposure.number, sight.places)
-            turns.append(turn)
-            places.append(place)
+                turn, place = station.pose_at(sight.times_s, sight.exposure.number, sight.places)
+            turns.append(turn[:k])
+            places.append(place[:k])
             lit.append(self._shining(station, sight))
         return Heads(np.array(places), np.array(turns), np.array(lit))
 
@@ -142,8 +141,6 @@ class Around:
             return ALWAYS
         opens, closes = sight.exposure.start_s, sight.exposure.end_s
         pulse = math.floor(opens * station.frame_rate_hz)
-        while pulse_time_s(pulse, station.frame_rate_hz) > opens:
-            pulse -= 1
         lights = [
             exposure.light_s
             for near in (pulse - 1, pulse, pulse + 1)

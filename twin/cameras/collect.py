@@ -24,7 +24,7 @@ EDGE, SPOT = 0, 1
 """What a point is: a piece of boundary (amount dv) or a spot of light (amount area)."""
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def nodes_for(motion_px):  # type: ignore[no-untyped-def]
     """Gauss-Legendre nodes that integrate an image motion of this length, at most 15 px.
 
@@ -38,7 +38,7 @@ def nodes_for(motion_px):  # type: ignore[no-untyped-def]
     return min(MAX_NODES, max(3 + int(motion_px), int(1.6 * motion_px)))
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def add_points(what, change, x0, y0, table, reach, patch, points, panel, motion_px, window):  # type: ignore[no-untyped-def]
     """Add moving boundary points to ``change`` or spots to it (one column is one pixel, row 0 is pixel row y0).
 
@@ -62,7 +62,7 @@ def add_points(what, change, x0, y0, table, reach, patch, points, panel, motion_
             )
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _add_all_rows(what, change, x0, y0, table, reach, patch, points, panel, motion_px, begin, end, length):  # type: ignore[no-untyped-def]
     half, middle = 0.5 * (panel[1] - panel[0]), 0.5 * (panel[0] + panel[1])
     nodes = nodes_for(motion_px * (end - begin) / (2.0 * half))
@@ -90,7 +90,7 @@ def _add_all_rows(what, change, x0, y0, table, reach, patch, points, panel, moti
                             row[px + q - x0] += w * step_x[q]
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _add_one_row(what, row, py, x0, table, reach, patch, points, panel, motion_px, begin, end, length):  # type: ignore[no-untyped-def]
     half, middle = 0.5 * (panel[1] - panel[0]), 0.5 * (panel[0] + panel[1])
     nodes = nodes_for(motion_px * (end - begin) / (2.0 * half))
@@ -117,7 +117,7 @@ def _add_one_row(what, row, py, x0, table, reach, patch, points, panel, motion_p
                     row[px + q - x0] += w * step_x[q]
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _steps(what, step_x, table, reach, u):  # type: ignore[no-untyped-def]
     """Change from pixel to pixel, from the first at 0 on, that a point at u adds along a row."""
     previous = 1.0 if what == EDGE else 0.0
@@ -127,7 +127,7 @@ def _steps(what, step_x, table, reach, u):  # type: ignore[no-untyped-def]
         previous = here
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def fill(light, change, x0, y0, electrons, least):  # type: ignore[no-untyped-def]
     """Add the running sums of ``change`` to the image; light below ``least`` electrons is left out."""
     height, width = light.shape

@@ -39,7 +39,7 @@ LEAST_E = 1e-3
 """Light below a thousandth of an electron is left out, so that dark pixels stay exactly dark."""
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def render_all(  # type: ignore[no-untyped-def]
     light, lens, table, reach, terms, nodes, timing, path, turn, radius, shape, figure, electrons, lit, profile,
     pieces, first, kind, size, geom_marker, geom_xyz, geom_turn, solids, mesh,
@@ -60,7 +60,7 @@ def render_all(  # type: ignore[no-untyped-def]
     return seen, state
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def render_one(  # type: ignore[no-untyped-def]
     light, lens, table, reach, terms, nodes, timing, path, turn, radius, shape, figure, electrons, lit, profile,
     pieces, first, kind, size, geom_marker, geom_xyz, geom_turn, solids, m, how, given_edges, given_share,
@@ -291,7 +291,7 @@ def render_one(  # type: ignore[no-untyped-def]
     return visible, u, v, diameter, IN_VIEW if hidden == 0.0 else PARTLY
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _motion(lens, nodes, path, begin, instant, end, weights):  # type: ignore[no-untyped-def]
     """Length of the image of a path [px], of one that turns or speeds up at its faster half's pace (-1: not
     imaged), and how far the target goes [m].
@@ -316,7 +316,7 @@ def _motion(lens, nodes, path, begin, instant, end, weights):  # type: ignore[no
     return (turned_back if turned_back > 1.2 * chord else chord), max(swing, 0.0)
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _carried(edges, lens, nodes, path, u, v, begin, middle, end, weights):  # type: ignore[no-untyped-def]
     """Boundary points found at ``middle``, carried along by the target's image (u, v) through begin..end."""
     lagrange(nodes, begin, weights)
@@ -339,7 +339,7 @@ def _carried(edges, lens, nodes, path, u, v, begin, middle, end, weights):  # ty
     return out
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _inside(lens, shape, axes, x, y, z, r, width, height):  # type: ignore[no-untyped-def]
     """Share of a target's disc that lies inside the image, from 240 places on it."""
     circle = circle_of(shape, axes, x, y, z, r)
@@ -357,18 +357,18 @@ def _inside(lens, shape, axes, x, y, z, r, width, height):  # type: ignore[no-un
     return count / 240.0
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _rings(diameter):  # type: ignore[no-untyped-def]
     return 4 + int(diameter / 1.5), 12 + int(math.pi * diameter / 0.7)
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _spot_count(diameter):  # type: ignore[no-untyped-def]
     rings, around = _rings(diameter)
     return min(24, rings) * around
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _spots(lens, shape, axes, x, y, z, r, profile, diameter, out):  # type: ignore[no-untyped-def]
     """Write spots (u, v, amount) of the brightness of a disc beyond 1: Gauss in the radius, even angles.
 
@@ -396,7 +396,7 @@ def _spots(lens, shape, axes, x, y, z, r, profile, diameter, out):  # type: igno
             n += 1
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _add_sampled(  # type: ignore[no-untyped-def]
     change, x0, y0, table, reach, patch, lens, nodes, path, axes, x, y, z, r, shape, near, near_count, kind, size,
     xyz, turn, begin, instant, end, motion, sigma, timing, on, off,

@@ -20,6 +20,8 @@ SPACING = 0.15
 RANDOM_BITS = 63
 """Cumulative probabilities are counted in units of 2^-63: sums never leave 64 bits."""
 _DSNU_REACH = 8.0
+_REACH = 9.0
+"""Where Gaussian noise ends, in its standard deviations: 1e-19 lies beyond."""
 _MOST_LEVELS = 2**16 - 1
 
 
@@ -29,7 +31,7 @@ class LevelBank:
     ``levels_e`` (n,) mean electrons, ascending; one is ``anchor_e`` exactly; the last is surely saturated, the
     first is 0, or as far below as the sensor's dark signal reaches (below 0: a lower offset without shot noise).
     Level k counts ``first[k] + j`` where j is how many of ``thresholds[k]`` (63-bit numbers) a random number reaches;
-    ``guide[k]`` gives the count for a number's leading ``guide_bits``, or SEARCH.
+    ``guide[k]`` gives the count for a number's leading ``guide_bits``; with SEARCH added, the least it may be.
     """
 
     def __init__(self, sensor: Sensor, anchor_e: float) -> None:
@@ -51,7 +53,7 @@ class LevelBank:
         self.levels_e[self.anchor] = self.anchor_e
         self.levels_e.setflags(write=False)
         self.scale = (self._floor_e, float(self.anchor), float(ends[1]), float(self.step))
-        spread = 9.0 * np.sqrt(np.maximum(self.levels_e, 0.0) + sensor.read_noise_e**2) + 10.0
+        spread = _REACH * np.sqrt(np.maximum(self.levels_e, 0.0) + sensor.read_noise_e**2) + 10.0
         self.first = np.searchsorted(self._edges_e, self.levels_e - spread)
         last = np.searchsorted(self._edges_e, self.levels_e + spread)
         self._counts = last - self.first + 1
@@ -60,6 +62,9 @@ class LevelBank:
         self.guide = np.empty((count, 2**self.guide_bits), dtype=np.uint16)
         self.thresholds = np.empty((count, int(self._counts.max())), dtype=np.uint64)
         self._made = np.zeros(count, dtype=bool)
+        self._noise_e = max(sensor.read_noise_e, 1e-9)
+        self._edge_laws = np.empty((sensor.top, 2 * math.ceil(_REACH * self._noise_e) + 2))
+        self._edge_made = np.zeros(sensor.top, dtype=bool)
         self._lock = Lock()
 
     def number(self, mean_e: Array) -> Array:
@@ -77,9 +82,10 @@ class LevelBank:
         with self._lock:
             for k in missing[~self._made[missing]]:
                 n = int(self._counts[k])
+                part = slice(int(self.first[k]), int(self.first[k]) + n - 1)
                 _law(
-                    self.levels_e[k], max(self.sensor.read_noise_e, 1e-9),
-                    self._edges_e[self.first[k] : self.first[k] + n - 1], self.thresholds[k, :n],
+                    self.levels_e[k], self._noise_e, self._edges_e[part], self._edge_laws[part],
+                    self._edge_made[part], self.thresholds[k, :n],
                 )  # fmt: skip
                 self.thresholds[k, n:] = np.uint64(2**RANDOM_BITS)
                 _guide(self.thresholds[k], int(self.first[k]), self.guide_bits, self.guide[k])
@@ -113,8 +119,11 @@ def _unscale(scale: Array, floor_e: float) -> Array:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _law(level, read_noise, edges, thresholds):  # type: ignore[no-untyped-def]
-    """Fill a level's cumulative probabilities: P(electrons + noise < edge), summed over the numbers of electrons."""
+def _law(level, noise, edges, edge_laws, edge_made, thresholds):  # type: ignore[no-untyped-def]
+    """Fill a level's cumulative probabilities: P(electrons + noise < edge), summed over the numbers of electrons.
+
+    ``edge_laws`` keeps, for each edge, P(n + noise < edge) of the numbers n around it: all levels share them.
+    """
     mean, offset = max(level, 0.0), min(level, 0.0)
     reach = 10.0 * math.sqrt(mean) + 20.0
     low, high = max(0, math.floor(mean - reach)), math.ceil(mean + reach)
@@ -128,27 +137,40 @@ def _law(level, read_noise, edges, thresholds):  # type: ignore[no-untyped-def]
         share[i - 1] = share[i] * (low + i) / mean
     share /= share.sum()
     up_to = np.cumsum(share)
+    shifted = np.empty(edge_laws.shape[1])
     for j in range(edges.size):
         edge = edges[j] - offset
+        start = math.floor(edge) - edge_laws.shape[1] // 2 + 1
+        if offset != 0.0:
+            _edge_law(edge, start, noise, shifted)
+        elif not edge_made[j]:
+            _edge_law(edge, start, noise, edge_laws[j])
+            edge_made[j] = True
+        around = edge_laws[j] if offset == 0.0 else shifted
         # all of the electrons below the Gaussian's reach, a part of those within it, none of those above
-        begin = min(max(math.floor(edge - 9.0 * read_noise), low - 1), high)
-        end = min(math.ceil(edge + 9.0 * read_noise), high)
-        below = up_to[begin - low] if begin >= low else 0.0
-        for n in range(begin + 1, end + 1):
-            below += share[n - low] * 0.5 * math.erfc((n - edge) / (read_noise * 1.4142135623730951))
+        below = up_to[min(start - 1, high) - low] if start > low else 0.0
+        for n in range(max(start, low), min(start + around.size - 1, high) + 1):
+            below += share[n - low] * around[n - start]
         thresholds[j] = np.uint64(min(below, 1.0) * 9223372036854775808.0)
         if j > 0 and thresholds[j] < thresholds[j - 1]:  # by the last bits of a sum near 1
             thresholds[j] = thresholds[j - 1]
     thresholds[edges.size] = np.uint64(9223372036854775808)
 
 
+@njit(nogil=True, cache=True, error_model="numpy")
+def _edge_law(edge, start, noise, law):  # type: ignore[no-untyped-def]
+    """Fill P(n + noise < edge) for n = start, start + 1, ..."""
+    for i in range(law.size):
+        law[i] = 0.5 * math.erfc((start + i - edge) / (noise * 1.4142135623730951))
+
+
 @njit(nogil=True, cache=True)
 def _guide(thresholds, first, bits, guide):  # type: ignore[no-untyped-def]
-    """Fill the counts that a number's leading bits give, or SEARCH where a threshold lies among such numbers."""
+    """Fill the least counts that a number's leading bits allow, with SEARCH added where they allow more."""
     j = 0
     for cell in range(guide.size):
         start = np.uint64(cell) << np.uint64(63 - bits)
         end = start + (np.uint64(1) << np.uint64(63 - bits)) - np.uint64(1)
         while thresholds[j] <= start:
             j += 1
-        guide[cell] = first + j if thresholds[j] > end else SEARCH
+        guide[cell] = first + j + (0 if thresholds[j] > end else SEARCH)

@@ -5,7 +5,8 @@ moves along a polynomial. So a *stretch* of time is sampled at Chebyshev's nodes
 formula (Trefethen, Approximation Theory and Approximation Practice, chapters 4 to 6). With n nodes over a length
 T a coordinate is off by at most ``2 (T / 4)^n / n!`` times its n-th derivative. The number of nodes is even, so
 that mid-stretch is where the error is largest; there it is measured, and a stretch that misses TOLERANCE (a kink,
-a rotor) is evaluated instant by instant.
+a rotor) is evaluated instant by instant. Measured over 2 ms: 0.03 nm for a walking actor; where a kink lies beside
+the middle, in a robot's contacts or in noisy motion capture, up to 0.4 um.
 
 What a camera gets depends on its own timing alone: which other cameras there are changes nothing.
 """
@@ -19,8 +20,10 @@ from mosca.data.arrays import Array
 from twin.scenes.scene import SceneSampler
 
 TOLERANCE = 1e-8
-"""Largest error of an interpolated coordinate [m] or element of a rotation, measured mid-stretch."""
-LADDER = ((0.0025, 4), (0.005, 6), (0.010, 6), (0.025, 8))
+"""Largest error of an interpolated place, measured mid-stretch [m]."""
+TURN_TOLERANCE = 1e-7
+"""Largest error of an element of an interpolated rotation, measured mid-stretch."""
+LADDER = ((0.00125, 4), (0.0025, 6), (0.005, 6), (0.010, 8), (0.025, 10))
 """Lengths of stretches [s] and their numbers of nodes."""
 ROOM_JITTERS = 6.0
 """How far, in rms trigger jitters, exposures may stray without leaving their stretch, at both ends."""
@@ -72,6 +75,8 @@ class Moment:
         self._sampler, self._geoms, self._bodies = sampler, geoms, bodies
         self._known: dict[float, Array] = {}
         self._stretches: dict[Stretch, tuple[Array, Array] | None] = {}
+        g, b = len(geoms), len(bodies)
+        self._tolerance = np.repeat([TOLERANCE, TURN_TOLERANCE] * 2, [3 * g, 9 * g, 3 * b, 9 * b])
 
     def at(self, times_s: Array, stretch: Stretch | None = None) -> Places:
         """Return where everything is at instants (k,); ``stretch``: the one that they should lie in."""
@@ -118,8 +123,8 @@ class Moment:
             times = chebyshev_nodes(stretch.middle_s, stretch.length_s, stretch.nodes)
             rows = np.stack([self._exact(float(t)) for t in times])
             middle = interpolated(times, rows, np.array([stretch.middle_s]))
-            off = np.abs(middle[0] - self._exact(stretch.middle_s)).max(initial=0.0)
-            self._stretches[stretch] = (times, rows) if off <= TOLERANCE else None
+            off = np.abs(middle[0] - self._exact(stretch.middle_s))
+            self._stretches[stretch] = (times, rows) if (off <= self._tolerance).all() else None
         return self._stretches[stretch]
 
 

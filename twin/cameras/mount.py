@@ -7,6 +7,7 @@ within a frame.
 
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -100,7 +101,7 @@ class Stand:
             _walk(mount, name, seed, duration_s),
         )
 
-    @property
+    @cached_property
     def steady(self) -> bool:
         """Whether the camera stands still within a frame and does not ride."""
         m = self.mount

@@ -61,7 +61,7 @@ def blur_circle_px(optics: Optics, distance_m: float) -> float:
     return float(_blur_circle(psf_of(optics, 2, 2).terms, distance_m))
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _blur_circle(terms: Array, distance: float) -> float:
     focus, aperture, focal = terms[0], terms[1], terms[2]
     if focus == 0.0:
@@ -69,7 +69,7 @@ def _blur_circle(terms: Array, distance: float) -> float:
     return float(aperture * (distance - focus) / (distance * (focus - focal)))
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def patches(terms: Array, u: float, v: float, distance: float) -> Array:
     """Return the patches (n, 3) of a point at ``distance`` imaged at (u, v): displacement x, y [px] and share.
 

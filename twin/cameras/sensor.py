@@ -22,8 +22,8 @@ MOST_CURVED = 0.2
 """Largest departure from a straight line: at 0.25 the response's peak sinks below the last count."""
 GROUP = 8
 """Pixels that are asked together whether a target lights them."""
-SEARCH = 0xFFFF
-"""Stands in a guide where 16 bits do not tell the count."""
+SEARCH = 0x8000
+"""Added to a guide's count where the leading bits tell only that it is this one or more."""
 
 
 @dataclass(frozen=True)
@@ -154,11 +154,14 @@ def _look_up(out, index, many, frame, own, guide, guide_bits, first, thresholds)
             cell = (shared & np.uint64(0xFFFF)) >> shift
             shared >>= np.uint64(16)
             count = guide[level, cell]
-            if count == SEARCH:
-                rest = mix(own + np.uint64(p) * STEP) >> np.uint64(guide_bits + 1)
-                out[p] = first[level] + _reached(thresholds[level], (cell << rest_shift) | rest)
-            else:
+            if count < SEARCH:
                 out[p] = count
+            else:
+                rest = mix(own + np.uint64(p) * STEP) >> np.uint64(guide_bits + 1)
+                number, above = (cell << rest_shift) | rest, np.int64(count) - SEARCH - first[level]
+                while thresholds[level, above] <= number:
+                    above += 1
+                out[p] = first[level] + above
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -173,19 +176,6 @@ def _lit_groups(light, lit):  # type: ignore[no-untyped-def]
             lit[found] = GROUP * group
             found += 1
     return found
-
-
-@njit(nogil=True, cache=True)
-def _reached(thresholds, number):  # type: ignore[no-untyped-def]
-    """How many of the ascending thresholds the number reaches."""
-    low, high = 0, thresholds.size
-    while low < high:
-        middle = (low + high) >> 1
-        if thresholds[middle] <= number:
-            low = middle + 1
-        else:
-            high = middle
-    return low
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

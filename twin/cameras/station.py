@@ -43,14 +43,15 @@ class Shot:
 class Sight:
     """What a camera has before it during one exposure.
 
-    ``places`` of everything, and the camera's ``rotation`` (k, 3, 3) and ``position`` (k, 3), ``world_from_camera``, at
-    the window's nodes and, where none stands there, at the true mid-exposure; ``middle``: number of that
-    instant. ``view``, ``shining`` and ``lit``: the targets and what hides them at the nodes, their light and when they
-    shine. ``lens``: its vector, as warm as it is.
+    ``times_s`` (k,), session clock: the window's nodes and, where none stands there, the true mid-exposure, which
+    is number ``middle``. At these, ``places`` of everything, and the camera's ``world_from_camera``: ``rotation``
+    (k, 3, 3) and ``position`` (k, 3). ``view``, ``shining`` and ``lit``: the targets and what hides them at the
+    nodes, their light and when they shine. ``lens``: its vector, as warm as it is.
     """
 
     exposure: Exposure
     window: Window
+    times_s: Array
     places: Places
     rotation: Array
     position: Array
@@ -68,7 +69,7 @@ class Sight:
     @property
     def half_s(self) -> float:
         """The instant of the window's middle node, session clock [s]."""
-        return self.exposure.start_s + float(self.window.nodes_s[self.half])
+        return float(self.times_s[self.half])
 
 
 class Station:
@@ -107,6 +108,14 @@ class Station:
         self._body = None
         if virtual.mount.body is not None:
             self._body = int(np.searchsorted(subject.bodies, carrying_body(subject.scene, virtual)))
+        # plain targets look the same from everywhere, and without codes and strobes they shine all the time
+        m = len(subject.radius)
+        self._even, self._lit_always = None, None
+        if subject.even:
+            ahead = np.tile([0.0, 0.0, 1.0], (m, 1))
+            self._even = target_light(subject.glows, self.signal_e, ahead, -ahead, np.zeros(3), np.eye(3))
+        if not any(subject.glows.blinks) and timing.strobe_s is None:
+            self._lit_always = lit_during(subject.glows, 0.0, 1.0)
 
     @property
     def info(self) -> CameraInfo:
@@ -146,28 +155,31 @@ class Station:
             times, middle = np.append(times, exposure.middle_s), len(nodes)
         places = moment.at(times, self._stretch(exposure))
         rotation, position = self.pose_at(times, exposure.number, places)
-        shining = target_light(
-            subject.glows,
-            self.signal_e,
-            places.geom_xyz[half, subject.marker_at],
-            places.geom_turn[half, subject.marker_at, :, 2],
-            position[half],
-            rotation[half],
-        )
-        on, off = exposure.light_s
-        strobe = (on - exposure.start_s, off - exposure.start_s)
         return Sight(
             exposure,
             Window(nodes, exposure.length_s, exposure.row_time_s),
+            times,
             places,
             rotation,
             position,
             middle,
             seen_from(rotation, position, places, subject.marker_at, subject.solid_at, len(nodes)),
-            shining,
-            lit_during(subject.glows, exposure.start_s, exposure.span_s, strobe),
+            self._even or self._light(places, half, rotation[half], position[half]),
+            self._lit_always or self._lit(exposure),
             warmed(self.lens.vector, self.virtual.optics, exposure.middle_s),
         )
+
+    def _light(self, places: Places, at: int, rotation: Array, position: Array) -> TargetLight:
+        """Return the targets' light at one of the instants of ``places``."""
+        subject = self.subject
+        xyz, axis = places.geom_xyz[at, subject.marker_at], places.geom_turn[at, subject.marker_at, :, 2]
+        return target_light(subject.glows, self.signal_e, xyz, axis, position, rotation)
+
+    def _lit(self, exposure: Exposure) -> Lit:
+        """Return when the targets shine."""
+        on, off = exposure.light_s
+        strobe = (on - exposure.start_s, off - exposure.start_s)
+        return lit_during(self.subject.glows, exposure.start_s, exposure.span_s, strobe)
 
     def collect(self, sight: Sight, moment: Moment, light: Array) -> Shot:
         """Add the targets' light to the camera's pixels (H, W) float32 [electrons]; return what really was."""

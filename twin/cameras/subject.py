@@ -7,7 +7,7 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.errors import InputError
 from twin.cameras.camera import VirtualCamera
-from twin.cameras.lighting import GlowTable, scene_glows
+from twin.cameras.lighting import PLAIN, GlowTable, scene_glows
 from twin.cameras.occlusion import Occluders, occluders_of
 from twin.cameras.render import BALL, FIGURE, FLAT, Figures
 from twin.scenes.scene import Scene
@@ -33,6 +33,11 @@ class Subject:
     marker_at: Array
     solid_at: Array
     bodies: Array
+
+    @property
+    def even(self) -> bool:
+        """Whether all targets look the same from everywhere."""
+        return bool((self.glows.kind == PLAIN).all()) and not self.glows.shade.any()
 
     @classmethod
     def of(cls, scene: Scene, cameras: tuple[VirtualCamera, ...]) -> "Subject":

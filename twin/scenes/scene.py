@@ -23,6 +23,12 @@ UNSEEN_GROUP = 5
 """Geom group of helpers that neither show nor hide anything (collision shapes, cages)."""
 
 
+FINEST = 2.0**40
+"""Steps a metre (or radian) that a configuration is rounded to, 1e-12: the last digits of a sine differ from one
+version of a mathematics library to the next, and frames must not.
+"""
+
+
 @dataclass(frozen=True, eq=False)
 class Commands:
     """Commands given to the subject on the session clock: ``time_ns`` (n,), ``values`` (n, k), ``names`` (k)."""
@@ -102,7 +108,7 @@ class SceneSampler:
 
     def at(self, time_s: float) -> SceneState:
         """Return the geometry at session time ``time_s`` [s]."""
-        self.data.qpos[:] = self.scene.configuration_at(time_s)
+        self.data.qpos[:] = np.rint(self.scene.configuration_at(time_s) * FINEST) / FINEST
         mujoco.mj_kinematics(self.scene.model, self.data)
         xyz = self.data.geom_xpos.copy()
         rotation = self.data.geom_xmat.reshape(-1, 3, 3).copy()

@@ -1,0 +1,321 @@
+"""Compiled reading of coded targets: from bright patches to dots, and from dots to the sectors around them.
+
+Called by ``mosca.coded``, which tells the method. Free of the GIL, one thread. A *frame* maps the plate into the
+image: ``x = c + A u / (1 + g . u)``, with u in radii of the dot, A (2, 2) symmetric, so that |u| = 1 is the
+dot's ellipse, and g (2,) the perspective that remains. Angles on the plate run counter-clockwise seen from the
+front: u = (cos t, -sin t), since y points down in the image.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+
+from mosca.data.arrays import Array
+
+# A kernel and all its steps stand in one file: numba keeps a cached kernel as long as its own file is unchanged.
+kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
+step = numba.njit(nogil=True, error_model="numpy")
+
+X, Y, AXX, AXY, AYY, WORD, START, MARGIN, PLATE_DN, CONTRAST_DN = range(10)
+N_COLUMNS = 10
+
+SECTORS = 20
+WINDOW = 3  # sectors to each side: of 7 in a row, one at least is white and one black (runs of at most 5)
+PER_SECTOR = 8
+STEPS = SECTORS * PER_SECTOR
+BANDS = 3
+RAYS = 32
+# the contour's polygon has a slightly smaller second moment than its ellipse: (2 + cos(2 pi / n)) / 3
+POLYGON = math.sqrt(3.0 / (2.0 + math.cos(2.0 * math.pi / RAYS)))
+LEAST_SOLID, MOST_SOLID = 0.8, 1.15  # a patch's area over that of the ellipse of its second moments
+LARGEST_BOX_PX = 56
+BAND_TOLERANCE = 0.35
+HALF_PX = 0.5  # no dot is thinner than a pixel
+
+
+class Reading(NamedTuple):
+    """What a target looks like; radii in radii of the dot, grey values in those of the image."""
+
+    gap: float
+    ring_inner: float
+    ring_outer: float
+    outside: float
+    contrast_dn: float
+    noise_dn: float
+    least_area_px: int
+    flattest: float
+    roughest: float
+    stain: float
+    least_swing: float
+    least_margin: float
+
+
+@step
+def grey(image: Array, x: float, y: float) -> float:
+    """Return the grey value at (x, y), which must lie within the image, by bilinear interpolation."""
+    column, row = min(int(x), image.shape[1] - 2), min(int(y), image.shape[0] - 2)
+    fx, fy = x - column, y - row
+    upper = image[row, column] * (1.0 - fx) + image[row, column + 1] * fx
+    lower = image[row + 1, column] * (1.0 - fx) + image[row + 1, column + 1] * fx
+    return upper * (1.0 - fy) + lower * fy
+
+
+@step
+def grey_of(image: Array, frame: Array, radius: float, c: float, s: float) -> float:
+    """Return the grey value at ``radius`` in the direction (c, s) of a frame (x, y, axx, axy, ayy, gx, gy)."""
+    u, v = radius * c, -radius * s
+    w = 1.0 / (1.0 + frame[5] * u + frame[6] * v)
+    x = frame[0] + (frame[2] * u + frame[3] * v) * w
+    y = frame[1] + (frame[3] * u + frame[4] * v) * w
+    return grey(image, x, y)
+
+
+@step
+def is_inside(image: Array, frame: Array, radius: float) -> bool:
+    """Tell whether a frame's disc of ``radius``, with room for its perspective, lies within the image."""
+    room = radius / (1.0 - radius * math.hypot(frame[5], frame[6]))
+    half_x, half_y = room * math.hypot(frame[2], frame[3]), room * math.hypot(frame[3], frame[4])
+    right, bottom = image.shape[1] - 1, image.shape[0] - 1
+    return half_x <= frame[0] <= right - half_x and half_y <= frame[1] <= bottom - half_y
+
+
+@step
+def ellipse_of(frame: Array, mxx: float, mxy: float, myy: float) -> float:
+    """Write the root of 4 M to a frame, M the second moments of its dot; return the axes' ratio, 0 for none."""
+    det = mxx * myy - mxy * mxy
+    if not det > (HALF_PX / 2.0) ** 4:
+        return 0.0
+    root = math.sqrt(det)
+    scale = 2.0 / math.sqrt(mxx + myy + 2.0 * root)
+    frame[2], frame[3], frame[4] = scale * (mxx + root), scale * mxy, scale * (myy + root)
+    half, spread = 0.5 * (mxx + myy), math.hypot(0.5 * (mxx - myy), mxy)
+    return math.sqrt((half - spread) / (half + spread))
+
+
+@step
+def dot_of(labels: Array, label: int, stat: Array, frame: Array, reading: Reading) -> bool:
+    """Write the ellipse of a bright patch to ``frame``; False where the patch is no filled ellipse."""
+    left, top, width, height, area = stat[0], stat[1], stat[2], stat[3], stat[4]
+    if area < reading.least_area_px or max(width, height) > LARGEST_BOX_PX:
+        return False
+    if left == 0 or top == 0 or left + width == labels.shape[1] or top + height == labels.shape[0]:
+        return False
+    sx = sy = sxx = sxy = syy = 0.0
+    for v in range(height):
+        for u in range(width):
+            if labels[top + v, left + u] == label:
+                sx += u
+                sy += v
+                sxx += u * u
+                sxy += u * v
+                syy += v * v
+    x, y = sx / area, sy / area
+    mxx, mxy, myy = sxx / area - x * x + 1 / 12, sxy / area - x * y, syy / area - y * y + 1 / 12
+    ratio = ellipse_of(frame, mxx, mxy, myy)
+    if ratio < 0.7 * reading.flattest:
+        return False
+    solid = area / (4.0 * math.pi * math.sqrt(mxx * myy - mxy * mxy))
+    frame[0], frame[1] = left + x, top + y
+    frame[5] = frame[6] = 0.0
+    return LEAST_SOLID < solid < MOST_SOLID
+
+
+@step
+def plate_level(image: Array, frame: Array, reading: Reading, plate: Array) -> float:
+    """Fit the plate's light (mean, its slopes along u and v [DN per radius]) to gap and outside.
+
+    Returns the largest departure from it [DN].
+    """
+    values = np.empty((2, SECTORS))
+    radii = (reading.gap, reading.outside)
+    plate[:] = 0.0
+    for k in range(SECTORS):
+        t = 2.0 * math.pi * k / SECTORS
+        c, s = math.cos(t), math.sin(t)
+        for i in range(2):
+            values[i, k] = grey_of(image, frame, radii[i], c, s)
+            plate[0] += values[i, k]
+            plate[1] += values[i, k] * radii[i] * c
+            plate[2] -= values[i, k] * radii[i] * s
+    plate[0] /= 2 * SECTORS
+    squares = 0.5 * SECTORS * (radii[0] ** 2 + radii[1] ** 2)
+    plate[1] /= squares
+    plate[2] /= squares
+    largest = 0.0
+    for k in range(SECTORS):
+        t = 2.0 * math.pi * k / SECTORS
+        slope = plate[1] * math.cos(t) - plate[2] * math.sin(t)
+        for i in range(2):
+            largest = max(largest, abs(values[i, k] - plate[0] - radii[i] * slope))
+    return largest
+
+
+@step
+def dot_level(image: Array, frame: Array) -> float:
+    """Return the grey value of the dot's middle [DN]."""
+    total = grey(image, frame[0], frame[1])
+    for k in range(8):
+        t = 0.25 * math.pi * k
+        total += grey_of(image, frame, 0.4, math.cos(t), math.sin(t))
+    return total / 9.0
+
+
+@step
+def trace_dot(image: Array, frame: Array, level: float, reading: Reading) -> tuple[float, float]:
+    """Refine a frame by the dot's contour at grey value ``level``.
+
+    Returns the rms distance of the contour from its ellipse, in radii, and the ellipse's ratio of axes; (9, 0)
+    where a ray from the middle does not cross the contour before the middle of the gap.
+    """
+    x, y = np.empty(RAYS), np.empty(RAYS)
+    reach = 0.5 * (reading.gap + reading.ring_inner)
+    for k in range(RAYS):
+        t = 2.0 * math.pi * k / RAYS
+        c, s = math.cos(t), math.sin(t)
+        last, radius, below = grey_of(image, frame, 0.3, c, s), 0.3, False
+        while radius < reach:
+            radius += 0.1
+            value = grey_of(image, frame, radius, c, s)
+            if value <= level < last:
+                radius -= 0.1 * (level - value) / (last - value)
+                below = True
+                break
+            last = value
+        if not below:
+            return 9.0, 0.0
+        x[k] = radius * (frame[2] * c - frame[3] * s)
+        y[k] = radius * (frame[3] * c - frame[4] * s)
+    area = mx = my = mxx = mxy = myy = 0.0
+    for k in range(RAYS):
+        n = (k + 1) % RAYS
+        cross = y[k] * x[n] - x[k] * y[n]  # rays run counter-clockwise as seen, y down
+        area += cross / 2.0
+        mx += cross * (x[k] + x[n]) / 6.0
+        my += cross * (y[k] + y[n]) / 6.0
+        mxx += cross * (x[k] ** 2 + x[k] * x[n] + x[n] ** 2) / 12.0
+        myy += cross * (y[k] ** 2 + y[k] * y[n] + y[n] ** 2) / 12.0
+        mxy += cross * (x[k] * (2.0 * y[k] + y[n]) + x[n] * (2.0 * y[n] + y[k])) / 24.0
+    if not area > 0.0:
+        return 9.0, 0.0
+    mx, my = mx / area, my / area
+    ratio = ellipse_of(frame, mxx / area - mx * mx, mxy / area - mx * my, myy / area - my * my)
+    if ratio == 0.0:
+        return 9.0, 0.0
+    for i in range(2, 5):
+        frame[i] *= POLYGON
+    frame[0] += mx
+    frame[1] += my
+    det = frame[2] * frame[4] - frame[3] ** 2
+    squares = 0.0
+    for k in range(RAYS):
+        dx, dy = x[k] - mx, y[k] - my
+        u, v = (frame[4] * dx - frame[3] * dy) / det, (frame[2] * dy - frame[3] * dx) / det
+        squares += (math.hypot(u, v) - 1.0) ** 2
+    return math.sqrt(squares / RAYS), ratio
+
+
+@step
+def read_ring(image: Array, frame: Array, plate: Array, contrast: float, reading: Reading) -> tuple[Any, ...]:
+    """Read the sectors; ``contrast`` of the dot and what is left of it on the ring must agree.
+
+    Returns the word, bit k for the k-th sector, where the first sector starts [rad], and the smallest margin of
+    a sector; a margin of -1 where the ring is no ring of sectors.
+    """
+    light = np.zeros((BANDS + 1, STEPS))
+    width = reading.ring_outer - reading.ring_inner
+    for i in range(STEPS):
+        t = 2.0 * math.pi * i / STEPS
+        c, s = math.cos(t), math.sin(t)
+        for b in range(BANDS):
+            radius = reading.ring_inner + width * (0.5 + 0.22 * (b - 1))
+            value = grey_of(image, frame, radius, c, s)
+            light[b, i] = (value - plate[0] - radius * (plate[1] * c - plate[2] * s)) / contrast
+            light[BANDS, i] += light[b, i] / BANDS
+    real = imaginary = 0.0
+    for i in range(STEPS):
+        edge = light[BANDS, (i + 1) % STEPS] - light[BANDS, i - 1]
+        t = 2.0 * math.pi * i / PER_SECTOR
+        real += edge * edge * math.cos(t)
+        imaginary += edge * edge * math.sin(t)
+    start = math.atan2(imaginary, real) / (2.0 * math.pi) * PER_SECTOR  # in steps
+    word, margin = 0, 9.0
+    level = np.empty(SECTORS)
+    for b in range(BANDS, -1, -1):
+        for k in range(SECTORS):
+            level[k] = 0.0
+            for j in range(-2, 3):
+                place = start + (k + 0.5 + 0.15 * j) * PER_SECTOR
+                below = math.floor(place)
+                share = place - below
+                i = int(below) % STEPS
+                level[k] += 0.2 * ((1.0 - share) * light[b, i] + share * light[b, (i + 1) % STEPS])
+        for k in range(SECTORS):
+            low = high = level[k]
+            for j in range(-WINDOW, WINDOW + 1):
+                low, high = min(low, level[(k + j) % SECTORS]), max(high, level[(k + j) % SECTORS])
+            swing = 0.5 * (high - low)
+            if b == BANDS:
+                if 2.0 * swing < reading.least_swing or high > 1.0 / reading.least_swing:
+                    return 0, 0.0, -1.0
+                margin = min(margin, abs(level[k] - 0.5 * (high + low)) / swing)
+                word |= int(level[k] > 0.5 * (high + low)) << k
+            elif (level[k] - 0.5 * (high + low)) * (2 * (word >> k & 1) - 1) < -BAND_TOLERANCE * swing:
+                return 0, 1.0, -1.0  # a sector is of one colour from its inner to its outer edge
+    return word, 2.0 * math.pi * start / STEPS, margin
+
+
+@step
+def read_dot(image: Array, frame: Array, ratio: float, reading: Reading, out: Array) -> bool:
+    """Read the ring around a dot, the flatter the dot with the more perspectives; tell whether it could be."""
+    plate = np.empty(3)
+    # across the ellipse's longer axis the plate leans away: there its perspective lies
+    angle = 0.5 * math.atan2(2.0 * frame[3], frame[2] - frame[4]) + 0.5 * math.pi
+    out[MARGIN] = -1.0
+    for attempt in range(5 if ratio < 0.9 else 1):
+        g = (0.0, 0.03, -0.03, 0.06, -0.06)[attempt]
+        frame[5], frame[6] = g * math.cos(angle), g * math.sin(angle)
+        if not is_inside(image, frame, reading.outside):
+            continue
+        stain = plate_level(image, frame, reading, plate)
+        contrast = dot_level(image, frame) - plate[0]
+        if contrast < max(reading.contrast_dn, 4.0 * reading.noise_dn):
+            continue
+        if stain > reading.stain * contrast + 2.0 * reading.noise_dn:
+            continue
+        word, start, margin = read_ring(image, frame, plate, contrast, reading)
+        if margin > max(out[MARGIN], reading.least_margin):
+            out[:5] = frame[:5]
+            out[WORD], out[START], out[MARGIN] = word, start, margin
+            out[PLATE_DN], out[CONTRAST_DN] = plate[0], contrast
+    return out[MARGIN] > 0.0
+
+
+@kernel
+def read_targets(image: Array, labels: Array, stats: Array, reading: Reading) -> Array:
+    """Return what is read around the bright patches of an image, a table (n, N_COLUMNS).
+
+    ``labels`` (H, W) and ``stats`` (patches, 5: left, top, width, height, area) are those of OpenCV's connected
+    components, the first patch the background.
+    """
+    table = np.empty((len(stats), N_COLUMNS))
+    frame, plate = np.empty(7), np.empty(3)
+    n = 0
+    for label in range(1, len(stats)):
+        if not dot_of(labels, label, stats[label], frame, reading):
+            continue
+        if not is_inside(image, frame, reading.outside):
+            continue
+        plate_level(image, frame, reading, plate)
+        contrast = dot_level(image, frame) - plate[0]
+        if contrast < max(reading.contrast_dn, 4.0 * reading.noise_dn):
+            continue
+        rough, ratio = trace_dot(image, frame, plate[0] + 0.5 * contrast, reading)
+        radius = math.sqrt(max(frame[2] * frame[4] - frame[3] ** 2, 1e-9))
+        limit = reading.roughest + (0.1 + 2.5 * reading.noise_dn / contrast) / radius
+        if rough > limit or ratio < reading.flattest:
+            continue
+        if read_dot(image, frame, ratio, reading, table[n]):
+            n += 1
+    return table[:n]
