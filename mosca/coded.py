@@ -26,6 +26,7 @@ numbers: 13 read the same and 12 as another one (``tests/mosca/test_coded.py``);
 import math
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import cv2
@@ -44,6 +45,7 @@ from mosca.errors import InputError
 NEIGHBOURHOOD_PX = 15
 LARGEST_DOT_PX = 13.0
 """Diameter of the largest dot that is sure to be one patch; larger ones are found on reduced images."""
+LEAST_AREA_PX = 5
 SAMPLED_ROWS = 16
 
 
@@ -67,7 +69,7 @@ class CodedSettings:
     """Edge of the plate over the dot's radius."""
     flattest: float = 0.3
     """Shorter over longer axis of the flattest dot: 0.3 is 72 deg of tilt."""
-    least_confidence: float = 0.15
+    least_confidence: float = 0.25
     """Of the sector that is hardest to read; below, the target is refused."""
     read_noise_dn: float = 0.13
     """As in ``DetectionSettings``."""
@@ -118,7 +120,7 @@ def find_coded(
         table = _read(np.ascontiguousarray(bright), settings, scale, noise)
         numbers, rolls = _numbers(table, settings.numbers)
         known = np.flatnonzero(numbers >= 0)
-        known = known[_best_of_a_place(table[known])]
+        known = known[_best_of_a_place(table[known], settings.ring_outer)]
         table, numbers, rolls = table[known], numbers[known], rolls[known]
         xy, covariance = measure_dots(
             bright,
@@ -164,7 +166,7 @@ def _read(image: Array, settings: CodedSettings, scale: float, noise: float) -> 
     for level, (smaller, factor) in enumerate(_reductions(image, settings.maximum_dot_px)):
         contrast = settings.contrast_dn * scale
         own_noise = noise / 2**level
-        labels, stats = _patches(smaller, contrast, own_noise)
+        labels, count = _patches(smaller, contrast, own_noise)
         reading = Reading(
             gap=0.5 * (1.0 + settings.ring_inner),
             ring_inner=settings.ring_inner,
@@ -172,14 +174,15 @@ def _read(image: Array, settings: CodedSettings, scale: float, noise: float) -> 
             outside=0.5 * (settings.ring_outer + 0.5 * settings.plate),
             contrast_dn=contrast,
             noise_dn=own_noise,
-            least_area_px=5,
+            least_area_px=LEAST_AREA_PX,
+            least_axis_px=0.0 if level == 0 else LARGEST_DOT_PX / 4 - 0.25,
             flattest=settings.flattest,
             roughest=0.05,
             stain=0.4,
             least_swing=0.3,
             least_margin=settings.least_confidence,
         )
-        table = read_targets(smaller, labels, stats, reading)
+        table = read_targets(smaller, labels, count, reading)
         table[:, [X, Y]] = table[:, [X, Y]] * factor + (factor - 1) / 2
         table[:, [AXX, AXY, AYY]] *= factor
         tables.append(table)
@@ -197,8 +200,11 @@ def _reductions(image: Array, maximum_dot_px: float) -> Iterator[tuple[Array, in
         yield image, factor
 
 
-def _patches(image: Array, contrast: float, noise: float) -> tuple[Array, Array]:
-    """Return labels (H, W) int32 and stats (n, 5) of the patches brighter than the middle of what is around them."""
+def _patches(image: Array, contrast: float, noise: float) -> tuple[Array, int]:
+    """Return labels (H, W) int32 of the patches brighter than the middle of what is around them, and their number.
+
+    The background, label 0, counts as one.
+    """
     if noise > contrast / 12:
         image = cv2.GaussianBlur(image, (3, 3), 0.6)
     window = np.ones((NEIGHBOURHOOD_PX, NEIGHBOURHOOD_PX), np.uint8)
@@ -206,16 +212,15 @@ def _patches(image: Array, contrast: float, noise: float) -> tuple[Array, Array]
     middle = cv2.addWeighted(low, 0.5, high, 0.5, 0.0)
     bright = cv2.compare(image, middle, cv2.CMP_GT)
     wide = cv2.compare(cv2.subtract(high, low), contrast, cv2.CMP_GT)
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(cv2.bitwise_and(bright, wide))
-    return labels, stats
+    count, labels = cv2.connectedComponents(cv2.bitwise_and(bright, wide))
+    return labels, count
 
 
 def _numbers(table: Array, allowed: Collection[int] | None) -> tuple[Array, Array]:
     """Return number (n,), -1 for none, and roll (n,) [rad] of what was read."""
     numbers, rolls = np.full(len(table), -1), np.zeros(len(table))
     for i, row in enumerate(table):
-        word = int(row[WORD])
-        found = ring_code().find(tuple(bool(word >> k & 1) for k in range(SECTORS)))
+        found = _found(int(row[WORD]))
         if found is None or (allowed is not None and found[0] not in allowed):
             continue
         number, start = found
@@ -226,15 +231,20 @@ def _numbers(table: Array, allowed: Collection[int] | None) -> tuple[Array, Arra
     return numbers, rolls
 
 
-def _best_of_a_place(table: Array) -> Array:
-    """Return which rows remain (m,) where of several readings about one dot only the surest is kept."""
-    kept: list[int] = []
-    for i in np.argsort(-table[:, MARGIN], kind="stable"):
-        reach = math.sqrt(max(table[i, AXX] * table[i, AYY] - table[i, AXY] ** 2, 0.0))
-        apart = np.hypot(*(table[kept][:, [X, Y]] - table[i, [X, Y]]).T)
-        if not (apart < max(reach, 1.0)).any():
-            kept.append(int(i))
-    return np.sort(np.array(kept, dtype=np.int64))
+@lru_cache(maxsize=4096)
+def _found(word: int) -> tuple[int, int] | None:
+    """Return the number read in a word, bit k its k-th sector, and the sector where it starts."""
+    return ring_code().find(tuple(bool(word >> k & 1) for k in range(SECTORS)))
+
+
+def _best_of_a_place(table: Array, ring_outer: float) -> Array:
+    """Return which rows remain (m,) where of readings on each other's plates only the surest is kept."""
+    xx, xy, yy = (table[:, k] for k in (AXX, AXY, AYY))
+    dx, dy = (table[:, None, k] - table[None, :, k] for k in (X, Y))
+    away = np.hypot(yy * dx - xy * dy, xx * dy - xy * dx) / (xx * yy - xy**2)  # in radii of the second's dot
+    order = np.empty(len(table), dtype=np.int64)
+    order[np.argsort(-table[:, MARGIN], kind="stable")] = np.arange(len(table))
+    return np.flatnonzero(~((away < ring_outer) & (order[None, :] < order[:, None])).any(axis=1))
 
 
 def _ellipses(shape: Array) -> tuple[Array, Array]:

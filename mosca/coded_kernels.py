@@ -23,15 +23,20 @@ N_COLUMNS = 10
 
 SECTORS = 20
 WINDOW = 3  # sectors to each side: of 7 in a row, one at least is white and one black (runs of at most 5)
-PER_SECTOR = 8
+PER_SECTOR = 6
 STEPS = SECTORS * PER_SECTOR
 BANDS = 3
-RAYS = 32
+RAYS = 24
+COS = np.cos(2.0 * np.pi * np.arange(STEPS) / STEPS)
+SIN = np.sin(2.0 * np.pi * np.arange(STEPS) / STEPS)
 # the contour's polygon has a slightly smaller second moment than its ellipse: (2 + cos(2 pi / n)) / 3
 POLYGON = math.sqrt(3.0 / (2.0 + math.cos(2.0 * math.pi / RAYS)))
 LEAST_SOLID, MOST_SOLID = 0.8, 1.15  # a patch's area over that of the ellipse of its second moments
 LARGEST_BOX_PX = 56
+COARSE_STAIN = 0.6  # of the contrast, as long as the frame is that of the patch
+SURE = 0.4  # margin from which on no other perspective is tried
 BAND_TOLERANCE = 0.35
+USUAL_BLUR_PX, MOST_PEAKING = 0.8, 0.6
 HALF_PX = 0.5  # no dot is thinner than a pixel
 
 
@@ -45,11 +50,18 @@ class Reading(NamedTuple):
     contrast_dn: float
     noise_dn: float
     least_area_px: int
+    least_axis_px: float
     flattest: float
     roughest: float
     stain: float
     least_swing: float
     least_margin: float
+
+
+@step
+def least_contrast(reading: Reading) -> float:
+    """Return by how much dot and plate must differ [DN]."""
+    return max(reading.contrast_dn, 4.0 * reading.noise_dn)
 
 
 @step
@@ -82,6 +94,12 @@ def is_inside(image: Array, frame: Array, radius: float) -> bool:
 
 
 @step
+def half_extent(frame: Array) -> float:
+    """Return the longer half of the dot's box [px]."""
+    return max(math.hypot(frame[2], frame[3]), math.hypot(frame[3], frame[4]))
+
+
+@step
 def ellipse_of(frame: Array, mxx: float, mxy: float, myy: float) -> float:
     """Write the root of 4 M to a frame, M the second moments of its dot; return the axes' ratio, 0 for none."""
     det = mxx * myy - mxy * mxy
@@ -95,30 +113,42 @@ def ellipse_of(frame: Array, mxx: float, mxy: float, myy: float) -> float:
 
 
 @step
-def dot_of(labels: Array, label: int, stat: Array, frame: Array, reading: Reading) -> bool:
+def patch_sums(labels: Array, count: int) -> Array:
+    """Return for each label the sums of 1, x, y, xx, xy, yy over its pixels, and its box (left, right, top, bottom)."""
+    sums = np.zeros((count, 10), np.int64)
+    sums[:, 6], sums[:, 8] = labels.shape[1], labels.shape[0]
+    for y in range(labels.shape[0]):
+        for x in range(labels.shape[1]):
+            if labels[y, x] == 0:
+                continue
+            own = sums[labels[y, x]]
+            own[0] += 1
+            own[1] += x
+            own[2] += y
+            own[3] += x * x
+            own[4] += x * y
+            own[5] += y * y
+            own[6], own[7] = min(own[6], x), max(own[7], x)
+            own[8], own[9] = min(own[8], y), max(own[9], y)
+    return sums
+
+
+@step
+def dot_of(sums: Array, frame: Array, reading: Reading) -> bool:
     """Write the ellipse of a bright patch to ``frame``; False where the patch is no filled ellipse."""
-    left, top, width, height, area = stat[0], stat[1], stat[2], stat[3], stat[4]
-    if area < reading.least_area_px or max(width, height) > LARGEST_BOX_PX:
+    area = sums[0]
+    if area < reading.least_area_px or max(sums[7] - sums[6], sums[9] - sums[8]) >= LARGEST_BOX_PX:
         return False
-    if left == 0 or top == 0 or left + width == labels.shape[1] or top + height == labels.shape[0]:
-        return False
-    sx = sy = sxx = sxy = syy = 0.0
-    for v in range(height):
-        for u in range(width):
-            if labels[top + v, left + u] == label:
-                sx += u
-                sy += v
-                sxx += u * u
-                sxy += u * v
-                syy += v * v
-    x, y = sx / area, sy / area
-    mxx, mxy, myy = sxx / area - x * x + 1 / 12, sxy / area - x * y, syy / area - y * y + 1 / 12
+    x, y = sums[1] / area, sums[2] / area
+    mxx, mxy, myy = sums[3] / area - x * x + 1 / 12, sums[4] / area - x * y, sums[5] / area - y * y + 1 / 12
     ratio = ellipse_of(frame, mxx, mxy, myy)
     if ratio < 0.7 * reading.flattest:
         return False
-    solid = area / (4.0 * math.pi * math.sqrt(mxx * myy - mxy * mxy))
-    frame[0], frame[1] = left + x, top + y
+    frame[0], frame[1] = x, y
     frame[5] = frame[6] = 0.0
+    if half_extent(frame) < reading.least_axis_px:
+        return False
+    solid = area / (4.0 * math.pi * math.sqrt(mxx * myy - mxy * mxy))
     return LEAST_SOLID < solid < MOST_SOLID
 
 
@@ -132,8 +162,7 @@ def plate_level(image: Array, frame: Array, reading: Reading, plate: Array) -> f
     radii = (reading.gap, reading.outside)
     plate[:] = 0.0
     for k in range(SECTORS):
-        t = 2.0 * math.pi * k / SECTORS
-        c, s = math.cos(t), math.sin(t)
+        c, s = COS[k * PER_SECTOR], SIN[k * PER_SECTOR]
         for i in range(2):
             values[i, k] = grey_of(image, frame, radii[i], c, s)
             plate[0] += values[i, k]
@@ -145,8 +174,7 @@ def plate_level(image: Array, frame: Array, reading: Reading, plate: Array) -> f
     plate[2] /= squares
     largest = 0.0
     for k in range(SECTORS):
-        t = 2.0 * math.pi * k / SECTORS
-        slope = plate[1] * math.cos(t) - plate[2] * math.sin(t)
+        slope = plate[1] * COS[k * PER_SECTOR] - plate[2] * SIN[k * PER_SECTOR]
         for i in range(2):
             largest = max(largest, abs(values[i, k] - plate[0] - radii[i] * slope))
     return largest
@@ -157,8 +185,7 @@ def dot_level(image: Array, frame: Array) -> float:
     """Return the grey value of the dot's middle [DN]."""
     total = grey(image, frame[0], frame[1])
     for k in range(8):
-        t = 0.25 * math.pi * k
-        total += grey_of(image, frame, 0.4, math.cos(t), math.sin(t))
+        total += grey_of(image, frame, 0.4, COS[STEPS // 8 * k], SIN[k * STEPS // 8])
     return total / 9.0
 
 
@@ -172,8 +199,7 @@ def trace_dot(image: Array, frame: Array, level: float, reading: Reading) -> tup
     x, y = np.empty(RAYS), np.empty(RAYS)
     reach = 0.5 * (reading.gap + reading.ring_inner)
     for k in range(RAYS):
-        t = 2.0 * math.pi * k / RAYS
-        c, s = math.cos(t), math.sin(t)
+        c, s = COS[STEPS // RAYS * k], SIN[k * STEPS // RAYS]
         last, radius, below = grey_of(image, frame, 0.3, c, s), 0.3, False
         while radius < reach:
             radius += 0.1
@@ -217,6 +243,35 @@ def trace_dot(image: Array, frame: Array, level: float, reading: Reading) -> tup
 
 
 @step
+def peaking_of(frame: Array, start: float, radius: float) -> Array:
+    """Return how much of its neighbours' light is to be taken off each sector (SECTORS), by its length in px.
+
+    A blur of ``USUAL_BLUR_PX`` lets a share a = erfc(length / (sqrt(8) blur)) / 2 of each neighbour into the
+    middle of a sector; to first order that is undone by a / (1 - 4 a) of the difference.
+    """
+    peaking = np.empty(SECTORS)
+    for k in range(SECTORS):
+        t = start + 2.0 * math.pi * (k + 0.5) / SECTORS
+        c, s = math.cos(t), math.sin(t)
+        along = math.hypot(frame[2] * s + frame[3] * c, frame[3] * s + frame[4] * c)
+        length = 2.0 * math.pi / SECTORS * radius * along
+        a = 0.5 * math.erfc(length / (math.sqrt(8.0) * USUAL_BLUR_PX))
+        peaking[k] = min(a / max(1.0 - 4.0 * a, 1e-3), MOST_PEAKING)
+    return peaking
+
+
+@step
+def sharpen(level: Array, peaking: Array) -> None:
+    """Take the neighbours' light off the sectors' levels, in place."""
+    first, last = level[0], level[-1]
+    for k in range(SECTORS):
+        after = level[k + 1] if k + 1 < SECTORS else first
+        own = level[k]
+        level[k] += peaking[k] * (2.0 * own - last - after)
+        last = own
+
+
+@step
 def read_ring(image: Array, frame: Array, plate: Array, contrast: float, reading: Reading) -> tuple[Any, ...]:
     """Read the sectors; ``contrast`` of the dot and what is left of it on the ring must agree.
 
@@ -226,8 +281,7 @@ def read_ring(image: Array, frame: Array, plate: Array, contrast: float, reading
     light = np.zeros((BANDS + 1, STEPS))
     width = reading.ring_outer - reading.ring_inner
     for i in range(STEPS):
-        t = 2.0 * math.pi * i / STEPS
-        c, s = math.cos(t), math.sin(t)
+        c, s = COS[i], SIN[i]
         for b in range(BANDS):
             radius = reading.ring_inner + width * (0.5 + 0.22 * (b - 1))
             value = grey_of(image, frame, radius, c, s)
@@ -236,10 +290,12 @@ def read_ring(image: Array, frame: Array, plate: Array, contrast: float, reading
     real = imaginary = 0.0
     for i in range(STEPS):
         edge = light[BANDS, (i + 1) % STEPS] - light[BANDS, i - 1]
-        t = 2.0 * math.pi * i / PER_SECTOR
-        real += edge * edge * math.cos(t)
-        imaginary += edge * edge * math.sin(t)
+        turn = i % PER_SECTOR * SECTORS  # a sector is a full turn of the phase
+        real += edge * edge * COS[turn]
+        imaginary += edge * edge * SIN[turn]
     start = math.atan2(imaginary, real) / (2.0 * math.pi) * PER_SECTOR  # in steps
+    start_rad = 2.0 * math.pi * start / STEPS
+    peaking = peaking_of(frame, start_rad, 0.5 * (reading.ring_inner + reading.ring_outer))
     word, margin = 0, 9.0
     level = np.empty(SECTORS)
     for b in range(BANDS, -1, -1):
@@ -251,6 +307,7 @@ def read_ring(image: Array, frame: Array, plate: Array, contrast: float, reading
                 share = place - below
                 i = int(below) % STEPS
                 level[k] += 0.2 * ((1.0 - share) * light[b, i] + share * light[b, (i + 1) % STEPS])
+        sharpen(level, peaking)
         for k in range(SECTORS):
             low = high = level[k]
             for j in range(-WINDOW, WINDOW + 1):
@@ -263,7 +320,7 @@ def read_ring(image: Array, frame: Array, plate: Array, contrast: float, reading
                 word |= int(level[k] > 0.5 * (high + low)) << k
             elif (level[k] - 0.5 * (high + low)) * (2 * (word >> k & 1) - 1) < -BAND_TOLERANCE * swing:
                 return 0, 1.0, -1.0  # a sector is of one colour from its inner to its outer edge
-    return word, 2.0 * math.pi * start / STEPS, margin
+    return word, start_rad, margin
 
 
 @step
@@ -274,13 +331,15 @@ def read_dot(image: Array, frame: Array, ratio: float, reading: Reading, out: Ar
     angle = 0.5 * math.atan2(2.0 * frame[3], frame[2] - frame[4]) + 0.5 * math.pi
     out[MARGIN] = -1.0
     for attempt in range(5 if ratio < 0.9 else 1):
+        if out[MARGIN] > SURE:
+            break
         g = (0.0, 0.03, -0.03, 0.06, -0.06)[attempt]
         frame[5], frame[6] = g * math.cos(angle), g * math.sin(angle)
         if not is_inside(image, frame, reading.outside):
             continue
         stain = plate_level(image, frame, reading, plate)
         contrast = dot_level(image, frame) - plate[0]
-        if contrast < max(reading.contrast_dn, 4.0 * reading.noise_dn):
+        if contrast < least_contrast(reading):
             continue
         if stain > reading.stain * contrast + 2.0 * reading.noise_dn:
             continue
@@ -293,23 +352,21 @@ def read_dot(image: Array, frame: Array, ratio: float, reading: Reading, out: Ar
 
 
 @kernel
-def read_targets(image: Array, labels: Array, stats: Array, reading: Reading) -> Array:
+def read_targets(image: Array, labels: Array, count: int, reading: Reading) -> Array:
     """Return what is read around the bright patches of an image, a table (n, N_COLUMNS).
 
-    ``labels`` (H, W) and ``stats`` (patches, 5: left, top, width, height, area) are those of OpenCV's connected
-    components, the first patch the background.
+    ``labels`` (H, W): 0, or the number of the patch, below ``count``.
     """
-    table = np.empty((len(stats), N_COLUMNS))
+    sums = patch_sums(labels, count)
+    table = np.empty((count, N_COLUMNS))
     frame, plate = np.empty(7), np.empty(3)
     n = 0
-    for label in range(1, len(stats)):
-        if not dot_of(labels, label, stats[label], frame, reading):
+    for label in range(1, count):
+        if not (dot_of(sums[label], frame, reading) and is_inside(image, frame, reading.outside)):
             continue
-        if not is_inside(image, frame, reading.outside):
-            continue
-        plate_level(image, frame, reading, plate)
+        stain = plate_level(image, frame, reading, plate)
         contrast = dot_level(image, frame) - plate[0]
-        if contrast < max(reading.contrast_dn, 4.0 * reading.noise_dn):
+        if contrast < least_contrast(reading) or stain > COARSE_STAIN * contrast + 2.0 * reading.noise_dn:
             continue
         rough, ratio = trace_dot(image, frame, plate[0] + 0.5 * contrast, reading)
         radius = math.sqrt(max(frame[2] * frame[4] - frame[3] ** 2, 1e-9))

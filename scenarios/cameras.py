@@ -13,9 +13,9 @@ from mosca.data.rig_file import read_rig
 from mosca.data.toml import Table
 from mosca.errors import InputError
 from scenarios.build import beside
+from scenarios.chips import CHIP_KEYS, check_fits, named_lens, named_sensor, pitch_and_focal_mm, with_chip
 from scenarios.spec import ClockFault, Scenario, WorkingSpace
 from scenarios.spec_cameras import Cameras, CameraSpec, ErrorsSpec
-from twin.cameras import library
 from twin.cameras.ambient import Backdrop
 from twin.cameras.camera import VirtualCamera
 from twin.cameras.context import Cloth, Context
@@ -47,22 +47,11 @@ def true_rig(spec: Scenario, folder: Path) -> Rig:
     if spec.cameras.rig is not None:
         rig = read_rig(beside(spec.cameras.rig, folder))
     else:
-        rig = ring(_with_chip(spec), spec.working_space)
+        rig = ring(with_chip(spec), spec.working_space)
     windows = {camera.name: camera.window_px for camera in spec.camera if camera.window_px is not None}
     rig = Rig(tuple(windowed(c, windows[c.name]) if c.name in windows else c for c in rig.cameras))
     check_rig(rig, spec.working_space)
     return rig
-
-
-def _with_chip(spec: Scenario) -> Cameras:
-    """Return the ring with size and pitch of the library's sensor, and the lens's focal length, where not said."""
-    said, changes = spec.cameras.model_fields_set, {}
-    if spec.sensor.name is not None:
-        chip = library.sensor(spec.sensor.name)
-        changes = {"size_px": (chip.width, chip.height), "pixel_pitch_mm": chip.pixel_pitch_um * 1e-3}
-    if spec.optics.lens is not None:
-        changes["c_mm"] = library.lens(spec.optics.lens).focal_length_mm
-    return spec.cameras.model_copy(update={key: value for key, value in changes.items() if key not in said})
 
 
 def ring(spec: Cameras, space: WorkingSpace) -> Rig:
@@ -179,29 +168,23 @@ def _merged(common: Table, own: Table) -> dict[str, Any]:
 
 def _virtual(camera: Camera, own: CameraSpec, spec: Scenario, late_s: float) -> VirtualCamera:
     errors = ErrorsSpec(**_merged(spec.errors, own.errors))
-    sensor_words = _merged(spec.sensor, own.sensor)
-    name = sensor_words.pop("name")
-    chip: dict[str, Any] = {
-        "full_well_e": errors.full_well_e,
-        "read_noise_e": errors.read_noise_e,
-        "bits": errors.bits,
+    optics, timing = _merged(spec.optics, own.optics), _merged(spec.timing, own.timing)
+    sensor = _merged(spec.sensor, own.sensor) | {
+        key: getattr(errors, key) for key in ("full_well_e", "read_noise_e", "bits", "background_e")
     }
-    timing = _merged(spec.timing, own.timing)
-    pitch_mm = spec.cameras.pixel_pitch_mm
-    if name is not None:
-        known = library.sensor(name)
-        said = spec.errors.model_fields_set | own.errors.model_fields_set
-        chip |= {key: getattr(known, key) for key in chip if key not in said}
-        pitch_mm = known.pixel_pitch_um * 1e-3
-        if "row_time_s" not in spec.timing.model_fields_set | own.timing.model_fields_set:
-            timing["row_time_s"] = known.row_time_s if known.shutter == "rolling" else 0.0
-        if "quantum_efficiency" not in spec.sensor.model_fields_set | own.sensor.model_fields_set:
-            sensor_words["quantum_efficiency"] = known.quantum_efficiency
-    optics = _merged(spec.optics, own.optics)
-    lens = optics.pop("lens")
-    f_mm = spec.cameras.c_mm if own.c_mm is None else own.c_mm
-    if lens is not None:
-        f_mm = library.lens(lens).focal_length_mm
+    chip, lens = named_sensor(sensor.pop("name")), named_lens(optics.pop("lens"))
+    if chip is not None:
+        said = {
+            key
+            for table in (spec.errors, own.errors, spec.sensor, own.sensor, spec.timing, own.timing)
+            for key in table.model_fields_set
+        }
+        sensor |= {key: getattr(chip, key) for key in CHIP_KEYS if key not in said}
+        if "row_time_s" not in said:
+            timing["row_time_s"] = chip.row_time_s
+    pitch_mm, f_mm = pitch_and_focal_mm(camera, chip, spec.cameras.pixel_pitch_mm)
+    rate_hz = timing["rate_hz"] or spec.capture.frame_rate_hz
+    check_fits(camera, chip, lens, pitch_mm, optics["f_number"], rate_hz)
     gap = GAPS[spec.model_gap]
     for key in ("tilt_deg", "pupil_shift_m"):
         if optics[key] is None:
@@ -210,11 +193,15 @@ def _virtual(camera: Camera, own: CameraSpec, spec: Scenario, late_s: float) -> 
     return VirtualCamera(
         camera,
         Optics(
-            psf_sigma_px=errors.psf_sigma_px, gap_px=gap.gap_px, f_mm=f_mm, pixel_pitch_mm=pitch_mm, **optics
+            psf_sigma_px=errors.psf_sigma_px,
+            gap_px=gap.gap_px,
+            f_mm=f_mm if lens is None else lens.focal_length_mm,
+            pixel_pitch_mm=pitch_mm,
+            **optics,
         ),
         Timing(jitter_s=errors.trigger_jitter_s, **timing),
         Mount(body_px=errors.body_px, body=own.body, **_merged(spec.mount, own.mount)),
-        Sensor(background_e=errors.background_e, **chip, **sensor_words),
+        Sensor(**sensor),
         errors.marker_signal,
         Backdrop(**spec.surroundings.backdrop.model_dump()),
     )
@@ -237,7 +224,8 @@ def _rider(own: CameraSpec, spec: Scenario) -> Camera:
         scale = width / np.deg2rad(own.fisheye_deg)
         return Camera(own.name, width, height, FisheyeLens(scale, scale, *middle), pose)
     assert own.c_mm is not None
-    pitch = spec.cameras.pixel_pitch_mm
+    chip = named_sensor(own.sensor.name or spec.sensor.name)
+    pitch = spec.cameras.pixel_pitch_mm if chip is None else chip.pixel_pitch_um * 1e-3
     return Camera(own.name, width, height, MoscaLens(own.c_mm, *middle, pitch, pitch), pose)
 
 

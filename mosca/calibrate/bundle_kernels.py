@@ -34,9 +34,9 @@ def weigh(u, loss, scale2):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def observe(m, state, see, columns, xy, by_direction, by_lens, j, jb):  # type: ignore[no-untyped-def]
-    """Residual of observation m [px] and its Jacobians in px: j (2, K) by its camera, jb (4, 2, 3).
+    """Project observation m's point, with Jacobians: j (2, K) by its camera, jb (3, 2, 3) by the
+    point in the world, by the turn of its placement, by the point in its thing's frame. Writes the pixel too.
 
-    jb: by the point in the world, by the turn of its placement, by the point in its thing's frame, and the pixel.
     Tells whether the point is imaged.
     """
     rotation, position, lenses, points, turned, moved = state
@@ -86,6 +86,17 @@ def observe(m, state, see, columns, xy, by_direction, by_lens, j, jb):  # type: 
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def imaged(state, see, columns):  # type: ignore[no-untyped-def]
+    """Return which observations (n,) their cameras image."""
+    out = np.empty(see[0].size, dtype=np.bool_)
+    xy, by_direction, by_lens = np.empty(2), np.empty((2, 3)), np.empty((2, 18))
+    j, jb = np.empty((2, 6 + columns[1].shape[1])), np.empty((3, 2, 3))
+    for m in range(out.size):
+        out[m] = observe(m, state, see, columns, xy, by_direction, by_lens, j, jb)
+    return out
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def linearise(state, see, columns, blocks, known, robust, normals):  # type: ignore[no-untyped-def]
     """Write the normal equations at ``state`` into ``normals``; return the cost and the number of unseen points.
 
@@ -94,7 +105,9 @@ def linearise(state, see, columns, blocks, known, robust, normals):  # type: ign
     _, _, _, points, turned, moved = state
     _, _, _, xy_px, weight, offset, slot, kept, kept_slot = see
     dim, first_observation, _, _, at_v, at_g, at_w, _ = blocks
-    given, information, pose_block, given_turned, given_moved, pose_weight, rod_first, rods, rod_weight = known
+    given, information, pose_block, given_turned, given_moved, pose_weight, rod_first, rods, rod_weight = (
+        known
+    )
     loss, scale2 = robust
     group_normals, cross, group_slope, mixed, block_normals, block_slope, pair_of = normals
     for array in (group_normals, cross):
@@ -110,6 +123,8 @@ def linearise(state, see, columns, blocks, known, robust, normals):  # type: ign
     for b in range(dim.size):
         n, v, g = dim[b], at_v[b], at_g[b]
         for m in range(first_observation[b], first_observation[b + 1]):
+            if weight[m] == 0.0:
+                continue
             if not observe(m, state, see, columns, xy, by_direction, by_lens, j, jb):
                 cost += weigh(2 * UNSEEN * UNSEEN, loss, scale2)[0]
                 unseen += 1

@@ -82,6 +82,17 @@ def set_fold(q):  # type: ignore[no-untyped-def]
         low = r * r
 
 
+@njit(nogil=True, cache=True, error_model="numpy")
+def set_folds(rows):  # type: ignore[no-untyped-def]
+    """Write the folds of lens rows (n, 20); tell whether all have scales above 0, as a lens must."""
+    for n in range(rows.shape[0]):
+        q = rows[n]
+        if not (q[0] > 0 and (q[3] > 0 and q[4] > 0 if q[MODEL] == MOSCA else q[1] > 0)):
+            return False
+        set_fold(q)
+    return True
+
+
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def image(q, v0, v1, v2, xy, by_direction, by_lens):  # type: ignore[no-untyped-def]
     """Project a direction, camera frame: writes pixel (2,) and Jacobians (2, 3), (2, 18); tells whether it is imaged."""
@@ -140,8 +151,18 @@ def _opencv(q, v0, v1, v2, xy, by_direction, by_lens):  # type: ignore[no-untype
         for k, r in ((9, r2), (10, r4), (11, r4 * r2)):
             by_lens[0, k] = -(m00 * x + m01 * y) * g * r / below
             by_lens[1, k] = -(m10 * x + m11 * y) * g * r / below
-        by_lens[0, 12], by_lens[1, 12], by_lens[0, 13], by_lens[1, 13] = m00 * r2, m10 * r2, m00 * r4, m10 * r4
-        by_lens[0, 14], by_lens[1, 14], by_lens[0, 15], by_lens[1, 15] = m01 * r2, m11 * r2, m01 * r4, m11 * r4
+        by_lens[0, 12], by_lens[1, 12], by_lens[0, 13], by_lens[1, 13] = (
+            m00 * r2,
+            m10 * r2,
+            m00 * r4,
+            m10 * r4,
+        )
+        by_lens[0, 14], by_lens[1, 14], by_lens[0, 15], by_lens[1, 15] = (
+            m01 * r2,
+            m11 * r2,
+            m01 * r4,
+            m11 * r4,
+        )
     if not (a * d - b * c > 0 and a + d > 0):
         return False
     xy[0], xy[1] = q[2] + fx * xt, q[3] + fy * yt

@@ -33,7 +33,7 @@ def invert(matrix, at, n, damping, lower, inverse):  # type: ignore[no-untyped-d
         for k in range(i):
             s = 0.0
             for c in range(k, i):
-                s -= lower[i, c] * (lower[c, k] if c > k else lower[k, k])
+                s -= lower[i, c] * lower[c, k]
             lower[i, k] = s * lower[i, i]
     for i in range(n):
         for k in range(i + 1):
@@ -71,7 +71,11 @@ def reduce_to_groups(blocks, normals, damping, inverse, pairs, reduced_slope):  
                 for k in range(width):
                     carried[i, k] = 0.0
                 for c in range(0, n, 3):
-                    f0, f1, f2 = inverse[v + i * n + c], inverse[v + i * n + c + 1], inverse[v + i * n + c + 2]
+                    f0, f1, f2 = (
+                        inverse[v + i * n + c],
+                        inverse[v + i * n + c + 1],
+                        inverse[v + i * n + c + 2],
+                    )
                     line = w + c * width
                     for k in range(width):
                         carried[i, k] += (

@@ -79,7 +79,11 @@ def checkerboard() -> tuple[list, list, list]:
 
 
 FIGURES = {
-    "circle": ([circle(0, 0, DOT)], [(arc(DOT, 0, 2 * np.pi)[:-1], 1.0)], [(lambda x, y: np.hypot(x, y) < DOT, 1.0)]),
+    "circle": (
+        [circle(0, 0, DOT)],
+        [(arc(DOT, 0, 2 * np.pi)[:-1], 1.0)],
+        [(lambda x, y: np.hypot(x, y) < DOT, 1.0)],
+    ),
     "coded target": coded(),
     "checkerboard": checkerboard(),
 }
@@ -108,7 +112,9 @@ def test_figure_is_what_its_definition_says(name, record_property):
         f"\n{name:13s} light {image.sum() / light - 1:+.1e}  centroid {off:.1e} px  pixels {pixel:.1e} of the peak; "
         f"by definition {by_definition:.1e}, witness against witness {own:.1e}"
     )
-    record_property("light, centroid px, pixels of peak", f"{image.sum() / light - 1:.1e}, {off:.1e}, {pixel:.1e}")
+    record_property(
+        "light, centroid px, pixels of peak", f"{image.sum() / light - 1:.1e}, {off:.1e}, {pixel:.1e}"
+    )
     assert seen.visible[0] == pytest.approx(1.0)
     np.testing.assert_allclose(seen.xy_px[0], WITNESS.project(CENTRE[None])[0], atol=1e-6)
     assert own < 3 * PIXEL

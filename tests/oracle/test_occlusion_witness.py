@@ -109,7 +109,7 @@ def look(where: World) -> tuple[Array, Seen]:
     )
 
 
-def compare(where: World, instants: int = 1, lines_per_px: int = 32) -> tuple[float, float, float, float]:
+def compare(where: World, instants: int = 1, lines_per_px: int = 24) -> tuple[float, float, float, float]:
     """Return the witness's share, the twin's less that, its light less that (both of the disc), centroid off [px]."""
     image, seen = look(where)
     rays = seen_over_time(where, WITNESS, SIZE, SIGMA, instants, 1.0, lines_per_px)
@@ -119,7 +119,9 @@ def compare(where: World, instants: int = 1, lines_per_px: int = 32) -> tuple[fl
     return rays.share, float(seen.visible[0]) - rays.share, image.sum() / rays.area - rays.share, off
 
 
-def assert_agree(rows: list[tuple[float, float, float, float]], name: str, centroid_max: float = CENTROID_MAX) -> None:
+def assert_agree(
+    rows: list[tuple[float, float, float, float]], name: str, centroid_max: float = CENTROID_MAX
+) -> None:
     """Print the table's line and hold it to the limits."""
     share, share_off, light_off, off = np.array(rows).T
     rms = float(np.sqrt(np.mean(off[share >= 0.3] ** 2))) if (share >= 0.3).any() else 0.0
@@ -141,7 +143,7 @@ def test_each_solid_hides_what_the_rays_say(name, normal):
     rows = [compare(put(world(normal), name, fixed(beside(offset)))) for offset in SWEEP_PX]
     assert_agree(rows, f"{name}, {'ball' if normal is None else 'flat'}")
     shares = [row[0] for row in rows]
-    assert max(shares) == 1.0
+    assert max(shares) == pytest.approx(1.0, abs=1e-3)
     assert min(shares) == 0.0 or name == "mesh torus"
     assert any(0.25 < share < 0.75 for share in shares)
 
@@ -164,7 +166,7 @@ def test_what_moves_in_the_exposure(name, move):
     for normal in (None, FACING):
         where = world(normal, moving(AT, marker_px))
         put(where, name, moving(beside(offset), solid_px), spinning(TURN, rad))
-        rows.append(compare(where, 20, 16))
+        rows.append(compare(where, 16, 16))
     assert_agree(rows, f"{name}, {move}")
 
 
@@ -187,15 +189,16 @@ def test_what_sweeps_across_the_marker(name):
 def test_any_pose_of_anything(kind, flat, offset, angle, depth, turn):
     pose = Rotation.from_euler("xyz", turn, True).as_matrix()
     where = put(world(FACING if flat else None), kind, fixed(beside(offset, depth, angle)), fixed(pose))
-    share, share_off, light_off, off = compare(where, 1, 24)
+    _share, share_off, light_off, off = compare(where, 1, 24)
     assert abs(share_off) < 2 * SHARE
     assert abs(light_off) < 2 * SHARE
     assert off < 2 * CENTROID_MAX
 
 
 def test_mesh_and_primitive_hide_together():
-    where = put(world(), "mesh box", fixed(beside(13.0, 0.9, 0.0)))
-    put(where, "capsule", fixed(beside(15.0, 0.7, 180.0)))
+    upright = fixed(np.eye(3))
+    where = put(world(), "mesh box", fixed(beside(13.0, 0.9, 0.0)), upright)
+    put(where, "capsule", fixed(beside(15.0, 0.7, 180.0)), upright)
     rows = [compare(where)]
     assert_agree(rows, "mesh box and capsule")
     assert 0.2 < rows[0][0] < 0.8
@@ -224,7 +227,7 @@ def test_helpers_hide_nothing():
     for more in ({"group": UNSEEN_GROUP}, {"rgba": [1, 0, 0, 0]}):
         where = world().add(*KINDS["sphere"], fixed(beside(0.0)), fixed(TURN), **more)
         _image, seen = look(where)
-        assert seen_over_time(where, WITNESS, SIZE, SIGMA).share == 1.0
+        assert seen_over_time(where, WITNESS, SIZE, SIGMA).share == pytest.approx(1.0, abs=1e-3)
         assert seen.visible[0] == 1.0
 
 
@@ -232,7 +235,7 @@ def test_helpers_hide_nothing():
 def test_one_marker_hides_another(with_mesh):
     where = world().add(GEOM.mjGEOM_SPHERE, [0.02, 0, 0], fixed(beside(4.5, 1.0)), None, MARKER_GROUP)
     if with_mesh:
-        put(where, "mesh box", fixed(beside(14.0, 0.9, 200.0)))
+        put(where, "mesh box", fixed(beside(14.0, 0.9, 200.0)), fixed(np.eye(3)))
     rows = [compare(where)]
     assert_agree(rows, "marker before marker")
     assert 0.1 < rows[0][0] < 0.8
@@ -249,23 +252,25 @@ def test_a_hidden_marker_gives_no_light():
 def test_the_ray_witness_agrees_with_closed_forms():
     # a big box whose edge, parallel to the scan lines or across them, runs through the disc's middle: half of it
     alone = seen_over_time(world(np.array([0.0, 0.0, -1.0])), WITNESS, SIZE, SIGMA, lines_per_px=32)
-    assert alone.share == 1.0
+    assert alone.share == pytest.approx(1.0, abs=1e-3)
     plain = small_camera(SIZE)[1]
     flat = World(fixed([0.0, 0.0, 1.5]), RADIUS, np.array([0.0, 0.0, -1.0]))
     for side in ([-0.3, 0.0, 0.9], [0.0, -0.3, 0.9]):
         half = World(flat.paths[0][0], RADIUS, np.array([0.0, 0.0, -1.0]))
         half.add(GEOM.mjGEOM_BOX, [0.3, 0.3, 1e-6], fixed(side))
-        seen = seen_over_time(half, plain, SIZE, SIGMA, lines_per_px=32)
-        assert seen.share == pytest.approx(0.5, abs=1e-3)
+        seen = seen_over_time(half, plain, SIZE, SIGMA, lines_per_px=64)
+        assert seen.share == pytest.approx(0.5, abs=2e-3)  # half a scan line
         # a half disc's centroid lies 4 r / (3 pi) from its straight side
         away = np.abs(seen.centroid - [79.5, 59.5]).max()
-        assert away == pytest.approx(4 * (300 * RADIUS / 1.5) / (3 * np.pi), abs=2e-3)
+        assert away == pytest.approx(4 * (300 * RADIUS / 1.5) / (3 * np.pi), abs=5e-3)
         assert seen.area == pytest.approx(np.pi * (300 * RADIUS / 1.5) ** 2, rel=1e-3)
 
 
 FAULTS = {
     "an edge off by a tenth of a pixel": lambda: put(world(), "box", fixed(beside(20.9))),
-    "an occluder judged at its start": lambda: put(world(), "box", fixed(moving(beside(21.0), (6.0, 2.0))(0.0))),
+    "an occluder judged at its start": lambda: put(
+        world(), "box", fixed(moving(beside(21.0), (6.0, 2.0))(0.0))
+    ),
     "a marker that stands still": lambda: put(world(), "box", moving(beside(21.0), (6.0, 2.0))),
 }
 
@@ -275,7 +280,7 @@ def test_faults_are_noticed(fault):
     # controls: the twin looks at a world slightly else than the witness does
     true = world() if "edge" in fault else world(None, moving(AT, (-5.0, 3.0)))
     put(true, "box", fixed(beside(21.0)) if "edge" in fault else moving(beside(21.0), (6.0, 2.0)))
-    rays = seen_over_time(true, WITNESS, SIZE, SIGMA, 1 if "edge" in fault else 20)
+    rays = seen_over_time(true, WITNESS, SIZE, SIGMA, 1 if "edge" in fault else 16)
     image, seen = look(FAULTS[fault]())
     assert 0.25 < rays.share < 0.75
     assert abs(seen.visible[0] - rays.share) > 2 * SHARE

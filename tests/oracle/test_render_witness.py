@@ -6,7 +6,15 @@ Asked for: centroid 0.001 px rms, 0.004 px at most; measured figures stand besid
 import numpy as np
 import pytest
 from witness_door import ball, seen_by_twin
-from witness_image import Array, contour_image, lines_image, lines_moments, points_image, rectangle_image, scan
+from witness_image import (
+    Array,
+    contour_image,
+    lines_image,
+    lines_moments,
+    points_image,
+    rectangle_image,
+    scan,
+)
 from witness_profile import brightness, dense, spots
 from witness_render import (
     POINTS,
@@ -86,7 +94,9 @@ def test_still_markers_land_where_their_outlines_do(gap, record_property):
         rows = deviations(lens, witness, plain, optics)
         distance = np.hypot(rows[:, 0], rows[:, 1])
         rms = float(np.sqrt(np.mean(distance**2)))
-        print(f"{gap:10s} {name:10s} rms {rms:.1e} px  max {distance.max():.1e} px  area {abs(rows[:, 2]).max():.1e}")
+        print(
+            f"{gap:10s} {name:10s} rms {rms:.1e} px  max {distance.max():.1e} px  area {abs(rows[:, 2]).max():.1e}"
+        )
         record_property(f"{gap}, {name}: rms, max px", f"{rms:.2e}, {distance.max():.2e}")
         assert rms < EXPECTED_RMS
         assert distance.max() < EXPECTED_MAX

@@ -155,7 +155,11 @@ def test_rolling_shutter_skews_by_speed_times_row_time():
 
 
 def test_an_unlit_target_gives_no_light():
-    for change in ({"lit_s": (2e-3, 3e-3)}, {"light_s": (2e-3, 3e-3)}, {"lit_s": (0.0, 4e-4), "light_s": (5e-4, 1.0)}):
+    for change in (
+        {"lit_s": (2e-3, 3e-3)},
+        {"light_s": (2e-3, 3e-3)},
+        {"lit_s": (0.0, 4e-4), "light_s": (5e-4, 1.0)},
+    ):
         case = replace(CASES["global, 8 px ball"], **change)  # type: ignore[arg-type]
         image, _centre = rendered(case, moving(case)[0])
         assert image.max() == 0.0

@@ -92,10 +92,12 @@ def pattern_image(
     rim = lens.project(centre + 1.02 * radius * (np.cos(t) * turn[:, 0] + np.sin(t) * turn[:, 1]))
     low, high = rim.min(axis=0) - 0.3, rim.max(axis=0) + 0.3
     image, light, moment = np.zeros((size[1], size[0])), 0.0, np.zeros(2)
-    for lit, gain in patterns:
-        lines, step = scan(
-            lambda xy, lit=lit: lit(*on_plate(lens, centre, turn, xy)), low, high, lines_per_px, 8, 14
-        )  # type: ignore[misc]
+    for pattern, gain in patterns:
+
+        def lit(xy: Array, pattern: Pattern = pattern) -> Array:
+            return pattern(*on_plate(lens, centre, turn, xy))
+
+        lines, step = scan(lit, low, high, lines_per_px, 8, 14)
         image += gain * lines_image(lines, step, sigma_px, *size)
         area, centroid = lines_moments(lines, step)
         light += gain * area
@@ -111,7 +113,10 @@ def outline_image(
     sigma_px: float,
     size: tuple[int, int],
 ) -> tuple[Array, float, Array]:
-    """Return the same of closed outlines (n, 2) on the plate [m], dense, each with its gain: by Green and shoelace."""
+    """Return image, light and centroid of outlines, each with its gain, by Green and shoelace.
+
+    Outlines (n, 2) are closed, dense and on the plate [m].
+    """
     image, light, moment = np.zeros((size[1], size[0])), 0.0, np.zeros(2)
     for outline, gain in outlines:
         polygon = lens.project(centre + outline @ turn[:, :2].T)

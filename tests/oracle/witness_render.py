@@ -42,7 +42,9 @@ def opencv_lens(matrix: Array, distortion: Array) -> WitnessLens:
     zero = np.zeros(3)
 
     def project(directions: Array) -> Array:
-        return cv2.projectPoints(np.ascontiguousarray(directions, float), zero, zero, matrix, distortion)[0][:, 0]
+        return cv2.projectPoints(np.ascontiguousarray(directions, float), zero, zero, matrix, distortion)[0][
+            :, 0
+        ]
 
     def unproject(xy: Array) -> Array:
         stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-13)

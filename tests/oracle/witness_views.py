@@ -42,7 +42,9 @@ LENSES: dict[str, tuple[Lens, WitnessLens]] = {
 PLACES = {"centre": (327.3, 245.8), "edge": (618.4, 251.7), "corner": (39.6, 450.2)}
 
 
-def real_lens(plain: WitnessLens, matrix: Array, tilt_deg: tuple[float, float], shift_m: float) -> WitnessLens:
+def real_lens(
+    plain: WitnessLens, matrix: Array, tilt_deg: tuple[float, float], shift_m: float
+) -> WitnessLens:
     """Return a lens whose entrance pupil wanders along the axis and whose sensor is tilted.
 
     A chief ray of field angle theta crosses the axis at ``shift_m`` * 2 sin^2 theta: found step by step. The tilt
@@ -71,7 +73,9 @@ def small_camera(
     """Return a pinhole camera of a small image, principal point in its middle, OpenCV distortion ``bent``."""
     cx, cy = (size[0] - 1) / 2, (size[1] - 1) / 2
     matrix = np.array([[f_px, 0, cx], [0, f_px, cy], [0, 0, 1]])
-    return OpenCVLens(f_px, f_px, cx, cy, *bent), opencv_lens(matrix, np.array([*bent, *[0.0] * (8 - len(bent))]))
+    return OpenCVLens(f_px, f_px, cx, cy, *bent), opencv_lens(
+        matrix, np.array([*bent, *[0.0] * (8 - len(bent))])
+    )
 
 
 def shifted(lens: Lens, right_px: float, down_px: float) -> Lens:
@@ -94,7 +98,8 @@ def place(
     other = np.cross(sight, one)
     step = 1e-5
     around = witness.project(
-        distance * np.array([sight + step * one, sight - step * one, sight + step * other, sight - step * other])
+        distance
+        * np.array([sight + step * one, sight - step * one, sight + step * other, sight - step * other])
     )
     slopes = np.array([around[0] - around[1], around[2] - around[3]]) / (2 * step)
     scale = np.sqrt(abs(np.linalg.det(slopes)))  # px/rad
@@ -102,7 +107,11 @@ def place(
 
 
 def marker(
-    witness: WitnessLens, xy: tuple[float, float], diameter: float, tilt_deg: float | None, distance: float = 2.0
+    witness: WitnessLens,
+    xy: tuple[float, float],
+    diameter: float,
+    tilt_deg: float | None,
+    distance: float = 2.0,
 ) -> tuple[Target, Array]:
     """Return a still marker for the twin and its outline (n, 3) for the witness [m].
 
@@ -126,5 +135,3 @@ def image_slopes(project: object, at: Array, step: float = 1e-6) -> Array:
     """Return d pixel / d place (2, 3) by central differences."""
     steps = step * np.eye(3)
     return np.column_stack([(project(at + s)[0] - project(at - s)[0]) / (2 * step) for s in steps])  # type: ignore[operator]
-
-

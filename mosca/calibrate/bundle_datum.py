@@ -1,0 +1,156 @@
+"""Datum and determination: which common motions nothing fixes, and which parameters the data leave open.
+
+A network without control can shift, turn and, without a length, stretch as a whole. These seven motions are known in
+closed form (``generators``); which of them nothing fixes is read off the reduced normal matrix.
+"""
+
+import numpy as np
+
+from mosca.calibrate.bundle_kernels import image
+from mosca.calibrate.bundle_layout import Layout
+from mosca.calibrate.bundle_lenses import lens_of
+from mosca.calibrate.bundle_priors import LensPrior, Priors, free_lens_parameters
+from mosca.calibrate.bundle_problem import Problem
+from mosca.camera import lens_directions
+from mosca.data.arrays import Array
+from mosca.errors import CalibrationError
+
+MOTIONS = 7
+NOTHING_FIXES = 1e-9
+"""Eigenvalue, scaled to a unit diagonal, below which a common motion changes no residual."""
+SINGULAR = 1e-11
+"""The same of any direction: two unknowns are one."""
+PLAUSIBLE_SHARE = 0.1
+"""What is plausible of a lens parameter beforehand: it moves no image point by more than this share of half the
+image's diagonal; of a turn so many rad, of a position this share of the distance to the points."""
+SHOWN = 0.1
+
+
+def point_motions(points: Array) -> Array:
+    """Return how points (n, 3) move (n, 3, 7) by a common shift, small turn about the world's axes, and stretch."""
+    motions = np.zeros((len(points), 3, MOTIONS))
+    motions[:, :, :3] = np.eye(3)
+    x, y, z = points.T
+    motions[:, 1, 3], motions[:, 2, 3] = -z, y
+    motions[:, 0, 4], motions[:, 2, 4] = z, -x
+    motions[:, 0, 5], motions[:, 1, 5] = -y, x
+    motions[:, :, 6] = points
+    return motions
+
+
+def generators(layout: Layout, state: tuple[Array, ...]) -> Array:
+    """Return how the unknowns of the reduced system move (u, 7) by the common motions, in this order."""
+    rotation, position, _, points = state[:4]
+    out = np.zeros((len(layout.names) + 1, MOTIONS))
+    cameras = len(rotation)
+    # turning the world about e_k turns a camera about R^T e_k of its own
+    out[layout.index[:cameras, :3], 3:6] = np.swapaxes(rotation, 1, 2)
+    out[layout.index[:cameras, 3:6]] = point_motions(position)
+    on_thing = np.isin(layout.kept, layout.see[1][layout.see[2] >= 0])
+    columns = layout.index[cameras:, :3][~on_thing]
+    out[columns] = point_motions(points[layout.kept[~on_thing]])
+    # held unknowns have the index -1, the row that is cut off
+    return out[:-1]
+
+
+def null_generators(scaled: Array, motions: Array) -> Array:
+    """Return orthonormal common motions (u, k) that the ``scaled`` normal matrix (u, u) does not fix.
+
+    ``scaled`` has a unit diagonal, ``motions`` (u, 7) are in its scaled unknowns.
+    """
+    left, sizes, _ = np.linalg.svd(
+        motions / np.maximum(np.linalg.norm(motions, axis=0), 1e-300), full_matrices=False
+    )
+    basis = left[:, sizes > 1e-6 * sizes.max(initial=0.0)]
+    values, vectors = np.linalg.eigh(basis.T @ scaled @ basis)
+    return np.asarray(basis @ vectors[:, values < NOTHING_FIXES])
+
+
+def check_datum(problem: Problem, loose: int) -> None:
+    """Raise CalibrationError where the number of common motions that nothing fixes does not suit the datum asked for."""
+    if problem.datum == "points" and loose not in (6, 7):
+        raise CalibrationError(
+            f"datum 'points': {7 - loose} of shift (3), turn (3) and stretch (1) are fixed already by what is held or "
+            "weighted; take the datum 'given', or free all cameras and points"
+        )
+    if problem.datum == "given" and loose:
+        what = "size" if loose == 1 else "place, direction or size"
+        raise CalibrationError(
+            f"datum 'given': nothing fixes {loose} of the network's 7 common motions ({what}); hold a camera and give a "
+            "length, give control points, or take the datum 'points'"
+        )
+
+
+def weak_directions(
+    problem: Problem, layout: Layout, state: tuple[Array, ...], matrix: Array, variance: float, priors: Priors
+) -> tuple[tuple[str, ...], Priors]:
+    """Return the names of weakly determined unknowns, and priors for those of them that are lens parameters.
+
+    The reduced normal ``matrix`` (u, u) is scaled by what is plausible of each unknown beforehand: an eigenvalue below 1
+    is a direction of which the data, with a ``variance`` of unit weight, say less than that. CalibrationError where
+    an unknown that is no lens parameter is not determined at all.
+    """
+    plausible = _plausible(problem, layout, state)
+    values, vectors = np.linalg.eigh(matrix * plausible[:, None] * plausible / max(variance, 1e-300))
+    share = (vectors[:, values < 1] ** 2).max(axis=1, initial=0.0)
+    lens = {
+        column: (camera, parameter) for column, camera, parameter, _ in free_lens_parameters(problem, layout)
+    }
+    known = {one.column for one in priors}
+    weak = [k for k in np.flatnonzero(share > SHOWN) if k not in known]
+    more = tuple(
+        LensPrior(int(k), camera, parameter, float(state[2][camera, parameter]), float(plausible[k]))
+        for k in weak
+        if k in lens
+        for camera, parameter in [lens[k]]
+    )
+    if not more:
+        diagonal = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        values, vectors = np.linalg.eigh(matrix / diagonal[:, None] / diagonal)
+        if len(values) and values[0] < SINGULAR:
+            worst = ", ".join(layout.names[k] for k in np.argsort(-np.abs(vectors[:, 0]))[:3])
+            raise CalibrationError(
+                f"the observations do not determine {worst}; observe more points there, or hold it"
+            )
+    return tuple(layout.names[k] for k in weak), more
+
+
+def _plausible(problem: Problem, layout: Layout, state: tuple[Array, ...]) -> Array:
+    """Return what is plausible (u,) of each unknown of the reduced system as a standard deviation beforehand."""
+    rotation, position, lenses, points, turned, shifted = state
+    out = np.full(len(layout.names) + 1, PLAUSIBLE_SHARE)
+    camera, point, placement = layout.see[:3]
+    sample = slice(None, None, max(1, len(point) // 10000))
+    place = points[point[sample]]
+    if len(turned):
+        on_thing = placement[sample] >= 0
+        pose = placement[sample][on_thing]
+        place[on_thing] = np.einsum("nij,nj->ni", turned[pose], place[on_thing]) + shifted[pose]
+    distance = float(np.nanmedian(np.linalg.norm(place - position[camera[sample]], axis=1)))
+    out[layout.index[: len(rotation), 3:6]] = PLAUSIBLE_SHARE * distance
+    out[layout.index[len(rotation) :, :3]] = PLAUSIBLE_SHARE * distance
+    influence = np.zeros(len(out))
+    pixel, by_direction = np.empty(2), np.empty((2, 3))
+    for k, (c, own, parameter) in enumerate(layout.lens_places):
+        one = problem.cameras[c].camera
+        radius = PLAUSIBLE_SHARE * np.hypot(one.width, one.height) / 2
+        lens = lens_of(lenses[c], one.lens)
+        centre = np.array(
+            [
+                getattr(lens, "cx_px", getattr(lens, "xp_px", 0.0)),
+                getattr(lens, "cy_px", getattr(lens, "yp_px", 0.0)),
+            ]
+        )
+        angle = np.arange(8) * np.pi / 4
+        reach = 0.35 * np.hypot(one.width, one.height)
+        directions = lens_directions(lens, centre + reach * np.column_stack([np.cos(angle), np.sin(angle)]))
+        most = 0.0
+        for v in directions[np.isfinite(directions).all(axis=1)]:
+            by_lens = np.zeros((2, 18))
+            if image(lenses[c], v[0], v[1], v[2], pixel, by_direction, by_lens):
+                most = max(most, float(np.linalg.norm(by_lens[:, parameter])))
+        column = layout.index[c, own]
+        influence[column] = np.hypot(influence[column], layout.lens_factors[k] * most / max(radius, 1e-12))
+    moving = influence > 0
+    out[moving] = 1 / influence[moving]
+    return out[:-1]

@@ -1,0 +1,215 @@
+"""Levenberg-Marquardt on the reduced normal equations of a bundle adjustment.
+
+Marquardt (1963): the diagonal is multiplied by 1 + damping; the damping falls after a step that brings what it
+promised and rises ever faster after one that does not (Nielsen 1999).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+from mosca.calibrate.bundle_datum import generators, null_generators
+from mosca.calibrate.bundle_kernels import linearise, turn_on
+from mosca.calibrate.bundle_layout import Layout
+from mosca.calibrate.bundle_lenses import lens_row, set_folds
+from mosca.calibrate.bundle_priors import Priors, pulls
+from mosca.calibrate.bundle_problem import Problem
+from mosca.calibrate.bundle_reduction import back_substitute, reduce_to_groups, scatter
+from mosca.calibrate.bundle_start import intersected
+from mosca.data.arrays import Array
+
+FIRST_DAMPING, LEAST_DAMPING, WORST_DAMPING = 1e-4, 1e-12, 1e12
+# sums of squares of so many numbers cannot be told apart below this share of theirs
+ROUNDING = 1e-14
+# residuals of rounding size, in standard deviations: an exact fit
+EXACT = 1e-9
+
+State = tuple[Array, Array, Array, Array, Array, Array]
+"""Rotations (c, 3, 3) and positions (c, 3) of the cameras, lens rows (c, 20), points (p, 3), placements' rotations (f,
+3, 3) and positions (f, 3)."""
+Normals = tuple[Array, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """Where a descent ended: state, normal equations there, cost, steps taken, unseen points, whether it converged."""
+
+    state: State
+    normals: Normals
+    cost: float
+    steps: int
+    unseen: int
+    converged: bool
+
+
+def first_state(problem: Problem, layout: Layout) -> State:
+    """Return the starting values; points without are intersected from their rays."""
+    poses = [one.camera.world_from_camera for one in problem.cameras]
+    state = (
+        np.array([pose.rotation for pose in poses]),
+        np.array([pose.translation for pose in poses]),
+        np.array([lens_row(one.camera.lens, one.free) for one in problem.cameras]),
+        np.array(problem.points.xyz),
+        np.array(problem.placements.rotation),
+        np.array(problem.placements.translation),
+    )
+    cameras = tuple(one.camera for one in problem.cameras)
+    return (*state[:3], intersected(cameras, layout, state[3]), *state[4:])
+
+
+def reduced(
+    layout: Layout, normals: Normals, pull: tuple[Array, Array] | None, damping: float
+) -> tuple[Array, Array, Array, int]:
+    """Return the reduced normal matrix (u, u) and slope (u,), the inverse blocks, and how many directions are loose."""
+    unknowns, width = len(layout.names), layout.index.shape[1]
+    pairs = np.empty((layout.pairs, width, width))
+    group_slope = np.empty((len(layout.index), width))
+    inverse = np.empty_like(normals[4])
+    loose = reduce_to_groups(layout.blocks, normals, damping, inverse, pairs, group_slope)
+    matrix = np.empty((unknowns, unknowns))
+    scatter(normals, pairs, layout.index, damping, matrix)
+    there = layout.index >= 0
+    slope = np.bincount(layout.index[there], group_slope[there], unknowns)
+    if pull is not None:
+        matrix += pull[0]
+        matrix[np.diag_indices(unknowns)] += damping * np.diag(pull[0])
+        slope += pull[1]
+    return matrix, slope, inverse, loose
+
+
+def descend(
+    problem: Problem,
+    layout: Layout,
+    start: State,
+    weight: Array,
+    priors: Priors,
+    robust: tuple[int, float],
+    tolerance: float,
+    most_steps: int,
+) -> Descent:
+    """Walk from ``start`` to the least cost.
+
+    ``weight`` (n,) 1/sigma of the sorted observations, 0 where one is left out; ``robust``: loss and squared scale;
+    ``tolerance``: a step is not worth taking when it promises to move no unknown by more than this share of
+    its standard deviation, and is the last one when it moved none by more.
+    """
+    see = (*layout.see[:4], weight, *layout.see[5:])
+    present, spare = _normals(layout), _normals(layout)
+    state = start
+    cost, unseen = _cost(layout, see, state, robust, present)
+    pull, prior_cost = pulls(problem, layout, priors, state)
+    cost += prior_cost
+    worth = tolerance**2 / max(_redundancy(layout, weight), 1)
+    exact = EXACT**2 * max(int((weight > 0).sum()), 1)
+    damping, growth = FIRST_DAMPING, 2.0
+    for step in range(most_steps):
+        enough = max(worth, ROUNDING) * cost
+        while True:
+            trial, promised = _step(problem, layout, state, present, pull, damping)
+            if promised <= enough or cost <= exact:
+                return Descent(state, present, cost, step, unseen, True)
+            if trial is not None:
+                trial_cost, trial_unseen = _cost(layout, see, trial, robust, spare)
+                trial_pull, prior_cost = pulls(problem, layout, priors, trial)
+                trial_cost += prior_cost
+                if trial_cost < cost:
+                    break
+            damping, growth = damping * growth, growth * 2
+            if damping > WORST_DAMPING:
+                return Descent(state, present, cost, step, unseen, False)
+        gained = cost - trial_cost
+        state, cost, unseen, pull = trial, trial_cost, trial_unseen, trial_pull
+        present, spare = spare, present
+        ratio = gained / promised
+        damping = max(
+            damping * (0.1 if ratio > 0.75 else max(1 / 3, 1 - (2 * ratio - 1) ** 3)), LEAST_DAMPING
+        )
+        growth = 2.0
+        if gained <= enough:
+            return Descent(state, present, cost, step + 1, unseen, True)
+    return Descent(state, present, cost, most_steps, unseen, False)
+
+
+def _step(
+    problem: Problem,
+    layout: Layout,
+    state: State,
+    normals: Normals,
+    pull: tuple[Array, Array] | None,
+    damping: float,
+) -> tuple[State | None, float]:
+    """Return the state after a damped step (None where no lens is like that) and the decrease that it promises."""
+    matrix, slope, inverse, _ = reduced(layout, normals, pull, damping)
+    step = np.zeros(0)
+    if len(slope):
+        diagonal = np.diag(matrix)
+        scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+        scaled = matrix * scale[:, None] * scale
+        if problem.datum == "points":
+            loose = null_generators(scaled, generators(layout, state) / scale[:, None])
+            scaled += loose @ loose.T
+        try:
+            step = -scale * cho_solve(
+                cho_factor(scaled, check_finite=False), scale * slope, check_finite=False
+            )
+        except LinAlgError:
+            return None, np.inf
+    group_step = np.where(layout.index >= 0, np.append(step, 0.0)[layout.index], 0.0)
+    block_step = np.empty(len(normals[5]))
+    promised = back_substitute(layout.blocks, normals, damping, inverse, group_step, block_step)
+    own = np.diagonal(normals[0], axis1=1, axis2=2)
+    promised += float(np.sum(group_step * (damping * own * group_step - normals[2])))
+    if pull is not None:
+        promised += float(step @ (damping * np.diag(pull[0]) * step)) - float(step @ pull[1])
+    return moved(layout, state, group_step, block_step), promised
+
+
+def moved(layout: Layout, state: State, group_step: Array, block_step: Array) -> State | None:
+    """Return ``state`` after steps of the groups (groups, K) and blocks; None for a scale of a lens not above 0."""
+    rotation, position, lenses, points, turned, shifted = state
+    cameras = len(rotation)
+    rotation = turn_on(rotation, np.ascontiguousarray(group_step[:cameras, :3]))
+    position = position + group_step[:cameras, 3:6]
+    if len(layout.lens_places):
+        group, place, parameter = layout.lens_places.T
+        lenses = lenses.copy()
+        lenses[group, parameter] += layout.lens_factors * group_step[group, place]
+        if not set_folds(lenses):
+            return None
+    if len(layout.members) + len(layout.kept):
+        points = points.copy()
+        eliminated = 3 * len(layout.members)
+        points[layout.members] += block_step[:eliminated].reshape(-1, 3)
+        points[layout.kept] += group_step[cameras:, :3]
+    if len(layout.placed):
+        steps = block_step[3 * len(layout.members) :].reshape(-1, 6)
+        turned, shifted = turned.copy(), shifted.copy()
+        turned[layout.placed] = turn_on(turned[layout.placed], np.ascontiguousarray(steps[:, :3]))
+        shifted[layout.placed] += steps[:, 3:]
+    return rotation, position, lenses, points, turned, shifted
+
+
+def _normals(layout: Layout) -> Normals:
+    groups, width = layout.index.shape
+    dim, at_w = layout.blocks[0], layout.blocks[6]
+    return (
+        np.empty((groups, width, width)),
+        np.empty((layout.pairs, width, width)),
+        np.empty((groups, width)),
+        np.empty(at_w[-1]),
+        np.empty(int((dim * dim).sum())),
+        np.empty(int(dim.sum())),
+        layout.pair_of,
+    )
+
+
+def _cost(
+    layout: Layout, see: tuple[Array, ...], state: State, robust: tuple[int, float], normals: Normals
+) -> tuple[float, int]:
+    cost, unseen = linearise(state, see, layout.columns, layout.blocks, layout.known, robust, normals)
+    return float(cost), int(unseen)
+
+
+def _redundancy(layout: Layout, weight: Array) -> int:
+    return 2 * int((weight > 0).sum()) - len(layout.names) - int(layout.blocks[0].sum())
