@@ -185,7 +185,7 @@ def dot_level(image: Array, frame: Array) -> float:
     """Return the grey value of the dot's middle [DN]."""
     total = grey(image, frame[0], frame[1])
     for k in range(8):
-        total += grey_of(image, frame, 0.4, COS[STEPS // 8 * k], SIN[k * STEPS // 8])
+        total += grey_of(image, frame, 0.4, COS[STEPS // 8 * k], SIN[STEPS // 8 * k])
     return total / 9.0
 
 
@@ -199,7 +199,7 @@ def trace_dot(image: Array, frame: Array, level: float, reading: Reading) -> tup
     x, y = np.empty(RAYS), np.empty(RAYS)
     reach = 0.5 * (reading.gap + reading.ring_inner)
     for k in range(RAYS):
-        c, s = COS[STEPS // RAYS * k], SIN[k * STEPS // RAYS]
+        c, s = COS[STEPS // RAYS * k], SIN[STEPS // RAYS * k]
         last, radius, below = grey_of(image, frame, 0.3, c, s), 0.3, False
         while radius < reach:
             radius += 0.1

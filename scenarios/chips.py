@@ -70,8 +70,8 @@ def check_fits(
         fastest = chip.max_frame_rate_hz * chip.height / size[1]
         if rate_hz > ROUNDING * fastest:
             raise InputError(
-                f"{who}: {rate_hz:g} frames/s given, its sensor '{chip.title}' does {fastest:.4g} with {size[1]} rows: "
-                "lower capture.frame_rate_hz (or timing.rate_hz), read fewer rows or name another sensor"
+                f"{who}: {rate_hz:g} frames/s given, its sensor '{chip.title}' does {fastest:.4g} with {size[1]} "
+                "rows: lower capture.frame_rate_hz (or timing.rate_hz), read fewer rows or name another sensor"
             )
     if lens is None:
         return
@@ -83,6 +83,6 @@ def check_fits(
     diagonal = pitch_mm * math.hypot(*size)
     if diagonal > ROUNDING * lens.image_circle_mm:
         raise InputError(
-            f"{who}: its image is {diagonal:.3g} mm across, the lens '{lens.title}' fills {lens.image_circle_mm:g} mm: "
-            "name another lens (or give cameras.c_mm alone), a smaller sensor or a window of it (cameras.size_px)"
+            f"{who}: its image is {diagonal:.3g} mm across, the lens '{lens.title}' fills {lens.image_circle_mm:g} "
+            "mm: name another lens (or give cameras.c_mm alone), a smaller sensor or a window of it (cameras.size_px)"
         )

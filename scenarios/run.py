@@ -35,6 +35,7 @@ from scenarios.faults import with_fault
 from scenarios.interrupt import between_steps
 from scenarios.score import Matched, Score, limits_met, metrics, pair
 from scenarios.spec import METRICS, Scenario
+from scenarios.warm import compile_side_by_side
 from twin.source import TwinSource
 
 Progress = Callable[[int, int], None]
@@ -96,6 +97,9 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         else:
             source = _recorded(options.source, rig)
         stack.enter_context(source)
+        if isinstance(source, TwinSource):
+            with _timed(timings, "compile"):
+                compile_side_by_side(source)
         with _timed(timings, "frames_to_tracks"):
             collected = _collect(source, believed, settings, spec, options, stack)
         truth = source.truth() if isinstance(source, TwinSource) else _truth_beside(options.source)

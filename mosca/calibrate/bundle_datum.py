@@ -6,12 +6,10 @@ closed form (``generators``); which of them nothing fixes is read off the reduce
 
 import numpy as np
 
-from mosca.calibrate.bundle_kernels import image
 from mosca.calibrate.bundle_layout import Layout
-from mosca.calibrate.bundle_lenses import lens_of
+from mosca.calibrate.bundle_lenses import influence
 from mosca.calibrate.bundle_priors import LensPrior, Priors, free_lens_parameters
 from mosca.calibrate.bundle_problem import Problem
-from mosca.camera import lens_directions
 from mosca.data.arrays import Array
 from mosca.errors import CalibrationError
 
@@ -129,28 +127,13 @@ def _plausible(problem: Problem, layout: Layout, state: tuple[Array, ...]) -> Ar
     distance = float(np.nanmedian(np.linalg.norm(place - position[camera[sample]], axis=1)))
     out[layout.index[: len(rotation), 3:6]] = PLAUSIBLE_SHARE * distance
     out[layout.index[len(rotation) :, :3]] = PLAUSIBLE_SHARE * distance
-    influence = np.zeros(len(out))
-    pixel, by_direction = np.empty(2), np.empty((2, 3))
+    diagonals = [float(np.hypot(one.camera.width, one.camera.height)) for one in problem.cameras]
+    moves = np.zeros(len(out))
+    most = {c: influence(lenses[c], 0.35 * diagonals[c]) for c in np.unique(layout.lens_places[:, 0])}
     for k, (c, own, parameter) in enumerate(layout.lens_places):
-        one = problem.cameras[c].camera
-        radius = PLAUSIBLE_SHARE * np.hypot(one.width, one.height) / 2
-        lens = lens_of(lenses[c], one.lens)
-        centre = np.array(
-            [
-                getattr(lens, "cx_px", getattr(lens, "xp_px", 0.0)),
-                getattr(lens, "cy_px", getattr(lens, "yp_px", 0.0)),
-            ]
-        )
-        angle = np.arange(8) * np.pi / 4
-        reach = 0.35 * np.hypot(one.width, one.height)
-        directions = lens_directions(lens, centre + reach * np.column_stack([np.cos(angle), np.sin(angle)]))
-        most = 0.0
-        for v in directions[np.isfinite(directions).all(axis=1)]:
-            by_lens = np.zeros((2, 18))
-            if image(lenses[c], v[0], v[1], v[2], pixel, by_direction, by_lens):
-                most = max(most, float(np.linalg.norm(by_lens[:, parameter])))
+        share = layout.lens_factors[k] * most[c][parameter] / max(PLAUSIBLE_SHARE * diagonals[c] / 2, 1e-12)
         column = layout.index[c, own]
-        influence[column] = np.hypot(influence[column], layout.lens_factors[k] * most / max(radius, 1e-12))
-    moving = influence > 0
-    out[moving] = 1 / influence[moving]
+        moves[column] = np.hypot(moves[column], share)
+    moving = moves > 0
+    out[moving] = 1 / moves[moving]
     return out[:-1]

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from mosca.calibrate.bundle_datum import generators, null_generators
 from mosca.calibrate.bundle_kernels import linearise, turn_on
 from mosca.calibrate.bundle_layout import Layout
 from mosca.calibrate.bundle_lenses import lens_row, set_folds
@@ -19,7 +18,8 @@ from mosca.calibrate.bundle_reduction import back_substitute, reduce_to_groups, 
 from mosca.calibrate.bundle_start import intersected
 from mosca.data.arrays import Array
 
-FIRST_DAMPING, LEAST_DAMPING, WORST_DAMPING = 1e-4, 1e-12, 1e12
+# the least damping also keeps a free network regular: its common motions then do not move
+FIRST_DAMPING, LEAST_DAMPING, WORST_DAMPING = 1e-4, 1e-10, 1e12
 # sums of squares of so many numbers cannot be told apart below this share of theirs
 ROUNDING = 1e-14
 # residuals of rounding size, in standard deviations: an exact fit
@@ -146,9 +146,6 @@ def _step(
         diagonal = np.diag(matrix)
         scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
         scaled = matrix * scale[:, None] * scale
-        if problem.datum == "points":
-            loose = null_generators(scaled, generators(layout, state) / scale[:, None])
-            scaled += loose @ loose.T
         try:
             step = -scale * cho_solve(
                 cho_factor(scaled, check_finite=False), scale * slope, check_finite=False

@@ -12,7 +12,7 @@ Residuals are projected minus observed, in standard deviations.
 import numpy as np
 from numba import njit
 
-from mosca.calibrate.bundle_lenses import FAST, image
+from mosca.calibrate.bundle_lenses import FAST, IMAGED, L, image
 
 UNSEEN = 1e3
 """Residual, in standard deviations, of an image point that the trial camera cannot see: no perfect fit, no pull."""
@@ -32,8 +32,8 @@ def weigh(u, loss, scale2):  # type: ignore[no-untyped-def]
     return u, 1.0
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def observe(m, state, see, columns, xy, by_direction, by_lens, j, jb):  # type: ignore[no-untyped-def]
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
+def observe(m, state, see, columns, out, j, jb):  # type: ignore[no-untyped-def]
     """Project observation m's point, with Jacobians: j (2, K) by its camera, jb (3, 2, 3) by the
     point in the world, by the turn of its placement, by the point in its thing's frame. Writes the pixel too.
 
@@ -55,10 +55,10 @@ def observe(m, state, see, columns, xy, by_direction, by_lens, j, jb):  # type: 
     v1 = r[0, 1] * x + r[1, 1] * y + r[2, 1] * z
     v2 = r[0, 2] * x + r[1, 2] * y + r[2, 2] * z
     own = lens[camera]
-    if not image(lenses[own], v0, v1, v2, xy, by_direction, by_lens):
+    if not image(lenses[own], v0, v1, v2, out):
         return False
     for k in range(2):
-        a0, a1, a2 = by_direction[k, 0], by_direction[k, 1], by_direction[k, 2]
+        a0, a1, a2 = out[k, 1], out[k, 2], out[k, 3]
         # v' = exp(-[w]x) v: dv/dw = [v]x
         j[k, 0], j[k, 1], j[k, 2] = a1 * v2 - a2 * v1, a2 * v0 - a0 * v2, a0 * v1 - a1 * v0
         b0 = a0 * r[0, 0] + a1 * r[0, 1] + a2 * r[0, 2]
@@ -81,19 +81,18 @@ def observe(m, state, see, columns, xy, by_direction, by_lens, j, jb):  # type: 
             if one < 0:
                 j[k, 6 + i] = 0.0
             else:
-                j[k, 6 + i] = by_lens[k, one] + factor[own, i] * by_lens[k, second[own, i]]
+                j[k, 6 + i] = out[k, L + one] + factor[own, i] * out[k, L + second[own, i]]
     return True
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def imaged(state, see, columns):  # type: ignore[no-untyped-def]
     """Return which observations (n,) their cameras image."""
-    out = np.empty(see[0].size, dtype=np.bool_)
-    xy, by_direction, by_lens = np.empty(2), np.empty((2, 3)), np.empty((2, 18))
+    seen, out = np.empty(see[0].size, dtype=np.bool_), np.empty(IMAGED)
     j, jb = np.empty((2, 6 + columns[1].shape[1])), np.empty((3, 2, 3))
-    for m in range(out.size):
-        out[m] = observe(m, state, see, columns, xy, by_direction, by_lens, j, jb)
-    return out
+    for m in range(seen.size):
+        seen[m] = observe(m, state, see, columns, out, j, jb)
+    return seen
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
@@ -117,7 +116,7 @@ def linearise(state, see, columns, blocks, known, robust, normals):  # type: ign
     block_normals[:] = 0
     block_slope[:] = 0
     width = group_slope.shape[1]
-    xy, by_direction, by_lens = np.empty(2), np.empty((2, 3)), np.empty((2, 18))
+    out = np.empty(IMAGED)
     j, jb, rod = np.zeros((2, width)), np.empty((3, 2, 3)), np.empty(3)
     cost, unseen = 0.0, 0
     for b in range(dim.size):
@@ -125,11 +124,11 @@ def linearise(state, see, columns, blocks, known, robust, normals):  # type: ign
         for m in range(first_observation[b], first_observation[b + 1]):
             if weight[m] == 0.0:
                 continue
-            if not observe(m, state, see, columns, xy, by_direction, by_lens, j, jb):
+            if not observe(m, state, see, columns, out, j, jb):
                 cost += weigh(2 * UNSEEN * UNSEEN, loss, scale2)[0]
                 unseen += 1
                 continue
-            e0, e1 = (xy[0] - xy_px[m, 0]) * weight[m], (xy[1] - xy_px[m, 1]) * weight[m]
+            e0, e1 = (out[0, 0] - xy_px[m, 0]) * weight[m], (out[1, 0] - xy_px[m, 1]) * weight[m]
             rho, w = weigh(e0 * e0 + e1 * e1, loss, scale2)
             cost += rho
             f0, f1, w = w * e0 * weight[m], w * e1 * weight[m], w * weight[m] * weight[m]

@@ -4,7 +4,7 @@ A lens is a row of numbers: its parameters in the order of the dataclass's field
 angle) where the mapping folds back, then which model it is.
 """
 
-from dataclasses import astuple
+from dataclasses import fields
 
 import numpy as np
 from numba import njit
@@ -15,6 +15,8 @@ from mosca.data.rig import Lens
 ROW = 20
 FOLD, MODEL = 18, 19
 MOSCA, OPENCV_PLAIN, OPENCV_FULL, FISHEYE = 0.0, 1.0, 2.0, 3.0
+# what ``image`` writes: two rows of pixel, derivative by the direction (3), from L on by the lens parameters (18)
+L, IMAGED = 4, (2, 22)
 # compiled arithmetic may be reordered, but numbers that are none must stay noticeable
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 
@@ -27,7 +29,7 @@ FOLD_SAMPLES = 256
 def lens_row(lens: Lens, free: tuple[str, ...]) -> Array:
     """Return a lens as a row (20,); ``free`` tells whether OpenCV's seldom used coefficients can differ from 0."""
     row = np.zeros(ROW)
-    values = astuple(lens)
+    values = [getattr(lens, one.name) for one in fields(lens)]
     row[: len(values)] = values
     if lens.model == "opencv":
         seldom = {"k4", "k5", "k6", "s1", "s2", "s3", "s4", "tauX", "tauY"}
@@ -40,7 +42,7 @@ def lens_row(lens: Lens, free: tuple[str, ...]) -> Array:
 
 def lens_of(row: Array, like: Lens) -> Lens:
     """Return the lens of a row (20,), of the model of ``like``."""
-    return type(like)(*(float(x) for x in row[: len(astuple(like))]))
+    return type(like)(*(float(x) for x in row[: len(fields(like))]))
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -94,18 +96,22 @@ def set_folds(rows):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def image(q, v0, v1, v2, xy, by_direction, by_lens):  # type: ignore[no-untyped-def]
-    """Project a direction, camera frame: writes pixel (2,) and Jacobians (2, 3), (2, 18); tells whether it is imaged."""
+def image(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
+    """Project a direction, camera frame, by lens row q; tells whether it is imaged.
+
+    Writes ``out`` (2, 22): of x and y the pixel, its derivative by the direction (3) and by the lens parameters (18).
+    One array, since each array handed over costs as much as some ten numbers.
+    """
     model = q[MODEL]
-    if model == OPENCV_PLAIN or model == OPENCV_FULL:
-        return _opencv(q, v0, v1, v2, xy, by_direction, by_lens)
+    if model in (OPENCV_PLAIN, OPENCV_FULL):
+        return _opencv(q, v0, v1, v2, out)
     if model == MOSCA:
-        return _mosca(q, v0, v1, v2, xy, by_direction, by_lens)
-    return _fisheye(q, v0, v1, v2, xy, by_direction, by_lens)
+        return _mosca(q, v0, v1, v2, out)
+    return _fisheye(q, v0, v1, v2, out)
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def _opencv(q, v0, v1, v2, xy, by_direction, by_lens):  # type: ignore[no-untyped-def]
+def _opencv(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
     if not v2 > 0:
         return False
     fx, fy, k1, k2, p1, p2, k3 = q[0], q[1], q[4], q[5], q[6], q[7], q[8]
@@ -144,20 +150,20 @@ def _opencv(q, v0, v1, v2, xy, by_direction, by_lens):  # type: ignore[no-untype
         m00, m01 = fx * (cx - xt * sy) * iw, fx * xt * cy * sx * iw
         m10, m11 = fy * (-sx * sy - yt * sy) * iw, fy * (cy + yt * cy * sx) * iw
         wx, wy = -cy * cx * yd - cy * sx, cy * xd + sy * sx * yd - sy * cx
-        by_lens[0, 16] = fx * (-sx * xd - xt * wx) * iw
-        by_lens[1, 16] = fy * (-cx * sy * xd - yt * wx) * iw
-        by_lens[0, 17] = -fx * xt * wy * iw
-        by_lens[1, 17] = fy * (-sx * cy * xd - sy * yd - yt * wy) * iw
+        out[0, L + 16] = fx * (-sx * xd - xt * wx) * iw
+        out[1, L + 16] = fy * (-cx * sy * xd - yt * wx) * iw
+        out[0, L + 17] = -fx * xt * wy * iw
+        out[1, L + 17] = fy * (-sx * cy * xd - sy * yd - yt * wy) * iw
         for k, r in ((9, r2), (10, r4), (11, r4 * r2)):
-            by_lens[0, k] = -(m00 * x + m01 * y) * g * r / below
-            by_lens[1, k] = -(m10 * x + m11 * y) * g * r / below
-        by_lens[0, 12], by_lens[1, 12], by_lens[0, 13], by_lens[1, 13] = (
+            out[0, L + k] = -(m00 * x + m01 * y) * g * r / below
+            out[1, L + k] = -(m10 * x + m11 * y) * g * r / below
+        out[0, L + 12], out[1, L + 12], out[0, L + 13], out[1, L + 13] = (
             m00 * r2,
             m10 * r2,
             m00 * r4,
             m10 * r4,
         )
-        by_lens[0, 14], by_lens[1, 14], by_lens[0, 15], by_lens[1, 15] = (
+        out[0, L + 14], out[1, L + 14], out[0, L + 15], out[1, L + 15] = (
             m01 * r2,
             m11 * r2,
             m01 * r4,
@@ -165,25 +171,25 @@ def _opencv(q, v0, v1, v2, xy, by_direction, by_lens):  # type: ignore[no-untype
         )
     if not (a * d - b * c > 0 and a + d > 0):
         return False
-    xy[0], xy[1] = q[2] + fx * xt, q[3] + fy * yt
+    out[0, 0], out[1, 0] = q[2] + fx * xt, q[3] + fy * yt
     # stretches by the ideal point, and by the direction
     n00, n01 = (m00 * a + m01 * c) * iz, (m00 * b + m01 * d) * iz
     n10, n11 = (m10 * a + m11 * c) * iz, (m10 * b + m11 * d) * iz
-    by_direction[0, 0], by_direction[0, 1], by_direction[0, 2] = n00, n01, -(n00 * x + n01 * y)
-    by_direction[1, 0], by_direction[1, 1], by_direction[1, 2] = n10, n11, -(n10 * x + n11 * y)
-    by_lens[0, 0], by_lens[1, 0], by_lens[0, 1], by_lens[1, 1] = xt, 0.0, 0.0, yt
-    by_lens[0, 2], by_lens[1, 2], by_lens[0, 3], by_lens[1, 3] = 1.0, 0.0, 0.0, 1.0
+    out[0, 1], out[0, 2], out[0, 3] = n00, n01, -(n00 * x + n01 * y)
+    out[1, 1], out[1, 2], out[1, 3] = n10, n11, -(n10 * x + n11 * y)
+    out[0, L], out[1, L], out[0, L + 1], out[1, L + 1] = xt, 0.0, 0.0, yt
+    out[0, L + 2], out[1, L + 2], out[0, L + 3], out[1, L + 3] = 1.0, 0.0, 0.0, 1.0
     u, w = (m00 * x + m01 * y) / below, (m10 * x + m11 * y) / below
-    by_lens[0, 4], by_lens[1, 4], by_lens[0, 5], by_lens[1, 5] = u * r2, w * r2, u * r4, w * r4
+    out[0, L + 4], out[1, L + 4], out[0, L + 5], out[1, L + 5] = u * r2, w * r2, u * r4, w * r4
     s, t = r2 + 2 * yy, r2 + 2 * xx
-    by_lens[0, 6], by_lens[1, 6] = m00 * xy2 + m01 * s, m10 * xy2 + m11 * s
-    by_lens[0, 7], by_lens[1, 7] = m00 * t + m01 * xy2, m10 * t + m11 * xy2
-    by_lens[0, 8], by_lens[1, 8] = u * r4 * r2, w * r4 * r2
+    out[0, L + 6], out[1, L + 6] = m00 * xy2 + m01 * s, m10 * xy2 + m11 * s
+    out[0, L + 7], out[1, L + 7] = m00 * t + m01 * xy2, m10 * t + m11 * xy2
+    out[0, L + 8], out[1, L + 8] = u * r4 * r2, w * r4 * r2
     return True
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def _mosca(q, v0, v1, v2, xy, by_direction, by_lens):  # type: ignore[no-untyped-def]
+def _mosca(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
     if not v2 > 0:
         return False
     c, mx, my, af, k1, k2, k3, p1, p2 = q[0], q[3], q[4], q[5], q[6], q[7], q[8], q[9], q[10]
@@ -213,26 +219,26 @@ def _mosca(q, v0, v1, v2, xy, by_direction, by_lens):  # type: ignore[no-untyped
     # pixel by ideal point: inverse of the slope, then the pitches; the y axis turns from up to down
     n00, n01 = d / determinant / mx, -b / determinant / mx
     n10, n11 = b / determinant / my, -a / determinant / my
-    xy[0], xy[1] = q[1] + x / mx, q[2] - y / my
+    out[0, 0], out[1, 0] = q[1] + x / mx, q[2] - y / my
     c *= iz
-    by_direction[0, 0], by_direction[0, 1] = n00 * c, -n01 * c
-    by_direction[1, 0], by_direction[1, 1] = n10 * c, -n11 * c
-    by_direction[0, 2], by_direction[1, 2] = -(n00 * ix + n01 * iy) * iz, -(n10 * ix + n11 * iy) * iz
-    by_lens[0, 0], by_lens[1, 0] = (n00 * ix + n01 * iy) / q[0], (n10 * ix + n11 * iy) / q[0]
-    by_lens[0, 1], by_lens[1, 1], by_lens[0, 2], by_lens[1, 2] = 1.0, 0.0, 0.0, 1.0
-    by_lens[0, 3], by_lens[1, 3], by_lens[0, 4], by_lens[1, 4] = -x / (mx * mx), 0.0, 0.0, y / (my * my)
-    by_lens[0, 5], by_lens[1, 5] = -(n00 * y + n01 * x), -(n10 * y + n11 * x)
+    out[0, 1], out[0, 2] = n00 * c, -n01 * c
+    out[1, 1], out[1, 2] = n10 * c, -n11 * c
+    out[0, 3], out[1, 3] = -(n00 * ix + n01 * iy) * iz, -(n10 * ix + n11 * iy) * iz
+    out[0, L], out[1, L] = (n00 * ix + n01 * iy) / q[0], (n10 * ix + n11 * iy) / q[0]
+    out[0, L + 1], out[1, L + 1], out[0, L + 2], out[1, L + 2] = 1.0, 0.0, 0.0, 1.0
+    out[0, L + 3], out[1, L + 3], out[0, L + 4], out[1, L + 4] = -x / (mx * mx), 0.0, 0.0, y / (my * my)
+    out[0, L + 5], out[1, L + 5] = -(n00 * y + n01 * x), -(n10 * y + n11 * x)
     u, w = -(n00 * x + n01 * y), -(n10 * x + n11 * y)
-    by_lens[0, 6], by_lens[1, 6], by_lens[0, 7], by_lens[1, 7] = u * r2, w * r2, u * r2 * r2, w * r2 * r2
-    by_lens[0, 8], by_lens[1, 8] = u * r2 * r2 * r2, w * r2 * r2 * r2
+    out[0, L + 6], out[1, L + 6], out[0, L + 7], out[1, L + 7] = u * r2, w * r2, u * r2 * r2, w * r2 * r2
+    out[0, L + 8], out[1, L + 8] = u * r2 * r2 * r2, w * r2 * r2 * r2
     s, t, e = r2 + 2 * x * x, r2 + 2 * y * y, 2 * x * y
-    by_lens[0, 9], by_lens[1, 9] = -(n00 * s + n01 * e), -(n10 * s + n11 * e)
-    by_lens[0, 10], by_lens[1, 10] = -(n00 * e + n01 * t), -(n10 * e + n11 * t)
+    out[0, L + 9], out[1, L + 9] = -(n00 * s + n01 * e), -(n10 * s + n11 * e)
+    out[0, L + 10], out[1, L + 10] = -(n00 * e + n01 * t), -(n10 * e + n11 * t)
     return True
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def _fisheye(q, v0, v1, v2, xy, by_direction, by_lens):  # type: ignore[no-untyped-def]
+def _fisheye(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
     fx, fy = q[0], q[1]
     s2 = v0 * v0 + v1 * v1
     norm2 = s2 + v2 * v2
@@ -252,19 +258,41 @@ def _fisheye(q, v0, v1, v2, xy, by_direction, by_lens):  # type: ignore[no-untyp
     if not near:
         a0, a1, scale = v0 / s, v1 / s, rho / s
         ix, iy = a0 * rho, a1 * rho
-    xy[0], xy[1] = q[2] + fx * ix, q[3] + fy * iy
+    out[0, 0], out[1, 0] = q[2] + fx * ix, q[3] + fy * iy
     t0, t1, t3 = a0 * v2 / norm2 * slope, a1 * v2 / norm2 * slope, -s / norm2 * slope
-    by_direction[0, 0] = fx * (a0 * t0 + (1 - a0 * a0) * scale)
-    by_direction[0, 1] = fx * (a0 * t1 - a0 * a1 * scale)
-    by_direction[1, 0] = fy * (a1 * t0 - a0 * a1 * scale)
-    by_direction[1, 1] = fy * (a1 * t1 + (1 - a1 * a1) * scale)
-    by_direction[0, 2], by_direction[1, 2] = fx * a0 * t3, fy * a1 * t3
+    out[0, 1] = fx * (a0 * t0 + (1 - a0 * a0) * scale)
+    out[0, 2] = fx * (a0 * t1 - a0 * a1 * scale)
+    out[1, 1] = fy * (a1 * t0 - a0 * a1 * scale)
+    out[1, 2] = fy * (a1 * t1 + (1 - a1 * a1) * scale)
+    out[0, 3], out[1, 3] = fx * a0 * t3, fy * a1 * t3
     if near:
-        by_direction[0, 2], by_direction[1, 2] = -fx * ix / v2, -fy * iy / v2
-    by_lens[0, 0], by_lens[1, 0], by_lens[0, 1], by_lens[1, 1] = ix, 0.0, 0.0, iy
-    by_lens[0, 2], by_lens[1, 2], by_lens[0, 3], by_lens[1, 3] = 1.0, 0.0, 0.0, 1.0
+        out[0, 3], out[1, 3] = -fx * ix / v2, -fy * iy / v2
+    out[0, L], out[1, L], out[0, L + 1], out[1, L + 1] = ix, 0.0, 0.0, iy
+    out[0, L + 2], out[1, L + 2], out[0, L + 3], out[1, L + 3] = 1.0, 0.0, 0.0, 1.0
     power = theta * t2
     for k in range(4):
-        by_lens[0, 4 + k], by_lens[1, 4 + k] = fx * a0 * power, fy * a1 * power
+        out[0, L + 4 + k], out[1, L + 4 + k] = fx * a0 * power, fy * a1 * power
         power *= t2
     return True
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def influence(q, reach_px):  # type: ignore[no-untyped-def]
+    """Return how far, at most, each lens parameter (18,) moves image points ``reach_px`` off the axis, per unit.
+
+    Points that the lens does not image count half as far out, and so on.
+    """
+    most, out = np.zeros(18), np.zeros(IMAGED)
+    focal = q[0] / q[3] if q[MODEL] == MOSCA else q[0]
+    for k in range(8):
+        angle = reach_px / focal if q[MODEL] == FISHEYE else np.arctan(reach_px / focal)
+        a = k * np.pi / 4
+        for _ in range(6):
+            s = np.sin(angle)
+            out[:] = 0.0
+            if image(q, s * np.cos(a), s * np.sin(a), np.cos(angle), out):
+                for i in range(18):
+                    most[i] = max(most[i], np.hypot(out[0, L + i], out[1, L + i]))
+                break
+            angle /= 2
+    return most

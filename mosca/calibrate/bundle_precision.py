@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from mosca.calibrate.bundle_kernels import observe, weigh
-from mosca.calibrate.bundle_lenses import FAST
+from mosca.calibrate.bundle_lenses import FAST, IMAGED
 
 LEAST_REDUNDANCY_NUMBER = 1e-6
 """An image point with less says nothing about itself: it cannot be tested."""
@@ -46,7 +46,7 @@ def precise(
     for b in range(dim.size):
         most_slots = max(most_slots, slot_first[b + 1] - slot_first[b])
     carried, spread = np.empty((most_slots, most, width)), np.empty((most_slots, most, width))
-    xy, by_direction, by_lens = np.empty(2), np.empty((2, 3)), np.empty((2, 18))
+    out = np.empty(IMAGED)
     j, jb, jn = np.zeros((2, width)), np.empty((3, 2, 3)), np.empty((2, 6))
     for b in range(dim.size):
         n, v, first = dim[b], at_v[b], slot_first[b]
@@ -83,11 +83,11 @@ def precise(
                         x += spread[s, i, c] * carried[s, k, c]
                 block_cofactors[v + i * n + k] = x
         for m in range(first_observation[b], first_observation[b + 1]):
-            seen = observe(m, state, see, columns, xy, by_direction, by_lens, j, jb)
+            seen = observe(m, state, see, columns, out, j, jb)
             if not seen:
                 tests[m, :] = np.nan
                 continue
-            e0, e1 = xy[0] - xy_px[m, 0], xy[1] - xy_px[m, 1]
+            e0, e1 = out[0, 0] - xy_px[m, 0], out[1, 0] - xy_px[m, 1]
             camera, point = camera_of[m], kept[m]
             size = 0
             if n > 0:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from mosca.calibrate.bundle_layout import Layout
-from mosca.camera import rays
+from mosca.camera import lens_directions
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera
 from mosca.errors import CalibrationError
@@ -28,8 +28,9 @@ def intersected(cameras: tuple[Camera, ...], layout: Layout, points: Array) -> A
     origin, direction = np.empty((len(chosen), 3)), np.empty((len(chosen), 3))
     for c in np.unique(camera[chosen]):
         mine = camera[chosen] == c
-        seen = rays(cameras[c], xy_px[chosen[mine]])
-        origin[mine], direction[mine] = seen.origin, seen.direction
+        pose = cameras[c].world_from_camera
+        origin[mine] = pose.translation
+        direction[mine] = lens_directions(cameras[c].lens, xy_px[chosen[mine]]) @ pose.rotation.T
     good = np.isfinite(direction).all(axis=1)
     origin, direction, target = origin[good], direction[good], rank[point[chosen[good]]]
     across = np.eye(3) - direction[:, :, None] * direction[:, None, :]

@@ -176,10 +176,10 @@ def table(title: str, rows: Mapping[int, Times] | Mapping[float, Times], per: st
             f"{size:10g} {1e3 * found.best:12.2f} {1e3 * found.work:9.2f} {100 * found.spread:7.0f} % "
             f"{1e6 * found.best / size:12.2f}"
         )
-    sizes, seconds = list(rows), [found.best for found in rows.values()]
+    sizes, seconds = list(rows), [found.work for found in rows.values()]
     half = len(sizes) // 2
     print(
-        f"time grows with the power {exponent(sizes, seconds):.2f} of it; from {sizes[half]:g} on with "
+        f"work grows with the power {exponent(sizes, seconds):.2f} of it; from {sizes[half]:g} on with "
         f"{exponent(sizes[half:], seconds[half:]):.2f}"
     )
 

@@ -28,7 +28,8 @@ SIGMA = 0.6
 SIZE = (gl.WIDTH, gl.HEIGHT)
 LENS, WITNESS = small_camera(SIZE, gl.FOCAL_PX)
 CENTROID_PX, PIXEL = 0.003, 0.004
-"""What is asked of a peer, and of the twin beside it: measured 1.4e-3 px and 1.9e-3 of a full pixel."""
+"""What is asked of a peer: measured 1.3e-3 px and 1.6e-3 of a full pixel; the twin beside it may be off twice as
+much: measured 1.3e-3 px (half hidden 3.2e-3) and 3.2e-3."""
 HIDDEN = (0, 4)
 """Numbers of the markers that something stands before, in the order of ``markers``."""
 
@@ -138,7 +139,7 @@ def test_the_twin_agrees_with_the_peer(peer):
         share = peer[where].sum() / whole
         print(f"\nmarker {number}: share {share:.3f}, twin beside peer {off:.1e} px, pixels {pixel:.1e}")
         assert share == pytest.approx(1.0, abs=3e-3) if number not in HIDDEN else 0.1 < share < 0.8
-        assert off < 2 * CENTROID_PX
+        assert off * share < 2 * CENTROID_PX  # what little light is left of a hidden one weighs less
         assert pixel < 2 * PIXEL
         assert image[where].sum() == pytest.approx(peer[where].sum(), abs=0.003 * whole)
 

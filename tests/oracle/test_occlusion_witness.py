@@ -138,8 +138,8 @@ def assert_agree(
 @pytest.mark.parametrize("normal", [None, FACING], ids=["ball", "flat"])
 @pytest.mark.parametrize("name", [*KINDS, *MESHES])
 def test_each_solid_hides_what_the_rays_say(name, normal):
-    # a sweep from in view over half hidden to hidden. Measured: primitives share 7e-4, centroid 1.9e-3 px at most;
-    # meshes 5e-4, 4.7e-3 px
+    # a sweep from in view over half hidden to hidden. Measured: primitives share 7e-4, centroid 2.7e-3 px at most;
+    # meshes 6e-4, 5.2e-3 px
     rows = [compare(put(world(normal), name, fixed(beside(offset)))) for offset in SWEEP_PX]
     assert_agree(rows, f"{name}, {'ball' if normal is None else 'flat'}")
     shares = [row[0] for row in rows]
@@ -159,14 +159,14 @@ MOVES = {
 @pytest.mark.parametrize("move", MOVES)
 @pytest.mark.parametrize("name", [*KINDS, *MESHES])
 def test_what_moves_in_the_exposure(name, move):
-    # measured for primitives: share 3e-4, centroid 1e-3 rms, 2.2e-3 px at most
+    # measured for primitives: share 3e-4, centroid 2.1e-3 rms, 2.6e-3 px at most
     marker_px, solid_px, rad = MOVES[move]
     offset = 21.0 if name.endswith("box") else 15.0
     rows = []
     for normal in (None, FACING):
         where = world(normal, moving(AT, marker_px))
         put(where, name, moving(beside(offset), solid_px), spinning(TURN, rad))
-        rows.append(compare(where, 16, 16))
+        rows.append(compare(where, 12, 16))
     assert_agree(rows, f"{name}, {move}")
 
 

@@ -36,7 +36,7 @@ class Case:
     light_s: Span = ALWAYS
     lit_s: Span = ALWAYS
     nodes: int = 3
-    instants: int = 97
+    instants: int = 81
 
 
 def moving(case: Case) -> tuple[Target, Callable[[float], Array]]:
@@ -103,7 +103,7 @@ CASES = {
     "rolling, against the readout": Case(8.0, (2e3, -15e3), row_time=ROW_TIME),
     "rolling, along the readout": Case(8.0, (2e3, 15e3), row_time=ROW_TIME),
     "rolling, speeding up": Case(8.0, (2e3, -3e3), (8e6, 6e6), row_time=ROW_TIME, nodes=7),
-    "rolling, short exposure": Case(8.0, (6e3, 4e3), length=5e-5, row_time=ROW_TIME, instants=385),
+    "rolling, short exposure": Case(8.0, (6e3, 4e3), length=5e-5, row_time=ROW_TIME, instants=257),
     "rolling, strobe seen by all rows": Case(8.0, (6e3, 4e3), row_time=ROW_TIME, light_s=(6e-4, 7.5e-4)),
     "rolling, strobe that cuts rows": Case(8.0, (6e3, 4e3), row_time=ROW_TIME, light_s=(9e-4, 1.3e-3)),
     "rolling, lamp out half way": Case(8.0, (6e3, 4e3), row_time=ROW_TIME, lit_s=(0.0, 9e-4)),
@@ -113,7 +113,8 @@ CASES = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_image_is_the_integral_of_its_instants(name, record_property):
-    # measured: centroid 8e-5 px at most (small balls 5e-4), pixels 2e-4 of the peak
+    # measured: centroid 8e-5 px at most (3 px balls 4e-4), pixels 2e-4 of the peak, but for a target that runs along
+    # with the readout at 0.3 rows a row time
     case = CASES[name]
     target, outline = moving(case)
     image, centre = rendered(case, target)

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import cv2
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
@@ -200,63 +199,3 @@ def image_centroid(light: Array) -> Array:
     x = (pixels.sum(axis=0) * np.arange(pixels.shape[1])).sum() / total
     y = (pixels.sum(axis=1) * np.arange(pixels.shape[0])).sum() / total
     return np.array([x, y])
-
-
-@dataclass(frozen=True, eq=False)
-class SeenByRays:
-    """``share`` of the marker's rays that meet it first; ``centroid`` (2,) of those rays [px]; rays on it."""
-
-    share: float
-    centroid: Array
-    rays: int
-
-
-def seen_by_rays(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    marker: int,
-    rotation: Array,
-    position: Array,
-    lens: WitnessLens,
-    fine: int = 24,
-) -> SeenByRays:
-    """Ask MuJoCo's ray caster for every ray of a sub-pixel grid which geom it meets first.
-
-    ``marker``: geom id; ``rotation``, ``position``: world_from_camera; ``fine`` rays a pixel and axis. A
-    ray is the marker's when it meets the marker with every other geom moved out of the way.
-    """
-    centre = rotation.T @ (data.geom_xpos[marker] - position)
-    radius = model.geom_size[marker, 0]
-    outline = lens.project(ball_outline(centre, radius * 1.01, 200))
-    low, high = outline.min(axis=0) - 1, outline.max(axis=0) + 1
-    axes = [np.arange(low[k], high[k], 1 / fine) for k in (0, 1)]
-    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-    directions = lens.unproject(grid) @ rotation.T
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    own = _meets_alone(data, model, marker, directions, position)
-    grid, directions = grid[own], np.ascontiguousarray(directions[own])
-    first = np.full(len(grid), -1, dtype=np.int32)
-    distance = np.zeros(len(grid))
-    groups = np.array([1, 1, 1, 1, 1, 0], dtype=np.uint8)  # group 5: helpers that neither show nor hide
-    mujoco.mj_multiRay(
-        model, data, position, directions.ravel(), groups, 1, -1, first, distance, None, len(grid), 1e6
-    )
-    seen = first == marker
-    centroid = grid[seen].mean(axis=0) if seen.any() else np.full(2, np.nan)
-    return SeenByRays(float(seen.mean()), centroid, len(grid))
-
-
-def _meets_alone(
-    data: mujoco.MjData, model: mujoco.MjModel, marker: int, directions: Array, position: Array
-) -> Array:
-    """Whether rays (n, 3) from ``position`` meet the marker geom, nothing else asked (n,)."""
-    away = data.geom_xpos[marker] - position
-    along = directions @ away
-    if model.geom_type[marker] == mujoco.mjtGeom.mjGEOM_SPHERE:
-        closest = np.linalg.norm(along[:, None] * directions - away, axis=1)
-        return np.asarray(closest < model.geom_size[marker, 0])
-    normal = data.geom_xmat[marker].reshape(3, 3)[:, 2]
-    facing = directions @ normal
-    reach = (away @ normal) / np.where(facing == 0, 1e-30, facing)
-    on_plane = np.linalg.norm(reach[:, None] * directions - away, axis=1)
-    return np.asarray((on_plane < model.geom_size[marker, 0]) & (facing < 0) & (reach > 0))

@@ -1,0 +1,64 @@
+"""Compile the pipeline's kernels before they are needed: ``python -m mosca.warm``."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from mosca.camera import project
+from mosca.data.arrays import Array
+from mosca.data.frames import CameraInfo, Frame
+from mosca.data.rig import Camera, MoscaLens, Pose, Rig
+from mosca.pipeline import PipelineSettings, run
+
+WIDTH, HEIGHT, RATE_HZ, PULSES = 96, 72, 100.0, 8
+POINTS = np.array([[0.1, 0.0, 0.1], [-0.1, 0.1, 0.0], [0.0, -0.1, -0.1]])
+
+
+class _Blobs:
+    """Three points seen by three cameras, as soft blobs."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.cameras = tuple(CameraInfo(c.name, c.width, c.height, 8, RATE_HZ) for c in rig.cameras)
+
+    def __iter__(self) -> Iterator[Frame]:
+        for pulse in range(PULSES):
+            for camera in self.rig.cameras:
+                image = _blobs(project(camera, POINTS))
+                yield Frame(camera.name, pulse, round(pulse * 1e9 / RATE_HZ), 1_000_000, image)
+
+    def close(self) -> None:
+        pass
+
+    def __enter__(self) -> "_Blobs":
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        pass
+
+
+def warm_up() -> int:
+    """Run the whole pipeline once over a few small frames; returns how many points it found."""
+    low, high = (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)
+    return sum(len(step.points) for step in run(_Blobs(_rig()), _rig(), PipelineSettings(volume=(low, high))))
+
+
+def _rig() -> Rig:
+    lens = MoscaLens(0.9, (WIDTH - 1) / 2, (HEIGHT - 1) / 2, 0.0099, 0.0099)
+    cameras = []
+    for k, angle in enumerate((0.0, 2.0, 4.0)):
+        forward = -np.array([np.cos(angle), np.sin(angle), 0.0])
+        right = np.array([-np.sin(angle), np.cos(angle), 0.0])
+        rotation = np.column_stack([right, np.cross(forward, right), forward])
+        cameras.append(Camera(f"cam{k + 1}", WIDTH, HEIGHT, lens, Pose(rotation, -forward)))
+    return Rig(tuple(cameras))
+
+
+def _blobs(xy_px: Array) -> Array:
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    away2 = (x[..., None] - xy_px[:, 0]) ** 2 + (y[..., None] - xy_px[:, 1]) ** 2
+    return np.rint(4 + 150 * np.exp(-away2 / 4.0).sum(axis=-1)).astype(np.uint8)
+
+
+if __name__ == "__main__":
+    warm_up()

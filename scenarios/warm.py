@@ -1,0 +1,27 @@
+"""The first run after an installation or an update compiles kernels: the twin's and the pipeline's side by side."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from twin.source import TwinSource
+
+
+def compile_side_by_side(source: TwinSource) -> None:
+    """Where no compiled kernels are kept yet, compile the pipeline's in a process of its own beside the twin's.
+
+    numba compiles one function at a time in a process. Without a folder to keep them in, nothing is done here:
+    each kernel is then compiled when it is first called.
+    """
+    kept = os.environ.get("NUMBA_CACHE_DIR")
+    if kept is None or any(Path(kept).rglob("integrate.render_all-*.nbi")):
+        return
+    quiet = subprocess.DEVNULL
+    beside = subprocess.Popen([sys.executable, "-m", "mosca.warm"], stdin=quiet, stdout=quiet, stderr=quiet)
+    try:
+        for _frame in source:
+            break
+        beside.wait()
+    finally:
+        beside.terminate()
