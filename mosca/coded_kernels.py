@@ -34,6 +34,7 @@ POLYGON = math.sqrt(3.0 / (2.0 + math.cos(2.0 * math.pi / RAYS)))
 LEAST_SOLID, MOST_SOLID = 0.8, 1.15  # a patch's area over that of the ellipse of its second moments
 LARGEST_BOX_PX = 56
 COARSE_STAIN = 0.6  # of the contrast, as long as the frame is that of the patch
+SHORTEST_SECTOR_PX = 1.0  # on the ring's inner edge, where the ellipse is narrow: below, sectors run together
 SURE = 0.4  # margin from which on no other perspective is tried
 BAND_TOLERANCE = 0.35
 USUAL_BLUR_PX, MOST_PEAKING = 0.8, 0.6
@@ -371,7 +372,8 @@ def read_targets(image: Array, labels: Array, count: int, reading: Reading) -> A
         rough, ratio = trace_dot(image, frame, plate[0] + 0.5 * contrast, reading)
         radius = math.sqrt(max(frame[2] * frame[4] - frame[3] ** 2, 1e-9))
         limit = reading.roughest + (0.1 + 2.5 * reading.noise_dn / contrast) / radius
-        if rough > limit or ratio < reading.flattest:
+        sector = 2.0 * math.pi / SECTORS * reading.ring_inner * radius * math.sqrt(ratio)
+        if rough > limit or ratio < reading.flattest or sector < SHORTEST_SECTOR_PX:
             continue
         if read_dot(image, frame, ratio, reading, table[n]):
             n += 1

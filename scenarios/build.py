@@ -70,6 +70,10 @@ def build_scene(spec: Scenario, folder: Path) -> Scene:
         glows = {name: replace(made.glows.get(name, Glow()), **said) for name in made.marker_names}
         made = replace(made, glows=glows)
     if spec.lamps is not None:
+        if said.get("kind", "lamp") != "lamp" and spec.lamps.names is None:
+            raise InputError(
+                f"glow.kind = '{said['kind']}' with [lamps]: all markers are lamps; leave the kind out"
+            )
         from twin.scenes.target_lamps import LAMP, with_numbered_lamps
 
         made = with_numbered_lamps(

@@ -6,16 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from mosca.camera import Conversion, fit_lens, image_grid, lens_directions, project
-from mosca.data.arrays import Array
+from mosca.camera import Conversion, fit_lens, image_grid, lens_directions
 from mosca.data.rig import Camera, FisheyeLens, Lens, MoscaLens, Pose, Rig
 from mosca.data.rig_file import read_rig
 from mosca.data.toml import Table
 from mosca.errors import InputError
 from scenarios.build import beside
 from scenarios.chips import CHIP_KEYS, check_fits, named_lens, named_sensor, pitch_and_focal_mm, with_chip
-from scenarios.spec import ClockFault, Scenario, WorkingSpace
-from scenarios.spec_cameras import Cameras, CameraSpec, ErrorsSpec
+from scenarios.idle import check_not_idle
+from scenarios.rig_geometry import check_rig, ring, sees, windowed
+from scenarios.spec import ClockFault, Scenario
+from scenarios.spec_cameras import CameraSpec, ErrorsSpec
 from twin.cameras.ambient import Backdrop
 from twin.cameras.camera import VirtualCamera
 from twin.cameras.context import Cloth, Context
@@ -29,8 +30,6 @@ from twin.cameras.stray import Surroundings
 from twin.cameras.stray_glare import Glare
 from twin.cameras.stray_mirror import Mirror
 from twin.cameras.stray_world import RingLight, ShinySpot
-
-VIEW_GRID = 7
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,73 +53,21 @@ def true_rig(spec: Scenario, folder: Path) -> Rig:
     return rig
 
 
-def ring(spec: Cameras, space: WorkingSpace) -> Rig:
-    """Return cameras on a ring around the working space, all looking at one point."""
-    centre = np.array(space.center_m)
-    target = centre if spec.look_at_m is None else np.array(spec.look_at_m)
-    azimuth = spec.azimuth_deg or tuple(45.0 + 360.0 * k / spec.count for k in range(spec.count))
-    height = spec.height_m if isinstance(spec.height_m, tuple) else (spec.height_m,) * spec.count
-    width, rows = spec.size_px
-    cameras = []
-    for k in range(spec.count):
-        turn = np.deg2rad(azimuth[k])
-        place = centre + spec.radius_m * np.array([np.cos(turn), np.sin(turn), 0.0])
-        place[2] = height[k]
-        # no two lenses are alike: principal point and distortion differ a little from camera to camera
-        lens = MoscaLens(
-            spec.c_mm * (1 + 0.004 * k),
-            (width - 1) / 2 + 3.0 - 2.0 * k,
-            (rows - 1) / 2 - 2.0 + 1.5 * k,
-            spec.pixel_pitch_mm,
-            spec.pixel_pitch_mm * 1.001,
-            spec.a,
-            spec.K1_per_mm2 * (1 + 0.1 * k),
-            spec.K2_per_mm4,
-            0.0,
-            spec.P1_per_mm,
-            spec.P2_per_mm,
-        )
-        cameras.append(Camera(f"cam{k + 1}", width, rows, lens, _looking(place, target, f"cam{k + 1}")))
-    return Rig(tuple(cameras))
-
-
-def check_rig(rig: Rig, space: WorkingSpace) -> None:
-    """Raise InputError for a rig that cannot measure the working space; says why."""
-    centre, size = np.array(space.center_m), np.array(space.size_m)
-    places = np.array([c.world_from_camera.translation for c in rig.cameras])
-    for k, camera in enumerate(rig.cameras):
-        if np.all(np.abs(places[k] - centre) < size / 2):
-            raise InputError(
-                f"camera '{camera.name}' stands inside the working space at {_text(places[k])} m; "
-                "move it out (cameras.radius_m, cameras.height_m) or make working_space.size_m smaller"
-            )
-        for other in range(k):
-            if np.linalg.norm(places[k] - places[other]) < 1e-3 * size.max():
-                raise InputError(
-                    f"cameras '{rig.cameras[other].name}' and '{camera.name}' stand at the same place "
-                    f"{_text(places[k])} m and see no depth; give them different cameras.azimuth_deg"
-                )
-    grid = centre + size * (
-        np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, VIEW_GRID)] * 3), -1).reshape(-1, 3)
-    )
-    views = np.array([_sees(camera, grid) for camera in rig.cameras])
-    blind = [camera.name for camera, seen in zip(rig.cameras, views, strict=True) if not seen.any()]
-    if not (views.sum(axis=0) >= 2).any():
-        who = f"{', '.join(blind)} see nothing of it" if blind else "their views do not overlap"
-        raise InputError(
-            f"no point of the working space is seen by two cameras: {who}; "
-            "check poses, principal distance c_mm and look_at_m"
-        )
-
-
 def virtual_cameras(spec: Scenario, rig: Rig) -> tuple[VirtualCamera, ...]:
     """Return the rig's cameras, then those that ride on bodies, with all that the scenario says of them."""
-    known = set(rig.names)
+    said = [camera.name for camera in spec.camera]
     for camera in spec.camera:
-        if camera.body is None and camera.name not in known:
+        if said.count(camera.name) > 1:
+            raise InputError(f"[[camera]] name = '{camera.name}' stands twice; say all of it in one table")
+        if camera.body is None and camera.name not in rig.names:
             raise InputError(
                 f"[[camera]] name = '{camera.name}': the rig has {', '.join(rig.names)}; "
                 "a new camera needs the body that it rides on"
+            )
+        if camera.body is not None and camera.name in rig.names:
+            raise InputError(
+                f"[[camera]] name = '{camera.name}' rides on '{camera.body}', but the rig has a camera of that name; "
+                "give it another one"
             )
     late = dict.fromkeys(spec.fault.cameras, spec.fault.delay_s) if isinstance(spec.fault, ClockFault) else {}
     for name in late:
@@ -182,9 +129,18 @@ def _virtual(camera: Camera, own: CameraSpec, spec: Scenario, late_s: float) -> 
         sensor |= {key: getattr(chip, key) for key in CHIP_KEYS if key not in said}
         if "row_time_s" not in said:
             timing["row_time_s"] = chip.row_time_s
+    mount, delivery = _merged(spec.mount, own.mount), _merged(spec.delivery, own.delivery)
+    check_not_idle(camera.name, {"timing": timing, "mount": mount, "delivery": delivery})
     pitch_mm, f_mm = pitch_and_focal_mm(camera, chip, spec.cameras.pixel_pitch_mm)
     rate_hz = timing["rate_hz"] or spec.capture.frame_rate_hz
     check_fits(camera, chip, lens, pitch_mm, optics["f_number"], rate_hz)
+    if lens is not None:
+        f_mm = lens.focal_length_mm
+    if optics["focus_m"] is not None and optics["focus_m"] <= f_mm * 1e-3:
+        raise InputError(
+            f"camera '{camera.name}': optics.focus_m = {optics['focus_m']:g} given; farther than the focal length, "
+            f"{f_mm * 1e-3:g} m, is wanted"
+        )
     gap = GAPS[spec.model_gap]
     for key in ("tilt_deg", "pupil_shift_m"):
         if optics[key] is None:
@@ -195,12 +151,12 @@ def _virtual(camera: Camera, own: CameraSpec, spec: Scenario, late_s: float) -> 
         Optics(
             psf_sigma_px=errors.psf_sigma_px,
             gap_px=gap.gap_px,
-            f_mm=f_mm if lens is None else lens.focal_length_mm,
+            f_mm=f_mm,
             pixel_pitch_mm=pitch_mm,
             **optics,
         ),
         Timing(jitter_s=errors.trigger_jitter_s, **timing),
-        Mount(body_px=errors.body_px, body=own.body, **_merged(spec.mount, own.mount)),
+        Mount(body_px=errors.body_px, body=own.body, **mount),
         Sensor(**sensor),
         errors.marker_signal,
         Backdrop(**spec.surroundings.backdrop.model_dump()),
@@ -222,33 +178,14 @@ def _rider(own: CameraSpec, spec: Scenario) -> Camera:
     middle = ((width - 1) / 2, (height - 1) / 2)
     if own.fisheye_deg is not None:
         scale = width / np.deg2rad(own.fisheye_deg)
-        return Camera(own.name, width, height, FisheyeLens(scale, scale, *middle), pose)
-    assert own.c_mm is not None
-    chip = named_sensor(own.sensor.name or spec.sensor.name)
-    pitch = spec.cameras.pixel_pitch_mm if chip is None else chip.pixel_pitch_um * 1e-3
-    return Camera(own.name, width, height, MoscaLens(own.c_mm, *middle, pitch, pitch), pose)
-
-
-def windowed(camera: Camera, window_px: tuple[int, int, int, int]) -> Camera:
-    """Return the camera that reads only a window (left, top, width, height) of its image."""
-    left, top, width, height = window_px
-    if (
-        left < 0
-        or top < 0
-        or min(width, height) < 1
-        or left + width > camera.width
-        or top + height > camera.height
-    ):
-        raise InputError(
-            f"camera '{camera.name}': window_px = {list(window_px)} does not lie in its image of "
-            f"{camera.width} x {camera.height}"
-        )
-    lens = camera.lens
-    if isinstance(lens, MoscaLens):
-        moved: Lens = replace(lens, xp_px=lens.xp_px - left, yp_px=lens.yp_px - top)
+        lens: Lens = FisheyeLens(scale, scale, *middle)
     else:
-        moved = replace(lens, cx_px=lens.cx_px - left, cy_px=lens.cy_px - top)
-    return replace(camera, width=width, height=height, lens=moved)
+        assert own.c_mm is not None
+        chip = named_sensor(own.sensor.name or spec.sensor.name)
+        pitch = spec.cameras.pixel_pitch_mm if chip is None else chip.pixel_pitch_um * 1e-3
+        lens = MoscaLens(own.c_mm, *middle, pitch, pitch)
+    camera = Camera(own.name, width, height, lens, pose)
+    return camera if own.window_px is None else windowed(camera, own.window_px)
 
 
 def calibrated(spec: Scenario, cameras: tuple[VirtualCamera, ...]) -> Calibrated:
@@ -277,36 +214,8 @@ def overlap_of(camera: Camera, other: Camera) -> float:
     base = np.linalg.norm(camera.world_from_camera.translation - other.world_from_camera.translation)
     seen = np.zeros(len(grid), bool)
     for distance in base * np.geomspace(0.05, 20.0, 40):
-        seen |= _sees(other, camera.world_from_camera.translation + distance * v)
+        seen |= sees(other, camera.world_from_camera.translation + distance * v)
     return float(seen.mean())
-
-
-def _sees(camera: Camera, points: Array) -> Array:
-    xy = project(camera, points)
-    inside = np.asarray(np.isfinite(xy).all(axis=1))
-    xy = np.where(inside[:, None], xy, -1.0)
-    return (
-        inside
-        & (xy >= -0.5).all(axis=1)
-        & (xy[:, 0] <= camera.width - 0.5)
-        & (xy[:, 1] <= camera.height - 0.5)
-    )
-
-
-def _looking(place: Array, target: Array, name: str) -> Pose:
-    """Return the pose of a camera at ``place`` that looks at ``target`` with its x axis level."""
-    forward = target - place
-    distance = np.linalg.norm(forward)
-    if distance < 1e-9:
-        raise InputError(
-            f"camera '{name}' stands at the point that it looks at; change look_at_m or height_m"
-        )
-    forward = forward / distance
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    if np.linalg.norm(right) < 1e-6:
-        right = np.array([1.0, 0.0, 0.0])
-    right = right / np.linalg.norm(right)
-    return Pose(np.column_stack([right, np.cross(forward, right), forward]), place)
 
 
 def _fitted(virtual: VirtualCamera, model: str, distance_m: float) -> Conversion:
@@ -314,7 +223,3 @@ def _fitted(virtual: VirtualCamera, model: str, distance_m: float) -> Conversion
     grid = image_grid(camera.width, camera.height)
     lens = TwinLens.of(camera.lens, camera.width, camera.height, virtual.optics)
     return fit_lens(model, grid, lens.directions(grid, distance_m), camera.lens)
-
-
-def _text(point: Array) -> str:
-    return "(" + ", ".join(f"{x:g}" for x in point) + ")"

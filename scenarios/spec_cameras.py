@@ -181,6 +181,12 @@ class CameraSpec(Table):
 
     @model_validator(mode="after")
     def _rides_with_a_lens(self) -> "CameraSpec":
+        rider_only = {"place_m", "forward", "up", "size_px", "fisheye_deg", "c_mm"} & self.model_fields_set
+        if self.body is None and rider_only:
+            raise ValueError(
+                f"camera '{self.name}': {min(rider_only)} is for a camera that rides on a body; the rig's "
+                "cameras have theirs from [cameras] or the rig file"
+            )
         if self.body is not None and (
             self.size_px is None or (self.c_mm is None) == (self.fisheye_deg is None)
         ):
@@ -200,6 +206,14 @@ class BackdropSpec(Table):
     dust: int = Field(0, ge=0, description="dark spots on the glass")
     dust_loss: Share = Field(0.1, description="light that a spot takes")
     dust_radius_px: Positive = Field(6.0, description="their mean radius [px]")
+
+    @model_validator(mode="after")
+    def _light_everywhere(self) -> "BackdropSpec":
+        if abs(self.gradient[0]) + abs(self.gradient[1]) > 2.0:
+            raise ValueError(
+                f"gradient = {list(self.gradient)} given; 2 together at most, or a corner is darker than dark"
+            )
+        return self
 
 
 class ClothSpec(Table):

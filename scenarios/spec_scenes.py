@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from mosca.data.toml import NotNegative, Positive, Table, Vector
 
@@ -152,6 +152,12 @@ class GlowSpec(Table):
     limb: Annotated[float, Field(ge=0, le=1)] = Field(0.0, description="brightness that a ball's rim lacks")
     shade: Annotated[float, Field(ge=-1, le=1)] = Field(0.0, description="change from the middle to the rim")
     shade_world: Vector = Field((0.0, 0.0, 1.0), description="the side that is brighter")
+
+    @model_validator(mode="after")
+    def _has_a_side(self) -> "GlowSpec":
+        if not any(self.shade_world):
+            raise ValueError(f"shade_world = {self.shade_world} given; a direction of 3 numbers is wanted")
+        return self
 
 
 class LampsSpec(Table):

@@ -17,7 +17,7 @@ from witness.views import place, tilted_normal
 
 SIZE, SIGMA, MIDDLE, F_PX, DISTANCE = (64, 56), 0.6, (30.0, 27.0), 300.0, 2.0
 LENS, WITNESS = small_camera(SIZE, F_PX, (-0.2, 0.06, 5e-4, -4e-4))
-RMS_PX, PIXEL = 0.002, 0.002
+RMS_PX, PIXEL = 0.002, 0.001
 ROW_TIME_S = 20e-6
 INSTANTS = 65
 Span = tuple[float, float]

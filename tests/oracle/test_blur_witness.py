@@ -38,7 +38,7 @@ def expected(
         circle += blur_circle_px(
             centre[2], optics.focus_m, optics.f_mm, optics.f_number, optics.pixel_pitch_mm
         )
-    points, weights = pupil(12, 32)
+    points, weights = pupil(10, 28)
     places = displacements(points, circle, optics.coma_px * field, away / np.hypot(*away))
     return pupil_mean(
         lambda by: contour_image(polygon + by, optics.psf_sigma_px, *SIZE), places, weights

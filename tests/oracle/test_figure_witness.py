@@ -156,7 +156,7 @@ def test_figure_that_moves_and_turns_in_the_exposure(row_time):
     def at(t: float) -> Array:
         return outline_image(WITNESS, centre_at(t), turn_at(t), outlines, SIGMA, SIZE)[0]
 
-    wanted = exposed(at, *row_windows(SIZE[1], 1.0, row_time), instants=33)
+    wanted = exposed(at, *row_windows(SIZE[1], 1.0, row_time), instants=17)
     off = np.hypot(*(image_centroid(image) - image_centroid(wanted)))
     pixel = np.abs(image - wanted).max() / wanted.max()
     print(f"\nrow time {row_time}: centroid {off:.1e} px  pixels {pixel:.1e} of the peak")
@@ -187,7 +187,7 @@ def test_profile_of_brightness(diameter, tilt, profile):
         target = disc(centre, normal, radius, limb=limb, shade=shade)
     else:
         target = ball(centre, radius, limb=limb, shade=shade)
-    face = spots(WITNESS, centre, radius, normal, 48, 160 if diameter < 20.0 else 480)
+    face = spots(WITNESS, centre, radius, normal, 48, 160 if diameter < 20.0 else 400)
     light = face.area * brightness(face, limb, shade)
     image, _seen = seen_by_twin(LENS, SIZE, [target])
     wanted = points_image(face.xy, light, SIGMA, *SIZE)

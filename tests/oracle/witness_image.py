@@ -37,9 +37,25 @@ def gathered(offset: Array, sigma_px: float) -> Array:
     return sigma_px * (twice((offset + 0.5) / sigma_px) - twice((offset - 0.5) / sigma_px))
 
 
-def axes(width: int, height: int) -> tuple[Array, Array]:
-    """Return the pixels' columns (W,) and rows (H,)."""
-    return np.arange(width, dtype=float), np.arange(height, dtype=float)
+def near(xy: Array, sigma_px: float, width: int, height: int) -> tuple[slice, slice]:
+    """Return the rows and columns of pixels that light from points (n, 2) reaches: to less than 1e-15."""
+    reach = 0.5 + 8 * sigma_px
+    low = np.clip(np.floor(xy.min(axis=0) - reach), 0, (width, height)).astype(int)
+    high = np.clip(np.ceil(xy.max(axis=0) + reach) + 1, low, (width, height)).astype(int)
+    return slice(low[1], high[1]), slice(low[0], high[0])
+
+
+def offsets(values: Array, pixels: slice) -> Array:
+    """Return how far coordinates (n,) lie from each pixel of a slice, (pixels, n)."""
+    return values - np.arange(pixels.start, pixels.stop)[:, None]
+
+
+def summed(down: Array, across: Array) -> Array:
+    """Return the sum over points of the products of (rows, n) and (columns, n).
+
+    Not by BLAS: its threads wait for each other on busy cores.
+    """
+    return np.asarray(np.einsum("rp,cp->rc", down, across))
 
 
 def contour_image(polygon: Array, sigma_px: float, width: int, height: int) -> Array:
@@ -53,30 +69,20 @@ def contour_image(polygon: Array, sigma_px: float, width: int, height: int) -> A
     along = ((1 + nodes) / 2)[:, None, None]
     at = (polygon + along * (following - polygon)).reshape(-1, 2)
     dy = (weights[:, None] / 2 * (following - polygon)[:, 1]).ravel()
-    reach = 0.5 + 8 * sigma_px  # farther out there is nothing: 1e-15
-    low = np.clip(np.floor(polygon.min(axis=0) - reach), 0, (width, height)).astype(int)
-    high = np.clip(np.ceil(polygon.max(axis=0) + reach) + 1, low, (width, height)).astype(int)
-    columns, rows = np.arange(low[0], high[0]), np.arange(low[1], high[1])
-    down = dy * spread(at[:, 1] - rows[:, None], sigma_px)
-    across = gathered(at[:, 0] - columns[:, None], sigma_px)
     image = np.zeros((height, width))
-    # not by BLAS: its threads wait for each other on busy cores
-    image[low[1] : high[1], low[0] : high[0]] = np.einsum("rp,cp->rc", down, across)
+    where = near(polygon, sigma_px, width, height)
+    down = dy * spread(offsets(at[:, 1], where[0]), sigma_px)
+    image[where] = summed(down, gathered(offsets(at[:, 0], where[1]), sigma_px))
     x, y = (polygon - polygon[0]).T
     turns_left = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) > 0
     return image if turns_left else -image
-
-
-def beside(point: float, sigma_px: float, pixels: Array) -> Array:
-    """Return ``spread`` of one coordinate over pixels: a helper of closed forms."""
-    return spread(point - pixels, sigma_px)
 
 
 def rectangle_image(
     x: tuple[float, float], y: tuple[float, float], sigma_px: float, width: int, height: int
 ) -> Array:
     """Return the image of an upright rectangle of light in closed form."""
-    columns, rows = axes(width, height)
+    columns, rows = np.arange(width), np.arange(height)
     across = gathered(x[1] - columns, sigma_px) - gathered(x[0] - columns, sigma_px)
     down = gathered(y[1] - rows, sigma_px) - gathered(y[0] - rows, sigma_px)
     return np.outer(down, across)
@@ -84,20 +90,23 @@ def rectangle_image(
 
 def points_image(xy: Array, weight: Array, sigma_px: float, width: int, height: int) -> Array:
     """Return the image of points of light (n, 2) that send ``weight`` (n,) each [px^2]."""
-    columns, rows = axes(width, height)
-    across = spread(xy[:, 0] - columns[:, None], sigma_px)
-    down = spread(xy[:, 1] - rows[:, None], sigma_px)
-    return (down * weight) @ across.T
+    image = np.zeros((height, width))
+    where = near(xy, sigma_px, width, height)
+    down = weight * spread(offsets(xy[:, 1], where[0]), sigma_px)
+    image[where] = summed(down, spread(offsets(xy[:, 0], where[1]), sigma_px))
+    return image
 
 
 def lines_image(lines: Array, step_px: float, sigma_px: float, width: int, height: int) -> Array:
     """Return the image of scan lines (n, 3): y, x0, x1 [px], each standing for a strip ``step_px`` high."""
-    columns, rows = axes(width, height)
-    across = gathered(lines[:, 2] - columns[:, None], sigma_px) - gathered(
-        lines[:, 1] - columns[:, None], sigma_px
-    )
-    down = spread(lines[:, 0] - rows[:, None], sigma_px)
-    return step_px * down @ across.T
+    image = np.zeros((height, width))
+    if len(lines) == 0:
+        return image
+    where = near(np.vstack([lines[:, [1, 0]], lines[:, [2, 0]]]), sigma_px, width, height)
+    left, right = offsets(lines[:, 1], where[1]), offsets(lines[:, 2], where[1])
+    across = gathered(right, sigma_px) - gathered(left, sigma_px)
+    image[where] = step_px * summed(spread(offsets(lines[:, 0], where[0]), sigma_px), across)
+    return image
 
 
 def lines_moments(lines: Array, step_px: float) -> tuple[float, Array]:

@@ -82,7 +82,7 @@ def pattern_image(
     radius: float,
     sigma_px: float,
     size: tuple[int, int],
-    lines_per_px: int = 80,
+    lines_per_px: int = 60,
 ) -> tuple[Array, float, Array]:
     """Return image (H, W), light [px^2] and centroid (2,) [px] of patterns on a plate, each with its brightness.
 

@@ -1,0 +1,139 @@
+"""What hides a marker: visible share and centroid against MuJoCo's ray caster on scan lines."""
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from mosca.data.arrays import Array
+from reports.fidelity import Check, Row
+from scenarios.fidelity.door import Target, seen_by_twin
+from scenarios.fidelity.measure import about, rms
+from scenarios.fidelity.views import small_camera
+from twin.cameras.occlusion import occluders_of
+from twin.cameras.render import MeshRays, has_meshes
+from twin.scenes.scene import Scene
+from witness.rays import MARKER_GROUP, POSITION, ROTATION, Path, World, fixed, seen_over_time
+from witness.render import image_centroid
+
+SIZE, SIGMA, F_PX = (160, 120), 0.6, 300.0
+LENS, WITNESS = small_camera(SIZE, F_PX, (-0.2, 0.06, 5e-4, -4e-4))
+SHARE, CENTROID_PX = 0.002, 0.004
+"""Bars: of the visible share, and of the centroid [px rms] where at least 0.3 of the marker is visible."""
+AT, RADIUS, NEAR = np.array([0.06, -0.04, 1.5]), 0.02, 0.9
+"""The marker, 8 px large, and how near its occluders are [m]."""
+TURN = Rotation.from_euler("xyz", [40.0, 28.0, 25.0], degrees=True).as_matrix()
+GEOM = mujoco.mjtGeom
+SOLIDS = {
+    "sphere": (GEOM.mjGEOM_SPHERE, (0.045, 0.0, 0.0)),
+    "capsule": (GEOM.mjGEOM_CAPSULE, (0.03, 0.07, 0.0)),
+    "ellipsoid": (GEOM.mjGEOM_ELLIPSOID, (0.03, 0.05, 0.08)),
+    "cylinder": (GEOM.mjGEOM_CYLINDER, (0.035, 0.05, 0.0)),
+    "box": (GEOM.mjGEOM_BOX, (0.03, 0.05, 0.07)),
+}
+MESHES = {
+    "mesh ball": trimesh.creation.icosphere(subdivisions=2, radius=0.045),
+    "mesh torus": trimesh.creation.torus(major_radius=0.06, minor_radius=0.02, major_sections=24, minor_sections=12),
+}
+SWEEP_PX = (24.0, 21.0, 18.0, 15.0, 12.0)
+INSTANTS = 16
+
+
+def occlusion(quick: bool) -> Check:
+    """Each solid, in steps from beside the marker to before it, standing and moving."""
+    rows: list[Row] = []
+    sweep = SWEEP_PX[1:4:2] if quick else SWEEP_PX
+    for name in [*SOLIDS, *MESHES]:
+        found = np.array([_compared(_still(name, offset)) for offset in sweep])
+        rows += _rows(f"{name} stands before it", found)
+    for name in ("capsule",) if quick else ("capsule", "box"):
+        found = np.array([_compared(_moving(name, px), INSTANTS) for px in ((6.0, 2.0), (-5.0, 3.0))])
+        rows += _rows(f"{name} and marker move", found)
+    where = _still("box", 18.0)
+    shares = [seen_over_time(where, WITNESS, SIZE, SIGMA, lines_per_px=n).share for n in (24, 48)]
+    return Check(
+        "What hides a marker",
+        "visible share of an 8 px marker, and the centre of light of what is left of it",
+        "MuJoCo's ray caster (mj_multiRay) along 24 scan lines a pixel, edges found by bisection",
+        about(abs(shares[0] - shares[1]), "of the share"),
+        (*rows, *_faults()),
+    )
+
+
+def _rows(name: str, found: Array) -> list[Row]:
+    """Return the rows of what ``_compared`` found; its first column says how much is visible."""
+    clear = found[:, 0] >= 0.3
+    rows = [Row(f"{name}: share, largest", float(np.abs(found[:, 1]).max()), "", SHARE)]
+    if clear.any():
+        rows.append(Row(f"{name}: centroid, rms", rms(found[clear, 2]), "px", CENTROID_PX))
+    return rows
+
+
+def _beside(offset_px: float) -> Array:
+    """Return a place [m] whose image lies ``offset_px`` from the marker's."""
+    away = offset_px * NEAR / F_PX * np.array([np.cos(0.35), np.sin(0.35)])
+    return np.array([*(AT[:2] / AT[2] * NEAR + away), NEAR])
+
+
+def _still(name: str, offset_px: float) -> World:
+    return _with(World(fixed(AT), RADIUS), name, fixed(_beside(offset_px)))
+
+
+def _moving(name: str, solid_px: tuple[float, float]) -> World:
+    return _with(World(_path(AT, (3.0, -3.0)), RADIUS), name, _path(_beside(17.0), solid_px))
+
+
+def _path(middle: Array, px: tuple[float, float]) -> Path:
+    step = np.array([*px, 0.0]) * middle[2] / F_PX
+    return lambda t: middle + step * (t - 0.5)
+
+
+def _with(world: World, name: str, at: Path) -> World:
+    if name in MESHES:
+        return world.add_mesh(MESHES[name], at, fixed(TURN))
+    return world.add(*SOLIDS[name], at, fixed(TURN))
+
+
+def _compared(world: World, instants: int = 1) -> tuple[float, float, float]:
+    """Return the witness's share, the twin's less that, and how far the centroids are apart [px]."""
+    image, visible = _look(world)
+    rays = seen_over_time(world, WITNESS, SIZE, SIGMA, instants, 1.0, 24 if instants == 1 else 16)
+    off = float(np.hypot(*(image_centroid(image) - rays.centroid))) if rays.share >= 0.3 else 0.0
+    return rays.share, visible - rays.share, off
+
+
+def _look(world: World) -> tuple[Array, float]:
+    """Return the twin's image of the marker and the share of it that the twin says is visible."""
+    model, data = world.compile()
+    geoms = tuple(int(g) for g in np.flatnonzero(model.geom_group == MARKER_GROUP))
+    scene = Scene(model, tuple(f"m{g}" for g in geoms), geoms, lambda t: np.zeros(0), 1.0)
+    occluders = occluders_of(scene)
+
+    def geoms_at(t: float) -> tuple[Array, Array]:
+        world.move(model, data, t)
+        turns = data.geom_xmat.reshape(-1, 3, 3)[occluders.geom]
+        return (data.geom_xpos[occluders.geom] - POSITION) @ ROTATION, ROTATION.T @ turns
+
+    more: dict[str, Any] = {"occluders": occluders, "geoms_at": geoms_at}
+    if has_meshes(occluders):  # judged where they are at mid-exposure
+        _model, still = world.compile()
+        world.move(model, still, 0.5)
+        more["mesh_rays"] = MeshRays(model, still, occluders, geoms, (ROTATION, POSITION))
+    image, seen = seen_by_twin(LENS, SIZE, [Target(world.paths[0][0], RADIUS)], **more)
+    return image, float(seen.visible[0])
+
+
+def _faults() -> list[Row]:
+    """Return how wrong a twin's share is whose world is slightly else than the witness's."""
+    still = seen_over_time(_still("box", 18.0), WITNESS, SIZE, SIGMA).share
+    moving = seen_over_time(_moving("box", (6.0, 2.0)), WITNESS, SIZE, SIGMA, INSTANTS, 1.0, 16).share
+    stopped = _with(World(fixed(AT), RADIUS), "box", _path(_beside(17.0), (6.0, 2.0)))
+    early = _with(World(_path(AT, (3.0, -3.0)), RADIUS), "box", fixed(_path(_beside(17.0), (6.0, 2.0))(0.0)))
+    faults = {
+        "an edge off by a tenth of a pixel": _look(_still("box", 17.9))[1] - still,
+        "a marker that stands still": _look(stopped)[1] - moving,
+        "an occluder judged at the exposure's start": _look(early)[1] - moving,
+    }
+    return [Row(f"fault: {name}", abs(off), "", SHARE, control=True) for name, off in faults.items()]
