@@ -181,6 +181,7 @@ def _read(image: Array, settings: CodedSettings, scale: float, noise: float) -> 
             stain=0.4,
             least_swing=0.3,
             least_margin=settings.least_confidence,
+            least_likeness=0.93,
         )
         table = read_targets(smaller, labels, count, reading)
         table[:, [X, Y]] = table[:, [X, Y]] * factor + (factor - 1) / 2

@@ -18,8 +18,8 @@ from mosca.data.arrays import Array
 kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
 step = numba.njit(nogil=True, error_model="numpy")
 
-X, Y, AXX, AXY, AYY, WORD, START, MARGIN, PLATE_DN, CONTRAST_DN = range(10)
-N_COLUMNS = 10
+X, Y, AXX, AXY, AYY, WORD, START, MARGIN, PLATE_DN, CONTRAST_DN, LIKENESS = range(11)
+N_COLUMNS = 11
 
 SECTORS = 20
 WINDOW = 3  # sectors to each side: of 7 in a row, one at least is white and one black (runs of at most 5)
@@ -57,6 +57,7 @@ class Reading(NamedTuple):
     stain: float
     least_swing: float
     least_margin: float
+    least_likeness: float
 
 
 @step
@@ -244,6 +245,40 @@ def trace_dot(image: Array, frame: Array, level: float, reading: Reading) -> tup
 
 
 @step
+def sector_length(frame: Array, t: float, radius: float) -> float:
+    """Return how long a sector is in the image [px], at the angle t and at ``radius`` on the plate."""
+    c, s = math.cos(t), math.sin(t)
+    along = math.hypot(frame[2] * s + frame[3] * c, frame[3] * s + frame[4] * c)
+    return 2.0 * math.pi / SECTORS * radius * along
+
+
+@step
+def likeness(light: Array, word: int, start: float, frame: Array, radius: float) -> float:
+    """Return the correlation of a ring's light (STEPS) with that of ``word`` under ``USUAL_BLUR_PX``.
+
+    ``start`` of the first sector in steps.
+    """
+    n = sx = sy = sxx = sxy = syy = 0.0
+    for i in range(STEPS):
+        place = (i - start) / PER_SECTOR % SECTORS
+        k = min(int(place), SECTORS - 1)
+        share = place - k
+        length = sector_length(frame, 2.0 * math.pi * i / STEPS, radius) / (math.sqrt(2.0) * USUAL_BLUR_PX)
+        before, after = 0.5 * math.erfc(share * length), 0.5 * math.erfc((1.0 - share) * length)
+        x = before * (word >> (k - 1) % SECTORS & 1) + after * (word >> (k + 1) % SECTORS & 1)
+        x += (1.0 - before - after) * (word >> k & 1)
+        y = light[i]
+        n += 1.0
+        sx += x
+        sy += y
+        sxx += x * x
+        sxy += x * y
+        syy += y * y
+    spread = (n * sxx - sx * sx) * (n * syy - sy * sy)
+    return (n * sxy - sx * sy) / math.sqrt(spread) if spread > 0.0 else 0.0
+
+
+@step
 def peaking_of(frame: Array, start: float, radius: float) -> Array:
     """Return how much of its neighbours' light is to be taken off each sector (SECTORS), by its length in px.
 
@@ -252,10 +287,7 @@ def peaking_of(frame: Array, start: float, radius: float) -> Array:
     """
     peaking = np.empty(SECTORS)
     for k in range(SECTORS):
-        t = start + 2.0 * math.pi * (k + 0.5) / SECTORS
-        c, s = math.cos(t), math.sin(t)
-        along = math.hypot(frame[2] * s + frame[3] * c, frame[3] * s + frame[4] * c)
-        length = 2.0 * math.pi / SECTORS * radius * along
+        length = sector_length(frame, start + 2.0 * math.pi * (k + 0.5) / SECTORS, radius)
         a = 0.5 * math.erfc(length / (math.sqrt(8.0) * USUAL_BLUR_PX))
         peaking[k] = min(a / max(1.0 - 4.0 * a, 1e-3), MOST_PEAKING)
     return peaking
@@ -295,8 +327,8 @@ def read_ring(image: Array, frame: Array, plate: Array, contrast: float, reading
         real += edge * edge * COS[turn]
         imaginary += edge * edge * SIN[turn]
     start = math.atan2(imaginary, real) / (2.0 * math.pi) * PER_SECTOR  # in steps
-    start_rad = 2.0 * math.pi * start / STEPS
-    peaking = peaking_of(frame, start_rad, 0.5 * (reading.ring_inner + reading.ring_outer))
+    start_rad, middle = 2.0 * math.pi * start / STEPS, 0.5 * (reading.ring_inner + reading.ring_outer)
+    peaking = peaking_of(frame, start_rad, middle)
     word, margin = 0, 9.0
     level = np.empty(SECTORS)
     for b in range(BANDS, -1, -1):
@@ -316,12 +348,12 @@ def read_ring(image: Array, frame: Array, plate: Array, contrast: float, reading
             swing = 0.5 * (high - low)
             if b == BANDS:
                 if 2.0 * swing < reading.least_swing or high > 1.0 / reading.least_swing:
-                    return 0, 0.0, -1.0
+                    return 0, 0.0, -1.0, 0.0
                 margin = min(margin, abs(level[k] - 0.5 * (high + low)) / swing)
                 word |= int(level[k] > 0.5 * (high + low)) << k
             elif (level[k] - 0.5 * (high + low)) * (2 * (word >> k & 1) - 1) < -BAND_TOLERANCE * swing:
-                return 0, 1.0, -1.0  # a sector is of one colour from its inner to its outer edge
-    return word, start_rad, margin
+                return 0, 0.0, -1.0, 0.0  # a sector is of one colour from its inner to its outer edge
+    return word, start_rad, margin, likeness(light[BANDS], word, start, frame, middle)
 
 
 @step
@@ -344,10 +376,11 @@ def read_dot(image: Array, frame: Array, ratio: float, reading: Reading, out: Ar
             continue
         if stain > reading.stain * contrast + 2.0 * reading.noise_dn:
             continue
-        word, start, margin = read_ring(image, frame, plate, contrast, reading)
-        if margin > max(out[MARGIN], reading.least_margin):
+        word, start, margin, like = read_ring(image, frame, plate, contrast, reading)
+        if margin > max(out[MARGIN], reading.least_margin) and like > reading.least_likeness:
             out[:5] = frame[:5]
             out[WORD], out[START], out[MARGIN] = word, start, margin
+            out[LIKENESS] = like
             out[PLATE_DN], out[CONTRAST_DN] = plate[0], contrast
     return out[MARGIN] > 0.0
 

@@ -30,7 +30,7 @@ class Row:
     @property
     def met(self) -> bool:
         """Whether it is as it must be; never for NaN."""
-        return self.value > self.bar if self.control else self.value <= self.bar
+        return bool(self.value > self.bar if self.control else self.value <= self.bar)
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,8 @@ def write_fidelity_json(path: Path, checks: Sequence[Check], provenance: Mapping
     document = {
         "met": all_met(checks),
         "checks": [
-            {**asdict(check), "rows": [{**asdict(row), "met": row.met} for row in check.rows]} for check in checks
+            {**asdict(check), "rows": [{**asdict(row), "met": row.met} for row in check.rows]}
+            for check in checks
         ],
         "provenance": dict(provenance),
     }

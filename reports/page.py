@@ -32,7 +32,7 @@ def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
     from outside; pictures are inline SVG.
     """
     text = (
-        _templates()
+        templates()
         .get_template("template.html.j2")
         .render(
             record=record,
@@ -90,7 +90,7 @@ def write_comparison_page(path: Path, records: Sequence[RunRecord], labels: Sequ
     passed, found = sum(r.passed for r in records), sum(len(w) for w in worse)
     text = f"{passed} of {len(records)} runs are as claimed; {found or 'no'} regression{'' if found == 1 else 's'}"
     text += " against the first run of the same scenario."
-    page = _templates().get_template("comparison.html.j2").render(runs=runs, rows=rows, sentence=text)
+    page = templates().get_template("comparison.html.j2").render(runs=runs, rows=rows, sentence=text)
     with whole_file(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
@@ -132,7 +132,8 @@ def sentence(record: RunRecord) -> str:
     return text + _ended(record.verdict)
 
 
-def _templates() -> Environment:
+def templates() -> Environment:
+    """Return the pages' templates."""
     return Environment(
         loader=PackageLoader("reports", package_path=""),
         autoescape=True,

@@ -280,6 +280,35 @@ def rig_check(path: Path) -> None:
         click.echo(line)
 
 
+@cli.group()
+def twin() -> None:
+    """Look at the virtual cameras themselves."""
+
+
+@twin.command("fidelity")
+@click.option("--quick", is_flag=True, help="fewer cases, in a few seconds; without other renderers")
+@click.option("--out", type=FILE, help="folder for fidelity.html (with pictures) and fidelity.json")
+def twin_fidelity(quick: bool, out: Path | None) -> None:
+    """Hold the virtual cameras against outside witnesses and print each figure beside its bar.
+
+    \b
+    Example:  mosca twin fidelity --quick --out runs/fidelity
+    """
+    from reports.fidelity import all_met, fidelity_table
+    from scenarios.fidelity.command import PAGE, look, prepare, write
+
+    if out is not None:
+        prepare(out)
+    with _progress("fidelity") as shown:
+        found = look(quick, out is not None, shown)
+    _console().print(fidelity_table(found.checks))
+    click.echo(found.sentence)
+    if out is not None:
+        write(found, out)
+        click.echo(f"{out / PAGE}")
+    sys.exit(EXIT_PASSED if all_met(found.checks) else EXIT_BROKEN)
+
+
 @cli.command()
 @click.argument("kind", type=click.Choice(["scenario", "rig"]))
 def schema(kind: str) -> None:

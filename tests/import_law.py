@@ -3,7 +3,7 @@
 import ast
 from pathlib import Path
 
-ROOMS = ("mosca", "twin", "hardware", "reports", "scenarios")
+ROOMS = ("mosca", "twin", "hardware", "reports", "scenarios", "witness")
 
 # room (longest prefix wins): rooms it may import from, rooms or modules it may not, third-party packages
 LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
@@ -41,6 +41,10 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
         ("numpy", "matplotlib", "mpl_toolkits", "jinja2", "rich"),
     ),
     "reports.viewer": (("reports", "mosca.data", "mosca.errors"), (), ("numpy", "rerun", "cv2")),
+    "reports.fidelity_page": (("reports", "mosca.data", "mosca.errors"), (), ("cv2",)),
+    "witness": (("witness",), (), ("numpy", "scipy", "cv2", "mujoco")),
+    "witness.gl": (("witness",), (), ("numpy", "scipy", "mujoco", "pyrender", "trimesh")),
+    "scenarios.fidelity": (ROOMS, (), ("numpy", "scipy", "mujoco", "trimesh")),
     "scenarios": (
         ROOMS,
         (),

@@ -31,10 +31,9 @@ from mosca.calibrate.bundle_adjustment import (
 )
 from mosca.calibrate.bundle_blunders import snoop, without_lonely
 from mosca.calibrate.bundle_datum import check_datum, generators, null_generators, weak_directions
-from mosca.calibrate.bundle_descent import Descent, State, descend, first_state, reduced
-from mosca.calibrate.bundle_kernels import CAUCHY, HUBER, LEAST_SQUARES, UNSEEN, imaged, weigh
+from mosca.calibrate.bundle_descent import Descent, State, descend, first_state, reduced, state_of
+from mosca.calibrate.bundle_kernels import CAUCHY, HUBER, LEAST_SQUARES, LENS, UNSEEN, weigh
 from mosca.calibrate.bundle_layout import Layout, lay_out
-from mosca.calibrate.bundle_lenses import lens_row
 from mosca.calibrate.bundle_priors import Priors, count, lens_priors, pulls
 from mosca.calibrate.bundle_problem import (
     FOCAL,
@@ -74,7 +73,7 @@ class BundleSettings:
 
     loss: Literal["least squares", "huber", "cauchy"] = "least squares"
     loss_scale: float = 2.5
-    tolerance: float = 1e-3
+    tolerance: float = 1e-2
     most_steps: int = 100
     blunder_significance: float | None = None
     hold_weak: bool = True
@@ -100,22 +99,27 @@ def solve(
         significance = settings.blunder_significance
         solution, rejected = _snooped(problem, layout, solution, priors, robust, settings, significance)
     if problem.datum == "points":
-        solution = _onto_given(problem, layout, solution, state, priors, robust)
+        solution = replace(
+            solution, descent=replace(solution.descent, state=_onto_given(problem, layout, solution, state))
+        )
     descent = solution.descent
-    cofactors, tests = tested(layout, solution, robust)
-    seen = np.isfinite(tests[:, 0])
+    own = residuals(layout, descent.state)
     sigma0_squared, redundancy = _variance(problem, layout, solution, priors, robust)
     precision = None
     if settings.precision:
+        if problem.datum == "points":
+            solution = _solution_at(problem, layout, solution, priors, robust)
+        cofactors, tests = tested(layout, solution, robust)
         precision = precision_of(problem, layout, solution, cofactors, tests, sigma0_squared)
-    used, out = np.empty(len(seen), dtype=bool), np.empty(len(seen), dtype=bool)
-    used[layout.order], out[layout.order] = (solution.weight > 0) & seen, rejected
-    points, turned, shifted = descent.state[3:]
+    used, out, residual = np.empty(len(own), dtype=bool), np.empty(len(own), dtype=bool), np.empty_like(own)
+    used[layout.order] = (solution.weight > 0) & np.isfinite(own[:, 0])
+    out[layout.order], residual[layout.order] = rejected, -own
+    _, points, placed = descent.state
     return Adjustment(
         adjusted_cameras(problem, layout, descent.state),
         read_only(points, (None, 3), "points"),
-        Placements(turned, shifted),
-        read_only(residuals(layout, descent.state, tests), (None, 2), "residuals_px"),
+        Placements(placed[:, :9].reshape(-1, 3, 3), placed[:, 9:]),
+        read_only(residual, (None, 2), "residuals_px"),
         read_only(used, (None,), "used", np.bool_),
         read_only(np.flatnonzero(out), (None,), "rejected", np.int64),
         layout.names,
@@ -164,11 +168,21 @@ def _solved(
         if not (more and settings.hold_weak):
             break
         # near their starting values, wherever they have crept
-        more = tuple(replace(one, value=float(first[2][one.camera, one.parameter])) for one in more)
+        more = tuple(replace(one, value=float(first[0][one.camera, LENS + one.parameter])) for one in more)
         priors += more
         held += tuple(layout.names[one.column] for one in more)
         state = descent.state
     return Solution(descent, weight, _inverse(layout, matrix), inverse, motions), priors, weak, held, steps
+
+
+def _solution_at(
+    problem: Problem, layout: Layout, solution: Solution, priors: Priors, robust: tuple[int, float]
+) -> Solution:
+    """Return the solution with the normal equations of its state, which may have been moved since."""
+    there = descend(problem, layout, solution.descent.state, solution.weight, priors, robust, 1.0, 0)
+    matrix, inverse, motions = _normal_matrix(problem, layout, there, priors)
+    descent = replace(solution.descent, normals=there.normals)
+    return Solution(descent, solution.weight, _inverse(layout, matrix), inverse, motions)
 
 
 def _normal_matrix(
@@ -176,7 +190,7 @@ def _normal_matrix(
 ) -> tuple[Array, Array, int]:
     """Return the reduced normal matrix with the datum fixed, the inverse blocks, and how many motions were loose."""
     pull, _ = pulls(problem, layout, priors, descent.state)
-    matrix, _, inverse, _ = reduced(layout, descent.normals, pull, 0.0)
+    matrix, _, inverse = reduced(layout, descent.normals, pull, 0.0)
     if len(matrix) == 0:
         return matrix, inverse, 0
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
@@ -226,12 +240,12 @@ def _variance(
 def _placed_again(problem: Problem, layout: Layout, descent: Descent, weight: Array) -> State:
     """Return the state with the points that a camera ought to see and does not intersected anew."""
     state, point = descent.state, layout.see[1]
-    unseen = ~imaged(state, layout.see, layout.columns) & (weight > 0) & (layout.see[2] < 0)
-    points = state[3].copy()
+    unseen = np.isnan(residuals(layout, state)[:, 0]) & (weight > 0) & (layout.see[2] < 0)
+    points = state[1].copy()
     lost = np.intersect1d(point[unseen], layout.members)
     points[lost] = np.nan
     points = intersected(adjusted_cameras(problem, layout, state), layout, points)
-    return (*state[:3], points, *state[4:])
+    return state[0], points, state[2]
 
 
 def _snooped(
@@ -260,25 +274,18 @@ def _snooped(
     return snoop(layout, solution, significance, solve_again, test)
 
 
-def _onto_given(
-    problem: Problem,
-    layout: Layout,
-    solution: Solution,
-    given: State,
-    priors: Priors,
-    robust: tuple[int, float],
-) -> Solution:
-    """Move the network so that its datum points neither shift, turn nor stretch against their given values.
+def _onto_given(problem: Problem, layout: Layout, solution: Solution, given: State) -> State:
+    """Return the network moved so that its datum points neither shift, turn nor stretch against their given values.
 
     Minimises the sum of the squared distances (Horn 1987, by singular values: Umeyama 1991).
     """
-    rotation, position, lenses, points, turned, shifted = solution.descent.state
+    table, points, placements = solution.descent.state
     chosen = layout.members[datum_mask(problem, layout, solution.inverse)]
     if len(chosen) < 3:
         raise CalibrationError(
             f"datum 'points': {len(chosen)} determined points carry it; three at least are wanted"
         )
-    target, source = given[3][chosen], points[chosen]
+    target, source = given[1][chosen], points[chosen]
     middle, own = target.mean(axis=0), source.mean(axis=0)
     left, sizes, right = np.linalg.svd((target - middle).T @ (source - own))
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
@@ -289,34 +296,17 @@ def _onto_given(
     def carried(x: Array) -> Array:
         return np.asarray(stretch * x @ turn.T + shift)
 
-    cameras_turned = np.einsum("ij,cjk->cik", turn, rotation)
-    moved = (cameras_turned, carried(position), lenses, points.copy(), turned.copy(), shifted.copy())
+    table, points, placements = table.copy(), points.copy(), placements.copy()
     own_points = np.concatenate([layout.members, layout.kept])
-    on_thing = np.isin(own_points, layout.see[1][layout.see[2] >= 0])
-    moved[3][own_points[~on_thing]] = carried(points[own_points[~on_thing]])
-    if len(turned):
-        moved = (*moved[:4], np.einsum("ij,fjk->fik", turn, turned), carried(shifted))
-    there = descend(problem, layout, moved, solution.weight, priors, robust, 1.0, 0)
-    before = solution.descent
-    descent = replace(before, state=there.state, normals=there.normals)
-    matrix, inverse, motions = _normal_matrix(problem, layout, descent, priors)
-    return Solution(descent, solution.weight, _inverse(layout, matrix), inverse, motions)
+    of_world = own_points[~np.isin(own_points, layout.see[1][layout.see[2] >= 0])]
+    points[of_world] = carried(points[of_world])
+    for poses in (table, placements):
+        poses[:, :9] = (turn @ poses[:, :9].reshape(-1, 3, 3)).reshape(-1, 9)
+        poses[:, 9:12] = carried(poses[:, 9:12])
+    return table, points, placements
 
 
 def _state_of(problem: Problem, layout: Layout, start: Adjustment) -> State:
     """Return the state of an earlier adjustment of the same structure."""
-    rotation = np.array([one.world_from_camera.rotation for one in start.cameras])
-    position = np.array([one.world_from_camera.translation for one in start.cameras])
-    lenses = np.array(
-        [lens_row(one.lens, own.free) for one, own in zip(start.cameras, problem.cameras, strict=True)]
-    )
     points = np.where(np.isfinite(start.points), start.points, problem.points.xyz)
-    points = intersected(start.cameras, layout, points)
-    return (
-        rotation,
-        position,
-        lenses,
-        points,
-        np.array(start.placements.rotation),
-        np.array(start.placements.translation),
-    )
+    return state_of(problem, start.cameras, intersected(start.cameras, layout, points), start.placements)

@@ -4,11 +4,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mosca.calibrate.bundle_datum import generators, point_motions
+from mosca.calibrate.bundle_datum import generators, placed_points, point_motions
 from mosca.calibrate.bundle_descent import Descent, State
+from mosca.calibrate.bundle_kernels import LENS, imaged
 from mosca.calibrate.bundle_layout import Layout
 from mosca.calibrate.bundle_lenses import lens_of
-from mosca.calibrate.bundle_precision import carry_down, carry_up, gather_pairs, precise
+from mosca.calibrate.bundle_precision import carry_down, carry_up, precise
 from mosca.calibrate.bundle_problem import Placements, Problem
 from mosca.data.arrays import Array, read_only
 from mosca.data.rig import Camera, FisheyeLens, Lens, MoscaLens, Pose
@@ -103,33 +104,30 @@ class Solution:
 def tested(layout: Layout, solution: Solution, robust: tuple[int, float]) -> tuple[Array, Array]:
     """Return the cofactors of the blocks, flat, and the tests (n, 7) of the sorted image points (``precise``)."""
     normals = solution.descent.normals
-    width = layout.index.shape[1]
-    pairs = np.empty((layout.pairs, width, width))
-    gather_pairs(solution.cofactors, layout.index, layout.pair_of, pairs)
     see = (*layout.see[:4], solution.weight, *layout.see[5:])
     cofactors, tests = np.empty_like(solution.inverse), np.empty((len(layout.order), 7))
     precise(
         solution.descent.state, see, layout.see[4], layout.columns, layout.blocks, robust, normals, solution.inverse,
-        pairs, cofactors, tests,
+ np.pad(solution.cofactors, (0, 1)), layout.index, cofactors, tests,
     )  # fmt: skip
     return cofactors, tests
 
 
-def residuals(layout: Layout, state: State, tests: Array) -> Array:
-    """Return observed minus projected (n, 2) [px] in the problem's order."""
+def residuals(layout: Layout, state: State) -> Array:
+    """Return projected minus observed (n, 2) [px] of the sorted image points, NaN where not imaged."""
     out = np.empty((len(layout.order), 2))
-    out[layout.order] = -tests[:, :2]
+    imaged(state, layout.see, out)
     return out
 
 
 def adjusted_cameras(problem: Problem, layout: Layout, state: State) -> tuple[Camera, ...]:
     """Return the cameras with their adjusted lenses and poses."""
-    rotation, position, lenses = state[:3]
+    table = state[0]
     return tuple(
         replace(
             one.camera,
-            lens=lens_of(lenses[owner], problem.cameras[owner].camera.lens),
-            world_from_camera=Pose(rotation[c], position[c]),
+            lens=lens_of(table[owner, LENS:], problem.cameras[owner].camera.lens),
+            world_from_camera=Pose(table[c, :9].reshape(3, 3), table[c, 9:LENS]),
         )
         for c, (one, owner) in enumerate(zip(problem.cameras, layout.columns[0], strict=True))
     )
@@ -187,7 +185,7 @@ def precision_of(
 def _by_point(layout: Layout, cofactors: Array) -> Array:
     """Return the cofactors (m, 3, 3) of the eliminated points, from those of their blocks, flat."""
     dim, at_v = layout.blocks[0], layout.blocks[4]
-    _, block, offset = layout.blocks[7].T
+    _, block, offset = layout.blocks[-1].T
     axis = np.arange(3)
     first = at_v[block] + offset * (dim[block] + 1)
     flat = first[:, None, None] + axis[:, None] * dim[block][:, None, None] + axis
@@ -222,21 +220,19 @@ def _free_network(
     """
     state, normals, inverse = solution.descent.state, solution.descent.normals, solution.inverse
     moves = generators(layout, state)[:, : solution.motions]
-    point_moves = point_motions(state[3][layout.members])[:, :, : solution.motions]
+    point_moves = point_motions(state[1][layout.members])[:, :, : solution.motions]
     mask = datum_mask(problem, layout, inverse)
     chosen = np.where(mask[:, None, None], point_moves, 0.0)
     normal = np.einsum("mij,mik->jk", chosen, chosen)
     functional = np.zeros((int(layout.blocks[0].sum()), solution.motions))
     functional[: 3 * len(mask)] = np.linalg.solve(normal, chosen.reshape(-1, solution.motions).T).T
-    up, own = carry_up(layout.blocks, normals, inverse, layout.index, len(layout.names), functional)
+    up, own_part, own = carry_up(layout.blocks, normals, inverse, layout.index, len(layout.names), functional)
     q_up = solution.cofactors @ up
     common = own + up.T @ q_up
     camera_common = -q_up
-    point_common = np.zeros((int(layout.blocks[0].sum()), solution.motions))
-    point_common += carry_down(layout.blocks, normals, inverse, layout.index, q_up)
-    point_common = point_common[: 3 * len(mask)].reshape(-1, 3, solution.motions)
-    # cofactors of e with the datum's functional: V^-1 T^T, block by block
-    point_common = point_common + _own_part(layout, inverse, functional)[: len(mask)]
+    # the points' own part has the cofactors V^-1 with the datum's functional
+    down = carry_down(layout.blocks, normals, inverse, layout.index, np.pad(q_up, ((0, 1), (0, 0))))
+    point_common = (own_part + down)[: 3 * len(mask)].reshape(-1, 3, solution.motions)
     reduced_cofactors = (
         solution.cofactors - moves @ camera_common.T - camera_common @ moves.T + moves @ common @ moves.T
     )
@@ -245,32 +241,13 @@ def _free_network(
     return reduced_cofactors, by_point - across - np.swapaxes(across, 1, 2) + spread
 
 
-def _own_part(layout: Layout, inverse: Array, functional: Array) -> Array:
-    """Return V^-1 times ``functional`` (all unknowns of the blocks, q), by eliminated point (m, 3, q)."""
-    dim, at_v = layout.blocks[0], layout.blocks[4]
-    out = np.zeros_like(functional)
-    start = np.cumsum(dim) - dim
-    for size in np.unique(dim[dim > 0]):
-        mine = np.flatnonzero(dim == size)
-        rows = start[mine][:, None] + np.arange(size)
-        blocks = inverse[at_v[mine][:, None] + np.arange(size * size)].reshape(-1, size, size)
-        out[rows] = blocks @ functional[rows]
-    return out[: 3 * len(layout.members)].reshape(-1, 3, functional.shape[1])
-
-
 def _by_camera(
     problem: Problem, layout: Layout, state: State, used: Array, tests: Array, numbers: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Return sigma x, y [px] and sigma x, y [m] of each camera (c,)."""
-    camera, point, placement = layout.see[:3]
-    rotation, position, lenses, points, turned, shifted = state
-    place = points[point]
-    if len(turned):
-        on_thing = placement >= 0
-        pose = placement[on_thing]
-        place[on_thing] = np.einsum("nij,nj->ni", turned[pose], place[on_thing]) + shifted[pose]
-    away = place - position[camera]
-    axis_depth = np.einsum("ni,ni->n", away, rotation[camera][:, :, 2])
+    camera, table = layout.see[0], state[0]
+    away = placed_points(layout, state, slice(None)) - table[camera, 9:LENS]
+    axis_depth = np.einsum("ni,ni->n", away, table[:, [2, 5, 8]][camera])
     depth = np.where(_is_fisheye(problem)[camera], np.linalg.norm(away, axis=1), axis_depth)
     focal = np.array([_principal_distances_px(c.lens) for c in adjusted_cameras(problem, layout, state)])
     good = used & np.isfinite(tests[:, 0])

@@ -25,16 +25,16 @@ Test = Callable[[Solution], tuple[Array, float, int]]
 
 def without_lonely(layout: Layout, weight: Array) -> Array:
     """Return the weights (n,) with 0 for the image points of blocks that too few of them determine."""
-    dim, _, _, _, _, _, _, member = layout.blocks
+    dim, member = layout.blocks[0], layout.blocks[-1]
     block, used = layout.block_of, weight > 0
-    enough = 2 * np.bincount(block[used], minlength=len(dim)) + np.diff(layout.known[6])
-    information, pose_weight = layout.known[1], layout.known[5]
+    enough = 2 * np.bincount(block[used], minlength=len(dim)) + np.diff(layout.known[5])
+    information, pose_weight = layout.known[1], layout.known[4]
     if information.size:
         weighted = (information[member[:, 0]] != 0).any(axis=(1, 2))
         enough += 3 * np.bincount(member[weighted, 1], minlength=len(dim))
     if pose_weight.size:
         pose_block = layout.known[2]
-        there = pose_block >= 0
+        there = pose_block > 0
         enough[pose_block[there]] += (pose_weight[there] > 0).sum(axis=1)
     return np.where((enough >= dim)[block], weight, 0.0)
 

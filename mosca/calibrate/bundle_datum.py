@@ -6,6 +6,7 @@ closed form (``generators``); which of them nothing fixes is read off the reduce
 
 import numpy as np
 
+from mosca.calibrate.bundle_kernels import LENS
 from mosca.calibrate.bundle_layout import Layout
 from mosca.calibrate.bundle_lenses import influence
 from mosca.calibrate.bundle_priors import LensPrior, Priors, free_lens_parameters
@@ -36,11 +37,25 @@ def point_motions(points: Array) -> Array:
     return motions
 
 
+def placed_points(layout: Layout, state: tuple[Array, ...], which: slice) -> Array:
+    """Return the points in the world [m] of the observations ``which`` of the sorted ones."""
+    _, points, placements = state
+    place = points[layout.see[1][which]]
+    if len(placements):
+        placement = layout.see[2][which]
+        on_thing = placement >= 0
+        pose = placements[placement[on_thing]]
+        turned = np.einsum("nij,nj->ni", pose[:, :9].reshape(-1, 3, 3), place[on_thing])
+        place[on_thing] = turned + pose[:, 9:]
+    return np.asarray(place)
+
+
 def generators(layout: Layout, state: tuple[Array, ...]) -> Array:
     """Return how the unknowns of the reduced system move (u, 7) by the common motions, in this order."""
-    rotation, position, _, points = state[:4]
+    table, points, _ = state
+    rotation, position = table[:, :9].reshape(-1, 3, 3), table[:, 9:LENS]
     out = np.zeros((len(layout.names) + 1, MOTIONS))
-    cameras = len(rotation)
+    cameras = len(table)
     # turning the world about e_k turns a camera about R^T e_k of its own
     out[layout.index[:cameras, :3], 3:6] = np.swapaxes(rotation, 1, 2)
     out[layout.index[:cameras, 3:6]] = point_motions(position)
@@ -97,8 +112,8 @@ def weak_directions(
     known = {one.column for one in priors}
     weak = [k for k in np.flatnonzero(share > SHOWN) if k not in known]
     more = tuple(
-        LensPrior(int(k), camera, parameter, float(state[2][camera, parameter]), float(plausible[k]))
-        for k in weak
+        LensPrior(int(k), camera, parameter, float(state[0][camera, LENS + parameter]), float(plausible[k]))
+        for k in map(int, weak)
         if k in lens
         for camera, parameter in [lens[k]]
     )
@@ -115,23 +130,23 @@ def weak_directions(
 
 def _plausible(problem: Problem, layout: Layout, state: tuple[Array, ...]) -> Array:
     """Return what is plausible (u,) of each unknown of the reduced system as a standard deviation beforehand."""
-    rotation, position, lenses, points, turned, shifted = state
+    table = state[0]
     out = np.full(len(layout.names) + 1, PLAUSIBLE_SHARE)
-    camera, point, placement = layout.see[:3]
-    sample = slice(None, None, max(1, len(point) // 10000))
-    place = points[point[sample]]
-    if len(turned):
-        on_thing = placement[sample] >= 0
-        pose = placement[sample][on_thing]
-        place[on_thing] = np.einsum("nij,nj->ni", turned[pose], place[on_thing]) + shifted[pose]
-    distance = float(np.nanmedian(np.linalg.norm(place - position[camera[sample]], axis=1)))
-    out[layout.index[: len(rotation), 3:6]] = PLAUSIBLE_SHARE * distance
-    out[layout.index[len(rotation) :, :3]] = PLAUSIBLE_SHARE * distance
-    diagonals = [float(np.hypot(one.camera.width, one.camera.height)) for one in problem.cameras]
+    sample = slice(None, None, max(1, len(layout.order) // 10000))
+    away = placed_points(layout, state, sample) - table[layout.see[0][sample], 9:LENS]
+    distance = float(np.nanmedian(np.linalg.norm(away, axis=1)))
+    out[layout.index[: len(table), 3:6]] = PLAUSIBLE_SHARE * distance
+    out[layout.index[len(table) :, :3]] = PLAUSIBLE_SHARE * distance
+    diagonals: list[float] = [float(np.hypot(one.camera.width, one.camera.height)) for one in problem.cameras]
     moves = np.zeros(len(out))
-    most = {c: influence(lenses[c], 0.35 * diagonals[c]) for c in np.unique(layout.lens_places[:, 0])}
-    for k, (c, own, parameter) in enumerate(layout.lens_places):
-        share = layout.lens_factors[k] * most[c][parameter] / max(PLAUSIBLE_SHARE * diagonals[c] / 2, 1e-12)
+    owners: list[int] = np.unique(layout.lens_places[:, 0]).tolist()
+    most = {c: influence(table[c, LENS:], 0.35 * diagonals[c]) for c in owners}
+    for k, (c, own, parameter) in enumerate(layout.lens_places.tolist()):
+        share = (
+            layout.lens_factors[k]
+            * float(most[c][parameter])
+            / max(PLAUSIBLE_SHARE * diagonals[c] / 2, 1e-12)
+        )
         column = layout.index[c, own]
         moves[column] = np.hypot(moves[column], share)
     moving = moves > 0

@@ -4,19 +4,22 @@ Marquardt (1963): the diagonal is multiplied by 1 + damping; the damping falls a
 promised and rises ever faster after one that does not (Nielsen 1999).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from mosca.calibrate.bundle_kernels import linearise, turn_on
+from mosca.calibrate.bundle_kernels import LENS, linearise
 from mosca.calibrate.bundle_layout import Layout
 from mosca.calibrate.bundle_lenses import lens_row, set_folds
 from mosca.calibrate.bundle_priors import Priors, pulls
-from mosca.calibrate.bundle_problem import Problem
+from mosca.calibrate.bundle_problem import Placements, Problem
 from mosca.calibrate.bundle_reduction import back_substitute, reduce_to_groups, scatter
 from mosca.calibrate.bundle_start import intersected
+from mosca.calibrate.bundle_turns import turn_on, weighted_blocks
 from mosca.data.arrays import Array
+from mosca.data.rig import Camera
 
 # the least damping also keeps a free network regular: its common motions then do not move
 FIRST_DAMPING, LEAST_DAMPING, WORST_DAMPING = 1e-4, 1e-10, 1e12
@@ -25,9 +28,8 @@ ROUNDING = 1e-14
 # residuals of rounding size, in standard deviations: an exact fit
 EXACT = 1e-9
 
-State = tuple[Array, Array, Array, Array, Array, Array]
-"""Rotations (c, 3, 3) and positions (c, 3) of the cameras, lens rows (c, 20), points (p, 3), placements' rotations (f,
-3, 3) and positions (f, 3)."""
+State = tuple[Array, Array, Array]
+"""Tables of cameras (c, 32), points (p, 3) and placements (f, 12), as ``bundle_kernels`` says."""
 Normals = tuple[Array, ...]
 
 
@@ -45,28 +47,34 @@ class Descent:
 
 def first_state(problem: Problem, layout: Layout) -> State:
     """Return the starting values; points without are intersected from their rays."""
-    poses = [one.camera.world_from_camera for one in problem.cameras]
-    state = (
-        np.array([pose.rotation for pose in poses]),
-        np.array([pose.translation for pose in poses]),
-        np.array([lens_row(one.camera.lens, one.free) for one in problem.cameras]),
-        np.array(problem.points.xyz),
-        np.array(problem.placements.rotation),
-        np.array(problem.placements.translation),
-    )
     cameras = tuple(one.camera for one in problem.cameras)
-    return (*state[:3], intersected(cameras, layout, state[3]), *state[4:])
+    points = intersected(cameras, layout, np.array(problem.points.xyz))
+    return state_of(problem, cameras, points, problem.placements)
+
+
+def state_of(problem: Problem, cameras: Sequence[Camera], points: Array, placements: Placements) -> State:
+    """Return a state of these cameras, points and placements."""
+    table = [
+        np.concatenate([pose.rotation.ravel(), pose.translation, lens_row(cameras[k].lens, problem.cameras[k].free)])
+        for camera, k in zip(cameras, problem.lens_owner(), strict=True)
+        for pose in [camera.world_from_camera]
+    ]
+    return (
+        np.array(table),
+        np.array(points),
+        np.column_stack([placements.rotation.reshape(-1, 9), placements.translation]),
+    )
 
 
 def reduced(
     layout: Layout, normals: Normals, pull: tuple[Array, Array] | None, damping: float
-) -> tuple[Array, Array, Array, int]:
-    """Return the reduced normal matrix (u, u) and slope (u,), the inverse blocks, and how many directions are loose."""
+) -> tuple[Array, Array, Array]:
+    """Return the reduced normal matrix (u, u) and slope (u,), and the inverse blocks."""
     unknowns, width = len(layout.names), layout.index.shape[1]
     pairs = np.empty((layout.pairs, width, width))
     group_slope = np.empty((len(layout.index), width))
     inverse = np.empty_like(normals[4])
-    loose = reduce_to_groups(layout.blocks, normals, damping, inverse, pairs, group_slope)
+    reduce_to_groups(layout.blocks, normals, damping, inverse, pairs, group_slope)
     matrix = np.empty((unknowns, unknowns))
     scatter(normals, pairs, layout.index, damping, matrix)
     there = layout.index >= 0
@@ -75,7 +83,7 @@ def reduced(
         matrix += pull[0]
         matrix[np.diag_indices(unknowns)] += damping * np.diag(pull[0])
         slope += pull[1]
-    return matrix, slope, inverse, loose
+    return matrix, slope, inverse
 
 
 def descend(
@@ -140,7 +148,7 @@ def _step(
     damping: float,
 ) -> tuple[State | None, float]:
     """Return the state after a damped step (None where no lens is like that) and the decrease that it promises."""
-    matrix, slope, inverse, _ = reduced(layout, normals, pull, damping)
+    matrix, slope, inverse = reduced(layout, normals, pull, damping)
     step = np.zeros(0)
     if len(slope):
         diagonal = np.diag(matrix)
@@ -164,27 +172,30 @@ def _step(
 
 def moved(layout: Layout, state: State, group_step: Array, block_step: Array) -> State | None:
     """Return ``state`` after steps of the groups (groups, K) and blocks; None for a scale of a lens not above 0."""
-    rotation, position, lenses, points, turned, shifted = state
-    cameras = len(rotation)
-    rotation = turn_on(rotation, np.ascontiguousarray(group_step[:cameras, :3]))
-    position = position + group_step[:cameras, 3:6]
+    cameras, points, placements = state
+    cameras = cameras.copy()
+    steps = group_step[: len(cameras)]
+    turn_on(cameras, np.ascontiguousarray(steps[:, :3]))
+    cameras[:, 9:LENS] += steps[:, 3:6]
     if len(layout.lens_places):
         group, place, parameter = layout.lens_places.T
-        lenses = lenses.copy()
-        lenses[group, parameter] += layout.lens_factors * group_step[group, place]
-        if not set_folds(lenses):
+        cameras[group, LENS + parameter] += layout.lens_factors * group_step[group, place]
+        if not set_folds(cameras[:, LENS:]):
             return None
+        cameras[:, LENS:] = cameras[layout.columns[0], LENS:]
     if len(layout.members) + len(layout.kept):
         points = points.copy()
         eliminated = 3 * len(layout.members)
         points[layout.members] += block_step[:eliminated].reshape(-1, 3)
-        points[layout.kept] += group_step[cameras:, :3]
+        points[layout.kept] += group_step[len(cameras) :, :3]
     if len(layout.placed):
         steps = block_step[3 * len(layout.members) :].reshape(-1, 6)
-        turned, shifted = turned.copy(), shifted.copy()
-        turned[layout.placed] = turn_on(turned[layout.placed], np.ascontiguousarray(steps[:, :3]))
-        shifted[layout.placed] += steps[:, 3:]
-    return rotation, position, lenses, points, turned, shifted
+        moved = placements[layout.placed]
+        turn_on(moved, np.ascontiguousarray(steps[:, :3]))
+        moved[:, 9:] += steps[:, 3:]
+        placements = placements.copy()
+        placements[layout.placed] = moved
+    return cameras, points, placements
 
 
 def _normals(layout: Layout) -> Normals:
@@ -205,6 +216,8 @@ def _cost(
     layout: Layout, see: tuple[Array, ...], state: State, robust: tuple[int, float], normals: Normals
 ) -> tuple[float, int]:
     cost, unseen = linearise(state, see, layout.columns, layout.blocks, layout.known, robust, normals)
+    if layout.known[1].size or layout.known[4].size:
+        cost += weighted_blocks(state, layout.blocks, layout.known, normals)
     return float(cost), int(unseen)
 
 

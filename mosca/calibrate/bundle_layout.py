@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from mosca.calibrate.bundle_problem import FOCAL, Problem
-from mosca.calibrate.bundle_reduction import pair_table
+from mosca.calibrate.bundle_reduction import find_runs, pair_table
 from mosca.data.arrays import Array
 from mosca.errors import CalibrationError
 
@@ -60,8 +60,9 @@ def lay_out(problem: Problem) -> Layout:
     see, rods, n_points = problem.observations, problem.distances, len(problem.points)
     cameras, placements = len(problem.cameras), len(problem.placements)
     _every_camera_sees(problem)
-    on_thing = see.placement >= 0
-    held = problem.points.held
+    placement = np.asarray(see.placement)
+    on_thing = placement >= 0
+    held = np.asarray(problem.points.held)
     kept_mask, label = _kept(problem, on_thing)
     observed = np.zeros(n_points, dtype=bool)
     observed[see.point] = True
@@ -78,66 +79,58 @@ def lay_out(problem: Problem) -> Layout:
     starts = np.flatnonzero(opens)
     sizes = np.diff(np.r_[starts, len(members)])
     offset[members] = 3 * (np.arange(len(members)) - np.repeat(starts, sizes))
-    placed = np.flatnonzero(np.bincount(see.placement[on_thing], minlength=placements))
-    pose_block = np.full(placements, -1, dtype=np.int64)
+    placed = np.flatnonzero(np.bincount(placement[on_thing], minlength=placements))
+    pose_block = np.zeros(placements, dtype=np.int64)
     pose_block[placed] = 1 + len(sizes) + np.arange(len(placed))
     dim = np.concatenate([[0], 3 * sizes, np.full(len(placed), 6)]).astype(np.int64)
+    block = np.where(on_thing, pose_block[placement], home[see.point]) if placements else home[see.point]
+    rank = _alike_together(dim, len(sizes), block, see.camera)
+    block, dim = rank[block], dim[np.argsort(rank)]
+    home, pose_block = rank[home], rank[pose_block]
+    members = members[np.lexsort((offset[members], home[members]))]
+    placed = placed[np.argsort(pose_block[placed])]
 
     index, names, kept, columns, lens_places, lens_factors = _groups(problem, np.flatnonzero(kept_mask))
     width, groups = index.shape[1], len(index)
-    block = np.where(on_thing, pose_block[see.placement], home[see.point]) if placements else home[see.point]
     key = block * groups + see.camera
     order = np.argsort(key, kind="stable")
     key, block = key[order], block[order]
-    point, on_thing = see.point[order], on_thing[order]
+    point, on_thing, camera = see.point[order], on_thing[order], see.camera[order]
     kept_rank = np.full(n_points, -1, dtype=np.int64)
     kept_rank[kept] = cameras + np.arange(len(kept))
     kept_group = kept_rank[point]
-    static = int(np.searchsorted(block, 1))
-    slot, kept_slot = np.full(len(key), -1, dtype=np.int64), np.full(len(key), -1, dtype=np.int64)
-    if len(kept):
-        second = np.where(on_thing & (kept_group >= 0), block * groups + kept_group, key)
-        slot_key = np.unique(np.concatenate([key[static:], second[static:]]))
-        kept_slot[static:] = np.searchsorted(slot_key, second[static:])
-        slot[static:] = np.searchsorted(slot_key, key[static:])
-    else:
-        opens = np.ones(len(key) - static, dtype=bool)
-        opens[1:] = key[static + 1 :] != key[static:-1]
-        slot_key = key[static:][opens]
-        slot[static:] = np.cumsum(opens) - 1
+    slot, kept_slot, slot_key = _slots(key, block, kept_group, groups)
     slot_block, slot_group = np.divmod(slot_key, groups)
-    every_block = np.arange(len(dim) + 1)
-    area = np.cumsum(np.r_[0, dim * dim])[:-1]
-    at_g = np.cumsum(np.r_[0, dim])[:-1]
-    at_w = np.cumsum(np.r_[0, dim[slot_block] * width])
-    member = np.column_stack([members, home[members], offset[members]])
+    slot_first = np.searchsorted(slot_block, np.arange(len(dim) + 1))
+    area = dim * np.diff(slot_first) * width
+    at_w = (np.cumsum(area) - area)[slot_block] + (np.arange(len(slot_key)) - slot_first[slot_block]) * width
     blocks = (
         dim,
-        np.searchsorted(block, every_block),
-        np.searchsorted(slot_block, every_block),
+        np.searchsorted(block, np.arange(len(dim) + 1)),
+        slot_first,
         slot_group,
-        area,
-        at_g,
-        at_w,
-        member,
+        np.cumsum(dim * dim) - dim * dim,
+        np.cumsum(dim) - dim,
+        np.append(at_w, area.sum()),
+        find_runs(dim, slot_first, slot_group),
+        np.column_stack([members, home[members], offset[members]]),
     )
     rod_arrays, kept_rods = _rods(problem, home, offset, eliminated, kept_mask, len(dim))
-    pair_of, pairs = pair_table(blocks, kept_group, see.camera[order], groups)
+    pair_of, pairs = pair_table(slot_first, slot_group, kept_group, camera, groups)
     information = problem.points.information
     sigma = problem.placements.sigma
     known = (
         problem.points.xyz,
         np.zeros((0, 3, 3)) if information is None else information,
         pose_block,
-        problem.placements.rotation,
-        problem.placements.translation,
+        np.column_stack([problem.placements.rotation.reshape(-1, 9), problem.placements.translation]),
         np.zeros((0, 6)) if sigma is None else 1 / sigma,
         *rod_arrays,
     )
     sorted_see = (
-        see.camera[order],
+        camera,
         point,
-        see.placement[order],
+        placement[order],
         see.xy_px[order],
         1 / np.asarray(see.sigma_px)[order],
         np.where(on_thing, 0, offset[point]),
@@ -149,6 +142,39 @@ def lay_out(problem: Problem) -> Layout:
         sorted_see, columns, blocks, known, order, index, names, members, placed, kept, kept_rods,
         lens_places, lens_factors, pair_of, pairs,
     )  # fmt: skip
+
+
+def _alike_together(dim: Array, point_blocks: int, block: Array, camera: Array) -> Array:
+    """Return new numbers (blocks,) by which blocks of one size seen by the same cameras follow each other.
+
+    Points stay before placements. Of more than 62 cameras some count as the same, which costs time, nothing else.
+    """
+    seen_by = np.zeros(len(dim), dtype=np.int64)
+    np.bitwise_or.at(seen_by, block, np.left_shift(1, camera % 62))
+    is_pose = np.arange(len(dim)) > point_blocks
+    order = 1 + np.lexsort((seen_by[1:], dim[1:], is_pose[1:]))
+    rank = np.zeros(len(dim), dtype=np.int64)
+    rank[order] = np.arange(1, len(dim))
+    return rank
+
+
+def _slots(key: Array, block: Array, kept_group: Array, groups: int) -> tuple[Array, Array, Array]:
+    """Return the slots of the cameras and kept points of observations (n,), and each slot's block and group as a key.
+
+    ``key`` (n,), sorted, is block times ``groups`` plus camera. Block 0 has no slots (-1).
+    """
+    static = int(np.searchsorted(block, 1))
+    slot, kept_slot = np.full(len(key), -1, dtype=np.int64), np.full(len(key), -1, dtype=np.int64)
+    if (kept_group >= 0).any():
+        second = np.where(kept_group >= 0, block * groups + kept_group, key)
+        slot_key = np.unique(np.concatenate([key[static:], second[static:]]))
+        kept_slot[static:] = np.searchsorted(slot_key, second[static:])
+        slot[static:] = np.searchsorted(slot_key, key[static:])
+        return slot, kept_slot, slot_key
+    opens = np.ones(len(key) - static, dtype=bool)
+    opens[1:] = key[static + 1 :] != key[static:-1]
+    slot[static:] = np.cumsum(opens) - 1
+    return slot, kept_slot, key[static:][opens]
 
 
 def _every_camera_sees(problem: Problem) -> None:
@@ -215,8 +241,9 @@ def _groups(
     width = LANE * -(-(6 + most) // LANE)
     cameras = len(problem.cameras)
     index = np.full((cameras + len(kept), width), -1, dtype=np.int64)
-    first = np.full((cameras, width - 6), -1, dtype=np.int64)
+    first = np.zeros((cameras, width - 6), dtype=np.int64)
     second, factor = np.zeros((cameras, width - 6), dtype=np.int64), np.zeros((cameras, width - 6))
+    count = np.array([len(problem.cameras[k].free) for k in owner], dtype=np.int64)
     names: list[str] = []
     places: list[tuple[int, int, int]] = []
     factors: list[float] = []
@@ -245,7 +272,7 @@ def _groups(
     for k, point in enumerate(kept):
         index[cameras + k, :3] = len(names) + np.arange(3)
         names += [f"point {point}.{axis}_m" for axis in "XYZ"]
-    columns = (owner, first, second, factor)
+    columns = (owner, count, first, second, factor)
     return (
         index,
         tuple(names),

@@ -15,8 +15,8 @@ from mosca.data.rig import Lens
 ROW = 20
 FOLD, MODEL = 18, 19
 MOSCA, OPENCV_PLAIN, OPENCV_FULL, FISHEYE = 0.0, 1.0, 2.0, 3.0
-# what ``image`` writes: two rows of pixel, derivative by the direction (3), from L on by the lens parameters (18)
-L, IMAGED = 4, (2, 22)
+# what ``image`` writes: of x and y the pixel, then its derivative by the direction (3) and, from L on, by the lens (18)
+L, IMAGED = 4, 22
 # compiled arithmetic may be reordered, but numbers that are none must stay noticeable
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 
@@ -99,7 +99,7 @@ def set_folds(rows):  # type: ignore[no-untyped-def]
 def image(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
     """Project a direction, camera frame, by lens row q; tells whether it is imaged.
 
-    Writes ``out`` (2, 22): of x and y the pixel, its derivative by the direction (3) and by the lens parameters (18).
+    Writes ``out`` (2, 22 or more): of x and y the pixel, its derivative by the direction (3) and by the lens parameters (18).
     One array, since each array handed over costs as much as some ten numbers.
     """
     model = q[MODEL]
@@ -282,7 +282,7 @@ def influence(q, reach_px):  # type: ignore[no-untyped-def]
 
     Points that the lens does not image count half as far out, and so on.
     """
-    most, out = np.zeros(18), np.zeros(IMAGED)
+    most, out = np.zeros(18), np.zeros((2, IMAGED))
     focal = q[0] / q[3] if q[MODEL] == MOSCA else q[0]
     for k in range(8):
         angle = reach_px / focal if q[MODEL] == FISHEYE else np.arctan(reach_px / focal)

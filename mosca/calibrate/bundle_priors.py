@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.calibrate.bundle_kernels import weighted_pose
+from mosca.calibrate.bundle_kernels import LENS
 from mosca.calibrate.bundle_layout import Layout
 from mosca.calibrate.bundle_problem import Problem
+from mosca.calibrate.bundle_turns import weighted_pose
 from mosca.data.arrays import Array
 
 
@@ -56,11 +57,11 @@ def pulls(
     information = problem.points.information
     if not (priors or weighted or len(layout.kept_rods) or (len(layout.kept) and information is not None)):
         return None, 0.0
-    rotation, position, lenses, points = state[:4]
+    cameras, points, _ = state
     unknowns = len(layout.names)
     normals, slope, cost = np.zeros((unknowns, unknowns)), np.zeros(unknowns), 0.0
     for one in priors:
-        residual = (lenses[one.camera, one.parameter] - one.value) / one.sigma
+        residual = (cameras[one.camera, LENS + one.parameter] - one.value) / one.sigma
         normals[one.column, one.column] += 1 / one.sigma**2
         slope[one.column] += residual / one.sigma
         cost += residual**2
@@ -69,9 +70,8 @@ def pulls(
         pose = problem.cameras[c].camera.world_from_camera
         own_normals, own_slope = np.zeros((6, 6)), np.zeros(6)
         weight = np.divide(1.0, sigma, out=np.zeros(6), where=sigma > 0)
-        cost += weighted_pose(
-            rotation[c], position[c], pose.rotation, pose.translation, weight, own_normals, own_slope
-        )
+        given = np.concatenate([pose.rotation.ravel(), pose.translation])
+        cost += weighted_pose(cameras[c], given, weight, own_normals, own_slope)
         free = np.flatnonzero(layout.index[c, :6] >= 0)
         columns = layout.index[c, free]
         normals[np.ix_(columns, columns)] += own_normals[np.ix_(free, free)]
@@ -108,8 +108,8 @@ def _kept_rods(problem: Problem, layout: Layout, points: Array, normals: Array, 
 def count(problem: Problem, layout: Layout, priors: Priors) -> int:
     """Return how many observations beside image points the adjustment has: lengths and all that is known beforehand."""
     poses = sum(0 < sigma < np.inf for one in problem.cameras for sigma in one.pose_sigma)
-    lengths = len(layout.known[7]) + len(layout.kept_rods)
-    placements = int((layout.known[5][layout.placed] > 0).sum()) if layout.known[5].size else 0
+    lengths = len(layout.known[6]) + len(layout.kept_rods)
+    placements = int((layout.known[4][layout.placed] > 0).sum()) if layout.known[4].size else 0
     points = 0
     if problem.points.information is not None:
         own = np.concatenate([layout.members, layout.kept])

@@ -1,10 +1,18 @@
-"""Elimination of the blocks of a bundle adjustment, and the way back; compiled. The names are ``bundle_kernels``'."""
+"""Elimination of the blocks of a bundle adjustment, and the way back; compiled. The names are ``bundle_kernels``'.
+
+Blocks of one size that touch the same groups follow each other: a *run* of them is one matrix, W^T of all of
+them (rows by unknowns of the blocks, columns by slots), so that matrix products do the work.
+"""
 
 import numpy as np
 from numba import njit
 
-from mosca.calibrate.bundle_kernels import SINGULAR_PIVOT
 from mosca.calibrate.bundle_lenses import FAST
+
+SINGULAR_PIVOT = 1e-13
+"""Share of its diagonal that a pivot of a block must keep; below it the direction is undetermined and stays."""
+MOST_ROWS = 384
+"""Unknowns of a run, so that its matrices stay near the processor."""
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
@@ -12,9 +20,8 @@ def invert(matrix, at, n, damping, lower, inverse):  # type: ignore[no-untyped-d
     """Invert the symmetric n x n block at ``matrix[at:]``, its diagonal times 1 + damping, by Cholesky's method.
 
     Writes the inverse to the same place of ``inverse``; ``lower`` is room to work. A direction that the block does
-    not determine (SINGULAR_PIVOT) is held: its rows of the inverse are zero. Returns how many were held.
+    not determine (SINGULAR_PIVOT) is held: its rows of the inverse are zero.
     """
-    held = 0
     for i in range(n):
         diagonal = matrix[at + i * n + i] * (1 + damping)
         for k in range(i + 1):
@@ -23,11 +30,8 @@ def invert(matrix, at, n, damping, lower, inverse):  # type: ignore[no-untyped-d
                 s -= lower[i, c] * lower[k, c]
             if k < i:
                 lower[i, k] = s * lower[k, k]
-            elif s > SINGULAR_PIVOT * diagonal:
-                lower[i, i] = 1 / np.sqrt(s)
             else:
-                lower[i, i] = 0.0
-                held += 1
+                lower[i, i] = 1 / np.sqrt(s) if s > SINGULAR_PIVOT * diagonal else 0.0
     # the inverse of the triangle in its own place (its diagonal already stands inverted)
     for i in range(n):
         for k in range(i):
@@ -42,64 +46,58 @@ def invert(matrix, at, n, damping, lower, inverse):  # type: ignore[no-untyped-d
                 s += lower[c, i] * lower[c, k]
             inverse[at + i * n + k] = s
             inverse[at + k * n + i] = s
-    return held
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def times_inverse(inverse, at, n, blocks, matrix, out):  # type: ignore[no-untyped-def]
+    """Write V^-1 times the rows of ``matrix`` (blocks n, q), block by block from ``inverse[at:]`` on, into ``out``."""
+    for b in range(blocks):
+        for i in range(n):
+            line = at + (b * n + i) * n
+            for k in range(matrix.shape[1]):
+                out[b * n + i, k] = 0.0
+            # block sizes are multiples of three
+            for c in range(0, n, 3):
+                f0, f1, f2 = inverse[line + c], inverse[line + c + 1], inverse[line + c + 2]
+                x, y, z = matrix[b * n + c], matrix[b * n + c + 1], matrix[b * n + c + 2]
+                for k in range(matrix.shape[1]):
+                    out[b * n + i, k] += f0 * x[k] + f1 * y[k] + f2 * z[k]
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def reduce_to_groups(blocks, normals, damping, inverse, pairs, reduced_slope):  # type: ignore[no-untyped-def]
     """Eliminate the blocks: writes W V^-1 W^T into ``pairs`` and g - W V^-1 g_blocks into ``reduced_slope``.
 
-    ``pairs`` (n_pairs, K, K) is by pairs of groups, the lower group first; ``inverse`` keeps the V^-1. Returns the
-    number of directions in blocks that nothing determines.
+    ``pairs`` (n_pairs, K, K) is by pairs of groups, the lower group first; ``inverse`` keeps the V^-1.
     """
-    dim, _, slot_first, slot_group, at_v, at_g, at_w, _ = blocks
+    dim, _, slot_first, slot_group, at_v, at_g, at_w, runs, _ = blocks
     _, _, group_slope, mixed, block_normals, block_slope, pair_of = normals
     width = group_slope.shape[1]
-    most = dim.max()
-    lower, carried = np.zeros((most, most)), np.empty((most, width))
+    lower = np.zeros((dim.max(), dim.max()))
     pairs[:] = 0
     reduced_slope[:] = group_slope
-    held = 0
-    for b in range(dim.size):
-        n, v, g = dim[b], at_v[b], at_g[b]
-        if n == 0:
+    for r in range(runs.size - 1):
+        b, count = runs[r], runs[r + 1] - runs[r]
+        n, first = dim[b], slot_first[b]
+        slots = slot_first[b + 1] - first
+        for one in range(b, b + count):
+            invert(block_normals, at_v[one], n, damping, lower, inverse)
+        if slots == 0:
             continue
-        held += invert(block_normals, v, n, damping, lower, inverse)
-        for s in range(slot_first[b], slot_first[b + 1]):
-            group, w = slot_group[s], at_w[s]
-            for i in range(n):
-                for k in range(width):
-                    carried[i, k] = 0.0
-                for c in range(0, n, 3):
-                    f0, f1, f2 = (
-                        inverse[v + i * n + c],
-                        inverse[v + i * n + c + 1],
-                        inverse[v + i * n + c + 2],
-                    )
-                    line = w + c * width
+        rows, columns = count * n, slots * width
+        own = mixed[at_w[first] : at_w[first] + rows * columns].reshape(rows, columns)
+        carried = np.empty((rows, columns))
+        times_inverse(inverse, at_v[b], n, count, own, carried)
+        product = np.dot(own.T, carried)
+        pull = np.dot(carried.T, block_slope[at_g[b] : at_g[b] + rows])
+        for s in range(slots):
+            for i in range(width):
+                reduced_slope[slot_group[first + s], i] -= pull[s * width + i]
+            for t in range(s, slots):
+                pair = pairs[pair_of[slot_group[first + s], slot_group[first + t]]]
+                for i in range(width):
                     for k in range(width):
-                        carried[i, k] += (
-                            f0 * mixed[line + k]
-                            + f1 * mixed[line + width + k]
-                            + f2 * mixed[line + 2 * width + k]
-                        )
-                pull = block_slope[g + i]
-                for k in range(width):
-                    reduced_slope[group, k] -= carried[i, k] * pull
-            for t in range(s, slot_first[b + 1]):
-                pair, w2 = pairs[pair_of[group, slot_group[t]]], at_w[t]
-                # block dimensions are multiples of three
-                for c in range(0, n, 3):
-                    line = w2 + c * width
-                    for i in range(width):
-                        f0, f1, f2 = carried[c, i], carried[c + 1, i], carried[c + 2, i]
-                        for k in range(width):
-                            pair[i, k] += (
-                                f0 * mixed[line + k]
-                                + f1 * mixed[line + width + k]
-                                + f2 * mixed[line + 2 * width + k]
-                            )
-    return held
+                        pair[i, k] += product[s * width + i, t * width + k]
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
@@ -135,35 +133,62 @@ def scatter(normals, pairs, index, damping, out):  # type: ignore[no-untyped-def
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def back_substitute(blocks, normals, damping, inverse, group_step, block_step):  # type: ignore[no-untyped-def]
     """Write the step of every block, given that of the groups (groups, K); return the blocks' promised decrease."""
-    dim, _, slot_first, slot_group, at_v, at_g, at_w, _ = blocks
+    dim, _, slot_first, slot_group, at_v, at_g, at_w, runs, _ = blocks
     _, _, group_slope, mixed, block_normals, block_slope, _ = normals
     width = group_slope.shape[1]
-    pull = np.empty(dim.max())
     promised = 0.0
-    for b in range(dim.size):
-        n, v, g = dim[b], at_v[b], at_g[b]
-        for i in range(n):
-            pull[i] = block_slope[g + i]
-        for s in range(slot_first[b], slot_first[b + 1]):
-            step = group_step[slot_group[s]]
+    for r in range(runs.size - 1):
+        b, count = runs[r], runs[r + 1] - runs[r]
+        n, first, g = dim[b], slot_first[b], at_g[b]
+        slots = slot_first[b + 1] - first
+        rows, columns = count * n, slots * width
+        pull = block_slope[g : g + rows].copy()
+        if slots:
+            step = np.empty(columns)
+            for s in range(slots):
+                step[s * width : (s + 1) * width] = group_step[slot_group[first + s]]
+            own = mixed[at_w[first] : at_w[first] + rows * columns].reshape(rows, columns)
+            pull += np.dot(own, step)
+        for one in range(count):
+            v = at_v[b + one]
             for i in range(n):
-                line, x = at_w[s] + i * width, 0.0
-                for k in range(width):
-                    x += mixed[line + k] * step[k]
-                pull[i] += x
-        for i in range(n):
-            x = 0.0
-            for k in range(n):
-                x -= inverse[v + i * n + k] * pull[k]
-            block_step[g + i] = x
-            promised += x * (damping * block_normals[v + i * n + i] * x - block_slope[g + i])
+                x = 0.0
+                for k in range(n):
+                    x -= inverse[v + i * n + k] * pull[one * n + k]
+                at = g + one * n + i
+                block_step[at] = x
+                promised += x * (damping * block_normals[v + i * n + i] * x - block_slope[at])
     return promised
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def pair_table(blocks, kept, cameras, groups):  # type: ignore[no-untyped-def]
-    """Number the pairs of groups (groups, groups), lower first, that some block or observation joins; -1 elsewhere."""
-    _, _, slot_first, slot_group, _, _, _, _ = blocks
+def find_runs(dim, slot_first, slot_group):  # type: ignore[no-untyped-def]
+    """Return where the runs of blocks begin, and their end: same size, same groups, at most MOST_ROWS unknowns."""
+    starts = np.empty(dim.size + 1, dtype=np.int64)
+    count = 0
+    # block 0 has no unknowns
+    for b in range(1, dim.size):
+        if count:
+            before = starts[count - 1]
+            same = dim[b] == dim[before] and (b - before + 1) * dim[b] <= MOST_ROWS
+            s, t = slot_first[b], slot_first[before]
+            slots = slot_first[b + 1] - s
+            same = same and slots == slot_first[before + 1] - t
+            k = 0
+            while same and k < slots:
+                same = slot_group[s + k] == slot_group[t + k]
+                k += 1
+            if same:
+                continue
+        starts[count] = b
+        count += 1
+    starts[count] = dim.size
+    return starts[: count + 1].copy()
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def pair_table(slot_first, slot_group, kept, cameras, groups):  # type: ignore[no-untyped-def]
+    """Number the pairs of groups (groups, groups), lower first, that a block or observation joins; -1 elsewhere."""
     pair_of = np.full((groups, groups), -1, dtype=np.int64)
     for a in range(groups):
         pair_of[a, a] = a

@@ -77,14 +77,16 @@ def profiles(quick: bool) -> Check:
             rows.append(Row(f"{what}: centroid", off, "px", PROFILE_PX))
             if diameter < 20.0:  # larger ones: the witness's spots would have to lie denser
                 wanted = points_image(face.xy, light, SIGMA, *SIZE)
-                rows.append(Row(f"{what}: pixels, largest", pixels_apart(image, wanted), "of peak", 2 * PIXEL))
+                rows.append(
+                    Row(f"{what}: pixels, largest", pixels_apart(image, wanted), "of peak", 2 * PIXEL)
+                )
     true, _normal = _profiled(10.0, None, limb, shade)
     flipped, _normal = _profiled(10.0, None, limb, (0.3, 0.2, 0.0))
     pair = [seen_by_twin(LENS, SIZE, [what])[0] for what in (true, flipped)]
     rows.append(Row("fault: shading with y flipped", centroids_apart(*pair), "px", PROFILE_PX, control=True))
     return Check(
         "Limb darkening and shading",
-        "centre of light, and every pixel, of markers whose rim lacks half their light and whose one side is brighter",
+        "centre of light, and every pixel, of markers whose rim lacks half the light and one side is brighter",
         "points of light in Gauss-Legendre rings, each with the brightness of the law",
         about(own, "px"),
         tuple(rows),

@@ -34,7 +34,9 @@ def sensors(quick: bool) -> Check:
         if quick and bits == 10:
             continue
         found = _measured(_camera(sheet), sheet)
-        rows += [Row(f"{bits} bit: {name} off by", off, "of it", bar) for name, off, bar in _off(found, sheet)]
+        rows += [
+            Row(f"{bits} bit: {name} off by", off, "of it", bar) for name, off, bar in _off(found, sheet)
+        ]
     sheet = SHEETS[12]
     faults = {
         "K 3 % too large": (replace(sheet, full_well_e=sheet.full_well_e / 1.03), "system gain K"),
@@ -48,7 +50,7 @@ def sensors(quick: bool) -> Check:
         "Sensor (EMVA 1288)",
         "what the photon transfer method and stacks of even images find with what the data sheet says",
         "the measuring procedure of EMVA 1288, release 4.0 linear, which knows counts only",
-        f"its spread over {SHAPE[0] * SHAPE[1]:,} pixels: K 0.2 %, dark noise 0.3 %, saturation 4 % low by its definition",
+        f"its spread over {SHAPE[0] * SHAPE[1]:,} pixels: K 0.2 %, dark noise 0.3 %; saturation in steps of 4 %",
         tuple(rows),
     )
 
@@ -74,7 +76,8 @@ def _measured(grab: Grab, sheet: Sensor) -> tuple[PhotonTransfer, float, float]:
     pairs = [temporal(grab(p, 2 * k + 1), grab(p, 2 * k + 2)) for k, p in enumerate(photons)]
     transfer = PhotonTransfer(photons, *np.transpose(pairs))
     dark, half = (
-        spatial(np.stack([grab(p, 1000 * (i + 1) + k) for k in range(IMAGES)])) for i, p in enumerate((0.0, full / 2))
+        spatial(np.stack([grab(p, 1000 * (i + 1) + k) for k in range(IMAGES)]))
+        for i, p in enumerate((0.0, full / 2))
     )
     return transfer, dsnu_e(dark, transfer.gain), prnu(dark, half)
 

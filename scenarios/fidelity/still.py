@@ -9,7 +9,7 @@ from mosca.data.rig import Lens, OpenCVLens
 from reports.fidelity import Check, Row
 from scenarios.fidelity.door import EVEN, ball, seen_by_twin
 from scenarios.fidelity.measure import about, rms
-from scenarios.fidelity.views import LENSES, MATRIX, PLACES, TILT_MATRICES, H, W, marker
+from scenarios.fidelity.views import LENSES, MATRIX, PLACES, TILT_MATRICES, H, W, marker, shifted
 from twin.cameras.lens import TwinLens
 from twin.cameras.optics import Optics
 from witness.render import WitnessLens, area_and_centroid, image_centroid, with_gap
@@ -26,7 +26,7 @@ OUTLINES = "outlines of 2,000 points through OpenCV's lenses (the paper's by fix
 def still_markers(quick: bool) -> Check:
     """Centroids of balls and discs through each lens model, in the image's centre, at its edge and in a corner."""
     offs = {name: _offs(lens, plain, plain, EVEN, quick) for name, (lens, plain) in LENSES.items()}
-    together = np.concatenate([rows for rows in offs.values()])
+    together = np.concatenate(list(offs.values()))
     rows = [row for name, found in offs.items() for row in _rows(f"{name} lens", found[:, 3])]
     for number, what in ((0, "place: {}"), (1, "diameter {:g} px"), (2, "tilt {}")):
         for value in dict.fromkeys(together[:, number]):
@@ -53,7 +53,7 @@ def real_lenses(quick: bool) -> Check:
     without = _offs(lens, plain, plain, REAL, True)[:, 3].astype(float)
     return Check(
         "Still markers through real lenses",
-        "the same, with terms that no model of the pipeline can express (0.25 px of a higher order, tilt, pupil shift)",
+        "the same, with terms that no model of the pipeline can express (a higher order, tilt, pupil shift)",
         f"{OUTLINES}; the terms by their definitions",
         about(_outline_error(), "px"),
         (*rows, Row("fault: a witness without these terms, rms", rms(without), "px", RMS_PX, control=True)),
@@ -119,14 +119,16 @@ def _outline_error() -> float:
 def _faults() -> tuple[Row, ...]:
     """Return how far off faulty cameras put a marker: each must exceed the bar."""
     lens, witness = LENSES["rational"]
-    assert isinstance(lens, OpenCVLens)
     target, outline = marker(witness, PLACES["edge"], 8.0, None)
     _area, centroid = area_and_centroid(witness.project(outline))
     mirrored = ball(target.centre_at(0.0) * np.array([1.0, -1.0, 1.0]), target.radius)
     faults = {
-        "half a pixel (GL's pixel origin)": (replace(lens, cx_px=lens.cx_px + 0.5, cy_px=lens.cy_px + 0.5), target),
+        "half a pixel (GL's pixel origin)": (
+            replace(lens, cx_px=lens.cx_px + 0.5, cy_px=lens.cy_px + 0.5),
+            target,
+        ),
         "y the wrong way up": (lens, mirrored),
-        "principal point off by three bars": (replace(lens, cy_px=lens.cy_px + 3 * MAX_PX), target),
+        "principal point off by three bars": (shifted(lens, 0.0, 3 * MAX_PX), target),
     }
     return tuple(
         Row(

@@ -1,5 +1,7 @@
 """Lenses that twin and witness both know, and markers placed before them."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from mosca.data.arrays import Array
@@ -55,7 +57,11 @@ def small_camera(
 
 
 def marker(
-    witness: WitnessLens, xy: tuple[float, float], diameter: float, tilt_deg: float | None, distance: float = 2.0
+    witness: WitnessLens,
+    xy: tuple[float, float],
+    diameter: float,
+    tilt_deg: float | None,
+    distance: float = 2.0,
 ) -> tuple[Target, Array]:
     """Return a still marker for the twin and its outline (n, 3) for the witness [m].
 
@@ -66,3 +72,9 @@ def marker(
         return ball(centre, radius), tangent_circle(centre, radius)
     normal = tilted_normal(tilt_deg, sight, one, other)
     return disc(centre, normal, radius), disc_outline(centre, normal, radius)
+
+
+def shifted(lens: Lens, right_px: float, down_px: float) -> OpenCVLens:
+    """Return an OpenCV lens with its principal point moved: a fault for controls."""
+    assert isinstance(lens, OpenCVLens)
+    return replace(lens, cx_px=lens.cx_px + right_px, cy_px=lens.cy_px + down_px)

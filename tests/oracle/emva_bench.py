@@ -4,10 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from emva_standard import Array, PhotonTransfer, Spatial, dsnu_e, prnu, spatial, temporal
 
 from twin.cameras.ambient import Ambient, ambient_map
 from twin.cameras.sensor import Sensor, expose
+from witness.emva import Array, PhotonTransfer, Spatial, dsnu_e, prnu, spatial, temporal
 
 SHAPE = (200, 300)
 STEPS = 27

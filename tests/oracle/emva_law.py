@@ -1,11 +1,11 @@
 """The exact law of a sensor's counts by scipy, written from the definition, and the chi-square test on it."""
 
 import numpy as np
-from emva_standard import Array
 from scipy.optimize import brentq
 from scipy.stats import chisquare, norm, poisson
 
 from twin.cameras.sensor import Sensor
+from witness.emva import Array
 
 
 def law(sensor: Sensor, mean_e: float) -> tuple[Array, int]:

@@ -1,4 +1,4 @@
-"""The twin's defocus, field curvature and coma against a densely integrated pupil (``witness_pupil``).
+"""The twin's defocus, field curvature and coma against a densely integrated pupil (``witness.pupil``).
 
 Asked for: centroid 0.001 px, pixel values 1 % of the peak.
 """
@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from witness_door import seen_by_twin
-from witness_image import Array, contour_image
-from witness_pupil import blur_circle_px, disc_variance, displacements, pupil, pupil_mean
-from witness_render import image_centroid
-from witness_views import marker, small_camera
 
+from scenarios.fidelity.door import seen_by_twin
+from scenarios.fidelity.views import marker, small_camera
 from twin.cameras.optics import Optics
+from witness.image import Array, contour_image
+from witness.pupil import blur_circle_px, disc_variance, displacements, pupil, pupil_mean
+from witness.render import image_centroid
 
 SIZE = (96, 72)
 LENS, WITNESS = small_camera(SIZE, 300.0, (-0.2, 0.06, 5e-4, -4e-4))

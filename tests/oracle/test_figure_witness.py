@@ -6,13 +6,14 @@ pattern's definition. Asked for: light 1e-4, centroid 0.001 px, pixels 1e-3 of t
 
 import numpy as np
 import pytest
-from witness_door import Target, ball, disc, seen_by_twin, turn_to, window_of
-from witness_image import Array, exposed, points_image, row_windows
-from witness_profile import arc, brightness, dense, outline_image, pattern_image, spots
-from witness_render import disc_outline, image_centroid
-from witness_views import place, small_camera
 
+from scenarios.fidelity.door import Target, ball, disc, seen_by_twin, turn_to, window_of
+from scenarios.fidelity.views import small_camera
 from twin.scenes.figure import circle, figure, polygon, ring_sector
+from witness.image import Array, exposed, points_image, row_windows
+from witness.profile import arc, brightness, dense, outline_image, pattern_image, spots
+from witness.render import disc_outline, image_centroid
+from witness.views import place
 
 SIZE = (96, 80)
 SIGMA = 0.6

@@ -14,15 +14,15 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-import witness_gl as gl
-from witness_door import Target, ball, disc, seen_by_twin
-from witness_image import Array, contour_image
-from witness_render import area_and_centroid, ball_outline, disc_outline, image_centroid
-from witness_views import small_camera
 
 from mosca.data.rig import OpenCVLens
+from scenarios.fidelity.door import Target, ball, disc, seen_by_twin
+from scenarios.fidelity.views import small_camera
 from twin.cameras.occlusion import occluders_of
 from twin.scenes.scene import MARKER_GROUP, Scene
+from witness import gl
+from witness.image import Array, contour_image
+from witness.render import area_and_centroid, ball_outline, disc_outline, image_centroid
 
 SIGMA = 0.6
 SIZE = (gl.WIDTH, gl.HEIGHT)

@@ -10,15 +10,16 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from witness_door import Target, seen_by_twin, window_of
-from witness_image import Array
-from witness_rays import MARKER_GROUP, POSITION, ROTATION, UNSEEN_GROUP, Path, World, fixed, seen_over_time
-from witness_render import image_centroid
-from witness_views import small_camera
 
+from scenarios.fidelity.door import Target, seen_by_twin, window_of
+from scenarios.fidelity.views import small_camera
+from twin.cameras.mesh_rays import MeshRays
 from twin.cameras.occlusion import occluders_of
-from twin.cameras.render import MeshRays, Seen, has_meshes
+from twin.cameras.render import Seen, has_meshes
 from twin.scenes.scene import Scene
+from witness.image import Array
+from witness.rays import MARKER_GROUP, POSITION, ROTATION, UNSEEN_GROUP, Path, World, fixed, seen_over_time
+from witness.render import image_centroid
 
 SIZE = (160, 120)
 SIGMA = 0.6
@@ -101,9 +102,13 @@ def look(where: World) -> tuple[Array, Seen]:
         targets.append(Target(at, model.geom_size[g, 0], turn, flat, electrons=bright))
     mesh_rays = None
     if has_meshes(occluders):
-        still = mujoco.MjData(model)
-        where.move(model, still, 0.5)
-        mesh_rays = MeshRays(model, still, occluders, geoms, (ROTATION, POSITION))
+        there = mujoco.MjData(model)
+
+        def look(t: float) -> tuple[mujoco.MjData, Array, Array]:
+            where.move(model, there, t)
+            return there, ROTATION, POSITION
+
+        mesh_rays = MeshRays(model, look, 0.5, occluders, geoms)
     return seen_by_twin(
         LENS, SIZE, targets, window=window, occluders=occluders, geoms_at=geoms_at, mesh_rays=mesh_rays
     )

@@ -5,8 +5,12 @@ Asked for: centroid 0.001 px rms, 0.004 px at most; measured figures stand besid
 
 import numpy as np
 import pytest
-from witness_door import ball, seen_by_twin
-from witness_image import (
+
+from mosca.data.rig import FisheyeLens, Lens, OpenCVLens
+from scenarios.fidelity.door import ball, seen_by_twin
+from scenarios.fidelity.views import LENSES, MATRIX, PLACES, H, W, marker, shifted, small_camera
+from twin.cameras.optics import Optics
+from witness.image import (
     Array,
     contour_image,
     lines_image,
@@ -15,8 +19,8 @@ from witness_image import (
     rectangle_image,
     scan,
 )
-from witness_profile import brightness, dense, spots
-from witness_render import (
+from witness.profile import brightness, dense, spots
+from witness.render import (
     POINTS,
     WitnessLens,
     area_and_centroid,
@@ -26,21 +30,7 @@ from witness_render import (
     pixels_by_brute_force,
     with_gap,
 )
-from witness_views import (
-    LENSES,
-    MATRIX,
-    PLACES,
-    H,
-    W,
-    marker,
-    real_lens,
-    shifted,
-    small_camera,
-    tangent_circle,
-)
-
-from mosca.data.rig import FisheyeLens, Lens, OpenCVLens
-from twin.cameras.optics import Optics
+from witness.views import real_lens, tangent_circle
 
 DIAMETERS = (2.0, 3.1, 5.4, 8.0, 14.7, 25.3, 40.0)
 TILTS = (None, 0.0, 30.0, 60.0)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from emva_bench import SHAPE, Grab, by_levels, by_targets, complaints, measure
 from emva_law import chi_square_p, law
-from emva_standard import Array, PhotonTransfer, linearity_error, spatial, temporal
 from scipy.stats import kstest, norm, poisson
 
 from twin.cameras.ambient import Ambient
 from twin.cameras.levels import level_bank
 from twin.cameras.sensor import Sensor, dark_table, expose
+from witness.emva import Array, PhotonTransfer, linearity_error, spatial, temporal
 
 LEAST_P = 1e-3
 """One test in a thousand would fail by chance; the seeds are fixed, so that none fails twice."""

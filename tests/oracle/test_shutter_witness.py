@@ -1,6 +1,6 @@
 """Moving targets behind global and rolling shutters and strobes, against integrals of instantaneous images.
 
-Every instant's image is exact (``witness_image.contour_image``); each row of pixels integrates its own window
+Every instant's image is exact (``witness.image.contour_image``); each row of pixels integrates its own window
 (``exposed``). Asked for: centroid 0.002 px rms, pixel values 1e-3 of the peak.
 """
 
@@ -9,10 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from witness_door import ALWAYS, Target, seen_by_twin, turn_to, window_of
-from witness_image import Array, contour_image, exposed, gathered, row_windows
-from witness_render import ball_outline, disc_outline, image_centroid
-from witness_views import place, small_camera
+
+from scenarios.fidelity.door import ALWAYS, Target, seen_by_twin, turn_to, window_of
+from scenarios.fidelity.views import small_camera
+from witness.image import Array, contour_image, exposed, gathered, row_windows
+from witness.render import ball_outline, disc_outline, image_centroid
+from witness.views import place
 
 SIZE = (64, 56)
 SIGMA = 0.6

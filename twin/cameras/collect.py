@@ -14,9 +14,11 @@ from numba import njit
 from twin.cameras.kernel import share, weight
 
 MAX_NODES = 24
-NODE_AT = np.zeros((MAX_NODES + 1, MAX_NODES))
-NODE_SHARE = np.zeros((MAX_NODES + 1, MAX_NODES))
-for _n in range(1, MAX_NODES + 1):
+"""Nodes in a panel of time or of a contour."""
+MOST_NODES = 64
+NODE_AT = np.zeros((MOST_NODES + 1, MOST_NODES))
+NODE_SHARE = np.zeros((MOST_NODES + 1, MOST_NODES))
+for _n in range(1, MOST_NODES + 1):
     _at, _weight = np.polynomial.legendre.leggauss(_n)
     NODE_AT[_n, :_n], NODE_SHARE[_n, :_n] = _at, _weight / 2
 

@@ -10,8 +10,9 @@ import math
 import numpy as np
 from numba import njit
 
-from twin.cameras.collect import EDGE, NODE_AT, NODE_SHARE, SPOT, add_points, fill
+from twin.cameras.collect import EDGE, MOST_NODES, NODE_AT, NODE_SHARE, SPOT, add_points, fill
 from twin.cameras.lens import land
+from twin.cameras.lens_vector import FISHEYE, KIND
 from twin.cameras.near import geoms_at, hidden_by_one, near_geoms
 from twin.cameras.occlusion import hit
 from twin.cameras.outline import (
@@ -44,26 +45,31 @@ def render_all(  # type: ignore[no-untyped-def]
     light, lens, table, reach, terms, nodes, timing, path, turn, radius, shape, figure, electrons, lit, profile,
     pieces, first, kind, size, geom_marker, geom_xyz, geom_turn, solids, mesh,
 ):  # fmt: skip
-    """Render all targets; returns (visible, x, y, diameter) of each and its state (MESH_NEAR: left to mesh rays)."""
+    """Render all targets; returns (visible, x, y, diameter) of each, its state (MESH_NEAR: left to mesh rays), and
+    for those when they are exposed: from, in the middle, until [s].
+    """
     count = path.shape[0]
     seen = np.zeros((count, 4))
     state = np.zeros(count, dtype=np.int64)
-    nothing = np.empty((0, 3))
+    spans = np.zeros((count, 3))
+    nothing, none = np.empty((0, 3)), np.zeros(1, dtype=np.int64)
     for m in range(count):
         how = OUTSIDE if mesh[m] == 0 else IN_VIEW
         result = render_one(
             light, lens, table, reach, terms, nodes, timing, path, turn, radius, shape, figure, electrons, lit,
-            profile, pieces, first, kind, size, geom_marker, geom_xyz, geom_turn, solids, m, how, nothing, 0.0,
+            profile, pieces, first, kind, size, geom_marker, geom_xyz, geom_turn, solids, m, how, spans[m],
+            nothing, none, 0.0,
         )  # fmt: skip
         seen[m, 0], seen[m, 1], seen[m, 2], seen[m, 3] = result[0], result[1], result[2], result[3]
         state[m] = int(result[4])
-    return seen, state
+    return seen, state, spans
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def render_one(  # type: ignore[no-untyped-def]
     light, lens, table, reach, terms, nodes, timing, path, turn, radius, shape, figure, electrons, lit, profile,
-    pieces, first, kind, size, geom_marker, geom_xyz, geom_turn, solids, m, how, given_edges, given_share,
+    pieces, first, kind, size, geom_marker, geom_xyz, geom_turn, solids, m, how, span,
+    given_edges, given_first, given_share,
 ):  # fmt: skip
     """Render target m; ``how``: OUTSIDE plainly, IN_VIEW only to see whether it must be asked of meshes, MESH_NEAR
     with the hidden part given. Returns (visible, x, y, diameter, state).
@@ -81,7 +87,7 @@ def render_one(  # type: ignore[no-untyped-def]
     )
     u = v = x = y = z = 0.0
     ux = uy = uz = vx = vy = vz = 0.0
-    for _ in range(1 if row_time == 0.0 else 6):
+    for _ in range(1 if row_time == 0.0 else 60):
         lagrange(nodes, instant, weights)
         x, y, z = place(path[m], weights)
         u, v, ux, uy, uz, vx, vy, vz, ok = land(lens, x, y, z)
@@ -90,12 +96,16 @@ def render_one(  # type: ignore[no-untyped-def]
         if row_time != 0.0:
             opens = min(max(v, -0.2 * height), 1.2 * height) * row_time
             begin, end = max(opens, on), min(opens + length, off)
+            before_s = instant
             instant = 0.5 * (begin + end) if end > begin else opens + 0.5 * length
+            if abs(instant - before_s) < 1e-12:
+                break
     turned(turn[m], weights, axes)
     # size of the image from the stretch across the viewing direction
     stretch = math.sqrt(max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz))
     diameter = 2.0 * r * stretch
-    patch = patches(terms, u, v, math.sqrt(x * x + y * y + z * z))
+    # a plane is in focus, with a fisheye a sphere
+    patch = patches(terms, u, v, math.sqrt(x * x + y * y + z * z) if lens[KIND] == FISHEYE else z)
     spread = 0.0
     for i in range(patch.shape[0]):
         spread = max(spread, max(abs(patch[i, 0]), abs(patch[i, 1])))
@@ -104,8 +114,10 @@ def render_one(  # type: ignore[no-untyped-def]
     if row_time == 0.0:
         begin, end = max(0.0, on), min(length, off)
     else:
-        begin = max((v - margin - 2.0) * row_time, on)
-        end = min((v + margin + 2.0) * row_time + length, off)
+        rows = margin + 2.0
+        begin = max(0.0, _row_instant(lens, nodes, path[m], instant, v - rows, -rows, 0.0, row_time, height))
+        end = _row_instant(lens, nodes, path[m], instant, v + rows, rows, length, row_time, height)
+        begin, end = max(begin, on), min(min(end, (height - 1) * row_time + length), off)
     if end <= begin:
         return 0.0, u, v, diameter, DARK
     motion, swing = _motion(lens, nodes, path[m], begin, instant, end, weights)
@@ -122,6 +134,7 @@ def render_one(  # type: ignore[no-untyped-def]
     if shape[m] != BALL and axes[0, 2] * x + axes[1, 2] * y + axes[2, 2] * z >= -0.02 * away:
         return 0.0, u, v, diameter, HIDDEN
     if how == IN_VIEW:
+        span[0], span[1], span[2] = begin, instant, end
         return 0.0, u, v, diameter, MESH_NEAR
     whole, left, right, top, bottom = lands(lens, shape[m], axes, x, y, z, r)
     if max(right - left, bottom - top) > 4000.0:
@@ -154,7 +167,7 @@ def render_one(  # type: ignore[no-untyped-def]
             return 0.0, u, v, diameter, HIDDEN
 
     # room for the image of the whole motion
-    pad = reach + 2 + int(math.ceil(spread))
+    pad = reach + 2 + math.ceil(spread)
     x0, x1 = math.floor(left - motion) - pad, math.ceil(right + motion) + pad + 1
     y0, y1 = math.floor(top - motion) - pad, math.ceil(bottom + motion) + pad + 1
     y0, y1 = max(y0, -1), min(y1, height + 1)
@@ -175,21 +188,21 @@ def render_one(  # type: ignore[no-untyped-def]
     rows_window = (length, row_time, on, off)
     if how == MESH_NEAR:
         hidden = given_share
-        if given_share < 1.0 and given_edges.shape[0] > 0:
-            moving = _carried(given_edges, lens, nodes, path[m], u, v, begin, instant, end, weights)
-            add_points(
-                EDGE,
-                change,
-                x0,
-                y0,
-                table,
-                reach,
-                patch,
-                moving,
-                (begin, end),
-                motion * 0.6 / sigma,
-                rows_window,
-            )
+        groups = given_first.shape[0] - 1
+        for g in range(groups):
+            edges = given_edges[given_first[g] : given_first[g + 1]]
+            if hidden == 1.0 or edges.shape[0] == 0:
+                continue
+            group_begin = begin + (end - begin) * g / groups
+            group_end = begin + (end - begin) * (g + 1) / groups
+            middle = instant if groups == 1 else 0.5 * (group_begin + group_end)
+            lagrange(nodes, middle, weights)
+            gx, gy, gz = place(path[m], weights)
+            gu, gv, _a, _b, _c, _d, _e, _f, _ok = land(lens, gx, gy, gz)
+            moving = _carried(edges, lens, nodes, path[m], gu, gv, group_begin, middle, group_end, weights)
+            here = (group_begin, group_end)
+            scaled = motion * 0.6 / sigma / groups
+            add_points(EDGE, change, x0, y0, table, reach, patch, moving, here, scaled, rows_window)
     elif near_count > 0:
         rest = False
         total_hidden = total_lit = 0.0
@@ -292,6 +305,25 @@ def render_one(  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def _row_instant(lens, nodes, path, instant, row, shift, late, row_time, height):  # type: ignore[no-untyped-def]
+    """When the row ``shift`` below a moving target opens, plus ``late``; ``instant`` and ``row``: where to begin."""
+    weights = np.empty(nodes.shape[0])
+    t = instant
+    for _ in range(60):
+        before = t
+        t = min(max(row, -0.2 * height), 1.2 * height) * row_time + late
+        if abs(t - before) < 1e-9 * row_time:
+            break
+        lagrange(nodes, min(max(t, nodes[0]), nodes[nodes.shape[0] - 1]), weights)
+        x, y, z = place(path, weights)
+        _u, v, _a, _b, _c, _d, _e, _f, ok = land(lens, x, y, z)
+        if not ok:
+            break
+        row = v + shift
+    return t
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def _motion(lens, nodes, path, begin, instant, end, weights):  # type: ignore[no-untyped-def]
     """Length of the image of a path [px], of one that turns or speeds up at its faster half's pace (-1: not
     imaged), and how far the target goes [m].
@@ -359,13 +391,13 @@ def _inside(lens, shape, axes, x, y, z, r, width, height):  # type: ignore[no-un
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _rings(diameter):  # type: ignore[no-untyped-def]
-    return 4 + int(diameter / 1.5), 12 + int(math.pi * diameter / 0.7)
+    return min(MOST_NODES, 4 + int(diameter)), 12 + int(math.pi * diameter / 0.7)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _spot_count(diameter):  # type: ignore[no-untyped-def]
     rings, around = _rings(diameter)
-    return min(24, rings) * around
+    return rings * around
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -375,7 +407,6 @@ def _spots(lens, shape, axes, x, y, z, r, profile, diameter, out):  # type: igno
     The radius is the sine of the quadrature's variable, in which limb darkening is smooth.
     """
     rings, around = _rings(diameter)
-    rings = min(24, rings)
     circle = circle_of(shape, axes, x, y, z, r)
     cx, cy, cz = circle[0], circle[1], circle[2]
     n = 0

@@ -109,7 +109,7 @@ class TwinLens:
 
         Without a pupil shift the distance does not matter and directions of any length will do.
         """
-        return _many_pixels(self.vector, np.ascontiguousarray(places, dtype=float).reshape(-1, 3))
+        return many_pixels(self.vector, np.ascontiguousarray(places, dtype=float).reshape(-1, 3))
 
     def directions(self, xy_px: Array, distance_m: float = math.inf) -> Array:
         """Pixel (n, 2) -> unit direction (n, 3) from the camera's centre to what it sees at ``distance_m``.
@@ -291,7 +291,8 @@ def _before_gap(lens: Array, u: float, v: float) -> Any:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _many_pixels(lens: Array, places: Array) -> Array:
+def many_pixels(lens: Array, places: Array) -> Array:
+    """Place (n, 3) -> pixel (n, 2) of a lens vector; NaN where it is not imaged."""
     out = np.empty((places.shape[0], 2))
     for i in range(places.shape[0]):
         u, v, _a, _b, _c, _d, _e, _f, ok = land(lens, places[i, 0], places[i, 1], places[i, 2])

@@ -15,8 +15,8 @@ from twin.cameras.lens import land
 from twin.scenes.figure import LINE
 
 BALL, FLAT, FIGURE = 0, 1, 2
-STEP_SIGMA = 1.25
-"""Step along an outline over the blur's sigma: the error of equal steps is below 1e-5 of it."""
+STEP_SIGMA, FEWEST_STEPS = 1.0, 20
+"""Step along an outline over the blur's sigma: the error of equal steps is below 1e-6 of the light."""
 PANEL_PX = 15.0
 MOST_PANELS = 100
 
@@ -113,7 +113,7 @@ def lands(lens, shape, turn, x, y, z, r):  # type: ignore[no-untyped-def]
 @njit(nogil=True, cache=True, error_model="numpy")
 def outline_steps(diameter, sigma):  # type: ignore[no-untyped-def]
     """How many steps an outline of this image diameter needs."""
-    return max(12, int(math.pi * diameter / (STEP_SIGMA * sigma)) + 1)
+    return max(FEWEST_STEPS, int(math.pi * diameter / (STEP_SIGMA * sigma)) + 1)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

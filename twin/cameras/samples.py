@@ -1,7 +1,7 @@
 """A target asked ray by ray: where a mesh may hide it, or the lens does not image all of it.
 
-16 samples a pixel each way (images of 12 px and more: 8). What is blocked leaves as boundary points, two for each run
-of blocked samples in a row; what the lens images only in part is summed from spots.
+24 samples a pixel each way (images of 12 px and more: 12). What is blocked, or imaged at all, leaves as boundary
+points, two for each run of such samples in a row.
 """
 
 import math
@@ -32,7 +32,7 @@ def sample_rays(lens, centre, turn, r, shape, per_px):  # type: ignore[no-untype
             top, bottom = min(top, pv), max(bottom, pv)
     size = max(right - left, bottom - top)
     if per_px == 0:
-        per_px = 16 if size < 12.0 else 8
+        per_px = 24 if size < 12.0 else 12
     step = 1.0 / per_px
     columns, rows = int((right - left) * per_px) + 2, int((bottom - top) * per_px) + 2
     if size < 0.0 or size > 4000.0:

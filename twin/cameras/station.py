@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,8 @@ from twin.cameras.lighting import NEVER, Lit, TargetLight, lit_during, target_li
 from twin.cameras.moment import Moment, Places, Stretch, View, lobatto_nodes, seen_from, stretch_about
 from twin.cameras.mount import Stand, pixels_per_radian
 from twin.cameras.psf import psf_of
-from twin.cameras.render import MeshRays, Seen, TargetsInCamera, Window, has_meshes, render_targets
+from twin.cameras.mesh_rays import Look, MeshRays, between
+from twin.cameras.render import Seen, TargetsInCamera, Window, has_meshes, render_targets
 from twin.cameras.sensor import expose
 from twin.cameras.shutter import Exposure, check_timing, numbers_in, open_shutter
 from twin.cameras.subject import Subject, carrying_body
@@ -183,15 +185,15 @@ class Station:
 
     def collect(self, sight: Sight, moment: Moment, light: Array) -> Shot:
         """Add the targets' light to the camera's pixels (H, W) float32 [electrons]; return what really was."""
-        subject, view, half = self.subject, sight.view, sight.half
+        subject, view = self.subject, sight.view
         mesh_rays = None
         if has_meshes(subject.occluders):
             mesh_rays = MeshRays(
                 subject.scene.model,
-                moment.hold(sight.half_s).data,
+                _looking(sight, moment),
+                sight.half_s - sight.exposure.start_s,
                 subject.occluders,
                 subject.scene.marker_geoms,
-                (sight.rotation[half], sight.position[half]),
             )
 
         def render(lit_s: Array) -> Seen:
@@ -260,6 +262,19 @@ class Station:
             return None
         timing, span = self.virtual.timing, exposure.span_s
         return stretch_about(exposure.nominal_s + timing.delay_s + 0.5 * span, span, timing.jitter_s)
+
+
+def _looking(sight: Sight, moment: Moment) -> Look:
+    """Return what tells where scene and camera are at an instant of an exposure."""
+    nodes = sight.window.nodes_s
+    k = len(nodes)
+
+    def look(time_s: float) -> tuple[Any, Array, Array]:
+        data = moment.hold(sight.exposure.start_s + time_s).data
+        rotation, position = sight.rotation[:k], sight.position[:k]
+        return data, between(rotation, nodes, time_s), between(position, nodes, time_s)
+
+    return look
 
 
 def _ambient(virtual: VirtualCamera, exposure_s: float, seed: int) -> Ambient:

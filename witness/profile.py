@@ -8,8 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from witness_image import Array, contour_image, lines_image, lines_moments, scan
-from witness_render import WitnessLens, across, area_and_centroid
+
+from witness.image import Array, contour_image, lines_image, lines_moments, scan
+from witness.render import WitnessLens, across, area_and_centroid
 
 
 @dataclass(frozen=True, eq=False)

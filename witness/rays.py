@@ -2,7 +2,7 @@
 
 A small world is built in camera coordinates: marker and obstacles are mocap bodies, so that each can be put
 where it is at an instant. Scan lines of rays look through the lens; where the answer changes along a line, the
-place is found by bisection (``witness_image.scan``).
+place is found by bisection (``witness.image.scan``).
 """
 
 from collections.abc import Callable
@@ -12,8 +12,9 @@ from typing import Any
 import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
-from witness_image import Array, lines_image, lines_moments, scan
-from witness_render import WitnessLens, area_and_centroid, ball_outline, disc_outline
+
+from witness.image import Array, lines_image, lines_moments, scan
+from witness.render import WitnessLens, area_and_centroid, ball_outline, disc_outline
 
 MARKER_GROUP, UNSEEN_GROUP = 4, 5
 Path = Callable[[float], Array]

@@ -12,7 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy.integrate import quad
-from witness_image import Array
+
+from witness.image import Array
 
 
 def blur_circle_px(d_m: float, focus_m: float, f_mm: float, f_number: float, pitch_mm: float) -> float:

@@ -1,7 +1,7 @@
 """The same little scene through OpenGL: MuJoCo's own renderer and pyrender, at their best supersampling.
 
 Run as a program, because the GL platform must be chosen before anything is imported:
-``python witness_gl.py mujoco|pyrender OUT.npy``. White balls and discs, black obstacles, on black; the camera frame
+``python witness/gl.py mujoco|pyrender OUT.npy``. White balls and discs, black obstacles, on black; the camera frame
 is the world (x right, y down, z forward). GL counts pixels from their edges: the middle of the image lies at
 (W / 2, H / 2), which is (W - 1) / 2, (H - 1) / 2 here.
 """

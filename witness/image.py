@@ -4,7 +4,7 @@ A pixel takes what falls on its unit square; the blur is a Gaussian. Both are se
 answer to a point of light at (x, y) is ``spread(x - column) * spread(y - row)`` with ``spread`` the difference
 of two normal distribution functions. Three ways lead to an image, and each is a check of the others:
 ``contour_image`` (Green's theorem along a polygon), ``lines_image`` (parallel scan lines, each from x0 to x1)
-and ``points_image`` (points of light with weights); ``witness_render.pixels_by_brute_force`` is a fourth.
+and ``points_image`` (points of light with weights); ``witness.render.pixels_by_brute_force`` is a fourth.
 
 Pixel (0, 0) is the centre of the top-left pixel; x along columns, y along rows [px].
 """

@@ -1,0 +1,23 @@
+"""Pictures of each disturbance, with and without it, made by the twin itself."""
+
+from collections.abc import Callable
+
+from reports.fidelity import Crop
+from scenarios.fidelity import pictures_lens, pictures_light, pictures_targets, pictures_time
+
+CROPS: tuple[Callable[[], Crop], ...] = (
+    *pictures_lens.CROPS,
+    *pictures_time.CROPS,
+    *pictures_light.CROPS,
+    *pictures_targets.CROPS,
+)
+
+
+def all_crops(progress: Callable[[int, int], None] = lambda done, total: None) -> list[Crop]:
+    """Return all pictures; the same bytes each time."""
+    made = []
+    for number, make in enumerate(CROPS):
+        progress(number, len(CROPS))
+        made.append(make())
+    progress(len(CROPS), len(CROPS))
+    return made
