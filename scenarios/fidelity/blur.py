@@ -71,13 +71,13 @@ def pupil_blur(quick: bool) -> Check:
 
 
 def _rendered(case: Case) -> Array:
-    optics, *where = case
-    return seen_by_twin(LENS, SIZE, [marker(WITNESS, *where)[0]], optics)[0]
+    optics, xy, diameter, tilt, distance = case
+    return seen_by_twin(LENS, SIZE, [marker(WITNESS, xy, diameter, tilt, distance)[0]], optics)[0]
 
 
 def _expected(case: Case, radial: int = 9, angles: int = 26) -> Array:
-    optics, *where = case
-    target, outline = marker(WITNESS, *where)
+    optics, xy, diameter, tilt, distance = case
+    target, outline = marker(WITNESS, xy, diameter, tilt, distance)
     polygon = WITNESS.project(outline[::10])
     centre, middle = target.centre_at(0.0), (np.array(SIZE) - 1) / 2
     away = WITNESS.project(centre[None])[0] - middle

@@ -105,7 +105,7 @@ def stage(
     def configuration(time_s: float) -> Array:
         return np.concatenate([speed * time_s, [0.0, 1.0, 0.0, 0.0]])
 
-    glows = [one.glow for one in (*balls, *plates)]
+    glows = [*(one.glow for one in balls), *(one.glow for one in plates)]
     return Scene(
         model,
         tuple(names),

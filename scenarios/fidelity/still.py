@@ -123,10 +123,7 @@ def _faults() -> tuple[Row, ...]:
     _area, centroid = area_and_centroid(witness.project(outline))
     mirrored = ball(target.centre_at(0.0) * np.array([1.0, -1.0, 1.0]), target.radius)
     faults = {
-        "half a pixel (GL's pixel origin)": (
-            replace(lens, cx_px=lens.cx_px + 0.5, cy_px=lens.cy_px + 0.5),
-            target,
-        ),
+        "half a pixel (GL's pixel origin)": (shifted(lens, 0.5, 0.5), target),
         "y the wrong way up": (lens, mirrored),
         "principal point off by three bars": (shifted(lens, 0.0, 3 * MAX_PX), target),
     }

@@ -35,7 +35,7 @@ from twin.cameras.psf import patches
 from twin.cameras.samples import runs, sample_rays
 from twin.cameras.scan import front_of, scan_hidden
 
-IN_VIEW, PARTLY, HIDDEN, OUTSIDE, DARK, MESH_NEAR = 0, 1, 2, 3, 4, -1
+IN_VIEW, PARTLY, HIDDEN, OUTSIDE, DARK, MESH_NEAR, MESH_REST = 0, 1, 2, 3, 4, -1, -2
 LEAST_E = 1e-3
 """Light below a thousandth of an electron is left out, so that dark pixels stay exactly dark."""
 
@@ -71,8 +71,10 @@ def render_one(  # type: ignore[no-untyped-def]
     pieces, first, kind, size, geom_marker, geom_xyz, geom_turn, solids, m, how, span,
     given_edges, given_first, given_share,
 ):  # fmt: skip
-    """Render target m; ``how``: OUTSIDE plainly, IN_VIEW only to see whether it must be asked of meshes, MESH_NEAR
-    with the hidden part given. Returns (visible, x, y, diameter, state).
+    """Render target m.
+
+    ``how``: OUTSIDE plainly; IN_VIEW only to see whether meshes must be asked; MESH_NEAR with the boundary of what is
+    hidden given, MESH_REST with that of what is left. Returns (visible, x, y, diameter, state).
     """
     height, width = light.shape
     r = radius[m]
@@ -152,7 +154,7 @@ def render_one(  # type: ignore[no-untyped-def]
     near = np.empty(kind.shape[0], dtype=np.int64)
     near_count = 0
     groups = 1
-    if how != MESH_NEAR:
+    if how != MESH_NEAR and how != MESH_REST:
         near_count, groups = near_geoms(
             near, m, solids, geom_marker, geom_xyz, geom_turn, nodes, lens, path[m], x, y, z, r, begin, instant, end,
             swing,
@@ -186,7 +188,7 @@ def render_one(  # type: ignore[no-untyped-def]
         return share * _inside(lens, shape[m], axes, x, y, z, r, width, height), u, v, diameter, PARTLY
 
     rows_window = (length, row_time, on, off)
-    if how == MESH_NEAR:
+    if how in (MESH_NEAR, MESH_REST):
         hidden = given_share
         groups = given_first.shape[0] - 1
         for g in range(groups):
@@ -203,6 +205,10 @@ def render_one(  # type: ignore[no-untyped-def]
             here = (group_begin, group_end)
             scaled = motion * 0.6 / sigma / groups
             add_points(EDGE, change, x0, y0, table, reach, patch, moving, here, scaled, rows_window)
+        if how == MESH_REST and hidden < 1.0:
+            fill(light, change, x0, y0, electrons[m], LEAST_E)
+            visible = (1.0 - hidden) * _inside(lens, shape[m], axes, x, y, z, r, width, height)
+            return visible, u, v, diameter, PARTLY
     elif near_count > 0:
         rest = False
         total_hidden = total_lit = 0.0

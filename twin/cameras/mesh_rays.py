@@ -48,21 +48,27 @@ class MeshRays:
 
     def hidden(
         self, marker: int, lens: Array, targets: TargetsInCamera, nodes: Array, span: Array
-    ) -> tuple[Array, Array, float]:
+    ) -> tuple[Array, Array, float, bool]:
         """Return the boundary (n, 3) of what is hidden of a target, group after group of instants, where each group
-        begins in it (g + 1,), and the hidden share of its samples. ``span``: exposed from, in the middle, until [s].
+        begins in it (g + 1,), the hidden share of its samples, and whether the boundary is that of the rest.
+
+        ``span``: exposed from, in the middle, until [s]. Of what is mostly hidden, or passed fast, the rest is
+        given: a difference of large areas would blur it.
         """
         begin, middle, end = (float(t) for t in span)
         slip = self._slip(marker, lens, targets, nodes, begin, end)
         groups = 1 if slip < GROUP_PX else min(MOST_GROUPS, 1 + int(slip / GROUP_PX))
-        edges, shares = [], []
-        for g in range(groups):
-            t = middle if groups == 1 else begin + (end - begin) * (g + 0.5) / groups
-            boundary, share = self._hidden_at(marker, lens, targets, nodes, t)
-            edges.append(boundary)
-            shares.append(share)
+        instants = (
+            [middle] if groups == 1 else [begin + (end - begin) * (g + 0.5) / groups for g in range(groups)]
+        )
+        found = [self._samples_at(marker, lens, targets, nodes, t, groups == 1) for t in instants]
+        share = float(np.mean([1.0 - free.mean() if len(free) else 1.0 for _cell, _grid, free in found]))
+        rest = groups > 1 or share > 0.5
+        edges = [
+            runs(cell, grid, free if rest else ~free, 1.0 if rest else -1.0) for cell, grid, free in found
+        ]
         first = np.concatenate([[0], np.cumsum([len(e) for e in edges])]).astype(np.int64)
-        return np.concatenate(edges), first, float(np.mean(shares))
+        return np.concatenate(edges), first, share, rest
 
     def _slip(
         self, marker: int, lens: Array, targets: TargetsInCamera, nodes: Array, begin: float, end: float
@@ -84,10 +90,10 @@ class MeshRays:
         slips = np.linalg.norm(way[:-1] - way[-1], axis=1)
         return float(np.max(slips[np.isfinite(slips)], initial=0.0))
 
-    def _hidden_at(
-        self, marker: int, lens: Array, targets: TargetsInCamera, nodes: Array, time_s: float
-    ) -> tuple[Array, float]:
-        """Return the boundary (n, 3) of what is hidden of a target at an instant, and the share of its samples."""
+    def _samples_at(
+        self, marker: int, lens: Array, targets: TargetsInCamera, nodes: Array, time_s: float, still: bool
+    ) -> tuple[Array, tuple[float, float, float, int, int], Array]:
+        """Return the cells of a target's samples at an instant, their grid, and which of them nothing hides."""
         centre = between(targets.path[marker], nodes, time_s)
         turn = between(targets.turn[marker], nodes, time_s)
         for per_px in (3, 0):  # a coarse look answers for most
@@ -95,10 +101,9 @@ class MeshRays:
                 lens, centre, turn, targets.radius[marker], targets.shape[marker], per_px
             )
             free = self.visible(marker, rays, time_s)
-            if per_px and len(free) >= 30 and (free.all() or not free.any()):
+            if per_px and len(free) >= 30 and (not free.any() or (still and free.all())):
                 break
-        share = 1.0 - float(free.mean()) if len(free) else 1.0
-        return runs(cell, grid, ~free, -1.0), share
+        return cell, grid, free
 
     def visible(self, marker: int, directions: Array, time_s: float) -> Array:
         """Return which rays (n, 3), camera frame, meet the target before anything else at an instant (n,)."""

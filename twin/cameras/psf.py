@@ -30,7 +30,8 @@ for _n, (_at, _weight) in enumerate(_NODES, start=1):
 @dataclass(frozen=True, eq=False)
 class Psf:
     """``kernel`` of one patch; ``terms`` (9,): focus distance [m] (0: sharp everywhere), blur circle a unit of
-    defocus [px], focal length [m], curvature, coma [px at the corner], image centre (x, y), half diagonal, sigma [px].
+    defocus [px], focal length [m], curvature, coma [px at the
+    corner], image centre (x, y), half diagonal, sigma [px].
     """
 
     kernel: PixelKernel
@@ -71,7 +72,9 @@ def _blur_circle(terms: Array, distance: float) -> float:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def patches(terms: Array, u: float, v: float, distance: float) -> Array:
-    """Return the patches (n, 3) of a point at ``distance`` (along the axis; with a fisheye: from it) imaged at (u, v): displacement x, y [px] and share.
+    """Return the patches (n, 3) of a point imaged at (u, v): displacement x, y [px] and share.
+
+    ``distance``: along the axis, with a fisheye in space [m].
 
     Gauss-Legendre in the pupil's area, equal angles around it; as many as the Gaussian of ``sigma`` needs to
     blur them into one.

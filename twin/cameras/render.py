@@ -9,7 +9,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from twin.cameras.exposed import NO_FIGURES, Figures, TargetsInCamera, Window
-from twin.cameras.integrate import MESH_NEAR, render_all, render_one
+from twin.cameras.integrate import MESH_NEAR, MESH_REST, render_all, render_one
 from twin.cameras.mesh_rays import MeshRays
 from twin.cameras.near import solids_of
 from twin.cameras.occlusion import Occluders
@@ -17,7 +17,8 @@ from twin.cameras.outline import BALL, FIGURE, FLAT
 from twin.cameras.psf import Psf
 
 __all__ = [
-    "BALL", "FIGURE", "FLAT", "Figures", "MeshRays", "Seen", "TargetsInCamera", "Window", "has_meshes", "render_targets",
+    "BALL", "FIGURE", "FLAT", "Figures", "MeshRays", "Seen", "TargetsInCamera", "Window", "has_meshes",
+    "render_targets",
 ]  # fmt: skip
 
 
@@ -65,8 +66,9 @@ def render_targets(
     seen, state, spans = render_all(*common, mesh)
     if mesh_rays is not None:
         for m in np.flatnonzero(state == MESH_NEAR):
-            edges, first, share = mesh_rays.hidden(int(m), lens, targets, nodes, spans[m])
-            seen[m] = render_one(*common, int(m), MESH_NEAR, spans[m], edges, first, share)[:4]
+            edges, first, share, rest = mesh_rays.hidden(int(m), lens, targets, nodes, spans[m])
+            how = MESH_REST if rest else MESH_NEAR
+            seen[m] = render_one(*common, int(m), how, spans[m], edges, first, share)[:4]
     seen[seen[:, 0] == 0.0, 1:] = np.nan
     return Seen(seen[:, 0], seen[:, 1:3], seen[:, 3])
 

@@ -12,10 +12,10 @@ from twin.cameras.ambient import Ambient, ambient_map
 from twin.cameras.camera import VirtualCamera
 from twin.cameras.lens import TwinLens, warmed
 from twin.cameras.lighting import NEVER, Lit, TargetLight, lit_during, target_light
+from twin.cameras.mesh_rays import Look, MeshRays, between
 from twin.cameras.moment import Moment, Places, Stretch, View, lobatto_nodes, seen_from, stretch_about
 from twin.cameras.mount import Stand, pixels_per_radian
 from twin.cameras.psf import psf_of
-from twin.cameras.mesh_rays import Look, MeshRays, between
 from twin.cameras.render import Seen, TargetsInCamera, Window, has_meshes, render_targets
 from twin.cameras.sensor import expose
 from twin.cameras.shutter import Exposure, check_timing, numbers_in, open_shutter
