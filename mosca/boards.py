@@ -5,10 +5,10 @@ and what is not sure is refused. A checkerboard must be seen as a whole (``findC
 Frese 2018); of a ChArUco board, whose markers name the corners, at least half of them must be seen, and all corners
 must lie where one board before a camera can have them.
 
-Refinement is OpenCV's ``cornerSubPix`` (Foerstner and Guelch 1987): the point to which all grey-value gradients g of
-a window are perpendicular. Its covariance follows at first order: with ``A = sum w g g^T`` and gradients of variance
-``s^2`` at distances d from the corner, ``C = A^-1 (sum w^2 s^2 g g^T) A^-1``, where g's own noise turns it about; the
-noise of a pixel is measured in the image. What lens distortion or blur do to a corner is not in it.
+Refinement is OpenCV's ``cornerSubPix`` (Foerstner and Guelch 1987) on the image blurred by 1 px: the point c with all
+grey-value gradients g of a window perpendicular to the way to it, ``sum w g g^T (p - c) = 0``. The finder's own corners
+are five times as far off. The covariance is that of the pixels' noise, measured in the image, at first order; about
+0.01 px of systematic error, from the finite window and edges of one or two pixels' width, is not in it.
 """
 
 import math
@@ -24,8 +24,9 @@ from mosca.errors import InputError
 
 LEAST_SHARE = 0.5
 """Share of a ChArUco board's corners that must be seen."""
-WINDOW_SHARE, LARGEST_WINDOW_PX = 0.35, 11
-"""Half the window of the refinement: share of the smallest distance of two corners, and its limit."""
+WINDOW_SHARE, SMALLEST_WINDOW_PX, LARGEST_WINDOW_PX = 0.35, 3, 11
+"""Half the window of the refinement: share of the smallest distance of two corners, and its limits."""
+BLUR_PX, BLUR_REACH = 1.0, 4
 FARTHEST_SHARE = 0.15
 """How far a corner may lie from where its board's homography has it, in distances of corners."""
 FEWEST_CORNERS = 6
@@ -49,12 +50,14 @@ def find_board(image: Array, board: Board, camera: str = "") -> BoardDetections:
         return BoardDetections.none(camera, found)
     corner, xy = found
     spacing = _spacing(xy)
-    half = int(min(max(round(WINDOW_SHARE * spacing), 2), LARGEST_WINDOW_PX))
-    if (xy < half + 2).any() or (xy > np.array(image.shape[::-1]) - half - 3).any():
+    half = _half_window(board, spacing)
+    room = half + BLUR_REACH + 2
+    if (xy < room).any() or (xy > np.array(image.shape[::-1]) - room - 1).any():
         return BoardDetections.none(camera, "a corner touches the image's border")
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 1e-4)
     start = xy.astype(np.float32).reshape(-1, 1, 2)
-    refined = cv2.cornerSubPix(grey, start.copy(), (half, half), (-1, -1), stop).reshape(-1, 2)
+    soft = _soft(grey.astype(np.float32))
+    refined = cv2.cornerSubPix(soft, start.copy(), (half, half), (-1, -1), stop).reshape(-1, 2)
     xy = refined.astype(np.float64)
     off = _off_homography(board.corners()[corner, :2], xy) / spacing
     if len(xy) < FEWEST_CORNERS or off.max() > FARTHEST_SHARE:
@@ -64,21 +67,20 @@ def find_board(image: Array, board: Board, camera: str = "") -> BoardDetections:
     left, top = np.floor(xy.min(axis=0)).astype(int)
     right, bottom = np.ceil(xy.max(axis=0)).astype(int) + 1
     noise = noise_of(grey[top:bottom, left:right])
-    covariance = np.array([corner_covariance(grey, at, half, noise) for at in xy])
+    covariance = np.array([corner_covariance(soft, at, half, noise) for at in xy])
     return BoardDetections(camera, corner, xy, covariance)
 
 
 def corner_covariance(image: Array, xy_px: Array, half_px: int, noise_dn: float) -> Array:
-    """Return the covariance (2, 2) [px^2] of a corner refined by ``cornerSubPix`` in a window of +-``half_px``.
+    """Return the covariance (2, 2) [px^2] of a corner refined in a window of +-``half_px`` of the blurred ``image``.
 
-    First order in the pixels' noise: the corner moves by ``A^-1 sum w g (d . grad n)``, with g the gradients, d the
-    pixels' places about the corner, n the noise and w the window's weights. Infinite where no gradients meet.
+    ``noise_dn``: standard deviation of a pixel before the blur. First order in the pixels' noise: the corner moves by ``A^-1 sum w g (d . grad n)``, with g the gradients, d the
+    pixels' places about the corner, n the blurred noise and w the window's weights. Infinite where no gradients meet.
     """
     column, row = np.floor(xy_px + 0.5).astype(int)
-    reach = half_px + 1
+    reach = half_px + 1 + BLUR_REACH
     window = image[row - reach : row + reach + 1, column - reach : column + reach + 1].astype(np.float64)
-    gx = (window[1:-1, 2:] - window[1:-1, :-2]) / 2
-    gy = (window[2:, 1:-1] - window[:-2, 1:-1]) / 2
+    gy, gx = (d[BLUR_REACH + 1 : -BLUR_REACH - 1, BLUR_REACH + 1 : -BLUR_REACH - 1] for d in np.gradient(window))
     steps = np.arange(-half_px, half_px + 1)
     dx, dy = np.meshgrid(steps + column - xy_px[0], steps + row - xy_px[1])
     weight = np.exp(-(dx**2 + dy**2) / half_px**2)
@@ -86,21 +88,36 @@ def corner_covariance(image: Array, xy_px: Array, half_px: int, noise_dn: float)
     normal = np.einsum("iyx,jyx,yx->ij", g, g, weight)
     if not np.linalg.det(normal) > 1e-9 * np.trace(normal) ** 2:
         return np.full((2, 2), np.inf)
-    # what a pixel's noise adds: the central differences, turned round
+    # what the noise of each pixel adds: central differences and blur, both turned round
     pull = np.zeros((2, *window.shape))
-    pull[:, 1:-1, 2:] += weight * g * dx / 2
-    pull[:, 1:-1, :-2] -= weight * g * dx / 2
-    pull[:, 2:, 1:-1] += weight * g * dy / 2
-    pull[:, :-2, 1:-1] -= weight * g * dy / 2
+    for axis, d in ((1, dy), (2, dx)):
+        shares = np.zeros_like(pull)
+        shares[:, BLUR_REACH + 1 : -BLUR_REACH - 1, BLUR_REACH + 1 : -BLUR_REACH - 1] = weight * g * d / 2
+        pull += np.roll(shares, 1, axis) - np.roll(shares, -1, axis)
+    pull = np.stack([_soft(part) for part in pull])
     inverse = np.linalg.inv(normal)
     return np.asarray(noise_dn**2 * inverse @ np.einsum("iyx,jyx->ij", pull, pull) @ inverse)
+
+
+def _soft(image: Array) -> Array:
+    """Return an image blurred by ``BLUR_PX``."""
+    return np.asarray(cv2.GaussianBlur(image, (2 * BLUR_REACH + 1, 2 * BLUR_REACH + 1), BLUR_PX))
+
+
+def _half_window(board: Board, spacing_px: float) -> int:
+    """Return half the window's width for corners this far apart: it must not reach into a marker."""
+    share = WINDOW_SHARE
+    if board.marker_m is not None:
+        share = min(share, 0.5 * (1 - board.marker_m / board.square_m))
+    return int(min(max(round(share * spacing_px), SMALLEST_WINDOW_PX), LARGEST_WINDOW_PX))
 
 
 def _checkerboard(image: Array, board: Board) -> tuple[Array, Array] | str:
     """Return corners' numbers and places of a whole checkerboard, or why there is none."""
     size = (board.columns - 1, board.rows - 1)
-    flags = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-    found, corners = cv2.findChessboardCornersSB(image, size, flags=flags)
+    found, corners = cv2.findChessboardCornersSB(image, size)
+    if not found:
+        found, corners = cv2.findChessboardCornersSB(image, size, flags=cv2.CALIB_CB_EXHAUSTIVE)
     if not found:
         return f"no checkerboard of {size[0]} x {size[1]} inner corners is seen as a whole"
     xy = np.asarray(corners, dtype=np.float64).reshape(size[1], size[0], 2)

@@ -87,7 +87,8 @@ def _summary(check: Check) -> dict[str, Any]:
         "met": check.met,
         "outcome": "not looked at" if check.absent else _share(figures, "met"),
         "caught": "–" if check.absent else _share(faults, "caught"),
-        "nearest": "–" if nearest is None else " ".join((nearest.name + ":", *_figure_and_bar(nearest))),
+        "nearest": "–" if nearest is None else nearest.name,
+        "nearest_figure": "" if nearest is None else _figure_and_bar(nearest),
         "rows": [
             dict(
                 zip(
@@ -108,6 +109,6 @@ def _share(rows: Sequence[Row], word: str) -> str:
     return f"{sum(row.met for row in rows)} of {len(rows)} {word}"
 
 
-def _figure_and_bar(row: Row) -> tuple[str, ...]:
+def _figure_and_bar(row: Row) -> str:
     figure, unit, bar, _outcome = cells(row)
-    return tuple(part for part in (figure, unit, f"({bar})") if part)
+    return " ".join(part for part in (figure, unit, f"({bar})") if part)

@@ -60,7 +60,7 @@ class OpticsSpec(Table):
     """What the lenses do beyond their distortion; blur in focus is ``errors.psf_sigma_px``."""
 
     lens: str | None = Field(
-        None, description="a lens of the library, for f_mm and f_number; 'mosca list --cameras'"
+        None, description="a lens of the library: its focal length and its range of f-numbers"
     )
     focus_m: Positive | None = Field(
         None, description="distance of sharp focus [m]; default: sharp everywhere"

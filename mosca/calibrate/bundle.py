@@ -26,12 +26,20 @@ from mosca.calibrate.bundle_adjustment import (
     adjusted_cameras,
     datum_mask,
     precision_of,
-    residuals,
     tested,
 )
 from mosca.calibrate.bundle_blunders import snoop, without_lonely
 from mosca.calibrate.bundle_datum import check_datum, generators, null_generators, weak_directions
-from mosca.calibrate.bundle_descent import Descent, State, descend, first_state, reduced, state_of
+from mosca.calibrate.bundle_descent import (
+    Descent,
+    State,
+    descend,
+    first_state,
+    placed_again,
+    reduced,
+    residuals,
+    state_of,
+)
 from mosca.calibrate.bundle_kernels import CAUCHY, HUBER, LEAST_SQUARES, LENS, UNSEEN, weigh
 from mosca.calibrate.bundle_layout import Layout, lay_out
 from mosca.calibrate.bundle_priors import Priors, count, lens_priors, pulls
@@ -55,7 +63,7 @@ __all__ = [
     "Observations", "Placements", "Precision", "Problem", "solve",
 ]  # fmt: skip
 LOSSES = {"least squares": LEAST_SQUARES, "huber": HUBER, "cauchy": CAUCHY}
-HOLDING_ROUNDS = 4
+HOLDING_ROUNDS = 16
 # unknowns of the reduced system up to which its eigenvectors are looked at
 MOST_LOOKED_INTO = 1500
 
@@ -153,7 +161,8 @@ def _solved(
         )
         steps += descent.steps
         if descent.unseen:
-            again = _placed_again(problem, layout, descent, weight)
+            cameras = adjusted_cameras(problem, layout, descent.state)
+            again = placed_again(cameras, layout, descent.state, weight)
             descent = descend(
                 problem, layout, again, weight, priors, robust, settings.tolerance, settings.most_steps
             )
@@ -235,17 +244,6 @@ def _variance(
     unseen = solution.descent.unseen * weigh(2 * UNSEEN**2, *robust)[0]
     cost = max(solution.descent.cost - unseen, 0.0)
     return cost / max(redundancy, 1), redundancy
-
-
-def _placed_again(problem: Problem, layout: Layout, descent: Descent, weight: Array) -> State:
-    """Return the state with the points that a camera ought to see and does not intersected anew."""
-    state, point = descent.state, layout.see[1]
-    unseen = np.isnan(residuals(layout, state)[:, 0]) & (weight > 0) & (layout.see[2] < 0)
-    points = state[1].copy()
-    lost = np.intersect1d(point[unseen], layout.members)
-    points[lost] = np.nan
-    points = intersected(adjusted_cameras(problem, layout, state), layout, points)
-    return state[0], points, state[2]
 
 
 def _snooped(

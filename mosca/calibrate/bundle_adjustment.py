@@ -6,7 +6,7 @@ import numpy as np
 
 from mosca.calibrate.bundle_datum import generators, placed_points, point_motions
 from mosca.calibrate.bundle_descent import Descent, State
-from mosca.calibrate.bundle_kernels import LENS, imaged
+from mosca.calibrate.bundle_kernels import LENS
 from mosca.calibrate.bundle_layout import Layout
 from mosca.calibrate.bundle_lenses import lens_of
 from mosca.calibrate.bundle_precision import carry_down, carry_up, precise
@@ -111,13 +111,6 @@ def tested(layout: Layout, solution: Solution, robust: tuple[int, float]) -> tup
  np.pad(solution.cofactors, (0, 1)), layout.index, cofactors, tests,
     )  # fmt: skip
     return cofactors, tests
-
-
-def residuals(layout: Layout, state: State) -> Array:
-    """Return projected minus observed (n, 2) [px] of the sorted image points, NaN where not imaged."""
-    out = np.empty((len(layout.order), 2))
-    imaged(state, layout.see, out)
-    return out
 
 
 def adjusted_cameras(problem: Problem, layout: Layout, state: State) -> tuple[Camera, ...]:

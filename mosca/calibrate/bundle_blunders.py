@@ -24,7 +24,7 @@ Test = Callable[[Solution], tuple[Array, float, int]]
 
 
 def without_lonely(layout: Layout, weight: Array) -> Array:
-    """Return the weights (n,) with 0 for the image points of blocks that too few of them determine."""
+    """Return the weights (n,) with 0 for the image points of points and placements that too few of them determine."""
     dim, member = layout.blocks[0], layout.blocks[-1]
     block, used = layout.block_of, weight > 0
     enough = 2 * np.bincount(block[used], minlength=len(dim)) + np.diff(layout.known[5])
@@ -36,7 +36,14 @@ def without_lonely(layout: Layout, weight: Array) -> Array:
         pose_block = layout.known[2]
         there = pose_block > 0
         enough[pose_block[there]] += (pose_weight[there] > 0).sum(axis=1)
-    return np.where((enough >= dim)[block], weight, 0.0)
+    weight = np.where((enough >= dim)[block], weight, 0.0)
+    # a point that a distance joins to others needs two rays of its own, too
+    point = layout.see[1]
+    rays = np.bincount(point[weight > 0], minlength=int(point.max(initial=0)) + 1)
+    joined = np.isin(point, member[dim[member[:, 1]] > 3, 0]) & (layout.see[2] < 0)
+    if information.size:
+        joined &= ~(information[point] != 0).any(axis=(1, 2))
+    return np.where(joined & (rays[point] < 2), 0.0, weight)
 
 
 def snoop(

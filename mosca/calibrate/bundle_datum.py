@@ -97,7 +97,7 @@ def check_datum(problem: Problem, loose: int) -> None:
 def weak_directions(
     problem: Problem, layout: Layout, state: tuple[Array, ...], matrix: Array, variance: float, priors: Priors
 ) -> tuple[tuple[str, ...], Priors]:
-    """Return the names of weakly determined unknowns, and priors for those of them that are lens parameters.
+    """Return the names of weakly determined unknowns, and a prior for the worst parameter of each lens with some.
 
     The reduced normal ``matrix`` (u, u) is scaled by what is plausible of each unknown beforehand: an eigenvalue below 1
     is a direction of which the data, with a ``variance`` of unit weight, say less than that. CalibrationError where
@@ -105,25 +105,25 @@ def weak_directions(
     """
     plausible = _plausible(problem, layout, state)
     values, vectors = np.linalg.eigh(matrix * plausible[:, None] * plausible / max(variance, 1e-300))
-    share = (vectors[:, values < 1] ** 2).max(axis=1, initial=0.0)
-    lens = {
-        column: (camera, parameter) for column, camera, parameter, _ in free_lens_parameters(problem, layout)
-    }
+    # variances along the weak directions, in units of what is plausible
+    open_share = (vectors[:, values < 1] ** 2 / np.maximum(values[values < 1], 1e-300)).sum(axis=1)
     known = {one.column for one in priors}
-    weak = [k for k in np.flatnonzero(share > SHOWN) if k not in known]
-    more = tuple(
-        LensPrior(int(k), camera, parameter, float(state[0][camera, LENS + parameter]), float(plausible[k]))
-        for k in map(int, weak)
-        if k in lens
-        for camera, parameter in [lens[k]]
-    )
+    weak = [k for k in map(int, np.flatnonzero(open_share > 1)) if k not in known]
+    worst: dict[int, LensPrior] = {}
+    for column, camera, parameter, _ in free_lens_parameters(problem, layout):
+        before = worst.get(camera)
+        if column in known or open_share[column] < (SHOWN if before is None else open_share[before.column]):
+            continue
+        value = float(state[0][camera, LENS + parameter])
+        worst[camera] = LensPrior(column, camera, parameter, value, float(plausible[column]))
+    more = tuple(worst.values())
     if not more:
         diagonal = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         values, vectors = np.linalg.eigh(matrix / diagonal[:, None] / diagonal)
         if len(values) and values[0] < SINGULAR:
-            worst = ", ".join(layout.names[k] for k in np.argsort(-np.abs(vectors[:, 0]))[:3])
+            loose = ", ".join(layout.names[k] for k in np.argsort(-np.abs(vectors[:, 0]))[:3])
             raise CalibrationError(
-                f"the observations do not determine {worst}; observe more points there, or hold it"
+                f"the observations do not determine {loose}; observe more points there, or hold it"
             )
     return tuple(layout.names[k] for k in weak), more
 

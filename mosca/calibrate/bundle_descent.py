@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-from mosca.calibrate.bundle_kernels import LENS, linearise
+from mosca.calibrate.bundle_kernels import LENS, imaged, linearise
 from mosca.calibrate.bundle_layout import Layout
 from mosca.calibrate.bundle_lenses import lens_row, set_folds
 from mosca.calibrate.bundle_priors import Priors, pulls
@@ -46,16 +46,37 @@ class Descent:
 
 
 def first_state(problem: Problem, layout: Layout) -> State:
-    """Return the starting values; points without are intersected from their rays."""
+    """Return the starting values; points without, or that a camera cannot image, are intersected from their rays."""
     cameras = tuple(one.camera for one in problem.cameras)
     points = intersected(cameras, layout, np.array(problem.points.xyz))
-    return state_of(problem, cameras, points, problem.placements)
+    state = state_of(problem, cameras, points, problem.placements)
+    return placed_again(cameras, layout, state, layout.see[4])
+
+
+def placed_again(cameras: tuple[Camera, ...], layout: Layout, state: State, weight: Array) -> State:
+    """Return the state with the points that a camera ought to see and does not intersected anew."""
+    unseen = np.isnan(residuals(layout, state)[:, 0]) & (weight > 0) & (layout.see[2] < 0)
+    lost = np.intersect1d(layout.see[1][unseen], layout.members)
+    if len(lost) == 0:
+        return state
+    points = state[1].copy()
+    points[lost] = np.nan
+    return state[0], intersected(cameras, layout, points, state[1]), state[2]
+
+
+def residuals(layout: Layout, state: State) -> Array:
+    """Return projected minus observed (n, 2) [px] of the sorted image points, NaN where not imaged."""
+    out = np.empty((len(layout.order), 2))
+    imaged(state, layout.see, out)
+    return out
 
 
 def state_of(problem: Problem, cameras: Sequence[Camera], points: Array, placements: Placements) -> State:
     """Return a state of these cameras, points and placements."""
     table = [
-        np.concatenate([pose.rotation.ravel(), pose.translation, lens_row(cameras[k].lens, problem.cameras[k].free)])
+        np.concatenate(
+            [pose.rotation.ravel(), pose.translation, lens_row(cameras[k].lens, problem.cameras[k].free)]
+        )
         for camera, k in zip(cameras, problem.lens_owner(), strict=True)
         for pose in [camera.world_from_camera]
     ]

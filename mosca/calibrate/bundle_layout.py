@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from mosca.calibrate.bundle_problem import FOCAL, Problem
+from mosca.calibrate.bundle_problem import FOCAL, Distances, Problem
 from mosca.calibrate.bundle_reduction import find_runs, pair_table
 from mosca.data.arrays import Array
 from mosca.errors import CalibrationError
@@ -28,7 +28,7 @@ class Layout:
     ``see``, ``columns``, ``blocks`` and ``known`` are the kernels'; ``order`` (n,) sorts the problem's observations
     into theirs; ``index`` (groups, K) columns of each group in the reduced system, -1 where held; ``names`` of
     these; ``members`` eliminated points, in the order of their blocks; ``placed`` placements that have a block, in order;
-    ``kept`` points that stay in the reduced system; ``lens_places`` (q, 3) group, place in the group's columns and lens
+    ``kept`` points that stay in the reduced system, ``kept_rods`` distances between these or to held ones; ``lens_places`` (q, 3) group, place in the group's columns and lens
     parameter of every free lens parameter, with ``lens_factors`` (q,).
     """
 
@@ -42,7 +42,7 @@ class Layout:
     members: Array
     placed: Array
     kept: Array
-    kept_rods: Array
+    kept_rods: Distances
     lens_places: Array
     lens_factors: Array
     pair_of: Array
@@ -57,15 +57,16 @@ class Layout:
 
 def lay_out(problem: Problem) -> Layout:
     """Return the structure of ``problem``. CalibrationError for a camera that sees nothing or a point without start."""
-    see, rods, n_points = problem.observations, problem.distances, len(problem.points)
+    see, n_points = problem.observations, len(problem.points)
     cameras, placements = len(problem.cameras), len(problem.placements)
     _every_camera_sees(problem)
     placement = np.asarray(see.placement)
     on_thing = placement >= 0
     held = np.asarray(problem.points.held)
-    kept_mask, label = _kept(problem, on_thing)
     observed = np.zeros(n_points, dtype=bool)
     observed[see.point] = True
+    rods = _useful(problem)
+    kept_mask, label = _kept(problem, on_thing, rods)
     eliminated = ~held & ~kept_mask & (observed | (label >= 0) if len(rods) else observed)
     members = np.flatnonzero(eliminated)
     if len(rods):
@@ -115,7 +116,7 @@ def lay_out(problem: Problem) -> Layout:
         find_runs(dim, slot_first, slot_group),
         np.column_stack([members, home[members], offset[members]]),
     )
-    rod_arrays, kept_rods = _rods(problem, home, offset, eliminated, kept_mask, len(dim))
+    rod_arrays, kept_rods = _rods(rods, home, offset, eliminated, kept_mask, len(dim))
     pair_of, pairs = pair_table(slot_first, slot_group, kept_group, camera, groups)
     information = problem.points.information
     sigma = problem.placements.sigma
@@ -186,9 +187,23 @@ def _every_camera_sees(problem: Problem) -> None:
             )
 
 
-def _kept(problem: Problem, on_thing: Array) -> tuple[Array, Array]:
+def _useful(problem: Problem) -> Distances:
+    """Return the distances both of whose ends something else places, too.
+
+    A point with one ray and a distance has two places: it would lead astray more than it tells.
+    """
+    rods = problem.distances
+    known = np.bincount(problem.observations.point, minlength=len(problem.points)) >= 2
+    known |= problem.points.held
+    if problem.points.information is not None:
+        known = known | (problem.points.information != 0).any(axis=(1, 2))
+    both = known[rods.first] & known[rods.second]
+    return Distances(rods.first[both], rods.second[both], rods.length_m[both], rods.sigma_m[both])
+
+
+def _kept(problem: Problem, on_thing: Array, rods: Distances) -> tuple[Array, Array]:
     """Return which points (p,) stay in the reduced system, and the label (p,) of points joined by distances."""
-    see, rods, held = problem.observations, problem.distances, problem.points.held
+    see, held = problem.observations, np.asarray(problem.points.held)
     kept = np.zeros(len(held), dtype=bool)
     kept[see.point[on_thing]] = True
     kept &= ~held
@@ -214,10 +229,9 @@ def _kept(problem: Problem, on_thing: Array) -> tuple[Array, Array]:
 
 
 def _rods(
-    problem: Problem, home: Array, offset: Array, eliminated: Array, kept: Array, n_blocks: int
-) -> tuple[tuple[Array, ...], Array]:
-    """Return the distances within blocks as the kernels take them, and the indices of those between kept points."""
-    rods = problem.distances
+    rods: Distances, home: Array, offset: Array, eliminated: Array, kept: Array, n_blocks: int
+) -> tuple[tuple[Array, ...], Distances]:
+    """Return the distances within blocks as the kernels take them, and those that touch only kept points."""
     inside = eliminated[rods.first] | eliminated[rods.second]
     of_block = np.where(eliminated[rods.first], home[rods.first], home[rods.second])
     chosen = np.flatnonzero(inside)
@@ -229,7 +243,8 @@ def _rods(
         np.column_stack([one, two, *at]),
         np.column_stack([rods.length_m[chosen], 1 / rods.sigma_m[chosen]]),
     )
-    return arrays, np.flatnonzero(~inside & (kept[rods.first] | kept[rods.second]))
+    rest = ~inside & (kept[rods.first] | kept[rods.second])
+    return arrays, Distances(rods.first[rest], rods.second[rest], rods.length_m[rest], rods.sigma_m[rest])
 
 
 def _groups(

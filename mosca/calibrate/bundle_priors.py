@@ -83,19 +83,18 @@ def pulls(
         normals[columns[:, :, None], columns[:, None, :]] += information[layout.kept]
         slope[columns] += pull
         cost += float(np.sum(pull * away))
-    cost += _kept_rods(problem, layout, points, normals, slope)
+    cost += _kept_rods(layout, points, normals, slope)
     return (normals, slope), cost
 
 
-def _kept_rods(problem: Problem, layout: Layout, points: Array, normals: Array, slope: Array) -> float:
-    rods, cost = problem.distances, 0.0
-    first_column = dict(zip(layout.kept, layout.index[len(problem.cameras) :, 0], strict=True))
-    for k in layout.kept_rods:
-        one, two = int(rods.first[k]), int(rods.second[k])
+def _kept_rods(layout: Layout, points: Array, normals: Array, slope: Array) -> float:
+    rods, cost = layout.kept_rods, 0.0
+    cameras = len(layout.index) - len(layout.kept)
+    first_column = dict(zip(layout.kept.tolist(), layout.index[cameras:, 0].tolist(), strict=True))
+    for one, two, wanted, sigma in zip(rods.first, rods.second, rods.length_m, rods.sigma_m, strict=True):
         away = points[one] - points[two]
         length = max(float(np.linalg.norm(away)), 1e-12)
-        residual = (length - rods.length_m[k]) / rods.sigma_m[k]
-        by = away / length / rods.sigma_m[k]
+        residual, by = (length - wanted) / sigma, away / length / sigma
         ends = [(first_column[p], sign) for p, sign in ((one, 1.0), (two, -1.0)) if p in first_column]
         for a, sign in ends:
             slope[a : a + 3] += sign * by * residual

@@ -12,11 +12,14 @@ from mosca.errors import CalibrationError
 LEAST_CROSSING = 1e-5
 
 
-def intersected(cameras: tuple[Camera, ...], layout: Layout, points: Array) -> Array:
+def intersected(
+    cameras: tuple[Camera, ...], layout: Layout, points: Array, fallback: Array | None = None
+) -> Array:
     """Return points (p, 3) with the eliminated ones that are NaN replaced by the point nearest to their rays.
 
     Rays that hardly cross, or meet behind a camera (possible with poor starting poses), put the point at the mean of
-    its rays at the typical distance of the others. CalibrationError for a point that nothing places.
+    its rays at the typical distance of the others. A point that nothing places is put where ``fallback`` (p, 3) has it;
+    CalibrationError without.
     """
     missing = layout.members[~np.isfinite(points[layout.members]).all(axis=1)]
     if len(missing) == 0:
@@ -48,10 +51,13 @@ def intersected(cameras: tuple[Camera, ...], layout: Layout, points: Array) -> A
         counts = np.bincount(target, minlength=len(missing))
         with np.errstate(invalid="ignore"):
             found[behind] = (along / counts[:, None])[behind]
-    lost = np.flatnonzero(~np.isfinite(found).all(axis=1))
-    if len(lost):
+    lost = ~np.isfinite(found).all(axis=1)
+    if fallback is not None:
+        found[lost] = fallback[missing[lost]]
+    elif lost.any():
         raise CalibrationError(
-            f"point {missing[lost[0]]}: no ray places it and it has no starting coordinates; give some or leave it out"
+            f"point {missing[np.argmax(lost)]}: no ray places it and it has no starting coordinates; give some or "
+            "leave it out"
         )
     points = points.copy()
     points[missing] = found
