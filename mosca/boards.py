@@ -5,10 +5,10 @@ and what is not sure is refused. A checkerboard must be seen as a whole (``findC
 Frese 2018); of a ChArUco board, whose markers name the corners, at least half of them must be seen, and all corners
 must lie where one board before a camera can have them.
 
-Refinement is OpenCV's ``cornerSubPix`` (Foerstner and Guelch 1987) on the image blurred by 1 px: the point c with all
-grey-value gradients g of a window perpendicular to the way to it, ``sum w g g^T (p - c) = 0``. The finder's own corners
-are five times as far off. The covariance is that of the pixels' noise, measured in the image, at first order; about
-0.01 px of systematic error, from the finite window and edges of one or two pixels' width, is not in it.
+Refinement is OpenCV's ``cornerSubPix`` (Foerstner and Guelch 1987) on the image blurred by 1 px: the point c to which
+all grey-value gradients g of a window are perpendicular, ``sum w g g^T (p - c) = 0``. The finder's own corners are
+five times as far off. The covariance is that of the pixels' noise, measured in the image, at first order, and
+``SYSTEMATIC_PX`` for what the finite window leaves of edges one or two pixels wide (measured on rendered boards).
 """
 
 import math
@@ -27,8 +27,10 @@ LEAST_SHARE = 0.5
 WINDOW_SHARE, SMALLEST_WINDOW_PX, LARGEST_WINDOW_PX = 0.35, 3, 11
 """Half the window of the refinement: share of the smallest distance of two corners, and its limits."""
 BLUR_PX, BLUR_REACH = 1.0, 4
+SYSTEMATIC_PX = 0.01
 FARTHEST_SHARE = 0.15
 """How far a corner may lie from where its board's homography has it, in distances of corners."""
+NO_ROOM = "a corner is too near to the image's border"
 FEWEST_CORNERS = 6
 """Below that nothing checks a homography."""
 
@@ -51,9 +53,8 @@ def find_board(image: Array, board: Board, camera: str = "") -> BoardDetections:
     corner, xy = found
     spacing = _spacing(xy)
     half = _half_window(board, spacing)
-    room = half + BLUR_REACH + 2
-    if (xy < room).any() or (xy > np.array(image.shape[::-1]) - room - 1).any():
-        return BoardDetections.none(camera, "a corner touches the image's border")
+    if not _has_room(image, xy, half):
+        return BoardDetections.none(camera, NO_ROOM)
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 1e-4)
     start = xy.astype(np.float32).reshape(-1, 1, 2)
     soft = _soft(grey.astype(np.float32))
@@ -62,25 +63,31 @@ def find_board(image: Array, board: Board, camera: str = "") -> BoardDetections:
     off = _off_homography(board.corners()[corner, :2], xy) / spacing
     if len(xy) < FEWEST_CORNERS or off.max() > FARTHEST_SHARE:
         return BoardDetections.none(
-            camera, f"{len(xy)} corners, one of them {off.max():.2f} squares from where the board would have it"
+            camera,
+            f"{len(xy)} corners, one of them {off.max():.2f} squares from where the board would have it",
         )
+    if not _has_room(image, xy, half):
+        return BoardDetections.none(camera, NO_ROOM)
     left, top = np.floor(xy.min(axis=0)).astype(int)
     right, bottom = np.ceil(xy.max(axis=0)).astype(int) + 1
     noise = noise_of(grey[top:bottom, left:right])
-    covariance = np.array([corner_covariance(soft, at, half, noise) for at in xy])
+    random = np.array([corner_covariance(soft, at, half, noise) for at in xy])
+    covariance = random + SYSTEMATIC_PX**2 * np.eye(2)
     return BoardDetections(camera, corner, xy, covariance)
 
 
 def corner_covariance(image: Array, xy_px: Array, half_px: int, noise_dn: float) -> Array:
     """Return the covariance (2, 2) [px^2] of a corner refined in a window of +-``half_px`` of the blurred ``image``.
 
-    ``noise_dn``: standard deviation of a pixel before the blur. First order in the pixels' noise: the corner moves by ``A^-1 sum w g (d . grad n)``, with g the gradients, d the
-    pixels' places about the corner, n the blurred noise and w the window's weights. Infinite where no gradients meet.
+    ``noise_dn``: standard deviation of a pixel before the blur. First order in the pixels' noise: the corner moves by
+    ``A^-1 sum w g (d . grad n)``, ``A = sum w g g^T``, with g the gradients, d the pixels' places about the corner, n
+    the blurred noise and w the window's weights. Infinite where no gradients meet.
     """
     column, row = np.floor(xy_px + 0.5).astype(int)
     reach = half_px + 1 + BLUR_REACH
     window = image[row - reach : row + reach + 1, column - reach : column + reach + 1].astype(np.float64)
-    gy, gx = (d[BLUR_REACH + 1 : -BLUR_REACH - 1, BLUR_REACH + 1 : -BLUR_REACH - 1] for d in np.gradient(window))
+    inner = slice(BLUR_REACH + 1, -BLUR_REACH - 1)
+    gx, gy = (np.gradient(window, axis=axis)[inner, inner] for axis in (1, 0))
     steps = np.arange(-half_px, half_px + 1)
     dx, dy = np.meshgrid(steps + column - xy_px[0], steps + row - xy_px[1])
     weight = np.exp(-(dx**2 + dy**2) / half_px**2)
@@ -92,7 +99,7 @@ def corner_covariance(image: Array, xy_px: Array, half_px: int, noise_dn: float)
     pull = np.zeros((2, *window.shape))
     for axis, d in ((1, dy), (2, dx)):
         shares = np.zeros_like(pull)
-        shares[:, BLUR_REACH + 1 : -BLUR_REACH - 1, BLUR_REACH + 1 : -BLUR_REACH - 1] = weight * g * d / 2
+        shares[:, inner, inner] = weight * g * d / 2
         pull += np.roll(shares, 1, axis) - np.roll(shares, -1, axis)
     pull = np.stack([_soft(part) for part in pull])
     inverse = np.linalg.inv(normal)
@@ -102,6 +109,12 @@ def corner_covariance(image: Array, xy_px: Array, half_px: int, noise_dn: float)
 def _soft(image: Array) -> Array:
     """Return an image blurred by ``BLUR_PX``."""
     return np.asarray(cv2.GaussianBlur(image, (2 * BLUR_REACH + 1, 2 * BLUR_REACH + 1), BLUR_PX))
+
+
+def _has_room(image: Array, xy: Array, half_px: int) -> bool:
+    """Tell whether the windows about all corners (n, 2) lie within the image, blur and all."""
+    room = half_px + BLUR_REACH + 2
+    return bool((xy >= room).all() and (xy <= np.array(image.shape[::-1]) - room - 1).all())
 
 
 def _half_window(board: Board, spacing_px: float) -> int:

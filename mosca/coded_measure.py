@@ -9,7 +9,8 @@ import math
 import numba
 import numpy as np
 
-from mosca.coded_kernels import AXX, AXY, AYY, CONTRAST_DN, PLATE_DN, X, Y
+from mosca.coded_dots import AXX, AXY, AYY, CONTRAST_DN, PLATE_DN, X, Y
+from mosca.coded_read import Readings, ellipses_of
 from mosca.data.arrays import Array
 from mosca.detect_measure import XX, XY, YY, Noise, measure_regions
 from mosca.detect_measure import X as COLUMN
@@ -22,22 +23,19 @@ RIM_PX = 1.0
 
 
 def measure_dots(
-    image: Array, table: Array, dark_dn2: float, gain_dn: float, turned_dn: float | None = None
+    image: Array, dots: Readings, dark_dn2: float, gain_dn: float, turned_dn: float | None = None
 ) -> tuple[Array, Array]:
-    """Return centres (n, 2) [px] and covariances (n, 2, 2) [px^2] of the dots in ``table``.
+    """Return centres (n, 2) [px] and covariances (n, 2, 2) [px^2] of ``dots``.
 
     ``image`` (H, W) shows them white. ``turned_dn``: the grey value that was black where the image's grey values
     were turned round: then photon noise grows with the plate's light. ``dark_dn2``, ``gain_dn``: see
     ``mosca.detect_measure.Noise``.
     """
-    n = len(table)
+    n = len(dots)
     xy, covariance = np.empty((n, 2)), np.empty((n, 2, 2))
-    half, spread = (
-        0.5 * (table[:, AXX] + table[:, AYY]),
-        np.hypot(0.5 * (table[:, AXX] - table[:, AYY]), table[:, AXY]),
-    )
-    reach = np.array([next(px for least, px in REACH if axis >= least) for axis in half - spread], dtype=int)
-    level = np.floor(table[:, PLATE_DN] + 0.5 * table[:, CONTRAST_DN]).astype(np.int32)
+    shorter = ellipses_of(dots.frames)[0][:, 1]
+    reach = np.array([next(px for least, px in REACH if axis >= least) for axis in shorter], dtype=int)
+    level = np.floor(dots.levels[:, PLATE_DN] + 0.5 * dots.levels[:, CONTRAST_DN]).astype(np.int32)
     batches = [np.flatnonzero(reach == px) for _, px in REACH]
     if turned_dn is not None:  # each plate has a noise of its own
         batches = [np.array([i]) for i in range(n)]
@@ -46,9 +44,9 @@ def measure_dots(
             continue
         noise = Noise(float(dark_dn2), float(gain_dn))
         if turned_dn is not None:
-            light = float(turned_dn - table[batch[0], PLATE_DN])
+            light = float(turned_dn - dots.levels[batch[0], PLATE_DN])
             noise = Noise(float(dark_dn2 + gain_dn * light), -float(gain_dn))
-        runs, regions = dot_regions(image, table[batch], level[batch])
+        runs, regions = dot_regions(image, dots.frames[batch], level[batch])
         each = np.broadcast_to(image, (len(batch), *image.shape))
         rows, _ = measure_regions(each, runs, regions, level[batch], True, int(reach[batch[0]]), noise)
         xy[batch] = rows[:, [COLUMN, ROW]]
@@ -57,16 +55,16 @@ def measure_dots(
 
 
 @numba.njit(nogil=True, cache=True, error_model="numpy")
-def dot_regions(image: Array, table: Array, level: Array) -> tuple[Array, Array]:
+def dot_regions(image: Array, frames: Array, level: Array) -> tuple[Array, Array]:
     """Return runs (m, 3) and regions (n, 4) as ``find_regions_in_set`` does, each dot in an image of its own."""
     n_rows = 0
-    for i in range(len(table)):
-        n_rows += 2 * int(math.hypot(table[i, AXY], table[i, AYY]) + RIM_PX) + 3
+    for i in range(len(frames)):
+        n_rows += 2 * int(math.hypot(frames[i, AXY], frames[i, AYY]) + RIM_PX) + 3
     runs, n = np.empty((n_rows, 3), np.int32), 0
-    regions = np.empty((len(table), 4), np.int32)
-    for i in range(len(table)):
-        x, y, first_run = table[i, X], table[i, Y], n
-        axx, axy, ayy = table[i, AXX] + RIM_PX, table[i, AXY], table[i, AYY] + RIM_PX
+    regions = np.empty((len(frames), 4), np.int32)
+    for i in range(len(frames)):
+        x, y, first_run = frames[i, X], frames[i, Y], n
+        axx, axy, ayy = frames[i, AXX] + RIM_PX, frames[i, AXY], frames[i, AYY] + RIM_PX
         det = axx * ayy - axy * axy
         half_x, half_y = math.hypot(axx, axy), math.hypot(axy, ayy)
         left, right = max(int(x - half_x), 0), min(int(x + half_x) + 1, image.shape[1] - 1)

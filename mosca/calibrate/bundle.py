@@ -8,40 +8,38 @@ A ``Problem`` says what is unknown and what was observed, ``solve`` returns the 
     problem = Problem(cameras, observations, ObjectPoints.free(2 * frames), distances=lengths, datum="points")
     adjustment = solve(problem)
 
-Least squares, or robust by reweighting, over cameras, lenses, points and poses at once (Brown 1958; Triggs et al.
-1999). Time and memory are linear in the observations; the cameras, lenses and points seen on placed things
-stay in one dense reduced system, so that up to a thousand or two of these are sensible.
+Least squares, or robust by reweighting, over cameras, lenses, points and poses at once (Brown 1958; Triggs et
+al. 1999). Time and memory are linear in the observations; the cameras, lenses and points seen on placed
+things stay in one dense reduced system, so that up to a thousand or two of these are sensible.
 """
 
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg.lapack import dposv
 
-from mosca.calibrate.bundle_adjustment import (
-    Adjustment,
-    Precision,
-    Solution,
-    adjusted_cameras,
-    datum_mask,
-    precision_of,
-    tested,
-)
+from mosca.calibrate.bundle_adjustment import Adjustment, Precision, precision_of, tested
 from mosca.calibrate.bundle_blunders import snoop, without_lonely
 from mosca.calibrate.bundle_datum import check_datum, generators, null_generators, weak_directions
 from mosca.calibrate.bundle_descent import (
     Descent,
+    Solution,
     State,
+    Task,
+    adjusted_cameras,
     descend,
+    empty_normals,
     first_state,
+    linearised,
     placed_again,
     reduced,
     residuals,
     state_of,
-)
+)  # fmt: skip
 from mosca.calibrate.bundle_kernels import CAUCHY, HUBER, LEAST_SQUARES, LENS, UNSEEN, weigh
 from mosca.calibrate.bundle_layout import Layout, lay_out
+from mosca.calibrate.bundle_network import diagonals, onto_given
 from mosca.calibrate.bundle_priors import Priors, count, lens_priors, pulls
 from mosca.calibrate.bundle_problem import (
     FOCAL,
@@ -53,7 +51,7 @@ from mosca.calibrate.bundle_problem import (
     Observations,
     Placements,
     Problem,
-)
+)  # fmt: skip
 from mosca.calibrate.bundle_start import intersected
 from mosca.data.arrays import Array, read_only
 from mosca.errors import CalibrationError
@@ -63,7 +61,7 @@ __all__ = [
     "Observations", "Placements", "Precision", "Problem", "solve",
 ]  # fmt: skip
 LOSSES = {"least squares": LEAST_SQUARES, "huber": HUBER, "cauchy": CAUCHY}
-HOLDING_ROUNDS = 16
+HOLDING_ROUNDS, PLACING_ROUNDS = 16, 5
 # unknowns of the reduced system up to which its eigenvectors are looked at
 MOST_LOOKED_INTO = 1500
 
@@ -72,11 +70,11 @@ MOST_LOOKED_INTO = 1500
 class BundleSettings:
     """How a bundle is adjusted.
 
-    ``loss``: robust losses count residuals beyond ``loss_scale`` (in a-priori standard deviations, of both coordinates
-    together) for less. ``tolerance``: share of its standard deviation by which an unknown may still move at
-    the end. ``blunder_significance``: chance that an image point is rejected in an adjustment without blunders; None
-    rejects none. ``hold_weak``: hold lens parameters that the data leave open near their starting values.
-    ``precision``: work out covariances, redundancy numbers and tests.
+    ``loss``: robust losses count residuals beyond ``loss_scale`` (in a-priori standard deviations, of both
+    coordinates together) for less. ``tolerance``: share of its standard deviation by which an unknown may
+    still move at the end. ``blunder_significance``: chance that an image point is rejected in an adjustment
+    without blunders; None rejects none. ``hold_weak``: hold lens parameters that the data leave open near
+    their starting values. ``precision``: work out covariances, redundancy numbers and tests.
     """
 
     loss: Literal["least squares", "huber", "cauchy"] = "least squares"
@@ -91,34 +89,36 @@ class BundleSettings:
 def solve(
     problem: Problem, settings: BundleSettings | None = None, start: Adjustment | None = None
 ) -> Adjustment:
-    """Adjust ``problem``, from its given values or from those of an earlier adjustment ``start`` of the same structure.
+    """Adjust ``problem``, from its given values or from those of an earlier adjustment ``start`` of the same
+    structure.
 
     CalibrationError where the datum or an unknown is not determined.
     """
     settings = settings or BundleSettings()
     layout = lay_out(problem)
     state = first_state(problem, layout) if start is None else _state_of(problem, layout, start)
-    priors = lens_priors(problem, layout)
     robust = (LOSSES[settings.loss], settings.loss_scale**2)
+    task = Task(
+        problem, layout, lens_priors(problem, layout), robust, settings.tolerance, settings.most_steps
+    )
     weight = without_lonely(layout, layout.see[4])
-    solution, priors, weak, held, steps = _solved(problem, layout, state, weight, priors, robust, settings)
+    task, solution, weak, steps = _solved(task, state, weight, settings.hold_weak)
+    held = tuple(layout.names[one.column] for one in task.priors[len(lens_priors(problem, layout)) :])
     rejected = np.zeros(len(layout.order), dtype=bool)
     if settings.blunder_significance is not None:
-        significance = settings.blunder_significance
-        solution, rejected = _snooped(problem, layout, solution, priors, robust, settings, significance)
+        solution, rejected = _snooped(task, solution, settings.blunder_significance)
     if problem.datum == "points":
-        solution = replace(
-            solution, descent=replace(solution.descent, state=_onto_given(problem, layout, solution, state))
-        )
-    descent = solution.descent
-    own = residuals(layout, descent.state)
-    sigma0_squared, redundancy = _variance(problem, layout, solution, priors, robust)
+        in_datum = onto_given(problem, layout, solution, state)
+        solution = replace(solution, descent=replace(solution.descent, state=in_datum))
+    variance, redundancy = _variance(task, solution)
     precision = None
     if settings.precision:
         if problem.datum == "points":
-            solution = _solution_at(problem, layout, solution, priors, robust)
+            solution = _solution_at(task, solution)
         cofactors, tests = tested(layout, solution, robust)
-        precision = precision_of(problem, layout, solution, cofactors, tests, sigma0_squared)
+        precision = precision_of(problem, layout, solution, cofactors, tests, variance)
+    descent = solution.descent
+    own = residuals(layout, descent.state)
     used, out, residual = np.empty(len(own), dtype=bool), np.empty(len(own), dtype=bool), np.empty_like(own)
     used[layout.order] = (solution.weight > 0) & np.isfinite(own[:, 0])
     out[layout.order], residual[layout.order] = rejected, -own
@@ -133,7 +133,7 @@ def solve(
         layout.names,
         weak,
         held,
-        float(np.sqrt(sigma0_squared)),
+        float(np.sqrt(variance)),
         redundancy,
         descent.cost,
         steps,
@@ -143,70 +143,64 @@ def solve(
 
 
 def _solved(
-    problem: Problem,
-    layout: Layout,
-    state: State,
-    weight: Array,
-    priors: Priors,
-    robust: tuple[int, float],
-    settings: BundleSettings,
-) -> tuple[Solution, Priors, tuple[str, ...], tuple[str, ...], int]:
-    """Descend, holding lens parameters that turn out to be weak; also the priors, weak and held names, and steps."""
+    task: Task, state: State, weight: Array, hold_weak: bool
+) -> tuple[Task, Solution, tuple[str, ...], int]:
+    """Descend, holding lens parameters that turn out to be weak, which the task returned then has as priors.
+
+    Also returns the names of weak unknowns and the number of steps.
+    """
     weak: tuple[str, ...] = ()
-    held: tuple[str, ...] = ()
     first, steps = state, 0
     for _ in range(HOLDING_ROUNDS):
-        descent = descend(
-            problem, layout, state, weight, priors, robust, settings.tolerance, settings.most_steps
-        )
+        descent = descend(task, state, weight)
         steps += descent.steps
-        if descent.unseen:
-            cameras = adjusted_cameras(problem, layout, descent.state)
-            again = placed_again(cameras, layout, descent.state, weight)
-            descent = descend(
-                problem, layout, again, weight, priors, robust, settings.tolerance, settings.most_steps
-            )
-            steps += descent.steps
-        matrix, inverse, motions = _normal_matrix(problem, layout, descent, priors)
+        for _ in range(PLACING_ROUNDS):
+            again = placed_again(task, descent.state, weight)
+            if again is None:
+                break
+            other = descend(task, again, weight)
+            steps += other.steps
+            if other.cost >= descent.cost:
+                break
+            descent = other
+        matrix, inverse, motions = _normal_matrix(task, descent)
         more: Priors = ()
         if 0 < len(matrix) <= MOST_LOOKED_INTO:
-            trial = Solution(descent, weight, matrix, inverse, motions)
-            variance = _variance(problem, layout, trial, priors, robust)[0]
-            found, more = weak_directions(problem, layout, descent.state, matrix, variance, priors)
+            variance = _variance(task, Solution(descent, weight, matrix, inverse, motions))[0]
+            found, more = weak_directions(
+                task.problem, task.layout, descent.state, matrix, variance, task.priors
+            )
             weak += tuple(name for name in found if name not in weak)
-        if not (more and settings.hold_weak):
+        if not (more and hold_weak):
             break
         # near their starting values, wherever they have crept
         more = tuple(replace(one, value=float(first[0][one.camera, LENS + one.parameter])) for one in more)
-        priors += more
-        held += tuple(layout.names[one.column] for one in more)
-        state = descent.state
-    return Solution(descent, weight, _inverse(layout, matrix), inverse, motions), priors, weak, held, steps
+        task, state = replace(task, priors=task.priors + more), descent.state
+    return task, Solution(descent, weight, _inverse(task.layout, matrix), inverse, motions), weak, steps
 
 
-def _solution_at(
-    problem: Problem, layout: Layout, solution: Solution, priors: Priors, robust: tuple[int, float]
-) -> Solution:
-    """Return the solution with the normal equations of its state, which may have been moved since."""
-    there = descend(problem, layout, solution.descent.state, solution.weight, priors, robust, 1.0, 0)
-    matrix, inverse, motions = _normal_matrix(problem, layout, there, priors)
-    descent = replace(solution.descent, normals=there.normals)
-    return Solution(descent, solution.weight, _inverse(layout, matrix), inverse, motions)
+def _solution_at(task: Task, solution: Solution) -> Solution:
+    """Return the solution with the normal equations of its state, which was moved since."""
+    normals = empty_normals(task.layout)
+    linearised(task, solution.descent.state, solution.weight, normals)
+    descent = replace(solution.descent, normals=normals)
+    matrix, inverse, motions = _normal_matrix(task, descent)
+    return Solution(descent, solution.weight, _inverse(task.layout, matrix), inverse, motions)
 
 
-def _normal_matrix(
-    problem: Problem, layout: Layout, descent: Descent, priors: Priors
-) -> tuple[Array, Array, int]:
-    """Return the reduced normal matrix with the datum fixed, the inverse blocks, and how many motions were loose."""
-    pull, _ = pulls(problem, layout, priors, descent.state)
-    matrix, _, inverse = reduced(layout, descent.normals, pull, 0.0)
+def _normal_matrix(task: Task, descent: Descent) -> tuple[Array, Array, int]:
+    """Return the reduced normal matrix with the datum fixed, the inverse blocks, and how many motions were
+    loose.
+    """
+    pull, _ = pulls(task.problem, task.layout, task.priors, descent.state)
+    matrix, _, inverse = reduced(task.layout, descent.normals, pull, 0.0)
     if len(matrix) == 0:
         return matrix, inverse, 0
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    motions = generators(layout, descent.state) * scale[:, None]
+    motions = generators(task.layout, descent.state) * scale[:, None]
     loose = null_generators(matrix / scale[:, None] / scale, motions)
-    check_datum(problem, loose.shape[1])
-    if problem.datum == "points":
+    check_datum(task.problem, loose.shape[1])
+    if task.problem.datum == "points":
         fixing = loose * scale[:, None]
         matrix = matrix + fixing @ fixing.T
     return matrix, inverse, loose.shape[1]
@@ -216,92 +210,41 @@ def _inverse(layout: Layout, matrix: Array) -> Array:
     if len(matrix) == 0:
         return matrix
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    try:
-        factor = cho_factor(matrix * scale[:, None] * scale, check_finite=False)
-    except LinAlgError:
-        worst = ", ".join(layout.names[k] for k in np.argsort(np.diag(matrix))[:3])
+    _, inverse, failed = dposv(matrix * scale[:, None] * scale, np.eye(len(matrix)))
+    if failed:
         raise CalibrationError(
-            f"the observations do not determine all unknowns (perhaps {worst}); hold some or observe more points"
-        ) from None
-    inverse = cho_solve(factor, np.eye(len(matrix)), check_finite=False) * scale[:, None] * scale
+            f"the observations do not determine all unknowns (first {layout.names[failed - 1]}); hold some or "
+            "observe more points"
+        )
+    inverse *= scale[:, None] * scale
     return np.asarray((inverse + inverse.T) / 2)
 
 
-def _variance(
-    problem: Problem, layout: Layout, solution: Solution, priors: Priors, robust: tuple[int, float]
-) -> tuple[float, int]:
+def _variance(task: Task, solution: Solution) -> tuple[float, int]:
     """Return the variance of unit weight and the redundancy."""
-    active = int((solution.weight > 0).sum()) - solution.descent.unseen
-    dim, at_v = layout.blocks[0], layout.blocks[4]
-    block = np.repeat(np.arange(len(dim)), dim)
-    inside = np.arange(int(dim.sum())) - np.repeat(np.cumsum(dim) - dim, dim)
-    determined = int((solution.inverse[at_v[block] + inside * (dim[block] + 1)] > 0).sum())
-    observed = 2 * active + count(problem, layout, priors)
-    redundancy = (
-        observed - len(layout.names) - determined + (solution.motions if problem.datum == "points" else 0)
-    )
+    layout, descent = task.layout, solution.descent
+    active = int((solution.weight > 0).sum()) - descent.unseen
+    determined = int((diagonals(layout, solution.inverse) > 0).sum())
+    redundancy = 2 * active + count(task.problem, layout, task.priors) - len(layout.names) - determined
+    redundancy += solution.motions if task.problem.datum == "points" else 0
     # a point that is not seen has a cost, but is no observation
-    unseen = solution.descent.unseen * weigh(2 * UNSEEN**2, *robust)[0]
-    cost = max(solution.descent.cost - unseen, 0.0)
-    return cost / max(redundancy, 1), redundancy
+    unseen = descent.unseen * weigh(2 * UNSEEN**2, *task.robust)[0]
+    return max(descent.cost - unseen, 0.0) / max(redundancy, 1), redundancy
 
 
-def _snooped(
-    problem: Problem,
-    layout: Layout,
-    solution: Solution,
-    priors: Priors,
-    robust: tuple[int, float],
-    settings: BundleSettings,
-    significance: float,
-) -> tuple[Solution, Array]:
+def _snooped(task: Task, solution: Solution, significance: float) -> tuple[Solution, Array]:
     """Return the solution without blunders, and which sorted image points (n,) were rejected."""
 
     def solve_again(before: Solution, weight: Array) -> Solution:
-        start = before.descent.state
-        descent = descend(
-            problem, layout, start, weight, priors, robust, settings.tolerance, settings.most_steps
-        )
-        matrix, inverse, motions = _normal_matrix(problem, layout, descent, priors)
-        return Solution(descent, weight, _inverse(layout, matrix), inverse, motions)
+        descent = descend(task, before.descent.state, weight)
+        matrix, inverse, motions = _normal_matrix(task, descent)
+        return Solution(descent, weight, _inverse(task.layout, matrix), inverse, motions)
 
     def test(one: Solution) -> tuple[Array, float, int]:
-        variance, redundancy = _variance(problem, layout, one, priors, robust)
-        return tested(layout, one, robust)[1][:, 5], variance * redundancy, redundancy
+        variance, redundancy = _variance(task, one)
+        return tested(task.layout, one, task.robust)[1][:, 5], variance * redundancy, redundancy
 
-    return snoop(layout, solution, significance, solve_again, test)
-
-
-def _onto_given(problem: Problem, layout: Layout, solution: Solution, given: State) -> State:
-    """Return the network moved so that its datum points neither shift, turn nor stretch against their given values.
-
-    Minimises the sum of the squared distances (Horn 1987, by singular values: Umeyama 1991).
-    """
-    table, points, placements = solution.descent.state
-    chosen = layout.members[datum_mask(problem, layout, solution.inverse)]
-    if len(chosen) < 3:
-        raise CalibrationError(
-            f"datum 'points': {len(chosen)} determined points carry it; three at least are wanted"
-        )
-    target, source = given[1][chosen], points[chosen]
-    middle, own = target.mean(axis=0), source.mean(axis=0)
-    left, sizes, right = np.linalg.svd((target - middle).T @ (source - own))
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    turn = (left * signs) @ right
-    stretch = float(sizes @ signs / np.sum((source - own) ** 2)) if solution.motions == 7 else 1.0
-    shift = middle - stretch * turn @ own
-
-    def carried(x: Array) -> Array:
-        return np.asarray(stretch * x @ turn.T + shift)
-
-    table, points, placements = table.copy(), points.copy(), placements.copy()
-    own_points = np.concatenate([layout.members, layout.kept])
-    of_world = own_points[~np.isin(own_points, layout.see[1][layout.see[2] >= 0])]
-    points[of_world] = carried(points[of_world])
-    for poses in (table, placements):
-        poses[:, :9] = (turn @ poses[:, :9].reshape(-1, 3, 3)).reshape(-1, 9)
-        poses[:, 9:12] = carried(poses[:, 9:12])
-    return table, points, placements
+    return snoop(task.layout, solution, significance, solve_again, test)
 
 
 def _state_of(problem: Problem, layout: Layout, start: Adjustment) -> State:

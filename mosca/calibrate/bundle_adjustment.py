@@ -1,32 +1,33 @@
 """What a bundle adjustment returns, and how it is worked out from the normal equations at the solution."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.calibrate.bundle_datum import generators, placed_points, point_motions
-from mosca.calibrate.bundle_descent import Descent, State
+from mosca.calibrate.bundle_datum import placed_points
+from mosca.calibrate.bundle_descent import Solution, State, adjusted_cameras
 from mosca.calibrate.bundle_kernels import LENS
 from mosca.calibrate.bundle_layout import Layout
-from mosca.calibrate.bundle_lenses import lens_of
-from mosca.calibrate.bundle_precision import carry_down, carry_up, precise
+from mosca.calibrate.bundle_network import in_free_network, undetermined
+from mosca.calibrate.bundle_precision import precise
 from mosca.calibrate.bundle_problem import Placements, Problem
 from mosca.data.arrays import Array, read_only
-from mosca.data.rig import Camera, FisheyeLens, Lens, MoscaLens, Pose
+from mosca.data.rig import Camera, FisheyeLens, Lens, MoscaLens
 
 
 @dataclass(frozen=True, eq=False)
 class Precision:
     """How good an adjustment is. All covariances carry the a-posteriori sigma0.
 
-    ``covariance`` (u, u) of ``Adjustment.parameters``; ``points`` (p, 3, 3) [m^2] and ``placements`` (f, 6, 6) (turn about
-    the thing's own axes, position) with the cameras' part, zero where held, NaN where not determined;
-    ``redundancy_numbers`` (n, 2) of each image coordinate (Baarda 1968: 0 says nothing about itself, 1 all; NaN where
-    left out) and ``standardised`` (n, 2) its residual over that residual's standard deviation (w-test);
-    ``statistic`` (n,) the same of both coordinates together: v^T Q_vv^-1 v, of unit variance, chi-square with 2 degrees
-    of freedom, also of points left out (from the others' prediction), NaN where it cannot be tested.
-    ``sigma_x_px`` ... by camera (c,): a-posteriori standard deviation of an image coordinate and of the same on the
-    object at each point's own distance (the Mosca paper's figure of a calibration, section 2.2, Table 2).
+    ``covariance`` (u, u) of ``Adjustment.parameters``; ``points`` (p, 3, 3) [m^2] and ``placements`` (f, 6,
+    6) (turn about the thing's own axes, position) with the cameras' part, zero where held, NaN where not
+    determined; ``redundancy_numbers`` (n, 2) of each image coordinate (Baarda 1968: 0 says nothing about
+    itself, 1 all; NaN where left out) and ``standardised`` (n, 2) its residual over that residual's standard
+    deviation (w-test); ``statistic`` (n,) the same of both coordinates together: v^T Q_vv^-1 v, of unit
+    variance, chi-square with 2 degrees of freedom, also of points left out (from the others' prediction), NaN
+    where it cannot be tested. ``sigma_x_px`` ... by camera (c,): a-posteriori standard deviation of an image
+    coordinate and of the same on the object at each point's own distance (the Mosca paper's figure of a
+    calibration, section 2.2, Table 2).
     """
 
     covariance: Array
@@ -45,13 +46,14 @@ class Precision:
 class Adjustment:
     """A bundle adjustment's result.
 
-    ``cameras``, ``points`` (p, 3) [m] and ``placements`` adjusted; ``residuals_px`` (n, 2) observed minus projected, of
-    points left out too, NaN where a camera does not image its point; ``used`` (n,) bool; ``rejected`` indices of the
-    observations rejected as blunders (``used`` lacks also those of points that the rest does not determine, and unseen
-    ones); ``parameters`` names of the u unknowns of cameras, lenses and kept points; ``weak`` those that the data hardly
-    determine, the lens parameters among them ``held`` near their starting values; ``sigma0`` a-posteriori standard deviation of
-    unit weight (1 where the sigmas a priori were right; in px where they were 1 px); ``redundancy`` observations
-    minus unknowns; ``cost`` weighted sum of squares, or robust loss; ``precision`` None unless asked for.
+    ``cameras``, ``points`` (p, 3) [m] and ``placements`` adjusted; ``residuals_px`` (n, 2) observed minus
+    projected, of points left out too, NaN where a camera does not image its point; ``used`` (n,) bool;
+    ``rejected`` indices of the observations rejected as blunders (``used`` lacks also those of points that
+    the rest does not determine, and unseen ones); ``parameters`` names of the u unknowns of cameras, lenses
+    and kept points; ``weak`` those that the data hardly determine, the lens parameters among them ``held``
+    near their starting values; ``sigma0`` a-posteriori standard deviation of unit weight (1 where the sigmas
+    a priori were right; in px where they were 1 px); ``redundancy`` observations minus unknowns; ``cost``
+    weighted sum of squares, or robust loss; ``precision`` None unless asked for.
     """
 
     cameras: tuple[Camera, ...]
@@ -86,23 +88,10 @@ class Adjustment:
         return np.asarray(self.precision.covariance / np.outer(sigma, sigma))
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """A descent that ended, with the inverse of its normal equations: what precision is worked out from.
-
-    ``weight`` (n,) 1/sigma of the sorted image points, 0 where left out; ``cofactors`` (u, u) of the reduced system in
-    any datum; ``inverse`` of the blocks; ``motions`` the number of common motions that nothing fixes.
-    """
-
-    descent: Descent
-    weight: Array
-    cofactors: Array
-    inverse: Array
-    motions: int
-
-
 def tested(layout: Layout, solution: Solution, robust: tuple[int, float]) -> tuple[Array, Array]:
-    """Return the cofactors of the blocks, flat, and the tests (n, 7) of the sorted image points (``precise``)."""
+    """Return the cofactors of the blocks, flat, and the tests (n, 7) of the sorted image points
+    (``precise``).
+    """
     normals = solution.descent.normals
     see = (*layout.see[:4], solution.weight, *layout.see[5:])
     cofactors, tests = np.empty_like(solution.inverse), np.empty((len(layout.order), 7))
@@ -111,19 +100,6 @@ def tested(layout: Layout, solution: Solution, robust: tuple[int, float]) -> tup
  np.pad(solution.cofactors, (0, 1)), layout.index, cofactors, tests,
     )  # fmt: skip
     return cofactors, tests
-
-
-def adjusted_cameras(problem: Problem, layout: Layout, state: State) -> tuple[Camera, ...]:
-    """Return the cameras with their adjusted lenses and poses."""
-    table = state[0]
-    return tuple(
-        replace(
-            one.camera,
-            lens=lens_of(table[owner, LENS:], problem.cameras[owner].camera.lens),
-            world_from_camera=Pose(table[c, :9].reshape(3, 3), table[c, 9:LENS]),
-        )
-        for c, (one, owner) in enumerate(zip(problem.cameras, layout.columns[0], strict=True))
-    )
 
 
 def precision_of(
@@ -138,14 +114,14 @@ def precision_of(
     state = solution.descent.state
     reduced_cofactors, block_cofactors = solution.cofactors, _by_point(layout, cofactors)
     if problem.datum == "points":
-        reduced_cofactors, block_cofactors = _free_network(problem, layout, solution, block_cofactors)
-    undetermined = _undetermined(layout, solution.inverse)
+        reduced_cofactors, block_cofactors = in_free_network(problem, layout, solution, block_cofactors)
+    loose = undetermined(layout, solution.inverse)
     points = np.zeros((len(problem.points), 3, 3))
     # points that no observation touches keep what is known of them
     absent = ~problem.points.held
     absent[np.concatenate([layout.members, layout.kept])] = False
     points[absent] = np.nan
-    block_cofactors[undetermined[: len(layout.members)]] = np.nan
+    block_cofactors[loose[: len(layout.members)]] = np.nan
     points[layout.members] = variance * block_cofactors
     if len(layout.kept):
         columns = layout.index[len(problem.cameras) :, :3]
@@ -153,7 +129,7 @@ def precision_of(
     placements = np.full((len(problem.placements), 6, 6), np.nan)
     if len(layout.placed):
         poses = cofactors[-36 * len(layout.placed) :].reshape(-1, 6, 6).copy()
-        poses[undetermined[len(layout.members) :]] = np.nan
+        poses[loose[len(layout.members) :]] = np.nan
         placements[layout.placed] = variance * poses
     order, used = layout.order, solution.weight > 0
     numbers, standardised, statistic = (np.full((len(order), *shape), np.nan) for shape in ((2,), (2,), ()))
@@ -183,55 +159,6 @@ def _by_point(layout: Layout, cofactors: Array) -> Array:
     first = at_v[block] + offset * (dim[block] + 1)
     flat = first[:, None, None] + axis[:, None] * dim[block][:, None, None] + axis
     return np.asarray(cofactors[flat])
-
-
-def _undetermined(layout: Layout, inverse: Array) -> Array:
-    """Return which eliminated points and then placements (m + f,) have a direction that nothing determines."""
-    dim, at_v = layout.blocks[0], layout.blocks[4]
-    count = int(dim.sum())
-    block = np.repeat(np.arange(len(dim)), dim)
-    inside = np.arange(count) - np.repeat(np.cumsum(dim) - dim, dim)
-    loose = inverse[at_v[block] + inside * (dim[block] + 1)] <= 0
-    points = 3 * len(layout.members)
-    return np.concatenate(
-        [loose[:points].reshape(-1, 3).any(axis=1), loose[points:].reshape(-1, 6).any(axis=1)]
-    )
-
-
-def datum_mask(problem: Problem, layout: Layout, inverse: Array) -> Array:
-    """Return which eliminated points (m,) carry the datum of a free network: chosen, and determined."""
-    mask = ~_undetermined(layout, inverse)[: len(layout.members)]
-    return mask if problem.datum_points is None else mask & problem.datum_points[layout.members]
-
-
-def _free_network(
-    problem: Problem, layout: Layout, solution: Solution, by_point: Array
-) -> tuple[Array, Array]:
-    """Carry cofactors into the datum of the points (S-transformation, Baarda 1973): x' = x - G (G_d^T G_d)^-1 G_d^T x_d.
-
-    Points depend on the reduced unknowns by x_p = e - V^-1 W^T x_c, with e of cofactors V^-1.
-    """
-    state, normals, inverse = solution.descent.state, solution.descent.normals, solution.inverse
-    moves = generators(layout, state)[:, : solution.motions]
-    point_moves = point_motions(state[1][layout.members])[:, :, : solution.motions]
-    mask = datum_mask(problem, layout, inverse)
-    chosen = np.where(mask[:, None, None], point_moves, 0.0)
-    normal = np.einsum("mij,mik->jk", chosen, chosen)
-    functional = np.zeros((int(layout.blocks[0].sum()), solution.motions))
-    functional[: 3 * len(mask)] = np.linalg.solve(normal, chosen.reshape(-1, solution.motions).T).T
-    up, own_part, own = carry_up(layout.blocks, normals, inverse, layout.index, len(layout.names), functional)
-    q_up = solution.cofactors @ up
-    common = own + up.T @ q_up
-    camera_common = -q_up
-    # the points' own part has the cofactors V^-1 with the datum's functional
-    down = carry_down(layout.blocks, normals, inverse, layout.index, np.pad(q_up, ((0, 1), (0, 0))))
-    point_common = (own_part + down)[: 3 * len(mask)].reshape(-1, 3, solution.motions)
-    reduced_cofactors = (
-        solution.cofactors - moves @ camera_common.T - camera_common @ moves.T + moves @ common @ moves.T
-    )
-    across = point_moves @ np.swapaxes(point_common, 1, 2)
-    spread = point_moves @ common @ np.swapaxes(point_moves, 1, 2)
-    return reduced_cofactors, by_point - across - np.swapaxes(across, 1, 2) + spread
 
 
 def _by_camera(

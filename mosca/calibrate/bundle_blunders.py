@@ -1,8 +1,8 @@
 """Blunders among the image points of a bundle adjustment: data snooping after Baarda (1968).
 
-As in ``mosca.calibrate.blunders`` the standard deviation is estimated without the point under test. A blunder hardly
-reaches beyond its own block (a point, or a placed thing), so that the largest of each block goes out at once; the
-adjustment is repeated until none is improbable, and then those that fit after all come back.
+As in ``mosca.calibrate.blunders`` the standard deviation is estimated without the point under test. A blunder
+hardly reaches beyond its own block (a point, or a placed thing), so that the largest of each block goes out
+at once; the adjustment is repeated until none is improbable, and then those that fit after all come back.
 """
 
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from mosca.calibrate.bundle_adjustment import Solution
+from mosca.calibrate.bundle_descent import Solution
 from mosca.calibrate.bundle_layout import Layout
 from mosca.data.arrays import Array
 
@@ -24,7 +24,9 @@ Test = Callable[[Solution], tuple[Array, float, int]]
 
 
 def without_lonely(layout: Layout, weight: Array) -> Array:
-    """Return the weights (n,) with 0 for the image points of points and placements that too few of them determine."""
+    """Return the weights (n,) with 0 for the image points of points and placements that too few of them
+    determine.
+    """
     dim, member = layout.blocks[0], layout.blocks[-1]
     block, used = layout.block_of, weight > 0
     enough = 2 * np.bincount(block[used], minlength=len(dim)) + np.diff(layout.known[5])

@@ -1,7 +1,7 @@
 """Datum and determination: which common motions nothing fixes, and which parameters the data leave open.
 
-A network without control can shift, turn and, without a length, stretch as a whole. These seven motions are known in
-closed form (``generators``); which of them nothing fixes is read off the reduced normal matrix.
+A network without control can shift, turn and, without a length, stretch as a whole. These seven motions are
+known in closed form (``generators``); which of them nothing fixes is read off the reduced normal matrix.
 """
 
 import numpy as np
@@ -20,13 +20,15 @@ NOTHING_FIXES = 1e-9
 SINGULAR = 1e-11
 """The same of any direction: two unknowns are one."""
 PLAUSIBLE_SHARE = 0.1
-"""What is plausible of a lens parameter beforehand: it moves no image point by more than this share of half the
-image's diagonal; of a turn so many rad, of a position this share of the distance to the points."""
+"""What is plausible of a lens parameter beforehand: it moves no image point by more than this share of half
+the image's diagonal; of a turn so many rad, of a position this share of the distance to the points."""
 SHOWN = 0.1
 
 
 def point_motions(points: Array) -> Array:
-    """Return how points (n, 3) move (n, 3, 7) by a common shift, small turn about the world's axes, and stretch."""
+    """Return how points (n, 3) move (n, 3, 7) by a common shift, small turn about the world's axes, and
+    stretch.
+    """
     motions = np.zeros((len(points), 3, MOTIONS))
     motions[:, :, :3] = np.eye(3)
     x, y, z = points.T
@@ -59,9 +61,10 @@ def generators(layout: Layout, state: tuple[Array, ...]) -> Array:
     # turning the world about e_k turns a camera about R^T e_k of its own
     out[layout.index[:cameras, :3], 3:6] = np.swapaxes(rotation, 1, 2)
     out[layout.index[:cameras, 3:6]] = point_motions(position)
-    on_thing = np.isin(layout.kept, layout.see[1][layout.see[2] >= 0])
-    columns = layout.index[cameras:, :3][~on_thing]
-    out[columns] = point_motions(points[layout.kept[~on_thing]])
+    if len(layout.kept):
+        on_thing = np.isin(layout.kept, layout.see[1][layout.see[2] >= 0])
+        columns = layout.index[cameras:, :3][~on_thing]
+        out[columns] = point_motions(points[layout.kept[~on_thing]])
     # held unknowns have the index -1, the row that is cut off
     return out[:-1]
 
@@ -80,28 +83,31 @@ def null_generators(scaled: Array, motions: Array) -> Array:
 
 
 def check_datum(problem: Problem, loose: int) -> None:
-    """Raise CalibrationError where the number of common motions that nothing fixes does not suit the datum asked for."""
+    """Raise CalibrationError where the number of common motions that nothing fixes does not suit the datum
+    asked for.
+    """
     if problem.datum == "points" and loose not in (6, 7):
         raise CalibrationError(
-            f"datum 'points': {7 - loose} of shift (3), turn (3) and stretch (1) are fixed already by what is held or "
-            "weighted; take the datum 'given', or free all cameras and points"
+            f"datum 'points': {7 - loose} of shift (3), turn (3) and stretch (1) are fixed already by what is "
+            "held or weighted; take the datum 'given', or free all cameras and points"
         )
     if problem.datum == "given" and loose:
         what = "size" if loose == 1 else "place, direction or size"
         raise CalibrationError(
-            f"datum 'given': nothing fixes {loose} of the network's 7 common motions ({what}); hold a camera and give a "
-            "length, give control points, or take the datum 'points'"
+            f"datum 'given': nothing fixes {loose} of the network's 7 common motions ({what}); hold a camera and "
+            "give a length, give control points, or take the datum 'points'"
         )
 
 
 def weak_directions(
     problem: Problem, layout: Layout, state: tuple[Array, ...], matrix: Array, variance: float, priors: Priors
 ) -> tuple[tuple[str, ...], Priors]:
-    """Return the names of weakly determined unknowns, and a prior for the worst parameter of each lens with some.
+    """Return the names of weakly determined unknowns, and a prior for the worst parameter of each lens with
+    some.
 
-    The reduced normal ``matrix`` (u, u) is scaled by what is plausible of each unknown beforehand: an eigenvalue below 1
-    is a direction of which the data, with a ``variance`` of unit weight, say less than that. CalibrationError where
-    an unknown that is no lens parameter is not determined at all.
+    The reduced normal ``matrix`` (u, u) is scaled by what is plausible of each unknown beforehand: an
+    eigenvalue below 1 is a direction of which the data, with a ``variance`` of unit weight, say less than
+    that. CalibrationError where an unknown that is no lens parameter is not determined at all.
     """
     plausible = _plausible(problem, layout, state)
     values, vectors = np.linalg.eigh(matrix * plausible[:, None] * plausible / max(variance, 1e-300))
@@ -132,7 +138,7 @@ def _plausible(problem: Problem, layout: Layout, state: tuple[Array, ...]) -> Ar
     """Return what is plausible (u,) of each unknown of the reduced system as a standard deviation beforehand."""
     table = state[0]
     out = np.full(len(layout.names) + 1, PLAUSIBLE_SHARE)
-    sample = slice(None, None, max(1, len(layout.order) // 10000))
+    sample = slice(None, None, max(1, len(layout.order) // 1000))
     away = placed_points(layout, state, sample) - table[layout.see[0][sample], 9:LENS]
     distance = float(np.nanmedian(np.linalg.norm(away, axis=1)))
     out[layout.index[: len(table), 3:6]] = PLAUSIBLE_SHARE * distance

@@ -1,32 +1,38 @@
 """Levenberg-Marquardt on the reduced normal equations of a bundle adjustment.
 
-Marquardt (1963): the diagonal is multiplied by 1 + damping; the damping falls after a step that brings what it
-promised and rises ever faster after one that does not (Nielsen 1999).
+Marquardt (1963): the diagonal is multiplied by 1 + damping; the damping falls after a step that brings what
+it promised and rises ever faster after one that does not (Nielsen 1999).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg.lapack import dposv
 
 from mosca.calibrate.bundle_kernels import LENS, imaged, linearise
 from mosca.calibrate.bundle_layout import Layout
-from mosca.calibrate.bundle_lenses import lens_row, set_folds
+from mosca.calibrate.bundle_lenses import lens_of, lens_row, set_folds
 from mosca.calibrate.bundle_priors import Priors, pulls
 from mosca.calibrate.bundle_problem import Placements, Problem
 from mosca.calibrate.bundle_reduction import back_substitute, reduce_to_groups, scatter
 from mosca.calibrate.bundle_start import intersected
 from mosca.calibrate.bundle_turns import turn_on, weighted_blocks
 from mosca.data.arrays import Array
-from mosca.data.rig import Camera
+from mosca.data.rig import Camera, Pose
 
 # the least damping also keeps a free network regular: its common motions then do not move
 FIRST_DAMPING, LEAST_DAMPING, WORST_DAMPING = 1e-4, 1e-10, 1e12
+# beyond it small promises only mean small steps
+STALLED = 1e2
 # sums of squares of so many numbers cannot be told apart below this share of theirs
 ROUNDING = 1e-14
 # residuals of rounding size, in standard deviations: an exact fit
 EXACT = 1e-9
+
+# residuals, in typical ones and in standard deviations, that make a point look badly placed; the share of them
+# that must be left when it is placed anew; and the residual of a point that is not imaged
+FAR, BETTER, NOWHERE = 8.0, 0.5, 1e9
 
 State = tuple[Array, Array, Array]
 """Tables of cameras (c, 32), points (p, 3) and placements (f, 12), as ``bundle_kernels`` says."""
@@ -34,8 +40,27 @@ Normals = tuple[Array, ...]
 
 
 @dataclass(frozen=True, eq=False)
+class Task:
+    """What every step of an adjustment needs.
+
+    ``robust``: loss and its squared scale; ``tolerance``: a step is not worth taking when it promises to move
+    no unknown by more than this share of its standard deviation, and is the last one when it moved none by
+    more.
+    """
+
+    problem: Problem
+    layout: Layout
+    priors: Priors
+    robust: tuple[int, float]
+    tolerance: float
+    most_steps: int
+
+
+@dataclass(frozen=True, eq=False)
 class Descent:
-    """Where a descent ended: state, normal equations there, cost, steps taken, unseen points, whether it converged."""
+    """Where a descent ended: state, normal equations there, cost, steps taken, unseen points, whether it
+    converged.
+    """
 
     state: State
     normals: Normals
@@ -45,23 +70,60 @@ class Descent:
     converged: bool
 
 
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A descent that ended, with the inverse of its normal equations: what precision is worked out from.
+
+    ``weight`` (n,) 1/sigma of the sorted image points, 0 where left out; ``cofactors`` (u, u) of the reduced
+    system in any datum; ``inverse`` of the blocks; ``motions`` the number of common motions that nothing
+    fixes.
+    """
+
+    descent: Descent
+    weight: Array
+    cofactors: Array
+    inverse: Array
+    motions: int
+
+
 def first_state(problem: Problem, layout: Layout) -> State:
-    """Return the starting values; points without, or that a camera cannot image, are intersected from their rays."""
+    """Return the starting values; points without are intersected from their rays."""
     cameras = tuple(one.camera for one in problem.cameras)
     points = intersected(cameras, layout, np.array(problem.points.xyz))
-    state = state_of(problem, cameras, points, problem.placements)
-    return placed_again(cameras, layout, state, layout.see[4])
+    return state_of(problem, cameras, points, problem.placements)
 
 
-def placed_again(cameras: tuple[Camera, ...], layout: Layout, state: State, weight: Array) -> State:
-    """Return the state with the points that a camera ought to see and does not intersected anew."""
-    unseen = np.isnan(residuals(layout, state)[:, 0]) & (weight > 0) & (layout.see[2] < 0)
-    lost = np.intersect1d(layout.see[1][unseen], layout.members)
+def placed_again(task: Task, state: State, weight: Array, least: float = 0.0) -> State | None:
+    """Return the state with badly placed points intersected anew, None where that helps none.
+
+    ``least``: residual, in standard deviations, below which none is. Badly placed: a camera ought to see the
+    point and does not, or sees it far from where the point lies; at a poor start an end of a wand may be
+    caught on the other side of its fellow, where the length is right as well.
+    """
+    layout = task.layout
+    away = _distances(layout, state, weight)
+    if away.max(initial=0.0) < FAR:
+        return None
+    limit = least or FAR * max(float(np.median(away[weight > 0])), 1.0)
+    lost = np.intersect1d(layout.see[1][away >= limit], layout.members)
     if len(lost) == 0:
-        return state
+        return None
     points = state[1].copy()
     points[lost] = np.nan
-    return state[0], intersected(cameras, layout, points, state[1]), state[2]
+    cameras = adjusted_cameras(task.problem, layout, state)
+    again = state[0], intersected(cameras, layout, points, state[1]), state[2]
+    before, after = (
+        np.bincount(layout.see[1], one**2, len(points)) for one in (away, _distances(layout, again, weight))
+    )
+    worse = after > BETTER * before
+    again[1][worse] = state[1][worse]
+    return again if (~worse[lost]).any() else None
+
+
+def _distances(layout: Layout, state: State, weight: Array) -> Array:
+    """Return how far (n,) points of the world are from where they are seen, in standard deviations."""
+    away = np.nan_to_num(np.hypot(*residuals(layout, state).T) * weight, nan=NOWHERE)
+    return np.where((weight > 0) & (layout.see[2] < 0), away, 0.0)
 
 
 def residuals(layout: Layout, state: State) -> Array:
@@ -69,6 +131,19 @@ def residuals(layout: Layout, state: State) -> Array:
     out = np.empty((len(layout.order), 2))
     imaged(state, layout.see, out)
     return out
+
+
+def adjusted_cameras(problem: Problem, layout: Layout, state: State) -> tuple[Camera, ...]:
+    """Return the cameras of a state."""
+    table = state[0]
+    return tuple(
+        replace(
+            one.camera,
+            lens=lens_of(table[owner, LENS:], problem.cameras[owner].camera.lens),
+            world_from_camera=Pose(table[c, :9].reshape(3, 3), table[c, 9:LENS]),
+        )
+        for c, (one, owner) in enumerate(zip(problem.cameras, layout.columns[0], strict=True))
+    )
 
 
 def state_of(problem: Problem, cameras: Sequence[Camera], points: Array, placements: Placements) -> State:
@@ -107,41 +182,28 @@ def reduced(
     return matrix, slope, inverse
 
 
-def descend(
-    problem: Problem,
-    layout: Layout,
-    start: State,
-    weight: Array,
-    priors: Priors,
-    robust: tuple[int, float],
-    tolerance: float,
-    most_steps: int,
-) -> Descent:
-    """Walk from ``start`` to the least cost.
-
-    ``weight`` (n,) 1/sigma of the sorted observations, 0 where one is left out; ``robust``: loss and squared scale;
-    ``tolerance``: a step is not worth taking when it promises to move no unknown by more than this share of
-    its standard deviation, and is the last one when it moved none by more.
+def descend(task: Task, start: State, weight: Array) -> Descent:
+    """Walk from ``start`` to the least cost; ``weight`` (n,) 1/sigma of the sorted image points, 0 where left
+    out.
     """
-    see = (*layout.see[:4], weight, *layout.see[5:])
-    present, spare = _normals(layout), _normals(layout)
+    layout = task.layout
+    present, spare = empty_normals(layout), empty_normals(layout)
     state = start
-    cost, unseen = _cost(layout, see, state, robust, present)
-    pull, prior_cost = pulls(problem, layout, priors, state)
-    cost += prior_cost
-    worth = tolerance**2 / max(_redundancy(layout, weight), 1)
-    exact = EXACT**2 * max(int((weight > 0).sum()), 1)
+    cost, unseen, pull = linearised(task, state, weight, present)
+    if unseen:
+        state = placed_again(task, state, weight, NOWHERE) or state
+        cost, unseen, pull = linearised(task, state, weight, present)
+    used = int((weight > 0).sum())
+    redundancy = max(2 * used - len(layout.names) - int(layout.blocks[0].sum()), 1)
     damping, growth = FIRST_DAMPING, 2.0
-    for step in range(most_steps):
-        enough = max(worth, ROUNDING) * cost
+    for step in range(task.most_steps):
+        enough = max(task.tolerance**2 / redundancy, ROUNDING) * cost
         while True:
-            trial, promised = _step(problem, layout, state, present, pull, damping)
-            if promised <= enough or cost <= exact:
-                return Descent(state, present, cost, step, unseen, True)
+            trial, promised = _step(task, state, present, pull, damping)
+            if promised <= enough or cost <= EXACT**2 * used:
+                return Descent(state, present, cost, step, unseen, damping < STALLED)
             if trial is not None:
-                trial_cost, trial_unseen = _cost(layout, see, trial, robust, spare)
-                trial_pull, prior_cost = pulls(problem, layout, priors, trial)
-                trial_cost += prior_cost
+                trial_cost, trial_unseen, trial_pull = linearised(task, trial, weight, spare)
                 if trial_cost < cost:
                     break
             damping, growth = damping * growth, growth * 2
@@ -151,37 +213,41 @@ def descend(
         state, cost, unseen, pull = trial, trial_cost, trial_unseen, trial_pull
         present, spare = spare, present
         ratio = gained / promised
-        damping = max(
-            damping * (0.1 if ratio > 0.75 else max(1 / 3, 1 - (2 * ratio - 1) ** 3)), LEAST_DAMPING
-        )
-        growth = 2.0
+        fall = 0.1 if ratio > 0.75 else max(1 / 3, 1 - (2 * ratio - 1) ** 3)
+        damping, growth = max(damping * fall, LEAST_DAMPING), 2.0
         if gained <= enough:
-            return Descent(state, present, cost, step + 1, unseen, True)
-    return Descent(state, present, cost, most_steps, unseen, False)
+            return Descent(state, present, cost, step + 1, unseen, damping < STALLED)
+    return Descent(state, present, cost, task.most_steps, unseen, False)
+
+
+def linearised(
+    task: Task, state: State, weight: Array, normals: Normals
+) -> tuple[float, int, tuple[Array, Array] | None]:
+    """Write the normal equations at a state; return the cost, the number of unseen points and ``pulls``."""
+    layout = task.layout
+    see = (*layout.see[:4], weight, *layout.see[5:])
+    cost, unseen = linearise(state, see, layout.columns, layout.blocks, layout.known, task.robust, normals)
+    if layout.known[1].size or layout.known[4].size:
+        cost += weighted_blocks(state, layout.blocks, layout.known, normals)
+    pull, more = pulls(task.problem, layout, task.priors, state)
+    return float(cost) + more, int(unseen), pull
 
 
 def _step(
-    problem: Problem,
-    layout: Layout,
-    state: State,
-    normals: Normals,
-    pull: tuple[Array, Array] | None,
-    damping: float,
+    task: Task, state: State, normals: Normals, pull: tuple[Array, Array] | None, damping: float
 ) -> tuple[State | None, float]:
-    """Return the state after a damped step (None where no lens is like that) and the decrease that it promises."""
+    """Return the state after a damped step (None where no lens is like that) and the promised decrease."""
+    layout = task.layout
     matrix, slope, inverse = reduced(layout, normals, pull, damping)
     step = np.zeros(0)
     if len(slope):
         diagonal = np.diag(matrix)
         scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-        scaled = matrix * scale[:, None] * scale
-        try:
-            step = -scale * cho_solve(
-                cho_factor(scaled, check_finite=False), scale * slope, check_finite=False
-            )
-        except LinAlgError:
+        _, step, failed = dposv(matrix * scale[:, None] * scale, -scale * slope)
+        if failed:
             return None, np.inf
-    group_step = np.where(layout.index >= 0, np.append(step, 0.0)[layout.index], 0.0)
+        step = scale * step
+    group_step = np.append(step, 0.0)[layout.index]
     block_step = np.empty(len(normals[5]))
     promised = back_substitute(layout.blocks, normals, damping, inverse, group_step, block_step)
     own = np.diagonal(normals[0], axis1=1, axis2=2)
@@ -192,7 +258,9 @@ def _step(
 
 
 def moved(layout: Layout, state: State, group_step: Array, block_step: Array) -> State | None:
-    """Return ``state`` after steps of the groups (groups, K) and blocks; None for a scale of a lens not above 0."""
+    """Return ``state`` after steps of the groups (groups, K) and blocks; None for a scale of a lens not above
+    0.
+    """
     cameras, points, placements = state
     cameras = cameras.copy()
     steps = group_step[: len(cameras)]
@@ -219,7 +287,8 @@ def moved(layout: Layout, state: State, group_step: Array, block_step: Array) ->
     return cameras, points, placements
 
 
-def _normals(layout: Layout) -> Normals:
+def empty_normals(layout: Layout) -> Normals:
+    """Return room for normal equations, as ``bundle_kernels`` orders them."""
     groups, width = layout.index.shape
     dim, at_w = layout.blocks[0], layout.blocks[6]
     return (
@@ -231,16 +300,3 @@ def _normals(layout: Layout) -> Normals:
         np.empty(int(dim.sum())),
         layout.pair_of,
     )
-
-
-def _cost(
-    layout: Layout, see: tuple[Array, ...], state: State, robust: tuple[int, float], normals: Normals
-) -> tuple[float, int]:
-    cost, unseen = linearise(state, see, layout.columns, layout.blocks, layout.known, robust, normals)
-    if layout.known[1].size or layout.known[4].size:
-        cost += weighted_blocks(state, layout.blocks, layout.known, normals)
-    return float(cost), int(unseen)
-
-
-def _redundancy(layout: Layout, weight: Array) -> int:
-    return 2 * int((weight > 0).sum()) - len(layout.names) - int(layout.blocks[0].sum())

@@ -1,13 +1,14 @@
 """Normal equations of a bundle adjustment, block by block, compiled; the Jacobian is never stored.
 
-The unknowns fall into *groups* that stay (a camera's pose and lens; a kept point) and *blocks* that are eliminated
-(the coordinates of one point, or of points joined by known distances; the pose of a placed thing). Each block
-touches few groups: a *slot* is one block in one group. With group normals U, block normals V and the mixed
-part W, a step solves (U - W V^-1 W^T) d_groups = -(g - W V^-1 g_blocks) and then each block by itself (Schur
-complement; Brown 1958, Triggs et al. 1999).
+The unknowns fall into *groups* that stay (a camera's pose and lens; a kept point) and *blocks* that are
+eliminated (the coordinates of one point, or of points joined by known distances; the pose of a placed thing).
+Each block touches few groups: a *slot* is one block in one group. With group normals U, block normals V and
+the mixed part W, a step solves (U - W V^-1 W^T) d_groups = -(g - W V^-1 g_blocks) and then each block by
+itself (Schur complement; Brown 1958, Triggs et al. 1999).
 
-Residuals are projected minus observed, in standard deviations. A state is three tables: cameras (c, 32) with rotation
-(9), position (3) and lens row (20); points (p, 3); placements (f, 12) with rotation (9) and position (3).
+Residuals are projected minus observed, in standard deviations. A state is three tables: cameras (c, 32) with
+rotation (9), position (3) and lens row (20); points (p, 3); placements (f, 12) with rotation (9) and position
+(3).
 """
 
 import numpy as np
@@ -16,11 +17,12 @@ from numba import njit
 from mosca.calibrate.bundle_lenses import FAST, IMAGED, L, image
 
 UNSEEN = 1e3
-"""Residual, in standard deviations, of an image point that the trial camera cannot see: no perfect fit, no pull."""
+"""Residual, in standard deviations, of an image point that the trial camera cannot see: no perfect fit, no
+pull."""
 LEAST_SQUARES, HUBER, CAUCHY = 0, 1, 2
 LENS = 12
 """Where a camera's lens row begins in the table of cameras."""
-# derivatives of the pixel: by the camera's pose (6), the point in the world, the turn of its placement, the point on it
+# derivatives of the pixel by the camera's pose (6), the point in the world, its placement's turn, the point on it
 BY_POSE, BY_WORLD, BY_TURN, BY_OWN, OBSERVED = IMAGED, IMAGED + 6, IMAGED + 9, IMAGED + 12, IMAGED + 15
 WAITING = 60
 """Image points of a camera whose products are summed at once (a power of two would crowd the cache)."""
@@ -82,7 +84,8 @@ def observe(cameras, camera, points, point, placements, placement, out):  # type
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def linearise(state, see, columns, blocks, known, robust, normals):  # type: ignore[no-untyped-def]
-    """Write the normal equations at ``state`` into ``normals``; return the cost and the number of unseen points.
+    """Write the normal equations at ``state`` into ``normals``; return the cost and the number of unseen
+    points.
 
     The arguments are the tuples of arrays that ``bundle_layout`` makes, in its order.
     """
@@ -224,7 +227,9 @@ def _known_distance(points, rod, weight, n, v, g, block_normals, block_slope):  
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def imaged(state, see, out):  # type: ignore[no-untyped-def]
-    """Write the residuals ``out`` (n, 2), projected minus observed [px]; NaN where a camera does not image its point."""
+    """Write the residuals ``out`` (n, 2), projected minus observed [px]; NaN where a camera does not image
+    its point.
+    """
     cameras, points, placements = state
     work = np.empty((2, OBSERVED))
     for m in range(out.shape[0]):

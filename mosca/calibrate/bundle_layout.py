@@ -1,4 +1,5 @@
-"""Where everything of a bundle adjustment stands: columns of the reduced system, blocks, slots, sorted observations.
+"""Where everything of a bundle adjustment stands: columns of the reduced system, blocks, slots, sorted
+observations.
 
 The tuples of arrays are what the compiled kernels take; see ``bundle_kernels`` for groups, blocks and slots.
 """
@@ -25,11 +26,12 @@ LANE = 4
 class Layout:
     """The structure of a problem.
 
-    ``see``, ``columns``, ``blocks`` and ``known`` are the kernels'; ``order`` (n,) sorts the problem's observations
-    into theirs; ``index`` (groups, K) columns of each group in the reduced system, -1 where held; ``names`` of
-    these; ``members`` eliminated points, in the order of their blocks; ``placed`` placements that have a block, in order;
-    ``kept`` points that stay in the reduced system, ``kept_rods`` distances between these or to held ones; ``lens_places`` (q, 3) group, place in the group's columns and lens
-    parameter of every free lens parameter, with ``lens_factors`` (q,).
+    ``see``, ``columns``, ``blocks`` and ``known`` are the kernels'; ``order`` (n,) sorts the problem's
+    observations into theirs; ``index`` (groups, K) columns of each group in the reduced system, -1 where
+    held; ``names`` of these; ``members`` eliminated points, in the order of their blocks; ``placed``
+    placements that have a block, in order; ``kept`` points that stay in the reduced system, ``kept_rods``
+    distances between these or to held ones; ``lens_places`` (q, 3) group, place in the group's columns and
+    lens parameter of every free lens parameter, with ``lens_factors`` (q,).
     """
 
     see: tuple[Array, ...]
@@ -56,7 +58,9 @@ class Layout:
 
 
 def lay_out(problem: Problem) -> Layout:
-    """Return the structure of ``problem``. CalibrationError for a camera that sees nothing or a point without start."""
+    """Return the structure of ``problem``. CalibrationError for a camera that sees nothing or a point without
+    start.
+    """
     see, n_points = problem.observations, len(problem.points)
     cameras, placements = len(problem.cameras), len(problem.placements)
     _every_camera_sees(problem)
@@ -148,7 +152,8 @@ def lay_out(problem: Problem) -> Layout:
 def _alike_together(dim: Array, point_blocks: int, block: Array, camera: Array) -> Array:
     """Return new numbers (blocks,) by which blocks of one size seen by the same cameras follow each other.
 
-    Points stay before placements. Of more than 62 cameras some count as the same, which costs time, nothing else.
+    Points stay before placements. Of more than 62 cameras some count as the same, which costs time, nothing
+    else.
     """
     seen_by = np.zeros(len(dim), dtype=np.int64)
     np.bitwise_or.at(seen_by, block, np.left_shift(1, camera % 62))
@@ -160,7 +165,8 @@ def _alike_together(dim: Array, point_blocks: int, block: Array, camera: Array) 
 
 
 def _slots(key: Array, block: Array, kept_group: Array, groups: int) -> tuple[Array, Array, Array]:
-    """Return the slots of the cameras and kept points of observations (n,), and each slot's block and group as a key.
+    """Return the slots of the cameras and kept points of observations (n,), and each slot's block and group
+    as a key.
 
     ``key`` (n,), sorted, is block times ``groups`` plus camera. Block 0 has no slots (-1).
     """
@@ -222,8 +228,8 @@ def _kept(problem: Problem, on_thing: Array, rods: Distances) -> tuple[Array, Ar
     if not np.isfinite(problem.points.xyz[kept]).all():
         first = int(np.flatnonzero(kept & ~np.isfinite(problem.points.xyz).all(axis=1))[0])
         raise CalibrationError(
-            f"point {first}: it is seen on a placed thing, or joined to many others, and has no starting coordinates; "
-            "give some"
+            f"point {first}: it is seen on a placed thing, or joined to many others, and has no starting "
+            "coordinates; give some"
         )
     return kept, label
 

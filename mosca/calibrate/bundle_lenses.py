@@ -1,7 +1,8 @@
-"""The lens models compiled, one direction at a time: the same formulas as ``mosca.lenses``, which tests compare.
+"""The lens models compiled, one direction at a time: the same formulas as ``mosca.lenses``, which tests
+compare.
 
-A lens is a row of numbers: its parameters in the order of the dataclass's fields, then the squared radius (fisheye:
-angle) where the mapping folds back, then which model it is.
+A lens is a row of numbers: its parameters in the order of the dataclass's fields, then the squared radius
+(fisheye: angle) where the mapping folds back, then which model it is.
 """
 
 from dataclasses import fields
@@ -15,7 +16,7 @@ from mosca.data.rig import Lens
 ROW = 20
 FOLD, MODEL = 18, 19
 MOSCA, OPENCV_PLAIN, OPENCV_FULL, FISHEYE = 0.0, 1.0, 2.0, 3.0
-# what ``image`` writes: of x and y the pixel, then its derivative by the direction (3) and, from L on, by the lens (18)
+# what ``image`` writes of x and y: the pixel, its derivative by the direction (3) and, from L on, by the lens (18)
 L, IMAGED = 4, 22
 # compiled arithmetic may be reordered, but numbers that are none must stay noticeable
 FAST = {"contract", "reassoc", "nsz", "arcp"}
@@ -27,7 +28,9 @@ FOLD_SAMPLES = 256
 
 
 def lens_row(lens: Lens, free: tuple[str, ...]) -> Array:
-    """Return a lens as a row (20,); ``free`` tells whether OpenCV's seldom used coefficients can differ from 0."""
+    """Return a lens as a row (20,); ``free`` tells whether OpenCV's seldom used coefficients can differ from
+    0.
+    """
     row = np.zeros(ROW)
     values = [getattr(lens, one.name) for one in fields(lens)]
     row[: len(values)] = values
@@ -63,7 +66,9 @@ def _rise(q, s):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def set_fold(q):  # type: ignore[no-untyped-def]
-    """Write where the mapping of lens row q folds back: bracketed by steps of a third of a degree, then halved."""
+    """Write where the mapping of lens row q folds back: bracketed by steps of a third of a degree, then
+    halved.
+    """
     q[FOLD] = np.inf
     last = np.pi if q[MODEL] == FISHEYE else np.pi / 2 - 1e-3
     unit = q[0] if q[MODEL] == MOSCA else 1.0
@@ -99,8 +104,8 @@ def set_folds(rows):  # type: ignore[no-untyped-def]
 def image(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
     """Project a direction, camera frame, by lens row q; tells whether it is imaged.
 
-    Writes ``out`` (2, 22 or more): of x and y the pixel, its derivative by the direction (3) and by the lens parameters (18).
-    One array, since each array handed over costs as much as some ten numbers.
+    Writes ``out`` (2, 22 or more): of x and y the pixel, its derivative by the direction (3) and by the lens
+    parameters (18). One array, since each array handed over costs as much as some ten numbers.
     """
     model = q[MODEL]
     if model in (OPENCV_PLAIN, OPENCV_FULL):
@@ -179,7 +184,9 @@ def _opencv(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
     out[1, 1], out[1, 2], out[1, 3] = n10, n11, -(n10 * x + n11 * y)
     out[0, L], out[1, L], out[0, L + 1], out[1, L + 1] = xt, 0.0, 0.0, yt
     out[0, L + 2], out[1, L + 2], out[0, L + 3], out[1, L + 3] = 1.0, 0.0, 0.0, 1.0
-    u, w = (m00 * x + m01 * y) / below, (m10 * x + m11 * y) / below
+    u, w = fx * x, fy * y
+    if q[MODEL] == OPENCV_FULL:
+        u, w = (m00 * x + m01 * y) / below, (m10 * x + m11 * y) / below
     out[0, L + 4], out[1, L + 4], out[0, L + 5], out[1, L + 5] = u * r2, w * r2, u * r4, w * r4
     s, t = r2 + 2 * yy, r2 + 2 * xx
     out[0, L + 6], out[1, L + 6] = m00 * xy2 + m01 * s, m10 * xy2 + m11 * s
@@ -278,7 +285,8 @@ def _fisheye(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def influence(q, reach_px):  # type: ignore[no-untyped-def]
-    """Return how far, at most, each lens parameter (18,) moves image points ``reach_px`` off the axis, per unit.
+    """Return how far, at most, each lens parameter (18,) moves image points ``reach_px`` off the axis, per
+    unit.
 
     Points that the lens does not image count half as far out, and so on.
     """

@@ -28,10 +28,11 @@ def precise(  # type: ignore[no-untyped-def]
 ):
     """Write cofactors of the blocks and, of each image point, its residual and how it stands out.
 
-    ``cofactors`` (u + 1, u + 1) of the reduced system, the last row and column zero; ``index`` (groups, K) its columns;
-    ``inverse``: V^-1; ``block_cofactors`` (as V): V^-1 W^T Q W V^-1 + V^-1. ``tests`` (n, 7): residual projected minus
-    observed x, y [px]; the projection's cofactors xx, xy, yy over those of the image point a priori; v^T Q_vv^-1 v,
-    of points left out e^T Q_ee^-1 e, NaN where it cannot be tested; and the robust weight.
+    ``cofactors`` (u + 1, u + 1) of the reduced system, the last row and column zero; ``index`` (groups, K)
+    its columns; ``inverse``: V^-1; ``block_cofactors`` (as V): V^-1 W^T Q W V^-1 + V^-1. ``tests`` (n, 7):
+    residual projected minus observed x, y [px]; the projection's cofactors xx, xy, yy over those of the image
+    point a priori; v^T Q_vv^-1 v, of points left out e^T Q_ee^-1 e, NaN where it cannot be tested; and the
+    robust weight.
     """
     dim, first_observation, slot_first, slot_group, at_v, _, at_w, runs, _ = blocks
     mixed, width = normals[3], index.shape[1]
@@ -95,7 +96,9 @@ def precise(  # type: ignore[no-untyped-def]
 def _test(  # type: ignore[no-untyped-def]
     m, state, see, base_weight, columns, robust, cofactors, index, work, block, spread, n, first, tests
 ):
-    """Write the tests of one image point; ``block`` (n, n) cofactors of its block, ``spread`` (n, wide) V^-1 W^T Q."""
+    """Write the tests of one image point; ``block`` (n, n) cofactors of its block, ``spread`` (n, wide) V^-1
+    W^T Q.
+    """
     cameras, points, placements = state
     camera_of, point_of, placement_of, xy_px, weight, offset, slot, kept, kept_slot = see
     out, j, by, place = work
@@ -162,7 +165,9 @@ def _test(  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def by_unknowns(out, columns, camera, j):  # type: ignore[no-untyped-def]
-    """Write the pixel's derivative by the unknowns of its camera's group (2, K): pose, then free lens parameters."""
+    """Write the pixel's derivative by the unknowns of its camera's group (2, K): pose, then free lens
+    parameters.
+    """
     lens, count, first, second, factor = columns
     own = lens[camera]
     free = count[own]
@@ -177,7 +182,9 @@ def by_unknowns(out, columns, camera, j):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def carry_down(blocks, normals, inverse, index, z):  # type: ignore[no-untyped-def]
-    """Return V^-1 W^T z of all blocks (all their unknowns, q), for z (u + 1, q) of the reduced system, last row zero."""
+    """Return V^-1 W^T z of all blocks (all their unknowns, q), for z (u + 1, q) of the reduced system, last
+    row zero.
+    """
     dim, _, slot_first, slot_group, at_v, at_g, at_w, runs, _ = blocks
     mixed, width = normals[3], index.shape[1]
     out = np.zeros((dim.sum(), z.shape[1]))

@@ -1,4 +1,6 @@
-"""What is known beforehand of the unknowns that stay in the reduced system: lenses, camera poses, kept points."""
+"""What is known beforehand of the unknowns that stay in the reduced system: lenses, camera poses, kept
+points.
+"""
 
 from dataclasses import dataclass
 
@@ -50,7 +52,9 @@ def free_lens_parameters(problem: Problem, layout: Layout) -> list[tuple[int, in
 def pulls(
     problem: Problem, layout: Layout, priors: Priors, state: tuple[Array, ...]
 ) -> tuple[tuple[Array, Array] | None, float]:
-    """Return normal matrix (u, u) and slope (u,) of all that is known beforehand, and its cost; None if nothing is."""
+    """Return normal matrix (u, u) and slope (u,) of all that is known beforehand, and its cost; None if
+    nothing is.
+    """
     weighted = [
         c for c, one in enumerate(problem.cameras) if any(0 < sigma < np.inf for sigma in one.pose_sigma)
     ]
@@ -105,7 +109,9 @@ def _kept_rods(layout: Layout, points: Array, normals: Array, slope: Array) -> f
 
 
 def count(problem: Problem, layout: Layout, priors: Priors) -> int:
-    """Return how many observations beside image points the adjustment has: lengths and all that is known beforehand."""
+    """Return how many observations beside image points the adjustment has: lengths and all that is known
+    beforehand.
+    """
     poses = sum(0 < sigma < np.inf for one in problem.cameras for sigma in one.pose_sigma)
     lengths = len(layout.known[6]) + len(layout.kept_rods)
     placements = int((layout.known[4][layout.placed] > 0).sum()) if layout.known[4].size else 0

@@ -1,7 +1,8 @@
-"""What a bundle adjustment is given: cameras, object points, poses of moving things, observations, lengths, datum.
+"""What a bundle adjustment is given: cameras, object points, poses of moving things, observations, lengths,
+datum.
 
-One convention for every unknown: its standard deviation a priori. 0 holds it at its given value, infinity leaves
-it free, anything between weights the given value as an observation of its own.
+One convention for every unknown: its standard deviation a priori. 0 holds it at its given value, infinity
+leaves it free, anything between weights the given value as an observation of its own.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,18 +20,20 @@ FREE = (float("inf"),) * 6
 HELD = (0.0,) * 6
 """A pose held as it is."""
 FOCAL = "f_px"
-"""Free lens parameter that moves fx and fy together and keeps their ratio (OpenCV's and the fisheye model)."""
+"""Free lens parameter that moves fx and fy together and keeps their ratio (OpenCV's and the fisheye model).
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraUnknowns:
     """A camera, or a camera at one time, with its starting values and what of it is unknown.
 
-    ``free``: lens parameters to estimate, or "f_px" (fx and fy together). ``priors``: name -> (value, standard
-    deviation) of free lens parameters, in their units. ``pose_sigma`` (6,): a-priori standard deviations of the turn
-    about the camera's own x, y, z axes [rad] and of its position [m] from the starting pose (FREE, HELD or
-    between). ``lens_as``: name of a camera before this one whose lens this one shares; the lens, ``free`` and
-    ``priors`` are then that one's. Raises ValueError for what cannot be, InputError for an unknown parameter.
+    ``free``: lens parameters to estimate, or "f_px" (fx and fy together). ``priors``: name -> (value,
+    standard deviation) of free lens parameters, in their units. ``pose_sigma`` (6,): a-priori standard
+    deviations of the turn about the camera's own x, y, z axes [rad] and of its position [m] from the starting
+    pose (FREE, HELD or between). ``lens_as``: name of a camera before this one whose lens this one shares;
+    the lens, ``free`` and ``priors`` are then that one's. Raises ValueError for what cannot be, InputError
+    for an unknown parameter.
     """
 
     camera: Camera
@@ -72,9 +75,9 @@ class CameraUnknowns:
 class ObjectPoints:
     """Object points ``xyz`` (p, 3) [m] with what is known of them; made by ``free``, ``fixed``, ``weighted``.
 
-    NaN coordinates of a free point: the rays that see it are intersected for a start. ``held`` (p,) bool; ``information``
-    (p, 3, 3) [1/m^2] inverse covariance of the given coordinates, zero where free, None where no point is weighted.
-    The coordinates of a point that is seen on a placed thing are in the thing's frame.
+    NaN coordinates of a free point: the rays that see it are intersected for a start. ``held`` (p,) bool;
+    ``information`` (p, 3, 3) [1/m^2] inverse covariance of the given coordinates, zero where free, None where
+    no point is weighted. The coordinates of a point that is seen on a placed thing are in the thing's frame.
     """
 
     xyz: Array
@@ -141,9 +144,10 @@ class ObjectPoints:
 class Placements:
     """Poses ``world_from_thing`` of rigid things (a board, a wand, a body), one a thing and frame: unknown.
 
-    ``rotation`` (f, 3, 3), ``translation`` (f, 3) [m]: starting values; ``sigma`` (f, 6): a-priori standard deviations of
-    the turn about the thing's own axes [rad] and of its position [m], infinite where free (default), never 0.
-    A camera worn through a room is the same with the roles exchanged: camera held at the origin, the room placed.
+    ``rotation`` (f, 3, 3), ``translation`` (f, 3) [m]: starting values; ``sigma`` (f, 6): a-priori standard
+    deviations of the turn about the thing's own axes [rad] and of its position [m], infinite where free
+    (default), never 0. A camera worn through a room is the same with the roles exchanged: camera held at the
+    origin, the room placed.
     """
 
     rotation: Array
@@ -182,9 +186,9 @@ NO_PLACEMENTS = Placements(np.zeros((0, 3, 3)), np.zeros((0, 3)))
 class Observations:
     """n image points: ``camera`` (n,) saw ``point`` (n,) at ``xy_px`` (n, 2).
 
-    ``camera`` and ``point`` are indices into the problem's; ``placement`` (n,) is the index of the pose that the
-    point's thing had, -1 (default) for a point of the world. ``sigma_px`` (n,) or a number: standard deviation of a
-    coordinate a priori.
+    ``camera`` and ``point`` are indices into the problem's; ``placement`` (n,) is the index of the pose that
+    the point's thing had, -1 (default) for a point of the world. ``sigma_px`` (n,) or a number: standard
+    deviation of a coordinate a priori.
     """
 
     camera: Array
@@ -246,8 +250,9 @@ class Problem:
     """A bundle adjustment: its unknowns with starting values, its observations and its datum.
 
     ``datum``: "given": what is held or weighted fixes the coordinate system; "points": a free network, whose
-    datum is that its points ``datum_points`` (p,) bool (default: all points of the world that are seen) neither shift, turn
-    nor, where no length is known, stretch against their given values (inner constraints, Meissl 1962).
+    datum is that its points ``datum_points`` (p,) bool (default: all points of the world that are seen)
+    neither shift, turn nor, where no length is known, stretch against their given values (inner constraints,
+    Meissl 1962).
     """
 
     cameras: tuple[CameraUnknowns, ...]

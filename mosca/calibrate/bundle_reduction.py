@@ -1,4 +1,5 @@
-"""Elimination of the blocks of a bundle adjustment, and the way back; compiled. The names are ``bundle_kernels``'.
+"""Elimination of the blocks of a bundle adjustment, and the way back; compiled. The names are
+``bundle_kernels``'.
 
 Blocks of one size that touch the same groups follow each other: a *run* of them is one matrix, W^T of all of
 them (rows by unknowns of the blocks, columns by slots), so that matrix products do the work.
@@ -10,17 +11,19 @@ from numba import njit
 from mosca.calibrate.bundle_lenses import FAST
 
 SINGULAR_PIVOT = 1e-13
-"""Share of its diagonal that a pivot of a block must keep; below it the direction is undetermined and stays."""
+"""Share of its diagonal that a pivot of a block must keep; below it the direction is undetermined and stays.
+"""
 MOST_ROWS = 384
 """Unknowns of a run, so that its matrices stay near the processor."""
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def invert(matrix, at, n, damping, lower, inverse):  # type: ignore[no-untyped-def]
-    """Invert the symmetric n x n block at ``matrix[at:]``, its diagonal times 1 + damping, by Cholesky's method.
+    """Invert the symmetric n x n block at ``matrix[at:]``, its diagonal times 1 + damping, by Cholesky's
+    method.
 
-    Writes the inverse to the same place of ``inverse``; ``lower`` is room to work. A direction that the block does
-    not determine (SINGULAR_PIVOT) is held: its rows of the inverse are zero.
+    Writes the inverse to the same place of ``inverse``; ``lower`` is room to work. A direction that the block
+    does not determine (SINGULAR_PIVOT) is held: its rows of the inverse are zero.
     """
     for i in range(n):
         diagonal = matrix[at + i * n + i] * (1 + damping)
@@ -49,19 +52,45 @@ def invert(matrix, at, n, damping, lower, inverse):  # type: ignore[no-untyped-d
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def _invert_three(m, at, damping, out):  # type: ignore[no-untyped-def]
+    """``invert`` for a 3 x 3 block, written out: most blocks are one point."""
+    d0, d1, d2 = m[at] * (1 + damping), m[at + 4] * (1 + damping), m[at + 8] * (1 + damping)
+    p0 = 1 / d0 if d0 > 0 else 0.0
+    l1, l2 = m[at + 3] * p0, m[at + 6] * p0
+    s1, s12 = d1 - l1 * m[at + 3], m[at + 7] - l1 * m[at + 6]
+    p1 = 1 / s1 if s1 > SINGULAR_PIVOT * d1 else 0.0
+    l12 = s12 * p1
+    s2 = d2 - l2 * m[at + 6] - l12 * s12
+    p2 = 1 / s2 if s2 > SINGULAR_PIVOT * d2 else 0.0
+    # a held direction is left out of the others, too
+    l2, l12 = (l2, l12) if p2 > 0 else (0.0, 0.0)
+    l1 = l1 if p1 > 0 else 0.0
+    k2 = l1 * l12 - l2
+    out[at], out[at + 4], out[at + 8] = p0 + l1 * l1 * p1 + k2 * k2 * p2, p1 + l12 * l12 * p2, p2
+    out[at + 1] = out[at + 3] = -l1 * p1 - k2 * l12 * p2
+    out[at + 2] = out[at + 6] = k2 * p2
+    out[at + 5] = out[at + 7] = -l12 * p2
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def times_inverse(inverse, at, n, blocks, matrix, out):  # type: ignore[no-untyped-def]
-    """Write V^-1 times the rows of ``matrix`` (blocks n, q), block by block from ``inverse[at:]`` on, into ``out``."""
+    """Write V^-1 times the rows of ``matrix`` (blocks n, q), block by block from ``inverse[at:]`` on, into
+    ``out``.
+    """
+    width = matrix.shape[1]
     for b in range(blocks):
         for i in range(n):
-            line = at + (b * n + i) * n
-            for k in range(matrix.shape[1]):
-                out[b * n + i, k] = 0.0
+            line, to = at + (b * n + i) * n, out[b * n + i]
             # block sizes are multiples of three
             for c in range(0, n, 3):
                 f0, f1, f2 = inverse[line + c], inverse[line + c + 1], inverse[line + c + 2]
                 x, y, z = matrix[b * n + c], matrix[b * n + c + 1], matrix[b * n + c + 2]
-                for k in range(matrix.shape[1]):
-                    out[b * n + i, k] += f0 * x[k] + f1 * y[k] + f2 * z[k]
+                if c == 0:
+                    for k in range(width):
+                        to[k] = f0 * x[k] + f1 * y[k] + f2 * z[k]
+                else:
+                    for k in range(width):
+                        to[k] += f0 * x[k] + f1 * y[k] + f2 * z[k]
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
@@ -132,7 +161,9 @@ def scatter(normals, pairs, index, damping, out):  # type: ignore[no-untyped-def
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def back_substitute(blocks, normals, damping, inverse, group_step, block_step):  # type: ignore[no-untyped-def]
-    """Write the step of every block, given that of the groups (groups, K); return the blocks' promised decrease."""
+    """Write the step of every block, given that of the groups (groups, K); return the blocks' promised
+    decrease.
+    """
     dim, _, slot_first, slot_group, at_v, at_g, at_w, runs, _ = blocks
     _, _, group_slope, mixed, block_normals, block_slope, _ = normals
     width = group_slope.shape[1]
@@ -163,7 +194,9 @@ def back_substitute(blocks, normals, damping, inverse, group_step, block_step): 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def find_runs(dim, slot_first, slot_group):  # type: ignore[no-untyped-def]
-    """Return where the runs of blocks begin, and their end: same size, same groups, at most MOST_ROWS unknowns."""
+    """Return where the runs of blocks begin, and their end: same size, same groups, at most MOST_ROWS
+    unknowns.
+    """
     starts = np.empty(dim.size + 1, dtype=np.int64)
     count = 0
     # block 0 has no unknowns
@@ -188,7 +221,9 @@ def find_runs(dim, slot_first, slot_group):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def pair_table(slot_first, slot_group, kept, cameras, groups):  # type: ignore[no-untyped-def]
-    """Number the pairs of groups (groups, groups), lower first, that a block or observation joins; -1 elsewhere."""
+    """Number the pairs of groups (groups, groups), lower first, that a block or observation joins; -1
+    elsewhere.
+    """
     pair_of = np.full((groups, groups), -1, dtype=np.int64)
     for a in range(groups):
         pair_of[a, a] = a

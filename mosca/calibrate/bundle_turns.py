@@ -6,7 +6,9 @@ from numba import njit
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def turn_on(rotation, step):  # type: ignore[no-untyped-def]
-    """Turn rotations (n, 9 or more; the first nine, row by row) about their own axes by vectors (n, 3): R exp([w]x)."""
+    """Turn rotations (n, 9 or more; the first nine, row by row) about their own axes by vectors (n, 3): R
+    exp([w]x).
+    """
     e, r = np.empty((3, 3)), np.empty(9)
     for n in range(rotation.shape[0]):
         x, y, z = step[n, 0], step[n, 1], step[n, 2]
@@ -35,9 +37,9 @@ def log_turn(r):  # type: ignore[no-untyped-def]
 def weighted_pose(pose, given, weight, normals, slope):  # type: ignore[no-untyped-def]
     """Add an observed pose to ``normals`` (6, 6), ``slope`` (6,); ``weight`` (6,) 1/sigma; return its cost.
 
-    ``pose``, ``given`` (12,): rotation row by row, position. The turn's residual is log(R0^T R), whose derivative by a
-    further turn is the inverse right Jacobian of SO(3) (Chirikjian 2011, eq. 10.86):
-    I + [p]x / 2 + (1/a^2 - (1 + cos a) / (2 a sin a)) [p]x^2.
+    ``pose``, ``given`` (12,): rotation row by row, position. The turn's residual is log(R0^T R), whose
+    derivative by a further turn is the inverse right Jacobian of SO(3) (Chirikjian 2011, eq. 10.86): I + [p]x
+    / 2 + (1/a^2 - (1 + cos a) / (2 a sin a)) [p]x^2.
     """
     p = log_turn(given[:9].copy().reshape(3, 3).T.copy() @ pose[:9].copy().reshape(3, 3))
     a2 = p[0] * p[0] + p[1] * p[1] + p[2] * p[2]
@@ -60,7 +62,9 @@ def weighted_pose(pose, given, weight, normals, slope):  # type: ignore[no-untyp
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def weighted_blocks(state, blocks, known, normals):  # type: ignore[no-untyped-def]
-    """Add the observed coordinates of eliminated points and the observed poses of placements; return their cost."""
+    """Add the observed coordinates of eliminated points and the observed poses of placements; return their
+    cost.
+    """
     _, points, placements = state
     dim, _, _, _, at_v, at_g, _, _, member = blocks
     given, information, pose_block, given_placements, pose_weight, _, _, _ = known

@@ -116,7 +116,7 @@ def fisheye() -> Crop:
         ("a lens of 90 degrees", "a fisheye of 190 degrees"),
         side_by_side(grey(photo(scene, straight)), grey(photo(scene, round_)), zoom=3),
         "Rings of equal markers 15 to 92 degrees off the axis at 1.5 m, by a straight lens and by the equidistant "
-        "one of a body-worn camera: the last ring lies behind it.",
+        "one of a body-worn camera: the last ring lies behind its plane.",
         "lenses/fisheye_190",
     )
 

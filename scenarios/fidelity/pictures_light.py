@@ -153,7 +153,7 @@ def context() -> Crop:
         gait="in_place",
     )
     camera = quiet_camera(
-        (100, 150), 330.0, pose=_looking(np.array([3.2, 1.6, 1.3]), np.array([0.0, 0.0, 0.9]))
+        (100, 150), 275.0, pose=_looking(np.array([3.2, 1.6, 1.3]), np.array([0.0, 0.0, 0.88]))
     )
     plain = Context(ambient=0.12, lamp=0.12, step_px=1)
     stripes = tuple(

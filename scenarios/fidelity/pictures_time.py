@@ -39,9 +39,9 @@ def motion_blur() -> Crop:
         "motion_blur",
         "Motion blur and strobe",
         ("at rest", "18 px in an exposure", "with a strobe a tenth as long"),
-        side_by_side(*[grey(panel) for panel in panels], zoom=4),
-        "Paths are integrated over the exposure, not drawn: a streak's centre is the marker's place half way, also "
-        "where it speeds up. The strobe is ten times as bright, so that it gives as much light.",
+        side_by_side(*[grey(panel, 0.0, 170.0) for panel in panels], zoom=4),
+        "Paths are integrated over the exposure, not drawn, also where they bend or speed up. The strobe is ten "
+        "times as bright, so that it gives as much light.",
         "timing/strobe",
     )
 

@@ -36,7 +36,11 @@ class View:
         """Plate -> camera: the plate's x right, y up, its face to the camera; camera y down, z forward."""
         facing = np.diag([1.0, -1.0, -1.0])
         axis = np.array([np.cos(self.lean), np.sin(self.lean), 0.0])
-        return Rotation.from_rotvec(self.tilt * axis).as_matrix() @ facing @ Rotation.from_euler("z", self.roll).as_matrix()
+        return (
+            Rotation.from_rotvec(self.tilt * axis).as_matrix()
+            @ facing
+            @ Rotation.from_euler("z", self.roll).as_matrix()
+        )
 
     @property
     def centre(self) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""The bundle adjustment finds the optimum that other solvers find, from poor starts too, and says what it cannot find."""
+"""The bundle adjustment finds the optimum that other solvers find, from poor starts too, and says what it
+cannot find."""
 
 from dataclasses import replace
 
@@ -30,14 +31,24 @@ from mosca.errors import CalibrationError, InputError
 SHARP = BundleSettings(tolerance=1e-7)
 
 
-def wand_problem(frames=60, noise_px=0.1, seed=3, start_seed=4, turn=0.02, shift=0.05, focal=1.02, free=("f_px", "k1")):
+def wand_problem(
+    frames=60, noise_px=0.1, seed=3, start_seed=4, turn=0.02, shift=0.05, focal=1.02, free=("f_px", "k1")
+):
     """Return true cameras, true points and the problem of a wand waved before four cameras, the first held."""
     cameras = ring(k1=-0.1)
     points = wand_points(frames)
     camera, point, xy = views(cameras, points, noise_px, 0.8, seed)
     rng = np.random.default_rng(start_seed)
     starts = [
-        moved(c, rng, turn if k else 0, shift if k else 0, fx_px=c.lens.fx_px * focal, fy_px=c.lens.fy_px * focal, k1=0.0)
+        moved(
+            c,
+            rng,
+            turn if k else 0,
+            shift if k else 0,
+            fx_px=c.lens.fx_px * focal,
+            fy_px=c.lens.fy_px * focal,
+            k1=0.0,
+        )
         for k, c in enumerate(cameras)
     ]
     unknowns = tuple(CameraUnknowns(c, free, pose_sigma=FREE if k else HELD) for k, c in enumerate(starts))
@@ -47,8 +58,30 @@ def wand_problem(frames=60, noise_px=0.1, seed=3, start_seed=4, turn=0.02, shift
     return cameras, points, Problem(unknowns, see, ObjectPoints.free(len(points)), distances=rods)
 
 
+def without_single_rays(problem):
+    see, kept = problem.observations, twice_seen(problem)
+    pair = np.bincount(see.point[kept], minlength=len(problem.points)).reshape(-1, 2).all(axis=1)
+    kept &= pair[see.point // 2]
+    number = np.cumsum(np.repeat(pair, 2)) - 1
+    rods = problem.distances
+    return replace(
+        problem,
+        observations=Observations(see.camera[kept], number[see.point[kept]], see.xy_px[kept], sigma_px=0.1),
+        points=ObjectPoints.free(int(2 * pair.sum())),
+        distances=Distances(
+            *(number[x[pair]] for x in (rods.first, rods.second)), rods.length_m[pair], rods.sigma_m[pair]
+        ),
+    )
+
+
+def twice_seen(problem) -> np.ndarray:
+    """Return which observations are of points with a second ray; a point with one tells nothing."""
+    return np.bincount(problem.observations.point)[problem.observations.point] >= 2
+
+
 def test_the_optimum_is_scipys():
-    _, _, problem = wand_problem(frames=25)
+    _, _, problem = wand_problem(frames=12, seed=5)
+    problem = without_single_rays(problem)
     done = solve(problem, SHARP)
     assert done.converged
     assert done.weak == ()
@@ -62,7 +95,9 @@ def test_the_optimum_is_scipys():
             rvec, position = (z[8 * k - 6 : 8 * k - 3], z[8 * k - 3 : 8 * k]) if k else (None, None)
             pose = Pose(Rotation.from_rotvec(rvec).as_matrix(), position) if k else c.world_from_camera
             f, k1 = z[8 * k : 8 * k + 2]
-            out.append(replace(c, world_from_camera=pose, lens=replace(c.lens, fx_px=f, fy_px=f * ratio[k], k1=k1)))
+            out.append(
+                replace(c, world_from_camera=pose, lens=replace(c.lens, fx_px=f, fy_px=f * ratio[k], k1=k1))
+            )
         return out, z[8 * len(cameras) - 6 :].reshape(-1, 3)
 
     def residuals(z):
@@ -82,13 +117,15 @@ def test_the_optimum_is_scipys():
         start += [c.lens.fx_px, c.lens.k1]
     # from beside our optimum, so that it has to come back
     z = np.concatenate([start, done.points.ravel()])
-    z = z + np.random.default_rng(0).normal(0, 1e-4, z.size)
-    found = least_squares(residuals, z, x_scale="jac", ftol=1e-15, xtol=1e-15, gtol=1e-15)
+    z = z + np.random.default_rng(0).normal(0, 1e-5, z.size)
+    found = least_squares(residuals, z, method="lm", x_scale="jac", ftol=1e-15, xtol=1e-15, gtol=1e-15)
     theirs, points = unpack(found.x)
     assert done.cost == pytest.approx(2 * found.cost, rel=1e-10)
     for a, b in zip(done.cameras, theirs, strict=True):
         assert (a.lens.fx_px, a.lens.fy_px) == pytest.approx((b.lens.fx_px, b.lens.fy_px), rel=1e-7)
-        np.testing.assert_allclose(a.world_from_camera.translation, b.world_from_camera.translation, atol=1e-7)
+        np.testing.assert_allclose(
+            a.world_from_camera.translation, b.world_from_camera.translation, atol=1e-7
+        )
         np.testing.assert_allclose(a.world_from_camera.rotation, b.world_from_camera.rotation, atol=1e-7)
     np.testing.assert_allclose(done.points, points, atol=1e-7)
 
@@ -99,7 +136,10 @@ def test_one_camera_and_fixed_points_is_the_resection(model):
     points = rng.uniform(-0.6, 0.6, (60, 3)) + [0, 0, 1]
     pose = looking([2, 1, 1.5], [0, 0, 1])
     if model == "opencv":
-        lens, free = OpenCVLens(1000, 1004, 640, 510, -0.1, 0.03), ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2")
+        lens, free = (
+            OpenCVLens(1000, 1004, 640, 510, -0.1, 0.03),
+            ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2"),
+        )
     else:
         lens = MoscaLens(9.0, 640, 510, 0.01, 0.0101, -0.006, 8e-4)
         free = ("c_mm", "xp_px", "yp_px", "my_mm_per_px", "a", "K1_per_mm2")
@@ -178,9 +218,11 @@ def test_a_poor_start_leads_to_the_same_optimum():
         _, _, problem = wand_problem(frames=80, start_seed=seed, turn=0.1, shift=0.3, focal=focal)
         done = solve(problem, SHARP)
         assert done.cost == pytest.approx(best.cost, rel=1e-8), seed
-        assert done.used.all()
+        np.testing.assert_array_equal(done.used, twice_seen(problem))
         for a, b in zip(done.cameras, cameras, strict=True):
-            np.testing.assert_allclose(a.world_from_camera.translation, b.world_from_camera.translation, atol=5e-3)
+            np.testing.assert_allclose(
+                a.world_from_camera.translation, b.world_from_camera.translation, atol=5e-3
+            )
 
 
 def test_points_that_begin_behind_a_camera_are_found_again():
@@ -190,7 +232,7 @@ def test_points_that_begin_behind_a_camera_are_found_again():
         # mirrored through the first camera
         start[k] = 2 * problem.cameras[0].camera.world_from_camera.translation - points[k]
     done, best = solve(replace(problem, points=ObjectPoints.free(start)), SHARP), solve(problem, SHARP)
-    assert done.used.all()
+    np.testing.assert_array_equal(done.used, twice_seen(problem))
     assert done.cost == pytest.approx(best.cost, rel=1e-8)
 
 
@@ -222,9 +264,9 @@ def test_without_a_length_the_network_keeps_the_given_size():
     sizeless = Problem(cameras, problem.observations, ObjectPoints.free(1.1 * points), datum="points")
     done = solve(sizeless)
     assert np.sum(1.1 * points * (done.points - 1.1 * points)) == pytest.approx(0, abs=1e-3)
-    with pytest.raises(CalibrationError, match="nothing fixes 7 of the network's 7"):
+    with pytest.raises(CalibrationError, match="nothing fixes 7 of"):
         solve(replace(sizeless, datum="given"))
-    with pytest.raises(CalibrationError, match="nothing fixes 1 .*size.*length"):
+    with pytest.raises(CalibrationError, match=r"nothing fixes 1 .*size.*length"):
         solve(replace(sizeless, datum="given", cameras=problem.cameras))
     with pytest.raises(CalibrationError, match="datum 'points'"):
         solve(replace(sizeless, cameras=problem.cameras))
@@ -243,11 +285,15 @@ def test_cameras_that_share_a_lens_keep_one_lens():
     points = wand_points(40)
     camera, point, xy = views(cameras, points, 0.1)
     starts = [replace(c, lens=OpenCVLens(990, 993, 640, 510)) for c in cameras]
-    unknowns = [CameraUnknowns(c, ("f_px", "k1"), pose_sigma=FREE if k else HELD) for k, c in enumerate(starts)]
+    unknowns = [
+        CameraUnknowns(c, ("f_px", "k1"), pose_sigma=FREE if k else HELD) for k, c in enumerate(starts)
+    ]
     shared = [unknowns[0]] + [replace(one, free=(), lens_as="c0") for one in unknowns[1:]]
     rods = Distances(np.arange(0, 80, 2), np.arange(1, 80, 2), np.full(40, 0.5), np.full(40, 1e-4))
     see = Observations(camera, point, xy, sigma_px=0.1)
-    one, each = (solve(Problem(tuple(u), see, ObjectPoints.free(80), distances=rods)) for u in (shared, unknowns))
+    one, each = (
+        solve(Problem(tuple(u), see, ObjectPoints.free(80), distances=rods)) for u in (shared, unknowns)
+    )
     assert len({c.lens for c in one.cameras}) == 1
     assert len(each.parameters) - len(one.parameters) == 6
     assert one.cameras[3].lens.fx_px == pytest.approx(1000, abs=5 * one.standard_deviations["c0.f_px"])

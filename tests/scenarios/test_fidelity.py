@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -80,14 +81,14 @@ def test_a_spoiled_kernel_breaks_the_table(monkeypatch, spoil):
 
 
 def test_a_wrong_exposure_centre_breaks_the_table(monkeypatch):
-    # the window's nodes told 20 us late: as if the shutter opened too late
-    true = door.window_of
+    # the targets are where they will be 20 us later: as if the shutter opened too late
+    true = shutter.seen_by_twin
 
-    def late(*args, **more):
-        window = true(*args, **more)
-        return type(window)(window.nodes_s + 2e-5, window.length_s, window.row_time_s, window.light_s)
+    def late(lens, size, targets, **more):
+        ahead = [replace(one, centre_at=lambda t, one=one: one.centre_at(t + 2e-5)) for one in targets]
+        return true(lens, size, ahead, **more)
 
-    monkeypatch.setattr(shutter, "window_of", late)
+    monkeypatch.setattr(shutter, "seen_by_twin", late)
     monkeypatch.setattr(checks, "CHECKS", (shutter.motion,))
     assert CliRunner().invoke(cli, ["twin", "fidelity", "--quick"]).exit_code == 1
 
@@ -178,7 +179,7 @@ def test_pictures_are_small_the_same_each_time_and_lead_to_scenarios(crops):
         width = (crop.image.shape[1] + 8) // panels - 8
         halves = [crop.image[:, k * (width + 8) : k * (width + 8) + width] for k in range(panels)]
         assert not any(np.array_equal(halves[0], other) for other in halves[1:]), crop.name
-        assert all(half.max() > 100 for half in halves), crop.name
+        assert all(half.max() > 60 for half in halves), crop.name
     again = [make() for make in CROPS[::5]]
     for crop, other in zip(crops[::5], again, strict=True):
         np.testing.assert_array_equal(crop.image, other.image)

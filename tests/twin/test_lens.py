@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from mosca.camera import fit_lens, image_grid, lens_directions, lens_pixels
@@ -139,6 +139,8 @@ def test_land_inverts_origin(name, gap, tilt, shift, distance, at):
     at=st.tuples(st.floats(-150.0, 800.0), st.floats(-120.0, 610.0)),
 )
 def test_any_place_and_any_pixel_has_an_answer(name, terms, place, at):
+    # nothing is imaged from within the lens: the pupil moves by parts of a millimetre
+    assume(np.linalg.norm(place) > 0.02)
     twin = TwinLens.of(LENSES[name], W, H, TERMS[terms])
     xy = twin.pixels(np.array([place]))
     if np.isfinite(xy).all():

@@ -1,0 +1,124 @@
+"""From an image to the words of coded rings, on the image itself and on reduced copies of it.
+
+A part of ``mosca.coded``, which tells the method.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+
+import cv2
+import numpy as np
+
+from mosca.coded_dots import AXX, AXY, AYY, CONTRAST_DN, GX, GY, Look, X, Y, find_dots, ring_light
+from mosca.coded_rings import MARGIN, Ring, read_rings
+from mosca.data.arrays import Array
+
+NEIGHBOURHOOD_PX = 15
+LARGEST_DOT_PX = 13.0
+"""Diameter of the largest dot that is sure to be one patch; larger ones are found on reduced images."""
+SMALLEST_REDUCED_PX = 6.0
+"""Diameter of the smallest dot that is looked for on reduced images; smaller ones have been found before."""
+PERSPECTIVES = (0.03, -0.03, 0.06, -0.06)
+"""What is tried after 0: by how much a radius of the dot is nearer or farther, over the distance."""
+LEANING = 0.9
+"""Ratio of axes below which a dot leans enough to have perspective."""
+SURE = 0.4
+"""Margin from which on no other perspective is tried."""
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """What was read about dots: ``frames`` (n, FRAME) and ``levels`` (n, 2) as in ``coded_dots``, ``rings`` (n, 3)
+    as in ``coded_rings``.
+    """
+
+    frames: Array
+    levels: Array
+    rings: Array
+
+    def __getitem__(self, rows: Array) -> "Readings":
+        return Readings(self.frames[rows], self.levels[rows], self.rings[rows])
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    @classmethod
+    def joined(cls, parts: "list[Readings]") -> "Readings":
+        """Return all readings of ``parts``, at least one, in their order."""
+        return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
+
+
+def read_codes(image: Array, look: Look, maximum_dot_px: float, least_margin: float) -> Readings:
+    """Return what is read about white dots in an image (H, W), in its pixels; several times what several see."""
+    ring = Ring(0.5 * (look.ring_inner + look.ring_outer), least_margin)
+    parts = []
+    for smaller, factor in _reductions(image, maximum_dot_px):
+        least = 0.0 if factor == 1 else SMALLEST_REDUCED_PX / 2
+        own = look._replace(noise_dn=look.noise_dn / factor, least_axis_px=least)
+        frames = find_dots(smaller, *_patches(smaller, own), own)
+        found = _read(smaller, frames, own, ring)
+        found.frames[:, [X, Y]] = found.frames[:, [X, Y]] * factor + (factor - 1) / 2
+        found.frames[:, [AXX, AXY, AYY]] *= factor
+        parts.append(found)
+    return Readings.joined(parts)
+
+
+def ellipses_of(frames: Array) -> tuple[Array, Array]:
+    """Return the dots' semi-axes (n, 2), the longer first, and the angle (n,) of the longer one [rad]."""
+    xx, xy, yy = (frames[:, k] for k in (AXX, AXY, AYY))
+    middle, spread = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    return np.stack([middle + spread, middle - spread], axis=1), 0.5 * np.arctan2(2 * xy, xx - yy)
+
+
+def _read(image: Array, frames: Array, look: Look, ring: Ring) -> Readings:
+    """Return the surest reading about each dot that has one; leaning dots are tried with perspective too."""
+    first = _tried(image, frames, look, ring)
+    axes, angle = ellipses_of(frames)
+    unsure = np.flatnonzero((first.rings[:, MARGIN] < SURE) & (axes[:, 1] < LEANING * axes[:, 0]))
+    tries = [first[unsure]]
+    for g in PERSPECTIVES:
+        bent = frames[unsure]
+        # the plate leans about the longer axis: along the shorter one it is nearer here and farther there
+        bent[:, GX], bent[:, GY] = -g * np.sin(angle[unsure]), g * np.cos(angle[unsure])
+        tries.append(_tried(image, bent, look, ring))
+    best = np.argmax([one.rings[:, MARGIN] for one in tries], axis=0)
+    for k, one in enumerate(tries):
+        rows = np.flatnonzero(best == k)
+        for f in fields(Readings):
+            getattr(first, f.name)[unsure[rows]] = getattr(one, f.name)[rows]
+    return first[first.rings[:, MARGIN] > 0]
+
+
+def _tried(image: Array, frames: Array, look: Look, ring: Ring) -> Readings:
+    """Return what is read in frames (n, FRAME), the margin -1 where nothing is."""
+    light, levels = ring_light(image, frames, look)
+    rings = np.full((len(frames), 3), -1.0)
+    plates = np.flatnonzero(levels[:, CONTRAST_DN] > 0)
+    rings[plates] = read_rings(light[plates], frames[plates], ring)
+    return Readings(frames, levels, rings)
+
+
+def _reductions(image: Array, maximum_dot_px: float) -> Iterator[tuple[Array, int]]:
+    """Yield the image and copies reduced by 2, 4, ...: as many as the largest dot takes."""
+    factor = 1
+    yield image, factor
+    while maximum_dot_px > LARGEST_DOT_PX * factor and min(image.shape) >= 4 * NEIGHBOURHOOD_PX:
+        factor *= 2
+        height, width = image.shape[0] // 2, image.shape[1] // 2
+        image = cv2.resize(image[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+        yield image, factor
+
+
+def _patches(image: Array, look: Look) -> tuple[Array, int]:
+    """Return labels (H, W) int32 of the patches brighter than the middle of what is around them, and their number.
+
+    The background, label 0, counts as one.
+    """
+    if look.noise_dn > look.contrast_dn / 12:
+        image = cv2.GaussianBlur(image, (3, 3), 0.6)
+    window = np.ones((NEIGHBOURHOOD_PX, NEIGHBOURHOOD_PX), np.uint8)
+    low, high = cv2.erode(image, window), cv2.dilate(image, window)
+    bright = image > np.asarray(cv2.addWeighted(low, 0.5, high, 0.5, 0.0))
+    bright &= np.asarray(cv2.subtract(high, low)) > look.contrast_dn
+    count, labels = cv2.connectedComponents(bright.view(np.uint8))
+    return np.asarray(labels), count
