@@ -1,31 +1,35 @@
 """Identification of coded targets: from an image to numbered sub-pixel centres. Mosca paper, section 2.2.
 
 A coded target is a dot within a ring of 20 sectors on a plate of the other colour (``mosca.data.targets``,
-``target_codes``); targets of this kind automated the paper's calibration (its reference Knyaz and Sibiryakov 1998).
+``target_codes``); targets of this kind automated the paper's calibration (its reference Knyaz and Sibiryakov
+1998).
 
-1. Patches (``coded_read``). A pixel is bright when it exceeds the middle between the smallest and the largest grey value
-   of the 15 x 15 px around it and these differ by more than the contrast B: a threshold of its own for every target,
-   whatever the light. Bright 8-connected patches that fill the ellipse of their second moments are dots, on the image
-   itself for dots up to about 13 px and on copies reduced by 2, 4, ... for larger ones.
-2. Frame (``coded_dots``). The dot's contour at half its own contrast, on 24 rays, gives the ellipse and with it the
-   affine map of the plate into the image but for its roll. For dots that lean and are not read surely, four amounts of
-   perspective along the shorter axis are tried too, and the surest reading is kept.
-3. Plate. Between dot and ring and outside the ring all must be plate, evenly lit or with light that changes evenly: at
-   40 places within 0.4 of the dot's contrast.
-4. Ring (``coded_rings``). 120 directions, at three radii. The sectors start where the squared change of light has its
-   phase. What blur has let in from the neighbours is taken off. No six sectors of a number are alike, so each is
-   compared with the middle of the lightest and the darkest of the seven about it. The three radii must agree, the
-   swing must be that of the dot, the ring's light must correlate with that of the word by 0.93, and the word must be
-   one of the code's exactly: any two numbers differ in four sectors, and nothing is put right.
-5. Centre (``coded_measure``). The dot goes through the centroid of ``mosca.detect``: the pixels above half its contrast
-   are the region, and the mask reaches beyond as far as the gap allows. The circle's eccentricity is left in:
-   ``mosca.eccentricity`` gives it once the camera stands.
+1. Patches (``coded_read``). A pixel is bright when it exceeds the middle between the smallest and the largest
+   grey value of the 15 x 15 px around it and these differ by more than the contrast B: a threshold of its own
+   for every target, whatever the light. Bright 8-connected patches that fill the ellipse of their second
+   moments are dots, on the image itself for dots up to about 13 px and on copies reduced by 2, 4, ... for
+   larger ones.
+2. Frame (``coded_dots``). The dot's contour at half its own contrast, on 24 rays, gives the ellipse and with it
+   the affine map of the plate into the image but for its roll. For dots that lean and are not read surely, four
+   amounts of perspective along the shorter axis are tried too, and the surest reading is kept.
+3. Plate. Between dot and ring and outside the ring all must be plate, evenly lit or with light that changes
+   evenly: at 40 places within 0.4 of the dot's contrast.
+4. Ring (``coded_rings``). 120 directions, at three radii. The sectors start where the squared change of light
+   has its phase. What blur has let in from the neighbours is taken off. No six sectors of a number are alike,
+   so each is compared with the middle of the lightest and the darkest of the seven about it. The three radii
+   must agree, the swing must be that of the dot, the ring's light must correlate with that of the word by 0.93,
+   and the word must be one of the code's exactly: any two numbers differ in four sectors, and nothing is put
+   right.
+5. Centre (``coded_measure``). The dot goes through the centroid of ``mosca.detect``: the pixels above half its
+   contrast are the region, and the mask reaches beyond as far as the gap allows. The circle's eccentricity is
+   left in: ``mosca.eccentricity`` gives it once the camera stands.
 
-Of readings on one another's plates only the surest is kept; a number that is read in two places is refused in both. A
-mirrored ring is refused but for 25 of the 507 numbers, of which 13 read the same and 12 as another. Nothing but a
-mirror shows one; where there are mirrors, name the ``numbers`` that there are. So it is with hiding: whatever covers up
-to three sectors cannot make another number; four or five neighbours, covered exactly and in the ring's own black, do in
-0.09 % and 0.2 % of all cases, more than five never. (Counted over the whole code in the tests.)
+Of readings on one another's plates only the surest is kept; a number that is read in two places is refused in
+both. A mirrored ring is refused but for 25 of the 507 numbers, of which 13 read the same and 12 as another.
+Nothing but a mirror shows one; where there are mirrors, name the ``numbers`` that there are. So it is with
+hiding: whatever covers up to three sectors cannot make another number; four or five neighbours, covered exactly
+and in the ring's own black, do in 0.09 % and 0.2 % of all cases, more than five never. (Counted over the whole
+code in the tests.)
 """
 
 import math

@@ -123,10 +123,10 @@ def weak_directions(
         value = float(state[0][camera, LENS + parameter])
         worst[camera] = LensPrior(column, camera, parameter, value, float(plausible[column]))
     more = tuple(worst.values())
-    if not more:
+    if len(values) and values[0] < 1 and not more:
         diagonal = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
         values, vectors = np.linalg.eigh(matrix / diagonal[:, None] / diagonal)
-        if len(values) and values[0] < SINGULAR:
+        if values[0] < SINGULAR:
             loose = ", ".join(layout.names[k] for k in np.argsort(-np.abs(vectors[:, 0]))[:3])
             raise CalibrationError(
                 f"the observations do not determine {loose}; observe more points there, or hold it"
@@ -140,7 +140,8 @@ def _plausible(problem: Problem, layout: Layout, state: tuple[Array, ...]) -> Ar
     out = np.full(len(layout.names) + 1, PLAUSIBLE_SHARE)
     sample = slice(None, None, max(1, len(layout.order) // 1000))
     away = placed_points(layout, state, sample) - table[layout.see[0][sample], 9:LENS]
-    distance = float(np.nanmedian(np.linalg.norm(away, axis=1)))
+    far = np.linalg.norm(away, axis=1)
+    distance = float(np.median(far[np.isfinite(far)]))
     out[layout.index[: len(table), 3:6]] = PLAUSIBLE_SHARE * distance
     out[layout.index[len(table) :, :3]] = PLAUSIBLE_SHARE * distance
     diagonals: list[float] = [float(np.hypot(one.camera.width, one.camera.height)) for one in problem.cameras]

@@ -52,7 +52,7 @@ def invert(matrix, at, n, damping, lower, inverse):  # type: ignore[no-untyped-d
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def _invert_three(m, at, damping, out):  # type: ignore[no-untyped-def]
+def invert_three(m, at, damping, out):  # type: ignore[no-untyped-def]
     """``invert`` for a 3 x 3 block, written out: most blocks are one point."""
     d0, d1, d2 = m[at] * (1 + damping), m[at + 4] * (1 + damping), m[at + 8] * (1 + damping)
     p0 = 1 / d0 if d0 > 0 else 0.0
@@ -110,7 +110,10 @@ def reduce_to_groups(blocks, normals, damping, inverse, pairs, reduced_slope):  
         n, first = dim[b], slot_first[b]
         slots = slot_first[b + 1] - first
         for one in range(b, b + count):
-            invert(block_normals, at_v[one], n, damping, lower, inverse)
+            if n == 3:
+                invert_three(block_normals, at_v[one], damping, inverse)
+            else:
+                invert(block_normals, at_v[one], n, damping, lower, inverse)
         if slots == 0:
             continue
         rows, columns = count * n, slots * width
