@@ -29,6 +29,8 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
             "zstandard",
         ),
     ),
+    # a printable sheet is a drawing: PDF and SVG come from the plot library
+    "mosca.formats.target_sheet": (("mosca",), ("mosca.data.truth",), ("numpy", "matplotlib")),
     "twin": (
         ("twin", "mosca.data", "mosca.errors"),
         (),

@@ -118,7 +118,8 @@ def solve(
         cofactors, tests = tested(layout, solution, robust)
         precision = precision_of(problem, layout, solution, cofactors, tests, variance)
     descent = solution.descent
-    own = residuals(layout, descent.state)
+    # a common motion changes no residual
+    own = descent.normals[-1] if (solution.weight > 0).all() else residuals(layout, descent.state)
     used, out, residual = np.empty(len(own), dtype=bool), np.empty(len(own), dtype=bool), np.empty_like(own)
     used[layout.order] = (solution.weight > 0) & np.isfinite(own[:, 0])
     out[layout.order], residual[layout.order] = rejected, -own
@@ -155,7 +156,7 @@ def _solved(
         descent = descend(task, state, weight)
         steps += descent.steps
         for _ in range(PLACING_ROUNDS):
-            again = placed_again(task, descent.state, weight)
+            again = placed_again(task, descent.state, descent.normals[-1], weight)
             if again is None:
                 break
             other = descend(task, again, weight)
@@ -193,7 +194,8 @@ def _normal_matrix(task: Task, descent: Descent) -> tuple[Array, Array, int]:
     loose.
     """
     pull, _ = pulls(task.problem, task.layout, task.priors, descent.state)
-    matrix, _, inverse = reduced(task.layout, descent.normals, pull, 0.0)
+    inverse = np.empty_like(descent.normals[4])
+    matrix, _ = reduced(task.layout, descent.normals, pull, 0.0, inverse)
     if len(matrix) == 0:
         return matrix, inverse, 0
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))

@@ -22,7 +22,7 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Pose
 
 # the least damping also keeps a free network regular: its common motions then do not move
-FIRST_DAMPING, LEAST_DAMPING, WORST_DAMPING = 1e-4, 1e-10, 1e12
+FIRST_DAMPING, LEAST_DAMPING, WORST_DAMPING = 1e-5, 1e-10, 1e12
 # beyond it small promises only mean small steps
 STALLED = 1e2
 # sums of squares of so many numbers cannot be told apart below this share of theirs
@@ -93,15 +93,17 @@ def first_state(problem: Problem, layout: Layout) -> State:
     return state_of(problem, cameras, points, problem.placements)
 
 
-def placed_again(task: Task, state: State, weight: Array, least: float = 0.0) -> State | None:
+def placed_again(
+    task: Task, state: State, residual: Array, weight: Array, least: float = 0.0
+) -> State | None:
     """Return the state with badly placed points intersected anew, None where that helps none.
 
-    ``least``: residual, in standard deviations, below which none is. Badly placed: a camera ought to see the
-    point and does not, or sees it far from where the point lies; at a poor start an end of a wand may be
-    caught on the other side of its fellow, where the length is right as well.
+    ``residual`` (n, 2) there [px]; ``least``: what, in standard deviations, a bad point has at least. Badly
+    placed: a camera ought to see the point and does not, or sees it far from where the point lies; at a poor
+    start an end of a wand may be caught on the other side of its fellow, where the length is right as well.
     """
     layout = task.layout
-    away = _distances(layout, state, weight)
+    away = _distances(layout, residual, weight)
     if away.max(initial=0.0) < FAR:
         return None
     limit = least or FAR * max(float(np.median(away[weight > 0])), 1.0)
@@ -113,16 +115,17 @@ def placed_again(task: Task, state: State, weight: Array, least: float = 0.0) ->
     cameras = adjusted_cameras(task.problem, layout, state)
     again = state[0], intersected(cameras, layout, points, state[1]), state[2]
     before, after = (
-        np.bincount(layout.see[1], one**2, len(points)) for one in (away, _distances(layout, again, weight))
+        np.bincount(layout.see[1], one**2, len(points))
+        for one in (away, _distances(layout, residuals(layout, again), weight))
     )
     worse = after > BETTER * before
     again[1][worse] = state[1][worse]
     return again if (~worse[lost]).any() else None
 
 
-def _distances(layout: Layout, state: State, weight: Array) -> Array:
+def _distances(layout: Layout, residual: Array, weight: Array) -> Array:
     """Return how far (n,) points of the world are from where they are seen, in standard deviations."""
-    away = np.nan_to_num(np.hypot(*residuals(layout, state).T) * weight, nan=NOWHERE)
+    away = np.nan_to_num(np.hypot(residual[:, 0], residual[:, 1]) * weight, nan=NOWHERE)
     return np.where((weight > 0) & (layout.see[2] < 0), away, 0.0)
 
 
@@ -163,13 +166,12 @@ def state_of(problem: Problem, cameras: Sequence[Camera], points: Array, placeme
 
 
 def reduced(
-    layout: Layout, normals: Normals, pull: tuple[Array, Array] | None, damping: float
-) -> tuple[Array, Array, Array]:
-    """Return the reduced normal matrix (u, u) and slope (u,), and the inverse blocks."""
+    layout: Layout, normals: Normals, pull: tuple[Array, Array] | None, damping: float, inverse: Array
+) -> tuple[Array, Array]:
+    """Return the reduced normal matrix (u, u) and slope (u,); write the inverse blocks into ``inverse``."""
     unknowns, width = len(layout.names), layout.index.shape[1]
     pairs = np.empty((layout.pairs, width, width))
     group_slope = np.empty((len(layout.index), width))
-    inverse = np.empty_like(normals[4])
     reduce_to_groups(layout.blocks, normals, damping, inverse, pairs, group_slope)
     matrix = np.empty((unknowns, unknowns))
     scatter(normals, pairs, layout.index, damping, matrix)
@@ -179,7 +181,7 @@ def reduced(
         matrix += pull[0]
         matrix[np.diag_indices(unknowns)] += damping * np.diag(pull[0])
         slope += pull[1]
-    return matrix, slope, inverse
+    return matrix, slope
 
 
 def descend(task: Task, start: State, weight: Array) -> Descent:
@@ -187,37 +189,37 @@ def descend(task: Task, start: State, weight: Array) -> Descent:
     out.
     """
     layout = task.layout
-    present, spare = empty_normals(layout), empty_normals(layout)
+    normals, inverse = empty_normals(layout), np.empty(int((layout.blocks[0] ** 2).sum()))
     state = start
-    cost, unseen, pull = linearised(task, state, weight, present)
+    cost, unseen, pull = linearised(task, state, weight, normals)
     if unseen:
-        state = placed_again(task, state, weight, NOWHERE) or state
-        cost, unseen, pull = linearised(task, state, weight, present)
+        state = placed_again(task, state, normals[-1], weight, NOWHERE) or state
+        cost, unseen, pull = linearised(task, state, weight, normals)
     used = int((weight > 0).sum())
     redundancy = max(2 * used - len(layout.names) - int(layout.blocks[0].sum()), 1)
     damping, growth = FIRST_DAMPING, 2.0
     for step in range(task.most_steps):
         enough = max(task.tolerance**2 / redundancy, ROUNDING) * cost
         while True:
-            trial, promised = _step(task, state, present, pull, damping)
+            trial, promised = _step(task, state, normals, pull, damping, inverse)
             if promised <= enough or cost <= EXACT**2 * used:
-                return Descent(state, present, cost, step, unseen, damping < STALLED)
+                return Descent(state, normals, cost, step, unseen, damping < STALLED)
             if trial is not None:
-                trial_cost, trial_unseen, trial_pull = linearised(task, trial, weight, spare)
+                trial_cost, trial_unseen, trial_pull = linearised(task, trial, weight, normals)
                 if trial_cost < cost:
                     break
+                linearised(task, state, weight, normals)
             damping, growth = damping * growth, growth * 2
             if damping > WORST_DAMPING:
-                return Descent(state, present, cost, step, unseen, False)
+                return Descent(state, normals, cost, step, unseen, False)
         gained = cost - trial_cost
         state, cost, unseen, pull = trial, trial_cost, trial_unseen, trial_pull
-        present, spare = spare, present
         ratio = gained / promised
         fall = 0.1 if ratio > 0.75 else max(1 / 3, 1 - (2 * ratio - 1) ** 3)
         damping, growth = max(damping * fall, LEAST_DAMPING), 2.0
         if gained <= enough:
-            return Descent(state, present, cost, step + 1, unseen, damping < STALLED)
-    return Descent(state, present, cost, task.most_steps, unseen, False)
+            return Descent(state, normals, cost, step + 1, unseen, damping < STALLED)
+    return Descent(state, normals, cost, task.most_steps, unseen, False)
 
 
 def linearised(
@@ -234,11 +236,16 @@ def linearised(
 
 
 def _step(
-    task: Task, state: State, normals: Normals, pull: tuple[Array, Array] | None, damping: float
+    task: Task,
+    state: State,
+    normals: Normals,
+    pull: tuple[Array, Array] | None,
+    damping: float,
+    inverse: Array,
 ) -> tuple[State | None, float]:
     """Return the state after a damped step (None where no lens is like that) and the promised decrease."""
     layout = task.layout
-    matrix, slope, inverse = reduced(layout, normals, pull, damping)
+    matrix, slope = reduced(layout, normals, pull, damping, inverse)
     step = np.zeros(0)
     if len(slope):
         diagonal = np.diag(matrix)
@@ -288,7 +295,7 @@ def moved(layout: Layout, state: State, group_step: Array, block_step: Array) ->
 
 
 def empty_normals(layout: Layout) -> Normals:
-    """Return room for normal equations, as ``bundle_kernels`` orders them."""
+    """Return room for normal equations, as ``bundle_kernels`` orders them, and the residuals (n, 2) [px]."""
     groups, width = layout.index.shape
     dim, at_w = layout.blocks[0], layout.blocks[6]
     return (
@@ -299,4 +306,5 @@ def empty_normals(layout: Layout) -> Normals:
         np.empty(int((dim * dim).sum())),
         np.empty(int(dim.sum())),
         layout.pair_of,
+        np.empty((len(layout.order), 2)),
     )

@@ -95,7 +95,7 @@ def linearise(state, see, columns, blocks, known, robust, normals):  # type: ign
     rod_first, rods, rod_weight = known[-3], known[-2], known[-1]
     lens, count, first, second, factor = columns
     loss, scale2 = robust
-    group_normals, cross, group_slope, mixed, block_normals, block_slope, pair_of = normals
+    group_normals, cross, group_slope, mixed, block_normals, block_slope, pair_of, residual = normals
     group_normals[:] = 0
     cross[:] = 0
     group_slope[:] = 0
@@ -111,6 +111,7 @@ def linearise(state, see, columns, blocks, known, robust, normals):  # type: ign
         n, v, g = dim[b], at_v[b], at_g[b]
         stride = (slot_first[b + 1] - slot_first[b]) * width
         for m in range(first_observation[b], first_observation[b + 1]):
+            residual[m, 0] = residual[m, 1] = np.nan
             if weight[m] == 0.0:
                 continue
             camera, placement = camera_of[m], placement_of[m]
@@ -118,7 +119,9 @@ def linearise(state, see, columns, blocks, known, robust, normals):  # type: ign
                 cost += weigh(2 * UNSEEN * UNSEEN, loss, scale2)[0]
                 unseen += 1
                 continue
-            e0, e1 = (out[0, 0] - xy_px[m, 0]) * weight[m], (out[1, 0] - xy_px[m, 1]) * weight[m]
+            e0, e1 = out[0, 0] - xy_px[m, 0], out[1, 0] - xy_px[m, 1]
+            residual[m, 0], residual[m, 1] = e0, e1
+            e0, e1 = e0 * weight[m], e1 * weight[m]
             rho, w = weigh(e0 * e0 + e1 * e1, loss, scale2)
             cost += rho
             root = np.sqrt(w)

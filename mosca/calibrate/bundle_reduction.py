@@ -100,7 +100,7 @@ def reduce_to_groups(blocks, normals, damping, inverse, pairs, reduced_slope):  
     ``pairs`` (n_pairs, K, K) is by pairs of groups, the lower group first; ``inverse`` keeps the V^-1.
     """
     dim, _, slot_first, slot_group, at_v, at_g, at_w, runs, _ = blocks
-    _, _, group_slope, mixed, block_normals, block_slope, pair_of = normals
+    _, _, group_slope, mixed, block_normals, block_slope, pair_of, _ = normals
     width = group_slope.shape[1]
     lower = np.zeros((dim.max(), dim.max()))
     pairs[:] = 0
@@ -138,7 +138,7 @@ def scatter(normals, pairs, index, damping, out):  # type: ignore[no-untyped-def
 
     ``pairs``: what the elimination takes away. Groups may share columns (a common lens).
     """
-    group_normals, cross, _, _, _, _, pair_of = normals
+    group_normals, cross, _, _, _, _, pair_of, _ = normals
     groups, width = index.shape
     out[:] = 0
     for a in range(groups):
@@ -168,7 +168,7 @@ def back_substitute(blocks, normals, damping, inverse, group_step, block_step): 
     decrease.
     """
     dim, _, slot_first, slot_group, at_v, at_g, at_w, runs, _ = blocks
-    _, _, group_slope, mixed, block_normals, block_slope, _ = normals
+    _, _, group_slope, mixed, block_normals, block_slope, _, _ = normals
     width = group_slope.shape[1]
     promised = 0.0
     for r in range(runs.size - 1):

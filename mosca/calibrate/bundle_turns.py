@@ -68,7 +68,7 @@ def weighted_blocks(state, blocks, known, normals):  # type: ignore[no-untyped-d
     _, points, placements = state
     dim, _, _, _, at_v, at_g, _, _, member = blocks
     given, information, pose_block, given_placements, pose_weight, _, _, _ = known
-    _, _, _, _, block_normals, block_slope, _ = normals
+    _, _, _, _, block_normals, block_slope, _, _ = normals
     cost = 0.0
     if information.size:
         for k in range(member.shape[0]):

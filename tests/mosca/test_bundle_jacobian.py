@@ -237,7 +237,7 @@ def test_normal_equations_of_every_kind_of_unknown():
     pull, more = pulls(problem, layout, lens_priors(problem, layout), state)
     assert unseen == 0
     assert cost + more == pytest.approx(residuals @ residuals, rel=1e-10)
-    matrix, slope, _ = reduced(layout, normals, pull, 0.0)
+    matrix, slope = reduced(layout, normals, pull, 0.0, np.empty_like(normals[4]))
     u = len(layout.names)
     full, gradient = jacobian.T @ jacobian, jacobian.T @ residuals
     block_inverse = np.linalg.inv(full[u:, u:])
