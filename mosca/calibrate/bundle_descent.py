@@ -22,7 +22,7 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Pose
 
 # the least damping also keeps a free network regular: its common motions then do not move
-FIRST_DAMPING, LEAST_DAMPING, WORST_DAMPING = 1e-5, 1e-10, 1e12
+FIRST_DAMPING, LEAST_DAMPING, WORST_DAMPING = 1e-6, 1e-10, 1e12
 # beyond it small promises only mean small steps
 STALLED = 1e2
 # sums of squares of so many numbers cannot be told apart below this share of theirs

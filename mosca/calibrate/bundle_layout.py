@@ -199,6 +199,8 @@ def _useful(problem: Problem) -> Distances:
     A point with one ray and a distance has two places: it would lead astray more than it tells.
     """
     rods = problem.distances
+    if len(rods) == 0:
+        return rods
     known = np.bincount(problem.observations.point, minlength=len(problem.points)) >= 2
     known |= problem.points.held
     if problem.points.information is not None:
