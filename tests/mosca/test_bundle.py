@@ -10,7 +10,7 @@ from bundle_scenes import HEIGHT, WIDTH, cv2_pixels, looking, moved, ring, views
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from mosca.calibrate.bundle import (
+from mosca.calibrate.bundle.solver import (
     FREE,
     HELD,
     BundleSettings,

@@ -9,7 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mosca.calibrate.bundle import (
+from mosca.calibrate.bundle.descent import empty_normals, first_state, moved, reduced
+from mosca.calibrate.bundle.kernels import imaged, linearise
+from mosca.calibrate.bundle.layout import lay_out
+from mosca.calibrate.bundle.lenses import FOLD, IMAGED, L, image, lens_row
+from mosca.calibrate.bundle.priors import lens_priors, pulls
+from mosca.calibrate.bundle.solver import (
     BundleSettings,
     CameraUnknowns,
     Distances,
@@ -19,12 +24,7 @@ from mosca.calibrate.bundle import (
     Problem,
     solve,
 )
-from mosca.calibrate.bundle_descent import empty_normals, first_state, moved, reduced
-from mosca.calibrate.bundle_kernels import imaged, linearise
-from mosca.calibrate.bundle_layout import lay_out
-from mosca.calibrate.bundle_lenses import FOLD, IMAGED, L, image, lens_row
-from mosca.calibrate.bundle_priors import lens_priors, pulls
-from mosca.calibrate.bundle_turns import weighted_blocks
+from mosca.calibrate.bundle.turns import weighted_blocks
 from mosca.camera import project
 from mosca.data.rig import Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose
 from mosca.lenses import fisheye_model, mosca_model, opencv_model
@@ -260,7 +260,7 @@ def test_covariances_and_redundancy_numbers_are_those_of_the_dense_inverse():
     problem = everything(free=FEW)
     done = solve(problem, BundleSettings(tolerance=1e-6, hold_weak=False))
     layout = lay_out(problem)
-    from mosca.calibrate.bundle import _state_of
+    from mosca.calibrate.bundle.solver import _state_of
 
     state = _state_of(problem, layout, done)
     residuals, jacobian = dense(problem, layout, state)

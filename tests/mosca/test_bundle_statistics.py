@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from mosca.calibrate.bundle import (
+from mosca.calibrate.bundle.solver import (
     FREE,
     HELD,
     BundleSettings,

@@ -19,10 +19,10 @@ from typing import Literal
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-from mosca.calibrate.bundle_adjustment import Adjustment, Precision, precision_of, tested
-from mosca.calibrate.bundle_blunders import snoop, without_lonely
-from mosca.calibrate.bundle_datum import check_datum, generators, null_generators, weak_directions
-from mosca.calibrate.bundle_descent import (
+from mosca.calibrate.bundle.adjustment import Adjustment, Precision, precision_of, tested
+from mosca.calibrate.bundle.blunders import snoop, without_lonely
+from mosca.calibrate.bundle.datum import check_datum, generators, null_generators, weak_directions
+from mosca.calibrate.bundle.descent import (
     Descent,
     Solution,
     State,
@@ -37,11 +37,11 @@ from mosca.calibrate.bundle_descent import (
     residuals,
     state_of,
 )  # fmt: skip
-from mosca.calibrate.bundle_kernels import CAUCHY, HUBER, LEAST_SQUARES, LENS, UNSEEN, weigh
-from mosca.calibrate.bundle_layout import Layout, lay_out
-from mosca.calibrate.bundle_network import diagonals, onto_given
-from mosca.calibrate.bundle_priors import Priors, count, lens_priors, pulls
-from mosca.calibrate.bundle_problem import (
+from mosca.calibrate.bundle.kernels import CAUCHY, HUBER, LEAST_SQUARES, LENS, UNSEEN, weigh
+from mosca.calibrate.bundle.layout import Layout, lay_out
+from mosca.calibrate.bundle.network import diagonals, onto_given
+from mosca.calibrate.bundle.priors import Priors, count, lens_priors, pulls
+from mosca.calibrate.bundle.problem import (
     FOCAL,
     FREE,
     HELD,
@@ -52,7 +52,7 @@ from mosca.calibrate.bundle_problem import (
     Placements,
     Problem,
 )  # fmt: skip
-from mosca.calibrate.bundle_start import intersected
+from mosca.calibrate.bundle.start import intersected
 from mosca.data.arrays import Array, read_only
 from mosca.errors import CalibrationError
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mosca.calibrate.bundle_layout import Layout
+from mosca.calibrate.bundle.layout import Layout
 from mosca.camera import lens_directions
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera

@@ -14,7 +14,7 @@ rotation (9), position (3) and lens row (20); points (p, 3); placements (f, 12) 
 import numpy as np
 from numba import njit
 
-from mosca.calibrate.bundle_lenses import FAST, IMAGED, L, image
+from mosca.calibrate.bundle.lenses import FAST, IMAGED, L, image
 
 UNSEEN = 1e3
 """Residual, in standard deviations, of an image point that the trial camera cannot see: no perfect fit, no
@@ -87,7 +87,7 @@ def linearise(state, see, columns, blocks, known, robust, normals):  # type: ign
     """Write the normal equations at ``state`` into ``normals``; return the cost and the number of unseen
     points.
 
-    The arguments are the tuples of arrays that ``bundle_layout`` makes, in its order.
+    The arguments are the tuples of arrays that ``layout`` makes, in its order.
     """
     cameras, points, placements = state
     camera_of, point_of, placement_of, xy_px, weight, offset, slot, kept, kept_slot = see

@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-from mosca.calibrate.bundle_kernels import LENS, imaged, linearise
-from mosca.calibrate.bundle_layout import Layout
-from mosca.calibrate.bundle_lenses import lens_of, lens_row, set_folds
-from mosca.calibrate.bundle_priors import Priors, pulls
-from mosca.calibrate.bundle_problem import Placements, Problem
-from mosca.calibrate.bundle_reduction import back_substitute, reduce_to_groups, scatter
-from mosca.calibrate.bundle_start import intersected
-from mosca.calibrate.bundle_turns import turn_on, weighted_blocks
+from mosca.calibrate.bundle.kernels import LENS, imaged, linearise
+from mosca.calibrate.bundle.layout import Layout
+from mosca.calibrate.bundle.lenses import lens_of, lens_row, set_folds
+from mosca.calibrate.bundle.priors import Priors, pulls
+from mosca.calibrate.bundle.problem import Placements, Problem
+from mosca.calibrate.bundle.reduction import back_substitute, reduce_to_groups, scatter
+from mosca.calibrate.bundle.start import intersected
+from mosca.calibrate.bundle.turns import turn_on, weighted_blocks
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Pose
 
@@ -35,7 +35,7 @@ EXACT = 1e-9
 FAR, BETTER, NOWHERE = 8.0, 0.5, 1e9
 
 State = tuple[Array, Array, Array]
-"""Tables of cameras (c, 32), points (p, 3) and placements (f, 12), as ``bundle_kernels`` says."""
+"""Tables of cameras (c, 32), points (p, 3) and placements (f, 12), as ``kernels`` says."""
 Normals = tuple[Array, ...]
 
 
@@ -295,7 +295,7 @@ def moved(layout: Layout, state: State, group_step: Array, block_step: Array) ->
 
 
 def empty_normals(layout: Layout) -> Normals:
-    """Return room for normal equations, as ``bundle_kernels`` orders them, and the residuals (n, 2) [px]."""
+    """Return room for normal equations, as ``kernels`` orders them, and the residuals (n, 2) [px]."""
     groups, width = layout.index.shape
     dim, at_w = layout.blocks[0], layout.blocks[6]
     return (

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.calibrate.bundle_kernels import LENS
-from mosca.calibrate.bundle_layout import Layout
-from mosca.calibrate.bundle_problem import Problem
-from mosca.calibrate.bundle_turns import weighted_pose
+from mosca.calibrate.bundle.kernels import LENS
+from mosca.calibrate.bundle.layout import Layout
+from mosca.calibrate.bundle.problem import Problem
+from mosca.calibrate.bundle.turns import weighted_pose
 from mosca.data.arrays import Array
 
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from mosca.calibrate.bundle_datum import generators, point_motions
-from mosca.calibrate.bundle_descent import Solution, State
-from mosca.calibrate.bundle_layout import Layout
-from mosca.calibrate.bundle_precision import carry_down, carry_up
-from mosca.calibrate.bundle_problem import Problem
+from mosca.calibrate.bundle.datum import generators, point_motions
+from mosca.calibrate.bundle.descent import Solution, State
+from mosca.calibrate.bundle.layout import Layout
+from mosca.calibrate.bundle.precision import carry_down, carry_up
+from mosca.calibrate.bundle.problem import Problem
 from mosca.data.arrays import Array
 from mosca.errors import CalibrationError
 

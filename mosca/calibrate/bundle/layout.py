@@ -1,7 +1,7 @@
 """Where everything of a bundle adjustment stands: columns of the reduced system, blocks, slots, sorted
 observations.
 
-The tuples of arrays are what the compiled kernels take; see ``bundle_kernels`` for groups, blocks and slots.
+The tuples of arrays are what the compiled kernels take; see ``kernels`` for groups, blocks and slots.
 """
 
 from dataclasses import dataclass, fields
@@ -10,8 +10,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from mosca.calibrate.bundle_problem import FOCAL, Distances, Problem
-from mosca.calibrate.bundle_reduction import find_runs, pair_table
+from mosca.calibrate.bundle.problem import FOCAL, Distances, Problem
+from mosca.calibrate.bundle.reduction import find_runs, pair_table
 from mosca.data.arrays import Array
 from mosca.errors import CalibrationError
 

@@ -6,11 +6,11 @@ known in closed form (``generators``); which of them nothing fixes is read off t
 
 import numpy as np
 
-from mosca.calibrate.bundle_kernels import LENS
-from mosca.calibrate.bundle_layout import Layout
-from mosca.calibrate.bundle_lenses import influence
-from mosca.calibrate.bundle_priors import LensPrior, Priors, free_lens_parameters
-from mosca.calibrate.bundle_problem import Problem
+from mosca.calibrate.bundle.kernels import LENS
+from mosca.calibrate.bundle.layout import Layout
+from mosca.calibrate.bundle.lenses import influence
+from mosca.calibrate.bundle.priors import LensPrior, Priors, free_lens_parameters
+from mosca.calibrate.bundle.problem import Problem
 from mosca.data.arrays import Array
 from mosca.errors import CalibrationError
 

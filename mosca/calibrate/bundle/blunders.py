@@ -10,8 +10,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from mosca.calibrate.bundle_descent import Solution
-from mosca.calibrate.bundle_layout import Layout
+from mosca.calibrate.bundle.descent import Solution
+from mosca.calibrate.bundle.layout import Layout
 from mosca.data.arrays import Array
 
 LEAST_REDUNDANCY = 3

@@ -1,11 +1,11 @@
-"""Precision and reliability of a bundle adjustment, run by run, compiled. The names are ``bundle_kernels``'."""
+"""Precision and reliability of a bundle adjustment, run by run, compiled. The names are ``kernels``'."""
 
 import numpy as np
 from numba import njit
 
-from mosca.calibrate.bundle_kernels import BY_OWN, BY_POSE, BY_TURN, BY_WORLD, OBSERVED, observe, weigh
-from mosca.calibrate.bundle_lenses import FAST, L
-from mosca.calibrate.bundle_reduction import times_inverse
+from mosca.calibrate.bundle.kernels import BY_OWN, BY_POSE, BY_TURN, BY_WORLD, OBSERVED, observe, weigh
+from mosca.calibrate.bundle.lenses import FAST, L
+from mosca.calibrate.bundle.reduction import times_inverse
 
 LEAST_REDUNDANCY_NUMBER = 1e-6
 """An image point with less says nothing about itself: it cannot be tested."""

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.calibrate.bundle_datum import placed_points
-from mosca.calibrate.bundle_descent import Solution, State, adjusted_cameras
-from mosca.calibrate.bundle_kernels import LENS
-from mosca.calibrate.bundle_layout import Layout
-from mosca.calibrate.bundle_network import in_free_network, undetermined
-from mosca.calibrate.bundle_precision import precise
-from mosca.calibrate.bundle_problem import Placements, Problem
+from mosca.calibrate.bundle.datum import placed_points
+from mosca.calibrate.bundle.descent import Solution, State, adjusted_cameras
+from mosca.calibrate.bundle.kernels import LENS
+from mosca.calibrate.bundle.layout import Layout
+from mosca.calibrate.bundle.network import in_free_network, undetermined
+from mosca.calibrate.bundle.precision import precise
+from mosca.calibrate.bundle.problem import Placements, Problem
 from mosca.data.arrays import Array, read_only
 from mosca.data.rig import Camera, FisheyeLens, Lens, MoscaLens
 

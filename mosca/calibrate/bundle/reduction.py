@@ -1,5 +1,5 @@
 """Elimination of the blocks of a bundle adjustment, and the way back; compiled. The names are
-``bundle_kernels``'.
+``kernels``'.
 
 Blocks of one size that touch the same groups follow each other: a *run* of them is one matrix, W^T of all of
 them (rows by unknowns of the blocks, columns by slots), so that matrix products do the work.
@@ -8,7 +8,7 @@ them (rows by unknowns of the blocks, columns by slots), so that matrix products
 import numpy as np
 from numba import njit
 
-from mosca.calibrate.bundle_lenses import FAST
+from mosca.calibrate.bundle.lenses import FAST
 
 SINGULAR_PIVOT = 1e-13
 """Share of its diagonal that a pivot of a block must keep; below it the direction is undetermined and stays.

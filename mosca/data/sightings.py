@@ -1,0 +1,102 @@
+"""What the images of a calibration session show: which mark of the target was seen where, when and by whom."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mosca.data.arrays import Array, read_only
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """n image points of a target's marks in the exposures of a calibration session.
+
+    ``cameras``: their names; ``sizes`` (c, 2) width and height of their images [px]; ``frames``: how many frame
+    sets there are. Of each image point: ``camera`` (n,) and ``frame`` (n,) indices; ``mark`` (n,) which of the
+    target's marks it is (a row of its list of places), -1 where that is not known; ``xy_px`` (n, 2);
+    ``covariance_px2`` (n, 2, 2) of its random error; ``diameter_px`` (n,) of the mark's image, longer axis, NaN
+    where it has none.
+    """
+
+    cameras: tuple[str, ...]
+    sizes: Array
+    frames: int
+    camera: Array
+    frame: Array
+    mark: Array
+    xy_px: Array
+    covariance_px2: Array
+    diameter_px: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cameras", tuple(self.cameras))
+        n, c = len(self.xy_px), len(self.cameras)
+        for name, shape, dtype in (
+            ("sizes", (c, 2), np.int64),
+            ("camera", (n,), np.int64),
+            ("frame", (n,), np.int64),
+            ("mark", (n,), np.int64),
+            ("xy_px", (n, 2), np.float64),
+            ("covariance_px2", (n, 2, 2), np.float64),
+            ("diameter_px", (n,), np.float64),
+        ):
+            object.__setattr__(self, name, read_only(getattr(self, name), shape, name, dtype))
+        for name, index, end in (("camera", self.camera, c), ("frame", self.frame, self.frames)):
+            if len(index) and (index.min() < 0 or index.max() >= end):
+                raise ValueError(f"{name}: {index.min()} to {index.max()} given, 0 to {end - 1} allowed")
+
+    def __len__(self) -> int:
+        return len(self.xy_px)
+
+    @property
+    def sigma_px(self) -> Array:
+        """Standard deviation (n,) of a coordinate, both axes together [px]."""
+        return np.asarray(np.sqrt(np.trace(self.covariance_px2, axis1=1, axis2=2) / 2))
+
+    def only(self, keep: Array) -> "Sightings":
+        """Return the image points ``keep`` (mask or indices), cameras and frames counted as before."""
+        return replace(
+            self,
+            camera=self.camera[keep],
+            frame=self.frame[keep],
+            mark=self.mark[keep],
+            xy_px=self.xy_px[keep],
+            covariance_px2=self.covariance_px2[keep],
+            diameter_px=self.diameter_px[keep],
+        )
+
+    @classmethod
+    def joined(
+        cls, cameras: tuple[str, ...], sizes: Array, frames: int, parts: Sequence["Part"]
+    ) -> "Sightings":
+        """Return the image points of ``parts``, each of one image."""
+
+        def stacked(name: str, shape: tuple[int, ...]) -> Array:
+            rows = [np.asarray(getattr(part, name), dtype=float).reshape(-1, *shape) for part in parts]
+            return np.concatenate(rows) if rows else np.empty((0, *shape))
+
+        counts = [len(part.mark) for part in parts]
+        return cls(
+            cameras,
+            sizes,
+            frames,
+            np.repeat([part.camera for part in parts], counts),
+            np.repeat([part.frame for part in parts], counts),
+            stacked("mark", ()).astype(np.int64),
+            stacked("xy_px", (2,)),
+            stacked("covariance_px2", (2, 2)),
+            stacked("diameter_px", ()),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What one image shows: ``camera`` and ``frame`` are indices, the arrays as in ``Sightings``."""
+
+    camera: int
+    frame: int
+    mark: Array
+    xy_px: Array
+    covariance_px2: Array
+    diameter_px: Array
