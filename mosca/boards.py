@@ -80,8 +80,8 @@ def corner_covariance(image: Array, xy_px: Array, half_px: int, noise_dn: float)
     """Return the covariance (2, 2) [px^2] of a corner refined in a window of +-``half_px`` of the blurred ``image``.
 
     ``noise_dn``: standard deviation of a pixel before the blur. First order in the pixels' noise: the corner moves by
-    ``A^-1 sum w g (d . grad n)``, ``A = sum w g g^T``, with g the gradients, d the pixels' places about the corner, n
-    the blurred noise and w the window's weights. Infinite where no gradients meet.
+    ``A^-1 sum w [g (d . grad n) + (g . d) grad n]``, ``A = sum w g g^T``, with g the gradients, d the pixels' places
+    about the corner, n the blurred noise and w the window's weights. Infinite where no gradients meet.
     """
     column, row = np.floor(xy_px + 0.5).astype(int)
     reach = half_px + 1 + BLUR_REACH
@@ -97,9 +97,11 @@ def corner_covariance(image: Array, xy_px: Array, half_px: int, noise_dn: float)
         return np.full((2, 2), np.inf)
     # what the noise of each pixel adds: central differences and blur, both turned round
     pull = np.zeros((2, *window.shape))
+    along = g[0] * dx + g[1] * dy  # 0 on ideal edges
     for axis, d in ((1, dy), (2, dx)):
         shares = np.zeros_like(pull)
         shares[:, inner, inner] = weight * g * d / 2
+        shares[2 - axis, inner, inner] += weight * along / 2
         pull += np.roll(shares, 1, axis) - np.roll(shares, -1, axis)
     pull = np.stack([_soft(part) for part in pull])
     inverse = np.linalg.inv(normal)

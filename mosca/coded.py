@@ -130,6 +130,7 @@ def find_coded(
         xy, covariance = measure_dots(
             bright,
             dots,
+            look,
             max(noise**2, (settings.read_noise_dn * scale) ** 2 + 1 / 12),
             settings.gain_dn_per_e * scale,
             float(top) if dark else None,

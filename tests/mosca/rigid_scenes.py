@@ -1,0 +1,68 @@
+"""Sightings of rigid targets by a known rig, for tests: closed-form projections with stated noise, no images."""
+
+import numpy as np
+
+from mosca.camera import project
+from mosca.data.rig import Camera, Lens, MoscaLens, OpenCVLens, Pose, Rig
+from mosca.data.sightings import Part, Sightings
+
+
+def looking(place, target=(0.0, 0.0, 0.0)) -> Pose:
+    forward = np.asarray(target, float) - place
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, [0, 0, 1.0])
+    right /= np.linalg.norm(right)
+    return Pose(np.column_stack([right, np.cross(forward, right), forward]), np.asarray(place, float))
+
+
+def some_rig(rng, n=4, model="mosca", radius=4.0, height=1.2, size=(656, 491)) -> Rig:
+    cameras = []
+    for k in range(n):
+        turn = 2 * np.pi * (k + rng.uniform(-0.2, 0.2)) / n
+        place = np.array([radius * np.cos(turn), radius * np.sin(turn), height + rng.uniform(-0.3, 0.6)])
+        centre = (np.array(size) - 1) / 2 + rng.uniform(-5, 5, 2)
+        lens: Lens
+        if model == "mosca":
+            lens = MoscaLens(
+                7.5 * rng.uniform(0.9, 1.1), *centre, 0.0099, 0.00991, -0.004,
+                1e-3 * rng.uniform(0.5, 1.5), -1.5e-5, 0.0, 1e-4, 5e-5,
+            )  # fmt: skip
+        else:
+            f = 757 * rng.uniform(0.9, 1.1)
+            lens = OpenCVLens(f, f * 1.001, *centre, -0.1, 0.05, 1e-4, -2e-4)
+        cameras.append(Camera(f"cam{k + 1}", *size, lens, looking(place, rng.uniform(-0.1, 0.1, 3))))
+    return Rig(tuple(cameras))
+
+
+def seen(rig: Rig, marks, poses, rng, *, noise=0.02, shake=0.0, facing=None) -> Sightings:
+    """Return what the cameras see of marks (m, 3) at each of ``poses`` (world_from_target), one a frame set."""
+    parts = []
+    for frame, pose in enumerate(poses):
+        world = pose.transform(marks)
+        for k, camera in enumerate(rig.cameras):
+            xy = project(camera, world)
+            there = np.isfinite(xy).all(axis=1)
+            there &= (np.nan_to_num(xy) > 3).all(axis=1)
+            there &= (np.nan_to_num(xy) < np.array([camera.width, camera.height]) - 4).all(axis=1)
+            if facing is not None:
+                normals = np.asarray(facing) @ pose.rotation.T
+                to_camera = camera.world_from_camera.translation - world
+                cosine = np.einsum("ni,ni->n", normals, to_camera) / np.linalg.norm(to_camera, axis=1)
+                there &= cosine > 0.3
+            xy = xy[there] + rng.normal(0, noise, (int(there.sum()), 2)) + rng.normal(0, shake, 2) * (shake > 0)
+            n = len(xy)
+            parts.append(
+                Part(k, frame, np.flatnonzero(there), xy, np.tile(noise**2 * np.eye(2), (n, 1, 1)), np.full(n, 8.0))
+            )
+    sizes = np.array([(c.width, c.height) for c in rig.cameras])
+    return Sightings.joined(rig.names, sizes, len(poses), parts)
+
+
+def ray_rms_px(camera: Camera, other: Camera, distance=4.0) -> float:
+    """Return the rms difference of what two cameras see at a distance, over the image [px], poses included."""
+    from mosca.camera import image_grid, rays
+
+    grid = image_grid(camera.width, camera.height)
+    seen_by = rays(camera, grid)
+    back = project(other, seen_by.origin + distance * seen_by.direction)
+    return float(np.sqrt(np.mean(((back - grid) ** 2).sum(axis=1))))
