@@ -30,6 +30,10 @@ BLUR_PX, BLUR_REACH = 1.0, 4
 SYSTEMATIC_PX = 0.01
 FARTHEST_SHARE = 0.15
 """How far a corner may lie from where its board's homography has it, in distances of corners."""
+BEYOND_SHARE = 0.3
+"""How far beyond a checkerboard's border it is asked whether it goes on, in squares."""
+LEAST_ALTERNATING = 0.95
+"""Share of neighbouring squares that must be black and white."""
 NO_ROOM = "a corner is too near to the image's border"
 FEWEST_CORNERS = 6
 """Below that nothing checks a homography."""
@@ -51,7 +55,10 @@ def find_board(image: Array, board: Board, camera: str = "") -> BoardDetections:
     if isinstance(found, str):
         return BoardDetections.none(camera, found)
     corner, xy = found
-    spacing = _spacing(xy)
+    if len(xy) < FEWEST_CORNERS:
+        return BoardDetections.none(camera, f"{len(xy)} corners seen; {FEWEST_CORNERS} are wanted")
+    plane = board.corners()[corner, :2]
+    spacing = board.square_m * _narrowest(np.asarray(cv2.findHomography(plane, xy)[0]), plane)
     half = _half_window(board, spacing)
     if not _has_room(image, xy, half):
         return BoardDetections.none(camera, NO_ROOM)
@@ -60,14 +67,18 @@ def find_board(image: Array, board: Board, camera: str = "") -> BoardDetections:
     soft = _soft(grey.astype(np.float32))
     refined = cv2.cornerSubPix(soft, start.copy(), (half, half), (-1, -1), stop).reshape(-1, 2)
     xy = refined.astype(np.float64)
-    off = _off_homography(board.corners()[corner, :2], xy) / spacing
-    if len(xy) < FEWEST_CORNERS or off.max() > FARTHEST_SHARE:
+    homography = np.asarray(cv2.findHomography(plane, xy)[0])
+    off = np.linalg.norm(_mapped(homography, plane) - xy, axis=1) / spacing
+    if not off.max() <= FARTHEST_SHARE:
         return BoardDetections.none(
             camera,
             f"{len(xy)} corners, one of them {off.max():.2f} squares from where the board would have it",
         )
     if not _has_room(image, xy, half):
         return BoardDetections.none(camera, NO_ROOM)
+    other = _other_pattern(grey, board, homography) if board.dictionary is None else ""
+    if other:
+        return BoardDetections.none(camera, f"{other}: are columns and rows those of the board?")
     left, top = np.floor(xy.min(axis=0)).astype(int)
     right, bottom = np.ceil(xy.max(axis=0)).astype(int) + 1
     noise = noise_of(grey[top:bottom, left:right])
@@ -119,12 +130,26 @@ def _has_room(image: Array, xy: Array, half_px: int) -> bool:
     return bool((xy >= room).all() and (xy <= np.array(image.shape[::-1]) - room - 1).all())
 
 
+def _narrowest(homography: Array, points: Array) -> float:
+    """Return by how much the board's squares are magnified across where they are narrowest [px/m].
+
+    The least distance of opposite sides, at any of ``points`` (n, 2): a leaning square is a rhombus, narrower
+    than its sides are long.
+    """
+    step = 1e-3 * np.ptp(points, axis=0).max()
+    here = _mapped(homography, points)
+    along, down = (_mapped(homography, points + by) - here for by in ([step, 0.0], [0.0, step]))
+    area = np.abs(along[:, 0] * down[:, 1] - along[:, 1] * down[:, 0])
+    longer = np.maximum(np.linalg.norm(along, axis=1), np.linalg.norm(down, axis=1))
+    return float((area / longer).min() / step)
+
+
 def _half_window(board: Board, spacing_px: float) -> int:
-    """Return half the window's width for corners this far apart: it must not reach into a marker."""
-    share = WINDOW_SHARE
+    """Return half the window's width where lines of the board are this far apart: it must not reach into a marker."""
+    half = round(WINDOW_SHARE * spacing_px)
     if board.marker_m is not None:
-        share = min(share, 0.5 * (1 - board.marker_m / board.square_m))
-    return int(min(max(round(share * spacing_px), SMALLEST_WINDOW_PX), LARGEST_WINDOW_PX))
+        half = min(half, math.floor(0.5 * (1 - board.marker_m / board.square_m) * spacing_px - BLUR_PX))
+    return min(max(half, SMALLEST_WINDOW_PX), LARGEST_WINDOW_PX)
 
 
 def _checkerboard(image: Array, board: Board) -> tuple[Array, Array] | str:
@@ -182,12 +207,35 @@ def _spacing(xy: Array) -> float:
     return float(apart[~np.eye(len(xy), dtype=bool)].min())
 
 
-def _off_homography(plane: Array, xy: Array) -> Array:
-    """Return the distances (n,) [px] of points from the best homography of their places on the board."""
-    if len(xy) < 4:
-        return np.zeros(len(xy))
-    homography, _ = cv2.findHomography(plane, xy)
-    if homography is None:
-        return np.full(len(xy), np.inf)
-    there = cv2.perspectiveTransform(plane[None].astype(np.float64), homography)[0]
-    return np.asarray(np.linalg.norm(there - xy, axis=1))
+def _mapped(homography: Array, points: Array) -> Array:
+    """Return points (n, 2) of the board as a homography (3, 3) maps them into the image."""
+    return np.asarray(cv2.perspectiveTransform(points[None].astype(np.float64), homography)[0])
+
+
+def _other_pattern(image: Array, board: Board, homography: Array) -> str:
+    """Return why the corners found are not those of the whole checkerboard, "" where they are.
+
+    OpenCV also finds a part of a larger board, or every second row of it, other ones in each image. Within the board
+    squares must be black and white in turns; beyond its sides lies its margin, or whatever is behind.
+    """
+    size = np.array([board.columns, board.rows])
+    column, row = np.meshgrid(np.arange(-1, size[0] + 1), np.arange(-1, size[1] + 1))
+    # asked near the board: of the square beyond a narrow margin little is left
+    middle = np.stack([column, row], axis=-1) + 0.5
+    middle = np.clip(middle, -BEYOND_SHARE, size + BEYOND_SHARE)
+    plane = (middle - size / 2) * board.square_m * [1, -1]
+    at = np.floor(_mapped(homography, plane.reshape(-1, 2)) + 0.5).astype(int)
+    seen = ((at >= 0) & (at < image.shape[::-1])).all(axis=1)
+    at[~seen] = 0
+    grey = np.where(seen, image[at[:, 1], at[:, 0]].astype(float), np.nan).reshape(column.shape)
+    grey *= np.where((column + row) % 2, 1, -1)  # white less black: the sum of two neighbours
+    inside = grey[1:-1, 1:-1]
+    steps = np.concatenate([(inside[1:] + inside[:-1]).ravel(), (inside[:, 1:] + inside[:, :-1]).ravel()])
+    steps = steps[np.isfinite(steps)]
+    usual = np.median(steps)
+    if not (usual > 0 and np.mean(steps > usual / 4) > LEAST_ALTERNATING):
+        return "squares of what is seen are not black and white in turns"
+    for side in (grey[0, 1:-1], grey[-1, 1:-1], grey[1:-1, 0], grey[1:-1, -1]):
+        if np.median(side[1:] + side[:-1]) > usual / 2:
+            return f"the checkerboard seen goes on beyond {board.columns} x {board.rows} squares"
+    return ""

@@ -4,7 +4,7 @@ A coded target is a dot within a ring of 20 sectors on a plate of the other colo
 ``target_codes``); targets of this kind automated the paper's calibration (its reference Knyaz and Sibiryakov
 1998).
 
-1. Patches (``coded_read``). A pixel is bright when it exceeds the middle between the smallest and the largest
+1. Patches (``coded_patches``). A pixel is bright when it exceeds the middle between the smallest and the largest
    grey value of the 15 x 15 px around it and these differ by more than the contrast B: a threshold of its own
    for every target, whatever the light. Bright 8-connected patches that fill the ellipse of their second
    moments are dots, on the image itself for dots up to about 13 px and on copies reduced by 2, 4, ... for
@@ -20,9 +20,9 @@ A coded target is a dot within a ring of 20 sectors on a plate of the other colo
    must agree, the swing must be that of the dot, the ring's light must correlate with that of the word by 0.93,
    and the word must be one of the code's exactly: any two numbers differ in four sectors, and nothing is put
    right.
-5. Centre (``coded_measure``). The dot goes through the centroid of ``mosca.detect``: the pixels above half its
-   contrast are the region, and the mask reaches beyond as far as the gap allows. The circle's eccentricity is
-   left in: ``mosca.eccentricity`` gives it once the camera stands.
+5. Centre (``coded_measure``). The centroid of the dot within a soft window about it, above the light of its plate
+   and freed of what the light falls across it. The circle's eccentricity is left in: ``mosca.eccentricity`` gives it
+   once the camera stands.
 
 Of readings on one another's plates only the surest is kept; a number that is read in two places is refused in
 both. A mirrored ring is refused but for 25 of the 507 numbers, of which 13 read the same and 12 as another.
@@ -126,7 +126,7 @@ def find_coded(
         numbers, rolls = _numbers(dots, settings.numbers)
         known = np.flatnonzero(numbers >= 0)
         known = known[_surest(dots[known], settings.ring_outer)]
-        dots = dots[known]
+        dots, numbers, rolls = dots[known], numbers[known], rolls[known]
         xy, covariance = measure_dots(
             bright,
             dots,
@@ -137,9 +137,11 @@ def find_coded(
         )
         axes, angle = ellipses_of(dots.frames)
         confidence = np.minimum(dots.rings[:, MARGIN], 1.0)
-        found.append((numbers[known], xy, covariance, axes, angle, rolls[known], confidence))
+        sound = np.isfinite(xy[:, 0])  # a dot without a centre is none
+        parts = (numbers, xy, covariance, axes, angle, rolls, confidence)
+        found.append(tuple(part[sound] for part in parts))
     number, xy, covariance, axes, angle, rolls, confidence = (
-        np.concatenate(parts) for parts in zip(*found, strict=True)
+        np.concatenate(column) for column in zip(*found, strict=True)
     )
     every, first, times = np.unique(number, return_index=True, return_counts=True)
     once = first[times == 1]

@@ -20,13 +20,13 @@ step = numba.njit(nogil=True, error_model="numpy")
 
 X, Y, AXX, AXY, AYY, GX, GY = range(7)
 FRAME = 7
-PLATE_DN, CONTRAST_DN = range(2)
+PLATE_DN, CONTRAST_DN, SLOPE_U, SLOPE_V = range(4)
+LEVELS = 4
 
 SECTORS, PER_SECTOR, BANDS, RAYS = 20, 6, 3, 24
 STEPS = SECTORS * PER_SECTOR
 COS = np.cos(2.0 * np.pi * np.arange(STEPS) / STEPS)
 SIN = np.sin(2.0 * np.pi * np.arange(STEPS) / STEPS)
-BAND_SPREAD = 0.22  # of the ring's width, from one radius to the next
 # the contour's polygon has a slightly smaller second moment than its ellipse: (2 + cos(2 pi / n)) / 3
 POLYGON = math.sqrt(3.0 / (2.0 + math.cos(2.0 * math.pi / RAYS)))
 LEAST_SOLID, MOST_SOLID = 0.8, 1.15  # a patch's area over that of the ellipse of its second moments
@@ -112,27 +112,6 @@ def ellipse_of(frame: Array, mxx: float, mxy: float, myy: float) -> float:
     frame[2], frame[3], frame[4] = scale * (mxx + root), scale * mxy, scale * (myy + root)
     half, spread = 0.5 * (mxx + myy), math.hypot(0.5 * (mxx - myy), mxy)
     return math.sqrt((half - spread) / (half + spread))
-
-
-@step
-def patch_sums(labels: Array, count: int) -> Array:
-    """Return for each label the sums of 1, x, y, xx, xy, yy over its pixels; its left, right, top, bottom."""
-    sums = np.zeros((count, 10), np.int64)
-    sums[:, 6], sums[:, 8] = labels.shape[1], labels.shape[0]
-    for y in range(labels.shape[0]):
-        for x in range(labels.shape[1]):
-            if labels[y, x] == 0:
-                continue
-            own = sums[labels[y, x]]
-            own[0] += 1
-            own[1] += x
-            own[2] += y
-            own[3] += x * x
-            own[4] += x * y
-            own[5] += y * y
-            own[6], own[7] = min(own[6], x), max(own[7], x)
-            own[8], own[9] = min(own[8], y), max(own[9], y)
-    return sums
 
 
 @step
@@ -245,17 +224,13 @@ def trace_dot(image: Array, frame: Array, level: float, look: Look) -> tuple[flo
 
 
 @kernel
-def find_dots(image: Array, labels: Array, count: int, look: Look) -> Array:
-    """Return the frames (n, FRAME) of the dots among the bright patches of an image.
-
-    ``labels`` (H, W): 0, or the number of the patch, below ``count``.
-    """
-    sums = patch_sums(labels, count)
-    frames, plate = np.zeros((count, FRAME)), np.empty(3)
+def find_dots(image: Array, patches: Array, look: Look) -> Array:
+    """Return the frames (n, FRAME) of the dots among the bright patches (m, N_SUMS) of an image."""
+    frames, plate = np.zeros((len(patches) + 1, FRAME)), np.empty(3)
     n = 0
-    for label in range(1, count):
+    for sums in patches:
         frame = frames[n]
-        if not (dot_of(sums[label], frame, look) and is_inside(image, frame, look.outside)):
+        if not (dot_of(sums, frame, look) and is_inside(image, frame, look.outside)):
             continue
         stain = plate_level(image, frame, look, plate)
         contrast = dot_level(image, frame) - plate[0]
@@ -271,15 +246,14 @@ def find_dots(image: Array, labels: Array, count: int, look: Look) -> Array:
 
 
 @kernel
-def ring_light(image: Array, frames: Array, look: Look) -> tuple[Array, Array]:
-    """Return the light (n, BANDS, STEPS) of the rings of frames (n, FRAME), and their levels (n, 2) [DN].
+def light_at(image: Array, frames: Array, look: Look, radii: Array) -> tuple[Array, Array]:
+    """Return the light (n, m, STEPS) at ``radii`` (m,) of frames (n, FRAME), and their levels (n, LEVELS) [DN].
 
-    Light 0 is that of the plate, 1 that of the dot; levels are PLATE_DN and CONTRAST_DN, the contrast 0 where the
-    plate is no plate.
+    Light 0 is that of the plate, 1 that of the dot; levels are PLATE_DN with its slopes [DN per radius] and
+    CONTRAST_DN, which is 0 where the plate is no plate.
     """
-    light, levels = np.empty((len(frames), BANDS, STEPS)), np.zeros((len(frames), 2))
+    light, levels = np.empty((len(frames), len(radii), STEPS)), np.zeros((len(frames), LEVELS))
     plate = np.empty(3)
-    width = look.ring_outer - look.ring_inner
     for n in range(len(frames)):
         frame = frames[n]
         if not is_inside(image, frame, look.outside):
@@ -289,8 +263,8 @@ def ring_light(image: Array, frames: Array, look: Look) -> tuple[Array, Array]:
         if contrast < least_contrast(look) or stain > STAIN * contrast + 2.0 * look.noise_dn:
             continue
         levels[n, PLATE_DN], levels[n, CONTRAST_DN] = plate[0], contrast
-        for b in range(BANDS):
-            radius = look.ring_inner + width * (0.5 + BAND_SPREAD * (b - 1))
+        levels[n, SLOPE_U], levels[n, SLOPE_V] = plate[1], plate[2]
+        for b, radius in enumerate(radii):
             for i in range(STEPS):
                 c, s = COS[i], SIN[i]
                 value = grey_of(image, frame, radius, c, s)

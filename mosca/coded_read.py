@@ -9,11 +9,11 @@ from dataclasses import dataclass, fields
 import cv2
 import numpy as np
 
-from mosca.coded_dots import AXX, AXY, AYY, CONTRAST_DN, GX, GY, Look, X, Y, find_dots, ring_light
+from mosca.coded_dots import AXX, AXY, AYY, CONTRAST_DN, GX, GY, Look, X, Y, find_dots, light_at
+from mosca.coded_patches import NEIGHBOURHOOD_PX, bright_patches
 from mosca.coded_rings import MARGIN, Ring, read_rings
 from mosca.data.arrays import Array
 
-NEIGHBOURHOOD_PX = 15
 LARGEST_DOT_PX = 13.0
 """Diameter of the largest dot that is sure to be one patch; larger ones are found on reduced images."""
 SMALLEST_REDUCED_PX = 6.0
@@ -22,14 +22,16 @@ PERSPECTIVES = (0.03, -0.03, 0.06, -0.06)
 """What is tried after 0: by how much a radius of the dot is nearer or farther, over the distance."""
 LEANING = 0.9
 """Ratio of axes below which a dot leans enough to have perspective."""
+BAND_SPREAD = 0.22
+"""From one radius at which a ring is asked to the next, of the ring's width."""
 SURE = 0.4
 """Margin from which on no other perspective is tried."""
 
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """What was read about dots: ``frames`` (n, FRAME) and ``levels`` (n, 2) as in ``coded_dots``, ``rings`` (n, 3)
-    as in ``coded_rings``.
+    """What was read about dots: ``frames`` (n, FRAME) and ``levels`` (n, LEVELS) as in ``coded_dots``, ``rings``
+    (n, 3) as in ``coded_rings``.
     """
 
     frames: Array
@@ -49,18 +51,30 @@ class Readings:
 
 
 def read_codes(image: Array, look: Look, maximum_dot_px: float, least_margin: float) -> Readings:
-    """Return what is read about white dots in an image (H, W), in its pixels; several times what several see."""
+    """Return what is read about white dots in an image (H, W), in its pixels; some twice."""
     ring = Ring(0.5 * (look.ring_inner + look.ring_outer), least_margin)
-    parts = []
+    parts: list[Readings] = []
     for smaller, factor in _reductions(image, maximum_dot_px):
         least = 0.0 if factor == 1 else SMALLEST_REDUCED_PX / 2
         own = look._replace(noise_dn=look.noise_dn / factor, least_axis_px=least)
-        frames = find_dots(smaller, *_patches(smaller, own), own)
-        found = _read(smaller, frames, own, ring)
+        frames = find_dots(smaller, bright_patches(smaller, own.contrast_dn, own.noise_dn), own)
+        places = frames[:, [X, Y]] * factor + (factor - 1) / 2
+        fresh = (
+            ~np.any([_within(places, part) for part in parts], axis=0)
+            if parts
+            else np.full(len(frames), True)
+        )
+        found = _read(smaller, frames[fresh], own, ring)
         found.frames[:, [X, Y]] = found.frames[:, [X, Y]] * factor + (factor - 1) / 2
         found.frames[:, [AXX, AXY, AYY]] *= factor
         parts.append(found)
     return Readings.joined(parts)
+
+
+def band_radii(look: Look) -> Array:
+    """Return the radii (BANDS,) at which a ring is asked."""
+    middle, width = 0.5 * (look.ring_inner + look.ring_outer), look.ring_outer - look.ring_inner
+    return np.array([middle - BAND_SPREAD * width, middle, middle + BAND_SPREAD * width])
 
 
 def ellipses_of(frames: Array) -> tuple[Array, Array]:
@@ -70,11 +84,21 @@ def ellipses_of(frames: Array) -> tuple[Array, Array]:
     return np.stack([middle + spread, middle - spread], axis=1), 0.5 * np.arctan2(2 * xy, xx - yy)
 
 
+def _within(places: Array, read: Readings) -> Array:
+    """Tell which places (n, 2) [px] lie within a dot that was read surely."""
+    sure = read[np.flatnonzero(read.rings[:, MARGIN] >= SURE)].frames
+    reach = np.minimum(sure[:, AXX], sure[:, AYY]) / 2
+    away = np.hypot(places[:, :1] - sure[:, X], places[:, 1:] - sure[:, Y])
+    return np.asarray((away < reach).any(axis=1))
+
+
 def _read(image: Array, frames: Array, look: Look, ring: Ring) -> Readings:
     """Return the surest reading about each dot that has one; leaning dots are tried with perspective too."""
     first = _tried(image, frames, look, ring)
     axes, angle = ellipses_of(frames)
     unsure = np.flatnonzero((first.rings[:, MARGIN] < SURE) & (axes[:, 1] < LEANING * axes[:, 0]))
+    if not len(unsure):
+        return first[first.rings[:, MARGIN] > 0]
     tries = [first[unsure]]
     for g in PERSPECTIVES:
         bent = frames[unsure]
@@ -91,7 +115,7 @@ def _read(image: Array, frames: Array, look: Look, ring: Ring) -> Readings:
 
 def _tried(image: Array, frames: Array, look: Look, ring: Ring) -> Readings:
     """Return what is read in frames (n, FRAME), the margin -1 where nothing is."""
-    light, levels = ring_light(image, frames, look)
+    light, levels = light_at(image, frames, look, band_radii(look))
     rings = np.full((len(frames), 3), -1.0)
     plates = np.flatnonzero(levels[:, CONTRAST_DN] > 0)
     rings[plates] = read_rings(light[plates], frames[plates], ring)
@@ -107,18 +131,3 @@ def _reductions(image: Array, maximum_dot_px: float) -> Iterator[tuple[Array, in
         height, width = image.shape[0] // 2, image.shape[1] // 2
         image = cv2.resize(image[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
         yield image, factor
-
-
-def _patches(image: Array, look: Look) -> tuple[Array, int]:
-    """Return labels (H, W) int32 of the patches brighter than the middle of what is around them, and their number.
-
-    The background, label 0, counts as one.
-    """
-    if look.noise_dn > look.contrast_dn / 12:
-        image = cv2.GaussianBlur(image, (3, 3), 0.6)
-    window = np.ones((NEIGHBOURHOOD_PX, NEIGHBOURHOOD_PX), np.uint8)
-    low, high = cv2.erode(image, window), cv2.dilate(image, window)
-    bright = image > np.asarray(cv2.addWeighted(low, 0.5, high, 0.5, 0.0))
-    bright &= np.asarray(cv2.subtract(high, low)) > look.contrast_dn
-    count, labels = cv2.connectedComponents(bright.view(np.uint8))
-    return np.asarray(labels), count

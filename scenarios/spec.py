@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 
 from mosca.data.toml import NotNegative, Positive, Table, Vector, check, read_toml
 from mosca.errors import InputError
+from scenarios.spec_calibration import CalibrationSpec
 from scenarios.spec_cameras import (
     Cameras,
     CameraSpec,
@@ -36,6 +37,10 @@ METRICS = {
     "nees": ("1", "at_most"),
     "coverage95": ("1", "at_least"),
     "reprojection_rms": ("px", "at_most"),
+    "calibration_rays_rms": ("px", "at_most"),
+    "calibration_volume_rms": ("m", "at_most"),
+    "calibration_sigma_x": ("m", "at_most"),
+    "calibration_sigma_y": ("m", "at_most"),
 }
 """Metrics that a scenario can limit: unit, and whether the limit is an upper or a lower one."""
 
@@ -196,6 +201,7 @@ class Scenario(Table):
     delivery: DeliverySpec = DeliverySpec()
     surroundings: SurroundingsSpec = SurroundingsSpec()
     camera: tuple[CameraSpec, ...] = Field((), description="what is different with one camera, by its name")
+    calibration: CalibrationSpec | None = None
     fault: FaultSpec | None = None
     pipeline: PipelineSpec = PipelineSpec()
     premises: Premises = Premises()

@@ -61,7 +61,9 @@ def resected_camera(
     elif model == "mosca":
         lens = MoscaLens(fx * pixel_pitch_mm, *centre, pixel_pitch_mm, pixel_pitch_mm * fx / fy)
     else:
-        raise InputError(f"camera '{name}': lens model '{model}' given; opencv and mosca are adjusted together")
+        raise InputError(
+            f"camera '{name}': lens model '{model}' given; opencv and mosca are adjusted together"
+        )
     return Camera(name, *size, lens, aim(first, centre))
 
 
@@ -77,9 +79,9 @@ def adjust_together(
     """Adjust pose and the ``free`` lens parameters of all cameras to what each of them measured.
 
     Points of the same coordinates are one point. ``sigma_px``: of an image coordinate; ``point_sigma_m``: of the
-    points' coordinates, 0 holds them. The result's ``points`` are those of ``distinct_points`` (in the stand's own frame
-    with ``stands``, whose frame is parallel to the world in the middle of its points; ``placements`` are then in the
-    order of the stands' coordinate). CalibrationError where the points do not determine a camera.
+    points' coordinates, 0 holds them. The result's ``points`` are in the order of ``distinct_points``; with
+    ``stands`` in their stand's frame, whose origin is ``stand_centres`` and which starts parallel to the world, and
+    ``placements`` are the stands' poses. CalibrationError where the points do not determine a camera.
     """
     points, index = distinct_points(measured)
     camera = np.repeat(np.arange(len(cameras)), [len(one.xy_px) for one in measured])

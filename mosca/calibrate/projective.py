@@ -14,7 +14,7 @@ from mosca.data.arrays import Array
 
 FOCAL_RANGE = (0.45, 16.0)
 """Focal lengths that are tried, in half diagonals of the image: 0.28 to 10 image widths at 4 : 3."""
-SAMPLES, KEPT, CONCENTRATIONS, MOST_SCORED = 400, 12, 4, 400
+SAMPLES, KEPT, CONCENTRATIONS, MOST_SCORED = 300, 8, 3, 300
 # distances of good pairs beyond so many robust standard deviations are improbable
 INLIER_SIGMAS, SIGMA_BY_MEDIAN = 4.0, 1.4826
 SMALL = 1e-300
@@ -36,9 +36,10 @@ def fundamental(first: Array, second: Array, rng: np.random.Generator, samples: 
     """
     x, back_x = _normalised(first)
     y, back_y = _normalised(second)
+    flat_x, flat_y = _h(first), _h(second)
 
-    def distances(matrices: Array) -> Array:
-        return _sampson(np.swapaxes(back_y, 0, 1) @ matrices @ back_x, _h(first), _h(second))
+    def distances(matrices: Array, which: Array) -> Array:
+        return _sampson(back_y.T @ matrices @ back_x, flat_x[which], flat_y[which])
 
     def fit(chosen: Array) -> Array:
         return _eight_point(x[chosen], y[chosen])
@@ -53,12 +54,12 @@ def plane_misfit(first: Array, second: Array, rng: np.random.Generator) -> float
 
     Small where the points lie in a plane or the cameras stand together: then they say little about a pair.
     """
-    x, y = _h(first), _h(second)
+    x = _h(first)
 
     def fit(chosen: Array) -> Array:
         return _least(_camera_rows(x[chosen], second[chosen])).reshape(-1, 3, 3)
 
-    return _robust(len(x), 4, SAMPLES // 4, fit, lambda m: _transfer(m, x, second), rng).median
+    return _robust(len(x), 4, SAMPLES // 4, fit, lambda m, k: _transfer(m, x[k], second[k]), rng).median
 
 
 def epipolar_distance(matrix: Array, first: Array, second: Array) -> Array:
@@ -76,7 +77,7 @@ def projection(points: Array, xy: Array, rng: np.random.Generator, samples: int 
     def fit(chosen: Array) -> Array:
         return _least(_camera_rows(x[chosen], xy[chosen])).reshape(-1, 3, 4)
 
-    found = _robust(len(x), 6, samples, fit, lambda m: _transfer(m, x, xy), rng)
+    found = _robust(len(x), 6, samples, fit, lambda m, k: _transfer(m, x[k], xy[k]), rng)
     matrix = found.matrix @ white.T
     return Robust(matrix / np.linalg.norm(matrix), found.inliers, found.median)
 
@@ -85,7 +86,7 @@ def intersect(matrices: Array, xy: Array) -> Array:
     """Return homogeneous points (p, 4) of unit length, from projection matrices (c, 3, 4) and image points
     (c, p, 2), NaN where a camera did not see one; NaN where fewer than two did.
     """
-    seen = np.isfinite(xy).all(axis=2)
+    seen = np.asarray(np.isfinite(xy).all(axis=2))
     x = np.where(seen[:, :, None], xy, 0.0)
     size = np.linalg.norm(matrices[:, 2, :3], axis=1)[:, None, None] + SMALL
     unit = matrices / size
@@ -123,29 +124,31 @@ def _robust(
     size: int,
     samples: int,
     fit: Callable[[Array], Array],
-    distances: Callable[[Array], Array],
+    distances: Callable[[Array, Array], Array],
     rng: np.random.Generator,
 ) -> Robust:
-    """Return the best matrix: ``fit`` takes indices (s, k) to matrices (s, ...), ``distances`` these to (s, n)."""
-    matrices = fit(rng.integers(0, n, (samples, size)) if n > size else np.arange(n)[None])
-    half = max(size, (n + 1) // 2)
+    """Return the best matrix: ``fit`` takes indices (s, k) to matrices (s, ...), ``distances`` matrices (s, ...) and
+    indices (n,) to (s, n).
+    """
+    every = np.arange(n)
+    looked_at = rng.permutation(n)[: max(MOST_SCORED, 2 * size)]
+    matrices = fit(rng.choice(looked_at, (samples, size)) if n > size else every[None])
+    half = max(size, (len(looked_at) + 1) // 2)
     for _ in range(CONCENTRATIONS):
-        far = distances(matrices)
+        far = distances(matrices, looked_at)
         best = np.argsort(np.median(far, axis=1))[:KEPT]
-        near = np.argpartition(far[best], half - 1, axis=1)[:, :half]
-        # a part of the better half will do, the same of each
-        near = near[:, :: max(1, half // MOST_SCORED)]
+        near = looked_at[np.argpartition(far[best], half - 1, axis=1)[:, :half]]
         matrices = np.concatenate([matrices[best], fit(near)])
-    far = distances(matrices)
-    first = int(np.argmin(np.median(far, axis=1)))
-    matrix, own = matrices[first], far[first]
+    first = int(np.argmin(np.median(distances(matrices, looked_at), axis=1)))
+    matrix = matrices[first]
+    own = distances(matrix[None], every)[0]
     inliers = np.ones(n, dtype=bool)
     for _ in range(5):
         inliers = own <= max(INLIER_SIGMAS * SIGMA_BY_MEDIAN * float(np.median(own)), 1e-12)
         if inliers.sum() < size:
             break
         trial = fit(np.flatnonzero(inliers)[None])[0]
-        again = distances(trial[None])[0]
+        again = distances(trial[None], every)[0]
         if np.median(again) > 1.5 * np.median(own):
             break
         matrix, own = trial, again
@@ -188,10 +191,10 @@ def _camera_rows(points: Array, xy: Array) -> Array:
 
 def _sampson(matrices: Array, x: Array, y: Array) -> Array:
     """Return Sampson's distances (s, n) of homogeneous points (n, 3) from matrices (s, 3, 3)."""
-    line = x @ np.swapaxes(matrices, 1, 2)
-    other = y @ matrices
-    slope = (line[..., :2] ** 2).sum(axis=2) + (other[..., :2] ** 2).sum(axis=2)
-    return np.asarray(np.abs((line * y).sum(axis=2)) / np.sqrt(np.maximum(slope, SMALL)))
+    line, other = matrices @ x.T, np.swapaxes(matrices, 1, 2) @ y.T
+    slope = line[:, 0] ** 2 + line[:, 1] ** 2 + other[:, 0] ** 2 + other[:, 1] ** 2
+    away = line[:, 0] * y[:, 0] + line[:, 1] * y[:, 1] + line[:, 2] * y[:, 2]
+    return np.asarray(np.abs(away) / np.sqrt(np.maximum(slope, SMALL)))
 
 
 def _transfer(matrices: Array, points: Array, xy: Array) -> Array:

@@ -157,9 +157,7 @@ def _turned_to_x(unit: Array) -> Array:
     return np.stack([unit, y, np.cross(unit, y)], axis=1)
 
 
-def _costs(
-    matrices: Array, points: Array, sign: float, first: Array, second: Array
-) -> tuple[Array, Array]:
+def _costs(matrices: Array, points: Array, sign: float, first: Array, second: Array) -> tuple[Array, Array]:
     """Return the cost (g,) and the upgrade (g, 4, 4) of each pair of focal lengths."""
     upgrades = _upgrades(matrices, first, second, sign)
     cost = np.zeros(len(first))

@@ -70,8 +70,8 @@ class RigidTarget:
 @dataclass(frozen=True)
 class RigidSettings:
     """``lens``: model to estimate; ``free``: its parameters, None for all of the model's. ``exterior_only``: hold the
-    lenses of the known rig. ``reference``: frame set in which the target is the world; None: the stand that shows
-    most. ``blunder_significance``: chance that a good image point is rejected.
+    lenses of the known rig. ``reference``: frame set in which the target is the world; None: where it first
+    stood. ``blunder_significance``: chance that a good image point is rejected.
     """
 
     lens: LensChoice = field(default_factory=LensChoice)
@@ -116,11 +116,7 @@ def _adjusted(
     target: RigidTarget,
     settings: RigidSettings,
 ) -> Calibration:
-    marks = (
-        ObjectPoints.weighted(target.marks_m, target.sigma_m)
-        if target.sigma_m > 0
-        else ObjectPoints.fixed(target.marks_m)
-    )
+    held = ObjectPoints.fixed(target.marks_m)
     free = () if settings.exterior_only else settings.free or FREE[cameras[0].lens.model]
     sigma = np.maximum(sightings.sigma_px, LEAST_SIGMA_PX)
     unknowns = tuple(CameraUnknowns(camera, free=_allowed(camera, free)) for camera in cameras)
@@ -128,7 +124,7 @@ def _adjusted(
     xy = sightings.xy_px
     rough = replace(bundle, precision=False, blunder_significance=None, loss="huber")
     problem = Problem(
-        unknowns, Observations(sightings.camera, sightings.mark, xy, placement, sigma), marks, poses
+        unknowns, Observations(sightings.camera, sightings.mark, xy, placement, sigma), held, poses
     )
     result = solve(problem, rough)
     for _ in range(ECCENTRICITY_ROUNDS if target.radii_m is not None else 0):
@@ -138,6 +134,9 @@ def _adjusted(
     shake = body_shake(problem, result, sightings.frame)
     steady = steadied(problem, result, sightings.frame, shake)
     problem = replace(problem, observations=replace(problem.observations, xy_px=steady))
+    if target.sigma_m > 0:
+        # only now: with the marks' places among the unknowns every step costs a hundred times as much
+        problem = replace(problem, points=ObjectPoints.weighted(target.marks_m, target.sigma_m))
     result = solve(problem, bundle, result)
     assert result.precision is not None
     covariance = shaken_covariance(problem, result, sightings.frame, shake)
@@ -246,7 +245,9 @@ def _doubt(fits: tuple[PoseFit, ...], seen: Seen) -> float:
     return 1 / len(seen.mark) + ambiguous**4
 
 
-def _reference(sightings: Sightings, stand: Array, views: dict[View, Pose], settings: RigidSettings) -> int:
+def _reference(
+    sightings: Sightings, stand: Array, views: dict[View, Pose], settings: RigidSettings
+) -> int:
     if settings.reference is not None:
         chosen = stand[sightings.frame == settings.reference]
         if len(chosen) == 0:
@@ -256,10 +257,4 @@ def _reference(sightings: Sightings, stand: Array, views: dict[View, Pose], sett
         return int(chosen[0])
     if not views:
         raise CalibrationError("no camera saw four marks of the target at a time; show it larger or nearer")
-    count = np.zeros(int(stand.max()) + 1)
-    np.add.at(count, stand, 1.0)
-    cameras = np.zeros_like(count)
-    for _, number in views:
-        cameras[number] += 1
-    # most cameras first, then most image points
-    return int(np.lexsort((-count, -cameras))[0])
+    return min(number for _, number in views)

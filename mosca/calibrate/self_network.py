@@ -19,12 +19,17 @@ from mosca.calibrate.self_tracks import Tracks
 from mosca.camera import lens_directions, project
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera
+from mosca.errors import CalibrationError
 
 # rms of a 2-D residual's length over its median, for normal errors of one coordinate
 SIGMA_BY_MEDIAN = 1 / 1.1774
-ROUGH = BundleSettings(
-    loss="cauchy", loss_scale=3.0, tolerance=0.2, most_steps=40, hold_weak=False, precision=False
+CLEANINGS, ROD_SIGMAS = 6, 10.0
+# what contradicts by more robust standard deviations is left out while the network grows
+CLEAR_SIGMAS = 12.0
+FIRST = BundleSettings(
+    loss="cauchy", loss_scale=3.0, tolerance=1.0, most_steps=20, hold_weak=True, precision=False
 )
+SECOND = BundleSettings(tolerance=0.3, most_steps=20, precision=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +61,15 @@ def rough(
 ) -> Network:
     """Adjust some cameras robustly from poor starting values; residuals of the size they start with are let in."""
     usable = imaged(tracks.of_cameras(cameras), cameras)
+    if len(np.unique(usable.camera)) < len(cameras):
+        raise CalibrationError("few-views: a camera's points have no rays in the lens that was guessed")
     first = _misfit(usable, cameras, points)
-    done = network(usable, cameras, free, ROUGH, max(first, 1.0), points)
-    # once more with the noise there is: far ones had a say in the first
-    return network(usable, done.cameras, free, ROUGH, max(done.spread, 1.0), done.points)
+    done = network(usable, cameras, free, FIRST, max(first, 1.0), points)
+    clean = cleaned(imaged(usable, done.cameras), done.cameras, CLEAR_SIGMAS * done.spread)
+    clean = clean.of_cameras(cameras)
+    if len(np.unique(clean.camera)) < len(cameras):
+        return done
+    return network(clean, done.cameras, free, SECOND, max(done.spread, 1.0), done.points)
 
 
 def network(
@@ -70,7 +80,7 @@ def network(
     inflate: float = 1.0,
     points: Array | None = None,
 ) -> Network:
-    """Adjust some cameras, their common points and rods; ``inflate``: a-priori standard deviations times this.
+    """Adjust some cameras, their common points and rods, all a-priori standard deviations times ``inflate``.
 
     ``points`` (p, 3): starting values, NaN or None where the rays are to be intersected.
     """
@@ -84,19 +94,22 @@ def network(
             number[tracks.camera], tracks.point, tracks.xy_px, sigma_px=tracks.sigma_px * inflate
         ),
         ObjectPoints.free(start),
-        distances=rods_between(tracks),
+        distances=rods_between(tracks, inflate),
         datum="points",
     )  # fmt: skip
     done = solve(problem, settings)
     return Network(dict(zip(order, done.cameras, strict=True)), tracks, done.points, done)
 
 
-def rods_between(tracks: Tracks) -> Distances:
-    """Return the rods both of whose ends two cameras see."""
+def rods_between(tracks: Tracks, inflate: float) -> Distances:
+    """Return the rods both of whose ends two cameras see, their standard deviations times ``inflate``.
+
+    Far off the solution a rod must not be so much firmer than the rays that rounding errors outweigh these.
+    """
     rays = np.bincount(tracks.point, minlength=tracks.points)
     rods = tracks.rods
     both = (rays[rods.first] >= 2) & (rays[rods.second] >= 2) if len(rods) else np.zeros(0, dtype=bool)
-    return Distances(rods.first[both], rods.second[both], rods.length_m[both], rods.sigma_m[both])
+    return Distances(rods.first[both], rods.second[both], rods.length_m[both], rods.sigma_m[both] * inflate)
 
 
 def imaged(tracks: Tracks, cameras: Mapping[int, Camera]) -> Tracks:
@@ -127,6 +140,47 @@ def intersected(tracks: Tracks, cameras: Mapping[int, Camera]) -> Array:
     firm = np.flatnonzero(rays >= 2)
     firm = firm[np.linalg.eigvalsh(normal[firm])[:, 0] > 1e-5]
     out[firm] = np.linalg.solve(normal[firm], right[firm][:, :, None])[:, :, 0]
+    return out
+
+
+def cleaned(tracks: Tracks, cameras: Mapping[int, Camera], limit: float) -> Tracks:
+    """Return the image points without those that contradict these cameras by more than ``limit`` a-priori sigmas.
+
+    Of each object point the worst ray goes out, then the rest is intersected again; of two rays that do not meet
+    both go, for nothing tells which is wrong. So do both ends of a rod of quite another length than it has. Image
+    points of other cameras stay.
+    """
+    for _ in range(CLEANINGS):
+        mine = np.isin(tracks.camera, list(cameras))
+        points = intersected(tracks.only(mine), cameras)
+        far = np.linalg.norm(residuals(tracks, cameras, points), axis=1) / tracks.sigma_px
+        # a point that is not imaged where its ray was is as wrong as can be
+        lost = mine & np.isfinite(points[tracks.point]).all(axis=1) & ~np.isfinite(far)
+        far = np.where(lost, np.inf, np.where(np.isfinite(far), far, 0.0))
+        worst = np.zeros(tracks.points)
+        np.maximum.at(worst, tracks.point, far)
+        rays = np.bincount(tracks.point[mine], minlength=tracks.points)
+        bad = mine & (far > limit) & ((far == worst[tracks.point]) | (rays[tracks.point] <= 2))
+        if not bad.any():
+            bad = mine & _of_wrong_length(tracks, points)[tracks.point]
+        if not bad.any():
+            break
+        tracks = tracks.only(~bad)
+    return tracks
+
+
+def _of_wrong_length(tracks: Tracks, points: Array) -> Array:
+    """Return which points (p,) are ends of rods whose length is far from what it is, in robust sigmas of all."""
+    rods, out = tracks.rods, np.zeros(tracks.points, dtype=bool)
+    if len(rods) == 0:
+        return out
+    off = np.linalg.norm(points[rods.first] - points[rods.second], axis=1) / rods.length_m
+    known = np.isfinite(off)
+    if not known.any():
+        return out
+    off = np.abs(off - np.median(off[known]))
+    wrong = known & (off > ROD_SIGMAS * 1.4826 * np.median(off[known]))
+    out[rods.first[wrong]] = out[rods.second[wrong]] = True
     return out
 
 

@@ -67,7 +67,7 @@ def pair_guesses(
 
 
 def _motions(fundamental: Array, f1: Array, f2: Array) -> tuple[Array, Array]:
-    """Return both rotations (g, 2, 3, 3) second_from_first and the unit shift (g, 3) of each pair of focal lengths."""
+    """Return both rotations (g, 2, 3, 3) second_from_first and the unit shift (g, 3) of each two focal lengths."""
     k1 = np.stack([f1, f1, np.ones_like(f1)], axis=1)
     k2 = np.stack([f2, f2, np.ones_like(f2)], axis=1)
     essential = k2[:, :, None] * fundamental * k1[:, None, :]

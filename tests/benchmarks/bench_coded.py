@@ -1,13 +1,18 @@
-"""Coded targets: sizes, false identifications, time. Run: ``python tests/benchmarks/bench_coded.py [TABLE ...]``.
+"""Coded targets: sizes, centres, false identifications, time.
 
-``sizes``: plates rendered by the twin at many distances (656 x 491, f = 1000 px, optics of sigma 0.6 px, 8 bit, body
-shake and lens gap of the defaults), facing the camera or turned away by 60 deg in all directions, with read noise
-that makes the contrast 50 or 10 times the noise of a white pixel. ``clutter``: 10,000 views without a target, read
-in both colours. ``time``: one thread, 100 targets in 656 x 491.
+Run: ``python tests/benchmarks/bench_coded.py [TABLE ...]``, of ``time``, ``sizes``, ``centres``, ``clutter``.
+
+All plates are rendered by the twin (656 x 491, f = 1000 px, 8 bit), facing the camera or turned away in all
+directions. ``sizes``: the smallest dot of which 99 % are read, by contrast over noise (that of a white pixel), blur
+and tilt; body shake and lens gap of the defaults. ``centres``: their errors by dot size, tilt and blur at a read
+noise of 10 electrons and a full well of 20,000, and without noise (12 bit), against the truth and the twin's
+eccentricity; steady camera. ``clutter``: 10,000 views without a target, read in both colours. ``time``: one
+thread (time of its own), targets of 6 to 20 px in two sizes of image.
 """
 
 import sys
 import time
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -27,7 +32,10 @@ from mosca.data.targets import CodedTarget, PlacedTarget, TestField
 from mosca.detect import detect
 from mosca.eccentricity import eccentricity_px
 from twin.cameras.camera import VirtualCamera
+from twin.cameras.mount import Mount
+from twin.cameras.optics import Optics
 from twin.cameras.sensor import Sensor
+from twin.cameras.shutter import Timing
 from twin.scenes.field_layout import LaidOutField
 from twin.scenes.glow import Glow
 from twin.scenes.target_field import field_scene
@@ -36,8 +44,11 @@ from twin.source import TwinSource
 
 WIDTH, HEIGHT, FOCAL_PX, DOT_RADIUS_M = 656, 491, 1000.0, 0.005
 SIGNAL_E = 0.6 * 20_000
-SIZES = {0: (3.5, 4, 4.5, 5, 5.5, 6, 7, 8, 10, 14), 60: (6, 7, 8, 9, 10, 11, 12, 14, 20)}
-FRAMES = 4
+SIZES = {
+    0: (4, 4.5, 5, 5.5, 6, 7, 8, 10, 14),
+    30: (4.5, 5, 5.5, 6, 7, 8, 10, 14),
+    60: (7, 8, 9, 10, 11, 12, 14, 20),
+}
 
 
 def plates(dot_px: float, tilt_deg: float, rng: np.random.Generator) -> tuple[TestField, float]:
@@ -67,50 +78,116 @@ def plates(dot_px: float, tilt_deg: float, rng: np.random.Generator) -> tuple[Te
     return TestField(tuple(targets)), z
 
 
-def read_field(dot_px: float, tilt_deg: float, snr: float, seed: int) -> tuple[int, int, int, Array]:
-    """Return how many targets there are, were read and were misread, and the centres' errors (n, 2) [px]."""
-    rng = np.random.default_rng([seed, int(10 * dot_px), int(tilt_deg)])
-    field, _ = plates(dot_px, tilt_deg, rng)
+@dataclass(frozen=True)
+class Rendering:
+    """What is rendered: dots of ``dot_px`` (facing), tilt, blur; the read noise is that of ``snr``, or 10 electrons.
+
+    ``noise`` False: none, in 12 bits. ``steady``: without shake and lens gap.
+    """
+
+    dot_px: float
+    tilt_deg: float
+    blur_px: float = 0.6
+    snr: float | None = None
+    seed: int = 0
+    noise: bool = True
+    steady: bool = True
+    vignetting: float = 0.0
+    most: int = 60
+
+
+def rendered(what: Rendering) -> tuple[CodedDetections, TestField, Array, Array]:
+    """Return what is found, the field, its true image places (n, 2) and its eccentricities (n, 2) [px]."""
+    rng = np.random.default_rng([what.seed, int(10 * what.dot_px), int(what.tilt_deg)])
+    field, _ = plates(what.dot_px, what.tilt_deg, rng)
+    some = np.sort(rng.permutation(len(field.targets))[: what.most])
+    field = TestField(tuple(field.targets[k] for k in some))
     scene = field_scene(
         LaidOutField(field, ()), standing(np.zeros(3)), 1.0, origin=np.zeros(3), glow=Glow(), floor=False
     )
     lens = OpenCVLens(FOCAL_PX, FOCAL_PX, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
     camera = Camera("c", WIDTH, HEIGHT, lens, Pose(np.eye(3), np.zeros(3)))
-    noise = np.sqrt((SIGNAL_E / snr) ** 2 - SIGNAL_E - 200)
-    eye = VirtualCamera(camera, sensor=Sensor(read_noise_e=float(noise)))
-    source = TwinSource(scene, (eye,), frame_rate_hz=10.0, exposure_s=1e-3, pulses=1, seed=seed)
+    read_e = 10.0 if what.snr is None else float(np.sqrt((SIGNAL_E / what.snr) ** 2 - SIGNAL_E - 200))
+    sensor = Sensor(read_noise_e=read_e)
+    if not what.noise:
+        sensor = Sensor(read_noise_e=0.0, full_well_e=1e9, background_e=1e7, bits=12)
+    optics = Optics(psf_sigma_px=what.blur_px, vignetting=what.vignetting)
+    eye = VirtualCamera(camera, optics, sensor=sensor)
+    if what.steady:
+        eye = VirtualCamera(
+            camera, replace(optics, gap_px=0.0), Timing(jitter_s=0.0), Mount(body_px=0.0), sensor
+        )
+    source = TwinSource(scene, (eye,), frame_rate_hz=10.0, exposure_s=1e-3, pulses=1, seed=what.seed)
     (frame,) = source
     truth = source.truth()
     assert frame.image is not None
-    found: CodedDetections = find_coded(frame.image, "c")
-    names = [placed.name for placed in field.targets]
-    off = eccentricity_px(camera, field.positions, np.array([p.normal for p in field.targets]), DOT_RADIUS_M)
-    right, wrong, errors = 0, 0, []
+    settings = CodedSettings() if what.noise else CodedSettings(read_noise_dn=0.0, gain_dn_per_e=0.0)
+    found = find_coded(frame.image, "c", settings, sensor.bits)
+    true = truth.image_xy_px[0, [truth.names.index(name) for name in field.names], 0]
+    normals = np.array([placed.normal for placed in field.targets])
+    return found, field, true, eccentricity_px(camera, field.positions, normals, DOT_RADIUS_M)
+
+
+def centre_errors(what: Rendering) -> tuple[Array, float]:
+    """Return the centres' errors (n, 2) without eccentricity, and their standard deviation as reported [px]."""
+    found, field, true, off = rendered(what)
+    index = [field.names.index(f"code/{number:03d}") for number in found.number]
+    sigma = np.sqrt(np.trace(found.covariance_px2, axis1=1, axis2=2).mean() / 2) if len(found) else np.nan
+    return found.xy_px - true[index] - off[index], float(sigma)
+
+
+def read_field(what: Rendering) -> tuple[int, int, int]:
+    """Return how many targets there are, were read and were misread."""
+    found, field, true, _ = rendered(what)
+    right = 0
     for number, xy in zip(found.number, found.xy_px, strict=True):
         name = f"code/{number:03d}"
-        true = truth.image_xy_px[0, truth.names.index(name), 0] if name in names else np.full(2, np.inf)
-        if np.linalg.norm(xy - true) < dot_px:
-            right += 1
-            errors.append(xy - true - off[names.index(name)])
-        else:
-            wrong += 1
-    return len(names), right, wrong, np.array(errors).reshape(-1, 2)
+        right += name in field.names and np.linalg.norm(xy - true[field.names.index(name)]) < what.dot_px
+    return len(field.names), right, len(found) - right
 
 
 def print_sizes() -> None:
-    """Print the share of targets read by size, tilt and noise."""
+    """Print the smallest dots of which 99 % are read."""
+    print("\nsmallest dot read at 99 % [px, facing] (its shorter axis), and misread of all:")
     for tilt, sizes in SIZES.items():
-        for snr in (50.0, 10.0):
-            print(
-                f"\ntilt {tilt} deg, SNR {snr:g}: dot px (ring px)   read of   share   misread   centre rms px"
-            )
-            for size in sizes:
-                parts = [read_field(size, tilt, snr, seed) for seed in range(FRAMES)]
-                n, right, wrong = (sum(part[k] for part in parts) for k in range(3))
-                errors = np.concatenate([part[3] for part in parts])
-                rms = f"{np.sqrt(np.mean(errors**2)):.4f}" if len(errors) else "-"
-                share = right / n
-                print(f"{size:24g} ({3 * size:g}) {right:8d} {n:5d} {share:8.4f} {wrong:6d} {rms:>12}")
+        for snr in (100.0, 50.0, 10.0):
+            row = []
+            for blur in (0.4, 0.6, 0.9, 1.3):
+                smallest, wrong_in_all, total = np.nan, 0, 0
+                for size in sorted(sizes, reverse=True):
+                    parts = [
+                        read_field(Rendering(size, tilt, blur, snr, seed, steady=False, most=100))
+                        for seed in range(2)
+                    ]
+                    n, right, wrong = (sum(part[k] for part in parts) for k in range(3))
+                    wrong_in_all, total = wrong_in_all + wrong, total + n
+                    if right < 0.99 * n:
+                        break
+                    smallest = size
+                short = smallest * np.cos(np.deg2rad(tilt))
+                row.append(f"blur {blur:g}: {smallest:4g} ({short:4.1f}) {wrong_in_all}/{total}")
+            print(f"tilt {tilt:2d} SNR {snr:4g}  " + "   ".join(row), flush=True)
+
+
+def print_centres() -> None:
+    """Print the centres' errors by size, tilt and blur."""
+    print("\ncentres, rms px: with noise, as reported, without noise")
+    for vignetting, blur in ((0.0, 0.4), (0.0, 0.6), (0.0, 0.9), (0.3, 0.6)):
+        for tilt in (0.0, 30.0, 60.0):
+            for size in (4.5, 5.0, 6.0, 8.0, 10.0, 14.0, 20.0, 30.0):
+                what = Rendering(size, tilt, blur, vignetting=vignetting)
+                seeds = range(1 if size < 16 else 3)
+                parts = [centre_errors(replace(what, seed=seed)) for seed in seeds]
+                errors = np.concatenate([part[0] for part in parts])
+                bias = np.concatenate([centre_errors(replace(what, seed=s, noise=False))[0] for s in seeds])
+                if len(errors) < 20 * (size < 20) + 6 or not len(bias):
+                    continue
+                rms, still = (np.sqrt(np.mean(e**2)) for e in (errors, bias))
+                print(
+                    f"vignetting {vignetting:g} blur {blur:g} tilt {tilt:2g} dot {size:4g}: "
+                    f"{rms:.4f} {parts[0][1]:.4f} {still:.4f}  ({len(errors)})",
+                    flush=True,
+                )
 
 
 def print_clutter(views: int = 10_000, seed: int = 1) -> None:
@@ -124,42 +201,52 @@ def print_clutter(views: int = 10_000, seed: int = 1) -> None:
     print(f"\nclutter: {total} false in {views} views, {bound}; by kind {false}")
 
 
-def print_times(rounds: int = 60) -> None:
+def painted_field(height: int, width: int, count: int) -> Array:
+    """Return an image of ``count`` targets of 6 to 20 px, as far as there is room for them, tilted up to 57 deg."""
+    rng = np.random.default_rng(1)
+    columns = int(np.ceil(np.sqrt(count * width / height)))
+    cell = np.array([width / columns, height / np.ceil(count / columns)])
+    views = []
+    for k, number in enumerate(rng.permutation(507)[:count]):
+        row, column = divmod(k, columns)
+        at = ((column + 0.5) * cell[0], (row + 0.5) * cell[1])
+        size = min(rng.uniform(6, 20), cell.min() / 5.2)
+        views.append(View(int(number), at, size, rng.uniform(0, 1), *rng.uniform(0, 6.28, 2)))
+    return paint((height, width), views, rng=rng, noise=1.0, samples=4)
+
+
+def print_times(rounds: int = 30) -> None:
     """Print the time of one image."""
     cv2.setNumThreads(1)
-    rng = np.random.default_rng(1)
-    views = [
-        View(
-            int(number),
-            ((k % 12 + 0.7) * 54, (k // 12 + 0.5) * 54),
-            8.0,
-            rng.uniform(0, 1),
-            *rng.uniform(0, 6.28, 2),
-        )
-        for k, number in enumerate(rng.permutation(507)[:100])
-    ]
-    image = paint((HEIGHT, WIDTH), views, rng=rng, noise=1.0, samples=4)
-    works = {
-        "find_coded": lambda: find_coded(image, "c"),
-        "find_coded, dots to 25 px": lambda: find_coded(image, "c", CodedSettings(maximum_dot_px=25)),
-        "find_coded, both colours": lambda: find_coded(image, "c", CodedSettings(colour="both")),
-        "detect (for comparison)": lambda: detect(image, "c"),
-    }
-    print(f"\n100 targets in {WIDTH} x {HEIGHT}:                 best ms   median ms")
-    for name, work in works.items():
-        result: CodedDetections | Detections = work()
-        taken = []
-        for _ in range(rounds):
-            start = time.perf_counter()
-            result = work()
-            taken.append(1e3 * (time.perf_counter() - start))
-        print(f"{name:30s} {len(result):4d} found {min(taken):8.2f} {np.median(taken):9.2f}")
+    for height, width, count in (
+        (HEIGHT, WIDTH, 100),
+        (HEIGHT, WIDTH, 150),
+        (1200, 1664, 100),
+        (1200, 1664, 150),
+    ):
+        image = painted_field(height, width, count)
+        works = {
+            "find_coded": lambda image=image: find_coded(image, "c"),
+            "find_coded, dots to 25 px": lambda image=image: find_coded(
+                image, "c", CodedSettings(maximum_dot_px=25)
+            ),
+            "detect (for comparison)": lambda image=image: detect(image, "c"),
+        }
+        print(f"\n{count} targets in {width} x {height}:                 best ms   median ms")
+        for name, work in works.items():
+            result: CodedDetections | Detections = work()
+            taken = []
+            for _ in range(rounds):
+                start = time.thread_time()
+                result = work()
+                taken.append(1e3 * (time.thread_time() - start))
+            print(f"{name:30s} {len(result):4d} found {min(taken):8.2f} {np.median(taken):9.2f}")
 
 
 def main() -> None:
     """Print the tables named on the command line, or all."""
-    wanted = sys.argv[1:] or ["time", "sizes", "clutter"]
-    tables = {"time": print_times, "sizes": print_sizes, "clutter": print_clutter}
+    wanted = sys.argv[1:] or ["time", "sizes", "centres", "clutter"]
+    tables = {"time": print_times, "sizes": print_sizes, "centres": print_centres, "clutter": print_clutter}
     for name in wanted:
         tables[name]()
 

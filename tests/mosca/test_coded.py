@@ -201,12 +201,57 @@ def test_centres_are_where_they_were_painted(dot_px, tilt_deg, limit):
 
 
 def test_centres_agree_with_the_pipelines_detector():
+    """Whose mask of whole pixels leaves some 0.01 px of its own."""
     plates = views(13, 10)
     image = picture(plates, noise=0.3)
     found = find_coded(image, "left")
     spots = detect(image, "left", DetectionSettings(contrast_dn=60)).xy_px
     off = np.array([np.abs(spots - xy).max(axis=1).min() for xy in found.xy_px])
-    assert off.max() < 0.02
+    assert off.max() < 0.03
+
+
+@pytest.mark.parametrize(
+    ("dot_px", "tilt_deg", "blur", "limit"),
+    [
+        (6, 0, 0.6, 0.005),
+        (8, 0, 0.9, 0.0045),
+        (12, 45, 0.6, 0.0045),
+        (12, 45, 0.9, 0.0045),
+        (20, 60, 0.9, 0.0045),
+    ],
+)
+def test_no_bias_without_noise(dot_px, tilt_deg, blur, limit):
+    """A mask of whole pixels is up to 0.012 px off here. 16 bits: no rounding; painting itself leaves 0.003."""
+    plates = {v.number: v for v in views(16, dot_px, tilt_deg, z=2000.0)}
+    raw = paint(SHAPE, list(plates.values()), blur=blur, samples=8, raw=True)
+    found = find_coded(np.rint(256 * raw).astype(np.uint16), "left", bit_depth=16)
+    assert len(found) >= 0.9 * len(plates)
+    off = found.xy_px - [plates[int(n)].xy for n in found.number]
+    assert np.sqrt(np.mean(off**2)) < limit
+
+
+@pytest.mark.parametrize(
+    ("colour", "dot_px", "limit"),
+    [("white", 12, 0.006), ("white", 24, 0.004), ("black", 12, 0.012), ("black", 24, 0.004)],
+)
+def test_light_that_falls_across_a_dot_does_not_draw_its_centre(dot_px, limit, colour):
+    """0.15 % a pixel: centroids of white dots move by 0.0015 R^2 / 4 (0.013 and 0.054 px), of black ones by more."""
+    plates = {v.number: v for v in views(17, dot_px, z=2000.0)}
+    white, black = (200.0, 8.0) if colour == "white" else (20.0, 200.0)
+
+    def light(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return 1.15 - 0.0015 * (0.6 * x + 0.8 * y)
+
+    raw = paint(
+        SHAPE, list(plates.values()), white=white, black=black, around=black, light=light, samples=8, raw=True
+    )
+    found = find_coded(
+        np.rint(200 * raw).astype(np.uint16), "left", CodedSettings(colour=colour), bit_depth=16
+    )
+    assert len(found) == len(plates)
+    off = found.xy_px - [plates[int(n)].xy for n in found.number]
+    assert np.sqrt(np.mean(off**2)) < limit
+    assert np.abs(off.mean(axis=0)).max() < limit
 
 
 def test_errors_are_as_large_as_the_covariance_says():
@@ -339,14 +384,27 @@ def test_a_rendered_test_field_is_read(glow):
 def test_smallest_sizes_through_the_twin():
     """As in the benchmark's table: 99 % at 5 px facing and 10 px at 60 deg, contrast 50 times the noise."""
     sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-    from bench_coded import read_field
+    from bench_coded import Rendering, read_field
 
     for size, tilt in ((5.0, 0), (10.0, 60)):
-        n, right, wrong, errors = read_field(size, tilt, 50.0, seed=7)
+        n, right, wrong = read_field(Rendering(size, tilt, snr=50.0, seed=7, steady=False, most=100))
         assert n >= 70
         assert right >= 0.99 * n
         assert wrong == 0
-        assert np.sqrt(np.mean(errors**2)) < 0.035
+
+
+@pytest.mark.parametrize(("size", "tilt"), [(6.0, 0.0), (10.0, 30.0), (16.0, 60.0), (30.0, 30.0)])
+def test_centres_of_rendered_targets(size, tilt):
+    """Noise of 10 electrons, full well 20,000, steady camera: 0.01 px rms at the most, and as the covariance says."""
+    sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+    from bench_coded import Rendering, centre_errors
+
+    errors, sigma = centre_errors(Rendering(size, tilt))
+    rms = np.sqrt(np.mean(errors**2))
+    assert rms < 0.007
+    assert 0.75 < rms / sigma < 1.4
+    bias, _ = centre_errors(Rendering(size, tilt, noise=False))
+    assert np.sqrt(np.mean(bias**2)) < 0.0035
 
 
 # ---------------------------------------------------------------- any image, any setting

@@ -1,6 +1,11 @@
-"""Printed sheets, painted from their files and read again: right numbers, right sizes, the same bytes each time."""
+"""Printed sheets, painted from their files and read again: right numbers, right sizes, the same bytes each time.
+
+Painted by two: a few lines here that fill the files' polygons, and a browser where there is one.
+"""
 
 import re
+import shutil
+import subprocess
 import xml.etree.ElementTree as ElementTree
 import zlib
 from pathlib import Path
@@ -9,17 +14,31 @@ import cv2
 import numpy as np
 import pytest
 
+from mosca.boards import find_board
 from mosca.coded import CodedSettings, find_coded
+from mosca.data.boards import Board
 from mosca.data.target_codes import SECTORS, code_bits
-from mosca.data.targets import CodedTarget
+from mosca.data.targets import BallTarget, CodedTarget, PlacedTarget, RoundTarget, ScaleBar, TestField
+from mosca.data.wands import Wand
 from mosca.errors import InputError
-from mosca.formats.target_sheet import PAGES_MM, lay_out_sheets, white_runs_deg, write_target_sheets
+from mosca.formats.sheet_scale import PrintedScale, as_printed, scale_of_ruler, scale_of_scan
+from mosca.formats.target_sheet import (
+    PAGES_MM,
+    lay_out_sheets,
+    ruler_mm,
+    white_runs_deg,
+    write_sheets,
+    write_target_sheets,
+)
 
 DOT_M = 0.0035
 TARGETS = [CodedTarget.of_dot(number, DOT_M) for number in (0, 17, 99, 256, 301, 402, 506)]
 PER_MM = 6  # pixels
 POINTS_PER_MM = 72 / 25.4
 Path_ = list[tuple[str, list[float]]]
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+CHARUCO = Board(6, 5, 0.03, 0.0105, 0.021, "DICT_APRILTAG_36H11")
+CHECKERS = Board(7, 4, 0.025, 0.0125)
 
 
 def polygons(commands: Path_) -> list[np.ndarray]:
@@ -40,13 +59,13 @@ def polygons(commands: Path_) -> list[np.ndarray]:
     return [np.array(part) for part in found if len(part) > 2]
 
 
-def svg_paths(file: Path) -> list[tuple[float | None, Path_]]:
+def svg_paths(file: Path, _height_mm: float = 0.0) -> list[tuple[float | None, Path_]]:
     """Return what is filled with which grey, in points, y down."""
     found = []
     for element in ElementTree.parse(file).iter("{http://www.w3.org/2000/svg}path"):
+        if element.get("clip-path") is None and "stroke: #" not in element.get("style", ""):
+            continue  # the page, or a letter's outline
         style = element.get("style", "")
-        if not style:  # a letter's outline
-            continue
         fill = re.search(r"fill: (none|#[0-9a-f]{6})", style)
         grey = None if fill and fill[1] == "none" else int(fill[1][1:3], 16) / 255 if fill else 0.0
         commands = [
@@ -57,9 +76,9 @@ def svg_paths(file: Path) -> list[tuple[float | None, Path_]]:
     return found
 
 
-def pdf_paths(file: Path) -> list[tuple[float | None, Path_]]:
+def pdf_paths(file: Path, height_mm: float = PAGES_MM["A4"][1]) -> list[tuple[float | None, Path_]]:
     """Return the same of a PDF's page, y down."""
-    height = PAGES_MM["A4"][1] * POINTS_PER_MM
+    height = height_mm * POINTS_PER_MM
     found: list[tuple[float | None, Path_]] = []
     for packed in re.findall(rb"stream\r?\n(.*?)\r?\nendstream", file.read_bytes(), re.DOTALL):
         try:
@@ -92,16 +111,21 @@ def pdf_paths(file: Path) -> list[tuple[float | None, Path_]]:
     return found
 
 
-def painted(paths: list[tuple[float | None, Path_]]) -> np.ndarray:
+def painted(
+    paths: list[tuple[float | None, Path_]], size_mm: tuple[float, float] = PAGES_MM["A4"]
+) -> np.ndarray:
     """Return the sheet as an image (H, W) of PER_MM pixels a millimetre."""
     fine = 2
-    width, height = (round(edge * PER_MM * fine) for edge in PAGES_MM["A4"])
+    width, height = (round(edge * PER_MM * fine) for edge in size_mm)
     image = np.full((height, width), 255, np.uint8)
     for grey, commands in paths:
         if grey is not None:
             for points in polygons(commands):
                 scaled = points / POINTS_PER_MM * PER_MM * fine
-                cv2.fillPoly(image, [np.rint(scaled * 256).astype(np.int32)], 255 * grey, cv2.LINE_8, 8)
+                whole = [
+                    np.rint((scaled - 0.5) * 256).astype(np.int32)
+                ]  # OpenCV's pixels lie about whole numbers
+                cv2.fillPoly(image, whole, 255 * grey, cv2.LINE_8, 8)
     return image.reshape(height // fine, fine, width // fine, fine).mean(axis=(1, 3)).astype(np.uint8)
 
 
@@ -117,6 +141,120 @@ def test_a_sheet_is_read_as_what_was_printed(tmp_path, ending, paths_of, colour)
     at = np.array([[place.x_mm, PAGES_MM["A4"][1] - place.y_mm] for place in places]) * PER_MM - 0.5
     np.testing.assert_allclose(found.xy_px, at, atol=0.6)
     np.testing.assert_allclose(found.roll_rad, 0.0, atol=0.02)
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no Chromium to paint the sheet")
+@pytest.mark.parametrize("colour", ["white", "black"])
+def test_a_sheet_painted_by_a_browser_is_read(tmp_path, colour):
+    """96 pixels an inch, four times as fine: a scan whose resolution is known."""
+    (file,) = write_target_sheets(tmp_path / "sheet.svg", TARGETS, colour=colour)
+    shot = tmp_path / "shot.png"
+    options = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--hide-scrollbars",
+        "--force-device-scale-factor=4",
+    ]
+    where = [f"--user-data-dir={tmp_path / 'browser'}", "--window-size=800,1130", f"--screenshot={shot}"]
+    subprocess.run(
+        [str(BROWSER), *options, *where, file.as_uri()], check=True, capture_output=True, timeout=60
+    )
+    image = cv2.imread(str(shot), cv2.IMREAD_GRAYSCALE)
+    found = find_coded(image, "scan", CodedSettings(colour=colour, maximum_dot_px=150))
+    assert found.number.tolist() == [target.number for target in TARGETS]
+    scale = scale_of_scan(found, lay_out_sheets(TARGETS)[0], dpi=4 * 96)
+    assert scale.x == pytest.approx(1.0, abs=5e-4)  # a browser rounds the page to whole pixels
+    assert scale.y == pytest.approx(1.0, abs=5e-4)
+    assert scale.residual_mm < 0.02
+    np.testing.assert_allclose(found.semi_axes_px / (4 * 96 / 25.4), 1000 * DOT_M, atol=0.05)
+
+
+@pytest.mark.parametrize("board", [CHARUCO, CHECKERS], ids=["charuco", "checkerboard"])
+@pytest.mark.parametrize(("ending", "paths_of"), [(".svg", svg_paths), (".pdf", pdf_paths)])
+def test_a_board_is_found_where_it_was_printed(tmp_path, ending, paths_of, board):
+    (file,) = write_sheets(board, tmp_path / f"board{ending}")
+    height, width = PAGES_MM["A4"]  # across
+    image = painted(paths_of(file, height), (width, height))
+    found = find_board(image, board)
+    assert found.refused == ""
+    middle = np.array([width / 2, 10 + 1000 * board.size_m[1] / 2])
+    true = (middle + 1000 * board.corners()[:, :2] * [1, -1]) * PER_MM - 0.5
+    assert len(found) == len(true)
+    np.testing.assert_allclose(found.xy_px, true[found.corner], atol=0.3)
+
+
+def test_markers_are_those_that_opencv_draws(tmp_path):
+    """The same board by ``CharucoBoard.generateImage``: alike but for a pixel along the edges."""
+    (file,) = write_sheets(CHARUCO, tmp_path / "board.svg")
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36H11)
+    theirs = cv2.aruco.CharucoBoard((6, 5), 0.03, 0.021, dictionary).generateImage((6 * 180, 5 * 180))
+    ours = painted(svg_paths(file), (297.0, 210.0))
+    left, top = round((297 / 2 - 90) * PER_MM), round((10 + 10.5) * PER_MM)
+    ours = ours[top : top + 5 * 180, left : left + 6 * 180]
+    assert np.mean(np.abs(ours.astype(int) - theirs) > 128) < 0.01
+    assert np.mean(np.abs(255 - ours.astype(int) - theirs) > 128) > 0.9  # control: the other way round
+
+
+def test_a_large_board_has_a_sheet_of_its_own_size(tmp_path):
+    board = Board(13, 8, 0.06, 0.03)
+    (file,) = write_sheets(board, tmp_path / "board.svg")
+    text = file.read_text()
+    size = [float(re.search(rf'{key}="([\d.]+)pt"', text)[1]) / POINTS_PER_MM for key in ("width", "height")]
+    np.testing.assert_allclose(size, [840 + 20, 540 + 34], atol=0.01)
+    with pytest.raises(InputError, match="board of 840 x 540 mm given, too large for page 'A3'"):
+        write_sheets(board, tmp_path / "board.svg", page="A3")
+
+
+def test_whatever_has_plates_is_printed(tmp_path):
+    places = [PlacedTarget(t.name, t, np.array([0.1 * k, 0, 0])) for k, t in enumerate(TARGETS)]
+    plain = PlacedTarget("round/1", RoundTarget(0.004), np.array([9.0, 0, 0]))
+    of_field = write_sheets(TestField((*places, plain)), tmp_path / "field.svg")
+    of_targets = write_target_sheets(tmp_path / "targets.svg", TARGETS)
+    assert of_field[0].read_bytes() == of_targets[0].read_bytes()
+    bar = ScaleBar(0.5, 1e-5, (TARGETS[1], TARGETS[2]))
+    (sheet,) = write_sheets(bar, tmp_path / "bar.svg")
+    found = find_coded(painted(svg_paths(sheet)), "scan", CodedSettings(maximum_dot_px=60))
+    assert found.number.tolist() == [17, 99]
+    for target in (Wand((0.0, 0.5), 0.014, 0.0), ScaleBar(0.5, 1e-5, (BallTarget(0.01), BallTarget(0.01)))):
+        with pytest.raises(InputError, match="no coded plates to print"):
+            write_sheets(target, tmp_path / "wand.svg")
+
+
+def test_a_printer_that_stretches_is_found_out():
+    """A scan of 300 dpi of a sheet printed 2 % too small across and 1 % too large down, laid on askew by 5 deg."""
+    (places,) = lay_out_sheets(TARGETS)
+    angle = np.deg2rad(5)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [np.sin(angle), -np.cos(angle)]])  # y down
+    xy = [turn @ [0.98 * place.x_mm, 1.01 * place.y_mm] * 300 / 25.4 + 900 for place in places]
+    one = np.ones(len(xy))
+    order = np.argsort([place.target.number for place in places])
+    blank = find_coded(np.zeros((9, 9), np.uint8), "scan")
+    found = type(blank)(
+        "scan", np.array([places[k].target.number for k in order]), np.array(xy)[order],
+        np.zeros((len(xy), 2, 2)), np.zeros((len(xy), 2)), one, one, one, np.empty(0),
+    )  # fmt: skip
+    scale = scale_of_scan(found, places, 300)
+    assert scale == PrintedScale(pytest.approx(0.98), pytest.approx(1.01), pytest.approx(0.0, abs=1e-9))
+    assert scale.mean == pytest.approx(np.sqrt(0.98 * 1.01))
+    with pytest.raises(InputError, match="dpi = 600"):
+        scale_of_scan(found, places, 600)
+    with pytest.raises(InputError, match="0 of its 7 targets"):
+        scale_of_scan(blank, places, 300)
+    with pytest.raises(InputError, match="not on a line"):
+        scale_of_scan(found, places[:3], 300)
+
+
+def test_the_ruler_tells_the_scale():
+    assert ruler_mm(PAGES_MM["A4"]) == 150.0
+    assert scale_of_ruler(145.5, 150.0) == pytest.approx(0.97)
+    with pytest.raises(InputError, match=r"15 mm, 150 mm is printed"):
+        scale_of_ruler(15.0, 150.0)  # in cm
+    printed = as_printed(TARGETS[1], 0.97)
+    assert printed == CodedTarget.of_dot(17, 0.97 * DOT_M)
+    board = as_printed(CHARUCO, 0.97)
+    assert (board.square_m, board.marker_m) == (pytest.approx(0.0291), pytest.approx(0.02037))
+    assert as_printed(CHECKERS, 0.97).marker_m is None
 
 
 @pytest.mark.parametrize(("ending", "paths_of"), [(".svg", svg_paths), (".pdf", pdf_paths)])

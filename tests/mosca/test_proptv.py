@@ -15,20 +15,12 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from mosca.calibrate.adjust import AdjustmentSettings, CameraAdjustment
-from mosca.calibrate.bundle.solver import (
-    BundleSettings,
-    CameraUnknowns,
-    ObjectPoints,
-    Observations,
-    Placements,
-    Problem,
-    solve,
-)
+from mosca.calibrate.bundle.solver import Adjustment, BundleSettings
+from mosca.calibrate.joint import StandError, adjust_together, resected_camera, stand_centres
 from mosca.calibrate.points import calibrate_from_points
 from mosca.camera import project_with_jacobians
-from mosca.data.rig import Camera, Rig
-from mosca.data.target_file import read_target
+from mosca.data.rig import Camera
+from mosca.data.target_file import MeasuredPoints, read_target
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data"))
 MARKERS = DATA / "proptv_calib_comparison" / "markerError_cases" / "markers"
@@ -39,12 +31,11 @@ pytestmark = [
 SIZE = (2560, 2160)
 TRAINED, HELD_OUT = (26.0, 150.0, 274.0), (88.0, 212.0)
 BAR_MM = np.array([0.066, 0.058, 0.51])
-PINHOLE = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2")
-FREE = {
-    "opencv": (*PINHOLE, "s1", "s2", "s3", "s4"),
-    "mosca": ("c_mm", "my_mm_per_px", "xp_px", "yp_px", "a", "K1_per_mm2", "K2_per_mm4", "K3_per_mm6")
-    + ("P1_per_mm", "P2_per_mm"),
-}
+ROUNDING_PX = 1 / np.sqrt(12)
+# OpenCV's model without its rational part and tilt: what a lens alone can do here. The water's surface is a prism to
+# a slanting camera, hence s1 to s4
+FREE = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2", "s1", "s2", "s3", "s4")
+STANDS = StandError(axis=2, turn_rad=1e-3, shift_m=(2e-5, 2e-5, 1e-4))
 
 
 @dataclass(frozen=True)
@@ -66,21 +57,17 @@ def markers() -> Markers:
     return Markers(np.array([one[:, :2] for one in tables]), tables[0][:, 2:] / 1000)
 
 
+def adjusted(train: Markers, stands: StandError | None = None) -> Adjustment:
+    measured = [MeasuredPoints(xy, train.xyz) for xy in train.xy_px]
+    rngs = np.random.default_rng(1).spawn(len(measured))
+    starts = [resected_camera(f"c{k}", SIZE, "opencv", measured[k], rngs[k]) for k in range(len(measured))]
+    how = BundleSettings(precision=False, blunder_significance=0.01 if stands is None else None)
+    return adjust_together(starts, measured, FREE, ROUNDING_PX, stands=stands, settings=how)
+
+
 @pytest.fixture(scope="module")
-def calibrated(markers, tmp_path_factory) -> dict[str, tuple[Rig, tuple[CameraAdjustment, ...]]]:
-    folder = tmp_path_factory.mktemp("proptv")
-    train = markers.on(TRAINED)
-    for k, xy in enumerate(train.xy_px):
-        np.savetxt(folder / f"markers_c{k}.txt", np.column_stack([xy, 1000 * train.xyz]))
-    cameras = "\n".join(f'[[camera]]\nname = "c{k}"\nfile = "markers_c{k}.txt"' for k in range(4))
-    found = {}
-    for lens, free in FREE.items():
-        path = folder / f"{lens}.toml"
-        path.write_text(
-            f'kind = "points"\nunit = "mm"\nlens = "{lens}"\nsize_px = [{SIZE[0]}, {SIZE[1]}]\n{cameras}\n'
-        )
-        found[lens] = calibrate_from_points(folder, read_target(path), AdjustmentSettings(parameters=free))
-    return found
+def calibrated(markers) -> Adjustment:
+    return adjusted(markers.on(TRAINED))
 
 
 def triangulated(cameras: tuple[Camera, ...], seen: Markers) -> tuple[np.ndarray, np.ndarray]:
@@ -96,41 +83,135 @@ def triangulated(cameras: tuple[Camera, ...], seen: Markers) -> tuple[np.ndarray
     return points, np.linalg.inv(normal)
 
 
-def rms(values: np.ndarray, axis: int = 0) -> np.ndarray:
-    return np.sqrt(np.mean(np.square(values), axis=axis))
+def rms(values: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.mean(np.square(values), axis=0))
 
 
-def parts_of(error: np.ndarray, xyz: np.ndarray) -> dict[str, np.ndarray]:
-    """Return errors (n, 3) as what a plane's shift and turn explain, plane by plane, and the rest: rms (3,)."""
-    moved, rest = np.empty_like(error), np.empty_like(error)
-    for z in np.unique(xyz[:, 2]):
-        on = xyz[:, 2] == z
-        x, y = (xyz[on, :2] - 0.15).T
+def as_stands(error: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what a shift and turn of each plane explains of errors (n, 3), and these motions (s, 6)."""
+    centres, stand = stand_centres(xyz, 2)
+    explained, motions = np.empty_like(error), []
+    for k, centre in enumerate(centres):
+        on = stand == k
+        x, y = (xyz[on] - centre)[:, :2].T
         design = np.zeros((3, on.sum(), 6))
         design[0, :, 0] = design[1, :, 1] = design[2, :, 2] = 1.0
         design[2, :, 3], design[2, :, 4], design[0, :, 5], design[1, :, 5] = y, -x, -y, x
-        stacked, wanted = design.reshape(-1, 6), error[on].T.ravel()
-        motion = np.linalg.lstsq(stacked, wanted, rcond=None)[0]
-        moved[on] = (stacked @ motion).reshape(3, -1).T
-        rest[on] = error[on] - moved[on]
-    return {"moved": rms(moved), "rest": rms(rest)}
+        motion = np.linalg.lstsq(design.reshape(-1, 6), error[on].T.ravel(), rcond=None)[0]
+        explained[on] = (design @ motion).T
+        motions.append(motion)
+    return explained, np.array(motions)
 
 
-def test_held_out_planes_are_measured_within_the_bar(markers, calibrated, record_property):
+def test_held_out_planes_are_measured_within_the_bar(markers, calibrated):
+    # measured: 0.063, 0.058, 0.490 mm; the four programs that the set compares: SOURCE.md
     test = markers.on(HELD_OUT)
-    points, _ = triangulated(calibrated["opencv"][0].cameras, test)
-    error_mm = 1000 * (points - test.xyz)
-    record_property("held_out_rms_mm", rms(error_mm).tolist())
+    error_mm = 1000 * (triangulated(calibrated.cameras, test)[0] - test.xyz)
+    print("held_out_rms_mm", rms(error_mm).tolist())
+    print("sigma0_px", calibrated.sigma0 * ROUNDING_PX)
     assert (rms(error_mm) <= BAR_MM).all(), rms(error_mm)
-    points, _ = triangulated(calibrated["mosca"][0].cameras, test)
-    record_property("held_out_rms_mm_mosca", rms(1000 * (points - test.xyz)).tolist())
-    assert (rms(1000 * (points - test.xyz)) <= 1.05 * BAR_MM).all(), rms(1000 * (points - test.xyz))
+    assert len(calibrated.rejected) < 0.01 * len(calibrated.used)
 
 
-def test_debug(markers, calibrated):
+def test_the_paper_s_model_through_the_point_calibration(markers, tmp_path):
+    # one camera after the other, parameters chosen by the data; measured 0.067, 0.061, 0.478 mm
+    train, test = markers.on(TRAINED), markers.on(HELD_OUT)
+    for k, xy in enumerate(train.xy_px):
+        np.savetxt(tmp_path / f"markers_c{k}.txt", np.column_stack([xy, 1000 * train.xyz]))
+    cameras = "\n".join(f'[[camera]]\nname = "c{k}"\nfile = "markers_c{k}.txt"' for k in range(4))
+    target = tmp_path / "target.toml"
+    target.write_text(f'kind = "points"\nunit = "mm"\nsize_px = [{SIZE[0]}, {SIZE[1]}]\n{cameras}\n')
+    rig, _ = calibrate_from_points(tmp_path, read_target(target))
+    error_mm = 1000 * (triangulated(rig.cameras, test)[0] - test.xyz)
+    print("held_out_rms_mm", rms(error_mm).tolist())
+    assert (rms(error_mm) <= (0.070, 0.064, 0.52)).all(), rms(error_mm)
+
+
+def test_image_points_are_exact_but_for_their_rounding(markers):
+    """A smooth map of each plane's own leaves 0.31 px, the rounding to whole pixels 0.289: no blur, no blunder."""
+    left = []
+    for z in (*TRAINED, *HELD_OUT):
+        plane = markers.on((z,))
+        x, y = (plane.xyz[:, :2] - 0.15).T / 0.135
+        powers = [(i, j) for i in range(6) for j in range(6 - i)]
+        design = np.column_stack([x**i * y**j for i, j in powers])
+        freedom = (len(x) - len(powers)) / len(x)
+        for xy in plane.xy_px:
+            rest = xy - design @ np.linalg.lstsq(design, xy, rcond=None)[0]
+            left.append(rms(rest) / np.sqrt(freedom))
+    assert ROUNDING_PX - 0.01 < np.median(left) < 0.32
+    assert np.max(left) < 0.40
+
+
+def test_what_the_held_out_error_is_made_of(markers, calibrated):
     test = markers.on(HELD_OUT)
-    for lens in FREE:
-        points, cov = triangulated(calibrated[lens][0].cameras, test)
-        e = 1000 * (points - test.xyz)
-        print(lens, rms(e), e.mean(0), parts_of(e, test.xyz), 1000*np.sqrt(np.diagonal(cov, axis1=1, axis2=2).mean(0)/12))
-        print([ (round(a.sigma0_px,3), len(a.rejected)) for a in calibrated[lens][1]])
+    points, cofactor = triangulated(calibrated.cameras, test)
+    error_mm = 1000 * (points - test.xyz)
+    stands_mm, motion = as_stands(error_mm, test.xyz)
+    rest_mm = error_mm - stands_mm
+    rounding_mm = 1000 * ROUNDING_PX * np.sqrt(np.diagonal(cofactor, axis1=1, axis2=2).mean(axis=0))
+    for name, value in (("stands", rms(stands_mm)), ("rest", rms(rest_mm)), ("rounding", rounding_mm)):
+        print(f"{name}_rms_mm", value.tolist())
+    np.testing.assert_allclose(rounding_mm, (0.025, 0.025, 0.128), atol=0.002)
+    # the held-out planes stood a little turned and shifted themselves, which no calibration can know
+    assert ((rms(stands_mm)[:2] > 0.035) & (rms(stands_mm)[:2] < 0.06)).all()
+    assert (
+        rms(rest_mm)[:2] < 0.042
+    ).all()  # rounding 0.025, so the lens model's own misfit is 0.03 mm or less
+    turns_mrad = motion[:, 5]
+    assert -0.7 < turns_mrad[0] < -0.4  # at 88 mm
+    assert 0.3 < turns_mrad[1] < 0.6  # at 212 mm
+
+
+def test_the_target_turned_along_its_traverse(markers, calibrated):
+    """Four cameras agree that the planes are turned by -1, 0 and +1 mrad about the traverse, as the held-out ones
+    (between them) are by half as much.
+    """
+    free = adjusted(markers.on(TRAINED), STANDS)
+    turns = 1e3 * Rotation.from_matrix(free.placements.rotation).as_rotvec()[:, 2]
+    print("turns_mrad", turns.tolist())
+    np.testing.assert_allclose(turns, (-1.03, 0.03, 1.00), atol=0.05)
+    assert free.sigma0 < 0.92 * calibrated.sigma0
+
+
+def refracted(centre: np.ndarray, points: np.ndarray, surface_m: float, index: float) -> np.ndarray:
+    """Return where (n, 3), on the water's surface, the light of points below passes on its way to ``centre``."""
+    away = points[:, :2] - centre[:2]
+    across, above, below = np.linalg.norm(away, axis=1), centre[2] - surface_m, surface_m - points[:, 2]
+    r = across * above / (above + below / index)
+    for _ in range(12):  # Newton's method for Snell's law
+        up, down = np.hypot(r, above), np.hypot(across - r, below)
+        slope = above**2 / up**3 + index * below**2 / down**3
+        r = r - (r / up - index * (across - r) / down) / slope
+    return np.column_stack([centre[:2] + away * (r / across)[:, None], np.full(len(r), surface_m)])
+
+
+def pinhole_misfit_px(index: float, markers: Markers, start: Camera) -> float:
+    """Return the rms misfit of a pinhole with k1 above water of refractive index ``index``, surface at 0.3 m."""
+    xy = markers.xy_px[int(start.name[1])]
+
+    def residuals(p: np.ndarray) -> np.ndarray:
+        through = refracted(p[3:6], markers.xyz, 0.3, index) - p[3:6]
+        v = through @ Rotation.from_rotvec(p[:3]).as_matrix()
+        ideal = v[:, :2] / v[:, 2:]
+        radial = 1 + p[9] * np.sum(ideal**2, axis=1, keepdims=True)
+        return (1000 * (p[6] * ideal * radial + p[7:9]) - xy).ravel()
+
+    pose, lens = start.world_from_camera, start.lens
+    turn = Rotation.from_matrix(pose.rotation).as_rotvec()
+    first = np.concatenate(
+        [turn, pose.translation, [lens.fx_px / 1e3, lens.cx_px / 1e3, lens.cy_px / 1e3, 0]]
+    )
+    return float(np.sqrt(np.mean(least_squares(residuals, first, x_scale=0.01).fun ** 2)))
+
+
+def test_the_missing_physics_is_refraction(markers):
+    """The same ten unknowns, without prism or decentring: with Snell's law at the surface they nearly fit."""
+    every = markers.on(TRAINED)
+    train = Markers(every.xy_px[:, ::4], every.xyz[::4])
+    for k in range(4):
+        measured = MeasuredPoints(train.xy_px[k], train.xyz)
+        start = resected_camera(f"c{k}", SIZE, "opencv", measured, np.random.default_rng(k))
+        air, water = (pinhole_misfit_px(index, train, start) for index in (1.0, 1.333))
+        print(f"c{k}_misfit_px", [air, water])
+        assert water < 1.0 < 3.0 < air

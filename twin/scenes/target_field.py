@@ -11,7 +11,7 @@ from mosca.errors import InputError
 from twin.scenes.field_layout import FieldLayout, LaidOutField, lay_out_field
 from twin.scenes.glow import Glow
 from twin.scenes.scene import Scene
-from twin.scenes.target_motion import CarriedPath, carried_body, carried_scene, standing
+from twin.scenes.target_motion import CarriedPath, SteppedPath, carried_body, carried_scene, standing
 from twin.scenes.target_plate import RETRO, add_target, figures_of
 from twin.scenes.world import Box, add_shape, new_stage, positive
 
@@ -57,7 +57,7 @@ def build_field(
 
 def field_scene(
     laid: LaidOutField,
-    path: CarriedPath,
+    path: CarriedPath | SteppedPath,
     duration_s: float,
     *,
     origin: Array,

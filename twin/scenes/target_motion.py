@@ -1,4 +1,4 @@
-"""How a target is carried through the working space: by hand, on a turntable, or not at all.
+"""How a target is carried through the working space: by hand, on a turntable, from stand to stand, or not at all.
 
 A hand's path is a sum of sinusoids in each coordinate and each angle: smooth, without beginning or end, and
 with nothing above ``highest_hz``.
@@ -133,7 +133,7 @@ def carried_body(spec: mujoco.MjSpec, name: str) -> mujoco.MjsBody:
 def carried_scene(
     spec: mujoco.MjSpec,
     names: Sequence[str],
-    path: CarriedPath,
+    path: "CarriedPath | SteppedPath",
     duration_s: float,
     *,
     body: str,
@@ -164,3 +164,51 @@ def _at_rate(amplitudes: Array, rates: Array, wanted: float) -> Array:
     """Return ``rates`` times a factor, so that the rms rate of the sum of sinusoids is ``wanted``."""
     rms = np.sqrt(np.square(amplitudes * rates).sum() / 2)  # no two frequencies are equal: squares add up
     return np.asarray(rates * (wanted / rms if rms > 0 else 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class SteppedPath:
+    """Pose of a free body that is put from one stand to the next and stands still there, as qpos (7,).
+
+    ``stands`` (s, 7): place [m] and attitude wxyz at each; ``hold_s``: how long each lasts; the last one lasts on.
+    ``lead_s``: how much earlier than that it is put there, so that no exposure sees it go.
+    """
+
+    stands: Array
+    hold_s: float
+    lead_s: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stands", read_only(self.stands, (None, 7), "stands"))
+
+    def __call__(self, time_s: float) -> Array:
+        """Return qpos (7,) at session time ``time_s``."""
+        return np.array(self.stands[min(max(int((time_s + self.lead_s) / self.hold_s), 0), len(self.stands) - 1)])
+
+
+def put_from_stand_to_stand(
+    center: Array,
+    stands: int,
+    hold_s: float,
+    *,
+    lead_s: float,
+    shift_m: Array,
+    tilt_rad: float,
+    rng: np.random.Generator,
+) -> SteppedPath:
+    """Return a body that stands upright at ``center`` (3,) first, and at random places and attitudes about it then.
+
+    ``shift_m`` (3,): how far to both sides along each axis; ``tilt_rad``: how far it leans at most; its turn about
+    the vertical is spread evenly over the stands.
+    """
+    rows = [np.concatenate([center, [1.0, 0.0, 0.0, 0.0]])]
+    for k in range(1, stands):
+        place = center + rng.uniform(-1, 1, 3) * shift_m
+        lean, side = rng.uniform(0.3, 1.0) * tilt_rad, rng.uniform(0, 2 * np.pi)
+        turn = 2 * np.pi * k / stands
+        tilted, turned, attitude = np.empty(4), np.empty(4), np.empty(4)
+        mujoco.mju_axisAngle2Quat(tilted, np.array([np.cos(side), np.sin(side), 0.0]), lean)
+        mujoco.mju_axisAngle2Quat(turned, np.array([0.0, 0.0, 1.0]), turn)
+        mujoco.mju_mulQuat(attitude, tilted, turned)
+        rows.append(np.concatenate([place, attitude]))
+    return SteppedPath(np.array(rows), hold_s, lead_s)

@@ -1,0 +1,140 @@
+"""The L-frame says where the world is, whatever axes a calibration came in, and is not believed when it cannot be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from test_wand import calibrated
+from wand_scenes import NOISE_PX, rig, seen, waved
+
+from mosca.calibrate.axes import in_axes, world_from_l_frame
+from mosca.calibrate.self_calibrate import self_calibrate
+from mosca.camera import project
+from mosca.data.detections import Detections
+from mosca.data.rig import Pose, Rig
+from mosca.data.wands import LFrame
+from mosca.errors import CalibrationError
+
+NAMES = ("origin", "x1", "x2", "y")
+PLACES = np.array([[0.0, 0, 0.02], [0.35, 0, 0.02], [0.6, 0, 0.02], [0, 0.4, 0.02]])
+FRAME = LFrame(NAMES, PLACES, 0.02)
+TRUE = rig(4, seed=7)
+
+
+def shown(places=PLACES, clutter=2, noise_px=NOISE_PX, seed=0) -> list[Detections]:
+    """Return what the true cameras see of the L-frame and of ``clutter`` reflections each."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for camera in TRUE:
+        xy = project(camera, places) + rng.normal(0, noise_px, (len(places), 2))
+        xy = np.vstack([xy, rng.uniform(0, 1, (clutter, 2)) * (656, 491)])
+        xy, n = xy[rng.permutation(len(xy))], len(xy)
+        ones = np.ones(n)
+        out.append(
+            Detections(camera.name, xy, np.tile(np.eye(2) * noise_px**2, (n, 1, 1)), 8 * ones, ones, ones)
+        )
+    return out
+
+
+def elsewhere(scale=1.0, seed=1) -> Rig:
+    """Return the true rig in other axes and other lengths."""
+    rng = np.random.default_rng(seed)
+    pose = Pose(Rotation.random(rng=rng).as_matrix(), rng.normal(size=3))
+    moved = []
+    for camera in TRUE:
+        own = camera.world_from_camera
+        moved.append(replace(camera, world_from_camera=pose @ Pose(own.rotation, scale * own.translation)))
+    return Rig(tuple(moved))
+
+
+def assert_true(cameras, within_m):
+    for found, is_ in zip(cameras, TRUE, strict=True):
+        off = found.world_from_camera.translation - is_.world_from_camera.translation
+        assert np.linalg.norm(off) < within_m
+
+
+def test_the_rig_comes_home():
+    axes = world_from_l_frame(elsewhere(), shown(), FRAME)
+    assert_true(axes.rig.cameras, 5e-3)
+    assert axes.rms_m < 1e-3
+    assert axes.measured_over_known == pytest.approx(1, abs=4 * axes.scale_sigma)
+    assert axes.findings == ()
+
+
+def test_exactly_where_nothing_is_noisy():
+    axes = world_from_l_frame(elsewhere(), {one.camera: one for one in shown(noise_px=1e-9)}, FRAME)
+    assert_true(axes.rig.cameras, 1e-6)
+
+
+def test_arbitrary_lengths_become_metres():
+    axes = world_from_l_frame(elsewhere(scale=0.317), shown(), FRAME, lengths_known=False)
+    assert_true(axes.rig.cameras, 1e-2)
+    assert axes.scale == pytest.approx(1 / 0.317, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("scale", "code", "severity"),
+    [(1.005, "scale-error", "warn"), (1.03, "scale-error", "refuse"), (1000.0, "mixed-units", "refuse")],
+)
+def test_a_wrong_scale_is_found(scale, code, severity):
+    found = world_from_l_frame(elsewhere(scale), shown(), FRAME).findings
+    assert [(one.code, one.severity) for one in found] == [(code, severity)]
+
+
+def test_another_figure_is_refused():
+    other = PLACES * (1.0, 1.15, 1.0)
+    with pytest.raises(CalibrationError, match="none of the"):
+        world_from_l_frame(elsewhere(), shown(other), FRAME)
+
+
+def test_a_mirrored_file_is_refused():
+    solid = np.array([[0.0, 0, 0], [0.6, 0, 0], [0, 0.4, 0], [0.2, 0.1, 0.3]])
+    names = ("o", "x", "y", "up")
+    assert world_from_l_frame(elsewhere(), shown(solid), LFrame(names, solid, 0.02)).rms_m < 1e-3
+    with pytest.raises(CalibrationError, match="mirrored"):
+        world_from_l_frame(elsewhere(), shown(solid), LFrame(names, solid * (1, -1, 1), 0.02))
+
+
+def test_too_few_balls_are_refused():
+    with pytest.raises(CalibrationError, match="balls found that two cameras see"):
+        world_from_l_frame(elsewhere(), shown(PLACES[:2], clutter=0), FRAME)
+    with pytest.raises(CalibrationError, match="0 balls found"):
+        world_from_l_frame(elsewhere(), [], FRAME)
+
+
+def test_two_figures_alike_are_refused():
+    both = np.vstack([PLACES, PLACES + [0.2, 0.7, 0.5]])
+    with pytest.raises(CalibrationError, match="two ways"):
+        world_from_l_frame(elsewhere(), shown(both, clutter=0), FRAME)
+
+
+def test_a_wand_calibration_is_carried_into_the_axes_with_its_covariance():
+    world = waved(200, seed=3)
+    found = calibrated(TRUE, seen(TRUE, world))
+    axes = world_from_l_frame(found.rig, shown(), FRAME)
+    home = in_axes(found, axes)
+    assert_true(home.rig.cameras, 6e-3)
+    # distances between cameras do not depend on the axes, nor does their variance
+    names, difference = found.parameters, np.zeros((2, len(found.parameters)))
+    for row, one in enumerate((found, home)):
+        a, b = (one.rig.cameras[k].world_from_camera.translation for k in (0, 2))
+        for axis, along in zip("XYZ", (a - b) / np.linalg.norm(a - b), strict=True):
+            difference[row, names.index(f"cam1.{axis}_m")] = along
+            difference[row, names.index(f"cam3.{axis}_m")] = -along
+    variance = [d @ one.covariance @ d for d, one in zip(difference, (found, home), strict=True)]
+    assert variance[1] == pytest.approx(variance[0], rel=1e-6)
+    off = np.linalg.norm(
+        home.points_in_world()[home.used] - world.reshape(-1, 3)[home.sightings.mark[home.used]], axis=1
+    )
+    assert np.median(off) < 3e-3
+
+
+def test_a_self_calibration_gets_its_size_from_the_l_frame():
+    world = waved(250, along=(0.0,), seed=4)
+    found = self_calibrate(seen(TRUE, world), np.random.default_rng(0), [c.lens for c in TRUE])
+    axes = world_from_l_frame(found.rig, shown(), FRAME, lengths_known=False)
+    home = in_axes(found, axes)
+    assert_true(home.rig.cameras, 2e-2)
+    assert home.scaled_by == "the L-frame's distances"
+    assert home.standard_deviations["cam1.X_m"] > found.standard_deviations["cam1.X_m"]
