@@ -1,5 +1,7 @@
 """Errors that a user can mend: one line that names file, key, value, what is allowed and what to do."""
 
+import re
+
 
 class MoscaError(Exception):
     """A known error. The command line prints its text on one line and exits with 2."""
@@ -10,7 +12,16 @@ class InputError(MoscaError):
 
 
 class CalibrationError(MoscaError):
-    """Observations that do not determine a camera, or a camera that cannot be right."""
+    """Observations that do not determine a camera, or a camera that cannot be right.
+
+    A text that begins with a finding's code ("little-depth: ...") says what kind of trouble it is.
+    """
+
+    @property
+    def code(self) -> str:
+        """The code that the text begins with, "" where there is none."""
+        found = re.match(r"([a-z]+(?:-[a-z]+)+): ", str(self))
+        return "" if found is None else found[1]
 
 
 class PremiseError(MoscaError):

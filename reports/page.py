@@ -97,13 +97,13 @@ def write_comparison_page(path: Path, records: Sequence[RunRecord], labels: Sequ
 
 def badge(record: RunRecord) -> dict[str, str]:
     """Return text, sign and tone of the record's verdict."""
-    if record.passed and record.expect == "fail":
+    if record.passed and record.expect in ("fail", "caught"):
         return {"text": "Fails as it must", "sign": "✓", "tone": "good"}
     if record.passed and all(metric.limit is None for metric in record.metrics):
         return {"text": "Nothing claimed", "sign": "–", "tone": ""}
     if record.passed:
         return {"text": "Claim holds", "sign": "✓", "tone": "good"}
-    if record.expect == "fail":
+    if record.expect in ("fail", "caught"):
         return {"text": "Should have failed", "sign": "✗", "tone": "bad"}
     return {"text": "Claim broken", "sign": "✗", "tone": "bad"}
 

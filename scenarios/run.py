@@ -19,21 +19,24 @@ from mosca.assemble import Assembly
 from mosca.data.arrays import Array
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
+from mosca.data.rig_file import write_rig
 from mosca.data.tracks import Tracks, write_npz
 from mosca.data.truth import Truth, read_truth, write_truth
-from mosca.errors import InputError, PremiseError
+from mosca.errors import CalibrationError, InputError, PremiseError
 from mosca.formats.tracks_csv import write_tracks_csv
 from mosca.pipeline import PipelineSettings, Step, run
 from mosca.recording import RecordingWriter, open_recording
 from mosca.track import Sample, table
+from reports.calibration_page import write_calibration_page
 from reports.evidence import CameraView, ErrorTable, Evidence, FrameCounts
 from reports.page import write_page
 from reports.record import Blocks, Metric, RunRecord, write_record
 from scenarios.build import build_scene, pipeline_settings
-from scenarios.cameras import calibrated, deliveries, surroundings, true_rig, virtual_cameras
+from scenarios.cameras import Calibrated, calibrated, deliveries, surroundings, true_rig, virtual_cameras
 from scenarios.faults import with_fault
 from scenarios.interrupt import between_steps
 from scenarios.score import Matched, Score, limits_met, metrics, pair
+from scenarios.session.estimated import Estimated, estimated
 from scenarios.spec import METRICS, Scenario
 from scenarios.warm import compile_side_by_side
 from twin.source import TwinSource
@@ -52,6 +55,7 @@ class RunResult:
     tracks: Tracks
     truth: Truth | None
     commands: Any = None
+    estimated: Estimated | None = None
 
 
 @dataclass(frozen=True)
@@ -78,9 +82,27 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             cameras = virtual_cameras(spec, rig)
             known = calibrated(spec, cameras)
             names = known.rig.names
-            believed = with_fault(known.rig, spec.fault)
             settings = pipeline_settings(spec)
             scene = build_scene(spec, folder) if options.source == "twin" else None
+        own: Estimated | None = None
+        if spec.calibration is not None:
+            with _timed(timings, "calibration"):
+                try:
+                    own = estimated(spec, cameras, known.rig, options.workers)
+                except CalibrationError as refusal:
+                    if spec.expect != "caught":
+                        raise
+                    return _refused(
+                        spec, name, options, known, timings, ((refusal.code, str(refusal)),), None
+                    )
+            told = tuple(
+                (one.code, one.message) for one in own.calibration.findings if one.severity != "note"
+            )
+            if spec.expect == "caught":
+                return _refused(spec, name, options, known, timings, told, own)
+            if own.calibration.refused:
+                raise CalibrationError(f"{name}: {told[0][0]}: {told[0][1]}")
+        believed = with_fault(known.rig if own is None else own.calibration.rig, spec.fault)
         source: FrameSource
         if scene is not None:
             source = TwinSource(
@@ -110,11 +132,41 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             truth = None if truth is None else _as_seen_by(truth, names)
             matched = None if truth is None else pair(collected.tracks, truth, space)
             scores = {} if matched is None else metrics(matched, space)
+            scores = {**scores, **({} if own is None else own.scores())}
             premises = {} if truth is None else _premises(spec, truth, name)
     timings |= collected.seconds
     record = _record(spec, name, options, scores, premises, timings, known, collected)
     evidence = _evidence(spec, believed, collected, truth, matched)
-    return RunResult(record, evidence, collected.tracks, truth, None if scene is None else scene.commands)
+    commands = None if scene is None else scene.commands
+    return RunResult(record, evidence, collected.tracks, truth, commands, own)
+
+
+def _refused(
+    spec: Scenario,
+    name: str,
+    options: RunOptions,
+    known: Calibrated,
+    timings: Mapping[str, float],
+    told: tuple[tuple[str, str], ...],
+    own: Estimated | None,
+) -> RunResult:
+    """Return the result of a scenario whose calibration must be refused or warned of; nothing is measured.
+
+    ``told``: codes and messages of what was.
+    """
+    caught = next((message for code, message in told if code == spec.caught_as), None)
+    others = ", ".join(code or message for code, message in told) or "nothing"
+    verdict = (
+        f"caught as it must be: {spec.caught_as}: {caught.removeprefix(f'{spec.caught_as}: ')}"
+        if caught is not None
+        else f"not caught: '{spec.caught_as}' should have been told of; told of was {others}"
+    )
+    nothing = _Collected(table([]), (), -1, Assembly(), {})
+    scores = {} if own is None else own.scores()
+    record = _record(spec, name, options, scores, {}, timings, known, nothing)
+    record = replace(record, passed=caught is not None, verdict=verdict)
+    rig = known.rig if own is None else own.calibration.rig
+    return RunResult(record, _evidence(spec, rig, nothing, None, None), nothing.tracks, None, None, own)
 
 
 def check_out(out: Path) -> None:
@@ -137,6 +189,11 @@ def write_run(result: RunResult, out: Path, rrd: Path | None = None) -> None:
         write_page(part / "report.html", result.record, result.evidence)
         if result.commands is not None:
             _write_commands(result.commands, part / "commands.csv")
+        if result.estimated is not None:
+            write_rig(result.estimated.calibration.rig, part / "rig.toml")
+            write_calibration_page(
+                part / "calibration.html", result.estimated.calibration, result.estimated.evidence
+            )
         if rrd is not None:
             shutil.move(rrd, part / "run.rrd")
         part.chmod(0o755)

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from mosca.calibrate.findings import CODES
 from mosca.data.toml import NotNegative, Positive, Table, Vector, check, read_toml
 from mosca.errors import InputError
 from scenarios.spec_calibration import CalibrationSpec
@@ -181,7 +182,11 @@ class Scenario(Table):
     title: str = Field(description="what is claimed, in one line")
     description: str = Field("", description="why, and where the limits come from")
     tier: Literal["quick", "full"] = Field("full", description="'quick' runs in CI, 'full' at night")
-    expect: Literal["pass", "fail"] = Field("pass", description="'fail' for a control")
+    expect: Literal["pass", "fail", "caught"] = Field(
+        "pass",
+        description="'fail' for a control, 'caught' for a calibration that must be refused or warned of",
+    )
+    caught_as: str | None = Field(None, description="the finding's code: " + ", ".join(CODES))
     fails_on: tuple[str, ...] = Field((), description="metrics whose limits a control must break")
     seed: int = Field(1, ge=0, description="seed of all random streams")
     model_gap: Literal["none", "measured", "stress"] = Field(
@@ -205,14 +210,25 @@ class Scenario(Table):
     fault: FaultSpec | None = None
     pipeline: PipelineSpec = PipelineSpec()
     premises: Premises = Premises()
-    limits: dict[str, float] = Field(description="metric = limit; " + ", ".join(METRICS))
+    limits: dict[str, float] = Field({}, description="metric = limit; " + ", ".join(METRICS))
 
     @model_validator(mode="after")
     def _consistent(self) -> "Scenario":
         for name in (*self.limits, *self.fails_on):
             if name not in METRICS:
                 raise ValueError(f"'{name}' is no metric; there are {', '.join(METRICS)}")
-        if not self.limits:
+        if (self.expect == "caught") != (self.caught_as is not None):
+            raise ValueError(
+                "expect = 'caught' and caught_as belong together: say which finding there must be"
+            )
+        if self.expect == "caught":
+            if self.calibration is None:
+                raise ValueError("expect = 'caught' needs a [calibration] in which something is wrong")
+            if self.caught_as not in CODES:
+                raise ValueError(
+                    f"caught_as = '{self.caught_as}' is no finding; there are {', '.join(CODES)}"
+                )
+        elif not self.limits:
             raise ValueError("[limits] is empty: a scenario without a limit claims nothing; add one")
         missing = [name for name in self.fails_on if name not in self.limits]
         if missing:

@@ -177,12 +177,12 @@ def _judged(
     sigma0 = float(np.sqrt(fit.cost / redundancy))
     if sigma0 > settings.max_sigma0_px:
         raise CalibrationError(
-            f"{where}: residuals of {sigma0:.2f} px after the adjustment, {settings.max_sigma0_px:g} allowed; "
-            "check the target's dimensions, the pairs and the lens model"
+            f"lens-model: {where}: residuals of {sigma0:.2f} px after the adjustment, "
+            f"{settings.max_sigma0_px:g} allowed; check the target's dimensions, the pairs and the lens model"
         )
     if np.mean(~used) > settings.max_rejected:
         raise CalibrationError(
-            f"{where}: {int((~used).sum())} of {len(used)} points do not fit the camera, at most "
+            f"blunders: {where}: {int((~used).sum())} of {len(used)} points do not fit the camera, at most "
             f"{settings.max_rejected:.0%} may be rejected; check the pairs and the lens model"
         )
     everyone = residuals_of(fit.camera, xy, world)

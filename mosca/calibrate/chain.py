@@ -55,11 +55,11 @@ def _not_joined(
     blind = [names[k] for k in missing if k not in seen]
     if blind:
         return (
-            f"camera {', '.join(repr(name) for name in blind)}: the target was not seen, or with fewer than 4 marks "
-            "at a time; show it to that camera, nearer or more slowly"
+            f"few-views: camera {', '.join(repr(name) for name in blind)}: the target was not seen, or with fewer "
+            "than 4 marks at a time; show it to that camera, nearer or more slowly"
         )
     one, other = (", ".join(names[k] for k in group) for group in (sorted(placed), missing))
     return (
-        f"cameras {one} and {other} never saw the target at the same time, so that nothing says how they stand to "
-        "each other; carry the target through where the views of one of each overlap"
+        f"no-link: cameras {one} and {other} never saw the target at the same time, so that nothing says how they "
+        "stand to each other; carry the target through where the views of one of each overlap"
     )

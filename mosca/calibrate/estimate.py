@@ -1,34 +1,51 @@
 """Calibration from frames: the production entry point, whatever the target and wherever the frames come from."""
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mosca.calibrate.interior import LensChoice
+from mosca.assemble import assemble
+from mosca.calibrate.axes import in_axes, world_from_l_frame
+from mosca.calibrate.interior import LensChoice, plain_lens
+from mosca.calibrate.judge import judge
+from mosca.calibrate.judge_size import LengthErrors, length_errors
 from mosca.calibrate.read_board import BoardReader
 from mosca.calibrate.read_field import FieldReader
 from mosca.calibrate.rigid import RigidSettings, RigidTarget, calibrate_rigid
 from mosca.calibrate.sessions import MarkReader, Progress, sight
+from mosca.calibrate.wand import calibrate_wand
+from mosca.calibrate.wand_read import read_wand
+from mosca.data.arrays import Array
 from mosca.data.boards import Board
 from mosca.data.calibration import Calibration
+from mosca.data.detections import Detections
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
-from mosca.data.sightings import Sightings
+from mosca.data.sightings import Part, Sightings
 from mosca.data.target_tables import CalibrationTarget
-from mosca.data.targets import CodedTarget, RoundTarget, TestField
-from mosca.errors import InputError
+from mosca.data.targets import BallTarget, CodedTarget, RoundTarget, ScaleBar, TestField
+from mosca.data.wands import LFrame, Wand
+from mosca.detect import DetectionSettings, detect
+from mosca.errors import CalibrationError, InputError
+
+SEED = 2005
+"""Of the samples that find starting values; what is found does not depend on them where it is determined."""
 
 
 @dataclass(frozen=True)
 class EstimateSettings:
     """``lens``: model to estimate; ``exterior_only``: keep the lenses of the known rig; ``every``: look at each so
-    many-th frame set; ``reference``: frame set in which a rigid target is the world.
+    many-th frame set; ``reference``: frame set in which a rigid target is the world; ``detection``: how the balls of
+    wands and L-frames are found; ``volume`` (low, high) [m, world]: where will be measured.
     """
 
     lens: LensChoice = field(default_factory=LensChoice)
     exterior_only: bool = False
     every: int = 1
     reference: int | None = None
+    detection: DetectionSettings = field(default_factory=DetectionSettings)
+    volume: tuple[Sequence[float], Sequence[float]] | None = None
 
 
 def calibrate_frames(
@@ -38,14 +55,19 @@ def calibrate_frames(
     known: Rig | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Calibrate the cameras of a source whose frames show ``target``.
+    """Calibrate the cameras of a source whose frames show ``target``; not judged yet, see ``judged``.
 
-    ``known``: an earlier calibration of these cameras, to start from. InputError or CalibrationError, in one line,
+    ``known``: an earlier calibration of these cameras, to start from. The world is the target's frame where it first
+    stood; of a wand, near that of one of the cameras (see ``on_axes``). InputError or CalibrationError, in one line,
     where the frames do not do.
     """
     settings = settings or EstimateSettings()
-    sightings = sight(source, reader_of(target), settings.every, progress)
-    return calibrate_sightings(sightings, target, settings, known)
+    return calibrate_sightings(
+        sight(source, reader_of(target, settings.detection), settings.every, progress),
+        target,
+        settings,
+        known,
+    )
 
 
 def calibrate_sightings(
@@ -57,18 +79,90 @@ def calibrate_sightings(
             settings.lens, exterior_only=settings.exterior_only, reference=settings.reference
         )
         return calibrate_rigid(sightings, rigid_target(target), rigid, known)
+    if isinstance(target, Wand):
+        if settings.exterior_only:
+            raise InputError(
+                "a wand does not give exterior orientation alone; show the test field or the board again"
+            )
+        lenses = [plain_lens(settings.lens, 1.0, (int(w), int(h))) for w, h in sightings.sizes]
+        return calibrate_wand(sightings, target, np.random.default_rng(SEED), lenses)
     raise InputError(
         f"a {type(target).__name__} does not calibrate cameras; give a test field, a board or a wand"
     )
 
 
-def reader_of(target: CalibrationTarget) -> MarkReader:
+def judged(
+    calibration: Calibration,
+    target: CalibrationTarget,
+    settings: EstimateSettings | None = None,
+    *,
+    known: Rig | None = None,
+    lengths: LengthErrors | None = None,
+) -> Calibration:
+    """Return the calibration with what a person must know before believing it.
+
+    ``known``: an earlier calibration of the same cameras to hold it against; ``lengths``: held-out ones.
+    """
+    settings = settings or EstimateSettings()
+    rigid = isinstance(target, TestField | Board)
+    found = judge(
+        calibration,
+        known=known,
+        target_diameters_m=_diameters_m(calibration, target),
+        lengths=lengths,
+        volume=settings.volume,
+        rigid_target=rigid,
+    )
+    return replace(calibration, findings=(*calibration.findings, *found))
+
+
+def on_axes(
+    calibration: Calibration, source: FrameSource, frame: LFrame, settings: EstimateSettings
+) -> Calibration:
+    """Return the calibration in the axes of an L-frame, which the source's frames show standing still."""
+    axes = world_from_l_frame(calibration.rig, _mean_detections(source, settings), frame)
+    return replace(in_axes(calibration, axes), findings=(*calibration.findings, *axes.findings))
+
+
+def held_out_lengths(
+    calibration: Calibration | Rig, source: FrameSource, bar: ScaleBar, settings: EstimateSettings
+) -> LengthErrors:
+    """Return how a certified bar, which the source's frames show, comes out with a calibrated rig."""
+    sightings = sight(source, reader_of(bar, settings.detection), settings.every)
+    return length_errors(calibration, sightings, bar.length_m, bar.sigma_m)
+
+
+def reader_of(target: CalibrationTarget, detection: DetectionSettings | None = None) -> MarkReader:
     """Return what finds a target's marks in an image."""
     if isinstance(target, TestField):
         return FieldReader(target)
     if isinstance(target, Board):
         return BoardReader(target)
-    raise InputError(f"a {type(target).__name__} cannot be read mark by mark; give a test field or a board")
+    if isinstance(target, Wand):
+        return _WandReader(target, detection or DetectionSettings())
+    if isinstance(target, ScaleBar):
+        if isinstance(target.ends[0], CodedTarget):
+            return FieldReader(target)
+        length = (0.0, target.length_m)
+        size = target.ends[0]
+        width = size.diameter_m if isinstance(size, BallTarget) else 2 * size.radius_m
+        return _WandReader(Wand(length, width), detection or DetectionSettings())
+    raise InputError(f"a {type(target).__name__} cannot be read mark by mark; see 'on_axes'")
+
+
+class _WandReader:
+    """Finds the balls of a wand; their marks are -1 where the wand looks alike from both ends."""
+
+    def __init__(self, wand: Wand, detection: DetectionSettings) -> None:
+        self._wand, self._detection = wand, detection
+
+    def read(self, image: Array, camera: str, bit_depth: int) -> Part:
+        """Return the balls in an image (H, W), none where the wand is not seen whole or not alone."""
+        found = read_wand(detect(image, camera, self._detection, bit_depth), self._wand, 0, 0)
+        if found is not None:
+            return found
+        none = np.zeros(0)
+        return Part(0, 0, none.astype(np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)), none)
 
 
 def rigid_target(target: TestField | Board) -> RigidTarget:
@@ -89,3 +183,53 @@ def _radius_m(target: object) -> float:
         case CodedTarget(dot_radius_m=radius) | RoundTarget(radius_m=radius):
             return radius
     raise InputError("a test field holds coded targets and plain discs; balls belong on a wand or an L-frame")
+
+
+def _diameters_m(calibration: Calibration, target: CalibrationTarget) -> Array | float | None:
+    """Return the true diameters of the calibration's marks, None where they have none."""
+    if isinstance(target, TestField):
+        return np.array([2 * _radius_m(placed.target) for placed in target.targets])
+    if isinstance(target, Wand):
+        return target.diameter_m
+    return None
+
+
+def _mean_detections(source: FrameSource, settings: EstimateSettings) -> dict[str, Detections]:
+    """Return the mean detections of targets that stand still, by camera.
+
+    Those of the first image of a camera are followed by nearness; what is not there in half the images is left out.
+    """
+    images: dict[str, list[Detections]] = {info.name: [] for info in source.cameras}
+    depth = {info.name: info.bit_depth for info in source.cameras}
+    for frame_set in assemble(source, source.cameras):
+        for name, frame in frame_set.frames.items():
+            if frame.image is not None:
+                images[name].append(detect(frame.image, name, settings.detection, depth[name]))
+    found = {name: _mean(name, every) for name, every in images.items() if every}
+    if not any(len(one) for one in found.values()):
+        raise CalibrationError(
+            "few-views: nothing is seen of the L-frame; check exposure and detection settings"
+        )
+    return found
+
+
+def _mean(name: str, every: list[Detections]) -> Detections:
+    first = max(every[: len(every) // 2 + 1], key=len)
+    if len(first) == 0:
+        return Detections.none(name)
+    sums, counts = np.zeros((len(first), 2)), np.zeros(len(first))
+    for one in every:
+        if len(one) == 0:
+            continue
+        apart = np.linalg.norm(first.xy_px[:, None] - one.xy_px[None], axis=2)
+        nearest = apart.argmin(axis=1)
+        near = apart[np.arange(len(first)), nearest] < 0.25 * first.diameter_px
+        sums[near] += one.xy_px[nearest[near]]
+        counts += near
+    kept = counts >= len(every) / 2
+    return Detections(
+        name,
+        sums[kept] / counts[kept, None],
+        np.asarray(first.covariance_px2)[kept] / counts[kept, None, None],
+        *(np.asarray(getattr(first, key))[kept] for key in ("diameter_px", "peak", "elongation")),
+    )

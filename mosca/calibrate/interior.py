@@ -90,8 +90,8 @@ def _from_solid(
     count = 0 if best is None else len(best.mark)
     if best is None or count < FEWEST_MARKS:
         raise CalibrationError(
-            f"camera '{name}': {count} marks of the target in its best view, at least {FEWEST_MARKS} are wanted; "
-            "show it more of the target"
+            f"few-views: camera '{name}': {count} marks of the target in its best view, at least {FEWEST_MARKS} are "
+            "wanted; show it more of the target"
         )
     settings = AdjustmentSettings(pixel_pitch_mm=lens.pixel_pitch_mm, max_sigma0_px=5.0)
     adjusted = adjust_camera(name, size, lens.model, best.xy_px, marks_m[best.mark], rng, settings)
@@ -104,8 +104,8 @@ def _from_plane(
     usable = sorted((s for s in views.values() if len(s.mark) >= FEWEST_MARKS), key=lambda s: -len(s.mark))
     if len(usable) < FEWEST_PLANE_VIEWS:
         raise CalibrationError(
-            f"camera '{name}': {len(usable)} views of the flat target with {FEWEST_MARKS} marks or more, at least "
-            f"{FEWEST_PLANE_VIEWS} are wanted; hold it before the camera at more angles"
+            f"few-views: camera '{name}': {len(usable)} views of the flat target with {FEWEST_MARKS} marks or more, "
+            f"at least {FEWEST_PLANE_VIEWS} are wanted; hold it before the camera at more angles"
         )
     # evenly from all there are: neighbours look alike
     picked = [usable[k] for k in np.unique(np.linspace(0, len(usable) - 1, MOST_START_VIEWS).astype(int))]
@@ -153,7 +153,7 @@ def _focal_px(name: str, size: tuple[int, int], views: list[Seen], marks_m: Arra
     inverse_square = -(a @ b) / max(a @ a, 1e-300)
     if not inverse_square > 1 / 50.0**2:
         raise CalibrationError(
-            f"camera '{name}': its views of the flat target show no perspective, which leaves the principal distance "
-            "open; tilt the target by 20 to 50 deg, nearer to the camera"
+            f"little-depth: camera '{name}': its views of the flat target show no perspective, which leaves the "
+            "principal distance open; tilt the target by 20 to 50 deg, nearer to the camera"
         )
     return float(min(1 / np.sqrt(inverse_square), 50.0) * size[0])

@@ -139,15 +139,16 @@ def _checked(where: str, xy_px: Array, xyz: Array) -> tuple[Array, Array]:
     different = len(np.unique(world, axis=0))
     if different < FEWEST_POINTS:
         raise CalibrationError(
-            f"{where}: {different} different points given, at least {FEWEST_POINTS} are needed; measure more"
+            f"few-views: {where}: {different} different points given, at least {FEWEST_POINTS} are needed; "
+            "measure more"
         )
     extent = np.linalg.svd(world - world.mean(axis=0), compute_uv=False)
     if extent[1] < LEAST_RELIEF * extent[0]:
         raise CalibrationError(f"{where}: the target points lie on one line; add points beside it")
     if extent[2] < LEAST_RELIEF * extent[0]:
         raise CalibrationError(
-            f"{where}: the target points lie in one plane, which does not determine a camera; add points at "
-            "another height or pictures of the target at another distance"
+            f"little-depth: {where}: the target points lie in one plane, which does not determine a camera; add "
+            "points at another height or pictures of the target at another distance"
         )
     return xy, world
 

@@ -245,9 +245,7 @@ def _doubt(fits: tuple[PoseFit, ...], seen: Seen) -> float:
     return 1 / len(seen.mark) + ambiguous**4
 
 
-def _reference(
-    sightings: Sightings, stand: Array, views: dict[View, Pose], settings: RigidSettings
-) -> int:
+def _reference(sightings: Sightings, stand: Array, views: dict[View, Pose], settings: RigidSettings) -> int:
     if settings.reference is not None:
         chosen = stand[sightings.frame == settings.reference]
         if len(chosen) == 0:
@@ -256,5 +254,7 @@ def _reference(
             )
         return int(chosen[0])
     if not views:
-        raise CalibrationError("no camera saw four marks of the target at a time; show it larger or nearer")
+        raise CalibrationError(
+            "few-views: no camera saw four marks of the target at a time; show it larger or nearer"
+        )
     return min(number for _, number in views)

@@ -1,8 +1,12 @@
 """Sightings of rigid targets by a known rig, for tests: closed-form projections with stated noise, no images."""
 
-import numpy as np
+from dataclasses import fields
 
-from mosca.camera import project
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mosca.calibrate.bundle.layout import POSE_NAMES
+from mosca.camera import image_grid, project, rays
 from mosca.data.rig import Camera, Lens, MoscaLens, OpenCVLens, Pose, Rig
 from mosca.data.sightings import Part, Sightings
 
@@ -60,9 +64,65 @@ def seen(rig: Rig, marks, poses, rng, *, noise=0.02, shake=0.0, facing=None) -> 
 
 def ray_rms_px(camera: Camera, other: Camera, distance=4.0) -> float:
     """Return the rms difference of what two cameras see at a distance, over the image [px], poses included."""
-    from mosca.camera import image_grid, rays
-
     grid = image_grid(camera.width, camera.height)
     seen_by = rays(camera, grid)
     back = project(other, seen_by.origin + distance * seen_by.direction)
     return float(np.sqrt(np.mean(((back - grid) ** 2).sum(axis=1))))
+
+
+def field_marks(rng, n=120) -> np.ndarray:
+    return rng.uniform(-1, 1, (n, 3)) * [1.2, 1.2, 0.8]
+
+
+def board_marks(columns=8, rows=6, step=0.12) -> np.ndarray:
+    x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+    flat = np.column_stack([x.ravel() - (columns - 1) / 2, y.ravel() - (rows - 1) / 2])
+    return np.column_stack([step * flat, np.zeros(len(flat))])
+
+
+def still(frames: int) -> list[Pose]:
+    return [Pose(np.eye(3), np.zeros(3))] * frames
+
+
+def stood(rng, stands: int, frames: int, turn=0.3, shift=0.3) -> list[Pose]:
+    """Return poses of a target put up ``stands`` times for ``frames`` frame sets each."""
+    poses = [
+        Pose(Rotation.from_rotvec(rng.normal(0, turn, 3)).as_matrix(), rng.uniform(-shift, shift, 3))
+        for _ in range(stands)
+    ]
+    return [pose for pose in poses for _ in range(frames)]
+
+
+def carried(rng, frames: int) -> list[Pose]:
+    """Return poses of an upright board carried round, facing all sides, tilted by some 25 degrees."""
+    upright = Rotation.from_matrix([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    poses = []
+    for k in range(frames):
+        side = Rotation.from_euler("z", 2 * np.pi * (k * 0.381966 + rng.uniform(-0.05, 0.05)))
+        tilt = Rotation.from_rotvec(rng.normal(0, 0.45, 3))
+        place = rng.uniform(-1, 1, 3) * [0.8, 0.8, 0.6]
+        poses.append(Pose((tilt * side * upright).as_matrix(), place))
+    return poses
+
+
+def errors_of(calibration, rig: Rig, poses) -> dict[str, tuple[float, float]]:
+    """Return error and stated standard deviation of each estimable parameter of cameras and lenses, by name.
+
+    The world of the estimate is the target at its reference stand: the truth is carried into it. Turns are about the
+    camera's own axes. Weakly determined and held parameters are left out: no interval is claimed for them.
+    """
+    reference = poses[calibration.sightings.frame[calibration.placement < 0][0]]
+    sigma = calibration.standard_deviations
+    left_out = {*calibration.weak, *calibration.held}
+    found = {}
+    for true, one in zip(rig.cameras, calibration.rig.cameras, strict=True):
+        pose = reference.inverse() @ true.world_from_camera
+        turn = Rotation.from_matrix(pose.rotation.T @ one.world_from_camera.rotation).as_rotvec()
+        shift = one.world_from_camera.translation - pose.translation
+        off = dict(zip(POSE_NAMES, [*turn, *shift], strict=True))
+        off |= {f.name: getattr(one.lens, f.name) - getattr(true.lens, f.name) for f in fields(true.lens)}
+        for name, error in off.items():
+            full = f"{true.name}.{name}"
+            if full in sigma and full not in left_out:
+                found[full] = (float(error), sigma[full])
+    return found

@@ -1,0 +1,178 @@
+"""The calibration session of a scenario: rendered, read and adjusted as in a lab, then held against the truth."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mosca.calibrate.estimate import (
+    EstimateSettings,
+    calibrate_frames,
+    held_out_lengths,
+    judged,
+    on_axes,
+)
+from mosca.calibrate.interior import LensChoice
+from mosca.calibrate.judge_evidence import evidence_of
+from mosca.camera import image_grid, rays
+from mosca.data.arrays import Array
+from mosca.data.boards import Board
+from mosca.data.calibration import Calibration
+from mosca.data.calibration_evidence import CalibrationEvidence
+from mosca.data.rig import Rig
+from mosca.errors import InputError
+from mosca.triangulate import triangulate
+from scenarios.score import Score
+from scenarios.session.faults import swapped, turned
+from scenarios.session.scenes import Session, axes_session, bar_session, target_session
+from scenarios.spec import Scenario
+from scenarios.spec_calibration import MovedCameraFault, SwappedSessionFault
+from twin.cameras.camera import VirtualCamera
+from twin.cameras.lens import TwinLens
+from twin.source import TwinSource
+
+SESSION_SEED = 0x5E55
+"""Added to the scenario's seed: the session's shake and noise are not those of the measurement."""
+VOLUME_GRID = 7
+
+
+@dataclass(frozen=True, eq=False)
+class Estimated:
+    """A calibration from rendered images, and how far it is from the truth.
+
+    ``ray_px`` (n,): over all cameras' whole images, the distance between the place at the working space's distance
+    that a pixel really shows and the calibrated ray through it, poses and lenses together. ``volume_m`` (k,): the
+    errors of points on a grid in the working space, imaged without noise and triangulated with the rig.
+    """
+
+    calibration: Calibration
+    evidence: CalibrationEvidence
+    ray_px: Array
+    volume_m: Array
+
+    def scores(self) -> dict[str, Score]:
+        """Return the metrics of the calibration."""
+        sigma = np.sqrt(np.mean(np.asarray(self.calibration.sigma_m) ** 2, axis=0))
+        return {
+            "calibration_rays_rms": _score(np.sqrt(np.mean(self.ray_px**2)), len(self.ray_px)),
+            "calibration_volume_rms": _score(np.sqrt(np.mean(self.volume_m**2)), len(self.volume_m)),
+            "calibration_sigma_x": _score(sigma[0], len(self.calibration.used)),
+            "calibration_sigma_y": _score(sigma[1], len(self.calibration.used)),
+        }
+
+
+def _score(value: float, n: int) -> Score:
+    return Score(float(value), n, None)
+
+
+def estimated(
+    spec: Scenario,
+    cameras: tuple[VirtualCamera, ...],
+    earlier: Rig,
+    workers: int,
+    progress: Callable[[int], None] | None = None,
+) -> Estimated:
+    """Render the session of ``spec.calibration``, calibrate from its frames, judge the result and hold it against
+    the truth.
+
+    ``earlier``: the true calibration, which stands for one made before where the scenario has one. CalibrationError
+    where the session does not do.
+    """
+    wanted = spec.calibration
+    assert wanted is not None
+    fixed = tuple(one for one in cameras if one.mount.body is None)
+    fault = wanted.fault
+    if isinstance(fault, MovedCameraFault):
+        fixed = turned(fixed, fault.camera, fault.turn_px)
+    center, size = np.array(spec.working_space.center_m), np.array(spec.working_space.size_m)
+    settings = EstimateSettings(
+        LensChoice(spec.pipeline.lens_model, _pitch_mm(fixed)),
+        exterior_only=wanted.exterior_only,
+        volume=((center - size / 2).tolist(), (center + size / 2).tolist()),
+    )
+    held = wanted.earlier or wanted.exterior_only
+    known = earlier if held or isinstance(fault, SwappedSessionFault | MovedCameraFault) else None
+    session = target_session(spec, wanted)
+    with _source(spec, session, fixed, workers, 0) as source:
+        read = swapped(source, fault.cameras) if isinstance(fault, SwappedSessionFault) else source
+        start = known if wanted.exterior_only else None
+        calibration = calibrate_frames(read, session.target, settings, start, progress)
+    if wanted.target != "field":
+        axes = axes_session(spec)
+        with _source(spec, axes, fixed, workers, 1) as source:
+            calibration = on_axes(calibration, source, axes.target, settings)  # type: ignore[arg-type]
+    lengths = None
+    if wanted.lengths:
+        bar = bar_session(spec)
+        with _source(spec, bar, fixed, workers, 2) as source:
+            lengths = held_out_lengths(calibration, source, bar.target, settings)  # type: ignore[arg-type]
+    calibration = judged(calibration, session.target, settings, known=known, lengths=lengths)
+    evidence = evidence_of(
+        calibration,
+        volume=settings.volume,
+        lengths=lengths,
+        made_from=f"rendered images of a {wanted.target}, seed {spec.seed}",
+        rigid_target=not isinstance(session.target, Board) and wanted.target == "field",
+    )
+    ray_px, volume_m = against_truth(calibration.rig, fixed, center, size)
+    return Estimated(calibration, evidence, ray_px, volume_m)
+
+
+def against_truth(
+    rig: Rig, cameras: tuple[VirtualCamera, ...], center: Array, size: Array
+) -> tuple[Array, Array]:
+    """Return the errors of rays (n,) [px] and of points in the working space (k,) [m]; see ``Estimated``."""
+    off = np.concatenate([_ray_errors(rig, one, center) for one in cameras])
+    axis = np.linspace(-0.5, 0.5, VOLUME_GRID)
+    grid = center + size * np.stack(np.meshgrid(axis, axis, axis), -1).reshape(-1, 3)
+    xy = np.stack([true_pixels(one, grid) for one in cameras], axis=1)
+    away = np.asarray(np.linalg.norm(triangulate(rig, xy)[0] - grid, axis=1))
+    return off, away[np.isfinite(away)]
+
+
+def true_pixels(virtual: VirtualCamera, points: Array) -> Array:
+    """Return where a camera really images points (n, 3) [m, world] (n, 2); NaN outside its image."""
+    camera = virtual.camera
+    lens = TwinLens.of(camera.lens, camera.width, camera.height, virtual.optics)
+    xy = lens.pixels(camera.world_from_camera.inverse().transform(points))
+    inside = (xy >= -0.5).all(axis=1) & (xy <= np.array([camera.width, camera.height]) - 0.5).all(axis=1)
+    return np.asarray(np.where(inside[:, None], xy, np.nan))
+
+
+def _ray_errors(rig: Rig, virtual: VirtualCamera, center: Array) -> Array:
+    camera = virtual.camera
+    grid = image_grid(camera.width, camera.height)
+    pose = camera.world_from_camera
+    lens = TwinLens.of(camera.lens, camera.width, camera.height, virtual.optics)
+    away = float(np.linalg.norm(pose.translation - center))
+    place = pose.transform(away * lens.directions(grid, away))
+    seen = rays(rig.camera(camera.name), grid)
+    along = np.einsum("ni,ni->n", place - seen.origin, seen.direction)
+    across = place - seen.origin - along[:, None] * seen.direction
+    error = np.einsum("nki,ni->nk", seen.pixel_by_direction, across) / along[:, None]
+    return np.asarray(np.linalg.norm(error[np.isfinite(error).all(axis=1)], axis=1))
+
+
+def _source(
+    spec: Scenario, session: Session, cameras: tuple[VirtualCamera, ...], workers: int, number: int
+) -> TwinSource:
+    return TwinSource(
+        session.scene,
+        cameras,
+        frame_rate_hz=spec.capture.frame_rate_hz,
+        exposure_s=spec.capture.exposure_s,
+        pulses=session.pulses,
+        seed=spec.seed + SESSION_SEED + number,
+        workers=workers,
+    )
+
+
+def _pitch_mm(cameras: tuple[VirtualCamera, ...]) -> float:
+    """Return the pixel pitch that the sensors' data sheets give, mx of a Mosca lens."""
+    pitches = {one.optics.pixel_pitch_mm for one in cameras}
+    if len(pitches) > 1:
+        raise InputError(
+            f"[calibration]: cameras with pixels of {', '.join(f'{p:g}' for p in sorted(pitches))} mm; "
+            "one pitch is allowed"
+        )
+    return pitches.pop()

@@ -1,0 +1,63 @@
+"""What goes wrong in a calibration session: cameras that stand for each other, a camera that was moved."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mosca.data.frames import CameraInfo, Frame, FrameSource
+from mosca.data.rig import MoscaLens, Pose
+from mosca.errors import InputError
+from twin.cameras.camera import VirtualCamera
+
+
+def turned(cameras: tuple[VirtualCamera, ...], name: str, turn_px: float) -> tuple[VirtualCamera, ...]:
+    """Return the cameras, one of them turned about its y axis so that its image moves by ``turn_px``."""
+    names = [one.camera.name for one in cameras]
+    if name not in names:
+        raise InputError(f"calibration.fault.camera = '{name}' given; the rig has {', '.join(names)}")
+    return tuple(_turned(one, turn_px) if one.camera.name == name else one for one in cameras)
+
+
+def _turned(virtual: VirtualCamera, turn_px: float) -> VirtualCamera:
+    camera = virtual.camera
+    lens, pose = camera.lens, camera.world_from_camera
+    f_px = lens.c_mm / lens.mx_mm_per_px if isinstance(lens, MoscaLens) else lens.fx_px
+    turn = Rotation.from_rotvec([0.0, np.arctan(turn_px / f_px), 0.0]).as_matrix()
+    moved = Pose(pose.rotation @ turn, pose.translation)
+    return replace(virtual, camera=replace(camera, world_from_camera=moved))
+
+
+class _Swapped:
+    """A source in which two cameras have each other's names."""
+
+    def __init__(self, source: FrameSource, names: tuple[str, str]) -> None:
+        self._source = source
+        self._name = {names[0]: names[1], names[1]: names[0]}
+        self.cameras = tuple(self._info(info) for info in source.cameras)
+
+    def _info(self, info: CameraInfo) -> CameraInfo:
+        return replace(info, name=self._name.get(info.name, info.name))
+
+    def __iter__(self) -> Iterator[Frame]:
+        for frame in self._source:
+            yield replace(frame, camera=self._name.get(frame.camera, frame.camera))
+
+    def close(self) -> None:
+        self._source.close()
+
+    def __enter__(self) -> "_Swapped":
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+def swapped(source: FrameSource, names: tuple[str, str]) -> FrameSource:
+    """Return the source with two cameras' frames under each other's names."""
+    given = [info.name for info in source.cameras]
+    for name in names:
+        if name not in given:
+            raise InputError(f"calibration.fault.cameras: '{name}' given; the rig has {', '.join(given)}")
+    return _Swapped(source, names)

@@ -1,0 +1,194 @@
+"""What a calibration session shows the cameras, and the file that is believed to describe it."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.boards import Board
+from mosca.data.target_codes import NUMBERS
+from mosca.data.target_tables import CalibrationTarget
+from mosca.data.targets import CodedTarget, PlacedTarget, ScaleBar, TestField, face_axes
+from mosca.data.wands import LFrame, Wand
+from mosca.errors import InputError
+from scenarios.spec import Scenario
+from scenarios.spec_calibration import CalibrationSpec, WrongSizeFault, WrongUnitsFault
+from twin.scenes.field_layout import LaidOutField, lay_out_field
+from twin.scenes.scene import Scene
+from twin.scenes.target_boards import build_board
+from twin.scenes.target_field import field_scene
+from twin.scenes.target_motion import put_from_stand_to_stand
+from twin.scenes.target_wand import build_l_frame, build_scale_bar, build_wand, default_l_frame
+from twin.scenes.world import Box
+from twin.streams import rng
+
+AXES_FRAMES, BAR_FRAMES = 40, 60
+BOARD_COLUMNS, BOARD_ROWS = 9, 6
+BOARD_SHARE, WAND_SHARE, BAR_SHARE = 0.35, 0.4, 0.3
+"""Length of board, wand and bar over the working space's shortest edge."""
+SPEED_SHARE = 0.25
+"""How fast a target is carried by hand: shares of the working space's longest edge a second."""
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """A scene, its number of exposures, and the target as its file describes it: with the file's errors."""
+
+    scene: Scene
+    pulses: int
+    target: CalibrationTarget
+
+
+def target_session(spec: Scenario, wanted: CalibrationSpec) -> Session:
+    """Return the session of the calibration target."""
+    if wanted.target == "field":
+        return _field(spec, wanted)
+    return _board(spec, wanted) if wanted.target == "board" else _wand(spec, wanted)
+
+
+def axes_session(spec: Scenario) -> Session:
+    """Return the L-frame that says where the world's axes are, at the bottom of the working space."""
+    where = _where(spec, AXES_FRAMES)
+    box = Box(where["box_center_m"], where["box_size_m"])
+    frame = default_l_frame(box)
+    scene = build_l_frame(**where, l_frame=frame, floor=False)
+    places = scene.sampler().at(0.0).marker_xyz
+    return Session(scene, AXES_FRAMES, LFrame(frame.names, places, frame.diameter_m))
+
+
+def bar_session(spec: Scenario) -> Session:
+    """Return a certified scale bar, carried about."""
+    where = _where(spec, BAR_FRAMES)
+    length = BAR_SHARE * float(where["box_size_m"].min())
+    dot = 0.045 * length
+    bar = ScaleBar(length, 1e-5 * length, (CodedTarget.of_dot(0, dot), CodedTarget.of_dot(1, dot)))
+    draw = rng(spec.seed, "calibration/bar")
+    speed = SPEED_SHARE * float(where["box_size_m"].max())
+    scene = build_scale_bar(**where, bar=bar, rng=draw, speed_mps=speed, turn_rad_s=1.5, floor=False)
+    return Session(scene, BAR_FRAMES, bar)
+
+
+def _field(spec: Scenario, wanted: CalibrationSpec) -> Session:
+    draw = rng(spec.seed, "calibration")
+    size = np.array(wanted.size_m or spec.working_space.size_m)
+    center = np.array(spec.working_space.center_m)
+    if wanted.layout == "plate":
+        laid = _plate(size, wanted.markers, wanted.relief, draw)
+    else:
+        laid = lay_out_field(size, draw, n=wanted.markers, layout=wanted.layout)
+    rate_hz, exposure_s = spec.capture.frame_rate_hz, spec.capture.exposure_s
+    hold_s = wanted.frames / rate_hz
+    path = put_from_stand_to_stand(
+        center,
+        wanted.stands,
+        hold_s,
+        lead_s=(1 / rate_hz - exposure_s) / 2,
+        shift_m=wanted.shift * size,
+        tilt_rad=np.deg2rad(wanted.tilt_deg),
+        rng=draw,
+    )
+    scene = field_scene(laid, path, hold_s * wanted.stands, origin=np.zeros(3), floor=False)
+    sigma = wanted.known_to * float(size.max())
+    measured = tuple(
+        replace(one, position=one.position + center + sigma * draw.standard_normal(3))
+        for one in laid.field.targets
+    )
+    return Session(scene, wanted.frames * wanted.stands, _believed(TestField(measured, sigma), wanted))
+
+
+def _believed(field: TestField, wanted: CalibrationSpec) -> TestField:
+    """Return the field as a file with the scenario's fault describes it."""
+    if isinstance(wanted.fault, WrongUnitsFault):
+        factor, dots = wanted.fault.factor, 1.0
+    elif isinstance(wanted.fault, WrongSizeFault):
+        factor = dots = 1 / wanted.fault.factor
+    else:
+        return field
+    targets = tuple(
+        replace(one, position=one.position * factor, target=_scaled(one, dots)) for one in field.targets
+    )
+    return TestField(targets, field.sigma_m * factor)
+
+
+def _scaled(placed: PlacedTarget, factor: float) -> CodedTarget:
+    assert isinstance(placed.target, CodedTarget)
+    return CodedTarget.of_dot(placed.target.number, placed.target.dot_radius_m * factor)
+
+
+def _plate(size: Array, n: int, relief: float, draw: np.random.Generator) -> LaidOutField:
+    """Return targets in rows on an upright plate that looks along +x, standing off it by up to ``relief``."""
+    columns = int(np.ceil(np.sqrt(n * size[1] / size[2])))
+    rows = int(np.ceil(n / columns))
+    cell = min(size[1] / columns, size[2] / rows)
+    numbers = draw.permutation(NUMBERS)[:n]
+    axes = face_axes(np.array([1.0, 0.0, 0.0]))
+    targets = []
+    for k, number in enumerate(numbers):
+        row, column = divmod(k, columns)
+        along = np.array([(column + 0.5) / columns - 0.5, 0.5 - (row + 0.5) / rows]) * size[1:]
+        depth = relief * float(size[1:].max()) * draw.uniform(-0.5, 0.5)
+        place = axes @ np.array([along[0], along[1], depth])
+        targets.append(
+            PlacedTarget(
+                f"code/{number:03d}", CodedTarget.of_dot(int(number), 0.07 * cell), place, axes[:, 2]
+            )
+        )
+    return LaidOutField(TestField(tuple(targets)), ())
+
+
+def _board(spec: Scenario, wanted: CalibrationSpec) -> Session:
+    where = _where(spec, wanted.frames)
+    square = BOARD_SHARE * float(where["box_size_m"].min()) / BOARD_COLUMNS
+    board = Board(BOARD_COLUMNS, BOARD_ROWS, square, square)
+    speed = SPEED_SHARE * float(where["box_size_m"].max())
+    scene = build_board(
+        **where,
+        rng=rng(spec.seed, "calibration"),
+        board=board,
+        speed_mps=speed,
+        turn_rad_s=0.4,
+        facing=None,
+        tilt_rad=np.deg2rad(34.0),
+        floor=False,
+    )
+    said = replace(board, sigma_m=wanted.known_to * square * BOARD_COLUMNS)
+    if isinstance(wanted.fault, WrongSizeFault | WrongUnitsFault):
+        factor = wanted.fault.factor
+        factor = factor if isinstance(wanted.fault, WrongUnitsFault) else 1 / factor
+        said = replace(said, square_m=square * factor, margin_m=square * factor)
+    return Session(scene, wanted.frames, said)
+
+
+def _wand(spec: Scenario, wanted: CalibrationSpec) -> Session:
+    where = _where(spec, wanted.frames)
+    edge = float(where["box_size_m"].min())
+    length = WAND_SHARE * edge
+    wand = Wand((0.0, 0.35 * length, length), 0.02 * edge)
+    speed = 2 * SPEED_SHARE * float(where["box_size_m"].max())
+    scene = build_wand(
+        **where,
+        rng=rng(spec.seed, "calibration"),
+        wand=wand,
+        speed_mps=speed,
+        turn_rad_s=2.0,
+        floor=False,
+    )
+    factor = 1.0
+    if isinstance(wanted.fault, WrongSizeFault):
+        factor = 1 / wanted.fault.factor
+    elif isinstance(wanted.fault, WrongUnitsFault):
+        factor = wanted.fault.factor
+    along = tuple(x * factor for x in wand.along_m)
+    return Session(scene, wanted.frames, Wand(along, wand.diameter_m, wanted.known_to * length))
+
+
+def _where(spec: Scenario, pulses: int) -> dict[str, Any]:
+    space = spec.working_space
+    if pulses < 1:
+        raise InputError(f"calibration.frames = {pulses} given; 1 or more are wanted")
+    return {
+        "duration_s": pulses / spec.capture.frame_rate_hz,
+        "box_center_m": np.array(space.center_m),
+        "box_size_m": np.array(space.size_m),
+    }
