@@ -2,7 +2,6 @@
 
 import os
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,9 @@ import click
 
 from mosca import __version__
 from mosca.errors import InputError, MoscaError
+from scenarios import cli_rig
 from scenarios.interrupt import was_interrupted
+from scenarios.progress import Progress
 
 EXIT_PASSED, EXIT_BROKEN, EXIT_ERROR = 0, 1, 2
 FILE = click.Path(path_type=Path)
@@ -73,7 +74,7 @@ def run(
     target.parent.mkdir(parents=True, exist_ok=True)
     log = target.parent / f".{target.name}.rrd" if rrd else None
     try:
-        with _progress(name) as shown:
+        with Progress(name) as shown:
             options = RunOptions(source, workers or os.cpu_count() or 1, log, record, shown)
             result = run_scenario(spec, name, path.parent, options)
         write_run(result, target, log)
@@ -130,7 +131,7 @@ def suite(
 
     if compare is not None:
         work.check_baselines(compare)
-    with _progress("suite") as shown:
+    with Progress("suite") as shown:
         count = 0
 
         def told(outcome: Any) -> None:
@@ -224,27 +225,9 @@ def reconstruct(
     """
     from scenarios.reconstruct import reconstruct_recording
 
-    with _progress(recording.name) as shown:
+    with Progress(recording.name) as shown:
         told = reconstruct_recording(recording, rig, out, fps, settings, overrides, shown)
     for line in told:
-        click.echo(line)
-
-
-@cli.command()
-@click.argument("recording", type=FILE)
-@click.option(
-    "--target", required=True, type=FILE, help="target file (TOML): what was measured, and where it is"
-)
-@click.option("--out", required=True, type=FILE, help="rig file to write (.toml)")
-def calibrate(recording: Path, target: Path, out: Path) -> None:
-    """Calibrate cameras from a target's measured points: resection and least-squares adjustment.
-
-    \b
-    Example:  mosca calibrate lab/field --target field.toml --out rig.toml
-    """
-    from scenarios.reconstruct import calibrate_recording
-
-    for line in calibrate_recording(recording, target, out):
         click.echo(line)
 
 
@@ -265,23 +248,9 @@ def report(runs: tuple[Path, ...], out: Path) -> None:
     click.echo(f"{out}")
 
 
-@cli.group()
-def rig() -> None:
-    """Look at rig files."""
-
-
-@rig.command("check")
-@click.argument("path", type=FILE)
-def rig_check(path: Path) -> None:
-    """Read a rig file and say what its cameras see of each other's views.
-
-    \b
-    Example:  mosca rig check rig.toml
-    """
-    from scenarios.reconstruct import describe_rig
-
-    for line in describe_rig(path):
-        click.echo(line)
+cli.add_command(cli_rig.calibrate)
+cli.add_command(cli_rig.rig)
+cli.add_command(cli_rig.target)
 
 
 @cli.group()
@@ -303,7 +272,7 @@ def twin_fidelity(quick: bool, out: Path | None) -> None:
 
     if out is not None:
         prepare(out)
-    with _progress("fidelity") as shown:
+    with Progress("fidelity") as shown:
         found = look(quick, out is not None, shown)
     _console().print(fidelity_table(found.checks))
     click.echo(found.sentence)
@@ -314,9 +283,9 @@ def twin_fidelity(quick: bool, out: Path | None) -> None:
 
 
 @cli.command()
-@click.argument("kind", type=click.Choice(["scenario", "rig"]))
+@click.argument("kind", type=click.Choice(["scenario", "rig", "target"]))
 def schema(kind: str) -> None:
-    """Print the JSON schema of scenario or rig files, for editors.
+    """Print the JSON schema of scenario, rig or target files, for editors.
 
     \b
     Example:  mosca schema scenario > scenario.schema.json
@@ -327,6 +296,10 @@ def schema(kind: str) -> None:
         from scenarios.spec import scenario_schema
 
         click.echo(json.dumps(scenario_schema(), indent=2))
+    elif kind == "target":
+        from mosca.data.target_file import target_schema
+
+        click.echo(json.dumps(target_schema(), indent=2))
     else:
         from mosca.data.rig_file import rig_schema
 
@@ -355,33 +328,6 @@ def main() -> None:
             raise
         click.echo(f"mosca: {error.filename or 'disk'}: {error.strerror}", err=True)
         sys.exit(EXIT_ERROR)
-
-
-class _progress:
-    """A progress bar on a terminal; nothing in a pipe. Calling it with (done, all) moves it."""
-
-    def __init__(self, title: str) -> None:
-        self._title = title
-        self._bar: Any = None
-        self._task: Any = None
-
-    def __enter__(self) -> Callable[[int, int], None]:
-        if sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import Progress
-
-            self._bar = Progress(console=Console(stderr=True), transient=True)
-            self._bar.start()
-            self._task = self._bar.add_task(self._title, total=None)
-        return self._move
-
-    def __exit__(self, *exc: object) -> None:
-        if self._bar is not None:
-            self._bar.stop()
-
-    def _move(self, done: int, total: int) -> None:
-        if self._bar is not None:
-            self._bar.update(self._task, completed=done, total=total)
 
 
 def _console() -> Any:

@@ -1,4 +1,4 @@
-"""The verbs for real images: calibrate from measured points, look at a rig, turn a recording into tracks."""
+"""The verb for real images: turn a recording into tracks."""
 
 from itertools import chain, islice
 from pathlib import Path
@@ -8,11 +8,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from mosca.assemble import Assembly
-from mosca.calibrate.points import calibrate_from_points, summary
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Rig
-from mosca.data.rig_file import read_rig, write_rig
-from mosca.data.target_file import read_target
+from mosca.data.rig_file import read_rig
 from mosca.data.toml import Table, check, read_toml
 from mosca.detect import mean_background, minimum_background
 from mosca.errors import InputError
@@ -169,35 +167,3 @@ def _background(recording: Path, camera: Camera, fps: float | None, spec: Backgr
             )
         make = minimum_background if spec.kind == "minimum" else mean_background
         return make(chain((first,), images))
-
-
-def calibrate_recording(recording: Path, target_path: Path, out: Path) -> list[str]:
-    """Calibrate the cameras that a target file names, write the rig and return the summary's lines."""
-    if out.suffix != ".toml":
-        raise InputError(f"{out}: a rig file ends in .toml")
-    target = read_target(target_path)
-    rig, adjustments = calibrate_from_points(recording, target)
-    write_rig(rig, out)
-    return [*summary(adjustments).splitlines(), f"{out} written"]
-
-
-def describe_rig(path: Path) -> list[str]:
-    """Return what a rig's cameras are and how far their views overlap, a line each."""
-    rig = read_rig(path)
-    lines = [
-        f"{c.name}: {c.lens.model} lens, {c.width} x {c.height} px, at "
-        f"({', '.join(f'{x:.3f}' for x in c.world_from_camera.translation)}) m"
-        for c in rig.cameras
-    ]
-    return lines + _overlaps(rig)
-
-
-def _overlaps(rig: Rig) -> list[str]:
-    lines = []
-    for k, camera in enumerate(rig.cameras):
-        for other in rig.cameras[k + 1 :]:
-            share = overlap_of(camera, other)
-            lines.append(
-                f"{camera.name} - {other.name}: {100 * share:.0f} % of the first one's view can be seen by the second"
-            )
-    return lines

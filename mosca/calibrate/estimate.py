@@ -84,7 +84,10 @@ def calibrate_sightings(
             raise InputError(
                 "a wand does not give exterior orientation alone; show the test field or the board again"
             )
-        lenses = [plain_lens(settings.lens, 1.0, (int(w), int(h))) for w, h in sightings.sizes]
+        lenses = [
+            plain_lens(settings.lens.of(name), 1.0, (int(w), int(h)))
+            for name, (w, h) in zip(sightings.cameras, sightings.sizes, strict=True)
+        ]
         return calibrate_wand(sightings, target, np.random.default_rng(SEED), lenses)
     raise InputError(
         f"a {type(target).__name__} does not calibrate cameras; give a test field, a board or a wand"

@@ -6,7 +6,7 @@ homographies give the principal distance, with the principal point in the middle
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -37,10 +37,17 @@ MOST_START_VIEWS = 40
 
 @dataclass(frozen=True)
 class LensChoice:
-    """The lens model to estimate; ``pixel_pitch_mm`` is mx of a Mosca lens, which is held."""
+    """The lens model to estimate; ``pixel_pitch_mm`` is mx of a Mosca lens, which is held; ``own_pitch_mm``: that of
+    cameras, by name, whose pixels are others.
+    """
 
     model: str = "mosca"
     pixel_pitch_mm: float = 0.01
+    own_pitch_mm: Mapping[str, float] = field(default_factory=dict)
+
+    def of(self, camera: str) -> "LensChoice":
+        """Return the choice for one camera."""
+        return LensChoice(self.model, self.own_pitch_mm.get(camera, self.pixel_pitch_mm))
 
 
 @dataclass(frozen=True, eq=False)

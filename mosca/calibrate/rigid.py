@@ -131,6 +131,8 @@ def _adjusted(
         xy = sightings.xy_px - _eccentricity(result, sightings, placement, target)
         problem = replace(problem, observations=replace(problem.observations, xy_px=xy))
         result = solve(problem, rough, result)
+    # the shakes are told from what blunders do to whole images only where these are out
+    result = solve(problem, bundle, result)
     shake = body_shake(problem, result, sightings.frame)
     steady = steadied(problem, result, sightings.frame, shake)
     problem = replace(problem, observations=replace(problem.observations, xy_px=steady))
@@ -219,7 +221,7 @@ def _starting_cameras(
                 "give the cameras the same names in both"
             )
         views = {stand: one for (camera_k, stand), one in seen.items() if camera_k == k}
-        cameras.append(starting_camera(name, size, views, target.marks_m, settings.lens, rngs[k]))
+        cameras.append(starting_camera(name, size, views, target.marks_m, settings.lens.of(name), rngs[k]))
     return tuple(cameras)
 
 

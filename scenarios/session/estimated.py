@@ -20,7 +20,6 @@ from mosca.data.boards import Board
 from mosca.data.calibration import Calibration
 from mosca.data.calibration_evidence import CalibrationEvidence
 from mosca.data.rig import Rig
-from mosca.errors import InputError
 from mosca.triangulate import triangulate
 from scenarios.score import Score
 from scenarios.session.faults import swapped, turned
@@ -86,7 +85,7 @@ def estimated(
         fixed = turned(fixed, fault.camera, fault.turn_px)
     center, size = np.array(spec.working_space.center_m), np.array(spec.working_space.size_m)
     settings = EstimateSettings(
-        LensChoice(spec.pipeline.lens_model, _pitch_mm(fixed)),
+        _lens_choice(spec, fixed),
         exterior_only=wanted.exterior_only,
         volume=((center - size / 2).tolist(), (center + size / 2).tolist()),
     )
@@ -135,8 +134,9 @@ def true_pixels(virtual: VirtualCamera, points: Array) -> Array:
     camera = virtual.camera
     lens = TwinLens.of(camera.lens, camera.width, camera.height, virtual.optics)
     xy = lens.pixels(camera.world_from_camera.inverse().transform(points))
-    inside = (xy >= -0.5).all(axis=1) & (xy <= np.array([camera.width, camera.height]) - 0.5).all(axis=1)
-    return np.asarray(np.where(inside[:, None], xy, np.nan))
+    end = np.array([camera.width, camera.height]) - 0.5
+    xy[((xy < -0.5) | (xy > end)).any(axis=1)] = np.nan
+    return xy
 
 
 def _ray_errors(rig: Rig, virtual: VirtualCamera, center: Array) -> Array:
@@ -167,12 +167,7 @@ def _source(
     )
 
 
-def _pitch_mm(cameras: tuple[VirtualCamera, ...]) -> float:
-    """Return the pixel pitch that the sensors' data sheets give, mx of a Mosca lens."""
-    pitches = {one.optics.pixel_pitch_mm for one in cameras}
-    if len(pitches) > 1:
-        raise InputError(
-            f"[calibration]: cameras with pixels of {', '.join(f'{p:g}' for p in sorted(pitches))} mm; "
-            "one pitch is allowed"
-        )
-    return pitches.pop()
+def _lens_choice(spec: Scenario, cameras: tuple[VirtualCamera, ...]) -> LensChoice:
+    """Return the lens model with the pixel pitches of the sensors' data sheets, mx of Mosca lenses."""
+    pitches = {one.camera.name: one.optics.pixel_pitch_mm for one in cameras}
+    return LensChoice(spec.pipeline.lens_model, own_pitch_mm=pitches)

@@ -1,19 +1,32 @@
 """What moves whole images: a camera's body shakes, and all image points of an exposure are off alike.
 
 Least squares takes image points for independent. A shake of 0.03 px of the body is small beside a centre's noise of
-0.02 px when one point is looked at, and large beside what a hundred points of an image say together: the covariance
-of the adjustment alone would promise too much. The shake's size is estimated from the images' mean residuals (a
-variance component; Foerstner 1979), and what it adds is propagated through the normal equations: with g_i the change
-of the reduced right-hand side for a shift of image i by 1 px, it is ``shake^2 Q (sum g_i g_i^T) Q``.
+0.02 px when one point is looked at, and large beside what a hundred points of an image say together: the adjustment
+would believe an image too much, and its covariance would promise too much. So each image has a shift (x, y) of its
+own, random with one variance for all: a mixed model (Henderson 1975; Searle, Casella and McCulloch 1992, chapter 7).
+
+With v the residuals of the least-squares adjustment, W the weights, Z the shifts' columns, N the normal equations
+and A the design, ``u = Z^T W v`` has the expectation 0 and, shake s and noise sigma0 of unit weight given,
+
+    Cov(u) = sigma0^2 B + s^2 B^2,   B = Z^T W Z - Z^T W A N^-1 A^T W Z.
+
+``body_shake`` solves for s the expectations of v^T W v and of the images' mean residuals squared. ``steadied`` takes
+off the best predictions (B + sigma0^2 / s^2)^-1 u: the adjustment of what remains is the generalised least-squares one,
+in which an image counts for as much as its shake lets it. ``shaken_covariance`` is that adjustment's covariance.
+B is never formed: it is a sparse part and one of the rank of the cameras' unknowns.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from scipy.sparse import coo_array, csc_array, csr_array, diags_array
+from scipy.sparse.linalg import SuperLU, splu
 
 from mosca.calibrate.bundle.adjustment import Adjustment
 from mosca.calibrate.bundle.descent import Task, empty_normals, linearised, reduced, state_of
 from mosca.calibrate.bundle.kernels import BY_OWN, BY_TURN, BY_WORLD, LEAST_SQUARES, OBSERVED, observe
-from mosca.calibrate.bundle.layout import lay_out
+from mosca.calibrate.bundle.layout import Layout, lay_out
 from mosca.calibrate.bundle.lenses import FAST
 from mosca.calibrate.bundle.precision import by_unknowns
 from mosca.calibrate.bundle.priors import pulls
@@ -24,119 +37,231 @@ from mosca.data.arrays import Array
 
 FEWEST_POINTS = 4
 """Used points an image must have for its mean residual to say something of its shake."""
-
-
-def steadied(problem: Problem, adjustment: Adjustment, exposure: Array, shake_px: float) -> Array:
-    """Return the image points (n, 2) with the estimated shake of their images taken off.
-
-    The mean residual of an image, less that of all images of its camera at the same stand (which belongs to the
-    camera), shrunk by what its points' noise leaves uncertain.
-    """
-    see, used = problem.observations, np.asarray(adjustment.used)
-    xy = np.array(see.xy_px)
-    if shake_px == 0.0:
-        return xy
-    image, of, _ = _images(see.camera, exposure)
-    count = np.bincount(of[used], minlength=len(image))
-    many = np.maximum(count, 1)
-    residual = np.where(used[:, None], adjustment.residuals_px, 0.0)
-    mean = np.column_stack([np.bincount(of, residual[:, k], len(image)) for k in (0, 1)]) / many[:, None]
-    inside = float(((residual - mean[of])[used] ** 2).mean())
-    stand = np.zeros(len(image), dtype=np.int64)
-    stand[of] = see.placement
-    group, rank = np.unique(_group_of(image[:, 0], stand), return_inverse=True)
-    images = np.bincount(rank.reshape(-1), minlength=len(group))
-    common = np.column_stack([np.bincount(rank.reshape(-1), mean[:, k]) for k in (0, 1)]) / images[:, None]
-    common[images < 2] = 0.0
-    shrunk = shake_px**2 / (shake_px**2 + inside / many)
-    return np.asarray(xy - ((mean - common[rank.reshape(-1)]) * shrunk[:, None])[of])
+LEAST_SHARE = 1e-3
+"""Mean share of an image's shift that must be left in its residuals; below it nothing shows the shakes."""
+LEAST_NOISE = 1e-6
+"""Least variance of the noise, as a share of the variance of unit weight before the shakes are taken off."""
+LEAST_WEIGHT = 1e-30
+COLUMNS = 512
 
 
 def body_shake(problem: Problem, adjustment: Adjustment, exposure: Array) -> float:
-    """Return how far whole images move from exposure to exposure [px rms, an axis].
+    """Return how far whole images move from exposure to exposure [px rms, an axis]; 0 where nothing shows it.
 
-    ``exposure`` (n,): index of each observation's exposure. Images of one camera that show the target at one place
-    tell it directly; where each exposure has a pose of its own, which takes up part of the shakes, the rest is
-    enlarged by the share of redundancy. 0 where nothing shows it.
+    ``adjustment``: by least squares, with precision, blunders rejected; ``exposure`` (n,): index of each
+    observation's exposure.
     """
-    see = problem.observations
-    placement = np.asarray(see.placement)
-    used = np.asarray(adjustment.used)
-    image, of, count = _images(see.camera[used], exposure[used])
-    residual = adjustment.residuals_px[used]
-    mean = np.column_stack([np.bincount(of, residual[:, k]) for k in (0, 1)]) / count[:, None]
-    inside = residual - mean[of]
-    many = count >= FEWEST_POINTS
-    if not many.any():
+    if len(adjustment.parameters) == 0:
         return 0.0
-    noise = np.bincount(of, (inside**2).sum(axis=1))[many].sum() / (2 * (count[many] - 1).sum())
-    stand = np.zeros(len(image), dtype=np.int64)
-    stand[of] = placement[used]
-    # of one camera at one stand, the images' common part belongs to camera and stand, not to the shake
-    group = _group_of(image[:, 0], stand)
-    squares = redundancy = 0.0
-    for g in np.unique(group[many]):
-        mine = np.flatnonzero((group == g) & many)
-        if len(mine) > 1:
-            here = mean[mine] - mean[mine].mean(axis=0)
-            squares += float((here**2).sum()) - 2 * (len(mine) - 1) * float((noise / count[mine]).mean())
-            redundancy += 2 * (len(mine) - 1)
-    if redundancy == 0:
-        cameras = np.bincount(stand[many & (stand >= 0)])
-        share = max(1 - 6 / (2 * float(cameras[cameras > 0].mean())), 0.25) if (cameras > 0).any() else 1.0
-        squares = float((mean[many] ** 2).sum() - 2 * (noise / count[many]).sum())
-        redundancy = 2 * many.sum() * share
-    return float(np.sqrt(max(squares / redundancy, 0.0)))
+    shifts = _shifts(problem, adjustment, exposure)
+    counted = np.repeat(shifts.count >= FEWEST_POINTS, 2) / np.maximum(shifts.d, LEAST_WEIGHT) ** 2
+    own = shifts.g @ shifts.cofactors
+    sparse = shifts.beside_cameras()
+    diagonal = sparse.diagonal() - np.einsum("iu,iu->i", own, shifts.g)
+    squared = float(counted @ np.asarray(sparse.power(2).sum(axis=1)).ravel())
+    squared -= 2 * float(np.sum((sparse @ shifts.g) * own * counted[:, None]))
+    squared += float(np.sum((own.T @ (own * counted[:, None])) * (shifts.g.T @ shifts.g)))
+    if squared < LEAST_SHARE**2 * (counted > 0).sum():
+        return 0.0
+    trace, by_noise = float(diagonal.sum()), float(counted @ diagonal)
+    means, cost, redundancy = float(counted @ shifts.u**2), shifts.cost, max(adjustment.redundancy, 1)
+    determinant = squared * redundancy - by_noise * trace
+    return float(np.sqrt(max((means * redundancy - by_noise * cost) / determinant, 0.0)))
+
+
+def steadied(problem: Problem, adjustment: Adjustment, exposure: Array, shake_px: float) -> Array:
+    """Return the image points (n, 2) with the predicted shakes of their images taken off.
+
+    ``adjustment`` as for ``body_shake``; ``shake_px`` what that found.
+    """
+    xy = np.array(problem.observations.xy_px)
+    if shake_px == 0.0 or len(adjustment.parameters) == 0:
+        return xy
+    shifts = _shifts(problem, adjustment, exposure)
+    own = np.einsum("iu,uv,iv->", shifts.g, shifts.cofactors, shifts.g, optimize=True)
+    trace = float(shifts.beside_cameras().diagonal().sum() - own)
+    redundancy = max(adjustment.redundancy, 1)
+    noise = max(shifts.cost - shake_px**2 * trace, LEAST_NOISE * shifts.cost) / redundancy
+    solve = _Solver.of(shifts, noise / shake_px**2)
+    return np.asarray(xy - solve(shifts.u).reshape(-1, 2)[shifts.image_of])
 
 
 def shaken_covariance(problem: Problem, adjustment: Adjustment, exposure: Array, shake_px: float) -> Array:
-    """Return the covariance (u, u) of ``adjustment.parameters`` with what shakes of whole images add to it.
+    """Return the covariance (u, u) of ``adjustment.parameters`` that the shakes of whole images leave.
 
-    ``shake_px``: rms an axis (``body_shake``).
+    ``adjustment``: with precision, of image points that are ``steadied``; ``shake_px``: rms an axis.
     """
     assert adjustment.precision is not None
     covariance = np.asarray(adjustment.precision.covariance)
     if shake_px == 0.0 or len(covariance) == 0:
         return covariance
+    shifts = _shifts(problem, adjustment, exposure)
+    solver = _Solver.of(shifts, adjustment.sigma0**2 / shake_px**2)
+    # predictions took their share of the noise with them: as many unknowns as they could follow it
+    taken = 2 * len(shifts.count) - solver.ratio * solver.trace()
+    redundancy = max(adjustment.redundancy, 1)
+    noise = adjustment.sigma0**2 * redundancy / max(redundancy - taken, 1.0)
+    solver = _Solver.of(shifts, noise / shake_px**2)
+    scale = shifts.scale
+    found = noise * np.linalg.inv(solver.normal) * scale[:, None] * scale
+    return np.asarray((found + found.T) / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shifts:
+    """The shifts of i images (2 each) beside the unknowns of an adjustment.
+
+    ``image_of`` (n,) image of each observation, ``count`` (i,) used points; ``d`` (2i,) weights Z^T W Z, ``u`` (2i,);
+    ``g`` (2i, u) with the unknowns of the reduced system, whose ``cofactors`` (u, u) are scaled to a unit diagonal by
+    ``scale`` (u,); ``s`` (2i, q) with those of the blocks, whose normal matrix is ``v``, its inverse ``v_inverse``.
+    ``cost``: v^T W v, with what is known beforehand.
+    """
+
+    image_of: Array
+    count: Array
+    d: Array
+    u: Array
+    g: Array
+    cofactors: Array
+    scale: Array
+    s: csr_array
+    v: csc_array
+    v_inverse: csc_array
+    cost: float
+
+    def beside_cameras(self) -> csr_array:
+        """Return Z^T W Z with the blocks eliminated (2i, 2i), the cameras held."""
+        return csr_array(diags_array(self.d) - self.s @ self.v_inverse @ self.s.T)
+
+
+@dataclass(frozen=True, eq=False)
+class _Solver:
+    """Solves (B + ratio) x = z: blocks first, then the unknowns of the reduced system, whose normal matrix beside the
+    shifts is ``normal`` (scaled as the cofactors); ``x_g`` (2i, u) the sparse part's solution for ``g``.
+    """
+
+    shifts: _Shifts
+    ratio: float
+    e: Array
+    blocks: SuperLU | None
+    x_g: Array
+    normal: Array
+
+    @classmethod
+    def of(cls, shifts: _Shifts, ratio: float) -> "_Solver":
+        e = 1 / (shifts.d + ratio)
+        inner = csc_array(shifts.v - shifts.s.T @ diags_array(e) @ shifts.s)
+        blocks = splu(inner) if inner.shape[0] else None
+        x_g = _sparse_part(shifts, e, blocks, shifts.g)
+        normal = np.linalg.inv(shifts.cofactors) - shifts.g.T @ x_g
+        return cls(shifts, ratio, e, blocks, x_g, normal)
+
+    def __call__(self, z: Array) -> Array:
+        x = _sparse_part(self.shifts, self.e, self.blocks, z[:, None])[:, 0]
+        return np.asarray(x + self.x_g @ np.linalg.solve(self.normal, self.shifts.g.T @ x))
+
+    def trace(self) -> float:
+        """Return the trace of (B + ratio)^-1."""
+        total = float(self.e.sum() + np.trace(np.linalg.solve(self.normal, self.x_g.T @ self.x_g)))
+        if self.blocks is None:
+            return total
+        inner = csc_array(self.shifts.s.T @ diags_array(self.e**2) @ self.shifts.s)
+        for first in range(0, inner.shape[1], COLUMNS):
+            some = inner[:, first : first + COLUMNS].toarray()
+            solved = self.blocks.solve(some)
+            total += float(np.trace(solved[first : first + some.shape[1]]))
+        return total
+
+
+def _sparse_part(shifts: _Shifts, e: Array, blocks: SuperLU | None, z: Array) -> Array:
+    """Return (D + ratio - S V^-1 S^T)^-1 z for z (2i, k), by Woodbury's identity."""
+    x = e[:, None] * z
+    if blocks is None:
+        return x
+    return np.asarray(x + e[:, None] * (shifts.s @ blocks.solve(shifts.s.T @ x)))
+
+
+def _shifts(problem: Problem, adjustment: Adjustment, exposure: Array) -> _Shifts:
+    assert adjustment.precision is not None
     layout = lay_out(problem)
     points = intersected(
         adjustment.cameras, layout, np.where(np.isfinite(adjustment.points), adjustment.points, 0.0)
     )
     state = state_of(problem, adjustment.cameras, points, adjustment.placements)
-    weight = np.where(adjustment.used[layout.order], layout.see[4], 0.0)
+    used = np.asarray(adjustment.used)
+    weight = np.where(used[layout.order], layout.see[4], 0.0)
     task = Task(problem, layout, (), (LEAST_SQUARES, 1.0), 1.0, 1)
     normals = empty_normals(layout)
     linearised(task, state, weight, normals)
     pull, _ = pulls(problem, layout, (), state)
     inverse = np.empty_like(normals[4])
     reduced(layout, normals, pull, 0.0, inverse)
-    image, of, _ = _images(problem.observations.camera, exposure)
+    image, of = np.unique(
+        np.column_stack([problem.observations.camera, exposure]), axis=0, return_inverse=True
+    )
+    of = of.reshape(-1)
     slopes = np.zeros((len(image), 2, len(layout.names) + 1))
+    by_block = np.zeros((len(layout.order), 2, 6))
     index = np.where(layout.index < 0, len(layout.names), layout.index)
     see = (*layout.see[:4], weight, *layout.see[5:])
-    _slopes(state, see, layout.columns, layout.blocks, normals, inverse, index, of[layout.order], slopes)
-    cofactors = covariance / max(adjustment.sigma0**2, 1e-300)
-    moved = slopes[:, :, :-1].reshape(-1, len(layout.names)) @ cofactors
-    return np.asarray(covariance + shake_px**2 * (moved.T @ moved))
-
-
-def _images(camera: Array, exposure: Array) -> tuple[Array, Array, Array]:
-    """Return the images (i, 2: camera, exposure), the image (n,) of each observation, and how many each has."""
-    image, of, count = np.unique(
-        np.column_stack([camera, exposure]), axis=0, return_inverse=True, return_counts=True
+    _slopes(
+        state, see, layout.columns, layout.blocks, normals, inverse, index, of[layout.order], slopes, by_block
     )
-    return image, of.reshape(-1), count
+    squares = np.where(used, 1 / np.asarray(problem.observations.sigma_px) ** 2, 0.0)
+    residual = np.where(used[:, None], adjustment.residuals_px, 0.0)
+    u = np.column_stack([np.bincount(of, squares * residual[:, k], len(image)) for k in (0, 1)])
+    cofactors = np.asarray(adjustment.precision.covariance) / max(adjustment.sigma0**2, 1e-300)
+    scale = np.sqrt(np.diag(cofactors))
+    v, v_inverse, open_ = _block_matrices(layout, normals[4], inverse)
+    return _Shifts(
+        of,
+        np.bincount(of[used], minlength=len(image)),
+        np.repeat(np.bincount(of, squares, len(image)), 2),
+        u.ravel(),
+        slopes[:, :, :-1].reshape(2 * len(image), -1) * scale,
+        cofactors / scale[:, None] / scale,
+        scale,
+        _with_blocks(layout, of[layout.order], by_block, len(image), open_),
+        v,
+        v_inverse,
+        float(adjustment.sigma0**2 * max(adjustment.redundancy, 1)),
+    )
 
 
-def _group_of(camera: Array, stand: Array) -> Array:
-    return np.asarray(camera * (int(stand.max(initial=0)) + 2) + stand + 1)
+def _block_matrices(layout: Layout, flat: Array, inverse: Array) -> tuple[csc_array, csc_array, Array]:
+    """Return the blocks' normal matrix and its inverse (q, q), and which unknowns (q,) nothing determines."""
+    dim, first_value, first = layout.blocks[0], layout.blocks[4], layout.blocks[5]
+    block = np.repeat(np.arange(len(dim)), dim * dim)
+    row, column = np.divmod(np.arange(len(block)) - first_value[block], dim[block])
+    at, shape = (first[block] + row, first[block] + column), (int(dim.sum()),) * 2
+    v_inverse = csc_array(coo_array((inverse, at), shape=shape))
+    open_ = v_inverse.diagonal() <= 0
+    # held, as in the inverse
+    kept = np.where(open_[at[0]] | open_[at[1]], (at[0] == at[1]).astype(float), flat)
+    return csc_array(coo_array((kept, at), shape=shape)), v_inverse, open_
+
+
+def _with_blocks(layout: Layout, image: Array, by_block: Array, images: int, open_: Array) -> csr_array:
+    """Return Z^T W A of the blocks (2 images, q), from what each sorted observation gives to it (n, 2, 6)."""
+    dim, first = layout.blocks[0], layout.blocks[5]
+    block = layout.block_of
+    column = np.broadcast_to((first[block] + layout.see[5])[:, None, None] + np.arange(6), by_block.shape)
+    row = np.broadcast_to((2 * image)[:, None, None] + np.arange(2)[:, None], by_block.shape)
+    there = by_block != 0
+    found = csr_array(
+        coo_array((by_block[there], (row[there], column[there])), shape=(2 * images, int(dim.sum())))
+    )
+    return csr_array(found @ diags_array(np.where(open_, 0.0, 1.0))) if len(open_) else found
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def _slopes(state, see, columns, blocks, normals, inverse, index, image, slopes):  # type: ignore[no-untyped-def]
+def _slopes(  # type: ignore[no-untyped-def]
+    state, see, columns, blocks, normals, inverse, index, image, slopes, by_block
+):
     """Add to ``slopes`` (i, 2, u + 1) the reduced right-hand side of a shift of each image by 1 px along x and y.
 
-    J_A^T w^2 - W V^-1 J_B^T w^2, summed over the image's points; the last column takes what is held.
+    J_A^T w^2 - W V^-1 J_B^T w^2, summed over the image's points; the last column takes what is held. ``by_block``
+    (n, 2, 6): J_B^T w^2 of each observation.
     """
     cameras, points, placements = state
     camera_of, point_of, placement_of, _, weight, offset, _, kept, _ = see
@@ -177,6 +302,7 @@ def _slopes(state, see, columns, blocks, normals, inverse, index, image, slopes)
                             else (BY_WORLD + i - 3 if size == 6 else BY_WORLD + i)
                         )
                         d = w * out[axis, by]
+                        by_block[m, axis, i] = d
                         row = carried[one * n + offset[m] + i]
                         for k in range(wide):
                             to[index[slot_group[first + k // width], k % width]] -= d * row[k]

@@ -1,0 +1,211 @@
+"""The verbs for rigs and targets: calibrate, rig check, rig compare, rig convert, target sheet."""
+
+from pathlib import Path
+
+import click
+
+from scenarios.progress import Progress
+
+FILE = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("recording", type=FILE)
+@click.option(
+    "--target", required=True, type=FILE, help="target file (TOML): what was put before the cameras"
+)
+@click.option(
+    "--out", required=True, type=FILE, help="rig file to write (.toml); its page goes beside it (.html)"
+)
+@click.option("--lens", type=click.Choice(["mosca", "opencv", "fisheye"]), default="mosca", show_default=True)
+@click.option(
+    "--pixel-pitch-mm",
+    type=click.FloatRange(min=0, min_open=True),
+    default=0.01,
+    show_default=True,
+    help="mx of a Mosca lens (data sheet of the sensor); it is held and only sets the unit of c",
+)
+@click.option("--known", type=FILE, help="earlier rig of these cameras, to hold the new one against")
+@click.option("--exterior-only", is_flag=True, help="keep the lenses of --known, find the poses anew")
+@click.option(
+    "--axes",
+    type=FILE,
+    nargs=2,
+    metavar="RECORDING L_FRAME",
+    help="recording of an L-frame and its target file: sets the world's axes",
+)
+@click.option(
+    "--lengths",
+    type=FILE,
+    nargs=2,
+    metavar="RECORDING BAR",
+    help="recording of a certified scale bar and its target file: checks the scale",
+)
+@click.option("--fps", type=float, help="frame rate of a recording that does not tell its own [Hz]")
+@click.option(
+    "--every", type=click.IntRange(min=1), default=1, show_default=True, help="use each so many-th frame set"
+)
+@click.option(
+    "--reference",
+    type=click.IntRange(min=0),
+    help="frame set in which field or board is the world  [default: the first]",
+)
+def calibrate(
+    recording: Path,
+    target: Path,
+    out: Path,
+    lens: str,
+    pixel_pitch_mm: float,
+    known: Path | None,
+    exterior_only: bool,
+    axes: tuple[Path, Path] | None,
+    lengths: tuple[Path, Path] | None,
+    fps: float | None,
+    every: int,
+    reference: int | None,
+) -> None:
+    """Calibrate cameras from images of a target: interior and exterior orientation, with precision and judgement.
+
+    The target file's kind says what is done: a test field or a board (the world is where it first stood), a wand
+    (focal lengths found, scale from its length; give --axes), or points that were measured in the images already.
+
+    \b
+    Examples:  mosca calibrate lab/field --target field.toml --out rig.toml
+               mosca calibrate lab/moved --target field.toml --known rig.toml --exterior-only --out rig2.toml
+    """
+    from mosca.calibrate.estimate import EstimateSettings
+    from mosca.calibrate.interior import LensChoice
+    from scenarios.calibrate import Request
+    from scenarios.calibrate import calibrate as work
+
+    settings = EstimateSettings(LensChoice(lens, pixel_pitch_mm), exterior_only, every, reference)
+    with Progress(recording.name) as shown:
+        lines = work(Request(recording, target, out, known, axes, lengths, fps), settings, shown)
+    for line in lines:
+        click.echo(line)
+
+
+@click.group()
+def rig() -> None:
+    """Look at rig files, compare them, turn them into other programs' files."""
+
+
+@rig.command("check")
+@click.argument("path", type=FILE)
+def rig_check(path: Path) -> None:
+    """Read a rig file and say what its cameras see of each other's views.
+
+    \b
+    Example:  mosca rig check rig.toml
+    """
+    from scenarios.calibrate import describe_rig
+
+    for line in describe_rig(path):
+        click.echo(line)
+
+
+@rig.command("compare")
+@click.argument("a", type=FILE)
+@click.argument("b", type=FILE)
+@click.option(
+    "--align",
+    type=click.Choice(["similarity", "rigid", "none"]),
+    default="rigid",
+    show_default=True,
+    help="common motion taken off before comparing",
+)
+def rig_compare(a: Path, b: Path, align: str) -> None:
+    """Compare two calibrations on their rays (px) and in the volume (mm); parameters may differ where rays agree.
+
+    \b
+    Example:  mosca rig compare monday.toml friday.toml
+    """
+    from typing import Literal, cast
+
+    from mosca.calibrate.compare import compare_rigs
+    from mosca.formats.rig_files import read_any_rig
+
+    motion = cast(Literal["similarity", "rigid", "none"], align)
+    for line in compare_rigs(read_any_rig(a)[0], read_any_rig(b)[0], align=motion).lines():
+        click.echo(line)
+
+
+@rig.command("convert")
+@click.argument("source", type=FILE)
+@click.argument("out", type=FILE)
+@click.option("--format", "format_", help="format to write (see below)  [default: mosca]")
+@click.option(
+    "--unit", type=click.Choice(["m", "mm"]), help="unit of the source's lengths, where it cannot say"
+)
+@click.option("--size-px", type=(int, int), help="image width and height, where the source cannot say")
+@click.option("--pixel-mm", type=(float, float), help="pixel pitch x and y, where a format needs it [mm]")
+@click.option(
+    "--max-residual-px",
+    type=float,
+    default=0.1,
+    show_default=True,
+    help="largest misfit over the image that a conversion between lens models may leave [px]",
+)
+def rig_convert(
+    source: Path,
+    out: Path,
+    format_: str | None,
+    unit: str | None,
+    size_px: tuple[int, int] | None,
+    pixel_mm: tuple[float, float] | None,
+    max_residual_px: float,
+) -> None:
+    """Read a calibration of another program, or write one for it, with what is lost stated.
+
+    Formats: mosca, aniposelib (Pose2Sim), caliscope, opencv, qtm, openptv; multicamselfcal is only read.
+
+    \b
+    Example:  mosca rig convert Calib.qca.txt rig.toml
+    """
+    from typing import Literal, cast
+
+    from mosca.formats.rig_files import RigFileOptions, read_any_rig, write_any_rig
+
+    options = RigFileOptions(
+        size_px=size_px,
+        unit=cast("Literal['m', 'mm'] | None", unit),
+        pixel_mm=pixel_mm,
+        max_residual_px=max_residual_px,
+    )
+    found, notes = read_any_rig(source, None, options)
+    for line in (*notes, *write_any_rig(found, out, format_ or "mosca", options)):
+        click.echo(line)
+    click.echo(f"{out} written: {len(found.cameras)} cameras")
+
+
+@click.group()
+def target() -> None:
+    """Make what is put before the cameras."""
+
+
+@target.command("sheet")
+@click.argument("path", type=FILE)
+@click.option("--out", required=True, type=FILE, help="sheet to write: .pdf or .svg; more sheets get numbers")
+@click.option(
+    "--page", type=click.Choice(["A4", "A3", "A2", "letter"]), help="paper  [default: what it takes]"
+)
+@click.option(
+    "--colour", type=click.Choice(["white", "black"]), default="white", show_default=True, help="of dots"
+)
+def target_sheet(path: Path, out: Path, page: str | None, colour: str) -> None:
+    """Print a target file's coded targets or board, with a ruler that shows whether the printer kept the size.
+
+    \b
+    Example:  mosca target sheet field.toml --out field.pdf
+    """
+    from typing import Literal, cast
+
+    from mosca.data.target_file import PointsTarget, read_target_file
+    from mosca.errors import InputError
+    from mosca.formats.target_sheet import write_sheets
+
+    made = read_target_file(path)
+    if isinstance(made, PointsTarget):
+        raise InputError(f"{path}: kind = 'points' has nothing to print; a field, a board or a scale bar has")
+    for sheet in write_sheets(made, out, page, cast(Literal["white", "black"], colour)):
+        click.echo(f"{sheet} written; measure its ruler after printing")
