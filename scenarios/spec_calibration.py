@@ -70,6 +70,9 @@ class CalibrationSpec(Table):
     shift: NotNegative = Field(0.2, description="how far from the first stand, share of the field's edges")
     tilt_deg: NotNegative = Field(15.0, le=60, description="how far it leans there at most")
     frames: int = Field(20, ge=1, le=5000, description="exposures (of a field: at each stand)")
+    rate_hz: Positive = Field(
+        10.0, le=2000, description="exposures a second; a target that is carried must move between them [Hz]"
+    )
     lengths: bool = Field(False, description="hold the result against a certified bar that it did not use")
     earlier: bool = Field(False, description="hold the result against an earlier calibration, the true one")
     exterior_only: bool = Field(

@@ -156,10 +156,11 @@ def _ray_errors(rig: Rig, virtual: VirtualCamera, center: Array) -> Array:
 def _source(
     spec: Scenario, session: Session, cameras: tuple[VirtualCamera, ...], workers: int, number: int
 ) -> TwinSource:
+    assert spec.calibration is not None
     return TwinSource(
         session.scene,
         cameras,
-        frame_rate_hz=spec.capture.frame_rate_hz,
+        frame_rate_hz=spec.calibration.rate_hz,
         exposure_s=spec.capture.exposure_s,
         pulses=session.pulses,
         seed=spec.seed + SESSION_SEED + number,

@@ -11,7 +11,6 @@ from mosca.data.target_codes import NUMBERS
 from mosca.data.target_tables import CalibrationTarget
 from mosca.data.targets import CodedTarget, PlacedTarget, ScaleBar, TestField, face_axes
 from mosca.data.wands import LFrame, Wand
-from mosca.errors import InputError
 from scenarios.spec import Scenario
 from scenarios.spec_calibration import CalibrationSpec, WrongSizeFault, WrongUnitsFault
 from twin.scenes.field_layout import LaidOutField, lay_out_field
@@ -77,7 +76,7 @@ def _field(spec: Scenario, wanted: CalibrationSpec) -> Session:
         laid = _plate(size, wanted.markers, wanted.relief, draw)
     else:
         laid = lay_out_field(size, draw, n=wanted.markers, layout=wanted.layout)
-    rate_hz, exposure_s = spec.capture.frame_rate_hz, spec.capture.exposure_s
+    rate_hz, exposure_s = wanted.rate_hz, spec.capture.exposure_s
     hold_s = wanted.frames / rate_hz
     path = put_from_stand_to_stand(
         center,
@@ -130,9 +129,7 @@ def _plate(size: Array, n: int, relief: float, draw: np.random.Generator) -> Lai
         depth = relief * float(size[1:].max()) * draw.uniform(-0.5, 0.5)
         place = axes @ np.array([along[0], along[1], depth])
         targets.append(
-            PlacedTarget(
-                f"code/{number:03d}", CodedTarget.of_dot(int(number), 0.07 * cell), place, axes[:, 2]
-            )
+            PlacedTarget(f"code/{number:03d}", CodedTarget.of_dot(int(number), 0.1 * cell), place, axes[:, 2])
         )
     return LaidOutField(TestField(tuple(targets)), ())
 
@@ -185,10 +182,9 @@ def _wand(spec: Scenario, wanted: CalibrationSpec) -> Session:
 
 def _where(spec: Scenario, pulses: int) -> dict[str, Any]:
     space = spec.working_space
-    if pulses < 1:
-        raise InputError(f"calibration.frames = {pulses} given; 1 or more are wanted")
+    assert spec.calibration is not None
     return {
-        "duration_s": pulses / spec.capture.frame_rate_hz,
+        "duration_s": pulses / spec.calibration.rate_hz,
         "box_center_m": np.array(space.center_m),
         "box_size_m": np.array(space.size_m),
     }

@@ -8,8 +8,7 @@ projections in closed form with 0.02 px noise a mark and a shake of whole images
 Compared are the cameras' poses and lens parameters, in the world of the estimate (``rigid_scenes.errors_of``).
 
 Printed of each case: the pooled share of |error| <= 1.96 sigma, the 99 % band of it by bootstrap over runs (the
-parameters of one run are not independent), the band within which the pooled share of runs with exactly right
-intervals would lie (95 % with the same spread), the least covered parameters, rms of error / sigma by group.
+parameters of one run are not independent), the least covered parameters, rms of error / sigma by group.
 """
 
 import argparse
@@ -23,14 +22,14 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import numpy as np  # noqa: E402  (the threads must be set before)
+import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "mosca"))
 
-from rigid_scenes import board_marks, carried, errors_of, field_marks, seen, some_rig, still, stood  # noqa: E402
+from rigid_scenes import board_marks, carried, errors_of, field_marks, seen, some_rig, still, stood
 
-from mosca.calibrate.interior import LensChoice  # noqa: E402
-from mosca.calibrate.rigid import RigidSettings, RigidTarget, calibrate_rigid  # noqa: E402
+from mosca.calibrate.interior import LensChoice
+from mosca.calibrate.rigid import RigidSettings, RigidTarget, calibrate_rigid
 
 NOISE_PX, SHAKE_PX, MARK_SIGMA_M, PITCH_MM = 0.02, 0.03, 1e-5, 0.0099
 CASES = ("field", "field-steady", "stands", "board", "board-steady", "field-opencv")
@@ -58,8 +57,10 @@ def run(case: str, seed: int) -> tuple[dict[str, tuple[float, float]], float, fl
     return errors_of(done, rig, poses), done.body_px, done.sigma0, done.weak
 
 
-def coverage_band(inside: list[np.ndarray], share: float, rng: np.random.Generator) -> tuple[float, float, float]:
-    """Return the pooled share of True in ``inside`` (one array a run), and its ``share`` band by bootstrap over runs."""
+def coverage_band(
+    inside: list[np.ndarray], share: float, rng: np.random.Generator
+) -> tuple[float, float, float]:
+    """Return the pooled share of True in ``inside`` (one array a run) and its ``share`` band, by bootstrap."""
     hits, counts = (np.array([f(one) for one in inside], dtype=float) for f in (np.sum, len))
     pick = rng.integers(0, len(hits), (BOOTSTRAPS, len(hits)))
     shares = hits[pick].sum(axis=1) / counts[pick].sum(axis=1)

@@ -53,10 +53,21 @@ def seen(rig: Rig, marks, poses, rng, *, noise=0.02, shake=0.0, facing=None) -> 
                 to_camera = camera.world_from_camera.translation - world
                 cosine = np.einsum("ni,ni->n", normals, to_camera) / np.linalg.norm(to_camera, axis=1)
                 there &= cosine > 0.3
-            xy = xy[there] + rng.normal(0, noise, (int(there.sum()), 2)) + rng.normal(0, shake, 2) * (shake > 0)
+            xy = (
+                xy[there]
+                + rng.normal(0, noise, (int(there.sum()), 2))
+                + rng.normal(0, shake, 2) * (shake > 0)
+            )
             n = len(xy)
             parts.append(
-                Part(k, frame, np.flatnonzero(there), xy, np.tile(noise**2 * np.eye(2), (n, 1, 1)), np.full(n, 8.0))
+                Part(
+                    k,
+                    frame,
+                    np.flatnonzero(there),
+                    xy,
+                    np.tile(noise**2 * np.eye(2), (n, 1, 1)),
+                    np.full(n, 8.0),
+                )
             )
     sizes = np.array([(c.width, c.height) for c in rig.cameras])
     return Sightings.joined(rig.names, sizes, len(poses), parts)

@@ -11,8 +11,8 @@ and A the design, ``u = Z^T W v`` has the expectation 0 and, shake s and noise s
     Cov(u) = sigma0^2 B + s^2 B^2,   B = Z^T W Z - Z^T W A N^-1 A^T W Z.
 
 ``body_shake`` solves for s the expectations of v^T W v and of the images' mean residuals squared. ``steadied`` takes
-off the best predictions (B + sigma0^2 / s^2)^-1 u: the adjustment of what remains is the generalised least-squares one,
-in which an image counts for as much as its shake lets it. ``shaken_covariance`` is that adjustment's covariance.
+off the best predictions (B + sigma0^2 / s^2)^-1 u: the adjustment of what remains is that by generalised least
+squares, in which an image counts for as much as its shake lets it, and ``shaken_covariance`` is its covariance.
 B is never formed: it is a sparse part and one of the rank of the cameras' unknowns.
 """
 
@@ -28,10 +28,9 @@ from mosca.calibrate.bundle.descent import Task, empty_normals, linearised, redu
 from mosca.calibrate.bundle.kernels import BY_OWN, BY_TURN, BY_WORLD, LEAST_SQUARES, OBSERVED, observe
 from mosca.calibrate.bundle.layout import Layout, lay_out
 from mosca.calibrate.bundle.lenses import FAST
-from mosca.calibrate.bundle.precision import by_unknowns
+from mosca.calibrate.bundle.precision import by_unknowns, carry_down
 from mosca.calibrate.bundle.priors import pulls
 from mosca.calibrate.bundle.problem import Problem
-from mosca.calibrate.bundle.reduction import times_inverse
 from mosca.calibrate.bundle.start import intersected
 from mosca.data.arrays import Array
 
@@ -204,24 +203,26 @@ def _shifts(problem: Problem, adjustment: Adjustment, exposure: Array) -> _Shift
     by_block = np.zeros((len(layout.order), 2, 6))
     index = np.where(layout.index < 0, len(layout.names), layout.index)
     see = (*layout.see[:4], weight, *layout.see[5:])
-    _slopes(
-        state, see, layout.columns, layout.blocks, normals, inverse, index, of[layout.order], slopes, by_block
-    )
+    _sums(state, see, layout.columns, index, of[layout.order], slopes, by_block)
+    v, v_inverse, open_ = _block_matrices(layout, normals[4], inverse)
+    s = _with_blocks(layout, of[layout.order], by_block, len(image), open_)
+    each = np.eye(len(layout.names) + 1, len(layout.names))
+    g = slopes[:, :, :-1].reshape(2 * len(image), -1)
+    g = g - s @ carry_down(layout.blocks, normals, inverse, index, each)
     squares = np.where(used, 1 / np.asarray(problem.observations.sigma_px) ** 2, 0.0)
     residual = np.where(used[:, None], adjustment.residuals_px, 0.0)
     u = np.column_stack([np.bincount(of, squares * residual[:, k], len(image)) for k in (0, 1)])
     cofactors = np.asarray(adjustment.precision.covariance) / max(adjustment.sigma0**2, 1e-300)
     scale = np.sqrt(np.diag(cofactors))
-    v, v_inverse, open_ = _block_matrices(layout, normals[4], inverse)
     return _Shifts(
         of,
         np.bincount(of[used], minlength=len(image)),
         np.repeat(np.bincount(of, squares, len(image)), 2),
         u.ravel(),
-        slopes[:, :, :-1].reshape(2 * len(image), -1) * scale,
+        g * scale,
         cofactors / scale[:, None] / scale,
         scale,
-        _with_blocks(layout, of[layout.order], by_block, len(image), open_),
+        s,
         v,
         v_inverse,
         float(adjustment.sigma0**2 * max(adjustment.redundancy, 1)),
@@ -255,54 +256,35 @@ def _with_blocks(layout: Layout, image: Array, by_block: Array, images: int, ope
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def _slopes(  # type: ignore[no-untyped-def]
-    state, see, columns, blocks, normals, inverse, index, image, slopes, by_block
-):
-    """Add to ``slopes`` (i, 2, u + 1) the reduced right-hand side of a shift of each image by 1 px along x and y.
-
-    J_A^T w^2 - W V^-1 J_B^T w^2, summed over the image's points; the last column takes what is held. ``by_block``
-    (n, 2, 6): J_B^T w^2 of each observation.
+def _sums(state, see, columns, index, image, slopes, by_block):  # type: ignore[no-untyped-def]
+    """Add J^T w^2 of each observation to its image's ``slopes`` (i, 2, u + 1) by the unknowns of the reduced system,
+    the last column taking what is held; write that of its block's unknowns to ``by_block`` (n, 2, 6).
     """
     cameras, points, placements = state
-    camera_of, point_of, placement_of, _, weight, offset, _, kept, _ = see
-    dim, first_observation, slot_first, slot_group, at_v, _, at_w, runs, _ = blocks
-    mixed, width = normals[3], index.shape[1]
+    camera_of, point_of, placement_of, _, weight, _, slot, kept, _ = see
+    width = index.shape[1]
     out, j = np.empty((2, OBSERVED)), np.zeros((2, width))
-    for r in range(-1, runs.size - 1):
-        # block 0 holds the observations that touch no block
-        b, count = (0, 1) if r < 0 else (runs[r], runs[r + 1] - runs[r])
-        n, first = dim[b], slot_first[b]
-        slots = 0 if r < 0 else slot_first[b + 1] - first
-        rows, wide = count * n, slots * width
-        carried = np.zeros((rows, wide))
-        if slots > 0:
-            own = mixed[at_w[first] : at_w[first] + rows * wide].reshape(rows, wide)
-            times_inverse(inverse, at_v[b], n, count, own, carried)
-        for one in range(count):
-            for m in range(first_observation[b + one], first_observation[b + one + 1]):
-                if weight[m] == 0.0:
-                    continue
-                camera, point, placement = camera_of[m], kept[m], placement_of[m]
-                if not observe(cameras, camera, points, point_of[m], placements, placement, out):
-                    continue
-                by_unknowns(out, columns, camera, j)
-                w = weight[m] * weight[m]
-                size = 0 if n == 0 else (6 if placement >= 0 else 3)
-                for axis in range(2):
-                    to = slopes[image[m], axis]
-                    for i in range(width):
-                        to[index[camera, i]] += w * j[axis, i]
-                    if point >= 0:
-                        for i in range(3):
-                            to[index[point, i]] += w * out[axis, BY_OWN + i]
-                    for i in range(size):
-                        by = (
-                            BY_TURN + i
-                            if size == 6 and i < 3
-                            else (BY_WORLD + i - 3 if size == 6 else BY_WORLD + i)
-                        )
-                        d = w * out[axis, by]
-                        by_block[m, axis, i] = d
-                        row = carried[one * n + offset[m] + i]
-                        for k in range(wide):
-                            to[index[slot_group[first + k // width], k % width]] -= d * row[k]
+    for m in range(camera_of.size):
+        if weight[m] == 0.0:
+            continue
+        camera, point, placement = camera_of[m], kept[m], placement_of[m]
+        if not observe(cameras, camera, points, point_of[m], placements, placement, out):
+            continue
+        by_unknowns(out, columns, camera, j)
+        w = weight[m] * weight[m]
+        for axis in range(2):
+            to = slopes[image[m], axis]
+            for i in range(width):
+                to[index[camera, i]] += w * j[axis, i]
+            if point >= 0:
+                for i in range(3):
+                    to[index[point, i]] += w * out[axis, BY_OWN + i]
+            # observations that touch no block have no slot
+            if slot[m] < 0:
+                continue
+            for i in range(3):
+                if placement >= 0:
+                    by_block[m, axis, i] = w * out[axis, BY_TURN + i]
+                    by_block[m, axis, 3 + i] = w * out[axis, BY_WORLD + i]
+                else:
+                    by_block[m, axis, i] = w * out[axis, BY_WORLD + i]

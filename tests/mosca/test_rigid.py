@@ -1,0 +1,212 @@
+"""Calibration from rigid targets: fields that stand, boards that are carried, all lens models, blunders, errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rigid_scenes import (
+    board_marks,
+    carried,
+    errors_of,
+    field_marks,
+    looking,
+    ray_rms_px,
+    seen,
+    some_rig,
+    still,
+    stood,
+)
+
+from mosca.calibrate.interior import LensChoice
+from mosca.calibrate.rigid import RigidSettings, RigidTarget, calibrate_rigid
+from mosca.data.rig import Camera, FisheyeLens, Pose, Rig
+from mosca.errors import CalibrationError
+
+PITCH = 0.0099
+MOSCA, OPENCV = RigidSettings(LensChoice("mosca", PITCH)), RigidSettings(LensChoice("opencv"))
+
+
+def worst(calibration, rig, poses) -> float:
+    """Return the largest error over its stated standard deviation."""
+    return max(abs(e) / s for e, s in errors_of(calibration, rig, poses).values())
+
+
+def in_world_of(calibration, rig, poses) -> Rig:
+    """Return the true rig in the world of the calibration: the target at its reference."""
+    reference = poses[calibration.sightings.frame[calibration.placement < 0][0]].inverse()
+    return Rig(tuple(replace(c, world_from_camera=reference @ c.world_from_camera) for c in rig.cameras))
+
+
+@pytest.mark.parametrize(("model", "settings"), [("mosca", MOSCA), ("opencv", OPENCV)])
+def test_a_standing_field(model, settings):
+    rng = np.random.default_rng(1)
+    rig, marks = some_rig(rng, model=model), field_marks(rng)
+    sightings = seen(rig, marks, still(5), rng, shake=0.03)
+    done = calibrate_rigid(sightings, RigidTarget("field", marks), settings)
+    for true, one in zip(rig.cameras, done.rig.cameras, strict=True):
+        # 0.03 px / sqrt(5) of shake in the mean image, and the noise of 120 marks
+        assert ray_rms_px(true, one) < 0.06
+    assert worst(done, rig, still(5)) < 4.5
+    assert done.body_px == pytest.approx(0.03, abs=0.012)
+    assert done.sigma0 == pytest.approx(1, abs=0.05)
+    assert done.weak == done.held == ()
+    assert done.used.mean() > 0.999
+    np.testing.assert_allclose(done.sigma_px, 0.02, rtol=0.1)
+
+
+def fisheye_rig(rng) -> Rig:
+    cameras = []
+    for k in range(3):
+        place = [2.5 * np.cos(2.1 * k), 2.5 * np.sin(2.1 * k), 0.8]
+        lens = FisheyeLens(260.0, 261.0, 325 + rng.normal(), 246 + rng.normal(), -0.03, 0.004)
+        cameras.append(Camera(f"cam{k + 1}", 656, 491, lens, looking(np.array(place))))
+    return Rig(tuple(cameras))
+
+
+def test_a_fisheye_rig_from_a_field():
+    rng = np.random.default_rng(2)
+    rig, marks = fisheye_rig(rng), rng.uniform(-1.6, 1.6, (160, 3)) * [1, 1, 0.9]
+    far = np.min(
+        [np.linalg.norm(marks - c.world_from_camera.translation, axis=1) for c in rig.cameras], axis=0
+    )
+    marks = marks[far > 0.8]
+    sightings = seen(rig, marks, still(3), rng)
+    done = calibrate_rigid(sightings, RigidTarget("field", marks), RigidSettings(LensChoice("fisheye")))
+    assert worst(done, rig, still(3)) < 4.5
+    inner = [np.hypot(*(r.T)).mean() for r in (done.residuals_px,)]
+    assert inner[0] < 0.03
+
+
+@pytest.mark.parametrize("model", ["mosca", "opencv"])
+def test_a_carried_board(model):
+    rng = np.random.default_rng(3)
+    rig, marks, poses = some_rig(rng, model=model), board_marks(), carried(rng, 60)
+    facing = np.tile([0.0, 0.0, -1.0], (len(marks), 1))
+    sightings = seen(rig, marks, poses, rng, facing=facing)
+    done = calibrate_rigid(sightings, RigidTarget("board", marks), MOSCA if model == "mosca" else OPENCV)
+    assert worst(done, rig, poses) < 4.5
+    # the whole world may be off as its one reference view is; lengths are not: those between cameras
+    centres = [
+        np.array([c.world_from_camera.translation for c in r.cameras])
+        for r in (in_world_of(done, rig, poses), done.rig)
+    ]
+    i, j = np.triu_indices(4, 1)
+    lengths = [np.linalg.norm(c[i] - c[j], axis=1) for c in centres]
+    np.testing.assert_allclose(lengths[1], lengths[0], rtol=2e-4)
+    # the poses of the board, too
+    world = done.points_in_world()
+    assert done.target_translation.shape == (len(np.unique(done.placement)) - 1, 3)
+    for k in (0, 1):
+        at = in_world_of(done, rig, poses).cameras[k].world_from_camera.translation
+        assert np.linalg.norm(world - at, axis=1).min() > 1
+
+
+def test_stands_with_marks_nearly_known_improve_the_marks():
+    rng = np.random.default_rng(4)
+    rig, marks, poses = some_rig(rng), field_marks(rng, 60), stood(rng, 4, 2)
+    sigma = 2e-4
+    given = marks + rng.normal(0, sigma, marks.shape)
+    done = calibrate_rigid(seen(rig, marks, poses, rng), RigidTarget("field", given, sigma), MOSCA)
+    assert worst(done, rig, poses) < 4.5
+    # what is left after the frame's own shift and turn, which the images cannot know
+    before, after = given - marks, done.marks_m - marks
+    assert np.std(after - after.mean(axis=0)) < 0.5 * np.std(before)
+    assert len(done.target_translation) == 3
+
+
+def test_blunders_are_found():
+    rng = np.random.default_rng(5)
+    rig, marks = some_rig(rng), field_marks(rng)
+    sightings = seen(rig, marks, still(5), rng, shake=0.03)
+    wrong = rng.choice(len(sightings), len(sightings) // 50, replace=False)
+    xy = sightings.xy_px.copy()
+    way = rng.uniform(0, 2 * np.pi, len(wrong))
+    xy[wrong] += rng.uniform(2, 40, (len(wrong), 1)) * np.column_stack([np.cos(way), np.sin(way)])
+    done = calibrate_rigid(replace(sightings, xy_px=xy), RigidTarget("field", marks), MOSCA)
+    assert not done.used[wrong].any()
+    assert done.used.sum() >= len(sightings) - len(wrong) - 2
+    assert worst(done, rig, still(5)) < 4.5
+    # blunders do not pass for shakes
+    assert done.body_px == pytest.approx(0.03, abs=0.012)
+
+
+def test_exterior_only_keeps_the_lenses_after_the_rig_moved():
+    rng = np.random.default_rng(6)
+    rig, marks = some_rig(rng), field_marks(rng)
+    aside = Pose(np.eye(3), [0.2, -0.1, 0.05])
+    moved = Rig(tuple(replace(c, world_from_camera=aside @ c.world_from_camera) for c in rig.cameras))
+    sightings = seen(moved, marks, still(2), rng)
+    settings = replace(MOSCA, exterior_only=True)
+    done = calibrate_rigid(sightings, RigidTarget("field", marks), settings, known=rig)
+    for true, one in zip(moved.cameras, done.rig.cameras, strict=True):
+        assert one.lens == true.lens
+        shift = one.world_from_camera.translation - true.world_from_camera.translation
+        assert np.linalg.norm(shift) < 1e-4
+    assert worst(done, moved, still(2)) < 4.5
+    assert len(done.parameters) == 24
+
+
+def test_the_reference_is_the_frame_asked_for():
+    rng = np.random.default_rng(7)
+    rig, marks, poses = some_rig(rng), field_marks(rng, 60), stood(rng, 3, 1)
+    sightings = seen(rig, marks, poses, rng)
+    done = calibrate_rigid(sightings, RigidTarget("field", marks), replace(MOSCA, reference=2))
+    assert set(sightings.frame[done.placement < 0]) == {2}
+    assert worst(done, rig, poses) < 4.5
+
+
+def test_unknown_marks_are_left_out():
+    rng = np.random.default_rng(8)
+    rig, marks = some_rig(rng, n=2), field_marks(rng, 60)
+    sightings = seen(rig, marks, still(2), rng)
+    mark = sightings.mark.copy()
+    mark[::10] = -1
+    done = calibrate_rigid(replace(sightings, mark=mark), RigidTarget("field", marks), MOSCA)
+    assert len(done.sightings) == (mark >= 0).sum()
+
+
+def two_groups(rng):
+    """Return sightings of a board that cameras 1, 2 and cameras 3, 4 never see at a time."""
+    rig, marks, poses = some_rig(rng), board_marks(), carried(rng, 40)
+    sightings = seen(rig, marks, poses, rng)
+    early = sightings.frame < 20
+    return rig, marks, sightings.only(early == (sightings.camera < 2))
+
+
+def test_errors_are_one_line_and_say_what_to_do():
+    rng = np.random.default_rng(9)
+    rig, marks, sightings = two_groups(rng)
+    target = RigidTarget("board", marks)
+    with pytest.raises(CalibrationError, match="cam1, cam2 and cam3, cam4 never saw") as told:
+        calibrate_rigid(sightings, target, MOSCA)
+    messages = [str(told.value)]
+    few = sightings.only((sightings.frame == 0) | (sightings.frame == 25))
+    with pytest.raises(CalibrationError, match="at least 3 are wanted; hold it before the camera") as told:
+        calibrate_rigid(few, target, MOSCA)
+    messages.append(str(told.value))
+    exterior = replace(MOSCA, exterior_only=True)
+    with pytest.raises(CalibrationError, match="needs the rig whose lenses") as told:
+        calibrate_rigid(sightings, target, exterior)
+    messages.append(str(told.value))
+    with pytest.raises(CalibrationError, match="'cam4' is not in the known rig") as told:
+        calibrate_rigid(sightings, target, exterior, known=Rig(rig.cameras[:3]))
+    messages.append(str(told.value))
+    other = Rig(tuple(replace(c, width=800) for c in rig.cameras))
+    with pytest.raises(CalibrationError, match="656 x 491 px, the known rig has 800 x 491") as told:
+        calibrate_rigid(sightings, target, exterior, known=other)
+    messages.append(str(told.value))
+    with pytest.raises(CalibrationError, match="frame set 30: the target") as told:
+        calibrate_rigid(
+            sightings.only(sightings.frame != 30), target, replace(exterior, reference=30), known=rig
+        )
+    messages.append(str(told.value))
+    assert not any("\n" in one for one in messages)
+
+
+def test_a_field_seen_with_too_few_marks():
+    rng = np.random.default_rng(10)
+    rig, marks = some_rig(rng, n=2), field_marks(rng, 60)
+    sightings = seen(rig, marks, still(2), rng)
+    few = sightings.only((sightings.camera == 0) | (sightings.mark < 9) & (sightings.mark % 2 == 0))
+    with pytest.raises(CalibrationError, match="camera 'cam2': .* marks of the target in its best view"):
+        calibrate_rigid(few, RigidTarget("field", marks), MOSCA)
