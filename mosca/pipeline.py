@@ -6,6 +6,7 @@ Nothing here knows where the frames come from. ``run`` is a generator: one Step 
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -50,19 +51,30 @@ class Step:
     seconds: Mapping[str, float]
 
 
+class Keeper(Protocol):
+    """Watches the rig while it runs, and may put it right: ``mosca.calibrate.keep.RigKeeper``."""
+
+    rig: Rig
+
+    def attend(self, frame: int, detections: Mapping[str, Detections], points: Points) -> None:
+        """Take a frame set's points; ``rig`` is what the next frame set is to be measured with."""
+        ...
+
+
 def run(
     source: FrameSource,
     rig: Rig,
     settings: PipelineSettings | None = None,
     assembly: Assembly | None = None,
     backgrounds: Mapping[str, Array] | None = None,
+    keeper: Keeper | None = None,
 ) -> Iterator[Step]:
     """Turn a source's frames into tracks, pulse by pulse.
 
     ``assembly``: counts of frames and gaps, filled while running. ``backgrounds``: camera -> image (H, W) of
     what does not move, taken off each of its images before detection; a camera without one keeps its images
-    as they are. InputError where the source lacks a camera of the rig, or sends images of another size, and
-    where a background is of a camera that the rig lacks.
+    as they are. ``keeper``: watches the rig and may change it on the way. InputError where the source lacks a
+    camera of the rig, or sends images of another size, and where a background is of a camera that the rig lacks.
     """
     settings = PipelineSettings() if settings is None else settings
     backgrounds = {} if backgrounds is None else backgrounds
@@ -91,6 +103,10 @@ def run(
         clock.lap("match")
         samples = tracker.update(points, frame_set.pulse, frame_set.time_ns)
         clock.lap("track")
+        if keeper is not None:
+            keeper.attend(frame_set.pulse, detections, points)
+            rig = keeper.rig
+            clock.lap("keep")
         yield Step(frame_set, detections, points, tuple(samples), clock.laps)
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from mosca.assemble import Assembly
+from mosca.calibrate.keep import RigKeeper
 from mosca.data.arrays import Array
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
@@ -243,7 +244,8 @@ def _collect(
     if any(info.name not in rig.names for info in read.cameras):
         read = _Chosen(read, rig.names)
     stop = stack.enter_context(between_steps())
-    for done, step in enumerate(run(read, rig, settings, assembly), start=1):
+    keeper = RigKeeper(rig) if spec.pipeline.watch else None
+    for done, step in enumerate(run(read, rig, settings, assembly, keeper=keeper), start=1):
         stop()
         samples += step.samples
         for stage, value in step.seconds.items():
@@ -264,6 +266,10 @@ def _collect(
                 )
         if options.progress is not None:
             options.progress(done, max(done, pulses))
+    if keeper is not None:
+        keeper.close()
+        for k, incident in enumerate(keeper.incidents):
+            assembly.notes[f"rig {k + 1}"] = incident.message
     if latency:
         seconds["latency_p99"] = float(np.quantile(latency, 0.99))
         seconds["pipeline_per_set"] = float(np.mean(latency))

@@ -160,6 +160,7 @@ class TrackSpec(Table):
 class PipelineSpec(Table):
     """The pipeline as a lab user would set it for this subject."""
 
+    watch: bool = Field(False, description="watch the rig while it runs, and re-orient a bumped camera")
     lens_model: Literal["mosca", "opencv", "fisheye"] = Field(
         "mosca", description="lens model of the calibration"
     )

@@ -33,11 +33,10 @@ def ratios(case: str, runs: int) -> list[np.ndarray]:
         rng = np.random.default_rng([7, seed])
         rig = some_rig(rng, n=3, model="opencv")
         if case == "field":
-            marks, poses, facing = field_marks(rng, 40), still(12), None
+            marks, poses = field_marks(rng, 40), still(12)
         else:
-            marks, poses = board_marks(6, 4, 0.16), carried(rng, 24)
-            facing = np.tile([0.0, 0.0, -1.0], (len(marks), 1))
-        sightings = seen(rig, marks, poses, rng, noise=NOISE, shake=SHAKE, facing=facing)
+            marks, poses = board_marks(6, 4, 0.16), carried(rng, 16)
+        sightings = seen(rig, marks, poses, rng, noise=NOISE, shake=SHAKE)
         settings = RigidSettings(LensChoice("opencv"), FREE)
         # the lenses' start makes no difference to the optimum; the true one saves time
         done = calibrate_rigid(sightings, RigidTarget("target", marks), settings, known=rig)
@@ -128,9 +127,7 @@ def test_shakes_are_generalised_least_squares():
     image = np.repeat(1000 * see.camera + exposure, 2)
     axis = np.tile([0, 1], len(see))
     alike = (image[:, None] == image) & (axis[:, None] == axis)
-    # the noise is estimated on both sides: once from the residuals, once given
-    noise = NOISE * plain.sigma0 if plain.sigma0 < 0.1 else NOISE
-    v = noise**2 * np.eye(len(image)) + SHAKE**2 * alike
+    v = NOISE**2 * np.eye(len(image)) + SHAKE**2 * alike
     wanted = np.linalg.inv(design.T @ np.linalg.solve(v, design))[:16, :16]
     sigma = np.sqrt(np.diag(wanted))
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), sigma, rtol=0.06)
@@ -144,9 +141,9 @@ def test_shakes_are_generalised_least_squares():
         true, one = rig.cameras[c], done.cameras[c]
         shift = one.world_from_camera.translation - true.world_from_camera.translation
         wanted_c, sigma_c = step[8 * c : 8 * c + 8], sigma[8 * c : 8 * c + 8]
-        np.testing.assert_allclose(shift, wanted_c[3:6], atol=0.1 * sigma_c[3:6].max())
+        np.testing.assert_allclose(shift, wanted_c[3:6], atol=0.2 * sigma_c[3:6].max())
         focal = one.lens.fx_px - true.lens.fx_px
-        assert focal == pytest.approx(wanted_c[6], abs=0.1 * sigma_c[6])
+        assert focal == pytest.approx(wanted_c[6], abs=0.2 * sigma_c[6])
     # least squares alone goes elsewhere
     focal = plain.cameras[0].lens.fx_px - rig.cameras[0].lens.fx_px
     assert abs(focal - step[6]) > 0.1 * sigma[6]

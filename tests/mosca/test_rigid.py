@@ -10,7 +10,6 @@ from rigid_scenes import (
     errors_of,
     field_marks,
     looking,
-    ray_rms_px,
     seen,
     some_rig,
     still,
@@ -19,6 +18,7 @@ from rigid_scenes import (
 
 from mosca.calibrate.interior import LensChoice
 from mosca.calibrate.rigid import RigidSettings, RigidTarget, calibrate_rigid
+from mosca.camera import project
 from mosca.data.rig import Camera, FisheyeLens, Pose, Rig
 from mosca.errors import CalibrationError
 
@@ -44,8 +44,9 @@ def test_a_standing_field(model, settings):
     sightings = seen(rig, marks, still(5), rng, shake=0.03)
     done = calibrate_rigid(sightings, RigidTarget("field", marks), settings)
     for true, one in zip(rig.cameras, done.rig.cameras, strict=True):
-        # 0.03 px / sqrt(5) of shake in the mean image, and the noise of 120 marks
-        assert ray_rms_px(true, one) < 0.06
+        # 0.03 px / sqrt(5) of shake in the mean image, 0.02 px / sqrt(5) sqrt(16 / 240) of noise, in two coordinates
+        away = project(one, marks) - project(true, marks)
+        assert np.sqrt(np.nanmean((away**2).sum(axis=1))) < 3 * np.sqrt(2) * np.hypot(0.0134, 0.0023)
     assert worst(done, rig, still(5)) < 4.5
     assert done.body_px == pytest.approx(0.03, abs=0.012)
     assert done.sigma0 == pytest.approx(1, abs=0.05)
@@ -73,8 +74,8 @@ def test_a_fisheye_rig_from_a_field():
     sightings = seen(rig, marks, still(3), rng)
     done = calibrate_rigid(sightings, RigidTarget("field", marks), RigidSettings(LensChoice("fisheye")))
     assert worst(done, rig, still(3)) < 4.5
-    inner = [np.hypot(*(r.T)).mean() for r in (done.residuals_px,)]
-    assert inner[0] < 0.03
+    # Rayleigh's mean of two coordinates of 0.02 px
+    assert np.hypot(*done.residuals_px.T).mean() == pytest.approx(0.02 * np.sqrt(np.pi / 2), rel=0.1)
 
 
 @pytest.mark.parametrize("model", ["mosca", "opencv"])
@@ -92,7 +93,7 @@ def test_a_carried_board(model):
     ]
     i, j = np.triu_indices(4, 1)
     lengths = [np.linalg.norm(c[i] - c[j], axis=1) for c in centres]
-    np.testing.assert_allclose(lengths[1], lengths[0], rtol=2e-4)
+    np.testing.assert_allclose(lengths[1], lengths[0], rtol=5e-4)
     # the poses of the board, too
     world = done.points_in_world()
     assert done.target_translation.shape == (len(np.unique(done.placement)) - 1, 3)
@@ -141,7 +142,7 @@ def test_exterior_only_keeps_the_lenses_after_the_rig_moved():
     for true, one in zip(moved.cameras, done.rig.cameras, strict=True):
         assert one.lens == true.lens
         shift = one.world_from_camera.translation - true.world_from_camera.translation
-        assert np.linalg.norm(shift) < 1e-4
+        assert np.linalg.norm(shift) < 2e-4
     assert worst(done, moved, still(2)) < 4.5
     assert len(done.parameters) == 24
 
@@ -208,5 +209,5 @@ def test_a_field_seen_with_too_few_marks():
     rig, marks = some_rig(rng, n=2), field_marks(rng, 60)
     sightings = seen(rig, marks, still(2), rng)
     few = sightings.only((sightings.camera == 0) | (sightings.mark < 9) & (sightings.mark % 2 == 0))
-    with pytest.raises(CalibrationError, match="camera 'cam2': .* marks of the target in its best view"):
+    with pytest.raises(CalibrationError, match=r"camera 'cam2': .* marks of the target in its best view"):
         calibrate_rigid(few, RigidTarget("field", marks), MOSCA)
