@@ -59,7 +59,8 @@ class CalibrationSpec(Table):
     layout: Literal["tower", "corner", "plate"] = Field("tower", description="how they stand")
     relief: NotNegative = Field(0.0, le=1, description="depth of a plate's targets, share of its edge")
     size_m: tuple[Positive, Positive, Positive] | None = Field(
-        None, description="edges of the target's box; default: the working space's"
+        None,
+        description="edges of the field, or of the box that a target is carried in; default: the working space",
     )
     known_to: NotNegative = Field(
         1e-5, description="standard deviation of the marks' places or lengths, share of the longest edge"

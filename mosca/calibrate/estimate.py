@@ -9,6 +9,7 @@ from mosca.assemble import assemble
 from mosca.calibrate.axes import in_axes, world_from_l_frame
 from mosca.calibrate.interior import LensChoice, plain_lens
 from mosca.calibrate.judge import judge
+from mosca.calibrate.judge_settings import JudgeSettings
 from mosca.calibrate.judge_size import LengthErrors, length_errors
 from mosca.calibrate.read_board import BoardReader
 from mosca.calibrate.read_field import FieldReader
@@ -29,6 +30,8 @@ from mosca.data.wands import LFrame, Wand
 from mosca.detect import DetectionSettings, detect
 from mosca.errors import CalibrationError, InputError
 
+BALL_SIZE_ERROR = 0.25
+"""How far a ball's image may differ in size from what it is: retro-reflecting foil goes dark towards the rim."""
 SEED = 2005
 """Of the samples that find starting values; what is found does not depend on them where it is determined."""
 
@@ -115,6 +118,7 @@ def judged(
         lengths=lengths,
         volume=settings.volume,
         rigid_target=rigid,
+        settings=JudgeSettings(size_error=BALL_SIZE_ERROR) if isinstance(target, Wand) else None,
     )
     return replace(calibration, findings=(*calibration.findings, *found))
 

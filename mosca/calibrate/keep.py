@@ -40,7 +40,8 @@ class Incident:
         new = self.reorientation
         return (
             f"frame {self.at}: {self.alarm.message}; re-oriented at frame {self.mended_at} from "
-            f"{int(new.used.sum())} points: turned by {1e3 * new.turn_rad:.3f} mrad, moved by {1e3 * new.shift_m:.2f} mm"
+            f"{int(new.used.sum())} points: turned by "
+            f"{1e3 * new.turn_rad:.3f} mrad, moved by {1e3 * new.shift_m:.2f} mm"
         )
 
 

@@ -26,7 +26,7 @@ AXES_FRAMES, BAR_FRAMES = 40, 60
 BOARD_COLUMNS, BOARD_ROWS = 9, 6
 BOARD_SHARE, WAND_SHARE, BAR_SHARE = 0.35, 0.4, 0.3
 """Length of board, wand and bar over the working space's shortest edge."""
-SPEED_SHARE = 0.25
+SPEED_SHARE = 0.3
 """How fast a target is carried by hand: shares of the working space's longest edge a second."""
 
 
@@ -135,8 +135,8 @@ def _plate(size: Array, n: int, relief: float, draw: np.random.Generator) -> Lai
 
 
 def _board(spec: Scenario, wanted: CalibrationSpec) -> Session:
-    where = _where(spec, wanted.frames)
-    square = BOARD_SHARE * float(where["box_size_m"].min()) / BOARD_COLUMNS
+    where = _where(spec, wanted.frames) | _room(spec, wanted)
+    square = BOARD_SHARE * min(spec.working_space.size_m) / BOARD_COLUMNS
     board = Board(BOARD_COLUMNS, BOARD_ROWS, square, square)
     speed = SPEED_SHARE * float(where["box_size_m"].max())
     scene = build_board(
@@ -158,8 +158,8 @@ def _board(spec: Scenario, wanted: CalibrationSpec) -> Session:
 
 
 def _wand(spec: Scenario, wanted: CalibrationSpec) -> Session:
-    where = _where(spec, wanted.frames)
-    edge = float(where["box_size_m"].min())
+    where = _where(spec, wanted.frames) | _room(spec, wanted)
+    edge = min(spec.working_space.size_m)
     length = WAND_SHARE * edge
     wand = Wand((0.0, 0.35 * length, length), 0.02 * edge)
     speed = 2 * SPEED_SHARE * float(where["box_size_m"].max())
@@ -178,6 +178,11 @@ def _wand(spec: Scenario, wanted: CalibrationSpec) -> Session:
         factor = wanted.fault.factor
     along = tuple(x * factor for x in wand.along_m)
     return Session(scene, wanted.frames, Wand(along, wand.diameter_m, wanted.known_to * length))
+
+
+def _room(spec: Scenario, wanted: CalibrationSpec) -> dict[str, Any]:
+    """Return the box in which a target is carried about."""
+    return {"box_size_m": np.array(wanted.size_m or spec.working_space.size_m)}
 
 
 def _where(spec: Scenario, pulses: int) -> dict[str, Any]:
