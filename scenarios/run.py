@@ -125,6 +125,9 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
                 compile_side_by_side(source)
         with _timed(timings, "frames_to_tracks"):
             collected = _collect(source, believed, settings, spec, options, stack)
+        if own is not None:
+            for k, one in enumerate(f for f in own.calibration.findings if f.severity == "warn"):
+                collected.assembly.notes[f"calibration {k + 1}"] = f"{one.code}: {one.message}"
         truth = source.truth() if isinstance(source, TwinSource) else _truth_beside(options.source)
         if isinstance(source, TwinSource) and truth is not None and options.record_to is not None:
             write_truth(truth, options.record_to / "truth.npz")

@@ -24,7 +24,7 @@ from twin.streams import rng
 
 AXES_FRAMES, BAR_FRAMES = 40, 60
 BOARD_COLUMNS, BOARD_ROWS = 9, 6
-BOARD_SHARE, WAND_SHARE, BAR_SHARE = 0.35, 0.4, 0.3
+BOARD_SHARE, WAND_SHARE, BAR_SHARE = 0.5, 0.4, 0.3
 """Length of board, wand and bar over the working space's shortest edge."""
 SPEED_SHARE = 0.3
 """How fast a target is carried by hand: shares of the working space's longest edge a second."""
@@ -144,7 +144,7 @@ def _board(spec: Scenario, wanted: CalibrationSpec) -> Session:
         rng=rng(spec.seed, "calibration"),
         board=board,
         speed_mps=speed,
-        turn_rad_s=0.4,
+        turn_rad_s=0.9,
         facing=None,
         tilt_rad=np.deg2rad(34.0),
         floor=False,

@@ -1,0 +1,381 @@
+"""The verbs for rigs and targets as a lab user meets them: recordings in, rig files, pages and single lines out.
+
+The recordings are rendered by the twin with lenses that the pipeline's model can express, so that the rig the images
+were made with is what each verb has to find.
+"""
+
+import json
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mosca.calibrate.compare import compare_rigs
+from mosca.data.rig import OpenCVLens, Pose, Rig
+from mosca.data.rig_file import read_rig, write_rig
+from mosca.data.target_tables import field_toml
+from mosca.data.targets import CodedTarget, TestField
+from mosca.recording import RecordingWriter
+from scenarios.cameras import true_rig, virtual_cameras
+from scenarios.cli import main
+from scenarios.session.scenes import Session, axes_session, bar_session, target_session
+from scenarios.spec import Scenario
+from twin.cameras.camera import VirtualCamera
+from twin.source import TwinSource
+
+SIZE = (480, 360)
+FIELD = {"markers": 60, "stands": 4, "frames": 3, "size_m": (1.1, 1.1, 1.1), "shift": 0.3}
+WAND = {"target": "wand", "frames": 150, "size_m": (1.4, 1.4, 1.4)}
+
+
+def scenario(**calibration):
+    return Scenario.model_validate(
+        {
+            "title": "three small cameras",
+            "model_gap": "none",
+            "working_space": {"size_m": [1.0, 1.0, 1.0]},
+            "scene": {"kind": "cloud", "marker_diameter_m": 0.02},
+            "cameras": {
+                "count": 3,
+                "azimuth_deg": [0, 100, 220],
+                "radius_m": 2.0,
+                "height_m": [0.5, 0.9, 0.4],
+                "c_mm": 5.0,
+                "size_px": SIZE,
+            },
+            "calibration": calibration,
+            "limits": {"position_rms": 1.0},
+        }
+    )
+
+
+@dataclass(frozen=True)
+class Lab:
+    """A folder with recordings, target files and ``truth.toml``, the rig that made them."""
+
+    folder: Path
+    truth: Rig
+
+    def __truediv__(self, name):
+        return self.folder / name
+
+
+def recorded(folder: Path, spec: Scenario, session: Session, cameras: tuple[VirtualCamera, ...]) -> Session:
+    with (
+        TwinSource(
+            session.scene,
+            cameras,
+            frame_rate_hz=spec.calibration.rate_hz,
+            exposure_s=1e-3,
+            pulses=session.pulses,
+            seed=3,
+        ) as source,
+        RecordingWriter(folder, source.cameras) as writer,
+    ):
+        for frame in source:
+            writer.write(frame)
+    return session
+
+
+def ball_file(**tables) -> str:
+    lines = [f"{key} = {json.dumps(value)}" for key, value in tables.items() if key != "marker"]
+    for name, place in tables.get("marker", {}).items():
+        lines += ["[[marker]]", f'name = "{name}"', f"position_m = {json.dumps(place)}"]
+    return "\n".join(lines) + "\n"
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory):
+    """Return a folder with recordings of a field, the field again after the rig was moved, a wand, an L-frame, a bar."""
+    folder = tmp_path_factory.mktemp("lab")
+    spec = scenario(**FIELD)
+    truth = true_rig(spec, folder)
+    cameras = virtual_cameras(spec, truth)
+    field = recorded(folder / "field", spec, target_session(spec, spec.calibration), cameras).target
+    (folder / "field.toml").write_text(field_toml(field))
+    once = scenario(**{**FIELD, "stands": 1, "frames": 4})
+    moved = moved_rig(truth)
+    recorded(
+        folder / "moved",
+        once,
+        target_session(once, once.calibration),
+        tuple(replace(v, camera=c) for v, c in zip(cameras, moved.cameras, strict=True)),
+    )
+    waved = scenario(**WAND)
+    wand = recorded(folder / "wand", waved, target_session(waved, waved.calibration), cameras).target
+    (folder / "wand.toml").write_text(
+        ball_file(kind="wand", along_m=wand.along_m, diameter_m=wand.diameter_m, sigma_m=wand.sigma_m)
+    )
+    frame = recorded(folder / "axes", waved, replace(axes_session(waved), pulses=5), cameras).target
+    places = dict(zip(frame.names, frame.positions.tolist(), strict=True))
+    (folder / "l_frame.toml").write_text(
+        ball_file(kind="l_frame", diameter_m=frame.diameter_m, marker=places)
+    )
+    bar = recorded(folder / "bar", waved, replace(bar_session(waved), pulses=15), cameras).target
+    (folder / "bar.toml").write_text(
+        ball_file(
+            kind="scale_bar",
+            length_m=bar.length_m,
+            sigma_m=bar.sigma_m,
+            numbers=[0, 1],
+            dot_radius_m=bar.ends[0].dot_radius_m,
+        )
+    )
+    write_rig(truth, folder / "truth.toml")
+    write_rig(moved, folder / "moved_truth.toml")
+    return Lab(folder, truth)
+
+
+def moved_rig(rig: Rig) -> Rig:
+    """Return the rig carried elsewhere as a whole, and cam2 turned by 8 px against the others."""
+    motion = Pose(Rotation.from_rotvec([0.0, 0.02, 0.05]).as_matrix(), np.array([0.04, -0.03, 0.02]))
+    return Rig(
+        tuple(
+            replace(
+                turned(camera, 8.0) if camera.name == "cam2" else camera,
+                world_from_camera=motion
+                @ (turned(camera, 8.0) if camera.name == "cam2" else camera).world_from_camera,
+            )
+            for camera in rig.cameras
+        )
+    )
+
+
+def turned(camera, px):
+    """Return the camera turned about its y axis so that its image moves by ``px`` in the middle."""
+    turn = Rotation.from_rotvec([0.0, np.arctan(px * camera.lens.mx_mm_per_px / camera.lens.c_mm), 0.0])
+    pose = camera.world_from_camera
+    return replace(camera, world_from_camera=Pose(pose.rotation @ turn.as_matrix(), pose.translation))
+
+
+@pytest.fixture
+def mosca(monkeypatch, capsys):
+    """Return a function that runs the command line and returns exit code, output and error."""
+
+    def run(*args):
+        monkeypatch.setattr(sys, "argv", ["mosca", *map(str, args)])
+        code = 0
+        try:
+            main()
+        except SystemExit as done:
+            code = done.code
+        told = capsys.readouterr()
+        return code, told.out, told.err
+
+    return run
+
+
+@pytest.fixture
+def refused(mosca):
+    """Return a function that runs a command line that must fail, and returns its only line."""
+
+    def run(*args):
+        code, _, err = mosca(*args)
+        assert code == 2, err
+        (line,) = err.strip().splitlines()
+        assert line.startswith("mosca: ")
+        return line
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def field_rig(lab):
+    """Return the rig file that ``mosca calibrate`` makes of the field's recording, and what it says."""
+    from click.testing import CliRunner
+
+    from scenarios.cli import cli
+
+    out = lab / "rig.toml"
+    done = CliRunner().invoke(
+        cli,
+        [
+            "calibrate", str(lab / "field"), "--target", str(lab / "field.toml"), "--out", str(out),
+            "--pixel-pitch-mm", "0.0099",
+        ],
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    return out, done.output
+
+
+def rays_px(truth: Rig, found: Rig, align="none") -> list[float]:
+    return [one.rms_px for one in compare_rigs(truth, found, align=align).cameras]
+
+
+def test_a_field_gives_the_rig_that_made_its_images(lab, field_rig):
+    out, told = field_rig
+    found = read_rig(out)
+    # a camera's body shakes by 0.03 px at each of 12 exposures; unaligned: the field's axes are the world's
+    assert max(rays_px(lab.truth, found)) < 0.1
+    assert compare_rigs(lab.truth, found, align="none").rms_m < 2e-4
+    assert {c.lens.mx_mm_per_px for c in found.cameras} == {0.0099}
+    assert "scale from the test field's marks" in told
+    assert told.count("sigma_x") == 2 * len(found.cameras)
+    page = out.with_suffix(".html").read_text()
+    assert "cam3" in page
+    assert "<html" in page
+
+
+def test_the_comparison_names_the_camera_that_was_turned_by_a_pixel(lab, field_rig, mosca, tmp_path):
+    rig = read_rig(field_rig[0])
+    write_rig(
+        Rig(tuple(turned(c, 1.0) if c.name == "cam2" else c for c in rig.cameras)), tmp_path / "turned.toml"
+    )
+    code, out, _ = mosca("rig", "compare", field_rig[0], tmp_path / "turned.toml", "--align", "none")
+    assert code == 0
+    rms = {line.split()[0]: float(line.split()[1]) for line in out.splitlines() if line.startswith("cam")}
+    rms.pop("camera")
+    assert rms["cam1"] == rms["cam3"] == 0.0
+    assert rms["cam2"] == pytest.approx(1.0, abs=0.15)  # more towards the corners
+    # the same rig carried elsewhere differs in nothing that a rigid motion does not take off
+    motion = Pose(Rotation.from_rotvec([0.1, 0.2, -0.3]).as_matrix(), np.array([1.0, 0.5, -0.2]))
+    carried = Rig(
+        tuple(replace(c, world_from_camera=motion @ c.world_from_camera) for c in rig.cameras)
+    )
+    write_rig(carried, tmp_path / "carried.toml")
+    assert max(rays_px(rig, read_rig(tmp_path / "carried.toml"), "rigid")) < 1e-6
+
+
+def test_exterior_alone_after_the_rig_was_moved(lab, field_rig, mosca, tmp_path):
+    out = tmp_path / "new.toml"
+    code, told, err = mosca(
+        "calibrate", lab / "moved", "--target", lab / "field.toml", "--known", field_rig[0], "--exterior-only",
+        "--out", out,
+    )  # fmt: skip
+    assert code == 0, err
+    found, before = read_rig(out), read_rig(field_rig[0])
+    assert [c.lens for c in found.cameras] == [c.lens for c in before.cameras]
+    assert max(rays_px(read_rig(lab / "moved_truth.toml"), found)) < 0.15
+    assert min(rays_px(lab.truth, found)) > 5
+    # all cameras moved alike, cam2 was turned besides
+    warned = [line for line in told.splitlines() if line.startswith("WARNING rig-moved")]
+    assert len(warned) == 1
+    assert "'cam2'" in warned[0]
+
+
+def test_wand_and_l_frame(lab, mosca, tmp_path):
+    out = tmp_path / "rig.toml"
+    code, told, err = mosca(
+        "calibrate", lab / "wand", "--target", lab / "wand.toml", "--axes", lab / "axes", lab / "l_frame.toml",
+        "--lengths", lab / "bar", lab / "bar.toml", "--pixel-pitch-mm", 0.0099, "--out", out,
+    )  # fmt: skip
+    assert code == 0, err
+    assert "wand" in told
+    assert out.with_suffix(".html").exists()
+    found = compare_rigs(lab.truth, read_rig(out), ((-0.4, -0.4, -0.4), (0.4, 0.4, 0.4)), align="none")
+    assert found.rms_m < 1.5e-3, found.lines()
+
+
+def test_a_refused_calibration_has_a_page_and_no_rig(lab, refused, tmp_path):
+    field = read_field(lab / "field.toml")
+    out, target = tmp_path / "rig.toml", tmp_path / "mm.toml"
+    target.write_text(field_toml(scaled(field, 1000.0)))
+    line = refused("calibrate", lab / "field", "--target", target, "--out", out)
+    assert "mixed-units" in line
+    assert str(out.with_suffix(".html")) in line
+    assert not out.exists()
+    assert "mixed-units" in out.with_suffix(".html").read_text()
+
+
+def read_field(path: Path) -> TestField:
+    from mosca.data.target_file import read_target_file
+
+    field = read_target_file(path)
+    assert isinstance(field, TestField)
+    return field
+
+
+def scaled(field: TestField, factor: float) -> TestField:
+    return TestField(tuple(replace(one, position=factor * one.position) for one in field.targets), 0.0)
+
+
+def other_numbers(field: TestField) -> TestField:
+    """Return a field of numbers that the recorded one does not have."""
+    used = {one.target.number for one in field.targets}
+    free = [number for number in range(507) if number not in used]
+    return TestField(
+        tuple(
+            replace(one, name=f"other/{n}", target=CodedTarget.of_dot(n, one.target.dot_radius_m))
+            for n, one in zip(free, field.targets, strict=False)
+        )
+    )
+
+
+def test_bad_input_is_one_line(lab, refused, tmp_path):
+    out, target = tmp_path / "rig.toml", lab / "field.toml"
+
+    def line(*options, recording="field", target=target, out=out):
+        return refused("calibrate", lab / recording, "--target", target, "--out", out, *options)
+
+    assert "no such folder" in line(recording="fields")
+    assert "ends in .toml" in line(out=tmp_path / "rig.yaml")
+    assert "no folder" in line(out=tmp_path / "nowhere/rig.toml")
+    assert "'mosca', 'opencv', 'fisheye'" in line("--lens", "brown")
+    assert "no such file" in line(target=lab / "fields.toml")
+    assert "--known RIG.toml" in line("--exterior-only")
+    assert "LFrame is wanted" in line("--axes", lab / "axes", target)
+    assert "ScaleBar is wanted" in line("--lengths", lab / "bar", target)
+    small = Rig(tuple(replace(c, width=320, height=240) for c in lab.truth.cameras))
+    write_rig(small, tmp_path / "small.toml")
+    assert "320" in line("--known", tmp_path / "small.toml", "--exterior-only")
+    assert "cannot be read" in line(target=lab / "l_frame.toml")
+    (tmp_path / "odd.toml").write_text('kind = "sphere"\n')
+    assert "kind = 'sphere'" in line(target=tmp_path / "odd.toml")
+    assert "show nothing of the target" in line(recording="axes")
+    (tmp_path / "other.toml").write_text(field_toml(other_numbers(read_field(target))))
+    assert "show nothing of the target" in line("--every", 6, target=tmp_path / "other.toml")
+    assert "reference" in line("--reference", 99)
+    assert list(tmp_path.glob("rig.*")) == []
+
+
+def test_a_rig_is_described_camera_by_camera(lab, mosca, refused):
+    code, out, _ = mosca("rig", "check", lab / "truth.toml")
+    lines = out.splitlines()
+    assert code == 0
+    assert len(lines) == 3 + 3  # cameras and pairs
+    # a pinhole of 5 mm over 480 x 360 pixels of 9.9 um: 2 atan(479 * 0.0099 / 10) and 2 atan(359 * 0.0099 / 10)
+    assert "sees 51 x 39 deg" in lines[0]
+    assert "at (2.000, 0.000, 0.500) m" in lines[0]
+    assert "did you mean" in refused("rig", "check", lab / "truht.toml")
+
+
+@pytest.mark.parametrize(("name", "file"), [("aniposelib", "a.toml"), ("opencv", "a.yml"), ("mosca", "b.toml")])
+def test_a_rig_goes_to_another_program_and_back(lab, mosca, tmp_path, name, file):
+    lens = OpenCVLens(505.0, 506.0, 240.0, 178.0, -0.1, 0.02, 1e-4, -2e-4)
+    rig = Rig(tuple(replace(c, lens=lens) for c in lab.truth.cameras))
+    write_rig(rig, tmp_path / "rig.toml")
+    code, out, err = mosca("rig", "convert", tmp_path / "rig.toml", tmp_path / file, "--format", name)
+    assert code == 0, err
+    assert "3 cameras" in out
+    back = tmp_path / "back.toml"
+    code, _, err = mosca("rig", "convert", tmp_path / file, back, "--unit", "m", "--size-px", *SIZE)
+    assert code == 0, err
+    assert max(rays_px(rig, read_rig(back))) < 1e-4
+
+
+def test_a_target_is_printed(lab, mosca, refused, tmp_path):
+    small = TestField(read_field(lab / "field.toml").targets[:4])
+    (tmp_path / "few.toml").write_text(field_toml(small))
+    code, out, err = mosca("target", "sheet", tmp_path / "few.toml", "--out", tmp_path / "few.pdf")
+    assert code == 0, err
+    sheets = list(tmp_path.glob("few*.pdf"))
+    assert sheets
+    assert all(sheet.read_bytes().startswith(b"%PDF") for sheet in sheets)
+    assert len(out.strip().splitlines()) == len(sheets)
+    assert "measure its ruler" in out
+    (tmp_path / "points.toml").write_text(
+        'kind = "points"\nunit = "mm"\nsize_px = [640, 480]\n[[camera]]\nname = "a"\nfile = "a.txt"\n'
+    )
+    assert "nothing to print" in refused(
+        "target", "sheet", tmp_path / "points.toml", "--out", tmp_path / "p.pdf"
+    )
+
+
+def test_the_schema_of_target_files_knows_every_kind(mosca):
+    code, out, _ = mosca("schema", "target")
+    assert code == 0
+    kinds = json.loads(out)["discriminator"]["mapping"]
+    assert set(kinds) == {"points", "field", "board", "wand", "l_frame", "scale_bar"}
