@@ -16,6 +16,7 @@ from mosca.calibrate.read_field import FieldReader
 from mosca.calibrate.rigid import RigidSettings, RigidTarget, calibrate_rigid
 from mosca.calibrate.sessions import MarkReader, Progress, sight
 from mosca.calibrate.wand import calibrate_wand
+from mosca.calibrate.wand_order import ordered
 from mosca.calibrate.wand_read import read_wand
 from mosca.data.arrays import Array
 from mosca.data.boards import Board
@@ -136,6 +137,10 @@ def held_out_lengths(
 ) -> LengthErrors:
     """Return how a certified bar, which the source's frames show, comes out with a calibrated rig."""
     sightings = sight(source, reader_of(bar, settings.detection), settings.every)
+    rig = calibration if isinstance(calibration, Rig) else calibration.rig
+    lenses = [rig.camera(name).lens for name in sightings.cameras]
+    # which end of a bar of balls is which must be the same in all cameras
+    sightings = ordered(sightings, len(bar.ends), lenses, np.random.default_rng(SEED))
     return length_errors(calibration, sightings, bar.length_m, bar.sigma_m)
 
 

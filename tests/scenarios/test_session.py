@@ -1,4 +1,4 @@
-"""The calibration session of a scenario: what its target file says, what goes wrong in it, and what must be told of."""
+"""The calibration session of a scenario: its target file, what goes wrong in it, and what must be told of."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -98,9 +98,7 @@ def test_faults_of_boards_and_wands_files(tmp_path, fault, factor):
     for kind in ("board", "wand"):
         right, wrong = (
             target_session(one, one.calibration)
-            for one in (
-                spec(tmp_path, f'target = "{kind}"\n{more}') for more in ("", f"fault = {fault}")
-            )
+            for one in (spec(tmp_path, f'target = "{kind}"\n{more}') for more in ("", f"fault = {fault}"))
         )
         # the thing itself is the same, only its file is not
         at = [session.scene.sampler().at(0.3).marker_xyz for session in (right, wrong)]
