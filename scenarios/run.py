@@ -1,15 +1,12 @@
 """One scenario from scene to score: build, expose, run the pipeline, meet the truth, write the run folder."""
 
 import os
-import platform
 import shutil
-import subprocess
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +23,7 @@ from mosca.data.truth import Truth, read_truth, write_truth
 from mosca.errors import CalibrationError, InputError, PremiseError
 from mosca.formats.tracks_csv import write_tracks_csv
 from mosca.pipeline import PipelineSettings, Step, run
-from mosca.recording import RecordingWriter, open_recording
+from mosca.recording import RecordingWriter
 from mosca.track import Sample, table
 from reports.calibration_page import write_calibration_page
 from reports.evidence import CameraView, ErrorTable, Evidence, FrameCounts
@@ -36,8 +33,10 @@ from scenarios.build import build_scene, pipeline_settings
 from scenarios.cameras import Calibrated, calibrated, deliveries, surroundings, true_rig, virtual_cameras
 from scenarios.faults import with_fault
 from scenarios.interrupt import between_steps
+from scenarios.provenance import provenance
 from scenarios.score import Matched, Score, limits_met, metrics, pair
 from scenarios.session.estimated import Estimated, estimated
+from scenarios.sources import Chosen, Written, recorded
 from scenarios.spec import METRICS, Scenario
 from scenarios.warm import compile_side_by_side
 from twin.source import TwinSource
@@ -118,7 +117,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
                 surroundings=surroundings(spec),
             )
         else:
-            source = _recorded(options.source, rig)
+            source = recorded(options.source, rig)
         stack.enter_context(source)
         if isinstance(source, TwinSource):
             with _timed(timings, "compile"):
@@ -243,9 +242,9 @@ def _collect(
         )
     read: FrameSource = source
     if options.record_to is not None:
-        read = _Recorded(source, stack.enter_context(RecordingWriter(options.record_to, source.cameras)))
+        read = Written(source, stack.enter_context(RecordingWriter(options.record_to, source.cameras)))
     if any(info.name not in rig.names for info in read.cameras):
-        read = _Chosen(read, rig.names)
+        read = Chosen(read, rig.names)
     stop = stack.enter_context(between_steps())
     keeper = RigKeeper(rig) if spec.pipeline.watch else None
     for done, step in enumerate(run(read, rig, settings, assembly, keeper=keeper), start=1):
@@ -279,50 +278,6 @@ def _collect(
     return _Collected(table(samples), views, view_pulse, assembly, seconds)
 
 
-class _Recorded:
-    """A source whose frames are written down on their way through."""
-
-    def __init__(self, source: FrameSource, writer: RecordingWriter) -> None:
-        self._source, self._writer = source, writer
-        self.cameras = source.cameras
-
-    def __iter__(self) -> Iterator[Any]:
-        for frame in self._source:
-            self._writer.write(frame)
-            yield frame
-
-    def close(self) -> None:
-        self._source.close()
-
-    def __enter__(self) -> "_Recorded":
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
-
-class _Chosen:
-    """A source without the frames of cameras that the rig does not have: those that ride on the subject."""
-
-    def __init__(self, source: FrameSource, names: tuple[str, ...]) -> None:
-        self._source, self._names = source, frozenset(names)
-        self.cameras = tuple(info for info in source.cameras if info.name in self._names)
-
-    def __iter__(self) -> Iterator[Any]:
-        for frame in self._source:
-            if frame.camera in self._names:
-                yield frame
-
-    def close(self) -> None:
-        self._source.close()
-
-    def __enter__(self) -> "_Chosen":
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
-
 def _as_seen_by(truth: Truth, names: tuple[str, ...]) -> Truth:
     """Return the truth of the named cameras alone: what others see does not make a marker measurable."""
     if truth.cameras == names:
@@ -347,15 +302,6 @@ def _views(step: Step) -> tuple[CameraView, ...]:
         for name, frame in step.frame_set.frames.items()
         if frame.image is not None
     )
-
-
-def _recorded(source: str, rig: Rig) -> FrameSource:
-    kind, _, place = source.partition(":")
-    if kind == "hardware":
-        raise InputError(f"--source {source}: no camera driver is installed; use twin or recording:DIR")
-    if kind != "recording" or not place:
-        raise InputError(f"--source {source}: allowed are twin, recording:DIR and hardware:RIG.toml")
-    return open_recording(Path(place), rig)
 
 
 def _truth_beside(source: str) -> Truth | None:
@@ -499,30 +445,6 @@ def _with_truth(view: CameraView, truth: Truth, pulse: int) -> CameraView:
     c = truth.cameras.index(view.camera)
     xy: Array = truth.image_xy_px[pulse, :, c]
     return replace(view, true_xy_px=xy[np.isfinite(xy).all(axis=1) & (truth.visible[pulse, :, c] > 0)])
-
-
-def provenance() -> dict[str, Any]:
-    """Return what made a result: versions, platform, git commit."""
-    packages = ("mujoco", "numpy", "scipy", "numba", "opencv-python-headless")
-    return {
-        "versions": {"mosca": version("mosca-testbench"), "python": platform.python_version()}
-        | {name: version(name) for name in packages},
-        "platform": f"{platform.system()} {platform.machine()}",
-        "git": _git(),
-    }
-
-
-def _git() -> str:
-    """Return the commit of the checkout, with '+' where files differ from it; 'unknown' outside one."""
-    folder = Path(__file__).resolve().parent
-    try:
-        told = subprocess.run(
-            ["git", "describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*"],
-            cwd=folder, capture_output=True, text=True, timeout=10, check=True,
-        )  # fmt: skip
-    except (OSError, subprocess.SubprocessError):
-        return "unknown"
-    return told.stdout.strip()
 
 
 def _write_commands(commands: Any, path: Path) -> None:

@@ -66,6 +66,10 @@ def calibrate_frames(
     where the frames do not do.
     """
     settings = settings or EstimateSettings()
+    if isinstance(target, Wand) and settings.exterior_only:
+        raise InputError(
+            "a wand does not give exterior orientation alone; show the test field or the board again"
+        )
     return calibrate_sightings(
         sight(source, reader_of(target, settings.detection), settings.every, progress),
         target,
@@ -84,10 +88,6 @@ def calibrate_sightings(
         )
         return calibrate_rigid(sightings, rigid_target(target), rigid, known)
     if isinstance(target, Wand):
-        if settings.exterior_only:
-            raise InputError(
-                "a wand does not give exterior orientation alone; show the test field or the board again"
-            )
         lenses = [
             plain_lens(settings.lens.of(name), 1.0, (int(w), int(h)))
             for name, (w, h) in zip(sightings.cameras, sightings.sizes, strict=True)
@@ -159,7 +159,9 @@ def reader_of(target: CalibrationTarget, detection: DetectionSettings | None = N
         size = target.ends[0]
         width = size.diameter_m if isinstance(size, BallTarget) else 2 * size.radius_m
         return _WandReader(Wand(length, width), detection or DetectionSettings())
-    raise InputError(f"a {type(target).__name__} cannot be read mark by mark; see 'on_axes'")
+    raise InputError(
+        "an L-frame does not calibrate cameras; give a test field, a board or a wand, and the L-frame with --axes"
+    )
 
 
 class _WandReader:

@@ -32,7 +32,8 @@ def evidence_of(
     """Return the evidence for ``calibration``.
 
     ``volume`` (low, high) [m, world] of the accuracy map: default the box of the target's points (1 to 99 %);
-    ``detection_sigma_px``: error of an image coordinate when measuring, default the calibration's own. The
+    ``detection_sigma_px``: error of an image coordinate when measuring, default the calibration's own and
+    the shake of whole images. The
     other arguments as for ``judge``.
     """
     settings = settings or JudgeSettings()
@@ -72,7 +73,8 @@ def _accuracy(
         return None
     if sigma_px is None:
         known = calibration.sigma_px[np.isfinite(calibration.sigma_px).all(axis=1)]
-        sigma_px = float(np.sqrt(np.mean(known**2))) if len(known) else 0.1
+        # what is measured later shakes with the cameras' bodies, too
+        sigma_px = float(np.sqrt(np.mean(known**2) + calibration.body_px**2)) if len(known) else 0.1
     count = [max(LEAST_GRID, int(GRID * edge / extent.max()) // 2 * 2 + 1) for edge in extent]
     found = accuracy_map(calibration, low, high, (count[0], count[1], count[2]), sigma_px)
     return AccuracyGrid(

@@ -50,6 +50,8 @@ LEAST_SIGMA_PX = 0.003
 """No centre is better known than this: what shape and light of a mark leave after all corrections."""
 SEED = 2002
 ECCENTRICITY_ROUNDS = 2
+EXACTLY = 1e-6
+"""Share of its standard deviation by which no unknown moves any more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,8 +133,9 @@ def _adjusted(
         xy = sightings.xy_px - _eccentricity(result, sightings, placement, target)
         problem = replace(problem, observations=replace(problem.observations, xy_px=xy))
         result = solve(problem, rough, result)
-    # the shakes are told from what blunders do to whole images only where these are out
-    result = solve(problem, bundle, result)
+    # the shakes are told from what blunders do to whole images only where these are out; and what a descent that
+    # ended early has left of the images' residuals would be taken for shake
+    result = solve(problem, replace(bundle, tolerance=EXACTLY), result)
     shake = body_shake(problem, result, sightings.frame)
     steady = steadied(problem, result, sightings.frame, shake)
     problem = replace(problem, observations=replace(problem.observations, xy_px=steady))

@@ -183,7 +183,9 @@ class SteppedPath:
 
     def __call__(self, time_s: float) -> Array:
         """Return qpos (7,) at session time ``time_s``."""
-        return np.array(self.stands[min(max(int((time_s + self.lead_s) / self.hold_s), 0), len(self.stands) - 1)])
+        return np.array(
+            self.stands[min(max(int((time_s + self.lead_s) / self.hold_s), 0), len(self.stands) - 1)]
+        )
 
 
 def put_from_stand_to_stand(
