@@ -66,10 +66,7 @@ def calibrate_frames(
     where the frames do not do.
     """
     settings = settings or EstimateSettings()
-    if isinstance(target, Wand) and settings.exterior_only:
-        raise InputError(
-            "a wand does not give exterior orientation alone; show the test field or the board again"
-        )
+    _check(target, settings)
     return calibrate_sightings(
         sight(source, reader_of(target, settings.detection), settings.every, progress),
         target,
@@ -82,6 +79,7 @@ def calibrate_sightings(
     sightings: Sightings, target: CalibrationTarget, settings: EstimateSettings, known: Rig | None = None
 ) -> Calibration:
     """Calibrate from what was seen of ``target``; see ``calibrate_frames``."""
+    _check(target, settings)
     if isinstance(target, TestField | Board):
         rigid = RigidSettings(
             settings.lens, exterior_only=settings.exterior_only, reference=settings.reference
@@ -96,6 +94,13 @@ def calibrate_sightings(
     raise InputError(
         f"a {type(target).__name__} does not calibrate cameras; give a test field, a board or a wand"
     )
+
+
+def _check(target: CalibrationTarget, settings: EstimateSettings) -> None:
+    if isinstance(target, Wand) and settings.exterior_only:
+        raise InputError(
+            "a wand does not give exterior orientation alone; show the test field or the board again"
+        )
 
 
 def judged(

@@ -109,7 +109,7 @@ def test_what_does_not_calibrate_cameras_is_told():
             calibrate_sightings(given, target, LENS)
     with pytest.raises(InputError, match="a wand does not give exterior orientation alone"):
         calibrate_sightings(given, WAND, EstimateSettings(exterior_only=True), rig)
-    with pytest.raises(InputError, match="LFrame cannot be read"):
+    with pytest.raises(InputError, match="an L-frame does not calibrate cameras"):
         reader_of(FRAME)
     with pytest.raises(InputError, match="no coded targets"):
         reader_of(Field((PlacedTarget("a", RoundTarget(0.01), np.zeros(3), np.array([0.0, 0, 1])),)))
