@@ -20,7 +20,16 @@ ROOT = Path(__file__).resolve().parent
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Let ``--tier full`` collect the nightly scenarios too."""
-    parser.addoption("--tier", choices=["quick", "full"], default="quick", help="scenarios to collect")
+    parser.addoption("--tier", choices=["quick", "full"], default="quick", help="scenarios to collect; full: slow tests, too")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave what is marked slow to the night."""
+    if config.getoption("--tier") == "full":
+        return
+    for item in items:
+        if item.get_closest_marker("slow") is not None:
+            item.add_marker(pytest.mark.skip(reason="slow: pytest --tier full runs it"))
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> "ScenarioFile | None":

@@ -70,8 +70,8 @@ def calibrate(
     (focal lengths found, scale from its length; give --axes), or points that were measured in the images already.
 
     \b
-    Examples:  mosca calibrate lab/field --target field.toml --out rig.toml
-               mosca calibrate lab/moved --target field.toml --known rig.toml --exterior-only --out rig2.toml
+    Example:  mosca calibrate lab/field --target field.toml --out rig.toml
+              mosca calibrate lab/moved --target field.toml --known rig.toml --exterior-only --out rig2.toml
     """
     from mosca.calibrate.estimate import EstimateSettings
     from mosca.calibrate.interior import LensChoice

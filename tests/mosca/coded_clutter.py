@@ -7,7 +7,7 @@ import numpy as np
 from coded_views import View, paint
 from scipy import ndimage
 
-from mosca.data.target_codes import SECTORS, number_of
+from mosca.data.target_codes import SECTORS, number_of, ring_code
 
 SHAPE = (120, 160)
 FINE = 4
@@ -133,7 +133,11 @@ def sectors(rng: np.random.Generator) -> np.ndarray:
     fine = _canvas(rng)
     for _ in range(int(rng.integers(2, 7))):
         (x, y), radius, n = _place(rng), rng.uniform(8, 40), int(rng.integers(8, 33))
-        for k in np.flatnonzero(rng.integers(0, 2, n)):
+        bits = rng.integers(0, 2, n)
+        # one ring of 20 random sectors in a hundred is a number: about its dot that is a target, no clutter
+        while n == SECTORS and ring_code().find(tuple(bits[::-1].astype(bool).tolist())) is not None:
+            bits = rng.integers(0, 2, n)
+        for k in np.flatnonzero(bits):
             angle = np.linspace(k, k + 1, 9) * 2 * np.pi / n
             ring = np.concatenate([3 * np.exp(1j * angle), 2 * np.exp(1j * angle[::-1])]) * radius
             cv2.fillPoly(fine, [np.stack([x + ring.real, y + ring.imag], axis=1).astype(np.int32)], 220)

@@ -15,6 +15,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from mosca.calibrate.adjust import CameraAdjustment
+from mosca.calibrate.estimate import EstimateSettings
 from mosca.calibrate.points import calibrate_from_points
 from mosca.camera import project, rays
 from mosca.data.detections import Detections
@@ -25,8 +26,8 @@ from mosca.detect import DetectionSettings, detect
 from mosca.formats.tracks_csv import read_tracks_csv
 from mosca.pipeline import run
 from mosca.recording import open_recording
+from scenarios.calibrate import Request, calibrate
 from scenarios.reconstruct import (
-    calibrate_recording,
     reconstruct_recording,
     reconstruct_settings,
     reconstruct_spec,
@@ -237,7 +238,8 @@ def compare(folder: Path) -> Comparison:
         folder / "tracks.csv",
         EXAMPLES / "myptv_settings.toml",
     )
-    calibrate_recording(EXAMPLE, EXAMPLES / "myptv_target.toml", rig_file)
+    request = Request(EXAMPLE, EXAMPLES / "myptv_target.toml", rig_file)
+    calibrate(request, EstimateSettings(), lambda done, total: None)
     reconstruct_recording(EXAMPLE, rig_file, out, 50.0, settings_file, ())
     tracks, rig, spec = read_tracks_csv(out), read_rig(rig_file), reconstruct_spec(settings_file)
     # the same once more, to see which detections the points are made of

@@ -319,7 +319,7 @@ def test_bad_input_is_one_line(lab, refused, tmp_path):
     small = Rig(tuple(replace(c, width=320, height=240) for c in lab.truth.cameras))
     write_rig(small, tmp_path / "small.toml")
     assert "320" in line("--known", tmp_path / "small.toml", "--exterior-only")
-    assert "cannot be read" in line(target=lab / "l_frame.toml")
+    assert "does not calibrate cameras" in line(target=lab / "l_frame.toml")
     (tmp_path / "odd.toml").write_text('kind = "sphere"\n')
     assert "kind = 'sphere'" in line(target=tmp_path / "odd.toml")
     assert "show nothing of the target" in line(recording="axes")
