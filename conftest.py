@@ -20,7 +20,12 @@ ROOT = Path(__file__).resolve().parent
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Let ``--tier full`` collect the nightly scenarios too."""
-    parser.addoption("--tier", choices=["quick", "full"], default="quick", help="scenarios to collect; full: slow tests, too")
+    parser.addoption(
+        "--tier",
+        choices=["quick", "full"],
+        default="quick",
+        help="scenarios to collect (full: slow tests too)",
+    )
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
