@@ -73,7 +73,9 @@ class RigidTarget:
 class RigidSettings:
     """``lens``: model to estimate; ``free``: its parameters, None for all of the model's. ``exterior_only``: hold the
     lenses of the known rig. ``reference``: frame set in which the target is the world; None: where it first
-    stood. ``blunder_significance``: chance that a good image point is rejected.
+    stood. ``blunder_significance``: chance that a good image point is rejected. ``steady``: take shakes
+    of whole images for noise of the cameras' bodies; False where they are the target's motion between the
+    exposures of cameras that are not synchronised.
     """
 
     lens: LensChoice = field(default_factory=LensChoice)
@@ -81,6 +83,7 @@ class RigidSettings:
     exterior_only: bool = False
     reference: int | None = None
     blunder_significance: float | None = 0.01
+    steady: bool = True
 
 
 def calibrate_rigid(
@@ -136,7 +139,7 @@ def _adjusted(
     # the shakes are told from what blunders do to whole images only where these are out; and what a descent that
     # ended early has left of the images' residuals would be taken for shake
     result = solve(problem, replace(bundle, tolerance=EXACTLY), result)
-    shake = body_shake(problem, result, sightings.frame)
+    shake = body_shake(problem, result, sightings.frame) if settings.steady else 0.0
     steady = steadied(problem, result, sightings.frame, shake)
     problem = replace(problem, observations=replace(problem.observations, xy_px=steady))
     if target.sigma_m > 0:
