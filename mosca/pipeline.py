@@ -15,11 +15,11 @@ from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSet, FrameSource
 from mosca.data.rig import Rig
-from mosca.data.tracks import Points
+from mosca.data.tracks import Points, Samples
 from mosca.detect import DetectionSettings, detect
 from mosca.errors import InputError
 from mosca.match import MatchSettings, choose, hypotheses
-from mosca.track import Sample, Tracker, TrackSettings
+from mosca.track import Tracker, TrackSettings
 from mosca.triangulate import bundle_rays
 
 MOST_DETECTIONS = 5000
@@ -47,7 +47,7 @@ class Step:
     frame_set: FrameSet
     detections: Mapping[str, Detections]
     points: Points
-    samples: tuple[Sample, ...]
+    samples: Samples
     seconds: Mapping[str, float]
 
 
@@ -107,7 +107,7 @@ def run(
             keeper.attend(frame_set.pulse, detections, points)
             rig = keeper.rig
             clock.lap("keep")
-        yield Step(frame_set, detections, points, tuple(samples), clock.laps)
+        yield Step(frame_set, detections, points, samples, clock.laps)
 
 
 def learned_diameter(known_m: float, points: Points) -> float:

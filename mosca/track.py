@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from mosca.data.arrays import Array
-from mosca.data.tracks import Points, Tracks
+from mosca.data.tracks import Points, Samples
 from mosca.match import Predicted
 
 
@@ -36,19 +36,6 @@ class TrackSettings:
     coast_s: float = 0.25
 
 
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """One measured point of a track."""
-
-    frame: int
-    time_ns: int
-    track: int
-    xyz: Array
-    covariance: Array
-    n_cameras: int
-    residual_px: float
-
-
 @dataclass(eq=False)
 class _Target:
     """A filter's state: mean (6,) of position and velocity, covariance (6, 6), and its history so far."""
@@ -60,7 +47,7 @@ class _Target:
     seen_s: float
     confirmed: bool = False
     missed: int = 0
-    waiting: list[Sample] = field(default_factory=list)
+    waiting: list[tuple[object, ...]] = field(default_factory=list)
 
 
 class Tracker:
@@ -91,11 +78,11 @@ class Tracker:
             return Predicted.nothing()
         return Predicted(np.array([t.mean[:3] for t in firm]), np.array([t.covariance[:3, :3] for t in firm]))
 
-    def update(self, points: Points, frame: int, time_ns: int) -> list[Sample]:
+    def update(self, points: Points, frame: int, time_ns: int) -> Samples:
         """Give the points of the instant last predicted to the targets; return samples that are now certain."""
         pairs = self._assign(points)
         time_s = time_ns * 1e-9
-        certain: list[Sample] = []
+        certain: list[tuple[object, ...]] = []
         for row, target in pairs.items():
             _correct(target, points.xyz[row], points.covariance[row])
             certain += self._sighted(target, points, row, frame, time_ns)
@@ -106,7 +93,7 @@ class Tracker:
         for row in range(len(points)):
             if row not in pairs:
                 certain += self._sighted(self._begin(points, row), points, row, frame, time_ns)
-        return certain
+        return _columns(certain)
 
     def _assign(self, points: Points) -> dict[int, _Target]:
         """Return which point (row) goes to which target; confirmed targets choose first."""
@@ -133,7 +120,9 @@ class Tracker:
         self._targets.append(target)
         return target
 
-    def _sighted(self, target: _Target, points: Points, row: int, frame: int, time_ns: int) -> list[Sample]:
+    def _sighted(
+        self, target: _Target, points: Points, row: int, frame: int, time_ns: int
+    ) -> list[tuple[object, ...]]:
         """Note a sighting; return the samples that it makes certain."""
         target.seen_s = time_ns * 1e-9
         cameras = int(points.n_cameras[row])
@@ -141,52 +130,24 @@ class Tracker:
         if not target.confirmed and target.weight >= self.settings.confirm_weight - 1e-9:
             target.confirmed, target.identity = True, self._next_identity
             self._next_identity += 1
+        covariance, residual = points.covariance[row], float(points.residual_px[row])
         target.waiting.append(
-            Sample(
-                frame,
-                time_ns,
-                target.identity,
-                points.xyz[row],
-                points.covariance[row],
-                cameras,
-                float(points.residual_px[row]),
-            )
+            (frame, time_ns, target.identity, points.xyz[row], covariance, cameras, residual)
         )
         if not target.confirmed:
             return []
         certain, target.waiting = target.waiting, []
-        return [s if s.track == target.identity else _renamed(s, target.identity) for s in certain]
+        return [(*s[:2], target.identity, *s[3:]) for s in certain]
 
 
-def table(samples: list[Sample]) -> Tracks:
-    """Return samples as columns, sorted by frame and track, all ``measured``, without labels."""
+def _columns(samples: list[tuple[object, ...]]) -> Samples:
     if not samples:
-        return Tracks.none()
-    ordered = sorted(samples, key=lambda s: (s.frame, s.track))
-    n = len(ordered)
-    return Tracks(
-        frame=np.array([s.frame for s in ordered]),
-        time_ns=np.array([s.time_ns for s in ordered]),
-        track=np.array([s.track for s in ordered]),
-        label=np.full(n, ""),
-        xyz=np.array([s.xyz for s in ordered]),
-        covariance=np.array([s.covariance for s in ordered]),
-        n_cameras=np.array([s.n_cameras for s in ordered]),
-        residual_px=np.array([s.residual_px for s in ordered]),
-        status=np.full(n, "measured"),
-    )
-
-
-def _renamed(sample: Sample, identity: int) -> Sample:
-    return Sample(
-        sample.frame,
-        sample.time_ns,
-        identity,
-        sample.xyz,
-        sample.covariance,
-        sample.n_cameras,
-        sample.residual_px,
-    )
+        return Samples.none()
+    frame, time_ns, track, xyz, covariance, n_cameras, residual = zip(*samples, strict=True)
+    return Samples(
+        np.array(frame), np.array(time_ns), np.array(track), np.array(xyz), np.array(covariance),
+        np.array(n_cameras), np.array(residual), np.zeros(len(samples), np.int8),
+    )  # fmt: skip
 
 
 def _process_noise(step: float, acceleration: float) -> Array:

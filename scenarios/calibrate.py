@@ -7,27 +7,20 @@ from typing import TypeVar
 
 import numpy as np
 
-from mosca.calibrate.estimate import (
-    EstimateSettings,
-    calibrate_frames,
-    held_out_lengths,
-    judged,
-    on_axes,
-)
-from mosca.calibrate.judge_evidence import evidence_of
+from mosca.calibrate.estimate import EstimateSettings, Shown, calibrate_session
 from mosca.calibrate.points import calibrate_from_points, summary
 from mosca.camera import lens_directions
 from mosca.data.calibration import Calibration
 from mosca.data.rig import Rig
 from mosca.data.rig_file import read_rig, write_rig
 from mosca.data.target_file import PointsTarget, read_target_file
-from mosca.data.targets import ScaleBar, TestField
+from mosca.data.targets import ScaleBar
 from mosca.data.wands import LFrame
 from mosca.errors import CalibrationError, InputError
 from mosca.recording import open_recording
 from reports.calibration_page import write_calibration_page
 
-T = TypeVar("T")
+T = TypeVar("T", LFrame, ScaleBar)
 
 
 @dataclass(frozen=True)
@@ -61,23 +54,15 @@ def calibrate(
     known = None if request.known is None else read_rig(request.known)
     if settings.exterior_only and known is None:
         raise InputError("--exterior-only keeps the lenses of an earlier rig; give it with --known RIG.toml")
-    frame = None if request.axes is None else _described(request.axes[1], LFrame, "--axes")
-    bar = None if request.lengths is None else _described(request.lengths[1], ScaleBar, "--lengths")
-    with open_recording(request.recording, known, request.fps) as source:
-        start = known if settings.exterior_only else None
-        calibration = calibrate_frames(source, target, settings, start, lambda n: progress(n, None))
-    if frame is not None and request.axes is not None:
-        with open_recording(request.axes[0], calibration.rig, request.fps) as source:
-            calibration = on_axes(calibration, source, frame, settings)
-    lengths = None
-    if bar is not None and request.lengths is not None:
-        with open_recording(request.lengths[0], calibration.rig, request.fps) as source:
-            lengths = held_out_lengths(calibration, source, bar, settings)
-    calibration = judged(calibration, target, settings, known=known, lengths=lengths)
     page = out.with_suffix(".html")
-    made_from = f"{request.recording} with {request.target.name}"
-    evidence = evidence_of(
-        calibration, lengths=lengths, made_from=made_from, rigid_target=isinstance(target, TestField)
+    calibration, evidence = calibrate_session(
+        Shown(target, lambda rig: open_recording(request.recording, rig, request.fps)),
+        settings,
+        axes=_shown(request.axes, LFrame, "--axes", request.fps),
+        lengths=_shown(request.lengths, ScaleBar, "--lengths", request.fps),
+        known=known,
+        made_from=f"{request.recording} with {request.target.name}",
+        progress=lambda n: progress(n, None),
     )
     write_calibration_page(page, calibration, evidence)
     if calibration.refused:
@@ -154,8 +139,14 @@ def _from_points(request: Request, target: PointsTarget) -> list[str]:
     return [*summary(adjustments).splitlines(), f"{request.out} written"]
 
 
-def _described(path: Path, kind: type[T], option: str) -> T:
-    target = read_target_file(path)
+def _shown(
+    paths: tuple[Path, Path] | None, kind: type[T], option: str, fps: float | None
+) -> Shown[T] | None:
+    """Return the target file's ``kind`` of target with the recording that shows it; None where not given."""
+    if paths is None:
+        return None
+    recording, file = paths
+    target = read_target_file(file)
     if not isinstance(target, kind):
-        raise InputError(f"{option} {path}: describes a {type(target).__name__}; a {kind.__name__} is wanted")
-    return target
+        raise InputError(f"{option} {file}: describes a {type(target).__name__}; a {kind.__name__} is wanted")
+    return Shown(target, lambda rig: open_recording(recording, rig, fps))

@@ -12,12 +12,12 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Rig
 from mosca.data.rig_file import read_rig
 from mosca.data.toml import Table, check, read_toml
+from mosca.data.tracks import Samples, table
 from mosca.detect import mean_background, minimum_background
 from mosca.errors import InputError
 from mosca.formats.tracks_file import SUFFIXES, write_tracks
 from mosca.pipeline import PipelineSettings, run
 from mosca.recording import open_recording
-from mosca.track import Sample, table
 from scenarios.build import stage_settings
 from scenarios.cameras import overlap_of
 from scenarios.interrupt import between_steps
@@ -82,13 +82,13 @@ def reconstruct_recording(
     settings = reconstruct_settings(spec, settings_path)
     backgrounds = recorded_backgrounds(recording, rig, fps, spec.background)
     assembly = Assembly()
-    samples: list[Sample] = []
+    samples: list[Samples] = []
     counts = np.zeros(3)
     with open_recording(recording, rig, fps) as source, between_steps() as stop:
         rate = source.cameras[0].frame_rate_hz
         for step in run(source, rig, settings, assembly, backgrounds):
             stop()
-            samples += step.samples
+            samples.append(step.samples)
             counts += 1, sum(len(d) for d in step.detections.values()), len(step.points)
             if callable(progress):
                 progress(int(counts[0]), int(counts[0]))

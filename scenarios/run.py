@@ -18,13 +18,12 @@ from mosca.data.arrays import Array
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
 from mosca.data.rig_file import write_rig
-from mosca.data.tracks import Tracks, write_npz
+from mosca.data.tracks import Samples, Tracks, table, write_npz
 from mosca.data.truth import Truth, read_truth, write_truth
 from mosca.errors import CalibrationError, InputError, PremiseError
 from mosca.formats.tracks_csv import write_tracks_csv
 from mosca.pipeline import PipelineSettings, Step, run
 from mosca.recording import RecordingWriter
-from mosca.track import Sample, table
 from reports.calibration_page import write_calibration_page
 from reports.evidence import CameraView, ErrorTable, Evidence, FrameCounts
 from reports.page import write_page
@@ -227,7 +226,7 @@ def _collect(
 ) -> _Collected:
     """Run the pipeline to its end and keep what the record, the page and the viewer need."""
     assembly = Assembly()
-    samples: list[Sample] = []
+    samples: list[Samples] = []
     views: tuple[CameraView, ...] = ()
     view_pulse, pulses = -1, round(spec.capture.duration_s * spec.capture.frame_rate_hz)
     seconds: dict[str, float] = {}
@@ -249,7 +248,7 @@ def _collect(
     keeper = RigKeeper(rig) if spec.pipeline.watch else None
     for done, step in enumerate(run(read, rig, settings, assembly, keeper=keeper), start=1):
         stop()
-        samples += step.samples
+        samples.append(step.samples)
         for stage, value in step.seconds.items():
             seconds[stage] = seconds.get(stage, 0.0) + value
         latency.append(sum(step.seconds.values()))
@@ -257,10 +256,10 @@ def _collect(
             views, view_pulse = _views(step), step.frame_set.pulse
         if log is not None:
             images = {n: f.image for n, f in step.frame_set.frames.items() if f.image is not None}
-            tracked = [s for s in step.samples if s.frame == step.frame_set.pulse]
+            tracked = step.samples.select(step.samples.frame == step.frame_set.pulse)
             log.log_step(
                 step.frame_set.pulse, step.frame_set.time_ns, images, step.detections,
-                np.array([s.xyz for s in tracked]).reshape(-1, 3), np.array([s.track for s in tracked], dtype=int),
+                tracked.xyz, tracked.track,
             )  # fmt: skip
             if isinstance(source, TwinSource) and step.frame_set.pulse < len(source.truth_xyz):
                 log.log_truth(

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Self
 
-from mosca.data.frames import FrameSource
+from mosca.data.frames import Frame, FrameSource
 from mosca.data.rig import Rig
 from mosca.errors import InputError
 from mosca.recording import RecordingWriter, open_recording
@@ -20,47 +20,47 @@ def recorded(source: str, rig: Rig) -> FrameSource:
     return open_recording(Path(place), rig)
 
 
-class Written:
+class PassedOn:
+    """A source that passes another's frames on; closing it closes the other."""
+
+    def __init__(self, source: FrameSource) -> None:
+        self._source = source
+        self.cameras = source.cameras
+
+    def __iter__(self) -> Iterator[Frame]:
+        return iter(self._source)
+
+    def close(self) -> None:
+        """Close the source."""
+        self._source.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class Written(PassedOn):
     """A source whose frames are written down on their way through."""
 
     def __init__(self, source: FrameSource, writer: RecordingWriter) -> None:
-        self._source, self._writer = source, writer
-        self.cameras = source.cameras
+        super().__init__(source)
+        self._writer = writer
 
-    def __iter__(self) -> Iterator[Any]:
+    def __iter__(self) -> Iterator[Frame]:
         for frame in self._source:
             self._writer.write(frame)
             yield frame
 
-    def close(self) -> None:
-        """Close the source."""
-        self._source.close()
 
-    def __enter__(self) -> "Written":
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
-
-class Chosen:
+class Chosen(PassedOn):
     """A source without the frames of cameras that the rig does not have: those that ride on the subject."""
 
     def __init__(self, source: FrameSource, names: tuple[str, ...]) -> None:
-        self._source, self._names = source, frozenset(names)
+        super().__init__(source)
+        self._names = frozenset(names)
         self.cameras = tuple(info for info in source.cameras if info.name in self._names)
 
-    def __iter__(self) -> Iterator[Any]:
-        for frame in self._source:
-            if frame.camera in self._names:
-                yield frame
-
-    def close(self) -> None:
-        """Close the source."""
-        self._source.close()
-
-    def __enter__(self) -> "Chosen":
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
+    def __iter__(self) -> Iterator[Frame]:
+        return (frame for frame in self._source if frame.camera in self._names)

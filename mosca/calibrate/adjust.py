@@ -13,7 +13,16 @@ from mosca.calibrate.choice import choose_parameters, nested_parameters
 from mosca.calibrate.fit import Fit, fit_camera, residuals_of
 from mosca.calibrate.resection import Resection, aim, resect, resect_fisheye
 from mosca.data.arrays import Array, read_only
-from mosca.data.rig import LENS_MODELS, Camera, FisheyeLens, Lens, MoscaLens, OpenCVLens, Pose
+from mosca.data.rig import (
+    LENS_MODELS,
+    Camera,
+    FisheyeLens,
+    Lens,
+    MoscaLens,
+    OpenCVLens,
+    Pose,
+    principal_distances_px,
+)
 from mosca.errors import CalibrationError, InputError
 
 ROUNDS = 4
@@ -192,7 +201,7 @@ def _judged(
     residuals = everyone[used]
     share = redundancy / (2 * used.sum())
     sigma_px = np.sqrt(np.mean(residuals**2, axis=0) / share)
-    fx, fy = _principal_distances_px(fit.camera.lens)
+    fx, fy = principal_distances_px(fit.camera.lens)
     sigma_m = np.sqrt(np.mean((residuals * depth[:, None] / (fx, fy)) ** 2, axis=0) / share)
     assert fit.cofactors is not None
     return CameraAdjustment(
@@ -208,12 +217,6 @@ def _judged(
         float(sigma_m[1]),
         chosen,
     )
-
-
-def _principal_distances_px(lens: Lens) -> tuple[float, float]:
-    if isinstance(lens, MoscaLens):
-        return lens.c_mm / lens.mx_mm_per_px, lens.c_mm / lens.my_mm_per_px
-    return lens.fx_px, lens.fy_px
 
 
 def lens_values(lens: Lens) -> dict[str, float]:

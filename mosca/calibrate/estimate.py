@@ -1,7 +1,8 @@
 """Calibration from frames: the production entry point, whatever the target and wherever the frames come from."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Generic, TypeGuard, TypeVar
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from mosca.assemble import assemble
 from mosca.calibrate.axes import in_axes, world_from_l_frame
 from mosca.calibrate.interior import LensChoice, plain_lens
 from mosca.calibrate.judge import judge
+from mosca.calibrate.judge_evidence import evidence_of
 from mosca.calibrate.judge_settings import JudgeSettings
 from mosca.calibrate.judge_size import LengthErrors, length_errors
 from mosca.calibrate.read_board import BoardReader
@@ -21,6 +23,7 @@ from mosca.calibrate.wand_read import read_wand
 from mosca.data.arrays import Array
 from mosca.data.boards import Board
 from mosca.data.calibration import Calibration
+from mosca.data.calibration_evidence import CalibrationEvidence
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
@@ -36,6 +39,8 @@ BALL_SIZE_ERROR = 0.25
 SEED = 2005
 """Of the samples that find starting values; what is found does not depend on them where it is determined."""
 
+Target_co = TypeVar("Target_co", bound=CalibrationTarget, covariant=True)
+
 
 @dataclass(frozen=True)
 class EstimateSettings:
@@ -50,6 +55,52 @@ class EstimateSettings:
     reference: int | None = None
     detection: DetectionSettings = field(default_factory=DetectionSettings)
     volume: tuple[Sequence[float], Sequence[float]] | None = None
+
+
+@dataclass(frozen=True)
+class Shown(Generic[Target_co]):
+    """A target and what opens the frames that show it, given the rig that is known by then (None: none)."""
+
+    target: Target_co
+    opened: Callable[[Rig | None], FrameSource]
+
+
+def calibrate_session(
+    shown: Shown[CalibrationTarget],
+    settings: EstimateSettings,
+    *,
+    axes: Shown[LFrame] | None = None,
+    lengths: Shown[ScaleBar] | None = None,
+    known: Rig | None = None,
+    made_from: str = "",
+    progress: Progress | None = None,
+) -> tuple[Calibration, CalibrationEvidence]:
+    """Calibrate from frames of a target, move the rig onto an L-frame's axes, try it on a certified bar, and judge it.
+
+    ``axes``, ``lengths``: frames of L-frame and bar, where there are; ``known``: an earlier rig of these cameras, held
+    against the new one, whose lenses stay with ``settings.exterior_only``; ``made_from``: what the page says of it.
+    Returns the judged calibration and the evidence that its page shows. InputError or CalibrationError, in one line,
+    where the frames do not do.
+    """
+    with shown.opened(known) as source:
+        start = known if settings.exterior_only else None
+        calibration = calibrate_frames(source, shown.target, settings, start, progress)
+    if axes is not None:
+        with axes.opened(calibration.rig) as source:
+            calibration = on_axes(calibration, source, axes.target, settings)
+    errors = None
+    if lengths is not None:
+        with lengths.opened(calibration.rig) as source:
+            errors = held_out_lengths(calibration, source, lengths.target, settings)
+    calibration = judged(calibration, shown.target, settings, known=known, lengths=errors)
+    evidence = evidence_of(
+        calibration,
+        volume=settings.volume,
+        lengths=errors,
+        made_from=made_from,
+        rigid_target=is_rigid(shown.target),
+    )
+    return calibration, evidence
 
 
 def calibrate_frames(
@@ -80,7 +131,7 @@ def calibrate_sightings(
 ) -> Calibration:
     """Calibrate from what was seen of ``target``; see ``calibrate_frames``."""
     _check(target, settings)
-    if isinstance(target, TestField | Board):
+    if is_rigid(target):
         rigid = RigidSettings(
             settings.lens, exterior_only=settings.exterior_only, reference=settings.reference
         )
@@ -116,14 +167,13 @@ def judged(
     ``known``: an earlier calibration of the same cameras to hold it against; ``lengths``: held-out ones.
     """
     settings = settings or EstimateSettings()
-    rigid = isinstance(target, TestField | Board)
     found = judge(
         calibration,
         known=known,
         target_diameters_m=_diameters_m(calibration, target),
         lengths=lengths,
         volume=settings.volume,
-        rigid_target=rigid,
+        rigid_target=is_rigid(target),
         settings=JudgeSettings(size_error=BALL_SIZE_ERROR) if isinstance(target, Wand) else None,
     )
     return replace(calibration, findings=(*calibration.findings, *found))
@@ -134,7 +184,7 @@ def on_axes(
 ) -> Calibration:
     """Return the calibration in the axes of an L-frame, which the source's frames show standing still."""
     axes = world_from_l_frame(calibration.rig, _mean_detections(source, settings), frame)
-    return replace(in_axes(calibration, axes), findings=(*calibration.findings, *axes.findings))
+    return in_axes(calibration, axes)
 
 
 def held_out_lengths(
@@ -182,6 +232,11 @@ class _WandReader:
             return found
         none = np.zeros(0)
         return Part(0, 0, none.astype(np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)), none)
+
+
+def is_rigid(target: CalibrationTarget) -> TypeGuard[TestField | Board]:
+    """Tell whether a target joins all its marks by itself: their places on it are known beforehand."""
+    return isinstance(target, TestField | Board)
 
 
 def rigid_target(target: TestField | Board) -> RigidTarget:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from mosca.camera import project_with_jacobians
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration
-from mosca.data.rig import Camera, Lens, MoscaLens, Pose, Rig
+from mosca.data.rig import Camera, Lens, MoscaLens, Pose, Rig, principal_distances_px
 
 POSE_NAMES = ("turn_x_rad", "turn_y_rad", "turn_z_rad", "X_m", "Y_m", "Z_m")
 BOTH_FOCAL = "f_px"
@@ -57,19 +57,8 @@ def sensitivity(rig: Rig, camera: int, parameters: Sequence[str], points: Array)
 
 def aspect(lens: Lens) -> float:
     """Return the principal distance in pixel heights over that in pixel widths: 1 for square pixels."""
-    if isinstance(lens, MoscaLens):
-        return lens.mx_mm_per_px / lens.my_mm_per_px
-    return lens.fy_px / lens.fx_px
-
-
-def principal_distance_px(lens: Lens) -> float:
-    """Return the principal distance in pixel widths."""
-    return lens.c_mm / lens.mx_mm_per_px if isinstance(lens, MoscaLens) else lens.fx_px
-
-
-def principal_point_px(lens: Lens) -> tuple[float, float]:
-    """Return the principal point (x, y) [px]."""
-    return (lens.xp_px, lens.yp_px) if isinstance(lens, MoscaLens) else (lens.cx_px, lens.cy_px)
+    fx, fy = principal_distances_px(lens)
+    return fy / fx
 
 
 def lens_owner(rig: Rig, camera: int, parameters: Sequence[str]) -> str:

@@ -12,7 +12,7 @@ from mosca.calibrate.self_network import residuals
 from mosca.calibrate.self_tracks import Tracks
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
-from mosca.data.rig import Camera, MoscaLens, Rig
+from mosca.data.rig import Camera, Rig, principal_distances_px, principal_point_px
 from mosca.data.sightings import Sightings
 from mosca.errors import CalibrationError
 
@@ -174,11 +174,7 @@ def calibration_of(
 
 def _interior(camera: Camera) -> tuple[float, float]:
     """Return focal length and distance of the principal point from the image's middle, in image widths."""
-    lens = camera.lens
-    if isinstance(lens, MoscaLens):
-        focal, x, y = lens.c_mm / lens.mx_mm_per_px, lens.xp_px, lens.yp_px
-    else:
-        focal, x, y = lens.fx_px, lens.cx_px, lens.cy_px
+    focal, (x, y) = principal_distances_px(camera.lens)[0], principal_point_px(camera.lens)
     off = float(np.hypot(x - (camera.width - 1) / 2, y - (camera.height - 1) / 2))
     return focal / camera.width, off / camera.width
 

@@ -1,10 +1,18 @@
 """Detections: where a frame shows targets, with the error that each place has."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from mosca.data.arrays import Array, read_only
+
+SATURATED, MERGED, PARTIAL, UNREFINED = 1, 2, 4, 8
+"""Bits of ``Detections.flags``: some of its pixels are saturated; two targets grown together; a target that
+something hides in part; a place without sub-pixel refinement (its covariance says so)."""
+
+
+def _no_flags() -> Array:
+    return np.empty(0, np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -13,7 +21,8 @@ class Detections:
 
     ``xy_px`` (n, 2) sub-pixel centroids; ``covariance_px2`` (n, 2, 2) of their random error;
     ``diameter_px`` (n,) equivalent diameter of the region; ``peak`` (n,) largest grey value [DN];
-    ``elongation`` (n,) longer over shorter side of the region's box (1 for a disc).
+    ``elongation`` (n,) longer over shorter side of the region's box (1 for a disc); ``flags`` (n,) uint8, bits
+    as above, 0 where nothing is odd (the default for all).
     """
 
     camera: str
@@ -22,6 +31,7 @@ class Detections:
     diameter_px: Array
     peak: Array
     elongation: Array
+    flags: Array = field(default_factory=_no_flags)
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.xy_px))
@@ -33,6 +43,8 @@ class Detections:
             ("elongation", (n,)),
         ):
             object.__setattr__(self, name, read_only(getattr(self, name), shape, name))
+        flags = self.flags if len(self.flags) else np.zeros(n, np.uint8)
+        object.__setattr__(self, "flags", read_only(flags, (n,), "flags", np.uint8))
 
     def __len__(self) -> int:
         return len(self.xy_px)

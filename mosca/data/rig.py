@@ -122,6 +122,18 @@ LENS_MODELS: dict[str, type[MoscaLens] | type[OpenCVLens] | type[FisheyeLens]] =
 }
 
 
+def principal_distances_px(lens: Lens) -> tuple[float, float]:
+    """Return the principal distance in pixel widths and in pixel heights: fx, fy."""
+    if isinstance(lens, MoscaLens):
+        return lens.c_mm / lens.mx_mm_per_px, lens.c_mm / lens.my_mm_per_px
+    return lens.fx_px, lens.fy_px
+
+
+def principal_point_px(lens: Lens) -> tuple[float, float]:
+    """Return the principal point (x, y) [px]."""
+    return (lens.xp_px, lens.yp_px) if isinstance(lens, MoscaLens) else (lens.cx_px, lens.cy_px)
+
+
 @dataclass(frozen=True, eq=False)
 class Camera:
     """A calibrated camera: size in px, interior orientation (lens) and exterior orientation (pose)."""

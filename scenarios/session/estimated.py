@@ -5,21 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.calibrate.estimate import (
-    EstimateSettings,
-    calibrate_frames,
-    held_out_lengths,
-    judged,
-    on_axes,
-)
+from mosca.calibrate.estimate import EstimateSettings, Shown, Target_co, calibrate_session
 from mosca.calibrate.interior import LensChoice
-from mosca.calibrate.judge_evidence import evidence_of
 from mosca.camera import image_grid, rays
 from mosca.data.arrays import Array
-from mosca.data.boards import Board
 from mosca.data.calibration import Calibration
 from mosca.data.calibration_evidence import CalibrationEvidence
 from mosca.data.rig import Rig
+from mosca.data.target_tables import CalibrationTarget
 from mosca.triangulate import triangulate
 from scenarios.score import Score
 from scenarios.session.faults import swapped, turned
@@ -91,27 +84,22 @@ def estimated(
     )
     held = wanted.earlier or wanted.exterior_only
     known = earlier if held or isinstance(fault, SwappedSessionFault | MovedCameraFault) else None
-    session = target_session(spec, wanted)
-    with _source(spec, session, fixed, workers, 0) as source:
-        read = swapped(source, fault.cameras) if isinstance(fault, SwappedSessionFault) else source
-        start = known if wanted.exterior_only else None
-        calibration = calibrate_frames(read, session.target, settings, start, progress)
-    if wanted.target != "field":
-        axes = axes_session(spec)
-        with _source(spec, axes, fixed, workers, 1) as source:
-            calibration = on_axes(calibration, source, axes.target, settings)  # type: ignore[arg-type]
-    lengths = None
-    if wanted.lengths:
-        bar = bar_session(spec)
-        with _source(spec, bar, fixed, workers, 2) as source:
-            lengths = held_out_lengths(calibration, source, bar.target, settings)  # type: ignore[arg-type]
-    calibration = judged(calibration, session.target, settings, known=known, lengths=lengths)
-    evidence = evidence_of(
-        calibration,
-        volume=settings.volume,
-        lengths=lengths,
+
+    def shown(session: Session[Target_co], number: int) -> Shown[Target_co]:
+        return Shown(session.target, lambda _: _source(spec, session, fixed, workers, number))
+
+    field = shown(target_session(spec, wanted), 0)
+    main = field
+    if isinstance(fault, SwappedSessionFault):
+        main = Shown(field.target, lambda rig: swapped(field.opened(rig), fault.cameras))
+    calibration, evidence = calibrate_session(
+        main,
+        settings,
+        axes=shown(axes_session(spec), 1) if wanted.target != "field" else None,
+        lengths=shown(bar_session(spec), 2) if wanted.lengths else None,
+        known=known,
         made_from=f"rendered images of a {wanted.target}, seed {spec.seed}",
-        rigid_target=not isinstance(session.target, Board) and wanted.target == "field",
+        progress=progress,
     )
     ray_px, volume_m = against_truth(calibration.rig, fixed, center, size)
     return Estimated(calibration, evidence, ray_px, volume_m)
@@ -154,7 +142,7 @@ def _ray_errors(rig: Rig, virtual: VirtualCamera, center: Array) -> Array:
 
 
 def _source(
-    spec: Scenario, session: Session, cameras: tuple[VirtualCamera, ...], workers: int, number: int
+    spec: Scenario, session: Session[CalibrationTarget], cameras: tuple[VirtualCamera, ...], workers: int, number: int
 ) -> TwinSource:
     assert spec.calibration is not None
     return TwinSource(

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mosca.data.frames import CameraInfo, Frame, FrameSource
-from mosca.data.rig import MoscaLens, Pose
+from mosca.data.frames import Frame, FrameSource
+from mosca.data.rig import Pose, principal_distances_px
 from mosca.errors import InputError
+from scenarios.sources import PassedOn
 from twin.cameras.camera import VirtualCamera
 
 
@@ -22,36 +23,25 @@ def turned(cameras: tuple[VirtualCamera, ...], name: str, turn_px: float) -> tup
 
 def _turned(virtual: VirtualCamera, turn_px: float) -> VirtualCamera:
     camera = virtual.camera
-    lens, pose = camera.lens, camera.world_from_camera
-    f_px = lens.c_mm / lens.mx_mm_per_px if isinstance(lens, MoscaLens) else lens.fx_px
+    pose, f_px = camera.world_from_camera, principal_distances_px(camera.lens)[0]
     turn = Rotation.from_rotvec([0.0, np.arctan(turn_px / f_px), 0.0]).as_matrix()
     moved = Pose(pose.rotation @ turn, pose.translation)
     return replace(virtual, camera=replace(camera, world_from_camera=moved))
 
 
-class _Swapped:
+class _Swapped(PassedOn):
     """A source in which two cameras have each other's names."""
 
     def __init__(self, source: FrameSource, names: tuple[str, str]) -> None:
-        self._source = source
+        super().__init__(source)
         self._name = {names[0]: names[1], names[1]: names[0]}
-        self.cameras = tuple(self._info(info) for info in source.cameras)
+        self.cameras = tuple(replace(info, name=self._new(info.name)) for info in source.cameras)
 
-    def _info(self, info: CameraInfo) -> CameraInfo:
-        return replace(info, name=self._name.get(info.name, info.name))
+    def _new(self, name: str) -> str:
+        return self._name.get(name, name)
 
     def __iter__(self) -> Iterator[Frame]:
-        for frame in self._source:
-            yield replace(frame, camera=self._name.get(frame.camera, frame.camera))
-
-    def close(self) -> None:
-        self._source.close()
-
-    def __enter__(self) -> "_Swapped":
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
+        return (replace(frame, camera=self._new(frame.camera)) for frame in self._source)
 
 
 def swapped(source: FrameSource, names: tuple[str, str]) -> FrameSource:

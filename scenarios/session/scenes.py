@@ -1,9 +1,11 @@
 """What a calibration session shows the cameras, and the file that is believed to describe it."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Generic
 
 import numpy as np
+
+from mosca.calibrate.estimate import Target_co
 
 from mosca.data.arrays import Array
 from mosca.data.boards import Board
@@ -31,22 +33,22 @@ SPEED_SHARE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Session:
+class Session(Generic[Target_co]):
     """A scene, its number of exposures, and the target as its file describes it: with the file's errors."""
 
     scene: Scene
     pulses: int
-    target: CalibrationTarget
+    target: Target_co
 
 
-def target_session(spec: Scenario, wanted: CalibrationSpec) -> Session:
+def target_session(spec: Scenario, wanted: CalibrationSpec) -> Session[CalibrationTarget]:
     """Return the session of the calibration target."""
     if wanted.target == "field":
         return _field(spec, wanted)
     return _board(spec, wanted) if wanted.target == "board" else _wand(spec, wanted)
 
 
-def axes_session(spec: Scenario) -> Session:
+def axes_session(spec: Scenario) -> Session[LFrame]:
     """Return the L-frame that says where the world's axes are, at the bottom of the working space."""
     where = _where(spec, AXES_FRAMES)
     box = Box(where["box_center_m"], where["box_size_m"])
@@ -56,7 +58,7 @@ def axes_session(spec: Scenario) -> Session:
     return Session(scene, AXES_FRAMES, LFrame(frame.names, places, frame.diameter_m))
 
 
-def bar_session(spec: Scenario) -> Session:
+def bar_session(spec: Scenario) -> Session[ScaleBar]:
     """Return a certified scale bar, carried about."""
     where = _where(spec, BAR_FRAMES)
     length = BAR_SHARE * float(where["box_size_m"].min())
@@ -68,7 +70,7 @@ def bar_session(spec: Scenario) -> Session:
     return Session(scene, BAR_FRAMES, bar)
 
 
-def _field(spec: Scenario, wanted: CalibrationSpec) -> Session:
+def _field(spec: Scenario, wanted: CalibrationSpec) -> Session[TestField]:
     draw = rng(spec.seed, "calibration")
     size = np.array(wanted.size_m or spec.working_space.size_m)
     center = np.array(spec.working_space.center_m)
@@ -134,7 +136,7 @@ def _plate(size: Array, n: int, relief: float, draw: np.random.Generator) -> Lai
     return LaidOutField(TestField(tuple(targets)), ())
 
 
-def _board(spec: Scenario, wanted: CalibrationSpec) -> Session:
+def _board(spec: Scenario, wanted: CalibrationSpec) -> Session[Board]:
     where = _where(spec, wanted.frames) | _room(spec, wanted)
     square = BOARD_SHARE * min(spec.working_space.size_m) / BOARD_COLUMNS
     board = Board(BOARD_COLUMNS, BOARD_ROWS, square, square)
@@ -157,7 +159,7 @@ def _board(spec: Scenario, wanted: CalibrationSpec) -> Session:
     return Session(scene, wanted.frames, said)
 
 
-def _wand(spec: Scenario, wanted: CalibrationSpec) -> Session:
+def _wand(spec: Scenario, wanted: CalibrationSpec) -> Session[Wand]:
     where = _where(spec, wanted.frames) | _room(spec, wanted)
     edge = min(spec.working_space.size_m)
     length = WAND_SHARE * edge

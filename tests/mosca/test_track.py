@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mosca.data.tracks import Points
-from mosca.track import Tracker, TrackSettings, table
+from mosca.data.tracks import Points, table
+from mosca.track import Tracker, TrackSettings
 
 STEP_NS = 10_000_000
 
@@ -28,7 +28,7 @@ def follow(frames, settings=None):
     tracker, samples = Tracker(settings or TrackSettings()), []
     for k, p in enumerate(frames):
         tracker.predict(k * STEP_NS * 1e-9)
-        samples += tracker.update(p, k, k * STEP_NS)
+        samples.append(tracker.update(p, k, k * STEP_NS))
     return table(samples)
 
 
