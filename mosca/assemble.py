@@ -67,13 +67,15 @@ class CameraCount:
 class Assembly:
     """Running counts of an assembly; the one mutable value here, to be read at any time.
 
-    ``notes`` keeps the first occurrence of each kind of trouble in words.
+    ``skipped_sets``: whole sets that a live run left out because it was behind (``mosca.live``). ``notes`` keeps
+    the first occurrence of each kind of trouble in words.
     """
 
     frames: int = 0
     sets: int = 0
     complete_sets: int = 0
     empty_sets: int = 0
+    skipped_sets: int = 0
     cameras: dict[str, CameraCount] = field(default_factory=dict)
     notes: dict[str, str] = field(default_factory=dict)
 

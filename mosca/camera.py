@@ -65,7 +65,7 @@ def project_with_jacobians(camera: Camera, points: Array) -> Projection:
     xy, by_direction, by_lens = _MODELS[camera.lens.model].pixels(camera.lens, v)
     by_point = by_direction @ world_from_camera.rotation.T
     # v' = exp(-[w]x) v: dv/dw = [v]x
-    by_rotation = by_direction @ _cross_matrices(v)
+    by_rotation = by_direction @ cross_matrices(v)
     return Projection(xy, by_point, np.concatenate([by_rotation, -by_point], axis=2), by_lens)
 
 
@@ -187,7 +187,8 @@ def _plain_lens(model: str, xy: Array, v: Array, pitch_from: Lens | None) -> Len
     return FisheyeLens(fx, fy, cx, cy)
 
 
-def _cross_matrices(v: Array) -> Array:
+def cross_matrices(v: Array) -> Array:
+    """Return the matrices (n, 3, 3) [v]x of vectors (n, 3): [v]x w = v x w."""
     matrices = np.zeros((len(v), 3, 3))
     matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
     matrices[:, 1, 0], matrices[:, 2, 0], matrices[:, 2, 1] = v[:, 2], -v[:, 1], v[:, 0]

@@ -1,285 +1,337 @@
 """The search for groups of rays that meet: compiled kernels of ``mosca.match``.
 
-For every pair of rays on each other's epipolar lines: intersect, judge the images by their sizes, add the nearest
-rays of the other cameras, leave out a bad one. Rays are whitened (``mosca.triangulate.Bundle``), so that errors
-are counted in standard deviations.
+For every pair of rays in one epipolar plane: intersect, judge the images by their sizes, add the nearest rays of the
+other cameras, leave out a bad one. Rays are whitened (``mosca.triangulate.Bundle``), so that errors are counted in
+standard deviations. A group of so many rays that chance does not explain it explains its rays, and no further
+group is looked for with them; so the work grows with the rays and not with their pairs. A second pass looks, for the
+rays left over, as far as half-hidden targets may lie beside their epipolar lines.
 """
 
 import numpy as np
 from numba import njit
 
-from mosca.triangulate import solve_point
+from mosca.match_groups import (
+    MOST_ODD,
+    ODD_SHIFT,
+    VALUES,
+    acceptable,
+    image_size,
+    judge_sizes,
+    limit,
+    scratch,
+    solve,
+    store,
+    too_large,
+    trust_of,
+)
+from mosca.match_index import buckets, cell_of, cells, plane_angles, within
 
-MOST_ODD = 0.7
-"""Areas are compared up to this difference; beyond it an image says little more."""
-ODD_SHIFT = 1.15
-"""Shift of an image's centroid over (missing share of its area x radius). A disc with the share h hidden shifts by
-0.85 h R to h R; small blurred images lose contrast with their area, so that only 3/4 of h is seen missing."""
-SIZE_DEADBAND = 0.1
-"""Differences of area below this are noise of the measured sizes."""
-HALF_HIDDEN = 0.47
-"""Missing share that more than half a disc leaves; two cameras do not make a point with such an image."""
+CERTAIN = 1e-3
+"""Expected number of chance groups as good as this one, below which a group explains its rays."""
+EDGE_ON = 0.5
+"""Uncertainty of an epipolar plane's angle [rad] beyond which the ray is near the base and meets every plane."""
 
 
-@njit(nogil=True, cache=True)
-def search(  # type: ignore[no-untyped-def]
-    origin, start, direction, white, spread, sigma, radius, angle, gate, outlier, low, high, typical, judge
-):
-    """All pairs of cameras, all pairs of rays on each other's epipolar lines, widened to the other cameras."""
-    if not judge:
-        # a hidden part shifts a point's centroid by nothing: every ray counts in full
-        radius = np.zeros_like(radius)
-    cameras, total = origin.shape[0], direction.shape[0]
-    # a ray's direction error, one standard deviation, if its target were mostly hidden
-    reach, slack = np.empty(total), np.empty(total)
-    for i in range(total):
-        slack[i] = 1.0 + 0.5 * (ODD_SHIFT * MOST_ODD * radius[i] / sigma[i]) ** 2
-        s = 0.0
-        for a in range(3):
-            s += spread[i, a, 0] ** 2 + spread[i, a, 1] ** 2
-        reach[i] = s * slack[i]
-    room = 64
-    xyz, covariance = np.empty((room, 3)), np.empty((room, 3, 3))
-    chi2, groups, diameters = np.empty(room), np.empty((room, cameras), dtype=np.int64), np.empty(room)
+@njit(nogil=True, cache=True, error_model="numpy")
+def search(rays, views, rules):  # type: ignore[no-untyped-def]
+    """Return all groups: values (n, VALUES), members (n, c) ray of each camera or -1, trusts (n, c)."""
+    cameras, total = views.origin.shape[0], rays.direction.shape[0]
+    room, count = max(64, 2 * total // max(cameras, 1)), 0
+    values, members = np.empty((room, VALUES)), np.empty((room, cameras), dtype=np.int64)
     trusts = np.empty((room, cameras))
-    count = 0
+    index = cells(rays.direction, views.rotation, views.start)
+    slack, reach = _slack(rays, views, rules)
+    explained = np.empty(total, dtype=np.bool_)
+    for i in range(total):
+        explained[i] = not np.isfinite(rays.angle[i])
     # partner[i, c]: the ray of camera c that a group of three or more has already joined with ray i
-    partner = np.full((total, cameras), -1, dtype=np.int64)
-    point, cov = np.empty(3), np.empty((3, 3))
-    members, trust = np.empty(cameras, dtype=np.int64), np.ones(cameras)
-    for a in range(cameras - 1):
-        for b in range(a + 1, cameras):
-            tx, ty, tz = origin[b, 0] - origin[a, 0], origin[b, 1] - origin[a, 1], origin[b, 2] - origin[a, 2]
-            base2 = tx * tx + ty * ty + tz * tz
-            for i in range(start[a], start[a + 1]):
-                p, q, r = direction[i, 0], direction[i, 1], direction[i, 2]
-                # normal of the epipolar plane
-                nx, ny, nz = ty * r - tz * q, tz * p - tx * r, tx * q - ty * p
-                for j in range(start[b], start[b + 1]):
-                    e = nx * direction[j, 0] + ny * direction[j, 1] + nz * direction[j, 2]
-                    if e * e > gate * gate * base2 * (reach[i] + reach[j]) or partner[i, b] == j:
+    partner = np.full((total, cameras), -1, dtype=np.int32)
+    group = scratch(cameras)
+    angle, variance, half = np.empty(total), np.empty(total), np.empty(total)
+    active, found = np.empty(total, dtype=np.int64), np.empty(total, dtype=np.int64)
+    for stage in range(2 if rules.judge else 1):
+        for pair in range(views.pairs.shape[0]):
+            a, b = views.pairs[pair, 0], views.pairs[pair, 1]
+            if views.start[a] == views.start[a + 1] or views.start[b] == views.start[b + 1]:
+                continue
+            n_a = _left(views.start[a], views.start[a + 1], explained, active)
+            n_b = _left(views.start[b], views.start[b + 1], explained, active[n_a:])
+            if n_a == 0 or n_b == 0 or not _planes(a, b, n_a, n_b, active, rays, views, angle, variance):
+                continue
+            for n in range(n_a + n_b):
+                i = active[n]
+                half[n] = rules.gate * np.sqrt(variance[n] * (slack[i] if stage == 1 else 1.0))
+                if not (half[n] < EDGE_ON and half[n] + abs(angle[n]) < np.pi):
+                    half[n] = np.inf
+            lines = buckets(angle[n_a : n_a + n_b], half[n_a : n_a + n_b])
+            width = max(lines.step * (n_b + 1), 1e-300)
+            for n in range(n_a):
+                i = active[n]
+                for f in range(within(lines, angle[n], half[n], found)):
+                    if explained[i]:
+                        break
+                    m = n_a + found[f]
+                    j = active[m]
+                    if explained[j] or partner[i, b] == j:
                         continue
-                    # the same product seen from the other side: e = d_i . (d_j x t)
-                    dx, dy, dz = direction[j, 0], direction[j, 1], direction[j, 2]
-                    mx, my, mz = dy * tz - dz * ty, dz * tx - dx * tz, dx * ty - dy * tx
-                    variance = 0.0
-                    for k in range(2):
-                        variance += (
-                            slack[j]
-                            * (nx * spread[j, 0, k] + ny * spread[j, 1, k] + nz * spread[j, 2, k]) ** 2
-                        )
-                        variance += (
-                            slack[i]
-                            * (mx * spread[i, 0, k] + my * spread[i, 1, k] + mz * spread[i, 2, k]) ** 2
-                        )
-                    if e * e > gate * gate * variance:
-                        continue
-                    members[:] = -1
-                    members[a], members[b] = i, j
-                    trust[:] = 1.0
-                    if solve_members(members, trust, origin, direction, white, point, cov) < 0.0:
-                        continue
-                    diameter = _judge(members, trust, point, origin, sigma, radius, angle, typical)
-                    whole = typical if typical > 0.0 else diameter
-                    error = solve_members(members, trust, origin, direction, white, point, cov)
-                    if error < 0.0 or error > gate * gate or not _inside(point, low, high):
-                        continue
-                    size = _widen(
-                        members,
-                        trust,
-                        a,
-                        b,
-                        origin,
-                        start,
-                        direction,
-                        white,
-                        sigma,
-                        radius,
-                        angle,
-                        diameter,
-                        point,
-                        cov,
-                        gate,
-                    )
-                    if size > 2:
-                        error = solve_members(members, trust, origin, direction, white, point, cov)
-                        diameter = _judge(members, trust, point, origin, sigma, radius, angle, typical)
-                        error = solve_members(members, trust, origin, direction, white, point, cov)
-                    while size > 2 and not 0.0 <= error <= _limit(2 * size - 3, outlier):
-                        # a bad ray pulls the point towards itself: judge each by what is left without it
-                        least, at = np.inf, -1
-                        for c in range(cameras):
-                            if members[c] >= 0:
-                                held = members[c]
-                                members[c] = -1
-                                rest = solve_members(members, trust, origin, direction, white, point, cov)
-                                members[c] = held
-                                if 0.0 <= rest < least:
-                                    least, at = rest, c
-                        if at < 0:
-                            break
-                        members[at] = -1
-                        size -= 1
-                        error = solve_members(members, trust, origin, direction, white, point, cov)
-                    # a pair that remains must still meet, with both images at least half there
-                    if size == 2 and (
-                        error > gate * gate or (judge and _half_hidden(members, point, origin, angle, whole))
+                    away2 = rules.gate**-2 * (angle[n] - angle[m]) ** 2
+                    if not np.isfinite(half[n] + half[m]):
+                        away2 = 0.0
+                    both = variance[n] + variance[m]
+                    near = away2 <= both
+                    if near == (stage == 1) or (
+                        stage == 1 and away2 > slack[i] * variance[n] + slack[j] * variance[m]
                     ):
                         continue
-                    if error < 0.0 or not _inside(point, low, high):
+                    if not _meet(i, j, a, b, away2, variance[n], variance[m], group, rays, views, rules):
                         continue
-                    if count == room:
-                        room *= 2
-                        xyz, covariance = _grow(xyz, room), _grow3(covariance, room)
-                        chi2, groups = _grow1(chi2, room), _grow_int(groups, room)
-                        diameters, trusts = _grow1(diameters, room), _grow(trusts, room)
-                    xyz[count], covariance[count], chi2[count], groups[count] = point, cov, error, members
-                    diameters[count], trusts[count] = diameter, trust
+                    chance = n_a * n_b * min(1.0, 2.0 * rules.gate * np.sqrt(both) / width)
+                    size, error, diameter, chance = _grown(
+                        a, b, chance, reach, index, group, rays, views, rules
+                    )
+                    if size == 0:
+                        continue
+                    if count == values.shape[0]:
+                        values, trusts = _longer(values), _longer(trusts)
+                        members = _longer_int(members)
+                    store(group, error, diameter, rays, values[count], members[count], trusts[count])
                     count += 1
                     if size > 2:
+                        certain = chance < CERTAIN
                         for c in range(cameras):
-                            if members[c] >= 0:
-                                for d in range(cameras):
-                                    if members[d] >= 0:
-                                        partner[members[c], d] = members[d]
-    return xyz[:count], covariance[:count], chi2[:count], groups[:count], trusts[:count], diameters[:count]
+                            k = group.members[c]
+                            if k < 0:
+                                continue
+                            for d in range(cameras):
+                                if group.members[d] >= 0:
+                                    partner[k, d] = group.members[d]
+                            # an image of two targets may serve another group
+                            if certain and not too_large(k, c, group.point, rays, views, rules):
+                                explained[k] = True
+    return values[:count], members[:count], trusts[:count]
 
 
-@njit(nogil=True, cache=True)
-def _judge(members, trust, point, origin, sigma, radius, angle, typical):  # type: ignore[no-untyped-def]
-    """Set each member's trust from the size of its image; returns the target's diameter from its largest image."""
-    largest = 0.0
-    for c in range(members.shape[0]):
-        if members[c] >= 0:
-            largest = max(largest, angle[members[c]] * _distance(point, origin[c]))
-    whole = typical if typical > 0.0 else largest
-    for c in range(members.shape[0]):
-        if members[c] >= 0:
-            size = angle[members[c]] * _distance(point, origin[c])
-            trust[c] = _trust(size, whole, sigma[members[c]], radius[members[c]])
-    return largest
-
-
-@njit(nogil=True, cache=True)
-def _trust(size, whole, sigma, radius):  # type: ignore[no-untyped-def]
-    """Factor on a ray's whitened error when its image has ``size`` where ``whole`` would be right.
-
-    Too small: partly hidden. Too large: merged with a neighbour, whose share of the light moves the centroid.
+@njit(nogil=True, cache=True, error_model="numpy")
+def _slack(rays, views, rules):  # type: ignore[no-untyped-def]
+    """Return for each ray (n,) the factor on its variance if its target were mostly hidden, and for each camera (c,)
+    the largest variance of a ray's direction [rad^2] with it.
     """
-    share = (size / whole) ** 2
-    odd = min(MOST_ODD, 1.0 - share if share < 1.0 else share - 1.0)
-    if odd <= SIZE_DEADBAND:
-        return 1.0
-    # the centroid's shift for the whole disc's radius, spread over both axes
-    shift = ODD_SHIFT * odd * radius * whole / size
-    return 1.0 / np.sqrt(1.0 + 0.5 * (shift / sigma) ** 2)
+    total = rays.direction.shape[0]
+    slack, reach = np.ones(total), np.zeros(views.origin.shape[0])
+    for c in range(views.origin.shape[0]):
+        for i in range(views.start[c], views.start[c + 1]):
+            if not np.isfinite(rays.angle[i]):
+                continue
+            if rules.judge or rays.flags[i]:
+                slack[i] = 1.0 + 0.5 * (ODD_SHIFT * MOST_ODD * rays.radius[i] / rays.sigma[i]) ** 2
+            s = 0.0
+            for p in range(3):
+                s += rays.spread[i, p, 0] ** 2 + rays.spread[i, p, 1] ** 2
+            reach[c] = max(reach[c], s * slack[i])
+    return slack, reach
 
 
-@njit(nogil=True, cache=True)
-def _half_hidden(members, point, origin, angle, whole):  # type: ignore[no-untyped-def]
-    """Whether a member's image is so small that more than half of the target must be hidden."""
-    for c in range(members.shape[0]):
-        if members[c] >= 0:
-            size = angle[members[c]] * _distance(point, origin[c])
-            if 1.0 - (size / whole) ** 2 > HALF_HIDDEN:
-                return True
-    return False
-
-
-@njit(nogil=True, cache=True)
-def _distance(point, place):  # type: ignore[no-untyped-def]
-    x, y, z = point[0] - place[0], point[1] - place[1], point[2] - place[2]
-    return np.sqrt(x * x + y * y + z * z)
-
-
-@njit(nogil=True, cache=True)
-def _limit(freedom, sigma):  # type: ignore[no-untyped-def]
-    """Chi-square bound of ``sigma`` standard deviations (Wilson and Hilferty's cube)."""
-    q = 2.0 / (9.0 * freedom)
-    return freedom * (1.0 - q + sigma * np.sqrt(q)) ** 3
-
-
-@njit(nogil=True, cache=True)
-def _inside(point, low, high):  # type: ignore[no-untyped-def]
-    return low[0] <= point[0] <= high[0] and low[1] <= point[1] <= high[1] and low[2] <= point[2] <= high[2]
-
-
-@njit(nogil=True, cache=True)
-def solve_members(members, trust, origin, direction, white, point, cov):  # type: ignore[no-untyped-def]
-    """Intersect the rays that ``members`` (c,) names for each camera (-1: none); see ``solve_point``."""
-    cameras = members.shape[0]
-    chosen, owner = np.empty(cameras, dtype=np.int64), np.empty(cameras, dtype=np.int64)
-    trusted = np.empty(cameras)
+@njit(nogil=True, cache=True, error_model="numpy")
+def _left(first, last, explained, active):  # type: ignore[no-untyped-def]
+    """List the rays that nothing explains; returns how many."""
     n = 0
-    for c in range(cameras):
-        if members[c] >= 0:
-            chosen[n], owner[n], trusted[n] = members[c], c, trust[c]
+    for i in range(first, last):
+        if not explained[i]:
+            active[n] = i
             n += 1
-    return solve_point(chosen[:n], owner[:n], trusted[:n], origin, direction, white, point, cov)
+    return n
 
 
-@njit(nogil=True, cache=True)
-def _widen(  # type: ignore[no-untyped-def]
-    members, trust, a, b, origin, start, direction, white, sigma, radius, angle, whole, point, cov, gate
-):
-    """Add the nearest ray of every other camera that the pair's point and its covariance admit."""
+@njit(nogil=True, cache=True, error_model="numpy")
+def _planes(a, b, n_a, n_b, active, rays, views, angle, variance):  # type: ignore[no-untyped-def]
+    """Fill the angles of the epipolar planes of cameras a and b; False where both stand at one place."""
+    base = views.origin[b] - views.origin[a]
+    length = np.sqrt(np.sum(base**2))
+    if length <= 0.0:
+        return False
+    base /= length
+    # angles count from where both cameras look, so that none is near half a turn
+    up = views.rotation[a, :, 2] + views.rotation[b, :, 2]
+    up = up - base * np.sum(up * base)
+    if np.sum(up**2) < 1e-6:
+        up = views.rotation[a, :, 1] - base * np.sum(views.rotation[a, :, 1] * base)
+    if np.sum(up**2) < 1e-6:
+        up = views.rotation[a, :, 0] - base * np.sum(views.rotation[a, :, 0] * base)
+    up = up / np.sqrt(np.sum(up**2))
+    plane_angles(rays, active[: n_a + n_b], up, np.cross(base, up), angle, variance)
+    return True
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _meet(i, j, a, b, away2, variance_i, variance_j, group, rays, views, rules):  # type: ignore[no-untyped-def]
+    """Begin a group with the rays i and j of cameras a and b; False where they do not meet."""
+    d, e = rays.direction[i], rays.direction[j]
+    x = views.origin[b, 0] - views.origin[a, 0]
+    y = views.origin[b, 1] - views.origin[a, 1]
+    z = views.origin[b, 2] - views.origin[a, 2]
+    cosine = d[0] * e[0] + d[1] * e[1] + d[2] * e[2]
+    along_d, along_e = d[0] * x + d[1] * y + d[2] * z, e[0] * x + e[1] * y + e[2] * z
+    sine2 = 1.0 - cosine * cosine
+    if not sine2 > 1e-12:
+        return False
+    s, t = (along_d - cosine * along_e) / sine2, (cosine * along_d - along_e) / sine2
+    if not (s > 0.0 and t > 0.0):
+        return False
+    size_i, size_j = rays.angle[i] * s, rays.angle[j] * t
+    whole = rules.typical if rules.typical > 0.0 else max(size_i, size_j)
+    trust_i = trust_of(i, size_i, whole, rays, rules.judge)
+    trust_j = trust_of(j, size_j, whole, rays, rules.judge)
+    if away2 > variance_i / trust_i**2 + variance_j / trust_j**2:
+        return False
+    group.members[:] = -1
+    group.trust[:] = 1.0
+    group.members[a], group.members[b] = i, j
+    group.trust[a], group.trust[b] = trust_i, trust_j
+    for k in range(3):
+        group.point[k] = 0.5 * (views.origin[a, k] + s * d[k] + views.origin[b, k] + t * e[k])
+    error = solve(group, 1, rays, views)
+    if not 0.0 <= error <= rules.gate**2:
+        return False
+    return (
+        rules.low[0] <= group.point[0] <= rules.high[0]
+        and rules.low[1] <= group.point[1] <= rules.high[1]
+        and rules.low[2] <= group.point[2] <= rules.high[2]
+    )
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _grown(a, b, chance, reach, index, group, rays, views, rules):  # type: ignore[no-untyped-def]
+    """Widen a pair to all cameras, drop bad rays, judge. Returns how many rays it has (0: none), its squared error,
+    diameter and the expected number of chance groups like it.
+    """
+    cameras = views.origin.shape[0]
+    i, j = group.members[a], group.members[b]
+    seen = max(image_size(i, a, group.point, rays, views), image_size(j, b, group.point, rays, views))
+    whole = rules.typical if rules.typical > 0.0 else seen
     size = 2
-    for c in range(origin.shape[0]):
-        if c in (a, b):
+    for c in range(cameras):
+        if c == a or c == b:
             continue
-        x, y, z = point[0] - origin[c, 0], point[1] - origin[c, 1], point[2] - origin[c, 2]
-        distance = np.sqrt(x * x + y * y + z * z)
-        best, at, trusted = gate * gate, -1, 1.0
-        for k in range(start[c], start[c + 1]):
-            d = direction[k]
+        nearest, trust, share = _nearest(c, whole, reach[c], index, group, rays, views, rules)
+        if nearest >= 0:
+            group.members[c], group.trust[c], group.share[c] = nearest, trust, share
+            size += 1
+    diameter = judge_sizes(group, rays, views, rules)
+    error = solve(group, 2, rays, views)
+    while size > 2 and not 0.0 <= error <= limit(2 * size - 3, rules.outlier):
+        # a bad ray pulls the point towards itself: judge each by what is left without it
+        least, at = np.inf, -1
+        for c in range(cameras):
+            k = group.members[c]
+            if k >= 0:
+                group.members[c] = -1
+                rest = solve(group, 2, rays, views)
+                group.members[c] = k
+                if 0.0 <= rest < least:
+                    least, at = rest, c
+        # with one of the pair bad this was no pair; the good rays have pairs of their own
+        if at < 0 or at == a or at == b:
+            return 0, 0.0, 0.0, 1.0
+        group.members[at] = -1
+        size -= 1
+        error = solve(group, 2, rays, views)
+    if size < rules.minimum or not acceptable(group, size, error, diameter, rays, views, rules):
+        return 0, 0.0, 0.0, 1.0
+    added = 0
+    for c in range(cameras):
+        if group.members[c] >= 0 and c != a and c != b:
+            # whichever of the other cameras these are: the number of choices
+            chance *= group.share[c] * (cameras - 2 - added) / (added + 1)
+            added += 1
+    return size, error, diameter, chance
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _nearest(c, whole, reach, index, group, rays, views, rules):  # type: ignore[no-untyped-def]
+    """Return the ray of camera c nearest to the group's point among those that the covariances admit (-1: none), its
+    trust, and the expected number of chance rays as near.
+    """
+    r, o, gate2, cov = views.rotation[c], views.origin[c], rules.gate**2, group.cov
+    x, y, z = group.point[0] - o[0], group.point[1] - o[1], group.point[2] - o[2]
+    distance = np.sqrt(x * x + y * y + z * z)
+    u = r[0, 0] * x + r[1, 0] * y + r[2, 0] * z
+    v = r[0, 1] * x + r[1, 1] * y + r[2, 1] * z
+    w = distance + r[0, 2] * x + r[1, 2] * y + r[2, 2] * z
+    if not w > 1e-9 * distance:
+        return -1, 1.0, 0.0
+    u, v = u / w, v / w
+    # the place's derivative by the point, row by row, and so its variance; an angle counts (1 + |place|^2) / 2
+    stretch2 = (0.5 * (1.0 + u * u + v * v)) ** 2 * reach
+    box = np.empty((2, 2), dtype=np.int64)
+    for axis in range(2):
+        place = v if axis else u
+        j0 = (r[0, axis] - place * (x / distance + r[0, 2])) / w
+        j1 = (r[1, axis] - place * (y / distance + r[1, 2])) / w
+        j2 = (r[2, axis] - place * (z / distance + r[2, 2])) / w
+        variance = j0 * (j0 * cov[0, 0] + 2.0 * (j1 * cov[0, 1] + j2 * cov[0, 2]))
+        variance += j1 * (j1 * cov[1, 1] + 2.0 * j2 * cov[1, 2]) + j2 * j2 * cov[2, 2]
+        # a little wider than to first order
+        side = 1.01 * rules.gate * np.sqrt(variance + stretch2)
+        corner, scale = index.corner[c, axis], index.scale[c, axis]
+        box[axis, 0] = cell_of(place - side, corner, scale, index.side[c])
+        box[axis, 1] = cell_of(place + side, corner, scale, index.side[c])
+    best, at, trusted, share = np.inf, -1, 1.0, 0.0
+    for row in range(box[1, 0], box[1, 1] + 1):
+        first = index.offset[c] + row * index.side[c]
+        for n in range(index.start[first + box[0, 0]], index.start[first + box[0, 1] + 1]):
+            k = index.items[n]
+            d, m = rays.direction[k], rays.white[k]
             depth = d[0] * x + d[1] * y + d[2] * z
             # a thousandth of a radian squared: far beyond any gate
             if depth < 0.9995 * distance:
                 continue
-            t = _trust(angle[k] * distance, whole, sigma[k], radius[k])
-            w = white[k]
-            u = t * (w[0, 0] * x + w[0, 1] * y + w[0, 2] * z) / depth
-            v = t * (w[1, 0] * x + w[1, 1] * y + w[1, 2] * z) / depth
-            s00, s01, s11 = 1.0, 0.0, 1.0
-            for p in range(3):
-                for q in range(3):
-                    f = t * t * cov[p, q] / (depth * depth)
-                    s00 += w[0, p] * w[0, q] * f
-                    s01 += w[0, p] * w[1, q] * f
-                    s11 += w[1, p] * w[1, q] * f
-            error = (s11 * u * u - 2.0 * s01 * u * v + s00 * v * v) / (s00 * s11 - s01 * s01)
+            t2 = trust_of(k, rays.angle[k] * distance, whole, rays, rules.judge) ** 2
+            e0 = (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z) / depth
+            e1 = (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z) / depth
+            if t2 * (e0 * e0 + e1 * e1) > gate2 * (1.0 + t2 * _most(m, cov, depth)):
+                continue
+            s00, s01, s11 = _carried(m, cov, depth)
+            s00, s01, s11 = 1.0 + t2 * s00, t2 * s01, 1.0 + t2 * s11
+            det = s00 * s11 - s01 * s01
+            error = t2 * (s11 * e0 * e0 - 2.0 * s01 * e0 * e1 + s00 * e1 * e1) / det
             # among those admitted the nearest in the image decides, not the least trusted
-            if error < gate * gate and error / (t * t) < best / (trusted * trusted):
-                best, at, trusted = error, k, t
-        if at >= 0:
-            members[c], trust[c] = at, trusted
-            size += 1
-    return size
+            if error < gate2 and error / t2 < best:
+                best, at, trusted = error / t2, k, np.sqrt(t2)
+                share = views.density[c] * np.pi * max(error, 0.05) * np.sqrt(det) * rays.sigma[k] ** 2 / t2
+    return at, trusted, share
 
 
-@njit(nogil=True, cache=True)
-def _grow(values, room):  # type: ignore[no-untyped-def]
-    larger = np.empty((room, values.shape[1]))
-    larger[: values.shape[0]] = values
-    return larger
+@njit(nogil=True, cache=True, error_model="numpy")
+def _carried(m, cov, depth):  # type: ignore[no-untyped-def]
+    """Return a point's covariance carried into a ray's whitened image: xx, xy, yy."""
+    s00 = s01 = s11 = 0.0
+    for p in range(3):
+        g = cov[p, 0] * m[0, 0] + cov[p, 1] * m[0, 1] + cov[p, 2] * m[0, 2]
+        h = cov[p, 0] * m[1, 0] + cov[p, 1] * m[1, 1] + cov[p, 2] * m[1, 2]
+        s00 += m[0, p] * g
+        s01 += m[1, p] * g
+        s11 += m[1, p] * h
+    return s00 / depth**2, s01 / depth**2, s11 / depth**2
 
 
-@njit(nogil=True, cache=True)
-def _grow3(values, room):  # type: ignore[no-untyped-def]
-    larger = np.empty((room, 3, 3))
-    larger[: values.shape[0]] = values
-    return larger
+@njit(nogil=True, cache=True, error_model="numpy")
+def _most(m, cov, depth):  # type: ignore[no-untyped-def]
+    """Return a bound of ``_carried``'s larger eigenvalue: the product of the traces."""
+    square = 0.0
+    for p in range(3):
+        square += m[0, p] ** 2 + m[1, p] ** 2
+    return square * (cov[0, 0] + cov[1, 1] + cov[2, 2]) / depth**2
 
 
-@njit(nogil=True, cache=True)
-def _grow1(values, room):  # type: ignore[no-untyped-def]
-    larger = np.empty(room)
-    larger[: values.shape[0]] = values
-    return larger
+@njit(nogil=True, cache=True, error_model="numpy")
+def _longer(rows):  # type: ignore[no-untyped-def]
+    longer = np.empty((2 * rows.shape[0], rows.shape[1]))
+    longer[: rows.shape[0]] = rows
+    return longer
 
 
-@njit(nogil=True, cache=True)
-def _grow_int(values, room):  # type: ignore[no-untyped-def]
-    larger = np.empty((room, values.shape[1]), dtype=np.int64)
-    larger[: values.shape[0]] = values
-    return larger
+@njit(nogil=True, cache=True, error_model="numpy")
+def _longer_int(rows):  # type: ignore[no-untyped-def]
+    longer = np.empty((2 * rows.shape[0], rows.shape[1]), dtype=np.int64)
+    longer[: rows.shape[0]] = rows
+    return longer

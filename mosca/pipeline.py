@@ -4,7 +4,7 @@ Nothing here knows where the frames come from. ``run`` is a generator: one Step 
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -13,11 +13,12 @@ import numpy as np
 from mosca.assemble import Assembly, assemble
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
-from mosca.data.frames import FrameSet, FrameSource
+from mosca.data.frames import CameraInfo, FrameSet, FrameSource
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points, Samples
 from mosca.detect import DetectionSettings, detect
 from mosca.errors import InputError
+from mosca.health import Health, HealthSettings
 from mosca.match import MatchSettings, choose, hypotheses
 from mosca.track import Tracker, TrackSettings
 from mosca.triangulate import bundle_rays
@@ -68,24 +69,43 @@ def run(
     assembly: Assembly | None = None,
     backgrounds: Mapping[str, Array] | None = None,
     keeper: Keeper | None = None,
+    health: Health | None = None,
 ) -> Iterator[Step]:
     """Turn a source's frames into tracks, pulse by pulse.
 
     ``assembly``: counts of frames and gaps, filled while running. ``backgrounds``: camera -> image (H, W) of
     what does not move, taken off each of its images before detection; a camera without one keeps its images
-    as they are. ``keeper``: watches the rig and may change it on the way. InputError where the source lacks a
-    camera of the rig, or sends images of another size, and where a background is of a camera that the rig lacks.
+    as they are. ``keeper``: watches the rig and may change it on the way. ``health``: how the cameras are doing,
+    filled while running. InputError where the source lacks a camera of the rig, or sends images of another size, and
+    where a background is of a camera that the rig lacks.
     """
+    check_source(source, rig)
+    sets = assemble(source, source.cameras, assembly=assembly)
+    yield from run_sets(sets, source.cameras, rig, settings, backgrounds, keeper, health)
+
+
+def run_sets(
+    sets: Iterable[FrameSet],
+    cameras: Sequence[CameraInfo],
+    rig: Rig,
+    settings: PipelineSettings | None = None,
+    backgrounds: Mapping[str, Array] | None = None,
+    keeper: Keeper | None = None,
+    health: Health | None = None,
+) -> Iterator[Step]:
+    """Turn frame sets of ``cameras`` into tracks; else as ``run``. Sets may be missing, never reordered."""
     settings = PipelineSettings() if settings is None else settings
     backgrounds = {} if backgrounds is None else backgrounds
-    check_source(source, rig)
+    health = (
+        Health(rig, HealthSettings(start_px=settings.match.camera_sigma_px)) if health is None else health
+    )
     _check_backgrounds(backgrounds, rig)
-    depth = {info.name: info.bit_depth for info in source.cameras}
+    depth = {info.name: info.bit_depth for info in cameras}
     volume = _box(settings.volume)
     tracker = Tracker(settings.track)
     typical_diameter_m = 0.0
 
-    for frame_set in assemble(source, source.cameras, assembly=assembly):
+    for frame_set in sets:
         clock = _Clock()
         detections = {
             name: detect(frame.image, name, settings.detection, depth[name], backgrounds.get(name))
@@ -103,6 +123,8 @@ def run(
         clock.lap("match")
         samples = tracker.update(points, frame_set.pulse, frame_set.time_ns)
         clock.lap("track")
+        health.attend(rig, frame_set, detections, points)
+        clock.lap("health")
         if keeper is not None:
             keeper.attend(frame_set.pulse, detections, points)
             rig = keeper.rig

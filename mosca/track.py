@@ -1,53 +1,62 @@
-"""Trajectories: predict, gate, assign, update; identities survive short occlusions.
+"""Trajectories: predict, gate, assign, update; identities survive occlusion and absence.
 
-Each target is a Kalman filter with constant velocity and white acceleration (Bar-Shalom, Li and Kirubarajan 2001,
-section 6.3.2). Points and predictions are paired by the assignment of least total cost, cost the squared
-Mahalanobis distance. A new target is tentative until its sightings weigh enough: a sighting by n cameras
-weighs n - 1, since two cameras can agree by chance (images of odd size count for less than one); its samples
-are handed out when it is confirmed, the earlier ones with them. What is handed out is the measured point, not
-the filter's: no smoothing hides errors.
+Each target is a Kalman filter (``mosca.track_motion``: constant velocity or Singer's acceleration). Points and
+predictions are paired by the assignment of greatest likelihood (``mosca.track_assign``). A new target is
+tentative until its sightings weigh enough: a sighting by n cameras weighs n - 1, since two cameras can agree by
+chance (images of odd size count for less than one); its samples are handed out when it is confirmed, the earlier
+ones with them. A hidden target is expected where its own motion brings it, or, longer, where its limb does
+(``mosca.track_limbs``); one that was lost and fits into its limb again gets its identity back. What is handed
+out is the measured point, not the filter's: no smoothing hides errors.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from mosca.data.arrays import Array
 from mosca.data.tracks import Points, Samples
 from mosca.match import Predicted
+from mosca.track_assign import best_pairs
+from mosca.track_filter import carry, correct, expected
+from mosca.track_limbs import expect, learn, pairs, recall, take_over
+from mosca.track_motion import motion
+from mosca.track_state import CONFIRMED, IDENTITY, TENTATIVE, TOP, grown, new_bank, new_limbs
+
+FIRST_SLOTS = 64
+CALMEST, WILDEST = 0.2, 3.0
+"""Limits of a target's learned acceleration, in those that the settings expect."""
+SURE = 1.5
+"""Cameras that must count in full for a sighting that teaches distances."""
+CONVINCING = 6.0
+"""Log-likelihood ratio of distances by which a lost target is known again."""
 
 
 @dataclass(frozen=True)
 class TrackSettings:
-    """``acceleration_mps2``: standard deviation of the targets' acceleration. ``speed_mps``: of a new target's
-    velocity, each axis. ``gate_sigma``: how far from its prediction a point may lie. ``gate_m``: never farther than
-    this; a confirmed target takes a point of two cameras from half as far, with an image of odd size from a
-    quarter (two cameras agree by chance, and the gate of a target long unseen admits many such chances).
-    ``confirm_weight``: weight of sightings that confirms a target. ``coast_s``: how long a target is predicted
-    without being seen.
+    """How targets move and what makes one.
+
+    ``model``: "acceleration" (Singer, lasting ``memory_s``) or "velocity" (constant, white acceleration).
+    ``acceleration_mps2``: standard deviation of the targets' acceleration, an axis; each target's own is learned
+    from there. ``speed_mps``: of a new target's velocity, each axis. ``gate_sigma``: how far from its
+    prediction a point may lie. ``gate_m``: never farther than this; a confirmed target takes a point of two cameras
+    from half as far, with an image of odd size from a quarter (two cameras agree by chance, and the gate of a target
+    long unseen admits many such chances). ``confirm_weight``: weight of sightings that confirms a target.
+    ``coast_s``: how long a target is predicted by its own motion without being seen. ``remember_s``: how long a
+    lost one can come back under its identity. ``limb_m``: how far its limb mates may be; 0: none are
+    learned (particles).
     """
 
+    model: Literal["acceleration", "velocity"] = "acceleration"
+    memory_s: float = 0.1
     acceleration_mps2: float = 20.0
     speed_mps: float = 1.5
     gate_sigma: float = 4.5
     gate_m: float = 0.08
     confirm_weight: float = 5.0
     coast_s: float = 0.25
-
-
-@dataclass(eq=False)
-class _Target:
-    """A filter's state: mean (6,) of position and velocity, covariance (6, 6), and its history so far."""
-
-    identity: int
-    mean: Array
-    covariance: Array
-    weight: float
-    seen_s: float
-    confirmed: bool = False
-    missed: int = 0
-    waiting: list[tuple[object, ...]] = field(default_factory=list)
+    remember_s: float = 60.0
+    limb_m: float = 0.6
 
 
 class Tracker:
@@ -55,133 +64,103 @@ class Tracker:
 
     def __init__(self, settings: TrackSettings) -> None:
         self.settings = settings
-        self._targets: list[_Target] = []
+        self._bank, self._limbs = new_bank(FIRST_SLOTS), new_limbs(FIRST_SLOTS)
         self._time_s: float | None = None
-        self._next_identity = 0
+        self._step_s = 0.0
+        self._waiting: list[tuple[Samples, Array]] = []
 
     def predict(self, time_s: float) -> Predicted:
-        """Carry all targets to ``time_s`` [s] and return where they are expected."""
+        """Carry all targets to ``time_s`` [s] and return where the confirmed ones are expected."""
+        s = self.settings
         step = 0.0 if self._time_s is None else time_s - self._time_s
         if step < 0.0:
             raise ValueError(f"time {time_s} s lies before {self._time_s} s: points must come in order")
-        self._time_s = time_s
-        self._targets = [t for t in self._targets if time_s - t.seen_s <= self.settings.coast_s]
-        if self._targets:
-            move = np.eye(6)
-            move[:3, 3:] = step * np.eye(3)
-            noise = _process_noise(step, self.settings.acceleration_mps2)
-            for target in self._targets:
-                target.mean = move @ target.mean
-                target.covariance = move @ target.covariance @ move.T + noise
-        firm = [t for t in self._targets if t.confirmed]
-        if not firm:
-            return Predicted.nothing()
-        return Predicted(np.array([t.mean[:3] for t in firm]), np.array([t.covariance[:3, :3] for t in firm]))
+        self._time_s, self._step_s = time_s, step
+        carry(self._bank, motion(s.model, step, s.memory_s), time_s, s.coast_s, max(s.remember_s, s.coast_s))
+        if s.limb_m > 0.0:
+            expect(self._bank, self._limbs, time_s, step, s.coast_s, 0.5 * s.gate_m)
+        _, place, covariance = expected(self._bank)
+        return Predicted(place, covariance)
 
     def update(self, points: Points, frame: int, time_ns: int) -> Samples:
         """Give the points of the instant last predicted to the targets; return samples that are now certain."""
-        pairs = self._assign(points)
-        time_s = time_ns * 1e-9
-        certain: list[tuple[object, ...]] = []
-        for row, target in pairs.items():
-            _correct(target, points.xyz[row], points.covariance[row])
-            certain += self._sighted(target, points, row, frame, time_ns)
-        # a tentative target that is twice not seen where it should be was none
-        for target in self._targets:
-            target.missed = 0 if target.seen_s == time_s else target.missed + 1
-        self._targets = [t for t in self._targets if t.confirmed or t.missed < 2]
-        for row in range(len(points)):
-            if row not in pairs:
-                certain += self._sighted(self._begin(points, row), points, row, frame, time_ns)
-        return _columns(certain)
+        s = self.settings
+        self._make_room(len(points))
+        bank = self._bank
+        slot_of = self._assigned(points)
+        confirmed = correct(
+            bank, slot_of, points.xyz, points.covariance, points.trusted, time_ns * 1e-9,
+            3 if s.model == "acceleration" else 2, (CALMEST * s.acceleration_mps2) ** 2,
+            (WILDEST * s.acceleration_mps2) ** 2, s.speed_mps, s.confirm_weight, SURE,
+        )  # fmt: skip
+        serial = bank.serial[slot_of]
+        named = self._named(slot_of) if confirmed else {}
+        if s.limb_m > 0.0:
+            learn(bank, self._limbs, s.limb_m)
+        n = len(points)
+        now = Samples(
+            np.full(n, frame), np.full(n, time_ns), bank.identity[slot_of], points.xyz, points.covariance,
+            points.n_cameras, points.residual_px, np.zeros(n, np.int8),
+        )  # fmt: skip
+        return self._certain(now, serial, named)
 
-    def _assign(self, points: Points) -> dict[int, _Target]:
-        """Return which point (row) goes to which target; confirmed targets choose first."""
-        pairs: dict[int, _Target] = {}
-        for chosen in (
-            [t for t in self._targets if t.confirmed],
-            [t for t in self._targets if not t.confirmed],
-        ):
-            free = np.array([row for row in range(len(points)) if row not in pairs], dtype=int)
-            if not chosen or not len(free):
-                continue
-            cost, allowed = _distances(chosen, points, free, self.settings)
-            beyond = 2.0 * self.settings.gate_sigma**2 + 1e3
-            rows, columns = linear_sum_assignment(np.where(allowed, cost, beyond))
-            pairs |= {int(free[c]): chosen[r] for r, c in zip(rows, columns, strict=True) if allowed[r, c]}
-        return pairs
+    def _make_room(self, points: int) -> None:
+        need = int(self._bank.numbers[TOP]) + points
+        if need > len(self._bank.state):
+            self._bank, self._limbs = grown(self._bank, self._limbs, 2 * need)
 
-    def _begin(self, points: Points, row: int) -> _Target:
-        covariance = np.zeros((6, 6))
-        covariance[:3, :3] = points.covariance[row]
-        covariance[3:, 3:] = self.settings.speed_mps**2 * np.eye(3)
-        mean = np.concatenate([points.xyz[row], np.zeros(3)])
-        target = _Target(-1, mean, covariance, 0.0, 0.0)
-        self._targets.append(target)
-        return target
+    def _assigned(self, points: Points) -> Array:
+        """Return which target (slot) each point goes to, or -1; confirmed targets choose first."""
+        s, bank = self.settings, self._bank
+        slot_of = np.full(len(points), -1)
+        agility = 0.5 * s.acceleration_mps2 * self._step_s**2
+        for state in (CONFIRMED, TENTATIVE):
+            slots, rows, worth = pairs(
+                bank, self._limbs, points.xyz, points.covariance, points.trusted, slot_of, state,
+                s.gate_sigma, s.gate_m, agility,
+            )  # fmt: skip
+            if len(slots):
+                chosen = best_pairs(slots, rows, worth, int(bank.numbers[TOP]), len(points))
+                slot_of = np.where(chosen >= 0, chosen, slot_of)
+        return slot_of
 
-    def _sighted(
-        self, target: _Target, points: Points, row: int, frame: int, time_ns: int
-    ) -> list[tuple[object, ...]]:
-        """Note a sighting; return the samples that it makes certain."""
-        target.seen_s = time_ns * 1e-9
-        cameras = int(points.n_cameras[row])
-        target.weight += max(0.0, float(points.trusted[row]) - 1.0)
-        if not target.confirmed and target.weight >= self.settings.confirm_weight - 1e-9:
-            target.confirmed, target.identity = True, self._next_identity
-            self._next_identity += 1
-        covariance, residual = points.covariance[row], float(points.residual_px[row])
-        target.waiting.append(
-            (frame, time_ns, target.identity, points.xyz[row], covariance, cameras, residual)
-        )
-        if not target.confirmed:
-            return []
-        certain, target.waiting = target.waiting, []
-        return [(*s[:2], target.identity, *s[3:]) for s in certain]
+    def _named(self, slot_of: Array) -> dict[int, int]:
+        """Give each target confirmed now the identity of a lost one whose limb it fits, or a new one.
 
+        Returns serial -> identity; ``slot_of`` follows a target to the slot that it had.
+        """
+        bank, s = self._bank, self.settings
+        top, named = int(bank.numbers[TOP]), {}
+        for slot in np.flatnonzero((bank.state[:top] == CONFIRMED) & (bank.identity[:top] < 0)):
+            serial = int(bank.serial[slot])
+            old = recall(bank, self._limbs, slot, CONVINCING, s.limb_m) if s.limb_m > 0.0 else -1
+            if old >= 0:
+                take_over(bank, old, slot)
+                slot_of[slot_of == slot] = old
+            else:
+                old = slot
+                bank.identity[slot] = bank.numbers[IDENTITY]
+                bank.numbers[IDENTITY] += 1
+            named[serial] = int(bank.identity[old])
+        return named
 
-def _columns(samples: list[tuple[object, ...]]) -> Samples:
-    if not samples:
-        return Samples.none()
-    frame, time_ns, track, xyz, covariance, n_cameras, residual = zip(*samples, strict=True)
-    return Samples(
-        np.array(frame), np.array(time_ns), np.array(track), np.array(xyz), np.array(covariance),
-        np.array(n_cameras), np.array(residual), np.zeros(len(samples), np.int8),
-    )  # fmt: skip
-
-
-def _process_noise(step: float, acceleration: float) -> Array:
-    """Discrete white acceleration over ``step`` [s]: covariance (6, 6)."""
-    noise = np.zeros((6, 6))
-    q = acceleration**2
-    noise[:3, :3] = q * step**4 / 4 * np.eye(3)
-    noise[:3, 3:] = noise[3:, :3] = q * step**3 / 2 * np.eye(3)
-    noise[3:, 3:] = q * step**2 * np.eye(3)
-    return noise
+    def _certain(self, now: Samples, serial: Array, named: dict[int, int]) -> Samples:
+        """Return the samples of known identity, now's and earlier ones; keep those of tentative targets."""
+        if not self._waiting and (len(now) == 0 or now.track.min() >= 0):
+            return now
+        certain = []
+        for samples, serials in self._waiting:
+            samples.track[:] = [named.get(int(k), -1) for k in serials]
+            certain.append(samples.select(samples.track >= 0))
+        certain.append(now.select(now.track >= 0))
+        bank = self._bank
+        tentative = bank.serial[bank.state == TENTATIVE]
+        self._waiting.append((now, serial))
+        kept = [(s, k, (s.track < 0) & np.isin(k, tentative)) for s, k in self._waiting]
+        self._waiting = [(s.select(rows), k[rows]) for s, k, rows in kept if rows.any()]
+        return joined(certain)
 
 
-def _distances(
-    targets: list[_Target], points: Points, rows: Array, settings: TrackSettings
-) -> tuple[Array, Array]:
-    """Return squared Mahalanobis distances (targets, rows) and which are within the gates."""
-    mean = np.array([t.mean[:3] for t in targets])
-    covariance = np.array([t.covariance[:3, :3] for t in targets])
-    offset = points.xyz[rows][None] - mean[:, None]
-    firm = np.array([t.confirmed for t in targets])[:, None]
-    evidence = np.clip((points.trusted[rows] - 1.0) / 2.0, 0.25, 1.0)
-    reach = settings.gate_m * np.where(firm, evidence, 1.0)
-    near = np.einsum("trk,trk->tr", offset, offset) < reach**2
-    cost = np.full(near.shape, np.inf)
-    t, r = np.nonzero(near)
-    total = covariance[t] + points.covariance[rows[r]]
-    away = offset[t, r]
-    cost[t, r] = np.einsum("ni,ni->n", away, np.linalg.solve(total, away[:, :, None])[:, :, 0])
-    return np.where(near, cost, 0.0), near & (cost < settings.gate_sigma**2)
-
-
-def _correct(target: _Target, xyz: Array, covariance: Array) -> None:
-    """Kalman update with a measured position."""
-    innovation = target.covariance[:3, :3] + covariance
-    gain = np.linalg.solve(innovation, target.covariance[:3, :]).T
-    target.mean = target.mean + gain @ (xyz - target.mean[:3])
-    target.covariance = target.covariance - gain @ innovation @ gain.T
+def joined(parts: list[Samples]) -> Samples:
+    """Return samples end to end."""
+    return Samples(*(np.concatenate([getattr(p, n) for p in parts]) for n in Samples.__dataclass_fields__))

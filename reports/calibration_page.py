@@ -16,8 +16,8 @@ from reports.calibration_plots import calibration_pictures
 from reports.page import templates
 from reports.units import figure, shown
 
-MOST_COLUMNS = 5
-"""Cameras that stand beside each other in the table of lens parameters; more stand below each other."""
+MOST_COLUMNS = 4
+"""Cameras that stand beside each other in a table of lens parameters; more get tables of their own."""
 SEVERITIES = {"refuse": ("Do not use", "bad"), "warn": ("Warning", "warn"), "note": ("Note", "")}
 
 
@@ -184,7 +184,7 @@ def _precision(calibration: Calibration) -> list[dict[str, Any]]:
 
 
 def _interior(calibration: Calibration) -> list[dict[str, Any]]:
-    """Return the cameras by lens model, with the columns that any of them uses."""
+    """Return tables of a few cameras of one lens model each, with the parameters that any of the model's uses."""
     sigmas = calibration.standard_deviations
     tables = []
     for model in dict.fromkeys(camera.lens.model for camera in calibration.rig.cameras):
@@ -207,7 +207,10 @@ def _interior(calibration: Calibration) -> list[dict[str, Any]]:
             }
             for camera in cameras
         ]
-        tables.append({"model": model, "names": names, "rows": rows, "upright": len(rows) <= MOST_COLUMNS})
+        tables += [
+            {"model": model, "names": names, "rows": rows[k : k + MOST_COLUMNS]}
+            for k in range(0, len(rows), MOST_COLUMNS)
+        ]
     return tables
 
 

@@ -11,6 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from mosca.data.calibration import Calibration
 from mosca.data.calibration_evidence import AccuracyGrid, CalibrationEvidence, HeldOutLengths
 from reports.calibration_images import ACROSS, MOST_ARROWS, MOST_CAMERAS, coverage_picture, residuals_picture
+from reports.calibration_labels import label_points
 from reports.drawing import (
     BLUE,
     DASHED,
@@ -88,9 +89,8 @@ def rig_picture(calibration: Calibration, evidence: CalibrationEvidence) -> Pict
             width=0.004, zorder=3,
         )  # fmt: skip
         axes.scatter(centres[:, h], centres[:, v], s=26, color=INK, zorder=4, linewidths=0)
-        for name, centre in zip(rig.names, centres, strict=True):
-            axes.annotate(name, centre[[h, v]], (5, 5), textcoords="offset points", fontsize=8, color=INK)
         axes.margins(0.08)
+        label_points(axes, centres[:, [h, v]], rig.names)
         axes.set_title(title)
         axes.set_xlabel(f"{'xyz'[h]} [m]")
         axes.set_ylabel(f"{'xyz'[v]} [m]")

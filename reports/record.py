@@ -62,7 +62,8 @@ class RunRecord:
 
     ``passed``: every limit met; for ``expect = "fail"``, that it failed for the stated reason.
     ``premises``: name -> {value, minimum or maximum, holds}. ``counts``: frames, sets, drops and the
-    like. ``timings``: seconds, the only part that differs between two runs of the same seed and code.
+    like. ``cameras``: name -> how each did: residual, error besides detection noise, shares connected and missing,
+    clock offset. ``timings``: seconds, the only part that differs between two runs of the same seed and code.
     ``provenance``: versions, platform, git, parameters.
     """
 
@@ -77,6 +78,7 @@ class RunRecord:
     metrics: tuple[Metric, ...]
     premises: Mapping[str, Any] = field(default_factory=dict)
     counts: Mapping[str, Any] = field(default_factory=dict)
+    cameras: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     timings: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
 

@@ -7,6 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from mosca.calibrate.adjust import AdjustmentSettings
 from mosca.calibrate.estimate import EstimateSettings, Shown, calibrate_session
 from mosca.calibrate.points import calibrate_from_points, summary
 from mosca.camera import lens_directions
@@ -25,7 +26,10 @@ T = TypeVar("T", LFrame, ScaleBar)
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of ``mosca calibrate``; see its help. ``axes`` and ``lengths``: recording and target file."""
+    """What is asked of ``mosca calibrate``; see its help.
+
+    ``axes`` and ``lengths``: recording and target file; ``lens``: model for measured points, before their file's.
+    """
 
     recording: Path
     target: Path
@@ -34,6 +38,7 @@ class Request:
     axes: tuple[Path, Path] | None = None
     lengths: tuple[Path, Path] | None = None
     fps: float | None = None
+    lens: str | None = None
 
 
 def calibrate(
@@ -50,7 +55,7 @@ def calibrate(
         raise InputError(f"{out}: no folder {out.parent}; make it first")
     target = read_target_file(request.target)
     if isinstance(target, PointsTarget):
-        return _from_points(request, target)
+        return _from_points(request, target, settings)
     known = None if request.known is None else read_rig(request.known)
     if settings.exterior_only and known is None:
         raise InputError("--exterior-only keeps the lenses of an earlier rig; give it with --known RIG.toml")
@@ -126,22 +131,23 @@ def _overlaps(rig: Rig) -> list[str]:
     return lines
 
 
-def _from_points(request: Request, target: PointsTarget) -> list[str]:
+def _from_points(request: Request, target: PointsTarget, settings: EstimateSettings) -> list[str]:
     for option, given in (
         ("--known", request.known),
         ("--axes", request.axes),
         ("--lengths", request.lengths),
+        ("--exterior-only", settings.exterior_only or None),
+        ("--reference", settings.reference),
     ):
         if given is not None:
             raise InputError(f'{option}: not with kind = "points", whose points are in the world already')
-    rig, adjustments = calibrate_from_points(request.recording, target)
+    how = AdjustmentSettings(parameters=settings.free)
+    rig, adjustments = calibrate_from_points(request.recording, target, how, request.lens)
     write_rig(rig, request.out)
     return [*summary(adjustments).splitlines(), f"{request.out} written"]
 
 
-def _shown(
-    paths: tuple[Path, Path] | None, kind: type[T], option: str, fps: float | None
-) -> Shown[T] | None:
+def _shown(paths: tuple[Path, Path] | None, kind: type[T], option: str, fps: float | None) -> Shown[T] | None:
     """Return the target file's ``kind`` of target with the recording that shows it; None where not given."""
     if paths is None:
         return None

@@ -17,7 +17,16 @@ FILE = click.Path(path_type=Path)
 @click.option(
     "--out", required=True, type=FILE, help="rig file to write (.toml); its page goes beside it (.html)"
 )
-@click.option("--lens", type=click.Choice(["mosca", "opencv", "fisheye"]), default="mosca", show_default=True)
+@click.option(
+    "--lens",
+    type=click.Choice(["mosca", "opencv", "fisheye"]),
+    help="lens model  [default: mosca, or what the file of measured points says]",
+)
+@click.option(
+    "--free",
+    metavar="NAME,NAME...",
+    help="lens parameters to estimate  [default: all; of measured points those that they determine]",
+)
 @click.option(
     "--pixel-pitch-mm",
     type=click.FloatRange(min=0, min_open=True),
@@ -54,7 +63,8 @@ def calibrate(
     recording: Path,
     target: Path,
     out: Path,
-    lens: str,
+    lens: str | None,
+    free: str | None,
     pixel_pitch_mm: float,
     known: Path | None,
     exterior_only: bool,
@@ -72,15 +82,18 @@ def calibrate(
     \b
     Example:  mosca calibrate lab/field --target field.toml --out rig.toml
               mosca calibrate lab/moved --target field.toml --known rig.toml --exterior-only --out rig2.toml
+              mosca calibrate lab --target points.toml --lens opencv --free fx_px,fy_px,cx_px,cy_px,k1 --out rig.toml
     """
     from mosca.calibrate.estimate import EstimateSettings
     from mosca.calibrate.interior import LensChoice
     from scenarios.calibrate import Request
     from scenarios.calibrate import calibrate as work
 
-    settings = EstimateSettings(LensChoice(lens, pixel_pitch_mm), exterior_only, every, reference)
+    names = None if free is None else tuple(name.strip() for name in free.split(","))
+    choice = LensChoice(lens or "mosca", pixel_pitch_mm)
+    settings = EstimateSettings(choice, names, exterior_only, every, reference)
     with Progress(recording.name) as shown:
-        lines = work(Request(recording, target, out, known, axes, lengths, fps), settings, shown)
+        lines = work(Request(recording, target, out, known, axes, lengths, fps, lens), settings, shown)
     for line in lines:
         click.echo(line)
 

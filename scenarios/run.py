@@ -14,7 +14,7 @@ import numpy as np
 
 from mosca.assemble import Assembly
 from mosca.calibrate.keep import RigKeeper
-from mosca.data.arrays import Array
+from mosca.data.detections import Detections
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
 from mosca.data.rig_file import write_rig
@@ -22,25 +22,29 @@ from mosca.data.tracks import Samples, Tracks, table, write_npz
 from mosca.data.truth import Truth, read_truth, write_truth
 from mosca.errors import CalibrationError, InputError, PremiseError
 from mosca.formats.tracks_csv import write_tracks_csv
+from mosca.health import Health, HealthSettings
 from mosca.pipeline import PipelineSettings, Step, run
 from mosca.recording import RecordingWriter
 from reports.calibration_page import write_calibration_page
-from reports.evidence import CameraView, ErrorTable, Evidence, FrameCounts
+from reports.evidence import CameraView, Evidence
 from reports.page import write_page
-from reports.record import Blocks, Metric, RunRecord, write_record
+from reports.record import RunRecord, write_record
+from scenarios.account import Collected, evidence_of, record_of
+from scenarios.bound import bound, efficiencies, pulses_asked
 from scenarios.build import build_scene, pipeline_settings
 from scenarios.cameras import Calibrated, calibrated, deliveries, surroundings, true_rig, virtual_cameras
 from scenarios.faults import with_fault
 from scenarios.interrupt import between_steps
-from scenarios.provenance import provenance
-from scenarios.score import Matched, Score, limits_met, metrics, pair
+from scenarios.score import BLOCKS, Matched, Score, metrics, pair
 from scenarios.session.estimated import Estimated, estimated
 from scenarios.sources import Chosen, Written, recorded
-from scenarios.spec import METRICS, Scenario
+from scenarios.spec import Scenario
 from scenarios.warm import compile_side_by_side
 from twin.source import TwinSource
 
 Progress = Callable[[int, int], None]
+EFFICIENCIES = {"efficiency", "efficiency_detection"}
+"""Metrics that need the bound, which takes seconds: they are scored where a scenario limits them."""
 VIEW_AT = 0.4
 """Where in the run the picture of a camera is taken: a share of its length."""
 
@@ -135,12 +139,29 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             matched = None if truth is None else pair(collected.tracks, truth, space)
             scores = {} if matched is None else metrics(matched, space)
             scores = {**scores, **({} if own is None else own.scores())}
+            if (
+                matched is not None
+                and truth is not None
+                and isinstance(source, TwinSource)
+                and EFFICIENCIES & set(spec.limits)
+            ):
+                scores = {**scores, **_efficiencies(source, spec, truth, believed, matched, collected)}
             premises = {} if truth is None else _premises(spec, truth, name)
     timings |= collected.seconds
-    record = _record(spec, name, options, scores, premises, timings, known, collected)
-    evidence = _evidence(spec, believed, collected, truth, matched)
+    record = record_of(spec, name, options.source, scores, premises, timings, known, collected)
+    evidence = evidence_of(spec, believed, collected, truth, matched)
     commands = None if scene is None else scene.commands
     return RunResult(record, evidence, collected.tracks, truth, commands, own)
+
+
+def _efficiencies(
+    source: TwinSource, spec: Scenario, truth: Truth, rig: Rig, matched: Matched, collected: Collected
+) -> dict[str, Score]:
+    """Return how near the run came to what its frames allow."""
+    errors = {v.camera.name: (v.mount, v.timing) for v in source.virtual}
+    pulses = pulses_asked(len(truth.time_ns))
+    least = bound(source.expected, truth, rig, errors, pulses)
+    return efficiencies(least, matched, truth, collected.asked, BLOCKS)
 
 
 def _refused(
@@ -163,12 +184,12 @@ def _refused(
         if caught is not None
         else f"not caught: '{spec.caught_as}' should have been told of; told of was {others}"
     )
-    nothing = _Collected(table([]), (), -1, Assembly(), {})
+    nothing = Collected(table([]), (), -1, Assembly(), {}, {})
     scores = {} if own is None else own.scores()
-    record = _record(spec, name, options, scores, {}, timings, known, nothing)
+    record = record_of(spec, name, options.source, scores, {}, timings, known, nothing)
     record = replace(record, passed=caught is not None, verdict=verdict)
     rig = known.rig if own is None else own.calibration.rig
-    return RunResult(record, _evidence(spec, rig, nothing, None, None), nothing.tracks, None, None, own)
+    return RunResult(record, evidence_of(spec, rig, nothing, None, None), nothing.tracks, None, None, own)
 
 
 def check_out(out: Path) -> None:
@@ -207,15 +228,6 @@ def write_run(result: RunResult, out: Path, rrd: Path | None = None) -> None:
         raise
 
 
-@dataclass(frozen=True, eq=False)
-class _Collected:
-    tracks: Tracks
-    views: tuple[CameraView, ...]
-    view_pulse: int
-    assembly: Assembly
-    seconds: Mapping[str, float]
-
-
 def _collect(
     source: FrameSource,
     rig: Rig,
@@ -223,7 +235,7 @@ def _collect(
     spec: Scenario,
     options: RunOptions,
     stack: ExitStack,
-) -> _Collected:
+) -> Collected:
     """Run the pipeline to its end and keep what the record, the page and the viewer need."""
     assembly = Assembly()
     samples: list[Samples] = []
@@ -231,6 +243,8 @@ def _collect(
     view_pulse, pulses = -1, round(spec.capture.duration_s * spec.capture.frame_rate_hz)
     seconds: dict[str, float] = {}
     latency: list[float] = []
+    wanted = set(pulses_asked(pulses).tolist()) if EFFICIENCIES & set(spec.limits) else set()
+    asked: dict[int, Mapping[str, Detections]] = {}
     log = None
     if options.rrd is not None:
         from reports.viewer import RerunLog
@@ -246,12 +260,15 @@ def _collect(
         read = Chosen(read, rig.names)
     stop = stack.enter_context(between_steps())
     keeper = RigKeeper(rig) if spec.pipeline.watch else None
-    for done, step in enumerate(run(read, rig, settings, assembly, keeper=keeper), start=1):
+    health = Health(rig, HealthSettings(start_px=settings.match.camera_sigma_px))
+    for done, step in enumerate(run(read, rig, settings, assembly, keeper=keeper, health=health), start=1):
         stop()
         samples.append(step.samples)
         for stage, value in step.seconds.items():
             seconds[stage] = seconds.get(stage, 0.0) + value
         latency.append(sum(step.seconds.values()))
+        if step.frame_set.pulse in wanted:
+            asked[step.frame_set.pulse] = step.detections
         if done == max(1, round(VIEW_AT * pulses)):
             views, view_pulse = _views(step), step.frame_set.pulse
         if log is not None:
@@ -271,10 +288,12 @@ def _collect(
         keeper.close()
         for k, incident in enumerate(keeper.incidents):
             assembly.notes[f"rig {k + 1}"] = incident.message
+    for k, line in enumerate(health.findings()):
+        assembly.notes[f"camera {k + 1}"] = line
     if latency:
         seconds["latency_p99"] = float(np.quantile(latency, 0.99))
         seconds["pipeline_per_set"] = float(np.mean(latency))
-    return _Collected(table(samples), views, view_pulse, assembly, seconds)
+    return Collected(table(samples), views, view_pulse, assembly, seconds, asked, health.cameras())
 
 
 def _as_seen_by(truth: Truth, names: tuple[str, ...]) -> Truth:
@@ -337,113 +356,6 @@ def _at_least(value: float, minimum: float) -> dict[str, Any]:
 
 def _at_most(value: float, maximum: float) -> dict[str, Any]:
     return {"value": value, "maximum": maximum, "holds": value <= maximum}
-
-
-def _record(
-    spec: Scenario,
-    name: str,
-    options: RunOptions,
-    scores: Mapping[str, Score],
-    premises: Mapping[str, Any],
-    timings: Mapping[str, float],
-    known: Any,
-    collected: _Collected,
-) -> RunRecord:
-    met = limits_met(scores, spec.limits, lambda metric: METRICS[metric][1])
-    rows = tuple(
-        _metric(metric, score, spec, met) for metric, score in scores.items() if np.isfinite(score.value)
-    )
-    broken = [metric for metric, ok in met.items() if not ok]
-    passed, verdict = _verdict(spec, broken, bool(scores))
-    return RunRecord(
-        scenario=name,
-        title=spec.title,
-        seed=spec.seed,
-        source=options.source,
-        model_gap=spec.model_gap,
-        expect=spec.expect,
-        passed=passed,
-        verdict=verdict,
-        metrics=rows,
-        premises=premises,
-        counts=_counts(collected),
-        timings={key: float(value) for key, value in timings.items()},
-        provenance={
-            **provenance(),
-            "model_gap_rms_px": round(known.gap_rms_px, 6),
-            "model_gap_max_px": round(known.gap_max_px, 6),
-            "parameters": spec.model_dump(mode="json"),
-        },
-    )
-
-
-def _metric(name: str, score: Score, spec: Scenario, met: Mapping[str, bool]) -> Metric:
-    unit, sense = METRICS[name]
-    return Metric(
-        name, score.value, unit, score.n, score.ci95, "none", spec.limits.get(name),
-        "at_most" if sense == "at_most" else "at_least", met.get(name),
-        Blocks(score.sums, score.weights) if score.sums else None,
-    )  # fmt: skip
-
-
-def _verdict(spec: Scenario, broken: list[str], scored: bool) -> tuple[bool, str]:
-    if not scored:
-        return True, "no truth to score against: tracks only"
-    if spec.expect == "pass":
-        return not broken, "every limit is met" if not broken else f"broken: {', '.join(broken)}"
-    missing = [name for name in spec.fails_on if name not in broken]
-    if missing:
-        return False, f"the control was not caught: {', '.join(missing)} should have broken"
-    return True, f"fails as it must: {', '.join(spec.fails_on)} broken"
-
-
-def _counts(collected: _Collected) -> dict[str, Any]:
-    assembly = collected.assembly
-    tracks = collected.tracks
-    return {
-        "frames": assembly.frames,
-        "frame_sets": assembly.sets,
-        "complete_sets": assembly.complete_sets,
-        "empty_sets": assembly.empty_sets,
-        "dropped": sum(c.dropped for c in assembly.cameras.values()),
-        "corrupt": sum(c.corrupt for c in assembly.cameras.values()),
-        "late": sum(c.late for c in assembly.cameras.values()),
-        "tracks": len(np.unique(tracks.track)),
-        "samples": len(tracks),
-        "notes": dict(assembly.notes),
-    }
-
-
-def _evidence(
-    spec: Scenario, rig: Rig, collected: _Collected, truth: Truth | None, matched: Matched | None
-) -> Evidence:
-    base = Evidence(
-        rig,
-        np.array(spec.working_space.center_m),
-        np.array(spec.working_space.size_m),
-        collected.tracks,
-        collected.views,
-    )
-    if truth is None or matched is None:
-        return base
-    time_s = truth.time_ns * 1e-9
-    pulse = min(max(collected.view_pulse, 0), len(truth.time_ns) - 1)
-    return replace(
-        base,
-        views=tuple(_with_truth(v, truth, pulse) for v in collected.views),
-        truth_time_ns=truth.time_ns,
-        truth_xyz=truth.xyz,
-        truth_names=truth.names,
-        marker_seen=matched.seen_mask.sum(axis=0),
-        errors=ErrorTable(matched.frame, time_s[matched.frame], matched.marker, matched.error_m),
-        counts=FrameCounts(time_s, matched.seen, matched.seen - matched.missed, matched.ghosts),
-    )
-
-
-def _with_truth(view: CameraView, truth: Truth, pulse: int) -> CameraView:
-    c = truth.cameras.index(view.camera)
-    xy: Array = truth.image_xy_px[pulse, :, c]
-    return replace(view, true_xy_px=xy[np.isfinite(xy).all(axis=1) & (truth.visible[pulse, :, c] > 0)])
 
 
 def _write_commands(commands: Any, path: Path) -> None:

@@ -128,7 +128,7 @@ def metrics(matched: Matched, working_space_m: float) -> dict[str, Score]:
     result: dict[str, Score] = {}
     if k:
         squares = of_pairs(distance**2)
-        rms = _ratio(squares, pairs, k, np.sqrt)
+        rms = ratio_of_sums(squares, pairs, k, np.sqrt)
         result["position_rms"] = rms
         by_block = [distance[block[matched.frame] == b] for b in range(count)]
         p95 = [float(np.quantile(d, 0.95)) * len(d) if len(d) else 0.0 for d in by_block]
@@ -138,13 +138,13 @@ def metrics(matched: Matched, working_space_m: float) -> dict[str, Score]:
             float(np.quantile(distance, 0.95)), k, None, tuple(p95), tuple(pairs.tolist())
         )
         result["position_max"] = Score(float(distance.max()), k, None, tuple(largest), filled)
-        result["relative_accuracy"] = _ratio(squares, pairs * working_space_m**2, k, np.sqrt)
-        result["nees"] = _ratio(of_pairs(matched.nees), pairs, k)
+        result["relative_accuracy"] = ratio_of_sums(squares, pairs * working_space_m**2, k, np.sqrt)
+        result["nees"] = ratio_of_sums(of_pairs(matched.nees), pairs, k)
         inside = matched.nees <= chi2.ppf(0.95, 3)
-        result["coverage95"] = _ratio(of_pairs(inside), pairs, k)
-        result["reprojection_rms"] = _ratio(of_pairs(matched.residual_px**2), pairs, k, np.sqrt)
-    result["completeness"] = _ratio(seen - missed, seen, int(matched.seen.sum()))
-    result["ghosts_per_frame"] = _ratio(of_frames(matched.ghosts), of_frames(np.ones(frames)), frames)
+        result["coverage95"] = ratio_of_sums(of_pairs(inside), pairs, k)
+        result["reprojection_rms"] = ratio_of_sums(of_pairs(matched.residual_px**2), pairs, k, np.sqrt)
+    result["completeness"] = ratio_of_sums(seen - missed, seen, int(matched.seen.sum()))
+    result["ghosts_per_frame"] = ratio_of_sums(of_frames(matched.ghosts), of_frames(np.ones(frames)), frames)
     result["identity_switches"] = Score(float(identity_switches(matched)), k)
     result["hota"] = Score(hota(matched), k)
     return result
@@ -247,7 +247,7 @@ def _in_time(times: Array, wanted: Array, at: Array) -> Array:
     return np.abs(times[at] - wanted) <= 0.5 * np.median(np.diff(times))
 
 
-def _ratio(above: Array, below: Array, n: int, finish: Callable[[Array], Array] = lambda x: x) -> Score:
+def ratio_of_sums(above: Array, below: Array, n: int, finish: Callable[[Array], Array] = lambda x: x) -> Score:
     """Score of a ratio of block sums, with its block bootstrap."""
     above, below = np.asarray(above, dtype=float), np.asarray(below, dtype=float)
     if below.sum() == 0:

@@ -37,6 +37,8 @@ METRICS = {
     "hota": ("1", "at_least"),
     "nees": ("1", "at_most"),
     "coverage95": ("1", "at_least"),
+    "efficiency": ("1", "at_least"),
+    "efficiency_detection": ("1", "at_least"),
     "reprojection_rms": ("px", "at_most"),
     "calibration_rays_rms": ("px", "at_most"),
     "calibration_volume_rms": ("m", "at_most"),

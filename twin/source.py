@@ -3,7 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import Lock, local
 
 import numpy as np
@@ -15,6 +15,8 @@ from mosca.errors import InputError
 from twin.cameras.around import Around
 from twin.cameras.camera import VirtualCamera
 from twin.cameras.delivery import Delivery, Taken, deliver
+from twin.cameras.expected import STEP_PX, Expected, expected_frame
+from twin.cameras.lens import moved
 from twin.cameras.moment import Moment
 from twin.cameras.shutter import pulse_time_s
 from twin.cameras.station import Shot, Station
@@ -147,6 +149,35 @@ class TwinSource:
     def truth(self) -> Truth:
         """Return what really was at the pulses read so far."""
         return truth_of(list(self._latest), self._stations, self.scene.marker_names)
+
+    def expected(self, pulse: int) -> tuple[Expected, ...]:
+        """Return what each camera's frame at ``pulse`` holds on average, and how it changes when its image moves.
+
+        The camera shakes and opens as it does in that frame; sensor noise alone is averaged out. Stray light
+        counts as background. A camera without a frame at that pulse is left out.
+        """
+        moment = Moment(self._sampler(), self._subject.geoms, self._subject.bodies)
+        found = []
+        for camera, station in enumerate(self._stations):
+            for exposure in station.exposures(pulse)[:1]:
+                sight = station.look(exposure, moment)
+                light = self._room(station)
+                station.collect(sight, moment, light)
+                rest, ambient = light.astype(float), station.ambient
+                if self._around is not None:
+                    self._around.add_targets(camera, sight, moment, light)
+                    ambient = self._around.ambient(camera, sight, moment, light)
+                shifted = []
+                for right, down in ((STEP_PX, 0.0), (-STEP_PX, 0.0), (0.0, STEP_PX), (0.0, -STEP_PX)):
+                    light = self._room(station)
+                    station.collect(replace(sight, lens=moved(sight.lens, right, down)), moment, light)
+                    shifted.append(light.copy())
+                right_left_down_up = (shifted[0], shifted[1], shifted[2], shifted[3])
+                virtual = station.virtual
+                found.append(
+                    expected_frame(virtual.camera.name, virtual.sensor, ambient, rest, right_left_down_up)
+                )
+        return tuple(found)
 
     def _taken(self, reading: _Reading) -> Iterator[Taken]:
         """Yield what the cameras take, in order, while the workers are ahead; ends when the reading is closed."""

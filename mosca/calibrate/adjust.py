@@ -4,12 +4,13 @@ Starting values come from ``resection``. Which lens parameters are estimated is 
 (``choice``), and blunders are found on the way (``blunders``): the two depend on each other.
 """
 
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
 
 import numpy as np
 
 from mosca.calibrate.blunders import LEAST_REDUNDANCY, robust_points, snoop
-from mosca.calibrate.choice import choose_parameters, nested_parameters
+from mosca.calibrate.choice import choose_parameters, groups_of, nested_parameters
 from mosca.calibrate.fit import Fit, fit_camera, residuals_of
 from mosca.calibrate.resection import Resection, aim, resect, resect_fisheye
 from mosca.data.arrays import Array, read_only
@@ -32,13 +33,15 @@ ROUNDS = 4
 class AdjustmentSettings:
     """How a camera is adjusted.
 
-    ``parameters``: lens parameters to estimate; None lets the data choose. ``significance``: level of the
-    F-test by which a group joins. ``blunder_significance``: chance that a point is rejected in an
-    adjustment without blunders. ``max_sigma0_px`` and ``max_rejected``: beyond these the result is refused.
-    ``pixel_pitch_mm``: mx of a Mosca lens, which is held (the sensor's data sheet; it only sets the unit of c).
+    ``parameters``: lens parameters to estimate; None lets the data choose, OpenCV's thin prism among the rest unless
+    ``prism`` is False. ``significance``: level of the F-test by which a group joins. ``blunder_significance``:
+    chance that a point is rejected in an adjustment without blunders. ``max_sigma0_px`` and ``max_rejected``: beyond
+    these the result is refused. ``pixel_pitch_mm``: mx of a Mosca lens, which is held (the sensor's data sheet; it
+    only sets the unit of c).
     """
 
     parameters: tuple[str, ...] | None = None
+    prism: bool = True
     significance: float = 0.001
     blunder_significance: float = 0.01
     max_sigma0_px: float = 2.0
@@ -104,14 +107,16 @@ def adjust_camera(
     """
     settings = settings or AdjustmentSettings()
     where = f"camera '{name}'"
-    _check_names(where, model, settings)
+    check_lens(where, model, settings.parameters)
     xy, world = np.asarray(xy_px, dtype=float).reshape(-1, 2), np.asarray(xyz, dtype=float).reshape(-1, 3)
     if model == "fisheye":
         first = resect_fisheye(where, size, xy, world, rng)
     else:
         first = resect(where, xy, world, rng)
     start = _start(name, size, model, first, settings)
-    used = robust_points(start, nested_parameters(model, int(first.inliers.sum())), xy, world, first.inliers)
+    groups = groups_of(model, settings.prism)
+    nested = nested_parameters(model, int(first.inliers.sum()), groups)
+    used = robust_points(start, nested, xy, world, first.inliers)
     # the choice of parameters and the rejection of points depend on each other; four rounds end a dispute
     for _ in range(ROUNDS):
         fit, chosen = _chosen_fit(where, start, xy, world, used, settings)
@@ -122,11 +127,15 @@ def adjust_camera(
     return _judged(where, fit, xy, world, used, chosen, settings)
 
 
-def _check_names(where: str, model: str, settings: AdjustmentSettings) -> None:
+def check_lens(where: str, model: str, parameters: Sequence[str] | None) -> None:
+    """Raise InputError for an unknown lens model, or a parameter that it has not or that is always held.
+
+    ``where`` begins the message (for instance "camera 'left'").
+    """
     if model not in LENS_MODELS:
         raise InputError(f"{where}: lens model '{model}' is unknown; there are {', '.join(LENS_MODELS)}")
     allowed = [p for p in (f.name for f in fields(LENS_MODELS[model])) if p != "mx_mm_per_px"]
-    for parameter in settings.parameters or ():
+    for parameter in parameters or ():
         if parameter not in allowed:
             raise InputError(
                 f"{where}: lens parameter '{parameter}' cannot be estimated; allowed: {', '.join(allowed)}"
@@ -164,7 +173,9 @@ def _chosen_fit(
                 "hold some parameters or measure more points, farther apart"
             )
         return fit, ()
-    fit, chosen = choose_parameters(start, pixels, points, settings.significance)
+    fit, chosen = choose_parameters(
+        start, pixels, points, settings.significance, groups_of(start.lens.model, settings.prism)
+    )
     if fit.cofactors is None:
         raise CalibrationError(
             f"{where}: {len(points)} points do not determine the scale and the pose; "

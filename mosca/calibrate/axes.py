@@ -6,7 +6,9 @@ from itertools import combinations
 
 import numpy as np
 
-from mosca.calibrate.axes_match import best_match, rigid, spots
+from mosca.calibrate.accuracy_map import measured_points
+from mosca.calibrate.align import rigid
+from mosca.calibrate.axes_match import Spots, best_match, spots
 from mosca.calibrate.findings import refuse, warn
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
@@ -29,7 +31,9 @@ class Axes:
 
     ``world_from_rig`` the motion, applied after the stretch ``scale``; ``places`` (n, 3) where the balls are then
     and ``residuals_m`` (n, 3) by how much they miss the L-frame's; ``measured_over_known``: the frame's size in the
-    rig's own lengths over the file's, with its standard deviation; ``findings``: what is doubtful.
+    rig's own lengths over the file's, with its standard deviation (of detection, of the file, and of the calibration
+    where one was given) and its slope ``by_parameter`` (u,) by the calibration's parameters; ``findings``: what is
+    doubtful.
     """
 
     rig: Rig
@@ -39,6 +43,7 @@ class Axes:
     residuals_m: Array
     measured_over_known: float
     scale_sigma: float
+    by_parameter: Array
     findings: tuple[Finding, ...]
 
     @property
@@ -48,18 +53,21 @@ class Axes:
 
 
 def world_from_l_frame(
-    rig: Rig,
+    calibration: Calibration | Rig,
     detections: Mapping[str, Detections] | Sequence[Detections],
     l_frame: LFrame,
     lengths_known: bool = True,
 ) -> Axes:
-    """Return ``rig`` in the axes of an L-frame that all of ``detections``, one a camera, show.
+    """Return a rig in the axes of an L-frame that all of ``detections``, one a camera, show.
 
+    With a ``Calibration`` its covariance counts in how well the size is known, with a ``Rig`` it does not.
     ``lengths_known``: False where the rig's lengths are arbitrary (self-calibration); the L-frame then gives them.
     CalibrationError where its balls are not found in two cameras at least, in more than one way, or mirrored.
     """
+    rig = calibration if isinstance(calibration, Rig) else calibration.rig
     shown = detections.values() if isinstance(detections, Mapping) else detections
-    places, covariance = spots(rig, {one.camera: one for one in shown})
+    seen = spots(rig, {one.camera: one for one in shown})
+    places = seen.places
     known = np.asarray(l_frame.positions)
     if len(places) < len(known):
         raise CalibrationError(
@@ -75,21 +83,28 @@ def world_from_l_frame(
             "its size are allowed); check the file's distances, that it is not mirrored (x and y swapped), and that "
             "nothing else shines"
         )
-    found = places[list(match)]
-    ratio, sigma = _size(found, covariance[list(match)], known, l_frame.sigma_m)
+    balls = seen.of(match)
+    found = balls.places
+    ratio, slope, variance = _size(balls, known, l_frame.sigma_m)
+    by_parameter = np.zeros(0)
+    if isinstance(calibration, Calibration):
+        by_parameter = np.einsum("ni,nik->k", slope, _moved_by(calibration, balls))
+        variance += float(by_parameter @ calibration.covariance @ by_parameter)
+    sigma = float(np.sqrt(variance))
     findings = _judged(ratio, sigma) if lengths_known else ()
     scale = 1.0 if lengths_known else 1 / ratio
     pose = rigid(scale * found, known)
     moved = pose.transform(scale * found)
     cameras = tuple(replace(camera, world_from_camera=_moved(camera, pose, scale)) for camera in rig.cameras)
-    return Axes(Rig(cameras), pose, scale, moved, moved - known, ratio, sigma, findings)
+    return Axes(Rig(cameras), pose, scale, moved, moved - known, ratio, sigma, by_parameter, findings)
 
 
 def in_axes(calibration: Calibration, axes: Axes) -> Calibration:
     """Return a calibration in the axes (and lengths) of ``axes``, its covariance carried along.
 
     The covariance stays that of the network in itself: how well the L-frame was measured moves all cameras alike
-    and is not in it. Where the L-frame scales, the uncertainty of its length is added.
+    and is not in it. Where the L-frame scales, the uncertainty of the scale is added: what the calibration's own
+    parameters do to it goes with them.
     """
     turn, scale = axes.world_from_rig.rotation, axes.scale
     names, place = calibration.parameters, {name: k for k, name in enumerate(calibration.parameters)}
@@ -101,13 +116,19 @@ def in_axes(calibration: Calibration, axes: Axes) -> Calibration:
             continue
         carry[np.ix_(at, at)] = scale * turn
         stretch[at] = camera.world_from_camera.translation
-    covariance = carry @ calibration.covariance @ carry.T
     moved = axes.world_from_rig.transform(scale * np.asarray(calibration.marks_m))
     on_thing = len(calibration.target_translation) > 0
     if scale != 1.0:
         if on_thing:
             raise CalibrationError("axes: a calibration by a target of known size is not stretched")
-        covariance = covariance + axes.scale_sigma**2 * np.outer(stretch, stretch)
+        variance = axes.scale_sigma**2
+        if len(axes.by_parameter):
+            variance -= float(axes.by_parameter @ calibration.covariance @ axes.by_parameter)
+            carry -= scale * np.outer(stretch, axes.by_parameter)
+        rest = scale**2 * max(variance, 0.0) * np.outer(stretch, stretch)
+    else:
+        rest = np.zeros_like(carry)
+    covariance = carry @ calibration.covariance @ carry.T + rest
     return replace(
         calibration,
         rig=axes.rig,
@@ -126,8 +147,12 @@ def _moved(camera: Camera, pose: Pose, scale: float) -> Pose:
     return pose @ Pose(own.rotation, scale * own.translation)
 
 
-def _size(found: Array, covariance: Array, known: Array, sigma_m: float) -> tuple[float, float]:
-    """Return the size of the balls' figure over the known one, and its standard deviation."""
+def _size(balls: Spots, known: Array, sigma_m: float) -> tuple[float, Array, float]:
+    """Return the size of the balls' figure over the known one, its slope (n, 3) by their places, and its variance.
+
+    The variance is that of detection and of the file; the calibration's is not in it.
+    """
+    found = balls.places
     pairs = list(combinations(range(len(known)), 2))
     measured = np.array([np.linalg.norm(found[i] - found[j]) for i, j in pairs])
     true = np.array([np.linalg.norm(known[i] - known[j]) for i, j in pairs])
@@ -139,8 +164,20 @@ def _size(found: Array, covariance: Array, known: Array, sigma_m: float) -> tupl
         slope[i] += along
         slope[j] -= along
     slope /= true @ true
-    variance = np.einsum("ni,nij,nj->", slope, covariance, slope) + sigma_m**2 * (slope**2).sum() * ratio**2
-    return ratio, float(np.sqrt(variance))
+    variance = (
+        np.einsum("ni,nij,nj->", slope, balls.covariance, slope) + sigma_m**2 * (slope**2).sum() * ratio**2
+    )
+    return ratio, slope, float(variance)
+
+
+def _moved_by(calibration: Calibration, balls: Spots) -> Array:
+    """Return how the calibration's parameters move the places of the balls (n, 3, u)."""
+    ball, camera = np.nonzero(np.isfinite(balls.xy_px).all(axis=2))
+    covariance = np.tile(balls.sigma_px**2 * np.eye(2), (len(ball), 1, 1))
+    points = measured_points(calibration, camera, ball, balls.xy_px[ball, camera], covariance)
+    moved = np.zeros((len(balls), 3, len(calibration.parameters)))
+    moved[points.key] = points.by_parameter
+    return moved
 
 
 def _judged(ratio: float, sigma: float) -> tuple[Finding, ...]:

@@ -1,15 +1,16 @@
 """Places of balls that cameras see, and which of them are which balls of a known figure."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
+from mosca.calibrate.align import rigid
 from mosca.camera import project, rays
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
-from mosca.data.rig import Pose, Rig
-from mosca.data.rotations import nearest_rotation
+from mosca.data.rig import Rig
 from mosca.errors import CalibrationError
 from mosca.triangulate import triangulate
 
@@ -20,8 +21,29 @@ MOST_SPOTS, MOST_DETECTIONS = 24, 200
 TIMES_BETTER = 3.0
 
 
-def spots(rig: Rig, detections: Mapping[str, Detections]) -> tuple[Array, Array]:
-    """Return places (n, 3) [m] where rays of two cameras or more meet, and their covariances (n, 3, 3).
+@dataclass(frozen=True, eq=False)
+class Spots:
+    """Places (n, 3) [m] where rays of two cameras or more meet, with their covariances (n, 3, 3) from detection.
+
+    ``xy_px`` (n, c, 2): what each camera saw of them, NaN where nothing; ``sigma_px``: of such a coordinate.
+    """
+
+    places: Array
+    covariance: Array
+    xy_px: Array
+    sigma_px: float
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    def of(self, chosen: Sequence[int]) -> "Spots":
+        """Return the chosen ones, in this order."""
+        rows = list(chosen)
+        return Spots(self.places[rows], self.covariance[rows], self.xy_px[rows], self.sigma_px)
+
+
+def spots(rig: Rig, detections: Mapping[str, Detections]) -> Spots:
+    """Return the places where rays of two cameras or more meet.
 
     Those seen by most cameras come first; each detection belongs to one place at the most.
     """
@@ -40,7 +62,7 @@ def spots(rig: Rig, detections: Mapping[str, Detections]) -> tuple[Array, Array]
             if sum(index >= 0 for index in group) >= 2:
                 groups[group] = None
     if not groups:
-        return np.zeros((0, 3)), np.zeros((0, 3, 3))
+        return Spots(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, len(rig.cameras), 2)), 1.0)
     table = np.array(list(groups))
     xy = np.full((*table.shape, 2), np.nan)
     for k in known:
@@ -57,7 +79,7 @@ def spots(rig: Rig, detections: Mapping[str, Detections]) -> tuple[Array, Array]
         if residual[row] <= MATCH_PX and not own & taken:
             taken |= own
             chosen.append(row)
-    return places[chosen[:MOST_SPOTS]], covariance[chosen[:MOST_SPOTS]]
+    return Spots(places, covariance, xy, sigma).of(chosen[:MOST_SPOTS])
 
 
 def _meetings(rig: Rig, detections: Mapping[str, Detections], first: int, second: int) -> Array:
@@ -131,13 +153,6 @@ def best_match(places: Array, known: Array, fits: float, near: float | None) -> 
             "its arms more unlike"
         )
     return found[0][1]
-
-
-def rigid(source: Array, target: Array) -> Pose:
-    """Return the motion (never a reflection) that brings points (n, 3) nearest to others (Kabsch 1976)."""
-    a, b = source.mean(axis=0), target.mean(axis=0)
-    turn = nearest_rotation((target - b).T @ (source - a))[0]
-    return Pose(turn, b - turn @ a)
 
 
 def _misfit(found: Array, known: Array) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from mosca.calibrate.fit import ROUGHLY_CONVERGED, Fit, fit_camera, linearised, residuals_of
-from mosca.calibrate.resection import SIGMA_BY_MEDIAN
+from mosca.calibrate.robust import SIGMA_BY_MEDIAN_2D
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera
 
@@ -42,7 +42,7 @@ def robust_points(
     near = inliers
     for _ in range(ROBUST_ROUNDS):
         distance = np.linalg.norm(residuals_of(camera, xy_px, xyz), axis=1)
-        sigma = max(SIGMA_BY_MEDIAN * float(np.median(distance)), ROUNDING_PX)
+        sigma = max(SIGMA_BY_MEDIAN_2D * float(np.median(distance)), ROUNDING_PX)
         before, near = near, distance < GROSS_SIGMAS * sigma
         if (near == before).all():
             break

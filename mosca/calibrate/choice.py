@@ -4,10 +4,11 @@ Pose and scale (c and my, or fx and fy) are always estimated; the principal poin
 K3 (or k1, (p1, p2), k2, k3, ...) join one group at a time, that one first which lowers the sum of squares most
 significantly (F-test), until none does. A parameter left out stays at zero, the principal point in the
 middle of the image. So weak terms cannot swing where no point lies. Mosca's P1 and P2 come last, and only where the
-others do not imitate them. Mosca's mx is always held: c, mx and my have two degrees of freedom.
+others do not imitate them. OpenCV's thin prism s1-s4 is what a slanting window or water surface does to a camera.
+Mosca's mx is always held: c, mx and my have two degrees of freedom.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import fields
 
 import numpy as np
@@ -21,6 +22,7 @@ from mosca.data.rig import LENS_MODELS, Camera
 Group = tuple[str, ...]
 
 SCALE = {"mosca": ("c_mm", "my_mm_per_px"), "opencv": ("fx_px", "fy_px"), "fisheye": ("fx_px", "fy_px")}
+PRISM = ("s1", "s2", "s3", "s4")
 # groups of lens parameters that may join, in the order in which they become available: a radial term
 # needs the lower one before it
 GROUPS: dict[str, tuple[tuple[str, ...], ...]] = {
@@ -32,7 +34,7 @@ GROUPS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("K2_per_mm4",),
         ("K3_per_mm6",),
     ),
-    "opencv": (("cx_px", "cy_px"), ("k1",), ("p1", "p2"), ("k2",), ("k3",)),
+    "opencv": (("cx_px", "cy_px"), ("k1",), ("p1", "p2"), ("k2",), ("k3",), PRISM),
     "fisheye": (("cx_px", "cy_px"), ("k1",), ("k2",), ("k3",), ("k4",)),
 }
 LOWER = {
@@ -45,16 +47,21 @@ COMPETING = (("xp_px", "yp_px"), ("a",))
 LARGEST_INFLATION = 100.0
 
 
-def nested_parameters(model: str, n_points: int) -> list[Group]:
+def groups_of(model: str, prism: bool = True) -> tuple[Group, ...]:
+    """Return the groups of a model's lens parameters that may join; without the thin prism unless ``prism``."""
+    return tuple(group for group in GROUPS[model] if prism or group != PRISM)
+
+
+def nested_parameters(model: str, n_points: int, groups: Sequence[Group]) -> list[Group]:
     """Return nested sets of free parameters, from the simplest to the richest that so many points allow."""
-    sets = [_free(model, GROUPS[model][:k]) for k in range(len(GROUPS[model]) + 1)]
+    sets = [_free(model, groups[:k]) for k in range(len(groups) + 1)]
     return [free for free in sets if 6 + len(free) <= n_points] or sets[:1]
 
 
 def choose_parameters(
-    start: Camera, xy_px: Array, xyz: Array, significance: float
+    start: Camera, xy_px: Array, xyz: Array, significance: float, groups: Sequence[Group]
 ) -> tuple[Fit, tuple[tuple[str, float], ...]]:
-    """Fit a camera to pixels (n, 2) of points (n, 3) [m] with the parameters that they determine.
+    """Fit a camera to pixels (n, 2) of points (n, 3) [m] with those ``groups`` of parameters that they determine.
 
     ``significance``: level of the F-test. Also returns the groups that joined, in order, and their p-values.
     """
@@ -62,7 +69,9 @@ def choose_parameters(
     chosen: list[tuple[Group, float]] = []
     for decentring in (False, True):
         while True:
-            best = _best_group(fit, [group for group, _ in chosen], decentring, xy_px, xyz)
+            joined = [group for group, _ in chosen]
+            open_groups = [g for g in groups if g not in joined and (decentring or g != DECENTRING)]
+            best = _best_group(fit, joined, open_groups, xy_px, xyz)
             if best is None or best[0] >= significance:
                 break
             fit = best[2]
@@ -72,16 +81,16 @@ def choose_parameters(
 
 
 def _best_group(
-    fit: Fit, joined: list[Group], decentring: bool, xy: Array, world: Array
+    fit: Fit, joined: list[Group], open_groups: list[Group], xy: Array, world: Array
 ) -> tuple[float, Group, Fit] | None:
-    """Return p-value, group and fit of the group that lowers the sum of squares most significantly."""
+    """Return p-value, group and fit of the open group that lowers the sum of squares most significantly."""
     model = fit.camera.lens.model
     trials = []
-    for group in GROUPS[model]:
+    for group in open_groups:
         lower = LOWER[model].get(group[0])
-        if group in joined or (lower is not None and (lower,) not in joined):
+        if lower is not None and (lower,) not in joined:
             continue
-        if group == DECENTRING and (not decentring or _imitated(fit.camera, xy, world)):
+        if group == DECENTRING and _imitated(fit.camera, xy, world):
             continue
         trial = fit_camera(fit.camera, _free(model, [*joined, group]), xy, world, tolerance=ROUGHLY_CONVERGED)
         redundancy = 2 * len(xy) - len(trial.parameters)

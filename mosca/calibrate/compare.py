@@ -12,9 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mosca.calibrate.align import similarity
 from mosca.camera import image_grid, lens_directions, lens_pixels, project
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Pose, Rig
+from mosca.data.rotations import nearest_rotation
 from mosca.errors import InputError
 from mosca.triangulate import triangulate
 
@@ -143,17 +145,6 @@ def compare_rigs(
     )  # fmt: skip
 
 
-def similarity(source: Array, destination: Array, with_scale: bool = True) -> tuple[float, Pose]:
-    """Return scale s and motion (R, t) with destination ~ s R source + t, points (n, 3) (Umeyama 1991)."""
-    middle, other = source.mean(axis=0), destination.mean(axis=0)
-    spread = (destination - other).T @ (source - middle)
-    left, values, right = np.linalg.svd(spread)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    rotation = (left * signs) @ right
-    scale = float((values * signs).sum() / ((source - middle) ** 2).sum()) if with_scale else 1.0
-    return scale, Pose(rotation, other - scale * rotation @ middle)
-
-
 def _measured(seen_by: Rig, measured_by: Rig, points: Array) -> Array:
     """Return where the one rig places (n, 3) what the other images of ``points`` (n, 3)."""
     table = np.stack([_inside(camera, project(camera, points)) for camera in seen_by.cameras], axis=1)
@@ -179,8 +170,7 @@ def _camera_difference(a: Camera, b: Camera, aligned: Camera, middle: Array) -> 
     mine, theirs = lens_directions(a.lens, xy), lens_directions(b.lens, xy)
     both = np.flatnonzero(np.isfinite(mine).all(axis=1) & np.isfinite(theirs).all(axis=1))
     # the turn that brings b's rays onto a's best: what is left is the lens
-    left, _, right = np.linalg.svd(mine[both].T @ theirs[both])
-    turn = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
+    turn = nearest_rotation(mine[both].T @ theirs[both])[0]
     own = np.linalg.norm(lens_pixels(a.lens, theirs[both] @ turn.T) - xy[both], axis=1)
     pose, other = a.world_from_camera, aligned.world_from_camera
     return CameraDifference(

@@ -7,19 +7,18 @@ from typing import Generic, TypeGuard, TypeVar
 import numpy as np
 
 from mosca.assemble import assemble
+from mosca.calibrate.adjust import check_lens
 from mosca.calibrate.axes import in_axes, world_from_l_frame
 from mosca.calibrate.interior import LensChoice, plain_lens
 from mosca.calibrate.judge import judge
 from mosca.calibrate.judge_evidence import evidence_of
 from mosca.calibrate.judge_settings import JudgeSettings
 from mosca.calibrate.judge_size import LengthErrors, length_errors
-from mosca.calibrate.read_board import BoardReader
-from mosca.calibrate.read_field import FieldReader
+from mosca.calibrate.read_target import reader_of
 from mosca.calibrate.rigid import RigidSettings, RigidTarget, calibrate_rigid
-from mosca.calibrate.sessions import MarkReader, Progress, sight
+from mosca.calibrate.sessions import Progress, sight
 from mosca.calibrate.wand import calibrate_wand
 from mosca.calibrate.wand_order import ordered
-from mosca.calibrate.wand_read import read_wand
 from mosca.data.arrays import Array
 from mosca.data.boards import Board
 from mosca.data.calibration import Calibration
@@ -27,9 +26,9 @@ from mosca.data.calibration_evidence import CalibrationEvidence
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
-from mosca.data.sightings import Part, Sightings
+from mosca.data.sightings import Sightings
 from mosca.data.target_tables import CalibrationTarget
-from mosca.data.targets import BallTarget, CodedTarget, RoundTarget, ScaleBar, TestField
+from mosca.data.targets import CodedTarget, RoundTarget, ScaleBar, TestField
 from mosca.data.wands import LFrame, Wand
 from mosca.detect import DetectionSettings, detect
 from mosca.errors import CalibrationError, InputError
@@ -44,12 +43,16 @@ Target_co = TypeVar("Target_co", bound=CalibrationTarget, covariant=True)
 
 @dataclass(frozen=True)
 class EstimateSettings:
-    """``lens``: model to estimate; ``exterior_only``: keep the lenses of the known rig; ``every``: look at each so
-    many-th frame set; ``reference``: frame set in which a rigid target is the world; ``detection``: how the balls of
-    wands and L-frames are found; ``volume`` (low, high) [m, world]: where will be measured.
+    """How cameras are calibrated from frames.
+
+    ``lens``: model to estimate, ``free`` its parameters (None: all); ``exterior_only``: keep the lenses of the known
+    rig; ``every``: look at each so many-th frame set; ``reference``: frame set in which a rigid target is the world;
+    ``detection``: how the balls of wands and L-frames are found; ``volume`` (low, high) [m, world]: where will be
+    measured.
     """
 
     lens: LensChoice = field(default_factory=LensChoice)
+    free: tuple[str, ...] | None = None
     exterior_only: bool = False
     every: int = 1
     reference: int | None = None
@@ -75,12 +78,12 @@ def calibrate_session(
     made_from: str = "",
     progress: Progress | None = None,
 ) -> tuple[Calibration, CalibrationEvidence]:
-    """Calibrate from frames of a target, move the rig onto an L-frame's axes, try it on a certified bar, and judge it.
+    """Calibrate from frames of a target, set the axes by an L-frame, try the rig on a certified bar, and judge it.
 
-    ``axes``, ``lengths``: frames of L-frame and bar, where there are; ``known``: an earlier rig of these cameras, held
-    against the new one, whose lenses stay with ``settings.exterior_only``; ``made_from``: what the page says of it.
-    Returns the judged calibration and the evidence that its page shows. InputError or CalibrationError, in one line,
-    where the frames do not do.
+    ``axes``, ``lengths``: frames of L-frame and bar, where there are; ``known``: an earlier rig of these cameras that
+    the new one is held against, and whose lenses stay with ``settings.exterior_only``; ``made_from``: what the page
+    says of it. Returns the judged calibration and the evidence that its page shows. InputError or CalibrationError,
+    in one line, where the frames do not do.
     """
     with shown.opened(known) as source:
         start = known if settings.exterior_only else None
@@ -133,7 +136,7 @@ def calibrate_sightings(
     _check(target, settings)
     if is_rigid(target):
         rigid = RigidSettings(
-            settings.lens, exterior_only=settings.exterior_only, reference=settings.reference
+            settings.lens, settings.free, exterior_only=settings.exterior_only, reference=settings.reference
         )
         return calibrate_rigid(sightings, rigid_target(target), rigid, known)
     if isinstance(target, Wand):
@@ -152,6 +155,14 @@ def _check(target: CalibrationTarget, settings: EstimateSettings) -> None:
         raise InputError(
             "a wand does not give exterior orientation alone; show the test field or the board again"
         )
+    if settings.free is not None:
+        if isinstance(target, Wand):
+            raise InputError("a wand's cameras have lens parameters of their own choice; leave 'free' out")
+        if settings.exterior_only:
+            raise InputError(
+                "'free' names lens parameters, and exterior orientation alone has none; leave it out"
+            )
+        check_lens("cameras", settings.lens.model, settings.free)
 
 
 def judged(
@@ -183,7 +194,7 @@ def on_axes(
     calibration: Calibration, source: FrameSource, frame: LFrame, settings: EstimateSettings
 ) -> Calibration:
     """Return the calibration in the axes of an L-frame, which the source's frames show standing still."""
-    axes = world_from_l_frame(calibration.rig, _mean_detections(source, settings), frame)
+    axes = world_from_l_frame(calibration, _mean_detections(source, settings), frame)
     return in_axes(calibration, axes)
 
 
@@ -197,41 +208,6 @@ def held_out_lengths(
     # which end of a bar of balls is which must be the same in all cameras
     sightings = ordered(sightings, len(bar.ends), lenses, np.random.default_rng(SEED))
     return length_errors(calibration, sightings, bar.length_m, bar.sigma_m)
-
-
-def reader_of(target: CalibrationTarget, detection: DetectionSettings | None = None) -> MarkReader:
-    """Return what finds a target's marks in an image."""
-    if isinstance(target, TestField):
-        return FieldReader(target)
-    if isinstance(target, Board):
-        return BoardReader(target)
-    if isinstance(target, Wand):
-        return _WandReader(target, detection or DetectionSettings())
-    if isinstance(target, ScaleBar):
-        if isinstance(target.ends[0], CodedTarget):
-            return FieldReader(target)
-        length = (0.0, target.length_m)
-        size = target.ends[0]
-        width = size.diameter_m if isinstance(size, BallTarget) else 2 * size.radius_m
-        return _WandReader(Wand(length, width), detection or DetectionSettings())
-    raise InputError(
-        "an L-frame does not calibrate cameras; give a test field, a board or a wand, and the L-frame with --axes"
-    )
-
-
-class _WandReader:
-    """Finds the balls of a wand; their marks are -1 where the wand looks alike from both ends."""
-
-    def __init__(self, wand: Wand, detection: DetectionSettings) -> None:
-        self._wand, self._detection = wand, detection
-
-    def read(self, image: Array, camera: str, bit_depth: int) -> Part:
-        """Return the balls in an image (H, W), none where the wand is not seen whole or not alone."""
-        found = read_wand(detect(image, camera, self._detection, bit_depth), self._wand, 0, 0)
-        if found is not None:
-            return found
-        none = np.zeros(0)
-        return Part(0, 0, none.astype(np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)), none)
 
 
 def is_rigid(target: CalibrationTarget) -> TypeGuard[TestField | Board]:

@@ -100,7 +100,8 @@ def _from_solid(
             f"few-views: camera '{name}': {count} marks of the target in its best view, at least {FEWEST_MARKS} are "
             "wanted; show it more of the target"
         )
-    settings = AdjustmentSettings(pixel_pitch_mm=lens.pixel_pitch_mm, max_sigma0_px=5.0)
+    # a thin prism found in one view would stay: the adjustment of all views holds it
+    settings = AdjustmentSettings(prism=False, pixel_pitch_mm=lens.pixel_pitch_mm, max_sigma0_px=5.0)
     adjusted = adjust_camera(name, size, lens.model, best.xy_px, marks_m[best.mark], rng, settings)
     return Camera(name, *size, adjusted.camera.lens, Pose(np.eye(3), np.zeros(3)))
 

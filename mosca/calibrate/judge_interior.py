@@ -7,15 +7,13 @@ from mosca.calibrate.judge_jacobian import (
     POSE_NAMES,
     aspect,
     principal_distance_column,
-    principal_distance_px,
-    principal_point_px,
     sigma_of_principal_distance,
 )
 from mosca.calibrate.judge_settings import JudgeSettings
 from mosca.camera import image_grid, lens_directions, lens_pixels
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
-from mosca.data.rig import Camera, FisheyeLens, Rig
+from mosca.data.rig import Camera, FisheyeLens, Rig, principal_distances_px, principal_point_px
 
 DO_AGAIN = "calibrate again with the target filling the image, tilted and at several distances, or hold"
 
@@ -54,8 +52,8 @@ def changed_interior(calibration: Calibration, known: Rig, settings: JudgeSettin
         if sigma is None or camera.name not in known.names:
             continue
         before, now = (
-            principal_distance_px(known.camera(camera.name).lens),
-            principal_distance_px(camera.lens),
+            principal_distances_px(known.camera(camera.name).lens)[0],
+            principal_distances_px(camera.lens)[0],
         )
         change = now / before - 1
         if abs(change) > max(settings.changed_share, settings.changed_sigmas * sigma):
@@ -175,7 +173,7 @@ def _principal_distance_name(calibration: Calibration, camera: int) -> str:
 
 
 def _impossible_scale(camera: Camera, settings: JudgeSettings) -> str:
-    widths = principal_distance_px(camera.lens) / camera.width
+    widths = principal_distances_px(camera.lens)[0] / camera.width
     low, high = settings.principal_distance_widths
     if low <= widths <= high:
         return ""
@@ -237,7 +235,7 @@ def _impossible_distortion(calibration: Calibration, index: int, settings: Judge
     if isinstance(lens, FisheyeLens):
         return []  # its corners are moved by design
     tangent = directions[:, :2] / directions[:, 2:]
-    f = principal_distance_px(lens)
+    f = principal_distances_px(lens)[0]
     ideal = np.linalg.norm(tangent * (f, f * aspect(lens)), axis=1)
     measured = np.linalg.norm(grid - centre, axis=1)
     far = measured > 0.5 * measured.max()

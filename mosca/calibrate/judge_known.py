@@ -16,6 +16,7 @@ from mosca.camera import project
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
 from mosca.data.rig import Camera, Pose, Rig
+from mosca.data.rotations import nearest_rotation
 
 MOST_POINTS = 60
 """Points a camera that are compared."""
@@ -128,10 +129,9 @@ def _mean_motion(seen: list[_Seen], assigned: list[Camera]) -> Pose:
     pairs = [
         (one.camera.world_from_camera, c.world_from_camera) for one, c in zip(seen, assigned, strict=True)
     ]
-    left, _, right = np.linalg.svd(
-        sum((new.rotation @ old.rotation.T for new, old in pairs), np.zeros((3, 3)))
-    )
-    rotation = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
+    rotation = nearest_rotation(sum((new.rotation @ old.rotation.T for new, old in pairs), np.zeros((3, 3))))[
+        0
+    ]
     shift = np.mean([new.translation - rotation @ old.translation for new, old in pairs], axis=0)
     return Pose(rotation, shift)
 

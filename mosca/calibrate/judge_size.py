@@ -7,6 +7,7 @@ import numpy as np
 from mosca.calibrate.accuracy_map import measured_points
 from mosca.calibrate.findings import refuse, warn
 from mosca.calibrate.judge_settings import JudgeSettings
+from mosca.calibrate.robust import SIGMA_BY_MEDIAN_1D
 from mosca.camera import project_with_jacobians
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
@@ -100,7 +101,7 @@ def size_ratio(
     every = np.concatenate(ratios)
     every = every[np.isfinite(every)]
     ratio = float(np.median(every))
-    scatter = 1.4826 * float(np.median(np.abs(every - ratio)))
+    scatter = SIGMA_BY_MEDIAN_1D * float(np.median(np.abs(every - ratio)))
     return ratio, 1.25 * scatter / np.sqrt(len(every)), float(np.median(see.diameter_px[known])), len(every)
 
 

@@ -16,12 +16,15 @@ REJECTED_SHOWN = 8
 
 
 def calibrate_from_points(
-    recording: Path, target: PointsTarget, settings: AdjustmentSettings | None = None
+    recording: Path,
+    target: PointsTarget,
+    settings: AdjustmentSettings | None = None,
+    lens: str | None = None,
 ) -> tuple[Rig, tuple[CameraAdjustment, ...]]:
     """Calibrate each camera of ``target`` by space resection; its files lie in the folder ``recording``.
 
-    ``settings.pixel_pitch_mm`` gives way to the target's. InputError for a file that cannot be used,
-    CalibrationError for points that do not determine their camera.
+    ``settings.pixel_pitch_mm`` gives way to the target's; ``lens``: model of all cameras, before the target's.
+    InputError for a file that cannot be used, CalibrationError for points that do not determine their camera.
     """
     if not Path(recording).is_dir():
         raise InputError(f"{recording}: no such folder; the folder that the target's files lie in is wanted")
@@ -41,8 +44,8 @@ def calibrate_from_points(
             )
         pitch = one.pixel_pitch_mm or target.pixel_pitch_mm
         own = replace(settings, pixel_pitch_mm=pitch)
-        lens = one.lens or target.lens
-        adjustments.append(adjust_camera(one.name, size, lens, points.xy_px, points.xyz, rng, own))
+        model = lens or one.lens or target.lens
+        adjustments.append(adjust_camera(one.name, size, model, points.xy_px, points.xyz, rng, own))
     return Rig(tuple(a.camera for a in adjustments)), tuple(adjustments)
 
 

@@ -11,8 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from mosca.calibrate.robust import SIGMA_BY_MEDIAN_2D
+from mosca.camera import cross_matrices
 from mosca.data.arrays import Array
 from mosca.data.rig import Pose
+from mosca.data.rotations import nearest_rotation
 
 FEWEST_POINTS = 4
 FEWEST_SOLID = 6
@@ -22,7 +25,6 @@ FLAT = 1e-6
 STEPS = 30
 SAME_RAD = 1e-3
 TUKEY = 4.685
-SIGMA_BY_MEDIAN = 0.8493  # of a distance in two dimensions: 1 / sqrt(2 ln 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +118,7 @@ def _plane_start(plane: Array, image: Array) -> Pose | None:
         return None
     matrix = matrix / size
     first, second = matrix[:, 0], matrix[:, 1]
-    left, _, right = np.linalg.svd(np.column_stack([first, second, np.cross(first, second)]))
-    rotation = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
+    rotation = nearest_rotation(np.column_stack([first, second, np.cross(first, second)]))[0]
     return Pose(rotation, matrix[:, 2])
 
 
@@ -183,7 +184,7 @@ def _refined(start: Pose, rays: Array, points: Array, robust: bool) -> PoseFit |
         gained = cost - float((weight * (residual**2).sum(axis=1)).sum())
         if robust and step >= 2 and len(points) > FEWEST_SOLID:
             distance = np.linalg.norm(residual, axis=1)
-            sigma = max(SIGMA_BY_MEDIAN * float(np.median(distance)), 1e-9)
+            sigma = max(SIGMA_BY_MEDIAN_2D * float(np.median(distance)), 1e-9)
             weight = np.clip(1 - (distance / (TUKEY * 2 * sigma)) ** 2, 0, 1) ** 2
         if not moved or (gained <= 1e-10 * cost and step >= 4):
             break
@@ -205,10 +206,7 @@ def _residuals(
     by_v = (across - residual[:, :, None] * rays[:, None, :]) / depth[:, None, None]
     turned = by_v @ rotation
     # v' = R exp([w]x) p: dv/dw = -R [p]x
-    cross = np.zeros((len(points), 3, 3))
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -points[:, 2], points[:, 1], -points[:, 0]
-    cross -= np.swapaxes(cross, 1, 2)
-    return residual, np.concatenate([-turned @ cross, by_v], axis=2)
+    return residual, np.concatenate([-turned @ cross_matrices(points), by_v], axis=2)
 
 
 def _across(rays: Array) -> Array:

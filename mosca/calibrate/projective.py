@@ -10,13 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mosca.calibrate.robust import SIGMA_BY_MEDIAN_1D
 from mosca.data.arrays import Array
 
 FOCAL_RANGE = (0.45, 16.0)
 """Focal lengths that are tried, in half diagonals of the image: 0.28 to 10 image widths at 4 : 3."""
 SAMPLES, KEPT, CONCENTRATIONS, MOST_SCORED = 300, 8, 3, 300
 # distances of good pairs beyond so many robust standard deviations are improbable
-INLIER_SIGMAS, SIGMA_BY_MEDIAN = 4.0, 1.4826
+INLIER_SIGMAS = 4.0
 SMALL = 1e-300
 
 
@@ -144,7 +145,7 @@ def _robust(
     own = distances(matrix[None], every)[0]
     inliers = np.ones(n, dtype=bool)
     for _ in range(5):
-        inliers = own <= max(INLIER_SIGMAS * SIGMA_BY_MEDIAN * float(np.median(own)), 1e-12)
+        inliers = own <= max(INLIER_SIGMAS * SIGMA_BY_MEDIAN_1D * float(np.median(own)), 1e-12)
         if inliers.sum() < size:
             break
         trial = fit(np.flatnonzero(inliers)[None])[0]

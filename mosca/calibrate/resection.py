@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import rq
 
+from mosca.calibrate.robust import SIGMA_BY_MEDIAN_2D
 from mosca.camera import lens_directions, lens_pixels
 from mosca.data.arrays import Array
 from mosca.data.rig import FisheyeLens, OpenCVLens, Pose
@@ -24,8 +25,6 @@ SAMPLES = 300
 SAMPLES_A_FIELD_ANGLE = 60
 KEPT_SAMPLES = 10
 CONCENTRATION_STEPS = 3
-# median of |residual| (2-D, normal) -> sigma of one coordinate
-SIGMA_BY_MEDIAN = 1 / 1.1774
 INLIER_SIGMAS = 4.0
 # a median residual beyond this share of the image's extent is no camera at all, whatever its distortion
 WORST_MEDIAN_SHARE = 0.05
@@ -178,7 +177,7 @@ def _robust_matrix(
     matrix, near = matrices[first], distance[first]
     inliers = np.ones(n, dtype=bool)
     for _ in range(5):
-        limit = INLIER_SIGMAS * SIGMA_BY_MEDIAN * np.median(near)
+        limit = INLIER_SIGMAS * SIGMA_BY_MEDIAN_2D * np.median(near)
         inliers = near <= max(limit, 1e-9)
         if inliers.sum() < FEWEST_POINTS:
             raise CalibrationError(
@@ -259,4 +258,4 @@ def _judged(lens: FisheyeLens, pose: Pose, xy: Array, world: Array) -> Resection
     distance = np.linalg.norm(lens_pixels(lens, pose.inverse().transform(world)) - xy, axis=1)
     distance = np.nan_to_num(distance, nan=np.inf)
     median = float(np.median(distance))
-    return Resection(lens, pose, distance <= INLIER_SIGMAS * SIGMA_BY_MEDIAN * median, median)
+    return Resection(lens, pose, distance <= INLIER_SIGMAS * SIGMA_BY_MEDIAN_2D * median, median)

@@ -35,7 +35,7 @@ from mosca.data.calibration import Calibration
 from mosca.data.rig import Camera, Pose, Rig
 from mosca.data.sightings import Sightings
 from mosca.eccentricity import eccentricity_px
-from mosca.errors import CalibrationError
+from mosca.errors import CalibrationError, InputError
 
 FREE: dict[str, tuple[str, ...]] = {
     "mosca": (
@@ -255,10 +255,18 @@ def _doubt(fits: tuple[PoseFit, ...], seen: Seen) -> float:
 
 def _reference(sightings: Sightings, stand: Array, views: dict[View, Pose], settings: RigidSettings) -> int:
     if settings.reference is not None:
+        where = (
+            f"reference = {settings.reference} given, but frame set {settings.reference}: the target, which "
+        )
+        if not 0 <= settings.reference < sightings.frames:
+            raise InputError(
+                f"{where}was to be the world there, has no images; 0 to {sightings.frames - 1} are allowed, name one "
+                "in which it is seen"
+            )
         chosen = stand[sightings.frame == settings.reference]
         if len(chosen) == 0:
             raise CalibrationError(
-                f"frame set {settings.reference}: the target, which was to be the world there, was not seen"
+                f"{where}was to be the world there, was not seen; name a frame set that shows it"
             )
         return int(chosen[0])
     if not views:

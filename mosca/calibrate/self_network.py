@@ -15,14 +15,13 @@ from mosca.calibrate.bundle.solver import (
     Problem,
     solve,
 )  # fmt: skip
+from mosca.calibrate.robust import SIGMA_BY_MEDIAN_1D, SIGMA_BY_MEDIAN_2D
 from mosca.calibrate.self_tracks import Tracks
 from mosca.camera import lens_directions, project
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera
 from mosca.errors import CalibrationError
 
-# rms of a 2-D residual's length over its median, for normal errors of one coordinate
-SIGMA_BY_MEDIAN = 1 / 1.1774
 CLEANINGS, ROD_SIGMAS = 6, 10.0
 # what contradicts by more robust standard deviations is left out while the network grows
 CLEAR_SIGMAS = 12.0
@@ -53,7 +52,7 @@ class Network:
     def spread(self) -> float:
         """Robust standard deviation of a coordinate, in a-priori standard deviations of the image points."""
         far = np.linalg.norm(self.residuals_px, axis=1) / self.tracks.sigma_px
-        return SIGMA_BY_MEDIAN * float(np.median(np.nan_to_num(far, nan=1e6)))
+        return SIGMA_BY_MEDIAN_2D * float(np.median(np.nan_to_num(far, nan=1e6)))
 
 
 def rough(
@@ -179,7 +178,7 @@ def _of_wrong_length(tracks: Tracks, points: Array) -> Array:
     if not known.any():
         return out
     off = np.abs(off - np.median(off[known]))
-    wrong = known & (off > ROD_SIGMAS * 1.4826 * np.median(off[known]))
+    wrong = known & (off > ROD_SIGMAS * SIGMA_BY_MEDIAN_1D * np.median(off[known]))
     out[rods.first[wrong]] = out[rods.second[wrong]] = True
     return out
 
@@ -200,4 +199,4 @@ def _misfit(tracks: Tracks, cameras: Mapping[int, Camera], points: Array | None)
         at = np.where(np.isfinite(points), points, at)
     far = np.linalg.norm(residuals(tracks, cameras, at), axis=1) / tracks.sigma_px
     # what is not imaged counts as far away, not as nothing
-    return SIGMA_BY_MEDIAN * float(np.median(np.where(np.isfinite(far), far, np.nanmax([*far, 1.0]))))
+    return SIGMA_BY_MEDIAN_2D * float(np.median(np.where(np.isfinite(far), far, np.nanmax([*far, 1.0]))))

@@ -7,7 +7,7 @@ import numpy as np
 
 from mosca.calibrate.bundle.solver import Distances
 from mosca.data.arrays import Array, read_only
-from mosca.data.rig import Lens, MoscaLens, OpenCVLens
+from mosca.data.rig import Lens, MoscaLens, OpenCVLens, principal_distances_px
 from mosca.data.sightings import Sightings
 from mosca.errors import InputError
 
@@ -96,10 +96,8 @@ class Tracks:
 
     def aspect(self, camera: int) -> float:
         """Return the height of a camera's pixels over their width."""
-        lens = self.lenses[camera]
-        if isinstance(lens, MoscaLens):
-            return lens.my_mm_per_px / lens.mx_mm_per_px
-        return lens.fx_px / lens.fy_px
+        fx, fy = principal_distances_px(self.lenses[camera])
+        return fx / fy
 
     def plain(self, camera: int, xy_px: Array, bend: float) -> Array:
         """Return pixels (n, 2) as plain coordinates: from the image's middle, in half diagonals, y downwards.

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.calibrate.projective import FOCAL_RANGE, minima
+from mosca.calibrate.robust import SIGMA_BY_MEDIAN_1D
 from mosca.data.arrays import Array
 from mosca.data.rig import Pose
 
@@ -99,7 +100,7 @@ def _scores(
     measured = np.linalg.norm(points[:, :, :w] - points[:, :, w:], axis=3)
     ratio = np.maximum(measured, 1e-12) / length
     middle = np.median(ratio, axis=2)
-    spread = 1.4826 * np.median(np.abs(np.log(ratio / middle[..., None])), axis=2)
+    spread = SIGMA_BY_MEDIAN_1D * np.median(np.abs(np.log(ratio / middle[..., None])), axis=2)
     front = ((s > 0) & (r > 0)).mean(axis=2)
     back = ((s < 0) & (r < 0)).mean(axis=2)
     miss = np.median(gap, axis=2) / middle / np.median(length)

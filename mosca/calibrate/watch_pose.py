@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from mosca.calibrate.robust import SIGMA_BY_MEDIAN_2D
 from mosca.calibrate.watch_lost import REACH_PX
 from mosca.camera import project, project_with_jacobians
 from mosca.data.arrays import Array, read_only
@@ -158,7 +159,7 @@ def reorient(
         rest, slope, weight = _linearised(at, seen)
         squared = np.einsum("ni,nij,nj->n", rest, weight, rest)
         # from a pose far off all points miss alike: what is wrong is what misses more than the others
-        scale = max(float(np.median(squared)) / 1.386, 1.0)
+        scale = max(float(np.median(squared)) * SIGMA_BY_MEDIAN_2D**2, 1.0)
         used = np.isfinite(squared) & (squared < 2 * significance_sigmas**2 * scale)
         normal = np.einsum("nki,nkl,nlj->ij", slope[used], weight[used], slope[used])
         right = np.einsum("nki,nkl,nl->i", slope[used], weight[used], rest[used])

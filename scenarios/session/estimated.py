@@ -142,7 +142,11 @@ def _ray_errors(rig: Rig, virtual: VirtualCamera, center: Array) -> Array:
 
 
 def _source(
-    spec: Scenario, session: Session[CalibrationTarget], cameras: tuple[VirtualCamera, ...], workers: int, number: int
+    spec: Scenario,
+    session: Session[CalibrationTarget],
+    cameras: tuple[VirtualCamera, ...],
+    workers: int,
+    number: int,
 ) -> TwinSource:
     assert spec.calibration is not None
     return TwinSource(

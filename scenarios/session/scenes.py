@@ -6,7 +6,6 @@ from typing import Any, Generic
 import numpy as np
 
 from mosca.calibrate.estimate import Target_co
-
 from mosca.data.arrays import Array
 from mosca.data.boards import Board
 from mosca.data.target_codes import NUMBERS

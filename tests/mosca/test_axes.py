@@ -9,6 +9,7 @@ from test_wand import calibrated
 from wand_scenes import NOISE_PX, rig, seen, waved
 
 from mosca.calibrate.axes import in_axes, world_from_l_frame
+from mosca.calibrate.judge_jacobian import changed_rig
 from mosca.calibrate.self_calibrate import self_calibrate
 from mosca.camera import project
 from mosca.data.detections import Detections
@@ -128,6 +129,46 @@ def test_a_wand_calibration_is_carried_into_the_axes_with_its_covariance():
         home.points_in_world()[home.used] - world.reshape(-1, 3)[home.sightings.mark[home.used]], axis=1
     )
     assert np.median(off) < 3e-3
+
+
+def test_the_calibration_s_own_uncertainty_is_in_the_size_s():
+    found = calibrated(TRUE, seen(TRUE, waved(60, seed=5)))
+    frame = shown(clutter=0)
+    axes, by_detection = world_from_l_frame(found, frame, FRAME), world_from_l_frame(found.rig, frame, FRAME)
+    assert axes.scale_sigma > by_detection.scale_sigma
+    # the same images measured with rigs as uncertain as this one
+    draws = np.random.default_rng(2).multivariate_normal(
+        np.zeros(len(found.parameters)), found.covariance, 150, method="eigh"
+    )
+    sizes = [world_from_l_frame(changed_rig(found, draw), frame, FRAME).measured_over_known for draw in draws]
+    own = np.sqrt(axes.scale_sigma**2 - by_detection.scale_sigma**2)
+    # 150 draws tell a standard deviation to 6 %
+    assert np.std(sizes) == pytest.approx(own, rel=0.2)
+
+
+def test_arbitrary_lengths_take_their_relative_uncertainty_along():
+    found = self_calibrate(
+        seen(TRUE, waved(120, along=(0.0,), seed=4)), np.random.default_rng(0), [c.lens for c in TRUE]
+    )
+    frame = shown(clutter=0)
+    home = in_axes(found, world_from_l_frame(found, frame, FRAME, lengths_known=False))
+    # the distance of two cameras, scaled by the L-frame as each of the drawn rigs sees it
+    draws = np.random.default_rng(2).multivariate_normal(
+        np.zeros(len(found.parameters)), found.covariance, 150, method="eigh"
+    )
+    apart = []
+    for draw in draws:
+        drawn = world_from_l_frame(changed_rig(found, draw), frame, FRAME, lengths_known=False).rig
+        a, b = (drawn.cameras[k].world_from_camera.translation for k in (0, 2))
+        apart.append(np.linalg.norm(a - b))
+    a, b = (home.rig.cameras[k].world_from_camera.translation for k in (0, 2))
+    slope, along = np.zeros(len(found.parameters)), (a - b) / np.linalg.norm(a - b)
+    for axis, part in zip("XYZ", along, strict=True):
+        slope[found.parameters.index(f"cam1.{axis}_m")] = part
+        slope[found.parameters.index(f"cam3.{axis}_m")] = -part
+    own = world_from_l_frame(found.rig, frame, FRAME, lengths_known=False)
+    by_detection = own.scale * own.scale_sigma * np.linalg.norm(a - b)
+    assert slope @ home.covariance @ slope == pytest.approx(np.var(apart) + by_detection**2, rel=0.4)
 
 
 def test_a_self_calibration_gets_its_size_from_the_l_frame():

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mosca.calibrate.bundle.descent import empty_normals, first_state, moved, reduced
-from mosca.calibrate.bundle.kernels import imaged, linearise
+from mosca.calibrate.bundle.kernels import imaged
 from mosca.calibrate.bundle.layout import lay_out
 from mosca.calibrate.bundle.lenses import FOLD, IMAGED, L, image, lens_row
+from mosca.calibrate.bundle.normals import linearise
 from mosca.calibrate.bundle.priors import lens_priors, pulls
 from mosca.calibrate.bundle.solver import (
     BundleSettings,

@@ -55,6 +55,20 @@ def test_an_exact_opencv_lens_comes_back():
     assert {name for name, _ in done.chosen} == {"cx_px, cy_px", "k1", "p1, p2", "k2", "k3"}
 
 
+def test_a_thin_prism_joins_where_there_is_one():
+    points, noise = grid(), np.random.default_rng(6).normal(0, 0.05, (216, 2))
+    prism = np.array([2e-3, -1e-3, -1.5e-3, 5e-4])
+    bent = opencv_pixels(points, np.concatenate([DISTORTION, np.zeros(3), prism])) + noise
+    done = adjust("opencv", bent, points)
+    assert "s1, s2, s3, s4" in dict(done.chosen)
+    found = np.array([getattr(done.camera.lens, f"s{k}") for k in (1, 2, 3, 4)])
+    sigma = np.array([done.standard_deviations[f"s{k}"] for k in (1, 2, 3, 4)])
+    assert (np.abs(found - prism) < 4 * sigma).all()
+    assert "s1, s2, s3, s4" not in dict(adjust("opencv", bent, points, prism=False, max_sigma0_px=5).chosen)
+    plain = adjust("opencv", opencv_pixels(points, DISTORTION) + noise, points)
+    assert "s1, s2, s3, s4" not in dict(plain.chosen)
+
+
 def test_an_exact_mosca_lens_comes_back():
     lens = MoscaLens(9.0, 650.0, 500.0, 0.01, 0.0102, -0.0067, 0.00087, -1.8e-5, 3.2e-7, 2.8e-4, 4.5e-5)
     points = grid()

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from mosca.calibrate.adjust import AdjustmentSettings
 from mosca.calibrate.points import calibrate_from_points, summary
 from mosca.data.target_file import MeasuredPoints, read_measured_points, read_target
 from mosca.errors import CalibrationError, InputError
@@ -150,6 +151,16 @@ def test_a_wrong_line_is_named(tmp_path, content, said):
         read_measured_points(tmp_path / "p.txt", target_of(tmp_path))
     assert said in str(error.value)
     assert "p.txt" in str(error.value)
+
+
+def test_the_lens_that_is_asked_for_goes_before_the_file_s(tmp_path):
+    write_recording(tmp_path)
+    free = AdjustmentSettings(parameters=("fx_px", "fy_px"))
+    rig, adjustments = calibrate_from_points(tmp_path, target_of(tmp_path), free, "opencv")
+    assert [c.lens.model for c in rig.cameras] == ["opencv", "opencv"]
+    assert all(one.parameters[6:] == ("fx_px", "fy_px") for one in adjustments)
+    with pytest.raises(InputError, match="lens parameter 'fx_px' cannot be estimated; allowed: c_mm"):
+        calibrate_from_points(tmp_path, target_of(tmp_path), free)
 
 
 def test_what_a_recording_lacks_is_named(tmp_path):

@@ -7,7 +7,8 @@ import pytest
 from bundle_scenes import ring
 from scipy.spatial.transform import Rotation
 
-from mosca.calibrate.compare import compare_rigs, similarity
+from mosca.calibrate.align import similarity
+from mosca.calibrate.compare import compare_rigs
 from mosca.data.rig import Pose, Rig
 from mosca.errors import InputError
 

@@ -15,10 +15,10 @@ from mosca.calibrate.estimate import (
     held_out_lengths,
     judged,
     on_axes,
-    reader_of,
     rigid_target,
 )
 from mosca.calibrate.interior import LensChoice
+from mosca.calibrate.read_target import reader_of
 from mosca.calibrate.sessions import sight
 from mosca.camera import project
 from mosca.data.boards import Board

@@ -100,6 +100,16 @@ def test_everything_stands_on_the_page(tmp_path):
     assert "cam 0 <&>" not in text
 
 
+def test_a_table_of_lenses_has_four_cameras_at_most(tmp_path):
+    text = page(tmp_path, calibration(LENSES[:1] * 9), evidence(9))
+    section = text[text.index("<h2>Interior orientation</h2>") : text.index("Exterior orientation")]
+    tables = section.split("<table>")[1:]
+    columns = [re.findall(r'<th scope="col" class="n">(cam \d)', one) for one in tables]
+    assert [len(one) for one in columns] == [4, 4, 1]
+    assert [name for one in columns for name in one] == [f"cam {k}" for k in range(9)]
+    assert all("K1_per_mm2" in one for one in tables)
+
+
 def test_the_page_is_one_offline_file_in_order(tmp_path):
     text = page(tmp_path, calibration(LENSES), evidence(3))
     assert not re.search(r'(src|href)="(https?:)?//', text)

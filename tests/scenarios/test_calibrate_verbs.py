@@ -326,6 +326,16 @@ def test_bad_input_is_one_line(lab, refused, tmp_path):
     (tmp_path / "other.toml").write_text(field_toml(other_numbers(read_field(target))))
     assert "show nothing of the target" in line("--every", 6, target=tmp_path / "other.toml")
     assert "frame set 99: the target" in line("--reference", 99)
+    assert "0 to 11 are allowed" in line("--reference", 99)
+    assert "lens parameter 'k1' cannot be estimated; allowed: c_mm" in line("--free", "c_mm,k1")
+    assert "leave it out" in line("--known", lab / "truth.toml", "--exterior-only", "--free", "c_mm")
+    assert "leave 'free' out" in line("--free", "c_mm", target=lab / "wand.toml", recording="wand")
+    points = tmp_path / "points.toml"
+    points.write_text(
+        'kind = "points"\nunit = "mm"\nsize_px = [480, 360]\n[[camera]]\nname = "a"\nfile = "a.txt"\n'
+    )
+    assert "--reference: not with" in line("--reference", 1, target=points)
+    assert "--exterior-only: not with" in line("--exterior-only", target=points)
     assert list(tmp_path.glob("rig.*")) == []
 
 

@@ -131,13 +131,31 @@ def warmed(vector: Array, optics: Optics, time_s: float) -> Array:
         return vector
     scale = 1.0 + 1e-6 * ppm * time_s
     warm = vector.copy()
-    distances = 1 if vector[KIND] == COLLINEARITY else 2
+    distances = _distances(vector)
     warm[OWN : OWN + distances] *= scale
-    warm[OWN + distances : OWN + distances + 2] += right * time_s, down * time_s
     warm[PIVOT : PIVOT + 2] *= scale
-    warm[PIVOT + 2 : PIVOT + 4] += right * time_s, down * time_s
+    _move(warm, right * time_s, down * time_s)
     warm.setflags(write=False)
     return warm
+
+
+def moved(vector: Array, right_px: float, down_px: float) -> Array:
+    """Return the lens vector with its principal point, and so the whole image, moved; read-only."""
+    other = vector.copy()
+    _move(other, right_px, down_px)
+    other.setflags(write=False)
+    return other
+
+
+def _distances(vector: Array) -> int:
+    """Return how many principal distances a lens vector begins with."""
+    return 1 if vector[KIND] == COLLINEARITY else 2
+
+
+def _move(vector: Array, right_px: float, down_px: float) -> None:
+    at = OWN + _distances(vector)
+    vector[at : at + 2] += right_px, down_px
+    vector[PIVOT + 2 : PIVOT + 4] += right_px, down_px
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg.lapack import dposv
 
-from mosca.calibrate.bundle.kernels import LENS, imaged, linearise
+from mosca.calibrate.bundle.kernels import LENS, imaged
 from mosca.calibrate.bundle.layout import Layout
 from mosca.calibrate.bundle.lenses import lens_of, lens_row, set_folds
+from mosca.calibrate.bundle.normals import linearise
 from mosca.calibrate.bundle.priors import Priors, pulls
 from mosca.calibrate.bundle.problem import Placements, Problem
 from mosca.calibrate.bundle.reduction import back_substitute, reduce_to_groups, scatter

@@ -261,7 +261,7 @@ def _sums(state, see, columns, index, image, slopes, by_block):  # type: ignore[
     the last column taking what is held; write that of its block's unknowns to ``by_block`` (n, 2, 6).
     """
     cameras, points, placements = state
-    camera_of, point_of, placement_of, _, weight, _, slot, kept, _ = see
+    camera_of, point_of, placement_of, _, weight, _, slot, kept, _, _ = see
     width = index.shape[1]
     out, j = np.empty((2, OBSERVED)), np.zeros((2, width))
     for m in range(camera_of.size):

@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from mosca.calibrate.bundle.problem import FOCAL, Distances, Problem
-from mosca.calibrate.bundle.reduction import find_runs, pair_table
+from mosca.calibrate.bundle.reduction import find_runs, pair_table, sorted_by
 from mosca.data.arrays import Array
 from mosca.errors import CalibrationError
 
@@ -53,8 +53,7 @@ class Layout:
     @property
     def block_of(self) -> Array:
         """Block (n,) of each sorted observation."""
-        first = self.blocks[1]
-        return np.repeat(np.arange(len(first) - 1), np.diff(first))
+        return self.see[-1]
 
 
 def lay_out(problem: Problem) -> Layout:
@@ -92,32 +91,36 @@ def lay_out(problem: Problem) -> Layout:
     rank = _alike_together(dim, len(sizes), block, see.camera)
     block, dim = rank[block], dim[np.argsort(rank)]
     home, pose_block = rank[home], rank[pose_block]
-    members = members[np.lexsort((offset[members], home[members]))]
+    members = members[np.argsort(home[members] * (3 * MOST_JOINED) + offset[members])]
     placed = placed[np.argsort(pose_block[placed])]
 
     index, names, kept, columns, lens_places, lens_factors = _groups(problem, np.flatnonzero(kept_mask))
     width, groups = index.shape[1], len(index)
-    key = block * groups + see.camera
-    order = np.argsort(key, kind="stable")
-    key, block = key[order], block[order]
-    point, on_thing, camera = see.point[order], on_thing[order], see.camera[order]
+    order = sorted_by(block, len(dim), sorted_by(see.camera, cameras, np.arange(len(see))))
+    block, camera, point = block[order], see.camera[order], see.point[order]
     kept_rank = np.full(n_points, -1, dtype=np.int64)
     kept_rank[kept] = cameras + np.arange(len(kept))
     kept_group = kept_rank[point]
-    slot, kept_slot, slot_key = _slots(key, block, kept_group, groups)
+    slot, kept_slot, slot_key = _slots(block, camera, kept_group, groups)
     slot_block, slot_group = np.divmod(slot_key, groups)
     slot_first = np.searchsorted(slot_block, np.arange(len(dim) + 1))
-    area = dim * np.diff(slot_first) * width
-    at_w = (np.cumsum(area) - area)[slot_block] + (np.arange(len(slot_key)) - slot_first[slot_block]) * width
+    runs = find_runs(dim, slot_first, slot_group)
+    run = np.repeat(np.arange(len(runs) - 1), np.diff(runs))[block]
+    # of a run first all that one camera sees, so that strips are long
+    part = np.where(on_thing[order], 0, offset[point])
+    own = sorted_by(camera * MOST_JOINED + part // 3, cameras * MOST_JOINED, np.arange(len(see)))
+    own = sorted_by(run, len(runs), own)
+    order, block, camera, point, part = order[own], block[own], camera[own], point[own], part[own]
+    slot, kept_slot, kept_group = slot[own], kept_slot[own], kept_group[own]
     blocks = (
         dim,
-        np.searchsorted(block, np.arange(len(dim) + 1)),
+        np.append(0, np.cumsum(np.bincount(run, minlength=len(runs) - 1))),
         slot_first,
         slot_group,
         np.cumsum(dim * dim) - dim * dim,
         np.cumsum(dim) - dim,
-        np.append(at_w, area.sum()),
-        find_runs(dim, slot_first, slot_group),
+        np.append(0, np.cumsum(dim * np.diff(slot_first) * width)),
+        runs,
         np.column_stack([members, home[members], offset[members]]),
     )
     rod_arrays, kept_rods = _rods(rods, home, offset, eliminated, kept_mask, len(dim))
@@ -138,10 +141,11 @@ def lay_out(problem: Problem) -> Layout:
         placement[order],
         see.xy_px[order],
         1 / np.asarray(see.sigma_px)[order],
-        np.where(on_thing, 0, offset[point]),
+        part,
         slot,
         kept_group,
         kept_slot,
+        block,
     )
     return Layout(
         sorted_see, columns, blocks, known, order, index, names, members, placed, kept, kept_rods,
@@ -164,12 +168,13 @@ def _alike_together(dim: Array, point_blocks: int, block: Array, camera: Array) 
     return rank
 
 
-def _slots(key: Array, block: Array, kept_group: Array, groups: int) -> tuple[Array, Array, Array]:
+def _slots(block: Array, camera: Array, kept_group: Array, groups: int) -> tuple[Array, Array, Array]:
     """Return the slots of the cameras and kept points of observations (n,), and each slot's block and group
-    as a key.
+    as a key, sorted: block times ``groups`` plus group.
 
-    ``key`` (n,), sorted, is block times ``groups`` plus camera. Block 0 has no slots (-1).
+    The observations are sorted by block, then by camera. Block 0 has no slots (-1).
     """
+    key = block * groups + camera
     static = int(np.searchsorted(block, 1))
     slot, kept_slot = np.full(len(key), -1, dtype=np.int64), np.full(len(key), -1, dtype=np.int64)
     if (kept_group >= 0).any():

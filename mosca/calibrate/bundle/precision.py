@@ -5,7 +5,6 @@ from numba import njit
 
 from mosca.calibrate.bundle.kernels import BY_OWN, BY_POSE, BY_TURN, BY_WORLD, OBSERVED, observe, weigh
 from mosca.calibrate.bundle.lenses import FAST, L
-from mosca.calibrate.bundle.reduction import times_inverse
 
 LEAST_REDUNDANCY_NUMBER = 1e-6
 """An image point with less says nothing about itself: it cannot be tested."""
@@ -42,39 +41,21 @@ def precise(  # type: ignore[no-untyped-def]
         np.empty((2, width + 9)),
         np.empty(width + 9, np.int64),
     )
-    nothing = np.empty((0, 0))
-    for m in range(first_observation[0], first_observation[1]):
-        _test(
-            m,
-            state,
-            see,
-            base_weight,
-            columns,
-            robust,
-            cofactors,
-            index,
-            work,
-            nothing,
-            nothing,
-            0,
-            -1,
-            tests,
-        )
     for r in range(runs.size - 1):
         b, count = runs[r], runs[r + 1] - runs[r]
         n, first = dim[b], slot_first[b]
         slots = slot_first[b + 1] - first
         rows, wide = count * n, slots * width
-        own = mixed[at_w[first] : at_w[first] + rows * wide].reshape(rows, wide)
+        own = _block_by_block(mixed, at_w[b], n, count, wide)
         # carried: V^-1 W^T (d block / d group, up to sign); spread: the same times Q
         carried = np.empty((rows, wide))
-        times_inverse(inverse, at_v[b], n, count, own, carried)
+        _times_inverse(inverse, at_v[b], n, count, own, carried)
         q = np.empty((wide, wide))
         for i in range(wide):
             row = index[slot_group[first + i // width], i % width]
             for k in range(wide):
                 q[i, k] = cofactors[row, index[slot_group[first + k // width], k % width]]
-        spread = np.dot(carried, q)
+        spread = np.dot(carried, q) if slots else carried
         for one in range(count):
             v, top = at_v[b + one], one * n
             own_cofactors = block_cofactors[v : v + n * n].reshape(n, n)
@@ -84,12 +65,47 @@ def precise(  # type: ignore[no-untyped-def]
                     for c in range(wide):
                         x += spread[top + i, c] * carried[top + k, c]
                     own_cofactors[i, k] = x
-            for m in range(first_observation[b + one], first_observation[b + one + 1]):
-                # the block's part in the covariance with the groups, at the columns of this block's slots
-                _test(
-                    m, state, see, base_weight, columns, robust, cofactors, index, work, own_cofactors,
-                    spread[top : top + n], n, slot_first[b + one], tests,
-                )  # fmt: skip
+        for m in range(first_observation[r], first_observation[r + 1]):
+            # the block's part in the covariance with the groups, at the columns of this block's slots
+            one = see[9][m]
+            v, top = at_v[one], (one - b) * n
+            _test(
+                m, state, see, base_weight, columns, robust, cofactors, index, work,
+                block_cofactors[v : v + n * n].reshape(n, n), spread[top : top + n], n, slot_first[one], tests,
+            )  # fmt: skip
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def _block_by_block(mixed, at, n, count, wide):  # type: ignore[no-untyped-def]
+    """Return W^T of a run (count n, wide), the unknowns of each block together."""
+    return (
+        mixed[at : at + wide * n * count]
+        .reshape(wide, n, count)
+        .transpose(2, 1, 0)
+        .copy()
+        .reshape(count * n, wide)
+    )
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def _times_inverse(inverse, at, n, blocks, matrix, out):  # type: ignore[no-untyped-def]
+    """Write V^-1 times the rows of ``matrix`` (blocks n, q), block by block from ``inverse[at:]`` on, into
+    ``out``.
+    """
+    width = matrix.shape[1]
+    for b in range(blocks):
+        for i in range(n):
+            line, to = at + (b * n + i) * n, out[b * n + i]
+            # block sizes are multiples of three
+            for c in range(0, n, 3):
+                f0, f1, f2 = inverse[line + c], inverse[line + c + 1], inverse[line + c + 2]
+                x, y, z = matrix[b * n + c], matrix[b * n + c + 1], matrix[b * n + c + 2]
+                if c == 0:
+                    for k in range(width):
+                        to[k] = f0 * x[k] + f1 * y[k] + f2 * z[k]
+                else:
+                    for k in range(width):
+                        to[k] += f0 * x[k] + f1 * y[k] + f2 * z[k]
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
@@ -100,7 +116,7 @@ def _test(  # type: ignore[no-untyped-def]
     W^T Q.
     """
     cameras, points, placements = state
-    camera_of, point_of, placement_of, xy_px, weight, offset, slot, kept, kept_slot = see
+    camera_of, point_of, placement_of, xy_px, weight, offset, slot, kept, kept_slot, _ = see
     out, j, by, place = work
     width = index.shape[1]
     camera, point, placement = camera_of[m], kept[m], placement_of[m]
@@ -195,11 +211,11 @@ def carry_down(blocks, normals, inverse, index, z):  # type: ignore[no-untyped-d
         rows, wide = count * n, slots * width
         if slots == 0:
             continue
-        own = mixed[at_w[first] : at_w[first] + rows * wide].reshape(rows, wide)
+        own = _block_by_block(mixed, at_w[b], n, count, wide)
         gathered = np.empty((wide, z.shape[1]))
         for i in range(wide):
             gathered[i] = z[index[slot_group[first + i // width], i % width]]
-        times_inverse(inverse, at_v[b], n, count, np.dot(own, gathered), out[at_g[b] : at_g[b] + rows])
+        _times_inverse(inverse, at_v[b], n, count, np.dot(own, gathered), out[at_g[b] : at_g[b] + rows])
     return out
 
 
@@ -214,12 +230,14 @@ def carry_up(blocks, normals, inverse, index, unknowns, z):  # type: ignore[no-u
         n, first, g = dim[b], slot_first[b], at_g[b]
         slots = slot_first[b + 1] - first
         rows, wide = count * n, slots * width
+        if n == 0:
+            continue
         pull = every[g : g + rows]
-        times_inverse(inverse, at_v[b], n, count, z[g : g + rows], pull)
+        _times_inverse(inverse, at_v[b], n, count, z[g : g + rows], pull)
         square += np.dot(z[g : g + rows].T, pull)
         if slots == 0:
             continue
-        own = mixed[at_w[first] : at_w[first] + rows * wide].reshape(rows, wide)
+        own = _block_by_block(mixed, at_w[b], n, count, wide)
         up = np.dot(own.T, pull)
         for i in range(wide):
             row = index[slot_group[first + i // width], i % width]

@@ -1,0 +1,121 @@
+"""Rigid bodies: where their markers sit, and where the bodies were over time."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mosca.data.arrays import Array, read_only
+from mosca.data.targets import not_below_zero
+
+BODY_STATUSES = ("measured", "withheld")
+"""``withheld``: some of its markers are seen, but too few, or so that another pose explains them as well."""
+FEWEST_MARKERS, MOST_MARKERS = 3, 32
+LEAST_OFF_LINE = 0.05
+"""Spread across the line that fits the markers best, as a share of that along it: below, they lie in a line."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigidBody:
+    """Named ``markers`` (m) whose centres ``positions`` (m, 3) [m] are fixed in the body's own frame.
+
+    ``sigma_m``: standard deviation of such a place on each axis [m]. Raises ValueError for fewer than 3 markers,
+    names that stand twice, and markers in a line, about which the body could turn unseen.
+    """
+
+    name: str
+    markers: tuple[str, ...]
+    positions: Array
+    sigma_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "markers", tuple(self.markers))
+        m = len(self.markers)
+        object.__setattr__(self, "positions", read_only(self.positions, (m, 3), "positions"))
+        not_below_zero("sigma_m", self.sigma_m)
+        if not FEWEST_MARKERS <= m <= MOST_MARKERS:
+            raise ValueError(
+                f"body '{self.name}': {m} markers given; {FEWEST_MARKERS} to {MOST_MARKERS} are allowed"
+            )
+        for marker in self.markers:
+            if self.markers.count(marker) > 1:
+                raise ValueError(
+                    f"body '{self.name}': marker '{marker}' stands twice; each has a name of its own"
+                )
+        if not np.isfinite(self.positions).all():
+            raise ValueError(f"body '{self.name}': a marker's place is no finite number; measure it again")
+        spread = np.linalg.svd(self.positions - self.positions.mean(axis=0), compute_uv=False)
+        if not spread[1] > LEAST_OFF_LINE * spread[0]:
+            raise ValueError(f"body '{self.name}': the markers lie in a line; one must stand well off it")
+
+    def distances(self) -> Array:
+        """Return the distance (m, m) of each marker from each other [m]."""
+        return np.asarray(np.linalg.norm(self.positions[:, None] - self.positions, axis=2))
+
+
+@dataclass(frozen=True, eq=False)
+class BodyPoses:
+    """Poses of rigid bodies as columns, one row a body and frame.
+
+    ``frame`` (n,) pulse number; ``time_ns`` (n,) mid-exposure; ``body`` (n,) str; ``quaternion`` (n, 4) wxyz and
+    ``position`` (n, 3) [m] of world_from_body: x_world = R(quaternion) x_body + position. ``covariance`` (n, 6, 6)
+    in the order x, y, z of the position [m], then the rotation vector about the world's x, y, z [rad], so that
+    R_true = exp([r]) R; of the measurement and the markers' places, not of the cameras' calibration.
+    ``n_markers`` (n,) used; ``residual_m`` (n,) rms distance of the markers from their places, NaN where unknown;
+    ``status`` (n,) one of BODY_STATUSES; where it is withheld, pose and covariance are NaN.
+    """
+
+    frame: Array
+    time_ns: Array
+    body: Array
+    quaternion: Array
+    position: Array
+    covariance: Array
+    n_markers: Array
+    residual_m: Array
+    status: Array
+
+    def __post_init__(self) -> None:
+        n = len(np.asarray(self.frame))
+        for name, shape, dtype in (
+            ("frame", (n,), np.int64),
+            ("time_ns", (n,), np.int64),
+            ("body", (n,), np.str_),
+            ("quaternion", (n, 4), np.float64),
+            ("position", (n, 3), np.float64),
+            ("covariance", (n, 6, 6), np.float64),
+            ("n_markers", (n,), np.int64),
+            ("residual_m", (n,), np.float64),
+            ("status", (n,), np.str_),
+        ):
+            object.__setattr__(self, name, read_only(getattr(self, name), shape, name, dtype))
+        unknown = set(np.unique(self.status)) - set(BODY_STATUSES)
+        if unknown:
+            raise ValueError(f"status: {sorted(unknown)} given, {BODY_STATUSES} allowed")
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    @classmethod
+    def none(cls) -> "BodyPoses":
+        """No poses."""
+        e, s = np.empty(0), np.empty(0, np.str_)
+        return cls(e, e, s, np.empty((0, 4)), np.empty((0, 3)), np.empty((0, 6, 6)), e, e, s)
+
+    def select(self, rows: Array) -> "BodyPoses":
+        """Return the poses that a boolean mask or an index array (m,) names."""
+        return BodyPoses(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+    def of(self, body: str) -> "BodyPoses":
+        """Return the measured poses of one body."""
+        return self.select((self.body == body) & (self.status == "measured"))
+
+
+def joined_poses(parts: Sequence[BodyPoses]) -> BodyPoses:
+    """Return poses of many instants as one, sorted by frame, then body."""
+    parts = [part for part in parts if len(part)]
+    if not parts:
+        return BodyPoses.none()
+    columns = [np.concatenate([getattr(p, name) for p in parts]) for name in BodyPoses.__dataclass_fields__]
+    order = np.lexsort((columns[2], columns[0]))
+    return BodyPoses(*(column[order] for column in columns))

@@ -1,0 +1,278 @@
+"""How a running rig is doing, camera by camera: residuals, what connects, what is missing, whose clock lags.
+
+And how large the errors of image points really are. A detection's covariance holds the noise of its pixels alone;
+the camera's body shakes, its trigger jitters, its lens is not quite what the calibration says. These are learned
+from the residuals themselves: with weights W = S^-1, S an image's whole covariance, and J the change of its place
+with the point's, what is left of its error after the point is fitted has the trace ``tr (S - J P J')``,
+P = (sum J' W J)^-1. Squared residuals regressed on it give the variance that each camera adds and, as the part that
+grows with the square of the image's speed, the jitter of the triggers (variance components, Foerstner 1979).
+
+A camera that exposes d seconds late shows every point u d farther on, u its image's speed: d follows from the same
+residuals by least squares. All cameras late by the same is a shift of time that nothing tells: offsets are against
+their mean. How certain an offset is follows from the scatter of whole frame sets about it (White 1980), since a body's
+shake moves all images of a set together.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.spatial import cKDTree
+
+from mosca.camera import project_with_jacobians
+from mosca.data.arrays import Array
+from mosca.data.detections import Detections
+from mosca.data.frames import FrameSet
+from mosca.data.rig import Rig
+from mosca.data.tracks import Points
+
+FARTHEST_SIGMAS = 5.0
+"""Images farther from their point say nothing of the usual error."""
+
+
+@dataclass(frozen=True)
+class HealthSettings:
+    """``every``: frame sets from one look at the residuals to the next. ``memory``: looks after which an old one
+    counts 1/e. ``start_px``: random error of image points besides detection noise until it is learned, and
+    ``least_px`` below which it is not taken. ``least_images``: of a camera, before anything is said of it.
+    ``farthest_m``: how far a point may move from set to set to have a speed. ``late_s``: clock offsets below this are
+    let pass, and ``certain_sigma``: by how many standard deviations one must be sure. ``poor_share``: of a camera's
+    detections that connect, below which it is told of. ``block_s``: length of the residuals' time blocks.
+    """
+
+    every: int = 5
+    memory: float = 100.0
+    start_px: float = 0.06
+    least_px: float = 0.005
+    least_images: float = 300.0
+    farthest_m: float = 0.1
+    late_s: float = 100e-6
+    certain_sigma: float = 6.0
+    poor_share: float = 0.5
+    block_s: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Random error of image points besides detection noise: ``sigma_px`` (c,) an axis, of each camera; ``jitter_s``
+    of the triggers.
+    """
+
+    sigma_px: Array
+    jitter_s: float
+
+
+@dataclass(frozen=True)
+class CameraHealth:
+    """One camera since the start: ``residual_px`` rms an axis of late; ``extra_px`` error besides detection noise;
+    ``connected``: share of its detections that became part of points; ``missing``: share of frame sets without it;
+    ``late_s`` how much later than the mean of all cameras it exposes, with its standard deviation (NaN: unknown).
+    ``residuals_px``: rms of each block of time.
+    """
+
+    name: str
+    residual_px: float
+    extra_px: float
+    connected: float
+    missing: float
+    late_s: float
+    late_sigma_s: float
+    residuals_px: tuple[float, ...]
+
+
+class Health:
+    """Watches the points of a running pipeline. ``attend`` takes each frame set; ``noise`` is what was learned."""
+
+    def __init__(self, rig: Rig, settings: HealthSettings | None = None) -> None:
+        self.settings = settings or HealthSettings()
+        self._names = rig.names
+        c = len(rig.cameras)
+        self.noise = Noise(np.full(c, self.settings.start_px), 0.0)
+        self._sets = 0
+        self._missing, self._detected, self._connected = np.zeros(c), np.zeros(c), np.zeros(c)
+        self._before: tuple[float, Array] | None = None
+        self._normal, self._right = np.zeros((c + 1, c + 1)), np.zeros(c + 1)
+        self._clock, self._pull, self._clock_images = np.zeros((c, c)), np.zeros(c), np.zeros(c)
+        self._scatter = np.zeros((c, c))
+        self._square, self._images = np.zeros(c), np.zeros(c)
+        self._blocks: dict[int, Array] = {}
+
+    def attend(
+        self, rig: Rig, frame_set: FrameSet, detections: Mapping[str, Detections], points: Points
+    ) -> None:
+        """Take a frame set's points and the detections that they were made of; ``rig``: that they were made with."""
+        time_s = frame_set.time_ns * 1e-9
+        self._sets += 1
+        self._missing += [name not in detections for name in self._names]
+        self._detected += [len(detections[n]) if n in detections else 0 for n in self._names]
+        if len(points):
+            self._connected += (points.rays >= 0).sum(axis=0)
+        if self._sets % self.settings.every == 0 and len(points):
+            self._look(rig, time_s, detections, points)
+        self._before = (time_s, points.xyz)
+
+    def cameras(self) -> tuple[CameraHealth, ...]:
+        """Return how each camera is doing."""
+        late, sigma = self._offsets()
+        rms = np.sqrt(self._square / np.maximum(2 * self._images, 1))
+        share = self._connected / np.maximum(self._detected, 1)
+        missing = self._missing / max(self._sets, 1)
+        blocks = [np.sqrt(b[0] / np.maximum(2 * b[1], 1)) for _, b in sorted(self._blocks.items())]
+        return tuple(
+            CameraHealth(
+                name, float(rms[k]), float(self.noise.sigma_px[k]), float(share[k]), float(missing[k]),
+                float(late[k]), float(sigma[k]), tuple(float(b[k]) for b in blocks),
+            )
+            for k, name in enumerate(self._names)
+        )  # fmt: skip
+
+    def findings(self) -> tuple[str, ...]:
+        """Return what a person should look at, a line each."""
+        s, told = self.settings, []
+        for k, one in enumerate(self.cameras()):
+            if abs(one.late_s) > max(s.late_s, s.certain_sigma * one.late_sigma_s):
+                when = "later" if one.late_s > 0 else "earlier"
+                told.append(
+                    f"camera '{one.name}' exposes {1e3 * abs(one.late_s):.2f} ms {when} than the others' mean "
+                    f"(+- {1e3 * 2 * one.late_sigma_s:.2f}): check its trigger and its clock"
+                )
+            if self._detected[k] >= s.least_images and one.connected < s.poor_share:
+                told.append(
+                    f"camera '{one.name}': only {100 * one.connected:.0f} % of {self._detected[k]:.0f} detections "
+                    "meet other cameras': look for reflections, bright clothes, or a camera that was moved"
+                )
+        return tuple(told)
+
+    def _look(self, rig: Rig, time_s: float, detections: Mapping[str, Detections], points: Points) -> None:
+        speed, known = self._speeds(time_s, points.xyz)
+        wanted = min(3, len(rig.cameras))
+        chosen = (points.n_cameras >= wanted) & (points.trusted >= points.n_cameras - 0.5) & known
+        if not chosen.any():
+            return
+        seen, rest, slope, own = _residuals(rig, detections, points, chosen)
+        speed = speed[chosen]
+        flow = np.einsum("ncij,nj->nci", slope, speed)
+        extra = self.noise.sigma_px[:, None, None] ** 2 * np.eye(2)
+        total = own + extra + self.noise.jitter_s**2 * flow[..., :, None] * flow[..., None, :]
+        weight = np.where(seen[..., None, None], np.linalg.inv(total), 0.0)
+        weighted = np.swapaxes(slope, 2, 3) @ weight
+        normal = (weighted @ slope).sum(axis=1)
+        fit = np.linalg.cond(normal) < 1e9
+        seen, rest, slope, own, flow, total, weight, weighted = (
+            part[fit] for part in (seen, rest, slope, own, flow, total, weight, weighted)
+        )
+        inverse = np.linalg.inv(normal[fit])
+        move = np.einsum("nij,ncjk,nck->ni", inverse, weighted, rest)
+        rest = np.where(seen[..., None], rest - np.einsum("ncij,nj->nci", slope, move), 0.0)
+        squared = np.einsum("nci,ncij,ncj->nc", rest, weight, rest)
+        usual = (squared < FARTHEST_SIGMAS**2).all(axis=1)
+        if not usual.any():
+            return
+        keep = math.exp(-1.0 / self.settings.memory)
+        parts = tuple(part[usual] for part in (seen, rest, slope, own, flow, total, weight))
+        self._learn(keep, inverse[usual], *parts)
+        block = int(time_s // self.settings.block_s)
+        sums = self._blocks.setdefault(block, np.zeros((2, len(self._names))))
+        sums += [(rest[usual] ** 2).sum(axis=(0, 2)), seen[usual].sum(axis=0)]
+
+    def _learn(
+        self, keep: float, inverse: Array, seen: Array, rest: Array, slope: Array, own: Array, flow: Array,
+        total: Array, weight: Array,
+    ) -> None:  # fmt: skip
+        """Add a look's residuals to the sums, and draw the conclusions."""
+        c = len(self._names)
+        square = (rest**2).sum(axis=2)
+        whole = np.trace(total, axis1=2, axis2=3)
+        left = 1.0 - np.einsum("ncij,njk,ncik->nc", slope, inverse, slope) / whole
+        use = seen & (left > 0.05)
+        scale = np.where(use, 1.0 / (left * whole), 0.0)
+        per_px, per_speed = 2.0 * left * scale, left * (flow**2).sum(axis=2) * scale
+        known = (square - left * np.trace(own, axis1=2, axis2=3)) * scale
+        normal, right = np.zeros((c + 1, c + 1)), np.zeros(c + 1)
+        normal[range(c), range(c)] = (per_px**2).sum(axis=0)
+        normal[:c, c] = normal[c, :c] = (per_px * per_speed).sum(axis=0)
+        normal[c, c] = (per_speed**2).sum()
+        right[:c], right[c] = (per_px * known).sum(axis=0), (per_speed * known).sum()
+        self._normal, self._right = keep * self._normal + normal, keep * self._right + right
+        self._square, self._images = (
+            keep * self._square + square.sum(axis=0),
+            keep * self._images + seen.sum(axis=0),
+        )
+        pull = np.einsum("nci,ncij,ncj->c", flow, weight, rest)
+        toward = np.einsum("ncij,ncjk,nck->nci", np.swapaxes(slope, 2, 3), weight, flow)
+        clock = -np.einsum("nci,nij,ndj->cd", toward, inverse, toward)
+        clock[range(c), range(c)] += np.einsum("nci,ncij,ncj->c", flow, weight, flow)
+        late = np.nan_to_num(self._offsets()[0])
+        scatter = pull - clock @ late
+        self._scatter += np.outer(scatter, scatter)
+        self._clock, self._pull = self._clock + clock, self._pull + pull
+        self._clock_images += seen.sum(axis=0)
+        self._conclude()
+
+    def _conclude(self) -> None:
+        c, s = len(self._names), self.settings
+        enough = self._images >= s.least_images
+        if not enough.any():
+            return
+        size = np.sqrt(np.maximum(np.diag(self._normal), 1e-300))
+        scaled = self._normal / np.outer(size, size)
+        found = nnls(scaled, self._right / size)[0] / size
+        sigma = np.where(enough, np.sqrt(np.maximum(found[:c], s.least_px**2)), self.noise.sigma_px)
+        self.noise = Noise(sigma, math.sqrt(found[c]))
+
+    def _offsets(self) -> tuple[Array, Array]:
+        """Return by how much each camera is late (c,) and the standard deviation [s]; NaN where nothing moved."""
+        c = len(self._names)
+        nothing = np.full(c, np.nan)
+        seen = self._clock_images >= self.settings.least_images
+        size = np.sqrt(np.diag(self._clock))
+        if seen.sum() < 2 or not (size[seen] > 0).all():
+            return nothing, nothing
+        some = np.ix_(seen, seen)
+        n = int(seen.sum())
+        mean = np.full((n, n), float((size[seen] ** 2).mean()) / n)  # gauge: offsets sum to zero
+        inverse = np.linalg.inv(self._clock[some] + mean)
+        late, sigma = nothing.copy(), nothing.copy()
+        late[seen] = inverse @ self._pull[seen]
+        sigma[seen] = np.sqrt(np.diag(inverse @ self._scatter[some] @ inverse))
+        return late, sigma
+
+    def _speeds(self, time_s: float, xyz: Array) -> tuple[Array, Array]:
+        """Return each point's speed (n, 3) since the set before, and whether it is known (n,)."""
+        speed, known = np.zeros(xyz.shape), np.zeros(len(xyz), dtype=bool)
+        if self._before is None or not len(self._before[1]) or not len(xyz):
+            return speed, known
+        before_s, before = self._before
+        away, there = cKDTree(before).query(xyz, distance_upper_bound=self.settings.farthest_m)
+        back = cKDTree(xyz).query(before)[1]
+        known = np.isfinite(away) & (time_s > before_s)
+        known[known] = back[there[known]] == np.flatnonzero(known)
+        speed[known] = (xyz[known] - before[there[known]]) / max(time_s - before_s, 1e-9)
+        return speed, known
+
+
+def _residuals(
+    rig: Rig, detections: Mapping[str, Detections], points: Points, chosen: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return which images there are (n, c), their residuals (n, c, 2), change by the point (n, c, 2, 3) and own
+    covariances (n, c, 2, 2), of the chosen points.
+    """
+    xyz, rays = points.xyz[chosen], points.rays[chosen]
+    n, c = rays.shape
+    rest, slope = np.zeros((n, c, 2)), np.zeros((n, c, 2, 3))
+    own, seen = np.tile(np.eye(2), (n, c, 1, 1)), np.zeros((n, c), dtype=bool)
+    for k, camera in enumerate(rig.cameras):
+        rows = np.flatnonzero(rays[:, k] >= 0)
+        if not len(rows) or camera.name not in detections:
+            continue
+        found, which = detections[camera.name], rays[rows, k]
+        image = project_with_jacobians(camera, xyz[rows])
+        good = np.isfinite(image.xy_px).all(axis=1)
+        rows, which = rows[good], which[good]
+        rest[rows, k] = found.xy_px[which] - image.xy_px[good]
+        slope[rows, k] = image.by_point[good]
+        own[rows, k] = found.covariance_px2[which]
+        seen[rows, k] = True
+    return seen, rest, slope, own

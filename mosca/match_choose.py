@@ -1,0 +1,247 @@
+"""Which groups are targets: compiled kernels of ``mosca.match``, after ``mosca.match_search``.
+
+Groups are taken by their likelihood against chance, best first, so that no image serves twice; a group that loses
+images to a better one is tried again with those it has left. What two cameras alone cannot tell is left open.
+"""
+
+import numpy as np
+from numba import njit
+
+from mosca.match_groups import (
+    CHI2,
+    COVARIANCE,
+    DIAMETER,
+    GAIN,
+    XYZ,
+    acceptable,
+    scratch,
+    solve,
+    store,
+    too_large,
+    wholeness,
+)
+from mosca.match_index import buckets, within
+
+CLEARLY_WORSE = 9.0
+"""A pair whose squared error is larger by this (3 standard deviations) does not contest another."""
+OPEN, TAKEN, GONE = 0, 1, 2
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def choose(values, members, trusts, rays, views, rules, xyz, covariance, support):  # type: ignore[no-untyped-def]
+    """Return the state (n,) of each group: OPEN (a pair that others contest), TAKEN or GONE.
+
+    Changes groups that lose rays in place. ``xyz`` (k, 3), ``covariance`` (k, 3, 3): where tracks expect their
+    targets; ``support``: how many standard deviations away from it one speaks for a group.
+    """
+    n, cameras = members.shape
+    used = np.zeros(rays.direction.shape[0], dtype=np.int64)
+    spoken = np.zeros(xyz.shape[0], dtype=np.bool_)
+    state = np.zeros(n, dtype=np.int8)
+    group = scratch(cameras)
+    index = buckets(xyz[:, 0], support * np.sqrt(covariance[:, 0, 0]))
+    found = np.empty(xyz.shape[0], dtype=np.int64)
+    density = _log_density(values, xyz)
+    track, worth = np.full(n, -1, dtype=np.int64), np.zeros(n)
+    for _round in range(max(cameras - 1, 1)):
+        for g in range(n):
+            if state[g] == OPEN:
+                track[g], gained = _speaker(
+                    values[g], xyz, covariance, spoken, support, density, index, found
+                )
+                worth[g] = values[g, GAIN] + gained
+        waiting = np.flatnonzero(state == OPEN)
+        changed = False
+        for g in waiting[np.argsort(-worth[waiting], kind="mergesort")]:
+            if _take(g, values, members, track, used, spoken, rays, views, rules):
+                state[g] = TAKEN
+                changed = True
+        if not changed:
+            break
+        for g in waiting:
+            if state[g] == OPEN and not _shrink(g, values, members, trusts, used, group, rays, views, rules):
+                state[g] = GONE
+    _take_uncontested(values, members, state, used)
+    return state
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _log_density(values, xyz):  # type: ignore[no-untyped-def]
+    """Return the logarithm of the density of groups [1/m^3] in the box that they and the tracks fill."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for k in range(3):
+        for g in range(values.shape[0]):
+            low[k], high[k] = min(low[k], values[g, XYZ + k]), max(high[k], values[g, XYZ + k])
+        for t in range(xyz.shape[0]):
+            low[k], high[k] = min(low[k], xyz[t, k]), max(high[k], xyz[t, k])
+    side = high - low
+    if values.shape[0] == 0:
+        return 0.0
+    longest = max(side[0], side[1], side[2])
+    return np.log(values.shape[0] / max(side[0] * side[1] * side[2], 1e-9 * longest**3, 1e-18))
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _speaker(value, xyz, covariance, spoken, gate, density, index, found):  # type: ignore[no-untyped-def]
+    """Return the track that speaks for a group, or -1, and how much that is worth.
+
+    The worth is the log-likelihood ratio of "this track's target" against "a group anywhere": a track that has not
+    been seen for long expects its target everywhere and says little.
+    """
+    best, worth = -1, 0.0
+    half = gate * np.sqrt(value[COVARIANCE])
+    for f in range(within(index, value[XYZ], half, found)):
+        t = found[f]
+        if spoken[t]:
+            continue
+        p = covariance[t]
+        x, y, z = value[XYZ] - xyz[t, 0], value[XYZ + 1] - xyz[t, 1], value[XYZ + 2] - xyz[t, 2]
+        a, b, c = (
+            p[0, 0] + value[COVARIANCE],
+            p[0, 1] + value[COVARIANCE + 1],
+            p[0, 2] + value[COVARIANCE + 2],
+        )
+        d, e, i = (
+            p[1, 1] + value[COVARIANCE + 4],
+            p[1, 2] + value[COVARIANCE + 5],
+            p[2, 2] + value[COVARIANCE + 8],
+        )
+        if x * x > gate * gate * a or y * y > gate * gate * d or z * z > gate * gate * i:
+            continue
+        c00, c01, c02 = d * i - e * e, c * e - b * i, b * e - c * d
+        det = a * c00 + b * c01 + c * c02
+        away2 = c00 * x * x + (a * i - c * c) * y * y + (a * d - b * b) * z * z
+        away2 = (away2 + 2.0 * (c01 * x * y + c02 * x * z + (b * c - a * e) * y * z)) / det
+        if not away2 < gate * gate:
+            continue
+        said = -density - 0.5 * np.log(det * (2.0 * np.pi) ** 3) - 0.5 * away2
+        if said > worth:
+            best, worth = t, said
+    return best, worth
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _take(g, values, members, track, used, spoken, rays, views, rules):  # type: ignore[no-untyped-def]
+    """Take a group if its rays are free; a pair only if a track, still free, speaks for it.
+
+    An image of two targets serves a second group if a track speaks for that.
+    """
+    alone = track[g] < 0 or spoken[track[g]]
+    count = 0
+    for c in range(members.shape[1]):
+        k = members[g, c]
+        if k >= 0:
+            count += 1
+            if used[k] > 1 or (used[k] == 1 and alone):
+                return False
+            if used[k] == 1 and not too_large(k, c, values[g, XYZ : XYZ + 3], rays, views, rules):
+                return False
+    if alone and count == 2:
+        return False
+    if track[g] >= 0:
+        spoken[track[g]] = True
+    for c in range(members.shape[1]):
+        if members[g, c] >= 0:
+            used[members[g, c]] += 1
+    return True
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _shrink(g, values, members, trusts, used, group, rays, views, rules):  # type: ignore[no-untyped-def]
+    """Take the rays that are used up from a group and solve it anew; False where no target is left."""
+    count, lost = 0, False
+    for c in range(members.shape[1]):
+        k = members[g, c]
+        if k >= 0 and used[k] > 0:
+            members[g, c], lost = -1, True
+        count += members[g, c] >= 0
+    if not lost:
+        return True
+    if count < rules.minimum:
+        return False
+    group.members[:], group.trust[:] = members[g], trusts[g]
+    group.point[:] = values[g, XYZ : XYZ + 3]
+    error = solve(group, 2, rays, views)
+    if not acceptable(group, count, error, values[g, DIAMETER], rays, views, rules):
+        return False
+    store(group, error, values[g, DIAMETER], rays, values[g], members[g], trusts[g])
+    return True
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _take_uncontested(values, members, state, used):  # type: ignore[no-untyped-def]
+    """Take the groups whose rays no other open one wants that meets about as well."""
+    n, cameras = members.shape
+    # for each ray the best group that wants it, and the best of those with another set of rays
+    first = np.full(used.shape[0], -1, dtype=np.int64)
+    second = np.full(used.shape[0], -1, dtype=np.int64)
+    for g in range(n):
+        if state[g] != OPEN:
+            continue
+        for c in range(cameras):
+            k = members[g, c]
+            if k < 0:
+                continue
+            if first[k] < 0:
+                first[k] = g
+            elif _same(members[g], members[first[k]]):
+                continue
+            elif values[g, CHI2] < values[first[k], CHI2]:
+                first[k], second[k] = g, first[k]
+            elif second[k] < 0 or values[g, CHI2] < values[second[k], CHI2]:
+                second[k] = g
+    for g in range(n):
+        if state[g] != OPEN:
+            continue
+        for c in range(cameras):
+            k = members[g, c]
+            if k < 0:
+                continue
+            rival = second[k] if _same(members[g], members[first[k]]) else first[k]
+            if used[k] > 0 or (rival >= 0 and values[rival, CHI2] < values[g, CHI2] + CLEARLY_WORSE):
+                break
+        else:
+            state[g] = TAKEN
+            for c in range(cameras):
+                if members[g, c] >= 0:
+                    used[members[g, c]] += 1
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _same(one, other):  # type: ignore[no-untyped-def]
+    for c in range(one.shape[0]):
+        if one[c] != other[c]:
+            return False
+    return True
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def columns(values, members, trusts, state, rays, views):  # type: ignore[no-untyped-def]
+    """Return the columns of ``Points`` of the groups that were taken."""
+    n, cameras = 0, members.shape[1]
+    for g in range(values.shape[0]):
+        n += state[g] == TAKEN
+    xyz, covariance, count = np.empty((n, 3)), np.empty((n, 3, 3)), np.zeros(n, dtype=np.int64)
+    residual, index = np.zeros(n), np.full((n, cameras), -1, dtype=np.int64)
+    diameter, trusted = np.empty(n), np.zeros(n)
+    n = 0
+    for g in range(values.shape[0]):
+        if state[g] != TAKEN:
+            continue
+        square = 0.0
+        for c in range(cameras):
+            k = members[g, c]
+            if k >= 0:
+                count[n] += 1
+                index[n, c] = k - views.start[c]
+                square += (rays.sigma[k] / trusts[g, c]) ** 2
+                trusted[n] += wholeness(k, trusts[g, c], rays)
+        for p in range(3):
+            xyz[n, p] = values[g, XYZ + p]
+            for q in range(3):
+                covariance[n, p, q] = values[g, COVARIANCE + 3 * p + q]
+        # the mean variance of its images turns whitened errors into px
+        residual[n] = np.sqrt(square / count[n] * values[g, CHI2] / (2.0 * count[n]))
+        diameter[n] = values[g, DIAMETER]
+        n += 1
+    return xyz, covariance, count, residual, index, diameter, trusted

@@ -1,0 +1,515 @@
+"""Compiled fit of a blurred disc to the pixels around an accepted region.
+
+Called by ``mosca.refine``, which states the model, the noise and the source. One kernel call takes all regions of
+a frame set, is free of the GIL and runs on one thread, so that the same images always give the same places.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+
+from mosca.data.arrays import Array
+
+# As in mosca.detect_kernels: a cached kernel and all its steps stand in one file. Re-ordered sums are wanted
+# here: they let the compiler add eight pixels at once. NaN and infinity must stay what they are.
+_FAST = {"nogil": True, "error_model": "numpy", "fastmath": {"reassoc", "nsz", "arcp", "contract", "afn"}}
+kernel = numba.njit(cache=True, **_FAST)
+step = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_FAST)
+
+X, Y, XX, XY, YY, DIAMETER, PEAK, ELONGATION, FLAGS, BLUR, BLUR_INFO, MISFIT, LIGHT_X, LIGHT_Y = range(14)
+N_COLUMNS = 14
+
+SATURATED, MERGED, PARTIAL, UNREFINED = 1, 2, 4, 8
+
+f32 = np.float32
+
+# The edge, on |t| <= 3: erf(t / sqrt 2) / 2 = t P(t^2), right to 3e-4, and 1/2 at 3; its derivative the normal
+# density Q(t^2), 0 at 3. Least squares; polynomials, since a division costs as much as ten of their terms.
+P0, P1, P2, P3, P4 = f32(0.3982078), f32(-0.06448306), f32(0.008401767), f32(-0.0006522268), f32(2.190772e-05)
+Q0, Q1, Q2, Q3, Q4 = f32(0.3964177), f32(-0.1851492), f32(0.03625069), f32(-0.003324804), f32(0.00011544)
+ZERO, HALF, ONE, REACH = f32(0), f32(0.5), f32(1), f32(3)
+TINY = f32(1e-6)
+
+
+class Model(NamedTuple):
+    """What the fit takes as given, in grey values [DN] and pixels. Pixels from ``full_dn`` on are saturated."""
+
+    dark_dn2: float
+    gain_dn: float
+    full_dn: float
+
+
+@step
+def sums(
+    n: int, x: Array, y: Array, v: Array, at: tuple[Any, Any, Any, Any, Any, Any], dark: Any, gain: Any
+) -> Any:
+    """Return the normal equations of one Gauss-Newton step over n pixels (x, y) with grey values v.
+
+    ``at``: x0, y0, amplitude, background, radius, blur. The place and the other four unknowns are at right
+    angles for a window that is symmetric about the target, and are solved apart.
+    """
+    x0, y0, a, b, radius, blur = at
+    sharp = ONE / blur
+    a_sharp, a_gain = a * sharp, a * gain
+    hxx = hxy = hyy = cx = cy = chi2 = ZERO
+    haa = hab = har = has = hbb = hbr = hbs = hrr = hrs = hss = ca = cb = cr = cs = ZERO
+    for i in range(n):
+        dx, dy = x[i] - x0, y[i] - y0
+        r2 = dx * dx + dy * dy + TINY
+        per_r = ONE / math.sqrt(r2)
+        t = (r2 * per_r - radius) * sharp
+        t = min(max(t, -REACH), REACH)
+        u = t * t
+        e = HALF - t * (P0 + u * (P1 + u * (P2 + u * (P3 + u * P4))))
+        g = a_sharp * (Q0 + u * (Q1 + u * (Q2 + u * (Q3 + u * Q4))))
+        w = ONE / (dark + a_gain * e)
+        d = v[i] - b - a * e
+        jx, jy, js = g * per_r * dx, g * per_r * dy, g * t
+        wd, wx, wy, we, wg = w * d, w * jx, w * jy, w * e, w * g
+        hxx += wx * jx
+        hxy += wx * jy
+        hyy += wy * jy
+        cx += wd * jx
+        cy += wd * jy
+        haa += we * e
+        hab += we
+        har += we * g
+        has += we * js
+        hbb += w
+        hbr += wg
+        hbs += w * js
+        hrr += wg * g
+        hrs += wg * js
+        hss += w * js * js
+        ca += wd * e
+        cb += wd
+        cr += wd * g
+        cs += wd * js
+        chi2 += wd * d
+    return (hxx, hxy, hyy, cx, cy), (haa, hab, har, has, hbb, hbr, hbs, hrr, hrs, hss), (ca, cb, cr, cs), chi2
+
+
+@step
+def solve_shape(h: Any, c: Any, prior: float, pull: float) -> tuple[float, float, float, float, float, float]:
+    """Solve for amplitude, background, radius and blur; the blur is held by a prior of this information.
+
+    ``pull``: prior mean less the present blur. Returns the four corrections, the variance that the data alone
+    give the blur, or infinity, and the determinant's sign (0 where the equations have no solution).
+    """
+    haa, hab, har, has, hbb, hbr, hbs, hrr, hrs, hss = h
+    ca, cb, cr, cs = c
+    # L D L' in the order amplitude, background, radius, blur; in float64
+    d0 = haa + 1e-9
+    l1, l2, l3 = hab / d0, har / d0, has / d0
+    d1 = hbb - l1 * hab + 1e-12
+    m2, m3 = (hbr - l1 * har) / d1, (hbs - l1 * has) / d1
+    d2 = hrr - l2 * har - m2 * m2 * d1 + 1e-9
+    n3 = (hrs - l2 * has - m2 * m3 * d1) / d2
+    data = hss - l3 * has - m3 * m3 * d1 - n3 * n3 * d2
+    if not (d0 > 0.0 and d1 > 0.0 and d2 > 0.0 and data + prior > 0.0):
+        return 0.0, 0.0, 0.0, 0.0, math.inf, 0.0
+    z1 = cb - l1 * ca
+    z2 = cr - l2 * ca - m2 * z1
+    z3 = cs - l3 * ca - m3 * z1 - n3 * z2
+    s = (z3 + prior * pull) / (data + prior)
+    r = z2 / d2 - n3 * s
+    b = z1 / d1 - m2 * r - m3 * s
+    a = ca / d0 - l1 * b - l2 * r - l3 * s
+    return a, b, r, s, 1.0 / max(data, 1e-12), 1.0
+
+
+@step
+def tail_point(share: float) -> float:
+    """Return t at which the normal distribution leaves ``share`` (up to a half) above it.
+
+    Abramowitz and Stegun 26.2.22, right to 0.003.
+    """
+    q = math.sqrt(-2.0 * math.log(min(max(share, 1e-6), 0.5)))
+    return max(q - (2.30753 + 0.27061 * q) / (1.0 + q * (0.99229 + 0.04481 * q)), 0.0)
+
+
+@step
+def below_edge(t: float) -> float:
+    """Return the normal distribution's integral up to t >= 0, by the polynomial of the edge."""
+    t = min(t, 3.0)
+    u = t * t
+    return 0.5 + t * (P0 + u * (P1 + u * (P2 + u * (P3 + u * P4))))
+
+
+@step
+def region_sums(image: Array, runs: Array, full: int) -> tuple[Any, ...]:
+    """Return a region's box, pixels, peak, saturated pixels and sums of v (1, x, y, xx, xy, yy) about its corner."""
+    top, bottom = runs[0, 0], runs[-1, 0]
+    left, right = runs[0, 1], runs[0, 2]
+    for i in range(1, len(runs)):
+        left = min(left, runs[i, 1])
+        right = max(right, runs[i, 2])
+    n = s = sx = sy = sxx = sxy = syy = peak = n_full = np.int64(0)
+    nx = ny = nxx = nxy = nyy = np.int64(0)
+    for i in range(len(runs)):
+        row, first, end = image[runs[i, 0]], runs[i, 1], runs[i, 2]
+        v = np.int64(runs[i, 0] - top)
+        r0 = r1 = r2 = np.int64(0)
+        u0 = u1 = u2 = np.int64(0)
+        for column in range(first, end):
+            value, u = np.int64(row[column]), np.int64(column - left)
+            r0 += value
+            r1 += value * u
+            r2 += value * u * u
+            u1 += u
+            u2 += u * u
+            peak = max(peak, value)
+            n_full += value >= full
+        u0 = np.int64(end - first)
+        n += u0
+        nx += u1
+        ny += v * u0
+        nxx += u2
+        nxy += v * u1
+        nyy += v * v * u0
+        s += r0
+        sx += r1
+        sy += v * r0
+        sxx += r2
+        sxy += v * r1
+        syy += v * v * r0
+    box = (left, right - 1, top, bottom)
+    return box, peak, n_full, (n, nx, ny, nxx, nxy, nyy), (s, sx, sy, sxx, sxy, syy)
+
+
+@step
+def corner_level(image: Array, box: tuple[Any, Any, Any, Any], floor: int) -> float:
+    """Return the mean grey value of the dark pixels two px off the corners of a box, ``floor`` where none is."""
+    left, right, top, bottom = box
+    height, width = image.shape
+    total, n = 0.0, 0
+    for y in (max(top - 2, 0), min(bottom + 2, height - 1)):
+        for x in (max(left - 2, 0), min(right + 2, width - 1)):
+            if image[y, x] <= floor:
+                total += image[y, x]
+                n += 1
+    return total / n if n > 0 else float(floor)
+
+
+@step
+def blank(
+    image: Array, runs: Array, place: tuple[int, int], floor: int, full: float, out: Array
+) -> tuple[int, int]:
+    """Mark in ``out`` (side, side), centred on ``place``, what does not belong into the fit of a region.
+
+    That are saturated pixels, and pixels above ``floor`` that are not the region's own with what lies around
+    them: 2 px, as far as a blurred edge reaches below the floor; 1 px where it is the region's own. Returns the
+    first column and row of ``out`` in the image.
+    """
+    side = out.shape[0]
+    height, width = image.shape
+    left, top = place[0] - side // 2, place[1] - side // 2
+    out[:, :] = 0
+    for i in range(len(runs)):
+        j = runs[i, 0] - top
+        if 0 <= j < side:
+            for k in range(max(runs[i, 1] - left, 0), min(runs[i, 2] - left, side)):
+                out[j, k] = OWN
+    for j in range(max(-top, 0), min(height - top, side)):
+        for k in range(max(-left, 0), min(width - left, side)):
+            value = image[top + j, left + k]
+            if value >= full:
+                out[j, k] |= OUT
+            if value > floor and not out[j, k] & OWN:
+                for q in range(max(j - 2, 0), min(j + 3, side)):
+                    for p in range(max(k - 2, 0), min(k + 3, side)):
+                        if not out[q, p] & OWN or max(abs(q - j), abs(p - k)) < 2:
+                            out[q, p] |= OUT
+    return left, top
+
+
+OWN, OUT = 1, 2
+
+
+@step
+def gather(
+    image: Array,
+    place: tuple[int, int],
+    shape: tuple[float, float, float],
+    around: tuple[float, float],
+    reach: float,
+    floor: int,
+    xyv: tuple[Array, Array, Array],
+) -> tuple[int, int]:
+    """Copy the pixels around the pixel ``place`` that lie within ``reach`` of a target, and count those above floor.
+
+    Pixel offsets are turned by the symmetric matrix ``shape`` (xx, xy, yy), in which the target is round, and
+    ``around`` is its middle beside ``place`` there. Returns the number of pixels and of bright ones.
+    """
+    x, y, v = xyv
+    m0, m1, m2 = f32(shape[0]), f32(shape[1]), f32(shape[2])
+    height, width = image.shape
+    column, row = place
+    n, bright = 0, 0
+    first_row, end_row = rows_within(shape, around, reach)
+    for j in range(max(row + first_row, 0), min(row + end_row, height)):
+        first, end = span_within(shape, around, reach, j - row)
+        first, end = max(column + first, 0), min(column + end, width)
+        line = image[j]
+        fy = f32(j - row)
+        for i in range(first, end):
+            fx = f32(i - column)
+            x[n + i - first] = m0 * fx + m1 * fy
+            y[n + i - first] = m1 * fx + m2 * fy
+            v[n + i - first] = f32(line[i])
+            bright += line[i] > floor
+        n += max(end - first, 0)
+    return n, bright
+
+
+@step
+def gather_unmarked(
+    image: Array,
+    place: tuple[int, int],
+    shape: tuple[float, float, float],
+    around: tuple[float, float],
+    reach: float,
+    marks: tuple[Array, int, int],
+    xyv: tuple[Array, Array, Array],
+) -> int:
+    """Do as ``gather`` for the pixels that ``blank`` leaves. ``marks``: its ``out``, first column and row."""
+    x, y, v = xyv
+    height, width = image.shape
+    out, left, top = marks
+    n = 0
+    first_row, end_row = rows_within(shape, around, reach)
+    for j in range(max(place[1] + first_row, 0, top), min(place[1] + end_row, height, top + len(out))):
+        first, end = span_within(shape, around, reach, j - place[1])
+        for i in range(max(place[0] + first, 0, left), min(place[0] + end, width, left + len(out))):
+            if not out[j - top, i - left] & OUT:
+                dx, dy = i - place[0], j - place[1]
+                x[n], y[n] = f32(shape[0] * dx + shape[1] * dy), f32(shape[1] * dx + shape[2] * dy)
+                v[n] = f32(image[j, i])
+                n += 1
+    return n
+
+
+@step
+def rows_within(
+    shape: tuple[float, float, float], around: tuple[float, float], reach: float
+) -> tuple[int, int]:
+    """Return the first and the end row in which pixel offsets d have ``|M d - around| <= reach``."""
+    m0, m1, m2 = shape
+    det = m0 * m2 - m1 * m1
+    middle, half = (m0 * around[1] - m1 * around[0]) / det, reach * math.sqrt(m0 * m0 + m1 * m1) / abs(det)
+    return math.ceil(middle - half), math.floor(middle + half) + 1
+
+
+@step
+def span_within(
+    shape: tuple[float, float, float], around: tuple[float, float], reach: float, row: int
+) -> tuple[int, int]:
+    """Return the first and the end column of a row in which ``|M d - around| <= reach``."""
+    m0, m1, m2 = shape
+    a = m0 * m0 + m1 * m1
+    p, q = m1 * row - around[0], m2 * row - around[1]
+    half_b = m0 * p + m1 * q
+    d = half_b * half_b - a * (p * p + q * q - reach * reach)
+    if d <= 0.0:
+        return 0, 0
+    half = math.sqrt(d)
+    return math.ceil((-half_b - half) / a), math.floor((-half_b + half) / a) + 1
+
+
+@step
+def fit_disc(
+    n: int, x: Array, y: Array, v: Array, start: tuple[Any, ...], blur: tuple[float, float], model: Model
+) -> tuple[Any, ...]:
+    """Fit a blurred disc by Gauss-Newton steps until the place moves by less than a third of its error.
+
+    ``start``: x0, y0, amplitude, background, radius; ``blur``: its prior mean and standard deviation. Returns
+    x0, y0, amplitude, background, radius, blur, the variances (xx, xy, yy) of the place, chi-square, the blur's
+    variance from the data alone, and whether it converged.
+    """
+    x0, y0, a, b, radius = start
+    mean, prior = blur[0], 1.0 / (blur[1] * blur[1])
+    s = mean
+    dark, gain = f32(model.dark_dn2), f32(model.gain_dn)
+    cxx = cxy = cyy = chi2 = 0.0
+    blur_variance = math.inf
+    good = False
+    for turn in range(MOST_STEPS):
+        place, h, c, chi2_here = sums(
+            n, x, y, v, (f32(x0), f32(y0), f32(a), f32(b), f32(radius), f32(s)), dark, gain
+        )
+        hxx, hxy, hyy = float(place[0]), float(place[1]), float(place[2])
+        det = hxx * hyy - hxy * hxy
+        if not det > 1e-9 * hxx * hyy:
+            break
+        cxx, cxy, cyy = hyy / det, -hxy / det, hxx / det
+        px, py = float(place[3]), float(place[4])
+        da, db, dr, ds, blur_variance, solved = solve_shape(
+            (
+                float(h[0]), float(h[1]), float(h[2]), float(h[3]), float(h[4]),
+                float(h[5]), float(h[6]), float(h[7]), float(h[8]), float(h[9]),
+            ),
+            (float(c[0]), float(c[1]), float(c[2]), float(c[3])), prior, mean - s,
+        )  # fmt: skip
+        if solved == 0.0:
+            break
+        dx, dy = cxx * px + cxy * py, cxy * px + cyy * py
+        moved = dx * px + dy * py  # over its own error, squared
+        chi2 = chi2_here - moved
+        far = max(abs(dx), abs(dy))
+        most = 0.5 * radius + 0.3
+        hold = min(1.0, most / far) if far > most else 1.0
+        x0 += hold * dx
+        y0 += hold * dy
+        calm = abs(dr) < 0.25 * s and abs(da) < 0.25 * a
+        a = max(a + da, 0.4 * a)
+        b += db
+        radius = min(max(radius + dr, 0.6 * radius, 0.2 * s), 1.6 * radius + s)
+        s = min(max(s + ds, 0.75 * s, 0.3), 1.3 * s, 6.0)
+        if moved < 0.1 and calm and turn > 0:
+            good = True
+            break
+    return x0, y0, a, b, radius, s, (cxx, cxy, cyy), chi2, blur_variance, good
+
+
+MOST_STEPS = 9
+
+
+@step
+def upright(sums_of_one: Any, sums_of_v: Any, level: float) -> tuple[float, float, float, float, float, float]:
+    """Return flux, centroid (from the box's corner) and central second moments (xx, xy, yy) above a level."""
+    flux = sums_of_v[0] - level * sums_of_one[0]
+    x = (sums_of_v[1] - level * sums_of_one[1]) / flux
+    y = (sums_of_v[2] - level * sums_of_one[2]) / flux
+    xx = (sums_of_v[3] - level * sums_of_one[3]) / flux - x * x
+    xy = (sums_of_v[4] - level * sums_of_one[4]) / flux - x * y
+    yy = (sums_of_v[5] - level * sums_of_one[5]) / flux - y * y
+    return flux, x, y, xx, xy, yy
+
+
+@step
+def stretch(xx: float, xy: float, yy: float, blur2: float, n: int) -> tuple[float, float, float]:
+    """Return the symmetric matrix (xx, xy, yy) of determinant 1 that makes an elliptic target round.
+
+    From its second moments less those of the blur. What pixels and noise do to a round target is left alone:
+    the unit matrix.
+    """
+    size = max(0.5 * (xx + yy) - blur2, 0.5 * blur2)
+    p, q = 0.5 * (xx - yy) / size, xy / size
+    if p * p + q * q < (0.04 + 1.5 / n) ** 2:
+        return 1.0, 0.0, 1.0
+    e = min(math.sqrt(p * p + q * q), 0.85)
+    k = e / math.sqrt(p * p + q * q)
+    # moments are proportional to [[1 + p, q], [q, 1 - p]]: its inverse root, by Cayley and Hamilton
+    a, b, c = 1.0 - k * p, -k * q, 1.0 + k * p
+    root = math.sqrt(a * c - b * b)
+    a, b, c = a / root, b / root, c / root
+    t = math.sqrt(a + c + 2.0)
+    return (a + 1.0) / t, b / t, (c + 1.0) / t
+
+
+@step
+def refine_region(
+    image: Array,
+    runs: Array,
+    threshold: int,
+    floor: int,
+    blur: tuple[float, float],
+    model: Model,
+    xyv: tuple[Array, Array, Array],
+    marks: Array,
+    out: Array,
+) -> None:
+    """Fit one region and write its row of the table."""
+    box, peak, n_full, ones, greys = region_sums(image, runs, model.full_dn)
+    left, right, top, bottom = box
+    n_px = ones[0]
+    level = min(corner_level(image, box, floor), float(threshold))
+    _, cx, cy, xx, xy, yy = upright(ones, greys, level)
+    column, row = int(round(left + cx)), int(round(top + cy))
+    ax, ay = left + cx - column, top + cy - row
+    shape = stretch(xx, xy, yy, 0.5 * blur[0] * blur[0], n_px)
+    m0, m1, m2 = shape
+
+    # amplitude and radius from peak, area and threshold of the region
+    amplitude = float(peak - level)
+    area_radius = math.sqrt(n_px / math.pi)
+    radius = area_radius
+    for _ in range(2):
+        radius = area_radius - blur[0] * tail_point((threshold + 0.5 - level) / amplitude)
+        radius = max(radius, 0.4 * blur[0])
+        amplitude = (peak - level) / below_edge(radius / blur[0])
+    x0, y0 = m0 * ax + m1 * ay, m1 * ax + m2 * ay
+    reach = radius + 3.0 * blur[0] + 0.5
+    n, bright = gather(image, (column, row), shape, (x0, y0), reach, floor, xyv)
+    crowded = bright != n_px
+    if crowded or n_full > 0:
+        first = blank(image, runs, (column, row), floor, model.full_dn, marks)
+        n = gather_unmarked(
+            image, (column, row), shape, (x0, y0), reach, (marks, first[0], first[1]), xyv
+        )
+    x, y, v = xyv
+    x0, y0, amplitude, level, radius, s, c, chi2, blur_variance, good = fit_disc(
+        n, x, y, v, (x0, y0, amplitude, level, radius), blur, model
+    )
+    det = m0 * m2 - m1 * m1
+    i0, i1, i2 = m2 / det, -m1 / det, m0 / det
+    px, py = column + i0 * x0 + i1 * y0, row + i1 * x0 + i2 * y0
+    inside = left - 1.0 <= px <= right + 1.0 and top - 1.0 <= py <= bottom + 1.0
+    out[X], out[Y] = px, py
+    u0, u1, w0, w1 = i0 * c[0] + i1 * c[1], i0 * c[1] + i1 * c[2], i1 * c[0] + i2 * c[1], i1 * c[1] + i2 * c[2]
+    out[XX], out[XY], out[YY] = u0 * i0 + u1 * i1, u0 * i1 + u1 * i2, w0 * i1 + w1 * i2
+    out[DIAMETER] = 2.0 * radius
+    out[PEAK] = peak
+    size_x, size_y = right - left + 1, bottom - top + 1
+    out[ELONGATION] = max(size_x, size_y) / min(size_x, size_y)
+    out[FLAGS] = (SATURATED if n_full > 0 else 0) + (0 if good and inside else UNREFINED)
+    out[MISFIT] = chi2 / max(n - 6, 1)
+    # what the data alone say of the blur; from clean targets only
+    posterior = 1.0 / (1.0 / blur_variance + 1.0 / (blur[1] * blur[1]))
+    clean = good and inside and not crowded and n_full == 0 and m1 == 0.0 and m0 == m2
+    out[BLUR_INFO] = 1.0 / blur_variance if clean and blur_variance < 1e6 else 0.0
+    out[BLUR] = (s / posterior - blur[0] / (blur[1] * blur[1])) * blur_variance if clean else 0.0
+
+
+@kernel
+def refine_regions(
+    images: Array, runs: Array, regions: Array, lowest: Array, blurs: Array, model: Model
+) -> tuple[Array, Array]:
+    """Fit every region that does not touch its image's border.
+
+    ``runs``, ``regions`` and ``lowest`` are those of ``find_regions_in_set``; ``blurs`` (n images, 2): prior mean
+    and standard deviation of the blur [px]. Returns a table (n, N_COLUMNS) and the image of each row (n).
+    """
+    height, width = images.shape[1:]
+    table = np.empty((len(regions), N_COLUMNS))
+    image_of = np.empty(len(regions), np.int32)
+    largest = 0
+    for r in range(len(regions)):
+        own = runs[regions[r, 1] : regions[r, 2]]
+        for i in range(len(own)):
+            largest = max(largest, own[i, 2] - own[0, 1], own[0, 1] - own[i, 1], own[i, 2] - own[i, 1])
+        largest = max(largest, own[-1, 0] - own[0, 0] + 1)
+    widest = 0.0
+    for i in range(len(blurs)):
+        widest = max(widest, blurs[i, 0])
+    side = 2 * (largest + math.ceil(3.0 * widest) + 4) + 1
+    xyv = (np.empty(side * side, f32), np.empty(side * side, f32), np.empty(side * side, f32))
+    marks = np.empty((side, side), np.uint8)
+    n = 0
+    for r in range(len(regions)):
+        own = runs[regions[r, 1] : regions[r, 2]]
+        left, right = own[0, 1], own[0, 2]
+        for i in range(1, len(own)):
+            left = min(left, own[i, 1])
+            right = max(right, own[i, 2])
+        if own[0, 0] == 0 or left == 0 or own[-1, 0] == height - 1 or right == width:
+            continue
+        k = regions[r, 0]
+        refine_region(
+            images[k], own, regions[r, 3], lowest[k], (blurs[k, 0], blurs[k, 1]), model, xyv, marks, table[n]
+        )
+        image_of[n] = k
+        n += 1
+    return table[:n], image_of[:n]

@@ -1,0 +1,355 @@
+"""Which points may be whose, and what the neighbours say: compiled kernels of the tracker.
+
+Markers of one limb keep their distances. Which neighbours those are is learned from the tracks: for each target the
+mean and the variance of its distances to ``MATES`` others. They tell where a hidden target must be (the limb's
+rigid motion since it was last seen carries it along), whether a point can be a target that was lost, and
+when two targets have been exchanged.
+"""
+
+import numba
+import numpy as np
+
+from mosca.track_state import BY_LIMB, BY_MOTION, CONFIRMED, FREE, MATES, NOWHERE, TICK, TOP
+
+kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
+step = numba.njit(nogil=True, error_model="numpy")
+
+RIGID, UNPROVEN, PROVEN = 0.005, 0.15, 20.0
+"""Standard deviation of a distance over its length: at least, before anything is known, and how many instants
+halve the latter's weight."""
+WINDOW = 2000.0
+"""Instants over which distances are learned."""
+REFRESH = 32
+"""Each target looks for better mates once in so many instants."""
+SPIN_RADPS = 4.0
+"""How fast a limb may turn about an axis that its visible markers do not show."""
+FOREIGN = 0.05
+"""Share of distances that break for no reason (a mate exchanged, a ghost)."""
+SEEN_BONUS = 8.0
+"""-2 log of the chance that a target seen last is not seen now."""
+STRAINED = 16.0
+"""Squared deviation of a distance, in variances, from which it is violated."""
+
+
+@kernel
+def pairs(bank, limbs, xyz, covariance, trusted, used, state, gate_sigma, gate_m, agility_m):  # type: ignore[no-untyped-def]
+    """Return which targets in ``state`` and which unused points may be one: slots, rows and worth (k,).
+
+    Worth: log-likelihood ratio (times 2) of "this target's point" against "a point of its own", points of their own
+    being as dense as one in a gate; at least 0 within the gates. ``agility_m``: how far a target may be from
+    its prediction by an acceleration never seen of it.
+    """
+    top, m = bank.numbers[TOP], xyz.shape[0]
+    room, n = 4 * (m + top) + 16, 0
+    slots, rows, worth = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
+    if m == 0:
+        return slots[:0], rows[:0], worth[:0]
+    axis, widest = 0, -1.0
+    for a in range(3):
+        low, high = xyz[0, a], xyz[0, a]
+        for r in range(m):
+            low, high = min(low, xyz[r, a]), max(high, xyz[r, a])
+        if high - low > widest:
+            axis, widest = a, high - low
+    order = np.argsort(xyz[:, axis])
+    along = xyz[order, axis]
+    loosest = 0.0
+    for r in range(m):
+        loosest = max(loosest, covariance[r, 0, 0] + covariance[r, 1, 1] + covariance[r, 2, 2])
+    offset = gate_sigma**2 + 3.0 * np.log(gate_m**2)
+    for i in range(top):
+        if bank.state[i] != state or bank.source[i] == NOWHERE:
+            continue
+        p, place = bank.place_covariance[i], bank.place[i]
+        extra = agility_m**2 if bank.source[i] == BY_MOTION else 0.0
+        reach = min(gate_m, gate_sigma * np.sqrt(p[0, 0] + p[1, 1] + p[2, 2] + 3.0 * extra + loosest))
+        for k in range(np.searchsorted(along, place[axis] - reach), m):
+            if along[k] > place[axis] + reach:
+                break
+            r = order[k]
+            x, y, z = xyz[r, 0] - place[0], xyz[r, 1] - place[1], xyz[r, 2] - place[2]
+            evidence = min(max((trusted[r] - 1.0) / 2.0, 0.25), 1.0) if state == CONFIRMED else 1.0
+            if used[r] >= 0 or x * x + y * y + z * z > min(reach, gate_m * evidence) ** 2:
+                continue
+            away, log_det = _mahalanobis(p, covariance[r], extra, x, y, z)
+            if away > gate_sigma**2:
+                continue
+            value = offset - away - log_det
+            if bank.missed[i] == 0:
+                value += SEEN_BONUS
+            else:
+                fits = _fits(bank, limbs, i, xyz[r], gate_m)
+                if fits < 0.0:
+                    continue
+                value += 2.0 * fits
+            if value > 0.0:
+                if n == room:
+                    room *= 2
+                    slots, rows, worth = _longer(slots, rows, worth)
+                slots[n], rows[n], worth[n] = i, r, value
+                n += 1
+    return slots[:n], rows[:n], worth[:n]
+
+
+@kernel
+def learn(bank, limbs, reach_m):  # type: ignore[no-untyped-def]
+    """Learn the distances of all targets just seen; take the photo; look for mates now and then."""
+    bank.numbers[TICK] += 1
+    tick = bank.numbers[TICK]
+    for i in range(bank.numbers[TOP]):
+        if bank.state[i] != CONFIRMED or bank.missed[i] != 0:
+            continue
+        if limbs.mate[i, 0] < 0 or (i + tick) % REFRESH == 0:
+            _look_for_mates(bank, limbs, i, reach_m, tick // REFRESH)
+        if not bank.sure[i]:
+            continue
+        here, broken, known = bank.mean[i], 0, 0
+        for a in range(3):
+            limbs.own[i, a] = here[a]
+            for b in range(3):
+                limbs.turn[i, a, b] = 1.0 if a == b else 0.0
+        for k in range(MATES):
+            j = limbs.mate[i, k]
+            limbs.taken[i, k] = False
+            if not _mate_is_seen(bank, limbs, i, k) or not bank.sure[j]:
+                continue
+            there = bank.mean[j]
+            limbs.taken[i, k] = True
+            for a in range(3):
+                limbs.photo[i, k, a] = there[a]
+            away = _distance(here, there) - limbs.length[i, k]
+            rate = 1.0 / min(limbs.count[i, k] + 1.0, WINDOW)
+            if limbs.count[i, k] > 2 * PROVEN:
+                known += 1
+                if away * away > STRAINED * _spread2(bank, limbs, i, k):
+                    broken += 1
+                    rate *= 0.2
+            limbs.variance[i, k] = (1.0 - rate) * (limbs.variance[i, k] + rate * away * away)
+            limbs.length[i, k] += rate * away
+            limbs.count[i, k] += 1
+        limbs.strain[i] = limbs.strain[i] + 1 if known >= 3 and 3 * broken >= 2 * known else 0
+
+
+@kernel
+def expect(bank, limbs, time_s, step_s, coast_s, widest_m):  # type: ignore[no-untyped-def]
+    """Set the expected place of each hidden target to what its limb says, where that is more certain.
+
+    Places whose standard deviation exceeds ``widest_m`` [m, of the 3D distance] are none.
+    """
+    place, covariance = np.empty(3), np.empty((3, 3))
+    for i in range(bank.numbers[TOP]):
+        if bank.state[i] != CONFIRMED or bank.missed[i] == 0:
+            continue
+        size2 = _carried_along(bank, limbs, i, time_s - bank.seen_s[i], step_s, place, covariance)
+        if not size2 < widest_m * widest_m:
+            continue
+        p = bank.place_covariance[i]
+        if bank.source[i] == BY_MOTION and p[0, 0] + p[1, 1] + p[2, 2] < size2:
+            continue
+        bank.source[i] = BY_LIMB
+        for a in range(3):
+            bank.place[i, a] = place[a]
+            for b in range(3):
+                bank.place_covariance[i, a, b] = covariance[a, b]
+
+
+@kernel
+def recall(bank, limbs, i, least, range_m):  # type: ignore[no-untyped-def]
+    """Return the lost target whose distances slot ``i``, confirmed now, fulfils, or -1.
+
+    ``least``: log-likelihood ratio that convinces; the second best must be as far behind as 3.
+    """
+    best, second, at = -np.inf, -np.inf, -1
+    for j in range(bank.numbers[TOP]):
+        if bank.state[j] == CONFIRMED and bank.identity[j] >= 0 and bank.missed[j] > 0:
+            fits = _fits(bank, limbs, j, bank.mean[i], range_m)
+            if fits > best:
+                best, second, at = fits, best, j
+            elif fits > second:
+                second = fits
+    return at if best >= least and best > second + 3.0 else -1
+
+
+@kernel
+def take_over(bank, old, new):  # type: ignore[no-untyped-def]
+    """Let slot ``old`` go on with the filter of slot ``new``, which becomes free."""
+    bank.mean[old], bank.covariance[old] = bank.mean[new], bank.covariance[new]
+    bank.seen_s[old], bank.missed[old], bank.sure[old] = bank.seen_s[new], bank.missed[new], bank.sure[new]
+    bank.variance[old] = bank.variance[new]
+    bank.state[new], bank.serial[new], bank.identity[new] = FREE, -1, -1
+
+
+@step
+def _fits(bank, limbs, i, point, range_m):  # type: ignore[no-untyped-def]
+    """Log-likelihood ratio that ``point`` is target ``i``, by its distances to the mates seen now."""
+    total = 0.0
+    for k in range(MATES):
+        if limbs.count[i, k] > PROVEN and _mate_is_seen(bank, limbs, i, k):
+            away = _distance(point, bank.mean[limbs.mate[i, k]]) - limbs.length[i, k]
+            spread2 = _spread2(bank, limbs, i, k)
+            likely = np.exp(-0.5 * away * away / spread2) * range_m / np.sqrt(2.0 * np.pi * spread2)
+            total += np.log((1.0 - FOREIGN) * min(likely, 1e6) + FOREIGN)
+    return total
+
+
+@step
+def _mate_is_seen(bank, limbs, i, k):  # type: ignore[no-untyped-def]
+    j = limbs.mate[i, k]
+    return j >= 0 and bank.serial[j] == limbs.mate_serial[i, k] and bank.missed[j] == 0
+
+
+@step
+def _spread2(bank, limbs, i, k):  # type: ignore[no-untyped-def]
+    """Variance with which a distance is known to be kept."""
+    length2, shown = limbs.length[i, k] ** 2, limbs.count[i, k] / PROVEN
+    return limbs.variance[i, k] + (RIGID**2 + UNPROVEN**2 / (1.0 + shown * shown)) * length2
+
+
+@step
+def _look_for_mates(bank, limbs, i, reach_m, turn):  # type: ignore[no-untyped-def]
+    """Fill empty places with the nearest others, and exchange the worst for the nearest that is not one yet."""
+    empty = limbs.mate[i, 0] < 0
+    for k in range(MATES):
+        j = limbs.mate[i, k]
+        if j >= 0 and bank.serial[j] != limbs.mate_serial[i, k]:
+            limbs.mate[i, k] = -1
+    for _ in range(MATES if empty else 1):
+        worst, at = -1.0, -1
+        for k in range(MATES):
+            if limbs.mate[i, k] < 0:
+                worst, at = np.inf, k
+            elif limbs.count[i, k] > 5 * PROVEN and _spread2(bank, limbs, i, k) > worst:
+                worst, at = _spread2(bank, limbs, i, k), k
+        if at < 0 or (limbs.mate[i, at] >= 0 and worst < (4.0 * RIGID * limbs.length[i, at]) ** 2):
+            return
+        nearest, found = reach_m, -1
+        for j in range(bank.numbers[TOP]):
+            # a third of the others at a time, so that a neighbour that was dropped does not come back at once
+            if j == i or bank.state[j] != CONFIRMED or bank.missed[j] != 0 or (not empty and (j + turn) % 3):
+                continue
+            away = _distance(bank.mean[i], bank.mean[j])
+            if away < nearest:
+                mate = False
+                for k in range(MATES):
+                    mate |= limbs.mate[i, k] == j
+                if not mate:
+                    nearest, found = away, j
+        if found < 0:
+            return
+        limbs.mate[i, at], limbs.mate_serial[i, at] = found, bank.serial[found]
+        limbs.length[i, at], limbs.variance[i, at], limbs.count[i, at] = nearest, 0.0, 0
+        limbs.taken[i, at] = False
+
+
+@step
+def _carried_along(bank, limbs, i, hidden_s, step_s, place, covariance):  # type: ignore[no-untyped-def]
+    """Rigid motion of the limb since the photo, and where it brings target ``i``; returns the variance's trace.
+
+    The rotation goes on from that of the instant before, by Gauss-Newton steps held back where the mates do not
+    show it. Covariance: of the limb's translation, of its rotation times the lever, of the target's own rigidity; all
+    larger where the mates do not move as one body. ``inf`` where no mate is seen.
+    """
+    total, kept, seen = 0.0, 0.0, 0
+    then, now, own = np.zeros(3), np.zeros(3), limbs.own[i]
+    for k in range(MATES):
+        if limbs.taken[i, k] and _mate_is_seen(bank, limbs, i, k):
+            w = 1.0 / _spread2(bank, limbs, i, k)
+            total += w
+            seen += 1
+            for a in range(3):
+                then[a] += w * limbs.photo[i, k, a]
+                now[a] += w * bank.mean[limbs.mate[i, k], a]
+    if seen == 0:
+        return np.inf
+    kept = total / seen
+    for a in range(3):
+        then[a] /= total
+        now[a] /= total
+    turn, normal, right = limbs.turn[i], np.empty((3, 3)), np.empty(3)
+    held = 1.0 / (SPIN_RADPS * max(step_s, 1e-4)) ** 2
+    misfit = 0.0
+    for _ in range(3):
+        normal[:] = 0.0
+        right[:] = 0.0
+        misfit = 0.0
+        for k in range(MATES):
+            if limbs.taken[i, k] and _mate_is_seen(bank, limbs, i, k):
+                w, j = 1.0 / _spread2(bank, limbs, i, k), limbs.mate[i, k]
+                r = _turned(turn, limbs.photo[i, k], then)
+                x, y, z = bank.mean[j, 0] - now[0] - r[0], bank.mean[j, 1] - now[1] - r[1], bank.mean[j, 2] - now[2] - r[2]
+                misfit += w * (x * x + y * y + z * z)
+                right[0] += w * (r[1] * z - r[2] * y)
+                right[1] += w * (r[2] * x - r[0] * z)
+                right[2] += w * (r[0] * y - r[1] * x)
+                square = r[0] * r[0] + r[1] * r[1] + r[2] * r[2]
+                for a in range(3):
+                    normal[a, a] += w * square
+                    for b in range(3):
+                        normal[a, b] -= w * r[a] * r[b]
+        _turn_by(turn, _inverse(normal, held) @ right)
+    lever = _turned(turn, own, then)
+    for a in range(3):
+        place[a] = now[a] + lever[a]
+    looser = max(1.0, misfit / max(3.0 * seen - 6.0, 1.0)) if seen > 2 else 1.0
+    spin = _inverse(normal, 1.0 / min((SPIN_RADPS * hidden_s) ** 2, 3.0))
+    cross = np.array([[0.0, lever[2], -lever[1]], [-lever[2], 0.0, lever[0]], [lever[1], -lever[0], 0.0]])
+    covariance[:] = looser * (cross @ spin @ cross.T + (1.0 / total + 1.0 / kept) * np.eye(3))
+    return covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
+
+
+@step
+def _turned(turn, point, centre):  # type: ignore[no-untyped-def]
+    x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
+    return (
+        turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z,
+        turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z,
+        turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z,
+    )
+
+
+@step
+def _turn_by(turn, angle):  # type: ignore[no-untyped-def]
+    """Turn a rotation matrix further by a rotation vector (Rodrigues)."""
+    x, y, z = angle[0], angle[1], angle[2]
+    size = np.sqrt(x * x + y * y + z * z)
+    if size > 0.0:
+        s, c = np.sin(size) / size, (1.0 - np.cos(size)) / (size * size)
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        turn[:] = (np.eye(3) + s * cross + c * (cross @ cross)) @ turn
+
+
+@step
+def _inverse(a, more):  # type: ignore[no-untyped-def]
+    """Inverse of the symmetric 3 x 3 matrix ``a`` + ``more`` x identity."""
+    d0, d1, d2 = a[0, 0] + more, a[1, 1] + more, a[2, 2] + more
+    e01, e02, e12 = a[0, 1], a[0, 2], a[1, 2]
+    c00, c01, c02 = d1 * d2 - e12 * e12, e02 * e12 - e01 * d2, e01 * e12 - e02 * d1
+    det = d0 * c00 + e01 * c01 + e02 * c02
+    c11, c12, c22 = d0 * d2 - e02 * e02, e01 * e02 - d0 * e12, d0 * d1 - e01 * e01
+    return np.array([[c00, c01, c02], [c01, c11, c12], [c02, c12, c22]]) / det
+
+
+@step
+def _mahalanobis(p, r, extra, x, y, z):  # type: ignore[no-untyped-def]
+    """Squared distance (x, y, z) in units of p + r + extra x identity, and the logarithm of that's determinant."""
+    d0, d1, d2 = p[0, 0] + r[0, 0] + extra, p[1, 1] + r[1, 1] + extra, p[2, 2] + r[2, 2] + extra
+    e01, e02, e12 = p[0, 1] + r[0, 1], p[0, 2] + r[0, 2], p[1, 2] + r[1, 2]
+    c00, c01, c02 = d1 * d2 - e12 * e12, e02 * e12 - e01 * d2, e01 * e12 - e02 * d1
+    det = d0 * c00 + e01 * c01 + e02 * c02
+    c11, c12, c22 = d0 * d2 - e02 * e02, e01 * e02 - d0 * e12, d0 * d1 - e01 * e01
+    form = c00 * x * x + c11 * y * y + c22 * z * z + 2.0 * (c01 * x * y + c02 * x * z + c12 * y * z)
+    return form / det, np.log(det)
+
+
+@step
+def _distance(a, b):  # type: ignore[no-untyped-def]
+    return np.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
+
+
+@step
+def _longer(slots, rows, worth):  # type: ignore[no-untyped-def]
+    return (
+        np.concatenate((slots, np.empty_like(slots))),
+        np.concatenate((rows, np.empty_like(rows))),
+        np.concatenate((worth, np.empty_like(worth))),
+    )

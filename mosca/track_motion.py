@@ -1,0 +1,59 @@
+"""How targets move between two instants: constant velocity, or an acceleration that lasts a while.
+
+``velocity``: white acceleration, constant over each step (Bar-Shalom, Li and Kirubarajan 2001, section 6.3.2).
+``acceleration``: Singer's model, acceleration with an exponential memory (the same, section 8.2.3; Singer 1970).
+It runs from nearly constant acceleration (memory long against the step) to nearly constant velocity (short).
+"""
+
+import math
+from typing import NamedTuple
+
+SHORT = 1e-2
+"""Step over memory below which the closed form loses digits and the white-jerk limit serves."""
+
+
+class Motion(NamedTuple):
+    """A step of the state's change: transition and noise of one axis, the noise for unit variance of acceleration.
+
+    ``order``: 2 (position, velocity) or 3 (and acceleration). ``pv``, ``pa``, ``va``, ``aa``: how position,
+    velocity and acceleration follow; ``q...``: covariance of what the step adds.
+    """
+
+    order: int
+    pv: float
+    pa: float
+    va: float
+    aa: float
+    qpp: float
+    qpv: float
+    qpa: float
+    qvv: float
+    qva: float
+    qaa: float
+
+
+def motion(model: str, step_s: float, memory_s: float) -> Motion:
+    """Return the change over ``step_s`` >= 0 [s] of ``model``; ``memory_s``: how long an acceleration lasts."""
+    t = step_s
+    if model == "velocity":
+        return Motion(2, t, 0.0, 0.0, 0.0, t**4 / 4, t**3 / 2, 0.0, t * t, 0.0, 0.0)
+    a = 1.0 / memory_s
+    x = a * t
+    e = math.exp(-x)
+    if x < SHORT:
+        density = 2.0 * a
+        return Motion(
+            3, t, t * t / 2 * (1 - x / 3), t * (1 - x / 2), e,
+            density * t**5 / 20, density * t**4 / 8, density * t**3 / 6,
+            density * t**3 / 3, density * t * t / 2, density * t,
+        )  # fmt: skip
+    e2 = e * e
+    return Motion(
+        3, t, (x - 1 + e) / a**2, (1 - e) / a, e,
+        (1 - e2 + 2 * x + 2 * x**3 / 3 - 2 * x * x - 4 * x * e) / a**4,
+        (e2 + 1 - 2 * e + 2 * x * e - 2 * x + x * x) / a**3,
+        (1 - e2 - 2 * x * e) / a**2,
+        (4 * e - 3 - e2 + 2 * x) / a**2,
+        (e2 + 1 - 2 * e) / a,
+        1 - e2,
+    )  # fmt: skip

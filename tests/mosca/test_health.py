@@ -1,0 +1,111 @@
+"""Health: errors, clock offsets and shares that were put in are found again, with honest intervals."""
+
+import numpy as np
+import pytest
+
+from mosca.camera import project
+from mosca.data.detections import Detections
+from mosca.data.frames import FrameSet
+from mosca.data.rig import Camera, MoscaLens, Pose, Rig
+from mosca.data.tracks import Points
+from mosca.health import Health
+from mosca.triangulate import triangulate
+
+NOISE_PX = 0.01
+RATE_HZ = 100.0
+
+
+def rig_of(count=4):
+    cameras = []
+    for k in range(count):
+        angle = 2 * np.pi * k / count + 0.3
+        forward = -np.array([np.cos(angle), np.sin(angle), 0.1 * (-1) ** k])
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        rotation = np.column_stack([right, np.cross(forward, right), forward])
+        lens = MoscaLens(6.0, 327.5, 245.0, 0.0099, 0.0099)
+        cameras.append(Camera(f"c{k}", 656, 491, lens, Pose(rotation, -2.0 * forward)))
+    return Rig(tuple(cameras))
+
+
+def watched(
+    shake_px, jitter_s=0.0, late_s=(0.0, 0.0, 0.0, 0.0), sets=300, markers=40, seed=1, strays=0, lost=()
+):
+    """Health after frame sets whose images shake (rms of each camera), with trigger errors; m/s speeds."""
+    rng = np.random.default_rng(seed)
+    rig, health = rig_of(), Health(rig_of())
+    start, speed = rng.uniform(-0.3, 0.3, (markers, 3)), rng.normal(0, 1.0, (markers, 3))
+    names = {c.name: c for c in rig.cameras}
+    for pulse in range(sets):
+        t = pulse / RATE_HZ
+        # back and forth, so that markers stay; the speed at any time is known
+        where = lambda s: start + speed * 0.1 * np.sin(2 * np.pi * s / 0.6 + start[:, :1] * 9)  # noqa: E731
+        found, image = {}, np.full((markers, 4, 2), np.nan)
+        for k, (name, camera) in enumerate(names.items()):
+            if pulse in lost and name == "c1":
+                continue
+            when = t + late_s[k] + rng.normal(0, jitter_s)
+            xy = project(camera, where(when)) + rng.normal(0, NOISE_PX, (markers, 2))
+            xy += rng.normal(0, 1, (markers, 2)) * shake_px[k]
+            image[:, k] = xy
+            stray = rng.uniform(0, 400, (strays if name == "c2" else 0, 2))
+            n = len(xy) + len(stray)
+            found[name] = Detections(
+                name, np.concatenate([xy, stray]), np.tile(NOISE_PX**2 * np.eye(2), (n, 1, 1)),
+                np.full(n, 6.0), np.full(n, 200.0), np.ones(n),
+            )  # fmt: skip
+        xyz, covariance, residual = triangulate(rig, image, 0.05)
+        seen = np.isfinite(image[:, :, 0])
+        rays = np.where(seen, np.arange(markers)[:, None], -1)
+        views = seen.sum(axis=1)
+        points = Points(xyz, covariance, views, residual, rays, np.full(markers, 0.01), views)
+        health.attend(rig, FrameSet(pulse, round(t * 1e9)), found, points)
+    return health
+
+
+def test_the_error_that_each_camera_adds_is_learned():
+    # the cameras' shares differ by factors; images of a set shake on their own here, so that counts are large
+    shake = np.array([0.03, 0.02, 0.06, 0.03])
+    health = watched(shake)
+    np.testing.assert_allclose(health.noise.sigma_px, shake, rtol=0.12)
+    assert health.noise.jitter_s < 20e-6
+    assert health.findings() == ()
+
+
+def test_the_jitter_of_triggers_is_told_from_the_shake_by_the_speed():
+    health = watched(np.full(4, 0.02), jitter_s=100e-6, sets=600)
+    assert health.noise.jitter_s == pytest.approx(100e-6, rel=0.2)
+    np.testing.assert_allclose(health.noise.sigma_px, 0.02, rtol=0.35)
+
+
+def test_a_late_camera_is_named_with_its_delay():
+    health = watched(np.full(4, 0.02), late_s=(0.0, 0.0, 1e-3, 0.0))
+    cameras = {c.name: c for c in health.cameras()}
+    # against the mean of all, which is 0.25 ms late itself
+    assert cameras["c2"].late_s == pytest.approx(0.75e-3, abs=4 * cameras["c2"].late_sigma_s + 5e-6)
+    assert cameras["c0"].late_s == pytest.approx(-0.25e-3, abs=4 * cameras["c0"].late_sigma_s + 5e-6)
+    assert any("'c2' exposes 0.75 ms later" in line for line in health.findings())
+    assert watched(np.full(4, 0.02)).findings() == ()
+
+
+def test_stated_precision_of_offsets_is_honest():
+    late = np.array([[c.late_s / c.late_sigma_s for c in watched(np.full(4, 0.02), sets=60, seed=s).cameras()]
+                     for s in range(12)])  # fmt: skip
+    assert 0.5 < np.sqrt(np.mean(late**2)) < 1.5
+
+
+def test_still_points_tell_nothing_of_clocks():
+    health = Health(rig_of())
+    assert all(np.isnan(c.late_s) for c in health.cameras())
+    assert health.findings() == ()
+
+
+def test_missing_sets_and_strays_are_shares():
+    health = watched(np.full(4, 0.02), sets=100, strays=160, lost=range(20, 50))
+    cameras = {c.name: c for c in health.cameras()}
+    assert cameras["c1"].missing == pytest.approx(0.3)
+    assert cameras["c0"].missing == 0.0
+    assert cameras["c2"].connected == pytest.approx(40 / 200)
+    assert cameras["c0"].connected == pytest.approx(1.0)
+    assert any("'c2': only 20 %" in line for line in health.findings())
