@@ -21,6 +21,7 @@ from mosca.bodies_pose import (
     angle_between,
     predicted,
     seen_of,
+    turn_sigma,
     vector_of,
 )
 from mosca.data.arrays import Array
@@ -127,8 +128,8 @@ class BodyTracker:
 
     def _completed(self, one: Constellation, seen: Seen, free: Array, fit: Fit) -> Fit:
         """Return the pose with the free points that stand where its other markers should be."""
-        reach = one.span_m * np.sqrt(np.linalg.eigvalsh(fit.covariance[3:, 3:])[-1])
-        rows = one.claim(seen, free, fit.rotation, fit.translation, fit.rows, float(reach))
+        reach = one.span_m * turn_sigma(fit)
+        rows = one.claim(seen, free, fit.rotation, fit.translation, fit.rows, reach)
         more = one.sound_fit(seen, rows) if (rows != fit.rows).any() else None
         return more if more is not None and more.count > fit.count else fit
 

@@ -134,10 +134,8 @@ def _advice(body: RigidBody, other: RigidBody, alike_m: float) -> str:
                 apart = _unlike(changed, changed if other is body else other, 2 * steps * alike_m)
                 if apart > best[0]:
                     along = f"{'-' if axis % 2 else '+'}{'xyz'[axis // 2]}"
-                    best = (
-                        apart,
-                        f"move marker '{marker}' of body '{body.name}' by {1e3 * abs(step):g} mm along its {along}",
-                    )
+                    far = f"{1e3 * abs(step):g} mm along its {along}"
+                    best = apart, f"move marker '{marker}' of body '{body.name}' by {far}"
         if best[1]:
             return best[1]
     return "place its markers anew, all distances unlike"

@@ -52,11 +52,12 @@ def learn_body(
     start = xyz[whole[0]] - xyz[whole[0]].mean(axis=0)
     places, residuals = _shape(start, xyz, covariance)
     rms = np.sqrt(np.nanmean(np.sum(residuals**2, axis=2), axis=0))
-    loose = int(np.argmax(rms))
-    if rms[loose] > NOT_RIGID_M:
+    if rms.max() > NOT_RIGID_M:
+        loose = _loosest(xyz)
         raise InputError(
-            f"body '{name}': marker '{names[loose]}' (track {ids[loose]}) is {1e3 * rms[loose]:.1f} mm rms off its "
-            f"place, {1e3 * NOT_RIGID_M:g} mm are allowed; leave it out or learn from a stretch where it is fixed"
+            f"body '{name}': its markers are up to {1e3 * rms.max():.1f} mm rms off their places, "
+            f"{1e3 * NOT_RIGID_M:g} mm are allowed; '{names[loose]}' (track {ids[loose]}) moves most against the "
+            "others: leave it out or learn from a stretch where it is fixed"
         )
     seen = np.isfinite(residuals).all(axis=2).sum(axis=0)
     # a pose takes up 6 of the 3 m values of a frame, and the shape's own freedom is small against it
@@ -84,9 +85,16 @@ def _grid(tracks: Tracks, ids: Sequence[int]) -> tuple[Array, Array]:
     return xyz, covariance
 
 
+def _loosest(xyz: Array) -> int:
+    """Return which marker's distances from the others change most: one that is loose spoils every marker's fit."""
+    distances = np.linalg.norm(xyz[:, :, None] - xyz[:, None], axis=3)
+    changes = np.sqrt(np.nanmean((distances - np.nanmean(distances, axis=0)) ** 2, axis=0))
+    return int(np.argmax(np.median(changes, axis=1)))
+
+
 def _shape(places: Array, xyz: Array, covariance: Array) -> tuple[Array, Array]:
     """Return the places (m, 3) [m] in the body's frame, and each sample's residual (t, m, 3) in it."""
-    seen = np.isfinite(xyz).all(axis=2)
+    seen = np.asarray(np.isfinite(xyz).all(axis=2))
     frames = np.flatnonzero(seen.sum(axis=1) >= 3)
     residuals = np.full(xyz.shape, np.nan)
     weight = np.linalg.inv(covariance)

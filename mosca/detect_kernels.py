@@ -43,80 +43,6 @@ class Search(NamedTuple):
     largest_px: float
 
 
-class Packing(NamedTuple):
-    """How the pixels in eight bytes are compared with a grey value at once (see ``bright_words``)."""
-
-    low_bits: np.uint64
-    addend: np.uint64
-    lane_shift: int
-
-
-@step
-def bright_words(words: Array, packing: Packing) -> Array:
-    """Return the indices of the words that may hold a bright pixel; most of a frame is dark.
-
-    A word is 8 bytes with a pixel in each lane of 8 or 16 bit. ``addend`` lifts the low bits of a lane into
-    its top bit exactly where they reach the grey value searched, and no lane carries into the next.
-    """
-    top_bits = ~packing.low_bits
-    n = len(words)
-    blocks = np.empty(n // 4 + 1, np.int32)
-    n_blocks = 0
-    for block in range(n // 4):
-        bits = np.uint64(0)
-        for k in range(4):
-            word = words[np.uint64(4 * block + k)]
-            bits |= ((word & packing.low_bits) + packing.addend) | word
-        blocks[n_blocks] = block
-        n_blocks += (bits & top_bits) != np.uint64(0)
-    if n % 4:
-        blocks[n_blocks] = n // 4
-        n_blocks += 1
-    found = np.empty(4 * n_blocks, np.int32)
-    n_found = 0
-    for i in range(n_blocks):
-        for k in range(4 * blocks[i], min(4 * blocks[i] + 4, n)):
-            word = words[np.uint64(k)]
-            found[n_found] = k
-            n_found += ((((word & packing.low_bits) + packing.addend) | word) & top_bits) != np.uint64(0)
-    return found[:n_found]
-
-
-@step
-def bright_runs(image: Array, words: Array, packing: Packing, level: int) -> tuple[Array, Array]:
-    """Return the runs (n, 4) of pixels above ``level`` in raster order, and their grey values."""
-    width = image.shape[1]
-    words_a_row = words.shape[1]
-    bright = bright_words(words.ravel(), packing)
-    lanes = 1 << packing.lane_shift
-    runs = np.empty((len(bright) * lanes // 2 + 1, 4), np.int32)
-    n, y, x, first_word, n_pixels = 0, 0, 0, 0, 0
-    for word in bright:
-        while word >= first_word + words_a_row:
-            y += 1
-            x = 0
-            first_word += words_a_row
-        begin = (word - first_word) << packing.lane_shift
-        x = max(x, begin)
-        end = min(begin + lanes, width)
-        while x < end:
-            if image[y, x] <= level:
-                x += 1
-                continue
-            first = x
-            while x < width and image[y, x] > level:
-                x += 1
-            runs[n, ROW], runs[n, FIRST], runs[n, END], runs[n, PLACE] = y, first, x, n_pixels
-            n_pixels += x - first
-            n += 1
-    values = np.empty(n_pixels, np.int32)
-    for i in range(n):
-        y, first, place = runs[i, ROW], runs[i, FIRST], runs[i, PLACE]
-        for k in range(runs[i, END] - first):
-            values[place + k] = image[y, first + k]
-    return runs[:n], values
-
-
 @step
 def threshold_sequence(values: Array, search: Search) -> Array:
     """Return the thresholds, falling. Grey values that the image lacks are stepped over (step 3)."""
@@ -403,15 +329,12 @@ def grow_regions(runs: Array, values: Array, thresholds: Array, search: Search) 
 
 
 @step
-def find_regions(
-    image: Array, words: Array, packing: Packing, search: Search
-) -> tuple[Array, Array, Array, int]:
+def find_regions(runs: Array, values: Array, search: Search) -> tuple[Array, Array, Array, int]:
     """Find the targets of one image.
 
     Returns the runs (m, 3) sorted by region, where each region ends (n), the last threshold at which each
     was accepted (n), and the lowest threshold.
     """
-    runs, values = bright_runs(image, words, packing, search.lowest + 1)
     thresholds = threshold_sequence(values, search)
     lowest = thresholds[-1]
     if lowest > search.lowest + 1:
@@ -459,26 +382,21 @@ def find_regions(
 
 @kernel
 def find_regions_in_set(
-    images: Array, words: Array, packing: Packing, search: Search
+    runs: Array, values: Array, run_start: Array, value_start: Array, search: Search
 ) -> tuple[Array, Array, Array]:
-    """Find the targets of all images (n, H, W) of a frame set.
+    """Find the targets of all images of a frame set.
 
-    ``words`` (n, H, ...) are the same pixels, eight bytes at a time. Returns the runs (m, 3) sorted by image
-    and region; one row (r, 4) a region: image, first run, end run, threshold; and each image's lowest
-    threshold (n).
+    Takes what ``mosca.detect_scan.scan_set`` returns. Returns the runs (m, 3) sorted by image and region; one row
+    (r, 4) a region: image, first run, end run, threshold; and each image's lowest threshold (n).
     """
-    lowest = np.empty(len(images), np.int32)
-    parts = [find_regions(images[0], words[0], packing, search)]
-    for i in range(1, len(images)):
-        parts.append(find_regions(images[i], words[i], packing, search))
-    n_runs, n_regions = 0, 0
-    for part in parts:
-        n_runs += len(part[0])
-        n_regions += len(part[1])
-    runs, regions = np.empty((n_runs, 3), np.int32), np.empty((n_regions, 4), np.int32)
+    n_images = len(run_start) - 1
+    lowest = np.empty(n_images, np.int32)
+    found, regions = np.empty((len(values), 3), np.int32), np.empty((len(values), 4), np.int32)
     n, r = 0, 0
-    for i in range(len(parts)):
-        part_runs, ends, thresholds, lowest[i] = parts[i]
+    for i in range(n_images):
+        part_runs, ends, thresholds, lowest[i] = find_regions(
+            runs[run_start[i] : run_start[i + 1]], values[value_start[i] : value_start[i + 1]], search
+        )
         first = n
         for k in range(len(ends)):
             regions[r, 0], regions[r, 1], regions[r, 2] = i, n, first + ends[k]
@@ -487,5 +405,5 @@ def find_regions_in_set(
             r += 1
         for k in range(len(part_runs)):
             for c in range(3):
-                runs[first + k, c] = part_runs[k, c]
-    return runs, regions, lowest
+                found[first + k, c] = part_runs[k, c]
+    return found[:n], regions[:r], lowest

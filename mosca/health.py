@@ -9,13 +9,15 @@ grows with the square of the image's speed, the jitter of the triggers (variance
 
 A camera that exposes d seconds late shows every point u d farther on, u its image's speed: d follows from the same
 residuals by least squares. All cameras late by the same is a shift of time that nothing tells: offsets are against
-their mean. How certain an offset is follows from the scatter of whole frame sets about it (White 1980), since a body's
-shake moves all images of a set together.
+their mean. How certain an offset is follows from the scatter of whole frame sets about it (White 1980), since a
+body's shake moves all images of a set together.
 """
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import nnls
@@ -28,6 +30,8 @@ from mosca.data.frames import FrameSet
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points
 
+CLOCK_LOOKS = 1000
+"""Looks from which offsets of clocks are drawn."""
 FARTHEST_SIGMAS = 5.0
 """Images farther from their point say nothing of the usual error."""
 
@@ -40,6 +44,8 @@ class HealthSettings:
     ``farthest_m``: how far a point may move from set to set to have a speed. ``late_s``: clock offsets below this are
     let pass, and ``certain_sigma``: by how many standard deviations one must be sure. ``poor_share``: of a camera's
     detections that connect, below which it is told of. ``block_s``: length of the residuals' time blocks.
+    ``adopt_px``: how far from its point an image may lie that matching left out, to be asked whether its camera is
+    late.
     """
 
     every: int = 5
@@ -52,6 +58,7 @@ class HealthSettings:
     certain_sigma: float = 6.0
     poor_share: float = 0.5
     block_s: float = 1.0
+    adopt_px: float = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +101,7 @@ class Health:
         self._missing, self._detected, self._connected = np.zeros(c), np.zeros(c), np.zeros(c)
         self._before: tuple[float, Array] | None = None
         self._normal, self._right = np.zeros((c + 1, c + 1)), np.zeros(c + 1)
-        self._clock, self._pull, self._clock_images = np.zeros((c, c)), np.zeros(c), np.zeros(c)
-        self._scatter = np.zeros((c, c))
+        self._clocks: deque[tuple[Array, Array, Array]] = deque(maxlen=CLOCK_LOOKS)
         self._square, self._images = np.zeros(c), np.zeros(c)
         self._blocks: dict[int, Array] = {}
 
@@ -148,18 +154,34 @@ class Health:
     def _look(self, rig: Rig, time_s: float, detections: Mapping[str, Detections], points: Points) -> None:
         speed, known = self._speeds(time_s, points.xyz)
         wanted = min(3, len(rig.cameras))
-        chosen = (points.n_cameras >= wanted) & (points.trusted >= points.n_cameras - 0.5) & known
+        whole = (points.n_cameras >= wanted) & (points.trusted >= points.n_cameras - 0.5)
+        chosen = whole & known
         if not chosen.any():
             return
-        seen, rest, slope, own = _residuals(rig, detections, points, chosen)
-        speed = speed[chosen]
+        connected = self._fitted(_images(rig, detections, points, chosen), speed[chosen])
+        usual = np.all(connected.squared < FARTHEST_SIGMAS**2, axis=1)
+        if usual.any():
+            part = connected.select(usual)
+            self._learn_noise(math.exp(-1.0 / self.settings.memory), part)
+            sums = self._blocks.setdefault(
+                int(time_s // self.settings.block_s), np.zeros((2, len(self._names)))
+            )
+            sums += [(part.rest**2).sum(axis=(0, 2)), part.seen.sum(axis=0)]
+        # the images of a camera that is late are left out of the points: look for them beside their place
+        images = _images(rig, detections, points, known & (points.n_cameras >= 2), self.settings.adopt_px)
+        self._learn_clocks(self._fitted(images, speed[known & (points.n_cameras >= 2)]))
+
+    def _fitted(self, images: "_Images", speed: Array) -> "_Fit":
+        """Return the images of points with their speeds (n, 3), after the points have moved to their best places."""
+        seen, rest, slope, own = images
         flow = np.einsum("ncij,nj->nci", slope, speed)
         extra = self.noise.sigma_px[:, None, None] ** 2 * np.eye(2)
         total = own + extra + self.noise.jitter_s**2 * flow[..., :, None] * flow[..., None, :]
         weight = np.where(seen[..., None, None], np.linalg.inv(total), 0.0)
         weighted = np.swapaxes(slope, 2, 3) @ weight
         normal = (weighted @ slope).sum(axis=1)
-        fit = np.linalg.cond(normal) < 1e9
+        values = np.linalg.eigvalsh(normal)
+        fit = (values[:, 0] > 1e-9 * values[:, 2]) & (seen.sum(axis=1) >= 2)
         seen, rest, slope, own, flow, total, weight, weighted = (
             part[fit] for part in (seen, rest, slope, own, flow, total, weight, weighted)
         )
@@ -167,49 +189,36 @@ class Health:
         move = np.einsum("nij,ncjk,nck->ni", inverse, weighted, rest)
         rest = np.where(seen[..., None], rest - np.einsum("ncij,nj->nci", slope, move), 0.0)
         squared = np.einsum("nci,ncij,ncj->nc", rest, weight, rest)
-        usual = (squared < FARTHEST_SIGMAS**2).all(axis=1)
-        if not usual.any():
-            return
-        keep = math.exp(-1.0 / self.settings.memory)
-        parts = tuple(part[usual] for part in (seen, rest, slope, own, flow, total, weight))
-        self._learn(keep, inverse[usual], *parts)
-        block = int(time_s // self.settings.block_s)
-        sums = self._blocks.setdefault(block, np.zeros((2, len(self._names))))
-        sums += [(rest[usual] ** 2).sum(axis=(0, 2)), seen[usual].sum(axis=0)]
+        return _Fit(seen, rest, slope, own, flow, total, weight, inverse, squared)
 
-    def _learn(
-        self, keep: float, inverse: Array, seen: Array, rest: Array, slope: Array, own: Array, flow: Array,
-        total: Array, weight: Array,
-    ) -> None:  # fmt: skip
-        """Add a look's residuals to the sums, and draw the conclusions."""
+    def _learn_noise(self, keep: float, fit: "_Fit") -> None:
+        """Add the residuals of connected images to the sums, old ones counting ``keep``, and draw the conclusions."""
         c = len(self._names)
-        square = (rest**2).sum(axis=2)
-        whole = np.trace(total, axis1=2, axis2=3)
-        left = 1.0 - np.einsum("ncij,njk,ncik->nc", slope, inverse, slope) / whole
-        use = seen & (left > 0.05)
+        square = (fit.rest**2).sum(axis=2)
+        whole = np.trace(fit.total, axis1=2, axis2=3)
+        left = 1.0 - np.einsum("ncij,njk,ncik->nc", fit.slope, fit.inverse, fit.slope) / whole
+        use = fit.seen & (left > 0.05)
         scale = np.where(use, 1.0 / (left * whole), 0.0)
-        per_px, per_speed = 2.0 * left * scale, left * (flow**2).sum(axis=2) * scale
-        known = (square - left * np.trace(own, axis1=2, axis2=3)) * scale
+        per_px, per_speed = 2.0 * left * scale, left * (fit.flow**2).sum(axis=2) * scale
+        known = (square - left * np.trace(fit.own, axis1=2, axis2=3)) * scale
         normal, right = np.zeros((c + 1, c + 1)), np.zeros(c + 1)
         normal[range(c), range(c)] = (per_px**2).sum(axis=0)
         normal[:c, c] = normal[c, :c] = (per_px * per_speed).sum(axis=0)
         normal[c, c] = (per_speed**2).sum()
         right[:c], right[c] = (per_px * known).sum(axis=0), (per_speed * known).sum()
         self._normal, self._right = keep * self._normal + normal, keep * self._right + right
-        self._square, self._images = (
-            keep * self._square + square.sum(axis=0),
-            keep * self._images + seen.sum(axis=0),
-        )
-        pull = np.einsum("nci,ncij,ncj->c", flow, weight, rest)
-        toward = np.einsum("ncij,ncjk,nck->nci", np.swapaxes(slope, 2, 3), weight, flow)
-        clock = -np.einsum("nci,nij,ndj->cd", toward, inverse, toward)
-        clock[range(c), range(c)] += np.einsum("nci,ncij,ncj->c", flow, weight, flow)
-        late = np.nan_to_num(self._offsets()[0])
-        scatter = pull - clock @ late
-        self._scatter += np.outer(scatter, scatter)
-        self._clock, self._pull = self._clock + clock, self._pull + pull
-        self._clock_images += seen.sum(axis=0)
+        self._square = keep * self._square + square.sum(axis=0)
+        self._images = keep * self._images + fit.seen.sum(axis=0)
         self._conclude()
+
+    def _learn_clocks(self, fit: "_Fit") -> None:
+        """Add what residuals along the motion say of each camera's delay."""
+        c = len(self._names)
+        pull = np.einsum("nci,ncij,ncj->c", fit.flow, fit.weight, fit.rest)
+        toward = np.einsum("ncij,ncjk,nck->nci", np.swapaxes(fit.slope, 2, 3), fit.weight, fit.flow)
+        clock = -np.einsum("nci,nij,ndj->cd", toward, fit.inverse, toward)
+        clock[range(c), range(c)] += np.einsum("nci,ncij,ncj->c", fit.flow, fit.weight, fit.flow)
+        self._clocks.append((pull, clock, fit.seen.sum(axis=0)))
 
     def _conclude(self) -> None:
         c, s = len(self._names), self.settings
@@ -224,19 +233,24 @@ class Health:
 
     def _offsets(self) -> tuple[Array, Array]:
         """Return by how much each camera is late (c,) and the standard deviation [s]; NaN where nothing moved."""
-        c = len(self._names)
-        nothing = np.full(c, np.nan)
-        seen = self._clock_images >= self.settings.least_images
-        size = np.sqrt(np.diag(self._clock))
-        if seen.sum() < 2 or not (size[seen] > 0).all():
+        nothing = np.full(len(self._names), np.nan)
+        if not self._clocks:
+            return nothing, nothing
+        pulls, clocks, images = (np.array(part) for part in zip(*self._clocks, strict=True))
+        clock = clocks.sum(axis=0)
+        seen = (images.sum(axis=0) >= self.settings.least_images) & (np.diag(clock) > 0)
+        n = int(seen.sum())
+        if n < 2:
             return nothing, nothing
         some = np.ix_(seen, seen)
-        n = int(seen.sum())
-        mean = np.full((n, n), float((size[seen] ** 2).mean()) / n)  # gauge: offsets sum to zero
-        inverse = np.linalg.inv(self._clock[some] + mean)
+        mean = np.full((n, n), float(np.diag(clock)[seen].mean()) / n)  # gauge: offsets sum to zero
+        inverse = np.linalg.inv(clock[some] + mean)
         late, sigma = nothing.copy(), nothing.copy()
-        late[seen] = inverse @ self._pull[seen]
-        sigma[seen] = np.sqrt(np.diag(inverse @ self._scatter[some] @ inverse))
+        late[seen] = inverse @ pulls[:, seen].sum(axis=0)
+        scatter = (pulls - np.einsum("kij,j->ki", clocks, np.nan_to_num(late)))[:, seen]
+        # as many looks as are left when the offsets are taken from them
+        few = len(pulls) / max(len(pulls) - n + 1, 0.5)
+        sigma[seen] = np.sqrt(few * np.diag(inverse @ (scatter.T @ scatter) @ inverse))
         return late, sigma
 
     def _speeds(self, time_s: float, xyz: Array) -> tuple[Array, Array]:
@@ -253,26 +267,70 @@ class Health:
         return speed, known
 
 
-def _residuals(
-    rig: Rig, detections: Mapping[str, Detections], points: Points, chosen: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Return which images there are (n, c), their residuals (n, c, 2), change by the point (n, c, 2, 3) and own
-    covariances (n, c, 2, 2), of the chosen points.
+class _Images(NamedTuple):
+    """Images of n points in c cameras: whether there is one (n, c), residual (n, c, 2), its change by the point
+    (n, c, 2, 3), own covariance (n, c, 2, 2).
     """
+
+    seen: Array
+    rest: Array
+    slope: Array
+    own: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """Images of points at their best places: as ``_Images``, and ``flow`` (n, c, 2) their speeds [px/s],
+    ``total`` and ``weight`` (n, c, 2, 2), the points' covariances ``inverse`` (n, 3, 3), squared whitened
+    residuals (n, c).
+    """
+
+    seen: Array
+    rest: Array
+    slope: Array
+    own: Array
+    flow: Array
+    total: Array
+    weight: Array
+    inverse: Array
+    squared: Array
+
+    def select(self, rows: Array) -> "_Fit":
+        """Return the points that a mask names."""
+        return _Fit(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+def _images(
+    rig: Rig, detections: Mapping[str, Detections], points: Points, chosen: Array, adopt_px: float = 0.0
+) -> _Images:
+    """Return the images of the chosen points; detections that no point has are adopted by one that lies so near."""
     xyz, rays = points.xyz[chosen], points.rays[chosen]
     n, c = rays.shape
     rest, slope = np.zeros((n, c, 2)), np.zeros((n, c, 2, 3))
     own, seen = np.tile(np.eye(2), (n, c, 1, 1)), np.zeros((n, c), dtype=bool)
     for k, camera in enumerate(rig.cameras):
-        rows = np.flatnonzero(rays[:, k] >= 0)
-        if not len(rows) or camera.name not in detections:
+        found = detections.get(camera.name)
+        if found is None or len(found) == 0:
             continue
-        found, which = detections[camera.name], rays[rows, k]
-        image = project_with_jacobians(camera, xyz[rows])
-        good = np.isfinite(image.xy_px).all(axis=1)
-        rows, which = rows[good], which[good]
-        rest[rows, k] = found.xy_px[which] - image.xy_px[good]
-        slope[rows, k] = image.by_point[good]
+        image = project_with_jacobians(camera, xyz)
+        which = rays[:, k].copy()
+        if adopt_px > 0.0:
+            which = _adopted(image.xy_px, which, found.xy_px, points.rays[:, k], adopt_px)
+        rows = np.flatnonzero((which >= 0) & np.isfinite(image.xy_px).all(axis=1))
+        which = which[rows]
+        rest[rows, k] = found.xy_px[which] - image.xy_px[rows]
+        slope[rows, k] = image.by_point[rows]
         own[rows, k] = found.covariance_px2[which]
         seen[rows, k] = True
-    return seen, rest, slope, own
+    return _Images(seen, rest, slope, own)
+
+
+def _adopted(xy_px: Array, which: Array, found_xy: Array, taken: Array, reach_px: float) -> Array:
+    """Return which detection each point at ``xy_px`` (n, 2) has: its own, or a free one that is nearest to it."""
+    free = np.setdiff1d(np.arange(len(found_xy)), taken)
+    lonely = np.flatnonzero((which < 0) & np.isfinite(xy_px).all(axis=1))
+    if len(free) and len(lonely):
+        away, nearest = cKDTree(found_xy[free]).query(xy_px[lonely], distance_upper_bound=reach_px)
+        good = np.isfinite(away)
+        which[lonely[good]] = free[nearest[good]]
+    return which

@@ -4,9 +4,9 @@ Mosca paper, section 3.2: the ray of a target in one camera appears as an epipol
 on that line are candidates, and further cameras decide where the lines meet. "On the line" is judged by the
 covariances of both detections, never by a fixed number of pixels.
 
-The search (``mosca.match_search``) lists the consistent groups of rays; the choice (``mosca.match_choose``) takes a set
-of them in which no image serves twice, by their likelihood against chance, and lets the tracks' predictions decide
-what two cameras alone leave open.
+The search (``mosca.match_search``) lists the consistent groups of rays; the choice (``mosca.match_choose``) takes a
+set of them in which no image serves twice, by their likelihood against chance, and lets the tracks decide
+by their predictions what two cameras alone leave open.
 """
 
 import math
@@ -18,7 +18,7 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.tracks import Points
 from mosca.match_choose import OPEN, choose, columns
-from mosca.match_groups import Rays, Rules, Views
+from mosca.match_groups import GATE, HIGH, JUDGE, LOW, MINIMUM, OUTLIER, RULES, TYPICAL, WORST
 from mosca.match_search import search
 from mosca.triangulate import Bundle
 
@@ -100,24 +100,17 @@ def match_counted(
     typical_diameter_m: float = 0.0,
 ) -> Matched:
     """As ``match``, with the counts of what was considered and what was left open."""
-    # what a ray adds to the likelihood of a group: its image by the target against one by chance anywhere
-    share = 2.0 * np.pi * bundle.sigma_px**2 * np.repeat(bundle.density, np.diff(bundle.start))
-    rays = Rays(
-        bundle.direction, bundle.white, bundle.spread, bundle.normal, bundle.sigma_px, bundle.radius_px,
-        bundle.angle, bundle.flags, -np.log(share),
-    )  # fmt: skip
-    views = Views(bundle.origin, bundle.rotation, bundle.pairs, bundle.density, bundle.start)
-    rules = Rules(
-        float(settings.gate_sigma), float(settings.outlier_sigma), int(settings.minimum_cameras),
-        float(settings.worst_sigma_m) ** 2, bool(settings.judge_sizes),
-        np.asarray(volume[0], dtype=float), np.asarray(volume[1], dtype=float), float(typical_diameter_m),
-    )  # fmt: skip
-    values, members, trusts = search(rays, views, rules)
+    rules = np.empty(RULES)
+    rules[GATE], rules[OUTLIER] = settings.gate_sigma, settings.outlier_sigma
+    rules[MINIMUM], rules[WORST] = settings.minimum_cameras, settings.worst_sigma_m**2
+    rules[JUDGE], rules[TYPICAL] = settings.judge_sizes, typical_diameter_m
+    rules[LOW:HIGH], rules[HIGH:RULES] = volume
+    values, members, trusts = search(bundle.rays, bundle.views, bundle.pairs, bundle.start, rules)
     state = choose(
-        values, members, trusts, rays, views, rules, predicted.xyz, predicted.covariance,
+        values, members, trusts, bundle.rays, bundle.views, rules, predicted.xyz, predicted.covariance,
         float(settings.support_sigma),
     )  # fmt: skip
-    found = columns(values, members, trusts, state, rays, views)
+    found = columns(values, members, trusts, state, bundle.rays, bundle.start)
     for column in found:
         column.setflags(write=False)  # handed over: no copy
     return Matched(Points(*found), len(values), int(np.count_nonzero(state == OPEN)))

@@ -12,15 +12,18 @@ from mosca.match_groups import (
     COVARIANCE,
     DIAMETER,
     GAIN,
+    MINIMUM,
+    VALUES,
     XYZ,
     acceptable,
-    scratch,
     solve,
     store,
     too_large,
     wholeness,
 )
 from mosca.match_index import buckets, within
+from mosca.ray_kernels import SIGMA
+from mosca.triangulate import RANKS, TRUST
 
 CLEARLY_WORSE = 9.0
 """A pair whose squared error is larger by this (3 standard deviations) does not contest another."""
@@ -35,19 +38,21 @@ def choose(values, members, trusts, rays, views, rules, xyz, covariance, support
     targets; ``support``: how many standard deviations away from it one speaks for a group.
     """
     n, cameras = members.shape
-    used = np.zeros(rays.direction.shape[0], dtype=np.int64)
+    used = np.zeros(rays.shape[0], dtype=np.int64)
     spoken = np.zeros(xyz.shape[0], dtype=np.bool_)
     state = np.zeros(n, dtype=np.int8)
-    group = scratch(cameras)
-    index = buckets(xyz[:, 0], support * np.sqrt(covariance[:, 0, 0]))
+    mates, ranks, solved = np.empty(cameras, dtype=np.int64), np.ones((cameras, RANKS)), np.empty(VALUES)
+    low, step, first, at, items, wide = buckets(xyz[:, 0], support * np.sqrt(covariance[:, 0, 0]))
     found = np.empty(xyz.shape[0], dtype=np.int64)
     density = _log_density(values, xyz)
     track, worth = np.full(n, -1, dtype=np.int64), np.zeros(n)
     for _round in range(max(cameras - 1, 1)):
         for g in range(n):
             if state[g] == OPEN:
+                half = support * np.sqrt(values[g, COVARIANCE])
+                near = within(low, step, first, at, items, wide, values[g, XYZ], half, found)
                 track[g], gained = _speaker(
-                    values[g], xyz, covariance, spoken, support, density, index, found
+                    values[g], xyz, covariance, spoken, support, density, found[:near]
                 )
                 worth[g] = values[g, GAIN] + gained
         waiting = np.flatnonzero(state == OPEN)
@@ -59,7 +64,9 @@ def choose(values, members, trusts, rays, views, rules, xyz, covariance, support
         if not changed:
             break
         for g in waiting:
-            if state[g] == OPEN and not _shrink(g, values, members, trusts, used, group, rays, views, rules):
+            if state[g] == OPEN and not _shrink(
+                g, values, members, trusts, used, mates, ranks, solved, rays, views, rules
+            ):
                 state[g] = GONE
     _take_uncontested(values, members, state, used)
     return state
@@ -82,16 +89,14 @@ def _log_density(values, xyz):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _speaker(value, xyz, covariance, spoken, gate, density, index, found):  # type: ignore[no-untyped-def]
+def _speaker(value, xyz, covariance, spoken, gate, density, near):  # type: ignore[no-untyped-def]
     """Return the track that speaks for a group, or -1, and how much that is worth.
 
     The worth is the log-likelihood ratio of "this track's target" against "a group anywhere": a track that has not
     been seen for long expects its target everywhere and says little.
     """
     best, worth = -1, 0.0
-    half = gate * np.sqrt(value[COVARIANCE])
-    for f in range(within(index, value[XYZ], half, found)):
-        t = found[f]
+    for t in near:
         if spoken[t]:
             continue
         p = covariance[t]
@@ -147,7 +152,7 @@ def _take(g, values, members, track, used, spoken, rays, views, rules):  # type:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _shrink(g, values, members, trusts, used, group, rays, views, rules):  # type: ignore[no-untyped-def]
+def _shrink(g, values, members, trusts, used, mates, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
     """Take the rays that are used up from a group and solve it anew; False where no target is left."""
     count, lost = 0, False
     for c in range(members.shape[1]):
@@ -157,14 +162,13 @@ def _shrink(g, values, members, trusts, used, group, rays, views, rules):  # typ
         count += members[g, c] >= 0
     if not lost:
         return True
-    if count < rules.minimum:
+    if count < rules[MINIMUM]:
         return False
-    group.members[:], group.trust[:] = members[g], trusts[g]
-    group.point[:] = values[g, XYZ : XYZ + 3]
-    error = solve(group, 2, rays, views)
-    if not acceptable(group, count, error, values[g, DIAMETER], rays, views, rules):
+    mates[:], ranks[:, TRUST], solved[:] = members[g], trusts[g], values[g]
+    error = solve(mates, ranks, solved, 2, rays, views)
+    if not acceptable(mates, solved, count, error, values[g, DIAMETER], rays, views, rules):
         return False
-    store(group, error, values[g, DIAMETER], rays, values[g], members[g], trusts[g])
+    store(mates, ranks, solved, error, values[g, DIAMETER], rays, values[g], members[g], trusts[g])
     return True
 
 
@@ -209,14 +213,11 @@ def _take_uncontested(values, members, state, used):  # type: ignore[no-untyped-
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _same(one, other):  # type: ignore[no-untyped-def]
-    for c in range(one.shape[0]):
-        if one[c] != other[c]:
-            return False
-    return True
+    return np.all(one == other)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def columns(values, members, trusts, state, rays, views):  # type: ignore[no-untyped-def]
+def columns(values, members, trusts, state, rays, start):  # type: ignore[no-untyped-def]
     """Return the columns of ``Points`` of the groups that were taken."""
     n, cameras = 0, members.shape[1]
     for g in range(values.shape[0]):
@@ -233,8 +234,8 @@ def columns(values, members, trusts, state, rays, views):  # type: ignore[no-unt
             k = members[g, c]
             if k >= 0:
                 count[n] += 1
-                index[n, c] = k - views.start[c]
-                square += (rays.sigma[k] / trusts[g, c]) ** 2
+                index[n, c] = k - start[c]
+                square += (rays[k, SIGMA] / trusts[g, c]) ** 2
                 trusted[n] += wholeness(k, trusts[g, c], rays)
         for p in range(3):
             xyz[n, p] = values[g, XYZ + p]

@@ -1,12 +1,11 @@
 """Groups of rays as the matching kernels hold them: solve, judge by image sizes, add and drop rays."""
 
-from typing import Any, NamedTuple
-
 import numpy as np
 from numba import njit
 
 from mosca.data.detections import MERGED, PARTIAL
-from mosca.triangulate import solve_point
+from mosca.ray_kernels import ANGLE, BONUS, FLAGS, RADIUS, SIGMA
+from mosca.triangulate import DEPTH, TRUST, solve_rays
 
 MOST_ODD = 0.7
 """Areas are compared up to this difference; beyond it an image says little more."""
@@ -23,113 +22,58 @@ TOO_LARGE = 1.3
 """Area over a target's from which an image is taken for two targets."""
 
 XYZ, COVARIANCE, CHI2, GAIN, DIAMETER, VALUES = 0, 3, 12, 13, 14, 15
-"""Places in a group's row of values: point, covariance (3, 3) row by row, sum of squared whitened errors, logarithm of
-its likelihood against that of a chance meeting, diameter [m]."""
+"""Places in a group's row of values: point, covariance (3, 3) row by row, sum of squared whitened errors, logarithm
+of its likelihood against that of a chance meeting, diameter [m]."""
 
 
-class Rays(NamedTuple):
-    """Columns of ``mosca.triangulate.Bundle``; ``bonus`` (n,): log-likelihood that a ray adds to a group."""
+GATE, OUTLIER, MINIMUM, WORST, JUDGE, TYPICAL, LOW, HIGH, RULES = 0, 1, 2, 3, 4, 5, 6, 9, 12
+"""Places in the rules: ``mosca.match.MatchSettings`` as the kernels read them (WORST a variance), the targets'
+typical diameter [m], the volume."""
 
-    direction: Any
-    white: Any
-    spread: Any
-    normal: Any
-    sigma: Any
-    radius: Any
-    angle: Any
-    flags: Any
-    bonus: Any
-
-
-class Views(NamedTuple):
-    """The cameras: see ``mosca.triangulate.Bundle``."""
-
-    origin: Any
-    rotation: Any
-    pairs: Any
-    density: Any
-    start: Any
-
-
-class Rules(NamedTuple):
-    """``mosca.match.MatchSettings`` as the kernels read them, the volume, and the targets' typical diameter [m]."""
-
-    gate: float
-    outlier: float
-    minimum: int
-    worst_variance: float
-    judge: bool
-    low: Any
-    high: Any
-    typical: float
-
-
-class Scratch(NamedTuple):
-    """The group in hand: ``members`` (c,) ray of each camera or -1, ``trust`` (c,); ``point`` (3,), ``cov`` (3, 3);
-    ``share`` (c,) expected number of chance rays as near as each; the rest (c,): the members, packed.
-    """
-
-    members: Any
-    trust: Any
-    point: Any
-    cov: Any
-    share: Any
-    chosen: Any
-    owner: Any
-    trusted: Any
-    depth: Any
+# A group in hand is three arrays: ``members`` (c,) ray of each camera or -1; ``ranks`` (c, RANKS) what goes with
+# each (``mosca.triangulate``); ``solved`` (VALUES,) its row of values. Plain arrays, no records of arrays: to pass
+# those from kernel to kernel costs more than what the kernels do.
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def scratch(cameras):  # type: ignore[no-untyped-def]
-    """Return room for one group."""
-    return Scratch(
-        np.full(cameras, -1, dtype=np.int64), np.ones(cameras), np.empty(3), np.empty((3, 3)),
-        np.ones(cameras), np.empty(cameras, dtype=np.int64), np.empty(cameras, dtype=np.int64), np.ones(cameras), np.ones(cameras),
-    )  # fmt: skip
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def solve(group, steps, rays, views):  # type: ignore[no-untyped-def]
-    """Intersect the group's rays; the depths start from ``group.point``. See ``solve_point``."""
-    n, x = 0, group.point
-    for c in range(group.members.shape[0]):
-        k = group.members[c]
+def solve(members, ranks, solved, steps, rays, views):  # type: ignore[no-untyped-def]
+    """Intersect the group's rays; the depths start from ``solved``. See ``solve_rays``."""
+    x, y, z = solved[0], solved[1], solved[2]
+    for c in range(members.shape[0]):
+        k = members[c]
         if k >= 0:
-            d, o = rays.direction[k], views.origin[c]
-            depth = d[0] * (x[0] - o[0]) + d[1] * (x[1] - o[1]) + d[2] * (x[2] - o[2])
+            depth = (
+                rays[k, 0] * (x - views[c, 0])
+                + rays[k, 1] * (y - views[c, 1])
+                + rays[k, 2] * (z - views[c, 2])
+            )
             if not depth > 0.0:
                 return -1.0
-            group.chosen[n], group.owner[n], group.trusted[n], group.depth[n] = k, c, group.trust[c], depth
-            n += 1
-    return solve_point(
-        n, group.chosen, group.owner, group.trusted, views.origin, rays.direction, rays.white, rays.normal,
-        steps, group.depth, group.point, group.cov,
-    )  # fmt: skip
+            ranks[c, DEPTH] = depth
+    return solve_rays(members, ranks, rays, views, steps, solved)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def judge_sizes(group, rays, views, rules):  # type: ignore[no-untyped-def]
+def judge_sizes(members, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
     """Set each member's trust from the size of its image; returns the target's diameter from its largest image."""
     largest = 0.0
-    for c in range(group.members.shape[0]):
-        if group.members[c] >= 0:
-            largest = max(largest, image_size(group.members[c], c, group.point, rays, views))
-    whole = rules.typical if rules.typical > 0.0 else largest
-    for c in range(group.members.shape[0]):
-        k = group.members[c]
+    for c in range(members.shape[0]):
+        if members[c] >= 0:
+            largest = max(largest, image_size(members[c], c, solved, rays, views))
+    whole = rules[TYPICAL] if rules[TYPICAL] > 0.0 else largest
+    for c in range(members.shape[0]):
+        k = members[c]
         if k >= 0:
-            size = image_size(k, c, group.point, rays, views)
-            group.trust[c] = trust_of(k, size, whole, rays, rules.judge)
+            size = image_size(k, c, solved, rays, views)
+            ranks[c, TRUST] = trust_of(k, size, whole, rays, rules[JUDGE] > 0.0)
     return largest
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def image_size(ray, camera, point, rays, views):  # type: ignore[no-untyped-def]
     """Return how large [m] a target at ``point`` is that fills the ray's image."""
-    o = views.origin[camera]
-    x, y, z = point[0] - o[0], point[1] - o[1], point[2] - o[2]
-    return rays.angle[ray] * np.sqrt(x * x + y * y + z * z)
+    x, y, z = point[0] - views[camera, 0], point[1] - views[camera, 1], point[2] - views[camera, 2]
+    return rays[ray, ANGLE] * np.sqrt(x * x + y * y + z * z)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -145,13 +89,13 @@ def trust_of(ray, size, whole, rays, judge):  # type: ignore[no-untyped-def]
         odd = min(MOST_ODD, 1.0 - share if share < 1.0 else share - 1.0)
         if odd <= SIZE_DEADBAND:
             odd = 0.0
-    if rays.flags[ray] & PARTIAL:
+    if int(rays[ray, FLAGS]) & PARTIAL:
         odd = max(odd, PARTIAL_ODD)
     if odd == 0.0:
         return 1.0
     # the centroid's shift for the whole disc's radius, spread over both axes
-    shift = ODD_SHIFT * odd * rays.radius[ray] * (whole / size if judge else 1.0)
-    return 1.0 / np.sqrt(1.0 + 0.5 * (shift / rays.sigma[ray]) ** 2)
+    shift = ODD_SHIFT * odd * rays[ray, RADIUS] * (whole / size if judge else 1.0)
+    return 1.0 / np.sqrt(1.0 + 0.5 * (shift / rays[ray, SIGMA]) ** 2)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -159,46 +103,47 @@ def wholeness(ray, trust, rays):  # type: ignore[no-untyped-def]
     """Return how whole an image is, by its trust: 1 of the right size, 0 half hidden."""
     if trust >= 1.0:
         return 1.0
-    shift = rays.sigma[ray] * np.sqrt(2.0 * (1.0 / trust**2 - 1.0))  # undoes trust_of
-    return max(0.0, 1.0 - shift / (ODD_SHIFT * rays.radius[ray]) / HALF_HIDDEN)
+    shift = rays[ray, SIGMA] * np.sqrt(2.0 * (1.0 / trust**2 - 1.0))  # undoes trust_of
+    return max(0.0, 1.0 - shift / (ODD_SHIFT * rays[ray, RADIUS]) / HALF_HIDDEN)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def too_large(ray, camera, point, rays, views, rules):  # type: ignore[no-untyped-def]
     """Whether an image shows two targets grown together."""
-    if rays.flags[ray] & MERGED:
+    if int(rays[ray, FLAGS]) & MERGED:
         return True
-    if not rules.judge or rules.typical <= 0.0:
+    if not rules[JUDGE] > 0.0 or rules[TYPICAL] <= 0.0:
         return False
-    return image_size(ray, camera, point, rays, views) ** 2 > TOO_LARGE * rules.typical**2
+    return image_size(ray, camera, point, rays, views) ** 2 > TOO_LARGE * rules[TYPICAL] ** 2
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def half_hidden(group, diameter, rays, views, rules):  # type: ignore[no-untyped-def]
+def half_hidden(members, solved, diameter, rays, views, rules):  # type: ignore[no-untyped-def]
     """Whether a member's image is so small that more than half of the target must be hidden."""
-    if not rules.judge:
+    if not rules[JUDGE] > 0.0:
         return False
-    whole = rules.typical if rules.typical > 0.0 else diameter
-    for c in range(group.members.shape[0]):
-        k = group.members[c]
-        if k >= 0 and 1.0 - (image_size(k, c, group.point, rays, views) / whole) ** 2 > HALF_HIDDEN:
+    whole = rules[TYPICAL] if rules[TYPICAL] > 0.0 else diameter
+    for c in range(members.shape[0]):
+        k = members[c]
+        if k >= 0 and 1.0 - (image_size(k, c, solved, rays, views) / whole) ** 2 > HALF_HIDDEN:
             return True
     return False
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def acceptable(group, count, error, diameter, rays, views, rules):  # type: ignore[no-untyped-def]
+def acceptable(members, solved, count, error, diameter, rays, views, rules):  # type: ignore[no-untyped-def]
     """Whether a solved group is a target: errors, volume, certainty; a pair with both images at least half there."""
-    x, v = group.point, group.cov
-    if not 0.0 <= error <= limit(2 * count - 3, rules.gate if count == 2 else rules.outlier):
+    if not 0.0 <= error <= limit(2 * count - 3, rules[GATE] if count == 2 else rules[OUTLIER]):
         return False
     for k in range(3):
-        if not rules.low[k] <= x[k] <= rules.high[k]:
+        if not rules[LOW + k] <= solved[k] <= rules[HIGH + k]:
             return False
-    if count == 2 and half_hidden(group, diameter, rays, views, rules):
+    if count == 2 and half_hidden(members, solved, diameter, rays, views, rules):
         return False
-    worst = rules.worst_variance
-    return v[0, 0] + v[1, 1] + v[2, 2] <= worst or np.linalg.eigvalsh(v)[2] <= worst
+    worst = rules[WORST]
+    if solved[3] + solved[7] + solved[11] <= worst:
+        return True
+    return np.linalg.eigvalsh(solved[COVARIANCE:CHI2].copy().reshape(3, 3))[2] <= worst
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -211,29 +156,26 @@ def limit(freedom, sigma):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def store(group, error, diameter, rays, values, members, trusts):  # type: ignore[no-untyped-def]
-    """Write a group into its row: ``values`` (VALUES,), ``members`` (c,), ``trusts`` (c,).
+def store(members, ranks, solved, error, diameter, rays, kept_values, kept_members, kept_trusts):  # type: ignore[no-untyped-def]
+    """Complete a group's values and keep it: values (VALUES,), members (c,), trusts (c,).
 
     Gain: the likelihood of its images as one target against that of images by chance, but for the density of
     targets, which all groups share (Poore 1994, section 3): sum log(1 / (2 pi sigma^2 rho)) - chi2 / 2 +
     log det(2 pi P) / 2.
     """
-    v = group.cov
     det = (
-        v[0, 0] * (v[1, 1] * v[2, 2] - v[1, 2] ** 2)
-        - v[0, 1] * (v[0, 1] * v[2, 2] - v[1, 2] * v[0, 2])
-        + v[0, 2] * (v[0, 1] * v[1, 2] - v[1, 1] * v[0, 2])
+        solved[3] * (solved[7] * solved[11] - solved[8] ** 2)
+        - solved[4] * (solved[4] * solved[11] - solved[8] * solved[5])
+        + solved[5] * (solved[4] * solved[8] - solved[7] * solved[5])
     )
     gain = 0.5 * np.log(max(det, 1e-300) * (2.0 * np.pi) ** 3) - 0.5 * error
-    for c in range(group.members.shape[0]):
-        k = group.members[c]
-        members[c], trusts[c] = k, group.trust[c]
+    for c in range(members.shape[0]):
+        k, trust = members[c], ranks[c, TRUST]
+        kept_members[c], kept_trusts[c] = k, trust
         if k >= 0:
-            gain += rays.bonus[k]
-            if group.trust[c] < 1.0:
-                gain += 2.0 * np.log(group.trust[c])
-    values[XYZ:COVARIANCE] = group.point
-    for p in range(3):
-        for q in range(3):
-            values[COVARIANCE + 3 * p + q] = v[p, q]
-    values[CHI2], values[GAIN], values[DIAMETER] = error, gain, diameter
+            gain += rays[k, BONUS]
+            if trust < 1.0:
+                gain += 2.0 * np.log(trust)
+    solved[CHI2], solved[GAIN], solved[DIAMETER] = error, gain, diameter
+    for k in range(VALUES):
+        kept_values[k] = solved[k]

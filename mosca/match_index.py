@@ -1,35 +1,28 @@
 """Where to look: indexes that let ``mosca.match_search`` and ``mosca.match_choose`` find neighbours in no time.
 
 Two of them. Intervals on a line in buckets: the rays of two cameras by the angle of their epipolar plane about the
-base, or tracks by one coordinate. Rays of a camera in the cells of a plane: directions by stereographic projection from
-the camera's axis, which is finite for every direction but straight behind and turns circles into circles.
+base, or tracks by one coordinate. Rays of a camera in the cells of a plane: directions by stereographic projection
+from the camera's axis, which is finite for every direction but straight behind and turns circles into circles.
 """
-
-from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
+from mosca.ray_kernels import ROTATION, SPREAD
+
 MOST_BUCKETS = 16
 """An interval over more buckets than this is kept in a list that every search reads."""
-
-
-class Buckets(NamedTuple):
-    """Intervals (n,) of a line: ``first`` (n,) bucket of each; bucket k holds ``items[start[k]:start[k + 1]]``;
-    ``wide``: those in no bucket.
-    """
-
-    low: float
-    step: float
-    first: Any
-    start: Any
-    items: Any
-    wide: Any
+CORNER, SCALE, CELLS, FIRST, FRAME = 0, 2, 4, 5, 6
+"""Columns of a camera's frame of cells: its corner (2), cells a unit (2), cells a side, number of its first cell."""
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def buckets(middle, half):  # type: ignore[no-untyped-def]
-    """Put intervals ``middle`` -+ ``half`` (n,) into about n buckets; infinite ones are wide."""
+    """Put intervals ``middle`` -+ ``half`` (n,) into about n buckets; infinite ones are wide.
+
+    Returns where the first bucket begins and how wide each is, the first bucket (n,) of each interval, and the
+    buckets: number k holds ``items[start[k]:start[k + 1]]``; at last ``wide``, those in no bucket.
+    """
     n = middle.shape[0]
     low, high = np.inf, -np.inf
     for k in range(n):
@@ -57,7 +50,7 @@ def buckets(middle, half):  # type: ignore[no-untyped-def]
         for b in range(first[k], last[k] + 1):
             items[start[b + 1]] = k
             start[b + 1] += 1
-    return Buckets(low, step, first, start, items, wide)
+    return low, step, first, start, items, wide
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -67,71 +60,57 @@ def bucket_of(value, low, step, n):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def within(index, middle, half, found):  # type: ignore[no-untyped-def]
+def within(low, step, first_of, start, items, wide, middle, half, found):  # type: ignore[no-untyped-def]
     """Fill ``found`` (n,) with the intervals that may meet ``middle`` -+ ``half``, each once; returns how many."""
-    n, count = index.first.shape[0], 0
+    n, count = first_of.shape[0], 0
     if not np.isfinite(half):
         for k in range(n):
             found[k] = k
         return n
-    for k in index.wide:
+    for k in wide:
         found[count] = k
         count += 1
-    first = bucket_of(middle - half, index.low, index.step, n)
-    last = bucket_of(middle + half, index.low, index.step, n)
+    first = bucket_of(middle - half, low, step, n)
+    last = bucket_of(middle + half, low, step, n)
     for b in range(first, last + 1):
-        for at in range(index.start[b], index.start[b + 1]):
-            k = index.items[at]
+        for at in range(start[b], start[b + 1]):
+            k = items[at]
             # an interval in several of these buckets is reported in the first that it shares
-            if b == max(first, index.first[k]):
+            if b == max(first, first_of[k]):
                 found[count] = k
                 count += 1
     return count
 
 
-class Cells(NamedTuple):
-    """Rays in the cells of their images: ``place`` (n, 2) stereographic; for each camera ``corner`` (c, 2) and
-    ``scale`` (c, 2) cells a unit, ``side`` (c,) cells a side, ``offset`` (c,) of its first cell; ``start``, ``items``.
-    """
-
-    place: Any
-    corner: Any
-    scale: Any
-    side: Any
-    offset: Any
-    start: Any
-    items: Any
-
-
 @njit(nogil=True, cache=True, error_model="numpy")
-def cells(direction, rotation, start):  # type: ignore[no-untyped-def]
-    """Sort all rays (n, 3) into cells of about one ray; rays without a direction into none."""
-    cameras, n = rotation.shape[0], direction.shape[0]
-    place, cell = np.empty((n, 2)), np.full(n, -1, dtype=np.int64)
-    corner, scale = np.zeros((cameras, 2)), np.zeros((cameras, 2))
-    side, offset = np.ones(cameras, dtype=np.int64), np.zeros(cameras, dtype=np.int64)
+def cells(rays, views, start):  # type: ignore[no-untyped-def]
+    """Sort the rays (n, COLUMNS) of all cameras into cells of about one ray; rays without a direction into none.
+
+    Returns each camera's frame (c, FRAME), and the cells: number k holds ``items[first[k]:first[k + 1]]``.
+    """
+    cameras, n = views.shape[0], rays.shape[0]
+    place, cell, frame = np.empty((n, 2)), np.full(n, -1, dtype=np.int64), np.zeros((cameras, FRAME))
     total = 0
     for c in range(cameras):
-        r = rotation[c]
-        low, high = np.full(2, np.inf), np.full(2, -np.inf)
-        for i in range(start[c], start[c + 1]):
-            d = direction[i]
-            z = 1.0 + r[0, 2] * d[0] + r[1, 2] * d[1] + r[2, 2] * d[2]
-            for k in range(2):
-                place[i, k] = (r[0, k] * d[0] + r[1, k] * d[1] + r[2, k] * d[2]) / z
-                if np.isfinite(place[i, k]):
-                    low[k], high[k] = min(low[k], place[i, k]), max(high[k], place[i, k])
-        side[c] = max(1, int(np.sqrt(start[c + 1] - start[c])))
-        offset[c] = total
-        total += side[c] * side[c]
         for k in range(2):
-            corner[c, k] = low[k]
-            scale[c, k] = side[c] / (high[k] - low[k]) if high[k] > low[k] else 0.0
+            low, high = np.inf, -np.inf
+            for i in range(start[c], start[c + 1]):
+                across, along = 0.0, 1.0
+                for p in range(3):
+                    across += views[c, ROTATION + 3 * p + k] * rays[i, p]
+                    along += views[c, ROTATION + 3 * p + 2] * rays[i, p]
+                place[i, k] = across / along
+                if np.isfinite(place[i, k]):
+                    low, high = min(low, place[i, k]), max(high, place[i, k])
+            side = max(1.0, np.floor(np.sqrt(start[c + 1] - start[c])))
+            frame[c, CORNER + k], frame[c, SCALE + k] = low, side / (high - low) if high > low else 0.0
+        frame[c, CELLS], frame[c, FIRST] = side, total
+        total += int(side * side)
         for i in range(start[c], start[c + 1]):
             if np.isfinite(place[i, 0]) and np.isfinite(place[i, 1]):
-                x = cell_of(place[i, 0], corner[c, 0], scale[c, 0], side[c])
-                y = cell_of(place[i, 1], corner[c, 1], scale[c, 1], side[c])
-                cell[i] = offset[c] + y * side[c] + x
+                column = cell_of(place[i, 0], frame[c, CORNER], frame[c, SCALE], side)
+                row = cell_of(place[i, 1], frame[c, CORNER + 1], frame[c, SCALE + 1], side)
+                cell[i] = int(frame[c, FIRST] + row * side + column)
     first, items = np.zeros(total + 2, dtype=np.int64), np.empty(n, dtype=np.int64)
     for i in range(n):
         if cell[i] >= 0:
@@ -142,7 +121,7 @@ def cells(direction, rotation, start):  # type: ignore[no-untyped-def]
         if cell[i] >= 0:
             items[first[cell[i] + 1]] = i
             first[cell[i] + 1] += 1
-    return Cells(place, corner, scale, side, offset, first, items)
+    return frame, first, items
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -158,13 +137,14 @@ def plane_angles(rays, chosen, up, out, angle, variance):  # type: ignore[no-unt
     ``up`` and ``out``: unit vectors across the base and each other, from which angles count.
     """
     for n in range(chosen.shape[0]):
-        d, spread = rays.direction[chosen[n]], rays.spread[chosen[n]]
-        p = d[0] * up[0] + d[1] * up[1] + d[2] * up[2]
-        q = d[0] * out[0] + d[1] * out[1] + d[2] * out[2]
+        i = chosen[n]
+        p = rays[i, 0] * up[0] + rays[i, 1] * up[1] + rays[i, 2] * up[2]
+        q = rays[i, 0] * out[0] + rays[i, 1] * out[1] + rays[i, 2] * out[2]
         across2 = p * p + q * q
         angle[n] = np.arctan2(q, p)
         # the plane's normal, times the sine of the ray's angle to the base
-        x, y, z = p * out[0] - q * up[0], p * out[1] - q * up[1], p * out[2] - q * up[2]
-        s = x * spread[0, 0] + y * spread[1, 0] + z * spread[2, 0]
-        t = x * spread[0, 1] + y * spread[1, 1] + z * spread[2, 1]
+        s = t = 0.0
+        for k in range(3):
+            s += (p * out[k] - q * up[k]) * rays[i, SPREAD + 2 * k]
+            t += (p * out[k] - q * up[k]) * rays[i, SPREAD + 2 * k + 1]
         variance[n] = (s * s + t * t) / (across2 * across2)

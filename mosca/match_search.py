@@ -11,20 +11,28 @@ import numpy as np
 from numba import njit
 
 from mosca.match_groups import (
+    GATE,
+    HIGH,
+    JUDGE,
+    LOW,
+    MINIMUM,
     MOST_ODD,
     ODD_SHIFT,
+    OUTLIER,
+    TYPICAL,
     VALUES,
     acceptable,
     image_size,
     judge_sizes,
     limit,
-    scratch,
     solve,
     store,
     too_large,
     trust_of,
 )
-from mosca.match_index import buckets, cell_of, cells, plane_angles, within
+from mosca.match_index import CELLS, CORNER, FIRST, SCALE, buckets, cell_of, cells, plane_angles, within
+from mosca.ray_kernels import ANGLE, DENSITY, FLAGS, RADIUS, ROTATION, SIGMA, SPREAD, WHITE
+from mosca.triangulate import RANKS, SHARE, TRUST
 
 CERTAIN = 1e-3
 """Expected number of chance groups as good as this one, below which a group explains its rays."""
@@ -33,48 +41,48 @@ EDGE_ON = 0.5
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def search(rays, views, rules):  # type: ignore[no-untyped-def]
+def search(rays, views, pairs, start, rules):  # type: ignore[no-untyped-def]
     """Return all groups: values (n, VALUES), members (n, c) ray of each camera or -1, trusts (n, c)."""
-    cameras, total = views.origin.shape[0], rays.direction.shape[0]
+    cameras, total = views.shape[0], rays.shape[0]
     room, count = max(64, 2 * total // max(cameras, 1)), 0
     values, members = np.empty((room, VALUES)), np.empty((room, cameras), dtype=np.int64)
     trusts = np.empty((room, cameras))
-    index = cells(rays.direction, views.rotation, views.start)
-    slack, reach = _slack(rays, views, rules)
+    frame, first_in_cell, in_cell = cells(rays, views, start)
+    slack, reach = _slack(rays, start, rules)
     explained = np.empty(total, dtype=np.bool_)
     for i in range(total):
-        explained[i] = not np.isfinite(rays.angle[i])
+        explained[i] = not np.isfinite(rays[i, ANGLE])
     # partner[i, c]: the ray of camera c that a group of three or more has already joined with ray i
     partner = np.full((total, cameras), -1, dtype=np.int32)
-    group = scratch(cameras)
+    mates, ranks, solved = np.empty(cameras, dtype=np.int64), np.ones((cameras, RANKS)), np.zeros(VALUES)
     angle, variance, half = np.empty(total), np.empty(total), np.empty(total)
     active, found = np.empty(total, dtype=np.int64), np.empty(total, dtype=np.int64)
-    for stage in range(2 if rules.judge else 1):
-        for pair in range(views.pairs.shape[0]):
-            a, b = views.pairs[pair, 0], views.pairs[pair, 1]
-            if views.start[a] == views.start[a + 1] or views.start[b] == views.start[b + 1]:
+    for stage in range(2 if rules[JUDGE] > 0.0 else 1):
+        for pair in range(pairs.shape[0]):
+            a, b = pairs[pair, 0], pairs[pair, 1]
+            if start[a] == start[a + 1] or start[b] == start[b + 1]:
                 continue
-            n_a = _left(views.start[a], views.start[a + 1], explained, active)
-            n_b = _left(views.start[b], views.start[b + 1], explained, active[n_a:])
+            n_a = _left(start[a], start[a + 1], explained, active)
+            n_b = _left(start[b], start[b + 1], explained, active[n_a:])
             if n_a == 0 or n_b == 0 or not _planes(a, b, n_a, n_b, active, rays, views, angle, variance):
                 continue
             for n in range(n_a + n_b):
                 i = active[n]
-                half[n] = rules.gate * np.sqrt(variance[n] * (slack[i] if stage == 1 else 1.0))
+                half[n] = rules[GATE] * np.sqrt(variance[n] * (slack[i] if stage == 1 else 1.0))
                 if not (half[n] < EDGE_ON and half[n] + abs(angle[n]) < np.pi):
                     half[n] = np.inf
-            lines = buckets(angle[n_a : n_a + n_b], half[n_a : n_a + n_b])
-            width = max(lines.step * (n_b + 1), 1e-300)
+            low, step, first, at, items, wide = buckets(angle[n_a : n_a + n_b], half[n_a : n_a + n_b])
+            width = max(step * (n_b + 1), 1e-300)
             for n in range(n_a):
                 i = active[n]
-                for f in range(within(lines, angle[n], half[n], found)):
+                for f in range(within(low, step, first, at, items, wide, angle[n], half[n], found)):
                     if explained[i]:
                         break
                     m = n_a + found[f]
                     j = active[m]
                     if explained[j] or partner[i, b] == j:
                         continue
-                    away2 = rules.gate**-2 * (angle[n] - angle[m]) ** 2
+                    away2 = rules[GATE] ** -2 * (angle[n] - angle[m]) ** 2
                     if not np.isfinite(half[n] + half[m]):
                         away2 = 0.0
                     both = variance[n] + variance[m]
@@ -83,51 +91,80 @@ def search(rays, views, rules):  # type: ignore[no-untyped-def]
                         stage == 1 and away2 > slack[i] * variance[n] + slack[j] * variance[m]
                     ):
                         continue
-                    if not _meet(i, j, a, b, away2, variance[n], variance[m], group, rays, views, rules):
+                    if not _meet(
+                        i, j, a, b, away2, variance[n], variance[m], mates, ranks, solved, rays, views, rules
+                    ):
                         continue
-                    chance = n_a * n_b * min(1.0, 2.0 * rules.gate * np.sqrt(both) / width)
+                    chance = n_a * n_b * min(1.0, 2.0 * rules[GATE] * np.sqrt(both) / width)
                     size, error, diameter, chance = _grown(
-                        a, b, chance, reach, index, group, rays, views, rules
+                        a,
+                        b,
+                        chance,
+                        reach,
+                        frame,
+                        first_in_cell,
+                        in_cell,
+                        mates,
+                        ranks,
+                        solved,
+                        rays,
+                        views,
+                        rules,
                     )
                     if size == 0:
                         continue
                     if count == values.shape[0]:
                         values, trusts = _longer(values), _longer(trusts)
                         members = _longer_int(members)
-                    store(group, error, diameter, rays, values[count], members[count], trusts[count])
+                    store(
+                        mates,
+                        ranks,
+                        solved,
+                        error,
+                        diameter,
+                        rays,
+                        values[count],
+                        members[count],
+                        trusts[count],
+                    )
                     count += 1
                     if size > 2:
-                        certain = chance < CERTAIN
-                        for c in range(cameras):
-                            k = group.members[c]
-                            if k < 0:
-                                continue
-                            for d in range(cameras):
-                                if group.members[d] >= 0:
-                                    partner[k, d] = group.members[d]
-                            # an image of two targets may serve another group
-                            if certain and not too_large(k, c, group.point, rays, views, rules):
-                                explained[k] = True
+                        _note(mates, solved, chance < CERTAIN, partner, explained, rays, views, rules)
     return values[:count], members[:count], trusts[:count]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _slack(rays, views, rules):  # type: ignore[no-untyped-def]
+def _note(members, solved, certain, partner, explained, rays, views, rules):  # type: ignore[no-untyped-def]
+    """Remember which rays a group joins, and that a certain one explains them."""
+    cameras = members.shape[0]
+    for c in range(cameras):
+        k = members[c]
+        if k < 0:
+            continue
+        for d in range(cameras):
+            if members[d] >= 0:
+                partner[k, d] = members[d]
+        # an image of two targets may serve another group
+        if certain and not too_large(k, c, solved, rays, views, rules):
+            explained[k] = True
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _slack(rays, start, rules):  # type: ignore[no-untyped-def]
     """Return for each ray (n,) the factor on its variance if its target were mostly hidden, and for each camera (c,)
     the largest variance of a ray's direction [rad^2] with it.
     """
-    total = rays.direction.shape[0]
-    slack, reach = np.ones(total), np.zeros(views.origin.shape[0])
-    for c in range(views.origin.shape[0]):
-        for i in range(views.start[c], views.start[c + 1]):
-            if not np.isfinite(rays.angle[i]):
+    slack, reach = np.ones(rays.shape[0]), np.zeros(start.shape[0] - 1)
+    for c in range(reach.shape[0]):
+        for i in range(start[c], start[c + 1]):
+            if not np.isfinite(rays[i, ANGLE]):
                 continue
-            if rules.judge or rays.flags[i]:
-                slack[i] = 1.0 + 0.5 * (ODD_SHIFT * MOST_ODD * rays.radius[i] / rays.sigma[i]) ** 2
-            s = 0.0
-            for p in range(3):
-                s += rays.spread[i, p, 0] ** 2 + rays.spread[i, p, 1] ** 2
-            reach[c] = max(reach[c], s * slack[i])
+            if rules[JUDGE] > 0.0 or rays[i, FLAGS] > 0.0:
+                slack[i] = 1.0 + 0.5 * (ODD_SHIFT * MOST_ODD * rays[i, RADIUS] / rays[i, SIGMA]) ** 2
+            variance = 0.0
+            for p in range(6):
+                variance += rays[i, SPREAD + p] ** 2
+            reach[c] = max(reach[c], variance * slack[i])
     return slack, reach
 
 
@@ -145,182 +182,192 @@ def _left(first, last, explained, active):  # type: ignore[no-untyped-def]
 @njit(nogil=True, cache=True, error_model="numpy")
 def _planes(a, b, n_a, n_b, active, rays, views, angle, variance):  # type: ignore[no-untyped-def]
     """Fill the angles of the epipolar planes of cameras a and b; False where both stand at one place."""
-    base = views.origin[b] - views.origin[a]
+    base = views[b, :3] - views[a, :3]
     length = np.sqrt(np.sum(base**2))
     if length <= 0.0:
         return False
     base /= length
+    turn_a, turn_b = views[a, ROTATION:DENSITY].reshape(3, 3), views[b, ROTATION:DENSITY].reshape(3, 3)
     # angles count from where both cameras look, so that none is near half a turn
-    up = views.rotation[a, :, 2] + views.rotation[b, :, 2]
-    up = up - base * np.sum(up * base)
-    if np.sum(up**2) < 1e-6:
-        up = views.rotation[a, :, 1] - base * np.sum(views.rotation[a, :, 1] * base)
-    if np.sum(up**2) < 1e-6:
-        up = views.rotation[a, :, 0] - base * np.sum(views.rotation[a, :, 0] * base)
+    up = turn_a[:, 2] + turn_b[:, 2]
+    for axis in (-1, 1, 0):
+        if axis >= 0:
+            up = turn_a[:, axis].copy()
+        up = up - base * np.sum(up * base)
+        if np.sum(up**2) > 1e-6:
+            break
     up = up / np.sqrt(np.sum(up**2))
     plane_angles(rays, active[: n_a + n_b], up, np.cross(base, up), angle, variance)
     return True
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _meet(i, j, a, b, away2, variance_i, variance_j, group, rays, views, rules):  # type: ignore[no-untyped-def]
+def _meet(i, j, a, b, away2, variance_i, variance_j, members, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
     """Begin a group with the rays i and j of cameras a and b; False where they do not meet."""
-    d, e = rays.direction[i], rays.direction[j]
-    x = views.origin[b, 0] - views.origin[a, 0]
-    y = views.origin[b, 1] - views.origin[a, 1]
-    z = views.origin[b, 2] - views.origin[a, 2]
-    cosine = d[0] * e[0] + d[1] * e[1] + d[2] * e[2]
-    along_d, along_e = d[0] * x + d[1] * y + d[2] * z, e[0] * x + e[1] * y + e[2] * z
+    d0, d1, d2 = rays[i, 0], rays[i, 1], rays[i, 2]
+    e0, e1, e2 = rays[j, 0], rays[j, 1], rays[j, 2]
+    x = views[b, 0] - views[a, 0]
+    y = views[b, 1] - views[a, 1]
+    z = views[b, 2] - views[a, 2]
+    cosine = d0 * e0 + d1 * e1 + d2 * e2
+    along_d, along_e = d0 * x + d1 * y + d2 * z, e0 * x + e1 * y + e2 * z
     sine2 = 1.0 - cosine * cosine
     if not sine2 > 1e-12:
         return False
     s, t = (along_d - cosine * along_e) / sine2, (cosine * along_d - along_e) / sine2
     if not (s > 0.0 and t > 0.0):
         return False
-    size_i, size_j = rays.angle[i] * s, rays.angle[j] * t
-    whole = rules.typical if rules.typical > 0.0 else max(size_i, size_j)
-    trust_i = trust_of(i, size_i, whole, rays, rules.judge)
-    trust_j = trust_of(j, size_j, whole, rays, rules.judge)
+    size_i, size_j = rays[i, ANGLE] * s, rays[j, ANGLE] * t
+    whole = rules[TYPICAL] if rules[TYPICAL] > 0.0 else max(size_i, size_j)
+    trust_i = trust_of(i, size_i, whole, rays, rules[JUDGE] > 0.0)
+    trust_j = trust_of(j, size_j, whole, rays, rules[JUDGE] > 0.0)
     if away2 > variance_i / trust_i**2 + variance_j / trust_j**2:
         return False
-    group.members[:] = -1
-    group.trust[:] = 1.0
-    group.members[a], group.members[b] = i, j
-    group.trust[a], group.trust[b] = trust_i, trust_j
-    for k in range(3):
-        group.point[k] = 0.5 * (views.origin[a, k] + s * d[k] + views.origin[b, k] + t * e[k])
-    error = solve(group, 1, rays, views)
-    if not 0.0 <= error <= rules.gate**2:
+    members[:] = -1
+    ranks[:, TRUST] = 1.0
+    members[a], members[b] = i, j
+    ranks[a, TRUST], ranks[b, TRUST] = trust_i, trust_j
+    solved[0] = 0.5 * (views[a, 0] + s * d0 + views[b, 0] + t * e0)
+    solved[1] = 0.5 * (views[a, 1] + s * d1 + views[b, 1] + t * e1)
+    solved[2] = 0.5 * (views[a, 2] + s * d2 + views[b, 2] + t * e2)
+    error = solve(members, ranks, solved, 1, rays, views)
+    if not 0.0 <= error <= rules[GATE] ** 2:
         return False
     return (
-        rules.low[0] <= group.point[0] <= rules.high[0]
-        and rules.low[1] <= group.point[1] <= rules.high[1]
-        and rules.low[2] <= group.point[2] <= rules.high[2]
+        rules[LOW + 0] <= solved[0] <= rules[HIGH + 0]
+        and rules[LOW + 1] <= solved[1] <= rules[HIGH + 1]
+        and rules[LOW + 2] <= solved[2] <= rules[HIGH + 2]
     )
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _grown(a, b, chance, reach, index, group, rays, views, rules):  # type: ignore[no-untyped-def]
+def _grown(a, b, chance, reach, frame, first_in_cell, in_cell, members, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
     """Widen a pair to all cameras, drop bad rays, judge. Returns how many rays it has (0: none), its squared error,
     diameter and the expected number of chance groups like it.
     """
-    cameras = views.origin.shape[0]
-    i, j = group.members[a], group.members[b]
-    seen = max(image_size(i, a, group.point, rays, views), image_size(j, b, group.point, rays, views))
-    whole = rules.typical if rules.typical > 0.0 else seen
+    cameras = views.shape[0]
+    i, j = members[a], members[b]
+    seen = max(image_size(i, a, solved, rays, views), image_size(j, b, solved, rays, views))
+    whole = rules[TYPICAL] if rules[TYPICAL] > 0.0 else seen
     size = 2
     for c in range(cameras):
-        if c == a or c == b:
+        if c in (a, b):
             continue
-        nearest, trust, share = _nearest(c, whole, reach[c], index, group, rays, views, rules)
+        nearest, trust, share = _nearest(
+            c, whole, reach[c], frame, first_in_cell, in_cell, members, ranks, solved, rays, views, rules
+        )
         if nearest >= 0:
-            group.members[c], group.trust[c], group.share[c] = nearest, trust, share
+            members[c], ranks[c, TRUST], ranks[c, SHARE] = nearest, trust, share
             size += 1
-    diameter = judge_sizes(group, rays, views, rules)
-    error = solve(group, 2, rays, views)
-    while size > 2 and not 0.0 <= error <= limit(2 * size - 3, rules.outlier):
+    diameter = judge_sizes(members, ranks, solved, rays, views, rules)
+    error = solve(members, ranks, solved, 2, rays, views)
+    while size > 2 and not 0.0 <= error <= limit(2 * size - 3, rules[OUTLIER]):
         # a bad ray pulls the point towards itself: judge each by what is left without it
         least, at = np.inf, -1
         for c in range(cameras):
-            k = group.members[c]
+            k = members[c]
             if k >= 0:
-                group.members[c] = -1
-                rest = solve(group, 2, rays, views)
-                group.members[c] = k
+                members[c] = -1
+                rest = solve(members, ranks, solved, 2, rays, views)
+                members[c] = k
                 if 0.0 <= rest < least:
                     least, at = rest, c
         # with one of the pair bad this was no pair; the good rays have pairs of their own
-        if at < 0 or at == a or at == b:
+        if at < 0 or at in (a, b):
             return 0, 0.0, 0.0, 1.0
-        group.members[at] = -1
+        members[at] = -1
         size -= 1
-        error = solve(group, 2, rays, views)
-    if size < rules.minimum or not acceptable(group, size, error, diameter, rays, views, rules):
+        error = solve(members, ranks, solved, 2, rays, views)
+    if size < rules[MINIMUM] or not acceptable(members, solved, size, error, diameter, rays, views, rules):
         return 0, 0.0, 0.0, 1.0
     added = 0
     for c in range(cameras):
-        if group.members[c] >= 0 and c != a and c != b:
+        if members[c] >= 0 and c != a and c != b:
             # whichever of the other cameras these are: the number of choices
-            chance *= group.share[c] * (cameras - 2 - added) / (added + 1)
+            chance *= ranks[c, SHARE] * (cameras - 2 - added) / (added + 1)
             added += 1
     return size, error, diameter, chance
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _nearest(c, whole, reach, index, group, rays, views, rules):  # type: ignore[no-untyped-def]
+def _nearest(c, whole, reach, frame, first_in_cell, in_cell, members, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
     """Return the ray of camera c nearest to the group's point among those that the covariances admit (-1: none), its
     trust, and the expected number of chance rays as near.
     """
-    r, o, gate2, cov = views.rotation[c], views.origin[c], rules.gate**2, group.cov
-    x, y, z = group.point[0] - o[0], group.point[1] - o[1], group.point[2] - o[2]
+    gate2 = rules[GATE] ** 2
+    x, y, z = solved[0] - views[c, 0], solved[1] - views[c, 1], solved[2] - views[c, 2]
     distance = np.sqrt(x * x + y * y + z * z)
-    u = r[0, 0] * x + r[1, 0] * y + r[2, 0] * z
-    v = r[0, 1] * x + r[1, 1] * y + r[2, 1] * z
-    w = distance + r[0, 2] * x + r[1, 2] * y + r[2, 2] * z
+    w = distance + views[c, 5] * x + views[c, 8] * y + views[c, 11] * z
     if not w > 1e-9 * distance:
         return -1, 1.0, 0.0
-    u, v = u / w, v / w
-    # the place's derivative by the point, row by row, and so its variance; an angle counts (1 + |place|^2) / 2
-    stretch2 = (0.5 * (1.0 + u * u + v * v)) ** 2 * reach
-    box = np.empty((2, 2), dtype=np.int64)
-    for axis in range(2):
-        place = v if axis else u
-        j0 = (r[0, axis] - place * (x / distance + r[0, 2])) / w
-        j1 = (r[1, axis] - place * (y / distance + r[1, 2])) / w
-        j2 = (r[2, axis] - place * (z / distance + r[2, 2])) / w
-        variance = j0 * (j0 * cov[0, 0] + 2.0 * (j1 * cov[0, 1] + j2 * cov[0, 2]))
-        variance += j1 * (j1 * cov[1, 1] + 2.0 * j2 * cov[1, 2]) + j2 * j2 * cov[2, 2]
-        # a little wider than to first order
-        side = 1.01 * rules.gate * np.sqrt(variance + stretch2)
-        corner, scale = index.corner[c, axis], index.scale[c, axis]
-        box[axis, 0] = cell_of(place - side, corner, scale, index.side[c])
-        box[axis, 1] = cell_of(place + side, corner, scale, index.side[c])
+    u = (views[c, 3] * x + views[c, 6] * y + views[c, 9] * z) / w
+    v = (views[c, 4] * x + views[c, 7] * y + views[c, 10] * z) / w
+    # an angle counts (1 + |place|^2) / 2 there
+    own = (0.5 * (1.0 + u * u + v * v)) ** 2 * reach
+    left, right = _cells_beside(
+        c, 0, u, x / distance, y / distance, z / distance, w, own, frame, solved, views, rules
+    )
+    top, bottom = _cells_beside(
+        c, 1, v, x / distance, y / distance, z / distance, w, own, frame, solved, views, rules
+    )
+    v00, v01, v02, v11, v12, v22 = solved[3], solved[4], solved[5], solved[7], solved[8], solved[11]
     best, at, trusted, share = np.inf, -1, 1.0, 0.0
-    for row in range(box[1, 0], box[1, 1] + 1):
-        first = index.offset[c] + row * index.side[c]
-        for n in range(index.start[first + box[0, 0]], index.start[first + box[0, 1] + 1]):
-            k = index.items[n]
-            d, m = rays.direction[k], rays.white[k]
-            depth = d[0] * x + d[1] * y + d[2] * z
+    for row in range(top, bottom + 1):
+        first = int(frame[c, FIRST] + row * frame[c, CELLS])
+        for n in range(first_in_cell[first + left], first_in_cell[first + right + 1]):
+            k = in_cell[n]
+            depth = rays[k, 0] * x + rays[k, 1] * y + rays[k, 2] * z
             # a thousandth of a radian squared: far beyond any gate
             if depth < 0.9995 * distance:
                 continue
-            t2 = trust_of(k, rays.angle[k] * distance, whole, rays, rules.judge) ** 2
-            e0 = (m[0, 0] * x + m[0, 1] * y + m[0, 2] * z) / depth
-            e1 = (m[1, 0] * x + m[1, 1] * y + m[1, 2] * z) / depth
-            if t2 * (e0 * e0 + e1 * e1) > gate2 * (1.0 + t2 * _most(m, cov, depth)):
-                continue
-            s00, s01, s11 = _carried(m, cov, depth)
-            s00, s01, s11 = 1.0 + t2 * s00, t2 * s01, 1.0 + t2 * s11
+            m00, m01, m02 = (
+                rays[k, WHITE + 0] / depth,
+                rays[k, WHITE + 1] / depth,
+                rays[k, WHITE + 2] / depth,
+            )
+            m10, m11, m12 = (
+                rays[k, WHITE + 3] / depth,
+                rays[k, WHITE + 4] / depth,
+                rays[k, WHITE + 5] / depth,
+            )
+            e0, e1 = m00 * x + m01 * y + m02 * z, m10 * x + m11 * y + m12 * z
+            t2 = trust_of(k, rays[k, ANGLE] * distance, whole, rays, rules[JUDGE] > 0.0) ** 2
+            # the point's covariance carried into the ray's whitened image
+            g0, g1, g2 = (
+                v00 * m00 + v01 * m01 + v02 * m02,
+                v01 * m00 + v11 * m01 + v12 * m02,
+                v02 * m00 + v12 * m01 + v22 * m02,
+            )
+            h0, h1, h2 = (
+                v00 * m10 + v01 * m11 + v02 * m12,
+                v01 * m10 + v11 * m11 + v12 * m12,
+                v02 * m10 + v12 * m11 + v22 * m12,
+            )
+            s00 = 1.0 + t2 * (m00 * g0 + m01 * g1 + m02 * g2)
+            s01 = t2 * (m10 * g0 + m11 * g1 + m12 * g2)
+            s11 = 1.0 + t2 * (m10 * h0 + m11 * h1 + m12 * h2)
             det = s00 * s11 - s01 * s01
             error = t2 * (s11 * e0 * e0 - 2.0 * s01 * e0 * e1 + s00 * e1 * e1) / det
             # among those admitted the nearest in the image decides, not the least trusted
             if error < gate2 and error / t2 < best:
                 best, at, trusted = error / t2, k, np.sqrt(t2)
-                share = views.density[c] * np.pi * max(error, 0.05) * np.sqrt(det) * rays.sigma[k] ** 2 / t2
+                share = views[c, DENSITY] * np.pi * max(error, 0.05) * np.sqrt(det) * rays[k, SIGMA] ** 2 / t2
     return at, trusted, share
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _carried(m, cov, depth):  # type: ignore[no-untyped-def]
-    """Return a point's covariance carried into a ray's whitened image: xx, xy, yy."""
-    s00 = s01 = s11 = 0.0
-    for p in range(3):
-        g = cov[p, 0] * m[0, 0] + cov[p, 1] * m[0, 1] + cov[p, 2] * m[0, 2]
-        h = cov[p, 0] * m[1, 0] + cov[p, 1] * m[1, 1] + cov[p, 2] * m[1, 2]
-        s00 += m[0, p] * g
-        s01 += m[1, p] * g
-        s11 += m[1, p] * h
-    return s00 / depth**2, s01 / depth**2, s11 / depth**2
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _most(m, cov, depth):  # type: ignore[no-untyped-def]
-    """Return a bound of ``_carried``'s larger eigenvalue: the product of the traces."""
-    square = 0.0
-    for p in range(3):
-        square += m[0, p] ** 2 + m[1, p] ** 2
-    return square * (cov[0, 0] + cov[1, 1] + cov[2, 2]) / depth**2
+def _cells_beside(c, axis, place, x, y, z, w, own, frame, solved, views, rules):  # type: ignore[no-untyped-def]
+    """Return the first and last row or column of cells that a point's image may lie in; (x, y, z) its direction."""
+    # the place's derivative by the point, and so its variance
+    j0 = (views[c, 3 + axis] - place * (x + views[c, 5])) / w
+    j1 = (views[c, 6 + axis] - place * (y + views[c, 8])) / w
+    j2 = (views[c, 9 + axis] - place * (z + views[c, 11])) / w
+    variance = j0 * (j0 * solved[3] + 2.0 * (j1 * solved[4] + j2 * solved[5]))
+    variance += j1 * (j1 * solved[7] + 2.0 * j2 * solved[8]) + j2 * j2 * solved[11]
+    # a little wider than to first order
+    side = 1.01 * rules[GATE] * np.sqrt(variance + own)
+    corner, scale, count = frame[c, CORNER + axis], frame[c, SCALE + axis], frame[c, CELLS]
+    return cell_of(place - side, corner, scale, count), cell_of(place + side, corner, scale, count)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

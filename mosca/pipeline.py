@@ -19,7 +19,7 @@ from mosca.data.tracks import Points, Samples
 from mosca.detect import DetectionSettings, detect
 from mosca.errors import InputError
 from mosca.health import Health, HealthSettings
-from mosca.match import MatchSettings, choose, hypotheses
+from mosca.match import MatchSettings, match
 from mosca.track import Tracker, TrackSettings
 from mosca.triangulate import bundle_rays
 
@@ -115,10 +115,9 @@ def run_sets(
         check_detections(detections, frame_set.pulse)
         clock.lap("detect")
         predicted = tracker.predict(frame_set.time_ns * 1e-9)
-        bundle = bundle_rays(rig, detections, settings.match.camera_sigma_px)
+        bundle = bundle_rays(rig, detections, health.noise.sigma_px, settings.match.target)
         clock.lap("predict")
-        groups = hypotheses(bundle, settings.match, volume, typical_diameter_m)
-        points = choose(groups, bundle, predicted, settings.match, typical_diameter_m)
+        points = match(bundle, predicted, settings.match, volume, typical_diameter_m)
         typical_diameter_m = learned_diameter(typical_diameter_m, points)
         clock.lap("match")
         samples = tracker.update(points, frame_set.pulse, frame_set.time_ns)

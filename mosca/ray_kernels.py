@@ -19,6 +19,21 @@ MOSCA, OPENCV, FISHEYE = 0, 1, 2
 FOLD, TILTED, TILT, UNTILT, WIDTH = 20, 21, 22, 31, 40
 """Places in a camera's row of lens parameters: the first 18 are the lens's fields in their order."""
 NEWTON_STEPS = 30
+DIRECTION, WHITE, SPREAD, NORMAL, SIGMA, RADIUS, ANGLE, BONUS, FLAGS, COLUMNS = (
+    0,
+    3,
+    9,
+    15,
+    24,
+    25,
+    26,
+    27,
+    28,
+    29,
+)
+"""Columns of the table of rays; see ``mosca.triangulate.Bundle``."""
+ORIGIN, ROTATION, DENSITY, VIEW = 0, 3, 12, 13
+"""Columns of the table of cameras; see ``mosca.triangulate.Bundle``."""
 LONG = 1.6
 """Ratio of a box's sides from which an image is taken for two targets (a small disc's box reaches 3 : 2)."""
 LEAST_DIAMETER_PX = 0.5
@@ -30,8 +45,8 @@ class RigTable:
     """A rig as the kernels read it.
 
     ``kind`` (c,) lens model; ``lens`` (c, WIDTH) its parameters; ``size`` (c, 2) of the image [px]; ``rotation``
-    (c, 3, 3) and ``origin`` (c, 3) of world_from_camera [m]; ``pairs`` (p, 2) of cameras, those first whose base
-    lies most across both views.
+    (c, 3, 3) and ``origin`` (c, 3) of world_from_camera [m]; ``views`` (c, 12) both, origin
+    first; ``pairs`` (p, 2) of cameras, those first whose base lies most across both views.
     """
 
     kind: Array
@@ -39,6 +54,7 @@ class RigTable:
     size: Array
     rotation: Array
     origin: Array
+    views: Array
     pairs: Array
 
 
@@ -54,6 +70,7 @@ def rig_table(rig: Rig) -> RigTable:
         np.array([(c.width, c.height) for c in rig.cameras], dtype=float).reshape(-1, 2),
         np.ascontiguousarray(rotation),
         np.ascontiguousarray(origin),
+        np.column_stack([origin, rotation.reshape(-1, 9)]),
         _ordered_pairs(rotation, origin),
     )
 
@@ -228,10 +245,22 @@ def fisheye_ray(p, u, v, d, g):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def fill_rays(  # type: ignore[no-untyped-def]
-    kind, lens, size, rotation, origin, start, fields, xy, covariance, sigma2, diameter, elongation,
-    direction, white, spread, normal, sigma, radius, angle,
-):  # fmt: skip
-    """Fill the columns of ``mosca.triangulate.Bundle`` from the detections; NaN where a pixel has no ray.
+    kind,
+    lens,
+    size,
+    rotation,
+    origin,
+    start,
+    fields,
+    xy,
+    covariance,
+    sigma2,
+    diameter,
+    elongation,
+    flags,
+    rays,
+):
+    """Fill the table of rays (n, COLUMNS) from the detections; NaN where a pixel has no ray.
 
     ``fields``: (c, rows, columns, 2) the eccentricity of balls, or none of them: a ball's image, which fills
     the angle A, is shifted by (A/2)^2 times the field.
@@ -239,6 +268,7 @@ def fill_rays(  # type: ignore[no-untyped-def]
     d, local, g = np.empty(3), np.empty((2, 3)), np.empty((2, 3))
     for c in range(kind.shape[0]):
         turn = rotation[c]
+        density = (start[c + 1] - start[c]) / (size[c, 0] * size[c, 1])
         for n in range(start[c], start[c + 1]):
             u, v = xy[n, 0], xy[n, 1]
             if kind[c] == MOSCA:
@@ -252,16 +282,12 @@ def fill_rays(  # type: ignore[no-untyped-def]
             across = max(diameter[n] * longer, LEAST_DIAMETER_PX)
             s00, s01, s11 = covariance[n, 0, 0] + sigma2, covariance[n, 0, 1], covariance[n, 1, 1] + sigma2
             area = s00 * s11 - s01 * s01
-            radius[n], sigma[n] = 0.5 * across, max(area, 0.0) ** 0.25
             if not (good and s00 > 0.0 and area > 0.0):
-                direction[n], white[n], spread[n], normal[n], angle[n] = (
-                    np.nan,
-                    np.nan,
-                    np.nan,
-                    np.nan,
-                    np.nan,
-                )
+                rays[n] = np.nan
                 continue
+            rays[n, RADIUS], rays[n, SIGMA], rays[n, FLAGS] = 0.5 * across, area**0.25, flags[n]
+            # what a ray adds to the likelihood of a group: its image by the target against one by chance anywhere
+            rays[n, BONUS] = -np.log(2.0 * np.pi * np.sqrt(area) * density)
             # the image of a direction of the world
             for row in range(2):
                 for k in range(3):
@@ -269,59 +295,57 @@ def fill_rays(  # type: ignore[no-untyped-def]
                         local[row, 0] * turn[k, 0] + local[row, 1] * turn[k, 1] + local[row, 2] * turn[k, 2]
                     )
             for k in range(3):
-                direction[n, k] = turn[k, 0] * d[0] + turn[k, 1] * d[1] + turn[k, 2] * d[2]
+                rays[n, DIRECTION + k] = turn[k, 0] * d[0] + turn[k, 1] * d[1] + turn[k, 2] * d[2]
             q00 = g[0, 0] * g[0, 0] + g[0, 1] * g[0, 1] + g[0, 2] * g[0, 2]
             q01 = g[0, 0] * g[1, 0] + g[0, 1] * g[1, 1] + g[0, 2] * g[1, 2]
             q11 = g[1, 0] * g[1, 0] + g[1, 1] * g[1, 1] + g[1, 2] * g[1, 2]
             det = q00 * q11 - q01 * q01
             # px a radian across the ray: the geometric mean of both axes
-            angle[n] = across / det**0.25
+            rays[n, ANGLE] = across / det**0.25
             l00 = np.sqrt(s00)
             l10 = s01 / l00
             l11 = np.sqrt(s11 - l10 * l10)
             shift_x = shift_y = 0.0
             if fields.shape[0] > 0:
-                ratio = 0.25 * angle[n] * angle[n]
+                ratio = 0.25 * rays[n, ANGLE] ** 2
                 shift_x, shift_y = _field(fields[c], size[c], u, v)
                 shift_x, shift_y = shift_x * ratio, shift_y * ratio
             for k in range(3):
-                white[n, 0, k] = g[0, k] / l00
-                white[n, 1, k] = (g[1, k] - l10 * white[n, 0, k]) / l11
+                first = g[0, k] / l00
+                rays[n, WHITE + k], rays[n, WHITE + 3 + k] = first, (g[1, k] - l10 * first) / l11
                 # direction by pixel: the pseudo-inverse G' (G G')^-1
                 tx = (g[0, k] * q11 - g[1, k] * q01) / det
                 ty = (g[1, k] * q00 - g[0, k] * q01) / det
-                spread[n, k, 0] = tx * l00 + ty * l10
-                spread[n, k, 1] = ty * l11
-                direction[n, k] -= tx * shift_x + ty * shift_y
+                rays[n, SPREAD + 2 * k] = tx * l00 + ty * l10
+                rays[n, SPREAD + 2 * k + 1] = ty * l11
+                rays[n, DIRECTION + k] -= tx * shift_x + ty * shift_y
             if fields.shape[0] > 0:
-                _turn_with(white[n], direction[n])
-            _normals(white[n], origin[c], normal[n])
+                _turn_with(rays[n])
+            _normals(rays[n], origin[c])
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _normals(white, origin, normal):  # type: ignore[no-untyped-def]
-    """Fill ``normal`` (9,): A'A (xx, xy, xz, yy, yz, zz) of ``white`` A (2, 3), and A'A times the origin."""
-    k = 0
+def _normals(ray, origin):  # type: ignore[no-untyped-def]
+    """Fill a ray's share in the normal equations: A'A (xx, xy, xz, yy, yz, zz), and A'A times the origin."""
+    k = NORMAL
     for p in range(3):
         for q in range(p, 3):
-            normal[k] = white[0, p] * white[0, q] + white[1, p] * white[1, q]
+            ray[k] = ray[WHITE + p] * ray[WHITE + q] + ray[WHITE + 3 + p] * ray[WHITE + 3 + q]
             k += 1
     x, y, z = origin[0], origin[1], origin[2]
-    normal[6] = normal[0] * x + normal[1] * y + normal[2] * z
-    normal[7] = normal[1] * x + normal[3] * y + normal[4] * z
-    normal[8] = normal[2] * x + normal[4] * y + normal[5] * z
+    ray[k] = ray[NORMAL] * x + ray[NORMAL + 1] * y + ray[NORMAL + 2] * z
+    ray[k + 1] = ray[NORMAL + 1] * x + ray[NORMAL + 3] * y + ray[NORMAL + 4] * z
+    ray[k + 2] = ray[NORMAL + 2] * x + ray[NORMAL + 4] * y + ray[NORMAL + 5] * z
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _turn_with(white, direction):  # type: ignore[no-untyped-def]
-    """Make ``white`` (2, 3) count errors from a moved direction: its product with that is zero."""
-    norm2 = direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2
-    for row in range(2):
-        along = (
-            white[row, 0] * direction[0] + white[row, 1] * direction[1] + white[row, 2] * direction[2]
-        ) / norm2
+def _turn_with(ray):  # type: ignore[no-untyped-def]
+    """Make the whitened errors of a ray count from its moved direction: their product with that is zero."""
+    norm2 = ray[0] ** 2 + ray[1] ** 2 + ray[2] ** 2
+    for row in (WHITE, WHITE + 3):
+        along = (ray[row] * ray[0] + ray[row + 1] * ray[1] + ray[row + 2] * ray[2]) / norm2
         for k in range(3):
-            white[row, k] -= along * direction[k]
+            ray[row + k] -= along * ray[k]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

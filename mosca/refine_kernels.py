@@ -11,6 +11,7 @@ import numba
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.detect_memory import image_at
 
 # As in mosca.detect_kernels: a cached kernel and all its steps stand in one file. Re-ordered sums are wanted
 # here: they let the compiler add eight pixels at once. NaN and infinity must stay what they are.
@@ -18,8 +19,13 @@ _FAST = {"nogil": True, "error_model": "numpy", "fastmath": {"reassoc", "nsz", "
 kernel = numba.njit(cache=True, **_FAST)
 step = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_FAST)
 
-X, Y, XX, XY, YY, DIAMETER, PEAK, ELONGATION, FLAGS, BLUR, BLUR_INFO, MISFIT, LIGHT_X, LIGHT_Y = range(14)
-N_COLUMNS = 14
+X, Y, XX, XY, YY, DIAMETER, PEAK, ELONGATION, FLAGS, BLUR, BLUR_INFO, MISFIT, ROUGH = range(13)
+N_COLUMNS = 13
+
+# What an image teaches: counts and sums, see mosca.refine.
+N_TARGETS, BLUR_SUM, BLUR_WEIGHT, ROUGH_SUM, N_LIGHT = range(5)
+N_TALLIES, N_TERMS = 5, 9
+EACH = 16  # every so many targets the light's centroid is taken
 
 SATURATED, MERGED, PARTIAL, UNREFINED = 1, 2, 4, 8
 
@@ -139,44 +145,40 @@ def below_edge(t: float) -> float:
 
 
 @step
-def region_sums(image: Array, runs: Array, full: int) -> tuple[Any, ...]:
-    """Return a region's box, pixels, peak, saturated pixels and sums of v (1, x, y, xx, xy, yy) about its corner."""
-    top, bottom = runs[0, 0], runs[-1, 0]
-    left, right = runs[0, 1], runs[0, 2]
-    for i in range(1, len(runs)):
+def box_of(runs: Array) -> tuple[tuple[Any, Any, Any, Any], Any]:
+    """Return a region's left, right, top and bottom pixel, and its number of pixels."""
+    left, right, n = runs[0, 1], runs[0, 2], np.int64(0)
+    for i in range(len(runs)):
         left = min(left, runs[i, 1])
         right = max(right, runs[i, 2])
-    n = s = sx = sy = sxx = sxy = syy = peak = n_full = np.int64(0)
-    nx = ny = nxx = nxy = nyy = np.int64(0)
+        n += runs[i, 2] - runs[i, 1]
+    return (np.int64(left), np.int64(right - 1), np.int64(runs[0, 0]), np.int64(runs[-1, 0])), n
+
+
+@step
+def region_sums(image: Array, runs: Array, place: tuple[int, int], full: float) -> tuple[Any, ...]:
+    """Do as ``window_sums`` for the pixels of a region, about the pixel ``place``."""
+    ones = ux = uy = uxx = uxy = uyy = ZERO
+    s = sx = sy = sxx = sxy = syy = peak = n_full = ZERO
     for i in range(len(runs)):
-        row, first, end = image[runs[i, 0]], runs[i, 1], runs[i, 2]
-        v = np.int64(runs[i, 0] - top)
-        r0 = r1 = r2 = np.int64(0)
-        u0 = u1 = u2 = np.int64(0)
-        for column in range(first, end):
-            value, u = np.int64(row[column]), np.int64(column - left)
-            r0 += value
-            r1 += value * u
-            r2 += value * u * u
-            u1 += u
-            u2 += u * u
-            peak = max(peak, value)
-            n_full += value >= full
-        u0 = np.int64(end - first)
-        n += u0
-        nx += u1
-        ny += v * u0
-        nxx += u2
-        nxy += v * u1
-        nyy += v * v * u0
-        s += r0
-        sx += r1
-        sy += v * r0
-        sxx += r2
-        sxy += v * r1
-        syy += v * v * r0
-    box = (left, right - 1, top, bottom)
-    return box, peak, n_full, (n, nx, ny, nxx, nxy, nyy), (s, sx, sy, sxx, sxy, syy)
+        py = f32(runs[i, 0] - place[1])
+        for column in range(runs[i, 1], runs[i, 2]):
+            light, px = f32(image[runs[i, 0], column]), f32(column - place[0])
+            ones += ONE
+            ux += px
+            uy += py
+            uxx += px * px
+            uxy += px * py
+            uyy += py * py
+            s += light
+            sx += light * px
+            sy += light * py
+            sxx += light * px * px
+            sxy += light * px * py
+            syy += light * py * py
+            peak = max(peak, light)
+            n_full += ONE if light >= f32(full) else ZERO
+    return peak, n_full, (ones, ux, uy, uxx, uxy, uyy), (s, sx, sy, sxx, sxy, syy)
 
 
 @step
@@ -229,39 +231,60 @@ OWN, OUT = 1, 2
 
 
 @step
-def gather(
-    image: Array,
-    place: tuple[int, int],
-    shape: tuple[float, float, float],
-    around: tuple[float, float],
-    reach: float,
-    floor: int,
-    xyv: tuple[Array, Array, Array],
-) -> tuple[int, int]:
-    """Copy the pixels around the pixel ``place`` that lie within ``reach`` of a target, and count those above floor.
-
-    Pixel offsets are turned by the symmetric matrix ``shape`` (xx, xy, yy), in which the target is round, and
-    ``around`` is its middle beside ``place`` there. Returns the number of pixels and of bright ones.
-    """
+def gather(image: Array, place: tuple[int, int], reach: float, xyv: tuple[Array, Array, Array]) -> int:
+    """Copy the pixels within ``reach`` of the pixel ``place``, and their offsets from it; return how many."""
     x, y, v = xyv
-    m0, m1, m2 = f32(shape[0]), f32(shape[1]), f32(shape[2])
     height, width = image.shape
     column, row = place
-    n, bright = 0, 0
-    first_row, end_row = rows_within(shape, around, reach)
-    for j in range(max(row + first_row, 0), min(row + end_row, height)):
-        first, end = span_within(shape, around, reach, j - row)
-        first, end = max(column + first, 0), min(column + end, width)
-        line = image[j]
+    n = 0
+    whole = np.int64(reach)
+    reach2 = f32(reach * reach)
+    for j in range(max(row - whole, 0), min(row + whole + 1, height)):
         fy = f32(j - row)
-        for i in range(first, end):
-            fx = f32(i - column)
-            x[n + i - first] = m0 * fx + m1 * fy
-            y[n + i - first] = m1 * fx + m2 * fy
-            v[n + i - first] = f32(line[i])
-            bright += line[i] > floor
-        n += max(end - first, 0)
-    return n, bright
+        half = np.int64(math.sqrt(max(reach2 - fy * fy, ZERO)))
+        first, end = max(column - half, 0), min(column + half + 1, width)
+        line = image[j]
+        if first + (end - first + 7) // 8 * 8 <= width:
+            # eight at a time; what is written beyond the end is overwritten by the next row
+            for k in range(first, end, 8):
+                at = n + k - first
+                for i in range(8):
+                    x[np.uint64(at + i)] = f32(k - column + i)
+                    y[np.uint64(at + i)] = fy
+                    v[np.uint64(at + i)] = f32(line[np.uint64(k + i)])
+        else:
+            for k in range(first, end):
+                x[n + k - first], y[n + k - first], v[n + k - first] = f32(k - column), fy, f32(line[k])
+        n += end - first
+    return n
+
+
+@step
+def window_sums(n: int, xyv: tuple[Array, Array, Array], threshold: int, full: float) -> tuple[Any, ...]:
+    """Return peak, number of saturated pixels and sums (1, x, y, xx, xy, yy), plain and times v, above a threshold."""
+    x, y, v = xyv
+    limit, top = f32(threshold), f32(full)
+    ones = ux = uy = uxx = uxy = uyy = ZERO
+    s = sx = sy = sxx = sxy = syy = peak = n_full = ZERO
+    for i in range(n):
+        inside = ONE if v[i] > limit else ZERO
+        light = inside * v[i]
+        px, py = x[i], y[i]
+        ones += inside
+        ux += inside * px
+        uy += inside * py
+        uxx += inside * px * px
+        uxy += inside * px * py
+        uyy += inside * py * py
+        s += light
+        sx += light * px
+        sy += light * py
+        sxx += light * px * px
+        sxy += light * px * py
+        syy += light * py * py
+        peak = max(peak, v[i])
+        n_full += ONE if v[i] >= top else ZERO
+    return peak, n_full, (ones, ux, uy, uxx, uxy, uyy), (s, sx, sy, sxx, sxy, syy)
 
 
 @step
@@ -274,7 +297,11 @@ def gather_unmarked(
     marks: tuple[Array, int, int],
     xyv: tuple[Array, Array, Array],
 ) -> int:
-    """Do as ``gather`` for the pixels that ``blank`` leaves. ``marks``: its ``out``, first column and row."""
+    """Copy the pixels that ``blank`` leaves and that lie within ``reach`` of a target; return how many.
+
+    Pixel offsets from ``place`` are turned by the symmetric matrix ``shape`` (xx, xy, yy), in which the target is
+    round, and ``around`` is its middle there. ``marks``: the ``out`` of ``blank``, its first column and row.
+    """
     x, y, v = xyv
     height, width = image.shape
     out, left, top = marks
@@ -378,8 +405,8 @@ MOST_STEPS = 9
 
 @step
 def upright(sums_of_one: Any, sums_of_v: Any, level: float) -> tuple[float, float, float, float, float, float]:
-    """Return flux, centroid (from the box's corner) and central second moments (xx, xy, yy) above a level."""
-    flux = sums_of_v[0] - level * sums_of_one[0]
+    """Return flux, centroid (from the origin of the sums) and central second moments (xx, xy, yy) above a level."""
+    flux = max(sums_of_v[0] - level * sums_of_one[0], 1e-6)
     x = (sums_of_v[1] - level * sums_of_one[1]) / flux
     y = (sums_of_v[2] - level * sums_of_one[2]) / flux
     xx = (sums_of_v[3] - level * sums_of_one[3]) / flux - x * x
@@ -419,18 +446,32 @@ def refine_region(
     model: Model,
     xyv: tuple[Array, Array, Array],
     marks: Array,
+    learned: Array,
+    usual_rough: float,
+    light: bool,
     out: Array,
+    terms: Array,
+    tally: Array,
+    normal: Array,
+    right_side: Array,
 ) -> None:
-    """Fit one region and write its row of the table."""
-    box, peak, n_full, ones, greys = region_sums(image, runs, model.full_dn)
+    """Fit one region and write its row of the table; add to the sums what it teaches."""
+    box, n_px = box_of(runs)
     left, right, top, bottom = box
-    n_px = ones[0]
+    size_x, size_y = right - left + 1, bottom - top + 1
+    most = 0.5 * len(marks) - 2.0  # what the scratch arrays hold
     level = min(corner_level(image, box, floor), float(threshold))
-    _, cx, cy, xx, xy, yy = upright(ones, greys, level)
-    column, row = int(round(left + cx)), int(round(top + cy))
-    ax, ay = left + cx - column, top + cy - row
+    # the whole of a lonely round target is copied once; its box reaches past the edge by about 1.2 blurs
+    column, row = (left + right + 1) // 2, (top + bottom + 1) // 2
+    n = gather(image, (column, row), min(0.5 * max(size_x, size_y) + 2.0 * blur[0] + 0.7, most), xyv)
+    peak, n_full, ones, greys = window_sums(n, xyv, floor, model.full_dn)
+    crowded = int(ones[0]) != n_px
+    if crowded:
+        peak, n_full, ones, greys = region_sums(image, runs, (column, row), model.full_dn)
+    _, ax, ay, xx, xy, yy = upright(ones, greys, level)
     shape = stretch(xx, xy, yy, 0.5 * blur[0] * blur[0], n_px)
     m0, m1, m2 = shape
+    plain = m1 == 0.0 and m0 == m2
 
     # amplitude and radius from peak, area and threshold of the region
     amplitude = float(peak - level)
@@ -441,11 +482,9 @@ def refine_region(
         radius = max(radius, 0.4 * blur[0])
         amplitude = (peak - level) / below_edge(radius / blur[0])
     x0, y0 = m0 * ax + m1 * ay, m1 * ax + m2 * ay
-    reach = radius + 3.0 * blur[0] + 0.5
-    n, bright = gather(image, (column, row), shape, (x0, y0), reach, floor, xyv)
-    crowded = bright != n_px
-    if crowded or n_full > 0:
+    if crowded or n_full > 0 or not plain:
         first = blank(image, runs, (column, row), floor, model.full_dn, marks)
+        reach = min(radius + 3.0 * blur[0] + 0.5, most)
         n = gather_unmarked(
             image, (column, row), shape, (x0, y0), reach, (marks, first[0], first[1]), xyv
         )
@@ -456,60 +495,156 @@ def refine_region(
     det = m0 * m2 - m1 * m1
     i0, i1, i2 = m2 / det, -m1 / det, m0 / det
     px, py = column + i0 * x0 + i1 * y0, row + i1 * x0 + i2 * y0
-    inside = left - 1.0 <= px <= right + 1.0 and top - 1.0 <= py <= bottom + 1.0
-    out[X], out[Y] = px, py
+    good = good and left - 1.0 <= px <= right + 1.0 and top - 1.0 <= py <= bottom + 1.0
     u0, u1, w0, w1 = i0 * c[0] + i1 * c[1], i0 * c[1] + i1 * c[2], i1 * c[0] + i2 * c[1], i1 * c[1] + i2 * c[2]
     out[XX], out[XY], out[YY] = u0 * i0 + u1 * i1, u0 * i1 + u1 * i2, w0 * i1 + w1 * i2
-    out[DIAMETER] = 2.0 * radius
+    half = math.sqrt(radius * radius + s * s)  # of the disc that has the flux of this blurred edge
+    out[DIAMETER] = 2.0 * half
     out[PEAK] = peak
-    size_x, size_y = right - left + 1, bottom - top + 1
     out[ELONGATION] = max(size_x, size_y) / min(size_x, size_y)
-    out[FLAGS] = (SATURATED if n_full > 0 else 0) + (0 if good and inside else UNREFINED)
-    out[MISFIT] = chi2 / max(n - 6, 1)
-    # what the data alone say of the blur; from clean targets only
-    posterior = 1.0 / (1.0 / blur_variance + 1.0 / (blur[1] * blur[1]))
-    clean = good and inside and not crowded and n_full == 0 and m1 == 0.0 and m0 == m2
-    out[BLUR_INFO] = 1.0 / blur_variance if clean and blur_variance < 1e6 else 0.0
-    out[BLUR] = (s / posterior - blur[0] / (blur[1] * blur[1])) * blur_variance if clean else 0.0
+    out[FLAGS] = (SATURATED if n_full > 0 else 0) + (0 if good else UNREFINED)
+    misfit = chi2 / max(n - 6, 1)
+    # misfit beyond the noise, over the squared amplitude: of a good model about (2 %)^2
+    rough = max(misfit - 1.0, 0.0) * (model.dark_dn2 + model.gain_dn * amplitude) / (amplitude * amplitude)
+    out[MISFIT], out[ROUGH] = misfit, rough
+    out[BLUR_INFO] = out[BLUR] = 0.0
+    if good and plain and not crowded and n_full == 0:
+        tally[N_TARGETS] += 1.0
+        tally[ROUGH_SUM] += min(rough, 4.0 * usual_rough + 1e-4)
+        if blur_variance < 1.0:
+            # what the data alone say of the blur; no single target outweighs others by its brightness
+            information = 1.0 / (blur_variance + 9e-4)
+            posterior = 1.0 / (1.0 / blur_variance + 1.0 / (blur[1] * blur[1]))
+            out[BLUR_INFO] = information
+            out[BLUR] = (s / posterior - blur[0] / (blur[1] * blur[1])) * blur_variance
+            tally[BLUR_SUM] += information * out[BLUR]
+            tally[BLUR_WEIGHT] += information
+        if light and rough < 6.0 * usual_rough + 0.002:
+            around = (x0, y0)
+            teach_light(
+                image, (column, row), around, min(half + 4.5 * s, most), floor, n_px, level, c, half, xyv, terms,
+                tally, normal, right_side,
+            )  # fmt: skip
+    set_terms(image, px, py, half, terms)
+    for k in range(2 * N_TERMS // 3):
+        px += learned[k, 0] * terms[k]
+        py += learned[k, 1] * terms[k]
+    out[X], out[Y] = px, py
+
+
+@step
+def set_terms(image: Array, x: float, y: float, radius: float, terms: Array) -> None:
+    """Write (1, 1 / R, R) x (1, u, v) to ``terms``, u and v from the image's middle in half widths."""
+    height, width = image.shape
+    u, v = 2.0 * x / width - 1.0, (2.0 * y - height) / width
+    for k in range(3):
+        size = 1.0 if k == 0 else (2.0 / radius if k == 1 else 0.25 * radius)
+        terms[3 * k], terms[3 * k + 1], terms[3 * k + 2] = size, size * u, size * v
+
+
+@step
+def teach_light(
+    image: Array,
+    place: tuple[int, int],
+    around: tuple[float, float],
+    reach: float,
+    floor: int,
+    n_px: int,
+    level: float,
+    variance: tuple[float, float, float],
+    radius: float,
+    xyv: tuple[Array, Array, Array],
+    terms: Array,
+    tally: Array,
+    normal: Array,
+    right_side: Array,
+) -> None:
+    """Add how far the centroid of a target's whole light lies from the fitted place, unless others shine there."""
+    n = gather(image, place, reach, xyv)
+    x, y, v = xyv
+    bright, limit = 0, f32(floor)
+    for i in range(n):
+        bright += v[i] > limit
+    if bright != n_px:
+        return
+    # the background from the outer ring
+    inner2 = f32((reach - 1.2) ** 2)
+    ax, ay, base = f32(around[0]), f32(around[1]), f32(level)
+    ring = n_ring = f32(0)
+    for i in range(n):
+        outside = (x[i] - ax) ** 2 + (y[i] - ay) ** 2 > inner2
+        ring += (v[i] - base) * outside
+        n_ring += ONE * outside
+    if n_ring < 8.0:
+        return
+    base += ring / n_ring
+    s = sx = sy = f32(0)
+    for i in range(n):
+        s += v[i] - base
+        sx += (v[i] - base) * (x[i] - ax)
+        sy += (v[i] - base) * (y[i] - ay)
+    dx, dy = float(sx / s), float(sy / s)
+    far2 = dx * dx + dy * dy
+    if not far2 < 1.0:
+        return
+    # about the variance of the difference, with a floor; what lies far off counts little
+    weight = 1.0 / ((variance[0] + variance[2] + 1e-4) * (1.0 + far2 / 0.04))
+    set_terms(image, place[0] + around[0], place[1] + around[1], radius, terms)
+    for i in range(N_TERMS):
+        for j in range(N_TERMS):
+            normal[i, j] += weight * terms[i] * terms[j]
+        right_side[i, 0] += weight * terms[i] * dx
+        right_side[i, 1] += weight * terms[i] * dy
+    tally[N_LIGHT] += 1.0
 
 
 @kernel
 def refine_regions(
-    images: Array, runs: Array, regions: Array, lowest: Array, blurs: Array, model: Model
-) -> tuple[Array, Array]:
+    addresses: Array,
+    like: Array,
+    size: tuple[int, int],
+    runs: Array,
+    regions: Array,
+    lowest: Array,
+    blurs: Array,
+    learned: Array,
+    rough: Array,
+    model: Model,
+) -> tuple[Array, Array, Array, Array, Array]:
     """Fit every region that does not touch its image's border.
 
-    ``runs``, ``regions`` and ``lowest`` are those of ``find_regions_in_set``; ``blurs`` (n images, 2): prior mean
-    and standard deviation of the blur [px]. Returns a table (n, N_COLUMNS) and the image of each row (n).
+    ``addresses``, ``like`` and ``size``: the images, as in ``mosca.detect_scan.scan_set``; ``runs``, ``regions`` and
+    ``lowest`` are those of ``find_regions_in_set``; ``blurs`` (n images, 2): prior mean
+    and standard deviation of the blur [px]; ``learned`` (n images, N_TERMS, 2): offsets by place and size;
+    ``rough`` (n images,): usual misfit. Returns a table (n, N_COLUMNS), the image of each row (n), and what each
+    image teaches: tallies (n images, N_TALLIES), normal matrices and right sides of the offsets.
     """
-    height, width = images.shape[1:]
+    height, width = size
+    n_images = len(addresses)
     table = np.empty((len(regions), N_COLUMNS))
     image_of = np.empty(len(regions), np.int32)
+    tally = np.zeros((n_images, N_TALLIES))
+    normal, right_side = np.zeros((n_images, N_TERMS, N_TERMS)), np.zeros((n_images, N_TERMS, 2))
+    terms = np.empty(N_TERMS)
     largest = 0
     for r in range(len(regions)):
-        own = runs[regions[r, 1] : regions[r, 2]]
-        for i in range(len(own)):
-            largest = max(largest, own[i, 2] - own[0, 1], own[0, 1] - own[i, 1], own[i, 2] - own[i, 1])
-        largest = max(largest, own[-1, 0] - own[0, 0] + 1)
-    widest = 0.0
-    for i in range(len(blurs)):
-        widest = max(widest, blurs[i, 0])
-    side = 2 * (largest + math.ceil(3.0 * widest) + 4) + 1
+        box, _ = box_of(runs[regions[r, 1] : regions[r, 2]])
+        largest = max(largest, box[1] - box[0] + 1, box[3] - box[2] + 1)
+    # the widest window: a region, and the blur that the fit may reach (see fit_disc)
+    side = 2 * (largest + 30) + 1
     xyv = (np.empty(side * side, f32), np.empty(side * side, f32), np.empty(side * side, f32))
     marks = np.empty((side, side), np.uint8)
     n = 0
     for r in range(len(regions)):
         own = runs[regions[r, 1] : regions[r, 2]]
-        left, right = own[0, 1], own[0, 2]
-        for i in range(1, len(own)):
-            left = min(left, own[i, 1])
-            right = max(right, own[i, 2])
-        if own[0, 0] == 0 or left == 0 or own[-1, 0] == height - 1 or right == width:
+        box, _ = box_of(own)
+        if box[0] == 0 or box[1] == width - 1 or box[2] == 0 or box[3] == height - 1:
             continue
         k = regions[r, 0]
         refine_region(
-            images[k], own, regions[r, 3], lowest[k], (blurs[k, 0], blurs[k, 1]), model, xyv, marks, table[n]
-        )
+            image_at(addresses[k], like, height, width), own, regions[r, 3], lowest[k], (blurs[k, 0], blurs[k, 1]), model, xyv, marks, learned[k],
+            rough[k], r % EACH == 0, table[n], terms, tally[k], normal[k], right_side[k],
+        )  # fmt: skip
         image_of[n] = k
         n += 1
-    return table[:n], image_of[:n]
+    return table[:n], image_of[:n], tally, normal, right_side

@@ -21,13 +21,15 @@ from mosca.track_assign import best_pairs
 from mosca.track_filter import carry, correct, expected
 from mosca.track_limbs import expect, learn, pairs, recall, take_over
 from mosca.track_motion import motion
-from mosca.track_state import CONFIRMED, IDENTITY, TENTATIVE, TOP, grown, new_bank, new_limbs
+from mosca.track_state import CONFIRMED, FREE, IDENTITY, TENTATIVE, TOP, grown, new_bank, new_limbs
 
 FIRST_SLOTS = 64
-CALMEST, WILDEST = 0.2, 3.0
-"""Limits of a target's learned acceleration, in those that the settings expect."""
+CALMEST, WILDEST, OUTBURST = 0.2, 4.0, 6.0
+"""Limits of a target's learned acceleration and what it may do beyond that, in those that the settings expect."""
 SURE = 1.5
 """Cameras that must count in full for a sighting that teaches distances."""
+FASTEST = 4.0
+"""Speed at which a lost target may come back, in those that the settings expect."""
 CONVINCING = 6.0
 """Log-likelihood ratio of distances by which a lost target is known again."""
 
@@ -43,7 +45,8 @@ class TrackSettings:
     from half as far, with an image of odd size from a quarter (two cameras agree by chance, and the gate of a target
     long unseen admits many such chances). ``confirm_weight``: weight of sightings that confirms a target.
     ``coast_s``: how long a target is predicted by its own motion without being seen. ``remember_s``: how long a
-    lost one can come back under its identity. ``limb_m``: how far its limb mates may be; 0: none are
+    lost one can come back under its identity. ``name_wait_s``: how long a new target that may be a lost one waits for
+    its name; its samples leave when it has one. ``limb_m``: how far its limb mates may be; 0: none are
     learned (particles).
     """
 
@@ -56,6 +59,7 @@ class TrackSettings:
     confirm_weight: float = 5.0
     coast_s: float = 0.25
     remember_s: float = 60.0
+    name_wait_s: float = 0.2
     limb_m: float = 0.6
 
 
@@ -88,15 +92,15 @@ class Tracker:
         self._make_room(len(points))
         bank = self._bank
         slot_of = self._assigned(points)
-        confirmed = correct(
+        nameless = correct(
             bank, slot_of, points.xyz, points.covariance, points.trusted, time_ns * 1e-9,
             3 if s.model == "acceleration" else 2, (CALMEST * s.acceleration_mps2) ** 2,
             (WILDEST * s.acceleration_mps2) ** 2, s.speed_mps, s.confirm_weight, SURE,
         )  # fmt: skip
         serial = bank.serial[slot_of]
-        named = self._named(slot_of) if confirmed else {}
+        named = self._named(slot_of) if nameless else {}
         if s.limb_m > 0.0:
-            learn(bank, self._limbs, s.limb_m)
+            learn(bank, self._limbs, self._step_s, s.limb_m)
         n = len(points)
         now = Samples(
             np.full(n, frame), np.full(n, time_ns), bank.identity[slot_of], points.xyz, points.covariance,
@@ -113,11 +117,10 @@ class Tracker:
         """Return which target (slot) each point goes to, or -1; confirmed targets choose first."""
         s, bank = self.settings, self._bank
         slot_of = np.full(len(points), -1)
-        agility = 0.5 * s.acceleration_mps2 * self._step_s**2
         for state in (CONFIRMED, TENTATIVE):
             slots, rows, worth = pairs(
                 bank, self._limbs, points.xyz, points.covariance, points.trusted, slot_of, state,
-                s.gate_sigma, s.gate_m, agility,
+                s.gate_sigma, s.gate_m, OUTBURST * s.acceleration_mps2, self._time_s,
             )  # fmt: skip
             if len(slots):
                 chosen = best_pairs(slots, rows, worth, int(bank.numbers[TOP]), len(points))
@@ -130,13 +133,18 @@ class Tracker:
         Returns serial -> identity; ``slot_of`` follows a target to the slot that it had.
         """
         bank, s = self._bank, self.settings
-        top, named = int(bank.numbers[TOP]), {}
+        top, named, now = int(bank.numbers[TOP]), {}, self._time_s
         for slot in np.flatnonzero((bank.state[:top] == CONFIRMED) & (bank.identity[:top] < 0)):
-            serial = int(bank.serial[slot])
-            old = recall(bank, self._limbs, slot, CONVINCING, s.limb_m) if s.limb_m > 0.0 else -1
+            serial, old, possible = int(bank.serial[slot]), -1, False
+            if s.limb_m > 0.0:
+                old, possible = recall(
+                    bank, self._limbs, slot, now, CONVINCING, s.limb_m, FASTEST * s.speed_mps
+                )
             if old >= 0:
                 take_over(bank, old, slot)
                 slot_of[slot_of == slot] = old
+            elif possible and now - bank.born_s[slot] < s.name_wait_s:
+                continue
             else:
                 old = slot
                 bank.identity[slot] = bank.numbers[IDENTITY]
@@ -154,9 +162,9 @@ class Tracker:
             certain.append(samples.select(samples.track >= 0))
         certain.append(now.select(now.track >= 0))
         bank = self._bank
-        tentative = bank.serial[bank.state == TENTATIVE]
+        nameless = bank.serial[(bank.state != FREE) & (bank.identity < 0)]
         self._waiting.append((now, serial))
-        kept = [(s, k, (s.track < 0) & np.isin(k, tentative)) for s, k in self._waiting]
+        kept = [(s, k, (s.track < 0) & np.isin(k, nameless)) for s, k in self._waiting]
         self._waiting = [(s.select(rows), k[rows]) for s, k, rows in kept if rows.any()]
         return joined(certain)
 

@@ -17,6 +17,8 @@ LEARNING = 0.12
 """How fast the variance of acceleration follows the innovations (its logarithm, an instant)."""
 LOUDEST = 4.0
 """A normalised innovation counts up to this many times what is expected."""
+OUTBURST = 16.0
+"""Normalised innovation squared from which the filter believed in itself too much (chance of 0.1 %)."""
 TENTATIVE_MISSES = 2
 """A tentative target that is so often not seen where it should be was none."""
 
@@ -64,18 +66,20 @@ def correct(  # type: ignore[no-untyped-def]
     """Give each point to its target, ``slot_of`` (m,); a point without one (-1) begins a new target.
 
     ``slot_of`` is completed. ``lowest``, ``highest``: limits of the variance of acceleration. Returns how many
-    targets became confirmed now: those have state CONFIRMED and no identity yet.
+    confirmed targets have no identity yet.
     """
-    confirmed = 0
     for row in range(slot_of.shape[0]):
         i = slot_of[row]
         if i < 0:
             i = _begin(bank, xyz[row], covariance[row], speed, np.sqrt(lowest * highest))
+            bank.born_s[i] = time_s
             slot_of[row] = i
         elif bank.source[i] == BY_LIMB:
             _begin_again(bank, i, xyz[row], covariance[row], speed)
         else:
             nis = _correct_one(bank.mean[i], bank.covariance[i], xyz[row], covariance[row], 3 * order)
+            if nis > OUTBURST:
+                _loosen(bank.covariance[i], nis / OUTBURST, 3 * order)
             if bank.missed[i] == 0:
                 louder = min(nis / 3.0, LOUDEST) - 1.0
                 bank.variance[i] = min(max(bank.variance[i] * np.exp(LEARNING * louder), lowest), highest)
@@ -85,13 +89,14 @@ def correct(  # type: ignore[no-untyped-def]
         bank.weight[i] += max(0.0, trusted[row] - 1.0)
         if bank.state[i] == TENTATIVE and bank.weight[i] >= confirm_weight - 1e-9:
             bank.state[i] = CONFIRMED
-            confirmed += 1
+    nameless = 0
     for i in range(bank.numbers[TOP]):
         if bank.state[i] != FREE:
             bank.missed[i] += 1
+            nameless += bank.state[i] == CONFIRMED and bank.identity[i] < 0
             if bank.state[i] == TENTATIVE and bank.missed[i] >= TENTATIVE_MISSES:
                 _forget(bank, i)
-    return confirmed
+    return nameless
 
 
 @step
@@ -133,6 +138,15 @@ def _begin_again(bank, i, xyz, covariance, speed):  # type: ignore[no-untyped-de
         bank.covariance[i, 6 + a, 6 + a] = bank.variance[i]
         for b in range(3):
             bank.covariance[i, a, b] = covariance[a, b]
+
+
+@step
+def _loosen(covariance, factor, size):  # type: ignore[no-untyped-def]
+    """Widen what is known of velocity and acceleration; the measured position stays what it is."""
+    root = np.sqrt(factor)
+    for a in range(size):
+        for b in range(size):
+            covariance[a, b] *= (root if a >= 3 else 1.0) * (root if b >= 3 else 1.0)
 
 
 @step
@@ -178,6 +192,7 @@ def _correct_one(mean, covariance, xyz, noise, size):  # type: ignore[no-untyped
     i00, i01, i02 = c00 / det, c01 / det, c02 / det
     i11, i12, i22 = (s00 * s22 - s02 * s02) / det, (s01 * s02 - s00 * s12) / det, (s00 * s11 - s01 * s01) / det
     u, v, w = xyz[0] - mean[0], xyz[1] - mean[1], xyz[2] - mean[2]
+    nis = u * (i00 * u + i01 * v + i02 * w) + v * (i01 * u + i11 * v + i12 * w) + w * (i02 * u + i12 * v + i22 * w)
     gain, top = np.empty((9, 3)), np.empty((3, 9))
     for a in range(size):
         x, y, z = covariance[a, 0], covariance[a, 1], covariance[a, 2]
@@ -190,4 +205,4 @@ def _correct_one(mean, covariance, xyz, noise, size):  # type: ignore[no-untyped
         for b in range(a, size):
             p = covariance[a, b] - gain[a, 0] * top[0, b] - gain[a, 1] * top[1, b] - gain[a, 2] * top[2, b]
             covariance[a, b], covariance[b, a] = p, p
-    return u * (i00 * u + i01 * v + i02 * w) + v * (i01 * u + i11 * v + i12 * w) + w * (i02 * u + i12 * v + i22 * w)
+    return nis

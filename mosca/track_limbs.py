@@ -14,13 +14,19 @@ from mosca.track_state import BY_LIMB, BY_MOTION, CONFIRMED, FREE, MATES, NOWHER
 kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
 step = numba.njit(nogil=True, error_model="numpy")
 
-RIGID, UNPROVEN, PROVEN = 0.005, 0.15, 20.0
-"""Standard deviation of a distance over its length: at least, before anything is known, and how many instants
-halve the latter's weight."""
-WINDOW = 2000.0
-"""Instants over which distances are learned."""
-REFRESH = 32
-"""Each target looks for better mates once in so many instants."""
+RIGID, UNPROVEN, PROVEN_S = 0.005, 0.15, 0.2
+"""Standard deviation of a distance over its length: at least, before anything is known, and after how long
+the latter's variance is halved [s]."""
+UNFIT, LOOSE = 0.05, 0.15
+"""Standard deviation of a distance over its length from which another mate is tried, and from which it tells
+nothing."""
+RELAXED_S = 0.5
+"""How long a distance keeps its deviation from the mean [s]."""
+WINDOW_S = 20.0
+"""Time over which distances are learned [s]."""
+TAUGHT, REFRESH, EXCHANGED = 2, 12, 2
+"""Each target's distances are learned, and its photo taken, once in so many instants; after so many lessons it
+looks for better mates and exchanges so many of the worst."""
 SPIN_RADPS = 4.0
 """How fast a limb may turn about an axis that its visible markers do not show."""
 FOREIGN = 0.05
@@ -29,15 +35,19 @@ SEEN_BONUS = 8.0
 """-2 log of the chance that a target seen last is not seen now."""
 STRAINED = 16.0
 """Squared deviation of a distance, in variances, from which it is violated."""
+WILD_COST = 9.0
+"""-2 log of the chance that a target accelerates far beyond what it has shown."""
+CONTRADICTED = -2.0
+"""Log-likelihood ratio of distances below which a point is not a hidden target's."""
 
 
 @kernel
-def pairs(bank, limbs, xyz, covariance, trusted, used, state, gate_sigma, gate_m, agility_m):  # type: ignore[no-untyped-def]
+def pairs(bank, limbs, xyz, covariance, trusted, used, state, gate_sigma, gate_m, wild_mps2, time_s):  # type: ignore[no-untyped-def]
     """Return which targets in ``state`` and which unused points may be one: slots, rows and worth (k,).
 
     Worth: log-likelihood ratio (times 2) of "this target's point" against "a point of its own", points of their own
-    being as dense as one in a gate; at least 0 within the gates. ``agility_m``: how far a target may be from
-    its prediction by an acceleration never seen of it.
+    being as dense as one in a gate; at least 0 within the gates. ``wild_mps2``: acceleration beyond what a target has
+    shown, now and then; what is likelier counts.
     """
     top, m = bank.numbers[TOP], xyz.shape[0]
     room, n = 4 * (m + top) + 16, 0
@@ -61,8 +71,8 @@ def pairs(bank, limbs, xyz, covariance, trusted, used, state, gate_sigma, gate_m
         if bank.state[i] != state or bank.source[i] == NOWHERE:
             continue
         p, place = bank.place_covariance[i], bank.place[i]
-        extra = agility_m**2 if bank.source[i] == BY_MOTION else 0.0
-        reach = min(gate_m, gate_sigma * np.sqrt(p[0, 0] + p[1, 1] + p[2, 2] + 3.0 * extra + loosest))
+        wild = (0.5 * wild_mps2 * (time_s - bank.seen_s[i]) ** 2) ** 2 if bank.missed[i] == 0 else 0.0
+        reach = min(gate_m, gate_sigma * np.sqrt(p[0, 0] + p[1, 1] + p[2, 2] + 3.0 * wild + loosest))
         for k in range(np.searchsorted(along, place[axis] - reach), m):
             if along[k] > place[axis] + reach:
                 break
@@ -71,36 +81,42 @@ def pairs(bank, limbs, xyz, covariance, trusted, used, state, gate_sigma, gate_m
             evidence = min(max((trusted[r] - 1.0) / 2.0, 0.25), 1.0) if state == CONFIRMED else 1.0
             if used[r] >= 0 or x * x + y * y + z * z > min(reach, gate_m * evidence) ** 2:
                 continue
-            away, log_det = _mahalanobis(p, covariance[r], extra, x, y, z)
-            if away > gate_sigma**2:
+            value = -1.0
+            away, log_det = _mahalanobis(p, covariance[r], 0.0, x, y, z)
+            if away <= gate_sigma**2:
+                value = offset - away - log_det
+            if wild > 0.0 and away > WILD_COST:
+                away, log_det = _mahalanobis(p, covariance[r], wild, x, y, z)
+                if away <= gate_sigma**2:
+                    value = max(value, offset - away - log_det - WILD_COST)
+            if value <= 0.0:
                 continue
-            value = offset - away - log_det
             if bank.missed[i] == 0:
                 value += SEEN_BONUS
             else:
-                fits = _fits(bank, limbs, i, xyz[r], gate_m)
-                if fits < 0.0:
+                fits = _fits(bank, limbs, i, xyz[r], covariance[r], time_s - bank.seen_s[i], gate_m)
+                if fits < CONTRADICTED:
                     continue
-                value += 2.0 * fits
-            if value > 0.0:
-                if n == room:
-                    room *= 2
-                    slots, rows, worth = _longer(slots, rows, worth)
-                slots[n], rows[n], worth[n] = i, r, value
-                n += 1
+                value = max(value + 2.0 * fits, 0.1)
+            if n == room:
+                room *= 2
+                slots, rows, worth = _longer(slots, rows, worth)
+            slots[n], rows[n], worth[n] = i, r, value
+            n += 1
     return slots[:n], rows[:n], worth[:n]
 
 
 @kernel
-def learn(bank, limbs, reach_m):  # type: ignore[no-untyped-def]
+def learn(bank, limbs, step_s, reach_m):  # type: ignore[no-untyped-def]
     """Learn the distances of all targets just seen; take the photo; look for mates now and then."""
     bank.numbers[TICK] += 1
     tick = bank.numbers[TICK]
+    lesson_s = TAUGHT * max(step_s, 1e-6)
     for i in range(bank.numbers[TOP]):
-        if bank.state[i] != CONFIRMED or bank.missed[i] != 0:
+        if bank.state[i] != CONFIRMED or bank.missed[i] != 0 or (i + tick) % TAUGHT != 0:
             continue
-        if limbs.mate[i, 0] < 0 or (i + tick) % REFRESH == 0:
-            _look_for_mates(bank, limbs, i, reach_m, tick // REFRESH)
+        if limbs.mate[i, 0] < 0 or (i + tick) // TAUGHT % REFRESH == 0:
+            _look_for_mates(bank, limbs, i, reach_m, tick // (TAUGHT * REFRESH))
         if not bank.sure[i]:
             continue
         here, broken, known = bank.mean[i], 0, 0
@@ -111,22 +127,22 @@ def learn(bank, limbs, reach_m):  # type: ignore[no-untyped-def]
         for k in range(MATES):
             j = limbs.mate[i, k]
             limbs.taken[i, k] = False
-            if not _mate_is_seen(bank, limbs, i, k) or not bank.sure[j]:
+            if not _seen(bank.serial, bank.missed, limbs.mate[i, k], limbs.mate_serial[i, k]) or not bank.sure[j]:
                 continue
             there = bank.mean[j]
             limbs.taken[i, k] = True
             for a in range(3):
                 limbs.photo[i, k, a] = there[a]
             away = _distance(here, there) - limbs.length[i, k]
-            rate = 1.0 / min(limbs.count[i, k] + 1.0, WINDOW)
-            if limbs.count[i, k] > 2 * PROVEN:
+            rate = min(lesson_s / min(limbs.shown_s[i, k] + lesson_s, WINDOW_S), 1.0)
+            if limbs.shown_s[i, k] > 2 * PROVEN_S:
                 known += 1
-                if away * away > STRAINED * _spread2(bank, limbs, i, k):
+                if away * away > STRAINED * _spread2(limbs.length[i, k], limbs.variance[i, k], limbs.shown_s[i, k]):
                     broken += 1
                     rate *= 0.2
             limbs.variance[i, k] = (1.0 - rate) * (limbs.variance[i, k] + rate * away * away)
             limbs.length[i, k] += rate * away
-            limbs.count[i, k] += 1
+            limbs.shown_s[i, k] += lesson_s
         limbs.strain[i] = limbs.strain[i] + 1 if known >= 3 and 3 * broken >= 2 * known else 0
 
 
@@ -154,20 +170,26 @@ def expect(bank, limbs, time_s, step_s, coast_s, widest_m):  # type: ignore[no-u
 
 
 @kernel
-def recall(bank, limbs, i, least, range_m):  # type: ignore[no-untyped-def]
-    """Return the lost target whose distances slot ``i``, confirmed now, fulfils, or -1.
+def recall(bank, limbs, i, time_s, least, range_m, speed_mps):  # type: ignore[no-untyped-def]
+    """Return the lost target whose distances slot ``i``, not named yet, fulfils, and whether any can be meant.
 
-    ``least``: log-likelihood ratio that convinces; the second best must be as far behind as 3.
+    The former is -1 where none convinces: ``least`` is the log-likelihood ratio that does, the second best must be
+    behind by 3. A target can be meant if it could have come here from where it was lost.
     """
-    best, second, at = -np.inf, -np.inf, -1
+    best, second, at, possible = -np.inf, -np.inf, -1, False
     for j in range(bank.numbers[TOP]):
-        if bank.state[j] == CONFIRMED and bank.identity[j] >= 0 and bank.missed[j] > 0:
-            fits = _fits(bank, limbs, j, bank.mean[i], range_m)
-            if fits > best:
-                best, second, at = fits, best, j
-            elif fits > second:
-                second = fits
-    return at if best >= least and best > second + 3.0 else -1
+        if bank.state[j] != CONFIRMED or bank.identity[j] < 0 or bank.missed[j] == 0:
+            continue
+        hidden_s = time_s - bank.seen_s[j]
+        if _distance(bank.mean[i], limbs.own[j]) > range_m + speed_mps * hidden_s or bank.born_s[i] < bank.seen_s[j]:
+            continue
+        possible = True
+        fits = _fits(bank, limbs, j, bank.mean[i], bank.covariance[i], hidden_s, range_m)
+        if fits > best:
+            best, second, at = fits, best, j
+        elif fits > second:
+            second = fits
+    return (at if best >= least and best > second + 3.0 else -1), possible
 
 
 @kernel
@@ -180,29 +202,40 @@ def take_over(bank, old, new):  # type: ignore[no-untyped-def]
 
 
 @step
-def _fits(bank, limbs, i, point, range_m):  # type: ignore[no-untyped-def]
-    """Log-likelihood ratio that ``point`` is target ``i``, by its distances to the mates seen now."""
+def _fits(bank, limbs, i, point, noise, hidden_s, range_m):  # type: ignore[no-untyped-def]
+    """Log-likelihood ratio that ``point`` is target ``i``, by its distances to the mates seen now.
+
+    ``noise``: covariance of the point; ``hidden_s``: since the target was last seen.
+    """
+    own = (noise[0, 0] + noise[1, 1] + noise[2, 2]) / 3.0
+    # a distance goes back from what it was when last seen to its mean, and its variance grows (Ornstein-Uhlenbeck)
+    kept = np.exp(-hidden_s / RELAXED_S)
     total = 0.0
     for k in range(MATES):
-        if limbs.count[i, k] > PROVEN and _mate_is_seen(bank, limbs, i, k):
-            away = _distance(point, bank.mean[limbs.mate[i, k]]) - limbs.length[i, k]
-            spread2 = _spread2(bank, limbs, i, k)
+        if limbs.shown_s[i, k] > PROVEN_S and _seen(bank.serial, bank.missed, limbs.mate[i, k], limbs.mate_serial[i, k]):
+            length, spread2 = limbs.length[i, k], _spread2(limbs.length[i, k], limbs.variance[i, k], limbs.shown_s[i, k])
+            if limbs.taken[i, k]:
+                length += kept * (_distance(limbs.own[i], limbs.photo[i, k]) - length)
+                spread2 -= kept * kept * limbs.variance[i, k]
+            spread2 += own
+            if spread2 > (LOOSE * length) ** 2:
+                continue
+            away = _distance(point, bank.mean[limbs.mate[i, k]]) - length
             likely = np.exp(-0.5 * away * away / spread2) * range_m / np.sqrt(2.0 * np.pi * spread2)
             total += np.log((1.0 - FOREIGN) * min(likely, 1e6) + FOREIGN)
     return total
 
 
 @step
-def _mate_is_seen(bank, limbs, i, k):  # type: ignore[no-untyped-def]
-    j = limbs.mate[i, k]
-    return j >= 0 and bank.serial[j] == limbs.mate_serial[i, k] and bank.missed[j] == 0
+def _seen(serial, missed, mate, owner):  # type: ignore[no-untyped-def]
+    return mate >= 0 and serial[mate] == owner and missed[mate] == 0
 
 
 @step
-def _spread2(bank, limbs, i, k):  # type: ignore[no-untyped-def]
+def _spread2(length, variance, shown_s):  # type: ignore[no-untyped-def]
     """Variance with which a distance is known to be kept."""
-    length2, shown = limbs.length[i, k] ** 2, limbs.count[i, k] / PROVEN
-    return limbs.variance[i, k] + (RIGID**2 + UNPROVEN**2 / (1.0 + shown * shown)) * length2
+    shown = shown_s / PROVEN_S
+    return variance + (RIGID**2 + UNPROVEN**2 / (1.0 + shown * shown)) * length * length
 
 
 @step
@@ -213,14 +246,14 @@ def _look_for_mates(bank, limbs, i, reach_m, turn):  # type: ignore[no-untyped-d
         j = limbs.mate[i, k]
         if j >= 0 and bank.serial[j] != limbs.mate_serial[i, k]:
             limbs.mate[i, k] = -1
-    for _ in range(MATES if empty else 1):
+    for _ in range(MATES if empty else EXCHANGED):
         worst, at = -1.0, -1
         for k in range(MATES):
             if limbs.mate[i, k] < 0:
                 worst, at = np.inf, k
-            elif limbs.count[i, k] > 5 * PROVEN and _spread2(bank, limbs, i, k) > worst:
-                worst, at = _spread2(bank, limbs, i, k), k
-        if at < 0 or (limbs.mate[i, at] >= 0 and worst < (4.0 * RIGID * limbs.length[i, at]) ** 2):
+            elif limbs.shown_s[i, k] > 2 * PROVEN_S and limbs.variance[i, k] > worst:
+                worst, at = limbs.variance[i, k], k
+        if at < 0 or (limbs.mate[i, at] >= 0 and worst < (UNFIT * limbs.length[i, at]) ** 2):
             return
         nearest, found = reach_m, -1
         for j in range(bank.numbers[TOP]):
@@ -237,7 +270,7 @@ def _look_for_mates(bank, limbs, i, reach_m, turn):  # type: ignore[no-untyped-d
         if found < 0:
             return
         limbs.mate[i, at], limbs.mate_serial[i, at] = found, bank.serial[found]
-        limbs.length[i, at], limbs.variance[i, at], limbs.count[i, at] = nearest, 0.0, 0
+        limbs.length[i, at], limbs.variance[i, at], limbs.shown_s[i, at] = nearest, 0.0, 0.0
         limbs.taken[i, at] = False
 
 
@@ -252,8 +285,8 @@ def _carried_along(bank, limbs, i, hidden_s, step_s, place, covariance):  # type
     total, kept, seen = 0.0, 0.0, 0
     then, now, own = np.zeros(3), np.zeros(3), limbs.own[i]
     for k in range(MATES):
-        if limbs.taken[i, k] and _mate_is_seen(bank, limbs, i, k):
-            w = 1.0 / _spread2(bank, limbs, i, k)
+        if limbs.taken[i, k] and _seen(bank.serial, bank.missed, limbs.mate[i, k], limbs.mate_serial[i, k]):
+            w = 1.0 / _spread2(limbs.length[i, k], limbs.variance[i, k], limbs.shown_s[i, k])
             total += w
             seen += 1
             for a in range(3):
@@ -273,8 +306,8 @@ def _carried_along(bank, limbs, i, hidden_s, step_s, place, covariance):  # type
         right[:] = 0.0
         misfit = 0.0
         for k in range(MATES):
-            if limbs.taken[i, k] and _mate_is_seen(bank, limbs, i, k):
-                w, j = 1.0 / _spread2(bank, limbs, i, k), limbs.mate[i, k]
+            if limbs.taken[i, k] and _seen(bank.serial, bank.missed, limbs.mate[i, k], limbs.mate_serial[i, k]):
+                w, j = 1.0 / _spread2(limbs.length[i, k], limbs.variance[i, k], limbs.shown_s[i, k]), limbs.mate[i, k]
                 r = _turned(turn, limbs.photo[i, k], then)
                 x, y, z = bank.mean[j, 0] - now[0] - r[0], bank.mean[j, 1] - now[1] - r[1], bank.mean[j, 2] - now[2] - r[2]
                 misfit += w * (x * x + y * y + z * z)

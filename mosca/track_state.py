@@ -22,7 +22,7 @@ class Bank(NamedTuple):
 
     ``numbers`` (4,): slots in use, next serial, next identity, instants so far. ``state`` (n,); ``serial`` (n,);
     ``identity`` (n,) or -1; ``missed`` (n,) instants not seen since last seen; ``sure`` (n,) whether the last
-    sighting can be learned from; ``seen_s``, ``weight`` (n,); ``variance`` (n,) of the acceleration, an axis;
+    sighting can be learned from; ``seen_s``, ``born_s``, ``weight`` (n,); ``variance`` (n,) of the acceleration, an axis;
     ``mean`` (n, 9) position, velocity, acceleration; ``covariance`` (n, 9, 9); ``place`` (n, 3) and
     ``place_covariance`` (n, 3, 3): where it is expected now, by ``source`` (n,).
     """
@@ -34,6 +34,7 @@ class Bank(NamedTuple):
     missed: Array
     sure: Array
     seen_s: Array
+    born_s: Array
     weight: Array
     variance: Array
     mean: Array
@@ -47,7 +48,7 @@ class Limbs(NamedTuple):
     """How n targets sit among their neighbours, k of them each.
 
     ``mate``, ``mate_serial`` (n, k): slot and its owner, -1 where none; ``length``, ``variance`` (n, k) of the
-    distance [m, m^2]; ``count`` (n, k) instants behind them; ``photo`` (n, k, 3) the mates' places when the target
+    distance [m, m^2]; ``shown_s`` (n, k) how long it was observed [s]; ``photo`` (n, k, 3) the mates' places when the target
     was last seen and ``taken`` (n, k) which were seen then; ``own`` (n, 3) its own place then; ``turn`` (n, 3, 3) how
     the limb has turned since; ``strain`` (n,) instants in a row at which most distances were violated.
     """
@@ -56,7 +57,7 @@ class Limbs(NamedTuple):
     mate_serial: Array
     length: Array
     variance: Array
-    count: Array
+    shown_s: Array
     photo: Array
     taken: Array
     own: Array
@@ -69,7 +70,8 @@ def new_bank(slots: int) -> Bank:
     i, f = np.int64, np.float64
     return Bank(
         np.zeros(4, i), np.zeros(slots, i), np.full(slots, -1, i), np.full(slots, -1, i), np.zeros(slots, i),
-        np.zeros(slots, np.bool_), np.zeros(slots, f), np.zeros(slots, f), np.zeros(slots, f), np.zeros((slots, 9), f),
+        np.zeros(slots, np.bool_), np.zeros(slots, f), np.zeros(slots, f), np.zeros(slots, f), np.zeros(slots, f),
+        np.zeros((slots, 9), f),
         np.zeros((slots, 9, 9), f), np.zeros((slots, 3), f), np.zeros((slots, 3, 3), f), np.zeros(slots, i),
     )  # fmt: skip
 
@@ -79,7 +81,7 @@ def new_limbs(slots: int) -> Limbs:
     i, f = np.int64, np.float64
     return Limbs(
         np.full((slots, MATES), -1, i), np.full((slots, MATES), -1, i), np.zeros((slots, MATES), f),
-        np.zeros((slots, MATES), f), np.zeros((slots, MATES), i), np.zeros((slots, MATES, 3), f),
+        np.zeros((slots, MATES), f), np.zeros((slots, MATES), f), np.zeros((slots, MATES, 3), f),
         np.zeros((slots, MATES), np.bool_), np.zeros((slots, 3), f), np.zeros((slots, 3, 3), f), np.zeros(slots, i),
     )  # fmt: skip
 

@@ -24,7 +24,7 @@ from scenarios.spec import METRICS, Scenario
 @dataclass(frozen=True, eq=False)
 class Collected:
     """What is kept of a run of the pipeline: its tracks, a picture of each camera at ``view_pulse``, the frames'
-    counts, computing time by stage [s], the detections of the pulses ``asked`` for their bound, and how the cameras did.
+    counts, computing time by stage [s], the detections of the pulses ``asked`` for their bound, how the cameras did.
     """
 
     tracks: Tracks
@@ -52,7 +52,11 @@ def record_of(
         _metric(metric, score, spec, met) for metric, score in scores.items() if np.isfinite(score.value)
     )
     broken = [metric for metric, ok in met.items() if not ok]
+    notes = " ".join(collected.assembly.notes.values())
+    unnoticed = [phrase for phrase in spec.told if phrase not in notes]
     passed, verdict = _verdict(spec, broken, bool(scores))
+    if unnoticed and scores:
+        passed, verdict = False, f"{verdict}; not noticed: {'; '.join(unnoticed)}"
     return RunRecord(
         scenario=name,
         title=spec.title,

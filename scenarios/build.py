@@ -106,6 +106,13 @@ def _subject(spec: Scenario, folder: Path) -> Scene:
             **where,
             **motion,
             start_s=scene.start_s,
+            metres_per_unit=scene.metres_per_unit,
+            frame_rate_hz=scene.motion_rate_hz,
+            heading_deg=scene.heading_deg,
+            keep_in_box=scene.keep_in_box,
+            action=scene.action,
+            gait=scene.gait,
+            speed_mps=scene.speed_mps,
             markers=scene.markers,
             marker_diameter_m=scene.marker_diameter_m,
         )

@@ -191,6 +191,7 @@ class Scenario(Table):
     )
     caught_as: str | None = Field(None, description="the finding's code: " + ", ".join(CODES))
     fails_on: tuple[str, ...] = Field((), description="metrics whose limits a control must break")
+    told: tuple[str, ...] = Field((), description="phrases that the record's notes must hold: what it must notice")
     seed: int = Field(1, ge=0, description="seed of all random streams")
     model_gap: Literal["none", "measured", "stress"] = Field(
         "measured", description="how far the true lens is from what the pipeline's model can express"

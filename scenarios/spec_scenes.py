@@ -8,22 +8,38 @@ from mosca.data.toml import NotNegative, Positive, Table, Vector
 
 
 class ActorScene(Table):
-    """A person with markers on the skin, walking by a built-in gait or moved by a motion file."""
+    """A person with markers on the skin, who walks, boxes, dances or jumps, or is moved by a motion file."""
 
     kind: Literal["actor"]
-    motion: str | None = Field(None, description="AMC or BVH file; default: the built-in gait")
+    motion: str | None = Field(None, description="AMC or BVH file; default: the built-in action")
     skeleton: str | None = Field(None, description="ASF file that belongs to an AMC file")
     start_s: NotNegative = Field(0.1, description="where in the motion file to begin [s]")
     metres_per_unit: Positive | None = Field(None, description="unit of the motion file, where it cannot say")
     motion_rate_hz: Positive | None = Field(None, description="frame rate of the motion file, where it lies")
     heading_deg: float = Field(0.0, description="turn of the motion file about the vertical [deg]")
     keep_in_box: bool = Field(True, description="whether a motion that leaves the working space is an error")
-    gait: Literal["circle", "in_place", "back_and_forth"] = Field(
-        "circle", description="path of the built-in gait"
+    action: Literal["walk", "boxing", "dance", "jump"] = Field(
+        "walk",
+        description="what the person does without a motion file; all but 'walk' are loops drawn by the seed, "
+        "over the middle of a working space of 2.5 m",
     )
-    speed_mps: Positive = Field(1.0, description="walking speed of the built-in gait [m/s]")
+    gait: Literal["circle", "in_place", "back_and_forth"] = Field(
+        "circle", description="path of action 'walk'"
+    )
+    speed_mps: Positive = Field(1.0, description="speed of action 'walk' [m/s]")
     markers: int = Field(50, ge=30, le=60, description="markers on the skin")
     marker_diameter_m: Positive = Field(0.016, description="diameter of the ball markers [m]")
+
+    @model_validator(mode="after")
+    def _says_one_motion(self) -> "ActorScene":
+        if self.motion is not None and "action" in self.model_fields_set:
+            raise ValueError(
+                f"action = '{self.action}' and motion = '{self.motion}' given; leave one of them out"
+            )
+        for key in ("gait", "speed_mps"):
+            if self.action != "walk" and key in self.model_fields_set:
+                raise ValueError(f"{key} is of action = 'walk'; '{self.action}' has its own: leave {key} out")
+        return self
 
 
 class DroneScene(Table):

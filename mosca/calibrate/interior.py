@@ -5,8 +5,8 @@ homographies give the principal distance, with the principal point in the middle
 (Zhang 2000), and an adjustment of that camera alone the rest.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -58,21 +58,24 @@ class Seen:
     xy_px: Array
 
 
-def starting_camera(
-    name: str,
-    size: tuple[int, int],
-    views: Mapping[int, Seen],
-    marks_m: Array,
-    lens: LensChoice,
-    rng: np.random.Generator,
-) -> Camera:
-    """Return a camera at the origin with the interior orientation that its ``views`` (by stand) tell.
+@dataclass(frozen=True, eq=False)
+class CameraViews:
+    """What camera ``name`` of ``size`` (width, height) saw of the marks ``marks_m`` (m, 3) [m], stand by stand."""
+
+    name: str
+    size: tuple[int, int]
+    views: Sequence[Seen]
+    marks_m: Array
+
+
+def starting_camera(shown: CameraViews, lens: LensChoice, rng: np.random.Generator) -> Camera:
+    """Return a camera at the origin with the interior orientation that its views tell.
 
     CalibrationError where they do not.
     """
-    if plane_of(marks_m)[2] < PLANE:
-        return _from_plane(name, size, views, marks_m, lens)
-    return _from_solid(name, size, views, marks_m, lens, rng)
+    if plane_of(shown.marks_m)[2] < PLANE:
+        return _from_plane(shown, lens)
+    return _from_solid(shown, lens, rng)
 
 
 def plain_lens(lens: LensChoice, f_px: float, size: tuple[int, int]) -> Lens:
@@ -85,15 +88,9 @@ def plain_lens(lens: LensChoice, f_px: float, size: tuple[int, int]) -> Lens:
     return FisheyeLens(f_px, f_px, *middle)
 
 
-def _from_solid(
-    name: str,
-    size: tuple[int, int],
-    views: Mapping[int, Seen],
-    marks_m: Array,
-    lens: LensChoice,
-    rng: np.random.Generator,
-) -> Camera:
-    best = max(views.values(), key=lambda seen: len(seen.mark), default=None)
+def _from_solid(shown: CameraViews, lens: LensChoice, rng: np.random.Generator) -> Camera:
+    name, size = shown.name, shown.size
+    best = max(shown.views, key=lambda seen: len(seen.mark), default=None)
     count = 0 if best is None else len(best.mark)
     if best is None or count < FEWEST_MARKS:
         raise CalibrationError(
@@ -102,14 +99,13 @@ def _from_solid(
         )
     # a thin prism found in one view would stay: the adjustment of all views holds it
     settings = AdjustmentSettings(prism=False, pixel_pitch_mm=lens.pixel_pitch_mm, max_sigma0_px=5.0)
-    adjusted = adjust_camera(name, size, lens.model, best.xy_px, marks_m[best.mark], rng, settings)
+    adjusted = adjust_camera(name, size, lens.model, best.xy_px, shown.marks_m[best.mark], rng, settings)
     return Camera(name, *size, adjusted.camera.lens, Pose(np.eye(3), np.zeros(3)))
 
 
-def _from_plane(
-    name: str, size: tuple[int, int], views: Mapping[int, Seen], marks_m: Array, lens: LensChoice
-) -> Camera:
-    usable = sorted((s for s in views.values() if len(s.mark) >= FEWEST_MARKS), key=lambda s: -len(s.mark))
+def _from_plane(shown: CameraViews, lens: LensChoice) -> Camera:
+    name, size, marks_m = shown.name, shown.size, shown.marks_m
+    usable = sorted((s for s in shown.views if len(s.mark) >= FEWEST_MARKS), key=lambda s: -len(s.mark))
     if len(usable) < FEWEST_PLANE_VIEWS:
         raise CalibrationError(
             f"few-views: camera '{name}': {len(usable)} views of the flat target with {FEWEST_MARKS} marks or more, "
@@ -117,7 +113,7 @@ def _from_plane(
         )
     # evenly from all there are: neighbours look alike
     picked = [usable[k] for k in np.unique(np.linspace(0, len(usable) - 1, MOST_START_VIEWS).astype(int))]
-    f_px = _focal_px(name, size, picked, marks_m)
+    f_px = _focal_px(replace(shown, views=picked))
     camera = Camera(name, *size, plain_lens(lens, f_px, size), Pose(np.eye(3), np.zeros(3)))
     placed = [poses_of(lens_directions(camera.lens, s.xy_px), marks_m[s.mark]) for s in picked]
     both = [(s, fits[0].camera_from_target) for s, fits in zip(picked, placed, strict=True) if fits]
@@ -143,13 +139,14 @@ def _stages(model: str) -> tuple[tuple[str, ...], ...]:
     return (FOCAL,), (FOCAL, "k1"), (FOCAL, "cx_px", "cy_px", "k1")
 
 
-def _focal_px(name: str, size: tuple[int, int], views: list[Seen], marks_m: Array) -> float:
+def _focal_px(shown: CameraViews) -> float:
     """Return the principal distance from homographies: B = diag(s, s, 1), s = 1 / f^2 (Zhang 2000, eq. 3, 4)."""
-    middle, axes, _ = plane_of(marks_m)
-    flat = ((marks_m - middle) @ axes)[:, :2]
+    size = shown.size
+    middle, axes, _ = plane_of(shown.marks_m)
+    flat = ((shown.marks_m - middle) @ axes)[:, :2]
     centre = (np.array(size) - 1) / 2
     left, right = [], []
-    for seen in views:
+    for seen in shown.views:
         h = homography(flat[seen.mark], (seen.xy_px - centre) / size[0])
         h = h / np.linalg.norm(h[:, :2])
         left += [
@@ -161,7 +158,7 @@ def _focal_px(name: str, size: tuple[int, int], views: list[Seen], marks_m: Arra
     inverse_square = -(a @ b) / max(a @ a, 1e-300)
     if not inverse_square > 1 / 50.0**2:
         raise CalibrationError(
-            f"little-depth: camera '{name}': its views of the flat target show no perspective, which leaves the "
-            "principal distance open; tilt the target by 20 to 50 deg, nearer to the camera"
+            f"little-depth: camera '{shown.name}': its views of the flat target show no perspective, which leaves "
+            "the principal distance open; tilt the target by 20 to 50 deg, nearer to the camera"
         )
     return float(min(1 / np.sqrt(inverse_square), 50.0) * size[0])

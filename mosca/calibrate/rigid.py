@@ -26,7 +26,7 @@ from mosca.calibrate.bundle.solver import (
     solve,
 )
 from mosca.calibrate.chain import View, chain
-from mosca.calibrate.interior import LensChoice, Seen, starting_camera
+from mosca.calibrate.interior import CameraViews, LensChoice, Seen, starting_camera
 from mosca.calibrate.poses import PoseFit, poses_of
 from mosca.calibrate.stands import stands_of
 from mosca.camera import lens_directions
@@ -226,8 +226,9 @@ def _starting_cameras(
                 f"camera '{name}' is not in the known rig ({', '.join(known.names if known else ())}); "
                 "give the cameras the same names in both"
             )
-        views = {stand: one for (camera_k, stand), one in seen.items() if camera_k == k}
-        cameras.append(starting_camera(name, size, views, target.marks_m, settings.lens.of(name), rngs[k]))
+        views = [one for (camera_k, _), one in seen.items() if camera_k == k]
+        shown = CameraViews(name, size, views, target.marks_m)
+        cameras.append(starting_camera(shown, settings.lens.of(name), rngs[k]))
     return tuple(cameras)
 
 

@@ -21,7 +21,7 @@ DECIMALS = 9
 def write_bvh(motion: Motion, path: Path, *, metres_per_unit: float = 0.01) -> None:
     """Write ``motion`` as BVH, whole or not at all, lengths in units of ``metres_per_unit`` (which BVH cannot state).
 
-    Raises InputError where it holds no frame, a number that is not finite, or joints whose names differ only in blanks.
+    Raises InputError where it holds no frame, a number that is not finite, or joint names that differ in blanks only.
     """
     path = Path(path)
     if not 0 < metres_per_unit < np.inf:

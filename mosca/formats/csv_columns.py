@@ -40,7 +40,7 @@ def read_columns(path: Path, names: Sequence[str], kind: str) -> dict[str, Seque
         if len(row) != len(names):
             raise InputError(f"{path}, row {line}: {len(row)} values given, {len(names)} wanted")
     if len(rows) == 1:
-        return {name: () for name in names}
+        return dict.fromkeys(names, ())
     return dict(zip(names, zip(*rows[1:], strict=True), strict=True))
 
 

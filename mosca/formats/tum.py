@@ -27,7 +27,7 @@ def write_tum(poses: BodyPoses, path: Path, body: str | None = None) -> None:
     names = list(dict.fromkeys(measured.body.tolist()))
     if body is None and len(names) == 1:
         body = names[0]
-    if body not in names:
+    if body is None or body not in names:
         given = "no body" if body is None else f"body '{body}'"
         raise InputError(
             f"{path}: {given} given; a TUM file holds one of those with poses: {', '.join(names) or 'there are none'}"
@@ -68,7 +68,7 @@ def read_tum(path: Path, body: str = "body") -> BodyPoses:
             )
         times.append(_time_ns(cells[0], path, number))
         rows.append([_number(cell, path, number, COLUMNS[k]) for k, cell in enumerate(cells[1:], 1)])
-        if not 0.5 < np.linalg.norm(rows[-1][3:]) < 2.0:
+        if not 0.9 < np.linalg.norm(rows[-1][3:]) < 1.1:
             raise InputError(
                 f"{path}, line {number}: qx qy qz qw = {' '.join(cells[4:])}; a unit one is wanted"
             )

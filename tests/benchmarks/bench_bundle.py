@@ -218,7 +218,8 @@ def compare(frames: int, aniposelib: str | None, ceres: str | None) -> None:
         rows.append((name, took, result.cost, f"{result.steps} steps"))
     for tolerance in (1e-4, 1e-8):
         cost, evaluations = scipy_solver(data, tolerance)
-        took = best_ms(lambda tolerance=tolerance: scipy_solver(data, tolerance), 3)
+        rounds = ROUNDS if frames <= 1_000 else 3
+        took = best_ms(lambda tolerance=tolerance: scipy_solver(data, tolerance), rounds)
         rows.append((f"scipy, analytic sparse, ftol {tolerance:g}", took, cost, f"{evaluations} evaluations"))
     with tempfile.TemporaryDirectory() as folder:
         if ceres:

@@ -16,6 +16,7 @@ from mosca.data.detections import Detections
 from mosca.data.rig import Pose, Rig
 from mosca.data.wands import LFrame
 from mosca.errors import CalibrationError
+from mosca.triangulate import triangulate
 
 NAMES = ("origin", "x1", "x2", "y")
 PLACES = np.array([[0.0, 0, 0.02], [0.35, 0, 0.02], [0.6, 0, 0.02], [0, 0.4, 0.02]])
@@ -131,44 +132,57 @@ def test_a_wand_calibration_is_carried_into_the_axes_with_its_covariance():
     assert np.median(off) < 3e-3
 
 
+def l_frame_images(noise_px=NOISE_PX) -> tuple[list[Detections], np.ndarray]:
+    """Return the L-frame's images in each camera, and the same as a table (ball, camera, 2) [px]."""
+    rng = np.random.default_rng(8)
+    table = np.stack([project(one, PLACES) + rng.normal(0, noise_px, (4, 2)) for one in TRUE], axis=1)
+    ones, covariance = np.ones(4), np.tile(np.eye(2) * noise_px**2, (4, 1, 1))
+    return [
+        Detections(one.name, table[:, k], covariance, 8 * ones, ones, ones) for k, one in enumerate(TRUE)
+    ], table
+
+
+def drawn_sizes(found, table, draws=300) -> tuple[np.ndarray, np.ndarray]:
+    """Return size over known size of the L-frame, and the distance of two cameras, in rigs as uncertain as this."""
+    changes = np.random.default_rng(2).multivariate_normal(
+        np.zeros(len(found.parameters)), found.covariance, draws, method="eigh"
+    )
+    pairs = np.triu_indices(len(PLACES), 1)
+    known = np.linalg.norm(PLACES[pairs[0]] - PLACES[pairs[1]], axis=1)
+    sizes, apart = [], []
+    for change in changes:
+        one = changed_rig(found, change)
+        places = triangulate(one, table)[0]
+        measured = np.linalg.norm(places[pairs[0]] - places[pairs[1]], axis=1)
+        sizes.append(measured @ known / (known @ known))
+        a, b = (one.cameras[k].world_from_camera.translation for k in (0, 2))
+        apart.append(np.linalg.norm(a - b))
+    return np.array(sizes), np.array(apart)
+
+
 def test_the_calibration_s_own_uncertainty_is_in_the_size_s():
     found = calibrated(TRUE, seen(TRUE, waved(60, seed=5)))
-    frame = shown(clutter=0)
-    axes, by_detection = world_from_l_frame(found, frame, FRAME), world_from_l_frame(found.rig, frame, FRAME)
-    assert axes.scale_sigma > by_detection.scale_sigma
-    # the same images measured with rigs as uncertain as this one
-    draws = np.random.default_rng(2).multivariate_normal(
-        np.zeros(len(found.parameters)), found.covariance, 150, method="eigh"
-    )
-    sizes = [world_from_l_frame(changed_rig(found, draw), frame, FRAME).measured_over_known for draw in draws]
-    own = np.sqrt(axes.scale_sigma**2 - by_detection.scale_sigma**2)
-    # 150 draws tell a standard deviation to 6 %
-    assert np.std(sizes) == pytest.approx(own, rel=0.2)
+    images, table = l_frame_images()
+    with_it, without = (world_from_l_frame(one, images, FRAME).scale_sigma for one in (found, found.rig))
+    # 300 draws tell a standard deviation to 4 %
+    assert np.sqrt(with_it**2 - without**2) == pytest.approx(np.std(drawn_sizes(found, table)[0]), rel=0.15)
 
 
-def test_arbitrary_lengths_take_their_relative_uncertainty_along():
-    found = self_calibrate(
-        seen(TRUE, waved(120, along=(0.0,), seed=4)), np.random.default_rng(0), [c.lens for c in TRUE]
-    )
-    frame = shown(clutter=0)
-    home = in_axes(found, world_from_l_frame(found, frame, FRAME, lengths_known=False))
-    # the distance of two cameras, scaled by the L-frame as each of the drawn rigs sees it
-    draws = np.random.default_rng(2).multivariate_normal(
-        np.zeros(len(found.parameters)), found.covariance, 150, method="eigh"
-    )
-    apart = []
-    for draw in draws:
-        drawn = world_from_l_frame(changed_rig(found, draw), frame, FRAME, lengths_known=False).rig
-        a, b = (drawn.cameras[k].world_from_camera.translation for k in (0, 2))
-        apart.append(np.linalg.norm(a - b))
+def test_the_lengths_of_a_self_calibration_are_as_uncertain_as_the_scale_makes_them():
+    lenses = [one.lens for one in TRUE]
+    found = self_calibrate(seen(TRUE, waved(250, along=(0.0,), seed=4)), np.random.default_rng(0), lenses)
+    images, table = l_frame_images()
+    home = in_axes(found, world_from_l_frame(found, images, FRAME, lengths_known=False))
+    detection = world_from_l_frame(found.rig, images, FRAME, lengths_known=False)
     a, b = (home.rig.cameras[k].world_from_camera.translation for k in (0, 2))
-    slope, along = np.zeros(len(found.parameters)), (a - b) / np.linalg.norm(a - b)
-    for axis, part in zip("XYZ", along, strict=True):
+    slope, length = np.zeros(len(found.parameters)), np.linalg.norm(a - b)
+    for axis, part in zip("XYZ", (a - b) / length, strict=True):
         slope[found.parameters.index(f"cam1.{axis}_m")] = part
         slope[found.parameters.index(f"cam3.{axis}_m")] = -part
-    own = world_from_l_frame(found.rig, frame, FRAME, lengths_known=False)
-    by_detection = own.scale * own.scale_sigma * np.linalg.norm(a - b)
-    assert slope @ home.covariance @ slope == pytest.approx(np.var(apart) + by_detection**2, rel=0.4)
+    sizes, apart = drawn_sizes(found, table)
+    own = detection.scale_sigma / detection.measured_over_known * length
+    expected = np.hypot(np.std(apart / sizes), own)
+    assert np.sqrt(slope @ home.covariance @ slope) == pytest.approx(expected, rel=0.15)
 
 
 def test_a_self_calibration_gets_its_size_from_the_l_frame():

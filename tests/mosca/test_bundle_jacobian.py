@@ -257,6 +257,37 @@ def test_normal_equations_of_every_kind_of_unknown():
     assert not any(name == "again.Y_m" for name in layout.names)
 
 
+@pytest.mark.parametrize("robust", [(0, 1.0), (1, 4.0), (2, 4.0)])
+def test_what_a_camera_does_not_image_costs_and_pulls_nothing(robust):
+    problem = everything()
+    layout = lay_out(problem)
+    state = disturbed(problem, layout, first_state(problem, layout))
+    # some points far behind one camera or another, one in a camera, one nowhere
+    rng = np.random.default_rng(3)
+    state[1][:6] = rng.normal(0, 6.0, (6, 3))
+    state[1][6], state[1][7] = state[0][0, 9:12], np.nan
+    residual = np.empty((len(layout.order), 2))
+    imaged(state, layout.see, residual)
+    seen = np.isfinite(residual).all(axis=1)
+    assert 5 < (~seen).sum() < len(seen) / 2
+    found = []
+    for weight in (layout.see[4], np.where(seen, layout.see[4], 0.0)):
+        normals = empty_normals(layout)
+        see = (*layout.see[:4], weight, *layout.see[5:])
+        cost, unseen = linearise(state, see, layout.columns, layout.blocks, layout.known, robust, normals)
+        np.testing.assert_allclose(
+            normals[-1], np.where(seen[:, None], residual, np.nan), rtol=1e-9, atol=1e-9
+        )
+        found.append((cost, unseen, normals))
+    (cost, unseen, whole), (other, none, part) = found
+    assert (unseen, none) == ((~seen).sum(), 0)
+    each = {0: 2e6, 1: 4 * np.sqrt(2e6) - 4, 2: 4 * np.log1p(2e6 / 4)}[robust[0]]
+    assert cost == pytest.approx(other + unseen * each, rel=1e-12)
+    for one, two in zip(whole[:6], part[:6], strict=True):
+        assert np.isfinite(one).all()
+        np.testing.assert_array_equal(one, two)
+
+
 def test_covariances_and_redundancy_numbers_are_those_of_the_dense_inverse():
     problem = everything(free=FEW)
     done = solve(problem, BundleSettings(tolerance=1e-6, hold_weak=False))

@@ -90,7 +90,7 @@ def test_a_late_camera_is_named_with_its_delay():
 
 
 def test_stated_precision_of_offsets_is_honest():
-    late = np.array([[c.late_s / c.late_sigma_s for c in watched(np.full(4, 0.02), sets=60, seed=s).cameras()]
+    late = np.array([[c.late_s / c.late_sigma_s for c in watched(np.full(4, 0.02), sets=100, seed=s).cameras()]
                      for s in range(12)])  # fmt: skip
     assert 0.5 < np.sqrt(np.mean(late**2)) < 1.5
 

@@ -1,4 +1,4 @@
-"""A human actor: limbs that hide, markers on the skin, moved by a recording or by a built-in walk.
+"""A human actor: limbs that hide, markers on the skin, moved by a recording, by a built-in walk or action.
 
 The model is the skeleton itself: one body a joint with a ball joint at its rest offset, under a free
 root. A configuration is the root's position and every joint's rotation, so that bones keep their length
@@ -23,10 +23,12 @@ from mosca.data.motion import (
 from mosca.data.motion_asf import read_asf_amc
 from mosca.data.motion_bvh import read_bvh
 from mosca.errors import InputError
+from twin.scenes.actions import ACTIONS, Action, ActionName, act
 from twin.scenes.actor_markers import Seat, seats
 from twin.scenes.anatomy import FOOT_RADIUS_M, Anatomy, limb_shapes, read_anatomy
 from twin.scenes.gait import GAIT_PATHS, Gait, GaitPath, walk, walker_skeleton
 from twin.scenes.paths import SplinePath, normalized, spline_path
+from twin.scenes.posture import Balance
 from twin.scenes.scene import Scene
 from twin.scenes.world import Box, Shape, add_ball_marker, add_shape, compiled, new_stage, positive
 
@@ -49,6 +51,7 @@ def build_actor(
     placement: Literal["center", "file"] = "center",
     heading_deg: float = 0.0,
     keep_in_box: bool = True,
+    action: ActionName = "walk",
     gait: GaitPath = "circle",
     speed_mps: float = 1.0,
     stature_m: float = 1.75,
@@ -67,8 +70,9 @@ def build_actor(
     recording that leaves the box is an error. Between frames the motion is a C2 spline. A recording's
     limbs may pass a little into each other (hands on hips): nothing pushes them apart.
 
-    Without it the actor of ``stature_m`` walks: ``gait`` "in_place", "circle" (the largest in the box)
-    or "back_and_forth" along the box's longer side, at ``speed_mps``, first step and start by ``rng``.
+    Without it the actor of ``stature_m`` does ``action``. "walk": ``gait`` "in_place", "circle" (the largest
+    in the box) or "back_and_forth" along the box's longer side, at ``speed_mps``, first step and start by
+    ``rng``. "boxing", "dance", "jump": a loop over the middle of the box, drawn by ``rng``.
 
     ``bodies``: every part that carries three markers or more. Raises InputError naming what is wrong.
     """
@@ -76,6 +80,8 @@ def build_actor(
     positive({"duration_s": duration_s, "marker_diameter_m": marker_diameter_m})
     if motion_file is None:
         positive({"speed_mps": speed_mps})
+        if action not in ACTIONS:
+            raise InputError(f"action = {action!r} given; allowed: {', '.join(ACTIONS)}")
         if not 1.3 <= stature_m <= 2.3:
             raise InputError(f"stature_m = {stature_m} given; 1.3 to 2.3 m wanted")
         if gait not in GAIT_PATHS:
@@ -86,7 +92,6 @@ def build_actor(
                 f"box_center_m = {box.center.tolist()}, box_size_m = {box.size.tolist()}: the box ends at "
                 f"{box.high[2]:.2f} m and the actor, standing on z = 0, at {stature_m} m; raise or enlarge the box"
             )
-        walking = walk(skeleton, gait, box.center[:2], box.size[:2] / 2, speed_mps, rng)
         anatomy = read_anatomy(skeleton, f"stature_m = {stature_m}")
     else:
         motion = _read(Path(motion_file), skeleton_file, metres_per_unit, frame_rate_hz, drop_frames)
@@ -103,23 +108,29 @@ def build_actor(
     carried = {part: tuple(s.name for s in seated if s.part == part) for part in shapes}
     bodies = {part: those for part, those in carried.items() if len(those) >= 3}
     if motion_file is None:
-        path: GaitConfiguration | SplinePath = GaitConfiguration(walking, _addresses(model, joints), model.nq)
+        moved: Gait | Action
+        if action == "walk":
+            moved = walk(skeleton, gait, box.center[:2], box.size[:2] / 2, speed_mps, rng)
+        else:
+            moved = act(action, skeleton, _balance(model, joints, len(skeleton.names)), box, rng)
+        path: BuiltInConfiguration | SplinePath
+        path = BuiltInConfiguration(moved, _addresses(model, joints), model.nq)
     else:
         path = _recorded(model, joints, motion, start_s)
     return Scene(model, names, geoms, path, duration_s, bodies)
 
 
 @dataclass(frozen=True, eq=False)
-class GaitConfiguration:
-    """The configuration of a walking actor at any time."""
+class BuiltInConfiguration:
+    """The configuration at any time of an actor who moves without a recording."""
 
-    gait: Gait
+    moved: Gait | Action
     addresses: tuple[Array, Array]  # joints driven, and where their quaternions start in qpos
     nq: int
 
     def __call__(self, time_s: float) -> Array:
         """Return qpos (nq,) at session time ``time_s`` [s]."""
-        root, rotations = self.gait.at(time_s)
+        root, rotations = self.moved.at(time_s)
         joints, starts = self.addresses
         qpos = np.empty(self.nq)
         qpos[:3] = root
@@ -139,6 +150,14 @@ def _recorded(model: mujoco.MjModel, joints: list[int], motion: Motion, start_s:
 def _addresses(model: mujoco.MjModel, joints: list[int]) -> tuple[Array, Array]:
     starts = [int(model.joint(f"joint/{k}").qposadr[0]) + (3 if k == 0 else 0) for k in joints]
     return np.array(joints), np.array(starts)
+
+
+def _balance(model: mujoco.MjModel, joints: list[int], total: int) -> Balance:
+    """Return what each of the skeleton's ``total`` joints carries in ``model``."""
+    bodies = [int(model.jnt_bodyid[model.joint(f"joint/{k}").id]) for k in joints]
+    masses, centers = np.zeros(total), np.zeros((total, 3))
+    masses[joints], centers[joints] = model.body_mass[bodies], model.body_ipos[bodies]
+    return Balance(masses, centers)
 
 
 def _specify(

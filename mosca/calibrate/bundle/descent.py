@@ -202,9 +202,10 @@ def descend(task: Task, start: State, weight: Array) -> Descent:
     for step in range(task.most_steps):
         enough = max(task.tolerance**2 / redundancy, ROUNDING) * cost
         while True:
-            trial, promised = _step(task, state, normals, pull, damping, inverse)
+            steps, promised = _step(task, normals, pull, damping, inverse)
             if promised <= enough or cost <= EXACT**2 * used:
                 return Descent(state, normals, cost, step, unseen, damping < STALLED)
+            trial = None if steps is None else moved(layout, state, *steps)
             if trial is not None:
                 trial_cost, trial_unseen, trial_pull = linearised(task, trial, weight, normals)
                 if trial_cost < cost:
@@ -237,14 +238,9 @@ def linearised(
 
 
 def _step(
-    task: Task,
-    state: State,
-    normals: Normals,
-    pull: tuple[Array, Array] | None,
-    damping: float,
-    inverse: Array,
-) -> tuple[State | None, float]:
-    """Return the state after a damped step (None where no lens is like that) and the promised decrease."""
+    task: Task, normals: Normals, pull: tuple[Array, Array] | None, damping: float, inverse: Array
+) -> tuple[tuple[Array, Array] | None, float]:
+    """Return a damped step of the groups and of the blocks (None where there is none) and the promised decrease."""
     layout = task.layout
     matrix, slope = reduced(layout, normals, pull, damping, inverse)
     step = np.zeros(0)
@@ -262,7 +258,7 @@ def _step(
     promised += float(np.sum(group_step * (damping * own * group_step - normals[2])))
     if pull is not None:
         promised += float(step @ (damping * np.diag(pull[0]) * step)) - float(step @ pull[1])
-    return moved(layout, state, group_step, block_step), promised
+    return (group_step, block_step), promised
 
 
 def moved(layout: Layout, state: State, group_step: Array, block_step: Array) -> State | None:

@@ -89,7 +89,7 @@ def lay_out(problem: Problem) -> Layout:
     dim = np.concatenate([[0], 3 * sizes, np.full(len(placed), 6)]).astype(np.int64)
     block = np.where(on_thing, pose_block[placement], home[see.point]) if placements else home[see.point]
     rank = _alike_together(dim, len(sizes), block, see.camera)
-    block, dim = rank[block], dim[np.argsort(rank)]
+    block, dim[rank] = rank[block], dim.copy()
     home, pose_block = rank[home], rank[pose_block]
     members = members[np.argsort(home[members] * (3 * MOST_JOINED) + offset[members])]
     placed = placed[np.argsort(pose_block[placed])]
@@ -139,7 +139,7 @@ def lay_out(problem: Problem) -> Layout:
         camera,
         point,
         placement[order],
-        see.xy_px[order],
+        see.xy_px.take(order, axis=0),
         1 / np.asarray(see.sigma_px)[order],
         part,
         slot,
@@ -245,6 +245,9 @@ def _rods(
     rods: Distances, home: Array, offset: Array, eliminated: Array, kept: Array, n_blocks: int
 ) -> tuple[tuple[Array, ...], Distances]:
     """Return the distances within blocks as the kernels take them, and those that touch only kept points."""
+    if len(rods) == 0:
+        first = np.zeros(n_blocks + 1, dtype=np.int64)
+        return (first, np.zeros((0, 4), dtype=np.int64), np.zeros((0, 2))), rods
     inside = eliminated[rods.first] | eliminated[rods.second]
     of_block = np.where(eliminated[rods.first], home[rods.first], home[rods.second])
     chosen = np.flatnonzero(inside)

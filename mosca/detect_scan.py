@@ -1,0 +1,220 @@
+"""Compiled scan of a frame set's images for bright pixels, eight bytes at a time.
+
+Called by ``mosca.detect``; free of the GIL, on one thread, in whole numbers only. What a run is: see
+``mosca.detect_kernels``.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.detect_kernels import END, FIRST, PLACE, ROW, kernel, step
+from mosca.detect_memory import image_at
+
+
+class Packing(NamedTuple):
+    """How the pixels in eight bytes are compared with a grey value at once (see ``bright_words``)."""
+
+    low_bits: np.uint64
+    addend: np.uint64
+    lane_shift: int
+
+
+@step
+def is_bright(word: np.uint64, packing: Packing) -> bool:
+    """Tell whether a word may hold a bright pixel."""
+    return ((((word & packing.low_bits) + packing.addend) | word) & ~packing.low_bits) != np.uint64(0)
+
+
+@step
+def bright_words(words: Array, packing: Packing) -> Array:
+    """Return the indices of the words that may hold a bright pixel; most of a frame is dark.
+
+    A word is 8 bytes with a pixel in each lane of 8 or 16 bit. ``addend`` lifts the low bits of a lane into
+    its top bit exactly where they reach the grey value searched, and no lane carries into the next.
+    """
+    top_bits = ~packing.low_bits
+    n = len(words)
+    blocks = np.empty(n // 4 + 1, np.int32)
+    n_blocks = 0
+    for block in range(n // 4):
+        bits = np.uint64(0)
+        for k in range(4):
+            word = words[np.uint64(4 * block + k)]
+            bits |= ((word & packing.low_bits) + packing.addend) | word
+        blocks[n_blocks] = block
+        n_blocks += (bits & top_bits) != np.uint64(0)
+    if n % 4:
+        blocks[n_blocks] = n // 4
+        n_blocks += 1
+    found = np.empty(4 * n_blocks, np.int32)
+    n_found = 0
+    for i in range(n_blocks):
+        for k in range(4 * blocks[i], min(4 * blocks[i] + 4, n)):
+            found[n_found] = k
+            n_found += is_bright(words[np.uint64(k)], packing)
+    return found[:n_found]
+
+
+@step
+def bright_words_within(words: Array, packing: Packing, width: int, height: int, boxes: Array) -> Array:
+    """Do as ``bright_words`` for the words that reach into boxes (k, 4) x0, y0, x1, y1, ends included.
+
+    Row by row over the boxes there, from left to right, so that each word comes once and in order.
+    """
+    order = np.argsort(boxes[:, 1])
+    active = np.empty(len(boxes), np.int32)
+    found = np.empty(64, np.int32)
+    n_active, n_found, following = 0, 0, 0
+    row = 0
+    while row < height and (n_active > 0 or following < len(boxes)):
+        if n_active == 0:
+            row = max(row, boxes[order[following], 1])
+        while following < len(boxes) and boxes[order[following], 1] <= row:
+            i = n_active
+            while i > 0 and boxes[active[i - 1], 0] > boxes[order[following], 0]:
+                active[i] = active[i - 1]
+                i -= 1
+            active[i] = order[following]
+            n_active += 1
+            following += 1
+        kept = 0
+        for i in range(n_active):
+            active[kept] = active[i]
+            kept += boxes[active[i], 3] >= row
+        n_active = kept
+        if row >= height:
+            break
+        done = found[n_found - 1] if n_found else -1
+        for i in range(n_active):
+            first, last = max(boxes[active[i], 0], 0), min(boxes[active[i], 2], width - 1)
+            begin, end = row * width + first, row * width + last
+            lanes = np.int64(packing.lane_shift)
+            for k in range(max(begin >> lanes, done + 1), min((end >> lanes) + 1, len(words))):
+                done = k
+                if is_bright(words[np.uint64(k)], packing):
+                    if n_found == len(found):
+                        longer = np.empty(2 * n_found, np.int32)
+                        longer[:n_found] = found
+                        found = longer
+                    found[n_found] = k
+                    n_found += 1
+        row += 1
+    return found[:n_found]
+
+
+@step
+def bright_runs(image: Array, bright: Array, lanes: int, level: int) -> tuple[Array, Array]:
+    """Return the runs (n, 4) of pixels above ``level`` in raster order, and their grey values.
+
+    ``bright``: which words of ``lanes`` pixels to search; the pixels after the last whole word always are.
+    """
+    width = image.shape[1]
+    pixels = image.ravel()
+    runs = np.empty((len(bright) * (lanes // 2 + 1) + lanes, 4), np.int32)
+    n, n_pixels = 0, 0
+    y, row, p = 0, 0, 0  # a row, its first pixel, and the pixel up to which all is searched
+    for i in range(len(bright) + 1):
+        begin = bright[i] * lanes if i < len(bright) else len(pixels) // lanes * lanes
+        p = max(p, begin)
+        end = min(begin + lanes, len(pixels))
+        while p < end:
+            if pixels[p] <= level:
+                p += 1
+                continue
+            while p >= row + width:
+                y += 1
+                row += width
+            first = p
+            while p < row + width and pixels[p] > level:
+                p += 1
+            runs[n, ROW], runs[n, FIRST], runs[n, END], runs[n, PLACE] = y, first - row, p - row, n_pixels
+            n_pixels += p - first
+            n += 1
+    values = np.empty(n_pixels, np.int32)
+    for i in range(n):
+        y, first, place = runs[i, ROW], runs[i, FIRST], runs[i, PLACE]
+        for k in range(runs[i, END] - first):
+            values[place + k] = image[y, first + k]
+    return runs[:n], values
+
+
+@step
+def is_cut(image: Array, runs: Array, threshold: int) -> bool:
+    """Tell whether a region goes on beyond what was searched: pixels above its threshold adjoin that it lacks."""
+    height, width = image.shape
+    n_around, n_own = 0, 0
+    top, bottom = runs[0, 0], runs[-1, 0]
+    left, right = runs[0, 1], runs[0, 2]
+    for i in range(len(runs)):
+        left, right = min(left, runs[i, 1]), max(right, runs[i, 2])
+    inside = np.zeros((bottom - top + 3, right - left + 2), np.uint8)
+    for i in range(len(runs)):
+        for x in range(runs[i, 1], runs[i, 2]):
+            inside[runs[i, 0] - top + 1, x - left + 1] = 2
+            n_own += 1
+    for i in range(len(runs)):
+        for y in range(max(runs[i, 0] - 1, 0), min(runs[i, 0] + 2, height)):
+            for x in range(max(runs[i, 1] - 1, 0), min(runs[i, 2] + 1, width)):
+                if inside[y - top + 1, x - left + 1] == 0:
+                    inside[y - top + 1, x - left + 1] = 1
+                    n_around += image[y, x] > threshold
+    return n_around > 0
+
+
+@kernel
+def scan_set(
+    addresses: Array,
+    like: Array,
+    size: tuple[int, int],
+    packing: Packing,
+    level: int,
+    boxes: Array,
+    box_start: Array,
+) -> tuple[Array, Array, Array, Array]:
+    """Return the runs of pixels above ``level`` of all images of a frame set, or those within boxes.
+
+    ``addresses`` (n,) uint64: where the images of ``size`` (H, W) and the type of ``like`` (0,) lie in memory.
+    ``boxes`` (k, 4) int32 x0, y0, x1, y1, ends included, those of image i from ``box_start`` (n + 1) i on; where
+    ``box_start`` is empty, all of each image is searched; pixels beside a box may be found with it. Returns runs
+    (m, 4), grey values, and where those of each image begin (n + 1).
+    """
+    n_images = len(addresses)
+    height, width = size
+    n_words = height * width * like.itemsize // 8
+    whole = np.empty(0, np.uint64)
+    run_start, value_start = np.zeros(n_images + 1, np.int64), np.zeros(n_images + 1, np.int64)
+    runs, values = np.empty((0, 4), np.int32), np.empty(0, np.int32)
+    for i in range(n_images):
+        image = image_at(addresses[i], like, height, width)
+        words = image_at(addresses[i], whole, 1, n_words).ravel()
+        if len(box_start) == 0:
+            bright = bright_words(words, packing)
+        else:
+            own = boxes[box_start[i] : box_start[i + 1]]
+            bright = bright_words_within(words, packing, width, height, own)
+        more_runs, more_values = bright_runs(image, bright, 1 << packing.lane_shift, level)
+        n, m = run_start[i], value_start[i]
+        run_start[i + 1], value_start[i + 1] = n + len(more_runs), m + len(more_values)
+        if run_start[i + 1] > len(runs):
+            longer_runs = np.empty((max(n_images * len(more_runs), 2 * run_start[i + 1]), 4), np.int32)
+            longer_runs[:n] = runs[:n]
+            runs = longer_runs
+        if value_start[i + 1] > len(values):
+            longer_values = np.empty(max(n_images * len(more_values), 2 * value_start[i + 1]), np.int32)
+            longer_values[:m] = values[:m]
+            values = longer_values
+        runs[n : run_start[i + 1]] = more_runs
+        values[m : value_start[i + 1]] = more_values
+    return runs[: run_start[-1]], values[: value_start[-1]], run_start, value_start
+
+
+@kernel
+def uncut_regions(addresses: Array, like: Array, size: tuple[int, int], runs: Array, regions: Array) -> Array:
+    """Return the rows of ``regions`` that do not go on beyond the boxes in which they were searched."""
+    whole = np.empty(len(regions), np.bool_)
+    for r in range(len(regions)):
+        image = image_at(addresses[regions[r, 0]], like, size[0], size[1])
+        whole[r] = not is_cut(image, runs[regions[r, 1] : regions[r, 2]], regions[r, 3])
+    return regions[whole]

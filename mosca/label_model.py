@@ -1,0 +1,142 @@
+"""A marker model: which markers a subject carries, how far they are from each other, and how much that changes.
+
+Learned from a labelled stretch of tracks. Within a limb distances hardly change; across limbs they have a wide range,
+which still tells a head from a foot. Distances do not tell a subject from its mirror image, so that sets of four
+markers whose volume keeps its sign say which side is which.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+
+from mosca.data.arrays import Array, read_only
+from mosca.data.tracks import Tracks
+from mosca.errors import InputError
+
+SOFT_M = 0.004
+"""What skin and clothes move a marker against its limb [m], in addition to what was seen while learning."""
+ACROSS_M, ACROSS_SHARE = 0.05, 0.25
+"""Across limbs a distance may change by this [m] and this share of itself at least: a T-pose shows no motion."""
+RIGID_M = 0.01
+"""Distances that change by less [m] are within a limb."""
+BEYOND, BEYOND_SHARE = 2.0, 0.1
+"""Other motions reach farther than those learned from: by this factor, and this share of the distance."""
+FLAT = 0.03
+"""Four markers with less volume than this share of a box of their longest edges tell no sides."""
+STEADY = 4.0
+"""A volume that is this many of its standard deviations away from zero keeps its sign."""
+NEIGHBOURS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class MarkerModel:
+    """Markers ``names`` (m) of one subject.
+
+    ``mean_m`` and ``sigma_m`` (m, m) of their distances [m], NaN where two were never seen together; ``quads``
+    (q, 4) markers whose volume ``(b - a) x (c - a) . (d - a)`` is ``volume_m3`` (q,) [m^3]; ``limbs``: limb -> its
+    markers, empty where none were told.
+    """
+
+    names: tuple[str, ...]
+    mean_m: Array
+    sigma_m: Array
+    quads: Array
+    volume_m3: Array
+    limbs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def rigid(self) -> Array:
+        """Which pairs (m, m) are within a limb."""
+        return np.asarray((self.sigma_m < np.hypot(RIGID_M, SOFT_M)) & ~np.eye(len(self.names), dtype=bool))
+
+    def __post_init__(self) -> None:
+        m, q = len(self.names), len(np.asarray(self.quads))
+        object.__setattr__(self, "names", tuple(self.names))
+        object.__setattr__(self, "mean_m", read_only(self.mean_m, (m, m), "mean_m"))
+        object.__setattr__(self, "sigma_m", read_only(self.sigma_m, (m, m), "sigma_m"))
+        object.__setattr__(self, "quads", read_only(self.quads, (q, 4), "quads", np.int64))
+        object.__setattr__(self, "volume_m3", read_only(self.volume_m3, (q,), "volume_m3"))
+        if m < 3 or len(set(self.names)) < m:
+            raise ValueError(
+                f"marker model: {m} names given ({len(set(self.names))} distinct); 3 or more are wanted"
+            )
+
+
+def learn_model(tracks: Tracks, limbs: Mapping[str, Sequence[str]] | None = None) -> MarkerModel:
+    """Return the marker model of the labelled, measured samples of ``tracks``.
+
+    ``limbs``: limb -> labels of the markers on it; a marker may be on two (at a joint), and one without is its own.
+    A T-pose is enough then. None: the stretch must show the motions that the subject makes, for what does not
+    change in it is taken for rigid. Raises InputError where a limb names an unknown label or fewer than 3 are there.
+    """
+    names, xyz = by_label(tracks)
+    if len(names) < 3:
+        raise InputError(
+            f"marker model: {len(names)} labels in the stretch; label three or more of its tracks"
+        )
+    groups = {limb: tuple(members) for limb, members in (limbs or {}).items()}
+    for limb, members in groups.items():
+        for member in members:
+            if member not in names:
+                raise InputError(
+                    f"limb '{limb}': marker '{member}' is not in the stretch; it has {', '.join(names)}"
+                )
+    distances = np.linalg.norm(xyz[:, :, None] - xyz[:, None], axis=3)
+    mean, sigma = _moments(distances)
+    if groups:
+        same = np.eye(len(names), dtype=bool)
+        for members in groups.values():
+            rows = [names.index(member) for member in members]
+            same[np.ix_(rows, rows)] = True
+        sigma = np.where(same, sigma, np.maximum(sigma, ACROSS_M + ACROSS_SHARE * mean))
+    else:
+        same = sigma < RIGID_M
+        sigma = np.where(same, sigma, BEYOND * sigma + BEYOND_SHARE * mean)
+    sigma = np.hypot(sigma, SOFT_M)
+    quads, volumes = _sides(xyz, mean, sigma, same)
+    return MarkerModel(names, mean, sigma, quads, volumes, groups)
+
+
+def by_label(tracks: Tracks) -> tuple[tuple[str, ...], Array]:
+    """Return the labels (m) and their measured samples (t, m, 3) [m] by frame, NaN where there is none."""
+    rows = (tracks.status == "measured") & (tracks.label != "")
+    frames, at = np.unique(tracks.frame[rows], return_inverse=True)
+    names, column = np.unique(tracks.label[rows], return_inverse=True)
+    xyz = np.full((len(frames), len(names), 3), np.nan)
+    xyz[at, column] = tracks.xyz[rows]
+    return tuple(names.tolist()), xyz
+
+
+def volumes_of(xyz: Array, quads: Array) -> Array:
+    """Return the signed volumes (..., q) [m^3] of ``quads`` (q, 4) of points ``xyz`` (..., m, 3)."""
+    a, b, c, d = (xyz[..., quads[:, k], :] for k in range(4))
+    return np.asarray(np.sum(np.cross(b - a, c - a) * (d - a), axis=-1))
+
+
+def _moments(values: Array) -> tuple[Array, Array]:
+    """Return mean and standard deviation over the first axis, NaN where there is no value."""
+    there = np.isfinite(values)
+    count = np.where(there.any(axis=0), there.sum(axis=0), np.nan)
+    mean = np.where(there, values, 0.0).sum(axis=0) / count
+    spread = np.where(there, (values - mean) ** 2, 0.0).sum(axis=0) / count
+    return mean, np.sqrt(spread)
+
+
+def _sides(xyz: Array, mean: Array, sigma: Array, same: Array) -> tuple[Array, Array]:
+    """Return sets of four (q, 4) whose volume (q,) keeps its sign, each marker's among its nearest in the limb."""
+    tight = np.where(same & np.isfinite(sigma), sigma / np.maximum(mean, 1e-6), np.inf)
+    np.fill_diagonal(tight, np.inf)
+    sets = set()
+    for k, row in enumerate(tight):
+        near = [int(j) for j in np.argsort(row, kind="stable")[:NEIGHBOURS] if np.isfinite(row[j])]
+        for three in combinations(near, 3):
+            if all(same[i, j] for i, j in combinations(three, 2)):
+                sets.add(tuple(sorted((k, *three))))
+    quads = np.array(sorted(sets), dtype=np.int64).reshape(-1, 4)
+    volume, spread = _moments(volumes_of(xyz, quads))
+    edges = np.array([[mean[a, b], mean[a, c], mean[a, d]] for a, b, c, d in quads.tolist()]).reshape(-1, 3)
+    kept = np.isfinite(volume) & (np.abs(volume) > STEADY * spread)
+    kept &= np.abs(volume) > FLAT * edges.prod(axis=1)
+    return quads[kept], volume[kept]

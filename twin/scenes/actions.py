@@ -1,0 +1,99 @@
+"""What a person without a recording does besides walking: boxing, dancing, jumping, without end.
+
+Each action is a loop of postures at 200 Hz, drawn once (order, places, timing, handedness), turned into joint
+rotations and played as a periodic C2 spline. Limbs hide markers as they do in recorded people: hands
+before chest and face, crossed arms, crouches.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from mosca.data.arrays import Array
+from mosca.data.motion import Motion, Skeleton, forward_kinematics, multiply_quaternions
+from mosca.errors import InputError
+from twin.scenes.anatomy import FOOT_RADIUS_M
+from twin.scenes.boxing import boxing
+from twin.scenes.dancing import dance
+from twin.scenes.jumping import jumps
+from twin.scenes.posture import STATURE_M, Balance, Performer
+from twin.scenes.world import Box
+
+ActionName = Literal["walk", "boxing", "dance", "jump"]
+ACTIONS: tuple[ActionName, ...] = ("walk", "boxing", "dance", "jump")
+_PERFORMED: dict[ActionName, Callable[[Performer, np.random.Generator], Motion]] = {
+    "boxing": boxing,
+    "dance": dance,
+    "jump": jumps,
+}
+_CLEARANCE_M = 0.002  # of standing soles above the floor
+_SKIN_M = 0.07  # skin and markers beyond the joints
+_OBLIQUE = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Action:
+    """A loop of a moving person; made by ``act``. ``loop``: root place and rotations over ``length_s``."""
+
+    loop: CubicSpline
+    length_s: float
+    start_s: float
+
+    def at(self, time_s: float) -> tuple[Array, Array]:
+        """Return the root's position (3,) [m] and all joints' rotations (j, 4) wxyz at ``time_s``."""
+        values = self.loop((time_s + self.start_s) % self.length_s)
+        return values[:3], values[3:].reshape(-1, 4)
+
+
+def act(name: ActionName, skeleton: Skeleton, balance: Balance, box: Box, rng: np.random.Generator) -> Action:
+    """Return the action ``name`` (not "walk") of ``skeleton`` (``gait.walker_skeleton``) over the box's middle.
+
+    ``balance``: its masses, for the flight of a jump. ``rng`` draws what differs from one performance to
+    the next, and where in the loop it starts. Raises InputError where limbs would leave the box.
+    """
+    scale = float(np.linalg.norm(skeleton.offsets[skeleton.index("ltibia")])) / (0.245 * STATURE_M)
+    who = Performer(skeleton, scale, FOOT_RADIUS_M * scale + _CLEARANCE_M, balance)
+    motion = _placed(_PERFORMED[name](who, rng), _heading(rng), box)
+    _check_inside(motion, box, name)
+    values = np.concatenate([motion.root_xyz, motion.rotations.reshape(len(motion.root_xyz), -1)], axis=1)
+    if not np.allclose(values[0], values[-1], atol=1e-6):
+        raise ValueError(f"the action {name} does not end as it starts")
+    values[-1] = values[0]
+    loop = CubicSpline(np.arange(len(values)) / motion.frame_rate_hz, values, bc_type="periodic")
+    return Action(loop, motion.duration_s, float(rng.uniform(0.0, motion.duration_s)))
+
+
+def _heading(rng: np.random.Generator) -> float:
+    """Return a heading [rad] along one of the box's edges, or nearly."""
+    return float(rng.integers(4) * np.pi / 2 + rng.uniform(-_OBLIQUE, _OBLIQUE))
+
+
+def _placed(motion: Motion, heading: float, box: Box) -> Motion:
+    """Return ``motion`` turned by ``heading`` [rad] and with the middle of its limbs over the box's."""
+    half = heading / 2
+    turn = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
+    rotations = motion.rotations.copy()
+    rotations[:, 0] = multiply_quaternions(turn, rotations[:, 0])
+    c, s = np.cos(heading), np.sin(heading)
+    root = motion.root_xyz @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    turned = Motion(motion.skeleton, motion.frame_rate_hz, root, rotations)
+    positions, _ = forward_kinematics(turned)
+    middle = (positions.min(axis=(0, 1)) + positions.max(axis=(0, 1))) / 2
+    shift = np.array([box.center[0] - middle[0], box.center[1] - middle[1], 0.0])
+    return Motion(motion.skeleton, motion.frame_rate_hz, root + shift, rotations)
+
+
+def _check_inside(motion: Motion, box: Box, name: str) -> None:
+    positions, _ = forward_kinematics(motion)
+    low, high = positions.min(axis=(0, 1)) - _SKIN_M, positions.max(axis=(0, 1)) + _SKIN_M
+    # The floor bounds a person from below, not the box.
+    if (low[:2] < box.low[:2]).any() or (high > box.high).any():
+        needs = " x ".join(f"{edge:.2f}" for edge in high[:2] - low[:2])
+        raise InputError(
+            f"action = '{name}': the person moves through {needs} m up to {high[2]:.2f} m; the box is "
+            f"{' x '.join(f'{edge:g}' for edge in box.size)} m up to {box.high[2]:.2f} m: enlarge it or take "
+            "action = 'walk'"
+        )

@@ -1,0 +1,172 @@
+"""A boxer in training: guard, jabs, crosses, hooks, a cover behind crossed forearms, steps in between.
+
+Written for someone who leads with the left; others are its mirror image. Hands start a strike while hips and
+shoulders already turn (Cheraghi et al. 2014, "Kinematics of straight right punch in boxing": from the
+ground up); a straight punch lasts 0.13 s and its wrist peaks at 6 to 8 m/s.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mosca.data.motion import Motion
+from twin.scenes.choreography import Stance, begin, footing, loop_times, read, step
+from twin.scenes.posture import Performer, posed
+from twin.scenes.submovements import Score
+
+STANCE: Stance = {"l": (0.12, 0.26, -0.25), "r": (-0.15, -0.08, -0.75)}
+_GUARD = {"l": (0.15, 0.36, 0.08), "r": (0.14, 0.24, 0.06)}
+_CHIN = (0.14, 0.20, 0.08)  # where the other hand covers during a strike
+_ELBOW = {"l": (0.55, 0.05, -1.0), "r": (0.5, -0.2, -1.0)}
+_PELVIS, _SPINE = (-0.45, 0.10, 0.0), (-0.15, 0.14, 0.0)
+_HEIGHT_M, _HEEL = 0.855, 0.3
+_BOB_M, _BOB_S = 0.014, 0.42
+_ROOM_M = 0.14
+_LEFT_HANDED = 0.2
+
+
+@dataclass(frozen=True)
+class Strike:
+    """A strike of the hand ``side``: by way of ``load`` to ``reach``; what the body adds, and how long it takes.
+
+    ``elbow``: to which the elbow points at the end. ``pelvis`` and ``spine``: their turns then. ``shift``:
+    the weight (left, forward). ``pivot``: the foot of that side on its ball (turn outward, heel up).
+    """
+
+    side: str
+    reach: tuple[float, float, float]
+    elbow: tuple[float, float, float]
+    twist: float
+    pelvis: float
+    spine: float
+    shift: tuple[float, float]
+    pivot: tuple[float, float]
+    out_s: float
+    load: tuple[float, float, float] | None = None
+
+
+STRIKES = {
+    "jab": Strike("l", (0.02, 0.68, 0.10), (0.7, 0.1, -0.8), -0.7, -0.60, -0.30, (0.0, 0.05), (0.0, 0.0), 0.135),
+    "cross": Strike(
+        "r", (0.00, 0.63, 0.08), (0.7, 0.1, -0.8), -0.8, 0.35, 0.30, (0.03, 0.07), (-0.45, 0.30), 0.150
+    ),
+    "lead_hook": Strike(
+        "l", (-0.04, 0.50, 0.10), (1.0, 0.1, -0.3), -0.3, -0.95, -0.35, (-0.03, 0.03), (-0.45, 0.35), 0.130,
+        (0.36, 0.29, 0.02),
+    ),
+    "rear_hook": Strike(
+        "r", (-0.02, 0.50, 0.10), (1.0, 0.1, -0.3), -0.3, 0.30, 0.35, (0.03, 0.05), (-0.50, 0.35), 0.140,
+        (0.36, 0.24, 0.02),
+    ),
+}  # fmt: skip
+COMBINATIONS = (
+    ("jab", "jab", "cross"),
+    ("jab", "cross", "lead_hook"),
+    ("cover", "lead_hook", "cross"),
+    ("jab", "rear_hook", "cover"),
+    ("lead_hook", "rear_hook", "jab"),
+)
+_BEFORE_S, _BACK_S, _LOAD_S = 0.05, 0.26, 0.20
+
+
+def boxing(who: Performer, rng: np.random.Generator) -> Motion:
+    """Return a loop: all combinations, in an order, at places and with timing drawn by ``rng``.
+
+    Every fifth boxer leads with the right.
+    """
+    score, length = _round(rng)
+    time_s, rate = loop_times(length)
+    postures = read(score, time_s, who.scale)
+    return posed(who, postures.mirrored() if rng.random() < _LEFT_HANDED else postures, rate)
+
+
+def _round(rng: np.random.Generator) -> tuple[Score, float]:
+    """Return what a boxer does who leads with the left, and how long it takes [s]."""
+    hands = {f"{side}_hand": _GUARD[side] for side in "lr"}
+    elbows = {f"{side}_elbow": _ELBOW[side] for side in "lr"}
+    score = begin(
+        STANCE, height=_HEIGHT_M, pelvis=_PELVIS, spine=_SPINE, r_pivot=(0.0, _HEEL), l_knee=0.1, r_knee=0.1,
+        **hands, **elbows,
+    )  # fmt: skip
+    clock = 0.3
+    order = rng.permutation(len(COMBINATIONS))
+    for k, which in enumerate(order):
+        for name in COMBINATIONS[which]:
+            clock = (
+                _cover(score, clock, rng) if name == "cover" else _strike(score, STRIKES[name], clock, rng)
+            )
+        last = k == len(order) - 1
+        place = np.zeros(3) if last else rng.uniform([-_ROOM_M, -_ROOM_M, -0.45], [_ROOM_M, _ROOM_M, 0.45])
+        clock = _step_to(score, clock + 0.15, place)
+    bobs = int(clock / _BOB_S)
+    for k in range(bobs):
+        start = k * clock / bobs
+        score.hill("height", start, start + clock / bobs, _BOB_M)
+    return score, clock
+
+
+def _strike(score: Score, strike: Strike, clock: float, rng: np.random.Generator) -> float:
+    """Write a strike from ``clock`` on; return when the next one may start."""
+    own, faster = strike.side, rng.uniform(0.94, 1.06)
+    hand, elbow, twist = f"{own}_hand", f"{own}_elbow", f"{own}_forearm"
+    start = clock + _BEFORE_S
+    if strike.load is not None:
+        score.move(hand, clock, clock + _LOAD_S, strike.load)
+        score.move(elbow, clock, clock + _LOAD_S, (0.9, -0.2, -0.7))
+        start = clock + _LOAD_S - 0.06
+    end = start + strike.out_s * faster
+    back = end + _BACK_S * faster
+    aim = np.asarray(strike.reach) + rng.normal(0.0, (0.015, 0.01, 0.025))
+    score.move(hand, start, end, aim)
+    score.move(elbow, start - 0.12, end, strike.elbow)
+    score.move(twist, start, end, strike.twist)
+    for channel, there, again in (
+        ("pelvis", (strike.pelvis, *_PELVIS[1:]), _PELVIS),
+        ("spine", (strike.spine, *_SPINE[1:]), _SPINE),
+        ("shift", strike.shift, (0.0, 0.0)),
+    ):
+        score.move(channel, start - _BEFORE_S, end, there)
+        score.move(channel, end, back + 0.08, again)
+    covering = "r" if own == "l" else "l"
+    score.move(f"{covering}_hand", start - 0.12, end - 0.02, _CHIN)
+    score.move(f"{covering}_hand", end + 0.04, back, _GUARD[covering])
+    rest = score.target(f"{own}_pivot")
+    score.move(f"{own}_pivot", start - _BEFORE_S, end, rest + strike.pivot)
+    score.move(f"{own}_pivot", end, back + 0.08, rest)
+    score.move(hand, end + 0.01, back, _GUARD[own])
+    score.move(elbow, end + 0.01, back, _ELBOW[own])
+    score.move(twist, end + 0.01, back, 0.0)
+    return back - 0.04
+
+
+def _cover(score: Score, clock: float, rng: np.random.Generator) -> float:
+    """Write a cover behind crossed forearms, head down; return when the next strike may start."""
+    up, held = clock + 0.22, clock + 0.22 + rng.uniform(0.25, 0.45)
+    down = held + 0.25
+    for side, wrist, elbow in (
+        ("l", (-0.05, 0.40, 0.14), (0.7, 0.2, -1.0)),
+        ("r", (-0.05, 0.23, 0.02), (0.7, -0.2, -1.0)),
+    ):
+        for channel, there, again in (("hand", wrist, _GUARD[side]), ("elbow", elbow, _ELBOW[side])):
+            score.move(f"{side}_{channel}", clock, up, there)
+            score.move(f"{side}_{channel}", held, down, again)
+    for channel, there, again in (
+        ("gaze", (0.0, 0.22), (0.0, 0.0)),
+        ("height", _HEIGHT_M - 0.06, _HEIGHT_M),
+        ("spine", (_SPINE[0], _SPINE[1] + 0.12, 0.0), _SPINE),
+    ):
+        score.move(channel, clock, up, there)
+        score.move(channel, held, down + 0.1, again)
+    return down
+
+
+def _step_to(score: Score, clock: float, place: np.ndarray) -> float:
+    """Write a step of both feet to ``place`` (x, y, turn); return when it is done."""
+    way = place - score.target("place")
+    # The foot on the side of the way goes first, so that the feet do not meet.
+    forward = np.sin(place[2]) * way[0] - np.cos(place[2]) * way[1]
+    first, second = ("l", "r") if forward > 0 else ("r", "l")
+    score.move("place", clock, clock + 0.62, place)
+    step(score, first, clock, clock + 0.30, footing(place, STANCE, first))
+    step(score, second, clock + 0.30, clock + 0.60, footing(place, STANCE, second))
+    return clock + 0.65
