@@ -300,9 +300,18 @@ def find(place, triples, xyz, covariance, free, sigma2, slack2, sigmas, apart, r
     for a in range(n):
         variance = covariance[a, 0, 0] + covariance[a, 1, 1] + covariance[a, 2, 2] + sigma2 + slack2
         gate2[a] = sigmas**2 * variance
+    span = 0.0
+    for i in range(m):
+        for j in range(i):
+            span = max(span, _apart(place[i], place[j]))
+    # all markers lie within a span of each other: only such points are looked at together
+    near, count = np.empty((f, f), dtype=np.int64), np.zeros(f, dtype=np.int64)
     for a in range(f):
         for b in range(f):
             away[a, b] = _apart(xyz[index[a]], xyz[index[b]])
+            if a != b and away[a, b] < span + math.sqrt(gate2[index[a]] + gate2[index[b]]):
+                near[a, count[a]] = b
+                count[a] += 1
     rows[:], score[:] = -1, 0.0
     keep = np.empty((2, m, 3))
     three, corner = np.empty((3, 3)), np.empty((3, 3))
@@ -315,13 +324,15 @@ def find(place, triples, xyz, covariance, free, sigma2, slack2, sigmas, apart, r
             corner[0, q], corner[1, q], corner[2, q] = place[i, q], place[j, q], place[k, q]
         for a in range(f):
             ga = gate2[index[a]]
-            for b in range(f):
+            for nb in range(count[a]):
+                b = near[a, nb]
                 gb = gate2[index[b]]
-                if a == b or (away[a, b] - dij) ** 2 > ga + gb:
+                if (away[a, b] - dij) ** 2 > ga + gb:
                     continue
-                for c in range(f):
+                for nc in range(count[a]):
+                    c = near[a, nc]
                     gc = gate2[index[c]]
-                    if c in (a, b) or (away[a, c] - dik) ** 2 > ga + gc or (away[b, c] - djk) ** 2 > gb + gc:
+                    if c == b or (away[a, c] - dik) ** 2 > ga + gc or (away[b, c] - djk) ** 2 > gb + gc:
                         continue
                     if tried == MOST_HYPOTHESES:
                         return

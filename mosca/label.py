@@ -108,16 +108,13 @@ def _without_misfits(
         if each[worst] < settings.margin and len(named) > 2:
             break
         chosen[named[worst]] = -1
-    firmly = [
-        [
-            _firm_cost(j, int(chosen[i]), np.delete(named, k), chosen, first, second, model, settings)
-            for j in (i, *free)
-        ]
-        for free in [np.flatnonzero(chosen < 0)]
-        for k, i in enumerate(named)
-    ]
-    better = np.array([min(costs[1:], default=np.inf) < costs[0] for costs in firmly], dtype=bool)
-    chosen[named[better]] = -1  # it would do better as a marker that has no track
+    named, free = np.flatnonzero(chosen >= 0), np.flatnonzero(chosen < 0)
+    better = []
+    for k, i in enumerate(named):
+        of_track = (chosen[i], np.delete(named, k), chosen, first, second, model, settings)
+        as_free = min((_firm_cost(int(j), *of_track) for j in free), default=np.inf)
+        better.append(as_free < _firm_cost(int(i), *of_track))
+    chosen[named[np.array(better, dtype=bool)]] = -1  # these would do better as markers that have no track
     return chosen
 
 
@@ -292,5 +289,3 @@ def _cost_as(
             break
     enough = len(costs) >= 3 and firm >= min(LEAST_FIRM, int(model.rigid[i].sum()))
     return float(np.mean(costs)) if enough else np.inf
-
-

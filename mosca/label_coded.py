@@ -1,15 +1,15 @@
 """Coded targets as points with numbers: the number is the correspondence and the identity."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from mosca.camera import rays
 from mosca.data.arrays import Array
-from mosca.data.detections import Detections
 from mosca.data.found_targets import CodedDetections
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points, Samples
-from mosca.triangulate import Bundle, bundle_rays
 
 BLUNDER_CHI2 = 25.0
 """A ray without which the others meet better by more than this, chi-square, was misread."""
@@ -25,25 +25,21 @@ def coded_points(
     left out (a number misread, a mirror). ``camera_sigma_px``: what besides the detection's own error moves an image
     point at random. ``diameter_m`` is that of the centre dot. A camera of ``found`` that the rig lacks is not used.
     """
-    bundle = bundle_rays(rig, {name: _plain(coded) for name, coded in found.items()}, camera_sigma_px)
-    numbers = [found[c.name].number if c.name in found else np.empty(0, int) for c in rig.cameras]
-    every = np.unique(np.concatenate(numbers))
-    rays = np.full((len(every), len(rig.cameras)), -1)
-    for c, mine in enumerate(numbers):
-        rays[np.searchsorted(every, mine), c] = np.arange(len(mine))
-    rays, xyz, covariance, total = _without_blunders(rays, bundle)
+    seen = [found.get(camera.name) for camera in rig.cameras]
+    every = np.unique(np.concatenate([one.number for one in seen if one is not None] or [np.empty(0, int)]))
+    table = _Table.of(rig, seen, every, camera_sigma_px)
+    used, xyz, covariance, total = _without_blunders(table)
     met = np.flatnonzero(np.isfinite(total))
-    rays, used = rays[met], rays[met] >= 0
-    count, row = used.sum(axis=1), np.where(used, rays + bundle.start[:-1], 0)
-    away = np.linalg.norm(xyz[met, None] - bundle.origin, axis=2)
-    square_px = np.where(used, bundle.sigma_px[row] ** 2, 0.0).sum(axis=1) if len(met) else np.empty(0)
+    used, count = used[met], used[met].sum(axis=1)
+    away = np.linalg.norm(xyz[met, None] - table.origin, axis=2)
+    square_px = np.where(used, table.sigma_px[met] ** 2, 0.0).sum(axis=1) / np.maximum(count, 1)
     points = Points(
         xyz[met],
         covariance[met],
         count,
-        np.sqrt(total[met] / (2 * count) * square_px / count),
-        rays,
-        np.where(used, bundle.angle[row] * away, 0.0).max(axis=1) if len(met) else np.empty(0),
+        np.sqrt(total[met] / (2 * np.maximum(count, 1)) * square_px),
+        np.where(used, table.row[met], -1),
+        np.where(used, table.angle[met] * away, 0.0).max(axis=1),
         count.astype(float),
     )
     return points, every[met]
@@ -63,54 +59,83 @@ def coded_label(number: int) -> str:
     return f"code/{number:03d}"
 
 
-def _plain(coded: CodedDetections) -> Detections:
-    n, axes = len(coded), np.asarray(coded.semi_axes_px)
-    # elongation 1: an ellipse seen at a slant is no pair of targets
-    diameter = 2.0 * np.sqrt(axes[:, 0] * axes[:, 1])
-    return Detections(coded.camera, coded.xy_px, coded.covariance_px2, diameter, np.zeros(n), np.ones(n))
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """Rays of n numbers in c cameras, NaN or -1 where a camera has none.
+
+    ``origin`` (c, 3); ``row`` (n, c) of the detection; ``direction`` (n, c, 3); ``white`` (n, c, 2, 3) whitened
+    reprojection error by direction; ``sigma_px`` and ``angle`` (n, c): error and the dot's diameter [rad].
+    """
+
+    origin: Array
+    row: Array
+    direction: Array
+    white: Array
+    sigma_px: Array
+    angle: Array
+
+    @classmethod
+    def of(
+        cls, rig: Rig, seen: Sequence[CodedDetections | None], every: Array, camera_sigma_px: float
+    ) -> "_Table":
+        """Return the table of the numbers ``every`` (n,)."""
+        n, c = len(every), len(rig.cameras)
+        row = np.full((n, c), -1)
+        direction, white = np.full((n, c, 3), np.nan), np.full((n, c, 2, 3), np.nan)
+        sigma, angle = np.full((n, c), np.nan), np.full((n, c), np.nan)
+        for k, (camera, one) in enumerate(zip(rig.cameras, seen, strict=True)):
+            if one is None or not len(one):
+                continue
+            at, bundle = np.searchsorted(every, one.number), rays(camera, one.xy_px)
+            covariance = one.covariance_px2 + camera_sigma_px**2 * np.eye(2)
+            gram = bundle.pixel_by_direction @ np.swapaxes(bundle.pixel_by_direction, 1, 2)
+            row[at, k] = np.arange(len(one))
+            direction[at, k] = bundle.direction
+            white[at, k] = np.linalg.solve(np.linalg.cholesky(covariance), bundle.pixel_by_direction)
+            sigma[at, k] = np.linalg.det(covariance) ** 0.25
+            # px a radian across the ray: the geometric mean of both axes
+            angle[at, k] = 2 * np.sqrt(one.semi_axes_px.prod(axis=1)) / np.linalg.det(gram) ** 0.25
+        origin = np.array([camera.world_from_camera.translation for camera in rig.cameras])
+        return cls(origin, row, direction, white, sigma, angle)
 
 
-def _without_blunders(rays: Array, bundle: Bundle) -> tuple[Array, Array, Array, Array]:
-    """Return rays (n, c), points, covariances, squared errors, without a ray that spoils its point (one at most)."""
-    xyz, covariance, total = _solved(rays, bundle)
-    best = rays.copy()
-    for c in range(rays.shape[1]):
-        tried = np.flatnonzero((rays[:, c] >= 0) & ((rays >= 0).sum(axis=1) > 2))
-        fewer = rays[tried]
-        fewer[:, c] = -1
-        one_xyz, one_covariance, one_total = _solved(fewer, bundle)
-        gain = np.nan_to_num(total[tried], nan=np.inf) - one_total
-        kept = gain > np.where((rays[tried] == best[tried]).all(axis=1), BLUNDER_CHI2, 0.0)
-        rows = tried[kept]
-        best[rows], xyz[rows], covariance[rows] = fewer[kept], one_xyz[kept], one_covariance[kept]
-        total[rows] = one_total[kept]
+def _without_blunders(table: _Table) -> tuple[Array, Array, Array, Array]:
+    """Return rays used (n, c), points, covariances, squared errors, without a ray that spoils its point."""
+    whole = np.asarray(np.isfinite(table.direction).all(axis=2))
+    xyz, covariance, total = _solved(whole, table)
+    best = whole.copy()
+    for c in range(whole.shape[1]):
+        fewer = whole.copy()
+        fewer[:, c] = False
+        one_xyz, one_covariance, one_total = _solved(fewer, table)
+        tried = whole[:, c] & (whole.sum(axis=1) > 2) & np.isfinite(one_total)
+        gain = np.nan_to_num(total, nan=np.inf) - one_total
+        least = np.where((best == whole).all(axis=1), BLUNDER_CHI2, 0.0)
+        rows = np.flatnonzero(tried & (gain > least))
+        best[rows], xyz[rows], covariance[rows] = fewer[rows], one_xyz[rows], one_covariance[rows]
+        total[rows] = one_total[rows]
     return best, xyz, covariance, total
 
 
-def _solved(rays: Array, bundle: Bundle) -> tuple[Array, Array, Array]:
-    """Intersect rays (n, c): points (n, 3), covariances (n, 3, 3), sums of squared whitened errors (n,).
+def _solved(used: Array, table: _Table) -> tuple[Array, Array, Array]:
+    """Intersect the rays ``used`` (n, c): points (n, 3), covariances (n, 3, 3), squared whitened errors (n,).
 
-    As in ``mosca.triangulate``; NaN where fewer than two rays meet in front of the cameras.
+    For given depths linear in the point, re-weighted with the new ones, as in ``mosca.triangulate``; NaN where fewer
+    than two rays meet in front of the cameras.
     """
-    used = rays >= 0
-    row = np.where(used, rays + bundle.start[:-1], 0)
-    if not len(rays):
-        return np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0)
-    white, direction = bundle.white[row], bundle.direction[row]
-    depth = np.ones(rays.shape)
-    xyz, normal = np.full((len(rays), 3), np.nan), np.zeros((len(rays), 3, 3))
-    enough = used.sum(axis=1) >= 2
+    n = len(used)
+    white = np.where(used[:, :, None, None], table.white, 0.0)
+    direction = np.where(used[:, :, None], table.direction, 0.0)
+    depth, enough = np.ones(used.shape), used.sum(axis=1) >= 2
+    xyz, covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
     for _step in range(REWEIGHTINGS):
-        scaled = white * (used / depth)[:, :, None, None]
+        scaled = white / depth[:, :, None, None]
         each = np.swapaxes(scaled, 2, 3) @ scaled
-        normal[enough] = each.sum(axis=1)[enough]
-        right = (each @ bundle.origin[:, :, None]).sum(axis=1)
-        xyz[enough] = np.linalg.solve(normal[enough], right[enough])[:, :, 0]
-        depth = np.einsum("nci,nci->nc", direction, xyz[:, None] - bundle.origin)
-    behind = (used & ~(depth > 0)).any(axis=1)
-    offset = xyz[:, None] - bundle.origin
-    error = np.einsum("ncij,ncj->nci", white, offset) / depth[:, :, None]
-    total = np.where(used[:, :, None], error**2, 0.0).sum(axis=(1, 2))
-    covariance = np.full(normal.shape, np.nan)
-    covariance[enough] = np.linalg.inv(normal[enough])
-    return xyz, covariance, np.where(enough & ~behind, total, np.nan)
+        normal = each.sum(axis=1)[enough]
+        right = (each @ table.origin[:, :, None]).sum(axis=1)[enough]
+        xyz[enough] = np.linalg.solve(normal, right)[:, :, 0]
+        offset = xyz[:, None] - table.origin
+        depth = np.where(used, np.einsum("nci,nci->nc", direction, offset), 1.0)
+    covariance[enough] = np.linalg.inv(normal)
+    total = (np.einsum("ncij,ncj->nci", white, offset) ** 2 / depth[:, :, None] ** 2).sum(axis=(1, 2))
+    return xyz, covariance, np.where(enough & ~(used & ~(depth > 0)).any(axis=1), total, np.nan)

@@ -22,11 +22,13 @@ from mosca.match_groups import (
     wholeness,
 )
 from mosca.match_index import buckets, within
-from mosca.ray_kernels import SIGMA
+from mosca.ray_kernels import EDGES, SIGMA
 from mosca.triangulate import RANKS, TRUST
 
 CLEARLY_WORSE = 9.0
 """A pair whose squared error is larger by this (3 standard deviations) does not contest another."""
+PRIOR_SEEN = 5.0
+"""So many images seen and as many missed are taken for known beforehand."""
 OPEN, TAKEN, GONE = 0, 1, 2
 
 
@@ -45,6 +47,7 @@ def choose(values, members, trusts, rays, views, rules, xyz, covariance, support
     low, step, first, at, items, wide = buckets(xyz[:, 0], support * np.sqrt(covariance[:, 0, 0]))
     found = np.empty(xyz.shape[0], dtype=np.int64)
     density = _log_density(values, xyz)
+    lost, kept = _seen_shares(values, members, views)
     track, worth = np.full(n, -1, dtype=np.int64), np.zeros(n)
     for _round in range(max(cameras - 1, 1)):
         for g in range(n):
@@ -54,11 +57,17 @@ def choose(values, members, trusts, rays, views, rules, xyz, covariance, support
                 track[g], gained = _speaker(
                     values[g], xyz, covariance, spoken, support, density, found[:near]
                 )
-                worth[g] = values[g, GAIN] + gained
+                missing = _missing(values[g], members[g], views)
+                worth[g] = (
+                    values[g, GAIN] + density + gained + missing * lost + kept * np.sum(members[g] >= 0)
+                )
         waiting = np.flatnonzero(state == OPEN)
         changed = False
         for g in waiting[np.argsort(-worth[waiting], kind="mergesort")]:
-            if _take(g, values, members, track, used, spoken, rays, views, rules):
+            # chance explains it as well, and no track expects it
+            if worth[g] < 0.0 and track[g] < 0:
+                state[g] = GONE
+            elif _take(g, values, members, track, used, spoken, rays, views, rules):
                 state[g] = TAKEN
                 changed = True
         if not changed:
@@ -86,6 +95,38 @@ def _log_density(values, xyz):  # type: ignore[no-untyped-def]
         return 0.0
     longest = max(side[0], side[1], side[2])
     return np.log(values.shape[0] / max(side[0] * side[1] * side[2], 1e-9 * longest**3, 1e-18))
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _seen_shares(values, members, views):  # type: ignore[no-untyped-def]
+    """Return the logarithms of the shares of cameras that miss, and that see, a target in their field of view.
+
+    From the groups of three and more of this frame set, as far as there are enough.
+    """
+    seen, missed = PRIOR_SEEN, PRIOR_SEEN
+    for g in range(members.shape[0]):
+        count = np.sum(members[g] >= 0)
+        if count > 2:
+            seen += count
+            missed += _missing(values[g], members[g], views)
+    return np.log(missed / (seen + missed)), np.log(seen / (seen + missed))
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _missing(value, members, views):  # type: ignore[no-untyped-def]
+    """Return how many cameras have a group's point in view and no ray in the group."""
+    count = 0
+    for c in range(members.shape[0]):
+        if members[c] >= 0:
+            continue
+        x, y, z = value[XYZ] - views[c, 0], value[XYZ + 1] - views[c, 1], value[XYZ + 2] - views[c, 2]
+        w = np.sqrt(x * x + y * y + z * z) + views[c, 5] * x + views[c, 8] * y + views[c, 11] * z
+        if not w > 0.0:
+            continue
+        u = (views[c, 3] * x + views[c, 6] * y + views[c, 9] * z) / w
+        v = (views[c, 4] * x + views[c, 7] * y + views[c, 10] * z) / w
+        count += views[c, EDGES] < u < views[c, EDGES + 2] and views[c, EDGES + 1] < v < views[c, EDGES + 3]
+    return count
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -31,11 +31,13 @@ from mosca.match_groups import (
     trust_of,
 )
 from mosca.match_index import CELLS, CORNER, FIRST, SCALE, buckets, cell_of, cells, plane_angles, within
-from mosca.ray_kernels import ANGLE, DENSITY, FLAGS, RADIUS, ROTATION, SIGMA, SPREAD, WHITE
+from mosca.ray_kernels import ANGLE, DENSITY, EDGES, FLAGS, RADIUS, ROTATION, SIGMA, SPREAD, WHITE
 from mosca.triangulate import RANKS, SHARE, TRUST
 
 CERTAIN = 1e-3
 """Expected number of chance groups as good as this one, below which a group explains its rays."""
+LIKELY = 0.1
+"""The same, below which its rays are not looked for among half-hidden targets."""
 EDGE_ON = 0.5
 """Uncertainty of an epipolar plane's angle [rad] beyond which the ray is near the base and meets every plane."""
 
@@ -56,8 +58,13 @@ def search(rays, views, pairs, start, rules):  # type: ignore[no-untyped-def]
     partner = np.full((total, cameras), -1, dtype=np.int32)
     mates, ranks, solved = np.empty(cameras, dtype=np.int64), np.ones((cameras, RANKS)), np.zeros(VALUES)
     angle, variance, half = np.empty(total), np.empty(total), np.empty(total)
+    gate_2 = 1.0 / rules[GATE] ** 2
     active, found = np.empty(total, dtype=np.int64), np.empty(total, dtype=np.int64)
+    joined = np.zeros(total, dtype=np.bool_)
     for stage in range(2 if rules[JUDGE] > 0.0 else 1):
+        if stage == 1:
+            # half-hidden targets: for rays that no three cameras join as they are
+            explained |= joined
         for pair in range(pairs.shape[0]):
             a, b = pairs[pair, 0], pairs[pair, 1]
             if start[a] == start[a + 1] or start[b] == start[b + 1]:
@@ -82,7 +89,7 @@ def search(rays, views, pairs, start, rules):  # type: ignore[no-untyped-def]
                     j = active[m]
                     if explained[j] or partner[i, b] == j:
                         continue
-                    away2 = rules[GATE] ** -2 * (angle[n] - angle[m]) ** 2
+                    away2 = gate_2 * (angle[n] - angle[m]) ** 2
                     if not np.isfinite(half[n] + half[m]):
                         away2 = 0.0
                     both = variance[n] + variance[m]
@@ -129,12 +136,12 @@ def search(rays, views, pairs, start, rules):  # type: ignore[no-untyped-def]
                     )
                     count += 1
                     if size > 2:
-                        _note(mates, solved, chance < CERTAIN, partner, explained, rays, views, rules)
+                        _note(mates, solved, chance, partner, explained, joined, rays, views, rules)
     return values[:count], members[:count], trusts[:count]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _note(members, solved, certain, partner, explained, rays, views, rules):  # type: ignore[no-untyped-def]
+def _note(members, solved, chance, partner, explained, joined, rays, views, rules):  # type: ignore[no-untyped-def]
     """Remember which rays a group joins, and that a certain one explains them."""
     cameras = members.shape[0]
     for c in range(cameras):
@@ -145,8 +152,9 @@ def _note(members, solved, certain, partner, explained, rays, views, rules):  # 
             if members[d] >= 0:
                 partner[k, d] = members[d]
         # an image of two targets may serve another group
-        if certain and not too_large(k, c, solved, rays, views, rules):
-            explained[k] = True
+        if chance < LIKELY and not too_large(k, c, solved, rays, views, rules):
+            joined[k] = True
+            explained[k] |= chance < CERTAIN
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -187,7 +195,7 @@ def _planes(a, b, n_a, n_b, active, rays, views, angle, variance):  # type: igno
     if length <= 0.0:
         return False
     base /= length
-    turn_a, turn_b = views[a, ROTATION:DENSITY].reshape(3, 3), views[b, ROTATION:DENSITY].reshape(3, 3)
+    turn_a, turn_b = views[a, ROTATION:EDGES].reshape(3, 3), views[b, ROTATION:EDGES].reshape(3, 3)
     # angles count from where both cameras look, so that none is near half a turn
     up = turn_a[:, 2] + turn_b[:, 2]
     for axis in (-1, 1, 0):

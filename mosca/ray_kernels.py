@@ -10,8 +10,9 @@ from functools import lru_cache
 import numpy as np
 from numba import njit
 
+from mosca.camera import image_grid, lens_directions
 from mosca.data.arrays import Array
-from mosca.data.rig import FisheyeLens, Lens, MoscaLens, OpenCVLens, Rig
+from mosca.data.rig import Camera, FisheyeLens, Lens, MoscaLens, OpenCVLens, Rig
 from mosca.eccentricity import ball_field
 from mosca.lenses import fisheye_model, mosca_model, opencv_model
 
@@ -19,6 +20,7 @@ MOSCA, OPENCV, FISHEYE = 0, 1, 2
 FOLD, TILTED, TILT, UNTILT, WIDTH = 20, 21, 22, 31, 40
 """Places in a camera's row of lens parameters: the first 18 are the lens's fields in their order."""
 NEWTON_STEPS = 30
+EDGE_STEP_PX = 64.0
 DIRECTION, WHITE, SPREAD, NORMAL, SIGMA, RADIUS, ANGLE, BONUS, FLAGS, COLUMNS = (
     0,
     3,
@@ -32,7 +34,7 @@ DIRECTION, WHITE, SPREAD, NORMAL, SIGMA, RADIUS, ANGLE, BONUS, FLAGS, COLUMNS = 
     29,
 )
 """Columns of the table of rays; see ``mosca.triangulate.Bundle``."""
-ORIGIN, ROTATION, DENSITY, VIEW = 0, 3, 12, 13
+ORIGIN, ROTATION, EDGES, DENSITY, VIEW = 0, 3, 12, 16, 17
 """Columns of the table of cameras; see ``mosca.triangulate.Bundle``."""
 LONG = 1.6
 """Ratio of a box's sides from which an image is taken for two targets (a small disc's box reaches 3 : 2)."""
@@ -45,8 +47,8 @@ class RigTable:
     """A rig as the kernels read it.
 
     ``kind`` (c,) lens model; ``lens`` (c, WIDTH) its parameters; ``size`` (c, 2) of the image [px]; ``rotation``
-    (c, 3, 3) and ``origin`` (c, 3) of world_from_camera [m]; ``views`` (c, 12) both, origin
-    first; ``pairs`` (p, 2) of cameras, those first whose base lies most across both views.
+    (c, 3, 3) and ``origin`` (c, 3) of world_from_camera [m]; ``views`` (c, 16) both, origin
+    first, and what ``_edges`` gives; ``pairs`` (p, 2) of cameras, those first whose base lies most across both views.
     """
 
     kind: Array
@@ -70,7 +72,7 @@ def rig_table(rig: Rig) -> RigTable:
         np.array([(c.width, c.height) for c in rig.cameras], dtype=float).reshape(-1, 2),
         np.ascontiguousarray(rotation),
         np.ascontiguousarray(origin),
-        np.column_stack([origin, rotation.reshape(-1, 9)]),
+        np.column_stack([origin, rotation.reshape(-1, 9), [_edges(c) for c in rig.cameras]]),
         _ordered_pairs(rotation, origin),
     )
 
@@ -108,6 +110,16 @@ def _tilt(tau_x: float, tau_y: float) -> Array:
     cx, sx, cy, sy = np.cos(tau_x), np.sin(tau_x), np.cos(tau_y), np.sin(tau_y)
     turn = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
     return np.array([[turn[2, 2], 0, -turn[0, 2]], [0, turn[2, 2], -turn[1, 2]], [0, 0, 1.0]]) @ turn
+
+
+def _edges(camera: Camera) -> Array:
+    """Return the box (4,) left, top, right, bottom of what a camera sees, in ``match_index``'s places."""
+    rays = lens_directions(camera.lens, image_grid(camera.width, camera.height, EDGE_STEP_PX))
+    rays = rays[np.isfinite(rays).all(axis=1)]
+    if not len(rays):
+        return np.zeros(4)
+    place = rays[:, :2] / (1.0 + rays[:, 2:])
+    return np.concatenate([place.min(axis=0), place.max(axis=0)])
 
 
 def _ordered_pairs(rotation: Array, origin: Array) -> Array:
@@ -285,7 +297,7 @@ def fill_rays(  # type: ignore[no-untyped-def]
             if not (good and s00 > 0.0 and area > 0.0):
                 rays[n] = np.nan
                 continue
-            rays[n, RADIUS], rays[n, SIGMA], rays[n, FLAGS] = 0.5 * across, area**0.25, flags[n]
+            rays[n, RADIUS], rays[n, SIGMA], rays[n, FLAGS] = 0.5 * across, np.sqrt(np.sqrt(area)), flags[n]
             # what a ray adds to the likelihood of a group: its image by the target against one by chance anywhere
             rays[n, BONUS] = -np.log(2.0 * np.pi * np.sqrt(area) * density)
             # the image of a direction of the world
@@ -301,7 +313,7 @@ def fill_rays(  # type: ignore[no-untyped-def]
             q11 = g[1, 0] * g[1, 0] + g[1, 1] * g[1, 1] + g[1, 2] * g[1, 2]
             det = q00 * q11 - q01 * q01
             # px a radian across the ray: the geometric mean of both axes
-            rays[n, ANGLE] = across / det**0.25
+            rays[n, ANGLE] = across / np.sqrt(np.sqrt(det))
             l00 = np.sqrt(s00)
             l10 = s01 / l00
             l11 = np.sqrt(s11 - l10 * l10)

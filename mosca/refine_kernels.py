@@ -18,6 +18,8 @@ from mosca.detect_memory import image_at
 _FAST = {"nogil": True, "error_model": "numpy", "fastmath": {"reassoc", "nsz", "arcp", "contract", "afn"}}
 kernel = numba.njit(cache=True, **_FAST)
 step = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_FAST)
+_PIXELS = {**_FAST, "fastmath": True}  # where only grey values go in
+pixel_step = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_PIXELS)
 
 X, Y, XX, XY, YY, DIAMETER, PEAK, ELONGATION, FLAGS, BLUR, BLUR_INFO, MISFIT, ROUGH = range(13)
 N_COLUMNS = 13
@@ -156,29 +158,23 @@ def box_of(runs: Array) -> tuple[tuple[Any, Any, Any, Any], Any]:
 
 
 @step
-def region_sums(image: Array, runs: Array, place: tuple[int, int], full: float) -> tuple[Any, ...]:
-    """Do as ``window_sums`` for the pixels of a region, about the pixel ``place``."""
-    ones = ux = uy = uxx = uxy = uyy = ZERO
-    s = sx = sy = sxx = sxy = syy = peak = n_full = ZERO
+def region_sums(image: Array, runs: Array, place: tuple[int, int], level: float) -> tuple[Any, ...]:
+    """Return peak and sums as ``window_sums`` for the pixels of a region, about the pixel ``place``."""
+    base = f32(level)
+    s = sx = sy = sxx = sxy = syy = peak = ZERO
     for i in range(len(runs)):
         py = f32(runs[i, 0] - place[1])
         for column in range(runs[i, 1], runs[i, 2]):
-            light, px = f32(image[runs[i, 0], column]), f32(column - place[0])
-            ones += ONE
-            ux += px
-            uy += py
-            uxx += px * px
-            uxy += px * py
-            uyy += py * py
+            value, px = f32(image[runs[i, 0], column]), f32(column - place[0])
+            light = value - base
             s += light
             sx += light * px
             sy += light * py
             sxx += light * px * px
             sxy += light * px * py
             syy += light * py * py
-            peak = max(peak, light)
-            n_full += ONE if light >= f32(full) else ZERO
-    return peak, n_full, (ones, ux, uy, uxx, uxy, uyy), (s, sx, sy, sxx, sxy, syy)
+            peak = max(peak, value)
+    return peak, (s, sx, sy, sxx, sxy, syy)
 
 
 @step
@@ -231,6 +227,17 @@ OWN, OUT = 1, 2
 
 
 @step
+def copy_eight(line: Array, k: Any, v: Array, at: Any) -> None:
+    """Copy eight grey values; all are read before one is written, so that the compiler may do it at once."""
+    one, two, three, four = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
+    five, six, seven = np.uint64(5), np.uint64(6), np.uint64(7)
+    a, b, c, d = line[k], line[k + one], line[k + two], line[k + three]
+    e, f, g, h = line[k + four], line[k + five], line[k + six], line[k + seven]
+    v[at], v[at + one], v[at + two], v[at + three] = f32(a), f32(b), f32(c), f32(d)
+    v[at + four], v[at + five], v[at + six], v[at + seven] = f32(e), f32(f), f32(g), f32(h)
+
+
+@step
 def gather(image: Array, place: tuple[int, int], reach: float, xyv: tuple[Array, Array, Array]) -> int:
     """Copy the pixels within ``reach`` of the pixel ``place``, and their offsets from it; return how many."""
     x, y, v = xyv
@@ -247,11 +254,13 @@ def gather(image: Array, place: tuple[int, int], reach: float, xyv: tuple[Array,
         if first + (end - first + 7) // 8 * 8 <= width:
             # eight at a time; what is written beyond the end is overwritten by the next row
             for k in range(first, end, 8):
-                at = n + k - first
+                copy_eight(line, np.uint64(k), v, np.uint64(n + k - first))
+            for k in range(first, end, 8):
+                at = np.uint64(n + k - first)
+                fx = f32(k - column)
                 for i in range(8):
-                    x[np.uint64(at + i)] = f32(k - column + i)
-                    y[np.uint64(at + i)] = fy
-                    v[np.uint64(at + i)] = f32(line[np.uint64(k + i)])
+                    x[at + np.uint64(i)] = fx + f32(i)
+                    y[at + np.uint64(i)] = fy
         else:
             for k in range(first, end):
                 x[n + k - first], y[n + k - first], v[n + k - first] = f32(k - column), fy, f32(line[k])
@@ -259,32 +268,26 @@ def gather(image: Array, place: tuple[int, int], reach: float, xyv: tuple[Array,
     return n
 
 
-@step
-def window_sums(n: int, xyv: tuple[Array, Array, Array], threshold: int, full: float) -> tuple[Any, ...]:
-    """Return peak, number of saturated pixels and sums (1, x, y, xx, xy, yy), plain and times v, above a threshold."""
+@pixel_step
+def window_sums(n: int, xyv: tuple[Array, Array, Array], threshold: int, level: float) -> tuple[Any, ...]:
+    """Return the number of pixels above a threshold, their peak, and the sums (1, x, y, xx, xy, yy) of v - level."""
     x, y, v = xyv
-    limit, top = f32(threshold), f32(full)
-    ones = ux = uy = uxx = uxy = uyy = ZERO
-    s = sx = sy = sxx = sxy = syy = peak = n_full = ZERO
+    limit, base = f32(threshold), f32(level)
+    count = peak = s = sx = sy = sxx = sxy = syy = ZERO
     for i in range(n):
         inside = ONE if v[i] > limit else ZERO
-        light = inside * v[i]
-        px, py = x[i], y[i]
-        ones += inside
-        ux += inside * px
-        uy += inside * py
-        uxx += inside * px * px
-        uxy += inside * px * py
-        uyy += inside * py * py
+        light = inside * (v[i] - base)
+        lx, ly = light * x[i], light * y[i]
+        count += inside
         s += light
-        sx += light * px
-        sy += light * py
-        sxx += light * px * px
-        sxy += light * px * py
-        syy += light * py * py
+        sx += lx
+        sy += ly
+        sxx += lx * x[i]
+        sxy += lx * y[i]
+        syy += ly * y[i]
+    for i in range(n):
         peak = max(peak, v[i])
-        n_full += ONE if v[i] >= top else ZERO
-    return peak, n_full, (ones, ux, uy, uxx, uxy, uyy), (s, sx, sy, sxx, sxy, syy)
+    return np.int64(count), peak, (s, sx, sy, sxx, sxy, syy)
 
 
 @step
@@ -404,15 +407,12 @@ MOST_STEPS = 9
 
 
 @step
-def upright(sums_of_one: Any, sums_of_v: Any, level: float) -> tuple[float, float, float, float, float, float]:
-    """Return flux, centroid (from the origin of the sums) and central second moments (xx, xy, yy) above a level."""
-    flux = max(sums_of_v[0] - level * sums_of_one[0], 1e-6)
-    x = (sums_of_v[1] - level * sums_of_one[1]) / flux
-    y = (sums_of_v[2] - level * sums_of_one[2]) / flux
-    xx = (sums_of_v[3] - level * sums_of_one[3]) / flux - x * x
-    xy = (sums_of_v[4] - level * sums_of_one[4]) / flux - x * y
-    yy = (sums_of_v[5] - level * sums_of_one[5]) / flux - y * y
-    return flux, x, y, xx, xy, yy
+def upright(sums_of_light: Any) -> tuple[float, float, float, float, float]:
+    """Return centroid and central second moments (xx, xy, yy) from sums (1, x, y, xx, xy, yy) of light."""
+    flux = max(float(sums_of_light[0]), 1e-6)
+    x, y = sums_of_light[1] / flux, sums_of_light[2] / flux
+    xx, xy, yy = sums_of_light[3] / flux, sums_of_light[4] / flux, sums_of_light[5] / flux
+    return x, y, xx - x * x, xy - x * y, yy - y * y
 
 
 @step
@@ -463,12 +463,13 @@ def refine_region(
     level = min(corner_level(image, box, floor), float(threshold))
     # the whole of a lonely round target is copied once; its box reaches past the edge by about 1.2 blurs
     column, row = (left + right + 1) // 2, (top + bottom + 1) // 2
-    n = gather(image, (column, row), min(0.5 * max(size_x, size_y) + 2.0 * blur[0] + 0.7, most), xyv)
-    peak, n_full, ones, greys = window_sums(n, xyv, floor, model.full_dn)
-    crowded = int(ones[0]) != n_px
+    n = gather(image, (column, row), min(0.5 * max(size_x, size_y) + 1.6 * blur[0] + 0.5, most), xyv)
+    bright, peak, light = window_sums(n, xyv, floor, level)
+    crowded = bright != n_px
     if crowded:
-        peak, n_full, ones, greys = region_sums(image, runs, (column, row), model.full_dn)
-    _, ax, ay, xx, xy, yy = upright(ones, greys, level)
+        peak, light = region_sums(image, runs, (column, row), level)
+    n_full = peak >= model.full_dn
+    ax, ay, xx, xy, yy = upright(light)
     shape = stretch(xx, xy, yy, 0.5 * blur[0] * blur[0], n_px)
     m0, m1, m2 = shape
     plain = m1 == 0.0 and m0 == m2
@@ -482,7 +483,7 @@ def refine_region(
         radius = max(radius, 0.4 * blur[0])
         amplitude = (peak - level) / below_edge(radius / blur[0])
     x0, y0 = m0 * ax + m1 * ay, m1 * ax + m2 * ay
-    if crowded or n_full > 0 or not plain:
+    if crowded or n_full or not plain:
         first = blank(image, runs, (column, row), floor, model.full_dn, marks)
         reach = min(radius + 3.0 * blur[0] + 0.5, most)
         n = gather_unmarked(
@@ -502,13 +503,13 @@ def refine_region(
     out[DIAMETER] = 2.0 * half
     out[PEAK] = peak
     out[ELONGATION] = max(size_x, size_y) / min(size_x, size_y)
-    out[FLAGS] = (SATURATED if n_full > 0 else 0) + (0 if good else UNREFINED)
+    out[FLAGS] = (SATURATED if n_full else 0) + (0 if good else UNREFINED)
     misfit = chi2 / max(n - 6, 1)
     # misfit beyond the noise, over the squared amplitude: of a good model about (2 %)^2
     rough = max(misfit - 1.0, 0.0) * (model.dark_dn2 + model.gain_dn * amplitude) / (amplitude * amplitude)
     out[MISFIT], out[ROUGH] = misfit, rough
     out[BLUR_INFO] = out[BLUR] = 0.0
-    if good and plain and not crowded and n_full == 0:
+    if good and plain and not crowded and not n_full:
         tally[N_TARGETS] += 1.0
         tally[ROUGH_SUM] += min(rough, 4.0 * usual_rough + 1e-4)
         if blur_variance < 1.0:

@@ -19,7 +19,7 @@ from mosca.data.tracks import Points, Samples
 from mosca.match import Predicted
 from mosca.track_assign import best_pairs
 from mosca.track_filter import carry, correct, expected
-from mosca.track_limbs import expect, learn, pairs, recall, take_over
+from mosca.track_limbs import expect, found_instead, learn, pairs, recall, take_over
 from mosca.track_motion import motion
 from mosca.track_state import CONFIRMED, FREE, IDENTITY, TENTATIVE, TOP, grown, new_bank, new_limbs
 
@@ -30,6 +30,8 @@ SURE = 1.5
 """Cameras that must count in full for a sighting that teaches distances."""
 FASTEST = 4.0
 """Speed at which a lost target may come back, in those that the settings expect."""
+TWIN_SHARE = 0.25
+"""A nameless target and a lost one found again so near to it (in largest gates) are the same."""
 CONVINCING = 6.0
 """Log-likelihood ratio of distances by which a lost target is known again."""
 
@@ -136,11 +138,15 @@ class Tracker:
         top, named, now = int(bank.numbers[TOP]), {}, self._time_s
         for slot in np.flatnonzero((bank.state[:top] == CONFIRMED) & (bank.identity[:top] < 0)):
             serial, old, possible = int(bank.serial[slot]), -1, False
-            if s.limb_m > 0.0:
+            if s.limb_m > 0.0 and bank.missed[slot] == 0:
                 old, possible = recall(
                     bank, self._limbs, slot, now, CONVINCING, s.limb_m, FASTEST * s.speed_mps
                 )
-            if old >= 0:
+            elif s.limb_m > 0.0:
+                old, possible = found_instead(bank, slot, now, TWIN_SHARE * s.gate_m), True
+            if old >= 0 and bank.missed[slot] > 0:
+                bank.state[slot], bank.serial[slot] = FREE, -1
+            elif old >= 0:
                 take_over(bank, old, slot)
                 slot_of[slot_of == slot] = old
             elif possible and now - bank.born_s[slot] < s.name_wait_s:

@@ -72,7 +72,7 @@ def correct(  # type: ignore[no-untyped-def]
         i = slot_of[row]
         if i < 0:
             i = _begin(bank, xyz[row], covariance[row], speed, np.sqrt(lowest * highest))
-            bank.born_s[i] = time_s
+            bank.born_s[i], bank.back_s[i], bank.missed[i] = time_s, -1.0, 0
             slot_of[row] = i
         elif bank.source[i] == BY_LIMB:
             _begin_again(bank, i, xyz[row], covariance[row], speed)
@@ -83,6 +83,8 @@ def correct(  # type: ignore[no-untyped-def]
             if bank.missed[i] == 0:
                 louder = min(nis / 3.0, LOUDEST) - 1.0
                 bank.variance[i] = min(max(bank.variance[i] * np.exp(LEARNING * louder), lowest), highest)
+        if bank.missed[i] > 0:
+            bank.back_s[i], bank.gone_s[i] = time_s, bank.seen_s[i]
         bank.seen_s[i] = time_s
         bank.missed[i] = -1
         bank.sure[i] = trusted[row] >= sure_from

@@ -24,14 +24,14 @@ RELAXED_S = 0.5
 """How long a distance keeps its deviation from the mean [s]."""
 WINDOW_S = 20.0
 """Time over which distances are learned [s]."""
-TAUGHT, REFRESH, EXCHANGED = 2, 12, 2
-"""Each target's distances are learned, and its photo taken, once in so many instants; after so many lessons it
-looks for better mates and exchanges so many of the worst."""
+TAUGHT, REFRESH, EXCHANGED = 1, 16, 3
+"""Each target's distances are learned once in so many instants; after so many lessons it looks for better mates
+and exchanges so many of the worst."""
 SPIN_RADPS = 4.0
 """How fast a limb may turn about an axis that its visible markers do not show."""
 FOREIGN = 0.05
 """Share of distances that break for no reason (a mate exchanged, a ghost)."""
-SEEN_BONUS = 8.0
+SEEN_BONUS = 16.0
 """-2 log of the chance that a target seen last is not seen now."""
 STRAINED = 16.0
 """Squared deviation of a distance, in variances, from which it is violated."""
@@ -86,18 +86,19 @@ def pairs(bank, limbs, xyz, covariance, trusted, used, state, gate_sigma, gate_m
             if away <= gate_sigma**2:
                 value = offset - away - log_det
             if wild > 0.0 and away > WILD_COST:
-                away, log_det = _mahalanobis(p, covariance[r], wild, x, y, z)
-                if away <= gate_sigma**2:
-                    value = max(value, offset - away - log_det - WILD_COST)
+                farther, wider = _mahalanobis(p, covariance[r], wild, x, y, z)
+                if farther <= gate_sigma**2:
+                    value = max(value, offset - farther - wider - WILD_COST)
             if value <= 0.0:
                 continue
-            if bank.missed[i] == 0:
-                value += SEEN_BONUS
-            else:
+            if bank.missed[i] == 0 and away <= gate_sigma**2:
+                # one that has no name yet gives way to one that was lost here
+                value += SEEN_BONUS if state != CONFIRMED or bank.identity[i] >= 0 else 0.0
+            elif bank.missed[i] > 0:
                 fits = _fits(bank, limbs, i, xyz[r], covariance[r], time_s - bank.seen_s[i], gate_m)
                 if fits < CONTRADICTED:
                     continue
-                value = max(value + 2.0 * fits, 0.1)
+                value = max(value + min(2.0 * fits, 0.0), 0.1)
             if n == room:
                 room *= 2
                 slots, rows, worth = _longer(slots, rows, worth)
@@ -113,9 +114,10 @@ def learn(bank, limbs, step_s, reach_m):  # type: ignore[no-untyped-def]
     tick = bank.numbers[TICK]
     lesson_s = TAUGHT * max(step_s, 1e-6)
     for i in range(bank.numbers[TOP]):
-        if bank.state[i] != CONFIRMED or bank.missed[i] != 0 or (i + tick) % TAUGHT != 0:
+        if bank.state[i] != CONFIRMED or bank.missed[i] != 0:
             continue
-        if limbs.mate[i, 0] < 0 or (i + tick) // TAUGHT % REFRESH == 0:
+        lesson = (i + tick) % TAUGHT == 0
+        if limbs.mate[i, 0] < 0 or (lesson and (i + tick) // TAUGHT % REFRESH == 0):
             _look_for_mates(bank, limbs, i, reach_m, tick // (TAUGHT * REFRESH))
         if not bank.sure[i]:
             continue
@@ -133,6 +135,8 @@ def learn(bank, limbs, step_s, reach_m):  # type: ignore[no-untyped-def]
             limbs.taken[i, k] = True
             for a in range(3):
                 limbs.photo[i, k, a] = there[a]
+            if not lesson:
+                continue
             away = _distance(here, there) - limbs.length[i, k]
             rate = min(lesson_s / min(limbs.shown_s[i, k] + lesson_s, WINDOW_S), 1.0)
             if limbs.shown_s[i, k] > 2 * PROVEN_S:
@@ -143,7 +147,8 @@ def learn(bank, limbs, step_s, reach_m):  # type: ignore[no-untyped-def]
             limbs.variance[i, k] = (1.0 - rate) * (limbs.variance[i, k] + rate * away * away)
             limbs.length[i, k] += rate * away
             limbs.shown_s[i, k] += lesson_s
-        limbs.strain[i] = limbs.strain[i] + 1 if known >= 3 and 3 * broken >= 2 * known else 0
+        if lesson:
+            limbs.strain[i] = limbs.strain[i] + 1 if known >= 3 and 3 * broken >= 2 * known else 0
 
 
 @kernel
@@ -174,7 +179,8 @@ def recall(bank, limbs, i, time_s, least, range_m, speed_mps):  # type: ignore[n
     """Return the lost target whose distances slot ``i``, not named yet, fulfils, and whether any can be meant.
 
     The former is -1 where none convinces: ``least`` is the log-likelihood ratio that does, the second best must be
-    behind by 3. A target can be meant if it could have come here from where it was lost.
+    behind by 3. A target can be meant if it has a limb and
+    could have come here from where it was lost.
     """
     best, second, at, possible = -np.inf, -np.inf, -1, False
     for j in range(bank.numbers[TOP]):
@@ -183,13 +189,26 @@ def recall(bank, limbs, i, time_s, least, range_m, speed_mps):  # type: ignore[n
         hidden_s = time_s - bank.seen_s[j]
         if _distance(bank.mean[i], limbs.own[j]) > range_m + speed_mps * hidden_s or bank.born_s[i] < bank.seen_s[j]:
             continue
-        possible = True
+        possible |= _has_limb(limbs.length[j], limbs.variance[j], limbs.shown_s[j])
         fits = _fits(bank, limbs, j, bank.mean[i], bank.covariance[i], hidden_s, range_m)
         if fits > best:
             best, second, at = fits, best, j
         elif fits > second:
             second = fits
     return (at if best >= least and best > second + 3.0 else -1), possible
+
+
+@kernel
+def found_instead(bank, i, time_s, near_m):  # type: ignore[no-untyped-def]
+    """Return the lost target that was found again now where slot ``i``, without a name, should have been, or -1.
+
+    Only one that was lost before ``i`` was born: then ``i`` was it all the time.
+    """
+    for j in range(bank.numbers[TOP]):
+        if bank.state[j] == CONFIRMED and bank.identity[j] >= 0 and bank.back_s[j] == time_s:
+            if bank.born_s[i] > bank.gone_s[j] and _distance(bank.mean[i], bank.mean[j]) < near_m:
+                return j
+    return -1
 
 
 @kernel
@@ -229,6 +248,15 @@ def _fits(bank, limbs, i, point, noise, hidden_s, range_m):  # type: ignore[no-u
 @step
 def _seen(serial, missed, mate, owner):  # type: ignore[no-untyped-def]
     return mate >= 0 and serial[mate] == owner and missed[mate] == 0
+
+
+@step
+def _has_limb(length, variance, shown_s):  # type: ignore[no-untyped-def]
+    """Whether at least two distances of a target are known to be kept."""
+    kept = 0
+    for k in range(MATES):
+        kept += shown_s[k] > PROVEN_S and _spread2(length[k], variance[k], shown_s[k]) < (LOOSE * length[k]) ** 2
+    return kept >= 2
 
 
 @step

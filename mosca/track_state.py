@@ -22,7 +22,8 @@ class Bank(NamedTuple):
 
     ``numbers`` (4,): slots in use, next serial, next identity, instants so far. ``state`` (n,); ``serial`` (n,);
     ``identity`` (n,) or -1; ``missed`` (n,) instants not seen since last seen; ``sure`` (n,) whether the last
-    sighting can be learned from; ``seen_s``, ``born_s``, ``weight`` (n,); ``variance`` (n,) of the acceleration, an axis;
+    sighting can be learned from; ``seen_s``, ``born_s`` (n,); ``back_s``, ``gone_s`` (n,) when last found again and
+    when lost before that; ``weight`` (n,); ``variance`` (n,) of the acceleration, an axis;
     ``mean`` (n, 9) position, velocity, acceleration; ``covariance`` (n, 9, 9); ``place`` (n, 3) and
     ``place_covariance`` (n, 3, 3): where it is expected now, by ``source`` (n,).
     """
@@ -35,6 +36,8 @@ class Bank(NamedTuple):
     sure: Array
     seen_s: Array
     born_s: Array
+    back_s: Array
+    gone_s: Array
     weight: Array
     variance: Array
     mean: Array
@@ -67,22 +70,23 @@ class Limbs(NamedTuple):
 
 def new_bank(slots: int) -> Bank:
     """Return an empty bank."""
-    i, f = np.int64, np.float64
+    n, none = slots, np.full(slots, -1, np.int64)
     return Bank(
-        np.zeros(4, i), np.zeros(slots, i), np.full(slots, -1, i), np.full(slots, -1, i), np.zeros(slots, i),
-        np.zeros(slots, np.bool_), np.zeros(slots, f), np.zeros(slots, f), np.zeros(slots, f), np.zeros(slots, f),
-        np.zeros((slots, 9), f),
-        np.zeros((slots, 9, 9), f), np.zeros((slots, 3), f), np.zeros((slots, 3, 3), f), np.zeros(slots, i),
+        numbers=np.zeros(4, np.int64), state=np.zeros(n, np.int64), serial=none, identity=none.copy(),
+        missed=np.zeros(n, np.int64), sure=np.zeros(n, np.bool_), seen_s=np.zeros(n), born_s=np.zeros(n),
+        back_s=np.full(n, -1.0), gone_s=np.zeros(n), weight=np.zeros(n), variance=np.zeros(n),
+        mean=np.zeros((n, 9)), covariance=np.zeros((n, 9, 9)), place=np.zeros((n, 3)),
+        place_covariance=np.zeros((n, 3, 3)), source=np.zeros(n, np.int64),
     )  # fmt: skip
 
 
 def new_limbs(slots: int) -> Limbs:
     """Return an empty memory of limbs."""
-    i, f = np.int64, np.float64
+    each = (slots, MATES)
     return Limbs(
-        np.full((slots, MATES), -1, i), np.full((slots, MATES), -1, i), np.zeros((slots, MATES), f),
-        np.zeros((slots, MATES), f), np.zeros((slots, MATES), f), np.zeros((slots, MATES, 3), f),
-        np.zeros((slots, MATES), np.bool_), np.zeros((slots, 3), f), np.zeros((slots, 3, 3), f), np.zeros(slots, i),
+        mate=np.full(each, -1, np.int64), mate_serial=np.full(each, -1, np.int64), length=np.zeros(each),
+        variance=np.zeros(each), shown_s=np.zeros(each), photo=np.zeros((*each, 3)), taken=np.zeros(each, np.bool_),
+        own=np.zeros((slots, 3)), turn=np.zeros((slots, 3, 3)), strain=np.zeros(slots, np.int64),
     )  # fmt: skip
 
 

@@ -45,9 +45,9 @@ class Bundle:
     the target's image and ANGLE [rad] that its diameter fills; BONUS log-likelihood that it adds to a group
     (``mosca.match``); FLAGS of the detection. NaN where the lens images nothing at the pixel.
 
-    ``views`` (c, VIEW): ORIGIN (3) centre of projection [m], ROTATION (3 x 3) world_from_camera, DENSITY rays
-    over the image's area [1/px^2]; ``pairs`` (p, 2) of cameras, best base first; ``start`` (c + 1,) first row of
-    each camera's rays.
+    ``views`` (c, VIEW): ORIGIN (3) centre of projection [m], ROTATION (3 x 3) world_from_camera, EDGES (4) of what
+    it sees, DENSITY rays over the image's area [1/px^2]; ``pairs`` (p, 2) of cameras, best base first;
+    ``start`` (c + 1,) first row of each camera's rays.
     """
 
     rays: Array

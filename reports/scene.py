@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
 from mosca.data.arrays import Array
-from mosca.data.rig import Camera, FisheyeLens, MoscaLens, OpenCVLens, Rig
+from mosca.data.rig import Camera, FisheyeLens, Rig, principal_distances_px, principal_point_px
 from mosca.data.tracks import Tracks
 from reports.drawing import (
     BLUE,
@@ -212,14 +212,8 @@ def _unit(vector: Array) -> Array:
 def _corner_rays(camera: Camera) -> Array:
     """Return rays (4, 3) to the image's corners at depth 1, camera frame; distortion left out, as in a sketch."""
     lens = camera.lens
-    if isinstance(lens, MoscaLens):
-        fx, fy = lens.c_mm / lens.mx_mm_per_px, lens.c_mm / lens.my_mm_per_px
-        cx, cy = lens.xp_px, lens.yp_px
-    else:
-        assert isinstance(lens, OpenCVLens | FisheyeLens)
-        fx, fy, cx, cy = lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px
     corners = np.array([[0, 0], [camera.width, 0], [camera.width, camera.height], [0, camera.height]]) - 0.5
-    across = (corners - (cx, cy)) / (fx, fy)
+    across = (corners - principal_point_px(lens)) / principal_distances_px(lens)
     if isinstance(lens, FisheyeLens):
         angle = np.linalg.norm(across, axis=1, keepdims=True)
         across = across / angle * np.tan(np.minimum(angle, 1.1))

@@ -23,7 +23,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
-from mosca.data.rig import Camera, MoscaLens, Rig
+from mosca.data.rig import Camera, Rig, principal_distances_px, principal_point_px
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 
@@ -124,7 +124,7 @@ class RerunLog:
         pose = camera.world_from_camera
         transform = self._rr.Transform3D(translation=pose.translation, mat3x3=pose.rotation)
         self._log_still(_entity(camera), transform)
-        fx, fy, cx, cy = _pinhole(camera)
+        (fx, fy), (cx, cy) = principal_distances_px(camera.lens), principal_point_px(camera.lens)
         # Rerun puts pixel centres at +0.5, this project at 0.
         pinhole = self._rr.Pinhole(
             focal_length=[fx, fy],
@@ -197,14 +197,6 @@ def _entity(camera: Camera) -> str:
     from rerun import escape_entity_path_part
 
     return f"world/cameras/{escape_entity_path_part(camera.name)}"
-
-
-def _pinhole(camera: Camera) -> tuple[float, float, float, float]:
-    """Return fx, fy, cx, cy [px] of the lens without its distortion."""
-    lens = camera.lens
-    if isinstance(lens, MoscaLens):
-        return lens.c_mm / lens.mx_mm_per_px, lens.c_mm / lens.my_mm_per_px, lens.xp_px, lens.yp_px
-    return lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px
 
 
 def _eight_bits(image: Array) -> Array:

@@ -16,12 +16,15 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.whole_file import whole_file
 from mosca.errors import InputError
-from mosca.formats.marker_table import MarkerTable
+from mosca.formats.c3d_sound import fault_of
+from mosca.formats.marker_table import MarkerTable, plain_names
 
 # What ezc3d, and reading what it gives, raise on bytes that are not what they should be.
 _DAMAGE = (OSError, ArithmeticError, LookupError, MemoryError, RuntimeError, ValueError, struct.error)
 LARGEST_COUNT = 65535
 """What 16 bit hold: points, and the number of the last frame."""
+LONGEST_LABEL = 120
+"""Characters: a dimension is one byte, and some readers take it for a signed one."""
 METRES_PER = {"mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "m": 1.0, "in": 0.0254}
 
 
@@ -46,7 +49,7 @@ def write_c3d(table: MarkerTable, path: Path) -> None:
     point = document["parameters"]["POINT"]
     point["RATE"]["value"] = [table.rate_hz]
     point["UNITS"]["value"] = ["mm"]
-    point["LABELS"]["value"] = list(table.names)
+    point["LABELS"]["value"] = list(plain_names(table.names, LONGEST_LABEL))
     document.add_parameter("POINT", "X_SCREEN", ["+X"])
     document.add_parameter("POINT", "Y_SCREEN", ["+Z"])
     document["data"]["points"] = points
@@ -63,13 +66,15 @@ def write_c3d(table: MarkerTable, path: Path) -> None:
 def read_c3d(path: Path) -> MarkerTable:
     """Read the points of a C3D file; samples with a negative residual or no coordinates are absent (NaN).
 
-    Raises InputError where it cannot be read, is cut short, has no points or an unknown unit. (ezc3d itself
-    can crash on a file whose parameter section is damaged: read such files only from sources that you trust.)
+    Raises InputError where it cannot be read, is cut short or damaged, has no points or an unknown unit.
     """
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     try:
+        fault = fault_of(path.read_bytes())
+        if fault:
+            raise InputError(f"{path}: cannot be read as C3D: {fault}")
         document = ezc3d.c3d(str(path))
         points = np.asarray(document["data"]["points"], dtype=np.float64)
         residuals = np.asarray(document["data"]["meta_points"]["residuals"], dtype=np.float64)
@@ -126,6 +131,12 @@ def _bytes_needed(document: ezc3d.c3d, path: Path) -> int:
 
 def _residuals_mm(table: MarkerTable) -> tuple[Array, float]:
     """Return the residual field (t, m) [mm] and its step: 7 bit hold it as a whole number of steps."""
+    if (
+        not np.isfinite(table.deviation_m).any()
+        and (table.measured == np.isfinite(table.xyz).all(axis=2)).all()
+    ):
+        # nothing is known of errors and nothing was filled: 0 all over says no more than that
+        return np.where(table.measured, 0.0, -1.0), 1e-3
     deviation_mm = 1e3 * np.nan_to_num(table.deviation_m, nan=0.0, posinf=0.0)
     step = max(float(deviation_mm.max()) / 127.0, 1e-3)
     residuals = np.where(table.measured, np.maximum(deviation_mm, step), 0.0)

@@ -6,6 +6,10 @@ import numpy as np
 
 from mosca.data.arrays import Array, read_only
 from mosca.data.tracks import Tracks
+from mosca.errors import InputError
+
+MOST_CELLS = 100_000_000
+"""Frames times markers that a table may have; it holds 5 numbers a cell in memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +52,11 @@ def table_from_tracks(tracks: Tracks, rate_hz: float) -> MarkerTable:
     identities, inverse = np.unique(tracks.track, return_inverse=True)
     column = np.array([column_of[int(track)] for track in identities])[inverse]
     first, last = int(tracks.frame.min()), int(tracks.frame.max())
+    if (last - first + 1) * len(names) > MOST_CELLS:
+        raise InputError(
+            f"tracks: {len(names)} markers in frames {first} to {last} make a table of more than {MOST_CELLS:g} "
+            "cells; write .npz or .csv, or fewer frames"
+        )
     xyz = np.full((last - first + 1, len(names), 3), np.nan)
     measured = np.zeros(xyz.shape[:2], dtype=bool)
     row = tracks.frame - first
@@ -56,6 +65,24 @@ def table_from_tracks(tracks: Tracks, rate_hz: float) -> MarkerTable:
     deviation = np.full(xyz.shape[:2], np.nan)
     deviation[row, column] = np.sqrt(np.trace(tracks.covariance, axis1=1, axis2=2))
     return MarkerTable(names, xyz, measured, deviation, first, rate_hz)
+
+
+def plain_names(names: tuple[str, ...], longest: int | None = None) -> tuple[str, ...]:
+    """Return names that a line of a file can hold: no line breaks, tabs or blanks at the ends, all distinct.
+
+    ``longest``: characters, in a one-byte encoding; others are written as ?.
+    """
+    plain: list[str] = []
+    for k, name in enumerate(names, start=1):
+        one = " ".join("".join(c if c.isprintable() else " " for c in name).split()) or f"marker_{k}"
+        if longest is not None:
+            one = one.encode("latin-1", "replace").decode("latin-1")[:longest]
+        tail = 0
+        while one in plain:
+            tail += 1
+            one = f"{one[: (longest or len(one) + 12) - 12]}_{k}_{tail}"
+        plain.append(one)
+    return tuple(plain)
 
 
 def tracks_from_table(table: MarkerTable) -> Tracks:

@@ -10,7 +10,7 @@ import numpy as np
 
 from mosca.data.whole_file import whole_file
 from mosca.errors import InputError
-from mosca.formats.marker_table import MarkerTable
+from mosca.formats.marker_table import MarkerTable, plain_names
 
 METRES_PER = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 _MISSING = ("", "nan")
@@ -27,7 +27,7 @@ def write_trc(table: MarkerTable, path: Path) -> None:
         f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
         f"{rate}\t{rate}\t{n_frames}\t{n_markers}\tmm\t{rate}\t{table.first_frame}\t{n_frames}",
-        "Frame#\tTime\t" + "\t\t\t".join(name.replace("\t", " ") for name in table.names) + "\t\t",
+        "Frame#\tTime\t" + "\t\t\t".join(plain_names(table.names)) + "\t\t",
         "\t\t" + "\t".join(f"{axis}{k + 1}" for k in range(n_markers) for axis in "XYZ"),
         "",
     ]

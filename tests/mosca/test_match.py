@@ -6,11 +6,10 @@ import pytest
 from mosca.camera import project
 from mosca.data.detections import Detections
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
-from mosca.match import MatchSettings, Predicted, choose, hypotheses
+from mosca.match import EVERYWHERE, MatchSettings, Predicted, match
 from mosca.triangulate import bundle_rays
 
 LENS = MoscaLens(8.0, 330.0, 240.0, 0.01, 0.01, -0.006, 1e-3, -1.5e-5, 0, 1e-4, 5e-5)
-EVERYWHERE = (np.full(3, -np.inf), np.full(3, np.inf))
 SIGMA = 0.05
 
 
@@ -54,9 +53,7 @@ def detected(rig, points, rng, sigma=SIGMA, clutter=0, miss=0.0):
 def grouped(rig, found, settings=None, predicted=None):
     settings = settings or MatchSettings(camera_sigma_px=0.0)
     bundle = bundle_rays(rig, found, settings.camera_sigma_px)
-    return choose(
-        hypotheses(bundle, settings, EVERYWHERE), bundle, predicted or Predicted.nothing(), settings
-    )
+    return match(bundle, predicted or Predicted.nothing(), settings, EVERYWHERE)
 
 
 def members(rig, points, truth):
@@ -128,10 +125,7 @@ def test_points_outside_the_volume_are_none():
     found, _ = detected(rig, truth3d, rng)
     bundle = bundle_rays(rig, found, 0.0)
     box = (np.full(3, -0.2), np.full(3, 0.2))
-    assert (
-        len(choose(hypotheses(bundle, MatchSettings(), box), bundle, Predicted.nothing(), MatchSettings()))
-        == 1
-    )
+    assert len(match(bundle, Predicted.nothing(), MatchSettings(), box)) == 1
 
 
 def test_no_detections_no_points():

@@ -144,8 +144,8 @@ def _cover(score: Score, clock: float, rng: np.random.Generator) -> float:
     up, held = clock + 0.22, clock + 0.22 + rng.uniform(0.25, 0.45)
     down = held + 0.25
     for side, wrist, elbow in (
-        ("l", (-0.05, 0.40, 0.14), (0.7, 0.2, -1.0)),
-        ("r", (-0.05, 0.23, 0.02), (0.7, -0.2, -1.0)),
+        ("l", (-0.07, 0.40, 0.14), (0.7, 0.2, -1.0)),
+        ("r", (-0.07, 0.23, 0.02), (0.7, -0.2, -1.0)),
     ):
         for channel, there, again in (("hand", wrist, _GUARD[side]), ("elbow", elbow, _ELBOW[side])):
             score.move(f"{side}_{channel}", clock, up, there)

@@ -18,7 +18,7 @@ from twin.scenes.submovements import Score, minimum_jerk
 
 STANCE: Stance = {"l": (0.13, 0.14, 0.2), "r": (-0.13, 0.14, -0.2)}
 _WIDE, _WIDE_ELBOW = (0.70, 0.16, 0.02), (0.1, -0.6, -1.0)
-_OVERHEAD, _OVERHEAD_ELBOW = (0.20, 0.10, 0.47), (1.0, 0.0, -0.9)
+_OVERHEAD, _OVERHEAD_ELBOW = (0.24, 0.10, 0.45), (1.0, 0.0, -0.9)
 _OPEN = (0.52, 0.30, 0.0)
 _FRONT = (0.24, 0.42, -0.02)
 # Arms closed: one across the chest, the other across the belly; hand and elbow.
@@ -82,7 +82,7 @@ def _hang(score: Score, start: float, end: float) -> None:
 def _overhead(score: Score, clock: float, beat: float, side: str, rng: np.random.Generator) -> float:
     """Write: both arms by the side overhead, a bend to one side and the other, arms down before the body."""
     sign = 1.0 if side == "l" else -1.0
-    bend = sign * rng.uniform(0.16, 0.28)
+    bend = sign * rng.uniform(0.14, 0.24)
     _arms(score, clock, clock + 1.3 * beat, _WIDE, _WIDE_ELBOW)
     _arms(score, clock + 0.8 * beat, clock + 2.0 * beat, _OVERHEAD, _OVERHEAD_ELBOW)
     for k, to in enumerate((bend, -bend, 0.0)):

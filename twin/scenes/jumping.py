@@ -21,7 +21,7 @@ from twin.scenes.submovements import Score, minimum_jerk
 GRAVITY_MPS2 = 9.81
 _CROUCH_S, _PUSH_S, _CATCH_S, _RISE_S, _REST_S = 0.60, 0.34, 0.36, 0.60, 0.25
 _STEP_S, _STEPS_A_FOOT = 0.22, 4
-_TAKEOFF_M, _LANDING_M = 0.10, 0.03  # centre of mass above standing
+_TAKEOFF_M, _LANDING_M = 0.10, -0.03  # centre of mass over where it is standing
 _LEAN_M, _BEHIND_M = 0.19, 0.12  # centre of mass before the feet at take-off, behind them at landing
 
 _CROUCHED_PITCH = 0.14  # heels leave the floor a little in a crouch
@@ -156,7 +156,7 @@ def _turn_round(score: Score, clock: float, place: Array, angle: float) -> float
 def _swung(arms: Array, scale: float) -> dict[str, Array]:
     """Return hands and elbows of arms swung forward by ``arms`` (n, 2): angle from hanging [rad], reach [m]."""
     angle, reach = arms.T
-    hand = np.stack([np.full_like(angle, 0.28), reach * np.sin(angle), -reach * np.cos(angle)], axis=-1)
+    hand = np.stack([np.full_like(angle, 0.30), reach * np.sin(angle), -reach * np.cos(angle)], axis=-1)
     elbow = np.stack([np.full_like(angle, 0.5), -np.cos(angle), -np.sin(angle)], axis=-1)
     return {"hands": scale * np.stack([hand, hand], axis=1), "elbows": np.stack([elbow, elbow], axis=1)}
 

@@ -26,6 +26,8 @@ from mosca.data.rig import Camera, Pose
 FIRST_DAMPING, LEAST_DAMPING, WORST_DAMPING = 1e-6, 1e-10, 1e12
 # beyond it small promises only mean small steps
 STALLED = 1e2
+# of its promise a step may miss this share and the problem still counts as near enough to quadratic
+AS_PROMISED = 0.1
 # sums of squares of so many numbers cannot be told apart below this share of theirs
 ROUNDING = 1e-14
 # residuals of rounding size, in standard deviations: an exact fit
@@ -198,7 +200,7 @@ def descend(task: Task, start: State, weight: Array) -> Descent:
         cost, unseen, pull = linearised(task, state, weight, normals)
     used = int((weight > 0).sum())
     redundancy = max(2 * used - len(layout.names) - int(layout.blocks[0].sum()), 1)
-    damping, growth = FIRST_DAMPING, 2.0
+    damping, growth, before = FIRST_DAMPING, 2.0, 0.0
     for step in range(task.most_steps):
         enough = max(task.tolerance**2 / redundancy, ROUNDING) * cost
         while True:
@@ -219,8 +221,11 @@ def descend(task: Task, start: State, weight: Array) -> Descent:
         ratio = gained / promised
         fall = 0.1 if ratio > 0.75 else max(1 / 3, 1 - (2 * ratio - 1) ** 3)
         damping, growth = max(damping * fall, LEAST_DAMPING), 2.0
-        if gained <= enough:
+        # steps that keep their promises shrink at least linearly: what the next would promise, at the last one's rate
+        next_one = promised**2 / before if before > 0 and abs(ratio - 1) < AS_PROMISED else np.inf
+        if min(gained, next_one) <= enough:
             return Descent(state, normals, cost, step + 1, unseen, damping < STALLED)
+        before = promised
     return Descent(state, normals, cost, task.most_steps, unseen, False)
 
 
@@ -279,7 +284,7 @@ def moved(layout: Layout, state: State, group_step: Array, block_step: Array) ->
     if len(layout.members) + len(layout.kept):
         points = points.copy()
         eliminated = 3 * len(layout.members)
-        points[layout.members] += block_step[:eliminated].reshape(-1, 3)
+        points[layout.members] = points.take(layout.members, axis=0) + block_step[:eliminated].reshape(-1, 3)
         points[layout.kept] += group_step[len(cameras) :, :3]
     if len(layout.placed):
         steps = block_step[3 * len(layout.members) :].reshape(-1, 6)

@@ -46,7 +46,7 @@ def onto_given(problem: Problem, layout: Layout, solution: Solution, given: Stat
         raise CalibrationError(
             f"datum 'points': {len(chosen)} determined points carry it; three at least are wanted"
         )
-    target, source = given[1][chosen], points[chosen]
+    target, source = given[1].take(chosen, axis=0), points.take(chosen, axis=0)
     middle, own = target.mean(axis=0), source.mean(axis=0)
     left, sizes, right = np.linalg.svd((target - middle).T @ (source - own))
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
@@ -62,7 +62,7 @@ def onto_given(problem: Problem, layout: Layout, solution: Solution, given: Stat
     of_world = own_points
     if len(placements):
         of_world = own_points[~np.isin(own_points, layout.see[1][layout.see[2] >= 0])]
-    points[of_world] = carried(points[of_world])
+    points[of_world] = carried(points.take(of_world, axis=0))
     for poses in (table, placements):
         poses[:, :9] = (turn @ poses[:, :9].reshape(-1, 3, 3)).reshape(-1, 9)
         poses[:, 9:12] = carried(poses[:, 9:12])

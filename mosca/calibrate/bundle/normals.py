@@ -85,16 +85,30 @@ def linearise(state, see, columns, blocks, known, robust, normals):  # type: ign
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def _sum_camera(camera, used, lanes, w, j, group_normals, group_slope):  # type: ignore[no-untyped-def]
     """Add a strip to its camera's normals (the upper triangle) and slope."""
-    for i in range(used):
-        one, x = 2 * i * LANES, 0.0
+    rows = 2 * LANES
+    for i in range(0, used, 2):
+        one, two = j[i * rows : (i + 1) * rows], j[(i + 1) * rows : (i + 2) * rows]
+        s0 = s1 = 0.0
         for at in range(lanes):
-            x += j[one + at] * w[E + at] + j[one + LANES + at] * w[E + LANES + at]
-        group_slope[camera, i] += x
-        for k in range(i, used):
-            two, x = 2 * k * LANES, 0.0
+            s0 += one[at] * w[E + at] + one[LANES + at] * w[E + LANES + at]
+            s1 += two[at] * w[E + at] + two[LANES + at] * w[E + LANES + at]
+        group_slope[camera, i] += s0
+        group_slope[camera, i + 1] += s1
+        # two lines by two at once: four products of what is fetched once
+        for k in range(i, used, 2):
+            three, four = j[k * rows : (k + 1) * rows], j[(k + 1) * rows : (k + 2) * rows]
+            s0 = s1 = s2 = s3 = 0.0
             for at in range(lanes):
-                x += j[one + at] * j[two + at] + j[one + LANES + at] * j[two + LANES + at]
-            group_normals[camera, i, k] += x
+                a, b, c, d = one[at], one[LANES + at], two[at], two[LANES + at]
+                e, f, g, h = three[at], three[LANES + at], four[at], four[LANES + at]
+                s0 += a * e + b * f
+                s1 += a * g + b * h
+                s2 += c * e + d * f
+                s3 += c * g + d * h
+            group_normals[camera, i, k] += s0
+            group_normals[camera, i, k + 1] += s1
+            group_normals[camera, i + 1, k] += s2
+            group_normals[camera, i + 1, k + 1] += s3
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)

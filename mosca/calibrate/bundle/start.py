@@ -21,7 +21,7 @@ def intersected(
     mean of its rays at the typical distance of the others. A point that nothing places is put where
     ``fallback`` (p, 3) has it; CalibrationError without.
     """
-    missing = layout.members[~np.isfinite(points[layout.members]).all(axis=1)]
+    missing = layout.members[~np.isfinite(points.take(layout.members, axis=0)).all(axis=1)]
     if len(missing) == 0:
         return points
     camera, point, placement, xy_px = layout.see[:4]

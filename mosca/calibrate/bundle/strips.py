@@ -150,7 +150,7 @@ def weighted_residuals(m, count, lanes, weight, robust, w, residual):  # type: i
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def derive(c, camera, columns, lanes, w, j):  # type: ignore[no-untyped-def]
     """Write the weighted derivatives by the camera's unknowns into ``j`` and by the point in the world at
-    BLOCK; return how many unknowns.
+    BLOCK; return how many unknowns, made even by one of which nothing depends.
     """
     lens, count, first, second, factor = columns
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]
@@ -173,7 +173,11 @@ def derive(c, camera, columns, lanes, w, j):  # type: ignore[no-untyped-def]
             one, two = lens_rows + first[own, k] * LANES, lens_rows + second[own, k] * LANES
             for i in range(lanes):
                 j[to + i] = w[WEIGHT + i] * (w[one + i] + f * w[two + i])
-    return 6 + count[own]
+    used = 6 + count[own]
+    if used % 2:
+        j[2 * used * LANES : 2 * (used + 1) * LANES] = 0
+        used += 1
+    return used
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)

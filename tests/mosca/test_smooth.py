@@ -1,0 +1,119 @@
+"""Smoothing and filling: measured stays measured, errors shrink, what is filled says honestly how far to trust it."""
+
+import numpy as np
+import pytest
+
+from mosca.data.tracks import Tracks
+from mosca.smooth import SmoothSettings, filled, smoothed
+from mosca.smooth_kernels import smooth_one
+
+SIGMA = 1e-3
+
+
+def tracks_of(xyz, keep, seed=0):
+    """xyz (t, m, 3) true; keep (t, m): which are measured, with noise."""
+    rng = np.random.default_rng(seed)
+    frame, track = np.nonzero(keep)
+    n = len(frame)
+    return Tracks(
+        frame,
+        frame * 10_000_000,
+        track,
+        np.full(n, ""),
+        xyz[frame, track] + rng.normal(0, SIGMA, (n, 3)),
+        np.tile(SIGMA**2 * np.eye(3), (n, 1, 1)),
+        np.full(n, 4),
+        np.full(n, 0.05),
+        np.full(n, "measured"),
+    )
+
+
+def motions(frames, markers, seed=1):
+    """Smooth random motion: sums of sines up to 2 Hz."""
+    rng = np.random.default_rng(seed)
+    t = 0.01 * np.arange(frames)[:, None, None, None]
+    f = rng.uniform(0.2, 2.0, (1, markers, 3, 4))
+    return (rng.uniform(0, 0.1, f.shape) * np.sin(2 * np.pi * (f * t + rng.random(f.shape)))).sum(axis=3)
+
+
+def gaps(frames, markers, length):
+    keep = np.ones((frames, markers), bool)
+    for start in range(40, frames - 40, 90):
+        for m in range(markers):
+            keep[start + 7 * m : start + 7 * m + length, m] = False
+    return keep
+
+
+def test_smoothing_equals_the_least_squares_of_all_measurements():
+    # the same prior and noise written as one linear system: positions must agree
+    rng = np.random.default_rng(3)
+    t, dt, q, speed2, var = 6, 0.1, 1.0, 4.0, 2.0
+    f = np.array([[1, dt, dt * dt / 2], [0, 1, dt], [0, 0, 0.8]])
+    g = np.array([[0.3, 0.0, 0.0], [0.1, 0.4, 0.0], [0.05, 0.1, 0.5]])
+    noise = q * g @ g.T
+    xyz, measured = rng.normal(0, 1, (t, 3)), np.array([True, True, False, False, True, True])
+    covariance = np.tile(0.01 * np.eye(3), (t, 1, 1))
+    place, spread, _, _ = smooth_one(
+        xyz, covariance, measured, np.tile(f, (t, 1, 1)), np.tile(noise, (t, 1, 1)), speed2, var
+    )
+    for axis in range(3):
+        information, right = np.zeros((3 * t, 3 * t)), np.zeros(3 * t)
+        information[1, 1], information[2, 2] = 1 / speed2, 1 / var
+        for k in range(t):
+            if measured[k]:
+                information[3 * k, 3 * k] += 1 / 0.01
+                right[3 * k] += xyz[k, axis] / 0.01
+            if k:
+                rows = np.zeros((3, 3 * t))
+                rows[:, 3 * k - 3 : 3 * k], rows[:, 3 * k : 3 * k + 3] = -f, np.eye(3)
+                information += rows.T @ np.linalg.solve(var * noise, rows)
+        inverse = np.linalg.inv(information)
+        np.testing.assert_allclose(place[:, axis], (inverse @ right)[::3], atol=1e-9)
+        np.testing.assert_allclose(spread[:, axis, axis], np.diag(inverse)[::3], rtol=1e-8)
+
+
+def test_smoothed_is_nearer_to_the_truth_and_measured_stays_as_it_is():
+    xyz = motions(300, 3)
+    tracks = tracks_of(xyz, np.ones((300, 3), bool))
+    result = smoothed(tracks)
+
+    def rms(one):
+        return np.sqrt(np.mean((one.xyz - xyz[one.frame, one.track]) ** 2))
+
+    assert rms(result) < 0.7 * rms(tracks)
+    assert (result.status == "measured").all()
+    added = filled(tracks)
+    np.testing.assert_array_equal(added.xyz, tracks.xyz)
+
+
+@pytest.mark.parametrize("length", [1, 4, 10, 20])
+def test_filled_samples_are_marked_and_their_covariance_fits_their_errors(length):
+    xyz = motions(600, 6)
+    keep = gaps(600, 6, length)
+    tracks = tracks_of(xyz, keep)
+    together = filled(tracks, SmoothSettings(longest_gap_s=0.25))
+    new = together.select(together.status == "filled")
+    assert len(new) == (~keep).sum()
+    assert (new.n_cameras == 0).all()
+    assert np.isnan(new.residual_px).all()
+    away = new.xyz - xyz[new.frame, new.track]
+    nees = np.einsum("ni,ni->n", away, np.linalg.solve(new.covariance, away[:, :, None])[:, :, 0])
+    # samples of one gap err together: the band is that of the gaps' number
+    assert 1.0 < nees.mean() < 4.5
+    # measured rows are untouched
+    old = together.select(together.status == "measured")
+    np.testing.assert_array_equal(old.xyz, tracks.xyz)
+    widths = np.trace(new.covariance, axis1=1, axis2=2)
+    assert np.median(widths) > 3 * SIGMA**2 * (0.1 if length == 1 else 0.3)
+
+
+def test_long_gaps_and_ends_stay_open():
+    keep = np.ones((200, 2), bool)
+    keep[100:140, 0] = False
+    keep[150:, 1] = False
+    tracks = tracks_of(motions(200, 2), keep)
+    assert len(filled(tracks, SmoothSettings(longest_gap_s=0.25))) == len(tracks)
+
+
+def test_nothing_to_smooth():
+    assert len(filled(Tracks.none())) == len(smoothed(Tracks.none())) == 0
