@@ -32,7 +32,7 @@ from mosca.match_groups import (
 )
 from mosca.match_index import CELLS, CORNER, FIRST, SCALE, buckets, cell_of, cells, plane_angles, within
 from mosca.ray_kernels import ANGLE, DENSITY, EDGES, FLAGS, RADIUS, ROTATION, SIGMA, SPREAD, WHITE
-from mosca.triangulate import RANKS, SHARE, TRUST
+from mosca.triangulate import DEPTH, RANKS, SHARE, TRUST
 
 CERTAIN = 1e-3
 """Expected number of chance groups as good as this one, below which a group explains its rays."""
@@ -111,6 +111,7 @@ def search(rays, views, pairs, start, rules):  # type: ignore[no-untyped-def]
                         frame,
                         first_in_cell,
                         in_cell,
+                        partner,
                         mates,
                         ranks,
                         solved,
@@ -249,7 +250,22 @@ def _meet(i, j, a, b, away2, variance_i, variance_j, members, ranks, solved, ray
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _grown(a, b, chance, reach, frame, first_in_cell, in_cell, members, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
+def _grown(
+    a,
+    b,
+    chance,
+    reach,
+    frame,
+    first_in_cell,
+    in_cell,
+    partner,
+    members,
+    ranks,
+    solved,
+    rays,
+    views,
+    rules,
+):  # type: ignore[no-untyped-def]
     """Widen a pair to all cameras, drop bad rays, judge. Returns how many rays it has (0: none), its squared error,
     diameter and the expected number of chance groups like it.
     """
@@ -271,21 +287,17 @@ def _grown(a, b, chance, reach, frame, first_in_cell, in_cell, members, ranks, s
     error = solve(members, ranks, solved, 2, rays, views)
     while size > 2 and not 0.0 <= error <= limit(2 * size - 3, rules[OUTLIER]):
         # a bad ray pulls the point towards itself: judge each by what is left without it
-        least, at = np.inf, -1
-        for c in range(cameras):
-            k = members[c]
-            if k >= 0:
-                members[c] = -1
-                rest = solve(members, ranks, solved, 2, rays, views)
-                members[c] = k
-                if 0.0 <= rest < least:
-                    least, at = rest, c
-        # with one of the pair bad this was no pair; the good rays have pairs of their own
-        if at < 0 or at in (a, b):
+        at = _worst_ray(members, ranks, solved, rays, views) if error >= 0.0 else -1
+        if at < 0:
             return 0, 0.0, 0.0, 1.0
         members[at] = -1
         size -= 1
+        # with one of three bad, this pair or another: each has to stand for itself
+        if size == 2 and at in (a, b):
+            return 0, 0.0, 0.0, 1.0
         error = solve(members, ranks, solved, 2, rays, views)
+    if size > 2 and (members[a] < 0 or members[b] < 0) and _joined(members, partner):
+        return 0, 0.0, 0.0, 1.0
     if size < rules[MINIMUM] or not acceptable(members, solved, size, error, diameter, rays, views, rules):
         return 0, 0.0, 0.0, 1.0
     added = 0
@@ -295,6 +307,48 @@ def _grown(a, b, chance, reach, frame, first_in_cell, in_cell, members, ranks, s
             chance *= ranks[c, SHARE] * (cameras - 2 - added) / (added + 1)
             added += 1
     return size, error, diameter, chance
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _worst_ray(members, ranks, solved, rays, views):  # type: ignore[no-untyped-def]
+    """Return the camera whose ray, left out, lowers the group's squared error most.
+
+    By e' (I - H)^-1 e with the ray's whitened error e and its share H = A P A' of its own error in the solution:
+    exact for fixed depths, in which the problem is linear (Cook and Weisberg 1982, section 2.2).
+    """
+    worst, at = -1.0, -1
+    for c in range(members.shape[0]):
+        k = members[c]
+        if k < 0:
+            continue
+        scale = ranks[c, TRUST] / ranks[c, DEPTH]
+        m0, m1 = scale * rays[k, WHITE : WHITE + 3], scale * rays[k, WHITE + 3 : WHITE + 6]
+        e0 = e1 = h00 = h01 = h11 = 0.0
+        for p in range(3):
+            e0 += m0[p] * (solved[p] - views[c, p])
+            e1 += m1[p] * (solved[p] - views[c, p])
+            for q in range(3):
+                h00 += m0[p] * m0[q] * solved[3 + 3 * p + q]
+                h01 += m0[p] * m1[q] * solved[3 + 3 * p + q]
+                h11 += m1[p] * m1[q] * solved[3 + 3 * p + q]
+        r00, r11 = 1.0 - h00, 1.0 - h11
+        det = max(r00 * r11 - h01 * h01, 1e-12)
+        lowered = (r11 * e0 * e0 + 2.0 * h01 * e0 * e1 + r00 * e1 * e1) / det
+        if lowered > worst:
+            worst, at = lowered, c
+    return at
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _joined(members, partner):  # type: ignore[no-untyped-def]
+    """Whether the first two rays of a group have been joined in a group of three or more."""
+    first = -1
+    for c in range(members.shape[0]):
+        if members[c] >= 0:
+            if first >= 0:
+                return partner[first, c] == members[c]
+            first = members[c]
+    return False
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

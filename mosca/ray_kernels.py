@@ -292,7 +292,7 @@ def fill_rays(  # type: ignore[no-untyped-def]
             longer = np.sqrt(elongation[n]) if elongation[n] > LONG else 1.0
             # two targets grown together are long, and their flux and peak tell no diameter: the longer axis does
             across = max(diameter[n] * longer, LEAST_DIAMETER_PX)
-            s00, s01, s11 = covariance[n, 0, 0] + sigma2, covariance[n, 0, 1], covariance[n, 1, 1] + sigma2
+            s00, s01, s11 = covariance[n, 0, 0] + sigma2[c], covariance[n, 0, 1], covariance[n, 1, 1] + sigma2[c]
             area = s00 * s11 - s01 * s01
             if not (good and s00 > 0.0 and area > 0.0):
                 rays[n] = np.nan

@@ -8,6 +8,7 @@ covariance of filled samples is widened until these errors fit it.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -48,7 +49,7 @@ class _Path:
 
 
 def smoothed(tracks: Tracks, settings: SmoothSettings | None = None) -> Tracks:
-    """Return the measured samples with their smoothed positions [m] and covariances [m^2]; other samples are left out.
+    """Return the measured samples with smoothed positions [m] and covariances [m^2]; other samples are left out.
 
     A smoothed position depends on the samples around it: its error is smaller, and correlated in time.
     """
@@ -171,8 +172,9 @@ def _fill(path: _Path, variance: float, widths: dict[int, float], settings: Smoo
     """Return the samples that close a path's gaps."""
     place, spread, _, _ = _smooth(path, path.measured, variance, settings)
     seen = np.flatnonzero(path.measured)
-    rows, wide = [], []
-    for a, b in zip(seen[:-1], seen[1:], strict=True):
+    rows: list[int] = []
+    wide: list[float] = []
+    for a, b in pairwise(seen.tolist()):
         if b > a + 1 and (path.time_ns[b] - path.time_ns[a]) * 1e-9 <= settings.longest_gap_s + 1e-9:
             length = min(k for k in widths if k >= b - a - 1)
             rows += range(a + 1, b)

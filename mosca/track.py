@@ -84,7 +84,7 @@ class Tracker:
         self._time_s, self._step_s = time_s, step
         carry(self._bank, motion(s.model, step, s.memory_s), time_s, s.coast_s, max(s.remember_s, s.coast_s))
         if s.limb_m > 0.0:
-            expect(self._bank, self._limbs, time_s, step, s.coast_s, 0.5 * s.gate_m)
+            expect(self._bank, self._limbs, time_s, step, 0.5 * s.gate_m)
         _, place, covariance = expected(self._bank)
         return Predicted(place, covariance)
 
@@ -136,7 +136,7 @@ class Tracker:
         """
         bank, s = self._bank, self.settings
         top, named, now = int(bank.numbers[TOP]), {}, self._time_s
-        for slot in np.flatnonzero((bank.state[:top] == CONFIRMED) & (bank.identity[:top] < 0)):
+        for slot in np.flatnonzero((bank.state[:top] == CONFIRMED) & (bank.identity[:top] < 0)).tolist():
             serial, old, possible = int(bank.serial[slot]), -1, False
             if s.limb_m > 0.0 and bank.missed[slot] == 0:
                 old, possible = recall(

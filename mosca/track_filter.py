@@ -187,14 +187,30 @@ def _carry_one(mean, covariance, m, variance):  # type: ignore[no-untyped-def]
 @step
 def _correct_one(mean, covariance, xyz, noise, size):  # type: ignore[no-untyped-def]
     """Kalman update by a measured position; returns the normalised innovation squared (3 degrees of freedom)."""
-    s00, s01, s02 = covariance[0, 0] + noise[0, 0], covariance[0, 1] + noise[0, 1], covariance[0, 2] + noise[0, 2]
-    s11, s12, s22 = covariance[1, 1] + noise[1, 1], covariance[1, 2] + noise[1, 2], covariance[2, 2] + noise[2, 2]
+    s00, s01, s02 = (
+        covariance[0, 0] + noise[0, 0],
+        covariance[0, 1] + noise[0, 1],
+        covariance[0, 2] + noise[0, 2],
+    )
+    s11, s12, s22 = (
+        covariance[1, 1] + noise[1, 1],
+        covariance[1, 2] + noise[1, 2],
+        covariance[2, 2] + noise[2, 2],
+    )
     c00, c01, c02 = s11 * s22 - s12 * s12, s02 * s12 - s01 * s22, s01 * s12 - s02 * s11
     det = s00 * c00 + s01 * c01 + s02 * c02
     i00, i01, i02 = c00 / det, c01 / det, c02 / det
-    i11, i12, i22 = (s00 * s22 - s02 * s02) / det, (s01 * s02 - s00 * s12) / det, (s00 * s11 - s01 * s01) / det
+    i11, i12, i22 = (
+        (s00 * s22 - s02 * s02) / det,
+        (s01 * s02 - s00 * s12) / det,
+        (s00 * s11 - s01 * s01) / det,
+    )
     u, v, w = xyz[0] - mean[0], xyz[1] - mean[1], xyz[2] - mean[2]
-    nis = u * (i00 * u + i01 * v + i02 * w) + v * (i01 * u + i11 * v + i12 * w) + w * (i02 * u + i12 * v + i22 * w)
+    nis = (
+        u * (i00 * u + i01 * v + i02 * w)
+        + v * (i01 * u + i11 * v + i12 * w)
+        + w * (i02 * u + i12 * v + i22 * w)
+    )
     gain, top = np.empty((9, 3)), np.empty((3, 9))
     for a in range(size):
         x, y, z = covariance[a, 0], covariance[a, 1], covariance[a, 2]

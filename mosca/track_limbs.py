@@ -2,8 +2,7 @@
 
 Markers of one limb keep their distances. Which neighbours those are is learned from the tracks: for each target the
 mean and the variance of its distances to ``MATES`` others. They tell where a hidden target must be (the limb's
-rigid motion since it was last seen carries it along), whether a point can be a target that was lost, and
-when two targets have been exchanged.
+rigid motion since it was last seen carries it along) and whether a point can be a target that was lost.
 """
 
 import numba
@@ -121,7 +120,7 @@ def learn(bank, limbs, step_s, reach_m):  # type: ignore[no-untyped-def]
             _look_for_mates(bank, limbs, i, reach_m, tick // (TAUGHT * REFRESH))
         if not bank.sure[i]:
             continue
-        here, broken, known = bank.mean[i], 0, 0
+        here = bank.mean[i]
         for a in range(3):
             limbs.own[i, a] = here[a]
             for b in range(3):
@@ -129,7 +128,10 @@ def learn(bank, limbs, step_s, reach_m):  # type: ignore[no-untyped-def]
         for k in range(MATES):
             j = limbs.mate[i, k]
             limbs.taken[i, k] = False
-            if not _seen(bank.serial, bank.missed, limbs.mate[i, k], limbs.mate_serial[i, k]) or not bank.sure[j]:
+            if (
+                not _seen(bank.serial, bank.missed, limbs.mate[i, k], limbs.mate_serial[i, k])
+                or not bank.sure[j]
+            ):
                 continue
             there = bank.mean[j]
             limbs.taken[i, k] = True
@@ -140,19 +142,16 @@ def learn(bank, limbs, step_s, reach_m):  # type: ignore[no-untyped-def]
             away = _distance(here, there) - limbs.length[i, k]
             rate = min(lesson_s / min(limbs.shown_s[i, k] + lesson_s, WINDOW_S), 1.0)
             if limbs.shown_s[i, k] > 2 * PROVEN_S:
-                known += 1
-                if away * away > STRAINED * _spread2(limbs.length[i, k], limbs.variance[i, k], limbs.shown_s[i, k]):
-                    broken += 1
-                    rate *= 0.2
+                spread2 = _spread2(limbs.length[i, k], limbs.variance[i, k], limbs.shown_s[i, k])
+                # a sudden change is rather a wrong point than a new limb
+                rate *= 0.2 if away * away > STRAINED * spread2 else 1.0
             limbs.variance[i, k] = (1.0 - rate) * (limbs.variance[i, k] + rate * away * away)
             limbs.length[i, k] += rate * away
             limbs.shown_s[i, k] += lesson_s
-        if lesson:
-            limbs.strain[i] = limbs.strain[i] + 1 if known >= 3 and 3 * broken >= 2 * known else 0
 
 
 @kernel
-def expect(bank, limbs, time_s, step_s, coast_s, widest_m):  # type: ignore[no-untyped-def]
+def expect(bank, limbs, time_s, step_s, widest_m):  # type: ignore[no-untyped-def]
     """Set the expected place of each hidden target to what its limb says, where that is more certain.
 
     Places whose standard deviation exceeds ``widest_m`` [m, of the 3D distance] are none.
@@ -187,7 +186,10 @@ def recall(bank, limbs, i, time_s, least, range_m, speed_mps):  # type: ignore[n
         if bank.state[j] != CONFIRMED or bank.identity[j] < 0 or bank.missed[j] == 0:
             continue
         hidden_s = time_s - bank.seen_s[j]
-        if _distance(bank.mean[i], limbs.own[j]) > range_m + speed_mps * hidden_s or bank.born_s[i] < bank.seen_s[j]:
+        if (
+            _distance(bank.mean[i], limbs.own[j]) > range_m + speed_mps * hidden_s
+            or bank.born_s[i] < bank.seen_s[j]
+        ):
             continue
         possible |= _has_limb(limbs.length[j], limbs.variance[j], limbs.shown_s[j])
         fits = _fits(bank, limbs, j, bank.mean[i], bank.covariance[i], hidden_s, range_m)
@@ -205,9 +207,10 @@ def found_instead(bank, i, time_s, near_m):  # type: ignore[no-untyped-def]
     Only one that was lost before ``i`` was born: then ``i`` was it all the time.
     """
     for j in range(bank.numbers[TOP]):
-        if bank.state[j] == CONFIRMED and bank.identity[j] >= 0 and bank.back_s[j] == time_s:
-            if bank.born_s[i] > bank.gone_s[j] and _distance(bank.mean[i], bank.mean[j]) < near_m:
-                return j
+        known = bank.state[j] == CONFIRMED and bank.identity[j] >= 0
+        back = bank.back_s[j] == time_s and bank.born_s[i] > bank.gone_s[j]
+        if known and back and _distance(bank.mean[i], bank.mean[j]) < near_m:
+            return j
     return -1
 
 
@@ -231,8 +234,13 @@ def _fits(bank, limbs, i, point, noise, hidden_s, range_m):  # type: ignore[no-u
     kept = np.exp(-hidden_s / RELAXED_S)
     total = 0.0
     for k in range(MATES):
-        if limbs.shown_s[i, k] > PROVEN_S and _seen(bank.serial, bank.missed, limbs.mate[i, k], limbs.mate_serial[i, k]):
-            length, spread2 = limbs.length[i, k], _spread2(limbs.length[i, k], limbs.variance[i, k], limbs.shown_s[i, k])
+        if limbs.shown_s[i, k] > PROVEN_S and _seen(
+            bank.serial, bank.missed, limbs.mate[i, k], limbs.mate_serial[i, k]
+        ):
+            length, spread2 = (
+                limbs.length[i, k],
+                _spread2(limbs.length[i, k], limbs.variance[i, k], limbs.shown_s[i, k]),
+            )
             if limbs.taken[i, k]:
                 length += kept * (_distance(limbs.own[i], limbs.photo[i, k]) - length)
                 spread2 -= kept * kept * limbs.variance[i, k]
@@ -255,7 +263,9 @@ def _has_limb(length, variance, shown_s):  # type: ignore[no-untyped-def]
     """Whether at least two distances of a target are known to be kept."""
     kept = 0
     for k in range(MATES):
-        kept += shown_s[k] > PROVEN_S and _spread2(length[k], variance[k], shown_s[k]) < (LOOSE * length[k]) ** 2
+        kept += (
+            shown_s[k] > PROVEN_S and _spread2(length[k], variance[k], shown_s[k]) < (LOOSE * length[k]) ** 2
+        )
     return kept >= 2
 
 
@@ -326,7 +336,7 @@ def _carried_along(bank, limbs, i, hidden_s, step_s, place, covariance):  # type
     for a in range(3):
         then[a] /= total
         now[a] /= total
-    turn, normal, right = limbs.turn[i], np.empty((3, 3)), np.empty(3)
+    turn, normal, right, spin = limbs.turn[i], np.empty((3, 3)), np.empty(3), np.empty((3, 3))
     held = 1.0 / (SPIN_RADPS * max(step_s, 1e-4)) ** 2
     misfit = 0.0
     for _ in range(3):
@@ -334,10 +344,19 @@ def _carried_along(bank, limbs, i, hidden_s, step_s, place, covariance):  # type
         right[:] = 0.0
         misfit = 0.0
         for k in range(MATES):
-            if limbs.taken[i, k] and _seen(bank.serial, bank.missed, limbs.mate[i, k], limbs.mate_serial[i, k]):
-                w, j = 1.0 / _spread2(limbs.length[i, k], limbs.variance[i, k], limbs.shown_s[i, k]), limbs.mate[i, k]
+            if limbs.taken[i, k] and _seen(
+                bank.serial, bank.missed, limbs.mate[i, k], limbs.mate_serial[i, k]
+            ):
+                w, j = (
+                    1.0 / _spread2(limbs.length[i, k], limbs.variance[i, k], limbs.shown_s[i, k]),
+                    limbs.mate[i, k],
+                )
                 r = _turned(turn, limbs.photo[i, k], then)
-                x, y, z = bank.mean[j, 0] - now[0] - r[0], bank.mean[j, 1] - now[1] - r[1], bank.mean[j, 2] - now[2] - r[2]
+                x, y, z = (
+                    bank.mean[j, 0] - now[0] - r[0],
+                    bank.mean[j, 1] - now[1] - r[1],
+                    bank.mean[j, 2] - now[2] - r[2],
+                )
                 misfit += w * (x * x + y * y + z * z)
                 right[0] += w * (r[1] * z - r[2] * y)
                 right[1] += w * (r[2] * x - r[0] * z)
@@ -347,14 +366,22 @@ def _carried_along(bank, limbs, i, hidden_s, step_s, place, covariance):  # type
                     normal[a, a] += w * square
                     for b in range(3):
                         normal[a, b] -= w * r[a] * r[b]
-        _turn_by(turn, _inverse(normal, held) @ right)
+        _inverse(normal, held, spin)
+        _turn_by(turn, spin, right)
     lever = _turned(turn, own, then)
     for a in range(3):
         place[a] = now[a] + lever[a]
     looser = max(1.0, misfit / max(3.0 * seen - 6.0, 1.0)) if seen > 2 else 1.0
-    spin = _inverse(normal, 1.0 / min((SPIN_RADPS * hidden_s) ** 2, 3.0))
-    cross = np.array([[0.0, lever[2], -lever[1]], [-lever[2], 0.0, lever[0]], [lever[1], -lever[0], 0.0]])
-    covariance[:] = looser * (cross @ spin @ cross.T + (1.0 / total + 1.0 / kept) * np.eye(3))
+    _inverse(normal, 1.0 / min((SPIN_RADPS * hidden_s) ** 2, 3.0), spin)
+    own_and_common = 1.0 / total + 1.0 / kept
+    for a in range(3):
+        # rows of the lever's cross matrix: a rotation vector moves the target by it times the vector
+        p, q = (a + 1) % 3, (a + 2) % 3
+        for b in range(3):
+            r, s = (b + 1) % 3, (b + 2) % 3
+            value = lever[q] * (spin[p, r] * lever[s] - spin[p, s] * lever[r])
+            value -= lever[p] * (spin[q, r] * lever[s] - spin[q, s] * lever[r])
+            covariance[a, b] = looser * (value + (own_and_common if a == b else 0.0))
     return covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
 
 
@@ -369,25 +396,32 @@ def _turned(turn, point, centre):  # type: ignore[no-untyped-def]
 
 
 @step
-def _turn_by(turn, angle):  # type: ignore[no-untyped-def]
-    """Turn a rotation matrix further by a rotation vector (Rodrigues)."""
-    x, y, z = angle[0], angle[1], angle[2]
+def _turn_by(turn, spin, right):  # type: ignore[no-untyped-def]
+    """Turn a rotation matrix further by the rotation vector ``spin`` @ ``right`` (Rodrigues, column by column)."""
+    x = spin[0, 0] * right[0] + spin[0, 1] * right[1] + spin[0, 2] * right[2]
+    y = spin[1, 0] * right[0] + spin[1, 1] * right[1] + spin[1, 2] * right[2]
+    z = spin[2, 0] * right[0] + spin[2, 1] * right[1] + spin[2, 2] * right[2]
     size = np.sqrt(x * x + y * y + z * z)
     if size > 0.0:
         s, c = np.sin(size) / size, (1.0 - np.cos(size)) / (size * size)
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        turn[:] = (np.eye(3) + s * cross + c * (cross @ cross)) @ turn
+        for b in range(3):
+            u, v, w = turn[0, b], turn[1, b], turn[2, b]
+            k, m, n = y * w - z * v, z * u - x * w, x * v - y * u
+            turn[0, b] = u + s * k + c * (y * n - z * m)
+            turn[1, b] = v + s * m + c * (z * k - x * n)
+            turn[2, b] = w + s * n + c * (x * m - y * k)
 
 
 @step
-def _inverse(a, more):  # type: ignore[no-untyped-def]
-    """Inverse of the symmetric 3 x 3 matrix ``a`` + ``more`` x identity."""
+def _inverse(a, more, out):  # type: ignore[no-untyped-def]
+    """Inverse of the symmetric 3 x 3 matrix ``a`` + ``more`` x identity, into ``out``."""
     d0, d1, d2 = a[0, 0] + more, a[1, 1] + more, a[2, 2] + more
     e01, e02, e12 = a[0, 1], a[0, 2], a[1, 2]
     c00, c01, c02 = d1 * d2 - e12 * e12, e02 * e12 - e01 * d2, e01 * e12 - e02 * d1
     det = d0 * c00 + e01 * c01 + e02 * c02
-    c11, c12, c22 = d0 * d2 - e02 * e02, e01 * e02 - d0 * e12, d0 * d1 - e01 * e01
-    return np.array([[c00, c01, c02], [c01, c11, c12], [c02, c12, c22]]) / det
+    out[0, 0], out[1, 1], out[2, 2] = c00 / det, (d0 * d2 - e02 * e02) / det, (d0 * d1 - e01 * e01) / det
+    out[0, 1], out[0, 2], out[1, 2] = c01 / det, c02 / det, (e01 * e02 - d0 * e12) / det
+    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
 
 
 @step

@@ -51,9 +51,9 @@ class Limbs(NamedTuple):
     """How n targets sit among their neighbours, k of them each.
 
     ``mate``, ``mate_serial`` (n, k): slot and its owner, -1 where none; ``length``, ``variance`` (n, k) of the
-    distance [m, m^2]; ``shown_s`` (n, k) how long it was observed [s]; ``photo`` (n, k, 3) the mates' places when the target
-    was last seen and ``taken`` (n, k) which were seen then; ``own`` (n, 3) its own place then; ``turn`` (n, 3, 3) how
-    the limb has turned since; ``strain`` (n,) instants in a row at which most distances were violated.
+    distance [m, m^2]; ``shown_s`` (n, k) how long it was observed [s]; ``photo`` (n, k, 3) the mates' places when
+    the target was last seen and ``taken`` (n, k) which were seen then; ``own`` (n, 3) its own place then; ``turn``
+    (n, 3, 3) how the limb has turned since.
     """
 
     mate: Array
@@ -65,7 +65,6 @@ class Limbs(NamedTuple):
     taken: Array
     own: Array
     turn: Array
-    strain: Array
 
 
 def new_bank(slots: int) -> Bank:
@@ -86,7 +85,7 @@ def new_limbs(slots: int) -> Limbs:
     return Limbs(
         mate=np.full(each, -1, np.int64), mate_serial=np.full(each, -1, np.int64), length=np.zeros(each),
         variance=np.zeros(each), shown_s=np.zeros(each), photo=np.zeros((*each, 3)), taken=np.zeros(each, np.bool_),
-        own=np.zeros((slots, 3)), turn=np.zeros((slots, 3, 3)), strain=np.zeros(slots, np.int64),
+        own=np.zeros((slots, 3)), turn=np.zeros((slots, 3, 3)),
     )  # fmt: skip
 
 

@@ -83,7 +83,7 @@ def bundle_rays(
         table.kind, table.lens, table.size, table.rotation, table.origin, start,
         ball_fields(rig) if target == "ball" else NO_FIELDS,
         np.concatenate([f.xy_px for f in there]), np.concatenate([f.covariance_px2 for f in there]),
-        camera_sigma_px**2,
+        np.broadcast_to(np.square(camera_sigma_px, dtype=float), len(found)).copy(),
         np.concatenate([f.diameter_px for f in there]), np.concatenate([f.elongation for f in there]),
         np.concatenate([f.flags for f in there]), rays,
     )  # fmt: skip

@@ -13,7 +13,10 @@ from typing import Any
 import numpy as np
 
 from mosca.assemble import Assembly
+from mosca.bodies import body_poses, labelled_by_bodies
+from mosca.bodies_alike import check_bodies
 from mosca.calibrate.keep import RigKeeper
+from mosca.data.bodies import BodyPoses
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
@@ -21,6 +24,7 @@ from mosca.data.rig_file import write_rig
 from mosca.data.tracks import Samples, Tracks, table, write_npz
 from mosca.data.truth import Truth, read_truth, write_truth
 from mosca.errors import CalibrationError, InputError, PremiseError
+from mosca.formats.bodies_csv import write_bodies_csv
 from mosca.formats.tracks_csv import write_tracks_csv
 from mosca.health import Health, HealthSettings
 from mosca.pipeline import PipelineSettings, Step, run
@@ -30,6 +34,7 @@ from reports.evidence import CameraView, Evidence
 from reports.page import write_page
 from reports.record import RunRecord, write_record
 from scenarios.account import Collected, evidence_of, record_of
+from scenarios.bodies import body_scores, rigid_bodies
 from scenarios.bound import bound, efficiencies, pulses_asked
 from scenarios.build import build_scene, pipeline_settings
 from scenarios.cameras import Calibrated, calibrated, deliveries, surroundings, true_rig, virtual_cameras
@@ -51,7 +56,10 @@ VIEW_AT = 0.4
 
 @dataclass(frozen=True, eq=False)
 class RunResult:
-    """A run's record, what the page shows beside it, its tracks and the truth (None where there is none)."""
+    """A run's record, what the page shows beside it, its tracks and the truth (None where there is none).
+
+    ``commands``: what drove the subject; ``estimated``: the calibration of its own; ``poses``: of its rigid bodies.
+    """
 
     record: RunRecord
     evidence: Evidence
@@ -59,6 +67,7 @@ class RunResult:
     truth: Truth | None
     commands: Any = None
     estimated: Estimated | None = None
+    poses: BodyPoses | None = None
 
 
 @dataclass(frozen=True)
@@ -127,6 +136,13 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
                 compile_side_by_side(source)
         with _timed(timings, "frames_to_tracks"):
             collected = _collect(source, believed, settings, spec, options, stack)
+        bodies = rigid_bodies(scene) if scene is not None and spec.pipeline.bodies else ()
+        poses = None
+        if bodies:
+            with _timed(timings, "bodies"):
+                check_bodies(bodies)
+                poses = body_poses(collected.tracks, bodies)
+                collected = replace(collected, tracks=labelled_by_bodies(collected.tracks, bodies))
         if own is not None:
             for k, one in enumerate(f for f in own.calibration.findings if f.severity == "warn"):
                 collected.assembly.notes[f"calibration {k + 1}"] = f"{one.code}: {one.message}"
@@ -139,6 +155,8 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             matched = None if truth is None else pair(collected.tracks, truth, space)
             scores = {} if matched is None else metrics(matched, space)
             scores = {**scores, **({} if own is None else own.scores())}
+            if poses is not None and truth is not None:
+                scores |= body_scores(poses, bodies, truth)
             if (
                 matched is not None
                 and truth is not None
@@ -151,7 +169,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
     record = record_of(spec, name, options.source, scores, premises, timings, known, collected)
     evidence = evidence_of(spec, believed, collected, truth, matched)
     commands = None if scene is None else scene.commands
-    return RunResult(record, evidence, collected.tracks, truth, commands, own)
+    return RunResult(record, evidence, collected.tracks, truth, commands, own, poses)
 
 
 def _efficiencies(
@@ -210,6 +228,8 @@ def write_run(result: RunResult, out: Path, rrd: Path | None = None) -> None:
         write_npz(result.tracks, part / "tracks.npz")
         write_tracks_csv(result.tracks, part / "tracks.csv")
         write_page(part / "report.html", result.record, result.evidence)
+        if result.poses is not None:
+            write_bodies_csv(result.poses, part / "bodies.csv")
         if result.commands is not None:
             _write_commands(result.commands, part / "commands.csv")
         if result.estimated is not None:

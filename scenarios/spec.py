@@ -39,6 +39,9 @@ METRICS = {
     "coverage95": ("1", "at_least"),
     "efficiency": ("1", "at_least"),
     "efficiency_detection": ("1", "at_least"),
+    "body_position_rms": ("m", "at_most"),
+    "body_angle_rms": ("rad", "at_most"),
+    "body_completeness": ("1", "at_least"),
     "reprojection_rms": ("px", "at_most"),
     "calibration_rays_rms": ("px", "at_most"),
     "calibration_volume_rms": ("m", "at_most"),
@@ -163,6 +166,9 @@ class PipelineSpec(Table):
     """The pipeline as a lab user would set it for this subject."""
 
     watch: bool = Field(False, description="watch the rig while it runs, and re-orient a bumped camera")
+    bodies: bool = Field(
+        False, description="poses of the scene's rigid bodies (three markers and more each) into bodies.csv"
+    )
     lens_model: Literal["mosca", "opencv", "fisheye"] = Field(
         "mosca", description="lens model of the calibration"
     )

@@ -1,12 +1,15 @@
 """Correspondence: every group right, ghosts refused, ambiguities of two cameras left open."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from mosca.camera import project
-from mosca.data.detections import Detections
+from mosca.data.detections import MERGED, PARTIAL, Detections
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
-from mosca.match import EVERYWHERE, MatchSettings, Predicted, match
+from mosca.match import EVERYWHERE, MatchSettings, Predicted, match, match_counted
 from mosca.triangulate import bundle_rays
 
 LENS = MoscaLens(8.0, 330.0, 240.0, 0.01, 0.01, -0.006, 1e-3, -1.5e-5, 0, 1e-4, 5e-5)
@@ -140,3 +143,109 @@ def test_swapped_calibrations_find_next_to_nothing():
     found, _ = detected(rig, truth3d, rng)
     swapped = dict(found, c0=found["c1"], c1=found["c0"])
     assert (grouped(rig, swapped).n_cameras == 4).sum() == 0
+
+
+def test_one_bad_ray_of_three_is_left_out_or_the_point_left_open():
+    rig, rng = rig_of(3), np.random.default_rng(7)
+    truth3d = rng.uniform(-0.5, 0.5, (40, 3))
+    found, behind = detected(rig, truth3d, rng, sigma=0.02)
+    bad = found["c1"]
+    found["c1"] = replace(bad, xy_px=bad.xy_px + rng.choice([-3.0, 3.0], (len(bad), 2)))
+    points = grouped(rig, found, MatchSettings(camera_sigma_px=0.0, judge_sizes=False))
+    groups = members(rig, points, behind)
+    for xyz, group in zip(points.xyz, groups, strict=True):
+        if len(group) == 1:
+            assert np.linalg.norm(xyz - truth3d[group.pop()]) < 1e-3
+    # a ray 4 px off sometimes still lies on one epipolar line: such a point is open, not wrong
+    assert sum(len(g) == 1 for g in members(rig, points, behind)) >= 25
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_covariance_is_honest_with_few_cameras_and_a_bad_ray_dropped(count):
+    rig, nees = rig_of(count), []
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        # far from each other, so that two cameras can tell
+        truth3d = np.column_stack([rng.uniform(-0.3, 0.3, (8, 2)), np.linspace(-0.5, 0.5, 8)])
+        found, behind = detected(rig, truth3d, rng)
+        if count == 4:
+            bad = found["c3"]
+            found["c3"] = replace(bad, xy_px=bad.xy_px + 1.5)
+        points = grouped(rig, found)
+        for k, group in enumerate(members(rig, points, behind)):
+            if len(group) == 1:
+                e = points.xyz[k] - truth3d[group.pop()]
+                nees.append(e @ np.linalg.solve(points.covariance[k], e))
+    n = len(nees)
+    assert n > 120
+    assert chi2.ppf(0.001, 3 * n) < sum(nees) < chi2.ppf(0.999, 3 * n)
+
+
+def test_order_of_detections_does_not_matter():
+    rng = np.random.default_rng(8)
+    rig, truth3d = rig_of(4), rng.uniform(-0.5, 0.5, (50, 3))
+    found, _ = detected(rig, truth3d, rng, clutter=5, miss=0.1)
+    turned = {}
+    for name, d in found.items():
+        order = rng.permutation(len(d))
+        turned[name] = Detections(name, *(getattr(d, f)[order] for f in list(d.__dataclass_fields__)[1:]))
+    one, other = grouped(rig, found), grouped(rig, turned)
+    np.testing.assert_allclose(one.xyz[np.lexsort(one.xyz.T)], other.xyz[np.lexsort(other.xyz.T)], atol=1e-12)
+
+
+def flagged(rig, found, camera, row, flag):
+    flags = np.zeros(len(found[camera]), np.uint8)
+    flags[row] = flag
+    return dict(found, **{camera: replace(found[camera], flags=flags)})
+
+
+def test_a_partly_hidden_image_counts_for_less():
+    rig, rng = rig_of(3), np.random.default_rng(9)
+    truth3d = np.array([[0.1, 0.0, 0.2]])
+    found, _ = detected(rig, truth3d, rng, sigma=0.02)
+    whole = grouped(rig, found)
+    partly = grouped(rig, flagged(rig, found, "c0", 0, PARTIAL))
+    assert whole.n_cameras.tolist() == partly.n_cameras.tolist() == [3]
+    assert partly.trusted[0] < whole.trusted[0]
+    assert np.trace(partly.covariance[0]) > np.trace(whole.covariance[0])
+
+
+def test_a_merged_image_serves_two_targets_that_tracks_expect():
+    rig, rng = rig_of(3), np.random.default_rng(10)
+    a, b = np.array([0.1, 0.0, 0.2]), None
+    # a second target behind the first as seen from c0
+    c0 = rig.cameras[0].world_from_camera.translation
+    b = a + 0.3 * (a - c0) / np.linalg.norm(a - c0)
+    truth3d = np.array([a, b])
+    found, behind = detected(rig, truth3d, rng, sigma=0.02)
+    first = found["c0"]
+    found["c0"] = Detections("c0", *(getattr(first, f)[:1] for f in list(first.__dataclass_fields__)[1:]))
+    expected = Predicted(truth3d, np.tile(1e-5 * np.eye(3), (2, 1, 1)))
+    settings = MatchSettings(camera_sigma_px=0.0, judge_sizes=False)
+    plain = grouped(rig, found, settings, expected)
+    merged = grouped(rig, flagged(rig, found, "c0", 0, MERGED), settings, expected)
+    assert sorted(plain.n_cameras) == [2, 3]
+    assert sorted(merged.n_cameras) == [3, 3]
+
+
+def test_what_is_left_open_is_counted():
+    rig = rig_of(2)
+    a, b = (c.world_from_camera.translation for c in rig.cameras)
+    plane = np.cross(a, b)
+    inside = np.cross(plane, a + b)
+    inside /= np.linalg.norm(inside)
+    found, _ = detected(rig, np.array([0.2 * inside, -0.2 * inside]), np.random.default_rng(0), sigma=0.01)
+    result = match_counted(
+        bundle_rays(rig, found, 0.0), Predicted.nothing(), MatchSettings(camera_sigma_px=0.0)
+    )
+    assert (len(result.points), result.left_open) == (0, 4)
+
+
+def test_clutter_of_many_cameras_makes_no_ghosts():
+    rng = np.random.default_rng(11)
+    rig, truth3d = rig_of(16), rng.uniform(-0.5, 0.5, (60, 3))
+    found, behind = detected(rig, truth3d, rng, clutter=10, miss=0.3)
+    points = grouped(rig, found)
+    assert len(points) == 60
+    nearest = np.linalg.norm(points.xyz[:, None] - truth3d[None], axis=2).min(axis=1)
+    assert nearest.max() < 1e-3

@@ -34,7 +34,9 @@ def points(xyz, cameras=4, sigma=2e-4):
 def limb_path(frames):
     """A limb that swings 60 degrees and travels: (frames, 4, 3) [m]."""
     t = np.arange(frames) * 0.01
-    turn = Rotation.from_euler("zx", np.column_stack([60 * np.sin(4 * t), 30 * np.sin(2.5 * t)]), degrees=True)
+    turn = Rotation.from_euler(
+        "zx", np.column_stack([60 * np.sin(4 * t), 30 * np.sin(2.5 * t)]), degrees=True
+    )
     move = np.column_stack([0.8 * t, 0.2 * np.sin(3 * t), 1 + 0 * t])
     return np.array([r.apply(LIMB) + m for r, m in zip(turn, move, strict=True)])
 
@@ -88,7 +90,9 @@ def test_a_stray_point_near_the_limb_is_not_the_hidden_marker():
     frames = []
     for k, x in enumerate(path):
         # 4 cm beside the place of the hidden marker, for half a second
-        frames.append(points(np.vstack([x[:3], x[3] + [0, 0.04, 0]]) if 200 <= k < 250 else x[:3] if k >= 150 else x))
+        frames.append(
+            points(np.vstack([x[:3], x[3] + [0, 0.04, 0]]) if 200 <= k < 250 else x[:3] if k >= 150 else x)
+        )
     tracks = follow(frames)
     hidden = identity_at(tracks, 100, path[100, 3])
     assert not np.any((tracks.track == hidden) & (tracks.frame >= 150))

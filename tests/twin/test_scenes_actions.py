@@ -15,6 +15,9 @@ from hypothesis import strategies as st
 from mosca.data.arrays import Array
 from mosca.data.motion import matrices_from_quaternions
 from mosca.errors import InputError
+from scenarios.build import build_scene
+from scenarios.catalog import find
+from scenarios.spec import load_scenario
 from scenarios.spec_scenes import ActorScene
 from twin.scenes.actions import Action
 from twin.scenes.actor import BuiltInConfiguration, build_actor
@@ -313,3 +316,12 @@ def test_curves_have_the_slopes_of_their_closed_forms() -> None:
     assert hill.max() == pytest.approx(1.0)
     for curve in (way, hill):
         assert np.abs(np.diff(curve, 3)).max() / (u[1] - u[0]) ** 3 < 400  # bounded third differences: C2
+
+
+@pytest.mark.parametrize("words", ["action='boxing'", "gait='in_place'", "gait='back_and_forth'"])
+def test_a_scenario_file_is_obeyed(words: str) -> None:
+    path = find("actor")
+    chosen = load_scenario(path, (f"scene.{words}", "capture.duration_s=1"))
+    moved = build_scene(chosen, path.parent).configuration_at
+    assert isinstance(moved, BuiltInConfiguration)
+    assert isinstance(moved.moved, Action) if "boxing" in words else getattr(moved.moved, "path", "") in words

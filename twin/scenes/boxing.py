@@ -120,19 +120,13 @@ def _strike(score: Score, strike: Strike, clock: float, rng: np.random.Generator
     score.move(hand, start, end, aim)
     score.move(elbow, start - 0.12, end, strike.elbow)
     score.move(twist, start, end, strike.twist)
-    for channel, there, again in (
-        ("pelvis", (strike.pelvis, *_PELVIS[1:]), _PELVIS),
-        ("spine", (strike.spine, *_SPINE[1:]), _SPINE),
-        ("shift", strike.shift, (0.0, 0.0)),
-    ):
-        score.move(channel, start - _BEFORE_S, end, there)
-        score.move(channel, end, back + 0.08, again)
+    out_s, back_s = (start - _BEFORE_S, end), (end, back + 0.08)
+    score.visit("pelvis", out_s, back_s, (strike.pelvis, *_PELVIS[1:]))
+    score.visit("spine", out_s, back_s, (strike.spine, *_SPINE[1:]))
+    score.visit("shift", out_s, back_s, strike.shift)
+    score.visit(f"{own}_pivot", out_s, back_s, score.target(f"{own}_pivot") + strike.pivot)
     covering = "r" if own == "l" else "l"
-    score.move(f"{covering}_hand", start - 0.12, end - 0.02, _CHIN)
-    score.move(f"{covering}_hand", end + 0.04, back, _GUARD[covering])
-    rest = score.target(f"{own}_pivot")
-    score.move(f"{own}_pivot", start - _BEFORE_S, end, rest + strike.pivot)
-    score.move(f"{own}_pivot", end, back + 0.08, rest)
+    score.visit(f"{covering}_hand", (start - 0.12, end - 0.02), (end + 0.04, back), _CHIN)
     score.move(hand, end + 0.01, back, _GUARD[own])
     score.move(elbow, end + 0.01, back, _ELBOW[own])
     score.move(twist, end + 0.01, back, 0.0)
@@ -143,20 +137,17 @@ def _cover(score: Score, clock: float, rng: np.random.Generator) -> float:
     """Write a cover behind crossed forearms, head down; return when the next strike may start."""
     up, held = clock + 0.22, clock + 0.22 + rng.uniform(0.25, 0.45)
     down = held + 0.25
+    out_s, back_s = (clock, up), (held, down)
     for side, wrist, elbow in (
         ("l", (-0.07, 0.40, 0.14), (0.7, 0.2, -1.0)),
         ("r", (-0.07, 0.23, 0.02), (0.7, -0.2, -1.0)),
     ):
-        for channel, there, again in (("hand", wrist, _GUARD[side]), ("elbow", elbow, _ELBOW[side])):
-            score.move(f"{side}_{channel}", clock, up, there)
-            score.move(f"{side}_{channel}", held, down, again)
-    for channel, there, again in (
-        ("gaze", (0.0, 0.22), (0.0, 0.0)),
-        ("height", _HEIGHT_M - 0.06, _HEIGHT_M),
-        ("spine", (_SPINE[0], _SPINE[1] + 0.12, 0.0), _SPINE),
-    ):
-        score.move(channel, clock, up, there)
-        score.move(channel, held, down + 0.1, again)
+        score.visit(f"{side}_hand", out_s, back_s, wrist)
+        score.visit(f"{side}_elbow", out_s, back_s, elbow)
+    slowly_s = (held, down + 0.1)
+    score.visit("gaze", out_s, slowly_s, (0.0, 0.22))
+    score.visit("height", out_s, slowly_s, _HEIGHT_M - 0.06)
+    score.visit("spine", out_s, slowly_s, (_SPINE[0], _SPINE[1] + 0.12, 0.0))
     return down
 
 

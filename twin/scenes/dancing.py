@@ -114,16 +114,14 @@ def _squat(score: Score, clock: float, beat: float, side: str, rng: np.random.Ge
     """Write: a squat with the arms forward and one hand over the other, and up again with arms overhead."""
     depth = rng.uniform(0.30, 0.36)
     low, up = clock + 1.8 * beat, clock + 2.5 * beat
-    for channel, there, again in (
-        ("height", HEIGHT_M - depth, HEIGHT_M),
-        ("shift", (0.0, -0.07), (0.0, 0.0)),
-        ("pelvis", (0.0, 0.45, 0.0), (0.0, 0.05, 0.0)),
-        ("spine", (0.0, 0.30, 0.0), (0.0, 0.02, 0.0)),
-        *((f"{own}_knee", 0.35, 0.05) for own in "lr"),
-        *((f"{own}_pivot", (0.0, 0.25), (0.0, 0.0)) for own in "lr"),
-    ):
-        score.move(channel, clock, low, there)
-        score.move(channel, up, up + 1.6 * beat, again)
+    out_s, back_s = (clock, low), (up, up + 1.6 * beat)
+    score.visit("height", out_s, back_s, HEIGHT_M - depth)
+    score.visit("shift", out_s, back_s, (0.0, -0.07))
+    score.visit("pelvis", out_s, back_s, (0.0, 0.45, 0.0))
+    score.visit("spine", out_s, back_s, (0.0, 0.30, 0.0))
+    for own in "lr":
+        score.visit(f"{own}_knee", out_s, back_s, 0.35)
+        score.visit(f"{own}_pivot", out_s, back_s, (0.0, 0.25))
     _close(score, clock, low, side, 0.0)
     _arms(score, up, up + 1.1 * beat, _OPEN, _OVERHEAD_ELBOW)
     _arms(score, up + 0.7 * beat, up + 1.8 * beat, _OVERHEAD, _OVERHEAD_ELBOW)
@@ -165,21 +163,16 @@ def _turn(score: Score, clock: float, beat: float, side: str, rng: np.random.Gen
     _close(score, open_ - 0.2 * beat, open_ + 0.9 * beat, side, 0.0)
     _arms(score, end - 0.8 * beat, end + 0.4 * beat, _WIDE, _WIDE_ELBOW)
     _hang(score, end + 0.3 * beat, end + 1.6 * beat)
-    score.move("shift", clock, open_, (0.12 * sign, 0.05))
-    score.move("shift", end, end + 1.4 * beat, (0.0, 0.0))
-    score.move(f"{side}_pivot", open_ - 0.6 * beat, open_ + 0.4 * beat, (0.0, 0.45))
-    score.move(f"{side}_pivot", end - 0.3 * beat, end + 0.8 * beat, (0.0, 0.0))
-    score.move("height", open_ - 0.6 * beat, open_ + 0.4 * beat, HEIGHT_M + 0.05)
-    score.move("height", end - 0.3 * beat, end + 0.8 * beat, HEIGHT_M)
-    raised = footing(home, {free: (-0.10 * sign, 0.16, -0.5 * sign)}, free)
-    for channel, there, again in (
-        ("foot", raised, footing(home, STANCE, free)),
-        ("lift", 0.32, 0.0),
-        ("pivot", (0.0, 0.7), (0.0, 0.0)),
-        ("knee", 0.3, 0.05),
-    ):
-        score.move(f"{free}_{channel}", open_ - 0.3 * beat, open_ + 0.9 * beat, there)
-        score.move(f"{free}_{channel}", end - 0.9 * beat, end + 0.2 * beat, again)
+    score.visit("shift", (clock, open_), (end, end + 1.4 * beat), (0.12 * sign, 0.05))
+    out_s, back_s = (open_ - 0.6 * beat, open_ + 0.4 * beat), (end - 0.3 * beat, end + 0.8 * beat)
+    score.visit(f"{side}_pivot", out_s, back_s, (0.0, 0.45))
+    score.visit("height", out_s, back_s, HEIGHT_M + 0.05)
+    out_s, back_s = (open_ - 0.3 * beat, open_ + 0.9 * beat), (end - 0.9 * beat, end + 0.2 * beat)
+    raised: Stance = {free: (-0.10 * sign, 0.16, -0.5 * sign)}
+    score.visit(f"{free}_foot", out_s, back_s, footing(home, raised, free))
+    score.visit(f"{free}_lift", out_s, back_s, 0.32)
+    score.visit(f"{free}_pivot", out_s, back_s, (0.0, 0.7))
+    score.visit(f"{free}_knee", out_s, back_s, 0.3)
     ball = footing(home, STANCE, side)
     return Turn(open_ - 0.1 * beat, end, (float(ball[0]), float(ball[1])), sign)
 

@@ -50,6 +50,14 @@ class Score:
         self._moves[channel].append((start_s, end_s, goal - self._target[channel]))
         self._target[channel] = goal
 
+    def visit(
+        self, channel: str, out_s: tuple[float, float], back_s: tuple[float, float], there: Values
+    ) -> None:
+        """Send ``channel`` ``there`` (k,) between the times ``out_s``, and back again between ``back_s``."""
+        home = self._target[channel]
+        self.move(channel, *out_s, there)
+        self.move(channel, *back_s, home)
+
     def hill(self, channel: str, start_s: float, end_s: float, height: Values) -> None:
         """Let ``channel`` go up by ``height`` (k,) and back between two times."""
         self._hills[channel].append((start_s, end_s, np.atleast_1d(np.asarray(height, dtype=np.float64))))
