@@ -20,8 +20,8 @@ No point spread function is given. What the frames teach, camera by camera (``Le
   target's size. Centroids add under convolution, so the light's centroid is the target's own plus that of the
   lens' point spread function, whatever the target's size: a displacement that calibration takes for
   distortion. A fit of a symmetric edge to an asymmetric image (coma) lies elsewhere, by an amount that depends on
-  the target's size. ``(1, 1/R, R) x (1, u, v)`` is fitted to centroid less fit; the terms in 1 and 1/R are put
-  onto the fit. Those in R are not: a brightness that falls across the target draws its centroid off by
+  the target's size. ``(1, 1/R, 1/R^2, R) x (1, u, v)`` is fitted to centroid less fit; all terms but those in R
+  are put onto the fit. Those in R are not: a brightness that falls across the target draws its centroid off by
   ``g R / 4``, proportional to R, and is no displacement of its middle. The two are told apart by the sizes that
   a camera sees; where all are of one size, and where shading differs from target to target, they are not, and the
   place is that of the fit, or of the light's centroid.
@@ -46,7 +46,7 @@ FEW, ENOUGH, MEMORY = 3.0, 400.0, 20_000.0
 """Clean targets from which the blur is taken over; centroids from which offsets are; targets after which the
 oldest are forgotten."""
 CHANCE = 40.0
-"""Chi-square of an axis' nine offset terms below which they are taken for chance (1e-5)."""
+"""Chi-square of an axis' twelve offset terms below which they are taken for chance (1e-5)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Learned:
     """What the frames of some cameras have taught; read-only, and added up with ``plus``.
 
     For each camera ``names``: ``tallies`` (n, 5) number of clean targets, sums for the blur, of misfits, number
-    of centroids; ``normal`` (n, 9, 9) and ``right_side`` (n, 9, 2) of the offsets' least squares.
+    of centroids; ``normal`` (n, 12, 12) and ``right_side`` (n, 12, 2) of the offsets' least squares.
     """
 
     names: tuple[str, ...] = ()
@@ -102,7 +102,7 @@ NOTHING = Learned()
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """What the fit of n images starts from: ``blurs`` (n, 2) mean and standard deviation [px], ``offsets`` (n, 9, 2)
+    """What the fit of n images starts from: ``blurs`` (n, 2) mean and standard deviation [px], ``offsets`` (n, 12, 2)
     [px] of the place, ``roughness`` (n,) usual misfit.
     """
 
@@ -129,9 +129,10 @@ def _priors(learned: Learned) -> Priors:
 
 
 def _offsets(normal: Array, right_side: Array) -> Array:
-    """Return the terms (9, 2) of the offset that chance does not explain, 0 otherwise."""
-    # a ridge of 0.3 px a term: only directions that the sizes and places seen leave open feel it
-    ridge = np.eye(N_TERMS) / 0.3**2
+    """Return the terms (12, 2) of the offset that chance does not explain, 0 otherwise."""
+    # A ridge that only the directions feel which the sizes and places seen leave open: what may be either goes
+    # to the terms without R.
+    ridge = np.diag(1 / np.where(np.arange(N_TERMS) < 9, 0.3, 0.01) ** 2)
     terms: Array = np.linalg.solve(normal + ridge, right_side)
     chi2 = np.sum(terms * right_side, axis=0)
     return np.where(chi2 > CHANCE, terms, 0.0)

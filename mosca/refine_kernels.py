@@ -21,12 +21,12 @@ step = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_FAST)
 _PIXELS = {**_FAST, "fastmath": True}  # where only grey values go in
 pixel_step = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **_PIXELS)
 
-X, Y, XX, XY, YY, DIAMETER, PEAK, ELONGATION, FLAGS, BLUR, BLUR_INFO, MISFIT, ROUGH = range(13)
-N_COLUMNS = 13
+X, Y, XX, XY, YY, DIAMETER, PEAK, ELONGATION, FLAGS, BLUR, BLUR_INFO, MISFIT, ROUGH, PULL = range(14)
+N_COLUMNS = 14
 
 # What an image teaches: counts and sums, see mosca.refine.
 N_TARGETS, BLUR_SUM, BLUR_WEIGHT, ROUGH_SUM, N_LIGHT = range(5)
-N_TALLIES, N_TERMS = 5, 9
+N_TALLIES, N_TERMS = 5, 12
 EACH = 16  # every so many targets the light's centroid is taken
 
 SATURATED, MERGED, PARTIAL, UNREFINED = 1, 2, 4, 8
@@ -471,6 +471,8 @@ def refine_region(
     n_full = peak >= model.full_dn
     ax, ay, xx, xy, yy = upright(light)
     shape = stretch(xx, xy, yy, 0.5 * blur[0] * blur[0], n_px)
+    # how long the region is: the difference of its principal moments over their sum
+    pull_x, pull_y = (xx - yy) / (xx + yy), 2.0 * xy / (xx + yy)
     m0, m1, m2 = shape
     plain = m1 == 0.0 and m0 == m2
 
@@ -507,7 +509,12 @@ def refine_region(
     misfit = chi2 / max(n - 6, 1)
     # misfit beyond the noise, over the squared amplitude: of a good model about (2 %)^2
     rough = max(misfit - 1.0, 0.0) * (model.dark_dn2 + model.gain_dn * amplitude) / (amplitude * amplitude)
-    out[MISFIT], out[ROUGH] = misfit, rough
+    out[MISFIT], out[ROUGH], out[PULL] = misfit, rough, math.hypot(pull_x, pull_y)
+    odd = good and misfit > 1.3 + 5.0 * math.sqrt(2.0 / n) and rough > max(8.0 * usual_rough, 0.004)
+    if odd:
+        # the model does not hold: the place is as uncertain as the misfit says
+        out[FLAGS] += PARTIAL
+        out[XX], out[XY], out[YY] = misfit * out[XX], misfit * out[XY], misfit * out[YY]
     out[BLUR_INFO] = out[BLUR] = 0.0
     if good and plain and not crowded and not n_full:
         tally[N_TARGETS] += 1.0
@@ -520,14 +527,14 @@ def refine_region(
             out[BLUR] = (s / posterior - blur[0] / (blur[1] * blur[1])) * blur_variance
             tally[BLUR_SUM] += information * out[BLUR]
             tally[BLUR_WEIGHT] += information
-        if light and rough < 6.0 * usual_rough + 0.002:
+        if light and not odd:
             around = (x0, y0)
             teach_light(
                 image, (column, row), around, min(half + 4.5 * s, most), floor, n_px, level, c, half, xyv, terms,
                 tally, normal, right_side,
             )  # fmt: skip
     set_terms(image, px, py, half, terms)
-    for k in range(2 * N_TERMS // 3):
+    for k in range(9):  # the terms in R are shading
         px += learned[k, 0] * terms[k]
         py += learned[k, 1] * terms[k]
     out[X], out[Y] = px, py
@@ -535,12 +542,13 @@ def refine_region(
 
 @step
 def set_terms(image: Array, x: float, y: float, radius: float, terms: Array) -> None:
-    """Write (1, 1 / R, R) x (1, u, v) to ``terms``, u and v from the image's middle in half widths."""
+    """Write (1, 1 / R, 1 / R^2, R) x (1, u, v) to ``terms``, u and v from the image's middle in half widths."""
     height, width = image.shape
     u, v = 2.0 * x / width - 1.0, (2.0 * y - height) / width
-    for k in range(3):
-        size = 1.0 if k == 0 else (2.0 / radius if k == 1 else 0.25 * radius)
+    size = 1.0
+    for k in range(4):
         terms[3 * k], terms[3 * k + 1], terms[3 * k + 2] = size, size * u, size * v
+        size = 0.25 * radius if k == 2 else size * 2.0 / radius
 
 
 @step

@@ -1,7 +1,7 @@
 """The calibration's share in the covariance of triangulated points, apart from the measurement's.
 
 A point follows from its images by N = sum J_c^T S_c^-1 J_c, so that the calibration's parameters p move it by
-G = -N^-1 sum J_c^T S_c^-1 dx_c/dp and give it G C_pp G^T (``mosca.calibrate.accuracy_map``, which shows it on a grid).
+G = -N^-1 sum J_c^T S_c^-1 dx_c/dp and give it G C_pp G^T (``mosca.calibrate.accuracy_map`` shows it on a grid).
 It is common to all points and frames and does not average out: it is never added to the measurement's.
 """
 

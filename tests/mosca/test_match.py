@@ -217,7 +217,7 @@ def test_a_merged_image_serves_two_targets_that_tracks_expect():
     c0 = rig.cameras[0].world_from_camera.translation
     b = a + 0.3 * (a - c0) / np.linalg.norm(a - c0)
     truth3d = np.array([a, b])
-    found, behind = detected(rig, truth3d, rng, sigma=0.02)
+    found, _ = detected(rig, truth3d, rng, sigma=0.02)
     first = found["c0"]
     found["c0"] = Detections("c0", *(getattr(first, f)[:1] for f in list(first.__dataclass_fields__)[1:]))
     expected = Predicted(truth3d, np.tile(1e-5 * np.eye(3), (2, 1, 1)))
@@ -244,7 +244,7 @@ def test_what_is_left_open_is_counted():
 def test_clutter_of_many_cameras_makes_no_ghosts():
     rng = np.random.default_rng(11)
     rig, truth3d = rig_of(16), rng.uniform(-0.5, 0.5, (60, 3))
-    found, behind = detected(rig, truth3d, rng, clutter=10, miss=0.3)
+    found, _ = detected(rig, truth3d, rng, clutter=10, miss=0.3)
     points = grouped(rig, found)
     assert len(points) == 60
     nearest = np.linalg.norm(points.xyz[:, None] - truth3d[None], axis=2).min(axis=1)
