@@ -30,6 +30,8 @@ from mosca.data.frames import FrameSet
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points
 
+START_SETS = 100
+"""Frame sets in which much is to be learned."""
 CLOCK_LOOKS = 1000
 """Looks from which offsets of clocks are drawn."""
 FARTHEST_SIGMAS = 5.0
@@ -38,7 +40,8 @@ FARTHEST_SIGMAS = 5.0
 
 @dataclass(frozen=True)
 class HealthSettings:
-    """``every``: frame sets from one look at the residuals to the next. ``memory``: looks after which an old one
+    """``every``: frame sets from one look at the residuals to the next, ``seldom`` after the first hundred;
+    ``most_points`` of a set are looked at, others each time. ``memory``: looks after which an old one
     counts 1/e. ``start_px``: random error of image points besides detection noise until it is learned, and
     ``least_px`` below which it is not taken. ``least_images``: of a camera, before anything is said of it.
     ``farthest_m``: how far a point may move from set to set to have a speed. ``late_s``: clock offsets below this are
@@ -49,6 +52,8 @@ class HealthSettings:
     """
 
     every: int = 5
+    seldom: int = 20
+    most_points: int = 50
     memory: float = 100.0
     start_px: float = 0.06
     least_px: float = 0.005
@@ -115,7 +120,8 @@ class Health:
         self._detected += [len(detections[n]) if n in detections else 0 for n in self._names]
         if len(points):
             self._connected += (points.rays >= 0).sum(axis=0)
-        if self._sets % self.settings.every == 0 and len(points):
+        s = self.settings
+        if self._sets % (s.every if self._sets <= START_SETS else s.seldom) == 0 and len(points):
             self._look(rig, time_s, detections, points)
         self._before = (time_s, points.xyz)
 
@@ -153,6 +159,8 @@ class Health:
 
     def _look(self, rig: Rig, time_s: float, detections: Mapping[str, Detections], points: Points) -> None:
         speed, known = self._speeds(time_s, points.xyz)
+        step = -(-len(points) // self.settings.most_points)
+        known &= (np.arange(len(points)) + self._sets) % step == 0
         wanted = min(3, len(rig.cameras))
         whole = (points.n_cameras >= wanted) & (points.trusted >= points.n_cameras - 0.5)
         chosen = whole & known

@@ -105,7 +105,9 @@ def match_counted(
     rules[MINIMUM], rules[WORST] = settings.minimum_cameras, settings.worst_sigma_m**2
     rules[JUDGE], rules[TYPICAL] = settings.judge_sizes, typical_diameter_m
     rules[LOW:HIGH], rules[HIGH:RULES] = volume
-    values, members, trusts = search(bundle.rays, bundle.views, bundle.pairs, bundle.start, rules)
+    values, members, trusts = search(
+        bundle.rays, bundle.views, bundle.pairs, bundle.bases, bundle.start, rules
+    )
     state = choose(
         values, members, trusts, bundle.rays, bundle.views, rules, predicted.xyz, predicted.covariance,
         float(settings.support_sigma),

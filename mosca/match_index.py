@@ -131,20 +131,20 @@ def cell_of(value, corner, scale, side):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def plane_angles(rays, chosen, up, out, angle, variance):  # type: ignore[no-untyped-def]
+def plane_angles(rays, chosen, across, angle, variance):  # type: ignore[no-untyped-def]
     """Fill the angle (n,) of the epipolar planes of the rays ``chosen`` (n,) and its variance (n,) [rad^2].
 
-    ``up`` and ``out``: unit vectors across the base and each other, from which angles count.
+    ``across`` (2, 3): unit vectors across the base and each other; angles count from the first to the second.
     """
+    x, y, z, u, v, w = across[0, 0], across[0, 1], across[0, 2], across[1, 0], across[1, 1], across[1, 2]
     for n in range(chosen.shape[0]):
         i = chosen[n]
-        p = rays[i, 0] * up[0] + rays[i, 1] * up[1] + rays[i, 2] * up[2]
-        q = rays[i, 0] * out[0] + rays[i, 1] * out[1] + rays[i, 2] * out[2]
-        across2 = p * p + q * q
+        p = rays[i, 0] * x + rays[i, 1] * y + rays[i, 2] * z
+        q = rays[i, 0] * u + rays[i, 1] * v + rays[i, 2] * w
+        square = p * p + q * q
         angle[n] = np.arctan2(q, p)
         # the plane's normal, times the sine of the ray's angle to the base
-        s = t = 0.0
-        for k in range(3):
-            s += (p * out[k] - q * up[k]) * rays[i, SPREAD + 2 * k]
-            t += (p * out[k] - q * up[k]) * rays[i, SPREAD + 2 * k + 1]
-        variance[n] = (s * s + t * t) / (across2 * across2)
+        a, b, c = p * u - q * x, p * v - q * y, p * w - q * z
+        s = a * rays[i, SPREAD] + b * rays[i, SPREAD + 2] + c * rays[i, SPREAD + 4]
+        t = a * rays[i, SPREAD + 1] + b * rays[i, SPREAD + 3] + c * rays[i, SPREAD + 5]
+        variance[n] = (s * s + t * t) / (square * square)

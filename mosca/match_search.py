@@ -31,19 +31,17 @@ from mosca.match_groups import (
     trust_of,
 )
 from mosca.match_index import CELLS, CORNER, FIRST, SCALE, buckets, cell_of, cells, plane_angles, within
-from mosca.ray_kernels import ANGLE, DENSITY, EDGES, FLAGS, RADIUS, ROTATION, SIGMA, SPREAD, WHITE
+from mosca.ray_kernels import ANGLE, DENSITY, FLAGS, RADIUS, SIGMA, SPREAD, WHITE
 from mosca.triangulate import DEPTH, RANKS, SHARE, TRUST
 
 CERTAIN = 1e-3
 """Expected number of chance groups as good as this one, below which a group explains its rays."""
-LIKELY = 0.1
-"""The same, below which its rays are not looked for among half-hidden targets."""
 EDGE_ON = 0.5
 """Uncertainty of an epipolar plane's angle [rad] beyond which the ray is near the base and meets every plane."""
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def search(rays, views, pairs, start, rules):  # type: ignore[no-untyped-def]
+def search(rays, views, pairs, bases, start, rules):  # type: ignore[no-untyped-def]
     """Return all groups: values (n, VALUES), members (n, c) ray of each camera or -1, trusts (n, c)."""
     cameras, total = views.shape[0], rays.shape[0]
     room, count = max(64, 2 * total // max(cameras, 1)), 0
@@ -71,8 +69,9 @@ def search(rays, views, pairs, start, rules):  # type: ignore[no-untyped-def]
                 continue
             n_a = _left(start[a], start[a + 1], explained, active)
             n_b = _left(start[b], start[b + 1], explained, active[n_a:])
-            if n_a == 0 or n_b == 0 or not _planes(a, b, n_a, n_b, active, rays, views, angle, variance):
+            if n_a == 0 or n_b == 0 or bases[pair, 0, 0] == np.inf:
                 continue
+            plane_angles(rays, active[: n_a + n_b], bases[pair], angle, variance)
             for n in range(n_a + n_b):
                 i = active[n]
                 half[n] = rules[GATE] * np.sqrt(variance[n] * (slack[i] if stage == 1 else 1.0))
@@ -153,7 +152,7 @@ def _note(members, solved, chance, partner, explained, joined, rays, views, rule
             if members[d] >= 0:
                 partner[k, d] = members[d]
         # an image of two targets may serve another group
-        if chance < LIKELY and not too_large(k, c, solved, rays, views, rules):
+        if not too_large(k, c, solved, rays, views, rules):
             joined[k] = True
             explained[k] |= chance < CERTAIN
 
@@ -186,28 +185,6 @@ def _left(first, last, explained, active):  # type: ignore[no-untyped-def]
             active[n] = i
             n += 1
     return n
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _planes(a, b, n_a, n_b, active, rays, views, angle, variance):  # type: ignore[no-untyped-def]
-    """Fill the angles of the epipolar planes of cameras a and b; False where both stand at one place."""
-    base = views[b, :3] - views[a, :3]
-    length = np.sqrt(np.sum(base**2))
-    if length <= 0.0:
-        return False
-    base /= length
-    turn_a, turn_b = views[a, ROTATION:EDGES].reshape(3, 3), views[b, ROTATION:EDGES].reshape(3, 3)
-    # angles count from where both cameras look, so that none is near half a turn
-    up = turn_a[:, 2] + turn_b[:, 2]
-    for axis in (-1, 1, 0):
-        if axis >= 0:
-            up = turn_a[:, axis].copy()
-        up = up - base * np.sum(up * base)
-        if np.sum(up**2) > 1e-6:
-            break
-    up = up / np.sqrt(np.sum(up**2))
-    plane_angles(rays, active[: n_a + n_b], up, np.cross(base, up), angle, variance)
-    return True
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

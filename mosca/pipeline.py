@@ -4,7 +4,7 @@ Nothing here knows where the frames come from. ``run`` is a generator: one Step 
 """
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -16,9 +16,10 @@ from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, FrameSet, FrameSource
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points, Samples
-from mosca.detect import DetectionSettings, detect
+from mosca.detect import DetectionSettings
 from mosca.errors import InputError
 from mosca.health import Health, HealthSettings
+from mosca.look import Look, look_ahead
 from mosca.match import MatchSettings, match
 from mosca.track import Tracker, TrackSettings
 from mosca.triangulate import bundle_rays
@@ -30,13 +31,15 @@ MOST_DETECTIONS = 5000
 @dataclass(frozen=True)
 class PipelineSettings:
     """Settings of all stages. ``volume``: box (low (3,), high (3,)) [m, world] in which targets can be; points
-    outside are no targets. Default: everywhere.
+    outside are no targets. Default: everywhere. ``workers``: threads that detect; 0 looks at each set when its turn
+    comes, as a live run must, more look ahead. The tracks are the same.
     """
 
     detection: DetectionSettings = field(default_factory=DetectionSettings)
     match: MatchSettings = field(default_factory=MatchSettings)
     track: TrackSettings = field(default_factory=TrackSettings)
     volume: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    workers: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,23 +103,17 @@ def run_sets(
         Health(rig, HealthSettings(start_px=settings.match.camera_sigma_px)) if health is None else health
     )
     _check_backgrounds(backgrounds, rig)
-    depth = {info.name: info.bit_depth for info in cameras}
+    look = Look(settings.detection, {info.name: info.bit_depth for info in cameras}, backgrounds)
     volume = _box(settings.volume)
     tracker = Tracker(settings.track)
     typical_diameter_m = 0.0
 
-    for frame_set in sets:
-        clock = _Clock()
-        detections = {
-            name: detect(frame.image, name, settings.detection, depth[name], backgrounds.get(name))
-            for name, frame in frame_set.frames.items()
-            if frame.image is not None
-        }
+    for frame_set, detections, seconds in look_ahead(look, sets, settings.workers):
         check_detections(detections, frame_set.pulse)
-        clock.lap("detect")
+        clock = _Clock({"detect": seconds})
         predicted = tracker.predict(frame_set.time_ns * 1e-9)
-        bundle = bundle_rays(rig, detections, health.noise.sigma_px, settings.match.target)
         clock.lap("predict")
+        bundle = bundle_rays(rig, detections, health.noise.sigma_px, settings.match.target)
         points = match(bundle, predicted, settings.match, volume, typical_diameter_m)
         typical_diameter_m = learned_diameter(typical_diameter_m, points)
         clock.lap("match")
@@ -186,11 +183,11 @@ def _box(volume: tuple[tuple[float, float, float], tuple[float, float, float]] |
 class _Clock:
     """Computing time of the stages of one step [s]."""
 
-    def __init__(self, now: Callable[[], float] = time.perf_counter) -> None:
-        self._now, self._last = now, now()
-        self.laps: dict[str, float] = {}
+    def __init__(self, laps: Mapping[str, float]) -> None:
+        self._last = time.perf_counter()
+        self.laps = dict(laps)
 
     def lap(self, name: str) -> None:
-        here = self._now()
+        here = time.perf_counter()
         self.laps[name] = here - self._last
         self._last = here

@@ -48,7 +48,9 @@ class RigTable:
 
     ``kind`` (c,) lens model; ``lens`` (c, WIDTH) its parameters; ``size`` (c, 2) of the image [px]; ``rotation``
     (c, 3, 3) and ``origin`` (c, 3) of world_from_camera [m]; ``views`` (c, 16) both, origin
-    first, and what ``_edges`` gives; ``pairs`` (p, 2) of cameras, those first whose base lies most across both views.
+    first, and what ``_edges`` gives; ``pairs`` (p, 2) of cameras, those first whose base lies most across both views;
+    ``bases`` (p, 2, 3) two unit vectors across each pair's base, the first towards where both look (infinite where
+    both stand at one place).
     """
 
     kind: Array
@@ -58,6 +60,7 @@ class RigTable:
     origin: Array
     views: Array
     pairs: Array
+    bases: Array
 
 
 @lru_cache(maxsize=32)
@@ -66,6 +69,7 @@ def rig_table(rig: Rig) -> RigTable:
     rows = [_lens_row(camera.lens) for camera in rig.cameras]
     rotation = np.array([c.world_from_camera.rotation for c in rig.cameras]).reshape(-1, 3, 3)
     origin = np.array([c.world_from_camera.translation for c in rig.cameras]).reshape(-1, 3)
+    pairs = _ordered_pairs(rotation, origin)
     return RigTable(
         np.array([kind for kind, _ in rows], dtype=np.int64),
         np.array([row for _, row in rows]).reshape(-1, WIDTH),
@@ -73,8 +77,23 @@ def rig_table(rig: Rig) -> RigTable:
         np.ascontiguousarray(rotation),
         np.ascontiguousarray(origin),
         np.column_stack([origin, rotation.reshape(-1, 9), [_edges(c) for c in rig.cameras]]),
-        _ordered_pairs(rotation, origin),
+        pairs,
+        np.array([_across(a, b, rotation, origin) for a, b in pairs]).reshape(-1, 2, 3),
     )
+
+
+def _across(a: int, b: int, rotation: Array, origin: Array) -> Array:
+    """Return two unit vectors (2, 3) across the base of cameras a and b."""
+    base = origin[b] - origin[a]
+    if not base.any():
+        return np.full((2, 3), np.inf)
+    base = base / np.linalg.norm(base)
+    # angles count from where both cameras look, so that none is near half a turn
+    tried = [rotation[a, :, 2] + rotation[b, :, 2], rotation[a, :, 1], rotation[a, :, 0]]
+    flat = [one - base * (one @ base) for one in tried]
+    up = next(one for one in flat if np.linalg.norm(one) > 1e-3)
+    up = up / np.linalg.norm(up)
+    return np.array([up, np.cross(base, up)])
 
 
 @lru_cache(maxsize=32)
@@ -292,7 +311,11 @@ def fill_rays(  # type: ignore[no-untyped-def]
             longer = np.sqrt(elongation[n]) if elongation[n] > LONG else 1.0
             # two targets grown together are long, and their flux and peak tell no diameter: the longer axis does
             across = max(diameter[n] * longer, LEAST_DIAMETER_PX)
-            s00, s01, s11 = covariance[n, 0, 0] + sigma2[c], covariance[n, 0, 1], covariance[n, 1, 1] + sigma2[c]
+            s00, s01, s11 = (
+                covariance[n, 0, 0] + sigma2[c],
+                covariance[n, 0, 1],
+                covariance[n, 1, 1] + sigma2[c],
+            )
             area = s00 * s11 - s01 * s01
             if not (good and s00 > 0.0 and area > 0.0):
                 rays[n] = np.nan

@@ -448,7 +448,7 @@ def refine_region(
     marks: Array,
     learned: Array,
     usual_rough: float,
-    light: bool,
+    teach: bool,
     out: Array,
     terms: Array,
     tally: Array,
@@ -527,7 +527,7 @@ def refine_region(
             out[BLUR] = (s / posterior - blur[0] / (blur[1] * blur[1])) * blur_variance
             tally[BLUR_SUM] += information * out[BLUR]
             tally[BLUR_WEIGHT] += information
-        if light and not odd:
+        if teach and not odd:
             around = (x0, y0)
             teach_light(
                 image, (column, row), around, min(half + 4.5 * s, most), floor, n_px, level, c, half, xyv, terms,

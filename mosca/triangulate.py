@@ -46,13 +46,14 @@ class Bundle:
     (``mosca.match``); FLAGS of the detection. NaN where the lens images nothing at the pixel.
 
     ``views`` (c, VIEW): ORIGIN (3) centre of projection [m], ROTATION (3 x 3) world_from_camera, EDGES (4) of what
-    it sees, DENSITY rays over the image's area [1/px^2]; ``pairs`` (p, 2) of cameras, best base first;
-    ``start`` (c + 1,) first row of each camera's rays.
+    it sees, DENSITY rays over the image's area [1/px^2]; ``pairs`` (p, 2) of cameras, best base first, and ``bases``
+    (p, 2, 3) across each base (``mosca.ray_kernels``); ``start`` (c + 1,) first row of each camera's rays.
     """
 
     rays: Array
     views: Array
     pairs: Array
+    bases: Array
     start: Array
 
     @property
@@ -90,7 +91,7 @@ def bundle_rays(
     views = np.empty((len(found), VIEW))
     views[:, :DENSITY] = table.views
     views[:, DENSITY] = counts / (table.size[:, 0] * table.size[:, 1])
-    return Bundle(rays, views, table.pairs, start)
+    return Bundle(rays, views, table.pairs, table.bases, start)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -235,6 +235,7 @@ def stage_settings(stages: Stages, volume: Volume | None) -> PipelineSettings:
             acceleration_mps2=track.acceleration_mps2 * scale,
             speed_mps=track.speed_mps * scale,
             gate_m=track.gate_m * scale,
+            limb_m=track.limb_m * scale,
         )
         match = replace(match, worst_sigma_m=WORST_SIGMA_M * scale)
     return PipelineSettings(

@@ -160,6 +160,8 @@ class TrackSpec(Table):
     gate_m: Positive | None = None
     confirm_weight: Positive | None = None
     coast_s: NotNegative | None = None
+    model: Literal["acceleration", "velocity"] | None = None
+    limb_m: NotNegative | None = Field(None, description="how far limb mates may be [m]; 0: particles, no limbs")
 
 
 class PipelineSpec(Table):

@@ -10,6 +10,7 @@ import argparse
 import os
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -99,7 +100,7 @@ def main() -> None:
 
 def modes(settings: PipelineSettings) -> dict[str, PipelineSettings]:
     """Return the settings that are compared."""
-    return {"full scan": settings}
+    return {"full scan, 1 thread": settings, "full scan, looking ahead on 2": replace(settings, workers=2)}
 
 
 def told(name: str, seconds: float, steps: list, truth: object, spec: object) -> None:

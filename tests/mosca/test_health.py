@@ -67,7 +67,7 @@ def watched(
 def test_the_error_that_each_camera_adds_is_learned():
     # the cameras' shares differ by factors; images of a set shake on their own here, so that counts are large
     shake = np.array([0.03, 0.02, 0.06, 0.03])
-    health = watched(shake)
+    health = watched(shake, sets=600)
     np.testing.assert_allclose(health.noise.sigma_px, shake, rtol=0.12)
     assert health.noise.jitter_s < 20e-6
     assert health.findings() == ()

@@ -10,7 +10,7 @@ from mosca.assemble import Assembly
 from mosca.data.frames import CameraInfo, Frame
 from mosca.errors import InputError
 from mosca.live import LiveSets, run_live
-from mosca.pipeline import run
+from mosca.pipeline import PipelineSettings, run
 from mosca.warm import _Blobs, _rig
 
 INFOS = tuple(CameraInfo(name, 8, 6, 8, 100.0) for name in ("a", "b"))
@@ -85,3 +85,14 @@ def test_what_a_live_run_measures_is_what_a_patient_one_does():
     for a, b in zip(live, patient, strict=True):
         np.testing.assert_array_equal(a.points.xyz, b.points.xyz)
         assert a.seconds["wait"] >= 0.0
+
+
+def test_looking_ahead_on_threads_changes_nothing():
+    rig = _rig()
+    alone = list(run(_Blobs(rig), rig))
+    for workers in (1, 2, 3, 8):
+        ahead = list(run(_Blobs(rig), rig, PipelineSettings(workers=workers)))
+        assert [s.frame_set.pulse for s in ahead] == [s.frame_set.pulse for s in alone]
+        for a, b in zip(ahead, alone, strict=True):
+            np.testing.assert_array_equal(a.points.xyz, b.points.xyz)
+            np.testing.assert_array_equal(a.points.covariance, b.points.covariance)
