@@ -51,9 +51,9 @@ class HealthSettings:
     late.
     """
 
-    every: int = 5
+    every: int = 2
     seldom: int = 20
-    most_points: int = 50
+    most_points: int = 25
     memory: float = 100.0
     start_px: float = 0.06
     least_px: float = 0.005

@@ -72,11 +72,11 @@ def choose(values, members, trusts, rays, views, rules, xyz, covariance, support
                 changed = True
         if not changed:
             break
-        for g in waiting:
-            if state[g] == OPEN and not _shrink(
-                g, values, members, trusts, used, mates, ranks, solved, rays, views, rules
+        for left in waiting:
+            if state[left] == OPEN and not _shrink(
+                left, values, members, trusts, used, mates, ranks, solved, rays, views, rules
             ):
-                state[g] = GONE
+                state[left] = GONE
     _take_uncontested(values, members, state, used)
     return state
 
@@ -107,7 +107,7 @@ def _seen_shares(values, members, views):  # type: ignore[no-untyped-def]
     for g in range(members.shape[0]):
         count = np.sum(members[g] >= 0)
         if count > 2:
-            seen += count
+            seen += float(count)
             missed += _missing(values[g], members[g], views)
     return np.log(missed / (seen + missed)), np.log(seen / (seen + missed))
 

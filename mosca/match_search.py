@@ -227,22 +227,9 @@ def _meet(i, j, a, b, away2, variance_i, variance_j, members, ranks, solved, ray
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _grown(
-    a,
-    b,
-    chance,
-    reach,
-    frame,
-    first_in_cell,
-    in_cell,
-    partner,
-    members,
-    ranks,
-    solved,
-    rays,
-    views,
-    rules,
-):  # type: ignore[no-untyped-def]
+def _grown(  # type: ignore[no-untyped-def]
+    a, b, chance, reach, frame, first_in_cell, in_cell, partner, members, ranks, solved, rays, views, rules
+):
     """Widen a pair to all cameras, drop bad rays, judge. Returns how many rays it has (0: none), its squared error,
     diameter and the expected number of chance groups like it.
     """

@@ -117,7 +117,7 @@ def run_sets(
         points = match(bundle, predicted, settings.match, volume, typical_diameter_m)
         typical_diameter_m = learned_diameter(typical_diameter_m, points)
         clock.lap("match")
-        samples = tracker.update(points, frame_set.pulse, frame_set.time_ns)
+        samples = tracker.update(points, frame_set.pulse, frame_set.time_ns, health.noise.jitter_s)
         clock.lap("track")
         health.attend(rig, frame_set, detections, points)
         clock.lap("health")

@@ -45,8 +45,8 @@ USUAL_ROUGHNESS = 4e-4
 FEW, ENOUGH, MEMORY = 3.0, 400.0, 20_000.0
 """Clean targets from which the blur is taken over; centroids from which offsets are; targets after which the
 oldest are forgotten."""
-CHANCE = 40.0
-"""Chi-square of an axis' twelve offset terms below which they are taken for chance (1e-5)."""
+CHANCE = 12.0
+"""Chi-square that a term of the offset must bring, an axis; what chance does not give in 2,000 tries."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,10 +129,28 @@ def _priors(learned: Learned) -> Priors:
 
 
 def _offsets(normal: Array, right_side: Array) -> Array:
-    """Return the terms (12, 2) of the offset that chance does not explain, 0 otherwise."""
-    # A ridge that only the directions feel which the sizes and places seen leave open: what may be either goes
-    # to the terms without R.
-    ridge = np.diag(1 / np.where(np.arange(N_TERMS) < 9, 0.3, 0.01) ** 2)
-    terms: Array = np.linalg.solve(normal + ridge, right_side)
-    chi2 = np.sum(terms * right_side, axis=0)
-    return np.where(chi2 > CHANCE, terms, 0.0)
+    """Return the terms (12, 2) of the offset that chance does not explain, 0 otherwise.
+
+    Of the sets of terms allowed the one whose chi-square, less CHANCE a term, is largest, axis by axis: terms in R
+    and (1, 1/R, 1/R^2) are so much alike that needless ones would only bring noise.
+    """
+    out = np.zeros((N_TERMS, 2))
+    best = np.zeros(2)
+    for allowed in _TERM_SETS:
+        part = normal[np.ix_(allowed, allowed)] + np.diag(_RIDGE[allowed])
+        terms = np.linalg.solve(part, right_side[allowed])
+        score = np.sum(terms * right_side[allowed], axis=0) - CHANCE * len(allowed)
+        for axis in np.flatnonzero(score > best):
+            best[axis] = score[axis]
+            out[:, axis] = 0.0
+            out[allowed, axis] = terms[:, axis]
+    return out
+
+
+_TERM_SETS = [
+    np.array(terms)
+    for terms in ([0], [0, 3, 6], [0, 1, 2, 3, 4, 5, 6, 7, 8], [0, 3, 6, 9], list(range(N_TERMS)))
+]
+# A ridge [px^-2] that only the directions feel which the sizes and places seen leave open: what may be either goes
+# to the terms without R.
+_RIDGE = 1 / np.where(np.arange(N_TERMS) < 9, 0.3, 0.1) ** 2

@@ -27,7 +27,7 @@ N_COLUMNS = 14
 # What an image teaches: counts and sums, see mosca.refine.
 N_TARGETS, BLUR_SUM, BLUR_WEIGHT, ROUGH_SUM, N_LIGHT = range(5)
 N_TALLIES, N_TERMS = 5, 12
-EACH = 16  # every so many targets the light's centroid is taken
+EACH = 8  # every so many targets the light's centroid is taken
 
 SATURATED, MERGED, PARTIAL, UNREFINED = 1, 2, 4, 8
 
@@ -51,13 +51,15 @@ class Model(NamedTuple):
 
 @step
 def sums(
-    n: int, x: Array, y: Array, v: Array, at: tuple[Any, Any, Any, Any, Any, Any], dark: Any, gain: Any
+    n: int, pixels: tuple[Array, Array, Array, Array], at: tuple[Any, Any, Any, Any, Any, Any], dark: Any, gain: Any
 ) -> Any:
-    """Return the normal equations of one Gauss-Newton step over n pixels (x, y) with grey values v.
+    """Return the normal equations of one Gauss-Newton step over n pixels.
 
-    ``at``: x0, y0, amplitude, background, radius, blur. The place and the other four unknowns are at right
+    ``pixels``: x, y, grey value, and how much sharper than ``at`` says the edge is there. ``at``: x0, y0,
+    amplitude, background, radius, blur. The place and the other four unknowns are at right
     angles for a window that is symmetric about the target, and are solved apart.
     """
+    x, y, v, sharper = pixels
     x0, y0, a, b, radius, blur = at
     sharp = ONE / blur
     a_sharp, a_gain = a * sharp, a * gain
@@ -67,11 +69,11 @@ def sums(
         dx, dy = x[i] - x0, y[i] - y0
         r2 = dx * dx + dy * dy + TINY
         per_r = ONE / math.sqrt(r2)
-        t = (r2 * per_r - radius) * sharp
+        t = (r2 * per_r - radius) * sharp * sharper[i]
         t = min(max(t, -REACH), REACH)
         u = t * t
         e = HALF - t * (P0 + u * (P1 + u * (P2 + u * (P3 + u * P4))))
-        g = a_sharp * (Q0 + u * (Q1 + u * (Q2 + u * (Q3 + u * Q4))))
+        g = a_sharp * sharper[i] * (Q0 + u * (Q1 + u * (Q2 + u * (Q3 + u * Q4))))
         w = ONE / (dark + a_gain * e)
         d = v[i] - b - a * e
         jx, jy, js = g * per_r * dx, g * per_r * dy, g * t
@@ -97,6 +99,102 @@ def sums(
         cs += wd * js
         chi2 += wd * d
     return (hxx, hxy, hyy, cx, cy), (haa, hab, har, has, hbb, hbr, hbs, hrr, hrs, hss), (ca, cb, cr, cs), chi2
+
+
+@step
+def cross_sums(
+    n: int, pixels: tuple[Array, Array, Array, Array], at: tuple[Any, Any, Any, Any, Any, Any], dark: Any, gain: Any
+) -> Any:
+    """Return what ``sums`` leaves out: the products of x, then y, with amplitude, background, radius and blur."""
+    x, y, v, sharper = pixels
+    x0, y0, a, _, radius, blur = at
+    sharp = ONE / blur
+    a_sharp, a_gain = a * sharp, a * gain
+    xa = xb = xr = xs = ya = yb = yr = ys = ZERO
+    for i in range(n):
+        dx, dy = x[i] - x0, y[i] - y0
+        r2 = dx * dx + dy * dy + TINY
+        per_r = ONE / math.sqrt(r2)
+        t = (r2 * per_r - radius) * sharp * sharper[i]
+        t = min(max(t, -REACH), REACH)
+        u = t * t
+        e = HALF - t * (P0 + u * (P1 + u * (P2 + u * (P3 + u * P4))))
+        g = a_sharp * sharper[i] * (Q0 + u * (Q1 + u * (Q2 + u * (Q3 + u * Q4))))
+        w = ONE / (dark + a_gain * e)
+        wx, wy = w * g * per_r * dx, w * g * per_r * dy
+        xa += wx * e
+        xb += wx
+        xr += wx * g
+        xs += wx * g * t
+        ya += wy * e
+        yb += wy
+        yr += wy * g
+        ys += wy * g * t
+    return xa, xb, xr, xs, ya, yb, yr, ys
+
+
+@step
+def solve_all(
+    place: Any, h: Any, cross: Any, c: Any, prior: float, pull: float, peak_prior: float, peak_pull: float
+) -> tuple[Array, Array, float, bool]:
+    """Solve for all six unknowns at once, for a window that is not symmetric about the target.
+
+    The amplitude too has a prior here, from the peak: with a side missing it is hard to tell from the radius.
+    Returns the corrections (x, y, amplitude, background, radius, blur), the covariance (6, 6), the variance that
+    the data alone give the blur, and whether there is a solution.
+    """
+    m = np.empty((6, 6))
+    m[0, 0], m[0, 1], m[1, 1] = place[0], place[1], place[2]
+    k = 0
+    for i in range(2):
+        for j in range(2, 6):
+            m[i, j] = cross[k]
+            k += 1
+    k = 0
+    for i in range(2, 6):
+        for j in range(i, 6):
+            m[i, j] = h[k]
+            k += 1
+    scale = np.empty(6)
+    m[5, 5] += prior
+    m[2, 2] += peak_prior
+    for i in range(6):
+        scale[i] = 1.0 / math.sqrt(max(m[i, i], 1e-12))
+    for i in range(6):
+        for j in range(i, 6):
+            m[i, j] *= scale[i] * scale[j]
+            m[j, i] = m[i, j]
+        m[i, i] += 1e-7
+    right = np.array([place[3], place[4], c[0] + peak_prior * peak_pull, c[1], c[2], c[3] + prior * pull])
+    right *= scale
+    # Cholesky, then its inverse
+    low = np.zeros((6, 6))
+    for i in range(6):
+        for j in range(i + 1):
+            rest = m[i, j]
+            for q in range(j):
+                rest -= low[i, q] * low[j, q]
+            if i == j:
+                if not rest > 1e-9:
+                    return right, m, math.inf, False
+                low[i, i] = math.sqrt(rest)
+            else:
+                low[i, j] = rest / low[j, j]
+    inverse = np.zeros((6, 6))
+    for column in range(6):
+        for i in range(column, 6):
+            rest = 1.0 if i == column else 0.0
+            for q in range(column, i):
+                rest -= low[i, q] * inverse[q, column]
+            inverse[i, column] = rest / low[i, i]
+    covariance, step_taken = np.zeros((6, 6)), np.zeros(6)
+    for i in range(6):
+        for j in range(6):
+            for q in range(max(i, j), 6):
+                covariance[i, j] += inverse[q, i] * inverse[q, j]
+            covariance[i, j] *= scale[i] * scale[j]
+            step_taken[i] += covariance[i, j] * right[j] / scale[j]
+    return step_taken, covariance, 1.0 / max(1.0 / covariance[5, 5] - prior, 1e-12), True
 
 
 @step
@@ -238,9 +336,9 @@ def copy_eight(line: Array, k: Any, v: Array, at: Any) -> None:
 
 
 @step
-def gather(image: Array, place: tuple[int, int], reach: float, xyv: tuple[Array, Array, Array]) -> int:
+def gather(image: Array, place: tuple[int, int], reach: float, xyv: tuple[Array, Array, Array, Array]) -> int:
     """Copy the pixels within ``reach`` of the pixel ``place``, and their offsets from it; return how many."""
-    x, y, v = xyv
+    x, y, v, _ = xyv
     height, width = image.shape
     column, row = place
     n = 0
@@ -269,9 +367,9 @@ def gather(image: Array, place: tuple[int, int], reach: float, xyv: tuple[Array,
 
 
 @pixel_step
-def window_sums(n: int, xyv: tuple[Array, Array, Array], threshold: int, level: float) -> tuple[Any, ...]:
+def window_sums(n: int, xyv: tuple[Array, Array, Array, Array], threshold: int, level: float) -> tuple[Any, ...]:
     """Return the number of pixels above a threshold, their peak, and the sums (1, x, y, xx, xy, yy) of v - level."""
-    x, y, v = xyv
+    x, y, v, _ = xyv
     limit, base = f32(threshold), f32(level)
     count = peak = s = sx = sy = sxx = sxy = syy = ZERO
     for i in range(n):
@@ -298,14 +396,14 @@ def gather_unmarked(
     around: tuple[float, float],
     reach: float,
     marks: tuple[Array, int, int],
-    xyv: tuple[Array, Array, Array],
+    xyv: tuple[Array, Array, Array, Array],
 ) -> int:
     """Copy the pixels that ``blank`` leaves and that lie within ``reach`` of a target; return how many.
 
     Pixel offsets from ``place`` are turned by the symmetric matrix ``shape`` (xx, xy, yy), in which the target is
     round, and ``around`` is its middle there. ``marks``: the ``out`` of ``blank``, its first column and row.
     """
-    x, y, v = xyv
+    x, y, v, sharper = xyv
     height, width = image.shape
     out, left, top = marks
     n = 0
@@ -315,8 +413,12 @@ def gather_unmarked(
         for i in range(max(place[0] + first, 0, left), min(place[0] + end, width, left + len(out))):
             if not out[j - top, i - left] & OUT:
                 dx, dy = i - place[0], j - place[1]
-                x[n], y[n] = f32(shape[0] * dx + shape[1] * dy), f32(shape[1] * dx + shape[2] * dy)
-                v[n] = f32(image[j, i])
+                px, py = shape[0] * dx + shape[1] * dy, shape[1] * dx + shape[2] * dy
+                x[n], y[n], v[n] = f32(px), f32(py), f32(image[j, i])
+                # turned with the target, the round blur becomes narrower to one side, wider to the other
+                qx, qy = px - around[0], py - around[1]
+                wide = math.hypot(shape[0] * qx + shape[1] * qy, shape[1] * qx + shape[2] * qy)
+                sharper[n] = f32((math.hypot(qx, qy) + 1e-3) / (wide + 1e-3))
                 n += 1
     return n
 
@@ -350,43 +452,61 @@ def span_within(
 
 @step
 def fit_disc(
-    n: int, x: Array, y: Array, v: Array, start: tuple[Any, ...], blur: tuple[float, float], model: Model
+    n: int,
+    pixels: tuple[Array, Array, Array, Array],
+    start: tuple[Any, ...],
+    blur: tuple[float, float],
+    model: Model,
+    symmetric: bool,
 ) -> tuple[Any, ...]:
     """Fit a blurred disc by Gauss-Newton steps until the place moves by less than a third of its error.
 
-    ``start``: x0, y0, amplitude, background, radius; ``blur``: its prior mean and standard deviation. Returns
+    ``start``: x0, y0, amplitude, background, radius; ``blur``: its prior mean and standard deviation;
+    ``symmetric``: whether the pixels lie all around the target, so that the place can be solved apart. Returns
     x0, y0, amplitude, background, radius, blur, the variances (xx, xy, yy) of the place, chi-square, the blur's
     variance from the data alone, and whether it converged.
     """
     x0, y0, a, b, radius = start
     mean, prior = blur[0], 1.0 / (blur[1] * blur[1])
     s = mean
+    # a saturated target has no peak
+    peak_prior = 0.0 if start[2] + b >= model.full_dn else 1.0 / (0.1 * start[2]) ** 2
     dark, gain = f32(model.dark_dn2), f32(model.gain_dn)
     cxx = cxy = cyy = chi2 = 0.0
     blur_variance = math.inf
     good = False
     for turn in range(MOST_STEPS):
-        place, h, c, chi2_here = sums(
-            n, x, y, v, (f32(x0), f32(y0), f32(a), f32(b), f32(radius), f32(s)), dark, gain
-        )
-        hxx, hxy, hyy = float(place[0]), float(place[1]), float(place[2])
-        det = hxx * hyy - hxy * hxy
-        if not det > 1e-9 * hxx * hyy:
-            break
-        cxx, cxy, cyy = hyy / det, -hxy / det, hxx / det
+        at = (f32(x0), f32(y0), f32(a), f32(b), f32(radius), f32(s))
+        place, h, c, chi2_here = sums(n, pixels, at, dark, gain)
         px, py = float(place[3]), float(place[4])
-        da, db, dr, ds, blur_variance, solved = solve_shape(
-            (
-                float(h[0]), float(h[1]), float(h[2]), float(h[3]), float(h[4]),
-                float(h[5]), float(h[6]), float(h[7]), float(h[8]), float(h[9]),
-            ),
-            (float(c[0]), float(c[1]), float(c[2]), float(c[3])), prior, mean - s,
-        )  # fmt: skip
-        if solved == 0.0:
-            break
-        dx, dy = cxx * px + cxy * py, cxy * px + cyy * py
-        moved = dx * px + dy * py  # over its own error, squared
-        chi2 = chi2_here - moved
+        if symmetric:
+            hxx, hxy, hyy = float(place[0]), float(place[1]), float(place[2])
+            det = hxx * hyy - hxy * hxy
+            if not det > 1e-9 * hxx * hyy:
+                break
+            cxx, cxy, cyy = hyy / det, -hxy / det, hxx / det
+            da, db, dr, ds, blur_variance, solved = solve_shape(
+                (
+                    float(h[0]), float(h[1]), float(h[2]), float(h[3]), float(h[4]),
+                    float(h[5]), float(h[6]), float(h[7]), float(h[8]), float(h[9]),
+                ),
+                (float(c[0]), float(c[1]), float(c[2]), float(c[3])), prior, mean - s,
+            )  # fmt: skip
+            if solved == 0.0:
+                break
+            dx, dy = cxx * px + cxy * py, cxy * px + cyy * py
+        else:
+            cross = cross_sums(n, pixels, at, dark, gain)
+            change, covariance, blur_variance, found = solve_all(
+                place, h, cross, c, prior, mean - s, peak_prior, start[2] - a
+            )
+            if not found:
+                break
+            cxx, cxy, cyy = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+            dx, dy, da, db, dr, ds = change[0], change[1], change[2], change[3], change[4], change[5]
+        # over its own error, squared
+        moved = (cyy * dx * dx - 2.0 * cxy * dx * dy + cxx * dy * dy) / (cxx * cyy - cxy * cxy)
+        chi2 = chi2_here - dx * px - dy * py
         far = max(abs(dx), abs(dy))
         most = 0.5 * radius + 0.3
         hold = min(1.0, most / far) if far > most else 1.0
@@ -444,7 +564,8 @@ def refine_region(
     floor: int,
     blur: tuple[float, float],
     model: Model,
-    xyv: tuple[Array, Array, Array],
+    xyv: tuple[Array, Array, Array, Array],
+    sharper: Array,
     marks: Array,
     learned: Array,
     usual_rough: float,
@@ -491,9 +612,13 @@ def refine_region(
         n = gather_unmarked(
             image, (column, row), shape, (x0, y0), reach, (marks, first[0], first[1]), xyv
         )
-    x, y, v = xyv
     x0, y0, amplitude, level, radius, s, c, chi2, blur_variance, good = fit_disc(
-        n, x, y, v, (x0, y0, amplitude, level, radius), blur, model
+        n,
+        (xyv[0], xyv[1], xyv[2], sharper if plain else xyv[3]),
+        (x0, y0, amplitude, level, radius),
+        blur,
+        model,
+        not crowded and not n_full,
     )
     det = m0 * m2 - m1 * m1
     i0, i1, i2 = m2 / det, -m1 / det, m0 / det
@@ -505,15 +630,15 @@ def refine_region(
     out[DIAMETER] = 2.0 * half
     out[PEAK] = peak
     out[ELONGATION] = max(size_x, size_y) / min(size_x, size_y)
-    out[FLAGS] = (SATURATED if n_full else 0) + (0 if good else UNREFINED)
+    out[FLAGS] = (SATURATED if n_full else 0) + (0 if good else UNREFINED + (MERGED if crowded else 0))
     misfit = chi2 / max(n - 6, 1)
     # misfit beyond the noise, over the squared amplitude: of a good model about (2 %)^2
     rough = max(misfit - 1.0, 0.0) * (model.dark_dn2 + model.gain_dn * amplitude) / (amplitude * amplitude)
     out[MISFIT], out[ROUGH], out[PULL] = misfit, rough, math.hypot(pull_x, pull_y)
-    odd = good and misfit > 1.3 + 5.0 * math.sqrt(2.0 / n) and rough > max(8.0 * usual_rough, 0.004)
+    odd = good and not n_full and misfit > 1.3 + 5.0 * math.sqrt(2.0 / n) and rough > max(8.0 * usual_rough, 0.004)
     if odd:
         # the model does not hold: the place is as uncertain as the misfit says
-        out[FLAGS] += PARTIAL
+        out[FLAGS] += PARTIAL + (MERGED if out[PULL] > 0.2 else 0)
         out[XX], out[XY], out[YY] = misfit * out[XX], misfit * out[XY], misfit * out[YY]
     out[BLUR_INFO] = out[BLUR] = 0.0
     if good and plain and not crowded and not n_full:
@@ -562,7 +687,7 @@ def teach_light(
     level: float,
     variance: tuple[float, float, float],
     radius: float,
-    xyv: tuple[Array, Array, Array],
+    xyv: tuple[Array, Array, Array, Array],
     terms: Array,
     tally: Array,
     normal: Array,
@@ -570,7 +695,7 @@ def teach_light(
 ) -> None:
     """Add how far the centroid of a target's whole light lies from the fitted place, unless others shine there."""
     n = gather(image, place, reach, xyv)
-    x, y, v = xyv
+    x, y, v, _ = xyv
     bright, limit = 0, f32(floor)
     for i in range(n):
         bright += v[i] > limit
@@ -641,18 +766,27 @@ def refine_regions(
         largest = max(largest, box[1] - box[0] + 1, box[3] - box[2] + 1)
     # the widest window: a region, and the blur that the fit may reach (see fit_disc)
     side = 2 * (largest + 30) + 1
-    xyv = (np.empty(side * side, f32), np.empty(side * side, f32), np.empty(side * side, f32))
+    xyv = (
+        np.empty(side * side, f32),
+        np.empty(side * side, f32),
+        np.empty(side * side, f32),
+        np.empty(side * side, f32),
+    )
+    ones = np.ones(side * side, f32)
     marks = np.empty((side, side), np.uint8)
-    n = 0
+    n = first_of_image = 0
     for r in range(len(regions)):
         own = runs[regions[r, 1] : regions[r, 2]]
         box, _ = box_of(own)
         if box[0] == 0 or box[1] == width - 1 or box[2] == 0 or box[3] == height - 1:
             continue
         k = regions[r, 0]
+        if n == 0 or image_of[n - 1] != k:
+            first_of_image = n
+        image = image_at(addresses[k], like, height, width)
         refine_region(
-            image_at(addresses[k], like, height, width), own, regions[r, 3], lowest[k], (blurs[k, 0], blurs[k, 1]), model, xyv, marks, learned[k],
-            rough[k], r % EACH == 0, table[n], terms, tally[k], normal[k], right_side[k],
+            image, own, regions[r, 3], lowest[k], (blurs[k, 0], blurs[k, 1]), model, xyv, ones, marks, learned[k],
+            rough[k], (n - first_of_image) % EACH == 0, table[n], terms, tally[k], normal[k], right_side[k],
         )  # fmt: skip
         image_of[n] = k
         n += 1

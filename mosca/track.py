@@ -88,14 +88,22 @@ class Tracker:
         _, place, covariance = expected(self._bank)
         return Predicted(place, covariance)
 
-    def update(self, points: Points, frame: int, time_ns: int) -> Samples:
-        """Give the points of the instant last predicted to the targets; return samples that are now certain."""
+    def update(self, points: Points, frame: int, time_ns: int, jitter_s: float = 0.0) -> Samples:
+        """Give the points of the instant last predicted to the targets; return samples that are now certain.
+
+        ``jitter_s``: of each camera's trigger, standard deviation; it spreads moving points along their paths.
+        """
         s = self.settings
         self._make_room(len(points))
         bank = self._bank
         slot_of = self._assigned(points)
+        covariance = points.covariance
+        if jitter_s > 0.0 and len(points):
+            path = np.where(slot_of[:, None] >= 0, bank.mean[slot_of, 3:6], 0.0) * jitter_s
+            share = np.maximum(points.n_cameras, 1)[:, None, None]
+            covariance = covariance + path[:, :, None] * path[:, None, :] / share
         nameless = correct(
-            bank, slot_of, points.xyz, points.covariance, points.trusted, time_ns * 1e-9,
+            bank, slot_of, points.xyz, covariance, points.trusted, time_ns * 1e-9,
             3 if s.model == "acceleration" else 2, (CALMEST * s.acceleration_mps2) ** 2,
             (WILDEST * s.acceleration_mps2) ** 2, s.speed_mps, s.confirm_weight, SURE,
         )  # fmt: skip
@@ -105,7 +113,7 @@ class Tracker:
             learn(bank, self._limbs, self._step_s, s.limb_m)
         n = len(points)
         now = Samples(
-            np.full(n, frame), np.full(n, time_ns), bank.identity[slot_of], points.xyz, points.covariance,
+            np.full(n, frame), np.full(n, time_ns), bank.identity[slot_of], points.xyz, covariance,
             points.n_cameras, points.residual_px, np.zeros(n, np.int8),
         )  # fmt: skip
         return self._certain(now, serial, named)

@@ -1,6 +1,5 @@
 """The scene's rigid bodies as a lab would define them, and how well their poses were measured."""
 
-import mujoco
 import numpy as np
 
 from mosca.calibrate.align import rigid
@@ -13,17 +12,17 @@ from twin.scenes.scene import Scene
 
 
 def rigid_bodies(scene: Scene) -> tuple[RigidBody, ...]:
-    """Return the scene's bodies that carry three markers and more, origin in the middle of their markers."""
-    data = mujoco.MjData(scene.model)
-    data.qpos[:] = scene.configuration_at(0.0)
-    mujoco.mj_kinematics(scene.model, data)
-    geom_of = dict(zip(scene.marker_names, scene.marker_geoms, strict=True))
+    """Return the scene's bodies that carry three markers and more, as they stand at the session's start.
+
+    A body's frame has its origin in the middle of its markers and, at the start, the world's axes.
+    """
+    places = scene.sampler().at(0.0).marker_xyz
+    row_of = {name: row for row, name in enumerate(scene.marker_names)}
     found = []
     for name, markers in scene.bodies.items():
         if len(markers) >= FEWEST_MARKERS:
-            places = data.geom_xpos[[geom_of[marker] for marker in markers]]
-            carrier = data.xmat[scene.model.geom_bodyid[geom_of[markers[0]]]].reshape(3, 3)
-            found.append(RigidBody(name, tuple(markers), (places - places.mean(axis=0)) @ carrier))
+            own = places[[row_of[marker] for marker in markers]]
+            found.append(RigidBody(name, tuple(markers), own - own.mean(axis=0)))
     return tuple(found)
 
 
