@@ -41,11 +41,12 @@ from mosca.data.detections import UNREFINED, Detections
 from mosca.detect_background import mean_background, minimum_background
 from mosca.detect_kernels import find_regions_in_set
 from mosca.detect_measure import DIAMETER, ELONGATION, PEAK, XX, XY, YY, X, Y, measure_regions
-from mosca.detect_scan import scan_set, uncut_regions
+from mosca.detect_scan import regions_within, scan_set
 from mosca.detect_settings import DEFAULTS, DetectionSettings, noise_of, packing_of, search_of
 from mosca.errors import InputError
 from mosca.refine import NOTHING, Learned
-from mosca.refine_kernels import FLAGS, Model, refine_regions
+from mosca.refine_fit import Model
+from mosca.refine_kernels import FLAGS, refine_regions
 
 __all__ = [
     "DEFAULTS",
@@ -64,7 +65,10 @@ TOUCHING = 0.03
 """Error of a centroid that a neighbour's light draws, standard deviation as a share of the diameter (measured)."""
 _NO_BOXES = np.empty((0, 4), np.int32)
 _EVERYWHERE = np.empty(0, np.int64)
-_LIKE = {np.dtype(np.uint8): np.empty(0, np.uint8), np.dtype(np.uint16): np.empty(0, np.uint16)}
+_LIKE: dict[object, Array] = {
+    np.dtype(np.uint8): np.empty(0, np.uint8),
+    np.dtype(np.uint16): np.empty(0, np.uint16),
+}
 
 
 def detect(
@@ -101,8 +105,9 @@ def detect_set(
 
     Images of one size and type are worked off without the GIL in one go, so that several threads can each
     take a frame set; others one by one. ``windows``: for each image the boxes (k, 4) x0, y0, x1, y1 [px, ends
-    included] in which targets are looked for, or None for all of it; a target that reaches out of all of them is
-    left out, one that lies in several comes once.
+    included] in which targets are looked for, or None for all of it: a target is reported, once, where it lies
+    inside one of them, off its outermost pixels. Small windows make large images fast; where there are many,
+    all of the image is looked at.
     """
     return detect_and_learn(images, cameras, settings, bit_depth, backgrounds, windows, learned)[0]
 
@@ -229,7 +234,7 @@ def _regions(
     )
     runs, regions, lowest = find_regions_in_set(runs, values, run_start, value_start, search)
     if len(box_start):
-        regions = uncut_regions(addresses, like, size, runs, regions)
+        regions = regions_within(runs, regions, boxes, box_start)
     return runs, regions, lowest
 
 

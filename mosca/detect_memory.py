@@ -8,13 +8,14 @@ from typing import Any
 
 import numba
 import numpy as np
+from numba import carray  # type: ignore[attr-defined]
 from numba.core import types
 from numba.extending import intrinsic
 
 from mosca.data.arrays import Array
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def _pointer(_context: Any, address: Any, like: Any) -> Any:
     """Return ``address`` (uint64) as a pointer to values of the type of the array ``like``."""
 
@@ -24,11 +25,14 @@ def _pointer(_context: Any, address: Any, like: Any) -> Any:
     return types.CPointer(like.dtype)(types.uint64, like), code
 
 
-@numba.njit(nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+_INNER: dict[str, Any] = {"nogil": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+
+@numba.njit(**_INNER)
 def image_at(address: np.uint64, like: Array, height: int, width: int) -> Array:
     """Return the image (H, W) of the type of ``like`` that lies in memory at ``address``, row after row.
 
     So a kernel takes all images of a frame set without anyone copying them into one array; the caller keeps
     them alive and has checked that they are contiguous and of one size and type.
     """
-    return numba.carray(_pointer(address, like), (height, width))
+    return carray(_pointer(address, like), (height, width))  # type: ignore[call-arg]

@@ -4,7 +4,7 @@ Called by ``mosca.detect``; free of the GIL, on one thread, in whole numbers onl
 ``mosca.detect_kernels``.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,10 @@ class Packing(NamedTuple):
     low_bits: np.uint64
     addend: np.uint64
     lane_shift: int
+
+
+ROW_COST = 30
+"""A row of a box takes as long as so many words of a whole image (measured)."""
 
 
 @step
@@ -112,55 +116,38 @@ def bright_runs(image: Array, bright: Array, lanes: int, level: int) -> tuple[Ar
     """
     width = image.shape[1]
     pixels = image.ravel()
+    n_all = len(pixels)
     runs = np.empty((len(bright) * (lanes // 2 + 1) + lanes, 4), np.int32)
+    values = np.empty((len(bright) + 1) * lanes + width, np.int32)
     n, n_pixels = 0, 0
     y, row, p = 0, 0, 0  # a row, its first pixel, and the pixel up to which all is searched
     for i in range(len(bright) + 1):
-        begin = bright[i] * lanes if i < len(bright) else len(pixels) // lanes * lanes
+        begin = bright[i] * lanes if i < len(bright) else n_all // lanes * lanes
         p = max(p, begin)
-        end = min(begin + lanes, len(pixels))
+        end = min(begin + lanes, n_all)
         while p < end:
-            if pixels[p] <= level:
+            value = pixels[np.uint64(p)]
+            if value <= level:
                 p += 1
                 continue
             while p >= row + width:
                 y += 1
                 row += width
-            first = p
-            while p < row + width and pixels[p] > level:
+            if n_pixels + width > len(values):  # runs that go on beyond the words searched
+                longer = np.empty(2 * len(values), np.int32)
+                longer[:n_pixels] = values[:n_pixels]
+                values = longer
+            first, end_row, place = p, row + width, n_pixels
+            while value > level:
+                values[np.uint64(n_pixels)] = value
+                n_pixels += 1
                 p += 1
-            runs[n, ROW], runs[n, FIRST], runs[n, END], runs[n, PLACE] = y, first - row, p - row, n_pixels
-            n_pixels += p - first
+                if p >= end_row:
+                    break
+                value = pixels[np.uint64(p)]
+            runs[n, ROW], runs[n, FIRST], runs[n, END], runs[n, PLACE] = y, first - row, p - row, place
             n += 1
-    values = np.empty(n_pixels, np.int32)
-    for i in range(n):
-        y, first, place = runs[i, ROW], runs[i, FIRST], runs[i, PLACE]
-        for k in range(runs[i, END] - first):
-            values[place + k] = image[y, first + k]
-    return runs[:n], values
-
-
-@step
-def is_cut(image: Array, runs: Array, threshold: int) -> bool:
-    """Tell whether a region goes on beyond what was searched: pixels above its threshold adjoin that it lacks."""
-    height, width = image.shape
-    n_around, n_own = 0, 0
-    top, bottom = runs[0, 0], runs[-1, 0]
-    left, right = runs[0, 1], runs[0, 2]
-    for i in range(len(runs)):
-        left, right = min(left, runs[i, 1]), max(right, runs[i, 2])
-    inside = np.zeros((bottom - top + 3, right - left + 2), np.uint8)
-    for i in range(len(runs)):
-        for x in range(runs[i, 1], runs[i, 2]):
-            inside[runs[i, 0] - top + 1, x - left + 1] = 2
-            n_own += 1
-    for i in range(len(runs)):
-        for y in range(max(runs[i, 0] - 1, 0), min(runs[i, 0] + 2, height)):
-            for x in range(max(runs[i, 1] - 1, 0), min(runs[i, 2] + 1, width)):
-                if inside[y - top + 1, x - left + 1] == 0:
-                    inside[y - top + 1, x - left + 1] = 1
-                    n_around += image[y, x] > threshold
-    return n_around > 0
+    return runs[:n], values[:n_pixels]
 
 
 @kernel
@@ -177,7 +164,7 @@ def scan_set(
 
     ``addresses`` (n,) uint64: where the images of ``size`` (H, W) and the type of ``like`` (0,) lie in memory.
     ``boxes`` (k, 4) int32 x0, y0, x1, y1, ends included, those of image i from ``box_start`` (n + 1) i on; where
-    ``box_start`` is empty, all of each image is searched; pixels beside a box may be found with it. Returns runs
+    ``box_start`` is empty, all of each image is searched, and so it is where that is faster. Returns runs
     (m, 4), grey values, and where those of each image begin (n + 1).
     """
     n_images = len(addresses)
@@ -189,10 +176,15 @@ def scan_set(
     for i in range(n_images):
         image = image_at(addresses[i], like, height, width)
         words = image_at(addresses[i], whole, 1, n_words).ravel()
-        if len(box_start) == 0:
+        own = boxes[:0]
+        rows = 0
+        if len(box_start) > 0:
+            own = boxes[box_start[i] : box_start[i + 1]]
+            for k in range(len(own)):
+                rows += own[k, 3] - own[k, 1] + 1
+        if len(box_start) == 0 or ROW_COST * rows > n_words:
             bright = bright_words(words, packing)
         else:
-            own = boxes[box_start[i] : box_start[i + 1]]
             bright = bright_words_within(words, packing, width, height, own)
         more_runs, more_values = bright_runs(image, bright, 1 << packing.lane_shift, level)
         n, m = run_start[i], value_start[i]
@@ -211,10 +203,17 @@ def scan_set(
 
 
 @kernel
-def uncut_regions(addresses: Array, like: Array, size: tuple[int, int], runs: Array, regions: Array) -> Array:
-    """Return the rows of ``regions`` that do not go on beyond the boxes in which they were searched."""
-    whole = np.empty(len(regions), np.bool_)
+def regions_within(runs: Array, regions: Array, boxes: Array, box_start: Array) -> Array:
+    """Return the rows of ``regions`` that lie inside one of their image's boxes, off its outermost pixels."""
+    kept = np.zeros(len(regions), np.bool_)
     for r in range(len(regions)):
-        image = image_at(addresses[regions[r, 0]], like, size[0], size[1])
-        whole[r] = not is_cut(image, runs[regions[r, 1] : regions[r, 2]], regions[r, 3])
-    return regions[whole]
+        own = runs[regions[r, 1] : regions[r, 2]]
+        top, bottom = own[0, 0], own[-1, 0]
+        left, right = own[0, 1], own[0, 2]
+        for i in range(1, len(own)):
+            left, right = min(left, own[i, 1]), max(right, own[i, 2])
+        for k in range(box_start[regions[r, 0]], box_start[regions[r, 0] + 1]):
+            if boxes[k, 1] < top and boxes[k, 3] > bottom and boxes[k, 0] < left and boxes[k, 2] >= right:
+                kept[r] = True
+                break
+    return regions[kept]

@@ -1,14 +1,27 @@
-"""Compile the pipeline's kernels before they are needed: ``python -m mosca.warm``."""
+"""Compile the pipeline's kernels before they are needed: ``python -m mosca.warm``.
 
+With ``look`` only those that look at frames, with ``points`` only those that make points and tracks: two processes
+compile them side by side.
+"""
+
+import sys
 from collections.abc import Iterator
+from itertools import islice
 
 import numpy as np
 
 from mosca.camera import project
 from mosca.data.arrays import Array
-from mosca.data.frames import CameraInfo, Frame
+from mosca.data.detections import Detections
+from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
+from mosca.detect import DetectionSettings
+from mosca.look import Look
+from mosca.match import MatchSettings, match
 from mosca.pipeline import PipelineSettings, run
+from mosca.refine import NOTHING
+from mosca.track import Tracker, TrackSettings
+from mosca.triangulate import bundle_rays
 
 WIDTH, HEIGHT, RATE_HZ, PULSES = 96, 72, 100.0, 8
 POINTS = np.array([[0.1, 0.0, 0.1], [-0.1, 0.1, 0.0], [0.0, -0.1, -0.1]])
@@ -43,6 +56,34 @@ def warm_up() -> int:
     return sum(len(step.points) for step in run(_Blobs(_rig()), _rig(), PipelineSettings(volume=(low, high))))
 
 
+def look() -> int:
+    """Look at one small frame set; returns how many targets were found."""
+    source = _Blobs(_rig())
+    frames = FrameSet(0, 0, {frame.camera: frame for frame in islice(source, len(source.cameras))})
+    at = Look(DetectionSettings(), {info.name: info.bit_depth for info in source.cameras})
+    return sum(len(found) for found in at.at(frames, NOTHING)[0].values())
+
+
+def points() -> int:
+    """Match and track made-up detections of a few sets; returns how many samples came out."""
+    rig, tracker, samples = _rig(), Tracker(TrackSettings()), 0
+    room = (np.full(3, -1.0), np.full(3, 1.0))
+    for pulse in range(PULSES):
+        n = len(POINTS)
+        found = {
+            c.name: Detections(
+                c.name, project(c, POINTS), np.tile(1e-4 * np.eye(2), (n, 1, 1)), np.full(n, 4.0), np.full(n, 100.0),
+                np.ones(n),
+            )
+            for c in rig.cameras
+        }  # fmt: skip
+        predicted = tracker.predict(pulse / RATE_HZ)
+        bundle = bundle_rays(rig, found, 0.05)
+        made = match(bundle, predicted, MatchSettings(), room, 0.0)
+        samples += len(tracker.update(made, pulse, round(pulse * 1e9 / RATE_HZ)))
+    return samples
+
+
 def _rig() -> Rig:
     lens = MoscaLens(0.9, (WIDTH - 1) / 2, (HEIGHT - 1) / 2, 0.0099, 0.0099)
     cameras = []
@@ -61,4 +102,4 @@ def _blobs(xy_px: Array) -> Array:
 
 
 if __name__ == "__main__":
-    warm_up()
+    {"look": look, "points": points}.get("".join(sys.argv[1:]), warm_up)()

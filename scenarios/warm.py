@@ -18,10 +18,15 @@ def compile_side_by_side(source: TwinSource) -> None:
     if kept is None or any(Path(kept).rglob("integrate.render_all-*.nbi")):
         return
     quiet = subprocess.DEVNULL
-    beside = subprocess.Popen([sys.executable, "-m", "mosca.warm"], stdin=quiet, stdout=quiet, stderr=quiet)
+    beside = [
+        subprocess.Popen([sys.executable, "-m", "mosca.warm", part], stdin=quiet, stdout=quiet, stderr=quiet)
+        for part in ("points", "look")
+    ]
     try:
         for _frame in source:
             break
-        beside.wait()
+        for process in beside:
+            process.wait()
     finally:
-        beside.terminate()
+        for process in beside:
+            process.terminate()

@@ -51,7 +51,10 @@ def fine_image(diameter, blur, circle=0.0, coma=0.0, shade=0.0):
         weight = np.repeat(weights / 64, 32)
         low = np.abs(f) < 2
         pupil = np.zeros((n, n), complex)
-        wave_x, wave_y = np.exp(-2j * np.pi * np.outer(dx, f[low])), np.exp(-2j * np.pi * np.outer(dy, f[low]))
+        wave_x, wave_y = (
+            np.exp(-2j * np.pi * np.outer(dx, f[low])),
+            np.exp(-2j * np.pi * np.outer(dy, f[low])),
+        )
         pupil[np.ix_(low, low)] = (weight[:, None] * wave_y).T @ wave_x
         spectrum = spectrum * pupil
     return np.fft.fftshift(np.fft.ifft2(spectrum).real) * FINE**2
@@ -168,7 +171,9 @@ def test_wrong_noise_makes_the_stated_error_wrong():
 
 
 def test_defocus_of_three_pixels_costs_nothing():
-    for diameter, (error, variance, bound) in learned_errors(2, (3.3, 8.3), 0.6, 200, 50, 1, circle=3.0)[0].items():
+    for diameter, (error, variance, bound) in learned_errors(2, (3.3, 8.3), 0.6, 200, 50, 1, circle=3.0)[
+        0
+    ].items():
         assert np.sqrt(np.mean(error**2) / np.mean(bound**2)) < 1.12, diameter
         assert 0.8 < np.mean(error**2 / variance) < 1.2, diameter
 
@@ -227,7 +232,7 @@ def test_windows_find_what_lies_in_them_once(width):
     assert len(everywhere) == 3
     boxes = np.array([[12, 12, 28, 28], [14, 10, 30, 30], [40, 20, 60, 40], [60, 60, 95, 79]])
     (found,) = detect_set([image], ["a"], windows=[boxes])
-    assert found.xy_px.tobytes() == everywhere.xy_px[:2].tobytes(), "the third reaches out of its window"
+    assert found.xy_px.tobytes() == everywhere.xy_px[:2].tobytes(), "the third reaches the rim of its window"
     assert len(detect_set([image], ["a"], windows=[np.empty((0, 4))])[0]) == 0
     assert len(detect_set([image], ["a"], windows=[None])[0]) == 3
     outside = np.array([[-50, -50, -10, -10], [500, 500, 600, 600], [0, 0, 1000, 1000]])

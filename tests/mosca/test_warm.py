@@ -1,7 +1,12 @@
 """The warming run reaches every stage."""
 
-from mosca.warm import POINTS, PULSES, warm_up
+from mosca.warm import POINTS, PULSES, look, points, warm_up
 
 
 def test_it_finds_its_points_in_every_frame_set():
     assert warm_up() == PULSES * len(POINTS)
+
+
+def test_its_parts_reach_their_stages():
+    assert look() == 3 * len(POINTS)
+    assert points() == PULSES * len(POINTS)
