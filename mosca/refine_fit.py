@@ -251,8 +251,9 @@ def fit_disc(
     x0, y0, a, b, radius = start
     mean, prior = blur[0], 1.0 / (blur[1] * blur[1])
     s = mean
-    # a saturated target has no peak
-    peak_prior = 0.0 if start[2] + b >= model.full_dn else 1.0 / (0.1 * start[2]) ** 2
+    # a saturated target shows only that its peak is higher
+    known = 1.0 if start[2] + b >= model.full_dn else 0.1
+    peak_prior = 1.0 / (known * start[2]) ** 2
     dark, gain = f32(model.dark_dn2), f32(model.gain_dn)
     cxx = cxy = cyy = chi2 = 0.0
     blur_variance = math.inf

@@ -141,6 +141,8 @@ def refine_region(
         radius = area_radius - blur[0] * tail_point((threshold + 0.5 - level) / amplitude)
         radius = max(radius, 0.4 * blur[0])
         amplitude = (peak - level) / below_edge(radius / blur[0])
+    if n_full:
+        amplitude *= 1.5
     x0, y0 = m0 * ax + m1 * ay, m1 * ax + m2 * ay
     if crowded or n_full or not plain:
         first = blank(image, runs, (column, row), floor, model.full_dn, marks)
