@@ -270,20 +270,20 @@ def columns(values, members, trusts, state, rays, start):  # type: ignore[no-unt
     for g in range(values.shape[0]):
         if state[g] != TAKEN:
             continue
-        square = 0.0
+        weight = 0.0
         for c in range(cameras):
             k = members[g, c]
             if k >= 0:
                 count[n] += 1
                 index[n, c] = k - start[c]
-                square += (rays[k, SIGMA] / trusts[g, c]) ** 2
+                weight += (trusts[g, c] / rays[k, SIGMA]) ** 2
                 trusted[n] += wholeness(k, trusts[g, c], rays)
         for p in range(3):
             xyz[n, p] = values[g, XYZ + p]
             for q in range(3):
                 covariance[n, p, q] = values[g, COVARIANCE + 3 * p + q]
-        # the mean variance of its images turns whitened errors into px
-        residual[n] = np.sqrt(square / count[n] * values[g, CHI2] / (2.0 * count[n]))
+        # the variance of its images' mean weight turns whitened errors into px: poor images add little
+        residual[n] = np.sqrt(count[n] / weight * values[g, CHI2] / (2.0 * count[n]))
         diameter[n] = values[g, DIAMETER]
         n += 1
     return xyz, covariance, count, residual, index, diameter, trusted

@@ -43,8 +43,8 @@ class NearestTracker:
         self._time_s = time_s
         return Predicted.nothing()
 
-    def update(self, points: Points, frame: int, time_ns: int) -> Samples:
-        """Give each marker its nearest point; return a sample for each marker seen."""
+    def update(self, points: Points, frame: int, time_ns: int, jitter_s: float = 0.0) -> Samples:
+        """Give each marker its nearest point; return a sample for each marker seen. ``jitter_s`` changes nothing."""
         n, time_s = len(points), time_ns * 1e-9
         waiting = time_s - self._seen_s <= self.settings.keep_s
         identity, place, seen_s = self._identity[waiting], self._place[waiting], self._seen_s[waiting]

@@ -21,6 +21,7 @@ from mosca.errors import InputError
 from mosca.health import Health, HealthSettings
 from mosca.look import Look, look_ahead
 from mosca.match import MatchSettings, match
+from mosca.nearest import NearestSettings, NearestTracker
 from mosca.track import Tracker, TrackSettings
 from mosca.triangulate import bundle_rays
 
@@ -32,7 +33,8 @@ MOST_DETECTIONS = 5000
 class PipelineSettings:
     """Settings of all stages. ``volume``: box (low (3,), high (3,)) [m, world] in which targets can be; points
     outside are no targets. Default: everywhere. ``workers``: threads that detect; 0 looks at each set when its turn
-    comes, as a live run must, more look ahead. The tracks are the same.
+    comes, as a live run must, more look ahead. The tracks are the same. ``nearest``: track as the guide does, the
+    baseline of comparisons, instead of by ``track``.
     """
 
     detection: DetectionSettings = field(default_factory=DetectionSettings)
@@ -40,6 +42,7 @@ class PipelineSettings:
     track: TrackSettings = field(default_factory=TrackSettings)
     volume: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     workers: int = 0
+    nearest: NearestSettings | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +108,7 @@ def run_sets(
     _check_backgrounds(backgrounds, rig)
     look = Look(settings.detection, {info.name: info.bit_depth for info in cameras}, backgrounds)
     volume = _box(settings.volume)
-    tracker = Tracker(settings.track)
+    tracker = Tracker(settings.track) if settings.nearest is None else NearestTracker(settings.nearest)
     typical_diameter_m = 0.0
 
     for frame_set, detections, seconds in look_ahead(look, sets, settings.workers):

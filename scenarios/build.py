@@ -14,6 +14,7 @@ from mosca.data.wands import LFrame, Wand
 from mosca.detect import DetectionSettings
 from mosca.errors import InputError
 from mosca.match import MatchSettings
+from mosca.nearest import NearestSettings
 from mosca.pipeline import PipelineSettings
 from mosca.track import TrackSettings
 from scenarios.spec import DetectionSpec, MatchSpec, Scenario, TrackSpec
@@ -218,7 +219,10 @@ def pipeline_settings(spec: Scenario) -> PipelineSettings:
     """Return the pipeline's settings: its defaults, the scenario's differences, and where points can be."""
     centre, size = np.array(spec.working_space.center_m), np.array(spec.working_space.size_m)
     low, high = centre - MARGIN * size / 2, centre + MARGIN * size / 2
-    return stage_settings(spec.pipeline, ((low[0], low[1], low[2]), (high[0], high[1], high[2])))
+    settings = stage_settings(spec.pipeline, ((low[0], low[1], low[2]), (high[0], high[1], high[2])))
+    if spec.pipeline.tracker == "nearest":
+        return replace(settings, nearest=NearestSettings(settings.track.gate_m, settings.track.coast_s))
+    return settings
 
 
 def stage_settings(stages: Stages, volume: Volume | None) -> PipelineSettings:

@@ -247,7 +247,9 @@ def _in_time(times: Array, wanted: Array, at: Array) -> Array:
     return np.abs(times[at] - wanted) <= 0.5 * np.median(np.diff(times))
 
 
-def ratio_of_sums(above: Array, below: Array, n: int, finish: Callable[[Array], Array] = lambda x: x) -> Score:
+def ratio_of_sums(
+    above: Array, below: Array, n: int, finish: Callable[[Array], Array] = lambda x: x
+) -> Score:
     """Score of a ratio of block sums, with its block bootstrap."""
     above, below = np.asarray(above, dtype=float), np.asarray(below, dtype=float)
     if below.sum() == 0:

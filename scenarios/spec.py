@@ -161,7 +161,9 @@ class TrackSpec(Table):
     confirm_weight: Positive | None = None
     coast_s: NotNegative | None = None
     model: Literal["acceleration", "velocity"] | None = None
-    limb_m: NotNegative | None = Field(None, description="how far limb mates may be [m]; 0: particles, no limbs")
+    limb_m: NotNegative | None = Field(
+        None, description="how far limb mates may be [m]; 0: particles, no limbs"
+    )
 
 
 class PipelineSpec(Table):
@@ -170,6 +172,9 @@ class PipelineSpec(Table):
     watch: bool = Field(False, description="watch the rig while it runs, and re-orient a bumped camera")
     bodies: bool = Field(
         False, description="poses of the scene's rigid bodies (three markers and more each) into bodies.csv"
+    )
+    tracker: Literal["mosca", "nearest"] = Field(
+        "mosca", description="'nearest': the guide's nearest-neighbour tracker, the baseline of comparisons"
     )
     lens_model: Literal["mosca", "opencv", "fisheye"] = Field(
         "mosca", description="lens model of the calibration"
@@ -199,7 +204,9 @@ class Scenario(Table):
     )
     caught_as: str | None = Field(None, description="the finding's code: " + ", ".join(CODES))
     fails_on: tuple[str, ...] = Field((), description="metrics whose limits a control must break")
-    told: tuple[str, ...] = Field((), description="phrases that the record's notes must hold: what it must notice")
+    told: tuple[str, ...] = Field(
+        (), description="phrases that the record's notes must hold: what it must notice"
+    )
     seed: int = Field(1, ge=0, description="seed of all random streams")
     model_gap: Literal["none", "measured", "stress"] = Field(
         "measured", description="how far the true lens is from what the pipeline's model can express"
