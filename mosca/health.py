@@ -129,7 +129,7 @@ class Health:
         """Return how each camera is doing."""
         late, sigma = self._offsets()
         rms = np.sqrt(self._square / np.maximum(2 * self._images, 1))
-        share = self._connected / np.maximum(self._detected, 1)
+        share = np.minimum(self._connected / np.maximum(self._detected, 1), 1.0)
         missing = self._missing / max(self._sets, 1)
         blocks = [np.sqrt(b[0] / np.maximum(2 * b[1], 1)) for _, b in sorted(self._blocks.items())]
         return tuple(
@@ -143,14 +143,20 @@ class Health:
     def findings(self) -> tuple[str, ...]:
         """Return what a person should look at, a line each."""
         s, told = self.settings, []
-        for k, one in enumerate(self.cameras()):
-            if abs(one.late_s) > max(s.late_s, s.certain_sigma * one.late_sigma_s):
+        cameras = self.cameras()
+        poor = [
+            self._detected[k] >= s.least_images and one.connected < s.poor_share
+            for k, one in enumerate(cameras)
+        ]
+        for k, one in enumerate(cameras):
+            # a camera that was moved shows its points displaced, as one that is late does
+            if not any(poor) and abs(one.late_s) > max(s.late_s, s.certain_sigma * one.late_sigma_s):
                 when = "later" if one.late_s > 0 else "earlier"
                 told.append(
                     f"camera '{one.name}' exposes {1e3 * abs(one.late_s):.2f} ms {when} than the others' mean "
                     f"(+- {1e3 * 2 * one.late_sigma_s:.2f}): check its trigger and its clock"
                 )
-            if self._detected[k] >= s.least_images and one.connected < s.poor_share:
+            if poor[k]:
                 told.append(
                     f"camera '{one.name}': only {100 * one.connected:.0f} % of {self._detected[k]:.0f} detections "
                     "meet other cameras': look for reflections, bright clothes, or a camera that was moved"

@@ -55,11 +55,20 @@ def solve(members, ranks, solved, steps, rays, views):  # type: ignore[no-untype
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def judge_sizes(members, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
-    """Set each member's trust from the size of its image; returns the target's diameter from its largest image."""
-    largest = 0.0
+    """Set each member's trust from the size of its image; returns the target's diameter from its largest image.
+
+    Images that detection takes for two targets say nothing of the size, unless all are.
+    """
+    largest = anyhow = 0.0
     for c in range(members.shape[0]):
-        if members[c] >= 0:
-            largest = max(largest, image_size(members[c], c, solved, rays, views))
+        k = members[c]
+        if k >= 0:
+            size = image_size(k, c, solved, rays, views)
+            anyhow = max(anyhow, size)
+            if not int(rays[k, FLAGS]) & MERGED:
+                largest = max(largest, size)
+    if largest == 0.0:
+        largest = anyhow
     whole = rules[TYPICAL] if rules[TYPICAL] > 0.0 else largest
     for c in range(members.shape[0]):
         k = members[c]
@@ -77,11 +86,22 @@ def image_size(ray, camera, point, rays, views):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def larger(i, size_i, j, size_j, rays):  # type: ignore[no-untyped-def]
+    """Return the larger of two images' sizes; one that is two targets' does not count beside one that is not."""
+    one, other = int(rays[i, FLAGS]) & MERGED, int(rays[j, FLAGS]) & MERGED
+    if one and not other:
+        return size_j
+    if other and not one:
+        return size_i
+    return max(size_i, size_j)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def trust_of(ray, size, whole, rays, judge):  # type: ignore[no-untyped-def]
     """Return the factor on a ray's whitened error when its image has ``size`` where ``whole`` would be right.
 
     Too small: partly hidden. Too large: merged with a neighbour, whose share of the light moves the centroid.
-    What detection itself takes for partly hidden counts for less, whatever its size.
+    What detection itself takes for partly hidden or merged counts for less, whatever its size.
     """
     odd = 0.0
     if judge:
@@ -91,6 +111,8 @@ def trust_of(ray, size, whole, rays, judge):  # type: ignore[no-untyped-def]
             odd = 0.0
     if int(rays[ray, FLAGS]) & PARTIAL:
         odd = max(odd, PARTIAL_ODD)
+    if int(rays[ray, FLAGS]) & MERGED:
+        odd = MOST_ODD
     if odd == 0.0:
         return 1.0
     # the centroid's shift for the whole disc's radius, spread over both axes

@@ -24,6 +24,7 @@ from mosca.match_groups import (
     acceptable,
     image_size,
     judge_sizes,
+    larger,
     limit,
     solve,
     store,
@@ -204,7 +205,7 @@ def _meet(i, j, a, b, away2, variance_i, variance_j, members, ranks, solved, ray
     if not (s > 0.0 and t > 0.0):
         return False
     size_i, size_j = rays[i, ANGLE] * s, rays[j, ANGLE] * t
-    whole = rules[TYPICAL] if rules[TYPICAL] > 0.0 else max(size_i, size_j)
+    whole = rules[TYPICAL] if rules[TYPICAL] > 0.0 else larger(i, size_i, j, size_j, rays)
     trust_i = trust_of(i, size_i, whole, rays, rules[JUDGE] > 0.0)
     trust_j = trust_of(j, size_j, whole, rays, rules[JUDGE] > 0.0)
     if away2 > variance_i / trust_i**2 + variance_j / trust_j**2:
@@ -235,7 +236,8 @@ def _grown(  # type: ignore[no-untyped-def]
     """
     cameras = views.shape[0]
     i, j = members[a], members[b]
-    seen = max(image_size(i, a, solved, rays, views), image_size(j, b, solved, rays, views))
+    size_i, size_j = image_size(i, a, solved, rays, views), image_size(j, b, solved, rays, views)
+    seen = larger(i, size_i, j, size_j, rays)
     whole = rules[TYPICAL] if rules[TYPICAL] > 0.0 else seen
     size = 2
     for c in range(cameras):

@@ -147,6 +147,9 @@ class MatchSpec(Table):
     camera_sigma_px: Positive | None = None
     minimum_cameras: int | None = Field(None, ge=2)
     worst_sigma_m: Positive | None = Field(None, description="points less certain than this are withheld [m]")
+    target: Literal["ball", "point"] | None = Field(
+        None, description="'ball' frees images of the eccentricity that a ball's have"
+    )
     judge_sizes: bool | None = Field(
         None, description="trust images of odd size less; false where targets differ in size (particles)"
     )
