@@ -101,7 +101,7 @@ def trust_of(ray, size, whole, rays, judge):  # type: ignore[no-untyped-def]
     """Return the factor on a ray's whitened error when its image has ``size`` where ``whole`` would be right.
 
     Too small: partly hidden. Too large: merged with a neighbour, whose share of the light moves the centroid.
-    What detection itself takes for partly hidden or merged counts for less, whatever its size.
+    What detection itself takes for partly hidden counts for less, whatever its size.
     """
     odd = 0.0
     if judge:
@@ -111,8 +111,6 @@ def trust_of(ray, size, whole, rays, judge):  # type: ignore[no-untyped-def]
             odd = 0.0
     if int(rays[ray, FLAGS]) & PARTIAL:
         odd = max(odd, PARTIAL_ODD)
-    if int(rays[ray, FLAGS]) & MERGED:
-        odd = MOST_ODD
     if odd == 0.0:
         return 1.0
     # the centroid's shift for the whole disc's radius, spread over both axes
