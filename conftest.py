@@ -31,10 +31,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Before several workers start, compile once what each of them would compile for itself."""
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
-        import mosca  # says where compiled kernels are kept
         from scenarios.warm import pipeline_compiling
 
-        assert mosca
         with pipeline_compiling():
             pass
 

@@ -182,8 +182,9 @@ class Health:
             )
             sums += [(part.rest**2).sum(axis=(0, 2)), part.seen.sum(axis=0)]
         # the images of a camera that is late are left out of the points: look for them beside their place
-        images = _images(rig, detections, points, known & (points.n_cameras >= 2), self.settings.adopt_px)
-        self._learn_clocks(self._fitted(images, speed[known & (points.n_cameras >= 2)]))
+        moving = known & (points.n_cameras >= 2)
+        images = _images(rig, detections, points, moving, self.settings.adopt_px)
+        self._learn_clocks(self._fitted(images, speed[moving]))
 
     def _fitted(self, images: "_Images", speed: Array) -> "_Fit":
         """Return the images of points with their speeds (n, 3), after the points have moved to their best places."""

@@ -180,9 +180,4 @@ class Tracker:
         self._waiting.append((now, serial))
         kept = [(s, k, (s.track < 0) & np.isin(k, nameless)) for s, k in self._waiting]
         self._waiting = [(s.select(rows), k[rows]) for s, k, rows in kept if rows.any()]
-        return joined(certain)
-
-
-def joined(parts: list[Samples]) -> Samples:
-    """Return samples end to end."""
-    return Samples(*(np.concatenate([getattr(p, n) for p in parts]) for n in Samples.__dataclass_fields__))
+        return Samples.joined(certain)

@@ -71,6 +71,13 @@ class Samples:
             np.empty((0, 3, 3)), np.empty(0, np.int64), np.empty(0), np.empty(0, np.int8),
         )  # fmt: skip
 
+    @classmethod
+    def joined(cls, parts: Sequence["Samples"]) -> "Samples":
+        """Return the samples of several parts, in their order."""
+        if not parts:
+            return cls.none()
+        return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in cls.__dataclass_fields__))
+
     def select(self, rows: Array) -> "Samples":
         """Return the samples that a boolean mask or an index array (m,) names."""
         return Samples(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
@@ -131,13 +138,11 @@ def table(parts: Sequence[Samples]) -> Tracks:
     """Return samples as tracks without labels, sorted by frame and track."""
     if not parts:
         return Tracks.none()
-    columns = {
-        name: np.concatenate([getattr(p, name) for p in parts]) for name in Samples.__dataclass_fields__
-    }
-    order = np.lexsort((columns["track"], columns["frame"]))
-    columns = {name: column[order] for name, column in columns.items()}
+    samples = Samples.joined(parts)
+    samples = samples.select(np.lexsort((samples.track, samples.frame)))
+    columns = {name: getattr(samples, name) for name in Samples.__dataclass_fields__}
     status = np.asarray(STATUSES)[columns.pop("status")]
-    return Tracks(**columns, label=np.full(len(order), ""), status=status)
+    return Tracks(**columns, label=np.full(len(samples), ""), status=status)
 
 
 def write_npz(tracks: Tracks, path: Path) -> None:

@@ -6,8 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
+from track_points import points
 
-from mosca.data.tracks import Points, table
+from mosca.data.tracks import table
 from mosca.nearest import NearestTracker
 from mosca.track import Tracker, TrackSettings
 from mosca.track_assign import best_pairs
@@ -15,20 +16,6 @@ from mosca.track_motion import motion
 
 STEP_NS = 10_000_000
 LIMB = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.15, 0], [0.02, 0.03, 0.12]])
-
-
-def points(xyz, cameras=4, sigma=2e-4):
-    xyz = np.asarray(xyz, float).reshape(-1, 3)
-    n = len(xyz)
-    return Points(
-        xyz,
-        np.tile(sigma**2 * np.eye(3), (n, 1, 1)),
-        np.full(n, cameras),
-        np.full(n, 0.05),
-        np.zeros((n, 4)),
-        np.full(n, 0.01),
-        np.full(n, cameras),
-    )
 
 
 def limb_path(frames):
