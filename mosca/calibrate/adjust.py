@@ -114,8 +114,8 @@ def adjust_camera(
     else:
         first = resect(where, xy, world, rng)
     start = _start(name, size, model, first, settings)
-    groups = groups_of(model, settings.prism)
-    nested = nested_parameters(model, int(first.inliers.sum()), groups)
+    # the prism's terms rule the corners: with them one wild corner could throw out the good one opposite
+    nested = nested_parameters(model, int(first.inliers.sum()), groups_of(model, prism=False))
     used = robust_points(start, nested, xy, world, first.inliers)
     # the choice of parameters and the rejection of points depend on each other; four rounds end a dispute
     for _ in range(ROUNDS):
