@@ -5,6 +5,7 @@ from pathlib import Path
 
 ROOMS = ("mosca", "twin", "hardware", "reports", "scenarios", "witness")
 
+HARDWARE = ("hardware", "mosca.data", "mosca.errors")
 # room (longest prefix wins): rooms it may import from, rooms or modules it may not, third-party packages
 LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     "mosca.data": (
@@ -36,7 +37,12 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
         (),
         ("mujoco", "trimesh", "numpy", "scipy", "numba", "cv2", "pydantic"),
     ),
-    "hardware": (("hardware", "mosca.data", "mosca.errors"), ("mosca.data.truth",), ("numpy",)),
+    "hardware": (HARDWARE, ("mosca.data.truth",), ("numpy", "pydantic")),
+    "hardware.drivers.pylon": (HARDWARE, ("mosca.data.truth",), ("numpy", "pypylon")),
+    "hardware.drivers.gentl": (HARDWARE, ("mosca.data.truth",), ("numpy", "harvesters", "genicam")),
+    "hardware.drivers.webcam": (HARDWARE, ("mosca.data.truth",), ("numpy", "cv2")),
+    "hardware.triggers.serial_box": (HARDWARE, ("mosca.data.truth",), ("numpy", "serial")),
+    "hardware.transport.zenoh_engine": (HARDWARE, ("mosca.data.truth",), ("numpy", "zenoh")),
     "reports": (
         ("reports", "mosca.data", "mosca.errors"),
         (),
