@@ -1,0 +1,110 @@
+"""A camera's clock beside the pulses: which pulse a stamp belongs to, and when the clock is not to be believed.
+
+A camera exposes once a pulse, so its stamps lie on a line ``a + b k`` in its own clock; ``b`` is the period of the
+pulses as this clock counts it, off by its drift. The line is followed by an alpha-beta filter (Bar-Shalom, Li &
+Kirubarajan 2001, section 6.5). A stamp between two pulses, or behind the last one, is of a clock that was set or that
+began anew.
+"""
+
+from dataclasses import dataclass
+
+PHASE_GAIN = 0.05
+PERIOD_GAIN = 0.0005
+LARGEST_DRIFT = 2e-3
+"""How far a camera's clock may run from the nominal rate; quartz keeps 1e-4."""
+LARGEST_RESIDUAL = 0.2
+"""A stamp farther than this share of a period from a pulse belongs to none."""
+LONGEST_GAP = 2000
+"""Over more missed pulses than this a drift of 1e-4 could hide a pulse."""
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A stamp's place: ``pulse`` counts from where the clock was locked, ``residual_ns`` how far off its line."""
+
+    pulse: int
+    residual_ns: float
+
+
+class CameraClock:
+    """Stamps of one camera in its own clock [ns] to pulses; ``period_ns`` is the nominal one.
+
+    Times are kept as integers from the last stamp on, so that nothing is lost in 64-bit epochs.
+    """
+
+    def __init__(self, period_ns: float) -> None:
+        self.nominal_ns = period_ns
+        self.period_ns = period_ns
+        self.locked = False
+        self._pulse = 0
+        self._stamp_ns = 0
+        self._offset_ns = 0.0
+
+    def lock(self, pulse: int, stamp_ns: int) -> None:
+        """Begin anew: ``stamp_ns`` is of ``pulse``; what was learned of the clock's rate is kept."""
+        self.locked = True
+        self._pulse, self._stamp_ns, self._offset_ns = pulse, stamp_ns, 0.0
+
+    def place(self, stamp_ns: int) -> Placed | None:
+        """Return the pulse of a stamp not older than the last, or None for a clock that jumped.
+
+        The same stamp again is the same pulse again.
+        """
+        since_ns = stamp_ns - self._stamp_ns - self._offset_ns
+        steps = round(since_ns / self.period_ns)
+        residual = since_ns - steps * self.period_ns
+        if steps < 0 or steps > LONGEST_GAP or abs(residual) > LARGEST_RESIDUAL * self.period_ns:
+            return None
+        if steps == 0:
+            return Placed(self._pulse, residual)
+        self._pulse += steps
+        self._stamp_ns = stamp_ns
+        # the line goes a little towards the stamp: what remains is the next one's starting offset
+        self._offset_ns = -(1 - PHASE_GAIN) * residual
+        period = self.period_ns + PERIOD_GAIN * residual / steps
+        reach = LARGEST_DRIFT * self.nominal_ns
+        self.period_ns = min(max(period, self.nominal_ns - reach), self.nominal_ns + reach)
+        return Placed(self._pulse, residual)
+
+
+class HostLine:
+    """When each pulse's frames reach this machine at the earliest: the lower envelope of arrivals, as a line.
+
+    Arrivals are late by what the network and the operating system make of it, never early: the earliest of each
+    second follows the pulses. ``at(k)`` is in this machine's monotonic time [ns].
+    """
+
+    def __init__(self, first_ns: int, period_ns: float) -> None:
+        self.nominal_ns = period_ns
+        self.period_ns = period_ns
+        self._pulse = 0
+        self._time_ns = 0.0
+        self._origin_ns = first_ns
+        self._span = max(round(1e9 / period_ns), 8)
+        self._least: tuple[float, int] | None = None
+        self._until = self._span
+
+    def at(self, pulse: int) -> float:
+        """Return the earliest arrival of ``pulse`` [ns]."""
+        return self._origin_ns + self._time_ns + (pulse - self._pulse) * self.period_ns
+
+    def pulse_of(self, time_ns: float) -> int:
+        """Return the pulse whose earliest arrival is nearest to ``time_ns``."""
+        return self._pulse + round((time_ns - self._origin_ns - self._time_ns) / self.period_ns)
+
+    def take(self, pulse: int, time_ns: float) -> None:
+        """Take the arrival of a pulse into account; once a second the earliest one moves the line."""
+        late = time_ns - self.at(pulse)
+        if self._least is None or late < self._least[0]:
+            self._least = (late, pulse)
+        if pulse < self._until:
+            return
+        late, at = self._least
+        steps = max(at - self._pulse, 1)
+        self._time_ns += (at - self._pulse) * self.period_ns + 0.3 * late
+        period = self.period_ns + 0.05 * late / steps
+        reach = LARGEST_DRIFT * self.nominal_ns
+        self.period_ns = min(max(period, self.nominal_ns - reach), self.nominal_ns + reach)
+        self._pulse = at
+        self._least = None
+        self._until = pulse + self._span

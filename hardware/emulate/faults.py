@@ -1,0 +1,93 @@
+"""What goes wrong with an emulated camera, on demand and the same each time."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from mosca.errors import InputError
+
+SHARES = ("packet_loss", "resend_refused", "withheld")
+STREAMS = {"packet_loss": 1, "resend_refused": 2, "withheld": 3}
+"""Each kind of trouble draws from numbers of its own, so that one moves no other."""
+
+
+@dataclass(frozen=True)
+class Faults:
+    """Troubles of one camera; times are seconds after its acquisition first started.
+
+    ``packet_loss``: share of stream packets, resent ones too, that are lost. ``resend_refused``: share of requests for
+    packets that are answered with "unavailable". ``withheld``: share of line pulses that do not reach the camera.
+    ``clock_offset_ns``: what the clock shows at boot. ``drift_ppm``: how much it gains. ``jump_at_s``: the clock jumps
+    by ``jump_ns``. ``reboot_at_s``: the camera loses its supply for ``reboot_gone_s``; settings, control, clock and
+    block numbers start anew. ``silent_at_s``: for ``silent_for_s`` nothing reaches the camera or leaves it,
+    though it works on: a pulled cable. ``seed``: of all that is drawn.
+    """
+
+    packet_loss: float = 0.0
+    resend_refused: float = 0.0
+    withheld: float = 0.0
+    clock_offset_ns: int = 0
+    drift_ppm: float = 0.0
+    jump_at_s: float | None = None
+    jump_ns: int = 0
+    reboot_at_s: float | None = None
+    reboot_gone_s: float = 2.0
+    silent_at_s: float | None = None
+    silent_for_s: float = 1.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in SHARES:
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise InputError(f"faults: {name} = {getattr(self, name)} given; a share from 0 to 1 is wanted")
+        if not abs(self.drift_ppm) <= 10_000:
+            raise InputError(f"faults: drift_ppm = {self.drift_ppm} given; -10000 to 10000 is wanted")
+        for name in ("jump_at_s", "reboot_at_s", "silent_at_s", "reboot_gone_s", "silent_for_s"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 <= value < 1e9:
+                raise InputError(f"faults: {name} = {value} given; seconds from 0 are wanted")
+
+
+FAULTLESS = Faults()
+
+
+class Luck:
+    """What the dice say to one camera: packets and requests in order, pulses by their number."""
+
+    def __init__(self, faults: Faults, serial: str) -> None:
+        self._faults = faults
+        self._key = (faults.seed, int.from_bytes(serial.encode()))
+        self._packets = self._generator("packet_loss")
+        self._requests = self._generator("resend_refused")
+
+    def lost(self, packets: int) -> frozenset[int]:
+        """Return which of the next ``packets`` packets are lost."""
+        if self._faults.packet_loss == 0.0:
+            return frozenset()
+        drawn = self._packets.random(packets) < self._faults.packet_loss
+        return frozenset(np.flatnonzero(drawn).tolist())
+
+    def refused(self) -> bool:
+        """Return whether the next request for packets is refused."""
+        return bool(self._faults.resend_refused) and self._requests.random() < self._faults.resend_refused
+
+    def withheld(self, pulse: int) -> bool:
+        """Return whether line pulse ``pulse`` fails to reach the camera; the same however often it is asked."""
+        if self._faults.withheld == 0.0:
+            return False
+        return bool(self._generator("withheld", pulse).random() < self._faults.withheld)
+
+    def _generator(self, trouble: str, *more: int) -> np.random.Generator:
+        return np.random.default_rng([*self._key, STREAMS[trouble], *more])
+
+
+def faults_of(named: Mapping[str, Mapping[str, Any]], common: Mapping[str, Any], camera: str) -> Faults:
+    """Return the faults of ``camera``: the common ones, with its own over them."""
+    known = {field.name for field in fields(Faults)}
+    said = {**common, **named.get(camera, {})}
+    for key in said:
+        if key not in known:
+            raise InputError(f"faults: '{key}' is unknown; allowed are {', '.join(sorted(known))}")
+    return Faults(**said)

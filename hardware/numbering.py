@@ -1,0 +1,258 @@
+"""The pulse number of each buffer, from the camera's own clock; arrival only starts it and watches over it.
+
+A frame counter cannot tell a missed trigger from none, and a busy machine delays arrivals by more than a period. The
+camera's stamps can: they lie on the pulses' line (``hardware.clock``). What they cannot tell is *which* pulse the
+first of them is. That is voted by the earliest of a few arrivals, at the start and whenever a clock jumped:
+
+- start: cameras are armed before the pulses begin, so the earliest camera's first frame is the first pulse (unless
+  ``start_ns``, when the pulses began, shows that all missed it); the others count from there.
+- a stamp that lies on no pulse, or before the last one: the camera restarted or its clock was set; its next frames
+  are held until enough of them have voted, then all are given.
+- a stamp on the line that arrives before its pulse, or late after a gap: the clock may have jumped by whole periods,
+  and the next frames vote. So they do when frames come whole periods late, evenly, for a while.
+
+Nothing is thrown away: each buffer comes out once, in order, with its pulse.
+"""
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from hardware.clock import CameraClock, HostLine
+from hardware.driver import Grabbed
+
+VOTE_S = 0.1
+"""A vote takes so long: most stalls of a busy machine are shorter; at low rates none is near half a period."""
+FEWEST_VOTES, MOST_VOTES = 2, 40
+WATCHED_FRAMES = 24
+
+
+@dataclass(frozen=True, eq=False)
+class Numbered:
+    """A buffer with its place: ``pulse`` from 0, ``residual_ns`` of its stamp off the camera's line of pulses."""
+
+    camera: str
+    pulse: int
+    residual_ns: float
+    buffer: Grabbed
+
+
+@dataclass
+class _Camera:
+    name: str
+    clock: CameraClock
+    latency_ns: float = 0.0
+    started: bool = False
+    relocks: int = 0
+    held: list[Grabbed] = field(default_factory=list)
+    watched: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=WATCHED_FRAMES))
+    last_block: int | None = None
+    last_pulse: int = 0
+    doubted: int | None = None
+
+
+class PulseNumbers:
+    """Numbers the buffers of all ``cameras`` by pulse; ``notes`` says what happened to a clock, a line each.
+
+    ``start_ns``: this machine's time when the pulses began, None where that is not known. ``start_wait_s``: how long
+    after the first arrival cameras may still be silent before the rest begins without them.
+    """
+
+    def __init__(
+        self,
+        cameras: Sequence[str],
+        rate_hz: float,
+        start_ns: int | None = None,
+        start_wait_s: float = 1.0,
+    ) -> None:
+        self.period_ns = 1e9 / rate_hz
+        self.start_ns = start_ns
+        self.notes: list[str] = []
+        self._votes = min(max(round(VOTE_S * rate_hz), FEWEST_VOTES), MOST_VOTES)
+        self._cameras = {name: _Camera(name, CameraClock(self.period_ns)) for name in cameras}
+        self._line: HostLine | None = None
+        self._first_arrival_ns: int | None = None
+        self._start_wait_ns = start_wait_s * 1e9
+
+    @property
+    def relocks(self) -> Mapping[str, int]:
+        """How often each camera's clock had to be found again."""
+        return {name: camera.relocks for name, camera in self._cameras.items()}
+
+    def take(self, name: str, buffer: Grabbed) -> Iterator[Numbered]:
+        """Take a buffer in order of its camera's delivery; yield those whose pulses are known by now."""
+        camera = self._cameras[name]
+        if self._line is None:
+            camera.held.append(buffer)
+            yield from self._try_start(buffer.host_ns)
+        elif not camera.started or camera.held:
+            camera.held.append(buffer)
+            yield from self._vote(camera, whole=False)
+        else:
+            yield from self._follow(camera, buffer)
+
+    def rest(self) -> Iterator[Numbered]:
+        """Yield what is still held when no more buffers come."""
+        if self._line is None:
+            yield from self._start()
+        for camera in self._cameras.values():
+            while camera.held:
+                yield from self._vote(camera, whole=True)
+
+    def pulse_at(self, host_ns: int) -> int | None:
+        """Return the pulse whose frames would arrive nearest to ``host_ns``; None before the start."""
+        return None if self._line is None else self._line.pulse_of(host_ns)
+
+    def session_ns(self, host_ns: int) -> int | None:
+        """Return this machine's time in pulse time (pulse k at k periods) [ns]; None before the start.
+
+        Late by the latency from pulse to the earliest arrival, a few ms, where ``start_ns`` is not known.
+        """
+        if self._line is None:
+            return None
+        begin = self._line.at(0) if self.start_ns is None else self.start_ns
+        return round((host_ns - begin) * self.period_ns / self._line.period_ns)
+
+    def _try_start(self, now_ns: int) -> Iterator[Numbered]:
+        if self._first_arrival_ns is None:
+            self._first_arrival_ns = now_ns
+        all_here = all(len(camera.held) >= self._votes for camera in self._cameras.values())
+        if all_here or now_ns - self._first_arrival_ns > self._start_wait_ns:
+            yield from self._start()
+
+    def _start(self) -> Iterator[Numbered]:
+        """Set the line of pulses by the cameras that are here, and number what they hold."""
+        here = {c.name: self._earliest_ns(c.held) for c in self._cameras.values() if c.held}
+        if not here:
+            return
+        first = min(here.values())
+        skipped = 0
+        if self.start_ns is not None:
+            skipped = max(int((first - self.start_ns) // self.period_ns), 0)
+        self._line = HostLine(round(first - skipped * self.period_ns), self.period_ns)
+        for name, earliest in here.items():
+            camera = self._cameras[name]
+            pulse = self._line.pulse_of(earliest)
+            camera.latency_ns = earliest - self._line.at(pulse)
+            yield from self._lock(camera, pulse)
+
+    def _vote(self, camera: _Camera, whole: bool) -> Iterator[Numbered]:
+        """Number what ``camera`` holds once enough frames have voted; all of it when ``whole``."""
+        if not camera.held or (len(camera.held) < self._votes and not whole):
+            return
+        assert self._line is not None
+        split = _after_jump(camera.held, self.period_ns)
+        if split and not whole and len(camera.held) - split < self._votes:
+            return  # it jumped again while it was voting: the new clock's frames vote too
+        earliest = self._earliest_ns(camera.held[split:])
+        pulse = self._line.pulse_of(earliest - camera.latency_ns)
+        late, camera.held = camera.held[:split], camera.held[split:]
+        for buffer in late:
+            yield self._by_arrival(camera, buffer)
+        if camera.started and pulse != camera.doubted:
+            camera.relocks += 1
+            self.notes.append(f"{camera.name}: its clock jumped or restarted; found again at pulse {pulse}")
+        elif not camera.started and pulse > 0:
+            self.notes.append(f"{camera.name}: its first frame is of pulse {pulse}")
+        camera.doubted = None
+        yield from self._lock(camera, pulse)
+
+    def _lock(self, camera: _Camera, pulse: int) -> Iterator[Numbered]:
+        """Begin the camera's clock at ``pulse`` with the first stamp that it holds; number the rest by it."""
+        held, camera.held = camera.held, []
+        camera.started = True
+        camera.watched.clear()
+        locked = False
+        for buffer in held:
+            if camera.held:  # doubted again: what follows waits its turn
+                camera.held.append(buffer)
+            elif locked or buffer.device_ns is None:
+                yield from self._follow(camera, buffer)
+            else:
+                camera.clock.lock(pulse, buffer.device_ns)
+                locked = True
+                yield self._numbered(camera, pulse, 0.0, buffer)
+
+    def _follow(self, camera: _Camera, buffer: Grabbed) -> Iterator[Numbered]:
+        assert self._line is not None
+        stamp = buffer.device_ns
+        if stamp is None:
+            yield self._by_arrival(camera, buffer)
+            return
+        if not camera.clock.locked:
+            camera.clock.lock(self._line.pulse_of(self._arrival_ns(camera, buffer)), stamp)
+        placed = camera.clock.place(stamp)
+        if placed is None or self._contradicted(camera, placed.pulse, buffer):
+            camera.held.append(buffer)
+            camera.doubted = None if placed is None else placed.pulse
+            return
+        self._line.take(placed.pulse, self._arrival_ns(camera, buffer))
+        yield self._numbered(camera, placed.pulse, placed.residual_ns, buffer)
+
+    def _arrival_ns(self, camera: _Camera, buffer: Grabbed) -> float:
+        return buffer.host_ns - buffer.exposure_ns - camera.latency_ns
+
+    def _contradicted(self, camera: _Camera, pulse: int, buffer: Grabbed) -> bool:
+        """Tell whether arrivals prove the clock wrong by whole periods."""
+        assert self._line is not None
+        arrival = self._arrival_ns(camera, buffer)
+        late = arrival - self._line.at(pulse)
+        after_gap = pulse - camera.last_pulse > 1
+        if late < -0.6 * self.period_ns or (after_gap and late > 0.6 * self.period_ns):
+            return True
+        camera.watched.append((arrival, late))
+        if len(camera.watched) < WATCHED_FRAMES:
+            return False
+        times, lates = zip(*camera.watched, strict=True)
+        # a backlog that is worked off comes in a burst, ever less late; a wrong number stays evenly late
+        even = lates[-1] > lates[0] - 0.5 * self.period_ns
+        spread = times[-1] - times[0] > 0.5 * (WATCHED_FRAMES - 1) * self.period_ns
+        return (
+            min(lates) > 0.6 * self.period_ns and even and spread and max(lates) - min(lates) < self.period_ns
+        )
+
+    def _by_arrival(self, camera: _Camera, buffer: Grabbed) -> Numbered:
+        """Place a buffer without a stamp: by its block number after the last one, else by arrival."""
+        assert self._line is not None
+        if (
+            buffer.block_id is not None
+            and camera.last_block is not None
+            and buffer.block_id > camera.last_block
+        ):
+            by_block = camera.last_pulse + buffer.block_id - camera.last_block
+            arrival = self._arrival_ns(camera, buffer)
+            if self._line.at(by_block) < arrival + 0.6 * self.period_ns:
+                return self._numbered(camera, by_block, 0.0, buffer)
+        pulse = self._line.pulse_of(self._arrival_ns(camera, buffer))
+        return self._numbered(camera, max(pulse, camera.last_pulse + 1), 0.0, buffer)
+
+    def _numbered(self, camera: _Camera, pulse: int, residual_ns: float, buffer: Grabbed) -> Numbered:
+        camera.last_block, camera.last_pulse = buffer.block_id, pulse
+        return Numbered(camera.name, pulse, residual_ns, buffer)
+
+    def _earliest_ns(self, held: Sequence[Grabbed]) -> float:
+        """Return when the first of ``held`` would have arrived had it been as quick as the quickest of them."""
+        stamps = [(b, b.device_ns) for b in held]
+        first = next((stamp for _, stamp in stamps if stamp is not None), None)
+        if first is None:
+            return min(b.host_ns - b.exposure_ns - k * self.period_ns for k, b in enumerate(held))
+        return min(
+            b.host_ns - b.exposure_ns - round((s - first) / self.period_ns) * self.period_ns
+            for b, s in stamps
+            if s is not None
+        )
+
+
+def _after_jump(held: Sequence[Grabbed], period_ns: float) -> int:
+    """Return the index after the last jump of the clock within ``held``; 0 where it runs evenly."""
+    split = 0
+    last: int | None = None
+    for index, buffer in enumerate(held):
+        if buffer.device_ns is None:
+            continue
+        if last is not None:
+            steps = (buffer.device_ns - last) / period_ns
+            if steps < -0.2 or abs(steps - round(steps)) > 0.25:
+                split = index
+        last = buffer.device_ns
+    return split
