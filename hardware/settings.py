@@ -84,6 +84,12 @@ class TriggerTable(Table):
     group_key: int = Field(1, ge=0, description="action: ActionGroupKey")
     group_mask: int = Field(1, ge=1, description="action: ActionGroupMask")
     broadcast: str = Field("255.255.255.255", description="action: where the action commands go")
+    lead_ms: NotNegative = Field(
+        0.0, description="action: how far ahead it is scheduled [ms]; the cameras' clocks must agree by PTP"
+    )
+    ptp_ahead_s: float = Field(
+        0.0, description="action: PTP time less this machine's UTC [s]; 37 where the master tells TAI"
+    )
 
     @model_validator(mode="after")
     def _whole(self) -> "TriggerTable":

@@ -1,0 +1,120 @@
+"""The pulse generator of ``hardware.triggers.serial_box``, emulated behind a pseudo-terminal.
+
+It speaks the protocol of the firmware, with a quartz that is off, and calls back at each pulse, so that emulated
+cameras can hang on its line.
+"""
+
+import os
+import pty
+import select
+import threading
+import time
+import tty
+from collections.abc import Callable
+from typing import Self
+
+from hardware.triggers.serial_box import PROTOCOL
+
+OnPulse = Callable[[int, int], None]
+SLOWEST_MHZ, FASTEST_MHZ = 100, 2_000_000
+
+
+class PulseBox:
+    """A pulse generator at ``port``; ``on_pulse(number, time_ns)`` is called at each pulse, in monotonic time."""
+
+    def __init__(self, on_pulse: OnPulse | None = None, drift_ppm: float = 0.0) -> None:
+        self._on_pulse = on_pulse
+        self._speed = 1 + drift_ppm * 1e-6
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._master)
+        tty.setraw(self._slave)
+        self.port = os.ttyname(self._slave)
+        self._rate_hz = 100.0
+        self._begin: float | None = None
+        self._made = 0
+        self._changed = threading.Condition()
+        self._closed = False
+        self._threads = [
+            threading.Thread(target=self._answer, name="pulse box, serial", daemon=True),
+            threading.Thread(target=self._pulse, name="pulse box, pulses", daemon=True),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def made(self) -> int:
+        """How many pulses were made since the last start."""
+        return self._made
+
+    def answer(self, line: str) -> str:
+        """Return what the box answers to a line, and do it."""
+        words = line.split()
+        match words:
+            case ["V"]:
+                return PROTOCOL
+            case ["F", rate] if rate.isdigit() and self._begin is None:
+                self._rate_hz = min(max(int(rate), SLOWEST_MHZ), FASTEST_MHZ) / 1000
+                return f"F {round(self._rate_hz * 1000)}"
+            case ["W", width] if width.isdigit():
+                return f"W {width}"
+            case ["S", "1"]:
+                with self._changed:
+                    self._made, self._begin = 0, time.monotonic()
+                    self._changed.notify()
+                return "S 1"
+            case ["S", "0"]:
+                with self._changed:
+                    self._begin = None
+                    self._changed.notify()
+                return f"S 0 {self._made}"
+            case ["P", number] if self._begin is not None:
+                since = (time.monotonic() - self._begin) * self._speed * self._rate_hz
+                return f"P {number} {int(since)} {int((since % 1) / self._rate_hz * 1e6)}"
+        return "E not understood, or not now"
+
+    def close(self) -> None:
+        """Stop the pulses and take the port away; may be called twice."""
+        if self._closed:
+            return
+        with self._changed:
+            self._closed, self._begin = True, None
+            self._changed.notify()
+        for thread in self._threads:
+            thread.join()
+        os.close(self._master)
+        os.close(self._slave)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _answer(self) -> None:
+        waiting = b""
+        while not self._closed:
+            if not select.select([self._master], [], [], 0.1)[0]:
+                continue
+            waiting += os.read(self._master, 256)
+            *lines, waiting = waiting.split(b"\n")
+            for line in lines:
+                os.write(self._master, self.answer(line.decode("ascii", errors="replace")).encode() + b"\n")
+
+    def _pulse(self) -> None:
+        while True:
+            with self._changed:
+                begin = self._begin
+                if self._closed:
+                    return
+                if begin is None:
+                    self._changed.wait(0.1)
+                    continue
+                due = begin + self._made / self._rate_hz / self._speed
+                wait = due - time.monotonic()
+                if wait > 0:
+                    self._changed.wait(wait)
+                    continue
+                number = self._made
+                self._made += 1
+            if self._on_pulse is not None:
+                self._on_pulse(number, round(due * 1e9))

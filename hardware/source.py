@@ -1,0 +1,346 @@
+"""The real rig as a source of frames: stop the pulses, arm all cameras, start the pulses, number what comes.
+
+Each camera is read by a thread of its own, so that none waits for another and buffers are free at once. The numbered
+frames carry pulse time: pulse k is at k periods, plus what the camera's stamp says of its own lateness. A camera that
+fails is said, reopened and found again while the others go on; ``account`` tells what became of every buffer.
+"""
+
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Self
+
+from hardware.driver import CameraDriver, DeviceError, DeviceReport, Grabbed
+from hardware.drivers import open_camera
+from hardware.numbering import Numbered, PulseNumbers
+from hardware.settings import CameraHardware, RigHardware, read_hardware
+from hardware.trigger import Trigger
+from hardware.triggers import open_trigger
+from mosca.data.frames import CameraInfo, Frame, StampEvent
+
+GRAB_S = 0.1
+DRAIN_S = 0.3
+MARGIN_S = 0.05
+"""The pulses go on for so long after the last one wanted: a busy machine makes and sees them late."""
+REOPEN_S = 1.0
+QUEUED_BYTES = 1 << 30
+"""Frames that may wait for whoever reads the source; what comes after is lost, and said."""
+
+OpenCamera = Callable[[str, CameraHardware], CameraDriver]
+OpenTrigger = Callable[[RigHardware, Mapping[str, CameraDriver]], Trigger]
+
+
+@dataclass
+class CameraAccount:
+    """What became of one camera's buffers: ``whole`` + ``failed`` came; ``overrun`` found no place to wait.
+
+    ``reopened``: how often the device was lost and found; ``relocked``: how often its clock was; ``driver``: the
+    driver's own counts.
+    """
+
+    whole: int = 0
+    failed: int = 0
+    overrun: int = 0
+    reopened: int = 0
+    relocked: int = 0
+    driver: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass
+class Account:
+    """What happened so far; to be read at any time. ``notes``: in words, in the order in which it happened."""
+
+    cameras: dict[str, CameraAccount] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+class HardwareSource:
+    """Frames of a rig of devices; a ``FrameSource``. Opens and configures all devices, or raises DeviceError.
+
+    ``pulses``: end after so many; None goes on until ``stop``. ``opener`` and ``trigger_opener`` are for tests.
+    """
+
+    def __init__(
+        self,
+        rig: RigHardware,
+        pulses: int | None = None,
+        opener: OpenCamera = open_camera,
+        trigger_opener: OpenTrigger = open_trigger,
+    ) -> None:
+        self.rig = rig
+        self.account = Account({name: CameraAccount() for name in rig.cameras})
+        self.reports: dict[str, DeviceReport] = {}
+        self._pulses = pulses
+        self._opener = opener
+        self._drivers: dict[str, CameraDriver] = {}
+        self._stop = threading.Event()
+        self._closed = False
+        self._started = False
+        self._trigger: Trigger | None = None
+        self._numbers: PulseNumbers | None = None
+        self._queue: queue.Queue[tuple[str, Grabbed]] = queue.Queue()
+        self._queued_bytes = 0
+        self._guard = threading.Lock()
+        self._threads: list[threading.Thread] = []
+        self._last_index: dict[str, int] = {}
+        self._index_base = dict.fromkeys(rig.cameras, 0)
+        try:
+            for name, settings in rig.cameras.items():
+                self._drivers[name] = opener(name, settings)
+                self.reports[name] = self._configured(name)
+            self._trigger = trigger_opener(rig, self._drivers)
+            self._trigger.stop()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def cameras(self) -> tuple[CameraInfo, ...]:
+        """What each camera says of itself."""
+        return tuple(
+            CameraInfo(
+                name,
+                report.width,
+                report.height,
+                report.bit_depth,
+                self.rig.shared.rate_hz,
+                "session",
+                self._event(name),
+            )
+            for name, report in self.reports.items()
+        )
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Arm, start the pulses and yield frames in order of arrival until ``pulses`` are over or ``stop``."""
+        if self._started:
+            raise DeviceError("the source of this rig was iterated before; open it again for another take")
+        self._started = True
+        try:
+            start_ns = self._arm_and_start()
+            numbers = self._numbers = PulseNumbers(tuple(self._drivers), self.rig.shared.rate_hz, start_ns)
+            for name, buffer in self._arrivals():
+                yield from self._frames(self._numbered(name, buffer))
+            yield from self._frames(numbers.rest())
+        finally:
+            self._end_threads()
+            self._disarm()
+
+    def stop(self) -> None:
+        """End the iteration after what is under way; may be called from another thread."""
+        self._stop.set()
+
+    def session_ns(self, host_ns: int) -> int | None:
+        """Return this machine's monotonic time in the frames' clock [ns]; None before frames are numbered."""
+        return None if self._numbers is None else self._numbers.session_ns(host_ns)
+
+    def trigger_report(self) -> dict[str, object]:
+        """Return what the trigger knows of its pulses."""
+        return {} if self._trigger is None else self._trigger.report()
+
+    def close(self) -> None:
+        """Stop and free trigger and devices; may be called twice."""
+        self._stop.set()
+        if self._closed:
+            return
+        self._closed = True
+        self._end_threads()
+        if self._trigger is not None:
+            self._trigger.close()
+        for driver in self._drivers.values():
+            driver.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _configured(self, name: str) -> DeviceReport:
+        report = self._drivers[name].configure(self.rig.cameras[name])
+        wanted = self.rig.sizes[name]
+        if (report.width, report.height) != tuple(wanted):
+            raise DeviceError(
+                f"camera '{name}': frames of {report.width} x {report.height} px, the rig file says "
+                f"{wanted[0]} x {wanted[1]}; set window in [camera.hardware] or mend size in {self.rig.path}"
+            )
+        return report
+
+    def _event(self, name: str) -> StampEvent:
+        return self._drivers[name].capabilities.stamp_event
+
+    def _arm_and_start(self) -> int | None:
+        assert self._trigger is not None
+        master = self.rig.shared.trigger.camera
+        for name in sorted(
+            self._drivers, key=lambda name: name == master
+        ):  # the master's frames are the pulses
+            self._drivers[name].arm()
+        for name in self._drivers:
+            thread = threading.Thread(target=self._grab, args=(name,), name=f"camera {name}", daemon=True)
+            thread.start()
+            self._threads.append(thread)
+        return self._trigger.start()
+
+    def _end_threads(self) -> None:
+        self._stop.set()
+        for thread in self._threads:
+            thread.join()
+        self._threads.clear()
+
+    def _disarm(self) -> None:
+        if self._trigger is not None:
+            self._trigger.stop()
+        for name, driver in self._drivers.items():
+            try:
+                self.account.cameras[name].driver = dict(driver.statistics())
+                driver.disarm()
+            except DeviceError as error:
+                self.account.notes.append(str(error))
+
+    def _grab(self, name: str) -> None:
+        """Read one camera until the end; a lost device is reopened, again and again."""
+        account = self.account.cameras[name]
+        while not self._stop.is_set():
+            try:
+                buffer = self._drivers[name].grab(GRAB_S)
+            except DeviceError as error:
+                self.account.notes.append(str(error))
+                if not self._reopened(name):
+                    return
+                account.reopened += 1
+                continue
+            if buffer is None:
+                continue
+            if self._trigger is not None:
+                self._trigger.frame_arrived(name, buffer.host_ns)
+            size = 0 if buffer.image is None else buffer.image.nbytes
+            with self._guard:
+                full = self._queued_bytes + size > QUEUED_BYTES
+                self._queued_bytes += 0 if full else size
+            if full:
+                account.overrun += 1
+                buffer = Grabbed(
+                    buffer.block_id,
+                    buffer.device_ns,
+                    buffer.host_ns,
+                    buffer.exposure_ns,
+                    None,
+                    "no room to wait",
+                )
+            self._queue.put((name, buffer))
+
+    def _reopened(self, name: str) -> bool:
+        """Close and reopen the camera until it answers; False when the source ends before."""
+        self._drivers[name].close()
+        while not self._stop.wait(REOPEN_S):
+            try:
+                self._drivers[name] = self._opener(name, self.rig.cameras[name])
+                self._configured(name)
+                self._drivers[name].arm()
+            except DeviceError:
+                continue
+            self.account.notes.append(f"camera '{name}': answers again")
+            return True
+        return False
+
+    def _arrivals(self) -> Iterator[tuple[str, Grabbed]]:
+        """Yield buffers until the last pulse is over and its frames had time to arrive."""
+        silent_since = dict.fromkeys(self._drivers, time.monotonic_ns())
+        told: set[str] = set()
+        deadline_ns: int | None = None
+        while True:
+            try:
+                name, buffer = self._queue.get(timeout=GRAB_S)
+            except queue.Empty:
+                if self._stop.is_set():
+                    return
+                name = ""
+            else:
+                with self._guard:
+                    self._queued_bytes -= 0 if buffer.image is None else buffer.image.nbytes
+                silent_since[name] = buffer.host_ns
+                told.discard(name)
+                yield name, buffer
+            now_ns = time.monotonic_ns()
+            self._tell_silent(silent_since, told, now_ns)
+            if self._pulses is not None and deadline_ns is None:
+                reached = self._pulse_at(now_ns)
+                if reached is not None and reached >= self._pulses + MARGIN_S * self.rig.shared.rate_hz:
+                    deadline_ns = now_ns + round(DRAIN_S * 1e9)
+                    if self._trigger is not None:
+                        self._trigger.stop()
+            if deadline_ns is not None and now_ns > deadline_ns and self._queue.empty():
+                return
+
+    def _tell_silent(self, since_ns: Mapping[str, int], told: set[str], now_ns: int) -> None:
+        limit_ns = self.rig.shared.silence_s * 1e9
+        for name, last_ns in since_ns.items():
+            if now_ns - last_ns > limit_ns and name not in told:
+                told.add(name)
+                self.account.notes.append(
+                    f"camera '{name}': silent for {self.rig.shared.silence_s:g} s; check its trigger line, its "
+                    "exposure time against the rate, and its cable"
+                )
+
+    def _pulse_at(self, host_ns: int) -> int | None:
+        certain = None if self._trigger is None else self._trigger.pulse_at(host_ns)
+        if certain is not None or self._numbers is None:
+            return certain
+        return self._numbers.pulse_at(host_ns)
+
+    def _numbered(self, name: str, buffer: Grabbed) -> Iterator[Numbered]:
+        """Yield ``buffer`` with its pulse: the trigger's, where each pulse waits for its frames, else the clock's."""
+        assert self._trigger is not None
+        assert self._numbers is not None
+        certain = self._trigger.pulse_at(buffer.host_ns)
+        if certain is not None:
+            yield Numbered(name, certain, 0.0, buffer)
+        else:
+            yield from self._numbers.take(name, buffer)
+
+    def _frames(self, numbered: Iterator[Numbered]) -> Iterator[Frame]:
+        assert self._numbers is not None
+        period_ns = 1e9 / self.rig.shared.rate_hz
+        for one in numbered:
+            buffer = one.buffer
+            account = self.account.cameras[one.camera]
+            account.whole += buffer.image is not None
+            account.failed += buffer.image is None
+            account.relocked = self._numbers.relocks[one.camera]
+            if self._pulses is not None and one.pulse >= self._pulses:
+                continue
+            yield Frame(
+                one.camera,
+                self._index(one),
+                round(one.pulse * period_ns + one.residual_ns),
+                buffer.exposure_ns,
+                buffer.image,
+                "corrupt" if buffer.image is None else "ok",
+                self._event(one.camera),
+                note=buffer.note,
+                rows=self.reports[one.camera].height,
+            )
+        self._tell_clocks()
+
+    def _index(self, one: Numbered) -> int:
+        """Return the camera's counter, made to rise on where the camera began anew."""
+        name = one.camera
+        block = one.pulse if one.buffer.block_id is None else one.buffer.block_id
+        last = self._last_index.get(name, -1)
+        if block + self._index_base[name] <= last:
+            self._index_base[name] = last + 1 - block
+        self._last_index[name] = block + self._index_base[name]
+        return self._last_index[name]
+
+    def _tell_clocks(self) -> None:
+        assert self._numbers is not None
+        self.account.notes += [f"camera {note}" for note in self._numbers.notes]
+        self._numbers.notes.clear()
+
+
+def open_rig(path: Path, pulses: int | None = None) -> HardwareSource:
+    """Open the devices of the rig file at ``path``; InputError for the file, DeviceError for a device."""
+    return HardwareSource(read_hardware(path), pulses)

@@ -1,0 +1,56 @@
+"""The trigger's door: pulses are stopped, cameras are armed, pulses begin. So the first pulse is known to all."""
+
+from typing import Protocol
+
+
+class Trigger(Protocol):
+    """Makes the pulses of a rig; ``hardware.source`` stops it, arms the cameras and starts it."""
+
+    def stop(self) -> None:
+        """Make no more pulses; returns when the last one is over."""
+        ...
+
+    def start(self) -> int | None:
+        """Begin with pulse 0; return this machine's monotonic time of it [ns], None where that is not known."""
+        ...
+
+    def pulse_at(self, host_ns: int) -> int | None:
+        """Return the last pulse before ``host_ns`` where each pulse waits for its frames, else None."""
+        ...
+
+    def frame_arrived(self, camera: str, host_ns: int) -> None:
+        """Be told that a frame of ``camera`` came at ``host_ns``; called by the cameras' threads."""
+        ...
+
+    def report(self) -> dict[str, object]:
+        """Return what is known of the pulses so far, for the recording: pulses made, rate, fit."""
+        ...
+
+    def close(self) -> None:
+        """Stop and free the device; may be called twice."""
+        ...
+
+
+class External:
+    """Pulses from something that this machine does not control; it is never stopped, nothing is known of it."""
+
+    def stop(self) -> None:
+        """Do nothing."""
+
+    def start(self) -> int | None:
+        """Return None: when the pulses began is not known."""
+        return None
+
+    def pulse_at(self, host_ns: int) -> int | None:
+        """Return None: nothing is known of the pulses."""
+        return None
+
+    def frame_arrived(self, camera: str, host_ns: int) -> None:
+        """Do nothing."""
+
+    def report(self) -> dict[str, object]:
+        """Return nothing: the pulses come from elsewhere."""
+        return {}
+
+    def close(self) -> None:
+        """Do nothing."""

@@ -1,0 +1,33 @@
+"""What makes the pulses: a pulse generator, software, scheduled actions, a master camera, or something outside."""
+
+from collections.abc import Mapping
+
+from hardware.driver import CameraDriver, DeviceError
+from hardware.settings import RigHardware
+from hardware.trigger import External, Trigger
+from hardware.triggers.action import ActionTrigger
+from hardware.triggers.master import MasterTrigger
+from hardware.triggers.software import SoftwareTrigger
+
+
+def open_trigger(rig: RigHardware, drivers: Mapping[str, CameraDriver]) -> Trigger:
+    """Return the rig's trigger, stopped; DeviceError where it is missing or a camera cannot follow it."""
+    table = rig.shared.trigger
+    rate_hz = rig.shared.rate_hz
+    match table.source:
+        case "serial":
+            try:
+                from hardware.triggers.serial_box import SerialTrigger
+            except ImportError as error:
+                raise DeviceError(
+                    f"{rig.path}: [hardware.trigger] source 'serial' cannot be used ({error}); "
+                    "pip install 'mosca-testbench[serial]'"
+                ) from None
+            return SerialTrigger(table.port, table.baud, rate_hz)
+        case "software":
+            return SoftwareTrigger(drivers, rate_hz)
+        case "action":
+            return ActionTrigger(table, rate_hz)
+        case "master":
+            return MasterTrigger(table.camera)
+    return External()

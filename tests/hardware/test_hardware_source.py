@@ -1,0 +1,170 @@
+"""The rig as a source of frames, over cameras that are simulated in the test."""
+
+import textwrap
+import threading
+
+import numpy as np
+import pytest
+from fake_rig import SIZE, Fake, FakeDriver, FakeLine, picture
+
+from hardware.driver import DeviceError
+from hardware.settings import read_hardware
+from hardware.source import HardwareSource
+from hardware.triggers.software import SoftwareTrigger
+from mosca.assemble import Assembly, assemble
+from mosca.data.frames import FrameSource
+from mosca.errors import InputError
+
+RATE = 200.0
+
+
+def rig_file(tmp_path, names, more="", size=SIZE):
+    text = f"[hardware]\nrate_hz = {RATE}\n"
+    for name in names:
+        text += textwrap.dedent(f"""
+            [[camera]]
+            name = "{name}"
+            size = [{size[0]}, {size[1]}]
+            [camera.hardware]
+            driver = "gige"
+            serial = "{name}"
+            {more}
+            """)
+    path = tmp_path / "rig.toml"
+    path.write_text(text)
+    return path
+
+
+def source(tmp_path, fakes, pulses=60, software=False, **kwargs):
+    line = FakeLine(RATE)
+    rig = read_hardware(rig_file(tmp_path, fakes, **kwargs))
+    return HardwareSource(
+        rig,
+        pulses,
+        lambda name, settings: FakeDriver(name, settings, fakes[name], line),
+        (lambda rig, drivers: SoftwareTrigger(drivers, RATE)) if software else (lambda rig, drivers: line),
+    )
+
+
+def pulse_in(frame):
+    return int(np.frombuffer(frame.image[0, :4].tobytes(), np.uint32)[0])
+
+
+def test_it_is_a_source_of_frames_and_each_set_is_of_one_pulse(tmp_path):
+    fakes = {"a": Fake(ppm=40), "b": Fake(offset_s=50, ppm=-40), "c": Fake(misses=frozenset({9, 30, 31}))}
+    assembly = Assembly()
+    with source(tmp_path, fakes) as rig:
+        assert isinstance(rig, FrameSource)
+        sets = list(assemble(rig, rig.cameras, assembly=assembly))
+    assert [s.pulse for s in sets] == list(range(60))
+    for frame_set in sets:
+        assert {pulse_in(f) for f in frame_set.frames.values()} == {frame_set.pulse}
+        for name, frame in frame_set.frames.items():
+            np.testing.assert_array_equal(frame.image, picture(name, frame_set.pulse))
+            assert not frame.image.flags.writeable
+    assert [s.pulse for s in sets if "c" not in s.frames] == [9, 30, 31]
+    assert assembly.cameras["c"].dropped == 3
+    assert assembly.cameras["a"].dropped == assembly.cameras["b"].dropped == 0
+    assert rig.account.cameras["a"].driver["exposed"] >= 60
+
+
+def test_failed_buffers_are_corrupt_frames(tmp_path):
+    with source(tmp_path, {"a": Fake(), "b": Fake(spoilt=frozenset({20, 21}))}) as rig:
+        frames = [f for f in rig if f.camera == "b"]
+    assert [round(f.time_ns * RATE / 1e9) for f in frames if f.status == "corrupt"] == [20, 21]
+    assert {f.note for f in frames if f.status == "corrupt"} == {"MISSING_PACKETS"}
+    assert rig.account.cameras["b"].failed == 2
+    indices = [f.index for f in frames]
+    assert indices == sorted(set(indices))
+
+
+def test_a_camera_that_goes_comes_back_at_the_right_pulse(tmp_path, monkeypatch):
+    monkeypatch.setattr("hardware.source.REOPEN_S", 0.05)
+    fakes = {"a": Fake(), "b": Fake(offset_s=1e4, gone=range(60, 100))}
+    with source(tmp_path, fakes, pulses=200) as rig:
+        frames = list(rig)
+    of_b = [f for f in frames if f.camera == "b"]
+    assert all(pulse_in(f) == round(f.time_ns * RATE / 1e9) for f in frames)
+    assert not {pulse_in(f) for f in of_b} & set(range(60, 100))
+    assert {pulse_in(f) for f in of_b} >= set(range(150, 200))
+    assert rig.account.cameras["b"].reopened == 1
+    assert any("does not answer" in note for note in rig.account.notes)
+    assert any("answers again" in note for note in rig.account.notes)
+    assert {pulse_in(f) for f in frames if f.camera == "a"} == set(range(200))
+    indices = [f.index for f in of_b]
+    assert indices == sorted(set(indices))
+
+
+def test_software_trigger_pairs_cameras_without_a_clock(tmp_path):
+    fakes = {n: Fake(clock=False, software=True) for n in "ab"}
+    with source(tmp_path, fakes, software=True, pulses=40) as rig:
+        sets = list(assemble(rig, rig.cameras))
+    assert [s.pulse for s in sets] == list(range(40))
+    assert all({pulse_in(f) for f in s.frames.values()} == {s.pulse} for s in sets)
+
+
+def test_a_silent_camera_is_told(tmp_path):
+    fakes = {"a": Fake(), "b": Fake(misses=frozenset(range(10_000)))}
+    path = rig_file(tmp_path, fakes)
+    path.write_text(path.read_text().replace("[hardware]\n", "[hardware]\nsilence_s = 0.3\n", 1))
+    line = FakeLine(RATE)
+    rig = HardwareSource(
+        read_hardware(path), 300, lambda n, s: FakeDriver(n, s, fakes[n], line), lambda rig, drivers: line
+    )
+    with rig:
+        frames = list(rig)
+    assert {f.camera for f in frames} == {"a"}
+    assert sum("camera 'b': silent" in note for note in rig.account.notes) == 1
+
+
+def test_leaving_early_frees_everything(tmp_path):
+    before = threading.active_count()
+    with source(tmp_path, {"a": Fake(), "b": Fake()}, pulses=None) as rig:
+        for number, _ in enumerate(rig):
+            if number == 30:
+                break
+    rig.close()
+    assert threading.active_count() == before
+    with pytest.raises(DeviceError, match="iterated before"):
+        next(iter(rig))
+
+
+def test_stop_from_another_thread_ends_it(tmp_path):
+    with source(tmp_path, {"a": Fake()}, pulses=None) as rig:
+        timer = threading.Timer(0.4, rig.stop)
+        timer.start()
+        assert len(list(rig)) > 20
+        timer.join()
+
+
+def test_a_device_of_another_size_or_one_that_is_missing_is_refused(tmp_path):
+    with pytest.raises(DeviceError, match=r"camera 'a': frames of 32 x 24 px, the rig file says 64 x 48"):
+        source(tmp_path, {"a": Fake()}, size=(64, 48))
+    with pytest.raises(DeviceError, match="camera 'a': not there"):
+        source(tmp_path, {"a": Fake(gone=range(10))})
+    with pytest.raises(DeviceError, match="has no software trigger"):
+        source(tmp_path, {"a": Fake()}, software=True)
+
+
+@pytest.mark.parametrize(
+    ("more", "text"),
+    [
+        ('trigger = "line1"', "trigger"),
+        ("exposure_us = -3", "exposure_us"),
+        ("window = [0, 0, 0, 4]", "window"),
+        ("expsure_us = 3", "did you mean 'exposure_us'"),
+    ],
+)
+def test_wrong_settings_are_one_line(tmp_path, more, text):
+    with pytest.raises(InputError, match=text) as error:
+        read_hardware(rig_file(tmp_path, ["a"], more))
+    assert "\n" not in str(error.value)
+    assert "rig.toml" in str(error.value)
+    assert "camera 'a'" in str(error.value)
+
+
+def test_the_same_device_twice_is_refused(tmp_path):
+    path = rig_file(tmp_path, ["a", "b"])
+    path.write_text(path.read_text().replace('serial = "b"', 'serial = "a"'))
+    with pytest.raises(InputError, match="cameras 'a' and 'b' name the same device"):
+        read_hardware(path)
