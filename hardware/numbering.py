@@ -130,11 +130,14 @@ class PulseNumbers:
         if self.start_ns is not None:
             skipped = max(int((first - self.start_ns) // self.period_ns), 0)
         self._line = HostLine(round(first - skipped * self.period_ns), self.period_ns)
+        begun: list[Numbered] = []
         for name, earliest in here.items():
             camera = self._cameras[name]
             pulse = self._line.pulse_of(earliest)
             camera.latency_ns = earliest - self._line.at(pulse)
-            yield from self._lock(camera, pulse)
+            begun += self._lock(camera, pulse)
+        # pulse by pulse, as they would have come: whoever groups them waits for a few pulses only
+        yield from sorted(begun, key=lambda one: one.pulse)
 
     def _vote(self, camera: _Camera, whole: bool) -> Iterator[Numbered]:
         """Number what ``camera`` holds once enough frames have voted; all of it when ``whole``."""

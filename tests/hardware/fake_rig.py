@@ -73,7 +73,7 @@ class FakeLine:
             if wait > 0 and self._stop.wait(wait):
                 return
             for driver in list(self.drivers.values()):
-                driver.pulse(self.made)
+                driver.pulse(self.made, begin + self.made / self.rate_hz)
             self.made += 1
 
 
@@ -111,13 +111,12 @@ class FakeDriver:
         self.closed = True
 
     def software_trigger(self):
-        self.pulse(self.count)
+        self.pulse(self.count, time.monotonic())
         return time.monotonic_ns()
 
-    def pulse(self, number):
+    def pulse(self, number, now):
         if not self.armed or number in self.fake.misses or number in self.fake.gone:
             return
-        now = time.monotonic()
         stamp = round((now - self.boot) * (1 + self.fake.ppm * 1e-6) * 1e9) if self.fake.clock else None
         image = None if number in self.fake.spoilt else picture(self.name, number)
         self.frames.put((self.block, stamp, image))

@@ -15,7 +15,7 @@ from mosca.assemble import Assembly, assemble
 from mosca.data.frames import FrameSource
 from mosca.errors import InputError
 
-RATE = 200.0
+RATE = 100.0
 
 
 def rig_file(tmp_path, names, more="", size=SIZE):
@@ -131,7 +131,7 @@ def test_leaving_early_frees_everything(tmp_path):
 
 def test_stop_from_another_thread_ends_it(tmp_path):
     with source(tmp_path, {"a": Fake()}, pulses=None) as rig:
-        timer = threading.Timer(0.4, rig.stop)
+        timer = threading.Timer(0.6, rig.stop)
         timer.start()
         assert len(list(rig)) > 20
         timer.join()
