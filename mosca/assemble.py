@@ -13,7 +13,7 @@ import cmath
 import math
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 
 from mosca.data.frames import CameraInfo, Frame, FrameSet, mid_exposure_ns
@@ -35,12 +35,14 @@ class AssemblySettings:
 
     ``open_pulses``: a set is closed when this many newer pulses are open. ``longest_gap_pulses``: a frame
     farther ahead than this has a wrong stamp and is counted as stray. ``start_frames``: at least so
-    many frames (and two a camera) fix the phase before the first set is yielded.
+    many frames (and two a camera) fix the phase before the first set is yielded. ``nominal_times``: pulse k and
+    all its frames are stamped with k nominal periods: two takes of the same pulses then have the same times.
     """
 
     open_pulses: int = 5
     longest_gap_pulses: int = 20_000
     start_frames: int = 8
+    nominal_times: bool = False
 
 
 @dataclass
@@ -107,6 +109,11 @@ def assemble(
         return
     clock = PulseClock(period_ns, [mid_exposure_ns(frame) for frame in first])
     window = _Window([info.name for info in cameras], clock, settings, counts)
+    for frame_set in _through(window, first, stream):
+        yield _nominal(frame_set, period_ns) if settings.nominal_times else frame_set
+
+
+def _through(window: "_Window", first: Iterable[Frame], stream: Iterable[Frame]) -> Iterator[FrameSet]:
     for frame in first:
         window.take(frame)
     yield from window.ready()
@@ -114,6 +121,17 @@ def assemble(
         window.take(frame)
         yield from window.ready()
     yield from window.rest()
+
+
+def _nominal(frame_set: FrameSet, period_ns: float) -> FrameSet:
+    """Return the set with its frames exposed as if pulse k had come after k nominal periods exactly."""
+    begin_ns = round(frame_set.pulse * period_ns)
+    frames = {
+        name: replace(frame, time_ns=begin_ns, stamp_event="exposure_start")
+        for name, frame in frame_set.frames.items()
+    }
+    times = [mid_exposure_ns(frame) for frame in frames.values()]
+    return FrameSet(frame_set.pulse, _median(times) if times else begin_ns, frames)
 
 
 def _common_rate_hz(cameras: Sequence[CameraInfo]) -> float:

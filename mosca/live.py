@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from mosca.assemble import Assembly, assemble
+from mosca.assemble import Assembly, AssemblySettings, assemble
 from mosca.data.arrays import Array
 from mosca.data.frames import FrameSet, FrameSource
 from mosca.data.rig import Rig
@@ -28,13 +28,17 @@ class LiveSets:
     """The newest frame sets of a source, in order; iterate once. ``close`` ends the reading thread."""
 
     def __init__(
-        self, source: FrameSource, assembly: Assembly | None = None, queued: int = QUEUED_SETS
+        self,
+        source: FrameSource,
+        assembly: Assembly | None = None,
+        queued: int = QUEUED_SETS,
+        settings: AssemblySettings | None = None,
     ) -> None:
         if queued < 1:
             raise InputError(f"live: queued = {queued} given; 1 or more frame sets must be able to wait")
         self.assembly = Assembly() if assembly is None else assembly
         self.waited_s = 0.0
-        self._source, self._queued = source, queued
+        self._source, self._queued, self._settings = source, queued, settings
         self._waiting: deque[tuple[float, FrameSet]] = deque()
         self._changed = threading.Condition()
         self._over, self._stop = False, False
@@ -63,7 +67,7 @@ class LiveSets:
 
     def _read(self) -> None:
         try:
-            for frame_set in assemble(self._source, self._source.cameras, assembly=self.assembly):
+            for frame_set in assemble(self._source, self._source.cameras, self._settings, self.assembly):
                 if self._stop:
                     break
                 self._queue(frame_set)
@@ -102,7 +106,7 @@ def run_live(
     A step's ``seconds`` hold ``wait`` besides: how long its frame set waited in the queue of ``queued``.
     """
     check_source(source, rig)
-    sets = LiveSets(source, assembly, queued)
+    sets = LiveSets(source, assembly, queued, None if settings is None else settings.assembly)
     try:
         for step in run_sets(sets, source.cameras, rig, settings, backgrounds, keeper, health):
             yield replace(step, seconds={**step.seconds, "wait": sets.waited_s})

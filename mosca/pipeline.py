@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from mosca.assemble import Assembly, assemble
+from mosca.assemble import Assembly, AssemblySettings, assemble
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, FrameSet, FrameSource
@@ -34,7 +34,7 @@ class PipelineSettings:
     """Settings of all stages. ``volume``: box (low (3,), high (3,)) [m, world] in which targets can be; points
     outside are no targets. Default: everywhere. ``workers``: threads that detect; 0 looks at each set when its turn
     comes, as a live run must, more look ahead. The tracks are the same. ``nearest``: track as the guide does, the
-    baseline of comparisons, instead of by ``track``.
+    baseline of comparisons, instead of by ``track``. ``assembly``: how frames become frame sets.
     """
 
     detection: DetectionSettings = field(default_factory=DetectionSettings)
@@ -43,6 +43,7 @@ class PipelineSettings:
     volume: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     workers: int = 0
     nearest: NearestSettings | None = None
+    assembly: AssemblySettings = field(default_factory=AssemblySettings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +87,8 @@ def run(
     where a background is of a camera that the rig lacks.
     """
     check_source(source, rig)
-    sets = assemble(source, source.cameras, assembly=assembly)
+    settings = PipelineSettings() if settings is None else settings
+    sets = assemble(source, source.cameras, settings.assembly, assembly)
     yield from run_sets(sets, source.cameras, rig, settings, backgrounds, keeper, health)
 
 

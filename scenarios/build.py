@@ -6,6 +6,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from mosca.assemble import AssemblySettings
 from mosca.data.boards import Board
 from mosca.data.target_file import read_target_file
 from mosca.data.targets import ScaleBar
@@ -220,6 +221,8 @@ def pipeline_settings(spec: Scenario) -> PipelineSettings:
     centre, size = np.array(spec.working_space.center_m), np.array(spec.working_space.size_m)
     low, high = centre - MARGIN * size / 2, centre + MARGIN * size / 2
     settings = stage_settings(spec.pipeline, ((low[0], low[1], low[2]), (high[0], high[1], high[2])))
+    if spec.pipeline.step_by == "pulse":
+        settings = replace(settings, assembly=AssemblySettings(nominal_times=True))
     if spec.pipeline.tracker == "nearest":
         return replace(settings, nearest=NearestSettings(settings.track.gate_m, settings.track.coast_s))
     return settings

@@ -40,6 +40,11 @@ def cli() -> None:
 @click.option("--out", type=FILE, help="run folder  [default: runs/SCENARIO]")
 @click.option("--rrd", is_flag=True, help="also write run.rrd for the Rerun viewer")
 @click.option("--record", type=FILE, help="also record the frames into this folder")
+@click.option(
+    "--truth",
+    type=FILE,
+    help="truth.npz to score other frames than the twin's against  [default: beside them]",
+)
 @click.option("--workers", type=click.IntRange(1, 64), help="rendering threads  [default: all cores]")
 def run(
     scenario: str,
@@ -49,6 +54,7 @@ def run(
     out: Path | None,
     rrd: bool,
     record: Path | None,
+    truth: Path | None,
     workers: int | None,
 ) -> None:
     """Run one scenario from scene to score and write its run folder.
@@ -75,7 +81,7 @@ def run(
     log = target.parent / f".{target.name}.rrd" if rrd else None
     try:
         with Progress(name) as shown:
-            options = RunOptions(source, workers or os.cpu_count() or 1, log, record, shown)
+            options = RunOptions(source, workers or os.cpu_count() or 1, log, record, truth, shown)
             result = run_scenario(spec, name, path.parent, options)
         write_run(result, target, log)
     finally:

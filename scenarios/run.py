@@ -42,7 +42,7 @@ from scenarios.faults import with_fault
 from scenarios.interrupt import between_steps
 from scenarios.score import BLOCKS, Matched, Score, metrics, pair
 from scenarios.session.estimated import Estimated, estimated
-from scenarios.sources import Chosen, Written, recorded
+from scenarios.sources import Chosen, Written, opened
 from scenarios.spec import Scenario
 from scenarios.warm import compile_side_by_side
 from twin.source import TwinSource
@@ -72,15 +72,19 @@ class RunResult:
 
 @dataclass(frozen=True)
 class RunOptions:
-    """How to run. ``source``: "twin" or "recording:DIR". ``workers``: threads that render. ``rrd``: a Rerun
-    file to write while running. ``record_to``: a folder to record the frames into. ``progress``: called with
-    pulses done and in all.
+    """How to run.
+
+    ``source``: "twin", "recording:DIR" or "hardware:RIG.toml". ``workers``: threads that render. ``rrd``: a Rerun file
+    to write while running. ``record_to``: a folder to record the frames into. ``truth``: what frames that are not
+    the twin's are scored against; default: ``truth.npz`` beside a recording. ``progress``: called with pulses done
+    and in all.
     """
 
     source: str = "twin"
     workers: int = 1
     rrd: Path | None = None
     record_to: Path | None = None
+    truth: Path | None = None
     progress: Progress | None = None
 
 
@@ -115,6 +119,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             if own.calibration.refused:
                 raise CalibrationError(f"{name}: {told[0][0]}: {told[0][1]}")
         believed = with_fault(known.rig if own is None else own.calibration.rig, spec.fault)
+        pulses = round(spec.capture.duration_s * spec.capture.frame_rate_hz)
         source: FrameSource
         if scene is not None:
             source = TwinSource(
@@ -122,14 +127,14 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
                 cameras,
                 frame_rate_hz=spec.capture.frame_rate_hz,
                 exposure_s=spec.capture.exposure_s,
-                pulses=round(spec.capture.duration_s * spec.capture.frame_rate_hz),
+                pulses=pulses,
                 seed=spec.seed,
                 workers=options.workers,
                 deliveries=deliveries(spec, cameras),
                 surroundings=surroundings(spec),
             )
         else:
-            source = recorded(options.source, rig)
+            source = opened(options.source, rig, spec.capture.frame_rate_hz, pulses)
         stack.enter_context(source)
         if isinstance(source, TwinSource):
             with _timed(timings, "compile"):
@@ -146,7 +151,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         if own is not None:
             for k, one in enumerate(f for f in own.calibration.findings if f.severity == "warn"):
                 collected.assembly.notes[f"calibration {k + 1}"] = f"{one.code}: {one.message}"
-        truth = source.truth() if isinstance(source, TwinSource) else _truth_beside(options.source)
+        truth = source.truth() if isinstance(source, TwinSource) else _reference(options)
         if isinstance(source, TwinSource) and truth is not None and options.record_to is not None:
             write_truth(truth, options.record_to / "truth.npz")
         with _timed(timings, "score"):
@@ -342,8 +347,11 @@ def _views(step: Step) -> tuple[CameraView, ...]:
     )
 
 
-def _truth_beside(source: str) -> Truth | None:
-    path = Path(source.partition(":")[2]) / "truth.npz"
+def _reference(options: RunOptions) -> Truth | None:
+    """Return the truth that was asked for, else the one beside a recording, else None."""
+    if options.truth is not None:
+        return read_truth(options.truth)
+    path = Path(options.source.partition(":")[2]) / "truth.npz"
     return read_truth(path) if path.exists() else None
 
 

@@ -10,14 +10,31 @@ from mosca.errors import InputError
 from mosca.recording import RecordingWriter, open_recording
 
 
-def recorded(source: str, rig: Rig) -> FrameSource:
-    """Return the recording that ``--source recording:DIR`` names; InputError for another source."""
+def opened(source: str, rig: Rig, rate_hz: float, pulses: int) -> FrameSource:
+    """Return what ``--source recording:DIR`` or ``hardware:RIG.toml`` names; InputError for another source.
+
+    ``rate_hz``, ``pulses``: the scenario's; devices must run at this rate and are read for so many pulses.
+    """
     kind, _, place = source.partition(":")
-    if kind == "hardware":
-        raise InputError(f"--source {source}: no camera driver is installed; use twin or recording:DIR")
-    if kind != "recording" or not place:
+    if kind not in ("recording", "hardware") or not place:
         raise InputError(f"--source {source}: allowed are twin, recording:DIR and hardware:RIG.toml")
-    return open_recording(Path(place), rig)
+    if kind == "recording":
+        return open_recording(Path(place), rig)
+    from hardware.settings import read_hardware
+    from hardware.source import HardwareSource
+
+    devices = read_hardware(Path(place))
+    missing = [name for name in rig.names if name not in devices.cameras]
+    if missing:
+        raise InputError(
+            f"{place}: no camera '{missing[0]}', which the scenario's rig has; it names {', '.join(devices.cameras)}"
+        )
+    if abs(devices.shared.rate_hz / rate_hz - 1) > 1e-3:
+        raise InputError(
+            f"{place}: [hardware] rate_hz = {devices.shared.rate_hz:g}, the scenario's capture.frame_rate_hz is "
+            f"{rate_hz:g}; give both the same"
+        )
+    return HardwareSource(devices, pulses)
 
 
 class PassedOn:

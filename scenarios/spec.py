@@ -182,6 +182,11 @@ class PipelineSpec(Table):
     lens_model: Literal["mosca", "opencv", "fisheye"] = Field(
         "mosca", description="lens model of the calibration"
     )
+    step_by: Literal["time", "pulse"] = Field(
+        "time",
+        description="'pulse': time is the pulse's number times the period, whatever the stamps say, so that two "
+        "takes of the same pulses give the same tracks to the bit",
+    )
     detection: DetectionSpec = DetectionSpec()
     match: MatchSpec = MatchSpec()
     track: TrackSpec = TrackSpec()
