@@ -30,12 +30,15 @@ from mosca.data.frames import FrameSet
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points
 
-START_SETS = 100
+START_SETS = 200
 """Frame sets in which much is to be learned."""
 CLOCK_LOOKS = 1000
 """Looks from which offsets of clocks are drawn."""
 FARTHEST_SIGMAS = 5.0
 """Images farther from their point say nothing of the usual error."""
+ALIKE_LOOKS, START_LOOKS = 6.0, 0.5
+"""What is known beforehand counts as so many looks: that cameras of a rig shake alike to about half, and
+``start_px``. A body shakes all images of a set together: a look has one or two independent residuals a camera."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,8 @@ class HealthSettings:
     """``every``: frame sets from one look at the residuals to the next, ``seldom`` after the first hundred;
     ``most_points`` of a set are looked at, others each time. ``memory``: looks after which an old one
     counts 1/e. ``start_px``: random error of image points besides detection noise until it is learned, and
-    ``least_px`` below which it is not taken. ``least_images``: of a camera, before anything is said of it.
+    ``least_px`` below which it is not taken. ``least_images``: of a camera, before anything is said of its clock
+    and its connections.
     ``farthest_m``: how far a point may move from set to set to have a speed. ``late_s``: clock offsets below this are
     let pass, and ``certain_sigma``: by how many standard deviations one must be sure. ``poor_share``: of a camera's
     detections that connect, below which it is told of. ``block_s``: length of the residuals' time blocks.
@@ -52,9 +56,9 @@ class HealthSettings:
     """
 
     every: int = 2
-    seldom: int = 20
-    most_points: int = 25
-    memory: float = 100.0
+    seldom: int = 10
+    most_points: int = 20
+    memory: float = 400.0
     start_px: float = 0.06
     least_px: float = 0.005
     least_images: float = 300.0
@@ -68,8 +72,8 @@ class HealthSettings:
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Random error of image points besides detection noise: ``sigma_px`` (c,) an axis, of each camera; ``jitter_s``
-    of the triggers.
+    """Error of image points besides detection noise: ``sigma_px`` (c,) an axis, of each camera, what was learned and
+    what the calibration says that its lens model leaves; ``jitter_s`` of the triggers.
     """
 
     sigma_px: Array
@@ -102,6 +106,9 @@ class Health:
         self._names = rig.names
         c = len(rig.cameras)
         self.noise = Noise(np.full(c, self.settings.start_px), 0.0)
+        # of the lens's misfit the points take up most: little of it shows in residuals
+        self._lens_px = np.array([camera.residual_px for camera in rig.cameras])
+        self._looks = 0.0
         self._sets = 0
         self._missing, self._detected, self._connected = np.zeros(c), np.zeros(c), np.zeros(c)
         self._before: tuple[float, Array] | None = None
@@ -222,6 +229,7 @@ class Health:
         normal[c, c] = (per_speed**2).sum()
         right[:c], right[c] = (per_px * known).sum(axis=0), (per_speed * known).sum()
         self._normal, self._right = keep * self._normal + normal, keep * self._right + right
+        self._looks = keep * self._looks + 1.0
         self._square = keep * self._square + square.sum(axis=0)
         self._images = keep * self._images + fit.seen.sum(axis=0)
         self._conclude()
@@ -237,13 +245,16 @@ class Health:
 
     def _conclude(self) -> None:
         c, s = len(self._names), self.settings
-        enough = self._images >= s.least_images
-        if not enough.any():
+        seen = np.diag(self._normal)[:c] > 0
+        if not seen.any():
             return
-        size = np.sqrt(np.maximum(np.diag(self._normal), 1e-300))
-        scaled = self._normal / np.outer(size, size)
-        found = nnls(scaled, self._right / size)[0] / size
-        sigma = np.where(enough, np.sqrt(np.maximum(found[:c], s.least_px**2)), self.noise.sigma_px)
+        normal, right = self._normal.copy(), self._right.copy()
+        look = float(np.diag(self._normal)[:c][seen].mean()) / self._looks
+        normal[:c, :c] += look * (ALIKE_LOOKS * (np.eye(c) - 1.0 / c) + START_LOOKS * np.eye(c))
+        right[:c] += look * START_LOOKS * s.start_px**2
+        size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        found = nnls(normal / np.outer(size, size), right / size)[0] / size
+        sigma = np.sqrt(np.maximum(found[:c], s.least_px**2) + self._lens_px**2)
         self.noise = Noise(sigma, math.sqrt(found[c]))
 
     def _offsets(self) -> tuple[Array, Array]:

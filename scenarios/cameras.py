@@ -201,7 +201,8 @@ def calibrated(spec: Scenario, cameras: tuple[VirtualCamera, ...]) -> Calibrated
             continue
         away = np.linalg.norm(camera.world_from_camera.translation - np.array(spec.working_space.center_m))
         fit = _fitted(virtual, spec.pipeline.lens_model, float(away))
-        made.append(replace(camera, lens=fit.lens))
+        # an axis: the misfit is a distance in the image
+        made.append(replace(camera, lens=fit.lens, residual_px=fit.rms_px / np.sqrt(2)))
         fits.append(fit)
     rms = float(np.sqrt(np.mean([f.rms_px**2 for f in fits])))
     return Calibrated(Rig(tuple(made)), rms, max(f.max_px for f in fits))

@@ -1,5 +1,6 @@
 """Calibration from frames: the production entry point, whatever the target and wherever the frames come from."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, TypeGuard, TypeVar
@@ -96,6 +97,7 @@ def calibrate_session(
         with lengths.opened(calibration.rig) as source:
             errors = held_out_lengths(calibration, source, lengths.target, settings)
     calibration = judged(calibration, shown.target, settings, known=known, lengths=errors)
+    calibration = replace(calibration, rig=with_residuals(calibration))
     evidence = evidence_of(
         calibration,
         volume=settings.volume,
@@ -104,6 +106,20 @@ def calibrate_session(
         rigid_target=is_rigid(shown.target),
     )
     return calibration, evidence
+
+
+def with_residuals(calibration: Calibration) -> Rig:
+    """Return the rig whose cameras say what their lens models leave: the scatter that detection does not explain.
+
+    ``sigma_px`` of an image coordinate holds detection noise besides; what shakes whole images is kept apart of it.
+    """
+    sightings, cameras = calibration.sightings, []
+    for k, camera in enumerate(calibration.rig.cameras):
+        mine = calibration.used & (sightings.camera == sightings.cameras.index(camera.name))
+        noise = np.trace(sightings.covariance_px2[mine], axis1=1, axis2=2) / 2
+        left = float(np.mean(calibration.sigma_px[k] ** 2) - np.mean(noise)) if mine.any() else 0.0
+        cameras.append(replace(camera, residual_px=math.sqrt(left) if left > 0 else 0.0))
+    return Rig(tuple(cameras))
 
 
 def calibrate_frames(

@@ -136,13 +136,18 @@ def principal_point_px(lens: Lens) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A calibrated camera: size in px, interior orientation (lens) and exterior orientation (pose)."""
+    """A calibrated camera: size in px, interior orientation (lens) and exterior orientation (pose).
+
+    ``residual_px``: what the lens model leaves of the images, rms an axis [px], as the calibration found; systematic,
+    so that it does not average over time. 0 where it is not known.
+    """
 
     name: str
     width: int
     height: int
     lens: Lens
     world_from_camera: Pose
+    residual_px: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

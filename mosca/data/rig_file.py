@@ -5,6 +5,7 @@
     [[camera]]
     name = "left"
     size = [1280, 1024]                            # width, height [px]
+    residual_px = 0.02                             # optional: what the lens model leaves of the images, rms an axis
     [camera.lens]
     model = "opencv"                               # or "mosca", "fisheye": see mosca.data.rig
     fx_px = 1400.0                                 # ... the field names of the lens's dataclass
@@ -135,6 +136,9 @@ class CameraTable(Table):
         MoscaLensTable | OpenCVLensTable | FisheyeLensTable | None, Field(discriminator="model")
     ] = None
     pose: PoseTable | None = None
+    residual_px: Annotated[
+        float, Field(ge=0, description="what the lens model leaves of the images, rms an axis [px]")
+    ] = 0.0
     hardware: dict[str, Any] = Field(default_factory=dict)
     twin: dict[str, Any] = Field(default_factory=dict)
 
@@ -214,6 +218,8 @@ def rig_toml(
                 "rotation_wxyz": quaternion_from_rotation(camera.world_from_camera.rotation).tolist(),
             },
         }
+        if camera.residual_px:
+            table["residual_px"] = camera.residual_px
         for key, kept in (("hardware", hardware), ("twin", twin)):
             if kept and camera.name in kept:
                 table[key] = dict(kept[camera.name])
@@ -229,7 +235,7 @@ def _camera(table: CameraTable, path: Path) -> Camera:
         )
     lens: Lens = LENS_MODELS[table.lens.model](**table.lens.model_dump(exclude={"model"}))
     pose = Pose(rotation_from_quaternion(table.pose.rotation_wxyz), np.array(table.pose.position_m))
-    return Camera(table.name, table.size[0], table.size[1], lens, pose)
+    return Camera(table.name, table.size[0], table.size[1], lens, pose, table.residual_px)
 
 
 def _check_plausible(camera: Camera, path: Path) -> None:
