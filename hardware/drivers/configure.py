@@ -1,0 +1,222 @@
+"""The order in which a GenICam camera is set, the same for every library: what a setting moves comes before it.
+
+Triggers off; what changes the sensor's geometry (user sets, binning); window; pixel format; exposure and gain with
+their automatics off; packet size; the features of the rig file; the trigger last. At the end all is read again: a
+later setting may have moved an earlier one.
+"""
+
+from collections.abc import Mapping
+
+from hardware.driver import Capabilities, DeviceError
+from hardware.drivers.features import Features, hold, number, put, text
+from hardware.drivers.pixels import FORMATS
+from hardware.settings import CameraHardware, Feature
+
+# features with a key of their own in [camera.hardware]
+OWN_KEYS = {
+    "TriggerSelector": "trigger",
+    "TriggerMode": "trigger",
+    "TriggerSource": "trigger",
+    "TriggerActivation": "trigger_activation",
+    "ExposureTime": "exposure_us",
+    "ExposureTimeAbs": "exposure_us",
+    "Gain": "gain_db",
+    "PixelFormat": "pixel_format",
+    "OffsetX": "window",
+    "OffsetY": "window",
+    "Width": "window",
+    "Height": "window",
+    "GevSCPSPacketSize": "packet_bytes",
+}
+# they change what windows there are, so they go before the window
+EARLY = ("UserSet", "Binning", "Decimation", "Sensor", "RegionSelector", "RegionMode")
+# not set, but worth a look beside what was
+FACTS = (
+    "DeviceVendorName",
+    "DeviceVersion",
+    "DeviceFirmwareVersion",
+    "DeviceTemperature",
+    "ExposureTime",
+    "ExposureTimeAbs",
+    "Gain",
+    "PayloadSize",
+    "GevSCPSPacketSize",
+    "AcquisitionFrameRate",
+    "AcquisitionFrameRateAbs",
+    "PtpStatus",
+)
+RESULTING_RATES = ("AcquisitionResultingFrameRate", "ResultingFrameRate", "ResultingFrameRateAbs")
+CLOCKS = ("Timestamp", "TimestampLatch", "GevTimestampTickFrequency", "GevTimestampControlLatch")
+
+
+class _Setter:
+    def __init__(self, features: Features, camera: str) -> None:
+        self.features, self.camera = features, camera
+        self.taken: dict[str, Feature] = {}
+
+    def put(self, name: str, value: Feature) -> None:
+        taken = put(self.features, self.camera, name, value, OWN_KEYS.get(name, ""))
+        if self.features.kind(name) != "command":
+            # written again: it counts as written now, after what came between
+            self.taken.pop(name, None)
+            self.taken[name] = taken
+
+    def put_where_present(self, name: str, value: Feature) -> None:
+        """Set it where the device has it and lets it be set; an enumeration only where it has the entry."""
+        features = self.features
+        kind = features.kind(name)
+        if kind is None or not features.writable(name):
+            return
+        if kind == "enumeration" and isinstance(value, str) and value not in features.entries(name):
+            return
+        self.put(name, value)
+
+
+def configure(features: Features, settings: CameraHardware, camera: str) -> Mapping[str, object]:
+    """Set a camera and return the settings as read back (and some facts); DeviceError as ``put``."""
+    _own_keys_are_free(settings, camera)
+    if settings.pixel_format not in FORMATS:
+        offered = features.entries("PixelFormat") if features.kind("PixelFormat") == "enumeration" else ()
+        raise DeviceError(
+            f"camera '{camera}': pixel_format '{settings.pixel_format}' cannot be read here; of this device's "
+            f"formats these can: {', '.join(name for name in offered if name in FORMATS) or 'none'}"
+        )
+    setter = _Setter(features, camera)
+    setter.put_where_present("TLParamsLocked", 0)
+    _triggers_off(setter)
+    setter.put_where_present("AcquisitionMode", "Continuous")
+    early = {name: value for name, value in settings.features.items() if name.startswith(EARLY)}
+    for name, value in early.items():
+        setter.put(name, value)
+    _window(setter, settings)
+    setter.put("PixelFormat", settings.pixel_format)
+    _light(setter, settings)
+    if settings.packet_bytes is not None:
+        setter.put("GevSCPSPacketSize", settings.packet_bytes)
+    if settings.trigger != "Off":
+        setter.put_where_present("AcquisitionFrameRateEnable", False)
+    for name, value in settings.features.items():
+        if name not in early:
+            setter.put(name, value)
+    _trigger(setter, settings)
+    return _read_again(setter)
+
+
+def exposure_ns(features: Features, settings: CameraHardware) -> int:
+    """Return the exposure [ns] that the device says it has; without such a feature, what was asked for, or 0."""
+    exposure_us = number(features, "ExposureTime", "ExposureTimeAbs")
+    if exposure_us is None:
+        exposure_us = settings.exposure_us or 0.0
+    return round(exposure_us * 1000.0)
+
+
+def capabilities_of(features: Features, device_clock: bool | None = None) -> Capabilities:
+    """Return what a GenICam device can do by its feature tree; ``device_clock``: where the driver knows better.
+
+    ``trigger_counter`` stays False: no driver here reads the chunks that would report ignored triggers.
+    """
+    sources = features.entries("TriggerSource") if features.kind("TriggerSource") == "enumeration" else ()
+    clock = any(features.kind(name) is not None for name in CLOCKS)
+    return Capabilities(
+        device_clock=clock if device_clock is None else device_clock,
+        stamp_event="exposure_start",
+        hardware_trigger=any(source.startswith("Line") for source in sources),
+        software_trigger="Software" in sources and features.kind("TriggerSoftware") == "command",
+        scheduled_action=any(source.startswith("Action") for source in sources)
+        and features.kind("ActionDeviceKey") is not None,
+        ptp=any(features.kind(name) is not None for name in ("PtpEnable", "GevIEEE1588")),
+        window=all(features.kind(name) == "integer" for name in ("OffsetX", "OffsetY", "Width", "Height")),
+        trigger_counter=False,
+        max_triggered_hz=number(features, *RESULTING_RATES),
+    )
+
+
+def _own_keys_are_free(settings: CameraHardware, camera: str) -> None:
+    for name in settings.features:
+        if name in OWN_KEYS:
+            raise DeviceError(
+                f"camera '{camera}': features names {name}, which has a key of its own; "
+                f"set {OWN_KEYS[name]} in [camera.hardware] instead"
+            )
+
+
+def _triggers_off(setter: _Setter) -> None:
+    # a camera may have been left waiting for the start of an acquisition or of a burst
+    features = setter.features
+    if features.kind("TriggerMode") is None:
+        return
+    if features.kind("TriggerSelector") == "enumeration":
+        for selector in features.entries("TriggerSelector"):
+            setter.put("TriggerSelector", selector)
+            setter.put_where_present("TriggerMode", "Off")
+    else:
+        setter.put_where_present("TriggerMode", "Off")
+
+
+def _window(setter: _Setter, settings: CameraHardware) -> None:
+    features = setter.features
+    # offsets to 0 first: an old offset would not leave room for a larger width
+    setter.put_where_present("OffsetX", 0)
+    setter.put_where_present("OffsetY", 0)
+    window = settings.window or (0, 0, _largest(features, "Width"), _largest(features, "Height"))
+    left, top, width, height = window
+    setter.put("Width", width)
+    setter.put("Height", height)
+    for name, offset in (("OffsetX", left), ("OffsetY", top)):
+        if offset or features.kind(name) is not None:
+            setter.put(name, offset)
+
+
+def _largest(features: Features, side: str) -> int:
+    low, high, step = features.limits(side)
+    # the sensor may be larger than what is lit, and its size need not be a whole number of steps
+    high = min(high, number(features, f"{side}Max") or high)
+    return int(high - (high - low) % step) if step else int(high)
+
+
+def _light(setter: _Setter, settings: CameraHardware) -> None:
+    setter.put_where_present("ExposureAuto", "Off")
+    setter.put_where_present("GainAuto", "Off")
+    setter.put_where_present("ExposureMode", "Timed")
+    if settings.exposure_us is not None:
+        older = setter.features.kind("ExposureTime") is None and setter.features.kind("ExposureTimeAbs")
+        setter.put("ExposureTimeAbs" if older else "ExposureTime", float(settings.exposure_us))
+    if settings.gain_db is not None:
+        setter.put("Gain", float(settings.gain_db))
+
+
+def _trigger(setter: _Setter, settings: CameraHardware) -> None:
+    features = setter.features
+    if features.kind("TriggerSelector") == "enumeration":
+        setter.put("TriggerSelector", "FrameStart")
+    if settings.trigger == "Off":
+        return
+    if features.kind("TriggerMode") is None:
+        raise DeviceError(
+            f"camera '{setter.camera}': trigger = '{settings.trigger}' asked for, but the device cannot be "
+            "triggered; trigger = 'Off' lets it run free"
+        )
+    setter.put("TriggerSource", settings.trigger)
+    if settings.trigger.startswith("Line"):
+        setter.put("TriggerActivation", settings.trigger_activation)
+    setter.put("TriggerMode", "On")
+
+
+def _read_again(setter: _Setter) -> Mapping[str, object]:
+    features = setter.features
+    settings: dict[str, object] = {}
+    for name, taken in setter.taken.items():
+        now = features.read(name) if features.readable(name) else taken
+        hold(features, f"camera '{setter.camera}': {name}", name, taken, now)
+        settings[name] = now
+    for name in FACTS:
+        if name not in settings and features.kind(name) is not None and features.readable(name):
+            settings[name] = features.read(name)
+    return settings
+
+
+def model_and_serial(features: Features) -> tuple[str, str]:
+    """Return the device's model and serial number as its feature tree has them, "" where it has none."""
+    return text(features, "DeviceModelName"), (
+        text(features, "DeviceSerialNumber") or text(features, "DeviceID")
+    )

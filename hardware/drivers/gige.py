@@ -1,0 +1,248 @@
+"""GigE Vision cameras of any vendor, through Aravis (LGPL, called as a system library)."""
+
+import ctypes
+import threading
+import time
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from hardware.driver import Capabilities, Device, DeviceError, DeviceReport, Grabbed
+from hardware.drivers.aravis_features import AravisFeatures
+from hardware.drivers.aravis_library import (
+    BUFFER_STATUS,
+    PACKET_SIZE_ADJUSTMENT_NEVER,
+    Aravis,
+    AravisError,
+    decoded,
+)
+from hardware.drivers.aravis_library import load as load_library
+from hardware.drivers.blocks import BlockIds
+from hardware.drivers.configure import capabilities_of
+from hardware.drivers.features import text
+from hardware.drivers.opened import GenICamCamera, chosen, claim, described, not_found, release
+from hardware.drivers.pixels import whole_image
+from hardware.settings import CameraHardware
+
+PROTOCOL = "GigEVision"
+# the library has one list for all
+_looking = threading.RLock()
+# buffers hold a second at 100 Hz, and no more than a quarter of a gigabyte
+BUFFERS, LEAST_BUFFERS, BUFFER_BYTES = 100, 8, 1 << 28
+STREAM_PROPERTIES: tuple[tuple[str, str, float], ...] = (
+    # what the kernel may keep while this program waits for a core (net.core.rmem_max allows how much)
+    ("socket-buffer-size", "int", 1 << 23),
+    ("packet-resend", "int", 1),
+    # a frame that is not whole so long after its last packet is given up [us]
+    ("frame-retention", "uint", 200_000),
+    # the share of a frame's packets that may be asked for again; the library's quarter gives a frame up where a
+    # burst was lost
+    ("packet-request-ratio", "double", 1.0),
+)
+
+
+class _NoAnswer(DeviceError):
+    """The library could not open the device at all."""
+
+
+def load() -> Aravis:
+    """Load libaravis; ImportError where it is not installed."""
+    return load_library()
+
+
+def devices(producer: str = "") -> Sequence[Device]:
+    """Return the GigE Vision cameras that answer a broadcast on any interface; takes about a second."""
+    aravis = load()
+    with _looking:
+        aravis("update_device_list")
+        return _listed(aravis)
+
+
+def open_camera(name: str, settings: CameraHardware) -> "GigeCamera":
+    """Open the camera with the serial number or at the address of ``settings``."""
+    aravis = load()
+    device = chosen(_listed(aravis), settings)
+    if device is None and settings.address:
+        # an address is asked directly: a broadcast does not reach other networks
+        device = Device("gige", "GigE Vision camera", "", settings.address)
+    if device is None:
+        found = devices()
+        device = chosen(found, settings)
+        if device is None:
+            raise not_found(found, name, settings)
+    claim(device, name)
+    try:
+        camera = GigeCamera(aravis, name, device)
+    except _NoAnswer:
+        release(device)
+        # nothing is there, or it was there when this program last looked
+        found = devices()
+        if chosen(found, settings) is None:
+            raise not_found(found, name, settings) from None
+        raise
+    except BaseException:
+        release(device)
+        raise
+    if settings.serial not in ("", camera.device.serial):
+        camera.close()
+        raise DeviceError(
+            f"camera '{name}': serial '{settings.serial}' and address '{settings.address}' are two cameras'; there "
+            f"is {described(camera.device)}. Leave one of them out"
+        )
+    return camera
+
+
+def _listed(aravis: Aravis) -> Sequence[Device]:
+    with _looking:
+        return [
+            Device(
+                driver="gige",
+                model=decoded(aravis("get_device_model", number)),
+                serial=decoded(aravis("get_device_serial_nbr", number)),
+                address=decoded(aravis("get_device_address", number)),
+            )
+            for number in range(aravis("get_n_devices"))
+            if decoded(aravis("get_device_protocol", number)) == PROTOCOL
+        ]
+
+
+class GigeCamera(GenICamCamera):
+    """One GigE Vision camera under this program's control.
+
+    Stamps are the camera's own clock in ns (the library divides by its tick frequency). GigE Vision says only that
+    a block's stamp marks when its data was generated; cameras stamp the start of exposure, or a fixed delay later.
+    """
+
+    def __init__(self, aravis: Aravis, name: str, device: Device) -> None:
+        self._aravis = aravis
+        self._camera = self._device = self._arv_stream = 0
+        self._blocks = BlockIds()
+        try:
+            self._camera = aravis("camera_new", (device.address or device.serial).encode())
+        except AravisError as error:
+            raise _NoAnswer(
+                f"camera '{name}': {described(device)} does not open ({error}); check power, cable and network, "
+                "and that its address is in the network of this machine's interface"
+            ) from None
+        try:
+            if not aravis("camera_is_gv_device", self._camera):
+                raise DeviceError(f"camera '{name}': {described(device)} is no GigE Vision camera")
+            self._device = aravis("camera_get_device", self._camera)
+            if not aravis("gv_device_is_controller", self._device):
+                raise DeviceError(
+                    f"camera '{name}': {described(device)} is controlled by another program; close that first"
+                )
+            super().__init__(name, device, AravisFeatures(aravis, self._device))
+            serial = decoded(aravis("camera_get_device_serial_number", self._camera))
+            self.device = Device("gige", text(self.features, "DeviceModelName"), serial, device.address)
+        except AravisError as error:
+            aravis.unref(self._camera)
+            raise _NoAnswer(f"camera '{name}': {described(device)} does not answer ({error})") from None
+        except BaseException:
+            # else it would stay under this program's control, and nobody could open it
+            aravis.unref(self._camera)
+            raise
+
+    def _asked(self) -> Capabilities:
+        try:
+            ticks = self._aravis("gv_device_get_timestamp_tick_frequency", self._device)
+        except AravisError as error:
+            raise self._gone(str(error)) from None
+        return capabilities_of(self.features, device_clock=ticks > 0)
+
+    def _configure(self, settings: CameraHardware) -> DeviceReport:
+        report = super()._configure(settings)
+        if settings.packet_bytes is not None:
+            # else the library shrinks packets that do not come through, and nobody is told
+            self._aravis("camera_gv_set_packet_size_adjustment", self._camera, PACKET_SIZE_ADJUSTMENT_NEVER)
+        return report
+
+    def _start(self) -> None:
+        # a stream of its own for each start: an old one takes ids that begin anew for late blocks and drops them
+        aravis = self._aravis
+        try:
+            stream = aravis("camera_create_stream", self._camera, None, None)
+            if not stream:
+                raise self._error("gives no stream; is its address in the network of this interface?")
+            self._arv_stream = stream
+            for name, kind, value in STREAM_PROPERTIES:
+                aravis.set_property(stream, name, kind, value)
+            payload = aravis("camera_get_payload", self._camera)
+            for _ in range(max(LEAST_BUFFERS, min(BUFFERS, BUFFER_BYTES // max(1, payload)))):
+                aravis("stream_push_buffer", stream, aravis("buffer_new", payload, None))
+            self._blocks = BlockIds()
+            aravis("camera_start_acquisition", self._camera)
+        except AravisError as error:
+            self._drop_stream()
+            raise self._error(f"does not start ({error})") from None
+
+    def _fetch(self, timeout_s: float) -> Grabbed | None:
+        aravis = self._aravis
+        buffer = aravis("stream_timeout_pop_buffer", self._arv_stream, round(timeout_s * 1e6))
+        host_ns = time.monotonic_ns()
+        if not buffer:
+            if not aravis("gv_device_is_controller", self._device):
+                raise self._gone("control lost: no heartbeat, a restart, or another program took it")
+            return None
+        try:
+            return self._grabbed(buffer, host_ns)
+        finally:
+            aravis("stream_push_buffer", self._arv_stream, buffer)
+
+    def _grabbed(self, buffer: int, host_ns: int) -> Grabbed:
+        aravis = self._aravis
+        status = aravis("buffer_get_status", buffer)
+        image, note = None, BUFFER_STATUS.get(status, f"status {status}")
+        if note == "SUCCESS":
+            size, pad, ignored = ctypes.c_size_t(0), ctypes.c_int(0), ctypes.c_int(0)
+            start = aravis("buffer_get_data", buffer, ctypes.byref(size))
+            aravis("buffer_get_image_padding", buffer, ctypes.byref(pad), ctypes.byref(ignored))
+            image, note = whole_image(
+                np.frombuffer(memoryview((ctypes.c_ubyte * size.value).from_address(start)), np.uint8),
+                aravis("buffer_get_image_pixel_format", buffer),
+                aravis("buffer_get_image_width", buffer),
+                aravis("buffer_get_image_height", buffer),
+                pad.value,
+            )
+        stamp = aravis("buffer_get_timestamp", buffer)
+        return Grabbed(
+            block_id=self._blocks.unwrapped(aravis("buffer_get_frame_id", buffer)),
+            device_ns=stamp if stamp and self.capabilities.device_clock else None,
+            host_ns=host_ns,
+            exposure_ns=self._exposure_ns,
+            image=image,
+            note=note,
+        )
+
+    def _stop(self) -> None:
+        aravis = self._aravis
+        try:
+            # a camera that is gone would be asked to stop until the library's patience ends
+            if aravis("gv_device_is_controller", self._device):
+                aravis("camera_stop_acquisition", self._camera)
+        except AravisError as error:
+            if aravis("gv_device_is_controller", self._device):
+                raise self._error(f"does not stop ({error})") from None
+        finally:
+            self._drop_stream()
+
+    def _drop_stream(self) -> None:
+        if self._arv_stream:
+            stream, self._arv_stream = self._arv_stream, 0
+            self._aravis.unref(stream)
+
+    def _counts(self) -> Mapping[str, int]:
+        if not self._arv_stream:
+            return {}
+        aravis, stream = self._aravis, self._arv_stream
+        return {
+            decoded(aravis("stream_get_info_name", stream, number)): aravis(
+                "stream_get_info_uint64", stream, number
+            )
+            for number in range(aravis("stream_get_n_infos", stream))
+        }
+
+    def _free(self) -> None:
+        self._drop_stream()
+        camera, self._camera, self._device = self._camera, 0, 0
+        self._aravis.unref(camera)

@@ -1,0 +1,121 @@
+"""The Aravis driver on Aravis' own fake camera."""
+
+import time
+
+import numpy as np
+import pytest
+from driven import FAKE_ADDRESS, HEIGHT, WIDTH, fake_gige_camera, one_line
+
+from hardware.driver import CameraDriver, DeviceError
+from hardware.drivers import devices, open_camera
+from hardware.settings import CameraHardware
+
+
+def test_frames_ids_and_clock() -> None:
+    with fake_gige_camera("FAKE2") as settings:
+        wanted = settings(trigger="Software", exposure_us=10_000.0)
+        camera = open_camera("a", wanted)
+        report = camera.configure(wanted)
+        assert (report.model, report.serial) == ("Fake", "FAKE2")
+        assert report.exposure_ns == 10_000_000
+        assert camera.capabilities.device_clock
+        assert not camera.capabilities.ptp
+        rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH]
+        camera.arm()
+        ids, stamps = [], []
+        # this camera's ids begin at 65400 and go on after 65535 with 1
+        for _ in range(150):
+            fired = camera.software_trigger()
+            grabbed = camera.grab(3.0)
+            assert grabbed is not None
+            assert grabbed.note == ""
+            assert grabbed.image is not None
+            assert 0 <= grabbed.host_ns - fired < 3e9
+            assert grabbed.block_id is not None
+            assert grabbed.device_ns is not None
+            ids.append(grabbed.block_id)
+            stamps.append(grabbed.device_ns)
+            # its picture is a ramp, moved on by each frame; how bright goes with exposure and gain
+            offset = int(grabbed.image[0, 0])
+            assert np.array_equal(grabbed.image, (rows + columns + offset) % 255)
+        assert ids == list(range(ids[0], ids[0] + 150))
+        assert ids[0] < 65535 < ids[-1]
+        assert (np.diff(stamps) > 0).all()
+        counts = camera.statistics()
+        assert counts["n_completed_buffers"] == 150
+        assert counts["n_missing_packets"] == 0
+        camera.close()
+
+
+def test_lost_packets_are_told_and_no_frame_is_left_out() -> None:
+    # this camera never sends a packet again: what is lost stays lost
+    with fake_gige_camera("FAKE3", lost_permille=10.0) as settings:
+        wanted = settings(trigger="Off", packet_bytes=576, features={"AcquisitionFrameRate": 50.0})
+        camera = open_camera("a", wanted)
+        camera.configure(wanted)
+        camera.arm()
+        whole, broken, ids = 0, 0, []
+        for _ in range(40):
+            grabbed = camera.grab(3.0)
+            assert grabbed is not None
+            ids.append(grabbed.block_id)
+            if grabbed.image is None:
+                assert grabbed.note in ("MISSING_PACKETS", "TIMEOUT")
+                broken += 1
+            else:
+                assert grabbed.note == ""
+                whole += 1
+        # 35 packets a frame, one in a hundred lost: 0.99^35 = 70 % whole
+        assert 10 < whole < 39
+        assert broken > 1
+        assert len(set(ids)) == 40
+        counts = camera.statistics()
+        assert counts["n_missing_packets"] > 0
+        assert counts["n_resend_requests"] > 0
+        camera.close()
+
+
+def test_by_address_and_not_found() -> None:
+    with fake_gige_camera("FAKE4") as settings:
+        by_address = CameraHardware(driver="gige", address=FAKE_ADDRESS, trigger="Off")
+        camera = open_camera("a", by_address)
+        report = camera.configure(settings(trigger="Off"))
+        assert (report.model, report.serial) == ("Fake", "FAKE4")
+        camera.close()
+        # serial and address must be the same camera's
+        with pytest.raises(DeviceError, match="two cameras") as caught:
+            open_camera("a", CameraHardware(driver="gige", address=FAKE_ADDRESS, serial="OTHER"))
+        one_line(caught.value, "camera 'a'", "OTHER", "FAKE4")
+        with pytest.raises(DeviceError, match="sees no device") as caught:
+            open_camera("a", CameraHardware(driver="gige", serial="OTHER"))
+        one_line(caught.value, "camera 'a'", "OTHER", "FAKE4")
+        by_serial = CameraHardware(driver="gige", serial="FAKE4")
+        assert "FAKE4" in [device.serial for device in devices("gige")]
+    with pytest.raises(DeviceError, match="sees no device") as caught:
+        open_camera("a", by_address)
+    one_line(caught.value, "camera 'a'", FAKE_ADDRESS)
+    # it was there when this program last looked
+    with pytest.raises(DeviceError, match="sees no device") as caught:
+        open_camera("a", by_serial)
+    one_line(caught.value, "camera 'a'", "FAKE4")
+
+
+def grab_for(camera: CameraDriver, seconds: float) -> None:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        camera.grab(0.5)
+
+
+@pytest.mark.slow
+def test_a_pulled_plug_is_told() -> None:
+    with fake_gige_camera("FAKE5") as settings:
+        camera = open_camera("a", settings(trigger="Off"))
+        camera.configure(settings(trigger="Off"))
+        camera.arm()
+        assert camera.grab(3.0) is not None
+        settings.end()  # type: ignore[attr-defined]
+        # the library tries for 5 s before it gives a heartbeat up
+        with pytest.raises(DeviceError, match="stopped answering") as caught:
+            grab_for(camera, 20.0)
+        one_line(caught.value, "camera 'a'", "FAKE5")
+        camera.close()
