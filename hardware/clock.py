@@ -12,8 +12,8 @@ PHASE_GAIN = 0.05
 PERIOD_GAIN = 0.0005
 LARGEST_DRIFT = 2e-3
 """How far a camera's clock may run from the nominal rate; quartz keeps 1e-4."""
-LARGEST_RESIDUAL = 0.2
-"""A stamp farther than this share of a period from a pulse belongs to none."""
+LARGEST_RESIDUAL, RESIDUAL_PER_STEP, RESIDUAL_AT_MOST = 0.1, 1e-4, 0.2
+"""A stamp farther than this share of a period from a pulse belongs to none; over missed pulses drift adds to it."""
 LONGEST_GAP = 2000
 """Over more missed pulses than this a drift of 1e-4 could hide a pulse."""
 
@@ -53,7 +53,8 @@ class CameraClock:
         since_ns = stamp_ns - self._stamp_ns - self._offset_ns
         steps = round(since_ns / self.period_ns)
         residual = since_ns - steps * self.period_ns
-        if steps < 0 or steps > LONGEST_GAP or abs(residual) > LARGEST_RESIDUAL * self.period_ns:
+        reach = min(LARGEST_RESIDUAL + RESIDUAL_PER_STEP * abs(steps), RESIDUAL_AT_MOST) * self.period_ns
+        if steps < 0 or steps > LONGEST_GAP or abs(residual) > reach:
             return None
         if steps == 0:
             return Placed(self._pulse, residual)
@@ -93,8 +94,15 @@ class HostLine:
         return self._pulse + round((time_ns - self._origin_ns - self._time_ns) / self.period_ns)
 
     def take(self, pulse: int, time_ns: float) -> None:
-        """Take the arrival of a pulse into account; once a second the earliest one moves the line."""
+        """Take the arrival of a pulse into account; once a second the earliest one moves the line.
+
+        One that is early by a good part of a period moves it at once: the line was begun while all were late.
+        """
         late = time_ns - self.at(pulse)
+        if late < -0.3 * self.period_ns:
+            self._time_ns += late
+            self._least = None
+            return
         if self._least is None or late < self._least[0]:
             self._least = (late, pulse)
         if pulse < self._until:

@@ -8,8 +8,8 @@ first of them is. That is voted by the earliest of a few arrivals, at the start 
   ``start_ns``, when the pulses began, shows that all missed it); the others count from there.
 - a stamp that lies on no pulse, or before the last one: the camera restarted or its clock was set; its next frames
   are held until enough of them have voted, then all are given.
-- a stamp on the line that arrives before its pulse, or late after a gap: the clock may have jumped by whole periods,
-  and the next frames vote. So they do when frames come whole periods late, evenly, for a while.
+- a stamp on the line but not on the next pulse, while its frame does not arrive as the other cameras' do: the clock
+  may have jumped by whole periods, and the next frames vote. A busy machine is late for all cameras alike.
 
 Nothing is thrown away: each buffer comes out once, in order, with its pulse.
 """
@@ -18,13 +18,16 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from hardware.clock import CameraClock, HostLine
 from hardware.driver import Grabbed
 
 VOTE_S = 0.1
 """A vote takes so long: most stalls of a busy machine are shorter; at low rates none is near half a period."""
 FEWEST_VOTES, MOST_VOTES = 2, 40
-WATCHED_FRAMES = 24
+STALL_NS = 100_000_000
+"""A frame may be so late, with the stamps in order, before its camera's clock is doubted; none can be early."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +48,7 @@ class _Camera:
     started: bool = False
     relocks: int = 0
     held: list[Grabbed] = field(default_factory=list)
-    watched: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=WATCHED_FRAMES))
+    lates: deque[float] = field(default_factory=deque)
     last_block: int | None = None
     last_pulse: int = 0
     doubted: int | None = None
@@ -148,7 +151,7 @@ class PulseNumbers:
         if split and not whole and len(camera.held) - split < self._votes:
             return  # it jumped again while it was voting: the new clock's frames vote too
         earliest = self._earliest_ns(camera.held[split:])
-        pulse = self._line.pulse_of(earliest - camera.latency_ns)
+        pulse = self._line.pulse_of(earliest - camera.latency_ns - self._usual_ns(camera))
         late, camera.held = camera.held[:split], camera.held[split:]
         for buffer in late:
             yield self._by_arrival(camera, buffer)
@@ -164,7 +167,6 @@ class PulseNumbers:
         """Begin the camera's clock at ``pulse`` with the first stamp that it holds; number the rest by it."""
         held, camera.held = camera.held, []
         camera.started = True
-        camera.watched.clear()
         locked = False
         for buffer in held:
             if camera.held:  # doubted again: what follows waits its turn
@@ -185,7 +187,7 @@ class PulseNumbers:
         if not camera.clock.locked:
             camera.clock.lock(self._line.pulse_of(self._arrival_ns(camera, buffer)), stamp)
         placed = camera.clock.place(stamp)
-        if placed is None or self._contradicted(camera, placed.pulse, buffer):
+        if placed is None or self._doubtful(camera, placed.pulse, buffer):
             camera.held.append(buffer)
             camera.doubted = None if placed is None else placed.pulse
             return
@@ -195,24 +197,25 @@ class PulseNumbers:
     def _arrival_ns(self, camera: _Camera, buffer: Grabbed) -> float:
         return buffer.host_ns - buffer.exposure_ns - camera.latency_ns
 
-    def _contradicted(self, camera: _Camera, pulse: int, buffer: Grabbed) -> bool:
-        """Tell whether arrivals prove the clock wrong by whole periods."""
+    def _doubtful(self, camera: _Camera, pulse: int, buffer: Grabbed) -> bool:
+        """Tell whether a frame that the clock places after a gap arrives as if it were of another pulse."""
         assert self._line is not None
-        arrival = self._arrival_ns(camera, buffer)
-        late = arrival - self._line.at(pulse)
-        after_gap = pulse - camera.last_pulse > 1
-        if late < -0.6 * self.period_ns or (after_gap and late > 0.6 * self.period_ns):
+        late = self._arrival_ns(camera, buffer) - self._line.at(pulse)
+        unusual = late - self._usual_ns(camera)
+        block, last = buffer.block_id, camera.last_block
+        begun_anew = block is not None and last is not None and block <= last
+        late_limit = 0.6 * self.period_ns if begun_anew else max(0.6 * self.period_ns, STALL_NS)
+        if pulse - camera.last_pulse > 1 and not -0.6 * self.period_ns < unusual < late_limit:
             return True
-        camera.watched.append((arrival, late))
-        if len(camera.watched) < WATCHED_FRAMES:
-            return False
-        times, lates = zip(*camera.watched, strict=True)
-        # a backlog that is worked off comes in a burst, ever less late; a wrong number stays evenly late
-        even = lates[-1] > lates[0] - 0.5 * self.period_ns
-        spread = times[-1] - times[0] > 0.5 * (WATCHED_FRAMES - 1) * self.period_ns
-        return (
-            min(lates) > 0.6 * self.period_ns and even and spread and max(lates) - min(lates) < self.period_ns
-        )
+        camera.lates.append(late)
+        if len(camera.lates) > self._votes:
+            camera.lates.popleft()
+        return False
+
+    def _usual_ns(self, camera: _Camera) -> float:
+        """Return how late frames are just now: those of the other cameras, without others this camera's own."""
+        others = [min(c.lates) for c in self._cameras.values() if c is not camera and c.lates and not c.held]
+        return float(np.median(others)) if others else min(camera.lates, default=0.0)
 
     def _by_arrival(self, camera: _Camera, buffer: Grabbed) -> Numbered:
         """Place a buffer without a stamp: by its block number after the last one, else by arrival."""

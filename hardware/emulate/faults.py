@@ -1,15 +1,13 @@
 """What goes wrong with an emulated camera, on demand and the same each time."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from mosca.errors import InputError
 
 SHARES = ("packet_loss", "resend_refused", "withheld")
-STREAMS = {"packet_loss": 1, "resend_refused": 2, "withheld": 3}
+STREAMS = {"packet_loss": 1, "resend_refused": 2, "withheld": 3, "resent_loss": 4}
 """Each kind of trouble draws from numbers of its own, so that one moves no other."""
 
 
@@ -17,11 +15,11 @@ STREAMS = {"packet_loss": 1, "resend_refused": 2, "withheld": 3}
 class Faults:
     """Troubles of one camera; times are seconds after its acquisition first started.
 
-    ``packet_loss``: share of stream packets, resent ones too, that are lost. ``resend_refused``: share of requests for
-    packets that are answered with "unavailable". ``withheld``: share of line pulses that do not reach the camera.
-    ``clock_offset_ns``: what the clock shows at boot. ``drift_ppm``: how much it gains. ``jump_at_s``: the clock jumps
-    by ``jump_ns``. ``reboot_at_s``: the camera loses its supply for ``reboot_gone_s``; settings, control, clock and
-    block numbers start anew. ``silent_at_s``: for ``silent_for_s`` nothing reaches the camera or leaves it,
+    ``packet_loss``: share of stream packets, resent ones too, that are lost. ``resend_refused``: share of requests
+    for packets that are answered with "unavailable". ``withheld``: share of line pulses that do not reach the camera.
+    ``clock_offset_ns``: what the clock shows at boot. ``drift_ppm``: how much it gains. ``jump_at_s``: the clock
+    jumps by ``jump_ns``. ``reboot_at_s``: the camera loses its supply for ``reboot_gone_s``; settings, control, clock
+    and block numbers start anew. ``silent_at_s``: for ``silent_for_s`` nothing reaches the camera or leaves it,
     though it works on: a pulled cable. ``seed``: of all that is drawn.
     """
 
@@ -41,7 +39,9 @@ class Faults:
     def __post_init__(self) -> None:
         for name in SHARES:
             if not 0.0 <= getattr(self, name) <= 1.0:
-                raise InputError(f"faults: {name} = {getattr(self, name)} given; a share from 0 to 1 is wanted")
+                raise InputError(
+                    f"faults: {name} = {getattr(self, name)} given; a share from 0 to 1 is wanted"
+                )
         if not abs(self.drift_ppm) <= 10_000:
             raise InputError(f"faults: drift_ppm = {self.drift_ppm} given; -10000 to 10000 is wanted")
         for name in ("jump_at_s", "reboot_at_s", "silent_at_s", "reboot_gone_s", "silent_for_s"):
@@ -60,14 +60,16 @@ class Luck:
         self._faults = faults
         self._key = (faults.seed, int.from_bytes(serial.encode()))
         self._packets = self._generator("packet_loss")
+        self._again = self._generator("resent_loss")
         self._requests = self._generator("resend_refused")
 
     def lost(self, packets: int) -> frozenset[int]:
         """Return which of the next ``packets`` packets are lost."""
-        if self._faults.packet_loss == 0.0:
-            return frozenset()
-        drawn = self._packets.random(packets) < self._faults.packet_loss
-        return frozenset(np.flatnonzero(drawn).tolist())
+        return self._lost(self._packets, packets)
+
+    def lost_again(self, packets: int) -> frozenset[int]:
+        """Return which of the next ``packets`` packets that are sent again are lost."""
+        return self._lost(self._again, packets)
 
     def refused(self) -> bool:
         """Return whether the next request for packets is refused."""
@@ -79,15 +81,11 @@ class Luck:
             return False
         return bool(self._generator("withheld", pulse).random() < self._faults.withheld)
 
+    def _lost(self, generator: np.random.Generator, packets: int) -> frozenset[int]:
+        if self._faults.packet_loss == 0.0:
+            return frozenset()
+        drawn = generator.random(packets) < self._faults.packet_loss
+        return frozenset(np.flatnonzero(drawn).tolist())
+
     def _generator(self, trouble: str, *more: int) -> np.random.Generator:
         return np.random.default_rng([*self._key, STREAMS[trouble], *more])
-
-
-def faults_of(named: Mapping[str, Mapping[str, Any]], common: Mapping[str, Any], camera: str) -> Faults:
-    """Return the faults of ``camera``: the common ones, with its own over them."""
-    known = {field.name for field in fields(Faults)}
-    said = {**common, **named.get(camera, {})}
-    for key in said:
-        if key not in known:
-            raise InputError(f"faults: '{key}' is unknown; allowed are {', '.join(sorted(known))}")
-    return Faults(**said)

@@ -1,0 +1,244 @@
+"""A device's control channel: takes commands from the network, checks who may, and acknowledges.
+
+Whatever arrives, the device lives on: what is no command is not answered, what is none that it knows or wants what is
+not to be had is answered with the standard's status for it.
+"""
+
+import errno
+import selectors
+import socket
+import struct
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from threading import Event, Thread
+
+from hardware.emulate import gvcp
+from hardware.emulate.camera import EmulatedCamera
+from hardware.emulate.features import BOOTSTRAP
+from hardware.emulate.identity import Identity
+from hardware.emulate.privilege import Client
+from hardware.emulate.standard import (
+    ACKNOWLEDGE,
+    EXTENDED_ID,
+    GVCP_PORT,
+    LARGEST_GVCP_PAYLOAD,
+    Command,
+    Refused,
+    Status,
+)
+from hardware.emulate.stream import Stream
+from mosca.errors import InputError
+
+TICK_S = 0.05
+"""How often heartbeat and supply are looked after when nothing comes."""
+DISCOVERY_BYTES = 0xF8
+LARGEST_READ = LARGEST_GVCP_PAYLOAD - 4
+ADDRESS = {register.name: register.address for register in BOOTSTRAP}
+PRIVILEGE = ADDRESS["ControlPrivilege"]
+LOOPBACK = "127.0.0.2 and the following"
+REPEATABLE = (Command.WRITEREG, Command.WRITEMEM, Command.ACTION)
+
+
+@dataclass(frozen=True)
+class _Answered:
+    """The last command that changed something, and what was answered: a client that missed the answer asks again."""
+
+    client: Client
+    datagram: bytes
+    answer: bytes
+
+
+class Control:
+    """Answers for ``camera`` on ``sockets``, the first of which is its own, until ``close``, which closes them."""
+
+    def __init__(self, camera: EmulatedCamera, stream: Stream, sockets: Sequence[socket.socket]) -> None:
+        self._camera, self._stream = camera, stream
+        self._stop = Event()
+        self._answered: _Answered | None = None
+        self._handlers: dict[int, Callable[[gvcp.Request, Client], bytes]] = {
+            Command.READREG: self._read_registers,
+            Command.WRITEREG: self._write_registers,
+            Command.READMEM: self._read_memory,
+            Command.WRITEMEM: self._write_memory,
+        }
+        self._unicast, self._sockets = sockets[0], tuple(sockets)
+        self._thread = Thread(target=self._run, name=f"gvcp {camera.identity.name}", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop answering."""
+        self._stop.set()
+        self._thread.join()
+        for one in self._sockets:
+            one.close()
+
+    def _run(self) -> None:
+        with selectors.DefaultSelector() as selector:
+            for one in self._sockets:
+                selector.register(one, selectors.EVENT_READ)
+            while not self._stop.is_set():
+                for key, _events in selector.select(TICK_S):
+                    receiver = key.fileobj
+                    assert isinstance(receiver, socket.socket)
+                    self._receive(receiver)
+                self._look_after(time.monotonic_ns())
+
+    def _look_after(self, now_ns: int) -> None:
+        camera = self._camera
+        camera.linked(now_ns)
+        with camera.changed:
+            heartbeat = int(camera.registers.value("HeartbeatTimeout"))
+            watched = not int(camera.registers.value("ControlConfiguration")) & 1
+            if watched and camera.privilege.expired(now_ns, heartbeat):
+                camera.release()
+
+    def _receive(self, receiver: socket.socket) -> None:
+        try:
+            datagram, client = receiver.recvfrom(65536)
+        except OSError as error:
+            if error.errno in (errno.EAGAIN, errno.ECONNREFUSED, errno.EINTR):
+                return
+            raise
+        if not self._camera.linked(time.monotonic_ns()):
+            return
+        answer = self.answer(datagram, client, broadcast=receiver is not self._unicast)
+        if answer:
+            self._reply(answer, client)
+
+    def _reply(self, answer: bytes, client: Client) -> None:
+        try:
+            self._unicast.sendto(answer, client)
+        except OSError:
+            # a sender that this address has no way to, such as another network's or port 0: it gets no answer
+            self._camera.counts["unanswerable"] += 1
+
+    def answer(self, datagram: bytes, client: Client, broadcast: bool = False) -> bytes:
+        """Return the answer to ``datagram`` from ``client``; empty where there is none."""
+        request = gvcp.parse(datagram)
+        if request is None or (broadcast and request.command not in (Command.DISCOVERY, Command.ACTION)):
+            return b""
+        repeated = self._answered
+        if repeated is not None and (repeated.client, repeated.datagram) == (client, datagram):
+            return repeated.answer
+        with self._camera.changed:
+            self._camera.privilege.heard(client, time.monotonic_ns())
+            answer = self._obey(request, client)
+        if request.command in REPEATABLE:
+            self._answered = _Answered(client, datagram, answer)
+        return answer if request.flags & ACKNOWLEDGE else b""
+
+    def _obey(self, request: gvcp.Request, client: Client) -> bytes:
+        try:
+            if request.command == Command.PACKETRESEND:
+                return self._resend(request, client)
+            if request.command == Command.DISCOVERY:
+                return gvcp.acknowledge(request, self._describe())
+            if request.command == Command.ACTION:
+                return gvcp.acknowledge(request, status=self._camera.act(gvcp.action(request)))
+            handler = self._handlers.get(request.command)
+            if handler is None:
+                raise Refused(Status.INVALID_HEADER if request.command < 0 else Status.NOT_IMPLEMENTED)
+            return handler(request, client)
+        except Refused as refusal:
+            return gvcp.acknowledge(request, status=refusal.status)
+
+    def _describe(self) -> bytes:
+        """Return what a discovery is answered with: the first 248 bytes of the registers, gaps as zeros."""
+        registers = self._camera.registers
+        found = bytearray(DISCOVERY_BYTES)
+        for register in BOOTSTRAP:
+            if register.address < DISCOVERY_BYTES:
+                data = register.encode(registers.value(register.name))
+                found[register.address : register.address + register.length] = data
+        return bytes(found)
+
+    def _read_registers(self, request: gvcp.Request, client: Client) -> bytes:
+        found = b""
+        try:
+            for address in gvcp.words(request.payload):
+                if address != PRIVILEGE:
+                    self._camera.privilege.check_read(client)
+                found += self._camera.registers.read(address, 4)
+        except Refused as refusal:
+            # what was read before stands in the answer
+            return gvcp.acknowledge(request, found, refusal.status)
+        return gvcp.acknowledge(request, found)
+
+    def _write_registers(self, request: gvcp.Request, client: Client) -> bytes:
+        done = 0
+        try:
+            for address, value in gvcp.register_writes(request.payload):
+                self._write(address, struct.pack(">I", value), client)
+                done += 1
+        except Refused as refusal:
+            return gvcp.acknowledge(request, struct.pack(">HH", 0, done), refusal.status)
+        return gvcp.acknowledge(request, struct.pack(">HH", 0, done))
+
+    def _read_memory(self, request: gvcp.Request, client: Client) -> bytes:
+        address, length = gvcp.memory_range(request.payload)
+        self._camera.privilege.check_read(client)
+        if length > LARGEST_READ:
+            raise Refused(Status.INVALID_PARAMETER)
+        return gvcp.acknowledge(
+            request, struct.pack(">I", address) + self._camera.registers.read(address, length)
+        )
+
+    def _write_memory(self, request: gvcp.Request, client: Client) -> bytes:
+        address, data = gvcp.memory_write(request.payload)
+        self._write(address, data, client)
+        return gvcp.acknowledge(request, struct.pack(">HH", 0, len(data)))
+
+    def _write(self, address: int, data: bytes, client: Client) -> None:
+        if address == PRIVILEGE and len(data) == 4:
+            level = int.from_bytes(data, "big")
+            if self._camera.privilege.ask(client, level, time.monotonic_ns()):
+                self._camera.release()
+            return
+        self._camera.privilege.check_write(client)
+        self._camera.registers.write(address, data)
+
+    def _resend(self, request: gvcp.Request, client: Client) -> bytes:
+        to = self._camera.destination()
+        holder = self._camera.privilege.holder
+        if to is not None and holder is not None and client[0] in (holder[0], to[0]):
+            if request.flags & EXTENDED_ID:
+                raise Refused(Status.NOT_IMPLEMENTED)
+            self._stream.resend(gvcp.resend(request.payload), to)
+        return b""
+
+
+def control_sockets(identity: Identity) -> tuple[socket.socket, ...]:
+    """Return the socket for what is sent to the device on port 3956, then those for what is sent to everyone.
+
+    Raises InputError where its address is not to be had, or serves another device.
+    """
+    address = identity.address
+    try:
+        unicast = _bound(str(address.ip), share=False)
+    except OSError as error:
+        taken = error.errno == errno.EADDRINUSE
+        reason = (
+            f"already serves a camera (port {GVCP_PORT} is taken)"
+            if taken
+            else "is not to be had on this machine"
+        )
+        hint = (
+            "choose another first address" if taken else f"give the interface that address, or use {LOOPBACK}"
+        )
+        raise InputError(f"camera '{identity.name}': address {address.ip} {reason}; {hint}") from None
+    everyone = dict.fromkeys(("255.255.255.255", str(address.network.broadcast_address)))
+    return unicast, *(_bound(one, share=True) for one in everyone)
+
+
+def _bound(address: str, share: bool) -> socket.socket:
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        if share:
+            made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        made.setblocking(False)
+        made.bind((address, GVCP_PORT))
+    except OSError:
+        made.close()
+        raise
+    return made

@@ -1,0 +1,112 @@
+"""Who an emulated camera is, and what its registers hold after it was switched on."""
+
+from dataclasses import dataclass
+from ipaddress import IPv4Interface
+
+from hardware.emulate.features import XML_START
+from hardware.emulate.registers import Value
+from hardware.emulate.standard import FORMAT_OF_DEPTH, PIXEL_FORMATS, TICKS_PER_SECOND, VERSION_2_0
+
+BIG_ENDIAN_UTF8 = 0x80000001
+PERSISTENT_IP, DHCP, LINK_LOCAL = 1, 2, 4
+LOCALLY_ADMINISTERED = 0x0200
+"""First two bytes of a MAC address that no manufacturer has."""
+CONTROL_CAPABILITY = (
+    1 << 31  # user-defined name
+    | 1 << 30  # serial number
+    | 1 << 26  # test packets hold data
+    | 1 << 22  # extended status codes
+    | 1 << 19  # IEEE 1588
+    | 1 << 17  # scheduled actions
+    | 1 << 6  # actions
+    | 1 << 2  # packets can be asked for again
+    | 1 << 1  # WRITEMEM
+    | 1  # several registers a command
+)
+SOURCE_PORT_CAPABILITY = 1 << 31
+HEARTBEAT_MS = 3000
+PACKET_BYTES = 1500
+
+
+@dataclass(frozen=True)
+class Identity:
+    """``name``: of the source's camera. ``address``: with the length of its network. ``rate_hz``, ``exposure_us``:
+    what the source says, and so the settings at first; ``fastest_hz``: how fast the whole sensor can be read.
+    """
+
+    name: str
+    serial: str
+    address: IPv4Interface
+    width: int
+    height: int
+    bit_depth: int
+    rate_hz: float
+    exposure_us: float
+    fastest_hz: float
+    vendor: str = "Mosca"
+    model: str = "Twin"
+    firmware: str = "1.0"
+
+
+def boot_values(identity: Identity, xml_bytes: int, source_port: int) -> dict[str, Value]:
+    """Return what the registers hold after the supply came; every register that is not named holds 0 or nothing."""
+    address = int(identity.address.ip)
+    return {
+        "Version": VERSION_2_0,
+        "DeviceMode": BIG_ENDIAN_UTF8,
+        "MACHigh": LOCALLY_ADMINISTERED,
+        "MACLow": address,
+        "IPConfigurationOptions": PERSISTENT_IP | LINK_LOCAL,
+        "IPConfiguration": PERSISTENT_IP | LINK_LOCAL,
+        "CurrentIP": address,
+        "CurrentSubnet": int(identity.address.netmask),
+        "PersistentIP": address,
+        "PersistentSubnet": int(identity.address.netmask),
+        "VendorName": identity.vendor,
+        "ModelName": identity.model,
+        "DeviceVersion": identity.firmware,
+        "DeviceFirmwareVersion": identity.firmware,
+        "ManufacturerInfo": "frames of a source, not of a sensor",
+        "SerialNumber": identity.serial,
+        "UserName": identity.name[:15],
+        "FirstURL": f"Local:mosca_twin.xml;{XML_START:x};{xml_bytes:x}",
+        "NetworkInterfaces": 1,
+        "StreamChannels": 1,
+        "ActionSignals": 1,
+        "StreamCapability": SOURCE_PORT_CAPABILITY,
+        "StreamSourcePort": source_port,
+        "ControlCapability": CONTROL_CAPABILITY,
+        "HeartbeatTimeout": HEARTBEAT_MS,
+        "TickFrequency": TICKS_PER_SECOND,
+        "TimestampLatched": 0,
+        "ControlConfiguration": 0,
+        "StreamConfiguration": 0,
+        "StreamPort": 0,
+        "StreamDestination": 0,
+        "StreamPacketSize": PACKET_BYTES,
+        "StreamPacketDelay": 0,
+        "ActionDeviceKey": 0,
+        "ActionGroupKey": 0,
+        "ActionGroupMask": 0,
+        "SensorWidth": identity.width,
+        "SensorHeight": identity.height,
+        "WidthMax": identity.width,
+        "HeightMax": identity.height,
+        "Width": identity.width,
+        "Height": identity.height,
+        "OffsetX": 0,
+        "OffsetY": 0,
+        "PixelFormat": PIXEL_FORMATS[FORMAT_OF_DEPTH[identity.bit_depth]],
+        "AcquisitionMode": 0,
+        "AcquisitionFrameCount": 1,
+        "AcquisitionFrameRateEnable": 1,
+        "AcquisitionFrameRate": identity.rate_hz,
+        "ExposureMode": 0,
+        "ExposureTime": identity.exposure_us,
+        "TriggerSelector": 0,
+        "TriggerMode": 0,
+        "TriggerSource": 0,
+        "TriggerActivation": 0,
+        "Gain": 0.0,
+        "PtpEnable": 0,
+    }

@@ -1,0 +1,117 @@
+"""The register file: what stands at which address, who may write it, and how its bytes are read."""
+
+import struct
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from hardware.emulate.standard import Refused, Status
+
+Kind = Literal["unsigned", "signed", "double", "text"]
+Access = Literal["RO", "RW", "WO"]
+Value = int | float | str
+WORD = 4
+
+
+@dataclass(frozen=True)
+class Register:
+    """``length`` bytes at ``address`` that hold one value, big-endian."""
+
+    name: str
+    address: int
+    length: int = WORD
+    access: Access = "RO"
+    kind: Kind = "unsigned"
+
+    def encode(self, value: Value) -> bytes:
+        """Return the bytes of ``value``; what does not fit is cut to the register's length."""
+        if self.kind == "text":
+            return str(value).encode("utf-8", "replace")[: self.length].ljust(self.length, b"\0")
+        if self.kind == "double":
+            return struct.pack(">d", value)
+        bits = 8 * self.length
+        return (int(value) & ((1 << bits) - 1)).to_bytes(self.length, "big")
+
+    def decode(self, data: bytes) -> Value:
+        """Return the value of ``data``, which is as long as the register."""
+        if self.kind == "text":
+            return data.split(b"\0")[0].decode("utf-8", "replace")
+        if self.kind == "double":
+            return float(struct.unpack(">d", data)[0])
+        return int.from_bytes(data, "big", signed=self.kind == "signed")
+
+
+class RegisterFile:
+    """Registers and one read-only file (the GenICam XML) in one address space.
+
+    ``values``: what the registers hold, by name. ``live``: registers whose value is asked for at each reading.
+    ``write`` is called with a register and the value that a client wants; it may raise Refused. Every
+    refusal carries the status that the standard has for it.
+    """
+
+    def __init__(
+        self,
+        registers: Iterable[Register],
+        live: Mapping[str, Callable[[], Value]],
+        write: Callable[[Register, Value], None],
+        file: tuple[int, bytes],
+    ) -> None:
+        self._registers = sorted(registers, key=lambda register: register.address)
+        self._starts = [register.address for register in self._registers]
+        self._live, self._write = live, write
+        self._file_start, content = file
+        self._file = content.ljust(-(-len(content) // WORD) * WORD, b"\0")
+        self.values: dict[str, Value] = {r.name: "" if r.kind == "text" else 0 for r in self._registers}
+        for one, after in zip(self._registers, self._registers[1:], strict=False):
+            if one.address + one.length > after.address:
+                raise ValueError(f"registers {one.name} and {after.name} overlap at 0x{after.address:x}")
+
+    def value(self, name: str) -> Value:
+        """Return what register ``name`` shows now."""
+        ask = self._live.get(name)
+        return self.values[name] if ask is None else ask()
+
+    def read(self, address: int, length: int) -> bytes:
+        """Return ``length`` bytes from ``address``; each must belong to something that may be read."""
+        if address % WORD or length % WORD or length == 0:
+            raise Refused(Status.BAD_ALIGNMENT)
+        into = address - self._file_start
+        if into >= 0 and into + length <= len(self._file):
+            return self._file[into : into + length]
+        found = b""
+        while len(found) < length:
+            register = self._at(address + len(found))
+            if register.access == "WO":
+                raise Refused(Status.ACCESS_DENIED)
+            skipped = address + len(found) - register.address
+            found += register.encode(self.value(register.name))[skipped:]
+        return found[:length]
+
+    def write(self, address: int, data: bytes) -> None:
+        """Write ``data`` to ``address``; a number wants all its bytes, a text may be shorter than its register."""
+        if address % WORD or len(data) % WORD or not data:
+            raise Refused(Status.BAD_ALIGNMENT)
+        if 0 <= address - self._file_start < len(self._file):
+            raise Refused(Status.WRITE_PROTECT)
+        at = 0
+        while at < len(data):
+            register = self._at(address + at)
+            if register.access == "RO":
+                raise Refused(Status.WRITE_PROTECT)
+            given = data[at : at + register.length]
+            whole = register.address == address + at and len(given) == register.length
+            if register.kind == "text" and register.address == address + at:
+                given = given.ljust(register.length, b"\0")
+            elif not whole:
+                raise Refused(Status.INVALID_ADDRESS)
+            self._write(register, register.decode(given))
+            at += register.length
+
+    def _at(self, address: int) -> Register:
+        found = bisect_right(self._starts, address) - 1
+        if found >= 0:
+            register = self._registers[found]
+            if address < register.address + register.length:
+                return register
+        raise Refused(Status.INVALID_ADDRESS)

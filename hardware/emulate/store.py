@@ -1,0 +1,194 @@
+"""The frames that cameras are served from: read ahead of the pulses, held in a bounded part of memory."""
+
+import time
+from collections.abc import Callable
+from threading import Condition, Thread
+
+from mosca.data.frames import CameraInfo, Frame, FrameSource
+from mosca.errors import InputError
+
+MISSING_AFTER = 8
+"""A frame is held for lost when the source has given frames of so many later pulses."""
+WAIT_S = 30.0
+"""How long a camera waits for a frame that is not there yet."""
+BETWEEN_LOOKS_S = 0.5
+
+
+class FrameStore:
+    """Frames of ``source`` by camera and pulse, at most ``ahead`` pulses of them (and as many that were asked for).
+
+    Where the whole source fits, it is kept, and may be looped and begun anew without reading it again; where it does
+    not, frames are read while pulses pass, and beginning anew iterates over the source anew. ``loop``: after the last
+    pulse comes the first.
+
+    A frame's pulse is its index less the first one's, where the source is in the session's clock (twin, folders of
+    images). With other clocks, where indices are the cameras' own counters, it is told from the time since the
+    camera's frame before.
+    """
+
+    def __init__(self, source: FrameSource, ahead: int, loop: bool = False) -> None:
+        if ahead < 1:
+            raise InputError(f"ahead = {ahead} given; at least 1 pulse must be kept")
+        self._source, self._ahead, self._loop = source, ahead, loop
+        self.infos: tuple[CameraInfo, ...] = source.cameras
+        self._changed = Condition()
+        self._frames: dict[tuple[str, int], Frame] = {}
+        self._asked = 0
+        self._newest = -1
+        self._length: int | None = None
+        self._whole = self._ended = self._forgot = False
+        self._wanted_round = 0
+        self._closed = False
+        self._failed: Exception | None = None
+        self._thread = Thread(target=self._read, name="frames", daemon=True)
+        self._thread.start()
+
+    @property
+    def length(self) -> int | None:
+        """Number of pulses of the source, None until its end was seen."""
+        return self._length
+
+    @property
+    def last_pulse(self) -> int | None:
+        """The pulse that is the last with frames, None where there is none or it is not known."""
+        return None if self._loop or self._length is None else self._length - 1
+
+    def fill(self, progress: Callable[[int, int | None], None] | None = None) -> None:
+        """Wait until ``ahead`` pulses are there, or all of them; raise what the source raised.
+
+        ``progress``: called with pulses done and to do.
+        """
+        with self._changed:
+            while self._failed is None and self._length is None and self._newest < self._ahead - 1:
+                self._changed.wait(BETWEEN_LOOKS_S)
+                if progress is not None:
+                    progress(max(self._newest, 0), self._ahead)
+        self.check()
+
+    def check(self) -> None:
+        """Raise what the source raised."""
+        if self._failed is not None:
+            raise self._failed
+
+    def first(self, camera: str) -> Frame | None:
+        """Return the earliest frame of ``camera`` that is there."""
+        with self._changed:
+            numbers = [number for name, number in self._frames if name == camera]
+            return self._frames[camera, min(numbers)] if numbers else None
+
+    def frame(self, camera: str, pulse: int) -> Frame | None:
+        """Return the frame of ``camera`` at ``pulse``; None where the source has none, or has it much too late."""
+        until = time.monotonic() + WAIT_S
+        with self._changed:
+            if self._loop and self._whole and self._length:
+                pulse %= self._length
+            if pulse > self._asked:
+                self._asked = pulse
+                self._forget()
+                self._changed.notify_all()
+            while (camera, pulse) not in self._frames:
+                gone = self._ended or pulse < self._newest - MISSING_AFTER
+                if gone or self._closed or self._failed is not None or time.monotonic() > until:
+                    return None
+                self._changed.wait(BETWEEN_LOOKS_S)
+            return self._frames[camera, pulse]
+
+    def rewind(self) -> None:
+        """Begin again with pulse 0."""
+        with self._changed:
+            self._asked = 0
+            if self._forgot:
+                self._wanted_round += 1
+                self._start_round()
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """Stop reading; the source is its owner's to close."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._thread.join()
+
+    def _read(self) -> None:
+        """Iterate over the source, again and again where it is asked for anew, until closed."""
+        try:
+            while self._read_once():
+                pass
+        except Exception as error:  # handed to whoever fills; a reader without frames ends
+            with self._changed:
+                self._failed = error
+                self._changed.notify_all()
+
+    def _start_round(self) -> None:
+        self._frames.clear()
+        self._newest = -1
+        self._ended = self._forgot = False
+
+    def _read_once(self) -> bool:
+        """Read the source to its end or until it is to be read anew; return whether it is."""
+        with self._changed:
+            this_round = self._wanted_round
+            self._start_round()
+        base = 0
+        while True:
+            numbering = _Numbering(self.infos)
+            for frame in self._source:
+                if not self._keep(frame, base + numbering.pulse_of(frame), this_round):
+                    return not self._closed
+            with self._changed:
+                if self._over(this_round):
+                    return not self._closed
+                self._whole = base == 0 and self._newest < self._ahead
+                if self._whole or not self._loop:
+                    self._length = self._newest + 1
+                    self._ended = True
+                    self._changed.notify_all()
+                    while not self._over(this_round):
+                        self._changed.wait(BETWEEN_LOOKS_S)
+                    return not self._closed
+                base = self._newest + 1
+
+    def _keep(self, frame: Frame, pulse: int, this_round: int) -> bool:
+        """Keep ``frame`` as soon as there is room; False when this reading is over."""
+        with self._changed:
+            while pulse >= self._asked + self._ahead and not self._over(this_round):
+                self._changed.wait(BETWEEN_LOOKS_S)
+            if self._over(this_round):
+                return False
+            self._frames.setdefault((frame.camera, pulse), frame)
+            if pulse > self._newest:
+                self._newest = pulse
+                self._changed.notify_all()
+            return True
+
+    def _over(self, this_round: int) -> bool:
+        return self._closed or self._wanted_round != this_round
+
+    def _forget(self) -> None:
+        """Let go of what lies too far behind, unless the whole source is kept."""
+        if self._whole:
+            return
+        oldest = self._asked - self._ahead
+        for key in [key for key in self._frames if key[1] < oldest]:
+            del self._frames[key]
+            self._forgot = True
+
+
+class _Numbering:
+    """Which pulse a frame belongs to, in one reading of a source."""
+
+    def __init__(self, infos: tuple[CameraInfo, ...]) -> None:
+        self._by_index = all(info.clock == "session" for info in infos)
+        self._rates = {info.name: info.frame_rate_hz for info in infos}
+        self._first: int | None = None
+        self._last: dict[str, tuple[int, int]] = {}
+
+    def pulse_of(self, frame: Frame) -> int:
+        if self._by_index:
+            self._first = frame.index if self._first is None else self._first
+            return max(frame.index - self._first, 0)
+        self._first = frame.time_ns if self._first is None else self._first
+        pulse, time_ns = self._last.get(frame.camera, (0, self._first))
+        pulse = max(pulse + round((frame.time_ns - time_ns) * self._rates[frame.camera] / 1e9), 0)
+        self._last[frame.camera] = pulse, frame.time_ns
+        return pulse

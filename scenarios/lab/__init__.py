@@ -1,0 +1,1 @@
+"""Where devices meet the rest: what needs detection, scenarios and hardware at once."""

@@ -1,0 +1,290 @@
+"""``mosca twin serve``: a scenario or a recording on the network as GigE Vision cameras."""
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from hardware.emulate.faults import Faults
+from hardware.emulate.pulse_box import PulseBox
+from hardware.emulate.serve import FIRST_ADDRESS, Served, served
+from mosca.data.frames import CameraInfo, FrameSource
+from mosca.data.rig import Rig
+from mosca.data.rig_file import CameraTable, read_rig, read_rig_file, rig_toml
+from mosca.data.toml import Positive, Table, check, read_toml
+from mosca.data.whole_file import whole_file
+from mosca.errors import InputError
+from mosca.recording import open_recording
+from scenarios.build import build_scene
+from scenarios.cameras import calibrated, deliveries, surroundings, true_rig, virtual_cameras
+from scenarios.catalog import find
+from scenarios.interrupt import between_steps
+from scenarios.sources import Chosen
+from scenarios.spec import load_scenario
+from twin.source import TwinSource
+
+MEMORY_BYTES = 1 << 30
+"""How much of the frames is kept in memory unless ``--ahead`` says otherwise."""
+LOOK_S = 0.02
+LOOPBACK_PACKET = 8000
+"""Loopback carries large packets; five times as many small ones would keep a core busy."""
+Trigger = Literal["Line1", "serial", "Software", "Action1", "Off"]
+TRIGGER_SOURCES: Mapping[Trigger, str] = {
+    "Line1": "external",
+    "serial": "serial",
+    "Software": "software",
+    "Action1": "action",
+    "Off": "external",
+}
+
+
+class TwinTable(Table):
+    """``[twin]`` of a rig file: what its cameras look at when they are served."""
+
+    scenario: str = ""
+    recording: str = ""
+    fps: Positive | None = None
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """What goes wrong, for all cameras but ``reboots``: camera -> seconds after its acquisition began.
+
+    ``drift_ppm``: the cameras' clocks drift from minus to plus this, evenly spread.
+    """
+
+    loss: float = 0.0
+    withhold: float = 0.0
+    drift_ppm: float = 0.0
+    reboots: Mapping[str, float] = field(default_factory=dict)
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked for: ``ahead`` in pulses (None: what fits in memory), ``rate_hz`` None: the source's own."""
+
+    what: str
+    address: str = FIRST_ADDRESS
+    rate_hz: float | None = None
+    seconds: float | None = None
+    loop: bool = False
+    ahead: int | None = None
+    trouble: Trouble = Trouble()
+    rig_out: Path | None = None
+    trigger: Trigger = "Line1"
+    workers: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """What is served; its cameras' calibration, None where it is not known; addresses and serials, where given."""
+
+    source: FrameSource
+    rig: Rig | None
+    addresses: Mapping[str, str] = field(default_factory=dict)
+    serials: Mapping[str, str] = field(default_factory=dict)
+
+
+def serve(
+    request: Request,
+    progress: Callable[[int, int | None], None] | None,
+    told: Callable[[Served], None],
+) -> Served:
+    """Serve until Ctrl-C or for ``request.seconds``; return what was served, closed, with its counts.
+
+    ``told``: called once the devices answer. Raises InputError for what cannot be served.
+    """
+    with ExitStack() as stack:
+        subject = _subject(request, stack)
+        infos = subject.source.cameras
+        names = [info.name for info in infos]
+        for name in request.trouble.reboots:
+            if name not in names:
+                raise InputError(f"--reboot {name}: there are the cameras {', '.join(names)}")
+        up = stack.enter_context(
+            served(
+                subject.source,
+                ahead=request.ahead or max(1, MEMORY_BYTES // _pulse_bytes(infos)),
+                loop=request.loop,
+                first_address=request.address,
+                addresses=subject.addresses,
+                serials=subject.serials,
+                faults=_faults(names, request.trouble),
+                progress=progress,
+            )
+        )
+        rate_hz = request.rate_hz or up.rate_hz
+        box = stack.enter_context(PulseBox(up.pulse)) if request.trigger == "serial" else None
+        if request.rig_out is not None:
+            text = rig_text(subject.rig, up, rate_hz, request.trigger, "" if box is None else box.port)
+            with whole_file(request.rig_out) as temporary:
+                temporary.write_text(text, encoding="utf-8")
+        told(up)
+        _stay(up, rate_hz, request)
+        return up
+
+
+def rig_text(rig: Rig | None, up: Served, rate_hz: float, trigger: Trigger, port: str = "") -> str:
+    """Return a rig file with which ``mosca capture --rig`` grabs from the devices of ``up``.
+
+    ``rig``: the cameras' calibration, if it is known; ``port``: of a serial trigger.
+    """
+    hardware = {
+        device.identity.name: {
+            "driver": "gige",
+            "address": str(device.identity.address.ip),
+            "serial": device.identity.serial,
+            "trigger": "Line1" if trigger == "serial" else trigger,
+            "exposure_us": device.identity.exposure_us,
+            **({"packet_bytes": LOOPBACK_PACKET} if device.identity.address.is_loopback else {}),
+        }
+        for device in up.devices
+    }
+    if rig is not None:
+        text = rig_toml(Rig(tuple(rig.camera(name) for name in hardware)), hardware)
+    else:
+        text = "\n".join(
+            _table("[camera]", {"name": who.name, "size": [who.width, who.height]})
+            + _table("camera.hardware", hardware[who.name])
+            for who in (device.identity for device in up.devices)
+        )
+    source: dict[str, object] = {"source": TRIGGER_SOURCES[trigger]}
+    if trigger == "serial":
+        source["port"] = port
+    if trigger == "Action1":
+        source["broadcast"] = str(up.devices[0].identity.address.network.broadcast_address)
+    return f"{text}\n{_table('hardware', {'rate_hz': rate_hz})}{_table('hardware.trigger', source)}"
+
+
+def _table(heading: str, values: Mapping[str, object]) -> str:
+    # texts, numbers and lists of numbers are written alike in JSON and TOML
+    return "\n".join((f"[{heading}]", *(f"{key} = {json.dumps(value)}" for key, value in values.items()), ""))
+
+
+def _stay(up: Served, rate_hz: float, request: Request) -> None:
+    """Give pulses while cameras are armed: from pulse 0 once all are, until none is."""
+    until = None if request.seconds is None else time.monotonic() + request.seconds
+    waits = True
+    with between_steps() as stop:
+        try:
+            while until is None or time.monotonic() < until:
+                stop()
+                up.store.check()
+                armed = [device.camera.armed for device in up.devices]
+                if waits and all(armed):
+                    if request.trigger == "Line1":
+                        up.start(rate_hz)
+                    elif request.trigger != "serial":
+                        up.store.rewind()
+                    waits = False
+                elif not waits and not any(armed):
+                    up.line.stop()
+                    waits = True
+                time.sleep(LOOK_S)
+        except KeyboardInterrupt:
+            return
+
+
+def _subject(request: Request, stack: ExitStack) -> Subject:
+    path = Path(request.what)
+    if path.is_dir() or path.name.endswith((".mcap", ".mcap.part")):
+        return _recording(path, request.rate_hz, stack)
+    if path.is_file() and "twin" in read_toml(path):
+        return _rig(path, request, stack)
+    return _scenario(request.what, request.workers, stack)
+
+
+def _scenario(what: str, workers: int, stack: ExitStack) -> Subject:
+    path = find(what)
+    spec = load_scenario(path)
+    cameras = virtual_cameras(spec, true_rig(spec, path.parent))
+    rig = calibrated(spec, cameras).rig
+    source: FrameSource = stack.enter_context(
+        TwinSource(
+            build_scene(spec, path.parent),
+            cameras,
+            frame_rate_hz=spec.capture.frame_rate_hz,
+            exposure_s=spec.capture.exposure_s,
+            pulses=round(spec.capture.duration_s * spec.capture.frame_rate_hz),
+            seed=spec.seed,
+            workers=workers,
+            deliveries=deliveries(spec, cameras),
+            surroundings=surroundings(spec),
+        )
+    )
+    if any(info.name not in rig.names for info in source.cameras):
+        source = Chosen(source, rig.names)
+    return Subject(source, rig)
+
+
+def _recording(path: Path, fps: float | None, stack: ExitStack) -> Subject:
+    source = open_recording(path, None, fps)
+    stack.enter_context(source)
+    return Subject(source, None)
+
+
+def _rig(path: Path, request: Request, stack: ExitStack) -> Subject:
+    """Return the scenario or recording that a rig file's ``[twin]`` names, under the rig's addresses and serials."""
+    document = read_rig_file(path)
+    twin = check(TwinTable, dict(document.twin), f"{path}: [twin]")
+    if bool(twin.scenario) == bool(twin.recording):
+        raise InputError(
+            f"{path}: [twin] wants scenario = or recording =, one of them: what the cameras look at"
+        )
+    if twin.scenario:
+        beside = path.parent / twin.scenario
+        name = str(beside) if beside.is_file() else twin.scenario
+        subject = _scenario(name, request.workers, stack)
+    else:
+        subject = _recording(path.parent / twin.recording, twin.fps or request.rate_hz, stack)
+    names = tuple(table.name for table in document.camera)
+    there = {info.name: info for info in subject.source.cameras}
+    for table in document.camera:
+        _check_camera(path, table, there)
+    source = Chosen(subject.source, names) if set(names) != set(there) else subject.source
+    whole = all(table.lens is not None and table.pose is not None for table in document.camera)
+    rig = read_rig(path) if whole else None
+
+    def said(key: str) -> dict[str, str]:
+        return {t.name: str(t.hardware[key]) for t in document.camera if t.hardware.get(key)}
+
+    return replace(subject, source=source, rig=rig, addresses=said("address"), serials=said("serial"))
+
+
+def _check_camera(path: Path, table: CameraTable, there: Mapping[str, CameraInfo]) -> None:
+    info = there.get(table.name)
+    if info is None:
+        raise InputError(f"{path}: camera '{table.name}': what [twin] names has {', '.join(there)}")
+    if (info.width, info.height) != tuple(table.size):
+        raise InputError(
+            f"{path}: camera '{table.name}': size = {list(table.size)} given; what [twin] names has "
+            f"{info.width}x{info.height} px"
+        )
+
+
+def _faults(names: Sequence[str], trouble: Trouble) -> dict[str, Faults]:
+    drifts = (
+        np.linspace(-trouble.drift_ppm, trouble.drift_ppm, len(names))
+        if len(names) > 1
+        else [trouble.drift_ppm]
+    )
+    return {
+        name: Faults(
+            packet_loss=trouble.loss,
+            withheld=trouble.withhold,
+            drift_ppm=float(drift),
+            reboot_at_s=trouble.reboots.get(name),
+            seed=trouble.seed,
+        )
+        for name, drift in zip(names, drifts, strict=True)
+    }
+
+
+def _pulse_bytes(infos: Sequence[CameraInfo]) -> int:
+    return sum(info.width * info.height * (1 if info.bit_depth == 8 else 2) for info in infos) or 1

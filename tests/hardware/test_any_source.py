@@ -1,0 +1,149 @@
+"""One scenario, four sources: the twin, a recording of it, and devices that are fed with its frames."""
+
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tomli_w
+from needs import needs_aravis, needs_module
+
+from mosca.data.tracks import read_npz
+from mosca.recording import open_recording
+from scenarios.catalog import find
+from scenarios.run import RunOptions, run_scenario, write_run
+from scenarios.spec import load_scenario
+
+# before any test asks pylon for its cameras
+os.environ.setdefault("PYLON_CAMEMU", "4")
+
+SCENARIO = "rigs/any_source"
+ONLY_SOURCE_AND_TIMING = ("source", "timings")
+
+
+@pytest.fixture(scope="module")
+def take(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """The twin's run folder and the recording of its frames."""
+    folder = tmp_path_factory.mktemp("any_source")
+    return run(folder / "twin", RunOptions(workers=2, record_to=folder / "take")), folder / "take"
+
+
+def run(out: Path, options: RunOptions) -> Path:
+    path = find(SCENARIO)
+    write_run(run_scenario(load_scenario(path, ()), SCENARIO, path.parent, options), out)
+    return out
+
+
+def rig_file(path: Path, cameras: dict[str, dict[str, object]], hardware: dict[str, object]) -> Path:
+    tables = [
+        {"name": name, "size": [656, 491], "hardware": {"exposure_us": 1000.0, **settings}}
+        for name, settings in cameras.items()
+    ]
+    path.write_text(tomli_w.dumps({"hardware": hardware, "camera": tables}))
+    return path
+
+
+def same(a: Path, b: Path) -> None:
+    assert (a / "tracks.npz").read_bytes() == (b / "tracks.npz").read_bytes()
+    assert (a / "tracks.csv").read_bytes() == (b / "tracks.csv").read_bytes()
+    mine, theirs = (json.loads((run / "record.json").read_text()) for run in (a, b))
+    assert mine["passed"]
+    differ = {key for key in mine if mine[key] != theirs[key]}
+    assert differ <= {*ONLY_SOURCE_AND_TIMING, "provenance"}
+    assert len(read_npz(a / "tracks.npz")) > 1000
+
+
+def test_the_recording(take: tuple[Path, Path], tmp_path: Path) -> None:
+    twin, recording = take
+    same(twin, run(tmp_path / "run", RunOptions(source=f"recording:{recording}")))
+
+
+def test_gige_vision_devices(take: tuple[Path, Path], tmp_path: Path) -> None:
+    needs_aravis()
+    needs_module("serial", "serial")
+    twin, recording = take
+    with devices(recording) as (cameras, port):
+        trigger = {"source": "serial", "port": port}
+        rig = rig_file(tmp_path / "rig.toml", cameras, {"rate_hz": 50.0, "trigger": trigger})
+        options = RunOptions(source=f"hardware:{rig}", truth=recording / "truth.npz")
+        same(twin, run(tmp_path / "run", options))
+
+
+@contextmanager
+def devices(recording: Path) -> Iterator[tuple[dict[str, dict[str, object]], str]]:
+    """Serve the recording as GigE Vision cameras on the line of an emulated pulse generator."""
+    from hardware.emulate.pulse_box import PulseBox
+    from hardware.emulate.serve import served
+
+    with (
+        open_recording(recording) as source,
+        served(source, first_address="127.0.0.40") as rig,
+        PulseBox(rig.pulse) as box,
+    ):
+        yield (
+            {
+                device.identity.name: {
+                    "driver": "gige",
+                    "serial": device.identity.serial,
+                    "address": str(device.identity.address.ip),
+                }
+                for device in rig.devices
+            },
+            box.port,
+        )
+
+
+def test_a_vendor_s_own_software(take: tuple[Path, Path], tmp_path: Path) -> None:
+    needs_module("pypylon.pylon", "pylon")
+    twin, recording = take
+    with open_recording(recording) as source:
+        names = [info.name for info in source.cameras]
+        for frame in source:
+            assert frame.image is not None
+            folder = tmp_path / frame.camera
+            folder.mkdir(exist_ok=True)
+            assert cv2.imwrite(
+                str(folder / f"{round(frame.time_ns * 50e-9):04d}.tiff"), np.array(frame.image)
+            )
+    cameras: dict[str, dict[str, object]] = {
+        name: {
+            "driver": "pylon",
+            "serial": f"0815-000{k}",
+            "trigger": "Software",
+            "window": [0, 0, 656, 491],
+            "features": {
+                "TestImageSelector": "Off",
+                "ImageFileMode": "On",
+                "ImageFilename": str(tmp_path / name),
+            },
+        }
+        for k, name in enumerate(names)
+    }
+    trigger = {"source": "software"}
+    rig = rig_file(tmp_path / "rig.toml", cameras, {"rate_hz": 50.0, "trigger": trigger})
+    options = RunOptions(source=f"hardware:{rig}", truth=recording / "truth.npz")
+    same(twin, run(tmp_path / "run", options))
+
+
+def test_a_frame_of_another_pulse_makes_another_record(take: tuple[Path, Path], tmp_path: Path) -> None:
+    """The control: one frame in the place of its neighbour does not pass for the same run."""
+    twin, recording = take
+    with open_recording(recording) as source:
+        names = [info.name for info in source.cameras]
+        for frame in source:
+            number = round(frame.time_ns * 50e-9)
+            number = {20: 21, 21: 20}.get(number, number) if frame.camera == names[0] else number
+            folder = tmp_path / "swapped" / frame.camera
+            folder.mkdir(parents=True, exist_ok=True)
+            assert frame.image is not None
+            assert cv2.imwrite(str(folder / f"{number:04d}.png"), np.array(frame.image))
+    lines = ["frame,camera,time_ns,exposure_ns,status"]
+    lines += [f"{k},{name},{k * 20_000_000},1000000,ok" for k in range(60) for name in names]
+    (tmp_path / "swapped" / "frames.csv").write_text("\n".join(lines) + "\n")
+    options = RunOptions(source=f"recording:{tmp_path / 'swapped'}", truth=recording / "truth.npz")
+    other = run(tmp_path / "run", options)
+    assert (other / "tracks.npz").read_bytes() != (twin / "tracks.npz").read_bytes()
