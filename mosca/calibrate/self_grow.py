@@ -9,7 +9,7 @@ import numpy as np
 from mosca.calibrate.bundle.solver import FOCAL
 from mosca.calibrate.projective import fundamental
 from mosca.calibrate.resection import aim, resect
-from mosca.calibrate.robust import SIGMA_BY_MEDIAN_1D
+from mosca.calibrate.robust import SIGMA_BY_MEDIAN_2D
 from mosca.calibrate.self_links import FEWEST_COMMON, pair_geometry, refuse_groups
 from mosca.calibrate.self_network import CLEAR_SIGMAS, Network, cleaned, intersected, residuals, rough
 from mosca.calibrate.self_tracks import Tracks
@@ -79,8 +79,7 @@ def trusted_points(one: Network, tracks: Tracks) -> Array:
     mine = tracks.of_cameras(one.cameras)
     points = intersected(mine, one.cameras)
     far = np.linalg.norm(residuals(mine, one.cameras, points), axis=1)
-    # the larger factor of one dimension: a young network is given the benefit of the doubt
-    limit = 5 * max(float(np.nanmedian(far)) * SIGMA_BY_MEDIAN_1D, 1e-6)
+    limit = 5 * max(float(np.nanmedian(far)) * SIGMA_BY_MEDIAN_2D, 1e-6)
     points[mine.point[~(far <= limit)]] = np.nan
     return points
 

@@ -4,7 +4,8 @@
 and backwards in the world); principal point xh yh and principal distance [mm]; the glass vector [mm]. ``.addpar``: k1
 k2 k3 p1 p2 scx she. ``ptv.par``, in the same folder or ``parameters`` beside or in it: image size, pixel pitch and
 the refractive indices, all 1 in air. Without it size and pitch are asked for, and the glass vector must be the
-neutral one, (0, 0, d).
+neutral one, (0, 0, d). The pixels of ``ptv.par`` are those of all cameras; what is written there has the shape that
+the cameras' fx and fy ask for, the median one where they differ.
 """
 
 from pathlib import Path
@@ -16,7 +17,7 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Camera, MoscaLens, Pose
 from mosca.data.whole_file import whole_file
 from mosca.errors import InputError
-from mosca.formats.openptv_model import OpenPTVInterior, from_lens, to_opencv
+from mosca.formats.openptv_model import OpenPTVInterior, from_lens, pixel_shape, rolled, to_lens
 from mosca.formats.rig_lenses import (
     Notes,
     RigFileOptions,
@@ -32,6 +33,7 @@ FLIP = np.diag([1.0, -1.0, -1.0])
 IMAGES = (".tif", ".tiff", ".bmp", ".png", ".jpg")
 DEFAULT_PIXEL_MM = 0.01
 LARGEST_ANGLE_MISFIT = 1e-4
+SAME_HEIGHT = 1e-9
 AIR = 1.001
 GLASS = "0.0 0.0 1.0"
 Sensor = tuple[tuple[int, int], tuple[float, float]]
@@ -66,17 +68,18 @@ def write_openptv(cameras: tuple[Camera, ...], path: Path, options: RigFileOptio
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: is a file; OpenPTV's files need a folder")
     path.mkdir(exist_ok=True)
-    pitch, notes = _pitch(cameras, options)
+    pixel_mm, notes = _pixel(cameras, options)
     for camera in cameras:
-        size = (camera.width, camera.height)
         with naming(camera):
-            interior, fit = from_lens(camera.lens, size, pitch)
-        if fit is not None:
-            notes += (fit_note(camera, fit, "OpenPTV's model", options),)
-        _write(path / f"{camera.name}.ori", _ori(camera, interior))
+            exchanged = from_lens(camera.lens, (camera.width, camera.height), pixel_mm)
+        interior = exchanged.interior
+        if exchanged.fit is not None:
+            model = "OpenPTV's model, with one shape of pixels for all cameras"
+            notes += (fit_note(camera, exchanged.fit, model, options),)
+        _write(path / f"{camera.name}.ori", _ori(camera, interior, exchanged.roll_rad))
         added = (interior.k1, interior.k2, interior.k3, interior.p1, interior.p2, interior.scx, interior.she)
-        _write(path / f"{camera.name}.addpar", " ".join(repr(value) for value in added) + "\n")
-    _write(path / "ptv.par", _ptv_par(cameras, pitch))
+        _write(path / f"{camera.name}.addpar", " ".join(repr(float(value)) for value in added) + "\n")
+    _write(path / "ptv.par", _ptv_par(cameras, pixel_mm))
     return notes
 
 
@@ -140,12 +143,19 @@ def _camera(path: Path, sensor: Sensor | None, options: RigFileOptions) -> tuple
     name = path.name.removesuffix(".ori")
     for ending in IMAGES:
         name = name.removesuffix(ending)
-    lens, fit = to_opencv(interior)
-    pose = Pose(_rotation(angles, matrix, path) @ FLIP, centre * options.metres("mm"))
-    camera = checked_camera(Camera(name, *sensor[0], lens, pose), str(path))
+    ours = to_lens(interior)
+    turn = _rotation(angles, matrix, path) @ FLIP @ rolled(ours.roll_rad)
+    pose = Pose(turn, centre * options.metres("mm"))
+    camera = checked_camera(Camera(name, *sensor[0], ours.lens, pose), str(path))
     notes: Notes = ()
-    if fit is not None:
-        notes = (fit_note(camera, fit, "OpenCV's model instead of OpenPTV's", options),)
+    if interior.scx != 1:
+        notes += (
+            f"camera '{name}': scx = {interior.scx:g} taken for both axes, as liboptv 0.3 projects; earlier ones "
+            "scale x alone: a rig that was calibrated with those comes out wrong",
+        )
+    if ours.fit is not None:
+        model = "OpenCV's model" if camera.lens.model == "opencv" else "the Mosca model"
+        notes += (fit_note(camera, ours.fit, f"{model} instead of OpenPTV's", options),)
     return camera, notes
 
 
@@ -161,22 +171,35 @@ def _rotation(angles: Array, matrix: Array, path: Path) -> Array:
     return made
 
 
-def _pitch(cameras: tuple[Camera, ...], options: RigFileOptions) -> tuple[float, Notes]:
-    if options.pixel_mm is not None:
-        if options.pixel_mm[0] != options.pixel_mm[1]:
-            raise InputError(f"pixel_mm = {list(options.pixel_mm)} given; square pixels are written")
-        return options.pixel_mm[0], ()
+def _pixel(cameras: tuple[Camera, ...], options: RigFileOptions) -> tuple[tuple[float, float], Notes]:
+    """Return width and height [mm] of the pixels: the width as known, the height that fx and fy make of it."""
     known = {camera.lens.mx_mm_per_px for camera in cameras if isinstance(camera.lens, MoscaLens)}
-    if len(known) == 1:
-        return known.pop(), ()
-    return DEFAULT_PIXEL_MM, (
-        f"pixel pitch {DEFAULT_PIXEL_MM:g} mm taken; it only sets the unit of the principal distance (pixel_mm)",
-    )
+    notes: Notes = ()
+    if options.pixel_mm is not None:
+        width = options.pixel_mm[0]
+    elif len(known) == 1:
+        width = known.pop()
+    else:
+        width = DEFAULT_PIXEL_MM
+        notes += (
+            f"pixel pitch {width:g} mm taken; it only sets the unit of the principal distance (pixel_mm)",
+        )
+    shapes = []
+    for camera in cameras:
+        with naming(camera):
+            shapes.append(pixel_shape(camera.lens))
+    height = width * float(np.median(shapes))
+    if options.pixel_mm is not None and abs(height / options.pixel_mm[1] - 1) > SAME_HEIGHT:
+        notes += (
+            f"pixel height {height:.9g} mm written instead of {options.pixel_mm[1]:g}: OpenPTV has no other place "
+            "for the ratio of fx to fy",
+        )
+    return (width, height), notes
 
 
-def _ori(camera: Camera, interior: OpenPTVInterior) -> str:
+def _ori(camera: Camera, interior: OpenPTVInterior, roll_rad: float) -> str:
     pose = camera.world_from_camera
-    matrix = pose.rotation @ FLIP
+    matrix = pose.rotation @ rolled(-roll_rad) @ FLIP
     angles = Rotation.from_matrix(matrix).as_euler("XYZ")
     rows = [1e3 * pose.translation, angles, None, *matrix, None]
     rows += [np.array([interior.xh_mm, interior.yh_mm]), np.array([interior.c_mm]), None]
@@ -184,9 +207,9 @@ def _ori(camera: Camera, interior: OpenPTVInterior) -> str:
     return "\n".join([*lines, GLASS]) + "\n"
 
 
-def _ptv_par(cameras: tuple[Camera, ...], pitch: float) -> str:
+def _ptv_par(cameras: tuple[Camera, ...], pixel_mm: tuple[float, float]) -> str:
     names = [line for camera in cameras for line in (f"img/{camera.name}", f"cal/{camera.name}")]
-    size = [str(cameras[0].width), str(cameras[0].height), repr(pitch), repr(pitch)]
+    size = [str(cameras[0].width), str(cameras[0].height), *(repr(float(one)) for one in pixel_mm)]
     # highpass, all cameras, tiff; size and pitch; field; three refractive indices and the glass's thickness
     lines = [str(len(cameras)), *names, "1", "0", "1", *size, "0", "1.0", "1.0", "1.0", "0.0"]
     return "\n".join(lines) + "\n"

@@ -91,7 +91,7 @@ def test_other_lenses_are_fitted_with_the_residual_stated(name, tmp_path):
 @pytest.mark.parametrize("name", ["aniposelib", "qtm", "opencv", "openptv"])
 def test_a_lens_beyond_the_limit_is_refused(name, tmp_path):
     sheared = MoscaLens(14.0, 633.2, 518.9, 0.01, 0.010005, a=5e-3)
-    # OpenPTV's model has affinity itself, and no rays from beside the camera
+    # OpenPTV's model has a shear itself, and no rays from beside the camera
     wrong = rig_of(FISHEYE if name == "openptv" else sheared)
     what = r"mosca lens fitted by .* px rms .*; 0.1 px allowed" if name != "openptv" else "90 deg"
     with pytest.raises(InputError, match=f"cam_0': .*{what}"):
@@ -146,13 +146,14 @@ def test_openptv_by_hand(tmp_path):
         read_any_rig(tmp_path)
     rig, notes = read_any_rig(tmp_path, options=RigFileOptions(size_px=(1280, 1024), pixel_mm=(0.012, 0.012)))
     assert "refractive" in notes[0]
+    assert "scx = 1.001 taken for both axes" in notes[1]
     assert rig.names == ("cam1",)
     # the point (120, -20, 0) mm: 20 right of the camera, 30 above it, 800 before it
     x, y = 70 * 20 / 800, 70 * 30 / 800
     r2 = x**2 + y**2
     xd = x * (1 + 1e-5 * r2) + 2 * 2e-6 * x * y
     yd = y * (1 + 1e-5 * r2) + 2e-6 * (r2 + 2 * y**2)
-    by_hand = [640 + 1.001 * xd / 0.012 - 0.5, 512 - yd / 0.012 - 0.5]
+    by_hand = [640 + 1.001 * xd / 0.012 - 0.5, 512 - 1.001 * yd / 0.012 - 0.5]
     np.testing.assert_allclose(project(rig.cameras[0], np.array([[0.12, -0.02, 0]]))[0], by_hand, atol=1e-9)
 
 
@@ -176,28 +177,6 @@ def test_light_that_is_refracted_is_refused(tmp_path):
     ori.write_text(ori.read_text().replace("0.0 0.0 1.0", "3.0 4.0 60.0"))
     with pytest.raises(InputError, match="glass vector"):
         read_any_rig(tmp_path / "cal", options=RigFileOptions(size_px=SIZE, pixel_mm=(0.01, 0.01)))
-
-
-def test_liboptv_projects_the_same(tmp_path):
-    optv = pytest.importorskip("optv.calibration", reason="liboptv (optv on PyPI) is not installed here")
-    imgcoord = pytest.importorskip("optv.imgcoord")
-    parameters = pytest.importorskip("optv.parameters")
-    transforms = pytest.importorskip("optv.transforms")
-    rig = rig_of(CENTRED)
-    write_any_rig(rig, tmp_path / "cal", "openptv", RigFileOptions(pixel_mm=(0.01, 0.01)))
-    calibration = optv.Calibration()
-    calibration.from_file(str(tmp_path / "cal" / "cam_0.ori"), str(tmp_path / "cal" / "cam_0.addpar"))
-    control = parameters.ControlParams(1, image_size=SIZE, pixel_size=(0.01, 0.01))
-    media = control.get_multimedia_params()
-    media.set_n1(1.0)
-    media.set_layers([1.0], [1.0])
-    media.set_n3(1.0)
-    points = rig.cameras[0].world_from_camera.transform(
-        np.random.default_rng(3).uniform((-1, -1, 4), (1, 1, 6), (30, 3))
-    )
-    metric = imgcoord.image_coordinates(1000 * points, calibration, media)
-    pixels = transforms.convert_arr_metric_to_pixel(metric, control)
-    np.testing.assert_allclose(project(rig.cameras[0], points), pixels - 0.5, atol=1e-6)
 
 
 @pytest.mark.data
@@ -257,6 +236,7 @@ def test_shipped_corners_meet_through_every_format(name, tmp_path):
         assert np.median(distance) < 0.465
         assert np.quantile(distance, 0.95) < 1.575
     else:
+        # fx / fy differs by 0.9 % between these cameras, and OpenPTV has one shape of pixels for all of them
         assert np.median(distance) < 0.6
 
 

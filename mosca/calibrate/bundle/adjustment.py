@@ -12,7 +12,7 @@ from mosca.calibrate.bundle.network import in_free_network, undetermined
 from mosca.calibrate.bundle.precision import precise
 from mosca.calibrate.bundle.problem import Placements, Problem
 from mosca.data.arrays import Array, read_only
-from mosca.data.rig import Camera, FisheyeLens, Lens, MoscaLens
+from mosca.data.rig import Camera, FisheyeLens, principal_distances_px
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +169,7 @@ def _by_camera(
     away = placed_points(layout, state, slice(None)) - table[camera, 9:LENS]
     axis_depth = np.einsum("ni,ni->n", away, table[:, [2, 5, 8]][camera])
     depth = np.where(_is_fisheye(problem)[camera], np.linalg.norm(away, axis=1), axis_depth)
-    focal = np.array([_principal_distances_px(c.lens) for c in adjusted_cameras(problem, layout, state)])
+    focal = np.array([principal_distances_px(c.lens) for c in adjusted_cameras(problem, layout, state)])
     good = used & np.isfinite(tests[:, 0])
     cameras = len(problem.cameras)
 
@@ -189,9 +189,3 @@ def _by_camera(
 
 def _is_fisheye(problem: Problem) -> Array:
     return np.array([isinstance(one.camera.lens, FisheyeLens) for one in problem.cameras])
-
-
-def _principal_distances_px(lens: Lens) -> tuple[float, float]:
-    if isinstance(lens, MoscaLens):
-        return lens.c_mm / lens.mx_mm_per_px, lens.c_mm / lens.my_mm_per_px
-    return lens.fx_px, lens.fy_px

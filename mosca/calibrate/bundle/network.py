@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from mosca.calibrate.align import similarity
 from mosca.calibrate.bundle.datum import generators, point_motions
 from mosca.calibrate.bundle.descent import Solution, State
 from mosca.calibrate.bundle.layout import Layout
@@ -38,7 +39,7 @@ def onto_given(problem: Problem, layout: Layout, solution: Solution, given: Stat
     """Return the network moved so that its datum points neither shift, turn nor stretch against their given
     values.
 
-    Minimises the sum of the squared distances (Horn 1987, by singular values: Umeyama 1991).
+    Minimises the sum of the squared distances.
     """
     table, points, placements = solution.descent.state
     chosen = layout.members[datum_mask(problem, layout, solution.inverse)]
@@ -47,15 +48,10 @@ def onto_given(problem: Problem, layout: Layout, solution: Solution, given: Stat
             f"datum 'points': {len(chosen)} determined points carry it; three at least are wanted"
         )
     target, source = given[1].take(chosen, axis=0), points.take(chosen, axis=0)
-    middle, own = target.mean(axis=0), source.mean(axis=0)
-    left, sizes, right = np.linalg.svd((target - middle).T @ (source - own))
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    turn = (left * signs) @ right
-    stretch = float(sizes @ signs / np.sum((source - own) ** 2)) if solution.motions == 7 else 1.0
-    shift = middle - stretch * turn @ own
+    stretch, motion = similarity(source, target, with_scale=solution.motions == 7)
 
     def carried(x: Array) -> Array:
-        return np.asarray(stretch * x @ turn.T + shift)
+        return motion.transform(stretch * x)
 
     table, points, placements = table.copy(), points.copy(), placements.copy()
     own_points = np.concatenate([layout.members, layout.kept])
@@ -64,7 +60,7 @@ def onto_given(problem: Problem, layout: Layout, solution: Solution, given: Stat
         of_world = own_points[~np.isin(own_points, layout.see[1][layout.see[2] >= 0])]
     points[of_world] = carried(points.take(of_world, axis=0))
     for poses in (table, placements):
-        poses[:, :9] = (turn @ poses[:, :9].reshape(-1, 3, 3)).reshape(-1, 9)
+        poses[:, :9] = (motion.rotation @ poses[:, :9].reshape(-1, 3, 3)).reshape(-1, 9)
         poses[:, 9:12] = carried(poses[:, 9:12])
     return table, points, placements
 
