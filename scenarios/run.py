@@ -42,7 +42,7 @@ from scenarios.faults import with_fault
 from scenarios.interrupt import between_steps
 from scenarios.score import BLOCKS, Matched, Score, metrics, pair
 from scenarios.session.estimated import Estimated, estimated
-from scenarios.sources import Chosen, Written, opened
+from scenarios.sources import Chosen, Written, opened, patient
 from scenarios.spec import Scenario
 from scenarios.warm import compile_side_by_side
 from twin.source import TwinSource
@@ -74,7 +74,7 @@ class RunResult:
 class RunOptions:
     """How to run.
 
-    ``source``: "twin", "recording:DIR" or "hardware:RIG.toml". ``workers``: threads that render. ``rrd``: a Rerun file
+    ``source``: "twin", "recording:DIR" or "hardware:RIG.toml". ``workers``: threads that render. ``rrd``: a Rerun log
     to write while running. ``record_to``: a folder to record the frames into. ``truth``: what frames that are not
     the twin's are scored against; default: ``truth.npz`` beside a recording. ``progress``: called with pulses done
     and in all.
@@ -136,6 +136,8 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         else:
             source = opened(options.source, rig, spec.capture.frame_rate_hz, pulses)
         stack.enter_context(source)
+        if options.source.startswith("hardware:"):
+            settings = patient(settings, source)
         if isinstance(source, TwinSource):
             with _timed(timings, "compile"):
                 compile_side_by_side(source)

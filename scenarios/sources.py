@@ -1,12 +1,14 @@
 """Where a run's frames come from besides the twin: recordings, and sources that pass frames on."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
 from mosca.data.frames import Frame, FrameSource
 from mosca.data.rig import Rig
 from mosca.errors import InputError
+from mosca.pipeline import PipelineSettings
 from mosca.recording import RecordingWriter, open_recording
 
 
@@ -35,6 +37,17 @@ def opened(source: str, rig: Rig, rate_hz: float, pulses: int) -> FrameSource:
             f"{rate_hz:g}; give both the same"
         )
     return HardwareSource(devices, pulses)
+
+
+PATIENCE_BYTES = 1 << 28
+
+
+def patient(settings: PipelineSettings, source: FrameSource) -> PipelineSettings:
+    """Return settings that wait for late frames of devices up to a second, as memory allows: a run is not live."""
+    wanted = max(info.frame_rate_hz for info in source.cameras)
+    size = sum(info.width * info.height * (1 + (info.bit_depth > 8)) for info in source.cameras)
+    pulses = max(settings.assembly.open_pulses, min(round(wanted), PATIENCE_BYTES // size))
+    return replace(settings, assembly=replace(settings.assembly, open_pulses=pulses))
 
 
 class PassedOn:

@@ -30,6 +30,7 @@ BUFFER_STATUS = {
 }
 READ_ONLY, WRITE_ONLY, READ_WRITE = 0, 1, 2
 PACKET_SIZE_ADJUSTMENT_NEVER = 0
+NO_PACKET_SOCKET = 1
 # GObject's fundamental types
 G_TYPES = {"int": 6 << 2, "uint": 7 << 2, "double": 15 << 2}
 
@@ -69,6 +70,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...], bool]] = {
     "camera_start_acquisition": (None, (c_void_p,), True),
     "camera_stop_acquisition": (None, (c_void_p,), True),
     "camera_gv_set_packet_size_adjustment": (None, (c_void_p, c_int), False),
+    "camera_gv_set_stream_options": (None, (c_void_p, c_int), False),
     "gv_device_is_controller": (c_int, (c_void_p,), False),
     "gv_device_get_timestamp_tick_frequency": (c_uint64, (c_void_p,), True),
     "device_get_feature": (c_void_p, (c_void_p, c_char_p), False),

@@ -11,6 +11,7 @@ from hardware.driver import Capabilities, Device, DeviceError, DeviceReport, Gra
 from hardware.drivers.aravis_features import AravisFeatures
 from hardware.drivers.aravis_library import (
     BUFFER_STATUS,
+    NO_PACKET_SOCKET,
     PACKET_SIZE_ADJUSTMENT_NEVER,
     Aravis,
     AravisError,
@@ -161,6 +162,8 @@ class GigeCamera(GenICamCamera):
         # a stream of its own for each start: an old one takes ids that begin anew for late blocks and drops them
         aravis = self._aravis
         try:
+            # as root, packet sockets see other programs' streams, and take their ids for ours, until a filter stands
+            aravis("camera_gv_set_stream_options", self._camera, NO_PACKET_SOCKET)
             stream = aravis("camera_create_stream", self._camera, None, None)
             if not stream:
                 raise self._error("gives no stream; is its address in the network of this interface?")
