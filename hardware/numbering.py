@@ -23,9 +23,10 @@ import numpy as np
 from hardware.clock import CameraClock, HostLine
 from hardware.driver import Grabbed
 
-VOTE_S = 0.1
-"""A vote takes so long: most stalls of a busy machine are shorter; at low rates none is near half a period."""
-FEWEST_VOTES, MOST_VOTES = 2, 40
+VOTE_S, START_S = 0.3, 0.5
+"""A vote takes so long, at the start and later: one camera's reader may lag behind the others' on a busy machine, but
+not in all of its frames."""
+FEWEST_VOTES, MOST_VOTES = 2, 100
 STALL_NS = 100_000_000
 """A frame may be so late, with the stamps in order, before its camera's clock is doubted; none can be early."""
 
@@ -71,7 +72,9 @@ class PulseNumbers:
         self.period_ns = 1e9 / rate_hz
         self.start_ns = start_ns
         self.notes: list[str] = []
-        self._votes = min(max(round(VOTE_S * rate_hz), FEWEST_VOTES), MOST_VOTES)
+        self._votes, self._start_votes = (
+            min(max(round(s * rate_hz), FEWEST_VOTES), MOST_VOTES) for s in (VOTE_S, START_S)
+        )
         self._cameras = {name: _Camera(name, CameraClock(self.period_ns)) for name in cameras}
         self._line: HostLine | None = None
         self._first_arrival_ns: int | None = None
@@ -119,7 +122,7 @@ class PulseNumbers:
     def _try_start(self, now_ns: int) -> Iterator[Numbered]:
         if self._first_arrival_ns is None:
             self._first_arrival_ns = now_ns
-        all_here = all(len(camera.held) >= self._votes for camera in self._cameras.values())
+        all_here = all(len(camera.held) >= self._start_votes for camera in self._cameras.values())
         if all_here or now_ns - self._first_arrival_ns > self._start_wait_ns:
             yield from self._start()
 

@@ -1,0 +1,70 @@
+"""Another PC's clock beside this one's, from questions and answers.
+
+The answer was given between question and receipt: half-way, give or take half the round trip (Cristian 1989). The
+quickest round trips are the most certain ones; a line through the quicker half gives offset and skew. What remains is
+the asymmetry of the ways there and back, far below half of the quickest round trip where both ways are one cable.
+"""
+
+from collections import deque
+
+import numpy as np
+
+PINGS = 150
+FEWEST = 5
+"""Answers from which the clock is believed."""
+SPAN_NS = 2e9
+"""From pings over a shorter time the skew is not taken: their scatter would be most of it."""
+LARGEST_SKEW = 1e-3
+
+
+class RemoteClock:
+    """Offset and skew of a remote clock; ``here`` turns its time into this machine's."""
+
+    def __init__(self) -> None:
+        self._pings: deque[tuple[int, int, int]] = deque(maxlen=PINGS)
+        # one value, so that another thread may read it: here, there, skew
+        self._fit = (0, 0, 0.0)
+        self.error_ns = float("inf")
+
+    @property
+    def ready(self) -> bool:
+        """True once enough answers have come."""
+        return len(self._pings) >= FEWEST
+
+    @property
+    def skew(self) -> float:
+        """How much faster than the other clock this machine's runs."""
+        return self._fit[2]
+
+    def take(self, asked_ns: int, there_ns: int, received_ns: int) -> None:
+        """Take an answer: this machine's clock when it was asked for and received, what the other clock showed."""
+        self._pings.append(((asked_ns + received_ns) // 2, there_ns, received_ns - asked_ns))
+        origin_here, origin_there, _ = self._pings[0]
+        pings = np.array(
+            [(here - origin_here, there - origin_there, trip) for here, there, trip in self._pings],
+            dtype=float,
+        )
+        quick = pings[pings[:, 2] <= np.median(pings[:, 2])]
+        there, offset = quick[:, 1], quick[:, 0] - quick[:, 1]
+        # a question that took twice as long is a quarter as certain
+        weight = 1 / quick[:, 2].clip(min=1e3)
+        skew = self.skew
+        if there.max() - there.min() > SPAN_NS:
+            slope, _ = np.polyfit(there, offset, 1, w=weight)
+            skew = float(np.clip(slope, -LARGEST_SKEW, LARGEST_SKEW))
+        middle = float(np.average(there, weights=weight**2))
+        left = offset - skew * (there - middle)
+        mean = float(np.average(left, weights=weight**2))
+        self._fit = (origin_here + round(middle + mean), origin_there + round(middle), skew)
+        self.error_ns = float(quick[:, 2].min()) / 2
+
+    def here(self, there_ns: int) -> int:
+        """Return this machine's time [ns] when the other clock showed ``there_ns``."""
+        here, there, skew = self._fit
+        return here + (there_ns - there) + round(skew * (there_ns - there))
+
+    def there(self, here_ns: int) -> int:
+        """Return what the other clock shows at this machine's time ``here_ns`` [ns]."""
+        here, there, skew = self._fit
+        since = here_ns - here
+        return there + since - round(since * skew / (1 + skew))

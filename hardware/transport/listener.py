@@ -1,0 +1,290 @@
+"""What the reconstructing station makes of what it hears: who is there, which pulse is which, and merged sets.
+
+Everything comes in order through ``take``; no threads and no network are known here. What happens to a station is
+told and kept (``events``); a station that dies costs its cameras, no more.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+
+from hardware.transport.merger import Arrived, MergedSet, Merger
+from hardware.transport.messages import (
+    DetectionMessage,
+    HealthMessage,
+    MessageError,
+    StationCamera,
+    unpack_clock,
+    unpack_detections,
+    unpack_health,
+)
+from hardware.transport.places import PulsePlaces
+from hardware.transport.station_state import Event, ReceiverSettings, StationState
+
+COUNTDOWN_NS = 500_000_000
+"""From the moment when all stations are ready to the start that is ordered: the order has to reach them all."""
+
+ECHO_NS = 300_000_000
+"""What comes so soon after a token's fall was under way, and does not mean that the station is back."""
+
+
+class Listener:
+    """States of ``stations`` that show ``cameras`` (name -> width, height); used by one thread.
+
+    ``start_ns``: when the stations are to start, by this machine's clock, once all are ready.
+    ``rate_hz``: of the pulses; None takes the stations' word. ``told`` is called with each event.
+    """
+
+    def __init__(
+        self,
+        stations: Sequence[str],
+        cameras: Mapping[str, tuple[int, int]],
+        rate_hz: float | None,
+        settings: ReceiverSettings,
+        opened_ns: int,
+        told: Callable[[Event], None],
+    ) -> None:
+        self.settings = settings
+        self.events: list[Event] = []
+        self.rigs: dict[str, str] = {}
+        self.rate_hz = rate_hz
+        self.start_ns: int | None = None
+        self.states = {station: StationState(station) for station in stations}
+        self.merger = Merger(tuple(cameras), self._camera_away, settings.merge)
+        self.places: PulsePlaces | None = None
+        self._told, self._sizes = told, dict(cameras)
+        self._owner: dict[str, str] = {}
+        self._opened_ns = self._now_ns = opened_ns
+
+    @property
+    def all_ended(self) -> bool:
+        """True where every station has said that this was all."""
+        return all(state.ended for state in self.states.values())
+
+    def rest(self, now_ns: int) -> list[MergedSet]:
+        """Return what is left when nothing more comes, and close the counts."""
+        sets = self.merger.rest(now_ns)
+        for state in self.states.values():
+            state.drop_held()
+            if state.ended:
+                state.count_rest()
+        return sets
+
+    def take(self, kind: str, station: str, what: object, received_ns: int) -> None:
+        """Take a "message", "health", "clock" (answer, asked, answered), "rig" or "token" (stands or not)."""
+        self._now_ns = received_ns
+        state = self.states.get(station)
+        if state is None:
+            if kind == "message":
+                self._tell_once(
+                    station, "error", "is none of the stations that were named; it is not listened to"
+                )
+            return
+        try:
+            match kind, what:
+                case "message", bytes():
+                    self._take_message(state, unpack_detections(what), received_ns)
+                case "health", bytes():
+                    self._take_health(state, unpack_health(what), received_ns)
+                case "clock", (bytes() as answer, int() as asked_ns, int() as answered_ns):
+                    self._take_clock(state, answer, asked_ns, answered_ns)
+                case "rig", bytes():
+                    self.rigs[station] = what.decode()
+                case "token", bool():
+                    self._take_token(state, what)
+        except (MessageError, UnicodeDecodeError) as error:
+            state.account.spoilt += 1
+            self._tell_once(station, "error", f"sends what cannot be read: {error}")
+
+    def _take_message(self, state: StationState, message: DetectionMessage, received_ns: int) -> None:
+        if not self._of_this_start(state, message.epoch, received_ns):
+            return
+        state.count(message)
+        if state.held or not self._place(state, message, received_ns):
+            state.hold(message, received_ns)
+
+    def _of_this_start(self, state: StationState, epoch: int, received_ns: int) -> bool:
+        """Note that the station is heard; False for words of an earlier start."""
+        if epoch in state.earlier:
+            state.account.stale += 1
+            if received_ns - (state.heard_ns or 0) < self.settings.silence_s * 1e9 and state.stands:
+                self._tell_once(
+                    state.name, "error", "speaks with two voices: do two stations have this name?"
+                )
+            return False
+        if epoch != state.epoch:
+            first = state.epoch is None
+            state.begins(epoch)
+            if self.places is not None:
+                self.places.restarted(state.name)
+            self.merger.restarted([name for name, owner in self._owner.items() if owner == state.name])
+            self._tell(
+                state.name, "appeared" if first else "back", "is here" if first else "has started again"
+            )
+        elif state.silent and received_ns - state.gone_ns < ECHO_NS:
+            return True  # said before it went
+        elif state.silent and received_ns > (state.heard_ns or 0):
+            self._tell(
+                state.name,
+                "back",
+                f"is heard again after {(received_ns - (state.heard_ns or 0)) / 1e9:.2f} s",
+            )
+        state.silent = False
+        state.heard_ns = received_ns
+        return True
+
+    def _place(self, state: StationState, message: DetectionMessage, received_ns: int) -> bool:
+        """Bring a message to its pulse; False while that cannot be told."""
+        if self.places is None or not state.timed or self.places.shift(state.name) is None:
+            return False
+        arrival_ns = state.clock.here(message.arrival_ns)
+        self.places.take(state.name, message.epoch, message.pulse, arrival_ns - message.exposure_ns)
+        self._tell_places()
+        if self.places.shift(state.name) is None:  # it counts wrongly: it votes anew
+            return False
+        self._deliver(state, message, received_ns)
+        return True
+
+    def _deliver(self, state: StationState, message: DetectionMessage, received_ns: int) -> None:
+        assert self.places is not None
+        shift = self.places.shift(state.name)
+        assert shift is not None
+        if self._owner.get(message.detections.camera) != state.name:
+            return  # told when its station said which cameras it has
+        self.merger.take(
+            Arrived(
+                message.pulse + shift,
+                message.time_ns + round(shift * self.places.period_ns),
+                state.clock.here(message.arrival_ns),
+                state.clock.here(message.sent_ns),
+                received_ns,
+                message.status,
+                message.detections,
+            )
+        )
+
+    def _release(self) -> None:
+        """Hand on what was held, where its place is known by now; pulse by pulse, as it would have come."""
+        if self.places is None:
+            return
+        for state in self.states.values():
+            if not state.timed or self.places.shift(state.name) is not None:
+                continue
+            for message, _ in list(state.held)[state.voted :]:
+                here = state.clock.here(message.arrival_ns) - message.exposure_ns
+                self.places.take(state.name, message.epoch, message.pulse, here)
+            state.voted = len(state.held)
+        self._tell_places()
+        free: list[tuple[StationState, DetectionMessage, int]] = []
+        for state in self.states.values():
+            if state.held and self.places.shift(state.name) is not None:
+                free += [(state, message, received) for message, received in state.held]
+                state.held.clear()
+                state.voted = 0
+        for state, message, received_ns in sorted(free, key=lambda one: one[2]):
+            self._deliver(state, message, received_ns)
+
+    def _take_health(self, state: StationState, health: HealthMessage, received_ns: int) -> None:
+        if not self._of_this_start(state, health.epoch, received_ns):
+            return
+        before, state.health = state.health, health
+        state.account.refused, state.account.skipped = health.refused, health.skipped
+        if before is None:
+            self._take_cameras(state, health.cameras)
+        known = () if before is None else before.notes
+        for note in health.notes[_overlap(known, health.notes) :]:
+            self._tell(state.name, "note", note)
+        if state.ended and (before is None or before.state != health.state):
+            state.count_rest()
+            self._tell(state.name, "ended", "has failed" if health.state == "failed" else "has ended")
+
+    def _take_cameras(self, state: StationState, cameras: Sequence[StationCamera]) -> None:
+        """Note whose cameras these are; one that cannot be merged is told and ignored."""
+        for camera in cameras:
+            self.rate_hz = camera.rate_hz if self.rate_hz is None else self.rate_hz
+            wrong = self._wrong(state, camera, self.rate_hz)
+            if wrong:
+                self._tell(state.name, "error", f"camera '{camera.name}' {wrong}; it is ignored")
+            else:
+                self._owner[camera.name] = state.name
+        if self.places is None and self.rate_hz is not None:
+            self.places = PulsePlaces(tuple(self.states), self.rate_hz, self.settings.start_wait_s)
+
+    def _wrong(self, state: StationState, camera: StationCamera, rate_hz: float) -> str:
+        """Return why a camera cannot be merged, "" where it can."""
+        owner = self._owner.get(camera.name, state.name)
+        if owner != state.name:
+            return f"is station '{owner}''s"
+        if camera.name not in self._sizes:
+            return f"is not in the rig, which has {', '.join(self._sizes)}"
+        size = (camera.width, camera.height)
+        if self._sizes[camera.name] != size:
+            wide, high = self._sizes[camera.name]
+            return f"has images of {size[0]} x {size[1]}, the rig file says {wide} x {high}: calibrate at this size"
+        if abs(camera.rate_hz / rate_hz - 1) > 1e-3:
+            return f"states {camera.rate_hz:g} pulses/s, {rate_hz:g} are expected"
+        return ""
+
+    def _take_clock(self, state: StationState, answer: bytes, asked_ns: int, answered_ns: int) -> None:
+        epoch, there_ns = unpack_clock(answer)
+        if not self._of_this_start(state, epoch, answered_ns):
+            return
+        state.clock.take(asked_ns, there_ns, answered_ns)
+        state.account.clock_error_ns, state.account.clock_skew = state.clock.error_ns, state.clock.skew
+
+    def _take_token(self, state: StationState, stands: bool) -> None:
+        if state.stands and not stands and not state.ended:
+            state.account.gone += 1
+            state.silent, state.gone_ns = True, self._now_ns
+            self._tell(state.name, "gone", "is gone: its program ended, or its network")
+        state.stands = stands
+
+    def look(self, now_ns: int, heard_ns: Mapping[str, int]) -> None:
+        """Notice who is silent, allow the start, and let go what was held; ``heard_ns``: when each was heard last."""
+        self._now_ns = now_ns
+        for state in self.states.values():
+            if state.heard_ns is None or state.silent or state.ended:
+                continue
+            if now_ns - max(state.heard_ns, heard_ns.get(state.name, 0)) > self.settings.silence_s * 1e9:
+                state.silent = True
+                state.account.silent += 1
+                self._tell(
+                    state.name, "silent", f"is silent for {self.settings.silence_s:g} s; it is not waited for"
+                )
+        waited = now_ns - self._opened_ns > self.settings.start_wait_s * 1e9
+        if self.start_ns is None and (waited or all(state.settled for state in self.states.values())):
+            for state in self.states.values():
+                if not state.settled:
+                    self._tell(state.name, "error", "is not ready; the session starts without it")
+            self.start_ns = now_ns + COUNTDOWN_NS
+        if any(state.held for state in self.states.values()):
+            if self.places is not None and not self.places.started:
+                self.places.try_start(now_ns)
+            self._release()
+
+    def _tell_places(self) -> None:
+        assert self.places is not None
+        for station, text in self.places.notes:
+            self._tell(station, "place", text)
+        self.places.notes.clear()
+
+    def _camera_away(self, camera: str) -> bool:
+        owner = self._owner.get(camera)
+        if owner is None or self.states[owner].away:
+            return True
+        return self.places is None or self.places.shift(owner) is None
+
+    def _tell_once(self, station: str, kind: str, text: str) -> None:
+        if not any(event.station == station and event.text == text for event in self.events):
+            self._tell(station, kind, text)
+
+    def _tell(self, station: str, kind: str, text: str) -> None:
+        event = Event(self._now_ns, station, kind, text)
+        self.events.append(event)
+        self._told(event)
+
+
+def _overlap(known: Sequence[str], notes: Sequence[str]) -> int:
+    """Return how many of ``notes`` stood at the end of ``known``: a window that moves on."""
+    for shared in range(min(len(known), len(notes)), 0, -1):
+        if tuple(known[-shared:]) == tuple(notes[:shared]):
+            return shared
+    return 0

@@ -1,0 +1,185 @@
+"""Detections of many stations become sets, pulse by pulse. Knows no network and no clock: times are handed in.
+
+A set waits for its cameras, at most ``deadline_s`` from its first message. It waits for none that cannot come any
+more: a camera whose later pulse is here (each camera's messages come in order), or whose station is away. What comes
+after its set was closed, or is older than ``oldest_s``, is counted and thrown away: a live run is of the present.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+from hardware.transport.messages import Status
+from mosca.data.detections import Detections
+
+
+@dataclass(frozen=True)
+class MergeSettings:
+    """``deadline_s``: how long a set waits for its cameras; ``oldest_s``: age at which a message is thrown away."""
+
+    deadline_s: float = 0.03
+    oldest_s: float = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Arrived:
+    """A message in the session's terms: ``pulse``, ``time_ns`` (mid-exposure) on the session's clock, ``arrival_ns``
+    and ``sent_ns`` at its station and ``received_ns`` here, all in this machine's clock.
+    """
+
+    pulse: int
+    time_ns: int
+    arrival_ns: int
+    sent_ns: int
+    received_ns: int
+    status: Status
+    detections: Detections
+
+
+@dataclass(frozen=True, eq=False)
+class MergedSet:
+    """What all stations saw of one pulse.
+
+    ``detections`` maps camera -> Detections in the rig's order; ``missing`` maps each other camera -> why.
+    ``time_ns``: median mid-exposure of those that are here. ``merged_ns``: this machine's clock when the set was
+    whole; ``arrived_ns`` and ``sent_ns``: camera -> when its frame arrived at the station, and its message left.
+    """
+
+    pulse: int
+    time_ns: int
+    detections: Mapping[str, Detections]
+    missing: Mapping[str, str]
+    merged_ns: int
+    arrived_ns: Mapping[str, int]
+    sent_ns: Mapping[str, int]
+
+    def __post_init__(self) -> None:
+        for name in ("detections", "missing", "arrived_ns", "sent_ns"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+
+@dataclass
+class CameraMerge:
+    """One camera's part in the sets: ``merged`` of them have it; ``no_frame`` its station had none or could not use
+    it, ``away`` its station was not there, ``lost``: the message did not come in time. They add up to the sets.
+    ``late``: came after its set; ``aged``: too old; ``doubled``: came twice.
+    """
+
+    merged: int = 0
+    no_frame: int = 0
+    away: int = 0
+    lost: int = 0
+    late: int = 0
+    aged: int = 0
+    doubled: int = 0
+
+
+@dataclass
+class MergeAccount:
+    """Counts so far. ``unseen``: pulses between sets of which nothing came at all."""
+
+    sets: int = 0
+    complete: int = 0
+    unseen: int = 0
+    cameras: dict[str, CameraMerge] = field(default_factory=dict)
+
+
+class Merger:
+    """Takes messages and gives sets of ``cameras``; ``away(camera)`` tells that its station cannot be waited for."""
+
+    def __init__(
+        self, cameras: Sequence[str], away: Callable[[str], bool], settings: MergeSettings | None = None
+    ) -> None:
+        self.settings = settings or MergeSettings()
+        self.account = MergeAccount(cameras={name: CameraMerge() for name in cameras})
+        self._cameras = tuple(cameras)
+        self._away = away
+        self._open: dict[int, dict[str, Arrived]] = {}
+        self._since_ns: dict[int, int] = {}
+        self._newest = dict.fromkeys(cameras, -1)
+        self._next: int | None = None
+
+    def take(self, item: Arrived) -> None:
+        """Put a message of one of the cameras into its set, or count why not."""
+        name = item.detections.camera
+        count = self.account.cameras[name]
+        self._newest[name] = max(self._newest[name], item.pulse)
+        if item.received_ns - item.arrival_ns > self.settings.oldest_s * 1e9:
+            count.aged += 1
+            return
+        if self._next is not None and item.pulse < self._next:
+            count.late += 1
+            return
+        here = self._open.setdefault(item.pulse, {})
+        if name in here:
+            count.doubled += 1
+            return
+        here[name] = item
+        self._since_ns.setdefault(item.pulse, item.received_ns)
+
+    def restarted(self, cameras: Sequence[str]) -> None:
+        """Forget how far the messages of ``cameras`` had come: their station began anew."""
+        for name in cameras:
+            self._newest[name] = -1
+
+    def ready(self, now_ns: int) -> list[MergedSet]:
+        """Return, in order, the sets that are complete or have waited long enough."""
+        sets = []
+        while self._open:
+            pulse = min(self._open)
+            if self._waits(pulse) and now_ns - self._since_ns[pulse] < self.settings.deadline_s * 1e9:
+                break
+            sets.append(self._close(pulse, now_ns))
+        return sets
+
+    def rest(self, now_ns: int) -> list[MergedSet]:
+        """Return what is left when no more messages come."""
+        return [self._close(pulse, now_ns) for pulse in sorted(self._open)]
+
+    def next_deadline_ns(self) -> int | None:
+        """Return when a set has waited long enough; None where none waits."""
+        if not self._open:
+            return None
+        return self._since_ns[min(self._open)] + round(self.settings.deadline_s * 1e9)
+
+    def _waits(self, pulse: int) -> bool:
+        here = self._open[pulse]
+        return any(
+            name not in here and self._newest[name] <= pulse and not self._away(name)
+            for name in self._cameras
+        )
+
+    def _close(self, pulse: int, now_ns: int) -> MergedSet:
+        here = self._open.pop(pulse)
+        del self._since_ns[pulse]
+        if self._next is not None:
+            self.account.unseen += pulse - self._next
+        self._next = pulse + 1
+        whole: dict[str, Arrived] = {}
+        missing: dict[str, str] = {}
+        for name in self._cameras:
+            count, item = self.account.cameras[name], here.get(name)
+            if item is not None and item.status == "detected":
+                count.merged += 1
+                whole[name] = item
+            elif item is not None:
+                count.no_frame += 1
+                missing[name] = item.status
+            elif self._away(name):
+                count.away += 1
+                missing[name] = "station away"
+            else:
+                count.lost += 1
+                missing[name] = "not in time"
+        self.account.sets += 1
+        self.account.complete += not missing
+        times = sorted(item.time_ns for item in (whole or here).values())
+        return MergedSet(
+            pulse,
+            (times[(len(times) - 1) // 2] + times[len(times) // 2]) // 2,
+            {name: item.detections for name, item in whole.items()},
+            missing,
+            now_ns,
+            {name: item.arrival_ns for name, item in whole.items()},
+            {name: item.sent_ns for name, item in whole.items()},
+        )

@@ -1,0 +1,232 @@
+"""The reconstructing station's end: listens to all stations, finds out which pulse is which, and merges.
+
+One thread merges; one a station asks for its clock, its health and its rig file. Callbacks of the engine only queue.
+What happens to a station is told (``told``) and kept (``events``); a station that dies costs its cameras, no more.
+"""
+
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import Self
+
+from hardware.transport.listener import Listener
+from hardware.transport.merger import MergedSet
+from hardware.transport.messages import MessageError, pack_clock, unpack_clock
+from hardware.transport.station_state import Event, ReceiverAccount, ReceiverSettings
+from hardware.transport.transport import (
+    EVERY_TOKEN,
+    EVERYTHING,
+    Transport,
+    check_station,
+    key_of,
+    station_of,
+    word_of,
+)
+from mosca.errors import InputError
+
+BURST, BURST_S = 10, 0.02
+ASK_S = 0.5
+LOOK_NS = 20_000_000
+LINGER_S = 0.2
+"""After the last station has ended, its last messages may be under way for so long."""
+INBOX = 20_000
+
+
+class Receiver:
+    """Merged sets of ``cameras`` (name -> width, height) as ``stations`` see them; iterate once.
+
+    ``rig``: the text of the rig file that is handed to who asks for this station's, called ``name``. ``rate_hz``: of
+    the pulses; None takes the stations' word. Ends the transport when it is closed.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        stations: Sequence[str],
+        cameras: Mapping[str, tuple[int, int]],
+        rate_hz: float | None = None,
+        settings: ReceiverSettings | None = None,
+        rig: str = "",
+        name: str = "reconstruct",
+        told: Callable[[Event], None] = lambda event: None,
+    ) -> None:
+        if not stations or len(set(stations)) < len(stations):
+            raise InputError(
+                f"stations {', '.join(stations) or 'none'} given; one or more different names are wanted"
+            )
+        for station in stations:
+            check_station(station)
+        self.settings = settings or ReceiverSettings()
+        self._transport = transport
+        self._listener = Listener(stations, cameras, rate_hz, self.settings, time.monotonic_ns(), told)
+        self._heard_ns = dict.fromkeys(stations, 0)
+        self.account = ReceiverAccount(
+            MappingProxyType({name: state.account for name, state in self._listener.states.items()}),
+            self._listener.merger.account,
+        )
+        self._inbox: queue.SimpleQueue[tuple[str, str, object, int]] = queue.SimpleQueue()
+        self._out: deque[MergedSet] = deque()
+        self._changed = threading.Condition()
+        self._over = False
+        self._stop, self._closed = threading.Event(), False
+        transport.answer(key_of(check_station(name), "rig"), lambda _: rig.encode())
+        transport.stand(key_of(name, "alive"))
+        transport.subscribe(EVERYTHING, self._published)
+        transport.watch(EVERY_TOKEN, lambda key, stands: self._post("token", station_of(key), stands))
+        self._threads = [threading.Thread(target=self._work, name="merge", daemon=True)]
+        self._threads += [
+            threading.Thread(target=self._attend, args=(n,), name=f"clock of {n}", daemon=True)
+            for n in stations
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What happened to the stations so far."""
+        return tuple(self._listener.events)
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Rate of the pulses, None while no station has told it."""
+        return self._listener.rate_hz
+
+    @property
+    def start_ns(self) -> int | None:
+        """Time of the session's pulse 0 by this machine's clock [ns], late by what its frames took to arrive."""
+        return None if self._listener.places is None else self._listener.places.start_ns
+
+    def rigs(self, timeout_s: float) -> dict[str, str]:
+        """Return the rig files (text) of the stations that have handed theirs in, waiting for all of them."""
+        until = time.monotonic() + timeout_s
+        while len(self._listener.rigs) < len(self._heard_ns) and time.monotonic() < until:
+            time.sleep(0.02)
+        return dict(self._listener.rigs)
+
+    def __iter__(self) -> Iterator[MergedSet]:
+        """Yield merged sets in order until all stations have ended, or ``stop``."""
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._out or self._over)
+                if not self._out:
+                    return
+                merged = self._out.popleft()
+            yield merged
+
+    def here(self, station: str, there_ns: int) -> int:
+        """Return this machine's time [ns] when a station's clock showed ``there_ns``."""
+        return self._listener.states[station].clock.here(there_ns)
+
+    def stop(self) -> None:
+        """End the iteration after what is here; may be called from another thread."""
+        self._stop.set()
+        self._post("stop", "", None)
+
+    def close(self) -> None:
+        """Stop and leave; may be called twice."""
+        if self._closed:
+            return
+        self._closed = True
+        self.stop()
+        for thread in self._threads:
+            thread.join()
+        self._transport.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _published(self, key: str, data: bytes) -> None:
+        kind = {"detections": "message", "health": "health"}.get(word_of(key))
+        if kind is not None:
+            self._post(kind, station_of(key), data)
+
+    def _post(self, kind: str, station: str, what: object) -> None:
+        if self._inbox.qsize() > INBOX and kind == "message":
+            self.account.overrun += 1
+            return
+        now_ns = time.monotonic_ns()
+        if kind != "token" and station in self._heard_ns:
+            self._heard_ns[station] = now_ns
+        self._inbox.put((kind, station, what, now_ns))
+
+    def _attend(self, station: str) -> None:
+        """Ask one station for its clock again and again, for rig and health once a start, and order its start."""
+        key, asked = key_of(station, "clock"), 0
+        epoch: int | None = None
+        now_epoch: int | None
+        ordered: int | None = None
+        while not self._stop.is_set():
+            before = time.monotonic_ns()
+            answer = self._transport.ask(key, b"", ASK_S)
+            after = time.monotonic_ns()
+            if answer is not None:
+                self._post("clock", station, (answer, before, after))
+                try:
+                    now_epoch = unpack_clock(answer)[0]
+                except MessageError:  # told by the thread that merges
+                    now_epoch = epoch
+                if now_epoch != epoch:
+                    rig = self._transport.ask(key_of(station, "rig"), b"", ASK_S)
+                    health = self._transport.ask(key_of(station, "health"), b"", ASK_S)
+                    if rig is not None and health is not None:
+                        self._post("rig", station, rig)
+                        self._post("health", station, health)
+                        epoch, asked = now_epoch, 0
+                start_ns, state = self._listener.start_ns, self._listener.states[station]
+                if ordered != epoch and epoch is not None and start_ns is not None and state.timed:
+                    order = pack_clock(epoch, state.clock.there(start_ns))
+                    ordered = epoch if self._transport.ask(key_of(station, "start"), order, ASK_S) else None
+                asked += 1
+            self._stop.wait(BURST_S if answer is not None and asked < BURST else self.settings.clock_s)
+
+    def _work(self) -> None:
+        """Take what comes, in order; the only thread that the listener is used by."""
+        listener = self._listener
+        ended_ns: int | None = None
+        looked_ns = 0
+        while not self._stop.is_set():
+            due_ns = listener.merger.next_deadline_ns()
+            wait_s = 0.05 if due_ns is None else min(max((due_ns - time.monotonic_ns()) * 1e-9, 1e-4), 0.05)
+            try:
+                kind, station, what, received_ns = self._inbox.get(timeout=wait_s)
+            except queue.Empty:
+                pass
+            else:
+                if kind != "stop":
+                    listener.take(kind, station, what, received_ns)
+            now_ns = time.monotonic_ns()
+            self._hand_out(listener.merger.ready(now_ns))
+            if now_ns - looked_ns < LOOK_NS:
+                continue
+            looked_ns = now_ns
+            listener.look(now_ns, self._heard_ns)
+            if not listener.all_ended:
+                ended_ns = None
+            elif ended_ns is None:
+                ended_ns = now_ns
+            elif now_ns - ended_ns > LINGER_S * 1e9:
+                break
+        while not self._inbox.empty():
+            kind, station, what, received_ns = self._inbox.get()
+            if kind != "stop":
+                listener.take(kind, station, what, received_ns)
+        self._hand_out(listener.rest(time.monotonic_ns()))
+        with self._changed:
+            self._over = True
+            self._changed.notify_all()
+
+    def _hand_out(self, sets: Sequence[MergedSet]) -> None:
+        if not sets:
+            return
+        with self._changed:
+            self._out.extend(sets)
+            while len(self._out) > self.settings.queued:
+                self._out.popleft()
+                self.account.left_out += 1
+            self._changed.notify()

@@ -1,0 +1,154 @@
+"""A detecting station's end: sends detections and health, answers for clock and rig file, waits for the start."""
+
+import random
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Self
+
+from hardware.transport.messages import (
+    DetectionMessage,
+    HealthMessage,
+    State,
+    StationCamera,
+    Status,
+    pack_clock,
+    pack_detections,
+    pack_health,
+    unpack_clock,
+)
+from hardware.transport.transport import Transport, check_station, key_of
+from mosca.data.detections import Detections
+from mosca.data.frames import CameraInfo
+from mosca.errors import InputError
+
+HEALTH_S = 0.2
+NOTES = 20
+LEAVE_S = 0.1
+"""The last words are given so long to be ahead of the token's fall."""
+
+
+class Sender:
+    """One station. ``start_ns``: when the session starts by the station's clock, once that is ordered.
+
+    ``rig``: the text of its rig file. ``clock``: its monotonic clock [ns], for tests another one.
+
+    Ends the transport when it is closed.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        station: str,
+        cameras: Sequence[CameraInfo],
+        rig: str = "",
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self.station = check_station(station)
+        for info in cameras:
+            if set(info.name) & set("/*$?#"):
+                raise InputError(
+                    f"camera name '{info.name}' cannot be sent; letters, digits, _ . and - are wanted"
+                )
+        # not from a seed: two starts of a station must not be taken for one
+        self.epoch = random.SystemRandom().getrandbits(63)
+        self.now_ns = clock
+        self.refused = 0
+        self.skipped = 0
+        self._transport = transport
+        self._cameras = {
+            c.name: StationCamera(c.name, c.width, c.height, c.bit_depth, c.frame_rate_hz) for c in cameras
+        }
+        self._sent = dict.fromkeys(self._cameras, 0)
+        self._keys = {name: key_of(station, name, "detections") for name in self._cameras}
+        self._state: State = "starting"
+        self._notes: deque[str] = deque(maxlen=NOTES)
+        self._ordered = threading.Event()
+        self.start_ns: int | None = None
+        self._end = threading.Event()
+        transport.answer(key_of(station, "clock"), lambda _: pack_clock(self.epoch, self.now_ns()))
+        transport.answer(key_of(station, "health"), lambda _: pack_health(self.health()))
+        transport.answer(key_of(station, "rig"), lambda _: rig.encode())
+        transport.answer(key_of(station, "start"), self._start)
+        transport.stand(key_of(station, "alive"))
+        self._beat = threading.Thread(target=self._run, name=f"station {station}", daemon=True)
+        self._beat.start()
+
+    def say(self, state: State, note: str = "") -> None:
+        """Change the state that the others see, and tell them."""
+        self._state = state
+        if note:
+            self._notes.append(note)
+        self._transport.publish(key_of(self.station, "health"), pack_health(self.health()))
+
+    def note(self, text: str) -> None:
+        """Have the others told something at the next occasion."""
+        self._notes.append(text)
+
+    def ordered(self, timeout_s: float) -> bool:
+        """Wait for the order to begin; False when it did not come within ``timeout_s``."""
+        return self._ordered.wait(timeout_s)
+
+    def send(
+        self,
+        camera: str,
+        pulse: int,
+        time_ns: int,
+        exposure_ns: int,
+        arrival_ns: int,
+        found: Detections | None,
+        status: Status = "detected",
+    ) -> None:
+        """Send what one camera saw at ``pulse``, or (``found`` None) why it saw nothing."""
+        message = DetectionMessage(
+            self.station,
+            self.epoch,
+            self._sent[camera],
+            pulse,
+            time_ns,
+            exposure_ns,
+            arrival_ns,
+            self.now_ns(),
+            status,
+            Detections.none(camera) if found is None else found,
+        )
+        self._sent[camera] += 1
+        if not self._transport.publish(self._keys[camera], pack_detections(message)):
+            self.refused += 1
+
+    def health(self) -> HealthMessage:
+        """Return how this station is doing."""
+        cameras = tuple(replace(camera, sent=self._sent[name]) for name, camera in self._cameras.items())
+        return HealthMessage(
+            self.station, self.epoch, self.now_ns(), self._state, cameras, self.refused, self.skipped,
+            tuple(self._notes),
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """Say that this was all, and leave; may be called twice."""
+        if self._end.is_set():
+            return
+        self._end.set()
+        self._beat.join()
+        self.say("ended" if self._state != "failed" else "failed")
+        time.sleep(LEAVE_S)
+        self._transport.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _start(self, order: bytes) -> bytes:
+        epoch, start_ns = unpack_clock(order)
+        if epoch == self.epoch:
+            self.start_ns = start_ns
+            self._ordered.set()
+        return pack_clock(self.epoch, self.now_ns())
+
+    def _run(self) -> None:
+        while not self._end.wait(HEALTH_S):
+            self._transport.publish(key_of(self.station, "health"), pack_health(self.health()))

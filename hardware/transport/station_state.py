@@ -1,0 +1,155 @@
+"""What the reconstructing station knows of each other one: is it there, how does its clock run, what became of its
+messages.
+"""
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from hardware.transport.clock import RemoteClock
+from hardware.transport.merger import MergeAccount, MergeSettings
+from hardware.transport.messages import DetectionMessage, HealthMessage
+
+HELD = 4000
+"""Messages that may wait until their station's clock and place are known; older ones are thrown away."""
+
+
+@dataclass(frozen=True)
+class ReceiverSettings:
+    """``silence_s``: a station not heard of for so long is told and not waited for. ``start_wait_s``: how long the
+    start waits for stations. ``clock_s``: from one question for a clock to the next. ``queued``: merged sets that may
+    wait for whoever iterates; then the oldest is left out and counted.
+    """
+
+    merge: MergeSettings = field(default_factory=MergeSettings)
+    silence_s: float = 0.5
+    start_wait_s: float = 15.0
+    clock_s: float = 0.2
+    queued: int = 50
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened to a station. ``kind``: appeared, back, silent, gone, ended, place, error, note."""
+
+    time_ns: int
+    station: str
+    kind: str
+    text: str
+
+
+@dataclass
+class StationAccount:
+    """What became of one station's messages, to be read at any time.
+
+    ``received`` and ``lost`` (numbers left out in the count, and, once it has ended, at its end); ``unplaced``:
+    thrown away before it was known which pulse they were of; ``stale``: of an earlier start; ``spoilt``: not to be
+    read; ``refused`` and ``skipped``: its own counts; ``silent``: how often it fell silent, ``gone`` how often its
+    token fell, ``starts``: how often it began; ``clock_error_ns`` and ``clock_skew``: of its clock beside this one.
+    """
+
+    received: int = 0
+    lost: int = 0
+    unplaced: int = 0
+    stale: int = 0
+    spoilt: int = 0
+    refused: int = 0
+    skipped: int = 0
+    silent: int = 0
+    gone: int = 0
+    starts: int = 0
+    clock_error_ns: float = float("nan")
+    clock_skew: float = 0.0
+
+
+@dataclass
+class ReceiverAccount:
+    """What became of all messages: ``stations``, ``merge``, ``left_out`` sets nobody took in time, ``overrun``
+    messages that found no room here.
+    """
+
+    stations: Mapping[str, StationAccount]
+    merge: MergeAccount
+    left_out: int = 0
+    overrun: int = 0
+
+
+@dataclass
+class StationState:
+    """One station as it is now; used by one thread."""
+
+    name: str
+    account: StationAccount = field(default_factory=StationAccount)
+    clock: RemoteClock = field(default_factory=RemoteClock)
+    health: HealthMessage | None = None
+    epoch: int | None = None
+    earlier: set[int] = field(default_factory=set)
+    stands: bool = False
+    silent: bool = False
+    heard_ns: int | None = None
+    gone_ns: int = 0
+    held: deque[tuple[DetectionMessage, int]] = field(default_factory=deque)
+    voted: int = 0
+    expected: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def away(self) -> bool:
+        """True where nothing can be expected of it: its token fell, it is silent, it has ended or was never here."""
+        return self.epoch is None or self.silent or self.ended
+
+    @property
+    def ended(self) -> bool:
+        """True where it has said that this was all."""
+        return self.health is not None and self.health.state in ("ended", "failed")
+
+    @property
+    def settled(self) -> bool:
+        """True where it waits for the order to start, for frames, or is past that."""
+        return self.health is not None and self.health.state != "starting"
+
+    @property
+    def timed(self) -> bool:
+        """True where its clock and its cameras are known."""
+        return self.clock.ready and self.health is not None
+
+    def begins(self, epoch: int) -> None:
+        """Forget what was known of an earlier start."""
+        if self.epoch is not None:
+            self.earlier.add(self.epoch)
+        self.epoch = epoch
+        self.account.starts += 1
+        self.clock = RemoteClock()
+        self.health = None
+        self.drop_held()
+        self.expected.clear()
+
+    def count(self, message: DetectionMessage) -> None:
+        """Count a message, and those that its number shows to be lost."""
+        self.account.received += 1
+        camera = message.detections.camera
+        expected = self.expected.get(camera, 0)
+        self.account.lost += max(message.sequence - expected, 0)
+        self.expected[camera] = max(message.sequence + 1, expected)
+
+    def count_rest(self) -> None:
+        """Count what its last words say was sent and did not come."""
+        if self.health is None:
+            return
+        for camera in self.health.cameras:
+            expected = self.expected.get(camera.name, 0)
+            self.account.lost += max(camera.sent - expected, 0)
+            self.expected[camera.name] = max(camera.sent, expected)
+
+    def hold(self, message: DetectionMessage, received_ns: int) -> None:
+        """Let a message wait until its pulse can be told."""
+        self.held.append((message, received_ns))
+        if len(self.held) > HELD:
+            self.held.popleft()
+            self.voted = max(self.voted - 1, 0)
+            self.account.unplaced += 1
+
+    def drop_held(self) -> None:
+        """Throw away what still waits."""
+        self.account.unplaced += len(self.held)
+        self.held.clear()
+        self.voted = 0

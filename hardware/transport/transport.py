@@ -1,0 +1,83 @@
+"""What an engine between stations is: the one door behind which it stands, and the keys that are used.
+
+| key | carries |
+|---|---|
+| ``mosca/STATION/CAMERA/detections`` | published: one camera, one pulse (``hardware.transport.messages``) |
+| ``mosca/STATION/health`` | published and asked for: how the station is doing |
+| ``mosca/STATION/clock`` | asked for: what the station's clock shows |
+| ``mosca/STATION/rig`` | asked for: its rig file, calibrated or not |
+| ``mosca/STATION/start`` | asked: the session starts at this time of your clock |
+| ``mosca/STATION/alive`` | a token that stands as long as the station's process |
+
+The reconstructing station is one of the names: it answers ``rig`` and stands by its token.
+"""
+
+import re
+from collections.abc import Callable
+from typing import Protocol
+
+from mosca.errors import InputError, MoscaError
+
+ROOT = "mosca"
+EVERYTHING = f"{ROOT}/**"
+"""All that is published, by one subscription: so a station's last words come after its last detections."""
+EVERY_TOKEN = f"{ROOT}/*/alive"
+
+
+class TransportError(MoscaError):
+    """An engine that is not installed, or an endpoint that cannot be used; told in one line."""
+
+
+class Transport(Protocol):
+    """Publishes, asks and watches. Callbacks come on the engine's threads, one at a time for each subscription."""
+
+    def publish(self, key: str, payload: bytes) -> bool:
+        """Send to whoever subscribed; what finds no room soon is dropped. False where the engine refuses it."""
+        ...
+
+    def subscribe(self, pattern: str, take: Callable[[str, bytes], None]) -> None:
+        """Hand what is published under ``pattern`` to ``take(key, payload)``; ``*`` is one name, ``**`` any names."""
+        ...
+
+    def answer(self, key: str, reply: Callable[[bytes], bytes]) -> None:
+        """Answer those who ask for ``key``."""
+        ...
+
+    def ask(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
+        """Return the answer to ``payload``, None where nobody answers within ``timeout_s``."""
+        ...
+
+    def stand(self, key: str) -> None:
+        """Set up a token that stands until ``close``, or until this process or its network is gone."""
+        ...
+
+    def watch(self, pattern: str, take: Callable[[str, bool], None]) -> None:
+        """Tell ``take(key, stands)`` of tokens that are there, that come and that go."""
+        ...
+
+    def close(self) -> None:
+        """Leave; may be called twice."""
+        ...
+
+
+def check_station(name: str) -> str:
+    """Return ``name`` where it can be a station's; InputError says what is allowed."""
+    if not re.fullmatch(r"[A-Za-z0-9_-]{1,60}", name):
+        raise InputError(f"station name '{name}' given; 1 to 60 letters, digits, _ and - are allowed")
+    return name
+
+
+def key_of(station: str, *parts: str) -> str:
+    """Return the key of a station's ``parts``, e.g. ``key_of("A", "left", "detections")``."""
+    return "/".join((ROOT, station, *parts))
+
+
+def station_of(key: str) -> str:
+    """Return the station that a key names, "" where it names none."""
+    parts = key.split("/")
+    return parts[1] if len(parts) > 1 else ""
+
+
+def word_of(key: str) -> str:
+    """Return the last part of a key: what it carries."""
+    return key.rpartition("/")[2]

@@ -1,0 +1,140 @@
+"""Zenoh between stations: TCP peers with explicit endpoints; nobody is looked for by multicast."""
+
+import json
+import re
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import zenoh
+
+from hardware.transport.transport import TransportError
+
+LEASE_MS = 4000
+"""A peer that is not heard of for so long is gone: its token falls, and it is connected to anew."""
+
+
+QUEUED_BATCHES = 16
+"""Messages (of 64 kB at most) that may wait for the network; what comes then is dropped, and missing in the count."""
+JAM_US = 50_000
+"""So long a message waits for room; once it did in vain, the next ones are dropped at once until there is some."""
+
+
+class ZenohTransport:
+    """A ``Transport``. ``connect``, ``listen``: endpoints like ``tcp/10.0.0.1:7447``; who listens may come later."""
+
+    def __init__(self, connect: Sequence[str] = (), listen: Sequence[str] = ()) -> None:
+        config = zenoh.Config()
+        settings: dict[str, Any] = {
+            "mode": "peer",
+            "connect/endpoints": list(connect),
+            "connect/timeout_ms": -1,
+            "connect/exit_on_failure": False,
+            "connect/retry": {
+                "period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 1.5,
+            },
+            "listen/endpoints": list(listen),
+            "listen/timeout_ms": 0,
+            "listen/exit_on_failure": True,
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": False,
+            "transport/link/tx/lease": LEASE_MS,
+            # one batch, the default of this priority, is dropped when all cameras of a pulse are sent at once
+            "transport/link/tx/queue/size/real_time": QUEUED_BATCHES,
+            "transport/link/tx/queue/congestion_control/drop/wait_before_drop": JAM_US,
+        }  # fmt: skip
+        where = ", ".join([*connect, *listen]) or "no endpoint"
+        try:
+            for key, value in settings.items():
+                config.insert_json5(key, json.dumps(value))
+            self._session = zenoh.open(config)
+        except zenoh.ZError as error:
+            raise TransportError(
+                f"{where}: cannot be used ({_first_line(error)}); endpoints look like tcp/192.168.7.1:7447"
+            ) from None
+        self._guard = threading.Lock()
+        self._publishers: dict[str, Any] = {}
+        self._kept: list[Any] = []
+
+    def publish(self, key: str, payload: bytes) -> bool:
+        """Send, or drop where the way is jammed; False where the engine refuses."""
+        try:
+            with self._guard:
+                publisher = self._publishers.get(key)
+                if publisher is None:
+                    publisher = self._session.declare_publisher(
+                        key,
+                        congestion_control=zenoh.CongestionControl.DROP,
+                        priority=zenoh.Priority.REAL_TIME,
+                        express=True,
+                    )
+                    self._publishers[key] = publisher
+            publisher.put(payload)
+        except zenoh.ZError:
+            return False
+        return True
+
+    def subscribe(self, pattern: str, take: Callable[[str, bytes], None]) -> None:
+        """Hand what is published to ``take``."""
+        self._keep(
+            self._session.declare_subscriber(
+                pattern, lambda sample: take(str(sample.key_expr), sample.payload.to_bytes())
+            )
+        )
+
+    def answer(self, key: str, reply: Callable[[bytes], bytes]) -> None:
+        """Answer questions for ``key``."""
+
+        def answered(query: zenoh.Query) -> None:
+            asked = b"" if query.payload is None else query.payload.to_bytes()
+            query.reply(key, reply(asked))
+
+        self._keep(self._session.declare_queryable(key, answered, complete=True))
+
+    def ask(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
+        """Return the first good answer; None where there is none in time."""
+        try:
+            replies = self._session.get(
+                key,
+                payload=payload,
+                timeout=timeout_s,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.REAL_TIME,
+                express=True,
+            )
+            for reply in replies:
+                if reply.ok is not None:
+                    return bytes(reply.ok.payload.to_bytes())
+        except zenoh.ZError:
+            return None
+        return None
+
+    def stand(self, key: str) -> None:
+        """Set up a liveliness token."""
+        self._keep(self._session.liveliness().declare_token(key))
+
+    def watch(self, pattern: str, take: Callable[[str, bool], None]) -> None:
+        """Watch liveliness tokens."""
+        self._keep(
+            self._session.liveliness().declare_subscriber(
+                pattern,
+                lambda sample: take(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT),
+                history=True,
+            )
+        )
+
+    def close(self) -> None:
+        """Leave the session; may be called twice."""
+        if not self._session.is_closed():
+            self._session.close()
+
+    def _keep(self, declared: object) -> None:
+        # what is declared is withdrawn when nobody holds it
+        with self._guard:
+            self._kept.append(declared)
+
+
+def _first_line(error: Exception) -> str:
+    """Return what the engine says, without the places in its sources."""
+    text = re.sub(r" at /\S+?:\d+\.?", "", str(error))
+    return text.splitlines()[0].strip() if text else type(error).__name__
