@@ -13,7 +13,7 @@ import click
 
 from mosca import __version__
 from mosca.errors import InputError, MoscaError
-from scenarios import cli_rig
+from scenarios import cli_capture, cli_lab, cli_rig, cli_station
 from scenarios.interrupt import was_interrupted
 from scenarios.progress import Progress
 
@@ -257,6 +257,8 @@ def report(runs: tuple[Path, ...], out: Path) -> None:
 cli.add_command(cli_rig.calibrate)
 cli.add_command(cli_rig.rig)
 cli.add_command(cli_rig.target)
+cli.add_command(cli_capture.capture)
+cli.add_command(cli_station.station)
 
 
 @cli.group()
@@ -286,6 +288,9 @@ def twin_fidelity(quick: bool, out: Path | None) -> None:
         write(found, out)
         click.echo(f"{out / PAGE}")
     sys.exit(EXIT_PASSED if all_met(found.checks) else EXIT_BROKEN)
+
+
+twin.add_command(cli_lab.twin_serve)
 
 
 @cli.command()

@@ -104,16 +104,27 @@ def rig() -> None:
 
 
 @rig.command("check")
-@click.argument("path", type=FILE)
-def rig_check(path: Path) -> None:
-    """Read a rig file and say what its cameras see of each other's views.
+@click.argument("path", type=FILE, required=False)
+@click.option("--devices", is_flag=True, help="list the cameras that the drivers see; opens none of them")
+def rig_check(path: Path | None, devices: bool) -> None:
+    """Read a rig file and say what its cameras see of each other's views, or which of its devices are there.
 
     \b
     Example:  mosca rig check rig.toml
+              mosca rig check --devices
     """
-    from scenarios.calibrate import describe_rig
+    if path is None and not devices:
+        raise InputError("rig check: give a rig file, or --devices for the cameras that are there")
+    if devices:
+        from scenarios.lab.devices import describe_devices
 
-    for line in describe_rig(path):
+        lines = describe_devices(path)
+    else:
+        from scenarios.calibrate import describe_rig
+
+        assert path is not None
+        lines = list(describe_rig(path))
+    for line in lines:
         click.echo(line)
 
 

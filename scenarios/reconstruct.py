@@ -16,11 +16,12 @@ from mosca.data.tracks import Samples, table
 from mosca.detect import mean_background, minimum_background
 from mosca.errors import InputError
 from mosca.formats.tracks_file import SUFFIXES, write_tracks
-from mosca.pipeline import PipelineSettings, run
-from mosca.recording import open_recording
+from mosca.pipeline import PipelineSettings, check_source, run
+from mosca.recording import McapRecording, open_recording
 from scenarios.build import stage_settings
 from scenarios.cameras import overlap_of
 from scenarios.interrupt import between_steps
+from scenarios.lab.from_detections import counted, run_detections
 from scenarios.spec import DetectionSpec, MatchSpec, TrackSpec, apply_overrides
 
 
@@ -86,7 +87,13 @@ def reconstruct_recording(
     counts = np.zeros(3)
     with open_recording(recording, rig, fps) as source, between_steps() as stop:
         rate = source.cameras[0].frame_rate_hz
-        for step in run(source, rig, settings, assembly, backgrounds):
+        if isinstance(source, McapRecording) and source.holds == "detections":
+            check_source(source, rig)
+            found = counted(source.detection_sets(), source.cameras, assembly)
+            steps = run_detections(found, rig, settings)
+        else:
+            steps = run(source, rig, settings, assembly, backgrounds)
+        for step in steps:
             stop()
             samples.append(step.samples)
             counts += 1, sum(len(d) for d in step.detections.values()), len(step.points)
@@ -110,6 +117,8 @@ def reconstruct_recording(
         if c.dropped or c.corrupt or c.late or c.doubled
     ]
     told += [f"{kind}: {note}" for kind, note in assembly.notes.items()]
+    if assembly.skipped_sets:
+        told.append(f"{assembly.skipped_sets} frame sets are missing in the recording")
     return told
 
 

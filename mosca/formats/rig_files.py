@@ -78,7 +78,7 @@ _TABLE = (
         "",
         read_openptv,
         write_openptv,
-        "images of different sizes; other lenses than Brown's with affinity (fitted by that); fisheyes",
+        "images of different sizes; cameras of different fx/fy (fitted, the residual is told); fisheyes",
     ),
     RigFormat("multicamselfcal", "", read_selfcal, None, "is only read"),
 )

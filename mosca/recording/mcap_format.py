@@ -2,7 +2,8 @@
 
 The file is a plain MCAP file (mcap.dev) with uncompressed chunks; profile ``mosca-recording``.
 
-- Metadata record ``mosca-recording``: ``version`` = "1".
+- Metadata record ``mosca-recording``: ``version`` = "1", ``holds`` = "frames" (where it is missing, too) or
+  "detections".
 - Metadata record ``camera/NAME`` for each camera, in the rig's order: ``width``, ``height``,
   ``bit_depth``, ``frame_rate_hz``, ``clock`` (device, host or session), ``stamp_event``.
 - Attachment ``rig.toml`` (application/toml), where the rig was known.
@@ -10,6 +11,10 @@ The file is a plain MCAP file (mcap.dev) with uncompressed chunks; profile ``mos
   damaged ones too, in order of arrival. ``log_time`` is the frame's stamp [ns] (0 if it is negative),
   ``publish_time`` the host's time of arrival [ns] where it is known, else the stamp; ``sequence`` the low
   32 bits of the camera's counter.
+- Instead of it, where the recording holds detections: channel ``/camera/NAME/detections`` a camera, message encoding
+  ``mosca.detections.v1``, a message for each usable frame of a frame set; ``log_time``, ``publish_time`` and
+  ``sequence`` are the frame's, as above. Channel ``/sets`` (JSON) ends each frame set, empty ones too: ``pulse`` and
+  ``time_ns``, the set's number and time.
 - Channel ``/NAME`` for each further channel (commands, events, onboard streams) on the same clock as the
   frames; message encoding ``json`` (an object a message) or ``application/octet-stream``.
 
@@ -25,6 +30,16 @@ A ``mosca.frame.v1`` message, little-endian, without padding::
     i64 index, i64 time [ns], i64 exposure [ns], i64 row time [ns]
     u32 length of the note, then the note (UTF-8)
     payload: one blosc2 chunk (bitshuffle, LZ4 or Zstandard) of the pixels, row by row, little-endian
+
+A ``mosca.detections.v1`` message, little-endian, without padding::
+
+    u32 crc32 of the bytes that follow                     (zlib.crc32)
+    u8  stamp event    as above
+    u8, u16            reserved, 0
+    u32 n, the number of detections
+    i64 pulse of the frame set, i64 index, i64 time [ns], i64 exposure [ns], i64 row time [ns] of the frame
+    n x 8 f64          x, y [px], covariance xx, xy, yy [px2], diameter [px], peak [DN], elongation
+    n x u8             flags (1 saturated, 2 merged, 4 partly hidden, 8 unrefined)
 """
 
 import struct
@@ -34,27 +49,34 @@ from typing import Literal, get_args
 import blosc2
 import numpy as np
 
+from mosca.data.detections import Detections
 from mosca.data.frames import Frame, FrameStatus, StampEvent
 
 PROFILE = "mosca-recording"
 VERSION = "1"
 FRAME_ENCODING = "mosca.frame.v1"
+DETECTIONS_ENCODING = "mosca.detections.v1"
+SETS = "sets"
 STATUSES: tuple[FrameStatus, ...] = get_args(FrameStatus)
 EVENTS: tuple[StampEvent, ...] = get_args(StampEvent)
 Codec = Literal["lz4", "zstd"]
+Holds = Literal["frames", "detections"]
 
 _SUMS = struct.Struct("<II")
 _HEADER = struct.Struct("<BBBBIIqqqqI")
+_SUM = struct.Struct("<I")
+_DETECTIONS = struct.Struct("<BBHIqqqqq")
+_ROW_BYTES, _NUMBERS = 65, 8
 _CODECS = {"lz4": (blosc2.Codec.LZ4, 5), "zstd": (blosc2.Codec.ZSTD, 1)}
 
 
 class DamagedMessage(ValueError):
-    """A frame message whose header cannot be trusted."""
+    """A message of a camera whose header cannot be trusted."""
 
 
-def frame_topic(camera: str) -> str:
-    """Return the topic of a camera's frames."""
-    return f"/camera/{camera}/frame"
+def camera_topic(camera: str, holds: Holds) -> str:
+    """Return the topic of a camera's frames or detections."""
+    return f"/camera/{camera}/{'frame' if holds == 'frames' else 'detections'}"
 
 
 def pack_frame(frame: Frame, codec: Codec) -> bytes:
@@ -133,3 +155,30 @@ def _unpacked(payload: bytes, height: int, width: int, pixel: int) -> np.ndarray
         return None
     image = np.frombuffer(pixels, dtype="<u2" if pixel == 2 else "u1").reshape(height, width)
     return image.astype(np.uint16 if pixel == 2 else np.uint8, copy=False)
+
+
+def pack_detections(pulse: int, frame: Frame, found: Detections) -> bytes:
+    """Return the message of what was found in ``frame`` of the frame set ``pulse``."""
+    xx, xy, yy = found.covariance_px2[:, 0, 0], found.covariance_px2[:, 0, 1], found.covariance_px2[:, 1, 1]
+    numbers = np.column_stack((found.xy_px, xx, xy, yy, found.diameter_px, found.peak, found.elongation))
+    event = EVENTS.index(frame.stamp_event)
+    times = (frame.index, frame.time_ns, frame.exposure_ns, frame.row_time_ns)
+    header = _DETECTIONS.pack(event, 0, 0, len(found), pulse, *times)
+    body = b"".join((header, numbers.astype("<f8").tobytes(), found.flags.tobytes()))
+    return _SUM.pack(zlib.crc32(body)) + body
+
+
+def unpack_detections(camera: str, message: bytes) -> tuple[int, Detections]:
+    """Return the pulse and the detections of a message; raises DamagedMessage."""
+    start = _SUM.size + _DETECTIONS.size
+    if len(message) < start or zlib.crc32(memoryview(message)[_SUM.size :]) != _SUM.unpack_from(message)[0]:
+        raise DamagedMessage("wrong checksum, or cut short")
+    _, _, _, n, pulse, *_ = _DETECTIONS.unpack_from(message, _SUM.size)
+    if len(message) != start + n * _ROW_BYTES:
+        raise DamagedMessage(f"{n} detections announced in {len(message)} bytes")
+    numbers = np.frombuffer(message, "<f8", n * _NUMBERS, start).reshape(n, _NUMBERS)
+    flags = np.frombuffer(message, np.uint8, n, start + n * (_ROW_BYTES - 1))
+    covariance = numbers[:, [2, 3, 3, 4]].reshape(n, 2, 2)
+    return pulse, Detections(
+        camera, numbers[:, :2], covariance, numbers[:, 5], numbers[:, 6], numbers[:, 7], flags
+    )

@@ -12,7 +12,8 @@ from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from mosca.data.frames import CameraInfo, Frame
+from mosca.data.detections import Detections
+from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.errors import InputError
 from mosca.recording import mcap_format as layout
 
@@ -26,7 +27,8 @@ class McapRecording:
     """A FrameSource over ``recording.mcap``.
 
     Frames come in the order in which they were written. A frame whose pixels are damaged is corrupt; damage
-    beyond one frame loses the frames that it hits (gaps) and is told in ``notes``, as is a missing end.
+    beyond one frame loses the frames that it hits (gaps) and is told in ``notes``, as is a missing end. A recording
+    that ``holds`` "detections" has no frames: ``detection_sets`` gives what they showed.
     """
 
     def __init__(self, path: Path, only: Sequence[str] | None = None) -> None:
@@ -39,6 +41,7 @@ class McapRecording:
         self._running: set[ExitStack] = set()
         self._closed = False
         self.rig_toml_text: str | None = None
+        self.holds: layout.Holds = "frames"
         infos = {info.name: info for info in self._read_head()}
         for name in only or ():
             if name not in infos:
@@ -53,7 +56,7 @@ class McapRecording:
     @property
     def n_frames(self) -> int | None:
         """How many frames the file states that it holds for these cameras; None where its end is missing."""
-        topics = {layout.frame_topic(info.name) for info in self._cameras}
+        topics = {layout.camera_topic(info.name, self.holds) for info in self._cameras}
         with open(self.path, "rb") as file:
             try:
                 summary = make_reader(file).get_summary()
@@ -70,8 +73,13 @@ class McapRecording:
         return tuple(self._notes)
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield the frames from the start; may be done again."""
-        names = {layout.frame_topic(info.name): info.name for info in self._cameras}
+        """Yield the frames from the start; may be done again. InputError where it holds detections alone."""
+        if self.holds != "frames":
+            raise InputError(
+                f"{self.path}: holds detections and no images; 'mosca reconstruct' reads it, other verbs need a "
+                "recording that was captured without --detections"
+            )
+        names = {layout.camera_topic(info.name, "frames"): info.name for info in self._cameras}
         with closing(self._messages()) as messages:
             for channel, message in messages:
                 camera = names.get(channel.topic)
@@ -83,6 +91,31 @@ class McapRecording:
                     self._note(f"a frame of {camera} near {message.log_time} ns is lost: {error}")
                     continue
                 yield frame
+
+    def detection_sets(self) -> Iterator[tuple[FrameSet, dict[str, Detections]]]:
+        """Yield the frame sets, without frames, and what each camera's showed; only where it ``holds`` them.
+
+        Sets that were left out or cut off are missing; pulse numbers tell.
+        """
+        names = {layout.camera_topic(info.name, "detections"): info.name for info in self._cameras}
+        here: dict[str, tuple[int, Detections]] = {}
+        with closing(self._messages()) as messages:
+            for channel, message in messages:
+                camera = names.get(channel.topic)
+                try:
+                    if camera is not None:
+                        here[camera] = layout.unpack_detections(camera, message.data)
+                    elif channel.topic == f"/{layout.SETS}":
+                        told = json.loads(message.data)
+                        frame_set = FrameSet(int(told["pulse"]), int(told["time_ns"]))
+                        found = {info.name: here.get(info.name, (None, None)) for info in self._cameras}
+                        here = {}
+                        yield (
+                            frame_set,
+                            {n: d for n, (p, d) in found.items() if d is not None and p == frame_set.pulse},
+                        )
+                except (ValueError, KeyError, TypeError) as error:
+                    self._note(f"detections near {message.log_time} ns are lost: {_said(error)}")
 
     def channel(self, name: str) -> Iterator[tuple[int, Any]]:
         """Yield (time_ns, data) of a further channel: JSON as Python values, anything else as bytes."""
@@ -181,6 +214,8 @@ class McapRecording:
 
     def _camera_infos(self, metadata: dict[str, dict[str, str]]) -> tuple[CameraInfo, ...]:
         version = metadata.get(layout.PROFILE, {}).get("version")
+        if metadata.get(layout.PROFILE, {}).get("holds") == "detections":
+            self.holds = "detections"
         if version != layout.VERSION:
             raise InputError(
                 f"{self.path}: version {version} of a mosca recording; version {layout.VERSION} can be read"

@@ -6,7 +6,8 @@ folder whose writer was killed never looks like a whole recording; what it holds
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,8 @@ from typing import Any
 import tomli_w
 from mcap.writer import CompressionType, Writer
 
-from mosca.data.frames import CameraInfo, Frame
+from mosca.data.detections import Detections
+from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.data.whole_file import whole_file
 from mosca.errors import InputError
 from mosca.recording import mcap_format as layout
@@ -23,7 +25,7 @@ MCAP_NAME = "recording.mcap"
 PART_NAME = "recording.mcap.part"
 TOML_NAME = "recording.toml"
 CHUNK_BYTES = 1 << 20
-"""A killed writer loses at most the chunk that it was filling."""
+"""A killed writer loses at most the chunk that it was filling, or what came since the last ``flush``."""
 
 _FOR_PEOPLE = """\
 # A recording of cameras. The frames are in recording.mcap, a plain MCAP file (mcap.dev): a channel
@@ -33,6 +35,7 @@ _FOR_PEOPLE = """\
 # u8 status (0 ok, 1 dropped, 2 corrupt), u8 stamp event (0 exposure_start, 1 exposure_middle, 2 readout),
 # u8 bytes a pixel, u8 0, u32 height, u32 width, i64 index, i64 time_ns, i64 exposure_ns, i64 row_time_ns,
 # u32 length of note, note, payload: one blosc2 chunk of the pixels, row by row.
+# A recording of detections has /camera/NAME/detections (mosca.detections.v1) instead; the schemas in the file tell.
 
 """
 
@@ -45,12 +48,13 @@ class _Count:
 
 
 class RecordingWriter:
-    """Context manager that writes frames and further channels to a folder as they come.
+    """Context manager that writes frames, or detections, and further channels to a folder as they come.
 
     ``path``: the folder, made if need be; InputError where it holds a recording already. ``cameras``: what the
     cameras say of themselves. ``rig_toml_text``: the rig file, kept inside. ``codec``: "lz4" (fast) or "zstd"
-    (smaller); both lossless. When the body raises, what was written stays readable as an unfinished
-    recording. Not to be shared by threads.
+    (smaller); both lossless. ``holds``: "frames", or "detections" without images. ``about``: tables for
+    ``recording.toml``, to be filled before ``close``. When the body raises, or the disk is full (InputError), what
+    was written stays readable as an unfinished recording. Not to be shared by threads, except ``pack``.
     """
 
     def __init__(
@@ -59,8 +63,11 @@ class RecordingWriter:
         cameras: Sequence[CameraInfo],
         rig_toml_text: str | None = None,
         codec: layout.Codec = "lz4",
+        holds: layout.Holds = "frames",
     ) -> None:
         self.path = Path(path)
+        self.holds = holds
+        self.about: dict[str, Any] = {}
         self._cameras = {info.name: info for info in cameras}
         self._codec = codec
         self._counts = {name: _Count() for name in self._cameras}
@@ -76,23 +83,24 @@ class RecordingWriter:
             raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
         self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
         self._mcap.start(profile=layout.PROFILE, library="mosca")
-        self._mcap.add_metadata(layout.PROFILE, {"version": layout.VERSION})
+        self._mcap.add_metadata(layout.PROFILE, {"version": layout.VERSION, "holds": holds})
         for info in cameras:
             fields = {key: str(value) for key, value in asdict(info).items() if key != "name"}
             self._mcap.add_metadata(f"camera/{info.name}", fields)
         if rig_toml_text is not None:
             self._mcap.add_attachment(0, 0, "rig.toml", "application/toml", rig_toml_text.encode("utf-8"))
         text = (layout.__doc__ or "").encode("utf-8")
-        schema = self._mcap.register_schema(layout.FRAME_ENCODING, "text/plain", text)
+        encoding = layout.FRAME_ENCODING if holds == "frames" else layout.DETECTIONS_ENCODING
+        schema = self._mcap.register_schema(encoding, "text/plain", text)
         self._channels = {
-            name: self._mcap.register_channel(layout.frame_topic(name), layout.FRAME_ENCODING, schema)
+            name: self._mcap.register_channel(layout.camera_topic(name, holds), encoding, schema)
             for name in self._cameras
         }
         self._other_channels: dict[tuple[str, str], int] = {}
         self._json_schema: int | None = None
 
-    def write(self, frame: Frame, host_time_ns: int | None = None) -> None:
-        """Append ``frame``; ``host_time_ns`` is when it reached this machine, where that is known.
+    def pack(self, frame: Frame) -> bytes:
+        """Return the message of ``frame`` for ``write``; may be called by any thread.
 
         Raises ValueError for a camera that was not announced or an image of another size than announced.
         """
@@ -104,18 +112,34 @@ class RecordingWriter:
                 f"frame {frame.index} of {frame.camera}: {frame.image.shape} given, "
                 f"{(info.height, info.width)} announced"
             )
-        stamp = max(frame.time_ns, 0)
-        self._mcap.add_message(
-            self._channels[frame.camera],
-            log_time=stamp,
-            data=layout.pack_frame(frame, self._codec),
-            publish_time=stamp if host_time_ns is None else host_time_ns,
-            sequence=frame.index & 0xFFFFFFFF,
+        return layout.pack_frame(frame, self._codec)
+
+    def write(self, frame: Frame, host_time_ns: int | None = None, message: bytes | None = None) -> None:
+        """Append ``frame``; ``host_time_ns`` is when it reached this machine, where that is known.
+
+        ``message``: what ``pack`` made of it, where that was done before. Raises ValueError as ``pack`` does, and
+        where the recording holds detections.
+        """
+        if self.holds != "frames":
+            raise ValueError(f"frame of camera '{frame.camera}' for a recording of {self.holds}")
+        self._add(frame, self.pack(frame) if message is None else message, host_time_ns)
+
+    def write_set(
+        self,
+        frame_set: FrameSet,
+        detections: Mapping[str, Detections],
+        host_times_ns: Mapping[str, int] | None = None,
+    ) -> None:
+        """Append what was found in the frames of a set, in a recording that holds detections."""
+        if self.holds != "detections":
+            raise ValueError(f"detections of pulse {frame_set.pulse} for a recording of {self.holds}")
+        for name, found in detections.items():
+            frame = frame_set.frames[name]
+            message = layout.pack_detections(frame_set.pulse, frame, found)
+            self._add(frame, message, (host_times_ns or {}).get(name))
+        self.write_channel(
+            layout.SETS, frame_set.time_ns, {"pulse": frame_set.pulse, "time_ns": frame_set.time_ns}
         )
-        count = self._counts[frame.camera]
-        setattr(count, frame.status, getattr(count, frame.status) + 1)
-        first, last = self._times_ns or (frame.time_ns, frame.time_ns)
-        self._times_ns = (min(first, frame.time_ns), max(last, frame.time_ns))
 
     def write_channel(self, name: str, time_ns: int, data: bytes | Mapping[str, Any]) -> None:
         """Append a message to the further channel ``name``: bytes as they are, a mapping as JSON.
@@ -131,17 +155,29 @@ class RecordingWriter:
             self._other_channels[name, encoding] = channel
         payload = data if isinstance(data, bytes) else json.dumps(dict(data)).encode("utf-8")
         stamp = max(time_ns, 0)
-        self._mcap.add_message(channel, log_time=stamp, data=payload, publish_time=stamp)
+        with self._disk():
+            self._mcap.add_message(channel, log_time=stamp, data=payload, publish_time=stamp)
         self._other_counts[name] = self._other_counts.get(name, 0) + 1
+
+    def flush(self) -> None:
+        """Hand what was written so far to the operating system: it outlives this process."""
+        with self._disk():
+            self._mcap.flush()
 
     def close(self) -> None:
         """Finish the recording: index, name, ``recording.toml``; may be called twice."""
         if self._file.closed:
             return
-        self._end_file()
-        (self.path / PART_NAME).replace(self.path / MCAP_NAME)
-        with whole_file(self.path / TOML_NAME) as temporary:
-            temporary.write_text(self._toml(), encoding="utf-8")
+        with self._disk():
+            self._end_file()
+            (self.path / PART_NAME).replace(self.path / MCAP_NAME)
+            with whole_file(self.path / TOML_NAME) as temporary:
+                temporary.write_text(self._toml(), encoding="utf-8")
+
+    def abandon(self) -> None:
+        """Free the file as it stands; it can be read up to here. May be called twice."""
+        with suppress(OSError):  # what could not be written before cannot be now
+            self._file.close()
 
     def __enter__(self) -> "RecordingWriter":
         """Return the writer itself."""
@@ -152,7 +188,37 @@ class RecordingWriter:
         if kind is None:
             self.close()
         elif not self._file.closed:
-            self._end_file()
+            try:
+                self._end_file()
+            except OSError:  # the error that ended the body is the one to be told
+                self.abandon()
+
+    @contextmanager
+    def _disk(self) -> Iterator[None]:
+        """Turn an error of the disk into one line, and leave the file readable up to it."""
+        try:
+            yield
+        except OSError as error:
+            self.abandon()
+            raise InputError(
+                f"{self.path}: cannot be written any more: {error.strerror}; what it holds can be read; "
+                "make room and record the rest into another folder"
+            ) from None
+
+    def _add(self, frame: Frame, message: bytes, host_time_ns: int | None) -> None:
+        stamp = max(frame.time_ns, 0)
+        with self._disk():
+            self._mcap.add_message(
+                self._channels[frame.camera],
+                log_time=stamp,
+                data=message,
+                publish_time=stamp if host_time_ns is None else host_time_ns,
+                sequence=frame.index & 0xFFFFFFFF,
+            )
+        count = self._counts[frame.camera]
+        setattr(count, frame.status, getattr(count, frame.status) + 1)
+        first, last = self._times_ns or (frame.time_ns, frame.time_ns)
+        self._times_ns = (min(first, frame.time_ns), max(last, frame.time_ns))
 
     def _end_file(self) -> None:
         self._mcap.finish()
@@ -172,11 +238,13 @@ class RecordingWriter:
         document = {
             "format": layout.PROFILE,
             "version": int(layout.VERSION),
+            "holds": self.holds,
             "first_time_ns": first,
             "duration_s": (last - first) / 1e9,
             "camera": [
                 {**asdict(info), "frames": asdict(self._counts[name])} for name, info in self._cameras.items()
             ],
             "channel": [{"name": name, "messages": n} for name, n in self._other_counts.items()],
+            **self.about,
         }
         return _FOR_PEOPLE + tomli_w.dumps(document)

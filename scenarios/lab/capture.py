@@ -1,0 +1,319 @@
+"""Capture: the rig's frames, or what they show, into a recording that is readable at any moment."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hardware.commands import ProgramRun, read_program
+from hardware.drivers import open_camera
+from hardware.settings import RigHardware, read_hardware
+from hardware.source import HardwareSource, OpenTrigger
+from hardware.triggers import open_trigger
+from mosca.data.rig import Rig
+from mosca.data.rig_file import read_rig, read_rig_file
+from mosca.errors import InputError
+from mosca.recording import RecordingWriter
+from scenarios.interrupt import between_steps
+from scenarios.lab.intake import Intake
+from scenarios.lab.recorder import WAITING_BYTES, Recorder
+from scenarios.lab.stamps import OpenCamera, Tap
+
+if TYPE_CHECKING:
+    from mosca.pipeline import PipelineSettings
+    from scenarios.lab.live_view import LiveView
+
+LOOK_S = 0.05
+ACCOUNT_S = 1.0
+TAIL_PULSES = 4
+Shown = Callable[[int, int | None], None]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to capture. ``frames``: pulses, None until Ctrl-C. ``detections``: keep these alone, no images.
+
+    ``view``: show it live; ``view_log``: into this .rrd file instead of the viewer. ``settings``: file as of ``mosca
+    reconstruct``, for detections and view. ``program``: commands and events (``hardware.commands``).
+    """
+
+    rig: Path
+    out: Path
+    frames: int | None = None
+    seconds: float | None = None
+    detections: bool = False
+    view: bool = False
+    view_log: Path | None = None
+    settings: Path | None = None
+    program: Path | None = None
+    waiting_bytes: int = WAITING_BYTES
+
+
+@dataclass
+class CameraRow:
+    """What became of one camera's pulses: ``frames`` in the recording or looked at, ``failed``, ``dropped``."""
+
+    frames: int = 0
+    failed: int = 0
+    dropped: int = 0
+    overrun: int = 0
+    relocked: int = 0
+    reopened: int = 0
+
+
+@dataclass
+class Outcome:
+    """A finished capture. ``lost``: frame sets that this machine was too slow for; ``whole``: nothing is missing."""
+
+    pulses: int = 0
+    lost: int = 0
+    lost_text: str = ""
+    stopped: bool = False
+    shown: int = 0
+    cameras: dict[str, CameraRow] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def whole(self) -> bool:
+        """Whether each pulse has a whole frame of each camera."""
+        return not self.lost and not any(c.failed or c.dropped or c.overrun for c in self.cameras.values())
+
+
+def capture(
+    request: Request,
+    progress: Shown | None = None,
+    opener: OpenCamera = open_camera,
+    trigger_opener: OpenTrigger = open_trigger,
+) -> Outcome:
+    """Capture until the frames wanted are there, Ctrl-C, or the disk is full (InputError); DeviceError for devices.
+
+    ``opener`` and ``trigger_opener`` are for tests.
+    """
+    check_out(request.out)
+    hardware = read_hardware(request.rig)
+    program = None if request.program is None else read_program(request.program)
+    settings = _settings(request)
+    tap = Tap(opener)
+    pulses = pulses_of(request, hardware)
+    with ExitStack() as stack:
+        source = stack.enter_context(HardwareSource(hardware, pulses, tap.open, trigger_opener))
+        if settings is not None:
+            from scenarios.lab.detecting import warm_up
+
+            warm_up(source.cameras, settings)
+        writer = stack.enter_context(_recording(request, source))
+        recorder = Recorder(writer, source.cameras, request.waiting_bytes)
+        stack.callback(recorder.close)
+        run = None
+        if program is not None:
+            run = ProgramRun(program, source.session_ns, recorder.tell)
+            stack.callback(run.close)
+        view = None if settings is None else _view(stack, request, source, settings, recorder)
+        looked = settings if request.detections else None
+        intake = Intake(source, tap, recorder, looked, view, request.waiting_bytes)
+        stack.callback(intake.close)
+        stopped = _watch(source, intake, recorder, run, lambda done: progress and progress(done, pulses))
+        if run is not None:
+            run.close()
+        if view is not None:
+            view.close()
+        outcome = _outcome(source, intake, run, view, None if stopped else pulses)
+        outcome.stopped = stopped
+        _tell_account(recorder, source, intake)
+        recorder.tell("trigger", _now_ns(source), source.trigger_report())
+        recorder.close()
+        _check(recorder)
+        writer.about["capture"] = _about(source, outcome)
+        writer.close()
+    return outcome
+
+
+def _settings(request: Request) -> "PipelineSettings | None":
+    """Return the settings of detection; None where nothing is to be detected, and nothing heavy is loaded."""
+    if not (request.detections or request.view or request.view_log or request.settings):
+        return None
+    from scenarios.reconstruct import reconstruct_settings, reconstruct_spec
+
+    return reconstruct_settings(reconstruct_spec(request.settings), request.settings)
+
+
+def check_out(out: Path) -> None:
+    """Raise InputError where ``out`` is there already, before any device is touched."""
+    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
+        raise InputError(f"{out}: is there already; choose another folder for this take")
+
+
+def pulses_of(request: Request, hardware: RigHardware) -> int | None:
+    """Return how many pulses are wanted, None for no end."""
+    if request.seconds is not None:
+        return max(round(request.seconds * hardware.shared.rate_hz), 1)
+    return request.frames
+
+
+def _calibrated(path: Path) -> Rig | None:
+    """Return the rig where all its cameras have lens and pose, else None."""
+    tables = read_rig_file(path).camera
+    if any(table.lens is None or table.pose is None for table in tables):
+        return None
+    return read_rig(path)
+
+
+@contextmanager
+def _recording(request: Request, source: HardwareSource) -> Iterator[RecordingWriter]:
+    holds = "detections" if request.detections else "frames"
+    text = request.rig.read_text(encoding="utf-8")
+    with RecordingWriter(request.out, source.cameras, text, holds=holds) as writer:  # type: ignore[arg-type]
+        yield writer
+
+
+def _view(
+    stack: ExitStack,
+    request: Request,
+    source: HardwareSource,
+    settings: "PipelineSettings",
+    recorder: Recorder,
+) -> "LiveView | None":
+    if not request.view and request.view_log is None:
+        return None
+    from reports.viewer import RerunLog
+    from scenarios.lab.live_view import LiveView, log_in_viewer, uncalibrated
+
+    rig = _calibrated(request.rig)
+    shown = rig or uncalibrated(source.cameras)
+    log = stack.enter_context(
+        log_in_viewer(shown) if request.view_log is None else RerunLog(request.view_log, shown)
+    )
+    view = LiveView(log, source.cameras, rig, settings, lambda: recorder.behind)
+    stack.callback(view.close)
+    return view
+
+
+def _watch(
+    source: HardwareSource,
+    intake: Intake,
+    recorder: Recorder,
+    run: ProgramRun | None,
+    progress: Callable[[int], object],
+) -> bool:
+    """Let it run and write down clocks and accounts; return whether Ctrl-C ended it."""
+    stopped, next_account = False, time.monotonic() + ACCOUNT_S
+    with between_steps() as check:
+        intake.start()
+        if run is not None:
+            run.start()
+        while intake.running:
+            intake.wait(LOOK_S)
+            try:
+                check()
+            except KeyboardInterrupt:
+                stopped = True
+                source.stop()
+            if recorder.failed is not None:
+                source.stop()
+            _tell_clock(recorder, source, intake)
+            if time.monotonic() >= next_account:
+                next_account += ACCOUNT_S
+                _tell_account(recorder, source, intake)
+            progress(intake.pulses)
+    _tell_clock(recorder, source, intake)
+    _check(recorder)
+    intake.check()
+    return stopped
+
+
+def _check(recorder: Recorder) -> None:
+    if recorder.failed is not None:
+        raise recorder.failed
+
+
+def _now_ns(source: HardwareSource) -> int:
+    return source.session_ns(time.monotonic_ns()) or 0
+
+
+def _tell_clock(recorder: Recorder, source: HardwareSource, intake: Intake) -> None:
+    """Write down the raw stamps of the latest frames, and one instant in all clocks of this machine."""
+    now_ns = time.monotonic_ns()
+    session_ns = source.session_ns(now_ns)
+    if session_ns is None:
+        return
+    stamps = intake.new_stamps()
+    if stamps:
+        clocks = {"host_ns": now_ns, "utc_ns": time.time_ns(), "session_ns": session_ns}
+        recorder.tell("clock", session_ns, {**clocks, "cameras": stamps})
+
+
+def _tell_account(recorder: Recorder, source: HardwareSource, intake: Intake) -> None:
+    """Write down what became of the buffers until now; the last one is of the end."""
+    account = {
+        "cameras": {name: asdict(one) for name, one in source.account.cameras.items()},
+        "notes": list(source.account.notes),
+        "lost_sets": [list(pair) for pair in intake.lost.ranges],
+    }
+    recorder.tell("account", _now_ns(source), account)
+
+
+def _outcome(
+    source: HardwareSource,
+    intake: Intake,
+    run: ProgramRun | None,
+    view: "LiveView | None",
+    wanted: int | None,
+) -> Outcome:
+    """Sum up; ``wanted``: pulses that there should be, None where somebody stopped it."""
+    pulses = wanted if wanted is not None else _whole_pulses(intake)
+    rows = {}
+    for name, seen in intake.cameras.items():
+        kept = source.account.cameras[name]
+        dropped = max(pulses - seen.pulses, 0)
+        rows[name] = CameraRow(
+            seen.whole - seen.left_out, seen.failed, dropped, kept.overrun, kept.relocked, kept.reopened
+        )
+    notes = list(source.account.notes)
+    lost = intake.lost
+    if lost.count:
+        notes.append(
+            f"{lost.count} frame sets were lost whole ({lost.text()}): this machine was too slow for them; use a "
+            "lower rate, smaller windows, a faster disk, or nothing else beside the capture"
+        )
+    if run is not None:
+        notes += run.notes
+    if view is not None and view.failed is not None:
+        notes.append(f"view: ended early ({view.failed})")
+    return Outcome(pulses, lost.count, lost.text(), False, 0 if view is None else view.shown, rows, notes)
+
+
+def _whole_pulses(intake: Intake) -> int:
+    """Return the number of pulses when Ctrl-C came: the last set may not have been whole yet."""
+    last = intake.pulses - 1
+    return min(seen.last for seen in intake.cameras.values() if seen.last > last - TAIL_PULSES) + 1
+
+
+def _about(source: HardwareSource, outcome: Outcome) -> dict[str, Any]:
+    """Return what ``recording.toml`` says of the capture, for people."""
+    devices = {
+        name: {
+            "model": report.model,
+            "serial": report.serial,
+            "exposure_us": report.exposure_ns / 1e3,
+            "settings": {key: value for key, value in report.settings.items() if _is_plain(value)},
+        }
+        for name, report in source.reports.items()
+    }
+    return {
+        "ended": datetime.now(UTC).isoformat(timespec="seconds"),
+        "pulses": outcome.pulses,
+        "stopped_by_hand": outcome.stopped,
+        "lost_sets": outcome.lost,
+        "lost_set_numbers": outcome.lost_text,
+        "notes": outcome.notes,
+        "camera": {name: asdict(row) for name, row in outcome.cameras.items()},
+        "device": devices,
+        "trigger": {key: value for key, value in source.trigger_report().items() if _is_plain(value)},
+    }
+
+
+def _is_plain(value: object) -> bool:
+    return isinstance(value, bool | int | float | str)

@@ -1,0 +1,50 @@
+"""Frames that come now, and what they show: detection beside the reading thread, whole sets left out when behind."""
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from mosca.assemble import Assembly
+from mosca.data.detections import Detections
+from mosca.data.frames import CameraInfo, Frame, FrameSet, FrameSource
+from mosca.live import LiveSets
+from mosca.look import Look, look_ahead
+from mosca.pipeline import PipelineSettings
+from mosca.refine import NOTHING
+
+MOST_WORKERS = 2
+"""Threads that look ahead; more would keep back more sets than a killed capture may lose."""
+
+
+def detected(
+    source: FrameSource, settings: PipelineSettings, assembly: Assembly, queued: int
+) -> Iterator[tuple[FrameSet, Mapping[str, Detections]]]:
+    """Yield the frame sets of a live ``source`` and their detections, with the pipeline's own first stage.
+
+    ``queued``: sets that may wait; the oldest is left out where one more comes. ``assembly`` is filled.
+    """
+    look = Look(settings.detection, {info.name: info.bit_depth for info in source.cameras})
+    sets = LiveSets(source, assembly, queued)
+    try:
+        for frame_set, detections, _ in look_ahead(look, sets, min(os.cpu_count() or 1, MOST_WORKERS)):
+            yield frame_set, detections
+    finally:
+        sets.close()
+
+
+def warm_up(cameras: Sequence[CameraInfo], settings: PipelineSettings) -> None:
+    """Detect once in pictures of a blurred disc, so that what has to be compiled is before the first pulse."""
+    look = Look(settings.detection, {info.name: info.bit_depth for info in cameras})
+    learned = NOTHING
+    for _ in range(2):
+        frames = {info.name: Frame(info.name, 0, 0, 0, _disc(info)) for info in cameras}
+        _, taught, _ = look.at(FrameSet(0, 0, frames), learned)
+        learned = learned.plus(taught)
+
+
+def _disc(info: CameraInfo) -> np.ndarray:
+    y, x = np.mgrid[: info.height, : info.width]
+    away = np.hypot(x - info.width / 2, y - info.height / 2)
+    image = 0.8 * (2**info.bit_depth - 1) * np.clip(4.5 - away, 0.0, 1.0)
+    return image.astype(np.uint8 if info.bit_depth <= 8 else np.uint16)

@@ -1,0 +1,50 @@
+"""Which cameras the drivers see, and which of them a rig file names. Opens none of them."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from hardware.driver import Device, DeviceError
+from hardware.drivers import devices
+from hardware.settings import DRIVERS, CameraHardware, read_hardware
+
+Look = Callable[[str, str], Sequence[Device]]
+
+
+def describe_devices(path: Path | None, look: Look = devices) -> list[str]:
+    """Return a line for each device and each driver that cannot look; then one for each camera of the rig file."""
+    cameras = {} if path is None else read_hardware(path).cameras
+    producers = sorted({settings.producer for settings in cameras.values() if settings.producer})
+    asked = [(driver, "") for driver in DRIVERS if driver != "gentl"] + [("gentl", p) for p in producers]
+    lines: list[str] = []
+    found: list[Device] = []
+    for driver, producer in asked:
+        try:
+            seen = look(driver, producer)
+        except DeviceError as error:
+            lines.append(str(error))
+            continue
+        found += seen
+        if not seen:
+            lines.append(f"{driver}: no cameras")
+    lines = [
+        f"{d.driver}: {d.model or 'camera'}, serial {d.serial or '-'}, at {d.address}" for d in found
+    ] + lines
+    if not producers:
+        lines.append(
+            "gentl: looks through a rig file's producers (.cti); name the rig file to see their cameras"
+        )
+    return lines + [_found(name, settings, found) for name, settings in cameras.items()]
+
+
+def _found(name: str, settings: CameraHardware, found: Sequence[Device]) -> str:
+    here = [d for d in found if d.driver == settings.driver and _is(settings, d)]
+    wanted = f"serial {settings.serial}" if settings.serial else f"at {settings.address}"
+    if here:
+        return f"camera '{name}': {here[0].model or settings.driver}, {wanted}, is there"
+    return f"camera '{name}': NOT FOUND ({settings.driver}, {wanted}); check its cable, its power and the network"
+
+
+def _is(settings: CameraHardware, device: Device) -> bool:
+    if settings.serial:
+        return settings.serial == device.serial
+    return settings.address == device.address

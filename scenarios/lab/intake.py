@@ -1,0 +1,166 @@
+"""The thread that reads the rig during a capture: frames to the recorder as they are, or what they show."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from hardware.source import HardwareSource
+from mosca.assemble import Assembly
+from mosca.data.frames import Frame
+from scenarios.lab.recorder import Lost, Recorder
+from scenarios.lab.stamps import Tap
+from scenarios.sources import PassedOn
+
+if TYPE_CHECKING:
+    from mosca.pipeline import PipelineSettings
+    from scenarios.lab.live_view import LiveView
+
+FEWEST_WAITING, MOST_WAITING = 2, 500
+"""Frame sets that may wait for detection."""
+REMEMBERED_FRAMES = 20_000
+
+
+@dataclass
+class Seen:
+    """One camera's frames so far: ``whole`` and ``failed``, of ``pulses`` different pulses, ``last`` the newest.
+
+    ``left_out``: whole ones that belong to frame sets that were lost.
+    """
+
+    whole: int = 0
+    failed: int = 0
+    pulses: int = 0
+    last: int = -1
+    left_out: int = 0
+
+
+class Intake:
+    """Reads ``source`` to its end on a thread. ``settings``: of detection; None records the frames themselves.
+
+    ``cameras``: what came; ``assembly``: how it was grouped (with detection); ``lost``: frame sets that there was no
+    time for.
+    """
+
+    def __init__(
+        self,
+        source: HardwareSource,
+        tap: Tap,
+        recorder: Recorder,
+        settings: "PipelineSettings | None",
+        view: "LiveView | None",
+        waiting_bytes: int,
+    ) -> None:
+        self.cameras = {info.name: Seen() for info in source.cameras}
+        self.assembly = Assembly()
+        self.lost = recorder.lost if settings is None else Lost()
+        self._source, self._tap, self._recorder = source, tap, recorder
+        self._settings, self._view = settings, view
+        set_bytes = sum(c.width * c.height * (1 if c.bit_depth <= 8 else 2) for c in source.cameras)
+        self._queued = min(max(waiting_bytes // set_bytes, FEWEST_WAITING), MOST_WAITING)
+        self._period_ns = 1e9 / source.cameras[0].frame_rate_hz
+        self._stamps: dict[str, dict[str, list[Any]]] = {}
+        self._arrivals: OrderedDict[tuple[str, int], int] = OrderedDict()
+        self._guard = threading.Lock()
+        self._failed: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
+
+    @property
+    def running(self) -> bool:
+        """Whether frames may still come."""
+        return self._thread.is_alive()
+
+    @property
+    def pulses(self) -> int:
+        """How many pulses there were so far."""
+        return max(seen.last for seen in self.cameras.values()) + 1
+
+    def start(self) -> None:
+        """Begin: this arms the cameras and starts the pulses."""
+        self._thread.start()
+
+    def wait(self, seconds: float) -> None:
+        """Wait for the end, so long at most."""
+        self._thread.join(seconds)
+
+    def check(self) -> None:
+        """Raise what ended the reading early, if anything did."""
+        if self._failed is not None:
+            raise self._failed
+
+    def close(self) -> None:
+        """Stop the source and wait for the thread; may be called twice."""
+        self._source.stop()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def new_stamps(self) -> dict[str, dict[str, list[Any]]]:
+        """Return camera -> ``index``, ``block``, ``device_ns`` and ``host_ns`` of the frames since the last call."""
+        with self._guard:
+            stamps, self._stamps = self._stamps, {}
+        return stamps
+
+    def _run(self) -> None:
+        try:
+            if self._settings is None:
+                for frame in self._source:
+                    kept = self._recorder.take(frame, self._see(frame))
+                    self.cameras[frame.camera].left_out += not kept and frame.image is not None
+            else:
+                self._detect(self._settings)
+        except BaseException as error:  # it belongs to whoever captures: ``check``
+            self._failed = error
+
+    def _detect(self, settings: "PipelineSettings") -> None:
+        from scenarios.lab.detecting import detected  # what needs compiling is for those who detect
+
+        watched = _Watched(self._source, self._see)
+        following = 0
+        for frame_set, detections in detected(watched, settings, self.assembly, self._queued):
+            if frame_set.pulse > following:
+                self.lost.add(following, frame_set.pulse - 1)
+            following = frame_set.pulse + 1
+            with self._guard:
+                arrived = {n: self._arrivals.pop((n, f.index), 0) for n, f in frame_set.frames.items()}
+            self._recorder.take_set(frame_set, detections, {n: t for n, t in arrived.items() if t})
+
+    def _see(self, frame: Frame) -> int | None:
+        """Count ``frame``, keep its stamps, offer it to the view; return its arrival [ns]."""
+        seen = self.cameras[frame.camera]
+        seen.whole += frame.image is not None
+        seen.failed += frame.image is None
+        pulse = round(frame.time_ns / self._period_ns)
+        seen.pulses += pulse > seen.last
+        seen.last = max(seen.last, pulse)
+        if self._view is not None:
+            self._view.offer(frame)
+        stamp = self._tap.of(frame)
+        if stamp is None:
+            return None
+        with self._guard:
+            kept = self._stamps.setdefault(
+                frame.camera, {"index": [], "block": [], "device_ns": [], "host_ns": []}
+            )
+            kept["index"].append(frame.index)
+            kept["block"].append(stamp.block_id)
+            kept["device_ns"].append(stamp.device_ns)
+            kept["host_ns"].append(stamp.host_ns)
+            if self._settings is not None:
+                self._arrivals[frame.camera, frame.index] = stamp.host_ns
+                if len(self._arrivals) > REMEMBERED_FRAMES:
+                    self._arrivals.popitem(last=False)
+        return stamp.host_ns
+
+
+class _Watched(PassedOn):
+    """A source that shows each frame to ``see`` on its way."""
+
+    def __init__(self, source: HardwareSource, see: Callable[[Frame], object]) -> None:
+        super().__init__(source)
+        self._see = see
+
+    def __iter__(self) -> Iterator[Frame]:
+        for frame in self._source:
+            self._see(frame)
+            yield frame

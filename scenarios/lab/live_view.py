@@ -1,0 +1,170 @@
+"""What a capture sees, live in the Rerun viewer: some frame sets a second, never at the capture's expense.
+
+Frames are offered while they pass; of the sets that are whole the newest is kept, the others are let go. A thread
+takes it, detects and, with a calibrated rig, measures points. It rests at least as long as it worked, and while the
+recording is behind it takes nothing. The viewer is a process of its own that reads the log from a pipe.
+"""
+
+import os
+import shutil
+import statistics
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from mosca.data.frames import CameraInfo, Frame, FrameSet, mid_exposure_ns
+from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
+from mosca.errors import InputError
+from mosca.look import Look
+from mosca.match import Predicted, match
+from mosca.pipeline import MOST_DETECTIONS, PipelineSettings
+from mosca.refine import NOTHING
+from mosca.triangulate import bundle_rays
+from reports.viewer import RerunLog
+
+SHOWN_HZ = 10.0
+LEAST_REST_S = 0.05
+BEHIND = 0.1
+"""Share of the recording's room to wait above which nothing is shown."""
+OPEN_PULSES = 4
+VIEWER_STARTS_S = 0.3
+"""A viewer without a display has ended by then."""
+
+
+class LiveView:
+    """Shows what ``offer`` is given. ``rig`` None: cameras without calibration, beside each other and without 3D.
+
+    ``behind``: tells how far the recording is behind, 0 to 1. ``shown``: frame sets logged so far; ``failed``: why
+    showing ended early.
+    """
+
+    def __init__(
+        self,
+        log: RerunLog,
+        cameras: Sequence[CameraInfo],
+        rig: Rig | None,
+        settings: PipelineSettings,
+        behind: Callable[[], float],
+    ) -> None:
+        self.shown = 0
+        self.failed: Exception | None = None
+        self._log, self._rig, self._settings, self._behind = log, rig, settings, behind
+        self._look = Look(settings.detection, {info.name: info.bit_depth for info in cameras})
+        self._names = tuple(info.name for info in cameras)
+        self._period_ns = 1e9 / cameras[0].frame_rate_hz
+        self._open: dict[int, dict[str, Frame]] = {}
+        self._newest: FrameSet | None = None
+        self._due = 0.0
+        self._changed = threading.Event()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
+        self._thread.start()
+
+    def offer(self, frame: Frame) -> None:
+        """Take a frame if it may be shown; costs next to nothing. For one thread."""
+        if frame.image is None or time.monotonic() < self._due or self._behind() > BEHIND:
+            return
+        pulse = round(frame.time_ns / self._period_ns)
+        here = self._open.setdefault(pulse, {})
+        here[frame.camera] = frame
+        whole = len(here) == len(self._names)
+        if whole or len(self._open) > OPEN_PULSES:
+            oldest = pulse if whole else min(self._open)
+            frames = self._open[oldest]
+            self._open.clear()
+            time_ns = round(statistics.median(mid_exposure_ns(one) for one in frames.values()))
+            self._newest = FrameSet(oldest, time_ns, frames)
+            self._due = time.monotonic() + 1 / SHOWN_HZ
+            self._changed.set()
+
+    def close(self) -> None:
+        """End showing; may be called twice."""
+        self._stop.set()
+        self._changed.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while True:
+            self._changed.wait()
+            self._changed.clear()
+            if self._stop.is_set():
+                return
+            frame_set = self._newest
+            if frame_set is None:
+                continue
+            started = time.monotonic()
+            try:
+                self._show(frame_set)
+            except Exception as error:  # a view that fails must not end the capture; it is told at its end
+                self.failed = error
+                return
+            self.shown += 1
+            self._stop.wait(max(time.monotonic() - started, LEAST_REST_S))
+
+    def _show(self, frame_set: FrameSet) -> None:
+        detections, _, _ = self._look.at(frame_set, NOTHING)
+        images = {name: frame.image for name, frame in frame_set.frames.items() if frame.image is not None}
+        xyz = None
+        if self._rig is not None and all(len(found) <= MOST_DETECTIONS for found in detections.values()):
+            s = self._settings.match
+            sigma = np.full(len(self._rig.cameras), s.camera_sigma_px)
+            bundle = bundle_rays(self._rig, detections, sigma, s.target)
+            low, high = self._settings.volume or ((-np.inf,) * 3, (np.inf,) * 3)
+            volume = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
+            xyz = match(bundle, Predicted.nothing(), s, volume, 0.0).xyz
+        self._log.log_step(frame_set.pulse, frame_set.time_ns, images, detections, xyz)
+
+
+def uncalibrated(cameras: Sequence[CameraInfo]) -> Rig:
+    """Return cameras that only serve to show images: side by side, all looking the same way."""
+    return Rig(
+        tuple(
+            Camera(
+                info.name, info.width, info.height,
+                OpenCVLens(info.width, info.width, (info.width - 1) / 2, (info.height - 1) / 2),
+                Pose(np.eye(3), np.array([0.5 * number, 0.0, 0.0])),
+            )
+            for number, info in enumerate(cameras)
+        )
+    )  # fmt: skip
+
+
+def log_in_viewer(rig: Rig, arguments: Sequence[str] = ("--port", "auto", "--bind", "127.0.0.1")) -> RerunLog:
+    """Start the Rerun viewer and return a log that it reads from a pipe; the viewer stays open afterwards.
+
+    ``arguments``: for the viewer; tests have it save what it gets. InputError where there is no viewer, or no pipes.
+    """
+    beside = Path(sys.executable).parent / "rerun"
+    program = str(beside) if beside.is_file() else shutil.which("rerun")
+    if program is None or not hasattr(os, "mkfifo"):
+        why = (
+            "its program 'rerun' is not there; run: pip install rerun-sdk" if program is None else "no pipes"
+        )
+        raise InputError(f"--view: the Rerun viewer cannot be started ({why})")
+    with tempfile.TemporaryDirectory(prefix="mosca-view-") as folder:
+        pipe = Path(folder) / "view.rrd"
+        os.mkfifo(pipe)
+        # held open at both ends until the log is: the viewer must not see its end, nor the log wait for a reader
+        both = os.open(pipe, os.O_RDWR)
+        reading = os.open(pipe, os.O_RDONLY)
+        try:
+            viewer = _started((program, "-", *arguments), reading)
+            time.sleep(VIEWER_STARTS_S)
+            if os.waitpid(viewer, os.WNOHANG)[0]:
+                raise InputError("--view: the Rerun viewer ended at once; is there a display?")
+            return RerunLog(pipe, rig)
+        finally:
+            os.close(reading)
+            os.close(both)
+
+
+def _started(command: Sequence[str], reading: int) -> int:
+    """Start a program that reads from ``reading``, outlives this one and is not stopped with it; return its id."""
+    quiet = [(os.POSIX_SPAWN_OPEN, out, os.devnull, os.O_WRONLY, 0) for out in (1, 2)]
+    actions = [(os.POSIX_SPAWN_DUP2, reading, 0), *quiet]
+    return os.posix_spawn(command[0], list(command), os.environ, file_actions=actions, setpgroup=0)

@@ -1,0 +1,169 @@
+"""The reconstructing station: merged detections of all stations become tracks, by the stages of a local run."""
+
+import tempfile
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from hardware.transport.merger import MergedSet
+from hardware.transport.station_state import ReceiverAccount
+from mosca.data.detections import Detections
+from mosca.data.frames import FrameSet
+from mosca.data.rig import LENS_MODELS, Camera, Pose, Rig
+from mosca.data.rig_file import CameraTable, RigFile, read_rig, read_rig_file, rig_toml
+from mosca.data.rotations import rotation_from_quaternion
+from mosca.data.toml import check
+from mosca.errors import InputError
+from mosca.health import Health
+from mosca.pipeline import PipelineSettings, Step
+from scenarios.lab.from_detections import run_detections
+
+KEPT_DELAYS = 500_000
+
+
+def run_merged(
+    sets: Iterable[MergedSet],
+    rig: Rig,
+    settings: PipelineSettings | None = None,
+    health: Health | None = None,
+) -> Iterator[Step]:
+    """Turn merged detections into tracks, as ``mosca.pipeline.run_sets`` does with frame sets."""
+    return run_detections(
+        ((FrameSet(s.pulse, s.time_ns), in_order(s.detections, rig)) for s in sets), rig, settings, health
+    )
+
+
+def in_order(detections: Mapping[str, Detections], rig: Rig) -> dict[str, Detections]:
+    """Return the detections of the rig's cameras, in its order."""
+    return {name: detections[name] for name in rig.names if name in detections}
+
+
+class Delays:
+    """How long detections took from their frames' arrival at the station to their merged set [s]."""
+
+    def __init__(self) -> None:
+        self._since_arrival: list[float] = []
+        self._since_sent: list[float] = []
+
+    def passed(self, sets: Iterable[MergedSet]) -> Iterator[MergedSet]:
+        """Pass sets on and note their delays."""
+        for merged in sets:
+            if len(self._since_arrival) < KEPT_DELAYS:
+                self._since_arrival += [(merged.merged_ns - at) * 1e-9 for at in merged.arrived_ns.values()]
+                self._since_sent += [(merged.merged_ns - at) * 1e-9 for at in merged.sent_ns.values()]
+            yield merged
+
+    def percentiles(self, share: float) -> tuple[float, float]:
+        """Return the delay since the frame's arrival, and since its message was sent, that ``share`` stay below."""
+        if not self._since_arrival:
+            return float("nan"), float("nan")
+        return float(np.quantile(self._since_arrival, share)), float(np.quantile(self._since_sent, share))
+
+
+def calibrated_rig(path: Path, from_stations: Callable[[], Mapping[str, str]]) -> tuple[Rig, list[str]]:
+    """Return the rig of the file at ``path``, and what to tell.
+
+    A camera that the file does not calibrate is taken from the rig file of its station (``from_stations`` asks for
+    them: station -> text, and is only called then). InputError where none has it.
+    """
+    file = read_rig_file(path)
+    if all(table.lens is not None and table.pose is not None for table in file.camera):
+        return read_rig(path), []
+    theirs: dict[str, tuple[str, CameraTable]] = {}
+    for station, text in from_stations().items():
+        for table in _parsed(station, text).camera:
+            if table.lens is not None and table.pose is not None:
+                theirs.setdefault(table.name, (station, table))
+    cameras, told = [], []
+    for table in file.camera:
+        if table.lens is None or table.pose is None:
+            if table.name not in theirs:
+                raise InputError(
+                    f"{path}: camera '{table.name}' is not calibrated, and no station has its calibration; "
+                    "calibrate it first (mosca calibrate)"
+                )
+            station, table = theirs[table.name]
+            told.append(f"camera '{table.name}': calibration of station {station}")
+        cameras.append(_camera(table))
+    with tempfile.TemporaryDirectory() as folder:  # read anew, so that it is checked like any other
+        whole = Path(folder) / path.name
+        whole.write_text(rig_toml(Rig(tuple(cameras))), encoding="utf-8")
+        return read_rig(whole), told
+
+
+def _parsed(station: str, text: str) -> RigFile:
+    try:
+        return check(RigFile, tomllib.loads(text), f"rig file of station {station}")
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"rig file of station {station}: not valid TOML: {error}") from None
+
+
+def _camera(table: CameraTable) -> Camera:
+    assert table.lens is not None
+    assert table.pose is not None
+    lens = LENS_MODELS[table.lens.model](**table.lens.model_dump(exclude={"model"}))
+    pose = Pose(rotation_from_quaternion(table.pose.rotation_wxyz), np.array(table.pose.position_m))
+    return Camera(table.name, table.size[0], table.size[1], lens, pose, table.residual_px)
+
+
+def account_lines(account: ReceiverAccount) -> list[str]:
+    """Return in words what became of pulses, cameras and stations; nothing is left out that was lost."""
+    merge = account.merge
+    told = [
+        f"{merge.sets} sets merged, {merge.complete} of them complete; {merge.unseen} pulses between them that "
+        "nobody saw"
+    ]
+    for name, c in merge.cameras.items():
+        parts = [
+            f"{number} {what}"
+            for number, what in (
+                (c.no_frame, "without a frame"),
+                (c.away, "while its station was away"),
+                (c.lost, "not in time"),
+            )
+            if number
+        ]
+        if parts:
+            told.append(f"camera '{name}' is missing in {merge.sets - c.merged} sets: {', '.join(parts)}")
+        thrown = [
+            f"{n} {what}" for n, what in ((c.late, "late"), (c.aged, "too old"), (c.doubled, "doubled")) if n
+        ]
+        if thrown:
+            told.append(f"camera '{name}': messages thrown away: {', '.join(thrown)}")
+    for name, s in account.stations.items():
+        parts = [
+            f"{number} {what}"
+            for number, what in (
+                (s.lost, "lost on the way"),
+                (s.skipped, "frames skipped by the station"),
+                (s.refused, "refused by its engine"),
+                (s.unplaced, "before its pulses were known"),
+                (s.stale, "of an earlier start"),
+                (s.spoilt, "unreadable"),
+                (s.silent, "times silent"),
+                (s.gone, "times gone"),
+                (max(s.starts - 1, 0), "times started again"),
+            )
+            if number
+        ]
+        clock = f"clock to {s.clock_error_ns * 1e-6:.2f} ms, skew {s.clock_skew * 1e6:+.1f} ppm"
+        told.append(
+            f"station {name}: {s.received} messages ({clock})" + (f"; {', '.join(parts)}" if parts else "")
+        )
+    if account.left_out:
+        told.append(f"{account.left_out} merged sets left out: the reconstruction was behind")
+    if account.overrun:
+        told.append(f"{account.overrun} messages found no room: this PC was behind")
+    return told
+
+
+def all_whole(account: ReceiverAccount) -> bool:
+    """Tell whether every pulse was seen by every camera."""
+    return (
+        account.merge.sets > 0
+        and account.merge.sets == account.merge.complete
+        and not account.merge.unseen
+        and not account.left_out
+    )

@@ -1,0 +1,149 @@
+"""Frames to disk while they come: packed on threads of their own, written by one, lost as whole sets when behind.
+
+What comes has to wait where packing or disk fall behind. So that memory stays bounded, a frame set whose first frame
+finds no room is left out of the recording, all cameras of it, and named; frames are never left out one by one. Each
+camera's frames stay in order. What was written reaches the operating system at least every ``flush_s``.
+"""
+
+import queue
+import threading
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+from typing import Any
+
+from mosca.data.detections import Detections
+from mosca.data.frames import CameraInfo, Frame, FrameSet
+from mosca.recording import RecordingWriter
+
+WAITING_BYTES = 1 << 29
+FLUSH_S = 0.03
+REMEMBERED_PULSES = 2000
+
+
+class Lost:
+    """Numbers of frame sets that were lost, as ranges; filled by one thread, read by any."""
+
+    def __init__(self) -> None:
+        self.ranges: list[tuple[int, int]] = []
+        self.count = 0
+
+    def add(self, first: int, last: int) -> None:
+        """Take the sets ``first`` to ``last``, which come after those before."""
+        self.count += last - first + 1
+        if self.ranges and first == self.ranges[-1][1] + 1:
+            self.ranges[-1] = (self.ranges[-1][0], last)
+        else:
+            self.ranges.append((first, last))
+
+    def text(self, most: int = 5) -> str:
+        """Return the ranges in words, the first ``most`` of them."""
+        told = [f"{a}" if a == b else f"{a}-{b}" for a, b in self.ranges[:most]]
+        return ", ".join(told) + (f" and {len(self.ranges) - most} more" if len(self.ranges) > most else "")
+
+
+class Recorder:
+    """Takes frames, frame sets of detections and further messages, and writes them behind the caller's back.
+
+    ``waiting_bytes``: of pixels that may wait. ``workers``: threads that pack. ``failed``: why writing ended early
+    (a full disk), None while all is well; what comes later is thrown away. ``take`` is for one thread.
+    """
+
+    def __init__(
+        self,
+        writer: RecordingWriter,
+        cameras: Sequence[CameraInfo],
+        waiting_bytes: int = WAITING_BYTES,
+        workers: int = 2,
+        flush_s: float = FLUSH_S,
+    ) -> None:
+        self.lost = Lost()
+        self.failed: BaseException | None = None
+        self._writer = writer
+        self._period_ns = 1e9 / cameras[0].frame_rate_hz
+        self._set_bytes = sum(c.width * c.height * (1 if c.bit_depth <= 8 else 2) for c in cameras)
+        self._most = max(waiting_bytes, 2 * self._set_bytes)
+        self._waiting = 0
+        self._guard = threading.Lock()
+        self._admitted: OrderedDict[int, bool] = OrderedDict()
+        self._flush_s = flush_s
+        self._pool = ThreadPoolExecutor(workers, "pack")
+        self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._write, name="write recording", daemon=True)
+        self._thread.start()
+
+    @property
+    def behind(self) -> float:
+        """How much of the room to wait is taken, 0 to 1."""
+        return self._waiting / self._most
+
+    def take(self, frame: Frame, host_ns: int | None = None) -> bool:
+        """Have ``frame`` written; False where its set is left out. ``host_ns``: its arrival at this machine."""
+        pulse = round(frame.time_ns / self._period_ns)
+        if not self._admit(pulse):
+            return False
+        size = 0 if frame.image is None else frame.image.nbytes
+        with self._guard:
+            self._waiting += size
+        packed = self._pool.submit(self._writer.pack, frame)
+        self._jobs.put(partial(self._write_frame, frame, host_ns, packed, size))
+        return True
+
+    def take_set(
+        self, frame_set: FrameSet, detections: Mapping[str, Detections], host_ns: Mapping[str, int]
+    ) -> None:
+        """Have the detections of a frame set written."""
+        self._jobs.put(partial(self._writer.write_set, frame_set, detections, host_ns))
+
+    def tell(self, channel: str, time_ns: int, data: bytes | Mapping[str, Any]) -> None:
+        """Have a message of a further channel written; may be called by any thread."""
+        self._jobs.put(partial(self._writer.write_channel, channel, time_ns, data))
+
+    def close(self) -> None:
+        """Write what waits and end the threads; may be called twice."""
+        if self._thread.is_alive():
+            self._jobs.put(None)
+            self._thread.join()
+        self._pool.shutdown()
+
+    def _admit(self, pulse: int) -> bool:
+        known = self._admitted.get(pulse)
+        if known is None:
+            known = self._admitted[pulse] = self._waiting + self._set_bytes <= self._most
+            if not known:
+                self.lost.add(pulse, pulse)
+            if len(self._admitted) > REMEMBERED_PULSES:
+                self._admitted.popitem(last=False)
+        return known
+
+    def _write_frame(self, frame: Frame, host_ns: int | None, packed: "Future[bytes]", size: int) -> None:
+        try:
+            self._writer.write(frame, host_ns, packed.result())
+        finally:
+            with self._guard:
+                self._waiting -= size
+
+    def _write(self) -> None:
+        flushed, clean = time.monotonic(), True
+        while True:
+            try:
+                job = self._jobs.get(timeout=self._flush_s)
+            except queue.Empty:
+                job = _nothing
+            if job is None:
+                return
+            try:
+                if self.failed is None:
+                    job()
+                    clean = clean and job is _nothing
+                    if not clean and time.monotonic() - flushed >= self._flush_s:
+                        self._writer.flush()
+                        flushed, clean = time.monotonic(), True
+            except BaseException as error:  # it belongs to whoever captures, and is told there
+                self.failed = error
+
+
+def _nothing() -> None:
+    """Do nothing: no job came, only the time to flush."""

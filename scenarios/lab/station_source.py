@@ -1,0 +1,152 @@
+"""Where a station's frames come from: its devices, or a recording; both wait for the start that is ordered."""
+
+import threading
+import time
+from collections.abc import Iterator, Mapping
+
+from hardware.driver import CameraDriver
+from hardware.drivers import open_camera
+from hardware.settings import RigHardware
+from hardware.source import HardwareSource, OpenCamera, OpenTrigger
+from hardware.transport.sender import Sender
+from hardware.trigger import Trigger
+from hardware.triggers import open_trigger
+from mosca.data.frames import Frame, FrameSource
+from scenarios.lab.stamps import Tap
+from scenarios.sources import PassedOn
+
+WAIT_S = 0.1
+LATE_S = 0.1
+"""Frames of a recording that are later than this when it begins to play are over."""
+OWN_PULSES = ("serial", "software", "action")
+"""Trigger sources by which a station makes the pulses itself."""
+
+
+class Paced(PassedOn):
+    """A recording that is played as fast as it was taken, as a rig would give it, from the start that is ordered.
+
+    Recordings of one session start together on all stations; one that comes later goes on where the others are.
+    """
+
+    def __init__(self, source: FrameSource) -> None:
+        super().__init__(source)
+        self.gate = StartGate()
+
+    def __iter__(self) -> Iterator[Frame]:
+        if not self.gate.hold():
+            return
+        sender = self.gate.station
+        assert sender.start_ns is not None
+        begun = False
+        for frame in super().__iter__():
+            ahead_s = (sender.start_ns + frame.time_ns - sender.now_ns()) * 1e-9
+            if not begun and ahead_s < -LATE_S:
+                continue
+            begun = True
+            while ahead_s > 0 and not self.gate.left:
+                time.sleep(min(ahead_s, WAIT_S))
+                ahead_s = (sender.start_ns + frame.time_ns - sender.now_ns()) * 1e-9
+            if self.gate.left:
+                return
+            yield frame
+
+    def stop(self) -> None:
+        """End at once; may be called from another thread."""
+        self.gate.leave()
+
+
+class StartGate:
+    """Where a station waits until all are ready: own pulses, and recordings, begin on the order.
+
+    Only the station that reconstructs knows when that is. Give ``open`` to the HardwareSource.
+    """
+
+    def __init__(self, opener: OpenTrigger = open_trigger) -> None:
+        self.sender: Sender | None = None
+        self._opener = opener
+        self._stop = threading.Event()
+
+    def open(self, rig: RigHardware, drivers: Mapping[str, CameraDriver]) -> Trigger:
+        """Open the rig's trigger behind the gate."""
+        return _Gated(self._opener(rig, drivers), self, rig.shared.trigger.source in OWN_PULSES)
+
+    @property
+    def station(self) -> Sender:
+        """The station whose gate this is."""
+        assert self.sender is not None
+        return self.sender
+
+    @property
+    def left(self) -> bool:
+        """True when the station is to end."""
+        return self._stop.is_set()
+
+    def hold(self) -> bool:
+        """Wait for the order to start; False when the station ends before."""
+        self.station.say("holding")
+        while not self.left:
+            if self.station.ordered(WAIT_S):
+                return True
+        return False
+
+    def leave(self) -> None:
+        """Wait no more."""
+        self._stop.set()
+
+
+class _Gated:
+    """A trigger that begins when the gate opens."""
+
+    def __init__(self, trigger: Trigger, gate: StartGate, own_pulses: bool) -> None:
+        self._trigger, self._gate, self._own_pulses = trigger, gate, own_pulses
+        self.stop, self.pulse_at, self.frame_arrived = trigger.stop, trigger.pulse_at, trigger.frame_arrived
+        self.report, self.close = trigger.report, trigger.close
+
+    def start(self) -> int | None:
+        """Say that the cameras are armed; begin the pulses, where they are this station's, on the order."""
+        if not self._own_pulses:
+            self._gate.station.say("armed")
+            return self._trigger.start()
+        return self._trigger.start() if self._gate.hold() else None
+
+
+class RigOfStation(PassedOn):
+    """The devices of a station as a source: a master camera, whose exposures are the pulses, waits for the order.
+
+    ``opener`` and ``trigger_opener`` are for tests.
+    """
+
+    def __init__(
+        self, rig: RigHardware, opener: OpenCamera = open_camera, trigger_opener: OpenTrigger = open_trigger
+    ) -> None:
+        self.gate, self._tap = StartGate(trigger_opener), Tap(opener)
+        self.hardware = HardwareSource(rig, opener=self._tap.open, trigger_opener=self.gate.open)
+        super().__init__(self.hardware)
+        self._told = 0
+
+    def __iter__(self) -> Iterator[Frame]:
+        if self.hardware.rig.shared.trigger.source == "master" and not self.gate.hold():
+            return
+        yield from self.hardware
+
+    def arrival_ns(self, frame: Frame) -> int:
+        """Return when the frame's buffer was whole."""
+        stamp = self._tap.of(frame)
+        return time.monotonic_ns() if stamp is None else stamp.host_ns
+
+    def tell(self, sender: Sender) -> None:
+        """Pass on what happened to the devices since the last time."""
+        notes = self.hardware.account.notes
+        for note in notes[self._told :]:
+            sender.note(note)
+        self._told = len(notes)
+
+    def stop(self) -> None:
+        """End after what is under way; may be called from another thread."""
+        self.gate.leave()
+        self.hardware.stop()
+
+    def close(self) -> None:
+        """Free the devices."""
+        self.stop()
+        super().close()

@@ -1,0 +1,173 @@
+"""What the station verbs do: open, run until the end or Ctrl-C, and say what became of everything."""
+
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+import numpy as np
+
+from hardware.settings import HardwareTable, read_hardware
+from hardware.transport import open_transport
+from hardware.transport.merger import MergeSettings
+from hardware.transport.receiver import Receiver
+from hardware.transport.sender import Sender
+from hardware.transport.station_state import Event, ReceiverSettings
+from hardware.transport.transport import check_station
+from mosca.data.rig_file import read_rig, read_rig_file
+from mosca.data.toml import check
+from mosca.data.tracks import Samples, table
+from mosca.errors import InputError
+from mosca.formats.tracks_file import SUFFIXES, write_tracks
+from mosca.recording import open_recording
+from scenarios.lab.merge import Delays, account_lines, all_whole, calibrated_rig, run_merged
+from scenarios.lab.station import run_station
+from scenarios.lab.station_source import Paced, RigOfStation
+from scenarios.reconstruct import reconstruct_settings, reconstruct_spec
+from scenarios.sources import Chosen
+
+RIGS_S = 15.0
+Told = Callable[[str], None]
+
+
+def detect_on_station(
+    rig: Path,
+    name: str,
+    connect: Sequence[str],
+    recording: Path | None,
+    fps: float | None,
+    seconds: float | None,
+    settings_path: Path | None,
+    overrides: tuple[str, ...],
+    told: Told,
+) -> list[str]:
+    """Run a detecting station until its source ends, ``seconds`` are over, or Ctrl-C; return what to tell."""
+    check_station(name)
+    detection = reconstruct_settings(reconstruct_spec(settings_path, overrides), settings_path).detection
+    text = rig.read_text(encoding="utf-8") if rig.is_file() else ""
+    names = tuple(table.name for table in read_rig_file(rig).camera)
+    devices: RigOfStation | None = None
+    if recording is None:
+        devices = RigOfStation(read_hardware(rig))
+        source: RigOfStation | Paced = devices
+    else:
+        source = Paced(Chosen(open_recording(recording, read_rig(rig), fps), names))
+    try:
+        transport = open_transport(connect)
+        sender = Sender(transport, name, source.cameras, text)
+    except BaseException:
+        source.close()
+        raise
+    source.gate.sender = sender
+    told(f"station {name}: {', '.join(names)}; sends to {', '.join(connect)}")
+    until = None if seconds is None else time.monotonic() + seconds
+    with _asked_to_stop() as stopped:
+
+        def every() -> bool:
+            if devices is not None:
+                devices.tell(sender)
+            return not stopped.is_set() and (until is None or time.monotonic() < until)
+
+        arrival = None if devices is None else devices.arrival_ns
+        totals = run_station(source, sender, detection, arrival, every, source.stop)
+    lines = [
+        f"station {name}: {totals.frames} frames, {totals.detected} looked at, {totals.targets} targets found",
+        f"{1e3 * totals.seconds / max(totals.detected, 1):.2f} ms a frame; {sender.skipped} frames skipped, "
+        f"{sender.refused} messages refused",
+    ]
+    if devices is not None:
+        lines += devices.hardware.account.notes
+    return lines
+
+
+def reconstruct_stations(
+    rig_path: Path,
+    stations: Sequence[str],
+    listen: Sequence[str],
+    out: Path,
+    seconds: float | None,
+    deadline_s: float,
+    settings_path: Path | None,
+    overrides: tuple[str, ...],
+    told: Told,
+) -> tuple[list[str], bool]:
+    """Merge and reconstruct until all stations end, ``seconds`` are over, or Ctrl-C.
+
+    Return what to tell, and whether every camera is in every set. The tracks are written in any case.
+    """
+    if out.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{out}: suffix '{out.suffix}' given; {', '.join(SUFFIXES)} are allowed")
+    if not out.resolve().parent.is_dir():
+        raise InputError(f"{out}: no folder {out.parent}; make it first")
+    settings = reconstruct_settings(reconstruct_spec(settings_path, overrides), settings_path)
+    file = read_rig_file(rig_path)
+    rate = (
+        check(HardwareTable, dict(file.hardware), f"{rig_path}: [hardware]").rate_hz
+        if file.hardware
+        else None
+    )
+    receiver = Receiver(
+        open_transport(listen=listen),
+        stations,
+        {table.name: table.size for table in file.camera},
+        rate,
+        ReceiverSettings(MergeSettings(deadline_s)),
+        rig_path.read_text(encoding="utf-8"),
+        told=lambda event: told(_line(event)),
+    )
+    samples: list[Samples] = []
+    delays, points = Delays(), 0
+    with receiver, _asked_to_stop(receiver.stop):
+        told(f"listens on {', '.join(listen)} for {', '.join(stations)}")
+        rig, lines = calibrated_rig(rig_path, lambda: receiver.rigs(RIGS_S))
+        timer = threading.Timer(seconds or 0, receiver.stop)
+        if seconds is not None:
+            timer.start()
+        try:
+            for step in run_merged(delays.passed(receiver), rig, settings):
+                samples.append(step.samples)
+                points += len(step.points)
+        finally:
+            timer.cancel()
+    tracks = table(samples)
+    write_tracks(tracks, out, receiver.rate_hz or 1.0)
+    lines += account_lines(receiver.account)
+    sets = max(receiver.account.merge.sets, 1)
+    lines.append(
+        f"{len(np.unique(tracks.track))} tracks with {len(tracks)} samples in {out}; {points / sets:.1f} points a set"
+    )
+    if receiver.account.merge.sets:
+        half, most = delays.percentiles(0.5), delays.percentiles(0.99)
+        lines.append(
+            f"merged {1e3 * half[0]:.1f} ms (median), {1e3 * most[0]:.1f} ms (99 %) after the frames arrived, "
+            f"{1e3 * half[1]:.1f} and {1e3 * most[1]:.1f} ms after their detections were sent"
+        )
+    return lines, all_whole(receiver.account)
+
+
+def _line(event: Event) -> str:
+    return f"station {event.station}: {event.text}"
+
+
+@contextmanager
+def _asked_to_stop(stop: Callable[[], None] = lambda: None) -> Iterator[threading.Event]:
+    """Turn the first Ctrl-C into ``stop`` and an event; a second one interrupts at once."""
+    asked = threading.Event()
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        if asked.is_set():
+            raise KeyboardInterrupt
+        asked.set()
+        threading.Thread(target=stop, daemon=True).start()
+
+    if threading.current_thread() is not threading.main_thread():
+        yield asked
+        return
+    before = signal.signal(signal.SIGINT, ask)
+    try:
+        yield asked
+    finally:
+        signal.signal(signal.SIGINT, before)

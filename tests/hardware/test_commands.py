@@ -1,0 +1,317 @@
+"""Commands, replies and events over loopback sockets and a pseudo-terminal, on a clock of frames."""
+
+import json
+import os
+import socket
+import threading
+import time
+import tty
+from contextlib import contextmanager
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hardware.commands import (
+    CommandTable,
+    EventTable,
+    Program,
+    ProgramRun,
+    TargetTable,
+    open_target,
+    read_program,
+)
+from hardware.driver import DeviceError
+from hardware.lines import LONGEST_LINE, TcpLines, UdpLines
+from mosca.errors import InputError
+
+
+@contextmanager
+def robot(answer=lambda line: f"did {line}", delay_s=0.0):
+    """A TCP server that notes each line with the host's time and answers it; yields (address, lines)."""
+    server = socket.create_server(("127.0.0.1", 0))
+    heard = []
+
+    def serve():
+        try:
+            peer, _ = server.accept()
+        except OSError:
+            return
+        with peer, peer.makefile("rwb") as file:
+            for line in file:
+                heard.append((time.monotonic_ns(), line.decode().rstrip("\n")))
+                time.sleep(delay_s)
+                text = answer(heard[-1][1])
+                if text is not None:
+                    file.write(text.encode() + b"\n")
+                    file.flush()
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    try:
+        yield f"127.0.0.1:{server.getsockname()[1]}", heard
+    finally:
+        server.shutdown(socket.SHUT_RDWR)
+        server.close()
+        thread.join(2)
+
+
+class Session:
+    """A clock of frames that is known from ``after_s`` on, and what is written on it."""
+
+    def __init__(self, after_s=0.1):
+        self.begin = time.monotonic_ns() + round(after_s * 1e9)
+        self.known = self.begin + 50_000_000
+        self.written = []
+
+    def session_ns(self, host_ns):
+        return None if time.monotonic_ns() < self.known else host_ns - self.begin
+
+    def write(self, channel, time_ns, data):
+        self.written.append((channel, time_ns, json.loads(json.dumps(data))))
+
+    def of(self, channel):
+        return [(t, d) for c, t, d in self.written if c == channel]
+
+
+def program(address, commands, kind="tcp", reply_s=0.5, events=()):
+    return Program(
+        target=[TargetTable(name="robot", kind=kind, address=address, reply_s=reply_s)],
+        event=[EventTable(**event) for event in events],
+        program=[CommandTable(at_s=at, target="robot", command=command) for at, command in commands],
+    )
+
+
+def finished(run, session, n, seconds=5.0):
+    deadline = time.monotonic() + seconds
+    while len(session.written) < n and time.monotonic() < deadline:
+        time.sleep(0.01)
+    run.close()
+
+
+def test_command_and_reply_lie_on_the_frames_clock():
+    session = Session()
+    commands = [(0.3, {"left": 100, "right": 80}), (0.2, "stop"), (0.4, "go")]
+    with robot(delay_s=0.02) as (address, heard):
+        run = ProgramRun(program(address, commands), session.session_ns, session.write)
+        run.start()
+        finished(run, session, 6)
+    assert [line for _, line in heard] == ["stop", '{"left": 100, "right": 80}', "go"]
+    sent = session.of("commands")
+    assert [data["command"] for _, data in sent] == ["stop", {"left": 100, "right": 80}, "go"]
+    for (time_ns, data), (host_ns, _), wanted_s in zip(sent, heard, (0.2, 0.3, 0.4), strict=True):
+        assert time_ns == data["time_ns"] == data["host_ns"] - session.begin
+        assert data["at_s"] == wanted_s
+        assert 0 <= time_ns - wanted_s * 1e9 == pytest.approx(data["late_ms"] * 1e6, abs=2e6)
+        assert -0.2e6 < host_ns - data["host_ns"] < 20e6  # the robot heard it just after
+    for (time_ns, data), (host_ns, line) in zip(session.of("replies"), heard, strict=True):
+        assert data["line"] == f"did {line}"
+        assert 19e6 < time_ns + session.begin - host_ns < 60e6
+    lates = [data["late_ms"] for _, data in sent]
+    assert min(lates) < 5.0
+    assert run.sent == 3
+
+
+def test_an_answer_in_json_is_data_and_none_is_told():
+    session = Session(0.0)
+    answers = iter(['{"battery": 11.9}', None])
+    with robot(lambda line: next(answers)) as (address, _):
+        run = ProgramRun(
+            program(address, [(0.1, "a"), (0.2, "b")], reply_s=0.1), session.session_ns, session.write
+        )
+        run.start()
+        finished(run, session, 3)
+        deadline = time.monotonic() + 2
+        while not run.notes and time.monotonic() < deadline:
+            time.sleep(0.01)
+    assert [d["data"] for _, d in session.of("replies")] == [{"battery": 11.9}]
+    assert [note for note in run.notes if "late" not in note] in (
+        ["target 'robot': no answer to the command of 0.2 s within 0.1 s"],
+        ["target 'robot': 1 commands were not sent, the take ended"],
+    )
+
+
+def test_a_late_answer_is_not_taken_for_the_next_ones():
+    session = Session(0.0)
+    with robot(delay_s=0.15) as (address, heard):
+        commands = [(0.1, "one"), (0.5, "two")]
+        run = ProgramRun(program(address, commands, reply_s=0.05), session.session_ns, session.write)
+        run.start()
+        finished(run, session, 3)
+    replies = [data for _, data in session.of("replies")]
+    assert replies[0]["unasked"]
+    assert replies[0]["line"] == "did one"
+    assert len(replies) == 1
+    assert len(heard) == 2
+
+
+def test_a_slow_target_makes_its_own_commands_late_and_says_so():
+    session = Session(0.0)
+    with robot(delay_s=0.2) as (address, _):
+        run = ProgramRun(program(address, [(0.1, "one"), (0.15, "two")]), session.session_ns, session.write)
+        run.start()
+        finished(run, session, 4)
+    assert session.of("commands")[1][1]["late_ms"] > 100
+    assert any("the command of 0.15 s went" in note for note in run.notes)
+
+
+def test_a_serial_target_over_a_pseudo_terminal():
+    ours, theirs = os.openpty()
+    tty.setraw(ours)
+    port = os.ttyname(theirs)
+
+    def serve():
+        line = b""
+        while not line.endswith(b"\n"):
+            line += os.read(ours, 100)
+        os.write(ours, b"ok " + line.replace(b"\n", b"\r\n"))
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    target = open_target(TargetTable(name="arm", kind="serial", address=port, reply_s=2.0))
+    try:
+        before = time.monotonic_ns()
+        reply = target.send("home 1")
+        assert reply.text == "ok home 1"
+        assert before <= reply.sent_ns <= reply.came_ns <= time.monotonic_ns()
+    finally:
+        target.close()
+        target.close()
+        thread.join(2)
+        os.close(ours)
+        os.close(theirs)
+
+
+def test_events_come_by_udp_and_tcp_and_wait_for_the_clock():
+    session = Session(0.2)
+    server = socket.create_server(("127.0.0.1", 0))
+    listening = UdpLines("probe", "127.0.0.1:0")  # a free port, and then ours
+    port = listening._socket.getsockname()[1]
+    listening.close()
+    tables = (
+        {"name": "imu", "kind": "udp", "address": f"127.0.0.1:{port}"},
+        {"name": "log", "kind": "tcp", "address": f"127.0.0.1:{server.getsockname()[1]}"},
+    )
+    run = ProgramRun(Program(event=[EventTable(**t) for t in tables]), session.session_ns, session.write)
+    peer, _ = server.accept()
+    run.start()
+    sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sent = []
+    with server, peer, sender:
+        for number in range(8):
+            sent.append(time.monotonic_ns())
+            sender.sendto(json.dumps({"ax": number}).encode(), ("127.0.0.1", port))
+            peer.sendall(f"line {number}\npart".encode() if number == 3 else f"line {number}\n".encode())
+            time.sleep(0.05)
+        finished(run, session, 16)
+    imu = [(t, d) for t, d in session.of("events") if d["source"] == "imu"]
+    log = [d["line"] for _, d in session.of("events") if d["source"] == "log"]
+    assert [d["data"]["ax"] for _, d in imu] == list(range(8))
+    assert log[:4] == [f"line {n}" for n in range(4)]
+    assert log[4] == "partline 4"
+    for (time_ns, data), sent_ns in zip(imu, sent, strict=True):
+        assert time_ns == data["host_ns"] - session.begin
+        assert -0.2e6 < data["host_ns"] - sent_ns < 30e6
+    assert imu[0][0] < 0  # before the first pulse, and kept
+    assert run.events == 16
+
+
+def test_a_target_that_hangs_up_is_told_and_its_commands_are_counted():
+    session = Session(0.0)
+    server = socket.create_server(("127.0.0.1", 0))
+    address = f"127.0.0.1:{server.getsockname()[1]}"
+    run = ProgramRun(program(address, [(0.1, "a"), (0.2, "b")]), session.session_ns, session.write)
+    peer, _ = server.accept()
+    peer.close()
+    server.close()
+    run.start()
+    deadline = time.monotonic() + 3
+    while not run.notes and time.monotonic() < deadline:
+        time.sleep(0.01)
+    run.close()
+    assert any("hung up" in note or "is gone" in note for note in run.notes)
+    assert any("2 commands were not sent" in note for note in run.notes)
+
+
+def test_what_is_not_there_is_one_line():
+    server = socket.create_server(("127.0.0.1", 0))
+    address = f"127.0.0.1:{server.getsockname()[1]}"
+    server.close()
+    first = UdpLines("event 'a'", "127.0.0.1:0")
+    taken = f"127.0.0.1:{first._socket.getsockname()[1]}"
+    with pytest.raises(DeviceError, match=r"event 'b' at .* cannot listen"):
+        UdpLines("event 'b'", taken)
+    first.close()
+    for kind, where, text in (
+        ("tcp", address, "no connection"),
+        ("tcp", "nowhere", "host:port is wanted"),
+        ("serial", "/dev/null", "is no serial port"),
+        ("serial", "/dev/mosca-none", "cannot be opened"),
+    ):
+        with pytest.raises(DeviceError, match=text) as error:
+            open_target(TargetTable(name="robot", kind=kind, address=where))
+        assert "target 'robot'" in str(error.value)
+        assert "\n" not in str(error.value)
+
+
+def test_a_program_file_is_read_and_its_errors_are_one_line(tmp_path):
+    path = tmp_path / "program.toml"
+    path.write_text(
+        '[[target]]\nname = "robot"\naddress = "10.0.0.3:7000"\n'
+        '[[event]]\nname = "imu"\naddress = "0.0.0.0:7001"\n'
+        '[[program]]\nat_s = 1.0\ntarget = "robot"\ncommand = { left = 100 }\n'
+    )
+    read = read_program(path)
+    assert read.program[0].command == {"left": 100}
+    assert (read.target[0].kind, read.event[0].kind) == ("tcp", "udp")
+    for wrong, text in (
+        ('target = "robto"', "'robto' is none of robot"),
+        ("at_s = -1.0", "at_s"),
+        ('command = "a\\nb"', "one line is wanted"),
+    ):
+        key = wrong.split(" = ")[0]
+        body = path.read_text()
+        old = next(line for line in body.splitlines() if line.startswith(f"{key} = "))
+        spoilt = tmp_path / "spoilt.toml"
+        spoilt.write_text(body.replace(old, wrong))
+        with pytest.raises(InputError, match=text) as error:
+            read_program(spoilt)
+        assert "\n" not in str(error.value)
+        assert "spoilt.toml" in str(error.value)
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.lists(st.binary(max_size=60), max_size=6))
+def test_any_bytes_are_lines(parts):
+    server = socket.create_server(("127.0.0.1", 0))
+    lines = TcpLines("target 'x'", f"127.0.0.1:{server.getsockname()[1]}")
+    peer, _ = server.accept()
+    got = []
+    with server, peer:
+        for part in parts:
+            peer.sendall(part)
+        peer.sendall(b"\nend\n")
+        while not got or got[-1] != "end":
+            line = lines.read(2.0)
+            assert line is not None
+            got.append(line.text)
+    lines.close()
+    wanted = [one for one in (b"".join(parts) + b"\nend\n").split(b"\n") if one.strip()]
+    assert got == [one.decode(errors="replace").rstrip("\r") for one in wanted]
+
+
+def test_a_line_without_an_end_is_cut():
+    server = socket.create_server(("127.0.0.1", 0))
+    lines = TcpLines("target 'x'", f"127.0.0.1:{server.getsockname()[1]}")
+    peer, _ = server.accept()
+    with server, peer:
+        sender = threading.Thread(target=peer.sendall, args=(b"x" * (3 * LONGEST_LINE),))
+        sender.start()
+        line = lines.read(2.0)
+        assert line is not None
+        assert LONGEST_LINE < len(line.text) <= 2 * LONGEST_LINE
+        lines.close()
+        try:
+            sender.join(5)
+        finally:
+            peer.close()

@@ -1,0 +1,167 @@
+"""Fake cameras for captures: a line of pulses in a thread and frames of any size, in a test or a process of its own.
+
+As a program (``python capture_rig.py RIG OUT NEWEST [detections]``) it captures until it is killed; the file NEWEST
+then holds the host's time at which the last frame was grabbed (int64).
+"""
+
+import sys
+import textwrap
+import threading
+import time
+from collections import deque
+from pathlib import Path
+
+import numpy as np
+
+from hardware.driver import Capabilities, DeviceError, DeviceReport, Grabbed
+
+RATE = 100.0
+SIZE = (656, 491)
+
+
+def dark_noise(seed=0, size=SIZE, n=8):
+    """Frames as a rig in the dark gives them: a background of a few grey values, noise, some bright discs."""
+    rng = np.random.default_rng(seed)
+    width, height = size
+    y, x = np.mgrid[:height, :width]
+    frames = []
+    for _ in range(n):
+        image = rng.normal(6.0, 1.2, (height, width))
+        for _ in range(15):
+            cx, cy = rng.uniform(10, width - 10), rng.uniform(10, height - 10)
+            image += 180 * np.clip(4.5 - np.hypot(x - cx, y - cy), 0, 1)
+        frames.append(np.clip(image, 0, 255).astype(np.uint8))
+    return frames
+
+
+def write_rig(path, names, size=SIZE, rate=RATE, more=""):
+    text = f"[hardware]\nrate_hz = {rate}\n"
+    for name in names:
+        text += textwrap.dedent(f"""
+            [[camera]]
+            name = "{name}"
+            size = [{size[0]}, {size[1]}]
+            {more}
+            [camera.hardware]
+            driver = "gige"
+            serial = "{name}"
+            """)
+    path.write_text(text)
+    return path
+
+
+class Line:
+    """Pulses at a rate; ``misses``: camera -> pulses that it does not see; ``spoilt``: those that come damaged."""
+
+    def __init__(self, rate=RATE, misses=None, spoilt=None, gone_at=None):
+        self.rate, self.misses, self.spoilt, self.gone_at = rate, misses or {}, spoilt or {}, gone_at
+        self.drivers, self.made, self.begin_ns = {}, 0, 0
+        self.armed_when_started, self.newest = None, np.zeros(1, np.int64)
+        self._stop, self._thread = threading.Event(), None
+
+    def start(self):
+        self.armed_when_started = {name: driver.armed for name, driver in self.drivers.items()}
+        self._stop.clear()
+        begin = time.monotonic()
+        self.begin_ns = round(begin * 1e9)
+        self._thread = threading.Thread(target=self._run, args=(begin,), daemon=True)
+        self._thread.start()
+        return self.begin_ns
+
+    def stop(self):
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
+    close = stop
+
+    def pulse_at(self, host_ns):
+        return None
+
+    def frame_arrived(self, camera, host_ns):
+        pass
+
+    def report(self):
+        return {"pulses": self.made}
+
+    def _run(self, begin):
+        while not self._stop.is_set():
+            wait = begin + self.made / self.rate - time.monotonic()
+            if wait > 0 and self._stop.wait(wait):
+                return
+            for driver in self.drivers.values():
+                driver.pulse(self.made)
+            self.made += 1
+
+
+class Camera:
+    """A camera on the line; ``images`` come round and round, or a function of the pulse."""
+
+    def __init__(self, name, line, images, size=SIZE):
+        self.name, self.line, self.images, self.size = name, line, images, size
+        self.frames, self.came = deque(), threading.Semaphore(0)
+        self.armed, self.block = False, 0
+        line.drivers[name] = self
+
+    capabilities = Capabilities(device_clock=True, hardware_trigger=True)
+
+    def configure(self, settings):
+        return DeviceReport("fake", settings.serial, *self.size, 8, 500_000, {"Gain": 0.0})
+
+    def arm(self):
+        self.armed, self.block = True, 0
+
+    def disarm(self):
+        self.armed = False
+
+    def statistics(self):
+        return {"exposed": self.block}
+
+    def close(self):
+        pass
+
+    def software_trigger(self):
+        raise DeviceError("none")
+
+    def pulse(self, number):
+        if not self.armed or number in self.line.misses.get(self.name, ()):
+            return
+        image = self.images(number) if callable(self.images) else self.images[number % len(self.images)]
+        if number in self.line.spoilt.get(self.name, ()):
+            image = None
+        stamp = self.line.begin_ns + round(number * 1e9 / self.line.rate) + 5_000_000_000
+        self.frames.append((self.block, stamp, image))
+        self.block += 1
+        self.came.release()
+
+    def grab(self, timeout_s):
+        if self.line.gone_at is not None and self.line.made > self.line.gone_at:
+            raise DeviceError(f"camera '{self.name}': does not answer any more; check its cable")
+        if not self.came.acquire(timeout=timeout_s):
+            return None
+        block, stamp, image = self.frames.popleft()
+        image = None if image is None else image.copy()
+        now = time.monotonic_ns()
+        self.line.newest[0] = max(int(self.line.newest[0]), now)
+        return Grabbed(block, stamp, now, 500_000, image, "" if image is not None else "spoilt")
+
+
+def openers(line, images=None, size=SIZE):
+    """Return what stands in for drivers and trigger; ``images``: camera -> images."""
+    shared = dark_noise(size=size) if images is None else None
+
+    def open_camera(name, settings):
+        return Camera(name, line, shared if images is None else images[name], size)
+
+    return open_camera, lambda rig, drivers: line
+
+
+if __name__ == "__main__":
+    from scenarios.lab.capture import Request, capture
+
+    rig, out = Path(sys.argv[1]), Path(sys.argv[2])
+    names = ("a", "b", "c", "d")
+    line = Line()
+    line.newest = np.memmap(sys.argv[3], np.int64, "w+", shape=(1,))
+    capture(Request(write_rig(rig, names), out, detections="detections" in sys.argv), None, *openers(line))

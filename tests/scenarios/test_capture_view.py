@@ -1,0 +1,149 @@
+"""The live view of a capture: into a file, through the viewer's pipe, and never at the capture's expense."""
+
+import shutil
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from capture_rig import Line, openers, write_rig
+from test_capture_detections import NAMES, RATE, SIZE, picture, rig_file
+
+from mosca.data.frames import CameraInfo, Frame
+from mosca.data.rig_file import read_rig
+from mosca.errors import InputError
+from mosca.pipeline import PipelineSettings
+from scenarios.lab import live_view
+from scenarios.lab.capture import Request, capture
+from scenarios.lab.live_view import LiveView, log_in_viewer, uncalibrated
+
+pytest.importorskip("rerun", reason="rerun is not installed: pip install rerun-sdk")
+RERUN = str(Path(sys.executable).parent / "rerun")
+
+
+def statistics(path):
+    """Return entity -> chunks of an .rrd file, as rerun's own program counts them."""
+    done = subprocess.run([RERUN, "rrd", "stats", str(path)], capture_output=True, text=True, check=True)
+    lines = done.stdout.split("Num chunks per entity")[1].split("Num chunks per index")[0].splitlines()
+    return {name: int(n) for name, _, n in (line.rpartition(": ") for line in lines) if n.isdigit()}
+
+
+def captured(tmp_path, calibrated, **more):
+    path = rig_file(tmp_path, calibrated)
+    rig = read_rig(rig_file(tmp_path)) if calibrated else None
+    if rig is None:
+        images = {name: [np.full((SIZE[1], SIZE[0]), 5, np.uint8)] for name in NAMES}
+    else:
+        images = {camera.name: [picture(camera, pulse) for pulse in range(20)] for camera in rig.cameras}
+    request = Request(path, tmp_path / "take", frames=60, **more)
+    return capture(request, None, *openers(Line(RATE), images, SIZE))
+
+
+def test_cameras_detections_and_points_are_shown(tmp_path):
+    outcome = captured(tmp_path, True, view_log=tmp_path / "view.rrd")
+    assert outcome.whole
+    assert 2 <= outcome.shown <= 14
+    shown = statistics(tmp_path / "view.rrd")
+    assert shown["/world/points"] >= 1
+    for name in NAMES:
+        assert shown[f"/world/cameras/{name}/image"] >= 2
+        assert shown[f"/world/cameras/{name}/image/detections"] >= 1
+
+
+def test_a_rig_without_calibration_shows_images_alone(tmp_path):
+    outcome = captured(tmp_path, False, view_log=tmp_path / "view.rrd")
+    assert outcome.whole
+    assert outcome.shown >= 2
+    shown = statistics(tmp_path / "view.rrd")
+    assert "/world/points" not in shown
+    assert shown["/world/cameras/top/image"] >= 2
+
+
+def test_the_viewer_reads_the_log_from_a_pipe_while_it_grows(tmp_path):
+    if shutil.which(RERUN) is None:
+        pytest.skip("the program 'rerun' is not beside this Python")
+    saved = tmp_path / "seen.rrd"
+    rig = uncalibrated([CameraInfo(name, *SIZE, 8, RATE) for name in NAMES])
+    with log_in_viewer(rig, ("--port", "auto", "--bind", "127.0.0.1", "--save", str(saved))) as log:
+        for frame in range(3):
+            log.log_step(
+                frame, frame * 10_000_000, {n: np.zeros((SIZE[1], SIZE[0]), np.uint8) for n in NAMES}
+            )
+    deadline = time.monotonic() + 20
+    while time.monotonic() < deadline:  # the viewer ends a moment after the log, then the file is whole
+        time.sleep(0.2)
+        try:
+            shown = statistics(saved)
+        except (subprocess.CalledProcessError, IndexError):
+            continue
+        if len([name for name in shown if name.endswith("/image")]) == len(NAMES):
+            return
+    raise AssertionError("the viewer did not get the images")
+
+
+def test_a_viewer_that_cannot_start_is_one_line(monkeypatch):
+    rig = uncalibrated([CameraInfo("a", *SIZE, 8, RATE)])
+    with pytest.raises(InputError, match="ended at once; is there a display"):
+        log_in_viewer(rig, ("--no-such-option",))
+    monkeypatch.setattr(live_view.sys, "executable", "/nowhere/python")
+    monkeypatch.setattr(live_view.shutil, "which", lambda name: None)
+    with pytest.raises(InputError, match="pip install rerun-sdk"):
+        log_in_viewer(rig)
+
+
+class SlowLog:
+    """A log that takes its time, or breaks."""
+
+    def __init__(self, seconds=0.0, error=None):
+        self.seconds, self.error, self.steps = seconds, error, []
+
+    def log_step(self, frame, *rest):
+        self.steps.append(frame)
+        time.sleep(self.seconds)
+        if self.error is not None:
+            raise self.error
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exc):
+        pass
+
+
+@pytest.mark.parametrize("log", [SlowLog(0.4), SlowLog(0.0, RuntimeError("no space"))])
+def test_a_slow_or_broken_view_costs_the_capture_nothing(tmp_path, monkeypatch, log):
+    monkeypatch.setattr("reports.viewer.RerunLog", lambda path, rig: log)
+    outcome = captured(tmp_path, False, view_log=tmp_path / "view.rrd")
+    assert outcome.whole
+    assert 1 <= len(log.steps) <= 4
+    assert sum("view: ended early (no space)" in note for note in outcome.notes) == (log.error is not None)
+
+
+def test_nothing_is_shown_while_the_recording_is_behind():
+    cameras = [CameraInfo("a", 4, 4, 8, RATE)]
+    behind = [0.5]
+    log = SlowLog()
+    view = LiveView(log, cameras, None, PipelineSettings(), lambda: behind[0])
+    frame = partial(Frame, "a", exposure_ns=0, image=np.zeros((4, 4), np.uint8))
+    for pulse in range(5):
+        view.offer(frame(index=pulse, time_ns=pulse * 20_000_000))
+    time.sleep(0.1)
+    assert log.steps == []
+    behind[0] = 0.0
+    view.offer(frame(index=5, time_ns=100_000_000))
+    deadline = time.monotonic() + 60
+    while not log.steps and time.monotonic() < deadline:
+        time.sleep(0.01)
+    view.close()
+    view.close()
+    assert log.steps == [5]
+
+
+def test_a_rig_file_of_names_alone_is_enough_to_look(tmp_path):
+    path = write_rig(tmp_path / "rig.toml", ("only",), SIZE, RATE)
+    images = {"only": [np.zeros((SIZE[1], SIZE[0]), np.uint8)]}
+    request = Request(path, tmp_path / "take", frames=10, view_log=tmp_path / "view.rrd")
+    assert capture(request, None, *openers(Line(RATE), images, SIZE)).whole
