@@ -140,10 +140,13 @@ class Listener:
         self._tell_places()
         if self.places.shift(state.name) is None:  # it counts wrongly: it votes anew
             return False
-        self._deliver(state, message, received_ns)
+        # what its frames waited for at the station itself follows in a burst
+        self._deliver(state, message, received_ns, held=arrival_ns < state.placed_ns)
         return True
 
-    def _deliver(self, state: StationState, message: DetectionMessage, received_ns: int) -> None:
+    def _deliver(
+        self, state: StationState, message: DetectionMessage, received_ns: int, held: bool = False
+    ) -> None:
         assert self.places is not None
         shift = self.places.shift(state.name)
         assert shift is not None
@@ -158,6 +161,7 @@ class Listener:
                 received_ns,
                 message.status,
                 message.detections,
+                held,
             )
         )
 
@@ -178,9 +182,9 @@ class Listener:
             if state.held and self.places.shift(state.name) is not None:
                 free += [(state, message, received) for message, received in state.held]
                 state.held.clear()
-                state.voted = 0
+                state.voted, state.placed_ns = 0, self._now_ns
         for state, message, received_ns in sorted(free, key=lambda one: one[2]):
-            self._deliver(state, message, received_ns)
+            self._deliver(state, message, received_ns, held=True)
 
     def _take_health(self, state: StationState, health: HealthMessage, received_ns: int) -> None:
         if not self._of_this_start(state, health.epoch, received_ns):

@@ -24,7 +24,8 @@ class MergeSettings:
 @dataclass(frozen=True, eq=False)
 class Arrived:
     """A message in the session's terms: ``pulse``, ``time_ns`` (mid-exposure) on the session's clock, ``arrival_ns``
-    and ``sent_ns`` at its station and ``received_ns`` here, all in this machine's clock.
+    and ``sent_ns`` at its station and ``received_ns`` here, all in this machine's clock. ``held``: it waited, here or
+    at its station, until the start was known, and may be old.
     """
 
     pulse: int
@@ -34,6 +35,7 @@ class Arrived:
     received_ns: int
     status: Status
     detections: Detections
+    held: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +106,7 @@ class Merger:
         name = item.detections.camera
         count = self.account.cameras[name]
         self._newest[name] = max(self._newest[name], item.pulse)
-        if item.received_ns - item.arrival_ns > self.settings.oldest_s * 1e9:
+        if not item.held and item.received_ns - item.arrival_ns > self.settings.oldest_s * 1e9:
             count.aged += 1
             return
         if self._next is not None and item.pulse < self._next:

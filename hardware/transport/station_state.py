@@ -88,6 +88,7 @@ class StationState:
     silent: bool = False
     heard_ns: int | None = None
     gone_ns: int = 0
+    placed_ns: int = 0
     held: deque[tuple[DetectionMessage, int]] = field(default_factory=deque)
     voted: int = 0
     expected: dict[str, int] = field(default_factory=dict)
