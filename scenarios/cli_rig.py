@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from mosca.errors import InputError
 from scenarios.progress import Progress
 
 FILE = click.Path(path_type=Path)
@@ -225,7 +226,6 @@ def target_sheet(path: Path, out: Path, page: str | None, colour: str) -> None:
     from typing import Literal, cast
 
     from mosca.data.target_file import PointsTarget, read_target_file
-    from mosca.errors import InputError
     from mosca.formats.target_sheet import write_sheets
 
     made = read_target_file(path)
