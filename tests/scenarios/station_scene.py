@@ -1,0 +1,74 @@
+"""A few discs that move before four cameras, as frames of numpy arrays: no renderer, no truth but the projection."""
+
+import numpy as np
+
+from mosca.camera import project
+from mosca.data.frames import CameraInfo, Frame
+from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
+
+SIZE = (320, 240)
+RATE = 50.0
+NAMES = ("a1", "a2", "b1", "b2")
+
+
+def rig(names=NAMES, size=SIZE, radius_m=2.5):
+    """Cameras on a ring, looking at the origin."""
+    cameras = []
+    for k, name in enumerate(names):
+        angle = 2 * np.pi * k / len(names) + 0.3
+        centre = np.array([radius_m * np.cos(angle), radius_m * np.sin(angle), 1.0])
+        forward = -centre / np.linalg.norm(centre)
+        right = np.cross(forward, [0, 0, 1])
+        right /= np.linalg.norm(right)
+        rotation = np.column_stack([right, np.cross(forward, right), forward])
+        f = 1.1 * size[0]
+        lens = OpenCVLens(f, f, (size[0] - 1) / 2, (size[1] - 1) / 2)
+        cameras.append(Camera(name, *size, lens, Pose(rotation, centre)))
+    return Rig(tuple(cameras))
+
+
+def points(pulse, rate=RATE, count=5):
+    """Places (n, 3) [m] at a pulse."""
+    k = np.arange(count)
+    turn = 2 * np.pi * (k / count + 0.2 * pulse / rate)
+    return np.column_stack(
+        [0.4 * np.cos(turn), 0.4 * np.sin(turn), 0.12 * k - 0.25 + 0.05 * np.sin(3 * turn)]
+    )
+
+
+def image(camera, pulse, rate=RATE, count=5, radius_px=3.0):
+    """A dark image with soft-edged discs; noise from camera and pulse."""
+    rng = np.random.default_rng([pulse, sum(camera.name.encode())])
+    grey = 4 + 1.0 * rng.standard_normal((camera.height, camera.width))
+    for x, y in project(camera, points(pulse, rate, count)):
+        if not (8 < x < camera.width - 9 and 8 < y < camera.height - 9):
+            continue
+        x0, y0 = int(x) - 7, int(y) - 7
+        yy, xx = np.mgrid[y0 : y0 + 15, x0 : x0 + 15]
+        away = np.hypot(xx - x, yy - y)
+        grey[y0 : y0 + 15, x0 : x0 + 15] += 190 / (1 + np.exp((away - radius_px) / 0.35))
+    return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+
+
+class Scene:
+    """Frames of some cameras; ``faults`` maps (camera, pulse) -> "dropped" or "corrupt"."""
+
+    def __init__(self, cameras, pulses, rate=RATE, faults=None):
+        self._cameras, self._pulses, self._rate, self._faults = cameras, pulses, rate, faults or {}
+        self.cameras = tuple(CameraInfo(c.name, c.width, c.height, 8, rate) for c in cameras)
+
+    def __iter__(self):
+        for pulse in range(self._pulses):
+            for camera in self._cameras:
+                status = self._faults.get((camera.name, pulse), "ok")
+                picture = image(camera, pulse, self._rate) if status == "ok" else None
+                yield Frame(camera.name, pulse, round(pulse * 1e9 / self._rate), 500_000, picture, status)
+
+    def close(self):
+        pass
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exc):
+        self.close()
