@@ -104,16 +104,31 @@ def run_sets(
     """Turn frame sets of ``cameras`` into tracks; else as ``run``. Sets may be missing, never reordered."""
     settings = PipelineSettings() if settings is None else settings
     backgrounds = {} if backgrounds is None else backgrounds
+    _check_backgrounds(backgrounds, rig)
+    look = Look(settings.detection, {info.name: info.bit_depth for info in cameras}, backgrounds)
+    yield from run_seen(look_ahead(look, sets, settings.workers), rig, settings, keeper, health)
+
+
+def run_seen(
+    seen: Iterable[tuple[FrameSet, Mapping[str, Detections], float]],
+    rig: Rig,
+    settings: PipelineSettings | None = None,
+    keeper: Keeper | None = None,
+    health: Health | None = None,
+) -> Iterator[Step]:
+    """Turn frame sets with their detections, and the seconds that these took, into tracks; else as ``run``.
+
+    For detections that come without their images: from a recording that holds no others, or from other machines.
+    """
+    settings = PipelineSettings() if settings is None else settings
     health = (
         Health(rig, HealthSettings(start_px=settings.match.camera_sigma_px)) if health is None else health
     )
-    _check_backgrounds(backgrounds, rig)
-    look = Look(settings.detection, {info.name: info.bit_depth for info in cameras}, backgrounds)
     volume = _box(settings.volume)
     tracker = Tracker(settings.track) if settings.nearest is None else NearestTracker(settings.nearest)
     typical_diameter_m = 0.0
 
-    for frame_set, detections, seconds in look_ahead(look, sets, settings.workers):
+    for frame_set, detections, seconds in seen:
         check_detections(detections, frame_set.pulse)
         clock = _Clock({"detect": seconds})
         predicted = tracker.predict(frame_set.time_ns * 1e-9)

@@ -16,12 +16,12 @@ from mosca.data.tracks import Samples, table
 from mosca.detect import mean_background, minimum_background
 from mosca.errors import InputError
 from mosca.formats.tracks_file import SUFFIXES, write_tracks
-from mosca.pipeline import PipelineSettings, check_source, run
+from mosca.pipeline import PipelineSettings, check_source, run, run_seen
 from mosca.recording import McapRecording, open_recording
 from scenarios.build import stage_settings
 from scenarios.cameras import overlap_of
 from scenarios.interrupt import between_steps
-from scenarios.lab.from_detections import counted, run_detections
+from scenarios.lab.from_detections import counted
 from scenarios.spec import DetectionSpec, MatchSpec, TrackSpec, apply_overrides
 
 
@@ -90,7 +90,7 @@ def reconstruct_recording(
         if isinstance(source, McapRecording) and source.holds == "detections":
             check_source(source, rig)
             found = counted(source.detection_sets(), source.cameras, assembly)
-            steps = run_detections(found, rig, settings)
+            steps = run_seen(found, rig, settings)
         else:
             steps = run(source, rig, settings, assembly, backgrounds)
         for step in steps:

@@ -181,7 +181,7 @@ def read_rig(path: Path) -> Rig:
         for name in names:
             if names.count(name) > 1:
                 raise InputError(f"{path}: camera name '{name}' stands twice; give each camera its own name")
-        rig = Rig(tuple(_camera(table, path) for table in tables))
+        rig = Rig(tuple(camera_of(table, path) for table in tables))
     for camera in rig.cameras:
         _check_plausible(camera, path)
     return rig
@@ -227,7 +227,8 @@ def rig_toml(
     return tomli_w.dumps({"camera": tables})
 
 
-def _camera(table: CameraTable, path: Path) -> Camera:
+def camera_of(table: CameraTable, path: Path) -> Camera:
+    """Return the camera of a ``[[camera]]`` table; InputError where lens or pose are missing."""
     if table.lens is None or table.pose is None:
         missing = "lens" if table.lens is None else "pose"
         raise InputError(

@@ -11,14 +11,12 @@ from hardware.transport.merger import MergedSet
 from hardware.transport.station_state import ReceiverAccount
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSet
-from mosca.data.rig import LENS_MODELS, Camera, Pose, Rig
-from mosca.data.rig_file import CameraTable, RigFile, read_rig, read_rig_file, rig_toml
-from mosca.data.rotations import rotation_from_quaternion
+from mosca.data.rig import Rig
+from mosca.data.rig_file import CameraTable, RigFile, camera_of, read_rig, read_rig_file, rig_toml
 from mosca.data.toml import check
 from mosca.errors import InputError
 from mosca.health import Health
-from mosca.pipeline import PipelineSettings, Step
-from scenarios.lab.from_detections import run_detections
+from mosca.pipeline import PipelineSettings, Step, run_seen
 
 KEPT_DELAYS = 500_000
 
@@ -30,9 +28,8 @@ def run_merged(
     health: Health | None = None,
 ) -> Iterator[Step]:
     """Turn merged detections into tracks, as ``mosca.pipeline.run_sets`` does with frame sets."""
-    return run_detections(
-        ((FrameSet(s.pulse, s.time_ns), in_order(s.detections, rig)) for s in sets), rig, settings, health
-    )
+    seen = ((FrameSet(s.pulse, s.time_ns), in_order(s.detections, rig), 0.0) for s in sets)
+    return run_seen(seen, rig, settings, health=health)
 
 
 def in_order(detections: Mapping[str, Detections], rig: Rig) -> dict[str, Detections]:
@@ -86,7 +83,7 @@ def calibrated_rig(path: Path, from_stations: Callable[[], Mapping[str, str]]) -
                 )
             station, table = theirs[table.name]
             told.append(f"camera '{table.name}': calibration of station {station}")
-        cameras.append(_camera(table))
+        cameras.append(camera_of(table, path))
     with tempfile.TemporaryDirectory() as folder:  # read anew, so that it is checked like any other
         whole = Path(folder) / path.name
         whole.write_text(rig_toml(Rig(tuple(cameras))), encoding="utf-8")
@@ -98,14 +95,6 @@ def _parsed(station: str, text: str) -> RigFile:
         return check(RigFile, tomllib.loads(text), f"rig file of station {station}")
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"rig file of station {station}: not valid TOML: {error}") from None
-
-
-def _camera(table: CameraTable) -> Camera:
-    assert table.lens is not None
-    assert table.pose is not None
-    lens = LENS_MODELS[table.lens.model](**table.lens.model_dump(exclude={"model"}))
-    pose = Pose(rotation_from_quaternion(table.pose.rotation_wxyz), np.array(table.pose.position_m))
-    return Camera(table.name, table.size[0], table.size[1], lens, pose, table.residual_px)
 
 
 def account_lines(account: ReceiverAccount) -> list[str]:

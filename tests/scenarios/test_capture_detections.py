@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from mosca.assemble import assemble
+from mosca.assemble import Assembly, assemble
 from mosca.camera import project
 from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, Frame, FrameSet
@@ -21,11 +21,11 @@ from mosca.data.rig_file import read_rig
 from mosca.errors import InputError
 from mosca.formats.tracks_csv import read_tracks_csv
 from mosca.look import Look, look_ahead
-from mosca.pipeline import PipelineSettings, run
+from mosca.pipeline import PipelineSettings, run, run_seen
 from mosca.recording import RecordingWriter, mcap_format, open_recording
 from scenarios.cli import cli
 from scenarios.lab.capture import Request, capture
-from scenarios.lab.from_detections import run_detections
+from scenarios.lab.from_detections import counted
 
 SIZE, NAMES, RATE = (160, 120), ("left", "right", "top"), 50.0
 LENS = """
@@ -124,7 +124,9 @@ def test_tracks_are_bit_for_bit_those_of_the_images(takes, tmp_path):
             for frame_set, found, _ in look_ahead(look, assemble(source, source.cameras), 2):
                 writer.write_set(frame_set, found)
     with open_recording(tmp_path / "kept", rig) as recording:
-        given_steps = list(run_detections(recording.detection_sets(), rig, chosen))
+        given_steps = list(
+            run_seen(counted(recording.detection_sets(), recording.cameras, Assembly()), rig, chosen)
+        )
     assert len(given_steps) == len(wanted)
     assert sum(len(step.samples) for step in wanted) > 150
     for a, b in zip(given_steps, wanted, strict=True):

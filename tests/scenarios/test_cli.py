@@ -112,7 +112,7 @@ def test_other_bad_input(tmp_path):
     assert "unknown key" in one_line(mosca("run", path, "--set", "capture.speed=1", cwd=tmp_path))
     assert "no such" in one_line(mosca("run", "nothing.toml", cwd=tmp_path))
     assert "did you mean" in one_line(mosca("run", "acter", cwd=tmp_path))
-    assert "hardware" in one_line(mosca("run", path, "--source", "hardware:rig.toml", cwd=tmp_path))
+    assert "no such file" in one_line(mosca("run", path, "--source", "hardware:rig.toml", cwd=tmp_path))
     assert "recording:DIR" in one_line(mosca("run", path, "--source", "tape", cwd=tmp_path))
     assert "marker_px" in one_line(mosca("run", path, "--set", "premises.marker_px=50", cwd=tmp_path))
     (tmp_path / "mine").mkdir()
