@@ -21,9 +21,9 @@ class FrameStore:
     not, frames are read while pulses pass, and beginning anew iterates over the source anew. ``loop``: after the last
     pulse comes the first.
 
-    A frame's pulse is its index less the first one's, where the source is in the session's clock (twin, folders of
-    images). With other clocks, where indices are the cameras' own counters, it is told from the time since the
-    camera's frame before.
+    A camera's first frame is of the pulse that its index says, where the source is in the session's clock (twin,
+    captures, folders of images), and the others of those that their stamps say. With other clocks a pulse is told
+    from the time since the camera's frame before.
     """
 
     def __init__(self, source: FrameSource, ahead: int, loop: bool = False) -> None:
@@ -178,15 +178,19 @@ class _Numbering:
     """Which pulse a frame belongs to, in one reading of a source."""
 
     def __init__(self, infos: tuple[CameraInfo, ...]) -> None:
-        self._by_index = all(info.clock == "session" for info in infos)
+        self._one_clock = all(info.clock == "session" for info in infos)
         self._rates = {info.name: info.frame_rate_hz for info in infos}
         self._first: int | None = None
         self._last: dict[str, tuple[int, int]] = {}
+        self._began: dict[str, tuple[int, int]] = {}
 
     def pulse_of(self, frame: Frame) -> int:
-        if self._by_index:
+        if self._one_clock:
             self._first = frame.index if self._first is None else self._first
-            return max(frame.index - self._first, 0)
+            index, time_ns = self._began.setdefault(frame.camera, (frame.index, frame.time_ns))
+            # the counter of a real camera does not count the pulses that it missed: its stamps tell
+            since = round((frame.time_ns - time_ns) * self._rates[frame.camera] / 1e9)
+            return max(index - self._first + since, 0)
         self._first = frame.time_ns if self._first is None else self._first
         pulse, time_ns = self._last.get(frame.camera, (0, self._first))
         pulse = max(pulse + round((frame.time_ns - time_ns) * self._rates[frame.camera] / 1e9), 0)

@@ -97,6 +97,23 @@ def test_missing_and_late_frames_shift_nothing(stores):
     assert same(store, 1, 6, 6)
 
 
+class Captured(ArraySource):
+    """A capture: cam1 missed pulses 3 and 4, which its own counter does not count; in its stamps the gap stands."""
+
+    def __iter__(self) -> Iterator[Frame]:
+        for frame in super().__iter__():
+            if frame.camera == "cam1" and frame.index in (3, 4):
+                continue
+            yield replace(frame, index=frame.index - 2 * (frame.camera == "cam1" and frame.index > 4))
+
+
+def test_pulses_that_a_camera_missed_stay_a_gap(stores):
+    store = stores(Captured(2, 20), 30)
+    assert store.frame("cam1", 3) is None
+    assert store.frame("cam1", 4) is None
+    assert all(same(store, k, n, n) for k in range(2) for n in (0, 2, 5, 19))
+
+
 class Counted(ArraySource):
     """Cameras with counters and clocks of their own, one of which lost its second frame."""
 
