@@ -57,19 +57,27 @@ def solve(members, ranks, solved, steps, rays, views):  # type: ignore[no-untype
 def judge_sizes(members, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
     """Set each member's trust from the size of its image; returns the target's diameter from its largest image.
 
-    Images that detection takes for two targets say nothing of the size, unless all are.
+    Images that detection takes for two targets say nothing of the size, unless all are. As long as no typical size is
+    known, the second largest of four and more is the whole one: the largest may be of two targets, and beside it all
+    others would look half hidden.
     """
-    largest = anyhow = 0.0
+    largest = second = anyhow = 0.0
+    images = 0
     for c in range(members.shape[0]):
         k = members[c]
         if k >= 0:
             size = image_size(k, c, solved, rays, views)
             anyhow = max(anyhow, size)
             if not int(rays[k, FLAGS]) & MERGED:
+                images += 1
+                second = max(second, min(size, largest))
                 largest = max(largest, size)
     if largest == 0.0:
         largest = anyhow
-    whole = rules[TYPICAL] if rules[TYPICAL] > 0.0 else largest
+    if rules[TYPICAL] > 0.0:
+        whole = rules[TYPICAL]
+    else:
+        whole = second if images >= 4 else largest
     for c in range(members.shape[0]):
         k = members[c]
         if k >= 0:
