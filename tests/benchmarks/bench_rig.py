@@ -1,0 +1,69 @@
+"""Four GigE Vision cameras at 100 Hz with everything that goes wrong: is any frame taken for another pulse's?
+
+    python tests/benchmarks/bench_rig.py [PULSES]
+
+The twin serves a take in another process (``mosca twin serve``), losing 1 % of the packets and 0.5 % of the trigger
+pulses, with clocks that drift by up to 50 ppm and a camera that reboots; the rig is read through the source and the
+assembly that a capture uses, and each image is compared with the one that its pulse must show.
+"""
+
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from hardware.source import open_rig
+from mosca.assemble import Assembly, AssemblySettings, assemble
+from mosca.recording import open_recording
+
+TAKE_HZ, TAKE_PULSES = 50.0, 60
+FAULTS = ("--loss", "0.01", "--withhold", "0.005", "--reboot", "cam2@8", "--drift", "50")
+
+
+def main(pulses: int) -> None:
+    """Print what became of each camera's frames, and how many stand in a wrong set."""
+    with tempfile.TemporaryDirectory() as folder:
+        take, rig = Path(folder) / "take", Path(folder) / "rig.toml"
+        mosca = [sys.executable, "-m", "scenarios.cli"]
+        run = [*mosca, "run", "rigs/any_source", "--record", str(take), "--out", f"{folder}/run"]
+        subprocess.run(run, check=True, stdout=subprocess.DEVNULL)
+        with open_recording(take) as source:
+            shown = {(f.camera, round(f.time_ns * TAKE_HZ / 1e9)): np.array(f.image) for f in source}
+        serve = [*mosca, "twin", "serve", str(take), "--loop", "--rate", "100", "--trigger", "serial"]
+        serve += ["--address", "127.0.0.60", "--rig-out", str(rig), *FAULTS]
+        with subprocess.Popen(serve) as server:
+            try:
+                while not rig.exists() and server.poll() is None:
+                    time.sleep(0.1)
+                grab(rig, pulses, shown)
+            finally:
+                server.send_signal(signal.SIGINT)
+
+
+def grab(rig: Path, pulses: int, shown: dict[tuple[str, int], np.ndarray]) -> None:
+    """Read ``pulses`` pulses of ``rig`` and compare each image with the one ``shown`` at its pulse."""
+    assembly, wrong = Assembly(), 0
+    begin = time.process_time()
+    with open_rig(rig, pulses) as source:
+        for frame_set in assemble(source, source.cameras, AssemblySettings(open_pulses=100), assembly):
+            for name, frame in frame_set.frames.items():
+                wrong += not np.array_equal(frame.image, shown[name, frame_set.pulse % TAKE_PULSES])
+    cores = (time.process_time() - begin) * 100 / pulses
+    print(f"{assembly.sets} sets, {assembly.complete_sets} complete; frames of another pulse: {wrong}")
+    for name, count in assembly.cameras.items():
+        one = source.account.cameras[name]
+        print(
+            f"{name}: {count.delivered} delivered, {count.dropped} dropped, {one.failed} failed, "
+            f"{one.relocked} relocked, {one.reopened} reopened, "
+            f"{one.driver.get('n_resent_packets', 0)} packets resent"
+        )
+    print(*source.account.notes, sep="\n")
+    print(f"reading and comparing took {cores:.2f} cores")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 6000)
