@@ -62,9 +62,7 @@ class CameraClock:
         self._stamp_ns = stamp_ns
         # the line goes a little towards the stamp: what remains is the next one's starting offset
         self._offset_ns = -(1 - PHASE_GAIN) * residual
-        period = self.period_ns + PERIOD_GAIN * residual / steps
-        reach = LARGEST_DRIFT * self.nominal_ns
-        self.period_ns = min(max(period, self.nominal_ns - reach), self.nominal_ns + reach)
+        self.period_ns = _quartz(self.period_ns + PERIOD_GAIN * residual / steps, self.nominal_ns)
         return Placed(self._pulse, residual)
 
 
@@ -110,9 +108,13 @@ class HostLine:
         late, at = self._least
         steps = max(at - self._pulse, 1)
         self._time_ns += (at - self._pulse) * self.period_ns + 0.3 * late
-        period = self.period_ns + 0.05 * late / steps
-        reach = LARGEST_DRIFT * self.nominal_ns
-        self.period_ns = min(max(period, self.nominal_ns - reach), self.nominal_ns + reach)
+        self.period_ns = _quartz(self.period_ns + 0.05 * late / steps, self.nominal_ns)
         self._pulse = at
         self._least = None
         self._until = pulse + self._span
+
+
+def _quartz(period_ns: float, nominal_ns: float) -> float:
+    """Return the period, no farther from the nominal one than a clock may drift."""
+    reach = LARGEST_DRIFT * nominal_ns
+    return min(max(period_ns, nominal_ns - reach), nominal_ns + reach)

@@ -204,12 +204,13 @@ class PulseNumbers:
         """Tell whether a frame that the clock places after a gap arrives as if it were of another pulse."""
         assert self._line is not None
         late = self._arrival_ns(camera, buffer) - self._line.at(pulse)
-        unusual = late - self._usual_ns(camera)
-        block, last = buffer.block_id, camera.last_block
-        begun_anew = block is not None and last is not None and block <= last
-        late_limit = 0.6 * self.period_ns if begun_anew else max(0.6 * self.period_ns, STALL_NS)
-        if pulse - camera.last_pulse > 1 and not -0.6 * self.period_ns < unusual < late_limit:
-            return True
+        if pulse - camera.last_pulse > 1:
+            unusual = late - self._usual_ns(camera)
+            block, last = buffer.block_id, camera.last_block
+            begun_anew = block is not None and last is not None and block <= last
+            limit = 0.6 * self.period_ns
+            if not -limit < unusual < (limit if begun_anew else max(limit, STALL_NS)):
+                return True
         camera.lates.append(late)
         if len(camera.lates) > self._votes:
             camera.lates.popleft()

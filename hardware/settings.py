@@ -23,7 +23,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -126,7 +126,7 @@ def read_hardware(path: Path) -> RigHardware:
     """Return the hardware tables of the rig file at ``path``; InputError says what is wrong, and where."""
     path = Path(path)
     document = read_rig_file(path)
-    shared = check(HardwareTable, _mapping(document.hardware), f"{path}: [hardware]")
+    shared = check(HardwareTable, document.hardware, f"{path}: [hardware]")
     cameras: dict[str, CameraHardware] = {}
     for table in document.camera:
         if not table.hardware:
@@ -139,7 +139,7 @@ def read_hardware(path: Path) -> RigHardware:
                 f"{path}: camera name '{table.name}' stands twice; give each camera its own name"
             )
         cameras[table.name] = check(
-            CameraHardware, _mapping(table.hardware), f"{path}: camera '{table.name}' [camera.hardware]"
+            CameraHardware, table.hardware, f"{path}: camera '{table.name}' [camera.hardware]"
         )
     twice = _used_twice(cameras)
     if twice is not None:
@@ -159,7 +159,3 @@ def _used_twice(cameras: Mapping[str, CameraHardware]) -> tuple[str, str, str] |
             return seen[device], name, settings.serial or settings.address
         seen[device] = name
     return None
-
-
-def _mapping(table: Mapping[str, Any]) -> dict[str, Any]:
-    return dict(table)

@@ -9,7 +9,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Self
 
@@ -173,10 +173,9 @@ class HardwareSource:
 
     def _arm_and_start(self) -> int | None:
         assert self._trigger is not None
+        # a master camera comes last: its exposures are the pulses
         master = self.rig.shared.trigger.camera
-        for name in sorted(
-            self._drivers, key=lambda name: name == master
-        ):  # the master's frames are the pulses
+        for name in sorted(self._drivers, key=lambda name: name == master):
             self._drivers[name].arm()
         for name in self._drivers:
             thread = threading.Thread(target=self._grab, args=(name,), name=f"camera {name}", daemon=True)
@@ -222,14 +221,7 @@ class HardwareSource:
                 self._queued_bytes += 0 if full else size
             if full:
                 account.overrun += 1
-                buffer = Grabbed(
-                    buffer.block_id,
-                    buffer.device_ns,
-                    buffer.host_ns,
-                    buffer.exposure_ns,
-                    None,
-                    "no room to wait",
-                )
+                buffer = replace(buffer, image=None, note="no room to wait")
             self._queue.put((name, buffer))
 
     def _reopened(self, name: str) -> bool:
@@ -309,7 +301,6 @@ class HardwareSource:
             account = self.account.cameras[one.camera]
             account.whole += buffer.image is not None
             account.failed += buffer.image is None
-            account.relocked = self._numbers.relocks[one.camera]
             if self._pulses is not None and one.pulse >= self._pulses:
                 continue
             yield Frame(
@@ -337,8 +328,11 @@ class HardwareSource:
 
     def _tell_clocks(self) -> None:
         assert self._numbers is not None
-        self.account.notes += [f"camera {note}" for note in self._numbers.notes]
-        self._numbers.notes.clear()
+        if self._numbers.notes:  # each clock that was found again left one
+            for name, relocked in self._numbers.relocks.items():
+                self.account.cameras[name].relocked = relocked
+            self.account.notes += [f"camera {note}" for note in self._numbers.notes]
+            self._numbers.notes.clear()
 
 
 def open_rig(path: Path, pulses: int | None = None) -> HardwareSource:

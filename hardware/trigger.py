@@ -32,7 +32,10 @@ class Trigger(Protocol):
 
 
 class External:
-    """Pulses from something that this machine does not control; it is never stopped, nothing is known of it."""
+    """Pulses that do not wait for frames, from something outside: it is never stopped, nothing is known of it.
+
+    Triggers that this machine does control, and whose pulses do not wait either, say more.
+    """
 
     def stop(self) -> None:
         """Do nothing."""

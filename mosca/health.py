@@ -43,7 +43,7 @@ ALIKE_LOOKS, START_LOOKS = 6.0, 0.5
 
 @dataclass(frozen=True)
 class HealthSettings:
-    """``every``: frame sets from one look at the residuals to the next, ``seldom`` after the first hundred;
+    """``every``: frame sets from one look at the residuals to the next, ``seldom`` after the first ``START_SETS``;
     ``most_points`` of a set are looked at, others each time. ``memory``: looks after which an old one
     counts 1/e. ``start_px``: random error of image points besides detection noise until it is learned, and
     ``least_px`` below which it is not taken. ``least_images``: of a camera, before anything is said of its clock

@@ -30,6 +30,8 @@ from twin.cameras.stray import Surroundings
 from twin.cameras.stray_glare import Glare
 from twin.cameras.stray_mirror import Mirror
 from twin.cameras.stray_world import RingLight, ShinySpot
+from twin.scenes.scene import Scene
+from twin.source import TwinSource
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +78,21 @@ def virtual_cameras(spec: Scenario, rig: Rig) -> tuple[VirtualCamera, ...]:
     return tuple(
         _virtual(camera, _own(spec, camera.name), spec, late.get(camera.name, 0.0))
         for camera in (*rig.cameras, *riders)
+    )
+
+
+def twin_source(spec: Scenario, scene: Scene, cameras: tuple[VirtualCamera, ...], workers: int) -> TwinSource:
+    """Return the twin that films ``scene`` as the scenario says."""
+    return TwinSource(
+        scene,
+        cameras,
+        frame_rate_hz=spec.capture.frame_rate_hz,
+        exposure_s=spec.capture.exposure_s,
+        pulses=spec.capture.pulses,
+        seed=spec.seed,
+        workers=workers,
+        deliveries=deliveries(spec, cameras),
+        surroundings=surroundings(spec),
     )
 
 

@@ -8,12 +8,10 @@ from types import FrameType
 
 
 @contextmanager
-def between_steps() -> Iterator[Callable[[], None]]:
-    """Hold Ctrl-C back until the yielded check is called; a second Ctrl-C interrupts at once.
+def first_ctrl_c(told: Callable[[], None]) -> Iterator[None]:
+    """Call ``told`` at the first Ctrl-C; a second one interrupts at once.
 
-    An interruption inside compiled code or a callback of a C library comes out as another exception or is
-    swallowed there; between two frame sets it is clean, and what was recorded until then is whole. Outside
-    the main thread, where Python hands out no signals, the check does nothing.
+    Outside the main thread, where Python hands out no signals, this does nothing.
     """
     asked = False
 
@@ -22,19 +20,33 @@ def between_steps() -> Iterator[Callable[[], None]]:
         if asked:
             raise KeyboardInterrupt
         asked = True
-
-    def check() -> None:
-        if asked:
-            raise KeyboardInterrupt
+        told()
 
     if threading.current_thread() is not threading.main_thread():
-        yield check
+        yield
         return
     before = signal.signal(signal.SIGINT, ask)
     try:
-        yield check
+        yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def between_steps() -> Iterator[Callable[[], None]]:
+    """Hold Ctrl-C back until the yielded check is called; a second Ctrl-C interrupts at once.
+
+    An interruption inside compiled code or a callback of a C library comes out as another exception or is
+    swallowed there; between two frame sets it is clean, and what was recorded until then is whole.
+    """
+    asked = threading.Event()
+
+    def check() -> None:
+        if asked.is_set():
+            raise KeyboardInterrupt
+
+    with first_ctrl_c(asked.set):
+        yield check
 
 
 def was_interrupted(error: BaseException | None) -> bool:

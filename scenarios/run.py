@@ -37,7 +37,7 @@ from scenarios.account import Collected, evidence_of, record_of
 from scenarios.bodies import body_scores, rigid_bodies
 from scenarios.bound import bound, efficiencies, pulses_asked
 from scenarios.build import build_scene, pipeline_settings
-from scenarios.cameras import Calibrated, calibrated, deliveries, surroundings, true_rig, virtual_cameras
+from scenarios.cameras import Calibrated, calibrated, true_rig, twin_source, virtual_cameras
 from scenarios.faults import with_fault
 from scenarios.interrupt import between_steps
 from scenarios.score import BLOCKS, Matched, Score, metrics, pair
@@ -119,25 +119,14 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             if own.calibration.refused:
                 raise CalibrationError(f"{name}: {told[0][0]}: {told[0][1]}")
         believed = with_fault(known.rig if own is None else own.calibration.rig, spec.fault)
-        pulses = round(spec.capture.duration_s * spec.capture.frame_rate_hz)
         source: FrameSource
         if scene is not None:
-            source = TwinSource(
-                scene,
-                cameras,
-                frame_rate_hz=spec.capture.frame_rate_hz,
-                exposure_s=spec.capture.exposure_s,
-                pulses=pulses,
-                seed=spec.seed,
-                workers=options.workers,
-                deliveries=deliveries(spec, cameras),
-                surroundings=surroundings(spec),
-            )
+            source = twin_source(spec, scene, cameras, options.workers)
         else:
-            source = opened(options.source, rig, spec.capture.frame_rate_hz, pulses)
+            source = opened(options.source, rig, spec.capture.frame_rate_hz, spec.capture.pulses)
         stack.enter_context(source)
         if options.source.startswith("hardware:"):
-            settings = patient(settings, source)
+            settings = replace(settings, assembly=patient(settings.assembly, source))
         if isinstance(source, TwinSource):
             with _timed(timings, "compile"):
                 compile_side_by_side(source)
@@ -267,7 +256,7 @@ def _collect(
     assembly = Assembly()
     samples: list[Samples] = []
     views: tuple[CameraView, ...] = ()
-    view_pulse, pulses = -1, round(spec.capture.duration_s * spec.capture.frame_rate_hz)
+    view_pulse, pulses = -1, spec.capture.pulses
     seconds: dict[str, float] = {}
     latency: list[float] = []
     wanted = set(pulses_asked(pulses).tolist()) if EFFICIENCIES & set(spec.limits) else set()

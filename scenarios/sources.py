@@ -5,11 +5,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
+from mosca.assemble import AssemblySettings
 from mosca.data.frames import Frame, FrameSource
 from mosca.data.rig import Rig
 from mosca.errors import InputError
-from mosca.pipeline import PipelineSettings
 from mosca.recording import RecordingWriter, open_recording
+
+PATIENCE_BYTES = 1 << 28
+"""Frames that may wait in open frame sets."""
 
 
 def opened(source: str, rig: Rig, rate_hz: float, pulses: int) -> FrameSource:
@@ -39,15 +42,13 @@ def opened(source: str, rig: Rig, rate_hz: float, pulses: int) -> FrameSource:
     return HardwareSource(devices, pulses)
 
 
-PATIENCE_BYTES = 1 << 28
-
-
-def patient(settings: PipelineSettings, source: FrameSource) -> PipelineSettings:
+def patient(settings: AssemblySettings, source: FrameSource) -> AssemblySettings:
     """Return settings that wait for late frames of devices up to a second, as memory allows: a run is not live."""
     wanted = max(info.frame_rate_hz for info in source.cameras)
-    size = sum(info.width * info.height * (1 + (info.bit_depth > 8)) for info in source.cameras)
-    pulses = max(settings.assembly.open_pulses, min(round(wanted), PATIENCE_BYTES // size))
-    return replace(settings, assembly=replace(settings.assembly, open_pulses=pulses))
+    size = sum(info.image_bytes for info in source.cameras)
+    return replace(
+        settings, open_pulses=max(settings.open_pulses, min(round(wanted), PATIENCE_BYTES // size))
+    )
 
 
 class PassedOn:

@@ -74,6 +74,11 @@ class Capture(Table):
             )
         return self
 
+    @property
+    def pulses(self) -> int:
+        """Number of trigger pulses."""
+        return round(self.duration_s * self.frame_rate_hz)
+
 
 class SwapFault(Table):
     """The calibrations of two cameras stand swapped."""

@@ -6,7 +6,6 @@ from hardware.driver import CameraDriver, DeviceError
 from hardware.settings import RigHardware
 from hardware.trigger import External, Trigger
 from hardware.triggers.action import ActionTrigger
-from hardware.triggers.master import MasterTrigger
 from hardware.triggers.software import SoftwareTrigger
 
 
@@ -28,6 +27,5 @@ def open_trigger(rig: RigHardware, drivers: Mapping[str, CameraDriver]) -> Trigg
             return SoftwareTrigger(drivers, rate_hz)
         case "action":
             return ActionTrigger(table, rate_hz)
-        case "master":
-            return MasterTrigger(table.camera)
+    # a master camera's exposures are the pulses: it needs to be armed last, nothing else
     return External()

@@ -11,13 +11,14 @@ import time
 
 from hardware.driver import DeviceError
 from hardware.settings import TriggerTable
+from hardware.trigger import External
 
 GVCP_PORT = 3956
 ACTION_CMD = 0x0100
 SCHEDULED = 0x80
 
 
-class ActionTrigger:
+class ActionTrigger(External):
     """Broadcasts an action command ``rate_hz`` times a second; a ``hardware.trigger.Trigger``."""
 
     def __init__(self, table: TriggerTable, rate_hz: float) -> None:
@@ -50,13 +51,6 @@ class ActionTrigger:
         if self._thread is not None:
             self._thread.join()
             self._thread = None
-
-    def pulse_at(self, host_ns: int) -> int | None:
-        """Return None: pulses do not wait for frames."""
-        return None
-
-    def frame_arrived(self, camera: str, host_ns: int) -> None:
-        """Do nothing."""
 
     def report(self) -> dict[str, object]:
         """Return the pulses made and those that the network refused."""

@@ -21,6 +21,7 @@ import numpy as np
 import serial
 
 from hardware.driver import DeviceError
+from hardware.trigger import External
 
 PROTOCOL = "V mosca-pulse 1"
 PING_S = 0.1
@@ -38,7 +39,7 @@ class PulseFit:
     pings: int
 
 
-class SerialTrigger:
+class SerialTrigger(External):
     """The pulse generator at ``port``; a ``hardware.trigger.Trigger``. DeviceError where none answers."""
 
     def __init__(self, port: str, baud: int, rate_hz: float) -> None:
@@ -96,26 +97,18 @@ class SerialTrigger:
         if self._pulses is None and len(words) == 3 and words[2].isdigit() and self._pings:
             self._pulses = int(words[2])
 
-    def pulse_at(self, host_ns: int) -> int | None:
-        """Return None: the box does not wait for frames."""
-        return None
-
-    def frame_arrived(self, camera: str, host_ns: int) -> None:
-        """Do nothing."""
-
     def fit(self) -> PulseFit | None:
         """Return host time against pulse number over the quicker half of the pings; None with fewer than four."""
-        pings = np.array(self._pings, dtype=float).reshape(-1, 3)
+        pings = list(self._pings)
         if len(pings) < 4:
             return None
-        origin = int(self._pings[0][0])
-        quick = pings[pings[:, 2] <= np.median(pings[:, 2])]
-        host = np.array([p[0] - origin for p in self._pings], dtype=float)[
-            pings[:, 2] <= np.median(pings[:, 2])
-        ]
-        slope, start = np.polyfit(quick[:, 1], host, 1)
-        rms = float(np.sqrt(np.mean((host - start - slope * quick[:, 1]) ** 2)))
-        return PulseFit(origin + round(start), float(slope), rms, len(quick))
+        origin = pings[0][0]
+        since, pulse, took = np.array([(host_ns - origin, k, trip_ns) for host_ns, k, trip_ns in pings]).T
+        quick = took <= np.median(took)
+        since, pulse = since[quick], pulse[quick]
+        slope, start = np.polyfit(pulse, since, 1)
+        rms = float(np.sqrt(np.mean((since - start - slope * pulse) ** 2)))
+        return PulseFit(origin + round(start), float(slope), rms, len(pulse))
 
     def report(self) -> dict[str, object]:
         """Return the pulses made (after ``stop``) and the fit of this machine's clock to them."""

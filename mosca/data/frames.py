@@ -31,6 +31,11 @@ class CameraInfo:
     clock: Literal["device", "host", "session"] = "session"
     stamp_event: StampEvent = "exposure_start"
 
+    @property
+    def image_bytes(self) -> int:
+        """Size of an image in memory [bytes]: one byte a pixel up to 8 bits, else two."""
+        return self.width * self.height * (1 if self.bit_depth <= 8 else 2)
+
 
 @dataclass(frozen=True, eq=False)
 class Frame:

@@ -57,7 +57,7 @@ class Intake:
         self.lost = recorder.lost if settings is None else Lost()
         self._source, self._tap, self._recorder = source, tap, recorder
         self._settings, self._view = settings, view
-        set_bytes = sum(c.width * c.height * (1 if c.bit_depth <= 8 else 2) for c in source.cameras)
+        set_bytes = sum(info.image_bytes for info in source.cameras)
         self._queued = min(max(waiting_bytes // set_bytes, FEWEST_WAITING), MOST_WAITING)
         self._period_ns = 1e9 / source.cameras[0].frame_rate_hz
         self._stamps: dict[str, dict[str, list[Any]]] = {}

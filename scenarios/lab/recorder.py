@@ -63,7 +63,7 @@ class Recorder:
         self.failed: BaseException | None = None
         self._writer = writer
         self._period_ns = 1e9 / cameras[0].frame_rate_hz
-        self._set_bytes = sum(c.width * c.height * (1 if c.bit_depth <= 8 else 2) for c in cameras)
+        self._set_bytes = sum(info.image_bytes for info in cameras)
         self._most = max(waiting_bytes, 2 * self._set_bytes)
         self._waiting = 0
         self._guard = threading.Lock()

@@ -21,12 +21,11 @@ from mosca.data.whole_file import whole_file
 from mosca.errors import InputError
 from mosca.recording import open_recording
 from scenarios.build import build_scene
-from scenarios.cameras import calibrated, deliveries, surroundings, true_rig, virtual_cameras
+from scenarios.cameras import calibrated, true_rig, twin_source, virtual_cameras
 from scenarios.catalog import find
 from scenarios.interrupt import between_steps
 from scenarios.sources import Chosen
 from scenarios.spec import load_scenario
-from twin.source import TwinSource
 
 MEMORY_BYTES = 1 << 30
 """How much of the frames is kept in memory unless ``--ahead`` says otherwise."""
@@ -110,7 +109,7 @@ def serve(
         up = stack.enter_context(
             served(
                 subject.source,
-                ahead=request.ahead or max(1, MEMORY_BYTES // _pulse_bytes(infos)),
+                ahead=request.ahead or max(1, MEMORY_BYTES // sum(info.image_bytes for info in infos)),
                 loop=request.loop,
                 first_address=request.address,
                 addresses=subject.addresses,
@@ -206,17 +205,7 @@ def _scenario(what: str, workers: int, stack: ExitStack) -> Subject:
     cameras = virtual_cameras(spec, true_rig(spec, path.parent))
     rig = calibrated(spec, cameras).rig
     source: FrameSource = stack.enter_context(
-        TwinSource(
-            build_scene(spec, path.parent),
-            cameras,
-            frame_rate_hz=spec.capture.frame_rate_hz,
-            exposure_s=spec.capture.exposure_s,
-            pulses=round(spec.capture.duration_s * spec.capture.frame_rate_hz),
-            seed=spec.seed,
-            workers=workers,
-            deliveries=deliveries(spec, cameras),
-            surroundings=surroundings(spec),
-        )
+        twin_source(spec, build_scene(spec, path.parent), cameras, workers)
     )
     if any(info.name not in rig.names for info in source.cameras):
         source = Chosen(source, rig.names)
@@ -284,7 +273,3 @@ def _faults(names: Sequence[str], trouble: Trouble) -> dict[str, Faults]:
         )
         for name, drift in zip(names, drifts, strict=True)
     }
-
-
-def _pulse_bytes(infos: Sequence[CameraInfo]) -> int:
-    return sum(info.width * info.height * (1 if info.bit_depth == 8 else 2) for info in infos) or 1

@@ -1,12 +1,9 @@
 """What the station verbs do: open, run until the end or Ctrl-C, and say what became of everything."""
 
-import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import FrameType
 
 import numpy as np
 
@@ -23,6 +20,7 @@ from mosca.data.tracks import Samples, table
 from mosca.errors import InputError
 from mosca.formats.tracks_file import SUFFIXES, write_tracks
 from mosca.recording import open_recording
+from scenarios.interrupt import first_ctrl_c
 from scenarios.lab.merge import Delays, account_lines, all_whole, calibrated_rig, run_merged
 from scenarios.lab.station import run_station
 from scenarios.lab.station_source import Paced, RigOfStation
@@ -64,7 +62,8 @@ def detect_on_station(
     source.gate.sender = sender
     told(f"station {name}: {', '.join(names)}; sends to {', '.join(connect)}")
     until = None if seconds is None else time.monotonic() + seconds
-    with _asked_to_stop() as stopped:
+    stopped = threading.Event()
+    with first_ctrl_c(stopped.set):
 
         def every() -> bool:
             if devices is not None:
@@ -120,7 +119,7 @@ def reconstruct_stations(
     )
     samples: list[Samples] = []
     delays, points = Delays(), 0
-    with receiver, _asked_to_stop(receiver.stop):
+    with receiver, first_ctrl_c(lambda: threading.Thread(target=receiver.stop, daemon=True).start()):
         told(f"listens on {', '.join(listen)} for {', '.join(stations)}")
         rig, lines = calibrated_rig(rig_path, lambda: receiver.rigs(RIGS_S))
         timer = threading.Timer(seconds or 0, receiver.stop)
@@ -150,24 +149,3 @@ def reconstruct_stations(
 
 def _line(event: Event) -> str:
     return f"station {event.station}: {event.text}"
-
-
-@contextmanager
-def _asked_to_stop(stop: Callable[[], None] = lambda: None) -> Iterator[threading.Event]:
-    """Turn the first Ctrl-C into ``stop`` and an event; a second one interrupts at once."""
-    asked = threading.Event()
-
-    def ask(number: int, frame: FrameType | None) -> None:
-        if asked.is_set():
-            raise KeyboardInterrupt
-        asked.set()
-        threading.Thread(target=stop, daemon=True).start()
-
-    if threading.current_thread() is not threading.main_thread():
-        yield asked
-        return
-    before = signal.signal(signal.SIGINT, ask)
-    try:
-        yield asked
-    finally:
-        signal.signal(signal.SIGINT, before)

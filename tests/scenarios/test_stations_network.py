@@ -48,11 +48,11 @@ def programs():
 
 
 @contextmanager
-def listening(two_pcs, merge=None):
-    """``merge``: without it so patient that a busy machine changes nothing but delays."""
+def listening(two_pcs):
+    """Open a receiver that is so patient that a busy machine changes nothing but delays."""
     endpoints = [pc.endpoint for pc in two_pcs.values()]
-    merge = merge or MergeSettings(deadline_s=0.4, oldest_s=0.6)
-    settings = ReceiverSettings(merge, queued=10_000)  # the test reads them at its end
+    patient = MergeSettings(deadline_s=0.4, oldest_s=0.6)
+    settings = ReceiverSettings(patient, queued=10_000)  # the test reads them at its end
     with Receiver(open_transport(listen=endpoints), ("A", "B"), SIZES, settings=settings) as here:
         yield here
 
