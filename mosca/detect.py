@@ -46,7 +46,7 @@ from mosca.detect_settings import DEFAULTS, DetectionSettings, noise_of, packing
 from mosca.errors import InputError
 from mosca.refine import NOTHING, Learned
 from mosca.refine_fit import Model
-from mosca.refine_kernels import FLAGS, refine_regions
+from mosca.refine_kernels import FLAGS, TOUCHING, refine_regions
 
 __all__ = [
     "DEFAULTS",
@@ -61,8 +61,6 @@ __all__ = [
     "target_regions",
 ]
 
-TOUCHING = 0.03
-"""Error of a centroid that a neighbour's light draws, standard deviation as a share of the diameter (measured)."""
 _NO_BOXES = np.empty((0, 4), np.int32)
 _EVERYWHERE = np.empty(0, np.int64)
 _LIKE: dict[object, Array] = {
@@ -147,11 +145,11 @@ def detect_and_learn(
     if settings.centroid == "refined":
         return _refined(pixels, cameras, (runs, regions, lowest), settings, bit_depth, learned)
     local = settings.centroid == "background"
-    table, image_of = measure_regions(
-        np.stack(pixels), runs, regions, lowest, local, settings.dilation_px, noise_of(settings, bit_depth)
+    table, region_of = measure_regions(
+        *_placed(pixels), runs, regions, lowest, local, settings.dilation_px, noise_of(settings, bit_depth)
     )
     flags = np.full(len(table), UNREFINED, np.uint8)
-    return _detections(cameras, table, image_of, flags), NOTHING
+    return _detections(cameras, table, regions[region_of, 0], flags), NOTHING
 
 
 def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_depth: int = 8) -> Array:
@@ -214,8 +212,11 @@ def _boxes(windows: Sequence[Array | None] | None, height: int, width: int) -> t
     return np.concatenate(parts), np.cumsum([0] + [len(part) for part in parts])
 
 
-def _addresses(images: Sequence[Array]) -> Array:
-    return np.array([image.__array_interface__["data"][0] for image in images], np.uint64)
+def _placed(images: Sequence[Array]) -> tuple[Array, Array, tuple[int, int]]:
+    """Return where contiguous images of one size and type lie in memory, their type, and their size."""
+    addresses = np.array([image.__array_interface__["data"][0] for image in images], np.uint64)
+    height, width = images[0].shape
+    return addresses, _LIKE[images[0].dtype], (height, width)
 
 
 def _regions(
@@ -226,7 +227,7 @@ def _regions(
 ) -> tuple[Array, Array, Array]:
     """Return what ``find_regions_in_set`` finds in contiguous images of one size and type."""
     search = search_of(settings, bit_depth)
-    size, like, addresses = images[0].shape, _LIKE[images[0].dtype], _addresses(images)
+    addresses, like, size = _placed(images)
     boxes, box_start = _boxes(windows, *size)
     packing = packing_of(like.itemsize, search.lowest + 2)
     runs, values, run_start, value_start = scan_set(
@@ -251,34 +252,25 @@ def _refined(
     priors = learned.priors(names)
     noise = noise_of(settings, bit_depth)
     model = Model(noise.dark_dn2, noise.gain_dn, float(2**bit_depth - 1))
-    table, image_of, tallies, normal, right_side = refine_regions(
-        _addresses(images), _LIKE[images[0].dtype], images[0].shape, *found,
+    table, region_of, tallies, normal, right_side = refine_regions(
+        *_placed(images), *found,
         priors.blurs, priors.offsets, priors.roughness, model,
     )  # fmt: skip
     flags = table[:, FLAGS].astype(np.uint8)
-    if (flags & UNREFINED).any():
-        _measure_others(images, found, settings, bit_depth, table, flags)
-    return _detections(cameras, table, image_of, flags), Learned(names, tallies, normal, right_side)
-
-
-def _measure_others(
-    images: Sequence[Array],
-    found: tuple[Array, Array, Array],
-    settings: DetectionSettings,
-    bit_depth: int,
-    table: Array,
-    flags: Array,
-) -> None:
-    """Put the centroids over the background, with their covariance, where the fit has failed."""
-    measured, _ = measure_regions(
-        np.stack(images), *found, True, settings.dilation_px, noise_of(settings, bit_depth)
+    failed = np.flatnonzero(flags & UNREFINED)
+    if len(failed):
+        runs, regions, lowest = found
+        measured, _ = measure_regions(
+            *_placed(images), runs, regions[region_of[failed]], lowest, True, settings.dilation_px, noise
+        )
+        table[failed, :ELONGATION] = measured[:, :ELONGATION]
+        # what cannot be fitted mostly touches a neighbour, whose light draws the centroid
+        drawn = (TOUCHING * table[failed, DIAMETER]) ** 2
+        table[failed, XX] += drawn
+        table[failed, YY] += drawn
+    return _detections(cameras, table, found[1][region_of, 0], flags), Learned(
+        names, tallies, normal, right_side
     )
-    failed = (flags & UNREFINED) > 0
-    table[failed, :ELONGATION] = measured[failed, :ELONGATION]
-    # what cannot be fitted mostly touches a neighbour, whose light draws the centroid
-    drawn = (TOUCHING * table[failed, DIAMETER]) ** 2
-    table[failed, XX] += drawn
-    table[failed, YY] += drawn
 
 
 def _detections(cameras: Sequence[str], table: Array, image_of: Array, flags: Array) -> list[Detections]:

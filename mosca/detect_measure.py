@@ -11,6 +11,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.detect_kernels import kernel, step
+from mosca.detect_memory import image_at
 
 X, Y, XX, XY, YY, DIAMETER, PEAK, ELONGATION = range(8)
 N_COLUMNS = 8
@@ -224,21 +225,30 @@ def measure(
 
 @kernel
 def measure_regions(
-    images: Array, runs: Array, regions: Array, lowest: Array, local: bool, dilation: int, noise: Noise
+    addresses: Array,
+    like: Array,
+    size: tuple[int, int],
+    runs: Array,
+    regions: Array,
+    lowest: Array,
+    local: bool,
+    dilation: int,
+    noise: Noise,
 ) -> tuple[Array, Array]:
     """Measure every region that does not touch its image's border.
 
-    ``runs``, ``regions`` and ``lowest`` are those of ``find_regions_in_set``. With ``local`` the background
-    is taken off and the mask grown; without, the region is measured as it is. Returns a table (n, N_COLUMNS)
-    and the image of each row (n).
+    ``addresses``, ``like`` and ``size``: the images, as in ``mosca.detect_scan.scan_set``; ``runs``,
+    ``regions`` and ``lowest`` are those of ``find_regions_in_set``. With ``local`` the background is taken off
+    and the mask grown; without, the region is measured as it is. Returns a table (n, N_COLUMNS) and the region
+    of each row (n).
     """
-    height, width = images.shape[1:]
+    height, width = size
     table = np.empty((len(regions), N_COLUMNS))
-    image_of = np.empty(len(regions), np.int32)
+    region_of = np.empty(len(regions), np.int32)
     n = 0
     for r in range(len(regions)):
         threshold = regions[r, 3]
-        image, floor = images[regions[r, 0]], lowest[regions[r, 0]]
+        image, floor = image_at(addresses[regions[r, 0]], like, height, width), lowest[regions[r, 0]]
         own = runs[regions[r, 1] : regions[r, 2]]
         top, bottom = own[0, 0], own[-1, 0]
         left, right = own[0, 1], own[0, 2] - 1
@@ -260,6 +270,6 @@ def measure_regions(
         measure(image, own, threshold, grow, local, bg_sum, bg_n, noise, table[n])
         size_x, size_y = right - left + 1, bottom - top + 1
         table[n, ELONGATION] = max(size_x, size_y) / min(size_x, size_y)
-        image_of[n] = regions[r, 0]
+        region_of[n] = r
         n += 1
-    return table[:n], image_of[:n]
+    return table[:n], region_of[:n]

@@ -23,12 +23,13 @@ import numpy as np
 from scipy.optimize import nnls
 from scipy.spatial import cKDTree
 
-from mosca.camera import project_with_jacobians
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSet
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points
+from mosca.ray_kernels import ANGLE, DIRECTION, RADIUS, WHITE
+from mosca.triangulate import Bundle, bundle_rays
 
 START_SETS = 200
 """Frame sets in which much is to be learned."""
@@ -179,7 +180,9 @@ class Health:
         chosen = whole & known
         if not chosen.any():
             return
-        connected = self._fitted(_images(rig, detections, points, chosen), speed[chosen])
+        bundle = bundle_rays(rig, detections, 0.0)
+        covariance = np.concatenate([detections[n].covariance_px2 for n in self._names if n in detections])
+        connected = self._fitted(_images(bundle, covariance, points, chosen), speed[chosen])
         usual = np.all(connected.squared < FARTHEST_SIGMAS**2, axis=1)
         if usual.any():
             part = connected.select(usual)
@@ -190,7 +193,7 @@ class Health:
             sums += [(part.rest**2).sum(axis=(0, 2)), part.seen.sum(axis=0)]
         # the images of a camera that is late are left out of the points: look for them beside their place
         moving = known & (points.n_cameras >= 2)
-        images = _images(rig, detections, points, moving, self.settings.adopt_px)
+        images = _images(bundle, covariance, points, moving, self.settings.adopt_px)
         self._learn_clocks(self._fitted(images, speed[moving]))
 
     def _fitted(self, images: "_Images", speed: Array) -> "_Fit":
@@ -327,36 +330,36 @@ class _Fit:
 
 
 def _images(
-    rig: Rig, detections: Mapping[str, Detections], points: Points, chosen: Array, adopt_px: float = 0.0
+    bundle: Bundle, covariance_px2: Array, points: Points, chosen: Array, adopt_px: float = 0.0
 ) -> _Images:
-    """Return the images of the chosen points; detections that no point has are adopted by one that lies so near."""
-    xyz, rays = points.xyz[chosen], points.rays[chosen]
-    n, c = rays.shape
-    rest, slope = np.zeros((n, c, 2)), np.zeros((n, c, 2, 3))
-    own, seen = np.tile(np.eye(2), (n, c, 1, 1)), np.zeros((n, c), dtype=bool)
-    for k, camera in enumerate(rig.cameras):
-        found = detections.get(camera.name)
-        if found is None or len(found) == 0:
-            continue
-        image = project_with_jacobians(camera, xyz)
-        which = rays[:, k].copy()
-        if adopt_px > 0.0:
-            which = _adopted(image.xy_px, which, found.xy_px, points.rays[:, k], adopt_px)
-        rows = np.flatnonzero((which >= 0) & np.isfinite(image.xy_px).all(axis=1))
-        which = which[rows]
-        rest[rows, k] = found.xy_px[which] - image.xy_px[rows]
-        slope[rows, k] = image.by_point[rows]
-        own[rows, k] = found.covariance_px2[which]
-        seen[rows, k] = True
-    return _Images(seen, rest, slope, own)
+    """Return the images of the chosen points; rays that no point has are adopted by one that lies so near.
+
+    ``bundle``: the rays of the frame set, whitened by ``covariance_px2`` (rays, 2, 2), the detections' own. A ray
+    gives the residual of its image to first order, as triangulation does: no point needs to be projected.
+    """
+    which = np.where(points.rays[chosen] >= 0, points.rays[chosen] + bundle.start[:-1], -1)
+    away = points.xyz[chosen][:, None, :] - bundle.views[:, :3]
+    if adopt_px > 0.0:
+        _adopt(bundle, which, away, points.rays, adopt_px)
+    rays = bundle.rays[which]  # of those without a ray any: they are not seen
+    depth = np.einsum("nci,nci->nc", rays[..., DIRECTION : DIRECTION + 3], away)
+    seen = (which >= 0) & (depth > 0.0)
+    own = np.where(seen[..., None, None], covariance_px2[which], np.eye(2))
+    white = np.where(seen[..., None], rays[..., WHITE : WHITE + 6], 0.0).reshape(*which.shape, 2, 3)
+    slope = np.linalg.cholesky(own) @ white / np.where(seen, depth, 1.0)[..., None, None]
+    return _Images(seen, -np.einsum("ncij,ncj->nci", slope, away), slope, own)
 
 
-def _adopted(xy_px: Array, which: Array, found_xy: Array, taken: Array, reach_px: float) -> Array:
-    """Return which detection each point at ``xy_px`` (n, 2) has: its own, or a free one that is nearest to it."""
-    free = np.setdiff1d(np.arange(len(found_xy)), taken)
-    lonely = np.flatnonzero((which < 0) & np.isfinite(xy_px).all(axis=1))
-    if len(free) and len(lonely):
-        away, nearest = cKDTree(found_xy[free]).query(xy_px[lonely], distance_upper_bound=reach_px)
-        good = np.isfinite(away)
-        which[lonely[good]] = free[nearest[good]]
-    return which
+def _adopt(bundle: Bundle, which: Array, away: Array, taken: Array, reach_px: float) -> None:
+    """Give points without an image in a camera, in ``which`` (n, c), the free ray nearest to them (n, c, 3)."""
+    for c in range(which.shape[1]):
+        free = np.setdiff1d(np.arange(bundle.start[c + 1] - bundle.start[c]), taken[:, c]) + bundle.start[c]
+        lonely = np.flatnonzero(which[:, c] < 0)
+        if len(free) and len(lonely):
+            rays = bundle.rays[free]
+            toward = away[lonely, c] / np.linalg.norm(away[lonely, c], axis=1, keepdims=True)
+            beside = np.linalg.norm(toward[:, None] - rays[:, DIRECTION : DIRECTION + 3], axis=2)
+            beside_px = np.nan_to_num(beside * (2.0 * rays[:, RADIUS] / rays[:, ANGLE]), nan=np.inf)
+            nearest = beside_px.argmin(axis=1)
+            near = beside_px[np.arange(len(lonely)), nearest] <= reach_px
+            which[lonely[near], c] = free[nearest[near]]

@@ -17,6 +17,9 @@ BEHIND = 4
 same knowledge, and gives the same detections.
 """
 
+QUICK, SELDOM = 64, 16
+"""Up to this set all is used at once; after it, when little is new, so many sets' lessons at a time."""
+
 Seen = tuple[dict[str, Detections], Learned, float]
 
 
@@ -93,7 +96,10 @@ class _Known:
 
     def at(self, number: int) -> Learned:
         """Return what is known when set ``number`` is looked at; numbers rise."""
-        while self._used <= number - BEHIND:
+        behind = number - BEHIND
+        if number >= QUICK:
+            behind -= number % SELDOM
+        while self._used <= behind:
             self._learned = self._learned.plus(self._lessons.popleft())
             self._used += 1
         return self._learned

@@ -106,8 +106,9 @@ def match_counted(
     rules[JUDGE], rules[TYPICAL] = settings.judge_sizes, typical_diameter_m
     rules[LOW:HIGH], rules[HIGH:RULES] = volume
     values, members, trusts = search(
-        bundle.rays, bundle.views, bundle.pairs, bundle.bases, bundle.start, rules
-    )
+        bundle.rays, bundle.views, bundle.pairs, bundle.bases, bundle.start, rules, predicted.xyz,
+        predicted.covariance,
+    )  # fmt: skip
     state = choose(
         values, members, trusts, bundle.rays, bundle.views, rules, predicted.xyz, predicted.covariance,
         float(settings.support_sigma),

@@ -37,13 +37,18 @@ from mosca.triangulate import DEPTH, RANKS, SHARE, TRUST
 
 CERTAIN = 1e-3
 """Expected number of chance groups as good as this one, below which a group explains its rays."""
+PLAIN = 3.0
+"""Standard deviations up to which a group that a track expects is taken without looking at others."""
 EDGE_ON = 0.5
 """Uncertainty of an epipolar plane's angle [rad] beyond which the ray is near the base and meets every plane."""
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def search(rays, views, pairs, bases, start, rules):  # type: ignore[no-untyped-def]
-    """Return all groups: values (n, VALUES), members (n, c) ray of each camera or -1, trusts (n, c)."""
+def search(rays, views, pairs, bases, start, rules, xyz, covariance):  # type: ignore[no-untyped-def]
+    """Return all groups: values (n, VALUES), members (n, c) ray of each camera or -1, trusts (n, c).
+
+    ``xyz`` (k, 3), ``covariance`` (k, 3, 3): where tracks expect their targets; pairs of rays there are tried first.
+    """
     cameras, total = views.shape[0], rays.shape[0]
     room, count = max(64, 2 * total // max(cameras, 1)), 0
     values, members = np.empty((room, VALUES)), np.empty((room, cameras), dtype=np.int64)
@@ -60,6 +65,18 @@ def search(rays, views, pairs, bases, start, rules):  # type: ignore[no-untyped-
     gate_2 = 1.0 / rules[GATE] ** 2
     active, found = np.empty(total, dtype=np.int64), np.empty(total, dtype=np.int64)
     joined = np.zeros(total, dtype=np.bool_)
+    index = (frame, first_in_cell, in_cell)
+    for target in range(xyz.shape[0] if rules[TYPICAL] > 0.0 else 0):
+        size, error, diameter, chance = _expected(
+            xyz[target], covariance[target], xyz.shape[0], pairs, explained, reach, index, partner, mates, ranks,
+            solved, rays, views, rules,
+        )  # fmt: skip
+        if size > 2:
+            if count == values.shape[0]:
+                values, trusts, members = _longer(values), _longer(trusts), _longer_int(members)
+            store(mates, ranks, solved, error, diameter, rays, values[count], members[count], trusts[count])
+            count += 1
+            _note(mates, solved, chance, partner, explained, joined, rays, views, rules)
     for stage in range(2 if rules[JUDGE] > 0.0 else 1):
         if stage == 1:
             # half-hidden targets: for rays that no three cameras join as they are
@@ -104,26 +121,12 @@ def search(rays, views, pairs, bases, start, rules):  # type: ignore[no-untyped-
                         continue
                     chance = n_a * n_b * min(1.0, 2.0 * rules[GATE] * np.sqrt(both) / width)
                     size, error, diameter, chance = _grown(
-                        a,
-                        b,
-                        chance,
-                        reach,
-                        frame,
-                        first_in_cell,
-                        in_cell,
-                        partner,
-                        mates,
-                        ranks,
-                        solved,
-                        rays,
-                        views,
-                        rules,
+                        a, b, chance, reach, index, partner, mates, ranks, solved, rays, views, rules
                     )
                     if size == 0:
                         continue
                     if count == values.shape[0]:
-                        values, trusts = _longer(values), _longer(trusts)
-                        members = _longer_int(members)
+                        values, trusts, members = _longer(values), _longer(trusts), _longer_int(members)
                     store(
                         mates,
                         ranks,
@@ -139,6 +142,58 @@ def search(rays, views, pairs, bases, start, rules):  # type: ignore[no-untyped-
                     if size > 2:
                         _note(mates, solved, chance, partner, explained, joined, rays, views, rules)
     return values[:count], members[:count], trusts[:count]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _expected(  # type: ignore[no-untyped-def]
+    xyz,
+    covariance,
+    tracks,
+    pairs,
+    explained,
+    reach,
+    index,
+    partner,
+    members,
+    ranks,
+    solved,
+    rays,
+    views,
+    rules,
+):
+    """Begin a group with the two rays nearest to where one of so many tracks expects its target, and widen it.
+
+    It is judged as any other group is; the track only saves the search. Returns as ``_grown``, and no group where
+    anything is odd: an image that the group leaves out or that is not the nearest, rays that meet poorly.
+    """
+    cameras = views.shape[0]
+    nearest, share = np.empty(cameras, dtype=np.int64), np.empty(cameras)
+    for p in range(3):
+        solved[p] = xyz[p]
+        for q in range(3):
+            solved[3 + 3 * p + q] = covariance[p, q]
+    for c in range(cameras):
+        nearest[c], _, share[c] = _nearest(c, rules[TYPICAL], reach[c], index, solved, rays, views, rules)
+    for pair in range(pairs.shape[0]):
+        a, b = pairs[pair, 0], pairs[pair, 1]
+        i, j = nearest[a], nearest[b]
+        if i < 0 or j < 0 or explained[i] or explained[j]:
+            continue
+        if not _meet(i, j, a, b, 0.0, 1.0, 1.0, members, ranks, solved, rays, views, rules):
+            continue
+        chance = tracks * min(1.0, share[a]) * min(1.0, share[b])
+        size, error, diameter, chance = _grown(
+            a, b, chance, reach, index, partner, members, ranks, solved, rays, views, rules
+        )
+        # what is in any way odd has to compete with other groups
+        if size > 2 and error <= limit(2 * size - 3, PLAIN):
+            plain = True
+            for c in range(cameras):
+                plain = plain and members[c] == nearest[c]
+            if plain:
+                return size, error, diameter, chance
+        break
+    return 0, 0.0, 0.0, 1.0
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -229,7 +284,7 @@ def _meet(i, j, a, b, away2, variance_i, variance_j, members, ranks, solved, ray
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _grown(  # type: ignore[no-untyped-def]
-    a, b, chance, reach, frame, first_in_cell, in_cell, partner, members, ranks, solved, rays, views, rules
+    a, b, chance, reach, index, partner, members, ranks, solved, rays, views, rules
 ):
     """Widen a pair to all cameras, drop bad rays, judge. Returns how many rays it has (0: none), its squared error,
     diameter and the expected number of chance groups like it.
@@ -243,9 +298,7 @@ def _grown(  # type: ignore[no-untyped-def]
     for c in range(cameras):
         if c in (a, b):
             continue
-        nearest, trust, share = _nearest(
-            c, whole, reach[c], frame, first_in_cell, in_cell, members, ranks, solved, rays, views, rules
-        )
+        nearest, trust, share = _nearest(c, whole, reach[c], index, solved, rays, views, rules)
         if nearest >= 0:
             members[c], ranks[c, TRUST], ranks[c, SHARE] = nearest, trust, share
             size += 1
@@ -270,7 +323,7 @@ def _grown(  # type: ignore[no-untyped-def]
     for c in range(cameras):
         if members[c] >= 0 and c != a and c != b:
             # whichever of the other cameras these are: the number of choices
-            chance *= ranks[c, SHARE] * (cameras - 2 - added) / (added + 1)
+            chance *= min(1.0, ranks[c, SHARE]) * (cameras - 2 - added) / (added + 1)
             added += 1
     return size, error, diameter, chance
 
@@ -318,10 +371,11 @@ def _joined(members, partner):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _nearest(c, whole, reach, frame, first_in_cell, in_cell, members, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
+def _nearest(c, whole, reach, index, solved, rays, views, rules):  # type: ignore[no-untyped-def]
     """Return the ray of camera c nearest to the group's point among those that the covariances admit (-1: none), its
     trust, and the expected number of chance rays as near.
     """
+    frame, first_in_cell, in_cell = index
     gate2 = rules[GATE] ** 2
     x, y, z = solved[0] - views[c, 0], solved[1] - views[c, 1], solved[2] - views[c, 2]
     distance = np.sqrt(x * x + y * y + z * z)

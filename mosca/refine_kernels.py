@@ -31,6 +31,7 @@ from mosca.refine_window import (
     corner_level,
     gather,
     gather_unmarked,
+    half_side,
     region_sums,
     window_sums,
 )
@@ -41,6 +42,8 @@ N_COLUMNS = 14
 # What an image teaches: counts and sums, see mosca.refine.
 N_TARGETS, BLUR_SUM, BLUR_WEIGHT, ROUGH_SUM, N_LIGHT = range(5)
 N_TALLIES, N_TERMS = 5, 12
+TOUCHING = 0.03
+"""Error of a centroid that a neighbour's light draws, standard deviation as a share of the diameter (measured)."""
 EACH = 8  # every so many targets the light's centroid is taken
 
 
@@ -145,9 +148,11 @@ def refine_region(
         amplitude *= 1.5
     x0, y0 = m0 * ax + m1 * ay, m1 * ax + m2 * ay
     if crowded or n_full or not plain:
-        first = blank(image, runs, (column, row), floor, model.full_dn, marks)
         reach = min(radius + 3.0 * blur[0] + 0.5, most)
-        n = gather_unmarked(image, (column, row), shape, (x0, y0), reach, (marks, first[0], first[1]), xyv)
+        side = 2 * min(half_side(shape, (x0, y0), reach), len(marks) // 2) + 1
+        here = marks[:side, :side]
+        first = blank(image, runs, (column, row), floor, model.full_dn, here)
+        n = gather_unmarked(image, (column, row), shape, (x0, y0), reach, (here, first[0], first[1]), xyv)
     x0, y0, amplitude, level, radius, s, c, chi2, blur_variance, good = fit_disc(
         n,
         (xyv[0], xyv[1], xyv[2], sharper if plain else xyv[3]),
@@ -162,6 +167,8 @@ def refine_region(
     # a fit that has left its region's light has found something else
     shift = math.hypot(px - column - ax, py - row - ay)
     good = good and shift < 0.3 + 0.15 * max(size_x, size_y)
+    # with most of it left out for a neighbour's sake, the fit may know less than the centroid
+    good = good and c[0] + c[2] < 2.0 * (2.0 * TOUCHING * radius) ** 2
     u0, u1, w0, w1 = (
         i0 * c[0] + i1 * c[1],
         i0 * c[1] + i1 * c[2],
@@ -298,13 +305,13 @@ def refine_regions(
     ``addresses``, ``like`` and ``size``: the images, as in ``mosca.detect_scan.scan_set``; ``runs``, ``regions`` and
     ``lowest`` are those of ``find_regions_in_set``; ``blurs`` (n images, 2): prior mean
     and standard deviation of the blur [px]; ``learned`` (n images, N_TERMS, 2): offsets by place and size;
-    ``rough`` (n images,): usual misfit. Returns a table (n, N_COLUMNS), the image of each row (n), and what each
+    ``rough`` (n images,): usual misfit. Returns a table (n, N_COLUMNS), the region of each row (n), and what each
     image teaches: tallies (n images, N_TALLIES), normal matrices and right sides of the offsets.
     """
     height, width = size
     n_images = len(addresses)
     table = np.empty((len(regions), N_COLUMNS))
-    image_of = np.empty(len(regions), np.int32)
+    region_of = np.empty(len(regions), np.int32)
     tally = np.zeros((n_images, N_TALLIES))
     normal, right_side = np.zeros((n_images, N_TERMS, N_TERMS)), np.zeros((n_images, N_TERMS, 2))
     terms = np.empty(N_TERMS)
@@ -329,13 +336,13 @@ def refine_regions(
         if box[0] == 0 or box[1] == width - 1 or box[2] == 0 or box[3] == height - 1:
             continue
         k = regions[r, 0]
-        if n == 0 or image_of[n - 1] != k:
+        if n == 0 or regions[region_of[n - 1], 0] != k:
             first_of_image = n
         image = image_at(addresses[k], like, height, width)
         refine_region(
             image, own, regions[r, 3], lowest[k], (blurs[k, 0], blurs[k, 1]), model, xyv, ones, marks, learned[k],
             rough[k], (n - first_of_image) % EACH == 0, table[n], terms, tally[k], normal[k], right_side[k],
         )  # fmt: skip
-        image_of[n] = k
+        region_of[n] = r
         n += 1
-    return table[:n], image_of[:n], tally, normal, right_side
+    return table[:n], region_of[:n], tally, normal, right_side

@@ -150,6 +150,14 @@ def gather_unmarked(
 
 
 @step
+def half_side(shape: tuple[float, float, float], around: tuple[float, float], reach: float) -> int:
+    """Return how far from the middle pixel ``gather_unmarked`` looks, and ``blank`` for what lies around that."""
+    first_row, end_row = rows_within(shape, around, reach)
+    first, end = rows_within((shape[2], shape[1], shape[0]), (around[1], around[0]), reach)
+    return int(max(-first_row, end_row, -first, end)) + 2
+
+
+@step
 def rows_within(
     shape: tuple[float, float, float], around: tuple[float, float], reach: float
 ) -> tuple[int, int]:
