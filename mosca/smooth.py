@@ -4,10 +4,10 @@ Each track is smoothed by itself with Singer's motion (``mosca.track_motion``); 
 the likeliest of a ladder. Measured samples stay as they are: ``smoothed`` gives its estimates as tracks of their
 own, ``filled`` adds samples of status ``filled`` only where a track has none. How far to trust a model
 inside a gap is measured on the tracks themselves: pieces that were seen are left out, predicted and compared, and the
-covariance of filled samples is widened until these errors fit it.
+covariance of filled samples is scaled until these errors fit it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -21,17 +21,22 @@ LADDER = 2.0 ** np.arange(-2, 9)
 """Accelerations that are tried [m/s^2, standard deviation an axis]."""
 TRIALS = 12
 """Pieces of each track that are left out to learn what a gap costs."""
+ENOUGH = 30
+"""Pieces that must have been tried before a covariance is made narrower than the model's."""
+CHI2_95 = 7.815
+"""95 % quantile of the chi-square distribution with 3 degrees of freedom."""
 
 
 @dataclass(frozen=True)
 class SmoothSettings:
     """``memory_s``: how long an acceleration lasts; ``speed_mps``: of a track's first velocity; ``longest_gap_s``:
-    gaps up to this are filled.
+    gaps up to this are filled; ``acceleration_mps2``: of all tracks, None: each track's likeliest.
     """
 
     memory_s: float = 0.1
     speed_mps: float = 3.0
     longest_gap_s: float = 0.25
+    acceleration_mps2: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +88,18 @@ def filled(tracks: Tracks, settings: SmoothSettings | None = None) -> Tracks:
     variances = [_likeliest(path, settings) for path in paths]
     widths = _widening(paths, variances, settings)
     parts = [_fill(p, v, widths, settings) for p, v in zip(paths, variances, strict=True)]
-    added = table([part for part in parts if len(part)])
+    added = _named(table([part for part in parts if len(part)]), measured)
     both = [np.concatenate([getattr(tracks, n), getattr(added, n)]) for n in Tracks.__dataclass_fields__]
     together = Tracks(*both)
     return together.select(np.lexsort((together.track, together.frame)))
+
+
+def _named(added: Tracks, measured: Tracks) -> Tracks:
+    """Return filled samples with the labels that their tracks have."""
+    some = measured.select(measured.label != "")
+    label_of = dict(zip(some.track.tolist(), some.label.tolist(), strict=True))
+    labels = np.array([label_of.get(track, "") for track in added.track.tolist()], dtype=np.str_)
+    return replace(added, label=labels)
 
 
 def _rows_of_tracks(tracks: Tracks) -> list[Array]:
@@ -104,14 +117,20 @@ def _path(tracks: Tracks, rows: Array, frames: Array, times: Array, settings: Sm
     covariance = np.concatenate([tracks.covariance[rows], np.tile(np.eye(3), (gap, 1, 1))])[order]
     measured = (np.arange(n) < len(rows))[order]
     steps = np.diff(time_ns[order], prepend=time_ns[order][0]) * 1e-9
-    move, noise = np.empty((n, 3, 3)), np.empty((n, 3, 3))
-    for step in np.unique(steps):
-        m = motion("acceleration", float(step), settings.memory_s)
-        move[steps == step] = [[1.0, m.pv, m.pa], [0.0, 1.0, m.va], [0.0, 0.0, m.aa]]
-        noise[steps == step] = [[m.qpp, m.qpv, m.qpa], [m.qpv, m.qvv, m.qva], [m.qpa, m.qva, m.qaa]]
+    move, noise = axis_moves(steps, settings.memory_s)
     return _Path(
         int(tracks.track[rows[0]]), frame[order], time_ns[order], xyz, covariance, measured, move, noise
     )
+
+
+def axis_moves(steps_s: Array, memory_s: float) -> tuple[Array, Array]:
+    """Return transition and noise (n, 3, 3) of one axis over steps (n,) [s], noise for variance of acceleration 1."""
+    move, noise = np.empty((len(steps_s), 3, 3)), np.empty((len(steps_s), 3, 3))
+    for step in np.unique(steps_s):
+        m = motion("acceleration", float(step), memory_s)
+        move[steps_s == step] = [[1.0, m.pv, m.pa], [0.0, 1.0, m.va], [0.0, 0.0, m.aa]]
+        noise[steps_s == step] = [[m.qpp, m.qpv, m.qpa], [m.qpv, m.qvv, m.qva], [m.qpa, m.qva, m.qaa]]
+    return move, noise
 
 
 def _smooth(
@@ -125,17 +144,21 @@ def _smooth(
 
 def _likeliest(path: _Path, settings: SmoothSettings) -> float:
     """Return the variance of acceleration under which the path's measurements are likeliest."""
+    if settings.acceleration_mps2 is not None:
+        return settings.acceleration_mps2**2
     costs = [_smooth(path, path.measured, float(a) ** 2, settings)[2] for a in LADDER]
     return float(LADDER[int(np.argmin(costs))]) ** 2
 
 
 def _widening(paths: list[_Path], variances: list[float], settings: SmoothSettings) -> dict[int, float]:
-    """Return by gap length (instants, powers of two) how much wider the errors are than the model's covariance.
+    """Return by gap length (instants, powers of two) how the errors compare with the model's covariance: a factor.
 
     Pieces that were seen are left out, as far apart as four times their length; what counts is their mean squared
-    error in units of the stated covariance, over 3, and at least 1.
+    error in units of the stated covariance, over 3, or their 95 % quantile over a normal distribution's where that
+    is more. It is below 1 only where ENOUGH pieces say so.
     """
     squares: dict[int, list[float]] = {}
+    shares: dict[int, list[float]] = {}
     longest = max((_longest(path.measured) for path in paths), default=0)
     lengths = [2**k for k in range(12) if 2**k < 2 * longest]
     for path, variance in zip(paths, variances, strict=True):
@@ -148,7 +171,27 @@ def _widening(paths: list[_Path], variances: list[float], settings: SmoothSettin
             total = spread[hidden] + path.covariance[hidden]
             nees = np.einsum("ni,ni->n", away, np.linalg.solve(total, away[:, :, None])[:, :, 0])
             squares.setdefault(length, []).extend(nees.tolist())
-    return {length: max(1.0, float(np.mean(squares.get(length, [3.0]))) / 3.0) for length in lengths}
+            own = np.trace(spread[hidden], axis1=1, axis2=2) / np.trace(total, axis1=1, axis2=2)
+            shares.setdefault(length, []).extend(own.tolist())
+    return {
+        length: _factor(np.array(squares.get(length, [])), np.array(shares.get(length, [])), length)
+        for length in lengths
+    }
+
+
+def _factor(squares: Array, shares: Array, length: int) -> float:
+    """Return by how much to scale a covariance for errors of these ``squares`` (n,), ``length`` of each piece.
+
+    ``shares`` (n,): of the estimate in the errors' variance; the rest is that of the measurement compared with.
+    """
+    if not len(squares):
+        return 1.0
+    whole = max(float(squares.mean()) / 3.0, float(np.quantile(squares, 0.95)) / CHI2_95)
+    whole *= 1.0 + np.sqrt(2.0 * length / (3.0 * len(squares)))  # few pieces leave it uncertain by this much
+    own = float(shares.mean())
+    # to take the measurements' share off where it is most of it would be guessing: narrower by the whole, never more
+    factor = whole if whole < 1.0 else (whole - (1.0 - own)) / own
+    return factor if len(squares) >= ENOUGH * length else max(1.0, factor)
 
 
 def _longest(measured: Array) -> int:
@@ -157,14 +200,19 @@ def _longest(measured: Array) -> int:
 
 
 def _left_out(measured: Array, length: int) -> Array:
-    """Return the mask of up to TRIALS pieces of ``length`` within what was measured, with room around each."""
-    hidden, at, pieces = np.zeros(len(measured), bool), 2 * length + 1, 0
-    while at + 3 * length < len(measured) and pieces < TRIALS:
+    """Return the mask of up to TRIALS pieces of ``length`` within what was measured, with room around each.
+
+    They are spread over the whole track: how it moves changes on its way.
+    """
+    starts, at = [], 2 * length + 1
+    while at + 3 * length < len(measured):
         if measured[at - length : at + 2 * length].all():
-            hidden[at : at + length] = True
-            pieces += 1
+            starts.append(at)
             at += 4 * length
         at += 1
+    hidden = np.zeros(len(measured), bool)
+    for k in np.unique(np.linspace(0, len(starts) - 1, min(TRIALS, len(starts))).round().astype(int)):
+        hidden[starts[k] : starts[k] + length] = True
     return hidden
 
 

@@ -69,7 +69,7 @@ def record_of(
         metrics=rows,
         premises=premises,
         counts=_counts(collected),
-        cameras={one.name: _told(one) for one in collected.cameras},
+        cameras={one.name: told_health(one) for one in collected.cameras},
         timings={key: float(value) for key, value in timings.items()},
         provenance={
             **provenance(),
@@ -118,7 +118,7 @@ def _counts(collected: Collected) -> dict[str, Any]:
     }
 
 
-def _told(one: CameraHealth) -> dict[str, Any]:
+def told_health(one: CameraHealth) -> dict[str, Any]:
     """Return a camera's health for the record; what is not known is None."""
     values = {key: value for key, value in asdict(one).items() if key != "name"}
     values["residuals_px"] = [round(value, 4) for value in one.residuals_px]

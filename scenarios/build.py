@@ -18,6 +18,7 @@ from mosca.match import MatchSettings
 from mosca.nearest import NearestSettings
 from mosca.pipeline import PipelineSettings
 from mosca.track import TrackSettings
+from scenarios.continuous_lamps import check_no_lamps, worn_lamps
 from scenarios.spec import DetectionSpec, MatchSpec, Scenario, TrackSpec
 from scenarios.spec_scenes import (
     ActorScene,
@@ -117,7 +118,9 @@ def _subject(spec: Scenario, folder: Path) -> Scene:
             speed_mps=scene.speed_mps,
             markers=scene.markers,
             marker_diameter_m=scene.marker_diameter_m,
+            lamps=worn_lamps(spec),
         )
+    check_no_lamps(spec)
     if isinstance(scene, DroneScene):
         from twin.scenes.drone import build_drone
 
@@ -129,6 +132,7 @@ def _subject(spec: Scenario, folder: Path) -> Scene:
             marker_diameter_m=scene.marker_diameter_m,
         )
     if isinstance(scene, RobotScene):
+        from scenarios.lab.commanded import command_lines
         from twin.scenes.robot import build_robot
 
         return build_robot(
@@ -136,6 +140,10 @@ def _subject(spec: Scenario, folder: Path) -> Scene:
             average_pwm=scene.average_pwm,
             difference_pwm=scene.difference_pwm,
             target_diameter_m=scene.marker_diameter_m,
+            commands=None
+            if scene.commands is None
+            else command_lines(beside(scene.commands, folder), scene.target),
+            heading_rad=None if scene.heading_deg is None else np.deg2rad(scene.heading_deg),
         )
     if isinstance(scene, CloudScene):
         from twin.scenes.cloud import build_cloud

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 
 from mosca.camera import Conversion, fit_lens, image_grid, lens_directions
-from mosca.data.rig import Camera, FisheyeLens, Lens, MoscaLens, Pose, Rig
+from mosca.data.rig import Camera, FisheyeLens, Lens, MoscaLens, Rig
 from mosca.data.rig_file import read_rig
 from mosca.data.toml import Table
 from mosca.errors import InputError
 from scenarios.build import beside
 from scenarios.chips import CHIP_KEYS, check_fits, named_lens, named_sensor, pitch_and_focal_mm, with_chip
+from scenarios.continuous_lamps import rider_pose
 from scenarios.idle import check_not_idle
 from scenarios.rig_geometry import check_rig, ring, sees, windowed
 from scenarios.spec import ClockFault, Scenario
@@ -182,14 +183,7 @@ def _virtual(camera: Camera, own: CameraSpec, spec: Scenario, late_s: float) -> 
 
 def _rider(own: CameraSpec, spec: Scenario) -> Camera:
     """Return a camera that rides on a body: its pose is ``body_from_camera``."""
-    forward, up = np.array(own.forward, float), np.array(own.up, float)
-    right = np.cross(forward, up)
-    if np.linalg.norm(right) <= 1e-6 * np.linalg.norm(forward) * np.linalg.norm(up):
-        raise InputError(
-            f"camera '{own.name}': forward = {own.forward} and up = {own.up} must not be parallel"
-        )
-    forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
-    pose = Pose(np.column_stack([right, np.cross(forward, right), forward]), np.array(own.place_m, float))
+    pose = rider_pose(own)
     assert own.size_px is not None
     width, height = own.size_px
     middle = ((width - 1) / 2, (height - 1) / 2)
@@ -211,12 +205,22 @@ def calibrated(spec: Scenario, cameras: tuple[VirtualCamera, ...]) -> Calibrated
     The rays are those to the distance of the working space's centre. Cameras that ride on bodies have no pose to
     believe in and are left out.
     """
+    standing = tuple(v for v in cameras if v.mount.body is None)
+    return fitted_cameras(spec, standing, None)
+
+
+def fitted_cameras(
+    spec: Scenario, cameras: tuple[VirtualCamera, ...], away_m: float | None
+) -> Calibrated:
+    """Return ``cameras`` with the pipeline's lens model fitted to their true rays, to ``away_m`` [m].
+
+    ``away_m`` None: to the distance of the working space's centre.
+    """
     made, fits = [], []
     for virtual in cameras:
         camera = virtual.camera
-        if virtual.mount.body is not None:
-            continue
-        away = np.linalg.norm(camera.world_from_camera.translation - np.array(spec.working_space.center_m))
+        center = np.array(spec.working_space.center_m)
+        away = np.linalg.norm(camera.world_from_camera.translation - center) if away_m is None else away_m
         fit = _fitted(virtual, spec.pipeline.lens_model, float(away))
         # an axis: the misfit is a distance in the image
         made.append(replace(camera, lens=fit.lens, residual_px=fit.rms_px / np.sqrt(2)))

@@ -13,7 +13,7 @@ import click
 
 from mosca import __version__
 from mosca.errors import InputError, MoscaError
-from scenarios import cli_capture, cli_lab, cli_rig, cli_station
+from scenarios import cli_capture, cli_lab, cli_live, cli_rig, cli_station, cli_tracks
 from scenarios.interrupt import was_interrupted
 from scenarios.progress import Progress
 
@@ -200,44 +200,6 @@ def new(path: Path) -> None:
 
 
 @cli.command()
-@click.argument("recording", type=FILE)
-@click.option("--rig", required=True, type=FILE, help="rig file (TOML; also aniposelib, Caliscope, Pose2Sim)")
-@click.option("--out", required=True, type=FILE, help="tracks: .npz, .csv, .c3d or .trc")
-@click.option("--fps", type=float, help="frame rate of a recording that does not tell its own [Hz]")
-@click.option(
-    "--settings",
-    type=FILE,
-    help="TOML file with [background], [detection], [match], [track] and [volume]",
-)
-@click.option(
-    "--set",
-    "overrides",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="change a setting, e.g. detection.contrast_dn=10",
-)
-def reconstruct(
-    recording: Path,
-    rig: Path,
-    out: Path,
-    fps: float | None,
-    settings: Path | None,
-    overrides: tuple[str, ...],
-) -> None:
-    """Turn a recording of real (or rendered) images into tracks.
-
-    \b
-    Example:  mosca reconstruct lab/take1 --rig rig.toml --out take1.csv --fps 100
-    """
-    from scenarios.reconstruct import reconstruct_recording
-
-    with Progress(recording.name) as shown:
-        told = reconstruct_recording(recording, rig, out, fps, settings, overrides, shown)
-    for line in told:
-        click.echo(line)
-
-
-@cli.command()
 @click.argument("runs", nargs=-1, required=True, type=FILE)
 @click.option("--out", type=FILE, default=Path("comparison.html"), show_default=True, help="page to write")
 def report(runs: tuple[Path, ...], out: Path) -> None:
@@ -254,6 +216,10 @@ def report(runs: tuple[Path, ...], out: Path) -> None:
     click.echo(f"{out}")
 
 
+cli.add_command(cli_tracks.reconstruct)
+cli.add_command(cli_tracks.labels)
+cli.add_command(cli_tracks.zones)
+cli.add_command(cli_live.live)
 cli.add_command(cli_rig.calibrate)
 cli.add_command(cli_rig.rig)
 cli.add_command(cli_rig.target)
@@ -294,9 +260,9 @@ twin.add_command(cli_lab.twin_serve)
 
 
 @cli.command()
-@click.argument("kind", type=click.Choice(["scenario", "rig", "target"]))
+@click.argument("kind", type=click.Choice(["scenario", "rig", "target", "marker-model"]))
 def schema(kind: str) -> None:
-    """Print the JSON schema of scenario, rig or target files, for editors.
+    """Print the JSON schema of scenario, rig, target or marker-model files, for editors.
 
     \b
     Example:  mosca schema scenario > scenario.schema.json
@@ -311,6 +277,10 @@ def schema(kind: str) -> None:
         from mosca.data.target_file import target_schema
 
         click.echo(json.dumps(target_schema(), indent=2))
+    elif kind == "marker-model":
+        from mosca.formats.model_file import model_schema
+
+        click.echo(json.dumps(model_schema(), indent=2))
     else:
         from mosca.data.rig_file import rig_schema
 

@@ -2,11 +2,12 @@
 
 from dataclasses import replace
 
+import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
 from mosca.data.toml import Table
-from scenarios.spec import LensFault, ScaleFault, SwapFault, TurnFault
+from scenarios.spec import LensFault, MovedFault, ScaleFault, SwapFault, TurnFault
 from twin.cameras.lens import TwinLens
 from twin.cameras.mount import pixels_per_radian
 
@@ -21,6 +22,10 @@ def with_fault(rig: Rig, fault: Table | None) -> Rig:
         return Rig(tuple(_undistorted(camera) for camera in rig.cameras))
     if isinstance(fault, ScaleFault):
         return Rig(tuple(_scaled(camera, fault.factor) for camera in rig.cameras))
+    if isinstance(fault, MovedFault):
+        for name in fault.cameras:
+            rig.camera(name)
+        return Rig(tuple(_moved(c, fault.shift_m) if c.name in fault.cameras else c for c in rig.cameras))
     if isinstance(fault, TurnFault):
         rig.camera(fault.camera)
         return Rig(tuple(_turned(c, fault.turn_px) if c.name == fault.camera else c for c in rig.cameras))
@@ -40,6 +45,12 @@ def _scaled(camera: Camera, factor: float) -> Camera:
     """Return the camera with its place scaled about the world's origin."""
     pose = camera.world_from_camera
     return replace(camera, world_from_camera=Pose(pose.rotation, factor * pose.translation))
+
+
+def _moved(camera: Camera, shift_m: tuple[float, float, float]) -> Camera:
+    """Return the camera believed to stand elsewhere."""
+    pose = camera.world_from_camera
+    return replace(camera, world_from_camera=Pose(pose.rotation, pose.translation + np.array(shift_m)))
 
 
 def _turned(camera: Camera, turn_px: float) -> Camera:

@@ -12,7 +12,6 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Rig
 from mosca.data.rig_file import read_rig
 from mosca.data.toml import Table, check, read_toml
-from mosca.data.tracks import Samples, table
 from mosca.detect import mean_background, minimum_background
 from mosca.errors import InputError
 from mosca.formats.tracks_file import SUFFIXES, write_tracks
@@ -20,6 +19,7 @@ from mosca.pipeline import PipelineSettings, check_source, run, run_seen
 from mosca.recording import McapRecording, open_recording
 from scenarios.build import stage_settings
 from scenarios.cameras import overlap_of
+from scenarios.finish import PLAIN, Finish, Finisher
 from scenarios.interrupt import between_steps
 from scenarios.lab.from_detections import counted
 from scenarios.spec import DetectionSpec, MatchSpec, TrackSpec, apply_overrides
@@ -68,12 +68,17 @@ def reconstruct_recording(
     settings_path: Path | None,
     overrides: tuple[str, ...],
     progress: "object" = None,
+    finish: Finish = PLAIN,
 ) -> list[str]:
-    """Run the pipeline on a recording, write its tracks to ``out`` and return what to tell, a line each."""
+    """Run the pipeline on a recording, write its tracks to ``out`` and return what to tell, a line each.
+
+    ``finish``: what is done with the tracks besides: smoothed on the way, labelled, their gaps filled.
+    """
     if out.suffix.lower() not in SUFFIXES:
         raise InputError(f"{out}: suffix '{out.suffix}' given; {', '.join(SUFFIXES)} are allowed")
     if not out.resolve().parent.is_dir():
         raise InputError(f"{out}: no folder {out.parent}; make it first")
+    finisher = Finisher(finish)
     rig = read_rig(rig_path)
     if not any(overlap_of(a, b) for a in rig.cameras for b in rig.cameras if a is not b):
         raise InputError(
@@ -83,7 +88,6 @@ def reconstruct_recording(
     settings = reconstruct_settings(spec, settings_path)
     backgrounds = recorded_backgrounds(recording, rig, fps, spec.background)
     assembly = Assembly()
-    samples: list[Samples] = []
     counts = np.zeros(3)
     with open_recording(recording, rig, fps) as source, between_steps() as stop:
         rate = source.cameras[0].frame_rate_hz
@@ -95,12 +99,13 @@ def reconstruct_recording(
             steps = run(source, rig, settings, assembly, backgrounds)
         for step in steps:
             stop()
-            samples.append(step.samples)
+            finisher.take(step.frame_set.pulse, step.samples)
             counts += 1, sum(len(d) for d in step.detections.values()), len(step.points)
             if callable(progress):
                 progress(int(counts[0]), int(counts[0]))
-    tracks = table(samples)
+    tracks, more = finisher.finished()
     write_tracks(tracks, out, rate)
+    tracks = tracks.select(tracks.status == "measured")
     sets = max(counts[0], 1)
     told = [
         f"{assembly.frames} frames in {assembly.sets} sets, {assembly.complete_sets} of them complete",
@@ -111,6 +116,7 @@ def reconstruct_recording(
         told.append(f"reprojection error {np.sqrt(np.mean(tracks.residual_px**2)):.3f} px rms")
     else:
         told.append(_why_no_tracks(counts, settings))
+    told += more
     told += [
         f"{name}: {c.dropped} dropped, {c.corrupt} corrupt, {c.late} late, {c.doubled} doubled"
         for name, c in assembly.cameras.items()

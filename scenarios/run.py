@@ -39,12 +39,14 @@ from scenarios.bound import bound, efficiencies, pulses_asked
 from scenarios.build import build_scene, pipeline_settings
 from scenarios.cameras import Calibrated, calibrated, true_rig, twin_source, virtual_cameras
 from scenarios.faults import with_fault
+from scenarios.finish import with_gaps_filled
 from scenarios.interrupt import between_steps
 from scenarios.score import BLOCKS, Matched, Score, metrics, pair
 from scenarios.session.estimated import Estimated, estimated
 from scenarios.sources import Chosen, Written, opened, patient
 from scenarios.spec import Scenario
 from scenarios.warm import compile_side_by_side
+from scenarios.zones import tracks_of_all, zone_steps, zones_of
 from twin.source import TwinSource
 
 Progress = Callable[[int, int], None]
@@ -96,9 +98,15 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         with _timed(timings, "build"):
             rig = true_rig(spec, folder)
             cameras = virtual_cameras(spec, rig)
-            known = calibrated(spec, cameras)
+            worn = spec.continuous is not None and spec.continuous.worn_on is not None
+            if worn:
+                from scenarios.continuous_worn import worn_cameras, worn_rig, worn_settings
+
+                cameras = worn_cameras(spec, cameras)
+                known, settings = worn_rig(spec, cameras), worn_settings(spec)
+            else:
+                known, settings = calibrated(spec, cameras), pipeline_settings(spec)
             names = known.rig.names
-            settings = pipeline_settings(spec)
             scene = build_scene(spec, folder) if options.source == "twin" else None
         own: Estimated | None = None
         if spec.calibration is not None:
@@ -130,8 +138,12 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         if isinstance(source, TwinSource):
             with _timed(timings, "compile"):
                 compile_side_by_side(source)
+        curves = None
         with _timed(timings, "frames_to_tracks"):
-            collected = _collect(source, believed, settings, spec, options, stack)
+            if spec.continuous is not None:
+                collected, curves = _collect_continuous(source, believed, settings, spec, options, stack)
+            else:
+                collected = _collect(source, believed, settings, spec, options, stack)
         bodies = rigid_bodies(scene) if scene is not None and spec.pipeline.bodies else ()
         poses = None
         if bodies:
@@ -147,10 +159,20 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             write_truth(truth, options.record_to / "truth.npz")
         with _timed(timings, "score"):
             space = max(spec.working_space.size_m)
+            more: dict[str, Score] = {}
+            if curves is not None and truth is not None:
+                from scenarios.continuous_run import scored_apart
+
+                collected, truth, more = scored_apart(spec, collected, curves, truth, scene)
             truth = None if truth is None else _as_seen_by(truth, names)
             matched = None if truth is None else pair(collected.tracks, truth, space)
             scores = {} if matched is None else metrics(matched, space)
-            scores = {**scores, **({} if own is None else own.scores())}
+            scores = {**scores, **({} if own is None else own.scores()), **more}
+            if matched is not None and truth is not None and "over_synchronous" in spec.limits:
+                from scenarios.continuous_run import over_synchronous
+
+                again = _collect(source, believed, settings, spec, replace(options, record_to=None), stack)
+                scores |= over_synchronous(matched, again.tracks, truth, space)
             if poses is not None and truth is not None:
                 scores |= body_scores(poses, bodies, truth)
             if (
@@ -161,11 +183,15 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
             ):
                 scores = {**scores, **_efficiencies(source, spec, truth, believed, matched, collected)}
             premises = {} if truth is None else _premises(spec, truth, name)
+        written = collected.tracks
+        if spec.pipeline.fill_s is not None:
+            # what is scored and counted was measured; what is written has its gaps filled besides
+            written, collected.assembly.notes["filled"] = with_gaps_filled(written, spec.pipeline.fill_s)
     timings |= collected.seconds
     record = record_of(spec, name, options.source, scores, premises, timings, known, collected)
     evidence = evidence_of(spec, believed, collected, truth, matched)
     commands = None if scene is None else scene.commands
-    return RunResult(record, evidence, collected.tracks, truth, commands, own, poses)
+    return RunResult(record, evidence, written, truth, commands, own, poses)
 
 
 def _efficiencies(
@@ -276,8 +302,16 @@ def _collect(
         read = Chosen(read, rig.names)
     stop = stack.enter_context(between_steps())
     keeper = RigKeeper(rig) if spec.pipeline.watch else None
-    health = Health(rig, HealthSettings(start_px=settings.match.camera_sigma_px))
-    for done, step in enumerate(run(read, rig, settings, assembly, keeper=keeper, health=health), start=1):
+    zones = zones_of(spec, rig)
+    healths = [
+        Health(one, HealthSettings(start_px=settings.match.camera_sigma_px))
+        for one in ([zone.rig for zone in zones] or [rig])
+    ]
+    if zones:
+        steps = zone_steps(read, zones, rig, settings, assembly, healths)
+    else:
+        steps = run(read, rig, settings, assembly, keeper=keeper, health=healths[0])
+    for done, step in enumerate(steps, start=1):
         stop()
         samples.append(step.samples)
         for stage, value in step.seconds.items():
@@ -304,12 +338,35 @@ def _collect(
         keeper.close()
         for k, incident in enumerate(keeper.incidents):
             assembly.notes[f"rig {k + 1}"] = incident.message
-    for k, line in enumerate(health.findings()):
+    for k, line in enumerate(line for health in healths for line in health.findings()):
         assembly.notes[f"camera {k + 1}"] = line
     if latency:
         seconds["latency_p99"] = float(np.quantile(latency, 0.99))
         seconds["pipeline_per_set"] = float(np.mean(latency))
-    return Collected(table(samples), views, view_pulse, assembly, seconds, asked, health.cameras())
+    tracks = table(samples)
+    if zones:
+        tracks = tracks_of_all(tracks, zones, assembly)
+    cameras = tuple(one for health in healths for one in health.cameras())
+    return Collected(tracks, views, view_pulse, assembly, seconds, asked, cameras)
+
+
+def _collect_continuous(
+    source: FrameSource,
+    rig: Rig,
+    settings: PipelineSettings,
+    spec: Scenario,
+    options: RunOptions,
+    stack: ExitStack,
+) -> tuple[Collected, Any]:
+    """Run ``mosca.continuous`` on the frames, which need no pulse in common."""
+    from scenarios.continuous_run import collect_continuous
+
+    if options.rrd is not None:
+        raise InputError("--rrd shows frame sets, which a [continuous] scenario has none of; leave it out")
+    read: FrameSource = source
+    if options.record_to is not None:
+        read = Written(source, stack.enter_context(RecordingWriter(options.record_to, source.cameras)))
+    return collect_continuous(read, rig, settings, spec, options.progress)
 
 
 def _as_seen_by(truth: Truth, names: tuple[str, ...]) -> Truth:

@@ -24,6 +24,7 @@ from scenarios.spec_cameras import (
     SurroundingsSpec,
     TimingSpec,
 )
+from scenarios.spec_continuous import ContinuousSpec
 from scenarios.spec_scenes import GlowSpec, LampsSpec, SceneSpec
 
 METRICS = {
@@ -47,6 +48,11 @@ METRICS = {
     "calibration_volume_rms": ("m", "at_most"),
     "calibration_sigma_x": ("m", "at_most"),
     "calibration_sigma_y": ("m", "at_most"),
+    "clock_frames": ("1", "at_most"),
+    "clock_drift_ppm": ("1", "at_most"),
+    "over_synchronous": ("1", "at_most"),
+    "lamps_found": ("1", "at_least"),
+    "lamp_px": ("px", "at_most"),
 }
 """Metrics that a scenario can limit: unit, and whether the limit is an upper or a lower one."""
 
@@ -116,9 +122,28 @@ class ScaleFault(Table):
     factor: Positive = Field(description="measured over true lengths")
 
 
+class MovedFault(Table):
+    """Some cameras were calibrated in a frame that is shifted against the others': those of a zone, for example."""
+
+    kind: Literal["moved_cameras"]
+    cameras: tuple[str, ...] = Field(min_length=1)
+    shift_m: Vector = Field(
+        description="where they are believed to stand minus where they do, world frame [m]"
+    )
+
+
 FaultSpec = Annotated[
-    SwapFault | LensFault | ClockFault | TurnFault | ScaleFault, Field(discriminator="kind")
+    SwapFault | LensFault | ClockFault | TurnFault | ScaleFault | MovedFault, Field(discriminator="kind")
 ]
+
+
+class ZoneSpec(Table):
+    """A part of the working space with cameras of its own; zones overlap, and their tracks are stitched."""
+
+    name: str = Field(min_length=1)
+    cameras: tuple[str, ...] = Field(min_length=2, description="its own cameras; no other zone has them")
+    center_m: Vector = Field(description="centre of its box, world frame [m]")
+    size_m: tuple[Positive, Positive, Positive] = Field(description="edges of its box [m]")
 
 
 class DetectionSpec(Table):
@@ -192,6 +217,10 @@ class PipelineSpec(Table):
         description="'pulse': time is the pulse's number times the period, whatever the stamps say, so that two "
         "takes of the same pulses give the same tracks to the bit",
     )
+    fill_s: Positive | None = Field(
+        None,
+        description="fill tracks' gaps up to this in what is written [s]; filled samples are never scored",
+    )
     detection: DetectionSpec = DetectionSpec()
     match: MatchSpec = MatchSpec()
     track: TrackSpec = TrackSpec()
@@ -238,9 +267,13 @@ class Scenario(Table):
     delivery: DeliverySpec = DeliverySpec()
     surroundings: SurroundingsSpec = SurroundingsSpec()
     camera: tuple[CameraSpec, ...] = Field((), description="what is different with one camera, by its name")
+    zone: tuple[ZoneSpec, ...] = Field(
+        (), description="volumes with cameras of their own, two or more; [[zone]]"
+    )
     calibration: CalibrationSpec | None = None
     fault: FaultSpec | None = None
     pipeline: PipelineSpec = PipelineSpec()
+    continuous: ContinuousSpec | None = Field(None, description="cameras that are not synchronised")
     premises: Premises = Premises()
     limits: dict[str, float] = Field({}, description="metric = limit; " + ", ".join(METRICS))
 
@@ -262,12 +295,24 @@ class Scenario(Table):
                 )
         elif not self.limits:
             raise ValueError("[limits] is empty: a scenario without a limit claims nothing; add one")
+        if self.zone:
+            _check_zones(self)
         missing = [name for name in self.fails_on if name not in self.limits]
         if missing:
             raise ValueError(f"fails_on names '{missing[0]}', which has no limit in [limits]; give it one")
         if (self.expect == "fail") != bool(self.fails_on):
             raise ValueError("expect = 'fail' and fails_on belong together: say which limits must break")
         return self
+
+
+def _check_zones(spec: Scenario) -> None:
+    names = [zone.name for zone in spec.zone]
+    if len(names) < 2 or len(set(names)) < len(names):
+        raise ValueError(
+            f"[[zone]]: {', '.join(names)} given; two or more zones of different names are wanted"
+        )
+    if spec.pipeline.watch:
+        raise ValueError("[[zone]] and pipeline.watch: zones are not watched; leave one of them out")
 
 
 def load_scenario(path: Path, overrides: tuple[str, ...] = ()) -> Scenario:

@@ -169,6 +169,11 @@ class CameraSpec(Table):
         None, description="a new camera is a fisheye that sees this angle across the image's width [deg]"
     )
     c_mm: Positive | None = Field(None, description="principal distance of a new camera [mm]")
+    lamp_m: Vector | None = Field(
+        None,
+        description="where a new camera's LED sits, its own axes (right, down, ahead) [m]; default: it carries none",
+    )
+    lamp_diameter_m: Positive = Field(0.012, description="diameter of the LED's ball [m]")
     window_px: tuple[int, int, int, int] | None = Field(
         None, description="windowed readout: left, top, width, height [px]"
     )
@@ -181,7 +186,9 @@ class CameraSpec(Table):
 
     @model_validator(mode="after")
     def _rides_with_a_lens(self) -> "CameraSpec":
-        rider_only = {"place_m", "forward", "up", "size_px", "fisheye_deg", "c_mm"} & self.model_fields_set
+        rider_only = {
+            "place_m", "forward", "up", "size_px", "fisheye_deg", "c_mm", "lamp_m", "lamp_diameter_m",
+        } & self.model_fields_set  # fmt: skip
         if self.body is None and rider_only:
             raise ValueError(
                 f"camera '{self.name}': {min(rider_only)} is for a camera that rides on a body; the rig's "

@@ -59,6 +59,20 @@ class RobotScene(Table):
     average_pwm: Positive = Field(30.0, description="a_m of the paper: largest average PWM value")
     difference_pwm: Positive = Field(60.0, description="d_m of the paper: largest command difference")
     marker_diameter_m: Positive = Field(0.03, description="diameter of the flat round targets [m]")
+    commands: str | None = Field(
+        None,
+        description="what drives it in place of noise: a program file as of mosca capture --program, or a recording "
+        'with its channel of commands; lines {"left": PWM, "right": PWM}',
+    )
+    target: str = Field("robot", description="name of the target whose commands it takes")
+    heading_deg: float | None = Field(None, description="where it looks at the start; default: drawn")
+
+    @model_validator(mode="after")
+    def _one_driver(self) -> "RobotScene":
+        for key in ("average_pwm", "difference_pwm"):
+            if self.commands is not None and key in self.model_fields_set:
+                raise ValueError(f"{key} is of the noise; commands = '{self.commands}' drive it: leave one out")
+        return self
 
 
 class CloudScene(Table):

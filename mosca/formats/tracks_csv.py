@@ -21,7 +21,12 @@ _ELEMENTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 def write_tracks_csv(tracks: Tracks, path: Path) -> None:
     """Write ``tracks`` to ``path``, whole or not at all. Raises InputError where that cannot be."""
-    columns = [
+    write_columns(path, COLUMNS, cells_of(tracks))
+
+
+def cells_of(tracks: Tracks) -> list[list[str]]:
+    """Return the text of each column of ``tracks`` (n cells each), in the order of COLUMNS."""
+    return [
         integers(tracks.frame),
         integers(tracks.time_ns),
         integers(tracks.track),
@@ -32,7 +37,6 @@ def write_tracks_csv(tracks: Tracks, path: Path) -> None:
         reals(tracks.residual_px),
         tracks.status.tolist(),
     ]
-    write_columns(path, COLUMNS, columns)
 
 
 def read_tracks_csv(path: Path) -> Tracks:

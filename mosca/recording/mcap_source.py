@@ -16,6 +16,7 @@ from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.errors import InputError
 from mosca.recording import mcap_format as layout
+from mosca.recording.tail import Kept, read_tail, rescued
 
 LARGEST_RECORD = 1 << 29
 _MAGIC = b"\x89MCAP0\r\n"
@@ -27,8 +28,9 @@ class McapRecording:
     """A FrameSource over ``recording.mcap``.
 
     Frames come in the order in which they were written. A frame whose pixels are damaged is corrupt; damage
-    beyond one frame loses the frames that it hits (gaps) and is told in ``notes``, as is a missing end. A recording
-    that ``holds`` "detections" has no frames: ``detection_sets`` gives what they showed.
+    beyond one frame loses the frames that it hits (gaps) and is told in ``notes``, as is a missing end. Frames that
+    were still waiting when the writer was killed come last (``mosca.recording.tail``). A recording that ``holds``
+    "detections" has no frames: ``detection_sets`` gives what they showed.
     """
 
     def __init__(self, path: Path, only: Sequence[str] | None = None) -> None:
@@ -42,7 +44,9 @@ class McapRecording:
         self._closed = False
         self.rig_toml_text: str | None = None
         self.holds: layout.Holds = "frames"
+        self._tail: Path | None = None
         infos = {info.name: info for info in self._read_head()}
+        self._all_cameras = tuple(infos.values())
         for name in only or ():
             if name not in infos:
                 raise InputError(f"{path}: no camera '{name}' of the rig; it has {', '.join(infos)}")
@@ -80,6 +84,7 @@ class McapRecording:
                 "recording that was captured without --detections"
             )
         names = {layout.camera_topic(info.name, "frames"): info.name for info in self._cameras}
+        last = {info.name: -1 for info in self._cameras}
         with closing(self._messages()) as messages:
             for channel, message in messages:
                 camera = names.get(channel.topic)
@@ -90,7 +95,18 @@ class McapRecording:
                 except layout.DamagedMessage as error:
                     self._note(f"a frame of {camera} near {message.log_time} ns is lost: {error}")
                     continue
+                last[camera] = frame.index
                 yield frame
+        for kept in self.waiting():
+            # slots are not emptied when their frames are written
+            if kept.frame.camera in last and kept.frame.index > last[kept.frame.camera]:
+                yield kept.frame
+
+    def waiting(self) -> list[Kept]:
+        """Return the frames that had waited longest to be written when the writer was killed; some were written."""
+        if self._tail is None:
+            return []
+        return read_tail(self._tail, self._all_cameras)
 
     def detection_sets(self) -> Iterator[tuple[FrameSet, dict[str, Detections]]]:
         """Yield the frame sets, without frames, and what each camera's showed; only where it ``holds`` them.
@@ -216,6 +232,9 @@ class McapRecording:
         version = metadata.get(layout.PROFILE, {}).get("version")
         if metadata.get(layout.PROFILE, {}).get("holds") == "detections":
             self.holds = "detections"
+        tail = metadata.get(layout.PROFILE, {}).get("tail")
+        if tail is not None and self.path.suffix == ".part":
+            self._tail = rescued(self.path, Path(tail))
         if version != layout.VERSION:
             raise InputError(
                 f"{self.path}: version {version} of a mosca recording; version {layout.VERSION} can be read"

@@ -15,11 +15,13 @@ from typing import Any
 import tomli_w
 from mcap.writer import CompressionType, Writer
 
+from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.data.whole_file import whole_file
 from mosca.errors import InputError
 from mosca.recording import mcap_format as layout
+from mosca.recording.tail import TAIL_NAME, Tail
 
 MCAP_NAME = "recording.mcap"
 PART_NAME = "recording.mcap.part"
@@ -53,8 +55,10 @@ class RecordingWriter:
     ``path``: the folder, made if need be; InputError where it holds a recording already. ``cameras``: what the
     cameras say of themselves. ``rig_toml_text``: the rig file, kept inside. ``codec``: "lz4" (fast) or "zstd"
     (smaller); both lossless. ``holds``: "frames", or "detections" without images. ``about``: tables for
-    ``recording.toml``, to be filled before ``close``. When the body raises, or the disk is full (InputError), what
-    was written stays readable as an unfinished recording. Not to be shared by threads, except ``pack``.
+    ``recording.toml``, to be filled before ``close``. ``tail_bytes``: of memory that outlives this process, where the
+    system has such, for frames that wait (``keep``); 0 for none. When the body raises, or the disk is full
+    (InputError), what was written stays readable as an unfinished recording. Not to be shared by threads, except
+    ``pack``.
     """
 
     def __init__(
@@ -64,6 +68,7 @@ class RecordingWriter:
         rig_toml_text: str | None = None,
         codec: layout.Codec = "lz4",
         holds: layout.Holds = "frames",
+        tail_bytes: int = 0,
     ) -> None:
         self.path = Path(path)
         self.holds = holds
@@ -73,7 +78,7 @@ class RecordingWriter:
         self._counts = {name: _Count() for name in self._cameras}
         self._other_counts: dict[str, int] = {}
         self._times_ns: tuple[int, int] | None = None
-        for name in (MCAP_NAME, PART_NAME):
+        for name in (MCAP_NAME, PART_NAME, TAIL_NAME):
             if (self.path / name).exists():
                 raise InputError(f"{self.path}: holds a recording already ({name}); choose another folder")
         try:
@@ -83,7 +88,9 @@ class RecordingWriter:
             raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
         self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
         self._mcap.start(profile=layout.PROFILE, library="mosca")
-        self._mcap.add_metadata(layout.PROFILE, {"version": layout.VERSION, "holds": holds})
+        self._tail = _tail(cameras, tail_bytes)
+        where = {} if self._tail is None else {"tail": str(self._tail.path)}
+        self._mcap.add_metadata(layout.PROFILE, {"version": layout.VERSION, "holds": holds, **where})
         for info in cameras:
             fields = {key: str(value) for key, value in asdict(info).items() if key != "name"}
             self._mcap.add_metadata(f"camera/{info.name}", fields)
@@ -159,6 +166,22 @@ class RecordingWriter:
             self._mcap.add_message(channel, log_time=stamp, data=payload, publish_time=stamp)
         self._other_counts[name] = self._other_counts.get(name, 0) + 1
 
+    def reserve(self, image: Array) -> int | None:
+        """Copy an image whose frame is not known yet into memory that outlives this process; return its slot.
+
+        None where there is none, or no room in it. ``reserve``, ``keep`` and ``forget`` may be called by any thread.
+        """
+        return None if self._tail is None else self._tail.reserve(image)
+
+    def keep(self, frame: Frame, host_time_ns: int | None = None, slot: int | None = None) -> int | None:
+        """Copy a frame that waits to be written there; return its slot or None. ``slot``: where its image is."""
+        return None if self._tail is None else self._tail.put(frame, host_time_ns, slot)
+
+    def forget(self, slot: int) -> None:
+        """Give a slot free: its frame was written and flushed."""
+        if self._tail is not None:
+            self._tail.free(slot)
+
     def flush(self) -> None:
         """Hand what was written so far to the operating system: it outlives this process."""
         with self._disk():
@@ -173,11 +196,13 @@ class RecordingWriter:
             (self.path / PART_NAME).replace(self.path / MCAP_NAME)
             with whole_file(self.path / TOML_NAME) as temporary:
                 temporary.write_text(self._toml(), encoding="utf-8")
+        self._close_tail()
 
     def abandon(self) -> None:
         """Free the file as it stands; it can be read up to here. May be called twice."""
         with suppress(OSError):  # what could not be written before cannot be now
             self._file.close()
+        self._close_tail()
 
     def __enter__(self) -> "RecordingWriter":
         """Return the writer itself."""
@@ -192,6 +217,11 @@ class RecordingWriter:
                 self._end_file()
             except OSError:  # the error that ended the body is the one to be told
                 self.abandon()
+            self._close_tail()
+
+    def _close_tail(self) -> None:
+        if self._tail is not None:
+            self._tail.close()
 
     @contextmanager
     def _disk(self) -> Iterator[None]:
@@ -248,3 +278,13 @@ class RecordingWriter:
             **self.about,
         }
         return _FOR_PEOPLE + tomli_w.dumps(document)
+
+
+def _tail(cameras: Sequence[CameraInfo], tail_bytes: int) -> Tail | None:
+    """Return memory for frames that wait; None where none is wanted, or this system has none."""
+    if tail_bytes <= 0:
+        return None
+    try:
+        return Tail(cameras, tail_bytes)
+    except OSError:
+        return None

@@ -19,6 +19,7 @@ from mosca.errors import InputError
 from mosca.recording import RecordingWriter
 from scenarios.interrupt import between_steps
 from scenarios.lab.intake import Intake
+from scenarios.lab.priority import before_others
 from scenarios.lab.recorder import WAITING_BYTES, Recorder
 from scenarios.lab.stamps import OpenCamera, Tap
 
@@ -99,6 +100,7 @@ def capture(
     tap = Tap(opener)
     pulses = pulses_of(request, hardware)
     with ExitStack() as stack:
+        stack.enter_context(before_others())
         source = stack.enter_context(HardwareSource(hardware, pulses, tap.open, trigger_opener))
         if settings is not None:
             from scenarios.lab.detecting import warm_up
@@ -107,6 +109,7 @@ def capture(
         writer = stack.enter_context(_recording(request, source))
         recorder = Recorder(writer, source.cameras, request.waiting_bytes)
         stack.callback(recorder.close)
+        tap.came = None if request.detections else recorder.came
         run = None
         if program is not None:
             run = ProgramRun(program, source.session_ns, recorder.tell)
@@ -165,7 +168,14 @@ def _calibrated(path: Path) -> Rig | None:
 def _recording(request: Request, source: HardwareSource) -> Iterator[RecordingWriter]:
     holds = "detections" if request.detections else "frames"
     text = request.rig.read_text(encoding="utf-8")
-    with RecordingWriter(request.out, source.cameras, text, holds=holds) as writer:  # type: ignore[arg-type]
+    tail_bytes = 0 if request.detections else request.waiting_bytes
+    with RecordingWriter(
+        request.out,
+        source.cameras,
+        text,
+        holds=holds,  # type: ignore[arg-type]
+        tail_bytes=tail_bytes,
+    ) as writer:
         yield writer
 
 

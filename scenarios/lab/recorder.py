@@ -2,24 +2,30 @@
 
 What comes has to wait where packing or disk fall behind. So that memory stays bounded, a frame set whose first frame
 finds no room is left out of the recording, all cameras of it, and named; frames are never left out one by one. Each
-camera's frames stay in order. What was written reaches the operating system at least every ``flush_s``.
+camera's frames stay in order. What was written reaches the operating system at least every ``flush_s``. A frame that
+waits longer than KEPT_AFTER_S for that, behind a disk or a busy machine, is copied to memory that outlives this
+process; so are, as they come, those whose pulses are not known yet at the start.
 """
 
 import queue
 import threading
 import time
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.recording import RecordingWriter
 
 WAITING_BYTES = 1 << 29
-FLUSH_S = 0.03
+FLUSH_S = 0.02
+KEPT_AFTER_S = 0.045
+HURRY_S, HURRY_BELOW, LOOK_S = 0.03, 0.3, 0.003
 REMEMBERED_PULSES = 2000
 
 
@@ -42,6 +48,17 @@ class Lost:
         """Return the ranges in words, the first ``most`` of them."""
         told = [f"{a}" if a == b else f"{a}-{b}" for a, b in self.ranges[:most]]
         return ", ".join(told) + (f" and {len(self.ranges) - most} more" if len(self.ranges) > most else "")
+
+
+@dataclass(eq=False)
+class _Waiting:
+    """A frame until the operating system has it: ``slot`` of the tail where it stands too, ``safe`` at the end."""
+
+    frame: Frame
+    host_ns: int | None
+    taken_ns: int
+    slot: int | None = None
+    safe: bool = False
 
 
 class Recorder:
@@ -67,6 +84,12 @@ class Recorder:
         self._most = max(waiting_bytes, 2 * self._set_bytes)
         self._waiting = 0
         self._guard = threading.Lock()
+        self._slots = threading.Lock()
+        self._hurry_until_ns = 0
+        self._taken_any = False
+        self._early: dict[int, tuple[Array | None, int | None]] = {}
+        self._unkept: deque[_Waiting] = deque()
+        self._written: list[_Waiting] = []
         self._admitted: OrderedDict[int, bool] = OrderedDict()
         self._flush_s = flush_s
         self._pool = ThreadPoolExecutor(workers, "pack")
@@ -82,14 +105,33 @@ class Recorder:
     def take(self, frame: Frame, host_ns: int | None = None) -> bool:
         """Have ``frame`` written; False where its set is left out. ``host_ns``: its arrival at this machine."""
         pulse = round(frame.time_ns / self._period_ns)
+        self._taken_any = True
         if not self._admit(pulse):
             return False
         size = 0 if frame.image is None else frame.image.nbytes
         with self._guard:
             self._waiting += size
-        packed = self._pool.submit(self._writer.pack, frame)
-        self._jobs.put(partial(self._write_frame, frame, host_ns, packed, size))
+        now_ns = time.monotonic_ns()
+        waiting = _Waiting(frame, host_ns, now_ns if host_ns is None else host_ns)
+        if now_ns - waiting.taken_ns > KEPT_AFTER_S * 1e9:
+            self._hurry_until_ns = now_ns + round(HURRY_S * 1e9)
+        _, slot = self._early.pop(id(frame.image), (None, None))
+        if slot is not None:
+            waiting.slot = self._writer.keep(frame, host_ns, slot)
+        packed = self._pool.submit(self._pack, frame)
+        self._jobs.put(partial(self._write_frame, waiting, packed, size))
+        if waiting.slot is None:
+            self._unkept.append(waiting)
+        self._keep_old()
         return True
+
+    def came(self, image: Array) -> None:
+        """Keep the image of a frame that ``take`` will bring, as long as it brought none; from any thread."""
+        if self._taken_any:
+            return
+        slot = self._writer.reserve(image)
+        if slot is not None:
+            self._early[id(image)] = (image, slot)
 
     def take_set(
         self, frame_set: FrameSet, detections: Mapping[str, Detections], host_ns: Mapping[str, int]
@@ -118,9 +160,37 @@ class Recorder:
                 self._admitted.popitem(last=False)
         return known
 
-    def _write_frame(self, frame: Frame, host_ns: int | None, packed: "Future[bytes]", size: int) -> None:
+    def _pack(self, frame: Frame) -> bytes:
+        """Pack ``frame``; while frames come that are old already, later where there is room: they are kept first."""
+        while time.monotonic_ns() < self._hurry_until_ns and self.behind < HURRY_BELOW:
+            time.sleep(LOOK_S)
+        return self._writer.pack(frame)
+
+    def _keep_old(self) -> None:
+        """Copy all frames that wait to the tail once the oldest of them waited too long."""
+        while self._unkept and self._unkept[0].safe:
+            self._unkept.popleft()
+        if not self._unkept or time.monotonic_ns() - self._unkept[0].taken_ns < KEPT_AFTER_S * 1e9:
+            return
+        while self._unkept:
+            waiting = self._unkept.popleft()
+            with self._slots:
+                if not waiting.safe:
+                    waiting.slot = self._writer.keep(waiting.frame, waiting.host_ns)
+
+    def _flush(self) -> None:
+        self._writer.flush()
+        with self._slots:
+            for waiting in self._written:
+                waiting.safe = True
+                if waiting.slot is not None:
+                    self._writer.forget(waiting.slot)
+        self._written.clear()
+
+    def _write_frame(self, waiting: _Waiting, packed: "Future[bytes]", size: int) -> None:
         try:
-            self._writer.write(frame, host_ns, packed.result())
+            self._writer.write(waiting.frame, waiting.host_ns, packed.result())
+            self._written.append(waiting)
         finally:
             with self._guard:
                 self._waiting -= size
@@ -139,7 +209,7 @@ class Recorder:
                     job()
                     clean = clean and job is _nothing
                     if not clean and time.monotonic() - flushed >= self._flush_s:
-                        self._writer.flush()
+                        self._flush()
                         flushed, clean = time.monotonic(), True
             except BaseException as error:  # it belongs to whoever captures, and is told there
                 self.failed = error

@@ -31,15 +31,23 @@ _Passed = tuple[Stamp, "weakref.ref[Array] | None"]
 
 
 class Tap:
-    """Opens drivers by ``opener`` and keeps the stamps of what they grab until ``of`` asks for them."""
+    """Opens drivers by ``opener`` and keeps the stamps of what they grab until ``of`` asks for them.
+
+    ``came``: is shown each image as it comes, by the camera's own thread.
+    """
 
     def __init__(self, opener: OpenCamera = open_camera) -> None:
+        self.came: Callable[[Array], object] | None = None
         self._opener = opener
         self._passed: defaultdict[str, deque[_Passed]] = defaultdict(deque)
 
     def open(self, name: str, settings: CameraHardware) -> CameraDriver:
         """Open the device of camera ``name``."""
-        return _Tapped(self._opener(name, settings), self._passed[name])
+        return _Tapped(self._opener(name, settings), self._passed[name], self._grabbed)
+
+    def _grabbed(self, image: Array) -> None:
+        if self.came is not None:
+            self.came(image)
 
     def of(self, frame: Frame) -> Stamp | None:
         """Return the stamp of ``frame``, forgetting those of buffers before it; None where none fits."""
@@ -57,8 +65,8 @@ class Tap:
 class _Tapped:
     """A camera driver that notes what it grabs."""
 
-    def __init__(self, driver: CameraDriver, passed: deque[_Passed]) -> None:
-        self._driver, self._passed = driver, passed
+    def __init__(self, driver: CameraDriver, passed: deque[_Passed], came: Callable[[Array], object]) -> None:
+        self._driver, self._passed, self._came = driver, passed, came
 
     @property
     def capabilities(self) -> Capabilities:
@@ -75,6 +83,8 @@ class _Tapped:
         if buffer is not None:
             image = None if buffer.image is None else weakref.ref(buffer.image)
             self._passed.append((Stamp(buffer.host_ns, buffer.device_ns, buffer.block_id), image))
+            if buffer.image is not None:
+                self._came(buffer.image)
         return buffer
 
     def software_trigger(self) -> int:

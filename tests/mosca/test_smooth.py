@@ -107,6 +107,46 @@ def test_filled_samples_are_marked_and_their_covariance_fits_their_errors(length
     assert np.median(widths) > 3 * SIGMA**2 * (0.1 if length == 1 else 0.3)
 
 
+def wild(frames, markers, seed):
+    """Random accelerations of 15 m/s^2 that last 0.15 s, within a spring's reach: nothing like sines."""
+    rng = np.random.default_rng(seed)
+    place, speed, push = np.zeros((3, markers, 3))
+    out = np.empty((frames, markers, 3))
+    for k in range(frames):
+        push = push * (1 - 0.01 / 0.15) + rng.normal(0, 15 * np.sqrt(2 * 0.01 / 0.15), push.shape)
+        speed = speed + 0.01 * (push - 4 * speed - 20 * place)
+        place = place + 0.01 * speed
+        out[k] = place
+    return out
+
+
+@pytest.mark.parametrize("motion", [motions, wild])
+@pytest.mark.parametrize("length", [1, 3, 8, 14])
+def test_filled_samples_cover_the_truth_as_often_as_they_say(motion, length):
+    inside, squares, count = 0.0, 0.0, 0
+    for seed in (1, 2):
+        xyz = motion(700, 6, seed)
+        together = filled(tracks_of(xyz, gaps(700, 6, length), seed))
+        new = together.select(together.status == "filled")
+        away = new.xyz - xyz[new.frame, new.track]
+        nees = np.einsum("ni,ni->n", away, np.linalg.solve(new.covariance, away[:, :, None])[:, :, 0])
+        inside, squares, count = inside + (nees <= 7.815).sum(), squares + nees.sum(), count + len(new)
+    gaps_filled = count / length  # samples of a gap err together: 80 gaps, of which 95 % +- 2.4 %
+    assert gaps_filled > 70
+    assert inside / count > 0.95 - 3 * np.sqrt(0.95 * 0.05 / gaps_filled)
+    # and not by being timid: a covariance three times too wide has a mean square of 1
+    assert squares / count > 1.3
+
+
+def test_filled_samples_have_their_track_s_label():
+    tracks = tracks_of(motions(200, 2), gaps(200, 2, 3))
+    label = np.where(tracks.track == 1, "elbow", "")
+    tracks = Tracks(**({n: getattr(tracks, n) for n in Tracks.__dataclass_fields__} | {"label": label}))
+    together = filled(tracks)
+    assert (together.status == "filled").any()
+    np.testing.assert_array_equal(together.label == "elbow", together.track == 1)
+
+
 def test_long_gaps_and_ends_stay_open():
     keep = np.ones((200, 2), bool)
     keep[100:140, 0] = False

@@ -26,6 +26,7 @@ from scenarios import cli_capture
 from scenarios.lab import capture as work
 from scenarios.lab.capture import Request, capture
 from scenarios.lab.devices import describe_devices
+from scenarios.lab.priority import NICE, before_others
 from scenarios.lab.recorder import Lost
 
 SMALL = (64, 48)
@@ -229,20 +230,22 @@ def kill_at(tmp_path, wait_s, mode=""):
                 indices = [index for camera, index in frames if camera == name]
                 assert indices == list(range(len(indices)))
         assert "its writer did not finish" in recording.notes[0]
+        for kept in recording.waiting():
+            arrived.setdefault(kept.frame.index, {})[kept.frame.camera] = kept.host_ns
     whole = max(i for i, times in arrived.items() if len(times) == 4)
     shutil.rmtree(out)
-    last_ns = max(arrived[whole])
+    last_ns = max(arrived[whole].values())
     return (int(np.fromfile(newest, np.int64)[0]) - last_ns) / 1e9, (killed_ns - last_ns) / 1e9
 
 
 def arrivals(part, holds):
-    """Return index -> the host's times at which the cameras' frames came."""
+    """Return index -> camera -> the host's time at which its frame came."""
     from mcap.exceptions import McapError
     from mcap.records import Channel, Chunk, Message
     from mcap.stream_reader import StreamReader, breakup_chunk
 
     ends = "/frame" if holds == "frames" else "/detections"
-    cameras, found = set(), {}
+    cameras, found = {}, {}
     with open(part, "rb") as file:
         records = StreamReader(file, emit_chunks=True).records
         while True:
@@ -252,9 +255,9 @@ def arrivals(part, holds):
                 return found
             for one in breakup_chunk(record) if isinstance(record, Chunk) else [record]:
                 if isinstance(one, Channel) and one.topic.endswith(ends):
-                    cameras.add(one.id)
+                    cameras[one.id] = one.topic.split("/")[2]
                 elif isinstance(one, Message) and one.channel_id in cameras:
-                    found.setdefault(one.sequence, []).append(one.publish_time)
+                    found.setdefault(one.sequence, {})[cameras[one.channel_id]] = one.publish_time
 
 
 def check_kills(tmp_path, waits, mode="", allowed_s=0.1):
@@ -284,6 +287,13 @@ def test_after_a_kill_all_but_the_last_frame_sets_is_there(quiet_folder):
 @pytest.mark.parametrize("mode", ["", "detections"])
 def test_after_twenty_kills_each_recording_opens(quiet_folder, mode):
     check_kills(quiet_folder, np.random.default_rng(2).uniform(0.1, 2.0, 20), mode)
+
+
+def test_a_capture_goes_before_others_and_back_again():
+    usual = os.getpriority(os.PRIO_PROCESS, 0)
+    with before_others() as allowed:
+        assert os.getpriority(os.PRIO_PROCESS, 0) == (min(usual, NICE) if allowed else usual)
+    assert os.getpriority(os.PRIO_PROCESS, 0) == usual
 
 
 FULL = """

@@ -30,10 +30,24 @@ from twin.scenes.gait import GAIT_PATHS, Gait, GaitPath, walk, walker_skeleton
 from twin.scenes.paths import SplinePath, normalized, spline_path
 from twin.scenes.posture import Balance
 from twin.scenes.scene import Scene
+from twin.scenes.target_plate import add_ball_at
 from twin.scenes.world import Box, Shape, add_ball_marker, add_shape, compiled, new_stage, positive
 
 _SKIN_M = 0.12
 """How far skin and markers reach beyond the joints [m], for the working space."""
+
+
+@dataclass(frozen=True)
+class BodyLamp:
+    """A lamp that a worn camera carries, an LED in a ball that sends its light to all sides alike.
+
+    ``place_m``: its place on ``body``, that body's axes.
+    """
+
+    name: str
+    body: str
+    place_m: tuple[float, float, float]
+    diameter_m: float = 0.012
 
 
 def build_actor(
@@ -57,6 +71,7 @@ def build_actor(
     stature_m: float = 1.75,
     markers: int = 50,
     marker_diameter_m: float = 0.016,
+    lamps: tuple[BodyLamp, ...] = (),
     floor: bool = True,
 ) -> Scene:
     """Return an actor with ``markers`` (30..60) ball markers in a working space, on the floor z = 0.
@@ -74,7 +89,8 @@ def build_actor(
     in the box) or "back_and_forth" along the box's longer side, at ``speed_mps``, first step and start by
     ``rng``. "boxing", "dance", "jump": a loop over the middle of the box, drawn by ``rng``.
 
-    ``bodies``: every part that carries three markers or more. Raises InputError naming what is wrong.
+    ``lamps``: those of worn cameras, which come after the markers. ``bodies``: every part that carries three markers
+    or more. Raises InputError naming what is wrong.
     """
     box = Box(box_center_m, box_size_m)
     positive({"duration_s": duration_s, "marker_diameter_m": marker_diameter_m})
@@ -103,7 +119,8 @@ def build_actor(
     shapes = limb_shapes(anatomy)
     seated = seats(anatomy, shapes, markers)
     spec, joints = _specify(anatomy, shapes, seated, marker_diameter_m, floor)
-    names = tuple(seat.name for seat in seated)
+    _wear(spec, lamps)
+    names = (*(seat.name for seat in seated), *(lamp.name for lamp in lamps))
     model, geoms = compiled(spec, names)
     carried = {part: tuple(s.name for s in seated if s.part == part) for part in shapes}
     bodies = {part: those for part, those in carried.items() if len(those) >= 3}
@@ -118,6 +135,15 @@ def build_actor(
     else:
         path = _recorded(model, joints, motion, start_s)
     return Scene(model, names, geoms, path, duration_s, bodies)
+
+
+def _wear(spec: mujoco.MjSpec, lamps: tuple[BodyLamp, ...]) -> None:
+    for lamp in lamps:
+        body = spec.body(lamp.body)
+        if body is None:
+            known = ", ".join(one.name for one in spec.bodies if one.name != "world")
+            raise InputError(f"lamp '{lamp.name}': body = '{lamp.body}' given; the actor has {known}")
+        add_ball_at(body, lamp.name, np.asarray(lamp.place_m, dtype=float), lamp.diameter_m)
 
 
 @dataclass(frozen=True, eq=False)

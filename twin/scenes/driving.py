@@ -1,16 +1,21 @@
-"""Driving a skid-steered robot with white noise: the commands, the motors, the contact physics.
+"""Driving a skid-steered robot with white noise, or with commands that are given: the motors, the contact physics.
 
 Commands after the Mosca paper, section 4.3: U(t) = [a_m rand(t), d_m rand(t)], the average of the two
 sides' PWM and their difference, rand uniform on [-1, 1]. A motor's torque at the wheel is
 stall_torque (pwm / 255 - wheel speed / free speed): a permanent-magnet motor on a voltage.
+
+Given commands are lines of text, the ones that a program sends to the real robot (``{"left": 120, "right": 80}``).
 """
 
+import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.errors import InputError
 from twin.scenes.scene import Commands
 from twin.scenes.world import Box
 
@@ -19,6 +24,7 @@ FULL_PWM = 255.0
 STALL_TORQUE_N_M = 8.0
 FREE_SPEED_RAD_S = 18.0
 _SETTLE_S = 0.5
+HALF_DIAGONAL_M = 0.26
 COMMAND_NAMES = ("pwm_average", "pwm_difference", "pwm_left", "pwm_right")
 
 
@@ -32,50 +38,118 @@ class Drive:
     commands: Commands
 
 
-def drive(
-    model: mujoco.MjModel,
+Sides = Callable[[int, Array], tuple[float, float] | None]
+"""Step from 0 s on and qpos -> the PWM of the left and the right side from now on, None where it stays as it was."""
+
+
+def noise(
     box: Box,
     margin_m: float,
-    duration_s: float,
     *,
     average_pwm: float,
     difference_pwm: float,
     hold_s: float,
     rng: np.random.Generator,
-) -> Drive:
-    """Return a white noise run from -0.1 s to ``duration_s`` + 0.1 s; commands start at 0 s.
+) -> Sides:
+    """Return the paper's white noise, each command held for ``hold_s``.
 
-    ``model``: qpos starts with the robot's free joint; actuators are the left wheels, then the right
-    wheels, with PWM as control. Each command is held for ``hold_s``. Rule that keeps the robot in the
-    working space: where its centre is within ``margin_m`` of the box's side and the average drawn would
-    drive it further out, the average's sign is turned. The magnitude stays as drawn, and so does the
-    sequence of random numbers.
+    Rule that keeps the robot in the working space: where its centre is within ``margin_m`` of the box's side and the
+    average drawn would drive it further out, the average's sign is turned. The magnitude stays as drawn, and so does
+    the sequence of random numbers.
+    """
+    held = max(round(hold_s / PHYSICS_STEP_S), 1)
+
+    def sides(step: int, qpos: Array) -> tuple[float, float] | None:
+        if step % held:
+            return None
+        draw = rng.uniform(-1, 1, 2)
+        average = _turned_back(average_pwm * draw[0], qpos, box, margin_m)
+        difference = difference_pwm * draw[1]
+        left, right = np.clip([average - difference / 2, average + difference / 2], -FULL_PWM, FULL_PWM)
+        return float(left), float(right)
+
+    return sides
+
+
+def given(lines: Sequence[tuple[int, str]], box: Box) -> Sides:
+    """Return the commands in ``lines``: session time [ns] and text, each held until the next; it stands before.
+
+    Raises InputError for a text that is no command; the function returned, where they drive the robot out of ``box``.
+    """
+    due = sorted(
+        ((round(t * 1e-9 / PHYSICS_STEP_S), *read_command(text)) for t, text in lines), key=lambda c: c[0]
+    )
+    if due and due[0][0] < 0:
+        raise InputError(f"command at {due[0][0] * PHYSICS_STEP_S:g} s: the robot takes commands from 0 s on")
+    waiting = iter(due)
+    coming = next(waiting, None)
+
+    def sides(step: int, qpos: Array) -> tuple[float, float] | None:
+        nonlocal coming
+        _demand_inside(step, qpos, box)
+        now = None
+        while coming is not None and coming[0] <= step:
+            now = coming[1], coming[2]
+            coming = next(waiting, None)
+        return now
+
+    return sides
+
+
+def read_command(line: str) -> tuple[float, float]:
+    """Return the PWM of the left and the right side that a line of JSON gives, -255..255; InputError otherwise."""
+    try:
+        told = json.loads(line)
+        left, right = float(told["left"]), float(told["right"])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise InputError(
+            f'robot: command {line[:60]!r} given; {{"left": PWM, "right": PWM}} is wanted, -255 to 255 each'
+        ) from None
+    if not (abs(left) <= FULL_PWM and abs(right) <= FULL_PWM):
+        raise InputError(f"robot: command {line[:60]!r} given; left and right from -255 to 255 are wanted")
+    return left, right
+
+
+def drive(
+    model: mujoco.MjModel, start_m: Array, heading_rad: float, duration_s: float, sides: Sides
+) -> Drive:
+    """Return a run from -0.1 s to ``duration_s`` + 0.1 s; commands start at 0 s.
+
+    ``model``: qpos starts with the robot's free joint; actuators are the left wheels, then the right wheels, with PWM
+    as control. ``start_m`` (2,) and ``heading_rad``: where it stands until then.
     """
     begin = -0.1 - _SETTLE_S
     steps = int(np.ceil((duration_s + 0.1 - begin) / PHYSICS_STEP_S)) + 1
     settled, start = round(_SETTLE_S / PHYSICS_STEP_S), round(-begin / PHYSICS_STEP_S)
-    held = max(round(hold_s / PHYSICS_STEP_S), 1)
     data = mujoco.MjData(model)
-    data.qpos[:2] = box.center[:2]
-    heading = rng.uniform(0, 2 * np.pi)
-    data.qpos[3:7] = [np.cos(heading / 2), 0, 0, np.sin(heading / 2)]
+    data.qpos[:2] = start_m
+    data.qpos[3:7] = [np.cos(heading_rad / 2), 0, 0, np.sin(heading_rad / 2)]
     wheels = model.nu // 2
     qpos, qvel = np.empty((steps + 1, model.nq)), np.empty((steps + 1, model.nv))
     times, values = [], []
     for k in range(steps + 1):
-        if k >= start and (k - start) % held == 0:
-            draw = rng.uniform(-1, 1, 2)
-            average = _turned_back(average_pwm * draw[0], data.qpos, box, margin_m)
-            difference = difference_pwm * draw[1]
-            left, right = np.clip([average - difference / 2, average + difference / 2], -FULL_PWM, FULL_PWM)
+        command = sides(k - start, data.qpos) if k >= start else None
+        if command is not None:
+            left, right = command
             data.ctrl[:wheels], data.ctrl[wheels:] = left, right
             times.append((k - start) * round(PHYSICS_STEP_S * 1e9))
-            values.append([average, difference, left, right])
+            values.append([(left + right) / 2, right - left, left, right])
         qpos[k], qvel[k] = data.qpos, data.qvel
         mujoco.mj_step(model, data)
-    commands = Commands(COMMAND_NAMES, np.array(times), np.array(values))
+    commands = Commands(
+        COMMAND_NAMES, np.array(times, dtype=np.int64), np.array(values).reshape(-1, len(COMMAND_NAMES))
+    )
     first = begin + settled * PHYSICS_STEP_S
     return Drive(first, qpos[settled:], qvel[settled:], commands)
+
+
+def _demand_inside(step: int, qpos: Array, box: Box) -> None:
+    out = np.abs(qpos[:2] - box.center[:2]) > box.size[:2] / 2 - HALF_DIAGONAL_M
+    if out.any():
+        raise InputError(
+            f"commands: they drive the robot out of the working space at {step * PHYSICS_STEP_S:.2f} s, in "
+            f"{'xy'[int(np.argmax(out))]}; shorten them, set heading_deg, or enlarge [working_space]"
+        )
 
 
 def _turned_back(average: float, qpos: Array, box: Box, margin_m: float) -> float:

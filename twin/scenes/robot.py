@@ -9,6 +9,8 @@ prints no drawing of the others; here they stand in rows 1-5, 6-10 and 11-13, so
 symmetry.
 """
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
@@ -17,9 +19,12 @@ from mosca.errors import InputError
 from twin.scenes.driving import (
     FREE_SPEED_RAD_S,
     FULL_PWM,
+    HALF_DIAGONAL_M,
     PHYSICS_STEP_S,
     STALL_TORQUE_N_M,
     drive,
+    given,
+    noise,
 )
 from twin.scenes.paths import step_path
 from twin.scenes.scene import UNSEEN_GROUP, Scene
@@ -44,7 +49,6 @@ _DECK_TOP_M = 0.15
 _DECK_M = np.array([0.34, 0.25, 0.006])
 _FRICTION = 0.5
 _ROTOR_INERTIA_KG_M2 = 0.01  # of motor and gear, seen at the wheel
-_HALF_DIAGONAL_M = 0.26
 _TURN_BACK_M = 0.15
 """The robot is turned back when it could reach the side of the box within this."""
 
@@ -66,14 +70,17 @@ def build_robot(
     difference_pwm: float = 60.0,
     hold_s: float = 0.2,
     target_diameter_m: float = 0.03,
+    commands: Sequence[tuple[int, str]] | None = None,
+    heading_rad: float | None = None,
 ) -> Scene:
-    """Return a robot that white noise drives about the working space, on the floor z = 0.
+    """Return a robot that white noise, or ``commands``, drive about the working space, on the floor z = 0.
 
     ``average_pwm`` a_m and ``difference_pwm`` d_m of -255..255, each command held for ``hold_s``;
     ``target_diameter_m`` of the flat targets T1..T13 of the rigid body "robot". ``commands`` holds
     pwm_average, pwm_difference, pwm_left, pwm_right from 0 s on. ``rng`` draws the first heading and the
     commands. Near the side of the box an average that would drive it out has its sign turned (see
-    ``driving.drive``). Raises InputError naming what is wrong.
+    ``driving.noise``). ``commands``: session time [ns] and line of text of each (see ``driving.given``), in place of
+    noise. ``heading_rad``: of its x axis against the world's at the start. Raises InputError naming what is wrong.
     """
     box = Box(box_center_m, box_size_m)
     positive({"duration_s": duration_s, "hold_s": hold_s, "target_diameter_m": target_diameter_m})
@@ -86,22 +93,20 @@ def build_robot(
         raise InputError(
             f"target_diameter_m = {target_diameter_m} given; up to 0.06 m do not touch on the deck"
         )
-    # The fastest the robot can go in the time that it takes to obey one command.
-    overrun = (average_pwm / FULL_PWM) * FREE_SPEED_RAD_S * _WHEEL_RADIUS_M * hold_s
-    margin = _HALF_DIAGONAL_M + _TURN_BACK_M + overrun
-    box.half_inside(np.array([margin, margin, 0.0]), "a robot that can turn back")
     names = tuple(f"T{k + 1}" for k in range(len(TARGET_XY_M)))
     model, geoms = compiled(_specify(names, target_diameter_m), names)
-    run = drive(
-        model,
-        box,
-        margin,
-        duration_s,
-        average_pwm=average_pwm,
-        difference_pwm=difference_pwm,
-        hold_s=hold_s,
-        rng=rng,
-    )
+    drawn_rad = rng.uniform(0, 2 * np.pi)
+    if commands is not None:
+        box.half_inside(np.array([HALF_DIAGONAL_M, HALF_DIAGONAL_M, 0.0]), "this robot")
+        sides = given(commands, box)
+    else:
+        # The fastest the robot can go in the time that it takes to obey one command.
+        overrun = (average_pwm / FULL_PWM) * FREE_SPEED_RAD_S * _WHEEL_RADIUS_M * hold_s
+        margin = HALF_DIAGONAL_M + _TURN_BACK_M + overrun
+        box.half_inside(np.array([margin, margin, 0.0]), "a robot that can turn back")
+        pwm = {"average_pwm": average_pwm, "difference_pwm": difference_pwm, "hold_s": hold_s}
+        sides = noise(box, margin, **pwm, rng=rng)
+    run = drive(model, box.center[:2], drawn_rad if heading_rad is None else heading_rad, duration_s, sides)
     driven = step_path(model, run.first_s, PHYSICS_STEP_S, run.qpos, run.qvel)
     return Scene(model, names, geoms, driven, duration_s, {"robot": names}, run.commands)
 

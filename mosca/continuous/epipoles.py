@@ -1,0 +1,163 @@
+"""Two views that may see each other: fundamental matrix, essential matrix and relative pose.
+
+A camera that sees the other one observes its epipole: with F e = 0 (second paper, eq. 5) and F' e' = 0 (eq. 6),
+F = B' M B^T, where the columns of B (3, 2) and B' span what stands at right angles to e and e'. So M (2, 2), 3
+unknowns up to scale, is all that the corresponding points have to tell, instead of 8 in a linear solution (9 numbers
+up to scale). An epipole that is not observed leaves its side of M whole (B = I): one code for both, one, or none.
+
+All image points are bearings: rays (n, 3) in the camera's frame, for an essential matrix unit rays. So lenses beyond
+180 degrees and epipoles outside the image are like any others, and the sign of an epipole's ray tells where the other
+camera is, not only on which line. (Homogeneous pixels (x, y, 1) are bearings, too, where F is wanted.)
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.rig import Pose
+
+FEWEST = {0: 8, 1: 5, 2: 3}
+"""Correspondences that a matrix needs at least, by the number of observed epipoles."""
+TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
+
+
+class TooFewPointsError(ValueError):
+    """There are fewer correspondences than the matrix has unknowns."""
+
+
+def fundamental(
+    first: Array, second: Array, epipole: Array | None = None, other: Array | None = None
+) -> Array:
+    """Return F (3, 3) of norm 1 with ``second . F first ~ 0`` for corresponding bearings (n, 3).
+
+    ``epipole`` (3,): ray in the first view on which the second camera is seen, ``other`` the first camera's in the
+    second view; what is given holds exactly (eq. 5, 6) and so does rank 2. Least squares of the algebraic error of
+    unit rays. Raises TooFewPointsError below 8, 5 or 3 points with no, one or two epipoles.
+    """
+    right, left = _basis(epipole), _basis(other)
+    _enough(first, (epipole is not None) + (other is not None))
+    a, b = _unit(first) @ right, _unit(second) @ left
+    rows = (b[:, :, None] * a[:, None, :]).reshape(len(a), -1)
+    core = np.linalg.svd(rows, full_matrices=True)[2][-1].reshape(left.shape[1], right.shape[1])
+    u, sizes, vt = np.linalg.svd(core)
+    if len(sizes) == 3:
+        core = u @ np.diag([sizes[0], sizes[1], 0.0]) @ vt
+    matrix = left @ core @ right.T
+    return np.asarray(matrix / np.linalg.norm(matrix))
+
+
+def essential(first: Array, second: Array, epipole: Array | None = None, other: Array | None = None) -> Array:
+    """Return E (3, 3) of singular values 1, 1, 0 with ``second . E first ~ 0`` for corresponding unit rays (n, 3).
+
+    Epipoles as in ``fundamental``; they hold exactly. With both observed E has a single unknown, the turn about the
+    base: M is a rotation or its mirror image, linear in cosine and sine, so that two points do.
+    """
+    if epipole is not None and other is not None:
+        return _about_base(_unit(first), _unit(second), _unit(epipole), _unit(other))
+    return _equalised(fundamental(first, second, epipole, other))
+
+
+@dataclass(frozen=True, eq=False)
+class Relative:
+    """Where a second camera is: ``second_from_first`` with a base of length 1, and the share of points in front of
+    both cameras, ``in_front``.
+    """
+
+    second_from_first: Pose
+    in_front: float
+
+
+def relative_pose(
+    first: Array, second: Array, epipole: Array | None = None, other: Array | None = None
+) -> Relative:
+    """Return the relative pose of two calibrated cameras from corresponding unit rays (n, 3) and observed epipoles.
+
+    Of the four poses of an essential matrix the one is taken that has most points at positive distances along both
+    rays, which holds beyond 90 degrees from the axis too (Hartley and Zisserman 2003, 9.6.3, by ray instead of by
+    depth). Observed epipoles decide first: the second camera must be on the side where it was seen.
+    """
+    a, b = _unit(first), _unit(second)
+    matrix = essential(a, b, epipole, other)
+    best: tuple[float, float, Pose] | None = None
+    for pose in poses_of_essential(matrix):
+        seen = 0.0
+        if epipole is not None:
+            seen += np.sign(-(pose.rotation.T @ pose.translation) @ epipole)
+        if other is not None:
+            seen += np.sign(pose.translation @ other)
+        share = float(np.mean(_in_front(pose, a, b)))
+        if best is None or (seen, share) > best[:2]:
+            best = (float(seen), share, pose)
+    assert best is not None
+    return Relative(best[2], best[1])
+
+
+def poses_of_essential(matrix: Array) -> tuple[Pose, ...]:
+    """Return the four poses ``second_from_first``, base of length 1, that have this essential matrix (3, 3)."""
+    u, _, vt = np.linalg.svd(matrix)
+    u, vt = u * np.linalg.det(u), vt * np.linalg.det(vt)
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    return tuple(Pose(u @ turn @ vt, sign * u[:, 2]) for turn in (quarter, quarter.T) for sign in (1.0, -1.0))
+
+
+def distances_along(pose: Pose, first: Array, second: Array) -> tuple[Array, Array]:
+    """Return how far along the rays (n, 3) of two cameras (``pose``: second_from_first) they come nearest."""
+    a, b, t = first @ pose.rotation.T, second, pose.translation
+    # s a - r b = -t, least squares
+    aa, bb, ab = (np.einsum("ni,ni->n", p, q) for p, q in ((a, a), (b, b), (a, b)))
+    at, bt = a @ t, b @ t
+    scale = aa * bb - ab * ab
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return (ab * bt - bb * at) / scale, (aa * bt - ab * at) / scale
+
+
+def _in_front(pose: Pose, first: Array, second: Array) -> Array:
+    s, r = distances_along(pose, first, second)
+    return (s > 0) & (r > 0)
+
+
+def _unit(rays: Array) -> Array:
+    rays = np.asarray(rays, dtype=float)
+    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+
+
+def _basis(epipole: Array | None) -> Array:
+    """Return what stands at right angles to an epipole as columns (3, 2), or I (3, 3) where none is observed."""
+    if epipole is None:
+        return np.eye(3)
+    e = _unit(epipole)
+    side = np.eye(3)[int(np.argmin(np.abs(e)))]
+    x = np.cross(e, side)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(e, x)])
+
+
+def _enough(first: Array, epipoles: int) -> None:
+    if len(first) < FEWEST[epipoles]:
+        raise TooFewPointsError(
+            f"{len(first)} corresponding points with {epipoles} observed epipoles given, "
+            f"{FEWEST[epipoles]} are needed"
+        )
+
+
+def _equalised(matrix: Array) -> Array:
+    u, _, vt = np.linalg.svd(matrix)
+    return np.asarray(u @ np.diag([1.0, 1.0, 0.0]) @ vt)
+
+
+def _about_base(first: Array, second: Array, epipole: Array, other: Array) -> Array:
+    """Return the essential matrix with both epipoles: only the turn about the base is left.
+
+    With bases whose third axis is the direction from the first camera to the second, in both frames, R is a turn
+    about that axis, and E = [t]x R = B' J Rot(angle) B^T is linear in cosine and sine of the angle.
+    """
+    right = _basis(epipole)
+    left = _basis(-other)
+    if len(first) < 2:
+        raise TooFewPointsError(f"{len(first)} corresponding points with both epipoles given, 2 are needed")
+    a, b = first @ right, second @ left
+    # b . TURN (c I + s TURN) a = c (b . TURN a) - s (b . a)
+    rows = np.column_stack([np.einsum("ni,ij,nj->n", b, TURN, a), -np.einsum("ni,ni->n", b, a)])
+    c, s = np.linalg.svd(rows, full_matrices=False)[2][-1]
+    return np.asarray(left @ TURN @ (c * np.eye(2) + s * TURN) @ right.T)

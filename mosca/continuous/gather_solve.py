@@ -1,0 +1,156 @@
+"""The story, read top to bottom: frames -> observations -> curves -> image points given anew -> curves -> tracks."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mosca.continuous.estimate import ContinuousSettings, Estimated, estimate
+from mosca.continuous.gather import Gathered, GatherSettings, gather
+from mosca.continuous.gather_clocks import ClockTie
+from mosca.continuous.gather_grid import residuals_px, tracks_on_grid
+from mosca.continuous.gather_identity import observed
+from mosca.continuous.observations import Observations
+from mosca.data.arrays import Array
+from mosca.data.frames import FrameSource
+from mosca.data.rig import Rig
+from mosca.data.tracks import Tracks
+from mosca.errors import InputError
+
+BETTER_PX = 0.1
+"""How far estimated curves may be off in the images when image points are given to them anew."""
+
+
+@dataclass(frozen=True)
+class CameraClock:
+    """A camera's clock.
+
+    An instant of the common clock [s], which counts from the first camera's ``origin_ns``, is
+    ``offset_s + (1 + drift) (stamp_ns - origin_ns) / 1e9 + row_time_s y``; sigmas are standard deviations, 0 where
+    the figure was held. ``row_time_s`` comes on top of what the frames state.
+    """
+
+    camera: str
+    origin_ns: int
+    offset_s: float
+    drift: float
+    row_time_s: float
+    offset_sigma_s: float
+    drift_sigma: float
+    row_time_sigma_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstructed:
+    """What frames of free-running cameras gave. ``observations``: on the curves' clock. ``findings``: what a person
+    should know, a line each.
+    """
+
+    gathered: Gathered
+    estimated: Estimated
+    observations: Observations
+    clocks: tuple[CameraClock, ...]
+    findings: tuple[str, ...]
+    rig: Rig
+
+    @property
+    def origin_ns(self) -> int:
+        """Stamp of the first camera at which the common clock is 0."""
+        return self.gathered.ties[0].origin_ns
+
+    def span_ns(self) -> tuple[int, int]:
+        """Return first and last instant of which an image point tells, the first camera's stamps."""
+        first = self.clocks[0]
+        span = np.array([self.observations.time_s.min(), self.observations.time_s.max()])
+        own = (span - first.offset_s) / (1.0 + first.drift)
+        return self.origin_ns + int(np.ceil(own[0] * 1e9)), self.origin_ns + int(np.floor(own[1] * 1e9))
+
+    def tracks(self, time_ns: Array) -> Tracks:
+        """Return samples of all markers at ``time_ns`` (t,), stamps of the first camera's clock."""
+        first = self.clocks[0]
+        own = (np.asarray(time_ns) - self.origin_ns) * 1e-9
+        return tracks_on_grid(
+            self.estimated.curves,
+            self.observations,
+            self.rig,
+            first.offset_s + (1.0 + first.drift) * own,
+            np.asarray(time_ns),
+            [one.period_s for one in self.gathered.seen],
+        )
+
+    def residual_rms_px(self) -> float:
+        """Return how far image points lie from their curves, rms an axis [px]."""
+        rest = residuals_px(self.estimated.curves, self.observations, self.rig)
+        return float(np.sqrt(np.nanmean(rest**2)))
+
+
+def reconstruct(
+    source: FrameSource,
+    rig: Rig,
+    gathering: GatherSettings | None = None,
+    settings: ContinuousSettings | None = None,
+    backgrounds: Mapping[str, Array] | None = None,
+    attend: Callable[[int], None] | None = None,
+) -> Reconstructed:
+    """Turn frames of fixed, calibrated, free-running cameras into curves of markers, and the cameras' clocks.
+
+    ``settings.clocks`` "known" becomes "drift" where clocks had to be searched for. InputError as ``gather`` has it.
+    """
+    settings = ContinuousSettings() if settings is None else settings
+    gathered = gather(source, rig, gathering, backgrounds, attend)
+    if gathered.searched and settings.clocks == "known":
+        settings = replace(settings, clocks="drift")
+    estimated = estimate(gathered.observations, rig, settings, gathered.start)
+    ties = _tied(gathered.ties, estimated)
+    found, _row = observed(gathered.seen, ties, rig, estimated.curves, gathered.sigma_px, BETTER_PX)
+    if not len(found):
+        raise InputError("no image point lies on its curve: the clocks or the rig do not fit the images")
+    estimated = estimate(found, rig, settings, estimated.curves)
+    clocks = _clocks(rig, ties, estimated)
+    at = np.array([c.offset_s for c in estimated.clocks])[found.camera]
+    rate = np.array([c.drift for c in estimated.clocks])[found.camera]
+    row = np.array([c.row_time_s for c in estimated.clocks])[found.camera]
+    times = at + (1.0 + rate) * found.time_s + row * found.xy_px[:, 1]
+    told = _told(gathered, found)
+    return Reconstructed(
+        gathered, estimated, replace(found, time_s=times), clocks, (*told, *estimated.findings), rig
+    )
+
+
+def _tied(ties: tuple[ClockTie, ...], estimated: Estimated) -> tuple[ClockTie, ...]:
+    """Return the ties with what was estimated on top of them."""
+    return tuple(
+        replace(
+            tie,
+            offset_s=clock.offset_s + (1.0 + clock.drift) * tie.offset_s,
+            drift=(1.0 + clock.drift) * (1.0 + tie.drift) - 1.0,
+        )
+        for tie, clock in zip(ties, estimated.clocks, strict=True)
+    )
+
+
+def _clocks(rig: Rig, ties: tuple[ClockTie, ...], estimated: Estimated) -> tuple[CameraClock, ...]:
+    return tuple(
+        CameraClock(
+            name, tie.origin_ns, tie.offset_s, tie.drift, clock.row_time_s,
+            clock.offset_sigma_s, clock.drift_sigma, clock.row_time_sigma_s,
+        )
+        for name, tie, clock in zip(rig.names, _tied(ties, estimated), estimated.clocks, strict=True)
+    )  # fmt: skip
+
+
+def _told(gathered: Gathered, found: Observations) -> tuple[str, ...]:
+    """Return what became of frames and image points, where it is not as it should be."""
+    lines = [
+        f"camera '{name}': {count} of {gathered.count.frames[name]} frames without a usable image"
+        for name, count in gathered.count.unusable.items()
+    ]
+    for c, one in enumerate(gathered.seen):
+        share = float(np.mean(found.camera == c)) * len(found) / max(len(one.xy_px), 1)
+        if share < 0.5:
+            lines.append(
+                f"camera '{one.info.name}': only {100 * share:.0f} % of its {len(one.xy_px)} image points "
+                "belong to a "
+                "marker; look for reflections, or a camera that was moved"
+            )
+    return tuple(lines)

@@ -1,0 +1,105 @@
+"""Uniform B-splines in time: values, derivatives, and the exact integral of a squared derivative.
+
+A curve is ``x(t) = sum_k c_k N((t - start) / step + degree - k)`` with the cardinal B-spline ``N`` of ``degree`` on
+[0, degree + 1] (de Boor 1978). All pieces are alike, so that one small matrix turns a place within a piece into the
+weights of the ``degree + 1`` coefficients that reach it.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import ceil
+
+import numpy as np
+from scipy.interpolate import BSpline, PPoly
+
+from mosca.data.arrays import Array
+
+
+@dataclass(frozen=True)
+class Knots:
+    """Equally spaced knots: ``pieces`` polynomials of ``degree``, ``step_s`` long each, from ``start_s`` on."""
+
+    start_s: float
+    step_s: float
+    pieces: int
+    degree: int = 5
+
+    @property
+    def count(self) -> int:
+        """Number of coefficients of one curve."""
+        return self.pieces + self.degree
+
+    @property
+    def end_s(self) -> float:
+        """Where the last piece ends [s]."""
+        return self.start_s + self.pieces * self.step_s
+
+    @property
+    def breaks_s(self) -> Array:
+        """Instants (pieces + 1,) at which pieces meet [s]."""
+        return self.start_s + self.step_s * np.arange(self.pieces + 1)
+
+    def covers(self, time_s: Array) -> Array:
+        """Return which instants (n,) the curve is defined at; a rounding error beyond the ends is allowed."""
+        t, slack = np.asarray(time_s), 1e-9 * self.step_s
+        return np.asarray((t >= self.start_s - slack) & (t <= self.end_s + slack))
+
+    def weights(self, time_s: Array, derivative: int = 0) -> tuple[Array, Array]:
+        """Return of instants (n,) the first coefficient (n,) and the weights (n, degree + 1) from it on.
+
+        ``derivative``: weights of that derivative by time [1/s^derivative]. Instants outside are extrapolated from
+        the first or last piece.
+        """
+        along = (np.asarray(time_s, dtype=float) - self.start_s) / self.step_s
+        first = np.clip(np.floor(along), 0, self.pieces - 1).astype(np.int64)
+        inside = along - first
+        piece = _derived(self.degree, derivative)
+        powers = inside[:, None] ** np.arange(piece.shape[1])
+        return first, powers @ piece.T / self.step_s**derivative
+
+    def gram(self, derivative: int) -> Array:
+        """Return the matrix G of ``integral of (d^m x / dt^m)^2 dt = c^T G c`` over all pieces, lower banded.
+
+        ``gram[o, k]`` is G between coefficients k + o and k, (degree + 1, count); exact.
+        """
+        piece = _derived(self.degree, derivative)
+        power = np.arange(piece.shape[1])
+        local = piece @ (1.0 / (power[:, None] + power + 1)) @ piece.T * self.step_s ** (1 - 2 * derivative)
+        banded = np.zeros((self.degree + 1, self.count))
+        for offset in range(self.degree + 1):
+            for low in range(self.degree + 1 - offset):
+                banded[offset, low : low + self.pieces] += local[low + offset, low]
+        return banded
+
+
+def knots_over(start_s: float, end_s: float, step_s: float, degree: int = 5) -> Knots:
+    """Return knots from ``start_s`` to ``end_s``, at most ``step_s`` apart, so that both ends are knots."""
+    pieces = max(1, ceil((end_s - start_s) / step_s - 1e-9))
+    return Knots(start_s, (end_s - start_s) / pieces, pieces, degree)
+
+
+def values(knots: Knots, coefficients: Array, time_s: Array, derivative: int = 0) -> Array:
+    """Return curves (n, ...) at instants (n,), of ``coefficients`` (count, ...)."""
+    first, weight = knots.weights(time_s, derivative)
+    reached = first[:, None] + np.arange(knots.degree + 1)
+    return np.asarray(np.einsum("na,na...->n...", weight, np.asarray(coefficients)[reached]))
+
+
+def fitted(knots: Knots, time_s: Array, places: Array) -> Array:
+    """Return the coefficients (count, ...) of the curves nearest to ``places`` (n, ...) at instants (n,)."""
+    first, weight = knots.weights(time_s)
+    design = np.zeros((len(first), knots.count))
+    for a in range(weight.shape[1]):
+        design[np.arange(len(first)), first + a] += weight[:, a]
+    flat = np.linalg.lstsq(design, np.asarray(places).reshape(len(first), -1), rcond=None)[0]
+    return np.asarray(flat.reshape(knots.count, *np.shape(places)[1:]))
+
+
+@lru_cache(maxsize=32)
+def _derived(degree: int, derivative: int) -> Array:
+    """Return the matrix from powers of the place in a piece (0 to 1) to the weights' derivatives, per unit step."""
+    spline = BSpline.basis_element(np.arange(degree + 2.0), extrapolate=False)
+    pieces = PPoly.from_spline((spline.t, spline.c, degree)).derivative(derivative)
+    # the piece [k, k + 1] of N belongs to the coefficient that started k pieces ago
+    inner = pieces.c[::-1, (pieces.x[:-1] >= 0) & (pieces.x[:-1] <= degree) & (np.diff(pieces.x) > 0)]
+    return np.ascontiguousarray(inner.T[::-1])

@@ -1,0 +1,271 @@
+"""Cameras without a trigger, synchronised by a light that flashes in all their views.
+
+A lamp that goes on or off at irregular times is seen by every camera. Where the edge falls into an exposure, the
+image of the lamp is lit in part, and the part tells the instant:
+
+    on:   t = start of exposure + (1 - part) * exposure        off:   t = start of exposure + part * exposure
+
+Where it falls between two exposures it is known only to lie there: the dark gap, uniform, a standard deviation of its
+length over the square root of 12. So cameras whose exposure fills most of the period see edges to microseconds, and
+cameras with short exposures learn from many edges, each at another phase.
+
+What is compared are the frames' own stamps: found is by how much a camera's stamps are ahead of the reference
+camera's for the same instant, and how fast that grows. That holds for any clocks, one common clock among them, where
+the offset is the error of the synchronisation.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.frames import FrameSource
+from mosca.errors import InputError
+from scenarios.lab.flash_images import Brightness, light_of_lamp
+
+LEAST_DN = 20.0
+"""A lamp that changes the brightest pixel by less than this, in images of 8 bits, is none."""
+HALF = 0.5
+FEWEST_EDGES, EDGES_FOR_DRIFT = 2, 4
+SURE_SIGMAS = 4.0
+LARGEST_NOISE = 0.08
+"""A lamp is lit, or dark, to so much of its light; what spreads more is none."""
+AGREE_S = 2e-4
+AS_GOOD = 0.7
+"""Another shift that matches so large a share of the edges might be the true one."""
+LARGEST_DRIFT = 5e-4
+"""Clocks run apart by less: two crystals of 100 ppm and room for one warm camera."""
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Instants at which a camera saw the lamp change: ``time_s``, ``sigma_s`` (n,), ``on`` (n,) whether it went on.
+
+    Times are in the camera's own stamps [s] from ``origin_ns`` on. ``partly``: how many were seen in part.
+    """
+
+    origin_ns: int
+    time_s: Array
+    sigma_s: Array
+    on: Array
+    partly: int
+
+
+@dataclass(frozen=True)
+class FlashOffset:
+    """A camera's stamps against the reference's: ``offset_s`` ahead at the middle of the edges, ``drift_ppm`` faster.
+
+    ``drift_sigma_ppm``: None where too few edges tell. ``edges``: seen by both. ``rest_s``: rms of what is left.
+    ``as_stated``: by how much the residuals exceed what the edges' own uncertainties let expect (1 where they agree).
+    """
+
+    camera: str
+    offset_s: float
+    offset_sigma_s: float
+    drift_ppm: float
+    drift_sigma_ppm: float | None
+    edges: int
+    rest_s: float
+    as_stated: float
+
+
+@dataclass(frozen=True)
+class FlashSync:
+    """What the flashes tell: ``reference``, the first camera, the others' offsets; ``notes``: what they do not."""
+
+    reference: str
+    offsets: tuple[FlashOffset, ...]
+    notes: tuple[str, ...] = ()
+
+    def lines(self) -> list[str]:
+        """Return it in words, a line a camera."""
+        told = []
+        for one in self.offsets:
+            drift = (
+                "too few edges for a drift"
+                if one.drift_sigma_ppm is None
+                else f"drift {one.drift_ppm:+.1f} +- {one.drift_sigma_ppm:.1f} ppm"
+            )
+            told.append(
+                f"camera '{one.camera}': stamps {1e3 * one.offset_s:+.4f} +- {1e3 * one.offset_sigma_s:.4f} ms "
+                f"ahead of '{self.reference}', {drift}, {one.edges} edges of the flash"
+            )
+        return [*told, *self.notes]
+
+
+def synchronise(source: FrameSource) -> FlashSync:
+    """Return how the stamps of a recording's cameras lie to each other, from the flashes that all of them filmed.
+
+    ``source`` is read twice. Cameras and the place of the lamp stand still, or it is waved over a dark background.
+    Raises InputError where a camera saw no flash, or where flashes come too evenly to tell which is which.
+    """
+    edges = {name: edges_of(name, seen) for name, seen in light_of_lamp(source).items()}
+    if len(edges) < 2:
+        raise InputError("flash: one camera has nobody to be synchronised with")
+    reference = next(iter(edges))
+    offsets = tuple(
+        align(name, edges[reference], found) for name, found in edges.items() if name != reference
+    )
+    notes = tuple(
+        f"camera '{name}': no edge fell into an exposure; each is known to the gap between two, "
+        f"{2e3 * math.sqrt(3) * float(np.median(found.sigma_s)):.3g} ms: make the exposure longer"
+        for name, found in edges.items()
+        if not found.partly
+    )
+    return FlashSync(reference, offsets, notes)
+
+
+def edges_of(name: str, seen: Brightness) -> Edges:
+    """Return the edges in a camera's brightness; InputError naming the camera where there are none."""
+    if seen.most_dn < LEAST_DN / 255 * seen.full_dn:
+        raise InputError(
+            f"camera '{name}': no flash seen, the brightest change is {seen.most_dn:.0f} of {seen.full_dn:.0f} DN; "
+            "flash a lamp in the view of all cameras, longer than two frames"
+        )
+    middle = (seen.light.min() + seen.light.max()) / 2
+    dark, lit = (
+        float(np.median(part)) for part in (seen.light[seen.light < middle], seen.light[seen.light >= middle])
+    )
+    part = (seen.light - dark) / (lit - dark)
+    noise = max(_spread(part[part < HALF / 2]), _spread(part[part > 1 - HALF / 2]), 1e-4)
+    if noise > LARGEST_NOISE:
+        raise InputError(
+            f"camera '{name}': what changes in its view does so gradually, as things that move do, not as a lamp "
+            "that flashes; flash one in the view of all cameras, with nothing moving"
+        )
+    steps = [k for k in range(1, len(part)) if (part[k - 1] < HALF) != (part[k] < HALF)]
+    times, sigmas, ons, partly = [], [], [], 0
+    for k in steps:
+        on = bool(part[k] >= HALF)
+        edge = _edge(seen, part, k, on, noise)
+        if edge is None:
+            continue
+        time_ns, sigma_ns, in_part = edge
+        times.append(time_ns)
+        sigmas.append(sigma_ns)
+        ons.append(on)
+        partly += in_part
+    if len(times) < FEWEST_EDGES:
+        raise InputError(
+            f"camera '{name}': {len(times)} edges of a flash seen, {FEWEST_EDGES} at least are wanted; flash the "
+            "lamp several times, on and off for longer than two frames"
+        )
+    origin = int(seen.start_ns[0])
+    return Edges(
+        origin,
+        np.array([t - origin for t in times], dtype=np.float64) * 1e-9,
+        np.array(sigmas) * 1e-9,
+        np.array(ons),
+        partly,
+    )
+
+
+def align(name: str, reference: Edges, own: Edges) -> FlashOffset:
+    """Return offset and drift of ``own`` stamps against those of ``reference``; InputError where none is certain."""
+    pairs, shift = _matched(name, reference, own)
+    a, b = pairs[:, 0], pairs[:, 1]
+    t = reference.time_s[a]
+    sigma = np.hypot(reference.sigma_s[a], own.sigma_s[b])
+    # the whole seconds between two clocks are taken off as integers: doubles keep nanoseconds of the rest
+    ahead = own.time_s[b] - t - shift
+    middle = float(np.average(t, weights=sigma**-2))
+    with_drift = len(t) >= EDGES_FOR_DRIFT
+    design = np.column_stack((np.ones_like(t), t - middle)[: 2 if with_drift else 1])
+    weighted = design / sigma[:, None]
+    covariance = np.linalg.inv(weighted.T @ weighted)
+    found = covariance @ weighted.T @ (ahead / sigma)
+    rest = ahead - design @ found
+    freedom = max(len(t) - design.shape[1], 1)
+    as_stated = max(1.0, math.sqrt(float(np.sum((rest / sigma) ** 2)) / freedom))
+    deviations = np.sqrt(np.diag(covariance)) * as_stated
+    origins_s = (own.origin_ns - reference.origin_ns) * 1e-9
+    return FlashOffset(
+        name,
+        float(found[0]) + shift + origins_s,
+        float(deviations[0]),
+        float(found[1]) * 1e6 if with_drift else 0.0,
+        float(deviations[1]) * 1e6 if with_drift else None,
+        len(t),
+        float(np.sqrt(np.mean(rest**2))),
+        as_stated,
+    )
+
+
+def _edge(seen: Brightness, part: Array, k: int, on: bool, noise: float) -> tuple[float, float, bool] | None:
+    """Return time [ns], standard deviation [ns] and whether it was seen in part, of the edge about frame ``k``."""
+    # the frame of the two that is lit in part, if one of them is
+    partial = [j for j in (k - 1, k) if SURE_SIGMAS * noise < part[j] < 1 - SURE_SIGMAS * noise]
+    if len(partial) > 1:
+        return None  # no single edge lights two frames in part: the lamp itself comes slowly, or flickers
+    if partial and not seen.clipped:
+        j, share = partial[0], float(part[partial[0]])
+        exposure = float(seen.exposure_ns[j])
+        time = float(seen.start_ns[j]) + exposure * ((1 - share) if on else share)
+        return time, max(exposure * noise, 1.0), True
+    begin, end = _bounds(seen, partial, k, on)
+    # what is lost in the noise of a frame that looks whole belongs to the gap
+    slack = SURE_SIGMAS * noise * float(seen.exposure_ns[k])
+    return (begin + end) / 2, (max(end - begin, 0.0) + 2 * slack) / math.sqrt(12), False
+
+
+def _bounds(seen: Brightness, partial: list[int], k: int, on: bool) -> tuple[float, float]:
+    """Return between which instants [ns] the edge about frame ``k`` lies, where no part of the light tells it."""
+    ends = seen.start_ns + seen.exposure_ns
+    if partial:
+        return float(seen.start_ns[partial[0]]), float(ends[partial[0]])
+    if not seen.clipped:
+        return float(ends[k - 1]), float(seen.start_ns[k])
+    # a part of the light already fills the pixels: a frame that looks lit may be so from any instant of its own
+    if on:
+        return float(ends[k - 1]), float(ends[k])
+    return float(seen.start_ns[k - 1]), float(seen.start_ns[k])
+
+
+def _matched(name: str, reference: Edges, own: Edges) -> tuple[Array, float]:
+    """Return pairs (n, 2) of edges and the shift [s] that brings them together, the one that matches most edges."""
+    best: list[tuple[int, float, Array]] = []
+    for i in range(len(reference.time_s)):
+        for j in range(len(own.time_s)):
+            if reference.on[i] == own.on[j]:
+                shift = float(own.time_s[j] - reference.time_s[i])
+                pairs = _pairs(reference, own, shift)
+                best.append((len(pairs), shift, pairs))
+    if not best:
+        raise InputError(
+            f"camera '{name}': its flashes are none of the reference camera's; film them together"
+        )
+    best.sort(key=lambda one: -one[0])
+    most, shift, pairs = best[0]
+    reach = _reach(reference, own)
+    others = [n for n, other, _ in best if abs(other - shift) > 4 * reach]
+    if most < FEWEST_EDGES or (others and others[0] > AS_GOOD * most):
+        raise InputError(
+            f"camera '{name}': its flashes fit the reference camera's at more than one place ({most} edges each); "
+            "flash at irregular times"
+        )
+    return pairs, shift
+
+
+def _pairs(reference: Edges, own: Edges, shift: float) -> Array:
+    pairs = []
+    for i in range(len(reference.time_s)):
+        wanted = reference.time_s[i] + shift
+        j = int(np.argmin(np.abs(own.time_s - wanted)))
+        reach = SURE_SIGMAS * math.hypot(reference.sigma_s[i], own.sigma_s[j]) + AGREE_S
+        reach += LARGEST_DRIFT * abs(float(np.ptp(reference.time_s)))
+        if reference.on[i] == own.on[j] and abs(own.time_s[j] - wanted) < reach:
+            pairs.append((i, j))
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
+
+
+def _reach(reference: Edges, own: Edges) -> float:
+    widest = SURE_SIGMAS * math.hypot(float(reference.sigma_s.max()), float(own.sigma_s.max()))
+    return widest + AGREE_S + LARGEST_DRIFT * float(np.ptp(reference.time_s))
+
+
+def _spread(values: Array) -> float:
+    """Return a standard deviation that a few half-lit frames among ``values`` do not move."""
+    if len(values) < 2:
+        return 0.0
+    return 1.4826 * float(np.median(np.abs(values - np.median(values))))

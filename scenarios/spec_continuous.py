@@ -1,0 +1,37 @@
+"""What a scenario file may say of cameras that are not synchronised: how their clocks are tied and what is
+estimated.
+"""
+
+from typing import Literal
+
+from pydantic import Field
+
+from mosca.data.toml import Positive, Table
+
+
+class ContinuousSpec(Table):
+    """Frames go through ``mosca.continuous``: each at its own instant, trajectories as functions of time.
+
+    Scored at the pulses' instants, which are told on the first camera's clock: let that be the session's.
+    """
+
+    clocks: Literal["auto", "common", "own"] = Field(
+        "auto",
+        description="'own': each camera has a clock of its own and was started at an unknown time; 'common': "
+        "all stamps "
+        "are of one clock; 'auto': 'own' where a camera's clock is 'device'",
+    )
+    search_s: Positive = Field(10.0, description="by how much cameras may have been started apart [s]")
+    estimate: Literal["known", "offset", "drift", "rolling"] = Field(
+        "drift", description="what is estimated of the clocks besides the trajectories"
+    )
+    limbs: bool = Field(True, description="whether constant distances are found from the data and used")
+    worn_on: str | None = Field(
+        None,
+        description="body on which the cameras ride that film it: their places on it are known, the room's "
+        "cameras are "
+        "not there, and markers are told in that body's own frame",
+    )
+    reach_m: Positive = Field(
+        1.3, description="worn cameras: how far from the body's origin markers can be [m]"
+    )

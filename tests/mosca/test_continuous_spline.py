@@ -1,0 +1,116 @@
+"""Splines against scipy's, and the banded solver against dense linear algebra."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+
+from mosca.continuous.banded import Band, Rows, solve_bordered
+from mosca.continuous.smoothness import expected_accelerations, log_determinant, shrunk
+from mosca.continuous.spline import fitted, knots_over, values
+
+
+def dense(banded):
+    n = banded.shape[1]
+    lower = sum(np.diag(banded[o, : n - o], -o) for o in range(len(banded)))
+    return lower + np.tril(lower, -1).T
+
+
+@pytest.mark.parametrize("degree", [3, 5])
+@pytest.mark.parametrize("derivative", [0, 1, 2, 3])
+def test_values_are_those_of_scipys_splines(degree, derivative):
+    knots = knots_over(1.0, 2.0, 0.1, degree)
+    c = np.random.default_rng(0).normal(size=(knots.count, 2))
+    places = knots.start_s + knots.step_s * (np.arange(knots.count + degree + 1) - degree)
+    spline, t = BSpline(places, c, degree), np.linspace(1, 2, 57)
+    expected = spline(t, derivative)
+    np.testing.assert_allclose(values(knots, c, t, derivative), expected, atol=1e-12 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("derivative", [0, 2, 3])
+def test_gram_is_the_integral_of_the_squared_derivative(derivative):
+    knots = knots_over(0.0, 1.3, 0.1, 3)
+    c = np.random.default_rng(1).normal(size=knots.count)
+    # Gauss's points: exact for the products of polynomials of these degrees
+    x, w = np.polynomial.legendre.leggauss(6)
+    t = (knots.breaks_s[:-1, None] + knots.step_s * (x + 1) / 2).ravel()
+    expected = (np.tile(w, knots.pieces) * knots.step_s / 2 * values(knots, c, t, derivative) ** 2).sum()
+    assert c @ dense(knots.gram(derivative)) @ c == pytest.approx(expected, rel=1e-10)
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_the_priors_determinant_is_that_of_its_eigenvalues(order):
+    knots = knots_over(0.0, 1.0, 0.1, 3)
+    eigenvalues = np.linalg.eigvalsh(dense(knots.gram(order)))[order:]
+    assert log_determinant(knots, order) == pytest.approx(np.log(eigenvalues).sum(), rel=1e-6)
+
+
+def test_fitted_curves_reproduce_a_cubic():
+    knots, t = knots_over(0.0, 1.0, 0.2, 3), np.linspace(0, 1, 40)
+    c = fitted(knots, t, np.column_stack([t**3 - t, 2 * t**2]))
+    np.testing.assert_allclose(values(knots, c, [0.33]), [[0.33**3 - 0.33, 2 * 0.33**2]], atol=1e-10)
+
+
+@pytest.mark.parametrize("width", [3, 6, 30])
+def test_banded_solver_equals_dense_algebra(width):
+    rng = np.random.default_rng(width)
+    knots = knots_over(0.0, 1.0, 0.05, 3)
+    n, size = 400, knots.count * width
+    first, weight = knots.weights(rng.random(n))
+    columns = np.sort(np.stack([rng.permutation(width)[:3] for _ in range(n)]), axis=1)
+    rows = Rows(first, weight, columns, rng.normal(size=(n, 3)), rng.normal(size=(n, 2)), rng.normal(size=n))
+    band = Band(knots.count, 4, width, 2)
+    band.add(rows)
+    between = rng.normal(size=(width, width))
+    between = between @ between.T + np.eye(width)
+    band.add_prior(knots.gram(2) * 1e-3, between)
+    band.add_prior(knots.gram(0), np.eye(width))
+    jacobian = np.zeros((n, size))
+    for r in range(n):
+        for a in range(4):
+            jacobian[r, (first[r] + a) * width + columns[r]] += weight[r, a] * rows.values[r]
+    matrix = jacobian.T @ jacobian + np.kron(dense(knots.gram(2)) * 1e-3, between)
+    matrix += np.kron(dense(knots.gram(0)), np.eye(width))
+    x = rng.normal(size=size)
+    np.testing.assert_allclose(rows.applied(x, width), jacobian @ x, atol=1e-12)
+    right, border = band.right.copy(), band.border.copy()
+    factor = band.factor()
+    corner = rows.shared.T @ rows.shared + np.eye(2)
+    found, shared, _, covariance = solve_bordered(
+        [factor], [right], [border], corner, rows.shared.T @ rows.rest
+    )
+    whole = np.block([[matrix, jacobian.T @ rows.shared], [rows.shared.T @ jacobian, corner]])
+    expected = np.linalg.solve(whole, np.concatenate([jacobian.T @ rows.rest, rows.shared.T @ rows.rest]))
+    np.testing.assert_allclose(np.concatenate([found[0], shared]), expected, atol=1e-8)
+    np.testing.assert_allclose(covariance, np.linalg.inv(whole)[-2:, -2:], rtol=1e-6)
+    assert factor.log_determinant() == pytest.approx(np.linalg.slogdet(matrix)[1], rel=1e-9)
+    inverse = np.linalg.inv(matrix).reshape(knots.count, width, knots.count, width)
+    blocks = factor.inverse_blocks(width // 3)
+    for o in range(4):
+        for k in range(knots.count - o):
+            for p in range(width // 3):
+                part = inverse[k + o, 3 * p : 3 * p + 3, k, 3 * p : 3 * p + 3]
+                np.testing.assert_allclose(blocks[o, k, p], part, atol=1e-9)
+    # drawn errors have the covariance: their mean square on one unknown
+    drawn = factor.spread(np.asfortranarray(rng.normal(size=(size, 4000))))
+    assert np.mean(drawn[size // 2] ** 2) == pytest.approx(np.diag(np.linalg.inv(matrix))[size // 2], rel=0.1)
+
+
+def test_expected_accelerations_count_the_integral():
+    knots = knots_over(0.0, 1.0, 0.1, 3)
+    c = np.random.default_rng(4).normal(size=(1, knots.count, 2))
+    for order in (2, 3):
+        gram = dense(knots.gram(order))
+        expected = c[0].T @ gram @ c[0] / (knots.count - order)
+        np.testing.assert_allclose(expected_accelerations(knots, c, order), expected, rtol=1e-9)
+
+
+def test_chance_correlations_are_shrunk_away_and_true_ones_stay():
+    rng = np.random.default_rng(5)
+    loose = np.cov(rng.normal(size=(20, 40)).T)
+    assert (
+        np.abs(shrunk(loose, 20) - np.diag(np.diag(loose))).max()
+        < 0.5 * np.abs(loose - np.diag(np.diag(loose))).max()
+    )
+    common = rng.normal(size=(400, 1)) + 0.3 * rng.normal(size=(400, 6))
+    tight = np.cov(common.T)
+    np.testing.assert_allclose(shrunk(tight, 400), tight, rtol=0.08)

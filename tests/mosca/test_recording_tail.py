@@ -1,0 +1,165 @@
+"""The tail of a recording: frames that waited when their writer was killed are read, moved, and never read twice."""
+
+import os
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mosca.data.frames import CameraInfo, Frame
+from mosca.recording import RecordingWriter, open_recording
+from mosca.recording.tail import TAIL_NAME, Tail, read_tail, rescued
+
+CAMERAS = (CameraInfo("a", 16, 12, 8, 100.0), CameraInfo("b", 10, 9, 12, 100.0))
+
+pytestmark = pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="this system has no /dev/shm")
+
+
+def frame(camera, index, note=""):
+    info = next(one for one in CAMERAS if one.name == camera)
+    dtype = np.uint8 if info.bit_depth == 8 else np.uint16
+    image = (
+        np.random.default_rng([ord(camera), index]).integers(0, 200, (info.height, info.width)).astype(dtype)
+    )
+    if note:
+        return Frame(camera, index, index * 10, 5, None, "corrupt", note=note)
+    return Frame(camera, index, index * 10, 5, image)
+
+
+def same(one, other):
+    assert (one.camera, one.index, one.time_ns, one.status, one.note) == (
+        other.camera,
+        other.index,
+        other.time_ns,
+        other.status,
+        other.note,
+    )
+    assert (one.image is None) == (other.image is None)
+    if one.image is not None:
+        assert one.image.dtype == other.image.dtype
+        np.testing.assert_array_equal(one.image, other.image)
+
+
+def test_frames_come_back_as_they_were_in_order_of_time(tmp_path):
+    tail = Tail(CAMERAS, 1 << 20, tmp_path)
+    put = [frame("b", 3), frame("a", 1), frame("a", 2, "spoilt, packets missing " * 20)]
+    for number, one in enumerate(put):
+        assert tail.put(one, 100 + number) == number
+    kept = read_tail(tail.path, CAMERAS)
+    assert [k.host_ns for k in kept] == [101, 102, 100]
+    same(kept[0].frame, put[1])
+    same(kept[2].frame, put[0])
+    assert kept[1].frame.note == put[2].note[:248]
+    tail.close()
+    tail.close()
+    assert list(tmp_path.iterdir()) == []
+    assert tail.put(put[0], 1) is None
+
+
+def test_a_slot_is_used_anew_and_a_full_tail_takes_no_more(tmp_path):
+    tail = Tail(CAMERAS, 2 * 4096, tmp_path)
+    assert [tail.put(frame("a", k), None) for k in range(3)] == [0, 1, None]
+    tail.free(0)
+    slot = tail.reserve(frame("a", 7).image)
+    assert slot == 0
+    assert [k.frame.index for k in read_tail(tail.path, CAMERAS)] == [1]  # not known yet whose image it is
+    assert tail.put(frame("a", 7), 5, slot) == 0
+    kept = read_tail(tail.path, CAMERAS)
+    assert [(k.frame.index, k.host_ns) for k in kept] == [(1, None), (7, 5)]
+    same(kept[1].frame, frame("a", 7))
+    tail.close()
+
+
+def test_a_tail_whose_writer_lives_is_left_alone(tmp_path):
+    tail = Tail(CAMERAS, 1 << 20, tmp_path)
+    tail.put(frame("a", 1), 1)
+    assert rescued(tmp_path / "recording.mcap.part", tail.path) is None
+    assert tail.path.exists()
+    tail.close()
+    assert rescued(tmp_path / "recording.mcap.part", tail.path) is None
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+from test_recording_tail import CAMERAS, frame
+from mosca.recording import RecordingWriter
+writer = RecordingWriter(Path(sys.argv[1]), CAMERAS, tail_bytes=1 << 20)
+for k in range(4):
+    writer.write(frame("a", k)); writer.write(frame("b", k))
+writer.keep(frame("a", 3), 3); writer.keep(frame("b", 4), 40); writer.keep(frame("a", 4), 41)
+writer.flush()
+writer.write(frame("a", 5))      # stays in the process
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def killed(out):
+    folder = str(Path(__file__).parent)
+    subprocess.run([sys.executable, "-c", KILLED, str(out), folder], check=False, timeout=60)
+
+
+@pytest.mark.parametrize("locked", [False, True])
+def test_after_a_kill_what_waited_is_read_once_and_kept_beside_the_recording(tmp_path, locked, monkeypatch):
+    out = tmp_path / "take"
+    killed(out)
+    if locked:  # the folder takes no file any more: it is read where it is
+
+        def refuse(*_args, **_kwargs):
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr("mosca.recording.tail.whole_file", refuse)
+    with open_recording(out) as recording:
+        frames = list(recording)
+        left = recording.waiting()
+    assert [(f.camera, f.index) for f in frames] == [(c, k) for k in range(4) for c in "ab"] + [
+        ("b", 4),
+        ("a", 4),
+    ]
+    for one in frames:
+        same(one, frame(one.camera, one.index))
+    assert {k.host_ns for k in left} == {3, 40, 41}
+    assert (out / TAIL_NAME).exists() != locked
+    monkeypatch.undo()
+    with open_recording(out) as recording:
+        assert len(list(recording)) == 10
+    assert (out / TAIL_NAME).exists()
+
+
+def test_a_recording_that_ends_in_order_leaves_no_tail(tmp_path):
+    before = set(Path("/dev/shm").glob("mosca-*"))
+    with RecordingWriter(tmp_path / "take", CAMERAS, tail_bytes=1 << 20) as writer:
+        writer.keep(frame("a", 0), 1)
+        writer.write(frame("a", 0))
+    assert sorted(os.listdir(tmp_path / "take")) == ["recording.mcap", "recording.toml"]
+    with suppress(RuntimeError), RecordingWriter(tmp_path / "other", CAMERAS, tail_bytes=1 << 20) as writer:
+        writer.keep(frame("a", 0), 1)
+        raise RuntimeError("body")
+    assert os.listdir(tmp_path / "other") == ["recording.mcap.part"]
+    assert set(Path("/dev/shm").glob("mosca-*")) <= before
+
+
+@pytest.mark.parametrize("damage", [b"", b"mosca", b"\xff" * 9000, b"mosca\0t1" + b"\xff" * 9000])
+def test_a_damaged_tail_gives_nothing(tmp_path, damage):
+    path = tmp_path / "recording.tail"
+    path.write_bytes(damage)
+    assert read_tail(path, CAMERAS) == []
+
+
+def test_damaged_slots_are_left_out(tmp_path):
+    tail = Tail(CAMERAS, 1 << 20, tmp_path)
+    for k in range(3):
+        tail.put(frame("a", k), k)
+    good = bytearray(tail.path.read_bytes())
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        bad = bytearray(good)
+        for at in rng.integers(0, 3 * 4096, 12):
+            bad[int(at)] = int(rng.integers(0, 256))
+        (tmp_path / "bad").write_bytes(bad)
+        assert len(read_tail(tmp_path / "bad", CAMERAS)) <= 3
+    tail.close()
