@@ -78,7 +78,10 @@ def no_carriers(points: Sequence[str]) -> dict[str, Array]:
 class Curves(Protocol):
     """Places of points as functions of time, world frame [m]; NaN where a point is not known."""
 
-    points: tuple[str, ...]
+    @property
+    def points(self) -> tuple[str, ...]:
+        """Their names."""
+        ...
 
     def at(self, time_s: Array) -> Array:
         """Return the places (t, points, 3) at the instants ``time_s`` (t,)."""
@@ -96,7 +99,10 @@ class UncertainCurves(Curves, Protocol):
 class CameraPaths(Protocol):
     """Exterior orientations of cameras as functions of time."""
 
-    cameras: tuple[str, ...]
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Their names."""
+        ...
 
     def at(self, time_s: Array) -> tuple[Array, Array]:
         """Return world_from_camera: rotations (t, cameras, 3, 3) and centres (t, cameras, 3) [m]."""

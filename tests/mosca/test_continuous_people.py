@@ -1,0 +1,38 @@
+"""A recorded person seen by three free-running cameras: how near the curves come to what such knots can hold."""
+
+import numpy as np
+import pytest
+from continuous_scenes import ring, rms, take
+from scipy.interpolate import make_lsq_spline
+
+from mosca.continuous.estimate import ContinuousSettings, estimate
+from mosca.data.motion import forward_kinematics
+from mosca.data.motion_bvh import read_bvh
+
+
+@pytest.mark.data
+def test_a_jump_is_within_twice_the_floor_and_limbs_and_company_help(data_dir):
+    file = data_dir / "cmu_mocap" / "bvh" / "13" / "13_11.bvh"
+    motion = read_bvh(file, metres_per_unit=0.0104, frame_rate_hz=120.0, drop_frames=1)
+    xyz = forward_kinematics(motion)[0][:300]
+    distinct: list[int] = []
+    for k in range(xyz.shape[1]):
+        if all(np.abs(xyz[:, k] - xyz[:, other]).max() > 1e-3 for other in distinct):
+            distinct.append(k)
+    xyz = xyz[:, distinct] - xyz[:, distinct].mean(axis=(0, 1))
+    time = np.arange(len(xyz)) / 120
+
+    def path(t):
+        return xyz[np.round(np.asarray(t) * 120).astype(int)]
+
+    stamps = [time[3 * c :: 9] for c in range(3)]
+    # hardly any noise: its stated size only keeps the equations regular
+    observations = take(path, ring(away=4.5), stamps, 0.02)
+    flat = xyz.reshape(len(xyz), -1)
+    places = np.concatenate([[0] * 3, np.linspace(0, time[-1], round(time[-1] / 0.025) + 1), [time[-1]] * 3])
+    best = make_lsq_spline(time, flat, places, 3)(time).reshape(xyz.shape)
+    floor = np.sqrt(((best - xyz) ** 2).sum(axis=2).mean())
+    within = time[6:-9]
+    ours = rms(estimate(observations, ring(away=4.5)), path, within)
+    assert ours < 2.0 * floor
+    assert ours < rms(estimate(observations, ring(away=4.5), ContinuousSettings(limbs=False)), path, within)
