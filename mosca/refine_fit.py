@@ -170,66 +170,67 @@ def solve_shape(h: Any, c: Any, prior: float, pull: float) -> tuple[float, float
 
 @step
 def solve_all(
-    place: Any, h: Any, cross: Any, c: Any, prior: float, pull: float, peak_prior: float, peak_pull: float
-) -> tuple[Array, Array, float, bool]:
+    place: Any, h: Any, cross: Any, c: Any, prior: tuple[float, float], peak: tuple[float, float], work: Array
+) -> tuple[Any, ...]:
     """Solve for all six unknowns at once, for a window that is not symmetric about the target.
 
-    The amplitude too has a prior here, from the peak: with a side missing it is hard to tell from the radius.
-    Returns the corrections (x, y, amplitude, background, radius, blur), the covariance (6, 6), the variance that
-    the data alone give the blur, and whether there is a solution.
+    ``prior``: information on the blur, and prior mean less the present one. The amplitude too has a prior here,
+    ``peak``: with a side missing it is hard to tell from the radius. ``work`` (6, 7) is scratch. Returns the
+    corrections (x, y, amplitude, background, radius, blur), the place's variances (xx, xy, yy), the variance that the
+    data alone give the blur, and whether there is a solution.
     """
-    m = np.empty((6, 6))
-    m[0, 0], m[0, 1], m[1, 1] = place[0], place[1], place[2]
+    # in the order amplitude, background, radius, blur, x, y: the last rows of the factor hold the place's variance
     k = 0
-    for i in range(2):
-        for j in range(2, 6):
-            m[i, j] = cross[k]
+    for j in range(4):
+        for i in range(j, 4):
+            work[i, j] = h[k]
             k += 1
-    k = 0
-    for i in range(2, 6):
-        for j in range(i, 6):
-            m[i, j] = h[k]
-            k += 1
-    scale = np.empty(6)
-    m[5, 5] += prior
-    m[2, 2] += peak_prior
+        work[4, j], work[5, j], work[j, 6] = cross[j], cross[4 + j], c[j]
+    work[4, 4], work[5, 4], work[5, 5] = place[0], place[1], place[2]
+    work[4, 6], work[5, 6] = place[3], place[4]
+    work[3, 3] += prior[0]
+    work[3, 6] += prior[0] * prior[1]
+    work[0, 0] += peak[0]
+    work[0, 6] += peak[0] * peak[1]
+    nothing = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, False)
+    # Cholesky of the matrix scaled to a unit diagonal: row i of the factor, and the right side with it
     for i in range(6):
-        scale[i] = 1.0 / math.sqrt(max(m[i, i], 1e-12))
+        work[i, 6] *= 1.0 / math.sqrt(max(work[i, i], 1e-12))
     for i in range(6):
-        for j in range(i, 6):
-            m[i, j] *= scale[i] * scale[j]
-            m[j, i] = m[i, j]
-        m[i, i] += 1e-7
-    right = np.array([place[3], place[4], c[0] + peak_prior * peak_pull, c[1], c[2], c[3] + prior * pull])
-    right *= scale
-    # Cholesky, then its inverse
-    low = np.zeros((6, 6))
+        for j in range(i):
+            work[i, j] /= math.sqrt(max(work[i, i], 1e-12) * max(work[j, j], 1e-12))
+    s0, s1, s2 = work[0, 0], work[1, 1], work[2, 2]
+    s3, s4, s5 = work[3, 3], work[4, 4], work[5, 5]
     for i in range(6):
-        for j in range(i + 1):
-            rest = m[i, j]
+        for j in range(i):
+            rest = work[i, j]
             for q in range(j):
-                rest -= low[i, q] * low[j, q]
-            if i == j:
-                if not rest > 1e-9:
-                    return right, m, math.inf, False
-                low[i, i] = math.sqrt(rest)
-            else:
-                low[i, j] = rest / low[j, j]
-    inverse = np.zeros((6, 6))
-    for column in range(6):
-        for i in range(column, 6):
-            rest = 1.0 if i == column else 0.0
-            for q in range(column, i):
-                rest -= low[i, q] * inverse[q, column]
-            inverse[i, column] = rest / low[i, i]
-    covariance, step_taken = np.zeros((6, 6)), np.zeros(6)
-    for i in range(6):
-        for j in range(6):
-            for q in range(max(i, j), 6):
-                covariance[i, j] += inverse[q, i] * inverse[q, j]
-            covariance[i, j] *= scale[i] * scale[j]
-            step_taken[i] += covariance[i, j] * right[j] / scale[j]
-    return step_taken, covariance, 1.0 / max(1.0 / covariance[5, 5] - prior, 1e-12), True
+                rest -= work[i, q] * work[j, q]
+            work[i, j] = rest / work[j, j]
+            work[i, 6] -= work[i, j] * work[j, 6]
+        rest = 1.0 + 1e-7
+        for q in range(i):
+            rest -= work[i, q] * work[i, q]
+        if not rest > 1e-9:
+            return nothing
+        work[i, i] = math.sqrt(rest)
+        work[i, 6] /= work[i, i]
+    # of the inverse factor the last three columns
+    u3, u4, u5 = 1.0 / work[3, 3], 1.0 / work[4, 4], 1.0 / work[5, 5]
+    u43, u54 = -work[4, 3] * u3 * u4, -work[5, 4] * u4 * u5
+    u53 = -(work[5, 3] * u3 + work[5, 4] * u43) * u5
+    s4, s5 = 1.0 / math.sqrt(max(s4, 1e-12)), 1.0 / math.sqrt(max(s5, 1e-12))
+    own = (u3 * u3 + u43 * u43 + u53 * u53) / max(s3, 1e-12)
+    for i in range(5, -1, -1):
+        for q in range(i + 1, 6):
+            work[i, 6] -= work[q, i] * work[q, 6]
+        work[i, 6] /= work[i, i]
+    return (
+        work[4, 6] * s4, work[5, 6] * s5, work[0, 6] / math.sqrt(max(s0, 1e-12)),
+        work[1, 6] / math.sqrt(max(s1, 1e-12)), work[2, 6] / math.sqrt(max(s2, 1e-12)),
+        work[3, 6] / math.sqrt(max(s3, 1e-12)), (u4 * u4 + u54 * u54) * s4 * s4, u54 * u5 * s4 * s5,
+        u5 * u5 * s5 * s5, 1.0 / max(1.0 / own - prior[0], 1e-12), True,
+    )  # fmt: skip
 
 
 @step
@@ -240,11 +241,13 @@ def fit_disc(
     blur: tuple[float, float],
     model: Model,
     symmetric: bool,
+    work: Array,
 ) -> tuple[Any, ...]:
     """Fit a blurred disc by Gauss-Newton steps until the place moves by less than a third of its error.
 
     ``start``: x0, y0, amplitude, background, radius; ``blur``: its prior mean and standard deviation;
-    ``symmetric``: whether the pixels lie all around the target, so that the place can be solved apart. Returns
+    ``symmetric``: whether the pixels lie all around the target, so that the place can be solved apart; ``work``
+    (6, 7): scratch. Returns
     x0, y0, amplitude, background, radius, blur, the variances (xx, xy, yy) of the place, chi-square, the blur's
     variance from the data alone, and whether it converged.
     """
@@ -280,13 +283,11 @@ def fit_disc(
             dx, dy = cxx * px + cxy * py, cxy * px + cyy * py
         else:
             cross = cross_sums(n, pixels, at, dark, gain)
-            change, covariance, blur_variance, found = solve_all(
-                place, h, cross, c, prior, mean - s, peak_prior, start[2] - a
+            dx, dy, da, db, dr, ds, cxx, cxy, cyy, blur_variance, found = solve_all(
+                place, h, cross, c, (prior, mean - s), (peak_prior, start[2] - a), work
             )
             if not found:
                 break
-            cxx, cxy, cyy = covariance[0, 0], covariance[0, 1], covariance[1, 1]
-            dx, dy, da, db, dr, ds = change[0], change[1], change[2], change[3], change[4], change[5]
         # over its own error, squared
         moved = (cyy * dx * dx - 2.0 * cxy * dx * dy + cxx * dy * dy) / (cxx * cyy - cxy * cxy)
         chi2 = chi2_here - dx * px - dy * py

@@ -106,6 +106,7 @@ def refine_region(
     xyv: tuple[Array, Array, Array, Array],
     sharper: Array,
     marks: Array,
+    work: Array,
     learned: Array,
     usual_rough: float,
     teach: bool,
@@ -160,6 +161,7 @@ def refine_region(
         blur,
         model,
         not crowded and not n_full,
+        work,
     )
     det = m0 * m2 - m1 * m1
     i0, i1, i2 = m2 / det, -m1 / det, m0 / det
@@ -328,7 +330,7 @@ def refine_regions(
         np.empty(side * side, f32),
     )
     ones = np.ones(side * side, f32)
-    marks = np.empty((side, side), np.uint8)
+    marks, work = np.empty((side, side), np.uint8), np.empty((6, 7))
     n = first_of_image = 0
     for r in range(len(regions)):
         own = runs[regions[r, 1] : regions[r, 2]]
@@ -340,8 +342,9 @@ def refine_regions(
             first_of_image = n
         image = image_at(addresses[k], like, height, width)
         refine_region(
-            image, own, regions[r, 3], lowest[k], (blurs[k, 0], blurs[k, 1]), model, xyv, ones, marks, learned[k],
-            rough[k], (n - first_of_image) % EACH == 0, table[n], terms, tally[k], normal[k], right_side[k],
+            image, own, regions[r, 3], lowest[k], (blurs[k, 0], blurs[k, 1]), model, xyv, ones, marks, work,
+            learned[k], rough[k], (n - first_of_image) % EACH == 0, table[n], terms, tally[k], normal[k],
+            right_side[k],
         )  # fmt: skip
         region_of[n] = r
         n += 1
