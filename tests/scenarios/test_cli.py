@@ -142,10 +142,14 @@ def test_ctrl_c_leaves_no_run_folder_and_a_readable_recording(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "verb", ["run", "suite", "list", "new", "reconstruct", "calibrate", "report", "schema", "rig"]
-)
+    "verb",
+    [
+        "run", "suite", "list", "new", "reconstruct", "calibrate", "report", "schema", "rig check", "live", "zones",
+        "labels learn", "labels apply", "capture", "twin serve", "station detect", "station reconstruct",
+    ],
+)  # fmt: skip
 def test_every_verb_has_help_with_an_example(verb, tmp_path):
-    done = mosca(*(["rig", "check"] if verb == "rig" else [verb]), "--help", cwd=tmp_path)
+    done = mosca(*verb.split(), "--help", cwd=tmp_path)
     assert done.returncode == 0
     assert "Example:  mosca" in done.stdout
 
