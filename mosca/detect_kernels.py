@@ -176,6 +176,60 @@ def survey(runs: Array, values: Array, lowest: int, column: int) -> tuple[Any, A
 
 
 @step
+def deepest_pass(runs: Array, values: Array, box: tuple[int, int, int, int]) -> int:
+    """Return how far down one has to go at most from the lower of two summits of a blob to reach the other.
+
+    Exactly, by the best ways: pixels rise in the order of falling grey values, and where two hills meet, the pass
+    between them is found. ``box``: left, end column, top, end row.
+    """
+    left, right, top, bottom = box
+    width = right - left + 2
+    n, darkest, peak = 0, values[runs[0, PLACE]], values[runs[0, PLACE]]
+    for i in range(len(runs)):
+        for k in range(runs[i, PLACE], runs[i, PLACE] + runs[i, END] - runs[i, FIRST]):
+            darkest, peak = min(darkest, values[k]), max(peak, values[k])
+            n += 1
+    # a place in the box, with one pixel of rim, for each pixel; sorted by falling grey value
+    start = np.zeros(peak - darkest + 2, np.int32)
+    for i in range(len(runs)):
+        for k in range(runs[i, PLACE], runs[i, PLACE] + runs[i, END] - runs[i, FIRST]):
+            start[peak - values[k] + 1] += 1
+    for level in range(1, len(start)):
+        start[level] += start[level - 1]
+    order = np.empty((n, 2), np.int32)
+    for i in range(len(runs)):
+        first = (runs[i, ROW] - top + 1) * width + runs[i, FIRST] - left + 1
+        for k in range(runs[i, END] - runs[i, FIRST]):
+            value = values[runs[i, PLACE] + k]
+            at = start[peak - value]
+            start[peak - value] += 1
+            order[at, 0], order[at, 1] = first + k, value
+    # a hill is named by its summit, the pixel of it that rose first
+    hill = np.full((bottom - top + 2) * width, np.int32(-1), np.int32)
+    height = np.empty(len(hill), np.int32)
+    deepest = np.int32(0)
+    for i in range(n):
+        place, value = np.int64(order[i, 0]), order[i, 1]
+        mine = place
+        hill[place] = place
+        height[place] = value
+        for beside in range(-1, 2):
+            for other in range(place + beside * width - 1, place + beside * width + 2):
+                if hill[other] < 0 or hill[other] == mine:
+                    continue
+                root = np.int64(root_of(hill, other))
+                if root == mine:
+                    continue
+                deepest = max(deepest, min(height[root], height[mine]) - value)
+                if height[root] >= height[mine]:
+                    hill[mine] = root
+                    mine = root
+                else:
+                    hill[root] = mine
+    return int(deepest)
+
+
+@step
 def is_target(size_x: int, size_y: int, contrast: int, search: Search) -> bool:
     """Tell whether a region passes the limits of size and contrast (step 6)."""
     return (
@@ -357,7 +411,11 @@ def find_regions(runs: Array, values: Array, search: Search) -> tuple[Array, Arr
         darkest, peak, dip = survey(own, values, lowest, (left + right) // 2)
         if peak - darkest <= search.contrast:
             continue  # likewise
-        if is_target(size_x, size_y, peak - darkest, search) and dip <= search.contrast + 1:
+        whole = is_target(size_x, size_y, peak - darkest, search)
+        if whole and dip > search.contrast + 1:
+            # the noise of a bright target makes simple paths dip: look for the best
+            dip = deepest_pass(own, values, (left, right, own[0, ROW], own[-1, ROW] + 1))
+        if whole and dip <= search.contrast + 1:
             # Two disjoint regions are accepted only with a dip between their summits to the threshold of
             # one of them, that is by more than B + 1, since Bmax - Bmin > B and Bmin > threshold. No path
             # here dips as deep, so N < 2 at every threshold and the whole blob is the region.
