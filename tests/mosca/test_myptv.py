@@ -8,6 +8,7 @@ import os
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -182,11 +183,20 @@ def test_the_published_blobs_are_detected(frame):
 
 
 @dataclass(frozen=True)
+class Mark:
+    """A particle in a frame's three images (3, 2) [px]: recovered, missing (theirs alone), extra (ours alone)."""
+
+    frame: int
+    kind: Literal["recovered", "missing", "extra"]
+    images: np.ndarray
+
+
+@dataclass(frozen=True)
 class Comparison:
     """Our points beside MyPTV's 117: each of its particles and each of our points is in exactly one class.
 
     ``raw_mm``, ``affine_mm`` (recovered,): distances before and after one affine map of our points to theirs;
-    ``in_file``: recovered particles that the tracks file holds.
+    ``in_file``: recovered particles that the tracks file holds. ``marks``: where they all are.
     """
 
     published: Counter[str]
@@ -194,6 +204,7 @@ class Comparison:
     raw_mm: np.ndarray
     affine_mm: np.ndarray
     in_file: int
+    marks: tuple["Mark", ...]
 
     def lines(self) -> list[str]:
         n = self.published.total()
@@ -250,6 +261,7 @@ def compare(folder: Path) -> Comparison:
     frames = np.loadtxt(EXAMPLE / "particles")[:, 7]
     theirs, ours, in_file = Counter[str](), Counter[str](), 0
     pairs: list[tuple[np.ndarray, np.ndarray]] = []
+    marks: list[Mark] = []
     for step in steps:
         frame, rows = step.frame_set.pulse, np.flatnonzero(frames == step.frame_set.pulse)
         members, found = step.points.rays, [step.detections[name].xy_px for name in CAMERAS]
@@ -259,6 +271,7 @@ def compare(folder: Path) -> Comparison:
         partner = np.where(apart.min(axis=1) < 1.0, apart.argmin(axis=1), -1)
         kept = {tuple(xyz) for xyz in np.round(tracks.xyz[tracks.frame == frame], 9)}
         for row, own in zip(rows, partner, strict=True):
+            marks.append(Mark(frame, "recovered" if own >= 0 else "missing", images[row]))
             if own >= 0:
                 theirs["recovered"] += 1
                 pairs.append((step.points.xyz[own], published[row]))
@@ -275,6 +288,7 @@ def compare(folder: Path) -> Comparison:
             if n in partner:
                 ours["recovers a published one"] += 1
                 continue
+            marks.append(Mark(frame, "extra", own_images[n]))
             nearest = [trees[c].query(own_images[n, c]) for c in range(3)]
             blob = [int(k) if distance < 1.0 else -1 for distance, k in nearest]
             ours[own_class(point, blob, taken, ray_error_mm(rig, own_images[n], point))] += 1
@@ -282,7 +296,32 @@ def compare(folder: Path) -> Comparison:
     design = np.column_stack([own, np.ones(len(own))])
     mapped = design @ np.linalg.lstsq(design, other, rcond=None)[0]
     raw, affine = (1000 * np.linalg.norm(xyz - other, axis=1) for xyz in (own, mapped))
-    return Comparison(theirs, ours, raw, affine, in_file)
+    return Comparison(theirs, ours, raw, affine, in_file, tuple(marks))
+
+
+COLOURS = {"recovered": (90, 200, 90), "missing": (60, 60, 255), "extra": (0, 190, 255)}
+"""Green, red and orange, as OpenCV orders colours."""
+
+
+def draw(comparison: Comparison, out: Path) -> list[Path]:
+    """Write a picture a frame, the three views side by side with every particle that both, they or we alone found."""
+    with open_recording(EXAMPLE, read_rig(out / "rig.toml"), 50.0) as source:
+        frames = list(source)
+    written = []
+    for number in sorted({mark.frame for mark in comparison.marks}):
+        views = []
+        for c, name in enumerate(CAMERAS):
+            image = [f.image for f in frames if f.camera == name][number]
+            view = cv2.cvtColor(cv2.convertScaleAbs(image, alpha=2.5), cv2.COLOR_GRAY2BGR)
+            for mark in comparison.marks:
+                if mark.frame == number:
+                    at = (round(16 * mark.images[c, 0]), round(16 * mark.images[c, 1]))
+                    cv2.circle(view, at, 16 * 8, COLOURS[mark.kind], 2, cv2.LINE_AA, 4)
+            cv2.putText(view, name, (20, 50), cv2.FONT_HERSHEY_SIMPLEX, 1.5, (255, 255, 255), 2, cv2.LINE_AA)
+            views.append(view)
+        written.append(out / f"frame{number}.png")
+        cv2.imwrite(str(written[-1]), np.hstack(views))
+    return written
 
 
 def ray_error_mm(rig: Rig, images: np.ndarray, point: np.ndarray) -> float:
@@ -308,6 +347,12 @@ def test_from_images_to_the_published_points(tmp_path):
     assert np.median(result.raw_mm) < 0.15
     assert np.sum(result.raw_mm < 0.2) >= 0.7 * n
     assert result.own["recovers a published one"] == result.published["recovered"]
+    pictures = draw(result, tmp_path)
+    print(*pictures, sep="\n")
+    assert len(pictures) == 3
+    shown = Counter(mark.kind for mark in result.marks)
+    assert shown["missing"] == n - result.published["recovered"]
+    assert shown["extra"] == result.own.total() - result.published["recovered"]
 
 
 def test_swapped_cameras_do_not_give_the_published_points(calibrated):
