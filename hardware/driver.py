@@ -28,7 +28,8 @@ class Capabilities:
     ``device_clock``: stamps of the camera's own clock; ``stamp_event``: what they mark, ``exposure_start`` for
     most triggered cameras. ``hardware_trigger``, ``software_trigger``, ``scheduled_action``, ``ptp``, ``window``
     (readout of a part, for higher rates). ``trigger_counter``: reports ignored triggers. ``max_triggered_hz``:
-    the highest rate of triggers that it keeps up with at its present settings.
+    the highest rate of triggers that it keeps up with at its present settings. ``real_time``: frames come as they are
+    taken; False for a file that is played.
     """
 
     device_clock: bool = False
@@ -40,6 +41,7 @@ class Capabilities:
     window: bool = False
     trigger_counter: bool = False
     max_triggered_hz: float | None = None
+    real_time: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +52,7 @@ class Grabbed:
     None. ``device_ns``: the camera's stamp in its own clock, None without one. ``host_ns``: this machine's
     monotonic clock (``time.monotonic_ns``) when the buffer was whole. ``image``: (H, W) uint8 or uint16, owned by
     the receiver, or None where it is not whole; ``note`` then says why (packets missing, buffer failed).
+    ``triggers``: the camera's own count of pulses on its trigger line at this frame, None where it tells none.
     """
 
     block_id: int | None
@@ -58,6 +61,7 @@ class Grabbed:
     exposure_ns: int
     image: Array | None
     note: str = ""
+    triggers: int | None = None
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,15 @@ Nothing is thrown away: each buffer comes out once, in order, with its pulse.
 """
 
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from hardware.clock import CameraClock, HostLine
 from hardware.driver import Grabbed
+from hardware.free_running import FreeClock
+from hardware.witness import TriggerWitness
 
 VOTE_S, START_S = 0.3, 0.5
 """A vote takes so long, at the start and later: one camera's reader may lag behind the others' on a busy machine, but
@@ -53,13 +55,16 @@ class _Camera:
     last_block: int | None = None
     last_pulse: int = 0
     doubted: int | None = None
+    witness: TriggerWitness = field(default_factory=TriggerWitness)
+    free: FreeClock | None = None
 
 
 class PulseNumbers:
     """Numbers the buffers of all ``cameras`` by pulse; ``notes`` says what happened to a clock, a line each.
 
     ``start_ns``: this machine's time when the pulses began, None where that is not known. ``start_wait_s``: how long
-    after the first arrival cameras may still be silent before the rest begins without them.
+    after the first arrival cameras may still be silent before the rest begins without them. ``free``: cameras that
+    run free; each of their frames belongs to the pulse nearest to it, so a pulse may have two of them, or none.
     """
 
     def __init__(
@@ -68,6 +73,7 @@ class PulseNumbers:
         rate_hz: float,
         start_ns: int | None = None,
         start_wait_s: float = 1.0,
+        free: Collection[str] = (),
     ) -> None:
         self.period_ns = 1e9 / rate_hz
         self.start_ns = start_ns
@@ -75,7 +81,12 @@ class PulseNumbers:
         self._votes, self._start_votes = (
             min(max(round(s * rate_hz), FEWEST_VOTES), MOST_VOTES) for s in (VOTE_S, START_S)
         )
-        self._cameras = {name: _Camera(name, CameraClock(self.period_ns)) for name in cameras}
+        self._cameras = {
+            name: _Camera(
+                name, CameraClock(self.period_ns), free=FreeClock(rate_hz) if name in free else None
+            )
+            for name in cameras
+        }
         self._line: HostLine | None = None
         self._first_arrival_ns: int | None = None
         self._start_wait_ns = start_wait_s * 1e9
@@ -85,12 +96,19 @@ class PulseNumbers:
         """How often each camera's clock had to be found again."""
         return {name: camera.relocks for name, camera in self._cameras.items()}
 
+    @property
+    def witnesses(self) -> Mapping[str, TriggerWitness]:
+        """What each camera's own trigger counter says."""
+        return {name: camera.witness for name, camera in self._cameras.items()}
+
     def take(self, name: str, buffer: Grabbed) -> Iterator[Numbered]:
         """Take a buffer in order of its camera's delivery; yield those whose pulses are known by now."""
         camera = self._cameras[name]
         if self._line is None:
             camera.held.append(buffer)
             yield from self._try_start(buffer.host_ns)
+        elif camera.free is not None:
+            yield self._nearest(camera, camera.free, buffer)
         elif not camera.started or camera.held:
             camera.held.append(buffer)
             yield from self._vote(camera, whole=False)
@@ -139,6 +157,10 @@ class PulseNumbers:
         begun: list[Numbered] = []
         for name, earliest in here.items():
             camera = self._cameras[name]
+            if camera.free is not None:
+                begun += [self._nearest(camera, camera.free, buffer) for buffer in camera.held]
+                camera.held = []
+                continue
             pulse = self._line.pulse_of(earliest)
             camera.latency_ns = earliest - self._line.at(pulse)
             begun += self._lock(camera, pulse)
@@ -181,6 +203,13 @@ class PulseNumbers:
                 locked = True
                 yield self._numbered(camera, pulse, 0.0, buffer)
 
+    def _nearest(self, camera: _Camera, clock: FreeClock, buffer: Grabbed) -> Numbered:
+        """Place a frame of a camera that runs free by its instant."""
+        assert self._line is not None
+        at_ns = clock.at(buffer)
+        pulse = max(self._line.pulse_of(at_ns), 0)
+        return Numbered(camera.name, pulse, at_ns - self._line.at(pulse), buffer)
+
     def _follow(self, camera: _Camera, buffer: Grabbed) -> Iterator[Numbered]:
         assert self._line is not None
         stamp = buffer.device_ns
@@ -204,7 +233,8 @@ class PulseNumbers:
         """Tell whether a frame that the clock places after a gap arrives as if it were of another pulse."""
         assert self._line is not None
         late = self._arrival_ns(camera, buffer) - self._line.at(pulse)
-        if pulse - camera.last_pulse > 1:
+        # clock and counter agree: an arrival that is late tells of a busy machine only
+        if pulse - camera.last_pulse > 1 and not camera.witness.confirms(pulse, buffer):
             unusual = late - self._usual_ns(camera)
             block, last = buffer.block_id, camera.last_block
             begun_anew = block is not None and last is not None and block <= last
@@ -238,6 +268,7 @@ class PulseNumbers:
 
     def _numbered(self, camera: _Camera, pulse: int, residual_ns: float, buffer: Grabbed) -> Numbered:
         camera.last_block, camera.last_pulse = buffer.block_id, pulse
+        camera.witness.take(pulse, buffer)
         return Numbered(camera.name, pulse, residual_ns, buffer)
 
     def _earliest_ns(self, held: Sequence[Grabbed]) -> float:

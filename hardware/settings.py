@@ -9,6 +9,7 @@
     exposure_us = 800.0             # ExposureTime
     gain_db = 0.0                   # Gain
     pixel_format = "Mono8"          # Mono8, Mono10, Mono12, Mono16; BayerXX8 and colour are reduced to mono
+    trigger_counter = false         # true: gige cameras that can send their count of pulses, a witness of lost ones
     window = [0, 128, 656, 256]     # OffsetX, OffsetY, Width, Height: windowed readout; default: the whole sensor
     features = { AcquisitionFrameRateEnable = false }    # anything else by its GenICam name
 
@@ -19,13 +20,14 @@
     port = "/dev/ttyACM0"
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from mosca.data.rig_file import read_rig_file
 from mosca.data.toml import NotNegative, Positive, Table, check
@@ -42,11 +44,7 @@ class CameraHardware(Table):
     driver: Literal["gige", "pylon", "gentl", "webcam"]
     serial: str = Field("", description="the device's serial number")
     address: str = Field("", description="IP address, device number or file, where a serial does not tell")
-    trigger: str = Field(
-        "Line1",
-        pattern=r"^(Off|Software|Action[1-9]|Line[0-9])$",
-        description="TriggerSource; Off runs free",
-    )
+    trigger: str = Field("Line1", description="TriggerSource; Off runs free")
     trigger_activation: Literal["RisingEdge", "FallingEdge"] = "RisingEdge"
     exposure_us: Positive | None = Field(
         None, description="ExposureTime [us]; without it the device's own is kept"
@@ -58,7 +56,18 @@ class CameraHardware(Table):
     ) = None
     packet_bytes: int | None = Field(None, ge=576, le=16000, description="GevSCPSPacketSize [bytes]")
     producer: str = Field("", description="gentl: the vendor's .cti file")
+    trigger_counter: bool = Field(
+        False,
+        description="gige: the camera counts the pulses on its line and sends the count with each frame",
+    )
     features: dict[str, Feature] = Field(default_factory=dict, description="more, by GenICam name")
+
+    @field_validator("trigger")
+    @classmethod
+    def _source(cls, name: str) -> str:
+        if not re.fullmatch(r"Off|Software|Action[1-9]|Line[0-9]", name):
+            raise ValueError("Off, Software, Line0 to Line9 and Action1 to Action9 are allowed")
+        return name
 
     @model_validator(mode="after")
     def _named(self) -> "CameraHardware":
@@ -66,6 +75,10 @@ class CameraHardware(Table):
             raise ValueError("serial or address is needed to tell this camera from the others")
         if self.driver == "gentl" and not self.producer:
             raise ValueError("driver 'gentl' needs producer, the path of the vendor's .cti file")
+        if self.trigger_counter and (self.driver != "gige" or not self.trigger.startswith("Line")):
+            raise ValueError(
+                "trigger_counter counts the pulses of a line (Line0 to Line9) with driver 'gige'"
+            )
         if self.window is not None and (min(self.window[:2]) < 0 or min(self.window[2:]) < 1):
             raise ValueError(
                 f"window {list(self.window)}: offsets from 0, width and height from 1 are wanted"

@@ -37,8 +37,9 @@ OpenTrigger = Callable[[RigHardware, Mapping[str, CameraDriver]], Trigger]
 class CameraAccount:
     """What became of one camera's buffers: ``whole`` + ``failed`` came; ``overrun`` found no place to wait.
 
-    ``reopened``: how often the device was lost and found; ``relocked``: how often its clock was; ``driver``: the
-    driver's own counts.
+    ``reopened``: how often the device was lost and found; ``relocked``: how often its clock was; ``unreached``,
+    ``ignored``: pulses that did not reach it, or came while it could not expose, where its trigger counter tells
+    (``hardware.witness``); ``driver``: the driver's own counts.
     """
 
     whole: int = 0
@@ -46,6 +47,8 @@ class CameraAccount:
     overrun: int = 0
     reopened: int = 0
     relocked: int = 0
+    unreached: int = 0
+    ignored: int = 0
     driver: dict[str, int] = field(default_factory=dict)
 
 
@@ -120,13 +123,20 @@ class HardwareSource:
         self._started = True
         try:
             start_ns = self._arm_and_start()
-            numbers = self._numbers = PulseNumbers(tuple(self._drivers), self.rig.shared.rate_hz, start_ns)
+            numbers = self._numbers = PulseNumbers(
+                tuple(self._drivers), self.rig.shared.rate_hz, start_ns, free=self._free_running()
+            )
             for name, buffer in self._arrivals():
                 yield from self._frames(self._numbered(name, buffer))
             yield from self._frames(numbers.rest())
         finally:
             self._end_threads()
             self._disarm()
+
+    def _free_running(self) -> list[str]:
+        """Return the cameras that nothing triggers; a file that is played follows no clock."""
+        cameras = self.rig.cameras.items()
+        return [n for n, c in cameras if c.trigger == "Off" and self._drivers[n].capabilities.real_time]
 
     def stop(self) -> None:
         """End the iteration after what is under way; may be called from another thread."""
@@ -192,6 +202,10 @@ class HardwareSource:
     def _disarm(self) -> None:
         if self._trigger is not None:
             self._trigger.stop()
+        for name, witness in ({} if self._numbers is None else self._numbers.witnesses).items():
+            account = self.account.cameras[name]
+            account.unreached, account.ignored = witness.unreached, witness.ignored
+            self.account.notes += witness.lines(name)
         for name, driver in self._drivers.items():
             try:
                 self.account.cameras[name].driver = dict(driver.statistics())

@@ -16,12 +16,17 @@ from typing import Literal
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.data.detections import MERGED, UNREFINED
 from mosca.data.tracks import Points
 from mosca.match_choose import OPEN, choose, columns
-from mosca.match_groups import GATE, HIGH, JUDGE, LOW, MINIMUM, OUTLIER, RULES, TYPICAL, WORST
+from mosca.match_groups import GATE, HIGH, JUDGE, LOW, MINIMUM, OUTLIER, RULES, SHAPES, SIZES, TYPICAL, WORST
 from mosca.match_search import search
-from mosca.triangulate import Bundle
+from mosca.ray_kernels import FLAGS
+from mosca.triangulate import LONG, Bundle
 
+USUAL = 0.25
+"""Share of images that are long, or stand alone without a fit, from which that says nothing of an image: targets are
+flat or fast, fits were not tried."""
 EVERYWHERE = (np.full(3, -np.inf), np.full(3, np.inf))
 """A volume without bounds."""
 
@@ -103,7 +108,8 @@ def match_counted(
     rules = np.empty(RULES)
     rules[GATE], rules[OUTLIER] = settings.gate_sigma, settings.outlier_sigma
     rules[MINIMUM], rules[WORST] = settings.minimum_cameras, settings.worst_sigma_m**2
-    rules[JUDGE], rules[TYPICAL] = settings.judge_sizes, typical_diameter_m
+    rules[JUDGE] = _judged_by(bundle) if settings.judge_sizes else 0.0
+    rules[TYPICAL] = typical_diameter_m
     rules[LOW:HIGH], rules[HIGH:RULES] = volume
     values, members, trusts = search(
         bundle.rays, bundle.views, bundle.pairs, bundle.bases, bundle.start, rules, predicted.xyz,
@@ -117,3 +123,10 @@ def match_counted(
     for column in found:
         column.setflags(write=False)  # handed over: no copy
     return Matched(Points(*found), len(values), int(np.count_nonzero(state == OPEN)))
+
+
+def _judged_by(bundle: Bundle) -> float:
+    """Return whether images are judged by their sizes alone or by their shapes too."""
+    flags = bundle.rays[:, FLAGS].astype(np.uint8)
+    odd = np.count_nonzero((flags & (UNREFINED | MERGED) == UNREFINED) | (flags & LONG > 0))
+    return SHAPES if odd < USUAL * len(flags) else SIZES

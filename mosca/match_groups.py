@@ -3,21 +3,27 @@
 import numpy as np
 from numba import njit
 
-from mosca.data.detections import MERGED, PARTIAL
+from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.ray_kernels import ANGLE, BONUS, FLAGS, RADIUS, SIGMA
-from mosca.triangulate import DEPTH, TRUST, solve_rays
+from mosca.triangulate import DEPTH, LONG, TRUST, solve_rays
 
-MOST_ODD = 0.7
-"""Areas are compared up to this difference; beyond it an image says little more."""
-ODD_SHIFT = 1.15
+MOST_ODD, MOST_LARGE = 0.7, 0.9
+"""Areas of small and of large images are compared up to this difference; beyond it an image says little more."""
+ODD_SHIFT = 1.05
 """Shift of an image's centroid over (missing share of its area x radius). A disc with the share h hidden shifts by
-0.85 h R to h R; small blurred images lose contrast with their area, so that only 3/4 of h is seen missing."""
-SIZE_DEADBAND = 0.1
-"""Differences of area below this are noise of the measured sizes."""
-HALF_HIDDEN = 0.47
-"""Missing share that more than half a disc leaves; two cameras do not make a point with such an image."""
-PARTIAL_ODD = 0.2
-"""Missing share of an image that detection takes for partly hidden, at least."""
+0.85 h R to h R; of small blurred images a little less than h is seen missing."""
+SIZE_DEADBAND, SIZE_NOISE = 0.07, 0.1
+"""Missing shares of the area below this are noise of the measured sizes, and differences of images that are too large
+or whose brightest pixels are saturated."""
+HALF_HIDDEN = 0.55
+"""Missing share that only more than half a disc leaves, though sizes are noisy; two cameras do not make a point with
+such an image."""
+PARTIAL_ODD, LONG_ODD, UNFITTED_ODD = 0.2, 0.3, 0.6
+"""Missing share, at least, of an image that detection takes for partly hidden; of one that is long where the others
+are round (cut on one side; its size says little); of one that stands alone and that no disc fits, where discs fit the
+others: more than half of such targets is hidden, whatever their size."""
+SIZES, SHAPES = 1.0, 2.0
+"""What images are judged by: their sizes alone, or whether they are long and whether a disc fits them too."""
 TOO_LARGE = 1.3
 """Area over a target's from which an image is taken for two targets."""
 
@@ -82,7 +88,7 @@ def judge_sizes(members, ranks, solved, rays, views, rules):  # type: ignore[no-
         k = members[c]
         if k >= 0:
             size = image_size(k, c, solved, rays, views)
-            ranks[c, TRUST] = trust_of(k, size, whole, rays, rules[JUDGE] > 0.0)
+            ranks[c, TRUST] = trust_of(k, size, whole, rays, rules[JUDGE])
     return largest
 
 
@@ -109,20 +115,25 @@ def trust_of(ray, size, whole, rays, judge):  # type: ignore[no-untyped-def]
     """Return the factor on a ray's whitened error when its image has ``size`` where ``whole`` would be right.
 
     Too small: partly hidden. Too large: merged with a neighbour, whose share of the light moves the centroid.
-    What detection itself takes for partly hidden counts for less, whatever its size.
+    What detection itself takes for partly hidden counts for less, whatever its size, and what is long, or what no
+    disc fits though nothing touches it. ``judge``: 0, SIZES or SHAPES.
     """
-    odd = 0.0
-    if judge:
+    odd, flags = 0.0, int(rays[ray, FLAGS])
+    if judge > 0.0:
         share = (size / whole) ** 2
-        odd = min(MOST_ODD, 1.0 - share if share < 1.0 else share - 1.0)
-        if odd <= SIZE_DEADBAND:
+        odd = min(MOST_ODD, 1.0 - share) if share < 1.0 else min(MOST_LARGE, share - 1.0)
+        if odd <= (SIZE_DEADBAND if share < 1.0 and not flags & SATURATED else SIZE_NOISE):
             odd = 0.0
-    if int(rays[ray, FLAGS]) & PARTIAL:
+    if flags & PARTIAL:
         odd = max(odd, PARTIAL_ODD)
+    if judge == SHAPES and flags & LONG:
+        odd = max(odd, LONG_ODD)
+    if judge == SHAPES and flags & (UNREFINED | MERGED) == UNREFINED:
+        odd = max(odd, UNFITTED_ODD)
     if odd == 0.0:
         return 1.0
     # the centroid's shift for the whole disc's radius, spread over both axes
-    shift = ODD_SHIFT * odd * rays[ray, RADIUS] * (whole / size if judge else 1.0)
+    shift = ODD_SHIFT * odd * rays[ray, RADIUS] * (whole / size if judge > 0.0 else 1.0)
     return 1.0 / np.sqrt(1.0 + 0.5 * (shift / rays[ray, SIGMA]) ** 2)
 
 

@@ -33,7 +33,7 @@ from mosca.match_groups import (
 )
 from mosca.match_index import CELLS, CORNER, FIRST, SCALE, buckets, cell_of, cells, plane_angles, within
 from mosca.ray_kernels import ANGLE, DENSITY, FLAGS, RADIUS, SIGMA, SPREAD, WHITE
-from mosca.triangulate import DEPTH, RANKS, SHARE, TRUST
+from mosca.triangulate import DEPTH, LONG, RANKS, SHARE, TRUST
 
 CERTAIN = 1e-3
 """Expected number of chance groups as good as this one, below which a group explains its rays."""
@@ -223,7 +223,7 @@ def _slack(rays, start, rules):  # type: ignore[no-untyped-def]
         for i in range(start[c], start[c + 1]):
             if not np.isfinite(rays[i, ANGLE]):
                 continue
-            if rules[JUDGE] > 0.0 or rays[i, FLAGS] > 0.0:
+            if rules[JUDGE] > 0.0 or rays[i, FLAGS] % LONG > 0.0:
                 slack[i] = 1.0 + 0.5 * (ODD_SHIFT * MOST_ODD * rays[i, RADIUS] / rays[i, SIGMA]) ** 2
             variance = 0.0
             for p in range(6):
@@ -261,8 +261,8 @@ def _meet(i, j, a, b, away2, variance_i, variance_j, members, ranks, solved, ray
         return False
     size_i, size_j = rays[i, ANGLE] * s, rays[j, ANGLE] * t
     whole = rules[TYPICAL] if rules[TYPICAL] > 0.0 else larger(i, size_i, j, size_j, rays)
-    trust_i = trust_of(i, size_i, whole, rays, rules[JUDGE] > 0.0)
-    trust_j = trust_of(j, size_j, whole, rays, rules[JUDGE] > 0.0)
+    trust_i = trust_of(i, size_i, whole, rays, rules[JUDGE])
+    trust_j = trust_of(j, size_j, whole, rays, rules[JUDGE])
     if away2 > variance_i / trust_i**2 + variance_j / trust_j**2:
         return False
     members[:] = -1
@@ -413,7 +413,7 @@ def _nearest(c, whole, reach, index, solved, rays, views, rules):  # type: ignor
                 rays[k, WHITE + 5] / depth,
             )
             e0, e1 = m00 * x + m01 * y + m02 * z, m10 * x + m11 * y + m12 * z
-            t2 = trust_of(k, rays[k, ANGLE] * distance, whole, rays, rules[JUDGE] > 0.0) ** 2
+            t2 = trust_of(k, rays[k, ANGLE] * distance, whole, rays, rules[JUDGE]) ** 2
             # the point's covariance carried into the ray's whitened image
             g0, g1, g2 = (
                 v00 * m00 + v01 * m01 + v02 * m02,

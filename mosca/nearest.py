@@ -43,6 +43,11 @@ class NearestTracker:
         self._time_s = time_s
         return Predicted.nothing()
 
+    @property
+    def waiting(self) -> int:
+        """No sample waits for a name: each marker has one at once."""
+        return 0
+
     def update(self, points: Points, frame: int, time_ns: int, jitter_s: float = 0.0) -> Samples:
         """Give each marker its nearest point; return a sample for each marker seen. ``jitter_s`` changes nothing."""
         n, time_s = len(points), time_ns * 1e-9

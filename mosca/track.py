@@ -118,6 +118,11 @@ class Tracker:
         )  # fmt: skip
         return self._certain(now, serial, named)
 
+    @property
+    def waiting(self) -> int:
+        """How many samples are held back because their target has no name yet; at a run's end they are left out."""
+        return sum(len(samples) for samples, _ in self._waiting)
+
     def _make_room(self, points: int) -> None:
         need = int(self._bank.numbers[TOP]) + points
         if need > len(self._bank.state):

@@ -17,11 +17,14 @@ from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.rig import Rig
 from mosca.ray_kernels import (
+    ANGLE,
     COLUMNS,
     DENSITY,
     DIRECTION,
+    FLAGS,
     NO_FIELDS,
     NORMAL,
+    RADIUS,
     VIEW,
     WHITE,
     ball_fields,
@@ -29,6 +32,15 @@ from mosca.ray_kernels import (
     rig_table,
 )
 
+BLUR_PX = 0.45
+"""Blur of lens and pixel (standard deviation) that makes images larger than what they show; of small targets the area
+by a third, by more where they are far, so that whole targets far off would hide what is missing of near ones."""
+SHARPEST = 0.1
+"""Share of its area that an image keeps at least when its blur is taken off."""
+LONG = 16
+"""Bit of a ray's FLAGS beside those of its detection: the region is longer than pixels make that of a disc."""
+ROUNDED_PX = 1.5
+"""Difference of a region's sides from which it is: those of a disc's differ by one at most."""
 REWEIGHTINGS = 3
 TRUST, SHARE, DEPTH, RANKS = 0, 1, 2, 3
 """Columns of what goes with each ray of a group: trust, expected number of chance rays as near, depth."""
@@ -42,8 +54,8 @@ class Bundle:
     whitened reprojection error by direction; SPREAD (3 x 2) direction error of one standard deviation
     (pseudo-inverse of WHITE); NORMAL (9) share in the normal equations, A'A (xx, xy, xz, yy, yz, zz) and A'A O;
     SIGMA [px] geometric mean of the error ellipse's axes, to turn whitened errors back into px; RADIUS [px] of
-    the target's image and ANGLE [rad] that its diameter fills; BONUS log-likelihood that it adds to a group
-    (``mosca.match``); FLAGS of the detection. NaN where the lens images nothing at the pixel.
+    the target's image and ANGLE [rad] that its diameter fills, without blur; BONUS log-likelihood that it adds to
+    a group (``mosca.match``); FLAGS of the detection, and LONG. NaN where the lens images nothing at the pixel.
 
     ``views`` (c, VIEW): ORIGIN (3) centre of projection [m], ROTATION (3 x 3) world_from_camera, EDGES (4) of what
     it sees, DENSITY rays over the image's area [1/px^2]; ``pairs`` (p, 2) of cameras, best base first, and ``bases``
@@ -79,15 +91,21 @@ def bundle_rays(
     start = np.zeros(len(found) + 1, dtype=np.int64)
     np.cumsum(counts, out=start[1:])
     there = [f for f in found if f is not None] or [Detections.none("")]
-    rays = np.empty((int(start[-1]), COLUMNS))
+    rays, across = np.empty((int(start[-1]), COLUMNS)), np.concatenate([f.diameter_px for f in there])
+    elongation = np.concatenate([f.elongation for f in there])
     fill_rays(
         table.kind, table.lens, table.size, table.rotation, table.origin, start,
         ball_fields(rig) if target == "ball" else NO_FIELDS,
         np.concatenate([f.xy_px for f in there]), np.concatenate([f.covariance_px2 for f in there]),
         np.broadcast_to(np.square(camera_sigma_px, dtype=float), len(found)).copy(),
-        np.concatenate([f.diameter_px for f in there]), np.concatenate([f.elongation for f in there]),
+        across, elongation,
         np.concatenate([f.flags for f in there]), rays,
     )  # fmt: skip
+    sharp = np.sqrt(np.maximum(1.0 - (2.0 * BLUR_PX / across) ** 2, SHARPEST))
+    rays[:, RADIUS] *= sharp
+    rays[:, ANGLE] *= sharp
+    # a region reaches about a pixel past the disc that has its light
+    rays[:, FLAGS] += LONG * ((elongation - 1.0) * (across + 1.1) > ROUNDED_PX * np.sqrt(elongation))
     views = np.empty((len(found), VIEW))
     views[:, :DENSITY] = table.views
     views[:, DENSITY] = counts / (table.size[:, 0] * table.size[:, 1])

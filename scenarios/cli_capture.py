@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mosca.errors import InputError
+from scenarios.cli_types import POSITIVE
 from scenarios.progress import Progress
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ EXIT_LOST = 1
 @click.option("--rig", required=True, type=FILE, help="rig file with [camera.hardware] and [hardware]")
 @click.option("--out", required=True, type=FILE, help="folder of the recording; must not be there yet")
 @click.option("--frames", type=click.IntRange(min=1), help="end after so many pulses  [default: Ctrl-C]")
-@click.option("--seconds", type=click.FloatRange(min=0, min_open=True), help="end after so long")
+@click.option("--seconds", type=POSITIVE, help="end after so long")
 @click.option("--detections", is_flag=True, help="keep what is detected, no images")
 @click.option("--view", is_flag=True, help="show images, detections and points live in the Rerun viewer")
 @click.option("--settings", type=FILE, help="TOML file as of mosca reconstruct, for --detections and --view")

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mosca.errors import InputError
+from scenarios.cli_types import POSITIVE, Number
 from scenarios.progress import Progress
 
 if TYPE_CHECKING:
     from hardware.emulate.serve import Served
 
 FILE = click.Path(path_type=Path)
-SHARE = click.FloatRange(0.0, 1.0)
+SHARE = Number(0.0, 1.0)
 
 
 @click.command("serve")
@@ -26,12 +27,8 @@ SHARE = click.FloatRange(0.0, 1.0)
     show_default=True,
     help="first camera's address; the others follow. On an interface: one that it has, e.g. 192.168.7.10/24",
 )
-@click.option(
-    "--rate", type=click.FloatRange(0, 10_000, min_open=True), help="pulses [Hz]  [default: the source's]"
-)
-@click.option(
-    "--seconds", type=click.FloatRange(min=0, min_open=True), help="end after this  [default: Ctrl-C]"
-)
+@click.option("--rate", type=Number(0, 10_000, min_open=True), help="pulses [Hz]  [default: the source's]")
+@click.option("--seconds", type=POSITIVE, help="end after this  [default: Ctrl-C]")
 @click.option("--loop", is_flag=True, help="after the last frame comes the first")
 @click.option(
     "--ahead", type=click.IntRange(min=1), help="pulses kept in memory  [default: what 1 GiB holds]"
@@ -43,7 +40,7 @@ SHARE = click.FloatRange(0.0, 1.0)
 @click.option(
     "--reboot", "reboots", multiple=True, metavar="CAMERA@S", help="this camera reboots after S seconds"
 )
-@click.option("--drift", type=float, default=0.0, metavar="PPM", help="the clocks drift from -PPM to +PPM")
+@click.option("--drift", type=Number(), default=0.0, metavar="PPM", help="the clocks drift from -PPM to +PPM")
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="of the losses")
 @click.option(
     "--rig-out", type=FILE, help="write a rig file with which 'mosca capture --rig' grabs from them"

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import click
 
+from scenarios.cli_types import POSITIVE
+
 FILE = click.Path(path_type=Path)
 
 
@@ -17,13 +19,13 @@ FILE = click.Path(path_type=Path)
 @click.option("--record", type=FILE, help="write counts and the stages' times here: .json")
 @click.option(
     "--seconds",
-    type=click.FloatRange(min=0, min_open=True),
+    type=POSITIVE,
     help="end after this  [default: the source's end]",
 )
-@click.option("--fps", type=float, help="frame rate of a recording that does not tell its own [Hz]")
+@click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
 @click.option(
     "--rate",
-    type=click.FloatRange(min=0, min_open=True),
+    type=POSITIVE,
     help="pace of recording or scenario [Hz]  [default: its own]",
 )
 @click.option(

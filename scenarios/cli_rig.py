@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from mosca.errors import InputError
+from scenarios.cli_types import POSITIVE, Number
 from scenarios.progress import Progress
 
 FILE = click.Path(path_type=Path)
@@ -30,7 +31,7 @@ FILE = click.Path(path_type=Path)
 )
 @click.option(
     "--pixel-pitch-mm",
-    type=click.FloatRange(min=0, min_open=True),
+    type=POSITIVE,
     default=0.01,
     show_default=True,
     help="mx of a Mosca lens (data sheet of the sensor); it is held and only sets the unit of c",
@@ -51,7 +52,7 @@ FILE = click.Path(path_type=Path)
     metavar="RECORDING BAR",
     help="recording of a certified scale bar and its target file: checks the scale",
 )
-@click.option("--fps", type=float, help="frame rate of a recording that does not tell its own [Hz]")
+@click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
 @click.option(
     "--every", type=click.IntRange(min=1), default=1, show_default=True, help="use each so many-th frame set"
 )
@@ -107,23 +108,43 @@ def rig() -> None:
 @rig.command("check")
 @click.argument("path", type=FILE, required=False)
 @click.option("--devices", is_flag=True, help="list the cameras that the drivers see; opens none of them")
-def rig_check(path: Path | None, devices: bool) -> None:
+@click.option(
+    "--flash",
+    type=FILE,
+    metavar="RECORDING",
+    help="say how cameras are synchronised that all filmed a light that flashed (docs/capture.md)",
+)
+@click.option("--fps", type=POSITIVE, help="flash: frame rate of a recording that does not tell its own [Hz]")
+def rig_check(path: Path | None, devices: bool, flash: Path | None, fps: float | None) -> None:
     """Read a rig file and say what its cameras see of each other's views, or which of its devices are there.
 
     \b
     Example:  mosca rig check rig.toml
               mosca rig check --devices
+              mosca rig check --flash lab/flashes
     """
-    if path is None and not devices:
-        raise InputError("rig check: give a rig file, or --devices for the cameras that are there")
-    if devices:
+    if fps is not None and flash is None:
+        raise InputError("--fps goes with --flash; leave it out")
+    if flash is not None:
+        if path is not None or devices:
+            raise InputError("--flash looks at a recording alone; leave rig file and --devices out")
+        from mosca.recording import open_recording
+        from scenarios.lab.flash import synchronise
+
+        with open_recording(flash, None, fps) as recording:
+            lines = synchronise(recording).lines()
+    elif devices:
         from scenarios.lab.devices import describe_devices
 
         lines = describe_devices(path)
+    elif path is None:
+        raise InputError(
+            "rig check: give a rig file, --devices for the cameras that are there, or --flash for how they are "
+            "synchronised"
+        )
     else:
         from scenarios.calibrate import describe_rig
 
-        assert path is not None
         lines = list(describe_rig(path))
     for line in lines:
         click.echo(line)
@@ -166,7 +187,7 @@ def rig_compare(a: Path, b: Path, align: str) -> None:
 @click.option("--pixel-mm", type=(float, float), help="pixel pitch x and y, where a format needs it [mm]")
 @click.option(
     "--max-residual-px",
-    type=float,
+    type=Number(min=0),
     default=0.1,
     show_default=True,
     help="largest misfit over the image that a conversion between lens models may leave [px]",

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from mosca.errors import InputError
+from scenarios.cli_types import POSITIVE, Number
 
 FILE = click.Path(path_type=Path)
 SETTINGS_HELP = "TOML file with [detection], [match], [track] and [volume]"
@@ -28,10 +29,8 @@ def station() -> None:
     help="where the reconstructing station is, e.g. tcp/10.0.0.1:7447",
 )
 @click.option("--recording", type=FILE, help="play this recording instead of opening the cameras")
-@click.option("--fps", type=float, help="frame rate of a recording that does not tell its own [Hz]")
-@click.option(
-    "--seconds", type=click.FloatRange(min=0, min_open=True), help="end after this  [default: Ctrl-C]"
-)
+@click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
+@click.option("--seconds", type=POSITIVE, help="end after this  [default: Ctrl-C]")
 @click.option("--settings", type=FILE, help=SETTINGS_HELP)
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help=SET_HELP)
 def detect(
@@ -62,12 +61,10 @@ def detect(
 @click.option("--stations", required=True, help="their names, e.g. A,B")
 @click.option("--listen", required=True, multiple=True, help="endpoint to listen on, e.g. tcp/0.0.0.0:7447")
 @click.option("--out", required=True, type=FILE, help="tracks: .npz, .csv, .c3d or .trc")
-@click.option(
-    "--seconds", type=click.FloatRange(min=0, min_open=True), help="end after this  [default: when all end]"
-)
+@click.option("--seconds", type=POSITIVE, help="end after this  [default: when all end]")
 @click.option(
     "--deadline-ms",
-    type=click.FloatRange(0, 10_000),
+    type=Number(0, 10_000),
     default=30.0,
     show_default=True,
     help="a set waits so long for its cameras",
@@ -114,9 +111,10 @@ def rig_of(name: str, connect: tuple[str, ...], out: Path) -> None:
     """
     from hardware.transport import open_transport
     from hardware.transport.transport import check_station, key_of
-    from mosca.data.whole_file import whole_file
+    from mosca.data.whole_file import check_writable, whole_file
 
     key = key_of(check_station(name), "rig")
+    check_writable(out)
     transport = open_transport(connect)
     try:
         text, until = None, time.monotonic() + 5.0

@@ -6,6 +6,7 @@ from typing import Literal
 import click
 
 from mosca.errors import InputError
+from scenarios.cli_types import POSITIVE
 from scenarios.progress import Progress
 
 FILE = click.Path(path_type=Path)
@@ -71,6 +72,10 @@ def reconstruct(
 
     \b
     Example:  mosca reconstruct lab/take1 --rig rig.toml --out take1.csv --fps 100 --fill 0.2
+
+    \b
+    Cameras that are not synchronised, each on a clock of its own:
+              mosca reconstruct lab/take2 --rig rig.toml --out take2.csv --continuous --clocks own --rate 100
     """
     if continuous:
         from scenarios.continuous_recording import ContinuousOptions, reconstruct_continuous
@@ -145,7 +150,7 @@ def learn(
 @click.option("--model", required=True, type=FILE, help="marker model: .toml")
 @click.option("--out", required=True, type=FILE, help="the same tracks with labels: .npz, .csv, .c3d or .trc")
 @click.option(
-    "--fps", type=float, help="frame rate to state in .c3d and .trc  [default: from the samples' times]"
+    "--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]"
 )
 def apply(tracks: Path, model: Path, out: Path, fps: float | None) -> None:
     """Name the tracks of a file by a marker model.
@@ -163,7 +168,7 @@ def apply(tracks: Path, model: Path, out: Path, fps: float | None) -> None:
 @click.argument("tracks", nargs=-1, required=True, type=FILE)
 @click.option("--out", required=True, type=FILE, help="one set of tracks: .npz, .csv, .c3d or .trc")
 @click.option(
-    "--fps", type=float, help="frame rate to state in .c3d and .trc  [default: from the samples' times]"
+    "--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]"
 )
 def zones(tracks: tuple[Path, ...], out: Path, fps: float | None) -> None:
     """Stitch the tracks of several zones into one set; all on the same pulses and in the same frame.

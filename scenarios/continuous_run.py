@@ -31,7 +31,7 @@ def gather_settings(spec: ContinuousSpec, pipeline: PipelineSettings) -> GatherS
 
 def continuous_settings(spec: ContinuousSpec) -> ContinuousSettings:
     """Return what is estimated."""
-    return ContinuousSettings(clocks=spec.estimate, limbs=spec.limbs)
+    return ContinuousSettings(clocks=spec.estimate, limbs=spec.limbs, knot_s=spec.knot_s)
 
 
 def pulses_ns(spec: Scenario) -> Array:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from mosca.data.tracks import Tracks
+from mosca.data.whole_file import check_writable
 from mosca.errors import InputError
 from mosca.formats.model_file import read_model, write_model
 from mosca.formats.tracks_file import SUFFIXES, write_tracks
@@ -23,6 +24,7 @@ def learn_from(
     """
     if out.suffix.lower() != ".toml":
         raise InputError(f"{out}: suffix '{out.suffix}' given; a marker model is a .toml file")
+    check_writable(out)
     tracks = read_tracks(path)
     if frames is not None:
         tracks = _between(tracks, frames)
@@ -33,8 +35,9 @@ def learn_from(
             f"{path}: no sample has a label; name its tracks with --name TRACK=LABEL, e.g. --name "
             f"{int(tracks.track[0]) if len(tracks) else 0}=LFHD"
         )
+    members = _limbs(limbs)
     try:
-        model = learn_model(tracks, dict(_limb(text) for text in limbs) or None)
+        model = learn_model(tracks, members)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     write_model(model, out)
@@ -62,8 +65,7 @@ def check_tracks_file(out: Path) -> None:
     """Raise InputError where ``out`` is no file for tracks; ask before long work, not after it."""
     if out.suffix.lower() not in SUFFIXES:
         raise InputError(f"{out}: suffix '{out.suffix}' given; {', '.join(SUFFIXES)} are allowed")
-    if not out.resolve().parent.is_dir():
-        raise InputError(f"{out}: no folder {out.parent}; make it first")
+    check_writable(out)
 
 
 def rate_of(tracks: Tracks, fps: float | None, path: Path) -> float:
@@ -94,10 +96,24 @@ def _named(tracks: Tracks, names: tuple[str, ...], path: Path) -> Tracks:
         if int(track) not in there:
             known = ", ".join(map(str, sorted(there)[:20])) or "none"
             raise InputError(f"--name {text}: {path} has no track {int(track)}; its tracks are {known}")
+        if int(track) in label_of:
+            raise InputError(f"--name {text}: track {int(track)} has the name {label_of[int(track)]} already")
         label_of[int(track)] = label
     kept = tracks.select(np.isin(tracks.track, list(label_of)))
     labels = np.array([label_of[track] for track in kept.track.tolist()], dtype=np.str_)
     return Tracks(**({name: getattr(kept, name) for name in Tracks.__dataclass_fields__} | {"label": labels}))
+
+
+def _limbs(texts: tuple[str, ...]) -> dict[str, tuple[str, ...]] | None:
+    found: dict[str, tuple[str, ...]] = {}
+    for text in texts:
+        limb, members = _limb(text)
+        if limb in found:
+            raise InputError(
+                f"--limb {text}: limb '{limb}' is given twice; name all its labels in one --limb"
+            )
+        found[limb] = members
+    return found or None
 
 
 def _limb(text: str) -> tuple[str, tuple[str, ...]]:

@@ -12,6 +12,7 @@ import numpy as np
 from mosca.assemble import Assembly
 from mosca.data.arrays import Array
 from mosca.data.tracks import Samples
+from mosca.data.whole_file import check_writable
 from mosca.errors import InputError
 from mosca.formats.tracks_log import TracksLog
 from mosca.health import Health, HealthSettings
@@ -78,8 +79,9 @@ def run_request(request: LiveRequest, told: Callable[[str], None]) -> list[str]:
         raise InputError(
             f"{request.record}: suffix '{request.record.suffix}' given; a record is a .json file"
         )
-    if request.record is not None and not request.record.resolve().parent.is_dir():
-        raise InputError(f"{request.record}: no folder {request.record.parent}; make it first")
+    for path in (request.out, request.record):
+        if path is not None:
+            check_writable(path)
     smoother = None if request.lag is None else FixedLag(LagSettings(lag=request.lag))
     with ExitStack() as stack:
         log = None if request.out is None else stack.enter_context(_log(request.out, stack))
@@ -193,8 +195,6 @@ def _one_sample() -> Samples:
 
 def _log(out: Path, stack: ExitStack) -> TracksLog:
     """Return the log of the tracks; an empty one is removed when the run ends without any."""
-    if not out.resolve().parent.is_dir():
-        raise InputError(f"{out}: no folder {out.parent}; make it first")
     log = TracksLog(out)
 
     def remove_if_empty() -> None:

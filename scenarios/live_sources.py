@@ -19,7 +19,7 @@ from scenarios.build import build_scene, pipeline_settings
 from scenarios.cameras import calibrated, true_rig, twin_source, virtual_cameras
 from scenarios.catalog import find
 from scenarios.faults import with_fault
-from scenarios.reconstruct import reconstruct_settings, reconstruct_spec
+from scenarios.reconstruct import live_spec, reconstruct_settings
 from scenarios.sources import Chosen
 from scenarios.spec import load_scenario
 
@@ -83,7 +83,9 @@ def opened_live(
     stack: ExitStack,
 ) -> LiveSource:
     """Open hardware:RIG.toml, recording:DIR or a scenario; InputError for another, and for options it cannot have."""
-    kind, _, place = source.partition(":")
+    kind, colon, place = source.partition(":")
+    if colon and not place:
+        raise InputError(f"{source}: allowed are hardware:RIG.toml, recording:DIR and a scenario")
     if kind == "hardware":
         if rate is not None or fps is not None:
             raise InputError(
@@ -136,13 +138,7 @@ def _devices(
 
 
 def _settings(path: Path | None, overrides: tuple[str, ...]) -> PipelineSettings:
-    spec = reconstruct_spec(path, overrides)
-    if spec.background.kind != "none":
-        raise InputError(
-            f"{path or '--set'}: key 'background.kind': '{spec.background.kind}' given; a live run has no first pass "
-            'over its frames: "none" is wanted'
-        )
-    return reconstruct_settings(spec, path)
+    return reconstruct_settings(live_spec(path, overrides), path)
 
 
 def _scenario(

@@ -150,6 +150,17 @@ def reconstruct_spec(path: Path | None, overrides: tuple[str, ...] = ()) -> Reco
     return check(ReconstructSpec, document, path or "--set")
 
 
+def live_spec(path: Path | None, overrides: tuple[str, ...] = ()) -> ReconstructSpec:
+    """Return ``reconstruct_spec`` for frames that are seen once; InputError where it wants a first pass over them."""
+    spec = reconstruct_spec(path, overrides)
+    if spec.background.kind != "none":
+        raise InputError(
+            f"{path or '--set'}: key 'background.kind': '{spec.background.kind}' given; a live run has no first pass "
+            'over its frames: "none" is wanted'
+        )
+    return spec
+
+
 def reconstruct_settings(spec: ReconstructSpec, path: Path | None = None) -> PipelineSettings:
     """Return the pipeline's settings of ``spec``; ``path`` is the file that an InputError names."""
     volume = None if spec.volume is None else (spec.volume.low_m, spec.volume.high_m)

@@ -41,10 +41,12 @@ from scenarios.cameras import Calibrated, calibrated, true_rig, twin_source, vir
 from scenarios.faults import with_fault
 from scenarios.finish import with_gaps_filled
 from scenarios.interrupt import between_steps
+from scenarios.lab.commanded import write_commands
 from scenarios.score import BLOCKS, Matched, Score, metrics, pair
 from scenarios.session.estimated import Estimated, estimated
 from scenarios.sources import Chosen, Written, opened, patient
 from scenarios.spec import Scenario
+from scenarios.spec_scenes import RobotScene
 from scenarios.warm import compile_side_by_side
 from scenarios.zones import tracks_of_all, zone_steps, zones_of
 from twin.source import TwinSource
@@ -295,9 +297,7 @@ def _collect(
         log = stack.enter_context(
             RerunLog(options.rrd, rig, (np.array(space.center_m), np.array(space.size_m)))
         )
-    read: FrameSource = source
-    if options.record_to is not None:
-        read = Written(source, stack.enter_context(RecordingWriter(options.record_to, source.cameras)))
+    read = _recorded(source, options, spec, stack)
     if any(info.name not in rig.names for info in read.cameras):
         read = Chosen(read, rig.names)
     stop = stack.enter_context(between_steps())
@@ -363,10 +363,19 @@ def _collect_continuous(
 
     if options.rrd is not None:
         raise InputError("--rrd shows frame sets, which a [continuous] scenario has none of; leave it out")
-    read: FrameSource = source
-    if options.record_to is not None:
-        read = Written(source, stack.enter_context(RecordingWriter(options.record_to, source.cameras)))
+    read = _recorded(source, options, spec, stack)
     return collect_continuous(read, rig, settings, spec, options.progress)
+
+
+def _recorded(source: FrameSource, options: RunOptions, spec: Scenario, stack: ExitStack) -> FrameSource:
+    """Return ``source``, written down on its way through where that is asked for, with what drove its subject."""
+    if options.record_to is None:
+        return source
+    writer = stack.enter_context(RecordingWriter(options.record_to, source.cameras))
+    if isinstance(source, TwinSource) and source.scene.commands is not None:
+        target = spec.scene.target if isinstance(spec.scene, RobotScene) else "robot"
+        write_commands(writer, source.scene.commands, target)
+    return Written(source, writer)
 
 
 def _as_seen_by(truth: Truth, names: tuple[str, ...]) -> Truth:

@@ -26,6 +26,10 @@ class ContinuousSpec(Table):
         "drift", description="what is estimated of the clocks besides the trajectories"
     )
     limbs: bool = Field(True, description="whether constant distances are found from the data and used")
+    knot_s: Positive | None = Field(
+        None,
+        description="distance of the trajectories' knots [s]; without it as far apart as all cameras' exposures",
+    )
     worn_on: str | None = Field(
         None,
         description="body on which the cameras ride that film it: their places on it are known, the room's "

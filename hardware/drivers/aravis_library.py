@@ -67,6 +67,8 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...], bool]] = {
     "camera_is_gv_device": (c_int, (c_void_p,), False),
     "camera_get_payload": (c_uint, (c_void_p,), True),
     "camera_create_stream": (c_void_p, (c_void_p, c_void_p, c_void_p), True),
+    "camera_create_chunk_parser": (c_void_p, (c_void_p,), False),
+    "chunk_parser_get_integer_value": (c_int64, (c_void_p, c_void_p, c_char_p), True),
     "camera_start_acquisition": (None, (c_void_p,), True),
     "camera_stop_acquisition": (None, (c_void_p,), True),
     "camera_gv_set_packet_size_adjustment": (None, (c_void_p, c_int), False),

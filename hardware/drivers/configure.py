@@ -29,6 +29,11 @@ OWN_KEYS = {
     "GevSCPSPacketSize": "packet_bytes",
 }
 # they change what windows there are, so they go before the window
+# entries of ChunkSelector that are a count of pulses on a line, and the chunks they switch on
+COUNTER_CHUNKS = {
+    "CounterValue": "ChunkCounterValue",
+    "Triggerinputcounter": "ChunkTriggerinputcounter",
+}
 EARLY = ("UserSet", "Binning", "Decimation", "Sensor", "RegionSelector", "RegionMode")
 # not set, but worth a look beside what was
 FACTS = (
@@ -99,6 +104,8 @@ def configure(features: Features, settings: CameraHardware, camera: str) -> Mapp
         if name not in early:
             setter.put(name, value)
     _trigger(setter, settings)
+    if settings.trigger_counter:
+        _count_triggers(setter, settings)
     return _read_again(setter)
 
 
@@ -111,10 +118,7 @@ def exposure_ns(features: Features, settings: CameraHardware) -> int:
 
 
 def capabilities_of(features: Features, device_clock: bool | None = None) -> Capabilities:
-    """Return what a GenICam device can do by its feature tree; ``device_clock``: where the driver knows better.
-
-    ``trigger_counter`` stays False: no driver here reads the chunks that would report ignored triggers.
-    """
+    """Return what a GenICam device can do by its feature tree; ``device_clock``: where the driver knows better."""
     sources = features.entries("TriggerSource") if features.kind("TriggerSource") == "enumeration" else ()
     clock = any(features.kind(name) is not None for name in CLOCKS)
     return Capabilities(
@@ -126,9 +130,36 @@ def capabilities_of(features: Features, device_clock: bool | None = None) -> Cap
         and features.kind("ActionDeviceKey") is not None,
         ptp=any(features.kind(name) is not None for name in ("PtpEnable", "GevIEEE1588")),
         window=all(features.kind(name) == "integer" for name in ("OffsetX", "OffsetY", "Width", "Height")),
-        trigger_counter=False,
+        trigger_counter=counter_chunk(features) is not None,
         max_triggered_hz=number(features, *RESULTING_RATES),
     )
+
+
+def counter_chunk(features: Features) -> str | None:
+    """Return the entry of ChunkSelector that is a count of pulses on a line, None where the device has none."""
+    if features.kind("ChunkModeActive") is None or features.kind("ChunkSelector") != "enumeration":
+        return None
+    return next((name for name in COUNTER_CHUNKS if name in features.entries("ChunkSelector")), None)
+
+
+def _count_triggers(setter: _Setter, settings: CameraHardware) -> None:
+    features = setter.features
+    setter.put_where_present("ChunkModeActive", True)  # some devices say only then what they have
+    name = counter_chunk(features)
+    if name is None:
+        there = features.entries("ChunkSelector") if features.kind("ChunkSelector") == "enumeration" else ()
+        raise DeviceError(
+            f"camera '{setter.camera}': trigger_counter = true asked for, but the device has no chunk of "
+            f"{' or '.join(COUNTER_CHUNKS)}; it has {', '.join(there) or 'none'}. Leave it out"
+        )
+    setter.put("ChunkSelector", name)
+    setter.put("ChunkEnable", True)
+    if features.kind("CounterEventSource") is not None:
+        setter.put_where_present("CounterSelector", "Counter0")
+        setter.put("CounterEventSource", settings.trigger)
+        setter.put_where_present("CounterEventActivation", settings.trigger_activation)
+        if features.kind("CounterReset") == "command":
+            features.execute("CounterReset")
 
 
 def _own_keys_are_free(settings: CameraHardware, camera: str) -> None:

@@ -33,8 +33,8 @@ def load() -> ModuleType:
         warnings.simplefilter("ignore", DeprecationWarning)
         from harvesters import core
 
-    # what it writes to the terminal comes back as an exception, or is counted
-    logging.getLogger("harvesters").setLevel(logging.CRITICAL)
+    # what it writes to the terminal comes back as an exception, or is counted; its logger has a level of its own
+    logging.getLogger(core.__name__).setLevel(logging.CRITICAL)
     module: ModuleType = core
     return module
 

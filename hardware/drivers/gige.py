@@ -19,7 +19,7 @@ from hardware.drivers.aravis_library import (
 )
 from hardware.drivers.aravis_library import load as load_library
 from hardware.drivers.blocks import BlockIds
-from hardware.drivers.configure import capabilities_of
+from hardware.drivers.configure import COUNTER_CHUNKS, capabilities_of, counter_chunk
 from hardware.drivers.features import text
 from hardware.drivers.opened import GenICamCamera, chosen, claim, described, not_found, release
 from hardware.drivers.pixels import whole_image
@@ -118,6 +118,8 @@ class GigeCamera(GenICamCamera):
         self._aravis = aravis
         self._camera = self._device = self._arv_stream = 0
         self._blocks = BlockIds()
+        self._counter: bytes | None = None
+        self._chunks = 0
         try:
             self._camera = aravis("camera_new", (device.address or device.serial).encode())
         except AravisError as error:
@@ -153,6 +155,8 @@ class GigeCamera(GenICamCamera):
 
     def _configure(self, settings: CameraHardware) -> DeviceReport:
         report = super()._configure(settings)
+        chunk = counter_chunk(self.features) if settings.trigger_counter else None
+        self._counter = None if chunk is None else COUNTER_CHUNKS[chunk].encode()
         if settings.packet_bytes is not None:
             # else the library shrinks packets that do not come through, and nobody is told
             self._aravis("camera_gv_set_packet_size_adjustment", self._camera, PACKET_SIZE_ADJUSTMENT_NEVER)
@@ -174,6 +178,8 @@ class GigeCamera(GenICamCamera):
             for _ in range(max(LEAST_BUFFERS, min(BUFFERS, BUFFER_BYTES // max(1, payload)))):
                 aravis("stream_push_buffer", stream, aravis("buffer_new", payload, None))
             self._blocks = BlockIds()
+            if self._counter is not None and not self._chunks:
+                self._chunks = aravis("camera_create_chunk_parser", self._camera)
             aravis("camera_start_acquisition", self._camera)
         except AravisError as error:
             self._drop_stream()
@@ -215,7 +221,17 @@ class GigeCamera(GenICamCamera):
             exposure_ns=self._exposure_ns,
             image=image,
             note=note,
+            triggers=None if image is None else self._triggers(buffer),
         )
+
+    def _triggers(self, buffer: int) -> int | None:
+        """Return the camera's count of pulses that came with a frame, None without one."""
+        if self._counter is None or not self._chunks:
+            return None
+        try:
+            return int(self._aravis("chunk_parser_get_integer_value", self._chunks, buffer, self._counter))
+        except AravisError:
+            return None
 
     def _stop(self) -> None:
         aravis = self._aravis
@@ -247,5 +263,8 @@ class GigeCamera(GenICamCamera):
 
     def _free(self) -> None:
         self._drop_stream()
+        if self._chunks:
+            self._aravis.unref(self._chunks)
+            self._chunks = 0
         camera, self._camera, self._device = self._camera, 0, 0
         self._aravis.unref(camera)

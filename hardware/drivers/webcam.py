@@ -93,7 +93,7 @@ class Webcam(OpenCamera):
     @property
     def capabilities(self) -> Capabilities:
         """Nothing but to run free."""
-        return Capabilities(stamp_event="readout")
+        return Capabilities(stamp_event="readout", real_time=self._number is not None)
 
     def _opened(self) -> Any:
         source = str(self.device.address) if self._number is None else self._number

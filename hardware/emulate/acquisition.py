@@ -2,15 +2,15 @@
 
 import heapq
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, MutableMapping
 from dataclasses import dataclass
 from typing import Literal
 
-from hardware.emulate.features import ACQUISITION_MODES, ACTIVATIONS, TRIGGER_SOURCES
-from hardware.emulate.gvsp import Layout
+from hardware.emulate.features import ACQUISITION_MODES, ACTIVATIONS, COUNTER_SOURCES, TRIGGER_SOURCES
+from hardware.emulate.gvsp import Layout, chunk
 from hardware.emulate.registers import Value
 from hardware.emulate.shutter import Exposure, Shutter
-from hardware.emulate.standard import MAXIMUM_BLOCK_ID
+from hardware.emulate.standard import CHUNK_TAIL_BYTES, COUNTER_CHUNK, MAXIMUM_BLOCK_ID
 
 SECOND = 1_000_000_000
 PULSE_WIDTH_NS = 100_000
@@ -27,7 +27,8 @@ Source = Literal["Software", "Line1", "Action1"]
 class Shot:
     """An exposure with what was set when it began: everything that its image depends on.
 
-    ``session``: counts the stops of acquisition; a shot of an earlier one is not sent any more.
+    ``session``: counts the stops of acquisition; a shot of an earlier one is not sent any more. ``chunks``: what
+    follows the image, None without chunk data.
     """
 
     exposure: Exposure
@@ -35,6 +36,7 @@ class Shot:
     device_ns: int
     layout: Layout
     session: int
+    chunks: bytes | None = None
 
 
 class Acquisition:
@@ -46,7 +48,7 @@ class Acquisition:
 
     def __init__(
         self,
-        values: Mapping[str, Value],
+        values: MutableMapping[str, Value],
         stamp: Callable[[int], int],
         full_readout_ns: float,
         sensor_height: int,
@@ -80,6 +82,8 @@ class Acquisition:
 
     def pulse(self, number: int, time_ns: int) -> None:
         """Take pulse ``number`` of the line, which rises at ``time_ns``: its number is that of the source's frame."""
+        if self._values["CounterEventSource"] == COUNTER_SOURCES["Line1"]:
+            self._values["CounterValue"] = (int(self._values["CounterValue"]) + 1) % 2**32
         falling = self._values["TriggerActivation"] == ACTIVATIONS["FallingEdge"]
         self._take("Line1", number, time_ns + (PULSE_WIDTH_NS if falling else 0))
 
@@ -135,12 +139,18 @@ class Acquisition:
         names = ("PixelFormat", "Width", "Height", "OffsetX", "OffsetY")
         layout = Layout(*(int(self._values[name]) for name in names))
         stamp = self._stamp(exposure.start_ns)
-        self._waiting.append(Shot(exposure, self._block, stamp, layout, self.session))
+        self._waiting.append(Shot(exposure, self._block, stamp, layout, self.session, self._chunks()))
         self._block = self._block % MAXIMUM_BLOCK_ID + 1
         self._counts["exposures"] += 1
         if self._left is not None:
             self._left -= 1
             self.active = self._left > 0
+
+    def _chunks(self) -> bytes | None:
+        if not self._values["ChunkModeActive"]:
+            return None
+        count = int(self._values["CounterValue"]).to_bytes(4, "big")
+        return chunk(COUNTER_CHUNK, count) if self._values["ChunkEnable"] else b""
 
     def _frames_asked(self) -> int | None:
         mode = self._values["AcquisitionMode"]
@@ -158,3 +168,11 @@ class Acquisition:
         if not self._values["AcquisitionFrameRateEnable"]:
             return self.shortest_period_ns()
         return max(self.shortest_period_ns(), round(SECOND / float(self._values["AcquisitionFrameRate"])))
+
+
+def payload_bytes(values: Mapping[str, Value]) -> int:
+    """Return the size of an image and the chunks behind it, as a camera's settings have them."""
+    image = int(values["Width"]) * int(values["Height"]) * (int(values["PixelFormat"]) >> 16 & 0xFF) // 8
+    if not values["ChunkModeActive"]:
+        return image
+    return image + CHUNK_TAIL_BYTES + (4 + CHUNK_TAIL_BYTES if values["ChunkEnable"] else 0)

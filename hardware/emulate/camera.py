@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from threading import Condition
 
-from hardware.emulate.acquisition import SECOND, Acquisition, Shot
+from hardware.emulate.acquisition import SECOND, Acquisition, Shot, payload_bytes
 from hardware.emulate.clock import DeviceClock, Jump, PtpStatus
 from hardware.emulate.faults import Faults, Luck
 from hardware.emulate.features import BOOTSTRAP, PTP_STATES, XML_START, Feature, features, own_registers
@@ -165,7 +165,7 @@ class EmulatedCamera:
             "HeightLimit": lambda: height - now("OffsetY"),
             "OffsetXLimit": lambda: width - now("Width"),
             "OffsetYLimit": lambda: height - now("Height"),
-            "PayloadSize": lambda: now("Width") * now("Height") * (now("PixelFormat") >> 16 & 0xFF) // 8,
+            "PayloadSize": lambda: payload_bytes(self._values),
             "AcquisitionFrameRateLimit": lambda: SECOND / self._acquisition.shortest_period_ns(),
             "PtpStatus": lambda: PTP_STATES[self._ptp[0]],
             "PtpOffsetFromMaster": lambda: self._ptp[1],
@@ -211,6 +211,7 @@ class EmulatedCamera:
             "AcquisitionStop": lambda _: self._acquisition.stop(),
             "TriggerSoftware": lambda _: self._acquisition.trigger("Software", time.monotonic_ns()),
             "DeviceReset": self._reset_soon,
+            "CounterReset": lambda _: self._values.update(CounterValue=0),
             "TimestampControl": self._control_timestamp,
             "PtpEnable": self._enable_ptp,
             "PtpDataSetLatch": self._latch_ptp,

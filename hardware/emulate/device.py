@@ -91,7 +91,7 @@ class Device:
             self._images["dropped"] += 1
             return
         pixels = pixels_of(frame, shot.layout, self.identity.bit_depth)
-        packets = image_packets(shot.block, shot.device_ns, shot.layout, pixels, packet_bytes)
+        packets = image_packets(shot.block, shot.device_ns, shot.layout, pixels, packet_bytes, shot.chunks)
         # what the source has as damaged arrives damaged: its end is missing and is not to be had again
         packets = packets if frame.status == "ok" else packets[:-1]
         self._images["frames" if frame.status == "ok" else "corrupt"] += 1

@@ -6,7 +6,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from hardware.emulate.registers import Access, Kind, Register
-from hardware.emulate.standard import PIXEL_FORMATS
+from hardware.emulate.standard import COUNTER_CHUNK, PIXEL_FORMATS
 
 FEATURES_START = 0x10000
 XML_START = 0xF0000
@@ -14,6 +14,7 @@ FeatureKind = Literal["integer", "float", "enumeration", "boolean", "command", "
 TRIGGER_SOURCES = {"Software": 0, "Line1": 1, "Action1": 2}
 ACQUISITION_MODES = {"Continuous": 0, "SingleFrame": 1, "MultiFrame": 2}
 ACTIVATIONS = {"RisingEdge": 0, "FallingEdge": 1}
+COUNTER_SOURCES = {"Off": 0, "Line1": 1}
 PTP_STATES = {"Disabled": 3, "Listening": 4, "Uncalibrated": 8, "Slave": 9}
 
 BOOTSTRAP = (
@@ -76,7 +77,8 @@ class Feature:
     ``register``: a bootstrap register; "" gives the feature one of its own. ``bits``: first and last bit of the
     register that are meant, counted from the most significant. ``most``: the register that holds the largest value
     allowed now. ``locked``: not to be written while the camera acquires. ``category``: None for a node that only
-    others need. ``selects``: features that depend on this selector.
+    others need. ``selects``: features that depend on this selector. ``chunk``: number of the chunk behind each image
+    that holds it, which it has in place of a register.
     """
 
     name: str
@@ -97,6 +99,7 @@ class Feature:
     length: int = 4
     selects: tuple[str, ...] = ()
     tip: str = ""
+    chunk: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "entries", MappingProxyType(dict(self.entries)))
@@ -104,14 +107,20 @@ class Feature:
 
 def features(pixel_formats: tuple[str, ...]) -> tuple[Feature, ...]:
     """Return the features of a camera that has ``pixel_formats``."""
-    return tuple(_image(pixel_formats)) + tuple(_acquisition()) + tuple(_device()) + tuple(_transport())
+    return (
+        tuple(_image(pixel_formats))
+        + tuple(_acquisition())
+        + tuple(_counting())
+        + tuple(_device())
+        + tuple(_transport())
+    )
 
 
 def own_registers(tree: tuple[Feature, ...]) -> tuple[Register, ...]:
     """Return the registers of the features that have one of their own, one after the other."""
     found, address = [], FEATURES_START
     for feature in tree:
-        if not feature.register:
+        if not feature.register and not feature.chunk:
             length = 8 if feature.kind == "float" else feature.length
             kind: Kind = "unsigned"
             if feature.kind in ("float", "string"):
@@ -171,6 +180,24 @@ def _acquisition() -> Iterator[Feature]:
     yield Feature("TriggerActivation", "enumeration", here, entries=ACTIVATIONS)
     yield Feature("TriggerSoftware", "command", here, "WO")
     yield Feature("Gain", "float", "AnalogControl", minimum=0.0, maximum=48.0, increment=0.01, unit="dB")
+
+
+def _counting() -> Iterator[Feature]:
+    """A counter of the pulses on the line, and its value behind each image."""
+    here, behind = "CounterAndTimerControl", "ChunkDataControl"
+    selected = ("CounterEventSource", "CounterEventActivation", "CounterValue", "CounterReset")
+    yield Feature("CounterSelector", "enumeration", here, entries={"Counter0": 0}, selects=selected)
+    yield Feature("CounterEventSource", "enumeration", here, entries=COUNTER_SOURCES)
+    yield Feature("CounterEventActivation", "enumeration", here, entries=ACTIVATIONS)
+    yield Feature(
+        "CounterValue", "integer", here, "RO", tip="Pulses on the line, those that the camera ignores too."
+    )
+    yield Feature("CounterReset", "command", here, "WO")
+    yield Feature("ChunkModeActive", "boolean", behind, locked=True)
+    entries = {"CounterValue": 0}
+    yield Feature("ChunkSelector", "enumeration", behind, entries=entries, selects=("ChunkEnable",))
+    yield Feature("ChunkEnable", "boolean", behind, locked=True)
+    yield Feature("ChunkCounterValue", "integer", behind, "RO", chunk=COUNTER_CHUNK)
 
 
 def _device() -> Iterator[Feature]:

@@ -46,7 +46,11 @@ def describe(tree: Iterable[Feature], registers: Mapping[str, Register], vendor:
     for name, members in categories.items():
         _category(root, name, members)
     for feature in tree:
-        _feature(root, feature, registers[feature.register or feature.name])
+        if feature.chunk:
+            _feature(root, feature, Register(feature.name, 0, feature.length, "RO"))
+            _say(_node(root, "Port", _port(feature)), ChunkID=f"{feature.chunk:08X}")
+        else:
+            _feature(root, feature, registers[feature.register or feature.name])
     lock = _node(root, "Integer", LOCK)
     _say(lock, Visibility="Invisible", Value=0, Min=0, Max=1)
     _node(root, "Port", "Device")
@@ -74,7 +78,7 @@ def _category(root: Xml.Element, name: str, members: Iterable[str]) -> None:
 def _feature(root: Xml.Element, feature: Feature, register: Register) -> None:
     if feature.kind == "string":
         node = _node(root, "StringReg", feature.name)
-        _at(node, register, feature.access)
+        _at(node, register, feature)
         return
     behind = f"{feature.name}Reg"
     node = _node(root, ELEMENTS[feature.kind], feature.name)
@@ -113,24 +117,28 @@ def _limits(node: Xml.Element, feature: Feature) -> None:
 def _register(root: Xml.Element, name: str, feature: Feature, register: Register) -> None:
     if register.kind == "double":
         node = _node(root, "FloatReg", name)
-        _at(node, register, feature.access)
+        _at(node, register, feature)
         _say(node, Endianess="BigEndian")
         return
     node = _node(root, "IntReg" if feature.bits is None else "MaskedIntReg", name)
-    _at(node, register, feature.access)
+    _at(node, register, feature)
     if feature.bits is not None:
         _say(node, LSB=feature.bits[1], MSB=feature.bits[0])
     _say(node, Sign="Signed" if register.kind == "signed" else "Unsigned", Endianess="BigEndian")
 
 
-def _at(node: Xml.Element, register: Register, access: str) -> None:
+def _port(feature: Feature) -> str:
+    return f"{feature.name}Port" if feature.chunk else "Device"
+
+
+def _at(node: Xml.Element, register: Register, feature: Feature) -> None:
     # no value is cached: many follow from others, and a reading must see what the device took
     _say(
         node,
         Address=f"0x{register.address:x}",
         Length=register.length,
-        AccessMode=access,
-        pPort="Device",
+        AccessMode=feature.access,
+        pPort=_port(feature),
         Cachable="NoCache",
     )
 

@@ -108,5 +108,12 @@ def boot_values(identity: Identity, xml_bytes: int, source_port: int) -> dict[st
         "TriggerSource": 0,
         "TriggerActivation": 0,
         "Gain": 0.0,
+        "CounterSelector": 0,
+        "CounterEventSource": 0,
+        "CounterEventActivation": 0,
+        "CounterValue": 0,
+        "ChunkModeActive": 0,
+        "ChunkSelector": 0,
+        "ChunkEnable": 0,
         "PtpEnable": 0,
     }

@@ -18,6 +18,8 @@ FIRST_ADDRESS = "127.0.0.2"
 SLOWEST_SENSOR_HZ = 200.0
 EXPOSURE_US = 1000.0
 LOOPBACK_BITS, LAN_BITS = 8, 24
+SERIAL_BYTES = 16
+"""With the zero at its end."""
 
 
 class Served:
@@ -147,6 +149,10 @@ def _identity(info: CameraInfo, place: IPv4Interface, serial: str, store: FrameS
     if info.bit_depth not in FORMAT_OF_DEPTH:
         allowed = ", ".join(str(depth) for depth in FORMAT_OF_DEPTH)
         raise InputError(f"camera '{info.name}': {info.bit_depth} bits a pixel; {allowed} can be sent")
+    if not 0 < len(serial.encode()) < SERIAL_BYTES:
+        raise InputError(
+            f"camera '{info.name}': serial '{serial}': {SERIAL_BYTES - 1} bytes at most go into a camera's register"
+        )
     first = store.first(info.name)
     exposure_us = first.exposure_ns / 1000 if first is not None and first.exposure_ns else EXPOSURE_US
     fastest_hz = max(SLOWEST_SENSOR_HZ, 2 * info.frame_rate_hz)

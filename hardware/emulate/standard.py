@@ -57,6 +57,11 @@ CONTROL_ACCESS = 0x2
 
 LEADER, TRAILER, PAYLOAD = 1, 2, 3
 IMAGE_PAYLOAD = 0x0001
+EXTENDED_CHUNKS = 0x4000
+"""Of the payload's type: chunks follow the image."""
+IMAGE_CHUNK, COUNTER_CHUNK = 0x0000C001, 0x0000C002
+CHUNK_TAIL_BYTES = 8
+"""What stands after a chunk's data: its number and its length."""
 
 FIRE_TEST_PACKET = 0x80000000
 DO_NOT_FRAGMENT = 0x40000000

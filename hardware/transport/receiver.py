@@ -21,11 +21,11 @@ from hardware.transport.transport import (
     EVERYTHING,
     Transport,
     check_station,
+    check_stations,
     key_of,
     station_of,
     word_of,
 )
-from mosca.errors import InputError
 
 BURST, BURST_S = 10, 0.02
 ASK_S = 0.5
@@ -53,12 +53,7 @@ class Receiver:
         name: str = "reconstruct",
         told: Callable[[Event], None] = lambda event: None,
     ) -> None:
-        if not stations or len(set(stations)) < len(stations):
-            raise InputError(
-                f"stations {', '.join(stations) or 'none'} given; one or more different names are wanted"
-            )
-        for station in stations:
-            check_station(station)
+        check_stations(stations)
         self.settings = settings or ReceiverSettings()
         self._transport = transport
         self._listener = Listener(stations, cameras, rate_hz, self.settings, time.monotonic_ns(), told)

@@ -13,7 +13,7 @@ The reconstructing station is one of the names: it answers ``rig`` and stands by
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from mosca.errors import InputError, MoscaError
@@ -60,11 +60,34 @@ class Transport(Protocol):
         ...
 
 
+def check_endpoint(text: str) -> str:
+    """Return ``text`` where it can be an endpoint; TransportError says how one looks.
+
+    Engines take what is none, and then wait for ever.
+    """
+    found = re.fullmatch(r"(?:tcp|udp|tls|quic|ws)/[^/?#]+:(\d{1,5})(?:[?#].*)?", text)
+    if found is None or not 0 < int(found[1]) < 65536:
+        raise TransportError(
+            f"endpoint '{text}': endpoints look like tcp/192.168.7.1:7447, the port at its end"
+        )
+    return text
+
+
 def check_station(name: str) -> str:
     """Return ``name`` where it can be a station's; InputError says what is allowed."""
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,60}", name):
         raise InputError(f"station name '{name}' given; 1 to 60 letters, digits, _ and - are allowed")
     return name
+
+
+def check_stations(names: Sequence[str]) -> None:
+    """Raise InputError where ``names`` are none, or two are the same, or one cannot be a station's."""
+    if not names or len(set(names)) < len(names):
+        raise InputError(
+            f"stations {', '.join(names) or 'none'} given; one or more different names are wanted"
+        )
+    for name in names:
+        check_station(name)
 
 
 def key_of(station: str, *parts: str) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 import zenoh
 
-from hardware.transport.transport import TransportError
+from hardware.transport.transport import TransportError, check_endpoint
 
 LEASE_MS = 4000
 """A peer that is not heard of for so long is gone: its token falls, and it is connected to anew."""
@@ -44,14 +44,14 @@ class ZenohTransport:
             "transport/link/tx/queue/congestion_control/drop/wait_before_drop": JAM_US,
         }  # fmt: skip
         where = ", ".join([*connect, *listen]) or "no endpoint"
+        for endpoint in (*connect, *listen):
+            check_endpoint(endpoint)
         try:
             for key, value in settings.items():
                 config.insert_json5(key, json.dumps(value))
             self._session = zenoh.open(config)
         except zenoh.ZError as error:
-            raise TransportError(
-                f"{where}: cannot be used ({_first_line(error)}); endpoints look like tcp/192.168.7.1:7447"
-            ) from None
+            raise TransportError(f"{where}: cannot be used ({_reason(error)})") from None
         self._guard = threading.Lock()
         self._publishers: dict[str, Any] = {}
         self._kept: list[Any] = []
@@ -134,7 +134,16 @@ class ZenohTransport:
             self._kept.append(declared)
 
 
-def _first_line(error: Exception) -> str:
-    """Return what the engine says, without the places in its sources."""
+def _reason(error: Exception) -> str:
+    """Return what is wrong in a few words, else what the engine says, without the places in its sources."""
+    for told, reason in (
+        ("Address already in use", "another program listens there; choose another port, or end that program"),
+        (
+            "Cannot assign requested address",
+            "this machine has no such address; 0.0.0.0 listens on all it has",
+        ),
+    ):
+        if told in str(error):
+            return reason
     text = re.sub(r" at /\S+?:\d+\.?", "", str(error))
     return text.splitlines()[0].strip() if text else type(error).__name__

@@ -7,6 +7,7 @@ T is banded (a coefficient meets only its neighbours in time), so that all costs
 ``Band`` holds one group of unknowns that meet each other; groups meet only in s.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,8 @@ from scipy.linalg import cholesky_banded, lapack, solve_triangular
 from mosca.continuous.banded_kernels import add_rows, apply_rows
 from mosca.data.arrays import Array
 
+ROUNDING = 1e-13
+"""Of the largest number: what sums of many squares may have lost to rounding."""
 BLOCK = 48
 """Smallest block of the selected inversion: below this the calls cost more than the sums."""
 
@@ -63,9 +66,15 @@ class Band:
                 into = blocks[: self.count - offset, c, start : start + self.width - low]
                 into += scale[:, None] * precision[low:, c]
 
+    def hold(self, x: Array) -> None:
+        """Hold every unknown where ``x`` (count * width,) has it, as firmly as the largest number's rounding."""
+        firm = ROUNDING * self.band[0].max()
+        self.band[0] += firm
+        self.right += firm * x
+
     def factor(self) -> "Factor":
         """Return the Cholesky factor; the band's memory goes with it."""
-        lower = cholesky_banded(self.band, overwrite_ab=True, lower=True, check_finite=False)
+        lower = cholesky_banded(self.band, overwrite_ab=False, lower=True, check_finite=False)
         return Factor(lower, self.count, self.reach, self.width)
 
 
@@ -105,12 +114,32 @@ class Factor:
         The inverse within the band follows from L alone, from the end back (Takahashi 1973), here in dense blocks:
         S_kk = L_kk^-T L_kk^-1 + G^T S_(k+1)(k+1) G with G = L_(k+1)k L_kk^-1, and S_(k+1)k = -S_(k+1)(k+1) G.
         """
-        step = max(self.reach - 1, -(-BLOCK // self.width))
-        starts = list(range(0, self.count, step))
         blocks = np.zeros((self.reach, self.count, unknowns, 3, 3))
+        for start, own, across, _ in self._inverse():
+            self._keep(blocks, own, start, start, unknowns)
+            if across is not None:
+                self._keep(blocks, across, start + self.step, start, unknowns)
+        return blocks
+
+    @property
+    def step(self) -> int:
+        """Number of coefficients that the selected inversion takes at once."""
+        return max(self.reach - 1, -(-BLOCK // self.width))
+
+    def windows(self) -> Iterator[tuple[int, Array]]:
+        """Yield coefficients k = 0, step, 2 step ... from the end back, each with T^-1 of those from k on, 2 step of
+        them or as many as there are.
+        """
+        for start, own, across, after in self._inverse():
+            whole = own if across is None else np.block([[own, across.T], [across, after]])
+            yield start, whole
+
+    def _inverse(self) -> Iterator[tuple[int, Array, Array | None, Array | None]]:
+        """Yield from the end back: the first coefficient, T^-1 of its block, with the next block, and of the next."""
+        step = self.step
         after: Array | None = None
         after_size = 0
-        for start in reversed(starts):
+        for start in reversed(range(0, self.count, step)):
             size = min(step, self.count - start)
             inner = self._dense(start, start, size, size)
             inverse = solve_triangular(inner, np.eye(len(inner)), lower=True, check_finite=False)
@@ -120,11 +149,8 @@ class Factor:
                 ahead = self._dense(start + size, start, after_size, size) @ inverse
                 across = -after @ ahead
                 own -= ahead.T @ across
-            self._keep(blocks, own, start, start, unknowns)
-            if across is not None:
-                self._keep(blocks, across, start + size, start, unknowns)
+            yield start, own, across, after
             after, after_size = own, size
-        return blocks
 
     def _dense(self, row: int, column: int, rows: int, columns: int) -> Array:
         """Return L between coefficients row.. and column.. as a dense matrix."""

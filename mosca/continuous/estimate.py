@@ -13,6 +13,7 @@ from mosca.continuous import clocks as clock_rules
 from mosca.continuous.checks import check
 from mosca.continuous.first import first_curves
 from mosca.continuous.image_rows import ImagePoints
+from mosca.continuous.left_out import roughness
 from mosca.continuous.limbs import NO_PAIRS, Pairs, find_pairs, joined, learned
 from mosca.continuous.observations import CameraPaths, Curves, Observations
 from mosca.continuous.result import (
@@ -21,7 +22,7 @@ from mosca.continuous.result import (
     ContinuousSettings,
     Estimated,
 )
-from mosca.continuous.smoothness import expected_accelerations, shrunk
+from mosca.continuous.smoothness import expected_accelerations, liveliness, shrunk
 from mosca.continuous.solve import Solved, curves_of, draws, sigma0, step
 from mosca.continuous.starts import (
     enough,
@@ -40,7 +41,14 @@ __all__ = ["Clock", "ConstantDistance", "ContinuousSettings", "Estimated", "esti
 DRAWS = 12
 """Curves drawn from the posterior at each round; each has hundreds of accelerations to learn from."""
 LARGEST_SIGMA0 = 1.5
+JOINED_AT = 1
+"""The round from which on curves have learned from each other, so that distances can be looked at."""
+SPOILT = 0.1
+"""Where more than this share of distances is dropped at once, what was learned with them is learned anew."""
 MOST_ROUNDS = 20
+FEWEST_ROUNDS = 4
+STILL = 1e-3
+"""The smallest acceleration that moving cameras are taken to have: rad/s^2 or m/s^2 in a band of one hertz."""
 AT_REST_M = 2e-4
 NEARLY_ONE = 1.1
 """Clocks and poses are settled when curves move less than this, and image errors are about as large as stated."""
@@ -78,16 +86,23 @@ def estimate(
     alone = layout(
         tuple(np.array([p]) for p in points), len(still.cameras), "known", np.zeros_like(clock_free)
     )
-    unsure = settings.clocks != "known" or settings.cameras != "known"
-    state, strength, noise = first_curves(image, state, alone, points, start, unsure)
+    held = np.zeros_like(clock_free)
+    # paths that are given are near: noise taken for larger would hide from cameras how little they move
+    begun = settings.cameras == "moving" and paths is not None and settings.clocks == "known"
+    known = settings.clocks == "known" and settings.cameras == "known"
+    state, strength, noise = first_curves(image, state, alone, points, start, not (known or begun))
+    of_cameras = np.zeros((0, 0))
+    if not known:
+        state, held, of_cameras = _settled(image, state, points, settings, strength, noise, clock_free)
+        # what was learned while clocks and poses were wrong took their errors for motion: learned anew
+        state, strength, _ = first_curves(image, state, alone, points, start, False)
     groups = grouped(state, points, settings)
-    places = layout(groups, len(still.cameras), settings.cameras, clock_free)
-    of_point = dict(zip(points.tolist(), strength, strict=True))
-    covariances = [first_covariance(of_point, places, g) for g in range(len(groups))]
-    known = np.isin(np.arange(len(observations.points)), points)
-    solved, places, covariances, pairs, held = _rounds(
-        image, state, places, covariances, settings, known, spans, clock_free, noise
-    )
+    places = layout(groups, len(still.cameras), settings.cameras, clock_free & ~held)
+    covariances = _first_covariances(points, strength, places)
+    if places.moving:
+        covariances[0][3 * len(points) :, 3 * len(points) :] = of_cameras
+    seen = np.isin(np.arange(len(observations.points)), points)
+    solved, covariances, pairs = _rounds(image, state, places, covariances, settings, seen, spans)
     rng = np.random.default_rng(0)
     size = sigma0(solved, places, draws(solved, places, DRAWS, rng))
     told += clock_rules.findings(observations.cameras, held)
@@ -100,7 +115,12 @@ def estimate(
             f"image errors are {size:.1f} times as large as stated: look at clocks, calibration and names"
         )
     curves = curves_of(
-        solved, places, covariances, observations, seen_from_to(used, image.times(solved.state))
+        solved,
+        places,
+        covariances,
+        observations,
+        seen_from_to(used, image.times(solved.state)),
+        roughness(image, solved, places),
     )
     names = observations.points
     found = tuple(
@@ -113,45 +133,93 @@ def estimate(
     )
 
 
-def _rounds(
-    image: ImagePoints, state: State, places: Layout, covariances: list[Array], settings: ContinuousSettings,
-    known: Array, spans: Array, clock_free: Array, noise: float,
-) -> tuple[Solved, Layout, list[Array], Pairs, Array]:  # fmt: skip
-    """Step and learn in turn; constant distances are sought once curves are joined, and once more with their help."""
+def _first_covariances(points: Array, strength: Array, places: Layout) -> list[Array]:
+    of_point = dict(zip(points.tolist(), strength, strict=True))
+    return [first_covariance(of_point, places, g) for g in range(len(places.groups))]
+
+
+def _settled(
+    image: ImagePoints, state: State, points: Array, settings: ContinuousSettings, strength: Array,
+    noise: float, clock_free: Array,
+) -> tuple[State, Array, Array]:  # fmt: skip
+    """Return the state with clocks and poses come to rest, which clock unknowns cannot be told and are held, and how
+    moving cameras move: their part of the prior's covariance.
+    """
     rng = np.random.default_rng(0)
-    pairs, held = NO_PAIRS, np.zeros_like(clock_free)
-    after = settings.rounds if settings.limbs else 1
-    sure = settings.cameras == "known" and settings.clocks == "known"
-    settled: int | None = None
+    places = layout(grouped(state, points, settings), len(state.still.cameras), settings.cameras, clock_free)
+    covariances = _first_covariances(points, strength, places)
     for k in range(MOST_ROUNDS):
-        solved = step(image, state, places, covariances, pairs, noise)
+        solved = step(image, state, places, covariances, NO_PAIRS, noise)
         state = solved.state
-        if settled is not None and k == settled + after:
+        if k >= FEWEST_ROUNDS and solved.moved < AT_REST_M and noise < NEARLY_ONE:
             break
         drawn = draws(solved, places, DRAWS, rng)
-        if settled is None and noise > 1:
+        if noise > 1:
             # what clocks and poses that are not right yet do looks like noise, and shrinks as they come right
             noise = max(1.0, noise * sigma0(solved, places, drawn))
-        covariances = [
-            shrunk(expected_accelerations(state.knots, d, state.order), state.knots.count) for d in drawn
-        ]
-        at_rest = k >= 1 if sure else k >= 4 and solved.moved < AT_REST_M and noise < NEARLY_ONE
-        if settled is None and (at_rest or k == MOST_ROUNDS - 1 - after):
-            settled, noise = k, 1.0
-            if settings.clocks != "known":
-                held = clock_rules.untold(places, solved.covariance)
-                if held.any():
-                    places = layout(places.groups, places.cameras, settings.cameras, clock_free & ~held)
-                    state = replace(state, clocks=np.where(held, 0.0, state.clocks))
-        if settled is not None and settings.limbs:
-            pairs = _pairs(pairs, state, places, drawn, known, spans, look=k <= settled + 1)
-    return solved, places, covariances, pairs, held
+        covariances = _learned(state, places, drawn, covariances)
+    held = clock_rules.untold(places, solved.covariance)
+    return (
+        replace(state, clocks=np.where(held, 0.0, state.clocks)),
+        held,
+        covariances[0][3 * len(places.groups[0]) :, 3 * len(places.groups[0]) :],
+    )
+
+
+def _learned(state: State, places: Layout, drawn: list[Array], before: list[Array]) -> list[Array]:
+    """Return the prior's covariance of each group as its drawn curves have it.
+
+    Expectation-maximisation creeps where data say little, as of cameras that stand still: their deviations take a
+    step of twice its length, and stay above ``STILL``.
+    """
+    count, result = state.knots.count, []
+    for points, curves, old in zip(places.groups, drawn, before, strict=True):
+        new = shrunk(expected_accelerations(state.knots, curves, state.order, state.pace), count)
+        if places.moving:
+            free = np.arange(len(new)) >= 3 * len(points)
+            ratio = np.sqrt(np.diag(new) / np.diag(old))
+            smaller = np.where(free, np.minimum(ratio, 1.0), 1.0)
+            smaller = np.where(free, np.maximum(smaller, STILL / np.sqrt(np.diag(new))), 1.0)
+            new = new * smaller[:, None] * smaller
+        result.append(new)
+    return result
+
+
+def _rounds(
+    image: ImagePoints, state: State, places: Layout, covariances: list[Array], settings: ContinuousSettings,
+    known: Array, spans: Array,
+) -> tuple[Solved, list[Array], Pairs]:  # fmt: skip
+    """Step and learn in turn; constant distances are sought once curves are joined, and once more with their help."""
+    rng = np.random.default_rng(0)
+    pairs, before = NO_PAIRS, (covariances, state.pace)
+    last = JOINED_AT + (settings.rounds if settings.limbs else 1)
+    for k in range(MOST_ROUNDS):
+        solved = step(image, state, places, covariances, pairs)
+        state = solved.state
+        if k == last:
+            break
+        drawn = draws(solved, places, DRAWS, rng)
+        pace = liveliness(state.knots, drawn, covariances, state.order)
+        state = replace(state, pace=pace / np.exp(np.log(pace).mean()))
+        covariances = _learned(state, places, drawn, covariances)
+        if k == JOINED_AT:
+            before = covariances, state.pace
+        if settings.limbs and k >= JOINED_AT:
+            had = len(pairs)
+            pairs, dropped = _pairs(pairs, state, places, drawn, known, spans, look=k <= JOINED_AT + 1)
+            if dropped > SPOILT * had:
+                # false distances bent curves, and what was learned from them is not motion
+                covariances, state = before[0], replace(state, pace=before[1])
+                last = min(k + settings.rounds, MOST_ROUNDS - 1)
+    return solved, covariances, pairs
 
 
 def _pairs(
     pairs: Pairs, state: State, places: Layout, drawn: list[Array], known: Array, spans: Array, look: bool
-) -> Pairs:
-    """Return the constant distances as the drawn curves have them; ``look``: with those that are found anew."""
+) -> tuple[Pairs, int]:
+    """Return the constant distances as the drawn curves have them, and how many do not hold and were dropped;
+    ``look``: with those that are found anew.
+    """
     whole = np.zeros((DRAWS, *state.xyz.shape))
     group = np.full(len(known), -1)
     for g, (points, curves) in enumerate(zip(places.groups, drawn, strict=True)):
@@ -160,9 +228,9 @@ def _pairs(
     kept, tells = learned(pairs, state.knots, whole)
     kept = kept.only(tells)
     if not look:
-        return kept
+        return kept, int((~tells).sum())
     new = find_pairs(state.knots, state.xyz, whole, known, spans)
     new = new.only(group[new.pair[:, 0]] == group[new.pair[:, 1]])
     had = {tuple(p) for p in pairs.pair.tolist()}
     new = new.only(np.array([tuple(p) not in had for p in new.pair.tolist()], dtype=bool))
-    return joined([kept, new])
+    return joined([kept, new]), int((~tells).sum())

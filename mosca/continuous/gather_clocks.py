@@ -29,6 +29,8 @@ MOST_POINTS = 40
 """Points of an instant that are compared, of the camera whose clock stands."""
 CLEAR = 8.0
 """How far the best shift must stand out from the others, in their (robust) standard deviations."""
+RIVAL = 0.85
+"""A shift that stands out so much of what the best one does fits as well: repeating motion (a stride) has several."""
 WINDOWS = 8
 DRIFT_FROM_S = 4.0
 """Shorter recordings say nothing of a drift that matters in them."""
@@ -40,13 +42,15 @@ WIDEST_DRIFT = 400e-6
 class ClockTie:
     """How a camera's clock is tied to the common one: ``offset_s + (1 + drift) (stamp_ns - origin_ns) / 1e9``.
 
-    ``clear``: how far the shift stood out in its search (inf where it was not searched for).
+    ``clear``: how far the shift stood out in its search (inf where it was not searched for). ``rival_s``: another
+    offset that fits about as well, None where there is none.
     """
 
     origin_ns: int
     offset_s: float = 0.0
     drift: float = 0.0
     clear: float = np.inf
+    rival_s: float | None = None
 
     def common_s(self, own_s: Array) -> Array:
         """Return instants of the common clock [s] of the camera's own, counted from ``origin_ns`` [s]."""
@@ -79,13 +83,8 @@ def tied_clocks(
                     Paths.of(seen[known], strand[known], ties[known].common_s(own_s[known])), paths[c],
                 )  # fmt: skip
                 found = _searched(pair, search_s)
-                if found is not None and (best is None or found[0] > best[0]):
-                    shift, drift = found[1], found[2]
-                    # own = shift + (1 + drift) common, turned round
-                    tie = ClockTie(
-                        int(seen[c].frame_ns[0]), -shift / (1 + drift), 1 / (1 + drift) - 1, found[0]
-                    )
-                    best = (found[0], c, tie)
+                if found is not None and (best is None or found.clear > best[0]):
+                    best = (found.clear, c, found.tie(int(seen[c].frame_ns[0])))
                 if best is not None and best[1] == c and best[0] > 3 * CLEAR:
                     break
             if best is not None and best[1] == c:
@@ -126,8 +125,24 @@ class _Pair:
         return float(np.quantile(np.linalg.norm(some.speed_px, axis=1), 0.75))
 
 
-def _searched(pair: _Pair, search_s: float) -> tuple[float, float, float] | None:
-    """Return how clear the shift is, the shift and the drift (b's clock = shift + (1 + drift) a's); None: unclear."""
+@dataclass(frozen=True)
+class _Found:
+    """b's clock = shift_s + (1 + drift) a's; how clear it is, and a shift that is about as good."""
+
+    clear: float
+    shift_s: float
+    drift: float
+    rival_s: float | None
+
+    def tie(self, origin_ns: int) -> ClockTie:
+        """Return a's clock as b's has it: the equation turned round."""
+        rate = 1 / (1 + self.drift)
+        rival = None if self.rival_s is None else -self.rival_s * rate
+        return ClockTie(origin_ns, -self.shift_s * rate, rate - 1, self.clear, rival)
+
+
+def _searched(pair: _Pair, search_s: float) -> _Found | None:
+    """Return the shift between two cameras' clocks; None: unclear."""
     speed = pair.speed_px()
     period = max(pair.seen_a.period_s, pair.seen_b.period_s)
     if speed <= 0.0:
@@ -146,8 +161,23 @@ def _searched(pair: _Pair, search_s: float) -> tuple[float, float, float] | None
     clear = (float(score[at]) - middle) / max(spread, 0.005)
     if clear < CLEAR or score[at] < middle + 0.1:
         return None
+    other = rival(score - middle, at)
     shift, drift = _line(pair, float(shifts[at]), step, speed)
-    return clear, shift, drift
+    return _Found(clear, shift, drift, None if other is None else float(shifts[other]))
+
+
+def rival(score: Array, best: int) -> int | None:
+    """Return the place of another top that is about as high as the ``best``, None where there is none.
+
+    ``score`` (n,) above what chance makes; the top itself reaches down to half its height on both sides.
+    """
+    low = np.flatnonzero(score < 0.5 * score[best])
+    begin = int(low[low < best].max(initial=-1)) + 1
+    end = int(low[low > best].min(initial=len(score)))
+    others = score.copy()
+    others[begin:end] = -np.inf
+    second = int(np.argmax(others))
+    return second if others[second] >= RIVAL * score[best] else None
 
 
 def _line(pair: _Pair, shift: float, step: float, speed: float) -> tuple[float, float]:

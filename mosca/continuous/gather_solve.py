@@ -10,6 +10,7 @@ from mosca.continuous.gather import Gathered, GatherSettings, gather
 from mosca.continuous.gather_clocks import ClockTie
 from mosca.continuous.gather_grid import residuals_px, tracks_on_grid
 from mosca.continuous.gather_identity import observed
+from mosca.continuous.gather_told import late_cameras, on_curves_clock, told_of
 from mosca.continuous.observations import Observations
 from mosca.data.arrays import Array
 from mosca.data.frames import FrameSource
@@ -17,6 +18,8 @@ from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 
+FEW_TOGETHER = 6
+"""Points whose curves are estimated together before clocks are known."""
 BETTER_PX = 0.1
 """How far estimated curves may be off in the images when image points are given to them anew."""
 
@@ -100,20 +103,20 @@ def reconstruct(
     gathered = gather(source, rig, gathering, backgrounds, attend)
     if gathered.searched and settings.clocks == "known":
         settings = replace(settings, clocks="drift")
-    estimated = estimate(gathered.observations, rig, settings, gathered.start)
+    # clocks and names want curves, not what points have to do with each other: that is what costs
+    quick = replace(settings, limbs=False, most_together=min(FEW_TOGETHER, settings.most_together))
+    estimated = estimate(gathered.observations, rig, quick, gathered.start)
     ties = _tied(gathered.ties, estimated)
     found, _row = observed(gathered.seen, ties, rig, estimated.curves, gathered.sigma_px, BETTER_PX)
     if not len(found):
         raise InputError("no image point lies on its curve: the clocks or the rig do not fit the images")
     estimated = estimate(found, rig, settings, estimated.curves)
     clocks = _clocks(rig, ties, estimated)
-    at = np.array([c.offset_s for c in estimated.clocks])[found.camera]
-    rate = np.array([c.drift for c in estimated.clocks])[found.camera]
-    row = np.array([c.row_time_s for c in estimated.clocks])[found.camera]
-    times = at + (1.0 + rate) * found.time_s + row * found.xy_px[:, 1]
-    told = _told(gathered, found)
+    told = told_of(gathered, found)
+    if settings.clocks == "known":
+        told += late_cameras(estimated.curves, found, rig)
     return Reconstructed(
-        gathered, estimated, replace(found, time_s=times), clocks, (*told, *estimated.findings), rig
+        gathered, estimated, on_curves_clock(found, estimated), clocks, (*told, *estimated.findings), rig
     )
 
 
@@ -137,20 +140,3 @@ def _clocks(rig: Rig, ties: tuple[ClockTie, ...], estimated: Estimated) -> tuple
         )
         for name, tie, clock in zip(rig.names, _tied(ties, estimated), estimated.clocks, strict=True)
     )  # fmt: skip
-
-
-def _told(gathered: Gathered, found: Observations) -> tuple[str, ...]:
-    """Return what became of frames and image points, where it is not as it should be."""
-    lines = [
-        f"camera '{name}': {count} of {gathered.count.frames[name]} frames without a usable image"
-        for name, count in gathered.count.unusable.items()
-    ]
-    for c, one in enumerate(gathered.seen):
-        share = float(np.mean(found.camera == c)) * len(found) / max(len(one.xy_px), 1)
-        if share < 0.5:
-            lines.append(
-                f"camera '{one.info.name}': only {100 * share:.0f} % of its {len(one.xy_px)} image points "
-                "belong to a "
-                "marker; look for reflections, or a camera that was moved"
-            )
-    return tuple(lines)

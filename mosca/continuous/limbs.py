@@ -20,6 +20,8 @@ EXPLAINED = 2.0
 """Variances of a distance over time up to so many times what its uncertainty explains may be chance: curves' errors
 last for several instants, so that few are independent, and many pairs are looked at."""
 SMALLEST_SLACK_M = 1e-4
+MOST_LOOSENED = 10.0
+"""A slack grows at most so many times more than what is seen of it."""
 FEWEST_INSTANTS = 8
 LONGEST_M = 0.8
 """Two points of one limb are at most so far apart."""
@@ -106,8 +108,8 @@ def learned(pairs: Pairs, knots: Knots, drawn: Array) -> tuple[Pairs, Array]:
     length = np.stack(lengths)
     distance = np.median(length.mean(axis=0), axis=0)
     varied = np.sqrt(((length - distance) ** 2).mean(axis=(0, 1)))
-    # EM creeps towards small slacks: a step of twice its length, never below the floor
-    slack = np.maximum(varied * np.minimum(1.0, varied / pairs.slack), SMALLEST_SLACK_M)
+    # EM creeps: a step of twice its length both ways, never below the floor
+    slack = np.maximum(varied * np.minimum(MOST_LOOSENED, varied / pairs.slack), SMALLEST_SLACK_M)
     return Pairs(pairs.pair, distance, slack), moved > TELLING**2 * slack**2
 
 

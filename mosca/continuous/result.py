@@ -27,7 +27,7 @@ class ContinuousSettings:
     limbs: bool = True
     knot_s: float | None = None
     most_together: int = 60
-    rounds: int = 4
+    rounds: int = 8
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,9 @@ class SplineCurves:
 
     ``blocks`` (degree + 1, count, points, 3, 3): covariances between coefficients k + o and k of one point;
     ``carried`` (count, points, 3, b) and ``shared`` (b, b): what the unknowns without time add; ``beyond``
-    (points, 3, 3): motion too quick for the knots. ``from_s``, ``to_s`` (points,): between these the point is known.
+    (points, 3, 3): motion too quick for the knots, times ``pace`` (pieces + 1,) at them; ``rough`` (pieces + 1,):
+    variance an axis [m^2] of motion that nothing foretells. ``from_s``, ``to_s`` (points,): between these the point
+    is known.
     """
 
     points: tuple[str, ...]
@@ -74,6 +76,8 @@ class SplineCurves:
     carried: Array
     shared: Array
     beyond: Array
+    pace: Array
+    rough: Array
     from_s: Array
     to_s: Array
 
@@ -88,7 +92,8 @@ class SplineCurves:
     def covariance_at(self, time_s: Array) -> Array:
         """Return the covariances (t, points, 3, 3) [m^2] at the instants ``time_s`` (t,)."""
         first, weight = self.knots.weights(time_s)
-        total = np.tile(self.beyond, (len(first), 1, 1, 1))
+        pace, rough = (np.interp(time_s, self.knots.breaks_s, at) for at in (self.pace, self.rough))
+        total = pace[:, None, None, None] * self.beyond + rough[:, None, None, None] * np.eye(3)
         for a in range(weight.shape[1]):
             for b in range(a + 1):
                 part = (weight[:, a] * weight[:, b])[:, None, None, None] * self.blocks[a - b, first + b]
@@ -110,13 +115,15 @@ class SplineCurves:
 class SplinePaths:
     """World_from_camera as functions of time: a start path turned by curves, and centres that are curves.
 
-    R(t) = R_start(t) exp([w(t)]x); ``coefficients`` (count, cameras, 6) of w [rad] and of the centre [m].
+    R(t) = R_start(t) exp([w(t)]x); ``coefficients`` (count, cameras, 6) of w [rad] and of the centre [m];
+    ``frame`` (count, cameras, 6): those that the estimate began with, near which the frame is held.
     """
 
     cameras: tuple[str, ...]
     start: PosedCameras
     knots: Knots
     coefficients: Array
+    frame: Array
 
     def at(self, time_s: Array) -> tuple[Array, Array]:
         """Return rotations (t, cameras, 3, 3) and centres (t, cameras, 3) [m], world_from_camera."""

@@ -9,6 +9,7 @@ Points of a body move together, and the camera of the moment sees across its own
 see just then: that Q is full is what brings depth between exposures.
 """
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -24,6 +25,8 @@ ORDERS = (2, 3)
 """Derivatives that the prior may take for noise."""
 RANGE = (-32.0, 12.0)
 """Logarithms of strengths that are tried, in units in which coordinates are m and time s."""
+PACE_S = 0.1
+"""How fast motion's liveliness changes."""
 FARTHEST_M = 100.0
 """A point that nothing determines is this far from the origin: keeps the equations regular, weighs nothing."""
 
@@ -81,17 +84,20 @@ def one_point(
 def log_determinant(knots: Knots, order: int) -> float:
     """Return the log of the product of the prior's eigenvalues that are not zero, for one coordinate and strength 1.
 
-    Its null space U are polynomials in the coefficient's number. With the first ``order`` coefficients left out
-    (G_r), the product is ``det G_r det(U^T U) / det(U of those left out)^2``.
+    The prior is ``step^(-2 m) D^T M D``: D takes the m-th differences of coefficients, M is ``gram(0)`` of splines of
+    m degrees less, n coefficients. The product is ``step^(-2 m n) det M det(D D^T)``, and ``det(D D^T)`` the product
+    of ``(n + i + j - 1) / (i + j - 1)`` over i, j = 1 .. m (plane partitions in a box: MacMahon); exact for any n.
     """
-    gram = knots.gram(order)[:, order:]
-    lower = cholesky_banded(gram, lower=True, check_finite=False)
-    null = np.linspace(-1, 1, knots.count)[:, None] ** np.arange(order)
-    left_out = np.linalg.slogdet(null[:order])[1]
-    return float(2 * np.log(lower[0]).sum() + np.linalg.slogdet(null.T @ null)[1] - 2 * left_out)
+    lower_degree = replace(knots, degree=knots.degree - order)
+    n = lower_degree.count
+    lower = cholesky_banded(lower_degree.gram(0), lower=True, check_finite=False)
+    index = np.arange(1, order + 1)
+    sums = index[:, None] + index - 1.0
+    differences = float(np.log((n + sums) / sums).sum())
+    return float(2 * np.log(lower[0]).sum()) + differences - 2 * order * n * float(np.log(knots.step_s))
 
 
-def expected_accelerations(knots: Knots, curves: Array, order: int) -> Array:
+def expected_accelerations(knots: Knots, curves: Array, order: int, pace: Array | None = None) -> Array:
     """Return the mean of x'' x''^T (w, w) over drawn curves (draws, count, w), as the prior counts it.
 
     ``order``: of the derivative, the second or the third.
@@ -102,10 +108,27 @@ def expected_accelerations(knots: Knots, curves: Array, order: int) -> Array:
     away = knots.step_s / (2 * np.sqrt(3))
     time = np.sort(np.concatenate([middle - away, middle + away]))
     total = np.zeros((curves.shape[2], curves.shape[2]))
+    calm = np.ones(len(time)) if pace is None else np.repeat(pace, 2) ** -0.5
     for one in curves:
-        second = values(knots, one, time, order)
+        second = values(knots, one, time, order) * calm[:, None]
         total += second.T @ second
     return total * (knots.step_s / 2) / (len(curves) * (knots.count - order))
+
+
+def liveliness(knots: Knots, curves: list[Array], covariances: list[Array], order: int) -> Array:
+    """Return how many times more than ``covariances`` say each piece (pieces,) moves, all groups' drawn curves
+    (draws, count, w) together, smoothed over ``PACE_S``.
+    """
+    middle = 0.5 * (knots.breaks_s[:-1] + knots.breaks_s[1:])
+    total, width = np.zeros(knots.pieces), 0
+    for drawn, covariance in zip(curves, covariances, strict=True):
+        inverse = np.linalg.inv(covariance)
+        width += len(covariance)
+        for one in drawn:
+            second = values(knots, one, middle, order)
+            total += np.einsum("ti,ij,tj->t", second, inverse, second) / len(drawn)
+    kernel = np.exp(-0.5 * ((middle[:, None] - middle) / PACE_S) ** 2)
+    return np.asarray(kernel @ (total * knots.step_s / width) / kernel.sum(axis=1))
 
 
 def shrunk(covariance: Array, number: int) -> Array:

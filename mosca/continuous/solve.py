@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import LinAlgError
 
 from mosca.continuous import clocks
 from mosca.continuous.banded import Band, Factor, Rows, solve_bordered
@@ -18,7 +19,7 @@ from mosca.data.arrays import Array
 HALVINGS = 6
 HELD = 1e12
 """Precision of what is held: far beyond images."""
-FRAME = (1e-3, 0.2)
+FRAME = (1e-4, 0.2)
 """How far moving cameras may be from their start, rad or m a knot: the first, the others."""
 DRIFT_OF_FRAME = (1.0, 1.0)
 """Where no frame is given (cameras unknown) the start holds it, this loosely: rad and m, standard deviations."""
@@ -76,7 +77,13 @@ def step(
         add_prior(band, state, places, g, covariances[g])
         rights.append(band.right)
         borders.append(band.border)
-        factors.append(band.factor())
+        try:
+            factors.append(band.factor())
+        except LinAlgError:
+            # what images tell by less than the rounding errors of what they tell best: stays where it is
+            band.hold(x)
+            rights[-1] = band.right
+            factors.append(band.factor())
         parts.append(own)
     found, shared, carried, covariance = solve_bordered(factors, rights, borders, corner, corner_right)
     new = replaced(state, places, found, shared)
@@ -89,7 +96,9 @@ def step(
 def add_prior(band: Band, state: State, places: Layout, group: int, covariance: Array) -> None:
     """Add the smoothness prior of a group, and what keeps unknowns that nothing determines finite."""
     knots, width, points = state.knots, places.width(group), 3 * len(places.groups[group])
-    band.add_prior(knots.gram(state.order), np.linalg.inv(covariance))
+    band.add_prior(
+        knots.gram(state.order, None if state.pace is None else 1 / state.pace), np.linalg.inv(covariance)
+    )
     loose = np.full(width, FARTHEST_M**-2)
     if places.moving:
         sigma = np.array([DRIFT_OF_FRAME[0]] * 3 + [FARTHEST_M] * 3)
@@ -127,13 +136,18 @@ def sigma0(solved: Solved, places: Layout, drawn: list[Array]) -> float:
 
 
 def curves_of(
-    solved: Solved, places: Layout, covariances: list[Array], observations: Observations, spans: Array
+    solved: Solved,
+    places: Layout,
+    covariances: list[Array],
+    observations: Observations,
+    spans: Array,
+    rough: Array,
 ) -> SplineCurves:
     """Return the curves of all free points with their covariances; those that were left out are known nowhere.
 
     ``covariances``: the prior's; white noise Q of derivative m has the spectrum Q / w^(2 m), of which splines hold
     what lies below pi / step; the rest is Q step^(2 m - 1) / ((2 m - 1) pi^(2 m)). ``spans`` (points, 2): from when
-    to when each point was seen [s].
+    to when each point was seen [s]; ``rough`` (pieces + 1,): see ``SplineCurves``.
     """
     state, free = solved.state, observations.free
     knots, n = state.knots, len(observations.points)
@@ -155,18 +169,21 @@ def curves_of(
     spans = np.where(estimated[:, None], spans, (np.inf, -np.inf))
     return SplineCurves(
         tuple(observations.points[p] for p in free), knots, state.xyz[:, free], blocks[:, :, free],
-        carried[:, free], solved.covariance, beyond[free], spans[free, 0], spans[free, 1],
+        carried[:, free], solved.covariance, beyond[free], state.pace_at_knots, rough, spans[free, 0], spans[free, 1],
     )  # fmt: skip
+
+
+def of_group(image: ImagePoints, places: Layout, group: int) -> Array:
+    """Return the mask of the image points whose equations a group holds; carried points are with the first."""
+    inside = np.zeros(len(image.observations.points), dtype=bool)
+    inside[places.groups[group]] = True
+    return np.where(image.carrier >= 0, group == 0, inside[image.observations.point])
 
 
 def _of_group(seen: Seen, weight: Array, places: Layout, group: int, image: ImagePoints, base: int) -> Rows:
     """Return the weighted equations of a group's image points in the group's own columns."""
     points = len(image.observations.points)
-    inside = np.zeros(points, dtype=bool)
-    inside[places.groups[group]] = True
-    carried = image.carrier >= 0
-    chosen = np.where(carried, group == 0, inside[image.observations.point])
-    rows = weighted(seen.rows, weight * chosen)
+    rows = weighted(seen.rows, weight * of_group(image, places, group))
     table = np.full(base + 6 * places.cameras + 1, -1)
     begin = places.column(group, points)
     for k in range(3):
@@ -191,10 +208,11 @@ def _shared_prior(places: Layout, state: State) -> tuple[Array, Array]:
 
 
 def frame_rows(state: State, places: Layout, group: int) -> Rows:
-    """Return equations that hold the frame of moving cameras: each is near its start, the first very near.
+    """Return equations that hold the frame of moving cameras: each is near its start, the first very near, and so is
+    the second's distance to the first.
 
-    Only what the cameras see of each other and of points is observed, so that the whole may drift as one; ``FRAME``
-    says how far, and is far looser than images are.
+    Only what the cameras see of each other and of points is observed, so that the whole may drift, turn and grow as
+    one at every instant; ``FRAME`` says how far, and is far looser than images are where images can tell.
     """
     knots, moving = state.knots, state.moving
     time, cameras = knots.breaks_s, places.cameras if moving is not None else 0
@@ -209,14 +227,24 @@ def frame_rows(state: State, places: Layout, group: int) -> Rows:
             np.zeros((0, places.shared)),
             time[:0],
         )
-    wanted = np.zeros((len(time), cameras, 6))
-    wanted[:, :, 3:] = moving.start.at(time)[1]
+    wanted = values(knots, moving.frame, time)
     sigma = np.where(np.arange(cameras)[:, None] == 0, FRAME[0], FRAME[1])
     rest = (wanted - values(knots, moving.coefficients, time)) / sigma
-    columns = 3 * len(places.groups[group]) + np.tile(np.arange(cameras * 6), len(time))[:, None]
-    by = np.broadcast_to(1 / sigma, rest.shape).reshape(n, 1)
+    begin = 3 * len(places.groups[group])
+    columns = np.full((n, 3), -1)
+    columns[:, 0] = begin + np.tile(np.arange(cameras * 6), len(time))
+    by = np.zeros((n, 3))
+    by[:, 0] = np.broadcast_to(1 / sigma, rest.shape).ravel()
     each = np.repeat(np.arange(len(time)), cameras * 6)
-    return Rows(first[each], weight[each], columns, by.copy(), np.zeros((n, places.shared)), rest.ravel())
+    base = wanted[:, 1, 3:] - wanted[:, 0, 3:]
+    base /= np.maximum(np.linalg.norm(base, axis=1), 1e-9)[:, None] * FRAME[0]
+    apart = (rest * sigma)[:, 1, 3:]
+    return Rows(
+        np.append(first[each], first), np.concatenate([weight[each], weight]),
+        np.concatenate([columns, np.tile(begin + 9 + np.arange(3), (len(time), 1))]),
+        np.concatenate([by, base]), np.zeros((n + len(time), places.shared)),
+        np.append(rest.ravel(), (base * apart).sum(axis=1)),
+    )  # fmt: skip
 
 
 def _short_enough(
@@ -247,7 +275,7 @@ def cost(
     knots = state.knots
     for g, covariance in enumerate(covariances):
         table = unknowns(state, places, g).reshape(1, knots.count, -1)
-        second = expected_accelerations(knots, table, state.order) * (knots.count - state.order)
+        second = expected_accelerations(knots, table, state.order, state.pace) * (knots.count - state.order)
         total += float((np.linalg.inv(covariance) * second).sum())
         if places.moving:
             total += float((frame_rows(state, places, g).rest ** 2).sum())

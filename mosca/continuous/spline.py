@@ -11,6 +11,7 @@ from math import ceil
 
 import numpy as np
 from scipy.interpolate import BSpline, PPoly
+from scipy.linalg import solveh_banded
 
 from mosca.data.arrays import Array
 
@@ -57,18 +58,20 @@ class Knots:
         powers = inside[:, None] ** np.arange(piece.shape[1])
         return first, powers @ piece.T / self.step_s**derivative
 
-    def gram(self, derivative: int) -> Array:
+    def gram(self, derivative: int, weight: Array | None = None) -> Array:
         """Return the matrix G of ``integral of (d^m x / dt^m)^2 dt = c^T G c`` over all pieces, lower banded.
 
-        ``gram[o, k]`` is G between coefficients k + o and k, (degree + 1, count); exact.
+        ``gram[o, k]`` is G between coefficients k + o and k, (degree + 1, count); exact. ``weight`` (pieces,): how
+        much each piece's integral counts.
         """
         piece = _derived(self.degree, derivative)
         power = np.arange(piece.shape[1])
         local = piece @ (1.0 / (power[:, None] + power + 1)) @ piece.T * self.step_s ** (1 - 2 * derivative)
         banded = np.zeros((self.degree + 1, self.count))
+        each = np.ones(self.pieces) if weight is None else weight
         for offset in range(self.degree + 1):
             for low in range(self.degree + 1 - offset):
-                banded[offset, low : low + self.pieces] += local[low + offset, low]
+                banded[offset, low : low + self.pieces] += local[low + offset, low] * each
         return banded
 
 
@@ -88,11 +91,16 @@ def values(knots: Knots, coefficients: Array, time_s: Array, derivative: int = 0
 def fitted(knots: Knots, time_s: Array, places: Array) -> Array:
     """Return the coefficients (count, ...) of the curves nearest to ``places`` (n, ...) at instants (n,)."""
     first, weight = knots.weights(time_s)
-    design = np.zeros((len(first), knots.count))
-    for a in range(weight.shape[1]):
-        design[np.arange(len(first)), first + a] += weight[:, a]
-    flat = np.linalg.lstsq(design, np.asarray(places).reshape(len(first), -1), rcond=None)[0]
-    return np.asarray(flat.reshape(knots.count, *np.shape(places)[1:]))
+    flat = np.asarray(places, dtype=float).reshape(len(first), -1)
+    band = np.zeros((knots.degree + 1, knots.count))
+    right = np.zeros((knots.count, flat.shape[1]))
+    for a in range(knots.degree + 1):
+        np.add.at(right, first + a, weight[:, a, None] * flat)
+        for b in range(a + 1):
+            np.add.at(band[a - b], first + b, weight[:, a] * weight[:, b])
+    # coefficients that nothing touches are 0
+    band[0] += 1e-12 * band[0].max()
+    return np.asarray(solveh_banded(band, right, lower=True).reshape(knots.count, *np.shape(places)[1:]))
 
 
 @lru_cache(maxsize=32)

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.cluster.hierarchy import leaves_list, linkage
 from scipy.spatial.distance import squareform
+from scipy.spatial.transform import Rotation
 
 from mosca.continuous.camera_paths import PosedCameras, StillCameras
 from mosca.continuous.observations import CameraPaths, Observations
@@ -17,6 +18,8 @@ DEGREE = 3
 FEWEST_SIGHTINGS = 6
 MOST_UNKNOWNS = 600_000
 """Knots are spread wider where there would be more coefficients than this."""
+LARGEST_TURN = 0.7
+"""Cameras that turn less about their mean rotation are described by vectors about it [rad]."""
 CAMERA_START = (3.0, 1.0)
 """How a moving camera turns and moves before anything is learned: rad/s^2 and m/s^2 in a band of one hertz."""
 
@@ -104,10 +107,16 @@ def moving_start(
             # before and after what is given, and in gaps: the nearest pose
             nearest = good[np.abs(time[good][None, :] - time[:, None]).argmin(axis=1)]
             rotation[:, c], centre[:, c] = given[0][nearest, k], given[1][nearest, k]
+    turns = np.zeros_like(centre)
+    for c in range(len(still.cameras)):
+        # about one rotation, so that what is learned is how quickly a camera turns, not how rough the start was
+        each = Rotation.from_matrix(rotation[:, c])
+        away = (each.mean().inv() * each).as_rotvec()
+        if np.linalg.norm(away, axis=1).max() < LARGEST_TURN:
+            rotation[:, c], turns[:, c] = each.mean().as_matrix(), away
     begin = PosedCameras(still.cameras, time, rotation, centre, "cubic")
-    coefficients = np.zeros((knots.count, len(still.cameras), 6))
-    coefficients[..., 3:] = fitted(knots, time, centre)
-    return SplinePaths(still.cameras, begin, knots, coefficients)
+    coefficients = np.concatenate([fitted(knots, time, turns), fitted(knots, time, centre)], axis=2)
+    return SplinePaths(still.cameras, begin, knots, coefficients, coefficients)
 
 
 def grouped(state: State, points: Array, settings: ContinuousSettings) -> tuple[Array, ...]:

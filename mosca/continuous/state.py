@@ -1,6 +1,6 @@
 """What is estimated, as one value: curves of points, cameras' poses and clocks; and where each unknown stands."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,7 +14,8 @@ from mosca.data.rotations import rotation_from_vector
 @dataclass(frozen=True, eq=False)
 class State:
     """Current values. ``xyz`` (count, points, 3) coefficients of all points, carried ones unused; cameras either
-    ``still`` or ``moving``; ``clocks`` (cameras, 3): offset [s], drift, row time [s].
+    ``still`` or ``moving``; ``clocks`` (cameras, 3): offset [s], drift, row time [s]. ``pace`` (pieces,): how many
+    times livelier than on average motion is, as a variance; None: alike everywhere.
     """
 
     knots: Knots
@@ -23,6 +24,13 @@ class State:
     moving: SplinePaths | None
     clocks: Array
     order: int = 2
+    pace: Array | None = None
+
+    @property
+    def pace_at_knots(self) -> Array:
+        """``pace`` (pieces + 1,) at the knots: the mean of the pieces that meet there."""
+        pace = np.ones(self.knots.pieces) if self.pace is None else self.pace
+        return (np.append(pace[0], pace) + np.append(pace, pace[-1])) / 2
 
     @property
     def paths(self) -> StillCameras | SplinePaths:
@@ -81,14 +89,14 @@ def replaced(state: State, places: Layout, coefficients: list[Array], shared: Ar
         xyz[:, points] = table[:, : 3 * len(points)].reshape(state.knots.count, -1, 3)
         if moving is not None:
             poses = table[:, 3 * len(points) :].reshape(state.knots.count, -1, 6)
-            moving = SplinePaths(moving.cameras, moving.start, moving.knots, poses)
+            moving = replace(moving, coefficients=poses)
     still = state.still
     if places.still_free:
         step = shared[: 6 * places.cameras].reshape(-1, 6)
         turned = [r @ rotation_from_vector(s[:3]) for r, s in zip(still.rotations, step, strict=True)]
         still = StillCameras(still.cameras, np.array(turned), still.centres + step[:, 3:])
     clocks = state.clocks + np.where(places.clock >= 0, np.append(shared, 0.0)[places.clock], 0.0)
-    return State(state.knots, xyz, still, moving, clocks, state.order)
+    return replace(state, xyz=xyz, still=still, moving=moving, clocks=clocks)
 
 
 def instants(camera: Array, time_s: Array, row_px: Array, clocks: Array) -> Array:

@@ -70,8 +70,9 @@ def _first_line(model: type[BaseModel], error: ValidationError) -> str:
         text = f"key '{place}' is missing; {_described(model, first['loc'])}add it"
     else:
         given = repr(first.get("input"))
-        message = first["msg"].removeprefix("Value error, ")
-        text = f"key '{place}': {given if len(given) < 60 else given[:57] + '...'} given; {message}"
+        text = first["msg"].removeprefix("Value error, ")
+        if place:  # what is wrong with the table as a whole has no key
+            text = f"key '{place}': {given if len(given) < 60 else given[:57] + '...'} given; {text}"
     return text + (f" (and {more} more)" if more else "")
 
 

@@ -16,6 +16,32 @@ def whole_file(path: Path) -> Iterator[Path]:
     When the body raises, the temporary file is removed and what stood at ``path`` before is untouched.
     Raises InputError where the folder is missing or closed to us, or ``path`` is a folder.
     """
+    temporary = _begun(path)
+    try:
+        yield temporary
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def check_writable(path: Path) -> None:
+    """Raise InputError where ``whole_file`` could not write ``path``: asked before long work, not after it."""
+    _begun(path).unlink()
+
+
+def check_folder(path: Path) -> None:
+    """Raise InputError where the folder ``path``, and those above it that are missing, could not be made."""
+    there = next((folder for folder in (path, *path.absolute().parents) if folder.exists()), path)
+    if not there.is_dir():
+        raise InputError(f"{path}: {there} is no folder; choose another place")
+    try:
+        Path(tempfile.mkdtemp(dir=there, prefix=f".{path.name}.")).rmdir()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def _begun(path: Path) -> Path:
     if path.is_dir():
         raise InputError(f"{path}: is a folder; name a file to write")
     if not path.parent.is_dir():
@@ -25,10 +51,4 @@ def whole_file(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
     os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        temporary.chmod(0o644)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    return Path(name)

@@ -81,6 +81,7 @@ class RecordingWriter:
         for name in (MCAP_NAME, PART_NAME, TAIL_NAME):
             if (self.path / name).exists():
                 raise InputError(f"{self.path}: holds a recording already ({name}); choose another folder")
+        self._made_folder = not self.path.exists()
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             self._file = open(self.path / PART_NAME, "xb")  # noqa: SIM115 (closed by close)
@@ -105,6 +106,7 @@ class RecordingWriter:
         }
         self._other_channels: dict[tuple[str, str], int] = {}
         self._json_schema: int | None = None
+        self.flush()  # from now on it can be opened, whatever becomes of this process
 
     def pack(self, frame: Frame) -> bytes:
         """Return the message of ``frame`` for ``write``; may be called by any thread.
@@ -209,9 +211,15 @@ class RecordingWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
-        """Finish the recording; when the body raised, leave it marked as unfinished."""
+        """Finish the recording; when the body raised, leave it marked as unfinished, or nothing where it is empty."""
         if kind is None:
             self.close()
+        elif not self._file.closed and self._times_ns is None and not self._other_counts:
+            self.abandon()
+            (self.path / PART_NAME).unlink()
+            if self._made_folder:
+                with suppress(OSError):  # somebody put something else there
+                    self.path.rmdir()
         elif not self._file.closed:
             try:
                 self._end_file()

@@ -15,6 +15,7 @@ from hardware.source import HardwareSource, OpenTrigger
 from hardware.triggers import open_trigger
 from mosca.data.rig import Rig
 from mosca.data.rig_file import read_rig, read_rig_file
+from mosca.data.whole_file import check_folder
 from mosca.errors import InputError
 from mosca.recording import RecordingWriter
 from scenarios.interrupt import between_steps
@@ -138,15 +139,16 @@ def _settings(request: Request) -> "PipelineSettings | None":
     """Return the settings of detection; None where nothing is to be detected, and nothing heavy is loaded."""
     if not (request.detections or request.view or request.view_log or request.settings):
         return None
-    from scenarios.reconstruct import reconstruct_settings, reconstruct_spec
+    from scenarios.reconstruct import live_spec, reconstruct_settings
 
-    return reconstruct_settings(reconstruct_spec(request.settings), request.settings)
+    return reconstruct_settings(live_spec(request.settings), request.settings)
 
 
 def check_out(out: Path) -> None:
     """Raise InputError where ``out`` is there already, before any device is touched."""
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise InputError(f"{out}: is there already; choose another folder for this take")
+    check_folder(out)
 
 
 def pulses_of(request: Request, hardware: RigHardware) -> int | None:

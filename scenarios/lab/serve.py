@@ -17,7 +17,7 @@ from mosca.data.frames import CameraInfo, FrameSource
 from mosca.data.rig import Rig
 from mosca.data.rig_file import CameraTable, read_rig, read_rig_file, rig_toml
 from mosca.data.toml import Positive, Table, check, read_toml
-from mosca.data.whole_file import whole_file
+from mosca.data.whole_file import check_writable, whole_file
 from mosca.errors import InputError
 from mosca.recording import open_recording
 from scenarios.build import build_scene
@@ -99,6 +99,8 @@ def serve(
 
     ``told``: called once the devices answer. Raises InputError for what cannot be served.
     """
+    if request.rig_out is not None:
+        check_writable(request.rig_out)
     with ExitStack() as stack:
         subject = _subject(request, stack)
         infos = subject.source.cameras
@@ -194,8 +196,10 @@ def _subject(request: Request, stack: ExitStack) -> Subject:
     path = Path(request.what)
     if path.is_dir() or path.name.endswith((".mcap", ".mcap.part")):
         return _recording(path, request.rate_hz, stack)
-    if path.is_file() and "twin" in read_toml(path):
-        return _rig(path, request, stack)
+    if path.is_file():
+        document = read_toml(path)
+        if "twin" in document or ("camera" in document and "scene" not in document):
+            return _rig(path, request, stack)
     return _scenario(request.what, request.workers, stack)
 
 

@@ -13,18 +13,18 @@ from hardware.transport.merger import MergeSettings
 from hardware.transport.receiver import Receiver
 from hardware.transport.sender import Sender
 from hardware.transport.station_state import Event, ReceiverSettings
-from hardware.transport.transport import check_station
+from hardware.transport.transport import check_station, check_stations
 from mosca.data.rig_file import read_rig, read_rig_file
 from mosca.data.toml import check
 from mosca.data.tracks import Samples, table
-from mosca.errors import InputError
-from mosca.formats.tracks_file import SUFFIXES, write_tracks
+from mosca.formats.tracks_file import write_tracks
 from mosca.recording import open_recording
 from scenarios.interrupt import first_ctrl_c
 from scenarios.lab.merge import Delays, account_lines, all_whole, calibrated_rig, run_merged
 from scenarios.lab.station import run_station
 from scenarios.lab.station_source import Paced, RigOfStation
-from scenarios.reconstruct import reconstruct_settings, reconstruct_spec
+from scenarios.labels import check_tracks_file
+from scenarios.reconstruct import live_spec, reconstruct_settings
 from scenarios.sources import Chosen
 
 RIGS_S = 15.0
@@ -44,9 +44,9 @@ def detect_on_station(
 ) -> list[str]:
     """Run a detecting station until its source ends, ``seconds`` are over, or Ctrl-C; return what to tell."""
     check_station(name)
-    detection = reconstruct_settings(reconstruct_spec(settings_path, overrides), settings_path).detection
-    text = rig.read_text(encoding="utf-8") if rig.is_file() else ""
+    detection = reconstruct_settings(live_spec(settings_path, overrides), settings_path).detection
     names = tuple(table.name for table in read_rig_file(rig).camera)
+    text = rig.read_text(encoding="utf-8")
     devices: RigOfStation | None = None
     if recording is None:
         devices = RigOfStation(read_hardware(rig))
@@ -97,17 +97,15 @@ def reconstruct_stations(
 
     Return what to tell, and whether every camera is in every set. The tracks are written in any case.
     """
-    if out.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{out}: suffix '{out.suffix}' given; {', '.join(SUFFIXES)} are allowed")
-    if not out.resolve().parent.is_dir():
-        raise InputError(f"{out}: no folder {out.parent}; make it first")
-    settings = reconstruct_settings(reconstruct_spec(settings_path, overrides), settings_path)
+    check_tracks_file(out)
+    settings = reconstruct_settings(live_spec(settings_path, overrides), settings_path)
     file = read_rig_file(rig_path)
     rate = (
         check(HardwareTable, dict(file.hardware), f"{rig_path}: [hardware]").rate_hz
         if file.hardware
         else None
     )
+    check_stations(stations)
     receiver = Receiver(
         open_transport(listen=listen),
         stations,

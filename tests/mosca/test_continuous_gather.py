@@ -4,10 +4,9 @@ Points move on sums of sinusoids and are projected here by the pinhole equations
 its own and stamps them by a clock of its own.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
+from continuous_sessions import DRIFT, POINTS, RATE_HZ, pinhole, rig, session
 
 from mosca.continuous.gather import GatherSettings, gather_seen
 from mosca.continuous.gather_clocks import common_clock, tied_clocks
@@ -18,83 +17,8 @@ from mosca.continuous.gather_look import Seen, check_rise
 from mosca.continuous.gather_strands import Paths, strands
 from mosca.continuous.observations import Observations, no_carriers
 from mosca.data.frames import CameraInfo
-from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
-
-FOCAL, WIDTH, HEIGHT = 700.0, 656, 491
-POINTS, RATE_HZ, SIGMA_PX = 10, 50.0, 0.05
-BEGIN_S = (0.0, 0.313, 0.127)
-DRIFT = (0.0, 40e-6, -60e-6)
-EPOCH_NS = (0, 5_000_000_000, -77_000_000_000)
-
-
-def rig() -> Rig:
-    """Three cameras 1.8 m from the middle, which they look at."""
-    cameras = []
-    for k, azimuth in enumerate(np.deg2rad([0.0, 75.0, 200.0])):
-        place = np.array([1.8 * np.cos(azimuth), 1.8 * np.sin(azimuth), 0.3 * k])
-        forward = -place / np.linalg.norm(place)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        turn = np.column_stack([right, np.cross(forward, right), forward])
-        lens = OpenCVLens(FOCAL, FOCAL, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
-        cameras.append(Camera(f"c{k}", WIDTH, HEIGHT, lens, Pose(turn, place)))
-    return Rig(tuple(cameras))
-
-
-@dataclass(frozen=True)
-class Motion:
-    """Points on sums of three sinusoids an axis, about 0.7 m/s."""
-
-    seed: int = 3
-
-    def at(self, time_s: np.ndarray) -> np.ndarray:
-        """Return (t, points, 3)."""
-        random = np.random.default_rng(self.seed)
-        size, phase = random.normal(0, 0.05, (3, POINTS, 3)), random.uniform(0, 2 * np.pi, (3, POINTS, 3))
-        centre = random.uniform(-0.25, 0.25, (POINTS, 3))
-        wave = [
-            size[k] * np.sin(2 * np.pi * f * np.asarray(time_s)[:, None, None] + phase[k])
-            for k, f in enumerate((0.4, 0.9, 1.3))
-        ]
-        return centre + sum(wave)
-
-
-def pinhole(camera: Camera, xyz: np.ndarray) -> np.ndarray:
-    v = (xyz - camera.world_from_camera.translation) @ camera.world_from_camera.rotation
-    return FOCAL * v[..., :2] / v[..., 2:] + [(WIDTH - 1) / 2, (HEIGHT - 1) / 2]
-
-
-def seen_by(
-    camera: Camera, k: int, duration_s: float, own_clock: bool
-) -> tuple[Seen, np.ndarray, np.ndarray]:
-    """Return what a camera saw, which point each image point is, and the true instants of its frames."""
-    random = np.random.default_rng(10 + k)
-    true_s = np.arange(BEGIN_S[k], duration_s, 1 / RATE_HZ)
-    stamp = np.rint(true_s * (1 + DRIFT[k] * own_clock) * 1e9).astype(np.int64) + EPOCH_NS[k] * own_clock
-    xy = pinhole(camera, Motion().at(true_s)) + random.normal(0, SIGMA_PX, (len(true_s), POINTS, 2))
-    rows, names = [], []
-    for image in xy:
-        order = random.permutation(POINTS)
-        inside = [p for p in order if 0 < image[p, 0] < WIDTH - 1 and 0 < image[p, 1] < HEIGHT - 1]
-        rows.append(image[inside])
-        names.append(np.array(inside))
-    n = sum(len(r) for r in rows)
-    start = np.concatenate([[0], np.cumsum([len(r) for r in rows])])
-    info = CameraInfo(camera.name, WIDTH, HEIGHT, 8, RATE_HZ, "device" if own_clock else "session")
-    seen = Seen(
-        info, stamp, start, np.concatenate(rows), np.tile(SIGMA_PX**2 * np.eye(2), (n, 1, 1)), np.full(n, 6.0),
-        np.full(n, 200.0), np.ones(n), np.zeros(n, np.uint8),
-    )  # fmt: skip
-    return seen, np.concatenate(names), true_s
-
-
-def session(
-    duration_s: float = 3.0, own_clock: bool = True
-) -> tuple[list[Seen], list[np.ndarray], list[np.ndarray]]:
-    found = [seen_by(camera, k, duration_s, own_clock) for k, camera in enumerate(rig().cameras)]
-    return [f[0] for f in found], [f[1] for f in found], [f[2] for f in found]
 
 
 def test_a_strand_is_one_point():

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from mosca.camera import project
-from mosca.data.detections import MERGED, PARTIAL, Detections
+from mosca.data.detections import MERGED, PARTIAL, UNREFINED, Detections
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
 from mosca.match import EVERYWHERE, MatchSettings, Predicted, match, match_counted
 from mosca.triangulate import bundle_rays
@@ -208,6 +208,56 @@ def test_a_partly_hidden_image_counts_for_less():
     assert whole.n_cameras.tolist() == partly.n_cameras.tolist() == [3]
     assert partly.trusted[0] < whole.trusted[0]
     assert np.trace(partly.covariance[0]) > np.trace(whole.covariance[0])
+
+
+def test_an_image_alone_that_no_disc_fits_is_half_hidden_where_discs_fit_others():
+    rig, rng = rig_of(3), np.random.default_rng(9)
+    found, _ = detected(rig, rng.uniform(-0.4, 0.4, (12, 3)), rng, sigma=0.02)
+    one = {**flagged(rig, found, "c0", 0, UNREFINED)}
+    whole, odd = grouped(rig, found), grouped(rig, one)
+    at = np.flatnonzero(odd.rays[:, 0] == 0)
+    same = np.flatnonzero(whole.rays[:, 0] == 0)
+    assert whole.trusted[same[0]] == pytest.approx(3.0)
+    assert odd.trusted[at[0]] == pytest.approx(2.0)
+    assert np.trace(odd.covariance[at[0]]) > np.trace(whole.covariance[same[0]])
+    # controls: beside a neighbour the fit fails for its sake; where no fit was tried, none means nothing
+    crowded = grouped(rig, flagged(rig, found, "c0", 0, UNREFINED | MERGED))
+    untried = grouped(
+        rig, {n: replace(f, flags=np.full(len(f), UNREFINED, np.uint8)) for n, f in found.items()}
+    )
+    assert crowded.trusted[crowded.rays[:, 0] == 0] == pytest.approx(3.0)
+    assert untried.trusted == pytest.approx(np.full(12, 3.0))
+
+
+def test_a_long_image_counts_for_less_where_the_others_are_round():
+    rig, rng = rig_of(3), np.random.default_rng(9)
+    found, _ = detected(rig, rng.uniform(-0.4, 0.4, (12, 3)), rng, sigma=0.02)
+    longer = np.ones(12)
+    longer[0] = 5.0 / 3.0
+    odd = grouped(rig, {**found, "c0": replace(found["c0"], elongation=longer)})
+    assert odd.trusted[odd.rays[:, 0] == 0] < 2.7
+    assert odd.trusted[odd.rays[:, 0] != 0] == pytest.approx(np.full(11, 3.0))
+    # control: flat or fast targets, all of them long, are whole
+    flat = grouped(rig, {n: replace(f, elongation=np.full(12, 5.0 / 3.0)) for n, f in found.items()})
+    assert flat.trusted == pytest.approx(np.full(12, 3.0))
+
+
+def test_blur_makes_no_near_image_look_half_hidden():
+    rig, rng = rig_of(4), np.random.default_rng(5)
+    near = np.array([camera.world_from_camera.translation for camera in rig.cameras])[0] * 0.65
+    targets = near + rng.uniform(-0.1, 0.1, (6, 3))  # from one camera 1 m away, from others up to 5 m
+    found, _ = detected(rig, targets, rng, sigma=0.02)
+    blurred = {
+        n: replace(f, diameter_px=np.sqrt((0.6 * f.diameter_px) ** 2 + 0.9**2)) for n, f in found.items()
+    }
+    whole = grouped(rig, blurred)
+    assert len(whole) == 6
+    assert whole.trusted == pytest.approx(whole.n_cameras.astype(float))
+    # control: with a tenth of an image's area gone it is trusted less
+    smaller = blurred["c0"].diameter_px * np.sqrt(0.9)
+    partly = grouped(rig, {**blurred, "c0": replace(blurred["c0"], diameter_px=smaller)})
+    seen = partly.rays[:, 0] >= 0
+    assert seen.any() and (partly.trusted[seen] < partly.n_cameras[seen] - 0.05).all()
 
 
 def test_a_merged_image_serves_two_targets_that_tracks_expect():

@@ -138,6 +138,7 @@ def test_a_recording_that_ends_in_order_leaves_no_tail(tmp_path):
     assert sorted(os.listdir(tmp_path / "take")) == ["recording.mcap", "recording.toml"]
     with suppress(RuntimeError), RecordingWriter(tmp_path / "other", CAMERAS, tail_bytes=1 << 20) as writer:
         writer.keep(frame("a", 0), 1)
+        writer.write(frame("a", 0))
         raise RuntimeError("body")
     assert os.listdir(tmp_path / "other") == ["recording.mcap.part"]
     assert set(Path("/dev/shm").glob("mosca-*")) <= before
@@ -163,3 +164,26 @@ def test_damaged_slots_are_left_out(tmp_path):
         (tmp_path / "bad").write_bytes(bad)
         assert len(read_tail(tmp_path / "bad", CAMERAS)) <= 3
     tail.close()
+
+
+def test_a_recording_can_be_opened_before_its_first_frame(tmp_path):
+    writer = RecordingWriter(tmp_path / "take", CAMERAS, "rig text", tail_bytes=1 << 20)
+    with open_recording(tmp_path / "take") as recording:
+        assert list(recording) == []
+        assert [info.name for info in recording.cameras] == [info.name for info in CAMERAS]
+        assert recording.rig_toml_text == "rig text"
+        assert "its writer did not finish" in recording.notes[0]
+    writer.close()
+
+
+@pytest.mark.parametrize("made_before", [False, True])
+def test_a_recording_that_never_began_leaves_nothing(tmp_path, made_before):
+    if made_before:
+        (tmp_path / "take").mkdir()
+    with pytest.raises(RuntimeError), RecordingWriter(tmp_path / "take", CAMERAS, tail_bytes=1 << 20):
+        raise RuntimeError("body")
+    assert os.listdir(tmp_path) == (["take"] if made_before else [])
+    with suppress(RuntimeError), RecordingWriter(tmp_path / "take", CAMERAS) as writer:
+        writer.write_channel("notes", 0, {"a": 1})
+        raise RuntimeError("body")
+    assert os.listdir(tmp_path / "take") == ["recording.mcap.part"]

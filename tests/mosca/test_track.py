@@ -5,6 +5,7 @@ import pytest
 from track_points import points
 
 from mosca.data.tracks import table
+from mosca.nearest import NearestTracker
 from mosca.track import Tracker, TrackSettings
 
 STEP_NS = 10_000_000
@@ -34,6 +35,20 @@ def test_two_cameras_need_longer_to_convince():
     assert len(follow([points([0, 0, 0], 4)] * 2)) == 2
     assert len(follow([points([0, 0, 0], 2)] * 4)) == 0
     assert len(follow([points([0, 0, 0], 2)] * 5)) == 5
+
+
+def test_samples_without_a_name_are_counted_until_they_leave():
+    tracker, nearest = Tracker(TrackSettings()), NearestTracker()
+    left = []
+    # two cameras convince with the fifth sighting; a target that was seen once is given up after two misses
+    for k in range(8):
+        places = [[0.0, 0.0, 0.0]] + ([[1.0, 0.0, 0.0]] if k == 0 else [])
+        for one in (tracker, nearest):
+            one.predict(k * STEP_NS * 1e-9)
+            handed = one.update(points(places, 2), k, k * STEP_NS)
+            assert one is tracker or (len(handed) == len(places) and one.waiting == 0)
+        left.append(tracker.waiting)
+    assert left == [2, 3, 3, 4, 0, 0, 0, 0]
 
 
 def test_flashes_are_never_handed_out():

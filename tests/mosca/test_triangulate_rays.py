@@ -14,8 +14,8 @@ from mosca.calibrate.judge_jacobian import changed_rig
 from mosca.camera import project, rays
 from mosca.data.detections import Detections
 from mosca.data.rig import Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose, Rig
-from mosca.ray_kernels import ANGLE, SIGMA, SPREAD, WHITE
-from mosca.triangulate import bundle_rays, triangulate
+from mosca.ray_kernels import ANGLE, FLAGS, SIGMA, SPREAD, WHITE
+from mosca.triangulate import LONG, bundle_rays, triangulate
 from mosca.triangulate_calibration import calibration_covariance
 
 POSE = Pose(Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix(), np.array([0.4, -1.2, 2.0]))
@@ -82,9 +82,29 @@ def test_a_fisheye_looks_behind_itself_and_ends_at_its_image_circle():
     assert np.isnan(direction[2]).all()
 
 
-def test_the_angle_of_an_image_is_its_size_over_the_focal_length():
+def test_the_angle_of_an_image_is_its_size_without_blur_over_the_focal_length():
     lens = OpenCVLens(800.0, 800.0, 330.0, 240.0)
-    assert bundled(lens, np.array([[330.0, 240.0]]))[0].rays[0, ANGLE] == pytest.approx(6.0 / 800.0)
+    # a blur of standard deviation s adds (2 s)^2 to a diameter's square: 5.93 px of the 6 are the target's
+    across = np.sqrt(6.0**2 - 0.9**2)
+    assert bundled(lens, np.array([[330.0, 240.0]]))[0].rays[0, ANGLE] == pytest.approx(across / 800.0)
+
+
+def test_long_regions_are_told_from_round_ones():
+    rig = Rig((Camera("c", 656, 491, LENSES["mosca"], POSE),))
+
+    def long_at(sides, diameter_px):
+        found = replace(
+            detected(np.array([[330.0, 240.0]])),
+            elongation=np.array([sides[0] / sides[1]]),
+            diameter_px=np.array([diameter_px]),
+        )
+        return int(bundle_rays(rig, {found.camera: found}, 0.0).rays[0, FLAGS]) & LONG > 0
+
+    # boxes of regions [px] and the diameter of the disc with their light, as images of small markers have them
+    for sides, diameter_px in (((4, 4), 2.8), ((4, 3), 2.3), ((5, 4), 2.9), ((6, 5), 3.7), ((11, 10), 9.4)):
+        assert not long_at(sides, diameter_px)
+    for sides, diameter_px in (((5, 3), 2.8), ((6, 4), 3.7), ((12, 9), 9.4)):
+        assert long_at(sides, diameter_px)
 
 
 def test_no_ray_beyond_the_fold_and_none_without_a_covariance():

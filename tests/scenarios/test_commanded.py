@@ -13,6 +13,7 @@ from mosca.errors import InputError
 from mosca.recording import RecordingWriter
 from scenarios.build import build_scene
 from scenarios.lab.commanded import command_lines, write_commands
+from scenarios.run import RunOptions, run_scenario
 from scenarios.spec import load_scenario
 
 SCENARIO = Path(__file__).resolve().parents[2] / "scenarios" / "subjects" / "robot_program.toml"
@@ -84,3 +85,35 @@ def test_noise_and_a_program_exclude_each_other(tmp_path):
     (tmp_path / "both.toml").write_text(text)
     with pytest.raises(InputError, match="average_pwm is of the noise"):
         load_scenario(tmp_path / "both.toml")
+
+
+def test_a_twin_s_recording_holds_what_drove_it_and_drives_it_again(tmp_path):
+    program = tmp_path / "short.program"
+    given = [(0.0, 60, 60), (0.01, -45, 45), (0.02, 80, 50)]
+    program.write_text(
+        '[[target]]\nname = "rover"\naddress = "10.0.0.1:1"\n'
+        + "".join(
+            f'[[program]]\ntarget = "rover"\nat_s = {at}\ncommand = {{ left = {left}, right = {right} }}\n'
+            for at, left, right in given
+        )
+    )
+    quick = (
+        'scene.target="rover"',
+        "capture.duration_s=0.04",
+        "cameras.size_px=[160, 120]",
+        "cameras.pixel_pitch_mm=0.04",
+        "limits={ghosts_per_frame=100.0}",
+        "pipeline.bodies=false",
+        "premises.marker_px=0.5",
+    )
+    spec = load_scenario(SCENARIO, (*quick, f"scene.commands={program}"))
+    run_scenario(spec, "robot", tmp_path, RunOptions(record_to=tmp_path / "take"))
+    recorded = command_lines(tmp_path / "take", "rover")
+    assert recorded == [
+        (round(at * 1e9), json.dumps({"left": float(left), "right": float(right)}))
+        for at, left, right in given
+    ]
+    again = build_scene(load_scenario(SCENARIO, (*quick, "scene.commands=take")), tmp_path)
+    first = build_scene(spec, tmp_path)
+    np.testing.assert_array_equal(again.commands.values, first.commands.values)
+    np.testing.assert_array_equal(again.sampler().at(0.03).marker_xyz, first.sampler().at(0.03).marker_xyz)

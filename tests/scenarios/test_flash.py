@@ -1,13 +1,17 @@
 """Cameras synchronised by a light that flashes: instants by hand, the twin's clocks, and controls."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.rig import Camera, OpenCVLens, Pose
 from mosca.errors import InputError
+from mosca.recording import RecordingWriter
+from scenarios.cli_rig import rig_check
 from scenarios.lab.flash import synchronise
 from twin.cameras.camera import VirtualCamera
 from twin.cameras.mount import Mount
@@ -196,3 +200,34 @@ def test_the_twin_s_lamp_that_never_flashes_is_told():
         twin(None, 0.3) as source,
     ):
         synchronise(source)
+
+
+def test_rig_check_says_how_cameras_of_a_recording_are_synchronised(tmp_path):
+    filmed = Filmed({"a": (100.0, 0.0, 9.9e-3, 0.0, 0.0), "b": (60.0, 3.1e-3, 16.5e-3, 0.25, 0.0)})
+    with RecordingWriter(tmp_path / "flashes", filmed.cameras) as writer:
+        for frame in filmed:
+            writer.write(frame)
+    done = CliRunner().invoke(rig_check, ["--flash", str(tmp_path / "flashes")])
+    assert done.exit_code == 0, done.output
+    told = re.fullmatch(
+        r"camera 'b': stamps \+(\S+) \+- (\S+) ms ahead of 'a', drift .*, 12 edges of the flash\n",
+        done.output,
+    )
+    assert told is not None, done.output
+    assert float(told[1]) == pytest.approx(250.0, abs=max(4 * float(told[2]), 0.03))
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["--flash", "nowhere"], "nowhere: no such folder"),
+        (["rig.toml", "--flash", "take"], "leave rig file and --devices out"),
+        (["--devices", "--flash", "take"], "leave rig file and --devices out"),
+        (["--devices", "--fps", "30"], "--fps goes with --flash"),
+        ([], "give a rig file, --devices for the cameras that are there, or --flash"),
+    ],
+)
+def test_rig_check_refuses_what_does_not_go_together(given, message):
+    error = CliRunner().invoke(rig_check, given).exception
+    assert isinstance(error, InputError)
+    assert message in str(error)

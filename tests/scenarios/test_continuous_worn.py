@@ -1,0 +1,97 @@
+"""Worn cameras, their lamps, and how clocks are scored: against what is worked out by hand."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mosca.continuous.gather_solve import CameraClock
+from mosca.data.tracks import Tracks
+from mosca.errors import InputError
+from scenarios.catalog import find
+from scenarios.continuous_lamps import check_no_lamps, rider_pose, worn_lamps
+from scenarios.continuous_run import clock_scores
+from scenarios.continuous_worn import without_lamps, worn_cameras
+from scenarios.spec import load_scenario
+
+
+@pytest.fixture(scope="module")
+def worn():
+    path = find("continuous/worn")
+    return load_scenario(path)
+
+
+def rider(**given):
+    places = {"name": "a", "place_m": (1.0, 2.0, 3.0), "forward": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0)}
+    return SimpleNamespace(**(places | given))
+
+
+def test_a_rider_looks_forward_with_its_rows_going_down():
+    pose = rider_pose(rider())
+    # x right, y down, z forward: what lies 1 m ahead, 2 m to its right and 3 m below
+    np.testing.assert_allclose(
+        pose.transform(np.array([[2.0, 3.0, 1.0]])), [[1 + 1.0, 2 - 2.0, 3 - 3.0]], atol=1e-12
+    )
+
+
+def test_forward_along_up_is_refused():
+    with pytest.raises(InputError, match=r"camera 'a': forward = .* must not be parallel"):
+        rider_pose(rider(up=(2.0, 0.0, 0.0)))
+
+
+def test_each_worn_camera_has_its_lamp_beside_the_lens(worn):
+    lamps = worn_lamps(worn)
+    assert [lamp.name for lamp in lamps] == [f"lamp/{own.name}" for own in worn.camera]
+    for lamp, own in zip(lamps, worn.camera, strict=True):
+        away = np.linalg.norm(np.subtract(lamp.place_m, own.place_m))
+        assert away == pytest.approx(np.linalg.norm(own.lamp_m), abs=1e-12)
+        assert lamp.diameter_m == 0.02
+
+
+def test_lamps_where_nobody_can_carry_them_are_refused(worn):
+    with pytest.raises(InputError, match=r"camera 'front_left': lamp_m = .* only an actor's cameras"):
+        check_no_lamps(worn)
+
+
+def test_one_camera_on_the_body_is_too_few(worn):
+    one = SimpleNamespace(mount=SimpleNamespace(body="root"))
+    other = SimpleNamespace(mount=SimpleNamespace(body="head"))
+    with pytest.raises(InputError, match="worn_on = 'root': 1 "):
+        worn_cameras(worn, (one, other))
+
+
+def test_a_track_at_a_lamps_place_is_left_out():
+    n = 5
+    xyz = np.concatenate([np.tile([0.3, 0.0, 0.0], (n, 1)), np.tile([0.35, 0.0, 0.0], (n, 1))])
+    tracks = Tracks(
+        np.tile(np.arange(n), 2), np.tile(np.arange(n) * 1000, 2), np.repeat([0, 1], n), np.full(2 * n, ""), xyz,
+        np.tile(1e-6 * np.eye(3), (2 * n, 1, 1)), np.full(2 * n, 3), np.zeros(2 * n), np.full(2 * n, "measured"),
+    )  # fmt: skip
+    kept = without_lamps(tracks, {"a": np.array([0.31, 0.0, 0.0])})
+    assert set(kept.track.tolist()) == {1}
+
+
+def test_clock_scores_are_the_worse_end_and_the_worst_camera():
+    """Camera b runs 100 ppm slow and began 0.25 s late; what is said of it is 1 ms and 50 ppm off."""
+    stamps = np.arange(0, 2_000_000_001, 100_000_000)
+    session = np.rint(0.25e9 + stamps * (1 + 1e-4)).astype(np.int64)
+    frames = SimpleNamespace(
+        camera=np.repeat([0, 1], len(stamps)),
+        stamp_ns=np.concatenate([stamps, stamps + 7]),
+        exposure_mid_ns=np.concatenate([stamps, session]),
+    )
+    truth = SimpleNamespace(frames=frames, cameras=("a", "b"))
+    seen = [SimpleNamespace(frame_ns=stamps + late, period_s=0.1) for late in (0, 7)]
+    clocks = (
+        CameraClock("a", 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        CameraClock("b", 7, 0.251, 1.5e-4, 0.0, 1e-6, 1e-6, 0.0),
+    )
+    found = SimpleNamespace(
+        clocks=clocks, gathered=SimpleNamespace(seen=seen), rig=SimpleNamespace(names=("a", "b"))
+    )
+    scores = clock_scores(found, truth)
+    # at the end 1 ms + 2 s x 50 ppm = 1.1 ms of 100 ms
+    assert scores["clock_frames"].value == pytest.approx(0.011, abs=1e-5)
+    assert scores["clock_drift_ppm"].value == pytest.approx(50.0, abs=0.1)
+    truth.frames = None
+    assert clock_scores(found, truth) == {}
