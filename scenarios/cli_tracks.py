@@ -51,7 +51,9 @@ FILE = click.Path(path_type=Path)
     help="continuous: whether all stamps are of one clock  [default: auto, by what the recording says]",
 )
 @click.option(
-    "--search", type=float, help="continuous: how far apart the cameras may have been started [s]  [default: 10]"
+    "--search",
+    type=float,
+    help="continuous: how far apart the cameras may have been started [s]  [default: 10]",
 )
 def reconstruct(
     recording: Path,

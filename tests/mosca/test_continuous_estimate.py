@@ -172,8 +172,8 @@ def added_by_cameras(curves, time_s):
 
 
 def test_unknown_cameras_that_stand_still_cost_little():
-    path, within, rng = sines(6, 15), np.linspace(0.1, 2.9, 120), np.random.default_rng(6)
-    observations = take(path, ring(), staggered(3.0), 0.1, 6)
+    path, within, rng = sines(6, 10), np.linspace(0.1, 1.9, 120), np.random.default_rng(6)
+    observations = take(path, ring(), staggered(2.0, rate=30.0), 0.1, 6)
 
     def off(camera):
         pose = camera.world_from_camera

@@ -5,6 +5,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from mosca.continuous.banded import Band, Rows, solve_bordered
+from mosca.continuous.left_out import foretold
 from mosca.continuous.smoothness import expected_accelerations, log_determinant, shrunk
 from mosca.continuous.spline import fitted, knots_over, values
 
@@ -114,3 +115,72 @@ def test_chance_correlations_are_shrunk_away_and_true_ones_stay():
     common = rng.normal(size=(400, 1)) + 0.3 * rng.normal(size=(400, 6))
     tight = np.cov(common.T)
     np.testing.assert_allclose(shrunk(tight, 400), tight, rtol=0.08)
+
+
+def random_band(seed):
+    rng, knots = np.random.default_rng(seed), Knots(0.0, 1.0, 9, 3)
+    first, weights = knots.weights(np.repeat(np.sort(rng.uniform(0, 9, 20)), 4))
+    n = len(first)
+    rows = Rows(
+        first, weights, np.tile([[0, 1, 2, -1], [3, 4, 5, -1]], (n // 4, 1)).repeat(2, axis=0),
+        rng.normal(size=(n, 4)), np.zeros((n, 0)), rng.normal(size=n),
+    )  # fmt: skip
+    dense = np.zeros((n, knots.count * 6))
+    for r in range(n):
+        for a in range(4):
+            for c in range(3):
+                dense[r, (first[r] + a) * 6 + rows.columns[r, c]] += weights[r, a] * rows.values[r, c]
+    return rows, dense, knots
+
+
+def test_what_others_foretell_is_what_an_estimate_without_the_exposure_says():
+    rows, dense, knots = random_band(4)
+    band = Band(knots.count, 4, 6, 0)
+    band.add(rows)
+    band.add_prior(knots.gram(0), np.eye(6))
+    prior = np.zeros((knots.count * 6, knots.count * 6))
+    for o, line in enumerate(knots.gram(0)):
+        for k in range(knots.count - o):
+            block = line[k] * np.eye(6)
+            prior[6 * (k + o) : 6 * (k + o) + 6, 6 * k : 6 * k + 6] = block
+            prior[6 * k : 6 * k + 6, 6 * (k + o) : 6 * (k + o) + 6] = block
+    x = np.linalg.solve(prior + dense.T @ dense, dense.T @ rows.rest)
+    left = Rows(rows.first, rows.weights, rows.columns, rows.values, rows.shared, rows.rest - dense @ x)
+    # both points of an exposure go together: two pairs of equations
+    exposure = np.repeat(np.arange(20), 2)
+    nothing = np.zeros((knots.count * 6, 0)), np.zeros((0, 0))
+    found = foretold(band.factor(), left, exposure, np.ones(20, dtype=bool), *nothing)
+    assert sorted(e for e, *_ in found) == list(range(20))
+    for e, pairs, error, stated in found:
+        out = np.repeat(exposure == e, 2)
+        without = prior + dense[~out].T @ dense[~out]
+        there = np.linalg.solve(without, dense[~out].T @ rows.rest[~out])
+        row = (2 * pairs[:, None] + np.arange(2)).ravel()
+        assert error.ravel() == pytest.approx(rows.rest[row] - dense[row] @ there, abs=1e-9)
+        covariance = np.eye(4) + dense[row] @ np.linalg.solve(without, dense[row].T)
+        assert stated[0] == pytest.approx(covariance[:2, :2], abs=1e-9)
+
+
+def test_what_nothing_determines_is_held_where_it_is():
+    rows, _, knots = random_band(5)
+    band = Band(knots.count, 4, 9, 0)
+    band.add(rows)
+    with pytest.raises(np.linalg.LinAlgError):
+        band.factor()
+    where = np.arange(9.0 * knots.count)
+    band.hold(where)
+    held = band.factor().solve(band.right).reshape(-1, 9)
+    assert held[:, 6:] == pytest.approx(where.reshape(-1, 9)[:, 6:])
+
+
+def test_a_livelier_piece_counts_less_in_the_prior():
+    knots = Knots(0.0, 0.5, 6, 3)
+    weight = np.array([1.0, 0.5, 0, 0, 2, 1])
+    c = np.random.default_rng(1).normal(size=knots.count)
+    curve = BSpline(0.5 * np.arange(-3, knots.count + 1), c, 3).derivative(2)
+    t = np.linspace(0, 3, 6001)
+    middle = 0.5 * (t[1:] + t[:-1])
+    wanted = (curve(middle) ** 2 * weight[(middle / 0.5).astype(int)]).sum() * (t[1] - t[0])
+    gram = knots.gram(2, weight)
+    found = sum((2 if o else 1) * (gram[o, : len(c) - o] * c[: len(c) - o] * c[o:]).sum() for o in range(4))
+    assert found == pytest.approx(wanted, rel=1e-5)

@@ -11,6 +11,7 @@ from scipy.interpolate import make_lsq_spline
 from scipy.spatial.transform import Rotation
 
 from mosca.continuous.camera_paths import StillCameras
+from mosca.continuous.estimate import estimate
 from mosca.continuous.interpolated import interpolated
 from mosca.data.motion import PointMotion
 from mosca.errors import InputError
@@ -172,3 +173,27 @@ def test_worn_cameras_move_with_the_body_and_see_it():
     assert shown > 0.7
     with pytest.raises(InputError, match="at the motion's frames only"):
         paths.at(np.array([0.0041]))
+
+
+@needs_data
+@pytest.mark.data
+def test_our_curves_are_as_exact_as_they_say_on_recorded_persons():
+    """Means over three motions: a person's motion is no process of any prior, single ones are off by two."""
+    squares, ratio = [], []
+    for name in ("02_01", "02_03", "09_06"):
+        whole = read_points(DATA, name)
+        truth = PointMotion(whole.names, whole.time_s[:200], whole.xyz[:200])
+        rig = surround(truth)
+        see = observe(truth, rig, epipoles=False)
+        frames = shared_frames(see, truth)
+        curves = estimate(see, rig).curves
+        time_s, column = truth.time_s[frames], [curves.points.index(n) for n in truth.names]
+        away = curves.at(time_s)[:, column] - truth.xyz[frames]
+        covariance = curves.covariance_at(time_s)[:, column]
+        squares.append(np.einsum("tpi,tpi->tp", away, np.linalg.solve(covariance, away[..., None])[..., 0]))
+        cubic = score(interpolated(see, rig, "cubic"), truth, frames).rms_m
+        ratio.append(np.sqrt((away**2).sum(axis=2).mean()) / cubic)
+    assert 0.88 < np.mean([(s < 7.815).mean() for s in squares]) < 0.98
+    assert 1.5 < np.mean([s.mean() for s in squares]) < 5
+    # linear > cubic > ours
+    assert max(ratio) < 0.75
