@@ -100,7 +100,10 @@ class CameraHealth:
 
 
 class Health:
-    """Watches the points of a running pipeline. ``attend`` takes each frame set; ``noise`` is what was learned."""
+    """Watches the points of a running pipeline. ``attend`` takes each frame set; ``noise`` is what was learned.
+
+    ``nameless``: samples that had no identity yet when the run ended.
+    """
 
     def __init__(self, rig: Rig, settings: HealthSettings | None = None) -> None:
         self.settings = settings or HealthSettings()
@@ -117,6 +120,7 @@ class Health:
         self._clocks: deque[tuple[Array, Array, Array]] = deque(maxlen=CLOCK_LOOKS)
         self._square, self._images = np.zeros(c), np.zeros(c)
         self._blocks: dict[int, Array] = {}
+        self.nameless = 0
 
     def attend(
         self, rig: Rig, frame_set: FrameSet, detections: Mapping[str, Detections], points: Points

@@ -146,6 +146,7 @@ def run_seen(
             rig = keeper.rig
             clock.lap("keep")
         yield Step(frame_set, detections, points, samples, clock.laps)
+    health.nameless = tracker.waiting
 
 
 def learned_diameter(known_m: float, points: Points) -> float:

@@ -338,6 +338,8 @@ def _collect(
         keeper.close()
         for k, incident in enumerate(keeper.incidents):
             assembly.notes[f"rig {k + 1}"] = incident.message
+    if nameless := sum(health.nameless for health in healths):
+        assembly.notes["nameless"] = f"{nameless} samples at the end had no identity yet and are left out"
     for k, line in enumerate(line for health in healths for line in health.findings()):
         assembly.notes[f"camera {k + 1}"] = line
     if latency:

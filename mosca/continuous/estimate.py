@@ -45,6 +45,7 @@ JOINED_AT = 1
 """The round from which on curves have learned from each other, so that distances can be looked at."""
 SPOILT = 0.1
 """Where more than this share of distances is dropped at once, what was learned with them is learned anew."""
+ROUNDS_ALONE = 2
 MOST_ROUNDS = 20
 FEWEST_ROUNDS = 4
 STILL = 1e-3
@@ -211,6 +212,9 @@ def _rounds(
                 # false distances bent curves, and what was learned from them is not motion
                 covariances, state = before[0], replace(state, pace=before[1])
                 last = min(k + settings.rounds, MOST_ROUNDS - 1)
+            elif not had and not len(pairs):
+                # nothing to learn slowly: curves alone settle soon
+                last = min(last, JOINED_AT + ROUNDS_ALONE)
     return solved, covariances, pairs
 
 

@@ -50,5 +50,4 @@ def test_a_jump_is_within_twice_the_floor_and_limbs_and_company_help(data_dir):
 def test_few_markers_in_the_jump_itself(data_dir):
     """Fifteen joints have less company: still near the floor."""
     observations, path, within, floor = seen(jump(data_dir, slice(120, 312), 15))
-    print(rms(estimate(observations, ring(away=4.5)), path, within) / floor)
     assert rms(estimate(observations, ring(away=4.5)), path, within) < 2.5 * floor

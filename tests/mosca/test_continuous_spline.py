@@ -7,7 +7,7 @@ from scipy.interpolate import BSpline
 from mosca.continuous.banded import Band, Rows, solve_bordered
 from mosca.continuous.left_out import foretold
 from mosca.continuous.smoothness import expected_accelerations, log_determinant, shrunk
-from mosca.continuous.spline import fitted, knots_over, values
+from mosca.continuous.spline import Knots, fitted, knots_over, values
 
 
 def dense(banded):
