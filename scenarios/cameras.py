@@ -209,9 +209,7 @@ def calibrated(spec: Scenario, cameras: tuple[VirtualCamera, ...]) -> Calibrated
     return fitted_cameras(spec, standing, None)
 
 
-def fitted_cameras(
-    spec: Scenario, cameras: tuple[VirtualCamera, ...], away_m: float | None
-) -> Calibrated:
+def fitted_cameras(spec: Scenario, cameras: tuple[VirtualCamera, ...], away_m: float | None) -> Calibrated:
     """Return ``cameras`` with the pipeline's lens model fitted to their true rays, to ``away_m`` [m].
 
     ``away_m`` None: to the distance of the working space's centre.

@@ -71,7 +71,9 @@ class RobotScene(Table):
     def _one_driver(self) -> "RobotScene":
         for key in ("average_pwm", "difference_pwm"):
             if self.commands is not None and key in self.model_fields_set:
-                raise ValueError(f"{key} is of the noise; commands = '{self.commands}' drive it: leave one out")
+                raise ValueError(
+                    f"{key} is of the noise; commands = '{self.commands}' drive it: leave one out"
+                )
         return self
 
 
