@@ -15,29 +15,10 @@ Conventions, said once and kept in every room:
 - One seed a run, split into named streams; no global random state.
 """
 
-import os
-import zlib
 from pathlib import Path
+
+from mosca.kernel_cache import keep_kernels_fresh
 
 __version__ = "0.1.0"
 
-
-def _keep_compiled_kernels_fresh() -> None:
-    """Give numba a cache folder of its own for each state of the sources.
-
-    Its cache notices a change of a kernel's own file only, not of the kernels in other files that it has
-    compiled in; after an update it would run old code. Must come before numba is imported. A user's own
-    NUMBA_CACHE_DIR is left alone.
-    """
-    root = Path(__file__).resolve().parent.parent
-    state = "".join(
-        f"{path.name}{path.stat().st_size}{path.stat().st_mtime_ns}"
-        for room in ("mosca", "twin")
-        for path in sorted((root / room).rglob("*.py"))
-    )
-    folder = root / ".kernels" / f"{zlib.crc32(state.encode()):08x}"
-    if os.access(root, os.W_OK):
-        os.environ.setdefault("NUMBA_CACHE_DIR", str(folder))
-
-
-_keep_compiled_kernels_fresh()
+keep_kernels_fresh(Path(__file__).resolve().parent.parent)

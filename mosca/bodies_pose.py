@@ -13,7 +13,7 @@ import numpy as np
 
 from mosca.bodies_alike import ALIKE_M, arrangements
 from mosca.bodies_kernels import claim, find, fit_pose
-from mosca.data.arrays import Array
+from mosca.data.arrays import Array, looked_at
 from mosca.data.bodies import RigidBody
 from mosca.data.rotations import rotation_from_vector
 
@@ -238,7 +238,7 @@ def seen_of(xyz: Array, covariance: Array, track: Array | None = None, marker: A
     names = [] if marker is None else marker.tolist()
     named = {name: row for row, name in enumerate(names) if name and names.count(name) == 1}
     identity = np.full(len(xyz), -1) if track is None else np.asarray(track)
-    return Seen(xyz, covariance, variance, identity, row_of, named)
+    return Seen(looked_at(xyz), looked_at(covariance), variance, identity, row_of, named)
 
 
 def predicted(rotation: Array, translation: Array, rates: Array, step_s: float) -> tuple[Array, Array]:

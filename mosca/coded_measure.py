@@ -38,7 +38,7 @@ from mosca.coded_dots import (
 )
 from mosca.coded_read import Readings
 from mosca.coded_rings import shading
-from mosca.data.arrays import Array
+from mosca.data.arrays import Array, looked_at
 
 FLAT_SHARE, FLAT_PX, FLATTEST_SHARE, WIDEST_FLAT = 1.45, 1.5, 0.5, 1.25
 """The window is flat up to ``FLAT_SHARE - FLAT_PX / s`` radii of the dot, s its shorter semi-axis [px]; limits."""
@@ -61,6 +61,7 @@ def measure_dots(
     were turned round: then photon noise grows with the plate's light. ``dark_dn2``, ``gain_dn``: variance of a pixel
     without light [DN^2], and what a grey value of light adds to it.
     """
+    image = looked_at(image)
     xy, covariance = np.empty((len(dots), 2)), np.empty((len(dots), 2, 2))
     plate, dark, gain = dots.levels[:, PLATE_DN], np.full(len(dots), float(dark_dn2)), float(gain_dn)
     if turned_dn is not None:
@@ -84,7 +85,8 @@ def plate_and_white(image: Array, dots: Readings, look: Look) -> Array:
     radii = np.array([look.gap, look.outside, middle - apart, middle, middle + apart])
     light, levels = light_at(image, dots.frames, look, radii)
     contrast = levels[:, [CONTRAST_DN]]
-    slopes = shading(light, radii, levels[:, [SLOPE_U, SLOPE_V]] / contrast, dots.frames, dots.rings, look)
+    seen = np.ascontiguousarray(levels[:, [SLOPE_U, SLOPE_V]] / contrast)
+    slopes = shading(light, radii, seen, dots.frames, dots.rings, look)
     return np.column_stack([levels[:, PLATE_DN], slopes[:, :2] * contrast, slopes[:, 2:]])
 
 

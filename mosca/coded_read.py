@@ -12,7 +12,7 @@ import numpy as np
 from mosca.coded_dots import AXX, AXY, AYY, CONTRAST_DN, GX, GY, Look, X, Y, find_dots, light_at
 from mosca.coded_patches import NEIGHBOURHOOD_PX, bright_patches
 from mosca.coded_rings import MARGIN, Ring, read_rings
-from mosca.data.arrays import Array
+from mosca.data.arrays import Array, looked_at
 
 LARGEST_DOT_PX = 13.0
 """Diameter of the largest dot that is sure to be one patch; larger ones are found on reduced images."""
@@ -125,9 +125,9 @@ def _tried(image: Array, frames: Array, look: Look, ring: Ring) -> Readings:
 def _reductions(image: Array, maximum_dot_px: float) -> Iterator[tuple[Array, int]]:
     """Yield the image and copies reduced by 2, 4, ...: as many as the largest dot takes."""
     factor = 1
-    yield image, factor
+    yield looked_at(image), factor
     while maximum_dot_px > LARGEST_DOT_PX * factor and min(image.shape) >= 4 * NEIGHBOURHOOD_PX:
         factor *= 2
         height, width = image.shape[0] // 2, image.shape[1] // 2
         image = cv2.resize(image[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
-        yield image, factor
+        yield looked_at(image), factor

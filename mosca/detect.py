@@ -39,14 +39,16 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.detections import UNREFINED, Detections
 from mosca.detect_background import mean_background, minimum_background
+from mosca.detect_finish import columns, note_address, place_failed
 from mosca.detect_kernels import find_regions_in_set
-from mosca.detect_measure import DIAMETER, ELONGATION, PEAK, XX, XY, YY, X, Y, measure_regions
+from mosca.detect_measure import measure_regions
 from mosca.detect_scan import regions_within, scan_set
-from mosca.detect_settings import DEFAULTS, DetectionSettings, noise_of, packing_of, search_of
+from mosca.detect_settings import DEFAULTS, DetectionSettings, noise_of, search_of
 from mosca.errors import InputError
 from mosca.refine import NOTHING, Learned
 from mosca.refine_fit import Model
-from mosca.refine_kernels import FLAGS, TOUCHING, refine_regions
+from mosca.refine_kernels import FLAGS, refine_regions
+from mosca.refine_pair import split_pairs
 
 __all__ = [
     "DEFAULTS",
@@ -141,15 +143,17 @@ def detect_and_learn(
             found += part
             taught = taught.plus(new)
         return found, taught
-    runs, regions, lowest = _regions(pixels, settings, bit_depth, windows)
+    placed = _placed(pixels)
+    found_here = _regions(placed, settings, bit_depth, windows)
     if settings.centroid == "refined":
-        return _refined(pixels, cameras, (runs, regions, lowest), settings, bit_depth, learned)
+        return _refined(placed, cameras, found_here, settings, bit_depth, learned)
     local = settings.centroid == "background"
     table, region_of = measure_regions(
-        *_placed(pixels), runs, regions, lowest, local, settings.dilation_px, noise_of(settings, bit_depth)
+        *placed, *found_here, local, settings.dilation_px, noise_of(settings, bit_depth)
     )
-    flags = np.full(len(table), UNREFINED, np.uint8)
-    return _detections(cameras, table, regions[region_of, 0], flags), NOTHING
+    full = np.full((len(table), FLAGS + 1), float(UNREFINED))
+    full[:, :FLAGS] = table
+    return _detections(cameras, columns(full, found_here[1][region_of, 0], len(cameras))), NOTHING
 
 
 def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_depth: int = 8) -> Array:
@@ -157,7 +161,8 @@ def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_dep
 
     Targets that touch the image's border are still in it.
     """
-    runs, regions, _ = _regions([_foreground(image, "image", bit_depth, None)], settings, bit_depth, None)
+    pixels = _foreground(image, "image", bit_depth, None)
+    runs, regions, _ = _regions(_placed([pixels]), settings, bit_depth, None)
     labels = np.zeros(image.shape, np.int32)
     for number, (_, first_run, end_run, _) in enumerate(regions, start=1):
         for row, first, end in runs[first_run:end_run]:
@@ -214,24 +219,25 @@ def _boxes(windows: Sequence[Array | None] | None, height: int, width: int) -> t
 
 def _placed(images: Sequence[Array]) -> tuple[Array, Array, tuple[int, int]]:
     """Return where contiguous images of one size and type lie in memory, their type, and their size."""
-    addresses = np.array([image.__array_interface__["data"][0] for image in images], np.uint64)
+    addresses = np.empty(len(images), np.uint64)
+    for k, image in enumerate(images):
+        note_address(image, addresses, k)
     height, width = images[0].shape
     return addresses, _LIKE[images[0].dtype], (height, width)
 
 
 def _regions(
-    images: Sequence[Array],
+    placed: tuple[Array, Array, tuple[int, int]],
     settings: DetectionSettings,
     bit_depth: int,
     windows: Sequence[Array | None] | None,
 ) -> tuple[Array, Array, Array]:
-    """Return what ``find_regions_in_set`` finds in contiguous images of one size and type."""
+    """Return what ``find_regions_in_set`` finds in the images that ``_placed`` describes."""
     search = search_of(settings, bit_depth)
-    addresses, like, size = _placed(images)
+    addresses, like, size = placed
     boxes, box_start = _boxes(windows, *size)
-    packing = packing_of(like.itemsize, search.lowest + 2)
     runs, values, run_start, value_start = scan_set(
-        addresses, like, size, packing, search.lowest + 1, boxes, box_start
+        addresses, like, size, search.lowest + 1, boxes, box_start
     )
     runs, regions, lowest = find_regions_in_set(runs, values, run_start, value_start, search)
     if len(box_start):
@@ -240,7 +246,7 @@ def _regions(
 
 
 def _refined(
-    images: Sequence[Array],
+    placed: tuple[Array, Array, tuple[int, int]],
     cameras: Sequence[str],
     found: tuple[Array, Array, Array],
     settings: DetectionSettings,
@@ -253,42 +259,24 @@ def _refined(
     noise = noise_of(settings, bit_depth)
     model = Model(noise.dark_dn2, noise.gain_dn, float(2**bit_depth - 1))
     table, region_of, tallies, normal, right_side = refine_regions(
-        *_placed(images), *found,
-        priors.blurs, priors.offsets, priors.roughness, model,
-    )  # fmt: skip
-    flags = table[:, FLAGS].astype(np.uint8)
-    failed = np.flatnonzero(flags & UNREFINED)
-    if len(failed):
-        runs, regions, lowest = found
-        measured, _ = measure_regions(
-            *_placed(images), runs, regions[region_of[failed]], lowest, True, settings.dilation_px, noise
-        )
-        table[failed, :ELONGATION] = measured[:, :ELONGATION]
-        # what cannot be fitted mostly touches a neighbour, whose light draws the centroid
-        drawn = (TOUCHING * table[failed, DIAMETER]) ** 2
-        table[failed, XX] += drawn
-        table[failed, YY] += drawn
-    return _detections(cameras, table, found[1][region_of, 0], flags), Learned(
+        *placed, *found, priors.blurs, priors.offsets, priors.roughness, model
+    )
+    image_of = place_failed(*placed, *found, settings.dilation_px, noise, table, region_of)
+    if settings.split_pairs:
+        given = (*placed, priors.blurs, priors.offsets, model)
+        table, image_of = split_pairs(table, image_of, region_of, *found, given)
+    return _detections(cameras, columns(table, image_of, len(names))), Learned(
         names, tallies, normal, right_side
     )
 
 
-def _detections(cameras: Sequence[str], table: Array, image_of: Array, flags: Array) -> list[Detections]:
-    bounds = np.searchsorted(image_of, np.arange(len(cameras) + 1))
-    covariance = table[:, [XX, XY, XY, YY]].reshape(-1, 2, 2)
-    out = []
-    for i, name in enumerate(cameras):
-        own = slice(bounds[i], bounds[i + 1])
-        rows = table[own]
-        out.append(
-            Detections(
-                camera=name,
-                xy_px=rows[:, X : Y + 1],
-                covariance_px2=covariance[own],
-                diameter_px=rows[:, DIAMETER],
-                peak=rows[:, PEAK],
-                elongation=rows[:, ELONGATION],
-                flags=flags[own],
-            )
-        )
-    return out
+def _detections(cameras: Sequence[str], found: tuple[Array, ...]) -> list[Detections]:
+    """Return each camera's part of the columns of all."""
+    *columns, start = found
+    for column in columns:
+        column.setflags(write=False)
+    bounds = start.tolist()
+    return [
+        Detections.handed_over(name, [column[first:end] for column in columns])
+        for name, first, end in zip(cameras, bounds, bounds[1:], strict=False)
+    ]

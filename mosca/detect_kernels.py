@@ -135,16 +135,21 @@ def blobs_of(runs: Array) -> tuple[Array, Array]:
 
 
 @step
-def survey(runs: Array, values: Array, lowest: int, column: int) -> tuple[Any, Any, Any]:
+def survey(
+    runs: Array, first_run: int, end_run: int, values: Array, lowest: int, column: int
+) -> tuple[Any, Any, Any]:
     """Return the smallest and the largest grey value of a blob, and a bound of the dips between its summits.
+
+    ``first_run``, ``end_run``: the blob's among the runs, not cut out of them: of each piece of an array that is
+    handed on somebody counts the users, which takes longer than a small blob.
 
     From each pixel a path leads along its run to ``column`` and along that column to every other row; the
     bound is the deepest dip below both ends of such a path. Where a run does not reach the column, or the
     column leaves the blob, the path is taken to dip to ``lowest``.
     """
     darkest, peak, dip = np.int32(65535), np.int32(0), np.int32(0)
-    low, last_row = np.int32(65535), runs[0, ROW] - 1
-    for i in range(len(runs)):
+    low, last_row = np.int32(65535), runs[first_run, ROW] - 1
+    for i in range(first_run, end_run):
         first, end, place = runs[i, FIRST], runs[i, END], runs[i, PLACE]
         if not first <= column < end:
             for k in range(place, place + end - first):
@@ -176,8 +181,22 @@ def survey(runs: Array, values: Array, lowest: int, column: int) -> tuple[Any, A
 
 
 @step
-def deepest_pass(runs: Array, values: Array, box: tuple[int, int, int, int]) -> int:
-    """Return how far down one has to go at most from the lower of two summits of a blob to reach the other.
+def falls_between(highest: Array, most: float) -> bool:
+    """Tell whether a sequence falls by more than ``most`` and rises by as much again."""
+    summit = valley = highest[0]
+    for k in range(1, len(highest)):
+        value = highest[k]
+        valley = min(valley, value)
+        if min(summit, value) - valley > most:
+            return True
+        if value > summit:
+            summit = valley = value
+    return False
+
+
+@step
+def passes_below(runs: Array, values: Array, box: tuple[int, int, int, int], most: float) -> bool:
+    """Tell whether from the lower of two summits of a blob one must go down by more than ``most`` to reach the other.
 
     Exactly, by the best ways: pixels rise in the order of falling grey values, and where two hills meet, the pass
     between them is found. ``box``: left, end column, top, end row.
@@ -185,10 +204,18 @@ def deepest_pass(runs: Array, values: Array, box: tuple[int, int, int, int]) -> 
     left, right, top, bottom = box
     width = right - left + 2
     n, darkest, peak = 0, values[runs[0, PLACE]], values[runs[0, PLACE]]
+    # a whole row or column between two summits that no pixel of it comes near to settles it
+    highest = np.zeros(bottom - top + right - left, np.int32)
+    across, down = highest[: bottom - top], highest[bottom - top :]
     for i in range(len(runs)):
-        for k in range(runs[i, PLACE], runs[i, PLACE] + runs[i, END] - runs[i, FIRST]):
-            darkest, peak = min(darkest, values[k]), max(peak, values[k])
+        row, place = runs[i, ROW] - top, runs[i, PLACE]
+        for k in range(runs[i, END] - runs[i, FIRST]):
+            value, column = values[place + k], runs[i, FIRST] - left + k
+            darkest, peak = min(darkest, value), max(peak, value)
+            across[row], down[column] = max(across[row], value), max(down[column], value)
             n += 1
+    if falls_between(across, most) or falls_between(down, most):
+        return True
     # a place in the box, with one pixel of rim, for each pixel; sorted by falling grey value
     start = np.zeros(peak - darkest + 2, np.int32)
     for i in range(len(runs)):
@@ -207,7 +234,6 @@ def deepest_pass(runs: Array, values: Array, box: tuple[int, int, int, int]) -> 
     # a hill is named by its summit, the pixel of it that rose first
     hill = np.full((bottom - top + 2) * width, np.int32(-1), np.int32)
     height = np.empty(len(hill), np.int32)
-    deepest = np.int32(0)
     for i in range(n):
         place, value = np.int64(order[i, 0]), order[i, 1]
         mine = place
@@ -220,13 +246,14 @@ def deepest_pass(runs: Array, values: Array, box: tuple[int, int, int, int]) -> 
                 root = np.int64(root_of(hill, other))
                 if root == mine:
                     continue
-                deepest = max(deepest, min(height[root], height[mine]) - value)
+                if min(height[root], height[mine]) - value > most:
+                    return True
                 if height[root] >= height[mine]:
                     hill[mine] = root
                     mine = root
                 else:
                     hill[root] = mine
-    return int(deepest)
+    return False
 
 
 @step
@@ -243,6 +270,8 @@ def is_target(size_x: int, size_y: int, contrast: int, search: Search) -> bool:
 def level_of(value: int, thresholds: Array) -> int:
     """Return the index of the first of the falling thresholds that ``value`` exceeds."""
     low, high = 0, len(thresholds) - 1
+    if thresholds[0] - thresholds[high] == high:  # in steps of 1
+        return max(0, int(thresholds[0]) - value + 1)
     while low < high:
         middle = (low + high) // 2
         if value > thresholds[middle]:
@@ -284,7 +313,19 @@ def pixels_by_level(runs: Array, values: Array, thresholds: Array) -> tuple[Arra
 
 
 @step
-def join(sets: Array, a: int, b: int) -> int:
+def root_in(sets: Array, i: Any) -> Any:
+    """As ``root_of`` in the table of sets. A column cut out of it would have its users counted, at every step."""
+    while True:
+        parent = np.uint64(sets[i, PARENT])
+        if parent == i:
+            return i
+        above = sets[parent, PARENT]
+        sets[i, PARENT] = above
+        i = np.uint64(above)
+
+
+@step
+def join(sets: Array, a: Any, b: Any) -> Any:
     """Unite the sets of two roots and return the root: the smaller one's pixels follow the larger one's.
 
     So the pixels of every earlier set stay an unbroken stretch of the list that starts at its root.
@@ -292,7 +333,7 @@ def join(sets: Array, a: int, b: int) -> int:
     if sets[a, SIZE] < sets[b, SIZE]:
         a, b = b, a
     sets[b, PARENT] = a
-    sets[sets[a, LAST], NEXT] = b
+    sets[np.uint64(sets[a, LAST]), NEXT] = b
     sets[a, LAST] = sets[b, LAST]
     sets[a, SIZE] += sets[b, SIZE]
     sets[a, LEFT] = min(sets[a, LEFT], sets[b, LEFT])
@@ -310,9 +351,8 @@ def join(sets: Array, a: int, b: int) -> int:
 def grow_regions(runs: Array, values: Array, thresholds: Array, search: Search) -> tuple[Array, Array]:
     """Find the accepted regions of one blob by growing it from its brightest pixels down.
 
-    Pixels are added threshold by threshold; after each, every region that changed is judged with the number
-    N of separate targets that it holds so far. Returns the regions' thresholds (n) and their runs (m, 4):
-    region, row, first column, end column, sorted by region.
+    After each threshold every region that changed is judged with the number N of separate targets that it holds so
+    far. Returns the regions' thresholds (n) and their runs (m, 4): region, row, first and end column, by region.
     """
     pixels, start = pixels_by_level(runs, values, thresholds)
     left, right, top = runs[0, FIRST], runs[0, END], runs[0, ROW]
@@ -320,11 +360,11 @@ def grow_regions(runs: Array, values: Array, thresholds: Array, search: Search) 
         left = min(left, runs[i, FIRST])
         right = max(right, runs[i, END])
     sets = np.empty((len(pixels), 13), np.int32)
-    # Which pixel stands where in the blob's box, -1 before it has risen; with one pixel of rim.
-    standing = np.full((runs[-1, ROW] - top + 3, right - left + 2), np.int32(-1), np.int32)
+    # Which pixel stands where in the box, with a rim; -1 before it has risen. Unsigned: none counts from the end.
+    width = np.int64(right - left + 2)
+    standing = np.full((runs[-1, ROW] - top + 3) * width, np.int32(-1), np.int32)
     # An accepted region: its first pixel, number of pixels, box and threshold.
-    found = np.empty((len(pixels), 7), np.int32)
-    n_found = 0
+    found, n_found = np.empty((len(pixels), 7), np.int32), 0
     for level in range(len(thresholds)):
         for i in range(start[level], start[level + 1]):
             x, y, value = pixels[i, 0], pixels[i, 1], pixels[i, 2]
@@ -333,45 +373,49 @@ def grow_regions(runs: Array, values: Array, thresholds: Array, search: Search) 
             sets[i, TOP] = sets[i, BOTTOM] = y
             sets[i, PEAK] = sets[i, DARKEST] = value
             sets[i, SIZE], sets[i, N_TARGETS], sets[i, REGION], sets[i, CHECKED] = 1, 0, -1, -1
-            row, column = y - top + 1, x - left + 1
-            standing[row, column] = mine = i
-            for v in range(row - 1, row + 2):
-                for u in range(column - 1, column + 2):
-                    if standing[v, u] >= 0:
-                        other = root_of(sets[:, PARENT], standing[v, u])
-                        if other != mine:
-                            mine = join(sets, mine, other)
+            place = (y - top + 1) * width + x - left + 1
+            standing[place] = i
+            mine = np.uint64(i)
+            for v in range(place - width, place + width + 1, width):
+                for u in range(v - 1, v + 2):
+                    beside = standing[np.uint64(u)]
+                    if beside < 0 or sets[np.uint64(beside), PARENT] == mine:
+                        continue
+                    other = root_in(sets, np.uint64(beside))
+                    if other != mine:
+                        mine = join(sets, mine, other)
         for i in range(start[level], start[level + 1]):
-            root = root_of(sets[:, PARENT], i)
-            region = sets[root]
-            if region[CHECKED] == level:
+            root = root_in(sets, np.uint64(i))
+            if sets[root, CHECKED] == level:
                 continue
-            region[CHECKED] = level
-            size_x, size_y = region[RIGHT] - region[LEFT] + 1, region[BOTTOM] - region[TOP] + 1
-            contrast = region[PEAK] - region[DARKEST]
-            if region[N_TARGETS] > 1 or not is_target(size_x, size_y, contrast, search):
+            sets[root, CHECKED] = level
+            size_x = sets[root, RIGHT] - sets[root, LEFT] + 1
+            size_y = sets[root, BOTTOM] - sets[root, TOP] + 1
+            contrast = sets[root, PEAK] - sets[root, DARKEST]
+            if sets[root, N_TARGETS] > 1 or not is_target(size_x, size_y, contrast, search):
                 continue
-            if region[N_TARGETS] == 0:
-                region[N_TARGETS], region[REGION] = 1, n_found
+            if sets[root, N_TARGETS] == 0:
+                sets[root, N_TARGETS], sets[root, REGION] = 1, n_found
                 n_found += 1
-            target = found[region[REGION]]
-            target[0], target[1], target[2], target[3] = root, region[SIZE], region[LEFT], region[RIGHT]
-            target[4], target[5], target[6] = region[TOP], region[BOTTOM], thresholds[level]
+            t = sets[root, REGION]
+            found[t, 0], found[t, 1], found[t, 2] = root, sets[root, SIZE], sets[root, LEFT]
+            found[t, 3], found[t, 4] = sets[root, RIGHT], sets[root, TOP]
+            found[t, 5], found[t, 6] = sets[root, BOTTOM], thresholds[level]
 
     # Mark each region's pixels in the box, then read them out row by row.
-    standing[:, :] = -1
+    standing[:] = -1
     for r in range(n_found):
         i = found[r, 0]
         for _ in range(found[r, 1]):
-            standing[pixels[i, 1] - top + 1, pixels[i, 0] - left + 1] = r
+            standing[(pixels[i, 1] - top + 1) * width + pixels[i, 0] - left + 1] = r
             i = sets[i, NEXT]
     region_runs = np.empty((len(pixels), 4), np.int32)
     n = 0
     for r in range(n_found):
         for y in range(found[r, 4], found[r, 5] + 1):
-            inside = False
+            inside, place = False, (y - top + 1) * width - left + 1
             for x in range(found[r, 2], found[r, 3] + 2):
-                if (standing[y - top + 1, x - left + 1] == r) == inside:
+                if (standing[np.uint64(place + x)] == r) == inside:
                     continue
                 inside = not inside
                 if inside:
@@ -383,59 +427,56 @@ def grow_regions(runs: Array, values: Array, thresholds: Array, search: Search) 
 
 
 @step
-def find_regions(runs: Array, values: Array, search: Search) -> tuple[Array, Array, Array, int]:
-    """Find the targets of one image.
+def find_regions(
+    runs: Array, values: Array, search: Search, image: int, found: Array, regions: Array, n: int, r: int
+) -> tuple[int, int, int]:
+    """Write the targets of one image, from run n and region r on; return where both end, and the lowest threshold.
 
-    Returns the runs (m, 3) sorted by region, where each region ends (n), the last threshold at which each
-    was accepted (n), and the lowest threshold.
+    ``found`` (m, 3) and ``regions`` (k, 4): as ``find_regions_in_set`` returns them.
     """
     thresholds = threshold_sequence(values, search)
     lowest = thresholds[-1]
     if lowest > search.lowest + 1:
         runs = runs_above(runs, values, lowest)
     runs, blob_start = blobs_of(runs)
-
-    region_runs = np.empty((len(values), 3), np.int32)
-    region_end = np.empty(len(values), np.int32)
-    region_threshold = np.empty(len(values), np.int32)
-    n_regions, n = 0, 0
     for blob in range(len(blob_start) - 1):
-        own = runs[blob_start[blob] : blob_start[blob + 1]]
-        left, right = own[0, FIRST], own[0, END]
-        for i in range(1, len(own)):
-            left = min(left, own[i, FIRST])
-            right = max(right, own[i, END])
-        size_x, size_y = right - left, own[-1, ROW] - own[0, ROW] + 1
+        begin, end = np.int64(blob_start[blob]), np.int64(blob_start[blob + 1])
+        left, right = runs[begin, FIRST], runs[begin, END]
+        for i in range(begin + 1, end):
+            left = min(left, runs[i, FIRST])
+            right = max(right, runs[i, END])
+        size_x, size_y = right - left, runs[end - 1, ROW] - runs[begin, ROW] + 1
         if min(size_x, size_y) <= search.smallest_px:
             continue  # and so is every region within
-        darkest, peak, dip = survey(own, values, lowest, (left + right) // 2)
+        darkest, peak, dip = survey(runs, begin, end, values, lowest, (left + right) // 2)
         if peak - darkest <= search.contrast:
             continue  # likewise
         whole = is_target(size_x, size_y, peak - darkest, search)
         if whole and dip > search.contrast + 1:
             # the noise of a bright target makes simple paths dip: look for the best
-            dip = deepest_pass(own, values, (left, right, own[0, ROW], own[-1, ROW] + 1))
-        if whole and dip <= search.contrast + 1:
+            box = (left, right, runs[begin, ROW], runs[end - 1, ROW] + 1)
+            whole = not passes_below(runs[begin:end], values, box, search.contrast + 1)
+        if whole:
             # Two disjoint regions are accepted only with a dip between their summits to the threshold of
             # one of them, that is by more than B + 1, since Bmax - Bmin > B and Bmin > threshold. No path
             # here dips as deep, so N < 2 at every threshold and the whole blob is the region.
-            for i in range(len(own)):
-                for c in range(3):
-                    region_runs[n, c] = own[i, c]
+            regions[r, 0], regions[r, 1], regions[r, 2], regions[r, 3] = image, n, n + end - begin, lowest
+            r += 1
+            for i in range(begin, end):
+                found[n, 0], found[n, 1], found[n, 2] = runs[i, ROW], runs[i, FIRST], runs[i, END]
                 n += 1
-            region_threshold[n_regions], region_end[n_regions] = lowest, n
-            n_regions += 1
             continue
-        grown_thresholds, grown_runs = grow_regions(own, values, thresholds, search)
-        for i in range(len(grown_runs)):
-            for c in range(3):
-                region_runs[n, c] = grown_runs[i, c + 1]
-            n += 1
-            region_end[n_regions + grown_runs[i, 0]] = n
-        for threshold in grown_thresholds:
-            region_threshold[n_regions] = threshold
-            n_regions += 1
-    return region_runs[:n], region_end[:n_regions], region_threshold[:n_regions], lowest
+        grown_thresholds, grown_runs = grow_regions(runs[begin:end], values, thresholds, search)
+        i = 0
+        for k in range(len(grown_thresholds)):
+            regions[r, 0], regions[r, 1], regions[r, 3] = image, n, grown_thresholds[k]
+            while i < len(grown_runs) and grown_runs[i, 0] == k:
+                found[n, 0], found[n, 1], found[n, 2] = grown_runs[i, 1], grown_runs[i, 2], grown_runs[i, 3]
+                i += 1
+                n += 1
+            regions[r, 2] = n
+            r += 1
+    return n, r, lowest
 
 
 @kernel
@@ -452,16 +493,8 @@ def find_regions_in_set(
     found, regions = np.empty((len(values), 3), np.int32), np.empty((len(values), 4), np.int32)
     n, r = 0, 0
     for i in range(n_images):
-        part_runs, ends, thresholds, lowest[i] = find_regions(
-            runs[run_start[i] : run_start[i + 1]], values[value_start[i] : value_start[i + 1]], search
-        )
-        first = n
-        for k in range(len(ends)):
-            regions[r, 0], regions[r, 1], regions[r, 2] = i, n, first + ends[k]
-            regions[r, 3] = thresholds[k]
-            n = first + ends[k]
-            r += 1
-        for k in range(len(part_runs)):
-            for c in range(3):
-                found[first + k, c] = part_runs[k, c]
+        n, r, lowest[i] = find_regions(
+            runs[run_start[i] : run_start[i + 1]], values[value_start[i] : value_start[i + 1]], search, i,
+            found, regions, n, r,
+        )  # fmt: skip
     return found[:n], regions[:r], lowest

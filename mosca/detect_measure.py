@@ -223,6 +223,42 @@ def measure(
     out[PEAK] = peak
 
 
+@step
+def measure_region(
+    image: Array,
+    runs: Array,
+    threshold: int,
+    floor: int,
+    local: bool,
+    dilation: int,
+    noise: Noise,
+    out: Array,
+) -> bool:
+    """Write the row of one region, unless it touches its image's border: then False. As ``measure_regions``."""
+    height, width = image.shape
+    top, bottom = runs[0, 0], runs[-1, 0]
+    left, right = runs[0, 1], runs[0, 2] - 1
+    for i in range(1, len(runs)):
+        left = min(left, runs[i, 1])
+        right = max(right, runs[i, 2] - 1)
+    if top == 0 or left == 0 or bottom == height - 1 or right == width - 1:
+        return False
+    grow, bg_sum, bg_n = 0, np.int64(0), np.int64(1)
+    if local:
+        # A region that ends above the lowest threshold ends where something else begins.
+        grow = dilation if threshold == floor else min(dilation, 1)
+        box = (left - grow - 1, right + grow + 1, top - grow - 1, bottom + grow + 1)
+        bg_sum, bg_n = ring_of(image, floor, box)
+        if bg_n == 0:
+            bg_sum, bg_n = ring_of(image, threshold, box)
+        if bg_n == 0:
+            bg_sum, bg_n = np.int64(threshold), np.int64(1)
+    measure(image, runs, threshold, grow, local, bg_sum, bg_n, noise, out)
+    size_x, size_y = right - left + 1, bottom - top + 1
+    out[ELONGATION] = max(size_x, size_y) / min(size_x, size_y)
+    return True
+
+
 @kernel
 def measure_regions(
     addresses: Array,
@@ -247,29 +283,9 @@ def measure_regions(
     region_of = np.empty(len(regions), np.int32)
     n = 0
     for r in range(len(regions)):
-        threshold = regions[r, 3]
         image, floor = image_at(addresses[regions[r, 0]], like, height, width), lowest[regions[r, 0]]
         own = runs[regions[r, 1] : regions[r, 2]]
-        top, bottom = own[0, 0], own[-1, 0]
-        left, right = own[0, 1], own[0, 2] - 1
-        for i in range(1, len(own)):
-            left = min(left, own[i, 1])
-            right = max(right, own[i, 2] - 1)
-        if top == 0 or left == 0 or bottom == height - 1 or right == width - 1:
-            continue
-        grow, bg_sum, bg_n = 0, np.int64(0), np.int64(1)
-        if local:
-            # A region that ends above the lowest threshold ends where something else begins.
-            grow = dilation if threshold == floor else min(dilation, 1)
-            box = (left - grow - 1, right + grow + 1, top - grow - 1, bottom + grow + 1)
-            bg_sum, bg_n = ring_of(image, floor, box)
-            if bg_n == 0:
-                bg_sum, bg_n = ring_of(image, threshold, box)
-            if bg_n == 0:
-                bg_sum, bg_n = np.int64(threshold), np.int64(1)
-        measure(image, own, threshold, grow, local, bg_sum, bg_n, noise, table[n])
-        size_x, size_y = right - left + 1, bottom - top + 1
-        table[n, ELONGATION] = max(size_x, size_y) / min(size_x, size_y)
-        region_of[n] = r
-        n += 1
+        if measure_region(image, own, regions[r, 3], floor, local, dilation, noise, table[n]):
+            region_of[n] = r
+            n += 1
     return table[:n], region_of[:n]

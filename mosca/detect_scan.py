@@ -1,77 +1,76 @@
-"""Compiled scan of a frame set's images for bright pixels, eight bytes at a time.
+"""Compiled scan of a frame set's images for bright pixels, 64 at a time.
 
 Called by ``mosca.detect``; free of the GIL, on one thread, in whole numbers only. What a run is: see
-``mosca.detect_kernels``.
+``mosca.detect_kernels``. A *block* is 64 pixels that follow each other in memory, its *mask* has a bit for each
+that is bright.
 """
 
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.detect_kernels import END, FIRST, PLACE, ROW, kernel, step
-from mosca.detect_memory import image_at
+from mosca.detect_memory import bits_set, bright_mask, copy_16, image_at, trailing_zeros
 
-
-class Packing(NamedTuple):
-    """How the pixels in eight bytes are compared with a grey value at once (see ``bright_words``)."""
-
-    low_bits: np.uint64
-    addend: np.uint64
-    lane_shift: int
-
-
-ROW_COST = 30
-"""A row of a box takes as long as so many words of a whole image (measured)."""
+BLOCK, SHIFT, OVER = 64, 6, 16
+"""Pixels in a block, and the power of two that it is; values that are copied at a time."""
+ROW_COST = 10
+"""A row of a box is taken to cost as much as so many blocks of a whole image (an estimate)."""
 
 
 @step
-def is_bright(word: np.uint64, packing: Packing) -> bool:
-    """Tell whether a word may hold a bright pixel."""
-    return ((((word & packing.low_bits) + packing.addend) | word) & ~packing.low_bits) != np.uint64(0)
+def mask_of(address: Any, pixels: Array, block: Any, level: int) -> Any:
+    """Return the mask of one block of an image; beyond the last pixel nothing is bright."""
+    first = block << SHIFT
+    if first + BLOCK <= len(pixels):
+        at = address + np.uint64(first * pixels.itemsize)
+        return bright_mask(at, pixels, np.int64(level))  # type: ignore[call-arg]
+    mask = np.int64(0)
+    for k in range(len(pixels) - first):
+        mask |= np.int64(pixels[first + k] > level) << np.int64(k)
+    return mask
 
 
 @step
-def bright_words(words: Array, packing: Packing) -> Array:
-    """Return the indices of the words that may hold a bright pixel; most of a frame is dark.
+def bright_blocks(address: Any, pixels: Array, level: int, blocks: Array, masks: Array, n: int) -> int:
+    """Write the blocks with a bright pixel and their masks from place n on, and return where they end.
 
-    A word is 8 bytes with a pixel in each lane of 8 or 16 bit. ``addend`` lifts the low bits of a lane into
-    its top bit exactly where they reach the grey value searched, and no lane carries into the next.
+    Most of a frame is dark: each block is written, and the next one over it unless it is bright.
     """
-    top_bits = ~packing.low_bits
-    n = len(words)
-    blocks = np.empty(n // 4 + 1, np.int32)
-    n_blocks = 0
-    for block in range(n // 4):
-        bits = np.uint64(0)
-        for k in range(4):
-            word = words[np.uint64(4 * block + k)]
-            bits |= ((word & packing.low_bits) + packing.addend) | word
-        blocks[n_blocks] = block
-        n_blocks += (bits & top_bits) != np.uint64(0)
-    if n % 4:
-        blocks[n_blocks] = n // 4
-        n_blocks += 1
-    found = np.empty(4 * n_blocks, np.int32)
-    n_found = 0
-    for i in range(n_blocks):
-        for k in range(4 * blocks[i], min(4 * blocks[i] + 4, n)):
-            found[n_found] = k
-            n_found += is_bright(words[np.uint64(k)], packing)
-    return found[:n_found]
+    whole = len(pixels) >> SHIFT
+    for block in range(whole):
+        at = address + np.uint64(block * BLOCK * pixels.itemsize)
+        mask: Any = bright_mask(at, pixels, np.int64(level))  # type: ignore[call-arg]
+        blocks[np.uint64(n)], masks[np.uint64(n)] = block, mask
+        n += mask != 0
+    if len(pixels) % BLOCK:
+        mask = mask_of(address, pixels, whole, level)
+        blocks[n], masks[n] = whole, mask
+        n += mask != 0
+    return n
 
 
 @step
-def bright_words_within(words: Array, packing: Packing, width: int, height: int, boxes: Array) -> Array:
-    """Do as ``bright_words`` for the words that reach into boxes (k, 4) x0, y0, x1, y1, ends included.
+def bright_blocks_within(
+    address: Any,
+    pixels: Array,
+    size: tuple[int, int],
+    level: int,
+    boxes: Array,
+    blocks: Array,
+    masks: Array,
+    n: int,
+) -> int:
+    """Do as ``bright_blocks`` for the blocks that reach into boxes (k, 4) x0, y0, x1, y1, ends included.
 
-    Row by row over the boxes there, from left to right, so that each word comes once and in order.
+    Row by row over the boxes there, from left to right, so that each block comes once and in order.
     """
+    height, width = size
     order = np.argsort(boxes[:, 1])
     active = np.empty(len(boxes), np.int32)
-    found = np.empty(64, np.int32)
-    n_active, n_found, following = 0, 0, 0
-    row = 0
+    n_active, following = 0, 0
+    row, done = 0, -1
     while row < height and (n_active > 0 or following < len(boxes)):
         if n_active == 0:
             row = max(row, boxes[order[following], 1])
@@ -90,75 +89,71 @@ def bright_words_within(words: Array, packing: Packing, width: int, height: int,
         n_active = kept
         if row >= height:
             break
-        done = found[n_found - 1] if n_found else -1
         for i in range(n_active):
             first, last = max(boxes[active[i], 0], 0), min(boxes[active[i], 2], width - 1)
-            begin, end = row * width + first, row * width + last
-            lanes = np.int64(packing.lane_shift)
-            for k in range(max(begin >> lanes, done + 1), min((end >> lanes) + 1, len(words))):
-                done = k
-                if is_bright(words[np.uint64(k)], packing):
-                    if n_found == len(found):
-                        longer = np.empty(2 * n_found, np.int32)
-                        longer[:n_found] = found
-                        found = longer
-                    found[n_found] = k
-                    n_found += 1
+            for block in range(
+                max((row * width + first) >> SHIFT, done + 1), ((row * width + last) >> SHIFT) + 1
+            ):
+                done = block
+                mask = mask_of(address, pixels, block, level)
+                blocks[n], masks[n] = block, mask
+                n += mask != 0
         row += 1
-    return found[:n_found]
+    return n
 
 
 @step
-def bright_runs(image: Array, bright: Array, lanes: int, level: int) -> tuple[Array, Array]:
-    """Return the runs (n, 4) of pixels above ``level`` in raster order, and their grey values.
+def copy_values(pixels: Array, at: int, n: int, values: Array, to: int) -> None:
+    """Copy n grey values, 16 at a time where the image is long enough; up to 15 more are overwritten later."""
+    if at + n + OVER > len(pixels):
+        for k in range(n):
+            values[to + k] = pixels[at + k]
+        return
+    source = np.uint64(pixels.ctypes.data) + np.uint64(at * pixels.itemsize)
+    target = np.uint64(values.ctypes.data) + np.uint64(to * values.itemsize)
+    for k in range(0, n, 16):
+        copy_16(
+            source + np.uint64(k * pixels.itemsize), pixels, target + np.uint64(k * values.itemsize), values
+        )  # type: ignore[call-arg]
 
-    ``bright``: which words of ``lanes`` pixels to search; the pixels after the last whole word always are.
+
+@step
+def bright_runs(
+    pixels: Array, width: int, blocks: Array, masks: Array, runs: Array, values: Array, n: int, n_values: int
+) -> tuple[int, int]:
+    """Write an image's runs in raster order, and their grey values, from places n and n_values on.
+
+    Returns where both end. A run that reaches from one block into the next is one; the end of a row ends it.
     """
-    width = image.shape[1]
-    pixels = image.ravel()
-    n_all = len(pixels)
-    runs = np.empty((len(bright) * (lanes // 2 + 1) + lanes, 4), np.int32)
-    values = np.empty((len(bright) + 1) * lanes + width, np.int32)
-    n, n_pixels = 0, 0
-    y, row, p = 0, 0, 0  # a row, its first pixel, and the pixel up to which all is searched
-    for i in range(len(bright) + 1):
-        begin = bright[i] * lanes if i < len(bright) else n_all // lanes * lanes
-        p = max(p, begin)
-        end = min(begin + lanes, n_all)
-        while p < end:
-            value = pixels[np.uint64(p)]
-            if value <= level:
-                p += 1
-                continue
-            while p >= row + width:
-                y += 1
-                row += width
-            if n_pixels + width > len(values):  # runs that go on beyond the words searched
-                longer = np.empty(2 * len(values), np.int32)
-                longer[:n_pixels] = values[:n_pixels]
-                values = longer
-            first, end_row, place = p, row + width, n_pixels
-            while value > level:
-                values[np.uint64(n_pixels)] = value
-                n_pixels += 1
-                p += 1
-                if p >= end_row:
-                    break
-                value = pixels[np.uint64(p)]
-            runs[n, ROW], runs[n, FIRST], runs[n, END], runs[n, PLACE] = y, first - row, p - row, place
-            n += 1
-    return runs[:n], values[:n_pixels]
+    y, row, last = 0, 0, -1  # a row, its first pixel, and the end of the run before
+    first_value = n_values
+    for i in range(len(blocks)):
+        base, mask = np.int64(blocks[i]) << SHIFT, masks[i]
+        while mask != 0:
+            filled = mask | (mask - 1)
+            begin = base + trailing_zeros(mask)  # type: ignore[call-arg]
+            stop = base + trailing_zeros(~filled)
+            mask &= filled + 1
+            while begin < stop:
+                while begin >= row + width:
+                    y += 1
+                    row += width
+                end = min(stop, row + width)
+                if begin == last and begin > row:
+                    runs[n - 1, END] = end - row
+                else:
+                    runs[n, ROW], runs[n, FIRST], runs[n, END] = y, begin - row, end - row
+                    runs[n, PLACE] = n_values - first_value
+                    n += 1
+                copy_values(pixels, begin, end - begin, values, n_values)
+                n_values += end - begin
+                last = begin = end
+    return n, n_values
 
 
 @kernel
 def scan_set(
-    addresses: Array,
-    like: Array,
-    size: tuple[int, int],
-    packing: Packing,
-    level: int,
-    boxes: Array,
-    box_start: Array,
+    addresses: Array, like: Array, size: tuple[int, int], level: int, boxes: Array, box_start: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Return the runs of pixels above ``level`` of all images of a frame set, or those within boxes.
 
@@ -169,36 +164,35 @@ def scan_set(
     """
     n_images = len(addresses)
     height, width = size
-    n_words = height * width * like.itemsize // 8
-    whole = np.empty(0, np.uint64)
-    run_start, value_start = np.zeros(n_images + 1, np.int64), np.zeros(n_images + 1, np.int64)
-    runs, values = np.empty((0, 4), np.int32), np.empty(0, np.int32)
+    n_blocks = (height * width + BLOCK - 1) >> SHIFT
+    blocks, masks = np.empty(n_images * n_blocks + 1, np.int32), np.empty(n_images * n_blocks + 1, np.int64)
+    start = np.zeros(n_images + 1, np.int64)
     for i in range(n_images):
-        image = image_at(addresses[i], like, height, width)
-        words = image_at(addresses[i], whole, 1, n_words).ravel()
+        pixels = image_at(addresses[i], like, 1, height * width).ravel()
         own = boxes[:0]
         rows = 0
         if len(box_start) > 0:
             own = boxes[box_start[i] : box_start[i + 1]]
             for k in range(len(own)):
                 rows += own[k, 3] - own[k, 1] + 1
-        if len(box_start) == 0 or ROW_COST * rows > n_words:
-            bright = bright_words(words, packing)
+        if len(box_start) == 0 or ROW_COST * rows > n_blocks:
+            start[i + 1] = bright_blocks(addresses[i], pixels, level, blocks, masks, start[i])
         else:
-            bright = bright_words_within(words, packing, width, height, own)
-        more_runs, more_values = bright_runs(image, bright, 1 << packing.lane_shift, level)
-        n, m = run_start[i], value_start[i]
-        run_start[i + 1], value_start[i + 1] = n + len(more_runs), m + len(more_values)
-        if run_start[i + 1] > len(runs):
-            longer_runs = np.empty((max(n_images * len(more_runs), 2 * run_start[i + 1]), 4), np.int32)
-            longer_runs[:n] = runs[:n]
-            runs = longer_runs
-        if value_start[i + 1] > len(values):
-            longer_values = np.empty(max(n_images * len(more_values), 2 * value_start[i + 1]), np.int32)
-            longer_values[:m] = values[:m]
-            values = longer_values
-        runs[n : run_start[i + 1]] = more_runs
-        values[m : value_start[i + 1]] = more_values
+            start[i + 1] = bright_blocks_within(
+                addresses[i], pixels, size, level, own, blocks, masks, start[i]
+            )
+    most_runs, most_values = n_images * height, OVER
+    for k in range(start[-1]):
+        most_runs += bits_set(masks[k] & ~(masks[k] << 1))  # type: ignore[call-arg]
+        most_values += bits_set(masks[k])
+    runs, values = np.empty((most_runs, 4), np.int32), np.empty(most_values, np.int32)
+    run_start, value_start = np.zeros(n_images + 1, np.int64), np.zeros(n_images + 1, np.int64)
+    for i in range(n_images):
+        pixels = image_at(addresses[i], like, 1, height * width).ravel()
+        own_blocks, own_masks = blocks[start[i] : start[i + 1]], masks[start[i] : start[i + 1]]
+        run_start[i + 1], value_start[i + 1] = bright_runs(
+            pixels, width, own_blocks, own_masks, runs, values, run_start[i], value_start[i]
+        )
     return runs[: run_start[-1]], values[: value_start[-1]], run_start, value_start
 
 

@@ -5,11 +5,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
-import numpy as np
-
 from mosca.detect_kernels import Search
 from mosca.detect_measure import Noise
-from mosca.detect_scan import Packing
 from mosca.errors import InputError
 
 
@@ -38,6 +35,9 @@ class DetectionSettings:
     dilation_px: int = 1
     """How far the mask of the "background" centroid reaches beyond the region, 0 to 2. At 0 the centroid is
     drawn to pixel centres by up to 0.04 px; at 2 it gathers noise."""
+    split_pairs: bool = False
+    """Targets whose images have grown together or nearly touch are fitted together, which takes 0.1 to 0.5 ms a
+    pair; else they keep the uncertain places of images that touch. With the refined centroid alone."""
     read_noise_dn: float = 0.13
     """Dark noise, standard deviation of a pixel without light (10 electrons of 20,000 in 255 DN)."""
     gain_dn_per_e: float = 0.0128
@@ -93,16 +93,3 @@ def noise_of(settings: DetectionSettings, bit_depth: int) -> Noise:
         dark_dn2=float((settings.read_noise_dn * scale) ** 2 + 1 / 12),
         gain_dn=float(settings.gain_dn_per_e * scale),
     )
-
-
-@lru_cache
-def packing_of(itemsize: int, value: int) -> Packing:
-    """Return how words of pixels of 1 or 2 bytes are searched for grey values from ``value`` up.
-
-    Values in the upper half of the range are searched as its middle: a few words too many.
-    """
-    lane_bits = 8 * itemsize
-    ones = sum(1 << shift for shift in range(0, 64, lane_bits))
-    half = 1 << (lane_bits - 1)
-    addend = ones * (half - min(value, half))
-    return Packing(np.uint64(ones * (half - 1)), np.uint64(addend), 3 if itemsize == 1 else 2)

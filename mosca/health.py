@@ -17,26 +17,22 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import nnls
-from scipy.spatial import cKDTree
 
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSet
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points
-from mosca.ray_kernels import ANGLE, DIRECTION, RADIUS, WHITE
+from mosca.health_kernels import look
 from mosca.triangulate import Bundle, bundle_rays
 
 START_SETS = 200
 """Frame sets in which much is to be learned."""
 CLOCK_LOOKS = 1000
 """Looks from which offsets of clocks are drawn."""
-FARTHEST_SIGMAS = 5.0
-"""Images farther from their point say nothing of the usual error."""
 ALIKE_LOOKS, START_LOOKS = 6.0, 0.5
 """What is known beforehand counts as so many looks: that cameras of a rig shake alike to about half, and
 ``start_px``. A body shakes all images of a set together: a look has one or two independent residuals a camera."""
@@ -117,24 +113,39 @@ class Health:
         self._missing, self._detected, self._connected = np.zeros(c), np.zeros(c), np.zeros(c)
         self._before: tuple[float, Array] | None = None
         self._normal, self._right = np.zeros((c + 1, c + 1)), np.zeros(c + 1)
+        self._beforehand = np.zeros((c + 1, c + 1))
+        self._beforehand[:c, :c] = ALIKE_LOOKS * (np.eye(c) - 1.0 / c) + START_LOOKS * np.eye(c)
         self._clocks: deque[tuple[Array, Array, Array]] = deque(maxlen=CLOCK_LOOKS)
         self._square, self._images = np.zeros(c), np.zeros(c)
         self._blocks: dict[int, Array] = {}
         self.nameless = 0
 
     def attend(
-        self, rig: Rig, frame_set: FrameSet, detections: Mapping[str, Detections], points: Points
+        self,
+        rig: Rig,
+        frame_set: FrameSet,
+        detections: Mapping[str, Detections],
+        points: Points,
+        bundle: Bundle | None = None,
     ) -> None:
-        """Take a frame set's points and the detections that they were made of; ``rig``: that they were made with."""
+        """Take a frame set's points and the detections that they were made of; ``rig``: that they were made with.
+
+        ``bundle``: the rays that they were made of, traced anew where not given.
+        """
         time_s = frame_set.time_ns * 1e-9
         self._sets += 1
-        self._missing += [name not in detections for name in self._names]
-        self._detected += [len(detections[n]) if n in detections else 0 for n in self._names]
+        for k, name in enumerate(self._names):
+            if name in detections:
+                self._detected[k] += len(detections[name])
+            else:
+                self._missing[k] += 1.0
         if len(points):
             self._connected += (points.rays >= 0).sum(axis=0)
         s = self.settings
         if self._sets % (s.every if self._sets <= START_SETS else s.seldom) == 0 and len(points):
-            self._look(rig, time_s, detections, points)
+            if bundle is None:
+                bundle = bundle_rays(rig, detections, self.noise.sigma_px)
+            self._look(time_s, bundle, points)
         self._before = (time_s, points.xyz)
 
     def cameras(self) -> tuple[CameraHealth, ...]:
@@ -175,92 +186,41 @@ class Health:
                 )
         return tuple(told)
 
-    def _look(self, rig: Rig, time_s: float, detections: Mapping[str, Detections], points: Points) -> None:
-        speed, known = self._speeds(time_s, points.xyz)
-        step = -(-len(points) // self.settings.most_points)
-        known &= (np.arange(len(points)) + self._sets) % step == 0
-        wanted = min(3, len(rig.cameras))
-        whole = (points.n_cameras >= wanted) & (points.trusted >= points.n_cameras - 0.5)
-        chosen = whole & known
-        if not chosen.any():
+    def _look(self, time_s: float, bundle: Bundle, points: Points) -> None:
+        """Add what the residuals of some of the points say to the sums, and draw the conclusions."""
+        if self._before is None:
             return
-        bundle = bundle_rays(rig, detections, 0.0)
-        covariance = np.concatenate([detections[n].covariance_px2 for n in self._names if n in detections])
-        connected = self._fitted(_images(bundle, covariance, points, chosen), speed[chosen])
-        usual = np.all(connected.squared < FARTHEST_SIGMAS**2, axis=1)
-        if usual.any():
-            part = connected.select(usual)
-            self._learn_noise(math.exp(-1.0 / self.settings.memory), part)
-            sums = self._blocks.setdefault(
-                int(time_s // self.settings.block_s), np.zeros((2, len(self._names)))
-            )
-            sums += [(part.rest**2).sum(axis=(0, 2)), part.seen.sum(axis=0)]
-        # the images of a camera that is late are left out of the points: look for them beside their place
-        moving = known & (points.n_cameras >= 2)
-        images = _images(bundle, covariance, points, moving, self.settings.adopt_px)
-        self._learn_clocks(self._fitted(images, speed[moving]))
-
-    def _fitted(self, images: "_Images", speed: Array) -> "_Fit":
-        """Return the images of points with their speeds (n, 3), after the points have moved to their best places."""
-        seen, rest, slope, own = images
-        flow = np.einsum("ncij,nj->nci", slope, speed)
-        extra = self.noise.sigma_px[:, None, None] ** 2 * np.eye(2)
-        total = own + extra + self.noise.jitter_s**2 * flow[..., :, None] * flow[..., None, :]
-        weight = np.where(seen[..., None, None], np.linalg.inv(total), 0.0)
-        weighted = np.swapaxes(slope, 2, 3) @ weight
-        normal = (weighted @ slope).sum(axis=1)
-        values = np.linalg.eigvalsh(normal)
-        fit = (values[:, 0] > 1e-9 * values[:, 2]) & (seen.sum(axis=1) >= 2)
-        seen, rest, slope, own, flow, total, weight, weighted = (
-            part[fit] for part in (seen, rest, slope, own, flow, total, weight, weighted)
-        )
-        inverse = np.linalg.inv(normal[fit])
-        move = np.einsum("nij,ncjk,nck->ni", inverse, weighted, rest)
-        rest = np.where(seen[..., None], rest - np.einsum("ncij,nj->nci", slope, move), 0.0)
-        squared = np.einsum("nci,ncij,ncj->nc", rest, weight, rest)
-        return _Fit(seen, rest, slope, own, flow, total, weight, inverse, squared)
-
-    def _learn_noise(self, keep: float, fit: "_Fit") -> None:
-        """Add the residuals of connected images to the sums, old ones counting ``keep``, and draw the conclusions."""
-        c = len(self._names)
-        square = (fit.rest**2).sum(axis=2)
-        whole = np.trace(fit.total, axis1=2, axis2=3)
-        left = 1.0 - np.einsum("ncij,njk,ncik->nc", fit.slope, fit.inverse, fit.slope) / whole
-        use = fit.seen & (left > 0.05)
-        scale = np.where(use, 1.0 / (left * whole), 0.0)
-        per_px, per_speed = 2.0 * left * scale, left * (fit.flow**2).sum(axis=2) * scale
-        known = (square - left * np.trace(fit.own, axis1=2, axis2=3)) * scale
-        normal, right = np.zeros((c + 1, c + 1)), np.zeros(c + 1)
-        normal[range(c), range(c)] = (per_px**2).sum(axis=0)
-        normal[:c, c] = normal[c, :c] = (per_px * per_speed).sum(axis=0)
-        normal[c, c] = (per_speed**2).sum()
-        right[:c], right[c] = (per_px * known).sum(axis=0), (per_speed * known).sum()
-        self._normal, self._right = keep * self._normal + normal, keep * self._right + right
-        self._looks = keep * self._looks + 1.0
-        self._square = keep * self._square + square.sum(axis=0)
-        self._images = keep * self._images + fit.seen.sum(axis=0)
-        self._conclude()
-
-    def _learn_clocks(self, fit: "_Fit") -> None:
-        """Add what residuals along the motion say of each camera's delay."""
-        c = len(self._names)
-        pull = np.einsum("nci,ncij,ncj->c", fit.flow, fit.weight, fit.rest)
-        toward = np.einsum("ncij,ncjk,nck->nci", np.swapaxes(fit.slope, 2, 3), fit.weight, fit.flow)
-        clock = -np.einsum("nci,nij,ndj->cd", toward, fit.inverse, toward)
-        clock[range(c), range(c)] += np.einsum("nci,ncij,ncj->c", fit.flow, fit.weight, fit.flow)
-        self._clocks.append((pull, clock, fit.seen.sum(axis=0)))
+        before_s, before = self._before
+        s, every = self.settings, -(-len(points) // self.settings.most_points)
+        whole, usual, normal, right, square, images, pull, clock, timed = look(
+            bundle.rays, bundle.views, bundle.start, bundle.covariance_px2, bundle.extra_px2, points.rays, points.xyz,
+            points.n_cameras, points.trusted, before, time_s - before_s, -self._sets % every, every, s.farthest_m,
+            s.adopt_px, self.noise.sigma_px**2, self.noise.jitter_s,
+        )  # fmt: skip
+        if whole == 0:
+            return
+        if usual > 0:
+            keep = math.exp(-1.0 / s.memory)
+            self._normal, self._right = keep * self._normal + normal, keep * self._right + right
+            self._looks = keep * self._looks + 1.0
+            self._square, self._images = keep * self._square + square, keep * self._images + images
+            block = self._blocks.setdefault(int(time_s // s.block_s), np.zeros((2, len(self._names))))
+            block += [square, images]
+            self._conclude()
+        self._clocks.append((pull, clock, timed))
 
     def _conclude(self) -> None:
+        """Solve for the variances that each camera and the triggers add, none below zero."""
         c, s = len(self._names), self.settings
-        seen = np.diag(self._normal)[:c] > 0
+        own = self._normal.diagonal()[:c]
+        seen = own > 0
         if not seen.any():
             return
-        normal, right = self._normal.copy(), self._right.copy()
-        look = float(np.diag(self._normal)[:c][seen].mean()) / self._looks
-        normal[:c, :c] += look * (ALIKE_LOOKS * (np.eye(c) - 1.0 / c) + START_LOOKS * np.eye(c))
+        look = float(own[seen].mean()) / self._looks
+        normal, right = self._normal + look * self._beforehand, self._right.copy()
         right[:c] += look * START_LOOKS * s.start_px**2
-        size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        found = nnls(normal / np.outer(size, size), right / size)[0] / size
+        size = np.sqrt(np.maximum(normal.diagonal(), 1e-300))
+        found = nnls(normal / size / size[:, None], right / size)[0] / size
         sigma = np.sqrt(np.maximum(found[:c], s.least_px**2) + self._lens_px**2)
         self.noise = Noise(sigma, math.sqrt(found[c]))
 
@@ -285,85 +245,3 @@ class Health:
         few = len(pulls) / max(len(pulls) - n + 1, 0.5)
         sigma[seen] = np.sqrt(few * np.diag(inverse @ (scatter.T @ scatter) @ inverse))
         return late, sigma
-
-    def _speeds(self, time_s: float, xyz: Array) -> tuple[Array, Array]:
-        """Return each point's speed (n, 3) since the set before, and whether it is known (n,)."""
-        speed, known = np.zeros(xyz.shape), np.zeros(len(xyz), dtype=bool)
-        if self._before is None or not len(self._before[1]) or not len(xyz):
-            return speed, known
-        before_s, before = self._before
-        away, there = cKDTree(before).query(xyz, distance_upper_bound=self.settings.farthest_m)
-        back = cKDTree(xyz).query(before)[1]
-        known = np.isfinite(away) & (time_s > before_s)
-        known[known] = back[there[known]] == np.flatnonzero(known)
-        speed[known] = (xyz[known] - before[there[known]]) / max(time_s - before_s, 1e-9)
-        return speed, known
-
-
-class _Images(NamedTuple):
-    """Images of n points in c cameras: whether there is one (n, c), residual (n, c, 2), its change by the point
-    (n, c, 2, 3), own covariance (n, c, 2, 2).
-    """
-
-    seen: Array
-    rest: Array
-    slope: Array
-    own: Array
-
-
-@dataclass(frozen=True, eq=False)
-class _Fit:
-    """Images of points at their best places: as ``_Images``, and ``flow`` (n, c, 2) their speeds [px/s],
-    ``total`` and ``weight`` (n, c, 2, 2), the points' covariances ``inverse`` (n, 3, 3), squared whitened
-    residuals (n, c).
-    """
-
-    seen: Array
-    rest: Array
-    slope: Array
-    own: Array
-    flow: Array
-    total: Array
-    weight: Array
-    inverse: Array
-    squared: Array
-
-    def select(self, rows: Array) -> "_Fit":
-        """Return the points that a mask names."""
-        return _Fit(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
-
-
-def _images(
-    bundle: Bundle, covariance_px2: Array, points: Points, chosen: Array, adopt_px: float = 0.0
-) -> _Images:
-    """Return the images of the chosen points; rays that no point has are adopted by one that lies so near.
-
-    ``bundle``: the rays of the frame set, whitened by ``covariance_px2`` (rays, 2, 2), the detections' own. A ray
-    gives the residual of its image to first order, as triangulation does: no point needs to be projected.
-    """
-    which = np.where(points.rays[chosen] >= 0, points.rays[chosen] + bundle.start[:-1], -1)
-    away = points.xyz[chosen][:, None, :] - bundle.views[:, :3]
-    if adopt_px > 0.0:
-        _adopt(bundle, which, away, points.rays, adopt_px)
-    rays = bundle.rays[which]  # of those without a ray any: they are not seen
-    depth = np.einsum("nci,nci->nc", rays[..., DIRECTION : DIRECTION + 3], away)
-    seen = (which >= 0) & (depth > 0.0)
-    own = np.where(seen[..., None, None], covariance_px2[which], np.eye(2))
-    white = np.where(seen[..., None], rays[..., WHITE : WHITE + 6], 0.0).reshape(*which.shape, 2, 3)
-    slope = np.linalg.cholesky(own) @ white / np.where(seen, depth, 1.0)[..., None, None]
-    return _Images(seen, -np.einsum("ncij,ncj->nci", slope, away), slope, own)
-
-
-def _adopt(bundle: Bundle, which: Array, away: Array, taken: Array, reach_px: float) -> None:
-    """Give points without an image in a camera, in ``which`` (n, c), the free ray nearest to them (n, c, 3)."""
-    for c in range(which.shape[1]):
-        free = np.setdiff1d(np.arange(bundle.start[c + 1] - bundle.start[c]), taken[:, c]) + bundle.start[c]
-        lonely = np.flatnonzero(which[:, c] < 0)
-        if len(free) and len(lonely):
-            rays = bundle.rays[free]
-            toward = away[lonely, c] / np.linalg.norm(away[lonely, c], axis=1, keepdims=True)
-            beside = np.linalg.norm(toward[:, None] - rays[:, DIRECTION : DIRECTION + 3], axis=2)
-            beside_px = np.nan_to_num(beside * (2.0 * rays[:, RADIUS] / rays[:, ANGLE]), nan=np.inf)
-            nearest = beside_px.argmin(axis=1)
-            near = beside_px[np.arange(len(lonely)), nearest] <= reach_px
-            which[lonely[near], c] = free[nearest[near]]

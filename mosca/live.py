@@ -20,6 +20,8 @@ from mosca.errors import InputError
 from mosca.health import Health
 from mosca.pipeline import Keeper, PipelineSettings, Step, check_source, run_sets
 
+LIVE_SPLIT = 2
+"""Threads among which the cameras of a frame set are divided, unless the settings say otherwise."""
 QUEUED_SETS = 2
 """Frame sets that may wait: one for the pipeline to take, one for the reader to bring."""
 
@@ -106,7 +108,9 @@ def run_live(
     A step's ``seconds`` hold ``wait`` besides: how long its frame set waited in the queue of ``queued``.
     """
     check_source(source, rig)
-    sets = LiveSets(source, assembly, queued, None if settings is None else settings.assembly)
+    settings = PipelineSettings() if settings is None else settings
+    settings = replace(settings, split=LIVE_SPLIT) if settings.split is None else settings
+    sets = LiveSets(source, assembly, queued, settings.assembly)
     try:
         for step in run_sets(sets, source.cameras, rig, settings, backgrounds, keeper, health):
             yield replace(step, seconds={**step.seconds, "wait": sets.waited_s})

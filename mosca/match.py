@@ -16,13 +16,11 @@ from typing import Literal
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.data.detections import MERGED, UNREFINED
 from mosca.data.tracks import Points
 from mosca.match_choose import OPEN, choose, columns
 from mosca.match_groups import GATE, HIGH, JUDGE, LOW, MINIMUM, OUTLIER, RULES, SHAPES, SIZES, TYPICAL, WORST
 from mosca.match_search import search
-from mosca.ray_kernels import FLAGS
-from mosca.triangulate import LONG, Bundle
+from mosca.triangulate import Bundle
 
 USUAL = 0.25
 """Share of images that are long, or stand alone without a fit, from which that says nothing of an image: targets are
@@ -121,12 +119,10 @@ def match_counted(
     )  # fmt: skip
     found = columns(values, members, trusts, state, bundle.rays, bundle.start)
     for column in found:
-        column.setflags(write=False)  # handed over: no copy
-    return Matched(Points(*found), len(values), int(np.count_nonzero(state == OPEN)))
+        column.setflags(write=False)
+    return Matched(Points.handed_over(found), len(values), int(np.count_nonzero(state == OPEN)))
 
 
 def _judged_by(bundle: Bundle) -> float:
     """Return whether images are judged by their sizes alone or by their shapes too."""
-    flags = bundle.rays[:, FLAGS].astype(np.uint8)
-    odd = np.count_nonzero((flags & (UNREFINED | MERGED) == UNREFINED) | (flags & LONG > 0))
-    return SHAPES if odd < USUAL * len(flags) else SIZES
+    return SHAPES if bundle.odd < USUAL * len(bundle.rays) else SIZES

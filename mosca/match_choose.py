@@ -54,13 +54,9 @@ def choose(values, members, trusts, rays, views, rules, xyz, covariance, support
             if state[g] == OPEN:
                 half = support * np.sqrt(values[g, COVARIANCE])
                 near = within(low, step, first, at, items, wide, values[g, XYZ], half, found)
-                track[g], gained = _speaker(
-                    values[g], xyz, covariance, spoken, support, density, found[:near]
-                )
-                missing = _missing(values[g], members[g], views)
-                worth[g] = (
-                    values[g, GAIN] + density + gained + missing * lost + kept * np.sum(members[g] >= 0)
-                )
+                track[g], gained = _speaker(g, values, xyz, covariance, spoken, support, density, found, near)
+                seen, missing = _seen_and_missing(g, values, members, views)
+                worth[g] = values[g, GAIN] + density + gained + missing * lost + kept * seen
         waiting = np.flatnonzero(state == OPEN)
         changed = False
         for g in waiting[np.argsort(-worth[waiting], kind="mergesort")]:
@@ -105,52 +101,61 @@ def _seen_shares(values, members, views):  # type: ignore[no-untyped-def]
     """
     seen, missed = PRIOR_SEEN, PRIOR_SEEN
     for g in range(members.shape[0]):
-        count = np.sum(members[g] >= 0)
+        count, missing = _seen_and_missing(g, values, members, views)
         if count > 2:
-            seen += float(count)
-            missed += _missing(values[g], members[g], views)
+            seen += count
+            missed += missing
     return np.log(missed / (seen + missed)), np.log(seen / (seen + missed))
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _missing(value, members, views):  # type: ignore[no-untyped-def]
-    """Return how many cameras have a group's point in view and no ray in the group."""
-    count = 0
-    for c in range(members.shape[0]):
-        if members[c] >= 0:
+def _seen_and_missing(g, values, members, views):  # type: ignore[no-untyped-def]
+    """Return how many cameras have a ray in a group, and how many have its point in view and none."""
+    seen = count = 0
+    for c in range(members.shape[1]):
+        if members[g, c] >= 0:
+            seen += 1
             continue
-        x, y, z = value[XYZ] - views[c, 0], value[XYZ + 1] - views[c, 1], value[XYZ + 2] - views[c, 2]
+        x, y, z = (
+            values[g, XYZ] - views[c, 0],
+            values[g, XYZ + 1] - views[c, 1],
+            values[g, XYZ + 2] - views[c, 2],
+        )
         w = np.sqrt(x * x + y * y + z * z) + views[c, 5] * x + views[c, 8] * y + views[c, 11] * z
         if not w > 0.0:
             continue
         u = (views[c, 3] * x + views[c, 6] * y + views[c, 9] * z) / w
         v = (views[c, 4] * x + views[c, 7] * y + views[c, 10] * z) / w
         count += views[c, EDGES] < u < views[c, EDGES + 2] and views[c, EDGES + 1] < v < views[c, EDGES + 3]
-    return count
+    return seen, count
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _speaker(value, xyz, covariance, spoken, gate, density, near):  # type: ignore[no-untyped-def]
-    """Return the track that speaks for a group, or -1, and how much that is worth.
+def _speaker(g, values, xyz, covariance, spoken, gate, density, found, near):  # type: ignore[no-untyped-def]
+    """Return which of the first ``near`` tracks ``found`` speaks for a group, or -1, and how much that is worth.
 
     The worth is the log-likelihood ratio of "this track's target" against "a group anywhere": a track that has not
     been seen for long expects its target everywhere and says little.
     """
     best, worth = -1, 0.0
-    for t in near:
+    for k in range(near):
+        t = found[k]
         if spoken[t]:
             continue
-        p = covariance[t]
-        x, y, z = value[XYZ] - xyz[t, 0], value[XYZ + 1] - xyz[t, 1], value[XYZ + 2] - xyz[t, 2]
+        x, y, z = (
+            values[g, XYZ] - xyz[t, 0],
+            values[g, XYZ + 1] - xyz[t, 1],
+            values[g, XYZ + 2] - xyz[t, 2],
+        )
         a, b, c = (
-            p[0, 0] + value[COVARIANCE],
-            p[0, 1] + value[COVARIANCE + 1],
-            p[0, 2] + value[COVARIANCE + 2],
+            covariance[t, 0, 0] + values[g, COVARIANCE],
+            covariance[t, 0, 1] + values[g, COVARIANCE + 1],
+            covariance[t, 0, 2] + values[g, COVARIANCE + 2],
         )
         d, e, i = (
-            p[1, 1] + value[COVARIANCE + 4],
-            p[1, 2] + value[COVARIANCE + 5],
-            p[2, 2] + value[COVARIANCE + 8],
+            covariance[t, 1, 1] + values[g, COVARIANCE + 4],
+            covariance[t, 1, 2] + values[g, COVARIANCE + 5],
+            covariance[t, 2, 2] + values[g, COVARIANCE + 8],
         )
         if x * x > gate * gate * a or y * y > gate * gate * d or z * z > gate * gate * i:
             continue
@@ -209,7 +214,7 @@ def _shrink(g, values, members, trusts, used, mates, ranks, solved, rays, views,
     error = solve(mates, ranks, solved, 2, rays, views)
     if not acceptable(mates, solved, count, error, values[g, DIAMETER], rays, views, rules):
         return False
-    store(mates, ranks, solved, error, values[g, DIAMETER], rays, values[g], members[g], trusts[g])
+    store(mates, ranks, solved, error, values[g, DIAMETER], rays, g, values, members, trusts)
     return True
 
 

@@ -4,8 +4,8 @@ import numpy as np
 from numba import njit
 
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
-from mosca.ray_kernels import ANGLE, BONUS, FLAGS, RADIUS, SIGMA
-from mosca.triangulate import DEPTH, LONG, TRUST, solve_rays
+from mosca.ray_kernels import ANGLE, BONUS, FLAGS, LONG, RADIUS, SIGMA
+from mosca.triangulate import DEPTH, TRUST, solve_rays
 
 MOST_ODD, MOST_LARGE = 0.7, 0.9
 """Areas of small and of large images are compared up to this difference; beyond it an image says little more."""
@@ -63,9 +63,27 @@ def solve(members, ranks, solved, steps, rays, views):  # type: ignore[no-untype
 def judge_sizes(members, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
     """Set each member's trust from the size of its image; returns the target's diameter from its largest image.
 
-    Images that detection takes for two targets say nothing of the size, unless all are. As long as no typical size is
-    known, the second largest of four and more is the whole one: the largest may be of two targets, and beside it all
-    others would look half hidden.
+    As long as no typical size is known, the second largest of four and more is the whole one: the largest may be of
+    two targets, and beside it all others would look half hidden.
+    """
+    largest, second, images = largest_image(members, solved, rays, views)
+    if rules[TYPICAL] > 0.0:
+        whole = rules[TYPICAL]
+    else:
+        whole = second if images >= 4 else largest
+    for c in range(members.shape[0]):
+        k = members[c]
+        if k >= 0:
+            size = image_size(k, c, solved, rays, views)
+            ranks[c, TRUST] = np.sqrt(trust2_of(k, size, whole, rays, rules[JUDGE]))
+    return largest
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def largest_image(members, solved, rays, views):  # type: ignore[no-untyped-def]
+    """Return the largest and second largest size [m] of a group's images, and of how many.
+
+    Images that detection takes for two targets say nothing of the size, unless all are.
     """
     largest = second = anyhow = 0.0
     images = 0
@@ -78,18 +96,7 @@ def judge_sizes(members, ranks, solved, rays, views, rules):  # type: ignore[no-
                 images += 1
                 second = max(second, min(size, largest))
                 largest = max(largest, size)
-    if largest == 0.0:
-        largest = anyhow
-    if rules[TYPICAL] > 0.0:
-        whole = rules[TYPICAL]
-    else:
-        whole = second if images >= 4 else largest
-    for c in range(members.shape[0]):
-        k = members[c]
-        if k >= 0:
-            size = image_size(k, c, solved, rays, views)
-            ranks[c, TRUST] = trust_of(k, size, whole, rays, rules[JUDGE])
-    return largest
+    return (largest if largest > 0.0 else anyhow), second, images
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -111,8 +118,8 @@ def larger(i, size_i, j, size_j, rays):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def trust_of(ray, size, whole, rays, judge):  # type: ignore[no-untyped-def]
-    """Return the factor on a ray's whitened error when its image has ``size`` where ``whole`` would be right.
+def trust2_of(ray, size, whole, rays, judge):  # type: ignore[no-untyped-def]
+    """Return the factor on a ray's squared error when its image has ``size`` where ``whole`` would be right.
 
     Too small: partly hidden. Too large: merged with a neighbour, whose share of the light moves the centroid.
     What detection itself takes for partly hidden counts for less, whatever its size, and what is long, or what no
@@ -134,7 +141,7 @@ def trust_of(ray, size, whole, rays, judge):  # type: ignore[no-untyped-def]
         return 1.0
     # the centroid's shift for the whole disc's radius, spread over both axes
     shift = ODD_SHIFT * odd * rays[ray, RADIUS] * (whole / size if judge > 0.0 else 1.0)
-    return 1.0 / np.sqrt(1.0 + 0.5 * (shift / rays[ray, SIGMA]) ** 2)
+    return 1.0 / (1.0 + 0.5 * (shift / rays[ray, SIGMA]) ** 2)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -142,7 +149,7 @@ def wholeness(ray, trust, rays):  # type: ignore[no-untyped-def]
     """Return how whole an image is, by its trust: 1 of the right size, 0 half hidden."""
     if trust >= 1.0:
         return 1.0
-    shift = rays[ray, SIGMA] * np.sqrt(2.0 * (1.0 / trust**2 - 1.0))  # undoes trust_of
+    shift = rays[ray, SIGMA] * np.sqrt(2.0 * (1.0 / trust**2 - 1.0))  # undoes trust2_of
     return max(0.0, 1.0 - shift / (ODD_SHIFT * rays[ray, RADIUS]) / HALF_HIDDEN)
 
 
@@ -182,7 +189,12 @@ def acceptable(members, solved, count, error, diameter, rays, views, rules):  # 
     worst = rules[WORST]
     if solved[3] + solved[7] + solved[11] <= worst:
         return True
-    return np.linalg.eigvalsh(solved[COVARIANCE:CHI2].copy().reshape(3, 3))[2] <= worst
+    # no eigenvalue above the worst: worst x identity less the covariance has no negative one (Sylvester)
+    d0, d1, d2 = worst - solved[3], worst - solved[7], worst - solved[11]
+    e01, e02, e12 = solved[4], solved[5], solved[8]
+    minor = d0 * d1 - e01 * e01
+    det = d2 * minor + e02 * (2.0 * e01 * e12 - d1 * e02) - d0 * e12 * e12
+    return d0 >= 0.0 and minor >= 0.0 and det >= 0.0
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -195,8 +207,8 @@ def limit(freedom, sigma):  # type: ignore[no-untyped-def]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def store(members, ranks, solved, error, diameter, rays, kept_values, kept_members, kept_trusts):  # type: ignore[no-untyped-def]
-    """Complete a group's values and keep it: values (VALUES,), members (c,), trusts (c,).
+def store(members, ranks, solved, error, diameter, rays, at, kept_values, kept_members, kept_trusts):  # type: ignore[no-untyped-def]
+    """Complete a group's values and keep it in row ``at``: values (n, VALUES), members (n, c), trusts (n, c).
 
     Gain: the likelihood of its images as one target against that of images by chance, but for the density of
     targets, which all groups share (Poore 1994, section 3): sum log(1 / (2 pi sigma^2 rho)) - chi2 / 2 +
@@ -210,11 +222,11 @@ def store(members, ranks, solved, error, diameter, rays, kept_values, kept_membe
     gain = 0.5 * np.log(max(det, 1e-300) * (2.0 * np.pi) ** 3) - 0.5 * error
     for c in range(members.shape[0]):
         k, trust = members[c], ranks[c, TRUST]
-        kept_members[c], kept_trusts[c] = k, trust
+        kept_members[at, c], kept_trusts[at, c] = k, trust
         if k >= 0:
             gain += rays[k, BONUS]
             if trust < 1.0:
                 gain += 2.0 * np.log(trust)
     solved[CHI2], solved[GAIN], solved[DIAMETER] = error, gain, diameter
     for k in range(VALUES):
-        kept_values[k] = solved[k]
+        kept_values[at, k] = solved[k]

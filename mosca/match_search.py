@@ -25,20 +25,26 @@ from mosca.match_groups import (
     image_size,
     judge_sizes,
     larger,
+    largest_image,
     limit,
     solve,
     store,
     too_large,
-    trust_of,
+    trust2_of,
 )
 from mosca.match_index import CELLS, CORNER, FIRST, SCALE, buckets, cell_of, cells, plane_angles, within
-from mosca.ray_kernels import ANGLE, DENSITY, FLAGS, RADIUS, SIGMA, SPREAD, WHITE
-from mosca.triangulate import DEPTH, LONG, RANKS, SHARE, TRUST
+from mosca.ray_kernels import ANGLE, DENSITY, FLAGS, LONG, RADIUS, SIGMA, SPREAD, WHITE
+from mosca.triangulate import DEPTH, RANKS, SHARE, TRUST
+
+# what runs for each track and camera: handing over its many arrays costs more than what it does
+inlined = njit(nogil=True, error_model="numpy", inline="always")
 
 CERTAIN = 1e-3
 """Expected number of chance groups as good as this one, below which a group explains its rays."""
 PLAIN = 3.0
 """Standard deviations up to which a group that a track expects is taken without looking at others."""
+FEW_CELLS = 2
+"""More cells than these beside the first are searched only where a closer look at the errors demands it."""
 EDGE_ON = 0.5
 """Uncertainty of an epipolar plane's angle [rad] beyond which the ray is near the base and meets every plane."""
 
@@ -47,13 +53,12 @@ EDGE_ON = 0.5
 def search(rays, views, pairs, bases, start, rules, xyz, covariance):  # type: ignore[no-untyped-def]
     """Return all groups: values (n, VALUES), members (n, c) ray of each camera or -1, trusts (n, c).
 
-    ``xyz`` (k, 3), ``covariance`` (k, 3, 3): where tracks expect their targets; pairs of rays there are tried first.
+    ``xyz`` (k, 3), ``covariance`` (k, 3, 3): where tracks expect their targets; what lies there is tried first.
     """
     cameras, total = views.shape[0], rays.shape[0]
     room, count = max(64, 2 * total // max(cameras, 1)), 0
-    values, members = np.empty((room, VALUES)), np.empty((room, cameras), dtype=np.int64)
-    trusts = np.empty((room, cameras))
-    frame, first_in_cell, in_cell = cells(rays, views, start)
+    groups = np.empty((room, VALUES)), np.empty((room, cameras), dtype=np.int64), np.empty((room, cameras))
+    index = cells(rays, views, start)
     slack, reach = _slack(rays, start, rules)
     explained = np.empty(total, dtype=np.bool_)
     for i in range(total):
@@ -65,16 +70,12 @@ def search(rays, views, pairs, bases, start, rules, xyz, covariance):  # type: i
     gate_2 = 1.0 / rules[GATE] ** 2
     active, found = np.empty(total, dtype=np.int64), np.empty(total, dtype=np.int64)
     joined = np.zeros(total, dtype=np.bool_)
-    index = (frame, first_in_cell, in_cell)
     for target in range(xyz.shape[0] if rules[TYPICAL] > 0.0 else 0):
         size, error, diameter, chance = _expected(
-            xyz[target], covariance[target], xyz.shape[0], pairs, explained, reach, index, partner, mates, ranks,
-            solved, rays, views, rules,
+            target, xyz, covariance, explained, reach, index, mates, ranks, solved, rays, views, rules
         )  # fmt: skip
-        if size > 2:
-            if count == values.shape[0]:
-                values, trusts, members = _longer(values), _longer(trusts), _longer_int(members)
-            store(mates, ranks, solved, error, diameter, rays, values[count], members[count], trusts[count])
+        if size > 0:
+            groups = _kept(groups, count, mates, ranks, solved, error, diameter, rays)
             count += 1
             _note(mates, solved, chance, partner, explained, joined, rays, views, rules)
     for stage in range(2 if rules[JUDGE] > 0.0 else 1):
@@ -83,11 +84,9 @@ def search(rays, views, pairs, bases, start, rules, xyz, covariance):  # type: i
             explained |= joined
         for pair in range(pairs.shape[0]):
             a, b = pairs[pair, 0], pairs[pair, 1]
-            if start[a] == start[a + 1] or start[b] == start[b + 1]:
-                continue
             n_a = _left(start[a], start[a + 1], explained, active)
-            n_b = _left(start[b], start[b + 1], explained, active[n_a:])
-            if n_a == 0 or n_b == 0 or bases[pair, 0, 0] == np.inf:
+            n_b = _left(start[b], start[b + 1], explained, active[n_a:]) if n_a > 0 else 0
+            if n_b == 0 or bases[pair, 0, 0] == np.inf:
                 continue
             plane_angles(rays, active[: n_a + n_b], bases[pair], angle, variance)
             for n in range(n_a + n_b):
@@ -125,75 +124,61 @@ def search(rays, views, pairs, bases, start, rules, xyz, covariance):  # type: i
                     )
                     if size == 0:
                         continue
-                    if count == values.shape[0]:
-                        values, trusts, members = _longer(values), _longer(trusts), _longer_int(members)
-                    store(
-                        mates,
-                        ranks,
-                        solved,
-                        error,
-                        diameter,
-                        rays,
-                        values[count],
-                        members[count],
-                        trusts[count],
-                    )
+                    groups = _kept(groups, count, mates, ranks, solved, error, diameter, rays)
                     count += 1
                     if size > 2:
                         _note(mates, solved, chance, partner, explained, joined, rays, views, rules)
+    values, members, trusts = groups
     return values[:count], members[:count], trusts[:count]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _expected(  # type: ignore[no-untyped-def]
-    xyz,
-    covariance,
-    tracks,
-    pairs,
-    explained,
-    reach,
-    index,
-    partner,
-    members,
-    ranks,
-    solved,
-    rays,
-    views,
-    rules,
-):
-    """Begin a group with the two rays nearest to where one of so many tracks expects its target, and widen it.
+def _kept(groups, count, members, ranks, solved, error, diameter, rays):  # type: ignore[no-untyped-def]
+    """Store a group after the ``count`` that are there; returns the groups, with more room where need be."""
+    values, all_members, trusts = groups
+    if count == values.shape[0]:
+        values, all_members, trusts = _longer(values), _longer(all_members), _longer(trusts)
+    store(members, ranks, solved, error, diameter, rays, count, values, all_members, trusts)
+    return values, all_members, trusts
 
-    It is judged as any other group is; the track only saves the search. Returns as ``_grown``, and no group where
-    anything is odd: an image that the group leaves out or that is not the nearest, rays that meet poorly.
+
+@inlined
+def _expected(  # type: ignore[no-untyped-def]
+    track, xyz, covariance, explained, reach, index, members, ranks, solved, rays, views, rules
+):  # fmt: skip
+    """Join the rays nearest to where a track expects its target. Returns as ``_grown``.
+
+    The group is judged as any other is; the track only saves the search. None where anything is odd, which has to
+    compete with other groups: rays that meet poorly, that chance explains, that are not the nearest to their point.
     """
     cameras = views.shape[0]
-    nearest, share = np.empty(cameras, dtype=np.int64), np.empty(cameras)
     for p in range(3):
-        solved[p] = xyz[p]
+        solved[p] = xyz[track, p]
         for q in range(3):
-            solved[3 + 3 * p + q] = covariance[p, q]
+            solved[3 + 3 * p + q] = covariance[track, p, q]
+    size, chance, doubtful = 0, float(xyz.shape[0]), False
     for c in range(cameras):
-        nearest[c], _, share[c] = _nearest(c, rules[TYPICAL], reach[c], index, solved, rays, views, rules)
-    for pair in range(pairs.shape[0]):
-        a, b = pairs[pair, 0], pairs[pair, 1]
-        i, j = nearest[a], nearest[b]
-        if i < 0 or j < 0 or explained[i] or explained[j]:
-            continue
-        if not _meet(i, j, a, b, 0.0, 1.0, 1.0, members, ranks, solved, rays, views, rules):
-            continue
-        chance = tracks * min(1.0, share[a]) * min(1.0, share[b])
-        size, error, diameter, chance = _grown(
-            a, b, chance, reach, index, partner, members, ranks, solved, rays, views, rules
-        )
-        # what is in any way odd has to compete with other groups
-        if size > 2 and error <= limit(2 * size - 3, PLAIN):
-            plain = True
-            for c in range(cameras):
-                plain = plain and members[c] == nearest[c]
-            if plain:
-                return size, error, diameter, chance
-        break
-    return 0, 0.0, 0.0, 1.0
+        k, trust, share, admitted = _nearest(c, rules[TYPICAL], reach[c], index, solved, rays, views, rules)
+        members[c], ranks[c, TRUST] = k, trust
+        if k >= 0:
+            if explained[k]:
+                return 0, 0.0, 0.0, 1.0
+            size += 1
+            chance *= min(1.0, share)
+            doubtful |= admitted > 1
+    if size < 3 or size < rules[MINIMUM] or not chance < CERTAIN:
+        return 0, 0.0, 0.0, 1.0
+    error = solve(members, ranks, solved, 2, rays, views)
+    if not 0.0 <= error <= limit(2 * size - 3, PLAIN):
+        return 0, 0.0, 0.0, 1.0
+    # trusted already by their sizes there, since the typical one is known
+    diameter = largest_image(members, solved, rays, views)[0]
+    if not acceptable(members, solved, size, error, diameter, rays, views, rules):
+        return 0, 0.0, 0.0, 1.0
+    for c in range(cameras if doubtful else 0):
+        if members[c] != _nearest(c, rules[TYPICAL], reach[c], index, solved, rays, views, rules)[0]:
+            return 0, 0.0, 0.0, 1.0
+    return size, error, diameter, chance
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -204,13 +189,13 @@ def _note(members, solved, chance, partner, explained, joined, rays, views, rule
         k = members[c]
         if k < 0:
             continue
-        for d in range(cameras):
-            if members[d] >= 0:
-                partner[k, d] = members[d]
         # an image of two targets may serve another group
         if not too_large(k, c, solved, rays, views, rules):
             joined[k] = True
             explained[k] |= chance < CERTAIN
+        for d in range(0 if explained[k] else cameras):
+            if members[d] >= 0:
+                partner[k, d] = members[d]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -261,14 +246,14 @@ def _meet(i, j, a, b, away2, variance_i, variance_j, members, ranks, solved, ray
         return False
     size_i, size_j = rays[i, ANGLE] * s, rays[j, ANGLE] * t
     whole = rules[TYPICAL] if rules[TYPICAL] > 0.0 else larger(i, size_i, j, size_j, rays)
-    trust_i = trust_of(i, size_i, whole, rays, rules[JUDGE])
-    trust_j = trust_of(j, size_j, whole, rays, rules[JUDGE])
-    if away2 > variance_i / trust_i**2 + variance_j / trust_j**2:
+    trust_i = trust2_of(i, size_i, whole, rays, rules[JUDGE])
+    trust_j = trust2_of(j, size_j, whole, rays, rules[JUDGE])
+    if away2 > variance_i / trust_i + variance_j / trust_j:
         return False
     members[:] = -1
     ranks[:, TRUST] = 1.0
     members[a], members[b] = i, j
-    ranks[a, TRUST], ranks[b, TRUST] = trust_i, trust_j
+    ranks[a, TRUST], ranks[b, TRUST] = np.sqrt(trust_i), np.sqrt(trust_j)
     solved[0] = 0.5 * (views[a, 0] + s * d0 + views[b, 0] + t * e0)
     solved[1] = 0.5 * (views[a, 1] + s * d1 + views[b, 1] + t * e1)
     solved[2] = 0.5 * (views[a, 2] + s * d2 + views[b, 2] + t * e2)
@@ -298,7 +283,7 @@ def _grown(  # type: ignore[no-untyped-def]
     for c in range(cameras):
         if c in (a, b):
             continue
-        nearest, trust, share = _nearest(c, whole, reach[c], index, solved, rays, views, rules)
+        nearest, trust, share, _ = _nearest(c, whole, reach[c], index, solved, rays, views, rules)
         if nearest >= 0:
             members[c], ranks[c, TRUST], ranks[c, SHARE] = nearest, trust, share
             size += 1
@@ -341,15 +326,16 @@ def _worst_ray(members, ranks, solved, rays, views):  # type: ignore[no-untyped-
         if k < 0:
             continue
         scale = ranks[c, TRUST] / ranks[c, DEPTH]
-        m0, m1 = scale * rays[k, WHITE : WHITE + 3], scale * rays[k, WHITE + 3 : WHITE + 6]
         e0 = e1 = h00 = h01 = h11 = 0.0
         for p in range(3):
-            e0 += m0[p] * (solved[p] - views[c, p])
-            e1 += m1[p] * (solved[p] - views[c, p])
+            m0, m1 = scale * rays[k, WHITE + p], scale * rays[k, WHITE + 3 + p]
+            e0 += m0 * (solved[p] - views[c, p])
+            e1 += m1 * (solved[p] - views[c, p])
             for q in range(3):
-                h00 += m0[p] * m0[q] * solved[3 + 3 * p + q]
-                h01 += m0[p] * m1[q] * solved[3 + 3 * p + q]
-                h11 += m1[p] * m1[q] * solved[3 + 3 * p + q]
+                shared = scale * solved[3 + 3 * p + q]
+                h00 += m0 * rays[k, WHITE + q] * shared
+                h01 += m0 * rays[k, WHITE + 3 + q] * shared
+                h11 += m1 * rays[k, WHITE + 3 + q] * shared
         r00, r11 = 1.0 - h00, 1.0 - h11
         det = max(r00 * r11 - h01 * h01, 1e-12)
         lowered = (r11 * e0 * e0 + 2.0 * h01 * e0 * e1 + r00 * e1 * e1) / det
@@ -370,10 +356,10 @@ def _joined(members, partner):  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@inlined
 def _nearest(c, whole, reach, index, solved, rays, views, rules):  # type: ignore[no-untyped-def]
     """Return the ray of camera c nearest to the group's point among those that the covariances admit (-1: none), its
-    trust, and the expected number of chance rays as near.
+    trust, the expected number of chance rays as near, and how many were admitted.
     """
     frame, first_in_cell, in_cell = index
     gate2 = rules[GATE] ** 2
@@ -381,19 +367,23 @@ def _nearest(c, whole, reach, index, solved, rays, views, rules):  # type: ignor
     distance = np.sqrt(x * x + y * y + z * z)
     w = distance + views[c, 5] * x + views[c, 8] * y + views[c, 11] * z
     if not w > 1e-9 * distance:
-        return -1, 1.0, 0.0
-    u = (views[c, 3] * x + views[c, 6] * y + views[c, 9] * z) / w
-    v = (views[c, 4] * x + views[c, 7] * y + views[c, 10] * z) / w
-    # an angle counts (1 + |place|^2) / 2 there
-    own = (0.5 * (1.0 + u * u + v * v)) ** 2 * reach
-    left, right = _cells_beside(
-        c, 0, u, x / distance, y / distance, z / distance, w, own, frame, solved, views, rules
-    )
-    top, bottom = _cells_beside(
-        c, 1, v, x / distance, y / distance, z / distance, w, own, frame, solved, views, rules
-    )
+        return -1, 1.0, 0.0, 0
+    inverse = 1.0 / w
+    u = (views[c, 3] * x + views[c, 6] * y + views[c, 9] * z) * inverse
+    v = (views[c, 4] * x + views[c, 7] * y + views[c, 10] * z) * inverse
     v00, v01, v02, v11, v12, v22 = solved[3], solved[4], solved[5], solved[7], solved[8], solved[11]
-    best, at, trusted, share = np.inf, -1, 1.0, 0.0
+    # an angle counts (1 + |place|^2) / 2 there, and a point's error in no direction more than in all together
+    scale = 0.5 * (1.0 + u * u + v * v)
+    side = 1.01 * rules[GATE] * scale * np.sqrt(reach + (v00 + v11 + v22) / (distance * distance))
+    left, right = _cells_beside(c, 0, u, side, frame)
+    top, bottom = _cells_beside(c, 1, v, side, frame)
+    if (right - left) * (bottom - top) > FEW_CELLS:
+        own = scale * scale * reach
+        side = _side(c, 0, u, x / distance, y / distance, z / distance, w, own, solved, views, rules)
+        left, right = _cells_beside(c, 0, u, side, frame)
+        side = _side(c, 1, v, x / distance, y / distance, z / distance, w, own, solved, views, rules)
+        top, bottom = _cells_beside(c, 1, v, side, frame)
+    nearest, at, trust2, det_there, admitted = np.inf, -1, 1.0, 0.0, 0
     for row in range(top, bottom + 1):
         first = int(frame[c, FIRST] + row * frame[c, CELLS])
         for n in range(first_in_cell[first + left], first_in_cell[first + right + 1]):
@@ -402,18 +392,19 @@ def _nearest(c, whole, reach, index, solved, rays, views, rules):  # type: ignor
             # a thousandth of a radian squared: far beyond any gate
             if depth < 0.9995 * distance:
                 continue
+            inverse = 1.0 / depth
             m00, m01, m02 = (
-                rays[k, WHITE + 0] / depth,
-                rays[k, WHITE + 1] / depth,
-                rays[k, WHITE + 2] / depth,
+                rays[k, WHITE + 0] * inverse,
+                rays[k, WHITE + 1] * inverse,
+                rays[k, WHITE + 2] * inverse,
             )
             m10, m11, m12 = (
-                rays[k, WHITE + 3] / depth,
-                rays[k, WHITE + 4] / depth,
-                rays[k, WHITE + 5] / depth,
+                rays[k, WHITE + 3] * inverse,
+                rays[k, WHITE + 4] * inverse,
+                rays[k, WHITE + 5] * inverse,
             )
             e0, e1 = m00 * x + m01 * y + m02 * z, m10 * x + m11 * y + m12 * z
-            t2 = trust_of(k, rays[k, ANGLE] * distance, whole, rays, rules[JUDGE]) ** 2
+            t2 = trust2_of(k, rays[k, ANGLE] * distance, whole, rays, rules[JUDGE])
             # the point's covariance carried into the ray's whitened image
             g0, g1, g2 = (
                 v00 * m00 + v01 * m01 + v02 * m02,
@@ -429,17 +420,28 @@ def _nearest(c, whole, reach, index, solved, rays, views, rules):  # type: ignor
             s01 = t2 * (m10 * g0 + m11 * g1 + m12 * g2)
             s11 = 1.0 + t2 * (m10 * h0 + m11 * h1 + m12 * h2)
             det = s00 * s11 - s01 * s01
-            error = t2 * (s11 * e0 * e0 - 2.0 * s01 * e0 * e1 + s00 * e1 * e1) / det
-            # among those admitted the nearest in the image decides, not the least trusted
-            if error < gate2 and error / t2 < best:
-                best, at, trusted = error / t2, k, np.sqrt(t2)
-                share = views[c, DENSITY] * np.pi * max(error, 0.05) * np.sqrt(det) * rays[k, SIGMA] ** 2 / t2
-    return at, trusted, share
+            away = (s11 * e0 * e0 - 2.0 * s01 * e0 * e1 + s00 * e1 * e1) / det
+            if t2 * away < gate2:
+                admitted += 1
+                # among those admitted the nearest in the image decides, not the least trusted
+                if away < nearest:
+                    nearest, at, trust2, det_there = away, k, t2, det
+    if at < 0:
+        return -1, 1.0, 0.0, 0
+    area = np.pi * max(trust2 * nearest, 0.05) * np.sqrt(det_there) * rays[at, SIGMA] ** 2 / trust2
+    return at, np.sqrt(trust2), views[c, DENSITY] * area, admitted
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _cells_beside(c, axis, place, x, y, z, w, own, frame, solved, views, rules):  # type: ignore[no-untyped-def]
-    """Return the first and last row or column of cells that a point's image may lie in; (x, y, z) its direction."""
+def _cells_beside(c, axis, place, side, frame):  # type: ignore[no-untyped-def]
+    """Return the first and last row or column of cells within ``place`` -+ ``side``."""
+    corner, scale, count = frame[c, CORNER + axis], frame[c, SCALE + axis], frame[c, CELLS]
+    return cell_of(place - side, corner, scale, count), cell_of(place + side, corner, scale, count)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _side(c, axis, place, x, y, z, w, own, solved, views, rules):  # type: ignore[no-untyped-def]
+    """Return how far along one axis a point's image may lie beside its place; (x, y, z) its direction."""
     # the place's derivative by the point, and so its variance
     j0 = (views[c, 3 + axis] - place * (x + views[c, 5])) / w
     j1 = (views[c, 6 + axis] - place * (y + views[c, 8])) / w
@@ -447,20 +449,12 @@ def _cells_beside(c, axis, place, x, y, z, w, own, frame, solved, views, rules):
     variance = j0 * (j0 * solved[3] + 2.0 * (j1 * solved[4] + j2 * solved[5]))
     variance += j1 * (j1 * solved[7] + 2.0 * j2 * solved[8]) + j2 * j2 * solved[11]
     # a little wider than to first order
-    side = 1.01 * rules[GATE] * np.sqrt(variance + own)
-    corner, scale, count = frame[c, CORNER + axis], frame[c, SCALE + axis], frame[c, CELLS]
-    return cell_of(place - side, corner, scale, count), cell_of(place + side, corner, scale, count)
+    return 1.01 * rules[GATE] * np.sqrt(variance + own)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _longer(rows):  # type: ignore[no-untyped-def]
-    longer = np.empty((2 * rows.shape[0], rows.shape[1]))
-    longer[: rows.shape[0]] = rows
-    return longer
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def _longer_int(rows):  # type: ignore[no-untyped-def]
-    longer = np.empty((2 * rows.shape[0], rows.shape[1]), dtype=np.int64)
+    """Return a copy of rows (n, k) with room for twice as many."""
+    longer = np.empty((2 * rows.shape[0], rows.shape[1]), dtype=rows.dtype)
     longer[: rows.shape[0]] = rows
     return longer

@@ -12,6 +12,7 @@ from numba import njit
 
 from mosca.camera import image_grid, lens_directions
 from mosca.data.arrays import Array
+from mosca.data.detections import MERGED, UNREFINED
 from mosca.data.rig import Camera, FisheyeLens, Lens, MoscaLens, OpenCVLens, Rig
 from mosca.eccentricity import ball_field
 from mosca.lenses import fisheye_model, mosca_model, opencv_model
@@ -21,25 +22,24 @@ FOLD, TILTED, TILT, UNTILT, WIDTH = 20, 21, 22, 31, 40
 """Places in a camera's row of lens parameters: the first 18 are the lens's fields in their order."""
 NEWTON_STEPS = 30
 EDGE_STEP_PX = 64.0
-DIRECTION, WHITE, SPREAD, NORMAL, SIGMA, RADIUS, ANGLE, BONUS, FLAGS, COLUMNS = (
-    0,
-    3,
-    9,
-    15,
-    24,
-    25,
-    26,
-    27,
-    28,
-    29,
-)
+DIRECTION, WHITE, SPREAD, NORMAL = 0, 3, 9, 15
+SIGMA, RADIUS, ANGLE, BONUS, FLAGS, COLUMNS = 24, 25, 26, 27, 28, 29
 """Columns of the table of rays; see ``mosca.triangulate.Bundle``."""
 ORIGIN, ROTATION, EDGES, DENSITY, VIEW = 0, 3, 12, 16, 17
 """Columns of the table of cameras; see ``mosca.triangulate.Bundle``."""
-LONG = 1.6
+TWO_LONG = 1.6
 """Ratio of a box's sides from which an image is taken for two targets (a small disc's box reaches 3 : 2)."""
 LEAST_DIAMETER_PX = 0.5
 """A target of one pixel has no measurable size; taken for this one."""
+BLUR_PX = 0.45
+"""Blur of lens and pixel (standard deviation) that makes images larger than what they show; of small targets the area
+by a third, by more where they are far, so that whole targets far off would hide what is missing of near ones."""
+SHARPEST = 0.1
+"""Share of its area that an image keeps at least when its blur is taken off."""
+LONG = 16
+"""Bit of a ray's FLAGS beside those of its detection: the region is longer than pixels make that of a disc."""
+ROUNDED_PX = 1.5
+"""Difference of a region's sides from which it is: those of a disc's differ by one at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,8 +170,9 @@ def mosca_ray(p, u, v, d, g):  # type: ignore[no-untyped-def]
         return False
     tx, ty = ix / c, -iy / c
     # pixel by tangent: scale (1/mx, -1/my), inverse slope, c (1, -1)
-    j00, j01 = c * s11 / (mx * det), c * s01 / (mx * det)
-    j10, j11 = c * s01 / (my * det), c * s00 / (my * det)
+    across, down = c / (mx * det), c / (my * det)
+    j00, j01 = across * s11, across * s01
+    j10, j11 = down * s01, down * s00
     _by_direction(tx, ty, j00, j01, j10, j11, d, g)
     return True
 
@@ -232,7 +233,8 @@ def _tilted(p, wx, wy, s00, s01, s10, s11):  # type: ignore[no-untyped-def]
 def _by_direction(tx, ty, j00, j01, j10, j11, d, g):  # type: ignore[no-untyped-def]
     """Fill ``d`` and ``g`` from a tangent (x/z, y/z) and the pixel's derivatives by it."""
     length = np.sqrt(tx * tx + ty * ty + 1.0)
-    d[0], d[1], d[2] = tx / length, ty / length, 1.0 / length
+    inverse = 1.0 / length
+    d[0], d[1], d[2] = tx * inverse, ty * inverse, inverse
     g[0, 0], g[0, 1], g[0, 2] = j00 * length, j01 * length, -(j00 * tx + j01 * ty) * length
     g[1, 0], g[1, 1], g[1, 2] = j10 * length, j11 * length, -(j10 * tx + j11 * ty) * length
 
@@ -276,30 +278,22 @@ def fisheye_ray(p, u, v, d, g):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def fill_rays(  # type: ignore[no-untyped-def]
-    kind,
-    lens,
-    size,
-    rotation,
-    origin,
-    start,
-    fields,
-    xy,
-    covariance,
-    sigma2,
-    diameter,
-    elongation,
-    flags,
-    rays,
-):
-    """Fill the table of rays (n, COLUMNS) from the detections; NaN where a pixel has no ray.
+    kind, lens, size, rotation, seen, start, fields, xy, covariance, extra, diameter, elongation, flags, rays, views
+):  # fmt: skip
+    """Fill the table of rays (n, COLUMNS) from the detections, NaN where a pixel has no ray, and that of cameras.
 
     ``fields``: (c, rows, columns, 2) the eccentricity of balls, or none of them: a ball's image, which fills
-    the angle A, is shifted by (A/2)^2 times the field.
+    the angle A, is shifted by (A/2)^2 times the field. ``seen``: ``RigTable.views``, which ``views`` (c, VIEW)
+    completes. Returns how many images are long, or stand alone without a fit.
     """
     d, local, g = np.empty(3), np.empty((2, 3)), np.empty((2, 3))
+    odd = 0
     for c in range(kind.shape[0]):
         turn = rotation[c]
         density = (start[c + 1] - start[c]) / (size[c, 0] * size[c, 1])
+        for k in range(DENSITY):
+            views[c, k] = seen[c, k]
+        views[c, DENSITY] = density
         for n in range(start[c], start[c + 1]):
             u, v = xy[n, 0], xy[n, 1]
             if kind[c] == MOSCA:
@@ -308,21 +302,25 @@ def fill_rays(  # type: ignore[no-untyped-def]
                 good = opencv_ray(lens[c], u, v, d, local)
             else:
                 good = fisheye_ray(lens[c], u, v, d, local)
-            longer = np.sqrt(elongation[n]) if elongation[n] > LONG else 1.0
+            root = np.sqrt(elongation[n])
             # two targets grown together are long, and their flux and peak tell no diameter: the longer axis does
-            across = max(diameter[n] * longer, LEAST_DIAMETER_PX)
+            across = max(diameter[n] * (root if elongation[n] > TWO_LONG else 1.0), LEAST_DIAMETER_PX)
+            # a region reaches about a pixel past the disc that has its light
+            long = (elongation[n] - 1.0) * (diameter[n] + 1.1) > ROUNDED_PX * root
+            odd += long or flags[n] & (UNREFINED | MERGED) == UNREFINED
             s00, s01, s11 = (
-                covariance[n, 0, 0] + sigma2[c],
+                covariance[n, 0, 0] + extra[c],
                 covariance[n, 0, 1],
-                covariance[n, 1, 1] + sigma2[c],
+                covariance[n, 1, 1] + extra[c],
             )
             area = s00 * s11 - s01 * s01
             if not (good and s00 > 0.0 and area > 0.0):
                 rays[n] = np.nan
                 continue
-            rays[n, RADIUS], rays[n, SIGMA], rays[n, FLAGS] = 0.5 * across, np.sqrt(np.sqrt(area)), flags[n]
+            sigma2 = np.sqrt(area)
+            rays[n, SIGMA], rays[n, FLAGS] = np.sqrt(sigma2), flags[n] + (LONG if long else 0)
             # what a ray adds to the likelihood of a group: its image by the target against one by chance anywhere
-            rays[n, BONUS] = -np.log(2.0 * np.pi * np.sqrt(area) * density)
+            rays[n, BONUS] = -np.log(2.0 * np.pi * sigma2 * density)
             # the image of a direction of the world
             for row in range(2):
                 for k in range(3):
@@ -336,27 +334,31 @@ def fill_rays(  # type: ignore[no-untyped-def]
             q11 = g[1, 0] * g[1, 0] + g[1, 1] * g[1, 1] + g[1, 2] * g[1, 2]
             det = q00 * q11 - q01 * q01
             # px a radian across the ray: the geometric mean of both axes
-            rays[n, ANGLE] = across / np.sqrt(np.sqrt(det))
+            angle = across / np.sqrt(np.sqrt(det))
+            sharp = np.sqrt(max(1.0 - (2.0 * BLUR_PX / diameter[n]) ** 2, SHARPEST))
+            rays[n, RADIUS], rays[n, ANGLE] = 0.5 * across * sharp, angle * sharp
             l00 = np.sqrt(s00)
             l10 = s01 / l00
             l11 = np.sqrt(s11 - l10 * l10)
+            i00, i11, inverse = 1.0 / l00, 1.0 / l11, 1.0 / det
             shift_x = shift_y = 0.0
             if fields.shape[0] > 0:
-                ratio = 0.25 * rays[n, ANGLE] ** 2
+                ratio = 0.25 * angle * angle
                 shift_x, shift_y = _field(fields[c], size[c], u, v)
                 shift_x, shift_y = shift_x * ratio, shift_y * ratio
             for k in range(3):
-                first = g[0, k] / l00
-                rays[n, WHITE + k], rays[n, WHITE + 3 + k] = first, (g[1, k] - l10 * first) / l11
+                first = g[0, k] * i00
+                rays[n, WHITE + k], rays[n, WHITE + 3 + k] = first, (g[1, k] - l10 * first) * i11
                 # direction by pixel: the pseudo-inverse G' (G G')^-1
-                tx = (g[0, k] * q11 - g[1, k] * q01) / det
-                ty = (g[1, k] * q00 - g[0, k] * q01) / det
+                tx = (g[0, k] * q11 - g[1, k] * q01) * inverse
+                ty = (g[1, k] * q00 - g[0, k] * q01) * inverse
                 rays[n, SPREAD + 2 * k] = tx * l00 + ty * l10
                 rays[n, SPREAD + 2 * k + 1] = ty * l11
                 rays[n, DIRECTION + k] -= tx * shift_x + ty * shift_y
             if fields.shape[0] > 0:
                 _turn_with(rays[n])
-            _normals(rays[n], origin[c])
+            _normals(rays[n], seen[c])
+    return odd
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -29,6 +29,7 @@ No point spread function is given. What the frames teach, camera by camera (``Le
 The offsets are used once they are certain: from ``ENOUGH`` centroids on, and where chance does not explain them.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -62,12 +63,20 @@ class Learned:
     normal: Array = field(default_factory=lambda: np.zeros((0, N_TERMS, N_TERMS)))
     right_side: Array = field(default_factory=lambda: np.zeros((0, N_TERMS, 2)))
     _priors: dict[tuple[str, ...], "Priors"] = field(default_factory=dict, repr=False)
+    _parts: Mapping[str, "Learned"] = field(default_factory=dict, repr=False)
 
     def plus(self, other: "Learned") -> "Learned":
         """Return what both teach together. Beyond MEMORY targets of a camera the older ones fade."""
         if self.names != other.names:
             names = self.names + tuple(name for name in other.names if name not in self.names)
             return self._of(names).plus(other._of(names)) if self.names else other
+        if max(self.tallies[:, N_TARGETS].tolist(), default=0.0) <= MEMORY:
+            return Learned(
+                self.names,
+                self.tallies + other.tallies,
+                self.normal + other.normal,
+                self.right_side + other.right_side,
+            )
         keep = np.minimum(1.0, MEMORY / np.maximum(self.tallies[:, N_TARGETS], 1.0))
         return Learned(
             self.names,
@@ -83,9 +92,21 @@ class Learned:
     def priors(self, names: tuple[str, ...]) -> "Priors":
         """Return what the fit of these cameras starts from."""
         if names not in self._priors:
-            of = self if names == self.names else self._of(names)
-            self._priors[names] = _priors(of)
+            parts = [self._parts[name] for name in names if name in self._parts]
+            if len(parts) == len(names) > 0:
+                self._priors[names] = _stacked([one.priors(one.names) for one in parts])
+            else:
+                self._priors[names] = _priors(self if names == self.names else self._of(names))
         return self._priors[names]
+
+    def each(self) -> dict[str, "Learned"]:
+        """Return what each camera has taught by itself."""
+        return {
+            name: Learned(
+                (name,), self.tallies[k : k + 1], self.normal[k : k + 1], self.right_side[k : k + 1]
+            )
+            for k, name in enumerate(self.names)
+        }
 
     def _of(self, names: tuple[str, ...]) -> "Learned":
         """Return the same for other cameras, zeros for those that are not known."""
@@ -100,6 +121,20 @@ class Learned:
 NOTHING = Learned()
 
 
+def joined(parts: Mapping[str, Learned]) -> Learned:
+    """Return what single cameras have taught as one; what their fits start from is not worked out again."""
+    known = {name: one for name, one in parts.items() if one.names}
+    if not known:
+        return NOTHING
+    return Learned(
+        tuple(known),
+        np.concatenate([one.tallies for one in known.values()]),
+        np.concatenate([one.normal for one in known.values()]),
+        np.concatenate([one.right_side for one in known.values()]),
+        _parts=known,
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Priors:
     """What the fit of n images starts from: ``blurs`` (n, 2) mean and standard deviation [px], ``offsets`` (n, 12, 2)
@@ -109,6 +144,14 @@ class Priors:
     blurs: Array
     offsets: Array
     roughness: Array
+
+
+def _stacked(ones: Sequence[Priors]) -> Priors:
+    return Priors(
+        np.concatenate([one.blurs for one in ones]),
+        np.concatenate([one.offsets for one in ones]),
+        np.concatenate([one.roughness for one in ones]),
+    )
 
 
 def _priors(learned: Learned) -> Priors:
@@ -123,34 +166,37 @@ def _priors(learned: Learned) -> Priors:
         tallies[:, N_TARGETS] > 0, tallies[:, ROUGH_SUM] / np.maximum(tallies[:, N_TARGETS], 1.0), 0.0
     )
     offsets = np.zeros((len(tallies), N_TERMS, 2))
-    for k in np.flatnonzero(tallies[:, N_LIGHT] >= ENOUGH):
-        offsets[k] = _offsets(learned.normal[k], learned.right_side[k])
+    enough = np.flatnonzero(tallies[:, N_LIGHT] >= ENOUGH)
+    if len(enough):
+        offsets[enough] = _offsets(learned.normal[enough], learned.right_side[enough])
     return Priors(np.column_stack([mean, spread]), offsets, np.maximum(usual, USUAL_ROUGHNESS))
 
 
 def _offsets(normal: Array, right_side: Array) -> Array:
-    """Return the terms (12, 2) of the offset that chance does not explain, 0 otherwise.
+    """Return for n cameras the terms (n, 12, 2) of the offset that chance does not explain, 0 otherwise.
 
     Of the sets of terms allowed the one whose chi-square, less CHANCE a term, is largest, axis by axis: terms in R
     and (1, 1/R, 1/R^2) are so much alike that needless ones would only bring noise.
     """
-    out = np.zeros((N_TERMS, 2))
-    best = np.zeros(2)
-    for allowed in _TERM_SETS:
-        part = normal[np.ix_(allowed, allowed)] + np.diag(_RIDGE[allowed])
-        terms = np.linalg.solve(part, right_side[allowed])
-        score = np.sum(terms * right_side[allowed], axis=0) - CHANCE * len(allowed)
-        for axis in np.flatnonzero(score > best):
-            best[axis] = score[axis]
-            out[:, axis] = 0.0
-            out[allowed, axis] = terms[:, axis]
+    out = np.zeros(right_side.shape)
+    best = np.zeros((len(out), 2))
+    for allowed, ridge in _TERM_SETS:
+        part = normal[:, allowed[:, None], allowed] + ridge
+        pulls = right_side[:, allowed]
+        terms = np.linalg.solve(part, pulls)
+        score = (terms * pulls).sum(axis=1) - CHANCE * len(allowed)
+        better = score > best
+        if better.any():
+            best = np.maximum(score, best)
+            out *= ~better[:, None]
+            out[:, allowed] += better[:, None] * terms
     return out
 
 
-_TERM_SETS = [
-    np.array(terms)
-    for terms in ([0], [0, 3, 6], [0, 1, 2, 3, 4, 5, 6, 7, 8], [0, 3, 6, 9], list(range(N_TERMS)))
-]
 # A ridge [px^-2] that only the directions feel which the sizes and places seen leave open: what may be either goes
 # to the terms without R.
 _RIDGE = 1 / np.where(np.arange(N_TERMS) < 9, 0.3, 0.1) ** 2
+_TERM_SETS = [
+    (np.array(terms), np.diag(_RIDGE[terms]))
+    for terms in ([0], [0, 3, 6], [0, 1, 2, 3, 4, 5, 6, 7, 8], [0, 3, 6, 9], list(range(N_TERMS)))
+]

@@ -37,6 +37,11 @@ TINY = f32(1e-6)
 
 
 MOST_STEPS = 9
+NEAR, NEAR_LIGHT, NEAR_2, SETTLED_2 = 0.1, 0.05, 4.0, 1.0
+"""A start is near, so that one straight step ends the fit, where that moves the place by no more than the root of
+``NEAR_2`` of its errors, radius and blur by such a share of the blur, and the brightness by such a share of itself:
+with twice as much the errors of places begin to grow (by 2 %). Else steps end where one has moved the place by less
+than the root of ``SETTLED_2``: what they still lack goes with the square of that."""
 
 
 class Model(NamedTuple):
@@ -50,18 +55,18 @@ class Model(NamedTuple):
 @step
 def sums(
     n: int,
-    pixels: tuple[Array, Array, Array, Array],
+    pixels: Array,
     at: tuple[Any, Any, Any, Any, Any, Any],
     dark: Any,
     gain: Any,
 ) -> Any:
     """Return the normal equations of one Gauss-Newton step over n pixels.
 
-    ``pixels``: x, y, grey value, and how much sharper than ``at`` says the edge is there. ``at``: x0, y0,
-    amplitude, background, radius, blur. The place and the other four unknowns are at right
-    angles for a window that is symmetric about the target, and are solved apart.
+    ``pixels`` (5, n or more): x, y, how much sharper than ``at`` says the edge is there, 1, or 0 for pixels that are
+    padding, and grey value. ``at``: x0, y0, amplitude, background, radius, blur. The place and the other four
+    unknowns are at right angles for a window that is symmetric about the target, and are solved apart.
     """
-    x, y, v, sharper = pixels
+    x, y, sharper, there, v = pixels[0], pixels[1], pixels[2], pixels[3], pixels[4]
     x0, y0, a, b, radius, blur = at
     sharp = ONE / blur
     a_sharp, a_gain = a * sharp, a * gain
@@ -76,7 +81,7 @@ def sums(
         u = t * t
         e = HALF - t * (P0 + u * (P1 + u * (P2 + u * (P3 + u * P4))))
         g = a_sharp * sharper[i] * (Q0 + u * (Q1 + u * (Q2 + u * (Q3 + u * Q4))))
-        w = ONE / (dark + a_gain * e)
+        w = there[i] / (dark + a_gain * e)
         d = v[i] - b - a * e
         jx, jy, js = g * per_r * dx, g * per_r * dy, g * t
         wd, wx, wy, we, wg = w * d, w * jx, w * jy, w * e, w * g
@@ -106,13 +111,13 @@ def sums(
 @step
 def cross_sums(
     n: int,
-    pixels: tuple[Array, Array, Array, Array],
+    pixels: Array,
     at: tuple[Any, Any, Any, Any, Any, Any],
     dark: Any,
     gain: Any,
 ) -> Any:
     """Return what ``sums`` leaves out: the products of x, then y, with amplitude, background, radius and blur."""
-    x, y, _, sharper = pixels
+    x, y, sharper, there = pixels[0], pixels[1], pixels[2], pixels[3]
     x0, y0, a, _, radius, blur = at
     sharp = ONE / blur
     a_sharp, a_gain = a * sharp, a * gain
@@ -126,7 +131,7 @@ def cross_sums(
         u = t * t
         e = HALF - t * (P0 + u * (P1 + u * (P2 + u * (P3 + u * P4))))
         g = a_sharp * sharper[i] * (Q0 + u * (Q1 + u * (Q2 + u * (Q3 + u * Q4))))
-        w = ONE / (dark + a_gain * e)
+        w = there[i] / (dark + a_gain * e)
         wx, wy = w * g * per_r * dx, w * g * per_r * dy
         xa += wx * e
         xb += wx
@@ -236,14 +241,14 @@ def solve_all(
 @step
 def fit_disc(
     n: int,
-    pixels: tuple[Array, Array, Array, Array],
+    pixels: Array,
     start: tuple[Any, ...],
     blur: tuple[float, float],
     model: Model,
     symmetric: bool,
     work: Array,
 ) -> tuple[Any, ...]:
-    """Fit a blurred disc by Gauss-Newton steps until the place moves by less than a third of its error.
+    """Fit a blurred disc by Gauss-Newton steps until the place moves by less than its error.
 
     ``start``: x0, y0, amplitude, background, radius; ``blur``: its prior mean and standard deviation;
     ``symmetric``: whether the pixels lie all around the target, so that the place can be solved apart; ``work``
@@ -290,18 +295,20 @@ def fit_disc(
                 break
         # over its own error, squared
         moved = (cyy * dx * dx - 2.0 * cxy * dx * dy + cxx * dy * dy) / (cxx * cyy - cxy * cxy)
-        chi2 = chi2_here - dx * px - dy * py
+        gained = da * float(c[0]) + db * float(c[1]) + dr * float(c[2]) + ds * float(c[3])
+        chi2 = chi2_here - dx * px - dy * py - gained
         far = max(abs(dx), abs(dy))
         most = 0.5 * radius + 0.3
         hold = min(1.0, most / far) if far > most else 1.0
         x0 += hold * dx
         y0 += hold * dy
         calm = abs(dr) < 0.25 * s and abs(da) < 0.25 * a
+        near = max(abs(dr), abs(ds)) < NEAR * s and abs(da) < NEAR_LIGHT * a and moved < NEAR_2
         a = max(a + da, 0.4 * a)
         b += db
         radius = min(max(radius + dr, 0.6 * radius, 0.2 * s), 1.6 * radius + s)
         s = min(max(s + ds, 0.75 * s, 0.3), 1.3 * s, 6.0)
-        if moved < 0.1 and calm and turn > 0:
+        if calm and (near or (turn > 0 and moved < SETTLED_2)):
             good = True
             break
     return x0, y0, a, b, radius, s, (cxx, cxy, cyy), chi2, blur_variance, good

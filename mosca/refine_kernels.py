@@ -11,7 +11,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
-from mosca.detect_memory import image_at
+from mosca.detect_memory import image_at, prefetch
 from mosca.refine_fit import (
     ONE,
     P0,
@@ -25,16 +25,21 @@ from mosca.refine_fit import (
     kernel,
     step,
 )
-from mosca.refine_window import (
-    blank,
-    box_of,
-    corner_level,
+from mosca.refine_gather import (
+    OVER,
+    Windows,
     gather,
+    gather_round,
     gather_unmarked,
     half_side,
-    region_sums,
-    window_sums,
+    lent,
+    pad,
+    reach_of,
 )
+from mosca.refine_gather import V as PIXEL_V
+from mosca.refine_gather import X as PIXEL_X
+from mosca.refine_gather import Y as PIXEL_Y
+from mosca.refine_window import blank, box_of, corner_level, region_sums, window_sums
 
 X, Y, XX, XY, YY, DIAMETER, PEAK, ELONGATION, FLAGS, BLUR, BLUR_INFO, MISFIT, ROUGH, PULL = range(14)
 N_COLUMNS = 14
@@ -99,12 +104,15 @@ def stretch(xx: float, xy: float, yy: float, blur2: float, n: int) -> tuple[floa
 def refine_region(
     image: Array,
     runs: Array,
+    box: tuple[int, int, int, int],
+    n_px: int,
     threshold: int,
     floor: int,
     blur: tuple[float, float],
     model: Model,
-    xyv: tuple[Array, Array, Array, Array],
-    sharper: Array,
+    scratch: Array,
+    windows: Windows,
+    widest: int,
     marks: Array,
     work: Array,
     learned: Array,
@@ -117,15 +125,21 @@ def refine_region(
     right_side: Array,
 ) -> None:
     """Fit one region and write its row of the table; add to the sums what it teaches."""
-    box, n_px = box_of(runs)
     left, right, top, bottom = box
     size_x, size_y = right - left + 1, bottom - top + 1
-    most = 0.5 * len(marks) - 2.0  # what the scratch arrays hold
+    most = 0.5 * widest - 2.0  # what the scratch arrays hold
     level = min(corner_level(image, box, floor), float(threshold))
-    # the whole of a lonely round target is copied once; its box reaches past the edge by about 1.2 blurs
+    # the whole of a lonely round target is copied once
     column, row = (left + right + 1) // 2, (top + bottom + 1) // 2
-    n = gather(image, (column, row), min(0.5 * max(size_x, size_y) + 1.6 * blur[0] + 0.5, most), xyv)
-    bright, peak, light = window_sums(n, xyv, floor, level)
+    n, pixels = gather_round(
+        image,
+        (column, row),
+        max(size_x, size_y),
+        min(reach_of(max(size_x, size_y), blur[0]), most),
+        windows,
+        scratch,
+    )
+    bright, peak, light = window_sums(n, pixels, floor, level)
     crowded = bright != n_px
     if crowded:
         peak, light = region_sums(image, runs, (column, row), level)
@@ -150,13 +164,16 @@ def refine_region(
     x0, y0 = m0 * ax + m1 * ay, m1 * ax + m2 * ay
     if crowded or n_full or not plain:
         reach = min(radius + 3.0 * blur[0] + 0.5, most)
-        side = 2 * min(half_side(shape, (x0, y0), reach), len(marks) // 2) + 1
-        here = marks[:side, :side]
-        first = blank(image, runs, (column, row), floor, model.full_dn, here)
-        n = gather_unmarked(image, (column, row), shape, (x0, y0), reach, (here, first[0], first[1]), xyv)
+        side = 2 * min(half_side(shape, (x0, y0), reach), widest // 2) + 1
+        first = blank(image, runs, (column, row), floor, model.full_dn, side, marks)
+        n = gather_unmarked(
+            image, (column, row), shape, (x0, y0), reach, (marks[0], side, first[0], first[1]), scratch
+        )
+        pixels = scratch
+        pad(n, pixels)
     x0, y0, amplitude, level, radius, s, c, chi2, blur_variance, good = fit_disc(
-        n,
-        (xyv[0], xyv[1], xyv[2], sharper if plain else xyv[3]),
+        (n + 7) // 8 * 8,
+        pixels,
         (x0, y0, amplitude, level, radius),
         blur,
         model,
@@ -212,7 +229,7 @@ def refine_region(
         if teach and not odd:
             around = (x0, y0)
             teach_light(
-                image, (column, row), around, min(half + 4.5 * s, most), floor, n_px, level, c, half, xyv, terms,
+                image, (column, row), around, min(half + 4.5 * s, most), floor, n_px, level, c, half, scratch, terms,
                 tally, normal, right_side,
             )  # fmt: skip
     set_terms(image, px, py, half, terms)
@@ -244,15 +261,15 @@ def teach_light(
     level: float,
     variance: tuple[float, float, float],
     radius: float,
-    xyv: tuple[Array, Array, Array, Array],
+    scratch: Array,
     terms: Array,
     tally: Array,
     normal: Array,
     right_side: Array,
 ) -> None:
     """Add how far the centroid of a target's whole light lies from the fitted place, unless others shine there."""
-    n = gather(image, place, reach, xyv)
-    x, y, v, _ = xyv
+    n = gather(image, place, reach * reach, scratch)
+    x, y, v = scratch[PIXEL_X], scratch[PIXEL_Y], scratch[PIXEL_V]
     bright, limit = 0, f32(floor)
     for i in range(n):
         bright += v[i] > limit
@@ -311,41 +328,70 @@ def refine_regions(
     image teaches: tallies (n images, N_TALLIES), normal matrices and right sides of the offsets.
     """
     height, width = size
-    n_images = len(addresses)
-    table = np.empty((len(regions), N_COLUMNS))
-    region_of = np.empty(len(regions), np.int32)
+    n_images, n_regions = len(addresses), len(regions)
+    table = np.empty((n_regions, N_COLUMNS))
+    region_of = np.empty(n_regions, np.int32)
     tally = np.zeros((n_images, N_TALLIES))
-    normal, right_side = np.zeros((n_images, N_TERMS, N_TERMS)), np.zeros((n_images, N_TERMS, 2))
-    terms = np.empty(N_TERMS)
+    normal, right_side = np.zeros((n_images * N_TERMS, N_TERMS)), np.zeros((n_images * N_TERMS, 2))
     largest = 0
-    for r in range(len(regions)):
-        box, _ = box_of(runs[regions[r, 1] : regions[r, 2]])
-        largest = max(largest, box[1] - box[0] + 1, box[3] - box[2] + 1)
+    # left, right, top, bottom, number of pixels; 1 in the last where it touches the image's border
+    own_boxes = np.empty((n_regions + 1, 6), np.int64)
+    for r in range(n_regions):
+        (left, right, top, bottom), n_px = box_of(runs[regions[r, 1] : regions[r, 2]])
+        largest = max(largest, right - left + 1, bottom - top + 1)
+        own_boxes[r, 0], own_boxes[r, 1], own_boxes[r, 2], own_boxes[r, 3] = left, right, top, bottom
+        own_boxes[r, 4] = n_px
+        own_boxes[r, 5] = left == 0 or right == width - 1 or top == 0 or bottom == height - 1
     # the widest window: a region, and the blur that the fit may reach (see fit_disc)
     side = 2 * (largest + 30) + 1
-    xyv = (
-        np.empty(side * side, f32),
-        np.empty(side * side, f32),
-        np.empty(side * side, f32),
-        np.empty(side * side, f32),
+    most_blur, room = 0.0, 1
+    for k in range(n_images):
+        most_blur = max(most_blur, blurs[k, 0])
+    for k in range(1, largest + 1):
+        room += 5 * (min(2 * int(reach_of(k, most_blur)) + 1, side) ** 2 + 7) + OVER
+    own_pixels, own_windows = np.empty((5, side * side + OVER), f32), np.empty((1, room), f32)
+    own_half, own_known = np.empty((largest + 1, side), np.int32), np.empty((largest + 1, 2), np.int64)
+    own_marks, own_work, own_terms = (
+        np.empty((4, side * side), np.uint8),
+        np.empty((6, 7)),
+        np.empty((1, N_TERMS)),
     )
-    ones = np.ones(side * side, f32)
-    marks, work = np.empty((side, side), np.uint8), np.empty((6, 7))
+    own_learned = learned.copy().reshape(n_images * N_TERMS, 2)
+    scratch, windows = lent(own_pixels), Windows(lent(own_windows), lent(own_half), lent(own_known))
+    marks, work, terms = lent(own_marks), lent(own_work), lent(own_terms)[0]
+    rows, all_runs, boxes, offsets = lent(table), lent(runs), lent(own_boxes), lent(own_learned)
+    tallies, normals, right_sides = lent(tally), lent(normal), lent(right_side)
     n = first_of_image = 0
-    for r in range(len(regions)):
-        own = runs[regions[r, 1] : regions[r, 2]]
-        box, _ = box_of(own)
-        if box[0] == 0 or box[1] == width - 1 or box[2] == 0 or box[3] == height - 1:
+    for r in range(n_regions):
+        if boxes[r, 5]:
             continue
-        k = regions[r, 0]
+        k = int(regions[r, 0])
         if n == 0 or regions[region_of[n - 1], 0] != k:
             first_of_image = n
+            windows.known[:, 0] = -1
+            windows.known[0, 0] = 0
         image = image_at(addresses[k], like, height, width)
+        if r + 1 < n_regions:
+            # the next region's pixels come while this one is fitted
+            ahead = max(boxes[r + 1, 2] - 3, 0) * width + max(boxes[r + 1, 0] - 3, 0)
+            at = addresses[regions[r + 1, 0]] + np.uint64(ahead * like.itemsize)
+            for _ in range(boxes[r + 1, 3] - boxes[r + 1, 2] + 7):
+                prefetch(at)  # type: ignore[call-arg]
+                at += np.uint64(width * like.itemsize)
+        begin, end = N_TERMS * k, N_TERMS * (k + 1)
         refine_region(
-            image, own, regions[r, 3], lowest[k], (blurs[k, 0], blurs[k, 1]), model, xyv, ones, marks, work,
-            learned[k], rough[k], (n - first_of_image) % EACH == 0, table[n], terms, tally[k], normal[k],
-            right_side[k],
+            image, all_runs[regions[r, 1] : regions[r, 2]],
+            (boxes[r, 0], boxes[r, 1], boxes[r, 2], boxes[r, 3]), boxes[r, 4], regions[r, 3], lowest[k],
+            (blurs[k, 0], blurs[k, 1]), model, scratch, windows, side, marks, work, offsets[begin:end], rough[k],
+            (n - first_of_image) % EACH == 0, rows[n], terms, tallies[k], normals[begin:end],
+            right_sides[begin:end],
         )  # fmt: skip
         region_of[n] = r
         n += 1
-    return table[:n], region_of[:n], tally, normal, right_side
+    # the scratch arrays are only lent above: here they have been needed
+    own_pixels[0, 0] = own_windows[0, 0] = own_terms[0, 0] = own_work[0, 0] = own_learned[0, 0] = 0.0
+    own_half[0, 0] = own_known[0, 0] = own_marks[0, 0] = own_boxes[0, 0] = 0
+    return (
+        table[:n], region_of[:n], tally, normal.reshape(n_images, N_TERMS, N_TERMS),
+        right_side.reshape(n_images, N_TERMS, 2),
+    )  # fmt: skip

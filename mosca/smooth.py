@@ -23,6 +23,8 @@ TRIALS = 12
 """Pieces of each track that are left out to learn what a gap costs."""
 ENOUGH = 30
 """Pieces that must have been tried before a covariance is made narrower than the model's."""
+LASTING_S = 0.1
+"""How long a half-hidden target stays so, and its error with it: that of limbs which pass each other."""
 CHI2_95 = 7.815
 """95 % quantile of the chi-square distribution with 3 degrees of freedom."""
 
@@ -86,12 +88,28 @@ def filled(tracks: Tracks, settings: SmoothSettings | None = None) -> Tracks:
         missing = np.setdiff1d(frames[(frames > own[0]) & (frames < own[-1])], own)
         paths.append(_path(measured, rows, missing, times[np.searchsorted(frames, missing)], settings))
     variances = [_likeliest(path, settings) for path in paths]
+    paths = [_with_lasting_errors(path) for path in paths]
     widths = _widening(paths, variances, settings)
     parts = [_fill(p, v, widths, settings) for p, v in zip(paths, variances, strict=True)]
     added = _named(table([part for part in parts if len(part)]), measured)
     both = [np.concatenate([getattr(tracks, n), getattr(added, n)]) for n in Tracks.__dataclass_fields__]
     together = Tracks(*both)
     return together.select(np.lexsort((together.track, together.frame)))
+
+
+def _with_lasting_errors(path: _Path) -> _Path:
+    """Return ``path`` with wider covariances where a target is measured worse than it mostly is.
+
+    It is half hidden there, as it is before a gap and after it, and errs alike from one frame to the next: many
+    such frames tell no more than one in ``LASTING_S`` does.
+    """
+    size = np.trace(path.covariance, axis1=1, axis2=2)
+    usual = np.median(size[path.measured])
+    step = np.median(np.diff(path.time_ns)) * 1e-9 if len(size) > 1 else LASTING_S
+    frames = max(LASTING_S / step, 1.0)
+    worse = np.clip(1.0 - usual / size, 0.0, 1.0)
+    factor = np.where(path.measured, 1.0 + (frames - 1.0) * worse, 1.0)
+    return replace(path, covariance=path.covariance * factor[:, None, None])
 
 
 def _named(added: Tracks, measured: Tracks) -> Tracks:

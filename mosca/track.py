@@ -97,14 +97,9 @@ class Tracker:
         self._make_room(len(points))
         bank = self._bank
         slot_of = self._assigned(points)
-        covariance = points.covariance
-        if jitter_s > 0.0 and len(points):
-            path = np.where(slot_of[:, None] >= 0, bank.mean[slot_of, 3:6], 0.0) * jitter_s
-            share = np.maximum(points.n_cameras, 1)[:, None, None]
-            covariance = covariance + path[:, :, None] * path[:, None, :] / share
-        nameless = correct(
-            bank, slot_of, points.xyz, covariance, points.trusted, time_ns * 1e-9,
-            3 if s.model == "acceleration" else 2, (CALMEST * s.acceleration_mps2) ** 2,
+        nameless, covariance = correct(
+            bank, slot_of, points.xyz, points.covariance, points.n_cameras, points.trusted, float(jitter_s),
+            time_ns * 1e-9, 3 if s.model == "acceleration" else 2, (CALMEST * s.acceleration_mps2) ** 2,
             (WILDEST * s.acceleration_mps2) ** 2, s.speed_mps, s.confirm_weight, SURE,
         )  # fmt: skip
         serial = bank.serial[slot_of]
@@ -133,13 +128,15 @@ class Tracker:
         s, bank = self.settings, self._bank
         slot_of = np.full(len(points), -1)
         for state in (CONFIRMED, TENTATIVE):
+            if state == TENTATIVE and (slot_of.min(initial=0) >= 0 or not (bank.state == TENTATIVE).any()):
+                break
             slots, rows, worth = pairs(
                 bank, self._limbs, points.xyz, points.covariance, points.trusted, slot_of, state,
                 s.gate_sigma, s.gate_m, OUTBURST * s.acceleration_mps2, self._time_s,
             )  # fmt: skip
             if len(slots):
                 chosen = best_pairs(slots, rows, worth, int(bank.numbers[TOP]), len(points))
-                slot_of = np.where(chosen >= 0, chosen, slot_of)
+                slot_of = chosen if state == CONFIRMED else np.where(chosen >= 0, chosen, slot_of)
         return slot_of
 
     def _named(self, slot_of: Array) -> dict[int, int]:

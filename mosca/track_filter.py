@@ -61,15 +61,23 @@ def expected(bank):  # type: ignore[no-untyped-def]
 
 @kernel
 def correct(  # type: ignore[no-untyped-def]
-    bank, slot_of, xyz, covariance, trusted, time_s, order, lowest, highest, speed, confirm_weight, sure_from
-):
+    bank, slot_of, xyz, own, cameras, trusted, jitter_s, time_s, order, lowest, highest, speed, confirm_weight,
+    sure_from
+):  # fmt: skip
     """Give each point to its target, ``slot_of`` (m,); a point without one (-1) begins a new target.
 
-    ``slot_of`` is completed. ``lowest``, ``highest``: limits of the variance of acceleration. Returns how many
-    confirmed targets have no identity yet.
+    ``slot_of`` is completed. ``own`` (m, 3, 3): covariance of points that stand still; ``jitter_s`` of the triggers
+    of their ``cameras`` (m,) spreads moving ones along their paths. ``lowest``, ``highest``: limits of the variance
+    of acceleration. Returns how many confirmed targets have no identity yet, and the points' covariance (m, 3, 3).
     """
+    covariance = own.copy()
     for row in range(slot_of.shape[0]):
         i = slot_of[row]
+        if i >= 0:
+            share = jitter_s * jitter_s / max(cameras[row], 1)
+            for a in range(3):
+                for b in range(3):
+                    covariance[row, a, b] += share * bank.mean[i, 3 + a] * bank.mean[i, 3 + b]
         if i < 0:
             i = _begin(bank, xyz[row], covariance[row], speed, np.sqrt(lowest * highest))
             bank.born_s[i], bank.back_s[i], bank.missed[i] = time_s, -1.0, 0
@@ -98,7 +106,7 @@ def correct(  # type: ignore[no-untyped-def]
             nameless += bank.state[i] == CONFIRMED and bank.identity[i] < 0
             if bank.state[i] == TENTATIVE and bank.missed[i] >= TENTATIVE_MISSES:
                 _forget(bank, i)
-    return nameless
+    return nameless, covariance
 
 
 @step

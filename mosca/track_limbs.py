@@ -77,8 +77,11 @@ def pairs(bank, limbs, xyz, covariance, trusted, used, state, gate_sigma, gate_m
                 break
             r = order[k]
             x, y, z = xyz[r, 0] - place[0], xyz[r, 1] - place[1], xyz[r, 2] - place[2]
+            away2 = x * x + y * y + z * z
+            if away2 > reach * reach or used[r] >= 0:
+                continue
             evidence = min(max((trusted[r] - 1.0) / 2.0, 0.25), 1.0) if state == CONFIRMED else 1.0
-            if used[r] >= 0 or x * x + y * y + z * z > min(reach, gate_m * evidence) ** 2:
+            if away2 > (gate_m * evidence) ** 2:
                 continue
             value = -1.0
             away, log_det = _mahalanobis(p, covariance[r], 0.0, x, y, z)
@@ -139,15 +142,15 @@ def learn(bank, limbs, step_s, reach_m):  # type: ignore[no-untyped-def]
                 limbs.photo[i, k, a] = there[a]
             if not lesson:
                 continue
-            away = _distance(here, there) - limbs.length[i, k]
-            rate = min(lesson_s / min(limbs.shown_s[i, k] + lesson_s, WINDOW_S), 1.0)
-            if limbs.shown_s[i, k] > 2 * PROVEN_S:
-                spread2 = _spread2(limbs.length[i, k], limbs.variance[i, k], limbs.shown_s[i, k])
-                # a sudden change is rather a wrong point than a new limb
-                rate *= 0.2 if away * away > STRAINED * spread2 else 1.0
-            limbs.variance[i, k] = (1.0 - rate) * (limbs.variance[i, k] + rate * away * away)
-            limbs.length[i, k] += rate * away
-            limbs.shown_s[i, k] += lesson_s
+            length, variance, shown_s = limbs.length[i, k], limbs.variance[i, k], limbs.shown_s[i, k]
+            away = _distance(here, there) - length
+            rate = min(lesson_s / min(shown_s + lesson_s, WINDOW_S), 1.0)
+            # a sudden change is rather a wrong point than a new limb
+            if shown_s > 2 * PROVEN_S and away * away > STRAINED * _spread2(length, variance, shown_s):
+                rate *= 0.2
+            limbs.variance[i, k] = (1.0 - rate) * (variance + rate * away * away)
+            limbs.length[i, k] = length + rate * away
+            limbs.shown_s[i, k] = shown_s + lesson_s
 
 
 @kernel
@@ -293,22 +296,27 @@ def _look_for_mates(bank, limbs, i, reach_m, turn):  # type: ignore[no-untyped-d
                 worst, at = limbs.variance[i, k], k
         if at < 0 or (limbs.mate[i, at] >= 0 and worst < (UNFIT * limbs.length[i, at]) ** 2):
             return
-        nearest, found = reach_m, -1
-        for j in range(bank.numbers[TOP]):
-            # a third of the others at a time, so that a neighbour that was dropped does not come back at once
-            if j == i or bank.state[j] != CONFIRMED or bank.missed[j] != 0 or (not empty and (j + turn) % 3):
+        nearest, found = reach_m * reach_m, -1
+        # a third of the others at a time, so that a neighbour that was dropped does not come back at once
+        for j in range(0 if empty else -turn % 3, bank.numbers[TOP], 1 if empty else 3):
+            if j == i or bank.state[j] != CONFIRMED or bank.missed[j] != 0:
                 continue
-            away = _distance(bank.mean[i], bank.mean[j])
-            if away < nearest:
+            x, y, z = (
+                bank.mean[j, 0] - bank.mean[i, 0],
+                bank.mean[j, 1] - bank.mean[i, 1],
+                bank.mean[j, 2] - bank.mean[i, 2],
+            )
+            away2 = x * x + y * y + z * z
+            if away2 < nearest:
                 mate = False
                 for k in range(MATES):
                     mate |= limbs.mate[i, k] == j
                 if not mate:
-                    nearest, found = away, j
+                    nearest, found = away2, j
         if found < 0:
             return
         limbs.mate[i, at], limbs.mate_serial[i, at] = found, bank.serial[found]
-        limbs.length[i, at], limbs.variance[i, at], limbs.shown_s[i, at] = nearest, 0.0, 0.0
+        limbs.length[i, at], limbs.variance[i, at], limbs.shown_s[i, at] = np.sqrt(nearest), 0.0, 0.0
         limbs.taken[i, at] = False
 
 

@@ -8,6 +8,7 @@ order in the error. Covariance: ``(sum A'A / s^2)^-1`` (field notes, section 4).
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -17,14 +18,10 @@ from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.rig import Rig
 from mosca.ray_kernels import (
-    ANGLE,
     COLUMNS,
-    DENSITY,
     DIRECTION,
-    FLAGS,
     NO_FIELDS,
     NORMAL,
-    RADIUS,
     VIEW,
     WHITE,
     ball_fields,
@@ -32,15 +29,6 @@ from mosca.ray_kernels import (
     rig_table,
 )
 
-BLUR_PX = 0.45
-"""Blur of lens and pixel (standard deviation) that makes images larger than what they show; of small targets the area
-by a third, by more where they are far, so that whole targets far off would hide what is missing of near ones."""
-SHARPEST = 0.1
-"""Share of its area that an image keeps at least when its blur is taken off."""
-LONG = 16
-"""Bit of a ray's FLAGS beside those of its detection: the region is longer than pixels make that of a disc."""
-ROUNDED_PX = 1.5
-"""Difference of a region's sides from which it is: those of a disc's differ by one at most."""
 REWEIGHTINGS = 3
 TRUST, SHARE, DEPTH, RANKS = 0, 1, 2, 3
 """Columns of what goes with each ray of a group: trust, expected number of chance rays as near, depth."""
@@ -60,6 +48,9 @@ class Bundle:
     ``views`` (c, VIEW): ORIGIN (3) centre of projection [m], ROTATION (3 x 3) world_from_camera, EDGES (4) of what
     it sees, DENSITY rays over the image's area [1/px^2]; ``pairs`` (p, 2) of cameras, best base first, and ``bases``
     (p, 2, 3) across each base (``mosca.ray_kernels``); ``start`` (c + 1,) first row of each camera's rays.
+
+    ``covariance_px2`` (n, 2, 2) of the detections and ``extra_px2`` (c,) that each camera adds to it, an axis: both
+    together whiten. ``odd``: how many images are long, or stand alone without a fit.
     """
 
     rays: Array
@@ -67,6 +58,9 @@ class Bundle:
     pairs: Array
     bases: Array
     start: Array
+    covariance_px2: Array
+    extra_px2: Array
+    odd: int
 
     @property
     def direction(self) -> Array:
@@ -87,29 +81,20 @@ def bundle_rays(
     """
     table = rig_table(rig)
     found = [detections.get(c.name) for c in rig.cameras]
-    counts = np.array([0 if f is None else len(f.diameter_px) for f in found])
-    start = np.zeros(len(found) + 1, dtype=np.int64)
-    np.cumsum(counts, out=start[1:])
     there = [f for f in found if f is not None] or [Detections.none("")]
-    rays, across = np.empty((int(start[-1]), COLUMNS)), np.concatenate([f.diameter_px for f in there])
-    elongation = np.concatenate([f.elongation for f in there])
-    fill_rays(
-        table.kind, table.lens, table.size, table.rotation, table.origin, start,
+    start = np.array([0, *accumulate(0 if f is None else len(f) for f in found)])
+    covariance = np.concatenate([f.covariance_px2 for f in there])
+    extra = np.zeros(len(found))
+    extra[:] = np.square(camera_sigma_px)
+    rays, views = np.empty((int(start[-1]), COLUMNS)), np.empty((len(found), VIEW))
+    odd = fill_rays(
+        table.kind, table.lens, table.size, table.rotation, table.views, start,
         ball_fields(rig) if target == "ball" else NO_FIELDS,
-        np.concatenate([f.xy_px for f in there]), np.concatenate([f.covariance_px2 for f in there]),
-        np.broadcast_to(np.square(camera_sigma_px, dtype=float), len(found)).copy(),
-        across, elongation,
-        np.concatenate([f.flags for f in there]), rays,
+        np.concatenate([f.xy_px for f in there]), covariance, extra,
+        np.concatenate([f.diameter_px for f in there]), np.concatenate([f.elongation for f in there]),
+        np.concatenate([f.flags for f in there]), rays, views,
     )  # fmt: skip
-    sharp = np.sqrt(np.maximum(1.0 - (2.0 * BLUR_PX / across) ** 2, SHARPEST))
-    rays[:, RADIUS] *= sharp
-    rays[:, ANGLE] *= sharp
-    # a region reaches about a pixel past the disc that has its light
-    rays[:, FLAGS] += LONG * ((elongation - 1.0) * (across + 1.1) > ROUNDED_PX * np.sqrt(elongation))
-    views = np.empty((len(found), VIEW))
-    views[:, :DENSITY] = table.views
-    views[:, DENSITY] = counts / (table.size[:, 0] * table.size[:, 1])
-    return Bundle(rays, views, table.pairs, table.bases, start)
+    return Bundle(rays, views, table.pairs, table.bases, start, covariance, extra, odd)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -16,6 +16,7 @@ from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
 from mosca.detect import DetectionSettings
+from mosca.health import Health
 from mosca.look import Look
 from mosca.match import MatchSettings, match
 from mosca.pipeline import PipelineSettings, run
@@ -65,8 +66,9 @@ def look() -> int:
 
 
 def points() -> int:
-    """Match and track made-up detections of a few sets; returns how many samples came out."""
+    """Match, track and judge made-up detections of a few sets; returns how many samples came out."""
     rig, tracker, samples = _rig(), Tracker(TrackSettings()), 0
+    health = Health(rig)
     room = (np.full(3, -1.0), np.full(3, 1.0))
     for pulse in range(PULSES):
         n = len(POINTS)
@@ -80,7 +82,9 @@ def points() -> int:
         predicted = tracker.predict(pulse / RATE_HZ)
         bundle = bundle_rays(rig, found, 0.05)
         made = match(bundle, predicted, MatchSettings(), room, 0.0)
-        samples += len(tracker.update(made, pulse, round(pulse * 1e9 / RATE_HZ)))
+        frame_set = FrameSet(pulse, round(pulse * 1e9 / RATE_HZ), {})
+        samples += len(tracker.update(made, pulse, frame_set.time_ns))
+        health.attend(rig, frame_set, found, made, bundle)
     return samples
 
 

@@ -109,12 +109,16 @@ def calibrate_session(
 
 
 def with_residuals(calibration: Calibration) -> Rig:
-    """Return the rig whose cameras say what their lens models leave: the scatter that detection does not explain.
+    """Return the rig whose cameras say what their lens models leave.
 
+    Where a target stood still: what lasts from exposure to exposure. Else the scatter that detection does not tell:
     ``sigma_px`` of an image coordinate holds detection noise besides; what shakes whole images is kept apart of it.
     """
     sightings, cameras = calibration.sightings, []
     for k, camera in enumerate(calibration.rig.cameras):
+        if len(calibration.lasting_px) and np.isfinite(calibration.lasting_px[k]):
+            cameras.append(replace(camera, residual_px=float(calibration.lasting_px[k])))
+            continue
         mine = calibration.used & (sightings.camera == sightings.cameras.index(camera.name))
         noise = np.trace(sightings.covariance_px2[mine], axis1=1, axis2=2) / 2
         left = float(np.mean(calibration.sigma_px[k] ** 2) - np.mean(noise)) if mine.any() else 0.0

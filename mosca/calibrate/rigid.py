@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from mosca.calibrate.bundle.images import body_shake, shaken_covariance, steadied
+from mosca.calibrate.bundle.lasting import lasting_covariance, lasting_errors
 from mosca.calibrate.bundle.solver import (
     Adjustment,
     BundleSettings,
@@ -148,6 +149,11 @@ def _adjusted(
     result = solve(problem, bundle, result)
     assert result.precision is not None
     covariance = shaken_covariance(problem, result, sightings.frame, shake)
+    # a mark at a stand in a camera: what is wrong with it is wrong in each exposure
+    seen_as = np.column_stack([sightings.camera, placement, sightings.mark])
+    cell = np.unique(seen_as, axis=0, return_inverse=True)[1].reshape(-1)
+    lasting = lasting_errors(result, sightings.camera, cell)
+    covariance = covariance + lasting_covariance(problem, result, cell, lasting)
     precision = result.precision
     return Calibration(
         Rig(result.cameras),
@@ -168,6 +174,7 @@ def _adjusted(
         result.held,
         shake,
         f"the {target.kind}'s marks",
+        lasting_px=lasting,
     )
 
 

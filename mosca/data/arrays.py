@@ -19,12 +19,15 @@ def read_only(values: Any, shape: tuple[int | None, ...], name: str, dtype: DTyp
     given = np.asarray(values, dtype=dtype)
     if given.size == 0 and given.ndim != len(shape):
         given = given.reshape([0 if n is None else n for n in shape])
-    if given.ndim != len(shape) or any(
-        want is not None and want != have for want, have in zip(shape, given.shape, strict=True)
+    have = given.shape
+    # a comparison in one go for what is nearly always right: this runs for every column of every frame set
+    if have != shape and (
+        len(have) != len(shape) or any(n not in (None, m) for n, m in zip(shape, have, strict=True))
     ):
         wanted = "(" + ", ".join("n" if n is None else str(n) for n in shape) + ")"
-        raise ValueError(f"{name}: shape {given.shape} given, {wanted} wanted")
-    if given.flags.writeable or not given.flags.c_contiguous or given.base is not None:
+        raise ValueError(f"{name}: shape {have} given, {wanted} wanted")
+    flags = given.flags
+    if flags.writeable or not flags.c_contiguous or given.base is not None:
         given = np.array(given, dtype=dtype, order="C", copy=True)
         given.setflags(write=False)
     return given
@@ -43,3 +46,14 @@ def read_only_image(pixels: Any) -> Array:
         )
     image.setflags(write=False)
     return image
+
+
+def looked_at(values: Array) -> Array:
+    """Return a view of an array through which nobody can write.
+
+    Compiled code is made anew for arrays that can be written and for those that cannot: what only looks at its
+    arguments is handed views, and is compiled once.
+    """
+    view = values.view()
+    view.setflags(write=False)
+    return view

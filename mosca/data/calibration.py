@@ -40,7 +40,9 @@ class Calibration:
     weight; ``sigma_px`` (c, 2) and ``sigma_m`` (c, 2): a-posteriori standard deviation of an image coordinate x,
     y of each camera, in the image and carried to the target (the Mosca paper's sigma_x, sigma_y, Table 2);
     ``weak``: parameters that the data hardly determine; ``held``: those of them held near their start;
-    ``body_px`` how far whole images shake [px rms, an axis]. ``scaled_by``: what gives the scale.
+    ``body_px`` how far whole images shake [px rms, an axis]. ``scaled_by``: what gives the scale. ``lasting_px``
+    (c,): errors of image points that are the same in each exposure of a target that stands still (of the lens model,
+    mostly), rms an axis [px], NaN where repeats do not tell them; empty where the target never stood.
     """
 
     rig: Rig
@@ -62,6 +64,7 @@ class Calibration:
     body_px: float
     scaled_by: str
     findings: tuple[Finding, ...] = field(default=())
+    lasting_px: Array = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
         n, u, c = len(self.sightings), len(self.parameters), len(self.rig.cameras)
@@ -76,6 +79,7 @@ class Calibration:
             ("target_translation", (f, 3), np.float64),
             ("sigma_px", (c, 2), np.float64),
             ("sigma_m", (c, 2), np.float64),
+            ("lasting_px", (None,), np.float64),
         ):
             object.__setattr__(self, name, read_only(getattr(self, name), shape, name, dtype))
         object.__setattr__(self, "findings", tuple(self.findings))

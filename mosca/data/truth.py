@@ -1,5 +1,6 @@
 """Truth: what really was. Only the twin makes it and only scenarios read it."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from mosca.data.arrays import Array, read_only
+from mosca.data.npz import from_npz
 
 NO_FRAME = int(np.iinfo(np.int64).min)
 """Stands for the mid-exposure of a camera that took no frame from a pulse until the next [ns]."""
@@ -115,13 +117,24 @@ def write_truth(truth: Truth, path: Path) -> None:
 
 
 def read_truth(path: Path) -> Truth:
-    """Read what ``write_truth`` wrote, now or before cameras' poses and frames were kept."""
-    with np.load(path, allow_pickle=False) as fields:
-        values: dict[str, Any] = {name: fields[name] for name in Truth.__dataclass_fields__ if name in fields}
-        if FRAMES + "camera" in fields:
-            values["frames"] = FramesTruth(
-                **{name: fields[FRAMES + name] for name in FramesTruth.__dataclass_fields__}
-            )
+    """Read what ``write_truth`` wrote, now or before cameras' poses and frames were kept.
+
+    Raises InputError for a file that is missing or holds something else.
+    """
+    return from_npz(path, _truth_of, "truth", "'mosca run --record'")
+
+
+def _truth_of(fields: Mapping[str, Array]) -> Truth:
+    later = ("camera_rotation", "camera_position")
+    values: dict[str, Any] = {
+        name: fields[name]
+        for name in Truth.__dataclass_fields__
+        if name != "frames" and (name in fields or name not in later)
+    }
+    if FRAMES + "camera" in fields:
+        values["frames"] = FramesTruth(
+            **{name: fields[FRAMES + name] for name in FramesTruth.__dataclass_fields__}
+        )
     values["names"] = tuple(str(n) for n in values["names"])
     values["cameras"] = tuple(str(n) for n in values["cameras"])
     return Truth(**values)

@@ -26,16 +26,48 @@ def read_columns(path: Path, names: Sequence[str], kind: str) -> dict[str, Seque
     ``kind``: how such a file is called. Raises InputError where it cannot be read, begins otherwise, or a row is too
     short or too long.
     """
-    path = Path(path)
+    rows = _rows(path)
+    if not rows or rows[0] != list(names):
+        raise InputError(f"{path}: its first line is not that of a {kind}; wanted is {','.join(names)}")
+    return _columns(path, rows)
+
+
+def read_named(
+    path: Path, needed: Sequence[str], optional: Sequence[str], kind: str
+) -> dict[str, Sequence[str]]:
+    """Return the cells (n) of the columns ``needed`` and of those ``optional`` that there are, in any order.
+
+    Other columns are left alone. ``kind``: how such a file is called. Raises InputError where it cannot be read,
+    lacks a column or names one twice, or a row is too short or too long.
+    """
+    rows = _rows(path)
+    header = rows[0] if rows else []
+    for name in needed:
+        if header.count(name) != 1:
+            many = "lacks" if name not in header else "has more than one of"
+            raise InputError(
+                f"{path}: its first line {many} the column '{name}'; a {kind} has {', '.join(needed)}, and may have "
+                f"{', '.join(optional)}"
+            )
+    for name in optional:
+        if header.count(name) > 1:
+            raise InputError(f"{path}: its first line has more than one of the column '{name}'; leave one")
+    columns = _columns(path, rows)
+    return {name: columns[name] for name in (*needed, *optional) if name in columns}
+
+
+def _rows(path: Path) -> list[list[str]]:
     try:
-        text = path.read_text(encoding="utf-8")
-        rows = list(csv.reader(io.StringIO(text, newline=""), strict=True))
+        text = Path(path).read_text(encoding="utf-8")
+        return list(csv.reader(io.StringIO(text, newline=""), strict=True))
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: cannot be read as CSV: {error}") from None
-    if not rows or rows[0] != list(names):
-        raise InputError(f"{path}: its first line is not that of a {kind}; wanted is {','.join(names)}")
+
+
+def _columns(path: Path, rows: list[list[str]]) -> dict[str, Sequence[str]]:
+    names = rows[0]
     for line, row in enumerate(rows[1:], start=2):
         if len(row) != len(names):
             raise InputError(f"{path}, row {line}: {len(row)} values given, {len(names)} wanted")

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from mosca.data.tracks import Tracks, write_npz
-from mosca.data.whole_file import whole_file
+from mosca.data.whole_file import check_writable, whole_file
 from mosca.errors import InputError
 from mosca.formats.c3d import write_c3d
 from mosca.formats.marker_table import table_from_tracks
@@ -13,6 +13,12 @@ from mosca.formats.trc import write_trc
 SUFFIXES = (".npz", ".csv", ".c3d", ".trc")
 
 
+def check_tracks_file(path: Path) -> None:
+    """Raise InputError where ``path`` is no file for tracks; ask before long work, not after it."""
+    _check_suffix(path)
+    check_writable(path)
+
+
 def write_tracks(tracks: Tracks, path: Path, frame_rate_hz: float) -> None:
     """Write ``tracks`` to ``path`` as .npz, .csv, .c3d or .trc, whole or not at all.
 
@@ -20,8 +26,7 @@ def write_tracks(tracks: Tracks, path: Path, frame_rate_hz: float) -> None:
     above 0, or a place that cannot be written.
     """
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: suffix '{path.suffix}' given; {', '.join(SUFFIXES)} are allowed")
+    _check_suffix(path)
     if not 0 < frame_rate_hz < float("inf"):
         raise InputError(f"{path}: a frame rate of {frame_rate_hz:g}/s given; one above 0 is wanted")
     match path.suffix.lower():
@@ -34,3 +39,8 @@ def write_tracks(tracks: Tracks, path: Path, frame_rate_hz: float) -> None:
             write_c3d(table_from_tracks(tracks, frame_rate_hz), path)
         case ".trc":
             write_trc(table_from_tracks(tracks, frame_rate_hz), path)
+
+
+def _check_suffix(path: Path) -> None:
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: suffix '{path.suffix}' given; {', '.join(SUFFIXES)} are allowed")

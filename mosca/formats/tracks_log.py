@@ -9,7 +9,7 @@ import numpy as np
 from mosca.data.tracks import Samples, table
 from mosca.errors import InputError
 from mosca.formats.tracks_csv import COLUMNS, cells_of, read_tracks_csv
-from mosca.formats.tracks_file import SUFFIXES, write_tracks
+from mosca.formats.tracks_file import check_tracks_file, write_tracks
 
 
 class TracksLog:
@@ -21,8 +21,7 @@ class TracksLog:
 
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
-        if self.path.suffix.lower() not in SUFFIXES:
-            raise InputError(f"{path}: suffix '{self.path.suffix}' given; {', '.join(SUFFIXES)} are allowed")
+        check_tracks_file(self.path)
         self.part = self.path.with_name(f"{self.path.name}.part.csv")
         try:
             self._file = open(self.part, "x", encoding="utf-8", newline="")  # noqa: SIM115  (closed by close)

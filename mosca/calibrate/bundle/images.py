@@ -1,9 +1,11 @@
-"""What moves whole images: a camera's body shakes, and all image points of an exposure are off alike.
+"""What moves whole images: a camera's body shakes, and all image points of an exposure are off together.
 
 Least squares takes image points for independent. A shake of 0.03 px of the body is small beside a centre's noise of
 0.02 px when one point is looked at, and large beside what a hundred points of an image say together: the adjustment
-would believe an image too much, and its covariance would promise too much. So each image has a shift (x, y) of its
-own, random with one variance for all: a mixed model (Henderson 1975; Searle, Casella and McCulloch 1992, chapter 7).
+would believe an image too much, and its covariance would promise too much. So each image has a shake (x, y) of its
+own, random with one variance for all: a mixed model (Henderson 1975; Searle, Casella and McCulloch 1992, ch. 7).
+A body that shakes turns: told by how far the image's middle moves, the rim moves up to twice as far in a wide lens.
+Taken for an even shift, what it stretches there would pass for the perspective of a target that has moved.
 
 With v the residuals of the least-squares adjustment, W the weights, Z the shifts' columns, N the normal equations
 and A the design, ``u = Z^T W v`` has the expectation 0 and, shake s and noise sigma0 of unit weight given,
@@ -32,7 +34,9 @@ from mosca.calibrate.bundle.precision import by_unknowns, carry_down
 from mosca.calibrate.bundle.priors import pulls
 from mosca.calibrate.bundle.problem import Problem
 from mosca.calibrate.bundle.start import intersected
+from mosca.camera import project_with_jacobians
 from mosca.data.arrays import Array
+from mosca.data.rig import principal_distances_px
 
 FEWEST_POINTS = 4
 """Used points an image must have for its mean residual to say something of its shake."""
@@ -52,7 +56,7 @@ def body_shake(problem: Problem, adjustment: Adjustment, exposure: Array) -> flo
     """
     if len(adjustment.parameters) == 0:
         return 0.0
-    shifts = _shifts(problem, adjustment, exposure)
+    shifts = shifts_of(problem, adjustment, exposure)
     counted = np.repeat(shifts.count >= FEWEST_POINTS, 2) / np.maximum(shifts.d, LEAST_WEIGHT) ** 2
     own = shifts.g @ shifts.cofactors
     sparse = shifts.beside_cameras()
@@ -76,13 +80,13 @@ def steadied(problem: Problem, adjustment: Adjustment, exposure: Array, shake_px
     xy = np.array(problem.observations.xy_px)
     if shake_px == 0.0 or len(adjustment.parameters) == 0:
         return xy
-    shifts = _shifts(problem, adjustment, exposure)
+    shifts = shifts_of(problem, adjustment, exposure)
     own = np.einsum("iu,uv,iv->", shifts.g, shifts.cofactors, shifts.g, optimize=True)
     trace = float(shifts.beside_cameras().diagonal().sum() - own)
     redundancy = max(adjustment.redundancy, 1)
     noise = max(shifts.cost - shake_px**2 * trace, LEAST_NOISE * shifts.cost) / redundancy
     solve = _Solver.of(shifts, noise / shake_px**2)
-    return np.asarray(xy - solve(shifts.u).reshape(-1, 2)[shifts.image_of])
+    return np.asarray(xy - np.einsum("nij,nj->ni", shifts.z, solve(shifts.u).reshape(-1, 2)[shifts.image_of]))
 
 
 def shaken_covariance(problem: Problem, adjustment: Adjustment, exposure: Array, shake_px: float) -> Array:
@@ -94,7 +98,7 @@ def shaken_covariance(problem: Problem, adjustment: Adjustment, exposure: Array,
     covariance = np.asarray(adjustment.precision.covariance)
     if shake_px == 0.0 or len(covariance) == 0:
         return covariance
-    shifts = _shifts(problem, adjustment, exposure)
+    shifts = shifts_of(problem, adjustment, exposure)
     solver = _Solver.of(shifts, adjustment.sigma0**2 / shake_px**2)
     # predictions took their share of the noise with them: as many unknowns as they could follow it
     taken = 2 * len(shifts.count) - solver.ratio * solver.trace()
@@ -107,16 +111,18 @@ def shaken_covariance(problem: Problem, adjustment: Adjustment, exposure: Array,
 
 
 @dataclass(frozen=True, eq=False)
-class _Shifts:
-    """The shifts of i images (2 each) beside the unknowns of an adjustment.
+class Shifts:
+    """The shakes of i images (2 each) beside the unknowns of an adjustment.
 
-    ``image_of`` (n,) image of each observation, ``count`` (i,) used points; ``d`` (2i,) weights Z^T W Z, ``u`` (2i,);
+    ``image_of`` (n,) image of each observation, ``z`` (n, 2, 2) how it moves with its image's shakes, mixed so that
+    Z^T W Z is diagonal; ``count`` (i,) used points; ``d`` (2i,) weights Z^T W Z, ``u`` (2i,);
     ``g`` (2i, u) with the unknowns of the reduced system, whose ``cofactors`` (u, u) are scaled to a unit diagonal by
     ``scale`` (u,); ``s`` (2i, q) with those of the blocks, whose normal matrix is ``v``, its inverse ``v_inverse``.
     ``cost``: v^T W v, with what is known beforehand.
     """
 
     image_of: Array
+    z: Array
     count: Array
     d: Array
     u: Array
@@ -139,7 +145,7 @@ class _Solver:
     shifts is ``normal`` (scaled as the cofactors); ``x_g`` (2i, u) the sparse part's solution for ``g``.
     """
 
-    shifts: _Shifts
+    shifts: Shifts
     ratio: float
     e: Array
     blocks: SuperLU | None
@@ -147,7 +153,7 @@ class _Solver:
     normal: Array
 
     @classmethod
-    def of(cls, shifts: _Shifts, ratio: float) -> "_Solver":
+    def of(cls, shifts: Shifts, ratio: float) -> "_Solver":
         e = 1 / (shifts.d + ratio)
         inner = csc_array(shifts.v - shifts.s.T @ diags_array(e) @ shifts.s)
         blocks = splu(inner) if inner.shape[0] else None
@@ -172,7 +178,7 @@ class _Solver:
         return total
 
 
-def _sparse_part(shifts: _Shifts, e: Array, blocks: SuperLU | None, z: Array) -> Array:
+def _sparse_part(shifts: Shifts, e: Array, blocks: SuperLU | None, z: Array) -> Array:
     """Return (D + ratio - S V^-1 S^T)^-1 z for z (2i, k), by Woodbury's identity."""
     x = e[:, None] * z
     if blocks is None:
@@ -180,7 +186,11 @@ def _sparse_part(shifts: _Shifts, e: Array, blocks: SuperLU | None, z: Array) ->
     return np.asarray(x + e[:, None] * (shifts.s @ blocks.solve(shifts.s.T @ x)))
 
 
-def _shifts(problem: Problem, adjustment: Adjustment, exposure: Array) -> _Shifts:
+def shifts_of(problem: Problem, adjustment: Adjustment, exposure: Array, even: bool = False) -> Shifts:
+    """Return the shakes of the images beside the adjustment's unknowns.
+
+    ``even``: as shifts that are alike at all points of an image, not as turns of its camera.
+    """
     assert adjustment.precision is not None
     layout = lay_out(problem)
     points = intersected(
@@ -199,25 +209,31 @@ def _shifts(problem: Problem, adjustment: Adjustment, exposure: Array) -> _Shift
         np.column_stack([problem.observations.camera, exposure]), axis=0, return_inverse=True
     )
     of = of.reshape(-1)
+    squares = np.where(used, 1 / np.asarray(problem.observations.sigma_px) ** 2, 0.0)
+    if even:
+        z, d = np.tile(np.eye(2), (len(of), 1, 1)), np.repeat(np.bincount(of, squares, len(image)), 2)
+    else:
+        z, d = _by_shakes(problem, adjustment, of, squares)
     slopes = np.zeros((len(image), 2, len(layout.names) + 1))
     by_block = np.zeros((len(layout.order), 2, 6))
     index = np.where(layout.index < 0, len(layout.names), layout.index)
     see = (*layout.see[:4], weight, *layout.see[5:])
-    _sums(state, see, layout.columns, index, of[layout.order], slopes, by_block)
+    _sums(state, see, layout.columns, index, of[layout.order], z[layout.order], slopes, by_block)
     v, v_inverse, open_ = _block_matrices(layout, normals[4], inverse)
     s = _with_blocks(layout, of[layout.order], by_block, len(image), open_)
     each = np.eye(len(layout.names) + 1, len(layout.names))
     g = slopes[:, :, :-1].reshape(2 * len(image), -1)
     g = g - s @ carry_down(layout.blocks, normals, inverse, index, each)
-    squares = np.where(used, 1 / np.asarray(problem.observations.sigma_px) ** 2, 0.0)
     residual = np.where(used[:, None], adjustment.residuals_px, 0.0)
-    u = np.column_stack([np.bincount(of, squares * residual[:, k], len(image)) for k in (0, 1)])
+    pulled = squares[:, None] * np.einsum("nij,ni->nj", z, residual)
+    u = np.column_stack([np.bincount(of, pulled[:, k], len(image)) for k in (0, 1)])
     cofactors = np.asarray(adjustment.precision.covariance) / max(adjustment.sigma0**2, 1e-300)
     scale = np.sqrt(np.diag(cofactors))
-    return _Shifts(
+    return Shifts(
         of,
+        z,
         np.bincount(of[used], minlength=len(image)),
-        np.repeat(np.bincount(of, squares, len(image)), 2),
+        d,
         u.ravel(),
         g * scale,
         cofactors / scale[:, None] / scale,
@@ -227,6 +243,38 @@ def _shifts(problem: Problem, adjustment: Adjustment, exposure: Array) -> _Shift
         v_inverse,
         float(adjustment.sigma0**2 * max(adjustment.redundancy, 1)),
     )
+
+
+def _by_shakes(
+    problem: Problem, adjustment: Adjustment, image_of: Array, squares: Array
+) -> tuple[Array, Array]:
+    """Return how observations move with their images' shakes (n, 2, 2), and the diagonal of Z^T W Z (2i,).
+
+    A shake is a turn of the camera about its own x and y axes, in the pixels by which the image's middle moves; each
+    image's two are mixed by a rotation that makes Z^T W Z diagonal, which leaves their variance what it is.
+    """
+    see = problem.observations
+    at = np.asarray(adjustment.points)[see.point]
+    placed = np.flatnonzero(np.asarray(see.placement) >= 0)
+    if len(placed):
+        which = np.asarray(see.placement)[placed]
+        rotation, translation = (
+            adjustment.placements.rotation[which],
+            adjustment.placements.translation[which],
+        )
+        at[placed] = np.einsum("nij,nj->ni", rotation, at[placed]) + translation
+    z = np.tile(np.eye(2), (len(at), 1, 1))
+    for k, camera in enumerate(adjustment.cameras):
+        mine = np.flatnonzero(see.camera == k)
+        turned = project_with_jacobians(camera, at[mine]).by_pose[:, :, 1::-1]
+        turned = turned / np.array(principal_distances_px(camera.lens)) * np.array([-1.0, 1.0])
+        fine = np.isfinite(turned).all(axis=(1, 2))
+        z[mine[fine]] = turned[fine]
+    normal = squares[:, None, None] * np.einsum("nki,nkj->nij", z, z)
+    images = int(image_of.max(initial=-1)) + 1
+    sums = [np.bincount(image_of, normal[:, i, j], images) for i in (0, 1) for j in (0, 1)]
+    d, mix = np.linalg.eigh(np.stack(sums, axis=1).reshape(-1, 2, 2))
+    return z @ mix[image_of], d.ravel()
 
 
 def _block_matrices(layout: Layout, flat: Array, inverse: Array) -> tuple[csc_array, csc_array, Array]:
@@ -256,9 +304,9 @@ def _with_blocks(layout: Layout, image: Array, by_block: Array, images: int, ope
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def _sums(state, see, columns, index, image, slopes, by_block):  # type: ignore[no-untyped-def]
-    """Add J^T w^2 of each observation to its image's ``slopes`` (i, 2, u + 1) by the unknowns of the reduced system,
-    the last column taking what is held; write that of its block's unknowns to ``by_block`` (n, 2, 6).
+def _sums(state, see, columns, index, image, z, slopes, by_block):  # type: ignore[no-untyped-def]
+    """Add z^T w^2 J of each observation to its image's ``slopes`` (i, 2, u + 1) by the reduced system's unknowns, the
+    last column taking what is held; write that of its block's unknowns to ``by_block`` (n, 2, 6).
     """
     cameras, points, placements = state
     camera_of, point_of, placement_of, _, weight, _, slot, kept, _, _ = see
@@ -271,20 +319,21 @@ def _sums(state, see, columns, index, image, slopes, by_block):  # type: ignore[
         if not observe(cameras, camera, points, point_of[m], placements, placement, out):
             continue
         by_unknowns(out, columns, camera, j)
-        w = weight[m] * weight[m]
-        for axis in range(2):
-            to = slopes[image[m], axis]
+        for shake in range(2):
+            x, y = weight[m] ** 2 * z[m, 0, shake], weight[m] ** 2 * z[m, 1, shake]
+            to = slopes[image[m], shake]
             for i in range(width):
-                to[index[camera, i]] += w * j[axis, i]
+                to[index[camera, i]] += x * j[0, i] + y * j[1, i]
             if point >= 0:
                 for i in range(3):
-                    to[index[point, i]] += w * out[axis, BY_OWN + i]
+                    to[index[point, i]] += x * out[0, BY_OWN + i] + y * out[1, BY_OWN + i]
             # observations that touch no block have no slot
             if slot[m] < 0:
                 continue
             for i in range(3):
+                by_world = x * out[0, BY_WORLD + i] + y * out[1, BY_WORLD + i]
                 if placement >= 0:
-                    by_block[m, axis, i] = w * out[axis, BY_TURN + i]
-                    by_block[m, axis, 3 + i] = w * out[axis, BY_WORLD + i]
+                    by_block[m, shake, i] = x * out[0, BY_TURN + i] + y * out[1, BY_TURN + i]
+                    by_block[m, shake, 3 + i] = by_world
                 else:
-                    by_block[m, axis, i] = w * out[axis, BY_WORLD + i]
+                    by_block[m, shake, i] = by_world

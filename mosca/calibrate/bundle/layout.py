@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from mosca.calibrate.bundle.problem import FOCAL, Distances, Problem
 from mosca.calibrate.bundle.reduction import find_runs, pair_table, sorted_by
-from mosca.data.arrays import Array
+from mosca.data.arrays import Array, looked_at
 from mosca.errors import CalibrationError
 
 POSE_NAMES = ("turn_x_rad", "turn_y_rad", "turn_z_rad", "X_m", "Y_m", "Z_m")
@@ -129,7 +129,7 @@ def lay_out(problem: Problem) -> Layout:
     sigma = problem.placements.sigma
     known = (
         problem.points.xyz,
-        np.zeros((0, 3, 3)) if information is None else information,
+        looked_at(np.zeros((0, 3, 3))) if information is None else information,
         pose_block,
         np.column_stack([problem.placements.rotation.reshape(-1, 9), problem.placements.translation]),
         np.zeros((0, 6)) if sigma is None else 1 / sigma,
