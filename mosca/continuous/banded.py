@@ -115,7 +115,7 @@ class Factor:
         S_kk = L_kk^-T L_kk^-1 + G^T S_(k+1)(k+1) G with G = L_(k+1)k L_kk^-1, and S_(k+1)k = -S_(k+1)(k+1) G.
         """
         blocks = np.zeros((self.reach, self.count, unknowns, 3, 3))
-        for start, own, across, _ in self._inverse():
+        for start, own, across in self._inverse():
             self._keep(blocks, own, start, start, unknowns)
             if across is not None:
                 self._keep(blocks, across, start + self.step, start, unknowns)
@@ -126,16 +126,8 @@ class Factor:
         """Number of coefficients that the selected inversion takes at once."""
         return max(self.reach - 1, -(-BLOCK // self.width))
 
-    def windows(self) -> Iterator[tuple[int, Array]]:
-        """Yield coefficients k = 0, step, 2 step ... from the end back, each with T^-1 of those from k on, 2 step of
-        them or as many as there are.
-        """
-        for start, own, across, after in self._inverse():
-            whole = own if across is None else np.block([[own, across.T], [across, after]])
-            yield start, whole
-
-    def _inverse(self) -> Iterator[tuple[int, Array, Array | None, Array | None]]:
-        """Yield from the end back: the first coefficient, T^-1 of its block, with the next block, and of the next."""
+    def _inverse(self) -> Iterator[tuple[int, Array, Array | None]]:
+        """Yield from the end back: the first coefficient, T^-1 of its block, and with the next block."""
         step = self.step
         after: Array | None = None
         after_size = 0
@@ -149,7 +141,7 @@ class Factor:
                 ahead = self._dense(start + size, start, after_size, size) @ inverse
                 across = -after @ ahead
                 own -= ahead.T @ across
-            yield start, own, across, after
+            yield start, own, across
             after, after_size = own, size
 
     def _dense(self, row: int, column: int, rows: int, columns: int) -> Array:

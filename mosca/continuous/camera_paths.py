@@ -1,10 +1,11 @@
 """Cameras' exterior orientations over time: cameras that stand still, and poses between those of some instants."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from scipy.interpolate import CubicSpline, make_interp_spline
+from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 from scipy.spatial.transform import Rotation, RotationSpline, Slerp
 
 from mosca.data.arrays import Array
@@ -31,6 +32,16 @@ class StillCameras:
         return np.tile(self.rotations, (t, 1, 1, 1)), np.tile(self.centres, (t, 1, 1))
 
 
+@dataclass(frozen=True)
+class _Between:
+    """One camera's interpolated rotation and centre, from ``from_s`` to ``to_s``."""
+
+    from_s: float
+    to_s: float
+    turns: Slerp | RotationSpline
+    places: BSpline | CubicSpline
+
+
 @dataclass(frozen=True, eq=False)
 class PosedCameras:
     """Poses known at ``time_s`` (t,), between them interpolated (``kind``); NaN outside and where none is known.
@@ -44,25 +55,33 @@ class PosedCameras:
     centres: Array
     kind: Literal["linear", "cubic"] = "cubic"
 
+    @cached_property
+    def _between(self) -> list[_Between | None]:
+        """Each camera's interpolation, fitted once; None where fewer than two of its poses are known."""
+        return [self._fitted(k) for k in range(len(self.cameras))]
+
+    def _fitted(self, k: int) -> _Between | None:
+        known = np.isfinite(self.centres[:, k]).all(axis=1) & np.isfinite(self.rotations[:, k]).all(
+            axis=(1, 2)
+        )
+        if known.sum() < 2:
+            return None
+        t, centres = self.time_s[known], self.centres[known, k]
+        poses = Rotation.from_matrix(self.rotations[known, k])
+        if self.kind == "linear" or len(t) < 3:
+            return _Between(t[0], t[-1], Slerp(t, poses), make_interp_spline(t, centres, k=1))
+        return _Between(t[0], t[-1], RotationSpline(t, poses), CubicSpline(t, centres))
+
     def at(self, time_s: Array) -> tuple[Array, Array]:
         """Return world_from_camera: rotations (t, c, 3, 3) and centres (t, c, 3) [m]."""
         time_s = np.asarray(time_s, dtype=float)
         c = len(self.cameras)
         rotations, centres = np.full((len(time_s), c, 3, 3), np.nan), np.full((len(time_s), c, 3), np.nan)
-        for k in range(c):
-            good = np.isfinite(self.centres[:, k]).all(axis=1) & np.isfinite(self.rotations[:, k]).all(
-                axis=(1, 2)
-            )
-            if good.sum() < 2:
+        for k, between in enumerate(self._between):
+            if between is None:
                 continue
-            t, poses = self.time_s[good], Rotation.from_matrix(self.rotations[good, k])
-            inside = (time_s >= t[0]) & (time_s <= t[-1])
-            if not inside.any():
-                continue
-            if self.kind == "linear" or len(t) < 3:
-                turns, places = Slerp(t, poses), make_interp_spline(t, self.centres[good, k], k=1)
-            else:
-                turns, places = RotationSpline(t, poses), CubicSpline(t, self.centres[good, k])
-            rotations[inside, k] = turns(time_s[inside]).as_matrix()
-            centres[inside, k] = places(time_s[inside])
+            inside = (time_s >= between.from_s) & (time_s <= between.to_s)
+            if inside.any():
+                rotations[inside, k] = between.turns(time_s[inside]).as_matrix()
+                centres[inside, k] = between.places(time_s[inside])
         return rotations, centres

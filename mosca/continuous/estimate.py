@@ -13,7 +13,6 @@ from mosca.continuous import clocks as clock_rules
 from mosca.continuous.checks import check
 from mosca.continuous.first import first_curves
 from mosca.continuous.image_rows import ImagePoints
-from mosca.continuous.left_out import roughness
 from mosca.continuous.limbs import NO_PAIRS, Pairs, find_pairs, joined, learned
 from mosca.continuous.observations import CameraPaths, Curves, Observations
 from mosca.continuous.result import (
@@ -22,7 +21,7 @@ from mosca.continuous.result import (
     ContinuousSettings,
     Estimated,
 )
-from mosca.continuous.smoothness import expected_accelerations, liveliness, shrunk
+from mosca.continuous.smoothness import ORDERS, expected_accelerations, liveliness, shrunk
 from mosca.continuous.solve import Solved, curves_of, draws, sigma0, step
 from mosca.continuous.starts import (
     enough,
@@ -34,6 +33,7 @@ from mosca.continuous.starts import (
     still_of,
 )
 from mosca.continuous.state import Layout, State, layout
+from mosca.continuous.unheld import unheld
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 
@@ -45,6 +45,8 @@ JOINED_AT = 1
 """The round from which on curves have learned from each other, so that distances can be looked at."""
 SPOILT = 0.1
 """Where more than this share of distances is dropped at once, what was learned with them is learned anew."""
+SETTLING = 2
+"""In so many last rounds no new distances are looked for: what is new must still loosen or tighten."""
 ROUNDS_ALONE = 2
 MOST_ROUNDS = 20
 FEWEST_ROUNDS = 4
@@ -95,8 +97,9 @@ def estimate(
     of_cameras = np.zeros((0, 0))
     if not known:
         state, held, of_cameras = _settled(image, state, points, settings, strength, noise, clock_free)
-        # what was learned while clocks and poses were wrong took their errors for motion: learned anew
-        state, strength, _ = first_curves(image, state, alone, points, start, False)
+        # what was learned while clocks and poses were wrong took their errors for motion: learned anew, from rays,
+        # since image points that a start is far from (jumps) count little and would never come back
+        state, strength, _ = first_curves(image, replace(state, order=ORDERS[0]), alone, points, None, False)
     groups = grouped(state, points, settings)
     places = layout(groups, len(still.cameras), settings.cameras, clock_free & ~held)
     covariances = _first_covariances(points, strength, places)
@@ -121,7 +124,7 @@ def estimate(
         covariances,
         observations,
         seen_from_to(used, image.times(solved.state)),
-        roughness(image, solved, places),
+        unheld(image, solved, places, alone, points),
     )
     names = observations.points
     found = tuple(
@@ -193,6 +196,7 @@ def _rounds(
     """Step and learn in turn; constant distances are sought once curves are joined, and once more with their help."""
     rng = np.random.default_rng(0)
     pairs, before = NO_PAIRS, (covariances, state.pace)
+    left: set[tuple[int, int]] = set()
     last = JOINED_AT + (settings.rounds if settings.limbs else 1)
     for k in range(MOST_ROUNDS):
         solved = step(image, state, places, covariances, pairs)
@@ -207,8 +211,11 @@ def _rounds(
             before = covariances, state.pace
         if settings.limbs and k >= JOINED_AT:
             had = len(pairs)
-            pairs, dropped = _pairs(pairs, state, places, drawn, known, spans, look=k <= JOINED_AT + 1)
-            if dropped > SPOILT * had:
+            pairs, dropped = _pairs(
+                pairs, state, places, drawn, known, spans, left if k < last - SETTLING else None
+            )
+            left |= dropped
+            if len(dropped) > SPOILT * had:
                 # false distances bent curves, and what was learned from them is not motion
                 covariances, state = before[0], replace(state, pace=before[1])
                 last = min(k + settings.rounds, MOST_ROUNDS - 1)
@@ -219,10 +226,12 @@ def _rounds(
 
 
 def _pairs(
-    pairs: Pairs, state: State, places: Layout, drawn: list[Array], known: Array, spans: Array, look: bool
-) -> tuple[Pairs, int]:
-    """Return the constant distances as the drawn curves have them, and how many do not hold and were dropped;
-    ``look``: with those that are found anew.
+    pairs: Pairs, state: State, places: Layout, drawn: list[Array], known: Array, spans: Array,
+    left: set[tuple[int, int]] | None,
+) -> tuple[Pairs, set[tuple[int, int]]]:  # fmt: skip
+    """Return the constant distances as the drawn curves have them, and those that do not hold and were dropped.
+
+    New ones are looked for, too, but none of ``left``, which were taken once and did not hold; None: not any more.
     """
     whole = np.zeros((DRAWS, *state.xyz.shape))
     group = np.full(len(known), -1)
@@ -230,11 +239,12 @@ def _pairs(
         group[points] = g
         whole[:, :, points] = curves[:, :, : 3 * len(points)].reshape(DRAWS, state.knots.count, -1, 3)
     kept, tells = learned(pairs, state.knots, whole)
+    dropped = {(i, j) for i, j in kept.only(~tells).pair.tolist()}
     kept = kept.only(tells)
-    if not look:
-        return kept, int((~tells).sum())
+    if left is None:
+        return kept, dropped
     new = find_pairs(state.knots, state.xyz, whole, known, spans)
     new = new.only(group[new.pair[:, 0]] == group[new.pair[:, 1]])
-    had = {tuple(p) for p in pairs.pair.tolist()}
-    new = new.only(np.array([tuple(p) not in had for p in new.pair.tolist()], dtype=bool))
-    return joined([kept, new]), int((~tells).sum())
+    had = {(i, j) for i, j in pairs.pair.tolist()} | left
+    new = new.only(np.array([(i, j) not in had for i, j in new.pair.tolist()], dtype=bool))
+    return joined([kept, new]), dropped

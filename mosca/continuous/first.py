@@ -49,6 +49,25 @@ def first_curves(
     return best, strength, float(np.median(noise))
 
 
+def smoothest_noise(
+    image: ImagePoints, state: State, places: Layout, points: Array
+) -> tuple[Array, Array, Array]:
+    """Return of ``points``, each made as smooth as the highest order has it: how many times larger than stated its
+    image errors then are, the mean square of an image coordinate's derivative by place [1/m^2], and their number.
+    """
+    seen = image.linearised(state, places)
+    seen = Seen(seen.residual, _whole(seen.rows, state.xyz, len(image.observations.points)))
+    smooth = replace(state, order=max(ORDERS))
+    # jumps are rare and far larger than what is left elsewhere: told by a first pass, they count less in the second
+    once = _each_point(image, seen, smooth, robust_weights(seen.residual), points, True)[0]
+    noise = _each_point(image, seen, smooth, robust_weights(image.residuals(once)), points, True)[2]
+    square = (seen.rows.values[:, :3] ** 2).sum(axis=1).reshape(-1, 2).sum(axis=1) / 2
+    count = len(image.observations.points)
+    own = np.bincount(image.observations.point, minlength=count)[points]
+    lever = np.bincount(image.observations.point, square, count)[points] / own
+    return noise, lever, 2.0 * own
+
+
 def _each_point(
     image: ImagePoints, seen: Seen, state: State, weight: Array, points: Array, noise_free: bool
 ) -> tuple[State, Array, Array, float]:

@@ -6,7 +6,7 @@ comparing the cameras at common instants, and give every real image point to its
 frame sets anywhere.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -17,6 +17,7 @@ from mosca.continuous.gather_curves import SampledCurves
 from mosca.continuous.gather_identity import common_instants, curves_of, observed, tracked
 from mosca.continuous.gather_join import joined
 from mosca.continuous.gather_look import LookCount, Seen, look_at_frames
+from mosca.continuous.gather_moving import MovingRig
 from mosca.continuous.gather_strands import Paths, strands
 from mosca.continuous.observations import Curves, Observations
 from mosca.data.arrays import Array
@@ -96,31 +97,59 @@ def gather_seen(
 ) -> Gathered:
     """As ``gather``, of what the rig's cameras saw already."""
     for one in seen:
-        length = (one.frame_ns[-1] - one.frame_ns[0]) * 1e-9
-        if length < SHORTEST_S:
-            raise InputError(
-                f"camera '{one.info.name}': filmed for {length:g} s; {SHORTEST_S:g} s at least are needed "
-                "to tell how "
-                "things move"
-            )
+        check_long_enough(one)
     own = settings.clocks == "own" or (
         settings.clocks == "auto" and any(one.info.clock == "device" for one in seen) and len(seen) > 1
     )
     strand = [strands(one) for one in seen]
     ties = tied_clocks(seen, strand, rig, settings.search_s) if own else common_clock(seen)
+    return markers_of(seen, strand, ties, rig, settings, count or LookCount(), attend, searched=own)
+
+
+def markers_of(
+    seen: tuple[Seen, ...],
+    strand: Sequence[Array],
+    ties: tuple[ClockTie, ...],
+    rig: Rig,
+    settings: GatherSettings,
+    count: LookCount,
+    attend: Callable[[int], None] | None = None,
+    moving: MovingRig | None = None,
+    searched: bool = False,
+) -> Gathered:
+    """Return markers' image points and first curves, once clocks are tied: matched, tracked, joined over pauses.
+
+    ``strand``: of each camera's image points; ``count``: frames that were looked at, from which ``attend`` goes on;
+    ``moving``: where the cameras are at each instant, None where they stand as ``rig`` says.
+    """
     paths = [
         Paths.of(one, of_point, tie.common_s(one.time_s(tie.origin_ns)))
         for one, of_point, tie in zip(seen, strand, ties, strict=True)
     ]
-    instants = common_instants(seen, ties)
-    done = 0 if count is None else sum(count.frames.values())
+    done = sum(count.frames.values())
     tracks, sigma = tracked(
-        seen, paths, instants, rig, settings.pipeline, None if attend is None else lambda k: attend(done + k)
+        seen,
+        paths,
+        common_instants(seen, ties),
+        rig,
+        settings.pipeline,
+        None if attend is None else lambda k: attend(done + k),
+        moving,
     )
     track = settings.pipeline.track
     curves = curves_of(tracks, track.coast_s)
-    found, row = observed(seen, ties, rig, curves, sigma)
+    found, row = observed(seen, ties, rig, curves, sigma, moving=moving)
     tracks = joined(tracks, curves, found, strand, row, track.acceleration_mps2)
     curves = curves_of(tracks, track.coast_s)
-    found, _row = observed(seen, ties, rig, curves, sigma)
-    return Gathered(found, curves, ties, seen, np.asarray(sigma), count or LookCount(), own)
+    found, _row = observed(seen, ties, rig, curves, sigma, moving=moving)
+    return Gathered(found, curves, ties, seen, np.asarray(sigma), count, searched)
+
+
+def check_long_enough(one: Seen) -> None:
+    """Raise InputError where a camera filmed for too short a time."""
+    length = (one.frame_ns[-1] - one.frame_ns[0]) * 1e-9
+    if length < SHORTEST_S:
+        raise InputError(
+            f"camera '{one.info.name}': filmed for {length:g} s; {SHORTEST_S:g} s at least are needed to tell how "
+            "things move; record longer"
+        )

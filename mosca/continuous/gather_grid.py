@@ -10,9 +10,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mosca.camera import project
 from mosca.continuous.gather_join import parts_in_time
-from mosca.continuous.observations import Curves, Observations, UncertainCurves
+from mosca.continuous.gather_moving import images_of
+from mosca.continuous.observations import CameraPaths, Curves, Observations, UncertainCurves
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
@@ -22,10 +22,13 @@ CHUNK = 1000
 """Instants whose covariances are asked for at a time."""
 
 
-def residuals_px(curves: Curves, observations: Observations, rig: Rig) -> Array:
+def residuals_px(
+    curves: Curves, observations: Observations, rig: Rig, cameras: CameraPaths | None = None
+) -> Array:
     """Return how far each image point (n, 2) lies from its curve's image [px]; NaN where the curve is unknown.
 
-    Curves and observations are of one clock; within a frame with a rolling shutter places follow a parabola in time.
+    ``cameras``: the rig's poses where they change. Curves and observations are of one clock; within a frame with a
+    rolling shutter images follow a parabola in time.
     """
     rest = np.full((len(observations), 2), np.nan)
     for c, camera in enumerate(rig.cameras):
@@ -40,12 +43,13 @@ def residuals_px(curves: Curves, observations: Observations, rig: Rig) -> Array:
         np.maximum.at(last, at, times)
         point = observations.point[own]
         if (last - first).max() <= 1e-9:
-            xyz = curves.at(first)[at, point]
+            image = images_of(curves, camera, c, cameras, first)[at, point]
         else:
-            a, b, e = (curves.at(t)[at, point] for t in (first, 0.5 * (first + last), last))
+            instants = (first, 0.5 * (first + last), last)
+            a, b, e = (images_of(curves, camera, c, cameras, t)[at, point] for t in instants)
             u = ((times - first[at]) / np.maximum((last - first)[at], 1e-12))[:, None]
-            xyz = a * (1 - u) * (1 - 2 * u) + b * 4 * u * (1 - u) + e * u * (2 * u - 1)
-        rest[own] = observations.xy_px[own] - project(camera, xyz)
+            image = a * (1 - u) * (1 - 2 * u) + b * 4 * u * (1 - u) + e * u * (2 * u - 1)
+        rest[own] = observations.xy_px[own] - image
     return rest
 
 
@@ -56,16 +60,17 @@ def tracks_on_grid(
     instants_s: Array,
     time_ns: Array,
     near_s: Sequence[float],
+    cameras: CameraPaths | None = None,
 ) -> Tracks:
     """Return samples of all points at ``instants_s`` (t,), the curves' clock; they are told as of ``time_ns`` (t,).
 
-    ``observations`` on the curves' clock; ``near_s``: each camera's frame period [s]. Covariances are the curves'
-    own.
+    ``observations`` of these points, on the curves' clock; ``near_s``: each camera's frame period [s]; ``cameras``:
+    the rig's poses where they change. Covariances are the curves' own.
     """
     t, m = len(instants_s), len(curves.points)
-    rest = residuals_px(curves, observations, rig)
+    rest = residuals_px(curves, observations, rig, cameras)
     squared = np.nan_to_num((rest**2).sum(axis=1))
-    cameras, images, total = np.zeros((t, m), int), np.zeros((t, m), int), np.zeros((t, m))
+    seen_by, images, total = np.zeros((t, m), int), np.zeros((t, m), int), np.zeros((t, m))
     inside = np.zeros((t, m), dtype=bool)
     order = np.lexsort((observations.time_s, observations.camera, observations.point))
     point, camera = observations.point[order], observations.camera[order]
@@ -79,7 +84,7 @@ def tracks_on_grid(
             first = np.searchsorted(times[a:b], instants_s - near, "left")
             last = np.searchsorted(times[a:b], instants_s + near, "right")
             sums = np.concatenate([[0.0], np.cumsum(squared[a:b])])
-            cameras[:, p] += last > first
+            seen_by[:, p] += last > first
             images[:, p] += last - first
             total[:, p] += sums[last] - sums[first]
     parts = []
@@ -89,10 +94,10 @@ def tracks_on_grid(
         at, which = np.nonzero(inside[some] & np.isfinite(place).all(axis=2))
         parts.append((at + begin, which, place[at, which], its[at, which]))
     instant, number, xyz, covariance = (np.concatenate(part) for part in zip(*parts, strict=True))
-    seen_by = cameras[instant, number]
+    views = seen_by[instant, number]
     with np.errstate(invalid="ignore", divide="ignore"):
         residual = np.sqrt(total[instant, number] / (2 * images[instant, number]))
     return Tracks(
-        instant, np.asarray(time_ns)[instant], number, np.array(curves.points)[number], xyz, covariance, seen_by,
-        residual, np.where(seen_by >= 2, "measured", "filled"),
+        instant, np.asarray(time_ns)[instant], number, np.array(curves.points)[number], xyz, covariance, views,
+        residual, np.where(views >= 2, "measured", "filled"),
     )  # fmt: skip

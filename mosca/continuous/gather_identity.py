@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from mosca.camera import project
 from mosca.continuous.gather_clocks import ClockTie
 from mosca.continuous.gather_curves import SampledCurves
 from mosca.continuous.gather_look import Seen
+from mosca.continuous.gather_moving import MovingRig, RigAtEach, centres_at, images_at, images_of
 from mosca.continuous.gather_strands import Paths, detections_at
 from mosca.continuous.observations import Curves, Observations, no_carriers
 from mosca.data.arrays import Array
@@ -75,21 +75,31 @@ def tracked(
     rig: Rig,
     settings: PipelineSettings,
     attend: Callable[[int], None] | None = None,
+    moving: MovingRig | None = None,
 ) -> tuple[Tracks, Array]:
     """Return the tracks at common instants, and each camera's random error besides its detections' (c,) [px].
 
-    ``paths``: the cameras' strands on the common clock.
+    ``paths``: the cameras' strands on the common clock. ``moving``: the same rig's poses where they change.
     """
     health = Health(rig, HealthSettings(start_px=INTERPOLATED_PX))
     places = [path.at(instants_s) for path in paths]
+    there = np.ones((len(instants_s), len(seen)), dtype=bool)
+    keeper = None
+    if moving is not None:
+        there, keeper = moving.there(instants_s), RigAtEach(moving.rigs(instants_s))
+        rig = keeper.rig
 
     def sets() -> Iterator[tuple[FrameSet, Mapping[str, Detections], float]]:
         for k, instant in enumerate(instants_s):
-            found = {one.info.name: detections_at(one, places[c], k)[0] for c, one in enumerate(seen)}
+            found = {
+                one.info.name: detections_at(one, places[c], k)[0]
+                for c, one in enumerate(seen)
+                if there[k, c]
+            }
             yield FrameSet(k, round(instant * 1e9)), found, 0.0
 
     samples: list[Samples] = []
-    for done, step in enumerate(run_seen(sets(), rig, settings, health=health), start=1):
+    for done, step in enumerate(run_seen(sets(), rig, settings, keeper, health), start=1):
         samples.append(step.samples)
         if attend is not None:
             attend(done)
@@ -115,6 +125,7 @@ def observed(
     curves: Curves,
     sigma_px: Array,
     curve_px: float = CURVE_PX,
+    moving: MovingRig | None = None,
 ) -> tuple[Observations, Array]:
     """Return the image points that belong to ``curves``, each at its own instant on the common clock, and their
     numbers.
@@ -122,12 +133,12 @@ def observed(
     The numbers (n,) count each camera's own image points.
 
     ``sigma_px`` (c,): random error of each camera's image points besides their detections'. ``curve_px``: how far
-    the curves may be off in the images. Merged images of two targets are left out.
+    the curves may be off in the images. Merged images of two targets are left out. ``moving``: as ``tracked`` has it.
     """
     parts, numbers = [], []
     for c, (one, tie) in enumerate(zip(seen, ties, strict=True)):
         times = tie.common_s(one.time_s(tie.origin_ns))
-        row, point, away = _assigned(one, tie, rig, c, curves, sigma_px[c], curve_px)
+        row, point, away = _assigned(one, tie, rig, c, curves, sigma_px[c], curve_px, moving)
         keep = (one.flags[row] & MERGED) == 0
         row, point, away = row[keep], point[keep], away[keep]
         odd = odd_sizes_px(one.diameter_px[row], away, point)
@@ -157,30 +168,33 @@ def odd_sizes_px(diameter_px: Array, away_m: Array, point: Array) -> Array:
 
 
 def _assigned(
-    one: Seen, tie: ClockTie, rig: Rig, c: int, curves: Curves, sigma_px: float, curve_px: float
-) -> tuple[Array, Array, Array]:
+    one: Seen, tie: ClockTie, rig: Rig, c: int, curves: Curves, sigma_px: float, curve_px: float,
+    moving: MovingRig | None,
+) -> tuple[Array, Array, Array]:  # fmt: skip
     """Return image points of a camera, the curves that they belong to, and how far these were [m]."""
     camera = rig.cameras[c]
     first_row = tie.common_s((one.frame_ns - tie.origin_ns) * 1e-9)
     at = first_row + 0.5 * one.row_time_s * (camera.height - 1)
-    origin = camera.world_from_camera.translation
+    cameras = None if moving is None else moving.paths
+    there = np.ones(len(at), dtype=bool) if moving is None else moving.there(at)[:, c]
     rows, points, aways = [], [], []
     for begin in range(0, len(at), CHUNK):
         some = at[begin : begin + CHUNK]
         xyz = curves.at(some)
-        image = project(camera, xyz.reshape(-1, 3)).reshape(len(some), -1, 2)
+        image = images_at(camera, c, cameras, some, xyz)
+        image[~there[begin : begin + CHUNK]] = np.nan
+        origin = centres_at(camera, c, cameras, some)
         if one.row_time_s > 0.0:
-            ahead = curves.at(some + 1e-3)
-            flow = (project(camera, ahead.reshape(-1, 3)).reshape(image.shape) - image) / 1e-3
+            flow = (images_of(curves, camera, c, cameras, some + 1e-3) - image) / 1e-3
             late = one.row_time_s * (image[..., 1:] - 0.5 * (camera.height - 1))
             image = image + flow * late
         for k in range(len(some)):
             own = np.arange(one.start[begin + k], one.start[begin + k + 1])
-            there = np.flatnonzero(np.isfinite(image[k]).all(axis=1))
-            which, to = _nearest(one, own, image[k, there], sigma_px, curve_px)
+            near = np.flatnonzero(np.isfinite(image[k]).all(axis=1))
+            which, to = _nearest(one, own, image[k, near], sigma_px, curve_px)
             rows.append(own[which])
-            points.append(there[to])
-            aways.append(np.linalg.norm(xyz[k, there[to]] - origin, axis=1))
+            points.append(near[to])
+            aways.append(np.linalg.norm(xyz[k, near[to]] - origin[k], axis=1))
     return np.concatenate(rows), np.concatenate(points), np.concatenate(aways)
 
 

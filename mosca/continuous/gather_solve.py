@@ -11,7 +11,7 @@ from mosca.continuous.gather_clocks import ClockTie
 from mosca.continuous.gather_grid import residuals_px, tracks_on_grid
 from mosca.continuous.gather_identity import observed
 from mosca.continuous.gather_told import late_cameras, on_curves_clock, told_of
-from mosca.continuous.observations import Observations
+from mosca.continuous.observations import CameraPaths, Observations
 from mosca.data.arrays import Array
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
@@ -46,7 +46,7 @@ class CameraClock:
 @dataclass(frozen=True, eq=False)
 class Reconstructed:
     """What frames of free-running cameras gave. ``observations``: on the curves' clock. ``findings``: what a person
-    should know, a line each.
+    should know, a line each. ``cameras``: their paths where they move; ``observations`` are then those of markers.
     """
 
     gathered: Gathered
@@ -55,6 +55,7 @@ class Reconstructed:
     clocks: tuple[CameraClock, ...]
     findings: tuple[str, ...]
     rig: Rig
+    cameras: CameraPaths | None = None
 
     @property
     def origin_ns(self) -> int:
@@ -79,11 +80,12 @@ class Reconstructed:
             first.offset_s + (1.0 + first.drift) * own,
             np.asarray(time_ns),
             [one.period_s for one in self.gathered.seen],
+            self.cameras,
         )
 
     def residual_rms_px(self) -> float:
         """Return how far image points lie from their curves, rms an axis [px]."""
-        rest = residuals_px(self.estimated.curves, self.observations, self.rig)
+        rest = residuals_px(self.estimated.curves, self.observations, self.rig, self.cameras)
         return float(np.sqrt(np.nanmean(rest**2)))
 
 

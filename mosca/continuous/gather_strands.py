@@ -67,11 +67,14 @@ class _Open:
         self.place[at], self.last_s[at], self.speed[at], self.middle_s[at] = place, now_s, speed, middle
 
 
-def strands(seen: Seen) -> Array:
-    """Return the strand (n,) of each image point of a camera."""
+def strands(seen: Seen, longest_gap: float = LONGEST_GAP) -> Array:
+    """Return the strand (n,) of each image point of a camera.
+
+    ``longest_gap``: longest time from an image point of a strand to the next, in the camera's periods.
+    """
     of_point = np.full(len(seen.xy_px), -1, dtype=np.int64)
     following = 0
-    longest = LONGEST_GAP * seen.period_s
+    longest = longest_gap * seen.period_s
     going = _Open.begun(np.empty(0, np.int64), np.empty((0, 2)), 0.0)
     for f, now in enumerate((seen.frame_ns - seen.frame_ns[0]) * 1e-9):
         rows = np.arange(seen.start[f], seen.start[f + 1])

@@ -49,6 +49,7 @@ class ImagePoints:
             Camera(c.name, c.width, c.height, c.lens, here)
             for c in (rig.camera(n) for n in observations.cameras)
         ]
+        self.lens_px = np.array([rig.camera(n).residual_px for n in observations.cameras])
         self.whitening = np.linalg.inv(np.linalg.cholesky(observations.covariance_px2))
         self.carrier = observations.carried_by[observations.point]
         self.mask = [observations.camera == c for c in range(len(self.lenses))]
@@ -66,7 +67,7 @@ class ImagePoints:
         return xy, by_v
 
     def _near(self, state: State, time_s: Array) -> _Near:
-        o, n = self.observations, np.arange(len(self.observations))
+        o = self.observations
         first, weight = state.knots.weights(time_s)
         reached = first[:, None] + np.arange(weight.shape[1])
         world = np.einsum("na,nai->ni", weight, state.xyz[reached, o.point[:, None]])
@@ -76,11 +77,13 @@ class ImagePoints:
             other, other_centre = rotations[self.carrier], centres[self.carrier]
             turn = other_turn = np.zeros((0, 3))
         else:
-            all_rotations, all_centres = state.moving.at(time_s)
-            rotation, centre = all_rotations[n, o.camera], all_centres[n, o.camera]
-            other, other_centre = all_rotations[n, self.carrier], all_centres[n, self.carrier]
-            change = values(state.knots, state.moving.coefficients, time_s)
-            turn, other_turn = change[n, o.camera, :3], change[n, self.carrier, :3]
+            # all points of an exposure share its instant, at which every camera's pose is asked for once
+            instant, which = np.unique(time_s, return_inverse=True)
+            all_rotations, all_centres = state.moving.at(instant)
+            rotation, centre = all_rotations[which, o.camera], all_centres[which, o.camera]
+            other, other_centre = all_rotations[which, self.carrier], all_centres[which, self.carrier]
+            change = values(state.knots, state.moving.coefficients, instant)
+            turn, other_turn = change[which, o.camera, :3], change[which, self.carrier, :3]
         is_carried = self.carrier >= 0
         if is_carried.any():
             at = o.carried_at[o.point]
@@ -90,7 +93,7 @@ class ImagePoints:
 
     def rays(self, state: State, depth: Array) -> Seen:
         """Return equations linear in the points: how far rays pass by, in the image at a ``depth`` (n,) [m]."""
-        o, n = self.observations, np.arange(len(self.observations))
+        o = self.observations
         time_s = self.times(state)
         directions = np.full((len(o), 3), np.nan)
         for camera, own in zip(self.lenses, self.mask, strict=True):
@@ -99,8 +102,9 @@ class ImagePoints:
         if state.moving is None:
             rotation, centre = state.still.rotations[o.camera], state.still.centres[o.camera]
         else:
-            all_rotations, all_centres = state.moving.at(time_s)
-            rotation, centre = all_rotations[n, o.camera], all_centres[n, o.camera]
+            instant, which = np.unique(time_s, return_inverse=True)
+            all_rotations, all_centres = state.moving.at(instant)
+            rotation, centre = all_rotations[which, o.camera], all_centres[which, o.camera]
         by_point = self.whitening @ by_v @ np.swapaxes(rotation, 1, 2)
         rest = np.einsum("nij,nj->ni", by_point, centre)
         return Seen(rest, self._rows(state, time_s, by_point, rest, np.zeros((len(o), 2, 0))))

@@ -19,6 +19,9 @@ TELLING = 12.0
 EXPLAINED = 2.0
 """Variances of a distance over time up to so many times what its uncertainty explains may be chance: curves' errors
 last for several instants, so that few are independent, and many pairs are looked at."""
+JUMPS = 0.05
+"""Share of instants that are not asked whether a distance is constant: those where it fits worst. Where points jump
+between exposures curves are off by more than they know, and one such instant would hide the most rigid pair."""
 SMALLEST_SLACK_M = 1e-4
 MOST_LOOSENED = 10.0
 """A slack grows at most so many times more than what is seen of it."""
@@ -71,6 +74,10 @@ def find_pairs(knots: Knots, xyz: Array, drawn: Array, known: Array, spans: Arra
         # instants that are known well say most
         variance = np.maximum((spread**2).mean(axis=0), 1e-12)
         weight = inside / (variance + np.median(variance, axis=0))
+        weight /= np.maximum(weight.sum(axis=0), 1e-300)
+        mean = (weight * length).sum(axis=0)
+        worst = weight * (length - mean) ** 2
+        weight = np.where(worst > np.quantile(worst, 1 - JUMPS, axis=0), 0.0, weight)
         weight /= np.maximum(weight.sum(axis=0), 1e-300)
         mean = (weight * length).sum(axis=0)
         varied = (weight * (length - mean) ** 2).sum(axis=0)

@@ -1,6 +1,6 @@
 """What the continuous-time estimate takes and gives."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -64,9 +64,9 @@ class SplineCurves:
 
     ``blocks`` (degree + 1, count, points, 3, 3): covariances between coefficients k + o and k of one point;
     ``carried`` (count, points, 3, b) and ``shared`` (b, b): what the unknowns without time add; ``beyond``
-    (points, 3, 3): motion too quick for the knots, times ``pace`` (pieces + 1,) at them; ``rough`` (pieces + 1,):
-    variance an axis [m^2] of motion that nothing foretells. ``from_s``, ``to_s`` (points,): between these the point
-    is known.
+    (points, 3, 3): motion too quick for the knots, times ``pace`` (pieces + 1,) at them; ``unheld``
+    (pieces + 1, points, 3, 3): at them, what curves do not hold (``unheld.py``) [m^2]. ``from_s``, ``to_s``
+    (points,): between these the point is known.
     """
 
     points: tuple[str, ...]
@@ -77,7 +77,7 @@ class SplineCurves:
     shared: Array
     beyond: Array
     pace: Array
-    rough: Array
+    unheld: Array
     from_s: Array
     to_s: Array
 
@@ -92,8 +92,9 @@ class SplineCurves:
     def covariance_at(self, time_s: Array) -> Array:
         """Return the covariances (t, points, 3, 3) [m^2] at the instants ``time_s`` (t,)."""
         first, weight = self.knots.weights(time_s)
-        pace, rough = (np.interp(time_s, self.knots.breaks_s, at) for at in (self.pace, self.rough))
-        total = pace[:, None, None, None] * self.beyond + rough[:, None, None, None] * np.eye(3)
+        pace = np.interp(time_s, self.knots.breaks_s, self.pace)
+        linear = replace(self.knots, degree=1)
+        total = pace[:, None, None, None] * self.beyond + values(linear, self.unheld, time_s)
         for a in range(weight.shape[1]):
             for b in range(a + 1):
                 part = (weight[:, a] * weight[:, b])[:, None, None, None] * self.blocks[a - b, first + b]

@@ -141,13 +141,14 @@ def curves_of(
     covariances: list[Array],
     observations: Observations,
     spans: Array,
-    rough: Array,
+    unheld: Array,
 ) -> SplineCurves:
     """Return the curves of all free points with their covariances; those that were left out are known nowhere.
 
     ``covariances``: the prior's; white noise Q of derivative m has the spectrum Q / w^(2 m), of which splines hold
     what lies below pi / step; the rest is Q step^(2 m - 1) / ((2 m - 1) pi^(2 m)). ``spans`` (points, 2): from when
-    to when each point was seen [s]; ``rough`` (pieces + 1,): see ``SplineCurves``.
+    to when each point was seen [s]; ``unheld`` (pieces + 1, points, 3, 3): see
+    ``SplineCurves``.
     """
     state, free = solved.state, observations.free
     knots, n = state.knots, len(observations.points)
@@ -169,7 +170,8 @@ def curves_of(
     spans = np.where(estimated[:, None], spans, (np.inf, -np.inf))
     return SplineCurves(
         tuple(observations.points[p] for p in free), knots, state.xyz[:, free], blocks[:, :, free],
-        carried[:, free], solved.covariance, beyond[free], state.pace_at_knots, rough, spans[free, 0], spans[free, 1],
+        carried[:, free], solved.covariance, beyond[free], state.pace_at_knots, unheld[:, free],
+        spans[free, 0], spans[free, 1],
     )  # fmt: skip
 
 
