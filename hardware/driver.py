@@ -3,7 +3,7 @@
 A driver opens one camera, sets it, arms it and yields what it grabbed, with the camera's own counter and clock. It
 does not group, does not repair and does not guess: what the device cannot do, its ``Capabilities`` say; what it
 did not take, ``configure`` refuses. Names are GenICam's (SFNC). A driver is used by one thread at a time,
-except ``software_trigger`` and ``close``, which may come from another.
+except ``software_trigger``, ``clock`` and ``close``, which may come from another.
 """
 
 from collections.abc import Mapping
@@ -65,6 +65,25 @@ class Grabbed:
 
 
 @dataclass(frozen=True)
+class ClockReading:
+    """A camera's clock beside this machine's: it showed ``device_ns`` between ``before_ns`` and ``after_ns``."""
+
+    device_ns: int
+    before_ns: int
+    after_ns: int
+
+    @property
+    def host_ns(self) -> int:
+        """Half-way, by this machine's clock."""
+        return (self.before_ns + self.after_ns) // 2
+
+    @property
+    def error_ns(self) -> int:
+        """How far off that may be."""
+        return (self.after_ns - self.before_ns) // 2
+
+
+@dataclass(frozen=True)
 class DeviceReport:
     """What a device took: its names, the settings as read back, and the size of its frames."""
 
@@ -105,6 +124,10 @@ class CameraDriver(Protocol):
 
     def software_trigger(self) -> int:
         """Fire one exposure where ``capabilities.software_trigger``; return this machine's time [ns] then."""
+        ...
+
+    def clock(self) -> ClockReading | None:
+        """Return what the camera's clock shows now, the clock of the stamps; None where it cannot be asked."""
         ...
 
     def disarm(self) -> None:

@@ -1,8 +1,10 @@
-"""The pulse number of each buffer, from the camera's own clock; arrival only starts it and watches over it.
+"""The pulse number of each buffer, from the camera's own clock; what its clock showed when it was asked starts it.
 
 A frame counter cannot tell a missed trigger from none, and a busy machine delays arrivals by more than a period. The
 camera's stamps can: they lie on the pulses' line (``hardware.clock``). What they cannot tell is *which* pulse the
-first of them is. That is voted by the earliest of a few arrivals, at the start and whenever a clock jumped:
+first of them is. Where all cameras' clocks can be read (``hardware.read_clock``) the readings tell that at once: at
+the start, and for a frame after a gap, which waits until its camera's clock was read once more. Else it is voted by
+the earliest of a few arrivals, at the start and whenever a clock jumped:
 
 - start: cameras are armed before the pulses begin, so the earliest camera's first frame is the first pulse (unless
   ``start_ns``, when the pulses began, shows that all missed it); the others count from there.
@@ -14,21 +16,24 @@ first of them is. That is voted by the earliest of a few arrivals, at the start 
 Nothing is thrown away: each buffer comes out once, in order, with its pulse.
 """
 
-from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from hardware.clock import CameraClock, HostLine
-from hardware.driver import Grabbed
+from hardware.driver import ClockReading, Grabbed
 from hardware.free_running import FreeClock
+from hardware.held import NumberedCamera, after_jump, earliest_ns
+from hardware.read_clock import ReadPulses
 from hardware.witness import TriggerWitness
 
 VOTE_S, START_S = 0.3, 0.5
 """A vote takes so long, at the start and later: one camera's reader may lag behind the others' on a busy machine, but
 not in all of its frames."""
 FEWEST_VOTES, MOST_VOTES = 2, 100
+PATIENCE_S = 1.0
+"""So long a frame waits for a reading of its camera's clock; then it is believed, unless frames come too early."""
 STALL_NS = 100_000_000
 """A frame may be so late, with the stamps in order, before its camera's clock is doubted; none can be early."""
 
@@ -41,22 +46,6 @@ class Numbered:
     pulse: int
     residual_ns: float
     buffer: Grabbed
-
-
-@dataclass
-class _Camera:
-    name: str
-    clock: CameraClock
-    latency_ns: float = 0.0
-    started: bool = False
-    relocks: int = 0
-    held: list[Grabbed] = field(default_factory=list)
-    lates: deque[float] = field(default_factory=deque)
-    last_block: int | None = None
-    last_pulse: int = 0
-    doubted: int | None = None
-    witness: TriggerWitness = field(default_factory=TriggerWitness)
-    free: FreeClock | None = None
 
 
 class PulseNumbers:
@@ -82,12 +71,15 @@ class PulseNumbers:
             min(max(round(s * rate_hz), FEWEST_VOTES), MOST_VOTES) for s in (VOTE_S, START_S)
         )
         self._cameras = {
-            name: _Camera(
+            name: NumberedCamera(
                 name, CameraClock(self.period_ns), free=FreeClock(rate_hz) if name in free else None
             )
             for name in cameras
         }
         self._line: HostLine | None = None
+        self._read = ReadPulses(self.period_ns)
+        self._by_reading = not free
+        self._patience = max(round(PATIENCE_S * rate_hz), FEWEST_VOTES)
         self._first_arrival_ns: int | None = None
         self._start_wait_ns = start_wait_s * 1e9
 
@@ -111,9 +103,22 @@ class PulseNumbers:
             yield self._nearest(camera, camera.free, buffer)
         elif not camera.started or camera.held:
             camera.held.append(buffer)
-            yield from self._vote(camera, whole=False)
+            yield from self._settle(camera)
         else:
             yield from self._follow(camera, buffer)
+
+    def read(self, name: str, reading: ClockReading) -> Iterator[Numbered]:
+        """Take what a camera's clock showed; yield buffers that waited for it."""
+        self._read.take(name, reading)
+        if self._line is not None:
+            yield from self._settle(self._cameras[name])
+
+    def wants_reading(self, name: str) -> int | None:
+        """Return the time [ns] since which a camera's clock has to be read; None where nothing waits for that."""
+        held = self._cameras[name].held[:1]
+        if self._line is None or not held or not self._reads(name):
+            return None
+        return max(held[0].host_ns, self._read.checked_ns(name))
 
     def rest(self) -> Iterator[Numbered]:
         """Yield what is still held when no more buffers come."""
@@ -140,15 +145,36 @@ class PulseNumbers:
     def _try_start(self, now_ns: int) -> Iterator[Numbered]:
         if self._first_arrival_ns is None:
             self._first_arrival_ns = now_ns
+        waited = now_ns - self._first_arrival_ns > self._start_wait_ns
+        if self._by_reading and all(self._read.trusted(name) for name in self._cameras):
+            if waited or all(camera.held for camera in self._cameras.values()):
+                yield from self._start_by_readings()
+            return
         all_here = all(len(camera.held) >= self._start_votes for camera in self._cameras.values())
-        if all_here or now_ns - self._first_arrival_ns > self._start_wait_ns:
+        if all_here or waited:
             yield from self._start()
+
+    def _start_by_readings(self) -> Iterator[Numbered]:
+        """Number what came first by the cameras' clocks; where they do not fit, arrivals are to vote."""
+        first = {c.name: c.held[0] for c in self._cameras.values() if c.held}
+        pulses = self._read.begin(first, self.start_ns)
+        if pulses is None:
+            self._by_reading = False
+            return
+        self._line = self._read.line
+        begun: list[Numbered] = []
+        for name, pulse in pulses.items():
+            camera = self._cameras[name]
+            camera.latency_ns = self._late_ns(first[name], pulse)
+            begun += self._lock(camera, pulse)
+        yield from sorted(begun, key=lambda one: one.pulse)
 
     def _start(self) -> Iterator[Numbered]:
         """Set the line of pulses by the cameras that are here, and number what they hold."""
-        here = {c.name: self._earliest_ns(c.held) for c in self._cameras.values() if c.held}
+        here = {c.name: earliest_ns(c.held, self.period_ns) for c in self._cameras.values() if c.held}
         if not here:
             return
+        self._by_reading = False
         first = min(here.values())
         skipped = 0
         if self.start_ns is not None:
@@ -167,16 +193,45 @@ class PulseNumbers:
         # pulse by pulse, as they would have come: whoever groups them waits for a few pulses only
         yield from sorted(begun, key=lambda one: one.pulse)
 
-    def _vote(self, camera: _Camera, whole: bool) -> Iterator[Numbered]:
+    def _reads(self, name: str) -> bool:
+        return self._by_reading and self._read.trusted(name)
+
+    def _settle(self, camera: NumberedCamera) -> Iterator[Numbered]:
+        """Number what ``camera`` holds once that can be told: by a reading of its clock, else by votes."""
+        if not camera.held or not self._reads(camera.name):
+            yield from self._vote(camera, whole=False)
+            return
+        split = after_jump(camera.held, self.period_ns)
+        pulse = self._read.pulse(camera.name, camera.held[split])
+        if pulse is not None:
+            yield from self._found(camera, split, pulse)
+        elif len(camera.held) < self._patience:
+            return
+        elif camera.doubted is None or split or self._early(camera, camera.doubted):
+            yield from self._vote(camera, whole=False)
+        else:
+            yield from self._found(camera, split, camera.doubted)
+
+    def _early(self, camera: NumberedCamera, pulse: int) -> bool:
+        """Tell whether what ``camera`` holds came before it can have, were its first frame ``pulse``."""
+        assert self._line is not None
+        earliest = earliest_ns(camera.held, self.period_ns) - camera.latency_ns
+        return earliest - self._line.at(pulse) < -0.6 * self.period_ns
+
+    def _vote(self, camera: NumberedCamera, whole: bool) -> Iterator[Numbered]:
         """Number what ``camera`` holds once enough frames have voted; all of it when ``whole``."""
         if not camera.held or (len(camera.held) < self._votes and not whole):
             return
         assert self._line is not None
-        split = _after_jump(camera.held, self.period_ns)
+        split = after_jump(camera.held, self.period_ns)
         if split and not whole and len(camera.held) - split < self._votes:
             return  # it jumped again while it was voting: the new clock's frames vote too
-        earliest = self._earliest_ns(camera.held[split:])
+        earliest = earliest_ns(camera.held[split:], self.period_ns)
         pulse = self._line.pulse_of(earliest - camera.latency_ns - self._usual_ns(camera))
+        yield from self._found(camera, split, pulse)
+
+    def _found(self, camera: NumberedCamera, split: int, pulse: int) -> Iterator[Numbered]:
+        """Number what ``camera`` holds: its frame ``split``, the first of its clock as it runs now, is ``pulse``."""
         late, camera.held = camera.held[:split], camera.held[split:]
         for buffer in late:
             yield self._by_arrival(camera, buffer)
@@ -188,7 +243,7 @@ class PulseNumbers:
         camera.doubted = None
         yield from self._lock(camera, pulse)
 
-    def _lock(self, camera: _Camera, pulse: int) -> Iterator[Numbered]:
+    def _lock(self, camera: NumberedCamera, pulse: int) -> Iterator[Numbered]:
         """Begin the camera's clock at ``pulse`` with the first stamp that it holds; number the rest by it."""
         held, camera.held = camera.held, []
         camera.started = True
@@ -203,14 +258,14 @@ class PulseNumbers:
                 locked = True
                 yield self._numbered(camera, pulse, 0.0, buffer)
 
-    def _nearest(self, camera: _Camera, clock: FreeClock, buffer: Grabbed) -> Numbered:
+    def _nearest(self, camera: NumberedCamera, clock: FreeClock, buffer: Grabbed) -> Numbered:
         """Place a frame of a camera that runs free by its instant."""
         assert self._line is not None
         at_ns = clock.at(buffer)
         pulse = max(self._line.pulse_of(at_ns), 0)
         return Numbered(camera.name, pulse, at_ns - self._line.at(pulse), buffer)
 
-    def _follow(self, camera: _Camera, buffer: Grabbed) -> Iterator[Numbered]:
+    def _follow(self, camera: NumberedCamera, buffer: Grabbed) -> Iterator[Numbered]:
         assert self._line is not None
         stamp = buffer.device_ns
         if stamp is None:
@@ -223,16 +278,27 @@ class PulseNumbers:
             camera.held.append(buffer)
             camera.doubted = None if placed is None else placed.pulse
             return
-        self._line.take(placed.pulse, self._arrival_ns(camera, buffer))
+        if not self._reads(camera.name):
+            self._line.take(placed.pulse, self._arrival_ns(camera, buffer))
+        elif self._read.follow(camera.name, placed.pulse, buffer) is not None:
+            camera.latency_ns = min(camera.latency_ns, self._late_ns(buffer, placed.pulse))
         yield self._numbered(camera, placed.pulse, placed.residual_ns, buffer)
 
-    def _arrival_ns(self, camera: _Camera, buffer: Grabbed) -> float:
+    def _arrival_ns(self, camera: NumberedCamera, buffer: Grabbed) -> float:
         return buffer.host_ns - buffer.exposure_ns - camera.latency_ns
 
-    def _doubtful(self, camera: _Camera, pulse: int, buffer: Grabbed) -> bool:
+    def _late_ns(self, buffer: Grabbed, pulse: int) -> float:
+        """Return how long after its pulse a frame was here, its exposure taken off."""
+        assert self._line is not None
+        return buffer.host_ns - buffer.exposure_ns - self._line.at(pulse)
+
+    def _doubtful(self, camera: NumberedCamera, pulse: int, buffer: Grabbed) -> bool:
         """Tell whether a frame that the clock places after a gap arrives as if it were of another pulse."""
         assert self._line is not None
         late = self._arrival_ns(camera, buffer) - self._line.at(pulse)
+        if self._reads(camera.name):
+            gap = pulse - camera.last_pulse > 1 and not camera.witness.confirms(pulse, buffer)
+            return gap and self._read.pulse(camera.name, buffer) != pulse
         # clock and counter agree: an arrival that is late tells of a busy machine only
         if pulse - camera.last_pulse > 1 and not camera.witness.confirms(pulse, buffer):
             unusual = late - self._usual_ns(camera)
@@ -246,12 +312,12 @@ class PulseNumbers:
             camera.lates.popleft()
         return False
 
-    def _usual_ns(self, camera: _Camera) -> float:
+    def _usual_ns(self, camera: NumberedCamera) -> float:
         """Return how late frames are just now: those of the other cameras, without others this camera's own."""
         others = [min(c.lates) for c in self._cameras.values() if c is not camera and c.lates and not c.held]
         return float(np.median(others)) if others else min(camera.lates, default=0.0)
 
-    def _by_arrival(self, camera: _Camera, buffer: Grabbed) -> Numbered:
+    def _by_arrival(self, camera: NumberedCamera, buffer: Grabbed) -> Numbered:
         """Place a buffer without a stamp: by its block number after the last one, else by arrival."""
         assert self._line is not None
         if (
@@ -266,34 +332,7 @@ class PulseNumbers:
         pulse = self._line.pulse_of(self._arrival_ns(camera, buffer))
         return self._numbered(camera, max(pulse, camera.last_pulse + 1), 0.0, buffer)
 
-    def _numbered(self, camera: _Camera, pulse: int, residual_ns: float, buffer: Grabbed) -> Numbered:
+    def _numbered(self, camera: NumberedCamera, pulse: int, residual_ns: float, buffer: Grabbed) -> Numbered:
         camera.last_block, camera.last_pulse = buffer.block_id, pulse
         camera.witness.take(pulse, buffer)
         return Numbered(camera.name, pulse, residual_ns, buffer)
-
-    def _earliest_ns(self, held: Sequence[Grabbed]) -> float:
-        """Return when the first of ``held`` would have arrived had it been as quick as the quickest of them."""
-        stamps = [(b, b.device_ns) for b in held]
-        first = next((stamp for _, stamp in stamps if stamp is not None), None)
-        if first is None:
-            return min(b.host_ns - b.exposure_ns - k * self.period_ns for k, b in enumerate(held))
-        return min(
-            b.host_ns - b.exposure_ns - round((s - first) / self.period_ns) * self.period_ns
-            for b, s in stamps
-            if s is not None
-        )
-
-
-def _after_jump(held: Sequence[Grabbed], period_ns: float) -> int:
-    """Return the index after the last jump of the clock within ``held``; 0 where it runs evenly."""
-    split = 0
-    last: int | None = None
-    for index, buffer in enumerate(held):
-        if buffer.device_ns is None:
-            continue
-        if last is not None:
-            steps = (buffer.device_ns - last) / period_ns
-            if steps < -0.2 or abs(steps - round(steps)) > 0.25:
-                split = index
-        last = buffer.device_ns
-    return split

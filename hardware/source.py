@@ -9,16 +9,19 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
-from hardware.driver import CameraDriver, DeviceError, DeviceReport, Grabbed
+from hardware.account import Account, CameraAccount
+from hardware.clock_reader import ClockReader
+from hardware.driver import CameraDriver, ClockReading, DeviceError, DeviceReport, Grabbed
 from hardware.drivers import open_camera
 from hardware.numbering import Numbered, PulseNumbers
 from hardware.settings import CameraHardware, RigHardware, read_hardware
 from hardware.trigger import Trigger
 from hardware.triggers import open_trigger
+from mosca.data.arrays import Array
 from mosca.data.frames import CameraInfo, Frame, StampEvent
 
 GRAB_S = 0.1
@@ -33,38 +36,14 @@ OpenCamera = Callable[[str, CameraHardware], CameraDriver]
 OpenTrigger = Callable[[RigHardware, Mapping[str, CameraDriver]], Trigger]
 
 
-@dataclass
-class CameraAccount:
-    """What became of one camera's buffers: ``whole`` + ``failed`` came; ``overrun`` found no place to wait.
-
-    ``reopened``: how often the device was lost and found; ``relocked``: how often its clock was; ``unreached``,
-    ``ignored``: pulses that did not reach it, or came while it could not expose, where its trigger counter tells
-    (``hardware.witness``); ``driver``: the driver's own counts.
-    """
-
-    whole: int = 0
-    failed: int = 0
-    overrun: int = 0
-    reopened: int = 0
-    relocked: int = 0
-    unreached: int = 0
-    ignored: int = 0
-    driver: dict[str, int] = field(default_factory=dict)
-
-
-@dataclass
-class Account:
-    """What happened so far; to be read at any time. ``notes``: in words, in the order in which it happened."""
-
-    cameras: dict[str, CameraAccount] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-
-
 class HardwareSource:
     """Frames of a rig of devices; a ``FrameSource``. Opens and configures all devices, or raises DeviceError.
 
-    ``pulses``: end after so many; None goes on until ``stop``. ``opener`` and ``trigger_opener`` are for tests.
+    ``pulses``: end after so many; None goes on until ``stop``. ``came``: is shown each image as it comes, by its
+    camera's own thread. ``opener`` and ``trigger_opener`` are for tests.
     """
+
+    came: Callable[[Array], object] | None = None
 
     def __init__(
         self,
@@ -84,7 +63,10 @@ class HardwareSource:
         self._started = False
         self._trigger: Trigger | None = None
         self._numbers: PulseNumbers | None = None
-        self._queue: queue.Queue[tuple[str, Grabbed]] = queue.Queue()
+        self._queue: queue.Queue[tuple[str, Grabbed | None]] = queue.Queue()
+        # a reading wakes whoever waits for buffers
+        self._clocks = ClockReader(self._drivers, lambda name: self._queue.put((name, None)))
+        self._heard_ns: dict[str, int] = {}
         self._queued_bytes = 0
         self._guard = threading.Lock()
         self._threads: list[threading.Thread] = []
@@ -118,6 +100,10 @@ class HardwareSource:
 
     def __iter__(self) -> Iterator[Frame]:
         """Arm, start the pulses and yield frames in order of arrival until ``pulses`` are over or ``stop``."""
+        return (frame for frame, _ in self.with_buffers())
+
+    def with_buffers(self) -> Iterator[tuple[Frame, Grabbed]]:
+        """Yield as ``iter`` does, each frame with its buffer: when it arrived, the device's own stamp and count."""
         if self._started:
             raise DeviceError("the source of this rig was iterated before; open it again for another take")
         self._started = True
@@ -187,6 +173,7 @@ class HardwareSource:
         master = self.rig.shared.trigger.camera
         for name in sorted(self._drivers, key=lambda name: name == master):
             self._drivers[name].arm()
+        self._clocks.start()
         for name in self._drivers:
             thread = threading.Thread(target=self._grab, args=(name,), name=f"camera {name}", daemon=True)
             thread.start()
@@ -195,6 +182,7 @@ class HardwareSource:
 
     def _end_threads(self) -> None:
         self._stop.set()
+        self._clocks.close()
         for thread in self._threads:
             thread.join()
         self._threads.clear()
@@ -229,7 +217,12 @@ class HardwareSource:
                 continue
             if self._trigger is not None:
                 self._trigger.frame_arrived(name, buffer.host_ns)
-            size = 0 if buffer.image is None else buffer.image.nbytes
+            self._heard_ns[name] = buffer.host_ns
+            size = 0
+            if buffer.image is not None:
+                size = buffer.image.nbytes
+                if self.came is not None:
+                    self.came(buffer.image)
             with self._guard:
                 full = self._queued_bytes + size > QUEUED_BYTES
                 self._queued_bytes += 0 if full else size
@@ -246,15 +239,16 @@ class HardwareSource:
                 self._drivers[name] = self._opener(name, self.rig.cameras[name])
                 self._configured(name)
                 self._drivers[name].arm()
+                self._clocks.begin(name)
             except DeviceError:
                 continue
             self.account.notes.append(f"camera '{name}': answers again")
             return True
         return False
 
-    def _arrivals(self) -> Iterator[tuple[str, Grabbed]]:
-        """Yield buffers until the last pulse is over and its frames had time to arrive."""
-        silent_since = dict.fromkeys(self._drivers, time.monotonic_ns())
+    def _arrivals(self) -> Iterator[tuple[str, Grabbed | ClockReading]]:
+        """Yield buffers until the last pulse is over and its frames had time to arrive; readings go first."""
+        self._heard_ns |= dict.fromkeys(self._drivers, time.monotonic_ns())
         told: set[str] = set()
         deadline_ns: int | None = None
         while True:
@@ -263,15 +257,15 @@ class HardwareSource:
             except queue.Empty:
                 if self._stop.is_set():
                     return
-                name = ""
-            else:
+                name, buffer = "", None
+            while self._clocks.readings:
+                yield self._clocks.readings.popleft()
+            if buffer is not None:
                 with self._guard:
                     self._queued_bytes -= 0 if buffer.image is None else buffer.image.nbytes
-                silent_since[name] = buffer.host_ns
-                told.discard(name)
                 yield name, buffer
             now_ns = time.monotonic_ns()
-            self._tell_silent(silent_since, told, now_ns)
+            self._tell_silent(told, now_ns)
             if self._pulses is not None and deadline_ns is None:
                 reached = self._pulse_at(now_ns)
                 if reached is not None and reached >= self._pulses + MARGIN_S * self.rig.shared.rate_hz:
@@ -281,10 +275,13 @@ class HardwareSource:
             if deadline_ns is not None and now_ns > deadline_ns and self._queue.empty():
                 return
 
-    def _tell_silent(self, since_ns: Mapping[str, int], told: set[str], now_ns: int) -> None:
+    def _tell_silent(self, told: set[str], now_ns: int) -> None:
+        """Note once who is silent: by when its thread got a buffer, however late that is read here."""
         limit_ns = self.rig.shared.silence_s * 1e9
-        for name, last_ns in since_ns.items():
-            if now_ns - last_ns > limit_ns and name not in told:
+        for name, last_ns in list(self._heard_ns.items()):
+            if now_ns - last_ns <= limit_ns:
+                told.discard(name)
+            elif name not in told:
                 told.add(name)
                 self.account.notes.append(
                     f"camera '{name}': silent for {self.rig.shared.silence_s:g} s; check its trigger line, its "
@@ -297,17 +294,20 @@ class HardwareSource:
             return certain
         return self._numbers.pulse_at(host_ns)
 
-    def _numbered(self, name: str, buffer: Grabbed) -> Iterator[Numbered]:
+    def _numbered(self, name: str, buffer: Grabbed | ClockReading) -> Iterator[Numbered]:
         """Yield ``buffer`` with its pulse: the trigger's, where each pulse waits for its frames, else the clock's."""
         assert self._trigger is not None
         assert self._numbers is not None
+        if isinstance(buffer, ClockReading):
+            yield from self._numbers.read(name, buffer)
+            return
         certain = self._trigger.pulse_at(buffer.host_ns)
         if certain is not None:
             yield Numbered(name, certain, 0.0, buffer)
         else:
             yield from self._numbers.take(name, buffer)
 
-    def _frames(self, numbered: Iterator[Numbered]) -> Iterator[Frame]:
+    def _frames(self, numbered: Iterator[Numbered]) -> Iterator[tuple[Frame, Grabbed]]:
         assert self._numbers is not None
         period_ns = 1e9 / self.rig.shared.rate_hz
         for one in numbered:
@@ -317,7 +317,7 @@ class HardwareSource:
             account.failed += buffer.image is None
             if self._pulses is not None and one.pulse >= self._pulses:
                 continue
-            yield Frame(
+            frame = Frame(
                 one.camera,
                 self._index(one),
                 round(one.pulse * period_ns + one.residual_ns),
@@ -328,6 +328,8 @@ class HardwareSource:
                 note=buffer.note,
                 rows=self.reports[one.camera].height,
             )
+            yield frame, buffer
+        self._clocks.ask(self._numbers)
         self._tell_clocks()
 
     def _index(self, one: Numbered) -> int:

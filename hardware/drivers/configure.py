@@ -54,6 +54,13 @@ RESULTING_RATES = ("AcquisitionResultingFrameRate", "ResultingFrameRate", "Resul
 CLOCKS = ("Timestamp", "TimestampLatch", "GevTimestampTickFrequency", "GevTimestampControlLatch")
 
 
+LATCHES = (
+    ("TimestampLatch", "TimestampLatchValue", None),
+    ("GevTimestampControlLatch", "GevTimestampValue", "GevTimestampTickFrequency"),
+)
+"""Command that latches the clock, feature that shows it, feature with its ticks a second (None: it shows ns)."""
+
+
 class _Setter:
     def __init__(self, features: Features, camera: str) -> None:
         self.features, self.camera = features, camera
@@ -133,6 +140,17 @@ def capabilities_of(features: Features, device_clock: bool | None = None) -> Cap
         trigger_counter=counter_chunk(features) is not None,
         max_triggered_hz=number(features, *RESULTING_RATES),
     )
+
+
+def latch_of(features: Features) -> tuple[str, str, int] | None:
+    """Return command, value and ticks a second of the device's clock, None where it cannot be read."""
+    for command, value, frequency in LATCHES:
+        if features.kind(command) != "command" or features.kind(value) is None:
+            continue
+        ticks = 10**9 if frequency is None else int(number(features, frequency) or 0)
+        if ticks > 0:
+            return command, value, ticks
+    return None
 
 
 def counter_chunk(features: Features) -> str | None:

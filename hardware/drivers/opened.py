@@ -6,8 +6,14 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 
-from hardware.driver import Capabilities, Device, DeviceError, DeviceReport, Grabbed
-from hardware.drivers.configure import capabilities_of, configure, exposure_ns, model_and_serial
+from hardware.driver import Capabilities, ClockReading, Device, DeviceError, DeviceReport, Grabbed
+from hardware.drivers.configure import (
+    capabilities_of,
+    configure,
+    exposure_ns,
+    latch_of,
+    model_and_serial,
+)
 from hardware.drivers.features import FeatureRefused, Features
 from hardware.drivers.pixels import FORMATS
 from hardware.settings import CameraHardware
@@ -69,7 +75,7 @@ def described(device: Device) -> str:
 
 
 class OpenCamera(ABC):
-    """One open camera. ``grab`` belongs to one thread; ``software_trigger`` and ``close`` may come from another.
+    """One open camera. ``grab`` belongs to one thread; ``software_trigger``, ``clock`` and ``close`` to any.
 
     Two locks: what goes to the device's registers holds ``_control``, what touches its stream ``_stream``; who
     needs both takes ``_control`` first. A waiting grab lets go of the stream every 50 ms.
@@ -142,6 +148,11 @@ class OpenCamera(ABC):
             self._fire()
             return (before + time.monotonic_ns()) // 2
 
+    def clock(self) -> ClockReading | None:
+        """Return what the camera's clock shows now; None where it cannot be asked."""
+        with self._control:
+            return self._read_clock() if self._open else None
+
     def disarm(self) -> None:
         """Stop; buffers that are still under way are dropped."""
         with self._control:
@@ -209,6 +220,9 @@ class OpenCamera(ABC):
     def _fire(self) -> None:
         raise NotImplementedError
 
+    def _read_clock(self) -> ClockReading | None:
+        return None
+
 
 class GenICamCamera(OpenCamera):
     """An open camera that is set by its feature tree."""
@@ -218,6 +232,7 @@ class GenICamCamera(OpenCamera):
     def __init__(self, name: str, device: Device, features: Features) -> None:
         super().__init__(name, device)
         self.features = features
+        self._latch: tuple[str, str, int] | None = None
         try:
             self._capabilities = self._asked()
         except FeatureRefused as error:
@@ -239,6 +254,7 @@ class GenICamCamera(OpenCamera):
         taken = configure(self.features, settings, self.name)
         # rates and windows that there are depend on the settings
         self._capabilities = self._asked()
+        self._latch = latch_of(self.features) if self._capabilities.device_clock else None
         model, serial = model_and_serial(self.features)
         return DeviceReport(
             model=model or self.device.model,
@@ -258,3 +274,16 @@ class GenICamCamera(OpenCamera):
             self.features.execute("TriggerSoftware")
         except FeatureRefused as error:
             raise self._error(f"did not take the software trigger ({error})") from None
+
+    def _read_clock(self) -> ClockReading | None:
+        if self._latch is None:
+            return None
+        command, value, ticks_hz = self._latch
+        try:
+            before = time.monotonic_ns()
+            self.features.execute(command)
+            after = time.monotonic_ns()
+            shown = self.features.read(value)
+        except FeatureRefused as error:
+            raise self._error(f"does not tell its clock ({error})") from None
+        return ClockReading(int(shown) * 10**9 // ticks_hz, before, after)

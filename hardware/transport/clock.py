@@ -31,6 +31,10 @@ class RemoteClock:
         """True once enough answers have come."""
         return len(self._pings) >= FEWEST
 
+    def certain(self, error_ns: float) -> bool:
+        """Return whether the clock is known to ``error_ns``, or as well as it will ever be: all answers are slow."""
+        return self.ready and (self.error_ns <= error_ns or len(self._pings) == PINGS)
+
     @property
     def skew(self) -> float:
         """How much faster than the other clock this machine's runs."""

@@ -22,6 +22,10 @@ from hardware.transport.station_state import Event, ReceiverSettings, StationSta
 COUNTDOWN_NS = 500_000_000
 """From the moment when all stations are ready to the start that is ordered: the order has to reach them all."""
 
+MOST_QUIET_NS = 50_000_000
+"""From one look to the next a station is taken to be silent for so long at most: a longer time passed because this
+process did not get to run, and who was asleep cannot tell who was silent."""
+
 ECHO_NS = 300_000_000
 """What comes so soon after a token's fall was under way, and does not mean that the station is back."""
 
@@ -52,12 +56,21 @@ class Listener:
         self.places: PulsePlaces | None = None
         self._told, self._sizes = told, dict(cameras)
         self._owner: dict[str, str] = {}
-        self._opened_ns = self._now_ns = opened_ns
+        self._opened_ns = self._now_ns = self._looked_ns = opened_ns
 
     @property
     def all_ended(self) -> bool:
         """True where every station has said that this was all."""
         return all(state.ended for state in self.states.values())
+
+    def timed(self, station: str) -> bool:
+        """Return whether a station's cameras are known, and its clock well enough for the rate of the pulses."""
+        return self.rate_hz is not None and self.states[station].timed(1e9 / self.rate_hz)
+
+    def heard_to_its_end(self, station: str, epoch: int) -> bool:
+        """Return whether nothing more is expected of a station's start ``epoch``, or it is none that was named."""
+        state = self.states.get(station)
+        return state is None or state.heard_to_its_end(epoch)
 
     def rest(self, now_ns: int) -> list[MergedSet]:
         """Return what is left when nothing more comes, and close the counts."""
@@ -133,7 +146,7 @@ class Listener:
 
     def _place(self, state: StationState, message: DetectionMessage, received_ns: int) -> bool:
         """Bring a message to its pulse; False while that cannot be told."""
-        if self.places is None or not state.timed or self.places.shift(state.name) is None:
+        if self.places is None or not self.timed(state.name) or self.places.shift(state.name) is None:
             return False
         arrival_ns = state.clock.here(message.arrival_ns)
         self.places.take(state.name, message.epoch, message.pulse, arrival_ns - message.exposure_ns)
@@ -170,7 +183,7 @@ class Listener:
         if self.places is None:
             return
         for state in self.states.values():
-            if not state.timed or self.places.shift(state.name) is not None:
+            if not self.timed(state.name) or self.places.shift(state.name) is not None:
                 continue
             for message, _ in list(state.held)[state.voted :]:
                 here = state.clock.here(message.arrival_ns) - message.exposure_ns
@@ -244,10 +257,14 @@ class Listener:
     def look(self, now_ns: int, heard_ns: Mapping[str, int]) -> None:
         """Notice who is silent, allow the start, and let go what was held; ``heard_ns``: when each was heard last."""
         self._now_ns = now_ns
+        passed_ns, looked_ns, self._looked_ns = now_ns - self._looked_ns, self._looked_ns, now_ns
         for state in self.states.values():
             if state.heard_ns is None or state.silent or state.ended:
+                state.quiet_ns = 0
                 continue
-            if now_ns - max(state.heard_ns, heard_ns.get(state.name, 0)) > self.settings.silence_s * 1e9:
+            heard = max(state.heard_ns, heard_ns.get(state.name, 0)) >= looked_ns
+            state.quiet_ns = 0 if heard else state.quiet_ns + min(passed_ns, MOST_QUIET_NS)
+            if state.quiet_ns > self.settings.silence_s * 1e9:
                 state.silent = True
                 state.account.silent += 1
                 self._tell(

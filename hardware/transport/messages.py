@@ -24,8 +24,9 @@ A message of detections is a head of 80 bytes, two names, and columns of n targe
 | then | uint8 | flags (n) |
 
 A message of health is bytes 0-3 and a JSON object in utf-8 with the fields of ``HealthMessage``. An answer of the
-clock, and an order to start, is epoch (uint64) and a time of the station's clock (int64). Numbers are the ones that
-were measured, to the last bit: merged detections equal local ones.
+clock, and an order to start, is epoch (uint64) and a time of the station's clock (int64); a question whether a
+station was heard to its end is epoch (uint64) and its name, the answer a byte: 1 yes, 0 not yet. Numbers are the ones
+that were measured, to the last bit: merged detections equal local ones.
 """
 
 import json
@@ -48,6 +49,9 @@ State = Literal["starting", "holding", "armed", "running", "ended", "failed"]
 MOST_TARGETS = 100_000
 _HEAD = struct.Struct("<2sBBBBBBQQqqqqqQQ")
 _CLOCK = struct.Struct("<Qq")
+_EPOCH = struct.Struct("<Q")
+YES, NOT_YET = b"\1", b"\0"
+"""Answers to whether a station was heard to its end."""
 
 
 class MessageError(MoscaError):
@@ -218,6 +222,18 @@ def unpack_clock(data: bytes) -> tuple[int, int]:
         raise MessageError(f"clock: {len(data)} bytes given, {_CLOCK.size} are wanted")
     epoch, clock_ns = _CLOCK.unpack(data)
     return epoch, clock_ns
+
+
+def pack_heard(station: str, epoch: int) -> bytes:
+    """Return the question whether this start of a station was heard to its end."""
+    return _EPOCH.pack(epoch) + station.encode()
+
+
+def unpack_heard(data: bytes) -> tuple[str, int]:
+    """Return station and epoch of such a question; MessageError for anything else."""
+    if len(data) < _EPOCH.size:
+        raise MessageError(f"heard: {len(data)} bytes given, {_EPOCH.size} are the least")
+    return data[_EPOCH.size :].decode(errors="replace"), _EPOCH.unpack_from(data)[0]
 
 
 def _check_start(data: bytes, kind: int) -> None:

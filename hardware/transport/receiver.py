@@ -14,11 +14,12 @@ from typing import Self
 
 from hardware.transport.listener import Listener
 from hardware.transport.merger import MergedSet
-from hardware.transport.messages import MessageError, pack_clock, unpack_clock
+from hardware.transport.messages import NOT_YET, YES, MessageError, pack_clock, unpack_clock, unpack_heard
 from hardware.transport.station_state import Event, ReceiverAccount, ReceiverSettings
 from hardware.transport.transport import (
     EVERY_TOKEN,
     EVERYTHING,
+    HEARD,
     Transport,
     check_station,
     check_stations,
@@ -68,6 +69,7 @@ class Receiver:
         self._over = False
         self._stop, self._closed = threading.Event(), False
         transport.answer(key_of(check_station(name), "rig"), lambda _: rig.encode())
+        transport.answer(HEARD, self._heard_to_its_end)
         transport.stand(key_of(name, "alive"))
         transport.subscribe(EVERYTHING, self._published)
         transport.watch(EVERY_TOKEN, lambda key, stands: self._post("token", station_of(key), stands))
@@ -150,6 +152,15 @@ class Receiver:
             self._heard_ns[station] = now_ns
         self._inbox.put((kind, station, what, now_ns))
 
+    def _heard_to_its_end(self, question: bytes) -> bytes:
+        if self._over or self._stop.is_set():  # nobody listens any more
+            return YES
+        try:
+            heard = self._listener.heard_to_its_end(*unpack_heard(question))
+        except MessageError:  # no station asks so
+            return YES
+        return YES if heard else NOT_YET
+
     def _attend(self, station: str) -> None:
         """Ask one station for its clock again and again, for rig and health once a start, and order its start."""
         key, asked = key_of(station, "clock"), 0
@@ -174,11 +185,15 @@ class Receiver:
                         self._post("health", station, health)
                         epoch, asked = now_epoch, 0
                 start_ns, state = self._listener.start_ns, self._listener.states[station]
-                if ordered != epoch and epoch is not None and start_ns is not None and state.timed:
+                timed = self._listener.timed(station)
+                if ordered != epoch and epoch is not None and start_ns is not None and timed:
                     order = pack_clock(epoch, state.clock.there(start_ns))
                     ordered = epoch if self._transport.ask(key_of(station, "start"), order, ASK_S) else None
                 asked += 1
-            self._stop.wait(BURST_S if answer is not None and asked < BURST else self.settings.clock_s)
+                burst = asked < BURST or not timed
+            else:
+                burst = False
+            self._stop.wait(BURST_S if burst else self.settings.clock_s)
 
     def _work(self) -> None:
         """Take what comes, in order; the only thread that the listener is used by."""

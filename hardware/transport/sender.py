@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Self
 
 from hardware.transport.messages import (
+    YES,
     DetectionMessage,
     HealthMessage,
     State,
@@ -17,17 +18,18 @@ from hardware.transport.messages import (
     pack_clock,
     pack_detections,
     pack_health,
+    pack_heard,
     unpack_clock,
 )
-from hardware.transport.transport import Transport, check_station, key_of
+from hardware.transport.transport import HEARD, Transport, check_station, key_of
 from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo
 from mosca.errors import InputError
 
 HEALTH_S = 0.2
 NOTES = 20
-LEAVE_S = 0.1
-"""The last words are given so long to be ahead of the token's fall."""
+LEAVE_S, ASK_S, ASK_AGAIN_S = 5.0, 0.5, 0.02
+"""A station leaves once its last words were heard, after so long in any case; how often it asks whether they were."""
 
 
 class Sender:
@@ -133,7 +135,7 @@ class Sender:
         self._end.set()
         self._beat.join()
         self.say("ended" if self._state != "failed" else "failed")
-        time.sleep(LEAVE_S)
+        self._wait_until_heard()
         self._transport.close()
 
     def __enter__(self) -> Self:
@@ -141,6 +143,15 @@ class Sender:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+    def _wait_until_heard(self) -> None:
+        """Stay until nobody listens, or has heard the last words: what falls silent before is taken for dead."""
+        until = time.monotonic() + LEAVE_S
+        while time.monotonic() < until:
+            answer = self._transport.ask(HEARD, pack_heard(self.station, self.epoch), ASK_S)
+            if answer is None or answer == YES:
+                return
+            time.sleep(ASK_AGAIN_S)
 
     def _start(self, order: bytes) -> bytes:
         epoch, start_ns = unpack_clock(order)

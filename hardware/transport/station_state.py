@@ -12,6 +12,8 @@ from hardware.transport.messages import DetectionMessage, HealthMessage
 
 HELD = 4000
 """Messages that may wait until their station's clock and place are known; older ones are thrown away."""
+CLOCK_SHARE = 0.1
+"""Share of a period to which a station's clock has to be certain before its frames are placed."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,7 @@ class StationState:
     stands: bool = False
     silent: bool = False
     heard_ns: int | None = None
+    quiet_ns: int = 0
     gone_ns: int = 0
     placed_ns: int = 0
     held: deque[tuple[DetectionMessage, int]] = field(default_factory=deque)
@@ -108,10 +111,13 @@ class StationState:
         """True where it waits for the order to start, for frames, or is past that."""
         return self.health is not None and self.health.state != "starting"
 
-    @property
-    def timed(self) -> bool:
-        """True where its clock and its cameras are known."""
-        return self.clock.ready and self.health is not None
+    def timed(self, period_ns: float) -> bool:
+        """Return whether its cameras are known, and its clock well enough for pulses that are ``period_ns`` apart."""
+        return self.health is not None and self.clock.certain(CLOCK_SHARE * period_ns)
+
+    def heard_to_its_end(self, epoch: int) -> bool:
+        """Return whether nothing more is expected of the start ``epoch``."""
+        return epoch in self.earlier or (epoch == self.epoch and self.ended)
 
     def begins(self, epoch: int) -> None:
         """Forget what was known of an earlier start."""

@@ -8,6 +8,7 @@
 | ``mosca/STATION/rig`` | asked for: its rig file, calibrated or not |
 | ``mosca/STATION/start`` | asked: the session starts at this time of your clock |
 | ``mosca/STATION/alive`` | a token that stands as long as the station's process |
+| ``mosca/heard`` | asked for: whether a station's start has been heard to its end (``hardware.transport.messages``) |
 
 The reconstructing station is one of the names: it answers ``rig`` and stands by its token.
 """
@@ -22,6 +23,9 @@ ROOT = "mosca"
 EVERYTHING = f"{ROOT}/**"
 """All that is published, by one subscription: so a station's last words come after its last detections."""
 EVERY_TOKEN = f"{ROOT}/*/alive"
+HEARD = f"{ROOT}/heard"
+JAM_S = 0.25
+"""What cannot be sent for so long is too old: who merges throws it away (``hardware.transport.merger``)."""
 
 
 class TransportError(MoscaError):

@@ -8,7 +8,7 @@ from typing import Any
 
 import zenoh
 
-from hardware.transport.transport import TransportError, check_endpoint
+from hardware.transport.transport import JAM_S, TransportError, check_endpoint
 
 LEASE_MS = 4000
 """A peer that is not heard of for so long is gone: its token falls, and it is connected to anew."""
@@ -16,14 +16,16 @@ LEASE_MS = 4000
 
 QUEUED_BATCHES = 16
 """Messages (of 64 kB at most) that may wait for the network; what comes then is dropped, and missing in the count."""
-JAM_US = 50_000
-"""So long a message waits for room; once it did in vain, the next ones are dropped at once until there is some."""
 
 
 class ZenohTransport:
-    """A ``Transport``. ``connect``, ``listen``: endpoints like ``tcp/10.0.0.1:7447``; who listens may come later."""
+    """A ``Transport``. ``connect``, ``listen``: endpoints like ``tcp/10.0.0.1:7447``; who listens may come later.
 
-    def __init__(self, connect: Sequence[str] = (), listen: Sequence[str] = ()) -> None:
+    ``jam_s``: so long a message waits for room; once it did in vain, the next ones are dropped at once until there is
+    some.
+    """
+
+    def __init__(self, connect: Sequence[str] = (), listen: Sequence[str] = (), jam_s: float = JAM_S) -> None:
         config = zenoh.Config()
         settings: dict[str, Any] = {
             "mode": "peer",
@@ -41,7 +43,7 @@ class ZenohTransport:
             "transport/link/tx/lease": LEASE_MS,
             # one batch, the default of this priority, is dropped when all cameras of a pulse are sent at once
             "transport/link/tx/queue/size/real_time": QUEUED_BATCHES,
-            "transport/link/tx/queue/congestion_control/drop/wait_before_drop": JAM_US,
+            "transport/link/tx/queue/congestion_control/drop/wait_before_drop": round(jam_s * 1e6),
         }  # fmt: skip
         where = ", ".join([*connect, *listen]) or "no endpoint"
         for endpoint in (*connect, *listen):
