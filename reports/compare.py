@@ -246,7 +246,8 @@ def summary_table(records: Sequence[RunRecord]) -> Table:
         table.add_column(name.replace("_", " "), justify="right")
     table.add_column("s", justify="right")
     for record in records:
-        verdict = "[green]pass[/]" if record.passed else "[red]FAIL[/]"
+        broken = not record.not_judged or any(metric.passed is False for metric in record.metrics)
+        verdict = "[green]pass[/]" if record.passed else "[red]FAIL[/]" if broken else "not judged"
         cells = [_cell(record.metric(name)) for name in columns]
         table.add_row(escape(record.scenario), verdict, *cells, f"{total_seconds(record):.1f}")
     return table

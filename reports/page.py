@@ -19,6 +19,8 @@ TILES = (
     ("relative_accuracy", "Of the working space"),
     ("completeness", "Completeness"),
     ("ghosts_per_frame", "Ghosts per frame"),
+    ("length_rms", "Certified length, rms"),
+    ("static_noise", "Scatter at rest, rms"),
     ("reprojection_rms", "Reprojection residual, rms"),
     ("frame_rate", "Speed"),
 )
@@ -39,7 +41,10 @@ def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
             badge=badge(record),
             sentence=sentence(record),
             tiles=_tiles(record),
-            metrics=[_metric_row(metric) for metric in record.metrics],
+            metrics=[
+                *(_metric_row(metric) for metric in record.metrics),
+                *(_not_judged_row(name) for name in record.not_judged),
+            ],
             premises=[_premise_row(name, value) for name, value in record.premises.items()],
             pictures=pictures(record, evidence),
             counts=[(_words(name), _plain(value)) for name, value in record.counts.items()],
@@ -114,6 +119,8 @@ def badge(record: RunRecord) -> dict[str, str]:
     """Return text, sign and tone of the record's verdict."""
     if record.passed and record.expect in ("fail", "caught"):
         return {"text": "Fails as it must", "sign": "✓", "tone": "good"}
+    if record.not_judged and not any(metric.passed is False for metric in record.metrics):
+        return {"text": "Not judged", "sign": "–", "tone": ""}
     if record.passed and all(metric.limit is None for metric in record.metrics):
         return {"text": "Nothing claimed", "sign": "–", "tone": ""}
     if record.passed:
@@ -188,6 +195,11 @@ def _metric_row(metric: Metric) -> dict[str, Any]:
         "n": figure(metric.n),
         "aligned_by": metric.aligned_by,
     }
+
+
+def _not_judged_row(name: str) -> dict[str, Any]:
+    empty = dict.fromkeys(("value", "unit", "interval", "limit", "n", "aligned_by"), "–")
+    return {**empty, "name": name, "passed": None, "mark": "not judged", "tone": ""}
 
 
 def _premise_row(name: str, premise: Any) -> dict[str, Any]:

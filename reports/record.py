@@ -61,6 +61,7 @@ class RunRecord:
     """What one run of one scenario gave.
 
     ``passed``: every limit met; for ``expect = "fail"``, that it failed for the stated reason.
+    ``not_judged``: metrics that the scenario limits and this source cannot tell: such a run has not passed.
     ``premises``: name -> {value, minimum or maximum, holds}. ``counts``: frames, sets, drops and the
     like. ``cameras``: name -> how each did: residual, error besides detection noise, shares connected and missing,
     clock offset. ``timings``: seconds, the only part that differs between two runs of the same seed and code.
@@ -81,6 +82,7 @@ class RunRecord:
     cameras: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     timings: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    not_judged: tuple[str, ...] = ()
 
     def metric(self, name: str) -> Metric | None:
         """Return the metric called ``name``, or None."""
@@ -98,7 +100,9 @@ def read_record(path: Path) -> RunRecord:
     """Read what ``write_record`` wrote; InputError where it is missing or something else."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-        return RunRecord(metrics=tuple(_metric(m) for m in document.pop("metrics")), **document)
+        unknown = tuple(document.pop("not_judged", ()))
+        metrics = tuple(_metric(m) for m in document.pop("metrics"))
+        return RunRecord(metrics=metrics, not_judged=unknown, **document)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; a run folder holds a record.json") from None
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:

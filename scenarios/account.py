@@ -45,17 +45,22 @@ def record_of(
     timings: Mapping[str, float],
     known: Any,
     collected: Collected,
+    not_judged: tuple[str, ...] = (),
 ) -> RunRecord:
-    """Return the record of a run of ``source``; ``known``: the calibration that holds where none was estimated."""
-    met = limits_met(scores, spec.limits, lambda metric: METRICS[metric][1])
+    """Return the record of a run of ``source``; ``known``: the calibration that holds where none was estimated.
+
+    ``not_judged``: metrics that the scenario limits and this source cannot tell.
+    """
+    limits = {metric: limit for metric, limit in spec.limits.items() if metric not in not_judged}
+    met = limits_met(scores, limits, lambda metric: METRICS[metric][1])
     rows = tuple(
         _metric(metric, score, spec, met) for metric, score in scores.items() if np.isfinite(score.value)
     )
     broken = [metric for metric, ok in met.items() if not ok]
     notes = " ".join(collected.assembly.notes.values())
     unnoticed = [phrase for phrase in spec.told if phrase not in notes]
-    passed, verdict = _verdict(spec, broken, bool(scores))
-    if unnoticed and scores:
+    passed, verdict = _verdict(spec, broken, not_judged)
+    if unnoticed and not not_judged:
         passed, verdict = False, f"{verdict}; not noticed: {'; '.join(unnoticed)}"
     return RunRecord(
         scenario=name,
@@ -71,6 +76,7 @@ def record_of(
         counts=_counts(collected),
         cameras={one.name: told_health(one) for one in collected.cameras},
         timings={key: float(value) for key, value in timings.items()},
+        not_judged=not_judged,
         provenance={
             **provenance(),
             "model_gap_rms_px": round(known.gap_rms_px, 6),
@@ -89,11 +95,15 @@ def _metric(name: str, score: Score, spec: Scenario, met: Mapping[str, bool]) ->
     )  # fmt: skip
 
 
-def _verdict(spec: Scenario, broken: list[str], scored: bool) -> tuple[bool, str]:
-    if not scored:
-        return True, "no truth to score against: tracks only"
+def _verdict(spec: Scenario, broken: list[str], not_judged: tuple[str, ...]) -> tuple[bool, str]:
+    """Return whether the run is as claimed, and in words. What could not be judged does not pass."""
+    found = "every limit is met" if not broken else f"broken: {', '.join(broken)}"
+    if not_judged:
+        rest = [name for name in spec.limits if name not in not_judged and name not in broken]
+        found = f"broken: {', '.join(broken)}; " if broken else f"met: {', '.join(rest)}; " if rest else ""
+        return False, f"{found}not judged, for want of a truth: {', '.join(not_judged)}"
     if spec.expect == "pass":
-        return not broken, "every limit is met" if not broken else f"broken: {', '.join(broken)}"
+        return not broken, found
     missing = [name for name in spec.fails_on if name not in broken]
     if missing:
         return False, f"the control was not caught: {', '.join(missing)} should have broken"
@@ -143,14 +153,19 @@ def evidence_of(
         return base
     time_s = truth.time_ns * 1e-9
     pulse = min(max(collected.view_pulse, 0), len(truth.time_ns) - 1)
-    return replace(
+    beside = replace(
         base,
-        views=tuple(_with_truth(v, truth, pulse) for v in collected.views),
         truth_time_ns=truth.time_ns,
         truth_xyz=truth.xyz,
         truth_names=truth.names,
-        marker_seen=matched.seen_mask.sum(axis=0),
         errors=ErrorTable(matched.frame, time_s[matched.frame], matched.marker, matched.error_m),
+    )
+    if not truth.cameras:  # a user's own reference: who could see what is not known
+        return beside
+    return replace(
+        beside,
+        views=tuple(_with_truth(v, truth, pulse) for v in collected.views),
+        marker_seen=matched.seen_mask.sum(axis=0),
         counts=FrameCounts(time_s, matched.seen, matched.seen - matched.missed, matched.ghosts),
     )
 

@@ -228,7 +228,10 @@ def pipeline_settings(spec: Scenario) -> PipelineSettings:
     """Return the pipeline's settings: its defaults, the scenario's differences, and where points can be."""
     centre, size = np.array(spec.working_space.center_m), np.array(spec.working_space.size_m)
     low, high = centre - MARGIN * size / 2, centre + MARGIN * size / 2
-    settings = stage_settings(spec.pipeline, ((low[0], low[1], low[2]), (high[0], high[1], high[2])))
+    # a zone is tracked by itself: its targets move as in a space of its size, not of the whole hall's
+    edge_m = max((max(zone.size_m) for zone in spec.zone), default=None)
+    box = ((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+    settings = stage_settings(spec.pipeline, box, edge_m)
     if spec.pipeline.step_by == "pulse":
         settings = replace(settings, assembly=AssemblySettings(nominal_times=True))
     if spec.pipeline.tracker == "nearest":
@@ -236,15 +239,17 @@ def pipeline_settings(spec: Scenario) -> PipelineSettings:
     return settings
 
 
-def stage_settings(stages: Stages, volume: Volume | None) -> PipelineSettings:
+def stage_settings(stages: Stages, volume: Volume | None, edge_m: float | None = None) -> PipelineSettings:
     """Return the pipeline's defaults with what ``stages`` gives in its tables detection, match and track.
 
     The tracker's defaults are lengths and speeds of a person in 2.5 m; they are scaled to the volume's longest
-    edge, because things move as far as they have room. Points less certain than 0.2 % of it are withheld.
+    edge, because things move as far as they have room. Points less certain than 0.2 % of it are withheld. ``edge_m``:
+    that edge, where it is not the volume's.
     """
     track, match = TrackSettings(), MatchSettings()
     if volume is not None:
-        scale = max(high - low for low, high in zip(*volume, strict=True)) / (MARGIN * PERSON_SPACE_M)
+        longest = max(high - low for low, high in zip(*volume, strict=True)) / MARGIN
+        scale = (longest if edge_m is None else edge_m) / PERSON_SPACE_M
         track = replace(
             track,
             acceleration_mps2=track.acceleration_mps2 * scale,

@@ -26,7 +26,7 @@ FILE = click.Path(path_type=Path)
 def cli() -> None:
     """A digital-twin testbench for photogrammetric marker motion capture.
 
-    Exit codes: 0 every limit met, 1 a limit broken, 2 an error you can mend (told in one line).
+    Exit codes: 0 every limit met, 1 a limit broken or not judged, 2 an error you can mend (told in one line).
     """
 
 
@@ -43,7 +43,8 @@ def cli() -> None:
 @click.option(
     "--truth",
     type=FILE,
-    help="truth.npz to score other frames than the twin's against  [default: beside them]",
+    help="truth.npz, or your own truth.csv (label,time_ns,x,y,z), to score other frames than the twin's against  "
+    "[default: beside them]",
 )
 @click.option("--workers", type=click.IntRange(1, 64), help="rendering threads  [default: all cores]")
 def run(
@@ -59,7 +60,8 @@ def run(
 ) -> None:
     """Run one scenario from scene to score and write its run folder.
 
-    SCENARIO is a file or the name of a built-in scenario.
+    SCENARIO is a file or the name of a built-in scenario. On a recording or a rig without a truth, limits that need
+    one are named as not judged; lengths, rigidity, static noise and residuals are judged all the same.
 
     \b
     Example:  mosca run actor --set capture.duration_s=2 --out runs/try
@@ -74,7 +76,9 @@ def run(
     name = scenario_name(path)
     target = out or Path("runs") / name
     from reports.compare import summary_table
-    from scenarios.run import RunOptions, check_out, run_scenario, write_run
+    from scenarios.run import run_scenario
+    from scenarios.run_folder import check_out, write_run
+    from scenarios.run_options import RunOptions
 
     check_out(target)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -216,8 +220,25 @@ def report(runs: tuple[Path, ...], out: Path) -> None:
     click.echo(f"{out}")
 
 
+@cli.command()
+@click.argument("run", type=FILE)
+@click.option("--web", is_flag=True, help="in a browser instead of a window")
+def view(run: Path, web: bool) -> None:
+    """Look at a run in the Rerun viewer: cameras, images, detections, tracks and truth on one timeline.
+
+    RUN is a run folder that was made with --rrd, or an .rrd file.
+
+    \b
+    Example:  mosca run actor --rrd && mosca view runs/subjects/actor
+    """
+    from reports.viewer_program import show
+
+    show(run, web)
+
+
 cli.add_command(cli_tracks.reconstruct)
 cli.add_command(cli_tracks.labels)
+cli.add_command(cli_tracks.bodies)
 cli.add_command(cli_tracks.zones)
 cli.add_command(cli_live.live)
 cli.add_command(cli_rig.calibrate)

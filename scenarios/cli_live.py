@@ -5,9 +5,7 @@ from pathlib import Path
 
 import click
 
-from scenarios.cli_types import POSITIVE
-
-FILE = click.Path(path_type=Path)
+from scenarios.cli_types import FILE, LAG, POSITIVE, SET
 
 
 @click.command()
@@ -31,15 +29,9 @@ FILE = click.Path(path_type=Path)
 @click.option(
     "--queued", type=click.IntRange(1, 1000), default=2, show_default=True, help="frame sets that may wait"
 )
-@click.option("--lag", type=int, metavar="FRAMES", help="smooth each position with so many frames after it")
+@LAG
 @click.option("--settings", type=FILE, help="TOML file with [detection], [match], [track] and [volume]")
-@click.option(
-    "--set",
-    "overrides",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="change a setting, e.g. detection.contrast_dn=10",
-)
+@SET
 @click.option(
     "--workers", type=click.IntRange(1, 64), help="rendering threads of a scenario  [default: all cores]"
 )

@@ -108,6 +108,7 @@ def rig() -> None:
 @rig.command("check")
 @click.argument("path", type=FILE, required=False)
 @click.option("--devices", is_flag=True, help="list the cameras that the drivers see; opens none of them")
+@click.option("--live", is_flag=True, help="take frames for 2 s: rates, light, focus, stamps, disk")
 @click.option(
     "--flash",
     type=FILE,
@@ -115,28 +116,41 @@ def rig() -> None:
     help="say how cameras are synchronised that all filmed a light that flashed (docs/capture.md)",
 )
 @click.option("--fps", type=POSITIVE, help="flash: frame rate of a recording that does not tell its own [Hz]")
-def rig_check(path: Path | None, devices: bool, flash: Path | None, fps: float | None) -> None:
-    """Read a rig file and say what its cameras see of each other's views, or which of its devices are there.
+def rig_check(path: Path | None, devices: bool, live: bool, flash: Path | None, fps: float | None) -> None:
+    """Read a rig file and say what its cameras see of each other's views, or how its devices are doing.
+
+    --live exits with 1 where a pulse has no whole frame of each camera.
 
     \b
     Example:  mosca rig check rig.toml
               mosca rig check --devices
+              mosca rig check --live rig.toml
               mosca rig check --flash lab/flashes
     """
     if fps is not None and flash is None:
         raise InputError("--fps goes with --flash; leave it out")
+    absent: list[str] = []
+    whole = True
+    if live and (path is None or devices):
+        raise InputError(
+            "--live takes frames of a rig file's cameras; give the rig file, and leave --devices out"
+        )
     if flash is not None:
-        if path is not None or devices:
-            raise InputError("--flash looks at a recording alone; leave rig file and --devices out")
+        if path is not None or devices or live:
+            raise InputError("--flash looks at a recording alone; leave rig file, --devices and --live out")
         from mosca.recording import open_recording
         from scenarios.lab.flash import synchronise
 
         with open_recording(flash, None, fps) as recording:
             lines = synchronise(recording).lines()
+    elif live and path is not None:
+        from scenarios.lab.rig_check import check_rig_live
+
+        lines, whole = check_rig_live(path)
     elif devices:
         from scenarios.lab.devices import describe_devices
 
-        lines = describe_devices(path)
+        lines, absent = describe_devices(path)
     elif path is None:
         raise InputError(
             "rig check: give a rig file, --devices for the cameras that are there, or --flash for how they are "
@@ -148,6 +162,13 @@ def rig_check(path: Path | None, devices: bool, flash: Path | None, fps: float |
         lines = list(describe_rig(path))
     for line in lines:
         click.echo(line)
+    if absent:
+        raise InputError(
+            f"{path}: {len(absent)} of its cameras not found: {', '.join(absent)}; check cable, power and network, "
+            "and serial or address in [camera.hardware]"
+        )
+    if not whole:
+        raise SystemExit(1)
 
 
 @rig.command("compare")

@@ -6,10 +6,8 @@ from typing import Literal
 import click
 
 from mosca.errors import InputError
-from scenarios.cli_types import POSITIVE
+from scenarios.cli_types import FILE, LAG, POSITIVE, SET
 from scenarios.progress import Progress
-
-FILE = click.Path(path_type=Path)
 
 
 @click.command()
@@ -22,13 +20,7 @@ FILE = click.Path(path_type=Path)
     type=FILE,
     help="TOML file with [background], [detection], [match], [track] and [volume]",
 )
-@click.option(
-    "--set",
-    "overrides",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="change a setting, e.g. detection.contrast_dn=10",
-)
+@SET
 @click.option(
     "--labels", type=FILE, help="marker model that names the tracks; 'mosca labels learn' makes one"
 )
@@ -38,7 +30,7 @@ FILE = click.Path(path_type=Path)
     metavar="SECONDS",
     help="fill gaps up to this, marked and with their own uncertainty",
 )
-@click.option("--lag", type=int, metavar="FRAMES", help="smooth each position with so many frames after it")
+@LAG
 @click.option(
     "--continuous",
     is_flag=True,
@@ -55,6 +47,12 @@ FILE = click.Path(path_type=Path)
     type=float,
     help="continuous: how far apart the cameras may have been started [s]  [default: 10]",
 )
+@click.option(
+    "--worn",
+    type=FILE,
+    metavar="LAMPS.toml",
+    help="continuous: cameras are worn on limbs and carry lamps that blink numbers; where they are comes from these",
+)
 def reconstruct(
     recording: Path,
     rig: Path,
@@ -69,6 +67,7 @@ def reconstruct(
     rate: float | None,
     clocks: Literal["auto", "common", "own"] | None,
     search: float | None,
+    worn: Path | None,
 ) -> None:
     """Turn a recording of real (or rendered) images into tracks.
 
@@ -78,18 +77,26 @@ def reconstruct(
     \b
     Cameras that are not synchronised, each on a clock of its own:
               mosca reconstruct lab/take2 --rig rig.toml --out take2.csv --continuous --clocks own --rate 100
+
+    \b
+    Cameras on the limbs of a person, which see each other's lamps:
+              mosca reconstruct lab/take3 --rig rig.toml --out take3.csv --continuous --worn lamps.toml
     """
     if continuous:
         from scenarios.continuous_recording import ContinuousOptions, reconstruct_continuous
 
         _apart("--continuous", {"--labels": labels, "--fill": fill, "--lag": lag})
-        options = ContinuousOptions(rate, clocks or "auto", 10.0 if search is None else search)
+        if worn is not None:
+            _apart("--worn, whose cameras are of one clock", {"--clocks": clocks, "--search": search})
+        options = ContinuousOptions(rate, clocks or "auto", 10.0 if search is None else search, worn=worn)
         with Progress(recording.name) as shown:
             told = reconstruct_continuous(recording, rig, out, fps, settings, overrides, options, shown)
         for line in told:
             click.echo(line)
         return
-    _apart("a run without --continuous", {"--rate": rate, "--clocks": clocks, "--search": search})
+    _apart(
+        "a run without --continuous", {"--rate": rate, "--clocks": clocks, "--search": search, "--worn": worn}
+    )
     from scenarios.finish import Finish
     from scenarios.reconstruct import reconstruct_recording
 
@@ -163,6 +170,58 @@ def apply(tracks: Path, model: Path, out: Path, fps: float | None) -> None:
     from scenarios.labels import apply_to
 
     for line in apply_to(tracks, model, out, fps):
+        click.echo(line)
+
+
+@click.group()
+def bodies() -> None:
+    """Learn rigid bodies from tracks, and find their poses (6 degrees of freedom) in others."""
+
+
+@bodies.command("learn")
+@click.argument("tracks", type=FILE)
+@click.option("--out", required=True, type=FILE, help="definitions to write: .toml")
+@click.option(
+    "--body",
+    "named",
+    multiple=True,
+    required=True,
+    metavar="NAME=TRACK,...",
+    help="which tracks are a body's markers, e.g. drone=0,3,4,7",
+)
+@click.option("--frames", metavar="FIRST:LAST", help="learn from these frames alone  [default: all]")
+def learn_bodies(tracks: Path, out: Path, named: tuple[str, ...], frames: str | None) -> None:
+    """Learn rigid bodies from a stretch of tracks that shows all their markers.
+
+    A body that could be taken for itself turned, or for another one, is refused.
+
+    \b
+    Example:  mosca bodies learn take1.csv --body drone=0,3,4,7 --out bodies.toml
+    """
+    from scenarios.bodies_verbs import learn_from
+
+    for line in learn_from(tracks, out, named, frames):
+        click.echo(line)
+
+
+@bodies.command("find")
+@click.argument("tracks", type=FILE)
+@click.option("--bodies", "definitions", required=True, type=FILE, help="their definitions: .toml")
+@click.option("--out", required=True, type=FILE, help="poses: .csv with covariances, or .tum of one body")
+@click.option("--body", metavar="NAME", help="this body alone  [default: all; .tum: the only one]")
+@click.option("--tracks-out", type=FILE, help="the same tracks, labelled by their bodies")
+@click.option("--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the times]")
+def find_bodies(
+    tracks: Path, definitions: Path, out: Path, body: str | None, tracks_out: Path | None, fps: float | None
+) -> None:
+    """Find the poses of rigid bodies in tracks, with covariances; a pose that is not sure is withheld.
+
+    \b
+    Example:  mosca bodies find take2.csv --bodies bodies.toml --out poses.csv
+    """
+    from scenarios.bodies_verbs import find_in
+
+    for line in find_in(tracks, definitions, out, body, tracks_out, fps):
         click.echo(line)
 
 

@@ -1,6 +1,7 @@
-"""What options of the command line may hold."""
+"""Options that several verbs have, and what options may hold."""
 
 import math
+from pathlib import Path
 from typing import Any
 
 import click
@@ -17,4 +18,15 @@ class Number(click.FloatRange):
         return number
 
 
+FILE = click.Path(path_type=Path)
+LAG = click.option(
+    "--lag", type=int, metavar="FRAMES", help="smooth each position with so many frames after it"
+)
+SET = click.option(
+    "--set",
+    "overrides",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="change a setting, e.g. detection.contrast_dn=10",
+)
 POSITIVE = Number(min=0, min_open=True)

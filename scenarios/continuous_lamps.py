@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mosca.data.lamp_codes import lamp_bits
 from mosca.data.rig import Pose
 from mosca.errors import InputError
 from scenarios.spec_cameras import CameraSpec
@@ -34,13 +35,17 @@ def rider_pose(own: CameraSpec) -> Pose:
 def worn_lamps(spec: Scenario) -> tuple[BodyLamp, ...]:
     """Return the lamps of the scenario's worn cameras."""
     from twin.scenes.actor import BodyLamp
+    from twin.scenes.target_lamps import in_step
 
     lamps = []
     for own in spec.camera:
         if own.lamp_m is not None:
             assert own.body is not None
             x, y, z = rider_pose(own).transform(np.array([own.lamp_m]))[0].tolist()
-            lamps.append(BodyLamp(LAMP + own.name, own.body, (x, y, z), own.lamp_diameter_m))
+            blink = None
+            if own.lamp_number is not None:
+                blink = in_step(lamp_bits(own.lamp_number), spec.capture.frame_rate_hz)
+            lamps.append(BodyLamp(LAMP + own.name, own.body, (x, y, z), own.lamp_diameter_m, blink))
     return tuple(lamps)
 
 

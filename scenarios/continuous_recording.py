@@ -13,15 +13,17 @@ import numpy as np
 from mosca.continuous.estimate import ContinuousSettings
 from mosca.continuous.gather import GatherSettings
 from mosca.continuous.gather_solve import Reconstructed, reconstruct
+from mosca.continuous.gather_worn import reconstruct_worn
 from mosca.data.arrays import Array
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
 from mosca.data.rig_file import read_rig
 from mosca.data.whole_file import whole_file
 from mosca.errors import InputError
-from mosca.formats.tracks_file import SUFFIXES, write_tracks
+from mosca.formats.tracks_file import check_tracks_file, write_tracks
 from mosca.recording import McapRecording, open_recording
 from scenarios.cameras import overlap_of
+from scenarios.continuous_lamp_file import read_lamps
 from scenarios.continuous_run import clock_line, record_clocks
 from scenarios.interrupt import between_steps
 from scenarios.reconstruct import reconstruct_settings, reconstruct_spec, recorded_backgrounds
@@ -34,12 +36,14 @@ HIGHEST_RATE_HZ = 10_000.0
 class ContinuousOptions:
     """``rate_hz``: of the grid; None: the fastest camera's. ``clocks``: see ``GatherSettings``. ``search_s``: by how
     much cameras with clocks of their own may have been started apart. ``limbs``: whether constant distances are used.
+    ``worn``: file of the lamps that cameras on limbs carry; the rig's poses then count for those that it names.
     """
 
     rate_hz: float | None = None
     clocks: Literal["auto", "common", "own"] = "auto"
     search_s: float = 10.0
     limbs: bool = True
+    worn: Path | None = None
 
 
 def reconstruct_continuous(
@@ -57,13 +61,15 @@ def reconstruct_continuous(
     The grid begins at the first instant of which an image point tells; times are the first camera's stamps.
     """
     options = ContinuousOptions() if options is None else options
-    _check_out(out)
+    check_tracks_file(out)
     if options.rate_hz is not None and not 0.0 < options.rate_hz <= HIGHEST_RATE_HZ:
         raise InputError(f"--rate {options.rate_hz:g}: above 0 and at most {HIGHEST_RATE_HZ:g} Hz is allowed")
     if not 0.0 < options.search_s <= 3600.0:
         raise InputError(f"--search {options.search_s:g}: above 0 and at most 3600 s is allowed")
     rig = read_rig(rig_path)
-    check_overlap(rig, rig_path)
+    lamps = None if options.worn is None else read_lamps(options.worn, rig)
+    if lamps is None:
+        check_overlap(rig, rig_path)
     spec = reconstruct_spec(settings_path, overrides)
     pipeline = reconstruct_settings(spec, settings_path)
     backgrounds = recorded_backgrounds(recording, rig, fps, spec.background)
@@ -81,14 +87,14 @@ def reconstruct_continuous(
             if progress is not None:
                 progress(done, done)
 
-        found = reconstruct(
-            source,
-            rig,
-            GatherSettings(pipeline, options.clocks, options.search_s),
-            ContinuousSettings(clocks="known", limbs=options.limbs),
-            backgrounds,
-            attend,
-        )
+        gathering = GatherSettings(pipeline, options.clocks, options.search_s)
+        wanted = ContinuousSettings(clocks="known", limbs=options.limbs)
+        if lamps is None:
+            found = reconstruct(source, rig, gathering, wanted, backgrounds, attend)
+        else:
+            found = reconstruct_worn(
+                source, rig, *lamps, gathering, wanted, backgrounds, attend
+            ).reconstructed
     rate = options.rate_hz or max(1.0 / one.period_s for one in found.gathered.seen)
     tracks = found.tracks(grid_ns(found, rate))
     write_tracks(tracks, out, rate)
@@ -103,9 +109,22 @@ def reconstruct_continuous(
         f"{out}, {measured} of them "
         "measured, the others filled",
         f"reprojection error {found.residual_rms_px():.3f} px rms",
-        *(f"{one.camera} {clock_line(one)}" for one in found.clocks[1:]),
+        *(f"{one.camera} {clock_line(one)}" for one in found.clocks[1:] if lamps is None),
         f"clocks in {clocks}",
+        *_without_stamps(recording, fps, options),
         *found.findings,
+    ]
+
+
+def _without_stamps(recording: Path, fps: float | None, options: ContinuousOptions) -> list[str]:
+    """Return a line where frames have no stamps of their own: what is taken for granted then."""
+    if fps is None or options.clocks == "own" or not recording.is_dir():
+        return []
+    if any((recording / name).exists() for name in ("frames.csv", "recording.mcap")):
+        return []
+    return [
+        f"no frames.csv gives stamps: frames are taken to be 1/{fps:g} s apart and all cameras to have begun "
+        "together; if they did not, say --clocks own"
     ]
 
 
@@ -124,10 +143,3 @@ def check_overlap(rig: Rig, path: Path) -> None:
                 f"{path}: camera '{camera.name}' sees nothing that another camera sees; check its pose "
                 "(world_from_camera, z forward, m), or leave it out of the rig file"
             )
-
-
-def _check_out(out: Path) -> None:
-    if out.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{out}: suffix '{out.suffix}' given; {', '.join(SUFFIXES)} are allowed")
-    if not out.resolve().parent.is_dir():
-        raise InputError(f"{out}: no folder {out.parent}; make it first")

@@ -11,12 +11,14 @@ from mosca.assemble import Assembly
 from mosca.continuous.estimate import ContinuousSettings
 from mosca.continuous.gather import GatherSettings
 from mosca.continuous.gather_solve import CameraClock, Reconstructed, reconstruct
+from mosca.continuous.gather_worn import Worn, reconstruct_worn
 from mosca.data.arrays import Array
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
 from mosca.data.truth import Truth
 from mosca.pipeline import PipelineSettings
+from reports.evidence import Evidence
 from scenarios.account import Collected
 from scenarios.score import Matched, Score, pair
 from scenarios.spec import Scenario
@@ -48,7 +50,7 @@ def collect_continuous(
     settings: PipelineSettings,
     spec: Scenario,
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[Collected, Reconstructed]:
+) -> tuple[Collected, Reconstructed | Worn]:
     """Run ``mosca.continuous`` on a source's frames; tracks at the pulses' instants."""
     assert spec.continuous is not None
     begin = time.perf_counter()
@@ -57,19 +59,25 @@ def collect_continuous(
         if progress is not None:
             progress(done, max(done, spec.capture.pulses * len(rig.cameras)))
 
-    found = reconstruct(
-        source,
-        rig,
-        gather_settings(spec.continuous, settings),
-        continuous_settings(spec.continuous),
-        attend=attend,
-    )
+    gathering, wanted = gather_settings(spec.continuous, settings), continuous_settings(spec.continuous)
+    worn: Worn | None = None
+    if spec.continuous.moving:
+        from scenarios.continuous_limbs import limb_notes, worn_lamps_of
+
+        known, lamps = worn_lamps_of(spec, rig)
+        worn = reconstruct_worn(source, rig, known, lamps, gathering, wanted, attend=attend)
+        found = worn.reconstructed
+    else:
+        found = reconstruct(source, rig, gathering, wanted, attend=attend)
     tracks = found.tracks(pulses_ns(spec))
     assembly = Assembly(frames=sum(found.gathered.count.frames.values()))
     assembly.notes.update({f"continuous {k + 1}": line for k, line in enumerate(found.findings)})
-    assembly.notes.update({f"clock {one.camera}": clock_line(one) for one in found.clocks[1:]})
+    if worn is None:
+        assembly.notes.update({f"clock {one.camera}": clock_line(one) for one in found.clocks[1:]})
+    else:
+        assembly.notes.update(limb_notes(worn))
     seconds = {"continuous": time.perf_counter() - begin, "estimate": float(found.estimated.seconds)}
-    return Collected(tracks, (), -1, assembly, seconds, {}), found
+    return Collected(tracks, (), -1, assembly, seconds, {}), found if worn is None else worn
 
 
 def clock_line(clock: CameraClock) -> str:
@@ -134,10 +142,14 @@ def _line(clock: CameraClock, first_ns: int, stamp_ns: Array, true_ns: Array) ->
 
 
 def scored_apart(
-    spec: Scenario, collected: Collected, found: Reconstructed, truth: Truth, scene: Scene | None
+    spec: Scenario, collected: Collected, found: Reconstructed | Worn, truth: Truth, scene: Scene | None
 ) -> tuple[Collected, Truth, dict[str, Score]]:
     """Return what is left to be scored as all runs are, and the scores of clocks and, where they are worn, lamps."""
     assert spec.continuous is not None
+    if isinstance(found, Worn):
+        from scenarios.continuous_limbs import scored_limbs
+
+        return scored_limbs(spec, collected, found, truth, scene)
     scores = clock_scores(found, truth)
     if spec.continuous.worn_on is None or scene is None:
         return collected, truth, scores
@@ -151,6 +163,25 @@ def scored_apart(
         replace(collected, tracks=tracks),
         truth,
         scores | lamp_scores(found.gathered.seen, found.rig, places),
+    )
+
+
+def as_worn(evidence: Evidence, spec: Scenario, found: Reconstructed | Worn) -> Evidence:
+    """Return what the page shows in the frame of the body that cameras are worn on, where they are.
+
+    Cameras that move are drawn as they are in the middle of the recording.
+    """
+    assert spec.continuous is not None
+    if spec.continuous.worn_on is None:
+        return evidence
+    rig = evidence.rig
+    if isinstance(found, Worn):
+        from scenarios.continuous_limbs import rig_in_the_middle
+
+        rig = rig_in_the_middle(found)
+    reach = spec.continuous.reach_m
+    return replace(
+        evidence, rig=rig, working_space_center=np.zeros(3), working_space_size=np.full(3, 2.0 * reach)
     )
 
 

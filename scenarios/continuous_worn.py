@@ -28,22 +28,39 @@ NEAR_PX = 2.0
 
 
 def worn_cameras(spec: Scenario, cameras: tuple[VirtualCamera, ...]) -> tuple[VirtualCamera, ...]:
-    """Return the cameras that ride on the body that they film; InputError where there are fewer than two."""
+    """Return the cameras that ride on the body ``worn_on``, with ``moving`` then those on others that film it too.
+
+    InputError where fewer than two ride on the body itself.
+    """
     assert spec.continuous is not None
     body = spec.continuous.worn_on
     worn = tuple(v for v in cameras if v.mount.body == body)
+    others = tuple(v for v in cameras if v.mount.body not in (None, body)) if spec.continuous.moving else ()
     if len(worn) < 2:
         raise InputError(
             f"continuous.worn_on = '{body}': {len(worn)} [[camera]] tables have body = '{body}'; two at "
             "least are wanted"
         )
-    return worn
+    return worn + others
 
 
 def worn_rig(spec: Scenario, worn: tuple[VirtualCamera, ...]) -> Calibrated:
-    """Return the rig in the body's frame, the pipeline's lens model fitted to the true lenses' rays."""
+    """Return the rig in the body's frame, the pipeline's lens model fitted to the true lenses' rays.
+
+    Cameras on other bodies have no pose that anybody knows.
+    """
     assert spec.continuous is not None
-    return fitted_cameras(spec, worn, 0.5 * spec.continuous.reach_m)
+    found = fitted_cameras(spec, worn, 0.5 * spec.continuous.reach_m)
+    if not spec.continuous.moving:
+        return found
+    from scenarios.continuous_limbs import without_poses
+
+    return replace(
+        found,
+        rig=without_poses(
+            found.rig, {v.camera.name for v in worn if v.mount.body == spec.continuous.worn_on}
+        ),
+    )
 
 
 def worn_settings(spec: Scenario) -> PipelineSettings:

@@ -8,7 +8,7 @@ from mosca.data.tracks import Tracks
 from mosca.data.whole_file import check_writable
 from mosca.errors import InputError
 from mosca.formats.model_file import read_model, write_model
-from mosca.formats.tracks_file import SUFFIXES, write_tracks
+from mosca.formats.tracks_file import check_tracks_file, write_tracks
 from mosca.formats.tracks_read import read_tracks
 from mosca.label import label_tracks
 from mosca.label_model import learn_model
@@ -27,7 +27,7 @@ def learn_from(
     check_writable(out)
     tracks = read_tracks(path)
     if frames is not None:
-        tracks = _between(tracks, frames)
+        tracks = between(tracks, frames)
     if names:
         tracks = _named(tracks, names, path)
     elif not (tracks.label != "").any():
@@ -61,13 +61,6 @@ def apply_to(path: Path, model_path: Path, out: Path, fps: float | None) -> list
     return told
 
 
-def check_tracks_file(out: Path) -> None:
-    """Raise InputError where ``out`` is no file for tracks; ask before long work, not after it."""
-    if out.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{out}: suffix '{out.suffix}' given; {', '.join(SUFFIXES)} are allowed")
-    check_writable(out)
-
-
 def rate_of(tracks: Tracks, fps: float | None, path: Path) -> float:
     """Return the frame rate [Hz]: what is given, else what the samples' times say."""
     if fps is not None:
@@ -79,7 +72,8 @@ def rate_of(tracks: Tracks, fps: float | None, path: Path) -> float:
     return float((frames[-1] - frames[0]) * 1e9 / (times[-1] - times[0]))
 
 
-def _between(tracks: Tracks, frames: str) -> Tracks:
+def between(tracks: Tracks, frames: str) -> Tracks:
+    """Return the samples of the frames ``FIRST:LAST``, ends included; InputError where that is none."""
     first, colon, last = frames.partition(":")
     if not colon or not first.isdecimal() or not last.isdecimal() or int(first) > int(last):
         raise InputError(f"--frames {frames}: FIRST:LAST is wanted, for example --frames 100:400")

@@ -79,9 +79,8 @@ def run_request(request: LiveRequest, told: Callable[[str], None]) -> list[str]:
         raise InputError(
             f"{request.record}: suffix '{request.record.suffix}' given; a record is a .json file"
         )
-    for path in (request.out, request.record):
-        if path is not None:
-            check_writable(path)
+    if request.record is not None:
+        check_writable(request.record)
     smoother = None if request.lag is None else FixedLag(LagSettings(lag=request.lag))
     with ExitStack() as stack:
         log = None if request.out is None else stack.enter_context(_log(request.out, stack))

@@ -14,7 +14,7 @@ from mosca.data.rig_file import read_rig
 from mosca.data.toml import Table, check, read_toml
 from mosca.detect import mean_background, minimum_background
 from mosca.errors import InputError
-from mosca.formats.tracks_file import SUFFIXES, write_tracks
+from mosca.formats.tracks_file import check_tracks_file, write_tracks
 from mosca.pipeline import PipelineSettings, check_source, run, run_seen
 from mosca.recording import McapRecording, open_recording
 from scenarios.build import stage_settings
@@ -74,10 +74,7 @@ def reconstruct_recording(
 
     ``finish``: what is done with the tracks besides: smoothed on the way, labelled, their gaps filled.
     """
-    if out.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{out}: suffix '{out.suffix}' given; {', '.join(SUFFIXES)} are allowed")
-    if not out.resolve().parent.is_dir():
-        raise InputError(f"{out}: no folder {out.parent}; make it first")
+    check_tracks_file(out)
     finisher = Finisher(finish)
     rig = read_rig(rig_path)
     if not any(overlap_of(a, b) for a in rig.cameras for b in rig.cameras if a is not b):

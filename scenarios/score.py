@@ -69,11 +69,17 @@ class Score:
     weights: tuple[float, ...] = ()
 
 
-def pair(tracks: Tracks, truth: Truth, working_space_m: float) -> Matched:
+def pair(
+    tracks: Tracks,
+    truth: Truth,
+    working_space_m: float,
+    calibration: Callable[[Array], Array] | None = None,
+) -> Matched:
     """Pair measured samples with true markers, frame by frame.
 
     ``working_space_m``: the longest edge of the working space [m]. A sample whose time is farther than half
-    a period from every true instant is a ghost of the nearest one.
+    a period from every true instant is a ghost of the nearest one. ``calibration``: the covariance (n, 3, 3) [m^2]
+    that an estimated calibration's own error gives to points (n, 3) [m]; the error is held against the sum.
     """
     measured = tracks.select(np.asarray(tracks.status) == "measured")
     frames = len(truth.time_ns)
@@ -86,9 +92,11 @@ def pair(tracks: Tracks, truth: Truth, working_space_m: float) -> Matched:
     ghosts, missed, gate = np.zeros(frames, int), np.zeros(frames, int), np.zeros(frames)
     for f in range(frames):
         rows = order[starts[f] : starts[f + 1]]
-        gate[f] = _gate(truth.xyz[f], working_space_m)
+        known = np.flatnonzero(np.isfinite(truth.xyz[f]).all(axis=1))
+        gate[f] = _gate(truth.xyz[f, known], working_space_m)
         usable = rows[in_time[rows]]
-        mine, theirs = _assign(measured.xyz[usable], truth.xyz[f], gate[f])
+        mine, theirs = _assign(measured.xyz[usable], truth.xyz[f, known], gate[f])
+        theirs = known[theirs]
         ghosts[f] = len(rows) - len(mine)
         missed[f] = seen_mask[f].sum() - seen_mask[f, theirs].sum()
         rows_of_pairs.append(usable[mine])
@@ -100,6 +108,8 @@ def pair(tracks: Tracks, truth: Truth, working_space_m: float) -> Matched:
     )
     error = measured.xyz[rows] - truth.xyz[frame, marker]
     covariance = measured.covariance[rows]
+    if calibration is not None:
+        covariance = covariance + calibration(measured.xyz[rows])
     nees = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
     return Matched(
         frame, marker, measured.track[rows], error, nees, measured.residual_px[rows], measured.n_cameras[rows],

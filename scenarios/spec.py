@@ -53,6 +53,14 @@ METRICS = {
     "over_synchronous": ("1", "at_most"),
     "lamps_found": ("1", "at_least"),
     "lamp_px": ("px", "at_most"),
+    "camera_position_rms": ("m", "at_most"),
+    "camera_angle_rms": ("rad", "at_most"),
+    "length_rms": ("m", "at_most"),
+    "length_max": ("m", "at_most"),
+    "rigidity_rms": ("m", "at_most"),
+    "static_noise": ("m", "at_most"),
+    "latency_p99": ("s", "at_most"),
+    "frame_rate": ("1/s", "at_least"),
 }
 """Metrics that a scenario can limit: unit, and whether the limit is an upper or a lower one."""
 
@@ -164,6 +172,9 @@ class DetectionSpec(Table):
     dilation_px: int | None = Field(
         None, ge=0, le=2, description="how far the centroid's mask reaches beyond the target [px]"
     )
+    split_pairs: bool | None = Field(
+        None, description="true: targets that touch are fitted together; 0.1 to 0.5 ms a pair"
+    )
     read_noise_dn: NotNegative | None = Field(
         None, description="noise of a dark pixel, standard deviation, 8-bit counts"
     )
@@ -234,6 +245,19 @@ class Premises(Table):
     views: NotNegative = Field(2.0, description="mean number of cameras that see a marker, at least")
 
 
+class LengthSpec(Table):
+    """A certified length that is seen: a scale bar, two balls of a wand. It is measured without any truth."""
+
+    name: str = Field(min_length=1)
+    length_m: Positive = Field(description="distance of its two markers' centres [m]")
+    within: Annotated[float, Field(gt=0, lt=0.5)] = Field(
+        0.02, description="share by which two markers' distance may differ and still be taken for it"
+    )
+    markers: tuple[str, str] | None = Field(
+        None, description="labels of its two markers; default: the two that stay so far apart"
+    )
+
+
 class Scenario(Table):
     """One scenario: what moves, what looks, what is wrong, and what is claimed."""
 
@@ -274,6 +298,9 @@ class Scenario(Table):
     fault: FaultSpec | None = None
     pipeline: PipelineSpec = PipelineSpec()
     continuous: ContinuousSpec | None = Field(None, description="cameras that are not synchronised")
+    length: tuple[LengthSpec, ...] = Field(
+        (), description="certified lengths that are seen, for length_rms and length_max; [[length]]"
+    )
     premises: Premises = Premises()
     limits: dict[str, float] = Field({}, description="metric = limit; " + ", ".join(METRICS))
 
@@ -297,6 +324,13 @@ class Scenario(Table):
             raise ValueError("[limits] is empty: a scenario without a limit claims nothing; add one")
         if self.zone:
             _check_zones(self)
+        for name in ("length_rms", "length_max"):
+            if name in self.limits and not self.length:
+                raise ValueError(
+                    f"limits.{name} needs a [[length]] that is seen; add one, or take the limit away"
+                )
+        if "rigidity_rms" in self.limits and not self.pipeline.bodies:
+            raise ValueError("limits.rigidity_rms needs rigid bodies; set pipeline.bodies = true")
         missing = [name for name in self.fails_on if name not in self.limits]
         if missing:
             raise ValueError(f"fails_on names '{missing[0]}', which has no limit in [limits]; give it one")

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from mosca.data.toml import NotNegative, Positive, Table
 
-FIELD_ONLY = {"markers", "layout", "relief", "stands", "shift", "tilt_deg"}
+FIELD_ONLY = {"markers", "layout", "relief", "stands", "shift", "tilt_deg", "world_frames"}
 
 
 class WrongSizeFault(Table):
@@ -71,6 +71,9 @@ class CalibrationSpec(Table):
     shift: NotNegative = Field(0.2, description="how far from the first stand, share of the field's edges")
     tilt_deg: NotNegative = Field(15.0, le=60, description="how far it leans there at most")
     frames: int = Field(20, ge=1, le=5000, description="exposures (of a field: at each stand)")
+    world_frames: int = Field(
+        0, ge=0, le=5000, description="exposures of a field at the first stand, which is the world, if more"
+    )
     rate_hz: Positive = Field(
         10.0, le=2000, description="exposures a second; a target that is carried must move between them [Hz]"
     )

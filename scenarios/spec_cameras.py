@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from mosca.data.lamp_codes import LAMP_NUMBERS
 from mosca.data.toml import NotNegative, Positive, Table, Vector
 
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -174,6 +175,10 @@ class CameraSpec(Table):
         description="where a new camera's LED sits, its own axes (right, down, ahead) [m]; default: it carries none",
     )
     lamp_diameter_m: Positive = Field(0.012, description="diameter of the LED's ball [m]")
+    lamp_number: Annotated[int, Field(ge=0, lt=LAMP_NUMBERS)] | None = Field(
+        None,
+        description="number that the LED blinks, a bit for a frame period of the capture; default: always on",
+    )
     window_px: tuple[int, int, int, int] | None = Field(
         None, description="windowed readout: left, top, width, height [px]"
     )
@@ -188,6 +193,7 @@ class CameraSpec(Table):
     def _rides_with_a_lens(self) -> "CameraSpec":
         rider_only = {
             "place_m", "forward", "up", "size_px", "fisheye_deg", "c_mm", "lamp_m", "lamp_diameter_m",
+            "lamp_number",
         } & self.model_fields_set  # fmt: skip
         if self.body is None and rider_only:
             raise ValueError(

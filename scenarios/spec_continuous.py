@@ -4,7 +4,7 @@ estimated.
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from mosca.data.toml import Positive, Table
 
@@ -25,6 +25,11 @@ class ContinuousSpec(Table):
     estimate: Literal["known", "offset", "drift", "rolling"] = Field(
         "drift", description="what is estimated of the clocks besides the trajectories"
     )
+    moving: bool = Field(
+        False,
+        description="worn cameras: those on other bodies film too; their poses, functions of time, come from the "
+        "lamps that the cameras see of each other (lamp_number), and are estimated with the markers",
+    )
     limbs: bool = Field(True, description="whether constant distances are found from the data and used")
     knot_s: Positive | None = Field(
         None,
@@ -39,3 +44,16 @@ class ContinuousSpec(Table):
     reach_m: Positive = Field(
         1.3, description="worn cameras: how far from the body's origin markers can be [m]"
     )
+
+    @model_validator(mode="after")
+    def _worn_where_moving(self) -> "ContinuousSpec":
+        if not self.moving:
+            return self
+        if self.worn_on is None:
+            raise ValueError("moving = true wants worn_on: the body on which two cameras and more ride")
+        if self.clocks == "own" or self.estimate != "known":
+            raise ValueError(
+                f"moving = true with clocks = '{self.clocks}', estimate = '{self.estimate}': worn cameras that "
+                "move are taken to be of one clock; say clocks = 'common' and estimate = 'known'"
+            )
+        return self

@@ -117,7 +117,8 @@ def complaints(outcome: Outcome) -> list[str]:
 def _run_one(path: str, name: str, out: str) -> Outcome:
     """Run one scenario in a worker process."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
-    from scenarios.run import run_scenario, write_run
+    from scenarios.run import run_scenario
+    from scenarios.run_folder import write_run
     from scenarios.spec import load_scenario
 
     start = time.perf_counter()

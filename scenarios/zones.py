@@ -10,7 +10,7 @@ from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
-from mosca.formats.tracks_file import write_tracks
+from mosca.formats.tracks_file import check_tracks_file, write_tracks
 from mosca.formats.tracks_read import read_tracks
 from mosca.health import Health
 from mosca.look import Look, look_ahead
@@ -18,7 +18,7 @@ from mosca.pipeline import PipelineSettings, Step, check_source
 from mosca.zones import stitched
 from mosca.zones_run import Zone, check_zones, of_zones, run_zones
 from scenarios.build import MARGIN
-from scenarios.labels import check_tracks_file, rate_of
+from scenarios.labels import rate_of
 from scenarios.spec import Scenario
 
 
@@ -51,7 +51,9 @@ def zone_steps(
     check_source(source, rig)
     sets = assemble(source, source.cameras, settings.assembly, assembly)
     look = Look(settings.detection, {info.name: info.bit_depth for info in source.cameras})
-    yield from run_zones(look_ahead(look, sets, settings.workers), zones, settings, healths)
+    yield from run_zones(
+        look_ahead(look, sets, settings.workers, settings.split or 1), zones, settings, healths
+    )
 
 
 def tracks_of_all(tracks: Tracks, zones: Sequence[Zone], assembly: Assembly) -> Tracks:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from hardware.commands import ProgramRun, read_program
 from hardware.drivers import open_camera
 from hardware.settings import RigHardware, read_hardware
-from hardware.source import HardwareSource, OpenTrigger
+from hardware.source import HardwareSource, OpenCamera, OpenTrigger
 from hardware.triggers import open_trigger
 from mosca.data.rig import Rig
 from mosca.data.rig_file import read_rig, read_rig_file
@@ -20,9 +20,8 @@ from mosca.errors import InputError
 from mosca.recording import RecordingWriter
 from scenarios.interrupt import between_steps
 from scenarios.lab.intake import Intake
-from scenarios.lab.priority import before_others
+from scenarios.lab.priority import before_others, prompt
 from scenarios.lab.recorder import WAITING_BYTES, Recorder
-from scenarios.lab.stamps import OpenCamera, Tap
 
 if TYPE_CHECKING:
     from mosca.pipeline import PipelineSettings
@@ -98,26 +97,26 @@ def capture(
     hardware = read_hardware(request.rig)
     program = None if request.program is None else read_program(request.program)
     settings = _settings(request)
-    tap = Tap(opener)
     pulses = pulses_of(request, hardware)
     with ExitStack() as stack:
         stack.enter_context(before_others())
-        source = stack.enter_context(HardwareSource(hardware, pulses, tap.open, trigger_opener))
+        source = stack.enter_context(HardwareSource(hardware, pulses, opener, trigger_opener))
         if settings is not None:
             from scenarios.lab.detecting import warm_up
 
             warm_up(source.cameras, settings)
+        stack.enter_context(prompt())
         writer = stack.enter_context(_recording(request, source))
         recorder = Recorder(writer, source.cameras, request.waiting_bytes)
         stack.callback(recorder.close)
-        tap.came = None if request.detections else recorder.came
+        source.came = None if request.detections else recorder.came
         run = None
         if program is not None:
             run = ProgramRun(program, source.session_ns, recorder.tell)
             stack.callback(run.close)
         view = None if settings is None else _view(stack, request, source, settings, recorder)
         looked = settings if request.detections else None
-        intake = Intake(source, tap, recorder, looked, view, request.waiting_bytes)
+        intake = Intake(source, recorder, looked, view, request.waiting_bytes)
         stack.callback(intake.close)
         stopped = _watch(source, intake, recorder, run, lambda done: progress and progress(done, pulses))
         if run is not None:

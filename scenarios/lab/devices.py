@@ -10,8 +10,10 @@ from hardware.settings import DRIVERS, CameraHardware, read_hardware
 Look = Callable[[str, str], Sequence[Device]]
 
 
-def describe_devices(path: Path | None, look: Look = devices) -> list[str]:
-    """Return a line for each device and each driver that cannot look; then one for each camera of the rig file."""
+def describe_devices(path: Path | None, look: Look = devices) -> tuple[list[str], list[str]]:
+    """Return a line for each device and each driver that cannot look, then one for each camera of the rig file; and
+    the names of the rig file's cameras that no driver sees.
+    """
     cameras = {} if path is None else read_hardware(path).cameras
     producers = sorted({settings.producer for settings in cameras.values() if settings.producer})
     asked = [(driver, "") for driver in DRIVERS if driver != "gentl"] + [("gentl", p) for p in producers]
@@ -33,15 +35,16 @@ def describe_devices(path: Path | None, look: Look = devices) -> list[str]:
         lines.append(
             "gentl: looks through a rig file's producers (.cti); name the rig file to see their cameras"
         )
-    return lines + [_found(name, settings, found) for name, settings in cameras.items()]
-
-
-def _found(name: str, settings: CameraHardware, found: Sequence[Device]) -> str:
-    here = [d for d in found if d.driver == settings.driver and _is(settings, d)]
-    wanted = f"serial {settings.serial}" if settings.serial else f"at {settings.address}"
-    if here:
-        return f"camera '{name}': {here[0].model or settings.driver}, {wanted}, is there"
-    return f"camera '{name}': NOT FOUND ({settings.driver}, {wanted}); check its cable, its power and the network"
+    absent = []
+    for name, settings in cameras.items():
+        device = next((d for d in found if d.driver == settings.driver and _is(settings, d)), None)
+        wanted = f"serial {settings.serial}" if settings.serial else f"at {settings.address}"
+        if device is None:
+            absent.append(name)
+            lines.append(f"camera '{name}': NOT FOUND ({settings.driver}, {wanted})")
+        else:
+            lines.append(f"camera '{name}': {device.model or settings.driver}, {wanted}, is there")
+    return lines, absent
 
 
 def _is(settings: CameraHardware, device: Device) -> bool:

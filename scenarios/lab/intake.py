@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from hardware.driver import Grabbed
 from hardware.source import HardwareSource
 from mosca.assemble import Assembly
 from mosca.data.frames import Frame
 from scenarios.lab.recorder import Lost, Recorder
-from scenarios.lab.stamps import Tap
 from scenarios.sources import PassedOn
 
 if TYPE_CHECKING:
@@ -46,7 +46,6 @@ class Intake:
     def __init__(
         self,
         source: HardwareSource,
-        tap: Tap,
         recorder: Recorder,
         settings: "PipelineSettings | None",
         view: "LiveView | None",
@@ -55,7 +54,7 @@ class Intake:
         self.cameras = {info.name: Seen() for info in source.cameras}
         self.assembly = Assembly()
         self.lost = recorder.lost if settings is None else Lost()
-        self._source, self._tap, self._recorder = source, tap, recorder
+        self._source, self._recorder = source, recorder
         self._settings, self._view = settings, view
         set_bytes = sum(info.image_bytes for info in source.cameras)
         self._queued = min(max(waiting_bytes // set_bytes, FEWEST_WAITING), MOST_WAITING)
@@ -104,8 +103,9 @@ class Intake:
     def _run(self) -> None:
         try:
             if self._settings is None:
-                for frame in self._source:
-                    kept = self._recorder.take(frame, self._see(frame))
+                for frame, buffer in self._source.with_buffers():
+                    self._see(frame, buffer)
+                    kept = self._recorder.take(frame, buffer.host_ns)
                     self.cameras[frame.camera].left_out += not kept and frame.image is not None
             else:
                 self._detect(self._settings)
@@ -125,8 +125,8 @@ class Intake:
                 arrived = {n: self._arrivals.pop((n, f.index), 0) for n, f in frame_set.frames.items()}
             self._recorder.take_set(frame_set, detections, {n: t for n, t in arrived.items() if t})
 
-    def _see(self, frame: Frame) -> int | None:
-        """Count ``frame``, keep its stamps, offer it to the view; return its arrival [ns]."""
+    def _see(self, frame: Frame, buffer: Grabbed) -> None:
+        """Count ``frame``, keep its buffer's stamps, offer it to the view."""
         seen = self.cameras[frame.camera]
         seen.whole += frame.image is not None
         seen.failed += frame.image is None
@@ -135,32 +135,28 @@ class Intake:
         seen.last = max(seen.last, pulse)
         if self._view is not None:
             self._view.offer(frame)
-        stamp = self._tap.of(frame)
-        if stamp is None:
-            return None
         with self._guard:
             kept = self._stamps.setdefault(
                 frame.camera, {"index": [], "block": [], "device_ns": [], "host_ns": []}
             )
             kept["index"].append(frame.index)
-            kept["block"].append(stamp.block_id)
-            kept["device_ns"].append(stamp.device_ns)
-            kept["host_ns"].append(stamp.host_ns)
+            kept["block"].append(buffer.block_id)
+            kept["device_ns"].append(buffer.device_ns)
+            kept["host_ns"].append(buffer.host_ns)
             if self._settings is not None:
-                self._arrivals[frame.camera, frame.index] = stamp.host_ns
+                self._arrivals[frame.camera, frame.index] = buffer.host_ns
                 if len(self._arrivals) > REMEMBERED_FRAMES:
                     self._arrivals.popitem(last=False)
-        return stamp.host_ns
 
 
 class _Watched(PassedOn):
     """A source that shows each frame to ``see`` on its way."""
 
-    def __init__(self, source: HardwareSource, see: Callable[[Frame], object]) -> None:
+    def __init__(self, source: HardwareSource, see: Callable[[Frame, Grabbed], object]) -> None:
         super().__init__(source)
-        self._see = see
+        self._rig, self._see = source, see
 
     def __iter__(self) -> Iterator[Frame]:
-        for frame in self._source:
-            self._see(frame)
+        for frame, buffer in self._rig.with_buffers():
+            self._see(frame, buffer)
             yield frame

@@ -6,9 +6,7 @@ recording is behind it takes nothing. The viewer is a process of its own that re
 """
 
 import os
-import shutil
 import statistics
-import sys
 import tempfile
 import threading
 import time
@@ -26,6 +24,7 @@ from mosca.pipeline import MOST_DETECTIONS, PipelineSettings
 from mosca.refine import NOTHING
 from mosca.triangulate import bundle_rays
 from reports.viewer import RerunLog
+from reports.viewer_program import viewer_program
 
 SHOWN_HZ = 10.0
 LEAST_REST_S = 0.05
@@ -139,13 +138,9 @@ def log_in_viewer(rig: Rig, arguments: Sequence[str] = ("--port", "auto", "--bin
 
     ``arguments``: for the viewer; tests have it save what it gets. InputError where there is no viewer, or no pipes.
     """
-    beside = Path(sys.executable).parent / "rerun"
-    program = str(beside) if beside.is_file() else shutil.which("rerun")
-    if program is None or not hasattr(os, "mkfifo"):
-        why = (
-            "its program 'rerun' is not there; run: pip install rerun-sdk" if program is None else "no pipes"
-        )
-        raise InputError(f"--view: the Rerun viewer cannot be started ({why})")
+    program = viewer_program("--view")
+    if not hasattr(os, "mkfifo"):
+        raise InputError("--view: the Rerun viewer cannot be started (no pipes)")
     with tempfile.TemporaryDirectory(prefix="mosca-view-") as folder:
         pipe = Path(folder) / "view.rrd"
         os.mkfifo(pipe)
@@ -154,9 +149,11 @@ def log_in_viewer(rig: Rig, arguments: Sequence[str] = ("--port", "auto", "--bin
         reading = os.open(pipe, os.O_RDONLY)
         try:
             viewer = _started((program, "-", *arguments), reading)
-            time.sleep(VIEWER_STARTS_S)
-            if os.waitpid(viewer, os.WNOHANG)[0]:
-                raise InputError("--view: the Rerun viewer ended at once; is there a display?")
+            until = time.monotonic() + VIEWER_STARTS_S
+            while time.monotonic() < until:
+                if os.waitpid(viewer, os.WNOHANG)[0]:
+                    raise InputError("--view: the Rerun viewer ended at once; is there a display?")
+                time.sleep(0.02)
             return RerunLog(pipe, rig)
         finally:
             os.close(reading)

@@ -9,15 +9,16 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from hardware.transport.sender import Sender
 from mosca.data.frames import Frame, FrameSource, mid_exposure_ns
 from mosca.detect import DetectionSettings, detect_and_learn
-from mosca.look import BEHIND
-from mosca.refine import NOTHING, Learned
+from mosca.look import Lessons
+from scenarios.lab.priority import before_others, prompt
+from scenarios.lab.station_background import Backgrounds
 
 BACKLOG_S, LEAST_BACKLOG = 1.0, 12
 """How long, and how many frames a camera, may wait to be looked at; then the oldest is left out. A rig holds its
@@ -107,20 +108,6 @@ class PulseCount:
 
 
 @dataclass
-class Lessons:
-    """What one camera's frames have taught, used ``BEHIND`` pulses later as in ``mosca.look``."""
-
-    learned: Learned = NOTHING
-    waiting: deque[tuple[int, Learned]] = field(default_factory=deque)
-
-    def at(self, pulse: int) -> Learned:
-        """Return what is known when ``pulse`` is looked at; pulses rise."""
-        while self.waiting and self.waiting[0][0] <= pulse - BEHIND:
-            self.learned = self.learned.plus(self.waiting.popleft()[1])
-        return self.learned
-
-
-@dataclass
 class StationTotals:
     """What a station did: ``frames`` came, ``detected`` were looked at, ``targets`` were found in them."""
 
@@ -137,16 +124,30 @@ def run_station(
     arrival_ns: Callable[[Frame], int] | None = None,
     every: Callable[[], bool] = lambda: True,
     end: Callable[[], None] = lambda: None,
+    backgrounds: Backgrounds | None = None,
 ) -> StationTotals:
     """Detect and send until the source ends or ``every``, called between frames, returns False.
 
-    ``arrival_ns``: when a frame was there, by the sender's clock. ``end`` makes the source end. Closes source and
-    sender; the others are told when the source fails.
+    ``arrival_ns``: when a frame was there, by the sender's clock. ``end`` makes the source end. ``backgrounds``: what
+    is taken off the images. Closes source and sender; the others are told when the source fails.
     """
+    with before_others(), prompt():
+        return _run(source, sender, settings, arrival_ns, every, end, backgrounds or Backgrounds())
+
+
+def _run(
+    source: FrameSource,
+    sender: Sender,
+    settings: DetectionSettings,
+    arrival_ns: Callable[[Frame], int] | None,
+    every: Callable[[], bool],
+    end: Callable[[], None],
+    backgrounds: Backgrounds,
+) -> StationTotals:
     totals = StationTotals()
     infos = {info.name: info for info in source.cameras}
     count = PulseCount(source.cameras[0].frame_rate_hz)
-    lessons = {name: Lessons() for name in infos}
+    lessons = {name: Lessons(name) for name in infos}
     for depth in {info.bit_depth for info in source.cameras}:
         _warm(settings, depth)
     arrivals = Arrivals(source, arrival_ns or (lambda frame: sender.now_ns()), end)
@@ -161,6 +162,8 @@ def run_station(
                 sender.say("running")
             totals.frames += 1
             pulse = count.of(frame)
+            if backgrounds.takes(frame):
+                continue
             place = (frame.camera, pulse, mid_exposure_ns(frame), frame.exposure_ns, arrived_ns)
             if frame.image is None:
                 sender.send(*place, None, "corrupt" if frame.status == "corrupt" else "no frame")
@@ -172,9 +175,14 @@ def run_station(
                 own = lessons[frame.camera]
                 depth = infos[frame.camera].bit_depth
                 (found,), new = detect_and_learn(
-                    [frame.image], [frame.camera], settings, depth, learned=own.at(pulse)
+                    [frame.image],
+                    [frame.camera],
+                    settings,
+                    depth,
+                    [backgrounds.of(frame.camera)],
+                    learned=own.at(pulse),
                 )
-                own.waiting.append((pulse, new))
+                own.add(pulse, new)
                 sender.send(*place, found)
                 totals.detected += 1
                 totals.targets += len(found)

@@ -12,7 +12,6 @@ from hardware.transport.sender import Sender
 from hardware.trigger import Trigger
 from hardware.triggers import open_trigger
 from mosca.data.frames import Frame, FrameSource
-from scenarios.lab.stamps import Tap
 from scenarios.sources import PassedOn
 
 WAIT_S = 0.1
@@ -49,6 +48,11 @@ class Paced(PassedOn):
             if self.gate.left:
                 return
             yield frame
+
+    def arrival_ns(self, frame: Frame) -> int:
+        """Return when the frame was due, by the station's clock: a busy machine that plays it late counts alike."""
+        assert self.gate.station.start_ns is not None
+        return self.gate.station.start_ns + frame.time_ns
 
     def stop(self) -> None:
         """End at once; may be called from another thread."""
@@ -119,20 +123,25 @@ class RigOfStation(PassedOn):
     def __init__(
         self, rig: RigHardware, opener: OpenCamera = open_camera, trigger_opener: OpenTrigger = open_trigger
     ) -> None:
-        self.gate, self._tap = StartGate(trigger_opener), Tap(opener)
-        self.hardware = HardwareSource(rig, opener=self._tap.open, trigger_opener=self.gate.open)
+        self.gate = StartGate(trigger_opener)
+        self.hardware = HardwareSource(rig, opener=opener, trigger_opener=self.gate.open)
         super().__init__(self.hardware)
         self._told = 0
+        self._latest: tuple[Frame, int] | None = None
 
     def __iter__(self) -> Iterator[Frame]:
         if self.hardware.rig.shared.trigger.source == "master" and not self.gate.hold():
             return
-        yield from self.hardware
+        for frame, buffer in self.hardware.with_buffers():
+            self._latest = frame, buffer.host_ns
+            yield frame
 
     def arrival_ns(self, frame: Frame) -> int:
-        """Return when the frame's buffer was whole."""
-        stamp = self._tap.of(frame)
-        return time.monotonic_ns() if stamp is None else stamp.host_ns
+        """Return when the buffer was whole of the frame that was yielded last."""
+        assert self._latest is not None
+        latest, host_ns = self._latest
+        assert latest is frame
+        return host_ns
 
     def tell(self, sender: Sender) -> None:
         """Pass on what happened to the devices since the last time."""

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -17,14 +18,15 @@ from hardware.transport.transport import check_station, check_stations
 from mosca.data.rig_file import read_rig, read_rig_file
 from mosca.data.toml import check
 from mosca.data.tracks import Samples, table
-from mosca.formats.tracks_file import write_tracks
+from mosca.formats.tracks_file import check_tracks_file, write_tracks
 from mosca.recording import open_recording
 from scenarios.interrupt import first_ctrl_c
 from scenarios.lab.merge import Delays, account_lines, all_whole, calibrated_rig, run_merged
+from scenarios.lab.priority import before_others, prompt
 from scenarios.lab.station import run_station
+from scenarios.lab.station_background import Backgrounds
 from scenarios.lab.station_source import Paced, RigOfStation
-from scenarios.labels import check_tracks_file
-from scenarios.reconstruct import live_spec, reconstruct_settings
+from scenarios.reconstruct import reconstruct_settings, reconstruct_spec, recorded_backgrounds
 from scenarios.sources import Chosen
 
 RIGS_S = 15.0
@@ -44,34 +46,40 @@ def detect_on_station(
 ) -> list[str]:
     """Run a detecting station until its source ends, ``seconds`` are over, or Ctrl-C; return what to tell."""
     check_station(name)
-    detection = reconstruct_settings(live_spec(settings_path, overrides), settings_path).detection
+    spec = reconstruct_spec(settings_path, overrides)
+    detection = reconstruct_settings(spec, settings_path).detection
     names = tuple(table.name for table in read_rig_file(rig).camera)
     text = rig.read_text(encoding="utf-8")
     devices: RigOfStation | None = None
     if recording is None:
         devices = RigOfStation(read_hardware(rig))
         source: RigOfStation | Paced = devices
+        backgrounds = Backgrounds(spec.background, told=told)
     else:
-        source = Paced(Chosen(open_recording(recording, read_rig(rig), fps), names))
-    try:
-        transport = open_transport(connect)
-        sender = Sender(transport, name, source.cameras, text)
-    except BaseException:
-        source.close()
-        raise
-    source.gate.sender = sender
-    told(f"station {name}: {', '.join(names)}; sends to {', '.join(connect)}")
-    until = None if seconds is None else time.monotonic() + seconds
-    stopped = threading.Event()
-    with first_ctrl_c(stopped.set):
+        cameras = read_rig(rig)
+        backgrounds = Backgrounds(ready=recorded_backgrounds(recording, cameras, fps, spec.background))
+        source = Paced(Chosen(open_recording(recording, cameras, fps), names))
+    with before_others():  # the engine's threads too
+        try:
+            transport = open_transport(connect)
+            sender = Sender(transport, name, source.cameras, text)
+        except BaseException:
+            source.close()
+            raise
+        source.gate.sender = sender
+        told(f"station {name}: {', '.join(names)}; sends to {', '.join(connect)}")
+        until = None if seconds is None else time.monotonic() + seconds
+        stopped = threading.Event()
+        with first_ctrl_c(stopped.set):
 
-        def every() -> bool:
-            if devices is not None:
-                devices.tell(sender)
-            return not stopped.is_set() and (until is None or time.monotonic() < until)
+            def every() -> bool:
+                if devices is not None:
+                    devices.tell(sender)
+                return not stopped.is_set() and (until is None or time.monotonic() < until)
 
-        arrival = None if devices is None else devices.arrival_ns
-        totals = run_station(source, sender, detection, arrival, every, source.stop)
+            totals = run_station(
+                source, sender, detection, source.arrival_ns, every, source.stop, backgrounds
+            )
     lines = [
         f"station {name}: {totals.frames} frames, {totals.detected} looked at, {totals.targets} targets found",
         f"{1e3 * totals.seconds / max(totals.detected, 1):.2f} ms a frame; {sender.skipped} frames skipped, "
@@ -98,7 +106,8 @@ def reconstruct_stations(
     Return what to tell, and whether every camera is in every set. The tracks are written in any case.
     """
     check_tracks_file(out)
-    settings = reconstruct_settings(live_spec(settings_path, overrides), settings_path)
+    # [background] is the stations'
+    settings = reconstruct_settings(reconstruct_spec(settings_path, overrides), settings_path)
     file = read_rig_file(rig_path)
     rate = (
         check(HardwareTable, dict(file.hardware), f"{rig_path}: [hardware]").rate_hz
@@ -106,18 +115,23 @@ def reconstruct_stations(
         else None
     )
     check_stations(stations)
-    receiver = Receiver(
-        open_transport(listen=listen),
-        stations,
-        {table.name: table.size for table in file.camera},
-        rate,
-        ReceiverSettings(MergeSettings(deadline_s)),
-        rig_path.read_text(encoding="utf-8"),
-        told=lambda event: told(_line(event)),
-    )
     samples: list[Samples] = []
     delays, points = Delays(), 0
-    with receiver, first_ctrl_c(lambda: threading.Thread(target=receiver.stop, daemon=True).start()):
+    with ExitStack() as stack:
+        stack.enter_context(before_others())
+        stack.enter_context(prompt())
+        receiver = Receiver(
+            open_transport(listen=listen),
+            stations,
+            {table.name: table.size for table in file.camera},
+            rate,
+            ReceiverSettings(MergeSettings(deadline_s)),
+            rig_path.read_text(encoding="utf-8"),
+            told=lambda event: told(_line(event)),
+        )
+        stack.enter_context(receiver)
+        # stopping waits for the thread that Ctrl-C interrupted
+        stack.enter_context(first_ctrl_c(lambda: threading.Thread(target=receiver.stop, daemon=True).start()))
         told(f"listens on {', '.join(listen)} for {', '.join(stations)}")
         rig, lines = calibrated_rig(rig_path, lambda: receiver.rigs(RIGS_S))
         timer = threading.Timer(seconds or 0, receiver.stop)

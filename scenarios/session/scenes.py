@@ -79,6 +79,7 @@ def _field(spec: Scenario, wanted: CalibrationSpec) -> Session[TestField]:
         laid = lay_out_field(size, draw, n=wanted.markers, layout=wanted.layout)
     rate_hz, exposure_s = wanted.rate_hz, spec.capture.exposure_s
     hold_s = wanted.frames / rate_hz
+    more = max(wanted.world_frames - wanted.frames, 0)
     path = put_from_stand_to_stand(
         center,
         wanted.stands,
@@ -87,14 +88,16 @@ def _field(spec: Scenario, wanted: CalibrationSpec) -> Session[TestField]:
         shift_m=wanted.shift * size,
         tilt_rad=np.deg2rad(wanted.tilt_deg),
         rng=draw,
+        first_s=more / rate_hz,
     )
-    scene = field_scene(laid, path, hold_s * wanted.stands, origin=np.zeros(3), floor=False)
+    exposures = wanted.frames * wanted.stands + more
+    scene = field_scene(laid, path, exposures / rate_hz, origin=np.zeros(3), floor=False)
     sigma = wanted.known_to * float(size.max())
     measured = tuple(
         replace(one, position=one.position + center + sigma * draw.standard_normal(3))
         for one in laid.field.targets
     )
-    return Session(scene, wanted.frames * wanted.stands, _believed(TestField(measured, sigma), wanted))
+    return Session(scene, exposures, _believed(TestField(measured, sigma), wanted))
 
 
 def _believed(field: TestField, wanted: CalibrationSpec) -> TestField:

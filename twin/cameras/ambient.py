@@ -229,7 +229,8 @@ def _onto_levels(mean, extra, flat, index, used, scale):  # type: ignore[no-unty
     line = np.empty(width)
     for y in range(height):
         if full:
-            line[:] = extra[y]
+            for x in range(width):
+                line[x] = extra[y, x]
         else:
             _stretched(extra, y, height, columns, line)
         if flat.size > 1:

@@ -68,8 +68,8 @@ def glow_table(glows: Sequence[Glow], ball: Array) -> GlowTable:
     ``1 - limb (1 - cos a)``, with one half at ``half_deg``; a rim cannot be darker than dark, so below 60 degrees
     the law has its half at 60.
     """
-    lobed = np.array([glow.kind in ("retro", "lamp") for glow in glows], dtype=bool)
-    half = np.deg2rad([glow.half_deg for glow in glows])
+    lobed = np.array([glow.kind in ("retro", "lamp") and glow.half_deg < 90.0 for glow in glows], dtype=bool)
+    half = np.deg2rad([min(glow.half_deg, 89.0) for glow in glows])
     is_ball = np.asarray(ball, dtype=bool)
     retro_ball = is_ball & np.array([glow.kind == "retro" for glow in glows], dtype=bool)
     towards = np.array([glow.shade_world for glow in glows], dtype=float).reshape(-1, 3)

@@ -167,7 +167,8 @@ def cut_pieces(pieces, px_per_m, sigma):  # type: ignore[no-untyped-def]
     out = np.empty((pieces.shape[0], 9))
     total = 0
     for i in range(pieces.shape[0]):
-        out[i, :7] = pieces[i]
+        for k in range(7):
+            out[i, k] = pieces[i, k]
         if pieces[i, 0] == LINE:
             length = math.hypot(pieces[i, 3] - pieces[i, 1], pieces[i, 4] - pieces[i, 2])
         else:

@@ -45,7 +45,7 @@ def scan_hidden(  # type: ignore[no-untyped-def]
     gnomonic = lens[0] == FISHEYE
     small = large <= SMALL_PX
     if shape == FIGURE and not _anything_before(
-        lens, turn, x, y, z, r, box, near, near_count, kind, size, geom_xyz, geom_turn, reach, gnomonic
+        lens, shape, turn, x, y, z, r, box, near, near_count, kind, size, geom_xyz, geom_turn, reach, gnomonic
     ):
         return np.empty((0, 3)), np.empty((0, 3)), 0.0, 1.0
     lattice = np.empty((3, 3, 3))
@@ -69,7 +69,8 @@ def scan_hidden(  # type: ignore[no-untyped-def]
     lit_u, lit_step = np.empty(most_lit), np.empty(most_lit)
     low, high = np.empty(across * near_count), np.empty(across * near_count)
     edges, lit_edges = np.empty((64, 3)), np.empty((64, 3))
-    edge_count = lit_count = 0
+    # whole numbers, no constants: each constant handed to a function would have it compiled once more
+    edge_count = lit_count = np.int64(0)
     hidden_area = lit_area = 0.0
     for j in range(rows):
         v = top + (j + 0.5) * step
@@ -84,7 +85,7 @@ def scan_hidden(  # type: ignore[no-untyped-def]
             lit = _lit_by_figure(lens, turn, x, y, z, pieces, a, b, lit_u, lit_step)
             for i in range(lit):
                 lit_area -= lit_u[i] * lit_step[i] * step
-        found = 0
+        found = np.int64(0)
         if small:
             _along_lattice(lattice, (j + 0.5) / rows, row)
             d1x, d1y, d1z = row[0, 0], row[0, 1], row[0, 2]
@@ -172,7 +173,7 @@ def scan_hidden(  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _anything_before(  # type: ignore[no-untyped-def]
-    lens, turn, x, y, z, r, box, near, near_count, kind, size, geom_xyz, geom_turn, reach, gnomonic
+    lens, shape, turn, x, y, z, r, box, near, near_count, kind, size, geom_xyz, geom_turn, reach, gnomonic
 ):
     """Whether any geom stands before the box of a figure, by rows of half a pixel: most figures have none."""
     left, right, top, bottom = box
@@ -189,7 +190,7 @@ def _anything_before(  # type: ignore[no-untyped-def]
             first, last = max(first, 0.0), min(last, 1.0)
             if first < last:
                 first, last = _in_front(
-                    kind[g], size[g], geom_xyz[g], geom_turn[g], a, b, first, last, FIGURE, turn, x, y, z, r
+                    kind[g], size[g], geom_xyz[g], geom_turn[g], a, b, first, last, shape, turn, x, y, z, r
                 )
                 if first < last:
                     return True
@@ -205,7 +206,9 @@ def _put(edges, n, u, v, amount):  # type: ignore[no-untyped-def]
 def _wider(edges, count, more):  # type: ignore[no-untyped-def]
     """Room for more edges."""
     wider = np.empty((2 * edges.shape[0] + more, 3))
-    wider[:count] = edges[:count]
+    # one by one: an assignment of slices would compile what it says of shapes that differ
+    for i in range(count):
+        wider[i, 0], wider[i, 1], wider[i, 2] = edges[i, 0], edges[i, 1], edges[i, 2]
     return wider
 
 

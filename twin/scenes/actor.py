@@ -27,6 +27,7 @@ from twin.scenes.actions import ACTIONS, Action, ActionName, act
 from twin.scenes.actor_markers import Seat, seats
 from twin.scenes.anatomy import FOOT_RADIUS_M, Anatomy, limb_shapes, read_anatomy
 from twin.scenes.gait import GAIT_PATHS, Gait, GaitPath, walk, walker_skeleton
+from twin.scenes.glow import ALL_SIDES_DEG, Blink, Glow
 from twin.scenes.paths import SplinePath, normalized, spline_path
 from twin.scenes.posture import Balance
 from twin.scenes.scene import Scene
@@ -41,13 +42,14 @@ _SKIN_M = 0.12
 class BodyLamp:
     """A lamp that a worn camera carries, an LED in a ball that sends its light to all sides alike.
 
-    ``place_m``: its place on ``body``, that body's axes.
+    ``place_m``: its place on ``body``, that body's axes. ``blink``: its code; None: always on.
     """
 
     name: str
     body: str
     place_m: tuple[float, float, float]
     diameter_m: float = 0.012
+    blink: Blink | None = None
 
 
 def build_actor(
@@ -134,7 +136,8 @@ def build_actor(
         path = BuiltInConfiguration(moved, _addresses(model, joints), model.nq)
     else:
         path = _recorded(model, joints, motion, start_s)
-    return Scene(model, names, geoms, path, duration_s, bodies)
+    glows = {one.name: Glow("lamp", half_deg=ALL_SIDES_DEG, blink=one.blink) for one in lamps if one.blink}
+    return Scene(model, names, geoms, path, duration_s, bodies, glows=glows)
 
 
 def _wear(spec: mujoco.MjSpec, lamps: tuple[BodyLamp, ...]) -> None:

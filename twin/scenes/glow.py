@@ -9,6 +9,8 @@ import numpy as np
 from mosca.data.arrays import Array
 
 GlowKind = Literal["plain", "retro", "paper", "lamp"]
+ALL_SIDES_DEG = 180.0
+"""``Glow.half_deg`` of a lamp that shines alike to all sides."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,8 @@ class Glow:
 
     ``kind``: "plain" equally bright from all sides and distances; "retro" retroreflective tape under the
     camera's ring light; "paper" printed and lit evenly (Lambert); "lamp" an LED. ``strength``: factor on the
-    marker signal. ``half_deg``: angle off the normal at which a retro tape or an LED sends half of it.
+    marker signal. ``half_deg``: angle off the normal at which a retro tape or an LED sends half of it; 180: an LED
+    in a diffusing ball, alike to all sides.
     ``at_m``: distance at which a ring light's retro target is as bright as the marker signal says (it falls
     with the square of the distance); None: the same at all distances. ``limb``: share of its brightness that a
     ball's rim lacks. ``shade``: brightness gradient over a ball or disc, change from its middle to its rim,
@@ -56,8 +59,10 @@ class Glow:
         if self.kind not in get_args(GlowKind):
             raise ValueError(f"kind = '{self.kind}' given; allowed: {', '.join(get_args(GlowKind))}")
         _within("strength", self.strength, 0.0, math.inf)
-        if not 0 < self.half_deg < 90:
-            raise ValueError(f"half_deg = {self.half_deg:g} given; above 0 and below 90 is allowed")
+        if not 0 < self.half_deg < 90 and (self.kind, self.half_deg) != ("lamp", ALL_SIDES_DEG):
+            raise ValueError(
+                f"half_deg = {self.half_deg:g} given; above 0 and below 90 is allowed, of a lamp 180 (to all sides)"
+            )
         if self.at_m is not None:
             _within("at_m", self.at_m, 0.0, math.inf, open_below=True)
         _within("limb", self.limb, 0.0, 1.0)

@@ -171,21 +171,22 @@ class SteppedPath:
     """Pose of a free body that is put from one stand to the next and stands still there, as qpos (7,).
 
     ``stands`` (s, 7): place [m] and attitude wxyz at each; ``hold_s``: how long each lasts; the last one lasts on.
-    ``lead_s``: how much earlier than that it is put there, so that no exposure sees it go.
+    ``lead_s``: how much earlier than that it is put there, so that no exposure sees it go. ``first_s``: how much
+    longer than the others the first one lasts.
     """
 
     stands: Array
     hold_s: float
     lead_s: float
+    first_s: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stands", read_only(self.stands, (None, 7), "stands"))
 
     def __call__(self, time_s: float) -> Array:
         """Return qpos (7,) at session time ``time_s``."""
-        return np.array(
-            self.stands[min(max(int((time_s + self.lead_s) / self.hold_s), 0), len(self.stands) - 1)]
-        )
+        stand = int((time_s + self.lead_s - self.first_s) / self.hold_s)
+        return np.array(self.stands[min(max(stand, 0), len(self.stands) - 1)])
 
 
 def put_from_stand_to_stand(
@@ -197,11 +198,12 @@ def put_from_stand_to_stand(
     shift_m: Array,
     tilt_rad: float,
     rng: np.random.Generator,
+    first_s: float = 0.0,
 ) -> SteppedPath:
     """Return a body that stands upright at ``center`` (3,) first, and at random places and attitudes about it then.
 
     ``shift_m`` (3,): how far to both sides along each axis; ``tilt_rad``: how far it leans at most; its turn about
-    the vertical is spread evenly over the stands.
+    the vertical is spread evenly over the stands. ``first_s``: how much longer it stands at the first.
     """
     rows = [np.concatenate([center, [1.0, 0.0, 0.0, 0.0]])]
     for k in range(1, stands):
@@ -213,4 +215,4 @@ def put_from_stand_to_stand(
         mujoco.mju_axisAngle2Quat(turned, np.array([0.0, 0.0, 1.0]), turn)
         mujoco.mju_mulQuat(attitude, tilted, turned)
         rows.append(np.concatenate([place, attitude]))
-    return SteppedPath(np.array(rows), hold_s, lead_s)
+    return SteppedPath(np.array(rows), hold_s, lead_s, first_s)

@@ -1,0 +1,54 @@
+"""What does not move in a station's images: from its recording's first frames, or from those that its cameras give.
+
+A rig has no recording to look at before. So its first frames, as many as [background] frames says, are looked at for
+that alone, and detections begin with the next one.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+
+from mosca.data.arrays import Array
+from mosca.data.frames import Frame
+from mosca.detect import mean_background, minimum_background
+from scenarios.reconstruct import BackgroundSpec
+
+Make = Callable[[Iterable[Array]], Array]
+
+
+class Backgrounds:
+    """Each camera's background, known (``ready``) or made of its first frames as ``spec`` has it.
+
+    ``told`` is called once for each that was made.
+    """
+
+    def __init__(
+        self,
+        spec: BackgroundSpec | None = None,
+        ready: Mapping[str, Array] | None = None,
+        told: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        self._known = dict(ready or {})
+        self._wanted = 0 if spec is None or spec.kind == "none" or ready else spec.frames
+        self._make: Make = (
+            minimum_background if spec is not None and spec.kind == "minimum" else mean_background
+        )
+        self._first: dict[str, list[Array]] = {}
+        self._seen: dict[str, int] = {}
+        self._told = told
+
+    def of(self, camera: str) -> Array | None:
+        """Return what is taken off a camera's images, None where nothing is."""
+        return self._known.get(camera)
+
+    def takes(self, frame: Frame) -> bool:
+        """Return whether ``frame`` goes into its camera's background, and take it."""
+        if not self._wanted or frame.camera in self._known:
+            return False
+        images = self._first.setdefault(frame.camera, [])
+        self._seen[frame.camera] = seen = self._seen.get(frame.camera, 0) + 1
+        if frame.image is not None:
+            images.append(frame.image)
+        if seen >= self._wanted and images:
+            self._known[frame.camera] = self._make(images)
+            del self._first[frame.camera]
+            self._told(f"camera '{frame.camera}': background of its first {seen} frames; detections begin")
+        return True
