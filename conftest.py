@@ -8,12 +8,14 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
-# on a CI server the same examples each time: a failure there must come from the change, not from the dice
-settings.register_profile("ci", derandomize=True)
-if os.environ.get("CI"):
-    settings.load_profile("ci")
+# on a CI server the same examples each time: a failure there must come from the change, not from the dice; and
+# nowhere from the machine's speed
+PATIENT = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+settings.register_profile("here", **PATIENT)
+settings.register_profile("ci", derandomize=True, **PATIENT)
+settings.load_profile("ci" if os.environ.get("CI") else "here")
 
 ROOT = Path(__file__).resolve().parent
 
@@ -31,10 +33,22 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Before several workers start, compile once what each of them would compile for itself."""
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
-        from scenarios.warm import pipeline_compiling
+        from scenarios.warm import compile_beforehand
 
-        with pipeline_compiling():
-            pass
+        compile_beforehand()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Give each worker a stretch of neighbours, and who is done some of another's.
+
+    What tests of a file share, and kernels that only they compile, are then made once and not by each worker.
+    """
+    if config.getvalue("dist") != "load":
+        return None
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -83,19 +83,22 @@ def main() -> None:
     print(f"rendered {len(frames)} frames in {time.perf_counter() - start:.1f} s")
     believed = calibrated(spec, virtual).rig
     settings = pipeline_settings(spec)
-    for name, chosen in modes(settings).items():
+    together = replace(settings, detection=replace(settings.detection, split_pairs=True))
+    for name, chosen in {**modes(settings), "pairs fitted together, 1 thread": together}.items():
         best = np.inf
         for _ in range(given.rounds):
             start = time.perf_counter()
             steps = list(run(Held(frames, source.cameras), believed, chosen))
             best = min(best, time.perf_counter() - start)
         told(name, best, steps, truth, spec)
-    steps, latency = [], []
-    for step in run(Held(frames, source.cameras, 100.0), believed, settings):
-        steps.append(step)
-        latency.append(sum(step.seconds.values()))
-    late = 1e3 * np.quantile(latency[20:], [0.5, 0.99, 1.0])
-    print(f"at 100 sets/s: latency p50 {late[0]:.2f}, p99 {late[1]:.2f}, max {late[2]:.2f} ms")
+    for split in (1, 2):
+        divided = replace(settings, split=split)
+        steps = list(run(Held(frames, source.cameras, 100.0), believed, divided))
+        late = 1e3 * np.quantile([sum(step.seconds.values()) for step in steps[20:]], [0.5, 0.99, 1.0])
+        print(
+            f"at 100 sets/s, cameras of a set on {split} thread{'s' * (split > 1)}: latency p50 {late[0]:.2f}, "
+            f"p99 {late[1]:.2f}, max {late[2]:.2f} ms"
+        )
 
 
 def modes(settings: PipelineSettings) -> dict[str, PipelineSettings]:

@@ -1,9 +1,11 @@
 """How long detections take to be merged: two stations of four cameras, each in a network namespace of its own.
 
-Run as root: ``python tests/benchmarks/bench_stations.py [--rate 100] [--seconds 20] [--targets 50] [--detect]``.
+Run as root: ``python tests/benchmarks/bench_stations.py [--rate 100] [--seconds 20] [--targets 50] [--detect]
+[--pairs]``.
 Ready detections are sent as soon as their frames "arrive", so that the figure is transport and merging alone; with
-``--detect`` frames of 656 x 491 are drawn ahead and detected by the stations, and both figures are given: from the
-frame's arrival at its station (detection included) and from the message's departure (excluded). How late the
+``--detect`` frames of 656 x 491 are drawn ahead and detected by the stations. Where the time goes is given too: from
+a frame's arrival to its message's departure (its station looks at its cameras one after the other), and from the
+last message's departure to the merged set. How late the
 machine's own wake-ups are is printed beside them: on a busy machine they are most of it; ``nice -n -15`` helps.
 """
 
@@ -27,6 +29,7 @@ from hardware.transport import open_transport  # noqa: E402
 from hardware.transport.receiver import Receiver  # noqa: E402
 from hardware.transport.station_state import ReceiverSettings  # noqa: E402
 from scenarios.lab.merge import account_lines  # noqa: E402
+from scenarios.lab.priority import before_others, prompt  # noqa: E402
 
 NAMES = {"A": "a1,a2,a3,a4", "B": "b1,b2,b3,b4"}
 
@@ -38,6 +41,7 @@ def main() -> None:
     asked.add_argument("--seconds", type=float, default=20.0)
     asked.add_argument("--targets", type=int, default=50)
     asked.add_argument("--detect", action="store_true")
+    asked.add_argument("--pairs", action="store_true", help="touching images are fitted together")
     given = asked.parse_args()
     reason = why_not()
     if reason:
@@ -56,13 +60,17 @@ def measure(two, given) -> None:
     settings = ReceiverSettings(queued=10**6, start_wait_s=120.0)
     endpoints = [pc.endpoint for pc in two.values()]
     try:
-        with Receiver(open_transport(listen=endpoints), ("A", "B"), sizes, settings=settings) as here:
+        with (
+            before_others(),
+            prompt(),
+            Receiver(open_transport(listen=endpoints), ("A", "B"), sizes, settings=settings) as here,
+        ):
             for k, (name, pc) in enumerate(two.items()):
                 if given.detect:
-                    more = (4 * k, 8, pulses, given.rate, given.targets)
+                    more = (4 * k, 8, pulses, given.rate, given.targets, int(given.pairs))
                     script = TESTS / "scenarios" / "scene_station.py"
                 else:
-                    more = (pulses, given.rate, given.targets)
+                    more = (pulses, given.rate, given.targets, "now")
                     script = TESTS / "hardware" / "ready_station.py"
                 running.append(
                     pc.start(
@@ -93,13 +101,15 @@ def measure(two, given) -> None:
             program.kill()
             program.wait()
     arrived = 1e3 * np.array([(s.merged_ns - at) * 1e-9 for s in sets for at in s.arrived_ns.values()])
-    sent = 1e3 * np.array([(s.merged_ns - at) * 1e-9 for s in sets for at in s.sent_ns.values()])
+    left = 1e-6 * np.array([s.sent_ns[n] - at for s in sets for n, at in s.arrived_ns.items()])
+    merged = 1e-6 * np.array([s.merged_ns - max(s.sent_ns.values()) for s in sets if s.sent_ns])
     print(
         f"{given.rate:g} Hz, {given.targets} targets, {'detected' if given.detect else 'ready'} at the stations"
     )
     for title, values in (
         ("from the frame's arrival at its station", arrived),
-        ("from the message's departure", sent),
+        ("  of which until its message's departure", left),
+        ("  and from a set's last departure", merged),
         ("the machine's own wake-ups are late by", 1e3 * np.array(late)),
     ):
         p = np.quantile(values, [0.5, 0.9, 0.99, 0.999])

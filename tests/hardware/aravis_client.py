@@ -10,7 +10,8 @@ P, S = c.c_void_p, c.c_char_p
 SUCCESS = 0
 NO_PACKET_SOCKET = 1
 SOCKET_BYTES = 4 << 20
-RETENTION_US = 1_000_000
+RETENTION_US = 20_000_000
+TAIL_US = 300_000
 
 
 class _Error(c.Structure):
@@ -111,7 +112,9 @@ class Client:
     def trigger_on(self, source: str) -> None:
         self.set(TriggerSelector="FrameStart", TriggerSource=source, TriggerMode="On")
 
-    def arm(self, buffers: int = 32, packet_bytes: int | None = 8000) -> None:
+    def arm(
+        self, buffers: int = 32, packet_bytes: int | None = 8000, retention_us: int = RETENTION_US
+    ) -> None:
         if packet_bytes is None:
             self._camera("gv_auto_packet_size", c.c_uint)
         else:
@@ -125,7 +128,9 @@ class Client:
         set_property = self.aravis.gobject.g_object_set
         set_property(self.stream, S(b"socket-buffer-size"), c.c_int(SOCKET_BYTES), None)
         # a busy machine may hold a sender up for longer than the 0.1 s after which Aravis gives a frame up
-        set_property(self.stream, S(b"frame-retention"), c.c_uint(RETENTION_US), None)
+        set_property(self.stream, S(b"frame-retention"), c.c_uint(retention_us), None)
+        # and in the midst of a frame: what is not sent yet would be asked for, until no more may be
+        set_property(self.stream, S(b"packet-timeout"), c.c_uint(TAIL_US), None)
         set_property(self.stream, S(b"packet-request-ratio"), c.c_double(1.0), None)
         for _ in range(buffers):
             buffer = P(self.aravis.call("buffer_new", P, c.c_size_t(size), None, fails=False))

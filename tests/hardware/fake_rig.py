@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hardware.driver import Capabilities, DeviceError, DeviceReport, Grabbed
+from hardware.driver import Capabilities, ClockReading, DeviceError, DeviceReport, Grabbed
 
 SIZE = (32, 24)
 
@@ -32,10 +32,11 @@ class Fake:
     gone: range = field(default_factory=lambda: range(0))
     clock: bool = True
     software: bool = False
+    readable: bool = False  # most answers do not come
 
 
 class FakeLine:
-    """Pulses at a rate in a thread; drivers hang on it."""
+    """Pulses at a rate in a thread; drivers hang on it. It waits until a camera's loss and return were noticed."""
 
     def __init__(self, rate_hz: float) -> None:
         self.rate_hz, self.drivers, self.made, self.withheld = rate_hz, {}, 0, 0
@@ -72,6 +73,9 @@ class FakeLine:
             wait = begin + self.made / self.rate_hz - time.monotonic()
             if wait > 0 and self._stop.wait(wait):
                 return
+            while any(driver.unnoticed(self.made) for driver in self.drivers.copy().values()):
+                if self._stop.wait(0.002):
+                    return
             for driver in list(self.drivers.values()):
                 driver.pulse(self.made, begin + self.made / self.rate_hz)
             self.made += 1
@@ -85,7 +89,8 @@ class FakeDriver:
             raise DeviceError(f"camera '{name}': not there")
         self.name, self.fake, self.line = name, fake, line
         self.frames: queue.Queue = queue.Queue()
-        self.armed, self.closed, self.block, self.count = False, False, 0, 0
+        self.armed, self.closed, self.block, self.count, self.asked = False, False, 0, 0, 0
+        self.lost = False
         self.boot = time.monotonic() - fake.offset_s
         line.drivers[name] = self
 
@@ -114,21 +119,41 @@ class FakeDriver:
         self.pulse(self.count, time.monotonic())
         return time.monotonic_ns()
 
+    def clock(self):
+        if not self.fake.readable:
+            return None
+        self.asked += 1
+        if self.asked > 1 and self.asked % 3:
+            raise DeviceError(f"camera '{self.name}': does not tell its clock (timeout)")
+        before = time.monotonic_ns()
+        shown = round((time.monotonic() - self.boot) * (1 + self.fake.ppm * 1e-6) * 1e9)
+        return ClockReading(shown, before, time.monotonic_ns())
+
+    def unnoticed(self, number):
+        """Tell whether pulses have to wait: it is gone, or back, and nobody has found that out yet."""
+        gone = self.fake.gone
+        if not gone:
+            return False
+        here = self.armed and not self.lost
+        return (number == gone[-1] and not self.lost) or (number == gone[-1] + 20 and not here)
+
     def pulse(self, number, now):
         if not self.armed or number in self.fake.misses or number in self.fake.gone:
             return
         stamp = round((now - self.boot) * (1 + self.fake.ppm * 1e-6) * 1e9) if self.fake.clock else None
         image = None if number in self.fake.spoilt else picture(self.name, number)
-        self.frames.put((self.block, stamp, image))
+        self.frames.put((self.block, stamp, image, round(now * 1e9)))
         self.block += 1
         self.count += 1
 
     def grab(self, timeout_s):
         if self.line.made in self.fake.gone:
+            self.lost = True
             raise DeviceError(f"camera '{self.name}': does not answer any more; check its cable")
         try:
-            block, stamp, image = self.frames.get(timeout=timeout_s)
+            block, stamp, image, host_ns = self.frames.get(timeout=timeout_s)
         except queue.Empty:
             return None
         note = "" if image is not None else "MISSING_PACKETS"
-        return Grabbed(block, stamp, time.monotonic_ns(), 500_000, image, note)
+        # here when it was due, however busy the machine: it is late for some cameras only, and that is not tried
+        return Grabbed(block, stamp, host_ns, 500_000, image, note)

@@ -5,6 +5,9 @@ import os
 import socket
 import struct
 
+PATIENT_S = 60.0
+"""For answers that come at once, however busy the machine is."""
+
 _blocks = itertools.count()
 
 
@@ -20,7 +23,7 @@ class Hand:
     def __init__(self, camera: str, own: str = "127.0.0.1") -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind((own, 0))
-        self._socket.settimeout(2.0)
+        self._socket.settimeout(PATIENT_S)
         self._camera = (camera, 3956)
         self._number = 0
         self.port = self._socket.getsockname()[1]
@@ -28,7 +31,7 @@ class Hand:
     def send(self, datagram: bytes) -> None:
         self._socket.sendto(datagram, self._camera)
 
-    def receive(self, timeout_s: float = 2.0) -> bytes | None:
+    def receive(self, timeout_s: float = PATIENT_S) -> bytes | None:
         self._socket.settimeout(timeout_s)
         try:
             return self._socket.recv(65536)

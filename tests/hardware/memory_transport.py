@@ -40,7 +40,7 @@ class MemoryTransport:
         self._answers[key] = reply
 
     def ask(self, key, payload, timeout_s):
-        if self.cut:
+        if self.cut or self.closed:
             return None
         for end in list(self._exchange.ends):
             if not end.cut and key in end._answers:

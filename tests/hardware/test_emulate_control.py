@@ -32,6 +32,13 @@ def hands(up):
         hand.close()
 
 
+def until(met):
+    deadline = time.monotonic() + 60
+    while not met():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
 def address_of(up: Served, name: str) -> int:
     registers = up.devices[0].camera.registers._registers
     return next(r.address for r in registers if r.name == name)
@@ -52,15 +59,10 @@ def test_a_broadcast_is_answered_by_each(up, everyone):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asker:
         asker.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         asker.bind(("127.0.0.1", 0))
-        asker.settimeout(0.5)
+        asker.settimeout(60.0)
         asker.sendto(struct.pack(">BBHHH", 0x42, 0x11, 2, 0, 1), (everyone, 3956))
-        answered, until = set(), time.monotonic() + 2.0
-        while str(up.devices[0].identity.address.ip) not in answered and time.monotonic() < until:
-            try:
-                answered.add(asker.recvfrom(2048)[1][0])
-            except TimeoutError:
-                break
-    assert str(up.devices[0].identity.address.ip) in answered
+        while asker.recvfrom(2048)[1][0] != str(up.devices[0].identity.address.ip):
+            pass  # cameras of other tests answer too
 
 
 def test_registers_can_be_read_together(hands):
@@ -128,18 +130,30 @@ def test_a_write_of_several_tells_how_far_it_came(hands):
     assert hands[0].read(HEARTBEAT) == 900
 
 
-def test_control_is_lost_with_the_heartbeat(up, hands):
+class Ahead:
+    """Stands where the module ``time`` would be: this machine's clock, set ahead by hand."""
+
+    def __init__(self) -> None:
+        self.by_s = 0
+
+    def monotonic_ns(self) -> int:
+        return time.monotonic_ns() + self.by_s * 10**9
+
+
+def test_control_is_lost_with_the_heartbeat(up, hands, monkeypatch):
     one, two = hands
+    ahead = Ahead()
+    monkeypatch.setattr("hardware.emulate.control.time", ahead)
     one.write(CCP, CONTROL)
-    one.write(HEARTBEAT, 500)
+    assert one.write(HEARTBEAT, 300_000) == 0
     one.write(SCP, 4000)
     one.write(address_of(up, "AcquisitionStart"), 1)
     for _ in range(4):  # any command is a sign of life
-        time.sleep(0.2)
+        ahead.by_s += 200
         one.read(VERSION)
     assert up.devices[0].camera.armed
-    time.sleep(0.75)
-    assert two.read(CCP) == 0
+    ahead.by_s += 301
+    until(lambda: two.read(CCP) == 0)
     assert two.read(SCP) == 0
     assert not up.devices[0].camera.armed
     assert one.write(HEARTBEAT, 500) == 0x8006
@@ -215,8 +229,7 @@ def test_action_commands_reach_cameras_by_broadcast(up, hands):
     assert one.ask(0x100, struct.pack(">II", 0, 0))[0] == 0x8002
     late = one.ask(0x100, struct.pack(">IIIQ", 0, 0, 1, 1), flags=0x81)
     assert late[0] == 0x8016
-    time.sleep(0.05)
-    assert up.devices[0].camera.counts["triggers"] == 2
+    until(lambda: up.devices[0].camera.counts["triggers"] == 2)
 
 
 COMMANDS = st.sampled_from([0x02, 0x04, 0x40, 0x80, 0x82, 0x84, 0x86, 0x100])
@@ -259,9 +272,7 @@ def test_any_bytes_leave_the_device_alive(victim, datagrams):
             assert len(answer) in (0, *range(8, 549))
     # exclusive access, and a reset, are commands like others
     control.answer(command(0x82, 1, struct.pack(">II", CCP, 0), 0), client)
-    deadline = time.monotonic() + 5
-    while not victim.devices[0].camera.linked(time.monotonic_ns()) and time.monotonic() < deadline:
-        time.sleep(0.05)
+    until(lambda: victim.devices[0].camera.linked(time.monotonic_ns()))
     hand = Hand(str(victim.devices[0].identity.address.ip))
     try:
         assert hand.read(VERSION) == 0x00020000

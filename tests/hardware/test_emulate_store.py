@@ -161,7 +161,8 @@ def test_pulses_are_due_at_exact_times_and_never_early():
     bells = [Bell(), Bell()]
     line = TriggerLine(bells)
     line.start(400.0)
-    time.sleep(0.3)
+    while line.emitted <= 50:
+        time.sleep(0.01)
     line.stop()
     heard = bells[0].heard
     assert [h[:2] for h in heard] == [h[:2] for h in bells[1].heard]

@@ -108,36 +108,65 @@ def test_what_cannot_be_is_told(take, options, said):
         run(str(take), *options)
 
 
-def test_a_client_grabs_a_recording_twice_over(take):
+class Clock:
+    """Stands where the module ``time`` would be: the time of serving is over when a test says so."""
+
+    sleep = staticmethod(time.sleep)
+
+    def __init__(self) -> None:
+        self.over = False
+
+    def monotonic(self) -> float:
+        return float(self.over)
+
+
+def until(met):
+    deadline = time.monotonic() + 60
+    while not met():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_a_client_grabs_a_recording_twice_over(take, monkeypatch):
     needs_aravis()
-    address = free_address()
-    ready = threading.Event()
-    request = Request(str(take), address, seconds=4.0, trouble=Trouble(withhold=0.1, seed=2))
-    done = []
-    server = threading.Thread(target=lambda: done.append(serve(request, None, lambda up: ready.set())))
+    address, clock = free_address(), Clock()
+    monkeypatch.setattr("scenarios.lab.serve.time", clock)
+    request = Request(str(take), address, seconds=0.5, trouble=Trouble(withhold=0.1, seed=2))
+    ready, done = [], []
+    server = threading.Thread(target=lambda: done.append(serve(request, None, ready.append)))
     server.start()
-    assert ready.wait(10)
+    until(lambda: ready)
+    (up,) = ready
+    halted, halt = threading.Event(), up.line.stop
+
+    def stop():
+        halt()
+        halted.set()
+
+    up.line.stop = stop  # what the server does once no camera is armed
     clients = [Client(address), Client(address[:-1] + "2")]
     grabbed = []
     for client in clients:
         client.trigger_on("Line1")
     for _ in range(2):
+        before, withheld = up.line.first_ns, up.devices[1].counts().get("withheld", 0)
         for client in clients:
             client.arm(64)
-        time.sleep(0.8)
-        found = []
-        while (image := clients[1].grab(0.2)) is not None:
-            found.append(image.pixels)
-        grabbed.append(found)
+        until(lambda before=before: up.line.first_ns != before and up.line.emitted == 30)
+        wanted = 30 - (up.devices[1].counts().get("withheld", 0) - withheld)
+        images = [clients[1].grab(60.0) for _ in range(wanted)]
+        grabbed.append([image.pixels for image in images if image is not None])
+        halted.clear()
         for client in clients:
             client.disarm()
-        time.sleep(0.1)
+        assert halted.wait(60)
     for client in clients:
         client.close()
+    clock.over = True
     server.join()
     counts = done[0].devices[1].counts()
     assert counts["pulses"] == 60
-    assert [len(found) for found in grabbed] == [30 - counts["withheld"] // 2] * 2
+    assert [len(found) for found in grabbed] == [30 - counts.get("withheld", 0) // 2] * 2
     assert all(np.array_equal(a, b) for a, b in zip(*grabbed, strict=True))
     images = [picture(1, n, SHAPE) for n in range(30)]
     assert all(any(np.array_equal(one, image) for image in images) for one in grabbed[0])

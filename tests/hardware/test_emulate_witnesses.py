@@ -35,7 +35,7 @@ def test_pygigevision_grabs_bit_for_bit():
             client.write_reg(address_of(device, "AcquisitionStart"), 1)
             up.start(100.0)
             found = []
-            while len(found) < 100 and (one := receiver.get_frame_with_info(timeout=2.0)) is not None:
+            while len(found) < 100 and (one := receiver.get_frame_with_info(timeout=60.0)) is not None:
                 found.append(one)
             assert [info["block_id"] for _, info in found] == list(range(1, 101))
             assert all(np.array_equal(image, picture(0, n, (491, 656))) for n, (image, _) in enumerate(found))

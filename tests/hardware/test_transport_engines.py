@@ -34,7 +34,7 @@ def ends(request):
         end.close()
 
 
-def until(condition, seconds=10.0):
+def until(condition, seconds=60.0):
     end = time.monotonic() + seconds
     while not condition() and time.monotonic() < end:
         time.sleep(0.01)
@@ -46,13 +46,11 @@ def test_what_is_published_arrives_in_order(ends):
     got = []
     b.subscribe(EVERYTHING, lambda key, data: got.append((key, data)))
     until(lambda: a.publish("mosca/A/health", b"?") and got)
-    time.sleep(0.1)
-    got.clear()
     sent = [(f"mosca/A/{'le ft' if k % 2 else 'health'}/detections", bytes([k])) for k in range(60)]
     for key, data in sent:
         assert a.publish(key, data)
-    until(lambda: len(got) == 60)
-    assert got == sent
+    until(lambda: sent[-1] in got)
+    assert [one for one in got if one[1] != b"?"] == sent
 
 
 def test_questions_are_answered_or_not(ends):

@@ -1,5 +1,7 @@
 """Merging without a network: completeness, deadlines, order, and every message accounted for."""
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -80,6 +82,9 @@ def test_old_messages_are_thrown_away():
     m.take(item("a1", 0, 1000, age_ms=251))
     assert m.account.cameras["a1"].aged == 1
     assert m.ready(10**12) == []
+    m.take(replace(item("a1", 0, 1000, age_ms=251), held=True))  # it waited for the start to be known
+    assert m.account.cameras["a1"].aged == 1
+    assert len(m.rest(10**12)) == 1
 
 
 @given(st.data())

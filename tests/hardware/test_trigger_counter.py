@@ -205,7 +205,7 @@ def test_images_are_the_same_with_and_without_chunks():
                 camera.arm()
                 time.sleep(0.1)
                 devices.start(50.0)
-                got = [one for _ in range(20) if (one := camera.grab(2.0)) is not None]
+                got = [one for _ in range(20) if (one := camera.grab(60.0)) is not None]
                 devices.line.stop()
                 camera.disarm()
                 assert len(got) == 20

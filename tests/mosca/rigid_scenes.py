@@ -1,13 +1,13 @@
 """Sightings of rigid targets by a known rig, for tests: closed-form projections with stated noise, no images."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mosca.calibrate.bundle.layout import POSE_NAMES
 from mosca.camera import image_grid, project, rays
-from mosca.data.rig import Camera, Lens, MoscaLens, OpenCVLens, Pose, Rig
+from mosca.data.rig import Camera, Lens, MoscaLens, OpenCVLens, Pose, Rig, principal_distances_px
 from mosca.data.sightings import Part, Sightings
 
 
@@ -39,7 +39,10 @@ def some_rig(rng, n=4, model="mosca", radius=4.0, height=1.2, size=(656, 491)) -
 
 
 def seen(rig: Rig, marks, poses, rng, *, noise=0.02, shake=0.0, facing=None) -> Sightings:
-    """Return what the cameras see of marks (m, 3) at each of ``poses`` (world_from_target), one a frame set."""
+    """Return what the cameras see of marks (m, 3) at each of ``poses`` (world_from_target), one a frame set.
+
+    ``shake``: of each exposure, by which the body turns about its x and y axes [px at the image's middle].
+    """
     parts = []
     for frame, pose in enumerate(poses):
         world = pose.transform(marks)
@@ -53,11 +56,8 @@ def seen(rig: Rig, marks, poses, rng, *, noise=0.02, shake=0.0, facing=None) -> 
                 to_camera = camera.world_from_camera.translation - world
                 cosine = np.einsum("ni,ni->n", normals, to_camera) / np.linalg.norm(to_camera, axis=1)
                 there &= cosine > 0.3
-            xy = (
-                xy[there]
-                + rng.normal(0, noise, (int(there.sum()), 2))
-                + rng.normal(0, shake, 2) * (shake > 0)
-            )
+            noisy = rng.normal(0, noise, (int(there.sum()), 2))
+            xy = project(turned(camera, rng.normal(0, shake, 2)), world[there]) + noisy
             n = len(xy)
             parts.append(
                 Part(
@@ -71,6 +71,14 @@ def seen(rig: Rig, marks, poses, rng, *, noise=0.02, shake=0.0, facing=None) -> 
             )
     sizes = np.array([(c.width, c.height) for c in rig.cameras])
     return Sightings.joined(rig.names, sizes, len(poses), parts)
+
+
+def turned(camera: Camera, shake_px) -> Camera:
+    """Return a camera turned about its x and y axes so far that its image's middle moves by ``shake_px`` (2,)."""
+    fx, fy = principal_distances_px(camera.lens)
+    turn = Rotation.from_rotvec([shake_px[1] / fy, -shake_px[0] / fx, 0.0]).as_matrix()
+    pose = camera.world_from_camera
+    return replace(camera, world_from_camera=Pose(pose.rotation @ turn, pose.translation))
 
 
 def ray_rms_px(camera: Camera, other: Camera, distance=4.0) -> float:

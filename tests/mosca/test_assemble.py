@@ -1,13 +1,13 @@
 """Every frame lands in its true pulse, or is counted; the truth is written into the frame's note."""
 
 import random
-import time
 from collections.abc import Iterable
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from machine_speed import cost
 
 from mosca.assemble import Assembly, AssemblySettings, PulseClock, assemble
 from mosca.data.frames import CameraInfo, Frame, FrameSet
@@ -253,11 +253,9 @@ def test_clock_follows_in_integers_far_from_zero() -> None:
 
 def test_it_costs_little() -> None:
     frames = [shot(c, p) for p in range(2000) for c in range(4)]
-    best = min(_seconds(frames) for _ in range(3))
-    assert best / 2000 < 300e-6  # 60 us are the aim; the rest is room for a busy machine
 
+    def work() -> None:
+        assert sum(1 for _ in assemble(frames, camera_infos(4))) == 2000
 
-def _seconds(frames: list[Frame]) -> float:
-    start = time.perf_counter()
-    assert sum(1 for _ in assemble(frames, camera_infos(4))) == 2000
-    return time.perf_counter() - start
+    # 60 us a set, 1.2 units, are the aim; 0.35 measured
+    assert cost(work) < 3

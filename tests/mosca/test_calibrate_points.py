@@ -178,7 +178,11 @@ def test_what_a_recording_lacks_is_named(tmp_path):
         calibrate_from_points(tmp_path, swapped)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=60,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(content=st.binary(max_size=200) | st.text("0123456789.- e\n,;#\t", max_size=200).map(str.encode))
 def test_any_bytes_are_read_or_refused(tmp_path, content):
     target = target_of(tmp_path)

@@ -1,13 +1,14 @@
 """What is said of clocks: an offset that is one of several, stamps that do not fit what the images show."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 from continuous_sessions import Motion, rig, session
 
 from mosca.continuous.gather_clocks import rival, tied_clocks
 from mosca.continuous.gather_strands import strands
-from mosca.continuous.gather_told import late_cameras
+from mosca.continuous.gather_told import late_cameras, told_of
 from mosca.continuous.observations import Observations, no_carriers
 
 
@@ -16,6 +17,22 @@ def test_another_top_of_like_height_is_a_rival():
     assert rival(score, 3) == 7
     score[7] = 0.7
     assert rival(score, 3) is None
+
+
+def told_of_ties(seen, ties) -> tuple[str, ...]:
+    """What is told where every image point has its marker and no image is missing."""
+    gathered = SimpleNamespace(count=SimpleNamespace(unusable={}), seen=seen, ties=ties)
+    camera = np.concatenate([np.full(len(one.xy_px), c) for c, one in enumerate(seen)])
+    return told_of(gathered, observations_of(camera))
+
+
+def observations_of(camera: np.ndarray) -> Observations:
+    n = len(camera)
+    none = np.zeros(n)
+    return Observations(
+        rig().names, ("p",), camera, none, none, none, np.zeros((n, 2)), np.tile(np.eye(2), (n, 1, 1)),
+        **no_carriers(("p",)),
+    )  # fmt: skip
 
 
 def test_motion_that_repeats_itself_leaves_several_offsets_and_it_is_said():
@@ -27,11 +44,16 @@ def test_motion_that_repeats_itself_leaves_several_offsets_and_it_is_said():
         turns = tie.rival_s - tie.offset_s
         assert abs(abs(turns) - round(abs(turns))) < 0.02
         assert abs(turns) > 0.9
+    told = told_of_ties(seen, ties)
+    assert [line.split(":")[0] for line in told] == ["camera 'c1'", "camera 'c2'"]
+    assert all("fits about as well: the motion repeats itself; say how far apart" in line for line in told)
 
 
 def test_motion_that_does_not_repeat_itself_has_no_rival():
     seen, _names, _true = session(4.0)
-    assert all(tie.rival_s is None for tie in tied_clocks(seen, [strands(one) for one in seen], rig(), 1.6))
+    ties = tied_clocks(seen, [strands(one) for one in seen], rig(), 1.6)
+    assert all(tie.rival_s is None for tie in ties)
+    assert told_of_ties(seen, ties) == ()
 
 
 class _Truth:

@@ -5,7 +5,6 @@ import pytest
 from scipy.interpolate import BSpline
 
 from mosca.continuous.banded import Band, Rows, solve_bordered
-from mosca.continuous.left_out import foretold
 from mosca.continuous.smoothness import expected_accelerations, log_determinant, shrunk
 from mosca.continuous.spline import Knots, fitted, knots_over, values
 
@@ -131,34 +130,6 @@ def random_band(seed):
             for c in range(3):
                 dense[r, (first[r] + a) * 6 + rows.columns[r, c]] += weights[r, a] * rows.values[r, c]
     return rows, dense, knots
-
-
-def test_what_others_foretell_is_what_an_estimate_without_the_exposure_says():
-    rows, dense, knots = random_band(4)
-    band = Band(knots.count, 4, 6, 0)
-    band.add(rows)
-    band.add_prior(knots.gram(0), np.eye(6))
-    prior = np.zeros((knots.count * 6, knots.count * 6))
-    for o, line in enumerate(knots.gram(0)):
-        for k in range(knots.count - o):
-            block = line[k] * np.eye(6)
-            prior[6 * (k + o) : 6 * (k + o) + 6, 6 * k : 6 * k + 6] = block
-            prior[6 * k : 6 * k + 6, 6 * (k + o) : 6 * (k + o) + 6] = block
-    x = np.linalg.solve(prior + dense.T @ dense, dense.T @ rows.rest)
-    left = Rows(rows.first, rows.weights, rows.columns, rows.values, rows.shared, rows.rest - dense @ x)
-    # both points of an exposure go together: two pairs of equations
-    exposure = np.repeat(np.arange(20), 2)
-    nothing = np.zeros((knots.count * 6, 0)), np.zeros((0, 0))
-    found = foretold(band.factor(), left, exposure, np.ones(20, dtype=bool), *nothing)
-    assert sorted(e for e, *_ in found) == list(range(20))
-    for e, pairs, error, stated in found:
-        out = np.repeat(exposure == e, 2)
-        without = prior + dense[~out].T @ dense[~out]
-        there = np.linalg.solve(without, dense[~out].T @ rows.rest[~out])
-        row = (2 * pairs[:, None] + np.arange(2)).ravel()
-        assert error.ravel() == pytest.approx(rows.rest[row] - dense[row] @ there, abs=1e-9)
-        covariance = np.eye(4) + dense[row] @ np.linalg.solve(without, dense[row].T)
-        assert stated[0] == pytest.approx(covariance[:2, :2], abs=1e-9)
 
 
 def test_what_nothing_determines_is_held_where_it_is():

@@ -9,7 +9,7 @@ from mosca.data.frames import FrameSet
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
 from mosca.data.tracks import Points
 from mosca.health import Health
-from mosca.triangulate import triangulate
+from mosca.triangulate import bundle_rays, triangulate
 
 NOISE_PX = 0.01
 RATE_HZ = 100.0
@@ -30,7 +30,15 @@ def rig_of(count=4):
 
 
 def watched(
-    shake_px, jitter_s=0.0, late_s=(0.0, 0.0, 0.0, 0.0), sets=300, markers=40, seed=1, strays=0, lost=()
+    shake_px,
+    jitter_s=0.0,
+    late_s=(0.0, 0.0, 0.0, 0.0),
+    sets=300,
+    markers=40,
+    seed=1,
+    strays=0,
+    lost=(),
+    handed=None,
 ):
     """Health after frame sets whose images shake (rms of each camera), with trigger errors; m/s speeds."""
     rng = np.random.default_rng(seed)
@@ -60,7 +68,8 @@ def watched(
         rays = np.where(seen, np.arange(markers)[:, None], -1)
         views = seen.sum(axis=1)
         points = Points(xyz, covariance, views, residual, rays, np.full(markers, 0.01), views)
-        health.attend(rig, FrameSet(pulse, round(t * 1e9)), found, points)
+        bundle = None if handed is None else bundle_rays(rig, found, handed)
+        health.attend(rig, FrameSet(pulse, round(t * 1e9)), found, points, bundle)
     return health
 
 
@@ -93,6 +102,16 @@ def test_stated_precision_of_offsets_is_honest():
     late = np.array([[c.late_s / c.late_sigma_s for c in watched(np.full(4, 0.02), sets=100, seed=s).cameras()]
                      for s in range(12)])  # fmt: skip
     assert 0.5 < np.sqrt(np.mean(late**2)) < 1.5
+
+
+def test_rays_that_are_handed_on_tell_the_same_however_they_are_whitened():
+    own = watched(np.full(4, 0.02), jitter_s=50e-6, sets=60)
+    for handed in (0.0, np.array([0.01, 0.05, 0.1, 0.02])):
+        other = watched(np.full(4, 0.02), jitter_s=50e-6, sets=60, handed=handed)
+        np.testing.assert_allclose(other.noise.sigma_px, own.noise.sigma_px, rtol=1e-6)
+        assert other.noise.jitter_s == pytest.approx(own.noise.jitter_s, rel=1e-6)
+        for a, b in zip(other.cameras(), own.cameras(), strict=True):
+            assert a.late_s == pytest.approx(b.late_s, rel=1e-6)
 
 
 def test_still_points_tell_nothing_of_clocks():

@@ -116,7 +116,7 @@ def design_of(rig, problem) -> np.ndarray:
 
 
 def test_shakes_are_generalised_least_squares():
-    """Estimate and covariance are those of dense generalised least squares, V = noise^2 + shake^2 in an image."""
+    """Estimate and covariance are those of dense generalised least squares, V = noise^2 + turns of each image."""
     rig, problem, exposure = shaken_problem(1)
     plain = solve(problem)
     xy = steadied(problem, plain, exposure, SHAKE)
@@ -126,9 +126,14 @@ def test_shakes_are_generalised_least_squares():
     design = design_of(rig, problem)
     see = problem.observations
     image = np.repeat(1000 * see.camera + exposure, 2)
-    axis = np.tile([0, 1], len(see))
-    alike = (image[:, None] == image) & (axis[:, None] == axis)
-    v = NOISE**2 * np.eye(len(image)) + SHAKE**2 * alike
+    v = NOISE**2 * np.eye(len(image))
+    for axis in (0, 1):
+        # a turn about the camera's own x or y axis, by which the image's middle moves by a pixel
+        turns = sum(
+            design[:, 8 * c + axis] / (camera.lens.fx_px, camera.lens.fy_px)[1 - axis]
+            for c, camera in enumerate(rig.cameras)
+        )
+        v += SHAKE**2 * np.outer(turns, turns) * (image[:, None] == image)
     wanted = np.linalg.inv(design.T @ np.linalg.solve(v, design))[:16, :16]
     sigma = np.sqrt(np.diag(wanted))
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), sigma, rtol=0.06)

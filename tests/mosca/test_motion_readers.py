@@ -1,13 +1,13 @@
 """Motion readers against hand numbers, scipy's Euler angles, damaged files and CMU's recordings."""
 
 import os
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from machine_speed import cost
 from scipy.spatial.transform import Rotation
 
 from mosca.data.motion import forward_kinematics
@@ -144,7 +144,11 @@ angles = st.floats(-720, 720).map(lambda a: round(a, 4))
 order = st.permutations("XYZ").map("".join)
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=40,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(first=order, second=order, values=st.lists(angles, min_size=6, max_size=6))
 def test_bvh_agrees_with_scipy_for_every_channel_order(
     tmp_path: Path, first: str, second: str, values: list[float]
@@ -244,7 +248,11 @@ def _edit(good: bytes, edits: list[tuple[int, int, bytes]]) -> bytes:
     return good
 
 
-fuzz = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+fuzz = settings(
+    max_examples=150,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 
 
 @fuzz
@@ -314,9 +322,8 @@ def test_converted_bvh_agrees_with_amc_below_the_chest() -> None:
 def test_long_recording_reads_quickly_and_stays_human() -> None:
     asf, amc = DATA / "asfamc/01/01.asf", DATA / "asfamc/01/01_01.amc"
     _need(asf, amc)
-    start = time.perf_counter()
     motion = read_asf_amc(asf, amc)
-    assert time.perf_counter() - start < 1.0  # 2,751 frames; 0.16 s measured
+    assert cost(lambda: read_asf_amc(asf, amc)) < 10  # 2,751 frames; 1.4 measured
     positions, rotations = forward_kinematics(motion)
     assert len(positions) == 2751
     assert motion.duration_s == pytest.approx(22.917, abs=1e-3)  # SOURCE.md: 22.9 s

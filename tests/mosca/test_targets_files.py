@@ -135,7 +135,11 @@ def test_the_schema_knows_all_kinds():
     assert set(schema["discriminator"]["mapping"]) == {"points", *TABLES}
 
 
-quiet = settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+quiet = settings(
+    max_examples=80,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 coordinate = st.floats(-1000, 1000)
 triple = st.tuples(coordinate, coordinate, coordinate)
 

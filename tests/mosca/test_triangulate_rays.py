@@ -14,8 +14,8 @@ from mosca.calibrate.judge_jacobian import changed_rig
 from mosca.camera import project, rays
 from mosca.data.detections import Detections
 from mosca.data.rig import Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose, Rig
-from mosca.ray_kernels import ANGLE, FLAGS, SIGMA, SPREAD, WHITE
-from mosca.triangulate import LONG, bundle_rays, triangulate
+from mosca.ray_kernels import ANGLE, FLAGS, LONG, SIGMA, SPREAD, WHITE
+from mosca.triangulate import bundle_rays, triangulate
 from mosca.triangulate_calibration import calibration_covariance
 
 POSE = Pose(Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix(), np.array([0.4, -1.2, 2.0]))

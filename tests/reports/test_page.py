@@ -262,3 +262,21 @@ def test_runs_side_by_side_show_metrics_changes_and_regressions(tmp_path: Path) 
     for part in ("main", "branch", "<third>", "<other>", "limit ≤ 0.3 mm", "0.245 mm", "position_rms"):
         assert part in visible
     assert not re.search(r"https?:", text)
+
+
+def test_what_could_not_be_judged_is_named_and_does_not_look_like_a_pass(tmp_path: Path) -> None:
+    met = example_record().metrics
+    record = example_record(passed=False, not_judged=("hota", "completeness"))
+    record = replace(
+        record, metrics=tuple(m for m in met if m.passed is not False and m.name not in record.not_judged)
+    )
+    write_page(tmp_path / "page.html", record, without_truth(example_evidence()))
+    text = checked(tmp_path / "page.html").text
+    assert "hota" in text
+    assert text.count("not judged") == 2
+    assert any("Not judged" in part for part in text)
+    assert not any("Claim holds" in part for part in text)
+    # what was judged and broke counts more
+    broken = replace(record, metrics=(replace(met[0], passed=False),))
+    write_page(tmp_path / "broken.html", broken, without_truth(example_evidence()))
+    assert any("Claim broken" in part for part in checked(tmp_path / "broken.html").text)

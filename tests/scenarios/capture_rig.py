@@ -1,9 +1,11 @@
 """Fake cameras for captures: a line of pulses in a thread and frames of any size, in a test or a process of its own.
 
-As a program (``python capture_rig.py RIG OUT NEWEST [detections]``) it captures until it is killed; the file NEWEST
-then holds the host's time at which the last frame was grabbed (int64).
+As a program (``python capture_rig.py RIG OUT NEWEST [detections] [small]``) it captures until it is killed; the file
+NEWEST then holds the host's time at which the last frame was grabbed (int64).
 """
 
+import os
+import signal
 import sys
 import textwrap
 import threading
@@ -13,10 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from hardware.driver import Capabilities, DeviceError, DeviceReport, Grabbed
+from hardware.driver import Capabilities, ClockReading, DeviceError, DeviceReport, Grabbed
 
 RATE = 100.0
 SIZE = (656, 491)
+QUARTER = (164, 123)
 
 
 def dark_noise(seed=0, size=SIZE, n=8):
@@ -50,12 +53,31 @@ def write_rig(path, names, size=SIZE, rate=RATE, more=""):
     return path
 
 
+def ctrl_c(when):
+    """Return a progress callback that presses Ctrl-C once, as soon as ``when()`` says so.
+
+    Progress is told while pulses run. A timer could fire while cameras are opened: that would end the tests.
+    """
+    sent = False
+
+    def progress(_done, _wanted):
+        nonlocal sent
+        if not sent and when():
+            sent = True
+            os.kill(os.getpid(), signal.SIGINT)
+
+    return progress
+
+
 class Line:
-    """Pulses at a rate; ``misses``: camera -> pulses that it does not see; ``spoilt``: those that come damaged."""
+    """Pulses at a rate; ``misses``: camera -> pulses that it does not see; ``spoilt``: those that come damaged.
+
+    After pulse ``gone_at`` no camera answers; ``asked_in_vain``: those that were asked then.
+    """
 
     def __init__(self, rate=RATE, misses=None, spoilt=None, gone_at=None):
         self.rate, self.misses, self.spoilt, self.gone_at = rate, misses or {}, spoilt or {}, gone_at
-        self.drivers, self.made, self.begin_ns = {}, 0, 0
+        self.drivers, self.made, self.begin_ns, self.asked_in_vain = {}, 0, 0, set()
         self.armed_when_started, self.newest = None, np.zeros(1, np.int64)
         self._stop, self._thread = threading.Event(), None
 
@@ -101,7 +123,7 @@ class Camera:
     def __init__(self, name, line, images, size=SIZE):
         self.name, self.line, self.images, self.size = name, line, images, size
         self.frames, self.came = deque(), threading.Semaphore(0)
-        self.armed, self.block = False, 0
+        self.armed, self.block, self.given = False, 0, 0
         line.drivers[name] = self
 
     capabilities = Capabilities(device_clock=True, hardware_trigger=True)
@@ -124,6 +146,10 @@ class Camera:
     def software_trigger(self):
         raise DeviceError("none")
 
+    def clock(self):
+        now = time.monotonic_ns()
+        return ClockReading(now + 5_000_000_000, now, now)
+
     def pulse(self, number):
         if not self.armed or number in self.line.misses.get(self.name, ()):
             return
@@ -136,11 +162,13 @@ class Camera:
         self.came.release()
 
     def grab(self, timeout_s):
-        if self.line.gone_at is not None and self.line.made > self.line.gone_at:
+        if self.line.gone_at is not None and self.given > self.line.gone_at:
+            self.line.asked_in_vain.add(self.name)
             raise DeviceError(f"camera '{self.name}': does not answer any more; check its cable")
         if not self.came.acquire(timeout=timeout_s):
             return None
         block, stamp, image = self.frames.popleft()
+        self.given += 1
         image = None if image is None else image.copy()
         now = time.monotonic_ns()
         self.line.newest[0] = max(int(self.line.newest[0]), now)
@@ -164,4 +192,6 @@ if __name__ == "__main__":
     names = ("a", "b", "c", "d")
     line = Line()
     line.newest = np.memmap(sys.argv[3], np.int64, "w+", shape=(1,))
-    capture(Request(write_rig(rig, names), out, detections="detections" in sys.argv), None, *openers(line))
+    size = QUARTER if "small" in sys.argv else SIZE
+    request = Request(write_rig(rig, names, size), out, detections="detections" in sys.argv)
+    capture(request, None, *openers(line, size=size))

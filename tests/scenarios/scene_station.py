@@ -1,7 +1,8 @@
 """A station with cameras of its own, as a program: frames that are drawn ahead, detected and sent by the product.
 
-``python scene_station.py NAME ENDPOINT CAMERA,CAMERA FIRST ALL PULSES RATE TARGETS``; cameras FIRST and on of a ring
-of ALL. Says ``ready`` when it holds for the start.
+``python scene_station.py NAME ENDPOINT CAMERA,CAMERA FIRST ALL PULSES RATE TARGETS [PAIRS]``; cameras FIRST and on of
+a ring of ALL; PAIRS 0: those whose images touch are not fitted together. Says ``ready`` when it holds for the
+start.
 """
 
 import sys
@@ -41,7 +42,7 @@ class Looped:
 
 
 def main():
-    name, endpoint, names, first, count, pulses, rate, targets = sys.argv[1:]
+    name, endpoint, names, first, count, pulses, rate, targets, *pairs = sys.argv[1:]
     whole = rig(tuple(f"c{k}" for k in range(int(count))), SIZE)
     cameras = whole.cameras[int(first) : int(first) + len(names.split(","))]
     own = [
@@ -49,7 +50,7 @@ def main():
         for c, n in zip(cameras, names.split(","), strict=True)
     ]
     source = Paced(Looped(own, int(pulses), float(rate), int(targets)))
-    settings = DetectionSettings()
+    settings = DetectionSettings(split_pairs=pairs == ["1"])
     offset = sum(name.encode()) * 10**12
     sender = Sender(
         open_transport(connect=[endpoint]), name, source.cameras, "", lambda: time.monotonic_ns() + offset

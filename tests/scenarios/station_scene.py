@@ -32,7 +32,7 @@ def points(pulse, rate=RATE, count=5):
     k = np.arange(count)
     turn = 2 * np.pi * (k / count + 0.2 * pulse / rate)
     return np.column_stack(
-        [0.4 * np.cos(turn), 0.4 * np.sin(turn), 0.12 * k - 0.25 + 0.05 * np.sin(3 * turn)]
+        [0.4 * np.cos(turn), 0.4 * np.sin(turn), 0.12 * k * (5 / count) - 0.25 + 0.05 * np.sin(3 * turn)]
     )
 
 

@@ -15,18 +15,19 @@ from pathlib import Path
 import capture_rig
 import numpy as np
 import pytest
-from capture_rig import Line, openers, write_rig
+from capture_rig import Line, ctrl_c, openers, write_rig
 from click.testing import CliRunner
 from mcap.reader import make_reader
 
 from hardware.driver import Device, DeviceError
 from mosca.errors import InputError
 from mosca.recording import RecordingWriter, open_recording
-from scenarios import cli_capture
+from scenarios import cli_capture, cli_rig
 from scenarios.lab import capture as work
+from scenarios.lab import devices as devices_module
 from scenarios.lab.capture import Request, capture
 from scenarios.lab.devices import describe_devices
-from scenarios.lab.priority import NICE, before_others
+from scenarios.lab.priority import NICE
 from scenarios.lab.recorder import Lost
 
 SMALL = (64, 48)
@@ -109,17 +110,19 @@ def test_what_a_camera_missed_is_counted(tmp_path, rig):
 
 
 def test_a_machine_that_is_too_slow_loses_whole_frame_sets_and_says_so(tmp_path, rig, monkeypatch):
-    pack = RecordingWriter.pack
+    pack, line = RecordingWriter.pack, Line()
 
     def slow(self, frame):
-        time.sleep(0.012)
+        # nothing is packed while the first 70 pulses pass
+        while line.made < 70:
+            time.sleep(0.001)
         return pack(self, frame)
 
     monkeypatch.setattr(RecordingWriter, "pack", slow)
     room = 6 * len(NAMES) * SMALL[0] * SMALL[1]
-    outcome = capture(Request(rig, tmp_path / "take", frames=120, waiting_bytes=room), None, *small(Line()))
+    outcome = capture(Request(rig, tmp_path / "take", frames=120, waiting_bytes=room), None, *small(line))
     assert not outcome.whole
-    assert 40 < outcome.lost < 110
+    assert 0 < outcome.lost < 120
     assert any(f"{outcome.lost} frame sets were lost whole" in note for note in outcome.notes)
     with open_recording(tmp_path / "take") as recording:
         frames = list(recording)
@@ -161,25 +164,23 @@ def test_a_camera_that_cannot_be_opened_leaves_no_folder(tmp_path, rig):
 
 def test_cameras_that_go_away_end_nothing(tmp_path, rig):
     line = Line(gone_at=30)
-    timer = threading.Timer(1.0, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
-    outcome = capture(Request(rig, tmp_path / "take", frames=1000), None, *small(line))
-    timer.join()
+    outcome = capture(
+        Request(rig, tmp_path / "take", frames=1000),
+        ctrl_c(lambda: len(line.asked_in_vain) == 3),
+        *small(line),
+    )
     assert outcome.stopped
     assert sum("does not answer" in note for note in outcome.notes) >= 3
     with open_recording(tmp_path / "take") as recording:
-        assert {pulse_in(f) for f in recording} >= set(range(28))
+        assert {pulse_in(f) for f in recording} == set(range(31))
 
 
 def test_ctrl_c_ends_in_order(tmp_path, rig):
     line = Line()
-    timer = threading.Timer(0.8, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
-    outcome = capture(Request(rig, tmp_path / "take"), None, *small(line))
-    timer.join()
+    outcome = capture(Request(rig, tmp_path / "take"), ctrl_c(lambda: line.made > 60), *small(line))
     assert outcome.stopped
     assert outcome.whole
-    assert 20 < outcome.pulses < 400
+    assert 20 < outcome.pulses <= line.made
     assert sorted(p.name for p in (tmp_path / "take").iterdir()) == ["recording.mcap", "recording.toml"]
     assert tomllib.loads((tmp_path / "take" / "recording.toml").read_text())["capture"]["stopped_by_hand"]
 
@@ -199,7 +200,7 @@ def test_the_verb_tells_and_its_exit_code_says_whether_anything_is_missing(
 
 
 def kill_at(tmp_path, wait_s, mode=""):
-    """Start a capture of 4 x 656 x 491 at 100 Hz and kill it after ``wait_s``.
+    """Start a capture of 4 x 656 x 491 (``small``: 164 x 123) at 100 Hz and kill it after ``wait_s``.
 
     Returns how much older the last whole frame set of the file is than the last frame grabbed, and than the kill [s].
     """
@@ -209,7 +210,7 @@ def kill_at(tmp_path, wait_s, mode=""):
     process = subprocess.Popen(command + ([mode] if mode else []))
     try:
         part = out / "recording.mcap.part"
-        deadline = time.monotonic() + 120
+        deadline = time.monotonic() + 600
         while not (part.exists() and part.stat().st_size > 30_000):
             assert process.poll() is None
             assert time.monotonic() < deadline
@@ -221,7 +222,7 @@ def kill_at(tmp_path, wait_s, mode=""):
         process.wait()
     with open_recording(out) as recording:
         arrived = arrivals(part, recording.holds)
-        if mode:
+        if mode == "detections":
             pulses = [frame_set.pulse for frame_set, _ in recording.detection_sets()]
             assert pulses == list(range(len(pulses)))
         else:
@@ -279,8 +280,8 @@ def quiet_folder(tmp_path):
 
 
 def test_after_a_kill_all_but_the_last_frame_sets_is_there(quiet_folder):
-    # a tenth of a second on a machine of its own (the slow test); beside other tests it is ten times as long
-    check_kills(quiet_folder, np.random.default_rng(1).uniform(0.2, 0.7, 3), allowed_s=1.0)
+    # full frames and a tenth of a second on a machine of its own: the slow test
+    check_kills(quiet_folder, np.random.default_rng(1).uniform(0.2, 0.7, 2), "small", allowed_s=1.0)
 
 
 @pytest.mark.slow
@@ -289,11 +290,32 @@ def test_after_twenty_kills_each_recording_opens(quiet_folder, mode):
     check_kills(quiet_folder, np.random.default_rng(2).uniform(0.1, 2.0, 20), mode)
 
 
+FIRST = """
+import os
+from scenarios.lab.priority import SESSION, before_others
+def priorities():
+    session = SESSION.read_text().split()[-1] if SESSION.exists() else "none"
+    return f"{os.getpriority(os.PRIO_PROCESS, 0)} {session}"
+print(priorities())
+with before_others() as allowed:
+    print(allowed)
+    with before_others():
+        print(priorities())
+print(priorities())
+"""
+
+
 def test_a_capture_goes_before_others_and_back_again():
-    usual = os.getpriority(os.PRIO_PROCESS, 0)
-    with before_others() as allowed:
-        assert os.getpriority(os.PRIO_PROCESS, 0) == (min(usual, NICE) if allowed else usual)
-    assert os.getpriority(os.PRIO_PROCESS, 0) == usual
+    command = [
+        sys.executable,
+        "-c",
+        FIRST,
+    ]  # in a session of its own: others of this one may be raised just now
+    done = subprocess.run(command, capture_output=True, text=True, check=True, start_new_session=True)
+    usual, allowed, raised, after = done.stdout.splitlines()
+    wanted = " ".join(nice if nice == "none" else str(min(int(nice), NICE)) for nice in usual.split())
+    assert raised == (wanted if allowed == "True" else usual)
+    assert after == usual
 
 
 FULL = """
@@ -320,7 +342,7 @@ def check_full(tmp_path, out, *limit):
         [sys.executable, "-c", FULL, str(rig), str(out), folder, *limit],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=600,
         check=False,
     )
     assert done.returncode == 2, done.stderr
@@ -363,11 +385,19 @@ def test_devices_are_listed_without_being_opened(tmp_path, rig):
             raise DeviceError("driver 'pylon': driver 'pylon' cannot be used (no module); pip install it")
         return [Device("gige", "Model", "a", "10.0.0.1")] if driver == "gige" else []
 
-    lines = describe_devices(rig, look)
+    lines, absent = describe_devices(rig, look)
     assert lines[0] == "gige: Model, serial a, at 10.0.0.1"
     assert "driver 'pylon': driver 'pylon' cannot be used (no module); pip install it" in lines
     assert "camera 'a': Model, serial a, is there" in lines
-    assert sum("NOT FOUND" in line for line in lines) == 2
+    assert sum("NOT FOUND" in line for line in lines) == len(absent) == 2
+
+
+def test_a_camera_that_is_not_there_fails_the_check(rig, monkeypatch):
+    monkeypatch.setattr(devices_module, "describe_devices", partial(describe_devices, look=lambda *asked: []))
+    result = CliRunner().invoke(cli_rig.rig, ["check", "--devices", str(rig)])
+    assert isinstance(result.exception, InputError)
+    assert "its cameras not found: a" in str(result.exception)
+    assert "check cable, power and network" in str(result.exception)
 
 
 def test_frames_and_seconds_exclude_each_other(tmp_path, rig):

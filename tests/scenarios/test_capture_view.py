@@ -9,13 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from capture_rig import Line, openers, write_rig
+from capture_rig import Line, ctrl_c, openers, write_rig
 from test_capture_detections import NAMES, RATE, SIZE, picture, rig_file
 
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.rig_file import read_rig
 from mosca.errors import InputError
 from mosca.pipeline import PipelineSettings
+from reports import viewer_program
+from reports.viewer import RerunLog
 from scenarios.lab import live_view
 from scenarios.lab.capture import Request, capture
 from scenarios.lab.live_view import LiveView, log_in_viewer, uncalibrated
@@ -31,35 +33,49 @@ def statistics(path):
     return {name: int(n) for name, _, n in (line.rpartition(": ") for line in lines) if n.isdigit()}
 
 
-def captured(tmp_path, calibrated, **more):
+def captured(tmp_path, calibrated, progress=None, frames=60):
     path = rig_file(tmp_path, calibrated)
     rig = read_rig(rig_file(tmp_path)) if calibrated else None
     if rig is None:
         images = {name: [np.full((SIZE[1], SIZE[0]), 5, np.uint8)] for name in NAMES}
     else:
         images = {camera.name: [picture(camera, pulse) for pulse in range(20)] for camera in rig.cameras}
-    request = Request(path, tmp_path / "take", frames=60, **more)
-    return capture(request, None, *openers(Line(RATE), images, SIZE))
+    request = Request(path, tmp_path / "take", frames=frames, view_log=tmp_path / "view.rrd")
+    return capture(request, progress, *openers(Line(RATE), images, SIZE))
 
 
-def test_cameras_detections_and_points_are_shown(tmp_path):
-    outcome = captured(tmp_path, True, view_log=tmp_path / "view.rrd")
+@pytest.fixture
+def until_shown(monkeypatch):
+    """Return a progress callback that ends the capture once three frame sets were shown, however long it takes."""
+    shown, log_step = [], RerunLog.log_step
+
+    def counted(self, frame, *rest):
+        log_step(self, frame, *rest)
+        shown.append(frame)
+
+    monkeypatch.setattr(RerunLog, "log_step", counted)
+    return ctrl_c(lambda: len(shown) >= 3)
+
+
+def test_cameras_detections_and_points_are_shown(tmp_path, until_shown):
+    start = time.monotonic()
+    outcome = captured(tmp_path, True, until_shown, frames=None)
     assert outcome.whole
-    assert 2 <= outcome.shown <= 14
+    assert 3 <= outcome.shown <= 2 + 10 * (time.monotonic() - start)
     shown = statistics(tmp_path / "view.rrd")
     assert shown["/world/points"] >= 1
     for name in NAMES:
-        assert shown[f"/world/cameras/{name}/image"] >= 2
+        assert shown[f"/world/cameras/{name}/image"] >= 1
         assert shown[f"/world/cameras/{name}/image/detections"] >= 1
 
 
-def test_a_rig_without_calibration_shows_images_alone(tmp_path):
-    outcome = captured(tmp_path, False, view_log=tmp_path / "view.rrd")
+def test_a_rig_without_calibration_shows_images_alone(tmp_path, until_shown):
+    outcome = captured(tmp_path, False, until_shown, frames=None)
     assert outcome.whole
-    assert outcome.shown >= 2
+    assert outcome.shown >= 3
     shown = statistics(tmp_path / "view.rrd")
     assert "/world/points" not in shown
-    assert shown["/world/cameras/top/image"] >= 2
+    assert shown["/world/cameras/top/image"] >= 1
 
 
 def test_the_viewer_reads_the_log_from_a_pipe_while_it_grows(tmp_path):
@@ -72,7 +88,7 @@ def test_the_viewer_reads_the_log_from_a_pipe_while_it_grows(tmp_path):
             log.log_step(
                 frame, frame * 10_000_000, {n: np.zeros((SIZE[1], SIZE[0]), np.uint8) for n in NAMES}
             )
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 120
     while time.monotonic() < deadline:  # the viewer ends a moment after the log, then the file is whole
         time.sleep(0.2)
         try:
@@ -86,10 +102,12 @@ def test_the_viewer_reads_the_log_from_a_pipe_while_it_grows(tmp_path):
 
 def test_a_viewer_that_cannot_start_is_one_line(monkeypatch):
     rig = uncalibrated([CameraInfo("a", *SIZE, 8, RATE)])
+    # the time that a viewer is given to end: until it has, on however slow a machine
+    monkeypatch.setattr(live_view, "VIEWER_STARTS_S", 120.0)
     with pytest.raises(InputError, match="ended at once; is there a display"):
         log_in_viewer(rig, ("--no-such-option",))
-    monkeypatch.setattr(live_view.sys, "executable", "/nowhere/python")
-    monkeypatch.setattr(live_view.shutil, "which", lambda name: None)
+    monkeypatch.setattr(viewer_program.sys, "executable", "/nowhere/python")
+    monkeypatch.setattr(viewer_program.shutil, "which", lambda name: None)
     with pytest.raises(InputError, match="pip install rerun-sdk"):
         log_in_viewer(rig)
 
@@ -116,9 +134,11 @@ class SlowLog:
 @pytest.mark.parametrize("log", [SlowLog(0.4), SlowLog(0.0, RuntimeError("no space"))])
 def test_a_slow_or_broken_view_costs_the_capture_nothing(tmp_path, monkeypatch, log):
     monkeypatch.setattr("reports.viewer.RerunLog", lambda path, rig: log)
-    outcome = captured(tmp_path, False, view_log=tmp_path / "view.rrd")
+    start = time.monotonic()
+    outcome = captured(tmp_path, False)
     assert outcome.whole
-    assert 1 <= len(log.steps) <= 4
+    # it rests as long as it worked
+    assert 1 <= len(log.steps) <= 2 + (time.monotonic() - start) / 0.8
     assert sum("view: ended early (no space)" in note for note in outcome.notes) == (log.error is not None)
 
 

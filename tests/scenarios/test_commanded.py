@@ -13,7 +13,8 @@ from mosca.errors import InputError
 from mosca.recording import RecordingWriter
 from scenarios.build import build_scene
 from scenarios.lab.commanded import command_lines, write_commands
-from scenarios.run import RunOptions, run_scenario
+from scenarios.run import run_scenario
+from scenarios.run_options import RunOptions
 from scenarios.spec import load_scenario
 
 SCENARIO = Path(__file__).resolve().parents[2] / "scenarios" / "subjects" / "robot_program.toml"

@@ -7,6 +7,7 @@ import json
 import re
 import sys
 
+import cv2
 import numpy as np
 import pytest
 
@@ -154,3 +155,26 @@ def test_options_that_cannot_be_are_told_in_one_line(tmp_path, monkeypatch, caps
     code, _out, err = run(monkeypatch, capsys, tmp_path, *more)
     assert code == 2
     assert told in one_line(err)
+
+
+def pictures(folder) -> None:
+    """A folder of numbered images a camera, without anything that says when they were taken."""
+    write_rig(rig(), folder / "rig.toml")
+    for name, place in PLACES.items():
+        (folder / "take" / name).mkdir(parents=True)
+        for k in range(12):
+            cv2.imwrite(str(folder / "take" / name / f"{k:06d}.png"), picture(place, k / RATE_HZ))
+
+
+def test_images_without_stamps_want_a_rate_in_one_line(tmp_path, monkeypatch, capsys):
+    pictures(tmp_path)
+    code, _out, err = run(monkeypatch, capsys, tmp_path)
+    assert code == 2
+    assert "no frames.csv says when its frames were taken; pass --fps" in one_line(err)
+
+
+def test_images_without_stamps_are_taken_for_common_and_it_is_said(tmp_path, monkeypatch, capsys):
+    pictures(tmp_path)
+    code, out, err = run(monkeypatch, capsys, tmp_path, "--fps", f"{RATE_HZ:g}")
+    assert code == 0, err
+    assert "no frames.csv gives stamps: frames are taken to be 1/50 s apart" in out

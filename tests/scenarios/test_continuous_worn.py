@@ -6,13 +6,17 @@ import numpy as np
 import pytest
 
 from mosca.continuous.gather_solve import CameraClock
+from mosca.data.lamp_codes import lamp_bits
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
+from scenarios.cameras import true_rig, virtual_cameras
 from scenarios.catalog import find
 from scenarios.continuous_lamps import check_no_lamps, rider_pose, worn_lamps
+from scenarios.continuous_limbs import path_scores, worn_lamps_of
 from scenarios.continuous_run import clock_scores
-from scenarios.continuous_worn import without_lamps, worn_cameras
+from scenarios.continuous_worn import without_lamps, worn_cameras, worn_rig
 from scenarios.spec import load_scenario
+from scenarios.spec_continuous import ContinuousSpec
 
 
 @pytest.fixture(scope="module")
@@ -95,3 +99,76 @@ def test_clock_scores_are_the_worse_end_and_the_worst_camera():
     assert scores["clock_drift_ppm"].value == pytest.approx(50.0, abs=0.1)
     truth.frames = None
     assert clock_scores(found, truth) == {}
+
+
+@pytest.fixture(scope="module")
+def limbs():
+    path = find("continuous/worn_limbs")
+    spec = load_scenario(path)
+    cameras = worn_cameras(spec, virtual_cameras(spec, true_rig(spec, path.parent)))
+    return spec, cameras, worn_rig(spec, cameras).rig
+
+
+def test_nobody_tells_where_cameras_on_limbs_sit(limbs):
+    _spec, cameras, rig = limbs
+    assert len({v.mount.body for v in cameras}) == 5
+    for camera, virtual in zip(rig.cameras, cameras, strict=True):
+        pose = camera.world_from_camera
+        if virtual.mount.body == "root":
+            np.testing.assert_array_equal(pose.rotation, virtual.camera.world_from_camera.rotation)
+        else:
+            np.testing.assert_array_equal(pose.rotation, np.eye(3))
+            np.testing.assert_array_equal(pose.translation, np.zeros(3))
+
+
+def test_lamps_blink_numbers_of_their_own_a_bit_for_a_frame(limbs):
+    spec, _cameras, rig = limbs
+    known, lamps = worn_lamps_of(spec, rig)
+    assert known == ("belt_left", "belt_right")
+    assert lamps.bit_s == pytest.approx(1 / 60)
+    assert len(set(lamps.numbers)) == 6
+    for lamp, number in zip(worn_lamps(spec), lamps.numbers, strict=True):
+        assert lamp.blink is not None
+        assert lamp.blink.bits == lamp_bits(number)
+        assert lamp.blink.bit_s == pytest.approx(1 / 60)
+
+
+def test_a_camera_on_a_limb_without_a_number_is_told(limbs):
+    spec, _cameras, rig = limbs
+    bare = [c.model_copy(update={"lamp_number": None}) if c.name == "head" else c for c in spec.camera]
+    with pytest.raises(
+        InputError, match=r"camera 'head': continuous\.moving wants each worn camera's lamp_m"
+    ):
+        worn_lamps_of(spec.model_copy(update={"camera": tuple(bare)}), rig)
+
+
+def test_paths_are_scored_where_nobody_knew_them():
+    """The third camera is 3 mm and 0.01 rad off; the first two do not count."""
+    turn = np.array([[np.cos(0.01), -np.sin(0.01), 0.0], [np.sin(0.01), np.cos(0.01), 0.0], [0.0, 0.0, 1.0]])
+    t = np.array([0, 10**9])
+    true = np.tile(np.eye(3), (2, 3, 1, 1)), np.zeros((2, 3, 3))
+    rotations, centres = true[0].copy(), true[1].copy()
+    rotations[:, 2], centres[:, 2] = turn, [0.003, 0.0, 0.0]
+    centres[:, 0] = 9.0
+    paths = SimpleNamespace(at=lambda time_s: (rotations, centres))
+    worn = SimpleNamespace(
+        reconstructed=SimpleNamespace(
+            cameras=paths, clocks=[SimpleNamespace(origin_ns=0)], rig=SimpleNamespace(names=("a", "b", "c"))
+        )
+    )
+    scores = path_scores(worn, ("a", "b"), true, t)
+    assert scores["camera_position_rms"].value == pytest.approx(0.003)
+    assert scores["camera_angle_rms"].value == pytest.approx(0.01, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"estimate": "known"}, "moving = true wants worn_on"),
+        ({"estimate": "drift", "worn_on": "root"}, "taken to be of one clock"),
+        ({"estimate": "known", "clocks": "own", "worn_on": "root"}, "taken to be of one clock"),
+    ],
+)
+def test_cameras_that_move_want_a_body_and_one_clock(given, told):
+    with pytest.raises(ValueError, match=told):
+        ContinuousSpec(moving=True, **given)

@@ -221,8 +221,8 @@ def test_rig_check_says_how_cameras_of_a_recording_are_synchronised(tmp_path):
     ("given", "message"),
     [
         (["--flash", "nowhere"], "nowhere: no such folder"),
-        (["rig.toml", "--flash", "take"], "leave rig file and --devices out"),
-        (["--devices", "--flash", "take"], "leave rig file and --devices out"),
+        (["rig.toml", "--flash", "take"], "leave rig file, --devices and --live out"),
+        (["--devices", "--flash", "take"], "leave rig file, --devices and --live out"),
         (["--devices", "--fps", "30"], "--fps goes with --flash"),
         ([], "give a rig file, --devices for the cameras that are there, or --flash"),
     ],

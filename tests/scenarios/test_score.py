@@ -47,6 +47,16 @@ def both(frames=4, dx=0.001):
     return [(f, k, k + dx, 0, 0) for f in range(frames) for k in (0, 1)]
 
 
+def test_the_calibrations_share_is_added_to_the_measurements_covariance():
+    rows = [(f, 0, 0.002, 0, 0) for f in range(4)] + [(f, 1, 1.0, 0.001, 0) for f in range(4)]
+    # a calibration that is 1.5 mm uncertain along x and not at all else: variances 1 + 2.25 mm^2 along x, 1 along y
+    share = pair(
+        tracks(rows), truth(), SPACE, lambda xyz: np.tile(np.diag([2.25e-6, 0, 0]), (len(xyz), 1, 1))
+    )
+    assert sorted(set(np.round(share.nees, 9))) == pytest.approx([1.0, 4 / 3.25])
+    assert sorted(set(np.round(pair(tracks(rows), truth(), SPACE).nees, 9))) == pytest.approx([1.0, 4.0])
+
+
 def test_errors_of_one_and_two_millimetres():
     rows = [(f, 0, 0.001, 0, 0) for f in range(4)] + [(f, 1, 1.0, 0.002, 0) for f in range(4)]
     m = metrics(pair(tracks(rows), truth(), SPACE), SPACE)

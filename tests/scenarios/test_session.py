@@ -16,7 +16,8 @@ from mosca.data.wands import Wand
 from mosca.errors import CalibrationError, InputError
 from scenarios import run as runner
 from scenarios.cameras import true_rig, virtual_cameras
-from scenarios.run import run_scenario, write_run
+from scenarios.run import run_scenario
+from scenarios.run_folder import write_run
 from scenarios.session.estimated import estimated
 from scenarios.session.faults import swapped, turned
 from scenarios.session.scenes import axes_session, bar_session, target_session
@@ -128,8 +129,9 @@ def test_the_l_frame_stands_where_its_file_says_and_the_bar_is_as_long(tmp_path)
     rate_hz=st.floats(1.0, 500.0),
     share=st.floats(0.001, 0.9),
     seed=st.integers(0, 99),
+    more=st.integers(0, 60),
 )
-def test_no_exposure_sees_the_target_go_to_its_next_stand(stands, frames, rate_hz, share, seed):
+def test_no_exposure_sees_the_target_go_to_its_next_stand(stands, frames, rate_hz, share, seed, more):
     exposure_s = share / rate_hz
     lead_s = (1 / rate_hz - exposure_s) / 2
     path = put_from_stand_to_stand(
@@ -140,12 +142,14 @@ def test_no_exposure_sees_the_target_go_to_its_next_stand(stands, frames, rate_h
         shift_m=np.ones(3),
         tilt_rad=0.3,
         rng=np.random.default_rng(seed),
+        first_s=more / rate_hz,
     )
     np.testing.assert_array_equal(path(0.0), [0, 0, 0, 1, 0, 0, 0])  # the first stand is the world's
     np.testing.assert_allclose(np.linalg.norm(path.stands[:, 3:], axis=1), 1.0)
     assert (np.abs(path.stands[:, :3]) <= 1.0).all()
     for stand in range(stands):
-        for exposure in (stand * frames, (stand + 1) * frames - 1):
+        begin = more + stand * frames if stand else 0
+        for exposure in (begin, more + (stand + 1) * frames - 1):
             start = exposure / rate_hz
             # the trigger's jitter, too: most of the lead to both sides
             for time in (start - 0.9 * lead_s, start, start + exposure_s, start + exposure_s + 0.9 * lead_s):

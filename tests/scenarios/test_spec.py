@@ -117,7 +117,11 @@ def test_schema_is_json_and_knows_the_kinds():
         assert f'"{kind}"' in text
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=100,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(st.binary(max_size=200))
 def test_any_bytes_are_a_known_error(tmp_path, data):
     path = tmp_path / "s.toml"

@@ -5,6 +5,7 @@ import sys
 import threading
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from memory_transport import Exchange
 from needs import needs_module
 
 from hardware.settings import read_hardware
+from hardware.transport import open_transport
 from hardware.transport.merger import MergeSettings
 from hardware.transport.receiver import Receiver
 from hardware.transport.sender import Sender
@@ -31,16 +33,30 @@ from mosca.formats.tracks_csv import read_tracks_csv
 from mosca.pipeline import PipelineSettings, run
 from mosca.recording import RecordingWriter
 from scenarios.cli_station import rig_of
+from scenarios.lab import station as station_module
+from scenarios.lab import station_source, station_verbs
 from scenarios.lab.merge import account_lines, all_whole, calibrated_rig, run_merged
 from scenarios.lab.station import PulseCount, run_station
+from scenarios.lab.station_background import Backgrounds
 from scenarios.lab.station_source import Paced, RigOfStation
 from scenarios.lab.station_verbs import detect_on_station
+from scenarios.reconstruct import BackgroundSpec, recorded_backgrounds
 
-PULSES = 60
+PULSES = 90
+"""More than after which lessons are taken up seldom."""
 WHOLE = rig()
 SETTINGS = PipelineSettings()
-PATIENT = ReceiverSettings(MergeSettings(deadline_s=2.0, oldest_s=10.0), queued=10_000)
+PATIENT = ReceiverSettings(
+    MergeSettings(deadline_s=60.0, oldest_s=60.0), silence_s=60.0, start_wait_s=60.0, queued=10_000
+)
 COLUMNS = ("xy_px", "covariance_px2", "diameter_px", "peak", "elongation", "flags")
+
+
+@pytest.fixture(autouse=True)
+def _all_frames_are_looked_at(monkeypatch):
+    """However far a busy machine falls behind."""
+    monkeypatch.setattr(station_module, "BACKLOG_S", 60.0)
+    monkeypatch.setattr(station_source, "LATE_S", 60.0)
 
 
 def stations(faults=None):
@@ -52,7 +68,8 @@ def stations(faults=None):
         for name, cameras in (("A", WHOLE.cameras[:2]), ("B", WHOLE.cameras[2:])):
             source = Paced(Scene(cameras, PULSES, faults=faults))
             sender = source.gate.sender = Sender(exchange.open(), name, source.cameras)
-            threads.append(threading.Thread(target=run_station, args=(source, sender, SETTINGS.detection)))
+            arguments = (source, sender, SETTINGS.detection, source.arrival_ns)
+            threads.append(threading.Thread(target=run_station, args=arguments))
         for thread in threads:
             thread.start()
         sets = list(here)
@@ -87,6 +104,53 @@ def test_two_stations_give_the_detections_and_tracks_of_a_local_run_bit_for_bit(
     assert not all_whole(here.account)
 
 
+LAMP = np.rint(190 / (1 + np.exp((np.hypot(*np.mgrid[-7:8, -7:8]) - 3) / 0.35))).astype(np.uint8)
+
+
+class Lit(Scene):
+    """The scene before a small lamp that does not move."""
+
+    def __iter__(self):
+        for frame in super().__iter__():
+            picture = frame.image.copy()
+            picture[20:35, 30:45] = np.maximum(picture[20:35, 30:45], LAMP)
+            yield replace(frame, image=picture)
+
+
+def test_backgrounds_are_made_and_taken_off_as_in_a_local_run(tmp_path):
+    """From the recording's first frames, bit for bit; without, the lamp is a target."""
+    with RecordingWriter(tmp_path / "take", Lit(WHOLE.cameras, 1).cameras) as writer:
+        for frame in Lit(WHOLE.cameras, PULSES):
+            writer.write(frame)
+    spec = BackgroundSpec(kind="minimum", frames=30)
+    made = recorded_backgrounds(tmp_path / "take", WHOLE, None, spec)
+    local = list(run(Lit(WHOLE.cameras, PULSES), WHOLE, SETTINGS, backgrounds=made))
+    seen = {}
+    for backgrounds in (Backgrounds(ready=made), Backgrounds(spec), Backgrounds()):
+        exchange, told = Exchange(), []
+        backgrounds._told = told.append
+        with Receiver(exchange.open(), ("A",), dict.fromkeys(NAMES, SIZE), RATE, PATIENT) as here:
+            source = Paced(Lit(WHOLE.cameras, PULSES))
+            sender = source.gate.sender = Sender(exchange.open(), "A", source.cameras)
+            thread = threading.Thread(
+                target=run_station,
+                args=(source, sender, SETTINGS.detection, source.arrival_ns),
+                kwargs={"backgrounds": backgrounds},
+            )
+            thread.start()
+            seen[len(told), backgrounds] = {s.pulse: s.detections for s in here}
+            thread.join()
+    ready, live, none = seen.values()
+    assert all(same(ready[s.frame_set.pulse][n], s.detections[n]) for s in local for n in NAMES)
+    assert min(live) >= 30  # what the background was made of is not looked at
+    assert np.median([len(d["a1"]) for d in live.values()]) == np.median(
+        [len(d["a1"]) for d in ready.values()]
+    )
+    assert np.median([len(d["a1"]) for d in none.values()]) != np.median(
+        [len(d["a1"]) for d in ready.values()]
+    )
+
+
 class SharedLine(FakeLine):
     """One trigger cable; the trigger of the station that has the pulses."""
 
@@ -99,8 +163,7 @@ class SharedLine(FakeLine):
 
 @pytest.mark.parametrize("missed", [0, 1])
 def test_rigs_on_one_trigger_cable_start_together_and_a_missed_pulse_is_found_out(tmp_path, missed):
-    exchange, line = Exchange(), SharedLine(RATE)
-    end_s = time.monotonic() + 4.0
+    exchange, line, sets = Exchange(), SharedLine(RATE), []
     frames = {
         "a1": Fake(offset_s=3),
         "b1": Fake(misses=frozenset(range(missed))),
@@ -121,12 +184,11 @@ def test_rigs_on_one_trigger_cable_start_together_and_a_missed_pulse_is_found_ou
         sender = rig_of_it.gate.sender = Sender(exchange.open(), name, rig_of_it.cameras)
         run_station(
             rig_of_it, sender, SETTINGS.detection, rig_of_it.arrival_ns,
-            lambda: time.monotonic() < end_s, rig_of_it.stop,
+            lambda: len(sets) < 80, rig_of_it.stop,
         )  # fmt: skip
 
     # rigs hold their first frames until their pulses are known: these are old, and belong to the session all the same
-    settings = replace(PATIENT, merge=MergeSettings(deadline_s=1.0))
-    with Receiver(exchange.open(), ("A", "B"), dict.fromkeys(frames, (32, 24)), RATE, settings) as here:
+    with Receiver(exchange.open(), ("A", "B"), dict.fromkeys(frames, (32, 24)), RATE, PATIENT) as here:
         # the one with the pulses is there first, and has to wait for the other's cameras
         first = threading.Thread(target=station, args=("A", ("a1",), "software"))
         first.start()
@@ -134,7 +196,8 @@ def test_rigs_on_one_trigger_cable_start_together_and_a_missed_pulse_is_found_ou
         assert line.made == 0
         second = threading.Thread(target=station, args=("B", ("b1", "b2"), "external"))
         second.start()
-        sets = list(here)
+        for merged in here:
+            sets.append(merged)
         first.join()
         second.join()
     assert len(sets) > 50
@@ -201,8 +264,10 @@ def invoke(*arguments):
     return CliRunner().invoke(cli, ["station", *map(str, arguments)])
 
 
-def test_the_verbs_from_recordings_to_tracks(tmp_path):
+def test_the_verbs_from_recordings_to_tracks(tmp_path, monkeypatch):
     needs_module("zenoh", "stations")
+    monkeypatch.setattr(station_verbs, "ReceiverSettings", lambda merge: PATIENT)
+    monkeypatch.setattr(station_verbs, "open_transport", partial(open_transport, jam_s=60.0))
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     for name, cameras in (("A", WHOLE.cameras[:2]), ("B", WHOLE.cameras[2:])):
         source = Scene(cameras, PULSES)

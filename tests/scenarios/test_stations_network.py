@@ -7,7 +7,6 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
 from namespaces import needs_namespaces, pcs
 
@@ -24,6 +23,8 @@ from hardware.transport.station_state import ReceiverSettings  # noqa: E402
 CAMERAS = {"A": ("a1", "a2", "a3", "a4"), "B": ("b1", "b2", "b3", "b4")}
 SIZES = {name: SIZE for names in CAMERAS.values() for name in names}
 RATE = 100.0
+LONG = 12_000
+"""More pulses than a test needs, however slow the machine: it ends its stations once it has seen enough."""
 TARGETS = 50
 STATION = HARDWARE / "ready_station.py"
 
@@ -48,11 +49,12 @@ def programs():
 
 
 @contextmanager
-def listening(two_pcs):
+def listening(two_pcs, silence_s):
     """Open a receiver that is so patient that a busy machine changes nothing but delays."""
     endpoints = [pc.endpoint for pc in two_pcs.values()]
-    patient = MergeSettings(deadline_s=0.4, oldest_s=0.6)
-    settings = ReceiverSettings(patient, queued=10_000)  # the test reads them at its end
+    settings = ReceiverSettings(
+        MergeSettings(deadline_s=60.0, oldest_s=60.0), silence_s, start_wait_s=60.0, queued=2 * LONG
+    )
     with Receiver(open_transport(listen=endpoints), ("A", "B"), SIZES, settings=settings) as here:
         yield here
 
@@ -67,103 +69,115 @@ def opened(pc, name, pulses):
     return program
 
 
-def begin(program, start_ns, first=0):
-    """Let it send from pulse ``first`` on."""
-    program.stdin.write(f"{start_ns} {first}\n")
+def say(program, line):
+    program.stdin.write(f"{line}\n")
     program.stdin.flush()
 
 
-def both(two_pcs, running, pulses):
+def both(two_pcs, running, pulses=LONG):
     """Start both stations on one line of pulses; returns when its pulse 0 is [ns]."""
     running += [opened(two_pcs[name], name, pulses) for name in "AB"]
     start = time.monotonic_ns() + 500_000_000
     for program in running:
-        begin(program, start)
+        say(program, f"{start} 0")
     return start
 
 
-def sleep_until(pulse, start_ns):
-    time.sleep(max(start_ns * 1e-9 + pulse / RATE - time.monotonic(), 0))
+def ended(programs):
+    """End stations after what is under way; returns how many pulses each of them has sent."""
+    for program in programs:
+        say(program, "end")
+    sent = [int(program.stdout.readline()) for program in programs]
+    assert [program.wait() for program in programs] == [0] * len(programs)
+    return sent
 
 
-def check_pulses(sets):
-    pulses = [s.pulse for s in sets]
-    assert pulses == sorted(set(pulses))
+def read(stream, sets, met):
+    """Read sets until ``met`` is true."""
+    for merged in stream:
+        sets.append(merged)
+        if met():
+            return
+    pytest.fail("the stations ended before")
+
+
+def happened(here, *kinds):
+    return [event for event in here.events if event.station == "B" and event.kind in kinds]
+
+
+def check(sets):
+    """All pulses, each of one instant, and never without A, to which nothing happens."""
+    assert [s.pulse for s in sets] == list(range(len(sets)))
     for merged in sets:
-        assert {pulse_in(found) for found in merged.detections.values()} <= {merged.pulse % 600}
+        assert {pulse_in(found) for found in merged.detections.values()} == {merged.pulse % 600}
+        assert set(CAMERAS["A"]) <= set(merged.detections)
 
 
-def delays(sets):
-    """From each frame's arrival at its station to its merged set [s], but for the start, which is held."""
-    return np.array(
-        [(s.merged_ns - at) * 1e-9 for s in sets if s.pulse >= 50 for at in s.arrived_ns.values()]
-    )
+def whole(sets):
+    return not any(s.missing for s in sets)
 
 
 def test_detections_of_two_pcs_are_merged(two_pcs):
     """How soon, ``tests/benchmarks/bench_stations.py`` measures; here each pulse is whole and of one instant."""
-    with programs() as running, listening(two_pcs) as here:
+    with programs() as running, listening(two_pcs, silence_s=60.0) as here:
         both(two_pcs, running, 300)
         sets = list(here)
-        assert [program.wait(10) for program in running] == [0, 0]
+        assert [program.wait() for program in running] == [0, 0]
         for name in "AB":  # the stations' clocks are 10^12 ns and more off
             offset, now = sum(name.encode()) * 10**12, time.monotonic_ns()
             assert abs(here.here(name, now + offset) - now) < 0.5e9 / RATE
-    check_pulses(sets)
-    assert [s.pulse for s in sets] == list(range(300))
-    assert not any(s.missing for s in sets)
-    print(f"99 % merged within {1e3 * np.quantile(delays(sets), 0.99):.1f} ms")
+    check(sets)
+    assert len(sets) == 300
+    assert whole(sets), [(s.pulse, dict(s.missing)) for s in sets if s.missing]
 
 
-def test_a_cable_out_for_1500_ms_is_survived_and_its_cost_stated(two_pcs):
-    with programs() as running, listening(two_pcs) as here:
-        start = both(two_pcs, running, 800)
-        sleep_until(200, start)
+def test_a_cable_out_is_survived_and_its_cost_stated(two_pcs):
+    """Out until that is noticed: for 1.5 s and more."""
+    with programs() as running, listening(two_pcs, silence_s=1.5) as here:
+        both(two_pcs, running)
+        sets, stream = [], iter(here)
+        read(stream, sets, lambda: len(sets) == 200)
         two_pcs["B"].cut()
-        time.sleep(1.5)
+        read(stream, sets, lambda: happened(here, "silent", "gone"))
         two_pcs["B"].mend()
-        sets = list(here)
-    check_pulses(sets)
-    assert [s.pulse for s in sets] == list(range(800))
-    assert all(set(CAMERAS["A"]) <= set(s.detections) for s in sets)
-    without = [s.pulse for s in sets if set(s.missing) & set(CAMERAS["B"])]
-    assert 140 <= len(without) <= 500
-    assert all(not s.missing for s in sets[:195])
-    assert all(not s.missing for s in sets[-50:])
-    told = [event.text for event in here.events if event.station == "B"]
-    assert any(text.startswith("is silent") for text in told)
-    assert any(text.startswith("is heard again") for text in told)
+        read(stream, sets, lambda: happened(here, "back"))
+        read(stream, sets, lambda: whole(sets[-50:]))
+        seen = len(sets)
+        _, sent = ended(running)
+        sets += stream
+    check(sets[:seen])
+    assert whole(sets[:200])
+    assert any(set(s.missing) == set(CAMERAS["B"]) for s in sets)
     # every message of B is in a set, or counted where it went
     station, merge = here.account.stations["B"], here.account.merge
     parts = [merge.cameras[name] for name in CAMERAS["B"]]
-    assert station.received + station.lost == 4 * 800
+    assert station.received + station.lost == 4 * sent
     assert sum(c.merged + c.late + c.aged for c in parts) == station.received
     for count in parts:
         assert count.away + count.lost == merge.sets - count.merged
 
 
 def test_a_killed_station_is_reported_survived_and_taken_back(two_pcs):
-    with programs() as running, listening(two_pcs) as here:
-        start = both(two_pcs, running, 800)
-        sleep_until(200, start)
+    with programs() as running, listening(two_pcs, silence_s=1.5) as here:
+        start = both(two_pcs, running)
+        sets, stream = [], iter(here)
+        read(stream, sets, lambda: len(sets) == 200)
         killed_ns = time.monotonic_ns()
         running[1].send_signal(signal.SIGKILL)
-        running[1].wait()
-        again = opened(two_pcs["B"], "B", 800)
+        read(stream, sets, lambda: happened(here, "gone"))
+        again = opened(two_pcs["B"], "B", LONG)
         running.append(again)
-        first = max(400, round((time.monotonic_ns() - start) * 1e-9 * RATE) + 20)
-        begin(again, start, first)
-        sets = list(here)
-    check_pulses(sets)
-    assert [s.pulse for s in sets] == list(range(800))
-    assert all(set(CAMERAS["A"]) <= set(s.detections) for s in sets)
-    assert all(not s.missing for s in sets[:195])
-    assert all(not s.missing for s in sets[-100:])
-    events = [event for event in here.events if event.station == "B"]
-    gone = next(event for event in events if event.kind in ("gone", "silent"))
-    assert gone.time_ns > killed_ns
-    assert any(event.kind == "gone" for event in events)
-    assert any(event.text == "has started again" for event in events)
+        say(again, f"{start} {round((time.monotonic_ns() - start) * 1e-9 * RATE) + 20}")
+        read(stream, sets, lambda: happened(here, "back"))
+        read(stream, sets, lambda: whole(sets[-50:]))
+        seen = len(sets)
+        ended([running[0], again])
+        sets += stream
+    check(sets[:seen])
+    assert whole(sets[:200])
+    assert any(set(s.missing) == set(CAMERAS["B"]) for s in sets)
+    assert all(event.time_ns > killed_ns for event in happened(here, "gone", "silent"))
+    assert [event.text for event in happened(here, "back")][:1] == ["has started again"]
     assert here.account.stations["B"].starts == 2
-    # nothing waits for a station that has nothing to send yet; a few sets may, until its death is known
-    assert all(here.account.merge.cameras[name].lost < 60 for name in CAMERAS["B"])
+    # no set has waited in vain: nothing waits for a station that has nothing to send yet
+    assert all(here.account.merge.cameras[name].lost == 0 for name in CAMERAS["B"])

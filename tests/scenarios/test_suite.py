@@ -1,13 +1,11 @@
 """The suite: a second run is no regression, a planted 5 % is, and JUnit says what happened."""
 
 import json
-import subprocess
-import sys
 import xml.etree.ElementTree as ElementTree
 
 import pytest
+from command_line import mosca
 
-MOSCA = [sys.executable, "-m", "scenarios.cli"]
 SCENARIO = """
 title = "tiny"
 tier = "quick"
@@ -32,8 +30,7 @@ position_rms = 0.01
 
 
 def suite(folder, *args):
-    command = [*MOSCA, "suite", "scenarios", "--jobs", "1", *args]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
+    return mosca("suite", "scenarios", "--jobs", "1", *args, cwd=folder)
 
 
 @pytest.fixture(scope="module")

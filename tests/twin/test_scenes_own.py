@@ -196,7 +196,11 @@ def test_markers_may_stand_in_a_toml_file(tmp_path: Path) -> None:
         read_marker_table(tmp_path / "m.toml")
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=100,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 @given(
     content=st.one_of(st.binary(max_size=120), st.text('name,body,xyz0.1\n"A', max_size=60).map(str.encode))
 )

@@ -1,0 +1,84 @@
+"""Covariances where curves alone would be too sure: jitter between exposures, image errors that last."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from continuous_scenes import nees, ring, sines, take
+
+from mosca.camera import project
+from mosca.continuous.estimate import ContinuousSettings, estimate
+from mosca.data.rig import Rig
+from mosca.triangulate import triangulate
+
+PLAIN = ContinuousSettings(limbs=False)
+WITHIN = np.linspace(0.1, 1.9, 400)
+
+
+def staggered(seconds=2.0, rate=50.0, cameras=3):
+    return [np.arange(0.004 * c, seconds, 1 / rate) for c in range(cameras)]
+
+
+def jittering(seed, markers, sigma_m):
+    """Smooth points that are somewhere else by ``sigma_m`` an axis at each 120th of a second, lines between."""
+    smooth, known = sines(seed, markers), np.arange(360) / 120
+    quick = np.random.default_rng(seed).normal(0, sigma_m, (360, 3 * markers))
+
+    def at(t):
+        between = np.stack([np.interp(t, known, one) for one in quick.T], axis=1)
+        return smooth(t) + between.reshape(-1, markers, 3)
+
+    return at
+
+
+def without(estimated):
+    curves = estimated.curves
+    return replace(estimated, curves=replace(curves, unheld=np.zeros_like(curves.unheld)))
+
+
+def test_jitter_that_no_exposure_tells_is_stated():
+    path = jittering(4, 6, 0.002)
+    estimated = estimate(take(path, ring(), staggered(), 0.05, 4), ring(), PLAIN)
+    # image noise is 0.2 mm: what is left of a smooth curve is the jitter, on lines two thirds of its variance
+    stated = np.sqrt(estimated.curves.unheld[:, :, 0, 0].mean())
+    assert stated == pytest.approx(0.002 * np.sqrt(2 / 3), rel=0.2)
+    squares = nees(estimated, path, WITHIN)
+    assert 0.8 < squares.mean() < 4.0
+    assert (squares < 7.815).mean() > 0.9
+    # the control: curves alone
+    assert nees(without(estimated), path, WITHIN).mean() > 2 * squares.mean()
+
+
+def test_image_errors_that_last_are_stated():
+    path, rig = sines(5, 12), ring(4)
+    observations = take(path, rig, staggered(rate=100.0, cameras=4), 0.1, 5)
+    each = np.random.default_rng(5).normal(0, 0.1, (4, 12, 2))
+    biased = replace(observations, xy_px=observations.xy_px + each[observations.camera, observations.point])
+    estimated = estimate(biased, rig, PLAIN)
+    squares = nees(estimated, path, WITHIN)
+    # twelve points, each with one error of its own: the mean of 12 times chi2(3) / 12 scatters by 0.7
+    assert 1.5 < squares.mean() < 5.0
+    assert nees(without(estimated), path, WITHIN).mean() > 2 * squares.mean()
+
+
+def test_nothing_is_added_where_images_say_all():
+    estimated = estimate(take(sines(6, 8), ring(), staggered(), 0.1, 6), ring(), PLAIN)
+    assert (estimated.curves.unheld == 0).all()
+
+
+def test_what_the_rig_says_of_its_lenses_is_stated():
+    """Images without such errors show none: what is stated is what as large an error of each image would do."""
+    path, plain = sines(7, 12), ring(3)
+    said = Rig(tuple(replace(camera, residual_px=0.1) for camera in plain.cameras))
+    observations = take(path, plain, staggered(rate=100.0), 0.05, 7)
+    both = np.tile((0.05**2 + 0.1**2) * np.eye(2), (len(observations), 1, 1))
+    observations = replace(observations, covariance_px2=both)
+    estimated, unsaid = (estimate(observations, rig, PLAIN) for rig in (said, plain))
+    assert (unsaid.curves.unheld == 0).all()
+    at = estimated.curves.knots.breaks_s
+    places = path(at).reshape(-1, 3)
+    images = np.stack([project(camera, places) for camera in plain.cameras], axis=1)
+    wanted = np.trace(triangulate(plain, images, 0.1)[1], axis1=1, axis2=2)
+    stated = np.trace(estimated.curves.unheld, axis1=2, axis2=3).ravel()
+    # told half a second at a time, in which points move by 0.1 m
+    np.testing.assert_allclose(np.sqrt(stated), np.sqrt(wanted), rtol=0.15)

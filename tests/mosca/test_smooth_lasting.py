@@ -1,0 +1,55 @@
+"""Errors that last beside a gap are not averaged away in it."""
+
+import numpy as np
+import pytest
+
+from mosca.data.tracks import Tracks
+from mosca.smooth import CHI2_95, SmoothSettings, filled
+
+RATE, SIGMA_M, HIDDEN_M = 100.0, 2e-4, 2e-3
+
+
+def track_with_gaps(rng: np.random.Generator, told: bool) -> tuple[Tracks, np.ndarray]:
+    """Return a swinging target's track with gaps of 3 frames, half hidden for 6 frames on both sides of each.
+
+    Half hidden, its error is the same all the time, 2 mm an axis; ``told``: its covariance says so.
+    """
+    frame = np.arange(600)
+    t = frame / RATE
+    truth = np.stack([0.3 * np.sin(4 * t), 0.1 * np.cos(3 * t), 1 + 0.2 * np.sin(2.5 * t)], axis=1)
+    error = rng.normal(0, SIGMA_M, truth.shape)
+    sigma = np.full(len(frame), SIGMA_M)
+    seen = np.ones(len(frame), bool)
+    for start in range(60, 560, 60):
+        for side in (slice(start - 6, start), slice(start + 3, start + 9)):
+            error[side] += rng.normal(0, HIDDEN_M, 3)
+            if told:
+                sigma[side] = np.hypot(SIGMA_M, HIDDEN_M)
+        seen[start : start + 3] = False
+    n = int(seen.sum())
+    tracks = Tracks(
+        frame[seen], (1e9 * t[seen]).astype(np.int64), np.zeros(n, int), np.full(n, "a"), (truth + error)[seen],
+        np.eye(3) * sigma[seen, None, None] ** 2, np.full(n, 4), np.zeros(n), np.full(n, "measured"),
+    )  # fmt: skip
+    instants = Tracks(
+        frame, (1e9 * t).astype(np.int64), np.ones(len(frame), int), np.full(len(frame), "b"), truth + 1,
+        np.tile(np.eye(3) * SIGMA_M**2, (len(frame), 1, 1)), np.full(len(frame), 4), np.zeros(len(frame)),
+        np.full(len(frame), "measured"),
+    )  # fmt: skip
+    both = [np.concatenate([getattr(tracks, f), getattr(instants, f)]) for f in Tracks.__dataclass_fields__]
+    return Tracks(*both), truth
+
+
+@pytest.mark.parametrize(("told", "least", "most"), [(True, 0.8, 1.0), (False, 0.0, 0.6)])
+def test_coverage_beside_half_hidden_images(told: bool, least: float, most: float) -> None:
+    """With covariances that say so nine of ten samples are covered; the control, whose do not, is not."""
+    covered = []
+    for seed in range(6):
+        tracks, truth = track_with_gaps(np.random.default_rng(seed), told)
+        together = filled(tracks, SmoothSettings())
+        fills = together.select(together.status == "filled")
+        assert len(fills) == 27
+        away = fills.xyz - truth[fills.frame]
+        squares = np.einsum("ni,nij,nj->n", away, np.linalg.inv(fills.covariance), away)
+        covered.append(np.mean(squares < CHI2_95))
+    assert least <= np.mean(covered) <= most, covered

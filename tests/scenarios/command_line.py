@@ -1,0 +1,21 @@
+"""The command line in this process: a process of its own spends seconds on imports alone."""
+
+import io
+import sys
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from types import SimpleNamespace
+from unittest.mock import patch
+
+from scenarios.cli import main
+
+
+def mosca(*words, cwd):
+    """Run words of the command line in a folder; return exit code and what was told, as a process would."""
+    code, out, errors = 0, io.StringIO(), io.StringIO()
+    line = ["mosca", *map(str, words)]
+    with chdir(cwd), patch.object(sys, "argv", line), redirect_stdout(out), redirect_stderr(errors):
+        try:
+            main()
+        except SystemExit as ended:
+            code = ended.code
+    return SimpleNamespace(returncode=code, stdout=out.getvalue(), stderr=errors.getvalue())
