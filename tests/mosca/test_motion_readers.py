@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from machine_speed import cost
 from scipy.spatial.transform import Rotation
 
 from mosca.data.motion import forward_kinematics
@@ -319,11 +318,10 @@ def test_converted_bvh_agrees_with_amc_below_the_chest() -> None:
 
 
 @pytest.mark.data
-def test_long_recording_reads_quickly_and_stays_human() -> None:
+def test_long_recording_stays_human() -> None:
     asf, amc = DATA / "asfamc/01/01.asf", DATA / "asfamc/01/01_01.amc"
     _need(asf, amc)
     motion = read_asf_amc(asf, amc)
-    assert cost(lambda: read_asf_amc(asf, amc)) < 10  # 2,751 frames; 1.4 measured
     positions, rotations = forward_kinematics(motion)
     assert len(positions) == 2751
     assert motion.duration_s == pytest.approx(22.917, abs=1e-3)  # SOURCE.md: 22.9 s
