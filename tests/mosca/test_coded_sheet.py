@@ -158,7 +158,7 @@ def test_a_sheet_painted_by_a_browser_is_read(tmp_path, colour):
     ]
     where = [f"--user-data-dir={tmp_path / 'browser'}", "--window-size=800,1130", f"--screenshot={shot}"]
     subprocess.run(
-        [str(BROWSER), *options, *where, file.as_uri()], check=True, capture_output=True, timeout=60
+        [str(BROWSER), *options, *where, file.as_uri()], check=True, capture_output=True, timeout=600
     )
     image = cv2.imread(str(shot), cv2.IMREAD_GRAYSCALE)
     found = find_coded(image, "scan", CodedSettings(colour=colour, maximum_dot_px=150))

@@ -100,7 +100,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 def killed(out):
     folder = str(Path(__file__).parent)
-    subprocess.run([sys.executable, "-c", KILLED, str(out), folder], check=False, timeout=60)
+    subprocess.run([sys.executable, "-c", KILLED, str(out), folder], check=False, timeout=600)
 
 
 @pytest.mark.parametrize("locked", [False, True])
