@@ -311,11 +311,15 @@ def schema(kind: str) -> None:
 def main() -> None:
     """Run the command line; known errors become one line and exit code 2."""
     try:
-        cli(standalone_mode=False)
+        cli(prog_name="mosca", standalone_mode=False)
     except click.exceptions.Exit as done:
         sys.exit(done.exit_code)
     except click.ClickException as error:
-        click.echo(f"mosca: {error.format_message()}; 'mosca --help' shows what there is", err=True)
+        where = getattr(error, "ctx", None)
+        path = where.command_path if where is not None else "mosca"
+        click.echo(
+            f"mosca: {error.format_message().rstrip('.')}; '{path} --help' shows what there is", err=True
+        )
         sys.exit(EXIT_ERROR)
     except MoscaError as error:
         click.echo(f"mosca: {error}", err=True)

@@ -64,7 +64,7 @@ def _first_line(model: type[BaseModel], error: ValidationError) -> str:
         key = str(first["loc"][-1])
         near = difflib.get_close_matches(key, allowed, n=1)
         text = f"unknown key '{place}'"
-        text += f"; did you mean '{near[0]}'?" if near else ""
+        text += f"; did you mean '{near[0]}'?" if near else "."
         text += f" Allowed here: {', '.join(allowed)}" if allowed else ""
     elif first["type"] == "missing":
         text = f"key '{place}' is missing; {_described(model, first['loc'])}add it"
