@@ -17,6 +17,7 @@ from hardware.account import Account, CameraAccount
 from hardware.clock_reader import ClockReader
 from hardware.driver import CameraDriver, ClockReading, DeviceError, DeviceReport, Grabbed
 from hardware.drivers import open_camera
+from hardware.looks import LOOK_S, Looks
 from hardware.numbering import Numbered, PulseNumbers
 from hardware.settings import CameraHardware, RigHardware, read_hardware
 from hardware.trigger import Trigger
@@ -24,8 +25,9 @@ from hardware.triggers import open_trigger
 from mosca.data.arrays import Array
 from mosca.data.frames import CameraInfo, Frame, StampEvent
 
-GRAB_S = 0.1
 DRAIN_S = 0.3
+"""After the last pulse no more is waited for once every camera was looked at in vain for so long."""
+LONGEST_DRAIN_S = 60.0
 MARGIN_S = 0.05
 """The pulses go on for so long after the last one wanted: a busy machine makes and sees them late."""
 REOPEN_S = 1.0
@@ -66,7 +68,10 @@ class HardwareSource:
         self._queue: queue.Queue[tuple[str, Grabbed | None]] = queue.Queue()
         # a reading wakes whoever waits for buffers
         self._clocks = ClockReader(self._drivers, lambda name: self._queue.put((name, None)))
-        self._heard_ns: dict[str, int] = {}
+        self._looks = {name: Looks() for name in rig.cameras}
+        self._lost: set[str] = set()
+        self._past: set[str] = set()
+        self._over_ns: int | None = None
         self._queued_bytes = 0
         self._guard = threading.Lock()
         self._threads: list[threading.Thread] = []
@@ -205,19 +210,28 @@ class HardwareSource:
         """Read one camera until the end; a lost device is reopened, again and again."""
         account = self.account.cameras[name]
         while not self._stop.is_set():
+            began_ns = time.monotonic_ns()
             try:
-                buffer = self._drivers[name].grab(GRAB_S)
+                buffer = self._drivers[name].grab(LOOK_S)
             except DeviceError as error:
                 self.account.notes.append(str(error))
+                self._lost.add(name)
+                if self._trigger is not None:
+                    self._trigger.camera_lost(name)
                 if not self._reopened(name):
                     return
+                self._lost.discard(name)
                 account.reopened += 1
                 continue
             if buffer is None:
+                ended_ns = time.monotonic_ns()
+                self._looks[name].in_vain(began_ns, ended_ns, self._over_ns)
+                if self._trigger is not None:
+                    self._trigger.looked_in_vain(name, began_ns, ended_ns)
                 continue
+            self._looks[name].found()
             if self._trigger is not None:
                 self._trigger.frame_arrived(name, buffer.host_ns)
-            self._heard_ns[name] = buffer.host_ns
             size = 0
             if buffer.image is not None:
                 size = buffer.image.nbytes
@@ -248,12 +262,10 @@ class HardwareSource:
 
     def _arrivals(self) -> Iterator[tuple[str, Grabbed | ClockReading]]:
         """Yield buffers until the last pulse is over and its frames had time to arrive; readings go first."""
-        self._heard_ns |= dict.fromkeys(self._drivers, time.monotonic_ns())
         told: set[str] = set()
-        deadline_ns: int | None = None
         while True:
             try:
-                name, buffer = self._queue.get(timeout=GRAB_S)
+                name, buffer = self._queue.get(timeout=LOOK_S)
             except queue.Empty:
                 if self._stop.is_set():
                     return
@@ -264,22 +276,35 @@ class HardwareSource:
                 with self._guard:
                     self._queued_bytes -= 0 if buffer.image is None else buffer.image.nbytes
                 yield name, buffer
-            now_ns = time.monotonic_ns()
-            self._tell_silent(told, now_ns)
-            if self._pulses is not None and deadline_ns is None:
-                reached = self._pulse_at(now_ns)
-                if reached is not None and reached >= self._pulses + MARGIN_S * self.rig.shared.rate_hz:
-                    deadline_ns = now_ns + round(DRAIN_S * 1e9)
-                    if self._trigger is not None:
-                        self._trigger.stop()
-            if deadline_ns is not None and now_ns > deadline_ns and self._queue.empty():
+            self._tell_silent(told)
+            if self._over_ns is None and self._pulses_over(time.monotonic_ns()):
+                if self._trigger is not None:
+                    self._trigger.stop()
+                self._over_ns = time.monotonic_ns()
+            if self._over_ns is not None and self._queue.empty() and self._drained(self._over_ns):
                 return
 
-    def _tell_silent(self, told: set[str], now_ns: int) -> None:
-        """Note once who is silent: by when its thread got a buffer, however late that is read here."""
-        limit_ns = self.rig.shared.silence_s * 1e9
-        for name, last_ns in list(self._heard_ns.items()):
-            if now_ns - last_ns <= limit_ns:
+    def _pulses_over(self, now_ns: int) -> bool:
+        """Tell whether all pulses wanted were made; a trigger that counts them may be behind the clock."""
+        if self._pulses is None:
+            return False
+        reached = self._pulse_at(now_ns)
+        if reached is None or reached < self._pulses + MARGIN_S * self.rig.shared.rate_hz:
+            return False
+        made = None if self._trigger is None else self._trigger.report().get("pulses")
+        return not isinstance(made, int) or made >= self._pulses
+
+    def _drained(self, over_ns: int) -> bool:
+        """Tell whether nothing of the pulses wanted is under way, as far as each camera's reader has looked."""
+        if time.monotonic_ns() - over_ns > LONGEST_DRAIN_S * 1e9:
+            return True
+        done = self._past | self._lost
+        return all(looks.over_s >= DRAIN_S for name, looks in self._looks.items() if name not in done)
+
+    def _tell_silent(self, told: set[str]) -> None:
+        """Note once who is silent: by its own thread's looks, however late this is read."""
+        for name, looks in self._looks.items():
+            if looks.vain_s <= self.rig.shared.silence_s:
                 told.discard(name)
             elif name not in told:
                 told.add(name)
@@ -316,6 +341,7 @@ class HardwareSource:
             account.whole += buffer.image is not None
             account.failed += buffer.image is None
             if self._pulses is not None and one.pulse >= self._pulses:
+                self._past.add(one.camera)
                 continue
             frame = Frame(
                 one.camera,

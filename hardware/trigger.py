@@ -22,8 +22,16 @@ class Trigger(Protocol):
         """Be told that a frame of ``camera`` came at ``host_ns``; called by the cameras' threads."""
         ...
 
+    def looked_in_vain(self, camera: str, began_ns: int, ended_ns: int) -> None:
+        """Be told that no frame of ``camera`` was there between these times; called by the cameras' threads."""
+        ...
+
+    def camera_lost(self, camera: str) -> None:
+        """Be told that ``camera`` has gone: nothing comes from it before it is found again."""
+        ...
+
     def report(self) -> dict[str, object]:
-        """Return what is known of the pulses so far, for the recording: pulses made, rate, fit."""
+        """Return what is known of the pulses so far, for the recording: ``pulses`` made, rate, fit."""
         ...
 
     def close(self) -> None:
@@ -49,6 +57,12 @@ class External:
         return None
 
     def frame_arrived(self, camera: str, host_ns: int) -> None:
+        """Do nothing."""
+
+    def looked_in_vain(self, camera: str, began_ns: int, ended_ns: int) -> None:
+        """Do nothing."""
+
+    def camera_lost(self, camera: str) -> None:
         """Do nothing."""
 
     def report(self) -> dict[str, object]:

@@ -75,6 +75,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...], bool]] = {
     "camera_gv_set_stream_options": (None, (c_void_p, c_int), False),
     "gv_device_is_controller": (c_int, (c_void_p,), False),
     "gv_device_get_timestamp_tick_frequency": (c_uint64, (c_void_p,), True),
+    "device_write_register": (c_int, (c_void_p, c_uint64, ctypes.c_uint32), True),
     "device_get_feature": (c_void_p, (c_void_p, c_char_p), False),
     "device_get_genicam_xml": (c_void_p, (c_void_p, POINTER(c_size_t)), False),
     "device_is_feature_available": (c_int, (c_void_p, c_char_p), True),

@@ -162,6 +162,7 @@ class GentlCamera(GenICamCamera):
         self._errors = _errors()
         self._blocks = BlockIds()
         self.incomplete = self._told = self._whole = 0
+        self._fetched: Grabbed | None = None
         super().__init__(name, device, GenTLFeatures(acquirer.remote_device.node_map, self._errors))
         acquirer.add_callback(acquirer.Events.INCOMPLETE_BUFFER, _counting(self))
         producer.open += 1
@@ -169,6 +170,7 @@ class GentlCamera(GenICamCamera):
     def _start(self) -> None:
         self._blocks = BlockIds()
         self.incomplete = self._told = self._whole = 0
+        self._fetched = None
         payload = number(self.features, "PayloadSize") or 1.0
         wanted = max(LEAST_BUFFERS, min(BUFFERS, int(BUFFER_BYTES / payload)))
         self._acquirer.num_buffers = max(wanted, self._acquirer.min_num_buffers)
@@ -178,21 +180,28 @@ class GentlCamera(GenICamCamera):
             raise self._error(f"does not start ({first_line(error)})") from None
 
     def _fetch(self, timeout_s: float) -> Grabbed | None:
+        if self._fetched is None:
+            self._fetched = self._next(timeout_s)
+        # what harvesters passed over came before the buffer that it gave
+        if self.incomplete > self._told:
+            self._told += 1
+            return Grabbed(None, None, time.monotonic_ns(), self._exposure_ns, None, "INCOMPLETE")
+        fetched, self._fetched = self._fetched, None
+        return fetched
+
+    def _next(self, timeout_s: float) -> Grabbed | None:
         try:
             buffer = self._acquirer.try_fetch(timeout=max(LEAST_FETCH_S, timeout_s))
         except self._errors as error:
             raise self._gone(first_line(error)) from None
         host_ns = time.monotonic_ns()
-        if buffer is not None:
-            try:
-                self._whole += 1
-                return self._grabbed(buffer, host_ns)
-            finally:
-                buffer.queue()
-        if self.incomplete > self._told:
-            self._told += 1
-            return Grabbed(None, None, host_ns, self._exposure_ns, None, "INCOMPLETE")
-        return None
+        if buffer is None:
+            return None
+        try:
+            self._whole += 1
+            return self._grabbed(buffer, host_ns)
+        finally:
+            buffer.queue()
 
     def _grabbed(self, buffer: Any, host_ns: int) -> Grabbed:
         raw = buffer.module

@@ -1,5 +1,6 @@
 """GigE Vision cameras of any vendor, through Aravis (LGPL, called as a system library)."""
 
+import contextlib
 import ctypes
 import threading
 import time
@@ -30,6 +31,9 @@ PROTOCOL = "GigEVision"
 _looking = threading.RLock()
 # buffers hold a second at 100 Hz, and no more than a quarter of a gigabyte
 BUFFERS, LEAST_BUFFERS, BUFFER_BYTES = 100, 8, 1 << 28
+# GigE Vision's bootstrap register of the time [ms] without a sign of life after which a camera lets go of its program;
+# three seconds as they come. A machine that is held up for some seconds must not lose all its cameras
+HEARTBEAT_REGISTER, HEARTBEAT_MS = 0x0938, 10_000
 STREAM_PROPERTIES: tuple[tuple[str, str, float], ...] = (
     # what the kernel may keep while this program waits for a core (net.core.rmem_max allows how much)
     ("socket-buffer-size", "int", 1 << 23),
@@ -136,6 +140,9 @@ class GigeCamera(GenICamCamera):
                     f"camera '{name}': {described(device)} is controlled by another program; close that first"
                 )
             super().__init__(name, device, AravisFeatures(aravis, self._device))
+            # one that refuses keeps its own time, and is as good as before
+            with contextlib.suppress(AravisError):
+                aravis("device_write_register", self._device, HEARTBEAT_REGISTER, HEARTBEAT_MS)
             serial = decoded(aravis("camera_get_device_serial_number", self._camera))
             self.device = Device("gige", text(self.features, "DeviceModelName"), serial, device.address)
         except AravisError as error:

@@ -32,6 +32,8 @@ from mosca.errors import InputError
 
 TICK_S = 0.05
 """How often heartbeat and supply are looked after when nothing comes."""
+ASLEEP_NS, GRACE_NS = 500_000_000, 2_000_000_000
+"""Who did not look for so long was asleep itself, and cannot tell who was silent; clients have the grace to speak."""
 DISCOVERY_BYTES = 0xF8
 LARGEST_READ = LARGEST_GVCP_PAYLOAD - 4
 ADDRESS = {register.name: register.address for register in BOOTSTRAP}
@@ -56,6 +58,7 @@ class Control:
         self._camera, self._stream = camera, stream
         self._stop = Event()
         self._answered: _Answered | None = None
+        self._looked_ns = self._judges_ns = 0
         self._handlers: dict[int, Callable[[gvcp.Request, Client], bytes]] = {
             Command.READREG: self._read_registers,
             Command.WRITEREG: self._write_registers,
@@ -87,6 +90,11 @@ class Control:
     def _look_after(self, now_ns: int) -> None:
         camera = self._camera
         camera.linked(now_ns)
+        if now_ns - self._looked_ns > ASLEEP_NS:
+            self._judges_ns = now_ns + GRACE_NS
+        self._looked_ns = now_ns
+        if now_ns < self._judges_ns:
+            return
         with camera.changed:
             heartbeat = int(camera.registers.value("HeartbeatTimeout"))
             watched = not int(camera.registers.value("ControlConfiguration")) & 1

@@ -24,7 +24,7 @@ class TriggerLine:
     """Numbers pulses from 0 at each ``start`` and makes pulse k at t0 + k / rate: no sleep's error adds up.
 
     A pulse carries the time at which it is due. A machine that is late hands it on late, and the cameras still
-    expose at its time, as those behind a real generator would. ``ended``: asked before each pulse whether it is one
+    expose at its time, as those behind a real generator would; ``stop`` makes those first that were due before it. ``ended``: asked before each pulse whether it is one
     too many.
     """
 
@@ -37,6 +37,7 @@ class TriggerLine:
         self._stop = Event()
         self._thread: Thread | None = None
         self._emitted = 0
+        self._until_ns = 0
         self.first_ns = 0
 
     @property
@@ -75,6 +76,7 @@ class TriggerLine:
             self._halt()
 
     def _halt(self) -> None:
+        self._until_ns = time.monotonic_ns()
         self._stop.set()
         if self._thread is not None:
             self._thread.join()
@@ -83,7 +85,7 @@ class TriggerLine:
         number = 0
         while not self._ended(number):
             due_ns = self.first_ns + round(number * SECOND / rate_hz)
-            if self._stop.wait(max(due_ns - time.monotonic_ns(), 0) / SECOND):
+            if self._stop.wait(max(due_ns - time.monotonic_ns(), 0) / SECOND) and due_ns > self._until_ns:
                 return
             self.pulse(number, due_ns)
             number += 1

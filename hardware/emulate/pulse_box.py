@@ -4,6 +4,7 @@ It speaks the protocol of the firmware, with a quartz that is off, and calls bac
 cameras can hang on its line.
 """
 
+import math
 import os
 import pty
 import select
@@ -31,6 +32,7 @@ class PulseBox:
         self.port = os.ttyname(self._slave)
         self._rate_hz = 100.0
         self._begin: float | None = None
+        self._until = math.inf
         self._made = 0
         self._changed = threading.Condition()
         self._closed = False
@@ -59,13 +61,16 @@ class PulseBox:
                 return f"W {width}"
             case ["S", "1"]:
                 with self._changed:
-                    self._made, self._begin = 0, time.monotonic()
-                    self._changed.notify()
+                    self._made, self._begin, self._until = 0, time.monotonic(), math.inf
+                    self._changed.notify_all()
                 return "S 1"
             case ["S", "0"]:
                 with self._changed:
-                    self._begin = None
-                    self._changed.notify()
+                    if self._begin is not None:
+                        # the pulses until now are made, however late this machine is with them
+                        self._until = time.monotonic()
+                        self._changed.notify_all()
+                        self._changed.wait_for(lambda: self._begin is None)
                 return f"S 0 {self._made}"
             case ["P", number] if self._begin is not None:
                 since = (time.monotonic() - self._begin) * self._speed * self._rate_hz
@@ -78,7 +83,7 @@ class PulseBox:
             return
         with self._changed:
             self._closed, self._begin = True, None
-            self._changed.notify()
+            self._changed.notify_all()
         for thread in self._threads:
             thread.join()
         os.close(self._master)
@@ -111,6 +116,10 @@ class PulseBox:
                     continue
                 due = begin + self._made / self._rate_hz / self._speed
                 wait = due - time.monotonic()
+                if due > self._until:
+                    self._begin = None
+                    self._changed.notify_all()
+                    continue
                 if wait > 0:
                     self._changed.wait(wait)
                     continue

@@ -26,7 +26,10 @@ from hardware.trigger import External
 PROTOCOL = "V mosca-pulse 1"
 PING_S = 0.1
 PINGS = 600
-ANSWER_S = 1.0
+ANSWER_S, LOOK_S = 5.0, 0.1
+"""An answer is waited for so long, in looks: time in which this machine did not run them says nothing."""
+CERTAIN, TRIES = 0.2, 50
+"""The start is known to this share of a period, by the first of so many pings that is quick enough."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,7 @@ class SerialTrigger(External):
         self._thread: threading.Thread | None = None
         self._pulses: int | None = None
         try:
-            self._port = serial.Serial(port, baud, timeout=ANSWER_S, write_timeout=ANSWER_S)
+            self._port = serial.Serial(port, baud, timeout=LOOK_S, write_timeout=ANSWER_S)
         except (serial.SerialException, ValueError) as error:
             raise DeviceError(
                 f"{self._where}: cannot be opened ({error}); check [hardware.trigger] port and its rights"
@@ -75,17 +78,27 @@ class SerialTrigger(External):
             raise
 
     def start(self) -> int | None:
-        """Begin with pulse 0; return this machine's time of it [ns], known to half a round trip."""
+        """Begin with pulse 0; return this machine's time of it [ns], known to half a round trip.
+
+        Where the answer was slow, the quickest of some pings tells: how far the pulses are, and so when they began.
+        """
         self._pings.clear()
         self._pulses = None
         before = time.monotonic_ns()
         if self._ask("S 1") != "S 1":
             raise DeviceError(f"{self._where}: does not start; unplug it and plug it in again")
-        after = time.monotonic_ns()
+        trip_ns = time.monotonic_ns() - before
+        begun_ns = before + trip_ns // 2
+        for _ in range(TRIES):
+            if trip_ns <= CERTAIN * 1e9 / self._rate_hz:
+                break
+            ping = self._ping()
+            if ping is not None and ping[2] < trip_ns:
+                begun_ns, trip_ns = ping[0] - round(ping[1] * 1e9 / self._rate_hz), ping[2]
         self._end.clear()
         self._thread = threading.Thread(target=self._run, name="pulse generator", daemon=True)
         self._thread.start()
-        return (before + after) // 2
+        return begun_ns
 
     def stop(self) -> None:
         """Make no more pulses; their number is in ``report``."""
@@ -128,23 +141,36 @@ class SerialTrigger(External):
 
     def _run(self) -> None:
         while not self._end.wait(PING_S):
-            self._count += 1
-            before = time.monotonic_ns()
             try:
-                words = self._ask(f"P {self._count % 1000}").split()
+                ping = self._ping()
             except DeviceError:
                 return  # the next command to the box tells
-            after = time.monotonic_ns()
-            if len(words) == 4 and words[0] == "P" and words[1] == str(self._count % 1000):
-                pulses = int(words[2]) + int(words[3]) * 1e-6 * self._rate_hz
-                self._pings.append(((before + after) // 2, pulses, after - before))
+            if ping is not None:
+                self._pings.append(ping)
+
+    def _ping(self) -> tuple[int, float, int] | None:
+        """Return this machine's time [ns], pulses and parts of one until then, and what the answer took [ns].
+
+        None for an answer to something else.
+        """
+        self._count += 1
+        before = time.monotonic_ns()
+        words = self._ask(f"P {self._count % 1000}").split()
+        after = time.monotonic_ns()
+        if len(words) != 4 or words[:2] != ["P", str(self._count % 1000)]:
+            return None
+        return (before + after) // 2, int(words[2]) + int(words[3]) * 1e-6 * self._rate_hz, after - before
 
     def _ask(self, line: str) -> str:
         try:
             with self._guard:
                 self._port.reset_input_buffer()
                 self._port.write(line.encode("ascii") + b"\n")
-                answer = self._port.read_until(b"\n")
+                answer = b""
+                for _ in range(round(ANSWER_S / LOOK_S)):
+                    answer += self._port.read_until(b"\n")
+                    if answer.endswith(b"\n"):
+                        break
         except (serial.SerialException, OSError) as error:
             raise DeviceError(f"{self._where}: is gone ({error}); plug it in and start again") from None
         if not answer.endswith(b"\n"):

@@ -10,9 +10,11 @@ from bisect import bisect_right
 from collections.abc import Mapping
 
 from hardware.driver import CameraDriver, DeviceError
+from hardware.looks import Looks
 
-PATIENCE_PERIODS = 5
-"""A pulse waits for missing frames at most so many periods, and a quarter of a second at least."""
+PATIENCE_S = 5.0
+"""The next pulse comes once a missing frame was looked for in vain for so long: a frame that came still later would
+be taken for the next pulse's. Only looks count: time in which this machine did not run them says nothing."""
 GIVEN_UP = 3
 """A camera that missed so many pulses running is not waited for until it delivers again."""
 
@@ -29,9 +31,11 @@ class SoftwareTrigger:
                 )
         self._drivers = drivers
         self._period_s = 1 / rate_hz
-        self._patience_s = max(PATIENCE_PERIODS * self._period_s, 0.25)
         self._times_ns: list[int] = []
         self._awaited: set[str] = set()
+        self._gone: set[str] = set()
+        self._fired_ns: int | None = None
+        self._looks: dict[str, Looks] = {}
         self._missed = dict.fromkeys(drivers, 0)
         self._changed = threading.Condition()
         self._stop = threading.Event()
@@ -63,8 +67,32 @@ class SoftwareTrigger:
         """Tick off the camera's frame of the last pulse; the next one waits until all are here."""
         with self._changed:
             self._awaited.discard(camera)
+            self._gone.discard(camera)
             self._missed[camera] = 0
             self._changed.notify()
+
+    def looked_in_vain(self, camera: str, began_ns: int, ended_ns: int) -> None:
+        """Wait no longer for a frame that was looked for long enough since the last pulse."""
+        with self._changed:
+            self._gone.discard(camera)
+            if camera not in self._awaited or self._fired_ns is None or began_ns < self._fired_ns:
+                return
+            looks = self._looks.setdefault(camera, Looks())
+            looks.in_vain(began_ns, ended_ns, None)
+            if looks.vain_s >= PATIENCE_S:
+                self._give_up(camera)
+
+    def camera_lost(self, camera: str) -> None:
+        """Wait no longer for a camera that is gone."""
+        with self._changed:
+            self._gone.add(camera)
+            if camera in self._awaited:
+                self._give_up(camera)
+
+    def _give_up(self, camera: str) -> None:
+        self._awaited.discard(camera)
+        self._missed[camera] += 1
+        self._changed.notify()
 
     def report(self) -> dict[str, object]:
         """Return pulses made, and how many were late because frames were waited for."""
@@ -84,8 +112,11 @@ class SoftwareTrigger:
                 self.late_pulses += 1
                 due = time.monotonic()
             with self._changed:
-                self._awaited = {name for name in self._drivers if self._missed[name] < GIVEN_UP}
+                present = self._drivers.keys() - self._gone
+                self._awaited = {name for name in present if self._missed[name] < GIVEN_UP}
+                self._fired_ns = None
                 self._times_ns.append(time.monotonic_ns())
+                self._looks.clear()
             for name, driver in list(self._drivers.items()):
                 try:
                     driver.software_trigger()
@@ -95,12 +126,7 @@ class SoftwareTrigger:
             self._await_frames()
 
     def _await_frames(self) -> None:
-        deadline = time.monotonic() + self._patience_s
         with self._changed:
+            self._fired_ns = time.monotonic_ns()
             while self._awaited and not self._stop.is_set():
-                left = deadline - time.monotonic()
-                if left <= 0:
-                    for name in self._awaited:
-                        self._missed[name] += 1
-                    return
-                self._changed.wait(min(left, 0.05))
+                self._changed.wait(0.05)

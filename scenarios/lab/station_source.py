@@ -104,6 +104,7 @@ class _Gated:
     def __init__(self, trigger: Trigger, gate: StartGate, own_pulses: bool) -> None:
         self._trigger, self._gate, self._own_pulses = trigger, gate, own_pulses
         self.stop, self.pulse_at, self.frame_arrived = trigger.stop, trigger.pulse_at, trigger.frame_arrived
+        self.looked_in_vain, self.camera_lost = trigger.looked_in_vain, trigger.camera_lost
         self.report, self.close = trigger.report, trigger.close
 
     def start(self) -> int | None:

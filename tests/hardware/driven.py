@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from needs import needs_aravis, needs_module
 
+from hardware.drivers import gige
 from hardware.settings import CameraHardware
 from mosca.data.arrays import Array
 
@@ -47,6 +49,14 @@ def one_line(error: BaseException, *words: str) -> None:
     assert "\n" not in text
     for word in words:
         assert word in text, f"'{word}' is not in: {text}"
+
+
+def wait_long_for_packets(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A busy machine may hold a sender up in the midst of a frame for longer than cameras ever are."""
+    patient = {"frame-retention": ("uint", 20_000_000), "packet-timeout": ("uint", 300_000)}
+    kept = [one for one in gige.STREAM_PROPERTIES if one[0] not in patient]
+    kept += [(name, kind, value) for name, (kind, value) in patient.items()]
+    monkeypatch.setattr(gige, "STREAM_PROPERTIES", tuple(kept))
 
 
 def pictures(count: int, seed: int, width: int = 656, height: int = 491) -> list[Array]:

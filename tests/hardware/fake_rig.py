@@ -45,10 +45,10 @@ class FakeLine:
 
     def start(self):
         self._stop.clear()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        begin = time.monotonic_ns()
+        begin = time.monotonic()
+        self._thread = threading.Thread(target=self._run, args=(begin,), daemon=True)
         self._thread.start()
-        return begin
+        return round(begin * 1e9)
 
     def stop(self):
         self._stop.set()
@@ -62,13 +62,18 @@ class FakeLine:
     def frame_arrived(self, camera, host_ns):
         pass
 
+    def looked_in_vain(self, camera, began_ns, ended_ns):
+        pass
+
+    def camera_lost(self, camera):
+        pass
+
     def report(self):
         return {"pulses": self.made}
 
     close = stop
 
-    def _run(self):
-        begin = time.monotonic()
+    def _run(self, begin):
         while not self._stop.is_set():
             wait = begin + self.made / self.rate_hz - time.monotonic()
             if wait > 0 and self._stop.wait(wait):

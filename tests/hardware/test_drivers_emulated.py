@@ -9,12 +9,12 @@ from threading import Event
 import numpy as np
 import pytest
 from array_source import ArraySource, picture
-from driven import one_line
+from driven import one_line, wait_long_for_packets
 from needs import needs_aravis
 from paced import make_pulses
 
 from hardware.driver import CameraDriver, DeviceError, Grabbed
-from hardware.drivers import gige, open_camera
+from hardware.drivers import open_camera
 from hardware.drivers.opened import release
 from hardware.emulate.faults import Faults
 from hardware.emulate.serve import Served, served
@@ -30,11 +30,7 @@ NAMES = ("cam0", "cam1", "cam2", "cam3")
 
 @pytest.fixture(autouse=True)
 def _patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A busy machine may hold a sender up in the midst of a frame for longer than cameras ever are."""
-    patient = {"frame-retention": ("uint", 5_000_000), "packet-timeout": ("uint", 300_000)}
-    kept = [one for one in gige.STREAM_PROPERTIES if one[0] not in patient]
-    kept += [(name, kind, value) for name, (kind, value) in patient.items()]
-    monkeypatch.setattr(gige, "STREAM_PROPERTIES", tuple(kept))
+    wait_long_for_packets(monkeypatch)
 
 
 def opened(devices: Served, name: str, **more: object) -> CameraDriver:

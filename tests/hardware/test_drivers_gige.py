@@ -5,14 +5,15 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from driven import FAKE_ADDRESS, HEIGHT, WIDTH, fake_gige_camera, one_line
+from driven import FAKE_ADDRESS, HEIGHT, WIDTH, fake_gige_camera, one_line, wait_long_for_packets
 
-from hardware.driver import CameraDriver, DeviceError
+from hardware.driver import CameraDriver, DeviceError, Grabbed
 from hardware.drivers import devices, open_camera
 from hardware.settings import CameraHardware
 
 
-def test_frames_ids_and_clock() -> None:
+def test_frames_ids_and_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    wait_long_for_packets(monkeypatch)
     with fake_gige_camera("FAKE2") as settings:
         wanted = settings(trigger="Software", exposure_us=10_000.0)
         camera = open_camera("a", wanted)
@@ -43,7 +44,8 @@ def test_frames_ids_and_clock() -> None:
         assert ids[0] < 65535 < ids[-1]
         assert (np.diff(stamps) > 0).all()
         counts = camera.statistics()
-        assert counts["n_completed_buffers"] == 150
+        # an answer that comes late has the order given again, and this camera obeys twice
+        assert counts["n_completed_buffers"] >= 150
         assert counts["n_missing_packets"] == 0
         camera.close()
 
@@ -51,27 +53,28 @@ def test_frames_ids_and_clock() -> None:
 def test_lost_packets_are_told_and_no_frame_is_left_out() -> None:
     # this camera never sends a packet again: what is lost stays lost
     with fake_gige_camera("FAKE3", lost_permille=10.0) as settings:
-        wanted = settings(trigger="Off", packet_bytes=576, features={"AcquisitionFrameRate": 50.0})
+        # each frame is asked for once the one before is here: no pause of this program or of the camera can lose one
+        wanted = settings(trigger="Software", packet_bytes=576)
         with closing(open_camera("a", wanted)) as camera:
             camera.configure(wanted)
             camera.arm()
-            whole, broken, ids = 0, 0, []
-            for _ in range(40):
-                grabbed = camera.grab(60.0)
-                assert grabbed is not None
-                ids.append(grabbed.block_id)
-                if grabbed.image is None:
-                    assert grabbed.note in ("MISSING_PACKETS", "TIMEOUT")
-                    broken += 1
-                else:
-                    assert grabbed.note == ""
-                    whole += 1
+            came: dict[int, Grabbed] = {}
+            for asked in range(1, 41):
+                camera.software_trigger()
+                while len(came) < asked:
+                    grabbed = camera.grab(60.0)
+                    assert grabbed is not None
+                    assert grabbed.block_id is not None
+                    # packets that come after their frame was given up bring it a second time
+                    came.setdefault(grabbed.block_id, grabbed)
             counts = camera.statistics()
+        broken = [one for one in came.values() if one.image is None]
+        assert {one.note for one in broken} <= {"MISSING_PACKETS", "TIMEOUT"}
+        assert all(one.note == "" for one in came.values() if one.image is not None)
         # 35 packets a frame, one in a hundred lost: 0.99^35 = 70 % whole
-        assert 10 < whole < 39
-        assert broken > 1
-        # none is left out; packets that come after their frame was given up bring it a second time, on a busy machine
-        assert sorted(set(ids)) == list(range(min(ids), max(ids) + 1))
+        assert 1 < len(broken) < 35
+        # none is left out
+        assert sorted(came) == list(range(min(came), max(came) + 1))
         assert counts["n_missing_packets"] > 0
         assert counts["n_resend_requests"] > 0
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Collection
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -52,23 +53,28 @@ def rig(
 
 
 def grab_all(
-    clients: list[Client], count: int, wait_s: float = PATIENT_S, up: Served | None = None
+    clients: list[Client], count: int, up: Served | None = None, missing: Collection[int] = ()
 ) -> list[list[Image]]:
     """Return up to ``count`` images of each client, taken at the same time; ends when one has been silent.
 
-    ``up``: the pulses are made here, as many, at the pace of who grabs.
+    ``up``: the pulses are made here, at the pace of who grabs; of those that are ``missing`` no image comes.
     """
     found: list[list[Image]] = [[] for _ in clients]
 
     def work(k: int) -> None:
-        while len(found[k]) < count and (image := clients[k].grab(wait_s)) is not None:
+        while len(found[k]) < count and (image := clients[k].grab(PATIENT_S)) is not None:
             found[k].append(image)
 
     threads = [threading.Thread(target=work, args=(k,)) for k in range(len(clients))]
     for thread in threads:
         thread.start()
     if up is not None:
-        make_pulses(up, count, lambda: min(map(len, found)))
+        make_pulses(
+            up,
+            count + len(missing),
+            lambda: min(map(len, found)),
+            lambda number: number - sum(one < number for one in missing),
+        )
     for thread in threads:
         thread.join()
     return found
@@ -87,7 +93,7 @@ def test_cameras_are_discovered():
     with served(ArraySource(3, 2), first_address=free_address()) as up:
         wanted = {(str(d.identity.address.ip), d.identity.serial) for d in up.devices}
         found: set[tuple[str, str]] = set()
-        for _ in range(4):  # a busy machine may answer later than Aravis listens
+        for _ in range(60):  # a busy machine may answer later than Aravis listens
             if not wanted <= found:
                 found |= set(Aravis().discovered())
         assert wanted <= found
@@ -146,8 +152,7 @@ def test_a_withheld_pulse_shifts_no_image():
     with rig(ArraySource(1, 60), faults=faults) as (up, clients):
         luck = Luck(faults["cam0"], up.devices[0].identity.serial)
         there = [k for k in range(60) if not luck.withheld(k)]
-        up.start(100.0)
-        (images,) = grab_all(clients, len(there))
+        (images,) = grab_all(clients, len(there), up, set(range(60)) - set(there))
         assert numbers(images) == [k - there[0] for k in there]
         assert all(equal(image, 0, k, (48, 64)) for image, k in zip(images, there, strict=True))
         assert [image.frame_id for image in images] == list(range(1, len(there) + 1))
@@ -155,8 +160,7 @@ def test_a_withheld_pulse_shifts_no_image():
 
 def test_block_numbers_wrap():
     with rig(ArraySource(1, 60), first_block=65520) as (up, clients):
-        up.start(200.0)
-        (images,) = grab_all(clients, 60)
+        (images,) = grab_all(clients, 60, up)
         assert [image.frame_id for image in images] == [*range(65520, 65536), *range(1, 45)]
         assert all(equal(image, 0, k, (48, 64)) for k, image in enumerate(images))
 
@@ -164,8 +168,7 @@ def test_block_numbers_wrap():
 def test_dropped_frames_are_not_sent_and_corrupt_ones_fail():
     troubles = {(0, 5): "dropped", (0, 9): "corrupt"}
     with rig(ArraySource(1, 20, troubles=troubles), retention_us=1_000_000) as (up, clients):
-        up.start(100.0)
-        (images,) = grab_all(clients, 19)
+        (images,) = grab_all(clients, 19, up, {5})
         assert [image.frame_id for image in images] == [*range(1, 6), *range(7, 21)]
         assert [k for k, image in zip([*range(5), *range(6, 20)], images, strict=True) if image.status] == [9]
         assert (up.devices[0].counts()["dropped"], up.devices[0].counts()["corrupt"]) == (1, 1)
@@ -200,10 +203,14 @@ def test_software_triggers():
 
 
 def test_a_camera_runs_free():
-    with rig(ArraySource(1, 200), trigger="") as (_, clients):
+    # its rate is tried with a set clock; here a machine that is held up may lose frames, and shifts none
+    with rig(ArraySource(1, 200), trigger="", loop=True, ahead=200) as (_, clients):
         (images,) = grab_all(clients, 30)
-        assert numbers(images) == list(range(30))
-        assert all(equal(image, 0, k, (48, 64)) for k, image in enumerate(images))
+        ids = [image.frame_id for image in images]
+        assert len(ids) == 30
+        assert (np.diff(ids) >= 1).all()
+        assert (np.diff([image.device_ns for image in images]) >= PERIOD_NS * np.diff(ids)).all()
+        assert all(equal(image, 0, (image.frame_id - 1) % 200, (48, 64)) for image in images)
 
 
 def test_drifting_clocks_drift_and_jump():
@@ -216,17 +223,26 @@ def test_drifting_clocks_drift_and_jump():
         fast, late, jumped = grab_all(clients, 100, up=up)
         assert fast[-1].device_ns - fast[0].device_ns == pytest.approx(99 * PERIOD_NS * 1.002, abs=2)
         assert late[0].device_ns > 10**15
-        steps = np.diff([image.device_ns for image in jumped])
-        assert sorted(set(steps.tolist())) == [PERIOD_NS, PERIOD_NS + 10**9]
+        steps = np.diff([image.device_ns for image in jumped]).tolist()
+        # the jump comes half a second after the camera was armed: before the first pulse where this machine was held up
+        assert set(steps) <= {PERIOD_NS, PERIOD_NS + 10**9}
+        clock = up.devices[2].camera._clock
+        early = clock.jumps[0].mono_ns <= clock.when(jumped[0].device_ns)
+        assert steps.count(PERIOD_NS + 10**9) == (0 if early else 1)
 
 
 def test_a_rebooted_camera_has_to_be_opened_again():
-    faults = {"cam0": Faults(reboot_at_s=0.3, reboot_gone_s=0.3)}
+    faults = {"cam0": Faults(reboot_gone_s=0.3)}
     with rig(ArraySource(1, 4000), faults=faults) as (up, clients):
-        up.start(100.0)
-        (before,) = grab_all(clients, 400, 2.0)
+        (before,) = grab_all(clients, 30, up)
         assert all(equal(image, 0, k, (48, 64)) for k, image in enumerate(before))
-        assert 0 < len(before) < 400
+        assert len(before) == 30
+        up.start(100.0)
+        first_ns = up.line.first_ns
+        back_ns = time.monotonic_ns() + 300_000_000
+        up.devices[0].camera.reboot()
+        while not up.devices[0].camera.linked(time.monotonic_ns()):
+            time.sleep(0.01)
         with pytest.raises(RuntimeError):
             clients[0].set(ExposureTime=500.0)
         again = Client(str(up.devices[0].identity.address.ip))
@@ -239,7 +255,7 @@ def test_a_rebooted_camera_has_to_be_opened_again():
         # the pulses went on: the image is that of the pulse, not the next one after the last
         back = [n for n in range(4000) if equal(image, 0, n, (48, 64))]
         assert len(back) == 1
-        assert back[0] > len(before) + 30
+        assert back[0] >= (back_ns - first_ns) / PERIOD_NS
         again.close()
         clients[0].aravis.unref(clients[0].stream)
         clients[0].stream = None
@@ -261,7 +277,7 @@ def long_run(seconds: int, faults: dict) -> tuple[dict, list[dict]]:
         def work(k: int) -> None:
             begun = None
             # longer than Aravis waits for a packet: later frames are held back meanwhile
-            while (image := clients[k].grab(5.0)) is not None:
+            while (image := clients[k].grab(30.0)) is not None:
                 begun = image.device_ns if begun is None else begun
                 pulse = round((image.device_ns - begun) / PERIOD_NS)
                 same = image.status == SUCCESS and np.array_equal(image.pixels, wanted[k][pulse % kept])
@@ -274,7 +290,6 @@ def long_run(seconds: int, faults: dict) -> tuple[dict, list[dict]]:
         threads = [threading.Thread(target=work, args=(k,)) for k in range(4)]
         server.stdin.write("start\n")
         server.stdin.flush()
-        time.sleep(0.1)
         for thread in threads:
             thread.start()
         for thread in threads:

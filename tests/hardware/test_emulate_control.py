@@ -16,6 +16,8 @@ from mosca.errors import InputError
 
 CCP, HEARTBEAT, VERSION, SCP, SCPS, SCDA = 0xA00, 0x938, 0x0, 0xD00, 0xD04, 0xD18
 CONTROL, EXCLUSIVE = 2, 1
+PATIENT_MS = 600_000
+"""A heartbeat that no pause of this machine outlasts."""
 
 
 @pytest.fixture
@@ -37,6 +39,11 @@ def until(met):
     while not met():
         assert time.monotonic() < deadline
         time.sleep(0.01)
+
+
+def in_control(hand: Hand) -> None:
+    assert hand.write(CCP, CONTROL) == 0
+    assert hand.write(HEARTBEAT, PATIENT_MS) == 0
 
 
 def address_of(up: Served, name: str) -> int:
@@ -101,10 +108,10 @@ def test_a_wrong_length_is_told(hands):
 
 def test_only_the_one_in_control_writes(hands):
     one, two = hands
-    assert one.write(HEARTBEAT, 5000) == 0x8006
+    assert one.write(HEARTBEAT, PATIENT_MS) == 0x8006
     assert one.write(CCP, CONTROL) == 0
-    assert one.write(HEARTBEAT, 5000) == 0
-    assert two.read(HEARTBEAT) == 5000
+    assert one.write(HEARTBEAT, PATIENT_MS) == 0
+    assert two.read(HEARTBEAT) == PATIENT_MS
     assert two.write(HEARTBEAT, 3000) == 0x8006
     assert two.write(CCP, CONTROL) == 0x8006
     assert two.read(CCP) == CONTROL
@@ -125,9 +132,10 @@ def test_exclusive_access_keeps_others_from_reading(hands):
 
 def test_a_write_of_several_tells_how_far_it_came(hands):
     hands[0].write(CCP, CONTROL)
-    status, payload = hands[0].ask(0x82, struct.pack(">IIIIII", HEARTBEAT, 900, VERSION, 1, HEARTBEAT, 800))
+    writes = (HEARTBEAT, PATIENT_MS + 1, VERSION, 1, HEARTBEAT, PATIENT_MS)
+    status, payload = hands[0].ask(0x82, struct.pack(">IIIIII", *writes))
     assert (status, payload) == (0x8004, bytes.fromhex("0000 0001"))
-    assert hands[0].read(HEARTBEAT) == 900
+    assert hands[0].read(HEARTBEAT) == PATIENT_MS + 1
 
 
 class Ahead:
@@ -161,7 +169,7 @@ def test_control_is_lost_with_the_heartbeat(up, hands, monkeypatch):
 
 def test_an_answer_that_was_lost_is_given_again_without_doing_it_twice(up, hands):
     one = hands[0]
-    one.write(CCP, CONTROL)
+    in_control(one)
     datagram = struct.pack(">BBHHHII", 0x42, 1, 0x82, 8, 999, address_of(up, "TriggerSoftware"), 1)
     for _ in range(3):
         one.send(datagram)
@@ -176,7 +184,7 @@ def test_no_answer_where_none_is_wanted(hands):
 
 def test_nothing_is_sent_where_the_stream_goes_nowhere(up, hands):
     one = hands[0]
-    one.write(CCP, CONTROL)
+    in_control(one)
     one.write(SCDA, 0xFFFFFFFF)
     one.write(SCP, 9)
     one.write(SCPS, 0x80000000 | 1500)
@@ -185,7 +193,7 @@ def test_nothing_is_sent_where_the_stream_goes_nowhere(up, hands):
 
 def test_packets_asked_for_again(up, hands):
     one = hands[0]
-    one.write(CCP, CONTROL)
+    in_control(one)
     one.write(SCDA, 0x7F000001)
     one.write(SCP, one.port)
     one.write(address_of(up, "AcquisitionMode"), 1)
@@ -207,7 +215,7 @@ def test_resends_are_refused_on_demand():
     faults = {"cam0": Faults(resend_refused=1.0)}
     with served(ArraySource(1, 8), first_address=free_address(), faults=faults) as up:
         one = Hand(str(up.devices[0].identity.address.ip))
-        one.write(CCP, CONTROL)
+        in_control(one)
         one.write(SCDA, 0x7F000001)
         one.write(SCP, one.port)
         one.write(address_of(up, "AcquisitionMode"), 1)
@@ -222,7 +230,7 @@ def test_resends_are_refused_on_demand():
 
 def test_action_commands_reach_cameras_by_broadcast(up, hands):
     one = hands[0]
-    one.write(CCP, CONTROL)
+    in_control(one)
     one.write(address_of(up, "ActionGroupMask"), 1)
     status, _ = one.ask(0x100, struct.pack(">III", 0, 0, 1))
     assert status == 0
@@ -282,9 +290,10 @@ def test_any_bytes_leave_the_device_alive(victim, datagrams):
 
 def test_noise_on_the_port_leaves_the_device_alive(up, hands):
     noise = np.random.default_rng(1)
-    for _ in range(500):
-        hands[0].send(noise.bytes(int(noise.integers(0, 600))))
-    assert hands[1].read(VERSION) == 0x00020000
+    for _ in range(25):
+        for _ in range(20):  # not more than its socket has room for, however late it looks
+            hands[0].send(noise.bytes(int(noise.integers(0, 600))))
+        assert hands[1].read(VERSION) == 0x00020000
 
 
 # putting cameras on the network

@@ -141,8 +141,14 @@ class LineOf:
     def frame_arrived(self, camera, host_ns):
         pass
 
+    def looked_in_vain(self, camera, began_ns, ended_ns):
+        pass
+
+    def camera_lost(self, camera):
+        pass
+
     def report(self):
-        return {}
+        return {"pulses": self._devices.line.emitted}
 
 
 def test_withheld_pulses_are_told_from_those_that_the_camera_ignored(tmp_path):

@@ -104,6 +104,12 @@ class Line:
     def frame_arrived(self, camera, host_ns):
         pass
 
+    def looked_in_vain(self, camera, began_ns, ended_ns):
+        pass
+
+    def camera_lost(self, camera):
+        pass
+
     def report(self):
         return {"pulses": self.made}
 
