@@ -31,8 +31,8 @@ PROTOCOL = "GigEVision"
 _looking = threading.RLock()
 # buffers hold a second at 100 Hz, and no more than a quarter of a gigabyte
 BUFFERS, LEAST_BUFFERS, BUFFER_BYTES = 100, 8, 1 << 28
-# GigE Vision's bootstrap register of the time [ms] without a sign of life after which a camera lets go of its program;
-# three seconds as they come. A machine that is held up for some seconds must not lose all its cameras
+# the bootstrap register of the time [ms] without a sign of life after which a camera lets go of its program; 3 s as
+# they come. A machine that is held up for some seconds must not lose all its cameras
 HEARTBEAT_REGISTER, HEARTBEAT_MS = 0x0938, 10_000
 STREAM_PROPERTIES: tuple[tuple[str, str, float], ...] = (
     # what the kernel may keep while this program waits for a core (net.core.rmem_max allows how much)

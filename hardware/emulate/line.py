@@ -24,8 +24,8 @@ class TriggerLine:
     """Numbers pulses from 0 at each ``start`` and makes pulse k at t0 + k / rate: no sleep's error adds up.
 
     A pulse carries the time at which it is due. A machine that is late hands it on late, and the cameras still
-    expose at its time, as those behind a real generator would; ``stop`` makes those first that were due before it. ``ended``: asked before each pulse whether it is one
-    too many.
+    expose at its time, as those behind a real generator would; ``stop`` makes those first that were due before it.
+    ``ended``: asked before each pulse whether it is one too many.
     """
 
     def __init__(

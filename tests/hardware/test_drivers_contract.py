@@ -54,7 +54,7 @@ def test_arm_and_disarm_alternate_and_images_are_the_receivers_own(
         assert host == sorted(host)
         assert host[-1] <= time.monotonic_ns()
         blocks = [grabbed.block_id for grabbed, _ in kept]
-        # a camera that runs free does not wait for a machine that is held up: numbers may be missing, none comes twice
+        # a camera that runs free waits for no machine that is held up: numbers may be missing, none comes twice
         assert (np.diff(blocks) >= 1).all()
         camera.disarm()
         camera.disarm()

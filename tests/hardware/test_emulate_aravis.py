@@ -224,7 +224,7 @@ def test_drifting_clocks_drift_and_jump():
         assert fast[-1].device_ns - fast[0].device_ns == pytest.approx(99 * PERIOD_NS * 1.002, abs=2)
         assert late[0].device_ns > 10**15
         steps = np.diff([image.device_ns for image in jumped]).tolist()
-        # the jump comes half a second after the camera was armed: before the first pulse where this machine was held up
+        # the jump comes half a second after the camera was armed, which may be before the first pulse
         assert set(steps) <= {PERIOD_NS, PERIOD_NS + 10**9}
         clock = up.devices[2].camera._clock
         early = clock.jumps[0].mono_ns <= clock.when(jumped[0].device_ns)

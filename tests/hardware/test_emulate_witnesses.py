@@ -11,7 +11,6 @@ from needs import needs_module
 
 from hardware.emulate.serve import served
 
-
 SHAPE = (240, 320)
 """An image of it fits into any socket's room: who receives has no way to ask for what was lost."""
 
