@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
+from hardware.abreast import Abreast
 from hardware.account import Account, CameraAccount
 from hardware.clock_reader import ClockReader
 from hardware.driver import CameraDriver, ClockReading, DeviceError, DeviceReport, Grabbed
@@ -42,10 +43,12 @@ class HardwareSource:
     """Frames of a rig of devices; a ``FrameSource``. Opens and configures all devices, or raises DeviceError.
 
     ``pulses``: end after so many; None goes on until ``stop``. ``came``: is shown each image as it comes, by its
-    camera's own thread. ``opener`` and ``trigger_opener`` are for tests.
+    camera's own thread. ``prompt``: frames do not wait for those of other cameras. ``opener`` and
+    ``trigger_opener`` are for tests.
     """
 
     came: Callable[[Array], object] | None = None
+    prompt = False
 
     def __init__(
         self,
@@ -72,6 +75,7 @@ class HardwareSource:
         self._lost: set[str] = set()
         self._past: set[str] = set()
         self._over_ns: int | None = None
+        self._abreast = Abreast(tuple(rig.cameras), QUEUED_BYTES // 2)
         self._queued_bytes = 0
         self._guard = threading.Lock()
         self._threads: list[threading.Thread] = []
@@ -104,7 +108,7 @@ class HardwareSource:
         )
 
     def __iter__(self) -> Iterator[Frame]:
-        """Arm, start the pulses and yield frames in order of arrival until ``pulses`` are over or ``stop``."""
+        """Arm, start the pulses and yield frames, pulse by pulse, until ``pulses`` are over or ``stop``."""
         return (frame for frame, _ in self.with_buffers())
 
     def with_buffers(self) -> Iterator[tuple[Frame, Grabbed]]:
@@ -117,9 +121,12 @@ class HardwareSource:
             numbers = self._numbers = PulseNumbers(
                 tuple(self._drivers), self.rig.shared.rate_hz, start_ns, free=self._free_running()
             )
-            for name, buffer in self._arrivals():
-                yield from self._frames(self._numbered(name, buffer))
-            yield from self._frames(numbers.rest())
+            for arrived in self._arrivals():
+                if arrived is not None:
+                    self._frames(self._numbered(*arrived))
+                yield from self._abreast.ready(self._expected())
+            self._frames(numbers.rest())
+            yield from self._abreast.ready(())
         finally:
             self._end_threads()
             self._disarm()
@@ -260,8 +267,17 @@ class HardwareSource:
             return True
         return False
 
-    def _arrivals(self) -> Iterator[tuple[str, Grabbed | ClockReading]]:
-        """Yield buffers until the last pulse is over and its frames had time to arrive; readings go first."""
+    def _expected(self) -> list[str]:
+        """Return the cameras whose next frame may be here and not read yet: the last look has found one."""
+        if self.prompt:
+            return []
+        return [n for n, looks in self._looks.items() if not looks.vain_s and n not in self._lost]
+
+    def _arrivals(self) -> Iterator[tuple[str, Grabbed | ClockReading] | None]:
+        """Yield buffers until the last pulse is over and its frames had time to arrive; readings go first.
+
+        None says that a while has passed.
+        """
         told: set[str] = set()
         while True:
             try:
@@ -276,6 +292,8 @@ class HardwareSource:
                 with self._guard:
                     self._queued_bytes -= 0 if buffer.image is None else buffer.image.nbytes
                 yield name, buffer
+            else:
+                yield None
             self._tell_silent(told)
             if self._over_ns is None and self._pulses_over(time.monotonic_ns()):
                 if self._trigger is not None:
@@ -332,7 +350,8 @@ class HardwareSource:
         else:
             yield from self._numbers.take(name, buffer)
 
-    def _frames(self, numbered: Iterator[Numbered]) -> Iterator[tuple[Frame, Grabbed]]:
+    def _frames(self, numbered: Iterator[Numbered]) -> None:
+        """Make frames of what is numbered; each waits for those of other cameras."""
         assert self._numbers is not None
         period_ns = 1e9 / self.rig.shared.rate_hz
         for one in numbered:
@@ -340,6 +359,7 @@ class HardwareSource:
             account = self.account.cameras[one.camera]
             account.whole += buffer.image is not None
             account.failed += buffer.image is None
+            self._abreast.reached(one.camera, one.pulse)
             if self._pulses is not None and one.pulse >= self._pulses:
                 self._past.add(one.camera)
                 continue
@@ -354,7 +374,7 @@ class HardwareSource:
                 note=buffer.note,
                 rows=self.reports[one.camera].height,
             )
-            yield frame, buffer
+            self._abreast.take(one.pulse, frame, buffer)
         self._clocks.ask(self._numbers)
         self._tell_clocks()
 

@@ -126,6 +126,8 @@ class RigOfStation(PassedOn):
     ) -> None:
         self.gate = StartGate(trigger_opener)
         self.hardware = HardwareSource(rig, opener=opener, trigger_opener=self.gate.open)
+        # who merges waits for no station for long: one camera behind the others is to cost its own frames alone
+        self.hardware.prompt = True
         super().__init__(self.hardware)
         self._told = 0
         self._latest: tuple[Frame, int] | None = None
