@@ -304,12 +304,15 @@ class HardwareSource:
 
     def _pulses_over(self, now_ns: int) -> bool:
         """Tell whether all pulses wanted were made; a trigger that counts them may be behind the clock."""
-        if self._pulses is None:
+        if self._pulses is None or self._trigger is None:
             return False
-        reached = self._pulse_at(now_ns)
+        certain = self._trigger.pulse_at(now_ns)
+        if certain is not None:  # the last one wanted has had its frames: the next one was made
+            return certain >= self._pulses
+        reached = None if self._numbers is None else self._numbers.pulse_at(now_ns)
         if reached is None or reached < self._pulses + MARGIN_S * self.rig.shared.rate_hz:
             return False
-        made = None if self._trigger is None else self._trigger.report().get("pulses")
+        made = self._trigger.report().get("pulses")
         return not isinstance(made, int) or made >= self._pulses
 
     def _drained(self, over_ns: int) -> bool:
@@ -330,12 +333,6 @@ class HardwareSource:
                     f"camera '{name}': silent for {self.rig.shared.silence_s:g} s; check its trigger line, its "
                     "exposure time against the rate, and its cable"
                 )
-
-    def _pulse_at(self, host_ns: int) -> int | None:
-        certain = None if self._trigger is None else self._trigger.pulse_at(host_ns)
-        if certain is not None or self._numbers is None:
-            return certain
-        return self._numbers.pulse_at(host_ns)
 
     def _numbered(self, name: str, buffer: Grabbed | ClockReading) -> Iterator[Numbered]:
         """Yield ``buffer`` with its pulse: the trigger's, where each pulse waits for its frames, else the clock's."""
