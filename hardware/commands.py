@@ -237,29 +237,33 @@ class ProgramRun:
     def _send_all(self, target: CommandTarget, items: Sequence[CommandTable]) -> None:
         name = target.table.name
         for done, item in enumerate(items):
-            late_ns = self._wait_for(round(item.at_s * 1e9))
-            if late_ns is None:
+            if not self._wait_for(round(item.at_s * 1e9)):
                 self.notes.append(
                     f"target '{name}': {len(items) - done} commands were not sent, the take ended"
                 )
                 return
             try:
-                self._send(target, item, late_ns)
+                self._send(target, item)
             except DeviceError as error:
                 self.notes.append(f"{error}; {len(items) - done} commands were not sent")
                 return
 
-    def _send(self, target: CommandTarget, item: CommandTable, late_ns: int) -> None:
+    def _send(self, target: CommandTarget, item: CommandTable) -> None:
         name = target.table.name
         for came_ns, text in target.unasked():
             self._record(("replies", came_ns, {"target": name, "unasked": True, **_content(text)}))
         line = item.command if isinstance(item.command, str) else json.dumps(item.command)
-        told = {"target": name, "at_s": item.at_s, "command": item.command, "late_ms": late_ns / 1e6}
-        if late_ns > LATE_MS * 1e6:
-            self.notes.append(
-                f"target '{name}': the command of {item.at_s:g} s went {late_ns / 1e6:.0f} ms late"
-            )
-        reply = target.send(line, lambda sent_ns: self._record(("commands", sent_ns, told)))
+
+        def sent(sent_ns: int) -> None:
+            late_ms = ((self._session_ns(sent_ns) or 0) - item.at_s * 1e9) / 1e6
+            told = {"target": name, "at_s": item.at_s, "command": item.command, "late_ms": late_ms}
+            if late_ms > LATE_MS:
+                self.notes.append(
+                    f"target '{name}': the command of {item.at_s:g} s went {late_ms:.0f} ms late"
+                )
+            self._record(("commands", sent_ns, told))
+
+        reply = target.send(line, sent)
         self.sent += 1
         if reply.text is not None:
             answer = {"target": name, "at_s": item.at_s, **_content(reply.text)}
@@ -269,14 +273,14 @@ class ProgramRun:
                 f"target '{name}': no answer to the command of {item.at_s:g} s within {target.table.reply_s:g} s"
             )
 
-    def _wait_for(self, at_ns: int) -> int | None:
-        """Wait until ``at_ns`` on the frames' clock; return by how much it is over [ns], None when all ends."""
+    def _wait_for(self, at_ns: int) -> bool:
+        """Wait until ``at_ns`` on the frames' clock; return False when all ends before."""
         while not self._stop.is_set():
             now = self._session_ns(time.monotonic_ns())
             if now is not None and now >= at_ns:
-                return now - at_ns
+                return True
             self._stop.wait(0.005 if now is None else min((at_ns - now) * 1e-9, LOOK_S))
-        return None
+        return False
 
     def _listen(self, source: EventSource) -> None:
         while not self._stop.is_set():

@@ -29,6 +29,8 @@ from mosca.data.frames import CameraInfo, Frame, StampEvent
 DRAIN_S = 0.3
 """After the last pulse no more is waited for once every camera was looked at in vain for so long."""
 LONGEST_DRAIN_S = 60.0
+BEHIND_S = 0.5
+"""A camera whose reader has looked in vain for so long is not expected; before, it may be the line that is late."""
 MARGIN_S = 0.05
 """The pulses go on for so long after the last one wanted: a busy machine makes and sees them late."""
 REOPEN_S = 1.0
@@ -268,10 +270,10 @@ class HardwareSource:
         return False
 
     def _expected(self) -> list[str]:
-        """Return the cameras whose next frame may be here and not read yet: the last look has found one."""
+        """Return the cameras whose next frame may be here and not read yet: those that delivered lately."""
         if self.prompt:
             return []
-        return [n for n, looks in self._looks.items() if not looks.vain_s and n not in self._lost]
+        return [n for n, looks in self._looks.items() if looks.vain_s < BEHIND_S and n not in self._lost]
 
     def _arrivals(self) -> Iterator[tuple[str, Grabbed | ClockReading] | None]:
         """Yield buffers until the last pulse is over and its frames had time to arrive; readings go first.

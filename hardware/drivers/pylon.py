@@ -23,7 +23,7 @@ from hardware.settings import CameraHardware, Feature
 EMULATED = "BaslerCamEmu"
 BUFFERS = 32
 # an exposure and its readout are over by then, or something is wrong
-READY_MS = 1000
+READY_MS, READY_LOOKS = 5000, 50
 STATISTICS = "Statistic_"
 
 
@@ -251,8 +251,10 @@ class PylonCamera(GenICamCamera):
         # the device ignores a trigger that comes too early, and nothing tells
         camera = self._camera
         try:
-            ready = not camera.CanWaitForFrameTriggerReady() or camera.WaitForFrameTriggerReady(
-                READY_MS, self._pylon.TimeoutHandling_Return
+            # in looks: time in which this machine did not run the library says nothing of the device
+            ready = not camera.CanWaitForFrameTriggerReady() or any(
+                camera.WaitForFrameTriggerReady(READY_MS // READY_LOOKS, self._pylon.TimeoutHandling_Return)
+                for _ in range(READY_LOOKS)
             )
         except self._error_type as error:
             raise self._gone(_first_line(error)) from None

@@ -16,7 +16,7 @@ class Listener:
         self._thread.start()
 
     def line(self):
-        return self._lines.get(timeout=30)
+        return self._lines.get(timeout=60)
 
     def __enter__(self):
         return self
