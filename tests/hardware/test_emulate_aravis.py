@@ -132,17 +132,17 @@ def test_four_cameras_at_100_hz_on_the_line():
             assert [image.frame_id for image in images] == list(range(1, pulses + 1))
 
 
-@pytest.mark.parametrize("packet_bytes", [1500, 8000])
-def test_lost_packets_are_all_sent_again(packet_bytes):
+@pytest.mark.parametrize(("packet_bytes", "count"), [(1500, 20), (8000, 40)])
+def test_lost_packets_are_all_sent_again(packet_bytes, count):
     faults = {f"cam{k}": Faults(packet_loss=0.01, seed=k) for k in range(2)}
     options = {"ahead": 20, "loop": True, "packet_bytes": packet_bytes, "faults": faults}
     with rig(ArraySource(2, 20, FULL), **options) as (up, clients):
-        found = grab_all(clients, 100, up=up)
-        assert [len(images) for images in found] == [100] * 2
-        assert all(equal(images[n], k, n % 20) for k, images in enumerate(found) for n in range(100))
+        found = grab_all(clients, count, up=up)
+        assert [len(images) for images in found] == [count] * 2
+        assert all(equal(images[n], k, n % 20) for k, images in enumerate(found) for n in range(count))
         for device, client in zip(up.devices, clients, strict=True):
             counts = device.counts()
-            assert counts["packets_lost"] > 10
+            assert counts["packets_lost"] > 2  # of 1,600 and more
             assert counts["packets_resent"] >= counts["packets_lost"] - counts["resend_requests"]
             assert client.statistics()["n_failures"] == 0
 

@@ -57,9 +57,7 @@ def test_questions_are_answered_or_not(ends):
     a, b = ends
     a.answer("mosca/A/clock", lambda asked: asked + b"!")
     until(lambda: b.ask("mosca/A/clock", b"12", 1.0) == b"12!")
-    begun = time.monotonic()
     assert b.ask("mosca/B/clock", b"", 0.3) is None
-    assert time.monotonic() - begun < 30
 
 
 def test_tokens_are_seen_whether_they_stood_before_or_come_later_and_fall(ends):

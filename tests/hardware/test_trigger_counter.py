@@ -1,6 +1,5 @@
 """The camera's own count of trigger pulses: sent behind its images, and a witness of where pulses were lost."""
 
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -209,7 +208,6 @@ def test_images_are_the_same_with_and_without_chunks():
             for on in (True, False):
                 camera.configure(replace_counter(settings, on))
                 camera.arm()
-                time.sleep(0.1)
                 devices.start(50.0)
                 got = [one for _ in range(20) if (one := camera.grab(60.0)) is not None]
                 devices.line.stop()
