@@ -128,7 +128,8 @@ class HardwareSource:
                     self._frames(self._numbered(*arrived))
                 yield from self._abreast.ready(self._expected())
             self._frames(numbers.rest())
-            yield from self._abreast.ready(())
+            # who stops it ends it with the last pulse that all cameras' readers have come to
+            yield from self._abreast.ready(self._expected() if self._stop.is_set() else ())
         finally:
             self._end_threads()
             self._disarm()
