@@ -32,22 +32,20 @@ quantisation; gain in DN per electron) goes through the centroid at first order:
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import cv2
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.data.detections import UNREFINED, Detections
+from mosca.data.detections import Detections
 from mosca.detect_background import mean_background, minimum_background
-from mosca.detect_finish import columns, note_address, place_failed
-from mosca.detect_kernels import find_regions_in_set
-from mosca.detect_measure import measure_regions
-from mosca.detect_scan import regions_within, scan_set
+from mosca.detect_finish import columns
+from mosca.detect_set import BACKGROUND, NOWHERE, PAPER, REFINED, Lessons, Places, Regions, look_at_set
 from mosca.detect_settings import DEFAULTS, DetectionSettings, noise_of, search_of
 from mosca.errors import InputError
-from mosca.refine import NOTHING, Learned
+from mosca.refine import NOTHING, Learned, Priors
 from mosca.refine_fit import Model
-from mosca.refine_kernels import FLAGS, refine_regions
 from mosca.refine_pair import split_pairs
 
 __all__ = [
@@ -63,6 +61,7 @@ __all__ = [
     "target_regions",
 ]
 
+HOW = {"paper": PAPER, "background": BACKGROUND, "refined": REFINED}
 _NO_BOXES = np.empty((0, 4), np.int32)
 _EVERYWHERE = np.empty(0, np.int64)
 _LIKE: dict[object, Array] = {
@@ -144,16 +143,16 @@ def detect_and_learn(
             taught = taught.plus(new)
         return found, taught
     placed = _placed(pixels)
-    found_here = _regions(placed, settings, bit_depth, windows)
-    if settings.centroid == "refined":
-        return _refined(placed, cameras, found_here, settings, bit_depth, learned)
-    local = settings.centroid == "background"
-    table, region_of = measure_regions(
-        *placed, *found_here, local, settings.dilation_px, noise_of(settings, bit_depth)
+    priors = learned.priors(tuple(cameras))
+    regions, (table, region_of, image_of), taught = _looked(
+        placed, settings, bit_depth, windows, HOW[settings.centroid], priors
     )
-    full = np.full((len(table), FLAGS + 1), float(UNREFINED))
-    full[:, :FLAGS] = table
-    return _detections(cameras, columns(full, found_here[1][region_of, 0], len(cameras))), NOTHING
+    if settings.centroid != "refined":
+        return _detections(cameras, table, image_of), NOTHING
+    if settings.split_pairs:
+        given = (*placed, priors.blurs, priors.offsets, _model_of(settings, bit_depth))
+        table, image_of = split_pairs(table, image_of, region_of, *regions, given)
+    return _detections(cameras, table, image_of), Learned(tuple(cameras), *taught)
 
 
 def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_depth: int = 8) -> Array:
@@ -162,7 +161,9 @@ def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_dep
     Targets that touch the image's border are still in it.
     """
     pixels = _foreground(image, "image", bit_depth, None)
-    runs, regions, _ = _regions(_placed([pixels]), settings, bit_depth, None)
+    (runs, regions, _), _, _ = _looked(
+        _placed([pixels]), settings, bit_depth, None, NOWHERE, NOTHING.priors(("image",))
+    )
     labels = np.zeros(image.shape, np.int32)
     for number, (_, first_run, end_run, _) in enumerate(regions, start=1):
         for row, first, end in runs[first_run:end_run]:
@@ -219,64 +220,40 @@ def _boxes(windows: Sequence[Array | None] | None, height: int, width: int) -> t
 
 def _placed(images: Sequence[Array]) -> tuple[Array, Array, tuple[int, int]]:
     """Return where contiguous images of one size and type lie in memory, their type, and their size."""
-    addresses = np.empty(len(images), np.uint64)
-    for k, image in enumerate(images):
-        note_address(image, addresses, k)
+    addresses = np.array([image.ctypes.data for image in images], np.uint64)
     height, width = images[0].shape
     return addresses, _LIKE[images[0].dtype], (height, width)
 
 
-def _regions(
+def _looked(
     placed: tuple[Array, Array, tuple[int, int]],
     settings: DetectionSettings,
     bit_depth: int,
     windows: Sequence[Array | None] | None,
-) -> tuple[Array, Array, Array]:
-    """Return what ``find_regions_in_set`` finds in the images that ``_placed`` describes."""
-    search = search_of(settings, bit_depth)
-    addresses, like, size = placed
-    boxes, box_start = _boxes(windows, *size)
-    runs, values, run_start, value_start = scan_set(
-        addresses, like, size, search.lowest + 1, boxes, box_start
-    )
-    runs, regions, lowest = find_regions_in_set(runs, values, run_start, value_start, search)
-    if len(box_start):
-        regions = regions_within(runs, regions, boxes, box_start)
-    return runs, regions, lowest
+    how: int,
+    priors: Priors,
+) -> tuple[Regions, Places, Lessons]:
+    """Return what ``look_at_set`` finds in the images that ``_placed`` describes."""
+    return look_at_set(
+        *placed, *_boxes(windows, *placed[2]), search_of(settings, bit_depth), how, settings.dilation_px,
+        noise_of(settings, bit_depth), priors.blurs, priors.offsets, priors.roughness,
+        _model_of(settings, bit_depth),
+    )  # fmt: skip
 
 
-def _refined(
-    placed: tuple[Array, Array, tuple[int, int]],
-    cameras: Sequence[str],
-    found: tuple[Array, Array, Array],
-    settings: DetectionSettings,
-    bit_depth: int,
-    learned: Learned,
-) -> tuple[list[Detections], Learned]:
-    """Return the fitted places, and what they teach."""
-    names = tuple(cameras)
-    priors = learned.priors(names)
+@lru_cache
+def _model_of(settings: DetectionSettings, bit_depth: int) -> Model:
     noise = noise_of(settings, bit_depth)
-    model = Model(noise.dark_dn2, noise.gain_dn, float(2**bit_depth - 1))
-    table, region_of, tallies, normal, right_side = refine_regions(
-        *placed, *found, priors.blurs, priors.offsets, priors.roughness, model
-    )
-    image_of = place_failed(*placed, *found, settings.dilation_px, noise, table, region_of)
-    if settings.split_pairs:
-        given = (*placed, priors.blurs, priors.offsets, model)
-        table, image_of = split_pairs(table, image_of, region_of, *found, given)
-    return _detections(cameras, columns(table, image_of, len(names))), Learned(
-        names, tallies, normal, right_side
-    )
+    return Model(noise.dark_dn2, noise.gain_dn, float(2**bit_depth - 1))
 
 
-def _detections(cameras: Sequence[str], found: tuple[Array, ...]) -> list[Detections]:
-    """Return each camera's part of the columns of all."""
-    *columns, start = found
-    for column in columns:
+def _detections(cameras: Sequence[str], table: Array, image_of: Array) -> list[Detections]:
+    """Return each camera's part of a table of all cameras' targets."""
+    *found, start = columns(table, image_of, len(cameras))
+    for column in found:
         column.setflags(write=False)
     bounds = start.tolist()
     return [
-        Detections.handed_over(name, [column[first:end] for column in columns])
+        Detections.handed_over(name, [column[first:end] for column in found])
         for name, first, end in zip(cameras, bounds, bounds[1:], strict=False)
     ]

@@ -1,28 +1,23 @@
 """Compiled last steps of detection: places of what no disc fits, and the columns of ``Detections``.
 
-Called by ``mosca.detect``, after ``mosca.refine_kernels``.
+Called by ``mosca.detect_set``, after ``mosca.refine_kernels``, and by ``mosca.detect``.
 """
 
 import math
 
+import numba
 import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, UNREFINED
-from mosca.detect_kernels import kernel
+from mosca.detect_kernels import step
 from mosca.detect_measure import DIAMETER, ELONGATION, PEAK, XX, XY, YY, Noise, X, Y, measure_region
 from mosca.detect_memory import image_at
 from mosca.refine_kernels import FLAGS, TOUCHING
 from mosca.refine_pair_pixels import region_mean, region_moments
 
 
-@kernel
-def note_address(image: Array, addresses: Array, k: int) -> None:
-    """Write where an image (H, W) lies in memory to place k of ``addresses`` (n,) uint64."""
-    addresses[k] = np.uint64(image.ctypes.data)
-
-
-@kernel
+@step
 def place_failed(
     addresses: Array,
     like: Array,
@@ -59,11 +54,14 @@ def place_failed(
     return image_of
 
 
-@kernel
+@numba.njit(cache=True, error_model="numpy")
 def columns(
     table: Array, image_of: Array, n_images: int
 ) -> tuple[Array, Array, Array, Array, Array, Array, Array]:
-    """Return the columns of ``Detections`` of all images in turn, and where each image's begin (n + 1)."""
+    """Return the columns of ``Detections`` of all images in turn, and where each image's begin (n + 1).
+
+    Keeps the GIL: to win it back from another thread would take longer than this does.
+    """
     n = len(table)
     xy, covariance, flags = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n, np.uint8)
     diameter, peak, elongation = np.empty(n), np.empty(n), np.empty(n)

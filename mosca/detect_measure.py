@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.detect_kernels import kernel, step
+from mosca.detect_kernels import step
 from mosca.detect_memory import image_at
 
 X, Y, XX, XY, YY, DIAMETER, PEAK, ELONGATION = range(8)
@@ -259,7 +259,7 @@ def measure_region(
     return True
 
 
-@kernel
+@step
 def measure_regions(
     addresses: Array,
     like: Array,

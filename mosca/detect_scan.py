@@ -1,6 +1,6 @@
 """Compiled scan of a frame set's images for bright pixels, 64 at a time.
 
-Called by ``mosca.detect``; free of the GIL, on one thread, in whole numbers only. What a run is: see
+Called by ``mosca.detect_set``; free of the GIL, on one thread, in whole numbers only. What a run is: see
 ``mosca.detect_kernels``. A *block* is 64 pixels that follow each other in memory, its *mask* has a bit for each
 that is bright.
 """
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.detect_kernels import END, FIRST, PLACE, ROW, kernel, step
+from mosca.detect_kernels import END, FIRST, PLACE, ROW, step
 from mosca.detect_memory import bits_set, bright_mask, copy_16, image_at, trailing_zeros
 
 BLOCK, SHIFT, OVER = 64, 6, 16
@@ -67,7 +67,13 @@ def bright_blocks_within(
     Row by row over the boxes there, from left to right, so that each block comes once and in order.
     """
     height, width = size
-    order = np.argsort(boxes[:, 1])
+    order = np.empty(len(boxes), np.int32)  # from the topmost down; few: of many boxes none is looked at
+    for k in range(len(boxes)):
+        i = k
+        while i > 0 and boxes[order[i - 1], 1] > boxes[k, 1]:
+            order[i] = order[i - 1]
+            i -= 1
+        order[i] = k
     active = np.empty(len(boxes), np.int32)
     n_active, following = 0, 0
     row, done = 0, -1
@@ -151,7 +157,7 @@ def bright_runs(
     return n, n_values
 
 
-@kernel
+@step
 def scan_set(
     addresses: Array, like: Array, size: tuple[int, int], level: int, boxes: Array, box_start: Array
 ) -> tuple[Array, Array, Array, Array]:
@@ -196,7 +202,7 @@ def scan_set(
     return runs[: run_start[-1]], values[: value_start[-1]], run_start, value_start
 
 
-@kernel
+@step
 def regions_within(runs: Array, regions: Array, boxes: Array, box_start: Array) -> Array:
     """Return the rows of ``regions`` that lie inside one of their image's boxes, off its outermost pixels."""
     kept = np.zeros(len(regions), np.bool_)

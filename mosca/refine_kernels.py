@@ -1,7 +1,7 @@
 """Compiled refinement of the regions of a frame set, and what it teaches.
 
-Called by ``mosca.refine``, which states the model, the noise and the source. One kernel call takes all regions of
-a frame set, is free of the GIL and runs on one thread, so that the same images always give the same places.
+The model, the noise and the source: ``mosca.refine``. Called by ``mosca.detect_set`` for all regions of a frame set
+at once, on one thread, so that the same images always give the same places.
 """
 
 import math
@@ -22,7 +22,6 @@ from mosca.refine_fit import (
     Model,
     f32,
     fit_disc,
-    kernel,
     step,
 )
 from mosca.refine_gather import (
@@ -306,7 +305,7 @@ def teach_light(
     tally[N_LIGHT] += 1.0
 
 
-@kernel
+@step
 def refine_regions(
     addresses: Array,
     like: Array,
