@@ -80,32 +80,53 @@ def look_ahead(
 ) -> Iterator[tuple[FrameSet, dict[str, Detections], float]]:
     """Yield each frame set with its detections and the computing time that they took [s], in order.
 
-    ``workers``: threads that look at sets ahead of the one that is yielded; 0: at each in its turn, its cameras
-    divided among ``split`` threads.
+    ``workers``: threads that look at sets ahead of the one that is yielded, beside the caller's own, which looks at
+    one itself rather than wait; 0: at each in its turn, its cameras divided among ``split`` threads.
     """
     if workers <= 0:
         yield from _look_in_turn(look, sets, split)
         return
     known = _Known()
-    waiting: deque[tuple[FrameSet, Future[Seen]]] = deque()
+    waiting: deque[_Ahead] = deque()
 
     def first() -> tuple[FrameSet, dict[str, Detections], float]:
-        frame_set, future = waiting.popleft()
-        detections, taught, seconds = future.result()
+        detections, taught, seconds = _while_waiting(look, waiting)
         known.add(taught)
-        return frame_set, detections, seconds
+        return waiting.popleft().frame_set, detections, seconds
 
     with ThreadPoolExecutor(workers, "look") as pool:
         try:
             for number, frame_set in enumerate(sets):
-                waiting.append((frame_set, pool.submit(look.at, frame_set, known.at(number))))
-                if len(waiting) >= min(workers + 1, BEHIND):
+                learned = known.at(number)
+                waiting.append(_Ahead(frame_set, learned, pool.submit(look.at, frame_set, learned)))
+                if len(waiting) >= min(workers + 2, BEHIND):
                     yield first()
             while waiting:
                 yield first()
         finally:
-            for _, future in waiting:
-                future.cancel()
+            for ahead in waiting:
+                ahead.future.cancel()
+
+
+@dataclass
+class _Ahead:
+    """A frame set that is looked at ahead, with what is known for it."""
+
+    frame_set: FrameSet
+    learned: Learned
+    future: Future[Seen]
+
+
+def _while_waiting(look: Look, waiting: Iterable[_Ahead]) -> Seen:
+    """Return what is seen in the first set that waits; until then look at those that no thread has begun."""
+    first = next(iter(waiting))
+    for ahead in waiting:
+        if first.future.done():
+            break
+        if ahead.future.cancel():  # it is ours now
+            ahead.future = Future()
+            ahead.future.set_result(look.at(ahead.frame_set, ahead.learned))
+    return first.future.result()
 
 
 def _look_in_turn(
