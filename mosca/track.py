@@ -17,11 +17,10 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.tracks import Points, Samples
 from mosca.match import Predicted
-from mosca.track_assign import best_pairs
-from mosca.track_filter import carry, correct, expected
-from mosca.track_limbs import expect, found_instead, learn, pairs, recall, take_over
+from mosca.track_limbs import found_instead, learn, recall, take_over
 from mosca.track_motion import motion
-from mosca.track_state import CONFIRMED, FREE, IDENTITY, TENTATIVE, TOP, grown, new_bank, new_limbs
+from mosca.track_set import Rules, follow, foresee
+from mosca.track_state import CONFIRMED, FREE, IDENTITY, TOP, grown, new_bank, new_limbs
 
 FIRST_SLOTS = 64
 CALMEST, WILDEST, OUTBURST = 0.2, 4.0, 6.0
@@ -70,6 +69,7 @@ class Tracker:
 
     def __init__(self, settings: TrackSettings) -> None:
         self.settings = settings
+        self._rules = _rules(settings)
         self._bank, self._limbs = new_bank(FIRST_SLOTS), new_limbs(FIRST_SLOTS)
         self._time_s: float | None = None
         self._step_s = 0.0
@@ -81,34 +81,30 @@ class Tracker:
         step = 0.0 if self._time_s is None else time_s - self._time_s
         if step < 0.0:
             raise ValueError(f"time {time_s} s lies before {self._time_s} s: points must come in order")
-        self._time_s, self._step_s = time_s, step
-        carry(self._bank, motion(s.model, step, s.memory_s), time_s, s.coast_s, max(s.remember_s, s.coast_s))
-        if s.limb_m > 0.0:
-            expect(self._bank, self._limbs, time_s, step, 0.5 * s.gate_m)
-        _, place, covariance = expected(self._bank)
-        return Predicted(place, covariance)
+        self._time_s, self._step_s = float(time_s), float(step)
+        step_of = motion(s.model, self._step_s, s.memory_s)
+        return Predicted(*foresee(self._bank, self._limbs, step_of, self._time_s, self._step_s, self._rules))
 
     def update(self, points: Points, frame: int, time_ns: int, jitter_s: float = 0.0) -> Samples:
         """Give the points of the instant last predicted to the targets; return samples that are now certain.
 
         ``jitter_s``: of each camera's trigger, standard deviation; it spreads moving points along their paths.
         """
-        s = self.settings
         self._make_room(len(points))
-        bank = self._bank
-        slot_of = self._assigned(points)
-        nameless, covariance = correct(
-            bank, slot_of, points.xyz, points.covariance, points.n_cameras, points.trusted, float(jitter_s),
-            time_ns * 1e-9, 3 if s.model == "acceleration" else 2, (CALMEST * s.acceleration_mps2) ** 2,
-            (WILDEST * s.acceleration_mps2) ** 2, s.speed_mps, s.confirm_weight, SURE,
+        bank, rules = self._bank, self._rules
+        nameless, slot_of, serial, identity, covariance = follow(
+            bank, self._limbs, points.xyz, points.covariance, points.n_cameras, points.trusted, float(jitter_s),
+            self._time_s, self._step_s, rules,
         )  # fmt: skip
-        serial = bank.serial[slot_of]
-        named = self._named(slot_of) if nameless else {}
-        if s.limb_m > 0.0:
-            learn(bank, self._limbs, self._step_s, s.limb_m)
+        named = {}
+        if nameless:
+            named = self._named(slot_of)
+            identity = bank.identity[slot_of]
+            if rules.limb_m > 0.0:
+                learn(bank, self._limbs, self._step_s, rules.limb_m)
         n = len(points)
         now = Samples(
-            np.full(n, frame), np.full(n, time_ns), bank.identity[slot_of], points.xyz, covariance,
+            np.full(n, frame), np.full(n, time_ns), identity, points.xyz, covariance,
             points.n_cameras, points.residual_px, np.zeros(n, np.int8),
         )  # fmt: skip
         return self._certain(now, serial, named)
@@ -122,22 +118,6 @@ class Tracker:
         need = int(self._bank.numbers[TOP]) + points
         if need > len(self._bank.state):
             self._bank, self._limbs = grown(self._bank, self._limbs, 2 * need)
-
-    def _assigned(self, points: Points) -> Array:
-        """Return which target (slot) each point goes to, or -1; confirmed targets choose first."""
-        s, bank = self.settings, self._bank
-        slot_of = np.full(len(points), -1)
-        for state in (CONFIRMED, TENTATIVE):
-            if state == TENTATIVE and (slot_of.min(initial=0) >= 0 or not (bank.state == TENTATIVE).any()):
-                break
-            slots, rows, worth = pairs(
-                bank, self._limbs, points.xyz, points.covariance, points.trusted, slot_of, state,
-                s.gate_sigma, s.gate_m, OUTBURST * s.acceleration_mps2, self._time_s,
-            )  # fmt: skip
-            if len(slots):
-                chosen = best_pairs(slots, rows, worth, int(bank.numbers[TOP]), len(points))
-                slot_of = chosen if state == CONFIRMED else np.where(chosen >= 0, chosen, slot_of)
-        return slot_of
 
     def _named(self, slot_of: Array) -> dict[int, int]:
         """Give each target confirmed now the identity of a lost one whose limb it fits, or a new one.
@@ -183,3 +163,22 @@ class Tracker:
         kept = [(s, k, (s.track < 0) & np.isin(k, nameless)) for s, k in self._waiting]
         self._waiting = [(s.select(rows), k[rows]) for s, k, rows in kept if rows.any()]
         return Samples.joined(certain)
+
+
+def _rules(settings: TrackSettings) -> Rules:
+    """Return the settings as the kernels read them."""
+    s = settings
+    return Rules(
+        gate_sigma=float(s.gate_sigma),
+        gate_m=float(s.gate_m),
+        wild_mps2=OUTBURST * s.acceleration_mps2,
+        lowest=(CALMEST * s.acceleration_mps2) ** 2,
+        highest=(WILDEST * s.acceleration_mps2) ** 2,
+        order=3 if s.model == "acceleration" else 2,
+        speed_mps=float(s.speed_mps),
+        confirm_weight=float(s.confirm_weight),
+        sure_from=SURE,
+        coast_s=float(s.coast_s),
+        memory_s=float(max(s.remember_s, s.coast_s)),
+        limb_m=float(s.limb_m),
+    )

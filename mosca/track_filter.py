@@ -9,8 +9,6 @@ import numpy as np
 
 from mosca.track_state import BY_LIMB, BY_MOTION, CONFIRMED, FREE, NOWHERE, SERIAL, TENTATIVE, TOP
 
-# A kernel and all its steps stand in this one file: numba renews a cached kernel by its own file alone.
-kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
 step = numba.njit(nogil=True, error_model="numpy")
 
 LEARNING = 0.12
@@ -23,7 +21,7 @@ TENTATIVE_MISSES = 2
 """A tentative target that is so often not seen where it should be was none."""
 
 
-@kernel
+@step
 def carry(bank, motion, time_s, coast_s, memory_s):  # type: ignore[no-untyped-def]
     """Carry all targets by one step; who has not been seen for ``coast_s`` is expected nowhere."""
     for i in range(bank.numbers[TOP]):
@@ -42,24 +40,23 @@ def carry(bank, motion, time_s, coast_s, memory_s):  # type: ignore[no-untyped-d
                     bank.place_covariance[i, a, b] = bank.covariance[i, a, b]
 
 
-@kernel
+@step
 def expected(bank):  # type: ignore[no-untyped-def]
-    """Return slots (k,), places (k, 3) and covariances (k, 3, 3) of the confirmed targets expected somewhere."""
+    """Return places (k, 3) and covariances (k, 3, 3) of the confirmed targets expected somewhere."""
     top = bank.numbers[TOP]
-    slots, place, covariance = np.empty(top, np.int64), np.empty((top, 3)), np.empty((top, 3, 3))
+    place, covariance = np.empty((top, 3)), np.empty((top, 3, 3))
     n = 0
     for i in range(top):
         if bank.state[i] == CONFIRMED and bank.source[i] != NOWHERE:
-            slots[n] = i
             for a in range(3):
                 place[n, a] = bank.place[i, a]
                 for b in range(3):
                     covariance[n, a, b] = bank.place_covariance[i, a, b]
             n += 1
-    return slots[:n], place[:n], covariance[:n]
+    return place[:n], covariance[:n]
 
 
-@kernel
+@step
 def correct(  # type: ignore[no-untyped-def]
     bank, slot_of, xyz, own, cameras, trusted, jitter_s, time_s, order, lowest, highest, speed, confirm_weight,
     sure_from

@@ -11,6 +11,7 @@ import numpy as np
 from mosca.track_state import BY_LIMB, BY_MOTION, CONFIRMED, FREE, MATES, NOWHERE, TICK, TOP
 
 kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
+short_kernel = numba.njit(cache=True, error_model="numpy")  # keeps the GIL: to win it back would take longer
 step = numba.njit(nogil=True, error_model="numpy")
 
 RIGID, UNPROVEN, PROVEN_S = 0.005, 0.15, 0.2
@@ -40,7 +41,7 @@ CONTRADICTED = -2.0
 """Log-likelihood ratio of distances below which a point is not a hidden target's."""
 
 
-@kernel
+@step
 def pairs(bank, limbs, xyz, covariance, trusted, used, state, gate_sigma, gate_m, wild_mps2, time_s):  # type: ignore[no-untyped-def]
     """Return which targets in ``state`` and which unused points may be one: slots, rows and worth (k,).
 
@@ -60,8 +61,7 @@ def pairs(bank, limbs, xyz, covariance, trusted, used, state, gate_sigma, gate_m
             low, high = min(low, xyz[r, a]), max(high, xyz[r, a])
         if high - low > widest:
             axis, widest = a, high - low
-    order = np.argsort(xyz[:, axis])
-    along = xyz[order, axis]
+    along, order = _sorted(xyz, axis)
     loosest = 0.0
     for r in range(m):
         loosest = max(loosest, covariance[r, 0, 0] + covariance[r, 1, 1] + covariance[r, 2, 2])
@@ -153,7 +153,7 @@ def learn(bank, limbs, step_s, reach_m):  # type: ignore[no-untyped-def]
             limbs.shown_s[i, k] = shown_s + lesson_s
 
 
-@kernel
+@step
 def expect(bank, limbs, time_s, step_s, widest_m):  # type: ignore[no-untyped-def]
     """Set the expected place of each hidden target to what its limb says, where that is more certain.
 
@@ -176,7 +176,7 @@ def expect(bank, limbs, time_s, step_s, widest_m):  # type: ignore[no-untyped-de
                 bank.place_covariance[i, a, b] = covariance[a, b]
 
 
-@kernel
+@short_kernel
 def recall(bank, limbs, i, time_s, least, range_m, speed_mps):  # type: ignore[no-untyped-def]
     """Return the lost target whose distances slot ``i``, not named yet, fulfils, and whether any can be meant.
 
@@ -203,7 +203,7 @@ def recall(bank, limbs, i, time_s, least, range_m, speed_mps):  # type: ignore[n
     return (at if best >= least and best > second + 3.0 else -1), possible
 
 
-@kernel
+@short_kernel
 def found_instead(bank, i, time_s, near_m):  # type: ignore[no-untyped-def]
     """Return the lost target that was found again now where slot ``i``, without a name, should have been, or -1.
 
@@ -217,10 +217,13 @@ def found_instead(bank, i, time_s, near_m):  # type: ignore[no-untyped-def]
     return -1
 
 
-@kernel
+@short_kernel
 def take_over(bank, old, new):  # type: ignore[no-untyped-def]
     """Let slot ``old`` go on with the filter of slot ``new``, which becomes free."""
-    bank.mean[old], bank.covariance[old] = bank.mean[new], bank.covariance[new]
+    for a in range(9):
+        bank.mean[old, a] = bank.mean[new, a]
+        for b in range(9):
+            bank.covariance[old, a, b] = bank.covariance[new, a, b]
     bank.seen_s[old], bank.missed[old], bank.sure[old] = bank.seen_s[new], bank.missed[new], bank.sure[new]
     bank.variance[old] = bank.variance[new]
     bank.state[new], bank.serial[new], bank.identity[new] = FREE, -1, -1
@@ -450,9 +453,27 @@ def _distance(a, b):  # type: ignore[no-untyped-def]
 
 
 @step
+def _sorted(xyz, axis):  # type: ignore[no-untyped-def]
+    """Return the points' places along an axis, rising, and whose they are (Shell's sort with Ciura's gaps)."""
+    n = xyz.shape[0]
+    along, order = np.empty(n), np.empty(n, np.int64)
+    for r in range(n):
+        along[r], order[r] = xyz[r, axis], r
+    for gap in (701, 301, 132, 57, 23, 10, 4, 1):
+        for r in range(gap, n):
+            value, row, at = along[r], order[r], r
+            while at >= gap and along[at - gap] > value:
+                along[at], order[at] = along[at - gap], order[at - gap]
+                at -= gap
+            along[at], order[at] = value, row
+    return along, order
+
+
+@step
 def _longer(slots, rows, worth):  # type: ignore[no-untyped-def]
-    return (
-        np.concatenate((slots, np.empty_like(slots))),
-        np.concatenate((rows, np.empty_like(rows))),
-        np.concatenate((worth, np.empty_like(worth))),
-    )
+    """Return the columns of the pairs with twice the room."""
+    n = slots.shape[0]
+    more = np.empty(2 * n, np.int64), np.empty(2 * n, np.int64), np.empty(2 * n)
+    for k in range(n):
+        more[0][k], more[1][k], more[2][k] = slots[k], rows[k], worth[k]
+    return more
