@@ -135,10 +135,14 @@ def _look_in_turn(
     known = _Known()
     with ExitStack() as stack:
         helpers = stack.enter_context(ThreadPoolExecutor(split - 1, "look")) if split > 1 else None
+        learned = known.at(0)
         for number, frame_set in enumerate(sets):
-            detections, taught, seconds = look.at(frame_set, known.at(number), helpers, split)
-            known.add(taught)
+            detections, taught, seconds = look.at(frame_set, learned, helpers, split)
             yield frame_set, detections, seconds
+            # while the next set is on its way: to conclude takes long
+            known.add(taught)
+            learned = known.at(number + 1)
+            learned.conclude()
 
 
 class Lessons:

@@ -99,6 +99,12 @@ class Learned:
                 self._priors[names] = _priors(self if names == self.names else self._of(names))
         return self._priors[names]
 
+    def conclude(self) -> None:
+        """Work out what the fits of these cameras start from, which else the first fit waits for."""
+        for name in self.names:
+            one = self._parts.get(name, self)
+            one.priors(one.names)
+
     def each(self) -> dict[str, "Learned"]:
         """Return what each camera has taught by itself."""
         return {

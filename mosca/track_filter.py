@@ -68,6 +68,7 @@ def correct(  # type: ignore[no-untyped-def]
     of acceleration. Returns how many confirmed targets have no identity yet, and the points' covariance (m, 3, 3).
     """
     covariance = own.copy()
+    gain, top = np.empty((9, 3)), np.empty((3, 9))
     for row in range(slot_of.shape[0]):
         i = slot_of[row]
         if i >= 0:
@@ -82,7 +83,7 @@ def correct(  # type: ignore[no-untyped-def]
         elif bank.source[i] == BY_LIMB:
             _begin_again(bank, i, xyz[row], covariance[row], speed)
         else:
-            nis = _correct_one(bank.mean[i], bank.covariance[i], xyz[row], covariance[row], 3 * order)
+            nis = _correct_one(bank.mean[i], bank.covariance[i], xyz[row], covariance[row], 3 * order, gain, top)
             if nis > OUTBURST:
                 _loosen(bank.covariance[i], nis / OUTBURST, 3 * order)
             if bank.missed[i] == 0:
@@ -190,8 +191,11 @@ def _carry_one(mean, covariance, m, variance):  # type: ignore[no-untyped-def]
 
 
 @step
-def _correct_one(mean, covariance, xyz, noise, size):  # type: ignore[no-untyped-def]
-    """Kalman update by a measured position; returns the normalised innovation squared (3 degrees of freedom)."""
+def _correct_one(mean, covariance, xyz, noise, size, gain, top):  # type: ignore[no-untyped-def]
+    """Kalman update by a measured position; returns the normalised innovation squared (3 degrees of freedom).
+
+    ``gain`` (9, 3), ``top`` (3, 9): scratch.
+    """
     s00, s01, s02 = (
         covariance[0, 0] + noise[0, 0],
         covariance[0, 1] + noise[0, 1],
@@ -216,7 +220,6 @@ def _correct_one(mean, covariance, xyz, noise, size):  # type: ignore[no-untyped
         + v * (i01 * u + i11 * v + i12 * w)
         + w * (i02 * u + i12 * v + i22 * w)
     )
-    gain, top = np.empty((9, 3)), np.empty((3, 9))
     for a in range(size):
         x, y, z = covariance[a, 0], covariance[a, 1], covariance[a, 2]
         top[0, a], top[1, a], top[2, a] = x, y, z

@@ -123,27 +123,24 @@ def learn(bank, limbs, step_s, reach_m):  # type: ignore[no-untyped-def]
             _look_for_mates(bank, limbs, i, reach_m, tick // (TAUGHT * REFRESH))
         if not bank.sure[i]:
             continue
-        here = bank.mean[i]
+        # numbers, not rows: of each row that is cut out somebody counts the users
+        x, y, z = bank.mean[i, 0], bank.mean[i, 1], bank.mean[i, 2]
+        limbs.own[i, 0], limbs.own[i, 1], limbs.own[i, 2] = x, y, z
         for a in range(3):
-            limbs.own[i, a] = here[a]
             for b in range(3):
                 limbs.turn[i, a, b] = 1.0 if a == b else 0.0
         for k in range(MATES):
             j = limbs.mate[i, k]
-            limbs.taken[i, k] = False
-            if (
-                not _seen(bank.serial, bank.missed, limbs.mate[i, k], limbs.mate_serial[i, k])
-                or not bank.sure[j]
-            ):
+            taken = j >= 0 and bank.serial[j] == limbs.mate_serial[i, k] and bank.missed[j] == 0 and bank.sure[j]
+            limbs.taken[i, k] = taken
+            if not taken:
                 continue
-            there = bank.mean[j]
-            limbs.taken[i, k] = True
-            for a in range(3):
-                limbs.photo[i, k, a] = there[a]
+            u, v, w = bank.mean[j, 0], bank.mean[j, 1], bank.mean[j, 2]
+            limbs.photo[i, k, 0], limbs.photo[i, k, 1], limbs.photo[i, k, 2] = u, v, w
             if not lesson:
                 continue
             length, variance, shown_s = limbs.length[i, k], limbs.variance[i, k], limbs.shown_s[i, k]
-            away = _distance(here, there) - length
+            away = np.sqrt((x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2) - length
             rate = min(lesson_s / min(shown_s + lesson_s, WINDOW_S), 1.0)
             # a sudden change is rather a wrong point than a new limb
             if shown_s > 2 * PROVEN_S and away * away > STRAINED * _spread2(length, variance, shown_s):
