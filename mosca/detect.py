@@ -144,7 +144,7 @@ def detect_and_learn(
         return found, taught
     placed = _placed(pixels)
     priors = learned.priors(tuple(cameras))
-    regions, (table, region_of, image_of), taught = _looked(
+    regions, (table, region_of, image_of), lessons = _looked(
         placed, settings, bit_depth, windows, HOW[settings.centroid], priors
     )
     if settings.centroid != "refined":
@@ -152,7 +152,7 @@ def detect_and_learn(
     if settings.split_pairs:
         given = (*placed, priors.blurs, priors.offsets, _model_of(settings, bit_depth))
         table, image_of = split_pairs(table, image_of, region_of, *regions, given)
-    return _detections(cameras, table, image_of), Learned(tuple(cameras), *taught)
+    return _detections(cameras, table, image_of), Learned(tuple(cameras), *lessons)
 
 
 def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_depth: int = 8) -> Array:

@@ -125,7 +125,10 @@ def _while_waiting(look: Look, waiting: Iterable[_Ahead]) -> Seen:
             break
         if ahead.future.cancel():  # it is ours now
             ahead.future = Future()
-            ahead.future.set_result(look.at(ahead.frame_set, ahead.learned))
+            try:
+                ahead.future.set_result(look.at(ahead.frame_set, ahead.learned))
+            except Exception as error:  # raised when it is this set's turn
+                ahead.future.set_exception(error)
     return first.future.result()
 
 

@@ -83,7 +83,9 @@ def correct(  # type: ignore[no-untyped-def]
         elif bank.source[i] == BY_LIMB:
             _begin_again(bank, i, xyz[row], covariance[row], speed)
         else:
-            nis = _correct_one(bank.mean[i], bank.covariance[i], xyz[row], covariance[row], 3 * order, gain, top)
+            nis = _correct_one(
+                bank.mean[i], bank.covariance[i], xyz[row], covariance[row], 3 * order, gain, top
+            )
             if nis > OUTBURST:
                 _loosen(bank.covariance[i], nis / OUTBURST, 3 * order)
             if bank.missed[i] == 0:

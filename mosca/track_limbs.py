@@ -131,7 +131,9 @@ def learn(bank, limbs, step_s, reach_m):  # type: ignore[no-untyped-def]
                 limbs.turn[i, a, b] = 1.0 if a == b else 0.0
         for k in range(MATES):
             j = limbs.mate[i, k]
-            taken = j >= 0 and bank.serial[j] == limbs.mate_serial[i, k] and bank.missed[j] == 0 and bank.sure[j]
+            taken = (
+                j >= 0 and bank.serial[j] == limbs.mate_serial[i, k] and bank.missed[j] == 0 and bank.sure[j]
+            )
             limbs.taken[i, k] = taken
             if not taken:
                 continue

@@ -53,8 +53,8 @@ def follow(  # type: ignore[no-untyped-def]
 ):
     """Give the points (m,) to the targets, and begin new ones; learn their limbs unless someone is to be named first.
 
-    As ``correct``, which takes the points. Returns how many confirmed targets have no identity yet, each point's slot,
-    serial and identity (m,), and the points' covariance (m, 3, 3).
+    The points: as ``correct`` takes them. Returns how many confirmed targets have no identity yet, each point's slot,
+    serial and identity (m,), and their covariance (m, 3, 3).
     """
     slot_of = _assigned(bank, limbs, xyz, own, trusted, time_s, rules)
     nameless, covariance = correct(

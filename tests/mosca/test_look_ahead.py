@@ -1,0 +1,60 @@
+"""Looking ahead: who looks at a frame set, and what becomes of its errors."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from mosca.data.frames import Frame, FrameSet
+from mosca.detect import DetectionSettings
+from mosca.look import Look, look_ahead
+
+PATIENCE_S = 60.0
+
+
+def dark_sets(n):
+    return [
+        FrameSet(k, k, {"cam1": Frame("cam1", k, k, 1_000, np.zeros((16, 16), np.uint8))}) for k in range(n)
+    ]
+
+
+def in_callers_thread():
+    return threading.current_thread() is threading.main_thread()
+
+
+class Held(Look):
+    """The threads that look ahead are held until the caller has looked at a set itself."""
+
+    def at(self, frame_set, *more, **others):
+        if in_callers_thread():
+            caller_looked.set()
+        else:
+            assert caller_looked.wait(PATIENCE_S)
+        return super().at(frame_set, *more, **others)
+
+
+caller_looked = threading.Event()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_the_caller_looks_at_a_set_itself_rather_than_wait(workers):
+    caller_looked.clear()
+    seen = list(look_ahead(Held(DetectionSettings(), {"cam1": 8}), dark_sets(12), workers))
+    assert [frame_set.pulse for frame_set, _, _ in seen] == list(range(12))
+    assert caller_looked.is_set()
+
+
+class Failing(Look):
+    def at(self, frame_set, *more, **others):
+        if frame_set.pulse == 5:
+            raise ArithmeticError("pulse 5")
+        return super().at(frame_set, *more, **others)
+
+
+@pytest.mark.parametrize("workers", [0, 1, 3])
+def test_an_error_comes_when_it_is_its_sets_turn(workers):
+    seen = []
+    with pytest.raises(ArithmeticError, match="pulse 5"):
+        for frame_set, _, _ in look_ahead(Failing(DetectionSettings(), {"cam1": 8}), dark_sets(9), workers):
+            seen.append(frame_set.pulse)
+    assert seen == list(range(5))
