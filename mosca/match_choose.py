@@ -13,6 +13,8 @@ from mosca.match_groups import (
     DIAMETER,
     GAIN,
     MINIMUM,
+    NONE,
+    TWICE,
     VALUES,
     XYZ,
     acceptable,
@@ -44,7 +46,7 @@ def choose(values, members, trusts, rays, views, rules, xyz, covariance, support
     spoken = np.zeros(xyz.shape[0], dtype=np.bool_)
     state = np.zeros(n, dtype=np.int8)
     mates, ranks, solved = np.empty(cameras, dtype=np.int64), np.ones((cameras, RANKS)), np.empty(VALUES)
-    low, step, first, at, items, wide = buckets(xyz[:, 0], support * np.sqrt(covariance[:, 0, 0]))
+    low, step, first, at, items, wide = buckets(xyz[:, 0].copy(), support * np.sqrt(covariance[:, 0, 0]))
     found = np.empty(xyz.shape[0], dtype=np.int64)
     density = _log_density(values, xyz)
     lost, kept = _seen_shares(values, members, views)
@@ -200,7 +202,7 @@ def _take(g, values, members, track, used, spoken, rays, views, rules):  # type:
 @njit(nogil=True, cache=True, error_model="numpy")
 def _shrink(g, values, members, trusts, used, mates, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
     """Take the rays that are used up from a group and solve it anew; False where no target is left."""
-    count, lost = 0, False
+    count, lost = NONE, False
     for c in range(members.shape[1]):
         k = members[g, c]
         if k >= 0 and used[k] > 0:
@@ -210,8 +212,11 @@ def _shrink(g, values, members, trusts, used, mates, ranks, solved, rays, views,
         return True
     if count < rules[MINIMUM]:
         return False
-    mates[:], ranks[:, TRUST], solved[:] = members[g], trusts[g], values[g]
-    error = solve(mates, ranks, solved, 2, rays, views)
+    for c in range(members.shape[1]):
+        mates[c], ranks[c, TRUST] = members[g, c], trusts[g, c]
+    for k in range(VALUES):
+        solved[k] = values[g, k]
+    error = solve(mates, ranks, solved, TWICE, rays, views)
     if not acceptable(mates, solved, count, error, values[g, DIAMETER], rays, views, rules):
         return False
     store(mates, ranks, solved, error, values[g, DIAMETER], rays, g, values, members, trusts)

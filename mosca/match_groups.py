@@ -36,6 +36,9 @@ GATE, OUTLIER, MINIMUM, WORST, JUDGE, TYPICAL, LOW, HIGH, RULES = 0, 1, 2, 3, 4,
 """Places in the rules: ``mosca.match.MatchSettings`` as the kernels read them (WORST a variance), the targets'
 typical diameter [m], the volume."""
 
+# Not plain numbers: numba would compile what takes them once for each value.
+NONE, ONCE, TWICE = np.int64(0), np.int64(1), np.int64(2)
+
 # A group in hand is three arrays: ``members`` (c,) ray of each camera or -1; ``ranks`` (c, RANKS) what goes with
 # each (``mosca.triangulate``); ``solved`` (VALUES,) its row of values. Plain arrays, no records of arrays: to pass
 # those from kernel to kernel costs more than what the kernels do.

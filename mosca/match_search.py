@@ -17,8 +17,11 @@ from mosca.match_groups import (
     LOW,
     MINIMUM,
     MOST_ODD,
+    NONE,
     ODD_SHIFT,
+    ONCE,
     OUTLIER,
+    TWICE,
     TYPICAL,
     VALUES,
     acceptable,
@@ -37,7 +40,7 @@ from mosca.ray_kernels import ANGLE, DENSITY, FLAGS, LONG, RADIUS, SIGMA, SPREAD
 from mosca.triangulate import DEPTH, RANKS, SHARE, TRUST
 
 # what runs for each track and camera: handing over its many arrays costs more than what it does
-inlined = njit(nogil=True, error_model="numpy", inline="always")
+inlined = njit(nogil=True, error_model="numpy", forceinline=True)
 
 CERTAIN = 1e-3
 """Expected number of chance groups as good as this one, below which a group explains its rays."""
@@ -56,7 +59,7 @@ def search(rays, views, pairs, bases, start, rules, xyz, covariance):  # type: i
     ``xyz`` (k, 3), ``covariance`` (k, 3, 3): where tracks expect their targets; what lies there is tried first.
     """
     cameras, total = views.shape[0], rays.shape[0]
-    room, count = max(64, 2 * total // max(cameras, 1)), 0
+    room, count = max(64, 2 * total // max(cameras, 1)), NONE
     groups = np.empty((room, VALUES)), np.empty((room, cameras), dtype=np.int64), np.empty((room, cameras))
     index = cells(rays, views, start)
     slack, reach = _slack(rays, start, rules)
@@ -81,7 +84,8 @@ def search(rays, views, pairs, bases, start, rules, xyz, covariance):  # type: i
     for stage in range(2 if rules[JUDGE] > 0.0 else 1):
         if stage == 1:
             # half-hidden targets: for rays that no three cameras join as they are
-            explained |= joined
+            for i in range(total):
+                explained[i] |= joined[i]
         for pair in range(pairs.shape[0]):
             a, b = pairs[pair, 0], pairs[pair, 1]
             n_a = _left(start[a], start[a + 1], explained, active)
@@ -156,7 +160,7 @@ def _expected(  # type: ignore[no-untyped-def]
         solved[p] = xyz[track, p]
         for q in range(3):
             solved[3 + 3 * p + q] = covariance[track, p, q]
-    size, chance, doubtful = 0, float(xyz.shape[0]), False
+    size, chance, doubtful = NONE, float(xyz.shape[0]), False
     for c in range(cameras):
         k, trust, share, admitted = _nearest(c, rules[TYPICAL], reach[c], index, solved, rays, views, rules)
         members[c], ranks[c, TRUST] = k, trust
@@ -168,7 +172,7 @@ def _expected(  # type: ignore[no-untyped-def]
             doubtful |= admitted > 1
     if size < 3 or size < rules[MINIMUM] or not chance < CERTAIN:
         return 0, 0.0, 0.0, 1.0
-    error = solve(members, ranks, solved, 2, rays, views)
+    error = solve(members, ranks, solved, TWICE, rays, views)
     if not 0.0 <= error <= limit(2 * size - 3, PLAIN):
         return 0, 0.0, 0.0, 1.0
     # trusted already by their sizes there, since the typical one is known
@@ -250,14 +254,14 @@ def _meet(i, j, a, b, away2, variance_i, variance_j, members, ranks, solved, ray
     trust_j = trust2_of(j, size_j, whole, rays, rules[JUDGE])
     if away2 > variance_i / trust_i + variance_j / trust_j:
         return False
-    members[:] = -1
-    ranks[:, TRUST] = 1.0
+    for c in range(members.shape[0]):
+        members[c], ranks[c, TRUST] = -1, 1.0
     members[a], members[b] = i, j
     ranks[a, TRUST], ranks[b, TRUST] = np.sqrt(trust_i), np.sqrt(trust_j)
     solved[0] = 0.5 * (views[a, 0] + s * d0 + views[b, 0] + t * e0)
     solved[1] = 0.5 * (views[a, 1] + s * d1 + views[b, 1] + t * e1)
     solved[2] = 0.5 * (views[a, 2] + s * d2 + views[b, 2] + t * e2)
-    error = solve(members, ranks, solved, 1, rays, views)
+    error = solve(members, ranks, solved, ONCE, rays, views)
     if not 0.0 <= error <= rules[GATE] ** 2:
         return False
     return (
@@ -279,7 +283,7 @@ def _grown(  # type: ignore[no-untyped-def]
     size_i, size_j = image_size(i, a, solved, rays, views), image_size(j, b, solved, rays, views)
     seen = larger(i, size_i, j, size_j, rays)
     whole = rules[TYPICAL] if rules[TYPICAL] > 0.0 else seen
-    size = 2
+    size = TWICE
     for c in range(cameras):
         if c in (a, b):
             continue
@@ -288,7 +292,7 @@ def _grown(  # type: ignore[no-untyped-def]
             members[c], ranks[c, TRUST], ranks[c, SHARE] = nearest, trust, share
             size += 1
     diameter = judge_sizes(members, ranks, solved, rays, views, rules)
-    error = solve(members, ranks, solved, 2, rays, views)
+    error = solve(members, ranks, solved, TWICE, rays, views)
     while size > 2 and not 0.0 <= error <= limit(2 * size - 3, rules[OUTLIER]):
         # a bad ray pulls the point towards itself: judge each by what is left without it
         at = _worst_ray(members, ranks, solved, rays, views) if error >= 0.0 else -1
@@ -299,7 +303,7 @@ def _grown(  # type: ignore[no-untyped-def]
         # with one of three bad, this pair or another: each has to stand for itself
         if size == 2 and at in (a, b):
             return 0, 0.0, 0.0, 1.0
-        error = solve(members, ranks, solved, 2, rays, views)
+        error = solve(members, ranks, solved, TWICE, rays, views)
     if size > 2 and (members[a] < 0 or members[b] < 0) and _joined(members, partner):
         return 0, 0.0, 0.0, 1.0
     if size < rules[MINIMUM] or not acceptable(members, solved, size, error, diameter, rays, views, rules):
@@ -375,14 +379,14 @@ def _nearest(c, whole, reach, index, solved, rays, views, rules):  # type: ignor
     # an angle counts (1 + |place|^2) / 2 there, and a point's error in no direction more than in all together
     scale = 0.5 * (1.0 + u * u + v * v)
     side = 1.01 * rules[GATE] * scale * np.sqrt(reach + (v00 + v11 + v22) / (distance * distance))
-    left, right = _cells_beside(c, 0, u, side, frame)
-    top, bottom = _cells_beside(c, 1, v, side, frame)
+    left, right = _cells_beside(c, NONE, u, side, frame)
+    top, bottom = _cells_beside(c, ONCE, v, side, frame)
     if (right - left) * (bottom - top) > FEW_CELLS:
         own = scale * scale * reach
-        side = _side(c, 0, u, x / distance, y / distance, z / distance, w, own, solved, views, rules)
-        left, right = _cells_beside(c, 0, u, side, frame)
-        side = _side(c, 1, v, x / distance, y / distance, z / distance, w, own, solved, views, rules)
-        top, bottom = _cells_beside(c, 1, v, side, frame)
+        side = _side(c, NONE, u, x / distance, y / distance, z / distance, w, own, solved, views, rules)
+        left, right = _cells_beside(c, NONE, u, side, frame)
+        side = _side(c, ONCE, v, x / distance, y / distance, z / distance, w, own, solved, views, rules)
+        top, bottom = _cells_beside(c, ONCE, v, side, frame)
     nearest, at, trust2, det_there, admitted = np.inf, -1, 1.0, 0.0, 0
     for row in range(top, bottom + 1):
         first = int(frame[c, FIRST] + row * frame[c, CELLS])
@@ -456,5 +460,7 @@ def _side(c, axis, place, x, y, z, w, own, solved, views, rules):  # type: ignor
 def _longer(rows):  # type: ignore[no-untyped-def]
     """Return a copy of rows (n, k) with room for twice as many."""
     longer = np.empty((2 * rows.shape[0], rows.shape[1]), dtype=rows.dtype)
-    longer[: rows.shape[0]] = rows
+    for i in range(rows.shape[0]):
+        for k in range(rows.shape[1]):
+            longer[i, k] = rows[i, k]
     return longer

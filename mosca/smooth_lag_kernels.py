@@ -8,6 +8,8 @@ measurements, this equals any other smoother of the same model.
 import numba
 import numpy as np
 
+from mosca.smooth_kernels import carry, carry_both, correct, invert3
+
 kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
 step = numba.njit(nogil=True, error_model="numpy")
 
@@ -26,22 +28,29 @@ def take(  # type: ignore[no-untyped-def]
     positions kept, their ``lag_xyz`` (s, w, 3), ``lag_own`` (s, w, 3, 3) and ``lag_cross`` (s, w, 3, 9);
     ``rung_...`` (s, r, ...) of the filters, an axis each, that tell how likely each variance is.
     """
+    top, gain, inverse, away = np.empty((3, 9)), np.empty((9, 3)), np.empty((3, 3)), np.empty(3)
     for n in range(slots.shape[0]):
         s = slots[n]
         if fresh[n]:
-            rung_cost[s] = start
-            rung_mean[s] = 0.0
-            rung_spread[s] = 0.0
             for r in range(ladder.shape[0]):
+                rung_cost[s, r] = start[r]
                 for a in range(3):
+                    for i in range(3):
+                        rung_mean[s, r, a, i] = 0.0
+                        for j in range(3):
+                            rung_spread[s, r, a, i, j] = 0.0
                     rung_mean[s, r, a, 0] = xyz[n, a]
                     rung_spread[s, r, a, 0, 0] = covariance[n, a, a]
                     rung_spread[s, r, a, 1, 1], rung_spread[s, r, a, 2, 2] = speed2, ladder[r]
             variance = fixed if fixed >= 0.0 else ladder[np.argmin(start)]
-            mean[s], spread[s] = 0.0, 0.0
-            mean[s, :3] = xyz[n]
-            spread[s, :3, :3] = covariance[n]
+            for i in range(9):
+                mean[s, i] = 0.0
+                for j in range(9):
+                    spread[s, i, j] = 0.0
             for a in range(3):
+                mean[s, a] = xyz[n, a]
+                for b in range(3):
+                    spread[s, a, b] = covariance[n, a, b]
                 spread[s, 3 + a, 3 + a], spread[s, 6 + a, 6 + a] = speed2, variance
             count[s] = 0
         else:
@@ -55,13 +64,16 @@ def take(  # type: ignore[no-untyped-def]
                         )  # fmt: skip
             variance = fixed if fixed >= 0.0 else ladder[np.argmin(rung_cost[s])]
             _correct(
-                xyz[n], covariance[n], move[n], variance * noise[n], mean[s], spread[s], count[s],
-                lag_xyz[s], lag_own[s], lag_cross[s],
+                xyz[n], covariance[n], move[n], noise[n], variance, mean[s], spread[s], count[s],
+                lag_xyz[s], lag_own[s], lag_cross[s], top, gain, inverse, away,
             )  # fmt: skip
         k = count[s]
-        lag_xyz[s, k] = mean[s, :3]
-        lag_own[s, k] = spread[s, :3, :3]
-        lag_cross[s, k] = spread[s, :3]
+        for a in range(3):
+            lag_xyz[s, k, a] = mean[s, a]
+            for b in range(3):
+                lag_own[s, k, a, b] = spread[s, a, b]
+            for i in range(9):
+                lag_cross[s, k, a, i] = spread[s, a, i]
         count[s] = k + 1
 
 
@@ -76,78 +88,67 @@ def leave(upto, frame, first, count, lag_xyz, lag_own, lag_cross, xyz, own):  # 
     for s in range(count.shape[0]):
         k = 0
         while k < count[s] and frame[s, k] <= upto:
-            xyz[out], own[out] = lag_xyz[s, k], lag_own[s, k]
+            for a in range(3):
+                xyz[out, a] = lag_xyz[s, k, a]
+                for b in range(3):
+                    own[out, a, b] = lag_own[s, k, a, b]
             out += 1
             k += 1
         first[s] = k
         if k > 0:
             left = count[s] - k
             for j in range(left):
-                lag_xyz[s, j], lag_own[s, j], lag_cross[s, j] = (
-                    lag_xyz[s, j + k], lag_own[s, j + k], lag_cross[s, j + k],
-                )  # fmt: skip
+                for a in range(3):
+                    lag_xyz[s, j, a] = lag_xyz[s, j + k, a]
+                    for b in range(3):
+                        lag_own[s, j, a, b] = lag_own[s, j + k, a, b]
+                    for i in range(9):
+                        lag_cross[s, j, a, i] = lag_cross[s, j + k, a, i]
             count[s] = left
     return out
 
 
 @step
-def _correct(xyz, covariance, move, noise, x, p, count, lag_xyz, lag_own, lag_cross):  # type: ignore[no-untyped-def]
-    """Carry a state and its earlier positions one step and correct them all with one measurement, in place."""
-    _carry(x.reshape(1, 9), move)
-    _carry(p, move)
-    _carry(p.T, move)
+def _correct(  # type: ignore[no-untyped-def]
+    xyz, covariance, move, noise, variance, x, p, count, lag_xyz, lag_own, lag_cross, top, gain, inverse, away
+):  # fmt: skip
+    """Carry a state and its earlier positions one step and correct them all with one measurement, in place.
+
+    ``top`` (3, 9), ``gain`` (9, 3), ``inverse`` (3, 3), ``away`` (3,): room to work.
+    """
+    carry(x, move)
+    carry_both(p, move)
+    for i in range(3):
+        for j in range(3):
+            for a in range(3):
+                p[3 * i + a, 3 * j + a] += variance * noise[i, j]
     for a in range(3):
-        for i in range(3):
-            for j in range(3):
-                p[3 * i + a, 3 * j + a] += noise[i, j]
-    inverse = np.linalg.inv(p[:3, :3] + covariance)
-    away = xyz - x[:3]
-    top = p[:3].copy()
+        away[a] = xyz[a] - x[a]
+        for b in range(3):
+            inverse[a, b] = p[a, b] + covariance[a, b]
+    invert3(inverse)
+    correct(x, p, away, inverse, top, gain)
     for k in range(count):
-        _carry(lag_cross[k], move)
-        near = lag_cross[k, :, :3].copy()
-        gain = _product(near, inverse)
-        lag_xyz[k] += _times(gain, away)
-        lag_own[k] -= _product(gain, near.T)
-        lag_cross[k] -= _product(gain, top)
-    gain = _product(top.T, inverse)
-    x += _times(gain, away)
-    p -= _product(gain, top)
-    for i in range(9):
-        for j in range(i):
-            p[i, j] = p[j, i] = 0.5 * (p[i, j] + p[j, i])
-
-
-@step
-def _carry(rows, move):  # type: ignore[no-untyped-def]
-    """Multiply each row of ``rows`` (n, 9) by the transition whose axes' part is ``move`` (3, 3), in place."""
-    for row in range(rows.shape[0]):
         for a in range(3):
-            v, w = rows[row, 3 + a], rows[row, 6 + a]
-            rows[row, a] += move[0, 1] * v + move[0, 2] * w
-            rows[row, 3 + a] = v + move[1, 2] * w
-            rows[row, 6 + a] = move[2, 2] * w
-
-
-@step
-def _product(a, b):  # type: ignore[no-untyped-def]
-    """Return a @ b; for matrices this small a loop is faster than a library's call."""
-    out = np.zeros((a.shape[0], b.shape[1]))
-    for i in range(a.shape[0]):
-        for k in range(a.shape[1]):
-            for j in range(b.shape[1]):
-                out[i, j] += a[i, k] * b[k, j]
-    return out
-
-
-@step
-def _times(a, x):  # type: ignore[no-untyped-def]
-    """Return the vector a @ x."""
-    out = np.zeros(a.shape[0])
-    for i in range(a.shape[0]):
-        for k in range(a.shape[1]):
-            out[i] += a[i, k] * x[k]
-    return out
+            carry(lag_cross[k, a], move)
+        for a in range(3):
+            # an earlier position's row of the gain
+            n0, n1, n2 = lag_cross[k, a, 0], lag_cross[k, a, 1], lag_cross[k, a, 2]
+            g0 = n0 * inverse[0, 0] + n1 * inverse[1, 0] + n2 * inverse[2, 0]
+            g1 = n0 * inverse[0, 1] + n1 * inverse[1, 1] + n2 * inverse[2, 1]
+            g2 = n0 * inverse[0, 2] + n1 * inverse[1, 2] + n2 * inverse[2, 2]
+            lag_xyz[k, a] += g0 * away[0] + g1 * away[1] + g2 * away[2]
+            gain[a, 0], gain[a, 1], gain[a, 2] = g0, g1, g2
+        for a in range(3):
+            for b in range(3):
+                lag_own[k, a, b] -= (
+                    gain[a, 0] * lag_cross[k, b, 0]
+                    + gain[a, 1] * lag_cross[k, b, 1]
+                    + gain[a, 2] * lag_cross[k, b, 2]
+                )
+        for a in range(3):
+            for i in range(9):
+                lag_cross[k, a, i] -= gain[a, 0] * top[0, i] + gain[a, 1] * top[1, i] + gain[a, 2] * top[2, i]
 
 
 @step
@@ -169,9 +170,11 @@ def _one_axis(x, p, z, variance, f, q, strength):  # type: ignore[no-untyped-def
             p[i, j] += strength * q[i, j]
     total = p[0, 0] + variance
     away = z - x[0]
-    top = p[0].copy()
+    t0, t1, t2 = p[0, 0], p[0, 1], p[0, 2]
     for i in range(3):
-        x[i] += top[i] * away / total
-        for j in range(3):
-            p[i, j] -= top[i] * top[j] / total
+        own = t0 if i == 0 else (t1 if i == 1 else t2)
+        x[i] += own * away / total
+        p[i, 0] -= own * t0 / total
+        p[i, 1] -= own * t1 / total
+        p[i, 2] -= own * t2 / total
     return away * away / total + np.log(total)

@@ -29,7 +29,7 @@ from mosca.ray_kernels import (
     rig_table,
 )
 
-REWEIGHTINGS = 3
+REWEIGHTINGS = np.int64(3)
 TRUST, SHARE, DEPTH, RANKS = 0, 1, 2, 3
 """Columns of what goes with each ray of a group: trust, expected number of chance rays as near, depth."""
 
@@ -198,10 +198,12 @@ def _solve_rows(rows, rays, views):  # type: ignore[no-untyped-def]
     solved, total, counts = np.full((n, 12), np.nan), np.full(n, np.nan), np.zeros(n, dtype=np.int64)
     ranks = np.empty((cameras, RANKS))
     for i in range(n):
-        counts[i] = np.sum(rows[i] >= 0)
+        for c in range(cameras):
+            counts[i] += rows[i, c] >= 0
         if counts[i] < 2:
             continue
-        ranks[:] = 1.0
+        for c in range(cameras):
+            ranks[c, TRUST] = ranks[c, SHARE] = ranks[c, DEPTH] = 1.0
         error = solve_rays(rows[i], ranks, rays, views, REWEIGHTINGS, solved[i])
         if error >= 0.0:
             total[i] = error

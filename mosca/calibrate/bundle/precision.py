@@ -78,13 +78,13 @@ def precise(  # type: ignore[no-untyped-def]
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def _block_by_block(mixed, at, n, count, wide):  # type: ignore[no-untyped-def]
     """Return W^T of a run (count n, wide), the unknowns of each block together."""
-    return (
-        mixed[at : at + wide * n * count]
-        .reshape(wide, n, count)
-        .transpose(2, 1, 0)
-        .copy()
-        .reshape(count * n, wide)
-    )
+    out = np.empty((count * n, wide))
+    for c in range(wide):
+        for i in range(n):
+            row = at + (c * n + i) * count
+            for one in range(count):
+                out[one * n + i, c] = mixed[row + one]
+    return out
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
@@ -127,8 +127,10 @@ def _test(  # type: ignore[no-untyped-def]
     # derivatives by the unknowns of the groups, and where these stand among all
     size = width
     for k in range(2):
-        by[k, :width] = j[k]
-    place[:width] = index[camera]
+        for i in range(width):
+            by[k, i] = j[k, i]
+    for i in range(width):
+        place[i] = index[camera, i]
     if point >= 0:
         for i in range(3):
             by[0, width + i], by[1, width + i] = out[0, BY_OWN + i], out[1, BY_OWN + i]
@@ -214,7 +216,9 @@ def carry_down(blocks, normals, inverse, index, z):  # type: ignore[no-untyped-d
         own = _block_by_block(mixed, at_w[b], n, count, wide)
         gathered = np.empty((wide, z.shape[1]))
         for i in range(wide):
-            gathered[i] = z[index[slot_group[first + i // width], i % width]]
+            row = index[slot_group[first + i // width], i % width]
+            for k in range(z.shape[1]):
+                gathered[i, k] = z[row, k]
         _times_inverse(inverse, at_v[b], n, count, np.dot(own, gathered), out[at_g[b] : at_g[b] + rows])
     return out
 
@@ -234,7 +238,10 @@ def carry_up(blocks, normals, inverse, index, unknowns, z):  # type: ignore[no-u
             continue
         pull = every[g : g + rows]
         _times_inverse(inverse, at_v[b], n, count, z[g : g + rows], pull)
-        square += np.dot(z[g : g + rows].T, pull)
+        added = np.dot(z[g : g + rows].T, pull)
+        for i in range(columns):
+            for k in range(columns):
+                square[i, k] += added[i, k]
         if slots == 0:
             continue
         own = _block_by_block(mixed, at_w[b], n, count, wide)
@@ -242,5 +249,6 @@ def carry_up(blocks, normals, inverse, index, unknowns, z):  # type: ignore[no-u
         for i in range(wide):
             row = index[slot_group[first + i // width], i % width]
             if row >= 0:
-                out[row] += up[i]
+                for k in range(columns):
+                    out[row, k] += up[i, k]
     return out, every, square

@@ -129,7 +129,9 @@ def reduce_to_groups(blocks, normals, damping, inverse, pairs, reduced_slope):  
     width = group_slope.shape[1]
     lower = np.zeros((dim.max(), dim.max()))
     pairs[:] = 0
-    reduced_slope[:] = group_slope
+    for a in range(group_slope.shape[0]):
+        for i in range(width):
+            reduced_slope[a, i] = group_slope[a, i]
     for r in range(runs.size - 1):
         b, size = runs[r], runs[r + 1] - runs[r]
         n, first = dim[b], slot_first[b]
@@ -147,7 +149,10 @@ def reduce_to_groups(blocks, normals, damping, inverse, pairs, reduced_slope):  
         _carry(inverse, at_v[b], n, size, own, np.empty((n * n, size)), carried)
         product = np.empty((columns, columns))
         _products(own, carried, product)
-        slope = block_slope[at_g[b] : at_g[b] + rows].reshape(size, n).T.copy().reshape(rows)
+        slope = np.empty(rows)
+        for one in range(size):
+            for i in range(n):
+                slope[i * size + one] = block_slope[at_g[b] + one * n + i]
         pull = np.dot(carried, slope)
         for s in range(slots):
             for i in range(width):
@@ -207,7 +212,8 @@ def back_substitute(blocks, normals, damping, inverse, group_step, block_step): 
         if slots:
             step = np.empty(columns)
             for s in range(slots):
-                step[s * width : (s + 1) * width] = group_step[slot_group[first + s]]
+                for i in range(width):
+                    step[s * width + i] = group_step[slot_group[first + s], i]
             pull = np.dot(step, mixed[at_w[b] : at_w[b] + rows * columns].reshape(columns, rows))
         for one in range(size):
             v, own = at_v[b + one], g + one * n

@@ -18,7 +18,8 @@ def turn_on(rotation, step):  # type: ignore[no-untyped-def]
         e[0, 0], e[0, 1], e[0, 2] = 1 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y
         e[1, 0], e[1, 1], e[1, 2] = c * x * y + s * z, 1 - c * (x * x + z * z), c * y * z - s * x
         e[2, 0], e[2, 1], e[2, 2] = c * x * z - s * y, c * y * z + s * x, 1 - c * (x * x + y * y)
-        r[:] = rotation[n, :9]
+        for i in range(9):
+            r[i] = rotation[n, i]
         for i in range(3):
             for k in range(3):
                 rotation[n, 3 * i + k] = r[3 * i] * e[0, k] + r[3 * i + 1] * e[1, k] + r[3 * i + 2] * e[2, k]
@@ -26,11 +27,12 @@ def turn_on(rotation, step):  # type: ignore[no-untyped-def]
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def log_turn(r):  # type: ignore[no-untyped-def]
-    """Rotation matrix (3, 3) -> rotation vector (3,), for turns well below half a turn."""
-    half = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]) / 2
-    sine = np.sqrt(half[0] ** 2 + half[1] ** 2 + half[2] ** 2)
+    """Rotation matrix (3, 3) -> rotation vector, its three numbers, for turns well below half a turn."""
+    x, y, z = (r[2, 1] - r[1, 2]) / 2, (r[0, 2] - r[2, 0]) / 2, (r[1, 0] - r[0, 1]) / 2
+    sine = np.sqrt(x * x + y * y + z * z)
     angle = np.arctan2(sine, (r[0, 0] + r[1, 1] + r[2, 2] - 1) / 2)
-    return half * (angle / sine if sine > 1e-9 else 1.0)
+    longer = angle / sine if sine > 1e-9 else 1.0
+    return x * longer, y * longer, z * longer
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -41,17 +43,26 @@ def weighted_pose(pose, given, weight, normals, slope):  # type: ignore[no-untyp
     derivative by a further turn is the inverse right Jacobian of SO(3) (Chirikjian 2011, eq. 10.86): I + [p]x
     / 2 + (1/a^2 - (1 + cos a) / (2 a sin a)) [p]x^2.
     """
-    p = log_turn(given[:9].copy().reshape(3, 3).T.copy() @ pose[:9].copy().reshape(3, 3))
-    a2 = p[0] * p[0] + p[1] * p[1] + p[2] * p[2]
+    r = np.zeros((3, 3))
+    for i in range(3):
+        for k in range(3):
+            for c in range(3):
+                r[i, k] += given[3 * c + i] * pose[3 * c + k]
+    x, y, z = log_turn(r)
+    a2 = x * x + y * y + z * z
     a = np.sqrt(a2)
     c = 1 / 12.0 if a < 1e-4 else 1 / a2 - (1 + np.cos(a)) / (2 * a * np.sin(a))
-    cross = np.array([[0.0, -p[2], p[1]], [p[2], 0.0, -p[0]], [-p[1], p[0], 0.0]])
-    by = np.zeros((6, 6))
-    by[:3, :3] = np.eye(3) + 0.5 * cross + c * (cross @ cross)
-    by[3, 3] = by[4, 4] = by[5, 5] = 1.0
+    by, away = np.zeros((6, 6)), np.empty(6)
+    # [p]x^2 = p p^T - a^2 I
+    by[0, 0], by[0, 1], by[0, 2] = 1 + c * (x * x - a2), c * x * y - 0.5 * z, c * x * z + 0.5 * y
+    by[1, 0], by[1, 1], by[1, 2] = c * x * y + 0.5 * z, 1 + c * (y * y - a2), c * y * z - 0.5 * x
+    by[2, 0], by[2, 1], by[2, 2] = c * x * z - 0.5 * y, c * y * z + 0.5 * x, 1 + c * (z * z - a2)
+    away[0], away[1], away[2] = x, y, z
+    for i in range(3, 6):
+        by[i, i], away[i] = 1.0, pose[i + 6] - given[i + 6]
     cost = 0.0
     for i in range(6):
-        e = weight[i] * (p[i] if i < 3 else pose[i + 6] - given[i + 6])
+        e = weight[i] * away[i]
         cost += e * e
         for k in range(6):
             slope[k] += weight[i] * by[i, k] * e
