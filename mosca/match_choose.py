@@ -24,7 +24,7 @@ from mosca.match_groups import (
     wholeness,
 )
 from mosca.match_index import buckets, within
-from mosca.ray_kernels import EDGES, SIGMA
+from mosca.ray_kernels import EDGES, SIGMA, step
 from mosca.triangulate import RANKS, TRUST
 
 CLEARLY_WORSE = 9.0
@@ -79,7 +79,7 @@ def choose(values, members, trusts, rays, views, rules, xyz, covariance, support
     return state
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _log_density(values, xyz):  # type: ignore[no-untyped-def]
     """Return the logarithm of the density of groups [1/m^3] in the box that they and the tracks fill."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -95,7 +95,7 @@ def _log_density(values, xyz):  # type: ignore[no-untyped-def]
     return np.log(values.shape[0] / max(side[0] * side[1] * side[2], 1e-9 * longest**3, 1e-18))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _seen_shares(values, members, views):  # type: ignore[no-untyped-def]
     """Return the logarithms of the shares of cameras that miss, and that see, a target in their field of view.
 
@@ -110,7 +110,7 @@ def _seen_shares(values, members, views):  # type: ignore[no-untyped-def]
     return np.log(missed / (seen + missed)), np.log(seen / (seen + missed))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _seen_and_missing(g, values, members, views):  # type: ignore[no-untyped-def]
     """Return how many cameras have a ray in a group, and how many have its point in view and none."""
     seen = count = 0
@@ -132,7 +132,7 @@ def _seen_and_missing(g, values, members, views):  # type: ignore[no-untyped-def
     return seen, count
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _speaker(g, values, xyz, covariance, spoken, gate, density, found, near):  # type: ignore[no-untyped-def]
     """Return which of the first ``near`` tracks ``found`` speaks for a group, or -1, and how much that is worth.
 
@@ -173,7 +173,7 @@ def _speaker(g, values, xyz, covariance, spoken, gate, density, found, near):  #
     return best, worth
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _take(g, values, members, track, used, spoken, rays, views, rules):  # type: ignore[no-untyped-def]
     """Take a group if its rays are free; a pair only if a track, still free, speaks for it.
 
@@ -199,7 +199,7 @@ def _take(g, values, members, track, used, spoken, rays, views, rules):  # type:
     return True
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _shrink(g, values, members, trusts, used, mates, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
     """Take the rays that are used up from a group and solve it anew; False where no target is left."""
     count, lost = NONE, False
@@ -223,7 +223,7 @@ def _shrink(g, values, members, trusts, used, mates, ranks, solved, rays, views,
     return True
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _take_uncontested(values, members, state, used):  # type: ignore[no-untyped-def]
     """Take the groups whose rays no other open one wants that meets about as well."""
     n, cameras = members.shape
@@ -262,7 +262,7 @@ def _take_uncontested(values, members, state, used):  # type: ignore[no-untyped-
                     used[members[g, c]] += 1
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _same(one, other):  # type: ignore[no-untyped-def]
     return np.all(one == other)
 

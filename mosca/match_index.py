@@ -6,9 +6,8 @@ from the camera's axis, which is finite for every direction but straight behind 
 """
 
 import numpy as np
-from numba import njit
 
-from mosca.ray_kernels import ROTATION, SPREAD
+from mosca.ray_kernels import ROTATION, SPREAD, step
 
 MOST_BUCKETS = 16
 """An interval over more buckets than this is kept in a list that every search reads."""
@@ -16,7 +15,7 @@ CORNER, SCALE, CELLS, FIRST, FRAME = 0, 2, 4, 5, 6
 """Columns of a camera's frame of cells: its corner (2), cells a unit (2), cells a side, number of its first cell."""
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def buckets(middle, half):  # type: ignore[no-untyped-def]
     """Put intervals ``middle`` -+ ``half`` (n,) into about n buckets; infinite ones are wide.
 
@@ -53,13 +52,13 @@ def buckets(middle, half):  # type: ignore[no-untyped-def]
     return low, step, first, start, items, wide
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def bucket_of(value, low, step, n):  # type: ignore[no-untyped-def]
     """Return the bucket of a value, the end ones for what lies beyond."""
     return int(min(max((value - low) / step, 0.0), n + 0.0))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def within(low, step, first_of, start, items, wide, middle, half, found):  # type: ignore[no-untyped-def]
     """Fill ``found`` (n,) with the intervals that may meet ``middle`` -+ ``half``, each once; returns how many."""
     n, count = first_of.shape[0], 0
@@ -82,7 +81,7 @@ def within(low, step, first_of, start, items, wide, middle, half, found):  # typ
     return count
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def cells(rays, views, start):  # type: ignore[no-untyped-def]
     """Sort the rays (n, COLUMNS) of all cameras into cells of about one ray; rays without a direction into none.
 
@@ -124,13 +123,13 @@ def cells(rays, views, start):  # type: ignore[no-untyped-def]
     return frame, first, items
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def cell_of(value, corner, scale, side):  # type: ignore[no-untyped-def]
     """Return the row or column of a place, the end ones for what lies beyond."""
     return int(min(max((value - corner) * scale, 0.0), side - 1.0))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def plane_angles(rays, chosen, across, angle, variance):  # type: ignore[no-untyped-def]
     """Fill the angle (n,) of the epipolar planes of the rays ``chosen`` (n,) and its variance (n,) [rad^2].
 

@@ -36,7 +36,7 @@ from mosca.match_groups import (
     trust2_of,
 )
 from mosca.match_index import CELLS, CORNER, FIRST, SCALE, buckets, cell_of, cells, plane_angles, within
-from mosca.ray_kernels import ANGLE, DENSITY, FLAGS, LONG, RADIUS, SIGMA, SPREAD, WHITE
+from mosca.ray_kernels import ANGLE, DENSITY, FLAGS, LONG, RADIUS, SIGMA, SPREAD, WHITE, step
 from mosca.triangulate import DEPTH, RANKS, SHARE, TRUST
 
 # what runs for each track and camera: handing over its many arrays costs more than what it does
@@ -136,7 +136,7 @@ def search(rays, views, pairs, bases, start, rules, xyz, covariance):  # type: i
     return values[:count], members[:count], trusts[:count]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _kept(groups, count, members, ranks, solved, error, diameter, rays):  # type: ignore[no-untyped-def]
     """Store a group after the ``count`` that are there; returns the groups, with more room where need be."""
     values, all_members, trusts = groups
@@ -185,7 +185,7 @@ def _expected(  # type: ignore[no-untyped-def]
     return size, error, diameter, chance
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _note(members, solved, chance, partner, explained, joined, rays, views, rules):  # type: ignore[no-untyped-def]
     """Remember which rays a group joins, and that a certain one explains them."""
     cameras = members.shape[0]
@@ -202,7 +202,7 @@ def _note(members, solved, chance, partner, explained, joined, rays, views, rule
                 partner[k, d] = members[d]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _slack(rays, start, rules):  # type: ignore[no-untyped-def]
     """Return for each ray (n,) the factor on its variance if its target were mostly hidden, and for each camera (c,)
     the largest variance of a ray's direction [rad^2] with it.
@@ -221,7 +221,7 @@ def _slack(rays, start, rules):  # type: ignore[no-untyped-def]
     return slack, reach
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _left(first, last, explained, active):  # type: ignore[no-untyped-def]
     """List the rays that nothing explains; returns how many."""
     n = 0
@@ -232,7 +232,7 @@ def _left(first, last, explained, active):  # type: ignore[no-untyped-def]
     return n
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _meet(i, j, a, b, away2, variance_i, variance_j, members, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
     """Begin a group with the rays i and j of cameras a and b; False where they do not meet."""
     d0, d1, d2 = rays[i, 0], rays[i, 1], rays[i, 2]
@@ -271,7 +271,7 @@ def _meet(i, j, a, b, away2, variance_i, variance_j, members, ranks, solved, ray
     )
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _grown(  # type: ignore[no-untyped-def]
     a, b, chance, reach, index, partner, members, ranks, solved, rays, views, rules
 ):
@@ -317,7 +317,7 @@ def _grown(  # type: ignore[no-untyped-def]
     return size, error, diameter, chance
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _worst_ray(members, ranks, solved, rays, views):  # type: ignore[no-untyped-def]
     """Return the camera whose ray, left out, lowers the group's squared error most.
 
@@ -348,7 +348,7 @@ def _worst_ray(members, ranks, solved, rays, views):  # type: ignore[no-untyped-
     return at
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _joined(members, partner):  # type: ignore[no-untyped-def]
     """Whether the first two rays of a group have been joined in a group of three or more."""
     first = -1
@@ -436,14 +436,14 @@ def _nearest(c, whole, reach, index, solved, rays, views, rules):  # type: ignor
     return at, np.sqrt(trust2), views[c, DENSITY] * area, admitted
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _cells_beside(c, axis, place, side, frame):  # type: ignore[no-untyped-def]
     """Return the first and last row or column of cells within ``place`` -+ ``side``."""
     corner, scale, count = frame[c, CORNER + axis], frame[c, SCALE + axis], frame[c, CELLS]
     return cell_of(place - side, corner, scale, count), cell_of(place + side, corner, scale, count)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _side(c, axis, place, x, y, z, w, own, solved, views, rules):  # type: ignore[no-untyped-def]
     """Return how far along one axis a point's image may lie beside its place; (x, y, z) its direction."""
     # the place's derivative by the point, and so its variance
@@ -456,7 +456,7 @@ def _side(c, axis, place, x, y, z, w, own, solved, views, rules):  # type: ignor
     return 1.01 * rules[GATE] * np.sqrt(variance + own)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def _longer(rows):  # type: ignore[no-untyped-def]
     """Return a copy of rows (n, k) with room for twice as many."""
     longer = np.empty((2 * rows.shape[0], rows.shape[1]), dtype=rows.dtype)

@@ -27,6 +27,7 @@ from mosca.ray_kernels import (
     ball_fields,
     fill_rays,
     rig_table,
+    step,
 )
 
 REWEIGHTINGS = np.int64(3)
@@ -97,7 +98,7 @@ def bundle_rays(
     return Bundle(rays, views, table.pairs, table.bases, start, covariance, extra, odd)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def solve_rays(members, ranks, rays, views, steps, solved):  # type: ignore[no-untyped-def]
     """Intersect the rays ``members`` (c,), one of each camera or -1.
 

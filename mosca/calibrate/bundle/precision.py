@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from mosca.calibrate.bundle.kernels import BY_OWN, BY_POSE, BY_TURN, BY_WORLD, OBSERVED, observe, weigh
-from mosca.calibrate.bundle.lenses import FAST, L
+from mosca.calibrate.bundle.lenses import FAST, L, fast_step
 
 LEAST_REDUNDANCY_NUMBER = 1e-6
 """An image point with less says nothing about itself: it cannot be tested."""
@@ -75,7 +75,7 @@ def precise(  # type: ignore[no-untyped-def]
             )  # fmt: skip
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@fast_step
 def _block_by_block(mixed, at, n, count, wide):  # type: ignore[no-untyped-def]
     """Return W^T of a run (count n, wide), the unknowns of each block together."""
     out = np.empty((count * n, wide))
@@ -87,7 +87,7 @@ def _block_by_block(mixed, at, n, count, wide):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@fast_step
 def _times_inverse(inverse, at, n, blocks, matrix, out):  # type: ignore[no-untyped-def]
     """Write V^-1 times the rows of ``matrix`` (blocks n, q), block by block from ``inverse[at:]`` on, into
     ``out``.
@@ -108,7 +108,7 @@ def _times_inverse(inverse, at, n, blocks, matrix, out):  # type: ignore[no-unty
                         to[k] += f0 * x[k] + f1 * y[k] + f2 * z[k]
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@fast_step
 def _test(  # type: ignore[no-untyped-def]
     m, state, see, base_weight, columns, robust, cofactors, index, work, block, spread, n, first, tests
 ):

@@ -8,7 +8,7 @@ them (rows by unknowns of the blocks, columns by slots), as ``normals`` lays it 
 import numpy as np
 from numba import njit
 
-from mosca.calibrate.bundle.lenses import FAST
+from mosca.calibrate.bundle.lenses import FAST, fast_step
 
 SINGULAR_PIVOT = 1e-13
 """Share of its diagonal that a pivot of a block must keep; below it the direction is undetermined and stays.
@@ -17,7 +17,7 @@ MOST_ROWS = 384
 """Unknowns of a run, so that its matrices stay near the processor."""
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@fast_step
 def invert(matrix, at, n, damping, lower, inverse):  # type: ignore[no-untyped-def]
     """Invert the symmetric n x n block at ``matrix[at:]``, its diagonal times 1 + damping, by Cholesky's
     method.
@@ -51,7 +51,7 @@ def invert(matrix, at, n, damping, lower, inverse):  # type: ignore[no-untyped-d
             inverse[at + k * n + i] = s
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@fast_step
 def invert_three(m, at, damping, out):  # type: ignore[no-untyped-def]
     """``invert`` for a 3 x 3 block, written out: most blocks are one point."""
     d0, d1, d2 = m[at] * (1 + damping), m[at + 4] * (1 + damping), m[at + 8] * (1 + damping)
@@ -72,7 +72,7 @@ def invert_three(m, at, damping, out):  # type: ignore[no-untyped-def]
     out[at + 5] = out[at + 7] = -l12 * p2
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@fast_step
 def _carry(inverse, at, n, size, own, each, out):  # type: ignore[no-untyped-def]
     """Write W V^-1 of a run (columns, n size) into ``out``.
 
@@ -97,7 +97,7 @@ def _carry(inverse, at, n, size, own, each, out):  # type: ignore[no-untyped-def
                         to[row + one] += f0[one] * x[one] + f1[one] * y[one] + f2[one] * z[one]
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@fast_step
 def _products(own, carried, out):  # type: ignore[no-untyped-def]
     """Write own carried^T (columns, columns), which is symmetric: half of it, two lines by two at once, is summed.
 

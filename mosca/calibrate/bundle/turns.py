@@ -3,6 +3,8 @@
 import numpy as np
 from numba import njit
 
+from mosca.calibrate.bundle.lenses import step
+
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def turn_on(rotation, step):  # type: ignore[no-untyped-def]
@@ -25,7 +27,7 @@ def turn_on(rotation, step):  # type: ignore[no-untyped-def]
                 rotation[n, 3 * i + k] = r[3 * i] * e[0, k] + r[3 * i + 1] * e[1, k] + r[3 * i + 2] * e[2, k]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@step
 def log_turn(r):  # type: ignore[no-untyped-def]
     """Rotation matrix (3, 3) -> rotation vector, its three numbers, for turns well below half a turn."""
     x, y, z = (r[2, 1] - r[1, 2]) / 2, (r[0, 2] - r[2, 0]) / 2, (r[1, 0] - r[0, 1]) / 2
