@@ -7,6 +7,8 @@ group is looked for with them; so the work grows with the rays and not with thei
 rays left over, as far as half-hidden targets may lie beside their epipolar lines.
 """
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
@@ -40,7 +42,8 @@ from mosca.ray_kernels import ANGLE, DENSITY, FLAGS, LONG, RADIUS, SIGMA, SPREAD
 from mosca.triangulate import DEPTH, RANKS, SHARE, TRUST
 
 # what runs for each track and camera: handing over its many arrays costs more than what it does
-inlined = njit(nogil=True, error_model="numpy", forceinline=True)
+_INLINED: dict[str, Any] = {"nogil": True, "error_model": "numpy", "forceinline": True}
+inlined = njit(**_INLINED)
 
 CERTAIN = 1e-3
 """Expected number of chance groups as good as this one, below which a group explains its rays."""

@@ -6,6 +6,7 @@ time and with the one derivative that matching needs: of the pixel by the ray's 
 
 from dataclasses import astuple, dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -41,7 +42,13 @@ LONG = 16
 ROUNDED_PX = 1.5
 """Difference of a region's sides from which it is: those of a disc's differ by one at most."""
 
-step = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+_STEP: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
+step = njit(**_STEP)
 """What only kernels call: compiled with them, without what Python would need, which takes a tenth of the time."""
 
 

@@ -6,6 +6,7 @@ A lens is a row of numbers: its parameters in the order of the dataclass's field
 """
 
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -20,11 +21,15 @@ MOSCA, OPENCV_PLAIN, OPENCV_FULL, FISHEYE = 0.0, 1.0, 2.0, 3.0
 L, IMAGED = 4, 22
 # compiled arithmetic may be reordered, but numbers that are none must stay noticeable
 FAST = {"contract", "reassoc", "nsz", "arcp"}
-step = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True)
+_STEP: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
+step = njit(**_STEP)
 """What only kernels call: compiled with them, without what Python would need, which takes a tenth of the time."""
-fast_step = njit(
-    nogil=True, error_model="numpy", no_cpython_wrapper=True, no_cfunc_wrapper=True, fastmath=FAST
-)
+fast_step = njit(fastmath=FAST, **_STEP)
 
 NEWTON_STEPS = 30
 CONVERGED_MM = 1e-13

@@ -48,8 +48,8 @@ def weighted_pose(pose, given, weight, normals, slope):  # type: ignore[no-untyp
     r = np.zeros((3, 3))
     for i in range(3):
         for k in range(3):
-            for c in range(3):
-                r[i, k] += given[3 * c + i] * pose[3 * c + k]
+            for n in range(3):
+                r[i, k] += given[3 * n + i] * pose[3 * n + k]
     x, y, z = log_turn(r)
     a2 = x * x + y * y + z * z
     a = np.sqrt(a2)
