@@ -32,11 +32,11 @@ MOST_DETECTIONS = 5000
 @dataclass(frozen=True)
 class PipelineSettings:
     """Settings of all stages. ``volume``: box (low (3,), high (3,)) [m, world] in which targets can be; points
-    outside are no targets. Default: everywhere. ``workers``: threads that look at frame sets ahead, beside the one that
-    matches and tracks and detects rather than wait: one fewer than there are cores; 0 looks at each set when its turn
-    comes, as a live run must. ``split``: threads among which the cameras of a set are then divided,
-    which brings its tracks sooner (None: 2 in a live run, else 1). The tracks are the same. ``nearest``: track as the
-    guide does, the baseline of comparisons, instead of by ``track``. ``assembly``: how frames become frame sets.
+    outside are no targets. Default: everywhere. ``workers``: threads that look at frame sets ahead, beside the one
+    that matches and tracks, and detects rather than wait: one fewer than there are cores; 0 looks at each set when
+    its turn comes, as a live run must. ``split``: threads among which the cameras of a set are then divided, which
+    brings its tracks sooner (None: 2 in a live run, else 1). The tracks are the same. ``nearest``: track as the guide
+    does, the baseline of comparisons, instead of by ``track``. ``assembly``: how frames become frame sets.
     """
 
     detection: DetectionSettings = field(default_factory=DetectionSettings)

@@ -1,6 +1,7 @@
 """Looking ahead: who looks at a frame set, and what becomes of its errors."""
 
 import threading
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -53,8 +54,7 @@ class Failing(Look):
 
 @pytest.mark.parametrize("workers", [0, 1, 3])
 def test_an_error_comes_when_it_is_its_sets_turn(workers):
-    seen = []
+    ahead = look_ahead(Failing(DetectionSettings(), {"cam1": 8}), dark_sets(9), workers)
+    assert [frame_set.pulse for frame_set, _, _ in islice(ahead, 5)] == list(range(5))
     with pytest.raises(ArithmeticError, match="pulse 5"):
-        for frame_set, _, _ in look_ahead(Failing(DetectionSettings(), {"cam1": 8}), dark_sets(9), workers):
-            seen.append(frame_set.pulse)
-    assert seen == list(range(5))
+        next(ahead)

@@ -140,19 +140,22 @@ def learned_errors(seed, sizes, blur, contrast, snr, rounds, **odd):
     return out, learned
 
 
-# 800 errors a case: the rms is known to 2.5 %; three standard deviations are allowed on the bar of 1.05.
+# 3,200 errors a case: the rms is known to 1.25 %, three standard deviations are allowed on the bar of 1.05; four on
+# the 48 means. The images of a seed are not the same on all processors, whose last digits differ.
 @pytest.mark.parametrize("snr", [10, 30, 100])
 @pytest.mark.parametrize("blur", [0.5, 0.8])
 def test_error_reaches_the_bound_unbiased_and_as_stated(blur, snr):
     contrast = 180 if snr == 10 else 200
-    for diameter, (error, variance, bound) in learned_errors(
-        snr, (3.3, 4.5, 8.3, 14.5), blur, contrast, snr, 0
-    )[0].items():
-        assert np.sqrt(np.mean(error**2) / np.mean(bound**2)) < 1.05 * 1.075, diameter
-        spread = np.sqrt(np.mean(bound**2) / 400)
-        assert np.all(np.abs(error.mean(axis=0)) < 0.001 + 3 * spread), diameter
-        # chi-square / n has a standard deviation of 0.05
-        assert 0.82 < np.mean(error**2 / variance) < 1.18, diameter
+    sizes = (3.3, 4.5, 8.3, 14.5)
+    runs = [learned_errors(snr + 1000 * k, sizes, blur, contrast, snr, 0)[0] for k in range(4)]
+    for diameter in sizes:
+        error, variance = (np.vstack([run[diameter][part] for run in runs]) for part in (0, 1))
+        bound = runs[0][diameter][2]
+        assert np.sqrt(np.mean(error**2) / np.mean(bound**2)) < 1.05 * 1.0375, diameter
+        spread = np.sqrt(np.mean(bound**2) / len(error))
+        assert np.all(np.abs(error.mean(axis=0)) < 0.001 + 4 * spread), diameter
+        # chi-square / n has a standard deviation of 0.025
+        assert 0.9 < np.mean(error**2 / variance) < 1.1, diameter
 
 
 @pytest.mark.parametrize(("diameter", "blur"), [(2.2, 0.6), (25.3, 0.6), (38.3, 0.8), (6.3, 1.6)])
