@@ -12,6 +12,8 @@ NO_PACKET_SOCKET = 1
 SOCKET_BYTES = 4 << 20
 RETENTION_US = 20_000_000
 TAIL_US = 300_000
+PATIENT_MS = 300_000
+"""A heartbeat that no pause of this machine outlasts."""
 
 
 class _Error(c.Structure):
@@ -81,6 +83,7 @@ class Client:
         self.aravis = Aravis()
         self.camera = P(self.aravis.call("camera_new", P, S(address.encode())))
         self.stream: P | None = None
+        self.set(GevHeartbeatTimeout=PATIENT_MS)
 
     def _camera(self, name: str, result: object, *arguments: object) -> object:
         return self.aravis.call(f"camera_{name}", result, self.camera, *arguments)

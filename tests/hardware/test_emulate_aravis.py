@@ -183,7 +183,7 @@ def test_a_window_of_twelve_bits_and_its_highest_eight():
         for wanted, pixel_format in ((whole, "Mono12"), ((whole >> 4).astype(np.uint8), "Mono8")):
             client.set(PixelFormat=pixel_format)
             client.arm(packet_bytes=1500)
-            up.start()
+            up.pulse(0, time.monotonic_ns())
             image = client.grab(PATIENT_S)
             client.disarm()
             assert image is not None
