@@ -63,6 +63,11 @@ class Grabbed:
     note: str = ""
     triggers: int | None = None
 
+    @property
+    def nameless(self) -> bool:
+        """Whether it is what came of a frame without the packet that says which: no image, number nor stamp."""
+        return self.image is None and self.block_id is None and self.device_ns is None
+
 
 @dataclass(frozen=True)
 class ClockReading:

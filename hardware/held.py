@@ -18,7 +18,8 @@ from hardware.witness import TriggerWitness
 class NumberedCamera:
     """One camera: its ``clock`` once ``started``, what is ``held``, how late (``lates``) its last frames were [ns].
 
-    ``doubted``: the pulse that its clock said of the first frame that is held; None where it said none.
+    ``doubted``: the pulse that its clock said of the first frame that is held; None where it said none. ``nameless``:
+    what came since of frames that say nothing of themselves.
     """
 
     name: str
@@ -33,6 +34,7 @@ class NumberedCamera:
     doubted: int | None = None
     witness: TriggerWitness = field(default_factory=TriggerWitness)
     free: FreeClock | None = None
+    nameless: list[Grabbed] = field(default_factory=list)
 
 
 def earliest_ns(held: Sequence[Grabbed], period_ns: float) -> float:

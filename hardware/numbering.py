@@ -13,6 +13,8 @@ the earliest of a few arrivals, at the start and whenever a clock jumped:
 - a stamp on the line but not on the next pulse, while its frame does not arrive as the other cameras' do: the clock
   may have jumped by whole periods, and the next frames vote. A busy machine is late for all cameras alike.
 
+- what came of a frame whose number and stamp were lost waits for the next one, which tells where it belongs.
+
 Nothing is thrown away: each buffer comes out once, in order, with its pulse.
 """
 
@@ -96,6 +98,16 @@ class PulseNumbers:
     def take(self, name: str, buffer: Grabbed) -> Iterator[Numbered]:
         """Take a buffer in order of its camera's delivery; yield those whose pulses are known by now."""
         camera = self._cameras[name]
+        if buffer.nameless and camera.clock.locked and not camera.held:
+            camera.nameless.append(buffer)
+            return
+        last = camera.last_pulse
+        for one in self._taken(camera, buffer):
+            yield from self._between(camera, last, one.pulse)
+            yield one
+
+    def _taken(self, camera: NumberedCamera, buffer: Grabbed) -> Iterator[Numbered]:
+        """Yield what is numbered now that ``buffer`` has come."""
         if self._line is None:
             camera.held.append(buffer)
             yield from self._try_start(buffer.host_ns)
@@ -106,6 +118,15 @@ class PulseNumbers:
             yield from self._settle(camera)
         else:
             yield from self._follow(camera, buffer)
+
+    def _between(self, camera: NumberedCamera, last: int, following: int) -> Iterator[Numbered]:
+        """Place what is nameless after pulse ``last``, before the ``following`` one.
+
+        Where the camera had no pulse in between, it is late packets of the last frame.
+        """
+        waiting, camera.nameless = camera.nameless, []
+        for k, buffer in enumerate(waiting, start=1):
+            yield Numbered(camera.name, max(last, min(last + k, following - 1)), 0.0, buffer)
 
     def read(self, name: str, reading: ClockReading) -> Iterator[Numbered]:
         """Take what a camera's clock showed; yield buffers that waited for it."""
@@ -127,6 +148,7 @@ class PulseNumbers:
         for camera in self._cameras.values():
             while camera.held:
                 yield from self._vote(camera, whole=True)
+            yield from self._between(camera, camera.last_pulse, camera.last_pulse + len(camera.nameless) + 1)
 
     def pulse_at(self, host_ns: int) -> int | None:
         """Return the pulse whose frames would arrive nearest to ``host_ns``; None before the start."""

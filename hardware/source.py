@@ -381,8 +381,11 @@ class HardwareSource:
     def _index(self, one: Numbered) -> int:
         """Return the camera's counter, made to rise on where the camera began anew."""
         name = one.camera
-        block = one.pulse if one.buffer.block_id is None else one.buffer.block_id
         last = self._last_index.get(name, -1)
+        if one.buffer.nameless:
+            self._last_index[name] = last + 1
+            return last + 1
+        block = one.pulse if one.buffer.block_id is None else one.buffer.block_id
         if block + self._index_base[name] <= last:
             self._index_base[name] = last + 1 - block
         self._last_index[name] = block + self._index_base[name]

@@ -123,6 +123,8 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...], bool]] = {
     "buffer_get_data": (c_void_p, (c_void_p, POINTER(c_size_t)), False),
     "buffer_get_timestamp": (c_uint64, (c_void_p,), False),
     "buffer_get_frame_id": (c_uint64, (c_void_p,), False),
+    "buffer_set_timestamp": (None, (c_void_p, c_uint64), False),
+    "buffer_set_frame_id": (None, (c_void_p, c_uint64), False),
     "buffer_get_image_width": (c_int, (c_void_p,), False),
     "buffer_get_image_height": (c_int, (c_void_p,), False),
     "buffer_get_image_padding": (None, (c_void_p, POINTER(c_int), POINTER(c_int)), False),

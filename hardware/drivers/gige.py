@@ -203,6 +203,9 @@ class GigeCamera(GenICamCamera):
         try:
             return self._grabbed(buffer, host_ns)
         finally:
+            # the next frame writes its own here, unless its leader packet is lost
+            aravis("buffer_set_frame_id", buffer, 0)
+            aravis("buffer_set_timestamp", buffer, 0)
             aravis("stream_push_buffer", self._arv_stream, buffer)
 
     def _grabbed(self, buffer: int, host_ns: int) -> Grabbed:
@@ -220,9 +223,9 @@ class GigeCamera(GenICamCamera):
                 aravis("buffer_get_image_height", buffer),
                 pad.value,
             )
-        stamp = aravis("buffer_get_timestamp", buffer)
+        stamp, block = aravis("buffer_get_timestamp", buffer), aravis("buffer_get_frame_id", buffer)
         return Grabbed(
-            block_id=self._blocks.unwrapped(aravis("buffer_get_frame_id", buffer)),
+            block_id=self._blocks.unwrapped(block) if block else None,
             device_ns=stamp if stamp and self.capabilities.device_clock else None,
             host_ns=host_ns,
             exposure_ns=self._exposure_ns,

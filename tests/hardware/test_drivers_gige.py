@@ -53,28 +53,32 @@ def test_frames_ids_and_clock(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_lost_packets_are_told_and_no_frame_is_left_out() -> None:
     # this camera never sends a packet again: what is lost stays lost
     with fake_gige_camera("FAKE3", lost_permille=10.0) as settings:
-        # each frame is asked for once the one before is here: no pause of this program or of the camera can lose one
+        # each frame is asked for once something is here: no pause of this program or of the camera can lose one
         wanted = settings(trigger="Software", packet_bytes=576)
         with closing(open_camera("a", wanted)) as camera:
             camera.configure(wanted)
             camera.arm()
             came: dict[int, Grabbed] = {}
-            for asked in range(1, 41):
+            nameless: list[Grabbed] = []
+            while len(came) < 40:
                 camera.software_trigger()
-                while len(came) < asked:
-                    grabbed = camera.grab(60.0)
-                    assert grabbed is not None
-                    assert grabbed.block_id is not None
-                    # packets that come after their frame was given up bring it a second time
+                grabbed = camera.grab(5.0)
+                if grabbed is None:  # it was busy with a frame whose packets came after it was given up
+                    continue
+                if grabbed.block_id is None:
+                    nameless.append(grabbed)
+                else:
                     came.setdefault(grabbed.block_id, grabbed)
             counts = camera.statistics()
+        # whose first packet is lost has neither number nor stamp, and not those of what was in its memory before
+        assert all(one.nameless for one in nameless)
         broken = [one for one in came.values() if one.image is None]
         assert {one.note for one in broken} <= {"MISSING_PACKETS", "TIMEOUT"}
         assert all(one.note == "" for one in came.values() if one.image is not None)
         # 35 packets a frame, one in a hundred lost: 0.99^35 = 70 % whole
         assert 1 < len(broken) < 35
         # none is left out
-        assert sorted(came) == list(range(min(came), max(came) + 1))
+        assert max(came) - min(came) + 1 - len(came) <= len(nameless)
         assert counts["n_missing_packets"] > 0
         assert counts["n_resend_requests"] > 0
 
