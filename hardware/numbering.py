@@ -147,7 +147,7 @@ class PulseNumbers:
             yield from self._start()
         for camera in self._cameras.values():
             while camera.held:
-                yield from self._vote(camera, whole=True)
+                yield from self._settle(camera, whole=True)
             yield from self._between(camera, camera.last_pulse, camera.last_pulse + len(camera.nameless) + 1)
 
     def pulse_at(self, host_ns: int) -> int | None:
@@ -218,19 +218,22 @@ class PulseNumbers:
     def _reads(self, name: str) -> bool:
         return self._by_reading and self._read.trusted(name)
 
-    def _settle(self, camera: NumberedCamera) -> Iterator[Numbered]:
-        """Number what ``camera`` holds once that can be told: by a reading of its clock, else by votes."""
+    def _settle(self, camera: NumberedCamera, whole: bool = False) -> Iterator[Numbered]:
+        """Number what ``camera`` holds once that can be told: by a reading of its clock, else by votes.
+
+        ``whole``: now, since no more frames or readings come.
+        """
         if not camera.held or not self._reads(camera.name):
-            yield from self._vote(camera, whole=False)
+            yield from self._vote(camera, whole)
             return
         split = after_jump(camera.held, self.period_ns)
         pulse = self._read.pulse(camera.name, camera.held[split])
         if pulse is not None:
             yield from self._found(camera, split, pulse)
-        elif len(camera.held) < self._patience:
+        elif len(camera.held) < self._patience and not whole:
             return
         elif camera.doubted is None or split or self._early(camera, camera.doubted):
-            yield from self._vote(camera, whole=False)
+            yield from self._vote(camera, whole)
         else:
             yield from self._found(camera, split, camera.doubted)
 

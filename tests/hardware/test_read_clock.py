@@ -1,5 +1,7 @@
 """Pulses by the clocks that were read, on machines too busy for arrivals to tell anything."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_numbering import Rig, stream
@@ -71,6 +73,27 @@ def test_frames_that_are_late_by_periods_get_their_pulse(rig, seed):
     first = min(true for _, _, true in out)
     wrong = [one for one in out if one[1] != one[2] - first]
     assert not wrong, (wrong[:5], len(wrong))
+
+
+def test_a_take_that_ends_before_a_clock_was_read_again_believes_the_stamps():
+    """Camera c1 misses a pulse, then its reader is held up until the take is over."""
+    rows, clocks = busy(Rig(pulses=300), 5, (0.0, 0.0, 0.0, 0.0))
+    rows = [row for row in rows if row[1:3] != ("c1", 270)]
+    rows = [row for row in rows if row[1] != "c1" or row[2] < 271] + [
+        (ns + 2_000_000_000, name, pulse, replace(b, host_ns=ns + 2_000_000_000))
+        for ns, name, pulse, b in rows
+        if name == "c1" and pulse > 270
+    ]
+    truth = {id(b): pulse for _, _, pulse, b in rows}
+    numbers, rng, out = PulseNumbers(NAMES, 100.0), np.random.default_rng(0), []
+    for name in NAMES:
+        out += numbers.read(name, shown(clocks[name], 6_990_000_000, 100_000, rng))
+    for _, name, _, b in rows:
+        out += numbers.take(name, b)
+    out += numbers.rest()
+    assert len(out) == len(rows)
+    assert [one.pulse for one in out] == [truth[id(one.buffer)] for one in out]
+    assert not numbers.notes
 
 
 def test_without_readings_such_arrivals_mislead():
