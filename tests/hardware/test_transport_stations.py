@@ -47,6 +47,10 @@ class Station:
         self._dead, self.sent = False, 0
 
         def run():
+            if pulses < LONG and name in CAMERAS:
+                # as real ones do: what is short may else be over before its clock was asked for
+                self.sender.say("armed")
+                assert self.sender.ordered(60.0)
             self.sent = play(self.sender, cameras, pulses, RATE, start_ns, 3, first, lambda: self._dead)
 
         self._thread = threading.Thread(target=run)
