@@ -29,6 +29,8 @@ from hardware.settings import CameraHardware
 PROTOCOL = "GigEVision"
 # the library has one list for all
 _looking = threading.RLock()
+# a camera that is busy may answer later than the library listens, which is for a second
+LOOKS = 3
 # buffers hold a second at 100 Hz, and no more than a quarter of a gigabyte
 BUFFERS, LEAST_BUFFERS, BUFFER_BYTES = 100, 8, 1 << 28
 # the bootstrap register of the time [ms] without a sign of life after which a camera lets go of its program; 3 s as
@@ -70,11 +72,13 @@ def open_camera(name: str, settings: CameraHardware) -> "GigeCamera":
     if device is None and settings.address:
         # an address is asked directly: a broadcast does not reach other networks
         device = Device("gige", "GigE Vision camera", "", settings.address)
-    if device is None:
-        found = devices()
-        device = chosen(found, settings)
+    seen: dict[tuple[str, str], Device] = {}
+    for _ in range(LOOKS):
         if device is None:
-            raise not_found(found, name, settings)
+            seen |= {(one.serial, one.address): one for one in devices()}
+            device = chosen(tuple(seen.values()), settings)
+    if device is None:
+        raise not_found(tuple(seen.values()), name, settings)
     claim(device, name)
     try:
         camera = GigeCamera(aravis, name, device)
