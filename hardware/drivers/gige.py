@@ -81,14 +81,7 @@ def open_camera(name: str, settings: CameraHardware) -> "GigeCamera":
         raise not_found(tuple(seen.values()), name, settings)
     claim(device, name)
     try:
-        camera = GigeCamera(aravis, name, device)
-    except _NoAnswer:
-        release(device)
-        # nothing is there, or it was there when this program last looked
-        found = devices()
-        if chosen(found, settings) is None:
-            raise not_found(found, name, settings) from None
-        raise
+        camera = _opened(aravis, name, device, settings)
     except BaseException:
         release(device)
         raise
@@ -99,6 +92,22 @@ def open_camera(name: str, settings: CameraHardware) -> "GigeCamera":
             f"is {described(camera.device)}. Leave one of them out"
         )
     return camera
+
+
+def _opened(
+    aravis: Aravis, name: str, device: Device, settings: CameraHardware, tries: int = LOOKS
+) -> "GigeCamera":
+    """Open a camera, again where it does not answer but is there."""
+    try:
+        return GigeCamera(aravis, name, device)
+    except _NoAnswer:
+        # nothing is there, or it was there when this program last looked
+        found = devices()
+        if chosen(found, settings) is None:
+            raise not_found(found, name, settings) from None
+        if tries == 1:
+            raise
+    return _opened(aravis, name, device, settings, tries - 1)
 
 
 def _listed(aravis: Aravis) -> Sequence[Device]:
