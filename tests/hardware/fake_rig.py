@@ -10,6 +10,7 @@ import numpy as np
 from hardware.driver import Capabilities, ClockReading, DeviceError, DeviceReport, Grabbed
 
 SIZE = (32, 24)
+EXPOSURE_NS = 500_000
 
 
 def picture(camera: str, pulse: int) -> np.ndarray:
@@ -106,7 +107,7 @@ class FakeDriver:
         )
 
     def configure(self, settings):
-        return DeviceReport("fake", settings.serial, *SIZE, 8, 500_000)
+        return DeviceReport("fake", settings.serial, *SIZE, 8, EXPOSURE_NS)
 
     def arm(self):
         self.armed, self.block = True, 0
@@ -147,7 +148,7 @@ class FakeDriver:
             return
         stamp = round((now - self.boot) * (1 + self.fake.ppm * 1e-6) * 1e9) if self.fake.clock else None
         image = None if number in self.fake.spoilt else picture(self.name, number)
-        self.frames.put((self.block, stamp, image, round(now * 1e9)))
+        self.frames.put((self.block, stamp, image, round(now * 1e9) + EXPOSURE_NS))
         self.block += 1
         self.count += 1
 
@@ -160,5 +161,5 @@ class FakeDriver:
         except queue.Empty:
             return None
         note = "" if image is not None else "MISSING_PACKETS"
-        # here when it was due, however busy the machine: it is late for some cameras only, and that is not tried
-        return Grabbed(block, stamp, host_ns, 500_000, image, note)
+        # here when it was due, after its exposure: a busy machine is late for some cameras only, which is not tried
+        return Grabbed(block, stamp, host_ns, EXPOSURE_NS, image, note)

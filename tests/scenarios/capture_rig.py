@@ -20,6 +20,7 @@ from hardware.driver import Capabilities, ClockReading, DeviceError, DeviceRepor
 RATE = 100.0
 SIZE = (656, 491)
 QUARTER = (164, 123)
+EXPOSURE_NS = 500_000
 
 
 def dark_noise(seed=0, size=SIZE, n=8):
@@ -115,7 +116,8 @@ class Line:
 
     def _run(self, begin):
         while not self._stop.is_set():
-            wait = begin + self.made / self.rate - time.monotonic()
+            # a frame is here once it was exposed: one that is earlier is none of its stamp's
+            wait = begin + self.made / self.rate + EXPOSURE_NS * 1e-9 - time.monotonic()
             if wait > 0 and self._stop.wait(wait):
                 return
             for driver in self.drivers.values():
@@ -135,7 +137,7 @@ class Camera:
     capabilities = Capabilities(device_clock=True, hardware_trigger=True)
 
     def configure(self, settings):
-        return DeviceReport("fake", settings.serial, *self.size, 8, 500_000, {"Gain": 0.0})
+        return DeviceReport("fake", settings.serial, *self.size, 8, EXPOSURE_NS, {"Gain": 0.0})
 
     def arm(self):
         self.armed, self.block = True, 0
@@ -178,7 +180,7 @@ class Camera:
         image = None if image is None else image.copy()
         now = time.monotonic_ns()
         self.line.newest[0] = max(int(self.line.newest[0]), now)
-        return Grabbed(block, stamp, now, 500_000, image, "" if image is not None else "spoilt")
+        return Grabbed(block, stamp, now, EXPOSURE_NS, image, "" if image is not None else "spoilt")
 
 
 def openers(line, images=None, size=SIZE):
@@ -186,6 +188,8 @@ def openers(line, images=None, size=SIZE):
     shared = dark_noise(size=size) if images is None else None
 
     def open_camera(name, settings):
+        if line.asked_in_vain:
+            raise DeviceError(f"camera '{name}': does not answer; check its cable")
         return Camera(name, line, shared if images is None else images[name], size)
 
     return open_camera, lambda rig, drivers: line
