@@ -8,9 +8,9 @@ import math
 import numba
 import numpy as np
 
+from mosca.compiled import step
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, UNREFINED
-from mosca.detect_kernels import step
 from mosca.detect_measure import DIAMETER, ELONGATION, PEAK, XX, XY, YY, Noise, X, Y, measure_region
 from mosca.detect_memory import image_at
 from mosca.refine_kernels import FLAGS, TOUCHING

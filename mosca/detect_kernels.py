@@ -10,21 +10,10 @@ A *run* is a row of adjoining pixels: (row, first column, end column, place of i
 
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
+from mosca.compiled import kernel, step
 from mosca.data.arrays import Array
-
-# What Python calls is a kernel and cached; its steps are compiled with it. Numba keeps a cached kernel as
-# long as *its own* file is unchanged: a kernel and all its steps stand in one file.
-kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
-_STEP: dict[str, Any] = {
-    "nogil": True,
-    "error_model": "numpy",
-    "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
-}
-step = numba.njit(**_STEP)
 
 ROW, FIRST, END, PLACE = range(4)
 

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mosca.compiled import step
 from mosca.data.arrays import Array
-from mosca.detect_kernels import step
 from mosca.detect_memory import image_at
 
 X, Y, XX, XY, YY, DIAMETER, PEAK, ELONGATION = range(8)

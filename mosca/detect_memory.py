@@ -13,6 +13,7 @@ from numba.core import cgutils, types
 from numba.core.cgutils import ir  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 
+from mosca.compiled import ALONE
 from mosca.data.arrays import Array
 
 
@@ -104,10 +105,7 @@ def prefetch(_context: Any, address: Any) -> Any:
     return types.void(types.uint64), code
 
 
-_INNER: dict[str, Any] = {"nogil": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-
-
-@numba.njit(**_INNER)
+@numba.njit(nogil=True, **ALONE)
 def image_at(address: np.uint64, like: Array, height: int, width: int) -> Array:
     """Return the image (H, W) of the type of ``like`` that lies in memory at ``address``, row after row.
 

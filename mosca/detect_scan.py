@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from mosca.compiled import step
 from mosca.data.arrays import Array
-from mosca.detect_kernels import END, FIRST, PLACE, ROW, step
+from mosca.detect_kernels import END, FIRST, PLACE, ROW
 from mosca.detect_memory import bits_set, bright_mask, copy_16, image_at, trailing_zeros
 
 BLOCK, SHIFT, OVER = 64, 6, 16

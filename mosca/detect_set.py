@@ -6,10 +6,11 @@ back from the thread that matches and tracks, and would wait for that longer tha
 
 import numpy as np
 
+from mosca.compiled import kernel
 from mosca.data.arrays import Array
 from mosca.data.detections import UNREFINED
 from mosca.detect_finish import place_failed
-from mosca.detect_kernels import Search, find_regions_in_set, kernel
+from mosca.detect_kernels import Search, find_regions_in_set
 from mosca.detect_measure import N_COLUMNS as N_MEASURED
 from mosca.detect_measure import Noise, measure_regions
 from mosca.detect_scan import regions_within, scan_set

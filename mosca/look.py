@@ -2,7 +2,7 @@
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -117,9 +117,9 @@ class _Ahead:
     future: Future[Seen]
 
 
-def _while_waiting(look: Look, waiting: Iterable[_Ahead]) -> Seen:
+def _while_waiting(look: Look, waiting: Sequence[_Ahead]) -> Seen:
     """Return what is seen in the first set that waits; until then look at those that no thread has begun."""
-    first = next(iter(waiting))
+    first = waiting[0]
     for ahead in waiting:
         if first.future.done():
             break

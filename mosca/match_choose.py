@@ -7,6 +7,7 @@ images to a better one is tried again with those it has left. What two cameras a
 import numpy as np
 from numba import njit
 
+from mosca.compiled import step
 from mosca.match_groups import (
     CHI2,
     COVARIANCE,
@@ -24,7 +25,7 @@ from mosca.match_groups import (
     wholeness,
 )
 from mosca.match_index import buckets, within
-from mosca.ray_kernels import EDGES, SIGMA, step
+from mosca.ray_kernels import EDGES, SIGMA
 from mosca.triangulate import RANKS, TRUST
 
 CLEARLY_WORSE = 9.0

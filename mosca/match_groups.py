@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from mosca.compiled import step
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
-from mosca.ray_kernels import ANGLE, BONUS, FLAGS, LONG, RADIUS, SIGMA, step
+from mosca.ray_kernels import ANGLE, BONUS, FLAGS, LONG, RADIUS, SIGMA
 from mosca.triangulate import DEPTH, TRUST, solve_rays
 
 MOST_ODD, MOST_LARGE = 0.7, 0.9

@@ -7,7 +7,8 @@ from the camera's axis, which is finite for every direction but straight behind 
 
 import numpy as np
 
-from mosca.ray_kernels import ROTATION, SPREAD, step
+from mosca.compiled import step
+from mosca.ray_kernels import ROTATION, SPREAD
 
 MOST_BUCKETS = 16
 """An interval over more buckets than this is kept in a list that every search reads."""

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from mosca.compiled import step
 from mosca.match_groups import (
     GATE,
     HIGH,
@@ -38,7 +39,7 @@ from mosca.match_groups import (
     trust2_of,
 )
 from mosca.match_index import CELLS, CORNER, FIRST, SCALE, buckets, cell_of, cells, plane_angles, within
-from mosca.ray_kernels import ANGLE, DENSITY, FLAGS, LONG, RADIUS, SIGMA, SPREAD, WHITE, step
+from mosca.ray_kernels import ANGLE, DENSITY, FLAGS, LONG, RADIUS, SIGMA, SPREAD, WHITE
 from mosca.triangulate import DEPTH, RANKS, SHARE, TRUST
 
 # what runs for each track and camera: handing over its many arrays costs more than what it does

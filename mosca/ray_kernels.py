@@ -6,12 +6,12 @@ time and with the one derivative that matching needs: of the pixel by the ray's 
 
 from dataclasses import astuple, dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numba import njit
 
 from mosca.camera import image_grid, lens_directions
+from mosca.compiled import step
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, UNREFINED
 from mosca.data.rig import Camera, FisheyeLens, Lens, MoscaLens, OpenCVLens, Rig
@@ -41,15 +41,6 @@ LONG = 16
 """Bit of a ray's FLAGS beside those of its detection: the region is longer than pixels make that of a disc."""
 ROUNDED_PX = 1.5
 """Difference of a region's sides from which it is: those of a disc's differ by one at most."""
-
-_STEP: dict[str, Any] = {
-    "nogil": True,
-    "error_model": "numpy",
-    "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
-}
-step = njit(**_STEP)
-"""What only kernels call: compiled with them, without what Python would need, which takes a tenth of the time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +192,7 @@ def opencv_ray(p, u, v, d, g):  # type: ignore[no-untyped-def]
             (p[UNTILT + 3] * wx + p[UNTILT + 4] * wy + p[UNTILT + 5]) / depth,
         )
     x, y = wx, wy
-    for step in range(NEWTON_STEPS + 1):
+    for turn in range(NEWTON_STEPS + 1):
         r2 = x * x + y * y
         above = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
         below = 1.0 + r2 * (p[9] + r2 * (p[10] + r2 * p[11]))
@@ -217,7 +208,7 @@ def opencv_ray(p, u, v, d, g):  # type: ignore[no-untyped-def]
         s11 = q + 2.0 * y * y * rise + 6.0 * p1 * y + 2.0 * p2 * x + prism_y * y
         det = s00 * s11 - s01 * s10
         near = abs(ex) < 1e-14 and abs(ey) < 1e-14
-        if near or step == NEWTON_STEPS or not np.isfinite(det):
+        if near or turn == NEWTON_STEPS or not np.isfinite(det):
             break
         x, y = x + (s11 * ex - s01 * ey) / det, y + (s00 * ey - s10 * ex) / det
     if not (abs(ex) < 1e-10 and abs(ey) < 1e-10 and det > 0.0 and s00 + s11 > 0.0 and r2 < p[FOLD]):

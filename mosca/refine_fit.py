@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
+from mosca.compiled import ALONE
 from mosca.data.arrays import Array
 
 # Re-ordered sums are wanted here: they let the compiler add eight pixels at once. NaN and infinity must stay what
@@ -21,10 +22,9 @@ _FAST: dict[str, Any] = {
     "fastmath": {"reassoc", "nsz", "arcp", "contract", "afn"},
 }
 kernel = numba.njit(cache=True, **_FAST)
-_INNER: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-step = numba.njit(**_INNER, **_FAST)
+step = numba.njit(**ALONE, **_FAST)
 _PIXELS: dict[str, Any] = {**_FAST, "fastmath": True}  # where only grey values go in
-pixel_step = numba.njit(**_INNER, **_PIXELS)
+pixel_step = numba.njit(**ALONE, **_PIXELS)
 
 f32 = np.float32
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from mosca.compiled import step
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.rig import Rig
@@ -27,7 +28,6 @@ from mosca.ray_kernels import (
     ball_fields,
     fill_rays,
     rig_table,
-    step,
 )
 
 REWEIGHTINGS = np.int64(3)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hardware.driver import Capabilities, ClockReading, DeviceError, DeviceReport, Grabbed
+from hardware.trigger import External
 
 SIZE = (32, 24)
 EXPOSURE_NS = 500_000
@@ -36,7 +37,7 @@ class Fake:
     readable: bool = False  # most answers do not come
 
 
-class FakeLine:
+class FakeLine(External):
     """Pulses at a rate in a thread; drivers hang on it. It waits until a camera's loss and return were noticed."""
 
     def __init__(self, rate_hz: float) -> None:
@@ -56,18 +57,6 @@ class FakeLine:
         if self._thread is not None:
             self._thread.join()
             self._thread = None
-
-    def pulse_at(self, host_ns):
-        return None
-
-    def frame_arrived(self, camera, host_ns):
-        pass
-
-    def looked_in_vain(self, camera, began_ns, ended_ns):
-        pass
-
-    def camera_lost(self, camera):
-        pass
 
     def report(self):
         return {"pulses": self.made}

@@ -18,6 +18,7 @@ from hardware.emulate.serve import served
 from hardware.numbering import PulseNumbers
 from hardware.settings import CameraHardware, read_hardware
 from hardware.source import HardwareSource
+from hardware.trigger import External
 from hardware.witness import TriggerWitness
 from mosca.errors import InputError
 
@@ -119,7 +120,7 @@ def rig_file(path: Path, address: str, **hardware) -> Path:
     return path
 
 
-class LineOf:
+class LineOf(External):
     """The line of served devices, as an outside generator that this program starts and stops."""
 
     def __init__(self, devices):
@@ -133,18 +134,6 @@ class LineOf:
         self._devices.line.stop()
 
     close = stop
-
-    def pulse_at(self, host_ns):
-        return None
-
-    def frame_arrived(self, camera, host_ns):
-        pass
-
-    def looked_in_vain(self, camera, began_ns, ended_ns):
-        pass
-
-    def camera_lost(self, camera):
-        pass
 
     def report(self):
         return {"pulses": self._devices.line.emitted}

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from hardware.driver import Capabilities, ClockReading, DeviceError, DeviceReport, Grabbed
+from hardware.trigger import External
 
 RATE = 100.0
 SIZE = (656, 491)
@@ -70,7 +71,7 @@ def ctrl_c(when):
     return progress
 
 
-class Line:
+class Line(External):
     """Pulses at a rate; ``misses``: camera -> pulses that it does not see; ``spoilt``: those that come damaged.
 
     After pulse ``gone_at`` no camera answers; ``asked_in_vain``: those that were asked then.
@@ -98,18 +99,6 @@ class Line:
             self._thread = None
 
     close = stop
-
-    def pulse_at(self, host_ns):
-        return None
-
-    def frame_arrived(self, camera, host_ns):
-        pass
-
-    def looked_in_vain(self, camera, began_ns, ended_ns):
-        pass
-
-    def camera_lost(self, camera):
-        pass
 
     def report(self):
         return {"pulses": self.made}

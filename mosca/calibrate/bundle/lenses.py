@@ -6,11 +6,11 @@ A lens is a row of numbers: its parameters in the order of the dataclass's field
 """
 
 from dataclasses import fields
-from typing import Any
 
 import numpy as np
 from numba import njit
 
+from mosca.compiled import STEP, step
 from mosca.data.arrays import Array
 from mosca.data.rig import Lens
 
@@ -21,15 +21,7 @@ MOSCA, OPENCV_PLAIN, OPENCV_FULL, FISHEYE = 0.0, 1.0, 2.0, 3.0
 L, IMAGED = 4, 22
 # compiled arithmetic may be reordered, but numbers that are none must stay noticeable
 FAST = {"contract", "reassoc", "nsz", "arcp"}
-_STEP: dict[str, Any] = {
-    "nogil": True,
-    "error_model": "numpy",
-    "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
-}
-step = njit(**_STEP)
-"""What only kernels call: compiled with them, without what Python would need, which takes a tenth of the time."""
-fast_step = njit(fastmath=FAST, **_STEP)
+fast_step = njit(fastmath=FAST, **STEP)
 
 NEWTON_STEPS = 30
 CONVERGED_MM = 1e-13
@@ -216,7 +208,7 @@ def _mosca(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
     x, y = ix, iy
     a = b = d = rx = ry = 0.0
     r2 = 0.0
-    for step in range(NEWTON_STEPS + 1):
+    for turn in range(NEWTON_STEPS + 1):
         r2 = x * x + y * y
         radial = r2 * (k1 + r2 * (k2 + r2 * k3))
         slope = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
@@ -227,7 +219,7 @@ def _mosca(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
         d = 1 + radial + y * y * slope + 2 * x * p1 + 6 * y * p2
         determinant = a * d - b * b
         dx, dy = (d * rx - b * ry) / determinant, (a * ry - b * rx) / determinant
-        if step == NEWTON_STEPS or (abs(dx) <= CONVERGED_MM and abs(dy) <= CONVERGED_MM):
+        if turn == NEWTON_STEPS or (abs(dx) <= CONVERGED_MM and abs(dy) <= CONVERGED_MM):
             break
         x, y = x + dx, y + dy
     determinant = a * d - b * b

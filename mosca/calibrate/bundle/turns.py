@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from mosca.calibrate.bundle.lenses import step
+from mosca.compiled import step
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
