@@ -5,10 +5,9 @@ Called by ``mosca.detect_set``, after ``mosca.refine_kernels``, and by ``mosca.d
 
 import math
 
-import numba
 import numpy as np
 
-from mosca.compiled import step
+from mosca.compiled import short_kernel, step
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, UNREFINED
 from mosca.detect_measure import DIAMETER, ELONGATION, PEAK, XX, XY, YY, Noise, X, Y, measure_region
@@ -54,7 +53,7 @@ def place_failed(
     return image_of
 
 
-@numba.njit(cache=True, error_model="numpy")
+@short_kernel
 def columns(
     table: Array, image_of: Array, n_images: int
 ) -> tuple[Array, Array, Array, Array, Array, Array, Array]:

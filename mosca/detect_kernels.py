@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mosca.compiled import kernel, step
+from mosca.compiled import bare_step, kernel, step
 from mosca.data.arrays import Array
 
 ROW, FIRST, END, PLACE = range(4)
@@ -73,7 +73,7 @@ def runs_above(runs: Array, values: Array, level: int) -> Array:
     return above[:n]
 
 
-@step
+@bare_step
 def root_of(parent: Array, i: int) -> int:
     """Return the representative of the set of ``i``, shortening the way to it."""
     while parent[i] != i:
@@ -123,7 +123,7 @@ def blobs_of(runs: Array) -> tuple[Array, Array]:
     return in_order, start[: n_blobs + 1]
 
 
-@step
+@bare_step
 def survey(
     runs: Array, first_run: int, end_run: int, values: Array, lowest: int, column: int
 ) -> tuple[Any, Any, Any]:
@@ -169,7 +169,7 @@ def survey(
     return darkest, peak, dip
 
 
-@step
+@bare_step
 def falls_between(highest: Array, most: float) -> bool:
     """Tell whether a sequence falls by more than ``most`` and rises by as much again."""
     summit = valley = highest[0]
@@ -245,7 +245,7 @@ def passes_below(runs: Array, values: Array, box: tuple[int, int, int, int], mos
     return False
 
 
-@step
+@bare_step
 def is_target(size_x: int, size_y: int, contrast: int, search: Search) -> bool:
     """Tell whether a region passes the limits of size and contrast (step 6)."""
     return (
@@ -255,7 +255,7 @@ def is_target(size_x: int, size_y: int, contrast: int, search: Search) -> bool:
     )
 
 
-@step
+@bare_step
 def level_of(value: int, thresholds: Array) -> int:
     """Return the index of the first of the falling thresholds that ``value`` exceeds."""
     low, high = 0, len(thresholds) - 1
@@ -301,7 +301,7 @@ def pixels_by_level(runs: Array, values: Array, thresholds: Array) -> tuple[Arra
     return pixels, start[: len(thresholds) + 1]
 
 
-@step
+@bare_step
 def root_in(sets: Array, i: Any) -> Any:
     """As ``root_of`` in the table of sets. A column cut out of it would have its users counted, at every step."""
     while True:
@@ -313,7 +313,7 @@ def root_in(sets: Array, i: Any) -> Any:
         i = np.uint64(above)
 
 
-@step
+@bare_step
 def join(sets: Array, a: Any, b: Any) -> Any:
     """Unite the sets of two roots and return the root: the smaller one's pixels follow the larger one's.
 
@@ -368,7 +368,8 @@ def grow_regions(runs: Array, values: Array, thresholds: Array, search: Search) 
             for v in range(place - width, place + width + 1, width):
                 for u in range(v - 1, v + 2):
                     beside = standing[np.uint64(u)]
-                    if beside < 0 or sets[np.uint64(beside), PARENT] == mine:
+                    # as whole numbers without a sign on both sides: others would be compared as floating point
+                    if beside < 0 or np.uint64(sets[np.uint64(beside), PARENT]) == mine:
                         continue
                     other = root_in(sets, np.uint64(beside))
                     if other != mine:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mosca.compiled import step
+from mosca.compiled import bare_step, step
 from mosca.data.arrays import Array
 from mosca.detect_memory import image_at
 
@@ -45,7 +45,7 @@ def mask_rows(runs: Array, dilation: int, height: int, width: int) -> tuple[int,
     return first_row, rows
 
 
-@step
+@bare_step
 def ring_of(image: Array, limit: int, box: tuple[int, int, int, int]) -> tuple[Any, Any]:
     """Return sum and number of the pixels not above ``limit`` on the border of a box, as far as in the image.
 
@@ -69,7 +69,7 @@ def ring_of(image: Array, limit: int, box: tuple[int, int, int, int]) -> tuple[A
     return total, n
 
 
-@step
+@bare_step
 def disc_diameter(flux: float, contrast: float, spread_px2: float) -> float:
     """Return the diameter of the blurred disc that has this flux, contrast and mean squared radius.
 
@@ -91,7 +91,7 @@ def disc_diameter(flux: float, contrast: float, spread_px2: float) -> float:
     return 2.0 * math.sqrt(r2)
 
 
-@step
+@bare_step
 def is_own(runs: Array, y: int, x: int) -> bool:
     """Tell whether a pixel belongs to the region that has these runs."""
     own = False
@@ -100,13 +100,13 @@ def is_own(runs: Array, y: int, x: int) -> bool:
     return own
 
 
-@step
+@bare_step
 def squares_below(n: int) -> Any:
     """Return 0 + 1 + 4 + ... + (n - 1)^2."""
     return (n - 1) * n * (2 * n - 1) // 6
 
 
-@step
+@bare_step
 def moments(
     image: Array, runs: Array, threshold: int, filled: bool, first_row: int, rows: Array, left: int
 ) -> tuple[Any, Any, Any]:
@@ -161,7 +161,7 @@ def moments(
     return (n, nx, ny, nxx, nxy, nyy), (s, sx, sy, sxx, sxy, syy), peak
 
 
-@step
+@bare_step
 def central(sums: tuple[Any, ...], x: float, y: float) -> tuple[float, float, float]:
     """Return the second moments (xx, xy, yy) about (x, y) from moments about the origin."""
     n, nx, ny, nxx, nxy, nyy = sums
@@ -223,7 +223,7 @@ def measure(
     out[PEAK] = peak
 
 
-@step
+@bare_step
 def measure_region(
     image: Array,
     runs: Array,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mosca.compiled import step
+from mosca.compiled import bare_step, step
 from mosca.data.arrays import Array
 from mosca.detect_kernels import END, FIRST, PLACE, ROW
 from mosca.detect_memory import bits_set, bright_mask, copy_16, image_at, trailing_zeros
@@ -20,7 +20,7 @@ ROW_COST = 10
 """A row of a box is taken to cost as much as so many blocks of a whole image (an estimate)."""
 
 
-@step
+@bare_step
 def mask_of(address: Any, pixels: Array, block: Any, level: int) -> Any:
     """Return the mask of one block of an image; beyond the last pixel nothing is bright."""
     first = block << SHIFT
@@ -33,7 +33,7 @@ def mask_of(address: Any, pixels: Array, block: Any, level: int) -> Any:
     return mask
 
 
-@step
+@bare_step
 def bright_blocks(address: Any, pixels: Array, level: int, blocks: Array, masks: Array, n: int) -> int:
     """Write the blocks with a bright pixel and their masks from place n on, and return where they end.
 
@@ -109,7 +109,7 @@ def bright_blocks_within(
     return n
 
 
-@step
+@bare_step
 def copy_values(pixels: Array, at: int, n: int, values: Array, to: int) -> None:
     """Copy n grey values, 16 at a time where the image is long enough; up to 15 more are overwritten later."""
     if at + n + OVER > len(pixels):
@@ -124,7 +124,7 @@ def copy_values(pixels: Array, at: int, n: int, values: Array, to: int) -> None:
         )  # type: ignore[call-arg]
 
 
-@step
+@bare_step
 def bright_runs(
     pixels: Array, width: int, blocks: Array, masks: Array, runs: Array, values: Array, n: int, n_values: int
 ) -> tuple[int, int]:

@@ -17,6 +17,7 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from time import perf_counter
 
 import numpy as np
 from scipy.optimize import nnls
@@ -98,7 +99,7 @@ class CameraHealth:
 class Health:
     """Watches the points of a running pipeline. ``attend`` takes each frame set; ``noise`` is what was learned.
 
-    ``nameless``: samples that had no identity yet when the run ended.
+    ``nameless``: samples that had no identity yet when the run ended. ``seconds``: computing time so far.
     """
 
     def __init__(self, rig: Rig, settings: HealthSettings | None = None) -> None:
@@ -119,6 +120,7 @@ class Health:
         self._square, self._images = np.zeros(c), np.zeros(c)
         self._blocks: dict[int, Array] = {}
         self.nameless = 0
+        self.seconds = 0.0
 
     def attend(
         self,
@@ -132,6 +134,7 @@ class Health:
 
         ``bundle``: the rays that they were made of, traced anew where not given.
         """
+        begin = perf_counter()
         time_s = frame_set.time_ns * 1e-9
         self._sets += 1
         for k, name in enumerate(self._names):
@@ -147,6 +150,7 @@ class Health:
                 bundle = bundle_rays(rig, detections, self.noise.sigma_px)
             self._look(time_s, bundle, points)
         self._before = (time_s, points.xyz)
+        self.seconds += perf_counter() - begin
 
     def cameras(self) -> tuple[CameraHealth, ...]:
         """Return how each camera is doing."""

@@ -3,13 +3,10 @@
 The points looked at move to their best places first; the derivation of what is summed stands in ``mosca.health``.
 """
 
-import numba
 import numpy as np
 
+from mosca.compiled import bare_step, kernel
 from mosca.ray_kernels import ANGLE, DIRECTION, ORIGIN, RADIUS, WHITE
-
-kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
-step = numba.njit(nogil=True, error_model="numpy")
 
 FARTHEST_SIGMAS = 5.0
 """Images farther from their point say nothing of the usual error."""
@@ -71,7 +68,7 @@ REST, FLOW, SLOPE, WEIGHT, OWN, TABLE = 0, 2, 4, 10, 13, 16
 covariance (xx, xy, yy)."""
 
 
-@step
+@bare_step
 def _speed(i, xyz, before, elapsed_s, farthest_m, speed):  # type: ignore[no-untyped-def]
     """Fill the speed (3,) of point i since the set before; False where none is known."""
     there = _nearest(xyz[i], before, farthest_m)
@@ -82,7 +79,7 @@ def _speed(i, xyz, before, elapsed_s, farthest_m, speed):  # type: ignore[no-unt
     return True
 
 
-@step
+@bare_step
 def _nearest(point, others, within):  # type: ignore[no-untyped-def]
     """Return which of the others (m, 3) lies nearest to a point, -1 where none lies nearer than ``within``."""
     nearest, at = within * within, -1
@@ -94,7 +91,7 @@ def _nearest(point, others, within):  # type: ignore[no-untyped-def]
     return at
 
 
-@step
+@bare_step
 def _fitted(which, point, speed, given, seen, table, inverse):  # type: ignore[no-untyped-def]
     """Fill the table of the images ``which`` (c,) of a point, as they are after it has moved to its best place.
 
@@ -172,7 +169,7 @@ def _fitted(which, point, speed, given, seen, table, inverse):  # type: ignore[n
     return True
 
 
-@step
+@bare_step
 def _weighted(own, row):  # type: ignore[no-untyped-def]
     """Return a column (3) of J'W: what the point feels of a residual along one axis of the image."""
     v, w = own[WEIGHT + row], own[WEIGHT + 1 + row]
@@ -183,7 +180,7 @@ def _weighted(own, row):  # type: ignore[no-untyped-def]
     )
 
 
-@step
+@bare_step
 def _is_usual(seen, table):  # type: ignore[no-untyped-def]
     for c in range(seen.shape[0]):
         if seen[c]:
@@ -196,7 +193,7 @@ def _is_usual(seen, table):  # type: ignore[no-untyped-def]
     return True
 
 
-@step
+@bare_step
 def _add_noise(seen, table, inverse, sigma_px2, jitter_s, normal, right, square, images):  # type: ignore[no-untyped-def]
     """Add a point's images to the regression of squared residuals on the variances of cameras and triggers."""
     last = seen.shape[0]
@@ -229,7 +226,7 @@ def _add_noise(seen, table, inverse, sigma_px2, jitter_s, normal, right, square,
         right[last] += per_speed * known
 
 
-@step
+@bare_step
 def _add_clocks(seen, table, inverse, toward, pull, clock, images):  # type: ignore[no-untyped-def]
     """Add what a point's residuals along its motion say of each camera's delay."""
     cameras = seen.shape[0]
@@ -257,7 +254,7 @@ def _add_clocks(seen, table, inverse, toward, pull, clock, images):  # type: ign
                 clock[c, d] -= x * toward[d, 0] + y * toward[d, 1] + z * toward[d, 2]
 
 
-@step
+@bare_step
 def _adopt(which, point, rays, views, start, taken, reach_px):  # type: ignore[no-untyped-def]
     """Give a point without an image in a camera the free ray nearest to it within reach; True where any was."""
     adopted = False

@@ -7,7 +7,7 @@ images to a better one is tried again with those it has left. What two cameras a
 import numpy as np
 from numba import njit
 
-from mosca.compiled import step
+from mosca.compiled import bare_step, step
 from mosca.match_groups import (
     CHI2,
     COVARIANCE,
@@ -96,7 +96,7 @@ def _log_density(values, xyz):  # type: ignore[no-untyped-def]
     return np.log(values.shape[0] / max(side[0] * side[1] * side[2], 1e-9 * longest**3, 1e-18))
 
 
-@step
+@bare_step
 def _seen_shares(values, members, views):  # type: ignore[no-untyped-def]
     """Return the logarithms of the shares of cameras that miss, and that see, a target in their field of view.
 
@@ -111,7 +111,7 @@ def _seen_shares(values, members, views):  # type: ignore[no-untyped-def]
     return np.log(missed / (seen + missed)), np.log(seen / (seen + missed))
 
 
-@step
+@bare_step
 def _seen_and_missing(g, values, members, views):  # type: ignore[no-untyped-def]
     """Return how many cameras have a ray in a group, and how many have its point in view and none."""
     seen = count = 0
@@ -133,7 +133,7 @@ def _seen_and_missing(g, values, members, views):  # type: ignore[no-untyped-def
     return seen, count
 
 
-@step
+@bare_step
 def _speaker(g, values, xyz, covariance, spoken, gate, density, found, near):  # type: ignore[no-untyped-def]
     """Return which of the first ``near`` tracks ``found`` speaks for a group, or -1, and how much that is worth.
 
@@ -174,7 +174,7 @@ def _speaker(g, values, xyz, covariance, spoken, gate, density, found, near):  #
     return best, worth
 
 
-@step
+@bare_step
 def _take(g, values, members, track, used, spoken, rays, views, rules):  # type: ignore[no-untyped-def]
     """Take a group if its rays are free; a pair only if a track, still free, speaks for it.
 
@@ -200,7 +200,7 @@ def _take(g, values, members, track, used, spoken, rays, views, rules):  # type:
     return True
 
 
-@step
+@bare_step
 def _shrink(g, values, members, trusts, used, mates, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
     """Take the rays that are used up from a group and solve it anew; False where no target is left."""
     count, lost = NONE, False
@@ -240,7 +240,7 @@ def _take_uncontested(values, members, state, used):  # type: ignore[no-untyped-
                 continue
             if first[k] < 0:
                 first[k] = g
-            elif _same(members[g], members[first[k]]):
+            elif _same(g, first[k], members):
                 continue
             elif values[g, CHI2] < values[first[k], CHI2]:
                 first[k], second[k] = g, first[k]
@@ -253,7 +253,7 @@ def _take_uncontested(values, members, state, used):  # type: ignore[no-untyped-
             k = members[g, c]
             if k < 0:
                 continue
-            rival = second[k] if _same(members[g], members[first[k]]) else first[k]
+            rival = second[k] if _same(g, first[k], members) else first[k]
             if used[k] > 0 or (rival >= 0 and values[rival, CHI2] < values[g, CHI2] + CLEARLY_WORSE):
                 break
         else:
@@ -263,9 +263,13 @@ def _take_uncontested(values, members, state, used):  # type: ignore[no-untyped-
                     used[members[g, c]] += 1
 
 
-@step
-def _same(one, other):  # type: ignore[no-untyped-def]
-    return np.all(one == other)
+@bare_step
+def _same(g, other, members):  # type: ignore[no-untyped-def]
+    """Whether two groups have the same rays."""
+    other_rays = 0
+    for c in range(members.shape[1]):
+        other_rays += members[g, c] != members[other, c]
+    return other_rays == 0
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mosca.compiled import step
+from mosca.compiled import bare_step
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.ray_kernels import ANGLE, BONUS, FLAGS, LONG, RADIUS, SIGMA
 from mosca.triangulate import DEPTH, TRUST, solve_rays
@@ -44,7 +44,7 @@ NONE, ONCE, TWICE = np.int64(0), np.int64(1), np.int64(2)
 # those from kernel to kernel costs more than what the kernels do.
 
 
-@step
+@bare_step
 def solve(members, ranks, solved, steps, rays, views):  # type: ignore[no-untyped-def]
     """Intersect the group's rays; the depths start from ``solved``. See ``solve_rays``."""
     x, y, z = solved[0], solved[1], solved[2]
@@ -62,7 +62,7 @@ def solve(members, ranks, solved, steps, rays, views):  # type: ignore[no-untype
     return solve_rays(members, ranks, rays, views, steps, solved)
 
 
-@step
+@bare_step
 def judge_sizes(members, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
     """Set each member's trust from the size of its image; returns the target's diameter from its largest image.
 
@@ -82,7 +82,7 @@ def judge_sizes(members, ranks, solved, rays, views, rules):  # type: ignore[no-
     return largest
 
 
-@step
+@bare_step
 def largest_image(members, solved, rays, views):  # type: ignore[no-untyped-def]
     """Return the largest and second largest size [m] of a group's images, and of how many.
 
@@ -102,14 +102,14 @@ def largest_image(members, solved, rays, views):  # type: ignore[no-untyped-def]
     return (largest if largest > 0.0 else anyhow), second, images
 
 
-@step
+@bare_step
 def image_size(ray, camera, point, rays, views):  # type: ignore[no-untyped-def]
     """Return how large [m] a target at ``point`` is that fills the ray's image."""
     x, y, z = point[0] - views[camera, 0], point[1] - views[camera, 1], point[2] - views[camera, 2]
     return rays[ray, ANGLE] * np.sqrt(x * x + y * y + z * z)
 
 
-@step
+@bare_step
 def larger(i, size_i, j, size_j, rays):  # type: ignore[no-untyped-def]
     """Return the larger of two images' sizes; one that is two targets' does not count beside one that is not."""
     one, other = int(rays[i, FLAGS]) & MERGED, int(rays[j, FLAGS]) & MERGED
@@ -120,7 +120,7 @@ def larger(i, size_i, j, size_j, rays):  # type: ignore[no-untyped-def]
     return max(size_i, size_j)
 
 
-@step
+@bare_step
 def trust2_of(ray, size, whole, rays, judge):  # type: ignore[no-untyped-def]
     """Return the factor on a ray's squared error when its image has ``size`` where ``whole`` would be right.
 
@@ -147,7 +147,7 @@ def trust2_of(ray, size, whole, rays, judge):  # type: ignore[no-untyped-def]
     return 1.0 / (1.0 + 0.5 * (shift / rays[ray, SIGMA]) ** 2)
 
 
-@step
+@bare_step
 def wholeness(ray, trust, rays):  # type: ignore[no-untyped-def]
     """Return how whole an image is, by its trust: 1 of the right size, 0 half hidden."""
     if trust >= 1.0:
@@ -156,7 +156,7 @@ def wholeness(ray, trust, rays):  # type: ignore[no-untyped-def]
     return max(0.0, 1.0 - shift / (ODD_SHIFT * rays[ray, RADIUS]) / HALF_HIDDEN)
 
 
-@step
+@bare_step
 def too_large(ray, camera, point, rays, views, rules):  # type: ignore[no-untyped-def]
     """Whether an image shows two targets grown together."""
     if int(rays[ray, FLAGS]) & MERGED:
@@ -166,7 +166,7 @@ def too_large(ray, camera, point, rays, views, rules):  # type: ignore[no-untype
     return image_size(ray, camera, point, rays, views) ** 2 > TOO_LARGE * rules[TYPICAL] ** 2
 
 
-@step
+@bare_step
 def half_hidden(members, solved, diameter, rays, views, rules):  # type: ignore[no-untyped-def]
     """Whether a member's image is so small that more than half of the target must be hidden."""
     if not rules[JUDGE] > 0.0:
@@ -179,7 +179,7 @@ def half_hidden(members, solved, diameter, rays, views, rules):  # type: ignore[
     return False
 
 
-@step
+@bare_step
 def acceptable(members, solved, count, error, diameter, rays, views, rules):  # type: ignore[no-untyped-def]
     """Whether a solved group is a target: errors, volume, certainty; a pair with both images at least half there."""
     if not 0.0 <= error <= limit(2 * count - 3, rules[GATE] if count == 2 else rules[OUTLIER]):
@@ -200,7 +200,7 @@ def acceptable(members, solved, count, error, diameter, rays, views, rules):  # 
     return d0 >= 0.0 and minor >= 0.0 and det >= 0.0
 
 
-@step
+@bare_step
 def limit(freedom, sigma):  # type: ignore[no-untyped-def]
     """Chi-square bound of ``sigma`` standard deviations (exact for one, else Wilson and Hilferty's cube)."""
     if freedom == 1:
@@ -209,7 +209,7 @@ def limit(freedom, sigma):  # type: ignore[no-untyped-def]
     return freedom * (1.0 - q + sigma * np.sqrt(q)) ** 3
 
 
-@step
+@bare_step
 def store(members, ranks, solved, error, diameter, rays, at, kept_values, kept_members, kept_trusts):  # type: ignore[no-untyped-def]
     """Complete a group's values and keep it in row ``at``: values (n, VALUES), members (n, c), trusts (n, c).
 

@@ -7,7 +7,7 @@ from the camera's axis, which is finite for every direction but straight behind 
 
 import numpy as np
 
-from mosca.compiled import step
+from mosca.compiled import bare_step, step
 from mosca.ray_kernels import ROTATION, SPREAD
 
 MOST_BUCKETS = 16
@@ -53,13 +53,13 @@ def buckets(middle, half):  # type: ignore[no-untyped-def]
     return low, step, first, start, items, wide
 
 
-@step
+@bare_step
 def bucket_of(value, low, step, n):  # type: ignore[no-untyped-def]
     """Return the bucket of a value, the end ones for what lies beyond."""
     return int(min(max((value - low) / step, 0.0), n + 0.0))
 
 
-@step
+@bare_step
 def within(low, step, first_of, start, items, wide, middle, half, found):  # type: ignore[no-untyped-def]
     """Fill ``found`` (n,) with the intervals that may meet ``middle`` -+ ``half``, each once; returns how many."""
     n, count = first_of.shape[0], 0
@@ -86,7 +86,8 @@ def within(low, step, first_of, start, items, wide, middle, half, found):  # typ
 def cells(rays, views, start):  # type: ignore[no-untyped-def]
     """Sort the rays (n, COLUMNS) of all cameras into cells of about one ray; rays without a direction into none.
 
-    Returns each camera's frame (c, FRAME), and the cells: number k holds ``items[first[k]:first[k + 1]]``.
+    Returns each camera's frame (c, FRAME), and the cells: number k holds ``items[first[k]:first[k + 1]]``, whose
+    places (n, 2) in the plane follow in the same order.
     """
     cameras, n = views.shape[0], rays.shape[0]
     place, cell, frame = np.empty((n, 2)), np.full(n, -1, dtype=np.int64), np.zeros((cameras, FRAME))
@@ -111,7 +112,11 @@ def cells(rays, views, start):  # type: ignore[no-untyped-def]
                 column = cell_of(place[i, 0], frame[c, CORNER], frame[c, SCALE], side)
                 row = cell_of(place[i, 1], frame[c, CORNER + 1], frame[c, SCALE + 1], side)
                 cell[i] = int(frame[c, FIRST] + row * side + column)
-    first, items = np.zeros(total + 2, dtype=np.int64), np.empty(n, dtype=np.int64)
+    first, items, sorted_place = (
+        np.zeros(total + 2, dtype=np.int64),
+        np.empty(n, dtype=np.int64),
+        np.empty((n, 2)),
+    )
     for i in range(n):
         if cell[i] >= 0:
             first[cell[i] + 2] += 1
@@ -119,18 +124,19 @@ def cells(rays, views, start):  # type: ignore[no-untyped-def]
         first[k] += first[k - 1]
     for i in range(n):
         if cell[i] >= 0:
-            items[first[cell[i] + 1]] = i
+            at = first[cell[i] + 1]
+            items[at], sorted_place[at, 0], sorted_place[at, 1] = i, place[i, 0], place[i, 1]
             first[cell[i] + 1] += 1
-    return frame, first, items
+    return frame, first, items, sorted_place
 
 
-@step
+@bare_step
 def cell_of(value, corner, scale, side):  # type: ignore[no-untyped-def]
     """Return the row or column of a place, the end ones for what lies beyond."""
     return int(min(max((value - corner) * scale, 0.0), side - 1.0))
 
 
-@step
+@bare_step
 def plane_angles(rays, chosen, across, angle, variance):  # type: ignore[no-untyped-def]
     """Fill the angle (n,) of the epipolar planes of the rays ``chosen`` (n,) and its variance (n,) [rad^2].
 

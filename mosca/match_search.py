@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from mosca.compiled import step
+from mosca.compiled import bare_step, step
 from mosca.match_groups import (
     GATE,
     HIGH,
@@ -43,7 +43,7 @@ from mosca.ray_kernels import ANGLE, DENSITY, FLAGS, LONG, RADIUS, SIGMA, SPREAD
 from mosca.triangulate import DEPTH, RANKS, SHARE, TRUST
 
 # what runs for each track and camera: handing over its many arrays costs more than what it does
-_INLINED: dict[str, Any] = {"nogil": True, "error_model": "numpy", "forceinline": True}
+_INLINED: dict[str, Any] = {"nogil": True, "error_model": "numpy", "forceinline": True, "_nrt": False}
 inlined = njit(**_INLINED)
 
 CERTAIN = 1e-3
@@ -64,7 +64,8 @@ def search(rays, views, pairs, bases, start, rules, xyz, covariance):  # type: i
     """
     cameras, total = views.shape[0], rays.shape[0]
     room, count = max(64, 2 * total // max(cameras, 1)), NONE
-    groups = np.empty((room, VALUES)), np.empty((room, cameras), dtype=np.int64), np.empty((room, cameras))
+    values, members = np.empty((room, VALUES)), np.empty((room, cameras), dtype=np.int64)
+    trusts = np.empty((room, cameras))
     index = cells(rays, views, start)
     slack, reach = _slack(rays, start, rules)
     explained = np.empty(total, dtype=np.bool_)
@@ -82,7 +83,9 @@ def search(rays, views, pairs, bases, start, rules, xyz, covariance):  # type: i
             target, xyz, covariance, explained, reach, index, mates, ranks, solved, rays, views, rules
         )  # fmt: skip
         if size > 0:
-            groups = _kept(groups, count, mates, ranks, solved, error, diameter, rays)
+            if count == values.shape[0]:
+                values, members, trusts = _longer(values), _longer(members), _longer(trusts)
+            store(mates, ranks, solved, error, diameter, rays, count, values, members, trusts)
             count += 1
             _note(mates, solved, chance, partner, explained, joined, rays, views, rules)
     for stage in range(2 if rules[JUDGE] > 0.0 else 1):
@@ -132,22 +135,13 @@ def search(rays, views, pairs, bases, start, rules, xyz, covariance):  # type: i
                     )
                     if size == 0:
                         continue
-                    groups = _kept(groups, count, mates, ranks, solved, error, diameter, rays)
+                    if count == values.shape[0]:
+                        values, members, trusts = _longer(values), _longer(members), _longer(trusts)
+                    store(mates, ranks, solved, error, diameter, rays, count, values, members, trusts)
                     count += 1
                     if size > 2:
                         _note(mates, solved, chance, partner, explained, joined, rays, views, rules)
-    values, members, trusts = groups
     return values[:count], members[:count], trusts[:count]
-
-
-@step
-def _kept(groups, count, members, ranks, solved, error, diameter, rays):  # type: ignore[no-untyped-def]
-    """Store a group after the ``count`` that are there; returns the groups, with more room where need be."""
-    values, all_members, trusts = groups
-    if count == values.shape[0]:
-        values, all_members, trusts = _longer(values), _longer(all_members), _longer(trusts)
-    store(members, ranks, solved, error, diameter, rays, count, values, all_members, trusts)
-    return values, all_members, trusts
 
 
 @inlined
@@ -189,7 +183,7 @@ def _expected(  # type: ignore[no-untyped-def]
     return size, error, diameter, chance
 
 
-@step
+@bare_step
 def _note(members, solved, chance, partner, explained, joined, rays, views, rules):  # type: ignore[no-untyped-def]
     """Remember which rays a group joins, and that a certain one explains them."""
     cameras = members.shape[0]
@@ -225,7 +219,7 @@ def _slack(rays, start, rules):  # type: ignore[no-untyped-def]
     return slack, reach
 
 
-@step
+@bare_step
 def _left(first, last, explained, active):  # type: ignore[no-untyped-def]
     """List the rays that nothing explains; returns how many."""
     n = 0
@@ -236,7 +230,7 @@ def _left(first, last, explained, active):  # type: ignore[no-untyped-def]
     return n
 
 
-@step
+@bare_step
 def _meet(i, j, a, b, away2, variance_i, variance_j, members, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
     """Begin a group with the rays i and j of cameras a and b; False where they do not meet."""
     d0, d1, d2 = rays[i, 0], rays[i, 1], rays[i, 2]
@@ -275,7 +269,7 @@ def _meet(i, j, a, b, away2, variance_i, variance_j, members, ranks, solved, ray
     )
 
 
-@step
+@bare_step
 def _grown(  # type: ignore[no-untyped-def]
     a, b, chance, reach, index, partner, members, ranks, solved, rays, views, rules
 ):
@@ -321,7 +315,7 @@ def _grown(  # type: ignore[no-untyped-def]
     return size, error, diameter, chance
 
 
-@step
+@bare_step
 def _worst_ray(members, ranks, solved, rays, views):  # type: ignore[no-untyped-def]
     """Return the camera whose ray, left out, lowers the group's squared error most.
 
@@ -352,7 +346,7 @@ def _worst_ray(members, ranks, solved, rays, views):  # type: ignore[no-untyped-
     return at
 
 
-@step
+@bare_step
 def _joined(members, partner):  # type: ignore[no-untyped-def]
     """Whether the first two rays of a group have been joined in a group of three or more."""
     first = -1
@@ -369,7 +363,7 @@ def _nearest(c, whole, reach, index, solved, rays, views, rules):  # type: ignor
     """Return the ray of camera c nearest to the group's point among those that the covariances admit (-1: none), its
     trust, the expected number of chance rays as near, and how many were admitted.
     """
-    frame, first_in_cell, in_cell = index
+    frame, first_in_cell, in_cell, place = index
     gate2 = rules[GATE] ** 2
     x, y, z = solved[0] - views[c, 0], solved[1] - views[c, 1], solved[2] - views[c, 2]
     distance = np.sqrt(x * x + y * y + z * z)
@@ -383,18 +377,21 @@ def _nearest(c, whole, reach, index, solved, rays, views, rules):  # type: ignor
     # an angle counts (1 + |place|^2) / 2 there, and a point's error in no direction more than in all together
     scale = 0.5 * (1.0 + u * u + v * v)
     side = 1.01 * rules[GATE] * scale * np.sqrt(reach + (v00 + v11 + v22) / (distance * distance))
+    beside, above = side, side
     left, right = _cells_beside(c, NONE, u, side, frame)
     top, bottom = _cells_beside(c, ONCE, v, side, frame)
     if (right - left) * (bottom - top) > FEW_CELLS:
         own = scale * scale * reach
-        side = _side(c, NONE, u, x / distance, y / distance, z / distance, w, own, solved, views, rules)
-        left, right = _cells_beside(c, NONE, u, side, frame)
-        side = _side(c, ONCE, v, x / distance, y / distance, z / distance, w, own, solved, views, rules)
-        top, bottom = _cells_beside(c, ONCE, v, side, frame)
+        beside = _side(c, NONE, u, x / distance, y / distance, z / distance, w, own, solved, views, rules)
+        left, right = _cells_beside(c, NONE, u, beside, frame)
+        above = _side(c, ONCE, v, x / distance, y / distance, z / distance, w, own, solved, views, rules)
+        top, bottom = _cells_beside(c, ONCE, v, above, frame)
     nearest, at, trust2, det_there, admitted = np.inf, -1, 1.0, 0.0, 0
     for row in range(top, bottom + 1):
         first = int(frame[c, FIRST] + row * frame[c, CELLS])
         for n in range(first_in_cell[first + left], first_in_cell[first + right + 1]):
+            if abs(place[n, 0] - u) > beside or abs(place[n, 1] - v) > above:
+                continue
             k = in_cell[n]
             depth = rays[k, 0] * x + rays[k, 1] * y + rays[k, 2] * z
             # a thousandth of a radian squared: far beyond any gate
@@ -440,14 +437,14 @@ def _nearest(c, whole, reach, index, solved, rays, views, rules):  # type: ignor
     return at, np.sqrt(trust2), views[c, DENSITY] * area, admitted
 
 
-@step
+@bare_step
 def _cells_beside(c, axis, place, side, frame):  # type: ignore[no-untyped-def]
     """Return the first and last row or column of cells within ``place`` -+ ``side``."""
     corner, scale, count = frame[c, CORNER + axis], frame[c, SCALE + axis], frame[c, CELLS]
     return cell_of(place - side, corner, scale, count), cell_of(place + side, corner, scale, count)
 
 
-@step
+@bare_step
 def _side(c, axis, place, x, y, z, w, own, solved, views, rules):  # type: ignore[no-untyped-def]
     """Return how far along one axis a point's image may lie beside its place; (x, y, z) its direction."""
     # the place's derivative by the point, and so its variance

@@ -52,7 +52,8 @@ class PipelineSettings:
 @dataclass(frozen=True, eq=False)
 class Step:
     """What one trigger pulse gave. ``samples``: points whose identity is now certain, some of earlier pulses.
-    ``seconds``: computing time of each stage.
+    ``seconds``: computing time of each stage until it was ready; that of the health comes after
+    (``mosca.health.Health.seconds``).
     """
 
     frame_set: FrameSet
@@ -144,13 +145,14 @@ def run_seen(
         clock.lap("match")
         samples = tracker.update(points, frame_set.pulse, frame_set.time_ns, health.noise.jitter_s)
         clock.lap("track")
-        health.attend(rig, frame_set, detections, points, bundle)
-        clock.lap("health")
+        measured_with = rig
         if keeper is not None:
             keeper.attend(frame_set.pulse, detections, points)
             rig = keeper.rig
             clock.lap("keep")
         yield Step(frame_set, detections, points, samples, clock.laps)
+        # while the next set is on its way: nobody waits for it
+        health.attend(measured_with, frame_set, detections, points, bundle)
     health.nameless = tracker.waiting
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from mosca.camera import image_grid, lens_directions
-from mosca.compiled import step
+from mosca.compiled import bare_step
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, UNREFINED
 from mosca.data.rig import Camera, FisheyeLens, Lens, MoscaLens, OpenCVLens, Rig
@@ -153,7 +153,7 @@ def _ordered_pairs(rotation: Array, origin: Array) -> Array:
     return np.ascontiguousarray(np.column_stack([a, b])[order]).astype(np.int64)
 
 
-@step
+@bare_step
 def mosca_ray(p, u, v, d, g):  # type: ignore[no-untyped-def]
     """Pixel -> unit direction ``d`` (3,) and d pixel / d direction ``g`` (2, 3), camera frame; False without one."""
     c, mx, my, a, k1, k2, k3, p1, p2 = p[0], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10]
@@ -178,7 +178,7 @@ def mosca_ray(p, u, v, d, g):  # type: ignore[no-untyped-def]
     return True
 
 
-@step
+@bare_step
 def opencv_ray(p, u, v, d, g):  # type: ignore[no-untyped-def]
     """As ``mosca_ray``; Newton's method for the ideal point."""
     fx, fy, k1, k2, p1, p2, k3 = p[0], p[1], p[4], p[5], p[6], p[7], p[8]
@@ -219,7 +219,7 @@ def opencv_ray(p, u, v, d, g):  # type: ignore[no-untyped-def]
     return True
 
 
-@step
+@bare_step
 def _tilted(p, wx, wy, s00, s01, s10, s11):  # type: ignore[no-untyped-def]
     """Carry a slope from before the sensor's tilt onto the sensor."""
     depth = p[TILT + 6] * wx + p[TILT + 7] * wy + p[TILT + 8]
@@ -230,7 +230,7 @@ def _tilted(p, wx, wy, s00, s01, s10, s11):  # type: ignore[no-untyped-def]
     return c00 * s00 + c01 * s10, c00 * s01 + c01 * s11, c10 * s00 + c11 * s10, c10 * s01 + c11 * s11
 
 
-@step
+@bare_step
 def _by_direction(tx, ty, j00, j01, j10, j11, d, g):  # type: ignore[no-untyped-def]
     """Fill ``d`` and ``g`` from a tangent (x/z, y/z) and the pixel's derivatives by it."""
     length = np.sqrt(tx * tx + ty * ty + 1.0)
@@ -240,7 +240,7 @@ def _by_direction(tx, ty, j00, j01, j10, j11, d, g):  # type: ignore[no-untyped-
     g[1, 0], g[1, 1], g[1, 2] = j10 * length, j11 * length, -(j10 * tx + j11 * ty) * length
 
 
-@step
+@bare_step
 def fisheye_ray(p, u, v, d, g):  # type: ignore[no-untyped-def]
     """As ``mosca_ray``; Newton's method between bounds for the angle."""
     fx, fy, k1, k2, k3, k4 = p[0], p[1], p[4], p[5], p[6], p[7]
@@ -290,7 +290,7 @@ def fill_rays(  # type: ignore[no-untyped-def]
     d, local, g = np.empty(3), np.empty((2, 3)), np.empty((2, 3))
     odd = 0
     for c in range(kind.shape[0]):
-        turn = rotation[c]
+        turn, own_lens = rotation[c], lens[c]
         density = (start[c + 1] - start[c]) / (size[c, 0] * size[c, 1])
         for k in range(DENSITY):
             views[c, k] = seen[c, k]
@@ -298,11 +298,11 @@ def fill_rays(  # type: ignore[no-untyped-def]
         for n in range(start[c], start[c + 1]):
             u, v = xy[n, 0], xy[n, 1]
             if kind[c] == MOSCA:
-                good = mosca_ray(lens[c], u, v, d, local)
+                good = mosca_ray(own_lens, u, v, d, local)
             elif kind[c] == OPENCV:
-                good = opencv_ray(lens[c], u, v, d, local)
+                good = opencv_ray(own_lens, u, v, d, local)
             else:
-                good = fisheye_ray(lens[c], u, v, d, local)
+                good = fisheye_ray(own_lens, u, v, d, local)
             root = np.sqrt(elongation[n])
             # two targets grown together are long, and their flux and peak tell no diameter: the longer axis does
             across = max(diameter[n] * (root if elongation[n] > TWO_LONG else 1.0), LEAST_DIAMETER_PX)
@@ -357,36 +357,39 @@ def fill_rays(  # type: ignore[no-untyped-def]
                 rays[n, SPREAD + 2 * k + 1] = ty * l11
                 rays[n, DIRECTION + k] -= tx * shift_x + ty * shift_y
             if fields.shape[0] > 0:
-                _turn_with(rays[n])
-            _normals(rays[n], seen[c])
+                _turn_with(rays, n)
+            _normals(rays, n, seen[c, 0], seen[c, 1], seen[c, 2])
     return odd
 
 
-@step
-def _normals(ray, origin):  # type: ignore[no-untyped-def]
-    """Fill a ray's share in the normal equations: A'A (xx, xy, xz, yy, yz, zz), and A'A times the origin."""
+@bare_step
+def _normals(rays, n, x, y, z):  # type: ignore[no-untyped-def]
+    """Fill a ray's share in the normal equations: A'A (xx, xy, xz, yy, yz, zz), A'A times the origin (x, y, z)."""
     k = NORMAL
     for p in range(3):
         for q in range(p, 3):
-            ray[k] = ray[WHITE + p] * ray[WHITE + q] + ray[WHITE + 3 + p] * ray[WHITE + 3 + q]
+            rays[n, k] = (
+                rays[n, WHITE + p] * rays[n, WHITE + q] + rays[n, WHITE + 3 + p] * rays[n, WHITE + 3 + q]
+            )
             k += 1
-    x, y, z = origin[0], origin[1], origin[2]
-    ray[k] = ray[NORMAL] * x + ray[NORMAL + 1] * y + ray[NORMAL + 2] * z
-    ray[k + 1] = ray[NORMAL + 1] * x + ray[NORMAL + 3] * y + ray[NORMAL + 4] * z
-    ray[k + 2] = ray[NORMAL + 2] * x + ray[NORMAL + 4] * y + ray[NORMAL + 5] * z
+    rays[n, k] = rays[n, NORMAL] * x + rays[n, NORMAL + 1] * y + rays[n, NORMAL + 2] * z
+    rays[n, k + 1] = rays[n, NORMAL + 1] * x + rays[n, NORMAL + 3] * y + rays[n, NORMAL + 4] * z
+    rays[n, k + 2] = rays[n, NORMAL + 2] * x + rays[n, NORMAL + 4] * y + rays[n, NORMAL + 5] * z
 
 
-@step
-def _turn_with(ray):  # type: ignore[no-untyped-def]
+@bare_step
+def _turn_with(rays, n):  # type: ignore[no-untyped-def]
     """Make the whitened errors of a ray count from its moved direction: their product with that is zero."""
-    norm2 = ray[0] ** 2 + ray[1] ** 2 + ray[2] ** 2
+    norm2 = rays[n, 0] ** 2 + rays[n, 1] ** 2 + rays[n, 2] ** 2
     for row in (WHITE, WHITE + 3):
-        along = (ray[row] * ray[0] + ray[row + 1] * ray[1] + ray[row + 2] * ray[2]) / norm2
+        along = (
+            rays[n, row] * rays[n, 0] + rays[n, row + 1] * rays[n, 1] + rays[n, row + 2] * rays[n, 2]
+        ) / norm2
         for k in range(3):
-            ray[row + k] -= along * ray[k]
+            rays[n, row + k] -= along * rays[n, k]
 
 
-@step
+@bare_step
 def _field(field, size, u, v):  # type: ignore[no-untyped-def]
     """Interpolate a field (rows, columns, 2) over an image, linearly."""
     rows, columns = field.shape[0], field.shape[1]

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
-from mosca.compiled import ALONE
+from mosca.compiled import ALONE, BARE
 from mosca.data.arrays import Array
 
 # Re-ordered sums are wanted here: they let the compiler add eight pixels at once. NaN and infinity must stay what
@@ -23,8 +23,9 @@ _FAST: dict[str, Any] = {
 }
 kernel = numba.njit(cache=True, **_FAST)
 step = numba.njit(**ALONE, **_FAST)
+bare_step = numba.njit(**BARE, **_FAST)
 _PIXELS: dict[str, Any] = {**_FAST, "fastmath": True}  # where only grey values go in
-pixel_step = numba.njit(**ALONE, **_PIXELS)
+bare_pixel_step = numba.njit(**BARE, **_PIXELS)
 
 f32 = np.float32
 
@@ -52,7 +53,7 @@ class Model(NamedTuple):
     full_dn: float
 
 
-@step
+@bare_step
 def sums(
     n: int,
     pixels: Array,
@@ -108,7 +109,7 @@ def sums(
     return (hxx, hxy, hyy, cx, cy), (haa, hab, har, has, hbb, hbr, hbs, hrr, hrs, hss), (ca, cb, cr, cs), chi2
 
 
-@step
+@bare_step
 def cross_sums(
     n: int,
     pixels: Array,
@@ -144,7 +145,7 @@ def cross_sums(
     return xa, xb, xr, xs, ya, yb, yr, ys
 
 
-@step
+@bare_step
 def solve_shape(h: Any, c: Any, prior: float, pull: float) -> tuple[float, float, float, float, float, float]:
     """Solve for amplitude, background, radius and blur; the blur is held by a prior of this information.
 
@@ -173,7 +174,7 @@ def solve_shape(h: Any, c: Any, prior: float, pull: float) -> tuple[float, float
     return a, b, r, s, 1.0 / max(data, 1e-12), 1.0
 
 
-@step
+@bare_step
 def solve_all(
     place: Any, h: Any, cross: Any, c: Any, prior: tuple[float, float], peak: tuple[float, float], work: Array
 ) -> tuple[Any, ...]:
@@ -238,7 +239,7 @@ def solve_all(
     )  # fmt: skip
 
 
-@step
+@bare_step
 def fit_disc(
     n: int,
     pixels: Array,

@@ -11,7 +11,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.detect_memory import copy_16, image_at
-from mosca.refine_fit import ONE, ZERO, f32, step
+from mosca.refine_fit import ONE, ZERO, bare_step, f32, step
 
 SMALL = f32(1e-3)
 X, Y, SHARPER, THERE, V = range(5)
@@ -43,7 +43,7 @@ def lent(rows: Array) -> Array:
     return image_at(np.uint64(rows.ctypes.data), rows, rows.shape[0], rows.shape[1])
 
 
-@step
+@bare_step
 def gather(image: Array, place: tuple[int, int], reach2: float, pixels: Array) -> int:
     """Copy the pixels with a distance from the pixel ``place`` of at most the root of ``reach2``, and their offsets.
 
@@ -63,7 +63,7 @@ def gather(image: Array, place: tuple[int, int], reach2: float, pixels: Array) -
     return n
 
 
-@step
+@bare_step
 def pad(n: int, pixels: Array) -> None:
     """Tell n pixels from the padding to the next multiple of 8, which sums take at once."""
     x, y, sharper, there, v = pixels[X], pixels[Y], pixels[SHARPER], pixels[THERE], pixels[V]
@@ -104,7 +104,7 @@ def window_of(size: int, windows: Windows) -> Array:
     return image_at(at, lanes, 5, (known[size, 1] + 7) // 8 * 8)
 
 
-@step
+@bare_step
 def grey_values(image: Array, place: int, half: Array, v: Array) -> None:
     """Copy the grey values of the rows of a round window about the pixel number ``place``, 16 at a time.
 
@@ -123,7 +123,7 @@ def grey_values(image: Array, place: int, half: Array, v: Array) -> None:
         middle += width
 
 
-@step
+@bare_step
 def reach_of(size: int, blur: float) -> float:
     """Return how far the fit of a region reaches: its box goes past the edge by about 1.2 blurs."""
     return 0.5 * size + 1.6 * blur + 0.5
@@ -153,7 +153,7 @@ def gather_round(
     return n, scratch
 
 
-@step
+@bare_step
 def gather_unmarked(
     image: Array,
     place: tuple[int, int],
@@ -190,7 +190,7 @@ def gather_unmarked(
     return n
 
 
-@step
+@bare_step
 def half_side(shape: tuple[float, float, float], around: tuple[float, float], reach: float) -> int:
     """Return how far from the middle pixel ``gather_unmarked`` looks, and ``blank`` for what lies around that."""
     first_row, end_row = rows_within(shape, around, reach)
@@ -198,7 +198,7 @@ def half_side(shape: tuple[float, float, float], around: tuple[float, float], re
     return int(max(-first_row, end_row, -first, end)) + 2
 
 
-@step
+@bare_step
 def rows_within(
     shape: tuple[float, float, float], around: tuple[float, float], reach: float
 ) -> tuple[int, int]:
@@ -209,7 +209,7 @@ def rows_within(
     return math.ceil(middle - half), math.floor(middle + half) + 1
 
 
-@step
+@bare_step
 def span_within(
     shape: tuple[float, float, float], around: tuple[float, float], reach: float, row: int
 ) -> tuple[int, int]:

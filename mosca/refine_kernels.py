@@ -12,18 +12,7 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.detect_memory import image_at, prefetch
-from mosca.refine_fit import (
-    ONE,
-    P0,
-    P1,
-    P2,
-    P3,
-    P4,
-    Model,
-    f32,
-    fit_disc,
-    step,
-)
+from mosca.refine_fit import ONE, P0, P1, P2, P3, P4, Model, bare_step, f32, fit_disc, step
 from mosca.refine_gather import (
     OVER,
     Windows,
@@ -51,7 +40,7 @@ TOUCHING = 0.03
 EACH = 8  # every so many targets the light's centroid is taken
 
 
-@step
+@bare_step
 def tail_point(share: float) -> float:
     """Return t at which the normal distribution leaves ``share`` (up to a half) above it.
 
@@ -61,7 +50,7 @@ def tail_point(share: float) -> float:
     return max(q - (2.30753 + 0.27061 * q) / (1.0 + q * (0.99229 + 0.04481 * q)), 0.0)
 
 
-@step
+@bare_step
 def below_edge(t: float) -> float:
     """Return the normal distribution's integral up to t >= 0, by the polynomial of the edge."""
     t = min(t, 3.0)
@@ -69,7 +58,7 @@ def below_edge(t: float) -> float:
     return float(0.5 + t * (P0 + u * (P1 + u * (P2 + u * (P3 + u * P4)))))
 
 
-@step
+@bare_step
 def upright(sums_of_light: Any) -> tuple[float, float, float, float, float]:
     """Return centroid and central second moments (xx, xy, yy) from sums (1, x, y, xx, xy, yy) of light."""
     flux = max(float(sums_of_light[0]), 1e-6)
@@ -78,7 +67,7 @@ def upright(sums_of_light: Any) -> tuple[float, float, float, float, float]:
     return x, y, xx - x * x, xy - x * y, yy - y * y
 
 
-@step
+@bare_step
 def stretch(xx: float, xy: float, yy: float, blur2: float, n: int) -> tuple[float, float, float]:
     """Return the symmetric matrix (xx, xy, yy) of determinant 1 that makes an elliptic target round.
 
@@ -99,7 +88,7 @@ def stretch(xx: float, xy: float, yy: float, blur2: float, n: int) -> tuple[floa
     return (a + 1.0) / t, b / t, (c + 1.0) / t
 
 
-@step
+@bare_step
 def refine_region(
     image: Array,
     runs: Array,
@@ -183,7 +172,7 @@ def refine_region(
     i0, i1, i2 = m2 / det, -m1 / det, m0 / det
     px, py = column + i0 * x0 + i1 * y0, row + i1 * x0 + i2 * y0
     # a fit that has left its region's light has found something else
-    shift = math.hypot(px - column - ax, py - row - ay)
+    shift = math.sqrt((px - column - ax) ** 2 + (py - row - ay) ** 2)
     good = good and shift < 0.3 + 0.15 * max(size_x, size_y)
     # with most of it left out for a neighbour's sake, the fit may know less than the centroid
     good = good and c[0] + c[2] < 2.0 * (2.0 * TOUCHING * radius) ** 2
@@ -202,7 +191,7 @@ def refine_region(
     misfit = chi2 / max(n - 6, 1)
     # misfit beyond the noise, over the squared amplitude: of a good model about (2 %)^2
     rough = max(misfit - 1.0, 0.0) * (model.dark_dn2 + model.gain_dn * amplitude) / (amplitude * amplitude)
-    out[MISFIT], out[ROUGH], out[PULL] = misfit, rough, math.hypot(pull_x, pull_y)
+    out[MISFIT], out[ROUGH], out[PULL] = misfit, rough, math.sqrt(pull_x * pull_x + pull_y * pull_y)
     odd = (
         good
         and not n_full
@@ -238,7 +227,7 @@ def refine_region(
     out[X], out[Y] = px, py
 
 
-@step
+@bare_step
 def set_terms(image: Array, x: float, y: float, radius: float, terms: Array) -> None:
     """Write (1, 1 / R, 1 / R^2, R) x (1, u, v) to ``terms``, u and v from the image's middle in half widths."""
     height, width = image.shape
@@ -249,7 +238,7 @@ def set_terms(image: Array, x: float, y: float, radius: float, terms: Array) -> 
         size = 0.25 * radius if k == 2 else size * 2.0 / radius
 
 
-@step
+@bare_step
 def teach_light(
     image: Array,
     place: tuple[int, int],
@@ -336,7 +325,7 @@ def refine_regions(
     # left, right, top, bottom, number of pixels; 1 in the last where it touches the image's border
     own_boxes = np.empty((n_regions + 1, 6), np.int64)
     for r in range(n_regions):
-        (left, right, top, bottom), n_px = box_of(runs[regions[r, 1] : regions[r, 2]])
+        (left, right, top, bottom), n_px = box_of(runs, regions[r, 1], regions[r, 2])
         largest = max(largest, right - left + 1, bottom - top + 1)
         own_boxes[r, 0], own_boxes[r, 1], own_boxes[r, 2], own_boxes[r, 3] = left, right, top, bottom
         own_boxes[r, 4] = n_px

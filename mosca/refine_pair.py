@@ -25,7 +25,7 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.detect_memory import image_at
-from mosca.refine_fit import Model, kernel, step
+from mosca.refine_fit import Model, bare_step, kernel, step
 from mosca.refine_kernels import (
     BLUR,
     BLUR_INFO,
@@ -142,7 +142,7 @@ def fit_pairs(
     return rows, two
 
 
-@step
+@bare_step
 def plausible(p: Array, chi2: float, n: int, model: Model) -> bool:
     """Tell whether two discs are alike, as far apart as two that touch, and explain the pixels."""
     if not math.isfinite(chi2):

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.refine_fit import Model, step
+from mosca.refine_fit import Model, bare_step, step
 
 TURNS = 25
 SMALL = 0.01
@@ -27,7 +27,7 @@ step promises."""
 A1, A2, A3, A4, A5 = 0.319381530, -0.356563782, 1.781477937, -1.821255978, 1.330274429
 
 
-@step
+@bare_step
 def edge(t: float) -> tuple[float, float]:
     """Return the normal distribution's integral and density at t (Abramowitz and Stegun 1964, 26.2.17: to 1e-7)."""
     if abs(t) > FLAT:
@@ -43,7 +43,7 @@ SEEN = 3.2
 """Blurs from an edge beyond which nothing of it is seen: 0.07 % of the brightness."""
 
 
-@step
+@bare_step
 def common(t1: float, t2: float, e1: float, e2: float, rho: float) -> tuple[float, float, float]:
     """Return the bivariate normal integral up to t1 and t2 of correlation rho, and its change with t1 and t2."""
     root = math.sqrt(max(1.0 - rho * rho, 1e-6))
@@ -61,13 +61,13 @@ def common(t1: float, t2: float, e1: float, e2: float, rho: float) -> tuple[floa
     return e1 * e2 + half * total / (2.0 * math.pi), d1, d2
 
 
-@step
+@bare_step
 def clearance(p: Array) -> float:
     """Return how far two discs are from covering each other where their edges' blur still counts [px]."""
     return float(math.hypot(p[0] - p[1], p[2] - p[3]) - p[4] - p[5] - p[9])
 
 
-@step
+@bare_step
 def light_of(kind: int, p: Array, x: float, y: float, slope: Array) -> float:
     """Return the grey value of a pixel and write its change with the unknowns ``p``.
 
@@ -205,7 +205,7 @@ def fit(
     return last, inverse, at_rest
 
 
-@step
+@bare_step
 def dot(one: Array, other: Array) -> float:
     """Return the sum of the products of two rows."""
     total = 0.0

@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.refine_fit import step
+from mosca.refine_fit import bare_step, step
 
 MARGIN_PX = 3
 """How far around the regions pixels are taken."""
@@ -62,7 +62,7 @@ def gather_all(
     return pixels, n, dark / max(n_dark, 1), peak
 
 
-@step
+@bare_step
 def keep_near(pixels: Array, n: int, p: Array) -> int:
     """Move the pixels that two discs light, and a ring around them, to the front; return how many these are."""
     kept = 0
@@ -77,7 +77,7 @@ def keep_near(pixels: Array, n: int, p: Array) -> int:
     return kept
 
 
-@step
+@bare_step
 def spread_downhill(image: Array, mark: Array, top: int, left: int, floor: int) -> None:
     """Mark what lies around the regions and falls off from them: where they met, the floor was not reached."""
     spread = True
@@ -127,7 +127,7 @@ def start_of(
     return out
 
 
-@step
+@bare_step
 def area(runs: Array) -> float:
     """Return the number of a region's pixels."""
     n = 0.0
@@ -136,7 +136,7 @@ def area(runs: Array) -> float:
     return n
 
 
-@step
+@bare_step
 def region_mean(runs: Array) -> tuple[float, float]:
     """Return the middle of a region's pixels."""
     n = sx = sy = 0.0
@@ -146,7 +146,7 @@ def region_mean(runs: Array) -> tuple[float, float]:
     return sx / n, sy / n
 
 
-@step
+@bare_step
 def region_moments(runs: Array, mean: tuple[float, float]) -> tuple[float, float, float]:
     """Return the central second moments (xx, xy, yy) of a region's pixels [px^2]."""
     n = sxx = sxy = syy = 0.0

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.refine_fit import ONE, ZERO, f32, pixel_step, step
+from mosca.refine_fit import ONE, ZERO, bare_pixel_step, bare_step, f32
 from mosca.refine_gather import V, X, Y
 
 
-@step
+@bare_step
 def blank(
     image: Array, runs: Array, place: tuple[int, int], floor: int, full: float, side: int, marks: Array
 ) -> tuple[int, int]:
@@ -53,7 +53,7 @@ def blank(
     return left, top
 
 
-@step
+@bare_step
 def grow(marks: Array, grown: Array, n: int, side: int) -> None:
     """Write to ``grown`` the marks (n,) of a window and those of their 8 neighbours, 0 in the first and last row."""
     for k in range(side + 1):
@@ -70,12 +70,13 @@ def grow(marks: Array, grown: Array, n: int, side: int) -> None:
         grown[middle] = above | here | marks[i] | marks[i + one] | marks[i + one + one]
 
 
-@pixel_step
+@bare_pixel_step
 def window_sums(n: int, pixels: Array, threshold: int, level: float) -> tuple[Any, ...]:
     """Return the number of pixels above a threshold, their peak, and the sums (1, x, y, xx, xy, yy) of v - level."""
     x, y, v = pixels[X], pixels[Y], pixels[V]
     limit, base = f32(threshold), f32(level)
-    count = peak = s = sx = sy = sxx = sxy = syy = ZERO
+    count = s = sx = sy = sxx = sxy = syy = ZERO
+    peak = np.int32(0)  # the largest of whole numbers is found many at once, that of others is not
     for i in range(n):
         inside = ONE if v[i] > limit else ZERO
         light = inside * (v[i] - base)
@@ -88,11 +89,11 @@ def window_sums(n: int, pixels: Array, threshold: int, level: float) -> tuple[An
         sxy += lx * y[i]
         syy += ly * y[i]
     for i in range(n):
-        peak = max(peak, v[i])
-    return np.int64(count), peak, (s, sx, sy, sxx, sxy, syy)
+        peak = max(peak, np.int32(v[i]))
+    return np.int64(count), f32(peak), (s, sx, sy, sxx, sxy, syy)
 
 
-@step
+@bare_step
 def region_sums(image: Array, runs: Array, place: tuple[int, int], level: float) -> tuple[Any, ...]:
     """Return peak and sums as ``window_sums`` for the pixels of a region, about the pixel ``place``."""
     base = f32(level)
@@ -112,18 +113,18 @@ def region_sums(image: Array, runs: Array, place: tuple[int, int], level: float)
     return peak, (s, sx, sy, sxx, sxy, syy)
 
 
-@step
-def box_of(runs: Array) -> tuple[tuple[Any, Any, Any, Any], Any]:
-    """Return a region's left, right, top and bottom pixel, and its number of pixels."""
-    left, right, n = runs[0, 1], runs[0, 2], np.int64(0)
-    for i in range(len(runs)):
+@bare_step
+def box_of(runs: Array, begin: int, end: int) -> tuple[tuple[Any, Any, Any, Any], Any]:
+    """Return left, right, top and bottom pixel of the region of these runs, and its number of pixels."""
+    left, right, n = runs[begin, 1], runs[begin, 2], np.int64(0)
+    for i in range(begin, end):
         left = min(left, runs[i, 1])
         right = max(right, runs[i, 2])
         n += runs[i, 2] - runs[i, 1]
-    return (np.int64(left), np.int64(right - 1), np.int64(runs[0, 0]), np.int64(runs[-1, 0])), n
+    return (np.int64(left), np.int64(right - 1), np.int64(runs[begin, 0]), np.int64(runs[end - 1, 0])), n
 
 
-@step
+@bare_step
 def corner_level(image: Array, box: tuple[Any, Any, Any, Any], floor: int) -> float:
     """Return the mean grey value of the dark pixels two px off the corners of a box, ``floor`` where none is."""
     left, right, top, bottom = box

@@ -4,11 +4,9 @@ Most targets have one point in their gate and it has one target: those need no s
 groups that share no target and no point; each is solved by shortest augmenting paths (Jonker and Volgenant 1987).
 """
 
-import numba
 import numpy as np
 
-kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
-step = numba.njit(nogil=True, error_model="numpy")
+from mosca.compiled import bare_step, kernel, step
 
 
 @kernel
@@ -44,7 +42,7 @@ def best_pairs(left, right, worth, n_left, n_right):  # type: ignore[no-untyped-
     return partner
 
 
-@step
+@bare_step
 def _root(root, k):  # type: ignore[no-untyped-def]
     while root[k] != k:
         root[k] = root[root[k]]

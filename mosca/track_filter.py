@@ -4,12 +4,10 @@ Kalman filters of 6 or 9 states, all axes coupled, because points are far less c
 The acceleration's variance is learned for each target from its normalised innovations squared.
 """
 
-import numba
 import numpy as np
 
+from mosca.compiled import bare_step, step
 from mosca.track_state import BY_LIMB, BY_MOTION, CONFIRMED, FREE, NOWHERE, SERIAL, TENTATIVE, TOP
-
-step = numba.njit(nogil=True, error_model="numpy")
 
 LEARNING = 0.12
 """How fast the variance of acceleration follows the innovations (its logarithm, an instant)."""
@@ -21,7 +19,7 @@ TENTATIVE_MISSES = 2
 """A tentative target that is so often not seen where it should be was none."""
 
 
-@step
+@bare_step
 def carry(bank, motion, time_s, coast_s, memory_s):  # type: ignore[no-untyped-def]
     """Carry all targets by one step; who has not been seen for ``coast_s`` is expected nowhere."""
     for i in range(bank.numbers[TOP]):
@@ -56,19 +54,18 @@ def expected(bank):  # type: ignore[no-untyped-def]
     return place[:n], covariance[:n]
 
 
-@step
+@bare_step
 def correct(  # type: ignore[no-untyped-def]
-    bank, slot_of, xyz, own, cameras, trusted, jitter_s, time_s, order, lowest, highest, speed, confirm_weight,
-    sure_from
+    bank, slot_of, xyz, covariance, cameras, trusted, jitter_s, time_s, order, lowest, highest, speed,
+    confirm_weight, sure_from, gain, top
 ):  # fmt: skip
     """Give each point to its target, ``slot_of`` (m,); a point without one (-1) begins a new target.
 
-    ``slot_of`` is completed. ``own`` (m, 3, 3): covariance of points that stand still; ``jitter_s`` of the triggers
-    of their ``cameras`` (m,) spreads moving ones along their paths. ``lowest``, ``highest``: limits of the variance
-    of acceleration. Returns how many confirmed targets have no identity yet, and the points' covariance (m, 3, 3).
+    ``slot_of`` is completed. ``covariance`` (m, 3, 3): of points that stand still; ``jitter_s`` of the triggers
+    of their ``cameras`` (m,) spreads moving ones along their paths, and is added. ``lowest``, ``highest``: limits of
+    the variance of acceleration. ``gain`` (9, 3), ``top`` (3, 9): scratch. Returns how many confirmed targets have no
+    identity yet.
     """
-    covariance = own.copy()
-    gain, top = np.empty((9, 3)), np.empty((3, 9))
     for row in range(slot_of.shape[0]):
         i = slot_of[row]
         if i >= 0:
@@ -106,10 +103,10 @@ def correct(  # type: ignore[no-untyped-def]
             nameless += bank.state[i] == CONFIRMED and bank.identity[i] < 0
             if bank.state[i] == TENTATIVE and bank.missed[i] >= TENTATIVE_MISSES:
                 _forget(bank, i)
-    return nameless, covariance
+    return nameless
 
 
-@step
+@bare_step
 def _forget(bank, i):  # type: ignore[no-untyped-def]
     bank.state[i] = FREE
     bank.serial[i] = -1
@@ -117,7 +114,7 @@ def _forget(bank, i):  # type: ignore[no-untyped-def]
     bank.source[i] = NOWHERE
 
 
-@step
+@bare_step
 def _begin(bank, xyz, covariance, speed, variance):  # type: ignore[no-untyped-def]
     """Open a slot for a new target at a point; its velocity is unknown to ``speed``."""
     i = 0
@@ -135,7 +132,7 @@ def _begin(bank, xyz, covariance, speed, variance):  # type: ignore[no-untyped-d
     return i
 
 
-@step
+@bare_step
 def _begin_again(bank, i, xyz, covariance, speed):  # type: ignore[no-untyped-def]
     """Put a target at a point anew; its velocity, unknown to ``speed``, is kept as the best guess."""
     for a in range(9):
@@ -150,7 +147,7 @@ def _begin_again(bank, i, xyz, covariance, speed):  # type: ignore[no-untyped-de
             bank.covariance[i, a, b] = covariance[a, b]
 
 
-@step
+@bare_step
 def _loosen(covariance, factor, size):  # type: ignore[no-untyped-def]
     """Widen what is known of velocity and acceleration; the measured position stays what it is."""
     root = np.sqrt(factor)
@@ -159,7 +156,7 @@ def _loosen(covariance, factor, size):  # type: ignore[no-untyped-def]
             covariance[a, b] *= (root if a >= 3 else 1.0) * (root if b >= 3 else 1.0)
 
 
-@step
+@bare_step
 def _carry_one(mean, covariance, m, variance):  # type: ignore[no-untyped-def]
     """One step of a filter: F x, F P F' + Q; the same 3 x 3 kinematics for each pair of axes."""
     for a in range(3):
@@ -192,7 +189,7 @@ def _carry_one(mean, covariance, m, variance):  # type: ignore[no-untyped-def]
                 covariance[b, 6 + a], covariance[3 + b, 6 + a], covariance[6 + b, 6 + a] = ap, av, aa
 
 
-@step
+@bare_step
 def _correct_one(mean, covariance, xyz, noise, size, gain, top):  # type: ignore[no-untyped-def]
     """Kalman update by a measured position; returns the normalised innovation squared (3 degrees of freedom).
 

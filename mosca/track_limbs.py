@@ -5,14 +5,10 @@ mean and the variance of its distances to ``MATES`` others. They tell where a hi
 rigid motion since it was last seen carries it along) and whether a point can be a target that was lost.
 """
 
-import numba
 import numpy as np
 
+from mosca.compiled import bare_step, kernel, short_kernel, step
 from mosca.track_state import BY_LIMB, BY_MOTION, CONFIRMED, FREE, MATES, NOWHERE, TICK, TOP
-
-kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
-short_kernel = numba.njit(cache=True, error_model="numpy")  # keeps the GIL: to win it back would take longer
-step = numba.njit(nogil=True, error_model="numpy")
 
 RIGID, UNPROVEN, PROVEN_S = 0.005, 0.15, 0.2
 """Standard deviation of a distance over its length: at least, before anything is known, and after how long
@@ -228,7 +224,7 @@ def take_over(bank, old, new):  # type: ignore[no-untyped-def]
     bank.state[new], bank.serial[new], bank.identity[new] = FREE, -1, -1
 
 
-@step
+@bare_step
 def _fits(bank, limbs, i, point, noise, hidden_s, range_m):  # type: ignore[no-untyped-def]
     """Log-likelihood ratio that ``point`` is target ``i``, by its distances to the mates seen now.
 
@@ -258,12 +254,12 @@ def _fits(bank, limbs, i, point, noise, hidden_s, range_m):  # type: ignore[no-u
     return total
 
 
-@step
+@bare_step
 def _seen(serial, missed, mate, owner):  # type: ignore[no-untyped-def]
     return mate >= 0 and serial[mate] == owner and missed[mate] == 0
 
 
-@step
+@bare_step
 def _has_limb(length, variance, shown_s):  # type: ignore[no-untyped-def]
     """Whether at least two distances of a target are known to be kept."""
     kept = 0
@@ -274,14 +270,14 @@ def _has_limb(length, variance, shown_s):  # type: ignore[no-untyped-def]
     return kept >= 2
 
 
-@step
+@bare_step
 def _spread2(length, variance, shown_s):  # type: ignore[no-untyped-def]
     """Variance with which a distance is known to be kept."""
     shown = shown_s / PROVEN_S
     return variance + (RIGID**2 + UNPROVEN**2 / (1.0 + shown * shown)) * length * length
 
 
-@step
+@bare_step
 def _look_for_mates(bank, limbs, i, reach_m, turn):  # type: ignore[no-untyped-def]
     """Fill empty places with the nearest others, and exchange the worst for the nearest that is not one yet."""
     empty = limbs.mate[i, 0] < 0
@@ -395,7 +391,7 @@ def _carried_along(bank, limbs, i, hidden_s, step_s, place, covariance):  # type
     return covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
 
 
-@step
+@bare_step
 def _turned(turn, point, centre):  # type: ignore[no-untyped-def]
     x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
     return (
@@ -405,7 +401,7 @@ def _turned(turn, point, centre):  # type: ignore[no-untyped-def]
     )
 
 
-@step
+@bare_step
 def _turn_by(turn, spin, right):  # type: ignore[no-untyped-def]
     """Turn a rotation matrix further by the rotation vector ``spin`` @ ``right`` (Rodrigues, column by column)."""
     x = spin[0, 0] * right[0] + spin[0, 1] * right[1] + spin[0, 2] * right[2]
@@ -422,7 +418,7 @@ def _turn_by(turn, spin, right):  # type: ignore[no-untyped-def]
             turn[2, b] = w + s * n + c * (x * m - y * k)
 
 
-@step
+@bare_step
 def _inverse(a, more, out):  # type: ignore[no-untyped-def]
     """Inverse of the symmetric 3 x 3 matrix ``a`` + ``more`` x identity, into ``out``."""
     d0, d1, d2 = a[0, 0] + more, a[1, 1] + more, a[2, 2] + more
@@ -434,7 +430,7 @@ def _inverse(a, more, out):  # type: ignore[no-untyped-def]
     out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
 
 
-@step
+@bare_step
 def _mahalanobis(p, r, extra, x, y, z):  # type: ignore[no-untyped-def]
     """Squared distance (x, y, z) in units of p + r + extra x identity, and the logarithm of that's determinant."""
     d0, d1, d2 = p[0, 0] + r[0, 0] + extra, p[1, 1] + r[1, 1] + extra, p[2, 2] + r[2, 2] + extra
@@ -446,7 +442,7 @@ def _mahalanobis(p, r, extra, x, y, z):  # type: ignore[no-untyped-def]
     return form / det, np.log(det)
 
 
-@step
+@bare_step
 def _distance(a, b):  # type: ignore[no-untyped-def]
     return np.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
 

@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mosca.compiled import kernel, step
 from mosca.track_assign import best_pairs
 from mosca.track_filter import carry, correct, expected
-from mosca.track_limbs import expect, kernel, learn, pairs, step
+from mosca.track_limbs import expect, learn, pairs
 from mosca.track_state import CONFIRMED, TENTATIVE, TOP
 
 
@@ -53,19 +54,25 @@ def follow(  # type: ignore[no-untyped-def]
 ):
     """Give the points (m,) to the targets, and begin new ones; learn their limbs unless someone is to be named first.
 
-    The points: as ``correct`` takes them. Returns how many confirmed targets have no identity yet, each point's slot,
-    serial and identity (m,), and their covariance (m, 3, 3).
+    The points: as ``correct`` takes them, ``own`` (m, 3, 3) their covariance where they stand still. Returns how many
+    confirmed targets have no identity yet, each point's slot, serial and identity (m,), and covariance (m, 3, 3).
     """
     slot_of = _assigned(bank, limbs, xyz, own, trusted, time_s, rules)
-    nameless, covariance = correct(
-        bank, slot_of, xyz, own, cameras, trusted, jitter_s, time_s, rules.order, rules.lowest, rules.highest,
-        rules.speed_mps, rules.confirm_weight, rules.sure_from,
+    covariance = own.copy()
+    nameless = correct(
+        bank, slot_of, xyz, covariance, cameras, trusted, jitter_s, time_s, rules.order, rules.lowest, rules.highest,
+        rules.speed_mps, rules.confirm_weight, rules.sure_from, np.empty((9, 3)), np.empty((3, 9)),
     )  # fmt: skip
     if nameless == 0 and rules.limb_m > 0.0:
         learn(bank, limbs, step_s, rules.limb_m)
-    serial, identity = np.empty_like(slot_of), np.empty_like(slot_of)
+    serial, identity, serials, identities = (
+        np.empty_like(slot_of),
+        np.empty_like(slot_of),
+        bank.serial,
+        bank.identity,
+    )
     for r in range(slot_of.shape[0]):
-        serial[r], identity[r] = bank.serial[slot_of[r]], bank.identity[slot_of[r]]
+        serial[r], identity[r] = serials[slot_of[r]], identities[slot_of[r]]
     return nameless, slot_of, serial, identity, covariance
 
 

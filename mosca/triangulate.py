@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from mosca.compiled import step
+from mosca.compiled import bare_step
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.rig import Rig
@@ -98,7 +98,7 @@ def bundle_rays(
     return Bundle(rays, views, table.pairs, table.bases, start, covariance, extra, odd)
 
 
-@step
+@bare_step
 def solve_rays(members, ranks, rays, views, steps, solved):  # type: ignore[no-untyped-def]
     """Intersect the rays ``members`` (c,), one of each camera or -1.
 

@@ -231,7 +231,7 @@ def _record(
     log: TracksLog | None,
 ) -> RunRecord:
     """Return the record: counts, how each camera did, and for each stage mean, 99 % and most of its times [s]."""
-    timings = {"total": elapsed}
+    timings = {"total": elapsed, "health_mean": health.seconds / max(sets, 1)}
     for stage, values in stages.items():
         if values:
             timings |= {

@@ -103,6 +103,7 @@ def collected_of(
     for k, line in enumerate(line for health in healths for line in health.findings()):
         assembly.notes[f"camera {k + 1}"] = line
     if latency:
+        seconds["health"] = sum(health.seconds for health in healths)
         seconds["latency_p99"] = float(np.quantile(latency, 0.99))
         seconds["pipeline_per_set"] = float(np.mean(latency))
     tracks = table(samples)

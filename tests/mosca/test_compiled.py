@@ -1,0 +1,62 @@
+"""Bare steps: they count no users of arrays, so they must make none, return none, and be handed none to count.
+
+Numba itself refuses a bare step that makes an array. One that returned an array, or took one from a step that had
+made it, would compile, and would free memory that is in use, or lose it.
+"""
+
+import importlib
+import pkgutil
+
+import pytest
+from numba.core.dispatcher import Dispatcher
+
+import mosca
+
+HANDED_OUT = {"image_at", "lent", "window_of", "gather_round"}
+"""Steps whose arrays nobody owns: memory that somebody else keeps (``mosca.detect_memory.image_at``)."""
+
+
+def everything() -> dict[str, Dispatcher]:
+    """Return all compiled functions of the package."""
+    found = {}
+    for info in pkgutil.walk_packages(mosca.__path__, "mosca."):
+        for value in vars(importlib.import_module(info.name)).values():
+            if isinstance(value, Dispatcher):
+                found[f"{value.py_func.__module__}.{value.py_func.__name__}"] = value
+    return found
+
+
+def is_bare(function: Dispatcher) -> bool:
+    return function.targetoptions.get("_nrt") is False
+
+
+def returns_an_array(function: Dispatcher) -> bool:
+    """Tell it by the annotation; without one, by whether it makes any or takes one from a step that may return it."""
+    said = function.py_func.__annotations__.get("return")
+    if said is not None or is_bare(function):
+        return "Array" in str(said)
+    names = set(function.py_func.__code__.co_names)
+    others = [function.py_func.__globals__.get(name) for name in names - {function.py_func.__name__}]
+    makes = names & {"empty", "zeros", "ones", "full", "array", "copy", "arange"}
+    return bool(makes) or any(isinstance(f, Dispatcher) and returns_an_array(f) for f in others)
+
+
+FUNCTIONS = everything()
+BARE = {name: f for name, f in FUNCTIONS.items() if is_bare(f)}
+
+
+def test_there_are_bare_steps() -> None:
+    assert len(BARE) > 60
+
+
+@pytest.mark.parametrize("name", sorted(BARE))
+def test_a_bare_step_neither_returns_arrays_nor_takes_any_from_steps_that_make_them(name: str) -> None:
+    function = BARE[name]
+    assert not returns_an_array(function)
+    around = function.py_func.__globals__
+    for called in function.py_func.__code__.co_names:
+        other = around.get(called)
+        if isinstance(other, Dispatcher) and not is_bare(other) and called not in HANDED_OUT:
+            assert not returns_an_array(other), (
+                f"{name} takes an array from {called}, which nobody gives back"
+            )
