@@ -33,8 +33,6 @@ STRAINED = 16.0
 """Squared deviation of a distance, in variances, from which it is violated."""
 WILD_COST = 9.0
 """-2 log of the chance that a target accelerates far beyond what it has shown."""
-CONTRADICTED = -2.0
-"""Log-likelihood ratio of distances below which a point is not a hidden target's."""
 
 
 @step
@@ -93,10 +91,11 @@ def pairs(bank, limbs, xyz, covariance, trusted, used, state, gate_sigma, gate_m
                 # one that has no name yet gives way to one that was lost here
                 value += SEEN_BONUS if state != CONFIRMED or bank.identity[i] >= 0 else 0.0
             elif bank.missed[i] > 0:
+                # distances that break speak against it, as loudly as the place speaks for it
                 fits = _fits(bank, limbs, i, xyz[r], covariance[r], time_s - bank.seen_s[i], gate_m)
-                if fits < CONTRADICTED:
+                value += min(2.0 * fits, 0.0)
+                if value <= 0.0:
                     continue
-                value = max(value + min(2.0 * fits, 0.0), 0.1)
             if n == room:
                 room *= 2
                 slots, rows, worth = _longer(slots, rows, worth)
