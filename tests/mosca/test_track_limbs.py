@@ -85,6 +85,20 @@ def test_a_stray_point_near_the_limb_is_not_the_hidden_marker():
     assert not np.any((tracks.track == hidden) & (tracks.frame >= 150))
 
 
+@pytest.mark.parametrize("hidden", [1, 2, 3])
+@pytest.mark.parametrize("acceleration", [10.0, 20.0, 40.0])
+def test_a_marker_that_leaves_its_limb_and_is_hidden_for_a_moment_is_still_itself(acceleration, hidden):
+    # the fist of a boxer: its distances break, its path says where it is
+    t = np.arange(140) * 0.01
+    path = np.tile(LIMB, (140, 1, 1))
+    path[:, 3, 0] += 0.5 * acceleration * np.maximum(t - 1.0, 0.0) ** 2
+    path += np.random.default_rng(0).normal(0, 2e-4, path.shape)
+    frames = [points(x[:3] if 110 <= k < 110 + hidden else x) for k, x in enumerate(path)]
+    tracks = follow(frames)
+    assert len(np.unique(tracks.track)) == 4
+    assert identity_at(tracks, 130, path[130, 3]) == identity_at(tracks, 50, path[50, 3])
+
+
 def test_hand_over_shoulder():
     # the guide's collision: a hand passes 3 cm from a shoulder, which it hides meanwhile
     k = np.arange(200)
