@@ -3,7 +3,7 @@
 Bare steps. Whoever is handed an array counts as one of its users while it works, by two locked operations of the
 processor: for a step of a few dozen operations on six arrays that is more than the step itself (half of the time that
 matching took). A bare step does not count. It may so neither make an array nor return one, of which Numba says the
-first when it compiles and ``tests/mosca/test_compiled.py`` the second; its caller holds what it works on.
+first when it compiles and ``tests/test_compiled.py`` the second; its caller holds what it works on.
 """
 
 from typing import Any
@@ -12,8 +12,8 @@ import numba
 
 _UNWRAPPED: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 ALONE: dict[str, Any] = {"_nrt": True, **_UNWRAPPED}
-"""For what only kernels call: without what Python would need, which takes a tenth of the time to compile. Said of users
-of arrays too: unsaid, it would be as in the bare step that happens to call it first."""
+"""For what only kernels call: without what Python would need, which takes a tenth of the time to compile. Counting is
+said, too: unsaid, it would be as in the bare step that happens to call it first."""
 BARE: dict[str, Any] = {"_nrt": False, **_UNWRAPPED}
 """For what only kernels call and makes and returns no arrays: nobody counts the users of those it is given."""
 STEP: dict[str, Any] = {"nogil": True, "error_model": "numpy", **ALONE}

@@ -9,9 +9,9 @@ panel's time tau (-1..1), and each row of pixels integrates over its own window.
 import math
 
 import numpy as np
-from numba import njit
 
 from twin.cameras.kernel import share, weight
+from twin.compiled import bare_step, kernel
 
 MAX_NODES = 24
 """Nodes in a panel of time or of a contour."""
@@ -26,7 +26,7 @@ EDGE, SPOT = 0, 1
 """What a point is: a piece of boundary (amount dv) or a spot of light (amount area)."""
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@bare_step
 def nodes_for(motion_px):  # type: ignore[no-untyped-def]
     """Gauss-Legendre nodes that integrate an image motion of this length, at most 15 px.
 
@@ -40,7 +40,7 @@ def nodes_for(motion_px):  # type: ignore[no-untyped-def]
     return min(MAX_NODES, max(3 + int(motion_px), int(1.6 * motion_px)))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def add_points(what, change, x0, y0, table, reach, patch, points, panel, motion_px, window):  # type: ignore[no-untyped-def]
     """Add moving boundary points to ``change`` or spots to it (one column is one pixel, row 0 is pixel row y0).
 
@@ -48,11 +48,25 @@ def add_points(what, change, x0, y0, table, reach, patch, points, panel, motion_
     ``window``: (length [s], row time [s], light on, light off [s]) of the frame's rows.
     """
     length, row_time, on, off = window
+    step_x = np.empty(2 * reach + 3)
     if row_time == 0.0:
         begin, end = max(panel[0], max(0.0, on)), min(panel[1], min(length, off))
         if end > begin:
             _add_all_rows(
-                what, change, x0, y0, table, reach, patch, points, panel, motion_px, begin, end, length
+                what,
+                change,
+                x0,
+                y0,
+                table,
+                reach,
+                patch,
+                points,
+                panel,
+                motion_px,
+                begin,
+                end,
+                length,
+                step_x,
             )
         return
     for p in range(change.shape[0]):
@@ -60,15 +74,30 @@ def add_points(what, change, x0, y0, table, reach, patch, points, panel, motion_
         begin, end = max(panel[0], max(opens, on)), min(panel[1], min(opens + length, off))
         if end > begin:
             _add_one_row(
-                what, change[p], y0 + p, x0, table, reach, patch, points, panel, motion_px, begin, end, length
+                what,
+                change,
+                p,
+                y0 + p,
+                x0,
+                table,
+                reach,
+                patch,
+                points,
+                panel,
+                motion_px,
+                begin,
+                end,
+                length,
+                step_x,
             )
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def _add_all_rows(what, change, x0, y0, table, reach, patch, points, panel, motion_px, begin, end, length):  # type: ignore[no-untyped-def]
+@bare_step
+def _add_all_rows(  # type: ignore[no-untyped-def]
+    what, change, x0, y0, table, reach, patch, points, panel, motion_px, begin, end, length, step_x
+):
     half, middle = 0.5 * (panel[1] - panel[0]), 0.5 * (panel[0] + panel[1])
     nodes = nodes_for(motion_px * (end - begin) / (2.0 * half))
-    step_x = np.empty(2 * reach + 3)
     rows = change.shape[0]
     for k in range(nodes):
         t = 0.5 * (begin + end) + 0.5 * (end - begin) * NODE_AT[nodes, k]
@@ -87,16 +116,16 @@ def _add_all_rows(what, change, x0, y0, table, reach, patch, points, panel, moti
                 for p in range(max(0, y0 - py), min(2 * reach + 2, y0 + rows - py)):
                     w = part * weight(table, reach, py + p - v)
                     if w != 0.0:
-                        row = change[py + p - y0]
                         for q in range(2 * reach + 3):
-                            row[px + q - x0] += w * step_x[q]
+                            change[py + p - y0, px + q - x0] += w * step_x[q]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def _add_one_row(what, row, py, x0, table, reach, patch, points, panel, motion_px, begin, end, length):  # type: ignore[no-untyped-def]
+@bare_step
+def _add_one_row(  # type: ignore[no-untyped-def]
+    what, change, row, py, x0, table, reach, patch, points, panel, motion_px, begin, end, length, step_x
+):
     half, middle = 0.5 * (panel[1] - panel[0]), 0.5 * (panel[0] + panel[1])
     nodes = nodes_for(motion_px * (end - begin) / (2.0 * half))
-    step_x = np.empty(2 * reach + 3)
     for k in range(nodes):
         t = 0.5 * (begin + end) + 0.5 * (end - begin) * NODE_AT[nodes, k]
         tau = (t - middle) / half
@@ -116,10 +145,10 @@ def _add_one_row(what, row, py, x0, table, reach, patch, points, panel, motion_p
                 px = math.floor(u) - reach
                 _steps(what, step_x, table, reach, u - px)
                 for q in range(2 * reach + 3):
-                    row[px + q - x0] += w * step_x[q]
+                    change[row, px + q - x0] += w * step_x[q]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@bare_step
 def _steps(what, step_x, table, reach, u):  # type: ignore[no-untyped-def]
     """Change from pixel to pixel, from the first at 0 on, that a point at u adds along a row."""
     previous = 1.0 if what == EDGE else 0.0
@@ -129,7 +158,7 @@ def _steps(what, step_x, table, reach, u):  # type: ignore[no-untyped-def]
         previous = here
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@bare_step
 def fill(light, change, x0, y0, electrons, least):  # type: ignore[no-untyped-def]
     """Add the running sums of ``change`` to the image; light below ``least`` electrons is left out."""
     height, width = light.shape

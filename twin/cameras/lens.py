@@ -24,7 +24,6 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from mosca.data.arrays import Array
 from mosca.data.rig import Lens
@@ -51,6 +50,7 @@ from twin.cameras.lens_vector import (
     vector_of,
 )
 from twin.cameras.optics import Optics
+from twin.compiled import bare_step, inlined_step, kernel
 
 STEPS = 20
 
@@ -158,7 +158,7 @@ def _move(vector: Array, right_px: float, down_px: float) -> None:
     vector[PIVOT + 2 : PIVOT + 4] += right_px, down_px
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@bare_step
 def land(lens: Array, x: float, y: float, z: float) -> Any:
     """Where light from the place (x, y, z) lands: u, v, then du and dv by (x, y, z), and whether it does.
 
@@ -170,7 +170,7 @@ def land(lens: Array, x: float, y: float, z: float) -> Any:
     return _land_with_gap(lens, x, y, z)
 
 
-@njit(nogil=True, cache=True, error_model="numpy", forceinline=True)
+@inlined_step
 def _land_with_gap(lens: Array, x: float, y: float, z: float) -> Any:
     """As ``land``, by the lens model and the higher radial orders."""
     if lens[KIND] == FISHEYE:
@@ -197,7 +197,7 @@ def _land_with_gap(lens: Array, x: float, y: float, z: float) -> Any:
     return u, v, ux, uy, uz, vx, vy, vz, ok
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@bare_step
 def _land_with_rare_terms(lens: Array, x: float, y: float, z: float) -> Any:
     """As ``land``, with pupil shift before and tilt behind."""
     w, wx, wy, wz, seen = _above_pupil(lens[PUPIL], x, y, z)
@@ -215,7 +215,7 @@ def _land_with_rare_terms(lens: Array, x: float, y: float, z: float) -> Any:
     )  # fmt: skip
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@bare_step
 def origin(lens: Array, u: float, v: float) -> Any:
     """The direction (x, y, z) that light on pixel (u, v) comes from; not normalised for pinhole kinds.
 
@@ -236,7 +236,7 @@ def origin(lens: Array, u: float, v: float) -> Any:
     return from_pinhole(lens, u, v)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@bare_step
 def origin_at(lens: Array, u: float, v: float, distance: float) -> Any:
     """The place (x, y, z) [m] at ``distance`` from the camera's centre that light on pixel (u, v) comes from."""
     x, y, z = origin(lens, u, v)
@@ -249,7 +249,7 @@ def origin_at(lens: Array, u: float, v: float, distance: float) -> Any:
     return along * x, along * y, along * z + start
 
 
-@njit(nogil=True, cache=True, error_model="numpy", forceinline=True)
+@inlined_step
 def _above_pupil(shift: float, x: float, y: float, z: float) -> Any:
     """Height w of a place above where its chief ray crosses the axis, dw by (x, y, z), and whether there is one.
 
@@ -271,7 +271,7 @@ def _above_pupil(shift: float, x: float, y: float, z: float) -> Any:
     return w, across * x, across * y, 1.0 / slope, found
 
 
-@njit(nogil=True, cache=True, error_model="numpy", forceinline=True)
+@inlined_step
 def _gap(lens: Array, u: float, v: float) -> Any:
     """Displacement (du, dv) of the gap at (u, v) and its symmetric slope (g11, g12, g22)."""
     x, y, radius = u - lens[GAP + 1], v - lens[GAP + 2], lens[GAP + 3]
@@ -288,7 +288,7 @@ def _gap(lens: Array, u: float, v: float) -> Any:
     return f * q * x, f * q * y, f * q + d * x * x, d * x * y, f * q + d * y * y
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@bare_step
 def _before_gap(lens: Array, u: float, v: float) -> Any:
     """Where the model alone would have put what the gap puts at (u, v): Newton's method, NaN outside its reach."""
     a, b = u - lens[GAP + 1], v - lens[GAP + 2]
@@ -308,7 +308,7 @@ def _before_gap(lens: Array, u: float, v: float) -> Any:
     return math.nan, math.nan
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def many_pixels(lens: Array, places: Array) -> Array:
     """Place (n, 3) -> pixel (n, 2) of a lens vector; NaN where it is not imaged."""
     out = np.empty((places.shape[0], 2))
@@ -318,7 +318,7 @@ def many_pixels(lens: Array, places: Array) -> Array:
     return out
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _many_directions(lens: Array, xy: Array, distance: float) -> Array:
     out = np.empty((xy.shape[0], 3))
     for i in range(xy.shape[0]):

@@ -7,17 +7,16 @@ lens images the light; ``_from_...`` give a direction, NaN where the pixel gets 
 import math
 from typing import Any
 
-from numba import njit
-
 from mosca.data.arrays import Array
 from twin.cameras.lens_vector import ENDS, OPENCV_PLANE, PRISM
+from twin.compiled import bare_step, inlined_step
 
 STEPS = 20
 BOUNDED_STEPS = 60
 CONVERGED2 = 1e-28
 
 
-@njit(nogil=True, cache=True, error_model="numpy", forceinline=True)
+@inlined_step
 def land_collinearity(lens: Array, sx: float, sy: float) -> Any:
     """Image of the slopes (x / z, y / z): u, v, du and dv by the slopes, and whether it is imaged."""
     ix, iy = lens[1] * sx, -lens[1] * sy
@@ -43,7 +42,7 @@ def land_collinearity(lens: Array, sx: float, sy: float) -> Any:
     return lens[2] + xb / lens[4], lens[3] - yb / lens[5], u1, u2, v1, v2, ok
 
 
-@njit(nogil=True, cache=True, error_model="numpy", forceinline=True)
+@inlined_step
 def from_collinearity(lens: Array, u: float, v: float) -> Any:
     """Direction (x, y, 1) of light on (u, v)."""
     right = lens[4] * (u - lens[2])
@@ -55,7 +54,7 @@ def from_collinearity(lens: Array, u: float, v: float) -> Any:
     return math.nan, math.nan, math.nan
 
 
-@njit(nogil=True, cache=True, error_model="numpy", forceinline=True)
+@inlined_step
 def _collinearity_shift(lens: Array, xb: float, yb: float) -> Any:
     """The paper's correction (dx, dy) at a measured point [mm, y up] and its slopes (xx, xy, yx, yy)."""
     a, k1, k2, k3, p1, p2 = lens[6], lens[7], lens[8], lens[9], lens[10], lens[11]
@@ -70,7 +69,7 @@ def _collinearity_shift(lens: Array, xb: float, yb: float) -> Any:
     return dx, dy, xx, xy, xy, yy
 
 
-@njit(nogil=True, cache=True, error_model="numpy", forceinline=True)
+@inlined_step
 def land_pinhole(lens: Array, x: float, y: float) -> Any:
     """Image of the slopes (x / z, y / z): u, v, du and dv by the slopes, and whether it is imaged."""
     xd, yd, xx, xy, yy, rr = _bent(lens, x, y)
@@ -81,7 +80,7 @@ def land_pinhole(lens: Array, x: float, y: float) -> Any:
     return lens[3] + fx * xd, lens[4] + fy * yd, fx * xx, fx * xy, fy * xy, fy * yy, ok
 
 
-@njit(nogil=True, cache=True, error_model="numpy", forceinline=True)
+@inlined_step
 def from_pinhole(lens: Array, u: float, v: float) -> Any:
     """Direction (x, y, 1) of light on (u, v): Newton's method."""
     target_x, target_y = (u - lens[3]) / lens[1], (v - lens[4]) / lens[2]
@@ -100,7 +99,7 @@ def from_pinhole(lens: Array, u: float, v: float) -> Any:
     return math.nan, math.nan, math.nan
 
 
-@njit(nogil=True, cache=True, error_model="numpy", forceinline=True)
+@inlined_step
 def _bent(lens: Array, x: float, y: float) -> Any:
     """Where radial and tangential distortion take the slopes: (xd, yd), derivatives (xx, xy = yx, yy), r^2."""
     k1, k2, p1, p2, k3, k4, k5, k6 = lens[5], lens[6], lens[7], lens[8], lens[9], lens[10], lens[11], lens[12]
@@ -117,7 +116,7 @@ def _bent(lens: Array, x: float, y: float) -> Any:
     return xd, yd, xx, xy, yy, rr
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@bare_step
 def _land_prism(
     lens: Array, x: float, y: float, xd: float, yd: float, xx: float, xy: float, yy: float, rr: float
 ) -> Any:
@@ -130,7 +129,7 @@ def _land_prism(
     return lens[3] + fx * xd, lens[4] + fy * yd, fx * xx, fx * xy, fy * yx, fy * yy, ok and w > 0.0
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@bare_step
 def _from_prism(lens: Array, p: float, q: float) -> Any:
     """As ``from_pinhole``, from a place on the tilted sensor in units of the principal distance."""
     target_x, target_y = off_plane(lens, OPENCV_PLANE, p, q)
@@ -148,7 +147,7 @@ def _from_prism(lens: Array, p: float, q: float) -> Any:
     return math.nan, math.nan, math.nan
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@bare_step
 def _add_prism(
     lens: Array, x: float, y: float, xd: float, yd: float, xx: float, xy: float, yy: float, rr: float
 ) -> Any:
@@ -159,7 +158,7 @@ def _add_prism(
     return xd, yd, xx + right * x, xy + right * y, xy + down * x, yy + down * y
 
 
-@njit(nogil=True, cache=True, error_model="numpy", forceinline=True)
+@inlined_step
 def land_fisheye(lens: Array, x: float, y: float, z: float) -> Any:
     """Image of the direction: u, v, du and dv by (x, y, z), and whether it is imaged; z may be negative."""
     s = math.sqrt(x * x + y * y)
@@ -179,7 +178,7 @@ def land_fisheye(lens: Array, x: float, y: float, z: float) -> Any:
     return u, v, ux, uy, fx * cx * axial, vx, vy, fy * cy * axial, slope > 0.0 and angle * angle < lens[ENDS]
 
 
-@njit(nogil=True, cache=True, error_model="numpy", forceinline=True)
+@inlined_step
 def from_fisheye(lens: Array, u: float, v: float) -> Any:
     """Unit direction of light on (u, v): Newton's method between bounds, NaN outside the image circle."""
     a, b = (u - lens[3]) / lens[1], (v - lens[4]) / lens[2]
@@ -209,7 +208,7 @@ def from_fisheye(lens: Array, u: float, v: float) -> Any:
     return a * s, b * s, math.cos(angle)
 
 
-@njit(nogil=True, cache=True, error_model="numpy", forceinline=True)
+@inlined_step
 def _fisheye_radius(lens: Array, angle: float) -> Any:
     t = angle * angle
     k1, k2, k3, k4 = lens[5], lens[6], lens[7], lens[8]
@@ -219,7 +218,7 @@ def _fisheye_radius(lens: Array, angle: float) -> Any:
     )
 
 
-@njit(nogil=True, cache=True, error_model="numpy", forceinline=True)
+@inlined_step
 def onto_plane(lens: Array, at: int, x: float, y: float) -> Any:
     """Where light for (x, y) meets the tilted plane at ``at``, the derivatives (a, b, c, d), and its depth."""
     w = 1.0 + lens[at + 4] * x + lens[at + 5] * y
@@ -230,7 +229,7 @@ def onto_plane(lens: Array, at: int, x: float, y: float) -> Any:
     return p, q, a, b, c, d, w
 
 
-@njit(nogil=True, cache=True, error_model="numpy", forceinline=True)
+@inlined_step
 def off_plane(lens: Array, at: int, p: float, q: float) -> Any:
     """Inverse of ``onto_plane``: the two linear equations that it stands for; NaN behind the lens."""
     a, b = lens[at] - p * lens[at + 4], lens[at + 1] - p * lens[at + 5]

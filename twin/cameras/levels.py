@@ -14,6 +14,7 @@ from numba import njit
 
 from mosca.data.arrays import Array
 from twin.cameras.sensor import SEARCH, Sensor
+from twin.compiled import bare_step, kernel
 
 SPACING = 0.15
 """Distance of levels, in standard deviations of the temporal noise at the level."""
@@ -118,7 +119,7 @@ def _unscale(scale: Array, floor_e: float) -> Array:
     )
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _law(level, noise, edges, edge_laws, edge_made, thresholds):  # type: ignore[no-untyped-def]
     """Fill a level's cumulative probabilities: P(electrons + noise < edge), summed over the numbers of electrons.
 
@@ -137,31 +138,36 @@ def _law(level, noise, edges, edge_laws, edge_made, thresholds):  # type: ignore
         share[i - 1] = share[i] * (low + i) / mean
     share /= share.sum()
     up_to = np.cumsum(share)
-    shifted = np.empty(edge_laws.shape[1])
+    shifted = np.empty((1, edge_laws.shape[1]))
+    _add_up(low, high, offset, noise, share, up_to, edges, edge_laws, edge_made, shifted, thresholds)
+
+
+@bare_step
+def _add_up(low, high, offset, noise, share, up_to, edges, edge_laws, edge_made, shifted, thresholds):  # type: ignore[no-untyped-def]
+    """Fill ``_law``'s thresholds from the shares of the numbers of electrons from ``low`` to ``high``."""
+    wide = edge_laws.shape[1]
     for j in range(edges.size):
         edge = edges[j] - offset
-        start = math.floor(edge) - edge_laws.shape[1] // 2 + 1
-        if offset != 0.0:
-            _edge_law(edge, start, noise, shifted)
-        elif not edge_made[j]:
-            _edge_law(edge, start, noise, edge_laws[j])
-            edge_made[j] = True
-        around = edge_laws[j] if offset == 0.0 else shifted
+        start = math.floor(edge) - wide // 2 + 1
+        laws, row = (edge_laws, j) if offset == 0.0 else (shifted, 0)
+        if offset != 0.0 or not edge_made[j]:
+            _edge_law(edge, start, noise, laws, row)
+            edge_made[j] |= offset == 0.0
         # all of the electrons below the Gaussian's reach, a part of those within it, none of those above
         below = up_to[min(start - 1, high) - low] if start > low else 0.0
-        for n in range(max(start, low), min(start + around.size - 1, high) + 1):
-            below += share[n - low] * around[n - start]
+        for n in range(max(start, low), min(start + wide - 1, high) + 1):
+            below += share[n - low] * laws[row, n - start]
         thresholds[j] = np.uint64(min(below, 1.0) * 9223372036854775808.0)
         if j > 0 and thresholds[j] < thresholds[j - 1]:  # by the last bits of a sum near 1
             thresholds[j] = thresholds[j - 1]
     thresholds[edges.size] = np.uint64(9223372036854775808)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def _edge_law(edge, start, noise, law):  # type: ignore[no-untyped-def]
-    """Fill P(n + noise < edge) for n = start, start + 1, ..."""
-    for i in range(law.size):
-        law[i] = 0.5 * math.erfc((start + i - edge) / (noise * 1.4142135623730951))
+@bare_step
+def _edge_law(edge, start, noise, laws, row):  # type: ignore[no-untyped-def]
+    """Fill a row of ``laws`` with P(n + noise < edge) for n = start, start + 1, ..."""
+    for i in range(laws.shape[1]):
+        laws[row, i] = 0.5 * math.erfc((start + i - edge) / (noise * 1.4142135623730951))
 
 
 @njit(nogil=True, cache=True)
