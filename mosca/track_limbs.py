@@ -33,15 +33,20 @@ STRAINED = 16.0
 """Squared deviation of a distance, in variances, from which it is violated."""
 WILD_COST = 9.0
 """-2 log of the chance that a target accelerates far beyond what it has shown."""
+CONTRADICTED = -2.0
+"""Log-likelihood ratio of distances below which a poor sighting is not a hidden target's."""
 
 
 @step
-def pairs(bank, limbs, xyz, covariance, trusted, used, state, gate_sigma, gate_m, wild_mps2, time_s):  # type: ignore[no-untyped-def]
+def pairs(  # type: ignore[no-untyped-def]
+    bank, limbs, xyz, covariance, trusted, used, state, gate_sigma, gate_m, wild_mps2, sure_from, time_s
+):
     """Return which targets in ``state`` and which unused points may be one: slots, rows and worth (k,).
 
     Worth: log-likelihood ratio (times 2) of "this target's point" against "a point of its own", points of their own
     being as dense as one in a gate; at least 0 within the gates. ``wild_mps2``: acceleration beyond what a target has
-    shown, now and then; what is likelier counts.
+    shown, now and then; what is likelier counts. ``sure_from``: cameras that count in full from which a sighting is
+    no poor one.
     """
     top, m = bank.numbers[TOP], xyz.shape[0]
     room, n = 4 * (m + top) + 16, 0
@@ -91,10 +96,11 @@ def pairs(bank, limbs, xyz, covariance, trusted, used, state, gate_sigma, gate_m
                 # one that has no name yet gives way to one that was lost here
                 value += SEEN_BONUS if state != CONFIRMED or bank.identity[i] >= 0 else 0.0
             elif bank.missed[i] > 0:
-                # distances that break speak against it, as loudly as the place speaks for it
+                # distances that break speak against it, as loudly as its place for it; but what two cameras with
+                # an image of odd size see is too often there by chance
                 fits = _fits(bank, limbs, i, xyz[r], covariance[r], time_s - bank.seen_s[i], gate_m)
                 value += min(2.0 * fits, 0.0)
-                if value <= 0.0:
+                if value <= 0.0 or (fits < CONTRADICTED and trusted[r] < sure_from):
                     continue
             if n == room:
                 room *= 2

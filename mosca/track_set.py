@@ -86,7 +86,7 @@ def _assigned(bank, limbs, xyz, covariance, trusted, time_s, rules):  # type: ig
             break
         slots, rows, worth = pairs(
             bank, limbs, xyz, covariance, trusted, slot_of, state, rules.gate_sigma, rules.gate_m, rules.wild_mps2,
-            time_s,
+            rules.sure_from, time_s,
         )  # fmt: skip
         if slots.shape[0] > 0:
             chosen = best_pairs(slots, rows, worth, bank.numbers[TOP], xyz.shape[0])
