@@ -26,3 +26,5 @@ step = numba.njit(**STEP)
 """Compiled into the kernels that call it; Python must not."""
 bare_step = numba.njit(**{**STEP, **BARE})
 """As ``step``, bare."""
+inlined_step = numba.njit(forceinline=True, **{**STEP, **BARE})
+"""A bare step that is compiled into each that calls it: to hand its many arrays over costs more than what it does."""

@@ -5,9 +5,8 @@ images to a better one is tried again with those it has left. What two cameras a
 """
 
 import numpy as np
-from numba import njit
 
-from mosca.compiled import bare_step, step
+from mosca.compiled import bare_step, kernel, step
 from mosca.match_groups import (
     CHI2,
     COVARIANCE,
@@ -35,7 +34,7 @@ PRIOR_SEEN = 5.0
 OPEN, TAKEN, GONE = 0, 1, 2
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def choose(values, members, trusts, rays, views, rules, xyz, covariance, support):  # type: ignore[no-untyped-def]
     """Return the state (n,) of each group: OPEN (a pair that others contest), TAKEN or GONE.
 
@@ -272,7 +271,7 @@ def _same(g, other, members):  # type: ignore[no-untyped-def]
     return other_rays == 0
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def columns(values, members, trusts, state, rays, start):  # type: ignore[no-untyped-def]
     """Return the columns of ``Points`` of the groups that were taken."""
     n, cameras = 0, members.shape[1]

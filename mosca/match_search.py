@@ -7,12 +7,9 @@ group is looked for with them; so the work grows with the rays and not with thei
 rays left over, as far as half-hidden targets may lie beside their epipolar lines.
 """
 
-from typing import Any
-
 import numpy as np
-from numba import njit
 
-from mosca.compiled import bare_step, step
+from mosca.compiled import bare_step, inlined_step, kernel, step
 from mosca.match_groups import (
     GATE,
     HIGH,
@@ -42,10 +39,6 @@ from mosca.match_index import CELLS, CORNER, FIRST, SCALE, buckets, cell_of, cel
 from mosca.ray_kernels import ANGLE, DENSITY, FLAGS, LONG, RADIUS, SIGMA, SPREAD, WHITE
 from mosca.triangulate import DEPTH, RANKS, SHARE, TRUST
 
-# what runs for each track and camera: handing over its many arrays costs more than what it does
-_INLINED: dict[str, Any] = {"nogil": True, "error_model": "numpy", "forceinline": True, "_nrt": False}
-inlined = njit(**_INLINED)
-
 CERTAIN = 1e-3
 """Expected number of chance groups as good as this one, below which a group explains its rays."""
 PLAIN = 3.0
@@ -56,7 +49,7 @@ EDGE_ON = 0.5
 """Uncertainty of an epipolar plane's angle [rad] beyond which the ray is near the base and meets every plane."""
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def search(rays, views, pairs, bases, start, rules, xyz, covariance):  # type: ignore[no-untyped-def]
     """Return all groups: values (n, VALUES), members (n, c) ray of each camera or -1, trusts (n, c).
 
@@ -144,7 +137,7 @@ def search(rays, views, pairs, bases, start, rules, xyz, covariance):  # type: i
     return values[:count], members[:count], trusts[:count]
 
 
-@inlined
+@inlined_step
 def _expected(  # type: ignore[no-untyped-def]
     track, xyz, covariance, explained, reach, index, members, ranks, solved, rays, views, rules
 ):  # fmt: skip
@@ -358,7 +351,7 @@ def _joined(members, partner):  # type: ignore[no-untyped-def]
     return False
 
 
-@inlined
+@inlined_step
 def _nearest(c, whole, reach, index, solved, rays, views, rules):  # type: ignore[no-untyped-def]
     """Return the ray of camera c nearest to the group's point among those that the covariances admit (-1: none), its
     trust, the expected number of chance rays as near, and how many were admitted.

@@ -8,10 +8,9 @@ from dataclasses import astuple, dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
 from mosca.camera import image_grid, lens_directions
-from mosca.compiled import bare_step
+from mosca.compiled import bare_step, kernel
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, UNREFINED
 from mosca.data.rig import Camera, FisheyeLens, Lens, MoscaLens, OpenCVLens, Rig
@@ -277,7 +276,7 @@ def fisheye_ray(p, u, v, d, g):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def fill_rays(  # type: ignore[no-untyped-def]
     kind, lens, size, rotation, seen, start, fields, xy, covariance, extra, diameter, elongation, flags, rays, views
 ):  # fmt: skip

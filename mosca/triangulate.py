@@ -12,9 +12,8 @@ from itertools import accumulate
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from mosca.compiled import bare_step
+from mosca.compiled import bare_step, kernel
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.rig import Rig
@@ -192,7 +191,7 @@ def triangulate(rig: Rig, xy_px: Any, sigma_px: float = 1.0) -> tuple[Array, Arr
     )
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _solve_rows(rows, rays, views):  # type: ignore[no-untyped-def]
     """Intersect the rays (n, c), -1 for none, of each row; NaN where fewer than two meet."""
     n, cameras = rows.shape

@@ -53,43 +53,16 @@ def add_points(what, change, x0, y0, table, reach, patch, points, panel, motion_
         begin, end = max(panel[0], max(0.0, on)), min(panel[1], min(length, off))
         if end > begin:
             _add_all_rows(
-                what,
-                change,
-                x0,
-                y0,
-                table,
-                reach,
-                patch,
-                points,
-                panel,
-                motion_px,
-                begin,
-                end,
-                length,
-                step_x,
-            )
+                what, change, x0, y0, table, reach, patch, points, panel, motion_px, begin, end, length, step_x
+            )  # fmt: skip
         return
     for p in range(change.shape[0]):
         opens = (y0 + p) * row_time
         begin, end = max(panel[0], max(opens, on)), min(panel[1], min(opens + length, off))
         if end > begin:
             _add_one_row(
-                what,
-                change,
-                p,
-                y0 + p,
-                x0,
-                table,
-                reach,
-                patch,
-                points,
-                panel,
-                motion_px,
-                begin,
-                end,
-                length,
-                step_x,
-            )
+                what, change, p, x0, y0, table, reach, patch, points, panel, motion_px, begin, end, length, step_x
+            )  # fmt: skip
 
 
 @bare_step
@@ -122,7 +95,7 @@ def _add_all_rows(  # type: ignore[no-untyped-def]
 
 @bare_step
 def _add_one_row(  # type: ignore[no-untyped-def]
-    what, change, row, py, x0, table, reach, patch, points, panel, motion_px, begin, end, length, step_x
+    what, change, row, x0, y0, table, reach, patch, points, panel, motion_px, begin, end, length, step_x
 ):
     half, middle = 0.5 * (panel[1] - panel[0]), 0.5 * (panel[0] + panel[1])
     nodes = nodes_for(motion_px * (end - begin) / (2.0 * half))
@@ -135,10 +108,10 @@ def _add_one_row(  # type: ignore[no-untyped-def]
             v_here = c[3] + tau * (c[4] + tau * c[5])
             for i in range(patch.shape[0]):
                 v = v_here + patch[i, 1]
-                if abs(py - v) >= reach:
+                if abs(y0 + row - v) >= reach:
                     continue
                 amount = node_share * patch[i, 2] * (c[6] + tau * (c[7] + tau * c[8]))
-                w = amount * weight(table, reach, py - v)
+                w = amount * weight(table, reach, y0 + row - v)
                 if w == 0.0:
                     continue
                 u = c[0] + tau * (c[1] + tau * c[2]) + patch[i, 0]
