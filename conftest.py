@@ -4,7 +4,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-# before numpy comes: see scenarios.cli
+# before numpy comes: see scenarios.cli.main
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
@@ -33,7 +33,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Before several workers start, compile once what each of them would compile for itself."""
     if getattr(config.option, "numprocesses", None) and not hasattr(config, "workerinput"):
-        from scenarios.warm import compile_beforehand
+        from scenarios.run.precompile import compile_beforehand
 
         compile_beforehand()
 
@@ -62,7 +62,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> "ScenarioFile | None":
     """Collect scenario files below the room of scenarios."""
-    if file_path.suffix == ".toml" and ROOT / "scenarios" in file_path.parents:
+    if file_path.suffix == ".toml" and ROOT / "scenarios" / "library" in file_path.parents:
         return ScenarioFile.from_parent(parent, path=file_path)
     return None
 
@@ -72,7 +72,7 @@ class ScenarioFile(pytest.File):
 
     def collect(self) -> Iterator["ScenarioItem"]:
         """Yield the scenario where its tier is asked for."""
-        from scenarios.spec import load_scenario
+        from scenarios.spec.scenario import load_scenario
 
         tier = self.config.getoption("--tier")
         if tier == "full" or load_scenario(self.path).tier == "quick":
@@ -84,9 +84,9 @@ class ScenarioItem(pytest.Item):
 
     def runtest(self) -> None:
         """Run; a broken limit, or a control that was not caught, fails."""
-        from scenarios.catalog import scenario_name
-        from scenarios.run import run_scenario
-        from scenarios.spec import load_scenario
+        from scenarios.run.scenario import run_scenario
+        from scenarios.spec.scenario import load_scenario
+        from scenarios.suite.catalog import scenario_name
 
         result = run_scenario(load_scenario(self.path), scenario_name(self.path), self.path.parent)
         if not result.record.passed:

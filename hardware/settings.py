@@ -29,8 +29,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from mosca.data.rig_file import read_rig_file
-from mosca.data.toml import NotNegative, Positive, Table, check
+from mosca.data.files.rig_file import read_rig_file
+from mosca.data.files.toml import NotNegative, Positive, Table, check
 from mosca.errors import InputError
 
 DRIVERS = ("gige", "pylon", "gentl", "webcam")

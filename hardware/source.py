@@ -13,14 +13,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
-from hardware.abreast import Abreast
-from hardware.account import Account, CameraAccount
-from hardware.clock_reader import ClockReader
 from hardware.driver import CameraDriver, ClockReading, DeviceError, DeviceReport, Grabbed
 from hardware.drivers import open_camera
-from hardware.looks import LOOK_S, Looks
-from hardware.numbering import Numbered, PulseNumbers
+from hardware.pulse_numbers.clock_poller import ClockReader
+from hardware.pulse_numbers.numbering import Numbered, PulseNumbers
+from hardware.reorder_buffer import Abreast
 from hardware.settings import CameraHardware, RigHardware, read_hardware
+from hardware.silence import LOOK_S, Looks
+from hardware.statistics import Account, CameraAccount
 from hardware.trigger import Trigger
 from hardware.triggers import open_trigger
 from mosca.data.arrays import Array

@@ -17,7 +17,7 @@ Conventions, said once and kept in every room:
 
 from pathlib import Path
 
-from mosca.kernel_cache import keep_kernels_fresh
+from mosca.numba_support.cache import keep_kernels_fresh
 
 __version__ = "0.1.0"
 

@@ -12,13 +12,13 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from mosca.assemble import Assembly, AssemblySettings, assemble
 from mosca.data.arrays import Array
 from mosca.data.frames import FrameSet, FrameSource
 from mosca.data.rig import Rig
+from mosca.diagnostics.camera_health import Health
 from mosca.errors import InputError
-from mosca.health import Health
 from mosca.pipeline import Keeper, PipelineSettings, Step, check_source, run_sets
+from mosca.synchronisation import Assembly, AssemblySettings, assemble
 
 LIVE_SPLIT = 2
 """Threads among which the cameras of a frame set are divided, unless the settings say otherwise."""

@@ -10,20 +10,20 @@ from typing import Protocol
 
 import numpy as np
 
-from mosca.assemble import Assembly, AssemblySettings, assemble
+from mosca.correspondence.match import MatchSettings, match
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, FrameSet, FrameSource
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points, Samples
-from mosca.detect import DetectionSettings
+from mosca.detection.detect import DetectionSettings
+from mosca.detection.scheduler import Look, look_ahead
+from mosca.diagnostics.camera_health import Health, HealthSettings
 from mosca.errors import InputError
-from mosca.health import Health, HealthSettings
-from mosca.look import Look, look_ahead
-from mosca.match import MatchSettings, match
-from mosca.nearest import NearestSettings, NearestTracker
-from mosca.track import Tracker, TrackSettings
-from mosca.triangulate import bundle_rays
+from mosca.synchronisation import Assembly, AssemblySettings, assemble
+from mosca.tracking.nearest_neighbour import NearestSettings, NearestTracker
+from mosca.tracking.tracker import Tracker, TrackSettings
+from mosca.triangulation.triangulate import bundle_rays
 
 MOST_DETECTIONS = 5000
 """Detections an image may have; matching many more would take minutes a frame set."""
@@ -53,7 +53,7 @@ class PipelineSettings:
 class Step:
     """What one trigger pulse gave. ``samples``: points whose identity is now certain, some of earlier pulses.
     ``seconds``: computing time of each stage until it was ready; that of the health comes after
-    (``mosca.health.Health.seconds``).
+    (``mosca.diagnostics.camera_health.Health.seconds``).
     """
 
     frame_set: FrameSet
@@ -64,7 +64,7 @@ class Step:
 
 
 class Keeper(Protocol):
-    """Watches the rig while it runs, and may put it right: ``mosca.calibrate.keep.RigKeeper``."""
+    """Watches the rig while it runs, and may put it right: ``mosca.calibration.monitoring.rig_keeper.RigKeeper``."""
 
     rig: Rig
 

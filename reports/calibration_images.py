@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from mosca.data.calibration import Calibration
 from mosca.data.calibration_evidence import CalibrationEvidence
-from reports.drawing import (
+from reports.plot_style import (
     BLUE,
     GRID,
     HEAT,

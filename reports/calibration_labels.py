@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from mosca.data.arrays import Array
-from reports.drawing import INK, MUTED
+from reports.plot_style import INK, MUTED
 
 SIZE_PT, WIDTH_PT, HEIGHT_PT = 8.0, 5.4, 10.0
 """Of the type, and of a letter's place: wide enough for the fonts that a reader's machine may set instead."""

@@ -9,9 +9,9 @@ import numpy as np
 
 from mosca.data.calibration import Calibration, Finding
 from mosca.data.calibration_evidence import CalibrationEvidence
+from mosca.data.files.whole_file import whole_file
 from mosca.data.rig import Camera
 from mosca.data.rotations import quaternion_from_rotation
-from mosca.data.whole_file import whole_file
 from reports.calibration_plots import calibration_pictures
 from reports.page import templates
 from reports.units import figure, shown

@@ -12,7 +12,7 @@ from mosca.data.calibration import Calibration
 from mosca.data.calibration_evidence import AccuracyGrid, CalibrationEvidence, HeldOutLengths
 from reports.calibration_images import ACROSS, MOST_ARROWS, MOST_CAMERAS, coverage_picture, residuals_picture
 from reports.calibration_labels import label_points
-from reports.drawing import (
+from reports.plot_style import (
     BLUE,
     DASHED,
     GREEN,

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mosca.data.arrays import Array
-from mosca.data.whole_file import whole_file
+from mosca.data.files.whole_file import whole_file
 from reports.units import figure
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import cv2
 
-from mosca.data.whole_file import whole_file
+from mosca.data.files.whole_file import whole_file
 from reports.fidelity import Check, Crop, Row, all_met, cells, verdict
 from reports.page import templates
 

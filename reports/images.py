@@ -6,8 +6,8 @@ from matplotlib.patches import Ellipse, Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from mosca.data.arrays import Array
-from reports.drawing import WIDE, Picture, canvas, svg_text
 from reports.evidence import CameraView
+from reports.plot_style import WIDE, Picture, canvas, svg_text
 from reports.units import figure as number
 
 MOST_PIXELS = 900

@@ -7,7 +7,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from mosca.data.whole_file import whole_file
+from mosca.data.files.whole_file import whole_file
 from reports.compare import regressions, total_seconds
 from reports.evidence import Evidence
 from reports.plots import pictures

@@ -7,7 +7,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from mosca.data.arrays import Array
-from reports.drawing import (
+from reports.evidence import ErrorTable, Evidence, true_positions
+from reports.images import camera_picture
+from reports.plot_style import (
     AXIS_COLOURS,
     BLUE,
     DASHED,
@@ -28,8 +30,6 @@ from reports.drawing import (
     strided,
     svg_text,
 )
-from reports.evidence import ErrorTable, Evidence, true_positions
-from reports.images import camera_picture
 from reports.record import RunRecord
 from reports.recorded import longest_tracks_picture, points_picture, residuals_picture
 from reports.scene import scene_picture, volume_picture

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from mosca.data.whole_file import whole_file
+from mosca.data.files.whole_file import whole_file
 from mosca.errors import InputError
 
 

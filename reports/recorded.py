@@ -3,7 +3,7 @@
 import numpy as np
 
 from mosca.data.tracks import Tracks
-from reports.drawing import (
+from reports.plot_style import (
     AXIS_COLOURS,
     BLUE,
     DASHED,

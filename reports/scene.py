@@ -9,7 +9,8 @@ from matplotlib.collections import LineCollection
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, FisheyeLens, Rig, principal_distances_px, principal_point_px
 from mosca.data.tracks import Tracks
-from reports.drawing import (
+from reports.evidence import Evidence, true_positions
+from reports.plot_style import (
     BLUE,
     GRID,
     HALF,
@@ -24,7 +25,6 @@ from reports.drawing import (
     nice_step,
     svg_text,
 )
-from reports.evidence import Evidence, true_positions
 from reports.units import figure as number
 
 AZIMUTH_DEG, ELEVATION_DEG = -58.0, 27.0

@@ -31,7 +31,7 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
         ),
     ),
     # a printable sheet is a drawing: PDF and SVG come from the plot library
-    "mosca.formats.target_sheet": (("mosca",), ("mosca.data.truth",), ("numpy", "matplotlib")),
+    "mosca.formats.sheets.target_sheet": (("mosca",), ("mosca.data.truth",), ("numpy", "matplotlib")),
     "twin": (
         ("twin", "mosca.data", "mosca.errors"),
         (),

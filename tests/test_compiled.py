@@ -14,7 +14,7 @@ import mosca
 import twin
 
 HANDED_OUT = {"image_at", "lent", "window_of", "gather_round"}
-"""Steps whose arrays nobody owns: memory that somebody else keeps (``mosca.detect_memory.image_at``)."""
+"""Steps whose arrays nobody owns: memory that somebody else keeps (``mosca.numba_support.intrinsics.image_at``)."""
 
 
 def everything() -> dict[str, Dispatcher]:

@@ -12,18 +12,18 @@ from mosca.data.arrays import Array
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.truth import Truth
 from mosca.errors import InputError
-from twin.cameras.around import Around
-from twin.cameras.camera import VirtualCamera
+from twin.cameras.camera_session import Shot, Station
 from twin.cameras.delivery import Delivery, Taken, deliver
-from twin.cameras.expected import STEP_PX, Expected, expected_frame
-from twin.cameras.lens import moved
-from twin.cameras.moment import Moment
-from twin.cameras.shutter import pulse_time_s
-from twin.cameras.station import Shot, Station
-from twin.cameras.stray import Surroundings
-from twin.cameras.subject import Subject
-from twin.logbook import PulseLog, truth_of
+from twin.cameras.expected_image import STEP_PX, Expected, expected_frame
+from twin.cameras.exposure.scene_sampling import Moment
+from twin.cameras.exposure.shutter import pulse_time_s
+from twin.cameras.exposure.subject import Subject
+from twin.cameras.optics.lens import moved
+from twin.cameras.stray_light.stray import Surroundings
+from twin.cameras.stray_light.surroundings import Around
+from twin.cameras.virtual_camera import VirtualCamera
 from twin.scenes.scene import Scene, SceneSampler
+from twin.truth_log import PulseLog, truth_of
 
 LOOK_AHEAD = 4
 """Pulses in work for each worker: enough to keep it busy, few enough to leave early without waste."""

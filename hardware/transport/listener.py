@@ -16,7 +16,7 @@ from hardware.transport.messages import (
     unpack_detections,
     unpack_health,
 )
-from hardware.transport.places import PulsePlaces
+from hardware.transport.pulse_alignment import PulsePlaces
 from hardware.transport.station_state import Event, ReceiverSettings, StationState
 
 COUNTDOWN_NS = 500_000_000

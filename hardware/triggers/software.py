@@ -10,7 +10,7 @@ from bisect import bisect_right
 from collections.abc import Mapping
 
 from hardware.driver import CameraDriver, DeviceError
-from hardware.looks import Looks
+from hardware.silence import Looks
 
 PATIENCE_S = 5.0
 """The next pulse comes once a missing frame was looked for in vain for so long: a frame that came still later would

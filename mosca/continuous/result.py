@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mosca.continuous.camera_paths import PosedCameras, StillCameras
-from mosca.continuous.spline import Knots, values
+from mosca.continuous.estimator.bspline import Knots, values
 from mosca.data.arrays import Array
 
 

@@ -17,8 +17,9 @@ Severity = Literal["refuse", "warn", "note"]
 class Finding:
     """Something that a person must know before believing a calibration.
 
-    ``code``: one of ``mosca.calibrate.findings.CODES``, for scripts and tests; ``message``: one line, what was
-    found (with its figure), what is allowed, and what to do next; ``camera``: whose, where it is one camera's.
+    ``code``: one of ``mosca.calibration.quality.findings.CODES``, for scripts and tests; ``message``: one line,
+    what was found (with its figure), what is allowed, and what to do next; ``camera``: whose, where it is one
+    camera's.
     """
 
     code: str

@@ -1,4 +1,6 @@
-"""Lens, Camera, Rig: parameters and poses, no projection (that is ``mosca.camera`` and ``twin.cameras.lens``)."""
+"""Lens, Camera, Rig: parameters and poses, no projection (that is ``mosca.camera.projection`` and
+``twin.cameras.optics.lens``).
+"""
 
 from dataclasses import dataclass
 from typing import ClassVar, Literal

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mosca.data.arrays import Array, read_only
-from mosca.data.npz import from_npz
+from mosca.data.files.npz import from_npz
 
 STATUSES = ("measured", "filled", "predicted")
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mosca.data.arrays import Array, read_only
-from mosca.data.npz import from_npz
+from mosca.data.files.npz import from_npz
 
 NO_FRAME = int(np.iinfo(np.int64).min)
 """Stands for the mid-exposure of a camera that took no frame from a pulse until the next [ns]."""

@@ -6,8 +6,8 @@ missing number is a dropped frame, never a shift; what cannot be read is a corru
 names it, and the run goes on.
 """
 
+from mosca.recording.image_sequence import NumberedRecording
 from mosca.recording.mcap_source import McapRecording
-from mosca.recording.numbered import NumberedRecording
 from mosca.recording.open import Recording, open_recording
 from mosca.recording.writer import RecordingWriter
 

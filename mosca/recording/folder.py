@@ -9,8 +9,8 @@ from mosca.data.arrays import Array
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.rig import Camera
 from mosca.errors import InputError
+from mosca.recording.image_sequence import dropped_frame, numbered_frame
 from mosca.recording.images import IMAGE_SUFFIXES, decode_image
-from mosca.recording.numbered import dropped_frame, numbered_frame
 from mosca.recording.stamps import Stamps
 
 _NUMBER = re.compile(r"([0-9]{1,18})$")

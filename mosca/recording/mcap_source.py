@@ -16,7 +16,7 @@ from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.errors import InputError
 from mosca.recording import mcap_format as layout
-from mosca.recording.tail import Kept, read_tail, rescued
+from mosca.recording.crash_buffer import Kept, read_tail, rescued
 
 LARGEST_RECORD = 1 << 29
 _MAGIC = b"\x89MCAP0\r\n"
@@ -29,8 +29,8 @@ class McapRecording:
 
     Frames come in the order in which they were written. A frame whose pixels are damaged is corrupt; damage
     beyond one frame loses the frames that it hits (gaps) and is told in ``notes``, as is a missing end. Frames that
-    were still waiting when the writer was killed come last (``mosca.recording.tail``). A recording that ``holds``
-    "detections" has no frames: ``detection_sets`` gives what they showed.
+    were still waiting when the writer was killed come last (``mosca.recording.crash_buffer``). A recording that
+    ``holds`` "detections" has no frames: ``detection_sets`` gives what they showed.
     """
 
     def __init__(self, path: Path, only: Sequence[str] | None = None) -> None:

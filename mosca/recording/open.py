@@ -7,8 +7,8 @@ from pathlib import Path
 from mosca.data.rig import Rig
 from mosca.errors import InputError
 from mosca.recording.folder import FolderFeed, check_size, folder_feed, has_numbered_images
+from mosca.recording.image_sequence import NumberedRecording
 from mosca.recording.mcap_source import McapRecording
-from mosca.recording.numbered import NumberedRecording
 from mosca.recording.stamps import EvenStamps, Stamps, TableStamps, read_stamps
 from mosca.recording.video import VIDEO_SUFFIXES, VideoFeed, stated_rate_hz, video_feed
 from mosca.recording.writer import MCAP_NAME, PART_NAME

@@ -25,7 +25,7 @@ from mosca.data.frames import CameraInfo, Frame
 from mosca.data.rig import Camera
 from mosca.errors import InputError
 from mosca.recording.folder import check_size
-from mosca.recording.numbered import dropped_frame, numbered_frame
+from mosca.recording.image_sequence import dropped_frame, numbered_frame
 from mosca.recording.stamps import Stamps
 
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".avi")

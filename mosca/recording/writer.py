@@ -17,11 +17,11 @@ from mcap.writer import CompressionType, Writer
 
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
+from mosca.data.files.whole_file import whole_file
 from mosca.data.frames import CameraInfo, Frame, FrameSet
-from mosca.data.whole_file import whole_file
 from mosca.errors import InputError
 from mosca.recording import mcap_format as layout
-from mosca.recording.tail import TAIL_NAME, Tail
+from mosca.recording.crash_buffer import TAIL_NAME, Tail
 
 MCAP_NAME = "recording.mcap"
 PART_NAME = "recording.mcap.part"

@@ -6,10 +6,10 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from reports.fidelity import Check, Row
-from scenarios.fidelity.door import seen_by_twin
 from scenarios.fidelity.measure import about, centroids_apart, pixels_apart, rms
+from scenarios.fidelity.twin_adapter import seen_by_twin
 from scenarios.fidelity.views import marker, small_camera
-from twin.cameras.optics import Optics
+from twin.cameras.optics.blur_parameters import Optics
 from witness.image import contour_image
 from witness.pupil import blur_circle_px, displacements, pupil, pupil_mean
 

@@ -9,7 +9,7 @@ from scenarios.fidelity.peers import mujoco_renderer, pyrender_renderer
 from scenarios.fidelity.printed import figures, profiles
 from scenarios.fidelity.sensor import sensors
 from scenarios.fidelity.shutter import motion
-from scenarios.fidelity.still import lens_models, real_lenses, still_markers
+from scenarios.fidelity.static_markers import lens_models, real_lenses, still_markers
 
 CHECKS: tuple[Callable[[bool], Check], ...] = (
     still_markers,

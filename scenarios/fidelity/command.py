@@ -10,7 +10,7 @@ from reports.fidelity import Check, Crop, verdict, write_fidelity_json
 from reports.fidelity_page import write_documentation, write_fidelity_page
 from scenarios.fidelity.checks import CHECKS, run_checks
 from scenarios.fidelity.pictures import CROPS, all_crops
-from scenarios.provenance import provenance
+from scenarios.run.provenance import provenance
 
 PAGE, FIGURES = "fidelity.html", "fidelity.json"
 Progress = Callable[[int, int], None]

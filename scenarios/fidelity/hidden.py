@@ -9,12 +9,12 @@ from scipy.spatial.transform import Rotation
 
 from mosca.data.arrays import Array
 from reports.fidelity import Check, Row
-from scenarios.fidelity.door import Target, seen_by_twin
 from scenarios.fidelity.measure import about, rms
+from scenarios.fidelity.twin_adapter import Target, seen_by_twin
 from scenarios.fidelity.views import small_camera
-from twin.cameras.mesh_rays import MeshRays
-from twin.cameras.occlusion import occluders_of
-from twin.cameras.render import has_meshes
+from twin.cameras.render.mesh_occlusion import MeshRays
+from twin.cameras.render.occluders import occluders_of
+from twin.cameras.render.render import has_meshes
 from twin.scenes.scene import Scene
 from witness.rays import MARKER_GROUP, POSITION, ROTATION, Path, World, fixed, seen_over_time
 from witness.render import image_centroid

@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 from mosca.data.arrays import Array
 from mosca.data.rig import OpenCVLens
 from reports.fidelity import Check, Row
-from scenarios.fidelity.door import Target, ball, disc, seen_by_twin
 from scenarios.fidelity.measure import centroids_apart
+from scenarios.fidelity.twin_adapter import Target, ball, disc, seen_by_twin
 from scenarios.fidelity.views import small_camera
-from twin.cameras.occlusion import occluders_of
+from twin.cameras.render.occluders import occluders_of
 from twin.scenes.scene import Scene
 from witness import gl
 from witness.image import contour_image

@@ -4,7 +4,7 @@ import numpy as np
 
 from mosca.data.rig import FisheyeLens
 from reports.fidelity import Crop
-from scenarios.fidelity.stage import (
+from scenarios.fidelity.demo_scene import (
     Ball,
     by_px,
     change,
@@ -15,13 +15,13 @@ from scenarios.fidelity.stage import (
     side_by_side,
     stage,
 )
-from twin.cameras.ambient import Backdrop
-from twin.cameras.mount import Mount
-from twin.cameras.optics import Optics
-from twin.cameras.sensor import Sensor
-from twin.cameras.stray import Surroundings
-from twin.cameras.stray_glare import Glare
-from twin.scenes.glow import Glow
+from twin.cameras.exposure.mount import Mount
+from twin.cameras.optics.blur_parameters import Optics
+from twin.cameras.sensor.background_light import Backdrop
+from twin.cameras.sensor.sensor import Sensor
+from twin.cameras.stray_light.glare import Glare
+from twin.cameras.stray_light.stray import Surroundings
+from twin.scenes.emission import Glow
 
 WITHOUT = "without"
 

@@ -5,7 +5,7 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.rig import Pose
 from reports.fidelity import Crop
-from scenarios.fidelity.stage import (
+from scenarios.fidelity.demo_scene import (
     Ball,
     by_px,
     change,
@@ -17,12 +17,12 @@ from scenarios.fidelity.stage import (
     side_by_side,
     stage,
 )
-from twin.cameras.ambient import Backdrop
-from twin.cameras.context import Cloth, Context
-from twin.cameras.sensor import Sensor
-from twin.cameras.stray import Surroundings
-from twin.cameras.stray_mirror import Mirror
-from twin.cameras.stray_world import RingLight, ShinySpot
+from twin.cameras.sensor.background_light import Backdrop
+from twin.cameras.sensor.sensor import Sensor
+from twin.cameras.stray_light.context_image import Cloth, Context
+from twin.cameras.stray_light.mirror import Mirror
+from twin.cameras.stray_light.stray import Surroundings
+from twin.cameras.stray_light.world import RingLight, ShinySpot
 from twin.scenes.actor import build_actor
 from twin.streams import rng
 

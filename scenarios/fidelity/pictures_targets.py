@@ -6,7 +6,7 @@ from mosca.data.arrays import Array
 from mosca.data.boards import Board
 from mosca.data.targets import CodedTarget
 from reports.fidelity import Crop
-from scenarios.fidelity.stage import (
+from scenarios.fidelity.demo_scene import (
     BACK,
     Ball,
     Plate,
@@ -18,7 +18,7 @@ from scenarios.fidelity.stage import (
     side_by_side,
     stage,
 )
-from twin.scenes.glow import Glow
+from twin.scenes.emission import Glow
 from twin.scenes.target_boards import board_figure
 from twin.scenes.target_plate import INK, coded_figure
 from twin.scenes.world import capsule

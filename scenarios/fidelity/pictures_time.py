@@ -1,7 +1,7 @@
 """Pictures of what time does: motion blur, strobe, rolling shutter, lamps that blink."""
 
 from reports.fidelity import Crop
-from scenarios.fidelity.stage import (
+from scenarios.fidelity.demo_scene import (
     Ball,
     by_px,
     change,
@@ -12,8 +12,8 @@ from scenarios.fidelity.stage import (
     side_by_side,
     stage,
 )
-from twin.cameras.shutter import Timing
-from twin.scenes.glow import Blink, Glow
+from twin.cameras.exposure.shutter import Timing
+from twin.scenes.emission import Blink, Glow
 
 
 def motion_blur() -> Crop:

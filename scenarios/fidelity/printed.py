@@ -4,8 +4,8 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from reports.fidelity import Check, Row
-from scenarios.fidelity.door import Target, ball, disc, seen_by_twin, turn_to
 from scenarios.fidelity.measure import about, centroids_apart, pixels_apart
+from scenarios.fidelity.twin_adapter import Target, ball, disc, seen_by_twin, turn_to
 from scenarios.fidelity.views import small_camera
 from twin.scenes.figure import circle, figure, polygon, ring_sector
 from witness.image import points_image

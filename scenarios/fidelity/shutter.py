@@ -9,8 +9,8 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from reports.fidelity import Check, Row
-from scenarios.fidelity.door import ALWAYS, Target, seen_by_twin, turn_to, window_of
 from scenarios.fidelity.measure import about, centroids_apart, pixels_apart, rms
+from scenarios.fidelity.twin_adapter import ALWAYS, Target, seen_by_twin, turn_to, window_of
 from scenarios.fidelity.views import small_camera
 from witness.image import contour_image, exposed, row_windows
 from witness.render import ball_outline, disc_outline

@@ -6,7 +6,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.rig import FisheyeLens, Lens, MoscaLens, OpenCVLens
-from scenarios.fidelity.door import Target, ball, disc
+from scenarios.fidelity.twin_adapter import Target, ball, disc
 from witness.render import WitnessLens, disc_outline, fisheye_lens, opencv_lens, paper_lens
 from witness.views import pinhole, place, tangent_circle, tilted_normal
 

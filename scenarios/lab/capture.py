@@ -8,20 +8,20 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hardware.commands import ProgramRun, read_program
 from hardware.drivers import open_camera
+from hardware.onboard.commands import ProgramRun, read_program
 from hardware.settings import RigHardware, read_hardware
 from hardware.source import HardwareSource, OpenCamera, OpenTrigger
 from hardware.triggers import open_trigger
+from mosca.data.files.rig_file import read_rig, read_rig_file
+from mosca.data.files.whole_file import check_folder
 from mosca.data.rig import Rig
-from mosca.data.rig_file import read_rig, read_rig_file
-from mosca.data.whole_file import check_folder
 from mosca.errors import InputError
 from mosca.recording import RecordingWriter
-from scenarios.interrupt import between_steps
 from scenarios.lab.intake import Intake
 from scenarios.lab.priority import before_others, prompt
 from scenarios.lab.recorder import WAITING_BYTES, Recorder
+from scenarios.run.interrupt import between_steps
 
 if TYPE_CHECKING:
     from mosca.pipeline import PipelineSettings
@@ -38,7 +38,7 @@ class Request:
     """What to capture. ``frames``: pulses, None until Ctrl-C. ``detections``: keep these alone, no images.
 
     ``view``: show it live; ``view_log``: into this .rrd file instead of the viewer. ``settings``: file as of ``mosca
-    reconstruct``, for detections and view. ``program``: commands and events (``hardware.commands``).
+    reconstruct``, for detections and view. ``program``: commands and events (``hardware.onboard.commands``).
     """
 
     rig: Path
@@ -138,7 +138,7 @@ def _settings(request: Request) -> "PipelineSettings | None":
     """Return the settings of detection; None where nothing is to be detected, and nothing heavy is loaded."""
     if not (request.detections or request.view or request.view_log or request.settings):
         return None
-    from scenarios.reconstruct import live_spec, reconstruct_settings
+    from scenarios.commands.reconstruct import live_spec, reconstruct_settings
 
     return reconstruct_settings(live_spec(request.settings), request.settings)
 

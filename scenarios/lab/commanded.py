@@ -1,14 +1,14 @@
 """What drove a subject, or shall drive it, as lines of text in time: from a program file, or from a recording.
 
-The same program (``hardware.commands``) is sent to a robot by ``mosca capture --program`` and drives the twin's; what
-a recording kept of it drives the twin again as it was really sent.
+The same program (``hardware.onboard.commands``) is sent to a robot by ``mosca capture --program`` and drives the
+twin's; what a recording kept of it drives the twin again as it was really sent.
 """
 
 import json
 from pathlib import Path
 from typing import Any
 
-from hardware.commands import read_program
+from hardware.onboard.commands import read_program
 from mosca.errors import InputError
 from mosca.recording import McapRecording, RecordingWriter, open_recording
 

@@ -5,13 +5,13 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from mosca.assemble import Assembly
 from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, Frame, FrameSet, FrameSource
+from mosca.detection.disc_fit.camera_statistics import NOTHING
+from mosca.detection.scheduler import Look, look_ahead
 from mosca.live import LiveSets
-from mosca.look import Look, look_ahead
 from mosca.pipeline import PipelineSettings
-from mosca.refine import NOTHING
+from mosca.synchronisation import Assembly
 
 MOST_WORKERS = 2
 """Threads that look ahead; more would keep back more sets than a killed capture may lose."""

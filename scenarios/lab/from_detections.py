@@ -2,9 +2,9 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 
-from mosca.assemble import Assembly
 from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, FrameSet
+from mosca.synchronisation import Assembly
 
 
 def counted(

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from hardware.driver import Grabbed
 from hardware.source import HardwareSource
-from mosca.assemble import Assembly
 from mosca.data.frames import Frame
+from mosca.synchronisation import Assembly
 from scenarios.lab.recorder import Lost, Recorder
-from scenarios.sources import PassedOn
+from scenarios.run.sources import PassedOn
 
 if TYPE_CHECKING:
     from mosca.pipeline import PipelineSettings

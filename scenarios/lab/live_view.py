@@ -15,14 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
+from mosca.correspondence.match import Predicted, match
 from mosca.data.frames import CameraInfo, Frame, FrameSet, mid_exposure_ns
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
+from mosca.detection.disc_fit.camera_statistics import NOTHING
+from mosca.detection.scheduler import Look
 from mosca.errors import InputError
-from mosca.look import Look
-from mosca.match import Predicted, match
 from mosca.pipeline import MOST_DETECTIONS, PipelineSettings
-from mosca.refine import NOTHING
-from mosca.triangulate import bundle_rays
+from mosca.triangulation.triangulate import bundle_rays
 from reports.viewer import RerunLog
 from reports.viewer_program import viewer_program
 

@@ -10,12 +10,12 @@ import numpy as np
 from hardware.transport.merger import MergedSet
 from hardware.transport.station_state import ReceiverAccount
 from mosca.data.detections import Detections
+from mosca.data.files.rig_file import CameraTable, RigFile, camera_of, read_rig, read_rig_file, rig_toml
+from mosca.data.files.toml import check
 from mosca.data.frames import FrameSet
 from mosca.data.rig import Rig
-from mosca.data.rig_file import CameraTable, RigFile, camera_of, read_rig, read_rig_file, rig_toml
-from mosca.data.toml import check
+from mosca.diagnostics.camera_health import Health
 from mosca.errors import InputError
-from mosca.health import Health
 from mosca.pipeline import PipelineSettings, Step, run_seen
 
 KEPT_DELAYS = 500_000

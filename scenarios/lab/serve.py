@@ -13,19 +13,19 @@ import numpy as np
 from hardware.emulate.faults import Faults
 from hardware.emulate.pulse_box import PulseBox
 from hardware.emulate.serve import FIRST_ADDRESS, Served, served
+from mosca.data.files.rig_file import CameraTable, read_rig, read_rig_file, rig_toml
+from mosca.data.files.toml import Positive, Table, check, read_toml
+from mosca.data.files.whole_file import check_writable, whole_file
 from mosca.data.frames import CameraInfo, FrameSource
 from mosca.data.rig import Rig
-from mosca.data.rig_file import CameraTable, read_rig, read_rig_file, rig_toml
-from mosca.data.toml import Positive, Table, check, read_toml
-from mosca.data.whole_file import check_writable, whole_file
 from mosca.errors import InputError
 from mosca.recording import open_recording
-from scenarios.build import build_scene
-from scenarios.cameras import calibrated, true_rig, twin_source, virtual_cameras
-from scenarios.catalog import find
-from scenarios.interrupt import between_steps
-from scenarios.sources import Chosen
-from scenarios.spec import load_scenario
+from scenarios.build.cameras import calibrated, true_rig, twin_source, virtual_cameras
+from scenarios.build.scene import build_scene
+from scenarios.run.interrupt import between_steps
+from scenarios.run.sources import Chosen
+from scenarios.spec.scenario import load_scenario
+from scenarios.suite.catalog import find
 
 MEMORY_BYTES = 1 << 30
 """How much of the frames is kept in memory unless ``--ahead`` says otherwise."""

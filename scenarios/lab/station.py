@@ -15,8 +15,8 @@ import numpy as np
 
 from hardware.transport.sender import Sender
 from mosca.data.frames import Frame, FrameSource, mid_exposure_ns
-from mosca.detect import DetectionSettings, detect_and_learn
-from mosca.look import Lessons
+from mosca.detection.detect import DetectionSettings, detect_and_learn
+from mosca.detection.scheduler import Lessons
 from scenarios.lab.priority import before_others, prompt
 from scenarios.lab.station_background import Backgrounds
 

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterable, Mapping
 
 from mosca.data.arrays import Array
 from mosca.data.frames import Frame
-from mosca.detect import mean_background, minimum_background
-from scenarios.reconstruct import BackgroundSpec
+from mosca.detection.detect import mean_background, minimum_background
+from scenarios.commands.reconstruct import BackgroundSpec
 
 Make = Callable[[Iterable[Array]], Array]
 

@@ -12,7 +12,7 @@ from hardware.transport.sender import Sender
 from hardware.trigger import Trigger
 from hardware.triggers import open_trigger
 from mosca.data.frames import Frame, FrameSource
-from scenarios.sources import PassedOn
+from scenarios.run.sources import PassedOn
 
 WAIT_S = 0.1
 LATE_S = 0.1

@@ -15,19 +15,19 @@ from hardware.transport.receiver import Receiver
 from hardware.transport.sender import Sender
 from hardware.transport.station_state import Event, ReceiverSettings
 from hardware.transport.transport import check_station, check_stations
-from mosca.data.rig_file import read_rig, read_rig_file
-from mosca.data.toml import check
+from mosca.data.files.rig_file import read_rig, read_rig_file
+from mosca.data.files.toml import check
 from mosca.data.tracks import Samples, table
-from mosca.formats.tracks_file import check_tracks_file, write_tracks
+from mosca.formats.tracks.tracks_file import check_tracks_file, write_tracks
 from mosca.recording import open_recording
-from scenarios.interrupt import first_ctrl_c
+from scenarios.commands.reconstruct import reconstruct_settings, reconstruct_spec, recorded_backgrounds
 from scenarios.lab.merge import Delays, account_lines, all_whole, calibrated_rig, run_merged
 from scenarios.lab.priority import before_others, prompt
 from scenarios.lab.station import run_station
 from scenarios.lab.station_background import Backgrounds
 from scenarios.lab.station_source import Paced, RigOfStation
-from scenarios.reconstruct import reconstruct_settings, reconstruct_spec, recorded_backgrounds
-from scenarios.sources import Chosen
+from scenarios.run.interrupt import first_ctrl_c
+from scenarios.run.sources import Chosen
 
 RIGS_S = 15.0
 Told = Callable[[str], None]

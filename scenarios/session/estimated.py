@@ -5,23 +5,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.calibrate.estimate import EstimateSettings, Shown, Target_co, calibrate_session
-from mosca.calibrate.interior import LensChoice
-from mosca.camera import image_grid, project, rays
+from mosca.calibration.initial.interior_orientation import LensChoice
+from mosca.calibration.quality.point_covariance import calibration_covariance
+from mosca.calibration.session import EstimateSettings, Shown, Target_co, calibrate_session
+from mosca.camera.projection import image_grid, project, rays
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration
 from mosca.data.calibration_evidence import CalibrationEvidence
+from mosca.data.files.target_tables import CalibrationTarget
 from mosca.data.rig import Camera, Rig
-from mosca.data.target_tables import CalibrationTarget
-from mosca.triangulate import triangulate
-from mosca.triangulate_calibration import calibration_covariance
-from scenarios.score import Score
+from mosca.triangulation.triangulate import triangulate
+from scenarios.score.tracks import Score
 from scenarios.session.faults import swapped, turned
 from scenarios.session.scenes import Session, axes_session, bar_session, target_session
-from scenarios.spec import Scenario
-from scenarios.spec_calibration import MovedCameraFault, SwappedSessionFault
-from twin.cameras.camera import VirtualCamera
-from twin.cameras.lens import TwinLens
+from scenarios.spec.calibration import MovedCameraFault, SwappedSessionFault
+from scenarios.spec.scenario import Scenario
+from twin.cameras.optics.lens import TwinLens
+from twin.cameras.virtual_camera import VirtualCamera
 from twin.source import TwinSource
 
 SESSION_SEED = 0x5E55

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from mosca.data.frames import Frame, FrameSource
 from mosca.data.rig import Pose, principal_distances_px
 from mosca.errors import InputError
-from scenarios.sources import PassedOn
-from twin.cameras.camera import VirtualCamera
+from scenarios.run.sources import PassedOn
+from twin.cameras.virtual_camera import VirtualCamera
 
 
 def turned(cameras: tuple[VirtualCamera, ...], name: str, turn_px: float) -> tuple[VirtualCamera, ...]:

@@ -5,15 +5,15 @@ from typing import Any, Generic
 
 import numpy as np
 
-from mosca.calibrate.estimate import Target_co
+from mosca.calibration.session import Target_co
 from mosca.data.arrays import Array
 from mosca.data.boards import Board
+from mosca.data.files.target_tables import CalibrationTarget
 from mosca.data.target_codes import NUMBERS
-from mosca.data.target_tables import CalibrationTarget
 from mosca.data.targets import CodedTarget, PlacedTarget, ScaleBar, TestField, face_axes
 from mosca.data.wands import LFrame, Wand
-from scenarios.spec import Scenario
-from scenarios.spec_calibration import CalibrationSpec, WrongSizeFault, WrongUnitsFault
+from scenarios.spec.calibration import CalibrationSpec, WrongSizeFault, WrongUnitsFault
+from scenarios.spec.scenario import Scenario
 from twin.scenes.field_layout import LaidOutField, lay_out_field
 from twin.scenes.scene import Scene
 from twin.scenes.target_boards import build_board

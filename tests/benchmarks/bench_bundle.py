@@ -82,8 +82,8 @@ def best_ms(work: Callable[[], object], rounds: int) -> tuple[float, float]:
 
 
 def ours(data: dict[str, np.ndarray]):
-    """Return the problem in the terms of ``mosca.calibrate.bundle.solver``."""
-    from mosca.calibrate.bundle.solver import CameraUnknowns, ObjectPoints, Observations, Problem
+    """Return the problem in the terms of ``mosca.calibration.bundle.solver``."""
+    from mosca.calibration.bundle.solver import CameraUnknowns, ObjectPoints, Observations, Problem
     from mosca.data.rig import Camera, OpenCVLens, Pose
 
     cameras = []
@@ -204,7 +204,7 @@ def compare(frames: int, aniposelib: str | None, ceres: str | None) -> None:
     """Print the table of one scene."""
     import json
 
-    from mosca.calibrate.bundle.solver import BundleSettings, solve
+    from mosca.calibration.bundle.solver import BundleSettings, solve
 
     data = scene(frames)
     problem = ours(data)
@@ -263,7 +263,7 @@ def cost_with(problem, cameras: np.ndarray) -> float:
     """Return the least cost that the points can reach with the given cameras (4, 10) held."""
     from dataclasses import replace
 
-    from mosca.calibrate.bundle.solver import HELD, BundleSettings, solve
+    from mosca.calibration.bundle.solver import HELD, BundleSettings, solve
     from mosca.data.rig import OpenCVLens, Pose
 
     held = []
@@ -278,7 +278,7 @@ def cost_with(problem, cameras: np.ndarray) -> float:
 
 def linearity() -> None:
     """Print the time of ours against the number of observations."""
-    from mosca.calibrate.bundle.solver import BundleSettings, solve
+    from mosca.calibration.bundle.solver import BundleSettings, solve
 
     print("ours against the number of image points (a step: one linearisation and its elimination)")
     for frames in (1_000, 10_000, 50_000, 158_000):

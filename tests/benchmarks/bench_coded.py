@@ -23,21 +23,21 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "mosca"))
 from coded_clutter import KINDS, view
 from coded_views import View, paint
 
-from mosca.coded import CodedSettings, find_coded
+from mosca.camera.eccentricity import eccentricity_px
+from mosca.coded_targets.detect import CodedSettings, find_coded
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.found_targets import CodedDetections
 from mosca.data.rig import Camera, OpenCVLens, Pose
 from mosca.data.targets import CodedTarget, PlacedTarget, TestField
-from mosca.detect import detect
-from mosca.eccentricity import eccentricity_px
-from twin.cameras.camera import VirtualCamera
-from twin.cameras.mount import Mount
-from twin.cameras.optics import Optics
-from twin.cameras.sensor import Sensor
-from twin.cameras.shutter import Timing
+from mosca.detection.detect import detect
+from twin.cameras.exposure.mount import Mount
+from twin.cameras.exposure.shutter import Timing
+from twin.cameras.optics.blur_parameters import Optics
+from twin.cameras.sensor.sensor import Sensor
+from twin.cameras.virtual_camera import VirtualCamera
+from twin.scenes.emission import Glow
 from twin.scenes.field_layout import LaidOutField
-from twin.scenes.glow import Glow
 from twin.scenes.target_field import field_scene
 from twin.scenes.target_motion import standing
 from twin.source import TwinSource

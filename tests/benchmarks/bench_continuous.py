@@ -1,8 +1,8 @@
 """The second paper's tables 1 and 2, ours beside theirs: three cameras that take turns, CMU motions, exact points.
 
 Run: ``python tests/benchmarks/bench_continuous.py [--cameras known moving fixed] [--methods linear cubic neural ours]
-[--worn] [MOTION ...]``; motions as in ``scenarios.unsynchronised.MOTIONS`` (default: all ten; the first one, the
-standing long jump, is table 1). Data: ``$MOSCA_DATA/cmu_mocap``.
+[--worn] [MOTION ...]``; motions as in ``scenarios.studies.unsynchronised.MOTIONS`` (default: all ten; the first
+one, the standing long jump, is table 1). Data: ``$MOSCA_DATA/cmu_mocap``.
 
 RMSE [mm] of all points over all frames that the three cameras span. "known": cameras as they are, nothing aligned.
 "moving": a pose of its own at every instant, as the paper's worn cameras have; datum is the first camera's pose and
@@ -26,15 +26,15 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
+from mosca.continuous.baselines.interpolated import Interpolated, interpolated
+from mosca.continuous.baselines.neural import neural
+from mosca.continuous.baselines.synchronous import Cameras
 from mosca.continuous.camera_paths import StillCameras
-from mosca.continuous.estimate import ContinuousSettings, estimate
-from mosca.continuous.interpolated import Interpolated, interpolated
-from mosca.continuous.neural import neural
+from mosca.continuous.estimator.estimate import ContinuousSettings, estimate
 from mosca.continuous.observations import CameraPaths, Curves, Observations
-from mosca.continuous.synchronous import Cameras
 from mosca.data.arrays import Array
 from mosca.data.rig import Pose, Rig
-from scenarios.unsynchronised import (
+from scenarios.studies.unsynchronised import (
     JUMP,
     MOTIONS,
     TUNING,
@@ -46,7 +46,7 @@ from scenarios.unsynchronised import (
     shared_frames,
     surround,
 )
-from scenarios.unsynchronised_worn import worn
+from scenarios.studies.unsynchronised_worn import worn
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data")) / "cmu_mocap"
 METHODS = ("linear", "cubic", "neural", "ours")

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from mosca.detect import detect, detect_set
+from mosca.detection.detect import detect, detect_set
 
 WIDTH, HEIGHT, DIAMETER, BLUR, CONTRAST, SNR, BLACK = 656, 491, 8.0, 0.7, 200.0, 50.0, 4.0
 OVERSAMPLING = 8

@@ -21,8 +21,8 @@ from optv.segmentation import target_recognition
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from mosca.detect import NOTHING, detect, detect_and_learn
-from mosca.detect_settings import DetectionSettings
+from mosca.detection.detect import NOTHING, detect, detect_and_learn
+from mosca.detection.settings import DetectionSettings
 
 WIDTH, HEIGHT, BLUR, SNR, BLACK, MARGIN = 656, 491, 0.7, 50.0, 4.0, 16
 OVERSAMPLING = 8

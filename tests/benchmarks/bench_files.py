@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from mosca.assemble import assemble
 from mosca.data.frames import CameraInfo, Frame
-from mosca.data.motion_asf import read_asf_amc
+from mosca.data.motion.asf import read_asf_amc
 from mosca.data.tracks import Tracks
-from mosca.formats.tracks_csv import read_tracks_csv
-from mosca.formats.tracks_file import write_tracks
+from mosca.formats.tracks.tracks_csv import read_tracks_csv
+from mosca.formats.tracks.tracks_file import write_tracks
+from mosca.synchronisation import assemble
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data")) / "cmu_mocap"
 

@@ -16,8 +16,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "mosca"))
 from test_match import detected, members, rig_of
 
-from mosca.match import MatchSettings, Predicted, match
-from mosca.triangulate import bundle_rays
+from mosca.correspondence.match import MatchSettings, Predicted, match
+from mosca.triangulation.triangulate import bundle_rays
 
 ROOM = (np.full(3, -2.0), np.full(3, 2.0))
 

@@ -20,12 +20,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 from bench_match import exponent, least_ms
 from test_match import detected, members
 
-from mosca.camera import project
+from mosca.camera.projection import project
+from mosca.correspondence.match import MatchSettings, Predicted, match
 from mosca.data.detections import Detections
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 from mosca.data.tracks import Points
-from mosca.match import MatchSettings, Predicted, match
-from mosca.triangulate import bundle_rays
+from mosca.triangulation.triangulate import bundle_rays
 
 SIGMA_PX = 0.03
 SETS = 3

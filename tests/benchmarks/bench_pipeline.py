@@ -19,11 +19,11 @@ import numpy as np
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.tracks import table
 from mosca.pipeline import PipelineSettings, run
-from scenarios.build import build_scene, pipeline_settings
-from scenarios.cameras import calibrated, true_rig, virtual_cameras
-from scenarios.catalog import find
-from scenarios.score import metrics, pair
-from scenarios.spec import load_scenario
+from scenarios.build.cameras import calibrated, true_rig, virtual_cameras
+from scenarios.build.scene import build_scene, pipeline_settings
+from scenarios.score.tracks import metrics, pair
+from scenarios.spec.scenario import load_scenario
+from scenarios.suite.catalog import find
 from twin.source import TwinSource
 
 

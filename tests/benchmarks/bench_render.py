@@ -21,14 +21,14 @@ import cv2
 import mujoco
 import numpy as np
 
-from scenarios.build import build_scene
-from scenarios.cameras import deliveries, surroundings, true_rig, virtual_cameras
-from scenarios.spec import Scenario, load_scenario
+from scenarios.build.cameras import deliveries, surroundings, true_rig, virtual_cameras
+from scenarios.build.scene import build_scene
+from scenarios.spec.scenario import Scenario, load_scenario
 from twin.scenes.cloud import build_cloud
 from twin.scenes.scene import Scene
 from twin.source import TwinSource
 
-ACTOR = Path(__file__).parents[2] / "scenarios" / "subjects" / "actor.toml"
+ACTOR = Path(__file__).parents[2] / "scenarios" / "library" / "subjects" / "actor.toml"
 ROUNDS = 4
 ASKED_SETS_PER_S = 100.0
 SIZES = ((656, 491), (1936, 1216), (4096, 3000), (4920, 3264))

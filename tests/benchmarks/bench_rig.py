@@ -25,8 +25,8 @@ import numpy as np
 from scipy.stats import linregress
 
 from hardware.source import open_rig
-from mosca.assemble import Assembly, AssemblySettings, assemble
 from mosca.recording import open_recording
+from mosca.synchronisation import Assembly, AssemblySettings, assemble
 
 TAKE_HZ, TAKE_PULSES = 50.0, 60
 FAULTS = ("--loss", "0.01", "--withhold", "0.005", "--reboot", "cam2@8", "--drift", "50")
@@ -36,7 +36,7 @@ def main(pulses: int, take: Path | None = None) -> None:
     """Print what became of each camera's frames, and how many stand in a wrong set."""
     with tempfile.TemporaryDirectory() as folder:
         rig = Path(folder) / "rig.toml"
-        mosca = [sys.executable, "-m", "scenarios.cli"]
+        mosca = [sys.executable, "-m", "scenarios.cli.main"]
         if take is None:
             take = Path(folder) / "take"
             run = [*mosca, "run", "rigs/any_source", "--record", str(take), "--out", f"{folder}/run"]

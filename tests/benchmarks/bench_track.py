@@ -11,8 +11,8 @@ import time
 import numpy as np
 
 from mosca.data.tracks import Points
-from mosca.nearest import NearestTracker
-from mosca.track import Tracker, TrackSettings
+from mosca.tracking.nearest_neighbour import NearestTracker
+from mosca.tracking.tracker import Tracker, TrackSettings
 
 RATE_HZ = 100.0
 

@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 import pytest
 
-from mosca.assemble import Assembly, assemble
 from mosca.data.frames import CameraInfo, Frame, FrameSource, mid_exposure_ns
 from mosca.data.rig import Camera, MoscaLens, Pose
 from mosca.recording import RecordingWriter, open_recording
-from twin.cameras.camera import VirtualCamera
+from mosca.synchronisation import Assembly, assemble
 from twin.cameras.delivery import Delivery
+from twin.cameras.virtual_camera import VirtualCamera
 from twin.scenes.cloud import build_cloud
 from twin.source import TwinSource
 

@@ -17,11 +17,11 @@ from needs import needs_aravis, needs_module
 
 from mosca.data.tracks import read_npz
 from mosca.recording import open_recording
-from scenarios.catalog import find
-from scenarios.run import run_scenario
-from scenarios.run_folder import write_run
-from scenarios.run_options import RunOptions
-from scenarios.spec import load_scenario
+from scenarios.run.folder import write_run
+from scenarios.run.options import RunOptions
+from scenarios.run.scenario import run_scenario
+from scenarios.spec.scenario import load_scenario
+from scenarios.suite.catalog import find
 
 # before any test asks pylon for its cameras
 os.environ.setdefault("PYLON_CAMEMU", "4")
@@ -95,7 +95,16 @@ def test_gige_vision_devices_on_a_pulse_generator(take: tuple[Path, Path], tmp_p
 @contextmanager
 def served(recording: Path, rig: Path, trigger: str) -> Iterator[Path]:
     """Serve the recording as GigE Vision cameras that ``trigger`` triggers."""
-    command = [sys.executable, "-m", "scenarios.cli", "twin", "serve", str(recording), "--rig-out", str(rig)]
+    command = [
+        sys.executable,
+        "-m",
+        "scenarios.cli.main",
+        "twin",
+        "serve",
+        str(recording),
+        "--rig-out",
+        str(rig),
+    ]
     command += ["--trigger", trigger, "--address", "127.0.0.40", "--seconds", "3600"]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as server:
         try:

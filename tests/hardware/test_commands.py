@@ -12,7 +12,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hardware.commands import (
+from hardware.driver import DeviceError
+from hardware.onboard.commands import (
     CommandTable,
     EventTable,
     Program,
@@ -21,8 +22,7 @@ from hardware.commands import (
     open_target,
     read_program,
 )
-from hardware.driver import DeviceError
-from hardware.lines import LONGEST_LINE, TcpLines, UdpLines
+from hardware.onboard.line_protocol import LONGEST_LINE, TcpLines, UdpLines
 from mosca.errors import InputError
 
 PATIENT_S = 60.0

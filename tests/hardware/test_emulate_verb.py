@@ -15,7 +15,7 @@ from needs import needs_aravis
 from hardware.settings import read_hardware
 from mosca.errors import InputError
 from mosca.recording import RecordingWriter
-from scenarios.cli import cli
+from scenarios.cli.main import cli
 from scenarios.lab.serve import Request, Trouble, serve
 
 SHAPE = (48, 64)

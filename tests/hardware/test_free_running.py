@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from hardware.driver import Capabilities, Grabbed
-from hardware.free_running import FreeClock
-from hardware.numbering import PulseNumbers
+from hardware.pulse_numbers.free_running import FreeClock
+from hardware.pulse_numbers.numbering import PulseNumbers
 from hardware.settings import CameraHardware, HardwareTable, RigHardware
 from hardware.source import HardwareSource
-from mosca.assemble import Assembly, AssemblySettings, assemble
 from mosca.data.frames import CameraInfo, Frame
+from mosca.synchronisation import Assembly, AssemblySettings, assemble
 
 RATE = 30.0
 IMAGE = np.zeros((2, 2), np.uint8)

@@ -11,9 +11,9 @@ from hardware.driver import DeviceError
 from hardware.settings import read_hardware
 from hardware.source import HardwareSource
 from hardware.triggers.software import SoftwareTrigger
-from mosca.assemble import Assembly, assemble
 from mosca.data.frames import FrameSource
 from mosca.errors import InputError
+from mosca.synchronisation import Assembly, assemble
 
 RATE = 100.0
 

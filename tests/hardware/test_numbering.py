@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hardware.driver import Grabbed
-from hardware.numbering import PulseNumbers
+from hardware.pulse_numbers.numbering import PulseNumbers
 
 
 @dataclass(frozen=True)

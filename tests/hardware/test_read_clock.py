@@ -7,8 +7,8 @@ import pytest
 from test_numbering import Rig, stream
 
 from hardware.driver import ClockReading, Grabbed
-from hardware.numbering import PulseNumbers
-from hardware.read_clock import ReadClock
+from hardware.pulse_numbers.clock_sync import ReadClock
+from hardware.pulse_numbers.numbering import PulseNumbers
 
 NAMES = ["c0", "c1", "c2", "c3"]
 

@@ -10,17 +10,17 @@ from fake_rig import Fake, FakeDriver, FakeLine
 from loopback import Hand, free_address
 from test_hardware_source import RATE, pulse_in, rig_file
 
-from hardware.abreast import Abreast
 from hardware.driver import Capabilities, Grabbed
 from hardware.emulate.line import TriggerLine
 from hardware.emulate.pulse_box import PulseBox
 from hardware.emulate.serve import served
-from hardware.looks import LONGEST_LOOK_S, LOOK_S, Looks
+from hardware.reorder_buffer import Abreast
 from hardware.settings import read_hardware
+from hardware.silence import LONGEST_LOOK_S, LOOK_S, Looks
 from hardware.source import HardwareSource
 from hardware.triggers.software import GIVEN_UP, PATIENCE_S, SoftwareTrigger
-from mosca.assemble import Assembly, assemble
 from mosca.data.frames import Frame
+from mosca.synchronisation import Assembly, assemble
 
 SECOND = 1_000_000_000
 

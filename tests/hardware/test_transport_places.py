@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hardware.transport.places import PulsePlaces
+from hardware.transport.pulse_alignment import PulsePlaces
 
 RATE = 100.0
 T = 1e9 / RATE

@@ -15,11 +15,11 @@ from hardware.driver import DeviceError, Grabbed
 from hardware.drivers import open_camera
 from hardware.emulate.faults import Faults, Luck
 from hardware.emulate.serve import served
-from hardware.numbering import PulseNumbers
+from hardware.pulse_numbers.numbering import PulseNumbers
+from hardware.pulse_numbers.trigger_counter import TriggerWitness
 from hardware.settings import CameraHardware, read_hardware
 from hardware.source import HardwareSource
 from hardware.trigger import External
-from hardware.witness import TriggerWitness
 from mosca.errors import InputError
 
 SHAPE = (48, 64)

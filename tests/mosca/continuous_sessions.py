@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.continuous.gather_look import Seen
+from mosca.continuous.association.frame_detections import Seen
 from mosca.data.frames import CameraInfo
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 

@@ -6,7 +6,7 @@ import numpy as np
 from bundle_scenes import HEIGHT, WIDTH, looking, ring
 from scipy.spatial.transform import Rotation
 
-from mosca.calibrate.bundle.solver import (
+from mosca.calibration.bundle.solver import (
     FREE,
     HELD,
     BundleSettings,
@@ -17,7 +17,7 @@ from mosca.calibrate.bundle.solver import (
     Problem,
     solve,
 )
-from mosca.camera import project, project_with_jacobians
+from mosca.camera.projection import project, project_with_jacobians
 from mosca.data.calibration import Calibration
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 from mosca.data.sightings import Sightings

@@ -5,8 +5,8 @@ from dataclasses import fields, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mosca.calibrate.bundle.layout import POSE_NAMES
-from mosca.camera import image_grid, project, rays
+from mosca.calibration.bundle.layout import POSE_NAMES
+from mosca.camera.projection import image_grid, project, rays
 from mosca.data.rig import Camera, Lens, MoscaLens, OpenCVLens, Pose, Rig, principal_distances_px
 from mosca.data.sightings import Part, Sightings
 

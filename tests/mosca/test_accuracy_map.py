@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from judge_rigs import field_calibration, good_rig
 
-from mosca.calibrate.accuracy_map import accuracy_map, measured_points
-from mosca.calibrate.judge_jacobian import changed_rig, sensitivity
-from mosca.camera import project
+from mosca.calibration.quality.accuracy_map import accuracy_map, measured_points
+from mosca.calibration.quality.jacobian import changed_rig, sensitivity
+from mosca.camera.projection import project
 from mosca.data.rig import MoscaLens, Rig
-from mosca.triangulate import triangulate
+from mosca.triangulation.triangulate import triangulate
 
 TRIALS = 300
 

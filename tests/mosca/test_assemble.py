@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mosca.assemble import Assembly, AssemblySettings, PulseClock, assemble
 from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.errors import InputError
+from mosca.synchronisation import Assembly, AssemblySettings, PulseClock, assemble
 
 PERIOD_NS = 10_000_000
 IMAGE = np.zeros((2, 2), dtype=np.uint8)

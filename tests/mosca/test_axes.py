@@ -8,15 +8,15 @@ from scipy.spatial.transform import Rotation
 from test_wand import calibrated
 from wand_scenes import NOISE_PX, rig, seen, waved
 
-from mosca.calibrate.axes import in_axes, world_from_l_frame
-from mosca.calibrate.judge_jacobian import changed_rig
-from mosca.calibrate.self_calibrate import self_calibrate
-from mosca.camera import project
+from mosca.calibration.quality.jacobian import changed_rig
+from mosca.calibration.self_calibration.calibrate import self_calibrate
+from mosca.calibration.world_frame.l_frame import in_axes, world_from_l_frame
+from mosca.camera.projection import project
 from mosca.data.detections import Detections
 from mosca.data.rig import Pose, Rig
 from mosca.data.wands import LFrame
 from mosca.errors import CalibrationError
-from mosca.triangulate import triangulate
+from mosca.triangulation.triangulate import triangulate
 
 NAMES = ("origin", "x1", "x2", "y")
 PLACES = np.array([[0.0, 0, 0.02], [0.35, 0, 0.02], [0.6, 0, 0.02], [0, 0.4, 0.02]])

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mosca.blink import BlinkSettings, label_lamps, lamp_numbers
 from mosca.data.lamp_codes import LAMP_NUMBERS, lamp_bits
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
+from mosca.labelling.blinking_leds import BlinkSettings, label_lamps, lamp_numbers
 
 
 def tracks_lit(lit: dict[int, list[int]], status: str = "measured") -> Tracks:

@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from mosca.bodies import BodyTracker, body_poses, labelled_by_bodies
-from mosca.bodies_alike import check_bodies, difference_m, nearest
-from mosca.bodies_learn import learn_body
-from mosca.bodies_pose import BodySettings, Constellation, seen_of
 from mosca.data.bodies import BodyPoses, RigidBody
 from mosca.data.tracks import Points, Samples, Tracks
 from mosca.errors import InputError
+from mosca.rigid_bodies.ambiguity import check_bodies, difference_m, nearest
+from mosca.rigid_bodies.learn import learn_body
+from mosca.rigid_bodies.pose import BodySettings, Constellation, seen_of
+from mosca.rigid_bodies.tracker import BodyTracker, body_poses, labelled_by_bodies
 
 SIGMA = 2e-4
 DRONE = RigidBody(

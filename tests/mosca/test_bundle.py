@@ -10,7 +10,7 @@ from bundle_scenes import HEIGHT, WIDTH, cv2_pixels, looking, moved, ring, views
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from mosca.calibrate.bundle.solver import (
+from mosca.calibration.bundle.solver import (
     FREE,
     HELD,
     BundleSettings,
@@ -22,7 +22,7 @@ from mosca.calibrate.bundle.solver import (
     Problem,
     solve,
 )
-from mosca.camera import project
+from mosca.camera.projection import project
 from mosca.data.boards import Board
 from mosca.data.rig import Camera, MoscaLens, OpenCVLens, Pose
 from mosca.errors import CalibrationError, InputError

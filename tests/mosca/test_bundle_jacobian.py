@@ -1,5 +1,5 @@
-"""The compiled lenses are those of ``mosca.lenses``; normal equations and covariances are those of a dense
-Jacobian made by finite differences, for every lens model and every kind of unknown.
+"""The compiled lenses are those of ``mosca.camera.lens_models``; normal equations and covariances are those of a
+dense Jacobian made by finite differences, for every lens model and every kind of unknown.
 """
 
 import numpy as np
@@ -9,13 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mosca.calibrate.bundle.descent import empty_normals, first_state, moved, reduced
-from mosca.calibrate.bundle.kernels import imaged
-from mosca.calibrate.bundle.layout import lay_out
-from mosca.calibrate.bundle.lenses import FOLD, IMAGED, L, image, lens_row
-from mosca.calibrate.bundle.normals import linearise
-from mosca.calibrate.bundle.priors import lens_priors, pulls
-from mosca.calibrate.bundle.solver import (
+from mosca.calibration.bundle.kernels import imaged
+from mosca.calibration.bundle.layout import lay_out
+from mosca.calibration.bundle.lenses import FOLD, IMAGED, L, image, lens_row
+from mosca.calibration.bundle.levenberg_marquardt import empty_normals, first_state, moved, reduced
+from mosca.calibration.bundle.normals import linearise
+from mosca.calibration.bundle.priors import lens_priors, pulls
+from mosca.calibration.bundle.rotations import weighted_blocks
+from mosca.calibration.bundle.solver import (
     BundleSettings,
     CameraUnknowns,
     Distances,
@@ -25,10 +26,11 @@ from mosca.calibrate.bundle.solver import (
     Problem,
     solve,
 )
-from mosca.calibrate.bundle.turns import weighted_blocks
-from mosca.camera import project
+from mosca.camera.lens_models import fisheye as fisheye_model
+from mosca.camera.lens_models import mosca as mosca_model
+from mosca.camera.lens_models import opencv as opencv_model
+from mosca.camera.projection import project
 from mosca.data.rig import Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose
-from mosca.lenses import fisheye_model, mosca_model, opencv_model
 
 LENSES = [
     OpenCVLens(1000, 1004, 640, 510, -0.2, 0.08, 1e-3, -5e-4, -0.01),
@@ -292,7 +294,7 @@ def test_covariances_and_redundancy_numbers_are_those_of_the_dense_inverse():
     problem = everything(free=FEW)
     done = solve(problem, BundleSettings(tolerance=1e-6, hold_weak=False))
     layout = lay_out(problem)
-    from mosca.calibrate.bundle.solver import _state_of
+    from mosca.calibration.bundle.solver import _state_of
 
     state = _state_of(problem, layout, done)
     residuals, jacobian = dense(problem, layout, state)

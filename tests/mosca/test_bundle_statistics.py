@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from mosca.calibrate.bundle.solver import (
+from mosca.calibration.bundle.solver import (
     FREE,
     HELD,
     BundleSettings,
@@ -23,7 +23,7 @@ from mosca.calibrate.bundle.solver import (
     Problem,
     solve,
 )
-from mosca.camera import project_with_jacobians
+from mosca.camera.projection import project_with_jacobians
 from mosca.data.rig import Camera, OpenCVLens, Pose
 from mosca.errors import CalibrationError
 

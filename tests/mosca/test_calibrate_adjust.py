@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scipy.optimize import root
 from scipy.stats import chi2
 
-from mosca.calibrate.adjust import AdjustmentSettings, adjust_camera
-from mosca.camera import project
+from mosca.calibration.single_camera.adjust import AdjustmentSettings, adjust_camera
+from mosca.camera.projection import project
 from mosca.data.rig import MoscaLens
 from mosca.errors import CalibrationError, InputError
 

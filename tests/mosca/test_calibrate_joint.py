@@ -5,15 +5,15 @@ import pytest
 from bundle_scenes import cv2_pixels, looking
 from scipy.spatial.transform import Rotation
 
-from mosca.calibrate.joint import (
+from mosca.calibration.single_camera.joint import (
     StandError,
     adjust_together,
     distinct_points,
     resected_camera,
     stand_centres,
 )
+from mosca.data.files.target_file import MeasuredPoints
 from mosca.data.rig import Camera, OpenCVLens
-from mosca.data.target_file import MeasuredPoints
 from mosca.errors import InputError
 
 SIZE = (1280, 1024)

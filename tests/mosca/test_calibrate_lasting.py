@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from rigid_scenes import errors_of, field_marks, seen, some_rig, still, stood
 
-from mosca.calibrate import rigid
-from mosca.calibrate.estimate import with_residuals
-from mosca.calibrate.interior import LensChoice
-from mosca.calibrate.rigid import RigidSettings, RigidTarget, calibrate_rigid
+from mosca.calibration import rigid_target as rigid
+from mosca.calibration.initial.interior_orientation import LensChoice
+from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
+from mosca.calibration.session import with_residuals
 
 NOISE_PX, LASTING_PX, REPEATS = 0.02, 0.02, 8
 SETTINGS = RigidSettings(LensChoice("mosca", 0.0099))

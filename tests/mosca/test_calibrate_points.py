@@ -9,9 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mosca.calibrate.adjust import AdjustmentSettings
-from mosca.calibrate.points import calibrate_from_points, summary
-from mosca.data.target_file import MeasuredPoints, read_measured_points, read_target
+from mosca.calibration.single_camera.adjust import AdjustmentSettings
+from mosca.calibration.single_camera.from_points import calibrate_from_points, summary
+from mosca.data.files.target_file import MeasuredPoints, read_measured_points, read_target
 from mosca.errors import CalibrationError, InputError
 
 TARGET = """

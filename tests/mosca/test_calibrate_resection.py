@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mosca.calibrate.resection import aim, resect, resect_fisheye
+from mosca.calibration.initial.resection import aim, resect, resect_fisheye
 from mosca.errors import CalibrationError
 
 K = np.array([[1200.0, 0.0, 655.0], [0.0, 1210.0, 500.0], [0.0, 0.0, 1.0]])

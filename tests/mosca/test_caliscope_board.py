@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 import pytest
 
-from mosca.calibrate.interior import LensChoice
-from mosca.calibrate.rigid import RigidSettings, RigidTarget, calibrate_rigid
+from mosca.calibration.initial.interior_orientation import LensChoice
+from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
+from mosca.data.files.rig_file import read_rig
 from mosca.data.rig import OpenCVLens, Rig
-from mosca.data.rig_file import read_rig
 from mosca.data.sightings import Sightings
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data"))

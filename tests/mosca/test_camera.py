@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mosca.camera import (
+from mosca.camera.projection import (
     convert_lens,
     fit_lens,
     image_grid,

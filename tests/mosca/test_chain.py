@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mosca.calibrate.chain import chain
+from mosca.calibration.initial.pose_graph import chain
 from mosca.data.rig import Pose
 from mosca.errors import CalibrationError
 

@@ -10,15 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from mosca.coded import CodedSettings, find_coded, noise_of
+from mosca.coded_targets.detect import CodedSettings, find_coded, noise_of
 from mosca.data.rig import Camera, OpenCVLens, Pose
 from mosca.data.target_codes import NUMBERS, SECTORS, code_bits, number_of
-from mosca.detect import DetectionSettings, detect
+from mosca.detection.detect import DetectionSettings, detect
 from mosca.errors import InputError
-from twin.cameras.camera import VirtualCamera
-from twin.cameras.optics import Optics
-from twin.cameras.sensor import Sensor
-from twin.scenes.glow import Glow
+from twin.cameras.optics.blur_parameters import Optics
+from twin.cameras.sensor.sensor import Sensor
+from twin.cameras.virtual_camera import VirtualCamera
+from twin.scenes.emission import Glow
 from twin.scenes.target_field import build_field
 from twin.source import TwinSource
 
@@ -169,7 +169,7 @@ def test_sectors_taken_the_wrong_way_round_would_be_noticed(monkeypatch):
     plates = [v for v in views(10, 12) if number_of(code_bits(v.number)[::-1]) is None]
     image = picture(plates)
     assert find_coded(image, "left").number.tolist() == numbers(plates)
-    from mosca import coded
+    from mosca.coded_targets import detect as coded
 
     def turned(word: int) -> tuple[int, int] | None:
         bits = tuple(bool(word >> k & 1) for k in range(SECTORS))

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from mosca.boards import corner_covariance, find_board
-from mosca.camera import project
+from mosca.camera.projection import project
+from mosca.coded_targets.boards import corner_covariance, find_board
 from mosca.data.arrays import Array
 from mosca.data.boards import DICTIONARIES, Board
 from mosca.data.rig import Camera, OpenCVLens, Pose
 from mosca.errors import InputError
-from twin.cameras.camera import VirtualCamera
-from twin.cameras.mount import Mount
-from twin.cameras.optics import Optics
-from twin.cameras.sensor import Sensor
-from twin.cameras.shutter import Timing
+from twin.cameras.exposure.mount import Mount
+from twin.cameras.exposure.shutter import Timing
+from twin.cameras.optics.blur_parameters import Optics
+from twin.cameras.sensor.sensor import Sensor
+from twin.cameras.virtual_camera import VirtualCamera
 from twin.scenes.target_boards import build_board, corners_at
 from twin.source import TwinSource
 

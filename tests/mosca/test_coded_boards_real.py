@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mosca.boards import find_board
+from mosca.coded_targets.boards import find_board
 from mosca.data.boards import Board
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data"))

@@ -5,7 +5,7 @@ import pytest
 from coded_clutter import KINDS, other_rings, view
 from coded_views import View, paint
 
-from mosca.coded import CodedSettings, find_coded
+from mosca.coded_targets.detect import CodedSettings, find_coded
 from mosca.data.target_codes import NUMBERS
 
 EITHER = CodedSettings(colour="both")
@@ -53,7 +53,7 @@ def test_the_same_plates_with_numbers_are_read():
 
 def test_a_reader_that_puts_one_sector_right_would_be_fooled(monkeypatch):
     """Control: with one error corrected, rings that are no number become numbers."""
-    from mosca import coded
+    from mosca.coded_targets import detect as coded
 
     code = coded.ring_code()
 

@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mosca.camera import project
-from mosca.coded import find_coded
+from mosca.camera.eccentricity import eccentricity_px
+from mosca.camera.projection import project
+from mosca.coded_targets.detect import find_coded
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, FisheyeLens, Lens, MoscaLens, OpenCVLens, Pose
-from mosca.eccentricity import eccentricity_px
 from mosca.errors import InputError
 
 PINHOLE = OpenCVLens(1000.0, 1000.0, 320.0, 240.0)

@@ -14,15 +14,15 @@ import cv2
 import numpy as np
 import pytest
 
-from mosca.boards import find_board
-from mosca.coded import CodedSettings, find_coded
+from mosca.coded_targets.boards import find_board
+from mosca.coded_targets.detect import CodedSettings, find_coded
 from mosca.data.boards import Board
 from mosca.data.target_codes import SECTORS, code_bits
 from mosca.data.targets import BallTarget, CodedTarget, PlacedTarget, RoundTarget, ScaleBar, TestField
 from mosca.data.wands import Wand
 from mosca.errors import InputError
-from mosca.formats.sheet_scale import PrintedScale, as_printed, scale_of_ruler, scale_of_scan
-from mosca.formats.target_sheet import (
+from mosca.formats.sheets.sheet_scale import PrintedScale, as_printed, scale_of_ruler, scale_of_scan
+from mosca.formats.sheets.target_sheet import (
     PAGES_MM,
     lay_out_sheets,
     ruler_mm,

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mosca.continuous.epipoles import (
+from mosca.continuous.baselines.epipoles import (
     TooFewPointsError,
     distances_along,
     essential,

@@ -10,10 +10,10 @@ import pytest
 from continuous_scenes import limbs, nees, ring, rms, sines, take
 from scipy.interpolate import BSpline
 
-import mosca.continuous.estimate as whole
-from mosca.continuous.checks import check
-from mosca.continuous.estimate import ContinuousSettings, estimate
-from mosca.continuous.limbs import Pairs
+import mosca.continuous.estimator.estimate as whole
+from mosca.continuous.estimator.checks import check
+from mosca.continuous.estimator.constant_distances import Pairs
+from mosca.continuous.estimator.estimate import ContinuousSettings, estimate
 from mosca.data.rig import Pose, Rig
 from mosca.data.rotations import rotation_from_vector
 from mosca.errors import InputError
@@ -43,7 +43,7 @@ def test_errors_are_small_and_as_large_as_stated():
 def test_synchronous_cameras_lose_nothing_against_points_of_single_instants():
     from scipy.optimize import least_squares
 
-    from mosca.camera import project
+    from mosca.camera.projection import project
 
     path, rig = sines(7, 4), ring()
     stamps = [np.arange(0, 1.5, 0.02)] * 3

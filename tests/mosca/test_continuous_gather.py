@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from continuous_sessions import DRIFT, POINTS, RATE_HZ, pinhole, rig, session
 
-from mosca.continuous.gather import GatherSettings, gather_seen
-from mosca.continuous.gather_clocks import common_clock, tied_clocks
-from mosca.continuous.gather_curves import SampledCurves
-from mosca.continuous.gather_grid import residuals_px, tracks_on_grid
-from mosca.continuous.gather_join import parts_in_time
-from mosca.continuous.gather_look import Seen, check_rise
-from mosca.continuous.gather_strands import Paths, strands
+from mosca.continuous.association.associate import GatherSettings, gather_seen
+from mosca.continuous.association.coarse_sync import common_clock, tied_clocks
+from mosca.continuous.association.frame_detections import Seen, check_rise
+from mosca.continuous.association.interpolated_tracks import SampledCurves
+from mosca.continuous.association.tracklet_merging import parts_in_time
+from mosca.continuous.association.tracklets_2d import Paths, strands
 from mosca.continuous.observations import Observations, no_carriers
+from mosca.continuous.resample import residuals_px, tracks_on_grid
 from mosca.data.frames import CameraInfo
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError

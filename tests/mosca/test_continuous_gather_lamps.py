@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mosca.continuous.estimate import ContinuousSettings
-from mosca.continuous.gather import GatherSettings
-from mosca.continuous.gather_blinks import NO_LAMP, LampSettings, blinking
-from mosca.continuous.gather_look import Seen
-from mosca.continuous.gather_moving import MovingRig, images_at
-from mosca.continuous.gather_mutual import LampRays, lamp_rays, placed_by_lamps
-from mosca.continuous.gather_worn import Lamps, solve_worn
+from mosca.continuous.association.associate import GatherSettings
+from mosca.continuous.association.blink_codes import NO_LAMP, LampSettings, blinking
+from mosca.continuous.association.frame_detections import Seen
+from mosca.continuous.estimator.estimate import ContinuousSettings
+from mosca.continuous.moving_cameras.body_worn import Lamps, solve_worn
+from mosca.continuous.moving_cameras.mutual_pose import LampRays, lamp_rays, placed_by_lamps
+from mosca.continuous.moving_cameras.rig_at_time import MovingRig, images_at
+from mosca.correspondence.match import MatchSettings
 from mosca.data.frames import CameraInfo
 from mosca.data.lamp_codes import lamp_bits
 from mosca.data.rig import Camera, FisheyeLens, Pose, Rig
 from mosca.errors import InputError
-from mosca.match import MatchSettings
 from mosca.pipeline import PipelineSettings
 
 FOCAL, WIDTH, HEIGHT, RATE_HZ, LAST_S = 235.0, 656, 491, 60.0, 1.3

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 from continuous_sessions import Motion, rig, session
 
-from mosca.continuous.gather_clocks import rival, tied_clocks
-from mosca.continuous.gather_strands import strands
-from mosca.continuous.gather_told import late_cameras, told_of
+from mosca.continuous.association.coarse_sync import rival, tied_clocks
+from mosca.continuous.association.tracklets_2d import strands
+from mosca.continuous.findings import late_cameras, told_of
 from mosca.continuous.observations import Observations, no_carriers
 
 

@@ -10,16 +10,16 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import approx_fprime, least_squares
 from scipy.spatial.transform import Rotation
 
-from mosca.camera import project
+from mosca.camera.projection import project
+from mosca.continuous.baselines.initial_poses import first_scene, in_datum
+from mosca.continuous.baselines.interpolated import ImageTracks, common_instants, interpolated
+from mosca.continuous.baselines.moving_projection import sight, turned
+from mosca.continuous.baselines.synchronous import Scene, Views, adjust, intersected
 from mosca.continuous.camera_paths import PosedCameras, StillCameras
-from mosca.continuous.first_poses import first_scene, in_datum
-from mosca.continuous.interpolated import ImageTracks, common_instants, interpolated
-from mosca.continuous.sight import sight, turned
-from mosca.continuous.synchronous import Scene, Views, adjust, intersected
-from mosca.data.motion import PointMotion
+from mosca.data.motion.motion import PointMotion
 from mosca.data.rig import Camera, FisheyeLens, Pose
 from mosca.errors import InputError
-from scenarios.unsynchronised import observe, score, shared_frames, surround
+from scenarios.studies.unsynchronised import observe, score, shared_frames, surround
 
 
 def waving(points=12, frames=121, seed=0):

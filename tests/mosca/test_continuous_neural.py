@@ -7,13 +7,13 @@ import pytest
 from scipy.optimize import approx_fprime
 from scipy.spatial.transform import Rotation
 
+from mosca.continuous.baselines.interpolated import interpolated
+from mosca.continuous.baselines.neural import NeuralSettings, neural
+from mosca.continuous.baselines.neural_cameras import NetPoses, SteadyPoses, right_jacobians
+from mosca.continuous.baselines.neural_net import Nets, Tangent, damped_solve, encoded, fitted
 from mosca.continuous.camera_paths import StillCameras
-from mosca.continuous.interpolated import interpolated
-from mosca.continuous.neural import NeuralSettings, neural
-from mosca.continuous.neural_cameras import NetPoses, SteadyPoses, right_jacobians
-from mosca.continuous.neural_net import Nets, Tangent, damped_solve, encoded, fitted
-from mosca.data.motion import PointMotion
-from scenarios.unsynchronised import observe, score, shared_frames, surround
+from mosca.data.motion.motion import PointMotion
+from scenarios.studies.unsynchronised import observe, score, shared_frames, surround
 
 
 def some_nets(count=2, outputs=3, seed=3):

@@ -5,9 +5,9 @@ import pytest
 from continuous_scenes import ring, rms, take
 from scipy.interpolate import make_lsq_spline
 
-from mosca.continuous.estimate import ContinuousSettings, estimate
-from mosca.data.motion import forward_kinematics
-from mosca.data.motion_bvh import read_bvh
+from mosca.continuous.estimator.estimate import ContinuousSettings, estimate
+from mosca.data.motion.bvh import read_bvh
+from mosca.data.motion.motion import forward_kinematics
 
 
 def jump(data_dir, frames, joints=None):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from mosca.continuous.banded import Band, Rows, solve_bordered
-from mosca.continuous.smoothness import expected_accelerations, log_determinant, shrunk
-from mosca.continuous.spline import Knots, fitted, knots_over, values
+from mosca.continuous.estimator.banded_normals import Band, Rows, solve_bordered
+from mosca.continuous.estimator.bspline import Knots, fitted, knots_over, values
+from mosca.continuous.estimator.motion_prior import expected_accelerations, log_determinant, shrunk
 
 
 def dense(banded):

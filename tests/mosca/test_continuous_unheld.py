@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from continuous_scenes import nees, ring, sines, take
 
-from mosca.camera import project
-from mosca.continuous.estimate import ContinuousSettings, estimate
+from mosca.camera.projection import project
+from mosca.continuous.estimator.estimate import ContinuousSettings, estimate
 from mosca.data.rig import Rig
-from mosca.triangulate import triangulate
+from mosca.triangulation.triangulate import triangulate
 
 PLAIN = ContinuousSettings(limbs=False)
 WITHIN = np.linspace(0.1, 1.9, 400)

@@ -12,7 +12,14 @@ from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
 from mosca.data.detections import UNREFINED
-from mosca.detect import DEFAULTS, DetectionSettings, detect, detect_set, mean_background, target_regions
+from mosca.detection.detect import (
+    DEFAULTS,
+    DetectionSettings,
+    detect,
+    detect_set,
+    mean_background,
+    target_regions,
+)
 from mosca.errors import InputError
 
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from mosca.camera import lens_pixels, project
+from mosca.camera.eccentricity import ball_eccentricity_px
+from mosca.camera.projection import lens_pixels, project
+from mosca.correspondence.match import MatchSettings, Predicted, match
 from mosca.data.detections import Detections
 from mosca.data.rig import Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose, Rig
-from mosca.eccentricity import ball_eccentricity_px
 from mosca.errors import InputError
-from mosca.match import MatchSettings, Predicted, match
-from mosca.triangulate import bundle_rays
+from mosca.triangulation.triangulate import bundle_rays
 
 HERE = Pose(np.eye(3), np.zeros(3))
 LENSES = {

@@ -8,7 +8,9 @@ import pytest
 from coded_views import View, paint
 from rigid_scenes import board_marks, carried, field_marks, ray_rms_px, seen, some_rig, stood
 
-from mosca.calibrate.estimate import (
+from mosca.calibration.initial.interior_orientation import LensChoice
+from mosca.calibration.read_session import sight
+from mosca.calibration.session import (
     EstimateSettings,
     calibrate_frames,
     calibrate_sightings,
@@ -17,10 +19,8 @@ from mosca.calibrate.estimate import (
     on_axes,
     rigid_target,
 )
-from mosca.calibrate.interior import LensChoice
-from mosca.calibrate.read_target import reader_of
-from mosca.calibrate.sessions import sight
-from mosca.camera import project
+from mosca.calibration.targets.reader import reader_of
+from mosca.camera.projection import project
 from mosca.data.boards import Board
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.rig import Pose

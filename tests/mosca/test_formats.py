@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from mosca.data.tracks import Tracks, read_npz
 from mosca.errors import InputError
-from mosca.formats.c3d import read_c3d, write_c3d
-from mosca.formats.marker_table import MarkerTable, table_from_tracks, tracks_from_table
-from mosca.formats.tracks_csv import COLUMNS, read_tracks_csv
-from mosca.formats.tracks_file import write_tracks
-from mosca.formats.trc import read_trc, write_trc
+from mosca.formats.tracks.c3d import read_c3d, write_c3d
+from mosca.formats.tracks.marker_table import MarkerTable, table_from_tracks, tracks_from_table
+from mosca.formats.tracks.tracks_csv import COLUMNS, read_tracks_csv
+from mosca.formats.tracks.tracks_file import write_tracks
+from mosca.formats.tracks.trc import read_trc, write_trc
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data"))
 LABELS = ["", "LASI", 'wei"rd, name', "Zähler\nneu", "x"]

@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mosca.data.bodies import BodyPoses, RigidBody
-from mosca.data.motion import Motion, Skeleton, forward_kinematics
-from mosca.data.motion_asf import read_asf_amc
-from mosca.data.motion_bvh import read_bvh
+from mosca.data.motion.asf import read_asf_amc
+from mosca.data.motion.bvh import read_bvh
+from mosca.data.motion.motion import Motion, Skeleton, forward_kinematics
 from mosca.errors import InputError
-from mosca.formats.bodies_csv import COLUMNS, read_bodies_csv, write_bodies_csv
-from mosca.formats.body_file import read_bodies, write_bodies
-from mosca.formats.bvh import angles_from_matrices, write_bvh
-from mosca.formats.tum import read_tum, write_tum
+from mosca.formats.bodies.bodies_csv import COLUMNS, read_bodies_csv, write_bodies_csv
+from mosca.formats.bodies.body_file import read_bodies, write_bodies
+from mosca.formats.bodies.bvh_writer import angles_from_matrices, write_bvh
+from mosca.formats.bodies.tum import read_tum, write_tum
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data")) / "cmu_mocap"
 TRIANGLE = np.array([[0, 0, 0], [0.1, 0, 0], [0.02, 0.07, 0]])

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
-from mosca.formats.c3d import read_c3d, write_c3d
-from mosca.formats.c3d_sound import fault_of
-from mosca.formats.marker_table import MarkerTable, plain_names, table_from_tracks
-from mosca.formats.trc import read_trc, write_trc
+from mosca.formats.tracks.c3d import read_c3d, write_c3d
+from mosca.formats.tracks.c3d_checks import fault_of
+from mosca.formats.tracks.marker_table import MarkerTable, plain_names, table_from_tracks
+from mosca.formats.tracks.trc import read_trc, write_trc
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data"))
 REAL = sorted((DATA / "c3d_trc").rglob("*.c3d"))

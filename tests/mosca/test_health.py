@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from mosca.camera import project
+from mosca.camera.projection import project
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSet
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
 from mosca.data.tracks import Points
-from mosca.health import Health
-from mosca.triangulate import bundle_rays, triangulate
+from mosca.diagnostics.camera_health import Health
+from mosca.triangulation.triangulate import bundle_rays, triangulate
 
 NOISE_PX = 0.01
 RATE_HZ = 100.0

@@ -7,9 +7,9 @@ import pytest
 from rigid_scenes import board_marks, carried, errors_of, field_marks, seen, some_rig, still
 from scipy.spatial.transform import Rotation
 
-from mosca.calibrate import rigid
-from mosca.calibrate.bundle.images import body_shake, shaken_covariance, steadied
-from mosca.calibrate.bundle.solver import (
+from mosca.calibration import rigid_target as rigid
+from mosca.calibration.bundle.exposure_shake import body_shake, shaken_covariance, steadied
+from mosca.calibration.bundle.solver import (
     CameraUnknowns,
     ObjectPoints,
     Observations,
@@ -17,9 +17,9 @@ from mosca.calibrate.bundle.solver import (
     Problem,
     solve,
 )
-from mosca.calibrate.interior import LensChoice
-from mosca.calibrate.rigid import RigidSettings, RigidTarget, calibrate_rigid
-from mosca.camera import project
+from mosca.calibration.initial.interior_orientation import LensChoice
+from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
+from mosca.camera.projection import project
 from mosca.data.rig import Pose
 
 NOISE, SHAKE = 0.02, 0.03

@@ -21,11 +21,11 @@ from judge_rigs import (
 )
 from scipy.spatial.transform import Rotation
 
-from mosca.calibrate.findings import CODES
-from mosca.calibrate.judge import judge
-from mosca.calibrate.judge_interior import depth_range, distance_correlation
-from mosca.calibrate.judge_network import coverage, links, volume_coverage
-from mosca.calibrate.judge_size import length_errors, scale_error, size_ratio
+from mosca.calibration.quality.checks import judge
+from mosca.calibration.quality.findings import CODES
+from mosca.calibration.quality.interior import depth_range, distance_correlation
+from mosca.calibration.quality.network import coverage, links, volume_coverage
+from mosca.calibration.quality.scale import length_errors, scale_error, size_ratio
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 from mosca.errors import InputError
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from mosca.kernel_cache import KEPT_DAYS, keep_kernels_fresh, kernel_sources, kernel_state
+from mosca.numba_support.cache import KEPT_DAYS, keep_kernels_fresh, kernel_sources, kernel_state
 
 ROOT = Path(__file__).resolve().parents[2]
 

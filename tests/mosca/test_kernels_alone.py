@@ -46,7 +46,8 @@ def test_only_kernels_call_what_is_compiled_for_kernels_alone() -> None:
 def test_a_call_from_python_is_found() -> None:
     planted = ModuleType("planted")
     exec(
-        "from mosca.match_index import cell_of\nclass A:\n    def f(self):\n        return [cell_of(k) for k in '1']",
+        "from mosca.correspondence.spatial_index import cell_of\n"
+        "class A:\n    def f(self):\n        return [cell_of(k) for k in '1']",
         vars(planted),
     )
     assert {call.split(":")[1] for call in called_by_python(planted)} == {" cell_of"}

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mosca.data.motion import forward_kinematics
-from mosca.data.motion_bvh import read_bvh
+from mosca.data.motion.bvh import read_bvh
+from mosca.data.motion.motion import forward_kinematics
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
-from mosca.label import label_tracks, marker_of_tracks
-from mosca.label_model import learn_model, volumes_of
+from mosca.labelling.assign import label_tracks, marker_of_tracks
+from mosca.labelling.marker_model import learn_model, volumes_of
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data")) / "cmu_mocap"
 

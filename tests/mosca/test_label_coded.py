@@ -4,9 +4,9 @@ import numpy as np
 from rigid_scenes import some_rig
 from scipy import stats
 
-from mosca.camera import project
+from mosca.camera.projection import project
 from mosca.data.found_targets import CodedDetections
-from mosca.label_coded import coded_label, coded_points, coded_samples
+from mosca.labelling.coded_targets import coded_label, coded_points, coded_samples
 
 SIGMA_PX = 0.05
 PLACES = np.random.default_rng(0).uniform(-0.8, 0.8, (12, 3))

@@ -6,11 +6,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mosca.camera import HELD, convert_lens, fit_lens, image_grid, lens_directions, lens_pixels, project, rays
-from mosca.camera import project_with_jacobians as projected
+from mosca.camera.projection import (
+    HELD,
+    convert_lens,
+    fit_lens,
+    image_grid,
+    lens_directions,
+    lens_pixels,
+    project,
+    rays,
+)
+from mosca.camera.projection import project_with_jacobians as projected
 from mosca.data.rig import Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose, Rig
 from mosca.errors import InputError
-from mosca.triangulate import triangulate
+from mosca.triangulation.triangulate import triangulate
 
 W, H = 656, 491
 AXIS = Pose(np.eye(3), np.zeros(3))

@@ -6,12 +6,12 @@ import time
 import numpy as np
 import pytest
 
-from mosca.assemble import Assembly
 from mosca.data.frames import CameraInfo, Frame
 from mosca.errors import InputError
 from mosca.live import LiveSets, run_live
 from mosca.pipeline import PipelineSettings, run
-from mosca.warm import _Blobs, _rig
+from mosca.precompile import _Blobs, _rig
+from mosca.synchronisation import Assembly
 
 INFOS = tuple(CameraInfo(name, 8, 6, 8, 100.0) for name in ("a", "b"))
 IMAGE = np.zeros((6, 8), np.uint8)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from mosca.data.frames import Frame, FrameSet
-from mosca.detect import DetectionSettings
-from mosca.look import Look, look_ahead
+from mosca.detection.detect import DetectionSettings
+from mosca.detection.scheduler import Look, look_ahead
 
 PATIENCE_S = 60.0
 

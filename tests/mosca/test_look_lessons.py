@@ -7,8 +7,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mosca.look import BEHIND, EARLY, QUICK, SELDOM, Lessons
-from mosca.refine import N_TALLIES, N_TERMS, NOTHING, Learned, joined
+from mosca.detection.disc_fit.camera_statistics import N_TALLIES, N_TERMS, NOTHING, Learned, joined
+from mosca.detection.scheduler import BEHIND, EARLY, QUICK, SELDOM, Lessons
 
 
 @cache

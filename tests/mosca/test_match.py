@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from mosca.camera import project
+from mosca.camera.projection import project
+from mosca.correspondence.match import EVERYWHERE, MatchSettings, Predicted, match, match_counted
 from mosca.data.detections import MERGED, PARTIAL, UNREFINED, Detections
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
-from mosca.match import EVERYWHERE, MatchSettings, Predicted, match, match_counted
-from mosca.triangulate import bundle_rays
+from mosca.triangulation.triangulate import bundle_rays
 
 LENS = MoscaLens(8.0, 330.0, 240.0, 0.01, 0.01, -0.006, 1e-3, -1.5e-5, 0, 1e-4, 5e-5)
 SIGMA = 0.05

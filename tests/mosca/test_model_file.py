@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
-from mosca.formats.model_file import model_schema, read_model, write_model
-from mosca.label import label_tracks
-from mosca.label_model import MarkerModel, learn_model
+from mosca.formats.bodies.model_file import model_schema, read_model, write_model
+from mosca.labelling.assign import label_tracks
+from mosca.labelling.marker_model import MarkerModel, learn_model
 
 GOOD = """
 kind = "marker-model"

@@ -9,10 +9,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mosca.data.motion import forward_kinematics
-from mosca.data.motion_asf import read_asf_amc
-from mosca.data.motion_bvh import read_bvh
-from mosca.data.motion_csv import read_points_csv
+from mosca.data.motion.asf import read_asf_amc
+from mosca.data.motion.bvh import read_bvh
+from mosca.data.motion.joint_csv import read_points_csv
+from mosca.data.motion.motion import forward_kinematics
 from mosca.errors import InputError
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data")) / "cmu_mocap"

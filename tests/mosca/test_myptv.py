@@ -15,20 +15,20 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from mosca.calibrate.adjust import CameraAdjustment
-from mosca.calibrate.estimate import EstimateSettings
-from mosca.calibrate.points import calibrate_from_points
-from mosca.camera import project, rays
+from mosca.calibration.session import EstimateSettings
+from mosca.calibration.single_camera.adjust import CameraAdjustment
+from mosca.calibration.single_camera.from_points import calibrate_from_points
+from mosca.camera.projection import project, rays
 from mosca.data.detections import Detections
+from mosca.data.files.rig_file import read_rig
+from mosca.data.files.target_file import PointsTarget, read_target
 from mosca.data.rig import Rig
-from mosca.data.rig_file import read_rig
-from mosca.data.target_file import PointsTarget, read_target
-from mosca.detect import DetectionSettings, detect
-from mosca.formats.tracks_csv import read_tracks_csv
+from mosca.detection.detect import DetectionSettings, detect
+from mosca.formats.tracks.tracks_csv import read_tracks_csv
 from mosca.pipeline import run
 from mosca.recording import open_recording
-from scenarios.calibrate import Request, calibrate
-from scenarios.reconstruct import (
+from scenarios.commands.calibrate import Request, calibrate
+from scenarios.commands.reconstruct import (
     reconstruct_recording,
     reconstruct_settings,
     reconstruct_spec,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mosca.data.npz import from_npz
+from mosca.data.files.npz import from_npz
 from mosca.data.tracks import Tracks, read_npz, write_npz
 from mosca.data.truth import read_truth
 from mosca.errors import InputError

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mosca.calibrate.poses import homography, plane_of, poses_of
+from mosca.calibration.initial.target_pose import homography, plane_of, poses_of
 from mosca.data.rig import Pose
 
 

@@ -16,13 +16,13 @@ from click.testing import CliRunner
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from mosca.calibrate.bundle.solver import Adjustment, BundleSettings
-from mosca.calibrate.joint import StandError, adjust_together, resected_camera, stand_centres
-from mosca.camera import project_with_jacobians
+from mosca.calibration.bundle.solver import Adjustment, BundleSettings
+from mosca.calibration.single_camera.joint import StandError, adjust_together, resected_camera, stand_centres
+from mosca.camera.projection import project_with_jacobians
+from mosca.data.files.rig_file import read_rig
+from mosca.data.files.target_file import MeasuredPoints
 from mosca.data.rig import Camera, Rig
-from mosca.data.rig_file import read_rig
-from mosca.data.target_file import MeasuredPoints
-from scenarios.cli import cli
+from scenarios.cli.main import cli
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data"))
 MARKERS = DATA / "proptv_calib_comparison" / "markerError_cases" / "markers"

@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mosca.assemble import Assembly, assemble
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 from mosca.errors import InputError
 from mosca.recording import Recording, open_recording
 from mosca.recording.images import decode_image, what_is_missing
 from mosca.recording.stamps import read_stamps
+from mosca.synchronisation import Assembly, assemble
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data"))
 WIDTH, HEIGHT = 40, 30

@@ -11,7 +11,7 @@ import pytest
 
 from mosca.data.frames import CameraInfo, Frame
 from mosca.recording import RecordingWriter, open_recording
-from mosca.recording.tail import TAIL_NAME, Tail, read_tail, rescued
+from mosca.recording.crash_buffer import TAIL_NAME, Tail, read_tail, rescued
 
 CAMERAS = (CameraInfo("a", 16, 12, 8, 100.0), CameraInfo("b", 10, 9, 12, 100.0))
 
@@ -112,7 +112,7 @@ def test_after_a_kill_what_waited_is_read_once_and_kept_beside_the_recording(tmp
         def refuse(*_args, **_kwargs):
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr("mosca.recording.tail.whole_file", refuse)
+        monkeypatch.setattr("mosca.recording.crash_buffer.whole_file", refuse)
     with open_recording(out) as recording:
         frames = list(recording)
         left = recording.waiting()

@@ -7,7 +7,7 @@ import pytest
 from scipy.special import j1
 
 from mosca.data.detections import SATURATED, UNREFINED
-from mosca.detect import NOTHING, DetectionSettings, detect, detect_and_learn, detect_set
+from mosca.detection.detect import NOTHING, DetectionSettings, detect, detect_and_learn, detect_set
 from mosca.errors import InputError
 
 FINE = 16  # samples a pixel

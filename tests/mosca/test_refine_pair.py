@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mosca.data.detections import MERGED, UNREFINED
-from mosca.detect import NOTHING, DetectionSettings, detect, detect_and_learn
+from mosca.detection.detect import NOTHING, DetectionSettings, detect, detect_and_learn
 
 FINE, SIDE, BLUR = 8, 30, 0.6
 GAIN, READ, LEVEL, DARK = 0.0128, 0.13, 4.0, 2.0

@@ -12,9 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mosca.camera import project
-from mosca.data.rig import LENS_MODELS, Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose, Rig
-from mosca.data.rig_file import (
+from mosca.camera.projection import project
+from mosca.data.files.rig_file import (
     FisheyeLensTable,
     MoscaLensTable,
     OpenCVLensTable,
@@ -23,6 +22,7 @@ from mosca.data.rig_file import (
     rig_schema,
     write_rig,
 )
+from mosca.data.rig import LENS_MODELS, Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose, Rig
 from mosca.data.rotations import (
     nearest_rotation,
     quaternion_from_rotation,

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mosca.camera import image_grid, lens_directions, lens_pixels, project
+from mosca.camera.projection import image_grid, lens_directions, lens_pixels, project
 from mosca.data.rig import Camera, FisheyeLens, Lens, MoscaLens, OpenCVLens, Pose, Rig
 from mosca.errors import InputError
-from mosca.formats.rig_files import FORMATS, RigFileOptions, format_of, read_any_rig, write_any_rig
+from mosca.formats.rigs.rig_formats import FORMATS, RigFileOptions, format_of, read_any_rig, write_any_rig
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data"))
 QTM = DATA / "pose2sim_demo" / "Demo_SinglePerson" / "Calib.qca.txt"
@@ -137,7 +137,7 @@ def test_a_file_that_opencv_wrote_is_read(tmp_path):
 
 
 def test_openptv_by_hand(tmp_path):
-    """A file written out by hand and its equations (``mosca.formats.openptv_model``) worked out step by step."""
+    """A file written out by hand and its equations (``mosca.formats.rigs.openptv_model``) worked out step by step."""
     (tmp_path / "cam1.tif.ori").write_text(
         "100.0 -50.0 800.0\n 0.0 0.0 0.0\n\n 1 0 0\n 0 1 0\n 0 0 1\n\n 0.0 0.0\n 70.0\n\n 0 0 1\n"
     )

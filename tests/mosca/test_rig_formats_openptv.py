@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mosca.camera import image_grid, lens_directions, project
+from mosca.camera.projection import image_grid, lens_directions, project
 from mosca.data.rig import Camera, Lens, MoscaLens, OpenCVLens, Pose, Rig
 from mosca.errors import InputError
-from mosca.formats.openptv_model import OpenPTVInterior, openptv_directions, openptv_pixels, to_lens
-from mosca.formats.rig_files import RigFileOptions, read_any_rig, write_any_rig
+from mosca.formats.rigs.openptv_model import OpenPTVInterior, openptv_directions, openptv_pixels, to_lens
+from mosca.formats.rigs.rig_formats import RigFileOptions, read_any_rig, write_any_rig
 
 SIZE = (1280, 1024)
 CENTRED = OpenCVLens(1400.0, 1401.5, 639.5, 511.5, -0.12, 0.05, 7e-4, -3e-4, 0.01)

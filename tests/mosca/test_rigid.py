@@ -16,9 +16,9 @@ from rigid_scenes import (
     stood,
 )
 
-from mosca.calibrate.interior import LensChoice
-from mosca.calibrate.rigid import RigidSettings, RigidTarget, calibrate_rigid
-from mosca.camera import project
+from mosca.calibration.initial.interior_orientation import LensChoice
+from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
+from mosca.camera.projection import project
 from mosca.data.rig import Camera, FisheyeLens, Pose, Rig
 from mosca.errors import CalibrationError
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mosca.data.tracks import Tracks
-from mosca.smooth import SmoothSettings, filled, smoothed
-from mosca.smooth_kernels import smooth_one
+from mosca.smoothing.rts import SmoothSettings, filled, smoothed
+from mosca.smoothing.smooth_kernels import smooth_one
 
 SIGMA = 1e-3
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from mosca.data.tracks import Samples, Tracks, table
 from mosca.errors import InputError
-from mosca.smooth import SmoothSettings, smoothed
-from mosca.smooth_lag import FixedLag, LagSettings, lagged
-from mosca.track_motion import motion
+from mosca.smoothing.fixed_lag import FixedLag, LagSettings, lagged
+from mosca.smoothing.rts import SmoothSettings, smoothed
+from mosca.tracking.motion_models import motion
 
 SIGMA = 1e-3
 PERIOD_NS = 10_000_000

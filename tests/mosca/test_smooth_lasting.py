@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mosca.data.tracks import Tracks
-from mosca.smooth import CHI2_95, SmoothSettings, filled
+from mosca.smoothing.rts import CHI2_95, SmoothSettings, filled
 
 RATE, SIGMA_M, HIDDEN_M = 100.0, 2e-4, 2e-3
 

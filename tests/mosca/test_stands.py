@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mosca.calibrate.stands import LEAST_MOVE_PX, stands_of
+from mosca.calibration.targets.stationary_intervals import LEAST_MOVE_PX, stands_of
 from mosca.data.sightings import Part, Sightings
 
 

@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mosca.data.boards import Board
-from mosca.data.target_file import PointsTarget, read_target, read_target_file, target_schema
-from mosca.data.target_tables import TABLES, field_toml
+from mosca.data.files.target_file import PointsTarget, read_target, read_target_file, target_schema
+from mosca.data.files.target_tables import TABLES, field_toml
 from mosca.data.targets import BallTarget, CodedTarget, PlacedTarget, RoundTarget, ScaleBar, TestField
 from mosca.data.wands import LFrame, Wand
 from mosca.errors import InputError

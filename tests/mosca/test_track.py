@@ -5,8 +5,8 @@ import pytest
 from track_points import points
 
 from mosca.data.tracks import table
-from mosca.nearest import NearestTracker
-from mosca.track import Tracker, TrackSettings
+from mosca.tracking.nearest_neighbour import NearestTracker
+from mosca.tracking.tracker import Tracker, TrackSettings
 
 STEP_NS = 10_000_000
 

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 from track_points import points
 
 from mosca.data.tracks import table
-from mosca.nearest import NearestTracker
-from mosca.track import Tracker, TrackSettings
-from mosca.track_assign import best_pairs
-from mosca.track_motion import motion
+from mosca.tracking.assignment import best_pairs
+from mosca.tracking.motion_models import motion
+from mosca.tracking.nearest_neighbour import NearestTracker
+from mosca.tracking.tracker import Tracker, TrackSettings
 
 STEP_NS = 10_000_000
 LIMB = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.15, 0], [0.02, 0.03, 0.12]])

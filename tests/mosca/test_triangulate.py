@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from mosca.camera import project
+from mosca.camera.projection import project
 from mosca.data.rig import Camera, MoscaLens, OpenCVLens, Pose, Rig
-from mosca.triangulate import triangulate
+from mosca.triangulation.triangulate import triangulate
 
 
 def looking_at(place, lens, name):

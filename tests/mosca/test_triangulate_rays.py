@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from judge_rigs import field_calibration, good_rig
 from scipy.spatial.transform import Rotation
 
-from mosca.calibrate.judge_jacobian import changed_rig
-from mosca.camera import project, rays
+from mosca.calibration.quality.jacobian import changed_rig
+from mosca.calibration.quality.point_covariance import calibration_covariance
+from mosca.camera.projection import project, rays
+from mosca.camera.ray_table import ANGLE, FLAGS, LONG, SIGMA, SPREAD, WHITE
 from mosca.data.detections import Detections
 from mosca.data.rig import Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose, Rig
-from mosca.ray_kernels import ANGLE, FLAGS, LONG, SIGMA, SPREAD, WHITE
-from mosca.triangulate import bundle_rays, triangulate
-from mosca.triangulate_calibration import calibration_covariance
+from mosca.triangulation.triangulate import bundle_rays, triangulate
 
 POSE = Pose(Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix(), np.array([0.4, -1.2, 2.0]))
 LENSES = {

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from wand_scenes import outward_ring, rig, seen, similarity, waved, waved_around
 
-from mosca.calibrate.wand import calibrate_wand
-from mosca.calibrate.wand_order import ordered
+from mosca.calibration.wand.calibrate import calibrate_wand
+from mosca.calibration.wand.end_order import ordered
 from mosca.data.calibration import Calibration
 from mosca.data.wands import Wand
 from mosca.errors import CalibrationError, InputError

@@ -1,6 +1,6 @@
 """The warming run reaches every stage."""
 
-from mosca.warm import POINTS, PULSES, look, points, warm_up
+from mosca.precompile import POINTS, PULSES, look, points, warm_up
 
 
 def test_it_finds_its_points_in_every_frame_set():

@@ -8,10 +8,10 @@ from bundle_scenes import HEIGHT, WIDTH, ring
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from mosca.calibrate.watch import RigWatch, WatchSettings, changes
-from mosca.calibrate.watch_pose import Seen, common_shift, gather, reorient, reoriented
-from mosca.calibrate.watch_residuals import frame_sums
-from mosca.camera import project
+from mosca.calibration.monitoring.bump_detector import RigWatch, WatchSettings, changes
+from mosca.calibration.monitoring.reorient import Seen, common_shift, gather, reorient, reoriented
+from mosca.calibration.monitoring.residual_sums import frame_sums
+from mosca.camera.projection import project
 from mosca.data.detections import Detections
 from mosca.data.rig import Pose, Rig
 from mosca.data.tracks import Points

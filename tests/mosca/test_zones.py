@@ -5,7 +5,7 @@ import pytest
 
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
-from mosca.zones import ZoneSettings, stitched
+from mosca.stitching.stitch import ZoneSettings, stitched
 
 SIGMA = 5e-4
 PERIOD_NS = 10_000_000

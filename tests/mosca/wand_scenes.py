@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mosca.camera import project
+from mosca.camera.projection import project
 from mosca.data.rig import Camera, MoscaLens, Pose
 from mosca.data.sightings import Sightings
 

@@ -1,6 +1,6 @@
 """Target detection written for reading, step by step from the Mosca paper, section 3.1.3.
 
-Shares nothing with ``mosca.detect`` and is slow: whole-image binarisation and labelling at each threshold.
+Shares nothing with ``mosca.detection.detect`` and is slow: whole-image binarisation and labelling at each threshold.
 """
 
 import numpy as np

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import chisquare, norm, poisson
 
-from twin.cameras.sensor import Sensor
+from twin.cameras.sensor.sensor import Sensor
 from witness.emva import Array
 
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scenarios.fidelity.door import seen_by_twin
+from scenarios.fidelity.twin_adapter import seen_by_twin
 from scenarios.fidelity.views import marker, small_camera
-from twin.cameras.optics import Optics
+from twin.cameras.optics.blur_parameters import Optics
 from witness.image import Array, contour_image
 from witness.pupil import blur_circle_px, disc_variance, displacements, pupil, pupil_mean
 from witness.render import image_centroid

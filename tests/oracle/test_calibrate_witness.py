@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mosca.calibrate.adjust import AdjustmentSettings, adjust_camera
+from mosca.calibration.single_camera.adjust import AdjustmentSettings, adjust_camera
 
 W, H = 1280, 1024
 K = np.array([[900.0, 0.0, 650.0], [0.0, 905.0, 500.0], [0.0, 0.0, 1.0]])

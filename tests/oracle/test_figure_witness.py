@@ -7,7 +7,7 @@ pattern's definition. Asked for: light 1e-4, centroid 0.001 px, pixels 1e-3 of t
 import numpy as np
 import pytest
 
-from scenarios.fidelity.door import Target, ball, disc, seen_by_twin, turn_to, window_of
+from scenarios.fidelity.twin_adapter import Target, ball, disc, seen_by_twin, turn_to, window_of
 from scenarios.fidelity.views import small_camera
 from twin.scenes.figure import circle, figure, polygon, ring_sector
 from witness.image import Array, exposed, points_image, row_windows

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from mosca.data.rig import OpenCVLens
-from scenarios.fidelity.door import Target, ball, disc, seen_by_twin
+from scenarios.fidelity.twin_adapter import Target, ball, disc, seen_by_twin
 from scenarios.fidelity.views import small_camera
-from twin.cameras.occlusion import occluders_of
+from twin.cameras.render.occluders import occluders_of
 from twin.scenes.scene import MARKER_GROUP, Scene
 from witness import gl
 from witness.image import Array, contour_image

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from scenarios.fidelity.door import Target, seen_by_twin, window_of
+from scenarios.fidelity.twin_adapter import Target, seen_by_twin, window_of
 from scenarios.fidelity.views import small_camera
-from twin.cameras.mesh_rays import MeshRays
-from twin.cameras.occlusion import occluders_of
-from twin.cameras.render import Seen, has_meshes
+from twin.cameras.render.mesh_occlusion import MeshRays
+from twin.cameras.render.occluders import occluders_of
+from twin.cameras.render.render import Seen, has_meshes
 from twin.scenes.scene import Scene
 from witness.image import Array
 from witness.rays import MARKER_GROUP, POSITION, ROTATION, UNSEEN_GROUP, Path, World, fixed, seen_over_time

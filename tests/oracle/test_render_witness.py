@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from mosca.data.rig import FisheyeLens, Lens, OpenCVLens
-from scenarios.fidelity.door import ball, seen_by_twin
+from scenarios.fidelity.twin_adapter import ball, seen_by_twin
 from scenarios.fidelity.views import LENSES, MATRIX, PLACES, H, W, marker, shifted, small_camera
-from twin.cameras.optics import Optics
+from twin.cameras.optics.blur_parameters import Optics
 from witness.image import (
     Array,
     contour_image,

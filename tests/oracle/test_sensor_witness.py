@@ -8,9 +8,9 @@ from emva_bench import SHAPE, Grab, by_levels, by_targets, complaints, measure
 from emva_law import chi_square_p, law
 from scipy.stats import kstest, norm, poisson
 
-from twin.cameras.ambient import Ambient
-from twin.cameras.levels import level_bank
-from twin.cameras.sensor import Sensor, dark_table, expose
+from twin.cameras.sensor.background_light import Ambient
+from twin.cameras.sensor.level_lookup import level_bank
+from twin.cameras.sensor.sensor import Sensor, dark_table, expose
 from witness.emva import Array, PhotonTransfer, linearity_error, spatial, temporal
 
 LEAST_P = 1e-3

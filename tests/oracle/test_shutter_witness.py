@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from scenarios.fidelity.door import ALWAYS, Target, seen_by_twin, turn_to, window_of
+from scenarios.fidelity.twin_adapter import ALWAYS, Target, seen_by_twin, turn_to, window_of
 from scenarios.fidelity.views import small_camera
 from witness.image import Array, contour_image, exposed, gathered, row_windows
 from witness.render import ball_outline, disc_outline, image_centroid

@@ -6,7 +6,7 @@ from contextlib import chdir, redirect_stderr, redirect_stdout
 from types import SimpleNamespace
 from unittest.mock import patch
 
-from scenarios.cli import main
+from scenarios.cli.main import main
 
 
 def mosca(*words, cwd):

@@ -13,9 +13,9 @@ def lab_folder(tmp_path_factory):
     from station_scene import Scene
     from station_scene import rig as scene_rig
 
-    from mosca.data.rig_file import rig_toml
+    from mosca.data.files.rig_file import rig_toml
     from mosca.data.tracks import Samples, table
-    from mosca.formats.tracks_file import write_tracks
+    from mosca.formats.tracks.tracks_file import write_tracks
     from mosca.recording import RecordingWriter
 
     lab = tmp_path_factory.mktemp("lab")
@@ -49,7 +49,7 @@ def lab_folder(tmp_path_factory):
 @pytest.fixture
 def refused(lab_folder, monkeypatch, capsys):
     """Return what runs words of the command line: they must end in one line, which is returned, and leave nothing."""
-    from scenarios.cli import main
+    from scenarios.cli.main import main
 
     monkeypatch.chdir(lab_folder)
 

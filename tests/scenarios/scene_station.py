@@ -13,7 +13,7 @@ from station_scene import image, rig
 from hardware.transport import open_transport
 from hardware.transport.sender import Sender
 from mosca.data.frames import CameraInfo, Frame
-from mosca.detect import DetectionSettings
+from mosca.detection.detect import DetectionSettings
 from scenarios.lab.station import run_station
 from scenarios.lab.station_source import Paced
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mosca.camera import project
+from mosca.camera.projection import project
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 

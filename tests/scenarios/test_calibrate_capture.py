@@ -14,18 +14,21 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "hardware"))
 from loopback import free_address
 from needs import needs_aravis, needs_module
 
-from mosca.calibrate.compare import compare_rigs
-from mosca.data.rig_file import read_rig
-from mosca.data.target_tables import field_toml
+from mosca.calibration.quality.compare_rigs import compare_rigs
+from mosca.data.files.rig_file import read_rig
+from mosca.data.files.target_tables import field_toml
 from mosca.recording import open_recording
-from scenarios.cameras import true_rig, virtual_cameras
+from scenarios.build.cameras import true_rig, virtual_cameras
 from scenarios.session.scenes import target_session
 
 
 def mosca(*words: object) -> str:
     """Run the command line in a process of its own, as a user does; its output. It must succeed."""
     done = subprocess.run(
-        [sys.executable, "-m", "scenarios.cli", *map(str, words)], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "scenarios.cli.main", *map(str, words)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
@@ -43,7 +46,7 @@ def test_a_capture_of_devices_is_calibrated_as_the_images_themselves_are(tmp_pat
     served, take = tmp_path / "served.toml", tmp_path / "take"
     words = ["twin", "serve", tmp_path / "filmed", "--rig-out", served, "--trigger", "serial"]
     words += ["--address", free_address(), "--rate", "10", "--seconds", "120"]
-    command = [sys.executable, "-m", "scenarios.cli", *map(str, words)]
+    command = [sys.executable, "-m", "scenarios.cli.main", *map(str, words)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as server:
         try:
             deadline = time.monotonic() + 60

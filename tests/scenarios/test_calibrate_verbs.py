@@ -13,17 +13,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mosca.calibrate.compare import compare_rigs
+from mosca.calibration.quality.compare_rigs import compare_rigs
+from mosca.data.files.rig_file import read_rig, write_rig
+from mosca.data.files.target_tables import field_toml
 from mosca.data.rig import OpenCVLens, Pose, Rig
-from mosca.data.rig_file import read_rig, write_rig
-from mosca.data.target_tables import field_toml
 from mosca.data.targets import CodedTarget, TestField
 from mosca.recording import RecordingWriter
-from scenarios.cameras import true_rig, virtual_cameras
-from scenarios.cli import main
+from scenarios.build.cameras import true_rig, virtual_cameras
+from scenarios.cli.main import main
 from scenarios.session.scenes import Session, axes_session, bar_session, target_session
-from scenarios.spec import Scenario
-from twin.cameras.camera import VirtualCamera
+from scenarios.spec.scenario import Scenario
+from twin.cameras.virtual_camera import VirtualCamera
 from twin.source import TwinSource
 
 SIZE = (480, 360)
@@ -187,7 +187,7 @@ def field_rig(lab):
     """Return the rig file that ``mosca calibrate`` makes of the field's recording, and what it says."""
     from click.testing import CliRunner
 
-    from scenarios.cli import cli
+    from scenarios.cli.main import cli
 
     out = lab / "rig.toml"
     done = CliRunner().invoke(
@@ -279,7 +279,7 @@ def test_a_refused_calibration_has_a_page_and_no_rig(lab, refused, tmp_path):
 
 
 def read_field(path: Path) -> TestField:
-    from mosca.data.target_file import read_target_file
+    from mosca.data.files.target_file import read_target_file
 
     field = read_target_file(path)
     assert isinstance(field, TestField)
@@ -396,7 +396,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "docs/examples"
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("calibration_*.toml")), ids=lambda path: path.stem)
 def test_the_documented_target_files_can_be_used(path, mosca, tmp_path):
-    from mosca.data.target_file import read_target_file
+    from mosca.data.files.target_file import read_target_file
 
     made = read_target_file(path)
     if path.stem == "calibration_field":

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mosca.camera import project
+from mosca.camera.projection import project
 from mosca.data.rig import Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose
 from mosca.errors import InputError
-from scenarios.cameras import calibrated, deliveries, surroundings, true_rig, virtual_cameras
-from scenarios.rig_geometry import ring, windowed
-from scenarios.spec import Scenario, load_scenario
-from scenarios.spec_cameras import Cameras
+from scenarios.build.camera_ring import ring, windowed
+from scenarios.build.cameras import calibrated, deliveries, surroundings, true_rig, virtual_cameras
+from scenarios.spec.cameras import Cameras
+from scenarios.spec.scenario import Scenario, load_scenario
 
 BASE = """
 title = "x"
@@ -168,7 +168,7 @@ def test_the_pipeline_is_told_of_no_rider(tmp_path):
 
 
 def test_riders_change_no_digit_of_what_the_rig_measures(tmp_path):
-    from scenarios.run import run_scenario
+    from scenarios.run.scenario import run_scenario
 
     short = ("capture.duration_s=0.05", "scene.turn_deg_per_s=20")
     alone = run_scenario(scenario(tmp_path, "", *short), "x", tmp_path)

@@ -22,7 +22,8 @@ from mcap.reader import make_reader
 from hardware.driver import Device, DeviceError
 from mosca.errors import InputError
 from mosca.recording import RecordingWriter, open_recording
-from scenarios import cli_capture, cli_rig
+from scenarios.cli import capture as cli_capture
+from scenarios.cli import rig as cli_rig
 from scenarios.lab import capture as work
 from scenarios.lab import devices as devices_module
 from scenarios.lab.capture import Request, capture

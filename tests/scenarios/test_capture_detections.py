@@ -13,17 +13,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 
-from mosca.assemble import Assembly, assemble
-from mosca.camera import project
+from mosca.camera.projection import project
 from mosca.data.detections import Detections
+from mosca.data.files.rig_file import read_rig
 from mosca.data.frames import CameraInfo, Frame, FrameSet
-from mosca.data.rig_file import read_rig
+from mosca.detection.scheduler import Look, look_ahead
 from mosca.errors import InputError
-from mosca.formats.tracks_csv import read_tracks_csv
-from mosca.look import Look, look_ahead
+from mosca.formats.tracks.tracks_csv import read_tracks_csv
 from mosca.pipeline import PipelineSettings, run, run_seen
 from mosca.recording import RecordingWriter, mcap_format, open_recording
-from scenarios.cli import cli
+from mosca.synchronisation import Assembly, assemble
+from scenarios.cli.main import cli
 from scenarios.lab.capture import Request, capture
 from scenarios.lab.from_detections import counted
 

@@ -12,8 +12,8 @@ import pytest
 from capture_rig import Line, ctrl_c, openers, write_rig
 from test_capture_detections import NAMES, RATE, SIZE, picture, rig_file
 
+from mosca.data.files.rig_file import read_rig
 from mosca.data.frames import CameraInfo, Frame
-from mosca.data.rig_file import read_rig
 from mosca.errors import InputError
 from mosca.pipeline import PipelineSettings
 from reports import viewer_program

@@ -14,7 +14,7 @@ from command_line import mosca
 
 from mosca.recording import open_recording
 
-MOSCA = [sys.executable, "-m", "scenarios.cli"]
+MOSCA = [sys.executable, "-m", "scenarios.cli.main"]
 TINY = """
 title = "tiny"
 {top}
@@ -191,7 +191,7 @@ def test_every_verb_has_help_with_an_example(verb, tmp_path):
 def test_help_and_errors_import_nothing_heavy(tmp_path):
     # seconds are noisy; what makes them is what is imported
     code = (
-        "import sys, scenarios.cli as c\n"
+        "import sys, scenarios.cli.main as c\n"
         "sys.argv = ['mosca'] + {args}\n"
         "try: c.main()\n"
         "except SystemExit: pass\n"

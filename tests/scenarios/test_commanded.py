@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 from robot_listener import Listener
 
-from hardware.commands import ProgramRun, read_program
+from hardware.onboard.commands import ProgramRun, read_program
 from mosca.data.frames import CameraInfo
 from mosca.errors import InputError
 from mosca.recording import RecordingWriter
-from scenarios.build import build_scene
+from scenarios.build.scene import build_scene
 from scenarios.lab.commanded import command_lines, write_commands
-from scenarios.run import run_scenario
-from scenarios.run_options import RunOptions
-from scenarios.spec import load_scenario
+from scenarios.run.options import RunOptions
+from scenarios.run.scenario import run_scenario
+from scenarios.spec.scenario import load_scenario
 
-SCENARIO = Path(__file__).resolve().parents[2] / "scenarios" / "subjects" / "robot_program.toml"
+SCENARIO = Path(__file__).resolve().parents[2] / "scenarios" / "library" / "subjects" / "robot_program.toml"
 CAMERAS = [CameraInfo("left", 2, 2, 8, 100.0)]
 
 

@@ -7,8 +7,8 @@ import pytest
 
 from mosca.data.rig import Camera, FisheyeLens, Pose, Rig
 from mosca.errors import InputError
-from scenarios.cli import main
-from scenarios.continuous_lamp_file import read_lamps
+from scenarios.cli.main import main
+from scenarios.commands.lamp_file import read_lamps
 
 RIG = Rig(
     tuple(

@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
+from mosca.data.files.rig_file import write_rig
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
-from mosca.data.rig_file import write_rig
-from mosca.formats.tracks_csv import read_tracks_csv
+from mosca.formats.tracks.tracks_csv import read_tracks_csv
 from mosca.recording import RecordingWriter
-from scenarios.cli import main
+from scenarios.cli.main import main
 
 WIDTH, HEIGHT, FOCAL, RATE_HZ = 160, 120, 300.0, 50.0
 PLACES = {"left": (-0.3, 0.0, 0.0), "middle": (0.0, 0.2, 0.0), "right": (0.3, 0.0, 0.0)}

@@ -5,18 +5,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mosca.continuous.gather_solve import CameraClock
+from mosca.continuous.reconstruct import CameraClock
 from mosca.data.lamp_codes import lamp_bits
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
-from scenarios.cameras import true_rig, virtual_cameras
-from scenarios.catalog import find
-from scenarios.continuous_lamps import check_no_lamps, rider_pose, worn_lamps
-from scenarios.continuous_limbs import path_scores, worn_lamps_of
-from scenarios.continuous_run import clock_scores
-from scenarios.continuous_worn import without_lamps, worn_cameras, worn_rig
-from scenarios.spec import load_scenario
-from scenarios.spec_continuous import ContinuousSpec
+from scenarios.build.cameras import true_rig, virtual_cameras
+from scenarios.build.worn_lamps import check_no_lamps, rider_pose, worn_lamps
+from scenarios.run.continuous import clock_scores
+from scenarios.score.continuous_limbs import path_scores, worn_lamps_of
+from scenarios.score.worn_cameras import without_lamps, worn_cameras, worn_rig
+from scenarios.spec.continuous import ContinuousSpec
+from scenarios.spec.scenario import load_scenario
+from scenarios.suite.catalog import find
 
 
 @pytest.fixture(scope="module")

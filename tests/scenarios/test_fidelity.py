@@ -13,10 +13,12 @@ from click.testing import CliRunner
 
 from reports.fidelity import Check, Row, all_met, small, verdict
 from reports.fidelity_page import png
-from scenarios.catalog import find
-from scenarios.cli import cli
-from scenarios.fidelity import checks, door, peers, sensor, shutter, still
+from scenarios.cli.main import cli
+from scenarios.fidelity import checks, peers, sensor, shutter
+from scenarios.fidelity import static_markers as still
+from scenarios.fidelity import twin_adapter as door
 from scenarios.fidelity.pictures import CROPS, all_crops
+from scenarios.suite.catalog import find
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 MOST_BYTES = 30_000

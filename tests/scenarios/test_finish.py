@@ -6,10 +6,10 @@ import pytest
 from mosca.data.tracks import Samples, Tracks, table
 from mosca.data.truth import Truth
 from mosca.errors import InputError
-from mosca.formats.model_file import write_model
-from mosca.label_model import learn_model
-from scenarios.finish import Finish, Finisher, with_gaps_filled
-from scenarios.score import metrics, pair
+from mosca.formats.bodies.model_file import write_model
+from mosca.labelling.marker_model import learn_model
+from scenarios.run.postprocess import Finish, Finisher, with_gaps_filled
+from scenarios.score.tracks import metrics, pair
 
 FRAMES, MARKERS, SIGMA = 200, 5, 5e-4
 HIDDEN = slice(80, 88)

@@ -11,14 +11,14 @@ from mosca.data.frames import CameraInfo, Frame
 from mosca.data.rig import Camera, OpenCVLens, Pose
 from mosca.errors import InputError
 from mosca.recording import RecordingWriter
-from scenarios.cli_rig import rig_check
+from scenarios.cli.rig import rig_check
 from scenarios.lab.flash import synchronise
-from twin.cameras.camera import VirtualCamera
-from twin.cameras.mount import Mount
-from twin.cameras.optics import Optics
-from twin.cameras.sensor import Sensor
-from twin.cameras.shutter import Timing
-from twin.scenes.glow import Blink
+from twin.cameras.exposure.mount import Mount
+from twin.cameras.exposure.shutter import Timing
+from twin.cameras.optics.blur_parameters import Optics
+from twin.cameras.sensor.sensor import Sensor
+from twin.cameras.virtual_camera import VirtualCamera
+from twin.scenes.emission import Blink
 from twin.scenes.target_lamps import build_light_marker, with_lamps
 from twin.source import TwinSource
 

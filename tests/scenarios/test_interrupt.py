@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from scenarios.interrupt import between_steps, was_interrupted
+from scenarios.run.interrupt import between_steps, was_interrupted
 
 
 def test_the_first_ctrl_c_waits_for_the_check():

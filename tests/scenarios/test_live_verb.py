@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from mosca.data.files.rig_file import write_rig
 from mosca.data.frames import CameraInfo, Frame
-from mosca.data.rig_file import write_rig
 from mosca.data.tracks import Samples
 from mosca.errors import InputError
-from mosca.formats.model_file import read_model
-from mosca.formats.tracks_csv import read_tracks_csv
-from mosca.formats.tracks_log import TracksLog
-from mosca.formats.tracks_read import read_tracks
+from mosca.formats.bodies.model_file import read_model
+from mosca.formats.tracks.tracks_csv import read_tracks_csv
+from mosca.formats.tracks.tracks_log import TracksLog
+from mosca.formats.tracks.tracks_read import read_tracks
 from reports.record import read_record
-from scenarios.cameras import calibrated, true_rig, virtual_cameras
-from scenarios.cli import cli
-from scenarios.live import LiveRequest, run_request
-from scenarios.live_sources import Paced, opened_live
-from scenarios.run import run_scenario
-from scenarios.run_options import RunOptions
-from scenarios.spec import load_scenario
+from scenarios.build.cameras import calibrated, true_rig, virtual_cameras
+from scenarios.cli.main import cli
+from scenarios.commands.live import LiveRequest, run_request
+from scenarios.commands.live_sources import Paced, opened_live
+from scenarios.run.options import RunOptions
+from scenarios.run.scenario import run_scenario
+from scenarios.spec.scenario import load_scenario
 
 TINY = """
 title = "tiny"
@@ -154,7 +154,7 @@ def test_labels_are_learned_from_a_take_and_given_to_the_next(lab, tmp_path):
 def test_zones_are_stitched_by_a_verb(lab, tmp_path):
     done("reconstruct", lab / "take", "--rig", lab / "rig.toml", "--out", tmp_path / "all.csv")
     whole = read_tracks_csv(tmp_path / "all.csv")
-    from mosca.formats.tracks_csv import write_tracks_csv
+    from mosca.formats.tracks.tracks_csv import write_tracks_csv
 
     write_tracks_csv(whole.select(whole.frame < 30), tmp_path / "early.csv")
     write_tracks_csv(whole.select(whole.frame > 10), tmp_path / "late.csv")
@@ -199,7 +199,7 @@ def test_what_cannot_be_is_one_line(lab, tmp_path):
 
 
 def read_header() -> tuple[str, ...]:
-    from mosca.formats.tracks_csv import COLUMNS
+    from mosca.formats.tracks.tracks_csv import COLUMNS
 
     return COLUMNS
 
@@ -219,7 +219,7 @@ def test_frames_come_when_they_are_due_and_stop_at_once():
 
 
 def test_a_long_scenario_is_cut_to_what_fits_in_memory(lab, monkeypatch):
-    monkeypatch.setattr("scenarios.live_sources.MEMORY_BYTES", 4 * 320 * 240 * 6)
+    monkeypatch.setattr("scenarios.commands.live_sources.MEMORY_BYTES", 4 * 320 * 240 * 6)
     with ExitStack() as stack:
         source = opened_live(str(lab / "tiny.toml"), None, None, (), None, None, None, 1, stack)
         assert source.notes == ("0.06 s of 0.4 s fit in memory and are played",)

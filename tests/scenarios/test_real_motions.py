@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from scenarios.catalog import find
-from scenarios.run import run_scenario
-from scenarios.spec import load_scenario
+from scenarios.run.scenario import run_scenario
+from scenarios.spec.scenario import load_scenario
+from scenarios.suite.catalog import find
 
 CMU = Path("cmu_mocap")
 

@@ -11,16 +11,16 @@ import cv2
 import numpy as np
 import pytest
 
-from mosca.assemble import Assembly
+from mosca.data.files.rig_file import write_rig
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
-from mosca.data.rig_file import write_rig
-from mosca.detect import mean_background, minimum_background
+from mosca.detection.detect import mean_background, minimum_background
 from mosca.errors import InputError
-from mosca.formats.tracks_csv import read_tracks_csv
+from mosca.formats.tracks.tracks_csv import read_tracks_csv
 from mosca.pipeline import run
 from mosca.recording import open_recording
-from scenarios.cli import main
-from scenarios.reconstruct import BackgroundSpec, reconstruct_recording, recorded_backgrounds
+from mosca.synchronisation import Assembly
+from scenarios.cli.main import main
+from scenarios.commands.reconstruct import BackgroundSpec, reconstruct_recording, recorded_backgrounds
 
 WIDTH, HEIGHT, FOCAL = 160, 120, 400.0
 PLACES = {"left": (-0.1, 0.0, 0.0), "middle": (0.0, 0.05, 0.0), "right": (0.1, 0.0, 0.0)}

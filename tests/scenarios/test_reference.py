@@ -5,17 +5,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mosca.assemble import Assembly
 from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
-from scenarios.account import Collected, record_of
-from scenarios.catalog import find
-from scenarios.reference import read_reference, read_reference_csv, reference
-from scenarios.run_options import RunOptions
-from scenarios.run_score import Measured, scored
-from scenarios.score import Score
-from scenarios.spec import load_scenario
+from mosca.synchronisation import Assembly
+from scenarios.run.options import RunOptions
+from scenarios.run.record import Collected, record_of
+from scenarios.score.reference import read_reference, read_reference_csv, reference
+from scenarios.score.score_run import Measured, scored
+from scenarios.score.tracks import Score
+from scenarios.spec.scenario import load_scenario
+from scenarios.suite.catalog import find
 
 STEP_NS = 10_000_000
 

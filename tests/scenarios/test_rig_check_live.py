@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from hardware.driver import DeviceReport
 from mosca.errors import InputError
-from scenarios.cli_rig import rig as rig_verbs
+from scenarios.cli.rig import rig as rig_verbs
 from scenarios.lab.rig_check import check_rig_live, differing, edge_width_px, focus, light
 
 SIZE = (160, 120)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mosca.errors import InputError
-from scenarios.build import build_scene
-from scenarios.spec import load_scenario
+from scenarios.build.scene import build_scene
+from scenarios.spec.scenario import load_scenario
 
 BASE = """
 title = "x"

@@ -5,7 +5,7 @@ import pytest
 
 from mosca.data.tracks import Tracks
 from mosca.data.truth import Truth
-from scenarios.score import hota, identity_switches, metrics, pair, per_marker_completeness
+from scenarios.score.tracks import hota, identity_switches, metrics, pair, per_marker_completeness
 
 SPACE = 2.0
 

@@ -8,20 +8,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mosca.camera import project
+from mosca.camera.projection import project
 from mosca.data.boards import Board
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.targets import TestField as Field
 from mosca.data.wands import Wand
 from mosca.errors import CalibrationError, InputError
-from scenarios import run as runner
-from scenarios.cameras import true_rig, virtual_cameras
-from scenarios.run import run_scenario
-from scenarios.run_folder import write_run
+from scenarios.build.cameras import true_rig, virtual_cameras
+from scenarios.run.folder import write_run
+from scenarios.run.scenario import run_scenario
+from scenarios.run.scenario import scenario as runner
 from scenarios.session.estimated import estimated
 from scenarios.session.faults import swapped, turned
 from scenarios.session.scenes import axes_session, bar_session, target_session
-from scenarios.spec import Scenario, load_scenario
+from scenarios.spec.scenario import Scenario, load_scenario
 from twin.scenes.target_motion import put_from_stand_to_stand
 
 SMALL = """

@@ -25,14 +25,15 @@ from hardware.transport.receiver import Receiver
 from hardware.transport.sender import Sender
 from hardware.transport.station_state import ReceiverSettings
 from hardware.trigger import External
+from mosca.data.files.rig_file import rig_toml, write_rig
 from mosca.data.rig import Rig
-from mosca.data.rig_file import rig_toml, write_rig
 from mosca.data.tracks import table
 from mosca.errors import InputError
-from mosca.formats.tracks_csv import read_tracks_csv
+from mosca.formats.tracks.tracks_csv import read_tracks_csv
 from mosca.pipeline import PipelineSettings, run
 from mosca.recording import RecordingWriter
-from scenarios.cli_station import rig_of
+from scenarios.cli.station import rig_of
+from scenarios.commands.reconstruct import BackgroundSpec, recorded_backgrounds
 from scenarios.lab import station as station_module
 from scenarios.lab import station_source, station_verbs
 from scenarios.lab.merge import account_lines, all_whole, calibrated_rig, run_merged
@@ -40,7 +41,6 @@ from scenarios.lab.station import PulseCount, run_station
 from scenarios.lab.station_background import Backgrounds
 from scenarios.lab.station_source import Paced, RigOfStation
 from scenarios.lab.station_verbs import detect_on_station
-from scenarios.reconstruct import BackgroundSpec, recorded_backgrounds
 
 PULSES = 90
 """More than after which lessons are taken up seldom."""
@@ -259,7 +259,7 @@ def free_port():
 
 
 def invoke(*arguments):
-    from scenarios.cli import cli
+    from scenarios.cli.main import cli
 
     return CliRunner().invoke(cli, ["station", *map(str, arguments)])
 

@@ -10,13 +10,13 @@ import pytest
 from scipy.interpolate import make_lsq_spline
 from scipy.spatial.transform import Rotation
 
+from mosca.continuous.baselines.interpolated import interpolated
 from mosca.continuous.camera_paths import StillCameras
-from mosca.continuous.estimate import ContinuousSettings, estimate
-from mosca.continuous.interpolated import interpolated
-from mosca.data.motion import PointMotion
+from mosca.continuous.estimator.estimate import ContinuousSettings, estimate
+from mosca.data.motion.motion import PointMotion
 from mosca.data.rig import Pose, Rig
 from mosca.errors import InputError
-from scenarios.unsynchronised import (
+from scenarios.studies.unsynchronised import (
     JUMP,
     MOTIONS,
     TUNING,
@@ -27,7 +27,7 @@ from scenarios.unsynchronised import (
     shared_frames,
     surround,
 )
-from scenarios.unsynchronised_worn import worn
+from scenarios.studies.unsynchronised_worn import worn
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data")) / "cmu_mocap"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no CMU motions in {DATA} (set MOSCA_DATA)")

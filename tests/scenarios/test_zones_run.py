@@ -5,22 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mosca.camera import project
+from mosca.camera.projection import project
+from mosca.correspondence.match import MatchSettings
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSet
 from mosca.data.rig import Pose, Rig
 from mosca.data.tracks import Samples, table
+from mosca.diagnostics.camera_health import Health, HealthSettings
 from mosca.errors import InputError
-from mosca.health import Health, HealthSettings
-from mosca.match import MatchSettings
 from mosca.pipeline import PipelineSettings, run_seen
-from mosca.warm import _rig
-from mosca.zones import stitched
-from mosca.zones_run import Zone, of_zones, run_zones
-from scenarios.catalog import find
-from scenarios.faults import with_fault
-from scenarios.spec import MovedFault, load_scenario
-from scenarios.zones import zones_of
+from mosca.precompile import _rig
+from mosca.stitching.run import Zone, of_zones, run_zones
+from mosca.stitching.stitch import stitched
+from scenarios.build.calibration_faults import with_fault
+from scenarios.run.zones import zones_of
+from scenarios.spec.scenario import MovedFault, load_scenario
+from scenarios.suite.catalog import find
 
 PULSES, STEP_M = 90, 0.01
 SETTINGS = PipelineSettings(match=MatchSettings(judge_sizes=False, camera_sigma_px=0.05))
@@ -108,7 +108,7 @@ def test_two_zones_have_no_camera_in_common():
 def test_a_scenario_names_its_zones():
     path = find("rigs/zones_two")
     spec = load_scenario(path)
-    from scenarios.cameras import true_rig
+    from scenarios.build.cameras import true_rig
 
     rig = true_rig(spec, path.parent)
     left, right = zones_of(spec, rig)

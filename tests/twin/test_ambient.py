@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from twin.cameras.ambient import Ambient, Backdrop, ambient_map
-from twin.cameras.levels import SPACING, LevelBank, level_bank
-from twin.cameras.sensor import Sensor, dark_table, expose
+from twin.cameras.sensor.background_light import Ambient, Backdrop, ambient_map
+from twin.cameras.sensor.level_lookup import SPACING, LevelBank, level_bank
+from twin.cameras.sensor.sensor import Sensor, dark_table, expose
 
 H, W = 120, 160
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from mosca.data.lamp_codes import lamp_bits
-from twin.cameras.lighting import lit_during, scene_glows, target_light
+from twin.cameras.exposure.lighting import lit_during, scene_glows, target_light
 from twin.scenes.actor import BodyLamp, build_actor
-from twin.scenes.glow import ALL_SIDES_DEG, Glow
+from twin.scenes.emission import ALL_SIDES_DEG, Glow
 from twin.scenes.target_lamps import in_step
 
 

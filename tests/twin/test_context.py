@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from mosca.data.rig import FisheyeLens, Lens, OpenCVLens
 from mosca.errors import InputError
-from twin.cameras.context import (
+from twin.cameras.optics.lens import TwinLens
+from twin.cameras.stray_light.context_image import (
     Cloth,
     Context,
     Refreshed,
@@ -24,8 +25,7 @@ from twin.cameras.context import (
     enlarged,
     refresh_pulse,
 )
-from twin.cameras.context_rays import cast, ray_grid
-from twin.cameras.lens import TwinLens
+from twin.cameras.stray_light.context_rays import cast, ray_grid
 from twin.scenes.scene import MARKER_GROUP, UNSEEN_GROUP, Scene
 
 W, H = 160, 120
@@ -282,7 +282,7 @@ def test_threads_share_what_is_refreshed():
 PRETTY = """
 import mujoco, numpy as np, sys
 from mosca.data.rig import Pose
-from twin.cameras.context import pretty_view
+from twin.cameras.stray_light.context_image import pretty_view
 from twin.scenes.scene import Scene
 model = mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom size="0.3" pos="0.4 3 0.2"/></worldbody></mujoco>')
 scene = Scene(model, (), (), lambda t: np.zeros(0), 1.0)

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mosca.assemble import Assembly, AssemblySettings, assemble
 from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.errors import InputError
+from mosca.synchronisation import Assembly, AssemblySettings, assemble
 from twin.cameras.delivery import SHARES, Delivery, Taken, deliver, fate_of
 
 RATE_HZ, PERIOD_NS, SEED = 100.0, 10_000_000, 5

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from mosca.camera import fit_lens, image_grid, lens_directions, lens_pixels
+from mosca.camera.projection import fit_lens, image_grid, lens_directions, lens_pixels
 from mosca.data.rig import FisheyeLens, MoscaLens, OpenCVLens
-from twin.cameras.lens import GAPS, GapTerms, TwinLens, land, origin_at, warmed
-from twin.cameras.optics import Optics
+from twin.cameras.optics.blur_parameters import Optics
+from twin.cameras.optics.lens import GAPS, GapTerms, TwinLens, land, origin_at, warmed
 
 W, H = 656, 491
 MOSCA = MoscaLens(6.5, 291.45, 255.46, 0.00943, 0.00944, -0.0067, 8.7e-4, -1.8e-5, 3e-7, 2.8e-4, 4.5e-5)

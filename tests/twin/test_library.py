@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mosca.camera import lens_pixels
+from mosca.camera.projection import lens_pixels
 from mosca.errors import InputError
 from twin.cameras.library import (
     FILES,

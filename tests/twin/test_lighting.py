@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twin.cameras.lighting import ALWAYS, glow_table, lit_during, target_light
-from twin.scenes.glow import Blink, Glow
+from twin.cameras.exposure.lighting import ALWAYS, glow_table, lit_during, target_light
+from twin.scenes.emission import Blink, Glow
 
 SIGNAL = 1000.0
 FLAT, BALL = False, True

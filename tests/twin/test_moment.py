@@ -9,7 +9,7 @@ from scipy.interpolate import BarycentricInterpolator
 from scipy.spatial.transform import Rotation
 
 from mosca.data.arrays import Array
-from twin.cameras.moment import (
+from twin.cameras.exposure.scene_sampling import (
     TOLERANCE,
     Moment,
     Places,

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from mosca.data.arrays import Array
 from mosca.data.rig import OpenCVLens, Pose
 from mosca.errors import InputError
-from twin.cameras.lens import TwinLens
-from twin.cameras.mount import Mount, Stand, pixels_per_radian
+from twin.cameras.exposure.mount import Mount, Stand, pixels_per_radian
+from twin.cameras.optics.lens import TwinLens
 from twin.streams import rng
 
 FOCAL_PX, SEED = 800.0, 3

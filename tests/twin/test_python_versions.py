@@ -15,12 +15,12 @@ ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = """
 import hashlib
 from pathlib import Path
-from scenarios.build import build_scene
-from scenarios.cameras import true_rig, virtual_cameras
-from scenarios.spec import load_scenario
+from scenarios.build.scene import build_scene
+from scenarios.build.cameras import true_rig, virtual_cameras
+from scenarios.spec.scenario import load_scenario
 from twin.source import TwinSource
 
-path = Path("scenarios/subjects/actor.toml")
+path = Path("scenarios/library/subjects/actor.toml")
 spec = load_scenario(path, ("capture.duration_s=0.1",))
 cameras = virtual_cameras(spec, true_rig(spec, path.parent))
 scene = build_scene(spec, path.parent)

@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from mosca.data.motion import Motion, forward_kinematics
-from mosca.data.motion_asf import read_asf_amc
-from mosca.data.motion_bvh import read_bvh
+from mosca.data.motion.asf import read_asf_amc
+from mosca.data.motion.bvh import read_bvh
+from mosca.data.motion.motion import Motion, forward_kinematics
 from mosca.errors import InputError
 from twin.scenes.actor import build_actor
 from twin.scenes.actor_markers import MARKER_SITES

@@ -12,9 +12,9 @@ import pytest
 from twin.scenes.actor import build_actor
 from twin.scenes.cloud import build_cloud
 from twin.scenes.drone import build_drone
-from twin.scenes.own import OwnMotion, build_own
 from twin.scenes.robot import build_robot
 from twin.scenes.scene import MARKER_GROUP, Scene
+from twin.scenes.user_model import OwnMotion, build_own
 from twin.scenes.world import MARKER_PREFIX
 
 DURATION_S = 1.5

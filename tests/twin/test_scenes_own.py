@@ -12,9 +12,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mosca.errors import InputError
-from twin.scenes.own import build_own
-from twin.scenes.own_markers import read_marker_table
 from twin.scenes.scene import UNSEEN_GROUP, Scene
+from twin.scenes.user_markers import read_marker_table
+from twin.scenes.user_model import build_own
 from twin.scenes.world import FLAT_HALF_THICKNESS_M, SEAT_M
 
 URDF = """<robot name="r">

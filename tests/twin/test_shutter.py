@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mosca.data.frames import Frame, StampEvent, mid_exposure_ns
 from mosca.errors import InputError
-from twin.cameras.shutter import (
+from twin.cameras.exposure.shutter import (
     Exposure,
     Timing,
     check_timing,

@@ -18,11 +18,11 @@ from mosca.data.arrays import Array
 from mosca.data.frames import Frame, FrameSource, mid_exposure_ns
 from mosca.data.rig import Camera, OpenCVLens, Pose
 from mosca.data.truth import Truth
-from twin.cameras.camera import VirtualCamera
-from twin.cameras.mount import Mount
-from twin.cameras.optics import Optics
-from twin.cameras.sensor import Sensor
-from twin.cameras.shutter import Timing
+from twin.cameras.exposure.mount import Mount
+from twin.cameras.exposure.shutter import Timing
+from twin.cameras.optics.blur_parameters import Optics
+from twin.cameras.sensor.sensor import Sensor
+from twin.cameras.virtual_camera import VirtualCamera
 from twin.scenes.scene import MARKER_GROUP, Scene
 from twin.source import TwinSource
 

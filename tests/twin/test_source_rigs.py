@@ -25,22 +25,22 @@ from test_source import (
     still_scene,
 )
 
-from mosca.assemble import Assembly, assemble
 from mosca.data.arrays import Array
 from mosca.data.frames import Frame, mid_exposure_ns
 from mosca.data.truth import NO_FRAME, Truth, read_truth, write_truth
 from mosca.errors import InputError
-from twin.cameras.camera import VirtualCamera
-from twin.cameras.context import Context
+from mosca.synchronisation import Assembly, assemble
 from twin.cameras.delivery import Delivery, fate_of
-from twin.cameras.mount import Mount
-from twin.cameras.optics import Optics
-from twin.cameras.sensor import Sensor
-from twin.cameras.shutter import Timing
-from twin.cameras.stray import Surroundings
-from twin.cameras.stray_glare import Glare
-from twin.cameras.stray_world import RingLight
-from twin.scenes.glow import Blink, Glow
+from twin.cameras.exposure.mount import Mount
+from twin.cameras.exposure.shutter import Timing
+from twin.cameras.optics.blur_parameters import Optics
+from twin.cameras.sensor.sensor import Sensor
+from twin.cameras.stray_light.context_image import Context
+from twin.cameras.stray_light.glare import Glare
+from twin.cameras.stray_light.stray import Surroundings
+from twin.cameras.stray_light.world import RingLight
+from twin.cameras.virtual_camera import VirtualCamera
+from twin.scenes.emission import Blink, Glow
 from twin.source import TwinSource
 
 BALL_AT, FLAT_AT = np.array([-0.2, 0.0, 0.0]), np.array([0.1, 0.0, 0.2])

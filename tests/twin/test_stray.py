@@ -12,18 +12,18 @@ from hypothesis import strategies as st
 from mosca.data.arrays import Array
 from mosca.data.rig import OpenCVLens
 from mosca.errors import InputError
-from twin.cameras.ambient import Ambient
-from twin.cameras.context import Context
-from twin.cameras.lens import TwinLens
-from twin.cameras.lighting import ALWAYS, glow_table
-from twin.cameras.optics import Optics
-from twin.cameras.psf import psf_of
-from twin.cameras.render import BALL, FIGURE, FLAT, Figures, TargetsInCamera, Window, render_targets
-from twin.cameras.sensor import Sensor
-from twin.cameras.stray import Surroundings, stray_targets, unhidden
-from twin.cameras.stray_glare import Glare, veil, veil_image
-from twin.cameras.stray_mirror import Mirror, SceneRays, mirrored, seen_share, with_mirrored
-from twin.cameras.stray_world import (
+from twin.cameras.exposure.lighting import ALWAYS, glow_table
+from twin.cameras.optics.blur_parameters import Optics
+from twin.cameras.optics.lens import TwinLens
+from twin.cameras.optics.psf import psf_of
+from twin.cameras.render.render import BALL, FIGURE, FLAT, Figures, TargetsInCamera, Window, render_targets
+from twin.cameras.sensor.background_light import Ambient
+from twin.cameras.sensor.sensor import Sensor
+from twin.cameras.stray_light.context_image import Context
+from twin.cameras.stray_light.glare import Glare, veil, veil_image
+from twin.cameras.stray_light.mirror import Mirror, SceneRays, mirrored, seen_share, with_mirrored
+from twin.cameras.stray_light.stray import Surroundings, stray_targets, unhidden
+from twin.cameras.stray_light.world import (
     Heads,
     RingLight,
     ShinySpot,
@@ -32,8 +32,8 @@ from twin.cameras.stray_world import (
     joined,
     shiny_spots,
 )
+from twin.scenes.emission import Glow
 from twin.scenes.figure import circle, figure, polygon, ring_sector
-from twin.scenes.glow import Glow
 
 SIGNAL = 1000.0
 NODES = 3

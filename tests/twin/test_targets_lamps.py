@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from mosca.data.lamp_codes import lamp_bits, lamp_number_of, m_sequence
 from mosca.errors import InputError
 from twin.scenes.cloud import build_cloud
-from twin.scenes.glow import Blink, Glow, lit
+from twin.scenes.emission import Blink, Glow, lit
 from twin.scenes.scene import Scene
 from twin.scenes.target_lamps import LAMP, build_light_marker, in_step, with_lamps, with_numbered_lamps
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from mosca.data.boards import Board
-from mosca.data.target_tables import field_toml
+from mosca.data.files.target_tables import field_toml
 from mosca.data.targets import BallTarget, CodedTarget, RoundTarget, ScaleBar, face_axes
 from mosca.data.wands import LFrame, Wand
 from mosca.errors import InputError
+from twin.scenes.emission import Glow
 from twin.scenes.field_layout import lay_out_field
-from twin.scenes.glow import Glow
 from twin.scenes.scene import MARKER_GROUP, Scene
 from twin.scenes.target_boards import board_figure, build_board, corners_at, default_board
 from twin.scenes.target_field import build_field

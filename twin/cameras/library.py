@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 from pydantic import Field, model_validator
 
+from mosca.data.files.toml import Table, check, read_toml
 from mosca.data.rig import FisheyeLens, Lens, OpenCVLens
-from mosca.data.toml import Table, check, read_toml
 from mosca.errors import InputError
-from twin.cameras.optics import Optics
+from twin.cameras.optics.blur_parameters import Optics
 
 if TYPE_CHECKING:
-    from twin.cameras.sensor import Sensor
+    from twin.cameras.sensor.sensor import Sensor
 
 FILES = Path(__file__).parent / "library_files"
 Positive = Annotated[float, Field(gt=0)]
@@ -119,7 +119,7 @@ def lens(name: str) -> LensSpec:
 
 def sensor_of(spec: SensorSpec, bits: int | None = None) -> "Sensor":
     """Return the twin's sensor with these electrons; ``bits`` of the output where the camera is set to fewer."""
-    from twin.cameras.sensor import Sensor  # numba: not needed to look things up
+    from twin.cameras.sensor.sensor import Sensor  # numba: not needed to look things up
 
     return Sensor(
         full_well_e=spec.full_well_e,

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from mosca.data.arrays import Array
-from mosca.data.motion import Motion, Skeleton, forward_kinematics, multiply_quaternions
+from mosca.data.motion.motion import Motion, Skeleton, forward_kinematics, multiply_quaternions
 from mosca.errors import InputError
 from twin.scenes.anatomy import FOOT_RADIUS_M
 from twin.scenes.boxing import boxing

@@ -13,21 +13,21 @@ import mujoco
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.data.motion import (
+from mosca.data.motion.asf import read_asf_amc
+from mosca.data.motion.bvh import read_bvh
+from mosca.data.motion.motion import (
     Motion,
     forward_kinematics,
     multiply_quaternions,
     quaternions_from_euler,
     rest_positions,
 )
-from mosca.data.motion_asf import read_asf_amc
-from mosca.data.motion_bvh import read_bvh
 from mosca.errors import InputError
 from twin.scenes.actions import ACTIONS, Action, ActionName, act
 from twin.scenes.actor_markers import Seat, seats
 from twin.scenes.anatomy import FOOT_RADIUS_M, Anatomy, limb_shapes, read_anatomy
+from twin.scenes.emission import ALL_SIDES_DEG, Blink, Glow
 from twin.scenes.gait import GAIT_PATHS, Gait, GaitPath, walk, walker_skeleton
-from twin.scenes.glow import ALL_SIDES_DEG, Blink, Glow
 from twin.scenes.paths import SplinePath, normalized, spline_path
 from twin.scenes.posture import Balance
 from twin.scenes.scene import Scene

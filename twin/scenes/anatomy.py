@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.data.motion import Skeleton, rest_positions
+from mosca.data.motion.motion import Skeleton, rest_positions
 from mosca.errors import InputError
 from twin.scenes.world import Shape, capsule, ellipsoid
 

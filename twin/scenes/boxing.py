@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.data.motion import Motion
+from mosca.data.motion.motion import Motion
 from twin.scenes.choreography import Stance, begin, footing, loop_times, read, step
 from twin.scenes.posture import Performer, posed
 from twin.scenes.submovements import Score

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.data.motion import Motion, multiply_quaternions
+from mosca.data.motion.motion import Motion, multiply_quaternions
 from twin.scenes.choreography import HANGING, HEIGHT_M, Stance, begin, footing, loop_times, read, step
 from twin.scenes.posture import Performer, posed
 from twin.scenes.submovements import Score, minimum_jerk

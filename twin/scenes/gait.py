@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from mosca.data.arrays import Array
-from mosca.data.motion import (
+from mosca.data.motion.motion import (
     Motion,
     Skeleton,
     forward_kinematics,

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import BPoly
 
 from mosca.data.arrays import Array
-from mosca.data.motion import Motion
+from mosca.data.motion.motion import Motion
 from twin.scenes.choreography import FEET_TOGETHER, begin, footing, loop_times, read, step
 from twin.scenes.posture import Performer, Postures, balanced, posed
 from twin.scenes.submovements import Score, minimum_jerk

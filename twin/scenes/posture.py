@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mosca.data.arrays import Array
-from mosca.data.motion import (
+from mosca.data.motion.motion import (
     Motion,
     Skeleton,
     forward_kinematics,

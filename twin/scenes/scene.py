@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 
 from mosca.data.arrays import Array, read_only
+from twin.scenes.emission import Glow
 from twin.scenes.figure import Figure
-from twin.scenes.glow import Glow
 
 MARKER_GROUP = 4
 """Geom group of markers. Spheres are ball markers; cylinders are flat round targets facing their +z; thin boxes

@@ -11,8 +11,8 @@ from mosca.data.arrays import Array
 from mosca.data.boards import DICTIONARIES, Board
 from mosca.data.targets import face_axes
 from mosca.errors import InputError
+from twin.scenes.emission import Glow
 from twin.scenes.figure import Figure, figure, outlines, polygon
-from twin.scenes.glow import Glow
 from twin.scenes.scene import Scene, SceneSampler
 from twin.scenes.target_motion import carried_body, carried_by_hand, carried_scene, room_around
 from twin.scenes.target_plate import PAPER, add_plate, black_of, rectangle

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.data.target_file import read_target_file
+from mosca.data.files.target_file import read_target_file
 from mosca.data.targets import TestField, half_width_m
 from mosca.errors import InputError
+from twin.scenes.emission import Glow
 from twin.scenes.field_layout import FieldLayout, LaidOutField, lay_out_field
-from twin.scenes.glow import Glow
 from twin.scenes.scene import Scene
 from twin.scenes.target_motion import CarriedPath, SteppedPath, carried_body, carried_scene, standing
 from twin.scenes.target_plate import RETRO, add_target, figures_of

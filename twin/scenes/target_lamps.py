@@ -8,7 +8,7 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.lamp_codes import LAMP_NUMBERS, lamp_bits, m_sequence
 from mosca.errors import InputError
-from twin.scenes.glow import Blink, Glow
+from twin.scenes.emission import Blink, Glow
 from twin.scenes.scene import Scene
 from twin.scenes.target_motion import carried_body, carried_by_hand, carried_scene, room_around
 from twin.scenes.target_plate import add_ball_at

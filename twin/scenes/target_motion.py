@@ -12,8 +12,8 @@ import numpy as np
 
 from mosca.data.arrays import Array, read_only
 from mosca.data.rotations import quaternion_from_rotation
+from twin.scenes.emission import Glow
 from twin.scenes.figure import Figure
-from twin.scenes.glow import Glow
 from twin.scenes.scene import Scene
 from twin.scenes.world import Box, compiled
 

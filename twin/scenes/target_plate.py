@@ -12,8 +12,8 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.target_codes import SECTORS, code_bits
 from mosca.data.targets import BallTarget, CodedTarget, PlacedTarget, RoundTarget
+from twin.scenes.emission import Glow
 from twin.scenes.figure import Figure, circle, figure, polygon, ring_sector
-from twin.scenes.glow import Glow
 from twin.scenes.scene import MARKER_GROUP
 from twin.scenes.world import (
     FLAT_HALF_THICKNESS_M,

@@ -13,7 +13,7 @@ from mosca.data.arrays import Array
 from mosca.data.targets import BallTarget, CodedTarget, ScaleBar, half_width_m
 from mosca.data.wands import LFrame, Wand
 from mosca.errors import InputError
-from twin.scenes.glow import Glow
+from twin.scenes.emission import Glow
 from twin.scenes.scene import Scene
 from twin.scenes.target_motion import (
     CarriedPath,

@@ -1,0 +1,1 @@
+"""Commands to robots and what they report, on the session's clock."""

@@ -1,0 +1,1 @@
+"""Which trigger pulse a frame belongs to: stamps, clocks, trigger counters."""

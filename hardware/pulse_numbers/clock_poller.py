@@ -1,0 +1,86 @@
+"""Reads the cameras' clocks, each on a thread of its own: no frame waits for an answer.
+
+A clock is read a few times before its camera's first frame; then again each few seconds, so that drift adds little,
+and whenever a frame's pulse depends on it.
+"""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+
+from hardware.driver import CameraDriver, ClockReading, DeviceError
+from hardware.pulse_numbers.numbering import PulseNumbers
+
+FIRST_READINGS, QUICK_NS, READ_AGAIN_S = 5, 500_000, 5.0
+"""The first readings end with an answer that was so quick."""
+ASK_AGAIN_NS = 100_000_000
+
+
+class ClockReader:
+    """Clocks of ``drivers`` (name -> the driver as it is now); ``came`` is called with each reading's camera.
+
+    ``readings``: what was read and not taken yet, oldest first.
+    """
+
+    def __init__(self, drivers: Mapping[str, CameraDriver], came: Callable[[str], None]) -> None:
+        self.readings: deque[tuple[str, ClockReading]] = deque()
+        self._drivers, self._came = drivers, came
+        self._wanted: dict[str, threading.Event] = {}
+        self._asked_ns: dict[str, int] = {}
+        self._stop = threading.Event()
+        self._threads: list[threading.Thread] = []
+
+    def start(self) -> None:
+        """Read each clock for the first time, and go on reading those that can be."""
+        for name in self._drivers:
+            if not self.begin(name):
+                continue
+            self._wanted[name] = threading.Event()
+            thread = threading.Thread(target=self._attend, args=(name,), name=f"clock {name}", daemon=True)
+            thread.start()
+            self._threads.append(thread)
+
+    def begin(self, name: str) -> bool:
+        """Read the clock of a camera that has just been opened; return whether it can be read."""
+        return self._read(name, FIRST_READINGS)
+
+    def ask(self, numbers: PulseNumbers) -> None:
+        """Have the clocks read that frames wait for."""
+        for name, wanted in self._wanted.items():
+            since_ns = numbers.wants_reading(name)
+            asked_ns, now_ns = self._asked_ns.get(name, 0), time.monotonic_ns()
+            if since_ns is not None and (asked_ns <= since_ns or now_ns - asked_ns > ASK_AGAIN_NS):
+                self._asked_ns[name] = now_ns
+                wanted.set()
+
+    def close(self) -> None:
+        """Read no more; may be called twice."""
+        self._stop.set()
+        for wanted in self._wanted.values():
+            wanted.set()
+        for thread in self._threads:
+            thread.join()
+        self._threads.clear()
+
+    def _attend(self, name: str) -> None:
+        wanted = self._wanted[name]
+        while not self._stop.is_set():
+            wanted.wait(READ_AGAIN_S)
+            wanted.clear()
+            if not self._stop.is_set():
+                self._read(name, 1)
+
+    def _read(self, name: str, times: int) -> bool:
+        for _ in range(times):
+            try:
+                reading = self._drivers[name].clock()
+            except DeviceError:  # no answer in time, or gone: its frames tell which
+                return True
+            if reading is None:
+                return False
+            self.readings.append((name, reading))
+            self._came(name)
+            if reading.error_ns < QUICK_NS:
+                break
+        return True

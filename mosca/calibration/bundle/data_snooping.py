@@ -1,0 +1,96 @@
+"""Blunders among the image points of a bundle adjustment: data snooping after Baarda (1968).
+
+As in ``mosca.calibration.single_camera.outliers`` the standard deviation is estimated without the point under test.
+A blunder hardly reaches beyond its own block (a point, or a placed thing), so that the largest of each block goes out
+at once; the adjustment is repeated until none is improbable, and then those that fit after all come back.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from mosca.calibration.bundle.layout import Layout
+from mosca.calibration.bundle.levenberg_marquardt import Solution
+from mosca.data.arrays import Array
+
+LEAST_REDUNDANCY = 3
+ROUNDS, PASSES = 40, 4
+
+Solve = Callable[[Solution, Array], Solution]
+"""From a solution and new weights (n,) to the solution with these."""
+Test = Callable[[Solution], tuple[Array, float, int]]
+"""Of a solution: statistics v^T Q_vv^-1 v (n,) in a-priori units, sum of squares, redundancy."""
+
+
+def without_lonely(layout: Layout, weight: Array) -> Array:
+    """Return the weights (n,) with 0 for the image points of points and placements that too few of them
+    determine.
+    """
+    dim, member = layout.blocks[0], layout.blocks[-1]
+    block, used = layout.block_of, weight > 0
+    enough = 2 * np.bincount(block[used], minlength=len(dim)) + np.diff(layout.known[5])
+    information, pose_weight = layout.known[1], layout.known[4]
+    if information.size:
+        weighted = (information[member[:, 0]] != 0).any(axis=(1, 2))
+        enough += 3 * np.bincount(member[weighted, 1], minlength=len(dim))
+    if pose_weight.size:
+        pose_block = layout.known[2]
+        there = pose_block > 0
+        enough[pose_block[there]] += (pose_weight[there] > 0).sum(axis=1)
+    weight = np.where((enough >= dim)[block], weight, 0.0)
+    # a point that a distance joins to others needs two rays of its own, too
+    point = layout.see[1]
+    rays = np.bincount(point[weight > 0], minlength=int(point.max(initial=0)) + 1)
+    joined = np.isin(point, member[dim[member[:, 1]] > 3, 0]) & (layout.see[2] < 0)
+    if information.size:
+        joined &= ~(information[point] != 0).any(axis=(1, 2))
+    return np.where(joined & (rays[point] < 2), 0.0, weight)
+
+
+def snoop(
+    layout: Layout, solution: Solution, significance: float, solve: Solve, test: Test
+) -> tuple[Solution, Array]:
+    """Return the solution without blunders and which sorted image points (n,) were rejected.
+
+    ``significance``: chance that any image point is rejected where there are no blunders.
+    """
+    level = significance / len(layout.order)
+    rejected = np.zeros(len(layout.order), dtype=bool)
+    for _ in range(PASSES):
+        solution, rejected = _without_worst(layout, solution, rejected, level, solve, test)
+        statistic, cost, redundancy = test(solution)
+        back = rejected & (f_distribution.sf(statistic / 2 / (cost / redundancy), 2, redundancy) >= level)
+        if not back.any():
+            break
+        rejected = rejected & ~back
+        solution = solve(solution, _weights(layout, rejected))
+    return solution, rejected
+
+
+def _without_worst(
+    layout: Layout, solution: Solution, rejected: Array, level: float, solve: Solve, test: Test
+) -> tuple[Solution, Array]:
+    block = layout.block_of
+    # observations that touch no block influence each other through their camera
+    near = np.where(block > 0, block + layout.see[0].max() + 1, layout.see[0])
+    for _ in range(ROUNDS):
+        statistic, cost, redundancy = test(solution)
+        if redundancy - 2 < LEAST_REDUNDANCY:
+            break
+        statistic = np.where(solution.weight > 0, np.nan_to_num(statistic), 0.0)
+        # the variance of the others, so that a blunder does not hide behind itself
+        variance = np.maximum(cost - statistic, 1e-300) / (redundancy - 2)
+        improbable = np.flatnonzero(f_distribution.sf(statistic / 2 / variance, 2, redundancy - 2) < level)
+        if len(improbable) == 0:
+            break
+        improbable = improbable[np.argsort(-statistic[improbable], kind="stable")]
+        worst = improbable[np.unique(near[improbable], return_index=True)[1]]
+        rejected = rejected.copy()
+        rejected[worst] = True
+        solution = solve(solution, _weights(layout, rejected))
+    return solution, rejected
+
+
+def _weights(layout: Layout, rejected: Array) -> Array:
+    return without_lonely(layout, np.where(rejected, 0.0, layout.see[4]))

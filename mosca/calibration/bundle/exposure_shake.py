@@ -1,0 +1,339 @@
+"""What moves whole images: a camera's body shakes, and all image points of an exposure are off together.
+
+Least squares takes image points for independent. A shake of 0.03 px of the body is small beside a centre's noise of
+0.02 px when one point is looked at, and large beside what a hundred points of an image say together: the adjustment
+would believe an image too much, and its covariance would promise too much. So each image has a shake (x, y) of its
+own, random with one variance for all: a mixed model (Henderson 1975; Searle, Casella and McCulloch 1992, ch. 7).
+A body that shakes turns: told by how far the image's middle moves, the rim moves up to twice as far in a wide lens.
+Taken for an even shift, what it stretches there would pass for the perspective of a target that has moved.
+
+With v the residuals of the least-squares adjustment, W the weights, Z the shifts' columns, N the normal equations
+and A the design, ``u = Z^T W v`` has the expectation 0 and, shake s and noise sigma0 of unit weight given,
+
+    Cov(u) = sigma0^2 B + s^2 B^2,   B = Z^T W Z - Z^T W A N^-1 A^T W Z.
+
+``body_shake`` solves for s the expectations of v^T W v and of the images' mean residuals squared. ``steadied`` takes
+off the best predictions (B + sigma0^2 / s^2)^-1 u: the adjustment of what remains is that by generalised least
+squares, in which an image counts for as much as its shake lets it, and ``shaken_covariance`` is its covariance.
+B is never formed: it is a sparse part and one of the rank of the cameras' unknowns.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy.sparse import coo_array, csc_array, csr_array, diags_array
+from scipy.sparse.linalg import SuperLU, splu
+
+from mosca.calibration.bundle.adjustment import Adjustment
+from mosca.calibration.bundle.initial_points import intersected
+from mosca.calibration.bundle.kernels import BY_OWN, BY_TURN, BY_WORLD, LEAST_SQUARES, OBSERVED, observe
+from mosca.calibration.bundle.layout import Layout, lay_out
+from mosca.calibration.bundle.lenses import FAST
+from mosca.calibration.bundle.levenberg_marquardt import Task, empty_normals, linearised, reduced, state_of
+from mosca.calibration.bundle.precision import by_unknowns, carry_down
+from mosca.calibration.bundle.priors import pulls
+from mosca.calibration.bundle.problem import Problem
+from mosca.camera.projection import project_with_jacobians
+from mosca.data.arrays import Array
+from mosca.data.rig import principal_distances_px
+
+FEWEST_POINTS = 4
+"""Used points an image must have for its mean residual to say something of its shake."""
+LEAST_SHARE = 1e-3
+"""Mean share of an image's shift that must be left in its residuals; below it nothing shows the shakes."""
+LEAST_NOISE = 1e-6
+"""Least variance of the noise, as a share of the variance of unit weight before the shakes are taken off."""
+LEAST_WEIGHT = 1e-30
+COLUMNS = 512
+
+
+def body_shake(problem: Problem, adjustment: Adjustment, exposure: Array) -> float:
+    """Return how far whole images move from exposure to exposure [px rms, an axis]; 0 where nothing shows it.
+
+    ``adjustment``: by least squares, with precision, blunders rejected; ``exposure`` (n,): index of each
+    observation's exposure.
+    """
+    if len(adjustment.parameters) == 0:
+        return 0.0
+    shifts = shifts_of(problem, adjustment, exposure)
+    counted = np.repeat(shifts.count >= FEWEST_POINTS, 2) / np.maximum(shifts.d, LEAST_WEIGHT) ** 2
+    own = shifts.g @ shifts.cofactors
+    sparse = shifts.beside_cameras()
+    diagonal = sparse.diagonal() - np.einsum("iu,iu->i", own, shifts.g)
+    squared = float(counted @ np.asarray(sparse.power(2).sum(axis=1)).ravel())
+    squared -= 2 * float(np.sum((sparse @ shifts.g) * own * counted[:, None]))
+    squared += float(np.sum((own.T @ (own * counted[:, None])) * (shifts.g.T @ shifts.g)))
+    if squared < LEAST_SHARE**2 * (counted > 0).sum():
+        return 0.0
+    trace, by_noise = float(diagonal.sum()), float(counted @ diagonal)
+    means, cost, redundancy = float(counted @ shifts.u**2), shifts.cost, max(adjustment.redundancy, 1)
+    determinant = squared * redundancy - by_noise * trace
+    return float(np.sqrt(max((means * redundancy - by_noise * cost) / determinant, 0.0)))
+
+
+def steadied(problem: Problem, adjustment: Adjustment, exposure: Array, shake_px: float) -> Array:
+    """Return the image points (n, 2) with the predicted shakes of their images taken off.
+
+    ``adjustment`` as for ``body_shake``; ``shake_px`` what that found.
+    """
+    xy = np.array(problem.observations.xy_px)
+    if shake_px == 0.0 or len(adjustment.parameters) == 0:
+        return xy
+    shifts = shifts_of(problem, adjustment, exposure)
+    own = np.einsum("iu,uv,iv->", shifts.g, shifts.cofactors, shifts.g, optimize=True)
+    trace = float(shifts.beside_cameras().diagonal().sum() - own)
+    redundancy = max(adjustment.redundancy, 1)
+    noise = max(shifts.cost - shake_px**2 * trace, LEAST_NOISE * shifts.cost) / redundancy
+    solve = _Solver.of(shifts, noise / shake_px**2)
+    return np.asarray(xy - np.einsum("nij,nj->ni", shifts.z, solve(shifts.u).reshape(-1, 2)[shifts.image_of]))
+
+
+def shaken_covariance(problem: Problem, adjustment: Adjustment, exposure: Array, shake_px: float) -> Array:
+    """Return the covariance (u, u) of ``adjustment.parameters`` that the shakes of whole images leave.
+
+    ``adjustment``: with precision, of image points that are ``steadied``; ``shake_px``: rms an axis.
+    """
+    assert adjustment.precision is not None
+    covariance = np.asarray(adjustment.precision.covariance)
+    if shake_px == 0.0 or len(covariance) == 0:
+        return covariance
+    shifts = shifts_of(problem, adjustment, exposure)
+    solver = _Solver.of(shifts, adjustment.sigma0**2 / shake_px**2)
+    # predictions took their share of the noise with them: as many unknowns as they could follow it
+    taken = 2 * len(shifts.count) - solver.ratio * solver.trace()
+    redundancy = max(adjustment.redundancy, 1)
+    noise = adjustment.sigma0**2 * redundancy / max(redundancy - taken, 1.0)
+    solver = _Solver.of(shifts, noise / shake_px**2)
+    scale = shifts.scale
+    found = noise * np.linalg.inv(solver.normal) * scale[:, None] * scale
+    return np.asarray((found + found.T) / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Shifts:
+    """The shakes of i images (2 each) beside the unknowns of an adjustment.
+
+    ``image_of`` (n,) image of each observation, ``z`` (n, 2, 2) how it moves with its image's shakes, mixed so that
+    Z^T W Z is diagonal; ``count`` (i,) used points; ``d`` (2i,) weights Z^T W Z, ``u`` (2i,);
+    ``g`` (2i, u) with the unknowns of the reduced system, whose ``cofactors`` (u, u) are scaled to a unit diagonal by
+    ``scale`` (u,); ``s`` (2i, q) with those of the blocks, whose normal matrix is ``v``, its inverse ``v_inverse``.
+    ``cost``: v^T W v, with what is known beforehand.
+    """
+
+    image_of: Array
+    z: Array
+    count: Array
+    d: Array
+    u: Array
+    g: Array
+    cofactors: Array
+    scale: Array
+    s: csr_array
+    v: csc_array
+    v_inverse: csc_array
+    cost: float
+
+    def beside_cameras(self) -> csr_array:
+        """Return Z^T W Z with the blocks eliminated (2i, 2i), the cameras held."""
+        return csr_array(diags_array(self.d) - self.s @ self.v_inverse @ self.s.T)
+
+
+@dataclass(frozen=True, eq=False)
+class _Solver:
+    """Solves (B + ratio) x = z: blocks first, then the unknowns of the reduced system, whose normal matrix beside the
+    shifts is ``normal`` (scaled as the cofactors); ``x_g`` (2i, u) the sparse part's solution for ``g``.
+    """
+
+    shifts: Shifts
+    ratio: float
+    e: Array
+    blocks: SuperLU | None
+    x_g: Array
+    normal: Array
+
+    @classmethod
+    def of(cls, shifts: Shifts, ratio: float) -> "_Solver":
+        e = 1 / (shifts.d + ratio)
+        inner = csc_array(shifts.v - shifts.s.T @ diags_array(e) @ shifts.s)
+        blocks = splu(inner) if inner.shape[0] else None
+        x_g = _sparse_part(shifts, e, blocks, shifts.g)
+        normal = np.linalg.inv(shifts.cofactors) - shifts.g.T @ x_g
+        return cls(shifts, ratio, e, blocks, x_g, normal)
+
+    def __call__(self, z: Array) -> Array:
+        x = _sparse_part(self.shifts, self.e, self.blocks, z[:, None])[:, 0]
+        return np.asarray(x + self.x_g @ np.linalg.solve(self.normal, self.shifts.g.T @ x))
+
+    def trace(self) -> float:
+        """Return the trace of (B + ratio)^-1."""
+        total = float(self.e.sum() + np.trace(np.linalg.solve(self.normal, self.x_g.T @ self.x_g)))
+        if self.blocks is None:
+            return total
+        inner = csc_array(self.shifts.s.T @ diags_array(self.e**2) @ self.shifts.s)
+        for first in range(0, inner.shape[1], COLUMNS):
+            some = inner[:, first : first + COLUMNS].toarray()
+            solved = self.blocks.solve(some)
+            total += float(np.trace(solved[first : first + some.shape[1]]))
+        return total
+
+
+def _sparse_part(shifts: Shifts, e: Array, blocks: SuperLU | None, z: Array) -> Array:
+    """Return (D + ratio - S V^-1 S^T)^-1 z for z (2i, k), by Woodbury's identity."""
+    x = e[:, None] * z
+    if blocks is None:
+        return x
+    return np.asarray(x + e[:, None] * (shifts.s @ blocks.solve(shifts.s.T @ x)))
+
+
+def shifts_of(problem: Problem, adjustment: Adjustment, exposure: Array, even: bool = False) -> Shifts:
+    """Return the shakes of the images beside the adjustment's unknowns.
+
+    ``even``: as shifts that are alike at all points of an image, not as turns of its camera.
+    """
+    assert adjustment.precision is not None
+    layout = lay_out(problem)
+    points = intersected(
+        adjustment.cameras, layout, np.where(np.isfinite(adjustment.points), adjustment.points, 0.0)
+    )
+    state = state_of(problem, adjustment.cameras, points, adjustment.placements)
+    used = np.asarray(adjustment.used)
+    weight = np.where(used[layout.order], layout.see[4], 0.0)
+    task = Task(problem, layout, (), (LEAST_SQUARES, 1.0), 1.0, 1)
+    normals = empty_normals(layout)
+    linearised(task, state, weight, normals)
+    pull, _ = pulls(problem, layout, (), state)
+    inverse = np.empty_like(normals[4])
+    reduced(layout, normals, pull, 0.0, inverse)
+    image, of = np.unique(
+        np.column_stack([problem.observations.camera, exposure]), axis=0, return_inverse=True
+    )
+    of = of.reshape(-1)
+    squares = np.where(used, 1 / np.asarray(problem.observations.sigma_px) ** 2, 0.0)
+    if even:
+        z, d = np.tile(np.eye(2), (len(of), 1, 1)), np.repeat(np.bincount(of, squares, len(image)), 2)
+    else:
+        z, d = _by_shakes(problem, adjustment, of, squares)
+    slopes = np.zeros((len(image), 2, len(layout.names) + 1))
+    by_block = np.zeros((len(layout.order), 2, 6))
+    index = np.where(layout.index < 0, len(layout.names), layout.index)
+    see = (*layout.see[:4], weight, *layout.see[5:])
+    _sums(state, see, layout.columns, index, of[layout.order], z[layout.order], slopes, by_block)
+    v, v_inverse, open_ = _block_matrices(layout, normals[4], inverse)
+    s = _with_blocks(layout, of[layout.order], by_block, len(image), open_)
+    each = np.eye(len(layout.names) + 1, len(layout.names))
+    g = slopes[:, :, :-1].reshape(2 * len(image), -1)
+    g = g - s @ carry_down(layout.blocks, normals, inverse, index, each)
+    residual = np.where(used[:, None], adjustment.residuals_px, 0.0)
+    pulled = squares[:, None] * np.einsum("nij,ni->nj", z, residual)
+    u = np.column_stack([np.bincount(of, pulled[:, k], len(image)) for k in (0, 1)])
+    cofactors = np.asarray(adjustment.precision.covariance) / max(adjustment.sigma0**2, 1e-300)
+    scale = np.sqrt(np.diag(cofactors))
+    return Shifts(
+        of,
+        z,
+        np.bincount(of[used], minlength=len(image)),
+        d,
+        u.ravel(),
+        g * scale,
+        cofactors / scale[:, None] / scale,
+        scale,
+        s,
+        v,
+        v_inverse,
+        float(adjustment.sigma0**2 * max(adjustment.redundancy, 1)),
+    )
+
+
+def _by_shakes(
+    problem: Problem, adjustment: Adjustment, image_of: Array, squares: Array
+) -> tuple[Array, Array]:
+    """Return how observations move with their images' shakes (n, 2, 2), and the diagonal of Z^T W Z (2i,).
+
+    A shake is a turn of the camera about its own x and y axes, in the pixels by which the image's middle moves; each
+    image's two are mixed by a rotation that makes Z^T W Z diagonal, which leaves their variance what it is.
+    """
+    see = problem.observations
+    at = np.asarray(adjustment.points)[see.point]
+    placed = np.flatnonzero(np.asarray(see.placement) >= 0)
+    if len(placed):
+        which = np.asarray(see.placement)[placed]
+        rotation, translation = (
+            adjustment.placements.rotation[which],
+            adjustment.placements.translation[which],
+        )
+        at[placed] = np.einsum("nij,nj->ni", rotation, at[placed]) + translation
+    z = np.tile(np.eye(2), (len(at), 1, 1))
+    for k, camera in enumerate(adjustment.cameras):
+        mine = np.flatnonzero(see.camera == k)
+        turned = project_with_jacobians(camera, at[mine]).by_pose[:, :, 1::-1]
+        turned = turned / np.array(principal_distances_px(camera.lens)) * np.array([-1.0, 1.0])
+        fine = np.isfinite(turned).all(axis=(1, 2))
+        z[mine[fine]] = turned[fine]
+    normal = squares[:, None, None] * np.einsum("nki,nkj->nij", z, z)
+    images = int(image_of.max(initial=-1)) + 1
+    sums = [np.bincount(image_of, normal[:, i, j], images) for i in (0, 1) for j in (0, 1)]
+    d, mix = np.linalg.eigh(np.stack(sums, axis=1).reshape(-1, 2, 2))
+    return z @ mix[image_of], d.ravel()
+
+
+def _block_matrices(layout: Layout, flat: Array, inverse: Array) -> tuple[csc_array, csc_array, Array]:
+    """Return the blocks' normal matrix and its inverse (q, q), and which unknowns (q,) nothing determines."""
+    dim, first_value, first = layout.blocks[0], layout.blocks[4], layout.blocks[5]
+    block = np.repeat(np.arange(len(dim)), dim * dim)
+    row, column = np.divmod(np.arange(len(block)) - first_value[block], dim[block])
+    at, shape = (first[block] + row, first[block] + column), (int(dim.sum()),) * 2
+    v_inverse = csc_array(coo_array((inverse, at), shape=shape))
+    open_ = v_inverse.diagonal() <= 0
+    # held, as in the inverse
+    kept = np.where(open_[at[0]] | open_[at[1]], (at[0] == at[1]).astype(float), flat)
+    return csc_array(coo_array((kept, at), shape=shape)), v_inverse, open_
+
+
+def _with_blocks(layout: Layout, image: Array, by_block: Array, images: int, open_: Array) -> csr_array:
+    """Return Z^T W A of the blocks (2 images, q), from what each sorted observation gives to it (n, 2, 6)."""
+    dim, first = layout.blocks[0], layout.blocks[5]
+    block = layout.block_of
+    column = np.broadcast_to((first[block] + layout.see[5])[:, None, None] + np.arange(6), by_block.shape)
+    row = np.broadcast_to((2 * image)[:, None, None] + np.arange(2)[:, None], by_block.shape)
+    there = by_block != 0
+    found = csr_array(
+        coo_array((by_block[there], (row[there], column[there])), shape=(2 * images, int(dim.sum())))
+    )
+    return csr_array(found @ diags_array(np.where(open_, 0.0, 1.0))) if len(open_) else found
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def _sums(state, see, columns, index, image, z, slopes, by_block):  # type: ignore[no-untyped-def]
+    """Add z^T w^2 J of each observation to its image's ``slopes`` (i, 2, u + 1) by the reduced system's unknowns, the
+    last column taking what is held; write that of its block's unknowns to ``by_block`` (n, 2, 6).
+    """
+    cameras, points, placements = state
+    camera_of, point_of, placement_of, _, weight, _, slot, kept, _, _ = see
+    width = index.shape[1]
+    out, j = np.empty((2, OBSERVED)), np.zeros((2, width))
+    for m in range(camera_of.size):
+        if weight[m] == 0.0:
+            continue
+        camera, point, placement = camera_of[m], kept[m], placement_of[m]
+        if not observe(cameras, camera, points, point_of[m], placements, placement, out):
+            continue
+        by_unknowns(out, columns, camera, j)
+        for shake in range(2):
+            x, y = weight[m] ** 2 * z[m, 0, shake], weight[m] ** 2 * z[m, 1, shake]
+            to = slopes[image[m], shake]
+            for i in range(width):
+                to[index[camera, i]] += x * j[0, i] + y * j[1, i]
+            if point >= 0:
+                for i in range(3):
+                    to[index[point, i]] += x * out[0, BY_OWN + i] + y * out[1, BY_OWN + i]
+            # observations that touch no block have no slot
+            if slot[m] < 0:
+                continue
+            for i in range(3):
+                by_world = x * out[0, BY_WORLD + i] + y * out[1, BY_WORLD + i]
+                if placement >= 0:
+                    by_block[m, shake, i] = x * out[0, BY_TURN + i] + y * out[1, BY_TURN + i]
+                    by_block[m, shake, 3 + i] = by_world
+                else:
+                    by_block[m, shake, i] = by_world

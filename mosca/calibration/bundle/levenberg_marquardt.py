@@ -1,0 +1,312 @@
+"""Levenberg-Marquardt on the reduced normal equations of a bundle adjustment.
+
+Marquardt (1963): the diagonal is multiplied by 1 + damping; the damping falls after a step that brings what
+it promised and rises ever faster after one that does not (Nielsen 1999).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg.lapack import dposv
+
+from mosca.calibration.bundle.initial_points import intersected
+from mosca.calibration.bundle.kernels import LENS, imaged
+from mosca.calibration.bundle.layout import Layout
+from mosca.calibration.bundle.lenses import lens_of, lens_row, set_folds
+from mosca.calibration.bundle.normals import linearise
+from mosca.calibration.bundle.priors import Priors, pulls
+from mosca.calibration.bundle.problem import Placements, Problem
+from mosca.calibration.bundle.reduction import back_substitute, reduce_to_groups, scatter
+from mosca.calibration.bundle.rotations import turn_on, weighted_blocks
+from mosca.data.arrays import Array
+from mosca.data.rig import Camera, Pose
+
+# the least damping also keeps a free network regular: its common motions then do not move
+FIRST_DAMPING, LEAST_DAMPING, WORST_DAMPING = 1e-6, 1e-10, 1e12
+# beyond it small promises only mean small steps
+STALLED = 1e2
+# of its promise a step may miss this share and the problem still counts as near enough to quadratic
+AS_PROMISED = 0.1
+# sums of squares of so many numbers cannot be told apart below this share of theirs
+ROUNDING = 1e-14
+# residuals of rounding size, in standard deviations: an exact fit
+EXACT = 1e-9
+
+# residuals, in typical ones and in standard deviations, that make a point look badly placed; the share of them
+# that must be left when it is placed anew; and the residual of a point that is not imaged
+FAR, BETTER, NOWHERE = 8.0, 0.5, 1e9
+
+State = tuple[Array, Array, Array]
+"""Tables of cameras (c, 32), points (p, 3) and placements (f, 12), as ``kernels`` says."""
+Normals = tuple[Array, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What every step of an adjustment needs.
+
+    ``robust``: loss and its squared scale; ``tolerance``: a step is not worth taking when it promises to move
+    no unknown by more than this share of its standard deviation, and is the last one when it moved none by
+    more.
+    """
+
+    problem: Problem
+    layout: Layout
+    priors: Priors
+    robust: tuple[int, float]
+    tolerance: float
+    most_steps: int
+
+
+@dataclass(frozen=True, eq=False)
+class Descent:
+    """Where a descent ended: state, normal equations there, cost, steps taken, unseen points, whether it
+    converged.
+    """
+
+    state: State
+    normals: Normals
+    cost: float
+    steps: int
+    unseen: int
+    converged: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A descent that ended, with the inverse of its normal equations: what precision is worked out from.
+
+    ``weight`` (n,) 1/sigma of the sorted image points, 0 where left out; ``cofactors`` (u, u) of the reduced
+    system in any datum; ``inverse`` of the blocks; ``motions`` the number of common motions that nothing
+    fixes.
+    """
+
+    descent: Descent
+    weight: Array
+    cofactors: Array
+    inverse: Array
+    motions: int
+
+
+def first_state(problem: Problem, layout: Layout) -> State:
+    """Return the starting values; points without are intersected from their rays."""
+    cameras = tuple(one.camera for one in problem.cameras)
+    points = intersected(cameras, layout, np.array(problem.points.xyz))
+    return state_of(problem, cameras, points, problem.placements)
+
+
+def placed_again(
+    task: Task, state: State, residual: Array, weight: Array, least: float = 0.0
+) -> State | None:
+    """Return the state with badly placed points intersected anew, None where that helps none.
+
+    ``residual`` (n, 2) there [px]; ``least``: what, in standard deviations, a bad point has at least. Badly
+    placed: a camera ought to see the point and does not, or sees it far from where the point lies; at a poor
+    start an end of a wand may be caught on the other side of its fellow, where the length is right as well.
+    """
+    layout = task.layout
+    away = _distances(layout, residual, weight)
+    if away.max(initial=0.0) < FAR:
+        return None
+    limit = least or FAR * max(float(np.median(away[weight > 0])), 1.0)
+    lost = np.intersect1d(layout.see[1][away >= limit], layout.members)
+    if len(lost) == 0:
+        return None
+    points = state[1].copy()
+    points[lost] = np.nan
+    cameras = adjusted_cameras(task.problem, layout, state)
+    again = state[0], intersected(cameras, layout, points, state[1]), state[2]
+    before, after = (
+        np.bincount(layout.see[1], one**2, len(points))
+        for one in (away, _distances(layout, residuals(layout, again), weight))
+    )
+    worse = after > BETTER * before
+    again[1][worse] = state[1][worse]
+    return again if (~worse[lost]).any() else None
+
+
+def _distances(layout: Layout, residual: Array, weight: Array) -> Array:
+    """Return how far (n,) points of the world are from where they are seen, in standard deviations."""
+    away = np.nan_to_num(np.hypot(residual[:, 0], residual[:, 1]) * weight, nan=NOWHERE)
+    return np.where((weight > 0) & (layout.see[2] < 0), away, 0.0)
+
+
+def residuals(layout: Layout, state: State) -> Array:
+    """Return projected minus observed (n, 2) [px] of the sorted image points, NaN where not imaged."""
+    out = np.empty((len(layout.order), 2))
+    imaged(state, layout.see, out)
+    return out
+
+
+def adjusted_cameras(problem: Problem, layout: Layout, state: State) -> tuple[Camera, ...]:
+    """Return the cameras of a state."""
+    table = state[0]
+    return tuple(
+        replace(
+            one.camera,
+            lens=lens_of(table[owner, LENS:], problem.cameras[owner].camera.lens),
+            world_from_camera=Pose(table[c, :9].reshape(3, 3), table[c, 9:LENS]),
+        )
+        for c, (one, owner) in enumerate(zip(problem.cameras, layout.columns[0], strict=True))
+    )
+
+
+def state_of(problem: Problem, cameras: Sequence[Camera], points: Array, placements: Placements) -> State:
+    """Return a state of these cameras, points and placements."""
+    table = [
+        np.concatenate(
+            [pose.rotation.ravel(), pose.translation, lens_row(cameras[k].lens, problem.cameras[k].free)]
+        )
+        for camera, k in zip(cameras, problem.lens_owner(), strict=True)
+        for pose in [camera.world_from_camera]
+    ]
+    return (
+        np.array(table),
+        np.array(points),
+        np.column_stack([placements.rotation.reshape(-1, 9), placements.translation]),
+    )
+
+
+def reduced(
+    layout: Layout, normals: Normals, pull: tuple[Array, Array] | None, damping: float, inverse: Array
+) -> tuple[Array, Array]:
+    """Return the reduced normal matrix (u, u) and slope (u,); write the inverse blocks into ``inverse``."""
+    unknowns, width = len(layout.names), layout.index.shape[1]
+    pairs = np.empty((layout.pairs, width, width))
+    group_slope = np.empty((len(layout.index), width))
+    reduce_to_groups(layout.blocks, normals, damping, inverse, pairs, group_slope)
+    matrix = np.empty((unknowns, unknowns))
+    scatter(normals, pairs, layout.index, damping, matrix)
+    there = layout.index >= 0
+    slope = np.bincount(layout.index[there], group_slope[there], unknowns)
+    if pull is not None:
+        matrix += pull[0]
+        matrix[np.diag_indices(unknowns)] += damping * np.diag(pull[0])
+        slope += pull[1]
+    return matrix, slope
+
+
+def descend(task: Task, start: State, weight: Array) -> Descent:
+    """Walk from ``start`` to the least cost; ``weight`` (n,) 1/sigma of the sorted image points, 0 where left
+    out.
+    """
+    layout = task.layout
+    normals, inverse = empty_normals(layout), np.empty(int((layout.blocks[0] ** 2).sum()))
+    state = start
+    cost, unseen, pull = linearised(task, state, weight, normals)
+    if unseen:
+        state = placed_again(task, state, normals[-1], weight, NOWHERE) or state
+        cost, unseen, pull = linearised(task, state, weight, normals)
+    used = int((weight > 0).sum())
+    redundancy = max(2 * used - len(layout.names) - int(layout.blocks[0].sum()), 1)
+    damping, growth, before = FIRST_DAMPING, 2.0, 0.0
+    for step in range(task.most_steps):
+        enough = max(task.tolerance**2 / redundancy, ROUNDING) * cost
+        while True:
+            steps, promised = _step(task, normals, pull, damping, inverse)
+            if promised <= enough or cost <= EXACT**2 * used:
+                return Descent(state, normals, cost, step, unseen, damping < STALLED)
+            trial = None if steps is None else moved(layout, state, *steps)
+            if trial is not None:
+                trial_cost, trial_unseen, trial_pull = linearised(task, trial, weight, normals)
+                if trial_cost < cost:
+                    break
+                linearised(task, state, weight, normals)
+            damping, growth = damping * growth, growth * 2
+            if damping > WORST_DAMPING:
+                return Descent(state, normals, cost, step, unseen, False)
+        gained = cost - trial_cost
+        state, cost, unseen, pull = trial, trial_cost, trial_unseen, trial_pull
+        ratio = gained / promised
+        fall = 0.1 if ratio > 0.75 else max(1 / 3, 1 - (2 * ratio - 1) ** 3)
+        damping, growth = max(damping * fall, LEAST_DAMPING), 2.0
+        # steps that keep their promises shrink at least linearly: what the next would promise, at the last one's rate
+        next_one = promised**2 / before if before > 0 and abs(ratio - 1) < AS_PROMISED else np.inf
+        if min(gained, next_one) <= enough:
+            return Descent(state, normals, cost, step + 1, unseen, damping < STALLED)
+        before = promised
+    return Descent(state, normals, cost, task.most_steps, unseen, False)
+
+
+def linearised(
+    task: Task, state: State, weight: Array, normals: Normals
+) -> tuple[float, int, tuple[Array, Array] | None]:
+    """Write the normal equations at a state; return the cost, the number of unseen points and ``pulls``."""
+    layout = task.layout
+    see = (*layout.see[:4], weight, *layout.see[5:])
+    cost, unseen = linearise(state, see, layout.columns, layout.blocks, layout.known, task.robust, normals)
+    if layout.known[1].size or layout.known[4].size:
+        cost += weighted_blocks(state, layout.blocks, layout.known, normals)
+    pull, more = pulls(task.problem, layout, task.priors, state)
+    return float(cost) + more, int(unseen), pull
+
+
+def _step(
+    task: Task, normals: Normals, pull: tuple[Array, Array] | None, damping: float, inverse: Array
+) -> tuple[tuple[Array, Array] | None, float]:
+    """Return a damped step of the groups and of the blocks (None where there is none) and the promised decrease."""
+    layout = task.layout
+    matrix, slope = reduced(layout, normals, pull, damping, inverse)
+    step = np.zeros(0)
+    if len(slope):
+        diagonal = np.diag(matrix)
+        scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+        _, step, failed = dposv(matrix * scale[:, None] * scale, -scale * slope)
+        if failed:
+            return None, np.inf
+        step = scale * step
+    group_step = np.append(step, 0.0)[layout.index]
+    block_step = np.empty(len(normals[5]))
+    promised = back_substitute(layout.blocks, normals, damping, inverse, group_step, block_step)
+    own = np.diagonal(normals[0], axis1=1, axis2=2)
+    promised += float(np.sum(group_step * (damping * own * group_step - normals[2])))
+    if pull is not None:
+        promised += float(step @ (damping * np.diag(pull[0]) * step)) - float(step @ pull[1])
+    return (group_step, block_step), promised
+
+
+def moved(layout: Layout, state: State, group_step: Array, block_step: Array) -> State | None:
+    """Return ``state`` after steps of the groups (groups, K) and blocks; None for a scale of a lens not above
+    0.
+    """
+    cameras, points, placements = state
+    cameras = cameras.copy()
+    steps = group_step[: len(cameras)]
+    turn_on(cameras, np.ascontiguousarray(steps[:, :3]))
+    cameras[:, 9:LENS] += steps[:, 3:6]
+    if len(layout.lens_places):
+        group, place, parameter = layout.lens_places.T
+        cameras[group, LENS + parameter] += layout.lens_factors * group_step[group, place]
+        if not set_folds(cameras[:, LENS:]):
+            return None
+        cameras[:, LENS:] = cameras[layout.columns[0], LENS:]
+    if len(layout.members) + len(layout.kept):
+        points = points.copy()
+        eliminated = 3 * len(layout.members)
+        points[layout.members] = points.take(layout.members, axis=0) + block_step[:eliminated].reshape(-1, 3)
+        points[layout.kept] += group_step[len(cameras) :, :3]
+    if len(layout.placed):
+        steps = block_step[3 * len(layout.members) :].reshape(-1, 6)
+        moved = placements[layout.placed]
+        turn_on(moved, np.ascontiguousarray(steps[:, :3]))
+        moved[:, 9:] += steps[:, 3:]
+        placements = placements.copy()
+        placements[layout.placed] = moved
+    return cameras, points, placements
+
+
+def empty_normals(layout: Layout) -> Normals:
+    """Return room for normal equations, as ``kernels`` orders them, and the residuals (n, 2) [px]."""
+    groups, width = layout.index.shape
+    dim, at_w = layout.blocks[0], layout.blocks[6]
+    return (
+        np.empty((groups, width, width)),
+        np.empty((layout.pairs, width, width)),
+        np.empty((groups, width)),
+        np.empty(at_w[-1]),
+        np.empty(int((dim * dim).sum())),
+        np.empty(int(dim.sum())),
+        layout.pair_of,
+        np.empty((len(layout.order), 2)),
+    )

@@ -1,0 +1,254 @@
+"""Precision and reliability of a bundle adjustment, run by run, compiled. The names are ``kernels``'."""
+
+import numpy as np
+from numba import njit
+
+from mosca.calibration.bundle.kernels import BY_OWN, BY_POSE, BY_TURN, BY_WORLD, OBSERVED, observe, weigh
+from mosca.calibration.bundle.lenses import FAST, L, fast_step
+
+LEAST_REDUNDANCY_NUMBER = 1e-6
+"""An image point with less says nothing about itself: it cannot be tested."""
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def precise(  # type: ignore[no-untyped-def]
+    state,
+    see,
+    base_weight,
+    columns,
+    blocks,
+    robust,
+    normals,
+    inverse,
+    cofactors,
+    index,
+    block_cofactors,
+    tests,
+):
+    """Write cofactors of the blocks and, of each image point, its residual and how it stands out.
+
+    ``cofactors`` (u + 1, u + 1) of the reduced system, the last row and column zero; ``index`` (groups, K)
+    its columns; ``inverse``: V^-1; ``block_cofactors`` (as V): V^-1 W^T Q W V^-1 + V^-1. ``tests`` (n, 7):
+    residual projected minus observed x, y [px]; the projection's cofactors xx, xy, yy over those of the image
+    point a priori; v^T Q_vv^-1 v, of points left out e^T Q_ee^-1 e, NaN where it cannot be tested; and the
+    robust weight.
+    """
+    dim, first_observation, slot_first, slot_group, at_v, _, at_w, runs, _ = blocks
+    mixed, width = normals[3], index.shape[1]
+    work = (
+        np.empty((2, OBSERVED)),
+        np.zeros((2, width)),
+        np.empty((2, width + 9)),
+        np.empty(width + 9, np.int64),
+    )
+    for r in range(runs.size - 1):
+        b, count = runs[r], runs[r + 1] - runs[r]
+        n, first = dim[b], slot_first[b]
+        slots = slot_first[b + 1] - first
+        rows, wide = count * n, slots * width
+        own = _block_by_block(mixed, at_w[b], n, count, wide)
+        # carried: V^-1 W^T (d block / d group, up to sign); spread: the same times Q
+        carried = np.empty((rows, wide))
+        _times_inverse(inverse, at_v[b], n, count, own, carried)
+        q = np.empty((wide, wide))
+        for i in range(wide):
+            row = index[slot_group[first + i // width], i % width]
+            for k in range(wide):
+                q[i, k] = cofactors[row, index[slot_group[first + k // width], k % width]]
+        spread = np.dot(carried, q) if slots else carried
+        for one in range(count):
+            v, top = at_v[b + one], one * n
+            own_cofactors = block_cofactors[v : v + n * n].reshape(n, n)
+            for i in range(n):
+                for k in range(n):
+                    x = inverse[v + i * n + k]
+                    for c in range(wide):
+                        x += spread[top + i, c] * carried[top + k, c]
+                    own_cofactors[i, k] = x
+        for m in range(first_observation[r], first_observation[r + 1]):
+            # the block's part in the covariance with the groups, at the columns of this block's slots
+            one = see[9][m]
+            v, top = at_v[one], (one - b) * n
+            _test(
+                m, state, see, base_weight, columns, robust, cofactors, index, work,
+                block_cofactors[v : v + n * n].reshape(n, n), spread[top : top + n], n, slot_first[one], tests,
+            )  # fmt: skip
+
+
+@fast_step
+def _block_by_block(mixed, at, n, count, wide):  # type: ignore[no-untyped-def]
+    """Return W^T of a run (count n, wide), the unknowns of each block together."""
+    out = np.empty((count * n, wide))
+    for c in range(wide):
+        for i in range(n):
+            row = at + (c * n + i) * count
+            for one in range(count):
+                out[one * n + i, c] = mixed[row + one]
+    return out
+
+
+@fast_step
+def _times_inverse(inverse, at, n, blocks, matrix, out):  # type: ignore[no-untyped-def]
+    """Write V^-1 times the rows of ``matrix`` (blocks n, q), block by block from ``inverse[at:]`` on, into
+    ``out``.
+    """
+    width = matrix.shape[1]
+    for b in range(blocks):
+        for i in range(n):
+            line, to = at + (b * n + i) * n, out[b * n + i]
+            # block sizes are multiples of three
+            for c in range(0, n, 3):
+                f0, f1, f2 = inverse[line + c], inverse[line + c + 1], inverse[line + c + 2]
+                x, y, z = matrix[b * n + c], matrix[b * n + c + 1], matrix[b * n + c + 2]
+                if c == 0:
+                    for k in range(width):
+                        to[k] = f0 * x[k] + f1 * y[k] + f2 * z[k]
+                else:
+                    for k in range(width):
+                        to[k] += f0 * x[k] + f1 * y[k] + f2 * z[k]
+
+
+@fast_step
+def _test(  # type: ignore[no-untyped-def]
+    m, state, see, base_weight, columns, robust, cofactors, index, work, block, spread, n, first, tests
+):
+    """Write the tests of one image point; ``block`` (n, n) cofactors of its block, ``spread`` (n, wide) V^-1
+    W^T Q.
+    """
+    cameras, points, placements = state
+    camera_of, point_of, placement_of, xy_px, weight, offset, slot, kept, kept_slot, _ = see
+    out, j, by, place = work
+    width = index.shape[1]
+    camera, point, placement = camera_of[m], kept[m], placement_of[m]
+    if not observe(cameras, camera, points, point_of[m], placements, placement, out):
+        tests[m, :] = np.nan
+        return
+    by_unknowns(out, columns, camera, j)
+    # derivatives by the unknowns of the groups, and where these stand among all
+    size = width
+    for k in range(2):
+        for i in range(width):
+            by[k, i] = j[k, i]
+    for i in range(width):
+        place[i] = index[camera, i]
+    if point >= 0:
+        for i in range(3):
+            by[0, width + i], by[1, width + i] = out[0, BY_OWN + i], out[1, BY_OWN + i]
+            place[width + i] = index[point, i]
+        size = width + 3
+    q00 = q01 = q11 = 0.0
+    for i in range(size):
+        f0 = f1 = 0.0
+        for k in range(size):
+            x = cofactors[place[i], place[k]]
+            f0 += x * by[0, k]
+            f1 += x * by[1, k]
+        q00 += by[0, i] * f0
+        q01 += by[0, i] * f1
+        q11 += by[1, i] * f1
+    own = 0 if n == 0 else (6 if placement >= 0 else 3)
+    for i in range(own):
+        row = offset[m] + i
+        part = BY_TURN + i if own == 6 and i < 3 else (BY_WORLD + i - 3 if own == 6 else BY_WORLD + i)
+        d0, d1 = out[0, part], out[1, part]
+        f0 = f1 = 0.0
+        for k in range(own):
+            other = BY_TURN + k if own == 6 and k < 3 else (BY_WORLD + k - 3 if own == 6 else BY_WORLD + k)
+            x = block[row, offset[m] + k]
+            f0 += x * out[0, other]
+            f1 += x * out[1, other]
+        g0 = g1 = 0.0
+        for k in range(size):
+            at = (slot[m] - first) * width + k if k < width else (kept_slot[m] - first) * width + k - width
+            g0 += spread[row, at] * by[0, k]
+            g1 += spread[row, at] * by[1, k]
+        q00 += d0 * (f0 - 2 * g0)
+        q01 += d0 * (f1 - g1) - d1 * g0
+        q11 += d1 * (f1 - 2 * g1)
+    e0, e1 = out[0, 0] - xy_px[m, 0], out[1, 0] - xy_px[m, 1]
+    base = base_weight[m] * base_weight[m]
+    robust_weight = weigh((e0 * e0 + e1 * e1) * base, robust[0], robust[1])[1]
+    factor = base * robust_weight if weight[m] > 0 else base
+    q00, q01, q11 = q00 * factor, q01 * factor, q11 * factor
+    # residuals of points that take part vary less than the image points, of those left out more
+    sign = -1.0 if weight[m] > 0 else 1.0
+    v00, v01, v11 = 1 + sign * q00, sign * q01, 1 + sign * q11
+    least = (v00 + v11) / 2 - np.sqrt(((v00 - v11) / 2) ** 2 + v01 * v01)
+    tests[m, 0], tests[m, 1], tests[m, 2], tests[m, 3], tests[m, 4] = e0, e1, q00, q01, q11
+    tests[m, 5], tests[m, 6] = np.nan, robust_weight
+    if least > LEAST_REDUNDANCY_NUMBER:
+        determinant = v00 * v11 - v01 * v01
+        tests[m, 5] = factor * (e0 * e0 * v11 - 2 * e0 * e1 * v01 + e1 * e1 * v00) / determinant
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def by_unknowns(out, columns, camera, j):  # type: ignore[no-untyped-def]
+    """Write the pixel's derivative by the unknowns of its camera's group (2, K): pose, then free lens
+    parameters.
+    """
+    lens, count, first, second, factor = columns
+    own = lens[camera]
+    free = count[own]
+    for k in range(2):
+        for i in range(6):
+            j[k, i] = out[k, BY_POSE + i]
+        for i in range(free):
+            j[k, 6 + i] = out[k, L + first[own, i]] + factor[own, i] * out[k, L + second[own, i]]
+        for i in range(6 + free, j.shape[1]):
+            j[k, i] = 0.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def carry_down(blocks, normals, inverse, index, z):  # type: ignore[no-untyped-def]
+    """Return V^-1 W^T z of all blocks (all their unknowns, q), for z (u + 1, q) of the reduced system, last
+    row zero.
+    """
+    dim, _, slot_first, slot_group, at_v, at_g, at_w, runs, _ = blocks
+    mixed, width = normals[3], index.shape[1]
+    out = np.zeros((dim.sum(), z.shape[1]))
+    for r in range(runs.size - 1):
+        b, count = runs[r], runs[r + 1] - runs[r]
+        n, first = dim[b], slot_first[b]
+        slots = slot_first[b + 1] - first
+        rows, wide = count * n, slots * width
+        if slots == 0:
+            continue
+        own = _block_by_block(mixed, at_w[b], n, count, wide)
+        gathered = np.empty((wide, z.shape[1]))
+        for i in range(wide):
+            row = index[slot_group[first + i // width], i % width]
+            for k in range(z.shape[1]):
+                gathered[i, k] = z[row, k]
+        _times_inverse(inverse, at_v[b], n, count, np.dot(own, gathered), out[at_g[b] : at_g[b] + rows])
+    return out
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def carry_up(blocks, normals, inverse, index, unknowns, z):  # type: ignore[no-untyped-def]
+    """Return W V^-1 z (u, q), V^-1 z and the sum of z^T V^-1 z (q, q), for z (all unknowns of the blocks, q)."""
+    dim, _, slot_first, slot_group, at_v, at_g, at_w, runs, _ = blocks
+    mixed, width, columns = normals[3], index.shape[1], z.shape[1]
+    out, square, every = np.zeros((unknowns, columns)), np.zeros((columns, columns)), np.zeros_like(z)
+    for r in range(runs.size - 1):
+        b, count = runs[r], runs[r + 1] - runs[r]
+        n, first, g = dim[b], slot_first[b], at_g[b]
+        slots = slot_first[b + 1] - first
+        rows, wide = count * n, slots * width
+        if n == 0:
+            continue
+        pull = every[g : g + rows]
+        _times_inverse(inverse, at_v[b], n, count, z[g : g + rows], pull)
+        added = np.dot(z[g : g + rows].T, pull)
+        for i in range(columns):
+            for k in range(columns):
+                square[i, k] += added[i, k]
+        if slots == 0:
+            continue
+        own = _block_by_block(mixed, at_w[b], n, count, wide)
+        up = np.dot(own.T, pull)
+        for i in range(wide):
+            row = index[slot_group[first + i // width], i % width]
+            if row >= 0:
+                for k in range(columns):
+                    out[row, k] += up[i, k]
+    return out, every, square

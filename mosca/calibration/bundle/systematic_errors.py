@@ -1,0 +1,66 @@
+"""What lasts from exposure to exposure of a target that stands still, and does not average out.
+
+A lens is not quite what its model says, and a mark's image is not quite where its light is: while a target stands,
+these errors are the same in each exposure. Least squares takes them for new ones each time. Repeats tell them from
+noise (pure error and lack of fit: Draper and Smith 1998, section 2.1): the mean residual of a mark that a camera saw
+n times has the variance rho (sigma_L^2 + sigma_n^2 / n), of which the scatter among the n knows sigma_n, and rho is
+what the adjustment leaves of it (redundancy numbers, Baarda 1968). What they do to the parameters p is their part of
+
+    C_L = N^-1 (sum over cells of g^T sigma_L^2 (1 - 1/n) g) N^-1,   g = sum over the cell of A^T W,
+
+the covariance of estimates whose errors hang together in cells, here a mark at a stand in a camera (White 1980;
+Liang and Zeger 1986). The part 1/n of it stands in the covariance of independent errors already.
+"""
+
+import numpy as np
+
+from mosca.calibration.bundle.adjustment import Adjustment
+from mosca.calibration.bundle.exposure_shake import shifts_of
+from mosca.calibration.bundle.problem import Problem
+from mosca.data.arrays import Array
+
+FEWEST_CELLS = 20
+"""Marks at stands that a camera must have seen repeatedly for it to be told how much lasts."""
+LEAST_REDUNDANCY = 0.1
+"""Cells whose mean residual the adjustment fits nearly away tell nothing."""
+
+
+def lasting_errors(adjustment: Adjustment, camera: Array, cell: Array) -> Array:
+    """Return the part of image errors that lasts (c,), rms an axis [px]; NaN where repeats do not tell it.
+
+    ``adjustment``: with precision; ``camera`` (n,) of each observation; ``cell`` (n,) alike for observations that
+    one camera made of one mark at one stand.
+    """
+    assert adjustment.precision is not None
+    cameras = len(adjustment.cameras)
+    found = np.full(cameras, np.nan)
+    used = np.flatnonzero(adjustment.used)
+    _, first, of, count = np.unique(cell[used], return_index=True, return_inverse=True, return_counts=True)
+    of = of.reshape(-1)
+    residual = adjustment.residuals_px[used]
+    mean = np.column_stack([np.bincount(of, residual[:, k]) for k in (0, 1)]) / count[:, None]
+    scatter = np.bincount(of, ((residual - mean[of]) ** 2).sum(axis=1)) / np.maximum(2 * (count - 1), 1)
+    left = 1 - np.bincount(of, 1 - adjustment.precision.redundancy_numbers[used].mean(axis=1))
+    told = (count >= 2) & (left >= LEAST_REDUNDANCY)
+    excess = (mean**2).mean(axis=1) - left * scatter / count
+    for c in range(cameras):
+        mine = told & (camera[used][first] == c)
+        if mine.sum() >= FEWEST_CELLS:
+            found[c] = np.sqrt(max(float(excess[mine].sum() / left[mine].sum()), 0.0))
+    return found
+
+
+def lasting_covariance(problem: Problem, adjustment: Adjustment, cell: Array, lasting_px: Array) -> Array:
+    """Return what errors that last add to the covariance (u, u) of ``adjustment.parameters``.
+
+    ``cell`` as for ``lasting_errors``; ``lasting_px`` (c,) what that found, NaN counts nothing.
+    """
+    if len(adjustment.parameters) == 0 or not np.nansum(lasting_px) > 0:
+        return np.zeros((len(adjustment.parameters),) * 2)
+    cells = shifts_of(problem, adjustment, cell, even=True)
+    camera = np.zeros(len(cells.count), dtype=np.int64)
+    camera[cells.image_of] = problem.observations.camera
+    repeated = 1 - 1 / np.maximum(cells.count, 1)
+    sigma = np.nan_to_num(lasting_px)[camera] * np.sqrt(repeated)
+    by_cell = cells.cofactors @ cells.g.T * np.repeat(sigma, 2) * cells.scale[:, None]
+    return np.asarray(by_cell @ by_cell.T)

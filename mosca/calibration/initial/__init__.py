@@ -1,0 +1,1 @@
+"""Initial values: resection, interior orientation, target poses, projective reconstruction."""

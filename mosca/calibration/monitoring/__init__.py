@@ -1,0 +1,1 @@
+"""A rig under observation while it runs: bumps, drift, re-orientation."""

@@ -1,0 +1,212 @@
+"""A running rig watches itself: an alarm when a camera was bumped, by name, and its new pose from the others.
+
+Each frame's points give, camera by camera, the turn that would best explain how its image lies beside what the
+other cameras see, with all cameras' information on each other (Baarda 1968's test of one camera's common
+shift against all residuals). Sums over the last frames are tested; the body's shake of whole images is part of
+their covariance. A bump too large for the matching shows as a camera whose images all miss by one shift.
+
+    watch = RigWatch(rig)
+    for step in run(source, rig):
+        alarm = watch.update(step)
+        if alarm and alarm.camera:
+            ...  # watch_pose.reorient(...)
+"""
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from mosca.calibration.monitoring.large_shift import LostImages
+from mosca.calibration.monitoring.residual_sums import FrameSums, frame_sums
+from mosca.data.arrays import Array
+from mosca.data.detections import Detections
+from mosca.data.rig import Rig
+from mosca.data.tracks import Points
+from mosca.pipeline import Step
+
+
+@dataclass(frozen=True)
+class WatchSettings:
+    """When a camera is taken for bumped.
+
+    ``windows``: numbers of last frames that are tested; ``significance``: chance of a false alarm at one test;
+    ``least_px``: shifts of an image below this are let pass (calibration errors, warming up);
+    ``least_frames``: how long it must last, and ``least_points``: how many of its images a frame it must be seen in,
+    or a half-hidden marker or two look like a bump (measured on a drone with eight); ``lead``: by how much
+    (chi-square) the camera must explain the residuals better than any other to be named; ``body_px``: how far a
+    camera's body shakes its whole image, rms an axis and frame; ``camera_sigma_px``: random error of an image
+    point beside its detection's. ``lost_share``: a camera that fewer than this share of the expected points meet,
+    while as many images beside them lie at one common shift, was bumped far; ``lost_frames`` looked at.
+    """
+
+    windows: tuple[int, ...] = (5, 20, 80)
+    significance: float = 1e-10
+    least_px: float = 0.2
+    least_frames: int = 10
+    least_points: float = 8.0
+    lead: float = 25.0
+    body_px: float = 0.03
+    camera_sigma_px: float = 0.03
+    lost_share: float = 0.3
+    lost_frames: int = 20
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """A camera was bumped.
+
+    ``camera`` None where the residuals do not tell which of ``suspects``; ``since`` the frame from which on;
+    ``shift_px`` by how much its image moved (rms over the points); ``turn_rad`` (3,) about its own axes that
+    explains it, NaN where only the shift is known; ``chi_square`` of the change with 3 degrees of freedom and
+    ``significance``, the chance of it without a bump.
+    """
+
+    camera: str | None
+    suspects: tuple[str, ...]
+    since: int
+    shift_px: float
+    turn_rad: tuple[float, float, float]
+    chi_square: float
+    significance: float
+
+    @property
+    def message(self) -> str:
+        """The alarm in a line."""
+        size = f"its image is {self.shift_px:.2f} px off since frame {self.since}"
+        if self.camera is None:
+            return (
+                f"one of the cameras {', '.join(self.suspects)} was bumped ({size}); which one, these cameras alone "
+                "cannot tell: calibrate the exterior orientation anew"
+            )
+        return f"camera '{self.camera}' was bumped: {size}; re-orient it from the tracked points, and fix its mount"
+
+
+class RigWatch:
+    """Watches a rig for bumped cameras; ``update`` takes each frame set's points and says so at most once a bump."""
+
+    def __init__(self, rig: Rig, settings: WatchSettings | None = None) -> None:
+        self.settings = settings or WatchSettings()
+        self.rig = rig
+        self._frames: deque[FrameSums] = deque(maxlen=max(self.settings.windows))
+        self._lost = LostImages(rig, self.settings.lost_share, self.settings.lost_frames)
+        self._count = 0
+        self._limit = float(chi2.isf(self.settings.significance, 3))
+
+    def update(self, step: Step) -> Alarm | None:
+        """Take one frame set of the pipeline; return an alarm if a camera was bumped."""
+        return self.update_points(step.frame_set.pulse, step.detections, step.points)
+
+    def update_points(self, frame: int, detections: Mapping[str, Detections], points: Points) -> Alarm | None:
+        """Take the points of frame number ``frame`` and the detections that they were made of."""
+        s = self.settings
+        self._count += 1
+        self._frames.append(frame_sums(self.rig, frame, detections, points, s.camera_sigma_px, s.body_px))
+        alarm = self._shifted() or self._lost_one(frame, detections, points)
+        if alarm is not None:
+            self.restart(self.rig)
+        return alarm
+
+    def restart(self, rig: Rig) -> None:
+        """Forget all frames and go on with ``rig``, in which the bumped camera has its new pose."""
+        self.rig = rig
+        self._frames.clear()
+        self._lost = LostImages(rig, self.settings.lost_share, self.settings.lost_frames)
+
+    def _shifted(self) -> Alarm | None:
+        every = list(self._frames)
+        for window in self.settings.windows:
+            # a fifth of a window between its tests costs no more delay than that
+            if len(every) < window or self._count % max(1, window // 5):
+                continue
+            change = changes(every[-window:])
+            if change.statistic.max(initial=0.0) < self._limit:
+                continue
+            k = int(np.argmax(change.statistic))
+            if change.shift_px[k] < self.settings.least_px:
+                continue
+            return self._alarm(every, k)
+        return None
+
+    def _alarm(self, every: list[FrameSums], k: int) -> Alarm | None:
+        first = _since(every, k)
+        change = changes(every[first:])
+        lead = change.statistic[k] - change.statistic
+        rivals = [name for i, name in enumerate(self.rig.names) if lead[i] < self.settings.lead]
+        if self.rig.names[k] not in rivals:
+            return None  # over the whole change another camera explains it better: wait for more frames
+        # of two cameras that disagree, either may be right
+        named = len(rivals) == 1 and len(self.rig.names) > 2
+        best = int(np.argmax(change.statistic))
+        if change.shift_px[best] < self.settings.least_px or len(every) - first < self.settings.least_frames:
+            return None
+        if np.mean([one.count[best] for one in every[first:]]) < self.settings.least_points:
+            return None
+        if not named and len(self.rig.names) > 2 and len(every) - first < self.settings.windows[-1] // 2:
+            return None  # a few frames more will tell which
+        return Alarm(
+            self.rig.names[k] if named else None,
+            tuple(rivals if len(self.rig.names) > 2 else self.rig.names),
+            every[first].frame,
+            float(change.shift_px[best]),
+            tuple(change.turn_rad[best].tolist()) if named else (float("nan"),) * 3,
+            float(change.statistic[best]),
+            float(chi2.sf(change.statistic[best], 3)),
+        )
+
+    def _lost_one(self, frame: int, detections: Mapping[str, Detections], points: Points) -> Alarm | None:
+        found = self._lost.update(frame, detections, points)
+        if found is None:
+            return None
+        return Alarm(
+            found.camera, (found.camera,), found.since, found.shift_px, (float("nan"),) * 3, found.chi_square,
+            float(chi2.sf(found.chi_square, 1)),
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Changes:
+    """For each camera (c,) as the only one bumped: ``turn_rad`` (c, 3), its ``statistic`` (c,) chi-square with 3
+    degrees of freedom, and ``shift_px`` (c,) rms of its image.
+    """
+
+    turn_rad: Array
+    statistic: Array
+    shift_px: Array
+
+
+def changes(frames: list[FrameSums]) -> Changes:
+    """Return what each camera would have to have turned by to explain the sums of ``frames``.
+
+    E v = M[:, k] w, Cov v = M + M B M summed over frames; generalised least squares, M pseudo-inverted, since
+    turns that no residual shows exist (two cameras).
+    """
+    v = sum((f.pull for f in frames), np.zeros_like(frames[0].pull))
+    m = sum((f.information for f in frames), np.zeros_like(frames[0].information))
+    spread = sum((f.spread for f in frames), np.zeros_like(m))
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(spread), 1e-300))
+    values, vectors = np.linalg.eigh(spread * scale[:, None] * scale)
+    good = values > 1e-9 * max(values[-1], 1e-300)
+    white = (vectors[:, good] / np.sqrt(values[good])).T * scale
+    pulled, design = white @ v, white @ m
+    cameras = len(v) // 3
+    turn, statistic = np.zeros((cameras, 3)), np.zeros(cameras)
+    for k in range(cameras):
+        own = design[:, 3 * k : 3 * k + 3]
+        root = np.linalg.norm(own, axis=0)
+        if (root == 0).any():
+            continue
+        turn[k] = np.linalg.lstsq(own / root, pulled, rcond=1e-6)[0] / root
+        statistic[k] = float(np.sum((own @ turn[k]) ** 2))
+    square = sum((f.image_square for f in frames), np.zeros((cameras, 3, 3)))
+    count = sum((f.count for f in frames), np.zeros(cameras))
+    shift = np.sqrt(np.einsum("ci,cij,cj->c", turn, square, turn) / np.maximum(count, 1))
+    return Changes(turn, statistic, shift)
+
+
+def _since(every: list[FrameSums], k: int) -> int:
+    """Return the first frame from which on camera k's turn explains most: the likeliest time of change."""
+    starts = range(len(every))
+    return max(starts, key=lambda first: changes(every[first:]).statistic[k])

@@ -1,0 +1,1 @@
+"""Whether a calibration can be believed: checks, limits, findings, accuracy in the volume."""

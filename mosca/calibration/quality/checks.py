@@ -1,0 +1,68 @@
+"""When not to believe a calibration: every check, one after the other.
+
+    findings = judge(calibration, known=rig_of_last_week, target_diameters_m=field_diameters)
+
+A finding refuses, warns or notes; a good calibration has neither of the first two.
+"""
+
+from collections.abc import Sequence
+
+from mosca.calibration.quality.against_reference import exchanged, moved
+from mosca.calibration.quality.interior import changed_interior, little_depth, ran_away, weak_parameters
+from mosca.calibration.quality.limits import JudgeSettings
+from mosca.calibration.quality.mirror_pose import mirrored_poses
+from mosca.calibration.quality.network import few_views, linked, little_coverage
+from mosca.calibration.quality.residuals import blunders, lens_misfit
+from mosca.calibration.quality.scale import LengthErrors, distances, scale_error, sizes
+from mosca.data.arrays import Array
+from mosca.data.calibration import Calibration, Finding
+from mosca.data.rig import Rig
+
+ORDER = {"refuse": 0, "warn": 1, "note": 2}
+
+
+def judge(
+    calibration: Calibration,
+    *,
+    known: Rig | None = None,
+    target_diameters_m: Array | float | None = None,
+    lengths: LengthErrors | None = None,
+    volume: tuple[Sequence[float], Sequence[float]] | None = None,
+    rigid_target: bool = False,
+    settings: JudgeSettings | None = None,
+) -> tuple[Finding, ...]:
+    """Return what a person must know before believing ``calibration``, the gravest first.
+
+    ``known``: an earlier rig of the same cameras; ``target_diameters_m``: true diameters of the marks (m,), or
+    of all; ``lengths``: held-out lengths (``judge_size.length_errors``); ``volume`` (low, high) [m, world] where
+    will be measured; ``rigid_target``: the places of the world's marks were known beforehand, so that the target
+    itself joins cameras that see none of its marks in common.
+    """
+    s = settings or JudgeSettings()
+    found = [
+        *few_views(calibration, s),
+        *linked(calibration, s, rigid_target),
+        *mirrored_poses(calibration, s),
+        *little_depth(calibration, s),
+        *ran_away(calibration, s),
+        *distances(calibration, s),
+        *little_coverage(calibration, s, volume),
+        *blunders(calibration, s),
+        *lens_misfit(calibration, s),
+        *weak_parameters(calibration),
+    ]
+    if target_diameters_m is not None:
+        found += sizes(calibration, target_diameters_m, s)
+    if lengths is not None:
+        found += scale_error(lengths, s)
+    if known is not None:
+        found += _against(calibration, known, s)
+    return tuple(sorted(found, key=lambda one: ORDER[one.severity]))
+
+
+def _against(calibration: Calibration, known: Rig, settings: JudgeSettings) -> tuple[Finding, ...]:
+    """Return how the calibration differs from an earlier rig; exchanged cameras explain all the rest."""
+    swapped = exchanged(calibration, known, settings)
+    if swapped:
+        return swapped
+    return (*changed_interior(calibration, known, settings), *moved(calibration, known, settings))

@@ -1,0 +1,123 @@
+"""How a calibrated rig's projections change with its parameters, by the names that the calibration gives them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mosca.camera.projection import project_with_jacobians
+from mosca.data.arrays import Array
+from mosca.data.calibration import Calibration
+from mosca.data.rig import Camera, Lens, MoscaLens, Pose, Rig, principal_distances_px
+
+POSE_NAMES = ("turn_x_rad", "turn_y_rad", "turn_z_rad", "X_m", "Y_m", "Z_m")
+BOTH_FOCAL = "f_px"
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """Pixels ``xy_px`` (n, 2) of world points with their derivatives.
+
+    ``by_point`` (n, 2, 3) [px/m]; ``by_parameter`` (n, 2, k) of the calibration's parameters ``columns`` (k,).
+    """
+
+    xy_px: Array
+    by_point: Array
+    by_parameter: Array
+    columns: Array
+
+
+def sensitivity(rig: Rig, camera: int, parameters: Sequence[str], points: Array) -> Sensitivity:
+    """Return pixels and derivatives of world points (n, 3) [m] in camera number ``camera`` of ``rig``.
+
+    ``parameters``: the calibration's names. A camera without lens parameters of its own whose lens is that of
+    another shares that one's.
+    """
+    one = rig.cameras[camera]
+    projection = project_with_jacobians(one, points)
+    of_lens = [field.name for field in fields(one.lens)]
+    owner = lens_owner(rig, camera, parameters)
+    chosen, derivatives = [], []
+    for k, name in enumerate(parameters):
+        whose, _, what = name.rpartition(".")
+        if whose == one.name and what in POSE_NAMES:
+            derivative = projection.by_pose[:, :, POSE_NAMES.index(what)]
+        elif whose == owner and what in of_lens:
+            derivative = projection.by_lens[:, :, of_lens.index(what)]
+        elif whose == owner and what == BOTH_FOCAL:
+            derivative = projection.by_lens[:, :, 0] + projection.by_lens[:, :, 1] * aspect(one.lens)
+        else:
+            continue
+        chosen.append(k)
+        derivatives.append(derivative)
+    stacked = np.stack(derivatives, axis=2) if derivatives else np.zeros((len(projection.xy_px), 2, 0))
+    return Sensitivity(projection.xy_px, projection.by_point, stacked, np.array(chosen, dtype=np.int64))
+
+
+def aspect(lens: Lens) -> float:
+    """Return the principal distance in pixel heights over that in pixel widths: 1 for square pixels."""
+    fx, fy = principal_distances_px(lens)
+    return fy / fx
+
+
+def lens_owner(rig: Rig, camera: int, parameters: Sequence[str]) -> str:
+    """Return the name of the camera under which the lens parameters of camera number ``camera`` stand."""
+    one = rig.cameras[camera]
+    if own_lens_parameters(one.name, parameters):
+        return one.name
+    for other in rig.cameras[:camera]:
+        if other.lens == one.lens and own_lens_parameters(other.name, parameters):
+            return other.name
+    return one.name
+
+
+def own_lens_parameters(name: str, parameters: Sequence[str]) -> tuple[str, ...]:
+    """Return the free lens parameters, without the camera's name, that stand under ``name``."""
+    split = [one.rpartition(".") for one in parameters]
+    return tuple(what for whose, _, what in split if whose == name and what not in POSE_NAMES)
+
+
+def sigma_of_principal_distance(calibration: Calibration, camera: int) -> float | None:
+    """Return the relative standard deviation of the principal distance; None where it was held."""
+    found = principal_distance_column(calibration, camera)
+    if found is None:
+        return None
+    lens = calibration.rig.cameras[camera].lens
+    value = lens.c_mm if isinstance(lens, MoscaLens) else lens.fx_px
+    return float(np.sqrt(calibration.covariance[found, found]) / value)
+
+
+def principal_distance_column(calibration: Calibration, camera: int) -> int | None:
+    """Return which parameter is the principal distance of camera number ``camera``; None where it was held."""
+    owner = lens_owner(calibration.rig, camera, calibration.parameters)
+    for name in ("c_mm", BOTH_FOCAL, "fx_px"):
+        if f"{owner}.{name}" in calibration.parameters:
+            return calibration.parameters.index(f"{owner}.{name}")
+    return None
+
+
+def changed_rig(calibration: Calibration, change: Array) -> Rig:
+    """Return the rig with ``change`` (u,) added to the calibration's parameters: turns as R exp([w]x)."""
+    step = dict(zip(calibration.parameters, np.asarray(change, dtype=float).tolist(), strict=True))
+    rig = calibration.rig
+    return Rig(
+        tuple(
+            _changed(camera, lens_owner(rig, k, calibration.parameters), step)
+            for k, camera in enumerate(rig.cameras)
+        )
+    )
+
+
+def _changed(camera: Camera, owner: str, step: dict[str, float]) -> Camera:
+    pose = np.array([step.get(f"{camera.name}.{name}", 0.0) for name in POSE_NAMES])
+    old, lens = camera.world_from_camera, camera.lens
+    turned = old.rotation @ Rotation.from_rotvec(pose[:3]).as_matrix()
+    values = {f.name: getattr(lens, f.name) + step.get(f"{owner}.{f.name}", 0.0) for f in fields(lens)}
+    both = step.get(f"{owner}.{BOTH_FOCAL}", 0.0)
+    if both:
+        values["fy_px"] += both * aspect(lens)
+        values["fx_px"] += both
+    return replace(
+        camera, lens=replace(lens, **values), world_from_camera=Pose(turned, old.translation + pose[3:])
+    )

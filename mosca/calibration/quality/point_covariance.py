@@ -1,0 +1,37 @@
+"""The calibration's share in the covariance of triangulated points, apart from the measurement's.
+
+A point follows from its images by N = sum J_c^T S_c^-1 J_c, so that the calibration's parameters p move it by
+G = -N^-1 sum J_c^T S_c^-1 dx_c/dp and give it G C_pp G^T (``mosca.calibration.quality.accuracy_map`` shows it on a
+grid). It is common to all points and frames and does not average out: it is never added to the measurement's.
+"""
+
+import numpy as np
+
+from mosca.calibration.quality.jacobian import sensitivity
+from mosca.data.arrays import Array
+from mosca.data.calibration import Calibration
+
+
+def calibration_covariance(
+    calibration: Calibration, xyz: Array, seen: Array, sigma_px: Array | float = 1.0
+) -> Array:
+    """Return the covariance (n, 3, 3) [m^2] that the calibration's own error gives to points ``xyz`` (n, 3) [m].
+
+    ``seen`` (n, c): which cameras measured each point (``points.rays >= 0``); ``sigma_px``: standard deviation of
+    each image (n, c), or one for all; only ratios matter. NaN where fewer than two cameras saw a point.
+    """
+    xyz, seen = np.asarray(xyz, dtype=float).reshape(-1, 3), np.asarray(seen, dtype=bool)
+    weight = 1.0 / np.broadcast_to(np.asarray(sigma_px, dtype=float), seen.shape) ** 2
+    total = np.zeros((len(xyz), 3, 3))
+    pull = np.zeros((len(xyz), 3, len(calibration.parameters)))
+    for c in range(len(calibration.rig.cameras)):
+        rows = np.flatnonzero(seen[:, c])
+        one = sensitivity(calibration.rig, c, calibration.parameters, xyz[rows])
+        weighted = np.swapaxes(one.by_point, 1, 2) * weight[rows, c, None, None]
+        total[rows] += weighted @ one.by_point
+        pull[np.ix_(rows, np.arange(3), one.columns)] += weighted @ one.by_parameter
+    good = seen.sum(axis=1) >= 2
+    covariance = np.full((len(xyz), 3, 3), np.nan)
+    by_parameter = np.linalg.solve(total[good], pull[good])
+    covariance[good] = by_parameter @ calibration.covariance @ np.swapaxes(by_parameter, 1, 2)
+    return covariance

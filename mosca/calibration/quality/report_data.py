@@ -1,0 +1,82 @@
+"""Everything that a page shows of a calibration, worked out in one place."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from mosca.calibration.quality.accuracy_map import accuracy_map
+from mosca.calibration.quality.limits import JudgeSettings
+from mosca.calibration.quality.network import coverage, links, missing_links
+from mosca.calibration.quality.scale import LengthErrors
+from mosca.data.calibration import Calibration
+from mosca.data.calibration_evidence import AccuracyGrid, CalibrationEvidence, HeldOutLengths
+
+GRID = 13
+"""Points of the accuracy map along the volume's longest edge; odd, so that one lies in the middle."""
+LEAST_GRID = 3
+
+
+def evidence_of(
+    calibration: Calibration,
+    *,
+    volume: tuple[Sequence[float], Sequence[float]] | None = None,
+    detection_sigma_px: float | None = None,
+    lengths: LengthErrors | None = None,
+    comparison: Sequence[str] = (),
+    made_from: str = "",
+    rigid_target: bool = False,
+    settings: JudgeSettings | None = None,
+) -> CalibrationEvidence:
+    """Return the evidence for ``calibration``.
+
+    ``volume`` (low, high) [m, world] of the accuracy map: default the box of the target's points (1 to 99 %);
+    ``detection_sigma_px``: error of an image coordinate when measuring, default the calibration's own and
+    the shake of whole images. The
+    other arguments as for ``judge``.
+    """
+    settings = settings or JudgeSettings()
+    strength = links(calibration, rigid_target)
+    covered = np.array(
+        [coverage(calibration, k, settings.cells) for k in range(len(calibration.rig.cameras))]
+    )
+    groups = connected_components(coo_array(strength), directed=False)[1]
+    return CalibrationEvidence(
+        covered,
+        strength,
+        groups,
+        np.array([pair[:2] for pair in missing_links(calibration, groups)]),
+        _accuracy(calibration, volume, detection_sigma_px),
+        None
+        if lengths is None
+        else HeldOutLengths(
+            lengths.length_m, lengths.sigma_m, lengths.true_m, lengths.scale_error, lengths.scale_sigma
+        ),
+        tuple(comparison),
+        made_from,
+    )
+
+
+def _accuracy(
+    calibration: Calibration, volume: tuple[Sequence[float], Sequence[float]] | None, sigma_px: float | None
+) -> AccuracyGrid | None:
+    if len(calibration.rig.cameras) < 2:
+        return None
+    if volume is None:
+        points = calibration.points_in_world()[calibration.used]
+        low, high = np.percentile(points, (1, 99), axis=0)
+    else:
+        low, high = (np.asarray(side, dtype=float) for side in volume)
+    extent = high - low
+    if not (extent > 0).all():
+        return None
+    if sigma_px is None:
+        known = calibration.sigma_px[np.isfinite(calibration.sigma_px).all(axis=1)]
+        # what is measured later shakes with the cameras' bodies, too
+        sigma_px = float(np.sqrt(np.mean(known**2) + calibration.body_px**2)) if len(known) else 0.1
+    count = [max(LEAST_GRID, int(GRID * edge / extent.max()) // 2 * 2 + 1) for edge in extent]
+    found = accuracy_map(calibration, low, high, (count[0], count[1], count[2]), sigma_px)
+    return AccuracyGrid(
+        found.x, found.y, found.z, found.detection_sigma_m, found.calibration_sigma_m, sigma_px
+    )

@@ -1,0 +1,1 @@
+"""Self-calibration from unknown points: view graph, incremental reconstruction."""

@@ -1,0 +1,305 @@
+"""Calibration from frames: the production entry point, whatever the target and wherever the frames come from."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Generic, TypeGuard, TypeVar
+
+import numpy as np
+
+from mosca.calibration.initial.interior_orientation import LensChoice, plain_lens
+from mosca.calibration.quality.checks import judge
+from mosca.calibration.quality.limits import JudgeSettings
+from mosca.calibration.quality.report_data import evidence_of
+from mosca.calibration.quality.scale import LengthErrors, length_errors
+from mosca.calibration.read_session import Progress, sight
+from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
+from mosca.calibration.single_camera.adjust import check_lens
+from mosca.calibration.targets.reader import reader_of
+from mosca.calibration.wand.calibrate import calibrate_wand
+from mosca.calibration.wand.end_order import ordered
+from mosca.calibration.world_frame.l_frame import in_axes, world_from_l_frame
+from mosca.data.arrays import Array
+from mosca.data.boards import Board
+from mosca.data.calibration import Calibration
+from mosca.data.calibration_evidence import CalibrationEvidence
+from mosca.data.detections import Detections
+from mosca.data.files.target_tables import CalibrationTarget
+from mosca.data.frames import FrameSource
+from mosca.data.rig import Rig
+from mosca.data.sightings import Sightings
+from mosca.data.targets import CodedTarget, RoundTarget, ScaleBar, TestField
+from mosca.data.wands import LFrame, Wand
+from mosca.detection.detect import DetectionSettings, detect
+from mosca.errors import CalibrationError, InputError
+from mosca.synchronisation import assemble
+
+BALL_SIZE_ERROR = 0.25
+"""How far a ball's image may differ in size from what it is: retro-reflecting foil goes dark towards the rim."""
+SEED = 2005
+"""Of the samples that find starting values; what is found does not depend on them where it is determined."""
+
+Target_co = TypeVar("Target_co", bound=CalibrationTarget, covariant=True)
+
+
+@dataclass(frozen=True)
+class EstimateSettings:
+    """How cameras are calibrated from frames.
+
+    ``lens``: model to estimate, ``free`` its parameters (None: all); ``exterior_only``: keep the lenses of the known
+    rig; ``every``: look at each so many-th frame set; ``reference``: frame set in which a rigid target is the world;
+    ``detection``: how the balls of wands and L-frames are found; ``volume`` (low, high) [m, world]: where will be
+    measured.
+    """
+
+    lens: LensChoice = field(default_factory=LensChoice)
+    free: tuple[str, ...] | None = None
+    exterior_only: bool = False
+    every: int = 1
+    reference: int | None = None
+    detection: DetectionSettings = field(default_factory=DetectionSettings)
+    volume: tuple[Sequence[float], Sequence[float]] | None = None
+
+
+@dataclass(frozen=True)
+class Shown(Generic[Target_co]):
+    """A target and what opens the frames that show it, given the rig that is known by then (None: none)."""
+
+    target: Target_co
+    opened: Callable[[Rig | None], FrameSource]
+
+
+def calibrate_session(
+    shown: Shown[CalibrationTarget],
+    settings: EstimateSettings,
+    *,
+    axes: Shown[LFrame] | None = None,
+    lengths: Shown[ScaleBar] | None = None,
+    known: Rig | None = None,
+    made_from: str = "",
+    progress: Progress | None = None,
+) -> tuple[Calibration, CalibrationEvidence]:
+    """Calibrate from frames of a target, set the axes by an L-frame, try the rig on a certified bar, and judge it.
+
+    ``axes``, ``lengths``: frames of L-frame and bar, where there are; ``known``: an earlier rig of these cameras that
+    the new one is held against, and whose lenses stay with ``settings.exterior_only``; ``made_from``: what the page
+    says of it. Returns the judged calibration and the evidence that its page shows. InputError or CalibrationError,
+    in one line, where the frames do not do.
+    """
+    with shown.opened(known) as source:
+        start = known if settings.exterior_only else None
+        calibration = calibrate_frames(source, shown.target, settings, start, progress)
+    if axes is not None:
+        with axes.opened(calibration.rig) as source:
+            calibration = on_axes(calibration, source, axes.target, settings)
+    errors = None
+    if lengths is not None:
+        with lengths.opened(calibration.rig) as source:
+            errors = held_out_lengths(calibration, source, lengths.target, settings)
+    calibration = judged(calibration, shown.target, settings, known=known, lengths=errors)
+    calibration = replace(calibration, rig=with_residuals(calibration))
+    evidence = evidence_of(
+        calibration,
+        volume=settings.volume,
+        lengths=errors,
+        made_from=made_from,
+        rigid_target=is_rigid(shown.target),
+    )
+    return calibration, evidence
+
+
+def with_residuals(calibration: Calibration) -> Rig:
+    """Return the rig whose cameras say what their lens models leave.
+
+    Where a target stood still: what lasts from exposure to exposure. Else the scatter that detection does not tell:
+    ``sigma_px`` of an image coordinate holds detection noise besides; what shakes whole images is kept apart of it.
+    """
+    sightings, cameras = calibration.sightings, []
+    for k, camera in enumerate(calibration.rig.cameras):
+        if len(calibration.lasting_px) and np.isfinite(calibration.lasting_px[k]):
+            cameras.append(replace(camera, residual_px=float(calibration.lasting_px[k])))
+            continue
+        mine = calibration.used & (sightings.camera == sightings.cameras.index(camera.name))
+        noise = np.trace(sightings.covariance_px2[mine], axis1=1, axis2=2) / 2
+        left = float(np.mean(calibration.sigma_px[k] ** 2) - np.mean(noise)) if mine.any() else 0.0
+        cameras.append(replace(camera, residual_px=math.sqrt(left) if left > 0 else 0.0))
+    return Rig(tuple(cameras))
+
+
+def calibrate_frames(
+    source: FrameSource,
+    target: CalibrationTarget,
+    settings: EstimateSettings | None = None,
+    known: Rig | None = None,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Calibrate the cameras of a source whose frames show ``target``; not judged yet, see ``judged``.
+
+    ``known``: an earlier calibration of these cameras, to start from. The world is the target's frame where it first
+    stood; of a wand, near that of one of the cameras (see ``on_axes``). InputError or CalibrationError, in one line,
+    where the frames do not do.
+    """
+    settings = settings or EstimateSettings()
+    _check(target, settings)
+    return calibrate_sightings(
+        sight(source, reader_of(target, settings.detection), settings.every, progress),
+        target,
+        settings,
+        known,
+    )
+
+
+def calibrate_sightings(
+    sightings: Sightings, target: CalibrationTarget, settings: EstimateSettings, known: Rig | None = None
+) -> Calibration:
+    """Calibrate from what was seen of ``target``; see ``calibrate_frames``."""
+    _check(target, settings)
+    if is_rigid(target):
+        rigid = RigidSettings(
+            settings.lens, settings.free, exterior_only=settings.exterior_only, reference=settings.reference
+        )
+        return calibrate_rigid(sightings, rigid_target(target), rigid, known)
+    if isinstance(target, Wand):
+        lenses = [
+            plain_lens(settings.lens.of(name), 1.0, (int(w), int(h)))
+            for name, (w, h) in zip(sightings.cameras, sightings.sizes, strict=True)
+        ]
+        return calibrate_wand(sightings, target, np.random.default_rng(SEED), lenses)
+    raise InputError(
+        f"a {type(target).__name__} does not calibrate cameras; give a test field, a board or a wand"
+    )
+
+
+def _check(target: CalibrationTarget, settings: EstimateSettings) -> None:
+    if isinstance(target, Wand) and settings.exterior_only:
+        raise InputError(
+            "a wand does not give exterior orientation alone; show the test field or the board again"
+        )
+    if settings.free is not None:
+        if isinstance(target, Wand):
+            raise InputError("a wand's cameras have lens parameters of their own choice; leave 'free' out")
+        if settings.exterior_only:
+            raise InputError(
+                "'free' names lens parameters, and exterior orientation alone has none; leave it out"
+            )
+        check_lens("cameras", settings.lens.model, settings.free)
+
+
+def judged(
+    calibration: Calibration,
+    target: CalibrationTarget,
+    settings: EstimateSettings | None = None,
+    *,
+    known: Rig | None = None,
+    lengths: LengthErrors | None = None,
+) -> Calibration:
+    """Return the calibration with what a person must know before believing it.
+
+    ``known``: an earlier calibration of the same cameras to hold it against; ``lengths``: held-out ones.
+    """
+    settings = settings or EstimateSettings()
+    found = judge(
+        calibration,
+        known=known,
+        target_diameters_m=_diameters_m(calibration, target),
+        lengths=lengths,
+        volume=settings.volume,
+        rigid_target=is_rigid(target),
+        settings=JudgeSettings(size_error=BALL_SIZE_ERROR) if isinstance(target, Wand) else None,
+    )
+    return replace(calibration, findings=(*calibration.findings, *found))
+
+
+def on_axes(
+    calibration: Calibration, source: FrameSource, frame: LFrame, settings: EstimateSettings
+) -> Calibration:
+    """Return the calibration in the axes of an L-frame, which the source's frames show standing still."""
+    axes = world_from_l_frame(calibration, _mean_detections(source, settings), frame)
+    return in_axes(calibration, axes)
+
+
+def held_out_lengths(
+    calibration: Calibration | Rig, source: FrameSource, bar: ScaleBar, settings: EstimateSettings
+) -> LengthErrors:
+    """Return how a certified bar, which the source's frames show, comes out with a calibrated rig."""
+    sightings = sight(source, reader_of(bar, settings.detection), settings.every)
+    rig = calibration if isinstance(calibration, Rig) else calibration.rig
+    lenses = [rig.camera(name).lens for name in sightings.cameras]
+    # which end of a bar of balls is which must be the same in all cameras
+    sightings = ordered(sightings, len(bar.ends), lenses, np.random.default_rng(SEED))
+    return length_errors(calibration, sightings, bar.length_m, bar.sigma_m)
+
+
+def is_rigid(target: CalibrationTarget) -> TypeGuard[TestField | Board]:
+    """Tell whether a target joins all its marks by itself: their places on it are known beforehand."""
+    return isinstance(target, TestField | Board)
+
+
+def rigid_target(target: TestField | Board) -> RigidTarget:
+    """Return the marks of a test field or a board."""
+    if isinstance(target, Board):
+        return RigidTarget("board", target.corners(), target.sigma_m)
+    return RigidTarget(
+        "test field",
+        target.positions,
+        target.sigma_m,
+        np.array([placed.normal for placed in target.targets]),
+        np.array([_radius_m(placed.target) for placed in target.targets]),
+    )
+
+
+def _radius_m(target: object) -> float:
+    match target:
+        case CodedTarget(dot_radius_m=radius) | RoundTarget(radius_m=radius):
+            return radius
+    raise InputError("a test field holds coded targets and plain discs; balls belong on a wand or an L-frame")
+
+
+def _diameters_m(calibration: Calibration, target: CalibrationTarget) -> Array | float | None:
+    """Return the true diameters of the calibration's marks, None where they have none."""
+    if isinstance(target, TestField):
+        return np.array([2 * _radius_m(placed.target) for placed in target.targets])
+    if isinstance(target, Wand):
+        return target.diameter_m
+    return None
+
+
+def _mean_detections(source: FrameSource, settings: EstimateSettings) -> dict[str, Detections]:
+    """Return the mean detections of targets that stand still, by camera.
+
+    Those of the first image of a camera are followed by nearness; what is not there in half the images is left out.
+    """
+    images: dict[str, list[Detections]] = {info.name: [] for info in source.cameras}
+    depth = {info.name: info.bit_depth for info in source.cameras}
+    for frame_set in assemble(source, source.cameras):
+        for name, frame in frame_set.frames.items():
+            if frame.image is not None:
+                images[name].append(detect(frame.image, name, settings.detection, depth[name]))
+    found = {name: _mean(name, every) for name, every in images.items() if every}
+    if not any(len(one) for one in found.values()):
+        raise CalibrationError(
+            "few-views: nothing is seen of the L-frame; check exposure and detection settings"
+        )
+    return found
+
+
+def _mean(name: str, every: list[Detections]) -> Detections:
+    first = max(every[: len(every) // 2 + 1], key=len)
+    if len(first) == 0:
+        return Detections.none(name)
+    sums, counts = np.zeros((len(first), 2)), np.zeros(len(first))
+    for one in every:
+        if len(one) == 0:
+            continue
+        apart = np.linalg.norm(first.xy_px[:, None] - one.xy_px[None], axis=2)
+        nearest = apart.argmin(axis=1)
+        near = apart[np.arange(len(first)), nearest] < 0.25 * first.diameter_px
+        sums[near] += one.xy_px[nearest[near]]
+        counts += near
+    kept = counts >= len(every) / 2
+    return Detections(
+        name,
+        sums[kept] / counts[kept, None],
+        np.asarray(first.covariance_px2)[kept] / counts[kept, None, None],
+        *(np.asarray(getattr(first, key))[kept] for key in ("diameter_px", "peak", "elongation")),
+    )

@@ -1,0 +1,1 @@
+"""Calibration of one camera: adjustment, choice of parameters, outliers."""

@@ -1,0 +1,1 @@
+"""Calibration targets in images: boards, test fields, intervals without motion."""

@@ -1,0 +1,1 @@
+"""Wand calibration of cameras without initial values."""

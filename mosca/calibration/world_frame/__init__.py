@@ -1,0 +1,1 @@
+"""The world frame: L-frame, similarity transformation."""

@@ -1,0 +1,1 @@
+"""The camera model: projection, pixel to ray, Jacobians, eccentricity of ball images."""

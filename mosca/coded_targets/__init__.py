@@ -1,0 +1,1 @@
+"""Coded targets and boards in an image: search, decoding, centres with covariance."""

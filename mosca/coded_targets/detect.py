@@ -1,0 +1,231 @@
+"""Identification of coded targets: from an image to numbered sub-pixel centres. Mosca paper, section 2.2.
+
+A coded target is a dot within a ring of 20 sectors on a plate of the other colour (``mosca.data.targets``,
+``target_codes``); targets of this kind automated the paper's calibration (its reference Knyaz and Sibiryakov
+1998).
+
+1. Patches (``coded_patches``). A pixel is bright when it exceeds the middle between the smallest and the largest
+   grey value of the 15 x 15 px around it and these differ by more than the contrast B: a threshold of its own
+   for every target, whatever the light. Bright 8-connected patches that fill the ellipse of their second
+   moments are dots, on the image itself for dots up to about 13 px and on copies reduced by 2, 4, ... for
+   larger ones.
+2. Frame (``coded_dots``). The dot's contour at half its own contrast, on 24 rays, gives the ellipse and with it
+   the affine map of the plate into the image but for its roll. For dots that lean and are not read surely, four
+   amounts of perspective along the shorter axis are tried too, and the surest reading is kept.
+3. Plate. Between dot and ring and outside the ring all must be plate, evenly lit or with light that changes
+   evenly: at 40 places within 0.4 of the dot's contrast.
+4. Ring (``coded_rings``). 120 directions, at three radii. The sectors start where the squared change of light
+   has its phase. What blur has let in from the neighbours is taken off. No six sectors of a number are alike,
+   so each is compared with the middle of the lightest and the darkest of the seven about it. The three radii
+   must agree, the swing must be that of the dot, the ring's light must correlate with that of the word by 0.93,
+   and the word must be one of the code's exactly: any two numbers differ in four sectors, and nothing is put
+   right.
+5. Centre (``coded_measure``). The centroid of the dot within a soft window about it, above the light of its plate
+   and freed of what the light falls across it. The circle's eccentricity is left in: ``mosca.camera.eccentricity``
+   gives it once the camera stands.
+
+Of readings on one another's plates only the surest is kept; a number that is read in two places is refused in
+both. A mirrored ring is refused but for 25 of the 507 numbers, of which 13 read the same and 12 as another.
+Nothing but a mirror shows one; where there are mirrors, name the ``numbers`` that there are. So it is with
+hiding: whatever covers up to three sectors cannot make another number; four or five neighbours, covered exactly
+and in the ring's own black, do in 0.09 % and 0.2 % of all cases, more than five never. (Counted over the whole
+code in the tests.)
+"""
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+
+from mosca.coded_targets.centre import measure_dots
+from mosca.coded_targets.decode import Readings, ellipses_of, read_codes
+from mosca.coded_targets.dots import AXX, AXY, AYY, SECTORS, Look, X, Y
+from mosca.coded_targets.ring_sampling import MARGIN, START, WORD
+from mosca.data.arrays import Array
+from mosca.data.found_targets import CodedDetections
+from mosca.data.target_codes import ring_code
+from mosca.data.targets import PLATE, RING_INNER, RING_OUTER
+from mosca.errors import InputError
+
+SAMPLED_ROWS = 16
+
+
+@dataclass(frozen=True)
+class CodedSettings:
+    """What coded targets look like. Grey values [DN] are those of an 8-bit image, scaled with the bits."""
+
+    colour: Literal["white", "black", "both"] = "white"
+    """Of dot and sectors: white on black plates, black on white ones, or either."""
+    numbers: frozenset[int] | None = None
+    """Numbers that there are; others are refused. None: all of the code."""
+    contrast_dn: float = 24.0
+    """B: dot and plate differ by more than this, and by more than 4 times the noise."""
+    maximum_dot_px: float = 100.0
+    """Longer axis of the largest dot."""
+    ring_inner: float = RING_INNER
+    """Inner radius of the ring over the dot's radius."""
+    ring_outer: float = RING_OUTER
+    """Outer radius of the ring over the dot's radius."""
+    plate: float = PLATE
+    """Edge of the plate over the dot's radius."""
+    flattest: float = 0.3
+    """Shorter over longer axis of the flattest dot: 0.3 is 72 deg of tilt."""
+    least_confidence: float = 0.25
+    """Of the sector that is hardest to read; below, the target is refused."""
+    read_noise_dn: float = 0.13
+    """As in ``DetectionSettings``."""
+    gain_dn_per_e: float = 0.0128
+    """As in ``DetectionSettings``."""
+
+    def __post_init__(self) -> None:
+        if self.colour not in ("white", "black", "both"):
+            raise _out_of_range("colour", self.colour, "'white', 'black' or 'both'")
+        if self.numbers is not None:
+            object.__setattr__(self, "numbers", frozenset(self.numbers))
+        if not 0 < self.contrast_dn < 255:
+            raise _out_of_range("contrast_dn", self.contrast_dn, "more than 0 and less than 255")
+        if not 3 <= self.maximum_dot_px < math.inf:
+            raise _out_of_range("maximum_dot_px", self.maximum_dot_px, "3 or more")
+        if not 1.2 <= self.ring_inner < self.ring_outer <= 0.45 * self.plate < math.inf:
+            given = (self.ring_inner, self.ring_outer, self.plate)
+            raise _out_of_range(
+                "ring_inner, ring_outer, plate", given, "1.2 <= ring_inner < ring_outer <= 0.45 plate"
+            )
+        if not 0 < self.flattest < 1:
+            raise _out_of_range("flattest", self.flattest, "more than 0 and less than 1")
+        if not 0 <= self.least_confidence < 1:
+            raise _out_of_range("least_confidence", self.least_confidence, "0 to below 1")
+        for key in ("read_noise_dn", "gain_dn_per_e"):
+            value = getattr(self, key)
+            if not (value >= 0 and math.isfinite(value)):
+                raise _out_of_range(key, value, "0 or more")
+
+
+DEFAULTS = CodedSettings()
+
+
+def find_coded(
+    image: Array, camera: str, settings: CodedSettings = DEFAULTS, bit_depth: int = 8
+) -> CodedDetections:
+    """Return the coded targets in an image (H, W) of uint8 or uint16 with ``bit_depth`` significant bits (8 to 16).
+
+    ``camera``: the name that the detections carry. Raises InputError for another image or bit depth.
+    """
+    _check(image, camera, bit_depth)
+    scale = 2.0 ** (bit_depth - 8)
+    top = image.dtype.type(2**bit_depth - 1)
+    noise = noise_of(image)
+    look = _look(settings, scale, noise)
+    found = []
+    for dark in {"white": (False,), "black": (True,), "both": (False, True)}[settings.colour]:
+        bright = np.ascontiguousarray(top - np.minimum(image, top) if dark else image)
+        dots = read_codes(bright, look, settings.maximum_dot_px, settings.least_confidence)
+        numbers, rolls = _numbers(dots, settings.numbers)
+        known = np.flatnonzero(numbers >= 0)
+        known = known[_surest(dots[known], settings.ring_outer)]
+        dots, numbers, rolls = dots[known], numbers[known], rolls[known]
+        xy, covariance = measure_dots(
+            bright,
+            dots,
+            look,
+            max(noise**2, (settings.read_noise_dn * scale) ** 2 + 1 / 12),
+            settings.gain_dn_per_e * scale,
+            float(top) if dark else None,
+        )
+        axes, angle = ellipses_of(dots.frames)
+        confidence = np.minimum(dots.rings[:, MARGIN], 1.0)
+        sound = np.isfinite(xy[:, 0])  # a dot without a centre is none
+        parts = (numbers, xy, covariance, axes, angle, rolls, confidence)
+        found.append(tuple(part[sound] for part in parts))
+    number, xy, covariance, axes, angle, rolls, confidence = (
+        np.concatenate(column) for column in zip(*found, strict=True)
+    )
+    every, first, times = np.unique(number, return_index=True, return_counts=True)
+    once = first[times == 1]
+    return CodedDetections(
+        camera=camera,
+        number=number[once],
+        xy_px=xy[once],
+        covariance_px2=covariance[once],
+        semi_axes_px=axes[once],
+        angle_rad=angle[once],
+        roll_rad=rolls[once],
+        confidence=confidence[once],
+        twice=every[times > 1],
+    )
+
+
+def noise_of(image: Array) -> float:
+    """Return the standard deviation of a pixel's noise [DN], at least that of rounding.
+
+    The median of the second differences along rows, which edges hardly touch (after Immerkaer 1996).
+    """
+    rows = image[:: max(1, image.shape[0] // SAMPLED_ROWS)].astype(np.float32)
+    bend = np.abs(rows[:, 2:] - 2 * rows[:, 1:-1] + rows[:, :-2])
+    median = float(np.median(bend)) if bend.size else 0.0
+    return max(1.4826 * median / math.sqrt(6.0), math.sqrt(1 / 12))
+
+
+def _look(settings: CodedSettings, scale: float, noise: float) -> Look:
+    """Return what targets look like in an image of ``scale`` times the grey values of 8 bits."""
+    return Look(
+        gap=0.5 * (1.0 + settings.ring_inner),
+        ring_inner=settings.ring_inner,
+        ring_outer=settings.ring_outer,
+        outside=0.5 * (settings.ring_outer + 0.5 * settings.plate),
+        contrast_dn=settings.contrast_dn * scale,
+        noise_dn=noise,
+        flattest=settings.flattest,
+        least_axis_px=0.0,
+    )
+
+
+def _numbers(dots: Readings, allowed: Collection[int] | None) -> tuple[Array, Array]:
+    """Return number (n,), -1 for none, and roll (n,) [rad] of what was read."""
+    numbers, rolls = np.full(len(dots), -1), np.zeros(len(dots))
+    for i, (frame, ring) in enumerate(zip(dots.frames, dots.rings, strict=True)):
+        found = _found(int(ring[WORD]))
+        if found is None or (allowed is not None and found[0] not in allowed):
+            continue
+        number, start = found
+        t = ring[START] + 2 * math.pi * start / SECTORS
+        u, v = math.cos(t), -math.sin(t)
+        numbers[i] = number
+        rolls[i] = math.atan2(frame[AXY] * u + frame[AYY] * v, frame[AXX] * u + frame[AXY] * v)
+    return numbers, rolls
+
+
+@lru_cache(maxsize=4096)
+def _found(word: int) -> tuple[int, int] | None:
+    """Return the number read in a word, bit k its k-th sector, and the sector where it starts."""
+    return ring_code().find(tuple(bool(word >> k & 1) for k in range(SECTORS)))
+
+
+def _surest(dots: Readings, ring_outer: float) -> Array:
+    """Return which readings remain (m,) where of those on each other's plates only the surest is kept."""
+    x, y, xx, xy, yy = (dots.frames[:, k] for k in (X, Y, AXX, AXY, AYY))
+    dx, dy = x[:, None] - x, y[:, None] - y
+    away = np.hypot(yy * dx - xy * dy, xx * dy - xy * dx) / (xx * yy - xy**2)  # in radii of the second's dot
+    order = np.empty(len(dots), dtype=np.int64)
+    order[np.argsort(-dots.rings[:, MARGIN], kind="stable")] = np.arange(len(dots))
+    return np.flatnonzero(~((away < ring_outer) & (order < order[:, None])).any(axis=1))
+
+
+def _check(image: Array, camera: str, bit_depth: int) -> None:
+    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16) or 0 in image.shape:
+        raise InputError(
+            f"coded targets: camera '{camera}': image {image.shape} of {image.dtype} given; (H, W) of uint8 or "
+            "uint16 is allowed: reduce colour to grey first"
+        )
+    if not 8 <= bit_depth <= 8 * image.dtype.itemsize:
+        raise InputError(
+            f"coded targets: camera '{camera}': bit_depth {bit_depth} given for an image of {image.dtype}; "
+            f"8 to {8 * image.dtype.itemsize} is allowed"
+        )
+
+
+def _out_of_range(key: str, value: object, allowed: str) -> InputError:
+    return InputError(f"coded targets: key '{key}': {value!r} given; {allowed} is allowed")

@@ -1,0 +1,266 @@
+"""Compiled reading of coded rings: from the light along them to words of sectors.
+
+Called by ``mosca.coded_targets.detect``, which tells the method, with what ``mosca.coded_targets.dots`` gathers.
+"""
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from mosca.coded_targets.dots import AXX, AXY, AYY, BANDS, COS, PER_SECTOR, SECTORS, SIN, STEPS, Look
+from mosca.data.arrays import Array
+
+# A kernel and all its steps stand in one file: numba keeps a cached kernel as long as its own file is unchanged.
+kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
+step = numba.njit(nogil=True, error_model="numpy")
+
+WORD, START, MARGIN = range(3)
+
+WINDOW = 3  # sectors to each side: of 7 in a row, one at least is white and one black (runs of at most 5)
+LEAST_SWING = 0.3  # of white against black sectors, over the dot's contrast; and the dot's over theirs
+BAND_TOLERANCE = 0.35  # of the swing, by which one radius may contradict the ring as a whole
+LEAST_LIKENESS = 0.93
+USUAL_BLUR_PX, MOST_PEAKING = 0.8, 0.6
+PICKS, PICK_STEP = 5, 0.15  # where in a sector its level is taken [sectors]
+PERSPECTIVE = 0.02  # by how much a radius of an edge-on dot is nearer, that no frame shows
+CLEAR_PX = 2.5  # from the next edge: no more than 1 % of other light up to a blur of 1.1 px
+HELD = 6.0  # slopes are held at 0 with 0.02 a radius, against steps known to 0.05
+
+
+class Ring(NamedTuple):
+    """``radius`` of the ring's middle in radii of the dot; ``least_margin`` of a sector."""
+
+    radius: float
+    least_margin: float
+
+
+@step
+def sector_lengths(frame: Array, start: float, radius: float, blur_px: float) -> Array:
+    """Return how long each sector (SECTORS) is in the image, at ``radius`` on the plate [``blur_px``].
+
+    ``start`` of the first sector [rad].
+    """
+    lengths = np.empty(SECTORS)
+    for k in range(SECTORS):
+        t = start + 2.0 * math.pi * (k + 0.5) / SECTORS
+        c, s = math.cos(t), math.sin(t)
+        along = math.hypot(frame[AXX] * s + frame[AXY] * c, frame[AXY] * s + frame[AYY] * c)
+        lengths[k] = 2.0 * math.pi / SECTORS * radius * along / blur_px
+    return lengths
+
+
+@step
+def sector_levels(light: Array, start: float, lengths: Array) -> Array:
+    """Return the light (BANDS + 1, SECTORS) of each sector at each radius and, last, at all, sharpened.
+
+    ``start`` in steps. Blur lets a share ``a = erfc(length / sqrt(8)) / 2`` of each neighbour's light into the middle
+    of a sector; to first order that is undone by adding ``a / (1 - 4 a)`` times its differences from them.
+    """
+    raw = np.zeros((BANDS + 1, SECTORS))
+    for j in range(PICKS):
+        place = start + (0.5 + PICK_STEP * (j - PICKS // 2)) * PER_SECTOR
+        below = math.floor(place)
+        share = place - below
+        i = int(below) % STEPS
+        for k in range(SECTORS):
+            after = i + 1 if i + 1 < STEPS else 0
+            for b in range(BANDS):
+                value = ((1.0 - share) * light[b, i] + share * light[b, after]) / PICKS
+                raw[b, k] += value
+                raw[BANDS, k] += value / BANDS
+            i += PER_SECTOR
+            if i >= STEPS:
+                i -= STEPS
+    levels = np.empty_like(raw)
+    for k in range(SECTORS):
+        a = 0.5 * math.erfc(lengths[k] / math.sqrt(8.0))
+        peaking = min(a / max(1.0 - 4.0 * a, 1e-3), MOST_PEAKING)
+        after = k + 1 if k + 1 < SECTORS else 0
+        for b in range(BANDS + 1):
+            levels[b, k] = raw[b, k] + peaking * (2.0 * raw[b, k] - raw[b, k - 1] - raw[b, after])
+    return levels
+
+
+@step
+def sector_start(light: Array) -> float:
+    """Return where sectors start [steps], from the phase of the squared change of light along the ring."""
+    real = imaginary = 0.0
+    for i in range(STEPS):
+        after = i + 1 if i + 1 < STEPS else 0
+        edge = 0.0
+        for b in range(BANDS):
+            edge += light[b, after] - light[b, i - 1]
+        k = SECTORS * (i % PER_SECTOR)  # a sector is a full turn
+        real += edge * edge * COS[k]
+        imaginary += edge * edge * SIN[k]
+    return math.atan2(imaginary, real) / (2.0 * math.pi) * PER_SECTOR
+
+
+@step
+def decide(levels: Array, least_margin: float) -> tuple[int, float]:
+    """Return the word of sector levels and its smallest margin, -1 where the ring is no ring of sectors."""
+    word, margin = 0, 9.0
+    around = np.empty(SECTORS + 2 * WINDOW)
+    for b in range(BANDS, -1, -1):
+        for k in range(len(around)):
+            around[k] = levels[b, (k - WINDOW) % SECTORS]
+        for k in range(SECTORS):
+            low = high = around[k]
+            for j in range(1, 2 * WINDOW + 1):
+                low, high = min(low, around[k + j]), max(high, around[k + j])
+            swing, above = 0.5 * (high - low), levels[b, k] - 0.5 * (high + low)
+            if b == BANDS:
+                if 2.0 * swing < LEAST_SWING or high > 1.0 / LEAST_SWING:
+                    return 0, -1.0
+                margin = min(margin, abs(above) / swing)
+                word |= int(above > 0.0) << k
+            elif above * (2 * (word >> k & 1) - 1) < -BAND_TOLERANCE * swing:
+                return 0, -1.0  # a sector is of one colour from its inner to its outer edge
+        if margin <= least_margin:
+            return 0, -1.0
+    return word, margin
+
+
+@step
+def model_light(word: int, start: float, lengths: Array, i: int) -> float:
+    """Return the light at step ``i`` of the ring of ``word``, 0 to 1; ``lengths`` of sectors in units of the blur."""
+    place = (i - start) / PER_SECTOR % SECTORS
+    k = min(int(place), SECTORS - 1)
+    share, length = place - k, lengths[k] / math.sqrt(2.0)
+    before, after = 0.5 * math.erfc(share * length), 0.5 * math.erfc((1.0 - share) * length)
+    light = before * (word >> (k - 1) % SECTORS & 1) + after * (word >> (k + 1) % SECTORS & 1)
+    return light + (1.0 - before - after) * (word >> k & 1)
+
+
+@step
+def likeness(light: Array, word: int, start: float, lengths: Array) -> float:
+    """Return the correlation of a ring's light with that of ``word``."""
+    sx = sy = sxx = sxy = syy = 0.0
+    for i in range(STEPS):
+        x = model_light(word, start, lengths, i)
+        y = 0.0
+        for b in range(BANDS):
+            y += light[b, i]
+        sx += x
+        sy += y
+        sxx += x * x
+        sxy += x * y
+        syy += y * y
+    spread = (STEPS * sxx - sx * sx) * (STEPS * syy - sy * sy)
+    return (STEPS * sxy - sx * sy) / math.sqrt(spread) if spread > 0.0 else 0.0
+
+
+@kernel
+def read_rings(light: Array, frames: Array, ring: Ring) -> Array:
+    """Return (n, 3) word, bit k for the k-th sector, where its first sector starts [rad], and smallest margin.
+
+    ``light`` (n, BANDS, STEPS) and ``frames`` (n, FRAME): see ``mosca.coded_targets.dots``. The margin is -1 where
+    the ring is no ring of sectors, or not sure.
+    """
+    out = np.zeros((len(light), 3))
+    for n in range(len(light)):
+        out[n, MARGIN] = -1.0
+        start = sector_start(light[n])
+        turn = 2.0 * math.pi * start / STEPS
+        lengths = sector_lengths(frames[n], turn, ring.radius, USUAL_BLUR_PX)
+        word, margin = decide(sector_levels(light[n], start, lengths), ring.least_margin)
+        if margin > 0.0 and likeness(light[n], word, start, lengths) > LEAST_LIKENESS:
+            out[n, WORD], out[n, START], out[n, MARGIN] = word, turn, margin
+    return out
+
+
+@step
+def add_slope(values: Array, radius: float, used: Array, sums: Array) -> None:
+    """Add the products of values (STEPS,) and their places at ``radius`` to ``sums`` (uu, uv, vv, uy, vy).
+
+    Of the steps that are ``used``, all about their own means.
+    """
+    n, y, u, v = 0, 0.0, 0.0, 0.0
+    for i in range(STEPS):
+        if used[i]:
+            n += 1
+            y += values[i]
+            u += radius * COS[i]
+            v -= radius * SIN[i]
+    for i in range(STEPS):
+        if used[i]:
+            du, dv, dy = radius * COS[i] - u / n, -radius * SIN[i] - v / n, values[i] - y / n
+            sums[0] += du * du
+            sums[1] += du * dv
+            sums[2] += dv * dv
+            sums[3] += du * dy
+            sums[4] += dv * dy
+
+
+@step
+def slope_of(sums: Array) -> tuple[float, float]:
+    """Return the slopes along u and v from the sums of ``add_slope``, drawn towards 0 where little is seen."""
+    uu, vv = sums[0] + HELD, sums[2] + HELD
+    det = uu * vv - sums[1] ** 2
+    return (vv * sums[3] - sums[1] * sums[4]) / det, (uu * sums[4] - sums[1] * sums[3]) / det
+
+
+@step
+def from_edge(word: int, start: float, lengths: Array, i: int) -> tuple[bool, float]:
+    """Return whether step ``i`` lies in a white sector, and how far from one of the other colour [as lengths]."""
+    place = (i - start) / PER_SECTOR % SECTORS
+    k = min(int(place), SECTORS - 1)
+    before, after = (k - 1) % SECTORS, (k + 1) % SECTORS
+    bit, share = word >> k & 1, place - k
+    left = share * lengths[k] + (lengths[before] if word >> before & 1 == bit else 0.0)
+    right = (1.0 - share) * lengths[k] + (lengths[after] if word >> after & 1 == bit else 0.0)
+    return bit == 1, min(left, right)
+
+
+@kernel
+def shading(light: Array, radii: Array, slopes: Array, frames: Array, rings: Array, look: Look) -> Array:
+    """Return (n, 4) slopes along u and v [per radius of the dot]: of the plate's light and, last, of the white's.
+
+    ``light`` (n, 2 + m, STEPS) at ``radii`` (2 + m,): in the gap, outside, and m in the ring; 0 the plate's light,
+    from which ``slopes`` (n, 2) have been taken off, 1 the dot's. ``rings``: what was read. The plate is asked beside
+    black sectors and the white in white ones, ``CLEAR_PX`` from any edge: what is too small for that is held even.
+    """
+    out = np.zeros((len(light), 4))
+    used, values = np.empty((len(radii), STEPS), np.bool_), np.empty(STEPS)
+    # how far each circle is from the next edge, in radii of the dot; outside, only the ring's white is near
+    room = np.minimum(radii - look.ring_inner, look.ring_outer - radii)
+    room[0], room[1] = 0.5 * (look.ring_inner - 1.0), np.inf
+    for n in range(len(light)):
+        frame, word, start = frames[n], int(rings[n, WORD]), rings[n, START] * STEPS / (2.0 * math.pi)
+        middle = 0.5 * (look.ring_inner + look.ring_outer)
+        det, trace = frame[AXX] * frame[AYY] - frame[AXY] ** 2, frame[AXX] + frame[AYY]
+        # the square of the longer semi-axis less that of the shorter one: what leans may have perspective
+        lean = trace * math.sqrt(max(trace * trace - 4.0 * det, 0.0))
+        clear_px = CLEAR_PX + PERSPECTIVE * middle * middle * math.sqrt(lean)
+        lengths = sector_lengths(frame, rings[n, START], middle, clear_px)
+        for i in range(STEPS):
+            white, away = from_edge(word, start, lengths, i)
+            c, s = COS[i], SIN[i]
+            outwards = math.hypot(frame[AXX] * c - frame[AXY] * s, frame[AXY] * c - frame[AYY] * s)
+            along = math.hypot(frame[AXX] * s + frame[AXY] * c, frame[AXY] * s + frame[AYY] * c)
+            away *= det / (
+                outwards * along
+            )  # a leaning plate's radii and circles do not cross at right angles
+            for b in range(len(radii)):
+                used[b, i] = white == (b > 1) and away > 1.0 and room[b] * det / along > clear_px
+        plate, ring = np.zeros(5), np.zeros(5)
+        for b in range(2):
+            for i in range(STEPS):
+                values[i] = light[n, b, i] + radii[b] * (slopes[n, 0] * COS[i] - slopes[n, 1] * SIN[i])
+            add_slope(values, radii[b], used[b], plate)
+        plate_u, plate_v = slope_of(plate)
+        level = n_level = 0.0
+        for b in range(2, len(radii)):
+            u, v = slopes[n, 0] - plate_u, slopes[n, 1] - plate_v
+            for i in range(STEPS):
+                values[i] = light[n, b, i] + radii[b] * (u * COS[i] - v * SIN[i])
+                level += values[i] * used[b, i]
+                n_level += used[b, i]
+            add_slope(values, radii[b], used[b], ring)
+        out[n, 0], out[n, 1] = plate_u, plate_v
+        if level > LEAST_SWING * n_level:
+            slope_u, slope_v = slope_of(ring)
+            out[n, 2], out[n, 3] = slope_u * n_level / level, slope_v * n_level / level
+    return out

@@ -1,0 +1,1 @@
+"""Frames of unsynchronised cameras to image tracks of one marker each."""

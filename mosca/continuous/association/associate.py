@@ -1,0 +1,155 @@
+"""Frames of free-running cameras -> observations, each image point with its own instant and its marker's name.
+
+The walk: look at every frame on its own (``gather_look``) -> follow points in each camera (``gather_strands``) ->
+tie the cameras' clocks coarsely where they know nothing of each other (``gather_clocks``) -> tell markers apart by
+comparing the cameras at common instants, and give every real image point to its marker (``gather_identity``). No
+frame sets anywhere.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from mosca.continuous.association.coarse_sync import ClockTie, common_clock, tied_clocks
+from mosca.continuous.association.correspondence import common_instants, curves_of, observed, tracked
+from mosca.continuous.association.frame_detections import LookCount, Seen, look_at_frames
+from mosca.continuous.association.interpolated_tracks import SampledCurves
+from mosca.continuous.association.tracklet_merging import joined
+from mosca.continuous.association.tracklets_2d import Paths, strands
+from mosca.continuous.moving_cameras.rig_at_time import MovingRig
+from mosca.continuous.observations import Curves, Observations
+from mosca.data.arrays import Array
+from mosca.data.frames import FrameSource
+from mosca.data.rig import Rig
+from mosca.errors import InputError
+from mosca.pipeline import PipelineSettings, check_source
+
+SHORTEST_S = 0.1
+"""Shorter recordings say too little of how things move."""
+
+
+@dataclass(frozen=True)
+class GatherSettings:
+    """``pipeline``: settings of detection, matching and tracking. ``clocks``: "common" where all stamps are of one
+    clock, "own" where each camera has its own and was started at an unknown time, "auto" by what the cameras say of
+    themselves (``CameraInfo.clock``: "device" is a clock of its own). ``search_s``: by how much at most cameras with
+    clocks of their own were started apart.
+    """
+
+    pipeline: PipelineSettings = field(default_factory=PipelineSettings)
+    clocks: Literal["auto", "common", "own"] = "auto"
+    search_s: float = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Gathered:
+    """What was gathered.
+
+    ``observations``: times on the common clock, as coarsely as it is known. ``start``: curves
+    through the interpolated tracks. ``ties``: how each camera's own clock is tied to the common one, seconds of
+    which count from the first camera's ``origin_ns``. ``seen``: what each camera saw. ``sigma_px`` (c,): random
+    error of each camera's image points besides their detections'. ``searched``: whether clocks had to be searched
+    for.
+    """
+
+    observations: Observations
+    start: SampledCurves
+    ties: tuple[ClockTie, ...]
+    seen: tuple[Seen, ...]
+    sigma_px: Array
+    count: LookCount
+    searched: bool
+
+    def again(self, rig: Rig, curves: Curves, curve_px: float = 0.1) -> "Gathered":
+        """Return all with image points given to markers anew, by better curves of the same points."""
+        found, _row = observed(self.seen, self.ties, rig, curves, self.sigma_px, curve_px)
+        return replace(self, observations=found)
+
+
+def gather(
+    source: FrameSource,
+    rig: Rig,
+    settings: GatherSettings | None = None,
+    backgrounds: Mapping[str, Array] | None = None,
+    attend: Callable[[int], None] | None = None,
+) -> Gathered:
+    """Return what a source's frames show of markers, for ``mosca.continuous.estimator.estimate``.
+
+    ``backgrounds``: camera -> image (H, W) taken off before detection. ``attend``: called with a rising count of
+    steps. InputError where a camera's stamps do not rise, where it ran at no time together with others, sends too
+    few frames, or no marker is followed by two cameras.
+    """
+    settings = GatherSettings() if settings is None else settings
+    check_source(source, rig)
+    count = LookCount()
+    seen = look_at_frames(source, rig.names, settings.pipeline.detection, backgrounds, count, attend)
+    return gather_seen(seen, rig, settings, count, attend)
+
+
+def gather_seen(
+    seen: tuple[Seen, ...],
+    rig: Rig,
+    settings: GatherSettings,
+    count: LookCount | None = None,
+    attend: Callable[[int], None] | None = None,
+) -> Gathered:
+    """As ``gather``, of what the rig's cameras saw already."""
+    for one in seen:
+        check_long_enough(one)
+    own = settings.clocks == "own" or (
+        settings.clocks == "auto" and any(one.info.clock == "device" for one in seen) and len(seen) > 1
+    )
+    strand = [strands(one) for one in seen]
+    ties = tied_clocks(seen, strand, rig, settings.search_s) if own else common_clock(seen)
+    return markers_of(seen, strand, ties, rig, settings, count or LookCount(), attend, searched=own)
+
+
+def markers_of(
+    seen: tuple[Seen, ...],
+    strand: Sequence[Array],
+    ties: tuple[ClockTie, ...],
+    rig: Rig,
+    settings: GatherSettings,
+    count: LookCount,
+    attend: Callable[[int], None] | None = None,
+    moving: MovingRig | None = None,
+    searched: bool = False,
+) -> Gathered:
+    """Return markers' image points and first curves, once clocks are tied: matched, tracked, joined over pauses.
+
+    ``strand``: of each camera's image points; ``count``: frames that were looked at, from which ``attend`` goes on;
+    ``moving``: where the cameras are at each instant, None where they stand as ``rig`` says.
+    """
+    paths = [
+        Paths.of(one, of_point, tie.common_s(one.time_s(tie.origin_ns)))
+        for one, of_point, tie in zip(seen, strand, ties, strict=True)
+    ]
+    done = sum(count.frames.values())
+    tracks, sigma = tracked(
+        seen,
+        paths,
+        common_instants(seen, ties),
+        rig,
+        settings.pipeline,
+        None if attend is None else lambda k: attend(done + k),
+        moving,
+    )
+    track = settings.pipeline.track
+    curves = curves_of(tracks, track.coast_s)
+    found, row = observed(seen, ties, rig, curves, sigma, moving=moving)
+    tracks = joined(tracks, curves, found, strand, row, track.acceleration_mps2)
+    curves = curves_of(tracks, track.coast_s)
+    found, _row = observed(seen, ties, rig, curves, sigma, moving=moving)
+    return Gathered(found, curves, ties, seen, np.asarray(sigma), count, searched)
+
+
+def check_long_enough(one: Seen) -> None:
+    """Raise InputError where a camera filmed for too short a time."""
+    length = (one.frame_ns[-1] - one.frame_ns[0]) * 1e-9
+    if length < SHORTEST_S:
+        raise InputError(
+            f"camera '{one.info.name}': filmed for {length:g} s; {SHORTEST_S:g} s at least are needed to tell how "
+            "things move; record longer"
+        )

@@ -1,0 +1,280 @@
+"""Clocks of cameras that were started at unknown times, from what the cameras saw: a coarse tie, good to match
+with.
+
+Rays of two cameras to one point lie in a plane with the line between the cameras (epipolar constraint), if and only
+if they were looked along at one instant. So one camera's clock is shifted against the other's until most rays find
+a partner in their plane; chance partners are as many at any shift. The shift is found over the whole recording
+first, then in windows along it, through which a straight line goes: offset and drift. Curves (``estimate``) make it
+fine.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from mosca.camera.projection import lens_directions
+from mosca.continuous.association.frame_detections import Seen
+from mosca.continuous.association.tracklets_2d import Between, Paths
+from mosca.data.arrays import Array
+from mosca.data.rig import Camera, Rig, principal_distances_px
+from mosca.errors import InputError
+
+COARSE_PX, FINE_PX = 1.5, 0.4
+"""Distance from the epipolar line at which a partner counts exp(-1/2), in the first search and in the windows."""
+INSTANTS = 60
+"""Instants of a search at which rays are compared."""
+MOST_POINTS = 40
+"""Points of an instant that are compared, of the camera whose clock stands."""
+CLEAR = 8.0
+"""How far the best shift must stand out from the others, in their (robust) standard deviations."""
+RIVAL = 0.85
+"""A shift that stands out so much of what the best one does fits as well: repeating motion (a stride) has several."""
+WINDOWS = 8
+DRIFT_FROM_S = 4.0
+"""Shorter recordings say nothing of a drift that matters in them."""
+WIDEST_DRIFT = 400e-6
+"""Drift between two cameras' clocks that is looked for."""
+
+
+@dataclass(frozen=True)
+class ClockTie:
+    """How a camera's clock is tied to the common one: ``offset_s + (1 + drift) (stamp_ns - origin_ns) / 1e9``.
+
+    ``clear``: how far the shift stood out in its search (inf where it was not searched for). ``rival_s``: another
+    offset that fits about as well, None where there is none.
+    """
+
+    origin_ns: int
+    offset_s: float = 0.0
+    drift: float = 0.0
+    clear: float = np.inf
+    rival_s: float | None = None
+
+    def common_s(self, own_s: Array) -> Array:
+        """Return instants of the common clock [s] of the camera's own, counted from ``origin_ns`` [s]."""
+        return self.offset_s + (1.0 + self.drift) * own_s
+
+
+def common_clock(seen: Sequence[Seen]) -> tuple[ClockTie, ...]:
+    """Return the ties of cameras whose stamps are of one clock."""
+    origin = min(int(one.frame_ns[0]) for one in seen)
+    return tuple(ClockTie(origin) for _one in seen)
+
+
+def tied_clocks(
+    seen: Sequence[Seen], strand: Sequence[Array], rig: Rig, search_s: float
+) -> tuple[ClockTie, ...]:
+    """Return the ties of cameras whose clocks know nothing of each other; the first camera's is the common one.
+
+    ``search_s``: by how much cameras may have been started apart. InputError where the images do not say.
+    """
+    own_s = [one.time_s(int(one.frame_ns[0])) for one in seen]
+    ties: dict[int, ClockTie] = {0: ClockTie(int(seen[0].frame_ns[0]))}
+    paths = [Paths.of(one, strand[c], own_s[c]) for c, one in enumerate(seen)]
+    waiting = list(range(1, len(seen)))
+    while waiting:
+        best: tuple[float, int, ClockTie] | None = None
+        for c in waiting:
+            for known in ties:
+                pair = _Pair(
+                    rig.cameras[known], rig.cameras[c], seen[known], seen[c],
+                    Paths.of(seen[known], strand[known], ties[known].common_s(own_s[known])), paths[c],
+                )  # fmt: skip
+                found = _searched(pair, search_s)
+                if found is not None and (best is None or found.clear > best[0]):
+                    best = (found.clear, c, found.tie(int(seen[c].frame_ns[0])))
+                if best is not None and best[1] == c and best[0] > 3 * CLEAR:
+                    break
+            if best is not None and best[1] == c:
+                break
+        if best is None:
+            named = ", ".join(f"'{seen[c].info.name}'" for c in waiting)
+            raise InputError(
+                f"camera {named}: no time offset within {search_s:g} s makes its images meet those of "
+                "another camera; "
+                "check the rig's poses and that both film the same moving points, or give a wider "
+                "--search if they were started farther apart"
+            )
+        ties[best[1]] = best[2]
+        waiting.remove(best[1])
+    return tuple(ties[c] for c in range(len(seen)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """Two cameras, one whose clock stands (a) and one whose clock is searched (b), with their image points."""
+
+    camera_a: Camera
+    camera_b: Camera
+    seen_a: Seen
+    seen_b: Seen
+    path_a: Paths
+    path_b: Paths
+
+    @property
+    def px_per_rad(self) -> float:
+        return float(np.mean(principal_distances_px(self.camera_b.lens)))
+
+    def speed_px(self) -> float:
+        """Return the upper quartile of the speed of image points in the camera searched [px/s]."""
+        some = self.path_b.at(_spread(self.path_b.time_s, INSTANTS))
+        if not len(some.row):
+            return 0.0
+        return float(np.quantile(np.linalg.norm(some.speed_px, axis=1), 0.75))
+
+
+@dataclass(frozen=True)
+class _Found:
+    """b's clock = shift_s + (1 + drift) a's; how clear it is, and a shift that is about as good."""
+
+    clear: float
+    shift_s: float
+    drift: float
+    rival_s: float | None
+
+    def tie(self, origin_ns: int) -> ClockTie:
+        """Return a's clock as b's has it: the equation turned round."""
+        rate = 1 / (1 + self.drift)
+        rival = None if self.rival_s is None else -self.rival_s * rate
+        return ClockTie(origin_ns, -self.shift_s * rate, rate - 1, self.clear, rival)
+
+
+def _searched(pair: _Pair, search_s: float) -> _Found | None:
+    """Return the shift between two cameras' clocks; None: unclear."""
+    speed = pair.speed_px()
+    period = max(pair.seen_a.period_s, pair.seen_b.period_s)
+    if speed <= 0.0:
+        return None
+    step = float(np.clip(COARSE_PX / speed, 0.1 * period, 2.0 * period))
+    begin_a, end_a = float(pair.path_a.time_s.min()), float(pair.path_a.time_s.max())
+    shifts = np.arange(-search_s, search_s + step, step)
+    # compared where both may have run
+    votes, count = _votes(pair, np.linspace(begin_a, end_a, INSTANTS + 2)[1:-1], shifts, COARSE_PX)
+    enough = count >= 0.25 * count.max()
+    score = np.where(enough, votes / np.maximum(count, 1), 0.0)
+    some = score[enough]
+    middle = float(np.median(some))
+    spread = 1.4826 * float(np.median(np.abs(some - middle))) + 1e-6
+    at = int(np.argmax(score))
+    clear = (float(score[at]) - middle) / max(spread, 0.005)
+    if clear < CLEAR or score[at] < middle + 0.1:
+        return None
+    other = rival(score - middle, at)
+    shift, drift = _line(pair, float(shifts[at]), step, speed)
+    return _Found(clear, shift, drift, None if other is None else float(shifts[other]))
+
+
+def rival(score: Array, best: int) -> int | None:
+    """Return the place of another top that is about as high as the ``best``, None where there is none.
+
+    ``score`` (n,) above what chance makes; the top itself reaches down to half its height on both sides.
+    """
+    low = np.flatnonzero(score < 0.5 * score[best])
+    begin = int(low[low < best].max(initial=-1)) + 1
+    end = int(low[low > best].min(initial=len(score)))
+    others = score.copy()
+    others[begin:end] = -np.inf
+    second = int(np.argmax(others))
+    return second if others[second] >= RIVAL * score[best] else None
+
+
+def _line(pair: _Pair, shift: float, step: float, speed: float) -> tuple[float, float]:
+    """Return shift and drift from windows along the recording."""
+    low = max(float(pair.path_a.time_s.min()), float(pair.path_b.time_s.min()) - shift)
+    high = min(float(pair.path_a.time_s.max()), float(pair.path_b.time_s.max()) - shift)
+    length = high - low
+    windows = WINDOWS if length >= DRIFT_FROM_S else 1
+    fine = min(FINE_PX / speed, 0.25 * step)
+    edges = np.linspace(low, high, windows + 1)
+    found = []
+    for a, b in pairwise(edges):
+        reach = 2.0 * step + WIDEST_DRIFT * length
+        near = shift + np.arange(-reach, reach + fine, fine)
+        votes, count = _votes(pair, np.linspace(a, b, INSTANTS + 2)[1:-1], near, FINE_PX)
+        score = votes / np.maximum(count, 1)
+        if count.max() == 0:
+            continue
+        found.append((0.5 * (a + b), _top(near, score), float(score.max())))
+    t, s, worth = np.array(found).T
+    if windows == 1 or len(t) < 3:
+        return float(np.median(s)), 0.0
+    return _straight(t, s, worth)
+
+
+def _straight(t: Array, s: Array, worth: Array) -> tuple[float, float]:
+    """Return offset and slope of a line through points, those that lie off being given little weight (Cauchy)."""
+    weight, scale = worth.copy(), 0.0
+    middle, slope = 0.0, 0.0
+    for _step in range(20):
+        root = np.sqrt(weight)
+        design = np.column_stack([np.ones_like(t), t])
+        (middle, slope), *_rest = np.linalg.lstsq(design * root[:, None], s * root, rcond=None)
+        off = np.abs(s - middle - slope * t)
+        scale = max(1.4826 * float(np.median(off)), 1e-7)
+        weight = worth / (1 + (off / (2 * scale)) ** 2)
+    return float(middle), float(slope)
+
+
+def _top(shifts: Array, score: Array) -> float:
+    """Return the place of the highest score, between the steps by a parabola."""
+    at = int(np.argmax(score))
+    if at in (0, len(score) - 1):
+        return float(shifts[at])
+    a, b, c = score[at - 1 : at + 2]
+    bend = a - 2 * b + c
+    return float(shifts[at] + (shifts[1] - shifts[0]) * (0.5 * (a - c) / bend if bend < 0 else 0.0))
+
+
+def _votes(pair: _Pair, instants_a: Array, shifts: Array, width_px: float) -> tuple[Array, Array]:
+    """Return for each shift how many rays of a find a partner in b (by nearness), and how many were asked."""
+    step = shifts[1] - shifts[0]
+    a_world = _world(pair.camera_a, pair.path_a.at(instants_a))
+    base = pair.camera_b.world_from_camera.translation - pair.camera_a.world_from_camera.translation
+    base = base / np.linalg.norm(base)
+    votes, asked = np.zeros(len(shifts)), np.zeros(len(shifts))
+    random = np.random.default_rng(0)
+    for k, instant in enumerate(instants_a):
+        mine = a_world.of(k)
+        if not len(mine):
+            continue
+        if len(mine) > MOST_POINTS:
+            mine = mine[random.choice(len(mine), MOST_POINTS, replace=False)]
+        normal = np.cross(mine, base)
+        length = np.linalg.norm(normal, axis=1)
+        normal = normal[length > 0.05] / length[length > 0.05][:, None]
+        theirs = pair.path_b.at(instant + shifts)
+        if not len(theirs.row) or not len(normal):
+            continue
+        rays = _world(pair.camera_b, theirs).rays
+        off = np.abs(rays.astype(np.float32) @ normal.T.astype(np.float32)) * np.float32(pair.px_per_rad)
+        starts = np.flatnonzero(np.diff(theirs.instant, prepend=-1))
+        nearest = np.minimum.reduceat(off, starts, axis=0)
+        at = theirs.instant[starts]
+        votes[at] += np.exp(-0.5 * (nearest / width_px) ** 2).sum(axis=1)
+        asked[at] += len(normal)
+    assert step > 0
+    return votes, asked
+
+
+@dataclass(frozen=True, eq=False)
+class _World:
+    """Unit rays (r, 3) in the world, sorted by instant."""
+
+    instant: Array
+    rays: Array
+
+    def of(self, instant: int) -> Array:
+        low, high = np.searchsorted(self.instant, [instant, instant + 1])
+        return self.rays[low:high]
+
+
+def _world(camera: Camera, places: Between) -> _World:
+    directions = lens_directions(camera.lens, places.xy_px) @ camera.world_from_camera.rotation.T
+    known = np.isfinite(directions).all(axis=1)
+    return _World(places.instant[known], directions[known])
+
+
+def _spread(time_s: Array, count: int) -> Array:
+    return np.linspace(float(time_s.min()), float(time_s.max()), count + 2)[1:-1]

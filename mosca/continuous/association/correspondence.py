@@ -1,0 +1,212 @@
+"""Which image points of cameras that are not synchronised are one marker.
+
+The strands of all cameras are asked where they were at common instants (the exposures of the fastest camera), and
+these places go through the synchronous matcher and tracker as frame sets would. The tracks that come out are
+followed by curves, and every real image point, at its own instant, goes to the curve that passes it: what was
+interpolated serves to tell markers apart and never as a measurement.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from mosca.continuous.association.coarse_sync import ClockTie
+from mosca.continuous.association.frame_detections import Seen
+from mosca.continuous.association.interpolated_tracks import SampledCurves
+from mosca.continuous.association.tracklets_2d import Paths, detections_at
+from mosca.continuous.moving_cameras.rig_at_time import MovingRig, RigAtEach, centres_at, images_at, images_of
+from mosca.continuous.observations import Curves, Observations, no_carriers
+from mosca.data.arrays import Array
+from mosca.data.detections import MERGED, Detections
+from mosca.data.frames import FrameSet
+from mosca.data.rig import Rig
+from mosca.data.tracks import Samples, Tracks, table
+from mosca.diagnostics.camera_health import Health, HealthSettings
+from mosca.errors import InputError
+from mosca.pipeline import PipelineSettings, run_seen
+
+FEWEST_SAMPLES = 6
+"""A track of fewer samples is none."""
+INTERPOLATED_PX = 0.15
+"""Standard deviation of a place between two exposures beyond the detections' own, to begin with; it is learned."""
+GATE_SIGMA, CURVE_PX = 4.5, 0.25
+"""How far an image point may lie from its curve; standard deviation an axis of a curve through samples."""
+WORST_PX = 1.0
+"""Image points less certain than this tell nothing (those that no disc could be fitted to)."""
+ODD_SHARE = 0.15
+"""Share of its area by which an image may differ from the usual one before it is thought partly hidden."""
+CHUNK = 500
+"""Frames whose points are projected at a time."""
+
+
+def common_instants(seen: Sequence[Seen], ties: Sequence[ClockTie]) -> Array:
+    """Return the instants (t,) of the common clock at which cameras are compared: the exposures of the fastest one.
+
+    Those at which two cameras and more were running. InputError where a camera never ran together with another.
+    """
+    times = [tie.common_s((one.frame_ns - tie.origin_ns) * 1e-9) for one, tie in zip(seen, ties, strict=True)]
+    begins, ends = np.array([t[0] for t in times]), np.array([t[-1] for t in times])
+    for c, one in enumerate(seen):
+        others = np.arange(len(seen)) != c
+        shared = np.minimum(ends[c], ends[others]) - np.maximum(begins[c], begins[others])
+        if not len(shared) or shared.max() <= 0.0:
+            raise InputError(
+                f"camera '{one.info.name}': filmed from {begins[c]:.3f} to {ends[c]:.3f} s, at no time together with "
+                "another camera; check its stamps, say --clocks own where each camera has a clock of its "
+                "own, or leave "
+                "it out of the rig file"
+            )
+    fastest = int(np.argmin([one.period_s for one in seen]))
+    t = times[fastest]
+    # beyond that camera's run the others go on at its pace
+    period = seen[fastest].period_s
+    before = t[0] - period * np.arange(int(max(0.0, t[0] - begins.min()) / period), 0, -1)
+    after = t[-1] + period * np.arange(1, int(max(0.0, ends.max() - t[-1]) / period) + 1)
+    instants = np.concatenate([before, t, after])
+    running = (instants[:, None] >= begins) & (instants[:, None] <= ends)
+    return instants[running.sum(axis=1) >= 2]
+
+
+def tracked(
+    seen: Sequence[Seen],
+    paths: Sequence[Paths],
+    instants_s: Array,
+    rig: Rig,
+    settings: PipelineSettings,
+    attend: Callable[[int], None] | None = None,
+    moving: MovingRig | None = None,
+) -> tuple[Tracks, Array]:
+    """Return the tracks at common instants, and each camera's random error besides its detections' (c,) [px].
+
+    ``paths``: the cameras' strands on the common clock. ``moving``: the same rig's poses where they change.
+    """
+    health = Health(rig, HealthSettings(start_px=INTERPOLATED_PX))
+    places = [path.at(instants_s) for path in paths]
+    there = np.ones((len(instants_s), len(seen)), dtype=bool)
+    keeper = None
+    if moving is not None:
+        there, keeper = moving.there(instants_s), RigAtEach(moving.rigs(instants_s))
+        rig = keeper.rig
+
+    def sets() -> Iterator[tuple[FrameSet, Mapping[str, Detections], float]]:
+        for k, instant in enumerate(instants_s):
+            found = {
+                one.info.name: detections_at(one, places[c], k)[0]
+                for c, one in enumerate(seen)
+                if there[k, c]
+            }
+            yield FrameSet(k, round(instant * 1e9)), found, 0.0
+
+    samples: list[Samples] = []
+    for done, step in enumerate(run_seen(sets(), rig, settings, keeper, health), start=1):
+        samples.append(step.samples)
+        if attend is not None:
+            attend(done)
+    return table(samples), np.asarray(health.noise.sigma_px)
+
+
+def curves_of(tracks: Tracks, coast_s: float) -> SampledCurves:
+    """Return the tracks as curves; InputError where there is none."""
+    curves = SampledCurves.of(tracks, FEWEST_SAMPLES, coast_s)
+    if not curves.points:
+        raise InputError(
+            "no marker was followed by two cameras: check the rig, that the stamps are of one clock "
+            "(else --clocks own), "
+            "and the settings match.camera_sigma_px, match.worst_sigma_m and [volume]"
+        )
+    return curves
+
+
+def observed(
+    seen: Sequence[Seen],
+    ties: Sequence[ClockTie],
+    rig: Rig,
+    curves: Curves,
+    sigma_px: Array,
+    curve_px: float = CURVE_PX,
+    moving: MovingRig | None = None,
+) -> tuple[Observations, Array]:
+    """Return the image points that belong to ``curves``, each at its own instant on the common clock, and their
+    numbers.
+
+    The numbers (n,) count each camera's own image points.
+
+    ``sigma_px`` (c,): random error of each camera's image points besides their detections'. ``curve_px``: how far
+    the curves may be off in the images. Merged images of two targets are left out. ``moving``: as ``tracked`` has it.
+    """
+    parts, numbers = [], []
+    for c, (one, tie) in enumerate(zip(seen, ties, strict=True)):
+        times = tie.common_s(one.time_s(tie.origin_ns))
+        row, point, away = _assigned(one, tie, rig, c, curves, sigma_px[c], curve_px, moving)
+        keep = (one.flags[row] & MERGED) == 0
+        row, point, away = row[keep], point[keep], away[keep]
+        odd = odd_sizes_px(one.diameter_px[row], away, point)
+        extra = sigma_px[c] ** 2 + odd**2
+        covariance = one.covariance_px2[row] + extra[:, None, None] * np.eye(2)
+        numbers.append(row)
+        parts.append((np.full(len(row), c), point, one.frame[row], times[row], one.xy_px[row], covariance))
+    columns = [np.concatenate(part) for part in zip(*parts, strict=True)]
+    points = curves.points
+    return Observations(rig.names, points, *columns, **no_carriers(points)), np.concatenate(numbers)
+
+
+def odd_sizes_px(diameter_px: Array, away_m: Array, point: Array) -> Array:
+    """Return the error (n,) that images of odd size have besides their noise, standard deviation [px].
+
+    A target partly hidden, or merged with another, is displaced by about the share of the area that is missing times
+    its radius. ``away_m`` (n,): how far the target was; its usual size is the median of its own images in the camera.
+    """
+    size = diameter_px * away_m
+    order = np.argsort(point, kind="stable")
+    usual = np.empty(len(point))
+    names, starts = np.unique(point[order], return_index=True)
+    for rows in np.split(order, starts[1:]) if len(names) else []:
+        usual[rows] = np.median(size[rows])
+    share = np.abs(1.0 - (size / usual) ** 2)
+    return np.where(share > ODD_SHARE, share * 0.5 * diameter_px, 0.0)
+
+
+def _assigned(
+    one: Seen, tie: ClockTie, rig: Rig, c: int, curves: Curves, sigma_px: float, curve_px: float,
+    moving: MovingRig | None,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """Return image points of a camera, the curves that they belong to, and how far these were [m]."""
+    camera = rig.cameras[c]
+    first_row = tie.common_s((one.frame_ns - tie.origin_ns) * 1e-9)
+    at = first_row + 0.5 * one.row_time_s * (camera.height - 1)
+    cameras = None if moving is None else moving.paths
+    there = np.ones(len(at), dtype=bool) if moving is None else moving.there(at)[:, c]
+    rows, points, aways = [], [], []
+    for begin in range(0, len(at), CHUNK):
+        some = at[begin : begin + CHUNK]
+        xyz = curves.at(some)
+        image = images_at(camera, c, cameras, some, xyz)
+        image[~there[begin : begin + CHUNK]] = np.nan
+        origin = centres_at(camera, c, cameras, some)
+        if one.row_time_s > 0.0:
+            flow = (images_of(curves, camera, c, cameras, some + 1e-3) - image) / 1e-3
+            late = one.row_time_s * (image[..., 1:] - 0.5 * (camera.height - 1))
+            image = image + flow * late
+        for k in range(len(some)):
+            own = np.arange(one.start[begin + k], one.start[begin + k + 1])
+            near = np.flatnonzero(np.isfinite(image[k]).all(axis=1))
+            which, to = _nearest(one, own, image[k, near], sigma_px, curve_px)
+            rows.append(own[which])
+            points.append(near[to])
+            aways.append(np.linalg.norm(xyz[k, near[to]] - origin[k], axis=1))
+    return np.concatenate(rows), np.concatenate(points), np.concatenate(aways)
+
+
+def _nearest(one: Seen, own: Array, image: Array, sigma_px: float, curve_px: float) -> tuple[Array, Array]:
+    """Return which of the image points ``own`` goes to which of the images (p, 2): least distance in all."""
+    if not len(own) or not len(image):
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    off = one.xy_px[own][:, None] - image[None]
+    # the larger axis of a detection's error speaks for both
+    variance = one.covariance_px2[own].trace(axis1=1, axis2=2) / 2 + sigma_px**2 + curve_px**2
+    squared = (off**2).sum(axis=2) / variance[:, None]
+    allowed = (squared < GATE_SIGMA**2) & (variance < WORST_PX**2)[:, None]
+    which, to = linear_sum_assignment(np.where(allowed, squared, 1e4))
+    good = allowed[which, to]
+    return which[good], to[good]

@@ -1,0 +1,181 @@
+"""Frames of free-running cameras -> what each camera saw, frame by frame; no image is kept.
+
+Each frame is looked at by the usual detector with what the camera's own earlier frames taught, and counts at its own
+instant: mid-exposure by its own stamp (``mosca.data.frames``), of each image point with a rolling shutter at its row.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.detections import Detections
+from mosca.data.frames import CameraInfo, Frame, FrameSource, mid_exposure_ns
+from mosca.detection.detect import NOTHING, DetectionSettings, Learned, detect_and_learn
+from mosca.errors import InputError
+
+FEWEST_FRAMES = 8
+"""Frames of a camera from which on a trajectory can be told from a few places."""
+MOST_DETECTIONS = 5000
+"""Image points that a frame may have; more are noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What one camera saw: f frames, n image points in the order of the frames.
+
+    ``frame_ns`` (f,) mid-exposure of each frame's first row on the camera's own clock, strictly rising; ``start``
+    (f + 1,) first image point of each frame; ``xy_px`` (n, 2), ``covariance_px2`` (n, 2, 2), ``diameter_px``,
+    ``peak``, ``elongation`` and ``flags`` (n,) as in ``Detections``. ``row_time_s``: as the frames state it.
+    """
+
+    info: CameraInfo
+    frame_ns: Array
+    start: Array
+    xy_px: Array
+    covariance_px2: Array
+    diameter_px: Array
+    peak: Array
+    elongation: Array
+    flags: Array
+    row_time_s: float = 0.0
+
+    @property
+    def frame(self) -> Array:
+        """Number of the frame of each image point (n,)."""
+        return np.repeat(np.arange(len(self.frame_ns)), np.diff(self.start))
+
+    @property
+    def period_s(self) -> float:
+        """Median time from a frame to the next [s]."""
+        return float(np.median(np.diff(self.frame_ns))) * 1e-9
+
+    def time_s(self, origin_ns: int) -> Array:
+        """Return the instant of each image point (n,) on the camera's own clock, counted from ``origin_ns`` [s]."""
+        first_row = (self.frame_ns - origin_ns) * 1e-9
+        return first_row[self.frame] + self.row_time_s * self.xy_px[:, 1]
+
+
+@dataclass
+class LookCount:
+    """Running counts of a look: frames that came, and those of them without a usable image, by camera."""
+
+    frames: dict[str, int] = field(default_factory=dict)
+    unusable: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass
+class _Notes:
+    """What is noted of one camera on the way."""
+
+    info: CameraInfo
+    frame_ns: list[int] = field(default_factory=list)
+    index: list[int] = field(default_factory=list)
+    found: list[Detections] = field(default_factory=list)
+    learned: Learned = NOTHING
+    row_time_ns: int = 0
+
+
+def look_at_frames(
+    source: FrameSource,
+    names: Iterable[str],
+    settings: DetectionSettings,
+    backgrounds: Mapping[str, Array] | None = None,
+    count: LookCount | None = None,
+    attend: Callable[[int], None] | None = None,
+) -> tuple[Seen, ...]:
+    """Return what the cameras ``names`` saw, in that order; frames of other cameras are passed over.
+
+    ``backgrounds``: camera -> image taken off first. ``attend``: called with the number of frames so far. InputError
+    where a camera sends nothing, too little, or frames whose stamps do not rise.
+    """
+    infos = {info.name: info for info in source.cameras}
+    notes = {}
+    for name in names:
+        if name not in infos:
+            raise InputError(
+                f"camera '{name}' of the rig sends no frames; the source has {', '.join(infos)}; "
+                "give the cameras the same names in both"
+            )
+        notes[name] = _Notes(infos[name])
+    counts = LookCount() if count is None else count
+    done = 0
+    for frame in source:
+        note = notes.get(frame.camera)
+        if note is None:
+            continue
+        done += 1
+        counts.frames[frame.camera] = counts.frames.get(frame.camera, 0) + 1
+        if frame.image is None:
+            counts.unusable[frame.camera] = counts.unusable.get(frame.camera, 0) + 1
+        else:
+            _look(note, frame, settings, (backgrounds or {}).get(frame.camera))
+        if attend is not None:
+            attend(done)
+    return tuple(_seen(note) for note in notes.values())
+
+
+def _look(note: _Notes, frame: Frame, settings: DetectionSettings, background: Array | None) -> None:
+    assert frame.image is not None
+    half_readout = frame.row_time_ns * (frame.rows - 1) // 2
+    middle = mid_exposure_ns(frame)
+    first_row = middle if frame.row_time_ns == 0 else middle - half_readout
+    check_rise(frame.camera, note.index, note.frame_ns, frame.index, first_row)
+    found, taught = detect_and_learn(
+        [frame.image],
+        [frame.camera],
+        settings,
+        note.info.bit_depth,
+        None if background is None else [background],
+        None,
+        note.learned,
+    )
+    if len(found[0]) > MOST_DETECTIONS:
+        raise InputError(
+            f"camera '{frame.camera}', frame {frame.index}: {len(found[0])} detections, {MOST_DETECTIONS} are "
+            "allowed; noise is taken for targets: raise detection.contrast_dn, or give a background"
+        )
+    note.learned = note.learned.plus(taught)
+    note.row_time_ns = frame.row_time_ns
+    note.frame_ns.append(first_row)
+    note.index.append(frame.index)
+    note.found.append(found[0])
+
+
+def check_rise(camera: str, indices: list[int], times_ns: list[int], index: int, time_ns: int) -> None:
+    """Raise InputError where a frame's instant is not later than that of the camera's frame before."""
+    if not times_ns or time_ns > times_ns[-1]:
+        return
+    if time_ns == times_ns[-1]:
+        raise InputError(
+            f"camera '{camera}': frames {indices[-1]} and {index} have the same time stamp ({time_ns} "
+            "ns mid-exposure); "
+            "each exposure needs its own: record the camera's stamps, not those of a common pulse or of a file"
+        )
+    raise InputError(
+        f"camera '{camera}': frame {index} is stamped {(times_ns[-1] - time_ns) * 1e-6:g} ms before frame "
+        f"{indices[-1]}, which came earlier; sort the frames of each camera by their stamps"
+    )
+
+
+def _seen(note: _Notes) -> Seen:
+    if len(note.frame_ns) < FEWEST_FRAMES:
+        raise InputError(
+            f"camera '{note.info.name}': {len(note.frame_ns)} usable frames given, {FEWEST_FRAMES} are "
+            "needed to tell a "
+            "motion; record longer, or leave the camera out of the rig file"
+        )
+    found = note.found
+    return Seen(
+        note.info,
+        np.array(note.frame_ns, dtype=np.int64),
+        np.concatenate([[0], np.cumsum([len(one) for one in found])]),
+        np.concatenate([one.xy_px for one in found]),
+        np.concatenate([one.covariance_px2 for one in found]),
+        np.concatenate([one.diameter_px for one in found]),
+        np.concatenate([one.peak for one in found]),
+        np.concatenate([one.elongation for one in found]),
+        np.concatenate([one.flags for one in found]),
+        note.row_time_ns * 1e-9,
+    )

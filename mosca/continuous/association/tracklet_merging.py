@@ -1,0 +1,90 @@
+"""Tracks that are one marker's are joined: a camera followed it while the others did not see it, or the tracker
+lost it.
+
+A strand (a point followed in one camera) whose image points went to one track first and to another one afterwards
+says that they are one, where the first ends before the second begins and a motion leads from one to the other.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from mosca.continuous.association.interpolated_tracks import SampledCurves
+from mosca.continuous.observations import Observations
+from mosca.data.arrays import Array
+from mosca.data.tracks import Tracks
+
+LONGEST_S = 1.0
+"""A marker that no two cameras saw for longer is a new one."""
+SLACK_M = 0.02
+"""How far the two ends, both carried to the middle of the gap, may be apart beyond what acceleration does."""
+
+
+def joined(
+    tracks: Tracks,
+    curves: SampledCurves,
+    found: Observations,
+    strand: Sequence[Array],
+    row: Array,
+    acceleration_mps2: float,
+) -> Tracks:
+    """Return ``tracks`` in which those of one marker have one number.
+
+    ``found``: which image points went to ``curves``; ``strand``: of each camera's image points; ``row`` (n,):
+    number of each of ``found`` among its camera's image points.
+    """
+    votes = _votes(found, strand, row)
+    into: dict[int, int] = {}
+    left, right = set(), set()
+    for (a, b), _count in sorted(votes.items(), key=lambda vote: (-vote[1], vote[0])):
+        if a in left or b in right or not _leads(curves, a, b, acceleration_mps2):
+            continue
+        left.add(a)
+        right.add(b)
+        into[b] = a
+    number = curves.track
+    heir = {}
+    for b in into:
+        first = b
+        while first in into:
+            first = into[first]
+        heir[int(number[b])] = int(number[first])
+    track = np.array([heir.get(t, t) for t in tracks.track.tolist()], dtype=np.int64)
+    columns = {name: getattr(tracks, name) for name in Tracks.__dataclass_fields__}
+    return Tracks(**(columns | {"track": track}))
+
+
+def _votes(found: Observations, strand: Sequence[Array], row: Array) -> Counter[tuple[int, int]]:
+    """Return how many strands went from one curve to another."""
+    votes: Counter[tuple[int, int]] = Counter()
+    for c in range(len(found.cameras)):
+        own = np.flatnonzero(found.camera == c)
+        of_strand = strand[c][row[own]]
+        order = np.lexsort((found.time_s[own], of_strand))
+        own, of_strand = own[order], of_strand[order]
+        changes = (of_strand[1:] == of_strand[:-1]) & (found.point[own[1:]] != found.point[own[:-1]])
+        for k in np.flatnonzero(changes):
+            votes[int(found.point[own[k]]), int(found.point[own[k + 1]])] += 1
+    return votes
+
+
+def _leads(curves: SampledCurves, a: int, b: int, acceleration_mps2: float) -> bool:
+    """Whether curve ``a`` ends before ``b`` begins and a motion leads from one to the other."""
+    end, begin = curves.start[a + 1] - 1, curves.start[b]
+    gap = curves.time_s[begin] - curves.time_s[end]
+    if not 0.0 < gap <= LONGEST_S:
+        return False
+    ahead = curves.xyz[end] + 0.5 * gap * curves.speed[end]
+    back = curves.xyz[begin] - 0.5 * gap * curves.speed[begin]
+    return bool(np.linalg.norm(ahead - back) <= SLACK_M + acceleration_mps2 * (0.5 * gap) ** 2)
+
+
+def parts_in_time(times_s: Array, longest_s: float) -> list[tuple[float, float]]:
+    """Return the whiles (begin, end) of rising instants that lie no farther apart than ``longest_s`` [s]."""
+    if not len(times_s):
+        return []
+    cut = np.flatnonzero(np.diff(times_s) > longest_s)
+    edges = np.concatenate([[0], cut + 1, [len(times_s)]])
+    return [(float(times_s[a]), float(times_s[b - 1])) for a, b in pairwise(edges)]

@@ -1,0 +1,219 @@
+"""Image points of one camera followed from frame to frame, and where they were in between.
+
+A *strand* is a point followed in one camera. It is no identity: it ends where its point is hidden or where two meet.
+It only serves to say where the point was between two exposures, so that cameras that expose at other instants can be
+compared.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+
+from mosca.continuous.association.frame_detections import Seen
+from mosca.data.arrays import Array
+from mosca.data.detections import Detections
+
+GATE_PX, GATE_SHARE = 5.0, 0.3
+"""How far an image point may lie from where its strand leads: a length and a share of its last step."""
+FIRST_GATE_PX = 16.0
+"""How far a point may have moved from the first frame of its strand to the second [px]."""
+BEND = 0.8
+"""Share of its last change of speed with which a strand is carried on."""
+LONGEST_GAP = 2.6
+"""Longest time from an image point of a strand to the next, in the camera's periods."""
+
+
+@dataclass
+class _Open:
+    """Strands that may go on (k,): number, last place (k, 2) and time, and after it mean speed of the last step, its
+    middle and the change of speed [px/s^2]; NaN speed where there was no step yet.
+    """
+
+    number: Array
+    place: Array
+    last_s: Array
+    speed: Array
+    middle_s: Array
+    bend: Array
+
+    @classmethod
+    def begun(cls, number: Array, place: Array, now_s: float) -> "_Open":
+        k = len(number)
+        times = np.full(k, now_s)
+        return cls(number, place, times, np.full((k, 2), np.nan), times.copy(), np.zeros((k, 2)))
+
+    def only(self, keep: Array) -> "_Open":
+        return _Open(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
+
+    def plus(self, other: "_Open") -> "_Open":
+        names = self.__dataclass_fields__
+        return _Open(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
+
+    def way(self, now_s: float) -> Array:
+        """Return how far each one goes until ``now_s`` (k, 2) [px], NaN where it had no step yet."""
+        middle = 0.5 * (now_s + self.last_s)
+        speed = self.speed + BEND * self.bend * (middle - self.middle_s)[:, None]
+        return speed * (now_s - self.last_s)[:, None]
+
+    def goes_on(self, at: Array, place: Array, now_s: float) -> None:
+        """Take the next places (p, 2) of strands ``at`` (p,)."""
+        step = np.maximum(now_s - self.last_s[at], 1e-9)[:, None]
+        speed, middle = (place - self.place[at]) / step, 0.5 * (now_s + self.last_s[at])
+        apart = np.maximum(middle - self.middle_s[at], 1e-9)[:, None]
+        known: Array = np.all(np.isfinite(self.speed[at]), axis=1)
+        self.bend[at] = np.where(known[:, None], (speed - self.speed[at]) / apart, 0.0)
+        self.place[at], self.last_s[at], self.speed[at], self.middle_s[at] = place, now_s, speed, middle
+
+
+def strands(seen: Seen, longest_gap: float = LONGEST_GAP) -> Array:
+    """Return the strand (n,) of each image point of a camera.
+
+    ``longest_gap``: longest time from an image point of a strand to the next, in the camera's periods.
+    """
+    of_point = np.full(len(seen.xy_px), -1, dtype=np.int64)
+    following = 0
+    longest = longest_gap * seen.period_s
+    going = _Open.begun(np.empty(0, np.int64), np.empty((0, 2)), 0.0)
+    for f, now in enumerate((seen.frame_ns - seen.frame_ns[0]) * 1e-9):
+        rows = np.arange(seen.start[f], seen.start[f + 1])
+        xy = seen.xy_px[rows]
+        going = going.only(now - going.last_s <= longest)
+        at, to = _pairs(going.place, going.way(now), xy)
+        new = np.ones(len(rows), dtype=bool)
+        new[to] = False
+        of_point[rows[to]] = going.number[at]
+        of_point[rows[new]] = following + np.arange(int(new.sum()))
+        following += int(new.sum())
+        going.goes_on(at, xy[to], now)
+        going = going.plus(_Open.begun(of_point[rows[new]], xy[new], now))
+    return of_point
+
+
+def _pairs(place: Array, way: Array, xy: Array) -> tuple[Array, Array]:
+    """Return which open strands and which image points belong together, the least total distance."""
+    if not len(place) or not len(xy):
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    known: Array = np.all(np.isfinite(way), axis=1)
+    way = np.where(known[:, None], way, 0.0)
+    gate = np.where(known, GATE_PX + GATE_SHARE * np.linalg.norm(way, axis=1), FIRST_GATE_PX)
+    # in units of the gate: a strand whose way is known chooses sharply
+    away = cdist(place + way, xy) / gate[:, None]
+    allowed = away < 1.0
+    at, to = linear_sum_assignment(np.where(allowed, away, 1e3))
+    good = allowed[at, to]
+    return at[good], to[good]
+
+
+@dataclass(frozen=True, eq=False)
+class Between:
+    """Where strands were at instants: one row a strand and instant, sorted by instant.
+
+    ``instant`` (r,) its number; ``strand`` (r,); ``xy_px`` (r, 2); ``row`` (r,) the nearer one of the two image
+    points that the place lies between, ``other`` (r,) the second; ``speed_px`` (r, 2) [px/s].
+    """
+
+    instant: Array
+    strand: Array
+    xy_px: Array
+    row: Array
+    other: Array
+    speed_px: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """A camera's strands as pieces of curves, ready to be asked where they are.
+
+    Image points sorted by strand and time: ``order`` (n,) their numbers, ``strand``, ``time_s`` (n,), ``xy_px`` and
+    ``speed_px`` (n, 2). ``left`` (p,): those from which a piece leads to the next; ``last`` (p,): a strand's last.
+    """
+
+    order: Array
+    strand: Array
+    time_s: Array
+    xy_px: Array
+    speed_px: Array
+    left: Array
+    last: Array
+
+    @classmethod
+    def of(cls, seen: Seen, strand: Array, time_s: Array) -> "Paths":
+        """Return the paths of strands (n,) of image points at ``time_s`` (n,) [s]."""
+        order = np.lexsort((time_s, strand))
+        s, t, xy = strand[order], time_s[order], seen.xy_px[order]
+        same = (s[1:] == s[:-1]) & (t[1:] - t[:-1] <= LONGEST_GAP * seen.period_s)
+        left = np.flatnonzero(same)
+        last = np.ones(len(left), dtype=bool)
+        last[:-1] = left[1:] != left[:-1] + 1
+        return cls(order, s, t, xy, _speeds(s, t, xy), left, last)
+
+    def at(self, instants_s: Array) -> Between:
+        """Return where the strands were at ``instants_s`` (rising) [s].
+
+        Cubic Hermite polynomials through neighbouring image points; nothing is said beyond a strand's ends or across
+        gaps of more than LONGEST_GAP periods.
+        """
+        t, left = self.time_s, self.left
+        first = np.searchsorted(instants_s, t[left], "left")
+        # an instant at the very end belongs to the last piece
+        stop = np.searchsorted(instants_s, t[left + 1], "left")
+        stop[self.last] = np.searchsorted(instants_s, t[left[self.last] + 1], "right")
+        count = np.maximum(stop - first, 0)
+        a = np.repeat(left, count)
+        within = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
+        instant = np.repeat(first, count) + within
+        h = (t[a + 1] - t[a])[:, None]
+        u = (instants_s[instant] - t[a])[:, None] / h
+        v0, v1, p0, p1 = self.speed_px[a], self.speed_px[a + 1], self.xy_px[a], self.xy_px[a + 1]
+        place = (1 + 2 * u) * (1 - u) ** 2 * p0 + u * (1 - u) ** 2 * h * v0
+        place = place + u**2 * (3 - 2 * u) * p1 - u**2 * (1 - u) * h * v1
+        before = u[:, 0] < 0.5
+        sort = np.argsort(instant, kind="stable")
+        return Between(
+            instant[sort],
+            self.strand[a][sort],
+            place[sort],
+            self.order[np.where(before, a, a + 1)][sort],
+            self.order[np.where(before, a + 1, a)][sort],
+            ((1 - u) * v0 + u * v1)[sort],
+        )
+
+
+def _speeds(s: Array, t: Array, xy: Array) -> Array:
+    """Return the image speed (n, 2) at each point: the parabola through its neighbours, at ends the straight line."""
+    n = len(t)
+    speed = np.zeros((n, 2))
+    if n < 2:
+        return speed
+    h = np.maximum(t[1:] - t[:-1], 1e-9)
+    slope = (xy[1:] - xy[:-1]) / h[:, None]
+    same = s[1:] == s[:-1]
+    has_left, has_right = np.zeros(n, bool), np.zeros(n, bool)
+    has_left[1:], has_right[:-1] = same, same
+    left, right = np.zeros((n, 2)), np.zeros((n, 2))
+    left[1:], right[:-1] = slope, slope
+    hl, hr = np.ones(n), np.ones(n)
+    hl[1:], hr[:-1] = h, h
+    both = has_left & has_right
+    share = (hl / (hl + hr))[:, None]
+    speed = np.where(both[:, None], share * right + (1 - share) * left, 0.0)
+    speed = np.where((has_left & ~has_right)[:, None], left, speed)
+    return np.where((has_right & ~has_left)[:, None], right, speed)
+
+
+def detections_at(seen: Seen, places: Between, instant: int) -> tuple[Detections, Array]:
+    """Return the places of one instant as detections of the camera, and their strands."""
+    low, high = np.searchsorted(places.instant, [instant, instant + 1])
+    rows, others = places.row[low:high], places.other[low:high]
+    found = Detections(
+        seen.info.name,
+        places.xy_px[low:high],
+        0.5 * (seen.covariance_px2[rows] + seen.covariance_px2[others]),
+        0.5 * (seen.diameter_px[rows] + seen.diameter_px[others]),
+        np.maximum(seen.peak[rows], seen.peak[others]),
+        np.maximum(seen.elongation[rows], seen.elongation[others]),
+        seen.flags[rows] | seen.flags[others],
+    )
+    return found, places.strand[low:high]

@@ -1,0 +1,1 @@
+"""Least-squares estimation of continuous-time trajectories, camera clocks and poses."""

@@ -1,0 +1,191 @@
+"""Normal equations of curves: block-banded in time, bordered by unknowns that have no time.
+
+    [T  B] [x]   [g]
+    [B' C] [s] = [h]
+
+T is banded (a coefficient meets only its neighbours in time), so that all costs are linear in the duration. One
+``Band`` holds one group of unknowns that meet each other; groups meet only in s.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky_banded, lapack, solve_triangular
+
+from mosca.continuous.estimator.banded_kernels import add_rows, apply_rows
+from mosca.data.arrays import Array
+
+ROUNDING = 1e-13
+"""Of the largest number: what sums of many squares may have lost to rounding."""
+BLOCK = 48
+"""Smallest block of the selected inversion: below this the calls cost more than the sums."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """n equations ``J x + shared s = rest`` of standard deviation 1; see ``add_rows`` for the columns."""
+
+    first: Array
+    weights: Array
+    columns: Array
+    values: Array
+    shared: Array
+    rest: Array
+
+    def applied(self, x: Array, width: int) -> Array:
+        """Return J x (n,) of unknowns x (count * width,)."""
+        return apply_rows(x, width, self.first, self.weights, self.columns, self.values)
+
+
+class Band:
+    """T, g and B of one group: ``count`` coefficients in time of ``width`` unknowns each."""
+
+    def __init__(self, count: int, reach: int, width: int, shared: int) -> None:
+        self.count, self.reach, self.width = count, reach, width
+        self.band = np.zeros((reach * width, count * width), order="F")
+        self.right = np.zeros(count * width)
+        self.border = np.zeros((count * width, shared))
+
+    def add(self, rows: Rows) -> None:
+        """Add the squares of equations."""
+        add_rows(
+            self.band, self.right, self.border, self.width,
+            rows.first, rows.weights, rows.columns, rows.values, rows.shared, rows.rest,
+        )  # fmt: skip
+
+    def add_prior(self, gram: Array, precision: Array) -> None:
+        """Add ``gram`` (banded over time, lower) times ``precision`` (width, width) between the unknowns."""
+        blocks = self.band.T.reshape(self.count, self.width, -1)
+        for offset in range(gram.shape[0]):
+            scale = gram[offset, : self.count - offset]
+            for c in range(self.width):
+                # column c of block k holds rows from its own diagonal on
+                low = c if offset == 0 else 0
+                start = offset * self.width + low - c
+                into = blocks[: self.count - offset, c, start : start + self.width - low]
+                into += scale[:, None] * precision[low:, c]
+
+    def hold(self, x: Array) -> None:
+        """Hold every unknown where ``x`` (count * width,) has it, as firmly as the largest number's rounding."""
+        firm = ROUNDING * self.band[0].max()
+        self.band[0] += firm
+        self.right += firm * x
+
+    def factor(self) -> "Factor":
+        """Return the Cholesky factor; the band's memory goes with it."""
+        lower = cholesky_banded(self.band, overwrite_ab=False, lower=True, check_finite=False)
+        return Factor(lower, self.count, self.reach, self.width)
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """T = L L^T, L lower banded as LAPACK keeps it."""
+
+    lower: Array
+    count: int
+    reach: int
+    width: int
+
+    def solve(self, right: Array) -> Array:
+        """Return T^-1 right, (n,) or (n, b)."""
+        if right.size == 0:
+            return right
+        found, info = lapack.dpbtrs(self.lower, right, lower=1)
+        if info:
+            raise ValueError(f"banded solve: LAPACK dpbtrs returned {info}")
+        return np.asarray(found).reshape(right.shape)
+
+    def spread(self, random: Array) -> Array:
+        """Return L^-T random: standard normal numbers (n, b) become errors of covariance T^-1."""
+        found, info = lapack.dtbtrs(self.lower, random, uplo="L", trans="T")
+        if info:
+            raise ValueError(f"banded solve: LAPACK dtbtrs returned {info}")
+        return np.asarray(found).reshape(random.shape)
+
+    def log_determinant(self) -> float:
+        """Return log det T."""
+        return float(2 * np.log(self.lower[0]).sum())
+
+    def inverse_blocks(self, unknowns: int) -> Array:
+        """Return of T^-1 the blocks between coefficients k + o and k of each triple of unknowns.
+
+        (reach, count, unknowns, 3, 3) for o = 0 .. reach - 1 and the first ``unknowns`` triples; zero beyond the end.
+        The inverse within the band follows from L alone, from the end back (Takahashi 1973), here in dense blocks:
+        S_kk = L_kk^-T L_kk^-1 + G^T S_(k+1)(k+1) G with G = L_(k+1)k L_kk^-1, and S_(k+1)k = -S_(k+1)(k+1) G.
+        """
+        blocks = np.zeros((self.reach, self.count, unknowns, 3, 3))
+        for start, own, across in self._inverse():
+            self._keep(blocks, own, start, start, unknowns)
+            if across is not None:
+                self._keep(blocks, across, start + self.step, start, unknowns)
+        return blocks
+
+    @property
+    def step(self) -> int:
+        """Number of coefficients that the selected inversion takes at once."""
+        return max(self.reach - 1, -(-BLOCK // self.width))
+
+    def _inverse(self) -> Iterator[tuple[int, Array, Array | None]]:
+        """Yield from the end back: the first coefficient, T^-1 of its block, and with the next block."""
+        step = self.step
+        after: Array | None = None
+        after_size = 0
+        for start in reversed(range(0, self.count, step)):
+            size = min(step, self.count - start)
+            inner = self._dense(start, start, size, size)
+            inverse = solve_triangular(inner, np.eye(len(inner)), lower=True, check_finite=False)
+            own = inverse.T @ inverse
+            across = None
+            if after is not None:
+                ahead = self._dense(start + size, start, after_size, size) @ inverse
+                across = -after @ ahead
+                own -= ahead.T @ across
+            yield start, own, across
+            after, after_size = own, size
+
+    def _dense(self, row: int, column: int, rows: int, columns: int) -> Array:
+        """Return L between coefficients row.. and column.. as a dense matrix."""
+        w = self.width
+        i = row * w + np.arange(rows * w)[:, None]
+        j = column * w + np.arange(columns * w)[None, :]
+        offset = i - j
+        inside = (offset >= 0) & (offset < len(self.lower))
+        return np.where(
+            inside, self.lower[np.where(inside, offset, 0), np.broadcast_to(j, offset.shape)], 0.0
+        )
+
+    def _keep(self, blocks: Array, dense: Array, row: int, column: int, unknowns: int) -> None:
+        """Copy what lies within reach from S between coefficients row.. and column.. into ``blocks``."""
+        w = self.width
+        whole = dense.reshape(len(dense) // w, w, -1, w)[:, : 3 * unknowns, :, : 3 * unknowns]
+        triples = whole.reshape(whole.shape[0], unknowns, 3, whole.shape[2], unknowns, 3)
+        own = np.einsum("kpilpj->klpij", triples)
+        for a in range(own.shape[0]):
+            for b in range(own.shape[1]):
+                offset = row + a - column - b
+                if 0 <= offset < self.reach:
+                    blocks[offset, column + b] = own[a, b]
+
+
+def solve_bordered(
+    factors: list[Factor], rights: list[Array], borders: list[Array], corner: Array, corner_right: Array
+) -> tuple[list[Array], Array, list[Array], Array]:
+    """Solve the bordered system of groups.
+
+    Returns the groups' x, s (b,), the groups' T^-1 B and the covariance of s (b, b).
+    """
+    reduced, right = corner.copy(), corner_right.copy()
+    firsts, carried = [], []
+    for factor, g, border in zip(factors, rights, borders, strict=True):
+        firsts.append(factor.solve(g))
+        carried.append(factor.solve(border))
+        reduced -= border.T @ carried[-1]
+        right -= border.T @ firsts[-1]
+    if not len(corner):
+        return firsts, np.empty(0), carried, np.empty((0, 0))
+    # offsets [s], drifts and angles differ by orders of magnitude: made alike before inverting
+    scale = 1 / np.sqrt(np.diag(corner))
+    covariance = scale[:, None] * np.linalg.inv(scale[:, None] * reduced * scale) * scale
+    shared = covariance @ right
+    return [x - c @ shared for x, c in zip(firsts, carried, strict=True)], shared, carried, covariance

@@ -1,0 +1,250 @@
+"""Curves of all points, cameras' poses and clocks from all exposures at their own times, with covariances.
+
+The walk: refuse what cannot be used -> each point by itself, smooth as the data say -> all points together, whose
+accelerations are learned together -> constant distances found and used -> what the data cannot tell is held and said.
+"""
+
+import time as stopwatch
+from dataclasses import replace
+
+import numpy as np
+
+from mosca.continuous.estimator import clocks as clock_rules
+from mosca.continuous.estimator.checks import check
+from mosca.continuous.estimator.constant_distances import NO_PAIRS, Pairs, find_pairs, joined, learned
+from mosca.continuous.estimator.gauss_newton import Solved, curves_of, draws, sigma0, step
+from mosca.continuous.estimator.initial import (
+    enough,
+    first_covariance,
+    first_knots,
+    grouped,
+    moving_start,
+    seen_from_to,
+    still_of,
+)
+from mosca.continuous.estimator.motion_prior import ORDERS, expected_accelerations, liveliness, shrunk
+from mosca.continuous.estimator.observation_equations import ImagePoints
+from mosca.continuous.estimator.residual_covariance import unheld
+from mosca.continuous.estimator.single_point import first_curves
+from mosca.continuous.estimator.state import Layout, State, layout
+from mosca.continuous.observations import CameraPaths, Curves, Observations
+from mosca.continuous.result import (
+    Clock,
+    ConstantDistance,
+    ContinuousSettings,
+    Estimated,
+)
+from mosca.data.arrays import Array
+from mosca.data.rig import Rig
+
+__all__ = ["Clock", "ConstantDistance", "ContinuousSettings", "Estimated", "estimate"]
+DRAWS = 12
+"""Curves drawn from the posterior at each round; each has hundreds of accelerations to learn from."""
+LARGEST_SIGMA0 = 1.5
+JOINED_AT = 1
+"""The round from which on curves have learned from each other, so that distances can be looked at."""
+SPOILT = 0.1
+"""Where more than this share of distances is dropped at once, what was learned with them is learned anew."""
+SETTLING = 2
+"""In so many last rounds no new distances are looked for: what is new must still loosen or tighten."""
+ROUNDS_ALONE = 2
+MOST_ROUNDS = 20
+FEWEST_ROUNDS = 4
+STILL = 1e-3
+"""The smallest acceleration that moving cameras are taken to have: rad/s^2 or m/s^2 in a band of one hertz."""
+AT_REST_M = 2e-4
+NEARLY_ONE = 1.1
+"""Clocks and poses are settled when curves move less than this, and image errors are about as large as stated."""
+
+
+def estimate(
+    observations: Observations,
+    rig: Rig,
+    settings: ContinuousSettings | None = None,
+    start: Curves | None = None,
+    paths: CameraPaths | None = None,
+) -> Estimated:
+    """Return the curves of all points that no camera carries, cameras' paths and clocks, with covariances.
+
+    ``rig``: lenses and poses; the poses are right ("known") or a start. ``start``: curves to begin with, ``paths``:
+    cameras' paths to begin with ("moving"), by default the rig's poses. Gauge of unknown cameras: the first stays
+    where the rig has it; the scale is the start's and is said to be unknown. InputError in one line for equal or
+    unsorted time stamps, cameras without common time, too short a recording.
+    """
+    began = stopwatch.perf_counter()
+    settings = ContinuousSettings() if settings is None else settings
+    check(observations, rig)
+    told: list[str] = []
+    used = observations
+    if settings.cameras == "known":
+        used = observations.only(observations.carried_by[observations.point] < 0)
+    image = ImagePoints(used, rig)
+    points = enough(used, told)
+    spans = seen_from_to(used, used.time_s)
+    still = still_of(rig, observations.cameras)
+    knots = first_knots(used, settings)
+    clock_free = clock_rules.free_unknowns(settings.clocks, len(observations.cameras))
+    xyz = np.zeros((knots.count, len(observations.points), 3))
+    state = State(knots, xyz, still, moving_start(settings, still, paths, knots), np.zeros(clock_free.shape))
+    alone = layout(
+        tuple(np.array([p]) for p in points), len(still.cameras), "known", np.zeros_like(clock_free)
+    )
+    held = np.zeros_like(clock_free)
+    # paths that are given are near: noise taken for larger would hide from cameras how little they move
+    begun = settings.cameras == "moving" and paths is not None and settings.clocks == "known"
+    known = settings.clocks == "known" and settings.cameras == "known"
+    state, strength, noise = first_curves(image, state, alone, points, start, not (known or begun))
+    of_cameras = np.zeros((0, 0))
+    if not known:
+        state, held, of_cameras = _settled(image, state, points, settings, strength, noise, clock_free)
+        # what was learned while clocks and poses were wrong took their errors for motion: learned anew, from rays,
+        # since image points that a start is far from (jumps) count little and would never come back
+        state, strength, _ = first_curves(image, replace(state, order=ORDERS[0]), alone, points, None, False)
+    groups = grouped(state, points, settings)
+    places = layout(groups, len(still.cameras), settings.cameras, clock_free & ~held)
+    covariances = _first_covariances(points, strength, places)
+    if places.moving:
+        covariances[0][3 * len(points) :, 3 * len(points) :] = of_cameras
+    seen = np.isin(np.arange(len(observations.points)), points)
+    solved, covariances, pairs = _rounds(image, state, places, covariances, settings, seen, spans)
+    rng = np.random.default_rng(0)
+    size = sigma0(solved, places, draws(solved, places, DRAWS, rng))
+    told += clock_rules.findings(observations.cameras, held)
+    if settings.cameras != "known":
+        told.append(
+            "scale: no length is given, so that it is the start's; give a known distance to make it metres"
+        )
+    if size > LARGEST_SIGMA0:
+        told.append(
+            f"image errors are {size:.1f} times as large as stated: look at clocks, calibration and names"
+        )
+    curves = curves_of(
+        solved,
+        places,
+        covariances,
+        observations,
+        seen_from_to(used, image.times(solved.state)),
+        unheld(image, solved, places, alone, points),
+    )
+    names = observations.points
+    found = tuple(
+        ConstantDistance(names[i], names[j], float(d), float(s))
+        for (i, j), d, s in zip(pairs.pair, pairs.distance, pairs.slack, strict=True)
+    )
+    times = clock_rules.results(observations.cameras, places, solved.state.clocks, solved.covariance, held)
+    return Estimated(
+        curves, solved.state.paths, tuple(times), found, tuple(told), size, stopwatch.perf_counter() - began
+    )
+
+
+def _first_covariances(points: Array, strength: Array, places: Layout) -> list[Array]:
+    of_point = dict(zip(points.tolist(), strength, strict=True))
+    return [first_covariance(of_point, places, g) for g in range(len(places.groups))]
+
+
+def _settled(
+    image: ImagePoints, state: State, points: Array, settings: ContinuousSettings, strength: Array,
+    noise: float, clock_free: Array,
+) -> tuple[State, Array, Array]:  # fmt: skip
+    """Return the state with clocks and poses come to rest, which clock unknowns cannot be told and are held, and how
+    moving cameras move: their part of the prior's covariance.
+    """
+    rng = np.random.default_rng(0)
+    places = layout(grouped(state, points, settings), len(state.still.cameras), settings.cameras, clock_free)
+    covariances = _first_covariances(points, strength, places)
+    for k in range(MOST_ROUNDS):
+        solved = step(image, state, places, covariances, NO_PAIRS, noise)
+        state = solved.state
+        if k >= FEWEST_ROUNDS and solved.moved < AT_REST_M and noise < NEARLY_ONE:
+            break
+        drawn = draws(solved, places, DRAWS, rng)
+        if noise > 1:
+            # what clocks and poses that are not right yet do looks like noise, and shrinks as they come right
+            noise = max(1.0, noise * sigma0(solved, places, drawn))
+        covariances = _learned(state, places, drawn, covariances)
+    held = clock_rules.untold(places, solved.covariance)
+    return (
+        replace(state, clocks=np.where(held, 0.0, state.clocks)),
+        held,
+        covariances[0][3 * len(places.groups[0]) :, 3 * len(places.groups[0]) :],
+    )
+
+
+def _learned(state: State, places: Layout, drawn: list[Array], before: list[Array]) -> list[Array]:
+    """Return the prior's covariance of each group as its drawn curves have it.
+
+    Expectation-maximisation creeps where data say little, as of cameras that stand still: their deviations take a
+    step of twice its length, and stay above ``STILL``.
+    """
+    count, result = state.knots.count, []
+    for points, curves, old in zip(places.groups, drawn, before, strict=True):
+        new = shrunk(expected_accelerations(state.knots, curves, state.order, state.pace), count)
+        if places.moving:
+            free = np.arange(len(new)) >= 3 * len(points)
+            ratio = np.sqrt(np.diag(new) / np.diag(old))
+            smaller = np.where(free, np.minimum(ratio, 1.0), 1.0)
+            smaller = np.where(free, np.maximum(smaller, STILL / np.sqrt(np.diag(new))), 1.0)
+            new = new * smaller[:, None] * smaller
+        result.append(new)
+    return result
+
+
+def _rounds(
+    image: ImagePoints, state: State, places: Layout, covariances: list[Array], settings: ContinuousSettings,
+    known: Array, spans: Array,
+) -> tuple[Solved, list[Array], Pairs]:  # fmt: skip
+    """Step and learn in turn; constant distances are sought once curves are joined, and once more with their help."""
+    rng = np.random.default_rng(0)
+    pairs, before = NO_PAIRS, (covariances, state.pace)
+    left: set[tuple[int, int]] = set()
+    last = JOINED_AT + (settings.rounds if settings.limbs else 1)
+    for k in range(MOST_ROUNDS):
+        solved = step(image, state, places, covariances, pairs)
+        state = solved.state
+        if k == last:
+            break
+        drawn = draws(solved, places, DRAWS, rng)
+        pace = liveliness(state.knots, drawn, covariances, state.order)
+        state = replace(state, pace=pace / np.exp(np.log(pace).mean()))
+        covariances = _learned(state, places, drawn, covariances)
+        if k == JOINED_AT:
+            before = covariances, state.pace
+        if settings.limbs and k >= JOINED_AT:
+            had = len(pairs)
+            pairs, dropped = _pairs(
+                pairs, state, places, drawn, known, spans, left if k < last - SETTLING else None
+            )
+            left |= dropped
+            if len(dropped) > SPOILT * had:
+                # false distances bent curves, and what was learned from them is not motion
+                covariances, state = before[0], replace(state, pace=before[1])
+                last = min(k + settings.rounds, MOST_ROUNDS - 1)
+            elif not had and not len(pairs):
+                # nothing to learn slowly: curves alone settle soon
+                last = min(last, JOINED_AT + ROUNDS_ALONE)
+    return solved, covariances, pairs
+
+
+def _pairs(
+    pairs: Pairs, state: State, places: Layout, drawn: list[Array], known: Array, spans: Array,
+    left: set[tuple[int, int]] | None,
+) -> tuple[Pairs, set[tuple[int, int]]]:  # fmt: skip
+    """Return the constant distances as the drawn curves have them, and those that do not hold and were dropped.
+
+    New ones are looked for, too, but none of ``left``, which were taken once and did not hold; None: not any more.
+    """
+    whole = np.zeros((DRAWS, *state.xyz.shape))
+    group = np.full(len(known), -1)
+    for g, (points, curves) in enumerate(zip(places.groups, drawn, strict=True)):
+        group[points] = g
+        whole[:, :, points] = curves[:, :, : 3 * len(points)].reshape(DRAWS, state.knots.count, -1, 3)
+    kept, tells = learned(pairs, state.knots, whole)
+    dropped = {(i, j) for i, j in kept.only(~tells).pair.tolist()}
+    kept = kept.only(tells)
+    if left is None:
+        return kept, dropped
+    new = find_pairs(state.knots, state.xyz, whole, known, spans)
+    new = new.only(group[new.pair[:, 0]] == group[new.pair[:, 1]])
+    had = {(i, j) for i, j in pairs.pair.tolist()} | left
+    new = new.only(np.array([(i, j) not in had for i, j in new.pair.tolist()], dtype=bool))
+    return joined([kept, new]), dropped

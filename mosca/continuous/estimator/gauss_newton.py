@@ -1,0 +1,289 @@
+"""One Gauss-Newton step on all curves, poses and clocks at once, and curves drawn from what it leaves open."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import LinAlgError
+
+from mosca.continuous.estimator import clocks
+from mosca.continuous.estimator.banded_normals import Band, Factor, Rows, solve_bordered
+from mosca.continuous.estimator.bspline import values
+from mosca.continuous.estimator.constant_distances import Pairs, limb_rows
+from mosca.continuous.estimator.motion_prior import FARTHEST_M, expected_accelerations
+from mosca.continuous.estimator.observation_equations import ImagePoints, Seen, robust_weights, weighted
+from mosca.continuous.estimator.state import Layout, State, replaced, unknowns
+from mosca.continuous.observations import Observations
+from mosca.continuous.result import SplineCurves
+from mosca.data.arrays import Array
+
+HALVINGS = 6
+HELD = 1e12
+"""Precision of what is held: far beyond images."""
+FRAME = (1e-4, 0.2)
+"""How far moving cameras may be from their start, rad or m a knot: the first, the others."""
+DRIFT_OF_FRAME = (1.0, 1.0)
+"""Where no frame is given (cameras unknown) the start holds it, this loosely: rad and m, standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A state and what is left open around it.
+
+    ``carried``: each group's T^-1 B; ``covariance`` of the shared unknowns; ``rows``: each group's weighted equations
+    of image points; ``weight`` and ``residual`` of image points; ``moved``: largest change of a coefficient [m].
+    """
+
+    state: State
+    factors: list[Factor]
+    carried: list[Array]
+    covariance: Array
+    rows: list[Rows]
+    weight: Array
+    residual: Array
+    moved: float
+
+
+def step(
+    image: ImagePoints,
+    state: State,
+    places: Layout,
+    covariances: list[Array],
+    pairs: Pairs,
+    noise: float = 1.0,
+) -> Solved:
+    """Return the state after one step with the prior's ``covariances`` (Q of each group) and constant distances.
+
+    ``noise``: image errors are taken to be so many times larger than stated.
+    """
+    seen = image.linearised(state, places)
+    weight = robust_weights(seen.residual / noise) / noise**2
+    knots, base = state.knots, 3 * len(image.observations.points)
+    corner, corner_right = _shared_prior(places, state)
+    factors, rights, borders, parts = [], [], [], []
+    for g in range(len(places.groups)):
+        width = places.width(g)
+        own = _of_group(seen, weight, places, g, image, base)
+        limb = limb_rows(
+            pairs, places.column(g, len(image.observations.points)), knots, state.xyz, places.shared
+        )
+        x = unknowns(state, places, g)
+        band = Band(knots.count, knots.degree + 1, width, places.shared)
+        for rows in (own, limb, frame_rows(state, places, g)):
+            # a step from x and the whole of x are the same equations; the prior wants the whole
+            whole = rows.rest + rows.applied(x, width)
+            band.add(Rows(rows.first, rows.weights, rows.columns, rows.values, rows.shared, whole))
+        corner += own.shared.T @ own.shared
+        corner_right += own.shared.T @ (own.rest + own.applied(x, width))
+        add_prior(band, state, places, g, covariances[g])
+        rights.append(band.right)
+        borders.append(band.border)
+        try:
+            factors.append(band.factor())
+        except LinAlgError:
+            # what images tell by less than the rounding errors of what they tell best: stays where it is
+            band.hold(x)
+            rights[-1] = band.right
+            factors.append(band.factor())
+        parts.append(own)
+    found, shared, carried, covariance = solve_bordered(factors, rights, borders, corner, corner_right)
+    new = replaced(state, places, found, shared)
+    if places.moving or places.shared:
+        new = _short_enough(image, state, new, found, shared, places, covariances, pairs, weight)
+    moved = float(np.abs(new.xyz - state.xyz).max(initial=0.0))
+    return Solved(new, factors, carried, covariance, parts, weight, seen.residual, moved)
+
+
+def add_prior(band: Band, state: State, places: Layout, group: int, covariance: Array) -> None:
+    """Add the smoothness prior of a group, and what keeps unknowns that nothing determines finite."""
+    knots, width, points = state.knots, places.width(group), 3 * len(places.groups[group])
+    band.add_prior(
+        knots.gram(state.order, None if state.pace is None else 1 / state.pace), np.linalg.inv(covariance)
+    )
+    loose = np.full(width, FARTHEST_M**-2)
+    if places.moving:
+        sigma = np.array([DRIFT_OF_FRAME[0]] * 3 + [FARTHEST_M] * 3)
+        loose[points:] = np.tile(sigma**-2, places.cameras)
+    band.add_prior(knots.gram(0), np.diag(loose))
+
+
+def draws(solved: Solved, places: Layout, number: int, rng: np.random.Generator) -> list[Array]:
+    """Return of each group curves drawn from the posterior, (number, count, width)."""
+    shared = np.zeros((places.shared, number))
+    if places.shared:
+        shared = np.linalg.cholesky(solved.covariance) @ rng.normal(size=(places.shared, number))
+    drawn = []
+    for g, (factor, carried) in enumerate(zip(solved.factors, solved.carried, strict=True)):
+        error = factor.spread(np.asfortranarray(rng.normal(size=(factor.count * factor.width, number))))
+        error = error - carried @ shared
+        whole = unknowns(solved.state, places, g)[:, None] + error
+        drawn.append(whole.T.reshape(number, factor.count, factor.width))
+    return drawn
+
+
+def sigma0(solved: Solved, places: Layout, drawn: list[Array]) -> float:
+    """Return the residuals' size in the standard deviations that ``step`` took, what was fitted to them taken off.
+
+    The fit's degrees of freedom are trace(H^-1 J^T J): the mean square of what drawn curves change in the images.
+    """
+    square = number = fitted = 0.0
+    for g, rows in enumerate(solved.rows):
+        x = unknowns(solved.state, places, g)
+        for one in drawn[g]:
+            fitted += float((rows.applied(one.ravel() - x, places.width(g)) ** 2).sum()) / len(drawn[g])
+        number += len(rows.rest)
+        square += float((rows.rest**2).sum())
+    return float(np.sqrt(square / max(number - fitted, 0.05 * number, 1.0)))
+
+
+def curves_of(
+    solved: Solved,
+    places: Layout,
+    covariances: list[Array],
+    observations: Observations,
+    spans: Array,
+    unheld: Array,
+) -> SplineCurves:
+    """Return the curves of all free points with their covariances; those that were left out are known nowhere.
+
+    ``covariances``: the prior's; white noise Q of derivative m has the spectrum Q / w^(2 m), of which splines hold
+    what lies below pi / step; the rest is Q step^(2 m - 1) / ((2 m - 1) pi^(2 m)). ``spans`` (points, 2): from when
+    to when each point was seen [s]; ``unheld`` (pieces + 1, points, 3, 3): see
+    ``SplineCurves``.
+    """
+    state, free = solved.state, observations.free
+    knots, n = state.knots, len(observations.points)
+    blocks = np.zeros((knots.degree + 1, knots.count, n, 3, 3))
+    carried = np.zeros((knots.count, n, 3, places.shared))
+    beyond = np.zeros((n, 3, 3))
+    odd = 2 * state.order - 1
+    rest = knots.step_s**odd / (odd * np.pi ** (odd + 1))
+    estimated = np.zeros(n, dtype=bool)
+    for g, (points, factor) in enumerate(zip(places.groups, solved.factors, strict=True)):
+        blocks[:, :, points] = factor.inverse_blocks(len(points))
+        of_group = solved.carried[g].reshape(knots.count, factor.width, places.shared)
+        carried[:, points] = of_group[:, : 3 * len(points)].reshape(
+            knots.count, len(points), 3, places.shared
+        )
+        estimated[points] = True
+        at = np.arange(3 * len(points)).reshape(-1, 3)
+        beyond[points] = covariances[g][at[:, :, None], at[:, None, :]] * rest
+    spans = np.where(estimated[:, None], spans, (np.inf, -np.inf))
+    return SplineCurves(
+        tuple(observations.points[p] for p in free), knots, state.xyz[:, free], blocks[:, :, free],
+        carried[:, free], solved.covariance, beyond[free], state.pace_at_knots, unheld[:, free],
+        spans[free, 0], spans[free, 1],
+    )  # fmt: skip
+
+
+def of_group(image: ImagePoints, places: Layout, group: int) -> Array:
+    """Return the mask of the image points whose equations a group holds; carried points are with the first."""
+    inside = np.zeros(len(image.observations.points), dtype=bool)
+    inside[places.groups[group]] = True
+    return np.where(image.carrier >= 0, group == 0, inside[image.observations.point])
+
+
+def _of_group(seen: Seen, weight: Array, places: Layout, group: int, image: ImagePoints, base: int) -> Rows:
+    """Return the weighted equations of a group's image points in the group's own columns."""
+    points = len(image.observations.points)
+    rows = weighted(seen.rows, weight * of_group(image, places, group))
+    table = np.full(base + 6 * places.cameras + 1, -1)
+    begin = places.column(group, points)
+    for k in range(3):
+        table[k:base:3] = np.where(begin >= 0, begin + k, -1)
+    if places.moving:
+        table[base:-1] = 3 * len(places.groups[group]) + np.arange(6 * places.cameras)
+    return Rows(rows.first, rows.weights, table[rows.columns], rows.values, rows.shared, rows.rest)
+
+
+def _shared_prior(places: Layout, state: State) -> tuple[Array, Array]:
+    precision, right = clocks.prior(places, state.clocks)
+    if places.still_free:
+        loose = np.repeat(np.array(DRIFT_OF_FRAME) ** -2.0, 3) * 1e-4
+        precision[: 6 * places.cameras] += np.tile(loose, places.cameras)
+        precision[:6] += HELD
+    matrix = np.diag(precision)
+    if places.still_free:
+        # the gauge: the first camera is where the rig has it, and the second's distance to it is the scale
+        apart = state.still.centres[1] - state.still.centres[0]
+        matrix[9:12, 9:12] += HELD * np.outer(apart, apart) / (apart @ apart)
+    return matrix, right
+
+
+def frame_rows(state: State, places: Layout, group: int) -> Rows:
+    """Return equations that hold the frame of moving cameras: each is near its start, the first very near, and so is
+    the second's distance to the first.
+
+    Only what the cameras see of each other and of points is observed, so that the whole may drift, turn and grow as
+    one at every instant; ``FRAME`` says how far, and is far looser than images are where images can tell.
+    """
+    knots, moving = state.knots, state.moving
+    time, cameras = knots.breaks_s, places.cameras if moving is not None else 0
+    first, weight = knots.weights(time)
+    n = len(time) * cameras * 6
+    if moving is None:
+        return Rows(
+            first[:0],
+            weight[:0],
+            np.zeros((0, 1), int),
+            np.zeros((0, 1)),
+            np.zeros((0, places.shared)),
+            time[:0],
+        )
+    wanted = values(knots, moving.frame, time)
+    sigma = np.where(np.arange(cameras)[:, None] == 0, FRAME[0], FRAME[1])
+    rest = (wanted - values(knots, moving.coefficients, time)) / sigma
+    begin = 3 * len(places.groups[group])
+    columns = np.full((n, 3), -1)
+    columns[:, 0] = begin + np.tile(np.arange(cameras * 6), len(time))
+    by = np.zeros((n, 3))
+    by[:, 0] = np.broadcast_to(1 / sigma, rest.shape).ravel()
+    each = np.repeat(np.arange(len(time)), cameras * 6)
+    base = wanted[:, 1, 3:] - wanted[:, 0, 3:]
+    base /= np.maximum(np.linalg.norm(base, axis=1), 1e-9)[:, None] * FRAME[0]
+    apart = (rest * sigma)[:, 1, 3:]
+    return Rows(
+        np.append(first[each], first), np.concatenate([weight[each], weight]),
+        np.concatenate([columns, np.tile(begin + 9 + np.arange(3), (len(time), 1))]),
+        np.concatenate([by, base]), np.zeros((n + len(time), places.shared)),
+        np.append(rest.ravel(), (base * apart).sum(axis=1)),
+    )  # fmt: skip
+
+
+def _short_enough(
+    image: ImagePoints, old: State, new: State, found: list[Array], shared: Array, places: Layout,
+    covariances: list[Array], pairs: Pairs, weight: Array,
+) -> State:  # fmt: skip
+    """Return the new state, or one nearer to the old where the step made things worse."""
+    best = cost(image, old, places, covariances, pairs, weight)
+    start = [unknowns(old, places, g) for g in range(len(places.groups))]
+    share = 1.0
+    for _ in range(HALVINGS):
+        if cost(image, new, places, covariances, pairs, weight) <= best:
+            return new
+        share /= 2
+        between = [a + share * (b - a) for a, b in zip(start, found, strict=True)]
+        new = replaced(old, places, between, share * shared)
+    return old
+
+
+def cost(
+    image: ImagePoints, state: State, places: Layout, covariances: list[Array], pairs: Pairs, weight: Array
+) -> float:
+    """Return the weighted squares of image errors, of the prior and of constant distances."""
+    residual = image.residuals(state)[weight > 0]
+    if not np.isfinite(residual).all():
+        return float("inf")
+    total = float((weight[weight > 0, None] * residual**2).sum())
+    knots = state.knots
+    for g, covariance in enumerate(covariances):
+        table = unknowns(state, places, g).reshape(1, knots.count, -1)
+        second = expected_accelerations(knots, table, state.order, state.pace) * (knots.count - state.order)
+        total += float((np.linalg.inv(covariance) * second).sum())
+        if places.moving:
+            total += float((frame_rows(state, places, g).rest ** 2).sum())
+    if len(pairs):
+        at = values(knots, state.xyz, knots.breaks_s)
+        length = np.linalg.norm(at[:, pairs.pair[:, 0]] - at[:, pairs.pair[:, 1]], axis=2)
+        total += float((((length - pairs.distance) / pairs.slack) ** 2).sum())
+    offsets = np.where(places.clock >= 0, state.clocks / np.array(clocks.BEFORE), 0.0)
+    return total + float((offsets**2).sum())

@@ -1,0 +1,210 @@
+"""Equations of image points: each at its own instant, of its own camera's pose then."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mosca.camera.projection import cross_matrices, lens_directions, project_with_jacobians
+from mosca.continuous.estimator.banded_normals import Rows
+from mosca.continuous.estimator.bspline import values
+from mosca.continuous.estimator.state import Layout, State, instants
+from mosca.continuous.observations import Observations
+from mosca.data.arrays import Array
+from mosca.data.rig import Camera, Pose, Rig
+
+MOMENT_S = 1e-5
+"""Step of the derivative by time; positions are smooth over it and far above rounding."""
+HUBER = 3.0
+"""Image errors up to so many standard deviations count fully; beyond, ever less."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Image points at a state: ``residual`` (n, 2) in standard deviations, NaN where the lens images nothing;
+    ``rows`` 2 n equations with whole-problem columns (3 a point, then 6 a moving camera), not yet weighted.
+    """
+
+    residual: Array
+    rows: Rows
+
+
+@dataclass(frozen=True, eq=False)
+class _Near:
+    """Image points in their cameras' frames: ``v`` (n, 3), and the poses and carried points they were made with."""
+
+    v: Array
+    rotation: Array
+    carrier_rotation: Array
+    turn: Array
+    carrier_turn: Array
+
+
+class ImagePoints:
+    """Image points with what does not change while estimating: whitening, lenses, carriers."""
+
+    def __init__(self, observations: Observations, rig: Rig) -> None:
+        self.observations = observations
+        here = Pose(np.eye(3), np.zeros(3))
+        self.lenses = [
+            Camera(c.name, c.width, c.height, c.lens, here)
+            for c in (rig.camera(n) for n in observations.cameras)
+        ]
+        self.lens_px = np.array([rig.camera(n).residual_px for n in observations.cameras])
+        self.whitening = np.linalg.inv(np.linalg.cholesky(observations.covariance_px2))
+        self.carrier = observations.carried_by[observations.point]
+        self.mask = [observations.camera == c for c in range(len(self.lenses))]
+
+    def times(self, state: State) -> Array:
+        """Return when each image point was exposed [s]."""
+        o = self.observations
+        return instants(o.camera, o.time_s, o.xy_px[:, 1], state.clocks)
+
+    def _project(self, v: Array) -> tuple[Array, Array]:
+        xy, by_v = np.empty((len(v), 2)), np.empty((len(v), 2, 3))
+        for camera, own in zip(self.lenses, self.mask, strict=True):
+            projected = project_with_jacobians(camera, v[own])
+            xy[own], by_v[own] = projected.xy_px, projected.by_point
+        return xy, by_v
+
+    def _near(self, state: State, time_s: Array) -> _Near:
+        o = self.observations
+        first, weight = state.knots.weights(time_s)
+        reached = first[:, None] + np.arange(weight.shape[1])
+        world = np.einsum("na,nai->ni", weight, state.xyz[reached, o.point[:, None]])
+        if state.moving is None:
+            rotations, centres = state.still.rotations, state.still.centres
+            rotation, centre = rotations[o.camera], centres[o.camera]
+            other, other_centre = rotations[self.carrier], centres[self.carrier]
+            turn = other_turn = np.zeros((0, 3))
+        else:
+            # all points of an exposure share its instant, at which every camera's pose is asked for once
+            instant, which = np.unique(time_s, return_inverse=True)
+            all_rotations, all_centres = state.moving.at(instant)
+            rotation, centre = all_rotations[which, o.camera], all_centres[which, o.camera]
+            other, other_centre = all_rotations[which, self.carrier], all_centres[which, self.carrier]
+            change = values(state.knots, state.moving.coefficients, instant)
+            turn, other_turn = change[which, o.camera, :3], change[which, self.carrier, :3]
+        is_carried = self.carrier >= 0
+        if is_carried.any():
+            at = o.carried_at[o.point]
+            world = np.where(is_carried[:, None], other_centre + np.einsum("nij,nj->ni", other, at), world)
+        v = np.einsum("nji,nj->ni", rotation, world - centre)
+        return _Near(v, rotation, other, turn, other_turn)
+
+    def rays(self, state: State, depth: Array) -> Seen:
+        """Return equations linear in the points: how far rays pass by, in the image at a ``depth`` (n,) [m]."""
+        o = self.observations
+        time_s = self.times(state)
+        directions = np.full((len(o), 3), np.nan)
+        for camera, own in zip(self.lenses, self.mask, strict=True):
+            directions[own] = lens_directions(camera.lens, o.xy_px[own])
+        by_v = self._project(directions)[1] / depth[:, None, None]
+        if state.moving is None:
+            rotation, centre = state.still.rotations[o.camera], state.still.centres[o.camera]
+        else:
+            instant, which = np.unique(time_s, return_inverse=True)
+            all_rotations, all_centres = state.moving.at(instant)
+            rotation, centre = all_rotations[which, o.camera], all_centres[which, o.camera]
+        by_point = self.whitening @ by_v @ np.swapaxes(rotation, 1, 2)
+        rest = np.einsum("nij,nj->ni", by_point, centre)
+        return Seen(rest, self._rows(state, time_s, by_point, rest, np.zeros((len(o), 2, 0))))
+
+    def depths(self, state: State) -> Array:
+        """Return the distances (n,) of the points from their cameras [m]."""
+        return np.linalg.norm(self._near(state, self.times(state)).v, axis=1)
+
+    def residuals(self, state: State) -> Array:
+        """Return measured minus predicted (n, 2) in standard deviations."""
+        xy, _ = self._project(self._near(state, self.times(state)).v)
+        return np.asarray(np.einsum("nij,nj->ni", self.whitening, self.observations.xy_px - xy))
+
+    def linearised(self, state: State, places: Layout) -> Seen:
+        """Return residuals and their equations at ``state``."""
+        o = self.observations
+        time_s = self.times(state)
+        near = self._near(state, time_s)
+        xy, by_v = self._project(near.v)
+        residual = np.einsum("nij,nj->ni", self.whitening, o.xy_px - xy)
+        by_v = self.whitening @ by_v
+        by_point = by_v @ np.swapaxes(near.rotation, 1, 2)
+        shared = np.zeros((len(o), 2, places.shared))
+        if (places.clock >= 0).any():
+            later = self._near(state, time_s + MOMENT_S).v
+            by_time = np.einsum("nij,nj->ni", by_v, (later - near.v) / MOMENT_S)
+            for kind, lever in enumerate((np.ones(len(o)), o.time_s, o.xy_px[:, 1])):
+                column = places.clock[o.camera, kind]
+                rows = np.flatnonzero(column >= 0)
+                shared[rows, :, column[rows]] = by_time[rows] * lever[rows, None]
+        if not (places.moving or places.still_free):
+            return Seen(residual, self._rows(state, time_s, by_point, residual, shared))
+        poses = np.concatenate([by_v @ cross_matrices(near.v), -by_point], axis=2)
+        carried = -by_point @ near.carrier_rotation @ cross_matrices(o.carried_at[o.point])
+        others = np.concatenate([carried, by_point], axis=2)
+        if places.still_free:
+            for k in range(places.cameras):
+                shared[o.camera == k, :, 6 * k : 6 * k + 6] += poses[o.camera == k]
+                shared[self.carrier == k, :, 6 * k : 6 * k + 6] += others[self.carrier == k]
+            return Seen(residual, self._rows(state, time_s, by_point, residual, shared))
+        poses[:, :, :3] = poses[:, :, :3] @ _right_jacobians(near.turn)
+        others[:, :, :3] = others[:, :, :3] @ _right_jacobians(near.carrier_turn)
+        return Seen(residual, self._rows(state, time_s, by_point, residual, shared, poses, others))
+
+    def _rows(
+        self, state: State, time_s: Array, by_point: Array, rest: Array, shared: Array,
+        poses: Array | None = None, others: Array | None = None,
+    ) -> Rows:  # fmt: skip
+        o = self.observations
+        first, weight = state.knots.weights(time_s)
+        point = np.where((self.carrier < 0)[:, None], 3 * o.point[:, None] + np.arange(3), -1)
+        columns, by = [point], [by_point]
+        if poses is not None and others is not None:
+            base = 3 * len(o.points)
+            columns.append(base + 6 * o.camera[:, None] + np.arange(6))
+            by.append(poses)
+            if (self.carrier >= 0).any():
+                of_carrier = base + 6 * self.carrier[:, None] + np.arange(6)
+                columns.append(np.where((self.carrier >= 0)[:, None], of_carrier, -1))
+                by.append(others)
+        joined = np.concatenate(by, axis=2)
+        return Rows(
+            np.repeat(first, 2), np.repeat(weight, 2, axis=0),
+            np.repeat(np.concatenate(columns, axis=1), 2, axis=0), joined.reshape(-1, joined.shape[2]),
+            shared.reshape(2 * len(shared), -1) if shared.size else np.zeros((2 * len(shared), shared.shape[2])),
+            rest.ravel(),
+        )  # fmt: skip
+
+
+def robust_weights(residual: Array) -> Array:
+    """Return how much each image point counts (n,): 1 up to ``HUBER`` deviations, then falling with the square.
+
+    Deviations are counted in the residuals' own median where that is larger than stated, so that a start that is far
+    off does not throw everything away. NaN counts nothing.
+    """
+    size = np.linalg.norm(residual, axis=1)
+    known = np.isfinite(size)
+    if not known.any():
+        return np.zeros(len(size))
+    # the median length of two normal numbers is sqrt(2 ln 2)
+    scale = max(1.0, float(np.median(size[known])) / np.sqrt(2 * np.log(2)))
+    return np.asarray(np.where(known, np.minimum(1.0, HUBER * scale / np.maximum(size, 1e-12)) ** 2, 0.0))
+
+
+def weighted(rows: Rows, weight: Array) -> Rows:
+    """Return equations (2 n,) with image points' weights (n,); those of weight 0 are left out."""
+    root = np.repeat(np.sqrt(weight), 2)
+    keep = root > 0
+    return Rows(
+        rows.first[keep], rows.weights[keep], rows.columns[keep], rows.values[keep] * root[keep, None],
+        rows.shared[keep] * root[keep, None], rows.rest[keep] * root[keep],
+    )  # fmt: skip
+
+
+def _right_jacobians(turns: Array) -> Array:
+    """Return d(turn about own axes)/d(rotation vector) (n, 3, 3) (Sola 2018, eq. 143)."""
+    angle = np.maximum(np.linalg.norm(turns, axis=1), 1e-6)[:, None, None]
+    cross = cross_matrices(turns)
+    return np.asarray(
+        np.eye(3)
+        - (1 - np.cos(angle)) / angle**2 * cross
+        + (angle - np.sin(angle)) / angle**3 * cross @ cross
+    )

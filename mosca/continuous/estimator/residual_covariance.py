@@ -1,0 +1,196 @@
+"""What curves do not hold, and their covariance alone would deny: jitter of points, and image errors that last.
+
+Jitter: recorded motion has parts quicker than exposures, which curves pass through at exposures and know nothing of
+between them. Exposures themselves show how large it is: a point's curve made very smooth (the third derivative white)
+leaves in the images what is jitter, as large as is likeliest (REML). It is stated once everywhere: at exposures it is
+known, and that is too much; between them curves bring their neighbours' jitter along, and that may be too little.
+
+Image errors that last (lens, calibration, a lamp's shape seen from one side) do not shrink as exposures are added up.
+The covariance of a camera's residuals of one point with those some exposures later tells their share; what they do to
+a point is what as large an error of one exposure of each camera would do.
+"""
+
+import numpy as np
+
+from mosca.continuous.estimator.gauss_newton import Solved, frame_rows, of_group
+from mosca.continuous.estimator.motion_prior import FARTHEST_M
+from mosca.continuous.estimator.observation_equations import HUBER, ImagePoints
+from mosca.continuous.estimator.single_point import smoothest_noise
+from mosca.continuous.estimator.state import Layout, State
+from mosca.data.arrays import Array
+
+CHANCE = 3.0
+"""Standard deviations by which variances must exceed what is stated to be believed."""
+LATER = range(3, 9)
+"""Exposures from one residual to the next that it is compared with: beyond what the fit itself makes alike."""
+LOOK_S = 0.5
+"""How fast it changes from where cameras see a point."""
+
+
+def unheld(image: ImagePoints, solved: Solved, places: Layout, alone: Layout, points: Array) -> Array:
+    """Return covariances (pieces + 1, all points, 3, 3) [m^2] at the knots, to be added to those of the curves.
+
+    ``points``: those that are estimated; ``alone``: the layout in which each is by itself.
+    """
+    knots = solved.state.knots
+    total = np.zeros((knots.pieces + 1, len(image.observations.points), 3, 3))
+    share = np.maximum(lasting(image, solved), of_lenses(image))
+    seen = np.bincount(image.observations.camera, minlength=len(share))
+    mean = float(np.average(share, weights=np.maximum(seen, 1)))
+    total[:, points] += jitter(image, solved, alone, points, mean)[:, None, None] * np.eye(3)
+    if mean > 0:
+        total[:, points] += single_looks(image, solved, places, share)[:, points]
+    return total
+
+
+def of_lenses(image: ImagePoints) -> Array:
+    """Return what the calibration says that lens models leave of the images, of each camera (c,), in the variances
+    stated, which hold it: the least that lasts.
+
+    Of errors that a curve takes up, or that change as a point moves on, residuals show too little.
+    """
+    o = image.observations
+    number = np.maximum(np.bincount(o.camera, minlength=len(o.cameras)), 1)
+    stated = np.bincount(o.camera, np.trace(o.covariance_px2, axis1=1, axis2=2) / 2, len(o.cameras)) / number
+    return np.asarray(np.minimum(image.lens_px**2 / np.maximum(stated, 1e-12), 1.0))
+
+
+def jitter(image: ImagePoints, solved: Solved, alone: Layout, points: Array, share: float) -> Array:
+    """Return the variance (points,) an axis [m^2] of what is too quick for exposures.
+
+    ``share``: of errors that last, in the variances stated; cameras in turn show them as jitter, which they are not.
+    """
+    noise, lever, number = smoothest_noise(image, solved.state, alone, points)
+    excess = noise**2 - 1 - share
+    return np.asarray(np.where(excess > CHANCE * np.sqrt(2 / number), excess / lever, 0.0))
+
+
+def lasting(image: ImagePoints, solved: Solved) -> float:
+    """Return the variance of image errors that last, in the variances stated; 0 where chance explains it.
+
+    Where C cameras see a point, its curve takes up 3 of 2 C parts of such errors, the residuals show the others.
+    """
+    o = image.observations
+    rest = np.clip(np.nan_to_num(solved.residual), -HUBER, HUBER)
+    order = np.lexsort((o.exposure, o.camera, o.point))
+    pair = (o.point * len(o.cameras) + o.camera)[order]
+    seen_by = np.zeros(len(o.points))
+    np.add.at(seen_by, np.unique(pair) // len(o.cameras), 1)
+    shown = np.maximum(2 * seen_by - 3, 0) / np.maximum(2 * seen_by, 1)
+    alike = own = 0.0
+    number = 0
+    for later in LATER:
+        same = np.flatnonzero(pair[later:] == pair[:-later])
+        same = same[image.carrier[order[same]] < 0]
+        one, two = order[same], order[same + later]
+        alike += float((rest[one] * rest[two]).sum())
+        own += float(shown[o.point[one]].sum()) * 2
+        number += 2 * len(same)
+    if not number or not own:
+        return 0.0
+    size = float(np.mean(rest**2))
+    # the same residuals are compared several times
+    chance = CHANCE * size * np.sqrt(len(LATER) / number)
+    return alike / own if alike / number > chance else 0.0
+
+
+def single_looks(image: ImagePoints, solved: Solved, places: Layout, share: Array) -> Array:
+    """Return at the knots the covariances (pieces + 1, all points, 3, 3) [m^2] that lasting errors give to points.
+
+    ``share`` (c,): of each camera's errors, in the variances stated. They do what errors of one exposure of each
+    camera that sees a point then would do; where cameras move, to their poses, too.
+    """
+    o, knots = image.observations, solved.state.knots
+    bins = max(1, round((knots.end_s - knots.start_s) / LOOK_S))
+    time = np.clip((image.times(solved.state) - knots.start_s) / (knots.end_s - knots.start_s), 0, 1)
+    bin_of = np.minimum((time * bins).astype(int), bins - 1)
+    result = np.zeros((bins, len(o.points), 3, 3))
+    for g, rows in enumerate(solved.rows):
+        own = np.flatnonzero(of_group(image, places, g) & (solved.weight > 0))
+        columns, by = rows.columns[::2], rows.values.reshape(len(own), 2, -1)
+        at = bin_of[own], o.point[own], o.camera[own]
+        if places.moving:
+            held = [_held(solved.state, places, g, (b + 0.5) / bins) for b in range(bins)]
+            points = places.groups[g]
+            result[:, points] = _with_poses(columns, by, at, share, held, len(points))
+        else:
+            one = _each_alone(by[:, :, :3], at, share, (bins, len(o.points), len(o.cameras)))
+            result[:, places.groups[g]] = one[:, places.groups[g]]
+    nearest = np.clip(
+        ((knots.breaks_s - knots.start_s) / (knots.end_s - knots.start_s) * bins).astype(int), 0, bins - 1
+    )
+    return np.asarray(result[nearest])
+
+
+def _each_alone(by: Array, at: tuple[Array, ...], share: Array, shape: tuple[int, int, int]) -> Array:
+    """Return covariances (bins, points, 3, 3) of points whose cameras stand where they are.
+
+    ``by`` (n, 2, 3) whitened derivatives; ``at`` bin, point and camera of each image point; ``shape`` their numbers.
+    """
+    told, count = np.zeros((*shape, 3, 3)), np.zeros(shape)
+    np.add.at(told, at, np.swapaxes(by, 1, 2) @ by)
+    np.add.at(count, at, 1)
+    # where fewer than two cameras see a point: what cameras see of it at other times
+    few = (count > 0).sum(axis=2) < 2
+    ever = told.sum(axis=0) / np.maximum(count.sum(axis=0), 1)[..., None, None]
+    mean = np.where(few[..., None, None, None], ever, told / np.maximum(count, 1)[..., None, None])
+    enough = (count.sum(axis=0) > 0).sum(axis=1) >= 2
+    result = np.zeros((*shape[:2], 3, 3))
+    inverse = np.linalg.inv(mean.sum(axis=2)[:, enough] + np.eye(3) / FARTHEST_M**2)
+    lasts = (mean * share[:, None, None]).sum(axis=2)[:, enough]
+    result[:, enough] = inverse @ lasts @ inverse
+    return result
+
+
+def _with_poses(
+    columns: Array, by: Array, at: tuple[Array, Array, Array], share: Array, held: list[Array], points: int
+) -> Array:
+    """Return covariances (bins, points, 3, 3) of points and moving cameras together.
+
+    ``columns`` (n, k) of the group, the first 3 per point those of ``points``, and ``by`` (n, 2, k) whitened
+    derivatives of each image point; ``at`` its bin, point and camera; ``held`` for each bin the equations (m, width)
+    that hold the frame.
+    """
+    bins, width = len(held), held[0].shape[1]
+    bin_of, point, camera = at
+    # a column more takes what is held
+    spread = np.zeros((len(by), 2, width + 1))
+    np.put_along_axis(
+        spread, np.repeat(np.where(columns < 0, width, columns)[:, None], 2, axis=1), by, axis=2
+    )
+    pair, of = np.unique(camera * (int(point.max(initial=0)) + 1) + point, return_inverse=True)
+    of = of.reshape(-1)
+    told, count = np.zeros((bins, len(pair), 2, width)), np.zeros((bins, len(pair)))
+    np.add.at(told, (bin_of, of), spread[:, :, :width])
+    np.add.at(count, (bin_of, of), 1)
+    ever = told.sum(axis=0) / count.sum(axis=0)[:, None, None]
+    owner, seer = np.zeros((2, len(pair)), dtype=np.int64)
+    owner[of], seer[of] = point, camera
+    loose = np.append(np.full(3 * points, FARTHEST_M**-2), np.zeros(width - 3 * points))
+    result = np.zeros((bins, points, 3, 3))
+    for b in range(bins):
+        views = np.bincount(owner, count[b] > 0, int(point.max(initial=0)) + 1)[owner]
+        mean = np.where((views < 2)[:, None, None], ever, told[b] / np.maximum(count[b], 1)[:, None, None])
+        looks = mean.reshape(-1, width)
+        whole = looks.T @ looks + held[b].T @ held[b] + np.diag(loose)
+        lasts = looks * np.repeat(np.sqrt(share[seer]), 2)[:, None]
+        change = np.linalg.solve(whole, lasts.T)[: 3 * points].reshape(points, 3, -1)
+        result[b] = change @ np.swapaxes(change, 1, 2)
+    return result
+
+
+def _held(state: State, places: Layout, group: int, at: float) -> Array:
+    """Return the equations (m, width) that hold the frame of moving cameras at the share ``at`` of the time."""
+    rows = frame_rows(state, places, group)
+    knots = state.knots.pieces + 1
+    each = (len(rows.rest) - knots) // knots
+    knot = min(int(at * knots), knots - 1)
+    which = np.append(np.arange(knot * each, (knot + 1) * each), knots * each + knot)
+    dense = np.zeros((len(which), places.width(group) + 1))
+    np.put_along_axis(
+        dense,
+        np.where(rows.columns[which] < 0, places.width(group), rows.columns[which]),
+        rows.values[which],
+        axis=1,
+    )
+    return dense[:, :-1]

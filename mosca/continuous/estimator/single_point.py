@@ -1,0 +1,124 @@
+"""First curves: each point by itself, from its rays at their own instants. Linear, so that nothing need be near."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from mosca.continuous.estimator.banded_normals import Rows
+from mosca.continuous.estimator.bspline import Knots, fitted
+from mosca.continuous.estimator.motion_prior import ORDERS, one_point
+from mosca.continuous.estimator.observation_equations import ImagePoints, Seen, robust_weights, weighted
+from mosca.continuous.estimator.state import Layout, State
+from mosca.continuous.observations import Curves
+from mosca.data.arrays import Array
+
+RAY_PASSES = 2
+NEAREST_M = 0.05
+
+
+def first_curves(
+    image: ImagePoints, state: State, places: Layout, points: Array, start: Curves | None, noise_free: bool
+) -> tuple[State, Array, float]:
+    """Return the state with curves of ``points`` (indices), each one's log strength of smoothness, and how many times
+    larger than stated image errors are (1 unless ``noise_free``).
+
+    Rays weighed by a guessed depth first (the distance of the point nearest to all axes), then by the depth found,
+    then image errors themselves; the smoothness's order is the likelier one. ``start``: curves to linearise at
+    instead.
+    """
+    if start is not None:
+        xyz = np.array(state.xyz)
+        xyz[:, points] = _following(start, image.observations.points, points, state.knots)
+        state = replace(state, xyz=np.nan_to_num(xyz))
+    if start is None or not np.isfinite(xyz[:, points]).all():
+        depth = np.full(len(image.observations), _middle_distance(state, image.times(state)))
+        for k in range(RAY_PASSES):
+            if k:
+                depth = np.maximum(image.depths(state), NEAREST_M)
+            seen = image.rays(state, depth)
+            usable = np.isfinite(seen.residual).all(axis=1).astype(float)
+            # noise as large as is likeliest: a smooth curve, from which gross errors stand out
+            state = _each_point(image, seen, state, usable, points, True)[0]
+    seen = image.linearised(state, places)
+    seen = Seen(seen.residual, _whole(seen.rows, state.xyz, len(image.observations.points)))
+    weight = robust_weights(seen.residual)
+    tried = [
+        _each_point(image, seen, replace(state, order=order), weight, points, noise_free) for order in ORDERS
+    ]
+    best, strength, noise, _ = min(tried, key=lambda one: one[3])
+    return best, strength, float(np.median(noise))
+
+
+def smoothest_noise(
+    image: ImagePoints, state: State, places: Layout, points: Array
+) -> tuple[Array, Array, Array]:
+    """Return of ``points``, each made as smooth as the highest order has it: how many times larger than stated its
+    image errors then are, the mean square of an image coordinate's derivative by place [1/m^2], and their number.
+    """
+    seen = image.linearised(state, places)
+    seen = Seen(seen.residual, _whole(seen.rows, state.xyz, len(image.observations.points)))
+    smooth = replace(state, order=max(ORDERS))
+    # jumps are rare and far larger than what is left elsewhere: told by a first pass, they count less in the second
+    once = _each_point(image, seen, smooth, robust_weights(seen.residual), points, True)[0]
+    noise = _each_point(image, seen, smooth, robust_weights(image.residuals(once)), points, True)[2]
+    square = (seen.rows.values[:, :3] ** 2).sum(axis=1).reshape(-1, 2).sum(axis=1) / 2
+    count = len(image.observations.points)
+    own = np.bincount(image.observations.point, minlength=count)[points]
+    lever = np.bincount(image.observations.point, square, count)[points] / own
+    return noise, lever, 2.0 * own
+
+
+def _each_point(
+    image: ImagePoints, seen: Seen, state: State, weight: Array, points: Array, noise_free: bool
+) -> tuple[State, Array, Array, float]:
+    """Return the state with each point's own likeliest curve, their log strengths and noises, and the cost of all."""
+    xyz, strength, noise, total = np.array(state.xyz), np.zeros(len(points)), np.ones(len(points)), 0.0
+    for n, p in enumerate(points):
+        own = weighted(seen.rows, weight * (image.observations.point == p))
+        number = len(own.rest)
+        three = np.tile(np.arange(3), (number, 1))
+        rows = Rows(own.first, own.weights, three, own.values[:, :3], np.zeros((number, 0)), own.rest)
+        xyz[:, p], strength[n], noise[n], cost = one_point(rows, state.knots, state.order, noise_free)
+        total += cost
+    return replace(state, xyz=xyz), strength, noise, total
+
+
+def _whole(rows: Rows, xyz: Array, points: int) -> Rows:
+    """Return equations of the points' coefficients themselves instead of their changes."""
+    only = Rows(
+        rows.first,
+        rows.weights,
+        rows.columns[:, :3],
+        rows.values[:, :3],
+        np.zeros((len(rows.rest), 0)),
+        rows.rest,
+    )
+    rest = rows.rest + only.applied(xyz.reshape(len(xyz), -1).ravel(), 3 * points)
+    return Rows(only.first, only.weights, only.columns, only.values, only.shared, rest)
+
+
+def _middle_distance(state: State, time_s: Array) -> float:
+    """Return the mean distance [m] of cameras from the place that their axes pass nearest to."""
+    rotation, centre = state.paths.at(np.linspace(time_s.min(), time_s.max(), 5))
+    axis = rotation[..., 2].reshape(-1, 3)
+    places = centre.reshape(-1, 3)
+    across = np.eye(3) - axis[:, :, None] * axis[:, None, :]
+    middle = np.linalg.lstsq(across.sum(axis=0), np.einsum("nij,nj->i", across, places), rcond=None)[0]
+    return float(np.clip(np.linalg.norm(places - middle, axis=1).mean(), 0.3, 100.0))
+
+
+def _following(curves: Curves, names: tuple[str, ...], points: Array, knots: Knots) -> Array:
+    """Return coefficients (count, points, 3) near given curves; NaN where the curves have no such point."""
+    time = np.linspace(knots.start_s, knots.end_s, 2 * knots.count + 1)
+    at = curves.at(time)
+    result = np.full((knots.count, len(points), 3), np.nan)
+    for n, p in enumerate(points):
+        if names[p] not in curves.points:
+            continue
+        given = at[:, curves.points.index(names[p])]
+        good = np.isfinite(given).all(axis=1)
+        if good.sum() >= 2:
+            # gaps and ends: the nearest known place
+            filled = np.column_stack([np.interp(time, time[good], given[good, k]) for k in range(3)])
+            result[:, n] = fitted(knots, time, filled)
+    return result

@@ -1,0 +1,105 @@
+"""What is estimated, as one value: curves of points, cameras' poses and clocks; and where each unknown stands."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mosca.continuous.camera_paths import StillCameras
+from mosca.continuous.estimator.bspline import Knots
+from mosca.continuous.result import SplinePaths
+from mosca.data.arrays import Array
+from mosca.data.rotations import rotation_from_vector
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Current values. ``xyz`` (count, points, 3) coefficients of all points, carried ones unused; cameras either
+    ``still`` or ``moving``; ``clocks`` (cameras, 3): offset [s], drift, row time [s]. ``pace`` (pieces,): how many
+    times livelier than on average motion is, as a variance; None: alike everywhere.
+    """
+
+    knots: Knots
+    xyz: Array
+    still: StillCameras
+    moving: SplinePaths | None
+    clocks: Array
+    order: int = 2
+    pace: Array | None = None
+
+    @property
+    def pace_at_knots(self) -> Array:
+        """``pace`` (pieces + 1,) at the knots: the mean of the pieces that meet there."""
+        pace = np.ones(self.knots.pieces) if self.pace is None else self.pace
+        return (np.append(pace[0], pace) + np.append(pace, pace[-1])) / 2
+
+    @property
+    def paths(self) -> StillCameras | SplinePaths:
+        """The cameras' paths."""
+        return self.still if self.moving is None else self.moving
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where unknowns stand.
+
+    ``groups``: points that meet, each a band of 3 columns a point; with ``moving`` cameras one group, 6 more columns
+    a camera. Without time: 6 a camera where ``still_free``, then ``clock`` (cameras, 3) indices of free clock
+    unknowns, -1 where held; ``shared`` of them altogether.
+    """
+
+    groups: tuple[Array, ...]
+    cameras: int
+    moving: bool
+    still_free: bool
+    clock: Array
+    shared: int
+
+    def width(self, group: int) -> int:
+        """Return the number of columns of a group."""
+        return 3 * len(self.groups[group]) + (6 * self.cameras if self.moving else 0)
+
+    def column(self, group: int, points: int) -> Array:
+        """Return the first column of each of all ``points`` in a group, -1 where it is not in it."""
+        at = np.full(points, -1)
+        at[self.groups[group]] = 3 * np.arange(len(self.groups[group]))
+        return at
+
+
+def layout(groups: tuple[Array, ...], cameras: int, kind: str, clock_free: Array) -> Layout:
+    """Return the layout for cameras of ``kind`` ("known", "fixed", "moving") and the mask of free clock unknowns."""
+    still_free = kind == "fixed"
+    base = 6 * cameras if still_free else 0
+    clock = np.where(clock_free, base + np.cumsum(clock_free.ravel()).reshape(clock_free.shape) - 1, -1)
+    return Layout(groups, cameras, kind == "moving", still_free, clock, base + int(clock_free.sum()))
+
+
+def unknowns(state: State, places: Layout, group: int) -> Array:
+    """Return the group's coefficients as one vector (count * width,)."""
+    parts = [state.xyz[:, places.groups[group]].reshape(state.knots.count, -1)]
+    if state.moving is not None:
+        parts.append(state.moving.coefficients.reshape(state.knots.count, -1))
+    return np.concatenate(parts, axis=1).ravel()
+
+
+def replaced(state: State, places: Layout, coefficients: list[Array], shared: Array) -> State:
+    """Return the state with new ``coefficients`` of each group, and ``shared`` added to what has no time."""
+    xyz, moving = np.array(state.xyz), state.moving
+    for g, (points, vector) in enumerate(zip(places.groups, coefficients, strict=True)):
+        table = vector.reshape(state.knots.count, places.width(g))
+        xyz[:, points] = table[:, : 3 * len(points)].reshape(state.knots.count, -1, 3)
+        if moving is not None:
+            poses = table[:, 3 * len(points) :].reshape(state.knots.count, -1, 6)
+            moving = replace(moving, coefficients=poses)
+    still = state.still
+    if places.still_free:
+        step = shared[: 6 * places.cameras].reshape(-1, 6)
+        turned = [r @ rotation_from_vector(s[:3]) for r, s in zip(still.rotations, step, strict=True)]
+        still = StillCameras(still.cameras, np.array(turned), still.centres + step[:, 3:])
+    clocks = state.clocks + np.where(places.clock >= 0, np.append(shared, 0.0)[places.clock], 0.0)
+    return replace(state, xyz=xyz, still=still, moving=moving, clocks=clocks)
+
+
+def instants(camera: Array, time_s: Array, row_px: Array, clocks: Array) -> Array:
+    """Return when image points were exposed [s]: offset + (1 + drift) time_s + row time * row."""
+    offset, drift, row = clocks[camera].T
+    return np.asarray(offset + (1 + drift) * time_s + row * row_px)

@@ -1,0 +1,1 @@
+"""Cameras that move: a rig at an instant, body-worn cameras, mutual observation."""

@@ -1,0 +1,288 @@
+"""Cameras on the limbs of the body that they film: where they are at each instant, and the markers.
+
+The walk: look at every frame -> tell lamps by their blinks (``gather_blinks``) -> cameras' poses at common instants
+from each other's lamps alone (``gather_mutual``) -> match markers at these instants with these poses -> curves and
+poses together from every image point at its own instant, lamps among them as points that cameras carry
+(``estimate``, ``cameras = "moving"``) -> image points given to markers anew by these -> the same once more.
+
+Known: the lenses, the poses of two cameras and more to each other (they are the frame and the metre), where each
+camera's lamp is to its lens, and that all stamps are of one clock. Nothing else: no start, no names.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mosca.continuous.association.associate import GatherSettings, check_long_enough, markers_of
+from mosca.continuous.association.blink_codes import LampSettings, blinking
+from mosca.continuous.association.coarse_sync import common_clock
+from mosca.continuous.association.correspondence import common_instants, observed
+from mosca.continuous.association.frame_detections import LookCount, Seen, look_at_frames
+from mosca.continuous.association.tracklets_2d import strands
+from mosca.continuous.camera_paths import PosedCameras
+from mosca.continuous.estimator.estimate import ContinuousSettings, estimate
+from mosca.continuous.findings import told_of
+from mosca.continuous.moving_cameras.mutual_pose import Placed, lamp_rays, placed_by_lamps
+from mosca.continuous.moving_cameras.rig_at_time import MovingRig, images_at, lamp_places
+from mosca.continuous.observations import CameraPaths, Curves, Observations
+from mosca.continuous.reconstruct import BETTER_PX, CameraClock, Reconstructed
+from mosca.data.arrays import Array
+from mosca.data.detections import MERGED
+from mosca.data.frames import FrameSource
+from mosca.data.rig import Rig
+from mosca.errors import InputError
+from mosca.pipeline import check_source
+
+LAMP_PX = 2.0
+"""An image point so near to where a lamp must be is that lamp's."""
+TOLD_PERIODS = 1.5
+"""A pose is told so near to an instant at which lamps told it, in the cameras' periods."""
+COARSER = 2.0
+"""The first estimate's knots lie so many times as far apart."""
+LONGEST_S = 0.5
+"""Poses are carried over gaps so long where the estimate has bridged them [s]."""
+
+
+@dataclass(frozen=True)
+class Lamps:
+    """Lamps that cameras carry, in the order of the rig: ``numbers`` (c,) that they blink, ``at_m`` (c, 3) where they
+    sit in their camera's frame; ``bit_s`` of their codes.
+    """
+
+    numbers: tuple[int, ...]
+    at_m: Array
+    bit_s: float
+
+    def __post_init__(self) -> None:
+        if len(set(self.numbers)) != len(self.numbers):
+            raise InputError(
+                f"lamps: numbers = {list(self.numbers)} given; each lamp needs a number of its own"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Worn:
+    """What worn cameras gave. ``reconstructed``: with the cameras' paths; ``placed``: poses from lamps alone;
+    ``lamp`` of each camera's image points (n,) the camera whose lamp it is, or -1; ``by_code`` those of them that the
+    code told; ``lamp_rms_px``: how far lamps lie from where the estimated poses have them.
+    """
+
+    reconstructed: Reconstructed
+    placed: Placed
+    lamp: tuple[Array, ...]
+    by_code: tuple[Array, ...]
+    lamp_rms_px: float
+
+
+def reconstruct_worn(
+    source: FrameSource,
+    rig: Rig,
+    known: Sequence[str],
+    lamps: Lamps,
+    gathering: GatherSettings | None = None,
+    settings: ContinuousSettings | None = None,
+    backgrounds: Mapping[str, Array] | None = None,
+    attend: Callable[[int], None] | None = None,
+) -> Worn:
+    """Turn frames of free-running cameras on a body's limbs into curves of markers and paths of the cameras.
+
+    ``known``: names of the cameras whose poses in ``rig`` are right; those of the others are not looked at. They come
+    first in what is estimated: the first is the frame, its distance to the second the metre. Without
+    ``settings.knot_s`` knots are as far apart as the quickest camera's frames. InputError where fewer than two are
+    known, or lamps do not tell where the others are.
+    """
+    check_source(source, rig)
+    gathering = GatherSettings() if gathering is None else gathering
+    count = LookCount()
+    seen = look_at_frames(source, rig.names, gathering.pipeline.detection, backgrounds, count, attend)
+    return solve_worn(seen, rig, known, lamps, gathering, settings, count, attend)
+
+
+def solve_worn(
+    seen: Sequence[Seen],
+    rig: Rig,
+    known: Sequence[str],
+    lamps: Lamps,
+    gathering: GatherSettings,
+    settings: ContinuousSettings | None = None,
+    count: LookCount | None = None,
+    attend: Callable[[int], None] | None = None,
+) -> Worn:
+    """As ``reconstruct_worn``, of what the rig's cameras saw already."""
+    rig, lamps, seen = _known_first(rig, known, lamps, seen)
+    for one in seen:
+        check_long_enough(one)
+    fixed = np.array([name in known for name in rig.names])
+    ties = common_clock(seen)
+    times = [tie.common_s(one.time_s(tie.origin_ns)) for one, tie in zip(seen, ties, strict=True)]
+    by_code = tuple(_carriers(one, lamps) for one in seen)
+    instants = common_instants(seen, ties)
+    sights = lamp_rays(seen, times, by_code, rig, instants, lamps.bit_s)
+    placed = placed_by_lamps(sights, rig, fixed, lamps.at_m)
+    period = max(one.period_s for one in seen)
+    moving = _moving(rig, placed, TOLD_PERIODS * period)
+    lamp = tuple(
+        _lamps_near(one, c, t, own, rig, moving, lamps)
+        for c, (one, t, own) in enumerate(zip(seen, times, by_code, strict=True))
+    )
+    marked = tuple(_without(one, own) for one, own in zip(seen, lamp, strict=True))
+    strand = [strands(one) for one in marked]
+    gathered = markers_of(marked, strand, ties, rig, gathering, count or LookCount(), attend, moving)
+    settings = settings or ContinuousSettings()
+    # a camera's path is seen at its own exposures alone: knots as far apart as the quickest one's frames
+    knot_s = settings.knot_s or min(one.period_s for one in seen)
+    settings = replace(settings, cameras="moving", clocks="known", knot_s=knot_s)
+    found, paths = gathered.observations, moving.paths
+    start: Curves = gathered.start
+    # the first time only serves to bridge where lamps did not tell poses, and to give image points to markers anew
+    quick = replace(settings, limbs=False, knot_s=COARSER * knot_s)
+    for now in (quick, settings):
+        whole = with_lamps(found, seen, times, lamp, gathered.sigma_px, lamps)
+        estimated = estimate(whole, rig, now, start, paths)
+        start, paths = estimated.curves, estimated.paths
+        moving = replace(moving, paths=paths, told_s=LONGEST_S)
+        if now is quick:
+            found, _row = observed(marked, ties, rig, start, gathered.sigma_px, BETTER_PX, moving)
+    told = (
+        f"frame and metre are those of {' and '.join(map(repr, known))}, whose poses were given",
+        *told_of(gathered, found),
+        *(line for line in estimated.findings if not line.startswith("scale:")),
+    )
+    clocks = tuple(
+        CameraClock(one.info.name, ties[0].origin_ns, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for one in seen
+    )
+    return Worn(
+        Reconstructed(gathered, estimated, found, clocks, told, rig, estimated.paths),
+        placed,
+        lamp,
+        by_code,
+        _lamp_rms_px(seen, times, lamp, rig, estimated.paths, lamps),
+    )
+
+
+def _known_first(
+    rig: Rig, known: Sequence[str], lamps: Lamps, seen: Sequence[Seen]
+) -> tuple[Rig, Lamps, tuple[Seen, ...]]:
+    """Return all with the known cameras first."""
+    for name in known:
+        rig.camera(name)
+    if len(known) < 2:
+        raise InputError(
+            f"worn cameras: {len(known)} of known place given; two at least are needed, the frame and the metre"
+        )
+    order = sorted(range(len(rig.cameras)), key=lambda k: rig.names[k] not in known)
+    return (
+        Rig(tuple(rig.cameras[k] for k in order)),
+        Lamps(tuple(lamps.numbers[k] for k in order), lamps.at_m[order], lamps.bit_s),
+        tuple(seen[k] for k in order),
+    )
+
+
+def _carriers(one: Seen, lamps: Lamps) -> Array:
+    """Return the camera (n,) whose lamp each image point is by its code, or -1."""
+    of_number = {number: c for c, number in enumerate(lamps.numbers)}
+    own = lamps.numbers
+    return np.array(
+        [of_number.get(k, -1) for k in blinking(one, own, LampSettings(lamps.bit_s)).tolist()], int
+    )
+
+
+def _moving(rig: Rig, placed: Placed, told_s: float) -> MovingRig:
+    good = np.asarray(np.isfinite(placed.centres).all(axis=2))
+    for c, name in enumerate(rig.names):
+        if good[:, c].sum() < 3:
+            raise InputError(
+                f"camera '{name}': lamps tell at {good[:, c].sum()} instants where it is, 3 are needed; let two "
+                "cameras see its lamp and it two of theirs, and check their numbers and the time of a bit"
+            )
+    paths = PosedCameras(rig.names, placed.time_s, placed.rotations, placed.centres)
+    return MovingRig(rig, paths, tuple(placed.time_s[good[:, c]] for c in range(len(rig.names))), told_s)
+
+
+def _lamps_near(
+    one: Seen, c: int, time_s: Array, by_code: Array, rig: Rig, moving: MovingRig, lamps: Lamps
+) -> Array:
+    """Return the camera (n,) whose lamp each image point is, by its code or by where the lamp must be, or -1."""
+    lamp = np.array(by_code)
+    frame = one.frame
+    instants = np.full(len(one.frame_ns), np.nan)
+    instants[frame] = time_s
+    some = np.flatnonzero(np.isfinite(instants))
+    there = moving.there(instants[some])
+    image = images_at(
+        rig.cameras[c], c, moving.paths, instants[some], lamp_places(lamps.at_m, moving.paths, instants[some])
+    )
+    image[~there] = np.nan
+    image[~there[:, c]] = np.nan
+    image[:, c] = np.nan
+    for k, f in enumerate(some.tolist()):
+        own = np.arange(one.start[f], one.start[f + 1])
+        for j in np.flatnonzero(np.isfinite(image[k, :, 0])):
+            away = np.linalg.norm(one.xy_px[own] - image[k, j], axis=1)
+            nearest = int(np.argmin(away))
+            if away[nearest] < LAMP_PX and lamp[own[nearest]] < 0 and not (lamp[own] == j).any():
+                lamp[own[nearest]] = j
+    return lamp
+
+
+def _without(one: Seen, lamp: Array) -> Seen:
+    """Return what a camera saw but for lamps."""
+    keep = lamp < 0
+    count = np.bincount(one.frame[keep], minlength=len(one.frame_ns))
+    columns = ("xy_px", "covariance_px2", "diameter_px", "peak", "elongation", "flags")
+    return replace(
+        one,
+        start=np.concatenate([[0], np.cumsum(count)]),
+        **{name: getattr(one, name)[keep] for name in columns},
+    )
+
+
+def with_lamps(
+    found: Observations, seen: Sequence[Seen], times_s: Sequence[Array], lamp: Sequence[Array], sigma_px: Array,
+    lamps: Lamps,
+) -> Observations:  # fmt: skip
+    """Return observations with the lamps' image points besides, as points that cameras carry."""
+    n = len(found.points)
+    parts = [[found.camera, found.point, found.exposure, found.time_s, found.xy_px, found.covariance_px2]]
+    for c, one in enumerate(seen):
+        rows = np.flatnonzero((lamp[c] >= 0) & ((one.flags & MERGED) == 0))
+        covariance = one.covariance_px2[rows] + sigma_px[c] ** 2 * np.eye(2)
+        parts.append(
+            [
+                np.full(len(rows), c),
+                n + lamp[c][rows],
+                one.frame[rows],
+                times_s[c][rows],
+                one.xy_px[rows],
+                covariance,
+            ]
+        )
+    camera, point, exposure, time, xy, covariance = (
+        np.concatenate(column) for column in zip(*parts, strict=True)
+    )
+    names = (*found.points, *(f"lamp/{name}" for name in found.cameras))
+    carried_by = np.concatenate([np.full(n, -1), np.arange(len(lamps.numbers))])
+    carried_at = np.concatenate([np.zeros((n, 3)), lamps.at_m])
+    return Observations(
+        found.cameras, names, camera, point, exposure, time, xy, covariance, carried_by, carried_at
+    )
+
+
+def _lamp_rms_px(
+    seen: Sequence[Seen],
+    times_s: Sequence[Array],
+    lamp: Sequence[Array],
+    rig: Rig,
+    paths: CameraPaths,
+    lamps: Lamps,
+) -> float:
+    squares = []
+    for c, camera in enumerate(rig.cameras):
+        rows = np.flatnonzero(lamp[c] >= 0)
+        if not len(rows):
+            continue
+        t = times_s[c][rows]
+        image = images_at(camera, c, paths, t, lamp_places(lamps.at_m, paths, t))
+        squares.append(((seen[c].xy_px[rows] - image[np.arange(len(rows)), lamp[c][rows]]) ** 2).ravel())
+    return float(np.sqrt(np.nanmean(np.concatenate(squares)))) if squares else float("nan")

@@ -1,0 +1,144 @@
+"""The story, read top to bottom: frames -> observations -> curves -> image points given anew -> curves -> tracks."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mosca.continuous.association.associate import Gathered, GatherSettings, gather
+from mosca.continuous.association.coarse_sync import ClockTie
+from mosca.continuous.association.correspondence import observed
+from mosca.continuous.estimator.estimate import ContinuousSettings, Estimated, estimate
+from mosca.continuous.findings import late_cameras, on_curves_clock, told_of
+from mosca.continuous.observations import CameraPaths, Observations
+from mosca.continuous.resample import residuals_px, tracks_on_grid
+from mosca.data.arrays import Array
+from mosca.data.frames import FrameSource
+from mosca.data.rig import Rig
+from mosca.data.tracks import Tracks
+from mosca.errors import InputError
+
+FEW_TOGETHER = 6
+"""Points whose curves are estimated together before clocks are known."""
+BETTER_PX = 0.1
+"""How far estimated curves may be off in the images when image points are given to them anew."""
+
+
+@dataclass(frozen=True)
+class CameraClock:
+    """A camera's clock.
+
+    An instant of the common clock [s], which counts from the first camera's ``origin_ns``, is
+    ``offset_s + (1 + drift) (stamp_ns - origin_ns) / 1e9 + row_time_s y``; sigmas are standard deviations, 0 where
+    the figure was held. ``row_time_s`` comes on top of what the frames state.
+    """
+
+    camera: str
+    origin_ns: int
+    offset_s: float
+    drift: float
+    row_time_s: float
+    offset_sigma_s: float
+    drift_sigma: float
+    row_time_sigma_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstructed:
+    """What frames of free-running cameras gave. ``observations``: on the curves' clock. ``findings``: what a person
+    should know, a line each. ``cameras``: their paths where they move; ``observations`` are then those of markers.
+    """
+
+    gathered: Gathered
+    estimated: Estimated
+    observations: Observations
+    clocks: tuple[CameraClock, ...]
+    findings: tuple[str, ...]
+    rig: Rig
+    cameras: CameraPaths | None = None
+
+    @property
+    def origin_ns(self) -> int:
+        """Stamp of the first camera at which the common clock is 0."""
+        return self.gathered.ties[0].origin_ns
+
+    def span_ns(self) -> tuple[int, int]:
+        """Return first and last instant of which an image point tells, the first camera's stamps."""
+        first = self.clocks[0]
+        span = np.array([self.observations.time_s.min(), self.observations.time_s.max()])
+        own = (span - first.offset_s) / (1.0 + first.drift)
+        return self.origin_ns + int(np.ceil(own[0] * 1e9)), self.origin_ns + int(np.floor(own[1] * 1e9))
+
+    def tracks(self, time_ns: Array) -> Tracks:
+        """Return samples of all markers at ``time_ns`` (t,), stamps of the first camera's clock."""
+        first = self.clocks[0]
+        own = (np.asarray(time_ns) - self.origin_ns) * 1e-9
+        return tracks_on_grid(
+            self.estimated.curves,
+            self.observations,
+            self.rig,
+            first.offset_s + (1.0 + first.drift) * own,
+            np.asarray(time_ns),
+            [one.period_s for one in self.gathered.seen],
+            self.cameras,
+        )
+
+    def residual_rms_px(self) -> float:
+        """Return how far image points lie from their curves, rms an axis [px]."""
+        rest = residuals_px(self.estimated.curves, self.observations, self.rig, self.cameras)
+        return float(np.sqrt(np.nanmean(rest**2)))
+
+
+def reconstruct(
+    source: FrameSource,
+    rig: Rig,
+    gathering: GatherSettings | None = None,
+    settings: ContinuousSettings | None = None,
+    backgrounds: Mapping[str, Array] | None = None,
+    attend: Callable[[int], None] | None = None,
+) -> Reconstructed:
+    """Turn frames of fixed, calibrated, free-running cameras into curves of markers, and the cameras' clocks.
+
+    ``settings.clocks`` "known" becomes "drift" where clocks had to be searched for. InputError as ``gather`` has it.
+    """
+    settings = ContinuousSettings() if settings is None else settings
+    gathered = gather(source, rig, gathering, backgrounds, attend)
+    if gathered.searched and settings.clocks == "known":
+        settings = replace(settings, clocks="drift")
+    # clocks and names want curves, not what points have to do with each other: that is what costs
+    quick = replace(settings, limbs=False, most_together=min(FEW_TOGETHER, settings.most_together))
+    estimated = estimate(gathered.observations, rig, quick, gathered.start)
+    ties = _tied(gathered.ties, estimated)
+    found, _row = observed(gathered.seen, ties, rig, estimated.curves, gathered.sigma_px, BETTER_PX)
+    if not len(found):
+        raise InputError("no image point lies on its curve: the clocks or the rig do not fit the images")
+    estimated = estimate(found, rig, settings, estimated.curves)
+    clocks = _clocks(rig, ties, estimated)
+    told = told_of(gathered, found)
+    if settings.clocks == "known":
+        told += late_cameras(estimated.curves, found, rig)
+    return Reconstructed(
+        gathered, estimated, on_curves_clock(found, estimated), clocks, (*told, *estimated.findings), rig
+    )
+
+
+def _tied(ties: tuple[ClockTie, ...], estimated: Estimated) -> tuple[ClockTie, ...]:
+    """Return the ties with what was estimated on top of them."""
+    return tuple(
+        replace(
+            tie,
+            offset_s=clock.offset_s + (1.0 + clock.drift) * tie.offset_s,
+            drift=(1.0 + clock.drift) * (1.0 + tie.drift) - 1.0,
+        )
+        for tie, clock in zip(ties, estimated.clocks, strict=True)
+    )
+
+
+def _clocks(rig: Rig, ties: tuple[ClockTie, ...], estimated: Estimated) -> tuple[CameraClock, ...]:
+    return tuple(
+        CameraClock(
+            name, tie.origin_ns, tie.offset_s, tie.drift, clock.row_time_s,
+            clock.offset_sigma_s, clock.drift_sigma, clock.row_time_sigma_s,
+        )
+        for name, tie, clock in zip(rig.names, _tied(ties, estimated), estimated.clocks, strict=True)
+    )  # fmt: skip

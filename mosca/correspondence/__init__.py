@@ -1,0 +1,1 @@
+"""Image points of several cameras to groups that show the same marker."""

@@ -1,0 +1,235 @@
+"""Groups of rays as the matching kernels hold them: solve, judge by image sizes, add and drop rays."""
+
+import numpy as np
+
+from mosca.camera.ray_table import ANGLE, BONUS, FLAGS, LONG, RADIUS, SIGMA
+from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
+from mosca.numba_support.decorators import bare_step
+from mosca.triangulation.triangulate import DEPTH, TRUST, solve_rays
+
+MOST_ODD, MOST_LARGE = 0.7, 0.9
+"""Areas of small and of large images are compared up to this difference; beyond it an image says little more."""
+ODD_SHIFT = 1.05
+"""Shift of an image's centroid over (missing share of its area x radius). A disc with the share h hidden shifts by
+0.85 h R to h R; of small blurred images a little less than h is seen missing."""
+SIZE_DEADBAND, SIZE_NOISE = 0.07, 0.1
+"""Missing shares of the area below this are noise of the measured sizes, and differences of images that are too large
+or whose brightest pixels are saturated."""
+HALF_HIDDEN = 0.55
+"""Missing share that only more than half a disc leaves, though sizes are noisy; two cameras do not make a point with
+such an image."""
+PARTIAL_ODD, LONG_ODD, UNFITTED_ODD = 0.2, 0.3, 0.6
+"""Missing share, at least, of an image that detection takes for partly hidden; of one that is long where the others
+are round (cut on one side; its size says little); of one that stands alone and that no disc fits, where discs fit the
+others: more than half of such targets is hidden, whatever their size."""
+SIZES, SHAPES = 1.0, 2.0
+"""What images are judged by: their sizes alone, or whether they are long and whether a disc fits them too."""
+TOO_LARGE = 1.3
+"""Area over a target's from which an image is taken for two targets."""
+
+XYZ, COVARIANCE, CHI2, GAIN, DIAMETER, VALUES = 0, 3, 12, 13, 14, 15
+"""Places in a group's row of values: point, covariance (3, 3) row by row, sum of squared whitened errors, logarithm
+of its likelihood against that of a chance meeting, diameter [m]."""
+
+
+GATE, OUTLIER, MINIMUM, WORST, JUDGE, TYPICAL, LOW, HIGH, RULES = 0, 1, 2, 3, 4, 5, 6, 9, 12
+"""Places in the rules: ``mosca.correspondence.match.MatchSettings`` as the kernels read them (WORST a variance),
+the targets' typical diameter [m], the volume."""
+
+# Not plain numbers: numba would compile what takes them once for each value.
+NONE, ONCE, TWICE = np.int64(0), np.int64(1), np.int64(2)
+
+# A group in hand is three arrays: ``members`` (c,) ray of each camera or -1; ``ranks`` (c, RANKS) what goes with
+# each (``mosca.triangulation.triangulate``); ``solved`` (VALUES,) its row of values. Plain arrays, no records of
+# arrays: to pass those from kernel to kernel costs more than what the kernels do.
+
+
+@bare_step
+def solve(members, ranks, solved, steps, rays, views):  # type: ignore[no-untyped-def]
+    """Intersect the group's rays; the depths start from ``solved``. See ``solve_rays``."""
+    x, y, z = solved[0], solved[1], solved[2]
+    for c in range(members.shape[0]):
+        k = members[c]
+        if k >= 0:
+            depth = (
+                rays[k, 0] * (x - views[c, 0])
+                + rays[k, 1] * (y - views[c, 1])
+                + rays[k, 2] * (z - views[c, 2])
+            )
+            if not depth > 0.0:
+                return -1.0
+            ranks[c, DEPTH] = depth
+    return solve_rays(members, ranks, rays, views, steps, solved)
+
+
+@bare_step
+def judge_sizes(members, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
+    """Set each member's trust from the size of its image; returns the target's diameter from its largest image.
+
+    As long as no typical size is known, the second largest of four and more is the whole one: the largest may be of
+    two targets, and beside it all others would look half hidden.
+    """
+    largest, second, images = largest_image(members, solved, rays, views)
+    if rules[TYPICAL] > 0.0:
+        whole = rules[TYPICAL]
+    else:
+        whole = second if images >= 4 else largest
+    for c in range(members.shape[0]):
+        k = members[c]
+        if k >= 0:
+            size = image_size(k, c, solved, rays, views)
+            ranks[c, TRUST] = np.sqrt(trust2_of(k, size, whole, rays, rules[JUDGE]))
+    return largest
+
+
+@bare_step
+def largest_image(members, solved, rays, views):  # type: ignore[no-untyped-def]
+    """Return the largest and second largest size [m] of a group's images, and of how many.
+
+    Images that detection takes for two targets say nothing of the size, unless all are.
+    """
+    largest = second = anyhow = 0.0
+    images = 0
+    for c in range(members.shape[0]):
+        k = members[c]
+        if k >= 0:
+            size = image_size(k, c, solved, rays, views)
+            anyhow = max(anyhow, size)
+            if not int(rays[k, FLAGS]) & MERGED:
+                images += 1
+                second = max(second, min(size, largest))
+                largest = max(largest, size)
+    return (largest if largest > 0.0 else anyhow), second, images
+
+
+@bare_step
+def image_size(ray, camera, point, rays, views):  # type: ignore[no-untyped-def]
+    """Return how large [m] a target at ``point`` is that fills the ray's image."""
+    x, y, z = point[0] - views[camera, 0], point[1] - views[camera, 1], point[2] - views[camera, 2]
+    return rays[ray, ANGLE] * np.sqrt(x * x + y * y + z * z)
+
+
+@bare_step
+def larger(i, size_i, j, size_j, rays):  # type: ignore[no-untyped-def]
+    """Return the larger of two images' sizes; one that is two targets' does not count beside one that is not."""
+    one, other = int(rays[i, FLAGS]) & MERGED, int(rays[j, FLAGS]) & MERGED
+    if one and not other:
+        return size_j
+    if other and not one:
+        return size_i
+    return max(size_i, size_j)
+
+
+@bare_step
+def trust2_of(ray, size, whole, rays, judge):  # type: ignore[no-untyped-def]
+    """Return the factor on a ray's squared error when its image has ``size`` where ``whole`` would be right.
+
+    Too small: partly hidden. Too large: merged with a neighbour, whose share of the light moves the centroid.
+    What detection itself takes for partly hidden counts for less, whatever its size, and what is long, or what no
+    disc fits though nothing touches it. ``judge``: 0, SIZES or SHAPES.
+    """
+    odd, flags = 0.0, int(rays[ray, FLAGS])
+    if judge > 0.0:
+        share = (size / whole) ** 2
+        odd = min(MOST_ODD, 1.0 - share) if share < 1.0 else min(MOST_LARGE, share - 1.0)
+        if odd <= (SIZE_DEADBAND if share < 1.0 and not flags & SATURATED else SIZE_NOISE):
+            odd = 0.0
+    if flags & PARTIAL:
+        odd = max(odd, PARTIAL_ODD)
+    if judge == SHAPES and flags & LONG:
+        odd = max(odd, LONG_ODD)
+    if judge == SHAPES and flags & (UNREFINED | MERGED) == UNREFINED:
+        odd = max(odd, UNFITTED_ODD)
+    if odd == 0.0:
+        return 1.0
+    # the centroid's shift for the whole disc's radius, spread over both axes
+    shift = ODD_SHIFT * odd * rays[ray, RADIUS] * (whole / size if judge > 0.0 else 1.0)
+    return 1.0 / (1.0 + 0.5 * (shift / rays[ray, SIGMA]) ** 2)
+
+
+@bare_step
+def wholeness(ray, trust, rays):  # type: ignore[no-untyped-def]
+    """Return how whole an image is, by its trust: 1 of the right size, 0 half hidden."""
+    if trust >= 1.0:
+        return 1.0
+    shift = rays[ray, SIGMA] * np.sqrt(2.0 * (1.0 / trust**2 - 1.0))  # undoes trust2_of
+    return max(0.0, 1.0 - shift / (ODD_SHIFT * rays[ray, RADIUS]) / HALF_HIDDEN)
+
+
+@bare_step
+def too_large(ray, camera, point, rays, views, rules):  # type: ignore[no-untyped-def]
+    """Whether an image shows two targets grown together."""
+    if int(rays[ray, FLAGS]) & MERGED:
+        return True
+    if not rules[JUDGE] > 0.0 or rules[TYPICAL] <= 0.0:
+        return False
+    return image_size(ray, camera, point, rays, views) ** 2 > TOO_LARGE * rules[TYPICAL] ** 2
+
+
+@bare_step
+def half_hidden(members, solved, diameter, rays, views, rules):  # type: ignore[no-untyped-def]
+    """Whether a member's image is so small that more than half of the target must be hidden."""
+    if not rules[JUDGE] > 0.0:
+        return False
+    whole = rules[TYPICAL] if rules[TYPICAL] > 0.0 else diameter
+    for c in range(members.shape[0]):
+        k = members[c]
+        if k >= 0 and 1.0 - (image_size(k, c, solved, rays, views) / whole) ** 2 > HALF_HIDDEN:
+            return True
+    return False
+
+
+@bare_step
+def acceptable(members, solved, count, error, diameter, rays, views, rules):  # type: ignore[no-untyped-def]
+    """Whether a solved group is a target: errors, volume, certainty; a pair with both images at least half there."""
+    if not 0.0 <= error <= limit(2 * count - 3, rules[GATE] if count == 2 else rules[OUTLIER]):
+        return False
+    for k in range(3):
+        if not rules[LOW + k] <= solved[k] <= rules[HIGH + k]:
+            return False
+    if count == 2 and half_hidden(members, solved, diameter, rays, views, rules):
+        return False
+    worst = rules[WORST]
+    if solved[3] + solved[7] + solved[11] <= worst:
+        return True
+    # no eigenvalue above the worst: worst x identity less the covariance has no negative one (Sylvester)
+    d0, d1, d2 = worst - solved[3], worst - solved[7], worst - solved[11]
+    e01, e02, e12 = solved[4], solved[5], solved[8]
+    minor = d0 * d1 - e01 * e01
+    det = d2 * minor + e02 * (2.0 * e01 * e12 - d1 * e02) - d0 * e12 * e12
+    return d0 >= 0.0 and minor >= 0.0 and det >= 0.0
+
+
+@bare_step
+def limit(freedom, sigma):  # type: ignore[no-untyped-def]
+    """Chi-square bound of ``sigma`` standard deviations (exact for one, else Wilson and Hilferty's cube)."""
+    if freedom == 1:
+        return sigma * sigma
+    q = 2.0 / (9.0 * freedom)
+    return freedom * (1.0 - q + sigma * np.sqrt(q)) ** 3
+
+
+@bare_step
+def store(members, ranks, solved, error, diameter, rays, at, kept_values, kept_members, kept_trusts):  # type: ignore[no-untyped-def]
+    """Complete a group's values and keep it in row ``at``: values (n, VALUES), members (n, c), trusts (n, c).
+
+    Gain: the likelihood of its images as one target against that of images by chance, but for the density of
+    targets, which all groups share (Poore 1994, section 3): sum log(1 / (2 pi sigma^2 rho)) - chi2 / 2 +
+    log det(2 pi P) / 2.
+    """
+    det = (
+        solved[3] * (solved[7] * solved[11] - solved[8] ** 2)
+        - solved[4] * (solved[4] * solved[11] - solved[8] * solved[5])
+        + solved[5] * (solved[4] * solved[8] - solved[7] * solved[5])
+    )
+    gain = 0.5 * np.log(max(det, 1e-300) * (2.0 * np.pi) ** 3) - 0.5 * error
+    for c in range(members.shape[0]):
+        k, trust = members[c], ranks[c, TRUST]
+        kept_members[at, c], kept_trusts[at, c] = k, trust
+        if k >= 0:
+            gain += rays[k, BONUS]
+            if trust < 1.0:
+                gain += 2.0 * np.log(trust)
+    solved[CHI2], solved[GAIN], solved[DIAMETER] = error, gain, diameter
+    for k in range(VALUES):
+        kept_values[at, k] = solved[k]

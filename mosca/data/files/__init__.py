@@ -1,0 +1,1 @@
+"""Files of the vocabulary: rigs, targets, arrays; whole or not at all."""

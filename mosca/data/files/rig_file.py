@@ -1,0 +1,255 @@
+"""The project's rig file: one TOML for twin and rig, checked; read and written.
+
+::
+
+    [[camera]]
+    name = "left"
+    size = [1280, 1024]                            # width, height [px]
+    residual_px = 0.02                             # optional: what the lens model leaves of the images, rms an axis
+    [camera.lens]
+    model = "opencv"                               # or "mosca", "fisheye": see mosca.data.rig
+    fx_px = 1400.0                                 # ... the field names of the lens's dataclass
+    [camera.pose]
+    position_m = [2.0, -1.5, 2.2]                  # the camera's centre in the world
+    rotation_wxyz = [0.5, -0.5, 0.5, -0.5]         # world_from_camera
+    [camera.hardware]                              # optional: read by hardware, kept as it is
+    [camera.twin]                                  # optional: read by twin, kept as it is
+
+A file may also hold ``[hardware]`` and ``[twin]`` tables for what all cameras share (trigger, clock).
+A camera that is not calibrated yet has no lens or pose; ``read_rig_file`` gives it, ``read_rig`` says so.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tomli_w
+from pydantic import Field, field_validator
+
+from mosca.data.files.caliscope import is_caliscope, rig_from_caliscope
+from mosca.data.files.toml import Table, check, read_toml
+from mosca.data.files.whole_file import whole_file
+from mosca.data.rig import LENS_MODELS, Camera, FisheyeLens, Lens, MoscaLens, OpenCVLens, Pose, Rig
+from mosca.data.rotations import quaternion_from_rotation, rotation_from_quaternion
+from mosca.errors import InputError
+
+LARGEST_POSITION_M = 1000.0
+"""A camera farther from the world's origin than this was measured in millimetres."""
+
+Positive = Annotated[float, Field(gt=0)]
+Tilt = Annotated[float, Field(ge=-1.5, le=1.5, description="tilt of the sensor [rad], below 90 deg")]
+Pixels = Annotated[int, Field(gt=0, le=65535)]
+
+
+class MoscaLensTable(Table):
+    """``model = "mosca"``: principal distance, principal point, pixel pitch, affinity, K1-K3, P1, P2."""
+
+    model: Literal["mosca"]
+    c_mm: Positive
+    xp_px: float
+    yp_px: float
+    mx_mm_per_px: Positive
+    my_mm_per_px: Positive
+    a: float = 0.0
+    K1_per_mm2: float = 0.0
+    K2_per_mm4: float = 0.0
+    K3_per_mm6: float = 0.0
+    P1_per_mm: float = 0.0
+    P2_per_mm: float = 0.0
+
+
+class OpenCVLensTable(Table):
+    """``model = "opencv"``: radial k1-k6, tangential p1, p2, thin prism s1-s4, tilt tauX, tauY, as in OpenCV."""
+
+    model: Literal["opencv"]
+    fx_px: Positive
+    fy_px: Positive
+    cx_px: float
+    cy_px: float
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
+    s1: float = 0.0
+    s2: float = 0.0
+    s3: float = 0.0
+    s4: float = 0.0
+    tauX: Tilt = 0.0
+    tauY: Tilt = 0.0
+
+
+class FisheyeLensTable(Table):
+    """``model = "fisheye"``: equidistant with k1-k4, as ``cv2.fisheye`` has them."""
+
+    model: Literal["fisheye"]
+    fx_px: Positive
+    fy_px: Positive
+    cx_px: float
+    cy_px: float
+    k1: float = 0.0
+    k2: float = 0.0
+    k3: float = 0.0
+    k4: float = 0.0
+
+
+class PoseTable(Table):
+    """Exterior orientation ``world_from_camera``: centre [m] and rotation, a unit quaternion wxyz."""
+
+    position_m: tuple[float, float, float]
+    rotation_wxyz: tuple[float, float, float, float]
+
+    @field_validator("position_m")
+    @classmethod
+    def _in_metres(cls, position: tuple[float, float, float]) -> tuple[float, float, float]:
+        if max(abs(value) for value in position) > LARGEST_POSITION_M:
+            raise ValueError(
+                f"metres are wanted, at most {LARGEST_POSITION_M:g} from the origin; "
+                "if these are millimetres, divide by 1000"
+            )
+        return position
+
+    @field_validator("rotation_wxyz")
+    @classmethod
+    def _unit(cls, rotation: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+        norm = math.hypot(*rotation)
+        if abs(norm - 1.0) > 1e-3:
+            raise ValueError(f"a unit quaternion (w, x, y, z) is wanted, this one's norm is {norm:.6g}")
+        w, x, y, z = rotation
+        return w / norm, x / norm, y / norm, z / norm
+
+
+class CameraTable(Table):
+    """``[[camera]]``: one camera; lens and pose are missing until it is calibrated."""
+
+    name: Annotated[
+        str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$", description="letters, digits, _ . -")
+    ]
+    size: Annotated[tuple[Pixels, Pixels], Field(description="[width, height] in px")]
+    lens: Annotated[
+        MoscaLensTable | OpenCVLensTable | FisheyeLensTable | None, Field(discriminator="model")
+    ] = None
+    pose: PoseTable | None = None
+    residual_px: Annotated[
+        float, Field(ge=0, description="what the lens model leaves of the images, rms an axis [px]")
+    ] = 0.0
+    hardware: dict[str, Any] = Field(default_factory=dict)
+    twin: dict[str, Any] = Field(default_factory=dict)
+
+
+class RigFile(Table):
+    """The whole rig file; ``hardware`` and ``twin`` hold what all cameras share."""
+
+    camera: Annotated[tuple[CameraTable, ...], Field(min_length=1, description="one [[camera]] a camera")]
+    hardware: dict[str, Any] = Field(default_factory=dict)
+    twin: dict[str, Any] = Field(default_factory=dict)
+
+
+def rig_schema() -> dict[str, Any]:
+    """Return the JSON schema of the rig file, for editors that complete and check it."""
+    return RigFile.model_json_schema()
+
+
+def read_rig_file(path: Path) -> RigFile:
+    """Return the checked rig file at ``path`` with its hardware and twin tables; lens and pose may be missing.
+
+    Raises InputError naming file, key, value and what is allowed.
+    """
+    return check(RigFile, read_toml(Path(path)), path)
+
+
+def read_rig(path: Path) -> Rig:
+    """Return the calibrated cameras of a rig file, or of an aniposelib/Caliscope/Pose2Sim calibration TOML.
+
+    Which of the two it is, its content says. Raises InputError naming file, key, value and what is
+    allowed; also for a camera without lens or pose, a position in millimetres, or a principal point
+    more than half an image outside the image.
+    """
+    path = Path(path)
+    document = read_toml(path)
+    if is_caliscope(document):
+        rig = rig_from_caliscope(document, path)
+    else:
+        tables = check(RigFile, document, path).camera
+        names = [table.name for table in tables]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"{path}: camera name '{name}' stands twice; give each camera its own name")
+        rig = Rig(tuple(camera_of(table, path) for table in tables))
+    for camera in rig.cameras:
+        _check_plausible(camera, path)
+    return rig
+
+
+def write_rig(
+    rig: Rig,
+    path: Path,
+    hardware: Mapping[str, Mapping[str, Any]] | None = None,
+    twin: Mapping[str, Mapping[str, Any]] | None = None,
+) -> None:
+    """Write ``rig`` as a rig file, every number at full precision, whole or not at all.
+
+    ``hardware`` and ``twin`` map camera name -> table to be kept beside lens and pose.
+    """
+    with whole_file(Path(path)) as temporary:
+        temporary.write_text(rig_toml(rig, hardware, twin), encoding="utf-8")
+
+
+def rig_toml(
+    rig: Rig,
+    hardware: Mapping[str, Mapping[str, Any]] | None = None,
+    twin: Mapping[str, Mapping[str, Any]] | None = None,
+) -> str:
+    """Return the text that ``write_rig`` writes."""
+    tables = []
+    for camera in rig.cameras:
+        table: dict[str, Any] = {
+            "name": camera.name,
+            "size": [camera.width, camera.height],
+            "lens": {"model": camera.lens.model, **asdict(camera.lens)},
+            "pose": {
+                "position_m": camera.world_from_camera.translation.tolist(),
+                "rotation_wxyz": quaternion_from_rotation(camera.world_from_camera.rotation).tolist(),
+            },
+        }
+        if camera.residual_px:
+            table["residual_px"] = camera.residual_px
+        for key, kept in (("hardware", hardware), ("twin", twin)):
+            if kept and camera.name in kept:
+                table[key] = dict(kept[camera.name])
+        tables.append(table)
+    return tomli_w.dumps({"camera": tables})
+
+
+def camera_of(table: CameraTable, path: Path) -> Camera:
+    """Return the camera of a ``[[camera]]`` table; InputError where lens or pose are missing."""
+    if table.lens is None or table.pose is None:
+        missing = "lens" if table.lens is None else "pose"
+        raise InputError(
+            f"{path}: camera '{table.name}' has no [camera.{missing}]; calibrate it first (mosca calibrate)"
+        )
+    lens: Lens = LENS_MODELS[table.lens.model](**table.lens.model_dump(exclude={"model"}))
+    pose = Pose(rotation_from_quaternion(table.pose.rotation_wxyz), np.array(table.pose.position_m))
+    return Camera(table.name, table.size[0], table.size[1], lens, pose, table.residual_px)
+
+
+def _check_plausible(camera: Camera, path: Path) -> None:
+    """Raise InputError for a principal point more than half an image outside: wrong units or wrong size."""
+    match camera.lens:
+        case MoscaLens(xp_px=x, yp_px=y):
+            keys = ("lens.xp_px", "lens.yp_px")
+        case OpenCVLens(cx_px=x, cy_px=y) | FisheyeLens(cx_px=x, cy_px=y):
+            keys = ("lens.cx_px", "lens.cy_px")
+    for key, value, size in zip(keys, (x, y), (camera.width, camera.height), strict=True):
+        if not -0.5 * size <= value <= 1.5 * size:
+            raise InputError(
+                f"{path}: camera '{camera.name}': {key} = {value:g} is far outside the image of "
+                f"{camera.width}x{camera.height} px; allowed is {-0.5 * size:g} to {1.5 * size:g}; "
+                "check its unit (px) and the camera's size"
+            )

@@ -1,0 +1,258 @@
+"""Description files of what is put before the cameras: the tables of each kind, and what they stand for.
+
+::
+
+    kind = "field"                        # targets at known places, in the field's own axes
+    dot_radius_m = 0.008                  # ring_inner_m, ring_outer_m and plate_m: 2, 3 and 8 times that
+    sigma_m = 0.00002
+    [[target]]
+    number = 17                           # coded; without a number: a plain disc of plain_radius_m
+    position_m = [0.1, 0.0, 0.35]
+    normal = [0.0, 1.0, 0.0]              # x_axis where it is not level
+
+    kind = "board"                        # columns and rows count squares, the upper left one is black
+    columns = 9
+    rows = 6
+    square_m = 0.04
+    margin_m = 0.04
+    marker_m = 0.03                       # with dictionary = "DICT_5X5_50": ChArUco
+
+    kind = "wand"
+    along_m = [0.0, 0.15, 0.5]            # the balls' centres on it
+    diameter_m = 0.014
+
+    kind = "l_frame"                      # these balls set the world's axes
+    diameter_m = 0.014
+    [[marker]]
+    name = "origin"
+    position_m = [0.0, 0.0, 0.0]
+
+    kind = "scale_bar"
+    length_m = 1.00012
+    sigma_m = 0.000005
+    numbers = [3, 4]                      # coded ends of dot_radius_m; or ball_diameter_m; or round_radius_m
+    dot_radius_m = 0.008
+"""
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tomli_w
+from pydantic import Field
+
+from mosca.data.boards import Board
+from mosca.data.files.toml import Table
+from mosca.data.target_codes import NUMBERS
+from mosca.data.targets import (
+    PLATE,
+    RING_INNER,
+    RING_OUTER,
+    BallTarget,
+    CodedTarget,
+    PlacedTarget,
+    RoundTarget,
+    ScaleBar,
+    Target,
+    TestField,
+)
+from mosca.data.wands import LFrame, Wand
+
+FARTHEST_M = 1000.0
+"""A place farther from the origin than this was measured in millimetres."""
+
+Length = Annotated[float, Field(gt=0, le=FARTHEST_M)]
+Sigma = Annotated[float, Field(ge=0, le=1.0, description="standard deviation [m]")]
+Coordinate = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
+Place = tuple[Coordinate, Coordinate, Coordinate]
+Number = Annotated[int, Field(ge=0, lt=NUMBERS)]
+Name = Annotated[
+    str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_./-]*$", description="letters, digits, _ . / -")
+]
+
+CalibrationTarget = TestField | Board | Wand | LFrame | ScaleBar
+
+
+class FieldTargetTable(Table):
+    """``[[target]]``: coded where it has a ``number``, else a plain disc."""
+
+    number: Number | None = None
+    name: Name | None = None
+    position_m: Place = Field(description="[x, y, z] of the centre in the field's axes")
+    normal: Place = (0.0, 0.0, 1.0)
+    x_axis: Place | None = None
+
+
+class FieldTable(Table):
+    """``kind = "field"``: all coded targets have one size; by default a plain disc has that of the dots."""
+
+    kind: Literal["field"]
+    dot_radius_m: Length = Field(description="radius of the coded targets' centre dots")
+    ring_inner_m: Length | None = None
+    ring_outer_m: Length | None = None
+    plate_m: Length | None = None
+    plain_radius_m: Length | None = None
+    sigma_m: Sigma = 0.0
+    target: Annotated[tuple[FieldTargetTable, ...], Field(min_length=1, description="[[target]] tables")]
+
+    def made(self) -> TestField:
+        """Return the field; ValueError for what does not fit together."""
+        return TestField(tuple(self._placed(k) for k in range(len(self.target))), self.sigma_m)
+
+    def _placed(self, k: int) -> PlacedTarget:
+        table, dot = self.target[k], self.dot_radius_m
+        target: Target
+        if table.number is None:
+            target, name = RoundTarget(self.plain_radius_m or dot), f"round/{k + 1:03d}"
+        else:
+            target = CodedTarget(
+                table.number,
+                dot,
+                self.ring_inner_m or RING_INNER * dot,
+                self.ring_outer_m or RING_OUTER * dot,
+                self.plate_m or PLATE * dot,
+            )
+            name = target.name
+        try:
+            return PlacedTarget(
+                table.name or name,
+                target,
+                np.array(table.position_m),
+                np.array(table.normal),
+                None if table.x_axis is None else np.array(table.x_axis),
+            )
+        except ValueError as error:
+            raise ValueError(f"key 'target[{k}]': {error}") from None
+
+
+class BoardTable(Table):
+    """``kind = "board"``: a checkerboard; with ``marker_m`` and ``dictionary`` a ChArUco board."""
+
+    kind: Literal["board"]
+    columns: Annotated[int, Field(ge=3, le=200, description="squares from left to right")]
+    rows: Annotated[int, Field(ge=3, le=200, description="squares from top to bottom")]
+    square_m: Length = Field(description="edge of a square")
+    margin_m: Annotated[float, Field(ge=0, le=FARTHEST_M)] | None = None
+    marker_m: Length | None = None
+    dictionary: str | None = None
+    sigma_m: Sigma = 0.0
+
+    def made(self) -> Board:
+        """Return the board; ValueError for one that cannot be told from itself turned."""
+        margin = self.square_m if self.margin_m is None else self.margin_m
+        return Board(
+            self.columns, self.rows, self.square_m, margin, self.marker_m, self.dictionary, self.sigma_m
+        )
+
+
+class WandTable(Table):
+    """``kind = "wand"``: balls of one size on a line."""
+
+    kind: Literal["wand"]
+    along_m: Annotated[
+        tuple[Coordinate, ...],
+        Field(min_length=2, max_length=20, description="the balls' places on the line"),
+    ]
+    diameter_m: Length = Field(description="diameter of the balls")
+    sigma_m: Sigma = 0.0
+
+    def made(self) -> Wand:
+        """Return the wand; ValueError where balls would touch."""
+        return Wand(self.along_m, self.diameter_m, self.sigma_m)
+
+
+class FrameMarkerTable(Table):
+    """``[[marker]]``: one ball of an L-frame."""
+
+    name: Name
+    position_m: Place = Field(description="[x, y, z] of the ball's centre in the world")
+
+
+class LFrameTable(Table):
+    """``kind = "l_frame"``: balls at known places of the world."""
+
+    kind: Literal["l_frame"]
+    diameter_m: Length = Field(description="diameter of the balls")
+    sigma_m: Sigma = 0.0
+    marker: Annotated[
+        tuple[FrameMarkerTable, ...], Field(min_length=3, max_length=6, description="[[marker]]")
+    ]
+
+    def made(self) -> LFrame:
+        """Return the frame; ValueError where it leaves the axes open."""
+        places = np.array([one.position_m for one in self.marker])
+        return LFrame(tuple(one.name for one in self.marker), places, self.diameter_m, self.sigma_m)
+
+
+class ScaleBarTable(Table):
+    """``kind = "scale_bar"``: two equal targets at a certified distance."""
+
+    kind: Literal["scale_bar"]
+    length_m: Length = Field(description="certified distance of the centres")
+    sigma_m: Sigma
+    numbers: tuple[Number, Number] | None = None
+    dot_radius_m: Length | None = None
+    round_radius_m: Length | None = None
+    ball_diameter_m: Length | None = None
+
+    def made(self) -> ScaleBar:
+        """Return the bar; ValueError where its ends are not said or said twice."""
+        sizes = (self.dot_radius_m, self.round_radius_m, self.ball_diameter_m)
+        if sum(size is not None for size in sizes) != 1:
+            raise ValueError(
+                "give one of 'dot_radius_m' (with 'numbers'), 'round_radius_m', 'ball_diameter_m'"
+            )
+        if (self.numbers is None) != (self.dot_radius_m is None):
+            raise ValueError("'numbers' and 'dot_radius_m' go together: coded targets at both ends")
+        if self.numbers is not None and self.dot_radius_m is not None:
+            one, two = (CodedTarget.of_dot(number, self.dot_radius_m) for number in self.numbers)
+            return ScaleBar(self.length_m, self.sigma_m, (one, two))
+        end: Target = (
+            RoundTarget(self.round_radius_m)
+            if self.round_radius_m
+            else BallTarget(self.ball_diameter_m or 0.0)
+        )
+        return ScaleBar(self.length_m, self.sigma_m, (end, end))
+
+
+CalibrationTable = FieldTable | BoardTable | WandTable | LFrameTable | ScaleBarTable
+TABLES: dict[str, type[CalibrationTable]] = {
+    "field": FieldTable,
+    "board": BoardTable,
+    "wand": WandTable,
+    "l_frame": LFrameTable,
+    "scale_bar": ScaleBarTable,
+}
+
+
+def field_toml(field: TestField) -> str:
+    """Return the text of the description file of a test field, every number at full precision.
+
+    Raises ValueError for a field whose coded targets (or plain discs) are not all of one size.
+    """
+    coded = {
+        (t.dot_radius_m, t.ring_inner_m, t.ring_outer_m, t.plate_m)
+        for placed in field.targets
+        if isinstance(t := placed.target, CodedTarget)
+    }
+    plain = {placed.target.radius_m for placed in field.targets if isinstance(placed.target, RoundTarget)}
+    if len(coded) > 1 or len(plain) > 1 or any(isinstance(p.target, BallTarget) for p in field.targets):
+        raise ValueError("a field's file holds coded targets of one size and plain discs of one size")
+    document: dict[str, Any] = {"kind": "field", "sigma_m": field.sigma_m}
+    if coded:
+        keys = ("dot_radius_m", "ring_inner_m", "ring_outer_m", "plate_m")
+        document |= dict(zip(keys, coded.pop(), strict=True))
+    if plain:
+        document["plain_radius_m"] = plain.pop()
+        document.setdefault("dot_radius_m", document["plain_radius_m"])
+    document["target"] = [_target_table(placed) for placed in field.targets]
+    return tomli_w.dumps(document)
+
+
+def _target_table(placed: PlacedTarget) -> dict[str, Any]:
+    number = {"number": placed.target.number} if isinstance(placed.target, CodedTarget) else {}
+    return number | {
+        "name": placed.name,
+        "position_m": placed.position.tolist(),
+        "normal": placed.normal.tolist(),
+        "x_axis": placed.rotation[:, 0].tolist(),
+    }

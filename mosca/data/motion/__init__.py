@@ -1,0 +1,1 @@
+"""Skeletons and their motion; readers of BVH, ASF/AMC and CSV."""

@@ -1,0 +1,1 @@
+"""Frames to image points with covariance: background, threshold regions, centroid or disc fit."""

@@ -1,0 +1,220 @@
+"""Compiled scan of a frame set's images for bright pixels, 64 at a time.
+
+Called by ``mosca.detection.frame_set_kernel``; free of the GIL, on one thread, in whole numbers only. What a run
+is: see ``mosca.detection.threshold_regions``. A *block* is 64 pixels that follow each other in memory, its *mask*
+has a bit for each that is bright.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.detection.threshold_regions import END, FIRST, PLACE, ROW
+from mosca.numba_support.decorators import bare_step, step
+from mosca.numba_support.intrinsics import bits_set, bright_mask, copy_16, image_at, trailing_zeros
+
+BLOCK, SHIFT, OVER = 64, 6, 16
+"""Pixels in a block, and the power of two that it is; values that are copied at a time."""
+ROW_COST = 10
+"""A row of a box is taken to cost as much as so many blocks of a whole image (an estimate)."""
+
+
+@bare_step
+def mask_of(address: Any, pixels: Array, block: Any, level: int) -> Any:
+    """Return the mask of one block of an image; beyond the last pixel nothing is bright."""
+    first = block << SHIFT
+    if first + BLOCK <= len(pixels):
+        at = address + np.uint64(first * pixels.itemsize)
+        return bright_mask(at, pixels, np.int64(level))  # type: ignore[call-arg]
+    mask = np.int64(0)
+    for k in range(len(pixels) - first):
+        mask |= np.int64(pixels[first + k] > level) << np.int64(k)
+    return mask
+
+
+@bare_step
+def bright_blocks(address: Any, pixels: Array, level: int, blocks: Array, masks: Array, n: int) -> int:
+    """Write the blocks with a bright pixel and their masks from place n on, and return where they end.
+
+    Most of a frame is dark: each block is written, and the next one over it unless it is bright.
+    """
+    whole = len(pixels) >> SHIFT
+    for block in range(whole):
+        at = address + np.uint64(block * BLOCK * pixels.itemsize)
+        mask: Any = bright_mask(at, pixels, np.int64(level))  # type: ignore[call-arg]
+        blocks[np.uint64(n)], masks[np.uint64(n)] = block, mask
+        n += mask != 0
+    if len(pixels) % BLOCK:
+        mask = mask_of(address, pixels, whole, level)
+        blocks[n], masks[n] = whole, mask
+        n += mask != 0
+    return n
+
+
+@step
+def bright_blocks_within(
+    address: Any,
+    pixels: Array,
+    size: tuple[int, int],
+    level: int,
+    boxes: Array,
+    blocks: Array,
+    masks: Array,
+    n: int,
+) -> int:
+    """Do as ``bright_blocks`` for the blocks that reach into boxes (k, 4) x0, y0, x1, y1, ends included.
+
+    Row by row over the boxes there, from left to right, so that each block comes once and in order.
+    """
+    height, width = size
+    order = np.empty(len(boxes), np.int32)  # from the topmost down; few: of many boxes none is looked at
+    for k in range(len(boxes)):
+        i = k
+        while i > 0 and boxes[order[i - 1], 1] > boxes[k, 1]:
+            order[i] = order[i - 1]
+            i -= 1
+        order[i] = k
+    active = np.empty(len(boxes), np.int32)
+    n_active, following = 0, 0
+    row, done = 0, -1
+    while row < height and (n_active > 0 or following < len(boxes)):
+        if n_active == 0:
+            row = max(row, boxes[order[following], 1])
+        while following < len(boxes) and boxes[order[following], 1] <= row:
+            i = n_active
+            while i > 0 and boxes[active[i - 1], 0] > boxes[order[following], 0]:
+                active[i] = active[i - 1]
+                i -= 1
+            active[i] = order[following]
+            n_active += 1
+            following += 1
+        kept = 0
+        for i in range(n_active):
+            active[kept] = active[i]
+            kept += boxes[active[i], 3] >= row
+        n_active = kept
+        if row >= height:
+            break
+        for i in range(n_active):
+            first, last = max(boxes[active[i], 0], 0), min(boxes[active[i], 2], width - 1)
+            for block in range(
+                max((row * width + first) >> SHIFT, done + 1), ((row * width + last) >> SHIFT) + 1
+            ):
+                done = block
+                mask = mask_of(address, pixels, block, level)
+                blocks[n], masks[n] = block, mask
+                n += mask != 0
+        row += 1
+    return n
+
+
+@bare_step
+def copy_values(pixels: Array, at: int, n: int, values: Array, to: int) -> None:
+    """Copy n grey values, 16 at a time where the image is long enough; up to 15 more are overwritten later."""
+    if at + n + OVER > len(pixels):
+        for k in range(n):
+            values[to + k] = pixels[at + k]
+        return
+    source = np.uint64(pixels.ctypes.data) + np.uint64(at * pixels.itemsize)
+    target = np.uint64(values.ctypes.data) + np.uint64(to * values.itemsize)
+    for k in range(0, n, 16):
+        copy_16(
+            source + np.uint64(k * pixels.itemsize), pixels, target + np.uint64(k * values.itemsize), values
+        )  # type: ignore[call-arg]
+
+
+@bare_step
+def bright_runs(
+    pixels: Array, width: int, blocks: Array, masks: Array, runs: Array, values: Array, n: int, n_values: int
+) -> tuple[int, int]:
+    """Write an image's runs in raster order, and their grey values, from places n and n_values on.
+
+    Returns where both end. A run that reaches from one block into the next is one; the end of a row ends it.
+    """
+    y, row, last = 0, 0, -1  # a row, its first pixel, and the end of the run before
+    first_value = n_values
+    for i in range(len(blocks)):
+        base, mask = np.int64(blocks[i]) << SHIFT, masks[i]
+        while mask != 0:
+            filled = mask | (mask - 1)
+            begin = base + trailing_zeros(mask)  # type: ignore[call-arg]
+            stop = base + trailing_zeros(~filled)
+            mask &= filled + 1
+            while begin < stop:
+                while begin >= row + width:
+                    y += 1
+                    row += width
+                end = min(stop, row + width)
+                if begin == last and begin > row:
+                    runs[n - 1, END] = end - row
+                else:
+                    runs[n, ROW], runs[n, FIRST], runs[n, END] = y, begin - row, end - row
+                    runs[n, PLACE] = n_values - first_value
+                    n += 1
+                copy_values(pixels, begin, end - begin, values, n_values)
+                n_values += end - begin
+                last = begin = end
+    return n, n_values
+
+
+@step
+def scan_set(
+    addresses: Array, like: Array, size: tuple[int, int], level: int, boxes: Array, box_start: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return the runs of pixels above ``level`` of all images of a frame set, or those within boxes.
+
+    ``addresses`` (n,) uint64: where the images of ``size`` (H, W) and the type of ``like`` (0,) lie in memory.
+    ``boxes`` (k, 4) int32 x0, y0, x1, y1, ends included, those of image i from ``box_start`` (n + 1) i on; where
+    ``box_start`` is empty, all of each image is searched, and so it is where that is faster. Returns runs
+    (m, 4), grey values, and where those of each image begin (n + 1).
+    """
+    n_images = len(addresses)
+    height, width = size
+    n_blocks = (height * width + BLOCK - 1) >> SHIFT
+    blocks, masks = np.empty(n_images * n_blocks + 1, np.int32), np.empty(n_images * n_blocks + 1, np.int64)
+    start = np.zeros(n_images + 1, np.int64)
+    for i in range(n_images):
+        pixels = image_at(addresses[i], like, 1, height * width).ravel()
+        own = boxes[:0]
+        rows = 0
+        if len(box_start) > 0:
+            own = boxes[box_start[i] : box_start[i + 1]]
+            for k in range(len(own)):
+                rows += own[k, 3] - own[k, 1] + 1
+        if len(box_start) == 0 or ROW_COST * rows > n_blocks:
+            start[i + 1] = bright_blocks(addresses[i], pixels, level, blocks, masks, start[i])
+        else:
+            start[i + 1] = bright_blocks_within(
+                addresses[i], pixels, size, level, own, blocks, masks, start[i]
+            )
+    most_runs, most_values = n_images * height, OVER
+    for k in range(start[-1]):
+        most_runs += bits_set(masks[k] & ~(masks[k] << 1))  # type: ignore[call-arg]
+        most_values += bits_set(masks[k])
+    runs, values = np.empty((most_runs, 4), np.int32), np.empty(most_values, np.int32)
+    run_start, value_start = np.zeros(n_images + 1, np.int64), np.zeros(n_images + 1, np.int64)
+    for i in range(n_images):
+        pixels = image_at(addresses[i], like, 1, height * width).ravel()
+        own_blocks, own_masks = blocks[start[i] : start[i + 1]], masks[start[i] : start[i + 1]]
+        run_start[i + 1], value_start[i + 1] = bright_runs(
+            pixels, width, own_blocks, own_masks, runs, values, run_start[i], value_start[i]
+        )
+    return runs[: run_start[-1]], values[: value_start[-1]], run_start, value_start
+
+
+@step
+def regions_within(runs: Array, regions: Array, boxes: Array, box_start: Array) -> Array:
+    """Return the rows of ``regions`` that lie inside one of their image's boxes, off its outermost pixels."""
+    kept = np.zeros(len(regions), np.bool_)
+    for r in range(len(regions)):
+        own = runs[regions[r, 1] : regions[r, 2]]
+        top, bottom = own[0, 0], own[-1, 0]
+        left, right = own[0, 1], own[0, 2]
+        for i in range(1, len(own)):
+            left, right = min(left, own[i, 1]), max(right, own[i, 2])
+        for k in range(box_start[regions[r, 0]], box_start[regions[r, 0] + 1]):
+            if boxes[k, 1] < top and boxes[k, 3] > bottom and boxes[k, 0] < left and boxes[k, 2] >= right:
+                kept[r] = True
+                break
+    return regions[kept]

@@ -1,0 +1,268 @@
+"""Detection: from an image to sub-pixel targets. Mosca paper, section 3.1.
+
+What a target is. The image is cut at falling thresholds h, from ``Imax - B/2`` (Imax: the largest value the
+camera can give) in steps of s as long as h is above h_min; from a threshold that no pixel has, the count goes
+on at the next lower grey value that occurs (step 3; the paper prints "until HIST[h] = 0", which must read
+"while"). The regions of a threshold are the 8-connected components of ``I > h``. A region is accepted when
+(step 6)
+
+- both sides of its box, in pixels, lie strictly between D_min and D_max,
+- ``Bmax - Bmin > B``, with the largest and smallest grey value inside it,
+- ``N < 2``: of the targets accepted at higher thresholds, it holds at most one. N counts the connected
+  components of the output image R so far that lie inside the region. So a target that grows from one
+  threshold to the next stays one, and two that were accepted apart stay two when their regions merge lower
+  down. (Counted against the previous threshold's regions alone, as step 5 can be read, the merged blob would
+  be accepted one step later.)
+
+R is the union of the accepted regions; its components are the targets (step 9): each is the largest accepted
+region around its summit. A target that touches the image's border is cut off and is not reported.
+
+Where it is. ``centroid = "refined"``, the default, fits a blurred disc to the pixels around:
+``mosca.detection.disc_fit.camera_statistics``. ``"paper"`` is step 10 as printed: ``x* = sum x I / sum I`` over the
+region. ``"background"`` takes the region's mask m, grown by ``dilation_px`` to all sides (a region that ends above
+the lowest threshold has a neighbour and is grown by at most 1), and the local background b, the mean of the
+pixels not above the lowest threshold on the border of the box around the mask:
+``x* = sum_m x (I - b) / S``, ``S = sum_m (I - b)``. Pixels above the region's threshold that are not its own
+belong to a neighbour and are left out.
+
+How well. The pixel noise ``var(I) = read^2 + gain (I - b) + 1/12`` (EMVA 1288: dark noise, photon noise,
+quantisation; gain in DN per electron) goes through the centroid at first order:
+``C = sum_m (p - p*)(p - p*)^T var(I) / S^2 + g g^T var(b) / S^2`` with ``g = sum_m (p - p*)`` and
+``var(b) = (read^2 + 1/12) / ring pixels``. The mask is taken as given: what it cuts off is not in C.
+"""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import cv2
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.detections import Detections
+from mosca.detection.background import mean_background, minimum_background
+from mosca.detection.detect_finish import columns
+from mosca.detection.disc_fit.camera_statistics import NOTHING, Learned, Priors
+from mosca.detection.disc_fit.gauss_newton import Model
+from mosca.detection.frame_set_kernel import (
+    BACKGROUND,
+    NOWHERE,
+    PAPER,
+    REFINED,
+    Lessons,
+    Places,
+    Regions,
+    look_at_set,
+)
+from mosca.detection.merged_targets.split import split_pairs
+from mosca.detection.settings import DEFAULTS, DetectionSettings, noise_of, search_of
+from mosca.errors import InputError
+
+__all__ = [
+    "DEFAULTS",
+    "NOTHING",
+    "DetectionSettings",
+    "Learned",
+    "detect",
+    "detect_and_learn",
+    "detect_set",
+    "mean_background",
+    "minimum_background",
+    "target_regions",
+]
+
+HOW = {"paper": PAPER, "background": BACKGROUND, "refined": REFINED}
+_NO_BOXES = np.empty((0, 4), np.int32)
+_EVERYWHERE = np.empty(0, np.int64)
+_LIKE: dict[object, Array] = {
+    np.dtype(np.uint8): np.empty(0, np.uint8),
+    np.dtype(np.uint16): np.empty(0, np.uint16),
+}
+
+
+def detect(
+    image: Array,
+    camera: str,
+    settings: DetectionSettings = DEFAULTS,
+    bit_depth: int = 8,
+    background: Array | None = None,
+    learned: Learned = NOTHING,
+) -> Detections:
+    """Return the targets in an image (H, W) of uint8 or uint16, in the order of their topmost rows.
+
+    ``bit_depth`` is the number of significant bits of a pixel (8 to 16), ``camera`` the name that the
+    detections carry. ``background`` (H, W), of the image's type, is taken off first, negative values becoming
+    0 (guide to motion capture, "Marker Detection"; see ``mean_background`` and ``minimum_background``).
+    ``learned``: what earlier frames taught, see ``detect_and_learn``.
+
+    Raises InputError for an image, a background or a bit depth that do not fit each other.
+    """
+    backgrounds = None if background is None else [background]
+    return detect_set([image], [camera], settings, bit_depth, backgrounds, None, learned)[0]
+
+
+def detect_set(
+    images: Sequence[Array],
+    cameras: Sequence[str],
+    settings: DetectionSettings = DEFAULTS,
+    bit_depth: int = 8,
+    backgrounds: Sequence[Array | None] | None = None,
+    windows: Sequence[Array | None] | None = None,
+    learned: Learned = NOTHING,
+) -> list[Detections]:
+    """Return the targets of each image of a frame set; ``detect`` for several cameras at once.
+
+    Images of one size and type are worked off without the GIL in one go, so that several threads can each
+    take a frame set; others one by one. ``windows``: for each image the boxes (k, 4) x0, y0, x1, y1 [px, ends
+    included] in which targets are looked for, or None for all of it: a target is reported, once, where it lies
+    inside one of them, off its outermost pixels. Small windows make large images fast; where there are many,
+    all of the image is looked at.
+    """
+    return detect_and_learn(images, cameras, settings, bit_depth, backgrounds, windows, learned)[0]
+
+
+def detect_and_learn(
+    images: Sequence[Array],
+    cameras: Sequence[str],
+    settings: DetectionSettings = DEFAULTS,
+    bit_depth: int = 8,
+    backgrounds: Sequence[Array | None] | None = None,
+    windows: Sequence[Array | None] | None = None,
+    learned: Learned = NOTHING,
+) -> tuple[list[Detections], Learned]:
+    """Do as ``detect_set`` and return what these images alone teach about their cameras too.
+
+    Add it to what is known, ``learned.plus(new)``, and hand the sum to a later call: the same images with the
+    same ``learned`` give the same places, whatever threads do. Without, each call starts afresh. Only the
+    "refined" place learns.
+    """
+    _check_counts(images, cameras, backgrounds, windows)
+    if not images:
+        return [], NOTHING
+    pixels = [
+        _foreground(image, camera, bit_depth, None if backgrounds is None else backgrounds[i])
+        for i, (image, camera) in enumerate(zip(images, cameras, strict=True))
+    ]
+    first = pixels[0]
+    if any(image.shape != first.shape or image.dtype != first.dtype for image in pixels):
+        found, taught = [], NOTHING
+        for i, (image, name) in enumerate(zip(pixels, cameras, strict=True)):
+            boxes = None if windows is None else [windows[i]]
+            part, new = detect_and_learn([image], [name], settings, bit_depth, None, boxes, learned)
+            found += part
+            taught = taught.plus(new)
+        return found, taught
+    placed = _placed(pixels)
+    priors = learned.priors(tuple(cameras))
+    regions, (table, region_of, image_of), lessons = _looked(
+        placed, settings, bit_depth, windows, HOW[settings.centroid], priors
+    )
+    if settings.centroid != "refined":
+        return _detections(cameras, table, image_of), NOTHING
+    if settings.split_pairs:
+        given = (*placed, priors.blurs, priors.offsets, _model_of(settings, bit_depth))
+        table, image_of = split_pairs(table, image_of, region_of, *regions, given)
+    return _detections(cameras, table, image_of), Learned(tuple(cameras), *lessons)
+
+
+def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_depth: int = 8) -> Array:
+    """Return the output image R (H, W) int32: 0, or the number of the target from 1 (steps 6 and 9).
+
+    Targets that touch the image's border are still in it.
+    """
+    pixels = _foreground(image, "image", bit_depth, None)
+    (runs, regions, _), _, _ = _looked(
+        _placed([pixels]), settings, bit_depth, None, NOWHERE, NOTHING.priors(("image",))
+    )
+    labels = np.zeros(image.shape, np.int32)
+    for number, (_, first_run, end_run, _) in enumerate(regions, start=1):
+        for row, first, end in runs[first_run:end_run]:
+            labels[row, first:end] = number
+    return labels
+
+
+def _check_counts(
+    images: Sequence[Array],
+    cameras: Sequence[str],
+    backgrounds: Sequence[Array | None] | None,
+    windows: Sequence[Array | None] | None,
+) -> None:
+    n = len(images)
+    n_backgrounds = n if backgrounds is None else len(backgrounds)
+    n_windows = n if windows is None else len(windows)
+    if not n == len(cameras) == n_backgrounds == n_windows:
+        raise InputError(
+            f"detection: {n} images, {len(cameras)} cameras, {n_backgrounds} backgrounds and {n_windows} lists of "
+            "windows given; give one of each for every camera"
+        )
+
+
+def _foreground(image: Array, camera: str, bit_depth: int, background: Array | None) -> Array:
+    """Return the image less its background, after checking that image, background and bit depth fit."""
+    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16) or 0 in image.shape:
+        raise InputError(
+            f"detection: camera '{camera}': image {image.shape} of {image.dtype} given; (H, W) of uint8 or "
+            "uint16 is allowed: reduce colour to grey first"
+        )
+    if not 8 <= bit_depth <= 8 * image.dtype.itemsize:
+        raise InputError(
+            f"detection: camera '{camera}': bit_depth {bit_depth} given for an image of {image.dtype}; "
+            f"8 to {8 * image.dtype.itemsize} is allowed"
+        )
+    if background is None:
+        return image if image.flags.c_contiguous else np.ascontiguousarray(image)
+    if background.shape != image.shape or background.dtype != image.dtype:
+        raise InputError(
+            f"detection: camera '{camera}': background {background.shape} of {background.dtype} given for an "
+            f"image {image.shape} of {image.dtype}; make it from this camera's frames with mean_background"
+        )
+    return np.ascontiguousarray(cv2.subtract(image, background))
+
+
+def _boxes(windows: Sequence[Array | None] | None, height: int, width: int) -> tuple[Array, Array]:
+    """Return the windows of all images in one table (k, 4) and where each image's begin (n + 1)."""
+    if windows is None:
+        return _NO_BOXES, _EVERYWHERE
+    everything = np.array([[0, 0, width - 1, height - 1]], np.int32)
+    parts = [everything if own is None else np.asarray(own, np.int32).reshape(-1, 4) for own in windows]
+    return np.concatenate(parts), np.cumsum([0] + [len(part) for part in parts])
+
+
+def _placed(images: Sequence[Array]) -> tuple[Array, Array, tuple[int, int]]:
+    """Return where contiguous images of one size and type lie in memory, their type, and their size."""
+    addresses = np.array([image.ctypes.data for image in images], np.uint64)
+    height, width = images[0].shape
+    return addresses, _LIKE[images[0].dtype], (height, width)
+
+
+def _looked(
+    placed: tuple[Array, Array, tuple[int, int]],
+    settings: DetectionSettings,
+    bit_depth: int,
+    windows: Sequence[Array | None] | None,
+    how: int,
+    priors: Priors,
+) -> tuple[Regions, Places, Lessons]:
+    """Return what ``look_at_set`` finds in the images that ``_placed`` describes."""
+    return look_at_set(
+        *placed, *_boxes(windows, *placed[2]), search_of(settings, bit_depth), how, settings.dilation_px,
+        noise_of(settings, bit_depth), priors.blurs, priors.offsets, priors.roughness,
+        _model_of(settings, bit_depth),
+    )  # fmt: skip
+
+
+@lru_cache
+def _model_of(settings: DetectionSettings, bit_depth: int) -> Model:
+    noise = noise_of(settings, bit_depth)
+    return Model(noise.dark_dn2, noise.gain_dn, float(2**bit_depth - 1))
+
+
+def _detections(cameras: Sequence[str], table: Array, image_of: Array) -> list[Detections]:
+    """Return each camera's part of a table of all cameras' targets."""
+    *found, start = columns(table, image_of, len(cameras))
+    for column in found:
+        column.setflags(write=False)
+    bounds = start.tolist()
+    return [
+        Detections.handed_over(name, [column[first:end] for column in found])
+        for name, first, end in zip(cameras, bounds, bounds[1:], strict=False)
+    ]

@@ -1,0 +1,1 @@
+"""Fit of a blurred disc to the pixels of a target."""

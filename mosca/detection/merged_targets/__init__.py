@@ -1,0 +1,1 @@
+"""Two targets whose images touch: fitted together."""

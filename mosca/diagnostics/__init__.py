@@ -1,0 +1,1 @@
+"""What residuals say about cameras: noise that matching uses, and faults for people."""

@@ -1,0 +1,1 @@
+"""Rigid bodies, marker models and poses in files."""

@@ -1,0 +1,73 @@
+"""Writes calibrations of aniposelib (which Pose2Sim shares) and Caliscope; ``mosca.data.files.caliscope`` reads them.
+
+Tables of ``size``, ``matrix`` [px], ``distortions`` (OpenCV's order, or four of ``cv2.fisheye``), ``rotation`` (a
+rotation vector) and ``translation`` [m], the last two *camera_from_world*.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import tomli_w
+
+from mosca.data.files.rig_file import read_rig
+from mosca.data.files.whole_file import whole_file
+from mosca.data.rig import Camera
+from mosca.errors import InputError
+from mosca.formats.rigs.lens_conversion import Notes, RigFileOptions, opencv_parts
+
+
+def read_toml_rig(path: Path, options: RigFileOptions) -> tuple[tuple[Camera, ...], Notes]:
+    """Read the project's rig file or one of this dialect, whichever it is
+    (``mosca.data.files.rig_file.read_rig``).
+    """
+    if options.unit == "mm":
+        raise InputError(f"{path}: unit = mm given; these files are in metres: divide 'translation' by 1000")
+    return read_rig(path).cameras, ()
+
+
+def write_aniposelib(cameras: tuple[Camera, ...], path: Path, options: RigFileOptions) -> Notes:
+    """Write ``[cam_0]`` ... with the camera's name, and ``[metadata]``."""
+    document: dict[str, Any] = {}
+    notes: Notes = ()
+    for k, camera in enumerate(cameras):
+        table, more = _table(camera, options)
+        document[f"cam_{k}"] = {"name": camera.name, **table}
+        notes += more
+    document["metadata"] = {"adjusted": True, "error": 0.0}
+    _write(document, path)
+    return notes
+
+
+def write_caliscope(cameras: tuple[Camera, ...], path: Path, options: RigFileOptions) -> Notes:
+    """Write ``[cameras.0]`` ... with numbers for names: the format has none, so that cam_0, cam_1 ... come back."""
+    document: dict[str, Any] = {}
+    notes: Notes = ()
+    for k, camera in enumerate(cameras):
+        table, more = _table(camera, options)
+        document[str(k)] = {"cam_id": k, "rotation_count": 0, "ignore": False, **table}
+        notes += more
+        if camera.name != f"cam_{k}":
+            notes += (f"camera '{camera.name}' becomes number {k}: Caliscope's cameras have no names",)
+    _write({"cameras": document}, path)
+    return notes
+
+
+def _table(camera: Camera, options: RigFileOptions) -> tuple[dict[str, Any], Notes]:
+    camera_from_world = camera.world_from_camera.inverse()
+    matrix, coefficients, fisheye, notes = opencv_parts(camera, options)
+    table = {
+        "size": [camera.width, camera.height],
+        "matrix": matrix.tolist(),
+        "distortions": coefficients,
+        "fisheye": fisheye,
+        "rotation": cv2.Rodrigues(np.array(camera_from_world.rotation))[0].ravel().tolist(),
+        "translation": camera_from_world.translation.tolist(),
+    }
+    return table, notes
+
+
+def _write(document: dict[str, Any], path: Path) -> None:
+    with whole_file(path) as temporary:
+        temporary.write_text(tomli_w.dumps(document), encoding="utf-8")

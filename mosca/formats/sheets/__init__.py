@@ -1,0 +1,1 @@
+"""Printed target sheets, and the scale that a printer gave them."""

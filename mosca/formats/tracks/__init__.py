@@ -1,0 +1,1 @@
+"""Tracks in files: CSV, C3D, TRC."""

@@ -1,0 +1,1 @@
+"""Names for tracks: marker models, coded targets, blinking LEDs."""

@@ -1,0 +1,1 @@
+"""How numerical code is compiled and where compiled code is kept."""

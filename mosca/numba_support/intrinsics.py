@@ -1,0 +1,115 @@
+"""Images where they lie in memory, and 64 pixels of them at a time, for compiled kernels.
+
+Kernels in other files compile this in, and Numba keeps a cached kernel as long as *its own* file is unchanged:
+after a change here, remove the ``__pycache__`` folder beside this file.
+"""
+
+from typing import Any
+
+import numba
+import numpy as np
+from numba import carray  # type: ignore[attr-defined]
+from numba.core import cgutils, types
+from numba.core.cgutils import ir  # type: ignore[attr-defined]
+from numba.extending import intrinsic
+
+from mosca.data.arrays import Array
+from mosca.numba_support.decorators import ALONE
+
+
+@intrinsic
+def _pointer(_context: Any, address: Any, like: Any) -> Any:
+    """Return ``address`` (uint64) as a pointer to values of the type of the array ``like``."""
+
+    def code(_context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], _context.get_value_type(signature.return_type))
+
+    return types.CPointer(like.dtype)(types.uint64, like), code
+
+
+@intrinsic
+def bright_mask(_context: Any, address: Any, like: Any, level: Any) -> Any:
+    """Return which of the 64 pixels from ``address`` (uint64) on are above ``level``: bit k of an int64 for pixel k.
+
+    Pixels are of the type of the array ``like``, unsigned. One compare of 64 lanes, which the compiler cuts into
+    those of the machine.
+    """
+
+    def code(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        pixel = ir.IntType(like.dtype.bitwidth)
+        lanes = ir.VectorType(pixel, 64)
+        pixels = builder.load(builder.inttoptr(arguments[0], lanes.as_pointer()), align=pixel.width // 8)
+        limit = builder.insert_element(
+            ir.Constant(lanes, ir.Undefined), builder.trunc(arguments[2], pixel), ir.IntType(32)(0)
+        )
+        everywhere = ir.Constant(ir.VectorType(ir.IntType(32), 64), [0] * 64)
+        limits = builder.shuffle_vector(limit, ir.Constant(lanes, ir.Undefined), everywhere)
+        return builder.bitcast(builder.icmp_unsigned(">", pixels, limits), ir.IntType(64))
+
+    return types.int64(types.uint64, like, types.int64), code
+
+
+@intrinsic
+def trailing_zeros(_context: Any, mask: Any) -> Any:
+    """Return the number of the lowest bit set in an int64, 64 where none is."""
+
+    def code(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return builder.cttz(arguments[0], ir.IntType(1)(0))
+
+    return types.int64(types.int64), code
+
+
+@intrinsic
+def bits_set(_context: Any, mask: Any) -> Any:
+    """Return how many bits of an int64 are set."""
+
+    def code(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
+        return builder.ctpop(arguments[0])
+
+    return types.int64(types.int64), code
+
+
+@intrinsic
+def copy_16(_context: Any, source: Any, like: Any, target: Any, wanted: Any) -> Any:
+    """Copy the 16 values from ``source`` (uint64) on, of the type of the array ``like``, unsigned, to ``target``.
+
+    There they are of the type of the array ``wanted``, a float32 or a wider integer. In one go.
+    """
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        pixel, number = ir.IntType(like.dtype.bitwidth), context.get_value_type(wanted.dtype)
+        given, made = ir.VectorType(pixel, 16), ir.VectorType(number, 16)
+        pixels = builder.load(builder.inttoptr(arguments[0], given.as_pointer()), align=pixel.width // 8)
+        is_whole = isinstance(wanted.dtype, types.Integer)
+        values = builder.zext(pixels, made) if is_whole else builder.uitofp(pixels, made)
+        builder.store(
+            values, builder.inttoptr(arguments[2], made.as_pointer()), align=wanted.dtype.bitwidth // 8
+        )
+        return context.get_constant_null(signature.return_type)
+
+    return types.void(types.uint64, like, types.uint64, wanted), code
+
+
+@intrinsic
+def prefetch(_context: Any, address: Any) -> Any:
+    """Have the memory at ``address`` (uint64) brought near; says nothing and may name any address."""
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        byte, number = ir.IntType(8).as_pointer(), ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), (byte, number, number, number))
+        call = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        # for reading, to the nearest cache, data
+        builder.call(call, (builder.inttoptr(arguments[0], byte), number(0), number(3), number(1)))
+        return context.get_constant_null(signature.return_type)
+
+    return types.void(types.uint64), code
+
+
+@numba.njit(nogil=True, **ALONE)
+def image_at(address: np.uint64, like: Array, height: int, width: int) -> Array:
+    """Return the image (H, W) of the type of ``like`` that lies in memory at ``address``, row after row.
+
+    So a kernel takes all images of a frame set without anyone copying them into one array; the caller keeps
+    them alive and has checked that they are contiguous and of one size and type.
+    """
+    return carray(_pointer(address, like), (height, width))  # type: ignore[call-arg]

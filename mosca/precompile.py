@@ -1,0 +1,109 @@
+"""Compile the pipeline's kernels before they are needed: ``python -m mosca.precompile``.
+
+With ``look`` only those that look at frames, with ``points`` only those that make points and tracks: two processes
+compile them side by side.
+"""
+
+import sys
+from collections.abc import Iterator
+from itertools import islice
+
+import numpy as np
+
+from mosca.camera.projection import project
+from mosca.correspondence.match import MatchSettings, match
+from mosca.data.arrays import Array
+from mosca.data.detections import Detections
+from mosca.data.frames import CameraInfo, Frame, FrameSet
+from mosca.data.rig import Camera, MoscaLens, Pose, Rig
+from mosca.detection.detect import DetectionSettings
+from mosca.detection.disc_fit.camera_statistics import NOTHING
+from mosca.detection.scheduler import Look
+from mosca.diagnostics.camera_health import Health
+from mosca.pipeline import PipelineSettings, run
+from mosca.tracking.tracker import Tracker, TrackSettings
+from mosca.triangulation.triangulate import bundle_rays
+
+WIDTH, HEIGHT, RATE_HZ, PULSES = 96, 72, 100.0, 8
+POINTS = np.array([[0.1, 0.0, 0.1], [-0.1, 0.1, 0.0], [0.0, -0.1, -0.1]])
+
+
+class _Blobs:
+    """Three points seen by three cameras, as soft blobs."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.cameras = tuple(CameraInfo(c.name, c.width, c.height, 8, RATE_HZ) for c in rig.cameras)
+
+    def __iter__(self) -> Iterator[Frame]:
+        for pulse in range(PULSES):
+            for camera in self.rig.cameras:
+                image = _blobs(project(camera, POINTS))
+                yield Frame(camera.name, pulse, round(pulse * 1e9 / RATE_HZ), 1_000_000, image)
+
+    def close(self) -> None:
+        pass
+
+    def __enter__(self) -> "_Blobs":
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        pass
+
+
+def warm_up() -> int:
+    """Run the whole pipeline once over a few small frames; returns how many points it found."""
+    low, high = (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)
+    return sum(len(step.points) for step in run(_Blobs(_rig()), _rig(), PipelineSettings(volume=(low, high))))
+
+
+def look() -> int:
+    """Look at one small frame set; returns how many targets were found."""
+    source = _Blobs(_rig())
+    frames = FrameSet(0, 0, {frame.camera: frame for frame in islice(source, len(source.cameras))})
+    at = Look(DetectionSettings(), {info.name: info.bit_depth for info in source.cameras})
+    return sum(len(found) for found in at.at(frames, NOTHING)[0].values())
+
+
+def points() -> int:
+    """Match, track and judge made-up detections of a few sets; returns how many samples came out."""
+    rig, tracker, samples = _rig(), Tracker(TrackSettings()), 0
+    health = Health(rig)
+    room = (np.full(3, -1.0), np.full(3, 1.0))
+    for pulse in range(PULSES):
+        n = len(POINTS)
+        found = {
+            c.name: Detections(
+                c.name, project(c, POINTS), np.tile(1e-4 * np.eye(2), (n, 1, 1)), np.full(n, 4.0), np.full(n, 100.0),
+                np.ones(n),
+            )
+            for c in rig.cameras
+        }  # fmt: skip
+        predicted = tracker.predict(pulse / RATE_HZ)
+        bundle = bundle_rays(rig, found, 0.05)
+        made = match(bundle, predicted, MatchSettings(), room, 0.0)
+        frame_set = FrameSet(pulse, round(pulse * 1e9 / RATE_HZ), {})
+        samples += len(tracker.update(made, pulse, frame_set.time_ns))
+        health.attend(rig, frame_set, found, made, bundle)
+    return samples
+
+
+def _rig() -> Rig:
+    lens = MoscaLens(0.9, (WIDTH - 1) / 2, (HEIGHT - 1) / 2, 0.0099, 0.0099)
+    cameras = []
+    for k, angle in enumerate((0.0, 2.0, 4.0)):
+        forward = -np.array([np.cos(angle), np.sin(angle), 0.0])
+        right = np.array([-np.sin(angle), np.cos(angle), 0.0])
+        rotation = np.column_stack([right, np.cross(forward, right), forward])
+        cameras.append(Camera(f"cam{k + 1}", WIDTH, HEIGHT, lens, Pose(rotation, -forward)))
+    return Rig(tuple(cameras))
+
+
+def _blobs(xy_px: Array) -> Array:
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    away2 = (x[..., None] - xy_px[:, 0]) ** 2 + (y[..., None] - xy_px[:, 1]) ** 2
+    return np.rint(4 + 150 * np.exp(-away2 / 4.0).sum(axis=-1)).astype(np.uint8)
+
+
+if __name__ == "__main__":
+    {"look": look, "points": points}.get("".join(sys.argv[1:]), warm_up)()

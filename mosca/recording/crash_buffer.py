@@ -1,0 +1,264 @@
+"""Frames that wait to be written, kept where they outlive their process: slots of a file in memory.
+
+While a disk or a busy machine keeps a writer waiting, frames stand in its memory, and ``kill -9`` takes them with
+it. A file on /dev/shm is memory of the operating system's: what was copied there stays when the process is gone, and
+no disk can delay it. A slot holds a frame as it is, unpacked; it is used anew as soon as the frame stands in the
+recording.
+
+Its layout, little-endian: 8 bytes ``mosca\\0t1``, u64 size of a slot, u64 number of slots used, padded to 4096; then
+the slots, each ::
+
+    8 bytes ``frame\\0\\0\\0``, written last (while a slot is filled there are zeros)
+    u32 camera, in the recording's order, u8 status, u8 stamp event, u8 bytes a pixel, u8 0
+    u32 height, u32 width, u32 length of the note, u32 0
+    i64 arrival at the machine [ns] (-1: not known), i64 index, i64 time [ns], i64 exposure [ns], i64 row time [ns]
+    note (UTF-8, 248 bytes at most), pixels from byte 320 of the slot on, row by row
+
+The writer locks the file (flock); whoever reads it knows by the lock whether the writer lives.
+"""
+
+import heapq
+import mmap
+import os
+import struct
+import tempfile
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.files.whole_file import whole_file
+from mosca.data.frames import CameraInfo, Frame
+from mosca.errors import InputError
+from mosca.recording.mcap_format import EVENTS, STATUSES
+
+MEMORY = Path("/dev/shm")
+TAIL_NAME = "recording.tail"
+"""What a tail is called in the recording's folder, once it was found after its writer's death."""
+
+_MAGIC, _FULL, _EMPTY = b"mosca\0t1", b"frame\0\0\0", bytes(8)
+_FILE = struct.Struct("<8sQQ")
+_SLOT = struct.Struct("<IBBBBIIIIqqqqq")
+_NOTE_AT, _NOTE_BYTES, _PIXELS_AT, _PAGE = 72, 248, 320, 4096
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """A frame of a tail; ``host_ns``: its arrival at the machine [ns], None where that was not known."""
+
+    frame: Frame
+    host_ns: int | None
+
+
+class Tail:
+    """Room for waiting frames of ``cameras``, ``most_bytes`` of memory at most.
+
+    Raises OSError where this system has no such memory, or none is left.
+    """
+
+    def __init__(self, cameras: Sequence[CameraInfo], most_bytes: int, folder: Path = MEMORY) -> None:
+        import fcntl  # where there is /dev/shm, there is flock
+
+        largest = max(info.image_bytes for info in cameras)
+        self._size = -(-(_PIXELS_AT + largest) // _PAGE) * _PAGE
+        self._cameras = {info.name: number for number, info in enumerate(cameras)}
+        self._most = max(most_bytes // self._size, 1)
+        self._guard = threading.Lock()
+        self._free: list[int] = []
+        self._used = 0
+        file, name = tempfile.mkstemp(prefix="mosca-", suffix=".tail", dir=folder)
+        self.path = Path(name)
+        self._file = file
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.truncate(file, _PAGE + self._most * self._size)  # takes memory only where something is written
+            os.posix_fallocate(file, 0, _PAGE)
+            self._memory = mmap.mmap(file, 0)
+            self._tell_used()
+        except (OSError, ValueError):
+            os.close(file)
+            self.path.unlink()
+            raise
+
+    def put(self, frame: Frame, host_ns: int | None, slot: int | None = None) -> int | None:
+        """Copy ``frame`` into a slot and return its number; None where all are taken or memory is at its end.
+
+        ``slot``: where ``reserve`` put the frame's image before.
+        """
+        with self._guard:
+            if slot is None:
+                slot = self._filled(frame.image)
+            if slot is not None and self._file >= 0:
+                self._tell(slot, frame, host_ns)
+            return slot
+
+    def reserve(self, image: Array) -> int | None:
+        """Copy the image of a frame that is not known yet into a slot, as ``put`` would."""
+        with self._guard:
+            return self._filled(image)
+
+    def free(self, slot: int) -> None:
+        """Let ``slot`` be used anew: its frame stands in the recording."""
+        with self._guard:
+            heapq.heappush(self._free, slot)
+
+    def close(self) -> None:
+        """Give the memory back; may be called twice."""
+        with self._guard:
+            if self._file >= 0:
+                self._memory.close()
+                os.close(self._file)
+                self._file = -1
+                self.path.unlink(missing_ok=True)
+
+    def _filled(self, image: Array | None) -> int | None:
+        slot = self._taken()
+        if slot is not None:
+            begin = _PAGE + slot * self._size
+            self._memory[begin : begin + len(_EMPTY)] = _EMPTY
+            if image is not None:
+                # copied without letting go of the interpreter, which others would take for milliseconds
+                pixels = memoryview(np.ascontiguousarray(image, image.dtype.newbyteorder("<")).data).cast("B")
+                self._memory[begin + _PIXELS_AT : begin + _PIXELS_AT + len(pixels)] = pixels
+        return slot
+
+    def _tell(self, slot: int, frame: Frame, host_ns: int | None) -> None:
+        begin = _PAGE + slot * self._size
+        note = frame.note.encode("utf-8")[:_NOTE_BYTES]
+        height, width = (0, 0) if frame.image is None else frame.image.shape
+        header = _SLOT.pack(
+            self._cameras[frame.camera],
+            STATUSES.index(frame.status),
+            EVENTS.index(frame.stamp_event),
+            0 if frame.image is None else frame.image.dtype.itemsize,
+            0,
+            height,
+            width,
+            len(note),
+            0,
+            -1 if host_ns is None else host_ns,
+            frame.index,
+            frame.time_ns,
+            frame.exposure_ns,
+            frame.row_time_ns,
+        )
+        self._memory[begin + len(_FULL) : begin + _NOTE_AT + len(note)] = header + note
+        self._memory[begin : begin + len(_FULL)] = _FULL
+
+    def _taken(self) -> int | None:
+        """Return a slot that is free and has its memory; None where there is none."""
+        if self._file < 0:
+            return None
+        if self._free:
+            return heapq.heappop(self._free)
+        if self._used == self._most:
+            return None
+        try:
+            # writing to a mapped page that the system has no memory for would end the process
+            os.posix_fallocate(self._file, _PAGE + self._used * self._size, self._size)
+        except OSError:
+            return None
+        self._used += 1
+        self._tell_used()
+        return self._used - 1
+
+    def _tell_used(self) -> None:
+        self._memory[: _FILE.size] = _FILE.pack(_MAGIC, self._size, self._used)
+
+
+def rescued(part: Path, in_memory: Path) -> Path | None:
+    """Return where the tail of an unfinished recording can be read; None where there is none, or its writer lives.
+
+    One that is still in memory, which the machine's next start would forget, is moved beside ``part`` where possible.
+    """
+    beside = part.parent / TAIL_NAME
+    if beside.exists():
+        return beside
+    if not _left_behind(in_memory):
+        return None
+    try:
+        with whole_file(beside) as temporary, open(in_memory, "rb") as file, open(temporary, "wb") as copy:
+            head = file.read(_PAGE)
+            copy.write(head)
+            for _ in range(_shape(head)[1]):
+                copy.write(file.read(_shape(head)[0]))
+        in_memory.unlink()
+    except (OSError, InputError):  # a full or closed disk: it is read where it is
+        return in_memory
+    return beside
+
+
+def read_tail(path: Path, cameras: Sequence[CameraInfo]) -> list[Kept]:
+    """Return the frames of a tail, in order of time; what is not whole is left out."""
+    kept = []
+    try:
+        with open(path, "rb") as file:
+            size, used = _shape(file.read(_PAGE))
+            if size > _PIXELS_AT + max(info.image_bytes for info in cameras) + _PAGE:
+                return []
+            for _ in range(used):
+                one = _kept(file.read(size), cameras)
+                if one is not None:
+                    kept.append(one)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    return sorted(kept, key=lambda one: one.frame.time_ns)
+
+
+def _shape(head: bytes) -> tuple[int, int]:
+    """Return size and number of the slots; (0, 0) where ``head`` is none of a tail."""
+    if len(head) < _FILE.size:
+        return 0, 0
+    magic, size, used = _FILE.unpack_from(head)
+    return (size, used) if magic == _MAGIC else (0, 0)
+
+
+def _kept(slot: bytes, cameras: Sequence[CameraInfo]) -> Kept | None:
+    if len(slot) < _NOTE_AT or slot[:8] != _FULL:
+        return None
+    (
+        camera,
+        status,
+        event,
+        pixel,
+        _,
+        height,
+        width,
+        n_note,
+        _,
+        host_ns,
+        index,
+        time_ns,
+        exposure_ns,
+        row_ns,
+    ) = _SLOT.unpack_from(slot, 8)
+    if camera >= len(cameras) or status >= len(STATUSES) or event >= len(EVENTS) or n_note > _NOTE_BYTES:
+        return None
+    info, image = cameras[camera], None
+    if STATUSES[status] == "ok":
+        n = height * width * pixel
+        if (height, width) != (info.height, info.width) or pixel not in (1, 2) or len(slot) < _PIXELS_AT + n:
+            return None
+        dtype = np.dtype("<u2" if pixel == 2 else "u1")
+        image = np.frombuffer(slot, dtype, height * width, _PIXELS_AT).reshape(height, width)
+        image = image.astype(np.uint16 if pixel == 2 else np.uint8)
+    note = slot[_NOTE_AT : _NOTE_AT + n_note].decode("utf-8", errors="replace")
+    frame = Frame(
+        info.name, index, time_ns, exposure_ns, image, STATUSES[status], EVENTS[event], row_ns, note
+    )
+    return Kept(frame, None if host_ns < 0 else host_ns)
+
+
+def _left_behind(path: Path) -> bool:
+    """Return whether a tail is there and the process that wrote it is not."""
+    try:
+        import fcntl
+
+        with open(path, "rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except (ImportError, OSError):
+        return False
+    return True

@@ -1,0 +1,1 @@
+"""Poses of rigid bodies from their markers: search, tracking, ambiguity, learning of a body."""

@@ -1,0 +1,269 @@
+"""One body and the points of one instant: its pose from points that are known, or the search for it among all.
+
+A pose is withheld rather than guessed. Fewer than three markers, or three in a line, leave it open; and where the
+markers seen could be others of the body (their distances are alike), the poses are compared by their likelihood:
+a second one within ``flip_chi2`` of the first is as good as it, and only the pose before can tell.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from mosca.data.arrays import Array, looked_at
+from mosca.data.bodies import RigidBody
+from mosca.data.rotations import rotation_from_vector
+from mosca.rigid_bodies.ambiguity import ALIKE_M, arrangements
+from mosca.rigid_bodies.pose_kernels import claim, find, fit_pose
+
+HIDDEN_SHARE = 0.3
+"""A point that is off draws the pose towards it and so hides up to two thirds of its error, with few markers."""
+UNKNOWN_M = 0.001
+"""Standard deviation of a point on each axis [m] where nobody says."""
+
+
+@dataclass(frozen=True)
+class BodySettings:
+    """``gate_sigma``: how many standard deviations a marker may lie off its place; ``slack_m``: what besides the
+    stated errors may move it on each axis (bent holders), for gates only. ``alike_m``: arrangements that differ by
+    less look alike. ``flip_chi2``: how much worse another reading of the same points must be, chi-square.
+    ``least_found``: markers that must agree when a body is found anew, or all where it has fewer.
+    ``largest_turn_rad``: standard deviation of the rotation about its worst axis beyond which a pose is withheld.
+    ``coast_s``: how long a body is followed unseen. ``acceleration_mps2``, ``turn_rad_s2``, ``speed_mps``: how far a
+    body can stray from its prediction; the speed is that of one just found.
+    """
+
+    gate_sigma: float = 4.5
+    slack_m: float = 0.0005
+    alike_m: float = ALIKE_M
+    flip_chi2: float = 25.0
+    least_found: int = 4
+    largest_turn_rad: float = 0.2
+    coast_s: float = 0.25
+    acceleration_mps2: float = 30.0
+    turn_rad_s2: float = 100.0
+    speed_mps: float = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Points of one instant: ``xyz`` (n, 3) [m], ``covariance`` (n, 3, 3) [m^2], ``variance`` (n,) its trace;
+    ``track`` (n,) -1 for none;
+    ``row_of``: track -> row, empty where the points have no identity; ``named``: label -> row of those that have
+    a label of their own.
+    """
+
+    xyz: Array
+    covariance: Array
+    variance: Array
+    track: Array
+    row_of: Mapping[int, int]
+    named: Mapping[str, int]
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A body's pose: ``rotation`` (3, 3), ``translation`` (3,), ``covariance`` (6, 6) as in ``BodyPoses``; ``rows``
+    (m,) which point each marker is, -1 for none; ``chi2`` (m,) of each (0 for none).
+    """
+
+    rotation: Array
+    translation: Array
+    covariance: Array
+    rows: Array
+    chi2: Array
+
+    @property
+    def count(self) -> int:
+        """How many markers it rests on."""
+        return int((self.rows >= 0).sum())
+
+    def residual_m(self, body: RigidBody, seen: Seen) -> float:
+        """Return the rms distance of the points from the markers' places [m]."""
+        used = self.rows >= 0
+        there = body.positions[used] @ self.rotation.T + self.translation
+        return float(np.sqrt(np.mean(np.sum((seen.xyz[self.rows[used]] - there) ** 2, axis=1))))
+
+
+class Constellation:
+    """A body made ready for fitting and finding."""
+
+    def __init__(self, body: RigidBody, settings: BodySettings) -> None:
+        self.body, self.settings = body, settings
+        self._place = np.array(body.positions)
+        self._sigma2 = body.sigma_m**2
+        self._triples = _triples(body.positions)
+        self._others: dict[bytes, list[Array]] = {}
+        self.span_m = float(body.distances().max())
+
+    def fit(self, seen: Seen, rows: Array) -> Fit | None:
+        """Return the pose of the markers at points ``rows`` (m,), -1 for none; None where they leave it open."""
+        used = np.flatnonzero(rows >= 0)
+        if len(used) < 3:
+            return None
+        points = rows[used]
+        rotation, translation = np.empty((3, 3)), np.empty(3)
+        spread, chi2 = np.empty((6, 6)), np.empty(len(used))
+        total = fit_pose(
+            self._place[used],
+            seen.xyz[points],
+            seen.covariance[points],
+            self._sigma2,
+            rotation,
+            translation,
+            spread,
+            chi2,
+        )
+        if total < 0:
+            return None
+        every = np.zeros(len(rows))
+        every[used] = chi2
+        return Fit(rotation, translation, spread, rows.copy(), every)
+
+    def sound_fit(self, seen: Seen, rows: Array) -> Fit | None:
+        """Return the pose of those of the points that agree: one that does not is left out, the worst first.
+
+        None where three that agree do not remain.
+        """
+        fit = self.fit(seen, rows)
+        while fit is not None and not self._agree(fit, seen):
+            fewer = [self._without(fit, int(k), seen) for k in np.flatnonzero(fit.rows >= 0)]
+            without = [one for one in fewer if one is not None]
+            fit = min(without, key=lambda one: float(one.chi2.sum())) if without else None
+        return fit
+
+    def _without(self, fit: Fit, k: int, seen: Seen) -> Fit | None:
+        fewer = fit.rows.copy()
+        fewer[k] = -1
+        return self.fit(seen, fewer)
+
+    def _agree(self, fit: Fit, seen: Seen) -> bool:
+        """Tell whether every point lies within its gate, the worst one also by the pose of the others alone."""
+        used = np.flatnonzero(fit.rows >= 0)
+        there = self._place[used] @ fit.rotation.T + fit.translation
+        away = np.linalg.norm(seen.xyz[fit.rows[used]] - there, axis=1)
+        share = away / self._gates(seen)[fit.rows[used]]
+        worst = int(share.argmax())
+        if len(used) == 3 or not HIDDEN_SHARE < share[worst] < 1.0:
+            return bool(share[worst] < 1.0)
+        k = int(used[worst])
+        others = self._without(fit, k, seen)
+        if others is None or not self.settled(others):
+            return True
+        row = fit.rows[k]
+        gate = self._gates(seen)[row] + self.span_m * turn_sigma(others)
+        there = others.rotation @ self._place[k] + others.translation
+        return bool(np.linalg.norm(seen.xyz[row] - there) < gate)
+
+    def _gates(self, seen: Seen) -> Array:
+        """Return how far each point (n,) may lie from a marker's place [m]."""
+        variance = seen.variance + (self._sigma2 + self.settings.slack_m**2)
+        return np.asarray(self.settings.gate_sigma * np.sqrt(variance))
+
+    def claim(
+        self, seen: Seen, free: Array, rotation: Array, translation: Array, rows: Array, reach_m: float
+    ) -> Array:
+        """Return ``rows`` (m,) with a free point for each marker that had none, from within ``reach_m`` and gates."""
+        gates = (self._gates(seen) + reach_m) ** 2
+        mine = rows.copy()
+        claim(self._place, rotation, translation, seen.xyz, free, gates, mine)
+        return mine
+
+    def find(self, seen: Seen, free: Array) -> tuple[Fit | None, int]:
+        """Look for the body among the points ``free`` (n,); returns its pose and how many markers were found.
+
+        No pose, but a count, where another one explains the points as well.
+        """
+        settings, m = self.settings, len(self._place)
+        rows, score = np.full((2, m), -1), np.zeros((2, 2))
+        find(
+            self._place, self._triples, seen.xyz, seen.covariance, free, self._sigma2, settings.slack_m**2,
+            settings.gate_sigma, settings.alike_m, rows, score,
+        )  # fmt: skip
+        count = int(score[0, 0])
+        if count < min(settings.least_found, m):
+            return None, 0
+        if score[1, 0] == count and score[1, 1] - score[0, 1] < settings.flip_chi2:
+            return None, count
+        fit = self.sound_fit(seen, rows[0])
+        if fit is None or fit.count < min(settings.least_found, m) or self.others(fit, seen):
+            return None, count
+        return fit, fit.count
+
+    def others(self, fit: Fit, seen: Seen) -> list[Fit]:
+        """Return other readings of the same points that are about as likely as ``fit``."""
+        used = fit.rows >= 0
+        key = used.tobytes()
+        if key not in self._others:
+            self._others[key] = [
+                np.array(order)
+                for order in arrangements(
+                    self.body.positions[used], self.body.positions, self.settings.alike_m, False
+                )
+                if not np.array_equal(order, np.flatnonzero(used))
+            ]
+        found = []
+        for order in self._others[key]:
+            rows = np.full(len(fit.rows), -1)
+            rows[order] = fit.rows[used]
+            other = self.fit(seen, rows)
+            if other is not None and other.chi2.sum() - fit.chi2.sum() < self.settings.flip_chi2:
+                found.append(other)
+        return found
+
+    def settled(self, fit: Fit) -> bool:
+        """Tell whether the rotation is known well enough to be handed out."""
+        return turn_sigma(fit) < self.settings.largest_turn_rad
+
+
+def turn_sigma(fit: Fit) -> float:
+    """Return the standard deviation of the rotation about its worst axis [rad]."""
+    return float(np.sqrt(np.linalg.eigvalsh(fit.covariance[3:, 3:])[-1]))
+
+
+def seen_of(xyz: Array, covariance: Array, track: Array | None = None, marker: Array | None = None) -> Seen:
+    """Return points of one instant; an unknown covariance (NaN) becomes that of UNKNOWN_M."""
+    xyz = np.ascontiguousarray(xyz, dtype=float).reshape(-1, 3)
+    covariance = np.ascontiguousarray(covariance, dtype=float).reshape(-1, 3, 3)
+    variance = covariance[:, 0, 0] + covariance[:, 1, 1] + covariance[:, 2, 2]
+    if not np.isfinite(variance).all():
+        known = np.isfinite(variance)
+        covariance = np.where(known[:, None, None], covariance, UNKNOWN_M**2 * np.eye(3))
+        variance = np.where(known, variance, 3 * UNKNOWN_M**2)
+    row_of = {} if track is None else {int(one): row for row, one in enumerate(track)}
+    names = [] if marker is None else marker.tolist()
+    named = {name: row for row, name in enumerate(names) if name and names.count(name) == 1}
+    identity = np.full(len(xyz), -1) if track is None else np.asarray(track)
+    return Seen(looked_at(xyz), looked_at(covariance), variance, identity, row_of, named)
+
+
+def predicted(rotation: Array, translation: Array, rates: Array, step_s: float) -> tuple[Array, Array]:
+    """Carry a pose on by ``step_s`` [s] with ``rates`` (6,): velocity [m/s], turn about the world's axes [rad/s]."""
+    return rotation_from_vector(step_s * rates[3:]) @ rotation, translation + step_s * rates[:3]
+
+
+def vector_of(rotation: Array) -> Array:
+    """Return the rotation vector (3,) [rad] of a rotation (3, 3), of angles below pi."""
+    across = np.array(
+        [rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]]
+    )
+    sine, cosine = np.linalg.norm(across) / 2, (np.trace(rotation) - 1) / 2
+    angle = np.arctan2(sine, cosine)
+    return across / 2 * (angle / sine if sine > 1e-12 else 1.0)
+
+
+def angle_between(one: Array, other: Array) -> float:
+    """Return the angle [rad] of the turn from one rotation (3, 3) to another."""
+    return float(np.arccos(np.clip((np.trace(one @ other.T) - 1) / 2, -1.0, 1.0)))
+
+
+def _triples(positions: Array) -> Array:
+    """Return all triples (t, 3) of markers, those of the largest triangles first."""
+    every = np.array(list(combinations(range(len(positions)), 3)))
+    a, b, c = (positions[every[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return np.ascontiguousarray(every[np.argsort(-area, kind="stable")])

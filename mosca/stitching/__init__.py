@@ -1,0 +1,1 @@
+"""Tracks of neighbouring capture volumes joined into one set."""

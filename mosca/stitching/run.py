@@ -1,0 +1,117 @@
+"""Zones side by side: one look at all frames, then each zone matches and tracks what its own cameras saw."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import tee
+
+import numpy as np
+
+from mosca.data.detections import Detections
+from mosca.data.frames import FrameSet
+from mosca.data.rig import Rig
+from mosca.data.tracks import Points, Samples, Tracks
+from mosca.diagnostics.camera_health import Health
+from mosca.errors import InputError
+from mosca.pipeline import PipelineSettings, Step, run_seen
+
+Seen = tuple[FrameSet, Mapping[str, Detections], float]
+
+
+@dataclass(frozen=True, eq=False)
+class Zone:
+    """A volume with cameras of its own, ``rig``; ``low_m``, ``high_m``: the box of its targets [m, world]."""
+
+    name: str
+    rig: Rig
+    low_m: tuple[float, float, float]
+    high_m: tuple[float, float, float]
+
+
+def run_zones(
+    seen: Iterable[Seen], zones: Sequence[Zone], settings: PipelineSettings, healths: Sequence[Health]
+) -> Iterator[Step]:
+    """Turn frame sets with the detections of all cameras into tracks, zone by zone; one Step a pulse, of all zones.
+
+    A step's samples are numbered so that ``of_zones`` tells whose they are; a target that two zones see is there
+    twice until its tracks are stitched (``mosca.stitching.stitch``). ``seconds`` are the zones' sums. ``healths``:
+    of each zone. InputError where two zones share a camera: their errors would not be independent.
+    """
+    check_zones(zones)
+    shares = tee(seen, len(zones))
+    runs = [
+        run_seen(
+            _share(one, zone), zone.rig, replace(settings, volume=(zone.low_m, zone.high_m)), None, health
+        )
+        for one, zone, health in zip(shares, zones, healths, strict=True)
+    ]
+    for steps in zip(*runs, strict=True):
+        yield _joined(steps)
+
+
+def check_zones(zones: Sequence[Zone]) -> None:
+    """Raise InputError where the zones cannot be run side by side."""
+    whose: dict[str, str] = {}
+    for zone in zones:
+        for camera in zone.rig.names:
+            if camera in whose:
+                raise InputError(
+                    f"zones '{whose[camera]}' and '{zone.name}': both have camera '{camera}'; each zone has its own"
+                )
+            whose[camera] = zone.name
+
+
+def of_zones(tracks: Tracks, zones: Sequence[Zone]) -> dict[str, Tracks]:
+    """Return each zone's own tracks from the samples of ``run_zones``."""
+    found = {}
+    for k, zone in enumerate(zones):
+        own = tracks.select(tracks.track % len(zones) == k)
+        columns = {name: getattr(own, name) for name in Tracks.__dataclass_fields__}
+        found[zone.name] = Tracks(**(columns | {"track": own.track // len(zones)}))
+    return found
+
+
+def _share(seen: Iterable[Seen], zone: Zone) -> Iterator[Seen]:
+    """Yield what a zone's cameras saw, with their share of the time that looking took."""
+    names = frozenset(zone.rig.names)
+    for frame_set, detections, seconds in seen:
+        share = sum(name in names for name in detections) / max(len(detections), 1)
+        yield (
+            replace(frame_set, frames={n: f for n, f in frame_set.frames.items() if n in names}),
+            {name: found for name, found in detections.items() if name in names},
+            seconds * share,
+        )
+
+
+def _joined(steps: Sequence[Step]) -> Step:
+    """Return the steps of all zones as one."""
+    frames = {name: frame for step in steps for name, frame in step.frame_set.frames.items()}
+    detections = {name: found for step in steps for name, found in step.detections.items()}
+    seconds = {stage: sum(step.seconds[stage] for step in steps) for stage in steps[0].seconds}
+    samples = [
+        replace(step.samples, track=step.samples.track * len(steps) + k) for k, step in enumerate(steps)
+    ]
+    first = steps[0].frame_set
+    return Step(
+        FrameSet(first.pulse, first.time_ns, frames),
+        detections,
+        _points(steps),
+        Samples.joined(samples),
+        seconds,
+    )
+
+
+def _points(steps: Sequence[Step]) -> Points:
+    """Return the points of all zones; ``rays`` index the detections of each zone's cameras in turn."""
+    parts = [step.points for step in steps]
+    widths = [np.asarray(part.rays).shape[1] for part in parts]
+    rays = np.full((sum(map(len, parts)), sum(widths)), -1)
+    row = column = 0
+    for part, width in zip(parts, widths, strict=True):
+        rays[row : row + len(part), column : column + width] = part.rays
+        row, column = row + len(part), column + width
+    columns = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in Points.__dataclass_fields__
+        if name != "rays"
+    }
+    return Points(**columns, rays=rays)

@@ -1,0 +1,219 @@
+"""Zones: volumes with cameras of their own, whose tracks become one set.
+
+"When the area to be captured is very large, the space can be split up into multiple zones of capture. Each zone has a
+number of dedicated cameras that only capture markers within that zone. This data can be stitched together to get the
+complete information for the entire movement." (Roesler, A Guide to Optical Motion Capture.)
+
+Zones share the pulses and the world frame; their volumes overlap. Tracks of two zones are one target where they are
+in the same place with the same velocity at the same time, as far as their covariances tell, or where one goes on as
+the other would have. A constant shift between two zones' frames is estimated from what both see, told and taken out.
+Samples of two zones of one target and instant are merged, weighted by their covariances.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.tracks import Tracks
+from mosca.errors import InputError
+from mosca.stitching.association import Group, bridged, pairs_of, placed_like, same_target
+from mosca.stitching.fusion import merged, shifted
+
+
+@dataclass(frozen=True)
+class ZoneSettings:
+    """``gate_sigma``: how far samples of one target may be apart, in their standard deviations; ``gate_m``: never
+    farther, the zones' shift included; ``gate_mps``: how much their velocities may differ besides their uncertainty;
+    ``least_common``: instants that two tracks must share to be compared; ``bridge_s``: for how long a target may be
+    in no zone on its way; ``acceleration_mps2``: what it may do meanwhile; ``told_m``: shifts up to this are the
+    calibrations' own error: neither told nor taken out.
+    """
+
+    gate_sigma: float = 4.0
+    gate_m: float = 0.03
+    gate_mps: float = 0.05
+    least_common: int = 5
+    bridge_s: float = 0.2
+    acceleration_mps2: float = 20.0
+    told_m: float = 0.001
+
+
+DEFAULTS = ZoneSettings()
+NEARLY = 0.7
+"""Share of the most votes that a smaller shift needs."""
+
+
+@dataclass(frozen=True, eq=False)
+class ZoneShift:
+    """What zone ``two`` measures minus what zone ``one`` measures of the same targets.
+
+    ``shift_m`` (3,), ``covariance_m2`` (3, 3) of it, ``targets`` it rests on; ``real``: more than calibrations err.
+    """
+
+    one: str
+    two: str
+    shift_m: Array
+    covariance_m2: Array
+    targets: int
+    real: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Stitched:
+    """One set of ``tracks``; ``shifts`` between zones that share targets; how many samples were ``merged`` from two
+    and more, how many targets were ``handed_over``; ``notes``: what must be known, a line each.
+    """
+
+    tracks: Tracks
+    shifts: tuple[ZoneShift, ...]
+    merged: int
+    handed_over: int
+    notes: tuple[str, ...]
+
+
+def stitched(zones: Mapping[str, Tracks], settings: ZoneSettings = DEFAULTS) -> Stitched:
+    """Return the tracks of all ``zones`` as one set, in the first zone's frame.
+
+    Raises InputError where fewer than two zones are given, covariances are unknown, or frames of one number were
+    taken at different times.
+    """
+    names = tuple(zones)
+    _check(zones)
+    shifts = []
+    for one, two in combinations(names, 2):
+        shift = _shift_between(zones[one], zones[two], one, two, settings)
+        if shift is not None:
+            shifts.append(shift)
+    places = _places(names, shifts)
+    moved = {name: shifted(zones[name], -places[name]) for name in names}
+    groups = _linked(moved, settings)
+    tracks, doubled, torn = merged(moved, groups, settings.gate_sigma)
+    handed = sum(len({zone for zone, _ in group}) > 1 for group in groups)
+    return Stitched(tracks, tuple(shifts), doubled, handed, _notes(names, shifts, places, torn))
+
+
+def _check(zones: Mapping[str, Tracks]) -> None:
+    if len(zones) < 2:
+        raise InputError(f"zones: {len(zones)} given; two or more are to be stitched")
+    for name, tracks in zones.items():
+        if not np.isfinite(tracks.covariance).all():
+            raise InputError(
+                f"zone '{name}': its samples have no covariances, which stitching rests on; give .csv or .npz as the "
+                "reconstruction wrote them"
+            )
+    times = [dict(zip(t.frame.tolist(), t.time_ns.tolist(), strict=True)) for t in zones.values()]
+    for (one, first), (two, second) in combinations(zip(zones, times, strict=True), 2):
+        both = sorted(first.keys() & second.keys())
+        if len(both) < 2:
+            continue
+        period = (first[both[-1]] - first[both[0]]) / (both[-1] - both[0])
+        worst = max(both, key=lambda frame: abs(first[frame] - second[frame]))
+        away = abs(first[worst] - second[worst])
+        if away > 0.5 * period:
+            raise InputError(
+                f"zones '{one}' and '{two}': frame {worst} was taken {1e-6 * away:.3g} ms apart; zones must share "
+                "the trigger and count its pulses alike"
+            )
+
+
+def _shift_between(
+    one: Tracks, two: Tracks, name: str, other: str, settings: ZoneSettings
+) -> ZoneShift | None:
+    """Return what most pairs of tracks agree on; None where the zones share no target."""
+    found = pairs_of(one, two, settings.gate_m, settings.least_common)
+    if not found:
+        return None
+    means = np.array([np.median(pair.apart, axis=0) for pair in found])
+    spreads = np.array([pair.covariance.mean(axis=0) for pair in found])
+    sigma = np.sqrt(np.trace(spreads, axis1=1, axis2=2) / 3)
+    reach = settings.gate_sigma * np.hypot(sigma[:, None], sigma)
+    near = np.linalg.norm(means[:, None] - means, axis=2) < reach
+    # pairs of one target agree with each other, pairs of neighbours point everywhere
+    votes = (near * np.array([len(pair.apart) for pair in found], float)).sum(axis=1)
+    # neighbours agree too where they are as far apart everywhere: what hardly fewer say of less shift is believed
+    likely = np.where(votes >= NEARLY * votes.max(), np.linalg.norm(means, axis=1), np.inf)
+    kept = near[int(likely.argmin())]
+    weights = np.linalg.inv(spreads[kept])
+    covariance = np.linalg.inv(weights.sum(axis=0))
+    shift = covariance @ (weights @ means[kept][:, :, None]).sum(axis=0)[:, 0]
+    # what the pairs themselves scatter by, where that is more: calibrations err differently from place to place
+    k = int(kept.sum())
+    away = means[kept] - shift
+    covariance = covariance + away.T @ away / (k * max(k - 1, 1))
+    sure = float(shift @ np.linalg.solve(covariance, shift)) > settings.gate_sigma**2
+    return ZoneShift(
+        name, other, shift, covariance, k, sure and float(np.linalg.norm(shift)) > settings.told_m
+    )
+
+
+def _places(names: Sequence[str], shifts: Sequence[ZoneShift]) -> dict[str, Array]:
+    """Return how far each zone's frame is from the first's: from the shifts that are real, by least squares."""
+    at = {name: k for k, name in enumerate(names)}
+    n = len(names)
+    normal, right = np.zeros((n, n)), np.zeros((n, 3))
+    for shift in shifts:
+        i, j = at[shift.one], at[shift.two]
+        weight = 3.0 / float(np.trace(shift.covariance_m2))
+        value = shift.shift_m if shift.real else np.zeros(3)
+        normal[[i, j], [i, j]] += weight
+        normal[[i, j], [j, i]] -= weight
+        right[j] += weight * value
+        right[i] -= weight * value
+    # the first zone of each connected set keeps its frame
+    loose = set(range(n))
+    while loose:
+        first = min(loose)
+        reached, edge = {first}, [first]
+        while edge:
+            for k in np.flatnonzero(normal[edge.pop()]).tolist():
+                if k not in reached:
+                    reached.add(k)
+                    edge.append(k)
+        normal[first, first] += max(float(np.trace(normal)), 1.0)
+        loose -= reached
+    solved = np.linalg.solve(normal, right)
+    return {name: solved[at[name]] for name in names}
+
+
+def _linked(zones: Mapping[str, Tracks], settings: ZoneSettings) -> list[Group]:
+    """Return the tracks (zone, number) of each target, those first seen first."""
+    links = []
+    for one, two in combinations(zones, 2):
+        for pair in pairs_of(zones[one], zones[two], settings.gate_m, settings.least_common):
+            worth = same_target(pair, settings.gate_sigma, settings.gate_m, settings.gate_mps)
+            if worth > 0.0:
+                links.append((worth, (one, pair.one), (two, pair.two)))
+    groups = placed_like(zones, links)
+    if settings.bridge_s > 0.0:
+        groups = bridged(zones, groups, settings.bridge_s, settings.acceleration_mps2, settings.gate_m)
+    return groups
+
+
+def _notes(
+    names: Sequence[str], shifts: Sequence[ZoneShift], places: Mapping[str, Array], torn: int
+) -> tuple[str, ...]:
+    notes = []
+    for shift in shifts:
+        if shift.real:
+            x, y, z = 1e3 * shift.shift_m
+            sigma = 1e3 * float(np.sqrt(np.trace(shift.covariance_m2)))
+            notes.append(
+                f"zones '{shift.one}' and '{shift.two}': frames differ by ({x:.2f}, {y:.2f}, {z:.2f}) mm, known to "
+                f"{sigma:.2f} mm from {shift.targets} targets; taken out in favour of '{names[0]}': calibrate both "
+                "in one frame"
+            )
+    linked = {name for shift in shifts for name in (shift.one, shift.two)}
+    for name in names:
+        if name not in linked:
+            notes.append(
+                f"zone '{name}': shares no target with another zone; whether its frame is theirs is not known"
+            )
+    if torn:
+        notes.append(
+            f"{torn} samples of one target differ between zones by more than their covariances allow; the surer was "
+            "kept"
+        )
+    return tuple(notes)

@@ -1,0 +1,1 @@
+"""Image points of known correspondence to points in space, with covariance."""

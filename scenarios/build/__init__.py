@@ -1,0 +1,1 @@
+"""Scenario tables to scenes, cameras and rigs."""

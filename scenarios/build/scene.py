@@ -1,0 +1,276 @@
+"""From a scenario's words to things: the scene, and the settings of the pipeline."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from mosca.correspondence.match import MatchSettings
+from mosca.data.boards import Board
+from mosca.data.files.target_file import read_target_file
+from mosca.data.files.toml import Table
+from mosca.data.targets import ScaleBar
+from mosca.data.wands import LFrame, Wand
+from mosca.detection.detect import DetectionSettings
+from mosca.errors import InputError
+from mosca.pipeline import PipelineSettings
+from mosca.synchronisation import AssemblySettings
+from mosca.tracking.nearest_neighbour import NearestSettings
+from mosca.tracking.tracker import TrackSettings
+from scenarios.build.worn_lamps import check_no_lamps, worn_lamps
+from scenarios.spec.scenario import DetectionSpec, MatchSpec, Scenario, TrackSpec
+from scenarios.spec.scenes import (
+    ActorScene,
+    BoardScene,
+    CloudScene,
+    DroneScene,
+    FieldScene,
+    LFrameScene,
+    LightScene,
+    OwnScene,
+    RobotScene,
+    ScaleBarScene,
+    WandScene,
+)
+from twin.scenes.emission import Glow
+from twin.scenes.scene import Scene
+from twin.streams import rng
+
+MARGIN = 1.15
+"""Points are looked for in the working space grown by this factor, so that nothing real at its edge is cut."""
+PERSON_SPACE_M = 2.5
+WORST_SIGMA_M = 0.005
+TargetScene = FieldScene | BoardScene | WandScene | ScaleBarScene | LFrameScene | LightScene
+T = TypeVar("T")
+Volume = tuple[tuple[float, float, float], tuple[float, float, float]]
+
+
+class Stages(Protocol):
+    """Anything that has the tables of the stages' settings."""
+
+    @property
+    def detection(self) -> DetectionSpec:
+        """Settings of target detection."""
+        ...
+
+    @property
+    def match(self) -> MatchSpec:
+        """Settings of correspondence."""
+        ...
+
+    @property
+    def track(self) -> TrackSpec:
+        """Settings of tracking."""
+        ...
+
+
+def build_scene(spec: Scenario, folder: Path) -> Scene:
+    """Return the scene; files that the scenario names are looked for beside it (``folder``)."""
+    made = _subject(spec, folder)
+    said = {} if spec.glow is None else spec.glow.model_dump(exclude_unset=True)
+    if said:
+        glows = {name: replace(made.glows.get(name, Glow()), **said) for name in made.marker_names}
+        made = replace(made, glows=glows)
+    if spec.lamps is not None:
+        if said.get("kind", "lamp") != "lamp" and spec.lamps.names is None:
+            raise InputError(
+                f"glow.kind = '{said['kind']}' with [lamps]: all markers are lamps; leave the kind out"
+            )
+        from twin.scenes.target_lamps import LAMP, with_numbered_lamps
+
+        made = with_numbered_lamps(
+            made,
+            spec.capture.frame_rate_hz,
+            names=spec.lamps.names,
+            frames_per_bit=spec.lamps.frames_per_bit,
+            glow=replace(LAMP, **{**said, "kind": "lamp"}),
+        )
+    return made
+
+
+def _subject(spec: Scenario, folder: Path) -> Scene:
+    scene = spec.scene
+    space = spec.working_space
+    where: dict[str, Any] = {
+        "duration_s": spec.capture.duration_s,
+        "box_center_m": np.array(space.center_m),
+        "box_size_m": np.array(space.size_m),
+        "rng": rng(spec.seed, "scene"),
+    }
+    if isinstance(scene, ActorScene):
+        from twin.scenes.actor import build_actor
+
+        motion: dict[str, Any] = {
+            name: None if given is None else beside(given, folder)
+            for name, given in (("motion_file", scene.motion), ("skeleton_file", scene.skeleton))
+        }
+        return build_actor(
+            **where,
+            **motion,
+            start_s=scene.start_s,
+            metres_per_unit=scene.metres_per_unit,
+            frame_rate_hz=scene.motion_rate_hz,
+            heading_deg=scene.heading_deg,
+            keep_in_box=scene.keep_in_box,
+            action=scene.action,
+            gait=scene.gait,
+            speed_mps=scene.speed_mps,
+            markers=scene.markers,
+            marker_diameter_m=scene.marker_diameter_m,
+            lamps=worn_lamps(spec),
+        )
+    check_no_lamps(spec)
+    if isinstance(scene, DroneScene):
+        from twin.scenes.drone import build_drone
+
+        return build_drone(
+            **where,
+            path=scene.path,
+            speed_mps=scene.speed_mps,
+            markers=scene.markers,
+            marker_diameter_m=scene.marker_diameter_m,
+        )
+    if isinstance(scene, RobotScene):
+        from scenarios.lab.commanded import command_lines
+        from twin.scenes.robot import build_robot
+
+        return build_robot(
+            **where,
+            average_pwm=scene.average_pwm,
+            difference_pwm=scene.difference_pwm,
+            target_diameter_m=scene.marker_diameter_m,
+            commands=None
+            if scene.commands is None
+            else command_lines(beside(scene.commands, folder), scene.target),
+            heading_rad=None if scene.heading_deg is None else np.deg2rad(scene.heading_deg),
+        )
+    if isinstance(scene, CloudScene):
+        from twin.scenes.cloud import build_cloud
+
+        return build_cloud(
+            **where, n=scene.markers, marker_diameter_m=scene.marker_diameter_m, speed_mps=scene.speed_mps
+        )
+    if not isinstance(scene, OwnScene):
+        return _target(scene, where, folder)
+    from twin.scenes.user_model import build_own
+
+    files: dict[str, Any] = {
+        "model_file": beside(scene.model, folder),
+        "markers_file": beside(scene.markers, folder),
+    }
+    if scene.motion == "turntable":
+        return build_own(**where, **files, motion="turntable", speed_mps=scene.speed_mps)
+    if scene.motion == "physics":
+        return build_own(**where, **files, motion="physics")
+    return build_own(**where, **files, motion="table", motion_file=beside(scene.motion, folder))
+
+
+def _target(scene: TargetScene, where: dict[str, Any], folder: Path) -> Scene:
+    """Return the scene of something to calibrate with."""
+    if isinstance(scene, LightScene):
+        from twin.scenes.target_lamps import build_light_marker
+
+        return build_light_marker(
+            **where,
+            bit_s=scene.bit_s,
+            order=scene.order,
+            diameter_m=scene.marker_diameter_m,
+            speed_mps=scene.speed_mps,
+        )
+    file = None if scene.target is None else beside(scene.target, folder)
+    if isinstance(scene, FieldScene):
+        from twin.scenes.target_field import build_field
+
+        return build_field(
+            **where,
+            n=scene.markers,
+            layout=scene.layout,
+            dot_radius_m=scene.dot_radius_m,
+            target_file=file,
+            turn_rad_s=np.deg2rad(scene.turn_deg_per_s),
+        )
+    if isinstance(scene, BoardScene):
+        from twin.scenes.target_boards import build_board
+
+        return build_board(
+            **where,
+            board=_described(file, Board),
+            speed_mps=scene.speed_mps,
+            turn_rad_s=np.deg2rad(scene.turn_deg_per_s),
+            facing=scene.facing,
+            tilt_rad=np.deg2rad(scene.tilt_deg),
+        )
+    from twin.scenes.target_wand import build_l_frame, build_scale_bar, build_wand
+
+    if isinstance(scene, LFrameScene):
+        del where["rng"]
+        return build_l_frame(
+            **where, l_frame=_described(file, LFrame), azimuth_rad=np.deg2rad(scene.azimuth_deg)
+        )
+    speed: dict[str, Any] = {"speed_mps": scene.speed_mps, "turn_rad_s": np.deg2rad(scene.turn_deg_per_s)}
+    if isinstance(scene, WandScene):
+        return build_wand(**where, wand=_described(file, Wand), **speed)
+    return build_scale_bar(**where, bar=_described(file, ScaleBar), **speed)
+
+
+def _described(file: Path | None, kind: type[T]) -> T | None:
+    """Return what a target file describes; InputError where it is something else."""
+    if file is None:
+        return None
+    target = read_target_file(file)
+    if not isinstance(target, kind):
+        raise InputError(f"{file}: describes a {type(target).__name__}; a {kind.__name__} is wanted")
+    return target
+
+
+def pipeline_settings(spec: Scenario) -> PipelineSettings:
+    """Return the pipeline's settings: its defaults, the scenario's differences, and where points can be."""
+    centre, size = np.array(spec.working_space.center_m), np.array(spec.working_space.size_m)
+    low, high = centre - MARGIN * size / 2, centre + MARGIN * size / 2
+    # a zone is tracked by itself: its targets move as in a space of its size, not of the whole hall's
+    edge_m = max((max(zone.size_m) for zone in spec.zone), default=None)
+    box = ((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+    settings = stage_settings(spec.pipeline, box, edge_m)
+    if spec.pipeline.step_by == "pulse":
+        settings = replace(settings, assembly=AssemblySettings(nominal_times=True))
+    if spec.pipeline.tracker == "nearest":
+        return replace(settings, nearest=NearestSettings(settings.track.gate_m, settings.track.coast_s))
+    return settings
+
+
+def stage_settings(stages: Stages, volume: Volume | None, edge_m: float | None = None) -> PipelineSettings:
+    """Return the pipeline's defaults with what ``stages`` gives in its tables detection, match and track.
+
+    The tracker's defaults are lengths and speeds of a person in 2.5 m; they are scaled to the volume's longest
+    edge, because things move as far as they have room. Points less certain than 0.2 % of it are withheld. ``edge_m``:
+    that edge, where it is not the volume's.
+    """
+    track, match = TrackSettings(), MatchSettings()
+    if volume is not None:
+        longest = max(high - low for low, high in zip(*volume, strict=True)) / MARGIN
+        scale = (longest if edge_m is None else edge_m) / PERSON_SPACE_M
+        track = replace(
+            track,
+            acceleration_mps2=track.acceleration_mps2 * scale,
+            speed_mps=track.speed_mps * scale,
+            gate_m=track.gate_m * scale,
+            limb_m=track.limb_m * scale,
+        )
+        match = replace(match, worst_sigma_m=WORST_SIGMA_M * scale)
+    return PipelineSettings(
+        replace(DetectionSettings(), **_given(stages.detection)),
+        replace(match, **_given(stages.match)),
+        replace(track, **_given(stages.track)),
+        volume,
+    )
+
+
+def _given(table: Table) -> dict[str, Any]:
+    return {name: value for name, value in table.model_dump().items() if value is not None}
+
+
+def beside(name: str, folder: Path) -> Path:
+    """Return the file that a scenario in ``folder`` names."""
+    path = Path(name)
+    return path if path.is_absolute() else folder / path

@@ -1,0 +1,77 @@
+"""The verbs that open devices: capture, and rig check with what the drivers see."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from mosca.errors import InputError
+from scenarios.cli.options import POSITIVE
+from scenarios.run.progress import Progress
+
+if TYPE_CHECKING:
+    from scenarios.lab.capture import Outcome
+
+FILE = click.Path(path_type=Path)
+EXIT_LOST = 1
+
+
+@click.command()
+@click.option("--rig", required=True, type=FILE, help="rig file with [camera.hardware] and [hardware]")
+@click.option("--out", required=True, type=FILE, help="folder of the recording; must not be there yet")
+@click.option("--frames", type=click.IntRange(min=1), help="end after so many pulses  [default: Ctrl-C]")
+@click.option("--seconds", type=POSITIVE, help="end after so long")
+@click.option("--detections", is_flag=True, help="keep what is detected, no images")
+@click.option("--view", is_flag=True, help="show images, detections and points live in the Rerun viewer")
+@click.option("--settings", type=FILE, help="TOML file as of mosca reconstruct, for --detections and --view")
+@click.option("--program", type=FILE, help="TOML file of commands to send and events to record")
+def capture(
+    rig: Path,
+    out: Path,
+    frames: int | None,
+    seconds: float | None,
+    detections: bool,
+    view: bool,
+    settings: Path | None,
+    program: Path | None,
+) -> None:
+    """Record the cameras of a rig; Ctrl-C ends the take in order.
+
+    Exit codes: 0 each pulse has a whole frame of each camera, 1 something was lost (the table says what).
+
+    \b
+    Example:  mosca capture --rig rig.toml --out lab/take1 --seconds 30
+    """
+    from scenarios.lab.capture import Request
+    from scenarios.lab.capture import capture as work
+
+    if frames is not None and seconds is not None:
+        raise InputError("--frames and --seconds exclude each other; give one of them")
+    request = Request(rig, out, frames, seconds, detections, view, None, settings, program)
+    with Progress(out.name) as shown:
+        outcome = work(request, shown)
+    tell(outcome, out)
+    sys.exit(0 if outcome.whole else EXIT_LOST)
+
+
+def tell(outcome: "Outcome", out: Path) -> None:
+    """Print what became of each camera, and what there is to say."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    table.add_column("camera")
+    for heading in ("frames", "failed", "dropped", "overrun", "relocked", "reopened"):
+        table.add_column(heading, justify="right")
+    for name, row in outcome.cameras.items():
+        table.add_row(
+            name,
+            *map(str, (row.frames, row.failed, row.dropped, row.overrun, row.relocked, row.reopened)),
+        )
+    # a pipe gets whole lines instead of a guess at a terminal's width
+    Console(width=None if sys.stdout.isatty() else 140).print(table)
+    for note in outcome.notes:
+        click.echo(note)
+    ended = ", ended by hand" if outcome.stopped else ""
+    click.echo(f"{outcome.pulses} pulses, {outcome.lost} frame sets lost{ended}; {out}")

@@ -1,0 +1,159 @@
+"""The verbs of the laboratory: twin serve."""
+
+import os
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from mosca.errors import InputError
+from scenarios.cli.options import POSITIVE, Number
+from scenarios.run.progress import Progress
+
+if TYPE_CHECKING:
+    from hardware.emulate.serve import Served
+
+FILE = click.Path(path_type=Path)
+SHARE = Number(0.0, 1.0)
+
+
+@click.command("serve")
+@click.argument("what")
+@click.option(
+    "--address",
+    default="127.0.0.2",
+    show_default=True,
+    help="first camera's address; the others follow. On an interface: one that it has, e.g. 192.168.7.10/24",
+)
+@click.option("--rate", type=Number(0, 10_000, min_open=True), help="pulses [Hz]  [default: the source's]")
+@click.option("--seconds", type=POSITIVE, help="end after this  [default: Ctrl-C]")
+@click.option("--loop", is_flag=True, help="after the last frame comes the first")
+@click.option(
+    "--ahead", type=click.IntRange(min=1), help="pulses kept in memory  [default: what 1 GiB holds]"
+)
+@click.option("--loss", type=SHARE, default=0.0, help="share of stream packets that are lost")
+@click.option(
+    "--withhold", type=SHARE, default=0.0, help="share of trigger pulses that do not reach a camera"
+)
+@click.option(
+    "--reboot", "reboots", multiple=True, metavar="CAMERA@S", help="this camera reboots after S seconds"
+)
+@click.option("--drift", type=Number(), default=0.0, metavar="PPM", help="the clocks drift from -PPM to +PPM")
+@click.option("--seed", type=click.IntRange(min=0), default=0, help="of the losses")
+@click.option(
+    "--rig-out", type=FILE, help="write a rig file with which 'mosca capture --rig' grabs from them"
+)
+@click.option(
+    "--trigger",
+    type=click.Choice(["Line1", "serial", "Software", "Action1", "Off"]),
+    default="Line1",
+    show_default=True,
+    help="what the cameras wait for; serial: Line1, pulsed by an emulated generator on a serial port",
+)
+@click.option("--workers", type=click.IntRange(1, 64), help="rendering threads  [default: all cores]")
+def twin_serve(
+    what: str,
+    address: str,
+    rate: float | None,
+    seconds: float | None,
+    loop: bool,
+    ahead: int | None,
+    loss: float,
+    withhold: float,
+    reboots: tuple[str, ...],
+    drift: float,
+    seed: int,
+    rig_out: Path | None,
+    trigger: str,
+    workers: int | None,
+) -> None:
+    """Serve virtual cameras or a recording as GigE Vision cameras, for any client that speaks the standard.
+
+    WHAT is a scenario (file or name), a recording, or a rig file whose [twin] table names one of them. The line's
+    pulses begin, with pulse 0 and frame 0, once all cameras acquire, and stop when none does.
+
+    \b
+    Example:  mosca twin serve subjects/drone --seconds 60 --rig-out served.toml
+    """
+    from typing import cast
+
+    from scenarios.lab.serve import Request, Trigger, Trouble, serve
+
+    trouble = Trouble(loss, withhold, drift, dict(_reboot(text) for text in reboots), seed)
+    request = Request(
+        what,
+        address,
+        rate,
+        seconds,
+        loop,
+        ahead,
+        trouble,
+        rig_out,
+        cast(Trigger, trigger),
+        workers or os.cpu_count() or 1,
+    )
+    with Progress("rendering ahead") as shown:
+        up = serve(request, shown, _tell)
+    _print(_counts(up))
+
+
+def _reboot(text: str) -> tuple[str, float]:
+    camera, _, seconds = text.rpartition("@")
+    if not camera or not re.fullmatch(r"\d+(\.\d*)?", seconds):
+        raise InputError(f"--reboot {text}: CAMERA@SECONDS is wanted, for example --reboot cam0@5")
+    return camera, float(seconds)
+
+
+def _tell(up: "Served") -> None:
+    """Print who answers where."""
+    shown = _table("camera", "address", "serial", "size", "format", "exposure")
+    for device in up.devices:
+        who = device.identity
+        shown.add_row(
+            who.name,
+            str(who.address.ip),
+            who.serial,
+            f"{who.width}x{who.height}",
+            f"{who.bit_depth} bit",
+            f"{who.exposure_us:g} us",
+        )
+    _print(shown)
+
+
+def _counts(up: "Served") -> Any:
+    """Return a table of what became of pulses and packets."""
+    columns = {
+        "pulses": "pulses",
+        "withheld": "withheld",
+        "ignored": "ignored",
+        "frames sent": "frames",
+        "packets sent": "packets_sent",
+        "lost": "packets_lost",
+        "resent": "packets_resent",
+        "reboots": "reboots",
+    }
+    shown = _table("camera", *columns)
+    for device in up.devices:
+        counts = device.counts()
+        shown.add_row(device.identity.name, *(str(counts.get(key, 0)) for key in columns.values()))
+    return shown
+
+
+def _table(first: str, *columns: str) -> Any:
+    from rich.table import Table
+
+    shown = Table(box=None, pad_edge=False)
+    shown.add_column(first)
+    for column in columns:
+        shown.add_column(column, justify="right")
+    return shown
+
+
+def _print(shown: Any) -> None:
+    from rich.console import Console
+
+    # a pipe gets whole lines instead of a guess at a terminal's width
+    Console(width=None if sys.stdout.isatty() else 140).print(shown)
+    sys.stdout.flush()

@@ -1,0 +1,77 @@
+"""The verb for a run that does not wait: live."""
+
+import os
+from pathlib import Path
+
+import click
+
+from scenarios.cli.options import FILE, LAG, POSITIVE, SET
+
+
+@click.command()
+@click.argument("source")
+@click.option(
+    "--rig", type=FILE, help="calibrated rig file; a scenario and hardware:RIG.toml bring their own"
+)
+@click.option("--out", type=FILE, help="tracks: .npz, .csv, .c3d or .trc; until the end OUT.part.csv grows")
+@click.option("--record", type=FILE, help="write counts and the stages' times here: .json")
+@click.option(
+    "--seconds",
+    type=POSITIVE,
+    help="end after this  [default: the source's end]",
+)
+@click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
+@click.option(
+    "--rate",
+    type=POSITIVE,
+    help="pace of recording or scenario [Hz]  [default: its own]",
+)
+@click.option(
+    "--queued", type=click.IntRange(1, 1000), default=2, show_default=True, help="frame sets that may wait"
+)
+@LAG
+@click.option("--settings", type=FILE, help="TOML file with [detection], [match], [track] and [volume]")
+@SET
+@click.option(
+    "--workers", type=click.IntRange(1, 64), help="rendering threads of a scenario  [default: all cores]"
+)
+def live(
+    source: str,
+    rig: Path | None,
+    out: Path | None,
+    record: Path | None,
+    seconds: float | None,
+    fps: float | None,
+    rate: float | None,
+    queued: int,
+    lag: int | None,
+    settings: Path | None,
+    overrides: tuple[str, ...],
+    workers: int | None,
+) -> None:
+    """Track a source while it runs: never far behind, whole frame sets left out and told where it must be.
+
+    SOURCE is hardware:RIG.toml, recording:DIR, played at its rate, or a scenario, rendered beforehand. One line a
+    second; Ctrl-C ends it and the tracks are whole. With a scenario --set changes the scenario's keys.
+
+    \b
+    Example:  mosca live any_source --seconds 2 --out live.csv --record live.json
+    """
+    from scenarios.commands.live import LiveRequest, run_request
+
+    request = LiveRequest(
+        source,
+        rig,
+        out,
+        record,
+        seconds,
+        fps,
+        rate,
+        queued,
+        lag,
+        settings,
+        overrides,
+        workers or os.cpu_count() or 1,
+    )
+    for line in run_request(request, click.echo):
+        click.echo(line)

@@ -1,0 +1,378 @@
+"""The command line: ``mosca VERB``. Heavy rooms are imported by the verbs that need them."""
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+# Before numpy comes: small matrix products on threads of their own wait for each other's cores as soon as anything
+# else runs (measured: adjustments 10 to 100 times slower); what is worth threads here has its own.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import click
+
+from mosca import __version__
+from mosca.errors import InputError, MoscaError
+from scenarios.cli import capture as cli_capture
+from scenarios.cli import lab as cli_lab
+from scenarios.cli import live as cli_live
+from scenarios.cli import rig as cli_rig
+from scenarios.cli import station as cli_station
+from scenarios.cli import tracks as cli_tracks
+from scenarios.run.interrupt import was_interrupted
+from scenarios.run.progress import Progress
+
+EXIT_PASSED, EXIT_BROKEN, EXIT_ERROR = 0, 1, 2
+FILE = click.Path(path_type=Path)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(__version__, prog_name="mosca")
+def cli() -> None:
+    """A digital-twin testbench for photogrammetric marker motion capture.
+
+    Exit codes: 0 every limit met, 1 a limit broken or not judged, 2 an error you can mend (told in one line).
+    """
+
+
+@cli.command()
+@click.argument("scenario")
+@click.option("--source", default="twin", help="twin | recording:DIR | hardware:RIG.toml", show_default=True)
+@click.option("--seed", type=int, help="another seed than the scenario's")
+@click.option(
+    "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="change a key, e.g. capture.duration_s=2"
+)
+@click.option("--out", type=FILE, help="run folder  [default: runs/SCENARIO]")
+@click.option("--rrd", is_flag=True, help="also write run.rrd for the Rerun viewer")
+@click.option("--record", type=FILE, help="also record the frames into this folder")
+@click.option(
+    "--truth",
+    type=FILE,
+    help="truth.npz, or your own truth.csv (label,time_ns,x,y,z), to score other frames than the twin's against  "
+    "[default: beside them]",
+)
+@click.option("--workers", type=click.IntRange(1, 64), help="rendering threads  [default: all cores]")
+def run(
+    scenario: str,
+    source: str,
+    seed: int | None,
+    overrides: tuple[str, ...],
+    out: Path | None,
+    rrd: bool,
+    record: Path | None,
+    truth: Path | None,
+    workers: int | None,
+) -> None:
+    """Run one scenario from scene to score and write its run folder.
+
+    SCENARIO is a file or the name of a built-in scenario. On a recording or a rig without a truth, limits that need
+    one are named as not judged; lengths, rigidity, static noise and residuals are judged all the same.
+
+    \b
+    Example:  mosca run actor --set capture.duration_s=2 --out runs/try
+    """
+    from scenarios.spec.scenario import load_scenario
+    from scenarios.suite.catalog import find, scenario_name
+
+    path = find(scenario)
+    if seed is not None:
+        overrides = (*overrides, f"seed={seed}")
+    spec = load_scenario(path, overrides)
+    name = scenario_name(path)
+    target = out or Path("runs") / name
+    from reports.compare import summary_table
+    from scenarios.run.folder import check_out, write_run
+    from scenarios.run.options import RunOptions
+    from scenarios.run.scenario import run_scenario
+
+    check_out(target)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    log = target.parent / f".{target.name}.rrd" if rrd else None
+    try:
+        with Progress(name) as shown:
+            options = RunOptions(source, workers or os.cpu_count() or 1, log, record, truth, shown)
+            result = run_scenario(spec, name, path.parent, options)
+        write_run(result, target, log)
+    finally:
+        if log is not None:
+            log.unlink(missing_ok=True)
+    _print_metrics(result.record)
+    _console().print(summary_table([result.record]))
+    click.echo(f"{name}: {result.record.verdict}; {target / 'report.html'}")
+    sys.exit(EXIT_PASSED if result.record.passed else EXIT_BROKEN)
+
+
+@cli.command()
+@click.argument("paths", nargs=-1, type=FILE)
+@click.option("--tier", type=click.Choice(["quick", "full"]), default="quick", show_default=True)
+@click.option("--jobs", type=click.IntRange(1, 256), help="scenarios at a time  [default: all cores]")
+@click.option("--out", type=FILE, default=Path("runs/suite"), show_default=True, help="folder of run folders")
+@click.option("--junit", type=FILE, help="write JUnit XML here")
+@click.option(
+    "--compare", type=FILE, help="folder of baselines to compare with  [default: the committed ones]"
+)
+@click.option(
+    "--update-baselines", is_flag=True, help="make these results the baselines (say why in CHANGELOG)"
+)
+@click.option(
+    "--baselines", type=FILE, help="folder that --update-baselines writes to  [default: the committed ones]"
+)
+def suite(
+    paths: tuple[Path, ...],
+    tier: str,
+    jobs: int | None,
+    out: Path,
+    junit: Path | None,
+    compare: Path | None,
+    update_baselines: bool,
+    baselines: Path | None,
+) -> None:
+    """Run all scenarios of a tier (or those in PATH ...) on all cores, and compare with the baselines.
+
+    \b
+    Example:  mosca suite --tier quick --junit runs/suite.xml
+    """
+    from scenarios.suite import catalog
+
+    if baselines is not None and not update_baselines:
+        raise InputError("--baselines goes with --update-baselines; to compare with a folder give --compare")
+    if compare is not None and update_baselines:
+        raise InputError("--compare and --update-baselines exclude each other; give one of them")
+    entries = catalog.entries(paths, tier)
+    if not entries:
+        raise InputError(f"no scenario of tier '{tier}' in {', '.join(map(str, paths)) or 'the project'}")
+    from reports.compare import summary_table
+    from scenarios.suite import suite as work
+
+    if compare is not None:
+        work.check_baselines(compare)
+    with Progress("suite") as shown:
+        count = 0
+
+        def told(outcome: Any) -> None:
+            nonlocal count
+            count += 1
+            shown(count, len(entries))
+
+        outcomes = work.run_suite(entries, out, jobs or os.cpu_count() or 1, told)
+    if update_baselines:
+        work.update_baselines(outcomes, baselines or work.BASELINES)
+        click.echo(
+            f"{len(outcomes)} baselines written to {baselines or work.BASELINES}; say why in CHANGELOG.md"
+        )
+    else:
+        outcomes = work.compared(outcomes, compare or work.BASELINES)
+    if junit is not None:
+        work.write_junit(outcomes, junit)
+    _console().print(summary_table([o.record for o in outcomes if o.record is not None]))
+    bad = [line for o in outcomes for line in work.complaints(o)]
+    for line in bad:
+        click.echo(line, err=True)
+    passed = sum(o.passed for o in outcomes)
+    click.echo(f"{passed} of {len(outcomes)} scenarios as they should be; reports in {out}")
+    if any(o.record is None for o in outcomes):
+        sys.exit(EXIT_ERROR)
+    sys.exit(EXIT_PASSED if passed == len(outcomes) else EXIT_BROKEN)
+
+
+@cli.command("list")
+def list_() -> None:
+    """Show the built-in scenarios.
+
+    \b
+    Example:  mosca list
+    """
+    from rich.table import Table
+
+    from scenarios.suite.catalog import entries
+
+    shown = Table(box=None, pad_edge=False)
+    for heading in ("scenario", "tier", "expect", "what it claims"):
+        shown.add_column(heading)
+    for entry in entries(()):
+        shown.add_row(entry.name, entry.spec.tier, entry.spec.expect, entry.spec.title)
+    _console().print(shown)
+
+
+@cli.command()
+@click.argument("path", type=FILE)
+def new(path: Path) -> None:
+    """Write a commented scenario file to start from.
+
+    \b
+    Example:  mosca new my_lab.toml
+    """
+    from scenarios.suite.catalog import write_template
+
+    write_template(path)
+    click.echo(f"{path} written; edit it, then: mosca run {path}")
+
+
+@cli.command()
+@click.argument("runs", nargs=-1, required=True, type=FILE)
+@click.option("--out", type=FILE, default=Path("comparison.html"), show_default=True, help="page to write")
+def report(runs: tuple[Path, ...], out: Path) -> None:
+    """Compare run folders on one page.
+
+    \b
+    Example:  mosca report runs/before runs/after --out comparison.html
+    """
+    from reports.page import write_comparison_page
+    from reports.record import read_record
+
+    records = [read_record(run / "record.json" if run.is_dir() else run) for run in runs]
+    write_comparison_page(out, records, [str(run) for run in runs])
+    click.echo(f"{out}")
+
+
+@cli.command()
+@click.argument("run", type=FILE)
+@click.option("--web", is_flag=True, help="in a browser instead of a window")
+def view(run: Path, web: bool) -> None:
+    """Look at a run in the Rerun viewer: cameras, images, detections, tracks and truth on one timeline.
+
+    RUN is a run folder that was made with --rrd, or an .rrd file.
+
+    \b
+    Example:  mosca run actor --rrd && mosca view runs/subjects/actor
+    """
+    from reports.viewer_program import show
+
+    show(run, web)
+
+
+cli.add_command(cli_tracks.reconstruct)
+cli.add_command(cli_tracks.labels)
+cli.add_command(cli_tracks.bodies)
+cli.add_command(cli_tracks.zones)
+cli.add_command(cli_live.live)
+cli.add_command(cli_rig.calibrate)
+cli.add_command(cli_rig.rig)
+cli.add_command(cli_rig.target)
+cli.add_command(cli_capture.capture)
+cli.add_command(cli_station.station)
+
+
+@cli.group()
+def twin() -> None:
+    """Look at the virtual cameras themselves."""
+
+
+@twin.command("fidelity")
+@click.option("--quick", is_flag=True, help="fewer cases, in a few seconds; without other renderers")
+@click.option("--out", type=FILE, help="folder for fidelity.html (with pictures) and fidelity.json")
+def twin_fidelity(quick: bool, out: Path | None) -> None:
+    """Hold the virtual cameras against outside witnesses and print each figure beside its bar.
+
+    \b
+    Example:  mosca twin fidelity --quick --out runs/fidelity
+    """
+    from reports.fidelity import all_met, fidelity_table
+    from scenarios.fidelity.command import PAGE, look, prepare, write
+
+    if out is not None:
+        prepare(out)
+    with Progress("fidelity") as shown:
+        found = look(quick, out is not None, shown)
+    _console().print(fidelity_table(found.checks))
+    click.echo(found.sentence)
+    if out is not None:
+        write(found, out)
+        click.echo(f"{out / PAGE}")
+    sys.exit(EXIT_PASSED if all_met(found.checks) else EXIT_BROKEN)
+
+
+twin.add_command(cli_lab.twin_serve)
+
+
+@cli.command()
+@click.argument("kind", type=click.Choice(["scenario", "rig", "target", "marker-model"]))
+def schema(kind: str) -> None:
+    """Print the JSON schema of scenario, rig, target or marker-model files, for editors.
+
+    \b
+    Example:  mosca schema scenario > scenario.schema.json
+    """
+    import json
+
+    if kind == "scenario":
+        from scenarios.spec.scenario import scenario_schema
+
+        click.echo(json.dumps(scenario_schema(), indent=2))
+    elif kind == "target":
+        from mosca.data.files.target_file import target_schema
+
+        click.echo(json.dumps(target_schema(), indent=2))
+    elif kind == "marker-model":
+        from mosca.formats.bodies.model_file import model_schema
+
+        click.echo(json.dumps(model_schema(), indent=2))
+    else:
+        from mosca.data.files.rig_file import rig_schema
+
+        click.echo(json.dumps(rig_schema(), indent=2))
+
+
+def main() -> None:
+    """Run the command line; known errors become one line and exit code 2."""
+    try:
+        cli(prog_name="mosca", standalone_mode=False)
+    except click.exceptions.Exit as done:
+        sys.exit(done.exit_code)
+    except click.ClickException as error:
+        where = getattr(error, "ctx", None)
+        path = where.command_path if where is not None else "mosca"
+        click.echo(
+            f"mosca: {error.format_message().rstrip('.')}; '{path} --help' shows what there is", err=True
+        )
+        sys.exit(EXIT_ERROR)
+    except MoscaError as error:
+        click.echo(f"mosca: {error}", err=True)
+        sys.exit(EXIT_ERROR)
+    except (click.Abort, KeyboardInterrupt, SystemError) as error:
+        if isinstance(error, SystemError) and not was_interrupted(error):
+            raise
+        click.echo("mosca: stopped; nothing was left half written", err=True)
+        sys.exit(130)
+    except OSError as error:
+        if error.filename is None and error.errno is None:
+            raise
+        click.echo(f"mosca: {error.filename or 'disk'}: {error.strerror}", err=True)
+        sys.exit(EXIT_ERROR)
+
+
+def _console() -> Any:
+    from rich.console import Console
+
+    # a pipe gets whole lines instead of a guess at a terminal's width
+    return Console(width=None if sys.stdout.isatty() else 140)
+
+
+def _print_metrics(record: Any) -> None:
+    """Print each metric beside its limit."""
+    from rich.table import Table
+
+    shown = Table(box=None, pad_edge=False)
+    for heading, side in (
+        ("metric", "left"),
+        ("value", "right"),
+        ("95 %", "right"),
+        ("limit", "right"),
+        ("", "left"),
+    ):
+        shown.add_column(heading, justify=side)  # type: ignore[arg-type]
+    for metric in record.metrics:
+        scale, unit = (1e3, "mm") if metric.unit == "m" else (1.0, "" if metric.unit == "1" else metric.unit)
+        sign = "<=" if metric.sense == "at_most" else ">="
+        shown.add_row(
+            metric.name,
+            f"{metric.value * scale:.4g} {unit}".strip(),
+            "" if metric.ci95 is None else f"{metric.ci95[0] * scale:.4g} .. {metric.ci95[1] * scale:.4g}",
+            "" if metric.limit is None else f"{sign} {metric.limit * scale:.4g} {unit}".strip(),
+            "" if metric.passed is None else ("met" if metric.passed else "BROKEN"),
+        )
+    _console().print(shown)
+
+
+if __name__ == "__main__":
+    main()

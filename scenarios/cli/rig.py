@@ -1,0 +1,277 @@
+"""The verbs for rigs and targets: calibrate, rig check, rig compare, rig convert, target sheet."""
+
+from pathlib import Path
+
+import click
+
+from mosca.errors import InputError
+from scenarios.cli.options import POSITIVE, Number
+from scenarios.run.progress import Progress
+
+FILE = click.Path(path_type=Path)
+
+
+@click.command()
+@click.argument("recording", type=FILE)
+@click.option(
+    "--target", required=True, type=FILE, help="target file (TOML): what was put before the cameras"
+)
+@click.option(
+    "--out", required=True, type=FILE, help="rig file to write (.toml); its page goes beside it (.html)"
+)
+@click.option(
+    "--lens",
+    type=click.Choice(["mosca", "opencv", "fisheye"]),
+    help="lens model  [default: mosca, or what the file of measured points says]",
+)
+@click.option(
+    "--free",
+    metavar="NAME,NAME...",
+    help="lens parameters to estimate  [default: all; of measured points those that they determine]",
+)
+@click.option(
+    "--pixel-pitch-mm",
+    type=POSITIVE,
+    default=0.01,
+    show_default=True,
+    help="mx of a Mosca lens (data sheet of the sensor); it is held and only sets the unit of c",
+)
+@click.option("--known", type=FILE, help="earlier rig of these cameras, to hold the new one against")
+@click.option("--exterior-only", is_flag=True, help="keep the lenses of --known, find the poses anew")
+@click.option(
+    "--axes",
+    type=FILE,
+    nargs=2,
+    metavar="RECORDING L_FRAME",
+    help="recording of an L-frame and its target file: sets the world's axes",
+)
+@click.option(
+    "--lengths",
+    type=FILE,
+    nargs=2,
+    metavar="RECORDING BAR",
+    help="recording of a certified scale bar and its target file: checks the scale",
+)
+@click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
+@click.option(
+    "--every", type=click.IntRange(min=1), default=1, show_default=True, help="use each so many-th frame set"
+)
+@click.option(
+    "--reference",
+    type=click.IntRange(min=0),
+    help="frame set in which field or board is the world  [default: the first]",
+)
+def calibrate(
+    recording: Path,
+    target: Path,
+    out: Path,
+    lens: str | None,
+    free: str | None,
+    pixel_pitch_mm: float,
+    known: Path | None,
+    exterior_only: bool,
+    axes: tuple[Path, Path] | None,
+    lengths: tuple[Path, Path] | None,
+    fps: float | None,
+    every: int,
+    reference: int | None,
+) -> None:
+    """Calibrate cameras from images of a target: interior and exterior orientation, with precision and judgement.
+
+    The target file's kind says what is done: a test field or a board (the world is where it first stood), a wand
+    (focal lengths found, scale from its length; give --axes), or points that were measured in the images already.
+
+    \b
+    Example:  mosca calibrate lab/field --target field.toml --out rig.toml
+              mosca calibrate lab/moved --target field.toml --known rig.toml --exterior-only --out rig2.toml
+              mosca calibrate lab --target points.toml --lens opencv --free fx_px,fy_px,cx_px,cy_px,k1 --out rig.toml
+    """
+    from mosca.calibration.initial.interior_orientation import LensChoice
+    from mosca.calibration.session import EstimateSettings
+    from scenarios.commands.calibrate import Request
+    from scenarios.commands.calibrate import calibrate as work
+
+    names = None if free is None else tuple(name.strip() for name in free.split(","))
+    choice = LensChoice(lens or "mosca", pixel_pitch_mm)
+    settings = EstimateSettings(choice, names, exterior_only, every, reference)
+    with Progress(recording.name) as shown:
+        lines = work(Request(recording, target, out, known, axes, lengths, fps, lens), settings, shown)
+    for line in lines:
+        click.echo(line)
+
+
+@click.group()
+def rig() -> None:
+    """Look at rig files, compare them, turn them into other programs' files."""
+
+
+@rig.command("check")
+@click.argument("path", type=FILE, required=False)
+@click.option("--devices", is_flag=True, help="list the cameras that the drivers see; opens none of them")
+@click.option("--live", is_flag=True, help="take frames for 2 s: rates, light, focus, stamps, disk")
+@click.option(
+    "--flash",
+    type=FILE,
+    metavar="RECORDING",
+    help="say how cameras are synchronised that all filmed a light that flashed (docs/capture.md)",
+)
+@click.option("--fps", type=POSITIVE, help="flash: frame rate of a recording that does not tell its own [Hz]")
+def rig_check(path: Path | None, devices: bool, live: bool, flash: Path | None, fps: float | None) -> None:
+    """Read a rig file and say what its cameras see of each other's views, or how its devices are doing.
+
+    --live exits with 1 where a pulse has no whole frame of each camera.
+
+    \b
+    Example:  mosca rig check rig.toml
+              mosca rig check --devices
+              mosca rig check --live rig.toml
+              mosca rig check --flash lab/flashes
+    """
+    if fps is not None and flash is None:
+        raise InputError("--fps goes with --flash; leave it out")
+    absent: list[str] = []
+    whole = True
+    if live and (path is None or devices):
+        raise InputError(
+            "--live takes frames of a rig file's cameras; give the rig file, and leave --devices out"
+        )
+    if flash is not None:
+        if path is not None or devices or live:
+            raise InputError("--flash looks at a recording alone; leave rig file, --devices and --live out")
+        from mosca.recording import open_recording
+        from scenarios.lab.flash import synchronise
+
+        with open_recording(flash, None, fps) as recording:
+            lines = synchronise(recording).lines()
+    elif live and path is not None:
+        from scenarios.lab.rig_check import check_rig_live
+
+        lines, whole = check_rig_live(path)
+    elif devices:
+        from scenarios.lab.devices import describe_devices
+
+        lines, absent = describe_devices(path)
+    elif path is None:
+        raise InputError(
+            "rig check: give a rig file, --devices for the cameras that are there, or --flash for how they are "
+            "synchronised"
+        )
+    else:
+        from scenarios.commands.calibrate import describe_rig
+
+        lines = list(describe_rig(path))
+    for line in lines:
+        click.echo(line)
+    if absent:
+        raise InputError(
+            f"{path}: {len(absent)} of its cameras not found: {', '.join(absent)}; check cable, power and network, "
+            "and serial or address in [camera.hardware]"
+        )
+    if not whole:
+        raise SystemExit(1)
+
+
+@rig.command("compare")
+@click.argument("a", type=FILE)
+@click.argument("b", type=FILE)
+@click.option(
+    "--align",
+    type=click.Choice(["similarity", "rigid", "none"]),
+    default="rigid",
+    show_default=True,
+    help="common motion taken off before comparing",
+)
+def rig_compare(a: Path, b: Path, align: str) -> None:
+    """Compare two calibrations on their rays (px) and in the volume (mm); parameters may differ where rays agree.
+
+    \b
+    Example:  mosca rig compare monday.toml friday.toml
+    """
+    from typing import Literal, cast
+
+    from mosca.calibration.quality.compare_rigs import compare_rigs
+    from mosca.formats.rigs.rig_formats import read_any_rig
+
+    motion = cast(Literal["similarity", "rigid", "none"], align)
+    for line in compare_rigs(read_any_rig(a)[0], read_any_rig(b)[0], align=motion).lines():
+        click.echo(line)
+
+
+@rig.command("convert")
+@click.argument("source", type=FILE)
+@click.argument("out", type=FILE)
+@click.option("--format", "format_", help="format to write (see below)  [default: mosca]")
+@click.option(
+    "--unit", type=click.Choice(["m", "mm"]), help="unit of the source's lengths, where it cannot say"
+)
+@click.option("--size-px", type=(int, int), help="image width and height, where the source cannot say")
+@click.option("--pixel-mm", type=(float, float), help="pixel pitch x and y, where a format needs it [mm]")
+@click.option(
+    "--max-residual-px",
+    type=Number(min=0),
+    default=0.1,
+    show_default=True,
+    help="largest misfit over the image that a conversion between lens models may leave [px]",
+)
+def rig_convert(
+    source: Path,
+    out: Path,
+    format_: str | None,
+    unit: str | None,
+    size_px: tuple[int, int] | None,
+    pixel_mm: tuple[float, float] | None,
+    max_residual_px: float,
+) -> None:
+    """Read a calibration of another program, or write one for it, with what is lost stated.
+
+    Formats: mosca, aniposelib (Pose2Sim), caliscope, opencv, qtm, openptv; multicamselfcal is only read.
+
+    \b
+    Example:  mosca rig convert Calib.qca.txt rig.toml
+    """
+    from typing import Literal, cast
+
+    from mosca.formats.rigs.rig_formats import RigFileOptions, read_any_rig, write_any_rig
+
+    options = RigFileOptions(
+        size_px=size_px,
+        unit=cast("Literal['m', 'mm'] | None", unit),
+        pixel_mm=pixel_mm,
+        max_residual_px=max_residual_px,
+    )
+    found, notes = read_any_rig(source, None, options)
+    for line in (*notes, *write_any_rig(found, out, format_ or "mosca", options)):
+        click.echo(line)
+    click.echo(f"{out} written: {len(found.cameras)} cameras")
+
+
+@click.group()
+def target() -> None:
+    """Make what is put before the cameras."""
+
+
+@target.command("sheet")
+@click.argument("path", type=FILE)
+@click.option("--out", required=True, type=FILE, help="sheet to write: .pdf or .svg; more sheets get numbers")
+@click.option(
+    "--page", type=click.Choice(["A4", "A3", "A2", "letter"]), help="paper  [default: what it takes]"
+)
+@click.option(
+    "--colour", type=click.Choice(["white", "black"]), default="white", show_default=True, help="of dots"
+)
+def target_sheet(path: Path, out: Path, page: str | None, colour: str) -> None:
+    """Print a target file's coded targets or board, with a ruler that shows whether the printer kept the size.
+
+    \b
+    Example:  mosca target sheet field.toml --out field.pdf
+    """
+    from typing import Literal, cast
+
+    from mosca.data.files.target_file import PointsTarget, read_target_file
+    from mosca.formats.sheets.target_sheet import write_sheets
+
+    made = read_target_file(path)
+    if isinstance(made, PointsTarget):
+        raise InputError(f"{path}: kind = 'points' has nothing to print; a field, a board or a scale bar has")
+    for sheet in write_sheets(made, out, page, cast(Literal["white", "black"], colour)):
+        click.echo(f"{sheet} written; measure its ruler after printing")

@@ -1,0 +1,248 @@
+"""The verbs that make tracks and give them names: reconstruct, labels, zones."""
+
+from pathlib import Path
+from typing import Literal
+
+import click
+
+from mosca.errors import InputError
+from scenarios.cli.options import FILE, LAG, POSITIVE, SET
+from scenarios.run.progress import Progress
+
+
+@click.command()
+@click.argument("recording", type=FILE)
+@click.option("--rig", required=True, type=FILE, help="rig file (TOML; also aniposelib, Caliscope, Pose2Sim)")
+@click.option("--out", required=True, type=FILE, help="tracks: .npz, .csv, .c3d or .trc")
+@click.option("--fps", type=float, help="frame rate of a recording that does not tell its own [Hz]")
+@click.option(
+    "--settings",
+    type=FILE,
+    help="TOML file with [background], [detection], [match], [track] and [volume]",
+)
+@SET
+@click.option(
+    "--labels", type=FILE, help="marker model that names the tracks; 'mosca labels learn' makes one"
+)
+@click.option(
+    "--fill",
+    type=float,
+    metavar="SECONDS",
+    help="fill gaps up to this, marked and with their own uncertainty",
+)
+@LAG
+@click.option(
+    "--continuous",
+    is_flag=True,
+    help="cameras that are not synchronised: each frame at its own instant, trajectories as functions of time",
+)
+@click.option("--rate", type=float, help="continuous: samples a second  [default: the fastest camera's rate]")
+@click.option(
+    "--clocks",
+    type=click.Choice(["auto", "common", "own"]),
+    help="continuous: whether all stamps are of one clock  [default: auto, by what the recording says]",
+)
+@click.option(
+    "--search",
+    type=float,
+    help="continuous: how far apart the cameras may have been started [s]  [default: 10]",
+)
+@click.option(
+    "--worn",
+    type=FILE,
+    metavar="LAMPS.toml",
+    help="continuous: cameras are worn on limbs and carry lamps that blink numbers; where they are comes from these",
+)
+def reconstruct(
+    recording: Path,
+    rig: Path,
+    out: Path,
+    fps: float | None,
+    settings: Path | None,
+    overrides: tuple[str, ...],
+    labels: Path | None,
+    fill: float | None,
+    lag: int | None,
+    continuous: bool,
+    rate: float | None,
+    clocks: Literal["auto", "common", "own"] | None,
+    search: float | None,
+    worn: Path | None,
+) -> None:
+    """Turn a recording of real (or rendered) images into tracks.
+
+    \b
+    Example:  mosca reconstruct lab/take1 --rig rig.toml --out take1.csv --fps 100 --fill 0.2
+
+    \b
+    Cameras that are not synchronised, each on a clock of its own:
+              mosca reconstruct lab/take2 --rig rig.toml --out take2.csv --continuous --clocks own --rate 100
+
+    \b
+    Cameras on the limbs of a person, which see each other's lamps:
+              mosca reconstruct lab/take3 --rig rig.toml --out take3.csv --continuous --worn lamps.toml
+    """
+    if continuous:
+        from scenarios.commands.reconstruct_continuous import ContinuousOptions, reconstruct_continuous
+
+        _apart("--continuous", {"--labels": labels, "--fill": fill, "--lag": lag})
+        if worn is not None:
+            _apart("--worn, whose cameras are of one clock", {"--clocks": clocks, "--search": search})
+        options = ContinuousOptions(rate, clocks or "auto", 10.0 if search is None else search, worn=worn)
+        with Progress(recording.name) as shown:
+            told = reconstruct_continuous(recording, rig, out, fps, settings, overrides, options, shown)
+        for line in told:
+            click.echo(line)
+        return
+    _apart(
+        "a run without --continuous", {"--rate": rate, "--clocks": clocks, "--search": search, "--worn": worn}
+    )
+    from scenarios.commands.reconstruct import reconstruct_recording
+    from scenarios.run.postprocess import Finish
+
+    finish = Finish(lag, labels, fill)
+    with Progress(recording.name) as shown:
+        told = reconstruct_recording(recording, rig, out, fps, settings, overrides, shown, finish)
+    for line in told:
+        click.echo(line)
+
+
+def _apart(what: str, options: dict[str, object]) -> None:
+    """Raise InputError where one of ``options`` is given that does not go with ``what``."""
+    for name, given in options.items():
+        if given is not None:
+            raise InputError(f"{name} does not go with {what}; leave one of them out")
+
+
+@click.group()
+def labels() -> None:
+    """Learn a subject's markers from tracks, and name tracks by them."""
+
+
+@labels.command()
+@click.argument("tracks", type=FILE)
+@click.option("--out", required=True, type=FILE, help="marker model to write: .toml")
+@click.option(
+    "--name",
+    "names",
+    multiple=True,
+    metavar="TRACK=LABEL",
+    help="name a track, e.g. 7=LFHD, where the file does not",
+)
+@click.option(
+    "--limb",
+    "limbs",
+    multiple=True,
+    metavar="LIMB=LABEL,...",
+    help="markers that move as one, e.g. head=LFHD,RFHD,LBHD; then a still pose is enough",
+)
+@click.option(
+    "--frames",
+    metavar="FIRST:LAST",
+    help="learn from these frames alone, where every name is right  [default: all]",
+)
+def learn(
+    tracks: Path, out: Path, names: tuple[str, ...], limbs: tuple[str, ...], frames: str | None
+) -> None:
+    """Learn a marker model from a stretch of tracks whose labels are known.
+
+    \b
+    Example:  mosca labels learn take1.csv --name 0=LFHD --name 3=RFHD --name 4=C7 --out model.toml
+    """
+    from scenarios.commands.labels import learn_from
+
+    click.echo(learn_from(tracks, out, names, limbs, frames))
+
+
+@labels.command()
+@click.argument("tracks", type=FILE)
+@click.option("--model", required=True, type=FILE, help="marker model: .toml")
+@click.option("--out", required=True, type=FILE, help="the same tracks with labels: .npz, .csv, .c3d or .trc")
+@click.option(
+    "--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]"
+)
+def apply(tracks: Path, model: Path, out: Path, fps: float | None) -> None:
+    """Name the tracks of a file by a marker model.
+
+    \b
+    Example:  mosca labels apply take2.csv --model model.toml --out take2.c3d
+    """
+    from scenarios.commands.labels import apply_to
+
+    for line in apply_to(tracks, model, out, fps):
+        click.echo(line)
+
+
+@click.group()
+def bodies() -> None:
+    """Learn rigid bodies from tracks, and find their poses (6 degrees of freedom) in others."""
+
+
+@bodies.command("learn")
+@click.argument("tracks", type=FILE)
+@click.option("--out", required=True, type=FILE, help="definitions to write: .toml")
+@click.option(
+    "--body",
+    "named",
+    multiple=True,
+    required=True,
+    metavar="NAME=TRACK,...",
+    help="which tracks are a body's markers, e.g. drone=0,3,4,7",
+)
+@click.option("--frames", metavar="FIRST:LAST", help="learn from these frames alone  [default: all]")
+def learn_bodies(tracks: Path, out: Path, named: tuple[str, ...], frames: str | None) -> None:
+    """Learn rigid bodies from a stretch of tracks that shows all their markers.
+
+    A body that could be taken for itself turned, or for another one, is refused.
+
+    \b
+    Example:  mosca bodies learn take1.csv --body drone=0,3,4,7 --out bodies.toml
+    """
+    from scenarios.commands.bodies import learn_from
+
+    for line in learn_from(tracks, out, named, frames):
+        click.echo(line)
+
+
+@bodies.command("find")
+@click.argument("tracks", type=FILE)
+@click.option("--bodies", "definitions", required=True, type=FILE, help="their definitions: .toml")
+@click.option("--out", required=True, type=FILE, help="poses: .csv with covariances, or .tum of one body")
+@click.option("--body", metavar="NAME", help="this body alone  [default: all; .tum: the only one]")
+@click.option("--tracks-out", type=FILE, help="the same tracks, labelled by their bodies")
+@click.option("--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the times]")
+def find_bodies(
+    tracks: Path, definitions: Path, out: Path, body: str | None, tracks_out: Path | None, fps: float | None
+) -> None:
+    """Find the poses of rigid bodies in tracks, with covariances; a pose that is not sure is withheld.
+
+    \b
+    Example:  mosca bodies find take2.csv --bodies bodies.toml --out poses.csv
+    """
+    from scenarios.commands.bodies import find_in
+
+    for line in find_in(tracks, definitions, out, body, tracks_out, fps):
+        click.echo(line)
+
+
+@click.command()
+@click.argument("tracks", nargs=-1, required=True, type=FILE)
+@click.option("--out", required=True, type=FILE, help="one set of tracks: .npz, .csv, .c3d or .trc")
+@click.option(
+    "--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]"
+)
+def zones(tracks: tuple[Path, ...], out: Path, fps: float | None) -> None:
+    """Stitch the tracks of several zones into one set; all on the same pulses and in the same frame.
+
+    A shift between the zones' frames is measured where they overlap, told and taken out: the first file's frame
+    holds.
+
+    \b
+    Example:  mosca zones left.csv right.csv --out hall.csv
+    """
+    if len(tracks) < 2:
+        raise InputError(f"zones: {len(tracks)} file of tracks given; 2 or more are to be stitched")
+    from scenarios.run.zones import stitch_files
+
+    for line in stitch_files(tracks, out, fps):
+        click.echo(line)

@@ -1,0 +1,158 @@
+"""The verbs for real calibrations: from a recording and a target file to a rig file and its page."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from mosca.calibration.session import EstimateSettings, Shown, calibrate_session
+from mosca.calibration.single_camera.adjust import AdjustmentSettings
+from mosca.calibration.single_camera.from_points import calibrate_from_points, summary
+from mosca.camera.projection import lens_directions
+from mosca.data.calibration import Calibration
+from mosca.data.files.rig_file import read_rig, write_rig
+from mosca.data.files.target_file import PointsTarget, read_target_file
+from mosca.data.rig import Rig
+from mosca.data.targets import ScaleBar
+from mosca.data.wands import LFrame
+from mosca.errors import CalibrationError, InputError
+from mosca.recording import open_recording
+from reports.calibration_page import write_calibration_page
+
+T = TypeVar("T", LFrame, ScaleBar)
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked of ``mosca calibrate``; see its help.
+
+    ``axes`` and ``lengths``: recording and target file; ``lens``: model for measured points, before their file's.
+    """
+
+    recording: Path
+    target: Path
+    out: Path
+    known: Path | None = None
+    axes: tuple[Path, Path] | None = None
+    lengths: tuple[Path, Path] | None = None
+    fps: float | None = None
+    lens: str | None = None
+
+
+def calibrate(
+    request: Request, settings: EstimateSettings, progress: Callable[[int, int | None], None]
+) -> list[str]:
+    """Calibrate, write the rig and its page, and return what to tell, a line each.
+
+    A calibration that must not be used writes its page alone and raises CalibrationError.
+    """
+    out = request.out
+    if out.suffix != ".toml":
+        raise InputError(f"{out}: a rig file ends in .toml")
+    if not out.resolve().parent.is_dir():
+        raise InputError(f"{out}: no folder {out.parent}; make it first")
+    target = read_target_file(request.target)
+    if isinstance(target, PointsTarget):
+        return _from_points(request, target, settings)
+    known = None if request.known is None else read_rig(request.known)
+    if settings.exterior_only and known is None:
+        raise InputError("--exterior-only keeps the lenses of an earlier rig; give it with --known RIG.toml")
+    page = out.with_suffix(".html")
+    calibration, evidence = calibrate_session(
+        Shown(target, lambda rig: open_recording(request.recording, rig, request.fps)),
+        settings,
+        axes=_shown(request.axes, LFrame, "--axes", request.fps),
+        lengths=_shown(request.lengths, ScaleBar, "--lengths", request.fps),
+        known=known,
+        made_from=f"{request.recording} with {request.target.name}",
+        progress=lambda n: progress(n, None),
+    )
+    write_calibration_page(page, calibration, evidence)
+    if calibration.refused:
+        first = calibration.refused[0]
+        raise CalibrationError(f"{out} not written: {first.code}: {first.message} (see {page})")
+    write_rig(calibration.rig, out)
+    return [*told(calibration), f"{out} written; {page}"]
+
+
+def told(calibration: Calibration) -> list[str]:
+    """Return a calibration in a few lines: precision of each camera, and what must be known."""
+    size = f"{len(calibration.sightings)} image points, {int((~calibration.used).sum())} left out"
+    lines = [
+        f"{calibration.target}: {size}; sigma0 {calibration.sigma0:.2f}, scale from {calibration.scaled_by}"
+    ]
+    if calibration.body_px:
+        lines.append(f"whole images shake by {calibration.body_px:.3f} px rms")
+    for k, camera in enumerate(calibration.rig.cameras):
+        (px_x, px_y), (m_x, m_y) = calibration.sigma_px[k], calibration.sigma_m[k]
+        lines.append(
+            f"{camera.name}: sigma_x {px_x:.3f} px, sigma_y {px_y:.3f} px; sigma_x {1e3 * m_x:.4f} mm, "
+            f"sigma_y {1e3 * m_y:.4f} mm on the target"
+        )
+    mark = {"refuse": "REFUSED", "warn": "WARNING", "note": "note"}
+    return lines + [f"{mark[one.severity]} {one.code}: {one.message}" for one in calibration.findings]
+
+
+def describe_rig(path: Path) -> list[str]:
+    """Return what a rig's cameras are and how far their views overlap, a line each."""
+    rig = read_rig(path)
+    lines = [
+        f"{c.name}: {c.lens.model} lens, {c.width} x {c.height} px, {_view(rig, c.name)}, at "
+        f"({', '.join(f'{x:.3f}' for x in c.world_from_camera.translation)}) m"
+        for c in rig.cameras
+    ]
+    return lines + _overlaps(rig)
+
+
+def _view(rig: Rig, name: str) -> str:
+    """Return how wide a camera sees, from the middles of its image's edges."""
+    camera = rig.camera(name)
+    middle_x, middle_y = (camera.width - 1) / 2, (camera.height - 1) / 2
+    edges = np.array(
+        [[0, middle_y], [camera.width - 1, middle_y], [middle_x, 0], [middle_x, camera.height - 1]]
+    )
+    v = lens_directions(camera.lens, edges)
+    angles = [np.degrees(np.arccos(np.clip(v[k] @ v[k + 1], -1, 1))) for k in (0, 2)]
+    return f"sees {angles[0]:.0f} x {angles[1]:.0f} deg"
+
+
+def _overlaps(rig: Rig) -> list[str]:
+    from scenarios.build.cameras import overlap_of
+
+    lines = []
+    for k, camera in enumerate(rig.cameras):
+        for other in rig.cameras[k + 1 :]:
+            share = overlap_of(camera, other)
+            lines.append(
+                f"{camera.name} - {other.name}: {100 * share:.0f} % of the first one's view can be seen by the second"
+            )
+    return lines
+
+
+def _from_points(request: Request, target: PointsTarget, settings: EstimateSettings) -> list[str]:
+    for option, given in (
+        ("--known", request.known),
+        ("--axes", request.axes),
+        ("--lengths", request.lengths),
+        ("--exterior-only", settings.exterior_only or None),
+        ("--reference", settings.reference),
+    ):
+        if given is not None:
+            raise InputError(f'{option}: not with kind = "points", whose points are in the world already')
+    how = AdjustmentSettings(parameters=settings.free)
+    rig, adjustments = calibrate_from_points(request.recording, target, how, request.lens)
+    write_rig(rig, request.out)
+    return [*summary(adjustments).splitlines(), f"{request.out} written"]
+
+
+def _shown(paths: tuple[Path, Path] | None, kind: type[T], option: str, fps: float | None) -> Shown[T] | None:
+    """Return the target file's ``kind`` of target with the recording that shows it; None where not given."""
+    if paths is None:
+        return None
+    recording, file = paths
+    target = read_target_file(file)
+    if not isinstance(target, kind):
+        raise InputError(f"{option} {file}: describes a {type(target).__name__}; a {kind.__name__} is wanted")
+    return Shown(target, lambda rig: open_recording(recording, rig, fps))

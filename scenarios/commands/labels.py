@@ -1,0 +1,120 @@
+"""Marker models from tracks files, and tracks named by them."""
+
+from pathlib import Path
+
+import numpy as np
+
+from mosca.data.files.whole_file import check_writable
+from mosca.data.tracks import Tracks
+from mosca.errors import InputError
+from mosca.formats.bodies.model_file import read_model, write_model
+from mosca.formats.tracks.tracks_file import check_tracks_file, write_tracks
+from mosca.formats.tracks.tracks_read import read_tracks
+from mosca.labelling.assign import label_tracks
+from mosca.labelling.marker_model import learn_model
+
+
+def learn_from(
+    path: Path, out: Path, names: tuple[str, ...], limbs: tuple[str, ...], frames: str | None
+) -> str:
+    """Learn a marker model from the tracks in ``path`` and write it to ``out``; return what to tell.
+
+    ``names``: ``TRACK=LABEL`` texts, ``limbs``: ``LIMB=LABEL,LABEL,...``, ``frames``: ``FIRST:LAST``. Where tracks
+    are named here, only these are learned from. InputError where that cannot be.
+    """
+    if out.suffix.lower() != ".toml":
+        raise InputError(f"{out}: suffix '{out.suffix}' given; a marker model is a .toml file")
+    check_writable(out)
+    tracks = read_tracks(path)
+    if frames is not None:
+        tracks = between(tracks, frames)
+    if names:
+        tracks = _named(tracks, names, path)
+    elif not (tracks.label != "").any():
+        raise InputError(
+            f"{path}: no sample has a label; name its tracks with --name TRACK=LABEL, e.g. --name "
+            f"{int(tracks.track[0]) if len(tracks) else 0}=LFHD"
+        )
+    members = _limbs(limbs)
+    try:
+        model = learn_model(tracks, members)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    write_model(model, out)
+    pairs = int(model.rigid.sum()) // 2
+    return f"{len(model.names)} markers, {pairs} pairs that keep their distance, in {out}"
+
+
+def apply_to(path: Path, model_path: Path, out: Path, fps: float | None) -> list[str]:
+    """Name the tracks in ``path`` by a model, write them to ``out`` and return what to tell."""
+    check_tracks_file(out)
+    model = read_model(model_path)
+    tracks = label_tracks(read_tracks(path), model)
+    write_tracks(tracks, out, rate_of(tracks, fps, path))
+    found = [name for name in model.names if (tracks.label == name).any()]
+    missing = [name for name in model.names if name not in found]
+    told = [
+        f"{len(found)} of {len(model.names)} markers found in {len(np.unique(tracks.track))} tracks, in {out}"
+    ]
+    if missing:
+        told.append(f"not found: {', '.join(missing)}")
+    return told
+
+
+def rate_of(tracks: Tracks, fps: float | None, path: Path) -> float:
+    """Return the frame rate [Hz]: what is given, else what the samples' times say."""
+    if fps is not None:
+        return fps
+    frames, first = np.unique(tracks.frame, return_index=True)
+    times = np.asarray(tracks.time_ns)[first]
+    if len(frames) < 2 or times[-1] <= times[0]:
+        raise InputError(f"{path}: its times do not tell a frame rate; give it with --fps")
+    return float((frames[-1] - frames[0]) * 1e9 / (times[-1] - times[0]))
+
+
+def between(tracks: Tracks, frames: str) -> Tracks:
+    """Return the samples of the frames ``FIRST:LAST``, ends included; InputError where that is none."""
+    first, colon, last = frames.partition(":")
+    if not colon or not first.isdecimal() or not last.isdecimal() or int(first) > int(last):
+        raise InputError(f"--frames {frames}: FIRST:LAST is wanted, for example --frames 100:400")
+    return tracks.select((tracks.frame >= int(first)) & (tracks.frame <= int(last)))
+
+
+def _named(tracks: Tracks, names: tuple[str, ...], path: Path) -> Tracks:
+    label_of: dict[int, str] = {}
+    there = set(tracks.track.tolist())
+    for text in names:
+        track, equals, label = text.partition("=")
+        if not equals or not track.isdecimal() or not label:
+            raise InputError(f"--name {text}: TRACK=LABEL is wanted, for example --name 7=LFHD")
+        if int(track) not in there:
+            known = ", ".join(map(str, sorted(there)[:20])) or "none"
+            raise InputError(f"--name {text}: {path} has no track {int(track)}; its tracks are {known}")
+        if int(track) in label_of:
+            raise InputError(f"--name {text}: track {int(track)} has the name {label_of[int(track)]} already")
+        label_of[int(track)] = label
+    kept = tracks.select(np.isin(tracks.track, list(label_of)))
+    labels = np.array([label_of[track] for track in kept.track.tolist()], dtype=np.str_)
+    return Tracks(**({name: getattr(kept, name) for name in Tracks.__dataclass_fields__} | {"label": labels}))
+
+
+def _limbs(texts: tuple[str, ...]) -> dict[str, tuple[str, ...]] | None:
+    found: dict[str, tuple[str, ...]] = {}
+    for text in texts:
+        limb, members = _limb(text)
+        if limb in found:
+            raise InputError(
+                f"--limb {text}: limb '{limb}' is given twice; name all its labels in one --limb"
+            )
+        found[limb] = members
+    return found or None
+
+
+def _limb(text: str) -> tuple[str, tuple[str, ...]]:
+    limb, equals, members = text.partition("=")
+    parts = tuple(part.strip() for part in members.split(",") if part.strip())
+    if not equals or not limb or len(parts) < 2:
+        raise InputError(
+            f"--limb {text}: LIMB=LABEL,LABEL,... is wanted, for example --limb head=LFHD,RFHD,LBHD"
+        )
+    return limb, parts

@@ -1,0 +1,269 @@
+"""``mosca live``: a run that keeps up with its source, says each second how it does, and writes on the way."""
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.files.whole_file import check_writable
+from mosca.data.tracks import Samples
+from mosca.diagnostics.camera_health import Health, HealthSettings
+from mosca.errors import InputError
+from mosca.formats.tracks.tracks_log import TracksLog
+from mosca.live import run_live
+from mosca.pipeline import Step
+from mosca.precompile import warm_up
+from mosca.smoothing.fixed_lag import FixedLag, LagSettings
+from mosca.synchronisation import Assembly
+from reports.record import RunRecord, write_record
+from scenarios.commands.live_sources import LiveSource, opened_live
+from scenarios.run.interrupt import first_ctrl_c
+from scenarios.run.provenance import provenance
+from scenarios.run.record import told_health
+
+EVERY_S = 1.0
+
+
+@dataclass(frozen=True)
+class LiveRequest:
+    """What is asked for; as the options of ``mosca live`` are called."""
+
+    source: str
+    rig: Path | None = None
+    out: Path | None = None
+    record: Path | None = None
+    seconds: float | None = None
+    fps: float | None = None
+    rate: float | None = None
+    queued: int = 2
+    lag: int | None = None
+    settings: Path | None = None
+    overrides: tuple[str, ...] = ()
+    workers: int = 1
+
+
+@dataclass
+class _Second:
+    """What happened since the last line."""
+
+    start: float
+    sets: int = 0
+    points: int = 0
+    skipped: int = 0
+    latency: list[float] = field(default_factory=list)
+    tracks: set[int] = field(default_factory=set)
+
+    def line(self, now: float, elapsed: float, skipped: int) -> str:
+        """Return the line that tells it; ``skipped``: frame sets left out so far."""
+        if not self.sets:
+            return f"{elapsed:4.0f} s: nothing came, {skipped - self.skipped} sets dropped"
+        p50, p99 = 1e3 * np.quantile(self.latency, [0.5, 0.99])
+        return (
+            f"{elapsed:4.0f} s: {self.sets / (now - self.start):6.1f} sets/s, latency {p50:.1f} ms, "
+            f"p99 {p99:.1f} ms, {skipped - self.skipped} sets dropped, {self.points / self.sets:.1f} points, "
+            f"{len(self.tracks)} tracks"
+        )
+
+
+def run_request(request: LiveRequest, told: Callable[[str], None]) -> list[str]:
+    """Run live until the source ends, ``seconds`` are over or Ctrl-C; return what to tell at the end.
+
+    ``told`` is called with a line each second. Tracks are written on the way; the record holds each stage's times.
+    """
+    if request.record is not None and request.record.suffix.lower() != ".json":
+        raise InputError(
+            f"{request.record}: suffix '{request.record.suffix}' given; a record is a .json file"
+        )
+    if request.record is not None:
+        check_writable(request.record)
+    smoother = None if request.lag is None else FixedLag(LagSettings(lag=request.lag))
+    with ExitStack() as stack:
+        log = None if request.out is None else stack.enter_context(_log(request.out, stack))
+        source = opened_live(
+            request.source, request.rig, request.settings, request.overrides, request.fps, request.rate,
+            request.seconds, request.workers, stack,
+        )  # fmt: skip
+        for note in source.notes:
+            told(note)
+        warm_up()  # a compiler's seconds would count as latency
+        if smoother is not None:
+            FixedLag(LagSettings(lag=1)).step(0, _one_sample())
+        assembly, health = (
+            Assembly(),
+            Health(source.rig, HealthSettings(start_px=source.settings.match.camera_sigma_px)),
+        )
+        steps = stack.enter_context(_Steps(source, assembly, health, request))
+        stages, elapsed = _follow(steps, assembly, smoother, log, request, told)
+        lines = _summary(steps.count, elapsed, stages, assembly)
+        if log is not None:
+            tracks = log.finish(source.frames.cameras[0].frame_rate_hz)
+            lines.append(f"{tracks} tracks with {log.samples} samples in {request.out}")
+        lines += health.findings()
+        if request.record is not None:
+            write_record(
+                _record(request, steps.count, elapsed, stages, assembly, health, log), request.record
+            )
+            lines.append(f"{request.record}")
+    return lines
+
+
+class _Steps:
+    """The steps of a live run; a context that ends the source, at Ctrl-C as well."""
+
+    def __init__(self, source: LiveSource, assembly: Assembly, health: Health, request: LiveRequest) -> None:
+        self._source = source
+        self.over = threading.Event()
+        self.count = 0
+        self.steps = run_live(
+            source.frames, source.rig, source.settings, assembly, health=health, queued=request.queued
+        )
+
+    def __enter__(self) -> "_Steps":
+        self._ctrl_c = first_ctrl_c(self.end)
+        self._ctrl_c.__enter__()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.end()
+        self.steps.close()  # type: ignore[attr-defined]
+        self._ctrl_c.__exit__(None, None, None)
+
+    def end(self) -> None:
+        """End the source; what it has sent is still followed unless ``over`` is looked at."""
+        self.over.set()
+        self._source.stop()
+
+
+def _follow(
+    steps: _Steps,
+    assembly: Assembly,
+    smoother: FixedLag | None,
+    log: TracksLog | None,
+    request: LiveRequest,
+    told: Callable[[str], None],
+) -> tuple[dict[str, list[float]], float]:
+    """Follow the run to its end; return each stage's times, ``latency`` their sum, and how long it took."""
+    stages: dict[str, list[float]] = {"latency": []}
+    begin = time.perf_counter()
+    second = _Second(begin)
+    for step in steps.steps:
+        if steps.count == 0:  # the source needed its time to start
+            begin = second.start = time.perf_counter()
+        steps.count += 1
+        samples = step.samples
+        if smoother is not None:
+            start = time.perf_counter()
+            samples = smoother.step(step.frame_set.pulse, samples)
+            step = _with_stage(step, "smooth", time.perf_counter() - start)
+        for stage, seconds in step.seconds.items():
+            stages.setdefault(stage, []).append(seconds)
+        latency = sum(step.seconds.values())
+        stages["latency"].append(latency)
+        second.sets += 1
+        second.points += len(step.points)
+        second.latency.append(latency)
+        second.tracks.update(samples.track.tolist())
+        if log is not None:
+            log.write(samples)
+        now = time.perf_counter()
+        if now - second.start >= EVERY_S:
+            told(second.line(now, now - begin, assembly.skipped_sets))
+            second = _Second(now, skipped=assembly.skipped_sets)
+            if log is not None:
+                log.flush()
+        if steps.over.is_set() or (request.seconds is not None and now - begin >= request.seconds):
+            break
+    if smoother is not None and log is not None:
+        log.write(smoother.rest())
+    return stages, time.perf_counter() - begin
+
+
+def _with_stage(step: Step, name: str, seconds: float) -> Step:
+    return Step(step.frame_set, step.detections, step.points, step.samples, {**step.seconds, name: seconds})
+
+
+def _one_sample() -> Samples:
+    one = np.zeros(1, np.int64)
+    return Samples(one, one, one, np.zeros((1, 3)), np.eye(3)[None], one, np.zeros(1), np.zeros(1, np.int8))
+
+
+def _log(out: Path, stack: ExitStack) -> TracksLog:
+    """Return the log of the tracks; an empty one is removed when the run ends without any."""
+    log = TracksLog(out)
+
+    def remove_if_empty() -> None:
+        log.close()
+        if log.samples == 0:
+            log.part.unlink(missing_ok=True)
+
+    stack.callback(remove_if_empty)
+    return log
+
+
+def _summary(sets: int, elapsed: float, stages: Mapping[str, list[float]], assembly: Assembly) -> list[str]:
+    latency: Array = np.array(stages["latency"])
+    lines = [
+        f"{sets} frame sets in {elapsed:.1f} s, {assembly.skipped_sets} dropped whole, "
+        f"{assembly.sets - assembly.complete_sets} incomplete"
+    ]
+    if sets:
+        p50, p99, most = 1e3 * np.array([*np.quantile(latency, [0.5, 0.99]), latency.max()])
+        lines.append(f"latency {p50:.1f} ms, p99 {p99:.1f} ms, at most {most:.1f} ms")
+        means = {stage: 1e3 * float(np.mean(v)) for stage, v in stages.items() if stage != "latency"}
+        lines.append(
+            "a set takes " + ", ".join(f"{stage} {value:.2f}" for stage, value in means.items()) + " ms"
+        )
+    return lines + [f"{kind}: {note}" for kind, note in assembly.notes.items()]
+
+
+def _record(
+    request: LiveRequest,
+    sets: int,
+    elapsed: float,
+    stages: Mapping[str, list[float]],
+    assembly: Assembly,
+    health: Health,
+    log: TracksLog | None,
+) -> RunRecord:
+    """Return the record: counts, how each camera did, and for each stage mean, 99 % and most of its times [s]."""
+    timings = {"total": elapsed, "health_mean": health.seconds / max(sets, 1)}
+    for stage, values in stages.items():
+        if values:
+            timings |= {
+                f"{stage}_mean": float(np.mean(values)),
+                f"{stage}_p99": float(np.quantile(values, 0.99)),
+                f"{stage}_max": float(np.max(values)),
+            }
+    return RunRecord(
+        scenario=request.source,
+        title="live run",
+        seed=0,
+        source=request.source,
+        model_gap="none",
+        expect="pass",
+        passed=True,
+        verdict="a live run claims nothing",
+        metrics=(),
+        counts={
+            "frames": assembly.frames,
+            "frame_sets": assembly.sets,
+            "tracked_sets": sets,
+            "complete_sets": assembly.complete_sets,
+            "empty_sets": assembly.empty_sets,
+            "skipped_sets": assembly.skipped_sets,
+            "dropped": sum(c.dropped for c in assembly.cameras.values()),
+            "corrupt": sum(c.corrupt for c in assembly.cameras.values()),
+            "late": sum(c.late for c in assembly.cameras.values()),
+            "samples": 0 if log is None else log.samples,
+            "queued": request.queued,
+            "notes": dict(assembly.notes),
+        },
+        cameras={one.name: told_health(one) for one in health.cameras()},
+        timings=timings,
+        provenance=provenance(),
+    )

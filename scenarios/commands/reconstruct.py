@@ -1,0 +1,192 @@
+"""The verb for real images: turn a recording into tracks."""
+
+from itertools import chain, islice
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from mosca.data.arrays import Array
+from mosca.data.files.rig_file import read_rig
+from mosca.data.files.toml import Table, check, read_toml
+from mosca.data.rig import Camera, Rig
+from mosca.detection.detect import mean_background, minimum_background
+from mosca.errors import InputError
+from mosca.formats.tracks.tracks_file import check_tracks_file, write_tracks
+from mosca.pipeline import PipelineSettings, check_source, run, run_seen
+from mosca.recording import McapRecording, open_recording
+from mosca.synchronisation import Assembly
+from scenarios.build.cameras import overlap_of
+from scenarios.build.scene import stage_settings
+from scenarios.lab.from_detections import counted
+from scenarios.run.interrupt import between_steps
+from scenarios.run.postprocess import PLAIN, Finish, Finisher
+from scenarios.spec.scenario import DetectionSpec, MatchSpec, TrackSpec, apply_overrides
+
+
+class VolumeSpec(Table):
+    """The box in which targets can be."""
+
+    low_m: tuple[float, float, float]
+    high_m: tuple[float, float, float]
+
+    @model_validator(mode="after")
+    def _not_empty(self) -> "VolumeSpec":
+        if any(low >= high for low, high in zip(self.low_m, self.high_m, strict=True)):
+            raise ValueError(f"low_m {self.low_m} must lie below high_m {self.high_m} on each axis")
+        return self
+
+
+class BackgroundSpec(Table):
+    """What is taken off each camera's images before detection; made in a first pass over the recording."""
+
+    kind: Literal["none", "minimum", "mean"] = Field(
+        "none",
+        description="'minimum' of each pixel where targets are in every frame and move, "
+        "'mean' where the first frames show no targets",
+    )
+    frames: int = Field(100, ge=1, description="how many frames of each camera, from the first")
+
+
+class ReconstructSpec(Table):
+    """Settings file of ``mosca reconstruct``."""
+
+    background: BackgroundSpec = BackgroundSpec()
+
+    detection: DetectionSpec = DetectionSpec()
+    match: MatchSpec = MatchSpec()
+    track: TrackSpec = TrackSpec()
+    volume: VolumeSpec | None = Field(None, description="box in which targets can be; default: everywhere")
+
+
+def reconstruct_recording(
+    recording: Path,
+    rig_path: Path,
+    out: Path,
+    fps: float | None,
+    settings_path: Path | None,
+    overrides: tuple[str, ...],
+    progress: "object" = None,
+    finish: Finish = PLAIN,
+) -> list[str]:
+    """Run the pipeline on a recording, write its tracks to ``out`` and return what to tell, a line each.
+
+    ``finish``: what is done with the tracks besides: smoothed on the way, labelled, their gaps filled.
+    """
+    check_tracks_file(out)
+    finisher = Finisher(finish)
+    rig = read_rig(rig_path)
+    if not any(overlap_of(a, b) for a in rig.cameras for b in rig.cameras if a is not b):
+        raise InputError(
+            f"{rig_path}: no two cameras see a common point; check poses (world_from_camera, z forward) and units (m)"
+        )
+    spec = reconstruct_spec(settings_path, overrides)
+    settings = reconstruct_settings(spec, settings_path)
+    backgrounds = recorded_backgrounds(recording, rig, fps, spec.background)
+    assembly = Assembly()
+    counts = np.zeros(3)
+    with open_recording(recording, rig, fps) as source, between_steps() as stop:
+        rate = source.cameras[0].frame_rate_hz
+        if isinstance(source, McapRecording) and source.holds == "detections":
+            check_source(source, rig)
+            found = counted(source.detection_sets(), source.cameras, assembly)
+            steps = run_seen(found, rig, settings)
+        else:
+            steps = run(source, rig, settings, assembly, backgrounds)
+        for step in steps:
+            stop()
+            finisher.take(step.frame_set.pulse, step.samples)
+            counts += 1, sum(len(d) for d in step.detections.values()), len(step.points)
+            if callable(progress):
+                progress(int(counts[0]), int(counts[0]))
+    tracks, more = finisher.finished()
+    write_tracks(tracks, out, rate)
+    tracks = tracks.select(tracks.status == "measured")
+    sets = max(counts[0], 1)
+    told = [
+        f"{assembly.frames} frames in {assembly.sets} sets, {assembly.complete_sets} of them complete",
+        f"a set has {counts[1] / sets:.1f} detections and {counts[2] / sets:.1f} points",
+        f"{len(np.unique(tracks.track))} tracks with {len(tracks)} samples in {out}",
+    ]
+    if len(tracks):
+        told.append(f"reprojection error {np.sqrt(np.mean(tracks.residual_px**2)):.3f} px rms")
+    else:
+        told.append(_why_no_tracks(counts, settings))
+    told += more
+    told += [
+        f"{name}: {c.dropped} dropped, {c.corrupt} corrupt, {c.late} late, {c.doubled} doubled"
+        for name, c in assembly.cameras.items()
+        if c.dropped or c.corrupt or c.late or c.doubled
+    ]
+    told += [f"{kind}: {note}" for kind, note in assembly.notes.items()]
+    if assembly.skipped_sets:
+        told.append(f"{assembly.skipped_sets} frame sets are missing in the recording")
+    return told
+
+
+def _why_no_tracks(counts: Array, settings: PipelineSettings) -> str:
+    """Return where to look, by the first stage that gave nothing; ``counts``: sets, detections, points."""
+    if counts[1] == 0:
+        return f"no detections: look at detection.contrast_dn ({settings.detection.contrast_dn:g})"
+    if counts[2] == 0:
+        return (
+            "no points: look at the rig, [volume], match.camera_sigma_px "
+            f"({settings.match.camera_sigma_px:g}) and match.worst_sigma_m ({settings.match.worst_sigma_m:g})"
+        )
+    return (
+        f"no tracks: look at track.confirm_weight ({settings.track.confirm_weight:g}), track.gate_m "
+        f"({settings.track.gate_m:g}) and, where targets differ in size, match.judge_sizes"
+    )
+
+
+def reconstruct_spec(path: Path | None, overrides: tuple[str, ...] = ()) -> ReconstructSpec:
+    """Return what a settings file and ``KEY=VALUE`` overrides say; InputError names file, key and value."""
+    document = {} if path is None else read_toml(path)
+    apply_overrides(document, overrides)
+    return check(ReconstructSpec, document, path or "--set")
+
+
+def live_spec(path: Path | None, overrides: tuple[str, ...] = ()) -> ReconstructSpec:
+    """Return ``reconstruct_spec`` for frames that are seen once; InputError where it wants a first pass over them."""
+    spec = reconstruct_spec(path, overrides)
+    if spec.background.kind != "none":
+        raise InputError(
+            f"{path or '--set'}: key 'background.kind': '{spec.background.kind}' given; a live run has no first pass "
+            'over its frames: "none" is wanted'
+        )
+    return spec
+
+
+def reconstruct_settings(spec: ReconstructSpec, path: Path | None = None) -> PipelineSettings:
+    """Return the pipeline's settings of ``spec``; ``path`` is the file that an InputError names."""
+    volume = None if spec.volume is None else (spec.volume.low_m, spec.volume.high_m)
+    try:
+        return stage_settings(spec, volume)
+    except InputError as error:  # the stages know no files
+        raise InputError(f"{path or '--set'}: {error}") from None
+
+
+def recorded_backgrounds(
+    recording: Path, rig: Rig, fps: float | None, spec: BackgroundSpec
+) -> dict[str, Array]:
+    """Return camera -> background (H, W) of a recording's first frames, as ``spec`` has it.
+
+    Camera by camera and frame by frame, so that no more than a few images are in memory.
+    """
+    if spec.kind == "none":
+        return {}
+    return {camera.name: _background(recording, camera, fps, spec) for camera in rig.cameras}
+
+
+def _background(recording: Path, camera: Camera, fps: float | None, spec: BackgroundSpec) -> Array:
+    with open_recording(recording, Rig((camera,)), fps) as source:
+        images = (frame.image for frame in islice(source, spec.frames) if frame.image is not None)
+        first = next(images, None)
+        if first is None:
+            raise InputError(
+                f"{recording}: key 'background.frames': {spec.frames} given, but camera '{camera.name}' has no "
+                'readable image among them; give more, or background.kind = "none"'
+            )
+        make = minimum_background if spec.kind == "minimum" else mean_background
+        return make(chain((first,), images))

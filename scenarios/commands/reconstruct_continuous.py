@@ -1,0 +1,145 @@
+"""``mosca reconstruct --continuous``: a recording of cameras that are not synchronised -> tracks on a grid of
+instants.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from mosca.continuous.association.associate import GatherSettings
+from mosca.continuous.estimator.estimate import ContinuousSettings
+from mosca.continuous.moving_cameras.body_worn import reconstruct_worn
+from mosca.continuous.reconstruct import Reconstructed, reconstruct
+from mosca.data.arrays import Array
+from mosca.data.files.rig_file import read_rig
+from mosca.data.files.whole_file import whole_file
+from mosca.data.frames import FrameSource
+from mosca.data.rig import Rig
+from mosca.errors import InputError
+from mosca.formats.tracks.tracks_file import check_tracks_file, write_tracks
+from mosca.recording import McapRecording, open_recording
+from scenarios.build.cameras import overlap_of
+from scenarios.commands.lamp_file import read_lamps
+from scenarios.commands.reconstruct import reconstruct_settings, reconstruct_spec, recorded_backgrounds
+from scenarios.run.continuous import clock_line, record_clocks
+from scenarios.run.interrupt import between_steps
+from scenarios.run.sources import Chosen
+
+HIGHEST_RATE_HZ = 10_000.0
+
+
+@dataclass(frozen=True)
+class ContinuousOptions:
+    """``rate_hz``: of the grid; None: the fastest camera's. ``clocks``: see ``GatherSettings``. ``search_s``: by how
+    much cameras with clocks of their own may have been started apart. ``limbs``: whether constant distances are used.
+    ``worn``: file of the lamps that cameras on limbs carry; the rig's poses then count for those that it names.
+    """
+
+    rate_hz: float | None = None
+    clocks: Literal["auto", "common", "own"] = "auto"
+    search_s: float = 10.0
+    limbs: bool = True
+    worn: Path | None = None
+
+
+def reconstruct_continuous(
+    recording: Path,
+    rig_path: Path,
+    out: Path,
+    fps: float | None,
+    settings_path: Path | None,
+    overrides: tuple[str, ...],
+    options: ContinuousOptions | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[str]:
+    """Write the tracks of a recording to ``out`` and what is known of its clocks beside it; return what to tell.
+
+    The grid begins at the first instant of which an image point tells; times are the first camera's stamps.
+    """
+    options = ContinuousOptions() if options is None else options
+    check_tracks_file(out)
+    if options.rate_hz is not None and not 0.0 < options.rate_hz <= HIGHEST_RATE_HZ:
+        raise InputError(f"--rate {options.rate_hz:g}: above 0 and at most {HIGHEST_RATE_HZ:g} Hz is allowed")
+    if not 0.0 < options.search_s <= 3600.0:
+        raise InputError(f"--search {options.search_s:g}: above 0 and at most 3600 s is allowed")
+    rig = read_rig(rig_path)
+    lamps = None if options.worn is None else read_lamps(options.worn, rig)
+    if lamps is None:
+        check_overlap(rig, rig_path)
+    spec = reconstruct_spec(settings_path, overrides)
+    pipeline = reconstruct_settings(spec, settings_path)
+    backgrounds = recorded_backgrounds(recording, rig, fps, spec.background)
+    with open_recording(recording, rig, fps) as opened, between_steps() as stop:
+        source: FrameSource = opened
+        if isinstance(opened, McapRecording) and opened.holds == "detections":
+            raise InputError(
+                f"{recording}: holds detections of frame sets, not images; --continuous needs each camera's frames"
+            )
+        if any(info.name not in rig.names for info in source.cameras):
+            source = Chosen(source, rig.names)
+
+        def attend(done: int) -> None:
+            stop()
+            if progress is not None:
+                progress(done, done)
+
+        gathering = GatherSettings(pipeline, options.clocks, options.search_s)
+        wanted = ContinuousSettings(clocks="known", limbs=options.limbs)
+        if lamps is None:
+            found = reconstruct(source, rig, gathering, wanted, backgrounds, attend)
+        else:
+            found = reconstruct_worn(
+                source, rig, *lamps, gathering, wanted, backgrounds, attend
+            ).reconstructed
+    rate = options.rate_hz or max(1.0 / one.period_s for one in found.gathered.seen)
+    tracks = found.tracks(grid_ns(found, rate))
+    write_tracks(tracks, out, rate)
+    clocks = out.with_suffix(".clocks.json")
+    with whole_file(clocks) as part:
+        text = json.dumps({"clocks": record_clocks(found), "findings": list(found.findings)}, indent=2)
+        part.write_text(text + "\n", encoding="utf-8")
+    measured = int((tracks.status == "measured").sum())
+    return [
+        f"{sum(found.gathered.count.frames.values())} frames of {len(rig.cameras)} cameras, each at its own instant",
+        f"{len(found.estimated.curves.points)} markers; {len(tracks)} samples at {rate:g} Hz in "
+        f"{out}, {measured} of them "
+        "measured, the others filled",
+        f"reprojection error {found.residual_rms_px():.3f} px rms",
+        *(f"{one.camera} {clock_line(one)}" for one in found.clocks[1:] if lamps is None),
+        f"clocks in {clocks}",
+        *_without_stamps(recording, fps, options),
+        *found.findings,
+    ]
+
+
+def _without_stamps(recording: Path, fps: float | None, options: ContinuousOptions) -> list[str]:
+    """Return a line where frames have no stamps of their own: what is taken for granted then."""
+    if fps is None or options.clocks == "own" or not recording.is_dir():
+        return []
+    if any((recording / name).exists() for name in ("frames.csv", "recording.mcap")):
+        return []
+    return [
+        f"no frames.csv gives stamps: frames are taken to be 1/{fps:g} s apart and all cameras to have begun "
+        "together; if they did not, say --clocks own"
+    ]
+
+
+def grid_ns(found: Reconstructed, rate_hz: float) -> Array:
+    """Return instants (t,) at ``rate_hz`` over all that was seen, the first camera's stamps [ns]."""
+    begin, end = found.span_ns()
+    count = int((end - begin) * 1e-9 * rate_hz) + 1
+    return begin + np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
+
+
+def check_overlap(rig: Rig, path: Path) -> None:
+    """Raise InputError where a camera sees nothing that another one sees."""
+    for camera in rig.cameras:
+        if not any(overlap_of(camera, other) for other in rig.cameras if other is not camera):
+            raise InputError(
+                f"{path}: camera '{camera.name}' sees nothing that another camera sees; check its pose "
+                "(world_from_camera, z forward, m), or leave it out of the rig file"
+            )

@@ -1,0 +1,169 @@
+"""A small stage for pictures: a few markers before one still camera, with one disturbance or without it.
+
+The camera stands in the origin and looks along z, x to the right and y down. ``by_px`` says where things stand in
+pixels from the image's middle, so that a picture is told as it is seen.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.rig import Camera, Lens, OpenCVLens, Pose
+from twin.cameras.exposure.mount import Mount
+from twin.cameras.exposure.shutter import Timing
+from twin.cameras.optics.blur_parameters import Optics
+from twin.cameras.stray_light.stray import Surroundings
+from twin.cameras.virtual_camera import VirtualCamera
+from twin.scenes.emission import Glow
+from twin.scenes.figure import Figure
+from twin.scenes.scene import Scene
+from twin.scenes.target_motion import carried_body
+from twin.scenes.target_plate import add_ball_at, add_plate
+from twin.scenes.world import Shape, add_shape, compiled, new_stage
+
+SIZE, F_PX, DEPTH_M, SEED, RATE_HZ = (120, 90), 300.0, 2.0, 1288, 100.0
+AHEAD = Pose(np.eye(3), np.zeros(3))
+GAP_PX, GAP_GREY = 8, 118
+"""Between panels: a grey that is seen on white and on black."""
+CARRIED = "carried"
+BACK = np.diag([1.0, -1.0, -1.0])
+"""The carried body stands half a turn about x, so that its +z, along which lamps shine, points to the camera."""
+
+
+def by_px(x: float, y: float, depth_m: float = DEPTH_M, f_px: float = F_PX) -> Array:
+    """Return the place (3,) [m] at ``depth_m`` whose image lies ``x`` to the right of and ``y`` below the middle."""
+    return np.array([x, y, f_px]) * depth_m / f_px
+
+
+def metres(px: float, depth_m: float = DEPTH_M, f_px: float = F_PX) -> float:
+    """Return the length at ``depth_m`` whose image is ``px`` long."""
+    return px * depth_m / f_px
+
+
+def quiet_camera(
+    size: tuple[int, int] = SIZE,
+    f_px: float = F_PX,
+    *,
+    name: str = "camera",
+    lens: Lens | None = None,
+    pose: Pose = AHEAD,
+    **more: Any,
+) -> VirtualCamera:
+    """Return a camera that has noise and no other disturbance, but for what ``more`` brings."""
+    lens = OpenCVLens(f_px, f_px, (size[0] - 1) / 2, (size[1] - 1) / 2) if lens is None else lens
+    still: dict[str, Any] = {
+        "optics": Optics(gap_px=0.0),
+        "timing": Timing(jitter_s=0.0),
+        "mount": Mount(body_px=0.0),
+    }
+    return VirtualCamera(Camera(name, *size, lens, pose), **{**still, **more})
+
+
+@dataclass(frozen=True, eq=False)
+class Ball:
+    """A ball marker at ``at`` (3,) [m]."""
+
+    at: Array
+    diameter_m: float
+    glow: Glow = field(default_factory=Glow)
+
+
+@dataclass(frozen=True, eq=False)
+class Plate:
+    """A printed plate at ``at`` (3,) [m], its axes the columns of ``turn`` (3, 3); it is seen from its +z."""
+
+    at: Array
+    turn: Array
+    figure: Figure
+    half_m: tuple[float, float]
+    glow: Glow = field(default_factory=Glow)
+
+
+def stage(
+    balls: Sequence[Ball] = (),
+    *,
+    plates: Sequence[Plate] = (),
+    solids: Sequence[Shape] = (),
+    velocity_mps: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Scene:
+    """Return a scene in which markers and plates go along together and solids stand still."""
+    spec = new_stage(floor=False)
+    body = carried_body(spec, CARRIED)
+    for number, one in enumerate(balls):
+        add_ball_at(body, f"ball {number}", BACK @ one.at, one.diameter_m)
+    for number, plate in enumerate(plates):
+        add_plate(body, f"plate {number}", *plate.half_m, BACK @ plate.at, BACK @ plate.turn)
+    for shape in solids:
+        add_shape(spec.worldbody, shape)
+    names = [f"ball {k}" for k in range(len(balls))] + [f"plate {k}" for k in range(len(plates))]
+    model, geoms = compiled(spec, names)
+    speed = np.array(velocity_mps)
+
+    def configuration(time_s: float) -> Array:
+        return np.concatenate([speed * time_s, [0.0, 1.0, 0.0, 0.0]])
+
+    glows = [*(one.glow for one in balls), *(one.glow for one in plates)]
+    return Scene(
+        model,
+        tuple(names),
+        geoms,
+        configuration,
+        1.0,
+        figures={f"plate {k}": plate.figure for k, plate in enumerate(plates)},
+        glows=dict(zip(names, glows, strict=True)),
+    )
+
+
+def photo(
+    scene: Scene,
+    camera: VirtualCamera,
+    *,
+    pulse: int = 0,
+    exposure_s: float = 1e-3,
+    others: Sequence[VirtualCamera] = (),
+    surroundings: Surroundings | None = None,
+) -> Array:
+    """Return the counts (H, W) of the frame that ``camera`` takes at a pulse."""
+    from twin.source import TwinSource
+
+    with TwinSource(
+        scene,
+        (camera, *others),
+        frame_rate_hz=RATE_HZ,
+        exposure_s=exposure_s,
+        pulses=pulse + 1,
+        seed=SEED,
+        surroundings=surroundings,
+    ) as source:
+        images = [frame.image for frame in source if frame.camera == camera.camera.name]
+    image = images[-1]
+    assert image is not None
+    return image
+
+
+def change(camera: VirtualCamera, **more: Any) -> VirtualCamera:
+    """Return the camera with other parts."""
+    return replace(camera, **more)
+
+
+def grey(counts: Array, dark: float = 0.0, bright: float = 255.0, gamma: float = 1.0) -> Array:
+    """Return counts as grey (H, W) uint8: ``dark`` black, ``bright`` white, in between to the power ``gamma``."""
+    share = np.clip((counts.astype(float) - dark) / (bright - dark), 0.0, 1.0)
+    return np.asarray(np.rint(255 * share**gamma), dtype=np.uint8)
+
+
+def difference(counts: Array, other: Array, full: float) -> Array:
+    """Return ``counts`` less ``other`` as grey (H, W): none is middle grey, +-``full`` counts white and black."""
+    return grey(counts.astype(float) - other.astype(float), -full, full)
+
+
+def side_by_side(*panels: Array, zoom: int) -> Array:
+    """Return panels (h, w) uint8 beside each other, each pixel ``zoom`` x ``zoom``."""
+    gap = np.full((len(panels[0]) * zoom, GAP_PX), GAP_GREY, dtype=np.uint8)
+    parts: list[Array] = []
+    for panel in panels:
+        parts += [np.repeat(np.repeat(panel, zoom, axis=0), zoom, axis=1), gap]
+    return np.concatenate(parts[:-1], axis=1)

@@ -1,0 +1,1 @@
+"""One scenario from source to record."""

@@ -1,0 +1,69 @@
+"""The first run after an installation or an update compiles kernels: the twin's and the pipeline's side by side."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+
+from scenarios.build.cameras import true_rig, twin_source, virtual_cameras
+from scenarios.build.scene import build_scene
+from scenarios.spec.scenario import load_scenario
+from twin.source import TwinSource
+
+PIPELINE = (("mosca.precompile", "points"), ("mosca.precompile", "look"))
+TWIN = (("scenarios.run.precompile",),)
+RICH = Path(__file__).parents[1] / "library" / "light" / "actor_in_context.toml"
+"""A scenario that asks for most of what the twin can do."""
+
+
+def compile_side_by_side(source: TwinSource) -> None:
+    """Where no compiled kernels are kept yet, compile the pipeline's in processes of their own beside the twin's.
+
+    numba compiles one function at a time in a process. Without a folder to keep them in, nothing is done here:
+    each kernel is then compiled when it is first called.
+    """
+    with compiling(PIPELINE):
+        for _frame in source:
+            break
+
+
+def compile_beforehand() -> None:
+    """Compile what processes that start afterwards would each compile for themselves, where none is kept yet."""
+    with compiling(PIPELINE + TWIN):
+        pass
+
+
+@contextmanager
+def compiling(programs: Sequence[tuple[str, ...]]) -> Iterator[None]:
+    """Run programs that compile, where no kernels are kept yet, while the block runs; leave it when they are done."""
+    kept = os.environ.get("NUMBA_CACHE_DIR")
+    if kept is None or any(Path(kept).rglob("threshold_regions.*.nbi")):
+        yield
+        return
+    quiet = subprocess.DEVNULL
+    beside = [
+        subprocess.Popen([sys.executable, "-m", *words], stdin=quiet, stdout=quiet, stderr=quiet)
+        for words in programs
+    ]
+    try:
+        yield
+        for process in beside:
+            process.wait()
+    finally:
+        for process in beside:
+            process.terminate()
+
+
+def first_frames() -> int:
+    """Render the first frames of a rich scenario, small; returns how many."""
+    spec = load_scenario(RICH, ("cameras.size_px=[164, 122]", "cameras.pixel_pitch_mm=0.04"))
+    scene, cameras = build_scene(spec, RICH.parent), virtual_cameras(spec, true_rig(spec, RICH.parent))
+    with twin_source(spec, scene, cameras, workers=1) as source:
+        return sum(1 for _frame in islice(source, len(cameras)))
+
+
+if __name__ == "__main__":
+    first_frames()

@@ -1,0 +1,176 @@
+"""What a run leaves behind: its record, and what the page shows beside it."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.detections import Detections
+from mosca.data.rig import Rig
+from mosca.data.tracks import Tracks
+from mosca.data.truth import Truth
+from mosca.diagnostics.camera_health import CameraHealth
+from mosca.synchronisation import Assembly
+from reports.evidence import CameraView, ErrorTable, Evidence, FrameCounts
+from reports.record import Blocks, Metric, RunRecord
+from scenarios.run.provenance import provenance
+from scenarios.score.tracks import Matched, Score, limits_met
+from scenarios.spec.scenario import METRICS, Scenario
+
+
+@dataclass(frozen=True, eq=False)
+class Collected:
+    """What is kept of a run of the pipeline: its tracks, a picture of each camera at ``view_pulse``, the frames'
+    counts, computing time by stage [s], the detections of the pulses ``asked`` for their bound, how the cameras did.
+    """
+
+    tracks: Tracks
+    views: tuple[CameraView, ...]
+    view_pulse: int
+    assembly: Assembly
+    seconds: Mapping[str, float]
+    asked: Mapping[int, Mapping[str, Detections]]
+    cameras: tuple[CameraHealth, ...] = ()
+
+
+def record_of(
+    spec: Scenario,
+    name: str,
+    source: str,
+    scores: Mapping[str, Score],
+    premises: Mapping[str, Any],
+    timings: Mapping[str, float],
+    known: Any,
+    collected: Collected,
+    not_judged: tuple[str, ...] = (),
+) -> RunRecord:
+    """Return the record of a run of ``source``; ``known``: the calibration that holds where none was estimated.
+
+    ``not_judged``: metrics that the scenario limits and this source cannot tell.
+    """
+    limits = {metric: limit for metric, limit in spec.limits.items() if metric not in not_judged}
+    met = limits_met(scores, limits, lambda metric: METRICS[metric][1])
+    rows = tuple(
+        _metric(metric, score, spec, met) for metric, score in scores.items() if np.isfinite(score.value)
+    )
+    broken = [metric for metric, ok in met.items() if not ok]
+    notes = " ".join(collected.assembly.notes.values())
+    unnoticed = [phrase for phrase in spec.told if phrase not in notes]
+    passed, verdict = _verdict(spec, broken, not_judged)
+    if unnoticed and not not_judged:
+        passed, verdict = False, f"{verdict}; not noticed: {'; '.join(unnoticed)}"
+    return RunRecord(
+        scenario=name,
+        title=spec.title,
+        seed=spec.seed,
+        source=source,
+        model_gap=spec.model_gap,
+        expect=spec.expect,
+        passed=passed,
+        verdict=verdict,
+        metrics=rows,
+        premises=premises,
+        counts=_counts(collected),
+        cameras={one.name: told_health(one) for one in collected.cameras},
+        timings={key: float(value) for key, value in timings.items()},
+        not_judged=not_judged,
+        provenance={
+            **provenance(),
+            "model_gap_rms_px": round(known.gap_rms_px, 6),
+            "model_gap_max_px": round(known.gap_max_px, 6),
+            "parameters": spec.model_dump(mode="json"),
+        },
+    )
+
+
+def _metric(name: str, score: Score, spec: Scenario, met: Mapping[str, bool]) -> Metric:
+    unit, sense = METRICS[name]
+    return Metric(
+        name, score.value, unit, score.n, score.ci95, "none", spec.limits.get(name),
+        "at_most" if sense == "at_most" else "at_least", met.get(name),
+        Blocks(score.sums, score.weights) if score.sums else None,
+    )  # fmt: skip
+
+
+def _verdict(spec: Scenario, broken: list[str], not_judged: tuple[str, ...]) -> tuple[bool, str]:
+    """Return whether the run is as claimed, and in words. What could not be judged does not pass."""
+    found = "every limit is met" if not broken else f"broken: {', '.join(broken)}"
+    if not_judged:
+        rest = [name for name in spec.limits if name not in not_judged and name not in broken]
+        found = f"broken: {', '.join(broken)}; " if broken else f"met: {', '.join(rest)}; " if rest else ""
+        return False, f"{found}not judged, for want of a truth: {', '.join(not_judged)}"
+    if spec.expect == "pass":
+        return not broken, found
+    missing = [name for name in spec.fails_on if name not in broken]
+    if missing:
+        return False, f"the control was not caught: {', '.join(missing)} should have broken"
+    return True, f"fails as it must: {', '.join(spec.fails_on)} broken"
+
+
+def _counts(collected: Collected) -> dict[str, Any]:
+    assembly = collected.assembly
+    tracks = collected.tracks
+    return {
+        "frames": assembly.frames,
+        "frame_sets": assembly.sets,
+        "complete_sets": assembly.complete_sets,
+        "empty_sets": assembly.empty_sets,
+        "dropped": sum(c.dropped for c in assembly.cameras.values()),
+        "corrupt": sum(c.corrupt for c in assembly.cameras.values()),
+        "late": sum(c.late for c in assembly.cameras.values()),
+        "tracks": len(np.unique(tracks.track)),
+        "samples": len(tracks),
+        "skipped_sets": assembly.skipped_sets,
+        "notes": dict(assembly.notes),
+    }
+
+
+def told_health(one: CameraHealth) -> dict[str, Any]:
+    """Return a camera's health for the record; what is not known is None."""
+    values = {key: value for key, value in asdict(one).items() if key != "name"}
+    values["residuals_px"] = [round(value, 4) for value in one.residuals_px]
+    return {
+        key: None if isinstance(value, float) and not math.isfinite(value) else value
+        for key, value in values.items()
+    }
+
+
+def evidence_of(
+    spec: Scenario, rig: Rig, collected: Collected, truth: Truth | None, matched: Matched | None
+) -> Evidence:
+    """Return what the page shows; without a truth the tracks alone."""
+    base = Evidence(
+        rig,
+        np.array(spec.working_space.center_m),
+        np.array(spec.working_space.size_m),
+        collected.tracks,
+        collected.views,
+    )
+    if truth is None or matched is None:
+        return base
+    time_s = truth.time_ns * 1e-9
+    pulse = min(max(collected.view_pulse, 0), len(truth.time_ns) - 1)
+    beside = replace(
+        base,
+        truth_time_ns=truth.time_ns,
+        truth_xyz=truth.xyz,
+        truth_names=truth.names,
+        errors=ErrorTable(matched.frame, time_s[matched.frame], matched.marker, matched.error_m),
+    )
+    if not truth.cameras:  # a user's own reference: who could see what is not known
+        return beside
+    return replace(
+        beside,
+        views=tuple(_with_truth(v, truth, pulse) for v in collected.views),
+        marker_seen=matched.seen_mask.sum(axis=0),
+        counts=FrameCounts(time_s, matched.seen, matched.seen - matched.missed, matched.ghosts),
+    )
+
+
+def _with_truth(view: CameraView, truth: Truth, pulse: int) -> CameraView:
+    c = truth.cameras.index(view.camera)
+    xy: Array = truth.image_xy_px[pulse, :, c]
+    return replace(view, true_xy_px=xy[np.isfinite(xy).all(axis=1) & (truth.visible[pulse, :, c] > 0)])

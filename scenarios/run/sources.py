@@ -1,0 +1,97 @@
+"""Where a run's frames come from besides the twin: recordings, and sources that pass frames on."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Self
+
+from mosca.data.frames import Frame, FrameSource
+from mosca.data.rig import Rig
+from mosca.errors import InputError
+from mosca.recording import RecordingWriter, open_recording
+from mosca.synchronisation import AssemblySettings
+
+PATIENCE_BYTES = 1 << 28
+"""Frames that may wait in open frame sets."""
+
+
+def opened(source: str, rig: Rig, rate_hz: float, pulses: int) -> FrameSource:
+    """Return what ``--source recording:DIR`` or ``hardware:RIG.toml`` names; InputError for another source.
+
+    ``rate_hz``, ``pulses``: the scenario's; devices must run at this rate and are read for so many pulses.
+    """
+    kind, _, place = source.partition(":")
+    if kind not in ("recording", "hardware") or not place:
+        raise InputError(f"--source {source}: allowed are twin, recording:DIR and hardware:RIG.toml")
+    if kind == "recording":
+        return open_recording(Path(place), rig)
+    from hardware.settings import read_hardware
+    from hardware.source import HardwareSource
+
+    devices = read_hardware(Path(place))
+    missing = [name for name in rig.names if name not in devices.cameras]
+    if missing:
+        raise InputError(
+            f"{place}: no camera '{missing[0]}', which the scenario's rig has; it names {', '.join(devices.cameras)}"
+        )
+    if abs(devices.shared.rate_hz / rate_hz - 1) > 1e-3:
+        raise InputError(
+            f"{place}: [hardware] rate_hz = {devices.shared.rate_hz:g}, the scenario's capture.frame_rate_hz is "
+            f"{rate_hz:g}; give both the same"
+        )
+    return HardwareSource(devices, pulses)
+
+
+def patient(settings: AssemblySettings, source: FrameSource) -> AssemblySettings:
+    """Return settings that wait for late frames of devices up to a second, as memory allows: a run is not live."""
+    wanted = max(info.frame_rate_hz for info in source.cameras)
+    size = sum(info.image_bytes for info in source.cameras)
+    return replace(
+        settings, open_pulses=max(settings.open_pulses, min(round(wanted), PATIENCE_BYTES // size))
+    )
+
+
+class PassedOn:
+    """A source that passes another's frames on; closing it closes the other."""
+
+    def __init__(self, source: FrameSource) -> None:
+        self._source = source
+        self.cameras = source.cameras
+
+    def __iter__(self) -> Iterator[Frame]:
+        return iter(self._source)
+
+    def close(self) -> None:
+        """Close the source."""
+        self._source.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class Written(PassedOn):
+    """A source whose frames are written down on their way through."""
+
+    def __init__(self, source: FrameSource, writer: RecordingWriter) -> None:
+        super().__init__(source)
+        self._writer = writer
+
+    def __iter__(self) -> Iterator[Frame]:
+        for frame in self._source:
+            self._writer.write(frame)
+            yield frame
+
+
+class Chosen(PassedOn):
+    """A source without the frames of cameras that the rig does not have: those that ride on the subject."""
+
+    def __init__(self, source: FrameSource, names: tuple[str, ...]) -> None:
+        super().__init__(source)
+        self._names = frozenset(names)
+        self.cameras = tuple(info for info in source.cameras if info.name in self._names)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (frame for frame in self._source if frame.camera in self._names)

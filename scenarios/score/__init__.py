@@ -1,0 +1,1 @@
+"""Tracks and bodies against the truth, or against what is certified."""

@@ -1,0 +1,232 @@
+"""The least error that a run's frames allow: Cramer-Rao bounds from the twin's own light, carried into space.
+
+Of each image: the information matrix of a target's place, brightness and background against the noise that its
+pixels have, from images rendered without noise and with the image moved (Kay 1993, section 3.9 for a Gaussian of
+known variance). To the bound of the image come the random errors that belong to the scenario, not to the pipeline:
+the shake of the camera's body and the trigger's jitter times the target's speed. In space: ``(sum J' S^-1 J)^-1``
+over the cameras, where all that see the target see it whole. The target's diameter, which an estimator must find
+too, says nothing of the place of a round image.
+
+Lens errors of the calibration are no random errors and not part of the bound. Nor is it an error of detection that
+a ball's image has its middle elsewhere than the image of the ball's centre lies (geometry says how far, and who
+triangulates takes it off): detections are held against the middle of the light that was really there.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mosca.camera.projection import project, project_with_jacobians
+from mosca.data.arrays import Array
+from mosca.data.detections import Detections
+from mosca.data.rig import Camera, Rig, principal_distances_px
+from mosca.data.truth import Truth
+from scenarios.score.tracks import Matched, Score, ratio_of_sums
+from twin.cameras.expected_image import Expected
+from twin.cameras.exposure.mount import Mount
+from twin.cameras.exposure.shutter import Timing
+
+WHOLE = 0.99
+"""Share of its disc from which on a target is seen whole."""
+MARGIN_PX = 6.0
+"""How far beyond its rim a target's light is followed: the wings of the blur."""
+APART_PX = 3.0
+"""Rim to rim, images nearer to each other than this are merged: no bound is given for them."""
+PAIRED_PX = 1.0
+"""How far a detection may lie from a target's true image to be taken for it."""
+PULSES = 400
+"""Frame sets that are asked for their bound, at most. Bodies' shakes move all points of a set together, 3 numbers a
+set: of 40 sets the efficiency scatters by 6 %, of 120 by 4, of 300 by 2."""
+EFFICIENCIES = frozenset({"efficiency", "efficiency_detection"})
+"""Metrics that need the bound, which takes seconds: they are scored where a scenario limits them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """Bounds of some pulses: ``pulses`` (p,); ``image_px2`` (p, m, c, 2, 2) of each image, NaN where a target is not
+    seen whole and apart from others; ``light_px`` (p, m, c, 2) the middle of each image's light, NaN where others
+    are near; ``point_m2`` (p, m, 3, 3), NaN where fewer than two cameras see it so or another one sees it otherwise.
+    """
+
+    pulses: Array
+    image_px2: Array
+    light_px: Array
+    point_m2: Array
+
+
+def needs_bound(limits: Iterable[str]) -> bool:
+    """Return whether a scenario with these limits is scored against the bound."""
+    return not EFFICIENCIES.isdisjoint(limits)
+
+
+def pulses_asked(count: int, wanted: int = PULSES) -> Array:
+    """Return which of ``count`` pulses are asked: spread evenly, the first and last left out where there are more."""
+    if count <= wanted:
+        return np.arange(count)
+    return np.unique(np.linspace(1, count - 2, wanted).round().astype(int))
+
+
+def bound(
+    expected: Callable[[int], Sequence[Expected]],
+    truth: Truth,
+    rig: Rig,
+    errors: Mapping[str, tuple[Mount, Timing]],
+    pulses: Array,
+) -> Bound:
+    """Return the bounds at ``pulses``; ``expected`` renders a pulse, ``errors``: each camera's mount and timing."""
+    m, c = len(truth.names), len(truth.cameras)
+    image, light = np.full((len(pulses), m, c, 2, 2), np.nan), np.full((len(pulses), m, c, 2), np.nan)
+    for k, pulse in enumerate(pulses):
+        for frame in expected(int(pulse)):
+            if frame.camera in truth.cameras:
+                at = truth.cameras.index(frame.camera)
+                image[k, :, at], light[k, :, at] = _image_bounds(
+                    frame, truth.image_xy_px[pulse, :, at], truth.diameter_px[pulse, :, at],
+                    truth.visible[pulse, :, at],
+                )  # fmt: skip
+    information = np.zeros((len(pulses), m, 3, 3))
+    views = np.zeros((len(pulses), m), dtype=int)
+    for at, name in enumerate(truth.cameras):
+        mount, timing = errors[name]
+        moves = timing.jitter_s * _speed_px(truth, at)[pulses]
+        total = image[:, :, at] + moves[..., :, None] * moves[..., None, :]
+        total += mount.body_px**2 * _by_turn(rig.camera(name), truth.xyz[pulses])
+        seen = np.isfinite(total).all(axis=(2, 3))
+        jacobian = _jacobian(rig.camera(name), truth.xyz[pulses][seen])
+        information[seen] += np.einsum("nki,nkl,nlj->nij", jacobian, np.linalg.inv(total[seen]), jacobian)
+        views += seen
+    point = np.full(information.shape, np.nan)
+    # elsewhere the images without a bound tell something too, and the bound would be none
+    whole = views == (truth.visible[pulses] > 0).sum(axis=2)
+    bounded = (views >= 2) & whole
+    point[bounded] = np.linalg.inv(information[bounded])
+    return Bound(np.asarray(pulses), image, light, point)
+
+
+def efficiencies(
+    bounds: Bound,
+    matched: Matched,
+    truth: Truth,
+    detections: Mapping[int, Mapping[str, Detections]],
+    blocks: int,
+) -> dict[str, Score]:
+    """Return what the bounds are of the errors reached, rms over rms: of points in space, and of their images.
+
+    ``detections``: pulse -> camera -> what was detected. Intervals by the bootstrap over ``blocks`` of pulses.
+    """
+    block = np.arange(len(bounds.pulses)) * blocks // max(1, len(bounds.pulses))
+    row_of = {int(pulse): k for k, pulse in enumerate(bounds.pulses)}
+    asked = np.array([row_of.get(int(f), -1) for f in matched.frame], dtype=int)
+    least = np.where(asked >= 0, np.trace(bounds.point_m2[asked, matched.marker], axis1=1, axis2=2), np.nan)
+    counted = np.isfinite(least)
+    found = {}
+    if counted.any():
+        at = block[asked[counted]]
+        found["efficiency"] = _efficiency(least[counted], matched.distance_m[counted] ** 2, at, blocks)
+    image = [
+        (
+            block[k],
+            *_image_errors(bounds.image_px2[k, :, c], bounds.light_px[k, :, c], seen[name].xy_px),
+        )
+        for k, pulse in enumerate(bounds.pulses)
+        for c, name in enumerate(truth.cameras)
+        if (seen := detections.get(int(pulse), {})) and name in seen
+    ]
+    if image:
+        at = np.concatenate([np.full(len(lowest), b) for b, lowest, _ in image])
+        lowest, reached = (np.concatenate([part[i] for part in image]) for i in (1, 2))
+        if len(lowest):
+            found["efficiency_detection"] = _efficiency(lowest, reached, at, blocks)
+    return found
+
+
+def _efficiency(least: Array, reached: Array, block: Array, blocks: int) -> Score:
+    above = np.bincount(block, weights=least, minlength=blocks)
+    below = np.bincount(block, weights=reached, minlength=blocks)
+    return ratio_of_sums(above, below, len(least), np.sqrt)
+
+
+def _image_errors(bounds: Array, true_xy: Array, found_xy: Array) -> tuple[Array, Array]:
+    """Return the bounds' traces (k,) and squared errors (k,) [px^2] of the targets seen whole that were detected."""
+    rows = np.flatnonzero(np.isfinite(bounds).all(axis=(1, 2)) & np.isfinite(true_xy).all(axis=1))
+    if not len(rows) or not len(found_xy):
+        return np.empty(0), np.empty(0)
+    away = np.linalg.norm(true_xy[rows, None] - found_xy[None], axis=2).min(axis=1)
+    near = away < PAIRED_PX
+    return np.trace(bounds[rows[near]], axis1=1, axis2=2), away[near] ** 2
+
+
+def _image_bounds(frame: Expected, xy_px: Array, diameter_px: Array, visible: Array) -> tuple[Array, Array]:
+    """Return the least covariance (m, 2, 2) [px^2] of each target's place, and the middle (m, 2) [px] of its light.
+
+    NaN where it is not seen whole and apart; the middle also where other light is within 1.5 margins.
+    """
+    bounds, light = np.full((len(xy_px), 2, 2), np.nan), np.full((len(xy_px), 2), np.nan)
+    there = np.isfinite(xy_px).all(axis=1) & (visible > 0)
+    height, width = frame.mean_e.shape
+    for marker in np.flatnonzero(there & (visible >= WHOLE)):
+        x, y = xy_px[marker]
+        reach = diameter_px[marker] / 2 + MARGIN_PX
+        left, right = max(0, int(np.ceil(x - reach))), min(width, int(np.floor(x + reach)) + 1)
+        top, bottom = max(0, int(np.ceil(y - reach))), min(height, int(np.floor(y + reach)) + 1)
+        window = np.s_[top:bottom, left:right]
+        column, row = np.meshgrid(np.arange(left, right), np.arange(top, bottom))
+        own = ~frame.saturated[window]
+        rim = np.hypot(column - x, row - y) - diameter_px[marker] / 2
+        others = there.copy()
+        others[marker] = False
+        gaps = np.hypot(*(xy_px[others] - xy_px[marker]).T) - (diameter_px[others] + diameter_px[marker]) / 2
+        if (gaps < APART_PX).any():
+            continue
+        for u, v, diameter in np.column_stack([xy_px[others], diameter_px[others]])[gaps < 2 * MARGIN_PX]:
+            own &= rim <= np.hypot(column - u, row - v) - diameter / 2
+        change = np.stack(
+            [
+                frame.right_e[window][own],
+                frame.down_e[window][own],
+                frame.target_e[window][own],
+                np.ones(own.sum()),
+            ]
+        )
+        information = (change / frame.variance_e2[window][own]) @ change.T
+        scale = np.sqrt(np.diag(information))
+        if (scale > 0).all():
+            bounds[marker] = np.linalg.inv(information / np.outer(scale, scale))[:2, :2] / np.outer(
+                scale[:2], scale[:2]
+            )
+        shares = np.where(rim <= MARGIN_PX, frame.target_e[window], 0.0)
+        if (gaps >= 1.5 * MARGIN_PX).all() and shares.sum() > 0:
+            light[marker] = np.sum(shares * column) / shares.sum(), np.sum(shares * row) / shares.sum()
+    return bounds, light
+
+
+def _speed_px(truth: Truth, camera: int) -> Array:
+    """Return how fast images move (t, m, 2) [px/s], NaN where they are not seen before and after."""
+    xy: Array = truth.image_xy_px[:, :, camera]
+    seconds = truth.time_ns * 1e-9
+    if len(xy) < 2:
+        return np.zeros(xy.shape)
+    speed: Array = np.gradient(xy, seconds, axis=0)
+    return np.where(np.isfinite(speed), speed, 0.0)
+
+
+def _by_turn(camera: Camera, xyz: Array) -> Array:
+    """Return the covariances (..., 2, 2) of images of ``xyz`` (..., 3) where the body's shake moves the middle of the
+    image by 1 px an axis: a turn, which moves the rim more.
+    """
+    turned = project_with_jacobians(camera, xyz.reshape(-1, 3)).by_pose[:, :, 1::-1]
+    turned = turned / np.array(principal_distances_px(camera.lens))
+    return np.asarray(turned @ np.swapaxes(turned, 1, 2)).reshape(*xyz.shape[:-1], 2, 2)
+
+
+def _jacobian(camera: Camera, xyz: Array) -> Array:
+    """Return the change of a point's image with its place (n, 2, 3) [px/m]."""
+    step = 1e-5
+    return np.stack(
+        [
+            (project(camera, xyz + step * axis) - project(camera, xyz - step * axis)) / (2 * step)
+            for axis in np.eye(3)
+        ],
+        axis=2,
+    )

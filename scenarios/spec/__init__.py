@@ -1,0 +1,1 @@
+"""Scenario files: tables, allowed values, keys without effect."""

@@ -1,0 +1,96 @@
+"""What a scenario file may say of the calibration that its pipeline believes in.
+
+Without the table the pipeline gets the true poses and the best fit of its lens model to the true lenses: what a
+perfect calibration would give. With it the rig is estimated, as in a lab, from rendered images of a calibration
+session that the same cameras take beforehand.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from mosca.data.files.toml import NotNegative, Positive, Table
+
+FIELD_ONLY = {"markers", "layout", "relief", "stands", "shift", "tilt_deg", "world_frames"}
+
+
+class WrongSizeFault(Table):
+    """The target is not as large as its file says, as a sheet that was printed scaled."""
+
+    kind: Literal["wrong_size"]
+    factor: Positive = Field(description="true lengths over those in the file")
+
+
+class WrongUnitsFault(Table):
+    """The marks' places stand in the file in another unit; the dots' sizes do not."""
+
+    kind: Literal["wrong_units"]
+    factor: Positive = Field(1000.0, description="places in the file over the true ones")
+
+
+class SwappedSessionFault(Table):
+    """Two cameras stand for each other in the session; an earlier calibration is at hand."""
+
+    kind: Literal["swapped_cameras"]
+    cameras: tuple[str, str]
+
+
+class MovedCameraFault(Table):
+    """A camera was turned since an earlier calibration, which the session is held against."""
+
+    kind: Literal["moved_camera"]
+    camera: str
+    turn_px: float = Field(5.0, description="how far its image moved [px]")
+
+
+CalibrationFault = Annotated[
+    WrongSizeFault | WrongUnitsFault | SwappedSessionFault | MovedCameraFault, Field(discriminator="kind")
+]
+
+
+class CalibrationSpec(Table):
+    """``[calibration]``: the session from which the rig is estimated before the measurement."""
+
+    target: Literal["field", "board", "wand"] = Field(
+        "field",
+        description="what is put before the cameras; boards and wands are followed by an L-frame for the axes",
+    )
+    markers: int = Field(150, ge=4, le=507, description="coded targets of a field")
+    layout: Literal["tower", "corner", "plate"] = Field("tower", description="how they stand")
+    relief: NotNegative = Field(0.0, le=1, description="depth of a plate's targets, share of its edge")
+    size_m: tuple[Positive, Positive, Positive] | None = Field(
+        None,
+        description="edges of the field, or of the box that a target is carried in; default: the working space",
+    )
+    known_to: NotNegative = Field(
+        1e-5, description="standard deviation of the marks' places or lengths, share of the longest edge"
+    )
+    stands: int = Field(
+        1, ge=1, le=200, description="places at which the field is put; the first is the world"
+    )
+    shift: NotNegative = Field(0.2, description="how far from the first stand, share of the field's edges")
+    tilt_deg: NotNegative = Field(15.0, le=60, description="how far it leans there at most")
+    frames: int = Field(20, ge=1, le=5000, description="exposures (of a field: at each stand)")
+    world_frames: int = Field(
+        0, ge=0, le=5000, description="exposures of a field at the first stand, which is the world, if more"
+    )
+    rate_hz: Positive = Field(
+        10.0, le=2000, description="exposures a second; a target that is carried must move between them [Hz]"
+    )
+    lengths: bool = Field(False, description="hold the result against a certified bar that it did not use")
+    earlier: bool = Field(False, description="hold the result against an earlier calibration, the true one")
+    exterior_only: bool = Field(
+        False, description="keep the earlier calibration's lenses, estimate the poses"
+    )
+    fault: CalibrationFault | None = None
+
+    @model_validator(mode="after")
+    def _fits(self) -> "CalibrationSpec":
+        wrong = FIELD_ONLY & self.model_fields_set
+        if self.target != "field" and wrong:
+            raise ValueError(f"'{min(wrong)}' belongs to a field; target = '{self.target}' has none")
+        if self.relief and self.layout != "plate":
+            raise ValueError(f"'relief' belongs to layout = 'plate'; '{self.layout}' has its own")
+        if self.target == "wand" and self.exterior_only:
+            raise ValueError("a wand finds lenses, too; exterior_only goes with a field or a board")
+        return self

@@ -1,0 +1,387 @@
+"""What a scenario file may say, with units, bounds and defaults; nothing is computed here.
+
+The published JSON schema (``mosca schema``) is made from these tables, so that editors complete and check.
+"""
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from mosca.calibration.quality.findings import CODES
+from mosca.data.files.toml import NotNegative, Positive, Table, Vector, check, read_toml
+from mosca.errors import InputError
+from scenarios.spec.calibration import CalibrationSpec
+from scenarios.spec.cameras import (
+    Cameras,
+    CameraSpec,
+    DeliverySpec,
+    ErrorsSpec,
+    MountSpec,
+    OpticsSpec,
+    SensorSpec,
+    SurroundingsSpec,
+    TimingSpec,
+)
+from scenarios.spec.continuous import ContinuousSpec
+from scenarios.spec.scenes import GlowSpec, LampsSpec, SceneSpec
+
+METRICS = {
+    "position_rms": ("m", "at_most"),
+    "position_p95": ("m", "at_most"),
+    "position_max": ("m", "at_most"),
+    "relative_accuracy": ("1", "at_most"),
+    "completeness": ("1", "at_least"),
+    "ghosts_per_frame": ("1", "at_most"),
+    "identity_switches": ("1", "at_most"),
+    "hota": ("1", "at_least"),
+    "nees": ("1", "at_most"),
+    "coverage95": ("1", "at_least"),
+    "efficiency": ("1", "at_least"),
+    "efficiency_detection": ("1", "at_least"),
+    "body_position_rms": ("m", "at_most"),
+    "body_angle_rms": ("rad", "at_most"),
+    "body_completeness": ("1", "at_least"),
+    "reprojection_rms": ("px", "at_most"),
+    "calibration_rays_rms": ("px", "at_most"),
+    "calibration_volume_rms": ("m", "at_most"),
+    "calibration_sigma_x": ("m", "at_most"),
+    "calibration_sigma_y": ("m", "at_most"),
+    "clock_frames": ("1", "at_most"),
+    "clock_drift_ppm": ("1", "at_most"),
+    "over_synchronous": ("1", "at_most"),
+    "lamps_found": ("1", "at_least"),
+    "lamp_px": ("px", "at_most"),
+    "camera_position_rms": ("m", "at_most"),
+    "camera_angle_rms": ("rad", "at_most"),
+    "length_rms": ("m", "at_most"),
+    "length_max": ("m", "at_most"),
+    "rigidity_rms": ("m", "at_most"),
+    "static_noise": ("m", "at_most"),
+    "latency_p99": ("s", "at_most"),
+    "frame_rate": ("1/s", "at_least"),
+}
+"""Metrics that a scenario can limit: unit, and whether the limit is an upper or a lower one."""
+
+
+class WorkingSpace(Table):
+    """The box in which accuracy is claimed. Its longest edge is "the working space" of relative figures."""
+
+    center_m: Vector = Field((0.0, 0.0, 0.0), description="centre of the box, world frame [m]")
+    size_m: tuple[Positive, Positive, Positive] = Field(description="edges of the box [m]")
+
+
+class Capture(Table):
+    """When the cameras expose."""
+
+    duration_s: Positive = Field(10.0, le=3600, description="length of the capture [s]")
+    frame_rate_hz: Positive = Field(100.0, le=2000, description="trigger pulses a second [Hz]")
+    exposure_s: Positive = Field(1e-3, description="exposure window [s]")
+
+    @model_validator(mode="after")
+    def _window_fits(self) -> "Capture":
+        if self.exposure_s >= 1.0 / self.frame_rate_hz:
+            raise ValueError(
+                f"exposure_s {self.exposure_s} does not fit between pulses at {self.frame_rate_hz} Hz; "
+                f"it must be below {1 / self.frame_rate_hz:g} s"
+            )
+        return self
+
+    @property
+    def pulses(self) -> int:
+        """Number of trigger pulses."""
+        return round(self.duration_s * self.frame_rate_hz)
+
+
+class SwapFault(Table):
+    """The calibrations of two cameras stand swapped."""
+
+    kind: Literal["swap_cameras"]
+    cameras: tuple[str, str]
+
+
+class LensFault(Table):
+    """The pipeline believes in lenses without distortion."""
+
+    kind: Literal["no_distortion"]
+
+
+class ClockFault(Table):
+    """Some cameras expose late, and their stamps do not say so."""
+
+    kind: Literal["clock_shift"]
+    cameras: tuple[str, ...] = Field(min_length=1)
+    delay_s: float
+
+
+class TurnFault(Table):
+    """One camera was turned since it was calibrated."""
+
+    kind: Literal["turned_camera"]
+    camera: str
+    turn_px: float = Field(description="how far its image moves [px]")
+
+
+class ScaleFault(Table):
+    """The rig was calibrated with a length that is wrong: everything is larger by a factor, rays still meet."""
+
+    kind: Literal["wrong_scale"]
+    factor: Positive = Field(description="measured over true lengths")
+
+
+class MovedFault(Table):
+    """Some cameras were calibrated in a frame that is shifted against the others': those of a zone, for example."""
+
+    kind: Literal["moved_cameras"]
+    cameras: tuple[str, ...] = Field(min_length=1)
+    shift_m: Vector = Field(
+        description="where they are believed to stand minus where they do, world frame [m]"
+    )
+
+
+FaultSpec = Annotated[
+    SwapFault | LensFault | ClockFault | TurnFault | ScaleFault | MovedFault, Field(discriminator="kind")
+]
+
+
+class ZoneSpec(Table):
+    """A part of the working space with cameras of its own; zones overlap, and their tracks are stitched."""
+
+    name: str = Field(min_length=1)
+    cameras: tuple[str, ...] = Field(min_length=2, description="its own cameras; no other zone has them")
+    center_m: Vector = Field(description="centre of its box, world frame [m]")
+    size_m: tuple[Positive, Positive, Positive] = Field(description="edges of its box [m]")
+
+
+class DetectionSpec(Table):
+    """Settings of target detection that differ from the pipeline's defaults."""
+
+    contrast_dn: Positive | None = Field(None, description="B: smallest contrast of a target, 8-bit counts")
+    minimum_size_px: NotNegative | None = Field(
+        None, description="D_min: smallest side of a target's box [px]"
+    )
+    maximum_size_px: Positive | None = Field(None, description="D_max: largest side of a target's box [px]")
+    lowest_dn: int | None = Field(
+        None, ge=0, description="h_min: all thresholds lie above it, 8-bit counts above the background"
+    )
+    step_dn: int | None = Field(None, ge=1, description="s: from one threshold to the next, 8-bit counts")
+    centroid: Literal["background", "paper"] | None = Field(
+        None, description="centroid above the local background, or as printed in the paper"
+    )
+    dilation_px: int | None = Field(
+        None, ge=0, le=2, description="how far the centroid's mask reaches beyond the target [px]"
+    )
+    split_pairs: bool | None = Field(
+        None, description="true: targets that touch are fitted together; 0.1 to 0.5 ms a pair"
+    )
+    read_noise_dn: NotNegative | None = Field(
+        None, description="noise of a dark pixel, standard deviation, 8-bit counts"
+    )
+    gain_dn_per_e: NotNegative | None = Field(None, description="system gain, 8-bit counts an electron")
+
+
+class MatchSpec(Table):
+    """Settings of correspondence that differ from the pipeline's defaults."""
+
+    gate_sigma: Positive | None = None
+    camera_sigma_px: Positive | None = None
+    minimum_cameras: int | None = Field(None, ge=2)
+    worst_sigma_m: Positive | None = Field(None, description="points less certain than this are withheld [m]")
+    target: Literal["ball", "point"] | None = Field(
+        None, description="'ball' frees images of the eccentricity that a ball's have"
+    )
+    judge_sizes: bool | None = Field(
+        None, description="trust images of odd size less; false where targets differ in size (particles)"
+    )
+
+
+class TrackSpec(Table):
+    """Settings of tracking that differ from the pipeline's defaults."""
+
+    acceleration_mps2: Positive | None = None
+    speed_mps: Positive | None = None
+    gate_m: Positive | None = None
+    confirm_weight: Positive | None = None
+    coast_s: NotNegative | None = None
+    model: Literal["acceleration", "velocity"] | None = None
+    limb_m: NotNegative | None = Field(
+        None, description="how far limb mates may be [m]; 0: particles, no limbs"
+    )
+
+
+class PipelineSpec(Table):
+    """The pipeline as a lab user would set it for this subject."""
+
+    watch: bool = Field(False, description="watch the rig while it runs, and re-orient a bumped camera")
+    bodies: bool = Field(
+        False, description="poses of the scene's rigid bodies (three markers and more each) into bodies.csv"
+    )
+    tracker: Literal["mosca", "nearest"] = Field(
+        "mosca", description="'nearest': the guide's nearest-neighbour tracker, the baseline of comparisons"
+    )
+    lens_model: Literal["mosca", "opencv", "fisheye"] = Field(
+        "mosca", description="lens model of the calibration"
+    )
+    step_by: Literal["time", "pulse"] = Field(
+        "time",
+        description="'pulse': time is the pulse's number times the period, whatever the stamps say, so that two "
+        "takes of the same pulses give the same tracks to the bit",
+    )
+    fill_s: Positive | None = Field(
+        None,
+        description="fill tracks' gaps up to this in what is written [s]; filled samples are never scored",
+    )
+    detection: DetectionSpec = DetectionSpec()
+    match: MatchSpec = MatchSpec()
+    track: TrackSpec = TrackSpec()
+
+
+class Premises(Table):
+    """What must hold for a score to mean anything; the run refuses to score where it does not."""
+
+    marker_px: NotNegative = Field(2.0, description="median image diameter of the markers, at least [px]")
+    blur_px: Positive = Field(4.0, description="95th percentile of the motion in an exposure, at most [px]")
+    views: NotNegative = Field(2.0, description="mean number of cameras that see a marker, at least")
+
+
+class LengthSpec(Table):
+    """A certified length that is seen: a scale bar, two balls of a wand. It is measured without any truth."""
+
+    name: str = Field(min_length=1)
+    length_m: Positive = Field(description="distance of its two markers' centres [m]")
+    within: Annotated[float, Field(gt=0, lt=0.5)] = Field(
+        0.02, description="share by which two markers' distance may differ and still be taken for it"
+    )
+    markers: tuple[str, str] | None = Field(
+        None, description="labels of its two markers; default: the two that stay so far apart"
+    )
+
+
+class Scenario(Table):
+    """One scenario: what moves, what looks, what is wrong, and what is claimed."""
+
+    title: str = Field(description="what is claimed, in one line")
+    description: str = Field("", description="why, and where the limits come from")
+    tier: Literal["quick", "full"] = Field("full", description="'quick' runs in CI, 'full' at night")
+    expect: Literal["pass", "fail", "caught"] = Field(
+        "pass",
+        description="'fail' for a control, 'caught' for a calibration that must be refused or warned of",
+    )
+    caught_as: str | None = Field(None, description="the finding's code: " + ", ".join(CODES))
+    fails_on: tuple[str, ...] = Field((), description="metrics whose limits a control must break")
+    told: tuple[str, ...] = Field(
+        (), description="phrases that the record's notes must hold: what it must notice"
+    )
+    seed: int = Field(1, ge=0, description="seed of all random streams")
+    model_gap: Literal["none", "measured", "stress"] = Field(
+        "measured", description="how far the true lens is from what the pipeline's model can express"
+    )
+    working_space: WorkingSpace
+    capture: Capture = Capture()
+    scene: SceneSpec
+    glow: GlowSpec | None = None
+    lamps: LampsSpec | None = None
+    cameras: Cameras = Cameras()
+    errors: ErrorsSpec = ErrorsSpec()
+    optics: OpticsSpec = OpticsSpec()
+    timing: TimingSpec = TimingSpec()
+    mount: MountSpec = MountSpec()
+    sensor: SensorSpec = SensorSpec()
+    delivery: DeliverySpec = DeliverySpec()
+    surroundings: SurroundingsSpec = SurroundingsSpec()
+    camera: tuple[CameraSpec, ...] = Field((), description="what is different with one camera, by its name")
+    zone: tuple[ZoneSpec, ...] = Field(
+        (), description="volumes with cameras of their own, two or more; [[zone]]"
+    )
+    calibration: CalibrationSpec | None = None
+    fault: FaultSpec | None = None
+    pipeline: PipelineSpec = PipelineSpec()
+    continuous: ContinuousSpec | None = Field(None, description="cameras that are not synchronised")
+    length: tuple[LengthSpec, ...] = Field(
+        (), description="certified lengths that are seen, for length_rms and length_max; [[length]]"
+    )
+    premises: Premises = Premises()
+    limits: dict[str, float] = Field({}, description="metric = limit; " + ", ".join(METRICS))
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Scenario":
+        for name in (*self.limits, *self.fails_on):
+            if name not in METRICS:
+                raise ValueError(f"'{name}' is no metric; there are {', '.join(METRICS)}")
+        if (self.expect == "caught") != (self.caught_as is not None):
+            raise ValueError(
+                "expect = 'caught' and caught_as belong together: say which finding there must be"
+            )
+        if self.expect == "caught":
+            if self.calibration is None:
+                raise ValueError("expect = 'caught' needs a [calibration] in which something is wrong")
+            if self.caught_as not in CODES:
+                raise ValueError(
+                    f"caught_as = '{self.caught_as}' is no finding; there are {', '.join(CODES)}"
+                )
+        elif not self.limits:
+            raise ValueError("[limits] is empty: a scenario without a limit claims nothing; add one")
+        if self.zone:
+            _check_zones(self)
+        for name in ("length_rms", "length_max"):
+            if name in self.limits and not self.length:
+                raise ValueError(
+                    f"limits.{name} needs a [[length]] that is seen; add one, or take the limit away"
+                )
+        if "rigidity_rms" in self.limits and not self.pipeline.bodies:
+            raise ValueError("limits.rigidity_rms needs rigid bodies; set pipeline.bodies = true")
+        missing = [name for name in self.fails_on if name not in self.limits]
+        if missing:
+            raise ValueError(f"fails_on names '{missing[0]}', which has no limit in [limits]; give it one")
+        if (self.expect == "fail") != bool(self.fails_on):
+            raise ValueError("expect = 'fail' and fails_on belong together: say which limits must break")
+        return self
+
+
+def _check_zones(spec: Scenario) -> None:
+    names = [zone.name for zone in spec.zone]
+    if len(names) < 2 or len(set(names)) < len(names):
+        raise ValueError(
+            f"[[zone]]: {', '.join(names)} given; two or more zones of different names are wanted"
+        )
+    if spec.pipeline.watch:
+        raise ValueError("[[zone]] and pipeline.watch: zones are not watched; leave one of them out")
+
+
+def load_scenario(path: Path, overrides: tuple[str, ...] = ()) -> Scenario:
+    """Read a scenario file; ``overrides`` are ``KEY=VALUE`` with dotted keys and TOML values.
+
+    InputError names file, key, value and what is allowed.
+    """
+    document = read_toml(path)
+    apply_overrides(document, overrides)
+    return check(Scenario, document, path)
+
+
+def apply_overrides(document: dict[str, Any], overrides: tuple[str, ...]) -> None:
+    """Change ``document`` by ``KEY=VALUE`` texts: dotted keys, TOML values, bare words as strings."""
+    for text in overrides:
+        _override(document, text)
+
+
+def _override(document: dict[str, Any], text: str) -> None:
+    key, equals, value = text.partition("=")
+    if not equals or not key.strip():
+        raise InputError(f"--set {text}: KEY=VALUE is wanted, for example --set capture.duration_s=2")
+    try:
+        parsed = tomllib.loads(f"value = {value}")["value"]
+    except tomllib.TOMLDecodeError:
+        parsed = value  # a bare word is meant as a string
+    *tables, last = key.strip().split(".")
+    here = document
+    for name in tables:
+        here = here.setdefault(name, {})
+        if not isinstance(here, dict):
+            raise InputError(f"--set {text}: '{name}' is a value, not a table")
+    here[last] = parsed
+
+
+def scenario_schema() -> dict[str, Any]:
+    """Return the JSON schema of scenario files."""
+    return Scenario.model_json_schema()

@@ -1,0 +1,1 @@
+"""All scenarios: catalogue, parallel runs, regressions against baselines."""

@@ -1,0 +1,78 @@
+"""Where scenario files are found, and the commented one to start from. No heavy imports: answers at once."""
+
+import difflib
+from dataclasses import dataclass
+from pathlib import Path
+
+from mosca.errors import InputError
+from scenarios.spec.scenario import Scenario, load_scenario
+
+LIBRARY = Path(__file__).resolve().parents[1] / "library"
+TEMPLATE = Path(__file__).with_name("template.toml.txt")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A scenario file and what it says."""
+
+    path: Path
+    name: str
+    spec: Scenario
+
+
+def find(name: str) -> Path:
+    """Return the scenario file that ``name`` means: a path, or the name of a built-in scenario."""
+    path = Path(name)
+    if path.is_file() or path.suffix == ".toml":
+        return path
+    there = {scenario_name(p): p for p in built_in()}
+    # the last part of a name is enough where it is the only one
+    short = [p for p in there.values() if p.stem == name]
+    if name in there or len(short) == 1:
+        return there.get(name) or short[0]
+    near = difflib.get_close_matches(name, [*there, *(p.stem for p in there.values())], n=1)
+    hint = f"did you mean '{near[0]}'?" if near else "'mosca list' shows what there is"
+    raise InputError(f"{name}: no such scenario or file; {hint}")
+
+
+def built_in() -> list[Path]:
+    """Return all scenario files of the project, by name."""
+    return sorted(LIBRARY.rglob("*.toml"))
+
+
+def scenario_name(path: Path) -> str:
+    """Return a scenario's name: its path below the library, without the ending; elsewhere the file's stem."""
+    path = path.resolve()
+    if LIBRARY in path.parents:
+        return path.relative_to(LIBRARY).with_suffix("").as_posix()
+    return path.stem
+
+
+def entries(paths: tuple[Path, ...], tier: str | None = None) -> list[Entry]:
+    """Return the scenarios of files and folders (all built-in ones where none is named), of one tier or of all."""
+    files: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            files += sorted(path.rglob("*.toml"))
+        else:
+            files.append(path)
+    chosen = files if paths else built_in()
+    found = [Entry(path, scenario_name(path), load_scenario(path)) for path in chosen]
+    names = [e.name for e in found]
+    for entry in found:
+        if names.count(entry.name) > 1:
+            raise InputError(
+                f"{entry.path}: a second scenario is called '{entry.name}'; give one another name"
+            )
+    return [e for e in found if tier is None or tier == "full" or e.spec.tier == tier]
+
+
+def write_template(path: Path) -> None:
+    """Write a commented scenario to start from; an existing file is left alone."""
+    if path.exists():
+        raise InputError(f"{path}: exists already; choose another name")
+    if path.suffix != ".toml":
+        raise InputError(f"{path}: a scenario file ends in .toml")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: no folder {path.parent}; make it first")
+    path.write_text(TEMPLATE.read_text(encoding="utf-8"), encoding="utf-8")

@@ -1,0 +1,147 @@
+"""Many scenarios: run on all cores, summed up, compared with their baselines, reported as JUnit XML."""
+
+import multiprocessing
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from junitparser import Error, Failure, JUnitXml, TestCase, TestSuite
+
+from mosca.errors import InputError, MoscaError
+from reports.compare import Regression, missing, regressions
+from reports.record import RunRecord, read_record, write_record
+from scenarios.suite.catalog import Entry
+
+BASELINES = Path(__file__).resolve().parents[2] / "reports" / "baselines"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one scenario: its record, or the known error that kept it from running, and its seconds."""
+
+    name: str
+    record: RunRecord | None
+    error: str
+    seconds: float
+    worse: tuple[Regression, ...] = ()
+    gone: tuple[str, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether it ran, met its limits and regressed in nothing."""
+        return self.record is not None and self.record.passed and not self.worse and not self.gone
+
+
+def run_suite(
+    entries: Sequence[Entry], out: Path, jobs: int, told: Callable[[Outcome], None]
+) -> list[Outcome]:
+    """Run ``entries`` in ``jobs`` processes, each scenario into ``out``/name; ``told`` hears each as it ends.
+
+    Outcomes come back in the order of the entries. Longest first, so that the cores end together.
+    """
+    order = sorted(entries, key=_weight, reverse=True)
+    done: dict[str, Outcome] = {}
+    # spawn: a forked child would inherit threads of the parent's libraries in unknown states
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(min(jobs, max(1, len(order))), mp_context=context) as pool:
+        waiting = {pool.submit(_run_one, str(e.path), e.name, str(out / e.name)): e for e in order}
+        try:
+            for future in as_completed(waiting):
+                outcome = future.result()
+                done[outcome.name] = outcome
+                told(outcome)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    return [done[e.name] for e in entries]
+
+
+def check_baselines(folder: Path) -> None:
+    """Raise InputError where there is no folder of baselines."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder of baselines; 'mosca suite --update-baselines' makes one")
+
+
+def compared(outcomes: Sequence[Outcome], baselines: Path) -> list[Outcome]:
+    """Return the outcomes with what is worse than in the baselines; a scenario without a baseline has none."""
+    return [_compared(outcome, baselines) for outcome in outcomes]
+
+
+def update_baselines(outcomes: Sequence[Outcome], baselines: Path) -> None:
+    """Write the records as the new baselines; refuses while any scenario failed."""
+    failed = [o.name for o in outcomes if o.record is None or not o.record.passed]
+    if failed:
+        raise InputError(f"baselines are not updated while {', '.join(failed)} failed; mend that first")
+    for outcome in outcomes:
+        path = baseline_path(outcome.name, baselines)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        assert outcome.record is not None
+        write_record(replace(outcome.record, timings={}), path)
+
+
+def baseline_path(name: str, baselines: Path) -> Path:
+    """Return where the baseline of a scenario lies."""
+    return baselines / f"{name}.json"
+
+
+def write_junit(outcomes: Sequence[Outcome], path: Path) -> None:
+    """Write the outcomes as JUnit XML, one test case a scenario."""
+    suite = TestSuite("mosca suite")
+    for outcome in outcomes:
+        case = TestCase(outcome.name, classname="mosca.scenarios", time=outcome.seconds)
+        if outcome.record is None:
+            case.result = [Error(outcome.error)]
+        elif not outcome.passed:
+            case.result = [Failure("; ".join(complaints(outcome)))]
+        suite.add_testcase(case)
+    suite.update_statistics()
+    document = JUnitXml()
+    document.add_testsuite(suite)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    document.write(str(path), pretty=True)
+
+
+def complaints(outcome: Outcome) -> list[str]:
+    """Return what is wrong with an outcome, a line each."""
+    if outcome.record is None:
+        return [f"{outcome.name}: {outcome.error}"]
+    lines = [] if outcome.record.passed else [f"{outcome.name}: {outcome.record.verdict}"]
+    lines += [f"regression: {r}" for r in outcome.worse]
+    lines += [f"{outcome.name}: metric '{name}' of the baseline is gone" for name in outcome.gone]
+    return lines
+
+
+def _run_one(path: str, name: str, out: str) -> Outcome:
+    """Run one scenario in a worker process."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    from scenarios.run.folder import write_run
+    from scenarios.run.scenario import run_scenario
+    from scenarios.spec.scenario import load_scenario
+
+    start = time.perf_counter()
+    try:
+        result = run_scenario(load_scenario(Path(path)), name, Path(path).parent)
+        write_run(result, Path(out))
+    except MoscaError as error:
+        return Outcome(name, None, str(error), time.perf_counter() - start)
+    return Outcome(name, result.record, "", time.perf_counter() - start)
+
+
+def _compared(outcome: Outcome, baselines: Path) -> Outcome:
+    path = baseline_path(outcome.name, baselines)
+    if outcome.record is None or not path.exists() or outcome.record.expect != "pass":
+        return outcome  # a control's figures are meant to be bad
+    baseline = read_record(path)
+    return replace(
+        outcome,
+        worse=tuple(regressions(outcome.record, baseline)),
+        gone=tuple(missing(outcome.record, baseline)),
+    )
+
+
+def _weight(entry: Entry) -> float:
+    capture = entry.spec.capture
+    return capture.duration_s * capture.frame_rate_hz * entry.spec.cameras.count

@@ -1,0 +1,313 @@
+"""A camera at its place in a session: everything about it that is worked out once, and how it takes a frame."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.frames import CameraInfo, Frame
+from twin.cameras.exposure.lighting import NEVER, Lit, TargetLight, lit_during, target_light
+from twin.cameras.exposure.mount import Stand, pixels_per_radian
+from twin.cameras.exposure.scene_sampling import (
+    Moment,
+    Places,
+    Stretch,
+    View,
+    lobatto_nodes,
+    seen_from,
+    stretch_about,
+)
+from twin.cameras.exposure.shutter import Exposure, check_timing, numbers_in, open_shutter
+from twin.cameras.exposure.subject import Subject, carrying_body
+from twin.cameras.optics.lens import TwinLens, warmed
+from twin.cameras.optics.psf import psf_of
+from twin.cameras.render.mesh_occlusion import Look, MeshRays, between
+from twin.cameras.render.render import Seen, TargetsInCamera, Window, has_meshes, render_targets
+from twin.cameras.sensor.background_light import Ambient, ambient_map
+from twin.cameras.sensor.sensor import expose
+from twin.cameras.virtual_camera import VirtualCamera
+from twin.streams import key
+
+FEWEST_TURNS = 0.08
+"""Periods of the mount's fastest motion within a frame that three nodes can follow to 0.1 %."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """What really was at one frame.
+
+    ``rotation`` (3, 3) and ``position`` (3,): the true ``world_from_camera`` at the true mid-exposure;
+    ``marker_xyz`` (m, 3): the markers then, world frame [m].
+    """
+
+    exposure: Exposure
+    seen: Seen
+    rotation: Array
+    position: Array
+    marker_xyz: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What a camera has before it during one exposure.
+
+    ``times_s`` (k,), session clock: the window's nodes and, where none stands there, the true mid-exposure, which
+    is number ``middle``. At these, ``places`` of everything, and the camera's ``world_from_camera``: ``rotation``
+    (k, 3, 3) and ``position`` (k, 3). ``view``, ``shining`` and ``lit``: the targets and what hides them at the
+    nodes, their light and when they shine. ``lens``: its vector, as warm as it is.
+    """
+
+    exposure: Exposure
+    window: Window
+    times_s: Array
+    places: Places
+    rotation: Array
+    position: Array
+    middle: int
+    view: View
+    shining: TargetLight
+    lit: Lit
+    lens: Array
+
+    @property
+    def half(self) -> int:
+        """Number of the window's middle node."""
+        return len(self.window.nodes_s) // 2
+
+    @property
+    def half_s(self) -> float:
+        """The instant of the window's middle node, session clock [s]."""
+        return float(self.times_s[self.half])
+
+
+class Station:
+    """One virtual camera during a session; may be used by several threads at once.
+
+    Raises InputError where its timing cannot be.
+    """
+
+    def __init__(
+        self,
+        virtual: VirtualCamera,
+        subject: Subject,
+        *,
+        frame_rate_hz: float,
+        exposure_s: float,
+        duration_s: float,
+        seed: int,
+    ) -> None:
+        camera, timing = virtual.camera, virtual.timing
+        check_timing(timing, camera.name, camera.height, frame_rate_hz, exposure_s)
+        self.virtual, self.subject, self.seed = virtual, subject, seed
+        self.frame_rate_hz, self.exposure_s = frame_rate_hz, exposure_s
+        self.free = timing.rate_hz is not None
+        self.lens = TwinLens.of(camera.lens, camera.width, camera.height, virtual.optics)
+        self.psf = psf_of(virtual.optics, camera.width, camera.height)
+        self.ambient = _ambient(virtual, exposure_s, seed)
+        self.signal_e = virtual.marker_signal * virtual.sensor.full_well_e
+        self._stand = Stand.of(
+            virtual.mount,
+            camera.name,
+            camera.world_from_camera,
+            pixels_per_radian(self.lens.vector),
+            seed,
+            duration_s,
+        )
+        self._body = None
+        if virtual.mount.body is not None:
+            self._body = int(np.searchsorted(subject.bodies, carrying_body(subject.scene, virtual)))
+        # plain targets look the same from everywhere, and without codes and strobes they shine all the time
+        m = len(subject.radius)
+        self._even, self._lit_always = None, None
+        if subject.even:
+            ahead = np.tile([0.0, 0.0, 1.0], (m, 1))
+            self._even = target_light(subject.glows, self.signal_e, ahead, -ahead, np.zeros(3), np.eye(3))
+        if not any(subject.glows.blinks) and timing.strobe_s is None:
+            self._lit_always = lit_during(subject.glows, 0.0, 1.0)
+
+    @property
+    def info(self) -> CameraInfo:
+        """What the camera says of itself."""
+        camera, timing = self.virtual.camera, self.virtual.timing
+        rate = self.frame_rate_hz if timing.rate_hz is None else timing.rate_hz
+        bits = self.virtual.sensor.bits
+        return CameraInfo(
+            camera.name, camera.width, camera.height, bits, rate, timing.clock, timing.stamp_event
+        )
+
+    def exposures(self, pulse: int) -> list[Exposure]:
+        """Return the exposures that the camera begins from a pulse until the next."""
+        return [self.exposure(n) for n in numbers_in(self.virtual.timing, pulse, self.frame_rate_hz)]
+
+    def exposure(self, number: int) -> Exposure:
+        """Return the exposure of frame ``number``."""
+        timing, camera = self.virtual.timing, self.virtual.camera
+        return open_shutter(
+            timing, camera.name, number, self.frame_rate_hz, self.exposure_s, self.seed, camera.height
+        )
+
+    def pose_at(self, times_s: Array, frame: int, places: Places) -> tuple[Array, Array]:
+        """Return ``world_from_camera`` at instants (k,), at which everything is at ``places``."""
+        carrier = None
+        if self._body is not None:
+            carrier = (places.body_turn[:, self._body], places.body_xyz[:, self._body])
+        return self._stand.pose_at(times_s, frame, carrier)
+
+    def look(self, exposure: Exposure, moment: Moment) -> Sight:
+        """Return what the camera has before it during an exposure: mount, scene and the targets' light."""
+        subject = self.subject
+        nodes = self._nodes_s(exposure)
+        times, half = exposure.start_s + nodes, len(nodes) // 2
+        middle = half
+        if abs(times[half] - exposure.middle_s) > 1e-12:
+            times, middle = np.append(times, exposure.middle_s), len(nodes)
+        places = moment.at(times, self._stretch(exposure))
+        rotation, position = self.pose_at(times, exposure.number, places)
+        return Sight(
+            exposure,
+            Window(nodes, exposure.length_s, exposure.row_time_s),
+            times,
+            places,
+            rotation,
+            position,
+            middle,
+            seen_from(rotation, position, places, subject.marker_at, subject.solid_at, len(nodes)),
+            self._even or self._light(places, half, rotation[half], position[half]),
+            self._lit_always or self._lit(exposure),
+            warmed(self.lens.vector, self.virtual.optics, exposure.middle_s),
+        )
+
+    def _light(self, places: Places, at: int, rotation: Array, position: Array) -> TargetLight:
+        """Return the targets' light at one of the instants of ``places``."""
+        subject = self.subject
+        xyz, axis = places.geom_xyz[at, subject.marker_at], places.geom_turn[at, subject.marker_at, :, 2]
+        return target_light(subject.glows, self.signal_e, xyz, axis, position, rotation)
+
+    def _lit(self, exposure: Exposure) -> Lit:
+        """Return when the targets shine."""
+        on, off = exposure.light_s
+        strobe = (on - exposure.start_s, off - exposure.start_s)
+        return lit_during(self.subject.glows, exposure.start_s, exposure.span_s, strobe)
+
+    def collect(self, sight: Sight, moment: Moment, light: Array) -> Shot:
+        """Add the targets' light to the camera's pixels (H, W) float32 [electrons]; return what really was."""
+        subject, view = self.subject, sight.view
+        mesh_rays = None
+        if has_meshes(subject.occluders):
+            mesh_rays = MeshRays(
+                subject.scene.model,
+                _looking(sight, moment),
+                sight.half_s - sight.exposure.start_s,
+                subject.occluders,
+                subject.scene.marker_geoms,
+            )
+
+        def render(lit_s: Array) -> Seen:
+            targets = TargetsInCamera(
+                view.path,
+                view.turn,
+                subject.radius,
+                subject.shape,
+                subject.figure,
+                sight.shining.electrons,
+                lit_s,
+                sight.shining.limb,
+                sight.shining.shade,
+            )
+            return render_targets(
+                light,
+                sight.lens,
+                self.psf,
+                sight.window,
+                targets,
+                subject.occluders,
+                view.solid_xyz,
+                view.solid_turn,
+                subject.figures,
+                mesh_rays,
+            )
+
+        seen = render(sight.lit.first)
+        for again in _rounds(sight.lit, len(subject.marker_at)):
+            render(again)
+        middle = sight.middle
+        markers = sight.places.geom_xyz[middle, subject.marker_at]
+        return Shot(sight.exposure, seen, sight.rotation[middle], sight.position[middle], markers)
+
+    def develop(self, exposure: Exposure, light: Array, ambient: Ambient) -> Frame:
+        """Return the frame that the sensor makes of the targets' light (H, W) and of what comes besides."""
+        name = self.virtual.camera.name
+        random = key(self.seed, f"camera/{name}/sensor", exposure.number)
+        return Frame(
+            name,
+            exposure.number,
+            exposure.stamp_ns,
+            exposure.exposure_ns,
+            expose(light, self.virtual.sensor, random, ambient),
+            stamp_event=self.virtual.timing.stamp_event,
+            row_time_ns=exposure.row_time_ns,
+        )
+
+    def _nodes_s(self, exposure: Exposure) -> Array:
+        """Return the instants at which paths are given, from the first row's opening [s].
+
+        Three for a global shutter, Chebyshev-Gauss-Lobatto over a rolling one's readout; more of these where the
+        mount moves fast.
+        """
+        span = exposure.span_s
+        turns = self._stand.mount.fastest_hz(exposure.start_s, exposure.end_s) * span
+        if turns > FEWEST_TURNS:
+            return lobatto_nodes(span, 5 + 2 * math.ceil(2.0 * turns))
+        if exposure.row_time_s == 0.0:
+            return np.array([0.0, 0.5 * span, span])
+        return lobatto_nodes(span, 5 if span <= 0.003 else 7 if span <= 0.010 else 9)
+
+    def _stretch(self, exposure: Exposure) -> Stretch | None:
+        """Return the stretch of time whose geometry the camera shares with others of like timing."""
+        if self.free:
+            return None
+        timing, span = self.virtual.timing, exposure.span_s
+        return stretch_about(exposure.nominal_s + timing.delay_s + 0.5 * span, span, timing.jitter_s)
+
+
+def _looking(sight: Sight, moment: Moment) -> Look:
+    """Return what tells where scene and camera are at an instant of an exposure."""
+    nodes = sight.window.nodes_s
+    k = len(nodes)
+
+    def look(time_s: float) -> tuple[Any, Array, Array]:
+        data = moment.hold(sight.exposure.start_s + time_s).data
+        rotation, position = sight.rotation[:k], sight.position[:k]
+        return data, between(rotation, nodes, time_s), between(position, nodes, time_s)
+
+    return look
+
+
+def _ambient(virtual: VirtualCamera, exposure_s: float, seed: int) -> Ambient:
+    """Return what the camera's pixels collect besides the targets, and what its glass takes."""
+    camera, sensor = virtual.camera, virtual.sensor
+    length = exposure_s if virtual.timing.exposure_s is None else virtual.timing.exposure_s
+    light = ambient_map(
+        sensor,
+        camera.width,
+        camera.height,
+        key(seed, f"camera/{camera.name}/pixels"),
+        exposure_s=length,
+        vignetting=virtual.optics.vignetting,
+        backdrop=virtual.backdrop,
+    )
+    return Ambient.of(sensor, light.mean_e, light.flat, shape=(camera.height, camera.width))
+
+
+def _rounds(lit: Lit, count: int) -> list[Array]:
+    """Return when targets shine (m, 2) for each time that some of them shine once more."""
+    rounds: list[Array] = []
+    times = np.zeros(count, dtype=int)
+    for target, interval in zip(lit.again, lit.again_s, strict=True):
+        if times[target] == len(rounds):
+            rounds.append(np.tile(np.array(NEVER), (count, 1)))
+        rounds[times[target]][target] = interval
+        times[target] += 1
+    return rounds

@@ -1,0 +1,53 @@
+"""What a frame holds on average, and how that changes when the image moves: what the information bound is made of."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from twin.cameras.sensor.background_light import Ambient
+from twin.cameras.sensor.sensor import Sensor
+
+STEP_PX = 0.1
+"""Half the step of the central differences: at a blur of 0.7 px they are 0.3 % too small."""
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """The mean of one frame over all that its sensor does at random; the camera's pose and instant are as they were.
+
+    ``camera`` name; ``mean_e`` (H, W) electrons; ``target_e`` (H, W) the targets' part of them; ``right_e`` and
+    ``down_e`` (H, W) their change when the image moves to the right and down [electrons a pixel]; ``variance_e2``
+    (H, W) of the noise: photons, read noise, rounding to counts; ``saturated`` (H, W) where counts tell no more.
+    """
+
+    camera: str
+    mean_e: Array
+    target_e: Array
+    right_e: Array
+    down_e: Array
+    variance_e2: Array
+    saturated: Array
+
+
+def expected_frame(
+    camera: str, sensor: Sensor, ambient: Ambient, at_rest: Array, moved: tuple[Array, Array, Array, Array]
+) -> Expected:
+    """Return what a sensor expects of targets' light (H, W) [electrons], before glass and dust take their share.
+
+    ``moved``: the same with the image moved by STEP_PX to the right, left, down and up.
+    """
+    flat = 1.0 if ambient.flat is None else ambient.flat.astype(float)
+    right, left, down, up = (np.asarray(light, dtype=float) for light in moved)
+    target = at_rest * flat
+    mean = target + ambient.mean_e
+    rounding = (1.0 / sensor.gain_dn_per_e) ** 2 / 12.0
+    return Expected(
+        camera,
+        mean,
+        target,
+        (right - left) / (2.0 * STEP_PX) * flat,
+        (down - up) / (2.0 * STEP_PX) * flat,
+        np.maximum(mean, 0.0) + sensor.read_noise_e**2 + rounding,
+        mean >= sensor.full_well_e,
+    )

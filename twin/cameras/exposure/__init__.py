@@ -1,0 +1,1 @@
+"""One exposure: shutter, mount, lighting, the scene at sampled instants."""

@@ -1,0 +1,145 @@
+"""What a target's light does to a camera: how much a pixel that it fully covers collects, and when.
+
+The amount follows from the target's ``Glow``, its distance and its angle to the camera. Every lobe is a power
+of the cosine, ``cos(a)^n`` with ``n = log(1/2) / log(cos(half))``: smooth, one half at the angle ``half``, zero at
+90 degrees. A ring light's light on a target falls with the square of the distance; the image of a surface is as
+bright from near as from far, so nothing else depends on it.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from twin.scenes.emission import Blink, Glow, lit
+from twin.scenes.scene import Scene
+
+PLAIN, RETRO, PAPER, LAMP = 0, 1, 2, 3
+_KINDS = {"plain": PLAIN, "retro": RETRO, "paper": PAPER, "lamp": LAMP}
+ALWAYS = (-math.inf, math.inf)
+NEVER = (0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class GlowTable:
+    """The glows of m targets side by side: ``kind`` (m,), ``strength`` (m,), ``exponent`` (m,) of the lobe (0: none),
+    ``at_m`` (m,) (NaN: the same at all distances), ``limb`` (m,) the lobe's and the target's own together,
+    ``shade`` (m, 3) gradient in the world frame, ``ball`` (m,), ``blinks`` (m).
+    """
+
+    kind: Array
+    strength: Array
+    exponent: Array
+    at_m: Array
+    limb: Array
+    shade: Array
+    ball: Array
+    blinks: tuple[Blink | None, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class TargetLight:
+    """What the renderer needs of m targets: ``electrons`` (m,), ``limb`` (m,) and ``shade`` (m, 3), camera frame."""
+
+    electrons: Array
+    limb: Array
+    shade: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Lit:
+    """When m targets shine during a frame, in seconds from the opening of its first row.
+
+    ``first`` (m, 2): a target's first interval; (-inf, inf) where it is never dark, an empty one where it is never
+    lit. ``again`` (k,): targets that shine once more, as often as they do, and ``again_s`` (k, 2): when.
+    """
+
+    first: Array
+    again: Array
+    again_s: Array
+
+
+def glow_table(glows: Sequence[Glow], ball: Array) -> GlowTable:
+    """Return the table of ``glows``; ``ball`` (m,) says which targets are balls.
+
+    A retro ball shows all angles at once, so that its lobe is limb darkening: the renderer's law, brightness
+    ``1 - limb (1 - cos a)``, with one half at ``half_deg``; a rim cannot be darker than dark, so below 60 degrees
+    the law has its half at 60.
+    """
+    lobed = np.array([glow.kind in ("retro", "lamp") and glow.half_deg < 90.0 for glow in glows], dtype=bool)
+    half = np.deg2rad([min(glow.half_deg, 89.0) for glow in glows])
+    is_ball = np.asarray(ball, dtype=bool)
+    retro_ball = is_ball & np.array([glow.kind == "retro" for glow in glows], dtype=bool)
+    towards = np.array([glow.shade_world for glow in glows], dtype=float).reshape(-1, 3)
+    length = np.linalg.norm(towards, axis=1, keepdims=True)
+    own_limb = np.array([glow.limb for glow in glows], dtype=float)
+    lobe_limb = np.where(retro_ball, np.minimum(1.0, 0.5 / (1.0 - np.cos(half))), 0.0)
+    return GlowTable(
+        kind=np.array([_KINDS[glow.kind] for glow in glows], dtype=np.int64),
+        strength=np.array([glow.strength for glow in glows], dtype=float),
+        exponent=np.where(lobed & ~retro_ball, math.log(0.5) / np.log(np.cos(half)), 0.0),
+        at_m=np.array([_ring_distance(glow) for glow in glows], dtype=float),
+        limb=1.0 - (1.0 - own_limb) * (1.0 - lobe_limb),
+        shade=np.array([[glow.shade] for glow in glows]).reshape(-1, 1) * towards / length,
+        ball=is_ball,
+        blinks=tuple(glow.blink for glow in glows),
+    )
+
+
+def scene_glows(scene: Scene) -> GlowTable:
+    """Return the glows of a scene's markers in the order of ``marker_names``; spheres are balls."""
+    spheres = scene.model.geom_type[list(scene.marker_geoms)] == 2
+    return glow_table([scene.glows.get(name, Glow()) for name in scene.marker_names], spheres)
+
+
+def target_light(
+    glows: GlowTable, signal_e: float, xyz: Array, axis: Array, camera_position: Array, camera_rotation: Array
+) -> TargetLight:
+    """Return the light of targets at ``xyz`` (m, 3) that face along ``axis`` (m, 3), world frame [m].
+
+    ``signal_e``: electrons that a pixel fully covered by a target of strength 1 collects while the light is
+    on for a whole exposure. ``camera_position`` (3,), also the ring light's; ``camera_rotation`` (3, 3) camera
+    -> world. Paper and lobes send nothing backwards; a plain target's strength is the same from everywhere.
+    """
+    towards = camera_position - xyz
+    squared = (towards * towards).sum(axis=1)
+    cosine = (towards * axis).sum(axis=1) / np.sqrt(squared)
+    electrons = signal_e * glows.strength * np.maximum(cosine, 0.0) ** glows.exponent
+    behind = (cosine <= 0.0) & ((glows.exponent > 0.0) | ((glows.kind == PAPER) & ~glows.ball))
+    falling = ~np.isnan(glows.at_m)
+    electrons[behind] = 0.0
+    electrons[falling] *= glows.at_m[falling] ** 2 / squared[falling]
+    return TargetLight(electrons, glows.limb, glows.shade @ camera_rotation)
+
+
+def lit_during(
+    glows: GlowTable, opening_s: float, span_s: float, strobe_s: tuple[float, float] = ALWAYS
+) -> Lit:
+    """Return when targets shine between ``opening_s`` (session clock) and ``span_s`` later.
+
+    Lamps follow their codes. ``strobe_s``: when the camera's strobe is on, from ``opening_s``; retro and plain
+    targets shine with it, lamps and paper (in the room's even light) at all times.
+    """
+    first = np.empty((len(glows.blinks), 2))
+    first[:] = ALWAYS
+    first[(glows.kind == RETRO) | (glows.kind == PLAIN)] = strobe_s
+    again: list[int] = []
+    again_s: list[Array] = []
+    for k, blink in enumerate(glows.blinks):
+        if blink is None:
+            continue
+        closing_s = opening_s + span_s
+        intervals = lit(blink, opening_s, closing_s)
+        if len(intervals) == 0:
+            first[k] = NEVER
+        elif not (intervals[0] == (opening_s, closing_s)).all():
+            first[k] = intervals[0] - opening_s
+            again += [k] * (len(intervals) - 1)
+            again_s += list(intervals[1:] - opening_s)
+    return Lit(first, np.array(again, dtype=np.int64), np.array(again_s, dtype=float).reshape(-1, 2))
+
+
+def _ring_distance(glow: Glow) -> float:
+    return glow.at_m if glow.kind == "retro" and glow.at_m is not None else math.nan

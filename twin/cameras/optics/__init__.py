@@ -1,0 +1,1 @@
+"""Lens models, blur, point spread functions, pixel response."""

@@ -1,0 +1,1 @@
+"""Light of targets integrated over pixels: outlines, occlusion, sampled meshes."""

@@ -1,0 +1,143 @@
+"""From boundary points to pixels: the step of Green's theorem that all targets share.
+
+The light on pixel (px, py) of a region is the sum over its boundary of ``share(u - px) weight(v - py) dv``.
+Only pixels near the boundary change along a row, so each point adds its steps to ``change`` and one running
+sum along the rows fills the inside. A point moves during the exposure: its place and dv are quadratics in the
+panel's time tau (-1..1), and each row of pixels integrates over its own window.
+"""
+
+import math
+
+import numpy as np
+
+from twin.cameras.optics.pixel_kernel import share, weight
+from twin.numba_decorators import bare_step, kernel
+
+MAX_NODES = 24
+"""Nodes in a panel of time or of a contour."""
+MOST_NODES = 64
+NODE_AT = np.zeros((MOST_NODES + 1, MOST_NODES))
+NODE_SHARE = np.zeros((MOST_NODES + 1, MOST_NODES))
+for _n in range(1, MOST_NODES + 1):
+    _at, _weight = np.polynomial.legendre.leggauss(_n)
+    NODE_AT[_n, :_n], NODE_SHARE[_n, :_n] = _at, _weight / 2
+
+EDGE, SPOT = 0, 1
+"""What a point is: a piece of boundary (amount dv) or a spot of light (amount area)."""
+
+
+@bare_step
+def nodes_for(motion_px):  # type: ignore[no-untyped-def]
+    """Gauss-Legendre nodes that integrate an image motion of this length, at most 15 px.
+
+    They lie widest apart in the middle, pi / 2 of their mean distance: with 1.6 a pixel that is 1 px, which the
+    pixel's own width smooths to below 1e-4 of the streak.
+    """
+    if motion_px < 1e-3:
+        return 1
+    if motion_px < 0.3:
+        return 2
+    return min(MAX_NODES, max(3 + int(motion_px), int(1.6 * motion_px)))
+
+
+@kernel
+def add_points(what, change, x0, y0, table, reach, patch, points, panel, motion_px, window):  # type: ignore[no-untyped-def]
+    """Add moving boundary points to ``change`` or spots to it (one column is one pixel, row 0 is pixel row y0).
+
+    ``points`` (n, 9): coefficients of u, v and amount in tau. ``panel``: (start, end) [s]; ``motion_px`` in it.
+    ``window``: (length [s], row time [s], light on, light off [s]) of the frame's rows.
+    """
+    length, row_time, on, off = window
+    step_x = np.empty(2 * reach + 3)
+    if row_time == 0.0:
+        begin, end = max(panel[0], max(0.0, on)), min(panel[1], min(length, off))
+        if end > begin:
+            _add_all_rows(
+                what, change, x0, y0, table, reach, patch, points, panel, motion_px, begin, end, length, step_x
+            )  # fmt: skip
+        return
+    for p in range(change.shape[0]):
+        opens = (y0 + p) * row_time
+        begin, end = max(panel[0], max(opens, on)), min(panel[1], min(opens + length, off))
+        if end > begin:
+            _add_one_row(
+                what, change, p, x0, y0, table, reach, patch, points, panel, motion_px, begin, end, length, step_x
+            )  # fmt: skip
+
+
+@bare_step
+def _add_all_rows(  # type: ignore[no-untyped-def]
+    what, change, x0, y0, table, reach, patch, points, panel, motion_px, begin, end, length, step_x
+):
+    half, middle = 0.5 * (panel[1] - panel[0]), 0.5 * (panel[0] + panel[1])
+    nodes = nodes_for(motion_px * (end - begin) / (2.0 * half))
+    rows = change.shape[0]
+    for k in range(nodes):
+        t = 0.5 * (begin + end) + 0.5 * (end - begin) * NODE_AT[nodes, k]
+        tau = (t - middle) / half
+        node_share = NODE_SHARE[nodes, k] * (end - begin) / length
+        for j in range(points.shape[0]):
+            c = points[j]
+            u_here, v_here = c[0] + tau * (c[1] + tau * c[2]), c[3] + tau * (c[4] + tau * c[5])
+            amount = node_share * (c[6] + tau * (c[7] + tau * c[8]))
+            if amount == 0.0:
+                continue
+            for i in range(patch.shape[0]):
+                u, v, part = u_here + patch[i, 0], v_here + patch[i, 1], amount * patch[i, 2]
+                px, py = math.floor(u) - reach, math.floor(v) - reach
+                _steps(what, step_x, table, reach, u - px)
+                for p in range(max(0, y0 - py), min(2 * reach + 2, y0 + rows - py)):
+                    w = part * weight(table, reach, py + p - v)
+                    if w != 0.0:
+                        for q in range(2 * reach + 3):
+                            change[py + p - y0, px + q - x0] += w * step_x[q]
+
+
+@bare_step
+def _add_one_row(  # type: ignore[no-untyped-def]
+    what, change, row, x0, y0, table, reach, patch, points, panel, motion_px, begin, end, length, step_x
+):
+    half, middle = 0.5 * (panel[1] - panel[0]), 0.5 * (panel[0] + panel[1])
+    nodes = nodes_for(motion_px * (end - begin) / (2.0 * half))
+    for k in range(nodes):
+        t = 0.5 * (begin + end) + 0.5 * (end - begin) * NODE_AT[nodes, k]
+        tau = (t - middle) / half
+        node_share = NODE_SHARE[nodes, k] * (end - begin) / length
+        for j in range(points.shape[0]):
+            c = points[j]
+            v_here = c[3] + tau * (c[4] + tau * c[5])
+            for i in range(patch.shape[0]):
+                v = v_here + patch[i, 1]
+                if abs(y0 + row - v) >= reach:
+                    continue
+                amount = node_share * patch[i, 2] * (c[6] + tau * (c[7] + tau * c[8]))
+                w = amount * weight(table, reach, y0 + row - v)
+                if w == 0.0:
+                    continue
+                u = c[0] + tau * (c[1] + tau * c[2]) + patch[i, 0]
+                px = math.floor(u) - reach
+                _steps(what, step_x, table, reach, u - px)
+                for q in range(2 * reach + 3):
+                    change[row, px + q - x0] += w * step_x[q]
+
+
+@bare_step
+def _steps(what, step_x, table, reach, u):  # type: ignore[no-untyped-def]
+    """Change from pixel to pixel, from the first at 0 on, that a point at u adds along a row."""
+    previous = 1.0 if what == EDGE else 0.0
+    for q in range(2 * reach + 3):
+        here = share(table, reach, u - q) if what == EDGE else weight(table, reach, u - q)
+        step_x[q] = here - previous
+        previous = here
+
+
+@bare_step
+def fill(light, change, x0, y0, electrons, least):  # type: ignore[no-untyped-def]
+    """Add the running sums of ``change`` to the image; light below ``least`` electrons is left out."""
+    height, width = light.shape
+    for p in range(max(0, -y0), min(change.shape[0], height - y0)):
+        collected = 0.0
+        for q in range(min(change.shape[1], width - x0)):
+            collected += change[p, q]
+            if x0 + q >= 0 and electrons * collected > least:
+                light[y0 + p, x0 + q] += electrons * collected

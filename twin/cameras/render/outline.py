@@ -1,0 +1,194 @@
+"""The boundary of a target's image: traced through the exact lens, at three instants of each panel of time.
+
+A ball's outline is the circle where the viewing cone touches it, a flat target's is its rim, a figure's are the
+lines and arcs of its contours. The integrand of Green's theorem along a smooth closed curve is periodic, so that
+equal steps converge exponentially; along pieces with corners Gauss-Legendre nodes do.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from twin.cameras.optics.lens import land
+from twin.cameras.render.boundary_integral import MAX_NODES, NODE_AT, NODE_SHARE
+from twin.scenes.figure import LINE
+
+BALL, FLAT, FIGURE = 0, 1, 2
+STEP_SIGMA, FEWEST_STEPS = 1.0, 20
+"""Step along an outline over the blur's sigma: the error of equal steps is below 1e-6 of the light."""
+PANEL_PX = 15.0
+MOST_PANELS = 100
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def lagrange(nodes, t, out):  # type: ignore[no-untyped-def]
+    """Weights (K,) that interpolate values given at ``nodes`` (K,) at the instant t."""
+    for k in range(nodes.shape[0]):
+        product = 1.0
+        for i in range(nodes.shape[0]):
+            if i != k:
+                product *= (t - nodes[i]) / (nodes[k] - nodes[i])
+        out[k] = product
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def place(path, weights):  # type: ignore[no-untyped-def]
+    """Interpolate a path (K, 3)."""
+    x = y = z = 0.0
+    for k in range(weights.shape[0]):
+        x += weights[k] * path[k, 0]
+        y += weights[k] * path[k, 1]
+        z += weights[k] * path[k, 2]
+    return x, y, z
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def turned(turn, weights, out):  # type: ignore[no-untyped-def]
+    """Interpolate rotations (K, 3, 3): sums of matrices, good to the square of the turn between nodes."""
+    for i in range(3):
+        for j in range(3):
+            value = 0.0
+            for k in range(weights.shape[0]):
+                value += weights[k] * turn[k, i, j]
+            out[i, j] = value
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def across(x, y, z):  # type: ignore[no-untyped-def]
+    """Two unit vectors at right angles to (x, y, z) and to each other, the first one as nearly along x as can be."""
+    n = math.sqrt(x * x + y * y + z * z)
+    x, y, z = x / n, y / n, z / n
+    if abs(x) < 0.9:
+        ax, ay, az = 1.0 - x * x, -x * y, -x * z
+    else:
+        ax, ay, az = -y * x, 1.0 - y * y, -y * z
+    k = math.sqrt(ax * ax + ay * ay + az * az)
+    ax, ay, az = ax / k, ay / k, az / k
+    return ax, ay, az, y * az - z * ay, z * ax - x * az, x * ay - y * ax
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def circle_of(shape, turn, x, y, z, r):  # type: ignore[no-untyped-def]
+    """The circle that is the outline: centre, and two radii at right angles (9 numbers)."""
+    if shape == BALL:
+        # the touching circle: centre C (1 - r^2 / d^2), radius r sqrt(1 - r^2 / d^2)
+        ax, ay, az, bx, by, bz = across(x, y, z)
+        q = 1.0 - r * r / (x * x + y * y + z * z)
+        k = r * math.sqrt(q)
+        return x * q, y * q, z * q, k * ax, k * ay, k * az, k * bx, k * by, k * bz
+    return (
+        x, y, z, r * turn[0, 0], r * turn[1, 0], r * turn[2, 0], r * turn[0, 1], r * turn[1, 1], r * turn[2, 1],
+    )  # fmt: skip
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def rim(circle, angle):  # type: ignore[no-untyped-def]
+    """The direction to a point of the circle, and its derivative by the angle."""
+    c, s = math.cos(angle), math.sin(angle)
+    x, y, z, ax, ay, az, bx, by, bz = circle
+    return (
+        x + c * ax + s * bx, y + c * ay + s * by, z + c * az + s * bz,
+        c * bx - s * ax, c * by - s * ay, c * bz - s * az,
+    )  # fmt: skip
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def lands(lens, shape, turn, x, y, z, r):  # type: ignore[no-untyped-def]
+    """Whether the lens images all of an outline, and its box (left, right, top, bottom) [px]."""
+    circle = circle_of(shape, turn, x, y, z, 1.02 * r)
+    left, right, top, bottom = 1e9, -1e9, 1e9, -1e9
+    whole = True
+    for j in range(24):
+        dx, dy, dz, _a, _b, _c = rim(circle, 2.0 * math.pi * j / 24)
+        u, v, _d, _e, _f, _g, _h, _i, ok = land(lens, dx, dy, dz)
+        if ok:
+            left, right = min(left, u), max(right, u)
+            top, bottom = min(top, v), max(bottom, v)
+        else:
+            whole = False
+    return whole, left, right, top, bottom
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def outline_steps(diameter, sigma):  # type: ignore[no-untyped-def]
+    """How many steps an outline of this image diameter needs."""
+    return max(FEWEST_STEPS, int(math.pi * diameter / (STEP_SIGMA * sigma)) + 1)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def trace(lens, shape, turn, x, y, z, r, pieces, n, sense, out):  # type: ignore[no-untyped-def]
+    """Write (u, v, dv) of the boundary into ``out`` (n, 3); ``sense``: +1 where the contours turn the image's way."""
+    if shape != FIGURE:
+        circle = circle_of(shape, turn, x, y, z, r)
+        for j in range(n):
+            dx, dy, dz, ex, ey, ez = rim(circle, 2.0 * math.pi * j / n)
+            u, v, _ux, _uy, _uz, vx, vy, vz, _ok = land(lens, dx, dy, dz)
+            out[j, 0], out[j, 1] = u, v
+            out[j, 2] = sense * (vx * ex + vy * ey + vz * ez) * 2.0 * math.pi / n
+        return
+    row = 0
+    for i in range(pieces.shape[0]):
+        nodes = int(pieces[i, 7])
+        panels = int(pieces[i, 8])
+        for p in range(panels):
+            for k in range(nodes):
+                share = (p + 0.5 + 0.5 * NODE_AT[nodes, k]) / panels
+                gx, gy, hx, hy = along(pieces[i], share)
+                dx = x + gx * turn[0, 0] + gy * turn[0, 1]
+                dy = y + gx * turn[1, 0] + gy * turn[1, 1]
+                dz = z + gx * turn[2, 0] + gy * turn[2, 1]
+                u, v, _ux, _uy, _uz, vx, vy, vz, _ok = land(lens, dx, dy, dz)
+                rise = (
+                    vx * (hx * turn[0, 0] + hy * turn[0, 1])
+                    + vy * (hx * turn[1, 0] + hy * turn[1, 1])
+                    + vz * (hx * turn[2, 0] + hy * turn[2, 1])
+                )
+                out[row, 0], out[row, 1] = u, v
+                out[row, 2] = sense * pieces[i, 6] * rise * NODE_SHARE[nodes, k] / panels
+                row += 1
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def along(piece, share):  # type: ignore[no-untyped-def]
+    """The point at a share of a piece of contour, and its derivative by the share."""
+    if piece[0] == LINE:
+        hx, hy = piece[3] - piece[1], piece[4] - piece[2]
+        return piece[1] + share * hx, piece[2] + share * hy, hx, hy
+    swing = piece[5] - piece[4]
+    angle = piece[4] + share * swing
+    c, s = piece[3] * math.cos(angle), piece[3] * math.sin(angle)
+    return piece[1] + c, piece[2] + s, -s * swing, c * swing
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def cut_pieces(pieces, px_per_m, sigma):  # type: ignore[no-untyped-def]
+    """Return pieces (n, 9) with the nodes and panels that each needs, and the number of all nodes."""
+    out = np.empty((pieces.shape[0], 9))
+    total = 0
+    for i in range(pieces.shape[0]):
+        for k in range(7):
+            out[i, k] = pieces[i, k]
+        if pieces[i, 0] == LINE:
+            length = math.hypot(pieces[i, 3] - pieces[i, 1], pieces[i, 4] - pieces[i, 2])
+        else:
+            length = abs(pieces[i, 3] * (pieces[i, 5] - pieces[i, 4]))
+        length *= px_per_m
+        length *= 0.6 / sigma
+        panels = 1 + int(length / 10.0)
+        nodes = min(MAX_NODES, 3 + int(2.0 * length / panels))
+        out[i, 7], out[i, 8] = nodes, panels
+        total += nodes * panels
+    return out, total
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def quadratics(first, middle, last):  # type: ignore[no-untyped-def]
+    """Return points (n, 9): quadratics in tau through u, v and amount at tau = -1, 0, 1."""
+    n = first.shape[0]
+    out = np.empty((n, 9))
+    for j in range(n):
+        for i in range(3):
+            a, b, c = first[j, i], middle[j, i], last[j, i]
+            out[j, 3 * i], out[j, 3 * i + 1], out[j, 3 * i + 2] = b, 0.5 * (c - a), 0.5 * (a + c) - b
+    return out

@@ -1,0 +1,101 @@
+"""A target asked ray by ray: where a mesh may hide it, or the lens does not image all of it.
+
+24 samples a pixel each way (images of 12 px and more: 12). What is blocked, or imaged at all, leaves as boundary
+points, two for each run of such samples in a row.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from twin.cameras.optics.lens import land, origin, origin_at
+from twin.cameras.optics.lens_vector import PUPIL
+from twin.cameras.render.outline import BALL, FIGURE, circle_of, rim
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def sample_rays(lens, centre, turn, r, shape, per_px):  # type: ignore[no-untyped-def]
+    """Rays through a fine grid over the target's image, those that meet the target (a figure: its disc).
+
+    ``per_px``: samples a pixel each way, 0: as many as the size asks for. Returns directions (n, 3), the grid
+    cell (n, 2) that each goes through (column, row), and the grid (left, top, step, columns, rows) [px].
+    """
+    x, y, z = centre[0], centre[1], centre[2]
+    circle = circle_of(shape, turn, x, y, z, 1.02 * r)
+    left, right, top, bottom = 1e9, -1e9, 1e9, -1e9
+    for j in range(24):
+        dx, dy, dz, _a, _b, _c = rim(circle, 2.0 * math.pi * j / 24)
+        pu, pv, _d, _e, _f, _g, _h, _i, ok = land(lens, dx, dy, dz)
+        if ok:
+            left, right = min(left, pu), max(right, pu)
+            top, bottom = min(top, pv), max(bottom, pv)
+    size = max(right - left, bottom - top)
+    if per_px == 0:
+        per_px = 24 if size < 12.0 else 12
+    step = 1.0 / per_px
+    columns, rows = int((right - left) * per_px) + 2, int((bottom - top) * per_px) + 2
+    if size < 0.0 or size > 4000.0:
+        columns, rows = 0, 0
+    directions = np.empty((columns * rows, 3))
+    cell = np.empty((columns * rows, 2), dtype=np.int64)
+    n = 0
+    away = math.sqrt(x * x + y * y + z * z)
+    nx, ny, nz = turn[0, 2], turn[1, 2], turn[2, 2]
+    for j in range(rows):
+        pv = top + (j + 0.5) * step
+        for i in range(columns):
+            pu = left + (i + 0.5) * step
+            dx, dy, dz = origin_at(lens, pu, pv, away) if lens[PUPIL] != 0.0 else origin(lens, pu, pv)
+            # beyond the lens's last direction there is none that lands on the pixel
+            lu, lv, _a, _b, _c, _d, _e, _f, ok = land(lens, dx, dy, dz)
+            if not ok or abs(lu - pu) + abs(lv - pv) > 1e-3:
+                continue
+            if shape != BALL:
+                across = dx * nx + dy * ny + dz * nz
+                if across == 0.0:
+                    continue
+                t = (x * nx + y * ny + z * nz) / across
+                inside = t > 0.0 and (t * dx - x) ** 2 + (t * dy - y) ** 2 + (t * dz - z) ** 2 <= r * r
+            else:
+                b = dx * x + dy * y + dz * z
+                inside = b > 0.0 and b * b >= (dx * dx + dy * dy + dz * dz) * (x * x + y * y + z * z - r * r)
+            if inside:
+                directions[n, 0], directions[n, 1], directions[n, 2] = dx, dy, dz
+                cell[n, 0], cell[n, 1] = i, j
+                n += 1
+    return directions[:n], cell[:n], (left, top, step, columns, rows)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def runs(cell, grid, chosen, sign):  # type: ignore[no-untyped-def]
+    """Boundary points (n, 3) of the chosen cells, row by row: (u, v, dv), the area between them times ``sign``."""
+    left, top, step, _columns, _rows = grid
+    count = cell.shape[0]
+    out = np.empty((2 * count, 3))
+    n = 0
+    i = 0
+    while i < count:
+        if not chosen[i]:
+            i += 1
+            continue
+        last = i
+        while (
+            last + 1 < count
+            and chosen[last + 1]
+            and cell[last + 1, 1] == cell[i, 1]
+            and cell[last + 1, 0] == cell[last, 0] + 1
+        ):
+            last += 1
+        v = top + (cell[i, 1] + 0.5) * step
+        out[n, 0], out[n, 1], out[n, 2] = left + cell[i, 0] * step, v, -sign * step
+        out[n + 1, 0], out[n + 1, 1], out[n + 1, 2] = left + (cell[last, 0] + 1) * step, v, sign * step
+        n += 2
+        i = last + 1
+    return out[:n]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def is_round(shape):  # type: ignore[no-untyped-def]
+    """Whether a target shines as a whole disc, so that its samples are all of its light."""
+    return shape != FIGURE

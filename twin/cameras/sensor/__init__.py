@@ -1,0 +1,1 @@
+"""Light to grey values: noise, quantisation, defects, background (EMVA 1288)."""

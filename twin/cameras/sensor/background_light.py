@@ -1,0 +1,288 @@
+"""Everything that a pixel collects besides the targets: background, glass, fixed patterns of the sensor, stray light.
+
+The mean of each pixel stands on the nearest of many close levels (0.15 of the noise apart), and that level *is* the
+pixel's light: nothing finer is meant. Pixels without a target then cost one look-up in their level's exact law.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from mosca.data.arrays import Array
+from twin.cameras.sensor.counter_rng import STEP, mix, normal, uniform
+from twin.cameras.sensor.level_lookup import LevelBank, level_bank
+from twin.cameras.sensor.sensor import Sensor
+
+_DUST = 0xD0575607
+
+
+@dataclass(frozen=True, eq=False)
+class Ambient:
+    """The light of every pixel besides the targets, as levels.
+
+    ``index`` (H, W) uint16: each pixel's level among ``levels_e`` (n,) [electrons]; (1, 1) where one holds for all,
+    and for images of any size if ``shape`` is None. ``flat`` (H, W) float32: factor on all light that comes through
+    the lens (vignetting, dust, PRNU; 0: a dead pixel), None: 1. ``mean_e`` float32, as ``index``: the light before
+    levels and without extra.
+    """
+
+    bank: LevelBank
+    mean_e: Array
+    index: Array
+    flat: Array | None
+    shape: tuple[int, int] | None
+
+    @staticmethod
+    def of(
+        sensor: Sensor,
+        mean_e: Array | float,
+        flat: Array | None = None,
+        *,
+        shape: tuple[int, int] | None = None,
+    ) -> "Ambient":
+        """Return the ambient light of mean electrons ``mean_e``, (H, W) or one number for all pixels.
+
+        One number is a level of its own, so that even light is exact. ``shape`` (H, W) is needed only where neither
+        ``mean_e`` nor ``flat`` tells it and a coarse map will be added. Raises ValueError where sizes do not agree.
+        """
+        given = np.asarray(mean_e, dtype=np.float32)
+        given = given.reshape(1, 1) if given.ndim == 0 else np.ascontiguousarray(given)
+        even = given.size == 1
+        anchor = float(mean_e) if np.ndim(mean_e) == 0 else sensor.background_e
+        if not even:
+            shape = (given.shape[0], given.shape[1])
+        if flat is not None:
+            flat = np.ascontiguousarray(flat, dtype=np.float32)
+            shape = (flat.shape[0], flat.shape[1]) if shape is None else shape
+            if flat.shape != shape:
+                raise ValueError(f"flat: shape {flat.shape} given, the light's is {shape}")
+        bank = level_bank(sensor, anchor)
+        index = np.full((1, 1), bank.anchor, dtype=np.uint16) if even else bank.number(given)
+        bank.make(index)
+        return Ambient(bank, _fixed(given), _fixed(index), None if flat is None else _fixed(flat), shape)
+
+    @property
+    def levels_e(self) -> Array:
+        """Mean electrons of the levels, (n,) ascending."""
+        return self.bank.levels_e
+
+    @property
+    def light_e(self) -> Array:
+        """The light that the pixels really get, (H, W) or (1, 1) [electrons]."""
+        return np.asarray(self.levels_e[self.index])
+
+    def with_extra(self, extra_e: Array | float) -> "Ambient":
+        """Return this light and ``extra_e`` more [electrons, through the lens: times ``flat``], as of one frame.
+
+        ``extra_e``: one number, (H, W), or a coarser map (h, w) whose values stand at the middles of the h x w parts
+        of the image, between which it is linear. Deterministic, and safe in any thread.
+        """
+        extra = np.atleast_2d(np.ascontiguousarray(extra_e, dtype=np.float32))
+        shape = self.shape
+        if extra.size == self.mean_e.size == 1 and self.flat is None:
+            even = self.bank.number(self.mean_e + extra)
+            self.bank.make(even)
+            return Ambient(self.bank, self.mean_e, _fixed(even), None, shape)
+        if shape is None:
+            shape = (extra.shape[0], extra.shape[1])
+        if extra.shape[0] > shape[0] or extra.shape[1] > shape[1]:
+            raise ValueError(f"extra_e: shape {extra.shape} given, {shape} at most")
+        bank = self.bank
+        index = np.empty(shape, dtype=np.uint16)
+        used = np.zeros(len(bank.levels_e), dtype=np.uint8)
+        flat = np.ones((1, 1), dtype=np.float32) if self.flat is None else self.flat
+        _onto_levels(self.mean_e, extra, flat, index, used, bank.scale)
+        bank.make(np.flatnonzero(used))
+        return Ambient(bank, self.mean_e, _fixed(index), self.flat, shape)
+
+    def window(self, x: int, y: int, width: int, height: int) -> "Ambient":
+        """Return the part of a windowed readout whose top-left pixel is (x, y)."""
+        if self.shape is not None and (
+            x < 0 or y < 0 or x + width > self.shape[1] or y + height > self.shape[0]
+        ):
+            raise ValueError(f"window: {width} x {height} at ({x}, {y}) leaves the image {self.shape}")
+
+        def part(values: Array) -> Array:
+            if values.size == 1:
+                return values
+            return _fixed(np.ascontiguousarray(values[y : y + height, x : x + width]))
+
+        flat = None if self.flat is None else part(self.flat)
+        return Ambient(self.bank, part(self.mean_e), part(self.index), flat, (height, width))
+
+
+@dataclass(frozen=True)
+class Backdrop:
+    """How uneven the background is, and what lies on the glass.
+
+    ``gradient`` (x, y): change of the background from edge to edge, as a share of it. ``blob_e`` more electrons at
+    the middle of a soft spot of light at ``blob_xy`` (share of width and height), ``blob_radius`` (sigma, share of
+    the width). ``dust``: number of dark spots of mean ``dust_radius_px``, each taking at most ``dust_loss``.
+    """
+
+    gradient: tuple[float, float] = (0.0, 0.0)
+    blob_e: float = 0.0
+    blob_xy: tuple[float, float] = (0.5, 0.5)
+    blob_radius: float = 0.2
+    dust: int = 0
+    dust_loss: float = 0.1
+    dust_radius_px: float = 6.0
+
+
+class AmbientMap(NamedTuple):
+    """``mean_e`` (H, W) or one number, and ``flat`` (H, W) or None: the arguments of ``Ambient.of``."""
+
+    mean_e: Array | float
+    flat: Array | None
+
+
+def ambient_map(
+    sensor: Sensor,
+    width: int,
+    height: int,
+    key: int,
+    *,
+    exposure_s: float = 0.0,
+    vignetting: float = 0.0,
+    backdrop: Backdrop | None = None,
+) -> AmbientMap:
+    """Return the mean light of a camera's pixels besides the targets, and the factor on what comes through its lens.
+
+    ``key``: the camera's own (64 bit), the same for all its frames: dust, DSNU, PRNU, hot and dead pixels are drawn
+    from it. ``vignetting``: share of light lost at the corner, after the cos^4 law of a lens whose corner loses so
+    much. Background, gradient and blob come through the lens; dark current x exposure, DSNU and hot pixels do not.
+    """
+    look = Backdrop() if backdrop is None else backdrop
+    light: Array | float = sensor.background_e
+    dark: Array | float = sensor.dark_current_e_per_s * exposure_s
+    flat: Array | None = None
+    x = (np.arange(width) + 0.5) / width
+    y = (np.arange(height)[:, None] + 0.5) / height
+    if any(look.gradient):
+        light = light * (1.0 + look.gradient[0] * (x - 0.5) + look.gradient[1] * (y - 0.5))
+    if look.blob_e:
+        dx, dy = x - look.blob_xy[0], (y - look.blob_xy[1]) * (height / width)
+        light = light + look.blob_e * np.exp(-(dx * dx + dy * dy) / (2.0 * look.blob_radius**2))
+    if vignetting:
+        tan2 = 1.0 / math.sqrt(1.0 - vignetting) - 1.0
+        far2 = ((x - 0.5) * width) ** 2 + ((y - 0.5) * height) ** 2
+        flat = 1.0 / (1.0 + tan2 * far2 * (4.0 / (width * width + height * height))) ** 2
+    if look.dust:
+        shade = _dust(width, height, key, look)
+        flat = shade if flat is None else flat * shade
+    if any((sensor.dsnu_e, sensor.prnu, sensor.hot_pixels, sensor.dead_pixels)):
+        more, factor = np.empty((height, width)), np.empty((height, width))
+        _fixed_pattern(
+            more.ravel(), factor.ravel(), np.uint64(key), sensor.dsnu_e, sensor.prnu, sensor.hot_pixels,
+            sensor.hot_e, sensor.dead_pixels,
+        )  # fmt: skip
+        flat = factor if flat is None else flat * factor
+        mean: Array | float = np.where(factor == 0.0, 0.0, light * flat + dark + more)
+    else:
+        mean = (light if flat is None else light * flat) + dark
+    return AmbientMap(mean, flat)
+
+
+def _dust(width: int, height: int, key: int, look: Backdrop) -> Array:
+    """Return the share of light (H, W) that the dust lets through: discs, darkest at their middle."""
+    through, places = np.ones((height, width)), np.empty((look.dust, 4))
+    _uniforms(places.ravel(), np.uint64(key ^ _DUST))
+    for u, v, size, strength in places:
+        x, y = u * width - 0.5, v * height - 0.5
+        radius, loss = look.dust_radius_px * (0.5 + size), look.dust_loss * strength
+        x0, x1 = max(0, math.floor(x - radius)), min(width, math.ceil(x + radius) + 1)
+        y0, y1 = max(0, math.floor(y - radius)), min(height, math.ceil(y + radius) + 1)
+        far2 = ((np.arange(x0, x1) - x) ** 2 + (np.arange(y0, y1)[:, None] - y) ** 2) / radius**2
+        through[y0:y1, x0:x1] *= 1.0 - loss * np.maximum(1.0 - far2, 0.0) ** 2
+    return through
+
+
+@njit(nogil=True, cache=True)
+def _uniforms(out, key):  # type: ignore[no-untyped-def]
+    """Fill with numbers in (0, 1)."""
+    for i in range(out.size):
+        out[i] = uniform(mix(key + np.uint64(i) * STEP))
+
+
+@njit(nogil=True, cache=True)
+def _fixed_pattern(more, factor, key, dsnu, prnu, hot, hot_e, dead):  # type: ignore[no-untyped-def]
+    """Fill the electrons that each pixel has of itself, and its factor on light; every trait draws on its own."""
+    for p in range(more.size):
+        state = mix(key + np.uint64(p) * STEP)
+        more[p] = dsnu * normal(mix(state + STEP))
+        factor[p] = max(1.0 + prnu * normal(mix(state + np.uint64(2) * STEP)), 0.0)
+        if uniform(mix(state + np.uint64(3) * STEP)) < hot:
+            more[p] -= hot_e * math.log(uniform(mix(state + np.uint64(4) * STEP)))
+        if uniform(mix(state + np.uint64(5) * STEP)) < dead:
+            more[p] = factor[p] = 0.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _onto_levels(mean, extra, flat, index, used, scale):  # type: ignore[no-untyped-def]
+    """Fill the levels nearest to ``mean + flat * extra`` and mark which are in use; see ``LevelBank.number``."""
+    height, width = index.shape
+    full = extra.shape == index.shape
+    columns = _columns(extra.shape[1], width)
+    line = np.empty(width)
+    for y in range(height):
+        if full:
+            for x in range(width):
+                line[x] = extra[y, x]
+        else:
+            _stretched(extra, y, height, columns, line)
+        if flat.size > 1:
+            line *= flat[y]
+        if mean.size > 1:
+            line += mean[y]
+        else:
+            line += mean[0, 0]
+        _row_onto_levels(line, index[y], used, scale)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _row_onto_levels(line, index, used, scale):  # type: ignore[no-untyped-def]
+    """Fill one row's levels from its electrons (which it overwrites)."""
+    floor_e, anchor, anchor_scale, step = scale
+    floor2, per_step, per_floor = floor_e * floor_e, 1.0 / step, 1.0 / floor_e
+    first = anchor - anchor_scale * per_step
+    last = used.size - 1.0
+    for x in range(line.size):
+        above = line[x] if line[x] > 0.0 else 0.0
+        place = first + (2.0 * math.sqrt(above + floor2) + (line[x] - above) * per_floor) * per_step + 0.5
+        place = place if place > 0.0 else 0.0
+        index[x] = np.uint16(np.int32(place if place < last else last))
+    for x in range(line.size):
+        used[index[x]] = 1
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _columns(columns, width):  # type: ignore[no-untyped-def]
+    """Return, for each pixel of a row, the place (width,) in a coarse map's columns."""
+    u = np.empty(width)
+    for x in range(width):
+        u[x] = min(max((x + 0.5) * columns / width - 0.5, 0.0), columns - 1.0)
+    return u
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _stretched(coarse, y, height, columns, line):  # type: ignore[no-untyped-def]
+    """Fill row ``y`` of a coarse map stretched over the image, bilinear, constant beyond the outer middles."""
+    rows = coarse.shape[0]
+    v = min(max((y + 0.5) * rows / height - 0.5, 0.0), rows - 1.0)
+    r = min(int(v), max(rows - 2, 0))
+    down, under = v - r, coarse[min(r + 1, rows - 1)]
+    blend = np.empty(coarse.shape[1] + 1)
+    for c in range(coarse.shape[1]):
+        blend[c] = coarse[r, c] + (under[c] - coarse[r, c]) * down
+    blend[-1] = blend[-2]
+    for x in range(line.size):
+        c = int(columns[x])
+        line[x] = blend[c] + (blend[c + 1] - blend[c]) * (columns[x] - c)
+
+
+def _fixed(values: Array) -> Array:
+    values.setflags(write=False)
+    return values

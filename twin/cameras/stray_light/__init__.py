@@ -1,0 +1,1 @@
+"""Light that is no target's: reflections, glare, surroundings."""

@@ -1,0 +1,284 @@
+"""The context image: scene and body as a camera sees them besides the markers.
+
+One ray a few pixels, through the lens's own rays, tells which surface is seen; it is shaded by Lambert's law in even
+ambient light and in the light of a lamp at the camera, which falls with the square of the distance. Markers are
+left out (they are integrated, see ``render``). Shadows, textures and mirror images are not made; the
+image is as sharp as its rays are dense, which stands in for the lens's blur. It is made at a stated rate: between two
+refreshes the last one stands, so fast limbs are a little behind, markers never.
+"""
+
+import copy
+import math
+import warnings
+from collections.abc import Callable, Hashable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from threading import Lock
+from typing import Any
+
+import cv2
+import mujoco
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.rig import Pose
+from mosca.errors import InputError
+from twin.cameras.optics.lens import TwinLens
+from twin.cameras.render.occluders import PRIMITIVES
+from twin.cameras.stray_light.context_rays import Met, RayGrid, cast, ray_grid, shade
+from twin.scenes.scene import MARKER_GROUP, UNSEEN_GROUP, Scene, SceneSampler
+
+GREY = np.array([0.2126, 0.7152, 0.0722])
+"""Grey value of a colour: luminance of linear RGB (ITU-R BT.709)."""
+_MUJOCO_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
+
+
+@dataclass(frozen=True)
+class Cloth:
+    """What the geoms whose names match ``pattern`` (as file names do: ``*``, ``?``) are covered with.
+
+    ``reflectance`` of a Lambert surface in place of their colour's; ``retro`` how many times brighter than a white
+    Lambert surface it is under the camera's own lamp, seen head on (falling with cos^2): reflective tape has 100 and
+    more. ``band_m``: only between these places along the geom's z axis (a capsule's length) from its middle.
+    """
+
+    pattern: str
+    reflectance: float
+    retro: float = 0.0
+    band_m: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Context:
+    """How a context image is made.
+
+    ``rate_hz``: how often; ``step_px``: one ray for so many pixels each way. ``ambient``: what a white surface
+    gives a pixel in the room's even light, ``lamp``: what it adds facing the camera's lamp at ``at_m``, both over
+    the full well in one exposure. ``clothes``: a later one covers an earlier one.
+    """
+
+    rate_hz: float = 10.0
+    step_px: int = 2
+    ambient: float = 0.01
+    lamp: float = 0.02
+    at_m: float = 3.0
+    clothes: tuple[Cloth, ...] = ()
+
+    def __post_init__(self) -> None:
+        allowed = (
+            ("rate_hz", self.rate_hz, 0.0 < self.rate_hz < math.inf, "a rate above zero"),
+            ("step_px", self.step_px, self.step_px in range(1, 17), "a whole number from 1 to 16"),
+            ("ambient", self.ambient, 0.0 <= self.ambient < math.inf, "a share from 0 up"),
+            ("lamp", self.lamp, 0.0 <= self.lamp < math.inf, "a share from 0 up"),
+            ("at_m", self.at_m, 0.0 < self.at_m < math.inf, "a distance above zero"),
+        )
+        for name, value, fine, wanted in allowed:
+            if not fine:
+                raise InputError(f"context: {name} = {value} given; {wanted} is wanted")
+        for cloth in self.clothes:
+            if not (0.0 <= cloth.reflectance < math.inf and 0.0 <= cloth.retro < math.inf):
+                raise InputError(
+                    f"context: cloth {cloth.pattern!r}: reflectance = {cloth.reflectance}, retro = {cloth.retro} "
+                    "given; numbers from 0 up are wanted"
+                )
+            if cloth.band_m is not None and not cloth.band_m[0] < cloth.band_m[1]:
+                raise InputError(
+                    f"context: cloth {cloth.pattern!r}: band_m = {cloth.band_m} given; from and to are wanted, the "
+                    "smaller one first"
+                )
+
+
+@dataclass(frozen=True, eq=False)
+class ContextView:
+    """All that a camera's context images have in common: made once by ``context_view``.
+
+    ``geom`` (k,) ids of what is seen, ``kind``, ``size``, ``bound`` as MuJoCo has them; ``base`` (k,) reflectance,
+    ``wears`` (k, c) and ``cloths`` (c, 4) as ``shade`` wants them; ``row_of`` (ngeom,) row of a geom, or -1.
+    """
+
+    grid: RayGrid
+    context: Context
+    full_well_e: float
+    geom: Array
+    kind: Array
+    size: Array
+    bound: Array
+    base: Array
+    wears: Array
+    cloths: Array
+    row_of: Array
+
+
+def context_view(
+    scene: Scene, lens: TwinLens, width: int, height: int, context: Context, full_well_e: float
+) -> ContextView:
+    """Return what the context images of ``scene`` through ``lens`` have in common.
+
+    Raises InputError for a cloth that no geom wears.
+    """
+    model = scene.model
+    names = [model.geom(g).name for g in range(model.ngeom)]
+    colours = np.array([_rgba(model, g) for g in range(model.ngeom)]).reshape(-1, 4)
+    hidden_groups = (MARKER_GROUP, UNSEEN_GROUP)
+    seen = [g for g in range(model.ngeom) if model.geom_group[g] not in hidden_groups and colours[g, 3] > 0]
+    for cloth in context.clothes:
+        if not any(fnmatchcase(names[g], cloth.pattern) for g in seen):
+            some = ", ".join(repr(names[g]) for g in seen if names[g]) or "none with a name"
+            raise InputError(
+                f"context: cloth pattern {cloth.pattern!r} given; no geom has such a name; there are: {some}"
+            )
+    row_of = np.full(model.ngeom, -1, dtype=np.int64)
+    row_of[seen] = np.arange(len(seen))
+    wears = [[fnmatchcase(names[g], cloth.pattern) for cloth in context.clothes] for g in seen]
+    cloths = [(c.reflectance, c.retro, *(c.band_m or (-math.inf, math.inf))) for c in context.clothes]
+    return ContextView(
+        grid=ray_grid(lens, width, height, context.step_px),
+        context=context,
+        full_well_e=full_well_e,
+        geom=np.array(seen, dtype=np.int64),
+        kind=np.array([model.geom_type[g] for g in seen], dtype=np.int64),
+        size=np.ascontiguousarray(model.geom_size[seen], dtype=float).reshape(-1, 3),
+        bound=np.array([model.geom_rbound[g] for g in seen], dtype=float),
+        base=np.ascontiguousarray(colours[seen, :3] @ GREY, dtype=float),
+        wears=np.array(wears, dtype=bool).reshape(len(seen), len(cloths)),
+        cloths=np.array(cloths, dtype=float).reshape(-1, 4),
+        row_of=row_of,
+    )
+
+
+def context_image(
+    view: ContextView, sampler: SceneSampler, time_s: float, rotation: Array, position: Array
+) -> Array:
+    """Return the mean light (H, W) float32 [electrons] of one exposure at session time ``time_s``.
+
+    ``rotation`` (3, 3) and ``position`` (3,) [m]: world_from_camera. Leaves the sampler's data at ``time_s``.
+    """
+    state = sampler.at(time_s)
+    xyz = np.ascontiguousarray((state.geom_xyz[view.geom] - position) @ rotation)
+    turn = np.ascontiguousarray(rotation.T @ state.geom_rotation[view.geom])
+    met = cast(view.grid, view.kind, view.size, view.bound, xyz, turn)
+    if not np.isin(view.kind, (*PRIMITIVES, int(mujoco.mjtGeom.mjGEOM_PLANE))).all():
+        _ask_mujoco(view, sampler, rotation, position, met)
+    look = view.context
+    coarse = shade(
+        view.grid.rays, met.geom, met.distance, met.normal, xyz, turn, view.base, view.wears, view.cloths,
+        look.ambient * view.full_well_e, look.lamp * view.full_well_e, look.at_m,
+    )  # fmt: skip
+    return enlarged(coarse, look.step_px, view.grid.width, view.grid.height)
+
+
+def enlarged(coarse: Array, step_px: int, width: int, height: int) -> Array:
+    """Return values at the middles of step x step pixels, float32, at every pixel (H, W): bilinear."""
+    rows, columns = coarse.shape
+    if step_px == 1:
+        return coarse
+    fine = cv2.resize(coarse, (columns * step_px, rows * step_px), interpolation=cv2.INTER_LINEAR)
+    return np.ascontiguousarray(fine[:height, :width])
+
+
+def refresh_pulse(pulse: int, frame_rate_hz: float, rate_hz: float) -> int:
+    """Return the pulse whose context image stands at ``pulse``: the last at or before it that begins a refresh.
+
+    Refresh n begins at the first pulse at or after n / rate; a rate above the frame rate refreshes each pulse.
+    """
+    if rate_hz >= frame_rate_hz:
+        return pulse
+    number = math.floor(pulse * rate_hz / frame_rate_hz + 1e-9)
+    return math.ceil(number * frame_rate_hz / rate_hz - 1e-9)
+
+
+class Refreshed:
+    """Values that stand until their next refresh, made once and shared by threads.
+
+    What is made must be a pure function of its key: which thread makes it, and whether again, then changes nothing.
+    """
+
+    def __init__(self, keep: int = 16) -> None:
+        self._keep = keep
+        self._lock = Lock()
+        self._made: dict[Hashable, Future[Any]] = {}
+
+    def get(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        """Return the value of ``key``, by ``make()`` unless it is there or under way in another thread."""
+        with self._lock:
+            known = self._made.get(key)
+            if known is None:
+                known = self._made[key] = Future()
+                mine = known
+                while len(self._made) > self._keep:
+                    del self._made[next(iter(self._made))]
+            else:
+                mine = None
+        if mine is not None:
+            try:
+                mine.set_result(make())
+            except BaseException as error:
+                mine.set_exception(error)
+                with self._lock:
+                    self._made.pop(key, None)
+                raise
+        return known.result()
+
+
+def pretty_view(
+    scene: Scene, time_s: float, pose: Pose, width: int, height: int, vertical_fov_deg: float
+) -> tuple[Array | None, str]:
+    """Return a coloured picture (H, W, 3) uint8 for reports, by OpenGL, or None and the reason why there is none.
+
+    A pinhole view without the lens's distortion; markers and shadows included. Needs an OpenGL library that MuJoCo
+    finds (MUJOCO_GL=egl or osmesa where there is no display).
+    """
+    model = copy.copy(scene.model)
+    model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
+    model.vis.global_.offheight = max(height, model.vis.global_.offheight)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # GLFW warns of what the reason says
+            renderer = mujoco.Renderer(model, height, width)
+    except (mujoco.FatalError, AttributeError, ImportError, RuntimeError) as error:
+        return None, f"no OpenGL picture: {error}"
+    option = mujoco.MjvOption()
+    option.geomgroup[:] = 1
+    option.geomgroup[UNSEEN_GROUP] = 0
+    with renderer:
+        sampler = scene.sampler()
+        sampler.at(time_s)
+        mujoco.mj_camlight(model, sampler.data)
+        renderer.update_scene(sampler.data, scene_option=option)
+        top = math.tan(math.radians(vertical_fov_deg) / 2)
+        for eye in renderer.scene.camera:
+            near = eye.frustum_near
+            eye.pos, eye.forward, eye.up = pose.translation, pose.rotation[:, 2], -pose.rotation[:, 1]
+            eye.frustum_center, eye.frustum_bottom, eye.frustum_top = 0.0, -near * top, near * top
+            eye.frustum_width = near * top * width / height
+        return renderer.render(), ""
+
+
+def _ask_mujoco(view: ContextView, sampler: SceneSampler, rotation: Array, position: Array, met: Met) -> None:
+    """Let MuJoCo's exact ray caster answer the rays near meshes, height fields and the like, in place."""
+    asked = view.grid.rays[met.other]
+    n = len(asked)
+    if n == 0:
+        return
+    groups = np.ones(6, dtype=np.uint8)
+    groups[[MARKER_GROUP, UNSEEN_GROUP]] = 0
+    ids, far, facing = np.full(n, -1, dtype=np.int32), np.zeros(n), np.zeros((n, 3))
+    rays = np.ascontiguousarray(asked @ rotation.T)
+    mujoco.mj_multiRay(
+        sampler.scene.model, sampler.data, np.ascontiguousarray(position), rays.reshape(-1), groups, 1, -1, ids, far,
+        facing.reshape(-1), n, mujoco.mjMAXVAL,
+    )  # fmt: skip
+    hit = ids >= 0
+    met.geom[met.other] = np.where(hit, view.row_of[ids], -1)
+    met.distance[met.other] = np.where(hit, far, np.inf)
+    met.normal[met.other] = facing @ rotation
+
+
+def _rgba(model: mujoco.MjModel, geom: int) -> Array:
+    """The colour that MuJoCo's viewer gives a geom: its own, or its material's where it has none of its own."""
+    own = model.geom_rgba[geom]
+    material = model.geom_matid[geom]
+    if material >= 0 and tuple(own) == _MUJOCO_DEFAULT_RGBA:
+        return np.asarray(model.mat_rgba[material])
+    return np.asarray(own)

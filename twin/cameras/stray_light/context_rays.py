@@ -1,0 +1,226 @@
+"""Rays of a coarse grid of pixels against a scene's geoms: what each meets first, how far off, and how it faces.
+
+Analytic against MuJoCo's primitives and planes, all in the camera frame with rays from its origin. Rays are culled
+by tiles: a tile of rays is a cone, a geom's bounding sphere is another, and only where the two meet is a ray cast.
+"""
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numba import njit
+
+from mosca.data.arrays import Array
+from twin.cameras.optics.lens import TwinLens
+from twin.cameras.render.occluders import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, hit
+
+PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+TILE = 4
+"""Rays along a tile's edge."""
+
+
+@dataclass(frozen=True, eq=False)
+class RayGrid:
+    """Rays through a grid of pixels ``step_px`` apart on an image of ``width`` x ``height``.
+
+    ``rays`` (rows, columns, 3) unit directions, camera frame, through the middles of step x step pixels (NaN:
+    the lens images nothing there); ``tile_axis`` (r, c, 3) and ``tile_angle`` (r, c) [rad]: cone around the rays of
+    each tile (-1: none in it).
+    """
+
+    width: int
+    height: int
+    step_px: int
+    rays: Array
+    tile_axis: Array
+    tile_angle: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Met:
+    """What each ray meets first, all of (rows, columns): ``geom`` row of the geoms' arrays or -1, ``distance`` [m],
+    ``normal`` (rows, columns, 3) unit, camera frame; ``other``: whether it comes near a geom that only MuJoCo's own
+    ray caster knows.
+    """
+
+    geom: Array
+    distance: Array
+    normal: Array
+    other: Array
+
+
+def ray_grid(lens: TwinLens, width: int, height: int, step_px: int) -> RayGrid:
+    """Return the lens's own rays through every ``step_px``-th pixel each way."""
+    x = step_px * np.arange(-(-width // step_px)) + (step_px - 1) / 2
+    y = step_px * np.arange(-(-height // step_px)) + (step_px - 1) / 2
+    pixels = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    grid = np.ascontiguousarray(lens.directions(pixels).reshape(len(y), len(x), 3))
+    axis, angle = _tiles(grid)
+    for array in (grid, axis, angle):
+        array.setflags(write=False)
+    return RayGrid(width, height, step_px, grid, axis, angle)
+
+
+def cast(grid: RayGrid, kind: Array, size: Array, bound: Array, xyz: Array, turn: Array) -> Met:
+    """Return what the rays meet of geoms at ``xyz`` (k, 3), ``turn`` (k, 3, 3) geom -> camera frame.
+
+    ``kind`` (k,) and ``size`` (k, 3) as MuJoCo has them; ``bound`` (k,) radii of bounding spheres [m]. Planes
+    count from their front side, as far as their size says (0: without end).
+    """
+    return Met(*_cast(grid.rays, grid.tile_axis, grid.tile_angle, kind, size, bound, xyz, turn))
+
+
+def _tiles(rays: Array) -> tuple[Array, Array]:
+    rows, columns = -(-rays.shape[0] // TILE), -(-rays.shape[1] // TILE)
+    axis, angle = np.zeros((rows, columns, 3)), np.full((rows, columns), -1.0)
+    for i in range(rows):
+        for j in range(columns):
+            tile = rays[i * TILE : (i + 1) * TILE, j * TILE : (j + 1) * TILE].reshape(-1, 3)
+            tile = tile[np.isfinite(tile[:, 0])]
+            if len(tile):
+                middle = tile.sum(axis=0)
+                axis[i, j] = middle / np.linalg.norm(middle)
+                chord = np.linalg.norm(tile - axis[i, j], axis=1).max()
+                angle[i, j] = 2.0 * np.arcsin(min(1.0, chord / 2)) + 1e-9
+    return axis, angle
+
+
+@njit(nogil=True, cache=True)
+def _cast(rays, tile_axis, tile_angle, kind, size, bound, xyz, turn):  # type: ignore[no-untyped-def]
+    rows, columns = rays.shape[:2]
+    geoms = kind.shape[0]
+    geom = np.full((rows, columns), -1, dtype=np.int64)
+    distance = np.full((rows, columns), np.inf)
+    normal = np.zeros((rows, columns, 3))
+    other = np.zeros((rows, columns), dtype=np.bool_)
+    away, half = np.empty(geoms), np.empty(geoms)
+    for g in range(geoms):
+        away[g] = math.sqrt(xyz[g, 0] ** 2 + xyz[g, 1] ** 2 + xyz[g, 2] ** 2)
+        half[g] = math.asin(bound[g] / away[g]) if bound[g] < away[g] else math.pi
+    cos_half, sin_half = np.cos(half), np.sin(half)
+    near = np.empty(geoms, dtype=np.int64)
+    for i in range(tile_angle.shape[0]):
+        for j in range(tile_angle.shape[1]):
+            if tile_angle[i, j] < 0.0:
+                continue
+            count, others = 0, False
+            x, y, z = tile_axis[i, j, 0], tile_axis[i, j, 1], tile_axis[i, j, 2]
+            cos_tile, sin_tile = math.cos(tile_angle[i, j]), math.sin(tile_angle[i, j])
+            for g in range(geoms):
+                if kind[g] != PLANE and half[g] + tile_angle[i, j] < math.pi:
+                    widest = cos_half[g] * cos_tile - sin_half[g] * sin_tile
+                    if x * xyz[g, 0] + y * xyz[g, 1] + z * xyz[g, 2] < widest * away[g]:
+                        continue
+                if _is_known(kind[g]):
+                    near[count] = g
+                    count += 1
+                else:
+                    others = True
+            for p in range(i * TILE, min(rows, (i + 1) * TILE)):
+                for q in range(j * TILE, min(columns, (j + 1) * TILE)):
+                    dx, dy, dz = rays[p, q, 0], rays[p, q, 1], rays[p, q, 2]
+                    if math.isnan(dx):
+                        continue
+                    other[p, q] = others
+                    for k in range(count):
+                        g = near[k]
+                        if kind[g] == PLANE:
+                            t = _meet_plane(size, xyz, turn, g, dx, dy, dz)
+                        else:
+                            t = hit(kind[g], size[g], xyz[g], turn[g], dx, dy, dz)
+                        if t < distance[p, q]:
+                            distance[p, q], geom[p, q] = t, g
+                    g = geom[p, q]
+                    if g >= 0:
+                        t = distance[p, q]
+                        normal[p, q, 0], normal[p, q, 1], normal[p, q, 2] = _normal(
+                            kind[g], size, xyz, turn, g, t * dx, t * dy, t * dz
+                        )
+    return geom, distance, normal, other
+
+
+@njit(nogil=True, cache=True)
+def _is_known(kind: int) -> bool:
+    return kind in (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)
+
+
+@njit(nogil=True, cache=True)
+def _meet_plane(size, xyz, turn, g, dx, dy, dz):  # type: ignore[no-untyped-def]
+    """Distance at which a ray meets the front of plane g (its +z side); inf if never."""
+    fall = turn[g, 0, 2] * dx + turn[g, 1, 2] * dy + turn[g, 2, 2] * dz
+    height = turn[g, 0, 2] * xyz[g, 0] + turn[g, 1, 2] * xyz[g, 1] + turn[g, 2, 2] * xyz[g, 2]
+    if fall >= 0.0 or height >= 0.0:
+        return np.inf
+    t = height / fall
+    for k in range(2):
+        if size[g, k] > 0.0:
+            x, y, z = t * dx - xyz[g, 0], t * dy - xyz[g, 1], t * dz - xyz[g, 2]
+            if abs(turn[g, 0, k] * x + turn[g, 1, k] * y + turn[g, 2, k] * z) > size[g, k]:
+                return np.inf
+    return t
+
+
+@njit(nogil=True, cache=True)
+def _normal(kind, size, xyz, turn, g, px, py, pz):  # type: ignore[no-untyped-def]
+    """Outward unit normal of primitive g at a point of its surface, camera frame."""
+    dx, dy, dz = px - xyz[g, 0], py - xyz[g, 1], pz - xyz[g, 2]
+    x = turn[g, 0, 0] * dx + turn[g, 1, 0] * dy + turn[g, 2, 0] * dz
+    y = turn[g, 0, 1] * dx + turn[g, 1, 1] * dy + turn[g, 2, 1] * dz
+    z = turn[g, 0, 2] * dx + turn[g, 1, 2] * dy + turn[g, 2, 2] * dz
+    a, b, c = size[g, 0], size[g, 1], size[g, 2]
+    if kind == PLANE:
+        x, y, z = 0.0, 0.0, 1.0
+    elif kind == CAPSULE:
+        z -= min(max(z, -b), b)
+    elif kind == ELLIPSOID:
+        x, y, z = x / (a * a), y / (b * b), z / (c * c)
+    elif kind == CYLINDER:
+        if b - abs(z) < a - math.sqrt(x * x + y * y):
+            x, y = 0.0, 0.0
+        else:
+            z = 0.0
+    elif kind == BOX:
+        inside_x, inside_y, inside_z = a - abs(x), b - abs(y), c - abs(z)
+        if inside_x <= inside_y and inside_x <= inside_z:
+            y, z = 0.0, 0.0
+        elif inside_y <= inside_z:
+            x, z = 0.0, 0.0
+        else:
+            x, y = 0.0, 0.0
+    n = math.sqrt(x * x + y * y + z * z)
+    x, y, z = x / n, y / n, z / n
+    return (
+        turn[g, 0, 0] * x + turn[g, 0, 1] * y + turn[g, 0, 2] * z,
+        turn[g, 1, 0] * x + turn[g, 1, 1] * y + turn[g, 1, 2] * z,
+        turn[g, 2, 0] * x + turn[g, 2, 1] * y + turn[g, 2, 2] * z,
+    )
+
+
+@njit(nogil=True, cache=True)
+def shade(rays, geom, distance, normal, xyz, turn, base, wears, cloths, ambient, lamp, at_m):  # type: ignore[no-untyped-def]
+    """Return the light (rows, columns) float32 that a pixel gets of what its ray meets.
+
+    ``base`` (k,) reflectance; ``wears`` (k, c) which ``cloths`` (c, 4) lie on a geom: reflectance, retroreflection,
+    from and to along the geom's z axis; the last one that covers a place counts.
+    """
+    rows, columns = geom.shape
+    out = np.zeros((rows, columns), dtype=np.float32)
+    for p in range(rows):
+        for q in range(columns):
+            g = geom[p, q]
+            if g < 0:
+                continue
+            d, t = rays[p, q], distance[p, q]
+            reflectance, retro = base[g], 0.0
+            for c in range(cloths.shape[0]):
+                if wears[g, c]:
+                    z = 0.0
+                    for k in range(3):
+                        z += turn[g, k, 2] * (t * d[k] - xyz[g, k])
+                    if cloths[c, 2] <= z <= cloths[c, 3]:
+                        reflectance, retro = cloths[c, 0], cloths[c, 1]
+            facing = abs(d[0] * normal[p, q, 0] + d[1] * normal[p, q, 1] + d[2] * normal[p, q, 2])
+            near = (at_m / t) ** 2
+            out[p, q] = reflectance * ambient + lamp * near * facing * (reflectance + retro * facing)
+    return out

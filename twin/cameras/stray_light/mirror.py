@@ -1,0 +1,201 @@
+"""Mirrors: what a camera sees of targets by way of a plane rectangle that reflects.
+
+The image of a target in a plane mirror is a target behind the mirror, seen through the rectangle as through a
+window; just as well it is the target itself, seen by the camera's image behind the mirror. Where the image is, how
+large and how it turns is exact. How much of it is seen is judged at mid-exposure by 19 sight lines spread over its
+disc: a line counts if it passes the rectangle and the scene leaves free both the way to the mirror and the way on
+to the target. That share scales the light of the whole image. One reflection only: no mirror in a mirror.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.errors import InputError
+from twin.cameras.exposure.lighting import RETRO
+from twin.cameras.render.outline import BALL
+from twin.cameras.render.render import TargetsInCamera
+from twin.cameras.stray_light.world import TargetsInWorld, in_camera, some
+from twin.scenes.figure import LINE, Figure
+from twin.scenes.scene import UNSEEN_GROUP
+
+THICKNESS_M = 0.01
+"""What stands this near to a mirror's plane is the mirror's own solid and hides nothing."""
+_RINGS = ((1, 0.0), (6, math.sqrt(4 / 19)), (12, math.sqrt(13 / 19)))
+_DISC = np.array(
+    [
+        (radius * math.cos(2 * math.pi * k / n), radius * math.sin(2 * math.pi * k / n))
+        for n, radius in _RINGS
+        for k in range(n)
+    ]
+)
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """A reflecting rectangle about ``center_m`` (3,), seen from the side that ``normal`` (3,) points to.
+
+    ``x_axis`` (3,): direction of its first side, at right angles to the normal; ``size_m``: lengths of its sides;
+    ``reflectance``: share of light that it reflects. It hides nothing itself: a mirror that things can stand behind
+    has a geom of its own in the scene.
+    """
+
+    center_m: tuple[float, float, float]
+    normal: tuple[float, float, float]
+    x_axis: tuple[float, float, float]
+    size_m: tuple[float, float]
+    reflectance: float = 0.9
+
+    def __post_init__(self) -> None:
+        lengths = np.linalg.norm(self.normal), np.linalg.norm(self.x_axis)
+        if not min(lengths) > 0 or abs(np.dot(self.normal, self.x_axis)) > 1e-6 * lengths[0] * lengths[1]:
+            raise InputError(
+                f"mirror: normal = {self.normal}, x_axis = {self.x_axis} given; directions at right angles are wanted"
+            )
+        if not min(self.size_m) > 0 or not 0 < self.reflectance <= 1:
+            raise InputError(
+                f"mirror: size_m = {self.size_m}, reflectance = {self.reflectance} given; sides above zero and a "
+                "share above 0 up to 1 are wanted"
+            )
+
+    @property
+    def axes(self) -> Array:
+        """Unit x axis, y axis and normal (3, 3), one a row."""
+        z = np.array(self.normal) / np.linalg.norm(self.normal)
+        x = np.array(self.x_axis) / np.linalg.norm(self.x_axis)
+        return np.stack([x, np.cross(z, x), z])
+
+    @property
+    def flip(self) -> Array:
+        """The reflection of directions (3, 3): ``I - 2 n n^T``."""
+        n = self.axes[2]
+        return np.asarray(np.eye(3) - 2.0 * np.outer(n, n))
+
+    def image(self, points: Array) -> Array:
+        """Return the mirror images of points (..., 3) [m]."""
+        center = np.array(self.center_m)
+        return np.asarray((points - center) @ self.flip + center)
+
+
+class SceneRays:
+    """Asks MuJoCo's exact ray caster what stands in a line's way. ``data`` stands at mid-exposure."""
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self.model, self.data = model, data
+        self.groups = np.ones(6, dtype=np.uint8)
+        self.groups[UNSEEN_GROUP] = 0
+
+    def look(self, origin: Array, directions: Array) -> tuple[Array, Array]:
+        """Return how far (n,) one sees from ``origin`` (3,) along unit ``directions`` (n, 3) [m], inf: without end;
+        and which geom (n,) ends it, or -1.
+        """
+        n = len(directions)
+        met, far = np.full(n, -1, dtype=np.int32), np.zeros(n)
+        rays = np.ascontiguousarray(directions, dtype=float).reshape(-1)
+        if n:
+            mujoco.mj_multiRay(
+                self.model, self.data, np.ascontiguousarray(origin, dtype=float), rays, self.groups, 1, -1, met, far,
+                None, n, mujoco.mjMAXVAL,
+            )  # fmt: skip
+        return np.where(met >= 0, far, np.inf), met
+
+
+def mirrored(
+    mirror: Mirror,
+    targets: TargetsInWorld,
+    signal_e: float,
+    position: Array,
+    rotation: Array,
+    rays: SceneRays,
+    figures: int = 0,
+) -> TargetsInCamera:
+    """Return the mirror images that a camera sees, in its frame; those that it does not see at all are left out.
+
+    ``position`` (K, 3), ``rotation`` (K, 3, 3) camera -> world at the window's nodes. Light that the camera itself
+    has sent (to retroreflective targets) goes by the mirror twice. A figure's image wears the figure numbered
+    ``figures`` (how many there are) higher: see ``with_mirrored``. The renderer must draw images without occluders:
+    what hides them is judged here, and geoms behind the mirror do not stand before them.
+    """
+    middle = len(position) // 2
+    share = seen_share(mirror, targets, position[middle], rays)
+    chosen = np.flatnonzero(share > 0.0)
+    seen = some(targets, chosen)
+    # the light is what the camera's image would see; the image is what the camera sees of the flipped targets
+    eye, look = mirror.image(position), mirror.flip @ rotation
+    passes = np.where(seen.glows.kind == RETRO, 2, 1)
+    through_image = in_camera(seen, signal_e, eye, look, share[chosen] * mirror.reflectance**passes)
+    # a reflection of axes is a rotation once the second axis is turned round (and the figure with it)
+    turn = through_image.turn * np.array([1.0, -1.0, 1.0])
+    figure = np.where(seen.figure >= 0, seen.figure + figures, -1)
+    return replace(through_image, turn=np.ascontiguousarray(turn), figure=figure)
+
+
+def seen_share(mirror: Mirror, targets: TargetsInWorld, eye: Array, rays: SceneRays) -> Array:
+    """Return the share (m,) of each target's disc that is seen from ``eye`` (3,) by way of the mirror."""
+    x_axis, y_axis, normal = mirror.axes
+    center = np.array(mirror.center_m)
+    share = np.zeros(len(targets))
+    eye_height = float((eye - center) @ normal)
+    if eye_height <= 0.0:
+        return share
+    image_eye = mirror.image(eye)
+    middle = targets.path.shape[1] // 2
+    before = np.flatnonzero((targets.path[:, middle] - center) @ normal > targets.radius)
+    points = _discs(targets, before, image_eye)
+    lines = points - image_eye
+    crossing = image_eye + lines * (eye_height / (lines @ normal))[..., None]
+    inside = (np.abs((crossing - center) @ x_axis) <= mirror.size_m[0] / 2) & (
+        np.abs((crossing - center) @ y_axis) <= mirror.size_m[1] / 2
+    )
+    at, ends, owner = crossing[inside], points[inside], before[np.nonzero(inside)[0]]
+    to_mirror = np.linalg.norm(at - eye, axis=1)
+    slack = THICKNESS_M * to_mirror / eye_height
+    far, _met = rays.look(eye, (at - eye) / to_mirror[:, None])
+    free = far > to_mirror - slack
+    # the way on, looked at by the camera's image: what it meets behind the mirror is not in the way
+    to_end = np.linalg.norm(ends - image_eye, axis=1)
+    way = (ends - image_eye) / to_end[:, None]
+    far, met = rays.look(image_eye, way)
+    for k in np.flatnonzero(free & (far < to_mirror + slack)):
+        start = to_mirror[k] + slack[k]
+        beyond, geom = rays.look(image_eye + start * way[k], way[k : k + 1])
+        far[k], met[k] = start + beyond[0], geom[0]
+    own = (met >= 0) & (met == targets.geom[owner])
+    free &= own | (far > to_end - targets.radius[owner] - 1e-6)
+    return np.bincount(owner[free], minlength=len(targets)) / len(_DISC)
+
+
+def with_mirrored(figures: Sequence[Figure]) -> tuple[Figure, ...]:
+    """Return ``figures`` followed by their mirror images (y turned round): what images in mirrors wear."""
+    return (*figures, *(_mirrored_figure(f) for f in figures))
+
+
+def _mirrored_figure(figure: Figure) -> Figure:
+    """Contours run backwards, so that the inside stays on their left."""
+    old = figure.pieces[::-1]
+    new = old.copy()
+    line = old[:, 0] == LINE
+    new[line, 1], new[line, 3] = old[line, 3], old[line, 1]
+    new[line, 2], new[line, 4] = -old[line, 4], -old[line, 2]
+    new[~line, 2] = -old[~line, 2]
+    new[~line, 4], new[~line, 5] = -old[~line, 5], -old[~line, 4]
+    return replace(figure, pieces=new)
+
+
+def _discs(targets: TargetsInWorld, chosen: Array, eye: Array) -> Array:
+    """Return points (n, 19, 3) spread evenly over the discs that ``eye`` sees of the ``chosen`` targets."""
+    middle = targets.path.shape[1] // 2
+    centers, turn = targets.path[chosen, middle], targets.turn[chosen, middle]
+    # a ball's disc lies across the line of sight, a flat target's is its own
+    towards = eye - centers
+    aside = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards), axis=1)])
+    aside /= np.linalg.norm(aside, axis=1, keepdims=True)
+    over = np.cross(towards / np.linalg.norm(towards, axis=1, keepdims=True), aside)
+    ball = (targets.shape[chosen] == BALL)[:, None]
+    x, y = np.where(ball, aside, turn[:, :, 0]), np.where(ball, over, turn[:, :, 1])
+    spread = _DISC[:, :1] * x[:, None] + _DISC[:, 1:] * y[:, None]
+    return np.asarray(centers[:, None] + targets.radius[chosen, None, None] * spread)

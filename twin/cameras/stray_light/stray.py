@@ -1,0 +1,99 @@
+"""Surroundings: light on the images that no target of the scene sends straight to the camera.
+
+Ring lights of other cameras, shiny spots and mirror images are targets like others: bright bodies in front of the
+camera, integrated by the same renderer. They never enter the truth. What lies over the whole image, context and
+glare, is light on pixels (``context``, ``stray_glare``).
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from twin.cameras.render.occluders import Occluders
+from twin.cameras.render.render import TargetsInCamera
+from twin.cameras.stray_light.context_image import Context
+from twin.cameras.stray_light.glare import Glare
+from twin.cameras.stray_light.mirror import Mirror, SceneRays, mirrored
+from twin.cameras.stray_light.world import (
+    Heads,
+    RingLight,
+    ShinySpot,
+    TargetsInWorld,
+    in_camera,
+    joined,
+    ring_lights,
+    shiny_spots,
+)
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What surrounds a rig and its subject; the default is nothing.
+
+    ``context``: scene and body in the images, or none; ``ring_light``: what cameras see of each other's lights, or
+    nothing; ``spots``: shiny spots; ``mirrors``; ``glare`` of the lenses.
+    """
+
+    context: Context | None = None
+    ring_light: RingLight | None = None
+    spots: tuple[ShinySpot, ...] = ()
+    mirrors: tuple[Mirror, ...] = ()
+    glare: Glare = field(default_factory=Glare)
+
+    @property
+    def has_targets(self) -> bool:
+        """Whether ``stray_targets`` has anything to give."""
+        return self.ring_light is not None or bool(self.spots) or bool(self.mirrors)
+
+
+@dataclass(frozen=True, eq=False)
+class Stray:
+    """Stray light as targets: ``direct``, which the scene hides like its own (the renderer judges it), and
+    ``mirrored``, to be rendered without occluders (what hides mirror images is judged already).
+    """
+
+    direct: TargetsInCamera
+    mirrored: TargetsInCamera
+
+
+def stray_targets(
+    surroundings: Surroundings,
+    *,
+    camera: int,
+    heads: Heads,
+    targets: TargetsInWorld,
+    signal_e: float,
+    rays: SceneRays,
+    figures: int = 0,
+) -> Stray:
+    """Return the stray light on camera number ``camera`` of ``heads`` in one exposure.
+
+    ``targets``: the scene's own, for the mirrors; ``signal_e``: electrons of a pixel covered by a marker; ``rays``:
+    the scene at mid-exposure; ``figures``: how many figures the scene has. In a mirror a camera sees its own ring
+    light too.
+    """
+    position, rotation = heads.position[camera], heads.rotation[camera]
+    nodes = len(position)
+    lights = surroundings.ring_light or RingLight()
+    everyone = range(len(heads.position)) if surroundings.ring_light is not None else range(0)
+    others = ring_lights(lights, heads, [c for c in everyone if c != camera])
+    spots = shiny_spots(surroundings.spots, position[nodes // 2], nodes)
+    direct = [in_camera(part, signal_e, position, rotation) for part in (others, spots)]
+    images = [in_camera(_none(nodes), signal_e, position, rotation)]
+    for mirror in surroundings.mirrors:
+        seen_in_it = shiny_spots(surroundings.spots, mirror.image(position[nodes // 2]), nodes)
+        for part in (targets, ring_lights(lights, heads, list(everyone)), seen_in_it):
+            images.append(mirrored(mirror, part, signal_e, position, rotation, rays, figures))
+    return Stray(joined(*direct), joined(*images))
+
+
+def unhidden(nodes: int) -> tuple[Occluders, Array, Array]:
+    """Return the renderer's ``occluders``, ``geom_xyz`` and ``geom_turn`` where nothing hides anything."""
+    none, size = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+    occluders = Occluders(none, none, size, none, none, np.zeros(0))
+    return occluders, np.zeros((nodes, 0, 3)), np.zeros((nodes, 0, 3, 3))
+
+
+def _none(nodes: int) -> TargetsInWorld:
+    return shiny_spots((), np.zeros(3), nodes)

@@ -1,0 +1,157 @@
+"""Markers on a user's own model: their table, and seating them on the model's surfaces with trimesh."""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+import trimesh
+from pydantic import Field
+
+from mosca.data.arrays import Array
+from mosca.data.files.toml import Table, check, read_toml
+from mosca.errors import InputError
+from twin.scenes.scene import MARKER_GROUP, UNSEEN_GROUP
+from twin.scenes.world import add_ball_marker, add_flat_target
+
+_TIE_M = 1e-6
+_SPHERE_SUBDIVISIONS = 5  # faces 0.02 of the radius long: a marker's place is that coarse on round shapes
+
+
+class OwnMarker(Table):
+    """A row of the marker table; x, y, z [m] in the body's axes need only be near the surface."""
+
+    name: str = Field(min_length=1)
+    body: str = Field(min_length=1)
+    x: float
+    y: float
+    z: float
+    diameter: float = Field(default=0.016, gt=0, lt=1)
+    kind: Literal["ball", "flat"] = "ball"
+
+
+class _MarkerFile(Table):
+    marker: tuple[OwnMarker, ...]
+
+
+def read_marker_table(path: Path) -> tuple[OwnMarker, ...]:
+    """Return the markers in ``path``: a CSV with a header, or a TOML with one [[marker]] each.
+
+    Columns or keys: name, body, x, y, z, and optionally diameter (0.016 m) and kind (ball | flat).
+    Raises InputError naming file, row and value.
+    """
+    if path.suffix.lower() == ".toml":
+        markers = check(_MarkerFile, read_toml(path), path).marker
+    else:
+        markers = tuple(check(OwnMarker, row, f"{path}: row {k}") for k, row in enumerate(_rows(path), 2))
+    names = [marker.name for marker in markers]
+    doubles = sorted({name for name in names if names.count(name) > 1})
+    if not markers or doubles:
+        what = (
+            f"marker name '{doubles[0]}' is used twice; names must differ"
+            if doubles
+            else "no markers; add some"
+        )
+        raise InputError(f"{path}: {what}")
+    return markers
+
+
+def _rows(path: Path) -> list[dict[str, Any]]:
+    try:
+        lines = path.read_bytes().decode("utf-8-sig").splitlines()
+        rows = list(csv.DictReader(lines, strict=True, skipinitialspace=True))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file; a marker table (CSV or TOML) is wanted") from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: cannot be read as a CSV table: {error}") from None
+    for k, row in enumerate(rows, 2):
+        if None in row or None in row.values():
+            raise InputError(f"{path}: row {k} has not as many cells as the header; fill it up")
+    # An empty cell stands for the default.
+    return [{key: cell.strip() for key, cell in row.items() if cell.strip()} for row in rows]
+
+
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """What a compiled model's bodies look like: triangle meshes in each body's axes."""
+
+    meshes: dict[str, trimesh.Trimesh]
+
+    def nearest(self, body: str, point: Array) -> tuple[Array, Array]:
+        """Return the surface point (3,) of ``body`` nearest to ``point`` (3,) and its outward normal (3,).
+
+        On an edge or a corner the normal is the mean of the faces that meet there.
+        """
+        mesh = self.meshes[body]
+        near = trimesh.triangles.closest_point(mesh.triangles, np.broadcast_to(point, (len(mesh.faces), 3)))
+        distance = np.linalg.norm(near - point, axis=1)
+        best = int(np.argmin(distance))
+        meeting = np.linalg.norm(near - near[best], axis=1) < _TIE_M
+        normal = mesh.face_normals[meeting].mean(axis=0)
+        if np.linalg.norm(normal) < 1e-3:  # both faces of a sheet
+            normal = mesh.face_normals[best]
+        return near[best], normal / np.linalg.norm(normal)
+
+
+def surfaces_of(model: mujoco.MjModel) -> Surfaces:
+    """Return the seen surfaces of all bodies of ``model`` (planes, height fields and markers left out)."""
+    meshes: dict[str, trimesh.Trimesh] = {}
+    for body in range(model.nbody):
+        parts = [
+            part
+            for g in np.nonzero(model.geom_bodyid == body)[0]
+            if model.geom_group[g] not in (MARKER_GROUP, UNSEEN_GROUP)
+            and (part := _geom_mesh(model, int(g))) is not None
+        ]
+        if parts:
+            corners = np.concatenate([part.triangles for part in parts]).reshape(-1, 3)
+            faces = np.arange(len(corners)).reshape(-1, 3)
+            meshes[model.body(body).name] = trimesh.Trimesh(corners, faces, process=False)
+    return Surfaces(meshes)
+
+
+def seat_markers(spec: mujoco.MjSpec, surfaces: Surfaces, markers: Sequence[OwnMarker], source: Path) -> None:
+    """Add ``markers`` to the bodies of ``spec``, each on the surface nearest to the point in its row."""
+    for marker in markers:
+        if marker.body not in surfaces.meshes:
+            known = ", ".join(sorted(surfaces.meshes)) or "none"
+            raise InputError(
+                f"{source}: marker '{marker.name}': body '{marker.body}' given; bodies with a surface: {known}"
+            )
+        surface, normal = surfaces.nearest(marker.body, np.array([marker.x, marker.y, marker.z]))
+        add = add_flat_target if marker.kind == "flat" else add_ball_marker
+        add(spec.body(marker.body), marker.name, surface, normal, marker.diameter)
+
+
+def _geom_mesh(model: mujoco.MjModel, geom: int) -> trimesh.Trimesh | None:
+    """Return the geom as a triangle mesh in its body's axes; None for what has no closed surface here."""
+    kinds = mujoco.mjtGeom
+    kind, size = kinds(int(model.geom_type[geom])), model.geom_size[geom]
+    if kind == kinds.mjGEOM_MESH:
+        data = int(model.geom_dataid[geom])
+        v, f = int(model.mesh_vertadr[data]), int(model.mesh_faceadr[data])
+        mesh = trimesh.Trimesh(
+            model.mesh_vert[v : v + model.mesh_vertnum[data]].astype(np.float64),
+            model.mesh_face[f : f + model.mesh_facenum[data]],
+        )
+        if mesh.is_watertight and mesh.volume < 0:
+            mesh.invert()
+    elif kind in (kinds.mjGEOM_SPHERE, kinds.mjGEOM_ELLIPSOID):
+        mesh = trimesh.creation.icosphere(subdivisions=_SPHERE_SUBDIVISIONS, radius=1.0)
+        mesh.apply_scale(size if kind == kinds.mjGEOM_ELLIPSOID else np.full(3, size[0]))
+    elif kind == kinds.mjGEOM_BOX:
+        mesh = trimesh.creation.box(extents=2 * size)
+    elif kind == kinds.mjGEOM_CYLINDER:
+        mesh = trimesh.creation.cylinder(radius=size[0], height=2 * size[1], sections=256)
+    elif kind == kinds.mjGEOM_CAPSULE:
+        mesh = trimesh.creation.capsule(radius=size[0], height=2 * size[1], count=[128, 128])
+        mesh.apply_translation(-mesh.bounds.mean(axis=0))
+    else:
+        return None
+    pose, rotation = np.eye(4), np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, model.geom_quat[geom])
+    pose[:3, :3], pose[:3, 3] = rotation.reshape(3, 3), model.geom_pos[geom]
+    return mesh.apply_transform(pose)
