@@ -15,10 +15,4 @@ Conventions, said once and kept in every room:
 - One seed a run, split into named streams; no global random state.
 """
 
-from pathlib import Path
-
-from mosca.numba_support.cache import keep_kernels_fresh
-
 __version__ = "0.1.0"
-
-keep_kernels_fresh(Path(__file__).resolve().parent.parent)

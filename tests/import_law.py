@@ -32,8 +32,9 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     ),
     # a printable sheet is a drawing: PDF and SVG come from the plot library
     "mosca.formats.sheets.target_sheet": (("mosca",), ("mosca.data.truth",), ("numpy", "matplotlib")),
+    # the twin shares with the pipeline how code is compiled, and no formula
     "twin": (
-        ("twin", "mosca.data", "mosca.errors"),
+        ("twin", "mosca.data", "mosca.errors", "mosca.numba_support.decorators"),
         (),
         ("mujoco", "trimesh", "numpy", "scipy", "numba", "cv2", "pydantic"),
     ),

@@ -5,10 +5,10 @@ pixels), so that the dark part of an image, nearly all of it, costs a look at ei
 """
 
 import cv2
-import numba
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.numba_support.decorators import kernel, step
 
 NEIGHBOURHOOD_PX = 15
 COUNT, SUM_X, SUM_Y, SUM_XX, SUM_XY, SUM_YY, LEFT, RIGHT, TOP, BOTTOM = range(10)
@@ -33,7 +33,7 @@ def bright_patches(image: Array, contrast_dn: float, noise_dn: float) -> Array:
     return patch_sums(flat, flat.view(np.uint64), image.shape[1])
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def patch_sums(flat: Array, words: Array, width: int) -> Array:
     """Return the table of ``bright_patches`` from the pixels of an image row by row, as bytes and as words of 8."""
     n, end = 0, -1
@@ -88,13 +88,13 @@ def patch_sums(flat: Array, words: Array, width: int) -> Array:
     return sums
 
 
-@numba.njit(nogil=True, error_model="numpy")
+@step
 def squares_to(n: int) -> int:
     """Return 1 + 4 + ... + n^2."""
     return n * (n + 1) * (2 * n + 1) // 6
 
 
-@numba.njit(nogil=True, error_model="numpy")
+@step
 def root(parent: Array, k: int) -> int:
     """Return the first run of the patch of run ``k``, shortening the way there."""
     while parent[k] != k:

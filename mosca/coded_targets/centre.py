@@ -34,12 +34,11 @@ from mosca.coded_targets.dots import (
     Look,
     X,
     Y,
-    kernel,
     light_at,
-    step,
 )
 from mosca.coded_targets.ring_sampling import shading
 from mosca.data.arrays import Array, looked_at
+from mosca.numba_support.decorators import kernel, step
 
 FLAT_SHARE, FLAT_PX, FLATTEST_SHARE, WIDEST_FLAT = 1.45, 1.5, 0.5, 1.25
 """The window is flat up to ``FLAT_SHARE - FLAT_PX / s`` radii of the dot, s its shorter semi-axis [px]; limits."""

@@ -9,14 +9,12 @@ plate run counter-clockwise seen from the front: u = r (cos t, -sin t), since y 
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.numba_support.decorators import kernel, step
 
 # A kernel and all its steps stand in one file: numba keeps a cached kernel as long as its own file is unchanged.
-kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
-step = numba.njit(nogil=True, error_model="numpy")
 
 X, Y, AXX, AXY, AYY, GX, GY = range(7)
 FRAME = 7

@@ -6,15 +6,13 @@ Called by ``mosca.coded_targets.detect``, which tells the method, with what ``mo
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from mosca.coded_targets.dots import AXX, AXY, AYY, BANDS, COS, PER_SECTOR, SECTORS, SIN, STEPS, Look
 from mosca.data.arrays import Array
+from mosca.numba_support.decorators import kernel, step
 
 # A kernel and all its steps stand in one file: numba keeps a cached kernel as long as its own file is unchanged.
-kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
-step = numba.njit(nogil=True, error_model="numpy")
 
 WORD, START, MARGIN = range(3)
 

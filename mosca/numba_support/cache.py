@@ -1,101 +1,81 @@
-"""Where compiled kernels are kept: a folder for each state of the sources that went into them.
+"""Compiled kernels are kept until something changes that went into them.
 
-numba's own cache notices a change of a kernel's own file only, not of the functions and constants from other files
-that it has compiled in: after an update it would run old code. So the folder's name is made of all files that hold
-kernels and all that those import. A change elsewhere costs no compilation.
+Numba's own cache notices a change of a kernel's own file only, not of the functions and constants from other files
+that it has compiled in: after an update it would run old code. Here the stamp that Numba compares also covers all
+files of this project that the kernel's file imports, directly or not. Where the files lie is Numba's choice:
+``__pycache__`` beside the source, a user's cache folder, or ``NUMBA_CACHE_DIR``.
 """
 
-import ast
-import os
+import functools
+import hashlib
 import re
-import shutil
-import time
-import zlib
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-ROOMS = ("mosca", "twin")
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("mosca", "twin")
 """Packages that hold kernels."""
-KERNEL = re.compile(rb"\bnumba\b|^@\w*(njit|kernel)", re.MULTILINE)
-"""A file that holds kernels says so somewhere."""
-KEPT_DAYS = 14
-"""Folders of older states that nobody has used for so long are removed."""
+IMPORT = re.compile(
+    rb"^\s*(?:from\s+((?:%b)(?:\.\w+)*)\s+import\s+(\([^)]*\)|[^\n]*)|import\s+((?:%b)[\w.]*))"
+    % (("|".join(PACKAGES).encode(),) * 2),
+    re.MULTILINE,
+)
 
 
-def keep_kernels_fresh(root: Path) -> None:
-    """Point numba to the folder for the present state of the sources in ``root``, where one can be written.
+def kept(dispatcher: Any) -> Any:
+    """Return a Numba dispatcher that was made with ``cache=True``, with its stamp widened to what it imports.
 
-    Must come before numba is imported. A user's own ``NUMBA_CACHE_DIR`` is left alone.
+    The stamp is a private attribute of Numba's index file (0.61 to 0.68 have it); the alternative, subclasses of five
+    cache locators, touches more private names. ``tests/mosca/test_kernel_cache.py`` shows that it works.
     """
-    if "NUMBA_CACHE_DIR" in os.environ or not os.access(root, os.W_OK):
-        return
-    kept = root / ".kernels"
-    # reading all sources takes a tenth of a second: done once for each state of their sizes and times
-    note = kept / f"{_stamp(root):08x}.state"
-    try:
-        state = note.read_text(encoding="ascii")
-    except FileNotFoundError:
-        state = f"{kernel_state(root):08x}"
-        kept.mkdir(exist_ok=True)
-        _forget_old(kept, state)
-        # whole or not at all: another process may be reading
-        part = note.with_suffix(f".{os.getpid()}")
-        part.write_text(state, encoding="ascii")
-        part.replace(note)
-    os.environ["NUMBA_CACHE_DIR"] = str(kept / state)
+    index = dispatcher._cache._cache_file
+    index._source_stamp = (index._source_stamp, source_stamp(Path(dispatcher.py_func.__code__.co_filename)))
+    return dispatcher
 
 
-def kernel_state(root: Path) -> int:
-    """Return a checksum of all sources in ``root`` that compiled kernels can depend on."""
-    state = 0
-    for path in kernel_sources(root):
-        state = zlib.crc32(path.relative_to(root).as_posix().encode() + path.read_bytes(), state)
-    return state
+def is_compiled(dispatcher: Any) -> bool:
+    """Tell whether a kernel's code for this processor is kept and up to date."""
+    if dispatcher.signatures:
+        return True
+    from numba.core.registry import cpu_target
+
+    here = cpu_target.target_context.codegen().magic_tuple()
+    return any(here in key for key in dispatcher._cache._cache_file._load_index())
 
 
-def kernel_sources(root: Path) -> list[Path]:
-    """Return the files with kernels and all files that they import, directly or not, in order of their names."""
-    text = {path: path.read_bytes() for path in _sources(root)}
-    wanted = [path for path, content in text.items() if KERNEL.search(content)]
-    found = set(wanted)
+def source_stamp(path: Path, root: Path = ROOT) -> str:
+    """Return a digest of a source file and of all files below ``root`` that it imports, directly or not."""
+    digest = hashlib.sha256()
+    for source in sources(path, root):
+        digest.update(source.name.encode() + _read(source)[0])
+    return digest.hexdigest()
+
+
+def sources(path: Path, root: Path = ROOT) -> list[Path]:
+    """Return a source file and the files below ``root`` that it imports, directly or not, in order of their names."""
+    found, wanted = {path}, [path]
     while wanted:
-        for module in _imported(text[wanted.pop()]):
+        for module in _read(wanted.pop())[1]:
             stem = root.joinpath(*module.split("."))
-            for path in (stem.with_suffix(".py"), stem / "__init__.py"):
-                if path in text and path not in found:
-                    found.add(path)
-                    wanted.append(path)
+            for file in (stem.with_suffix(".py"), stem / "__init__.py"):
+                if file not in found and _is_file(file):
+                    found.add(file)
+                    wanted.append(file)
     return sorted(found)
 
 
-def _imported(source: bytes) -> Iterator[str]:
-    """Yield the names of what a source imports; of ``from a import b`` both ``a`` and ``a.b``."""
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import):
-            yield from (one.name for one in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module is not None:
-            yield node.module
-            yield from (f"{node.module}.{one.name}" for one in node.names)
+@functools.cache
+def _read(path: Path) -> tuple[bytes, tuple[str, ...]]:
+    """Return a file's text and the names of what it imports; of ``from a import b`` both ``a`` and ``a.b``."""
+    text = path.read_bytes()
+    names = []
+    for package, members, module in IMPORT.findall(text):
+        names.append((package or module).decode())
+        names += [
+            f"{package.decode()}.{m.split()[0]}" for m in members.decode().strip("()").split(",") if m.split()
+        ]
+    return text, tuple(names)
 
 
-def _sources(root: Path) -> list[Path]:
-    return [path for room in ROOMS for path in sorted((root / room).rglob("*.py"))]
-
-
-def _stamp(root: Path) -> int:
-    state = 0
-    for path in _sources(root):
-        told = path.stat()
-        state = zlib.crc32(f"{path.name}{told.st_size}{told.st_mtime_ns}".encode(), state)
-    return state
-
-
-def _forget_old(kept: Path, state: str) -> None:
-    """Remove what was kept for states other than ``state`` that nobody has compiled for in a while."""
-    oldest = time.time() - KEPT_DAYS * 86400
-    for path in kept.iterdir():
-        try:
-            if path.name != state and path.stat().st_mtime < oldest:
-                shutil.rmtree(path) if path.is_dir() else path.unlink()
-        except FileNotFoundError:
-            continue  # another process tidies up at the same time
+_is_file: Callable[[Path], bool] = functools.cache(Path.is_file)

@@ -1,30 +1,47 @@
 """How numerical code is compiled: kernels, which Python calls, and steps, which only kernels call.
 
-Bare steps. Whoever is handed an array counts as one of its users while it works, by two locked operations of the
-processor: for a step of a few dozen operations on six arrays that is more than the step itself (half of the time that
-matching took). A bare step does not count. It may so neither make an array nor return one, of which Numba says the
-first when it compiles and ``tests/test_compiled.py`` the second; its caller holds what it works on.
+All are free of exceptions for divisions by zero (``error_model="numpy"``). Kernels are kept compiled
+(``mosca.numba_support.cache``).
+
+Reference counts. Passing an array to a compiled function costs two atomic reference-count updates (Numba's NRT). In
+steps of a few dozen operations on six arrays that was half of the time of matching and a third of rendering. A
+``bare_step`` is compiled with Numba's private flag ``_nrt=False``: it must neither allocate nor return arrays, and it
+must not take an array from a step that allocates one. Numba refuses the first; ``tests/test_compiled.py`` the others.
 """
 
 from typing import Any
 
 import numba
 
-_UNWRAPPED: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-ALONE: dict[str, Any] = {"_nrt": True, **_UNWRAPPED}
-"""For what only kernels call: without what Python would need, which takes a tenth of the time to compile. Counting is
-said, too: unsaid, it would be as in the bare step that happens to call it first."""
-BARE: dict[str, Any] = {"_nrt": False, **_UNWRAPPED}
-"""For what only kernels call and makes and returns no arrays: nobody counts the users of those it is given."""
-STEP: dict[str, Any] = {"nogil": True, "error_model": "numpy", **ALONE}
+from mosca.numba_support.cache import kept
 
-kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
-"""Called by Python, free of the GIL, kept compiled (``mosca.numba_support.cache``)."""
-short_kernel = numba.njit(cache=True, error_model="numpy")
+FastMath = bool | set[str]
+
+_COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+_ONLY_COMPILED: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""Without the wrappers that Python would need, which take a tenth of the time to compile."""
+
+
+def _decorator(cached: bool, **options: Any) -> Any:
+    def decorate(function: Any = None, *, fastmath: FastMath = False) -> Any:
+        if function is None:
+            return lambda f: decorate(f, fastmath=fastmath)
+        compiled = numba.njit(cache=cached, fastmath=fastmath, **{**_COMMON, **options})(function)
+        return kept(compiled) if cached else compiled
+
+    return decorate
+
+
+kernel = _decorator(True)
+"""Called by Python, free of the GIL, kept compiled."""
+short_kernel = _decorator(True, nogil=False)
 """As ``kernel``, but keeps the GIL: to win it back from another thread would take longer than what is done."""
-step = numba.njit(**STEP)
-"""Compiled into the kernels that call it; Python must not."""
-bare_step = numba.njit(**{**STEP, **BARE})
-"""As ``step``, bare."""
-inlined_step = numba.njit(forceinline=True, **{**STEP, **BARE})
-"""A bare step that is compiled into each that calls it: to hand its many arrays over costs more than what it does."""
+step = _decorator(False, _nrt=True, **_ONLY_COMPILED)
+"""Compiled into the kernels that call it; Python must not. Reference counting is asked for: left open, it would be as
+in the bare step that happens to call it first."""
+bare_step = _decorator(False, _nrt=False, **_ONLY_COMPILED)
+"""As ``step``, without reference counting."""
+inlined_step = _decorator(False, _nrt=False, forceinline=True, **_ONLY_COMPILED)
+"""A bare step that is compiled into each that calls it: to pass its many arguments costs more than what it does."""
+callable_bare_step = _decorator(False, _nrt=False)
+"""As ``bare_step``; Python may call it too, as tests do."""

@@ -1,12 +1,7 @@
-"""Images where they lie in memory, and 64 pixels of them at a time, for compiled kernels.
-
-Kernels in other files compile this in, and Numba keeps a cached kernel as long as *its own* file is unchanged:
-after a change here, remove the ``__pycache__`` folder beside this file.
-"""
+"""Images where they lie in memory, and 64 pixels of them at a time, for compiled kernels."""
 
 from typing import Any
 
-import numba
 import numpy as np
 from numba import carray  # type: ignore[attr-defined]
 from numba.core import cgutils, types
@@ -14,7 +9,7 @@ from numba.core.cgutils import ir  # type: ignore[attr-defined]
 from numba.extending import intrinsic
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import ALONE
+from mosca.numba_support.decorators import step
 
 
 @intrinsic
@@ -105,7 +100,7 @@ def prefetch(_context: Any, address: Any) -> Any:
     return types.void(types.uint64), code
 
 
-@numba.njit(nogil=True, **ALONE)
+@step
 def image_at(address: np.uint64, like: Array, height: int, width: int) -> Array:
     """Return the image (H, W) of the type of ``like`` that lies in memory at ``address``, row after row.
 

@@ -9,19 +9,17 @@ verified by all markers (hypothesise and verify; Fischler and Bolles 1981, exhau
 import math
 
 import numpy as np
-from numba import njit
 
-from mosca.numba_support.decorators import ALONE
+from mosca.numba_support.decorators import kernel, step
 
 STEPS = 6
 SETTLED = 1e-11
 SINGULAR = 1e-10
 JACOBI_SWEEPS = 12
 MOST_HYPOTHESES = 20000
-step = njit(nogil=True, **ALONE)
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def fit_pose(place, xyz, covariance, sigma2, rotation, translation, spread, chi2):  # type: ignore[no-untyped-def]
     """Fit x_world = R place + t to points; fills R (3, 3), t (3,), covariance (6, 6) and chi2 (k,) of each point.
 
@@ -248,7 +246,7 @@ def _solve(factor, b):  # type: ignore[no-untyped-def]
         b[i] /= factor[i, i]
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def claim(place, rotation, translation, xyz, free, gate2, rows):  # type: ignore[no-untyped-def]
     """Give each marker the free point nearest to where it should be; fills rows (m,), -1 for none.
 
@@ -287,7 +285,7 @@ def claim(place, rotation, translation, xyz, free, gate2, rows):  # type: ignore
     return count
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def find(place, triples, xyz, covariance, free, sigma2, slack2, sigmas, apart, rows, score):  # type: ignore[no-untyped-def]
     """Look for a constellation; fills rows (2, m) and score (2, 2) of the two best poses that are not the same.
 

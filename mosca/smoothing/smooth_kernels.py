@@ -5,11 +5,9 @@ covariance, so that instants without a measurement are only steps without a corr
 multiplied in loops: a library's call costs more, and is slow to compile.
 """
 
-import numba
 import numpy as np
 
-kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
-step = numba.njit(nogil=True, error_model="numpy")
+from mosca.numba_support.decorators import kernel, step
 
 
 @kernel

@@ -5,13 +5,10 @@ what is used is kept: each earlier position's own 3 x 3 and its 3 x 9 with the n
 measurements, this equals any other smoother of the same model.
 """
 
-import numba
 import numpy as np
 
+from mosca.numba_support.decorators import kernel, step
 from mosca.smoothing.smooth_kernels import carry, carry_both, correct, invert3
-
-kernel = numba.njit(nogil=True, cache=True, error_model="numpy")
-step = numba.njit(nogil=True, error_model="numpy")
 
 
 @kernel

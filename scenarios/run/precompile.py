@@ -1,6 +1,5 @@
 """The first run after an installation or an update compiles kernels: the twin's and the pipeline's side by side."""
 
-import os
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -39,8 +38,12 @@ def compile_beforehand() -> None:
 @contextmanager
 def compiling(programs: Sequence[tuple[str, ...]]) -> Iterator[None]:
     """Run programs that compile, where no kernels are kept yet, while the block runs; leave it when they are done."""
-    kept = os.environ.get("NUMBA_CACHE_DIR")
-    if kept is None or any(Path(kept).rglob("threshold_regions.*.nbi")):
+    from mosca.correspondence.candidates import search
+    from mosca.detection.frame_set_kernel import look_at_set
+    from mosca.numba_support.cache import is_compiled
+    from twin.cameras.render.target import render_all
+
+    if all(map(is_compiled, (look_at_set, search, render_all))):
         yield
         return
     quiet = subprocess.DEVNULL

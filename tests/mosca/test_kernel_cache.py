@@ -1,6 +1,5 @@
-"""Compiled kernels are kept as long as nothing changed that went into them, and no longer."""
+"""Compiled kernels are kept until something changes that went into them, and no longer."""
 
-import importlib
 import os
 import subprocess
 import sys
@@ -8,100 +7,84 @@ from pathlib import Path
 
 import pytest
 
-from mosca.numba_support.cache import KEPT_DAYS, keep_kernels_fresh, kernel_sources, kernel_state
+from mosca.numba_support.cache import ROOT, sources
 
-ROOT = Path(__file__).resolve().parents[2]
+FAST = """
+from mosca.numba_support.decorators import kernel
+from mosca import numbers
+
+@kernel
+def f():
+    return numbers.TWO
+"""
+PROGRAM = """
+import sys
+sys.path[:0] = [sys.argv[1]]
+import mosca.fast as fast
+from mosca.numba_support.cache import is_compiled
+kept = is_compiled(fast.f)
+print(kept, fast.f(), is_compiled(fast.f))
+"""
 
 
 @pytest.fixture
-def sources(tmp_path: Path) -> Path:
+def project(tmp_path: Path) -> Path:
     """A package with a kernel, a constant that it compiles in, and a file that has nothing to do with it."""
-    room = tmp_path / "mosca"
-    room.mkdir()
-    (room / "__init__.py").write_text("")
-    (room / "fast.py").write_text(
-        "from numba import njit\nfrom mosca import numbers\n\n@njit\ndef f():\n    return numbers.TWO\n"
-    )
-    (room / "numbers.py").write_text("from mosca.deep import TWO\n")
-    (room / "deep.py").write_text("TWO = 2\n")
-    (room / "prose.py").write_text("import mosca.fast\n")
+    package = tmp_path / "mosca"
+    support = package / "numba_support"
+    support.mkdir(parents=True)
+    for name in ("__init__", "cache", "decorators"):
+        text = (ROOT / "mosca" / "numba_support" / f"{name}.py").read_text(encoding="utf-8")
+        (support / f"{name}.py").write_text(text, encoding="utf-8")
+    (package / "__init__.py").write_text("")
+    (package / "fast.py").write_text(FAST)
+    (package / "numbers.py").write_text("from mosca.deep import (\n    ONE,\n    TWO,\n)\n")
+    (package / "deep.py").write_text("ONE, TWO = 1, 2\n")
+    (package / "prose.py").write_text("import mosca.fast\n")
     return tmp_path
 
 
-@pytest.mark.parametrize(
-    ("name", "matters"), [("fast", True), ("numbers", True), ("deep", True), ("prose", False)]
-)
-def test_a_change_matters_where_a_kernel_can_have_compiled_it_in(
-    sources: Path, name: str, matters: bool
-) -> None:
-    before = kernel_state(sources)
-    path = sources / "mosca" / f"{name}.py"
-    path.write_text(path.read_text() + "# changed\n")
-    assert (kernel_state(sources) != before) == matters
+def run(project: Path) -> list[str]:
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(project)], capture_output=True, text=True, check=True, cwd=project
+    )
+    return done.stdout.split()
 
 
-def test_each_compiled_function_of_the_product_is_in_the_state() -> None:
-    """Whatever numba compiles, found by looking at every module and not by how its source is written."""
-    known = set(kernel_sources(ROOT))
-    missed = []
-    for path in (p for room in ("mosca", "twin") for p in (ROOT / room).rglob("*.py")):
-        if path.stem in ("__init__", "__main__", "warm"):
-            continue
-        module = importlib.import_module(".".join(path.relative_to(ROOT).with_suffix("").parts))
-        for thing in vars(module).values():
-            if type(thing).__name__ == "CPUDispatcher":
-                file = Path(thing.py_func.__code__.co_filename)
-                if file.is_file() and ROOT in file.parents and file not in known:
-                    missed.append(f"{file}: {thing.__name__}")
-    assert not missed
+def test_a_kernel_is_kept_until_something_changes_that_it_has_compiled_in(project: Path) -> None:
+    assert run(project) == ["False", "2", "True"]
+    assert run(project) == ["True", "2", "True"]
+    (project / "mosca" / "prose.py").write_text("import mosca.fast  # changed\n")
+    assert run(project) == ["True", "2", "True"]
+    # two imports away: Numba alone would answer with the old constant
+    (project / "mosca" / "deep.py").write_text("ONE, TWO = 1, 22\n")
+    assert run(project) == ["False", "22", "True"]
 
 
-def test_the_folder_is_the_same_after_a_change_elsewhere(
-    sources: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    chosen = []
-    for name in ("", "prose", "deep"):
-        if name:
-            path = sources / "mosca" / f"{name}.py"
-            path.write_text(path.read_text() + "# changed\n")
-        monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-        keep_kernels_fresh(sources)
-        chosen.append(os.environ["NUMBA_CACHE_DIR"])
-    assert chosen[0] == chosen[1] != chosen[2]
+def test_what_a_file_imports_is_followed_through_every_way_to_write_it(tmp_path: Path) -> None:
+    package = tmp_path / "mosca"
+    package.mkdir()
+    for name, text in {
+        "__init__": "",
+        "a": "from mosca import b, c as other\nimport mosca.d\n",
+        "b": "def f():\n    from mosca.e import (\n        X,\n    )\n",
+        "c": "import numpy\n",
+        "d": "",
+        "e": "",
+        "left_out": "",
+    }.items():
+        (package / f"{name}.py").write_text(text)
+    assert [p.stem for p in sources(package / "a.py", tmp_path)] == ["__init__", *"abcde"]
 
 
-def test_old_states_are_forgotten_but_not_young_ones_nor_the_present(
-    sources: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
-    old, young = sources / ".kernels" / "0000aaaa", sources / ".kernels" / "0000bbbb"
-    present = sources / ".kernels" / f"{kernel_state(sources):08x}"
-    for folder in (old, young, present):
-        folder.mkdir(parents=True)
-        (folder / "f.nbi").touch()
-    long_ago = old.stat().st_mtime - (KEPT_DAYS + 1) * 86400
-    for folder in (old, present):
-        os.utime(folder, (long_ago, long_ago))
-    keep_kernels_fresh(sources)
-    assert not old.exists()
-    assert young.exists()
-    assert present.exists()
-
-
-def test_a_folder_of_the_users_own_is_left_alone(sources: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("NUMBA_CACHE_DIR", "mine")
-    keep_kernels_fresh(sources)
-    assert os.environ["NUMBA_CACHE_DIR"] == "mine"
-    assert not (sources / ".kernels").exists()
-
-
-def test_it_is_set_before_numba_comes() -> None:
-    """numba reads the variable when it is imported: importing the package must set it, and not import numba."""
-    clean = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+def test_importing_the_package_changes_no_environment_and_imports_nothing_heavy() -> None:
     told = subprocess.run(
-        [sys.executable, "-c", "import sys, os, mosca; print('numba' in sys.modules, os.environ['NUMBA_CACHE_DIR'])"],
-        capture_output=True, text=True, check=True, env=clean, cwd=ROOT,
+        [
+            sys.executable,
+            "-c",
+            "import os; before = dict(os.environ); import sys, mosca;"
+            "print('numba' in sys.modules, 'numpy' in sys.modules, dict(os.environ) == before)",
+        ],
+        capture_output=True, text=True, check=True, env=os.environ, cwd=ROOT,
     ).stdout  # fmt: skip
-    assert told.startswith("False")
-    assert ".kernels" in told
+    assert told.split() == ["False", "False", "True"]

@@ -21,7 +21,6 @@ B is never formed: it is a sparse part and one of the rank of the cameras' unkno
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import SuperLU, splu
 
@@ -37,6 +36,7 @@ from mosca.calibration.bundle.problem import Problem
 from mosca.camera.projection import project_with_jacobians
 from mosca.data.arrays import Array
 from mosca.data.rig import principal_distances_px
+from mosca.numba_support.decorators import kernel
 
 FEWEST_POINTS = 4
 """Used points an image must have for its mean residual to say something of its shake."""
@@ -303,7 +303,7 @@ def _with_blocks(layout: Layout, image: Array, by_block: Array, images: int, ope
     return csr_array(found @ diags_array(np.where(open_, 0.0, 1.0))) if len(open_) else found
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@kernel(fastmath=FAST)
 def _sums(state, see, columns, index, image, z, slopes, by_block):  # type: ignore[no-untyped-def]
     """Add z^T w^2 J of each observation to its image's ``slopes`` (i, 2, u + 1) by the reduced system's unknowns, the
     last column taking what is held; write that of its block's unknowns to ``by_block`` (n, 2, 6).

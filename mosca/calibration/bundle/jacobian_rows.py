@@ -10,7 +10,8 @@ another. The formulas are those of ``kernels.observe`` and ``lenses``, for one p
 import numpy as np
 
 from mosca.calibration.bundle.kernels import LEAST_SQUARES, LENS, UNSEEN, weigh
-from mosca.calibration.bundle.lenses import FOLD, MODEL, OPENCV_PLAIN, L, fast_step, image
+from mosca.calibration.bundle.lenses import FAST, FOLD, MODEL, OPENCV_PLAIN, L, image
+from mosca.numba_support.decorators import step
 
 LANES, VECTOR = 64, 8
 """Image points of a strip, at most, and the number whose multiples the processor likes."""
@@ -22,7 +23,7 @@ V, SEEN, WEIGHT, THERE, E, A, LX, LY, BLOCK, OWN, ROOM = (
 )
 
 
-@fast_step
+@step(fastmath=FAST)
 def gather(state, see, m, count, lanes, work):  # type: ignore[no-untyped-def]
     """Write the direction of each point in the world from the camera, its pixel and its weight."""
     cameras, points, placements = state
@@ -44,7 +45,7 @@ def gather(state, see, m, count, lanes, work):  # type: ignore[no-untyped-def]
         work[WEIGHT + i] = weight[k] if i < count else 0.0
 
 
-@fast_step
+@step(fastmath=FAST)
 def project(c, lanes, w, out):  # type: ignore[no-untyped-def]
     """Turn the directions into the camera's frame; write pixel (at E), derivatives and whether it is imaged."""
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]
@@ -76,7 +77,7 @@ def project(c, lanes, w, out):  # type: ignore[no-untyped-def]
                 w[k + i] = 0.0
 
 
-@fast_step
+@step(fastmath=FAST)
 def _opencv_plain(q, lanes, w):  # type: ignore[no-untyped-def]
     """``lenses``' OpenCV model without its seldom used coefficients, over a strip; return how many
     points are not imaged.
@@ -115,7 +116,7 @@ def _opencv_plain(q, lanes, w):  # type: ignore[no-untyped-def]
     return missing
 
 
-@fast_step
+@step(fastmath=FAST)
 def weighted_residuals(m, count, lanes, weight, robust, w, residual):  # type: ignore[no-untyped-def]
     """Write the residuals, then weighted ones at E and their weights; return the cost and how many are
     unseen.
@@ -146,7 +147,7 @@ def weighted_residuals(m, count, lanes, weight, robust, w, residual):  # type: i
     return cost + unseen * weigh(2 * UNSEEN * UNSEEN, loss, scale2)[0], unseen
 
 
-@fast_step
+@step(fastmath=FAST)
 def derive(c, camera, columns, lanes, w, j):  # type: ignore[no-untyped-def]
     """Write the weighted derivatives by the camera's unknowns into ``j`` and by the point in the world at
     BLOCK; return how many unknowns, made even by one of which nothing depends.
@@ -179,7 +180,7 @@ def derive(c, camera, columns, lanes, w, j):  # type: ignore[no-untyped-def]
     return used
 
 
-@fast_step
+@step(fastmath=FAST)
 def derive_placed(state, see, m, count, w):  # type: ignore[no-untyped-def]
     """Write the derivatives by the turn of each point's placement and by the placement's shift at BLOCK, by the point
     on its thing at OWN, from those by the point in the world at BLOCK.

@@ -12,9 +12,9 @@ rotation (9), position (3) and lens row (20); points (p, 3); placements (f, 12) 
 """
 
 import numpy as np
-from numba import njit
 
 from mosca.calibration.bundle.lenses import FAST, IMAGED, image
+from mosca.numba_support.decorators import kernel
 
 UNSEEN = 1e3
 """Residual, in standard deviations, of an image point that the trial camera cannot see: no perfect fit, no
@@ -26,7 +26,7 @@ LENS = 12
 BY_POSE, BY_WORLD, BY_TURN, BY_OWN, OBSERVED = IMAGED, IMAGED + 6, IMAGED + 9, IMAGED + 12, IMAGED + 15
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@kernel(fastmath=FAST)
 def weigh(u, loss, scale2):  # type: ignore[no-untyped-def]
     """Robust loss and weight of the squared residual u (2-D, in standard deviations; Huber 1964, Cauchy)."""
     if loss == HUBER and u > scale2:
@@ -37,7 +37,7 @@ def weigh(u, loss, scale2):  # type: ignore[no-untyped-def]
     return u, 1.0
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@kernel(fastmath=FAST)
 def observe(cameras, camera, points, point, placements, placement, out):  # type: ignore[no-untyped-def]
     """Project a point; tells whether it is imaged.
 
@@ -80,7 +80,7 @@ def observe(cameras, camera, points, point, placements, placement, out):  # type
     return True
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@kernel(fastmath=FAST)
 def imaged(state, see, out):  # type: ignore[no-untyped-def]
     """Write the residuals ``out`` (n, 2), projected minus observed [px]; NaN where a camera does not image
     its point.

@@ -8,11 +8,10 @@ A lens is a row of numbers: its parameters in the order of the dataclass's field
 from dataclasses import fields
 
 import numpy as np
-from numba import njit
 
 from mosca.data.arrays import Array
 from mosca.data.rig import Lens
-from mosca.numba_support.decorators import STEP, step
+from mosca.numba_support.decorators import kernel, step
 
 ROW = 20
 FOLD, MODEL = 18, 19
@@ -21,7 +20,6 @@ MOSCA, OPENCV_PLAIN, OPENCV_FULL, FISHEYE = 0.0, 1.0, 2.0, 3.0
 L, IMAGED = 4, 22
 # compiled arithmetic may be reordered, but numbers that are none must stay noticeable
 FAST = {"contract", "reassoc", "nsz", "arcp"}
-fast_step = njit(fastmath=FAST, **STEP)
 
 NEWTON_STEPS = 30
 CONVERGED_MM = 1e-13
@@ -66,7 +64,7 @@ def _rise(q, s):  # type: ignore[no-untyped-def]
     return (above + 2 * s * (above_slope - above / below * below_slope)) / below
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def set_fold(q):  # type: ignore[no-untyped-def]
     """Write where the mapping of lens row q folds back: bracketed by steps of a third of a degree, then
     halved.
@@ -91,7 +89,7 @@ def set_fold(q):  # type: ignore[no-untyped-def]
         low = r * r
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def set_folds(rows):  # type: ignore[no-untyped-def]
     """Write the folds of lens rows (n, 20); tell whether all have scales above 0, as a lens must."""
     for n in range(rows.shape[0]):
@@ -102,7 +100,7 @@ def set_folds(rows):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@kernel(fastmath=FAST)
 def image(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
     """Project a direction, camera frame, by lens row q; tells whether it is imaged.
 
@@ -117,7 +115,7 @@ def image(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
     return _fisheye(q, v0, v1, v2, out)
 
 
-@fast_step
+@step(fastmath=FAST)
 def _opencv(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
     if not v2 > 0:
         return False
@@ -197,7 +195,7 @@ def _opencv(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
     return True
 
 
-@fast_step
+@step(fastmath=FAST)
 def _mosca(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
     if not v2 > 0:
         return False
@@ -246,7 +244,7 @@ def _mosca(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
     return True
 
 
-@fast_step
+@step(fastmath=FAST)
 def _fisheye(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
     fx, fy = q[0], q[1]
     s2 = v0 * v0 + v1 * v1
@@ -285,7 +283,7 @@ def _fisheye(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
     return True
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def influence(q, reach_px):  # type: ignore[no-untyped-def]
     """Return how far, at most, each lens parameter (18,) moves image points ``reach_px`` off the axis, per
     unit.

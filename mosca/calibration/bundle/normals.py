@@ -6,7 +6,6 @@ that follow each other in a strip follow each other there.
 """
 
 import numpy as np
-from numba import njit
 
 from mosca.calibration.bundle.jacobian_rows import (
     BLOCK,
@@ -21,10 +20,11 @@ from mosca.calibration.bundle.jacobian_rows import (
     project,
     weighted_residuals,
 )
-from mosca.calibration.bundle.lenses import FAST, IMAGED, fast_step
+from mosca.calibration.bundle.lenses import FAST, IMAGED
+from mosca.numba_support.decorators import kernel, step
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@kernel(fastmath=FAST)
 def linearise(state, see, columns, blocks, known, robust, normals):  # type: ignore[no-untyped-def]
     """Write the normal equations at ``state`` into ``normals``; return the cost and the number of unseen
     points.
@@ -82,7 +82,7 @@ def linearise(state, see, columns, blocks, known, robust, normals):  # type: ign
     return cost, unseen
 
 
-@fast_step
+@step(fastmath=FAST)
 def _sum_camera(camera, used, lanes, w, j, group_normals, group_slope):  # type: ignore[no-untyped-def]
     """Add a strip to its camera's normals (the upper triangle) and slope."""
     rows = 2 * LANES
@@ -111,7 +111,7 @@ def _sum_camera(camera, used, lanes, w, j, group_normals, group_slope):  # type:
             group_normals[camera, i + 1, k + 1] += s3
 
 
-@fast_step
+@step(fastmath=FAST)
 def _sum_block(b, size, m, count, used, see, blocks, w, j, local, normals):  # type: ignore[no-untyped-def]
     """Add a strip to its blocks' normals and slope, and to what these have in common with the camera.
 
@@ -151,7 +151,7 @@ def _sum_block(b, size, m, count, used, see, blocks, w, j, local, normals):  # t
                     mixed[to + local[i]] += one[i] * by_x[i] + two[i] * by_y[i]
 
 
-@fast_step
+@step(fastmath=FAST)
 def _sum_own(x, y, to, n, count, local, w, block_normals):  # type: ignore[no-untyped-def]
     """Add the products of three derivatives, at ``x`` in ``w``, and three, at ``y``, of a strip to its blocks."""
     for i in range(count):
@@ -165,7 +165,7 @@ def _sum_own(x, y, to, n, count, local, w, block_normals):  # type: ignore[no-un
             block_normals[at + 2 * n + k] += p2 * a + q2 * b
 
 
-@fast_step
+@step(fastmath=FAST)
 def _sum_kept(b, size, m, count, used, see, blocks, w, j, normals):  # type: ignore[no-untyped-def]
     """Add a strip to the kept points that it shows, and to what these have in common with cameras and blocks."""
     camera, placement, offset, kept, kept_slot, block = (
@@ -202,7 +202,7 @@ def _sum_kept(b, size, m, count, used, see, blocks, w, j, normals):  # type: ign
                     mixed[to + c * size] += x * w[at] + y * w[at + LANES]
 
 
-@fast_step
+@step(fastmath=FAST)
 def _known_distance(points, rod, weight, n, v, g, block_normals, block_slope):  # type: ignore[no-untyped-def]
     """Add a known distance between two points of a block, or to a held point (offset -1); return its cost."""
     one, two, at_one, at_two = rod

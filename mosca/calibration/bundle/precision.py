@@ -1,16 +1,16 @@
 """Precision and reliability of a bundle adjustment, run by run, compiled. The names are ``kernels``'."""
 
 import numpy as np
-from numba import njit
 
 from mosca.calibration.bundle.kernels import BY_OWN, BY_POSE, BY_TURN, BY_WORLD, OBSERVED, observe, weigh
-from mosca.calibration.bundle.lenses import FAST, L, fast_step
+from mosca.calibration.bundle.lenses import FAST, L
+from mosca.numba_support.decorators import kernel, step
 
 LEAST_REDUNDANCY_NUMBER = 1e-6
 """An image point with less says nothing about itself: it cannot be tested."""
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@kernel(fastmath=FAST)
 def precise(  # type: ignore[no-untyped-def]
     state,
     see,
@@ -75,7 +75,7 @@ def precise(  # type: ignore[no-untyped-def]
             )  # fmt: skip
 
 
-@fast_step
+@step(fastmath=FAST)
 def _block_by_block(mixed, at, n, count, wide):  # type: ignore[no-untyped-def]
     """Return W^T of a run (count n, wide), the unknowns of each block together."""
     out = np.empty((count * n, wide))
@@ -87,7 +87,7 @@ def _block_by_block(mixed, at, n, count, wide):  # type: ignore[no-untyped-def]
     return out
 
 
-@fast_step
+@step(fastmath=FAST)
 def _times_inverse(inverse, at, n, blocks, matrix, out):  # type: ignore[no-untyped-def]
     """Write V^-1 times the rows of ``matrix`` (blocks n, q), block by block from ``inverse[at:]`` on, into
     ``out``.
@@ -108,7 +108,7 @@ def _times_inverse(inverse, at, n, blocks, matrix, out):  # type: ignore[no-unty
                         to[k] += f0 * x[k] + f1 * y[k] + f2 * z[k]
 
 
-@fast_step
+@step(fastmath=FAST)
 def _test(  # type: ignore[no-untyped-def]
     m, state, see, base_weight, columns, robust, cofactors, index, work, block, spread, n, first, tests
 ):
@@ -181,7 +181,7 @@ def _test(  # type: ignore[no-untyped-def]
         tests[m, 5] = factor * (e0 * e0 * v11 - 2 * e0 * e1 * v01 + e1 * e1 * v00) / determinant
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@kernel(fastmath=FAST)
 def by_unknowns(out, columns, camera, j):  # type: ignore[no-untyped-def]
     """Write the pixel's derivative by the unknowns of its camera's group (2, K): pose, then free lens
     parameters.
@@ -198,7 +198,7 @@ def by_unknowns(out, columns, camera, j):  # type: ignore[no-untyped-def]
             j[k, i] = 0.0
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@kernel(fastmath=FAST)
 def carry_down(blocks, normals, inverse, index, z):  # type: ignore[no-untyped-def]
     """Return V^-1 W^T z of all blocks (all their unknowns, q), for z (u + 1, q) of the reduced system, last
     row zero.
@@ -223,7 +223,7 @@ def carry_down(blocks, normals, inverse, index, z):  # type: ignore[no-untyped-d
     return out
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@kernel(fastmath=FAST)
 def carry_up(blocks, normals, inverse, index, unknowns, z):  # type: ignore[no-untyped-def]
     """Return W V^-1 z (u, q), V^-1 z and the sum of z^T V^-1 z (q, q), for z (all unknowns of the blocks, q)."""
     dim, _, slot_first, slot_group, at_v, at_g, at_w, runs, _ = blocks

@@ -6,9 +6,9 @@ them (rows by unknowns of the blocks, columns by slots), as ``normals`` lays it 
 """
 
 import numpy as np
-from numba import njit
 
-from mosca.calibration.bundle.lenses import FAST, fast_step
+from mosca.calibration.bundle.lenses import FAST
+from mosca.numba_support.decorators import kernel, step
 
 SINGULAR_PIVOT = 1e-13
 """Share of its diagonal that a pivot of a block must keep; below it the direction is undetermined and stays.
@@ -17,7 +17,7 @@ MOST_ROWS = 384
 """Unknowns of a run, so that its matrices stay near the processor."""
 
 
-@fast_step
+@step(fastmath=FAST)
 def invert(matrix, at, n, damping, lower, inverse):  # type: ignore[no-untyped-def]
     """Invert the symmetric n x n block at ``matrix[at:]``, its diagonal times 1 + damping, by Cholesky's
     method.
@@ -51,7 +51,7 @@ def invert(matrix, at, n, damping, lower, inverse):  # type: ignore[no-untyped-d
             inverse[at + k * n + i] = s
 
 
-@fast_step
+@step(fastmath=FAST)
 def invert_three(m, at, damping, out):  # type: ignore[no-untyped-def]
     """``invert`` for a 3 x 3 block, written out: most blocks are one point."""
     d0, d1, d2 = m[at] * (1 + damping), m[at + 4] * (1 + damping), m[at + 8] * (1 + damping)
@@ -72,7 +72,7 @@ def invert_three(m, at, damping, out):  # type: ignore[no-untyped-def]
     out[at + 5] = out[at + 7] = -l12 * p2
 
 
-@fast_step
+@step(fastmath=FAST)
 def _carry(inverse, at, n, size, own, each, out):  # type: ignore[no-untyped-def]
     """Write W V^-1 of a run (columns, n size) into ``out``.
 
@@ -97,7 +97,7 @@ def _carry(inverse, at, n, size, own, each, out):  # type: ignore[no-untyped-def
                         to[row + one] += f0[one] * x[one] + f1[one] * y[one] + f2[one] * z[one]
 
 
-@fast_step
+@step(fastmath=FAST)
 def _products(own, carried, out):  # type: ignore[no-untyped-def]
     """Write own carried^T (columns, columns), which is symmetric: half of it, two lines by two at once, is summed.
 
@@ -118,7 +118,7 @@ def _products(own, carried, out):  # type: ignore[no-untyped-def]
             out[k, i], out[k + 1, i], out[k, i + 1], out[k + 1, i + 1] = s0, s1, s2, s3
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@kernel(fastmath=FAST)
 def reduce_to_groups(blocks, normals, damping, inverse, pairs, reduced_slope):  # type: ignore[no-untyped-def]
     """Eliminate the blocks: writes W V^-1 W^T into ``pairs`` and g - W V^-1 g_blocks into ``reduced_slope``.
 
@@ -164,7 +164,7 @@ def reduce_to_groups(blocks, normals, damping, inverse, pairs, reduced_slope):  
                         pair[i, k] += product[s * width + i, t * width + k]
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@kernel(fastmath=FAST)
 def scatter(normals, pairs, index, damping, out):  # type: ignore[no-untyped-def]
     """Write the reduced normal matrix ``out`` (n, n); ``index`` (groups, K) holds each group's columns in it.
 
@@ -194,7 +194,7 @@ def scatter(normals, pairs, index, damping, out):  # type: ignore[no-untyped-def
                     out[row, column] += x
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+@kernel(fastmath=FAST)
 def back_substitute(blocks, normals, damping, inverse, group_step, block_step):  # type: ignore[no-untyped-def]
     """Write the step of every block, given that of the groups (groups, K); return the blocks' promised
     decrease.
@@ -226,7 +226,7 @@ def back_substitute(blocks, normals, damping, inverse, group_step, block_step): 
     return promised
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def sorted_by(key, size, before):  # type: ignore[no-untyped-def]
     """Return the order ``before`` (n,) sorted by ``key`` (n,), whole numbers below ``size``, by counting: equal ones
     stay as they stand.
@@ -242,7 +242,7 @@ def sorted_by(key, size, before):  # type: ignore[no-untyped-def]
     return order
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def find_runs(dim, slot_first, slot_group):  # type: ignore[no-untyped-def]
     """Return where the runs of blocks begin, and their end: same size, same groups, at most MOST_ROWS
     unknowns.
@@ -269,7 +269,7 @@ def find_runs(dim, slot_first, slot_group):  # type: ignore[no-untyped-def]
     return starts[: count + 1].copy()
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def pair_table(slot_first, slot_group, kept, cameras, groups):  # type: ignore[no-untyped-def]
     """Number the pairs of groups (groups, groups), lower first, that a block or observation joins; -1
     elsewhere.

@@ -1,12 +1,11 @@
 """Turns of cameras and placements, and what is known of poses and points beforehand; compiled."""
 
 import numpy as np
-from numba import njit
 
-from mosca.numba_support.decorators import step
+from mosca.numba_support.decorators import kernel, step
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def turn_on(rotation, step):  # type: ignore[no-untyped-def]
     """Turn rotations (n, 9 or more; the first nine, row by row) about their own axes by vectors (n, 3): R
     exp([w]x).
@@ -37,7 +36,7 @@ def log_turn(r):  # type: ignore[no-untyped-def]
     return x * longer, y * longer, z * longer
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def weighted_pose(pose, given, weight, normals, slope):  # type: ignore[no-untyped-def]
     """Add an observed pose to ``normals`` (6, 6), ``slope`` (6,); ``weight`` (6,) 1/sigma; return its cost.
 
@@ -73,7 +72,7 @@ def weighted_pose(pose, given, weight, normals, slope):  # type: ignore[no-untyp
     return cost
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def weighted_blocks(state, blocks, known, normals):  # type: ignore[no-untyped-def]
     """Add the observed coordinates of eliminated points and the observed poses of placements; return their
     cost.

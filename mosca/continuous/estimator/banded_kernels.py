@@ -1,12 +1,12 @@
 """Sums of squared rows into a symmetric banded matrix, kept as LAPACK wants it."""
 
 import numpy as np
-from numba import njit
 
 from mosca.data.arrays import Array
+from mosca.numba_support.decorators import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def add_rows(
     band: Array,
     right: Array,
@@ -46,7 +46,7 @@ def add_rows(
                     band[at[i] - at[j], at[j]] += of[i] * of[j]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def apply_rows(
     x: Array, width: int, first: Array, weights: Array, columns: Array, values: Array
 ) -> Array:  # pragma: no cover

@@ -13,6 +13,7 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.detection.disc_fit.gauss_newton import (
+    FAST,
     ONE,
     P0,
     P1,
@@ -20,10 +21,8 @@ from mosca.detection.disc_fit.gauss_newton import (
     P3,
     P4,
     Model,
-    bare_step,
     f32,
     fit_disc,
-    step,
 )
 from mosca.detection.disc_fit.pixels import (
     OVER,
@@ -40,6 +39,7 @@ from mosca.detection.disc_fit.pixels import V as PIXEL_V
 from mosca.detection.disc_fit.pixels import X as PIXEL_X
 from mosca.detection.disc_fit.pixels import Y as PIXEL_Y
 from mosca.detection.disc_fit.refine_window import blank, box_of, corner_level, region_sums, window_sums
+from mosca.numba_support.decorators import bare_step, step
 from mosca.numba_support.intrinsics import image_at, prefetch
 
 X, Y, XX, XY, YY, DIAMETER, PEAK, ELONGATION, FLAGS, BLUR, BLUR_INFO, MISFIT, ROUGH, PULL = range(14)
@@ -53,7 +53,7 @@ TOUCHING = 0.03
 EACH = 8  # every so many targets the light's centroid is taken
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def tail_point(share: float) -> float:
     """Return t at which the normal distribution leaves ``share`` (up to a half) above it.
 
@@ -63,7 +63,7 @@ def tail_point(share: float) -> float:
     return max(q - (2.30753 + 0.27061 * q) / (1.0 + q * (0.99229 + 0.04481 * q)), 0.0)
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def below_edge(t: float) -> float:
     """Return the normal distribution's integral up to t >= 0, by the polynomial of the edge."""
     t = min(t, 3.0)
@@ -71,7 +71,7 @@ def below_edge(t: float) -> float:
     return float(0.5 + t * (P0 + u * (P1 + u * (P2 + u * (P3 + u * P4)))))
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def upright(sums_of_light: Any) -> tuple[float, float, float, float, float]:
     """Return centroid and central second moments (xx, xy, yy) from sums (1, x, y, xx, xy, yy) of light."""
     flux = max(float(sums_of_light[0]), 1e-6)
@@ -80,7 +80,7 @@ def upright(sums_of_light: Any) -> tuple[float, float, float, float, float]:
     return x, y, xx - x * x, xy - x * y, yy - y * y
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def stretch(xx: float, xy: float, yy: float, blur2: float, n: int) -> tuple[float, float, float]:
     """Return the symmetric matrix (xx, xy, yy) of determinant 1 that makes an elliptic target round.
 
@@ -101,7 +101,7 @@ def stretch(xx: float, xy: float, yy: float, blur2: float, n: int) -> tuple[floa
     return (a + 1.0) / t, b / t, (c + 1.0) / t
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def refine_region(
     image: Array,
     runs: Array,
@@ -240,7 +240,7 @@ def refine_region(
     out[X], out[Y] = px, py
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def set_terms(image: Array, x: float, y: float, radius: float, terms: Array) -> None:
     """Write (1, 1 / R, 1 / R^2, R) x (1, u, v) to ``terms``, u and v from the image's middle in half widths."""
     height, width = image.shape
@@ -251,7 +251,7 @@ def set_terms(image: Array, x: float, y: float, radius: float, terms: Array) -> 
         size = 0.25 * radius if k == 2 else size * 2.0 / radius
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def teach_light(
     image: Array,
     place: tuple[int, int],
@@ -307,7 +307,7 @@ def teach_light(
     tally[N_LIGHT] += 1.0
 
 
-@step
+@step(fastmath=FAST)
 def refine_regions(
     addresses: Array,
     like: Array,

@@ -1,31 +1,20 @@
 """Compiled fit of a blurred disc to pixels: normal equations, their solution, the steps.
 
-The model, the noise and the source: ``mosca.detection.disc_fit.camera_statistics``. The kernel in
-``mosca.detection.disc_fit.fit_regions`` compiles this in, and Numba keeps a cached kernel as long as *its own* file
-is unchanged: after a change here, remove the ``__pycache__`` folder beside this file.
+The model, the noise and the source: ``mosca.detection.disc_fit.camera_statistics``. Compiled into the
+kernel in ``mosca.detection.disc_fit.fit_regions``.
 """
 
 import math
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import ALONE, BARE
+from mosca.numba_support.decorators import bare_step
 
 # Re-ordered sums are wanted here: they let the compiler add eight pixels at once. NaN and infinity must stay what
 # they are.
-_FAST: dict[str, Any] = {
-    "nogil": True,
-    "error_model": "numpy",
-    "fastmath": {"reassoc", "nsz", "arcp", "contract", "afn"},
-}
-kernel = numba.njit(cache=True, **_FAST)
-step = numba.njit(**ALONE, **_FAST)
-bare_step = numba.njit(**BARE, **_FAST)
-_PIXELS: dict[str, Any] = {**_FAST, "fastmath": True}  # where only grey values go in
-bare_pixel_step = numba.njit(**BARE, **_PIXELS)
+FAST = {"reassoc", "nsz", "arcp", "contract", "afn"}
 
 f32 = np.float32
 
@@ -53,7 +42,7 @@ class Model(NamedTuple):
     full_dn: float
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def sums(
     n: int,
     pixels: Array,
@@ -109,7 +98,7 @@ def sums(
     return (hxx, hxy, hyy, cx, cy), (haa, hab, har, has, hbb, hbr, hbs, hrr, hrs, hss), (ca, cb, cr, cs), chi2
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def cross_sums(
     n: int,
     pixels: Array,
@@ -145,7 +134,7 @@ def cross_sums(
     return xa, xb, xr, xs, ya, yb, yr, ys
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def solve_shape(h: Any, c: Any, prior: float, pull: float) -> tuple[float, float, float, float, float, float]:
     """Solve for amplitude, background, radius and blur; the blur is held by a prior of this information.
 
@@ -174,7 +163,7 @@ def solve_shape(h: Any, c: Any, prior: float, pull: float) -> tuple[float, float
     return a, b, r, s, 1.0 / max(data, 1e-12), 1.0
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def solve_all(
     place: Any, h: Any, cross: Any, c: Any, prior: tuple[float, float], peak: tuple[float, float], work: Array
 ) -> tuple[Any, ...]:
@@ -239,7 +228,7 @@ def solve_all(
     )  # fmt: skip
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def fit_disc(
     n: int,
     pixels: Array,

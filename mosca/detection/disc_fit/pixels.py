@@ -1,7 +1,6 @@
 """Compiled gathering of the pixels that a target is fitted to.
 
-The kernel in ``mosca.detection.disc_fit.fit_regions`` compiles this in, and Numba keeps a cached kernel as long as
-*its own* file is unchanged: after a change here, remove the ``__pycache__`` folder beside this file.
+Compiled into the kernel in ``mosca.detection.disc_fit.fit_regions``.
 """
 
 import math
@@ -10,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.gauss_newton import ONE, ZERO, bare_step, f32, step
+from mosca.detection.disc_fit.gauss_newton import FAST, ONE, ZERO, f32
+from mosca.numba_support.decorators import bare_step, step
 from mosca.numba_support.intrinsics import copy_16, image_at
 
 SMALL = f32(1e-3)
@@ -34,7 +34,7 @@ class Windows(NamedTuple):
     known: Array
 
 
-@step
+@step(fastmath=FAST)
 def lent(rows: Array) -> Array:
     """Return a contiguous array (n, m) as one that does not own its memory, so that nobody counts who uses it.
 
@@ -43,7 +43,7 @@ def lent(rows: Array) -> Array:
     return image_at(np.uint64(rows.ctypes.data), rows, rows.shape[0], rows.shape[1])
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def gather(image: Array, place: tuple[int, int], reach2: float, pixels: Array) -> int:
     """Copy the pixels with a distance from the pixel ``place`` of at most the root of ``reach2``, and their offsets.
 
@@ -63,7 +63,7 @@ def gather(image: Array, place: tuple[int, int], reach2: float, pixels: Array) -
     return n
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def pad(n: int, pixels: Array) -> None:
     """Tell n pixels from the padding to the next multiple of 8, which sums take at once."""
     x, y, sharper, there, v = pixels[X], pixels[Y], pixels[SHARPER], pixels[THERE], pixels[V]
@@ -75,7 +75,7 @@ def pad(n: int, pixels: Array) -> None:
         sharper[i] = ONE
 
 
-@step
+@step(fastmath=FAST)
 def make_window(size: int, reach2: float, windows: Windows) -> None:
     """Write the pixels that ``gather`` takes off the image's border as the window of this size of region."""
     _, half, known = windows
@@ -96,7 +96,7 @@ def make_window(size: int, reach2: float, windows: Windows) -> None:
     pad(n, pixels)
 
 
-@step
+@step(fastmath=FAST)
 def window_of(size: int, windows: Windows) -> Array:
     """Return the pixels (5, n) of the window of a size of region."""
     lanes, _, known = windows
@@ -104,7 +104,7 @@ def window_of(size: int, windows: Windows) -> Array:
     return image_at(at, lanes, 5, (known[size, 1] + 7) // 8 * 8)
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def grey_values(image: Array, place: int, half: Array, v: Array) -> None:
     """Copy the grey values of the rows of a round window about the pixel number ``place``, 16 at a time.
 
@@ -123,13 +123,13 @@ def grey_values(image: Array, place: int, half: Array, v: Array) -> None:
         middle += width
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def reach_of(size: int, blur: float) -> float:
     """Return how far the fit of a region reaches: its box goes past the edge by about 1.2 blurs."""
     return 0.5 * size + 1.6 * blur + 0.5
 
 
-@step
+@step(fastmath=FAST)
 def gather_round(
     image: Array, place: tuple[int, int], size: int, reach: float, windows: Windows, scratch: Array
 ) -> tuple[int, Array]:
@@ -153,7 +153,7 @@ def gather_round(
     return n, scratch
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def gather_unmarked(
     image: Array,
     place: tuple[int, int],
@@ -190,7 +190,7 @@ def gather_unmarked(
     return n
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def half_side(shape: tuple[float, float, float], around: tuple[float, float], reach: float) -> int:
     """Return how far from the middle pixel ``gather_unmarked`` looks, and ``blank`` for what lies around that."""
     first_row, end_row = rows_within(shape, around, reach)
@@ -198,7 +198,7 @@ def half_side(shape: tuple[float, float, float], around: tuple[float, float], re
     return int(max(-first_row, end_row, -first, end)) + 2
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def rows_within(
     shape: tuple[float, float, float], around: tuple[float, float], reach: float
 ) -> tuple[int, int]:
@@ -209,7 +209,7 @@ def rows_within(
     return math.ceil(middle - half), math.floor(middle + half) + 1
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def span_within(
     shape: tuple[float, float, float], around: tuple[float, float], reach: float, row: int
 ) -> tuple[int, int]:

@@ -1,7 +1,6 @@
 """Compiled first look at the pixels around a region: what is not its own, sums over the rest.
 
-The kernel in ``mosca.detection.disc_fit.fit_regions`` compiles this in, and Numba keeps a cached kernel as long as
-*its own* file is unchanged: after a change here, remove the ``__pycache__`` folder beside this file.
+Compiled into the kernel in ``mosca.detection.disc_fit.fit_regions``.
 """
 
 from typing import Any
@@ -9,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.gauss_newton import ONE, ZERO, bare_pixel_step, bare_step, f32
+from mosca.detection.disc_fit.gauss_newton import FAST, ONE, ZERO, f32
 from mosca.detection.disc_fit.pixels import V, X, Y
+from mosca.numba_support.decorators import bare_step
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def blank(
     image: Array, runs: Array, place: tuple[int, int], floor: int, full: float, side: int, marks: Array
 ) -> tuple[int, int]:
@@ -53,7 +53,7 @@ def blank(
     return left, top
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def grow(marks: Array, grown: Array, n: int, side: int) -> None:
     """Write to ``grown`` the marks (n,) of a window and those of their 8 neighbours, 0 in the first and last row."""
     for k in range(side + 1):
@@ -70,7 +70,7 @@ def grow(marks: Array, grown: Array, n: int, side: int) -> None:
         grown[middle] = above | here | marks[i] | marks[i + one] | marks[i + one + one]
 
 
-@bare_pixel_step
+@bare_step(fastmath=True)  # only grey values go in
 def window_sums(n: int, pixels: Array, threshold: int, level: float) -> tuple[Any, ...]:
     """Return the number of pixels above a threshold, their peak, and the sums (1, x, y, xx, xy, yy) of v - level."""
     x, y, v = pixels[X], pixels[Y], pixels[V]
@@ -93,7 +93,7 @@ def window_sums(n: int, pixels: Array, threshold: int, level: float) -> tuple[An
     return np.int64(count), f32(peak), (s, sx, sy, sxx, sxy, syy)
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def region_sums(image: Array, runs: Array, place: tuple[int, int], level: float) -> tuple[Any, ...]:
     """Return peak and sums as ``window_sums`` for the pixels of a region, about the pixel ``place``."""
     base = f32(level)
@@ -113,7 +113,7 @@ def region_sums(image: Array, runs: Array, place: tuple[int, int], level: float)
     return peak, (s, sx, sy, sxx, sxy, syy)
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def box_of(runs: Array, begin: int, end: int) -> tuple[tuple[Any, Any, Any, Any], Any]:
     """Return left, right, top and bottom pixel of the region of these runs, and its number of pixels."""
     left, right, n = runs[begin, 1], runs[begin, 2], np.int64(0)
@@ -124,7 +124,7 @@ def box_of(runs: Array, begin: int, end: int) -> tuple[tuple[Any, Any, Any, Any]
     return (np.int64(left), np.int64(right - 1), np.int64(runs[begin, 0]), np.int64(runs[end - 1, 0])), n
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def corner_level(image: Array, box: tuple[Any, Any, Any, Any], floor: int) -> float:
     """Return the mean grey value of the dark pixels two px off the corners of a box, ``floor`` where none is."""
     left, right, top, bottom = box

@@ -8,7 +8,8 @@ import math
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.gauss_newton import Model, bare_step, step
+from mosca.detection.disc_fit.gauss_newton import FAST, Model
+from mosca.numba_support.decorators import bare_step, step
 
 TURNS = 25
 SMALL = 0.01
@@ -27,7 +28,7 @@ step promises."""
 A1, A2, A3, A4, A5 = 0.319381530, -0.356563782, 1.781477937, -1.821255978, 1.330274429
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def edge(t: float) -> tuple[float, float]:
     """Return the normal distribution's integral and density at t (Abramowitz and Stegun 1964, 26.2.17: to 1e-7)."""
     if abs(t) > FLAT:
@@ -43,7 +44,7 @@ SEEN = 3.2
 """Blurs from an edge beyond which nothing of it is seen: 0.07 % of the brightness."""
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def common(t1: float, t2: float, e1: float, e2: float, rho: float) -> tuple[float, float, float]:
     """Return the bivariate normal integral up to t1 and t2 of correlation rho, and its change with t1 and t2."""
     root = math.sqrt(max(1.0 - rho * rho, 1e-6))
@@ -61,13 +62,13 @@ def common(t1: float, t2: float, e1: float, e2: float, rho: float) -> tuple[floa
     return e1 * e2 + half * total / (2.0 * math.pi), d1, d2
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def clearance(p: Array) -> float:
     """Return how far two discs are from covering each other where their edges' blur still counts [px]."""
     return float(math.hypot(p[0] - p[1], p[2] - p[3]) - p[4] - p[5] - p[9])
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def light_of(kind: int, p: Array, x: float, y: float, slope: Array) -> float:
     """Return the grey value of a pixel and write its change with the unknowns ``p``.
 
@@ -137,7 +138,7 @@ def light_of(kind: int, p: Array, x: float, y: float, slope: Array) -> float:
     return p[6] + p[5] * e
 
 
-@step
+@step(fastmath=FAST)
 def fit(
     kind: int,
     p: Array,
@@ -205,7 +206,7 @@ def fit(
     return last, inverse, at_rest
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def dot(one: Array, other: Array) -> float:
     """Return the sum of the products of two rows."""
     total = 0.0
@@ -214,7 +215,7 @@ def dot(one: Array, other: Array) -> float:
     return total
 
 
-@step
+@step(fastmath=FAST)
 def solved(normal: Array, right: Array, damping: float, work: Array) -> Array:
     """Return the solution of (N + damping diag N) x = right, by Cholesky; the lower triangle of N is read."""
     m = len(right)

@@ -8,7 +8,8 @@ import math
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.detection.disc_fit.gauss_newton import bare_step, step
+from mosca.detection.disc_fit.gauss_newton import FAST
+from mosca.numba_support.decorators import bare_step, step
 
 MARGIN_PX = 3
 """How far around the regions pixels are taken."""
@@ -16,7 +17,7 @@ OWN, SKIRT, FOREIGN = 1, 2, 3
 """Marks of pixels: the regions' own, those that fall off from them, those of others."""
 
 
-@step
+@step(fastmath=FAST)
 def gather_all(
     image: Array, own: Array, other: Array, floor: int, full: float
 ) -> tuple[Array, int, float, float]:
@@ -62,7 +63,7 @@ def gather_all(
     return pixels, n, dark / max(n_dark, 1), peak
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def keep_near(pixels: Array, n: int, p: Array) -> int:
     """Move the pixels that two discs light, and a ring around them, to the front; return how many these are."""
     kept = 0
@@ -77,7 +78,7 @@ def keep_near(pixels: Array, n: int, p: Array) -> int:
     return kept
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def spread_downhill(image: Array, mark: Array, top: int, left: int, floor: int) -> None:
     """Mark what lies around the regions and falls off from them: where they met, the floor was not reached."""
     spread = True
@@ -98,7 +99,7 @@ def spread_downhill(image: Array, mark: Array, top: int, left: int, floor: int) 
                             mark[y, x], spread = SKIRT, True
 
 
-@step
+@step(fastmath=FAST)
 def start_of(
     pixels: Array, n: int, own: Array, other: Array, level: float, peak: float, blur: float
 ) -> Array:
@@ -127,7 +128,7 @@ def start_of(
     return out
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def area(runs: Array) -> float:
     """Return the number of a region's pixels."""
     n = 0.0
@@ -136,7 +137,7 @@ def area(runs: Array) -> float:
     return n
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def region_mean(runs: Array) -> tuple[float, float]:
     """Return the middle of a region's pixels."""
     n = sx = sy = 0.0
@@ -146,7 +147,7 @@ def region_mean(runs: Array) -> tuple[float, float]:
     return sx / n, sy / n
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def region_moments(runs: Array, mean: tuple[float, float]) -> tuple[float, float, float]:
     """Return the central second moments (xx, xy, yy) of a region's pixels [px^2]."""
     n = sxx = sxy = syy = 0.0

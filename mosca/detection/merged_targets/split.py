@@ -43,9 +43,10 @@ from mosca.detection.disc_fit.fit_regions import (
     Y,
     set_terms,
 )
-from mosca.detection.disc_fit.gauss_newton import Model, bare_step, kernel, step
+from mosca.detection.disc_fit.gauss_newton import FAST, Model
 from mosca.detection.merged_targets.fit import ELLIPSE, PAIR, SWEPT, clearance, fit
 from mosca.detection.merged_targets.pixels import gather_all, keep_near, start_of
+from mosca.numba_support.decorators import bare_step, kernel, step
 from mosca.numba_support.intrinsics import image_at
 
 DECISIVE = 30.0
@@ -69,7 +70,7 @@ MISMATCH_PX = 0.8
 standard deviation an axis over the fourth power of blur by radius (measured at diameters of 4 to 12 px)."""
 
 
-@kernel
+@kernel(fastmath=FAST)
 def fit_pairs(
     addresses: Array,
     like: Array,
@@ -143,7 +144,7 @@ def fit_pairs(
     return rows, two
 
 
-@bare_step
+@bare_step(fastmath=FAST)
 def plausible(p: Array, chi2: float, n: int, model: Model) -> bool:
     """Tell whether two discs are alike, as far apart as two that touch, and explain the pixels."""
     if not math.isfinite(chi2):
@@ -160,7 +161,7 @@ def plausible(p: Array, chi2: float, n: int, model: Model) -> bool:
     return excess < 0.3 + 5.0 * math.sqrt(2.0 / n) or rough < MOST_ROUGH
 
 
-@step
+@step(fastmath=FAST)
 def better_than_one(
     p: Array, chi2: float, pixels: Array, n: int, blur: float, spread: float, model: Model, work: Array
 ) -> bool:
@@ -187,7 +188,7 @@ def better_than_one(
     return True
 
 
-@kernel
+@kernel(fastmath=FAST)
 def touching(table: Array, image_of: Array) -> Array:
     """Return the pairs (k, 2) of rows, in the order of their topmost rows, whose targets nearly touch."""
     found = np.empty((len(table) + 4, 2), np.int64)

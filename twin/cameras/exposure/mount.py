@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
 from mosca.data.arrays import Array
 from mosca.data.rig import Pose
 from mosca.errors import InputError
+from mosca.numba_support.decorators import kernel
 from twin.cameras.optics.lens import land
 from twin.streams import rng
 
@@ -191,7 +191,7 @@ def _walk(mount: Mount, name: str, seed: int, duration_s: float) -> Array:
     return np.concatenate([np.zeros((2, 1)), -folded], axis=1)
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _placed(rotation, translation, turns, moved):  # type: ignore[no-untyped-def]
     """Return the pose * (moved, small turns about the camera's x and y axes) at each instant."""
     count = turns.shape[0]

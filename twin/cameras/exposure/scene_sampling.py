@@ -14,9 +14,9 @@ What a camera gets depends on its own timing alone: which other cameras there ar
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from mosca.data.arrays import Array
+from mosca.numba_support.decorators import kernel
 from twin.scenes.scene import SceneSampler
 
 TOLERANCE = 1e-8
@@ -143,7 +143,7 @@ def interpolated(nodes: Array, values: Array, times: Array) -> Array:
     return np.asarray(_interpolated(nodes, values, np.ascontiguousarray(times, dtype=float)))
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _interpolated(nodes, values, times):  # type: ignore[no-untyped-def]
     out = np.zeros((times.shape[0], values.shape[1]))
     for k in range(times.shape[0]):
@@ -183,7 +183,7 @@ def seen_from(
     return View(*here)
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _seen_from(rotation, position, xyz, turn, targets, solids, count):  # type: ignore[no-untyped-def]
     path, path_turn = np.empty((targets.shape[0], count, 3)), np.empty((targets.shape[0], count, 3, 3))
     solid, solid_turn = np.empty((count, solids.shape[0], 3)), np.empty((count, solids.shape[0], 3, 3))
@@ -196,7 +196,7 @@ def _seen_from(rotation, position, xyz, turn, targets, solids, count):  # type: 
     return path, path_turn, solid, solid_turn
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _in_camera(rotation, position, xyz, turn, here, turned):  # type: ignore[no-untyped-def]
     """Write a place and its axes in the frame of a camera to ``here`` and ``turned``."""
     x, y, z = xyz[0] - position[0], xyz[1] - position[1], xyz[2] - position[2]

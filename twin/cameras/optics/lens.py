@@ -27,6 +27,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.rig import Lens
+from mosca.numba_support.decorators import callable_bare_step, inlined_step, kernel
 from twin.cameras.optics.blur_parameters import Optics
 from twin.cameras.optics.lens_models import (
     from_collinearity,
@@ -50,7 +51,6 @@ from twin.cameras.optics.lens_vector import (
     RARE,
     vector_of,
 )
-from twin.numba_decorators import bare_step, inlined_step, kernel
 
 STEPS = 20
 
@@ -158,7 +158,7 @@ def _move(vector: Array, right_px: float, down_px: float) -> None:
     vector[PIVOT + 2 : PIVOT + 4] += right_px, down_px
 
 
-@bare_step
+@callable_bare_step
 def land(lens: Array, x: float, y: float, z: float) -> Any:
     """Where light from the place (x, y, z) lands: u, v, then du and dv by (x, y, z), and whether it does.
 
@@ -197,7 +197,7 @@ def _land_with_gap(lens: Array, x: float, y: float, z: float) -> Any:
     return u, v, ux, uy, uz, vx, vy, vz, ok
 
 
-@bare_step
+@callable_bare_step
 def _land_with_rare_terms(lens: Array, x: float, y: float, z: float) -> Any:
     """As ``land``, with pupil shift before and tilt behind."""
     w, wx, wy, wz, seen = _above_pupil(lens[PUPIL], x, y, z)
@@ -215,7 +215,7 @@ def _land_with_rare_terms(lens: Array, x: float, y: float, z: float) -> Any:
     )  # fmt: skip
 
 
-@bare_step
+@callable_bare_step
 def origin(lens: Array, u: float, v: float) -> Any:
     """The direction (x, y, z) that light on pixel (u, v) comes from; not normalised for pinhole kinds.
 
@@ -236,7 +236,7 @@ def origin(lens: Array, u: float, v: float) -> Any:
     return from_pinhole(lens, u, v)
 
 
-@bare_step
+@callable_bare_step
 def origin_at(lens: Array, u: float, v: float, distance: float) -> Any:
     """The place (x, y, z) [m] at ``distance`` from the camera's centre that light on pixel (u, v) comes from."""
     x, y, z = origin(lens, u, v)
@@ -288,7 +288,7 @@ def _gap(lens: Array, u: float, v: float) -> Any:
     return f * q * x, f * q * y, f * q + d * x * x, d * x * y, f * q + d * y * y
 
 
-@bare_step
+@callable_bare_step
 def _before_gap(lens: Array, u: float, v: float) -> Any:
     """Where the model alone would have put what the gap puts at (u, v): Newton's method, NaN outside its reach."""
     a, b = u - lens[GAP + 1], v - lens[GAP + 2]

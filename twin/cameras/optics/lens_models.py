@@ -8,8 +8,8 @@ import math
 from typing import Any
 
 from mosca.data.arrays import Array
+from mosca.numba_support.decorators import callable_bare_step, inlined_step
 from twin.cameras.optics.lens_vector import ENDS, OPENCV_PLANE, PRISM
-from twin.numba_decorators import bare_step, inlined_step
 
 STEPS = 20
 BOUNDED_STEPS = 60
@@ -116,7 +116,7 @@ def _bent(lens: Array, x: float, y: float) -> Any:
     return xd, yd, xx, xy, yy, rr
 
 
-@bare_step
+@callable_bare_step
 def _land_prism(
     lens: Array, x: float, y: float, xd: float, yd: float, xx: float, xy: float, yy: float, rr: float
 ) -> Any:
@@ -129,7 +129,7 @@ def _land_prism(
     return lens[3] + fx * xd, lens[4] + fy * yd, fx * xx, fx * xy, fy * yx, fy * yy, ok and w > 0.0
 
 
-@bare_step
+@callable_bare_step
 def _from_prism(lens: Array, p: float, q: float) -> Any:
     """As ``from_pinhole``, from a place on the tilted sensor in units of the principal distance."""
     target_x, target_y = off_plane(lens, OPENCV_PLANE, p, q)
@@ -147,7 +147,7 @@ def _from_prism(lens: Array, p: float, q: float) -> Any:
     return math.nan, math.nan, math.nan
 
 
-@bare_step
+@callable_bare_step
 def _add_prism(
     lens: Array, x: float, y: float, xd: float, yd: float, xx: float, xy: float, yy: float, rr: float
 ) -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from mosca.data.arrays import Array
-from twin.numba_decorators import bare_step
+from mosca.numba_support.decorators import callable_bare_step
 
 STEPS_PER_PX = 32
 
@@ -46,7 +46,7 @@ def gaussian_kernel(sigma_px: float) -> PixelKernel:
     return PixelKernel(reach, table)
 
 
-@bare_step
+@callable_bare_step
 def share(table: Array, reach: int, s: float) -> float:
     """Integral of ``weight`` from -infinity to s."""
     if s <= -reach:
@@ -58,7 +58,7 @@ def share(table: Array, reach: int, s: float) -> float:
     return _hermite(table[i, 0], table[i + 1, 0], table[i, 1], table[i + 1, 1], p - i)
 
 
-@bare_step
+@callable_bare_step
 def weight(table: Array, reach: int, s: float) -> float:
     """Share of a line's light that a pixel at distance s collects."""
     if s <= -reach or s >= reach:
@@ -68,7 +68,7 @@ def weight(table: Array, reach: int, s: float) -> float:
     return _hermite(table[i, 1], table[i + 1, 1], table[i, 2], table[i + 1, 2], p - i)
 
 
-@bare_step
+@callable_bare_step
 def _hermite(a: float, b: float, slope_a: float, slope_b: float, f: float) -> float:
     h = 1.0 / STEPS_PER_PX
     d = b - a

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
+from mosca.numba_support.decorators import callable_bare_step, kernel
 from twin.cameras.optics.pixel_kernel import share, weight
-from twin.numba_decorators import bare_step, kernel
 
 MAX_NODES = 24
 """Nodes in a panel of time or of a contour."""
@@ -26,7 +26,7 @@ EDGE, SPOT = 0, 1
 """What a point is: a piece of boundary (amount dv) or a spot of light (amount area)."""
 
 
-@bare_step
+@callable_bare_step
 def nodes_for(motion_px):  # type: ignore[no-untyped-def]
     """Gauss-Legendre nodes that integrate an image motion of this length, at most 15 px.
 
@@ -65,7 +65,7 @@ def add_points(what, change, x0, y0, table, reach, patch, points, panel, motion_
             )  # fmt: skip
 
 
-@bare_step
+@callable_bare_step
 def _add_all_rows(  # type: ignore[no-untyped-def]
     what, change, x0, y0, table, reach, patch, points, panel, motion_px, begin, end, length, step_x
 ):
@@ -93,7 +93,7 @@ def _add_all_rows(  # type: ignore[no-untyped-def]
                             change[py + p - y0, px + q - x0] += w * step_x[q]
 
 
-@bare_step
+@callable_bare_step
 def _add_one_row(  # type: ignore[no-untyped-def]
     what, change, row, x0, y0, table, reach, patch, points, panel, motion_px, begin, end, length, step_x
 ):
@@ -121,7 +121,7 @@ def _add_one_row(  # type: ignore[no-untyped-def]
                     change[row, px + q - x0] += w * step_x[q]
 
 
-@bare_step
+@callable_bare_step
 def _steps(what, step_x, table, reach, u):  # type: ignore[no-untyped-def]
     """Change from pixel to pixel, from the first at 0 on, that a point at u adds along a row."""
     previous = 1.0 if what == EDGE else 0.0
@@ -131,7 +131,7 @@ def _steps(what, step_x, table, reach, u):  # type: ignore[no-untyped-def]
         previous = here
 
 
-@bare_step
+@callable_bare_step
 def fill(light, change, x0, y0, electrons, least):  # type: ignore[no-untyped-def]
     """Add the running sums of ``change`` to the image; light below ``least`` electrons is left out."""
     height, width = light.shape

@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from mosca.numba_support.decorators import kernel
 from twin.cameras.optics.lens import land
 from twin.cameras.render.occluders import axis_reach, hit, may_hide
 from twin.cameras.render.outline import circle_of, lagrange, place, rim, turned
@@ -14,7 +14,7 @@ GROUP_PX = 0.25
 MOST_GROUPS = 40
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def solids_of(kind, size, geom_xyz, geom_turn):  # type: ignore[no-untyped-def]
     """Return (k, 8) of each geom: centre and axis at the middle node, half length and reach with all its motion."""
     last = geom_xyz.shape[0] - 1
@@ -31,7 +31,7 @@ def solids_of(kind, size, geom_xyz, geom_turn):  # type: ignore[no-untyped-def]
     return out
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def near_geoms(  # type: ignore[no-untyped-def]
     near, m, solids, geom_marker, geom_xyz, geom_turn, nodes, lens, path, x, y, z, r, begin, instant, end, swing,
 ):  # fmt: skip
@@ -74,7 +74,7 @@ def near_geoms(  # type: ignore[no-untyped-def]
     return count, 1 if slip < GROUP_PX else min(MOST_GROUPS, 1 + int(slip / GROUP_PX))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _material(lens, xyz, turn, weights, local):  # type: ignore[no-untyped-def]
     """Where a point that is fixed in a geom is imaged at an instant."""
     x, y, z = place(xyz, weights)
@@ -87,7 +87,7 @@ def _material(lens, xyz, turn, weights, local):  # type: ignore[no-untyped-def]
     return u, v, ok
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def geoms_at(near, count, geom_xyz, geom_turn, weights, xyz, turn):  # type: ignore[no-untyped-def]
     """Write the poses of the near geoms at an instant."""
     for q in range(count):
@@ -96,7 +96,7 @@ def geoms_at(near, count, geom_xyz, geom_turn, weights, xyz, turn):  # type: ign
         turned(geom_turn[:, g], weights, turn[g])
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def hidden_by_one(near, count, kind, size, xyz, turn, shape, axes, x, y, z, r):  # type: ignore[no-untyped-def]
     """Whether one convex geom hides the whole outline, drawn 5 % too large, and so all of the target."""
     circle = circle_of(shape, axes, x, y, z, 1.05 * r)

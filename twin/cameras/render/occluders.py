@@ -10,9 +10,9 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numba import njit
 
 from mosca.data.arrays import Array
+from mosca.numba_support.decorators import kernel
 from twin.scenes.scene import MARKER_GROUP, UNSEEN_GROUP, Scene
 
 SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX = (
@@ -71,7 +71,7 @@ def occluders_of(scene: Scene) -> Occluders:
     )
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def axis_reach(kind: int, size: Array) -> Any:
     """Half length along the geom's z axis and radius around it of a capsule that encloses the geom [m]."""
     if kind == SPHERE:
@@ -86,7 +86,7 @@ def axis_reach(kind: int, size: Array) -> Any:
     return 0.0, math.sqrt(size[0] ** 2 + size[1] ** 2 + size[2] ** 2)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def may_hide(
     centre: Array, axis: Array, half: float, reach: float, x: float, y: float, z: float, r: float
 ) -> bool:
@@ -116,7 +116,7 @@ def may_hide(
     return ex * ex + ey * ey + ez * ez < (reach + r) ** 2
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def hit(kind: int, size: Array, centre: Array, turn: Array, dx: float, dy: float, dz: float) -> float:
     """Distance along (dx, dy, dz), in its lengths, at which a ray from the origin enters the geom; inf if never.
 
@@ -156,7 +156,7 @@ def hit(kind: int, size: Array, centre: Array, turn: Array, dx: float, dy: float
     return first if 0.0 < first <= last else np.inf
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _enter_sphere(ox: float, oy: float, oz: float, x: float, y: float, z: float, r: float) -> float:
     a = x * x + y * y + z * z
     b = ox * x + oy * y + oz * z
@@ -168,7 +168,7 @@ def _enter_sphere(ox: float, oy: float, oz: float, x: float, y: float, z: float,
     return t if t > 0.0 else np.inf
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _enter_side(
     ox: float, oy: float, oz: float, x: float, y: float, z: float, r: float, half: float
 ) -> float:

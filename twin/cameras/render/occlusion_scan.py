@@ -7,8 +7,8 @@ What is hidden leaves as boundary points of negative light, in the same form as 
 import math
 
 import numpy as np
-from numba import njit
 
+from mosca.numba_support.decorators import kernel
 from twin.cameras.optics.lens import land, origin, origin_at
 from twin.cameras.optics.lens_vector import FISHEYE, PUPIL
 from twin.cameras.render.occluders import hit
@@ -24,7 +24,7 @@ PIECE_PX = 3.0
 """Longest piece of a row that counts as straight in space: distortion bends it by 1e-3 px at most."""
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def scan_hidden(  # type: ignore[no-untyped-def]
     lens, shape, turn, x, y, z, r, pieces, box, near, near_count, kind, size, geom_xyz, geom_turn, profile
 ):
@@ -171,7 +171,7 @@ def scan_hidden(  # type: ignore[no-untyped-def]
     return edges[:edge_count], lit_edges[:lit_count], hidden_area, lit_area
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _anything_before(  # type: ignore[no-untyped-def]
     lens, shape, turn, x, y, z, r, box, near, near_count, kind, size, geom_xyz, geom_turn, reach, gnomonic
 ):
@@ -197,12 +197,12 @@ def _anything_before(  # type: ignore[no-untyped-def]
     return False
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _put(edges, n, u, v, amount):  # type: ignore[no-untyped-def]
     edges[n, 0], edges[n, 1], edges[n, 2] = u, v, amount
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _wider(edges, count, more):  # type: ignore[no-untyped-def]
     """Room for more edges."""
     wider = np.empty((2 * edges.shape[0] + more, 3))
@@ -212,14 +212,14 @@ def _wider(edges, count, more):  # type: ignore[no-untyped-def]
     return wider
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def brightness(profile, qx, qy):  # type: ignore[no-untyped-def]
     """Brightness at (qx, qy), the place on the disc over its radius: limb darkening and a gradient."""
     inside = max(0.0, 1.0 - qx * qx - qy * qy)
     return 1.0 - profile[0] * (1.0 - math.sqrt(inside)) + profile[1] * qx + profile[2] * qy
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _ray(lens, u, v, x, y, z, reach, gnomonic):  # type: ignore[no-untyped-def]
     """A direction to pixel (u, v), scaled so that straight lines of pixels are evenly spaced along it."""
     if lens[PUPIL] != 0.0:
@@ -234,7 +234,7 @@ def _ray(lens, u, v, x, y, z, reach, gnomonic):  # type: ignore[no-untyped-def]
     return dx, dy, dz
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _along_lattice(lattice, f, row):  # type: ignore[no-untyped-def]
     """Write the rays (3, 3) at the left, middle and right of the row at height f (0..1) of a lattice (3, 3, 3)."""
     p, q, w = (2.0 * f - 1.0) * (f - 1.0), 4.0 * f * (1.0 - f), f * (2.0 * f - 1.0)
@@ -243,7 +243,7 @@ def _along_lattice(lattice, f, row):  # type: ignore[no-untyped-def]
             row[k, i] = p * lattice[0, k, i] + q * lattice[1, k, i] + w * lattice[2, k, i]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _lit_by_disc(shape, turn, x, y, z, r, a, b):  # type: ignore[no-untyped-def]
     """Interval of s in which the rays a + s b meet a ball, or a flat round target."""
     if shape == BALL:
@@ -269,7 +269,7 @@ def _lit_by_disc(shape, turn, x, y, z, r, a, b):  # type: ignore[no-untyped-def]
     return low, high
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _lit_by_figure(lens, turn, x, y, z, pieces, a, b, lit_u, lit_step):  # type: ignore[no-untyped-def]
     """Write where the row crosses the contours and by how much the light rises there; return how many times."""
     nx, ny, nz = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
@@ -317,14 +317,14 @@ def _lit_by_figure(lens, turn, x, y, z, pieces, a, b, lit_u, lit_step):  # type:
     return count
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _share_of_arc(angle, start, swing, whole):  # type: ignore[no-untyped-def]
     """The share of an arc at an angle; -1 where it does not reach."""
     away = (angle - start) % whole if swing > 0.0 else (start - angle) % whole
     return away / abs(swing) if away <= abs(swing) else -1.0
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def front_of(shape, turn, x, y, z, r, dx, dy, dz):  # type: ignore[no-untyped-def]
     """Distance along d at which the target's own front is met (the silhouette's edge counts as met)."""
     if shape != BALL:
@@ -335,7 +335,7 @@ def front_of(shape, turn, x, y, z, r, dx, dy, dz):  # type: ignore[no-untyped-de
     return (b - math.sqrt(max(0.0, b * b - a * (x * x + y * y + z * z - r * r)))) / a
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _before(kind, size, centre, geom_turn, a, b, s, shape, turn, x, y, z, r):  # type: ignore[no-untyped-def]
     """Whether the ray at s meets the geom before the target."""
     dx, dy, dz = a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]
@@ -344,7 +344,7 @@ def _before(kind, size, centre, geom_turn, a, b, s, shape, turn, x, y, z, r):  #
     )
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _in_front(kind, size, centre, geom_turn, a, b, first, last, shape, turn, x, y, z, r):  # type: ignore[no-untyped-def]
     """The part of an interval in which the geom stands before the target; solids that meet part it once."""
     at_first = _before(
@@ -367,7 +367,7 @@ def _in_front(kind, size, centre, geom_turn, a, b, first, last, shape, turn, x, 
     return (first, near) if at_first else (near, last)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _merge(low, high, count):  # type: ignore[no-untyped-def]
     """Sort intervals and join those that touch, in place; return how many are left."""
     for i in range(1, count):

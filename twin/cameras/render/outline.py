@@ -8,8 +8,8 @@ equal steps converge exponentially; along pieces with corners Gauss-Legendre nod
 import math
 
 import numpy as np
-from numba import njit
 
+from mosca.numba_support.decorators import kernel
 from twin.cameras.optics.lens import land
 from twin.cameras.render.boundary_integral import MAX_NODES, NODE_AT, NODE_SHARE
 from twin.scenes.figure import LINE
@@ -21,7 +21,7 @@ PANEL_PX = 15.0
 MOST_PANELS = 100
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def lagrange(nodes, t, out):  # type: ignore[no-untyped-def]
     """Weights (K,) that interpolate values given at ``nodes`` (K,) at the instant t."""
     for k in range(nodes.shape[0]):
@@ -32,7 +32,7 @@ def lagrange(nodes, t, out):  # type: ignore[no-untyped-def]
         out[k] = product
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def place(path, weights):  # type: ignore[no-untyped-def]
     """Interpolate a path (K, 3)."""
     x = y = z = 0.0
@@ -43,7 +43,7 @@ def place(path, weights):  # type: ignore[no-untyped-def]
     return x, y, z
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def turned(turn, weights, out):  # type: ignore[no-untyped-def]
     """Interpolate rotations (K, 3, 3): sums of matrices, good to the square of the turn between nodes."""
     for i in range(3):
@@ -54,7 +54,7 @@ def turned(turn, weights, out):  # type: ignore[no-untyped-def]
             out[i, j] = value
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def across(x, y, z):  # type: ignore[no-untyped-def]
     """Two unit vectors at right angles to (x, y, z) and to each other, the first one as nearly along x as can be."""
     n = math.sqrt(x * x + y * y + z * z)
@@ -68,7 +68,7 @@ def across(x, y, z):  # type: ignore[no-untyped-def]
     return ax, ay, az, y * az - z * ay, z * ax - x * az, x * ay - y * ax
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def circle_of(shape, turn, x, y, z, r):  # type: ignore[no-untyped-def]
     """The circle that is the outline: centre, and two radii at right angles (9 numbers)."""
     if shape == BALL:
@@ -82,7 +82,7 @@ def circle_of(shape, turn, x, y, z, r):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def rim(circle, angle):  # type: ignore[no-untyped-def]
     """The direction to a point of the circle, and its derivative by the angle."""
     c, s = math.cos(angle), math.sin(angle)
@@ -93,7 +93,7 @@ def rim(circle, angle):  # type: ignore[no-untyped-def]
     )  # fmt: skip
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def lands(lens, shape, turn, x, y, z, r):  # type: ignore[no-untyped-def]
     """Whether the lens images all of an outline, and its box (left, right, top, bottom) [px]."""
     circle = circle_of(shape, turn, x, y, z, 1.02 * r)
@@ -110,13 +110,13 @@ def lands(lens, shape, turn, x, y, z, r):  # type: ignore[no-untyped-def]
     return whole, left, right, top, bottom
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def outline_steps(diameter, sigma):  # type: ignore[no-untyped-def]
     """How many steps an outline of this image diameter needs."""
     return max(FEWEST_STEPS, int(math.pi * diameter / (STEP_SIGMA * sigma)) + 1)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def trace(lens, shape, turn, x, y, z, r, pieces, n, sense, out):  # type: ignore[no-untyped-def]
     """Write (u, v, dv) of the boundary into ``out`` (n, 3); ``sense``: +1 where the contours turn the image's way."""
     if shape != FIGURE:
@@ -149,7 +149,7 @@ def trace(lens, shape, turn, x, y, z, r, pieces, n, sense, out):  # type: ignore
                 row += 1
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def along(piece, share):  # type: ignore[no-untyped-def]
     """The point at a share of a piece of contour, and its derivative by the share."""
     if piece[0] == LINE:
@@ -161,7 +161,7 @@ def along(piece, share):  # type: ignore[no-untyped-def]
     return piece[1] + c, piece[2] + s, -s * swing, c * swing
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def cut_pieces(pieces, px_per_m, sigma):  # type: ignore[no-untyped-def]
     """Return pieces (n, 9) with the nodes and panels that each needs, and the number of all nodes."""
     out = np.empty((pieces.shape[0], 9))
@@ -182,7 +182,7 @@ def cut_pieces(pieces, px_per_m, sigma):  # type: ignore[no-untyped-def]
     return out, total
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def quadratics(first, middle, last):  # type: ignore[no-untyped-def]
     """Return points (n, 9): quadratics in tau through u, v and amount at tau = -1, 0, 1."""
     n = first.shape[0]

@@ -7,14 +7,14 @@ points, two for each run of such samples in a row.
 import math
 
 import numpy as np
-from numba import njit
 
+from mosca.numba_support.decorators import kernel
 from twin.cameras.optics.lens import land, origin, origin_at
 from twin.cameras.optics.lens_vector import PUPIL
 from twin.cameras.render.outline import BALL, FIGURE, circle_of, rim
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def sample_rays(lens, centre, turn, r, shape, per_px):  # type: ignore[no-untyped-def]
     """Rays through a fine grid over the target's image, those that meet the target (a figure: its disc).
 
@@ -67,7 +67,7 @@ def sample_rays(lens, centre, turn, r, shape, per_px):  # type: ignore[no-untype
     return directions[:n], cell[:n], (left, top, step, columns, rows)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def runs(cell, grid, chosen, sign):  # type: ignore[no-untyped-def]
     """Boundary points (n, 3) of the chosen cells, row by row: (u, v, dv), the area between them times ``sign``."""
     left, top, step, _columns, _rows = grid
@@ -95,7 +95,7 @@ def runs(cell, grid, chosen, sign):  # type: ignore[no-untyped-def]
     return out[:n]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def is_round(shape):  # type: ignore[no-untyped-def]
     """Whether a target shines as a whole disc, so that its samples are all of its light."""
     return shape != FIGURE

@@ -10,14 +10,14 @@ the caps' rims; capsules: their two spheres and their side.)
 import math
 
 import numpy as np
-from numba import njit
 
+from mosca.numba_support.decorators import kernel
 from twin.cameras.render.occluders import CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 
 NOWHERE = (np.inf, -np.inf)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def covered(kind, size, centre, turn, a, b):  # type: ignore[no-untyped-def]
     """Interval (low, high) of s in which the rays ``a + s b`` meet the geom; low > high: none.
 
@@ -55,7 +55,7 @@ def covered(kind, size, centre, turn, a, b):  # type: ignore[no-untyped-def]
     return _box(ox, oy, oz, ax, ay, az, bx, by, bz, size)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def roots(q2, q1, q0):  # type: ignore[no-untyped-def]
     """Real roots (low, high) of q2 s^2 + 2 q1 s + q0, and whether there are any."""
     if q2 == 0.0:
@@ -73,7 +73,7 @@ def roots(q2, q1, q0):  # type: ignore[no-untyped-def]
     return min(one, two), max(one, two), True
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _round(ox, oy, oz, ax, ay, az, bx, by, bz):  # type: ignore[no-untyped-def]
     """The unit sphere about the frame's origin, seen from o."""
     k = ox * ox + oy * oy + oz * oz - 1.0
@@ -93,7 +93,7 @@ def _round(ox, oy, oz, ax, ay, az, bx, by, bz):  # type: ignore[no-untyped-def]
     return -np.inf, low
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _side(ox, oy, oz, ax, ay, az, bx, by, bz, r, h):  # type: ignore[no-untyped-def]
     """Rays that touch the side of a cylinder about z between its caps."""
     low, high = NOWHERE
@@ -111,7 +111,7 @@ def _side(ox, oy, oz, ax, ay, az, bx, by, bz, r, h):  # type: ignore[no-untyped-
     return low, high
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _cap(ox, oy, z, ax, ay, az, bx, by, bz, r):  # type: ignore[no-untyped-def]
     """Rays through the rim of a disc at height z above the camera."""
     low, high = NOWHERE
@@ -130,7 +130,7 @@ def _cap(ox, oy, z, ax, ay, az, bx, by, bz, r):  # type: ignore[no-untyped-def]
     return low, high
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _box(ox, oy, oz, ax, ay, az, bx, by, bz, size):  # type: ignore[no-untyped-def]
     """Crossings of the fan's plane with the twelve edges."""
     low, high = NOWHERE

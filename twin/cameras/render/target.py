@@ -8,8 +8,8 @@ pupil (``psf``).
 import math
 
 import numpy as np
-from numba import njit
 
+from mosca.numba_support.decorators import kernel
 from twin.cameras.optics.lens import land
 from twin.cameras.optics.lens_vector import FISHEYE, KIND
 from twin.cameras.optics.psf import patches
@@ -48,7 +48,7 @@ LEAST_E = 1e-3
 """Light below a thousandth of an electron is left out, so that dark pixels stay exactly dark."""
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def render_all(  # type: ignore[no-untyped-def]
     light, lens, table, reach, terms, nodes, timing, path, turn, radius, shape, figure, electrons, lit, profile,
     pieces, first, kind, size, geom_marker, geom_xyz, geom_turn, solids, mesh,
@@ -73,7 +73,7 @@ def render_all(  # type: ignore[no-untyped-def]
     return seen, state, spans
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def render_one(  # type: ignore[no-untyped-def]
     light, lens, table, reach, terms, nodes, timing, path, turn, radius, shape, figure, electrons, lit, profile,
     pieces, first, kind, size, geom_marker, geom_xyz, geom_turn, solids, m, how, span,
@@ -318,7 +318,7 @@ def render_one(  # type: ignore[no-untyped-def]
     return visible, u, v, diameter, IN_VIEW if hidden == 0.0 else PARTLY
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _row_instant(lens, nodes, path, instant, row, shift, late, row_time, height):  # type: ignore[no-untyped-def]
     """When the row ``shift`` below a moving target opens, plus ``late``; ``instant`` and ``row``: where to begin."""
     weights = np.empty(nodes.shape[0])
@@ -337,7 +337,7 @@ def _row_instant(lens, nodes, path, instant, row, shift, late, row_time, height)
     return t
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _motion(lens, nodes, path, begin, instant, end, weights):  # type: ignore[no-untyped-def]
     """Length of the image of a path [px], of one that turns or speeds up at its faster half's pace (-1: not
     imaged), and how far the target goes [m].
@@ -362,7 +362,7 @@ def _motion(lens, nodes, path, begin, instant, end, weights):  # type: ignore[no
     return (turned_back if turned_back > 1.2 * chord else chord), max(swing, 0.0)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _carried(edges, lens, nodes, path, u, v, begin, middle, end, weights):  # type: ignore[no-untyped-def]
     """Boundary points found at ``middle``, carried along by the target's image (u, v) through begin..end."""
     lagrange(nodes, begin, weights)
@@ -385,7 +385,7 @@ def _carried(edges, lens, nodes, path, u, v, begin, middle, end, weights):  # ty
     return out
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _inside(lens, shape, axes, x, y, z, r, width, height):  # type: ignore[no-untyped-def]
     """Share of a target's disc that lies inside the image, from 240 places on it."""
     circle = circle_of(shape, axes, x, y, z, r)
@@ -403,18 +403,18 @@ def _inside(lens, shape, axes, x, y, z, r, width, height):  # type: ignore[no-un
     return count / 240.0
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _rings(diameter):  # type: ignore[no-untyped-def]
     return min(MOST_NODES, 4 + int(diameter)), 12 + int(math.pi * diameter / 0.7)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _spot_count(diameter):  # type: ignore[no-untyped-def]
     rings, around = _rings(diameter)
     return rings * around
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _spots(lens, shape, axes, x, y, z, r, profile, diameter, out):  # type: ignore[no-untyped-def]
     """Write spots (u, v, amount) of the brightness of a disc beyond 1: Gauss in the radius, even angles.
 
@@ -441,7 +441,7 @@ def _spots(lens, shape, axes, x, y, z, r, profile, diameter, out):  # type: igno
             n += 1
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _add_sampled(  # type: ignore[no-untyped-def]
     change, x0, y0, table, reach, patch, lens, nodes, path, axes, x, y, z, r, shape, near, near_count, kind, size,
     xyz, turn, begin, instant, end, motion, sigma, timing, on, off,

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from mosca.data.arrays import Array
+from mosca.numba_support.decorators import kernel
 from twin.cameras.sensor.counter_rng import STEP, mix, normal, uniform
 from twin.cameras.sensor.level_lookup import LevelBank, level_bank
 from twin.cameras.sensor.sensor import Sensor
@@ -200,14 +200,14 @@ def _dust(width: int, height: int, key: int, look: Backdrop) -> Array:
     return through
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _uniforms(out, key):  # type: ignore[no-untyped-def]
     """Fill with numbers in (0, 1)."""
     for i in range(out.size):
         out[i] = uniform(mix(key + np.uint64(i) * STEP))
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _fixed_pattern(more, factor, key, dsnu, prnu, hot, hot_e, dead):  # type: ignore[no-untyped-def]
     """Fill the electrons that each pixel has of itself, and its factor on light; every trait draws on its own."""
     for p in range(more.size):
@@ -220,7 +220,7 @@ def _fixed_pattern(more, factor, key, dsnu, prnu, hot, hot_e, dead):  # type: ig
             more[p] = factor[p] = 0.0
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _onto_levels(mean, extra, flat, index, used, scale):  # type: ignore[no-untyped-def]
     """Fill the levels nearest to ``mean + flat * extra`` and mark which are in use; see ``LevelBank.number``."""
     height, width = index.shape
@@ -242,7 +242,7 @@ def _onto_levels(mean, extra, flat, index, used, scale):  # type: ignore[no-unty
         _row_onto_levels(line, index[y], used, scale)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _row_onto_levels(line, index, used, scale):  # type: ignore[no-untyped-def]
     """Fill one row's levels from its electrons (which it overwrites)."""
     floor_e, anchor, anchor_scale, step = scale
@@ -258,7 +258,7 @@ def _row_onto_levels(line, index, used, scale):  # type: ignore[no-untyped-def]
         used[index[x]] = 1
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _columns(columns, width):  # type: ignore[no-untyped-def]
     """Return, for each pixel of a row, the place (width,) in a coarse map's columns."""
     u = np.empty(width)
@@ -267,7 +267,7 @@ def _columns(columns, width):  # type: ignore[no-untyped-def]
     return u
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _stretched(coarse, y, height, columns, line):  # type: ignore[no-untyped-def]
     """Fill row ``y`` of a coarse map stretched over the image, bilinear, constant beyond the outer middles."""
     rows = coarse.shape[0]

@@ -9,13 +9,14 @@ exponential of the platform's library enters, named at each function: there the 
 import math
 
 import numpy as np
-from numba import njit
+
+from mosca.numba_support.decorators import kernel
 
 STEP = np.uint64(0x9E3779B97F4A7C15)
 """The odd number nearest to 2^64 over the golden ratio: successive states never repeat within 2^64."""
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def mix(x):  # type: ignore[no-untyped-def]
     """SplitMix64's finaliser: 64 well mixed bits of a counter (uint64)."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -23,13 +24,13 @@ def mix(x):  # type: ignore[no-untyped-def]
     return x ^ (x >> np.uint64(31))
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def uniform(bits):  # type: ignore[no-untyped-def]
     """A number in (0, 1) of 52 of 64 random bits; it and its complement are exact."""
     return (np.float64(bits >> np.uint64(12)) + 0.5) / 4503599627370496.0
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def normal(bits):  # type: ignore[no-untyped-def]
     """A standard normal number of 64 random bits: the inverse distribution function, to about 1 part in 10^16.
 
@@ -72,7 +73,7 @@ def normal(bits):  # type: ignore[no-untyped-def]
     return -x if q < 0.0 else x
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def poisson(mu, bits):  # type: ignore[no-untyped-def]
     """A Poisson number of mean mu >= 0 of 64 random bits, as a float: exact inversion, so that it grows with mu.
 
@@ -99,7 +100,7 @@ def poisson(mu, bits):  # type: ignore[no-untyped-def]
     return _search(max(n, 0.0), mu, p)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _search(n, mu, p):  # type: ignore[no-untyped-def]
     """The largest n with P(N < n) <= p, looked for from a guess."""
     while not _reached(n, mu, p):
@@ -109,7 +110,7 @@ def _search(n, mu, p):  # type: ignore[no-untyped-def]
     return n
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _reached(n, mu, p):  # type: ignore[no-untyped-def]
     """Whether P(N < n) <= p: the smaller of the two tails summed until its terms no longer count."""
     if n <= 0.0:

@@ -10,11 +10,10 @@ from functools import lru_cache
 from threading import Lock
 
 import numpy as np
-from numba import njit
 
 from mosca.data.arrays import Array
+from mosca.numba_support.decorators import callable_bare_step, kernel
 from twin.cameras.sensor.sensor import SEARCH, Sensor
-from twin.numba_decorators import bare_step, kernel
 
 SPACING = 0.15
 """Distance of levels, in standard deviations of the temporal noise at the level."""
@@ -142,7 +141,7 @@ def _law(level, noise, edges, edge_laws, edge_made, thresholds):  # type: ignore
     _add_up(low, high, offset, noise, share, up_to, edges, edge_laws, edge_made, shifted, thresholds)
 
 
-@bare_step
+@callable_bare_step
 def _add_up(low, high, offset, noise, share, up_to, edges, edge_laws, edge_made, shifted, thresholds):  # type: ignore[no-untyped-def]
     """Fill ``_law``'s thresholds from the shares of the numbers of electrons from ``low`` to ``high``."""
     wide = edge_laws.shape[1]
@@ -163,14 +162,14 @@ def _add_up(low, high, offset, noise, share, up_to, edges, edge_laws, edge_made,
     thresholds[edges.size] = np.uint64(9223372036854775808)
 
 
-@bare_step
+@callable_bare_step
 def _edge_law(edge, start, noise, laws, row):  # type: ignore[no-untyped-def]
     """Fill a row of ``laws`` with P(n + noise < edge) for n = start, start + 1, ..."""
     for i in range(laws.shape[1]):
         laws[row, i] = 0.5 * math.erfc((start + i - edge) / (noise * 1.4142135623730951))
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _guide(thresholds, first, bits, guide):  # type: ignore[no-untyped-def]
     """Fill the least counts that a number's leading bits allow, with SEARCH added where they allow more."""
     j = 0

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from mosca.data.arrays import Array
+from mosca.numba_support.decorators import kernel
 from twin.cameras.sensor.counter_rng import STEP, mix, normal, poisson
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ def _whole_groups(values: Array) -> Array:
     return np.pad(row, (0, lacking)) if lacking else row
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _look_up(out, index, many, frame, own, guide, guide_bits, first, thresholds):  # type: ignore[no-untyped-def]
     """Fill the counts that all pixels have without a target; ``many``: each pixel has a level of its own.
 
@@ -164,7 +164,7 @@ def _look_up(out, index, many, frame, own, guide, guide_bits, first, thresholds)
                 out[p] = first[level] + above
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _lit_groups(light, lit):  # type: ignore[no-untyped-def]
     """Note the first pixels of the groups that a target lights, and return how many there are."""
     found = 0
@@ -178,7 +178,7 @@ def _lit_groups(light, lit):  # type: ignore[no-untyped-def]
     return found
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def _draw_lit(out, light, index, flat, lit, own, levels, response):  # type: ignore[no-untyped-def]
     """Fill the counts of the pixels that a target lights, in the groups ``lit``; each draws from its own stream."""
     read_noise, gain, black, top, curve, peak = response

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numba import njit
 
 from mosca.data.arrays import Array
+from mosca.numba_support.decorators import kernel
 from twin.cameras.optics.lens import TwinLens
 from twin.cameras.render.occluders import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, hit
 
@@ -86,7 +86,7 @@ def _tiles(rays: Array) -> tuple[Array, Array]:
     return axis, angle
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _cast(rays, tile_axis, tile_angle, kind, size, bound, xyz, turn):  # type: ignore[no-untyped-def]
     rows, columns = rays.shape[:2]
     geoms = kind.shape[0]
@@ -140,12 +140,12 @@ def _cast(rays, tile_axis, tile_angle, kind, size, bound, xyz, turn):  # type: i
     return geom, distance, normal, other
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _is_known(kind: int) -> bool:
     return kind in (PLANE, SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _meet_plane(size, xyz, turn, g, dx, dy, dz):  # type: ignore[no-untyped-def]
     """Distance at which a ray meets the front of plane g (its +z side); inf if never."""
     fall = turn[g, 0, 2] * dx + turn[g, 1, 2] * dy + turn[g, 2, 2] * dz
@@ -161,7 +161,7 @@ def _meet_plane(size, xyz, turn, g, dx, dy, dz):  # type: ignore[no-untyped-def]
     return t
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _normal(kind, size, xyz, turn, g, px, py, pz):  # type: ignore[no-untyped-def]
     """Outward unit normal of primitive g at a point of its surface, camera frame."""
     dx, dy, dz = px - xyz[g, 0], py - xyz[g, 1], pz - xyz[g, 2]
@@ -197,7 +197,7 @@ def _normal(kind, size, xyz, turn, g, px, py, pz):  # type: ignore[no-untyped-de
     )
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def shade(rays, geom, distance, normal, xyz, turn, base, wears, cloths, ambient, lamp, at_m):  # type: ignore[no-untyped-def]
     """Return the light (rows, columns) float32 that a pixel gets of what its ray meets.
 
