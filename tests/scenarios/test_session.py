@@ -15,9 +15,9 @@ from mosca.data.targets import TestField as Field
 from mosca.data.wands import Wand
 from mosca.errors import CalibrationError, InputError
 from scenarios.build.cameras import true_rig, virtual_cameras
+from scenarios.run import scenario as runner
 from scenarios.run.folder import write_run
 from scenarios.run.scenario import run_scenario
-from scenarios.run.scenario import scenario as runner
 from scenarios.session.estimated import estimated
 from scenarios.session.faults import swapped, turned
 from scenarios.session.scenes import axes_session, bar_session, target_session

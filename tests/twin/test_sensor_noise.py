@@ -8,7 +8,7 @@ from numba import njit
 from scipy.special import gammainc, gammaincc, ndtri
 from scipy.stats import poisson as scipy_poisson
 
-from twin.cameras.sensor.sensor import counter_rng as noise
+from twin.cameras.sensor import counter_rng as noise
 
 BITS = np.random.default_rng(4).integers(0, 2**64, 200_000, dtype=np.uint64)
 U = ((BITS >> np.uint64(12)).astype(float) + 0.5) / 2.0**52
