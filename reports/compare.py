@@ -16,13 +16,19 @@ is not shared (a noise source was added) widens the interval by itself: the pair
 
 Without blocks in both, with other seeds or other cuts, the runs are two independent samples: the
 half-width is sqrt(h_new^2 + h_baseline^2) of the halves of both ``ci95`` that face each other, as for a
-difference of independent figures. A metric with neither is deterministic (a count, say) and only the 2 % apply. Speed
+difference of independent figures. A metric with neither is deterministic (a count, say) and only the 2 % apply.
+
+Another processor, or another version of a numerical library, computes other last digits, and with them other noise
+from the same seed: such runs are independent samples too. A suite compares some hundreds of metrics, so that chance
+alone takes several of them beyond a 95 % interval; there the half-width is widened to an interval that all ``FAMILY``
+metrics of an unchanged product keep with 95 % (Bonferroni), and a metric without interval is left to its limit. Speed
 (``latency_p99``, ``frame_rate``) also depends on the machine: it is judged only between records of one
 platform, and only with intervals.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Literal
 
 import numpy as np
@@ -37,6 +43,13 @@ SMALLEST_SHARE = 0.02
 """Worsenings up to this share of the baseline are never regressions (the contract's 2 %)."""
 FEWEST_BLOCKS = 8
 """With fewer pairs of blocks the jackknife's standard error says little."""
+
+FAMILY = 1000
+"""Comparisons of one suite, in round figures (the quick tier has 670 metrics)."""
+FAMILY_FACTOR = NormalDist().inv_cdf(1 - 0.025 / FAMILY) / NormalDist().inv_cdf(0.975)
+"""Half-width that all of a family keep with 95 %, over that of one 95 % interval: 2.07."""
+NUMERICAL = ("python", "numpy", "scipy", "numba", "mujoco", "opencv-python-headless")
+"""Packages whose versions decide about last digits."""
 
 Combination = Literal["mean", "root_mean", "extreme"]
 
@@ -134,6 +147,16 @@ def regressions(record: RunRecord, baseline: RunRecord) -> tuple[Regression, ...
     return tuple(r for r in found if r is not None)
 
 
+def digits(record: RunRecord) -> tuple[object, ...]:
+    """Return what decides about a run's last digits: runs that agree in it see the same noise from the same seed."""
+    versions = record.provenance.get("versions", {})
+    return (
+        record.provenance.get("platform"),
+        record.provenance.get("processor"),
+        *(versions.get(name) for name in NUMERICAL),
+    )
+
+
 def missing(record: RunRecord, baseline: RunRecord) -> tuple[str, ...]:
     """Return the names of the baseline's metrics that ``record`` no longer has: a loss that no figure shows."""
     return tuple(m.name for m in baseline.metrics if record.metric(m.name) is None)
@@ -147,8 +170,16 @@ def _regression(record: RunRecord, new: Metric, baseline: RunRecord, old: Metric
     size = how.better if isinstance(how.better, float) else abs(old.value)
     if not worse_by > SMALLEST_SHARE * size:
         return None
-    paired = record.seed == baseline.seed and _pairable(new, old)
-    half_width = _paired_half_width(how, new, old) if paired else _unpaired_half_width(how, new, old)
+    same_noise = record.seed == baseline.seed and digits(record) == digits(baseline)
+    paired = same_noise and _pairable(new, old)
+    if paired:
+        half_width = _paired_half_width(how, new, old)
+    elif same_noise or record.seed != baseline.seed or not np.isfinite(worse_by):
+        half_width = _unpaired_half_width(how, new, old)
+    elif new.ci95 is None or old.ci95 is None:
+        return None
+    else:
+        half_width = FAMILY_FACTOR * _unpaired_half_width(how, new, old)
     if not worse_by > half_width:
         return None
     share = worse_by / size if size > 0 else float("inf")

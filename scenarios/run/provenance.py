@@ -6,6 +6,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 
 def provenance() -> dict[str, Any]:
     """Return what made a result: versions, platform, git commit."""
@@ -14,8 +16,19 @@ def provenance() -> dict[str, Any]:
         "versions": {"mosca": version("mosca-testbench"), "python": platform.python_version()}
         | {name: version(name) for name in packages},
         "platform": f"{platform.system()} {platform.machine()}",
+        "processor": _processor(),
         "git": _git(),
     }
+
+
+def _processor() -> str:
+    """Return the processor as compiled code sees it: last digits, and noise with them, differ between such."""
+    import llvmlite.binding
+    import numba
+
+    simd = np.show_config(mode="dicts")["SIMD Extensions"]
+    name = numba.config.CPU_NAME or llvmlite.binding.get_host_cpu_name()
+    return " ".join([name, *simd.get("found", ())])
 
 
 def _git() -> str:

@@ -260,3 +260,40 @@ def test_the_summary_shows_each_run_with_figures_and_limits() -> None:
         "14.9",
     ):
         assert part in text
+
+
+def elsewhere(record: RunRecord, processor: str = "skylake X86_V3") -> RunRecord:
+    return replace(record, provenance={**record.provenance, "processor": processor})
+
+
+def test_another_processors_noise_is_another_sample_and_an_unchanged_product_passes_there() -> None:
+    """A paired rule would report figures that differ by 2.1 % with an interval of +-10 %, as they do elsewhere."""
+    new = run_with(rms_of(1.021 * session(1)))
+    assert len(regressions(new, BASE)) == 1
+    assert regressions(elsewhere(new), BASE) == ()
+
+
+def test_a_gross_fault_is_found_on_another_processor_too() -> None:
+    (found,) = regressions(elsewhere(run_with(rms_of(1.4 * session(1)))), BASE)
+    assert not found.paired
+
+
+def test_elsewhere_a_figure_without_interval_is_left_to_its_limit_and_a_lost_one_is_not() -> None:
+    largest = Metric("position_max", 1e-3, "m", 100)
+    worse, lost = replace(largest, value=2e-3), replace(largest, value=float("nan"))
+    assert len(regressions(run_with(worse), run_with(largest))) == 1
+    assert regressions(elsewhere(run_with(worse)), run_with(largest)) == ()
+    assert len(regressions(elsewhere(run_with(lost)), run_with(largest))) == 1
+
+
+def test_unchanged_products_on_other_processors_are_hardly_ever_reported() -> None:
+    """1,000 unpaired comparisons of one product: all of them pass with a probability of 95 %."""
+    reports = 0
+    for seed in range(1000):
+        rng = np.random.default_rng(seed)
+        sigma = 0.05
+        new, old = 1.0 + sigma * rng.normal(size=2)
+        metric = Metric("position_rms", old, "m", 100, (old - 1.96 * sigma, old + 1.96 * sigma))
+        other = replace(metric, value=new, ci95=(new - 1.96 * sigma, new + 1.96 * sigma))
+        reports += len(regressions(elsewhere(run_with(other)), run_with(metric)))
+    assert reports <= 1
