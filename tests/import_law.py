@@ -57,7 +57,7 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     "scenarios": (
         ROOMS,
         (),
-        ("numpy", "scipy", "pydantic", "click", "rich", "junitparser", "pytest"),
+        ("numpy", "scipy", "llvmlite", "pydantic", "click", "rich", "junitparser", "pytest"),
     ),
 }
 IMPORTLIB_ALLOWED = ("scenarios", "hardware.drivers")

@@ -1,5 +1,6 @@
 """What made a result: versions, platform, commit."""
 
+import os
 import platform
 import subprocess
 from importlib.metadata import version
@@ -7,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from llvmlite.binding import get_host_cpu_name
 
 
 def provenance() -> dict[str, Any]:
@@ -23,11 +25,8 @@ def provenance() -> dict[str, Any]:
 
 def _processor() -> str:
     """Return the processor as compiled code sees it: last digits, and noise with them, differ between such."""
-    import llvmlite.binding
-    import numba
-
     simd = np.show_config(mode="dicts")["SIMD Extensions"]
-    name = numba.config.CPU_NAME or llvmlite.binding.get_host_cpu_name()
+    name = os.environ.get("NUMBA_CPU_NAME") or get_host_cpu_name()
     return " ".join([name, *simd.get("found", ())])
 
 
