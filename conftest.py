@@ -15,6 +15,8 @@ from hypothesis import HealthCheck, settings
 PATIENT = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
 settings.register_profile("here", **PATIENT)
 settings.register_profile("ci", derandomize=True, **PATIENT)
+# .ci/nightly: other examples each time, and more of them
+settings.register_profile("night", max_examples=2000, **PATIENT)
 settings.load_profile("ci" if os.environ.get("CI") else "here")
 
 ROOT = Path(__file__).resolve().parent

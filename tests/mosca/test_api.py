@@ -103,5 +103,5 @@ def test_files_are_str_or_path(tmp_path: Path) -> None:
     assert mosca.read_rig(str(path)).names == mosca.read_rig(path).names == rig.names
     with pytest.raises(InputError, match="no such"):
         mosca.reconstruct(str(tmp_path / "nothing"), str(path))
-    with pytest.raises(InputError, match="no_target.toml"):
+    with pytest.raises(InputError, match=r"no_target\.toml"):
         mosca.calibrate(str(tmp_path / "nothing"), str(tmp_path / "no_target.toml"))
