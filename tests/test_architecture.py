@@ -9,6 +9,9 @@ ROOT = Path(__file__).resolve().parent.parent
 _spec = importlib.util.spec_from_file_location("import_law", Path(__file__).parent / "import_law.py")
 law = importlib.util.module_from_spec(_spec)
 _spec.loader.exec_module(law)
+_spec = importlib.util.spec_from_file_location("import_graph", Path(__file__).parent / "import_graph.py")
+graph = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(graph)
 
 
 def test_every_import_keeps_the_law():
@@ -59,3 +62,36 @@ def test_files_can_be_read_in_one_sitting():
         if (lines := len(path.read_text(encoding="utf-8").splitlines())) > 500
     }
     assert long == {}, "a file that outgrows one sitting tells two stories: split it"
+
+
+@pytest.mark.parametrize(
+    "package",
+    ["mosca", "mosca.data", "mosca.formats", "twin", "hardware", "reports"],
+)
+def test_folders_of_a_package_have_an_order(package):
+    assert graph.cycle(graph.arrows(ROOT, package)) == []
+
+
+def test_a_cycle_is_found(tmp_path):
+    for name, text in {
+        "a": "from pack.b import x\n",
+        "b": "from pack import c\n",
+        "c": "from pack.a.deep import y\n",
+        "d": "def f():\n    import pack.d.deep, pack.a.deep\n",
+    }.items():
+        folder = tmp_path / "pack" / name
+        folder.mkdir(parents=True)
+        (folder / "__init__.py").write_text(text)
+        (folder / "deep.py").write_text("")
+    assert graph.cycle(graph.arrows(tmp_path, "pack")) == ["a", "b", "c", "a"]
+    assert graph.arrows(tmp_path, "pack", inside_functions=True)["d"] == {"a"}
+    (tmp_path / "pack" / "c" / "__init__.py").write_text(
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from pack.a.deep import y\n"
+    )
+    assert graph.cycle(graph.arrows(tmp_path, "pack")) == []
+
+
+@pytest.mark.parametrize(("package", "most"), [("mosca", 28), ("scenarios", 18), ("twin/cameras", 12)])
+def test_a_package_can_be_taken_in_at_a_glance(package, most):
+    entries = [p.name for p in (ROOT / package).iterdir() if p.name not in ("__init__.py", "__pycache__")]
+    assert len(entries) <= most
