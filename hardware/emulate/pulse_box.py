@@ -1,4 +1,4 @@
-"""The pulse generator of ``hardware.triggers.serial_box``, emulated behind a pseudo-terminal.
+"""The pulse generator of ``hardware.triggers.pulse_protocol``, emulated behind a pseudo-terminal.
 
 It speaks the protocol of the firmware, with a quartz that is off, and calls back at each pulse, so that emulated
 cameras can hang on its line.
@@ -14,7 +14,7 @@ import tty
 from collections.abc import Callable
 from typing import Self
 
-from hardware.triggers.serial_box import PROTOCOL
+from hardware.triggers.pulse_protocol import PROTOCOL
 
 OnPulse = Callable[[int, int], None]
 SLOWEST_MHZ, FASTEST_MHZ = 100, 2_000_000

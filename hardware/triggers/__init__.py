@@ -6,6 +6,7 @@ from hardware.driver import CameraDriver, DeviceError
 from hardware.settings import RigHardware
 from hardware.trigger import External, Trigger
 from hardware.triggers.action import ActionTrigger
+from hardware.triggers.serial_box import SerialTrigger
 from hardware.triggers.software import SoftwareTrigger
 
 
@@ -16,13 +17,12 @@ def open_trigger(rig: RigHardware, drivers: Mapping[str, CameraDriver]) -> Trigg
     match table.source:
         case "serial":
             try:
-                from hardware.triggers.serial_box import SerialTrigger
+                return SerialTrigger(table.port, table.baud, rate_hz)
             except ImportError as error:
                 raise DeviceError(
                     f"{rig.path}: [hardware.trigger] source 'serial' cannot be used ({error}); "
                     "pip install 'mosca-testbench[serial]'"
                 ) from None
-            return SerialTrigger(table.port, table.baud, rate_hz)
         case "software":
             return SoftwareTrigger(drivers, rate_hz)
         case "action":

@@ -1,73 +1,71 @@
 """Pulse generator on a serial port, for instance an RP2040 or Arduino with the sketch in ``hardware/firmware``.
 
-The protocol is lines of ASCII, 115,200 baud; the host asks, the box answers at once:
-
-| host | box | meaning |
-|---|---|---|
-| ``V`` | ``V mosca-pulse 1`` | who is there, and the protocol's version |
-| ``F 100000`` | ``F 100000`` | pulses per 1,000 s (100 Hz), as set; only while stopped |
-| ``W 100`` | ``W 100`` | width of a pulse [us] |
-| ``S 1``, ``S 0`` | ``S 1``, ``S 0 1234`` | start with pulse 0 at once; stop, with the number of pulses made |
-| ``P 7`` | ``P 7 1234 5678`` | ping 7: the last pulse's number, and microseconds since then |
-| anything else | ``E text`` | not understood, or not now |
+Its protocol: ``hardware.triggers.pulse_protocol``.
 """
 
 import threading
 import time
 from collections import deque
-from dataclasses import dataclass
-
-import numpy as np
-import serial
+from typing import Any
 
 from hardware.driver import DeviceError
 from hardware.trigger import External
+from hardware.triggers.pulse_protocol import (
+    PROTOCOL,
+    START,
+    STOP,
+    VERSION,
+    Ping,
+    PulseFit,
+    fit_pulses,
+    pulses_at_ping,
+    pulses_made,
+    rate_command,
+)
 
-PROTOCOL = "V mosca-pulse 1"
-PING_S = 0.1
-PINGS = 600
-ANSWER_S, LOOK_S = 5.0, 0.1
-"""An answer is waited for so long, in looks: time in which this machine did not run them says nothing."""
-CERTAIN, TRIES = 0.2, 50
-"""The start is known to this share of a period, by the first of so many pings that is quick enough."""
+PING_INTERVAL_S = 0.1
+PINGS_KEPT = 600
+ANSWER_S, POLL_S = 5.0, 0.1
+"""Timeout of an answer, counted in polls: time in which this process did not run does not count."""
+START_UNCERTAINTY, START_PINGS = 0.2, 50
+"""The start is wanted to this share of a period; it is taken from the quickest of at most so many pings."""
 
 
-@dataclass(frozen=True)
-class PulseFit:
-    """Host time of pulse k is ``first_ns`` + k ``period_ns``; ``rms_ns``: the ``pings`` about it."""
+def _open_port(where: str, port: str, baud: int) -> Any:
+    import serial
 
-    first_ns: int
-    period_ns: float
-    rms_ns: float
-    pings: int
+    try:
+        return serial.Serial(port, baud, timeout=POLL_S, write_timeout=ANSWER_S)
+    except (serial.SerialException, ValueError) as error:
+        raise DeviceError(
+            f"{where}: cannot be opened ({error}); check [hardware.trigger] port and its rights"
+        ) from None
 
 
 class SerialTrigger(External):
-    """The pulse generator at ``port``; a ``hardware.trigger.Trigger``. DeviceError where none answers."""
+    """The pulse generator at ``port``; a ``hardware.trigger.Trigger``.
+
+    DeviceError where none answers, ImportError where pyserial is not installed.
+    """
 
     def __init__(self, port: str, baud: int, rate_hz: float) -> None:
         self._where = f"pulse generator at {port}"
         self._rate_hz = rate_hz
         self._guard = threading.Lock()
-        self._pings: deque[tuple[int, float, int]] = deque(maxlen=PINGS)
+        self._pings: deque[Ping] = deque(maxlen=PINGS_KEPT)
         self._count = 0
         self._end = threading.Event()
         self._thread: threading.Thread | None = None
         self._pulses: int | None = None
+        self._port = _open_port(self._where, port, baud)
         try:
-            self._port = serial.Serial(port, baud, timeout=LOOK_S, write_timeout=ANSWER_S)
-        except (serial.SerialException, ValueError) as error:
-            raise DeviceError(
-                f"{self._where}: cannot be opened ({error}); check [hardware.trigger] port and its rights"
-            ) from None
-        try:
-            answer = self._ask("V")
+            answer = self._ask(VERSION)
             if answer != PROTOCOL:
                 raise DeviceError(
                     f"{self._where}: answers '{answer}', '{PROTOCOL}' is wanted; load its firmware"
                 )
-            self._ask("S 0")
-            wanted = f"F {round(rate_hz * 1000)}"
+            self._ask(STOP)
+            wanted = rate_command(rate_hz)
             taken = self._ask(wanted)
             if taken != wanted:
                 raise DeviceError(
@@ -80,21 +78,24 @@ class SerialTrigger(External):
     def start(self) -> int | None:
         """Begin with pulse 0; return this machine's time of it [ns], known to half a round trip.
 
-        Where the answer was slow, the quickest of some pings tells: how far the pulses are, and so when they began.
+        Where the answer was slow, the quickest of some pings is used: pulses made so far, hence when they began.
         """
         self._pings.clear()
         self._pulses = None
         before = time.monotonic_ns()
-        if self._ask("S 1") != "S 1":
+        if self._ask(START) != START:
             raise DeviceError(f"{self._where}: does not start; unplug it and plug it in again")
         trip_ns = time.monotonic_ns() - before
         begun_ns = before + trip_ns // 2
-        for _ in range(TRIES):
-            if trip_ns <= CERTAIN * 1e9 / self._rate_hz:
+        for _ in range(START_PINGS):
+            if trip_ns <= START_UNCERTAINTY * 1e9 / self._rate_hz:
                 break
             ping = self._ping()
-            if ping is not None and ping[2] < trip_ns:
-                begun_ns, trip_ns = ping[0] - round(ping[1] * 1e9 / self._rate_hz), ping[2]
+            if ping is not None and ping.round_trip_ns < trip_ns:
+                begun_ns, trip_ns = (
+                    ping.host_ns - round(ping.pulses * 1e9 / self._rate_hz),
+                    ping.round_trip_ns,
+                )
         self._end.clear()
         self._thread = threading.Thread(target=self._run, name="pulse generator", daemon=True)
         self._thread.start()
@@ -106,30 +107,26 @@ class SerialTrigger(External):
         if self._thread is not None:
             self._thread.join()
             self._thread = None
-        words = self._ask("S 0").split()
-        if self._pulses is None and len(words) == 3 and words[2].isdigit() and self._pings:
-            self._pulses = int(words[2])
+        made = pulses_made(self._ask(STOP))
+        if self._pulses is None and made is not None and self._pings:
+            self._pulses = made
+
+    @property
+    def pings(self) -> tuple[Ping, ...]:
+        """The latest pings since ``start``."""
+        return tuple(self._pings)
 
     def fit(self) -> PulseFit | None:
         """Return host time against pulse number over the quicker half of the pings; None with fewer than four."""
-        pings = list(self._pings)
-        if len(pings) < 4:
-            return None
-        origin = pings[0][0]
-        since, pulse, took = np.array([(host_ns - origin, k, trip_ns) for host_ns, k, trip_ns in pings]).T
-        quick = took <= np.median(took)
-        since, pulse = since[quick], pulse[quick]
-        slope, start = np.polyfit(pulse, since, 1)
-        rms = float(np.sqrt(np.mean((since - start - slope * pulse) ** 2)))
-        return PulseFit(origin + round(start), float(slope), rms, len(pulse))
+        return fit_pulses(self.pings)
 
     def report(self) -> dict[str, object]:
         """Return the pulses made (after ``stop``) and the fit of this machine's clock to them."""
         fit = self.fit()
-        told: dict[str, object] = {} if self._pulses is None else {"pulses": self._pulses}
+        report: dict[str, object] = {} if self._pulses is None else {"pulses": self._pulses}
         if fit is not None:
-            told |= {"rate_hz": 1e9 / fit.period_ns, "ping_rms_us": fit.rms_ns / 1e3, "pings": fit.pings}
-        return told
+            report |= {"rate_hz": 1e9 / fit.period_ns, "ping_rms_us": fit.rms_ns / 1e3, "pings": fit.pings}
+        return report
 
     def close(self) -> None:
         """Stop the pulses and free the port; may be called twice."""
@@ -140,26 +137,23 @@ class SerialTrigger(External):
                 self._port.close()
 
     def _run(self) -> None:
-        while not self._end.wait(PING_S):
+        while not self._end.wait(PING_INTERVAL_S):
             try:
                 ping = self._ping()
             except DeviceError:
-                return  # the next command to the box tells
+                return  # the next command raises it again, in the caller's thread
             if ping is not None:
                 self._pings.append(ping)
 
-    def _ping(self) -> tuple[int, float, int] | None:
-        """Return this machine's time [ns], pulses and parts of one until then, and what the answer took [ns].
-
-        None for an answer to something else.
-        """
+    def _ping(self) -> Ping | None:
+        """Return one ping; None for an answer to something else."""
         self._count += 1
+        number = self._count % 1000
         before = time.monotonic_ns()
-        words = self._ask(f"P {self._count % 1000}").split()
+        answer = self._ask(f"P {number}")
         after = time.monotonic_ns()
-        if len(words) != 4 or words[:2] != ["P", str(self._count % 1000)]:
-            return None
-        return (before + after) // 2, int(words[2]) + int(words[3]) * 1e-6 * self._rate_hz, after - before
+        pulses = pulses_at_ping(answer, number, self._rate_hz)
+        return None if pulses is None else Ping((before + after) // 2, pulses, after - before)
 
     def _ask(self, line: str) -> str:
         try:
@@ -167,11 +161,11 @@ class SerialTrigger(External):
                 self._port.reset_input_buffer()
                 self._port.write(line.encode("ascii") + b"\n")
                 answer = b""
-                for _ in range(round(ANSWER_S / LOOK_S)):
+                for _ in range(round(ANSWER_S / POLL_S)):
                     answer += self._port.read_until(b"\n")
                     if answer.endswith(b"\n"):
                         break
-        except (serial.SerialException, OSError) as error:
+        except OSError as error:  # SerialException is one
             raise DeviceError(f"{self._where}: is gone ({error}); plug it in and start again") from None
         if not answer.endswith(b"\n"):
             raise DeviceError(

@@ -8,6 +8,7 @@ import pytest
 from array_source import ArraySource
 from fake_rig import Fake, FakeDriver, FakeLine
 from loopback import Hand, free_address
+from needs import needs_module
 from test_hardware_source import RATE, pulse_in, rig_file
 
 from hardware.driver import Capabilities, Grabbed
@@ -18,6 +19,7 @@ from hardware.reorder_buffer import Abreast
 from hardware.settings import read_hardware
 from hardware.silence import LONGEST_LOOK_S, LOOK_S, Looks
 from hardware.source import HardwareSource
+from hardware.triggers.serial_box import SerialTrigger
 from hardware.triggers.software import GIVEN_UP, PATIENCE_S, SoftwareTrigger
 from mosca.data.frames import Frame
 from mosca.synchronisation import Assembly, assemble
@@ -242,10 +244,10 @@ class Late(PulseBox):
 
 
 def test_when_pulses_began_is_known_though_the_answer_came_late():
-    serial_box = pytest.importorskip("hardware.triggers.serial_box", reason="pyserial is not installed")
+    needs_module("serial", "serial")
     seen = []
     with Late(lambda number, time_ns: seen.append(time_ns)) as box:
-        trigger = serial_box.SerialTrigger(box.port, 115200, 100.0)
+        trigger = SerialTrigger(box.port, 115200, 100.0)
         start_ns = trigger.start()
         trigger.close()
     # half-way between question and answer would be half a second off, half of one quick ping is not
