@@ -16,7 +16,7 @@ count and another's belong together by a whole number, its *shift*, and the time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from hardware.pulse_numbers.clock_model import HostLine
+from hardware.pulse_numbers.clock_model import HostPulseTimes
 
 VOTE_S = 0.2
 FEWEST_VOTES, MOST_VOTES = 5, 100
@@ -50,7 +50,7 @@ class PulsePlaces:
         self.period_ns = 1e9 / rate_hz
         self.notes: list[tuple[str, str]] = []
         self._places = {name: _Place() for name in stations}
-        self._line: HostLine | None = None
+        self._line: HostPulseTimes | None = None
         self._votes = min(max(round(VOTE_S * rate_hz), FEWEST_VOTES), MOST_VOTES)
         self._start_wait_ns = start_wait_s * 1e9
         self._first_ns: int | None = None
@@ -113,7 +113,7 @@ class PulsePlaces:
         }
         # arrivals fix the phase; the station that has counted longest fixes the number
         longest = min(zeros, key=lambda name: zeros[name])
-        self._line = HostLine(round(zeros[longest]), self.period_ns)
+        self._line = HostPulseTimes(round(zeros[longest]), self.period_ns)
         for name in sorted(zeros, key=lambda name: zeros[name]):
             self._find(name, self._places[name])
 

@@ -109,7 +109,7 @@ def capture(
         writer = stack.enter_context(_recording(request, source))
         recorder = Recorder(writer, source.cameras, request.waiting_bytes)
         stack.callback(recorder.close)
-        source.came = None if request.detections else recorder.came
+        source.on_image = None if request.detections else recorder.came
         run = None
         if program is not None:
             run = ProgramRun(program, source.session_ns, recorder.tell)
@@ -259,8 +259,8 @@ def _tell_clock(recorder: Recorder, source: HardwareSource, intake: Intake) -> N
 def _tell_account(recorder: Recorder, source: HardwareSource, intake: Intake) -> None:
     """Write down what became of the buffers until now; the last one is of the end."""
     account = {
-        "cameras": {name: asdict(one) for name, one in source.account.cameras.items()},
-        "notes": list(source.account.notes),
+        "cameras": {name: asdict(one) for name, one in source.statistics.cameras.items()},
+        "notes": list(source.statistics.notes),
         "lost_sets": [list(pair) for pair in intake.lost.ranges],
     }
     recorder.tell("account", _now_ns(source), account)
@@ -277,12 +277,12 @@ def _outcome(
     pulses = wanted if wanted is not None else _whole_pulses(intake)
     rows = {}
     for name, seen in intake.cameras.items():
-        kept = source.account.cameras[name]
+        kept = source.statistics.cameras[name]
         dropped = max(pulses - seen.pulses, 0)
         rows[name] = CameraRow(
             seen.whole - seen.left_out, seen.failed, dropped, kept.overrun, kept.relocked, kept.reopened
         )
-    notes = list(source.account.notes)
+    notes = list(source.statistics.notes)
     lost = intake.lost
     if lost.count:
         notes.append(

@@ -66,7 +66,7 @@ def check_rig_live(
             one.pulses.add(pulse)
             if len(one.images) < LOOKED_AT and pulse >= len(one.images) * pulses // LOOKED_AT:
                 one.images.append(frame.image)
-        reports, notes = dict(source.reports), list(source.account.notes)
+        reports, notes = dict(source.reports), list(source.statistics.notes)
     lines, whole = [], True
     for name, info in infos.items():
         one, report = seen[name], reports[name]

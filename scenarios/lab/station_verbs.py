@@ -86,7 +86,7 @@ def detect_on_station(
         f"{sender.refused} messages refused",
     ]
     if devices is not None:
-        lines += devices.hardware.account.notes
+        lines += devices.hardware.statistics.notes
     return lines
 
 
