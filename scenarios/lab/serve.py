@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from hardware.emulate.faults import Faults
-from hardware.emulate.pulse_box import PulseBox
+from hardware.emulate.pulse_generators import PulseBox
 from hardware.emulate.serve import FIRST_ADDRESS, Served, served
 from mosca.data.files.rig_file import CameraTable, read_rig, read_rig_file, rig_toml
 from mosca.data.files.toml import Positive, Table, check, read_toml

@@ -12,8 +12,7 @@ from needs import needs_module
 from test_hardware_source import RATE, pulse_in, rig_file
 
 from hardware.driver import Capabilities, Grabbed
-from hardware.emulate.line import TriggerLine
-from hardware.emulate.pulse_box import PulseBox
+from hardware.emulate.pulse_generators import PulseBox, TriggerLine
 from hardware.emulate.serve import served
 from hardware.reorder_buffer import ReorderBuffer
 from hardware.settings import read_hardware
@@ -178,7 +177,7 @@ class Clock:
 
 def test_a_line_that_is_behind_makes_the_pulses_that_were_due_before_it_was_stopped(monkeypatch):
     clock, camera = Clock(), Slow()
-    monkeypatch.setattr("hardware.emulate.line.time", clock)
+    monkeypatch.setattr("hardware.emulate.pulse_generators.time", clock)
     line = TriggerLine([camera])
     line.start(100.0)
     assert camera.begun.wait(60)

@@ -13,7 +13,7 @@ from needs import needs_aravis
 
 from hardware.driver import DeviceError, Grabbed
 from hardware.drivers import open_camera
-from hardware.emulate.faults import Faults, Luck
+from hardware.emulate.faults import FaultDraws, Faults
 from hardware.emulate.serve import served
 from hardware.pulse_numbers.numbering import PulseNumbers
 from hardware.pulse_numbers.trigger_counter import TriggerCounter
@@ -160,7 +160,7 @@ def test_withheld_pulses_are_told_from_those_that_the_camera_ignored(tmp_path, m
         assert len(whole) > 0.8 * len(images)
         for pulse, image in whole.items():
             np.testing.assert_array_equal(image, picture(int(name[3]), pulse, SHAPE))
-    luck = Luck(faults, serial)
+    luck = FaultDraws(faults, serial)
     withheld = [k for k in range(counts["pulses"]) if luck.withheld(k)]
     inside = [k for k in withheld if min(got["cam0"]) < k]
     # pulses after the last one wanted were counted too
