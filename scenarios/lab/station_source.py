@@ -21,7 +21,7 @@ OWN_PULSES = ("serial", "software", "action")
 """Trigger sources by which a station makes the pulses itself."""
 
 
-class Paced(PassedOn):
+class PacedRecording(PassedOn):
     """A recording that is played as fast as it was taken, as a rig would give it, from the start that is ordered.
 
     Recordings of one session start together on all stations; one that comes later goes on where the others are.

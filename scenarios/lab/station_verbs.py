@@ -25,7 +25,7 @@ from scenarios.lab.merge import Delays, account_lines, all_whole, calibrated_rig
 from scenarios.lab.priority import before_others, prompt
 from scenarios.lab.station import run_station
 from scenarios.lab.station_background import Backgrounds
-from scenarios.lab.station_source import Paced, RigOfStation
+from scenarios.lab.station_source import PacedRecording, RigOfStation
 from scenarios.run.interrupt import first_ctrl_c
 from scenarios.run.sources import Chosen
 
@@ -53,12 +53,12 @@ def detect_on_station(
     devices: RigOfStation | None = None
     if recording is None:
         devices = RigOfStation(read_hardware(rig))
-        source: RigOfStation | Paced = devices
+        source: RigOfStation | PacedRecording = devices
         backgrounds = Backgrounds(spec.background, told=told)
     else:
         cameras = read_rig(rig)
         backgrounds = Backgrounds(ready=recorded_backgrounds(recording, cameras, fps, spec.background))
-        source = Paced(Chosen(open_recording(recording, cameras, fps), names))
+        source = PacedRecording(Chosen(open_recording(recording, cameras, fps), names))
     with before_others():  # the engine's threads too
         try:
             transport = open_transport(connect)

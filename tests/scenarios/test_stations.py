@@ -39,7 +39,7 @@ from scenarios.lab import station_source, station_verbs
 from scenarios.lab.merge import account_lines, all_whole, calibrated_rig, run_merged
 from scenarios.lab.station import PulseCount, run_station
 from scenarios.lab.station_background import Backgrounds
-from scenarios.lab.station_source import Paced, RigOfStation
+from scenarios.lab.station_source import PacedRecording, RigOfStation
 from scenarios.lab.station_verbs import detect_on_station
 
 PULSES = 90
@@ -66,7 +66,7 @@ def stations(faults=None):
     with Receiver(exchange.open(), ("A", "B"), sizes, RATE, PATIENT) as here:
         threads = []
         for name, cameras in (("A", WHOLE.cameras[:2]), ("B", WHOLE.cameras[2:])):
-            source = Paced(Scene(cameras, PULSES, faults=faults))
+            source = PacedRecording(Scene(cameras, PULSES, faults=faults))
             sender = source.gate.sender = Sender(exchange.open(), name, source.cameras)
             arguments = (source, sender, SETTINGS.detection, source.arrival_ns)
             threads.append(threading.Thread(target=run_station, args=arguments))
@@ -130,7 +130,7 @@ def test_backgrounds_are_made_and_taken_off_as_in_a_local_run(tmp_path):
         exchange, told = Exchange(), []
         backgrounds._told = told.append
         with Receiver(exchange.open(), ("A",), dict.fromkeys(NAMES, SIZE), RATE, PATIENT) as here:
-            source = Paced(Lit(WHOLE.cameras, PULSES))
+            source = PacedRecording(Lit(WHOLE.cameras, PULSES))
             sender = source.gate.sender = Sender(exchange.open(), "A", source.cameras)
             thread = threading.Thread(
                 target=run_station,
