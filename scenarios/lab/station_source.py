@@ -87,7 +87,7 @@ class StartGate:
 
     def hold(self) -> bool:
         """Wait for the order to start; False when the station ends before."""
-        self.station.say("holding")
+        self.station.set_state("holding")
         while not self.left:
             if self.station.ordered(WAIT_S):
                 return True
@@ -110,7 +110,7 @@ class _Gated:
     def start(self) -> int | None:
         """Say that the cameras are armed; begin the pulses, where they are this station's, on the order."""
         if not self._own_pulses:
-            self._gate.station.say("armed")
+            self._gate.station.set_state("armed")
             return self._trigger.start()
         return self._trigger.start() if self._gate.hold() else None
 

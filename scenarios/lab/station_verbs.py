@@ -21,7 +21,7 @@ from mosca.data.tracks import Samples, table
 from mosca.formats.tracks.tracks_file import check_tracks_file, write_tracks
 from mosca.recording import open_recording
 from scenarios.commands.reconstruct import reconstruct_settings, reconstruct_spec, recorded_backgrounds
-from scenarios.lab.merge import Delays, account_lines, all_whole, calibrated_rig, run_merged
+from scenarios.lab.merge import Delays, all_whole, calibrated_rig, run_merged, summary_lines
 from scenarios.lab.priority import before_others, prompt
 from scenarios.lab.station import run_station
 from scenarios.lab.station_background import Backgrounds
@@ -145,18 +145,18 @@ def reconstruct_stations(
             timer.cancel()
     tracks = table(samples)
     write_tracks(tracks, out, receiver.rate_hz or 1.0)
-    lines += account_lines(receiver.account)
-    sets = max(receiver.account.merge.sets, 1)
+    lines += summary_lines(receiver.statistics)
+    sets = max(receiver.statistics.merge.sets, 1)
     lines.append(
         f"{len(np.unique(tracks.track))} tracks with {len(tracks)} samples in {out}; {points / sets:.1f} points a set"
     )
-    if receiver.account.merge.sets:
+    if receiver.statistics.merge.sets:
         half, most = delays.percentiles(0.5), delays.percentiles(0.99)
         lines.append(
             f"merged {1e3 * half[0]:.1f} ms (median), {1e3 * most[0]:.1f} ms (99 %) after the frames arrived, "
             f"{1e3 * half[1]:.1f} and {1e3 * most[1]:.1f} ms after their detections were sent"
         )
-    return lines, all_whole(receiver.account)
+    return lines, all_whole(receiver.statistics)
 
 
 def _line(event: Event) -> str:

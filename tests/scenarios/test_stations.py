@@ -36,7 +36,7 @@ from scenarios.cli.station import rig_of
 from scenarios.commands.reconstruct import BackgroundSpec, recorded_backgrounds
 from scenarios.lab import station as station_module
 from scenarios.lab import station_source, station_verbs
-from scenarios.lab.merge import account_lines, all_whole, calibrated_rig, run_merged
+from scenarios.lab.merge import all_whole, calibrated_rig, run_merged, summary_lines
 from scenarios.lab.station import PulseCount, run_station
 from scenarios.lab.station_background import Backgrounds
 from scenarios.lab.station_source import PacedRecording, RigOfStation
@@ -99,9 +99,9 @@ def test_two_stations_give_the_detections_and_tracks_of_a_local_run_bit_for_bit(
         np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
     assert dict(sets[20].missing) == {"b1": "no frame"}
     assert dict(sets[21].missing) == {"b1": "corrupt"}
-    lines = account_lines(here.account)
+    lines = summary_lines(here.statistics)
     assert "camera 'b1' is missing in 2 sets: 2 without a frame" in lines
-    assert not all_whole(here.account)
+    assert not all_whole(here.statistics)
 
 
 LAMP = np.rint(190 / (1 + np.exp((np.hypot(*np.mgrid[-7:8, -7:8]) - 3) / 0.35))).astype(np.uint8)
