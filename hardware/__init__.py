@@ -1,1 +1,6 @@
-"""The real rig. No driver is built in yet; the room keeps the door that scenarios open."""
+"""Real cameras and triggers: drivers, pulse numbering, the rig as a source of frames, and emulated cameras."""
+
+import logging
+
+# a library prints nothing of its own accord: who wants the log adds a handler
+logging.getLogger("mosca.hardware").addHandler(logging.NullHandler())

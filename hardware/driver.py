@@ -1,9 +1,9 @@
-"""What a camera driver is: the one door behind which each vendor's software stands.
+"""Interface of the camera drivers, one for each vendor's software.
 
-A driver opens one camera, sets it, arms it and yields what it grabbed, with the camera's own counter and clock. It
-does not group, does not repair and does not guess: what the device cannot do, its ``Capabilities`` say; what it
-did not take, ``configure`` refuses. Names are GenICam's (SFNC). A driver is used by one thread at a time,
-except ``software_trigger``, ``clock`` and ``close``, which may come from another.
+A driver opens one camera, configures it, arms it and returns the buffers it grabbed, with the camera's block id and
+device clock. It does not group, repair or guess: what the device cannot do is in its ``Capabilities``; a setting that
+it did not accept is refused by ``configure``. Names are GenICam's (SFNC). A driver is used by one thread at a time,
+except ``software_trigger``, ``clock`` and ``close``, which may be called from another.
 """
 
 from collections.abc import Mapping
@@ -18,60 +18,59 @@ from mosca.errors import MoscaError
 
 
 class DeviceError(MoscaError):
-    """A camera or trigger that is missing, busy, refuses a setting or stopped answering; told in one line."""
+    """A camera or trigger that is missing, busy, refuses a setting or stopped answering; in one line."""
 
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What a device can do, asked of the device or known of its kind; False or None where it is not known.
-
-    ``device_clock``: stamps of the camera's own clock; ``stamp_event``: what they mark, ``exposure_start`` for
-    most triggered cameras. ``hardware_trigger``, ``software_trigger``, ``scheduled_action``, ``ptp``, ``window``
-    (readout of a part, for higher rates). ``trigger_counter``: reports ignored triggers. ``max_triggered_hz``:
-    the highest rate of triggers that it keeps up with at its present settings. ``real_time``: frames come as they are
-    taken; False for a file that is played.
-    """
+    """What a device can do, read from the device or known of its kind; False or None where it is not known."""
 
     device_clock: bool = False
+    """Time stamps of the camera's own clock."""
     stamp_event: StampEvent = "exposure_start"
+    """What the stamps mark."""
     hardware_trigger: bool = False
     software_trigger: bool = False
     scheduled_action: bool = False
+    """GigE Vision action commands with a time of execution."""
     ptp: bool = False
     window: bool = False
+    """Readout of a part of the sensor, for higher rates."""
     trigger_counter: bool = False
+    """Sends its count of trigger pulses."""
     max_triggered_hz: float | None = None
+    """Highest trigger rate at the present settings [1/s]."""
     real_time: bool = True
+    """Whether frames come as they are taken; False for a file that is played."""
 
 
 @dataclass(frozen=True, eq=False)
 class Grabbed:
-    """One buffer as it came: what the camera says, and when this machine saw it.
-
-    ``block_id``: the stream's own number of the frame, unwrapped by the driver where the protocol wraps it, or
-    None. ``device_ns``: the camera's stamp in its own clock, None without one. ``host_ns``: this machine's
-    monotonic clock (``time.monotonic_ns``) when the buffer was whole. ``image``: (H, W) uint8 or uint16, owned by
-    the receiver, or None where it is not whole; ``note`` then says why (packets missing, buffer failed).
-    ``triggers``: the camera's own count of pulses on its trigger line at this frame, None where it tells none.
-    """
+    """One buffer as it was received."""
 
     block_id: int | None
+    """Block id of the stream, unwrapped by the driver where the protocol wraps it; None without one."""
     device_ns: int | None
+    """Time stamp of the device clock [ns]; None without one."""
     host_ns: int
+    """Host clock (``time.monotonic_ns``) when the buffer was complete [ns]."""
     exposure_ns: int
     image: Array | None
+    """(H, W) uint8 or uint16, owned by the receiver; None where it is not complete."""
     note: str = ""
+    """Why the image is not complete (packets missing, buffer failed)."""
     triggers: int | None = None
+    """The camera's count of pulses on its trigger line at this frame; None where it sends none."""
 
     @property
-    def nameless(self) -> bool:
-        """Whether it is what came of a frame without the packet that says which: no image, number nor stamp."""
+    def unidentified(self) -> bool:
+        """Whether the packet that identifies the frame was lost: no image, block id nor stamp."""
         return self.image is None and self.block_id is None and self.device_ns is None
 
 
 @dataclass(frozen=True)
 class ClockReading:
-    """A camera's clock beside this machine's: it showed ``device_ns`` between ``before_ns`` and ``after_ns``."""
+    """A reading of a device clock: ``device_ns`` between ``before_ns`` and ``after_ns`` of the host clock."""
 
     device_ns: int
     before_ns: int
@@ -79,18 +78,18 @@ class ClockReading:
 
     @property
     def host_ns(self) -> int:
-        """Half-way, by this machine's clock."""
+        """Host time half-way [ns]."""
         return (self.before_ns + self.after_ns) // 2
 
     @property
     def error_ns(self) -> int:
-        """How far off that may be."""
+        """Largest error of ``host_ns`` [ns]."""
         return (self.after_ns - self.before_ns) // 2
 
 
 @dataclass(frozen=True)
 class DeviceReport:
-    """What a device took: its names, the settings as read back, and the size of its frames."""
+    """A configured device: its names, the settings as read back, and the size of its frames."""
 
     model: str
     serial: str
@@ -116,7 +115,7 @@ class CameraDriver(Protocol):
         ...
 
     def configure(self, settings: CameraHardware) -> DeviceReport:
-        """Set the device and read it back; DeviceError where it took another value than was asked for."""
+        """Set the device and read it back; DeviceError where it accepted another value than the one requested."""
         ...
 
     def arm(self) -> None:
@@ -132,7 +131,7 @@ class CameraDriver(Protocol):
         ...
 
     def clock(self) -> ClockReading | None:
-        """Return what the camera's clock shows now, the clock of the stamps; None where it cannot be asked."""
+        """Return a reading of the device clock, the clock of the stamps; None where it cannot be read."""
         ...
 
     def disarm(self) -> None:
@@ -150,7 +149,7 @@ class CameraDriver(Protocol):
 
 @dataclass(frozen=True)
 class Device:
-    """A camera that a driver sees, before it is opened; ``address``: whatever the driver opens it by."""
+    """A camera that a driver finds, before it is opened; ``address``: whatever the driver opens it by."""
 
     driver: str
     model: str

@@ -1,30 +1,34 @@
-"""For how long a camera's reader has looked for frames in vain: the measure of silence.
+"""Polling time without a frame, per camera; stalls of this process are excluded.
 
-A clock alone cannot tell who is silent: it goes on while this machine does not run the reader, and what came
-meanwhile has not been looked at yet. So only looks count, each for no longer than it was meant to take.
+Wall-clock time alone does not show that a camera is silent: it also passes while this process does not run the
+reading thread, and frames that arrived meanwhile have not been read yet. So only polls count, each for no longer than
+its timeout allows.
 """
 
 from dataclasses import dataclass
 
-LOOK_S = 0.1
-LONGEST_LOOK_S = 2 * LOOK_S
-"""A look that took longer was held up, and is not evidence of more silence than this."""
+POLL_S = 0.1
+"""Timeout of one poll for a frame."""
+LONGEST_POLL_S = 2 * POLL_S
+"""A poll that took longer was stalled; it counts for this time only."""
 
 
 @dataclass
-class Looks:
-    """One camera's looks in vain since its last buffer; ``over_s``: those begun after the last pulse."""
+class PollingTime:
+    """Time that one camera was polled in vain since its last buffer."""
 
-    vain_s: float = 0.0
-    over_s: float = 0.0
+    idle_s: float = 0.0
+    """All polls since the last buffer."""
+    idle_after_end_s: float = 0.0
+    """Those that began after the last pulse."""
 
-    def found(self) -> None:
-        """A look has brought a buffer."""
-        self.vain_s = self.over_s = 0.0
+    def frame_arrived(self) -> None:
+        """Restart: a poll has returned a buffer."""
+        self.idle_s = self.idle_after_end_s = 0.0
 
-    def in_vain(self, began_ns: int, ended_ns: int, over_ns: int | None) -> None:
-        """A look has brought nothing; ``over_ns``: when the last pulse was over, None before."""
-        took_s = min((ended_ns - began_ns) * 1e-9, LONGEST_LOOK_S)
-        self.vain_s += took_s
-        if over_ns is not None and began_ns >= over_ns:
-            self.over_s += took_s
+    def timed_out(self, began_ns: int, ended_ns: int, end_ns: int | None) -> None:
+        """Add a poll that returned nothing; ``end_ns``: host time when the pulses ended, None before."""
+        took_s = min((ended_ns - began_ns) * 1e-9, LONGEST_POLL_S)
+        self.idle_s += took_s
+        if end_ns is not None and began_ns >= end_ns:
+            self.idle_after_end_s += took_s

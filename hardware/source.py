@@ -1,56 +1,55 @@
-"""The real rig as a source of frames: stop the pulses, arm all cameras, start the pulses, number what comes.
+"""The real rig as a source of frames: stop the pulses, arm all cameras, start the pulses, number what arrives.
 
-Each camera is read by a thread of its own, so that none waits for another and buffers are free at once. The numbered
-frames carry pulse time: pulse k is at k periods, plus what the camera's stamp says of its own lateness. A camera that
-fails is said, reopened and found again while the others go on; ``account`` tells what became of every buffer.
+Threads read the cameras (``hardware.camera_readers``); their buffers are numbered by pulse
+(``hardware.pulse_numbers.numbering``), made into frames in pulse time and put in order of pulses
+(``hardware.reorder_buffer``). A camera that fails is noted, reopened and aligned again while the others go on;
+``statistics`` accounts for every buffer.
 """
 
-import queue
+import logging
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
 
+from hardware.camera_readers import QUEUED_BYTES, CameraReaders
 from hardware.driver import CameraDriver, ClockReading, DeviceError, DeviceReport, Grabbed
 from hardware.drivers import open_camera
-from hardware.pulse_numbers.clock_poller import ClockReader
-from hardware.pulse_numbers.numbering import Numbered, PulseNumbers
-from hardware.reorder_buffer import Abreast
+from hardware.end_of_take import EndOfTake, drained
+from hardware.frame_maker import FrameMaker
+from hardware.pulse_numbers.camera_state import NumberedBuffer
+from hardware.pulse_numbers.clock_poller import ClockPoller
+from hardware.pulse_numbers.numbering import PulseNumbers
+from hardware.reorder_buffer import ReorderBuffer
 from hardware.settings import CameraHardware, RigHardware, read_hardware
-from hardware.silence import LOOK_S, Looks
-from hardware.statistics import Account, CameraAccount
+from hardware.statistics import CameraStatistics, RigStatistics
 from hardware.trigger import Trigger
 from hardware.triggers import open_trigger
 from mosca.data.arrays import Array
 from mosca.data.frames import CameraInfo, Frame, StampEvent
 
-DRAIN_S = 0.3
-"""After the last pulse no more is waited for once every camera was looked at in vain for so long."""
-LONGEST_DRAIN_S = 60.0
-BEHIND_S = 0.5
-"""A camera whose reader has looked in vain for so long is not expected; before, it may be the line that is late."""
-MARGIN_S = 0.05
-"""The pulses go on for so long after the last one wanted: a busy machine makes and sees them late."""
-REOPEN_S = 1.0
-QUEUED_BYTES = 1 << 30
-"""Frames that may wait for whoever reads the source; what comes after is lost, and said."""
-
 OpenCamera = Callable[[str, CameraHardware], CameraDriver]
 OpenTrigger = Callable[[RigHardware, Mapping[str, CameraDriver]], Trigger]
+log = logging.getLogger("mosca.hardware.source")
 
 
 class HardwareSource:
     """Frames of a rig of devices; a ``FrameSource``. Opens and configures all devices, or raises DeviceError.
 
-    ``pulses``: end after so many; None goes on until ``stop``. ``came``: is shown each image as it comes, by its
-    camera's own thread. ``prompt``: frames do not wait for those of other cameras. ``opener`` and
-    ``trigger_opener`` are for tests.
+    Parameters
+    ----------
+    rig
+        The hardware tables of the rig file.
+    pulses
+        End after so many; None goes on until ``stop``.
+    opener, trigger_opener
+        Other ways to open the devices, for tests.
     """
 
-    came: Callable[[Array], object] | None = None
-    prompt = False
+    reorder = True
+    """Whether frames wait for those of other cameras, so that they come pulse by pulse."""
 
     def __init__(
         self,
@@ -60,42 +59,45 @@ class HardwareSource:
         trigger_opener: OpenTrigger = open_trigger,
     ) -> None:
         self.rig = rig
-        self.account = Account({name: CameraAccount() for name in rig.cameras})
+        self.statistics = RigStatistics({name: CameraStatistics() for name in rig.cameras})
         self.reports: dict[str, DeviceReport] = {}
-        self._pulses = pulses
         self._opener = opener
         self._drivers: dict[str, CameraDriver] = {}
+        with ExitStack() as opened:
+            for name in rig.cameras:
+                self._open(name)
+                opened.callback(self._drivers[name].close)
+                self.reports[name] = self._configured(name)
+            self._trigger = trigger_opener(rig, self._drivers)
+            opened.callback(self._trigger.close)
+            self._trigger.stop()
+            opened.pop_all()
         self._stop = threading.Event()
         self._closed = False
         self._started = False
-        self._trigger: Trigger | None = None
         self._numbers: PulseNumbers | None = None
-        self._queue: queue.Queue[tuple[str, Grabbed | None]] = queue.Queue()
-        # a reading wakes whoever waits for buffers
-        self._clocks = ClockReader(self._drivers, lambda name: self._queue.put((name, None)))
-        self._looks = {name: Looks() for name in rig.cameras}
-        self._lost: set[str] = set()
-        self._past: set[str] = set()
-        self._over_ns: int | None = None
-        self._abreast = Abreast(tuple(rig.cameras), QUEUED_BYTES // 2)
-        self._queued_bytes = 0
-        self._guard = threading.Lock()
-        self._threads: list[threading.Thread] = []
-        self._last_index: dict[str, int] = {}
-        self._index_base = dict.fromkeys(rig.cameras, 0)
-        try:
-            for name, settings in rig.cameras.items():
-                self._drivers[name] = opener(name, settings)
-                self.reports[name] = self._configured(name)
-            self._trigger = trigger_opener(rig, self._drivers)
-            self._trigger.stop()
-        except BaseException:
-            self.close()
-            raise
+        self._readers = CameraReaders(self._drivers, self.statistics, self._reopen, self._stop)
+        # a reading wakes the iteration, which waits for buffers
+        self._clocks = ClockPoller(self._drivers, self._readers.wake)
+        self._buffer = ReorderBuffer(tuple(rig.cameras), QUEUED_BYTES // 2)
+        self._end = EndOfTake(pulses, rig.shared.rate_hz)
+        self._past_end: set[str] = set()
+        self._frames = FrameMaker(
+            rig.shared.rate_hz, {name: self._event(name) for name in rig.cameras}, self.reports
+        )
+
+    @property
+    def on_image(self) -> Callable[[Array], object] | None:
+        """Called with each image as it arrives, in its camera's own thread."""
+        return self._readers.on_image
+
+    @on_image.setter
+    def on_image(self, function: Callable[[Array], object] | None) -> None:
+        self._readers.on_image = function
 
     @property
     def cameras(self) -> tuple[CameraInfo, ...]:
-        """What each camera says of itself."""
+        """The cameras, as their devices report them."""
         return tuple(
             CameraInfo(
                 name,
@@ -121,35 +123,33 @@ class HardwareSource:
         try:
             start_ns = self._arm_and_start()
             numbers = self._numbers = PulseNumbers(
-                tuple(self._drivers), self.rig.shared.rate_hz, start_ns, free=self._free_running()
+                tuple(self._drivers),
+                self.rig.shared.rate_hz,
+                start_ns,
+                free=free_running(self.rig.cameras, self._drivers),
             )
-            for arrived in self._arrivals():
-                if arrived is not None:
-                    self._frames(self._numbered(*arrived))
-                yield from self._abreast.ready(self._expected())
-            self._frames(numbers.rest())
-            # who stops it ends it with the last pulse that all cameras' readers have come to
-            yield from self._abreast.ready(self._expected() if self._stop.is_set() else ())
+            for received in self._received(numbers):
+                if received is not None:
+                    self._push(numbers, self._numbered(numbers, *received))
+                yield from self._buffer.release(self._active())
+            self._push(numbers, numbers.rest())
+            # after ``stop`` it ends with the last pulse that all cameras have reached
+            yield from self._buffer.release(self._active() if self._stop.is_set() else ())
         finally:
             self._end_threads()
             self._disarm()
-
-    def _free_running(self) -> list[str]:
-        """Return the cameras that nothing triggers; a file that is played follows no clock."""
-        cameras = self.rig.cameras.items()
-        return [n for n, c in cameras if c.trigger == "Off" and self._drivers[n].capabilities.real_time]
 
     def stop(self) -> None:
         """End the iteration after what is under way; may be called from another thread."""
         self._stop.set()
 
     def session_ns(self, host_ns: int) -> int | None:
-        """Return this machine's monotonic time in the frames' clock [ns]; None before frames are numbered."""
+        """Return a host time (monotonic) in the frames' clock [ns]; None before frames are numbered."""
         return None if self._numbers is None else self._numbers.session_ns(host_ns)
 
     def trigger_report(self) -> dict[str, object]:
         """Return what the trigger knows of its pulses."""
-        return {} if self._trigger is None else self._trigger.report()
+        return self._trigger.report()
 
     def close(self) -> None:
         """Stop and free trigger and devices; may be called twice."""
@@ -158,16 +158,25 @@ class HardwareSource:
             return
         self._closed = True
         self._end_threads()
-        if self._trigger is not None:
-            self._trigger.close()
+        self._trigger.close()
         for driver in self._drivers.values():
             driver.close()
+        log.info("rig %s: closed", self.rig.path)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+    def _open(self, name: str) -> None:
+        self._drivers[name] = self._opener(name, self.rig.cameras[name])
+
+    def _reopen(self, name: str) -> None:
+        self._open(name)
+        self._configured(name)
+        self._drivers[name].arm()
+        self._clocks.begin(name)
 
     def _configured(self, name: str) -> DeviceReport:
         report = self._drivers[name].configure(self.rig.cameras[name])
@@ -177,227 +186,121 @@ class HardwareSource:
                 f"camera '{name}': frames of {report.width} x {report.height} px, the rig file says "
                 f"{wanted[0]} x {wanted[1]}; set window in [camera.hardware] or mend size in {self.rig.path}"
             )
+        log.info("camera '%s': %s, serial %s, opened", name, report.model, report.serial)
         return report
 
     def _event(self, name: str) -> StampEvent:
         return self._drivers[name].capabilities.stamp_event
 
     def _arm_and_start(self) -> int | None:
-        assert self._trigger is not None
         # a master camera comes last: its exposures are the pulses
         master = self.rig.shared.trigger.camera
         for name in sorted(self._drivers, key=lambda name: name == master):
             self._drivers[name].arm()
         self._clocks.start()
-        for name in self._drivers:
-            thread = threading.Thread(target=self._grab, args=(name,), name=f"camera {name}", daemon=True)
-            thread.start()
-            self._threads.append(thread)
-        return self._trigger.start()
+        self._readers.start(self._trigger)
+        start_ns = self._trigger.start()
+        log.info("trigger '%s' started at %g Hz", self.rig.shared.trigger.source, self.rig.shared.rate_hz)
+        return start_ns
 
     def _end_threads(self) -> None:
         self._stop.set()
         self._clocks.close()
-        for thread in self._threads:
-            thread.join()
-        self._threads.clear()
+        self._readers.join()
 
     def _disarm(self) -> None:
-        if self._trigger is not None:
-            self._trigger.stop()
-        for name, witness in ({} if self._numbers is None else self._numbers.witnesses).items():
-            account = self.account.cameras[name]
-            account.unreached, account.ignored = witness.unreached, witness.ignored
-            self.account.notes += witness.lines(name)
+        self._trigger.stop()
+        for name, counter in ({} if self._numbers is None else self._numbers.trigger_counters).items():
+            camera = self.statistics.cameras[name]
+            camera.unreached, camera.ignored = counter.unreached, counter.ignored
+            for note in counter.notes(name):
+                self.statistics.note(note)
         for name, driver in self._drivers.items():
             try:
-                self.account.cameras[name].driver = dict(driver.statistics())
+                self.statistics.cameras[name].driver = dict(driver.statistics())
                 driver.disarm()
             except DeviceError as error:
-                self.account.notes.append(str(error))
+                self.statistics.note(str(error))
+        self.statistics.log_summary()
 
-    def _grab(self, name: str) -> None:
-        """Read one camera until the end; a lost device is reopened, again and again."""
-        account = self.account.cameras[name]
-        while not self._stop.is_set():
-            began_ns = time.monotonic_ns()
-            try:
-                buffer = self._drivers[name].grab(LOOK_S)
-            except DeviceError as error:
-                self.account.notes.append(str(error))
-                self._lost.add(name)
-                if self._trigger is not None:
-                    self._trigger.camera_lost(name)
-                if not self._reopened(name):
-                    return
-                self._lost.discard(name)
-                account.reopened += 1
-                continue
-            if buffer is None:
-                ended_ns = time.monotonic_ns()
-                self._looks[name].in_vain(began_ns, ended_ns, self._over_ns)
-                if self._trigger is not None:
-                    self._trigger.looked_in_vain(name, began_ns, ended_ns)
-                continue
-            self._looks[name].found()
-            if self._trigger is not None:
-                self._trigger.frame_arrived(name, buffer.host_ns)
-            size = 0
-            if buffer.image is not None:
-                size = buffer.image.nbytes
-                if self.came is not None:
-                    self.came(buffer.image)
-            with self._guard:
-                full = self._queued_bytes + size > QUEUED_BYTES
-                self._queued_bytes += 0 if full else size
-            if full:
-                account.overrun += 1
-                buffer = replace(buffer, image=None, note="no room to wait")
-            self._queue.put((name, buffer))
+    def _active(self) -> list[str]:
+        """Return the cameras that the others' frames wait for."""
+        return self._readers.active() if self.reorder else []
 
-    def _reopened(self, name: str) -> bool:
-        """Close and reopen the camera until it answers; False when the source ends before."""
-        self._drivers[name].close()
-        while not self._stop.wait(REOPEN_S):
-            try:
-                self._drivers[name] = self._opener(name, self.rig.cameras[name])
-                self._configured(name)
-                self._drivers[name].arm()
-                self._clocks.begin(name)
-            except DeviceError:
-                continue
-            self.account.notes.append(f"camera '{name}': answers again")
-            return True
-        return False
+    def _received(self, numbers: PulseNumbers) -> Iterator[tuple[str, Grabbed | ClockReading] | None]:
+        """Yield buffers until the last pulse is over and its frames had time to arrive; clock readings go first.
 
-    def _expected(self) -> list[str]:
-        """Return the cameras whose next frame may be here and not read yet: those that delivered lately."""
-        if self.prompt:
-            return []
-        return [n for n, looks in self._looks.items() if looks.vain_s < BEHIND_S and n not in self._lost]
-
-    def _arrivals(self) -> Iterator[tuple[str, Grabbed | ClockReading] | None]:
-        """Yield buffers until the last pulse is over and its frames had time to arrive; readings go first.
-
-        None says that a while has passed.
+        None: a poll has passed without any.
         """
-        told: set[str] = set()
+        noted: set[str] = set()
+        readers = self._readers
         while True:
-            try:
-                name, buffer = self._queue.get(timeout=LOOK_S)
-            except queue.Empty:
-                if self._stop.is_set():
-                    return
-                name, buffer = "", None
+            received = readers.get()
+            if received is None and self._stop.is_set():
+                return
             while self._clocks.readings:
                 yield self._clocks.readings.popleft()
-            if buffer is not None:
-                with self._guard:
-                    self._queued_bytes -= 0 if buffer.image is None else buffer.image.nbytes
-                yield name, buffer
-            else:
-                yield None
-            self._tell_silent(told)
-            if self._over_ns is None and self._pulses_over(time.monotonic_ns()):
-                if self._trigger is not None:
-                    self._trigger.stop()
-                self._over_ns = time.monotonic_ns()
-            if self._over_ns is not None and self._queue.empty() and self._drained(self._over_ns):
-                return
+            name, buffer = ("", None) if received is None else received
+            yield None if buffer is None else (name, buffer)
+            self._note_silent(noted)
+            if readers.end_ns is None and self._end.pulses_over(self._trigger, numbers, time.monotonic_ns()):
+                self._trigger.stop()
+                readers.end_ns = time.monotonic_ns()
+                log.info("the last pulse wanted is over")
+            end_ns = readers.end_ns
+            if end_ns is not None and readers.empty:
+                done = self._past_end | readers.lost
+                if drained(end_ns, readers.polling, done):
+                    return
 
-    def _pulses_over(self, now_ns: int) -> bool:
-        """Tell whether all pulses wanted were made; a trigger that counts them may be behind the clock."""
-        if self._pulses is None or self._trigger is None:
-            return False
-        certain = self._trigger.pulse_at(now_ns)
-        if certain is not None:  # the last one wanted has had its frames: the next one was made
-            return certain >= self._pulses
-        reached = None if self._numbers is None else self._numbers.pulse_at(now_ns)
-        if reached is None or reached < self._pulses + MARGIN_S * self.rig.shared.rate_hz:
-            return False
-        made = self._trigger.report().get("pulses")
-        return not isinstance(made, int) or made >= self._pulses
-
-    def _drained(self, over_ns: int) -> bool:
-        """Tell whether nothing of the pulses wanted is under way, as far as each camera's reader has looked."""
-        if time.monotonic_ns() - over_ns > LONGEST_DRAIN_S * 1e9:
-            return True
-        done = self._past | self._lost
-        return all(looks.over_s >= DRAIN_S for name, looks in self._looks.items() if name not in done)
-
-    def _tell_silent(self, told: set[str]) -> None:
-        """Note once who is silent: by its own thread's looks, however late this is read."""
-        for name, looks in self._looks.items():
-            if looks.vain_s <= self.rig.shared.silence_s:
-                told.discard(name)
-            elif name not in told:
-                told.add(name)
-                self.account.notes.append(
+    def _note_silent(self, noted: set[str]) -> None:
+        """Note once that a camera is silent, by the polling time of its own thread."""
+        for name, polled in self._readers.polling.items():
+            if polled.idle_s <= self.rig.shared.silence_s:
+                noted.discard(name)
+            elif name not in noted:
+                noted.add(name)
+                self.statistics.note(
                     f"camera '{name}': silent for {self.rig.shared.silence_s:g} s; check its trigger line, its "
                     "exposure time against the rate, and its cable"
                 )
 
-    def _numbered(self, name: str, buffer: Grabbed | ClockReading) -> Iterator[Numbered]:
+    def _numbered(
+        self, numbers: PulseNumbers, name: str, buffer: Grabbed | ClockReading
+    ) -> Iterator[NumberedBuffer]:
         """Yield ``buffer`` with its pulse: the trigger's, where each pulse waits for its frames, else the clock's."""
-        assert self._trigger is not None
-        assert self._numbers is not None
         if isinstance(buffer, ClockReading):
-            yield from self._numbers.read(name, buffer)
+            yield from numbers.read(name, buffer)
             return
         certain = self._trigger.pulse_at(buffer.host_ns)
         if certain is not None:
-            yield Numbered(name, certain, 0.0, buffer)
+            yield NumberedBuffer(name, certain, 0.0, buffer)
         else:
-            yield from self._numbers.take(name, buffer)
+            yield from numbers.take(name, buffer)
 
-    def _frames(self, numbered: Iterator[Numbered]) -> None:
-        """Make frames of what is numbered; each waits for those of other cameras."""
-        assert self._numbers is not None
-        period_ns = 1e9 / self.rig.shared.rate_hz
+    def _push(self, numbers: PulseNumbers, numbered: Iterator[NumberedBuffer]) -> None:
+        """Make frames of numbered buffers and put them in order."""
         for one in numbered:
-            buffer = one.buffer
-            account = self.account.cameras[one.camera]
-            account.whole += buffer.image is not None
-            account.failed += buffer.image is None
-            self._abreast.reached(one.camera, one.pulse)
-            if self._pulses is not None and one.pulse >= self._pulses:
-                self._past.add(one.camera)
-                continue
-            frame = Frame(
-                one.camera,
-                self._index(one),
-                round(one.pulse * period_ns + one.residual_ns),
-                buffer.exposure_ns,
-                buffer.image,
-                "corrupt" if buffer.image is None else "ok",
-                self._event(one.camera),
-                note=buffer.note,
-                rows=self.reports[one.camera].height,
-            )
-            self._abreast.take(one.pulse, frame, buffer)
-        self._clocks.ask(self._numbers)
-        self._tell_clocks()
+            camera = self.statistics.cameras[one.camera]
+            camera.whole += one.buffer.image is not None
+            camera.failed += one.buffer.image is None
+            self._buffer.advance(one.camera, one.pulse)
+            if self._end.is_past(one.pulse):
+                self._past_end.add(one.camera)
+            else:
+                self._buffer.push(one.pulse, self._frames.frame(one), one.buffer)
+        self._clocks.ask(numbers)
+        if numbers.notes:  # each clock that was aligned again left one
+            for name, relocks in numbers.relocks.items():
+                self.statistics.cameras[name].relocked = relocks
+            for note in numbers.notes:
+                self.statistics.note(f"camera {note}")
+            numbers.notes.clear()
 
-    def _index(self, one: Numbered) -> int:
-        """Return the camera's counter, made to rise on where the camera began anew."""
-        name = one.camera
-        last = self._last_index.get(name, -1)
-        if one.buffer.nameless:
-            self._last_index[name] = last + 1
-            return last + 1
-        block = one.pulse if one.buffer.block_id is None else one.buffer.block_id
-        if block + self._index_base[name] <= last:
-            self._index_base[name] = last + 1 - block
-        self._last_index[name] = block + self._index_base[name]
-        return self._last_index[name]
 
-    def _tell_clocks(self) -> None:
-        assert self._numbers is not None
-        if self._numbers.notes:  # each clock that was found again left one
-            for name, relocked in self._numbers.relocks.items():
-                self.account.cameras[name].relocked = relocked
-            self.account.notes += [f"camera {note}" for note in self._numbers.notes]
-            self._numbers.notes.clear()
+def free_running(cameras: Mapping[str, CameraHardware], drivers: Mapping[str, CameraDriver]) -> list[str]:
+    """Return the cameras that nothing triggers; a file that is played follows no clock."""
+    return [n for n, c in cameras.items() if c.trigger == "Off" and drivers[n].capabilities.real_time]
 
 
 def open_rig(path: Path, pulses: int | None = None) -> HardwareSource:

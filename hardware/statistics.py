@@ -1,30 +1,50 @@
-"""What became of the buffers of a rig's cameras, and what happened to them, in words; to be read at any time."""
+"""Counts and notes of a take with a rig; both may be read at any time, from any thread."""
 
+import logging
 from dataclasses import dataclass, field
 
+log = logging.getLogger("mosca.hardware")
+
 
 @dataclass
-class CameraAccount:
-    """What became of one camera's buffers: ``whole`` + ``failed`` came; ``overrun`` found no place to wait.
-
-    ``reopened``: how often the device was lost and found; ``relocked``: how often its clock was; ``unreached``,
-    ``ignored``: pulses that did not reach it, or came while it could not expose, where its trigger counter tells
-    (``hardware.pulse_numbers.trigger_counter``); ``driver``: the driver's own counts.
-    """
+class CameraStatistics:
+    """Counts of one camera: ``whole`` + ``failed`` buffers were received."""
 
     whole: int = 0
+    """Buffers with a complete image."""
     failed: int = 0
+    """Buffers without one."""
     overrun: int = 0
+    """Images that were dropped because the queue was full."""
     reopened: int = 0
+    """How often the device was lost and opened again."""
     relocked: int = 0
+    """How often its device clock jumped and was aligned again."""
     unreached: int = 0
+    """Pulses that did not reach the camera, by its trigger counter (``hardware.pulse_numbers.trigger_counter``)."""
     ignored: int = 0
+    """Pulses that arrived while it could not expose, by its trigger counter."""
     driver: dict[str, int] = field(default_factory=dict)
+    """The driver's own counts, by its names."""
 
 
 @dataclass
-class Account:
-    """What happened so far; to be read at any time. ``notes``: in words, in the order in which it happened."""
+class RigStatistics:
+    """Counts of all cameras, and what happened."""
 
-    cameras: dict[str, CameraAccount] = field(default_factory=dict)
+    cameras: dict[str, CameraStatistics] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    """Events, one line each, in the order in which they happened."""
+
+    def note(self, text: str) -> None:
+        """Add a line to ``notes``, and log it as a warning."""
+        self.notes.append(text)
+        log.warning("%s", text)
+
+    def log_summary(self) -> None:
+        """Log one line for each camera."""
+        for name, one in self.cameras.items():
+            log.info(
+                "camera '%s': %d frames, %d failed, %d overrun, %d reopened, %d relocked",
+                name, one.whole, one.failed, one.overrun, one.reopened, one.relocked,
+            )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The trigger's door: pulses are stopped, cameras are armed, pulses begin. So the first pulse is known to all."""
+"""Interface of the triggers: pulses are stopped, cameras are armed, pulses begin, so all share the first pulse."""
 
 from typing import Protocol
 
@@ -19,15 +19,15 @@ class Trigger(Protocol):
         ...
 
     def frame_arrived(self, camera: str, host_ns: int) -> None:
-        """Be told that a frame of ``camera`` came at ``host_ns``; called by the cameras' threads."""
+        """Called by the reading threads: a frame of ``camera`` arrived at ``host_ns``."""
         ...
 
-    def looked_in_vain(self, camera: str, began_ns: int, ended_ns: int) -> None:
-        """Be told that no frame of ``camera`` was there between these times; called by the cameras' threads."""
+    def poll_timed_out(self, camera: str, began_ns: int, ended_ns: int) -> None:
+        """Called by the reading threads: a poll for a frame of ``camera`` timed out."""
         ...
 
     def camera_lost(self, camera: str) -> None:
-        """Be told that ``camera`` has gone: nothing comes from it before it is found again."""
+        """Called by the reading threads: ``camera`` does not answer; no frame comes before it is opened again."""
         ...
 
     def report(self) -> dict[str, object]:
@@ -40,9 +40,9 @@ class Trigger(Protocol):
 
 
 class External:
-    """Pulses that do not wait for frames, from something outside: it is never stopped, nothing is known of it.
+    """Pulses from outside that do not wait for frames: never stopped, nothing is known of them.
 
-    Triggers that this machine does control, and whose pulses do not wait either, say more.
+    Base class of triggers under control of this machine whose pulses do not wait either.
     """
 
     def stop(self) -> None:
@@ -59,7 +59,7 @@ class External:
     def frame_arrived(self, camera: str, host_ns: int) -> None:
         """Do nothing."""
 
-    def looked_in_vain(self, camera: str, began_ns: int, ended_ns: int) -> None:
+    def poll_timed_out(self, camera: str, began_ns: int, ended_ns: int) -> None:
         """Do nothing."""
 
     def camera_lost(self, camera: str) -> None:

@@ -1,16 +1,122 @@
-"""A camera's acquisition: which trigger makes an exposure, what number it has, and what waits to be sent."""
+"""Timing of an emulated camera: its device clock, its shutter, and which trigger makes an exposure.
+
+The clock takes host times (monotonic) [ns]; it never waits.
+"""
 
 import heapq
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, MutableMapping
 from dataclasses import dataclass
 from typing import Literal
 
 from hardware.emulate.features import ACQUISITION_MODES, ACTIVATIONS, COUNTER_SOURCES, TRIGGER_SOURCES
-from hardware.emulate.gvsp import Layout, chunk
+from hardware.emulate.gige_vision import CHUNK_TAIL_BYTES, COUNTER_CHUNK, MAXIMUM_BLOCK_ID
 from hardware.emulate.registers import Value
-from hardware.emulate.shutter import Exposure, Shutter
-from hardware.emulate.standard import CHUNK_TAIL_BYTES, COUNTER_CHUNK, MAXIMUM_BLOCK_ID
+from hardware.emulate.stream import ImageLayout, chunk
+
+PtpStatus = Literal["Disabled", "Listening", "Uncalibrated", "Slave"]
+LISTENING_NS = 200_000_000
+LOCKING_NS = 500_000_000
+"""How long after PTP was switched on a device hears its master, and is locked to it."""
+
+_COMMON_MINUS_MONOTONIC = time.time_ns() - time.monotonic_ns()
+
+
+def common_ns(mono_ns: int) -> int:
+    """Return the time of the PTP master (this machine's time of day, without its later steps) at ``mono_ns``."""
+    return mono_ns + _COMMON_MINUS_MONOTONIC
+
+
+@dataclass(frozen=True)
+class ClockJump:
+    """The clock is ``by_ns`` further from the monotonic time ``mono_ns`` on."""
+
+    mono_ns: int
+    by_ns: int
+
+
+@dataclass(frozen=True)
+class EmulatedClock:
+    """A clock that was ``offset_ns`` when the device booted (monotonic ``booted_ns``) and gains ``drift_ppm``.
+
+    ``ptp_ns``: when PTP was switched on, None while it is off. Once locked it shows the master's time exactly: there
+    are no synchronisation messages, only their effect.
+    """
+
+    booted_ns: int
+    offset_ns: int = 0
+    drift_ppm: float = 0.0
+    jumps: tuple[ClockJump, ...] = ()
+    ptp_ns: int | None = None
+
+    def at(self, mono_ns: int) -> int:
+        """Return what the clock shows at ``mono_ns`` [ns], never below 0."""
+        if self.ptp_status(mono_ns) == "Slave":
+            return common_ns(mono_ns)
+        return max(self._free(mono_ns), 0)
+
+    def when(self, device_ns: int) -> int:
+        """Return the monotonic time at which the clock shows ``device_ns``, in its present state."""
+        now = time.monotonic_ns()
+        if self.ptp_status(now) == "Slave":
+            return device_ns - _COMMON_MINUS_MONOTONIC
+        ahead = device_ns - self._free(now)
+        return now + round(ahead / (1.0 + self.drift_ppm * 1e-6))
+
+    def ptp_status(self, mono_ns: int) -> PtpStatus:
+        """Return the state of PTP at ``mono_ns``."""
+        if self.ptp_ns is None:
+            return "Disabled"
+        since = mono_ns - self.ptp_ns
+        if since < LISTENING_NS:
+            return "Listening"
+        return "Uncalibrated" if since < LOCKING_NS else "Slave"
+
+    def offset_from_master(self, mono_ns: int) -> int:
+        """Return what the clock shows less the master's time [ns]."""
+        return self.at(mono_ns) - common_ns(mono_ns)
+
+    def _free(self, mono_ns: int) -> int:
+        elapsed = mono_ns - self.booted_ns
+        jumped = sum(jump.by_ns for jump in self.jumps if jump.mono_ns <= mono_ns)
+        return self.offset_ns + jumped + elapsed + round(elapsed * self.drift_ppm * 1e-6)
+
+
+@dataclass(frozen=True)
+class SensorExposure:
+    """An exposure that was begun at ``start_ns``; at ``out_ns`` it has ended and is read out.
+
+    ``number``: of the trigger, which is the number of the source's frame. Times are this machine's monotonic clock's
+    [ns].
+    """
+
+    number: int
+    start_ns: int
+    out_ns: int
+
+
+class Shutter:
+    """Opens on triggers that come when it is ready."""
+
+    def __init__(self) -> None:
+        self._ready_ns = 0
+
+    def open(self, number: int, time_ns: int, exposure_ns: int, readout_ns: int) -> SensorExposure | None:
+        """Return the exposure that trigger ``number`` at ``time_ns`` begins, None where the camera is busy.
+
+        The sensor reads one image out while it exposes the next, but does not begin two exposures at once nor read
+        out faster than ``readout_ns`` an image.
+        """
+        if time_ns < self._ready_ns:
+            return None
+        self._ready_ns = time_ns + max(exposure_ns, readout_ns)
+        return SensorExposure(number, time_ns, time_ns + exposure_ns + readout_ns)
+
+    def reset(self) -> None:
+        """Be ready at once: acquisition starts anew."""
+        self._ready_ns = 0
+
 
 SECOND = 1_000_000_000
 PULSE_WIDTH_NS = 100_000
@@ -24,17 +130,17 @@ Source = Literal["Software", "Line1", "Action1"]
 
 
 @dataclass(frozen=True)
-class Shot:
+class PendingImage:
     """An exposure with what was set when it began: everything that its image depends on.
 
     ``session``: counts the stops of acquisition; a shot of an earlier one is not sent any more. ``chunks``: what
     follows the image, None without chunk data.
     """
 
-    exposure: Exposure
+    exposure: SensorExposure
     block: int
     device_ns: int
-    layout: Layout
+    layout: ImageLayout
     session: int
     chunks: bytes | None = None
 
@@ -59,7 +165,7 @@ class Acquisition:
         self._row_ns = full_readout_ns / sensor_height
         self._first_block = self._block = first_block
         self._shutter = Shutter()
-        self._waiting: deque[Shot] = deque()
+        self._waiting: deque[PendingImage] = deque()
         self._scheduled: list[int] = []
         self._left: int | None = None
         self._own_number = 0
@@ -100,7 +206,7 @@ class Acquisition:
         heapq.heappush(self._scheduled, due_ns)
         return True
 
-    def next_shot(self, now_ns: int) -> Shot | float | None:
+    def next_image(self, now_ns: int) -> PendingImage | float | None:
         """Return the next shot, else the seconds until one may be due, else None where nothing is foreseen."""
         while self._scheduled and self._scheduled[0] <= now_ns:
             self.trigger("Action1", heapq.heappop(self._scheduled))
@@ -137,9 +243,9 @@ class Acquisition:
             self._counts["overrun"] += 1
             return
         names = ("PixelFormat", "Width", "Height", "OffsetX", "OffsetY")
-        layout = Layout(*(int(self._values[name]) for name in names))
+        layout = ImageLayout(*(int(self._values[name]) for name in names))
         stamp = self._stamp(exposure.start_ns)
-        self._waiting.append(Shot(exposure, self._block, stamp, layout, self.session, self._chunks()))
+        self._waiting.append(PendingImage(exposure, self._block, stamp, layout, self.session, self._chunks()))
         self._block = self._block % MAXIMUM_BLOCK_ID + 1
         self._counts["exposures"] += 1
         if self._left is not None:

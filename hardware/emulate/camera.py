@@ -6,16 +6,28 @@ from collections.abc import Callable
 from dataclasses import replace
 from threading import Condition
 
-from hardware.emulate.acquisition import SECOND, Acquisition, Shot, payload_bytes
-from hardware.emulate.clock import DeviceClock, Jump, PtpStatus
-from hardware.emulate.faults import Faults, Luck
+from hardware.emulate.acquisition import (
+    SECOND,
+    Acquisition,
+    ClockJump,
+    EmulatedClock,
+    PendingImage,
+    PtpStatus,
+    payload_bytes,
+)
+from hardware.emulate.faults import FaultDraws, Faults
 from hardware.emulate.features import BOOTSTRAP, PTP_STATES, XML_START, Feature, features, own_registers
 from hardware.emulate.genicam import describe
-from hardware.emulate.gvcp import Action
+from hardware.emulate.gige_vision import (
+    DO_NOT_FRAGMENT,
+    FIRE_TEST_PACKET,
+    FORMAT_OF_DEPTH,
+    ActionCommand,
+    Refused,
+    Status,
+)
 from hardware.emulate.identity import Identity, boot_values
-from hardware.emulate.privilege import Privilege
-from hardware.emulate.registers import Register, RegisterFile, Value
-from hardware.emulate.standard import DO_NOT_FRAGMENT, FIRE_TEST_PACKET, FORMAT_OF_DEPTH, Refused, Status
+from hardware.emulate.registers import Privilege, Register, RegisterFile, Value
 from hardware.emulate.stream import Destination, Stream
 
 RESET_AFTER_NS = 20_000_000
@@ -32,7 +44,7 @@ class EmulatedCamera:
     """
 
     def __init__(
-        self, identity: Identity, stream: Stream, faults: Faults, luck: Luck, first_block: int = 1
+        self, identity: Identity, stream: Stream, faults: Faults, luck: FaultDraws, first_block: int = 1
     ) -> None:
         self.identity, self.faults = identity, faults
         self.changed = Condition()
@@ -43,7 +55,7 @@ class EmulatedCamera:
         self._reset_ns: int | None = None
         self._returns_ns = 0
         self._rebooted = False
-        self._clock = DeviceClock(0)
+        self._clock = EmulatedClock(0)
         self._ptp: tuple[PtpStatus, int] = ("Disabled", 0)
         tree = features(tuple(dict.fromkeys((FORMAT_OF_DEPTH[identity.bit_depth], "Mono8"))))
         self._features = {feature.register or feature.name: feature for feature in tree}
@@ -62,7 +74,7 @@ class EmulatedCamera:
         )
         self._boot(time.monotonic_ns())
 
-    # what happens to it; all but next_shot may come from any thread
+    # what happens to it; all but next_image may come from any thread
 
     def pulse(self, number: int, time_ns: int) -> None:
         """Take line pulse ``number``, which rises at the monotonic time ``time_ns``."""
@@ -77,7 +89,7 @@ class EmulatedCamera:
                 self._acquisition.pulse(number, time_ns)
                 self.changed.notify_all()
 
-    def act(self, action: Action) -> Status:
+    def act(self, action: ActionCommand) -> Status:
         """Take an action command: it triggers at once, or at its time in the device's clock.
 
         One for other keys is not for this camera, and is acknowledged all the same. A camera without PTP goes by its
@@ -113,9 +125,9 @@ class EmulatedCamera:
             self._acquisition.stop()
             self.changed.notify_all()
 
-    def next_shot(self) -> Shot | float | None:
+    def next_image(self) -> PendingImage | float | None:
         """Return the next shot, else the seconds until one may be due, else None. Hold ``changed`` meanwhile."""
-        return self._acquisition.next_shot(time.monotonic_ns())
+        return self._acquisition.next_image(time.monotonic_ns())
 
     # what it is like now
 
@@ -226,7 +238,7 @@ class EmulatedCamera:
         if self._began_ns is None:
             self._began_ns = now
             if self.faults.jump_at_s is not None:
-                jump = Jump(now + round(self.faults.jump_at_s * SECOND), self.faults.jump_ns)
+                jump = ClockJump(now + round(self.faults.jump_at_s * SECOND), self.faults.jump_ns)
                 self._clock = replace(self._clock, jumps=(jump,))
         self._acquisition.start(now)
 
@@ -236,7 +248,7 @@ class EmulatedCamera:
     def _control_timestamp(self, bits: int) -> None:
         now = time.monotonic_ns()
         if bits & 1 and self._clock.ptp_ns is None:
-            self._clock = DeviceClock(now, 0, self.faults.drift_ppm)
+            self._clock = EmulatedClock(now, 0, self.faults.drift_ppm)
         if bits & 2:
             self._values["TimestampLatched"] = self._clock.at(now)
 
@@ -246,7 +258,7 @@ class EmulatedCamera:
         if on and self._clock.ptp_ns is None:
             self._clock = replace(self._clock, ptp_ns=now)
         elif not on and self._clock.ptp_ns is not None:
-            self._clock = DeviceClock(now, self._clock.at(now), self.faults.drift_ppm)
+            self._clock = EmulatedClock(now, self._clock.at(now), self.faults.drift_ppm)
         self._latch_ptp(1)
 
     def _latch_ptp(self, _: int) -> None:
@@ -288,6 +300,6 @@ class EmulatedCamera:
 
     def _boot(self, at_ns: int) -> None:
         """Begin with the settings that the camera has when its supply comes."""
-        self._clock = DeviceClock(at_ns, self.faults.clock_offset_ns, self.faults.drift_ppm)
+        self._clock = EmulatedClock(at_ns, self.faults.clock_offset_ns, self.faults.drift_ppm)
         self._ptp = ("Disabled", 0)
         self._values.update(boot_values(self.identity, self._xml_bytes, self._stream.source_port))

@@ -13,12 +13,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from threading import Event, Thread
 
-from hardware.emulate import gvcp
+from hardware.emulate import gige_vision
 from hardware.emulate.camera import EmulatedCamera
 from hardware.emulate.features import BOOTSTRAP
-from hardware.emulate.identity import Identity
-from hardware.emulate.privilege import Client
-from hardware.emulate.standard import (
+from hardware.emulate.gige_vision import (
     ACKNOWLEDGE,
     EXTENDED_ID,
     GVCP_PORT,
@@ -27,6 +25,8 @@ from hardware.emulate.standard import (
     Refused,
     Status,
 )
+from hardware.emulate.identity import Identity
+from hardware.emulate.registers import Client
 from hardware.emulate.stream import Stream
 from mosca.errors import InputError
 
@@ -59,7 +59,7 @@ class Control:
         self._stop = Event()
         self._answered: _Answered | None = None
         self._looked_ns = self._judges_ns = 0
-        self._handlers: dict[int, Callable[[gvcp.Request, Client], bytes]] = {
+        self._handlers: dict[int, Callable[[gige_vision.GvcpCommand, Client], bytes]] = {
             Command.READREG: self._read_registers,
             Command.WRITEREG: self._write_registers,
             Command.READMEM: self._read_memory,
@@ -123,7 +123,7 @@ class Control:
 
     def answer(self, datagram: bytes, client: Client, broadcast: bool = False) -> bytes:
         """Return the answer to ``datagram`` from ``client``; empty where there is none."""
-        request = gvcp.parse(datagram)
+        request = gige_vision.parse(datagram)
         if request is None or (broadcast and request.command not in (Command.DISCOVERY, Command.ACTION)):
             return b""
         repeated = self._answered
@@ -136,20 +136,20 @@ class Control:
             self._answered = _Answered(client, datagram, answer)
         return answer if request.flags & ACKNOWLEDGE else b""
 
-    def _obey(self, request: gvcp.Request, client: Client) -> bytes:
+    def _obey(self, request: gige_vision.GvcpCommand, client: Client) -> bytes:
         try:
             if request.command == Command.PACKETRESEND:
                 return self._resend(request, client)
             if request.command == Command.DISCOVERY:
-                return gvcp.acknowledge(request, self._describe())
+                return gige_vision.acknowledge(request, self._describe())
             if request.command == Command.ACTION:
-                return gvcp.acknowledge(request, status=self._camera.act(gvcp.action(request)))
+                return gige_vision.acknowledge(request, status=self._camera.act(gige_vision.action(request)))
             handler = self._handlers.get(request.command)
             if handler is None:
                 raise Refused(Status.INVALID_HEADER if request.command < 0 else Status.NOT_IMPLEMENTED)
             return handler(request, client)
         except Refused as refusal:
-            return gvcp.acknowledge(request, status=refusal.status)
+            return gige_vision.acknowledge(request, status=refusal.status)
 
     def _describe(self) -> bytes:
         """Return what a discovery is answered with: the first 248 bytes of the registers, gaps as zeros."""
@@ -161,41 +161,41 @@ class Control:
                 found[register.address : register.address + register.length] = data
         return bytes(found)
 
-    def _read_registers(self, request: gvcp.Request, client: Client) -> bytes:
+    def _read_registers(self, request: gige_vision.GvcpCommand, client: Client) -> bytes:
         found = b""
         try:
-            for address in gvcp.words(request.payload):
+            for address in gige_vision.words(request.payload):
                 if address != PRIVILEGE:
                     self._camera.privilege.check_read(client)
                 found += self._camera.registers.read(address, 4)
         except Refused as refusal:
             # what was read before stands in the answer
-            return gvcp.acknowledge(request, found, refusal.status)
-        return gvcp.acknowledge(request, found)
+            return gige_vision.acknowledge(request, found, refusal.status)
+        return gige_vision.acknowledge(request, found)
 
-    def _write_registers(self, request: gvcp.Request, client: Client) -> bytes:
+    def _write_registers(self, request: gige_vision.GvcpCommand, client: Client) -> bytes:
         done = 0
         try:
-            for address, value in gvcp.register_writes(request.payload):
+            for address, value in gige_vision.register_writes(request.payload):
                 self._write(address, struct.pack(">I", value), client)
                 done += 1
         except Refused as refusal:
-            return gvcp.acknowledge(request, struct.pack(">HH", 0, done), refusal.status)
-        return gvcp.acknowledge(request, struct.pack(">HH", 0, done))
+            return gige_vision.acknowledge(request, struct.pack(">HH", 0, done), refusal.status)
+        return gige_vision.acknowledge(request, struct.pack(">HH", 0, done))
 
-    def _read_memory(self, request: gvcp.Request, client: Client) -> bytes:
-        address, length = gvcp.memory_range(request.payload)
+    def _read_memory(self, request: gige_vision.GvcpCommand, client: Client) -> bytes:
+        address, length = gige_vision.memory_range(request.payload)
         self._camera.privilege.check_read(client)
         if length > LARGEST_READ:
             raise Refused(Status.INVALID_PARAMETER)
-        return gvcp.acknowledge(
+        return gige_vision.acknowledge(
             request, struct.pack(">I", address) + self._camera.registers.read(address, length)
         )
 
-    def _write_memory(self, request: gvcp.Request, client: Client) -> bytes:
-        address, data = gvcp.memory_write(request.payload)
+    def _write_memory(self, request: gige_vision.GvcpCommand, client: Client) -> bytes:
+        address, data = gige_vision.memory_write(request.payload)
         self._write(address, data, client)
-        return gvcp.acknowledge(request, struct.pack(">HH", 0, len(data)))
+        return gige_vision.acknowledge(request, struct.pack(">HH", 0, len(data)))
 
     def _write(self, address: int, data: bytes, client: Client) -> None:
         if address == PRIVILEGE and len(data) == 4:
@@ -206,13 +206,13 @@ class Control:
         self._camera.privilege.check_write(client)
         self._camera.registers.write(address, data)
 
-    def _resend(self, request: gvcp.Request, client: Client) -> bytes:
+    def _resend(self, request: gige_vision.GvcpCommand, client: Client) -> bytes:
         to = self._camera.destination()
         holder = self._camera.privilege.holder
         if to is not None and holder is not None and client[0] in (holder[0], to[0]):
             if request.flags & EXTENDED_ID:
                 raise Refused(Status.NOT_IMPLEMENTED)
-            self._stream.resend(gvcp.resend(request.payload), to)
+            self._stream.resend(gige_vision.resend(request.payload), to)
         return b""
 
 

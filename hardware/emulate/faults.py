@@ -53,7 +53,7 @@ class Faults:
 FAULTLESS = Faults()
 
 
-class Luck:
+class FaultDraws:
     """What the dice say to one camera: packets and requests in order, pulses by their number."""
 
     def __init__(self, faults: Faults, serial: str) -> None:

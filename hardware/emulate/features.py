@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Literal
 
+from hardware.emulate.gige_vision import COUNTER_CHUNK, PIXEL_FORMATS
 from hardware.emulate.registers import Access, Kind, Register
-from hardware.emulate.standard import COUNTER_CHUNK, PIXEL_FORMATS
 
 FEATURES_START = 0x10000
 XML_START = 0xF0000

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from ipaddress import IPv4Interface
 
 from hardware.emulate.features import XML_START
+from hardware.emulate.gige_vision import FORMAT_OF_DEPTH, PIXEL_FORMATS, TICKS_PER_SECOND, VERSION_2_0
 from hardware.emulate.registers import Value
-from hardware.emulate.standard import FORMAT_OF_DEPTH, PIXEL_FORMATS, TICKS_PER_SECOND, VERSION_2_0
 
 BIG_ENDIAN_UTF8 = 0x80000001
 PERSISTENT_IP, DHCP, LINK_LOCAL = 1, 2, 4

@@ -1,7 +1,7 @@
-"""What is known of a camera while its pulses are numbered, and what frames tell that wait for their numbers.
+"""State of one camera while its buffers are numbered by pulse, and what a run of pending buffers shows together.
 
-A frame that waits is *held*. Those that are held together say when the first of them would have come had it been as
-quick as the quickest, and whether the camera's clock jumped between them.
+A buffer whose pulse is not known yet is *pending*. Pending buffers together give the arrival time of the first of
+them had it been as quick as the quickest, and whether the device clock jumped between them.
 """
 
 from collections import deque
@@ -9,40 +9,61 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from hardware.driver import Grabbed
-from hardware.pulse_numbers.clock_model import CameraClock
+from hardware.pulse_numbers.clock_model import DeviceClock
 from hardware.pulse_numbers.free_running import FreeClock
-from hardware.pulse_numbers.trigger_counter import TriggerWitness
+from hardware.pulse_numbers.trigger_counter import TriggerCounter
+
+BACKWARD_STEP, OFF_GRID_STEP = -0.2, 0.25
+"""Shares of a period: a stamp that lies farther behind the last one, or farther off whole periods from it, is of a
+clock that jumped."""
+
+
+@dataclass(frozen=True, eq=False)
+class NumberedBuffer:
+    """A buffer with its pulse."""
+
+    camera: str
+    pulse: int
+    """Pulse number, from 0."""
+    residual_ns: float
+    """Deviation of its time stamp from the camera's line of pulses [ns]."""
+    buffer: Grabbed
 
 
 @dataclass
-class NumberedCamera:
-    """One camera: its ``clock`` once ``started``, what is ``held``, how late (``lates``) its last frames were [ns].
-
-    ``doubted``: the pulse that its clock said of the first frame that is held; None where it said none. ``nameless``:
-    what came since of frames that say nothing of themselves.
-    """
+class CameraState:
+    """What is known of one camera."""
 
     name: str
-    clock: CameraClock
+    clock: DeviceClock
     latency_ns: float = 0.0
+    """Delay of its frames beyond exposure, against the earliest camera [ns]."""
     started: bool = False
+    """Whether a buffer of it was numbered."""
     relocks: int = 0
-    held: list[Grabbed] = field(default_factory=list)
-    lates: deque[float] = field(default_factory=deque)
+    """How often its clock jumped and was aligned again."""
+    pending: list[Grabbed] = field(default_factory=list)
+    """Buffers whose pulse is not known yet."""
+    delays: deque[float] = field(default_factory=deque)
+    """Arrival delays of its latest frames [ns]."""
     last_block: int | None = None
+    """Block id of the last numbered buffer."""
     last_pulse: int = 0
-    doubted: int | None = None
-    witness: TriggerWitness = field(default_factory=TriggerWitness)
+    suspect_pulse: int | None = None
+    """Pulse that the device clock gave for the first pending buffer; None where it gave none."""
+    counter: TriggerCounter = field(default_factory=TriggerCounter)
     free: FreeClock | None = None
-    nameless: list[Grabbed] = field(default_factory=list)
+    """Set for a free-running camera."""
+    unidentified: list[Grabbed] = field(default_factory=list)
+    """Buffers without block id and stamp since the last numbered one."""
 
 
-def earliest_ns(held: Sequence[Grabbed], period_ns: float) -> float:
-    """Return when the first of ``held`` would have arrived had it been as quick as the quickest of them."""
-    stamps = [(b, b.device_ns) for b in held]
+def earliest_arrival_ns(pending: Sequence[Grabbed], period_ns: float) -> float:
+    """Return when the first of ``pending`` would have arrived had it been as quick as the quickest of them [ns]."""
+    stamps = [(b, b.device_ns) for b in pending]
     first = next((stamp for _, stamp in stamps if stamp is not None), None)
     if first is None:
-        return min(b.host_ns - b.exposure_ns - k * period_ns for k, b in enumerate(held))
+        return min(b.host_ns - b.exposure_ns - k * period_ns for k, b in enumerate(pending))
     return min(
         b.host_ns - b.exposure_ns - round((s - first) / period_ns) * period_ns
         for b, s in stamps
@@ -50,16 +71,16 @@ def earliest_ns(held: Sequence[Grabbed], period_ns: float) -> float:
     )
 
 
-def after_jump(held: Sequence[Grabbed], period_ns: float) -> int:
-    """Return the index after the last jump of the clock within ``held``; 0 where it runs evenly."""
+def index_after_jump(pending: Sequence[Grabbed], period_ns: float) -> int:
+    """Return the index after the last jump of the device clock within ``pending``; 0 where there is none."""
     split = 0
     last: int | None = None
-    for index, buffer in enumerate(held):
+    for index, buffer in enumerate(pending):
         if buffer.device_ns is None:
             continue
         if last is not None:
             steps = (buffer.device_ns - last) / period_ns
-            if steps < -0.2 or abs(steps - round(steps)) > 0.25:
+            if steps < BACKWARD_STEP or abs(steps - round(steps)) > OFF_GRID_STEP:
                 split = index
         last = buffer.device_ns
     return split

@@ -1,4 +1,4 @@
-"""A camera's clock beside the pulses: which pulse a stamp belongs to, and when the clock is not to be believed.
+"""Device clock and pulses: which pulse a time stamp belongs to, and when the clock jumped; when pulses arrive.
 
 A camera exposes once a pulse, so its stamps lie on a line ``a + b k`` in its own clock; ``b`` is the period of the
 pulses as this clock counts it, off by its drift. The line is followed by an alpha-beta filter (Bar-Shalom, Li &
@@ -13,20 +13,28 @@ PERIOD_GAIN = 0.0005
 LARGEST_DRIFT = 2e-3
 """How far a camera's clock may run from the nominal rate; quartz keeps 1e-4."""
 LARGEST_RESIDUAL, RESIDUAL_PER_STEP, RESIDUAL_AT_MOST = 0.1, 1e-4, 0.2
-"""A stamp farther than this share of a period from a pulse belongs to none; over missed pulses drift adds to it."""
+"""Gate of a stamp about its pulse, as a share of a period; over missed pulses drift adds to it."""
 LONGEST_GAP = 2000
 """Over more missed pulses than this a drift of 1e-4 could hide a pulse."""
 
 
+EARLY_SHARE = 0.3
+"""An arrival that is early by more than this share of a period moves the pulse times at once."""
+ARRIVAL_PHASE_GAIN, ARRIVAL_PERIOD_GAIN = 0.3, 0.05
+"""Gains of the pulse times against the earliest arrival of a second."""
+FEWEST_ARRIVALS = 8
+
+
 @dataclass(frozen=True)
-class Placed:
-    """A stamp's place: ``pulse`` counts from where the clock was locked, ``residual_ns`` how far off its line."""
+class StampPulse:
+    """The pulse of a time stamp."""
 
     pulse: int
     residual_ns: float
+    """Deviation of the stamp from the line of pulses [ns]."""
 
 
-class CameraClock:
+class DeviceClock:
     """Stamps of one camera in its own clock [ns] to pulses; ``period_ns`` is the nominal one.
 
     Times are kept as integers from the last stamp on, so that nothing is lost in 64-bit epochs.
@@ -45,7 +53,7 @@ class CameraClock:
         self.locked = True
         self._pulse, self._stamp_ns, self._offset_ns = pulse, stamp_ns, 0.0
 
-    def place(self, stamp_ns: int) -> Placed | None:
+    def pulse_of(self, stamp_ns: int) -> StampPulse | None:
         """Return the pulse of a stamp not older than the last, or None for a clock that jumped.
 
         The same stamp again is the same pulse again.
@@ -57,20 +65,20 @@ class CameraClock:
         if steps < 0 or steps > LONGEST_GAP or abs(residual) > reach:
             return None
         if steps == 0:
-            return Placed(self._pulse, residual)
+            return StampPulse(self._pulse, residual)
         self._pulse += steps
         self._stamp_ns = stamp_ns
-        # the line goes a little towards the stamp: what remains is the next one's starting offset
+        # the line moves a little towards the stamp: the rest of the residual stays as the offset of the next one
         self._offset_ns = -(1 - PHASE_GAIN) * residual
-        self.period_ns = _quartz(self.period_ns + PERIOD_GAIN * residual / steps, self.nominal_ns)
-        return Placed(self._pulse, residual)
+        self.period_ns = _limited_drift(self.period_ns + PERIOD_GAIN * residual / steps, self.nominal_ns)
+        return StampPulse(self._pulse, residual)
 
 
-class HostLine:
-    """When each pulse's frames reach this machine at the earliest: the lower envelope of arrivals, as a line.
+class HostPulseTimes:
+    """Host time of each pulse's earliest arrival: the lower envelope of the arrivals, as a line.
 
-    Arrivals are late by what the network and the operating system make of it, never early: the earliest of each
-    second follows the pulses. ``at(k)`` is in this machine's monotonic time [ns].
+    Network and operating system delay arrivals, never advance them: the earliest of each second follows the pulses.
+    ``at(k)`` is in host time (monotonic) [ns].
     """
 
     def __init__(self, first_ns: int, period_ns: float) -> None:
@@ -79,7 +87,7 @@ class HostLine:
         self._pulse = 0
         self._time_ns = 0.0
         self._origin_ns = first_ns
-        self._span = max(round(1e9 / period_ns), 8)
+        self._span = max(round(1e9 / period_ns), FEWEST_ARRIVALS)
         self._least: tuple[float, int] | None = None
         self._until = self._span
 
@@ -94,27 +102,27 @@ class HostLine:
     def take(self, pulse: int, time_ns: float) -> None:
         """Take the arrival of a pulse into account; once a second the earliest one moves the line.
 
-        One that is early by a good part of a period moves it at once: the line was begun while all were late.
+        One that is early by a good part of a period moves it at once: the first arrivals were all late.
         """
-        late = time_ns - self.at(pulse)
-        if late < -0.3 * self.period_ns:
-            self._time_ns += late
+        delay = time_ns - self.at(pulse)
+        if delay < -EARLY_SHARE * self.period_ns:
+            self._time_ns += delay
             self._least = None
             return
-        if self._least is None or late < self._least[0]:
-            self._least = (late, pulse)
+        if self._least is None or delay < self._least[0]:
+            self._least = (delay, pulse)
         if pulse < self._until:
             return
-        late, at = self._least
+        delay, at = self._least
         steps = max(at - self._pulse, 1)
-        self._time_ns += (at - self._pulse) * self.period_ns + 0.3 * late
-        self.period_ns = _quartz(self.period_ns + 0.05 * late / steps, self.nominal_ns)
+        self._time_ns += (at - self._pulse) * self.period_ns + ARRIVAL_PHASE_GAIN * delay
+        self.period_ns = _limited_drift(self.period_ns + ARRIVAL_PERIOD_GAIN * delay / steps, self.nominal_ns)
         self._pulse = at
         self._least = None
         self._until = pulse + self._span
 
 
-def _quartz(period_ns: float, nominal_ns: float) -> float:
+def _limited_drift(period_ns: float, nominal_ns: float) -> float:
     """Return the period, no farther from the nominal one than a clock may drift."""
     reach = LARGEST_DRIFT * nominal_ns
     return min(max(period_ns, nominal_ns - reach), nominal_ns + reach)

@@ -1,9 +1,10 @@
-"""Reads the cameras' clocks, each on a thread of its own: no frame waits for an answer.
+"""Polls the device clocks, each in a thread of its own: no frame waits for an answer.
 
 A clock is read a few times before its camera's first frame; then again each few seconds, so that drift adds little,
 and whenever a frame's pulse depends on it.
 """
 
+import logging
 import threading
 import time
 from collections import deque
@@ -12,20 +13,19 @@ from collections.abc import Callable, Mapping
 from hardware.driver import CameraDriver, ClockReading, DeviceError
 from hardware.pulse_numbers.numbering import PulseNumbers
 
-FIRST_READINGS, QUICK_NS, READ_AGAIN_S = 5, 500_000, 5.0
-"""The first readings end with an answer that was so quick."""
+FIRST_READINGS, QUICK_NS, POLL_INTERVAL_S = 5, 500_000, 5.0
+"""At most so many first readings; they end with one whose error is below ``QUICK_NS``."""
 ASK_AGAIN_NS = 100_000_000
+log = logging.getLogger("mosca.hardware.clocks")
 
 
-class ClockReader:
-    """Clocks of ``drivers`` (name -> the driver as it is now); ``came`` is called with each reading's camera.
+class ClockPoller:
+    """Polls the clocks of ``drivers`` (by name, as they are now); ``on_reading`` is called with the camera's name."""
 
-    ``readings``: what was read and not taken yet, oldest first.
-    """
-
-    def __init__(self, drivers: Mapping[str, CameraDriver], came: Callable[[str], None]) -> None:
+    def __init__(self, drivers: Mapping[str, CameraDriver], on_reading: Callable[[str], None]) -> None:
         self.readings: deque[tuple[str, ClockReading]] = deque()
-        self._drivers, self._came = drivers, came
+        """Readings that were not taken yet, oldest first."""
+        self._drivers, self._on_reading = drivers, on_reading
         self._wanted: dict[str, threading.Event] = {}
         self._asked_ns: dict[str, int] = {}
         self._stop = threading.Event()
@@ -37,7 +37,7 @@ class ClockReader:
             if not self.begin(name):
                 continue
             self._wanted[name] = threading.Event()
-            thread = threading.Thread(target=self._attend, args=(name,), name=f"clock {name}", daemon=True)
+            thread = threading.Thread(target=self._poll, args=(name,), name=f"clock {name}", daemon=True)
             thread.start()
             self._threads.append(thread)
 
@@ -46,7 +46,7 @@ class ClockReader:
         return self._read(name, FIRST_READINGS)
 
     def ask(self, numbers: PulseNumbers) -> None:
-        """Have the clocks read that frames wait for."""
+        """Request readings of the clocks that frames wait for."""
         for name, wanted in self._wanted.items():
             since_ns = numbers.wants_reading(name)
             asked_ns, now_ns = self._asked_ns.get(name, 0), time.monotonic_ns()
@@ -63,10 +63,10 @@ class ClockReader:
             thread.join()
         self._threads.clear()
 
-    def _attend(self, name: str) -> None:
+    def _poll(self, name: str) -> None:
         wanted = self._wanted[name]
         while not self._stop.is_set():
-            wanted.wait(READ_AGAIN_S)
+            wanted.wait(POLL_INTERVAL_S)
             wanted.clear()
             if not self._stop.is_set():
                 self._read(name, 1)
@@ -75,12 +75,13 @@ class ClockReader:
         for _ in range(times):
             try:
                 reading = self._drivers[name].clock()
-            except DeviceError:  # no answer in time, or gone: its frames tell which
+            except DeviceError as error:  # no answer in time, or lost: its reading thread finds out which
+                log.debug("camera '%s': clock not read (%s)", name, error)
                 return True
             if reading is None:
                 return False
             self.readings.append((name, reading))
-            self._came(name)
+            self._on_reading(name)
             if reading.error_ns < QUICK_NS:
                 break
         return True

@@ -40,9 +40,9 @@ class RemoteClock:
         """How much faster than the other clock this machine's runs."""
         return self._fit[2]
 
-    def take(self, asked_ns: int, there_ns: int, received_ns: int) -> None:
+    def take(self, asked_ns: int, remote_ns: int, received_ns: int) -> None:
         """Take an answer: this machine's clock when it was asked for and received, what the other clock showed."""
-        self._pings.append(((asked_ns + received_ns) // 2, there_ns, received_ns - asked_ns))
+        self._pings.append(((asked_ns + received_ns) // 2, remote_ns, received_ns - asked_ns))
         origin_here, origin_there, _ = self._pings[0]
         pings = np.array(
             [(here - origin_here, there - origin_there, trip) for here, there, trip in self._pings],
@@ -62,13 +62,13 @@ class RemoteClock:
         self._fit = (origin_here + round(middle + mean), origin_there + round(middle), skew)
         self.error_ns = float(quick[:, 2].min()) / 2
 
-    def here(self, there_ns: int) -> int:
-        """Return this machine's time [ns] when the other clock showed ``there_ns``."""
+    def to_local(self, remote_ns: int) -> int:
+        """Return this machine's time [ns] when the other clock showed ``remote_ns``."""
         here, there, skew = self._fit
-        return here + (there_ns - there) + round(skew * (there_ns - there))
+        return here + (remote_ns - there) + round(skew * (remote_ns - there))
 
-    def there(self, here_ns: int) -> int:
-        """Return what the other clock shows at this machine's time ``here_ns`` [ns]."""
+    def to_remote(self, local_ns: int) -> int:
+        """Return what the other clock shows at this machine's time ``local_ns`` [ns]."""
         here, there, skew = self._fit
-        since = here_ns - here
+        since = local_ns - here
         return there + since - round(since * skew / (1 + skew))

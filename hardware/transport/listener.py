@@ -16,7 +16,7 @@ from hardware.transport.messages import (
     unpack_detections,
     unpack_health,
 )
-from hardware.transport.pulse_alignment import PulsePlaces
+from hardware.transport.pulse_alignment import StationPulses
 from hardware.transport.station_state import Event, ReceiverSettings, StationState
 
 COUNTDOWN_NS = 500_000_000
@@ -53,7 +53,7 @@ class Listener:
         self.start_ns: int | None = None
         self.states = {station: StationState(station) for station in stations}
         self.merger = Merger(tuple(cameras), self._camera_away, settings.merge)
-        self.places: PulsePlaces | None = None
+        self.places: StationPulses | None = None
         self._told, self._sizes = told, dict(cameras)
         self._owner: dict[str, str] = {}
         self._opened_ns = self._now_ns = self._looked_ns = opened_ns
@@ -67,16 +67,16 @@ class Listener:
         """Return whether a station's cameras are known, and its clock well enough for the rate of the pulses."""
         return self.rate_hz is not None and self.states[station].timed(1e9 / self.rate_hz)
 
-    def heard_to_its_end(self, station: str, epoch: int) -> bool:
+    def received_to_end(self, station: str, epoch: int) -> bool:
         """Return whether nothing more is expected of a station's start ``epoch``, or it is none that was named."""
         state = self.states.get(station)
-        return state is None or state.heard_to_its_end(epoch)
+        return state is None or state.received_to_end(epoch)
 
     def rest(self, now_ns: int) -> list[MergedSet]:
         """Return what is left when nothing more comes, and close the counts."""
         sets = self.merger.rest(now_ns)
         for state in self.states.values():
-            state.drop_held()
+            state.drop_pending()
             if state.ended:
                 state.count_rest()
         return sets
@@ -87,7 +87,7 @@ class Listener:
         state = self.states.get(station)
         if state is None:
             if kind == "message":
-                self._tell_once(
+                self._note_once(
                     station, "error", "is none of the stations that were named; it is not listened to"
                 )
             return
@@ -104,22 +104,22 @@ class Listener:
                 case "token", bool():
                     self._take_token(state, what)
         except (MessageError, UnicodeDecodeError) as error:
-            state.account.spoilt += 1
-            self._tell_once(station, "error", f"sends what cannot be read: {error}")
+            state.statistics.spoilt += 1
+            self._note_once(station, "error", f"sends what cannot be read: {error}")
 
     def _take_message(self, state: StationState, message: DetectionMessage, received_ns: int) -> None:
         if not self._of_this_start(state, message.epoch, received_ns):
             return
         state.count(message)
-        if state.held or not self._place(state, message, received_ns):
-            state.hold(message, received_ns)
+        if state.pending or not self._place(state, message, received_ns):
+            state.add_pending(message, received_ns)
 
     def _of_this_start(self, state: StationState, epoch: int, received_ns: int) -> bool:
         """Note that the station is heard; False for words of an earlier start."""
         if epoch in state.earlier:
-            state.account.stale += 1
+            state.statistics.stale += 1
             if received_ns - (state.heard_ns or 0) < self.settings.silence_s * 1e9 and state.stands:
-                self._tell_once(
+                self._note_once(
                     state.name, "error", "speaks with two voices: do two stations have this name?"
                 )
             return False
@@ -129,13 +129,13 @@ class Listener:
             if self.places is not None:
                 self.places.restarted(state.name)
             self.merger.restarted([name for name, owner in self._owner.items() if owner == state.name])
-            self._tell(
+            self._note(
                 state.name, "appeared" if first else "back", "is here" if first else "has started again"
             )
         elif state.silent and received_ns - state.gone_ns < ECHO_NS:
             return True  # said before it went
         elif state.silent and received_ns > (state.heard_ns or 0):
-            self._tell(
+            self._note(
                 state.name,
                 "back",
                 f"is heard again after {(received_ns - (state.heard_ns or 0)) / 1e9:.2f} s",
@@ -148,9 +148,9 @@ class Listener:
         """Bring a message to its pulse; False while that cannot be told."""
         if self.places is None or not self.timed(state.name) or self.places.shift(state.name) is None:
             return False
-        arrival_ns = state.clock.here(message.arrival_ns)
+        arrival_ns = state.clock.to_local(message.arrival_ns)
         self.places.take(state.name, message.epoch, message.pulse, arrival_ns - message.exposure_ns)
-        self._tell_places()
+        self._note_alignment()
         if self.places.shift(state.name) is None:  # it counts wrongly: it votes anew
             return False
         # what its frames waited for at the station itself follows in a burst
@@ -169,8 +169,8 @@ class Listener:
             Arrived(
                 message.pulse + shift,
                 message.time_ns + round(shift * self.places.period_ns),
-                state.clock.here(message.arrival_ns),
-                state.clock.here(message.sent_ns),
+                state.clock.to_local(message.arrival_ns),
+                state.clock.to_local(message.sent_ns),
                 received_ns,
                 message.status,
                 message.detections,
@@ -185,16 +185,16 @@ class Listener:
         for state in self.states.values():
             if not self.timed(state.name) or self.places.shift(state.name) is not None:
                 continue
-            for message, _ in list(state.held)[state.voted :]:
-                here = state.clock.here(message.arrival_ns) - message.exposure_ns
+            for message, _ in list(state.pending)[state.voted :]:
+                here = state.clock.to_local(message.arrival_ns) - message.exposure_ns
                 self.places.take(state.name, message.epoch, message.pulse, here)
-            state.voted = len(state.held)
-        self._tell_places()
+            state.voted = len(state.pending)
+        self._note_alignment()
         free: list[tuple[StationState, DetectionMessage, int]] = []
         for state in self.states.values():
-            if state.held and self.places.shift(state.name) is not None:
-                free += [(state, message, received) for message, received in state.held]
-                state.held.clear()
+            if state.pending and self.places.shift(state.name) is not None:
+                free += [(state, message, received) for message, received in state.pending]
+                state.pending.clear()
                 state.voted, state.placed_ns = 0, self._now_ns
         for state, message, received_ns in sorted(free, key=lambda one: one[2]):
             self._deliver(state, message, received_ns, held=True)
@@ -203,15 +203,15 @@ class Listener:
         if not self._of_this_start(state, health.epoch, received_ns):
             return
         before, state.health = state.health, health
-        state.account.refused, state.account.skipped = health.refused, health.skipped
+        state.statistics.refused, state.statistics.skipped = health.refused, health.skipped
         if before is None:
             self._take_cameras(state, health.cameras)
         known = () if before is None else before.notes
         for note in health.notes[_overlap(known, health.notes) :]:
-            self._tell(state.name, "note", note)
+            self._note(state.name, "note", note)
         if state.ended and (before is None or before.state != health.state):
             state.count_rest()
-            self._tell(state.name, "ended", "has failed" if health.state == "failed" else "has ended")
+            self._note(state.name, "ended", "has failed" if health.state == "failed" else "has ended")
 
     def _take_cameras(self, state: StationState, cameras: Sequence[StationCamera]) -> None:
         """Note whose cameras these are; one that cannot be merged is told and ignored."""
@@ -219,11 +219,11 @@ class Listener:
             self.rate_hz = camera.rate_hz if self.rate_hz is None else self.rate_hz
             wrong = self._wrong(state, camera, self.rate_hz)
             if wrong:
-                self._tell(state.name, "error", f"camera '{camera.name}' {wrong}; it is ignored")
+                self._note(state.name, "error", f"camera '{camera.name}' {wrong}; it is ignored")
             else:
                 self._owner[camera.name] = state.name
         if self.places is None and self.rate_hz is not None:
-            self.places = PulsePlaces(tuple(self.states), self.rate_hz, self.settings.start_wait_s)
+            self.places = StationPulses(tuple(self.states), self.rate_hz, self.settings.start_wait_s)
 
     def _wrong(self, state: StationState, camera: StationCamera, rate_hz: float) -> str:
         """Return why a camera cannot be merged, "" where it can."""
@@ -241,17 +241,17 @@ class Listener:
         return ""
 
     def _take_clock(self, state: StationState, answer: bytes, asked_ns: int, answered_ns: int) -> None:
-        epoch, there_ns = unpack_clock(answer)
+        epoch, remote_ns = unpack_clock(answer)
         if not self._of_this_start(state, epoch, answered_ns):
             return
-        state.clock.take(asked_ns, there_ns, answered_ns)
-        state.account.clock_error_ns, state.account.clock_skew = state.clock.error_ns, state.clock.skew
+        state.clock.take(asked_ns, remote_ns, answered_ns)
+        state.statistics.clock_error_ns, state.statistics.clock_skew = state.clock.error_ns, state.clock.skew
 
     def _take_token(self, state: StationState, stands: bool) -> None:
         if state.stands and not stands and not state.ended:
-            state.account.gone += 1
+            state.statistics.gone += 1
             state.silent, state.gone_ns = True, self._now_ns
-            self._tell(state.name, "gone", "is gone: its program ended, or its network")
+            self._note(state.name, "gone", "is gone: its program ended, or its network")
         state.stands = stands
 
     def look(self, now_ns: int, heard_ns: Mapping[str, int]) -> None:
@@ -266,25 +266,25 @@ class Listener:
             state.quiet_ns = 0 if heard else state.quiet_ns + min(passed_ns, MOST_QUIET_NS)
             if state.quiet_ns > self.settings.silence_s * 1e9:
                 state.silent = True
-                state.account.silent += 1
-                self._tell(
+                state.statistics.silent += 1
+                self._note(
                     state.name, "silent", f"is silent for {self.settings.silence_s:g} s; it is not waited for"
                 )
         waited = now_ns - self._opened_ns > self.settings.start_wait_s * 1e9
         if self.start_ns is None and (waited or all(state.settled for state in self.states.values())):
             for state in self.states.values():
                 if not state.settled:
-                    self._tell(state.name, "error", "is not ready; the session starts without it")
+                    self._note(state.name, "error", "is not ready; the session starts without it")
             self.start_ns = now_ns + COUNTDOWN_NS
-        if any(state.held for state in self.states.values()):
+        if any(state.pending for state in self.states.values()):
             if self.places is not None and not self.places.started:
                 self.places.try_start(now_ns)
             self._release()
 
-    def _tell_places(self) -> None:
+    def _note_alignment(self) -> None:
         assert self.places is not None
         for station, text in self.places.notes:
-            self._tell(station, "place", text)
+            self._note(station, "place", text)
         self.places.notes.clear()
 
     def _camera_away(self, camera: str) -> bool:
@@ -293,11 +293,11 @@ class Listener:
             return True
         return self.places is None or self.places.shift(owner) is None
 
-    def _tell_once(self, station: str, kind: str, text: str) -> None:
+    def _note_once(self, station: str, kind: str, text: str) -> None:
         if not any(event.station == station and event.text == text for event in self.events):
-            self._tell(station, kind, text)
+            self._note(station, kind, text)
 
-    def _tell(self, station: str, kind: str, text: str) -> None:
+    def _note(self, station: str, kind: str, text: str) -> None:
         event = Event(self._now_ns, station, kind, text)
         self.events.append(event)
         self._told(event)

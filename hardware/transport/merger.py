@@ -77,7 +77,7 @@ class CameraMerge:
 
 
 @dataclass
-class MergeAccount:
+class MergeStatistics:
     """Counts so far. ``unseen``: pulses between sets of which nothing came at all."""
 
     sets: int = 0
@@ -93,7 +93,7 @@ class Merger:
         self, cameras: Sequence[str], away: Callable[[str], bool], settings: MergeSettings | None = None
     ) -> None:
         self.settings = settings or MergeSettings()
-        self.account = MergeAccount(cameras={name: CameraMerge() for name in cameras})
+        self.statistics = MergeStatistics(cameras={name: CameraMerge() for name in cameras})
         self._cameras = tuple(cameras)
         self._away = away
         self._open: dict[int, dict[str, Arrived]] = {}
@@ -104,7 +104,7 @@ class Merger:
     def take(self, item: Arrived) -> None:
         """Put a message of one of the cameras into its set, or count why not."""
         name = item.detections.camera
-        count = self.account.cameras[name]
+        count = self.statistics.cameras[name]
         self._newest[name] = max(self._newest[name], item.pulse)
         if not item.held and item.received_ns - item.arrival_ns > self.settings.oldest_s * 1e9:
             count.aged += 1
@@ -155,12 +155,12 @@ class Merger:
         here = self._open.pop(pulse)
         del self._since_ns[pulse]
         if self._next is not None:
-            self.account.unseen += pulse - self._next
+            self.statistics.unseen += pulse - self._next
         self._next = pulse + 1
         whole: dict[str, Arrived] = {}
         missing: dict[str, str] = {}
         for name in self._cameras:
-            count, item = self.account.cameras[name], here.get(name)
+            count, item = self.statistics.cameras[name], here.get(name)
             if item is not None and item.status == "detected":
                 count.merged += 1
                 whole[name] = item
@@ -173,8 +173,8 @@ class Merger:
             else:
                 count.lost += 1
                 missing[name] = "not in time"
-        self.account.sets += 1
-        self.account.complete += not missing
+        self.statistics.sets += 1
+        self.statistics.complete += not missing
         times = sorted(item.time_ns for item in (whole or here).values())
         return MergedSet(
             pulse,

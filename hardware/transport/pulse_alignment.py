@@ -16,7 +16,7 @@ count and another's belong together by a whole number, its *shift*, and the time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from hardware.pulse_numbers.clock_model import HostLine
+from hardware.pulse_numbers.clock_model import HostPulseTimes
 
 VOTE_S = 0.2
 FEWEST_VOTES, MOST_VOTES = 5, 100
@@ -27,7 +27,7 @@ LATE = 0.6
 
 
 @dataclass
-class _Place:
+class _Alignment:
     epoch: int | None = None
     shift: int | None = None
     latency_ns: float = 0.0
@@ -40,7 +40,7 @@ class _Place:
     window_end: int = 0
 
 
-class PulsePlaces:
+class StationPulses:
     """Shifts of ``stations``, from arrivals; ``notes`` says what happened, (station, text) each.
 
     ``start_wait_s``: how long after the first arrival stations may be silent before the rest begins without them.
@@ -49,8 +49,8 @@ class PulsePlaces:
     def __init__(self, stations: Sequence[str], rate_hz: float, start_wait_s: float) -> None:
         self.period_ns = 1e9 / rate_hz
         self.notes: list[tuple[str, str]] = []
-        self._places = {name: _Place() for name in stations}
-        self._line: HostLine | None = None
+        self._places = {name: _Alignment() for name in stations}
+        self._line: HostPulseTimes | None = None
         self._votes = min(max(round(VOTE_S * rate_hz), FEWEST_VOTES), MOST_VOTES)
         self._start_wait_ns = start_wait_s * 1e9
         self._first_ns: int | None = None
@@ -69,25 +69,25 @@ class PulsePlaces:
         """Return what is added to the station's count; None while that is not known."""
         return self._places[station].shift
 
-    def late_ns(self, station: str, pulse: int, here_ns: int) -> float | None:
+    def late_ns(self, station: str, pulse: int, local_ns: int) -> float | None:
         """Return how far behind its pulse (in the station's count) an arrival is, beyond what is usual."""
         place = self._places[station]
         if self._line is None or place.shift is None:
             return None
-        return here_ns - place.latency_ns - self._line.at(pulse + place.shift)
+        return local_ns - place.latency_ns - self._line.at(pulse + place.shift)
 
-    def take(self, station: str, epoch: int, pulse: int, here_ns: int) -> None:
-        """Take an arrival: ``pulse`` in the station's own count, ``here_ns`` in this machine's time less exposure."""
+    def take(self, station: str, epoch: int, pulse: int, local_ns: int) -> None:
+        """Take an arrival: ``pulse`` as the station counts, ``local_ns``: host time less exposure."""
         place = self._places[station]
         if epoch != place.epoch:
             self.restarted(station)
             place.epoch = epoch
         if place.shift is not None:
-            self._follow(station, place, pulse, here_ns)
+            self._follow(station, place, pulse, local_ns)
             return
-        place.votes[pulse] = min(here_ns, place.votes.get(pulse, here_ns))
+        place.votes[pulse] = min(local_ns, place.votes.get(pulse, local_ns))
         if self._line is None:
-            self.try_start(here_ns)
+            self.try_start(local_ns)
         elif len(place.votes) >= self._votes:
             self._find(station, place)
 
@@ -113,11 +113,11 @@ class PulsePlaces:
         }
         # arrivals fix the phase; the station that has counted longest fixes the number
         longest = min(zeros, key=lambda name: zeros[name])
-        self._line = HostLine(round(zeros[longest]), self.period_ns)
+        self._line = HostPulseTimes(round(zeros[longest]), self.period_ns)
         for name in sorted(zeros, key=lambda name: zeros[name]):
             self._find(name, self._places[name])
 
-    def _find(self, station: str, place: _Place) -> None:
+    def _find(self, station: str, place: _Alignment) -> None:
         """Set the station's shift by its votes, or begin to vote anew where they lie between pulses."""
         assert self._line is not None
         line = self._line
@@ -149,11 +149,11 @@ class PulsePlaces:
             )
         place.window_end = 0
 
-    def _follow(self, station: str, place: _Place, pulse: int, here_ns: int) -> None:
+    def _follow(self, station: str, place: _Alignment, pulse: int, local_ns: int) -> None:
         assert self._line is not None
         assert place.shift is not None
         number = pulse + place.shift
-        late = here_ns - place.latency_ns - self._line.at(number)
+        late = local_ns - place.latency_ns - self._line.at(number)
         if late < -EARLY * self.period_ns:
             place.early += 1
             if place.early >= EARLY_FRAMES:
@@ -164,7 +164,7 @@ class PulsePlaces:
                 place.votes.clear()
             return
         place.early = 0
-        self._line.take(number, here_ns - place.latency_ns)
+        self._line.take(number, local_ns - place.latency_ns)
         place.least_late = late if place.least_late is None else min(place.least_late, late)
         if number < place.window_end:
             return

@@ -15,7 +15,7 @@ from typing import Self
 from hardware.transport.listener import Listener
 from hardware.transport.merger import MergedSet
 from hardware.transport.messages import NOT_YET, YES, MessageError, pack_clock, unpack_clock, unpack_heard
-from hardware.transport.station_state import Event, ReceiverAccount, ReceiverSettings
+from hardware.transport.station_state import Event, ReceiverSettings, ReceiverStatistics
 from hardware.transport.transport import (
     EVERY_TOKEN,
     EVERYTHING,
@@ -59,20 +59,20 @@ class Receiver:
         self._transport = transport
         self._listener = Listener(stations, cameras, rate_hz, self.settings, time.monotonic_ns(), told)
         self._heard_ns = dict.fromkeys(stations, 0)
-        self.account = ReceiverAccount(
-            MappingProxyType({name: state.account for name, state in self._listener.states.items()}),
-            self._listener.merger.account,
+        self.statistics = ReceiverStatistics(
+            MappingProxyType({name: state.statistics for name, state in self._listener.states.items()}),
+            self._listener.merger.statistics,
         )
         self._inbox: queue.SimpleQueue[tuple[str, str, object, int]] = queue.SimpleQueue()
         self._out: deque[MergedSet] = deque()
         self._changed = threading.Condition()
         self._over = False
         self._stop, self._closed = threading.Event(), False
-        transport.answer(key_of(check_station(name), "rig"), lambda _: rig.encode())
-        transport.answer(HEARD, self._heard_to_its_end)
-        transport.stand(key_of(name, "alive"))
+        transport.declare_queryable(key_of(check_station(name), "rig"), lambda _: rig.encode())
+        transport.declare_queryable(HEARD, self._received_to_end)
+        transport.declare_token(key_of(name, "alive"))
         transport.subscribe(EVERYTHING, self._published)
-        transport.watch(EVERY_TOKEN, lambda key, stands: self._post("token", station_of(key), stands))
+        transport.watch_tokens(EVERY_TOKEN, lambda key, stands: self._post("token", station_of(key), stands))
         self._threads = [threading.Thread(target=self._work, name="merge", daemon=True)]
         self._threads += [
             threading.Thread(target=self._attend, args=(n,), name=f"clock of {n}", daemon=True)
@@ -113,9 +113,9 @@ class Receiver:
                 merged = self._out.popleft()
             yield merged
 
-    def here(self, station: str, there_ns: int) -> int:
-        """Return this machine's time [ns] when a station's clock showed ``there_ns``."""
-        return self._listener.states[station].clock.here(there_ns)
+    def to_local(self, station: str, remote_ns: int) -> int:
+        """Return this machine's time [ns] when a station's clock showed ``remote_ns``."""
+        return self._listener.states[station].clock.to_local(remote_ns)
 
     def stop(self) -> None:
         """End the iteration after what is here; may be called from another thread."""
@@ -145,18 +145,18 @@ class Receiver:
 
     def _post(self, kind: str, station: str, what: object) -> None:
         if self._inbox.qsize() > INBOX and kind == "message":
-            self.account.overrun += 1
+            self.statistics.overrun += 1
             return
         now_ns = time.monotonic_ns()
         if kind != "token" and station in self._heard_ns:
             self._heard_ns[station] = now_ns
         self._inbox.put((kind, station, what, now_ns))
 
-    def _heard_to_its_end(self, question: bytes) -> bytes:
+    def _received_to_end(self, question: bytes) -> bytes:
         if self._over or self._stop.is_set():  # nobody listens any more
             return YES
         try:
-            heard = self._listener.heard_to_its_end(*unpack_heard(question))
+            heard = self._listener.received_to_end(*unpack_heard(question))
         except MessageError:  # no station asks so
             return YES
         return YES if heard else NOT_YET
@@ -169,7 +169,7 @@ class Receiver:
         ordered: int | None = None
         while not self._stop.is_set():
             before = time.monotonic_ns()
-            answer = self._transport.ask(key, b"", ASK_S)
+            answer = self._transport.query(key, b"", ASK_S)
             after = time.monotonic_ns()
             if answer is not None:
                 self._post("clock", station, (answer, before, after))
@@ -178,8 +178,8 @@ class Receiver:
                 except MessageError:  # told by the thread that merges
                     now_epoch = epoch
                 if now_epoch != epoch:
-                    rig = self._transport.ask(key_of(station, "rig"), b"", ASK_S)
-                    health = self._transport.ask(key_of(station, "health"), b"", ASK_S)
+                    rig = self._transport.query(key_of(station, "rig"), b"", ASK_S)
+                    health = self._transport.query(key_of(station, "health"), b"", ASK_S)
                     if rig is not None and health is not None:
                         self._post("rig", station, rig)
                         self._post("health", station, health)
@@ -187,8 +187,8 @@ class Receiver:
                 start_ns, state = self._listener.start_ns, self._listener.states[station]
                 timed = self._listener.timed(station)
                 if ordered != epoch and epoch is not None and start_ns is not None and timed:
-                    order = pack_clock(epoch, state.clock.there(start_ns))
-                    ordered = epoch if self._transport.ask(key_of(station, "start"), order, ASK_S) else None
+                    order = pack_clock(epoch, state.clock.to_remote(start_ns))
+                    ordered = epoch if self._transport.query(key_of(station, "start"), order, ASK_S) else None
                 asked += 1
                 burst = asked < BURST or not timed
             else:
@@ -238,5 +238,5 @@ class Receiver:
             self._out.extend(sets)
             while len(self._out) > self.settings.queued:
                 self._out.popleft()
-                self.account.left_out += 1
+                self.statistics.left_out += 1
             self._changed.notify()

@@ -70,15 +70,15 @@ class Sender:
         self._ordered = threading.Event()
         self.start_ns: int | None = None
         self._end = threading.Event()
-        transport.answer(key_of(station, "clock"), lambda _: pack_clock(self.epoch, self.now_ns()))
-        transport.answer(key_of(station, "health"), lambda _: pack_health(self.health()))
-        transport.answer(key_of(station, "rig"), lambda _: rig.encode())
-        transport.answer(key_of(station, "start"), self._start)
-        transport.stand(key_of(station, "alive"))
+        transport.declare_queryable(key_of(station, "clock"), lambda _: pack_clock(self.epoch, self.now_ns()))
+        transport.declare_queryable(key_of(station, "health"), lambda _: pack_health(self.health()))
+        transport.declare_queryable(key_of(station, "rig"), lambda _: rig.encode())
+        transport.declare_queryable(key_of(station, "start"), self._start)
+        transport.declare_token(key_of(station, "alive"))
         self._beat = threading.Thread(target=self._run, name=f"station {station}", daemon=True)
         self._beat.start()
 
-    def say(self, state: State, note: str = "") -> None:
+    def set_state(self, state: State, note: str = "") -> None:
         """Change the state that the others see, and tell them."""
         self._state = state
         if note:
@@ -134,7 +134,7 @@ class Sender:
             return
         self._end.set()
         self._beat.join()
-        self.say("ended" if self._state != "failed" else "failed")
+        self.set_state("ended" if self._state != "failed" else "failed")
         self._wait_until_heard()
         self._transport.close()
 
@@ -148,7 +148,7 @@ class Sender:
         """Stay until nobody listens, or has heard the last words: what falls silent before is taken for dead."""
         until = time.monotonic() + LEAVE_S
         while time.monotonic() < until:
-            answer = self._transport.ask(HEARD, pack_heard(self.station, self.epoch), ASK_S)
+            answer = self._transport.query(HEARD, pack_heard(self.station, self.epoch), ASK_S)
             if answer is None or answer == YES:
                 return
             time.sleep(ASK_AGAIN_S)

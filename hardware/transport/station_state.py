@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from hardware.transport.clock import RemoteClock
-from hardware.transport.merger import MergeAccount, MergeSettings
+from hardware.transport.merger import MergeSettings, MergeStatistics
 from hardware.transport.messages import DetectionMessage, HealthMessage
 
 HELD = 4000
@@ -41,7 +41,7 @@ class Event:
 
 
 @dataclass
-class StationAccount:
+class StationStatistics:
     """What became of one station's messages, to be read at any time.
 
     ``received`` and ``lost`` (numbers left out in the count, and, once it has ended, at its end); ``unplaced``:
@@ -65,13 +65,13 @@ class StationAccount:
 
 
 @dataclass
-class ReceiverAccount:
+class ReceiverStatistics:
     """What became of all messages: ``stations``, ``merge``, ``left_out`` sets nobody took in time, ``overrun``
     messages that found no room here.
     """
 
-    stations: Mapping[str, StationAccount]
-    merge: MergeAccount
+    stations: Mapping[str, StationStatistics]
+    merge: MergeStatistics
     left_out: int = 0
     overrun: int = 0
 
@@ -81,7 +81,7 @@ class StationState:
     """One station as it is now; used by one thread."""
 
     name: str
-    account: StationAccount = field(default_factory=StationAccount)
+    statistics: StationStatistics = field(default_factory=StationStatistics)
     clock: RemoteClock = field(default_factory=RemoteClock)
     health: HealthMessage | None = None
     epoch: int | None = None
@@ -92,7 +92,7 @@ class StationState:
     quiet_ns: int = 0
     gone_ns: int = 0
     placed_ns: int = 0
-    held: deque[tuple[DetectionMessage, int]] = field(default_factory=deque)
+    pending: deque[tuple[DetectionMessage, int]] = field(default_factory=deque)
     voted: int = 0
     expected: dict[str, int] = field(default_factory=dict)
 
@@ -115,7 +115,7 @@ class StationState:
         """Return whether its cameras are known, and its clock well enough for pulses that are ``period_ns`` apart."""
         return self.health is not None and self.clock.certain(CLOCK_SHARE * period_ns)
 
-    def heard_to_its_end(self, epoch: int) -> bool:
+    def received_to_end(self, epoch: int) -> bool:
         """Return whether nothing more is expected of the start ``epoch``."""
         return epoch in self.earlier or (epoch == self.epoch and self.ended)
 
@@ -124,18 +124,18 @@ class StationState:
         if self.epoch is not None:
             self.earlier.add(self.epoch)
         self.epoch = epoch
-        self.account.starts += 1
+        self.statistics.starts += 1
         self.clock = RemoteClock()
         self.health = None
-        self.drop_held()
+        self.drop_pending()
         self.expected.clear()
 
     def count(self, message: DetectionMessage) -> None:
         """Count a message, and those that its number shows to be lost."""
-        self.account.received += 1
+        self.statistics.received += 1
         camera = message.detections.camera
         expected = self.expected.get(camera, 0)
-        self.account.lost += max(message.sequence - expected, 0)
+        self.statistics.lost += max(message.sequence - expected, 0)
         self.expected[camera] = max(message.sequence + 1, expected)
 
     def count_rest(self) -> None:
@@ -144,19 +144,19 @@ class StationState:
             return
         for camera in self.health.cameras:
             expected = self.expected.get(camera.name, 0)
-            self.account.lost += max(camera.sent - expected, 0)
+            self.statistics.lost += max(camera.sent - expected, 0)
             self.expected[camera.name] = max(camera.sent, expected)
 
-    def hold(self, message: DetectionMessage, received_ns: int) -> None:
+    def add_pending(self, message: DetectionMessage, received_ns: int) -> None:
         """Let a message wait until its pulse can be told."""
-        self.held.append((message, received_ns))
-        if len(self.held) > HELD:
-            self.held.popleft()
+        self.pending.append((message, received_ns))
+        if len(self.pending) > HELD:
+            self.pending.popleft()
             self.voted = max(self.voted - 1, 0)
-            self.account.unplaced += 1
+            self.statistics.unplaced += 1
 
-    def drop_held(self) -> None:
+    def drop_pending(self) -> None:
         """Throw away what still waits."""
-        self.account.unplaced += len(self.held)
-        self.held.clear()
+        self.statistics.unplaced += len(self.pending)
+        self.pending.clear()
         self.voted = 0

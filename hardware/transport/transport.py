@@ -43,19 +43,19 @@ class Transport(Protocol):
         """Hand what is published under ``pattern`` to ``take(key, payload)``; ``*`` is one name, ``**`` any names."""
         ...
 
-    def answer(self, key: str, reply: Callable[[bytes], bytes]) -> None:
+    def declare_queryable(self, key: str, reply: Callable[[bytes], bytes]) -> None:
         """Answer those who ask for ``key``."""
         ...
 
-    def ask(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
+    def query(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
         """Return the answer to ``payload``, None where nobody answers within ``timeout_s``."""
         ...
 
-    def stand(self, key: str) -> None:
+    def declare_token(self, key: str) -> None:
         """Set up a token that stands until ``close``, or until this process or its network is gone."""
         ...
 
-    def watch(self, pattern: str, take: Callable[[str, bool], None]) -> None:
+    def watch_tokens(self, pattern: str, take: Callable[[str, bool], None]) -> None:
         """Tell ``take(key, stands)`` of tokens that are there, that come and that go."""
         ...
 

@@ -84,7 +84,7 @@ class ZenohTransport:
             )
         )
 
-    def answer(self, key: str, reply: Callable[[bytes], bytes]) -> None:
+    def declare_queryable(self, key: str, reply: Callable[[bytes], bytes]) -> None:
         """Answer questions for ``key``."""
 
         def answered(query: zenoh.Query) -> None:
@@ -93,7 +93,7 @@ class ZenohTransport:
 
         self._keep(self._session.declare_queryable(key, answered, complete=True))
 
-    def ask(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
+    def query(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
         """Return the first good answer; None where there is none in time."""
         try:
             replies = self._session.get(
@@ -111,11 +111,11 @@ class ZenohTransport:
             return None
         return None
 
-    def stand(self, key: str) -> None:
+    def declare_token(self, key: str) -> None:
         """Set up a liveliness token."""
         self._keep(self._session.liveliness().declare_token(key))
 
-    def watch(self, pattern: str, take: Callable[[str, bool], None]) -> None:
+    def watch_tokens(self, pattern: str, take: Callable[[str, bool], None]) -> None:
         """Watch liveliness tokens."""
         self._keep(
             self._session.liveliness().declare_subscriber(

@@ -4,6 +4,7 @@ Cameras expose when it arrives, a network's jitter apart. Those whose clocks agr
 with the command (``lead_ms``): then they expose together.
 """
 
+import logging
 import socket
 import struct
 import threading
@@ -16,6 +17,7 @@ from hardware.trigger import External
 GVCP_PORT = 3956
 ACTION_CMD = 0x0100
 SCHEDULED = 0x80
+log = logging.getLogger("mosca.hardware.triggers")
 
 
 class ActionTrigger(External):
@@ -79,5 +81,6 @@ class ActionTrigger(External):
         command = struct.pack(">BBHHH", 0x42, flags, ACTION_CMD, len(keys), request) + keys
         try:
             self._socket.sendto(command, (self._table.broadcast, GVCP_PORT))
-        except OSError:  # the pulse is lost for all; its frames will be missing and counted
+        except OSError as error:  # the pulse is lost for all cameras; its frames are missing and counted
+            log.debug("action command not sent (%s)", error)
             self.lost += 1

@@ -1,22 +1,24 @@
-"""Software trigger: this machine tells each camera to expose, pulse by pulse, and waits for the frames.
+"""Software trigger: commands each camera to expose, pulse by pulse, and waits for the frames.
 
 Waiting makes the pairing certain for cameras without a clock, and keeps from triggering cameras that are not ready,
 which they ignore silently. The price is the rate: a pulse that has to wait is late, which is counted.
 """
 
+import logging
 import threading
 import time
 from bisect import bisect_right
 from collections.abc import Mapping
 
 from hardware.driver import CameraDriver, DeviceError
-from hardware.silence import Looks
+from hardware.silence import PollingTime
 
-PATIENCE_S = 5.0
-"""The next pulse comes once a missing frame was looked for in vain for so long: a frame that came still later would
-be taken for the next pulse's. Only looks count: time in which this machine did not run them says nothing."""
-GIVEN_UP = 3
-"""A camera that missed so many pulses running is not waited for until it delivers again."""
+FRAME_TIMEOUT_S = 5.0
+"""Polling time for a missing frame before the next pulse: a frame that came still later would be numbered as the next
+pulse's. Time in which this process did not poll does not count (``hardware.silence``)."""
+MISSES_TO_IGNORE = 3
+"""A camera that missed so many pulses in a row is not waited for until it delivers again."""
+log = logging.getLogger("mosca.hardware.triggers")
 
 
 class SoftwareTrigger:
@@ -33,9 +35,9 @@ class SoftwareTrigger:
         self._period_s = 1 / rate_hz
         self._times_ns: list[int] = []
         self._awaited: set[str] = set()
-        self._gone: set[str] = set()
+        self._lost: set[str] = set()
         self._fired_ns: int | None = None
-        self._looks: dict[str, Looks] = {}
+        self._polling: dict[str, PollingTime] = {}
         self._missed = dict.fromkeys(drivers, 0)
         self._changed = threading.Condition()
         self._stop = threading.Event()
@@ -64,32 +66,32 @@ class SoftwareTrigger:
         return index if index >= 0 else None
 
     def frame_arrived(self, camera: str, host_ns: int) -> None:
-        """Tick off the camera's frame of the last pulse; the next one waits until all are here."""
+        """Register the camera's frame of the last pulse; the next one waits until all have arrived."""
         with self._changed:
             self._awaited.discard(camera)
-            self._gone.discard(camera)
+            self._lost.discard(camera)
             self._missed[camera] = 0
             self._changed.notify()
 
-    def looked_in_vain(self, camera: str, began_ns: int, ended_ns: int) -> None:
-        """Wait no longer for a frame that was looked for long enough since the last pulse."""
+    def poll_timed_out(self, camera: str, began_ns: int, ended_ns: int) -> None:
+        """Wait no longer for a frame that was polled for long enough since the last pulse."""
         with self._changed:
-            self._gone.discard(camera)
+            self._lost.discard(camera)
             if camera not in self._awaited or self._fired_ns is None or began_ns < self._fired_ns:
                 return
-            looks = self._looks.setdefault(camera, Looks())
-            looks.in_vain(began_ns, ended_ns, None)
-            if looks.vain_s >= PATIENCE_S:
-                self._give_up(camera)
+            polled = self._polling.setdefault(camera, PollingTime())
+            polled.timed_out(began_ns, ended_ns, None)
+            if polled.idle_s >= FRAME_TIMEOUT_S:
+                self._stop_waiting(camera)
 
     def camera_lost(self, camera: str) -> None:
-        """Wait no longer for a camera that is gone."""
+        """Wait no longer for a camera that does not answer."""
         with self._changed:
-            self._gone.add(camera)
+            self._lost.add(camera)
             if camera in self._awaited:
-                self._give_up(camera)
+                self._stop_waiting(camera)
 
-    def _give_up(self, camera: str) -> None:
+    def _stop_waiting(self, camera: str) -> None:
         self._awaited.discard(camera)
         self._missed[camera] += 1
         self._changed.notify()
@@ -112,15 +114,16 @@ class SoftwareTrigger:
                 self.late_pulses += 1
                 due = time.monotonic()
             with self._changed:
-                present = self._drivers.keys() - self._gone
-                self._awaited = {name for name in present if self._missed[name] < GIVEN_UP}
+                present = self._drivers.keys() - self._lost
+                self._awaited = {name for name in present if self._missed[name] < MISSES_TO_IGNORE}
                 self._fired_ns = None
                 self._times_ns.append(time.monotonic_ns())
-                self._looks.clear()
+                self._polling.clear()
             for name, driver in list(self._drivers.items()):
                 try:
                     driver.software_trigger()
-                except DeviceError as error:  # the camera's own thread reports and reopens it
+                except DeviceError as error:  # the camera's own thread notes it and opens it again
+                    log.debug("software trigger: %s", error)
                     self.failed.setdefault(name, str(error))
             due += self._period_s
             self._await_frames()

@@ -11,7 +11,7 @@ from scenarios.cli.options import POSITIVE
 from scenarios.run.progress import Progress
 
 if TYPE_CHECKING:
-    from scenarios.lab.capture import Outcome
+    from scenarios.lab.capture import CaptureOutcome
 
 FILE = click.Path(path_type=Path)
 EXIT_LOST = 1
@@ -43,19 +43,19 @@ def capture(
     \b
     Example:  mosca capture --rig rig.toml --out lab/take1 --seconds 30
     """
-    from scenarios.lab.capture import Request
+    from scenarios.lab.capture import CaptureRequest
     from scenarios.lab.capture import capture as work
 
     if frames is not None and seconds is not None:
         raise InputError("--frames and --seconds exclude each other; give one of them")
-    request = Request(rig, out, frames, seconds, detections, view, None, settings, program)
+    request = CaptureRequest(rig, out, frames, seconds, detections, view, None, settings, program)
     with Progress(out.name) as shown:
         outcome = work(request, shown)
     tell(outcome, out)
     sys.exit(0 if outcome.whole else EXIT_LOST)
 
 
-def tell(outcome: "Outcome", out: Path) -> None:
+def tell(outcome: "CaptureOutcome", out: Path) -> None:
     """Print what became of each camera, and what there is to say."""
     from rich.console import Console
     from rich.table import Table

@@ -79,10 +79,10 @@ def twin_serve(
     """
     from typing import cast
 
-    from scenarios.lab.serve import Request, Trigger, Trouble, serve
+    from scenarios.lab.serve import InjectedFaults, ServeRequest, Trigger, serve
 
-    trouble = Trouble(loss, withhold, drift, dict(_reboot(text) for text in reboots), seed)
-    request = Request(
+    trouble = InjectedFaults(loss, withhold, drift, dict(_reboot(text) for text in reboots), seed)
+    request = ServeRequest(
         what,
         address,
         rate,

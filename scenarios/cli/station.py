@@ -119,7 +119,7 @@ def rig_of(name: str, connect: tuple[str, ...], out: Path) -> None:
     try:
         text, until = None, time.monotonic() + 5.0
         while text is None and time.monotonic() < until:
-            text = transport.ask(key, b"", 1.0)
+            text = transport.query(key, b"", 1.0)
             time.sleep(0.1)
     finally:
         transport.close()

@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 LOOK_S = 0.05
 ACCOUNT_S = 1.0
 TAIL_PULSES = 4
-Shown = Callable[[int, int | None], None]
+Progress = Callable[[int, int | None], None]
 
 
 @dataclass(frozen=True)
-class Request:
+class CaptureRequest:
     """What to capture. ``frames``: pulses, None until Ctrl-C. ``detections``: keep these alone, no images.
 
     ``view``: show it live; ``view_log``: into this .rrd file instead of the viewer. ``settings``: file as of ``mosca
@@ -66,7 +66,7 @@ class CameraRow:
 
 
 @dataclass
-class Outcome:
+class CaptureOutcome:
     """A finished capture. ``lost``: frame sets that this machine was too slow for; ``whole``: nothing is missing."""
 
     pulses: int = 0
@@ -84,11 +84,11 @@ class Outcome:
 
 
 def capture(
-    request: Request,
-    progress: Shown | None = None,
+    request: CaptureRequest,
+    progress: Progress | None = None,
     opener: OpenCamera = open_camera,
     trigger_opener: OpenTrigger = open_trigger,
-) -> Outcome:
+) -> CaptureOutcome:
     """Capture until the frames wanted are there, Ctrl-C, or the disk is full (InputError); DeviceError for devices.
 
     ``opener`` and ``trigger_opener`` are for tests.
@@ -109,10 +109,10 @@ def capture(
         writer = stack.enter_context(_recording(request, source))
         recorder = Recorder(writer, source.cameras, request.waiting_bytes)
         stack.callback(recorder.close)
-        source.came = None if request.detections else recorder.came
+        source.on_image = None if request.detections else recorder.keep_early
         run = None
         if program is not None:
-            run = ProgramRun(program, source.session_ns, recorder.tell)
+            run = ProgramRun(program, source.session_ns, recorder.write_message)
             stack.callback(run.close)
         view = None if settings is None else _view(stack, request, source, settings, recorder)
         looked = settings if request.detections else None
@@ -125,8 +125,8 @@ def capture(
             view.close()
         outcome = _outcome(source, intake, run, view, None if stopped else pulses)
         outcome.stopped = stopped
-        _tell_account(recorder, source, intake)
-        recorder.tell("trigger", _now_ns(source), source.trigger_report())
+        _write_statistics(recorder, source, intake)
+        recorder.write_message("trigger", _now_ns(source), source.trigger_report())
         recorder.close()
         _check(recorder)
         writer.about["capture"] = _about(source, outcome)
@@ -134,7 +134,7 @@ def capture(
     return outcome
 
 
-def _settings(request: Request) -> "PipelineSettings | None":
+def _settings(request: CaptureRequest) -> "PipelineSettings | None":
     """Return the settings of detection; None where nothing is to be detected, and nothing heavy is loaded."""
     if not (request.detections or request.view or request.view_log or request.settings):
         return None
@@ -150,7 +150,7 @@ def check_out(out: Path) -> None:
     check_folder(out)
 
 
-def pulses_of(request: Request, hardware: RigHardware) -> int | None:
+def pulses_of(request: CaptureRequest, hardware: RigHardware) -> int | None:
     """Return how many pulses are wanted, None for no end."""
     if request.seconds is not None:
         return max(round(request.seconds * hardware.shared.rate_hz), 1)
@@ -166,7 +166,7 @@ def _calibrated(path: Path) -> Rig | None:
 
 
 @contextmanager
-def _recording(request: Request, source: HardwareSource) -> Iterator[RecordingWriter]:
+def _recording(request: CaptureRequest, source: HardwareSource) -> Iterator[RecordingWriter]:
     holds = "detections" if request.detections else "frames"
     text = request.rig.read_text(encoding="utf-8")
     tail_bytes = 0 if request.detections else request.waiting_bytes
@@ -182,7 +182,7 @@ def _recording(request: Request, source: HardwareSource) -> Iterator[RecordingWr
 
 def _view(
     stack: ExitStack,
-    request: Request,
+    request: CaptureRequest,
     source: HardwareSource,
     settings: "PipelineSettings",
     recorder: Recorder,
@@ -224,12 +224,12 @@ def _watch(
                 source.stop()
             if recorder.failed is not None:
                 source.stop()
-            _tell_clock(recorder, source, intake)
+            _write_clocks(recorder, source, intake)
             if time.monotonic() >= next_account:
                 next_account += ACCOUNT_S
-                _tell_account(recorder, source, intake)
+                _write_statistics(recorder, source, intake)
             progress(intake.pulses)
-    _tell_clock(recorder, source, intake)
+    _write_clocks(recorder, source, intake)
     _check(recorder)
     intake.check()
     return stopped
@@ -244,7 +244,7 @@ def _now_ns(source: HardwareSource) -> int:
     return source.session_ns(time.monotonic_ns()) or 0
 
 
-def _tell_clock(recorder: Recorder, source: HardwareSource, intake: Intake) -> None:
+def _write_clocks(recorder: Recorder, source: HardwareSource, intake: Intake) -> None:
     """Write down the raw stamps of the latest frames, and one instant in all clocks of this machine."""
     now_ns = time.monotonic_ns()
     session_ns = source.session_ns(now_ns)
@@ -253,17 +253,17 @@ def _tell_clock(recorder: Recorder, source: HardwareSource, intake: Intake) -> N
     stamps = intake.new_stamps()
     if stamps:
         clocks = {"host_ns": now_ns, "utc_ns": time.time_ns(), "session_ns": session_ns}
-        recorder.tell("clock", session_ns, {**clocks, "cameras": stamps})
+        recorder.write_message("clock", session_ns, {**clocks, "cameras": stamps})
 
 
-def _tell_account(recorder: Recorder, source: HardwareSource, intake: Intake) -> None:
+def _write_statistics(recorder: Recorder, source: HardwareSource, intake: Intake) -> None:
     """Write down what became of the buffers until now; the last one is of the end."""
     account = {
-        "cameras": {name: asdict(one) for name, one in source.account.cameras.items()},
-        "notes": list(source.account.notes),
+        "cameras": {name: asdict(one) for name, one in source.statistics.cameras.items()},
+        "notes": list(source.statistics.notes),
         "lost_sets": [list(pair) for pair in intake.lost.ranges],
     }
-    recorder.tell("account", _now_ns(source), account)
+    recorder.write_message("account", _now_ns(source), account)
 
 
 def _outcome(
@@ -272,17 +272,17 @@ def _outcome(
     run: ProgramRun | None,
     view: "LiveView | None",
     wanted: int | None,
-) -> Outcome:
+) -> CaptureOutcome:
     """Sum up; ``wanted``: pulses that there should be, None where somebody stopped it."""
     pulses = wanted if wanted is not None else _whole_pulses(intake)
     rows = {}
     for name, seen in intake.cameras.items():
-        kept = source.account.cameras[name]
+        kept = source.statistics.cameras[name]
         dropped = max(pulses - seen.pulses, 0)
         rows[name] = CameraRow(
             seen.whole - seen.left_out, seen.failed, dropped, kept.overrun, kept.relocked, kept.reopened
         )
-    notes = list(source.account.notes)
+    notes = list(source.statistics.notes)
     lost = intake.lost
     if lost.count:
         notes.append(
@@ -293,7 +293,9 @@ def _outcome(
         notes += run.notes
     if view is not None and view.failed is not None:
         notes.append(f"view: ended early ({view.failed})")
-    return Outcome(pulses, lost.count, lost.text(), False, 0 if view is None else view.shown, rows, notes)
+    return CaptureOutcome(
+        pulses, lost.count, lost.text(), False, 0 if view is None else view.shown, rows, notes
+    )
 
 
 def _whole_pulses(intake: Intake) -> int:
@@ -302,7 +304,7 @@ def _whole_pulses(intake: Intake) -> int:
     return min(seen.last for seen in intake.cameras.values() if seen.last > last - TAIL_PULSES) + 1
 
 
-def _about(source: HardwareSource, outcome: Outcome) -> dict[str, Any]:
+def _about(source: HardwareSource, outcome: CaptureOutcome) -> dict[str, Any]:
     """Return what ``recording.toml`` says of the capture, for people."""
     devices = {
         name: {

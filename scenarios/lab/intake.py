@@ -10,7 +10,7 @@ from hardware.driver import Grabbed
 from hardware.source import HardwareSource
 from mosca.data.frames import Frame
 from mosca.synchronisation import Assembly
-from scenarios.lab.recorder import Lost, Recorder
+from scenarios.lab.recorder import LostSets, Recorder
 from scenarios.run.sources import PassedOn
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ REMEMBERED_FRAMES = 20_000
 
 
 @dataclass
-class Seen:
+class FrameCounts:
     """One camera's frames so far: ``whole`` and ``failed``, of ``pulses`` different pulses, ``last`` the newest.
 
     ``left_out``: whole ones that belong to frame sets that were lost.
@@ -51,9 +51,9 @@ class Intake:
         view: "LiveView | None",
         waiting_bytes: int,
     ) -> None:
-        self.cameras = {info.name: Seen() for info in source.cameras}
+        self.cameras = {info.name: FrameCounts() for info in source.cameras}
         self.assembly = Assembly()
-        self.lost = recorder.lost if settings is None else Lost()
+        self.lost = recorder.lost if settings is None else LostSets()
         self._source, self._recorder = source, recorder
         self._settings, self._view = settings, view
         set_bytes = sum(info.image_bytes for info in source.cameras)

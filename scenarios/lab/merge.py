@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hardware.transport.merger import MergedSet
-from hardware.transport.station_state import ReceiverAccount
+from hardware.transport.station_state import ReceiverStatistics
 from mosca.data.detections import Detections
 from mosca.data.files.rig_file import CameraTable, RigFile, camera_of, read_rig, read_rig_file, rig_toml
 from mosca.data.files.toml import check
@@ -97,9 +97,9 @@ def _parsed(station: str, text: str) -> RigFile:
         raise InputError(f"rig file of station {station}: not valid TOML: {error}") from None
 
 
-def account_lines(account: ReceiverAccount) -> list[str]:
+def summary_lines(statistics: ReceiverStatistics) -> list[str]:
     """Return in words what became of pulses, cameras and stations; nothing is left out that was lost."""
-    merge = account.merge
+    merge = statistics.merge
     told = [
         f"{merge.sets} sets merged, {merge.complete} of them complete; {merge.unseen} pulses between them that "
         "nobody saw"
@@ -121,7 +121,7 @@ def account_lines(account: ReceiverAccount) -> list[str]:
         ]
         if thrown:
             told.append(f"camera '{name}': messages thrown away: {', '.join(thrown)}")
-    for name, s in account.stations.items():
+    for name, s in statistics.stations.items():
         parts = [
             f"{number} {what}"
             for number, what in (
@@ -141,18 +141,18 @@ def account_lines(account: ReceiverAccount) -> list[str]:
         told.append(
             f"station {name}: {s.received} messages ({clock})" + (f"; {', '.join(parts)}" if parts else "")
         )
-    if account.left_out:
-        told.append(f"{account.left_out} merged sets left out: the reconstruction was behind")
-    if account.overrun:
-        told.append(f"{account.overrun} messages found no room: this PC was behind")
+    if statistics.left_out:
+        told.append(f"{statistics.left_out} merged sets left out: the reconstruction was behind")
+    if statistics.overrun:
+        told.append(f"{statistics.overrun} messages found no room: this PC was behind")
     return told
 
 
-def all_whole(account: ReceiverAccount) -> bool:
+def all_whole(statistics: ReceiverStatistics) -> bool:
     """Tell whether every pulse was seen by every camera."""
     return (
-        account.merge.sets > 0
-        and account.merge.sets == account.merge.complete
-        and not account.merge.unseen
-        and not account.left_out
+        statistics.merge.sets > 0
+        and statistics.merge.sets == statistics.merge.complete
+        and not statistics.merge.unseen
+        and not statistics.left_out
     )

@@ -29,7 +29,7 @@ HURRY_S, HURRY_BELOW, LOOK_S = 0.03, 0.3, 0.003
 REMEMBERED_PULSES = 2000
 
 
-class Lost:
+class LostSets:
     """Numbers of frame sets that were lost, as ranges; filled by one thread, read by any."""
 
     def __init__(self) -> None:
@@ -76,7 +76,7 @@ class Recorder:
         workers: int = 2,
         flush_s: float = FLUSH_S,
     ) -> None:
-        self.lost = Lost()
+        self.lost = LostSets()
         self.failed: BaseException | None = None
         self._writer = writer
         self._period_ns = 1e9 / cameras[0].frame_rate_hz
@@ -125,7 +125,7 @@ class Recorder:
         self._keep_old()
         return True
 
-    def came(self, image: Array) -> None:
+    def keep_early(self, image: Array) -> None:
         """Keep the image of a frame that ``take`` will bring, as long as it brought none; from any thread."""
         if self._taken_any:
             return
@@ -139,7 +139,7 @@ class Recorder:
         """Have the detections of a frame set written."""
         self._jobs.put(partial(self._writer.write_set, frame_set, detections, host_ns))
 
-    def tell(self, channel: str, time_ns: int, data: bytes | Mapping[str, Any]) -> None:
+    def write_message(self, channel: str, time_ns: int, data: bytes | Mapping[str, Any]) -> None:
         """Have a message of a further channel written; may be called by any thread."""
         self._jobs.put(partial(self._writer.write_channel, channel, time_ns, data))
 

@@ -32,7 +32,7 @@ OWN = ("DeviceUserID", "DeviceTemperature")
 
 
 @dataclass
-class _Seen:
+class _Samples:
     pulses: set[int] = field(default_factory=set)
     failed: int = 0
     residuals_ns: list[float] = field(default_factory=list)
@@ -54,7 +54,7 @@ def check_rig_live(
     hardware = read_hardware(path)
     rate_hz = hardware.shared.rate_hz
     pulses = max(round(seconds * rate_hz), LOOKED_AT)
-    seen: dict[str, _Seen] = defaultdict(_Seen)
+    seen: dict[str, _Samples] = defaultdict(_Samples)
     with HardwareSource(hardware, pulses, opener, trigger_opener) as source:
         infos = {info.name: info for info in source.cameras}
         for frame in source:
@@ -66,7 +66,7 @@ def check_rig_live(
             one.pulses.add(pulse)
             if len(one.images) < LOOKED_AT and pulse >= len(one.images) * pulses // LOOKED_AT:
                 one.images.append(frame.image)
-        reports, notes = dict(source.reports), list(source.account.notes)
+        reports, notes = dict(source.reports), list(source.statistics.notes)
     lines, whole = [], True
     for name, info in infos.items():
         one, report = seen[name], reports[name]

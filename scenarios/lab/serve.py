@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from hardware.emulate.faults import Faults
-from hardware.emulate.pulse_box import PulseBox
+from hardware.emulate.pulse_generators import PulseBox
 from hardware.emulate.serve import FIRST_ADDRESS, Served, served
 from mosca.data.files.rig_file import CameraTable, read_rig, read_rig_file, rig_toml
 from mosca.data.files.toml import Positive, Table, check, read_toml
@@ -51,7 +51,7 @@ class TwinTable(Table):
 
 
 @dataclass(frozen=True)
-class Trouble:
+class InjectedFaults:
     """What goes wrong, for all cameras but ``reboots``: camera -> seconds after its acquisition began.
 
     ``drift_ppm``: the cameras' clocks drift from minus to plus this, evenly spread.
@@ -65,7 +65,7 @@ class Trouble:
 
 
 @dataclass(frozen=True)
-class Request:
+class ServeRequest:
     """What is asked for: ``ahead`` in pulses (None: what fits in memory), ``rate_hz`` None: the source's own."""
 
     what: str
@@ -74,14 +74,14 @@ class Request:
     seconds: float | None = None
     loop: bool = False
     ahead: int | None = None
-    trouble: Trouble = Trouble()
+    trouble: InjectedFaults = InjectedFaults()
     rig_out: Path | None = None
     trigger: Trigger = "Line1"
     workers: int = 1
 
 
 @dataclass(frozen=True, eq=False)
-class Subject:
+class ServedSource:
     """What is served; its cameras' calibration, None where it is not known; addresses and serials, where given."""
 
     source: FrameSource
@@ -91,7 +91,7 @@ class Subject:
 
 
 def serve(
-    request: Request,
+    request: ServeRequest,
     progress: Callable[[int, int | None], None] | None,
     told: Callable[[Served], None],
 ) -> Served:
@@ -168,7 +168,7 @@ def _table(heading: str, values: Mapping[str, object]) -> str:
     return "\n".join((f"[{heading}]", *(f"{key} = {json.dumps(value)}" for key, value in values.items()), ""))
 
 
-def _stay(up: Served, rate_hz: float, request: Request) -> None:
+def _stay(up: Served, rate_hz: float, request: ServeRequest) -> None:
     """Give pulses while cameras are armed: from pulse 0 once all are, until none is."""
     until = None if request.seconds is None else time.monotonic() + request.seconds
     waits = True
@@ -192,7 +192,7 @@ def _stay(up: Served, rate_hz: float, request: Request) -> None:
             return
 
 
-def _subject(request: Request, stack: ExitStack) -> Subject:
+def _subject(request: ServeRequest, stack: ExitStack) -> ServedSource:
     path = Path(request.what)
     if path.is_dir() or path.name.endswith((".mcap", ".mcap.part")):
         return _recording(path, request.rate_hz, stack)
@@ -203,7 +203,7 @@ def _subject(request: Request, stack: ExitStack) -> Subject:
     return _scenario(request.what, request.workers, stack)
 
 
-def _scenario(what: str, workers: int, stack: ExitStack) -> Subject:
+def _scenario(what: str, workers: int, stack: ExitStack) -> ServedSource:
     path = find(what)
     spec = load_scenario(path)
     cameras = virtual_cameras(spec, true_rig(spec, path.parent))
@@ -213,16 +213,16 @@ def _scenario(what: str, workers: int, stack: ExitStack) -> Subject:
     )
     if any(info.name not in rig.names for info in source.cameras):
         source = Chosen(source, rig.names)
-    return Subject(source, rig)
+    return ServedSource(source, rig)
 
 
-def _recording(path: Path, fps: float | None, stack: ExitStack) -> Subject:
+def _recording(path: Path, fps: float | None, stack: ExitStack) -> ServedSource:
     source = open_recording(path, None, fps)
     stack.enter_context(source)
-    return Subject(source, None)
+    return ServedSource(source, None)
 
 
-def _rig(path: Path, request: Request, stack: ExitStack) -> Subject:
+def _rig(path: Path, request: ServeRequest, stack: ExitStack) -> ServedSource:
     """Return the scenario or recording that a rig file's ``[twin]`` names, under the rig's addresses and serials."""
     document = read_rig_file(path)
     twin = check(TwinTable, dict(document.twin), f"{path}: [twin]")
@@ -261,7 +261,7 @@ def _check_camera(path: Path, table: CameraTable, there: Mapping[str, CameraInfo
         )
 
 
-def _faults(names: Sequence[str], trouble: Trouble) -> dict[str, Faults]:
+def _faults(names: Sequence[str], trouble: InjectedFaults) -> dict[str, Faults]:
     drifts = (
         np.linspace(-trouble.drift_ppm, trouble.drift_ppm, len(names))
         if len(names) > 1

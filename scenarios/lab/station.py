@@ -159,7 +159,7 @@ def _run(
                 continue
             frame, arrived_ns, wanted = one
             if not totals.frames:
-                sender.say("running")
+                sender.set_state("running")
             totals.frames += 1
             pulse = count.of(frame)
             if backgrounds.takes(frame):
@@ -188,7 +188,7 @@ def _run(
                 totals.targets += len(found)
                 totals.seconds += time.perf_counter() - begun
     except Exception as error:
-        sender.say("failed", str(error))
+        sender.set_state("failed", str(error))
         raise
     finally:
         arrivals.close()

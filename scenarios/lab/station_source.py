@@ -21,7 +21,7 @@ OWN_PULSES = ("serial", "software", "action")
 """Trigger sources by which a station makes the pulses itself."""
 
 
-class Paced(PassedOn):
+class PacedRecording(PassedOn):
     """A recording that is played as fast as it was taken, as a rig would give it, from the start that is ordered.
 
     Recordings of one session start together on all stations; one that comes later goes on where the others are.
@@ -87,7 +87,7 @@ class StartGate:
 
     def hold(self) -> bool:
         """Wait for the order to start; False when the station ends before."""
-        self.station.say("holding")
+        self.station.set_state("holding")
         while not self.left:
             if self.station.ordered(WAIT_S):
                 return True
@@ -104,13 +104,13 @@ class _Gated:
     def __init__(self, trigger: Trigger, gate: StartGate, own_pulses: bool) -> None:
         self._trigger, self._gate, self._own_pulses = trigger, gate, own_pulses
         self.stop, self.pulse_at, self.frame_arrived = trigger.stop, trigger.pulse_at, trigger.frame_arrived
-        self.looked_in_vain, self.camera_lost = trigger.looked_in_vain, trigger.camera_lost
+        self.poll_timed_out, self.camera_lost = trigger.poll_timed_out, trigger.camera_lost
         self.report, self.close = trigger.report, trigger.close
 
     def start(self) -> int | None:
         """Say that the cameras are armed; begin the pulses, where they are this station's, on the order."""
         if not self._own_pulses:
-            self._gate.station.say("armed")
+            self._gate.station.set_state("armed")
             return self._trigger.start()
         return self._trigger.start() if self._gate.hold() else None
 
@@ -127,7 +127,7 @@ class RigOfStation(PassedOn):
         self.gate = StartGate(trigger_opener)
         self.hardware = HardwareSource(rig, opener=opener, trigger_opener=self.gate.open)
         # who merges waits for no station for long: one camera behind the others is to cost its own frames alone
-        self.hardware.prompt = True
+        self.hardware.reorder = False
         super().__init__(self.hardware)
         self._told = 0
         self._latest: tuple[Frame, int] | None = None
@@ -148,7 +148,7 @@ class RigOfStation(PassedOn):
 
     def tell(self, sender: Sender) -> None:
         """Pass on what happened to the devices since the last time."""
-        notes = self.hardware.account.notes
+        notes = self.hardware.statistics.notes
         for note in notes[self._told :]:
             sender.note(note)
         self._told = len(notes)

@@ -21,11 +21,11 @@ from mosca.data.tracks import Samples, table
 from mosca.formats.tracks.tracks_file import check_tracks_file, write_tracks
 from mosca.recording import open_recording
 from scenarios.commands.reconstruct import reconstruct_settings, reconstruct_spec, recorded_backgrounds
-from scenarios.lab.merge import Delays, account_lines, all_whole, calibrated_rig, run_merged
+from scenarios.lab.merge import Delays, all_whole, calibrated_rig, run_merged, summary_lines
 from scenarios.lab.priority import before_others, prompt
 from scenarios.lab.station import run_station
 from scenarios.lab.station_background import Backgrounds
-from scenarios.lab.station_source import Paced, RigOfStation
+from scenarios.lab.station_source import PacedRecording, RigOfStation
 from scenarios.run.interrupt import first_ctrl_c
 from scenarios.run.sources import Chosen
 
@@ -53,12 +53,12 @@ def detect_on_station(
     devices: RigOfStation | None = None
     if recording is None:
         devices = RigOfStation(read_hardware(rig))
-        source: RigOfStation | Paced = devices
+        source: RigOfStation | PacedRecording = devices
         backgrounds = Backgrounds(spec.background, told=told)
     else:
         cameras = read_rig(rig)
         backgrounds = Backgrounds(ready=recorded_backgrounds(recording, cameras, fps, spec.background))
-        source = Paced(Chosen(open_recording(recording, cameras, fps), names))
+        source = PacedRecording(Chosen(open_recording(recording, cameras, fps), names))
     with before_others():  # the engine's threads too
         try:
             transport = open_transport(connect)
@@ -86,7 +86,7 @@ def detect_on_station(
         f"{sender.refused} messages refused",
     ]
     if devices is not None:
-        lines += devices.hardware.account.notes
+        lines += devices.hardware.statistics.notes
     return lines
 
 
@@ -145,18 +145,18 @@ def reconstruct_stations(
             timer.cancel()
     tracks = table(samples)
     write_tracks(tracks, out, receiver.rate_hz or 1.0)
-    lines += account_lines(receiver.account)
-    sets = max(receiver.account.merge.sets, 1)
+    lines += summary_lines(receiver.statistics)
+    sets = max(receiver.statistics.merge.sets, 1)
     lines.append(
         f"{len(np.unique(tracks.track))} tracks with {len(tracks)} samples in {out}; {points / sets:.1f} points a set"
     )
-    if receiver.account.merge.sets:
+    if receiver.statistics.merge.sets:
         half, most = delays.percentiles(0.5), delays.percentiles(0.99)
         lines.append(
             f"merged {1e3 * half[0]:.1f} ms (median), {1e3 * most[0]:.1f} ms (99 %) after the frames arrived, "
             f"{1e3 * half[1]:.1f} and {1e3 * most[1]:.1f} ms after their detections were sent"
         )
-    return lines, all_whole(receiver.account)
+    return lines, all_whole(receiver.statistics)
 
 
 def _line(event: Event) -> str:

@@ -15,7 +15,7 @@ from capture_rig import RATE, SIZE, Line, dark_noise, openers, write_rig
 
 from hardware.settings import read_hardware
 from hardware.source import HardwareSource
-from scenarios.lab.capture import Request, capture
+from scenarios.lab.capture import CaptureRequest, capture
 
 NAMES = ("a", "b", "c", "d")
 
@@ -54,7 +54,7 @@ def main(seconds, folder):
     print(f"cameras and numbering {frames:8d} fr  {base / wall:6.3f} cores")
     for what in ("frames", "detections"):
         out = folder / what
-        request = Request(rig, out, frames=pulses, detections=what == "detections")
+        request = CaptureRequest(rig, out, frames=pulses, detections=what == "detections")
         outcome, wall, cpu = measured(
             lambda request=request: capture(request, None, *openers(Line(), dict.fromkeys(NAMES, images)))
         )

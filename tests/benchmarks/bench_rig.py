@@ -106,13 +106,13 @@ def grab(rig: Path, pulses: int, shown: dict[tuple[str, int], np.ndarray]) -> No
     cores = (time.process_time() - begin) * 100 / pulses
     print(f"{assembly.sets} sets, {assembly.complete_sets} complete; frames of another pulse: {wrong}")
     for name, count in assembly.cameras.items():
-        one = source.account.cameras[name]
+        one = source.statistics.cameras[name]
         print(
             f"{name}: {count.delivered} delivered, {count.dropped} dropped, {one.failed} failed, "
             f"{one.relocked} relocked, {one.reopened} reopened, "
             f"{one.driver.get('n_resent_packets', 0)} packets resent"
         )
-    print(*source.account.notes, sep="\n")
+    print(*source.statistics.notes, sep="\n")
     print(f"reading and comparing took {cores:.2f} cores")
 
 

@@ -28,7 +28,7 @@ from ready_station import SIZE  # noqa: E402
 from hardware.transport import open_transport  # noqa: E402
 from hardware.transport.receiver import Receiver  # noqa: E402
 from hardware.transport.station_state import ReceiverSettings  # noqa: E402
-from scenarios.lab.merge import account_lines  # noqa: E402
+from scenarios.lab.merge import summary_lines  # noqa: E402
 from scenarios.lab.priority import before_others, prompt  # noqa: E402
 
 NAMES = {"A": "a1,a2,a3,a4", "B": "b1,b2,b3,b4"}
@@ -115,7 +115,7 @@ def measure(two, given) -> None:
         p = np.quantile(values, [0.5, 0.9, 0.99, 0.999])
         print(f"{title:42s} median {p[0]:6.2f}  90 % {p[1]:6.2f}  99 % {p[2]:6.2f}  99.9 % {p[3]:6.2f} ms")
     print(f"merging: {cpu / given.seconds:.2f} cores")
-    print("\n".join(account_lines(here.account)))
+    print("\n".join(summary_lines(here.statistics)))
 
 
 def wake(late, end) -> None:

@@ -36,10 +36,10 @@ class MemoryTransport:
     def subscribe(self, pattern, take):
         self._subscribers.append((pattern, take))
 
-    def answer(self, key, reply):
+    def declare_queryable(self, key, reply):
         self._answers[key] = reply
 
-    def ask(self, key, payload, timeout_s):
+    def query(self, key, payload, timeout_s):
         if self.cut or self.closed:
             return None
         for end in list(self._exchange.ends):
@@ -47,11 +47,11 @@ class MemoryTransport:
                 return end._answers[key](payload)
         return None
 
-    def stand(self, key):
+    def declare_token(self, key):
         self._tokens.add(key)
-        self._tell(key, True)
+        self._note(key, True)
 
-    def watch(self, pattern, take):
+    def watch_tokens(self, pattern, take):
         self._watchers.append((pattern, take))
         for end in list(self._exchange.ends):
             for key in end._tokens:
@@ -65,11 +65,11 @@ class MemoryTransport:
         with self._exchange.guard:
             self._exchange.ends.remove(self)
         for key in self._tokens:
-            self._tell(key, False)
+            self._note(key, False)
 
     die = close
 
-    def _tell(self, key, stands):
+    def _note(self, key, stands):
         for end in list(self._exchange.ends):
             for pattern, take in end._watchers:
                 if fnmatch.fnmatchcase(key, pattern):

@@ -42,7 +42,7 @@ def play(sender, cameras, pulses, rate, start_ns, targets=5, first=0, stop=lambd
     ``due``: frames arrive when they are due, however busy the machine; else when this program gets to run.
     Returns how many pulses were sent.
     """
-    sender.say("armed")
+    sender.set_state("armed")
     period = 1e9 / rate
     for pulse in range(first, pulses):
         wait = (start_ns + pulse * period - time.monotonic_ns()) * 1e-9
@@ -51,7 +51,7 @@ def play(sender, cameras, pulses, rate, start_ns, targets=5, first=0, stop=lambd
         if stop():
             return pulse - first
         if pulse == first:
-            sender.say("running")
+            sender.set_state("running")
         for name in cameras:
             late = time.monotonic_ns() - (start_ns + round(pulse * period)) if due else 0
             arrival = sender.now_ns() - late

@@ -71,7 +71,7 @@ def test_lost_packets_are_told_and_no_frame_is_left_out() -> None:
                     came.setdefault(grabbed.block_id, grabbed)
             counts = camera.statistics()
         # whose first packet is lost has neither number nor stamp, and not those of what was in its memory before
-        assert all(one.nameless for one in nameless)
+        assert all(one.unidentified for one in nameless)
         broken = [one for one in came.values() if one.image is None]
         assert {one.note for one in broken} <= {"MISSING_PACKETS", "TIMEOUT"}
         assert all(one.note == "" for one in came.values() if one.image is not None)

@@ -17,7 +17,7 @@ from loopback import free_address
 from needs import needs_aravis
 from paced import PERIOD_NS, make_pulses
 
-from hardware.emulate.faults import Faults, Luck
+from hardware.emulate.faults import FaultDraws, Faults
 from hardware.emulate.serve import Served, served
 
 FULL = (491, 656)
@@ -150,7 +150,7 @@ def test_lost_packets_are_all_sent_again(packet_bytes, count):
 def test_a_withheld_pulse_shifts_no_image():
     faults = {"cam0": Faults(withheld=0.2, seed=3)}
     with rig(ArraySource(1, 60), faults=faults) as (up, clients):
-        luck = Luck(faults["cam0"], up.devices[0].identity.serial)
+        luck = FaultDraws(faults["cam0"], up.devices[0].identity.serial)
         there = [k for k in range(60) if not luck.withheld(k)]
         (images,) = grab_all(clients, len(there), up, set(range(60)) - set(there))
         assert numbers(images) == [k - there[0] for k in there]

@@ -7,16 +7,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hardware.emulate.acquisition import Shot
+from hardware.emulate.acquisition import (
+    LOCKING_NS,
+    ClockJump,
+    EmulatedClock,
+    PendingImage,
+    Shutter,
+    common_ns,
+)
 from hardware.emulate.camera import RESET_AFTER_NS, EmulatedCamera
-from hardware.emulate.clock import LOCKING_NS, DeviceClock, Jump, common_ns
-from hardware.emulate.faults import FAULTLESS, Faults, Luck
+from hardware.emulate.faults import FAULTLESS, FaultDraws, Faults
 from hardware.emulate.features import BOOTSTRAP
-from hardware.emulate.gvcp import Action
+from hardware.emulate.gige_vision import ActionCommand, Refused, Status
 from hardware.emulate.identity import Identity
 from hardware.emulate.registers import Register, RegisterFile
-from hardware.emulate.shutter import Shutter
-from hardware.emulate.standard import Refused, Status
 from mosca.errors import InputError
 
 MS = 1_000_000
@@ -42,7 +46,7 @@ time = Time()
 def _time_is_the_tests():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("hardware.emulate.camera.time", time)
-        patch.setattr("hardware.emulate.clock.time", time)
+        patch.setattr("hardware.emulate.acquisition.time", time)
         yield
 
 
@@ -68,7 +72,7 @@ class NoStream:
 
 
 def camera(faults: Faults = FAULTLESS, first_block: int = 1) -> EmulatedCamera:
-    return EmulatedCamera(WHO, NoStream(), faults, Luck(faults, WHO.serial), first_block)
+    return EmulatedCamera(WHO, NoStream(), faults, FaultDraws(faults, WHO.serial), first_block)
 
 
 def register(one: EmulatedCamera, name: str) -> Register:
@@ -81,9 +85,9 @@ def put(one: EmulatedCamera, **values: float) -> None:
         one.registers.write(where.address, where.encode(value))
 
 
-def shots(one: EmulatedCamera) -> list[Shot]:
+def shots(one: EmulatedCamera) -> list[PendingImage]:
     found = []
-    while isinstance(shot := one.next_shot(), Shot):
+    while isinstance(shot := one.next_image(), PendingImage):
         found.append(shot)
     return found
 
@@ -195,7 +199,7 @@ def test_what_the_image_depends_on_is_locked_while_the_camera_acquires():
 
 def test_packet_sizes_beyond_the_limits_are_cut_and_not_tested():
     stream = NoStream()
-    one = EmulatedCamera(WHO, stream, FAULTLESS, Luck(FAULTLESS, "S1"))
+    one = EmulatedCamera(WHO, stream, FAULTLESS, FaultDraws(FAULTLESS, "S1"))
     put(one, StreamPort=4000, StreamDestination=0x7F000001)
     put(one, StreamPacketSize=0x80000000 | 9000)
     put(one, StreamPacketSize=0x80000000 | 65000)
@@ -276,10 +280,10 @@ def test_free_running_keeps_its_rate():
 def test_actions_for_other_keys_are_not_for_this_camera():
     one = armed(source=2)
     put(one, ActionDeviceKey=5, ActionGroupKey=6, ActionGroupMask=0b110)
-    assert one.act(Action(5, 6, 0b001, None)) == Status.SUCCESS
-    assert one.act(Action(5, 7, 0b010, None)) == Status.SUCCESS
+    assert one.act(ActionCommand(5, 6, 0b001, None)) == Status.SUCCESS
+    assert one.act(ActionCommand(5, 7, 0b010, None)) == Status.SUCCESS
     assert shots(one) == []
-    assert one.act(Action(5, 6, 0b010, None)) == Status.SUCCESS
+    assert one.act(ActionCommand(5, 6, 0b010, None)) == Status.SUCCESS
     assert len(shots(one)) == 1
 
 
@@ -287,11 +291,11 @@ def test_a_scheduled_action_fires_at_its_time():
     one = armed(source=2)
     put(one, ActionGroupMask=1)
     time.sleep(0.01)
-    assert one.act(Action(0, 0, 1, 1)) == Status.ACTION_LATE
+    assert one.act(ActionCommand(0, 0, 1, 1)) == Status.ACTION_LATE
     assert len(shots(one)) == 1
     due = one._clock.at(time.monotonic_ns()) + 30 * MS
-    assert one.act(Action(0, 0, 1, due)) == Status.NO_REF_TIME
-    assert 0.0 < one.next_shot() <= 0.030
+    assert one.act(ActionCommand(0, 0, 1, due)) == Status.NO_REF_TIME
+    assert 0.0 < one.next_image() <= 0.030
     time.sleep(0.035)
     (shot,) = shots(one)
     assert abs(shot.device_ns - due) < 1000
@@ -301,7 +305,7 @@ def test_too_many_scheduled_actions_are_refused():
     one = armed(source=2)
     put(one, ActionGroupMask=1)
     later = one._clock.at(time.monotonic_ns()) + 10**12
-    answers = [one.act(Action(0, 0, 1, later)) for _ in range(17)]
+    answers = [one.act(ActionCommand(0, 0, 1, later)) for _ in range(17)]
     assert answers[-1] == Status.OVERFLOW
     assert Status.OVERFLOW not in answers[:-1]
 
@@ -311,24 +315,26 @@ def test_too_many_scheduled_actions_are_refused():
 
 @given(st.integers(0, 10**15), st.floats(-100, 100), st.integers(0, 10**12))
 def test_a_clock_drifts_from_its_boot(booted, drift, elapsed):
-    clock = DeviceClock(booted, 1000, drift)
+    clock = EmulatedClock(booted, 1000, drift)
     assert clock.at(booted) == 1000
     assert abs(clock.at(booted + elapsed) - 1000 - elapsed * (1 + drift * 1e-6)) <= 1 + elapsed * 1e-12
 
 
 def test_a_clock_jumps_once():
-    clock = DeviceClock(0, 0, 0.0, (Jump(100, 7),))
+    clock = EmulatedClock(0, 0, 0.0, (ClockJump(100, 7),))
     assert [clock.at(t) for t in (99, 100, 101)] == [99, 107, 108]
 
 
 def test_a_clock_says_when_it_will_show_a_time():
-    clock = DeviceClock(time.monotonic_ns(), 5 * MS, 80.0)
+    clock = EmulatedClock(time.monotonic_ns(), 5 * MS, 80.0)
     assert abs(clock.at(clock.when(10**12)) - 10**12) <= 2
 
 
 def test_ptp_brings_clocks_together():
     now = time.monotonic_ns()
-    one, two = (DeviceClock(now, offset, drift, ptp_ns=now) for offset, drift in ((0, 50.0), (7 * MS, -50.0)))
+    one, two = (
+        EmulatedClock(now, offset, drift, ptp_ns=now) for offset, drift in ((0, 50.0), (7 * MS, -50.0))
+    )
     assert [one.ptp_status(now + t) for t in (0, LOCKING_NS - 1, LOCKING_NS)] == [
         "Listening",
         "Uncalibrated",
@@ -357,7 +363,7 @@ def test_latched_ptp_and_time_stay_what_they_were():
 
 def test_withheld_pulses_are_those_that_the_dice_say():
     faults = Faults(withheld=0.3, seed=4)
-    luck = Luck(faults, WHO.serial)
+    luck = FaultDraws(faults, WHO.serial)
     one, now = armed(faults=faults), time.monotonic_ns()
     for k in range(25):
         one.pulse(k, now + k * 10 * MS)

@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hardware.emulate import gvcp, gvsp
-from hardware.emulate.standard import PIXEL_FORMATS, Refused, Status
+from hardware.emulate import gige_vision, stream
+from hardware.emulate.gige_vision import PIXEL_FORMATS, Refused, Status
 
-LAYOUT = gvsp.Layout(PIXEL_FORMATS["Mono8"], 4, 3, 2, 1)
+LAYOUT = stream.ImageLayout(PIXEL_FORMATS["Mono8"], 4, 3, 2, 1)
 
 
 def test_a_small_image_byte_by_byte():
     pixels = np.arange(12, dtype=np.uint8).reshape(3, 4)
-    packets = [bytes(p) for p in gvsp.image_packets(0x1234, 0x0102030405060708, LAYOUT, pixels, 36 + 8)]
+    packets = [bytes(p) for p in stream.image_packets(0x1234, 0x0102030405060708, LAYOUT, pixels, 36 + 8)]
     leader = bytes.fromhex(
         "0000 1234 01000000"  # status, block, format leader, packet 0
         "0000 0001 0102030405060708"  # reserved, image, time
@@ -31,8 +31,8 @@ def test_a_small_image_byte_by_byte():
 
 
 def test_two_byte_pixels_are_little_endian():
-    layout = gvsp.Layout(PIXEL_FORMATS["Mono12"], 2, 1)
-    packets = gvsp.image_packets(1, 0, layout, np.array([[0x0ABC, 0x0102]], np.uint16), 1500)
+    layout = stream.ImageLayout(PIXEL_FORMATS["Mono12"], 2, 1)
+    packets = stream.image_packets(1, 0, layout, np.array([[0x0ABC, 0x0102]], np.uint16), 1500)
     assert bytes(packets[1])[8:] == bytes.fromhex("bc0a 0201")
 
 
@@ -40,8 +40,8 @@ def test_two_byte_pixels_are_little_endian():
 def test_payloads_are_the_image(height, width, size, wide):
     kind = np.uint16 if wide else np.uint8
     pixels = np.random.default_rng([height, width]).integers(0, 250, (height, width), kind)
-    layout = gvsp.Layout(PIXEL_FORMATS["Mono16" if wide else "Mono8"], width, height)
-    packets = [bytes(p) for p in gvsp.image_packets(7, 1, layout, pixels, size)]
+    layout = stream.ImageLayout(PIXEL_FORMATS["Mono16" if wide else "Mono8"], width, height)
+    packets = [bytes(p) for p in stream.image_packets(7, 1, layout, pixels, size)]
     assert b"".join(p[8:] for p in packets[1:-1]) == pixels.astype(pixels.dtype.newbyteorder("<")).tobytes()
     assert [struct.unpack(">I", p[4:8])[0] & 0xFFFFFF for p in packets] == list(range(len(packets)))
     assert all(len(p) + 28 == size for p in packets[1:-2])
@@ -49,41 +49,51 @@ def test_payloads_are_the_image(height, width, size, wide):
 
 
 def test_a_test_packet_is_as_large_as_asked_for():
-    assert len(gvsp.probe(1500)) == 1500 - 28
+    assert len(stream.probe(1500)) == 1500 - 28
 
 
 def test_commands_are_taken_apart():
-    request = gvcp.parse(bytes.fromhex("42 01 0080 0004 0007 00000a00"))
-    assert request == gvcp.Request(1, 0x80, 7, bytes.fromhex("00000a00"))
-    assert gvcp.words(request.payload) == (0xA00,)
-    assert gvcp.acknowledge(request, b"\0\0\0\2") == bytes.fromhex("0000 0081 0004 0007 00000002")
-    assert gvcp.acknowledge(request, status=Status.INVALID_ADDRESS) == bytes.fromhex("8003 0081 0000 0007")
+    request = gige_vision.parse(bytes.fromhex("42 01 0080 0004 0007 00000a00"))
+    assert request == gige_vision.GvcpCommand(1, 0x80, 7, bytes.fromhex("00000a00"))
+    assert gige_vision.words(request.payload) == (0xA00,)
+    assert gige_vision.acknowledge(request, b"\0\0\0\2") == bytes.fromhex("0000 0081 0004 0007 00000002")
+    assert gige_vision.acknowledge(request, status=Status.INVALID_ADDRESS) == bytes.fromhex(
+        "8003 0081 0000 0007"
+    )
 
 
 @pytest.mark.parametrize("datagram", ["", "42", "41 01 0080 0004 0007 00000a00", "42 01 0002 0000 0000"])
 def test_what_is_no_command_is_none(datagram):
-    assert gvcp.parse(bytes.fromhex(datagram)) is None
+    assert gige_vision.parse(bytes.fromhex(datagram)) is None
 
 
 def test_scheduled_and_plain_actions():
     keys = bytes.fromhex("00000001 00000002 00000004")
-    plain = gvcp.action(gvcp.Request(1, 0x100, 1, keys))
-    assert plain == gvcp.Action(1, 2, 4, None)
-    later = gvcp.action(gvcp.Request(0x81, 0x100, 1, keys + bytes.fromhex("0000000100000002")))
+    plain = gige_vision.action(gige_vision.GvcpCommand(1, 0x100, 1, keys))
+    assert plain == gige_vision.ActionCommand(1, 2, 4, None)
+    later = gige_vision.action(
+        gige_vision.GvcpCommand(0x81, 0x100, 1, keys + bytes.fromhex("0000000100000002"))
+    )
     assert later.at_ns == (1 << 32) + 2
     with pytest.raises(Refused):
-        gvcp.action(gvcp.Request(0x81, 0x100, 1, keys))
+        gige_vision.action(gige_vision.GvcpCommand(0x81, 0x100, 1, keys))
 
 
 def test_requests_for_packets():
-    wanted = gvcp.resend(bytes.fromhex("0000 00ff 00000003 ff000009"))
-    assert wanted == gvcp.Resend(255, 3, 9)
+    wanted = gige_vision.resend(bytes.fromhex("0000 00ff 00000003 ff000009"))
+    assert wanted == gige_vision.ResendRequest(255, 3, 9)
 
 
 @given(st.binary(max_size=64))
 def test_any_bytes_are_taken_or_refused(data):
-    request = gvcp.parse(data)
+    request = gige_vision.parse(data)
     if request is not None:
-        for take in (gvcp.words, gvcp.register_writes, gvcp.memory_range, gvcp.memory_write, gvcp.resend):
+        for take in (
+            gige_vision.words,
+            gige_vision.register_writes,
+            gige_vision.memory_range,
+            gige_vision.memory_write,
+            gige_vision.resend,
+        ):
             with suppress(Refused):
                 take(request.payload)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from array_source import ArraySource, picture
 
-from hardware.emulate.line import TriggerLine
+from hardware.emulate.pulse_generators import TriggerLine
 from hardware.emulate.store import FrameStore
 from mosca.data.frames import Frame
 from mosca.errors import InputError

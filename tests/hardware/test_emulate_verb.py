@@ -16,7 +16,7 @@ from hardware.settings import read_hardware
 from mosca.errors import InputError
 from mosca.recording import RecordingWriter
 from scenarios.cli.main import cli
-from scenarios.lab.serve import Request, Trouble, serve
+from scenarios.lab.serve import InjectedFaults, ServeRequest, serve
 
 SHAPE = (48, 64)
 
@@ -131,7 +131,7 @@ def test_a_client_grabs_a_recording_twice_over(take, monkeypatch):
     needs_aravis()
     address, clock = free_address(), Clock()
     monkeypatch.setattr("scenarios.lab.serve.time", clock)
-    request = Request(str(take), address, seconds=0.5, trouble=Trouble(withhold=0.1, seed=2))
+    request = ServeRequest(str(take), address, seconds=0.5, trouble=InjectedFaults(withhold=0.1, seed=2))
     ready, done = [], []
     server = threading.Thread(target=lambda: done.append(serve(request, None, ready.append)))
     server.start()

@@ -6,8 +6,8 @@ import pytest
 from hardware.driver import Capabilities, Grabbed
 from hardware.pulse_numbers.free_running import FreeClock
 from hardware.pulse_numbers.numbering import PulseNumbers
-from hardware.settings import CameraHardware, HardwareTable, RigHardware
-from hardware.source import HardwareSource
+from hardware.settings import CameraHardware
+from hardware.source import free_running
 from mosca.data.frames import CameraInfo, Frame
 from mosca.synchronisation import Assembly, AssemblySettings, assemble
 
@@ -113,9 +113,6 @@ class Silent:
 @pytest.mark.parametrize(
     ("trigger", "real_time", "free"), [("Off", True, ["w"]), ("Off", False, []), ("Line1", True, [])]
 )
-def test_who_runs_free(tmp_path, trigger, real_time, free):
+def test_which_cameras_are_free_running(trigger, real_time, free):
     settings = CameraHardware(driver="gige", serial="1", trigger=trigger)
-    rig = RigHardware(tmp_path / "rig.toml", HardwareTable(), {"w": settings}, {"w": (2, 2)})
-    source = HardwareSource.__new__(HardwareSource)
-    source.rig, source._drivers = rig, {"w": Silent(real_time)}
-    assert source._free_running() == free
+    assert free_running({"w": settings}, {"w": Silent(real_time)}) == free

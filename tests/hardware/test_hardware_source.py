@@ -65,7 +65,7 @@ def test_it_is_a_source_of_frames_and_each_set_is_of_one_pulse(tmp_path):
     assert [s.pulse for s in sets if "c" not in s.frames] == [9, 30, 31]
     assert assembly.cameras["c"].dropped == 3
     assert assembly.cameras["a"].dropped == assembly.cameras["b"].dropped == 0
-    assert rig.account.cameras["a"].driver["exposed"] >= 60
+    assert rig.statistics.cameras["a"].driver["exposed"] >= 60
 
 
 def test_failed_buffers_are_corrupt_frames(tmp_path):
@@ -73,13 +73,13 @@ def test_failed_buffers_are_corrupt_frames(tmp_path):
         frames = [f for f in rig if f.camera == "b"]
     assert [round(f.time_ns * RATE / 1e9) for f in frames if f.status == "corrupt"] == [20, 21]
     assert {f.note for f in frames if f.status == "corrupt"} == {"MISSING_PACKETS"}
-    assert rig.account.cameras["b"].failed == 2
+    assert rig.statistics.cameras["b"].failed == 2
     indices = [f.index for f in frames]
     assert indices == sorted(set(indices))
 
 
 def test_a_camera_that_goes_comes_back_at_the_right_pulse(tmp_path, monkeypatch):
-    monkeypatch.setattr("hardware.source.REOPEN_S", 0.05)
+    monkeypatch.setattr("hardware.camera_readers.REOPEN_S", 0.05)
     fakes = {"a": Fake(), "b": Fake(offset_s=1e4, gone=range(60, 100))}
     with source(tmp_path, fakes, pulses=200) as rig:
         frames = list(rig)
@@ -87,9 +87,9 @@ def test_a_camera_that_goes_comes_back_at_the_right_pulse(tmp_path, monkeypatch)
     assert all(pulse_in(f) == round(f.time_ns * RATE / 1e9) for f in frames)
     assert not {pulse_in(f) for f in of_b} & set(range(60, 100))
     assert {pulse_in(f) for f in of_b} >= set(range(150, 200))
-    assert rig.account.cameras["b"].reopened == 1
-    assert any("does not answer" in note for note in rig.account.notes)
-    assert any("answers again" in note for note in rig.account.notes)
+    assert rig.statistics.cameras["b"].reopened == 1
+    assert any("does not answer" in note for note in rig.statistics.notes)
+    assert any("answers again" in note for note in rig.statistics.notes)
     assert {pulse_in(f) for f in frames if f.camera == "a"} == set(range(200))
     indices = [f.index for f in of_b]
     assert indices == sorted(set(indices))
@@ -97,7 +97,7 @@ def test_a_camera_that_goes_comes_back_at_the_right_pulse(tmp_path, monkeypatch)
 
 def test_clocks_that_can_be_read_number_frames_though_answers_fail(tmp_path, monkeypatch):
     """Gaps, a camera that is lost and found, and two answers of three that do not come."""
-    monkeypatch.setattr("hardware.source.REOPEN_S", 0.05)
+    monkeypatch.setattr("hardware.camera_readers.REOPEN_S", 0.05)
     fakes = {
         "a": Fake(ppm=40, readable=True, misses=frozenset({3, 9, 30, 31, 120})),
         "b": Fake(offset_s=1e4, readable=True, gone=range(60, 100)),
@@ -108,7 +108,7 @@ def test_clocks_that_can_be_read_number_frames_though_answers_fail(tmp_path, mon
     assert all(pulse_in(f) == round(f.time_ns * RATE / 1e9) for f in frames)
     assert {pulse_in(f) for f in frames if f.camera == "a"} == set(range(200)) - fakes["a"].misses
     assert {pulse_in(f) for f in frames if f.camera == "c"} == set(range(1, 200))
-    assert rig.account.cameras["b"].reopened == 1
+    assert rig.statistics.cameras["b"].reopened == 1
 
 
 def test_software_trigger_pairs_cameras_without_a_clock(tmp_path):
@@ -130,7 +130,7 @@ def test_a_silent_camera_is_told(tmp_path):
     with rig:
         frames = list(rig)
     assert {f.camera for f in frames} == {"a"}
-    assert sum("camera 'b': silent" in note for note in rig.account.notes) == 1
+    assert sum("camera 'b': silent" in note for note in rig.statistics.notes) == 1
 
 
 def test_leaving_early_frees_everything(tmp_path):

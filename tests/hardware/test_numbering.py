@@ -103,12 +103,12 @@ def test_frames_without_a_name_move_no_other_frame(seed):
     """Where triggers are missed beside them they may be a pulse or two off, never on a pulse that has a frame."""
     numbers, out, count = numbered(Rig(leaderless=0.05, missed=0.05), seed)
     assert len(out) == count
-    named = [one for one in out if not one[3].buffer.nameless]
+    named = [one for one in out if not one[3].buffer.unidentified]
     assert len(named) < 0.97 * count
     assert all(pulse == true for _, pulse, true, _ in named)
     assert not numbers.notes
     taken = {(camera, pulse) for camera, pulse, _, _ in named}
-    others = [one for one in out if one[3].buffer.nameless]
+    others = [one for one in out if one[3].buffer.unidentified]
     assert not [one for one in others if one[:2] in taken]
     assert max(abs(pulse - true) for _, pulse, true, _ in others) <= 3
 

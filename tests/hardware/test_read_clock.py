@@ -7,7 +7,7 @@ import pytest
 from test_numbering import Rig, stream
 
 from hardware.driver import ClockReading, Grabbed
-from hardware.pulse_numbers.clock_sync import ReadClock
+from hardware.pulse_numbers.clock_sync import ClockReadings
 from hardware.pulse_numbers.numbering import PulseNumbers
 
 NAMES = ["c0", "c1", "c2", "c3"]
@@ -132,7 +132,7 @@ def test_stamps_that_count_something_else_are_left_to_the_votes():
 
 
 def test_a_slow_answer_does_not_replace_a_quick_one_and_a_contradiction_begins_anew():
-    clock = ReadClock()
+    clock = ClockReadings()
     assert clock.at(5, 0) is None
     clock.take(ClockReading(1_000_000_000, 0, 100_000))
     clock.take(ClockReading(1_010_000_000, 8_000_000, 14_000_000))  # 11 ms give or take 3: it agrees

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from needs import needs_module
 
 from hardware.driver import DeviceError
-from hardware.emulate.pulse_box import PulseBox
+from hardware.emulate.pulse_generators import PulseBox
 from hardware.triggers.pulse_protocol import Ping, fit_pulses, pulses_at_ping, pulses_made
 from hardware.triggers.serial_box import SerialTrigger
 

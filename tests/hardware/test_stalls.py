@@ -12,15 +12,14 @@ from needs import needs_module
 from test_hardware_source import RATE, pulse_in, rig_file
 
 from hardware.driver import Capabilities, Grabbed
-from hardware.emulate.line import TriggerLine
-from hardware.emulate.pulse_box import PulseBox
+from hardware.emulate.pulse_generators import PulseBox, TriggerLine
 from hardware.emulate.serve import served
-from hardware.reorder_buffer import Abreast
+from hardware.reorder_buffer import ReorderBuffer
 from hardware.settings import read_hardware
-from hardware.silence import LONGEST_LOOK_S, LOOK_S, Looks
+from hardware.silence import LONGEST_POLL_S, POLL_S, PollingTime
 from hardware.source import HardwareSource
 from hardware.triggers.serial_box import SerialTrigger
-from hardware.triggers.software import GIVEN_UP, PATIENCE_S, SoftwareTrigger
+from hardware.triggers.software import FRAME_TIMEOUT_S, MISSES_TO_IGNORE, SoftwareTrigger
 from mosca.data.frames import Frame
 from mosca.synchronisation import Assembly, assemble
 
@@ -28,17 +27,17 @@ SECOND = 1_000_000_000
 
 
 def test_a_look_that_was_held_up_is_no_evidence_of_silence():
-    looks = Looks()
-    looks.in_vain(0, 100_000_000, None)
-    looks.in_vain(100_000_000, 60 * SECOND, None)
-    assert looks.vain_s == pytest.approx(LOOK_S + LONGEST_LOOK_S)
-    assert looks.over_s == 0
-    looks.in_vain(5 * SECOND, 5 * SECOND + 1, 6 * SECOND)  # begun before the last pulse
-    assert looks.over_s == 0
-    looks.in_vain(7 * SECOND, 7 * SECOND + 100_000_000, 6 * SECOND)
-    assert looks.over_s == pytest.approx(LOOK_S)
-    looks.found()
-    assert (looks.vain_s, looks.over_s) == (0, 0)
+    polled = PollingTime()
+    polled.timed_out(0, 100_000_000, None)
+    polled.timed_out(100_000_000, 60 * SECOND, None)
+    assert polled.idle_s == pytest.approx(POLL_S + LONGEST_POLL_S)
+    assert polled.idle_after_end_s == 0
+    polled.timed_out(5 * SECOND, 5 * SECOND + 1, 6 * SECOND)  # begun before the last pulse
+    assert polled.idle_after_end_s == 0
+    polled.timed_out(7 * SECOND, 7 * SECOND + 100_000_000, 6 * SECOND)
+    assert polled.idle_after_end_s == pytest.approx(POLL_S)
+    polled.frame_arrived()
+    assert (polled.idle_s, polled.idle_after_end_s) == (0, 0)
 
 
 def frame(camera, pulse, size=4):
@@ -47,12 +46,12 @@ def frame(camera, pulse, size=4):
 
 
 def test_frames_wait_for_cameras_that_deliver_and_for_no_other():
-    abreast = Abreast(("a", "b"), 40)
+    reorder = ReorderBuffer(("a", "b"), 40)
 
     def came(camera, pulse, expected="ab"):
-        abreast.reached(camera, pulse)
-        abreast.take(pulse, *frame(camera, pulse))
-        return [(one.camera, one.index) for one, _ in abreast.ready(expected)]
+        reorder.advance(camera, pulse)
+        reorder.push(pulse, *frame(camera, pulse))
+        return [(one.camera, one.index) for one, _ in reorder.release(expected)]
 
     assert came("a", 0) == []
     assert came("b", 0) == [("a", 0), ("b", 0)]
@@ -86,7 +85,7 @@ def test_a_reader_that_stands_for_a_while_costs_its_camera_no_frame_set(tmp_path
     assert [s.pulse for s in sets] == list(range(200))
     assert all({pulse_in(f) for f in s.frames.values()} == {s.pulse} for s in sets)
     assert assembly.complete_sets == 200
-    assert rig.account.notes == []
+    assert rig.statistics.notes == []
 
 
 class Asked:
@@ -109,10 +108,10 @@ class Asked:
 
 
 def look_in_vain(trigger, seconds, began_ns):
-    """Tell a trigger of looks that were as long as they were meant to be, by a clock of their own."""
-    for number in range(round(seconds / LOOK_S)):
-        at = began_ns + round(number * LOOK_S * SECOND)
-        trigger.looked_in_vain("a", at, at + round(LOOK_S * SECOND))
+    """Tell a trigger of polled that were as long as they were meant to be, by a clock of their own."""
+    for number in range(round(seconds / POLL_S)):
+        at = began_ns + round(number * POLL_S * SECOND)
+        trigger.poll_timed_out("a", at, at + round(POLL_S * SECOND))
 
 
 def fired(trigger, camera, count):
@@ -129,15 +128,15 @@ def test_a_software_trigger_waits_for_a_frame_as_long_as_nobody_has_looked_for_i
     trigger.start()
     try:
         at = fired(trigger, camera, 1)
-        trigger.looked_in_vain("a", at, at + 3600 * SECOND)  # held up for an hour
-        trigger.looked_in_vain("a", at - SECOND, at + SECOND)  # begun before the pulse
-        look_in_vain(trigger, PATIENCE_S - 2 * LOOK_S - LONGEST_LOOK_S, at)
+        trigger.poll_timed_out("a", at, at + 3600 * SECOND)  # held up for an hour
+        trigger.poll_timed_out("a", at - SECOND, at + SECOND)  # begun before the pulse
+        look_in_vain(trigger, FRAME_TIMEOUT_S - 2 * POLL_S - LONGEST_POLL_S, at)
         assert camera.fired == 1
         trigger.frame_arrived("a", at)
-        for pulse in range(2, 2 + GIVEN_UP):
-            look_in_vain(trigger, PATIENCE_S + LOOK_S, fired(trigger, camera, pulse))
+        for pulse in range(2, 2 + MISSES_TO_IGNORE):
+            look_in_vain(trigger, FRAME_TIMEOUT_S + POLL_S, fired(trigger, camera, pulse))
         # not waited for any more
-        camera.wait_for(2 + GIVEN_UP + 20)
+        camera.wait_for(2 + MISSES_TO_IGNORE + 20)
     finally:
         trigger.stop()
 
@@ -178,7 +177,7 @@ class Clock:
 
 def test_a_line_that_is_behind_makes_the_pulses_that_were_due_before_it_was_stopped(monkeypatch):
     clock, camera = Clock(), Slow()
-    monkeypatch.setattr("hardware.emulate.line.time", clock)
+    monkeypatch.setattr("hardware.emulate.pulse_generators.time", clock)
     line = TriggerLine([camera])
     line.start(100.0)
     assert camera.begun.wait(60)
@@ -196,7 +195,7 @@ def test_a_device_that_was_asleep_does_not_take_its_client_for_dead(monkeypatch)
         device = up.devices[0]
         hand = Hand(str(device.identity.address.ip))
         control, privilege = device._control, device.camera.privilege
-        device._control._stop.set()  # its own looks would be among those below
+        device._control._stop.set()  # its own polled would be among those below
         control._thread.join()
         begin = time.monotonic_ns()
         privilege.ask(("127.0.0.1", hand.port), 2, begin)

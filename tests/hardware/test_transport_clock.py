@@ -21,7 +21,7 @@ def test_offset_and_skew_under_a_busy_network(ppm):
             there += 0.4  # a cable that was out
         asked(clock, 100 + 0.2 * k, offset, ppm, there, back)
     at = 100 + 0.2 * 100 + 1.5
-    here = clock.here(round((offset + at * (1 + ppm * 1e-6)) * 1e9))
+    here = clock.to_local(round((offset + at * (1 + ppm * 1e-6)) * 1e9))
     assert abs(here * 1e-9 - at) < 0.3e-3
     assert clock.skew * 1e6 == pytest.approx(-ppm, abs=15)
     assert 0.3e6 <= clock.error_ns < 0.5e6
@@ -33,7 +33,7 @@ def test_a_few_answers_are_enough_to_begin():
         assert not clock.ready
         asked(clock, k * 0.02, -7.0, 50.0, 0.2e-3 + 1e-3 * (k % 2), 0.2e-3)
     assert clock.ready
-    assert abs(clock.here(round((-7.0 + 0.5 * (1 + 50e-6)) * 1e9)) - 0.5e9) < 0.1e6
+    assert abs(clock.to_local(round((-7.0 + 0.5 * (1 + 50e-6)) * 1e9)) - 0.5e9) < 0.1e6
     assert clock.skew == 0.0
 
 
@@ -41,7 +41,7 @@ def test_asymmetric_ways_cost_half_their_difference():
     clock = RemoteClock()
     for k in range(50):
         asked(clock, k * 0.2, 0.0, 0.0, 0.5e-3, 0.1e-3)
-    assert clock.here(10**10) - 10**10 == pytest.approx(-0.2e6, abs=2e3)
+    assert clock.to_local(10**10) - 10**10 == pytest.approx(-0.2e6, abs=2e3)
 
 
 def test_a_clock_that_runs_wild_is_not_followed_beyond_reason():

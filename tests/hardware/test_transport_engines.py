@@ -55,18 +55,18 @@ def test_what_is_published_arrives_in_order(ends):
 
 def test_questions_are_answered_or_not(ends):
     a, b = ends
-    a.answer("mosca/A/clock", lambda asked: asked + b"!")
-    until(lambda: b.ask("mosca/A/clock", b"12", 1.0) == b"12!")
-    assert b.ask("mosca/B/clock", b"", 0.3) is None
+    a.declare_queryable("mosca/A/clock", lambda asked: asked + b"!")
+    until(lambda: b.query("mosca/A/clock", b"12", 1.0) == b"12!")
+    assert b.query("mosca/B/clock", b"", 0.3) is None
 
 
 def test_tokens_are_seen_whether_they_stood_before_or_come_later_and_fall(ends):
     a, b = ends
     seen = {}
-    a.stand("mosca/A/alive")
-    b.watch(EVERY_TOKEN, lambda key, stands: seen.__setitem__(key, stands))
+    a.declare_token("mosca/A/alive")
+    b.watch_tokens(EVERY_TOKEN, lambda key, stands: seen.__setitem__(key, stands))
     until(lambda: seen.get("mosca/A/alive") is True)
-    a.stand("mosca/C/alive")
+    a.declare_token("mosca/C/alive")
     until(lambda: seen.get("mosca/C/alive") is True)
     a.close()
     until(lambda: seen == {"mosca/A/alive": False, "mosca/C/alive": False})
@@ -76,7 +76,7 @@ def test_nothing_is_taken_after_the_end(ends):
     a, _ = ends
     a.close()
     assert not a.publish("mosca/A/health", b"")
-    assert a.ask("mosca/A/clock", b"", 0.2) is None
+    assert a.query("mosca/A/clock", b"", 0.2) is None
 
 
 def test_endpoints_that_cannot_be_are_one_line():

@@ -49,8 +49,8 @@ def test_an_incomplete_set_waits_for_its_deadline_and_names_what_is_missing():
     (merged,) = m.ready(35 * MS)
     assert dict(merged.missing) == {"b2": "not in time"}
     m.take(item("b2", 0, 40))
-    count = m.account.cameras["b2"]
-    assert (count.lost, count.late, m.account.complete) == (1, 1, 0)
+    count = m.statistics.cameras["b2"]
+    assert (count.lost, count.late, m.statistics.complete) == (1, 1, 0)
 
 
 def test_it_does_not_wait_for_what_cannot_come():
@@ -74,16 +74,16 @@ def test_a_frame_that_its_station_could_not_use_is_named():
     m.take(item("b2", 0, 5, "corrupt"))
     (merged,) = m.ready(5 * MS)
     assert dict(merged.missing) == {"b2": "corrupt"}
-    assert m.account.cameras["b2"].no_frame == 1
+    assert m.statistics.cameras["b2"].no_frame == 1
 
 
 def test_old_messages_are_thrown_away():
     m = merger(oldest_s=0.25)
     m.take(item("a1", 0, 1000, age_ms=251))
-    assert m.account.cameras["a1"].aged == 1
+    assert m.statistics.cameras["a1"].aged == 1
     assert m.ready(10**12) == []
     m.take(replace(item("a1", 0, 1000, age_ms=251), held=True))  # it waited for the start to be known
-    assert m.account.cameras["a1"].aged == 1
+    assert m.statistics.cameras["a1"].aged == 1
     assert len(m.rest(10**12)) == 1
 
 
@@ -100,11 +100,11 @@ def test_every_set_comes_once_in_order_and_the_counts_add_up(data):
     sets += m.rest(round(now * MS))
     pulses = [s.pulse for s in sets]
     assert pulses == sorted(set(pulses))
-    counts = m.account.cameras.values()
+    counts = m.statistics.cameras.values()
     assert sum(c.merged + c.late + c.aged + c.doubled for c in counts) == sent
     assert all(c.merged + c.no_frame + c.away + c.lost == len(sets) for c in counts)
     if pulses:
-        assert m.account.unseen == pulses[-1] - pulses[0] + 1 - len(pulses)
+        assert m.statistics.unseen == pulses[-1] - pulses[0] + 1 - len(pulses)
     for merged in sets:
         assert set(merged.detections) | set(merged.missing) == set(CAMERAS)
         assert all(d.xy_px[0, 0] == merged.pulse for d in merged.detections.values())

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hardware.transport.pulse_alignment import PulsePlaces
+from hardware.transport.pulse_alignment import StationPulses
 
 RATE = 100.0
 T = 1e9 / RATE
@@ -30,7 +30,7 @@ def run(places, line, stations, pulses):
 
 @pytest.mark.parametrize(("first", "shift"), [(0, 0), (1, 1), (7, 7)])
 def test_who_starts_a_pulse_late_is_found_out(first, shift):
-    places = PulsePlaces(("A", "B"), RATE, 5.0)
+    places = StationPulses(("A", "B"), RATE, 5.0)
     run(places, Line(), {"A": (1, 0, 0.003), "B": (2, first, 0.0045)}, range(200))
     assert (places.shift("A"), places.shift("B")) == (0, shift)
     told = [text for station, text in places.notes if station == "B"]
@@ -43,7 +43,7 @@ def test_who_starts_a_pulse_late_is_found_out(first, shift):
 @pytest.mark.parametrize("rate", [20.0, 100.0, 500.0])
 def test_it_is_right_again_and_again(seed, rate):
     rng = np.random.default_rng(seed)
-    places, line = PulsePlaces(("A", "B", "C"), rate, 5.0), Line(rate, seed)
+    places, line = StationPulses(("A", "B", "C"), rate, 5.0), Line(rate, seed)
     firsts = [0, *rng.integers(0, 5, 2)]
     spread = 0.2 / rate
     run(
@@ -59,7 +59,7 @@ def test_it_is_right_again_and_again(seed, rate):
 
 
 def test_who_comes_back_finds_its_place_though_clocks_drift():
-    places, line = PulsePlaces(("A", "B"), RATE, 5.0), Line(ppm=80)
+    places, line = StationPulses(("A", "B"), RATE, 5.0), Line(ppm=80)
     run(places, line, {"A": (1, 0, 0.003), "B": (2, 0, 0.004)}, range(1000))
     run(places, line, {"A": (1, 0, 0.003)}, range(1000, 30_000))
     run(places, line, {"A": (1, 0, 0.003), "B": (3, 30_000, 0.004)}, range(30_000, 30_200))
@@ -68,7 +68,7 @@ def test_who_comes_back_finds_its_place_though_clocks_drift():
 
 
 def test_the_session_begins_without_a_station_that_does_not_come():
-    places = PulsePlaces(("A", "B"), RATE, 0.5)
+    places = StationPulses(("A", "B"), RATE, 0.5)
     run(places, Line(), {"A": (1, 0, 0.003)}, range(45))
     assert not places.started
     run(places, Line(), {"A": (1, 0, 0.003)}, range(45, 100))
@@ -78,7 +78,7 @@ def test_the_session_begins_without_a_station_that_does_not_come():
 
 
 def test_a_station_between_pulses_is_left_out_and_said():
-    places = PulsePlaces(("A", "B"), RATE, 5.0)
+    places = StationPulses(("A", "B"), RATE, 5.0)
     run(places, Line(), {"A": (1, 0, 0.003), "B": (2, 0, 0.007)}, range(300))
     assert places.shift("A") == 0
     assert places.shift("B") is None
@@ -89,7 +89,7 @@ def test_a_station_between_pulses_is_left_out_and_said():
 
 
 def test_a_count_that_runs_ahead_is_found_and_placed_anew():
-    places, line = PulsePlaces(("A", "B"), RATE, 5.0), Line()
+    places, line = StationPulses(("A", "B"), RATE, 5.0), Line()
     run(places, line, {"A": (1, 0, 0.003), "B": (2, 0, 0.003)}, range(200))
     for pulse in range(200, 400):
         places.take("A", 1, pulse, line.at(pulse))
@@ -99,7 +99,7 @@ def test_a_count_that_runs_ahead_is_found_and_placed_anew():
 
 
 def test_a_station_that_falls_behind_is_said_and_not_moved():
-    places, line = PulsePlaces(("A", "B"), RATE, 5.0), Line()
+    places, line = StationPulses(("A", "B"), RATE, 5.0), Line()
     run(places, line, {"A": (1, 0, 0.003), "B": (2, 0, 0.003)}, range(200))
     run(places, line, {"A": (1, 0, 0.003), "B": (2, 0, 0.020)}, range(200, 600))
     assert places.shift("B") == 0

@@ -49,7 +49,7 @@ class Station:
         def run():
             if pulses < LONG and name in CAMERAS:
                 # as real ones do: what is short may else be over before its clock was asked for
-                self.sender.say("armed")
+                self.sender.set_state("armed")
                 assert self.sender.ordered(60.0)
             self.sent = play(self.sender, cameras, pulses, RATE, start_ns, 3, first, lambda: self._dead)
 
@@ -122,9 +122,9 @@ def test_two_stations_with_clocks_of_their_own_merge_pulse_by_pulse():
         assert list(merged.detections) == list(SIZES)
         assert {pulse_in(found) for found in merged.detections.values()} == {merged.pulse}
         assert merged.time_ns == merged.pulse * 10_000_000
-    assert here.account.merge.complete == 80
-    assert [s.lost for s in here.account.stations.values()] == [0, 0]
-    assert all(s.clock_error_ns < 1e9 for s in here.account.stations.values())
+    assert here.statistics.merge.complete == 80
+    assert [s.lost for s in here.statistics.stations.values()] == [0, 0]
+    assert all(s.clock_error_ns < 1e9 for s in here.statistics.stations.values())
     assert here.rigs(1.0) == {"A": "# rig of A", "B": "# rig of B"}
 
 
@@ -166,9 +166,9 @@ def test_a_killed_station_is_told_and_survived_and_its_return_too():
     assert whole(out[:100])
     assert any({"b1", "b2"} == set(s.missing) for s in out)
     assert texts(here, "B")[:2] == ["is here", "is gone: its program ended, or its network"]
-    count = here.account.merge.cameras["b1"]
+    count = here.statistics.merge.cameras["b1"]
     assert count.away + count.lost == sum("b1" in s.missing for s in out)
-    assert (here.account.stations["B"].gone, here.account.stations["B"].starts) == (1, 2)
+    assert (here.statistics.stations["B"].gone, here.statistics.stations["B"].starts) == (1, 2)
 
 
 def test_a_cut_cable_is_told_and_what_it_cost_is_counted():
@@ -190,8 +190,8 @@ def test_a_cut_cable_is_told_and_what_it_cost_is_counted():
     assert whole(out[:70])
     assert any({"b1", "b2"} == set(s.missing) for s in out[:seen])
     # each message is in a set, or lost on the way, or come too late for a set that did not wait any more
-    station = here.account.stations["B"]
-    counts = [here.account.merge.cameras[name] for name in ("b1", "b2")]
+    station = here.statistics.stations["B"]
+    counts = [here.statistics.merge.cameras[name] for name in ("b1", "b2")]
     assert station.lost > 0
     assert station.received + station.lost == 2 * b.sent
     assert sum(c.merged + c.late + c.aged for c in counts) == station.received
@@ -202,11 +202,11 @@ def test_a_station_that_holds_the_pulses_is_ordered_to_start_when_all_are_armed(
     exchange = Exchange()
     with receiver(exchange) as here:
         a = Sender(exchange.open(), "A", infos(CAMERAS["A"], RATE))
-        a.say("holding")
+        a.set_state("holding")
         assert not a.ordered(0.6)
         b = Sender(exchange.open(), "B", infos(CAMERAS["B"], RATE))
         assert not a.ordered(0.3)  # it is still starting
-        b.say("armed")
+        b.set_state("armed")
         assert a.ordered(60.0)
         a.close()
         b.close()
@@ -246,8 +246,8 @@ def test_rubbish_is_counted_and_told_once():
             threading.Thread(target=station.end).start()
         sets = list(here)
     assert len(sets) == 40
-    assert here.account.stations["A"].spoilt == 50
-    assert here.account.stations["B"].spoilt == 50
+    assert here.statistics.stations["A"].spoilt == 50
+    assert here.statistics.stations["B"].spoilt == 50
     assert sum(text.startswith("sends what cannot be read") for text in texts(here, "A")) <= 4
 
 
@@ -270,10 +270,10 @@ def test_a_slow_reader_loses_whole_sets_and_is_told():
         stations = [Station(exchange, n, start, 60) for n in "AB"]
         for station in stations:
             station.end()
-        until(lambda: here.account.left_out == 55)
+        until(lambda: here.statistics.left_out == 55)
         sets = list(here)
     assert [s.pulse for s in sets] == list(range(55, 60))
-    assert here.account.left_out == 55
+    assert here.statistics.left_out == 55
 
 
 @pytest.mark.parametrize("names", [(), ("A", "A"), ("a/b",), ("*",)])

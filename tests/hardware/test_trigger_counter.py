@@ -13,10 +13,10 @@ from needs import needs_aravis
 
 from hardware.driver import DeviceError, Grabbed
 from hardware.drivers import open_camera
-from hardware.emulate.faults import Faults, Luck
+from hardware.emulate.faults import FaultDraws, Faults
 from hardware.emulate.serve import served
 from hardware.pulse_numbers.numbering import PulseNumbers
-from hardware.pulse_numbers.trigger_counter import TriggerWitness
+from hardware.pulse_numbers.trigger_counter import TriggerCounter
 from hardware.settings import CameraHardware, read_hardware
 from hardware.source import HardwareSource
 from hardware.trigger import External
@@ -36,7 +36,7 @@ def buffer(pulse, count=None, block=None, late_ns=0, device_ns=None):
 
 def witness(*steps):
     """A witness of frames (pulse, count, block)."""
-    seen = TriggerWitness()
+    seen = TriggerCounter()
     for pulse, count, block in steps:
         seen.take(pulse, buffer(pulse, count, block))
     return seen
@@ -59,11 +59,11 @@ def witness(*steps):
 def test_what_became_of_pulses_without_a_frame(steps, told):
     seen = witness(*steps)
     assert (seen.unreached, seen.ignored, seen.surplus) == told
-    assert len(seen.lines("a")) == np.count_nonzero(told)
+    assert len(seen.notes("a")) == np.count_nonzero(told)
 
 
 def test_it_is_said_in_words():
-    (first, second) = witness((0, 1, 1), (3, 3, 2)).lines("left")
+    (first, second) = witness((0, 1, 1), (3, 3, 2)).notes("left")
     assert first.startswith(
         "camera 'left': by its trigger counter 1 pulses did not reach it; check its trigger cable"
     )
@@ -100,7 +100,7 @@ def test_clock_and_counter_outweigh_a_late_arrival(late_ns, count, at_once):
     told, got, numbers = numbered(late_ns, count)
     assert told is at_once
     assert got == [p for p in range(120) if not 60 <= p < 63]
-    assert numbers.witnesses["b"].unreached == (3 if count == "other" else 0)
+    assert numbers.trigger_counters["b"].unreached == (3 if count == "other" else 0)
 
 
 def rig_file(path: Path, address: str, **hardware) -> Path:
@@ -153,14 +153,14 @@ def test_withheld_pulses_are_told_from_those_that_the_camera_ignored(tmp_path, m
         got = {"cam0": {}, "cam1": {}}
         for frame in source:
             got[frame.camera][round(frame.time_ns / PERIOD)] = frame.image
-        account, notes = source.account, source.account.notes
+        account, notes = source.statistics, source.statistics.notes
         counts, serial = devices.device("cam0").counts(), devices.device("cam0").identity.serial
     for name, images in got.items():
         whole = {pulse: image for pulse, image in images.items() if image is not None}
         assert len(whole) > 0.8 * len(images)
         for pulse, image in whole.items():
             np.testing.assert_array_equal(image, picture(int(name[3]), pulse, SHAPE))
-    luck = Luck(faults, serial)
+    luck = FaultDraws(faults, serial)
     withheld = [k for k in range(counts["pulses"]) if luck.withheld(k)]
     inside = [k for k in withheld if min(got["cam0"]) < k]
     # pulses after the last one wanted were counted too
@@ -183,7 +183,7 @@ def test_pulses_that_found_the_camera_busy_are_counted_as_such(tmp_path):
     ):
         assert all(report.settings["ChunkEnable"] for report in source.reports.values())
         frames = sum(frame.camera == "cam0" for frame in source)
-        account = source.account.cameras["cam0"]
+        account = source.statistics.cameras["cam0"]
     assert 20 < frames <= 51
     assert account.unreached == 0
     assert frames - 2 <= account.ignored <= account.whole + 2

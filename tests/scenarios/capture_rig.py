@@ -185,12 +185,12 @@ def openers(line, images=None, size=SIZE):
 
 
 if __name__ == "__main__":
-    from scenarios.lab.capture import Request, capture
+    from scenarios.lab.capture import CaptureRequest, capture
 
     rig, out = Path(sys.argv[1]), Path(sys.argv[2])
     names = ("a", "b", "c", "d")
     line = Line()
     line.newest = np.memmap(sys.argv[3], np.int64, "w+", shape=(1,))
     size = QUARTER if "small" in sys.argv else SIZE
-    request = Request(write_rig(rig, names, size), out, detections="detections" in sys.argv)
+    request = CaptureRequest(write_rig(rig, names, size), out, detections="detections" in sys.argv)
     capture(request, None, *openers(line, size=size))

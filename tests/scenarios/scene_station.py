@@ -15,7 +15,7 @@ from hardware.transport.sender import Sender
 from mosca.data.frames import CameraInfo, Frame
 from mosca.detection.detect import DetectionSettings
 from scenarios.lab.station import run_station
-from scenarios.lab.station_source import Paced
+from scenarios.lab.station_source import PacedRecording
 
 SIZE = (656, 491)
 DRAWN = 12
@@ -49,7 +49,7 @@ def main():
         type(c)(n, c.width, c.height, c.lens, c.world_from_camera)
         for c, n in zip(cameras, names.split(","), strict=True)
     ]
-    source = Paced(Looped(own, int(pulses), float(rate), int(targets)))
+    source = PacedRecording(Looped(own, int(pulses), float(rate), int(targets)))
     settings = DetectionSettings(split_pairs=pairs == ["1"])
     offset = sum(name.encode()) * 10**12
     sender = Sender(

@@ -26,10 +26,10 @@ from scenarios.cli import capture as cli_capture
 from scenarios.cli import rig as cli_rig
 from scenarios.lab import capture as work
 from scenarios.lab import devices as devices_module
-from scenarios.lab.capture import Request, capture
+from scenarios.lab.capture import CaptureRequest, capture
 from scenarios.lab.devices import describe_devices
 from scenarios.lab.priority import NICE
-from scenarios.lab.recorder import Lost
+from scenarios.lab.recorder import LostSets
 
 SMALL = (64, 48)
 NAMES = ("a", "b", "c")
@@ -58,7 +58,7 @@ def rig(tmp_path):
 def test_each_frame_is_in_the_recording_bit_for_bit_with_its_stamps(tmp_path, rig):
     line, out = Line(), tmp_path / "take"
     before = threading.active_count()
-    outcome = capture(Request(rig, out, frames=60), None, *small(line))
+    outcome = capture(CaptureRequest(rig, out, frames=60), None, *small(line))
     assert threading.active_count() == before
     assert outcome.whole
     assert outcome.pulses == 60
@@ -99,7 +99,7 @@ def test_each_frame_is_in_the_recording_bit_for_bit_with_its_stamps(tmp_path, ri
 
 def test_what_a_camera_missed_is_counted(tmp_path, rig):
     line = Line(misses={"a": {7, 8}}, spoilt={"c": {20}})
-    outcome = capture(Request(rig, tmp_path / "take", seconds=0.5), None, *small(line))
+    outcome = capture(CaptureRequest(rig, tmp_path / "take", seconds=0.5), None, *small(line))
     assert not outcome.whole
     assert outcome.pulses == 50
     assert (outcome.cameras["a"].frames, outcome.cameras["a"].dropped) == (48, 2)
@@ -121,7 +121,9 @@ def test_a_machine_that_is_too_slow_loses_whole_frame_sets_and_says_so(tmp_path,
 
     monkeypatch.setattr(RecordingWriter, "pack", slow)
     room = 6 * len(NAMES) * SMALL[0] * SMALL[1]
-    outcome = capture(Request(rig, tmp_path / "take", frames=120, waiting_bytes=room), None, *small(line))
+    outcome = capture(
+        CaptureRequest(rig, tmp_path / "take", frames=120, waiting_bytes=room), None, *small(line)
+    )
     assert not outcome.whole
     assert 0 < outcome.lost < 120
     assert any(f"{outcome.lost} frame sets were lost whole" in note for note in outcome.notes)
@@ -138,7 +140,7 @@ def test_a_machine_that_is_too_slow_loses_whole_frame_sets_and_says_so(tmp_path,
 
 
 def test_lost_sets_are_named_in_ranges():
-    lost = Lost()
+    lost = LostSets()
     for first, last in ((3, 3), (4, 4), (9, 11), (20, 20)):
         lost.add(first, last)
     assert (lost.count, lost.text(), lost.text(1)) == (6, "3-4, 9-11, 20", "3-4 and 2 more")
@@ -149,7 +151,7 @@ def test_a_folder_that_is_there_is_refused_before_a_camera_is_touched(tmp_path, 
     (tmp_path / "take").mkdir()
     (tmp_path / "take" / "notes.txt").write_text("mine")
     with pytest.raises(InputError, match=r"take: is there already; choose another"):
-        capture(Request(rig, tmp_path / "take"), None, lambda name, settings: opened.append(name))
+        capture(CaptureRequest(rig, tmp_path / "take"), None, lambda name, settings: opened.append(name))
     assert opened == []
     assert [p.name for p in (tmp_path / "take").iterdir()] == ["notes.txt"]
 
@@ -159,14 +161,14 @@ def test_a_camera_that_cannot_be_opened_leaves_no_folder(tmp_path, rig):
         raise DeviceError(f"camera '{name}': not there")
 
     with pytest.raises(DeviceError, match="camera 'a': not there"):
-        capture(Request(rig, tmp_path / "take"), None, missing)
+        capture(CaptureRequest(rig, tmp_path / "take"), None, missing)
     assert not (tmp_path / "take").exists()
 
 
 def test_cameras_that_go_away_end_nothing(tmp_path, rig):
     line = Line(gone_at=30)
     outcome = capture(
-        Request(rig, tmp_path / "take", frames=1000),
+        CaptureRequest(rig, tmp_path / "take", frames=1000),
         ctrl_c(lambda: len(line.asked_in_vain) == 3),
         *small(line),
     )
@@ -178,7 +180,7 @@ def test_cameras_that_go_away_end_nothing(tmp_path, rig):
 
 def test_ctrl_c_ends_in_order(tmp_path, rig):
     line = Line()
-    outcome = capture(Request(rig, tmp_path / "take"), ctrl_c(lambda: line.made > 60), *small(line))
+    outcome = capture(CaptureRequest(rig, tmp_path / "take"), ctrl_c(lambda: line.made > 60), *small(line))
     assert outcome.stopped
     assert outcome.whole
     assert 20 < outcome.pulses <= line.made
@@ -339,10 +341,10 @@ sys.path.insert(0, sys.argv[3])
 from capture_rig import Line, dark_noise, openers, write_rig
 if len(sys.argv) > 4:
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[4]),) * 2)
-from scenarios.lab.capture import Request, capture
+from scenarios.lab.capture import CaptureRequest, capture
 from mosca.errors import InputError
 try:
-    capture(Request(Path(sys.argv[1]), Path(sys.argv[2])), None, *openers(Line()))
+    capture(CaptureRequest(Path(sys.argv[1]), Path(sys.argv[2])), None, *openers(Line()))
 except InputError as error:
     print(error)
     sys.exit(2)

@@ -24,7 +24,7 @@ from mosca.pipeline import PipelineSettings, run, run_seen
 from mosca.recording import RecordingWriter, mcap_format, open_recording
 from mosca.synchronisation import Assembly, assemble
 from scenarios.cli.main import cli
-from scenarios.lab.capture import Request, capture
+from scenarios.lab.capture import CaptureRequest, capture
 from scenarios.lab.from_detections import counted
 
 SIZE, NAMES, RATE = (160, 120), ("left", "right", "top"), 50.0
@@ -78,7 +78,7 @@ def takes(tmp_path_factory):
     # made before: a line whose pulses are late tries the numbering, not the capture
     images = {c.name: [picture(c, pulse) for pulse in range(90)] for c in read_rig(path).cameras}
     for kind in ("frames", "detections"):
-        request = Request(path, folder / kind, frames=60, detections=kind == "detections")
+        request = CaptureRequest(path, folder / kind, frames=60, detections=kind == "detections")
         line = Line(RATE, misses={"top": {20, 21}})
         outcome = capture(request, None, *openers(line, images, SIZE))
         assert outcome.lost == 0

@@ -24,7 +24,7 @@ def test_two_packers_keep_the_order(tmp_path, monkeypatch):
         for pulse in range(50):
             for name in "ab":
                 assert recorder.take(Frame(name, pulse, pulse * 10_000_000, 0, image), 7)
-            recorder.tell("notes", pulse, {"pulse": pulse})
+            recorder.write_message("notes", pulse, {"pulse": pulse})
         recorder.close()
         recorder.close()
         assert recorder.failed is None

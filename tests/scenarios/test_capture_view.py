@@ -19,7 +19,7 @@ from mosca.pipeline import PipelineSettings
 from reports import viewer_program
 from reports.viewer import RerunLog
 from scenarios.lab import live_view
-from scenarios.lab.capture import Request, capture
+from scenarios.lab.capture import CaptureRequest, capture
 from scenarios.lab.live_view import LiveView, log_in_viewer, uncalibrated
 
 pytest.importorskip("rerun", reason="rerun is not installed: pip install rerun-sdk")
@@ -40,7 +40,7 @@ def captured(tmp_path, calibrated, progress=None, frames=60):
         images = {name: [np.full((SIZE[1], SIZE[0]), 5, np.uint8)] for name in NAMES}
     else:
         images = {camera.name: [picture(camera, pulse) for pulse in range(20)] for camera in rig.cameras}
-    request = Request(path, tmp_path / "take", frames=frames, view_log=tmp_path / "view.rrd")
+    request = CaptureRequest(path, tmp_path / "take", frames=frames, view_log=tmp_path / "view.rrd")
     return capture(request, progress, *openers(Line(RATE), images, SIZE))
 
 
@@ -165,5 +165,5 @@ def test_nothing_is_shown_while_the_recording_is_behind():
 def test_a_rig_file_of_names_alone_is_enough_to_look(tmp_path):
     path = write_rig(tmp_path / "rig.toml", ("only",), SIZE, RATE)
     images = {"only": [np.zeros((SIZE[1], SIZE[0]), np.uint8)]}
-    request = Request(path, tmp_path / "take", frames=10, view_log=tmp_path / "view.rrd")
+    request = CaptureRequest(path, tmp_path / "take", frames=10, view_log=tmp_path / "view.rrd")
     assert capture(request, None, *openers(Line(RATE), images, SIZE)).whole

@@ -36,10 +36,10 @@ from scenarios.cli.station import rig_of
 from scenarios.commands.reconstruct import BackgroundSpec, recorded_backgrounds
 from scenarios.lab import station as station_module
 from scenarios.lab import station_source, station_verbs
-from scenarios.lab.merge import account_lines, all_whole, calibrated_rig, run_merged
+from scenarios.lab.merge import all_whole, calibrated_rig, run_merged, summary_lines
 from scenarios.lab.station import PulseCount, run_station
 from scenarios.lab.station_background import Backgrounds
-from scenarios.lab.station_source import Paced, RigOfStation
+from scenarios.lab.station_source import PacedRecording, RigOfStation
 from scenarios.lab.station_verbs import detect_on_station
 
 PULSES = 90
@@ -66,7 +66,7 @@ def stations(faults=None):
     with Receiver(exchange.open(), ("A", "B"), sizes, RATE, PATIENT) as here:
         threads = []
         for name, cameras in (("A", WHOLE.cameras[:2]), ("B", WHOLE.cameras[2:])):
-            source = Paced(Scene(cameras, PULSES, faults=faults))
+            source = PacedRecording(Scene(cameras, PULSES, faults=faults))
             sender = source.gate.sender = Sender(exchange.open(), name, source.cameras)
             arguments = (source, sender, SETTINGS.detection, source.arrival_ns)
             threads.append(threading.Thread(target=run_station, args=arguments))
@@ -99,9 +99,9 @@ def test_two_stations_give_the_detections_and_tracks_of_a_local_run_bit_for_bit(
         np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
     assert dict(sets[20].missing) == {"b1": "no frame"}
     assert dict(sets[21].missing) == {"b1": "corrupt"}
-    lines = account_lines(here.account)
+    lines = summary_lines(here.statistics)
     assert "camera 'b1' is missing in 2 sets: 2 without a frame" in lines
-    assert not all_whole(here.account)
+    assert not all_whole(here.statistics)
 
 
 LAMP = np.rint(190 / (1 + np.exp((np.hypot(*np.mgrid[-7:8, -7:8]) - 3) / 0.35))).astype(np.uint8)
@@ -130,7 +130,7 @@ def test_backgrounds_are_made_and_taken_off_as_in_a_local_run(tmp_path):
         exchange, told = Exchange(), []
         backgrounds._told = told.append
         with Receiver(exchange.open(), ("A",), dict.fromkeys(NAMES, SIZE), RATE, PATIENT) as here:
-            source = Paced(Lit(WHOLE.cameras, PULSES))
+            source = PacedRecording(Lit(WHOLE.cameras, PULSES))
             sender = source.gate.sender = Sender(exchange.open(), "A", source.cameras)
             thread = threading.Thread(
                 target=run_station,

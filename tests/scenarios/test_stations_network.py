@@ -131,7 +131,7 @@ def test_detections_of_two_pcs_are_merged(two_pcs):
         assert [program.wait() for program in running] == [0, 0]
         for name in "AB":  # the stations' clocks are 10^12 ns and more off
             offset, now = sum(name.encode()) * 10**12, time.monotonic_ns()
-            assert abs(here.here(name, now + offset) - now) < 0.5e9 / RATE
+            assert abs(here.to_local(name, now + offset) - now) < 0.5e9 / RATE
     assert check(sets, here)
     assert len(sets) == 300
     assert whole(sets), [(s.pulse, dict(s.missing)) for s in sets if s.missing]
@@ -156,7 +156,7 @@ def test_a_cable_out_is_survived_and_its_cost_stated(two_pcs):
     assert whole(sets[:200]) or not steady
     assert any(set(s.missing) == set(CAMERAS["B"]) for s in sets)
     # every message of B is in a set, or counted where it went
-    station, merge = here.account.stations["B"], here.account.merge
+    station, merge = here.statistics.stations["B"], here.statistics.merge
     parts = [merge.cameras[name] for name in CAMERAS["B"]]
     assert station.received + station.lost == 4 * sent
     assert sum(c.merged + c.late + c.aged for c in parts) == station.received
@@ -186,6 +186,6 @@ def test_a_killed_station_is_reported_survived_and_taken_back(two_pcs):
     assert any(set(s.missing) == set(CAMERAS["B"]) for s in sets)
     assert all(event.time_ns > killed_ns for event in happened(here, "gone", "silent"))
     assert [event.text for event in happened(here, "back")][:1] == ["has started again"]
-    assert here.account.stations["B"].starts == 2
+    assert here.statistics.stations["B"].starts == 2
     # no set has waited in vain: nothing waits for a station that has nothing to send yet
-    assert all(here.account.merge.cameras[name].lost == 0 for name in CAMERAS["B"])
+    assert all(here.statistics.merge.cameras[name].lost == 0 for name in CAMERAS["B"])

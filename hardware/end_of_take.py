@@ -1,0 +1,48 @@
+"""The end of a take: when all pulses wanted were made, and when their frames have arrived."""
+
+import time
+from collections.abc import Collection, Mapping
+
+from hardware.pulse_numbers.numbering import PulseNumbers
+from hardware.silence import PollingTime
+from hardware.trigger import Trigger
+
+DRAIN_S = 0.3
+"""After the last pulse each camera is polled for so long without a frame before the take ends."""
+LONGEST_DRAIN_S = 60.0
+MARGIN_S = 0.05
+"""The pulses go on for so long after the last one wanted: a busy machine makes and sees them late."""
+
+
+class EndOfTake:
+    """Ends a take after ``pulses`` pulses at ``rate_hz``; None never does."""
+
+    def __init__(self, pulses: int | None, rate_hz: float) -> None:
+        self._pulses, self._rate_hz = pulses, rate_hz
+
+    def is_past(self, pulse: int) -> bool:
+        """Return whether a pulse lies beyond those wanted."""
+        return self._pulses is not None and pulse >= self._pulses
+
+    def pulses_over(self, trigger: Trigger, numbers: PulseNumbers, now_ns: int) -> bool:
+        """Return whether all pulses wanted were made; a trigger that counts them may lag behind the clock."""
+        if self._pulses is None:
+            return False
+        certain = trigger.pulse_at(now_ns)
+        if certain is not None:  # the last one wanted has had its frames: the next one was made
+            return certain >= self._pulses
+        reached = numbers.pulse_at(now_ns)
+        if reached is None or reached < self._pulses + MARGIN_S * self._rate_hz:
+            return False
+        made = trigger.report().get("pulses")
+        return not isinstance(made, int) or made >= self._pulses
+
+
+def drained(end_ns: int, polling: Mapping[str, PollingTime], done: Collection[str]) -> bool:
+    """Return whether no frame is under way any more.
+
+    ``end_ns``: host time when the pulses ended [ns]. ``done``: cameras that are lost, or delivered a later frame.
+    """
+    if time.monotonic_ns() - end_ns > LONGEST_DRAIN_S * 1e9:
+        return True
+    return all(polled.idle_after_end_s >= DRAIN_S for name, polled in polling.items() if name not in done)

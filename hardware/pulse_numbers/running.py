@@ -1,0 +1,212 @@
+"""Second phase of the numbering: each camera's device clock is followed, and found again by a vote after a jump."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from hardware.driver import Grabbed
+from hardware.pulse_numbers.camera_state import (
+    CameraState,
+    NumberedBuffer,
+    earliest_arrival_ns,
+    index_after_jump,
+)
+from hardware.pulse_numbers.clock_model import HostPulseTimes
+from hardware.pulse_numbers.clock_sync import ClockPulses
+from hardware.pulse_numbers.free_running import FreeClock
+from hardware.pulse_numbers.settings import NumberingSettings
+
+STALL_NS = 100_000_000
+"""A frame may be so late, with the stamps in order, before its device clock is suspected; none can be early."""
+OFF_PULSE = 0.6
+"""Share of a period: a frame that arrives farther off than this is not of the supposed pulse."""
+
+
+class Running:
+    """Numbers the buffers of ``cameras`` once the host times of the pulses are known.
+
+    ``pulse_times``: when each pulse's frames arrive. ``clocks``: readings of the device clocks; None where arrivals
+    decide alone.
+    """
+
+    def __init__(
+        self,
+        cameras: Mapping[str, CameraState],
+        settings: NumberingSettings,
+        pulse_times: HostPulseTimes,
+        *,
+        clocks: ClockPulses | None,
+        notes: list[str],
+    ) -> None:
+        self.pulse_times = pulse_times
+        self._cameras, self._settings, self._clocks, self._notes = cameras, settings, clocks, notes
+        self._period_ns = settings.period_ns
+
+    def follows_clock(self, name: str) -> bool:
+        """Return whether readings of this camera's clock are used."""
+        return self._clocks is not None and self._clocks.trusted(name)
+
+    def begin_by_clock(self, camera: CameraState, pulse: int) -> list[NumberedBuffer]:
+        """Number what is pending; its first buffer is of ``pulse``."""
+        camera.latency_ns = self._delay_ns(camera.pending[0], pulse)
+        return list(self._lock(camera, pulse))
+
+    def begin_by_arrival(self, camera: CameraState, earliest_ns: float) -> list[NumberedBuffer]:
+        """Number what is pending; its first buffer would have arrived at ``earliest_ns`` had it been quick."""
+        if camera.free is not None:
+            pending, camera.pending = camera.pending, []
+            return [self._nearest(camera, camera.free, buffer) for buffer in pending]
+        pulse = self.pulse_times.pulse_of(earliest_ns)
+        camera.latency_ns = earliest_ns - self.pulse_times.at(pulse)
+        return list(self._lock(camera, pulse))
+
+    def take(self, camera: CameraState, buffer: Grabbed) -> Iterator[NumberedBuffer]:
+        """Take a buffer; yield those whose pulses are known by now."""
+        if camera.free is not None:
+            yield self._nearest(camera, camera.free, buffer)
+        elif not camera.started or camera.pending:
+            camera.pending.append(buffer)
+            yield from self.settle(camera)
+        else:
+            yield from self._follow(camera, buffer)
+
+    def settle(self, camera: CameraState, final: bool = False) -> Iterator[NumberedBuffer]:
+        """Number what is pending once it can be: by a reading of the device clock, else by a vote.
+
+        ``final``: now, since no more frames or readings come.
+        """
+        clocks = self._clocks
+        if not camera.pending or clocks is None or not clocks.trusted(camera.name):
+            yield from self._vote(camera, final)
+            return
+        split = index_after_jump(camera.pending, self._period_ns)
+        pulse = clocks.pulse(camera.name, camera.pending[split])
+        if pulse is not None:
+            yield from self._found(camera, split, pulse)
+        elif len(camera.pending) < self._settings.reading_wait and not final:
+            return
+        elif camera.suspect_pulse is None or split or self._too_early(camera, camera.suspect_pulse):
+            yield from self._vote(camera, final)
+        else:
+            yield from self._found(camera, split, camera.suspect_pulse)
+
+    def _too_early(self, camera: CameraState, pulse: int) -> bool:
+        """Return whether the pending buffers arrived too early for their first one to be of ``pulse``."""
+        earliest = earliest_arrival_ns(camera.pending, self._period_ns) - camera.latency_ns
+        return earliest - self.pulse_times.at(pulse) < -OFF_PULSE * self._period_ns
+
+    def _vote(self, camera: CameraState, final: bool) -> Iterator[NumberedBuffer]:
+        """Number what is pending once enough frames have voted; all of it when ``final``."""
+        votes = self._settings.votes
+        if not camera.pending or (len(camera.pending) < votes and not final):
+            return
+        split = index_after_jump(camera.pending, self._period_ns)
+        if split and not final and len(camera.pending) - split < votes:
+            return  # it jumped again during the vote: the new clock's frames vote too
+        earliest = earliest_arrival_ns(camera.pending[split:], self._period_ns)
+        pulse = self.pulse_times.pulse_of(earliest - camera.latency_ns - self._usual_delay_ns(camera))
+        yield from self._found(camera, split, pulse)
+
+    def _found(self, camera: CameraState, split: int, pulse: int) -> Iterator[NumberedBuffer]:
+        """Number what is pending: buffer ``split``, the first of the clock as it runs now, is of ``pulse``."""
+        before, camera.pending = camera.pending[:split], camera.pending[split:]
+        for buffer in before:
+            yield self._by_arrival(camera, buffer)
+        if camera.started and pulse != camera.suspect_pulse:
+            camera.relocks += 1
+            self._notes.append(f"{camera.name}: its clock jumped or restarted; found again at pulse {pulse}")
+        elif not camera.started and pulse > 0:
+            self._notes.append(f"{camera.name}: its first frame is of pulse {pulse}")
+        camera.suspect_pulse = None
+        yield from self._lock(camera, pulse)
+
+    def _lock(self, camera: CameraState, pulse: int) -> Iterator[NumberedBuffer]:
+        """Align the device clock: its first pending stamp is of ``pulse``; number the rest by it."""
+        pending, camera.pending = camera.pending, []
+        camera.started = True
+        locked = False
+        for buffer in pending:
+            if camera.pending:  # suspected again: what follows waits
+                camera.pending.append(buffer)
+            elif locked or buffer.device_ns is None:
+                yield from self._follow(camera, buffer)
+            else:
+                camera.clock.lock(pulse, buffer.device_ns)
+                locked = True
+                yield self._numbered(camera, pulse, 0.0, buffer)
+
+    def _nearest(self, camera: CameraState, clock: FreeClock, buffer: Grabbed) -> NumberedBuffer:
+        """Number a frame of a free-running camera by its exposure time."""
+        at_ns = clock.at(buffer)
+        pulse = max(self.pulse_times.pulse_of(at_ns), 0)
+        return NumberedBuffer(camera.name, pulse, at_ns - self.pulse_times.at(pulse), buffer)
+
+    def _follow(self, camera: CameraState, buffer: Grabbed) -> Iterator[NumberedBuffer]:
+        """Number a buffer by its stamp, or make it pending where the device clock is suspect."""
+        stamp = buffer.device_ns
+        if stamp is None:
+            yield self._by_arrival(camera, buffer)
+            return
+        if not camera.clock.locked:
+            camera.clock.lock(self.pulse_times.pulse_of(self._arrival_ns(camera, buffer)), stamp)
+        found = camera.clock.pulse_of(stamp)
+        if found is None or self._suspect(camera, found.pulse, buffer):
+            camera.pending.append(buffer)
+            camera.suspect_pulse = None if found is None else found.pulse
+            return
+        if self._clocks is None or not self._clocks.trusted(camera.name):
+            self.pulse_times.take(found.pulse, self._arrival_ns(camera, buffer))
+        elif self._clocks.follow(camera.name, found.pulse, buffer) is not None:
+            camera.latency_ns = min(camera.latency_ns, self._delay_ns(buffer, found.pulse))
+        yield self._numbered(camera, found.pulse, found.residual_ns, buffer)
+
+    def _arrival_ns(self, camera: CameraState, buffer: Grabbed) -> float:
+        return buffer.host_ns - buffer.exposure_ns - camera.latency_ns
+
+    def _delay_ns(self, buffer: Grabbed, pulse: int) -> float:
+        """Return how long after its pulse a frame arrived, less its exposure [ns]."""
+        return buffer.host_ns - buffer.exposure_ns - self.pulse_times.at(pulse)
+
+    def _suspect(self, camera: CameraState, pulse: int, buffer: Grabbed) -> bool:
+        """Return whether a frame that the device clock puts after a gap arrives as if it were of another pulse."""
+        delay = self._arrival_ns(camera, buffer) - self.pulse_times.at(pulse)
+        # where clock and trigger counter agree, a late arrival only means a busy machine
+        if self._clocks is not None and self._clocks.trusted(camera.name):
+            gap = pulse - camera.last_pulse > 1 and not camera.counter.confirms(pulse, buffer)
+            return gap and self._clocks.pulse(camera.name, buffer) != pulse
+        if pulse - camera.last_pulse > 1 and not camera.counter.confirms(pulse, buffer):
+            unusual = delay - self._usual_delay_ns(camera)
+            block, last = buffer.block_id, camera.last_block
+            restarted = block is not None and last is not None and block <= last
+            limit = OFF_PULSE * self._period_ns
+            if not -limit < unusual < (limit if restarted else max(limit, STALL_NS)):
+                return True
+        camera.delays.append(delay)
+        if len(camera.delays) > self._settings.votes:
+            camera.delays.popleft()
+        return False
+
+    def _usual_delay_ns(self, camera: CameraState) -> float:
+        """Return the present delay of frames [ns]: the other cameras', without others this camera's own."""
+        others = [
+            min(c.delays) for c in self._cameras.values() if c is not camera and c.delays and not c.pending
+        ]
+        return float(np.median(others)) if others else min(camera.delays, default=0.0)
+
+    def _by_arrival(self, camera: CameraState, buffer: Grabbed) -> NumberedBuffer:
+        """Number a buffer without a stamp: by its block id after the last one, else by its arrival."""
+        block, last = buffer.block_id, camera.last_block
+        if block is not None and last is not None and block > last:
+            by_block = camera.last_pulse + block - last
+            arrival = self._arrival_ns(camera, buffer)
+            if self.pulse_times.at(by_block) < arrival + OFF_PULSE * self._period_ns:
+                return self._numbered(camera, by_block, 0.0, buffer)
+        pulse = self.pulse_times.pulse_of(self._arrival_ns(camera, buffer))
+        return self._numbered(camera, max(pulse, camera.last_pulse + 1), 0.0, buffer)
+
+    def _numbered(
+        self, camera: CameraState, pulse: int, residual_ns: float, buffer: Grabbed
+    ) -> NumberedBuffer:
+        camera.last_block, camera.last_pulse = buffer.block_id, pulse
+        camera.counter.take(pulse, buffer)
+        return NumberedBuffer(camera.name, pulse, residual_ns, buffer)
