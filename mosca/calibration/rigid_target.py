@@ -26,9 +26,14 @@ from mosca.calibration.bundle.solver import (
     solve,
 )
 from mosca.calibration.bundle.systematic_errors import lasting_covariance, lasting_errors
-from mosca.calibration.initial.interior_orientation import CameraViews, LensChoice, Seen, starting_camera
 from mosca.calibration.initial.pose_graph import View, chain
 from mosca.calibration.initial.target_pose import PoseFit, poses_of
+from mosca.calibration.single_camera.interior_orientation import (
+    CameraViews,
+    LensChoice,
+    Seen,
+    starting_camera,
+)
 from mosca.calibration.targets.stationary_intervals import stands_of
 from mosca.camera.eccentricity import eccentricity_px
 from mosca.camera.projection import lens_directions

@@ -7,17 +7,17 @@ from typing import Generic, TypeGuard, TypeVar
 
 import numpy as np
 
-from mosca.calibration.initial.interior_orientation import LensChoice, plain_lens
 from mosca.calibration.quality.checks import judge
 from mosca.calibration.quality.limits import JudgeSettings
 from mosca.calibration.quality.report_data import evidence_of
 from mosca.calibration.quality.scale import LengthErrors, length_errors
-from mosca.calibration.read_session import Progress, sight
 from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
 from mosca.calibration.single_camera.adjust import check_lens
+from mosca.calibration.single_camera.interior_orientation import LensChoice, plain_lens
+from mosca.calibration.targets.read_session import Progress, sight
 from mosca.calibration.targets.reader import reader_of
-from mosca.calibration.wand.calibrate import calibrate_wand
-from mosca.calibration.wand.end_order import ordered
+from mosca.calibration.uncalibrated.end_order import ordered
+from mosca.calibration.uncalibrated.wand import calibrate_wand
 from mosca.calibration.world_frame.l_frame import in_axes, world_from_l_frame
 from mosca.data.arrays import Array
 from mosca.data.boards import Board

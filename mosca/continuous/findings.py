@@ -7,7 +7,7 @@ import numpy as np
 from mosca.camera.projection import project
 from mosca.continuous.association.associate import Gathered
 from mosca.continuous.estimator.estimate import Estimated
-from mosca.continuous.observations import Curves, Observations
+from mosca.continuous.model.observations import Curves, Observations
 from mosca.continuous.resample import residuals_px
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig

@@ -10,7 +10,7 @@ from mosca.continuous.association.coarse_sync import ClockTie
 from mosca.continuous.association.correspondence import observed
 from mosca.continuous.estimator.estimate import ContinuousSettings, Estimated, estimate
 from mosca.continuous.findings import late_cameras, on_curves_clock, told_of
-from mosca.continuous.observations import CameraPaths, Observations
+from mosca.continuous.model.observations import CameraPaths, Observations
 from mosca.continuous.resample import residuals_px, tracks_on_grid
 from mosca.data.arrays import Array
 from mosca.data.frames import FrameSource

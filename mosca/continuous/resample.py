@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from mosca.continuous.association.tracklet_merging import parts_in_time
-from mosca.continuous.moving_cameras.rig_at_time import images_of
-from mosca.continuous.observations import CameraPaths, Curves, Observations, UncertainCurves
+from mosca.continuous.model.observations import CameraPaths, Curves, Observations, UncertainCurves
+from mosca.continuous.model.rig_at_time import images_of
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks

@@ -14,10 +14,10 @@ from typing import Literal
 
 import numpy as np
 
-from mosca.calibration.world_frame.similarity import similarity
+from mosca.calibration.common.robust_fit import similarity
 from mosca.camera.projection import project
-from mosca.continuous.camera_paths import StillCameras
-from mosca.continuous.observations import CameraPaths, Curves, Observations
+from mosca.continuous.model.camera_paths import StillCameras
+from mosca.continuous.model.observations import CameraPaths, Curves, Observations
 from mosca.data.arrays import Array
 from mosca.data.motion.asf import read_asf_amc
 from mosca.data.motion.bvh import read_bvh

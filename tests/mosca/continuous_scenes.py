@@ -3,7 +3,7 @@
 import numpy as np
 
 from mosca.camera.projection import project
-from mosca.continuous.observations import Observations, no_carriers
+from mosca.continuous.model.observations import Observations, no_carriers
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 
 

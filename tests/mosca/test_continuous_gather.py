@@ -14,7 +14,7 @@ from mosca.continuous.association.frame_detections import Seen, check_rise
 from mosca.continuous.association.interpolated_tracks import SampledCurves
 from mosca.continuous.association.tracklet_merging import parts_in_time
 from mosca.continuous.association.tracklets_2d import Paths, strands
-from mosca.continuous.observations import Observations, no_carriers
+from mosca.continuous.model.observations import Observations, no_carriers
 from mosca.continuous.resample import residuals_px, tracks_on_grid
 from mosca.data.frames import CameraInfo
 from mosca.data.tracks import Tracks

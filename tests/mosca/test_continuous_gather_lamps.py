@@ -11,9 +11,9 @@ from mosca.continuous.association.associate import GatherSettings
 from mosca.continuous.association.blink_codes import NO_LAMP, LampSettings, blinking
 from mosca.continuous.association.frame_detections import Seen
 from mosca.continuous.estimator.estimate import ContinuousSettings
+from mosca.continuous.model.rig_at_time import MovingRig, images_at
 from mosca.continuous.moving_cameras.body_worn import Lamps, solve_worn
 from mosca.continuous.moving_cameras.mutual_pose import LampRays, lamp_rays, placed_by_lamps
-from mosca.continuous.moving_cameras.rig_at_time import MovingRig, images_at
 from mosca.correspondence.match import MatchSettings
 from mosca.data.frames import CameraInfo
 from mosca.data.lamp_codes import lamp_bits

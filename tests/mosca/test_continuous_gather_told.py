@@ -9,7 +9,7 @@ from continuous_sessions import Motion, rig, session
 from mosca.continuous.association.coarse_sync import rival, tied_clocks
 from mosca.continuous.association.tracklets_2d import strands
 from mosca.continuous.findings import late_cameras, told_of
-from mosca.continuous.observations import Observations, no_carriers
+from mosca.continuous.model.observations import Observations, no_carriers
 
 
 def test_another_top_of_like_height_is_a_rival():

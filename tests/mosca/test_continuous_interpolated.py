@@ -11,11 +11,11 @@ from scipy.optimize import approx_fprime, least_squares
 from scipy.spatial.transform import Rotation
 
 from mosca.camera.projection import project
-from mosca.continuous.baselines.initial_poses import first_scene, in_datum
-from mosca.continuous.baselines.interpolated import ImageTracks, common_instants, interpolated
-from mosca.continuous.baselines.moving_projection import sight, turned
-from mosca.continuous.baselines.synchronous import Scene, Views, adjust, intersected
-from mosca.continuous.camera_paths import PosedCameras, StillCameras
+from mosca.continuous.comparison_methods.initial_poses import first_scene, in_datum
+from mosca.continuous.comparison_methods.interpolated import ImageTracks, common_instants, interpolated
+from mosca.continuous.comparison_methods.moving_projection import sight, turned
+from mosca.continuous.comparison_methods.synchronous import Scene, Views, adjust, intersected
+from mosca.continuous.model.camera_paths import PosedCameras, StillCameras
 from mosca.data.motion.motion import PointMotion
 from mosca.data.rig import Camera, FisheyeLens, Pose
 from mosca.errors import InputError

@@ -8,8 +8,6 @@ import pytest
 from coded_views import View, paint
 from rigid_scenes import board_marks, carried, field_marks, ray_rms_px, seen, some_rig, stood
 
-from mosca.calibration.initial.interior_orientation import LensChoice
-from mosca.calibration.read_session import sight
 from mosca.calibration.session import (
     EstimateSettings,
     calibrate_frames,
@@ -19,6 +17,8 @@ from mosca.calibration.session import (
     on_axes,
     rigid_target,
 )
+from mosca.calibration.single_camera.interior_orientation import LensChoice
+from mosca.calibration.targets.read_session import sight
 from mosca.calibration.targets.reader import reader_of
 from mosca.camera.projection import project
 from mosca.data.boards import Board

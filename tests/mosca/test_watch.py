@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from mosca.calibration.monitoring.bump_detector import RigWatch, WatchSettings, changes
 from mosca.calibration.monitoring.reorient import Seen, common_shift, gather, reorient, reoriented
-from mosca.calibration.monitoring.residual_sums import frame_sums
+from mosca.calibration.monitoring.rotation_information import frame_sums
 from mosca.camera.projection import project
 from mosca.data.detections import Detections
 from mosca.data.rig import Pose, Rig

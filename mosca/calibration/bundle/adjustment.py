@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.calibration.bundle.datum import placed_points
+from mosca.calibration.bundle.inner_constraints import in_free_network, undetermined
 from mosca.calibration.bundle.kernels import LENS
 from mosca.calibration.bundle.layout import Layout
 from mosca.calibration.bundle.levenberg_marquardt import Solution, State, adjusted_cameras
-from mosca.calibration.bundle.network import in_free_network, undetermined
 from mosca.calibration.bundle.precision import precise
 from mosca.calibration.bundle.problem import Placements, Problem
 from mosca.data.arrays import Array, read_only

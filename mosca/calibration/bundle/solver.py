@@ -23,6 +23,7 @@ from mosca.calibration.bundle.adjustment import Adjustment, Precision, precision
 from mosca.calibration.bundle.data_snooping import snoop, without_lonely
 from mosca.calibration.bundle.datum import check_datum, generators, null_generators, weak_directions
 from mosca.calibration.bundle.initial_points import intersected
+from mosca.calibration.bundle.inner_constraints import diagonals, onto_given
 from mosca.calibration.bundle.kernels import CAUCHY, HUBER, LEAST_SQUARES, LENS, UNSEEN, weigh
 from mosca.calibration.bundle.layout import Layout, lay_out
 from mosca.calibration.bundle.levenberg_marquardt import (
@@ -40,7 +41,6 @@ from mosca.calibration.bundle.levenberg_marquardt import (
     residuals,
     state_of,
 )  # fmt: skip
-from mosca.calibration.bundle.network import diagonals, onto_given
 from mosca.calibration.bundle.priors import Priors, count, lens_priors, pulls
 from mosca.calibration.bundle.problem import (
     FOCAL,

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from mosca.calibration.monitoring.large_shift import LostImages
-from mosca.calibration.monitoring.residual_sums import FrameSums, frame_sums
+from mosca.calibration.monitoring.rotation_information import FrameSums, frame_sums
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.rig import Rig

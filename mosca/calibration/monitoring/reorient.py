@@ -7,8 +7,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from mosca.calibration.common.robust_fit import SIGMA_BY_MEDIAN_2D
 from mosca.calibration.monitoring.large_shift import REACH_PX
-from mosca.calibration.robust import SIGMA_BY_MEDIAN_2D
 from mosca.camera.projection import project, project_with_jacobians
 from mosca.data.arrays import Array, read_only
 from mosca.data.detections import Detections

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mosca.calibration.common.robust_fit import SIGMA_BY_MEDIAN_1D
 from mosca.calibration.quality.accuracy_map import measured_points
 from mosca.calibration.quality.findings import refuse, warn
 from mosca.calibration.quality.limits import JudgeSettings
-from mosca.calibration.robust import SIGMA_BY_MEDIAN_1D
 from mosca.camera.projection import project_with_jacobians
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding

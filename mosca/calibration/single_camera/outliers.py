@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from mosca.calibration.robust import SIGMA_BY_MEDIAN_2D
+from mosca.calibration.common.robust_fit import SIGMA_BY_MEDIAN_2D
 from mosca.calibration.single_camera.least_squares import (
     ROUGHLY_CONVERGED,
     Fit,

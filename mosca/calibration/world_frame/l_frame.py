@@ -6,10 +6,10 @@ from itertools import combinations
 
 import numpy as np
 
+from mosca.calibration.common.robust_fit import rigid
 from mosca.calibration.quality.accuracy_map import measured_points
 from mosca.calibration.quality.findings import refuse, warn
 from mosca.calibration.world_frame.l_frame_balls import Spots, best_match, spots
-from mosca.calibration.world_frame.similarity import rigid
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
 from mosca.data.detections import Detections

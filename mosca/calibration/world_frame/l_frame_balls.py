@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from mosca.calibration.world_frame.similarity import rigid
+from mosca.calibration.common.robust_fit import rigid
 from mosca.camera.projection import project, rays
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections

@@ -18,8 +18,8 @@ from mosca.continuous.association.frame_detections import LookCount, Seen, look_
 from mosca.continuous.association.interpolated_tracks import SampledCurves
 from mosca.continuous.association.tracklet_merging import joined
 from mosca.continuous.association.tracklets_2d import Paths, strands
-from mosca.continuous.moving_cameras.rig_at_time import MovingRig
-from mosca.continuous.observations import Curves, Observations
+from mosca.continuous.model.observations import Curves, Observations
+from mosca.continuous.model.rig_at_time import MovingRig
 from mosca.data.arrays import Array
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig

@@ -15,8 +15,8 @@ from mosca.continuous.association.coarse_sync import ClockTie
 from mosca.continuous.association.frame_detections import Seen
 from mosca.continuous.association.interpolated_tracks import SampledCurves
 from mosca.continuous.association.tracklets_2d import Paths, detections_at
-from mosca.continuous.moving_cameras.rig_at_time import MovingRig, RigAtEach, centres_at, images_at, images_of
-from mosca.continuous.observations import Curves, Observations, no_carriers
+from mosca.continuous.model.observations import Curves, Observations, no_carriers
+from mosca.continuous.model.rig_at_time import MovingRig, RigAtEach, centres_at, images_at, images_of
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, Detections
 from mosca.data.frames import FrameSet

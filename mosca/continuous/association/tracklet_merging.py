@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from mosca.continuous.association.interpolated_tracks import SampledCurves
-from mosca.continuous.observations import Observations
+from mosca.continuous.model.observations import Observations
 from mosca.data.arrays import Array
 from mosca.data.tracks import Tracks
 

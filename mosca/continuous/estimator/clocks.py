@@ -8,7 +8,7 @@ at least ``TELLS`` times more certain is held where it was, and said so.
 import numpy as np
 
 from mosca.continuous.estimator.state import Layout
-from mosca.continuous.result import Clock
+from mosca.continuous.model.estimated import Clock
 from mosca.data.arrays import Array
 
 BEFORE = (0.1, 1e-3, 1e-4)

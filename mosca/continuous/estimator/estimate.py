@@ -10,10 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from mosca.continuous.estimator import clocks as clock_rules
-from mosca.continuous.estimator.checks import check
 from mosca.continuous.estimator.constant_distances import NO_PAIRS, Pairs, find_pairs, joined, learned
 from mosca.continuous.estimator.gauss_newton import Solved, curves_of, draws, sigma0, step
-from mosca.continuous.estimator.initial import (
+from mosca.continuous.estimator.initial_state import (
     enough,
     first_covariance,
     first_knots,
@@ -22,18 +21,19 @@ from mosca.continuous.estimator.initial import (
     seen_from_to,
     still_of,
 )
+from mosca.continuous.estimator.input_checks import check
 from mosca.continuous.estimator.motion_prior import ORDERS, expected_accelerations, liveliness, shrunk
 from mosca.continuous.estimator.observation_equations import ImagePoints
 from mosca.continuous.estimator.residual_covariance import unheld
 from mosca.continuous.estimator.single_point import first_curves
 from mosca.continuous.estimator.state import Layout, State, layout
-from mosca.continuous.observations import CameraPaths, Curves, Observations
-from mosca.continuous.result import (
+from mosca.continuous.model.estimated import (
     Clock,
     ConstantDistance,
     ContinuousSettings,
     Estimated,
 )
+from mosca.continuous.model.observations import CameraPaths, Curves, Observations
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 

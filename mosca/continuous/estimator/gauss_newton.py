@@ -7,13 +7,13 @@ from scipy.linalg import LinAlgError
 
 from mosca.continuous.estimator import clocks
 from mosca.continuous.estimator.banded_normals import Band, Factor, Rows, solve_bordered
-from mosca.continuous.estimator.bspline import values
 from mosca.continuous.estimator.constant_distances import Pairs, limb_rows
 from mosca.continuous.estimator.motion_prior import FARTHEST_M, expected_accelerations
 from mosca.continuous.estimator.observation_equations import ImagePoints, Seen, robust_weights, weighted
 from mosca.continuous.estimator.state import Layout, State, replaced, unknowns
-from mosca.continuous.observations import Observations
-from mosca.continuous.result import SplineCurves
+from mosca.continuous.model.bspline import values
+from mosca.continuous.model.estimated import SplineCurves
+from mosca.continuous.model.observations import Observations
 from mosca.data.arrays import Array
 
 HALVINGS = 6

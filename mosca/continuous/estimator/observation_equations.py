@@ -6,9 +6,9 @@ import numpy as np
 
 from mosca.camera.projection import cross_matrices, lens_directions, project_with_jacobians
 from mosca.continuous.estimator.banded_normals import Rows
-from mosca.continuous.estimator.bspline import values
 from mosca.continuous.estimator.state import Layout, State, instants
-from mosca.continuous.observations import Observations
+from mosca.continuous.model.bspline import values
+from mosca.continuous.model.observations import Observations
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Pose, Rig
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 
 from mosca.continuous.estimator.banded_normals import Rows
-from mosca.continuous.estimator.bspline import Knots, fitted
 from mosca.continuous.estimator.motion_prior import ORDERS, one_point
 from mosca.continuous.estimator.observation_equations import ImagePoints, Seen, robust_weights, weighted
 from mosca.continuous.estimator.state import Layout, State
-from mosca.continuous.observations import Curves
+from mosca.continuous.model.bspline import Knots, fitted
+from mosca.continuous.model.observations import Curves
 from mosca.data.arrays import Array
 
 RAY_PASSES = 2

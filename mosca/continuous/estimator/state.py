@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mosca.continuous.camera_paths import StillCameras
-from mosca.continuous.estimator.bspline import Knots
-from mosca.continuous.result import SplinePaths
+from mosca.continuous.model.bspline import Knots
+from mosca.continuous.model.camera_paths import StillCameras
+from mosca.continuous.model.estimated import SplinePaths
 from mosca.data.arrays import Array
 from mosca.data.rotations import rotation_from_vector
 

@@ -20,12 +20,12 @@ from mosca.continuous.association.coarse_sync import common_clock
 from mosca.continuous.association.correspondence import common_instants, observed
 from mosca.continuous.association.frame_detections import LookCount, Seen, look_at_frames
 from mosca.continuous.association.tracklets_2d import strands
-from mosca.continuous.camera_paths import PosedCameras
 from mosca.continuous.estimator.estimate import ContinuousSettings, estimate
 from mosca.continuous.findings import told_of
+from mosca.continuous.model.camera_paths import PosedCameras
+from mosca.continuous.model.observations import CameraPaths, Curves, Observations
+from mosca.continuous.model.rig_at_time import MovingRig, images_at, lamp_places
 from mosca.continuous.moving_cameras.mutual_pose import Placed, lamp_rays, placed_by_lamps
-from mosca.continuous.moving_cameras.rig_at_time import MovingRig, images_at, lamp_places
-from mosca.continuous.observations import CameraPaths, Curves, Observations
 from mosca.continuous.reconstruct import BETTER_PX, CameraClock, Reconstructed
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.calibration.self_calibration.final_adjustment import finished
-from mosca.calibration.self_calibration.image_points import tracks_of
-from mosca.calibration.self_calibration.incremental import grow
-from mosca.calibration.self_calibration.result import calibration_of, check
-from mosca.calibration.self_calibration.seed import core
-from mosca.calibration.self_calibration.view_graph import check_links, common_bend
+from mosca.calibration.uncalibrated.final_adjustment import finished
+from mosca.calibration.uncalibrated.image_points import tracks_of
+from mosca.calibration.uncalibrated.incremental import grow
+from mosca.calibration.uncalibrated.result import calibration_of, check
+from mosca.calibration.uncalibrated.seed import core
+from mosca.calibration.uncalibrated.view_graph import check_links, common_bend
 from mosca.data.calibration import Calibration
 from mosca.data.rig import Lens
 from mosca.data.sightings import Sightings

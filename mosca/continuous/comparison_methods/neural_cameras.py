@@ -12,8 +12,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mosca.camera.projection import cross_matrices
-from mosca.continuous.baselines.moving_projection import turned
-from mosca.continuous.baselines.neural_net import Nets, Tangent, fitted
+from mosca.continuous.comparison_methods.moving_projection import turned
+from mosca.continuous.comparison_methods.neural_net import Nets, Tangent, fitted
 from mosca.data.arrays import Array
 
 MOST_PATTERNS, LEAST_SHARE = 40, 1e-7

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mosca.continuous.observations import Observations
+from mosca.continuous.model.observations import Observations
 from mosca.data.rig import Rig
 from mosca.errors import InputError
 

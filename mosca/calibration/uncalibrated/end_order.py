@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 
 from mosca.calibration.initial.projective import epipolar_distance, fundamental
-from mosca.calibration.self_calibration.image_points import Tracks, tracks_of
-from mosca.calibration.self_calibration.view_graph import FEWEST_COMMON, common_bend
+from mosca.calibration.uncalibrated.image_points import Tracks, tracks_of
+from mosca.calibration.uncalibrated.view_graph import FEWEST_COMMON, common_bend
 from mosca.data.arrays import Array
 from mosca.data.rig import Lens
 from mosca.data.sightings import Sightings

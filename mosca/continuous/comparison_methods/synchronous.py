@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from mosca.camera.projection import lens_directions
-from mosca.continuous.baselines.moving_projection import Sight, sight, turned
+from mosca.continuous.comparison_methods.moving_projection import Sight, sight, turned
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera
 

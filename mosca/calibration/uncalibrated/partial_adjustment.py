@@ -15,8 +15,8 @@ from mosca.calibration.bundle.solver import (
     Problem,
     solve,
 )  # fmt: skip
-from mosca.calibration.robust import SIGMA_BY_MEDIAN_1D, SIGMA_BY_MEDIAN_2D
-from mosca.calibration.self_calibration.image_points import Tracks
+from mosca.calibration.common.robust_fit import SIGMA_BY_MEDIAN_1D, SIGMA_BY_MEDIAN_2D
+from mosca.calibration.uncalibrated.image_points import Tracks
 from mosca.camera.projection import lens_directions, project
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera

@@ -3,8 +3,8 @@
 import numpy as np
 
 from mosca.calibration.initial.target_pose import poses_of
-from mosca.continuous.baselines.epipoles import TooFewPointsError, relative_pose
-from mosca.continuous.baselines.synchronous import Cameras, Scene, Views, adjust, intersected
+from mosca.continuous.comparison_methods.epipoles import TooFewPointsError, relative_pose
+from mosca.continuous.comparison_methods.synchronous import Cameras, Scene, Views, adjust, intersected
 from mosca.data.arrays import Array
 from mosca.data.rig import Pose
 from mosca.errors import InputError

@@ -7,7 +7,7 @@ from mosca.calibration.bundle.layout import Layout
 from mosca.calibration.bundle.levenberg_marquardt import Solution, State
 from mosca.calibration.bundle.precision import carry_down, carry_up
 from mosca.calibration.bundle.problem import Problem
-from mosca.calibration.world_frame.similarity import similarity
+from mosca.calibration.common.robust_fit import similarity
 from mosca.data.arrays import Array
 from mosca.errors import CalibrationError
 

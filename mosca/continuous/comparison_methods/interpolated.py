@@ -12,10 +12,10 @@ from typing import Literal
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
 
-from mosca.continuous.baselines.initial_poses import first_scene
-from mosca.continuous.baselines.synchronous import Cameras, Scene, Views, adjust, intersected
-from mosca.continuous.camera_paths import PosedCameras, StillCameras
-from mosca.continuous.observations import CameraPaths, Observations
+from mosca.continuous.comparison_methods.initial_poses import first_scene
+from mosca.continuous.comparison_methods.synchronous import Cameras, Scene, Views, adjust, intersected
+from mosca.continuous.model.camera_paths import PosedCameras, StillCameras
+from mosca.continuous.model.observations import CameraPaths, Observations
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 from mosca.errors import InputError

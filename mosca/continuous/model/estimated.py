@@ -6,8 +6,8 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mosca.continuous.camera_paths import PosedCameras, StillCameras
-from mosca.continuous.estimator.bspline import Knots, values
+from mosca.continuous.model.bspline import Knots, values
+from mosca.continuous.model.camera_paths import PosedCameras, StillCameras
 from mosca.data.arrays import Array
 
 

@@ -5,15 +5,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mosca.calibration.bundle.solver import Distances
-from mosca.calibration.self_calibration.calibrate import MOST_WHILE_GROWING, SelfSettings
-from mosca.calibration.self_calibration.final_adjustment import finished
-from mosca.calibration.self_calibration.image_points import Tracks, tracks_of
-from mosca.calibration.self_calibration.incremental import grow
-from mosca.calibration.self_calibration.network import CLEAR_SIGMAS, cleaned, intersected
-from mosca.calibration.self_calibration.result import calibration_of, check
-from mosca.calibration.self_calibration.view_graph import FEWEST_COMMON, check_links, common_bend
-from mosca.calibration.wand.end_order import ordered
-from mosca.calibration.wand.initial import wand_start
+from mosca.calibration.uncalibrated.end_order import ordered
+from mosca.calibration.uncalibrated.final_adjustment import finished
+from mosca.calibration.uncalibrated.image_points import Tracks, tracks_of
+from mosca.calibration.uncalibrated.incremental import grow
+from mosca.calibration.uncalibrated.initial_pair import wand_start
+from mosca.calibration.uncalibrated.partial_adjustment import CLEAR_SIGMAS, cleaned, intersected
+from mosca.calibration.uncalibrated.result import calibration_of, check
+from mosca.calibration.uncalibrated.self_calibration import MOST_WHILE_GROWING, SelfSettings
+from mosca.calibration.uncalibrated.view_graph import FEWEST_COMMON, check_links, common_bend
 from mosca.data.calibration import Calibration
 from mosca.data.rig import Camera, Lens
 from mosca.data.sightings import Sightings

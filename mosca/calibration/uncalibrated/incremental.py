@@ -7,11 +7,12 @@ adjusted (incremental reconstruction, Snavely et al. 2006).
 import numpy as np
 
 from mosca.calibration.bundle.solver import FOCAL
+from mosca.calibration.common.robust_fit import SIGMA_BY_MEDIAN_2D
 from mosca.calibration.initial.projective import fundamental
 from mosca.calibration.initial.resection import aim, resect
-from mosca.calibration.robust import SIGMA_BY_MEDIAN_2D
-from mosca.calibration.self_calibration.image_points import Tracks
-from mosca.calibration.self_calibration.network import (
+from mosca.calibration.uncalibrated.focal_pair import pair_guesses
+from mosca.calibration.uncalibrated.image_points import Tracks
+from mosca.calibration.uncalibrated.partial_adjustment import (
     CLEAR_SIGMAS,
     Network,
     cleaned,
@@ -19,8 +20,7 @@ from mosca.calibration.self_calibration.network import (
     residuals,
     rough,
 )
-from mosca.calibration.self_calibration.view_graph import FEWEST_COMMON, pair_geometry, refuse_groups
-from mosca.calibration.wand.focal_pair import pair_guesses
+from mosca.calibration.uncalibrated.view_graph import FEWEST_COMMON, pair_geometry, refuse_groups
 from mosca.camera.projection import lens_directions
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, OpenCVLens

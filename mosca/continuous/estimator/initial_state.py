@@ -5,11 +5,11 @@ from scipy.cluster.hierarchy import leaves_list, linkage
 from scipy.spatial.distance import squareform
 from scipy.spatial.transform import Rotation
 
-from mosca.continuous.camera_paths import PosedCameras, StillCameras
-from mosca.continuous.estimator.bspline import Knots, fitted, knots_over, values
 from mosca.continuous.estimator.state import Layout, State
-from mosca.continuous.observations import CameraPaths, Observations
-from mosca.continuous.result import ContinuousSettings, SplinePaths
+from mosca.continuous.model.bspline import Knots, fitted, knots_over, values
+from mosca.continuous.model.camera_paths import PosedCameras, StillCameras
+from mosca.continuous.model.estimated import ContinuousSettings, SplinePaths
+from mosca.continuous.model.observations import CameraPaths, Observations
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 from mosca.errors import InputError

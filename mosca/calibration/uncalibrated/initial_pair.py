@@ -3,10 +3,11 @@
 import numpy as np
 
 from mosca.calibration.bundle.solver import FOCAL
-from mosca.calibration.self_calibration.image_points import Tracks
-from mosca.calibration.self_calibration.incremental import ROUGH_LENS, WORST_MISFIT, wand_ends
-from mosca.calibration.self_calibration.network import Network, rough
-from mosca.calibration.self_calibration.view_graph import (
+from mosca.calibration.uncalibrated.focal_pair import pair_guesses
+from mosca.calibration.uncalibrated.image_points import Tracks
+from mosca.calibration.uncalibrated.incremental import ROUGH_LENS, WORST_MISFIT, wand_ends
+from mosca.calibration.uncalibrated.partial_adjustment import Network, rough
+from mosca.calibration.uncalibrated.view_graph import (
     FEWEST_COMMON,
     LEAST_INLIERS,
     LITTLE_DEPTH,
@@ -14,7 +15,6 @@ from mosca.calibration.self_calibration.view_graph import (
     pair_geometry,
     strongest_pairs,
 )
-from mosca.calibration.wand.focal_pair import pair_guesses
 from mosca.data.rig import Camera, Pose
 from mosca.errors import CalibrationError
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mosca.calibration.common.robust_fit import SIGMA_BY_MEDIAN_1D
 from mosca.calibration.initial.projective import FOCAL_RANGE, minima
-from mosca.calibration.robust import SIGMA_BY_MEDIAN_1D
 from mosca.data.arrays import Array
 from mosca.data.rig import Pose
 

@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mosca.continuous.baselines.interpolated import Interpolated
-from mosca.continuous.baselines.moving_projection import sight
-from mosca.continuous.baselines.neural_cameras import NetPoses, PoseModel, SteadyPoses
-from mosca.continuous.baselines.neural_net import Nets, Tangent, damped_solve, fitted
-from mosca.continuous.baselines.synchronous import Cameras
-from mosca.continuous.observations import Observations
+from mosca.continuous.comparison_methods.interpolated import Interpolated
+from mosca.continuous.comparison_methods.moving_projection import sight
+from mosca.continuous.comparison_methods.neural_cameras import NetPoses, PoseModel, SteadyPoses
+from mosca.continuous.comparison_methods.neural_net import Nets, Tangent, damped_solve, fitted
+from mosca.continuous.comparison_methods.synchronous import Cameras
+from mosca.continuous.model.observations import Observations
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from mosca.calibration.bundle.solver import FOCAL, BundleSettings
-from mosca.calibration.self_calibration.image_points import Tracks
-from mosca.calibration.self_calibration.network import CLEAR_SIGMAS, Network, cleaned, imaged, network
+from mosca.calibration.uncalibrated.image_points import Tracks
+from mosca.calibration.uncalibrated.partial_adjustment import CLEAR_SIGMAS, Network, cleaned, imaged, network
 from mosca.camera.projection import fit_lens, lens_directions
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Lens, MoscaLens, OpenCVLens

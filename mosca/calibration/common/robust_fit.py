@@ -1,8 +1,15 @@
-"""The motion, or motion and stretch, that brings points nearest to others."""
+"""Standard deviations from medians, which outliers hardly move, and similarity transforms between point sets."""
+
+from math import log, sqrt
 
 from mosca.data.arrays import Array
 from mosca.data.rig import Pose
 from mosca.data.rotations import nearest_rotation
+
+SIGMA_BY_MEDIAN_1D = 1.4826
+"""Standard deviation over the median of the absolute error in one dimension: 1 / (upper quartile of N(0, 1))."""
+SIGMA_BY_MEDIAN_2D = 1 / sqrt(2 * log(2))
+"""Standard deviation of one coordinate over the median length of the error in two dimensions (Rayleigh), 0.849."""
 
 
 def similarity(source: Array, target: Array, with_scale: bool = True) -> tuple[float, Pose]:

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from mosca.calibration.quality.findings import note, warn
-from mosca.calibration.self_calibration.final_adjustment import Final, depths, focal_sigmas
-from mosca.calibration.self_calibration.image_points import Tracks
-from mosca.calibration.self_calibration.network import residuals
-from mosca.calibration.self_calibration.view_graph import FEWEST_POINTS
+from mosca.calibration.uncalibrated.final_adjustment import Final, depths, focal_sigmas
+from mosca.calibration.uncalibrated.image_points import Tracks
+from mosca.calibration.uncalibrated.partial_adjustment import residuals
+from mosca.calibration.uncalibrated.view_graph import FEWEST_POINTS
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
 from mosca.data.rig import Camera, Rig, principal_distances_px, principal_point_px

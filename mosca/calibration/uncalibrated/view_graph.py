@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mosca.calibration.initial.projective import Robust, fundamental, plane_misfit
-from mosca.calibration.self_calibration.image_points import Tracks
+from mosca.calibration.uncalibrated.image_points import Tracks
 from mosca.data.arrays import Array
 from mosca.errors import CalibrationError
 

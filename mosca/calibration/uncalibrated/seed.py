@@ -10,10 +10,10 @@ import numpy as np
 from mosca.calibration.bundle.solver import FOCAL
 from mosca.calibration.initial.metric_upgrade import Metric, Projective, grown, metric_guesses, pair_matrices
 from mosca.calibration.initial.projective import epipolar_distance, intersect, plane_misfit
-from mosca.calibration.self_calibration.image_points import Tracks
-from mosca.calibration.self_calibration.incremental import ROUGH_LENS, WORST_MISFIT
-from mosca.calibration.self_calibration.network import Network, rough
-from mosca.calibration.self_calibration.view_graph import (
+from mosca.calibration.uncalibrated.image_points import Tracks
+from mosca.calibration.uncalibrated.incremental import ROUGH_LENS, WORST_MISFIT
+from mosca.calibration.uncalibrated.partial_adjustment import Network, rough
+from mosca.calibration.uncalibrated.view_graph import (
     LEAST_INLIERS,
     LITTLE_DEPTH,
     flat,

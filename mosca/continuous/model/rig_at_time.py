@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mosca.camera.projection import lens_pixels
-from mosca.continuous.observations import CameraPaths, Curves
+from mosca.continuous.model.observations import CameraPaths, Curves
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.rig import Camera, Pose, Rig
