@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mosca.calibration.bundle.kernels import imaged
-from mosca.calibration.bundle.layout import lay_out
+from mosca.calibration.bundle.layout import layout_of
 from mosca.calibration.bundle.lenses import FOLD, IMAGED, L, image, lens_row
 from mosca.calibration.bundle.levenberg_marquardt import empty_normals, first_state, moved, reduced
 from mosca.calibration.bundle.normals import linearise
 from mosca.calibration.bundle.priors import lens_priors, pulls
-from mosca.calibration.bundle.rotations import weighted_blocks
+from mosca.calibration.bundle.rotations import observed_blocks
 from mosca.calibration.bundle.solver import (
     BundleSettings,
     CameraUnknowns,
@@ -229,14 +229,14 @@ def disturbed(problem, layout, state, seed=5):
 
 def test_normal_equations_of_every_kind_of_unknown():
     problem = everything()
-    layout = lay_out(problem)
+    layout = layout_of(problem)
     state = disturbed(problem, layout, first_state(problem, layout))
     residuals, jacobian = dense(problem, layout, state)
     normals = empty_normals(layout)
     cost, unseen = linearise(
         state, layout.see, layout.columns, layout.blocks, layout.known, (0, 1.0), normals
     )
-    cost += weighted_blocks(state, layout.blocks, layout.known, normals)
+    cost += observed_blocks(state, layout.blocks, layout.known, normals)
     pull, more = pulls(problem, layout, lens_priors(problem, layout), state)
     assert unseen == 0
     assert cost + more == pytest.approx(residuals @ residuals, rel=1e-10)
@@ -262,7 +262,7 @@ def test_normal_equations_of_every_kind_of_unknown():
 @pytest.mark.parametrize("robust", [(0, 1.0), (1, 4.0), (2, 4.0)])
 def test_what_a_camera_does_not_image_costs_and_pulls_nothing(robust):
     problem = everything()
-    layout = lay_out(problem)
+    layout = layout_of(problem)
     state = disturbed(problem, layout, first_state(problem, layout))
     # some points far behind one camera or another, one in a camera, one nowhere
     rng = np.random.default_rng(3)
@@ -293,7 +293,7 @@ def test_what_a_camera_does_not_image_costs_and_pulls_nothing(robust):
 def test_covariances_and_redundancy_numbers_are_those_of_the_dense_inverse():
     problem = everything(free=FEW)
     done = solve(problem, BundleSettings(tolerance=1e-6, hold_weak=False))
-    layout = lay_out(problem)
+    layout = layout_of(problem)
     from mosca.calibration.bundle.solver import _state_of
 
     state = _state_of(problem, layout, done)

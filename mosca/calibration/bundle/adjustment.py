@@ -7,7 +7,7 @@ import numpy as np
 from mosca.calibration.bundle.datum import placed_points
 from mosca.calibration.bundle.inner_constraints import in_free_network, undetermined
 from mosca.calibration.bundle.kernels import LENS
-from mosca.calibration.bundle.layout import Layout
+from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.calibration.bundle.levenberg_marquardt import Solution, State, adjusted_cameras
 from mosca.calibration.bundle.precision import precise
 from mosca.calibration.bundle.problem import Placements, Problem
@@ -88,7 +88,7 @@ class Adjustment:
         return np.asarray(self.precision.covariance / np.outer(sigma, sigma))
 
 
-def tested(layout: Layout, solution: Solution, robust: tuple[int, float]) -> tuple[Array, Array]:
+def tested(layout: NormalsLayout, solution: Solution, robust: tuple[int, float]) -> tuple[Array, Array]:
     """Return the cofactors of the blocks, flat, and the tests (n, 7) of the sorted image points
     (``precise``).
     """
@@ -104,7 +104,7 @@ def tested(layout: Layout, solution: Solution, robust: tuple[int, float]) -> tup
 
 def precision_of(
     problem: Problem,
-    layout: Layout,
+    layout: NormalsLayout,
     solution: Solution,
     cofactors: Array,
     tests: Array,
@@ -151,7 +151,7 @@ def precision_of(
     )
 
 
-def _by_point(layout: Layout, cofactors: Array) -> Array:
+def _by_point(layout: NormalsLayout, cofactors: Array) -> Array:
     """Return the cofactors (m, 3, 3) of the eliminated points, from those of their blocks, flat."""
     dim, at_v = layout.blocks[0], layout.blocks[4]
     _, block, offset = layout.blocks[-1].T
@@ -162,7 +162,7 @@ def _by_point(layout: Layout, cofactors: Array) -> Array:
 
 
 def _by_camera(
-    problem: Problem, layout: Layout, state: State, used: Array, tests: Array, numbers: Array
+    problem: Problem, layout: NormalsLayout, state: State, used: Array, tests: Array, numbers: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Return sigma x, y [px] and sigma x, y [m] of each camera (c,)."""
     camera, table = layout.see[0], state[0]

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from mosca.calibration.bundle.layout import Layout
+from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.calibration.bundle.levenberg_marquardt import Solution
 from mosca.data.arrays import Array
 
@@ -23,7 +23,7 @@ Test = Callable[[Solution], tuple[Array, float, int]]
 """Of a solution: statistics v^T Q_vv^-1 v (n,) in a-priori units, sum of squares, redundancy."""
 
 
-def without_lonely(layout: Layout, weight: Array) -> Array:
+def without_lonely(layout: NormalsLayout, weight: Array) -> Array:
     """Return the weights (n,) with 0 for the image points of points and placements that too few of them
     determine.
     """
@@ -49,7 +49,7 @@ def without_lonely(layout: Layout, weight: Array) -> Array:
 
 
 def snoop(
-    layout: Layout, solution: Solution, significance: float, solve: Solve, test: Test
+    layout: NormalsLayout, solution: Solution, significance: float, solve: Solve, test: Test
 ) -> tuple[Solution, Array]:
     """Return the solution without blunders and which sorted image points (n,) were rejected.
 
@@ -69,7 +69,7 @@ def snoop(
 
 
 def _without_worst(
-    layout: Layout, solution: Solution, rejected: Array, level: float, solve: Solve, test: Test
+    layout: NormalsLayout, solution: Solution, rejected: Array, level: float, solve: Solve, test: Test
 ) -> tuple[Solution, Array]:
     block = layout.block_of
     # observations that touch no block influence each other through their camera
@@ -92,5 +92,5 @@ def _without_worst(
     return solution, rejected
 
 
-def _weights(layout: Layout, rejected: Array) -> Array:
+def _weights(layout: NormalsLayout, rejected: Array) -> Array:
     return without_lonely(layout, np.where(rejected, 0.0, layout.see[4]))

@@ -7,7 +7,7 @@ known in closed form (``generators``); which of them nothing fixes is read off t
 import numpy as np
 
 from mosca.calibration.bundle.kernels import LENS
-from mosca.calibration.bundle.layout import Layout
+from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.calibration.bundle.lenses import influence
 from mosca.calibration.bundle.priors import LensPrior, Priors, free_lens_parameters
 from mosca.calibration.bundle.problem import Problem
@@ -39,7 +39,7 @@ def point_motions(points: Array) -> Array:
     return motions
 
 
-def placed_points(layout: Layout, state: tuple[Array, ...], which: slice) -> Array:
+def placed_points(layout: NormalsLayout, state: tuple[Array, ...], which: slice) -> Array:
     """Return the points in the world [m] of the observations ``which`` of the sorted ones."""
     _, points, placements = state
     place = points[layout.see[1][which]]
@@ -52,7 +52,7 @@ def placed_points(layout: Layout, state: tuple[Array, ...], which: slice) -> Arr
     return np.asarray(place)
 
 
-def generators(layout: Layout, state: tuple[Array, ...]) -> Array:
+def generators(layout: NormalsLayout, state: tuple[Array, ...]) -> Array:
     """Return how the unknowns of the reduced system move (u, 7) by the common motions, in this order."""
     table, points, _ = state
     rotation, position = table[:, :9].reshape(-1, 3, 3), table[:, 9:LENS]
@@ -100,7 +100,12 @@ def check_datum(problem: Problem, loose: int) -> None:
 
 
 def weak_directions(
-    problem: Problem, layout: Layout, state: tuple[Array, ...], matrix: Array, variance: float, priors: Priors
+    problem: Problem,
+    layout: NormalsLayout,
+    state: tuple[Array, ...],
+    matrix: Array,
+    variance: float,
+    priors: Priors,
 ) -> tuple[tuple[str, ...], Priors]:
     """Return the names of weakly determined unknowns, and a prior for the worst parameter of each lens with
     some.
@@ -134,7 +139,7 @@ def weak_directions(
     return tuple(layout.names[k] for k in weak), more
 
 
-def _plausible(problem: Problem, layout: Layout, state: tuple[Array, ...]) -> Array:
+def _plausible(problem: Problem, layout: NormalsLayout, state: tuple[Array, ...]) -> Array:
     """Return what is plausible (u,) of each unknown of the reduced system as a standard deviation beforehand."""
     table = state[0]
     out = np.full(len(layout.names) + 1, PLAUSIBLE_SHARE)

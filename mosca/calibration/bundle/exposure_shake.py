@@ -27,7 +27,7 @@ from scipy.sparse.linalg import SuperLU, splu
 from mosca.calibration.bundle.adjustment import Adjustment
 from mosca.calibration.bundle.initial_points import intersected
 from mosca.calibration.bundle.kernels import BY_OWN, BY_TURN, BY_WORLD, LEAST_SQUARES, OBSERVED, observe
-from mosca.calibration.bundle.layout import Layout, lay_out
+from mosca.calibration.bundle.layout import NormalsLayout, layout_of
 from mosca.calibration.bundle.lenses import FAST
 from mosca.calibration.bundle.levenberg_marquardt import Task, empty_normals, linearised, reduced, state_of
 from mosca.calibration.bundle.precision import by_unknowns, carry_down
@@ -111,7 +111,7 @@ def shaken_covariance(problem: Problem, adjustment: Adjustment, exposure: Array,
 
 
 @dataclass(frozen=True, eq=False)
-class Shifts:
+class ExposureShifts:
     """The shakes of i images (2 each) beside the unknowns of an adjustment.
 
     ``image_of`` (n,) image of each observation, ``z`` (n, 2, 2) how it moves with its image's shakes, mixed so that
@@ -145,7 +145,7 @@ class _Solver:
     shifts is ``normal`` (scaled as the cofactors); ``x_g`` (2i, u) the sparse part's solution for ``g``.
     """
 
-    shifts: Shifts
+    shifts: ExposureShifts
     ratio: float
     e: Array
     blocks: SuperLU | None
@@ -153,7 +153,7 @@ class _Solver:
     normal: Array
 
     @classmethod
-    def of(cls, shifts: Shifts, ratio: float) -> "_Solver":
+    def of(cls, shifts: ExposureShifts, ratio: float) -> "_Solver":
         e = 1 / (shifts.d + ratio)
         inner = csc_array(shifts.v - shifts.s.T @ diags_array(e) @ shifts.s)
         blocks = splu(inner) if inner.shape[0] else None
@@ -178,7 +178,7 @@ class _Solver:
         return total
 
 
-def _sparse_part(shifts: Shifts, e: Array, blocks: SuperLU | None, z: Array) -> Array:
+def _sparse_part(shifts: ExposureShifts, e: Array, blocks: SuperLU | None, z: Array) -> Array:
     """Return (D + ratio - S V^-1 S^T)^-1 z for z (2i, k), by Woodbury's identity."""
     x = e[:, None] * z
     if blocks is None:
@@ -186,13 +186,15 @@ def _sparse_part(shifts: Shifts, e: Array, blocks: SuperLU | None, z: Array) -> 
     return np.asarray(x + e[:, None] * (shifts.s @ blocks.solve(shifts.s.T @ x)))
 
 
-def shifts_of(problem: Problem, adjustment: Adjustment, exposure: Array, even: bool = False) -> Shifts:
+def shifts_of(
+    problem: Problem, adjustment: Adjustment, exposure: Array, even: bool = False
+) -> ExposureShifts:
     """Return the shakes of the images beside the adjustment's unknowns.
 
     ``even``: as shifts that are alike at all points of an image, not as turns of its camera.
     """
     assert adjustment.precision is not None
-    layout = lay_out(problem)
+    layout = layout_of(problem)
     points = intersected(
         adjustment.cameras, layout, np.where(np.isfinite(adjustment.points), adjustment.points, 0.0)
     )
@@ -229,7 +231,7 @@ def shifts_of(problem: Problem, adjustment: Adjustment, exposure: Array, even: b
     u = np.column_stack([np.bincount(of, pulled[:, k], len(image)) for k in (0, 1)])
     cofactors = np.asarray(adjustment.precision.covariance) / max(adjustment.sigma0**2, 1e-300)
     scale = np.sqrt(np.diag(cofactors))
-    return Shifts(
+    return ExposureShifts(
         of,
         z,
         np.bincount(of[used], minlength=len(image)),
@@ -277,7 +279,7 @@ def _by_shakes(
     return z @ mix[image_of], d.ravel()
 
 
-def _block_matrices(layout: Layout, flat: Array, inverse: Array) -> tuple[csc_array, csc_array, Array]:
+def _block_matrices(layout: NormalsLayout, flat: Array, inverse: Array) -> tuple[csc_array, csc_array, Array]:
     """Return the blocks' normal matrix and its inverse (q, q), and which unknowns (q,) nothing determines."""
     dim, first_value, first = layout.blocks[0], layout.blocks[4], layout.blocks[5]
     block = np.repeat(np.arange(len(dim)), dim * dim)
@@ -290,7 +292,9 @@ def _block_matrices(layout: Layout, flat: Array, inverse: Array) -> tuple[csc_ar
     return csc_array(coo_array((kept, at), shape=shape)), v_inverse, open_
 
 
-def _with_blocks(layout: Layout, image: Array, by_block: Array, images: int, open_: Array) -> csr_array:
+def _with_blocks(
+    layout: NormalsLayout, image: Array, by_block: Array, images: int, open_: Array
+) -> csr_array:
     """Return Z^T W A of the blocks (2 images, q), from what each sorted observation gives to it (n, 2, 6)."""
     dim, first = layout.blocks[0], layout.blocks[5]
     block = layout.block_of

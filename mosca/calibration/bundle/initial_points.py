@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mosca.calibration.bundle.layout import Layout
+from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.camera.projection import lens_directions
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera
@@ -13,7 +13,7 @@ LEAST_CROSSING = 1e-5
 
 
 def intersected(
-    cameras: tuple[Camera, ...], layout: Layout, points: Array, fallback: Array | None = None
+    cameras: tuple[Camera, ...], layout: NormalsLayout, points: Array, fallback: Array | None = None
 ) -> Array:
     """Return points (p, 3) with the eliminated ones that are NaN replaced by the point nearest to their rays.
 

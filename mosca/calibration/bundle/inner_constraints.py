@@ -3,7 +3,7 @@
 import numpy as np
 
 from mosca.calibration.bundle.datum import generators, point_motions
-from mosca.calibration.bundle.layout import Layout
+from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.calibration.bundle.levenberg_marquardt import Solution, State
 from mosca.calibration.bundle.precision import carry_down, carry_up
 from mosca.calibration.bundle.problem import Problem
@@ -12,7 +12,7 @@ from mosca.data.arrays import Array
 from mosca.errors import CalibrationError
 
 
-def diagonals(layout: Layout, matrices: Array) -> Array:
+def diagonals(layout: NormalsLayout, matrices: Array) -> Array:
     """Return the diagonal elements of all blocks of ``matrices``, one after the other."""
     dim, at_v = layout.blocks[0], layout.blocks[4]
     block = np.repeat(np.arange(len(dim)), dim)
@@ -20,7 +20,7 @@ def diagonals(layout: Layout, matrices: Array) -> Array:
     return np.asarray(matrices[at_v[block] + inside * (dim[block] + 1)])
 
 
-def undetermined(layout: Layout, inverse: Array) -> Array:
+def undetermined(layout: NormalsLayout, inverse: Array) -> Array:
     """Return which eliminated points and then placements (m + f,) have a direction that nothing determines."""
     loose = diagonals(layout, inverse) <= 0
     points = 3 * len(layout.members)
@@ -29,13 +29,13 @@ def undetermined(layout: Layout, inverse: Array) -> Array:
     )
 
 
-def datum_mask(problem: Problem, layout: Layout, inverse: Array) -> Array:
+def datum_mask(problem: Problem, layout: NormalsLayout, inverse: Array) -> Array:
     """Return which eliminated points (m,) carry the datum of a free network: chosen, and determined."""
     mask = ~undetermined(layout, inverse)[: len(layout.members)]
     return mask if problem.datum_points is None else mask & problem.datum_points[layout.members]
 
 
-def onto_given(problem: Problem, layout: Layout, solution: Solution, given: State) -> State:
+def onto_given(problem: Problem, layout: NormalsLayout, solution: Solution, given: State) -> State:
     """Return the network moved so that its datum points neither shift, turn nor stretch against their given
     values.
 
@@ -66,7 +66,7 @@ def onto_given(problem: Problem, layout: Layout, solution: Solution, given: Stat
 
 
 def in_free_network(
-    problem: Problem, layout: Layout, solution: Solution, by_point: Array
+    problem: Problem, layout: NormalsLayout, solution: Solution, by_point: Array
 ) -> tuple[Array, Array]:
     """Carry cofactors into the datum of the points (S-transformation, Baarda 1973): x' = x - G (G_d^T G_d)^-1
     G_d^T x_d.

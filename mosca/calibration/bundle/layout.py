@@ -16,14 +16,14 @@ from mosca.data.arrays import Array, looked_at
 from mosca.errors import CalibrationError
 
 POSE_NAMES = ("turn_x_rad", "turn_y_rad", "turn_z_rad", "X_m", "Y_m", "Z_m")
-MOST_JOINED = 16
+MOST_JOINED_POINTS = 16
 """Points joined by distances up to this number are one block; more stay in the reduced system."""
 LANE = 4
 """Groups' columns are padded to multiples of this, so that compiled loops run over whole vectors."""
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class NormalsLayout:
     """The structure of a problem.
 
     ``see``, ``columns``, ``blocks`` and ``known`` are the kernels'; ``order`` (n,) sorts the problem's
@@ -56,7 +56,7 @@ class Layout:
         return self.see[-1]
 
 
-def lay_out(problem: Problem) -> Layout:
+def layout_of(problem: Problem) -> NormalsLayout:
     """Return the structure of ``problem``. CalibrationError for a camera that sees nothing or a point without
     start.
     """
@@ -91,7 +91,7 @@ def lay_out(problem: Problem) -> Layout:
     rank = _alike_together(dim, len(sizes), block, see.camera)
     block, dim[rank] = rank[block], dim.copy()
     home, pose_block = rank[home], rank[pose_block]
-    members = members[np.argsort(home[members] * (3 * MOST_JOINED) + offset[members])]
+    members = members[np.argsort(home[members] * (3 * MOST_JOINED_POINTS) + offset[members])]
     placed = placed[np.argsort(pose_block[placed])]
 
     index, names, kept, columns, lens_places, lens_factors = _groups(problem, np.flatnonzero(kept_mask))
@@ -108,7 +108,9 @@ def lay_out(problem: Problem) -> Layout:
     run = np.repeat(np.arange(len(runs) - 1), np.diff(runs))[block]
     # of a run first all that one camera sees, so that strips are long
     part = np.where(on_thing[order], 0, offset[point])
-    own = sorted_by(camera * MOST_JOINED + part // 3, cameras * MOST_JOINED, np.arange(len(see)))
+    own = sorted_by(
+        camera * MOST_JOINED_POINTS + part // 3, cameras * MOST_JOINED_POINTS, np.arange(len(see))
+    )
     own = sorted_by(run, len(runs), own)
     order, block, camera, point, part = order[own], block[own], camera[own], point[own], part[own]
     slot, kept_slot, kept_group = slot[own], kept_slot[own], kept_group[own]
@@ -147,7 +149,7 @@ def lay_out(problem: Problem) -> Layout:
         kept_slot,
         block,
     )
-    return Layout(
+    return NormalsLayout(
         sorted_see, columns, blocks, known, order, index, names, members, placed, kept, kept_rods,
         lens_places, lens_factors, pair_of, pairs,
     )  # fmt: skip
@@ -229,7 +231,7 @@ def _kept(problem: Problem, on_thing: Array, rods: Distances) -> tuple[Array, Ar
         joined = joined[~held[joined]]
         label[joined] = component[joined]
         size = np.bincount(label[joined], minlength=len(held))
-        stays = size > MOST_JOINED
+        stays = size > MOST_JOINED_POINTS
         stays[label[kept & (label >= 0)]] = True
         kept[joined] |= stays[label[joined]]
     if not np.isfinite(problem.points.xyz[kept]).all():

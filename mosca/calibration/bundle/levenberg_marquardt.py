@@ -12,13 +12,13 @@ from scipy.linalg.lapack import dposv
 
 from mosca.calibration.bundle.initial_points import intersected
 from mosca.calibration.bundle.kernels import LENS, imaged
-from mosca.calibration.bundle.layout import Layout
+from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.calibration.bundle.lenses import lens_of, lens_row, set_folds
 from mosca.calibration.bundle.normals import linearise
 from mosca.calibration.bundle.priors import Priors, pulls
 from mosca.calibration.bundle.problem import Placements, Problem
 from mosca.calibration.bundle.reduction import back_substitute, reduce_to_groups, scatter
-from mosca.calibration.bundle.rotations import turn_on, weighted_blocks
+from mosca.calibration.bundle.rotations import observed_blocks, rotate_by
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Pose
 
@@ -52,7 +52,7 @@ class Task:
     """
 
     problem: Problem
-    layout: Layout
+    layout: NormalsLayout
     priors: Priors
     robust: tuple[int, float]
     tolerance: float
@@ -89,7 +89,7 @@ class Solution:
     motions: int
 
 
-def first_state(problem: Problem, layout: Layout) -> State:
+def first_state(problem: Problem, layout: NormalsLayout) -> State:
     """Return the starting values; points without are intersected from their rays."""
     cameras = tuple(one.camera for one in problem.cameras)
     points = intersected(cameras, layout, np.array(problem.points.xyz))
@@ -126,20 +126,20 @@ def placed_again(
     return again if (~worse[lost]).any() else None
 
 
-def _distances(layout: Layout, residual: Array, weight: Array) -> Array:
+def _distances(layout: NormalsLayout, residual: Array, weight: Array) -> Array:
     """Return how far (n,) points of the world are from where they are seen, in standard deviations."""
     away = np.nan_to_num(np.hypot(residual[:, 0], residual[:, 1]) * weight, nan=NOWHERE)
     return np.where((weight > 0) & (layout.see[2] < 0), away, 0.0)
 
 
-def residuals(layout: Layout, state: State) -> Array:
+def residuals(layout: NormalsLayout, state: State) -> Array:
     """Return projected minus observed (n, 2) [px] of the sorted image points, NaN where not imaged."""
     out = np.empty((len(layout.order), 2))
     imaged(state, layout.see, out)
     return out
 
 
-def adjusted_cameras(problem: Problem, layout: Layout, state: State) -> tuple[Camera, ...]:
+def adjusted_cameras(problem: Problem, layout: NormalsLayout, state: State) -> tuple[Camera, ...]:
     """Return the cameras of a state."""
     table = state[0]
     return tuple(
@@ -169,7 +169,7 @@ def state_of(problem: Problem, cameras: Sequence[Camera], points: Array, placeme
 
 
 def reduced(
-    layout: Layout, normals: Normals, pull: tuple[Array, Array] | None, damping: float, inverse: Array
+    layout: NormalsLayout, normals: Normals, pull: tuple[Array, Array] | None, damping: float, inverse: Array
 ) -> tuple[Array, Array]:
     """Return the reduced normal matrix (u, u) and slope (u,); write the inverse blocks into ``inverse``."""
     unknowns, width = len(layout.names), layout.index.shape[1]
@@ -237,7 +237,7 @@ def linearised(
     see = (*layout.see[:4], weight, *layout.see[5:])
     cost, unseen = linearise(state, see, layout.columns, layout.blocks, layout.known, task.robust, normals)
     if layout.known[1].size or layout.known[4].size:
-        cost += weighted_blocks(state, layout.blocks, layout.known, normals)
+        cost += observed_blocks(state, layout.blocks, layout.known, normals)
     pull, more = pulls(task.problem, layout, task.priors, state)
     return float(cost) + more, int(unseen), pull
 
@@ -266,14 +266,14 @@ def _step(
     return (group_step, block_step), promised
 
 
-def moved(layout: Layout, state: State, group_step: Array, block_step: Array) -> State | None:
+def moved(layout: NormalsLayout, state: State, group_step: Array, block_step: Array) -> State | None:
     """Return ``state`` after steps of the groups (groups, K) and blocks; None for a scale of a lens not above
     0.
     """
     cameras, points, placements = state
     cameras = cameras.copy()
     steps = group_step[: len(cameras)]
-    turn_on(cameras, np.ascontiguousarray(steps[:, :3]))
+    rotate_by(cameras, np.ascontiguousarray(steps[:, :3]))
     cameras[:, 9:LENS] += steps[:, 3:6]
     if len(layout.lens_places):
         group, place, parameter = layout.lens_places.T
@@ -289,14 +289,14 @@ def moved(layout: Layout, state: State, group_step: Array, block_step: Array) ->
     if len(layout.placed):
         steps = block_step[3 * len(layout.members) :].reshape(-1, 6)
         moved = placements[layout.placed]
-        turn_on(moved, np.ascontiguousarray(steps[:, :3]))
+        rotate_by(moved, np.ascontiguousarray(steps[:, :3]))
         moved[:, 9:] += steps[:, 3:]
         placements = placements.copy()
         placements[layout.placed] = moved
     return cameras, points, placements
 
 
-def empty_normals(layout: Layout) -> Normals:
+def empty_normals(layout: NormalsLayout) -> Normals:
     """Return room for normal equations, as ``kernels`` orders them, and the residuals (n, 2) [px]."""
     groups, width = layout.index.shape
     dim, at_w = layout.blocks[0], layout.blocks[6]

@@ -6,7 +6,7 @@ from mosca.numba_support.decorators import kernel, step
 
 
 @kernel
-def turn_on(rotation, step):  # type: ignore[no-untyped-def]
+def rotate_by(rotation, step):  # type: ignore[no-untyped-def]
     """Turn rotations (n, 9 or more; the first nine, row by row) about their own axes by vectors (n, 3): R
     exp([w]x).
     """
@@ -27,7 +27,7 @@ def turn_on(rotation, step):  # type: ignore[no-untyped-def]
 
 
 @step
-def log_turn(r):  # type: ignore[no-untyped-def]
+def rotation_vector(r):  # type: ignore[no-untyped-def]
     """Rotation matrix (3, 3) -> rotation vector, its three numbers, for turns well below half a turn."""
     x, y, z = (r[2, 1] - r[1, 2]) / 2, (r[0, 2] - r[2, 0]) / 2, (r[1, 0] - r[0, 1]) / 2
     sine = np.sqrt(x * x + y * y + z * z)
@@ -37,7 +37,7 @@ def log_turn(r):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def weighted_pose(pose, given, weight, normals, slope):  # type: ignore[no-untyped-def]
+def observed_pose(pose, given, weight, normals, slope):  # type: ignore[no-untyped-def]
     """Add an observed pose to ``normals`` (6, 6), ``slope`` (6,); ``weight`` (6,) 1/sigma; return its cost.
 
     ``pose``, ``given`` (12,): rotation row by row, position. The turn's residual is log(R0^T R), whose
@@ -49,7 +49,7 @@ def weighted_pose(pose, given, weight, normals, slope):  # type: ignore[no-untyp
         for k in range(3):
             for n in range(3):
                 r[i, k] += given[3 * n + i] * pose[3 * n + k]
-    x, y, z = log_turn(r)
+    x, y, z = rotation_vector(r)
     a2 = x * x + y * y + z * z
     a = np.sqrt(a2)
     c = 1 / 12.0 if a < 1e-4 else 1 / a2 - (1 + np.cos(a)) / (2 * a * np.sin(a))
@@ -73,7 +73,7 @@ def weighted_pose(pose, given, weight, normals, slope):  # type: ignore[no-untyp
 
 
 @kernel
-def weighted_blocks(state, blocks, known, normals):  # type: ignore[no-untyped-def]
+def observed_blocks(state, blocks, known, normals):  # type: ignore[no-untyped-def]
     """Add the observed coordinates of eliminated points and the observed poses of placements; return their
     cost.
     """
@@ -100,5 +100,5 @@ def weighted_blocks(state, blocks, known, normals):  # type: ignore[no-untyped-d
             if b > 0:
                 own = block_normals[at_v[b] : at_v[b] + 36].reshape(6, 6)
                 slope = block_slope[at_g[b] : at_g[b] + 6]
-                cost += weighted_pose(placements[f], given_placements[f], pose_weight[f], own, slope)
+                cost += observed_pose(placements[f], given_placements[f], pose_weight[f], own, slope)
     return cost

@@ -25,7 +25,7 @@ from mosca.calibration.bundle.datum import check_datum, generators, null_generat
 from mosca.calibration.bundle.initial_points import intersected
 from mosca.calibration.bundle.inner_constraints import diagonals, onto_given
 from mosca.calibration.bundle.kernels import CAUCHY, HUBER, LEAST_SQUARES, LENS, UNSEEN, weigh
-from mosca.calibration.bundle.layout import Layout, lay_out
+from mosca.calibration.bundle.layout import NormalsLayout, layout_of
 from mosca.calibration.bundle.levenberg_marquardt import (
     Descent,
     Solution,
@@ -95,7 +95,7 @@ def solve(
     CalibrationError where the datum or an unknown is not determined.
     """
     settings = settings or BundleSettings()
-    layout = lay_out(problem)
+    layout = layout_of(problem)
     state = first_state(problem, layout) if start is None else _state_of(problem, layout, start)
     robust = (LOSSES[settings.loss], settings.loss_scale**2)
     task = Task(
@@ -208,7 +208,7 @@ def _normal_matrix(task: Task, descent: Descent) -> tuple[Array, Array, int]:
     return matrix, inverse, loose.shape[1]
 
 
-def _inverse(layout: Layout, matrix: Array) -> Array:
+def _inverse(layout: NormalsLayout, matrix: Array) -> Array:
     if len(matrix) == 0:
         return matrix
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
@@ -249,7 +249,7 @@ def _snooped(task: Task, solution: Solution, significance: float) -> tuple[Solut
     return snoop(task.layout, solution, significance, solve_again, test)
 
 
-def _state_of(problem: Problem, layout: Layout, start: Adjustment) -> State:
+def _state_of(problem: Problem, layout: NormalsLayout, start: Adjustment) -> State:
     """Return the state of an earlier adjustment of the same structure."""
     points = np.where(np.isfinite(start.points), start.points, problem.points.xyz)
     return state_of(problem, start.cameras, intersected(start.cameras, layout, points), start.placements)

@@ -51,7 +51,7 @@ class LensChoice:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class TargetView:
     """Marks that a camera saw at one stand: ``mark`` (n,), their mean place ``xy_px`` (n, 2)."""
 
     mark: Array
@@ -64,7 +64,7 @@ class CameraViews:
 
     name: str
     size: tuple[int, int]
-    views: Sequence[Seen]
+    views: Sequence[TargetView]
     marks_m: Array
 
 

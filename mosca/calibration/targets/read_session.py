@@ -22,7 +22,7 @@ class MarkReader(Protocol):
         ...
 
 
-def sight(
+def read_sightings(
     source: FrameSource,
     reader: MarkReader,
     every: int = 1,

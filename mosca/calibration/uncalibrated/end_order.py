@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from mosca.calibration.initial.projective import epipolar_distance, fundamental
-from mosca.calibration.uncalibrated.image_points import Tracks, tracks_of
+from mosca.calibration.uncalibrated.image_points import PointViews, point_views
 from mosca.calibration.uncalibrated.view_graph import FEWEST_COMMON, common_bend
 from mosca.data.arrays import Array
 from mosca.data.rig import Lens
@@ -60,7 +60,7 @@ def ordered(
 
 def _middles(
     sightings: Sightings, frame: Array, camera: Array, ends: Array, lenses: Sequence[Lens] | None
-) -> Tracks:
+) -> PointViews:
     """Return the middles of the balls' images as tracks, one a frame."""
     n = len(frame)
     middles = replace(
@@ -72,10 +72,10 @@ def _middles(
         covariance_px2=np.tile(np.eye(2), (n, 1, 1)),
         diameter_px=np.full(n, np.nan),
     )
-    return tracks_of(middles, 1, lenses)
+    return point_views(middles, 1, lenses)
 
 
-def _flips(middles: Tracks, ends: Array, rng: np.random.Generator) -> Array:
+def _flips(middles: PointViews, ends: Array, rng: np.random.Generator) -> Array:
     """Return +1 or -1 (n,) of each image so that all of a frame agree, 0 where that is not known."""
     bend = common_bend(middles, rng)
     table, common = middles.table(), middles.common()

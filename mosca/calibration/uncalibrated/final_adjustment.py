@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from mosca.calibration.bundle.solver import FOCAL, BundleSettings
-from mosca.calibration.uncalibrated.image_points import Tracks
+from mosca.calibration.uncalibrated.image_points import PointViews
 from mosca.calibration.uncalibrated.partial_adjustment import CLEAR_SIGMAS, Network, cleaned, imaged, network
 from mosca.camera.projection import fit_lens, lens_directions
 from mosca.data.arrays import Array
@@ -34,14 +34,16 @@ ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Final:
+class FinalNetwork:
     """The network at last, and what lens parameters were estimated."""
 
     network: Network
     free: Free
 
 
-def finished(start: Network, tracks: Tracks, lenses: tuple[Lens, ...], significance: float | None) -> Final:
+def finished(
+    start: Network, tracks: PointViews, lenses: tuple[Lens, ...], significance: float | None
+) -> FinalNetwork:
     """Return the network of all image points with lenses of the models of ``lenses``.
 
     ``significance``: chance that a good image point is rejected; None rejects only gross blunders.
@@ -69,7 +71,7 @@ def finished(start: Network, tracks: Tracks, lenses: tuple[Lens, ...], significa
         if trial.adjustment.converged and not _held_more(trial, one) and chi2.sf(gain, joined) < SIGNIFICANT:
             one, free = trial, richer
     last = BundleSettings(blunder_significance=significance)
-    return Final(network(usable, one.cameras, free, last, points=one.points), free[min(free)])
+    return FinalNetwork(network(usable, one.cameras, free, last, points=one.points), free[min(free)])
 
 
 def _held_more(trial: Network, one: Network) -> bool:
@@ -78,7 +80,7 @@ def _held_more(trial: Network, one: Network) -> bool:
     return bool(common & set(trial.adjustment.held))
 
 
-def _without_gross(one: Network) -> Tracks:
+def _without_gross(one: Network) -> PointViews:
     """Return the image points without those that lie far off."""
     far = np.linalg.norm(one.residuals_px, axis=1) / one.tracks.sigma_px
     good = far <= GROSS_SIGMAS * max(one.spread, 1e-9)
@@ -107,7 +109,7 @@ def _in_model(camera: Camera, wanted: Lens) -> Camera:
     return replace(camera, lens=radial)
 
 
-def focal_sigmas(final: Final) -> Mapping[int, float]:
+def focal_sigmas(final: FinalNetwork) -> Mapping[int, float]:
     """Return the standard deviation of each camera's focal length over the focal length."""
     sigma = final.network.adjustment.standard_deviations
     out = {}
@@ -118,7 +120,7 @@ def focal_sigmas(final: Final) -> Mapping[int, float]:
     return out
 
 
-def depths(final: Final) -> Array:
+def depths(final: FinalNetwork) -> Array:
     """Return the depth (n,) of each used image point in front of its camera."""
     one = final.network
     out = np.full(len(one.tracks), np.nan)

@@ -13,7 +13,7 @@ from mosca.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
-class Tracks:
+class PointViews:
     """n image points: ``camera`` (n,) saw object ``point`` (n,) at ``xy_px`` (n, 2) +- ``sigma_px`` (n,).
 
     ``names`` and ``sizes`` (c, 2) of the c cameras, ``lenses`` their lenses as far as they are known (model and
@@ -47,7 +47,7 @@ class Tracks:
     def __len__(self) -> int:
         return len(self.xy_px)
 
-    def only(self, keep: Array) -> "Tracks":
+    def only(self, keep: Array) -> "PointViews":
         """Return the image points ``keep`` (mask or indices); cameras and object points are counted as before."""
         return replace(
             self,
@@ -69,13 +69,13 @@ class Tracks:
         seen = (self.table() >= 0).astype(np.float64)
         return np.asarray(np.rint(seen @ seen.T).astype(np.int64))
 
-    def of_cameras(self, cameras: Iterable[int]) -> "Tracks":
+    def of_cameras(self, cameras: Iterable[int]) -> "PointViews":
         """Return the image points of some cameras whose object point a second of them saw."""
         chosen = np.isin(self.camera, list(cameras))
         rays = np.bincount(self.point[chosen], minlength=self.points)
         return self.only(chosen & (rays[self.point] >= 2))
 
-    def thinned(self, most: int, rng: np.random.Generator) -> "Tracks":
+    def thinned(self, most: int, rng: np.random.Generator) -> "PointViews":
         """Return about ``most`` image points at the most, whole object points and rods, drawn by ``rng``."""
         if len(self) <= most:
             return self
@@ -120,9 +120,9 @@ class Tracks:
         return OpenCVLens(f, f / self.aspect(camera), float(cx), float(cy), float(k1), float(k2))
 
 
-def tracks_of(
+def point_views(
     sightings: Sightings, marks: int, lenses: Sequence[Lens] | None, rods: Distances | None = None
-) -> Tracks:
+) -> PointViews:
     """Return the sightings as tracks; object point ``frame * marks + mark``, unknown marks (-1) left out.
 
     ``lenses``: of each camera; default square pixels and OpenCV's model. InputError where a mark stands twice in
@@ -154,7 +154,7 @@ def tracks_of(
                 "opencv; calibrate a fisheye with a board or a test field"
             )
     none = np.zeros(0)
-    return Tracks(
+    return PointViews(
         sightings.cameras,
         sightings.sizes,
         given,

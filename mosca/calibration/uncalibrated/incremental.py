@@ -11,7 +11,7 @@ from mosca.calibration.common.robust_fit import SIGMA_BY_MEDIAN_2D
 from mosca.calibration.initial.projective import fundamental
 from mosca.calibration.initial.resection import aim, resect
 from mosca.calibration.uncalibrated.focal_pair import pair_guesses
-from mosca.calibration.uncalibrated.image_points import Tracks
+from mosca.calibration.uncalibrated.image_points import PointViews
 from mosca.calibration.uncalibrated.partial_adjustment import (
     CLEAR_SIGMAS,
     Network,
@@ -32,7 +32,7 @@ WORST_MISFIT = 0.01
 FEWEST_FOR_RESECTION, MOST_RESECTED = 25, 200
 
 
-def grow(start: Network, tracks: Tracks, bend: float, rng: np.random.Generator) -> Network:
+def grow(start: Network, tracks: PointViews, bend: float, rng: np.random.Generator) -> Network:
     """Return the network with all cameras of ``tracks``; CalibrationError where one cannot be joined."""
     one, tracks = start, cleaned(tracks, start.cameras, CLEAR_SIGMAS * start.spread)
     failures: dict[int, CalibrationError] = {}
@@ -53,7 +53,7 @@ def grow(start: Network, tracks: Tracks, bend: float, rng: np.random.Generator) 
 
 
 def _next(
-    one: Network, tracks: Tracks, bend: float, rng: np.random.Generator
+    one: Network, tracks: PointViews, bend: float, rng: np.random.Generator
 ) -> tuple[Network | None, dict[int, CalibrationError]]:
     """Return the network with one camera more, or None, and why cameras with views in common did not fit."""
     points = trusted_points(one, tracks)
@@ -81,7 +81,7 @@ def _next(
     return None, failures
 
 
-def trusted_points(one: Network, tracks: Tracks) -> Array:
+def trusted_points(one: Network, tracks: PointViews) -> Array:
     """Return the points (p, 3) that the network's cameras place, NaN for those that its rays contradict."""
     mine = tracks.of_cameras(one.cameras)
     points = intersected(mine, one.cameras)
@@ -91,7 +91,7 @@ def trusted_points(one: Network, tracks: Tracks) -> Array:
     return points
 
 
-def _resected(tracks: Tracks, k: int, points: Array, bend: float, rng: np.random.Generator) -> Camera:
+def _resected(tracks: PointViews, k: int, points: Array, bend: float, rng: np.random.Generator) -> Camera:
     """Return a camera of unknown focal length from the points that stand already."""
     mine = np.flatnonzero((tracks.camera == k) & np.isfinite(points[tracks.point]).all(axis=1))
     mine = rng.permutation(mine)[:MOST_RESECTED]
@@ -105,7 +105,7 @@ def _resected(tracks: Tracks, k: int, points: Array, bend: float, rng: np.random
     return Camera(name, width, height, tracks.pinhole(k, focal, bend), aim(found, (middle[0], middle[1])))
 
 
-def _beside(one: Network, tracks: Tracks, k: int, bend: float, rng: np.random.Generator) -> Camera | None:
+def _beside(one: Network, tracks: PointViews, k: int, bend: float, rng: np.random.Generator) -> Camera | None:
     """Return a camera from its common wands with one camera that stands already; None without enough."""
     common = tracks.common()[k].copy()
     common[[j for j in range(len(common)) if j not in one.cameras]] = 0
@@ -129,14 +129,14 @@ def _beside(one: Network, tracks: Tracks, k: int, bend: float, rng: np.random.Ge
     return Camera(tracks.names[k], width, height, tracks.pinhole(k, best.focal[1], bend), pose)
 
 
-def _straight(tracks: Tracks, camera: Camera, k: int, points: Array) -> Array:
+def _straight(tracks: PointViews, camera: Camera, k: int, points: Array) -> Array:
     """Return the plain coordinates (m, 2) of a known camera's image points, straightened by its own lens."""
     v = lens_directions(camera.lens, tracks.xy_px[tracks.table()[k, points]])
     assert isinstance(camera.lens, OpenCVLens)
     return np.asarray(v[:, :2] / v[:, 2:] * camera.lens.fx_px / tracks.reach_px(k))
 
 
-def wand_ends(tracks: Tracks, points: Array, good: Array) -> Array:
+def wand_ends(tracks: PointViews, points: Array, good: Array) -> Array:
     """Return the rods (w, 3) both of whose ends are among the good ``points`` (m,): places of both in it, rod."""
     place = np.full(tracks.points, -1)
     place[points[good]] = np.flatnonzero(good)
@@ -148,7 +148,7 @@ def wand_ends(tracks: Tracks, points: Array, good: Array) -> Array:
     return np.column_stack([first[both], second[both], both])
 
 
-def _joined(one: Network, tracks: Tracks, k: int, camera: Camera) -> Network:
+def _joined(one: Network, tracks: PointViews, k: int, camera: Camera) -> Network:
     """Return the network adjusted with one camera more; CalibrationError where that one does not fit."""
     grown = rough(tracks, {**one.cameras, k: camera}, ROUGH_LENS)
     mine = grown.tracks.camera == k

@@ -4,7 +4,7 @@ import numpy as np
 
 from mosca.calibration.bundle.solver import FOCAL
 from mosca.calibration.uncalibrated.focal_pair import pair_guesses
-from mosca.calibration.uncalibrated.image_points import Tracks
+from mosca.calibration.uncalibrated.image_points import PointViews
 from mosca.calibration.uncalibrated.incremental import ROUGH_LENS, WORST_MISFIT, wand_ends
 from mosca.calibration.uncalibrated.partial_adjustment import Network, rough
 from mosca.calibration.uncalibrated.view_graph import (
@@ -25,7 +25,7 @@ WORSE_FACTOR, WORSE_BY = 3.0, 0.1
 WIDE_RAD = 0.6
 
 
-def wand_start(tracks: Tracks, bend: float, rng: np.random.Generator) -> Network:
+def wand_start(tracks: PointViews, bend: float, rng: np.random.Generator) -> Network:
     """Return two cameras and the wands that both saw, metric; CalibrationError where no pair fits."""
     best: tuple[float, Network] | None = None
     reasons = []
@@ -52,7 +52,9 @@ def wand_start(tracks: Tracks, bend: float, rng: np.random.Generator) -> Network
     return best[1]
 
 
-def _pair(tracks: Tracks, first: int, second: int, bend: float, rng: np.random.Generator) -> Network | None:
+def _pair(
+    tracks: PointViews, first: int, second: int, bend: float, rng: np.random.Generator
+) -> Network | None:
     both, x, y, found = pair_geometry(tracks, first, second, bend, rng)
     if found.inliers.mean() < LEAST_INLIERS:
         return None

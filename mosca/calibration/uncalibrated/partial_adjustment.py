@@ -16,7 +16,7 @@ from mosca.calibration.bundle.solver import (
     solve,
 )  # fmt: skip
 from mosca.calibration.common.robust_fit import SIGMA_BY_MEDIAN_1D, SIGMA_BY_MEDIAN_2D
-from mosca.calibration.uncalibrated.image_points import Tracks
+from mosca.calibration.uncalibrated.image_points import PointViews
 from mosca.camera.projection import lens_directions, project
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera
@@ -39,7 +39,7 @@ class Network:
     """
 
     cameras: Mapping[int, Camera]
-    tracks: Tracks
+    tracks: PointViews
     points: Array
     adjustment: Adjustment
 
@@ -56,7 +56,7 @@ class Network:
 
 
 def rough(
-    tracks: Tracks, cameras: Mapping[int, Camera], free: tuple[str, ...], points: Array | None = None
+    tracks: PointViews, cameras: Mapping[int, Camera], free: tuple[str, ...], points: Array | None = None
 ) -> Network:
     """Adjust some cameras robustly from poor starting values; residuals of the size they start with are let in."""
     usable = imaged(tracks.of_cameras(cameras), cameras)
@@ -72,7 +72,7 @@ def rough(
 
 
 def network(
-    tracks: Tracks,
+    tracks: PointViews,
     cameras: Mapping[int, Camera],
     free: tuple[str, ...] | Mapping[int, tuple[str, ...]],
     settings: BundleSettings,
@@ -100,7 +100,7 @@ def network(
     return Network(dict(zip(order, done.cameras, strict=True)), tracks, done.points, done)
 
 
-def rods_between(tracks: Tracks, inflate: float) -> Distances:
+def rods_between(tracks: PointViews, inflate: float) -> Distances:
     """Return the rods both of whose ends two cameras see, their standard deviations times ``inflate``.
 
     Far off the solution a rod must not be so much firmer than the rays that rounding errors outweigh these.
@@ -111,7 +111,7 @@ def rods_between(tracks: Tracks, inflate: float) -> Distances:
     return Distances(rods.first[both], rods.second[both], rods.length_m[both], rods.sigma_m[both] * inflate)
 
 
-def imaged(tracks: Tracks, cameras: Mapping[int, Camera]) -> Tracks:
+def imaged(tracks: PointViews, cameras: Mapping[int, Camera]) -> PointViews:
     """Return the image points that have a ray in the lens of their camera and a second camera that sees theirs."""
     good = np.zeros(len(tracks), dtype=bool)
     for k, camera in cameras.items():
@@ -120,7 +120,7 @@ def imaged(tracks: Tracks, cameras: Mapping[int, Camera]) -> Tracks:
     return tracks.only(good).of_cameras(cameras)
 
 
-def intersected(tracks: Tracks, cameras: Mapping[int, Camera]) -> Array:
+def intersected(tracks: PointViews, cameras: Mapping[int, Camera]) -> Array:
     """Return the points (p, 3) nearest to their rays (least squares of distances), NaN without two rays."""
     normal, right = np.zeros((tracks.points, 3, 3)), np.zeros((tracks.points, 3))
     rays = np.zeros(tracks.points, dtype=np.int64)
@@ -142,7 +142,7 @@ def intersected(tracks: Tracks, cameras: Mapping[int, Camera]) -> Array:
     return out
 
 
-def cleaned(tracks: Tracks, cameras: Mapping[int, Camera], limit: float) -> Tracks:
+def cleaned(tracks: PointViews, cameras: Mapping[int, Camera], limit: float) -> PointViews:
     """Return the image points without those that contradict these cameras by more than ``limit`` a-priori sigmas.
 
     Of each object point the worst ray goes out, then the rest is intersected again; of two rays that do not meet
@@ -168,7 +168,7 @@ def cleaned(tracks: Tracks, cameras: Mapping[int, Camera], limit: float) -> Trac
     return tracks
 
 
-def _of_wrong_length(tracks: Tracks, points: Array) -> Array:
+def _of_wrong_length(tracks: PointViews, points: Array) -> Array:
     """Return which points (p,) are ends of rods whose length is far from what it is, in robust sigmas of all."""
     rods, out = tracks.rods, np.zeros(tracks.points, dtype=bool)
     if len(rods) == 0:
@@ -183,7 +183,7 @@ def _of_wrong_length(tracks: Tracks, points: Array) -> Array:
     return out
 
 
-def residuals(tracks: Tracks, cameras: Mapping[int, Camera], points: Array) -> Array:
+def residuals(tracks: PointViews, cameras: Mapping[int, Camera], points: Array) -> Array:
     """Return observed minus projected (n, 2) [px] of all image points of these cameras, else NaN."""
     out = np.full((len(tracks), 2), np.nan)
     for k, camera in cameras.items():
@@ -192,7 +192,7 @@ def residuals(tracks: Tracks, cameras: Mapping[int, Camera], points: Array) -> A
     return out
 
 
-def _misfit(tracks: Tracks, cameras: Mapping[int, Camera], points: Array | None) -> float:
+def _misfit(tracks: PointViews, cameras: Mapping[int, Camera], points: Array | None) -> float:
     """Return the robust size of the residuals before an adjustment, in a-priori standard deviations."""
     at = intersected(tracks, cameras)
     if points is not None:

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from mosca.calibration.quality.findings import note, warn
-from mosca.calibration.uncalibrated.final_adjustment import Final, depths, focal_sigmas
-from mosca.calibration.uncalibrated.image_points import Tracks
+from mosca.calibration.uncalibrated.final_adjustment import FinalNetwork, depths, focal_sigmas
+from mosca.calibration.uncalibrated.image_points import PointViews
 from mosca.calibration.uncalibrated.partial_adjustment import residuals
 from mosca.calibration.uncalibrated.view_graph import FEWEST_POINTS
 from mosca.data.arrays import Array
@@ -27,7 +27,7 @@ WORST_RMS_WIDTHS = 0.003
 FEW_LINKS = 100
 
 
-def check(final: Final, tracks: Tracks) -> None:
+def check(final: FinalNetwork, tracks: PointViews) -> None:
     """Raise CalibrationError where the result cannot be a rig of real cameras."""
     one = final.network
     sigma = focal_sigmas(final)
@@ -81,7 +81,7 @@ def check(final: Final, tracks: Tracks) -> None:
         )
 
 
-def findings_of(final: Final, tracks: Tracks) -> tuple[Finding, ...]:
+def findings_of(final: FinalNetwork, tracks: PointViews) -> tuple[Finding, ...]:
     """Return what is doubtful or worth knowing about a rig that passed ``check``."""
     one = final.network
     tracks = tracks.of_cameras(one.cameras)
@@ -124,7 +124,12 @@ def findings_of(final: Final, tracks: Tracks) -> tuple[Finding, ...]:
 
 
 def calibration_of(
-    final: Final, tracks: Tracks, sightings: Sightings, target: str, scaled_by: str, scale_sigma: float | None
+    final: FinalNetwork,
+    tracks: PointViews,
+    sightings: Sightings,
+    target: str,
+    scaled_by: str,
+    scale_sigma: float | None,
 ) -> Calibration:
     """Return the report; each mark of its sightings is one place of the world, a mark of one frame.
 
@@ -179,7 +184,7 @@ def _interior(camera: Camera) -> tuple[float, float]:
     return focal / camera.width, off / camera.width
 
 
-def _shake(final: Final) -> tuple[float, float]:
+def _shake(final: FinalNetwork) -> tuple[float, float]:
     """Return by how much whole images shake [px rms, an axis], and the factor by which that raises variances.
 
     From the mean product of the residuals of different balls in one image. Errors that the k balls of an image

@@ -8,9 +8,15 @@ adjustments of the likeliest guesses decide.
 import numpy as np
 
 from mosca.calibration.bundle.solver import FOCAL
-from mosca.calibration.initial.metric_upgrade import Metric, Projective, grown, metric_guesses, pair_matrices
+from mosca.calibration.initial.metric_upgrade import (
+    MetricGuess,
+    ProjectiveReconstruction,
+    grown,
+    metric_guesses,
+    pair_matrices,
+)
 from mosca.calibration.initial.projective import epipolar_distance, intersect, plane_misfit
-from mosca.calibration.uncalibrated.image_points import Tracks
+from mosca.calibration.uncalibrated.image_points import PointViews
 from mosca.calibration.uncalibrated.incremental import ROUGH_LENS, WORST_MISFIT
 from mosca.calibration.uncalibrated.partial_adjustment import Network, rough
 from mosca.calibration.uncalibrated.view_graph import (
@@ -34,7 +40,7 @@ WORSE_FACTOR, WORSE_BY = 3.0, 5.0
 MOST_POINTS = 500
 
 
-def core(tracks: Tracks, bend: float, rng: np.random.Generator) -> Network:
+def core(tracks: PointViews, bend: float, rng: np.random.Generator) -> Network:
     """Return three cameras or more with their points, metric but for the scale; CalibrationError where none fit."""
     if len(tracks.names) < FEWEST_CAMERAS:
         raise CalibrationError(
@@ -61,7 +67,7 @@ def core(tracks: Tracks, bend: float, rng: np.random.Generator) -> Network:
     return best
 
 
-def _firm_pairs(tracks: Tracks, bend: float, rng: np.random.Generator) -> list[tuple[int, int]]:
+def _firm_pairs(tracks: PointViews, bend: float, rng: np.random.Generator) -> list[tuple[int, int]]:
     """Return pairs of cameras with many points and much parallax, the firmest first."""
     scored, level = [], 0
     for first, second in strongest_pairs(tracks, PAIRS):
@@ -79,8 +85,8 @@ def _firm_pairs(tracks: Tracks, bend: float, rng: np.random.Generator) -> list[t
 
 
 def _guesses(
-    tracks: Tracks, first: int, second: int, bend: float, rng: np.random.Generator
-) -> list[tuple[Metric, tuple[int, ...]]]:
+    tracks: PointViews, first: int, second: int, bend: float, rng: np.random.Generator
+) -> list[tuple[MetricGuess, tuple[int, ...]]]:
     """Return metric guesses of a core that grows from a pair, and its cameras."""
     chosen = _sample(tracks, first, second, rng)
     table = tracks.table()[:, chosen]
@@ -94,14 +100,14 @@ def _guesses(
     good = np.asarray(np.isfinite(xy[[first, second]]).all(axis=2))
     good[:, both] &= epipolar_distance(pair.matrix, xy[first, both], xy[second, both]) <= limit
     trusted = np.where(good[:, :, None], xy[[first, second]], np.nan)
-    start = Projective((first, second), matrices, intersect(matrices, trusted), good)
+    start = ProjectiveReconstruction((first, second), matrices, intersect(matrices, trusted), good)
     one = grown(start, xy, FEWEST_TRIPLE, MOST_IN_CORE, rng)
     if len(one.cameras) < FEWEST_CAMERAS:
         return []
     return [(metric, one.cameras) for metric in metric_guesses(one, GUESSES)]
 
 
-def _sample(tracks: Tracks, first: int, second: int, rng: np.random.Generator) -> Array:
+def _sample(tracks: PointViews, first: int, second: int, rng: np.random.Generator) -> Array:
     """Return object points that many cameras see, drawn by ``rng``, those of the pair first."""
     table = tracks.table() >= 0
     views = table.sum(axis=0)
@@ -113,7 +119,9 @@ def _sample(tracks: Tracks, first: int, second: int, rng: np.random.Generator) -
     return np.sort(candidates[order[:MOST_POINTS]])
 
 
-def _adjusted(tracks: Tracks, metric: Metric, cameras: tuple[int, ...], bend: float) -> Network | None:
+def _adjusted(
+    tracks: PointViews, metric: MetricGuess, cameras: tuple[int, ...], bend: float
+) -> Network | None:
     start = {}
     size = float(np.median(np.linalg.norm(metric.centre - metric.centre.mean(axis=0), axis=1)))
     for k, focal, turn, centre in zip(cameras, metric.focal, metric.rotation, metric.centre, strict=True):
@@ -128,7 +136,7 @@ def _adjusted(tracks: Tracks, metric: Metric, cameras: tuple[int, ...], bend: fl
         return None
 
 
-def _fits(one: Network, tracks: Tracks) -> bool:
+def _fits(one: Network, tracks: PointViews) -> bool:
     far = np.linalg.norm(one.residuals_px, axis=1)
     reach = min(tracks.reach_px(k) for k in one.cameras)
     return float(np.median(np.nan_to_num(far, nan=np.inf))) < WORST_MISFIT * reach

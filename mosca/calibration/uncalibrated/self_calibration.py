@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.calibration.uncalibrated.final_adjustment import finished
-from mosca.calibration.uncalibrated.image_points import tracks_of
+from mosca.calibration.uncalibrated.image_points import point_views
 from mosca.calibration.uncalibrated.incremental import grow
 from mosca.calibration.uncalibrated.result import calibration_of, check
 from mosca.calibration.uncalibrated.seed import core
@@ -46,7 +46,7 @@ def self_calibrate(
     """
     settings = settings or SelfSettings()
     marks = int(sightings.mark.max(initial=0)) + 1
-    tracks = tracks_of(sightings, marks, lenses)
+    tracks = point_views(sightings, marks, lenses)
     check_links(tracks)
     some = tracks.thinned(MOST_WHILE_GROWING * len(tracks.names), rng)
     bend = common_bend(some, rng)

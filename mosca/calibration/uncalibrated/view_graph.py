@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mosca.calibration.initial.projective import Robust, fundamental, plane_misfit
-from mosca.calibration.uncalibrated.image_points import Tracks
+from mosca.calibration.uncalibrated.image_points import PointViews
 from mosca.data.arrays import Array
 from mosca.errors import CalibrationError
 
@@ -14,7 +14,7 @@ FEWEST_COMMON = 20
 FEWEST_POINTS = 30
 """Object points that a camera must share with others to be calibrated."""
 BENDS = (-0.35, -0.25, -0.16, -0.1, -0.05, -0.02, 0.0, 0.02, 0.06)
-"""Bends of lenses that are tried (``Tracks.plain``): from a wide lens's barrel to a slight cushion."""
+"""Bends of lenses that are tried (``PointViews.plain``): from a wide lens's barrel to a slight cushion."""
 LEAST_INLIERS = 0.5
 # how much worse a homography must fit than the fundamental matrix, and how badly at least [half diagonals]
 FLAT, LEAST_PARALLAX = 5.0, 2e-3
@@ -24,7 +24,7 @@ LITTLE_DEPTH = (
 )
 
 
-def check_links(tracks: Tracks) -> None:
+def check_links(tracks: PointViews) -> None:
     """Raise CalibrationError for cameras that saw too little, and for groups of cameras that no common view joins."""
     common = tracks.common()
     shared = np.bincount(tracks.of_cameras(range(len(tracks.names))).camera, minlength=len(tracks.names))
@@ -61,14 +61,14 @@ def refuse_groups(names: Sequence[str], group: set[int], why: str = "no common v
     )
 
 
-def common_points(tracks: Tracks, first: int, second: int) -> Array:
+def common_points(tracks: PointViews, first: int, second: int) -> Array:
     """Return the object points (m,) that both cameras saw."""
     table = tracks.table()
     return np.flatnonzero((table[first] >= 0) & (table[second] >= 0))
 
 
 def pair_geometry(
-    tracks: Tracks, first: int, second: int, bend: float, rng: np.random.Generator, samples: int = 300
+    tracks: PointViews, first: int, second: int, bend: float, rng: np.random.Generator, samples: int = 300
 ) -> tuple[Array, Array, Array, Robust]:
     """Return common points (m,), their plain image points (m, 2) in both cameras, and the fundamental matrix."""
     table = tracks.table()
@@ -86,7 +86,7 @@ def flat(x: Array, y: Array, found: Robust, rng: np.random.Generator) -> bool:
     return parallax < FLAT * max(found.median, LEAST_PARALLAX / FLAT)
 
 
-def strongest_pairs(tracks: Tracks, most: int) -> list[tuple[int, int]]:
+def strongest_pairs(tracks: PointViews, most: int) -> list[tuple[int, int]]:
     """Return up to ``most`` pairs of cameras, those with most common points first."""
     common = np.triu(tracks.common(), 1)
     pairs = np.argwhere(common >= FEWEST_COMMON)
@@ -94,7 +94,7 @@ def strongest_pairs(tracks: Tracks, most: int) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in pairs[order[:most]]]
 
 
-def common_bend(tracks: Tracks, rng: np.random.Generator) -> float:
+def common_bend(tracks: PointViews, rng: np.random.Generator) -> float:
     """Return the bend that lets the strongest pairs' fundamental matrices fit best.
 
     CalibrationError where half of the common points contradict in each of them: frames or cameras are mixed up.

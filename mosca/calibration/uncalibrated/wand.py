@@ -7,7 +7,7 @@ import numpy as np
 from mosca.calibration.bundle.solver import Distances
 from mosca.calibration.uncalibrated.end_order import ordered
 from mosca.calibration.uncalibrated.final_adjustment import finished
-from mosca.calibration.uncalibrated.image_points import Tracks, tracks_of
+from mosca.calibration.uncalibrated.image_points import PointViews, point_views
 from mosca.calibration.uncalibrated.incremental import grow
 from mosca.calibration.uncalibrated.initial_pair import wand_start
 from mosca.calibration.uncalibrated.partial_adjustment import CLEAR_SIGMAS, cleaned, intersected
@@ -43,7 +43,7 @@ def calibrate_wand(
     settings = settings or SelfSettings()
     balls = len(wand.along_m)
     sightings = ordered(sightings, balls, lenses, rng)
-    tracks = tracks_of(sightings, balls, lenses, _rods(wand, sightings.frames))
+    tracks = point_views(sightings, balls, lenses, _rods(wand, sightings.frames))
     check_links(tracks)
     some = tracks.thinned(MOST_WHILE_GROWING * len(tracks.names), rng)
     bend = common_bend(some, rng)
@@ -62,7 +62,7 @@ def calibrate_wand(
     )
 
 
-def _check_shape(tracks: Tracks, cameras: Mapping[int, Camera], wand: Wand) -> None:
+def _check_shape(tracks: PointViews, cameras: Mapping[int, Camera], wand: Wand) -> None:
     """Raise CalibrationError where the wand's balls do not lie as its file says."""
     points = intersected(tracks, cameras).reshape(-1, len(wand.along_m), 3)
     first, second = np.triu_indices(len(wand.along_m), 1)

@@ -4,7 +4,13 @@ import numpy as np
 
 from mosca.calibration.initial.target_pose import poses_of
 from mosca.continuous.comparison_methods.epipoles import TooFewPointsError, relative_pose
-from mosca.continuous.comparison_methods.synchronous import Cameras, Scene, Views, adjust, intersected
+from mosca.continuous.comparison_methods.synchronous import (
+    Cameras,
+    PosesAndPoints,
+    Views,
+    adjust,
+    intersected,
+)
 from mosca.data.arrays import Array
 from mosca.data.rig import Pose
 from mosca.errors import InputError
@@ -17,7 +23,7 @@ WORSE = 2.0
 """Instants with so many times the usual error are tried again from their neighbours' poses."""
 
 
-def first_scene(views: Views, cameras: Cameras, *, epipoles: bool = True) -> Scene:
+def first_scene(views: Views, cameras: Cameras, *, epipoles: bool = True) -> PosesAndPoints:
     """Return a start for ``adjust``, adjusted once; with "moving" each instant on its own.
 
     Datum: the first camera as the given cameras say, and so its distance to the second (each instant's, "moving").
@@ -28,7 +34,7 @@ def first_scene(views: Views, cameras: Cameras, *, epipoles: bool = True) -> Sce
     rotations = np.tile(np.array([p.rotation for p in poses]), (t, 1, 1, 1))
     centres = np.tile(np.array([p.translation for p in poses]), (t, 1, 1))
     if cameras == "known":
-        return Scene(rotations, centres, intersected(views, rotations, centres))
+        return PosesAndPoints(rotations, centres, intersected(views, rotations, centres))
     if cameras == "fixed":
         found = _still(views, epipoles)
         if found is None:
@@ -52,7 +58,7 @@ def first_scene(views: Views, cameras: Cameras, *, epipoles: bool = True) -> Sce
     return _moving(views, rotations, centres, epipoles)
 
 
-def in_datum(scene: Scene, views: Views) -> Scene:
+def in_datum(scene: PosesAndPoints, views: Views) -> PosesAndPoints:
     """Return a scene moved and stretched to its datum: first camera and its distance to the second as given."""
     own = views.cameras[0].world_from_camera
     other = views.cameras[1].world_from_camera
@@ -65,10 +71,10 @@ def in_datum(scene: Scene, views: Views) -> Scene:
         away = np.einsum("tij,tmj->tmi", turn, x - scene.centres[:, :1])
         return np.asarray(own.translation + scale * away)
 
-    return Scene(turn[:, None] @ scene.rotations, moved(scene.centres), moved(scene.xyz))
+    return PosesAndPoints(turn[:, None] @ scene.rotations, moved(scene.centres), moved(scene.xyz))
 
 
-def _moving(views: Views, rotations: Array, centres: Array, epipoles: bool) -> Scene:
+def _moving(views: Views, rotations: Array, centres: Array, epipoles: bool) -> PosesAndPoints:
     """Adjust every instant from its own start and, where that ends badly, from its neighbours'."""
     ready = np.asarray(np.isfinite(centres).all(axis=(1, 2)))
     nearest = np.array(
@@ -92,11 +98,11 @@ def _moving(views: Views, rotations: Array, centres: Array, epipoles: bool) -> S
     return scene
 
 
-def _scene(views: Views, rotations: Array, centres: Array) -> Scene:
+def _scene(views: Views, rotations: Array, centres: Array) -> PosesAndPoints:
     t = len(views.xy_px)
     if rotations.ndim == 3:
         rotations, centres = np.tile(rotations, (t, 1, 1, 1)), np.tile(centres, (t, 1, 1))
-    return Scene(rotations, centres, intersected(views, rotations, centres))
+    return PosesAndPoints(rotations, centres, intersected(views, rotations, centres))
 
 
 def _instants(views: Views, which: Array) -> Views:

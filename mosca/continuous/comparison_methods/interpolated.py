@@ -13,9 +13,15 @@ import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
 
 from mosca.continuous.comparison_methods.initial_poses import first_scene
-from mosca.continuous.comparison_methods.synchronous import Cameras, Scene, Views, adjust, intersected
+from mosca.continuous.comparison_methods.synchronous import (
+    Cameras,
+    PosesAndPoints,
+    Views,
+    adjust,
+    intersected,
+)
 from mosca.continuous.model.camera_paths import PosedCameras, StillCameras
-from mosca.continuous.model.observations import CameraPaths, Observations
+from mosca.continuous.model.observations import CameraPaths, TimedObservations
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 from mosca.errors import InputError
@@ -29,7 +35,7 @@ LONGEST_GAP = 2.5
 class ImageTracks:
     """What cameras saw as functions of time: ``at`` gives Views of any instants."""
 
-    observations: Observations
+    observations: TimedObservations
     rig: Rig
     kind: Kind
 
@@ -73,7 +79,7 @@ class Interpolated:
     paths: CameraPaths
     moving: bool
     instants_s: Array
-    scene: Scene
+    scene: PosesAndPoints
     rms_px: float
 
     def at(self, time_s: Array) -> Array:
@@ -88,12 +94,12 @@ class Interpolated:
             )
         views = self.tracks.at(time_s)
         rotations, centres = self.paths.at(time_s)
-        start = Scene(rotations, centres, intersected(views, rotations, centres))
+        start = PosesAndPoints(rotations, centres, intersected(views, rotations, centres))
         return adjust(views, start, "known").scene.xyz
 
 
 def interpolated(
-    observations: Observations,
+    observations: TimedObservations,
     rig: Rig,
     kind: Kind = "cubic",
     cameras: Cameras = "known",
@@ -124,7 +130,7 @@ def interpolated(
     return Interpolated(free, tracks, paths, cameras == "moving", instants, scene, rms)
 
 
-def common_instants(observations: Observations) -> Array:
+def common_instants(observations: TimedObservations) -> Array:
     """Return the instants of all exposures (t,) within the time that all cameras share [s]."""
     times = [
         np.unique(observations.time_s[observations.camera == k]) for k in range(len(observations.cameras))

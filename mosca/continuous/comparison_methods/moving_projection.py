@@ -12,7 +12,7 @@ AT_ORIGIN = Pose(np.eye(3), np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class ProjectedPoints:
     """``xy_px`` (n, 2); ``by_point`` (n, 2, 3) [px/m], which is also minus the derivative by the camera's place;
     ``by_turn`` (n, 2, 3) [px/rad], about the camera's own axes (``R -> R exp([w]x)``). NaN where not imaged.
     """
@@ -22,15 +22,17 @@ class Sight:
     by_turn: Array
 
 
-def sight(camera: Camera, rotations: Array, centres: Array, points: Array) -> Sight:
+def project_moving(camera: Camera, rotations: Array, centres: Array, points: Array) -> ProjectedPoints:
     """Project world points (n, 3) [m], each with a world_from_camera of its own: (n, 3, 3), (n, 3)."""
     v = np.einsum("nji,nj->ni", rotations, points - centres)
     own = project_with_jacobians(replace(camera, world_from_camera=AT_ORIGIN), v)
-    return Sight(own.xy_px, own.by_point @ np.swapaxes(rotations, 1, 2), own.by_point @ cross_matrices(v))
+    return ProjectedPoints(
+        own.xy_px, own.by_point @ np.swapaxes(rotations, 1, 2), own.by_point @ cross_matrices(v)
+    )
 
 
-def turned(rotations: Array, vectors: Array) -> Array:
-    """Return rotations (n, 3, 3) turned about their own axes by rotation vectors (n, 3): R exp([w]x) (Rodrigues)."""
+def rotated(rotations: Array, vectors: Array) -> Array:
+    """Return rotations (n, 3, 3) rotated about their own axes by rotation vectors (n, 3): R exp([w]x) (Rodrigues)."""
     angle = np.linalg.norm(vectors, axis=1)[:, None, None]
     k = cross_matrices(vectors)
     first, second = np.sinc(angle / np.pi), np.sinc(angle / 2 / np.pi) ** 2 / 2

@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mosca.continuous.comparison_methods.interpolated import Interpolated
-from mosca.continuous.comparison_methods.moving_projection import sight
+from mosca.continuous.comparison_methods.moving_projection import project_moving
 from mosca.continuous.comparison_methods.neural_cameras import NetPoses, PoseModel, SteadyPoses
 from mosca.continuous.comparison_methods.neural_net import Nets, Tangent, damped_solve, fitted
 from mosca.continuous.comparison_methods.synchronous import Cameras
-from mosca.continuous.model.observations import Observations
+from mosca.continuous.model.observations import TimedObservations
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 
@@ -65,7 +65,7 @@ class Neural:
 
 
 def neural(
-    observations: Observations,
+    observations: TimedObservations,
     rig: Rig,
     start: Interpolated,
     cameras: Cameras = "known",
@@ -140,7 +140,7 @@ class _Linear:
 
 
 class _Task:
-    def __init__(self, see: Observations, rig: Rig, cameras: Cameras, epipoles: bool) -> None:
+    def __init__(self, see: TimedObservations, rig: Rig, cameras: Cameras, epipoles: bool) -> None:
         self.see, self.kind = see, cameras
         self.cameras = tuple(rig.camera(name) for name in see.cameras)
         self.instants, self.when = np.unique(see.time_s, return_inverse=True)
@@ -191,7 +191,7 @@ class _Task:
             if not own.any():
                 continue
             at = self.when[row[own]]
-            image = sight(camera, rotations[at, k], centres[at, k], points[own])
+            image = project_moving(camera, rotations[at, k], centres[at, k], points[own])
             rest = see.xy_px[row[own]] - image.xy_px
             lost = ~np.isfinite(rest).all(axis=1)
             # a trial that loses a point must not look like a fit

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mosca.camera.projection import cross_matrices
-from mosca.continuous.comparison_methods.moving_projection import turned
+from mosca.continuous.comparison_methods.moving_projection import rotated
 from mosca.continuous.comparison_methods.neural_net import Nets, Tangent, fitted
 from mosca.data.arrays import Array
 
@@ -64,7 +64,7 @@ class SteadyPoses:
 
     def moved(self, time_s: Array, z: Array) -> "SteadyPoses":
         """As PoseModel."""
-        return replace(self, rotations=turned(self.rotations, z[:, :3]), centres=self.centres + z[:, 3:])
+        return replace(self, rotations=rotated(self.rotations, z[:, :3]), centres=self.centres + z[:, 3:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,7 @@ class NetPoses:
         turn, place = self._components(time_s)
         t, c = turn.shape[:2]
         middle = np.tile(self.middle, (t, 1, 1, 1)).reshape(-1, 3, 3)
-        rotations = turned(middle, turn.reshape(-1, 3)).reshape(t, c, 3, 3)
+        rotations = rotated(middle, turn.reshape(-1, 3)).reshape(t, c, 3, 3)
         return rotations, self.origin + place
 
     def slopes(self, time_s: Array) -> Array:

@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from mosca.camera.projection import lens_directions
-from mosca.continuous.comparison_methods.moving_projection import Sight, sight, turned
+from mosca.continuous.comparison_methods.moving_projection import ProjectedPoints, project_moving, rotated
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera
 
@@ -57,7 +57,7 @@ class Views:
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class PosesAndPoints:
     """Poses world_from_camera at every instant, ``rotations`` (t, c, 3, 3) and ``centres`` (t, c, 3) [m], and the
     free points' places ``xyz`` (t, n, 3) [m], NaN where fewer than two cameras see the point.
     """
@@ -73,7 +73,7 @@ class Adjusted:
     of each (cameras "moving").
     """
 
-    scene: Scene
+    scene: PosesAndPoints
     rms_px: Array
 
 
@@ -90,7 +90,7 @@ def intersected(views: Views, rotations: Array, centres: Array) -> Array:
     return xyz
 
 
-def adjust(views: Views, start: Scene, cameras: Cameras, *, epipoles: bool = True) -> Adjusted:
+def adjust(views: Views, start: PosesAndPoints, cameras: Cameras, *, epipoles: bool = True) -> Adjusted:
     """Return the least-squares scene near ``start`` (Levenberg-Marquardt, points eliminated).
 
     ``epipoles``: use carried points (eq. 7), or leave them (eq. 4). Unknown cameras: the first one keeps its pose,
@@ -100,7 +100,7 @@ def adjust(views: Views, start: Scene, cameras: Cameras, *, epipoles: bool = Tru
     task = _Task(views, cameras, epipoles)
     if cameras == "fixed":
         t = len(start.xyz)
-        start = Scene(
+        start = PosesAndPoints(
             np.repeat(start.rotations[:1], t, axis=0), np.repeat(start.centres[:1], t, axis=0), start.xyz
         )
     state, system = start, task.linearised(start)
@@ -152,7 +152,7 @@ class _Task:
                     if len(at) and viewer != views.carried_by[m]:
                         self.epipoles.append((viewer, int(views.carried_by[m]), int(m), at))
 
-    def linearised(self, scene: Scene) -> _System:
+    def linearised(self, scene: PosesAndPoints) -> _System:
         t, n = scene.xyz.shape[:2]
         size = 6 * len(self.views.cameras)
         point, right = np.zeros((t, n, 3, 3)), np.zeros((t, n, 3))
@@ -188,7 +188,7 @@ class _Task:
             )
         return _System(point, right, across, camera, camera_right, cost, count)
 
-    def stepped(self, scene: Scene, system: _System, damping: Array, live: Array) -> Scene:
+    def stepped(self, scene: PosesAndPoints, system: _System, damping: Array, live: Array) -> PosesAndPoints:
         t = len(scene.xyz)
         each = damping if self.kind == "moving" else np.full(t, damping[0])
         diagonal = np.einsum("tnii->tni", system.point)
@@ -205,9 +205,9 @@ class _Task:
             every = np.broadcast_to(moved, (t, moved.shape[1]))
             by_point = by_point - np.einsum("tnap,ta->tnp", system.across, every)
             pose = every.reshape(-1, 6)
-            rotations = turned(rotations.reshape(-1, 3, 3), pose[:, :3]).reshape(rotations.shape)
+            rotations = rotated(rotations.reshape(-1, 3, 3), pose[:, :3]).reshape(rotations.shape)
             centres = centres + pose[:, 3:].reshape(centres.shape)
-        return Scene(rotations, centres, scene.xyz + np.einsum("tnpq,tnq->tnp", inverse, by_point))
+        return PosesAndPoints(rotations, centres, scene.xyz + np.einsum("tnpq,tnq->tnp", inverse, by_point))
 
     def _poses(self, system: _System, inverse: Array, damping: Array) -> Array:
         weighted = np.einsum("tnap,tnpq->tnaq", system.across, inverse)
@@ -229,7 +229,7 @@ class _Task:
         moved[:, 6:] = solved[..., 0]
         return moved
 
-    def cost(self, scene: Scene) -> Array:
+    def cost(self, scene: PosesAndPoints) -> Array:
         cost = np.zeros(len(scene.xyz))
         for k in range(len(self.views.cameras)):
             at, _, _, error = self._ordinary(scene, k)
@@ -238,29 +238,33 @@ class _Task:
             cost[at] += (self._epipole(scene, viewer, m, at)[1] ** 2).sum(axis=1)
         return cost if self.kind == "moving" else cost.sum(keepdims=True)
 
-    def chosen(self, old: Scene, new: Scene, better: Array) -> Scene:
+    def chosen(self, old: PosesAndPoints, new: PosesAndPoints, better: Array) -> PosesAndPoints:
         take = better if self.kind == "moving" else np.full(len(old.xyz), better[0])
         rotations = np.where(take[:, None, None, None], new.rotations, old.rotations)
         centres = np.where(take[:, None, None], new.centres, old.centres)
-        return Scene(rotations, centres, np.where(take[:, None, None], new.xyz, old.xyz))
+        return PosesAndPoints(rotations, centres, np.where(take[:, None, None], new.xyz, old.xyz))
 
-    def _ordinary(self, scene: Scene, k: int) -> tuple[Array, Array, Sight, Array]:
+    def _ordinary(self, scene: PosesAndPoints, k: int) -> tuple[Array, Array, ProjectedPoints, Array]:
         """Return instants, points, image and errors (observed minus projected) of camera k's ordinary points."""
         at, which = np.nonzero(self.seen[:, k] & np.isfinite(scene.xyz).all(axis=2))
-        image = sight(
+        image = project_moving(
             self.views.cameras[k], scene.rotations[at, k], scene.centres[at, k], scene.xyz[at, which]
         )
         return at, which, *_errors(image, self.views.xy_px[at, k, self.free[which]])
 
-    def _epipole(self, scene: Scene, viewer: int, m: int, at: Array) -> tuple[Sight, Array]:
+    def _epipole(
+        self, scene: PosesAndPoints, viewer: int, m: int, at: Array
+    ) -> tuple[ProjectedPoints, Array]:
         carrier = int(self.views.carried_by[m])
         lamp = scene.centres[at, carrier] + scene.rotations[at, carrier] @ self.views.carried_at[m]
-        image = sight(
+        image = project_moving(
             self.views.cameras[viewer], scene.rotations[at, viewer], scene.centres[at, viewer], lamp
         )
         return _errors(image, self.views.xy_px[at, viewer, m])
 
-    def _by_carriers_turn(self, scene: Scene, carrier: int, m: int, at: Array, image: Sight) -> Array:
+    def _by_carriers_turn(
+        self, scene: PosesAndPoints, carrier: int, m: int, at: Array, image: ProjectedPoints
+    ) -> Array:
         """Return d image / d turn of the carrier (k, 2, 3): d (R exp([w]x) a) / dw = -R [a]x."""
         a = self.views.carried_at[m]
         cross = np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
@@ -271,11 +275,13 @@ LOST_PX = 1e4
 """Error that stands for a point which a trial pose does not image at all."""
 
 
-def _errors(image: Sight, observed: Array) -> tuple[Sight, Array]:
+def _errors(image: ProjectedPoints, observed: Array) -> tuple[ProjectedPoints, Array]:
     error = observed - image.xy_px
     lost = ~np.isfinite(error).all(axis=1)
     if not lost.any():
         return image, error
     none = lost[:, None, None]
-    cleared = Sight(image.xy_px, np.where(none, 0.0, image.by_point), np.where(none, 0.0, image.by_turn))
+    cleared = ProjectedPoints(
+        image.xy_px, np.where(none, 0.0, image.by_point), np.where(none, 0.0, image.by_turn)
+    )
     return cleared, np.where(lost[:, None], LOST_PX, error)

@@ -5,11 +5,11 @@ from scipy.cluster.hierarchy import leaves_list, linkage
 from scipy.spatial.distance import squareform
 from scipy.spatial.transform import Rotation
 
-from mosca.continuous.estimator.state import Layout, State
+from mosca.continuous.estimator.state import State, StateLayout
 from mosca.continuous.model.bspline import Knots, fitted, knots_over, values
 from mosca.continuous.model.camera_paths import PosedCameras, StillCameras
 from mosca.continuous.model.estimated import ContinuousSettings, SplinePaths
-from mosca.continuous.model.observations import CameraPaths, Observations
+from mosca.continuous.model.observations import CameraPaths, TimedObservations
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 from mosca.errors import InputError
@@ -24,7 +24,7 @@ CAMERA_START = (3.0, 1.0)
 """How a moving camera turns and moves before anything is learned: rad/s^2 and m/s^2 in a band of one hertz."""
 
 
-def enough(observations: Observations, told: list[str]) -> Array:
+def enough(observations: TimedObservations, told: list[str]) -> Array:
     """Return the free points that two cameras see often enough, and say which are left out."""
     points = []
     for p in observations.free:
@@ -45,7 +45,7 @@ def enough(observations: Observations, told: list[str]) -> Array:
     return np.array(points)
 
 
-def seen_from_to(observations: Observations, time_s: Array) -> Array:
+def seen_from_to(observations: TimedObservations, time_s: Array) -> Array:
     """Return the first and last instant (points, 2) [s] at which each point was seen, NaN where never.
 
     ``time_s`` (n,): when each image point was exposed.
@@ -65,7 +65,7 @@ def still_of(rig: Rig, names: tuple[str, ...]) -> StillCameras:
     )
 
 
-def first_knots(observations: Observations, settings: ContinuousSettings) -> Knots:
+def first_knots(observations: TimedObservations, settings: ContinuousSettings) -> Knots:
     """Return knots as far apart as exposures are on average, those of all cameras counted.
 
     Cameras that expose together count once: they see the same instant.
@@ -130,7 +130,7 @@ def grouped(state: State, points: Array, settings: ContinuousSettings) -> tuple[
     return tuple(np.sort(part) for part in parts)
 
 
-def first_covariance(strengths: dict[int, float], places: Layout, group: int) -> Array:
+def first_covariance(strengths: dict[int, float], places: StateLayout, group: int) -> Array:
     """Return the prior's covariance of a group before anything is learned together: each point by itself."""
     own = np.repeat([np.exp(-strengths[p]) for p in places.groups[group].tolist()], 3)
     if not places.moving:

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from mosca.continuous.model.observations import Observations
+from mosca.continuous.model.observations import TimedObservations
 from mosca.data.rig import Rig
 from mosca.errors import InputError
 
 FEWEST_EXPOSURES = 4
 
 
-def check(observations: Observations, rig: Rig) -> None:
+def check(observations: TimedObservations, rig: Rig) -> None:
     """Raise InputError for unknown cameras, equal or unsorted time stamps, no shared time, or too short a recording.
 
     Cameras share time where their spans overlap; with unknown clocks this is asked of the stamps all the same, since

@@ -135,7 +135,7 @@ class SplinePaths:
 
 
 @dataclass(frozen=True, eq=False)
-class Estimated:
+class ContinuousEstimate:
     """Curves, cameras' paths and clocks, the constant distances found, and what must be known about them.
 
     ``sigma0``: image residuals in units of their stated standard deviations (1 where these are honest); ``seconds``:

@@ -10,7 +10,7 @@ from mosca.data.arrays import Array, read_only
 
 
 @dataclass(frozen=True, eq=False)
-class Observations:
+class TimedObservations:
     """n image points of named points, each of an exposure of its own.
 
     ``cameras`` and ``points``: their names. Of each image point: ``camera`` (n,) and ``point`` (n,) indices;
@@ -64,7 +64,7 @@ class Observations:
         """Indices of the points that no camera carries: the markers whose curves are wanted."""
         return np.flatnonzero(self.carried_by < 0)
 
-    def only(self, keep: Array) -> "Observations":
+    def only(self, keep: Array) -> "TimedObservations":
         """Return the image points ``keep`` (mask or indices); cameras and points counted as before."""
         columns = ("camera", "point", "exposure", "time_s", "xy_px", "covariance_px2")
         return replace(self, **{name: getattr(self, name)[keep] for name in columns})
