@@ -33,6 +33,7 @@ from mosca.calibration.bundle.levenberg_marquardt import Task, empty_normals, li
 from mosca.calibration.bundle.precision import by_unknowns, carry_down
 from mosca.calibration.bundle.priors import pulls
 from mosca.calibration.bundle.problem import Problem
+from mosca.calibration.bundle.tables import LensColumns, Loss, SortedObservations, State
 from mosca.camera.projection import project_with_jacobians
 from mosca.data.arrays import Array
 from mosca.data.rig import principal_distances_px
@@ -200,12 +201,12 @@ def shifts_of(
     )
     state = state_of(problem, adjustment.cameras, points, adjustment.placements)
     used = np.asarray(adjustment.used)
-    weight = np.where(used[layout.order], layout.see[4], 0.0)
-    task = Task(problem, layout, (), (LEAST_SQUARES, 1.0), 1.0, 1)
+    weight = np.where(used[layout.order], layout.observations.weight, 0.0)
+    task = Task(problem, layout, (), Loss(LEAST_SQUARES, 1.0), 1.0, 1)
     normals = empty_normals(layout)
     linearised(task, state, weight, normals)
     pull, _ = pulls(problem, layout, (), state)
-    inverse = np.empty_like(normals[4])
+    inverse = np.empty_like(normals.blocks)
     reduced(layout, normals, pull, 0.0, inverse)
     image, of = np.unique(
         np.column_stack([problem.observations.camera, exposure]), axis=0, return_inverse=True
@@ -219,13 +220,13 @@ def shifts_of(
     slopes = np.zeros((len(image), 2, len(layout.names) + 1))
     by_block = np.zeros((len(layout.order), 2, 6))
     index = np.where(layout.index < 0, len(layout.names), layout.index)
-    see = (*layout.see[:4], weight, *layout.see[5:])
+    see = layout.observations._replace(weight=weight)
     _sums(state, see, layout.columns, index, of[layout.order], z[layout.order], slopes, by_block)
-    v, v_inverse, open_ = _block_matrices(layout, normals[4], inverse)
+    v, v_inverse, open_ = _block_matrices(layout, normals.blocks, inverse)
     s = _with_blocks(layout, of[layout.order], by_block, len(image), open_)
     each = np.eye(len(layout.names) + 1, len(layout.names))
     g = slopes[:, :, :-1].reshape(2 * len(image), -1)
-    g = g - s @ carry_down(layout.blocks, normals, inverse, index, each)
+    g = g - s @ carry_down(layout.blocks, normals.mixed, inverse, index, each)
     residual = np.where(used[:, None], adjustment.residuals_px, 0.0)
     pulled = squares[:, None] * np.einsum("nij,ni->nj", z, residual)
     u = np.column_stack([np.bincount(of, pulled[:, k], len(image)) for k in (0, 1)])
@@ -281,7 +282,7 @@ def _by_shakes(
 
 def _block_matrices(layout: NormalsLayout, flat: Array, inverse: Array) -> tuple[csc_array, csc_array, Array]:
     """Return the blocks' normal matrix and its inverse (q, q), and which unknowns (q,) nothing determines."""
-    dim, first_value, first = layout.blocks[0], layout.blocks[4], layout.blocks[5]
+    dim, first_value, first = layout.blocks.size, layout.blocks.normals_at, layout.blocks.slope_at
     block = np.repeat(np.arange(len(dim)), dim * dim)
     row, column = np.divmod(np.arange(len(block)) - first_value[block], dim[block])
     at, shape = (first[block] + row, first[block] + column), (int(dim.sum()),) * 2
@@ -296,9 +297,11 @@ def _with_blocks(
     layout: NormalsLayout, image: Array, by_block: Array, images: int, open_: Array
 ) -> csr_array:
     """Return Z^T W A of the blocks (2 images, q), from what each sorted observation gives to it (n, 2, 6)."""
-    dim, first = layout.blocks[0], layout.blocks[5]
+    dim, first = layout.blocks.size, layout.blocks.slope_at
     block = layout.block_of
-    column = np.broadcast_to((first[block] + layout.see[5])[:, None, None] + np.arange(6), by_block.shape)
+    column = np.broadcast_to(
+        (first[block] + layout.observations.offset)[:, None, None] + np.arange(6), by_block.shape
+    )
     row = np.broadcast_to((2 * image)[:, None, None] + np.arange(2)[:, None], by_block.shape)
     there = by_block != 0
     found = csr_array(
@@ -308,19 +311,21 @@ def _with_blocks(
 
 
 @kernel(fastmath=FAST)
-def _sums(state, see, columns, index, image, z, slopes, by_block):  # type: ignore[no-untyped-def]
+def _sums(
+    state: State, see: SortedObservations, columns: LensColumns, index: Array, image: Array, z: Array,
+    slopes: Array, by_block: Array,
+) -> None:  # fmt: skip
     """Add z^T w^2 J of each observation to its image's ``slopes`` (i, 2, u + 1) by the reduced system's unknowns, the
     last column taking what is held; write that of its block's unknowns to ``by_block`` (n, 2, 6).
     """
-    cameras, points, placements = state
-    camera_of, point_of, placement_of, _, weight, _, slot, kept, _, _ = see
+    weight, slot = see.weight, see.slot
     width = index.shape[1]
     out, j = np.empty((2, OBSERVED)), np.zeros((2, width))
-    for m in range(camera_of.size):
+    for m in range(weight.size):
         if weight[m] == 0.0:
             continue
-        camera, point, placement = camera_of[m], kept[m], placement_of[m]
-        if not observe(cameras, camera, points, point_of[m], placements, placement, out):
+        camera, point, placement = see.camera[m], see.kept_group[m], see.placement[m]
+        if not observe(state, see, m, out):
             continue
         by_unknowns(out, columns, camera, j)
         for shake in range(2):

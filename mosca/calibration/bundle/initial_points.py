@@ -24,7 +24,7 @@ def intersected(
     missing = layout.members[~np.isfinite(points.take(layout.members, axis=0)).all(axis=1)]
     if len(missing) == 0:
         return points
-    camera, point, placement, xy_px = layout.see[:4]
+    camera, point, placement, xy_px = layout.observations[:4]
     rank = np.full(len(points), -1, dtype=np.int64)
     rank[missing] = np.arange(len(missing))
     chosen = np.flatnonzero((rank[point] >= 0) & (placement < 0))

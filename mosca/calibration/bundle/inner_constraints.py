@@ -4,9 +4,10 @@ import numpy as np
 
 from mosca.calibration.bundle.datum import generators, point_motions
 from mosca.calibration.bundle.layout import NormalsLayout
-from mosca.calibration.bundle.levenberg_marquardt import Solution, State
+from mosca.calibration.bundle.levenberg_marquardt import Solution
 from mosca.calibration.bundle.precision import carry_down, carry_up
 from mosca.calibration.bundle.problem import Problem
+from mosca.calibration.bundle.tables import State
 from mosca.calibration.common.robust_fit import similarity
 from mosca.data.arrays import Array
 from mosca.errors import CalibrationError
@@ -14,9 +15,9 @@ from mosca.errors import CalibrationError
 
 def diagonals(layout: NormalsLayout, matrices: Array) -> Array:
     """Return the diagonal elements of all blocks of ``matrices``, one after the other."""
-    dim, at_v = layout.blocks[0], layout.blocks[4]
+    dim, at_v = layout.blocks.size, layout.blocks.normals_at
     block = np.repeat(np.arange(len(dim)), dim)
-    inside = np.arange(len(block)) - layout.blocks[5][block]
+    inside = np.arange(len(block)) - layout.blocks.slope_at[block]
     return np.asarray(matrices[at_v[block] + inside * (dim[block] + 1)])
 
 
@@ -47,7 +48,7 @@ def onto_given(problem: Problem, layout: NormalsLayout, solution: Solution, give
         raise CalibrationError(
             f"datum 'points': {len(chosen)} determined points carry it; three at least are wanted"
         )
-    target, source = given[1].take(chosen, axis=0), points.take(chosen, axis=0)
+    target, source = given.points.take(chosen, axis=0), points.take(chosen, axis=0)
     stretch, motion = similarity(source, target, with_scale=solution.motions == 7)
 
     def carried(x: Array) -> Array:
@@ -57,12 +58,14 @@ def onto_given(problem: Problem, layout: NormalsLayout, solution: Solution, give
     own_points = np.concatenate([layout.members, layout.kept])
     of_world = own_points
     if len(placements):
-        of_world = own_points[~np.isin(own_points, layout.see[1][layout.see[2] >= 0])]
+        of_world = own_points[
+            ~np.isin(own_points, layout.observations.point[layout.observations.placement >= 0])
+        ]
     points[of_world] = carried(points.take(of_world, axis=0))
     for poses in (table, placements):
         poses[:, :9] = (motion.rotation @ poses[:, :9].reshape(-1, 3, 3)).reshape(-1, 9)
         poses[:, 9:12] = carried(poses[:, 9:12])
-    return table, points, placements
+    return State(table, points, placements)
 
 
 def in_free_network(
@@ -73,20 +76,20 @@ def in_free_network(
 
     Points depend on the reduced unknowns by x_p = e - V^-1 W^T x_c, with e of cofactors V^-1.
     """
-    state, normals, inverse = solution.descent.state, solution.descent.normals, solution.inverse
+    state, mixed, inverse = solution.descent.state, solution.descent.normals.mixed, solution.inverse
     moves = generators(layout, state)[:, : solution.motions]
-    point_moves = point_motions(state[1][layout.members])[:, :, : solution.motions]
+    point_moves = point_motions(state.points[layout.members])[:, :, : solution.motions]
     mask = datum_mask(problem, layout, inverse)
     chosen = np.where(mask[:, None, None], point_moves, 0.0)
     normal = np.einsum("mij,mik->jk", chosen, chosen)
-    functional = np.zeros((int(layout.blocks[0].sum()), solution.motions))
+    functional = np.zeros((int(layout.blocks.size.sum()), solution.motions))
     functional[: 3 * len(mask)] = np.linalg.solve(normal, chosen.reshape(-1, solution.motions).T).T
-    up, own_part, own = carry_up(layout.blocks, normals, inverse, layout.index, len(layout.names), functional)
+    up, own_part, own = carry_up(layout.blocks, mixed, inverse, layout.index, len(layout.names), functional)
     q_up = solution.cofactors @ up
     common = own + up.T @ q_up
     camera_common = -q_up
     # the points' own part has the cofactors V^-1 with the datum's functional
-    down = carry_down(layout.blocks, normals, inverse, layout.index, np.pad(q_up, ((0, 1), (0, 0))))
+    down = carry_down(layout.blocks, mixed, inverse, layout.index, np.pad(q_up, ((0, 1), (0, 0))))
     point_common = (own_part + down)[: 3 * len(mask)].reshape(-1, 3, solution.motions)
     reduced_cofactors = (
         solution.cofactors - moves @ camera_common.T - camera_common @ moves.T + moves @ common @ moves.T

@@ -10,6 +10,7 @@ from mosca.calibration.bundle.kernels import LENS
 from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.calibration.bundle.problem import Problem
 from mosca.calibration.bundle.rotations import observed_pose
+from mosca.calibration.bundle.tables import State
 from mosca.data.arrays import Array
 
 
@@ -50,7 +51,7 @@ def free_lens_parameters(problem: Problem, layout: NormalsLayout) -> list[tuple[
 
 
 def pulls(
-    problem: Problem, layout: NormalsLayout, priors: Priors, state: tuple[Array, ...]
+    problem: Problem, layout: NormalsLayout, priors: Priors, state: State
 ) -> tuple[tuple[Array, Array] | None, float]:
     """Return normal matrix (u, u) and slope (u,) of all that is known beforehand, and its cost; None if
     nothing is.
@@ -113,8 +114,10 @@ def count(problem: Problem, layout: NormalsLayout, priors: Priors) -> int:
     beforehand.
     """
     poses = sum(0 < sigma < np.inf for one in problem.cameras for sigma in one.pose_sigma)
-    lengths = len(layout.known[6]) + len(layout.kept_rods)
-    placements = int((layout.known[4][layout.placed] > 0).sum()) if layout.known[4].size else 0
+    lengths = len(layout.known.distances) + len(layout.kept_rods)
+    placements = (
+        int((layout.known.pose_weight[layout.placed] > 0).sum()) if layout.known.pose_weight.size else 0
+    )
     points = 0
     if problem.points.information is not None:
         own = np.concatenate([layout.members, layout.kept])
