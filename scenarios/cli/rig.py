@@ -86,8 +86,8 @@ def calibrate(
               mosca calibrate lab/moved --target field.toml --known rig.toml --exterior-only --out rig2.toml
               mosca calibrate lab --target points.toml --lens opencv --free fx_px,fy_px,cx_px,cy_px,k1 --out rig.toml
     """
-    from mosca.calibration.initial.interior_orientation import LensChoice
     from mosca.calibration.session import EstimateSettings
+    from mosca.calibration.single_camera.interior_orientation import LensChoice
     from scenarios.commands.calibrate import Request
     from scenarios.commands.calibrate import calibrate as work
 
