@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from mosca.camera.ray_table import ANGLE, BONUS, FLAGS, LONG, RADIUS, SIGMA
+from mosca.camera.ray_table import LONG
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
+from mosca.data.rays import ANGLE, BONUS, FLAGS, RADIUS, SIGMA
 from mosca.numba_support.decorators import bare_step
 from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3
 from mosca.triangulation.triangulate import DEPTH, TRUST, solve_rays

@@ -7,7 +7,6 @@ images to a better one is tried again with those it has left. What two cameras a
 
 import numpy as np
 
-from mosca.camera.ray_table import EDGES, SIGMA
 from mosca.correspondence.hypothesis import (
     CHI2,
     COVARIANCE,
@@ -25,6 +24,7 @@ from mosca.correspondence.hypothesis import (
     wholeness,
 )
 from mosca.correspondence.spatial_index import buckets, within
+from mosca.data.rays import EDGES, SIGMA
 from mosca.numba_support.decorators import bare_step, kernel, step
 from mosca.numba_support.linalg3 import Symmetric3, mahalanobis3
 from mosca.triangulation.triangulate import RANKS, TRUST
