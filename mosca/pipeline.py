@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
+from mosca.camera.ray_table import make_ray_table
 from mosca.correspondence.match import MatchSettings, match
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
@@ -23,7 +24,6 @@ from mosca.errors import InputError
 from mosca.synchronisation import Assembly, AssemblySettings, assemble
 from mosca.tracking.nearest_neighbour import NearestSettings, NearestTracker
 from mosca.tracking.tracker import Tracker, TrackSettings
-from mosca.triangulation.triangulate import bundle_rays
 
 MOST_DETECTIONS = 5000
 """Detections an image may have; matching many more would take minutes a frame set."""
@@ -139,7 +139,7 @@ def run_seen(
         clock = _Clock({"detect": seconds})
         predicted = tracker.predict(frame_set.time_ns * 1e-9)
         clock.lap("predict")
-        bundle = bundle_rays(rig, detections, health.noise.sigma_px, settings.match.target)
+        bundle = make_ray_table(rig, detections, health.noise.sigma_px, settings.match.target)
         points = match(bundle, predicted, settings.match, volume, typical_diameter_m)
         typical_diameter_m = learned_diameter(typical_diameter_m, points)
         clock.lap("match")

@@ -11,6 +11,7 @@ from itertools import islice
 import numpy as np
 
 from mosca.camera.projection import project
+from mosca.camera.ray_table import make_ray_table
 from mosca.correspondence.match import MatchSettings, match
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
@@ -22,7 +23,6 @@ from mosca.detection.scheduler import Look
 from mosca.diagnostics.camera_health import Health
 from mosca.pipeline import PipelineSettings, run
 from mosca.tracking.tracker import Tracker, TrackSettings
-from mosca.triangulation.triangulate import bundle_rays
 
 WIDTH, HEIGHT, RATE_HZ, PULSES = 96, 72, 100.0, 8
 POINTS = np.array([[0.1, 0.0, 0.1], [-0.1, 0.1, 0.0], [0.0, -0.1, -0.1]])
@@ -80,7 +80,7 @@ def points() -> int:
             for c in rig.cameras
         }  # fmt: skip
         predicted = tracker.predict(pulse / RATE_HZ)
-        bundle = bundle_rays(rig, found, 0.05)
+        bundle = make_ray_table(rig, found, 0.05)
         made = match(bundle, predicted, MatchSettings(), room, 0.0)
         frame_set = FrameSet(pulse, round(pulse * 1e9 / RATE_HZ), {})
         samples += len(tracker.update(made, pulse, frame_set.time_ns))

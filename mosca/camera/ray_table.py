@@ -4,8 +4,10 @@ The lens formulas are those of ``mosca.camera.lens_models`` (one file a model; t
 pixel at a time and with the one derivative that matching needs: of the pixel by the ray's direction.
 """
 
+from collections.abc import Mapping
 from dataclasses import astuple, dataclass
 from functools import lru_cache
+from itertools import accumulate
 
 import numpy as np
 
@@ -15,7 +17,22 @@ from mosca.camera.lens_models import mosca as mosca_model
 from mosca.camera.lens_models import opencv as opencv_model
 from mosca.camera.projection import image_grid, lens_directions
 from mosca.data.arrays import Array
-from mosca.data.detections import MERGED, UNREFINED
+from mosca.data.detections import MERGED, UNREFINED, Detections
+from mosca.data.rays import (
+    ANGLE,
+    BONUS,
+    COLUMNS,
+    DENSITY,
+    DIRECTION,
+    FLAGS,
+    NORMAL,
+    RADIUS,
+    SIGMA,
+    SPREAD,
+    VIEW,
+    WHITE,
+    RayTable,
+)
 from mosca.data.rig import Camera, FisheyeLens, Lens, MoscaLens, OpenCVLens, Rig
 from mosca.numba_support.decorators import bare_step, kernel
 
@@ -24,11 +41,6 @@ FOLD, TILTED, TILT, UNTILT, WIDTH = 20, 21, 22, 31, 40
 """Places in a camera's row of lens parameters: the first 18 are the lens's fields in their order."""
 NEWTON_STEPS = 30
 EDGE_STEP_PX = 64.0
-DIRECTION, WHITE, SPREAD, NORMAL = 0, 3, 9, 15
-SIGMA, RADIUS, ANGLE, BONUS, FLAGS, COLUMNS = 24, 25, 26, 27, 28, 29
-"""Columns of the table of rays; see ``mosca.triangulation.triangulate.Bundle``."""
-ORIGIN, ROTATION, EDGES, DENSITY, VIEW = 0, 3, 12, 16, 17
-"""Columns of the table of cameras; see ``mosca.triangulation.triangulate.Bundle``."""
 TWO_LONG = 1.6
 """Ratio of a box's sides from which an image is taken for two targets (a small disc's box reaches 3 : 2)."""
 LEAST_DIAMETER_PX = 0.5
@@ -63,6 +75,35 @@ class RigTable:
     views: Array
     pairs: Array
     bases: Array
+
+
+def make_ray_table(
+    rig: Rig, detections: Mapping[str, Detections], camera_sigma_px: float | Array, target: str = "point"
+) -> RayTable:
+    """Return the rays of all detections of a frame set.
+
+    ``camera_sigma_px``: what besides the detection's own error moves an image point at random (camera body,
+    trigger, lens model), standard deviation an axis, of all cameras or of each (c,); added to each detection's
+    covariance. ``target``: "ball"
+    frees each image of a ball's eccentricity, by its own size (``mosca.camera.eccentricity``); "point" takes the
+    image as it is.
+    """
+    table = rig_table(rig)
+    found = [detections.get(c.name) for c in rig.cameras]
+    there = [f for f in found if f is not None] or [Detections.none("")]
+    start = np.array([0, *accumulate(0 if f is None else len(f) for f in found)])
+    covariance = np.concatenate([f.covariance_px2 for f in there])
+    extra = np.zeros(len(found))
+    extra[:] = np.square(camera_sigma_px)
+    rays, views = np.empty((int(start[-1]), COLUMNS)), np.empty((len(found), VIEW))
+    odd = fill_rays(
+        table.kind, table.lens, table.size, table.rotation, table.views, start,
+        ball_fields(rig) if target == "ball" else NO_FIELDS,
+        np.concatenate([f.xy_px for f in there]), covariance, extra,
+        np.concatenate([f.diameter_px for f in there]), np.concatenate([f.elongation for f in there]),
+        np.concatenate([f.flags for f in there]), rays, views,
+    )  # fmt: skip
+    return RayTable(rays, views, table.pairs, table.bases, start, covariance, extra, odd)
 
 
 @lru_cache(maxsize=32)

@@ -1,7 +1,7 @@
 """The search for groups of rays that meet: compiled kernels of ``mosca.correspondence.match``.
 
 For every pair of rays in one epipolar plane: intersect, judge the images by their sizes, add the nearest rays of the
-other cameras, leave out a bad one. Rays are whitened (``mosca.triangulation.triangulate.Bundle``), so that errors
+other cameras, leave out a bad one. Rays are whitened (``mosca.data.rays.RayTable``), so that errors
 are counted in standard deviations. A group of so many rays that chance does not explain it explains its rays, and
 no further group is looked for with them; so the work grows with the rays and not with their pairs. A second pass
 looks, for the rays left over, as far as half-hidden targets may lie beside their epipolar lines.
@@ -9,7 +9,7 @@ looks, for the rays left over, as far as half-hidden targets may lie beside thei
 
 import numpy as np
 
-from mosca.camera.ray_table import ANGLE, DENSITY, FLAGS, LONG, RADIUS, SIGMA, SPREAD, WHITE
+from mosca.camera.ray_table import LONG
 from mosca.correspondence.hypothesis import (
     GATE,
     HIGH,
@@ -46,6 +46,7 @@ from mosca.correspondence.spatial_index import (
     plane_angles,
     within,
 )
+from mosca.data.rays import ANGLE, DENSITY, FLAGS, RADIUS, SIGMA, SPREAD, WHITE
 from mosca.numba_support.decorators import bare_step, inlined_step, kernel, step
 from mosca.triangulation.triangulate import DEPTH, RANKS, SHARE, TRUST
 

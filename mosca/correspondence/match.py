@@ -31,8 +31,8 @@ from mosca.correspondence.hypothesis import (
 )
 from mosca.correspondence.selection import OPEN, choose, columns
 from mosca.data.arrays import Array
+from mosca.data.rays import Predicted, RayTable
 from mosca.data.tracks import Points
-from mosca.triangulation.triangulate import Bundle
 
 USUAL = 0.25
 """Share of images that are long, or stand alone without a fit, from which that says nothing of an image: targets are
@@ -63,19 +63,6 @@ class MatchSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class Predicted:
-    """Where the tracks expect their targets: ``xyz`` (k, 3), ``covariance`` (k, 3, 3)."""
-
-    xyz: Array
-    covariance: Array
-
-    @classmethod
-    def nothing(cls) -> "Predicted":
-        """No expectation: every frame on its own."""
-        return cls(np.empty((0, 3)), np.empty((0, 3, 3)))
-
-
-@dataclass(frozen=True, eq=False)
 class Matched:
     """The points of a frame set; ``considered``: how many groups of rays met; ``left_open``: how many pairs were
     not taken because another that meets about as well wants one of their images.
@@ -87,7 +74,7 @@ class Matched:
 
 
 def match(
-    bundle: Bundle,
+    bundle: RayTable,
     predicted: Predicted,
     settings: MatchSettings,
     volume: tuple[Array, Array] = EVERYWHERE,
@@ -108,7 +95,7 @@ def match(
 
 
 def match_counted(
-    bundle: Bundle,
+    bundle: RayTable,
     predicted: Predicted,
     settings: MatchSettings,
     volume: tuple[Array, Array] = EVERYWHERE,
@@ -135,6 +122,6 @@ def match_counted(
     return Matched(Points.handed_over(found), len(values), int(np.count_nonzero(state == OPEN)))
 
 
-def _judged_by(bundle: Bundle) -> float:
+def _judged_by(bundle: RayTable) -> float:
     """Return whether images are judged by their sizes alone or by their shapes too."""
     return SHAPES if bundle.odd < USUAL * len(bundle.rays) else SIZES

@@ -8,7 +8,7 @@ from the camera's axis, which is finite for every direction but straight behind 
 
 import numpy as np
 
-from mosca.camera.ray_table import ROTATION, SPREAD
+from mosca.data.rays import ROTATION, SPREAD
 from mosca.numba_support.decorators import bare_step, step
 
 MOST_BUCKETS = 16

@@ -22,13 +22,14 @@ from time import perf_counter
 import numpy as np
 from scipy.optimize import nnls
 
+from mosca.camera.ray_table import make_ray_table
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSet
+from mosca.data.rays import RayTable
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points
 from mosca.diagnostics.residual_sums import look
-from mosca.triangulation.triangulate import Bundle, bundle_rays
 
 START_SETS = 200
 """Frame sets in which much is to be learned."""
@@ -128,7 +129,7 @@ class Health:
         frame_set: FrameSet,
         detections: Mapping[str, Detections],
         points: Points,
-        bundle: Bundle | None = None,
+        bundle: RayTable | None = None,
     ) -> None:
         """Take a frame set's points and the detections that they were made of; ``rig``: that they were made with.
 
@@ -147,7 +148,7 @@ class Health:
         s = self.settings
         if self._sets % (s.every if self._sets <= START_SETS else s.seldom) == 0 and len(points):
             if bundle is None:
-                bundle = bundle_rays(rig, detections, self.noise.sigma_px)
+                bundle = make_ray_table(rig, detections, self.noise.sigma_px)
             self._look(time_s, bundle, points)
         self._before = (time_s, points.xyz)
         self.seconds += perf_counter() - begin
@@ -190,7 +191,7 @@ class Health:
                 )
         return tuple(told)
 
-    def _look(self, time_s: float, bundle: Bundle, points: Points) -> None:
+    def _look(self, time_s: float, bundle: RayTable, points: Points) -> None:
         """Add what the residuals of some of the points say to the sums, and draw the conclusions."""
         if self._before is None:
             return

@@ -7,7 +7,7 @@ The points looked at move to their best places first; the derivation of what is 
 
 import numpy as np
 
-from mosca.camera.ray_table import ANGLE, DIRECTION, ORIGIN, RADIUS, WHITE
+from mosca.data.rays import ANGLE, DIRECTION, ORIGIN, RADIUS, WHITE
 from mosca.numba_support.decorators import bare_step, kernel
 
 FARTHEST_SIGMAS = 5.0
@@ -23,7 +23,7 @@ def look(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Sum up the residuals of every ``every``-th point from ``first`` on that has a speed.
 
-    ``rays``, ``views``, ``start``, ``covariance``, ``extra_px2``: a ``mosca.triangulation.triangulate.Bundle``;
+    ``rays``, ``views``, ``start``, ``covariance``, ``extra_px2``: a ``mosca.data.rays.RayTable``;
     ``members`` (n, c), ``xyz`` (n, 3), ``cameras`` (n,), ``trusted`` (n,): its points; ``before`` (m, 3): those of
     the set before, ``elapsed_s`` ago. A point's speed is that since the point nearest to it there, if that is
     nearer than ``farthest_m`` and has none nearer here. ``adopt_px``: how far a ray that no point has may lie

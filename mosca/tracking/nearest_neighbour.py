@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mosca.correspondence.match import Predicted
 from mosca.data.arrays import Array
+from mosca.data.rays import Predicted
 from mosca.data.tracks import Points, Samples
 
 

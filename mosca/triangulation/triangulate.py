@@ -6,96 +6,24 @@ that the point follows from 3 x 3 normal equations, re-weighted with the new dep
 second order in the error. Covariance: ``(sum A'A / s^2)^-1`` (field notes, section 4).
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from itertools import accumulate
 from typing import Any
 
 import numpy as np
 
-from mosca.camera.ray_table import (
-    COLUMNS,
-    DIRECTION,
-    NO_FIELDS,
-    NORMAL,
-    VIEW,
-    WHITE,
-    ball_fields,
-    fill_rays,
-    rig_table,
-)
+from mosca.camera.ray_table import make_ray_table
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
+from mosca.data.rays import NORMAL, WHITE
 from mosca.data.rig import Rig
 from mosca.numba_support.decorators import bare_step, kernel
+from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3, scaled3, times3
 
 REWEIGHTINGS = np.int64(3)
+SINGULAR = 1e-18
+"""Determinant of the normal equations over the product of their diagonal at which rays are parallel in double
+precision: directions that differ by some 1e-9 rad."""
 TRUST, SHARE, DEPTH, RANKS = 0, 1, 2, 3
 """Columns of what goes with each ray of a group: trust, expected number of chance rays as near, depth."""
-
-
-@dataclass(frozen=True, eq=False)
-class Bundle:
-    """The rays of one frame set, all cameras in one table, whitened by their errors.
-
-    ``rays`` (n, COLUMNS), by the columns that ``mosca.camera.ray_table`` names: DIRECTION (3) unit, world; WHITE (2
-    x 3) whitened reprojection error by direction; SPREAD (3 x 2) direction error of one standard deviation
-    (pseudo-inverse of WHITE); NORMAL (9) share in the normal equations, A'A (xx, xy, xz, yy, yz, zz) and A'A O;
-    SIGMA [px] geometric mean of the error ellipse's axes, to turn whitened errors back into px; RADIUS [px] of
-    the target's image and ANGLE [rad] that its diameter fills, without blur; BONUS log-likelihood that it adds to
-    a group (``mosca.correspondence.match``); FLAGS of the detection, and LONG. NaN where the lens images nothing at
-    the pixel.
-
-    ``views`` (c, VIEW): ORIGIN (3) centre of projection [m], ROTATION (3 x 3) world_from_camera, EDGES (4) of what
-    it sees, DENSITY rays over the image's area [1/px^2]; ``pairs`` (p, 2) of cameras, best base first, and ``bases``
-    (p, 2, 3) across each base (``mosca.camera.ray_table``); ``start`` (c + 1,) first row of each camera's rays.
-
-    ``covariance_px2`` (n, 2, 2) of the detections and ``extra_px2`` (c,) that each camera adds to it, an axis: both
-    together whiten. ``odd``: how many images are long, or stand alone without a fit.
-    """
-
-    rays: Array
-    views: Array
-    pairs: Array
-    bases: Array
-    start: Array
-    covariance_px2: Array
-    extra_px2: Array
-    odd: int
-
-    @property
-    def direction(self) -> Array:
-        """Unit directions (n, 3), world."""
-        return self.rays[:, DIRECTION : DIRECTION + 3]
-
-
-def bundle_rays(
-    rig: Rig, detections: Mapping[str, Detections], camera_sigma_px: float | Array, target: str = "point"
-) -> Bundle:
-    """Return the rays of all detections of a frame set.
-
-    ``camera_sigma_px``: what besides the detection's own error moves an image point at random (camera body,
-    trigger, lens model), standard deviation an axis, of all cameras or of each (c,); added to each detection's
-    covariance. ``target``: "ball"
-    frees each image of a ball's eccentricity, by its own size (``mosca.camera.eccentricity``); "point" takes the
-    image as it is.
-    """
-    table = rig_table(rig)
-    found = [detections.get(c.name) for c in rig.cameras]
-    there = [f for f in found if f is not None] or [Detections.none("")]
-    start = np.array([0, *accumulate(0 if f is None else len(f) for f in found)])
-    covariance = np.concatenate([f.covariance_px2 for f in there])
-    extra = np.zeros(len(found))
-    extra[:] = np.square(camera_sigma_px)
-    rays, views = np.empty((int(start[-1]), COLUMNS)), np.empty((len(found), VIEW))
-    odd = fill_rays(
-        table.kind, table.lens, table.size, table.rotation, table.views, start,
-        ball_fields(rig) if target == "ball" else NO_FIELDS,
-        np.concatenate([f.xy_px for f in there]), covariance, extra,
-        np.concatenate([f.diameter_px for f in there]), np.concatenate([f.elongation for f in there]),
-        np.concatenate([f.flags for f in there]), rays, views,
-    )  # fmt: skip
-    return Bundle(rays, views, table.pairs, table.bases, start, covariance, extra, odd)
 
 
 @bare_step
@@ -108,7 +36,8 @@ def solve_rays(members, ranks, rays, views, steps, solved):  # type: ignore[no-u
     not meet in front of the cameras. Elements are read one by one: a view of a row costs more than the arithmetic.
     """
     cameras = members.shape[0]
-    x = y = z = inverse = c00 = c01 = c02 = c11 = c12 = c22 = 0.0
+    x = y = z = inverse = 0.0
+    cofactors = Symmetric3(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for _step in range(steps):
         n00 = n01 = n02 = n11 = n12 = n22 = b0 = b1 = b2 = 0.0
         for c in range(cameras):
@@ -125,15 +54,14 @@ def solve_rays(members, ranks, rays, views, steps, solved):  # type: ignore[no-u
             b0 += w * rays[k, NORMAL + 6]
             b1 += w * rays[k, NORMAL + 7]
             b2 += w * rays[k, NORMAL + 8]
-        c00, c01, c02 = n11 * n22 - n12 * n12, n02 * n12 - n01 * n22, n01 * n12 - n02 * n11
-        det = n00 * c00 + n01 * c01 + n02 * c02
-        if not det > 1e-18 * n00 * n11 * n22:
+        normal = Symmetric3(n00, n01, n02, n11, n12, n22)
+        cofactors = cofactors3(normal)
+        determinant = determinant3(normal, cofactors)
+        if not determinant > SINGULAR * n00 * n11 * n22:
             return -1.0
-        c11, c12, c22 = n00 * n22 - n02 * n02, n01 * n02 - n00 * n12, n00 * n11 - n01 * n01
-        inverse = 1.0 / det
-        x = (c00 * b0 + c01 * b1 + c02 * b2) * inverse
-        y = (c01 * b0 + c11 * b1 + c12 * b2) * inverse
-        z = (c02 * b0 + c12 * b1 + c22 * b2) * inverse
+        inverse = 1.0 / determinant
+        x, y, z = times3(cofactors, b0, b1, b2)
+        x, y, z = x * inverse, y * inverse, z * inverse
         for c in range(cameras):
             k = members[c]
             if k >= 0:
@@ -145,10 +73,11 @@ def solve_rays(members, ranks, rays, views, steps, solved):  # type: ignore[no-u
                 if not ranks[c, DEPTH] > 0.0:
                     return -1.0
     solved[0], solved[1], solved[2] = x, y, z
-    solved[3], solved[7], solved[11] = c00 * inverse, c11 * inverse, c22 * inverse
-    solved[4] = solved[6] = c01 * inverse
-    solved[5] = solved[9] = c02 * inverse
-    solved[8] = solved[10] = c12 * inverse
+    covariance = scaled3(cofactors, inverse)
+    solved[3], solved[7], solved[11] = covariance.xx, covariance.yy, covariance.zz
+    solved[4] = solved[6] = covariance.xy
+    solved[5] = solved[9] = covariance.xz
+    solved[8] = solved[10] = covariance.yz
     total = 0.0
     for c in range(cameras):
         k = members[c]
@@ -183,7 +112,7 @@ def triangulate(rig: Rig, xy_px: Any, sigma_px: float = 1.0) -> tuple[Array, Arr
         )
         row_of[rows, c] = first + np.arange(k)
         first += k
-    bundle = bundle_rays(rig, found, 0.0)
+    bundle = make_ray_table(rig, found, 0.0)
     solved, total, count = _solve_rows(row_of, bundle.rays, bundle.views)
     return (
         solved[:, :3],

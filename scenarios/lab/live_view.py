@@ -15,14 +15,15 @@ from pathlib import Path
 
 import numpy as np
 
-from mosca.correspondence.match import Predicted, match
+from mosca.camera.ray_table import make_ray_table
+from mosca.correspondence.match import match
 from mosca.data.frames import CameraInfo, Frame, FrameSet, mid_exposure_ns
+from mosca.data.rays import Predicted
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 from mosca.detection.disc_fit.camera_statistics import NOTHING
 from mosca.detection.scheduler import Look
 from mosca.errors import InputError
 from mosca.pipeline import MOST_DETECTIONS, PipelineSettings
-from mosca.triangulation.triangulate import bundle_rays
 from reports.viewer import RerunLog
 from reports.viewer_program import viewer_program
 
@@ -112,7 +113,7 @@ class LiveView:
         if self._rig is not None and all(len(found) <= MOST_DETECTIONS for found in detections.values()):
             s = self._settings.match
             sigma = np.full(len(self._rig.cameras), s.camera_sigma_px)
-            bundle = bundle_rays(self._rig, detections, sigma, s.target)
+            bundle = make_ray_table(self._rig, detections, sigma, s.target)
             low, high = self._settings.volume or ((-np.inf,) * 3, (np.inf,) * 3)
             volume = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
             xyz = match(bundle, Predicted.nothing(), s, volume, 0.0).xyz

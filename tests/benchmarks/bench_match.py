@@ -16,8 +16,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "mosca"))
 from test_match import detected, members, rig_of
 
-from mosca.correspondence.match import MatchSettings, Predicted, match
-from mosca.triangulation.triangulate import bundle_rays
+from mosca.camera.ray_table import make_ray_table
+from mosca.correspondence.match import MatchSettings, match
+from mosca.data.rays import Predicted
 
 ROOM = (np.full(3, -2.0), np.full(3, 2.0))
 
@@ -44,10 +45,10 @@ def scaling() -> None:
         rng = np.random.default_rng(markers + cameras)
         rig, truth = rig_of(cameras), rng.uniform(-0.5, 0.5, (markers, 3))
         found, behind = detected(rig, truth, rng, clutter=markers // 20, miss=0.1)
-        bundle = bundle_rays(rig, found, 0.0)
+        bundle = make_ray_table(rig, found, 0.0)
         tracks = Predicted(truth, np.tile(1e-6 * np.eye(3), (markers, 1, 1)))
         calls = 100 if cameras * markers < 2000 else 20
-        rays_ms = least_ms(lambda rig=rig, found=found: bundle_rays(rig, found, 0.0), calls)
+        rays_ms = least_ms(lambda rig=rig, found=found: make_ray_table(rig, found, 0.0), calls)
         alone = least_ms(lambda b=bundle: match(b, Predicted.nothing(), settings, ROOM, 0.014), calls)
         held = least_ms(lambda b=bundle, t=tracks: match(b, t, settings, ROOM, 0.014), calls)
         points = match(bundle, tracks, settings, ROOM, 0.014)

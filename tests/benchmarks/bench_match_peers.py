@@ -21,11 +21,12 @@ from bench_match import exponent, least_ms
 from test_match import detected, members
 
 from mosca.camera.projection import project
-from mosca.correspondence.match import MatchSettings, Predicted, match
+from mosca.camera.ray_table import make_ray_table
+from mosca.correspondence.match import MatchSettings, match
 from mosca.data.detections import Detections
+from mosca.data.rays import Predicted
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 from mosca.data.tracks import Points
-from mosca.triangulation.triangulate import bundle_rays
 
 SIGMA_PX = 0.03
 SETS = 3
@@ -153,7 +154,7 @@ def ours(rig: Rig, frames: list[Frame], expected: bool) -> tuple[float, float, f
         size = DIAMETER_M if expected else 0.0
 
         def work(found: dict = found, tracks: Predicted = tracks, size: float = size) -> Points:
-            return match(bundle_rays(rig, found, 0.0), tracks, SETTINGS, ROOM, size)
+            return match(make_ray_table(rig, found, 0.0), tracks, SETTINGS, ROOM, size)
 
         spent += least_ms(work, 20 if len(truth) <= 200 else 5)
         counts += judged(members(rig, work(), behind), behind)

@@ -5,11 +5,12 @@ import pytest
 
 from mosca.camera.eccentricity import ball_eccentricity_px
 from mosca.camera.projection import lens_pixels, project
-from mosca.correspondence.match import MatchSettings, Predicted, match
+from mosca.camera.ray_table import make_ray_table
+from mosca.correspondence.match import MatchSettings, match
 from mosca.data.detections import Detections
+from mosca.data.rays import Predicted
 from mosca.data.rig import Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose, Rig
 from mosca.errors import InputError
-from mosca.triangulation.triangulate import bundle_rays
 
 HERE = Pose(np.eye(3), np.zeros(3))
 LENSES = {
@@ -99,7 +100,7 @@ def test_balls_are_measured_where_they_are(name):
     errors = {}
     for target in ("point", "ball"):
         settings = MatchSettings(camera_sigma_px=0.05, target=target)
-        bundle = bundle_rays(rig, found, settings.camera_sigma_px, settings.target)
+        bundle = make_ray_table(rig, found, settings.camera_sigma_px, settings.target)
         xyz = match(bundle, Predicted.nothing(), settings).xyz
         away = np.linalg.norm(xyz[:, None] - balls[None], axis=2)
         errors[target] = away.min(axis=0).max()

@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from mosca.camera.projection import project
+from mosca.camera.ray_table import make_ray_table
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSet
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
 from mosca.data.tracks import Points
 from mosca.diagnostics.camera_health import Health
-from mosca.triangulation.triangulate import bundle_rays, triangulate
+from mosca.triangulation.triangulate import triangulate
 
 NOISE_PX = 0.01
 RATE_HZ = 100.0
@@ -68,7 +69,7 @@ def watched(
         rays = np.where(seen, np.arange(markers)[:, None], -1)
         views = seen.sum(axis=1)
         points = Points(xyz, covariance, views, residual, rays, np.full(markers, 0.01), views)
-        bundle = None if handed is None else bundle_rays(rig, found, handed)
+        bundle = None if handed is None else make_ray_table(rig, found, handed)
         health.attend(rig, FrameSet(pulse, round(t * 1e9)), found, points, bundle)
     return health
 

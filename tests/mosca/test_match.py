@@ -7,10 +7,11 @@ import pytest
 from scipy.stats import chi2
 
 from mosca.camera.projection import project
-from mosca.correspondence.match import EVERYWHERE, MatchSettings, Predicted, match, match_counted
+from mosca.camera.ray_table import make_ray_table
+from mosca.correspondence.match import EVERYWHERE, MatchSettings, match, match_counted
 from mosca.data.detections import MERGED, PARTIAL, UNREFINED, Detections
+from mosca.data.rays import Predicted
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
-from mosca.triangulation.triangulate import bundle_rays
 
 LENS = MoscaLens(8.0, 330.0, 240.0, 0.01, 0.01, -0.006, 1e-3, -1.5e-5, 0, 1e-4, 5e-5)
 SIGMA = 0.05
@@ -55,7 +56,7 @@ def detected(rig, points, rng, sigma=SIGMA, clutter=0, miss=0.0):
 
 def grouped(rig, found, settings=None, predicted=None):
     settings = settings or MatchSettings(camera_sigma_px=0.0)
-    bundle = bundle_rays(rig, found, settings.camera_sigma_px)
+    bundle = make_ray_table(rig, found, settings.camera_sigma_px)
     return match(bundle, predicted or Predicted.nothing(), settings, EVERYWHERE)
 
 
@@ -126,7 +127,7 @@ def test_points_outside_the_volume_are_none():
     rig, rng = rig_of(4), np.random.default_rng(4)
     truth3d = np.array([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]])
     found, _ = detected(rig, truth3d, rng)
-    bundle = bundle_rays(rig, found, 0.0)
+    bundle = make_ray_table(rig, found, 0.0)
     box = (np.full(3, -0.2), np.full(3, 0.2))
     assert len(match(bundle, Predicted.nothing(), MatchSettings(), box)) == 1
 
@@ -285,7 +286,7 @@ def test_what_is_left_open_is_counted():
     inside /= np.linalg.norm(inside)
     found, _ = detected(rig, np.array([0.2 * inside, -0.2 * inside]), np.random.default_rng(0), sigma=0.01)
     result = match_counted(
-        bundle_rays(rig, found, 0.0), Predicted.nothing(), MatchSettings(camera_sigma_px=0.0)
+        make_ray_table(rig, found, 0.0), Predicted.nothing(), MatchSettings(camera_sigma_px=0.0)
     )
     assert (len(result.points), result.left_open) == (0, 4)
 
@@ -294,7 +295,7 @@ def test_clutter_of_many_cameras_makes_no_ghosts():
     rng = np.random.default_rng(11)
     rig, truth3d = rig_of(16), rng.uniform(-0.5, 0.5, (60, 3))
     found, _ = detected(rig, truth3d, rng, clutter=10, miss=0.3)
-    bundle = bundle_rays(rig, found, 0.0)
+    bundle = make_ray_table(rig, found, 0.0)
     # what lies behind some of the cameras could be a target that few see: only the volume tells
     room = (np.full(3, -1.0), np.full(3, 1.0))
     points = match(bundle, Predicted.nothing(), MatchSettings(camera_sigma_px=0.0), room)
@@ -316,7 +317,7 @@ def test_tracks_save_the_search_and_wrong_ones_mislead_nobody(count, sigma_m):
         rng = np.random.default_rng(seed)
         truth3d = rng.uniform(-0.5, 0.5, (80, 3))
         found, behind = detected(rig, truth3d, rng, clutter=8, miss=0.1)
-        bundle = bundle_rays(rig, found, 0.0)
+        bundle = make_ray_table(rig, found, 0.0)
         right = expected_at(truth3d + rng.normal(0, sigma_m, truth3d.shape), sigma_m)
         beside = expected_at(np.roll(truth3d, 1, axis=0) + 2 * sigma_m, sigma_m)
         anywhere = expected_at(rng.uniform(-0.5, 0.5, (80, 3)), sigma_m)

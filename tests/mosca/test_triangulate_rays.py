@@ -13,10 +13,11 @@ from scipy.spatial.transform import Rotation
 from mosca.calibration.quality.jacobian import changed_rig
 from mosca.calibration.quality.point_covariance import calibration_covariance
 from mosca.camera.projection import project, rays
-from mosca.camera.ray_table import ANGLE, FLAGS, LONG, SIGMA, SPREAD, WHITE
+from mosca.camera.ray_table import LONG, make_ray_table
 from mosca.data.detections import Detections
+from mosca.data.rays import ANGLE, FLAGS, SIGMA, SPREAD, WHITE
 from mosca.data.rig import Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose, Rig
-from mosca.triangulation.triangulate import bundle_rays, triangulate
+from mosca.triangulation.triangulate import triangulate
 
 POSE = Pose(Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix(), np.array([0.4, -1.2, 2.0]))
 LENSES = {
@@ -38,7 +39,7 @@ def detected(xy, covariance=COVARIANCE):
 
 def bundled(lens, xy, sigma=0.0):
     rig = Rig((Camera("c", 656, 491, lens, POSE),))
-    return bundle_rays(rig, {"c": detected(xy)}, sigma), rays(rig.cameras[0], xy)
+    return make_ray_table(rig, {"c": detected(xy)}, sigma), rays(rig.cameras[0], xy)
 
 
 @pytest.mark.parametrize("name", list(LENSES))
@@ -98,7 +99,7 @@ def test_long_regions_are_told_from_round_ones():
             elongation=np.array([sides[0] / sides[1]]),
             diameter_px=np.array([diameter_px]),
         )
-        return int(bundle_rays(rig, {found.camera: found}, 0.0).rays[0, FLAGS]) & LONG > 0
+        return int(make_ray_table(rig, {found.camera: found}, 0.0).rays[0, FLAGS]) & LONG > 0
 
     # boxes of regions [px] and the diameter of the disc with their light, as images of small markers have them
     for sides, diameter_px in (((4, 4), 2.8), ((4, 3), 2.3), ((5, 4), 2.9), ((6, 5), 3.7), ((11, 10), 9.4)):

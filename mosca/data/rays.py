@@ -1,0 +1,67 @@
+"""Rays of one frame set, and where tracks expect their targets: what matching reads."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mosca.data.arrays import Array
+
+DIRECTION, WHITE, SPREAD, NORMAL = 0, 3, 9, 15
+SIGMA, RADIUS, ANGLE, BONUS, FLAGS, COLUMNS = 24, 25, 26, 27, 28, 29
+"""Columns of ``RayTable.rays``."""
+ORIGIN, ROTATION, EDGES, DENSITY, VIEW = 0, 3, 12, 16, 17
+"""Columns of ``RayTable.views``."""
+
+
+@dataclass(frozen=True, eq=False)
+class RayTable:
+    """The rays of one frame set, all cameras in one table, whitened by their errors."""
+
+    rays: Array
+    """(n, COLUMNS); NaN where the lens images nothing at the pixel. Columns:
+
+    - DIRECTION (3): unit vector, world frame.
+    - WHITE (2 x 3): whitened reprojection error by direction.
+    - SPREAD (3 x 2): direction error of one standard deviation [rad] (pseudo-inverse of WHITE).
+    - NORMAL (9): share in the normal equations, A'A (xx, xy, xz, yy, yz, zz) and A'A O.
+    - SIGMA [px]: geometric mean of the error ellipse's axes; turns whitened errors into px.
+    - RADIUS [px]: of the target's image, and ANGLE [rad]: what its diameter subtends, both without blur.
+    - BONUS: its log-likelihood ratio, target against clutter (``mosca.correspondence.match``).
+    - FLAGS: of the detection, and LONG (``mosca.camera.ray_table``).
+    """
+    views: Array
+    """(c, VIEW), one row a camera: ORIGIN (3) centre of projection [m], ROTATION (3 x 3) world_from_camera,
+    EDGES (4) left, top, right, bottom of the field of view in stereographic projection
+    (``mosca.correspondence.spatial_index``), DENSITY of detections over the image [1/px^2]."""
+    pairs: Array
+    """(p, 2) pairs of cameras, the best base first."""
+    bases: Array
+    """(p, 2, 3) two unit vectors across each pair's base and each other; infinite for a base of length zero."""
+    start: Array
+    """(c + 1,) first row of each camera's rays."""
+    covariance_px2: Array
+    """(n, 2, 2) of the detections; together with ``extra_px2`` it whitens."""
+    extra_px2: Array
+    """(c,) variance that each camera adds to its detections, an axis."""
+    odd: int
+    """How many images are long, or stand alone without a fit."""
+
+    @property
+    def direction(self) -> Array:
+        """Unit directions (n, 3), world."""
+        return self.rays[:, DIRECTION : DIRECTION + 3]
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """Where the tracks expect their targets."""
+
+    xyz: Array
+    """(k, 3) [m], world frame."""
+    covariance: Array
+    """(k, 3, 3) [m^2]."""
+
+    @classmethod
+    def nothing(cls) -> "Predicted":
+        """No expectation: every frame on its own."""
+        return cls(np.empty((0, 3)), np.empty((0, 3, 3)))
