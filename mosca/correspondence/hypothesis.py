@@ -5,6 +5,7 @@ import numpy as np
 from mosca.camera.ray_table import ANGLE, BONUS, FLAGS, LONG, RADIUS, SIGMA
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.numba_support.decorators import bare_step
+from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3
 from mosca.triangulation.triangulate import DEPTH, TRUST, solve_rays
 
 MOST_ODD, MOST_LARGE = 0.7, 0.9
@@ -217,11 +218,8 @@ def store(members, ranks, solved, error, diameter, rays, at, kept_values, kept_m
     targets, which all groups share (Poore 1994, section 3): sum log(1 / (2 pi sigma^2 rho)) - chi2 / 2 +
     log det(2 pi P) / 2.
     """
-    det = (
-        solved[3] * (solved[7] * solved[11] - solved[8] ** 2)
-        - solved[4] * (solved[4] * solved[11] - solved[8] * solved[5])
-        + solved[5] * (solved[4] * solved[8] - solved[7] * solved[5])
-    )
+    covariance = Symmetric3(solved[3], solved[4], solved[5], solved[7], solved[8], solved[11])
+    det = determinant3(covariance, cofactors3(covariance))
     gain = 0.5 * np.log(max(det, 1e-300) * (2.0 * np.pi) ** 3) - 0.5 * error
     for c in range(members.shape[0]):
         k, trust = members[c], ranks[c, TRUST]

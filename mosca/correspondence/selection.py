@@ -26,6 +26,7 @@ from mosca.correspondence.hypothesis import (
 )
 from mosca.correspondence.spatial_index import buckets, within
 from mosca.numba_support.decorators import bare_step, kernel, step
+from mosca.numba_support.linalg3 import Symmetric3, mahalanobis3
 from mosca.triangulation.triangulate import RANKS, TRUST
 
 CLEARLY_WORSE = 9.0
@@ -150,23 +151,19 @@ def _speaker(g, values, xyz, covariance, spoken, gate, density, found, near):  #
             values[g, XYZ + 1] - xyz[t, 1],
             values[g, XYZ + 2] - xyz[t, 2],
         )
-        a, b, c = (
+        innovation = Symmetric3(
             covariance[t, 0, 0] + values[g, COVARIANCE],
             covariance[t, 0, 1] + values[g, COVARIANCE + 1],
             covariance[t, 0, 2] + values[g, COVARIANCE + 2],
-        )
-        d, e, i = (
             covariance[t, 1, 1] + values[g, COVARIANCE + 4],
             covariance[t, 1, 2] + values[g, COVARIANCE + 5],
             covariance[t, 2, 2] + values[g, COVARIANCE + 8],
         )
-        if x * x > gate * gate * a or y * y > gate * gate * d or z * z > gate * gate * i:
+        gate2 = gate * gate
+        if x * x > gate2 * innovation.xx or y * y > gate2 * innovation.yy or z * z > gate2 * innovation.zz:
             continue
-        c00, c01, c02 = d * i - e * e, c * e - b * i, b * e - c * d
-        det = a * c00 + b * c01 + c * c02
-        away2 = c00 * x * x + (a * i - c * c) * y * y + (a * d - b * b) * z * z
-        away2 = (away2 + 2.0 * (c01 * x * y + c02 * x * z + (b * c - a * e) * y * z)) / det
-        if not away2 < gate * gate:
+        away2, det = mahalanobis3(innovation, x, y, z)
+        if not away2 < gate2:
             continue
         said = -density - 0.5 * np.log(det * (2.0 * np.pi) ** 3) - 0.5 * away2
         if said > worth:

@@ -28,8 +28,12 @@ from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.rig import Rig
 from mosca.numba_support.decorators import bare_step, kernel
+from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3, scaled3, times3
 
 REWEIGHTINGS = np.int64(3)
+SINGULAR = 1e-18
+"""Determinant of the normal equations over the product of their diagonal at which rays are parallel in double
+precision: directions that differ by some 1e-9 rad."""
 TRUST, SHARE, DEPTH, RANKS = 0, 1, 2, 3
 """Columns of what goes with each ray of a group: trust, expected number of chance rays as near, depth."""
 
@@ -108,7 +112,8 @@ def solve_rays(members, ranks, rays, views, steps, solved):  # type: ignore[no-u
     not meet in front of the cameras. Elements are read one by one: a view of a row costs more than the arithmetic.
     """
     cameras = members.shape[0]
-    x = y = z = inverse = c00 = c01 = c02 = c11 = c12 = c22 = 0.0
+    x = y = z = inverse = 0.0
+    cofactors = Symmetric3(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for _step in range(steps):
         n00 = n01 = n02 = n11 = n12 = n22 = b0 = b1 = b2 = 0.0
         for c in range(cameras):
@@ -125,15 +130,14 @@ def solve_rays(members, ranks, rays, views, steps, solved):  # type: ignore[no-u
             b0 += w * rays[k, NORMAL + 6]
             b1 += w * rays[k, NORMAL + 7]
             b2 += w * rays[k, NORMAL + 8]
-        c00, c01, c02 = n11 * n22 - n12 * n12, n02 * n12 - n01 * n22, n01 * n12 - n02 * n11
-        det = n00 * c00 + n01 * c01 + n02 * c02
-        if not det > 1e-18 * n00 * n11 * n22:
+        normal = Symmetric3(n00, n01, n02, n11, n12, n22)
+        cofactors = cofactors3(normal)
+        determinant = determinant3(normal, cofactors)
+        if not determinant > SINGULAR * n00 * n11 * n22:
             return -1.0
-        c11, c12, c22 = n00 * n22 - n02 * n02, n01 * n02 - n00 * n12, n00 * n11 - n01 * n01
-        inverse = 1.0 / det
-        x = (c00 * b0 + c01 * b1 + c02 * b2) * inverse
-        y = (c01 * b0 + c11 * b1 + c12 * b2) * inverse
-        z = (c02 * b0 + c12 * b1 + c22 * b2) * inverse
+        inverse = 1.0 / determinant
+        x, y, z = times3(cofactors, b0, b1, b2)
+        x, y, z = x * inverse, y * inverse, z * inverse
         for c in range(cameras):
             k = members[c]
             if k >= 0:
@@ -145,10 +149,11 @@ def solve_rays(members, ranks, rays, views, steps, solved):  # type: ignore[no-u
                 if not ranks[c, DEPTH] > 0.0:
                     return -1.0
     solved[0], solved[1], solved[2] = x, y, z
-    solved[3], solved[7], solved[11] = c00 * inverse, c11 * inverse, c22 * inverse
-    solved[4] = solved[6] = c01 * inverse
-    solved[5] = solved[9] = c02 * inverse
-    solved[8] = solved[10] = c12 * inverse
+    covariance = scaled3(cofactors, inverse)
+    solved[3], solved[7], solved[11] = covariance.xx, covariance.yy, covariance.zz
+    solved[4] = solved[6] = covariance.xy
+    solved[5] = solved[9] = covariance.xz
+    solved[8] = solved[10] = covariance.yz
     total = 0.0
     for c in range(cameras):
         k = members[c]
