@@ -1,140 +1,156 @@
-"""The tracker's filters, compiled: carry all targets to an instant, correct them by their points, begin new ones.
+"""The tracker's Kalman filters, compiled: predict all tracks, update them with their points, initiate new ones.
 
-Kalman filters of 6 or 9 states, all axes coupled, because points are far less certain along the cameras' view.
-The acceleration's variance is learned for each target from its normalised innovations squared.
+Filters of 6 or 9 states, all axes coupled, because points are far less certain along the cameras' view. The variance
+of acceleration is adapted for each track from its normalised innovations squared (NIS).
 """
 
 import numpy as np
 
-from mosca.numba_support.decorators import bare_step, step
-from mosca.tracking.state import BY_LIMB, BY_MOTION, CONFIRMED, FREE, NOWHERE, SERIAL, TENTATIVE, TOP
+from mosca.numba_support.decorators import bare_step, inlined_step, step
+from mosca.tracking.state import (
+    BY_MOTION,
+    BY_NEIGHBOURS,
+    CONFIRMED,
+    FREE,
+    NEXT_SERIAL,
+    SLOTS_USED,
+    TENTATIVE,
+    UNPREDICTED,
+)
 
-LEARNING = 0.12
+ADAPTATION_RATE = 0.12
 """How fast the variance of acceleration follows the innovations (its logarithm, an instant)."""
-LOUDEST = 4.0
-"""A normalised innovation counts up to this many times what is expected."""
-OUTBURST = 16.0
-"""Normalised innovation squared from which the filter believed in itself too much (chance of 0.1 %)."""
+LARGEST_NIS_RATIO = 4.0
+"""A normalised innovation squared counts up to this many times its expectation."""
+EXPECTED_NIS = 3.0
+"""Expectation of the normalised innovation squared: the measured degrees of freedom."""
+INCONSISTENT_NIS = 16.0
+"""Normalised innovation squared from which the filter was overconfident (probability 0.1 %)."""
 TENTATIVE_MISSES = 2
-"""A tentative target that is so often not seen where it should be was none."""
+"""A tentative track is deleted after so many instants without a point."""
 
 
 @bare_step
-def carry(bank, motion, time_s, coast_s, memory_s):  # type: ignore[no-untyped-def]
-    """Carry all targets by one step; who has not been seen for ``coast_s`` is expected nowhere."""
-    for i in range(bank.numbers[TOP]):
+def predict(bank, motion, time_s, coast_s, remember_s):  # type: ignore[no-untyped-def]
+    """Predict all tracks one step ahead; one not seen for ``coast_s`` has no prediction by its own motion."""
+    for i in range(bank.counters[SLOTS_USED]):
         if bank.state[i] == FREE:
             continue
         away = time_s - bank.seen_s[i]
-        bank.source[i] = NOWHERE
-        if away > memory_s or (bank.state[i] == TENTATIVE and away > coast_s):
-            _forget(bank, i)
+        bank.source[i] = UNPREDICTED
+        if away > remember_s or (bank.state[i] == TENTATIVE and away > coast_s):
+            _delete(bank, i)
         elif away <= coast_s:
-            _carry_one(bank.mean[i], bank.covariance[i], motion, bank.variance[i])
+            _predict_one(bank.mean[i], bank.covariance[i], motion, bank.variance[i])
             bank.source[i] = BY_MOTION
             for a in range(3):
-                bank.place[i, a] = bank.mean[i, a]
+                bank.predicted[i, a] = bank.mean[i, a]
                 for b in range(3):
-                    bank.place_covariance[i, a, b] = bank.covariance[i, a, b]
+                    bank.predicted_covariance[i, a, b] = bank.covariance[i, a, b]
 
 
 @step
-def expected(bank):  # type: ignore[no-untyped-def]
-    """Return places (k, 3) and covariances (k, 3, 3) of the confirmed targets expected somewhere."""
-    top = bank.numbers[TOP]
-    place, covariance = np.empty((top, 3)), np.empty((top, 3, 3))
+def predictions(bank):  # type: ignore[no-untyped-def]
+    """Return predicted positions (k, 3) and covariances (k, 3, 3) of the confirmed tracks that have them."""
+    top = bank.counters[SLOTS_USED]
+    xyz, covariance = np.empty((top, 3)), np.empty((top, 3, 3))
     n = 0
     for i in range(top):
-        if bank.state[i] == CONFIRMED and bank.source[i] != NOWHERE:
+        if bank.state[i] == CONFIRMED and bank.source[i] != UNPREDICTED:
             for a in range(3):
-                place[n, a] = bank.place[i, a]
+                xyz[n, a] = bank.predicted[i, a]
                 for b in range(3):
-                    covariance[n, a, b] = bank.place_covariance[i, a, b]
+                    covariance[n, a, b] = bank.predicted_covariance[i, a, b]
             n += 1
-    return place[:n], covariance[:n]
+    return xyz[:n], covariance[:n]
 
 
 @bare_step
-def correct(  # type: ignore[no-untyped-def]
-    bank, slot_of, xyz, covariance, cameras, trusted, jitter_s, time_s, order, lowest, highest, speed,
-    confirm_weight, sure_from, gain, top
-):  # fmt: skip
-    """Give each point to its target, ``slot_of`` (m,); a point without one (-1) begins a new target.
+def update(bank, slot_of, points, jitter_s, time_s, rules, scratch):  # type: ignore[no-untyped-def]
+    """Update each track with its point; a point without one begins a new track.
 
-    ``slot_of`` is completed. ``covariance`` (m, 3, 3): of points that stand still; ``jitter_s`` of the triggers
-    of their ``cameras`` (m,) spreads moving ones along their paths, and is added. ``lowest``, ``highest``: limits of
-    the variance of acceleration. ``gain`` (9, 3), ``top`` (3, 9): scratch. Returns how many confirmed targets have no
-    identity yet.
+    ``slot_of`` (m,): slot of each point's track, -1 for none, and then filled in. ``points``: ``Measurements`` (m);
+    ``jitter_s`` of the triggers spreads moving points along their paths, added to their covariance. ``scratch``: a
+    ``Scratch``. Returns how many confirmed tracks have no identity yet.
     """
     for row in range(slot_of.shape[0]):
         i = slot_of[row]
         if i >= 0:
-            share = jitter_s * jitter_s / max(cameras[row], 1)
+            share = jitter_s * jitter_s / max(points.cameras[row], 1)
             for a in range(3):
                 for b in range(3):
-                    covariance[row, a, b] += share * bank.mean[i, 3 + a] * bank.mean[i, 3 + b]
-        if i < 0:
-            i = _begin(bank, xyz[row], covariance[row], speed, np.sqrt(lowest * highest))
-            bank.born_s[i], bank.back_s[i], bank.missed[i] = time_s, -1.0, 0
-            slot_of[row] = i
-        elif bank.source[i] == BY_LIMB:
-            _begin_again(bank, i, xyz[row], covariance[row], speed)
+                    points.covariance[row, a, b] += share * bank.mean[i, 3 + a] * bank.mean[i, 3 + b]
+            _update_track(bank, i, points.xyz[row], points.covariance[row], rules, scratch)
         else:
-            nis = _correct_one(
-                bank.mean[i], bank.covariance[i], xyz[row], covariance[row], 3 * order, gain, top
-            )
-            if nis > OUTBURST:
-                _loosen(bank.covariance[i], nis / OUTBURST, 3 * order)
-            if bank.missed[i] == 0:
-                louder = min(nis / 3.0, LOUDEST) - 1.0
-                bank.variance[i] = min(max(bank.variance[i] * np.exp(LEARNING * louder), lowest), highest)
+            i = _begin(bank, points.xyz[row], points.covariance[row], rules)
+            bank.born_s[i], bank.reacquired_s[i], bank.missed[i] = time_s, -1.0, 0
+            slot_of[row] = i
         if bank.missed[i] > 0:
-            bank.back_s[i], bank.gone_s[i] = time_s, bank.seen_s[i]
+            bank.reacquired_s[i], bank.lost_s[i] = time_s, bank.seen_s[i]
         bank.seen_s[i] = time_s
         bank.missed[i] = -1
-        bank.sure[i] = trusted[row] >= sure_from
-        bank.weight[i] += max(0.0, trusted[row] - 1.0)
-        if bank.state[i] == TENTATIVE and bank.weight[i] >= confirm_weight - 1e-9:
+        bank.reliable[i] = points.trusted[row] >= rules.reliable_from
+        bank.weight[i] += max(0.0, points.trusted[row] - 1.0)
+        if bank.state[i] == TENTATIVE and bank.weight[i] >= rules.confirm_weight - 1e-9:
             bank.state[i] = CONFIRMED
     nameless = 0
-    for i in range(bank.numbers[TOP]):
+    for i in range(bank.counters[SLOTS_USED]):
         if bank.state[i] != FREE:
             bank.missed[i] += 1
             nameless += bank.state[i] == CONFIRMED and bank.identity[i] < 0
             if bank.state[i] == TENTATIVE and bank.missed[i] >= TENTATIVE_MISSES:
-                _forget(bank, i)
+                _delete(bank, i)
     return nameless
 
 
+@inlined_step
+def _update_track(bank, i, xyz, covariance, rules, scratch):  # type: ignore[no-untyped-def]
+    """Update a track with its point and adapt its variance of acceleration."""
+    if bank.source[i] == BY_NEIGHBOURS:
+        _restart(bank, i, xyz, covariance, rules.speed_mps)
+        return
+    size = 3 * rules.order
+    nis = _update_one(bank.mean[i], bank.covariance[i], xyz, covariance, size, scratch)
+    if nis > INCONSISTENT_NIS:
+        _inflate(bank.covariance[i], nis / INCONSISTENT_NIS, size)
+    if bank.missed[i] == 0:
+        excess = min(nis / EXPECTED_NIS, LARGEST_NIS_RATIO) - 1.0
+        bank.variance[i] = min(
+            max(bank.variance[i] * np.exp(ADAPTATION_RATE * excess), rules.least_variance),
+            rules.largest_variance,
+        )
+
+
 @bare_step
-def _forget(bank, i):  # type: ignore[no-untyped-def]
+def _delete(bank, i):  # type: ignore[no-untyped-def]
     bank.state[i] = FREE
     bank.serial[i] = -1
     bank.identity[i] = -1
-    bank.source[i] = NOWHERE
+    bank.source[i] = UNPREDICTED
 
 
 @bare_step
-def _begin(bank, xyz, covariance, speed, variance):  # type: ignore[no-untyped-def]
-    """Open a slot for a new target at a point; its velocity is unknown to ``speed``."""
+def _begin(bank, xyz, covariance, rules):  # type: ignore[no-untyped-def]
+    """Initiate a track at a point; its velocity is 0 +- ``rules.speed_mps``. Returns its slot."""
     i = 0
-    while i < bank.numbers[TOP] and bank.state[i] != FREE:
+    while i < bank.counters[SLOTS_USED] and bank.state[i] != FREE:
         i += 1
-    if i == bank.numbers[TOP]:
-        bank.numbers[TOP] += 1
-    bank.state[i], bank.identity[i], bank.weight[i], bank.variance[i] = TENTATIVE, -1, 0.0, variance
-    bank.serial[i] = bank.numbers[SERIAL]
-    bank.numbers[SERIAL] += 1
-    bank.source[i] = NOWHERE
+    if i == bank.counters[SLOTS_USED]:
+        bank.counters[SLOTS_USED] += 1
+    bank.state[i], bank.identity[i], bank.weight[i] = TENTATIVE, -1, 0.0
+    bank.variance[i] = np.sqrt(rules.least_variance * rules.largest_variance)
+    bank.serial[i] = bank.counters[NEXT_SERIAL]
+    bank.counters[NEXT_SERIAL] += 1
+    bank.source[i] = UNPREDICTED
     for a in range(9):
         bank.mean[i, a] = 0.0
-    _begin_again(bank, i, xyz, covariance, speed)
+    _restart(bank, i, xyz, covariance, rules.speed_mps)
     return i
 
 
 @bare_step
-def _begin_again(bank, i, xyz, covariance, speed):  # type: ignore[no-untyped-def]
-    """Put a target at a point anew; its velocity, unknown to ``speed``, is kept as the best guess."""
+def _restart(bank, i, xyz, covariance, speed):  # type: ignore[no-untyped-def]
+    """Restart a filter at a point; its velocity, now +- ``speed``, stays the best estimate."""
     for a in range(9):
         for b in range(9):
             bank.covariance[i, a, b] = 0.0
@@ -148,8 +164,8 @@ def _begin_again(bank, i, xyz, covariance, speed):  # type: ignore[no-untyped-de
 
 
 @bare_step
-def _loosen(covariance, factor, size):  # type: ignore[no-untyped-def]
-    """Widen what is known of velocity and acceleration; the measured position stays what it is."""
+def _inflate(covariance, factor, size):  # type: ignore[no-untyped-def]
+    """Inflate the covariance of velocity and acceleration; that of the measured position stays."""
     root = np.sqrt(factor)
     for a in range(size):
         for b in range(size):
@@ -157,7 +173,7 @@ def _loosen(covariance, factor, size):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _carry_one(mean, covariance, m, variance):  # type: ignore[no-untyped-def]
+def _predict_one(mean, covariance, m, variance):  # type: ignore[no-untyped-def]
     """One step of a filter: F x, F P F' + Q; the same 3 x 3 kinematics for each pair of axes."""
     for a in range(3):
         mean[a] += m.pv * mean[3 + a] + m.pa * mean[6 + a]
@@ -190,11 +206,9 @@ def _carry_one(mean, covariance, m, variance):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _correct_one(mean, covariance, xyz, noise, size, gain, top):  # type: ignore[no-untyped-def]
-    """Kalman update by a measured position; returns the normalised innovation squared (3 degrees of freedom).
-
-    ``gain`` (9, 3), ``top`` (3, 9): scratch.
-    """
+def _update_one(mean, covariance, xyz, noise, size, scratch):  # type: ignore[no-untyped-def]
+    """Kalman update by a measured position; returns the normalised innovation squared (3 degrees of freedom)."""
+    gain, top = scratch.gain, scratch.rows
     s00, s01, s02 = (
         covariance[0, 0] + noise[0, 0],
         covariance[0, 1] + noise[0, 1],

@@ -1,6 +1,7 @@
-"""What a tracker remembers, as columns: one row a target, so that compiled kernels can work on all at once.
+"""The tracker's state as columns, one row (*slot*) a track, so that compiled kernels work on all tracks at once.
 
-A row (*slot*) belongs to one target from its birth until it is forgotten; ``serial`` tells two owners apart.
+A slot belongs to one track from its first point until it is deleted; ``serial`` tells two owners of a slot apart.
+All positions in the world frame, SI units.
 """
 
 from typing import NamedTuple
@@ -10,88 +11,145 @@ import numpy as np
 from mosca.data.arrays import Array
 
 FREE, TENTATIVE, CONFIRMED = range(3)
-NOWHERE, BY_MOTION, BY_LIMB = range(3)
-"""Where a target's expected place comes from: none, its own motion, its limb mates."""
-MATES = 10
-"""Neighbours that a target keeps an eye on."""
-TOP, SERIAL, IDENTITY, TICK = range(4)
+UNPREDICTED, BY_MOTION, BY_NEIGHBOURS = range(3)
+"""What the predicted position of a track rests on: none, its own motion, its rigid neighbours."""
+NEIGHBOURS = 10
+"""Number of neighbouring tracks in a track's distance model."""
+SLOTS_USED, NEXT_SERIAL, NEXT_IDENTITY, INSTANT = range(4)
+"""Entries of ``Bank.counters``."""
+
+
+class TrackRules(NamedTuple):
+    """``mosca.tracking.tracker.TrackSettings`` as the kernels read them."""
+
+    gate_sigma: float
+    gate_m: float
+    manoeuvre_mps2: float
+    """Acceleration of a sudden manoeuvre, beyond what a track has shown so far."""
+    least_variance: float
+    """Lower limit of a track's variance of acceleration."""
+    largest_variance: float
+    order: int
+    """Order of the motion: 2 (position, velocity) or 3 (and acceleration)."""
+    speed_mps: float
+    confirm_weight: float
+    reliable_from: float
+    """Cameras that must count in full for a measurement from which distances are learned."""
+    coast_s: float
+    remember_s: float
+    limb_m: float
+    """Largest distance of a neighbour; 0 where no distances are learned."""
+
+
+class Measurements(NamedTuple):
+    """The m points of one instant, as the kernels read them."""
+
+    xyz: Array
+    """(m, 3) [m]"""
+    covariance: Array
+    """(m, 3, 3) [m^2]"""
+    cameras: Array
+    """(m,) number of cameras."""
+    trusted: Array
+    """(m,) how many of the cameras count in full."""
+
+
+class Scratch(NamedTuple):
+    """Working memory of one Kalman update."""
+
+    gain: Array
+    """(9, 3)"""
+    rows: Array
+    """(3, 9) first rows of the covariance before the update."""
 
 
 class Bank(NamedTuple):
-    """Filters and history of n slots; world frame, SI.
+    """Filters and history of n slots."""
 
-    ``numbers`` (4,): slots in use, next serial, next identity, instants so far. ``state`` (n,); ``serial`` (n,);
-    ``identity`` (n,) or -1; ``missed`` (n,) instants not seen since last seen; ``sure`` (n,) whether the last
-    sighting can be learned from; ``seen_s``, ``born_s`` (n,); ``back_s``, ``gone_s`` (n,) when last found again and
-    when lost before that; ``weight`` (n,); ``variance`` (n,) of the acceleration, an axis;
-    ``mean`` (n, 9) position, velocity, acceleration; ``covariance`` (n, 9, 9); ``place`` (n, 3) and
-    ``place_covariance`` (n, 3, 3): where it is expected now, by ``source`` (n,).
-    """
-
-    numbers: Array
+    counters: Array
+    """(4,) slots in use, next serial, next identity, instants so far."""
     state: Array
+    """(n,) FREE, TENTATIVE or CONFIRMED."""
     serial: Array
+    """(n,) number of the slot's owner, -1 where free."""
     identity: Array
+    """(n,) or -1."""
     missed: Array
-    sure: Array
+    """(n,) instants since the last measurement."""
+    reliable: Array
+    """(n,) whether distances can be learned from the last measurement."""
     seen_s: Array
+    """(n,) time of the last measurement."""
     born_s: Array
-    back_s: Array
-    gone_s: Array
+    """(n,) time of the first."""
+    reacquired_s: Array
+    """(n,) when last measured again after a pause, -1 for never."""
+    lost_s: Array
+    """(n,) last measurement before that pause."""
     weight: Array
+    """(n,) of the measurements so far, which confirms a track."""
     variance: Array
+    """(n,) of the acceleration, an axis."""
     mean: Array
+    """(n, 9) position, velocity, acceleration."""
     covariance: Array
-    place: Array
-    place_covariance: Array
+    """(n, 9, 9)"""
+    predicted: Array
+    """(n, 3) position predicted for the current instant."""
+    predicted_covariance: Array
+    """(n, 3, 3)"""
     source: Array
+    """(n,) what the prediction rests on."""
 
 
-class Limbs(NamedTuple):
-    """How n targets sit among their neighbours, k of them each.
+class Neighbours(NamedTuple):
+    """Distances of n tracks to k neighbouring tracks each."""
 
-    ``mate``, ``mate_serial`` (n, k): slot and its owner, -1 where none; ``length``, ``variance`` (n, k) of the
-    distance [m, m^2]; ``shown_s`` (n, k) how long it was observed [s]; ``photo`` (n, k, 3) the mates' places when
-    the target was last seen and ``taken`` (n, k) which were seen then; ``own`` (n, 3) its own place then; ``turn``
-    (n, 3, 3) how the limb has turned since.
-    """
-
-    mate: Array
-    mate_serial: Array
-    length: Array
+    slot: Array
+    """(n, k) slot of the neighbour, -1 where none."""
+    serial: Array
+    """(n, k) the owner of that slot."""
+    distance: Array
+    """(n, k) mean [m]."""
     variance: Array
-    shown_s: Array
-    photo: Array
-    taken: Array
-    own: Array
-    turn: Array
+    """(n, k) of the distance [m^2]."""
+    observed_s: Array
+    """(n, k) how long the distance was observed [s]."""
+    xyz_last_seen: Array
+    """(n, k, 3) the neighbours' positions when the track itself was last seen."""
+    valid: Array
+    """(n, k) which neighbours were seen then."""
+    own_xyz_last_seen: Array
+    """(n, 3) the track's own position then."""
+    rotation: Array
+    """(n, 3, 3) rotation of the neighbours as one rigid body since then."""
 
 
 def new_bank(slots: int) -> Bank:
     """Return an empty bank."""
     n, none = slots, np.full(slots, -1, np.int64)
     return Bank(
-        numbers=np.zeros(4, np.int64), state=np.zeros(n, np.int64), serial=none, identity=none.copy(),
-        missed=np.zeros(n, np.int64), sure=np.zeros(n, np.bool_), seen_s=np.zeros(n), born_s=np.zeros(n),
-        back_s=np.full(n, -1.0), gone_s=np.zeros(n), weight=np.zeros(n), variance=np.zeros(n),
-        mean=np.zeros((n, 9)), covariance=np.zeros((n, 9, 9)), place=np.zeros((n, 3)),
-        place_covariance=np.zeros((n, 3, 3)), source=np.zeros(n, np.int64),
+        counters=np.zeros(4, np.int64), state=np.zeros(n, np.int64), serial=none, identity=none.copy(),
+        missed=np.zeros(n, np.int64), reliable=np.zeros(n, np.bool_), seen_s=np.zeros(n), born_s=np.zeros(n),
+        reacquired_s=np.full(n, -1.0), lost_s=np.zeros(n), weight=np.zeros(n), variance=np.zeros(n),
+        mean=np.zeros((n, 9)), covariance=np.zeros((n, 9, 9)), predicted=np.zeros((n, 3)),
+        predicted_covariance=np.zeros((n, 3, 3)), source=np.zeros(n, np.int64),
     )  # fmt: skip
 
 
-def new_limbs(slots: int) -> Limbs:
-    """Return an empty memory of limbs."""
-    each = (slots, MATES)
-    return Limbs(
-        mate=np.full(each, -1, np.int64), mate_serial=np.full(each, -1, np.int64), length=np.zeros(each),
-        variance=np.zeros(each), shown_s=np.zeros(each), photo=np.zeros((*each, 3)), taken=np.zeros(each, np.bool_),
-        own=np.zeros((slots, 3)), turn=np.zeros((slots, 3, 3)),
+def new_neighbours(slots: int) -> Neighbours:
+    """Return a distance model without any neighbours."""
+    each = (slots, NEIGHBOURS)
+    return Neighbours(
+        slot=np.full(each, -1, np.int64), serial=np.full(each, -1, np.int64), distance=np.zeros(each),
+        variance=np.zeros(each), observed_s=np.zeros(each), xyz_last_seen=np.zeros((*each, 3)),
+        valid=np.zeros(each, np.bool_), own_xyz_last_seen=np.zeros((slots, 3)), rotation=np.zeros((slots, 3, 3)),
     )  # fmt: skip
 
 
-def grown(bank: Bank, limbs: Limbs, slots: int) -> tuple[Bank, Limbs]:
-    """Return both with room for ``slots`` targets, what they hold kept."""
+def enlarged(bank: Bank, neighbours: Neighbours, slots: int) -> tuple[Bank, Neighbours]:
+    """Return both with ``slots`` slots, their contents kept."""
     more = slots - len(bank.state)
     wider = [np.concatenate([a, b[:more]]) for a, b in zip(bank[1:], new_bank(slots)[1:], strict=True)]
-    longer = [np.concatenate([a, b[:more]]) for a, b in zip(limbs, new_limbs(slots), strict=True)]
-    return Bank(bank.numbers, *wider), Limbs(*longer)
+    longer = [np.concatenate([a, b[:more]]) for a, b in zip(neighbours, new_neighbours(slots), strict=True)]
+    return Bank(bank.counters, *wider), Neighbours(*longer)

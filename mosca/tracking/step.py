@@ -1,95 +1,64 @@
-"""What the tracker does with each frame set, compiled as two kernels: foresee, and follow what was seen.
+"""The tracker's work on a frame set as two compiled kernels: predict all tracks, and update them with the points.
 
-Called by ``mosca.tracking.tracker``. Few kernels, since each return to Python has to win the GIL back from the
-threads that look at frames, and each call unpacks the bank's many columns.
+Called by ``mosca.tracking.tracker``. Few kernels, because each return to Python waits for the GIL, which the
+detection threads hold, and each call unpacks the many columns of the bank.
 """
-
-from typing import NamedTuple
 
 import numpy as np
 
 from mosca.numba_support.decorators import kernel, step
 from mosca.tracking.assignment import best_pairs
-from mosca.tracking.kalman import carry, correct, expected
-from mosca.tracking.rigid_neighbours import expect, learn, pairs
-from mosca.tracking.state import CONFIRMED, TENTATIVE, TOP
-
-
-class Rules(NamedTuple):
-    """How targets are followed: ``mosca.tracking.tracker.TrackSettings`` as the kernels read them.
-
-    ``wild_mps2``: acceleration beyond what a target has shown; ``lowest``, ``highest``: limits of the variance of
-    acceleration; ``order`` of the motion; ``sure_from``: cameras that must count in full for a lesson; ``limb_m``: 0
-    where no limbs are learned.
-    """
-
-    gate_sigma: float
-    gate_m: float
-    wild_mps2: float
-    lowest: float
-    highest: float
-    order: int
-    speed_mps: float
-    confirm_weight: float
-    sure_from: float
-    coast_s: float
-    memory_s: float
-    limb_m: float
+from mosca.tracking.gating import gated_pairs
+from mosca.tracking.kalman import predict, predictions, update
+from mosca.tracking.neighbour_model import learn_distances, predict_hidden
+from mosca.tracking.state import CONFIRMED, SLOTS_USED, TENTATIVE, Measurements, Scratch
 
 
 @kernel
-def foresee(bank, limbs, motion, time_s, step_s, rules):  # type: ignore[no-untyped-def]
-    """Carry all targets on by ``step_s`` to ``time_s``; return places (k, 3) and covariances (k, 3, 3) of those
-    confirmed that are expected somewhere.
+def predict_tracks(bank, neighbours, motion, time_s, step_s, rules):  # type: ignore[no-untyped-def]
+    """Predict all tracks ``step_s`` ahead, to ``time_s``.
+
+    Returns positions (k, 3) and covariances (k, 3, 3) of the confirmed tracks that have a prediction.
     """
-    carry(bank, motion, time_s, rules.coast_s, rules.memory_s)
+    predict(bank, motion, time_s, rules.coast_s, rules.remember_s)
     if rules.limb_m > 0.0:
-        expect(bank, limbs, time_s, step_s, 0.5 * rules.gate_m)
-    return expected(bank)
+        predict_hidden(bank, neighbours, time_s, step_s, 0.5 * rules.gate_m)
+    return predictions(bank)
 
 
 @kernel
-def follow(  # type: ignore[no-untyped-def]
-    bank, limbs, xyz, own, cameras, trusted, jitter_s, time_s, step_s, rules
-):
-    """Give the points (m,) to the targets, and begin new ones; learn their limbs unless someone is to be named first.
+def update_tracks(bank, neighbours, points, jitter_s, time_s, step_s, rules):  # type: ignore[no-untyped-def]
+    """Assign the points to the tracks, update these and begin new ones; learn distances unless names are open.
 
-    The points: as ``correct`` takes them, ``own`` (m, 3, 3) their covariance where they stand still. Returns how many
-    confirmed targets have no identity yet, each point's slot, serial and identity (m,), and covariance (m, 3, 3).
+    ``points``: ``Measurements`` (m) as they are where nothing moves; ``jitter_s``: standard deviation of each
+    camera's trigger. Returns how many confirmed tracks have no identity yet; slot, serial and identity (m,) of each
+    point's track; and covariance (m, 3, 3) of each point.
     """
-    slot_of = _assigned(bank, limbs, xyz, own, trusted, time_s, rules)
-    covariance = own.copy()
-    nameless = correct(
-        bank, slot_of, xyz, covariance, cameras, trusted, jitter_s, time_s, rules.order, rules.lowest, rules.highest,
-        rules.speed_mps, rules.confirm_weight, rules.sure_from, np.empty((9, 3)), np.empty((3, 9)),
-    )  # fmt: skip
+    slot_of = _assigned(bank, neighbours, points, time_s, rules)
+    covariance = points.covariance.copy()
+    moving = Measurements(points.xyz, covariance, points.cameras, points.trusted)
+    scratch = Scratch(np.empty((9, 3)), np.empty((3, 9)))
+    nameless = update(bank, slot_of, moving, jitter_s, time_s, rules, scratch)
     if nameless == 0 and rules.limb_m > 0.0:
-        learn(bank, limbs, step_s, rules.limb_m)
-    serial, identity, serials, identities = (
-        np.empty_like(slot_of),
-        np.empty_like(slot_of),
-        bank.serial,
-        bank.identity,
-    )
+        learn_distances(bank, neighbours, step_s, rules.limb_m)
+    serial, identity = np.empty_like(slot_of), np.empty_like(slot_of)
+    serials, identities = bank.serial, bank.identity
     for r in range(slot_of.shape[0]):
         serial[r], identity[r] = serials[slot_of[r]], identities[slot_of[r]]
     return nameless, slot_of, serial, identity, covariance
 
 
 @step
-def _assigned(bank, limbs, xyz, covariance, trusted, time_s, rules):  # type: ignore[no-untyped-def]
-    """Return which target (slot) each point goes to, or -1; confirmed targets choose first."""
-    left = xyz.shape[0]
+def _assigned(bank, neighbours, points, time_s, rules):  # type: ignore[no-untyped-def]
+    """Return the slot of each point's track (m,), or -1; confirmed tracks are assigned first."""
+    left = points.xyz.shape[0]
     slot_of = np.full(left, -1, np.int64)
     for state in (CONFIRMED, TENTATIVE):
         if left == 0:
             break
-        slots, rows, worth = pairs(
-            bank, limbs, xyz, covariance, trusted, slot_of, state, rules.gate_sigma, rules.gate_m, rules.wild_mps2,
-            rules.sure_from, time_s,
-        )  # fmt: skip
+        slots, rows, score = gated_pairs(bank, neighbours, points, slot_of, state, rules, time_s)
         if slots.shape[0] > 0:
-            chosen = best_pairs(slots, rows, worth, bank.numbers[TOP], xyz.shape[0])
+            chosen = best_pairs(slots, rows, score, bank.counters[SLOTS_USED], points.xyz.shape[0])
             for r in range(slot_of.shape[0]):
                 if chosen[r] >= 0:
                     slot_of[r] = chosen[r]

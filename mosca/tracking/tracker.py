@@ -1,108 +1,121 @@
-"""Trajectories: predict, gate, assign, update; identities survive occlusion and absence.
+"""Tracks: predict, gate, assign, update; identities survive occlusion and absence.
 
-Each target is a Kalman filter (``mosca.tracking.motion_models``: constant velocity or Singer's acceleration).
-Points and predictions are paired by the assignment of greatest likelihood (``mosca.tracking.assignment``). A new
-target is tentative until its sightings weigh enough: a sighting by n cameras weighs n - 1, since two cameras can
-agree by chance (images of odd size count for less than one); its samples are handed out when it is confirmed, the
-earlier ones with them. A hidden target is expected where its own motion brings it, or, longer, where its limb does
-(``mosca.tracking.rigid_neighbours``); one that was lost and fits into its limb again gets its identity back. What
-is handed out is the measured point, not the filter's: no smoothing hides errors.
+Each track is a Kalman filter (``mosca.tracking.motion_models``: constant velocity or Singer's acceleration). Points
+and predictions within the gates (``mosca.tracking.gating``) are paired by the assignment of greatest likelihood
+(``mosca.tracking.assignment``). A new track is tentative until its points weigh enough: a point of n cameras weighs
+n - 1, since two cameras can agree by chance (images of odd size count for less than one); its samples are returned
+when it is confirmed, the earlier ones with them. An occluded track is predicted by its own motion or, longer, by its
+rigid neighbours (``mosca.tracking.neighbour_model``); a new track that fits the distances of a lost one gets its
+identity. The samples are the measured points, not the filter's estimates: no smoothing hides errors.
 """
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
+from pydantic.dataclasses import dataclass
 
 from mosca.data.arrays import Array
+from mosca.data.files.toml import SETTINGS, NotNegative, Positive
 from mosca.data.rays import Predicted
 from mosca.data.tracks import Points, Samples
 from mosca.tracking.motion_models import motion
-from mosca.tracking.rigid_neighbours import found_instead, learn, recall, take_over
-from mosca.tracking.state import CONFIRMED, FREE, IDENTITY, TOP, grown, new_bank, new_limbs
-from mosca.tracking.step import Rules, follow, foresee
+from mosca.tracking.neighbour_model import learn_distances, reacquired_nearby, reidentified, take_over
+from mosca.tracking.state import (
+    CONFIRMED,
+    FREE,
+    NEXT_IDENTITY,
+    SLOTS_USED,
+    Measurements,
+    TrackRules,
+    enlarged,
+    new_bank,
+    new_neighbours,
+)
+from mosca.tracking.step import predict_tracks, update_tracks
 
 FIRST_SLOTS = 64
-CALMEST, WILDEST, OUTBURST = 0.2, 4.0, 6.0
-"""Limits of a target's learned acceleration and what it may do beyond that, in those that the settings expect."""
-SURE = 1.5
-"""Cameras that must count in full for a sighting that teaches distances."""
-FASTEST = 4.0
-"""Speed at which a lost target may come back, in those that the settings expect."""
-TWIN_SHARE = 0.25
-"""A nameless target and a lost one found again so near to it (in largest gates) are the same."""
+LEAST_ACCELERATION, LARGEST_ACCELERATION, MANOEUVRE_ACCELERATION = 0.2, 4.0, 6.0
+"""Limits of a track's adapted acceleration, and that of a sudden manoeuvre; times the settings' acceleration."""
+RELIABLE_CAMERAS = 1.5
+"""Cameras that must count in full for a measurement from which distances are learned."""
+RETURN_SPEED = 4.0
+"""Speed at which a lost target may have moved, in units of the settings' speed."""
+SAME_TARGET_SHARE = 0.25
+"""An unnamed track and a reacquired one this near to each other (times the largest gate) are the same target."""
 CONVINCING = 6.0
-"""Log-likelihood ratio of distances by which a lost target is known again."""
+"""Log-likelihood ratio of distances from which a new track is taken for a lost one."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=SETTINGS)
 class TrackSettings:
-    """How targets move and what makes one.
-
-    ``model``: "acceleration" (Singer, lasting ``memory_s``) or "velocity" (constant, white acceleration).
-    ``acceleration_mps2``: standard deviation of the targets' acceleration, an axis; each target's own is learned
-    from there. ``speed_mps``: of a new target's velocity, each axis. ``gate_sigma``: how far from its
-    prediction a point may lie. ``gate_m``: never farther than this; a confirmed target takes a point of two cameras
-    from half as far, with an image of odd size from a quarter (two cameras agree by chance, and the gate of a target
-    long unseen admits many such chances). ``confirm_weight``: weight of sightings that confirms a target.
-    ``coast_s``: how long a target is predicted by its own motion without being seen. ``remember_s``: how long a
-    lost one can come back under its identity. ``name_wait_s``: how long a new target that may be a lost one waits for
-    its name; its samples leave when it has one. ``limb_m``: how far its limb mates may be; 0: none are
-    learned (particles).
-    """
+    """How targets move, and what makes a track."""
 
     model: Literal["acceleration", "velocity"] = "acceleration"
-    memory_s: float = 0.1
-    acceleration_mps2: float = 20.0
-    speed_mps: float = 1.5
-    gate_sigma: float = 4.5
-    gate_m: float = 0.08
-    confirm_weight: float = 5.0
-    coast_s: float = 0.25
-    remember_s: float = 60.0
-    name_wait_s: float = 0.2
-    limb_m: float = 0.6
+    """Singer's acceleration with a memory of ``memory_s``, or constant velocity (white acceleration)."""
+    memory_s: Positive = 0.1
+    """Correlation time of the acceleration [s]."""
+    acceleration_mps2: Positive = 20.0
+    """Standard deviation of the targets' acceleration, an axis; adapted for each track from there."""
+    speed_mps: Positive = 1.5
+    """Standard deviation of a new track's velocity, an axis."""
+    gate_sigma: Positive = 4.5
+    """How many standard deviations a point may lie from its prediction."""
+    gate_m: Positive = 0.08
+    """Never farther than this; a confirmed track takes a point of two cameras from half as far, with an image of odd
+    size from a quarter (two cameras agree by chance, and the gate of a track long unseen admits much clutter)."""
+    confirm_weight: Positive = 5.0
+    """Weight of the points that confirms a track."""
+    coast_s: NotNegative = 0.25
+    """How long a track is predicted by its own motion without a point."""
+    remember_s: NotNegative = 60.0
+    """How long a lost track can be reacquired under its identity."""
+    name_wait_s: NotNegative = 0.2
+    """How long a new track that may be a lost one waits for its identity; its samples are returned with it."""
+    limb_m: NotNegative = 0.6
+    """How far limb mates may be [m]; 0: particles, no limbs."""
 
 
 class Tracker:
-    """Follows targets from frame set to frame set. The state is its own; hand it points in order of time."""
+    """Follows targets from frame set to frame set. It keeps state: points must come in order of time."""
 
     def __init__(self, settings: TrackSettings) -> None:
         self.settings = settings
         self._rules = _rules(settings)
-        self._bank, self._limbs = new_bank(FIRST_SLOTS), new_limbs(FIRST_SLOTS)
+        self._bank, self._neighbours = new_bank(FIRST_SLOTS), new_neighbours(FIRST_SLOTS)
         self._time_s: float | None = None
         self._step_s = 0.0
         self._waiting: list[tuple[Samples, Array]] = []
 
     def predict(self, time_s: float) -> Predicted:
-        """Carry all targets to ``time_s`` [s] and return where the confirmed ones are expected."""
+        """Predict all tracks at ``time_s`` [s]; return positions and covariances of the confirmed ones."""
         s = self.settings
         step = 0.0 if self._time_s is None else time_s - self._time_s
         if step < 0.0:
             raise ValueError(f"time {time_s} s lies before {self._time_s} s: points must come in order")
         self._time_s, self._step_s = float(time_s), float(step)
-        step_of = motion(s.model, self._step_s, s.memory_s)
-        return Predicted(*foresee(self._bank, self._limbs, step_of, self._time_s, self._step_s, self._rules))
+        move = motion(s.model, self._step_s, s.memory_s)
+        return Predicted(
+            *predict_tracks(self._bank, self._neighbours, move, self._time_s, self._step_s, self._rules)
+        )
 
     def update(self, points: Points, frame: int, time_ns: int, jitter_s: float = 0.0) -> Samples:
-        """Give the points of the instant last predicted to the targets; return samples that are now certain.
+        """Assign the points of the instant last predicted to the tracks; return the samples of known identity.
 
         ``jitter_s``: of each camera's trigger, standard deviation; it spreads moving points along their paths.
         """
         self._make_room(len(points))
-        bank, rules = self._bank, self._rules
-        nameless, slot_of, serial, identity, covariance = follow(
-            bank, self._limbs, points.xyz, points.covariance, points.n_cameras, points.trusted, float(jitter_s),
-            self._time_s, self._step_s, rules,
-        )  # fmt: skip
+        bank, rules, n = self._bank, self._rules, len(points)
+        measured = Measurements(points.xyz, points.covariance, points.n_cameras, points.trusted)
+        nameless, slot_of, serial, identity, covariance = update_tracks(
+            bank, self._neighbours, measured, float(jitter_s), self._time_s, self._step_s, rules
+        )
         named = {}
         if nameless:
-            named = self._named(slot_of)
+            named = self._identified(slot_of)
             identity = bank.identity[slot_of]
             if rules.limb_m > 0.0:
-                learn(bank, self._limbs, self._step_s, rules.limb_m)
-        n = len(points)
+                learn_distances(bank, self._neighbours, self._step_s, rules.limb_m)
         now = Samples(
             np.full(n, frame), np.full(n, time_ns), identity, points.xyz, covariance,
             points.n_cameras, points.residual_px, np.zeros(n, np.int8),
@@ -111,29 +124,28 @@ class Tracker:
 
     @property
     def waiting(self) -> int:
-        """How many samples are held back because their target has no name yet; at a run's end they are left out."""
+        """How many samples wait for their track's identity; those at a run's end are left out."""
         return sum(len(samples) for samples, _ in self._waiting)
 
     def _make_room(self, points: int) -> None:
-        need = int(self._bank.numbers[TOP]) + points
+        need = int(self._bank.counters[SLOTS_USED]) + points
         if need > len(self._bank.state):
-            self._bank, self._limbs = grown(self._bank, self._limbs, 2 * need)
+            self._bank, self._neighbours = enlarged(self._bank, self._neighbours, 2 * need)
 
-    def _named(self, slot_of: Array) -> dict[int, int]:
-        """Give each target confirmed now the identity of a lost one whose limb it fits, or a new one.
+    def _identified(self, slot_of: Array) -> dict[int, int]:
+        """Give each unnamed confirmed track the identity of a lost one whose distances it fits, or a new one.
 
-        Returns serial -> identity; ``slot_of`` follows a target to the slot that it had.
+        Returns serial -> identity; ``slot_of`` (m,) is corrected for tracks that continue in their earlier slot.
         """
         bank, s = self._bank, self.settings
-        top, named, now = int(bank.numbers[TOP]), {}, self._time_s
+        top, named, now = int(bank.counters[SLOTS_USED]), {}, self._time_s
         for slot in np.flatnonzero((bank.state[:top] == CONFIRMED) & (bank.identity[:top] < 0)).tolist():
             serial, old, possible = int(bank.serial[slot]), -1, False
             if s.limb_m > 0.0 and bank.missed[slot] == 0:
-                old, possible = recall(
-                    bank, self._limbs, slot, now, CONVINCING, s.limb_m, FASTEST * s.speed_mps
-                )
+                speed = RETURN_SPEED * s.speed_mps
+                old, possible = reidentified(bank, self._neighbours, slot, now, CONVINCING, s.limb_m, speed)
             elif s.limb_m > 0.0:
-                old, possible = found_instead(bank, slot, now, TWIN_SHARE * s.gate_m), True
+                old, possible = reacquired_nearby(bank, slot, now, SAME_TARGET_SHARE * s.gate_m), True
             if old >= 0 and bank.missed[slot] > 0:
                 bank.state[slot], bank.serial[slot] = FREE, -1
             elif old >= 0:
@@ -143,42 +155,41 @@ class Tracker:
                 continue
             else:
                 old = slot
-                bank.identity[slot] = bank.numbers[IDENTITY]
-                bank.numbers[IDENTITY] += 1
+                bank.identity[slot] = bank.counters[NEXT_IDENTITY]
+                bank.counters[NEXT_IDENTITY] += 1
             named[serial] = int(bank.identity[old])
         return named
 
     def _certain(self, now: Samples, serial: Array, named: dict[int, int]) -> Samples:
-        """Return the samples of known identity, now's and earlier ones; keep those of tentative targets."""
+        """Return the samples of known identity, now's and earlier ones; keep those of tentative tracks."""
         if not self._waiting and (len(now) == 0 or now.track.min() >= 0):
             return now
-        certain = []
-        for samples, serials in self._waiting:
-            samples.track[:] = [named.get(int(k), -1) for k in serials]
-            certain.append(samples.select(samples.track >= 0))
-        certain.append(now.select(now.track >= 0))
+        waiting = [
+            (replace(samples, track=np.array([named.get(int(k), -1) for k in serials])), serials)
+            for samples, serials in self._waiting
+        ]
+        waiting.append((now, serial))
         bank = self._bank
         nameless = bank.serial[(bank.state != FREE) & (bank.identity < 0)]
-        self._waiting.append((now, serial))
-        kept = [(s, k, (s.track < 0) & np.isin(k, nameless)) for s, k in self._waiting]
+        kept = [(s, k, (s.track < 0) & np.isin(k, nameless)) for s, k in waiting]
         self._waiting = [(s.select(rows), k[rows]) for s, k, rows in kept if rows.any()]
-        return Samples.joined(certain)
+        return Samples.joined([samples.select(samples.track >= 0) for samples, _ in waiting])
 
 
-def _rules(settings: TrackSettings) -> Rules:
+def _rules(settings: TrackSettings) -> TrackRules:
     """Return the settings as the kernels read them."""
     s = settings
-    return Rules(
-        gate_sigma=float(s.gate_sigma),
-        gate_m=float(s.gate_m),
-        wild_mps2=OUTBURST * s.acceleration_mps2,
-        lowest=(CALMEST * s.acceleration_mps2) ** 2,
-        highest=(WILDEST * s.acceleration_mps2) ** 2,
+    return TrackRules(
+        gate_sigma=s.gate_sigma,
+        gate_m=s.gate_m,
+        manoeuvre_mps2=MANOEUVRE_ACCELERATION * s.acceleration_mps2,
+        least_variance=(LEAST_ACCELERATION * s.acceleration_mps2) ** 2,
+        largest_variance=(LARGEST_ACCELERATION * s.acceleration_mps2) ** 2,
         order=3 if s.model == "acceleration" else 2,
-        speed_mps=float(s.speed_mps),
-        confirm_weight=float(s.confirm_weight),
-        sure_from=SURE,
-        coast_s=float(s.coast_s),
-        memory_s=float(max(s.remember_s, s.coast_s)),
-        limb_m=float(s.limb_m),
+        speed_mps=s.speed_mps,
+        confirm_weight=s.confirm_weight,
+        reliable_from=RELIABLE_CAMERAS,
+        coast_s=s.coast_s,
+        remember_s=max(s.remember_s, s.coast_s),
+        limb_m=s.limb_m,
     )

@@ -12,6 +12,8 @@ from mosca.errors import InputError
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+SETTINGS = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
+"""Of pydantic dataclasses that are settings of a stage and a TOML table at once."""
 
 
 class Table(BaseModel):
