@@ -17,10 +17,10 @@ from twin.cameras.delivery import Delivery, Taken, deliver
 from twin.cameras.expected_image import STEP_PX, Expected, expected_frame
 from twin.cameras.exposure.scene_sampling import Moment
 from twin.cameras.exposure.shutter import pulse_time_s
-from twin.cameras.exposure.subject import Subject
 from twin.cameras.optics.lens import moved
 from twin.cameras.stray_light.stray import Surroundings
 from twin.cameras.stray_light.surroundings import Around
+from twin.cameras.subject import Subject
 from twin.cameras.virtual_camera import VirtualCamera
 from twin.scenes.scene import Scene, SceneSampler
 from twin.truth_log import PulseLog, truth_of

@@ -8,7 +8,8 @@ import numpy as np
 from mosca.data.arrays import Array
 from reports.fidelity import Check, Row
 from twin.cameras.sensor.background_light import Ambient, ambient_map
-from twin.cameras.sensor.sensor import Sensor, expose
+from twin.cameras.sensor.readout import expose
+from twin.cameras.sensor.sensor import Sensor
 from witness.emva import PhotonTransfer, dsnu_e, prnu, spatial, temporal
 
 SHAPE, STEPS, IMAGES = (200, 300), 27, 12

@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twin.cameras.sensor.background_light import Ambient, ambient_map
-from twin.cameras.sensor.sensor import Sensor, expose
+from twin.cameras.sensor.readout import expose
+from twin.cameras.sensor.sensor import Sensor
 from witness.emva import Array, PhotonTransfer, Spatial, dsnu_e, prnu, spatial, temporal
 
 SHAPE = (200, 300)

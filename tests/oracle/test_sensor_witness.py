@@ -10,7 +10,8 @@ from scipy.stats import kstest, norm, poisson
 
 from twin.cameras.sensor.background_light import Ambient
 from twin.cameras.sensor.level_lookup import level_bank
-from twin.cameras.sensor.sensor import Sensor, dark_table, expose
+from twin.cameras.sensor.readout import dark_table, expose
+from twin.cameras.sensor.sensor import Sensor
 from witness.emva import Array, PhotonTransfer, linearity_error, spatial, temporal
 
 LEAST_P = 1e-3

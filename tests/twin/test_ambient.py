@@ -9,7 +9,8 @@ from hypothesis.extra.numpy import arrays
 
 from twin.cameras.sensor.background_light import Ambient, Backdrop, ambient_map
 from twin.cameras.sensor.level_lookup import SPACING, LevelBank, level_bank
-from twin.cameras.sensor.sensor import Sensor, dark_table, expose
+from twin.cameras.sensor.readout import dark_table, expose
+from twin.cameras.sensor.sensor import Sensor
 
 H, W = 120, 160
 

@@ -1,10 +1,6 @@
 """The context image against OpenCV's projection, hand numbers and MuJoCo's own ray caster."""
 
-import os
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import cv2
 import mujoco
@@ -277,51 +273,3 @@ def test_threads_share_what_is_refreshed():
     with pytest.raises(ZeroDivisionError):
         kept.get(7, lambda: 1 // 0)
     assert kept.get(7, lambda: 5) == 5
-
-
-PRETTY = """
-import mujoco, numpy as np, sys
-from mosca.data.rig import Pose
-from twin.cameras.stray_light.context_image import pretty_view
-from twin.scenes.scene import Scene
-model = mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom size="0.3" pos="0.4 3 0.2"/></worldbody></mujoco>')
-scene = Scene(model, (), (), lambda t: np.zeros(0), 1.0)
-looking = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
-picture, reason = pretty_view(scene, 0.0, Pose(looking, np.zeros(3)), 320, 240, 40.0)
-if picture is None:
-    sys.exit(reason)
-y, x = np.nonzero(picture.sum(axis=2) > 0)
-print(*picture.shape, x.min(), x.max(), y.min(), y.max())
-"""
-
-
-def pretty(platform: str) -> subprocess.CompletedProcess[str]:
-    root = Path(__file__).resolve().parents[2]
-    environment = {**os.environ, "MUJOCO_GL": platform, "PYTHONPATH": str(root)}
-    return subprocess.run(
-        [sys.executable, "-c", PRETTY],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=600,
-    )
-
-
-@pytest.mark.gl
-def test_a_pretty_picture_shows_the_ball_where_it_is():
-    done = pretty("egl")
-    if done.returncode != 0:
-        pytest.skip(f"needs a system OpenGL library: {done.stderr.strip().splitlines()[-1]}")
-    height, width, depth, left, right, top, bottom = map(int, done.stdout.split())
-    assert (height, width, depth) == (240, 320, 3)
-    # f = 120 / tan 20 deg = 329.7 px; the ball at (0.4, -0.2, 3) m subtends about +-33 px
-    middle = np.array([(left + right + 1) / 2, (top + bottom + 1) / 2])
-    np.testing.assert_allclose(middle, [160 + 329.7 * 0.4 / 3, 120 - 329.7 * 0.2 / 3], atol=2.0)
-    assert 62 <= right - left <= 72
-
-
-def test_without_opengl_there_is_a_reason_and_no_picture():
-    done = pretty("off")
-    assert done.returncode == 1
-    assert "no OpenGL picture" in done.stderr

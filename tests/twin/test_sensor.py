@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twin.cameras.sensor.background_light import Ambient
-from twin.cameras.sensor.sensor import Sensor, dark_table, expose
+from twin.cameras.sensor.readout import dark_table, expose
+from twin.cameras.sensor.sensor import Sensor
 
 TYPES = {8: np.uint8, 10: np.uint16, 12: np.uint16}
 CHECK_SUMS = {8: 2119964089, 10: 3354042383, 12: 2757769116}

@@ -20,13 +20,13 @@ from twin.cameras.exposure.scene_sampling import (
     stretch_about,
 )
 from twin.cameras.exposure.shutter import Exposure, check_timing, numbers_in, open_shutter
-from twin.cameras.exposure.subject import Subject, carrying_body
 from twin.cameras.optics.lens import TwinLens, warmed
 from twin.cameras.optics.psf import psf_of
 from twin.cameras.render.mesh_occlusion import Look, MeshRays, between
 from twin.cameras.render.render import Seen, TargetsInCamera, Window, has_meshes, render_targets
 from twin.cameras.sensor.background_light import Ambient, ambient_map
-from twin.cameras.sensor.sensor import expose
+from twin.cameras.sensor.readout import expose
+from twin.cameras.subject import Subject, carrying_body
 from twin.cameras.virtual_camera import VirtualCamera
 from twin.streams import key
 

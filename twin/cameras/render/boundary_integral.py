@@ -1,15 +1,17 @@
 """From boundary points to pixels: the step of Green's theorem that all targets share.
 
 The light on pixel (px, py) of a region is the sum over its boundary of ``share(u - px) weight(v - py) dv``.
-Only pixels near the boundary change along a row, so each point adds its steps to ``change`` and one running
-sum along the rows fills the inside. A point moves during the exposure: its place and dv are quadratics in the
+Only pixels near the boundary change along a row, so each point adds its steps to the increments and one running
+sum along the rows fills the inside. A point moves during the exposure: its position and dv are quadratics in the
 panel's time tau (-1..1), and each row of pixels integrates over its own window.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from mosca.data.arrays import Array
 from mosca.numba_support.decorators import callable_bare_step, kernel
 from twin.cameras.optics.pixel_kernel import share, weight
 
@@ -24,6 +26,30 @@ for _n in range(1, MOST_NODES + 1):
 
 EDGE, SPOT = 0, 1
 """What a point is: a piece of boundary (amount dv) or a spot of light (amount area)."""
+
+
+class Increments(NamedTuple):
+    """What changes from pixel to pixel along each row, ``values`` (h, w), the first one at pixel (x0, y0)."""
+
+    values: Array
+    x0: int
+    y0: int
+
+
+class Blur(NamedTuple):
+    """How the light of a point spreads: the pixel kernel's table and reach, and the patches (n, 3) of the pupil."""
+
+    table: Array
+    reach: int
+    patches: Array
+
+
+class Panel(NamedTuple):
+    """A part of the exposure, from the opening of the first row [s], and the length of the image's motion in it."""
+
+    begin_s: float
+    end_s: float
+    motion_px: float
 
 
 @callable_bare_step
@@ -41,36 +67,32 @@ def nodes_for(motion_px):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def add_points(what, change, x0, y0, table, reach, patch, points, panel, motion_px, window):  # type: ignore[no-untyped-def]
-    """Add moving boundary points to ``change`` or spots to it (one column is one pixel, row 0 is pixel row y0).
+def add_points(what, out, blur, points, panel, rows):  # type: ignore[no-untyped-def]
+    """Add moving boundary points (EDGE) or spots (SPOT) to the increments ``out``.
 
-    ``points`` (n, 9): coefficients of u, v and amount in tau. ``panel``: (start, end) [s]; ``motion_px`` in it.
-    ``window``: (length [s], row time [s], light on, light off [s]) of the frame's rows.
+    ``points`` (n, 9): coefficients of u, v and amount in tau. ``rows``: the RowTiming.
     """
-    length, row_time, on, off = window
-    step_x = np.empty(2 * reach + 3)
+    length, row_time, on, off = rows
+    step_x = np.empty(2 * blur.reach + 3)
     if row_time == 0.0:
-        begin, end = max(panel[0], max(0.0, on)), min(panel[1], min(length, off))
+        begin, end = max(panel.begin_s, max(0.0, on)), min(panel.end_s, min(length, off))
         if end > begin:
-            _add_all_rows(
-                what, change, x0, y0, table, reach, patch, points, panel, motion_px, begin, end, length, step_x
-            )  # fmt: skip
+            _add_all_rows(what, out, blur, points, panel, begin, end, length, step_x)
         return
-    for p in range(change.shape[0]):
-        opens = (y0 + p) * row_time
-        begin, end = max(panel[0], max(opens, on)), min(panel[1], min(opens + length, off))
+    for row in range(out.values.shape[0]):
+        opens = (out.y0 + row) * row_time
+        begin, end = max(panel.begin_s, max(opens, on)), min(panel.end_s, min(opens + length, off))
         if end > begin:
-            _add_one_row(
-                what, change, p, x0, y0, table, reach, patch, points, panel, motion_px, begin, end, length, step_x
-            )  # fmt: skip
+            _add_one_row(what, out, row, blur, points, panel, begin, end, length, step_x)
 
 
 @callable_bare_step
-def _add_all_rows(  # type: ignore[no-untyped-def]
-    what, change, x0, y0, table, reach, patch, points, panel, motion_px, begin, end, length, step_x
-):
-    half, middle = 0.5 * (panel[1] - panel[0]), 0.5 * (panel[0] + panel[1])
-    nodes = nodes_for(motion_px * (end - begin) / (2.0 * half))
+def _add_all_rows(what, out, blur, points, panel, begin, end, length, step_x):  # type: ignore[no-untyped-def]
+    """Add points whose rows are all exposed from ``begin`` to ``end`` (global shutter)."""
+    change, x0, y0 = out
+    table, reach, patch = blur
+    half, middle = 0.5 * (panel.end_s - panel.begin_s), 0.5 * (panel.begin_s + panel.end_s)
+    nodes = nodes_for(panel.motion_px * (end - begin) / (2.0 * half))
     rows = change.shape[0]
     for k in range(nodes):
         t = 0.5 * (begin + end) + 0.5 * (end - begin) * NODE_AT[nodes, k]
@@ -94,11 +116,12 @@ def _add_all_rows(  # type: ignore[no-untyped-def]
 
 
 @callable_bare_step
-def _add_one_row(  # type: ignore[no-untyped-def]
-    what, change, row, x0, y0, table, reach, patch, points, panel, motion_px, begin, end, length, step_x
-):
-    half, middle = 0.5 * (panel[1] - panel[0]), 0.5 * (panel[0] + panel[1])
-    nodes = nodes_for(motion_px * (end - begin) / (2.0 * half))
+def _add_one_row(what, out, row, blur, points, panel, begin, end, length, step_x):  # type: ignore[no-untyped-def]
+    """Add points to the one row that is exposed from ``begin`` to ``end`` (rolling shutter)."""
+    change, x0, y0 = out
+    table, reach, patch = blur
+    half, middle = 0.5 * (panel.end_s - panel.begin_s), 0.5 * (panel.begin_s + panel.end_s)
+    nodes = nodes_for(panel.motion_px * (end - begin) / (2.0 * half))
     for k in range(nodes):
         t = 0.5 * (begin + end) + 0.5 * (end - begin) * NODE_AT[nodes, k]
         tau = (t - middle) / half
@@ -132,8 +155,9 @@ def _steps(what, step_x, table, reach, u):  # type: ignore[no-untyped-def]
 
 
 @callable_bare_step
-def fill(light, change, x0, y0, electrons, least):  # type: ignore[no-untyped-def]
-    """Add the running sums of ``change`` to the image; light below ``least`` electrons is left out."""
+def fill(light, increments, electrons, least):  # type: ignore[no-untyped-def]
+    """Add the running sums of the increments to the image; light below ``least`` electrons is left out."""
+    change, x0, y0 = increments
     height, width = light.shape
     for p in range(max(0, -y0), min(change.shape[0], height - y0)):
         collected = 0.0

@@ -7,12 +7,12 @@ import mujoco
 import numpy as np
 
 from mosca.data.arrays import Array
-from twin.cameras.exposure.render_inputs import TargetsInCamera
 from twin.cameras.optics.lens import many_pixels
+from twin.cameras.render.inputs import TargetPose, TargetsInCamera
 from twin.cameras.render.occluder_culling import GROUP_PX, MOST_GROUPS
 from twin.cameras.render.occluders import Occluders, may_hide
 from twin.cameras.render.outline import lagrange
-from twin.cameras.render.ray_samples import runs, sample_rays
+from twin.cameras.render.ray_samples import SampleGrid, runs, sample_rays
 from twin.scenes.scene import UNSEEN_GROUP
 
 Look = Callable[[float], tuple[Any, Array, Array]]
@@ -92,14 +92,13 @@ class MeshRays:
 
     def _samples_at(
         self, marker: int, lens: Array, targets: TargetsInCamera, nodes: Array, time_s: float, still: bool
-    ) -> tuple[Array, tuple[float, float, float, int, int], Array]:
+    ) -> tuple[Array, SampleGrid, Array]:
         """Return the cells of a target's samples at an instant, their grid, and which of them nothing hides."""
-        centre = between(targets.path[marker], nodes, time_s)
+        x, y, z = (float(c) for c in between(targets.path[marker], nodes, time_s))
         turn = between(targets.turn[marker], nodes, time_s)
-        for per_px in (3, 0):  # a coarse look answers for most
-            rays, cell, grid = sample_rays(
-                lens, centre, turn, targets.radius[marker], targets.shape[marker], per_px
-            )
+        target = TargetPose(int(targets.shape[marker]), turn, x, y, z, float(targets.radius[marker]))
+        for per_px in (3, 0):  # coarse samples suffice for most
+            rays, cell, grid = sample_rays(lens, target, per_px)
             free = self.visible(marker, rays, time_s)
             if per_px and len(free) >= 30 and (not free.any() or (still and free.all())):
                 break

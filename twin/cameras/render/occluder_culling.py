@@ -1,4 +1,4 @@
-"""Which solids may hide a target at all, where they stand, and how fast they pass it."""
+"""Which solids may hide a target at all, their poses at an instant, and how fast they pass it."""
 
 import math
 
@@ -6,16 +6,19 @@ import numpy as np
 
 from mosca.numba_support.decorators import kernel
 from twin.cameras.optics.lens import land
+from twin.cameras.render.inputs import Solid
 from twin.cameras.render.occluders import axis_reach, hit, may_hide
 from twin.cameras.render.outline import circle_of, lagrange, place, rim, turned
 
 GROUP_PX = 0.25
 """Motion of a target past what hides it for which the hidden part is judged anew."""
 MOST_GROUPS = 40
+OUTLINE_MARGIN = 1.05
+"""Factor on the outline that one solid must hide for the whole target to be hidden."""
 
 
 @kernel
-def solids_of(kind, size, geom_xyz, geom_turn):  # type: ignore[no-untyped-def]
+def motion_bounds(kind, size, geom_xyz, geom_turn):  # type: ignore[no-untyped-def]
     """Return (k, 8) of each geom: centre and axis at the middle node, half length and reach with all its motion."""
     last = geom_xyz.shape[0] - 1
     middle = last // 2
@@ -32,24 +35,36 @@ def solids_of(kind, size, geom_xyz, geom_turn):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def near_geoms(  # type: ignore[no-untyped-def]
-    near, m, solids, geom_marker, geom_xyz, geom_turn, nodes, lens, path, x, y, z, r, begin, instant, end, swing,
-):  # fmt: skip
-    """Write the geoms that may hide target m; return how many, and in how many groups of instants to look."""
+def near_solids(inputs, m, image, number):  # type: ignore[no-untyped-def]
+    """Write the numbers of the solids that may hide target m.
+
+    Returns how many, and into how many groups of instants the exposure must be divided. ``image``: its TargetImage.
+    """
+    solids, target = inputs.solids, image.target
+    bounds = solids.bounds
     count = 0
-    for g in range(solids.shape[0]):
-        if geom_marker[g] != m and may_hide(
-            solids[g, :3], solids[g, 3:6], solids[g, 6], solids[g, 7] + swing, x, y, z, r
-        ):
-            near[count] = g
+    for g in range(bounds.shape[0]):
+        if solids.marker[g] != m and may_hide(
+            bounds[g, :3], bounds[g, 3:6], bounds[g, 6], bounds[g, 7] + image.moved_m, target.x, target.y, target.z,
+            target.radius,
+        ):  # fmt: skip
+            number[count] = g
             count += 1
     if count == 0:
         return 0, 1
-    # how far a geom's own point nearest the line of sight slips past the target in the image
+    slip = _slip_px(inputs, m, image, number, count)
+    return count, 1 if slip < GROUP_PX else min(MOST_GROUPS, 1 + int(slip / GROUP_PX))
+
+
+@kernel
+def _slip_px(inputs, m, image, number, count):  # type: ignore[no-untyped-def]
+    """How far at most a solid's own point nearest the line of sight moves past the target in the image [px]."""
+    lens, nodes, path = inputs.lens, inputs.nodes_s, inputs.targets.path[m]
+    x, y, z = image.target.x, image.target.y, image.target.z
     weights, at_begin, at_end = np.empty(nodes.shape[0]), np.empty(nodes.shape[0]), np.empty(nodes.shape[0])
-    lagrange(nodes, instant, weights)
-    lagrange(nodes, begin, at_begin)
-    lagrange(nodes, end, at_end)
+    lagrange(nodes, image.instant_s, weights)
+    lagrange(nodes, image.begin_s, at_begin)
+    lagrange(nodes, image.end_s, at_end)
     ax, ay, az = place(path, at_begin)
     bx, by, bz = place(path, at_end)
     ua, va, _a, _b, _c, _d, _e, _f, ok_a = land(lens, ax, ay, az)
@@ -57,7 +72,7 @@ def near_geoms(  # type: ignore[no-untyped-def]
     slip = 0.0
     local = np.empty(3)
     for q in range(count):
-        xyz, turn = geom_xyz[:, near[q]], geom_turn[:, near[q]]
+        xyz, turn = inputs.solids.xyz[:, number[q]], inputs.solids.turn[:, number[q]]
         cx, cy, cz = place(xyz, weights)
         f = min(max((cx * x + cy * y + cz * z) / (x * x + y * y + z * z), 0.05), 1.0)
         for i in range(3):
@@ -71,7 +86,7 @@ def near_geoms(  # type: ignore[no-untyped-def]
         ud, vd, ok_d = _material(lens, xyz, turn, at_end, local)
         if ok_a and ok_b and ok_c and ok_d:
             slip = max(slip, math.sqrt((ud - uc - ub + ua) ** 2 + (vd - vc - vb + va) ** 2))
-    return count, 1 if slip < GROUP_PX else min(MOST_GROUPS, 1 + int(slip / GROUP_PX))
+    return slip
 
 
 @kernel
@@ -88,26 +103,29 @@ def _material(lens, xyz, turn, weights, local):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def geoms_at(near, count, geom_xyz, geom_turn, weights, xyz, turn):  # type: ignore[no-untyped-def]
-    """Write the poses of the near geoms at an instant."""
-    for q in range(count):
-        g = near[q]
-        xyz[g, 0], xyz[g, 1], xyz[g, 2] = place(geom_xyz[:, g], weights)
-        turned(geom_turn[:, g], weights, turn[g])
+def pose_solids(near, solids, nodes, instant_s):  # type: ignore[no-untyped-def]
+    """Write the poses of the near solids at an instant."""
+    weights = np.empty(nodes.shape[0])
+    lagrange(nodes, instant_s, weights)
+    for q in range(near.count):
+        g = near.number[q]
+        near.xyz[g, 0], near.xyz[g, 1], near.xyz[g, 2] = place(solids.xyz[:, g], weights)
+        turned(solids.turn[:, g], weights, near.turn[g])
 
 
 @kernel
-def hidden_by_one(near, count, kind, size, xyz, turn, shape, axes, x, y, z, r):  # type: ignore[no-untyped-def]
-    """Whether one convex geom hides the whole outline, drawn 5 % too large, and so all of the target."""
-    circle = circle_of(shape, axes, x, y, z, 1.05 * r)
-    away = math.sqrt(x * x + y * y + z * z)
-    for q in range(count):
-        g = near[q]
+def hidden_by_one(near, target):  # type: ignore[no-untyped-def]
+    """Whether one convex solid hides the whole outline, drawn 5 % too large, and so all of the target."""
+    circle = circle_of(target, OUTLINE_MARGIN * target.radius)
+    away = math.sqrt(target.x * target.x + target.y * target.y + target.z * target.z)
+    for q in range(near.count):
+        g = near.number[q]
+        solid = Solid(near.kind[g], near.size[g], near.xyz[g], near.turn[g])
         all_hit = True
         for k in range(12):
             dx, dy, dz, _a, _b, _c = rim(circle, k * math.pi / 6)
-            front = (away - r) / math.sqrt(dx * dx + dy * dy + dz * dz)
-            if not hit(kind[g], size[g], xyz[g], turn[g], dx, dy, dz) < front:
+            front = (away - target.radius) / math.sqrt(dx * dx + dy * dy + dz * dz)
+            if not hit(solid, dx, dy, dz) < front:
                 all_hit = False
                 break
         if all_hit:

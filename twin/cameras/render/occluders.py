@@ -13,6 +13,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel
+from twin.cameras.render.inputs import Solid
 from twin.scenes.scene import MARKER_GROUP, UNSEEN_GROUP, Scene
 
 SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX = (
@@ -28,19 +29,20 @@ PRIMITIVES = (SPHERE, CAPSULE, ELLIPSOID, CYLINDER, BOX)
 
 @dataclass(frozen=True, eq=False)
 class Occluders:
-    """The geoms of a scene that can hide a marker.
-
-    ``geom`` (k,) ids of primitives, markers included; ``kind`` (k,) and ``size`` (k, 3) as MuJoCo has them;
-    ``marker`` (k,) the marker that a geom is, or -1; ``mesh_geom`` (q,) ids of meshes and ``mesh_radius``
-    (q,) of their bounding spheres.
-    """
+    """The geoms of a scene that can hide a marker: primitives (k,), markers included, and meshes (q,)."""
 
     geom: Array
+    """(k,): ids of the primitives."""
     kind: Array
+    """(k,): their types as MuJoCo has them."""
     size: Array
+    """(k, 3) as MuJoCo has it [m]."""
     marker: Array
+    """(k,): number of the marker that a geom is, or -1."""
     mesh_geom: Array
+    """(q,): ids of the meshes."""
     mesh_radius: Array
+    """(q,) of their bounding spheres [m]."""
 
 
 def occluders_of(scene: Scene) -> Occluders:
@@ -117,11 +119,12 @@ def may_hide(
 
 
 @kernel
-def hit(kind: int, size: Array, centre: Array, turn: Array, dx: float, dy: float, dz: float) -> float:
-    """Distance along (dx, dy, dz), in its lengths, at which a ray from the origin enters the geom; inf if never.
+def hit(solid: Solid, dx: float, dy: float, dz: float) -> float:
+    """Distance along (dx, dy, dz), in its lengths, at which a ray from the origin enters the solid; inf if never.
 
-    ``turn`` is the rotation geom -> camera frame. An origin inside the geom counts as not entering.
+    An origin inside the solid counts as not entering.
     """
+    kind, size, centre, turn = solid
     ox = -(turn[0, 0] * centre[0] + turn[1, 0] * centre[1] + turn[2, 0] * centre[2])
     oy = -(turn[0, 1] * centre[0] + turn[1, 1] * centre[1] + turn[2, 1] * centre[2])
     oz = -(turn[0, 2] * centre[0] + turn[1, 2] * centre[1] + turn[2, 2] * centre[2])

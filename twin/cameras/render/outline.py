@@ -12,6 +12,7 @@ import numpy as np
 from mosca.numba_support.decorators import kernel
 from twin.cameras.optics.lens import land
 from twin.cameras.render.boundary_integral import MAX_NODES, NODE_AT, NODE_SHARE
+from twin.cameras.render.inputs import ImageBox
 from twin.scenes.figure import LINE
 
 BALL, FLAT, FIGURE = 0, 1, 2
@@ -69,8 +70,9 @@ def across(x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def circle_of(shape, turn, x, y, z, r):  # type: ignore[no-untyped-def]
-    """The circle that is the outline: centre, and two radii at right angles (9 numbers)."""
+def circle_of(target, r):  # type: ignore[no-untyped-def]
+    """The circle that is a target's outline with radius ``r``: centre, and two radii at right angles (9 numbers)."""
+    shape, turn, x, y, z, _r = target
     if shape == BALL:
         # the touching circle: centre C (1 - r^2 / d^2), radius r sqrt(1 - r^2 / d^2)
         ax, ay, az, bx, by, bz = across(x, y, z)
@@ -94,9 +96,9 @@ def rim(circle, angle):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def lands(lens, shape, turn, x, y, z, r):  # type: ignore[no-untyped-def]
-    """Whether the lens images all of an outline, and its box (left, right, top, bottom) [px]."""
-    circle = circle_of(shape, turn, x, y, z, 1.02 * r)
+def image_box(lens, target):  # type: ignore[no-untyped-def]
+    """Whether the lens images all of a target's outline, and the box of its image [px]."""
+    circle = circle_of(target, 1.02 * target.radius)
     left, right, top, bottom = 1e9, -1e9, 1e9, -1e9
     whole = True
     for j in range(24):
@@ -107,7 +109,7 @@ def lands(lens, shape, turn, x, y, z, r):  # type: ignore[no-untyped-def]
             top, bottom = min(top, v), max(bottom, v)
         else:
             whole = False
-    return whole, left, right, top, bottom
+    return whole, ImageBox(left, right, top, bottom)
 
 
 @kernel
@@ -117,10 +119,11 @@ def outline_steps(diameter, sigma):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def trace(lens, shape, turn, x, y, z, r, pieces, n, sense, out):  # type: ignore[no-untyped-def]
+def trace(lens, target, pieces, n, sense, out):  # type: ignore[no-untyped-def]
     """Write (u, v, dv) of the boundary into ``out`` (n, 3); ``sense``: +1 where the contours turn the image's way."""
+    shape, turn, x, y, z, r = target
     if shape != FIGURE:
-        circle = circle_of(shape, turn, x, y, z, r)
+        circle = circle_of(target, r)
         for j in range(n):
             dx, dy, dz, ex, ey, ez = rim(circle, 2.0 * math.pi * j / n)
             u, v, _ux, _uy, _uz, vx, vy, vz, _ok = land(lens, dx, dy, dz)

@@ -5,24 +5,35 @@ points, two for each run of such samples in a row.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from mosca.numba_support.decorators import kernel
 from twin.cameras.optics.lens import land, origin, origin_at
 from twin.cameras.optics.lens_vector import PUPIL
-from twin.cameras.render.outline import BALL, FIGURE, circle_of, rim
+from twin.cameras.render.outline import BALL, circle_of, rim
+
+
+class SampleGrid(NamedTuple):
+    """A grid of samples over a target's image: its corner and step [px], and its size."""
+
+    left: float
+    top: float
+    step: float
+    columns: int
+    rows: int
 
 
 @kernel
-def sample_rays(lens, centre, turn, r, shape, per_px):  # type: ignore[no-untyped-def]
+def sample_rays(lens, target, per_px):  # type: ignore[no-untyped-def]
     """Rays through a fine grid over the target's image, those that meet the target (a figure: its disc).
 
     ``per_px``: samples a pixel each way, 0: as many as the size asks for. Returns directions (n, 3), the grid
-    cell (n, 2) that each goes through (column, row), and the grid (left, top, step, columns, rows) [px].
+    cell (n, 2) that each goes through (column, row), and the grid.
     """
-    x, y, z = centre[0], centre[1], centre[2]
-    circle = circle_of(shape, turn, x, y, z, 1.02 * r)
+    shape, turn, x, y, z, r = target
+    circle = circle_of(target, 1.02 * r)
     left, right, top, bottom = 1e9, -1e9, 1e9, -1e9
     for j in range(24):
         dx, dy, dz, _a, _b, _c = rim(circle, 2.0 * math.pi * j / 24)
@@ -64,13 +75,13 @@ def sample_rays(lens, centre, turn, r, shape, per_px):  # type: ignore[no-untype
                 directions[n, 0], directions[n, 1], directions[n, 2] = dx, dy, dz
                 cell[n, 0], cell[n, 1] = i, j
                 n += 1
-    return directions[:n], cell[:n], (left, top, step, columns, rows)
+    return directions[:n], cell[:n], SampleGrid(left, top, step, columns, rows)
 
 
 @kernel
 def runs(cell, grid, chosen, sign):  # type: ignore[no-untyped-def]
     """Boundary points (n, 3) of the chosen cells, row by row: (u, v, dv), the area between them times ``sign``."""
-    left, top, step, _columns, _rows = grid
+    left, top, step = grid.left, grid.top, grid.step
     count = cell.shape[0]
     out = np.empty((2 * count, 3))
     n = 0
@@ -93,9 +104,3 @@ def runs(cell, grid, chosen, sign):  # type: ignore[no-untyped-def]
         n += 2
         i = last + 1
     return out[:n]
-
-
-@kernel
-def is_round(shape):  # type: ignore[no-untyped-def]
-    """Whether a target shines as a whole disc, so that its samples are all of its light."""
-    return shape != FIGURE

@@ -1,6 +1,7 @@
 """Light on the sensor: every target's image integrated, not drawn.
 
-The door to the kernels (``integrate``). Where meshes are about, MuJoCo is asked ray by ray (``mesh_rays``).
+Python's interface to the kernels (``target``). Where a mesh may hide a target, MuJoCo casts rays
+(``mesh_occlusion``).
 """
 
 from dataclasses import dataclass
@@ -8,13 +9,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.data.arrays import Array
-from twin.cameras.exposure.render_inputs import NO_FIGURES, Figures, TargetsInCamera, Window
 from twin.cameras.optics.psf import Psf
+from twin.cameras.render.inputs import (
+    NO_FIGURES,
+    Figures,
+    RenderInputs,
+    RowTiming,
+    SolidArrays,
+    TargetArrays,
+    TargetsInCamera,
+    Window,
+)
 from twin.cameras.render.mesh_occlusion import MeshRays
-from twin.cameras.render.occluder_culling import solids_of
+from twin.cameras.render.occluder_culling import motion_bounds
 from twin.cameras.render.occluders import Occluders
 from twin.cameras.render.outline import BALL, FIGURE, FLAT
-from twin.cameras.render.target import MESH_NEAR, MESH_REST, render_all, render_one
+from twin.cameras.render.target import (
+    HIDDEN_GIVEN,
+    MESH_NEAR,
+    REST_GIVEN,
+    GivenBoundary,
+    render_all,
+    render_one,
+)
 
 __all__ = [
     "BALL", "FIGURE", "FLAT", "Figures", "MeshRays", "Seen", "TargetsInCamera", "Window", "has_meshes",
@@ -24,14 +41,14 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What the camera saw of each target: ``visible`` (m,) share of its disc, ``xy_px`` (m, 2) image of its
-    centre at its rows' mid-exposure, ``diameter_px`` (m,) of the whole disc's image (both NaN where nothing is
-    visible).
-    """
+    """What the camera saw of each target."""
 
     visible: Array
+    """(m,): share of its disc."""
     xy_px: Array
+    """(m, 2): image of its centre at its rows' mid-exposure; NaN where nothing is visible."""
     diameter_px: Array
+    """(m,) of the whole disc's image; NaN where nothing is visible."""
 
 
 def render_targets(
@@ -52,25 +69,61 @@ def render_targets(
     the occluders' poses in the camera frame at the window's nodes. ``mesh_rays`` answers for meshes, if there are
     any; they are judged at as many instants as they pass the target.
     """
+    inputs = _inputs(lens, psf, window, targets, occluders, geom_xyz, geom_turn, figures)
     count = len(targets.radius)
-    nodes = np.ascontiguousarray(window.nodes_s, dtype=float)
-    timing = (window.length_s, window.row_time_s, float(window.light_s[0]), float(window.light_s[1]))
-    profile = np.column_stack([targets.limb, targets.shade])
-    common = (
-        light, lens, psf.kernel.table, psf.kernel.reach, psf.terms, nodes, timing, targets.path, targets.turn,
-        targets.radius, targets.shape, targets.figure, targets.electrons, targets.lit_s, profile,
-        figures.pieces, figures.first, occluders.kind, occluders.size, occluders.marker, geom_xyz, geom_turn,
-        solids_of(occluders.kind, occluders.size, geom_xyz, geom_turn),
-    )  # fmt: skip
     mesh = np.zeros(count, dtype=np.int64) if mesh_rays is None else mesh_rays.candidates(targets)
-    seen, state, spans = render_all(*common, mesh)
+    seen, state, spans = render_all(light, inputs, mesh)
     if mesh_rays is not None:
         for m in np.flatnonzero(state == MESH_NEAR):
-            edges, first, share, rest = mesh_rays.hidden(int(m), lens, targets, nodes, spans[m])
-            how = MESH_REST if rest else MESH_NEAR
-            seen[m] = render_one(*common, int(m), how, spans[m], edges, first, share)[:4]
+            edges, first, share, rest = mesh_rays.hidden(int(m), lens, targets, inputs.nodes_s, spans[m])
+            mode = REST_GIVEN if rest else HIDDEN_GIVEN
+            seen[m] = render_one(light, inputs, int(m), mode, GivenBoundary(edges, first, share), spans[m])[
+                :4
+            ]
     seen[seen[:, 0] == 0.0, 1:] = np.nan
     return Seen(seen[:, 0], seen[:, 1:3], seen[:, 3])
+
+
+def _inputs(
+    lens: Array,
+    psf: Psf,
+    window: Window,
+    targets: TargetsInCamera,
+    occluders: Occluders,
+    geom_xyz: Array,
+    geom_turn: Array,
+    figures: Figures,
+) -> RenderInputs:
+    """Return what ``render_targets`` is given in the form that the kernels take."""
+    on, off = window.light_s
+    return RenderInputs(
+        lens,
+        psf.kernel.table,
+        psf.kernel.reach,
+        psf.terms,
+        np.ascontiguousarray(window.nodes_s, dtype=float),
+        RowTiming(float(window.length_s), float(window.row_time_s), float(on), float(off)),
+        TargetArrays(
+            targets.path,
+            targets.turn,
+            targets.radius,
+            targets.shape,
+            targets.figure,
+            targets.electrons,
+            targets.lit_s,
+            np.column_stack([targets.limb, targets.shade]),
+        ),
+        figures.pieces,
+        figures.first,
+        SolidArrays(
+            occluders.kind,
+            occluders.size,
+            occluders.marker,
+            geom_xyz,
+            geom_turn,
+            motion_bounds(occluders.kind, occluders.size, geom_xyz, geom_turn),
+        ),
+    )
 
 
 def has_meshes(occluders: Occluders) -> bool:

@@ -8,6 +8,7 @@ the caps' rims; capsules: their two spheres and their side.)
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,12 +18,24 @@ from twin.cameras.render.occluders import CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 NOWHERE = (np.inf, -np.inf)
 
 
-@kernel
-def covered(kind, size, centre, turn, a, b):  # type: ignore[no-untyped-def]
-    """Interval (low, high) of s in which the rays ``a + s b`` meet the geom; low > high: none.
+class Fan(NamedTuple):
+    """Rays a + s b that start in o, in a solid's own axes."""
 
-    ``a``, ``b`` (3,), ``centre`` (3,) in the camera frame; ``turn`` (3, 3) geom -> camera frame.
-    """
+    ox: float
+    oy: float
+    oz: float
+    ax: float
+    ay: float
+    az: float
+    bx: float
+    by: float
+    bz: float
+
+
+@kernel
+def covered(solid, a, b):  # type: ignore[no-untyped-def]
+    """Interval (low, high) of s in which the rays ``a + s b`` (3,), camera frame, meet a solid; low > high: none."""
+    kind, size, centre, turn = solid
     ox = -(turn[0, 0] * centre[0] + turn[1, 0] * centre[1] + turn[2, 0] * centre[2])
     oy = -(turn[0, 1] * centre[0] + turn[1, 1] * centre[1] + turn[2, 1] * centre[2])
     oz = -(turn[0, 2] * centre[0] + turn[1, 2] * centre[1] + turn[2, 2] * centre[2])
@@ -32,27 +45,26 @@ def covered(kind, size, centre, turn, a, b):  # type: ignore[no-untyped-def]
     bx = turn[0, 0] * b[0] + turn[1, 0] * b[1] + turn[2, 0] * b[2]
     by = turn[0, 1] * b[0] + turn[1, 1] * b[1] + turn[2, 1] * b[2]
     bz = turn[0, 2] * b[0] + turn[1, 2] * b[1] + turn[2, 2] * b[2]
+    fan = Fan(ox, oy, oz, ax, ay, az, bx, by, bz)
     if kind == SPHERE:
-        r = size[0]
-        return _round(ox / r, oy / r, oz / r, ax / r, ay / r, az / r, bx / r, by / r, bz / r)
+        return _sphere(fan, 0.0, size[0], size[0], size[0])
     if kind == ELLIPSOID:
-        p, q, r = size[0], size[1], size[2]
-        return _round(ox / p, oy / q, oz / r, ax / p, ay / q, az / r, bx / p, by / q, bz / r)
+        return _sphere(fan, 0.0, size[0], size[1], size[2])
     if kind == CAPSULE:
         r, h = size[0], size[1]
-        low, high = _round(ox / r, oy / r, (oz + h) / r, ax / r, ay / r, az / r, bx / r, by / r, bz / r)
-        one, two = _round(ox / r, oy / r, (oz - h) / r, ax / r, ay / r, az / r, bx / r, by / r, bz / r)
+        low, high = _sphere(fan, -h, r, r, r)
+        one, two = _sphere(fan, h, r, r, r)
         low, high = min(low, one), max(high, two)
-        one, two = _side(ox, oy, oz, ax, ay, az, bx, by, bz, r, h)
+        one, two = _side(fan, r, h)
         return min(low, one), max(high, two)
     if kind == CYLINDER:
         r, h = size[0], size[1]
-        low, high = _side(ox, oy, oz, ax, ay, az, bx, by, bz, r, h)
+        low, high = _side(fan, r, h)
         for cap in (-h, h):
-            one, two = _cap(ox, oy, cap - oz, ax, ay, az, bx, by, bz, r)
+            one, two = _cap(fan, cap - oz, r)
             low, high = min(low, one), max(high, two)
         return low, high
-    return _box(ox, oy, oz, ax, ay, az, bx, by, bz, size)
+    return _box(fan, size)
 
 
 @kernel
@@ -74,8 +86,10 @@ def roots(q2, q1, q0):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _round(ox, oy, oz, ax, ay, az, bx, by, bz):  # type: ignore[no-untyped-def]
-    """The unit sphere about the frame's origin, seen from o."""
+def _sphere(fan, height, p, q, r):  # type: ignore[no-untyped-def]
+    """Rays that touch an ellipsoid of half axes p, q, r about the point (0, 0, height): scaled, the unit sphere."""
+    ox, oy, oz = fan.ox / p, fan.oy / q, (fan.oz - height) / r
+    ax, ay, az, bx, by, bz = fan.ax / p, fan.ay / q, fan.az / r, fan.bx / p, fan.by / q, fan.bz / r
     k = ox * ox + oy * oy + oz * oz - 1.0
     if k <= 0.0:
         return NOWHERE
@@ -94,8 +108,9 @@ def _round(ox, oy, oz, ax, ay, az, bx, by, bz):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _side(ox, oy, oz, ax, ay, az, bx, by, bz, r, h):  # type: ignore[no-untyped-def]
+def _side(fan, r, h):  # type: ignore[no-untyped-def]
     """Rays that touch the side of a cylinder about z between its caps."""
+    ox, oy, oz, ax, ay, az, bx, by, bz = fan
     low, high = NOWHERE
     k = ox * ox + oy * oy - r * r
     if k <= 0.0:
@@ -112,8 +127,9 @@ def _side(ox, oy, oz, ax, ay, az, bx, by, bz, r, h):  # type: ignore[no-untyped-
 
 
 @kernel
-def _cap(ox, oy, z, ax, ay, az, bx, by, bz, r):  # type: ignore[no-untyped-def]
+def _cap(fan, z, r):  # type: ignore[no-untyped-def]
     """Rays through the rim of a disc at height z above the camera."""
+    ox, oy, _oz, ax, ay, az, bx, by, bz = fan
     low, high = NOWHERE
     px, py = ox * az + z * ax, oy * az + z * ay
     qx, qy = ox * bz + z * bx, oy * bz + z * by
@@ -131,8 +147,9 @@ def _cap(ox, oy, z, ax, ay, az, bx, by, bz, r):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _box(ox, oy, oz, ax, ay, az, bx, by, bz, size):  # type: ignore[no-untyped-def]
+def _box(fan, size):  # type: ignore[no-untyped-def]
     """Crossings of the fan's plane with the twelve edges."""
+    ox, oy, oz, ax, ay, az, bx, by, bz = fan
     low, high = NOWHERE
     nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     aa, ab, bb = ax * ax + ay * ay + az * az, ax * bx + ay * by + az * bz, bx * bx + by * by + bz * bz

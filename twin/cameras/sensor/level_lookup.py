@@ -8,15 +8,18 @@ level's law depends on nothing but (sensor, anchor, level), whoever asks for it 
 import math
 from functools import lru_cache
 from threading import Lock
+from typing import NamedTuple
 
 import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import callable_bare_step, kernel
-from twin.cameras.sensor.sensor import SEARCH, Sensor
+from twin.cameras.sensor.sensor import Sensor
 
 SPACING = 0.15
 """Distance of levels, in standard deviations of the temporal noise at the level."""
+SEARCH = 0x8000
+"""Added to a guide's count where the leading bits decide only that it is this one or more."""
 RANDOM_BITS = 63
 """Cumulative probabilities are counted in units of 2^-63: sums never leave 64 bits."""
 _DSNU_REACH = 8.0
@@ -118,6 +121,15 @@ def _unscale(scale: Array, floor_e: float) -> Array:
     )
 
 
+class ElectronNumbers(NamedTuple):
+    """Numbers of electrons from ``low`` to ``high``, their probabilities ``share`` and the sums ``up_to`` each."""
+
+    low: int
+    high: int
+    share: Array
+    up_to: Array
+
+
 @kernel
 def _law(level, noise, edges, edge_laws, edge_made, thresholds):  # type: ignore[no-untyped-def]
     """Fill a level's cumulative probabilities: P(electrons + noise < edge), summed over the numbers of electrons.
@@ -138,12 +150,14 @@ def _law(level, noise, edges, edge_laws, edge_made, thresholds):  # type: ignore
     share /= share.sum()
     up_to = np.cumsum(share)
     shifted = np.empty((1, edge_laws.shape[1]))
-    _add_up(low, high, offset, noise, share, up_to, edges, edge_laws, edge_made, shifted, thresholds)
+    electrons = ElectronNumbers(low, high, share, up_to)
+    _add_up(offset, noise, electrons, edges, edge_laws, edge_made, shifted, thresholds)
 
 
 @callable_bare_step
-def _add_up(low, high, offset, noise, share, up_to, edges, edge_laws, edge_made, shifted, thresholds):  # type: ignore[no-untyped-def]
-    """Fill ``_law``'s thresholds from the shares of the numbers of electrons from ``low`` to ``high``."""
+def _add_up(offset, noise, electrons, edges, edge_laws, edge_made, shifted, thresholds):  # type: ignore[no-untyped-def]
+    """Fill ``_law``'s thresholds from the probabilities of the numbers of electrons."""
+    low, high, share, up_to = electrons
     wide = edge_laws.shape[1]
     for j in range(edges.size):
         edge = edges[j] - offset

@@ -7,9 +7,7 @@ image is as sharp as its rays are dense, which stands in for the lens's blur. It
 refreshes the last one stands, so fast limbs are a little behind, markers never.
 """
 
-import copy
 import math
-import warnings
 from collections.abc import Callable, Hashable
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -22,11 +20,10 @@ import mujoco
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.data.rig import Pose
 from mosca.errors import InputError
 from twin.cameras.optics.lens import TwinLens
 from twin.cameras.render.occluders import PRIMITIVES
-from twin.cameras.stray_light.context_rays import Met, RayGrid, cast, ray_grid, shade
+from twin.cameras.stray_light.context_rays import Covers, Illumination, Met, RayGrid, cast, ray_grid, shade
 from twin.scenes.scene import MARKER_GROUP, UNSEEN_GROUP, Scene, SceneSampler
 
 GREY = np.array([0.2126, 0.7152, 0.0722])
@@ -91,23 +88,23 @@ class Context:
 
 @dataclass(frozen=True, eq=False)
 class ContextView:
-    """All that a camera's context images have in common: made once by ``context_view``.
-
-    ``geom`` (k,) ids of what is seen, ``kind``, ``size``, ``bound`` as MuJoCo has them; ``base`` (k,) reflectance,
-    ``wears`` (k, c) and ``cloths`` (c, 4) as ``shade`` wants them; ``row_of`` (ngeom,) row of a geom, or -1.
-    """
+    """All that a camera's context images have in common: made once by ``context_view``."""
 
     grid: RayGrid
     context: Context
     full_well_e: float
+    """Saturation capacity [electrons]."""
     geom: Array
+    """(k,): ids of the geoms that are shown."""
     kind: Array
+    """(k,): their types as MuJoCo has them."""
     size: Array
+    """(k, 3) as MuJoCo has it [m]."""
     bound: Array
-    base: Array
-    wears: Array
-    cloths: Array
+    """(k,): radii of bounding spheres [m]."""
+    covers: Covers
     row_of: Array
+    """(ngeom,): row of a geom in these arrays, or -1."""
 
 
 def context_view(
@@ -140,9 +137,11 @@ def context_view(
         kind=np.array([model.geom_type[g] for g in seen], dtype=np.int64),
         size=np.ascontiguousarray(model.geom_size[seen], dtype=float).reshape(-1, 3),
         bound=np.array([model.geom_rbound[g] for g in seen], dtype=float),
-        base=np.ascontiguousarray(colours[seen, :3] @ GREY, dtype=float),
-        wears=np.array(wears, dtype=bool).reshape(len(seen), len(cloths)),
-        cloths=np.array(cloths, dtype=float).reshape(-1, 4),
+        covers=Covers(
+            np.ascontiguousarray(colours[seen, :3] @ GREY, dtype=float),
+            np.array(wears, dtype=bool).reshape(len(seen), len(cloths)),
+            np.array(cloths, dtype=float).reshape(-1, 4),
+        ),
         row_of=row_of,
     )
 
@@ -160,12 +159,12 @@ def context_image(
     met = cast(view.grid, view.kind, view.size, view.bound, xyz, turn)
     if not np.isin(view.kind, (*PRIMITIVES, int(mujoco.mjtGeom.mjGEOM_PLANE))).all():
         _ask_mujoco(view, sampler, rotation, position, met)
-    look = view.context
+    context = view.context
     coarse = shade(
-        view.grid.rays, met.geom, met.distance, met.normal, xyz, turn, view.base, view.wears, view.cloths,
-        look.ambient * view.full_well_e, look.lamp * view.full_well_e, look.at_m,
+        view.grid.rays, met.geom, met.distance, met.normal, xyz, turn, view.covers,
+        Illumination(context.ambient * view.full_well_e, context.lamp * view.full_well_e, float(context.at_m)),
     )  # fmt: skip
-    return enlarged(coarse, look.step_px, view.grid.width, view.grid.height)
+    return enlarged(coarse, context.step_px, view.grid.width, view.grid.height)
 
 
 def enlarged(coarse: Array, step_px: int, width: int, height: int) -> Array:
@@ -219,40 +218,6 @@ class Refreshed:
                     self._made.pop(key, None)
                 raise
         return known.result()
-
-
-def pretty_view(
-    scene: Scene, time_s: float, pose: Pose, width: int, height: int, vertical_fov_deg: float
-) -> tuple[Array | None, str]:
-    """Return a coloured picture (H, W, 3) uint8 for reports, by OpenGL, or None and the reason why there is none.
-
-    A pinhole view without the lens's distortion; markers and shadows included. Needs an OpenGL library that MuJoCo
-    finds (MUJOCO_GL=egl or osmesa where there is no display).
-    """
-    model = copy.copy(scene.model)
-    model.vis.global_.offwidth = max(width, model.vis.global_.offwidth)
-    model.vis.global_.offheight = max(height, model.vis.global_.offheight)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # GLFW warns of what the reason says
-            renderer = mujoco.Renderer(model, height, width)
-    except (mujoco.FatalError, AttributeError, ImportError, RuntimeError) as error:
-        return None, f"no OpenGL picture: {error}"
-    option = mujoco.MjvOption()
-    option.geomgroup[:] = 1
-    option.geomgroup[UNSEEN_GROUP] = 0
-    with renderer:
-        sampler = scene.sampler()
-        sampler.at(time_s)
-        mujoco.mj_camlight(model, sampler.data)
-        renderer.update_scene(sampler.data, scene_option=option)
-        top = math.tan(math.radians(vertical_fov_deg) / 2)
-        for eye in renderer.scene.camera:
-            near = eye.frustum_near
-            eye.pos, eye.forward, eye.up = pose.translation, pose.rotation[:, 2], -pose.rotation[:, 1]
-            eye.frustum_center, eye.frustum_bottom, eye.frustum_top = 0.0, -near * top, near * top
-            eye.frustum_width = near * top * width / height
-        return renderer.render(), ""
 
 
 def _ask_mujoco(view: ContextView, sampler: SceneSampler, rotation: Array, position: Array, met: Met) -> None:

@@ -6,6 +6,7 @@ by tiles: a tile of rays is a cone, a geom's bounding sphere is another, and onl
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel
 from twin.cameras.optics.lens import TwinLens
+from twin.cameras.render.inputs import Solid
 from twin.cameras.render.occluders import BOX, CAPSULE, CYLINDER, ELLIPSOID, SPHERE, hit
 
 PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
@@ -128,7 +130,7 @@ def _cast(rays, tile_axis, tile_angle, kind, size, bound, xyz, turn):  # type: i
                         if kind[g] == PLANE:
                             t = _meet_plane(size, xyz, turn, g, dx, dy, dz)
                         else:
-                            t = hit(kind[g], size[g], xyz[g], turn[g], dx, dy, dz)
+                            t = hit(Solid(kind[g], size[g], xyz[g], turn[g]), dx, dy, dz)
                         if t < distance[p, q]:
                             distance[p, q], geom[p, q] = t, g
                     g = geom[p, q]
@@ -197,13 +199,33 @@ def _normal(kind, size, xyz, turn, g, px, py, pz):  # type: ignore[no-untyped-de
     )
 
 
-@kernel
-def shade(rays, geom, distance, normal, xyz, turn, base, wears, cloths, ambient, lamp, at_m):  # type: ignore[no-untyped-def]
-    """Return the light (rows, columns) float32 that a pixel gets of what its ray meets.
-
-    ``base`` (k,) reflectance; ``wears`` (k, c) which ``cloths`` (c, 4) lie on a geom: reflectance, retroreflection,
-    from and to along the geom's z axis; the last one that covers a place counts.
+class Covers(NamedTuple):
+    """What covers the geoms: ``base`` (k,) their own reflectance, ``wears`` (k, c) which cloths lie on each, and
+    ``cloths`` (c, 4): reflectance, retroreflection, from and to along the geom's z axis; the last one that covers a
+    point counts.
     """
+
+    base: Array
+    wears: Array
+    cloths: Array
+
+
+class Illumination(NamedTuple):
+    """Light of a white surface: even ``ambient``, and ``lamp`` facing the camera's lamp at ``at_m`` [electrons]."""
+
+    ambient: float
+    lamp: float
+    at_m: float
+
+
+@kernel
+def shade(rays, geom, distance, normal, xyz, turn, covers, light):  # type: ignore[no-untyped-def]
+    """Return the light (rows, columns) float32 that a pixel gets of what its ray meets (``Met``).
+
+    ``xyz`` (k, 3) and ``turn`` (k, 3, 3): poses of the geoms, camera frame.
+    """
+    base, wears, cloths = covers
+    ambient, lamp, at_m = light
     rows, columns = geom.shape
     out = np.zeros((rows, columns), dtype=np.float32)
     for p in range(rows):

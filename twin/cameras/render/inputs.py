@@ -1,0 +1,190 @@
+"""The inputs of rendering: the exposure's window of time, the targets and their figures, and what kernels take.
+
+Kernels take NamedTuples, which cost nothing in Numba: those of one exposure (``RenderInputs``), of one target at one
+instant (``TargetPose``), and of the solids that may hide it (``NearSolids``).
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from twin.scenes.figure import Figure
+
+ALWAYS = (-np.inf, np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """When a frame's rows are exposed, in seconds from the opening of the first row."""
+
+    nodes_s: Array
+    """(K,) instants at which paths are given, from the first row's opening to the last one's closing; K >= 3."""
+    length_s: float
+    """Exposure of one row."""
+    row_time_s: float = 0.0
+    """From the opening of one row to the next (0: global shutter)."""
+    light_s: tuple[float, float] = ALWAYS
+    """When the strobe is on: from, until."""
+
+
+@dataclass(frozen=True, eq=False)
+class Figures:
+    """The figures of a scene: ``pieces`` (n, 7) of all, those of figure f from ``first[f]`` to ``first[f + 1]``."""
+
+    pieces: Array
+    first: Array
+
+    @classmethod
+    def of(cls, figures: "tuple[Figure, ...]") -> "Figures":
+        """Return ``figures`` in the form that the kernels read."""
+        counts = [len(f.pieces) for f in figures]
+        pieces = np.concatenate([f.pieces for f in figures]) if figures else np.zeros((0, 7))
+        return cls(np.ascontiguousarray(pieces), np.concatenate([[0], np.cumsum(counts)]).astype(np.int64))
+
+
+NO_FIGURES = Figures(np.zeros((0, 7)), np.zeros(1, dtype=np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class TargetsInCamera:
+    """Targets as one exposure sees them, camera frame [m]."""
+
+    path: Array
+    """(m, K, 3): centres at the window's nodes."""
+    turn: Array
+    """(m, K, 3, 3): target's axes -> camera frame; its normal is the third column."""
+    radius: Array
+    """(m,); a figure's: of the disc that encloses it."""
+    shape: Array
+    """(m,): BALL, FLAT or FIGURE."""
+    figure: Array
+    """(m,): number in Figures, or -1."""
+    electrons: Array
+    """(m,) that a pixel fully covered by the target collects in the window's length."""
+    lit_s: Array
+    """(m, 2): when the target shines."""
+    limb: Array
+    """(m,): share of brightness that the rim lacks."""
+    shade: Array
+    """(m, 3): change of brightness from the middle to the rim."""
+
+    @classmethod
+    def plain(
+        cls, path: Array, turn: Array, radius: Array, shape: Array, electrons: Array
+    ) -> "TargetsInCamera":
+        """Return balls and flat targets that are evenly bright and shine all the time."""
+        m = len(path)
+        return cls(
+            np.ascontiguousarray(path, dtype=float),
+            np.ascontiguousarray(turn, dtype=float),
+            np.ascontiguousarray(radius, dtype=float),
+            np.ascontiguousarray(shape, dtype=np.int64),
+            np.full(m, -1, dtype=np.int64),
+            np.ascontiguousarray(electrons, dtype=float),
+            np.tile(np.array(ALWAYS), (m, 1)),
+            np.zeros(m),
+            np.zeros((m, 3)),
+        )
+
+
+class RowTiming(NamedTuple):
+    """When rows are exposed and lit, in seconds from the opening of the first row."""
+
+    length_s: float
+    row_time_s: float
+    on_s: float
+    off_s: float
+
+
+class TargetArrays(NamedTuple):
+    """The arrays of ``TargetsInCamera``; ``profile`` (m, 4): limb and shade."""
+
+    path: Array
+    turn: Array
+    radius: Array
+    shape: Array
+    figure: Array
+    electrons: Array
+    lit_s: Array
+    profile: Array
+
+
+class SolidArrays(NamedTuple):
+    """The occluding primitives (k,) and their poses in the camera frame at the window's K nodes."""
+
+    kind: Array
+    """(k,): type of geom as MuJoCo has it."""
+    size: Array
+    """(k, 3) as MuJoCo has it [m]."""
+    marker: Array
+    """(k,): number of the target that the geom is, or -1."""
+    xyz: Array
+    """(K, k, 3) [m]."""
+    turn: Array
+    """(K, k, 3, 3): geom -> camera frame."""
+    bounds: Array
+    """(k, 8): the capsule that encloses all of a geom's motion, see ``motion_bounds``."""
+
+
+class RenderInputs(NamedTuple):
+    """All that one exposure of one camera is rendered from."""
+
+    lens: Array
+    """Parameter vector, see ``twin.cameras.optics.lens_vector``."""
+    pixel_table: Array
+    """Table of the pixel kernel, see ``twin.cameras.optics.pixel_kernel``."""
+    pixel_reach: int
+    """Reach of that table [px]."""
+    blur_terms: Array
+    """(9,): terms of the blur, see ``twin.cameras.optics.psf.Psf``."""
+    nodes_s: Array
+    """(K,): instants at which paths are given."""
+    rows: RowTiming
+    targets: TargetArrays
+    figure_pieces: Array
+    figure_first: Array
+    solids: SolidArrays
+
+
+class TargetPose(NamedTuple):
+    """A target at one instant, camera frame: ``shape``, ``turn`` (3, 3) target -> camera, centre and radius [m]."""
+
+    shape: int
+    turn: Array
+    x: float
+    y: float
+    z: float
+    radius: float
+
+
+class ImageBox(NamedTuple):
+    """The rectangle that encloses an image [px]."""
+
+    left: float
+    right: float
+    top: float
+    bottom: float
+
+
+class Solid(NamedTuple):
+    """One occluder at one instant: type and size as MuJoCo has them, centre (3,), rotation (3, 3) to the camera."""
+
+    kind: int
+    size: Array
+    xyz: Array
+    turn: Array
+
+
+class NearSolids(NamedTuple):
+    """The solids that may hide a target: ``number`` of the first ``count``; poses ``xyz`` (k, 3) and ``turn``
+    (k, 3, 3) of these at one instant, overwritten from instant to instant; ``kind`` and ``size`` of all.
+    """
+
+    number: Array
+    count: int
+    kind: Array
+    size: Array
+    xyz: Array
+    turn: Array

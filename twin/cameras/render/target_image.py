@@ -1,0 +1,210 @@
+"""Where and when a target is imaged in one exposure: timing, culling, size, and the motion of its image."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.numba_support.decorators import kernel
+from twin.cameras.optics.lens import land
+from twin.cameras.optics.lens_vector import FISHEYE, KIND
+from twin.cameras.optics.psf import patches
+from twin.cameras.render.inputs import TargetPose
+from twin.cameras.render.outline import BALL, lagrange, place, turned
+
+IN_VIEW, PARTLY, HIDDEN, OUTSIDE, DARK = 0, 1, 2, 3, 4
+"""States of a target in an image."""
+EDGE_ON = 0.02
+"""A flat target is seen from where the cosine of the angle to its normal exceeds this."""
+ROW_ITERATIONS = 60
+"""Limit of the iterations of the instant at which a moving target's rows expose (rolling shutter)."""
+ROW_INSTANT_S = 1e-12
+"""Change of that instant at which they end."""
+BEYOND_IMAGE = 0.2
+"""Share of the image's height beyond its edges up to which rows are continued."""
+
+
+class TargetImage(NamedTuple):
+    """A target in one exposure.
+
+    ``state``: IN_VIEW, or OUTSIDE, DARK or HIDDEN (a flat target from behind), in which case what follows
+    ``diameter`` means nothing. ``target`` at its rows' mid-exposure ``instant_s``, imaged at (``u``, ``v``) with
+    ``diameter`` [px]; ``stretch``: image length of a length across the line of sight [px/m]. ``patches`` (n, 3) of
+    the blur and their largest displacement ``spread``. Its rows are exposed and it shines from ``begin_s`` to
+    ``end_s``, while its image moves by ``motion_px`` and the target by ``moved_m``.
+    """
+
+    state: int
+    target: TargetPose
+    u: float
+    v: float
+    diameter: float
+    stretch: float
+    patches: Array
+    spread: float
+    begin_s: float
+    instant_s: float
+    end_s: float
+    motion_px: float
+    moved_m: float
+
+
+@kernel
+def image_of(inputs, m, height, width):  # type: ignore[no-untyped-def]
+    """Return the TargetImage of target ``m`` in an image of height x width."""
+    turn = np.empty((3, 3))
+    target, u, v, stretch, instant, imaged = _mid_exposure(inputs, m, turn, height)
+    lens, path = inputs.lens, inputs.targets.path[m]
+    x, y, z, r = target.x, target.y, target.z, target.radius
+    state = np.int64(OUTSIDE)
+    if not imaged:
+        return TargetImage(
+            state, target, np.nan, np.nan, np.nan, 0.0, np.empty((1, 3))[:0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        )
+    diameter = 2.0 * r * stretch
+    away = math.sqrt(x * x + y * y + z * z)
+    # a plane is in focus, with a fisheye a sphere
+    patch = patches(inputs.blur_terms, u, v, away if lens[KIND] == FISHEYE else z)
+    spread = 0.0
+    for i in range(patch.shape[0]):
+        spread = max(spread, max(abs(patch[i, 0]), abs(patch[i, 1])))
+    margin = 0.75 * diameter + inputs.pixel_reach + 1.0 + spread
+    begin, end = _exposed(inputs, m, instant, v, margin + 2.0, height)
+    motion, moved = 0.0, 0.0
+    if end <= begin:
+        state = np.int64(DARK)
+    else:
+        motion, moved = image_motion(lens, inputs.nodes_s, path, begin, end)
+        across = -margin - motion <= u <= width + margin + motion
+        if motion >= 0.0 and across and -margin - motion <= v <= height + margin + motion:
+            behind = turn[0, 2] * x + turn[1, 2] * y + turn[2, 2] * z >= -EDGE_ON * away
+            state = np.int64(HIDDEN) if target.shape != BALL and behind else np.int64(IN_VIEW)
+    return TargetImage(
+        state, target, u, v, diameter, stretch, patch, spread, begin, instant, end, motion, moved
+    )
+
+
+@kernel
+def lit_s(inputs, m):  # type: ignore[no-untyped-def]
+    """When target ``m`` is lit: while it shines and the strobe is on (from, until)."""
+    lit = inputs.targets.lit_s
+    return max(inputs.rows.on_s, lit[m, 0]), min(inputs.rows.off_s, lit[m, 1])
+
+
+@kernel
+def _mid_exposure(inputs, m, turn, height):  # type: ignore[no-untyped-def]
+    """The target at the middle of its own rows' exposure; ``turn`` (3, 3) is filled.
+
+    With a rolling shutter the row tells the instant and the instant the row: a fixed point. Returns the pose, its
+    image (u, v), the stretch, the instant, and whether the lens images it.
+    """
+    lens, nodes, path, r = inputs.lens, inputs.nodes_s, inputs.targets.path[m], inputs.targets.radius[m]
+    length, row_time = inputs.rows.length_s, inputs.rows.row_time_s
+    on, off = lit_s(inputs, m)
+    weights = np.empty(nodes.shape[0])
+    instant = (
+        0.5 * (max(0.0, on) + min(length, off)) if row_time == 0.0 else 0.5 * height * row_time + 0.5 * length
+    )
+    u = v = x = y = z = stretch = 0.0
+    imaged = True
+    for _ in range(1 if row_time == 0.0 else ROW_ITERATIONS):
+        lagrange(nodes, instant, weights)
+        x, y, z = place(path, weights)
+        u, v, ux, uy, uz, vx, vy, vz, ok = land(lens, x, y, z)
+        if not ok or x * x + y * y + z * z < 4 * r * r:
+            imaged = False
+            break
+        stretch = math.sqrt(max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz))
+        if row_time != 0.0:
+            opens = min(max(v, -BEYOND_IMAGE * height), (1.0 + BEYOND_IMAGE) * height) * row_time
+            begin, end = max(opens, on), min(opens + length, off)
+            before_s = instant
+            instant = 0.5 * (begin + end) if end > begin else opens + 0.5 * length
+            if abs(instant - before_s) < ROW_INSTANT_S:
+                break
+    turned(inputs.targets.turn[m], weights, turn)
+    return TargetPose(inputs.targets.shape[m], turn, x, y, z, r), u, v, stretch, instant, imaged
+
+
+@kernel
+def _exposed(inputs, m, instant, v, rows, height):  # type: ignore[no-untyped-def]
+    """From when to when any of the ``rows`` above and below the target's image at ``v`` collects its light."""
+    lens, nodes, path = inputs.lens, inputs.nodes_s, inputs.targets.path[m]
+    length, row_time = inputs.rows.length_s, inputs.rows.row_time_s
+    on, off = lit_s(inputs, m)
+    if row_time == 0.0:
+        return max(0.0, on), min(length, off)
+    begin = max(0.0, _row_instant(lens, nodes, path, instant, v - rows, -rows, 0.0, row_time, height))
+    end = _row_instant(lens, nodes, path, instant, v + rows, rows, length, row_time, height)
+    return max(begin, on), min(min(end, (height - 1) * row_time + length), off)
+
+
+@kernel
+def _row_instant(lens, nodes, path, instant, row, shift, late, row_time, height):  # type: ignore[no-untyped-def]
+    """When the row ``shift`` below a moving target opens, plus ``late``; ``instant`` and ``row``: where to begin."""
+    weights = np.empty(nodes.shape[0])
+    t = instant
+    for _ in range(60):
+        before = t
+        t = min(max(row, -0.2 * height), 1.2 * height) * row_time + late
+        if abs(t - before) < 1e-9 * row_time:
+            break
+        lagrange(nodes, min(max(t, nodes[0]), nodes[nodes.shape[0] - 1]), weights)
+        x, y, z = place(path, weights)
+        _u, v, _a, _b, _c, _d, _e, _f, ok = land(lens, x, y, z)
+        if not ok:
+            break
+        row = v + shift
+    return t
+
+
+@kernel
+def image_motion(lens, nodes, path, begin, end):  # type: ignore[no-untyped-def]
+    """Length of the image of a path [px] (-1: not imaged), and how far the target goes [m].
+
+    A path that turns back or speeds up counts at its faster half's pace.
+    """
+    weights = np.empty(nodes.shape[0])
+    lagrange(nodes, begin, weights)
+    ax, ay, az = place(path, weights)
+    lagrange(nodes, end, weights)
+    bx, by, bz = place(path, weights)
+    swing = math.sqrt((bx - ax) ** 2 + (by - ay) ** 2 + (bz - az) ** 2)
+    ua, va, _a, _b, _c, _d, _e, _f, ok_a = land(lens, ax, ay, az)
+    ub, vb, _a, _b, _c, _d, _e, _f, ok_b = land(lens, bx, by, bz)
+    if not ok_a or not ok_b:
+        return -1.0, swing
+    chord = math.sqrt((ub - ua) ** 2 + (vb - va) ** 2)
+    lagrange(nodes, 0.5 * (begin + end), weights)
+    cx, cy, cz = place(path, weights)
+    um, vm, _a, _b, _c, _d, _e, _f, ok_m = land(lens, cx, cy, cz)
+    if not ok_m:
+        return chord, swing
+    turned_back = 2.0 * math.sqrt(max((um - ua) ** 2 + (vm - va) ** 2, (ub - um) ** 2 + (vb - vm) ** 2))
+    # a path that is nearly straight and even keeps its chord; one that turns back or speeds up does not
+    return (turned_back if turned_back > 1.2 * chord else chord), max(swing, 0.0)
+
+
+@kernel
+def carried(edges, lens, nodes, path, u, v, begin, middle, end):  # type: ignore[no-untyped-def]
+    """Boundary points (n, 9) found at ``middle``, carried along by the target's image (u, v) through begin..end."""
+    weights = np.empty(nodes.shape[0])
+    lagrange(nodes, begin, weights)
+    x, y, z = place(path, weights)
+    ua, va, _a, _b, _c, _d, _e, _f, _ok = land(lens, x, y, z)
+    lagrange(nodes, end, weights)
+    x, y, z = place(path, weights)
+    ub, vb, _a, _b, _c, _d, _e, _f, _ok = land(lens, x, y, z)
+    # the quadratic through the three positions, in tau of begin..end
+    at = (2.0 * middle - begin - end) / (end - begin)
+    one_u, one_v = 0.5 * (ub - ua), 0.5 * (vb - va)
+    two_u = (u - 0.5 * (ua + ub) - one_u * at) / (at * at - 1.0)
+    two_v = (v - 0.5 * (va + vb) - one_v * at) / (at * at - 1.0)
+    zero_u, zero_v = 0.5 * (ua + ub) - two_u - u, 0.5 * (va + vb) - two_v - v
+    out = np.zeros((edges.shape[0], 9))
+    for j in range(edges.shape[0]):
+        out[j, 0], out[j, 1], out[j, 2] = edges[j, 0] + zero_u, one_u, two_u
+        out[j, 3], out[j, 4], out[j, 5] = edges[j, 1] + zero_v, one_v, two_v
+        out[j, 6] = edges[j, 2]
+    return out
