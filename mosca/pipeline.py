@@ -18,7 +18,7 @@ from mosca.data.frames import CameraInfo, FrameSet, FrameSource
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points, Samples
 from mosca.detection.detect import DetectionSettings
-from mosca.detection.scheduler import Look, look_ahead
+from mosca.detection.scheduler import FrameSetDetector, detect_ahead
 from mosca.diagnostics.camera_health import Health, HealthSettings
 from mosca.errors import InputError
 from mosca.synchronisation import Assembly, AssemblySettings, assemble
@@ -109,9 +109,9 @@ def run_sets(
     settings = PipelineSettings() if settings is None else settings
     backgrounds = {} if backgrounds is None else backgrounds
     _check_backgrounds(backgrounds, rig)
-    look = Look(settings.detection, {info.name: info.bit_depth for info in cameras}, backgrounds)
+    look = FrameSetDetector(settings.detection, {info.name: info.bit_depth for info in cameras}, backgrounds)
     yield from run_seen(
-        look_ahead(look, sets, settings.workers, settings.split or 1), rig, settings, keeper, health
+        detect_ahead(look, sets, settings.workers, settings.split or 1), rig, settings, keeper, health
     )
 
 

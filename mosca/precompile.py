@@ -18,8 +18,8 @@ from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.data.rig import Camera, MoscaLens, Pose, Rig
 from mosca.detection.detect import DetectionSettings
-from mosca.detection.disc_fit.camera_statistics import NOTHING
-from mosca.detection.scheduler import Look
+from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS
+from mosca.detection.scheduler import FrameSetDetector
 from mosca.diagnostics.camera_health import Health
 from mosca.pipeline import PipelineSettings, run
 from mosca.tracking.tracker import Tracker, TrackSettings
@@ -58,11 +58,11 @@ def warm_up() -> int:
 
 
 def look() -> int:
-    """Look at one small frame set; returns how many targets were found."""
+    """FrameSetDetector at one small frame set; returns how many targets were found."""
     source = _Blobs(_rig())
     frames = FrameSet(0, 0, {frame.camera: frame for frame in islice(source, len(source.cameras))})
-    at = Look(DetectionSettings(), {info.name: info.bit_depth for info in source.cameras})
-    return sum(len(found) for found in at.at(frames, NOTHING)[0].values())
+    at = FrameSetDetector(DetectionSettings(), {info.name: info.bit_depth for info in source.cameras})
+    return sum(len(found) for found in at.detect(frames, NO_STATISTICS)[0].values())
 
 
 def points() -> int:

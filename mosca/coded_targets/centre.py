@@ -31,7 +31,7 @@ from mosca.coded_targets.dots import (
     PLATE_DN,
     SLOPE_U,
     SLOPE_V,
-    Look,
+    TargetAppearance,
     X,
     Y,
     light_at,
@@ -53,7 +53,12 @@ STEPS_MOST, CLOSE_PX, FARTHEST = 12, 3e-4, 0.5
 
 
 def measure_dots(
-    image: Array, dots: Readings, look: Look, dark_dn2: float, gain_dn: float, turned_dn: float | None = None
+    image: Array,
+    dots: Readings,
+    look: TargetAppearance,
+    dark_dn2: float,
+    gain_dn: float,
+    turned_dn: float | None = None,
 ) -> tuple[Array, Array]:
     """Return centres (n, 2) [px] and covariances (n, 2, 2) [px^2] of ``dots``; NaN for one that has none.
 
@@ -72,7 +77,7 @@ def measure_dots(
     return xy, covariance
 
 
-def plate_and_white(image: Array, dots: Readings, look: Look) -> Array:
+def plate_and_white(image: Array, dots: Readings, look: TargetAppearance) -> Array:
     """Return (n, 5) the plate's light [DN] with its slopes along u and v, and the slopes of white over its level.
 
     Slopes per radius of the dot. The light of a lamp or a lens that falls by 0.1 % a pixel draws the plain centroid

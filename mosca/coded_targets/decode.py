@@ -10,7 +10,19 @@ import cv2
 import numpy as np
 
 from mosca.coded_targets.blobs import NEIGHBOURHOOD_PX, bright_patches
-from mosca.coded_targets.dots import AXX, AXY, AYY, CONTRAST_DN, GX, GY, Look, X, Y, find_dots, light_at
+from mosca.coded_targets.dots import (
+    AXX,
+    AXY,
+    AYY,
+    CONTRAST_DN,
+    GX,
+    GY,
+    TargetAppearance,
+    X,
+    Y,
+    find_dots,
+    light_at,
+)
 from mosca.coded_targets.ring_sampling import MARGIN, Ring, read_rings
 from mosca.data.arrays import Array, looked_at
 
@@ -50,7 +62,7 @@ class Readings:
         return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
 
 
-def read_codes(image: Array, look: Look, maximum_dot_px: float, least_margin: float) -> Readings:
+def read_codes(image: Array, look: TargetAppearance, maximum_dot_px: float, least_margin: float) -> Readings:
     """Return what is read about white dots in an image (H, W), in its pixels; some twice."""
     ring = Ring(0.5 * (look.ring_inner + look.ring_outer), least_margin)
     parts: list[Readings] = []
@@ -71,7 +83,7 @@ def read_codes(image: Array, look: Look, maximum_dot_px: float, least_margin: fl
     return Readings.joined(parts)
 
 
-def band_radii(look: Look) -> Array:
+def band_radii(look: TargetAppearance) -> Array:
     """Return the radii (BANDS,) at which a ring is asked."""
     middle, width = 0.5 * (look.ring_inner + look.ring_outer), look.ring_outer - look.ring_inner
     return np.array([middle - BAND_SPREAD * width, middle, middle + BAND_SPREAD * width])
@@ -92,7 +104,7 @@ def _within(places: Array, read: Readings) -> Array:
     return np.asarray((away < reach).any(axis=1))
 
 
-def _read(image: Array, frames: Array, look: Look, ring: Ring) -> Readings:
+def _read(image: Array, frames: Array, look: TargetAppearance, ring: Ring) -> Readings:
     """Return the surest reading about each dot that has one; leaning dots are tried with perspective too."""
     first = _tried(image, frames, look, ring)
     axes, angle = ellipses_of(frames)
@@ -113,7 +125,7 @@ def _read(image: Array, frames: Array, look: Look, ring: Ring) -> Readings:
     return first[first.rings[:, MARGIN] > 0]
 
 
-def _tried(image: Array, frames: Array, look: Look, ring: Ring) -> Readings:
+def _tried(image: Array, frames: Array, look: TargetAppearance, ring: Ring) -> Readings:
     """Return what is read in frames (n, FRAME), the margin -1 where nothing is."""
     light, levels = light_at(image, frames, look, band_radii(look))
     rings = np.full((len(frames), 3), -1.0)

@@ -42,7 +42,7 @@ import numpy as np
 
 from mosca.coded_targets.centre import measure_dots
 from mosca.coded_targets.decode import Readings, ellipses_of, read_codes
-from mosca.coded_targets.dots import AXX, AXY, AYY, SECTORS, Look, X, Y
+from mosca.coded_targets.dots import AXX, AXY, AYY, SECTORS, TargetAppearance, X, Y
 from mosca.coded_targets.ring_sampling import MARGIN, START, WORD
 from mosca.data.arrays import Array
 from mosca.data.found_targets import CodedDetections
@@ -169,9 +169,9 @@ def noise_of(image: Array) -> float:
     return max(1.4826 * median / math.sqrt(6.0), math.sqrt(1 / 12))
 
 
-def _look(settings: CodedSettings, scale: float, noise: float) -> Look:
+def _look(settings: CodedSettings, scale: float, noise: float) -> TargetAppearance:
     """Return what targets look like in an image of ``scale`` times the grey values of 8 bits."""
-    return Look(
+    return TargetAppearance(
         gap=0.5 * (1.0 + settings.ring_inner),
         ring_inner=settings.ring_inner,
         ring_outer=settings.ring_outer,

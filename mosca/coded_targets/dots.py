@@ -38,7 +38,7 @@ STAIN, COARSE_STAIN = (
 )  # what a plate may depart from even light, of the contrast; before the frame is refined
 
 
-class Look(NamedTuple):
+class TargetAppearance(NamedTuple):
     """What a target looks like; radii in radii of the dot, grey values in those of the image."""
 
     gap: float
@@ -52,7 +52,7 @@ class Look(NamedTuple):
 
 
 @step
-def least_contrast(look: Look) -> float:
+def least_contrast(look: TargetAppearance) -> float:
     """Return by how much dot and plate must differ [DN]."""
     return max(look.contrast_dn, 4.0 * look.noise_dn)
 
@@ -113,7 +113,7 @@ def ellipse_of(frame: Array, mxx: float, mxy: float, myy: float) -> float:
 
 
 @step
-def dot_of(sums: Array, frame: Array, look: Look) -> bool:
+def dot_of(sums: Array, frame: Array, look: TargetAppearance) -> bool:
     """Write the ellipse of a bright patch to ``frame``; False where the patch is no filled ellipse."""
     area = sums[0]
     if area < LEAST_AREA_PX or max(sums[7] - sums[6], sums[9] - sums[8]) >= LARGEST_BOX_PX:
@@ -132,7 +132,7 @@ def dot_of(sums: Array, frame: Array, look: Look) -> bool:
 
 
 @step
-def plate_level(image: Array, frame: Array, look: Look, plate: Array) -> float:
+def plate_level(image: Array, frame: Array, look: TargetAppearance, plate: Array) -> float:
     """Fit the plate's light (mean, its slopes along u and v [DN per radius]) to gap and outside.
 
     Returns the largest departure from it [DN].
@@ -169,7 +169,7 @@ def dot_level(image: Array, frame: Array) -> float:
 
 
 @step
-def trace_dot(image: Array, frame: Array, level: float, look: Look) -> tuple[float, float]:
+def trace_dot(image: Array, frame: Array, level: float, look: TargetAppearance) -> tuple[float, float]:
     """Refine a frame by the dot's contour at grey value ``level``.
 
     Returns the rms distance of the contour from its ellipse, in radii, and the ellipse's ratio of axes; (9, 0)
@@ -222,7 +222,7 @@ def trace_dot(image: Array, frame: Array, level: float, look: Look) -> tuple[flo
 
 
 @kernel
-def find_dots(image: Array, patches: Array, look: Look) -> Array:
+def find_dots(image: Array, patches: Array, look: TargetAppearance) -> Array:
     """Return the frames (n, FRAME) of the dots among the bright patches (m, N_SUMS) of an image."""
     frames, plate = np.zeros((len(patches) + 1, FRAME)), np.empty(3)
     n = 0
@@ -244,7 +244,7 @@ def find_dots(image: Array, patches: Array, look: Look) -> Array:
 
 
 @kernel
-def light_at(image: Array, frames: Array, look: Look, radii: Array) -> tuple[Array, Array]:
+def light_at(image: Array, frames: Array, look: TargetAppearance, radii: Array) -> tuple[Array, Array]:
     """Return the light (n, m, STEPS) at ``radii`` (m,) of frames (n, FRAME), and their levels (n, LEVELS) [DN].
 
     Light 0 is that of the plate, 1 that of the dot; levels are PLATE_DN with its slopes [DN per radius] and

@@ -8,7 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mosca.coded_targets.dots import AXX, AXY, AYY, BANDS, COS, PER_SECTOR, SECTORS, SIN, STEPS, Look
+from mosca.coded_targets.dots import (
+    AXX,
+    AXY,
+    AYY,
+    BANDS,
+    COS,
+    PER_SECTOR,
+    SECTORS,
+    SIN,
+    STEPS,
+    TargetAppearance,
+)
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel, step
 
@@ -213,7 +224,9 @@ def from_edge(word: int, start: float, lengths: Array, i: int) -> tuple[bool, fl
 
 
 @kernel
-def shading(light: Array, radii: Array, slopes: Array, frames: Array, rings: Array, look: Look) -> Array:
+def shading(
+    light: Array, radii: Array, slopes: Array, frames: Array, rings: Array, look: TargetAppearance
+) -> Array:
     """Return (n, 4) slopes along u and v [per radius of the dot]: of the plate's light and, last, of the white's.
 
     ``light`` (n, 2 + m, STEPS) at ``radii`` (2 + m,): in the gap, outside, and m in the ring; 0 the plate's light,

@@ -41,7 +41,7 @@ from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.detection.background import mean_background, minimum_background
 from mosca.detection.detect_finish import columns
-from mosca.detection.disc_fit.camera_statistics import NOTHING, Learned, Priors
+from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS, CameraStatistics, Priors
 from mosca.detection.disc_fit.gauss_newton import Model
 from mosca.detection.frame_set_kernel import (
     BACKGROUND,
@@ -51,7 +51,7 @@ from mosca.detection.frame_set_kernel import (
     Lessons,
     Places,
     Regions,
-    look_at_set,
+    detect_frame_set,
 )
 from mosca.detection.merged_targets.split import split_pairs
 from mosca.detection.settings import DEFAULTS, DetectionSettings, noise_of, search_of
@@ -59,12 +59,12 @@ from mosca.errors import InputError
 
 __all__ = [
     "DEFAULTS",
-    "NOTHING",
+    "NO_STATISTICS",
+    "CameraStatistics",
     "DetectionSettings",
-    "Learned",
     "detect",
-    "detect_and_learn",
     "detect_set",
+    "detect_with_statistics",
     "mean_background",
     "minimum_background",
     "target_regions",
@@ -85,19 +85,19 @@ def detect(
     settings: DetectionSettings = DEFAULTS,
     bit_depth: int = 8,
     background: Array | None = None,
-    learned: Learned = NOTHING,
+    statistics: CameraStatistics = NO_STATISTICS,
 ) -> Detections:
     """Return the targets in an image (H, W) of uint8 or uint16, in the order of their topmost rows.
 
     ``bit_depth`` is the number of significant bits of a pixel (8 to 16), ``camera`` the name that the
     detections carry. ``background`` (H, W), of the image's type, is taken off first, negative values becoming
     0 (guide to motion capture, "Marker Detection"; see ``mean_background`` and ``minimum_background``).
-    ``learned``: what earlier frames taught, see ``detect_and_learn``.
+    ``statistics``: what earlier frames taught, see ``detect_with_statistics``.
 
     Raises InputError for an image, a background or a bit depth that do not fit each other.
     """
     backgrounds = None if background is None else [background]
-    return detect_set([image], [camera], settings, bit_depth, backgrounds, None, learned)[0]
+    return detect_set([image], [camera], settings, bit_depth, backgrounds, None, statistics)[0]
 
 
 def detect_set(
@@ -107,7 +107,7 @@ def detect_set(
     bit_depth: int = 8,
     backgrounds: Sequence[Array | None] | None = None,
     windows: Sequence[Array | None] | None = None,
-    learned: Learned = NOTHING,
+    statistics: CameraStatistics = NO_STATISTICS,
 ) -> list[Detections]:
     """Return the targets of each image of a frame set; ``detect`` for several cameras at once.
 
@@ -117,51 +117,51 @@ def detect_set(
     inside one of them, off its outermost pixels. Small windows make large images fast; where there are many,
     all of the image is looked at.
     """
-    return detect_and_learn(images, cameras, settings, bit_depth, backgrounds, windows, learned)[0]
+    return detect_with_statistics(images, cameras, settings, bit_depth, backgrounds, windows, statistics)[0]
 
 
-def detect_and_learn(
+def detect_with_statistics(
     images: Sequence[Array],
     cameras: Sequence[str],
     settings: DetectionSettings = DEFAULTS,
     bit_depth: int = 8,
     backgrounds: Sequence[Array | None] | None = None,
     windows: Sequence[Array | None] | None = None,
-    learned: Learned = NOTHING,
-) -> tuple[list[Detections], Learned]:
+    statistics: CameraStatistics = NO_STATISTICS,
+) -> tuple[list[Detections], CameraStatistics]:
     """Do as ``detect_set`` and return what these images alone teach about their cameras too.
 
-    Add it to what is known, ``learned.plus(new)``, and hand the sum to a later call: the same images with the
-    same ``learned`` give the same places, whatever threads do. Without, each call starts afresh. Only the
+    Add it to what is known, ``statistics.plus(new)``, and hand the sum to a later call: the same images with the
+    same ``statistics`` give the same places, whatever threads do. Without, each call starts afresh. Only the
     "refined" place learns.
     """
     _check_counts(images, cameras, backgrounds, windows)
     if not images:
-        return [], NOTHING
+        return [], NO_STATISTICS
     pixels = [
         _foreground(image, camera, bit_depth, None if backgrounds is None else backgrounds[i])
         for i, (image, camera) in enumerate(zip(images, cameras, strict=True))
     ]
     first = pixels[0]
     if any(image.shape != first.shape or image.dtype != first.dtype for image in pixels):
-        found, taught = [], NOTHING
+        found, taught = [], NO_STATISTICS
         for i, (image, name) in enumerate(zip(pixels, cameras, strict=True)):
             boxes = None if windows is None else [windows[i]]
-            part, new = detect_and_learn([image], [name], settings, bit_depth, None, boxes, learned)
+            part, new = detect_with_statistics([image], [name], settings, bit_depth, None, boxes, statistics)
             found += part
             taught = taught.plus(new)
         return found, taught
     placed = _placed(pixels)
-    priors = learned.priors(tuple(cameras))
+    priors = statistics.priors(tuple(cameras))
     regions, (table, region_of, image_of), lessons = _looked(
         placed, settings, bit_depth, windows, HOW[settings.centroid], priors
     )
     if settings.centroid != "refined":
-        return _detections(cameras, table, image_of), NOTHING
+        return _detections(cameras, table, image_of), NO_STATISTICS
     if settings.split_pairs:
         given = (*placed, priors.blurs, priors.offsets, _model_of(settings, bit_depth))
         table, image_of = split_pairs(table, image_of, region_of, *regions, given)
-    return _detections(cameras, table, image_of), Learned(tuple(cameras), *lessons)
+    return _detections(cameras, table, image_of), CameraStatistics(tuple(cameras), *lessons)
 
 
 def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_depth: int = 8) -> Array:
@@ -171,7 +171,7 @@ def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_dep
     """
     pixels = _foreground(image, "image", bit_depth, None)
     (runs, regions, _), _, _ = _looked(
-        _placed([pixels]), settings, bit_depth, None, NOWHERE, NOTHING.priors(("image",))
+        _placed([pixels]), settings, bit_depth, None, NOWHERE, NO_STATISTICS.priors(("image",))
     )
     labels = np.zeros(image.shape, np.int32)
     for number, (_, first_run, end_run, _) in enumerate(regions, start=1):
@@ -242,8 +242,8 @@ def _looked(
     how: int,
     priors: Priors,
 ) -> tuple[Regions, Places, Lessons]:
-    """Return what ``look_at_set`` finds in the images that ``_placed`` describes."""
-    return look_at_set(
+    """Return what ``detect_frame_set`` finds in the images that ``_placed`` describes."""
+    return detect_frame_set(
         *placed, *_boxes(windows, *placed[2]), search_of(settings, bit_depth), how, settings.dilation_px,
         noise_of(settings, bit_depth), priors.blurs, priors.offsets, priors.roughness,
         _model_of(settings, bit_depth),

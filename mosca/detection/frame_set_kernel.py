@@ -30,7 +30,7 @@ Lessons = tuple[Array, Array, Array]
 
 
 @kernel
-def look_at_set(
+def detect_frame_set(
     addresses: Array,
     like: Array,
     size: tuple[int, int],

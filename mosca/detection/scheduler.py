@@ -12,8 +12,8 @@ from time import perf_counter
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSet
-from mosca.detection.detect import DetectionSettings, detect_and_learn
-from mosca.detection.disc_fit.camera_statistics import NOTHING, Learned, joined
+from mosca.detection.detect import DetectionSettings, detect_with_statistics
+from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS, CameraStatistics, joined
 
 BEHIND = 4
 """Frame sets after which what one taught is used: however many threads look ahead, each set is looked at with the
@@ -26,19 +26,19 @@ time, each camera's at other sets."""
 EARLY = tuple(accumulate([0] + 8 * [1] + 4 * [2] + 3 * [3] + 3 * [4] + 3 * [6] + [8]))
 """All at first, then when about an eighth is new: to draw the conclusions takes longer than to look at a set."""
 
-Seen = tuple[dict[str, Detections], Learned, float]
+Seen = tuple[dict[str, Detections], CameraStatistics, float]
 
 
 @dataclass(frozen=True)
-class Look:
+class FrameSetDetector:
     """How frames are looked at: settings, each camera's ``bit_depth`` and what is taken off its images."""
 
     settings: DetectionSettings
     bit_depth: Mapping[str, int]
     backgrounds: Mapping[str, Array] = field(default_factory=dict)
 
-    def at(
-        self, frame_set: FrameSet, learned: Learned, helpers: Executor | None = None, split: int = 1
+    def detect(
+        self, frame_set: FrameSet, learned: CameraStatistics, helpers: Executor | None = None, split: int = 1
     ) -> Seen:
         """Return the detections of a set's cameras, what they teach, and the time that it took [s].
 
@@ -60,14 +60,16 @@ class Look:
             taught = taught.plus(new)
         return {name: detections[name] for name in names}, taught, perf_counter() - start
 
-    def _some(self, images: Mapping[str, Array], learned: Learned) -> tuple[dict[str, Detections], Learned]:
+    def _some(
+        self, images: Mapping[str, Array], learned: CameraStatistics
+    ) -> tuple[dict[str, Detections], CameraStatistics]:
         """Return the detections of some cameras' images and what they teach."""
         detections: dict[str, Detections] = {}
-        taught = NOTHING
+        taught = NO_STATISTICS
         for depth in sorted({self.bit_depth[name] for name in images}):
             names = [name for name in images if self.bit_depth[name] == depth]
             backgrounds = [self.backgrounds.get(name) for name in names] if self.backgrounds else None
-            found, new = detect_and_learn(
+            found, new = detect_with_statistics(
                 [images[name] for name in names], names, self.settings, depth, backgrounds, None, learned
             )
             detections.update(zip(names, found, strict=True))
@@ -75,8 +77,8 @@ class Look:
         return detections, taught
 
 
-def look_ahead(
-    look: Look, sets: Iterable[FrameSet], workers: int, split: int = 1
+def detect_ahead(
+    look: FrameSetDetector, sets: Iterable[FrameSet], workers: int, split: int = 1
 ) -> Iterator[tuple[FrameSet, dict[str, Detections], float]]:
     """Yield each frame set with its detections and the computing time that they took [s], in order.
 
@@ -97,8 +99,8 @@ def look_ahead(
     with ThreadPoolExecutor(workers, "look") as pool:
         try:
             for number, frame_set in enumerate(sets):
-                learned = known.at(number)
-                waiting.append(_Ahead(frame_set, learned, pool.submit(look.at, frame_set, learned)))
+                learned = known.for_frame_set(number)
+                waiting.append(_Ahead(frame_set, learned, pool.submit(look.detect, frame_set, learned)))
                 if len(waiting) >= min(workers + 2, BEHIND):
                     yield first()
             while waiting:
@@ -113,11 +115,11 @@ class _Ahead:
     """A frame set that is looked at ahead, with what is known for it."""
 
     frame_set: FrameSet
-    learned: Learned
+    learned: CameraStatistics
     future: Future[Seen]
 
 
-def _while_waiting(look: Look, waiting: Sequence[_Ahead]) -> Seen:
+def _while_waiting(look: FrameSetDetector, waiting: Sequence[_Ahead]) -> Seen:
     """Return what is seen in the first set that waits; until then look at those that no thread has begun."""
     first = waiting[0]
     for ahead in waiting:
@@ -126,43 +128,43 @@ def _while_waiting(look: Look, waiting: Sequence[_Ahead]) -> Seen:
         if ahead.future.cancel():  # it is ours now
             ahead.future = Future()
             try:
-                ahead.future.set_result(look.at(ahead.frame_set, ahead.learned))
+                ahead.future.set_result(look.detect(ahead.frame_set, ahead.learned))
             except Exception as error:  # raised when it is this set's turn
                 ahead.future.set_exception(error)
     return first.future.result()
 
 
 def _look_in_turn(
-    look: Look, sets: Iterable[FrameSet], split: int
+    look: FrameSetDetector, sets: Iterable[FrameSet], split: int
 ) -> Iterator[tuple[FrameSet, dict[str, Detections], float]]:
     known = _Known()
     with ExitStack() as stack:
         helpers = stack.enter_context(ThreadPoolExecutor(split - 1, "look")) if split > 1 else None
-        learned = known.at(0)
+        learned = known.for_frame_set(0)
         for number, frame_set in enumerate(sets):
-            detections, taught, seconds = look.at(frame_set, learned, helpers, split)
+            detections, taught, seconds = look.detect(frame_set, learned, helpers, split)
             yield frame_set, detections, seconds
             # while the next set is on its way: to conclude takes long
             known.add(taught)
-            learned = known.at(number + 1)
+            learned = known.for_frame_set(number + 1)
             learned.conclude()
 
 
-class Lessons:
+class DelayedStatistics:
     """What one camera's sets have taught: added up as it falls due, and the sum used at the camera's turns."""
 
     def __init__(self, camera: str) -> None:
         # cameras that are numbered on have turns one after the other: no set pays for all
         self._phase = sum(camera.encode()) % SELDOM
-        self._learned = self._gathered = NOTHING
-        self._waiting: deque[tuple[int, Learned]] = deque()
+        self._learned = self._gathered = NO_STATISTICS
+        self._waiting: deque[tuple[int, CameraStatistics]] = deque()
         self._turn = -1
 
-    def add(self, number: int, taught: Learned) -> None:
+    def add(self, number: int, taught: CameraStatistics) -> None:
         """Take what set ``number`` has taught; numbers rise."""
         self._waiting.append((number, taught))
 
-    def at(self, number: int) -> Learned:
+    def for_frame_set(self, number: int) -> CameraStatistics:
         """Return what is known when set ``number`` is looked at; numbers rise."""
         if number < QUICK:
             turn = EARLY[bisect_right(EARLY, number) - 1]
@@ -182,21 +184,21 @@ class _Known:
     """What the sets up to BEHIND before a set have taught, camera by camera."""
 
     def __init__(self) -> None:
-        self._cameras: dict[str, Lessons] = {}
-        self._parts: dict[str, Learned] = {}
-        self._number, self._learned = 0, NOTHING
+        self._cameras: dict[str, DelayedStatistics] = {}
+        self._parts: dict[str, CameraStatistics] = {}
+        self._number, self._learned = 0, NO_STATISTICS
 
-    def add(self, taught: Learned) -> None:
+    def add(self, taught: CameraStatistics) -> None:
         """Take what the next set has taught."""
         for name, lesson in taught.each().items():
             if name not in self._cameras:
-                self._cameras[name] = Lessons(name)
+                self._cameras[name] = DelayedStatistics(name)
             self._cameras[name].add(self._number, lesson)
         self._number += 1
 
-    def at(self, number: int) -> Learned:
+    def for_frame_set(self, number: int) -> CameraStatistics:
         """Return what is known when set ``number`` is looked at; numbers rise."""
-        parts = {name: lessons.at(number) for name, lessons in self._cameras.items()}
+        parts = {name: lessons.for_frame_set(number) for name, lessons in self._cameras.items()}
         if any(one is not self._parts.get(name) for name, one in parts.items()):
             self._parts, self._learned = parts, joined(parts)
         return self._learned

@@ -7,8 +7,8 @@ import numpy as np
 
 from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, Frame, FrameSet, FrameSource
-from mosca.detection.disc_fit.camera_statistics import NOTHING
-from mosca.detection.scheduler import Look, look_ahead
+from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS
+from mosca.detection.scheduler import FrameSetDetector, detect_ahead
 from mosca.live import LiveSets
 from mosca.pipeline import PipelineSettings
 from mosca.synchronisation import Assembly
@@ -24,10 +24,10 @@ def detected(
 
     ``queued``: sets that may wait; the oldest is left out where one more comes. ``assembly`` is filled.
     """
-    look = Look(settings.detection, {info.name: info.bit_depth for info in source.cameras})
+    look = FrameSetDetector(settings.detection, {info.name: info.bit_depth for info in source.cameras})
     sets = LiveSets(source, assembly, queued)
     try:
-        for frame_set, detections, _ in look_ahead(look, sets, min(os.cpu_count() or 1, MOST_WORKERS)):
+        for frame_set, detections, _ in detect_ahead(look, sets, min(os.cpu_count() or 1, MOST_WORKERS)):
             yield frame_set, detections
     finally:
         sets.close()
@@ -35,11 +35,11 @@ def detected(
 
 def warm_up(cameras: Sequence[CameraInfo], settings: PipelineSettings) -> None:
     """Detect once in pictures of a blurred disc, so that what has to be compiled is before the first pulse."""
-    look = Look(settings.detection, {info.name: info.bit_depth for info in cameras})
-    learned = NOTHING
+    look = FrameSetDetector(settings.detection, {info.name: info.bit_depth for info in cameras})
+    learned = NO_STATISTICS
     for _ in range(2):
         frames = {info.name: Frame(info.name, 0, 0, 0, _disc(info)) for info in cameras}
-        _, taught, _ = look.at(FrameSet(0, 0, frames), learned)
+        _, taught, _ = look.detect(FrameSet(0, 0, frames), learned)
         learned = learned.plus(taught)
 
 

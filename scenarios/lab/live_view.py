@@ -20,8 +20,8 @@ from mosca.correspondence.match import match
 from mosca.data.frames import CameraInfo, Frame, FrameSet, mid_exposure_ns
 from mosca.data.rays import Predicted
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
-from mosca.detection.disc_fit.camera_statistics import NOTHING
-from mosca.detection.scheduler import Look
+from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS
+from mosca.detection.scheduler import FrameSetDetector
 from mosca.errors import InputError
 from mosca.pipeline import MOST_DETECTIONS, PipelineSettings
 from reports.viewer import RerunLog
@@ -54,7 +54,7 @@ class LiveView:
         self.shown = 0
         self.failed: Exception | None = None
         self._log, self._rig, self._settings, self._behind = log, rig, settings, behind
-        self._look = Look(settings.detection, {info.name: info.bit_depth for info in cameras})
+        self._look = FrameSetDetector(settings.detection, {info.name: info.bit_depth for info in cameras})
         self._names = tuple(info.name for info in cameras)
         self._period_ns = 1e9 / cameras[0].frame_rate_hz
         self._open: dict[int, dict[str, Frame]] = {}
@@ -107,7 +107,7 @@ class LiveView:
             self._stop.wait(max(time.monotonic() - started, LEAST_REST_S))
 
     def _show(self, frame_set: FrameSet) -> None:
-        detections, _, _ = self._look.at(frame_set, NOTHING)
+        detections, _, _ = self._look.detect(frame_set, NO_STATISTICS)
         images = {name: frame.image for name, frame in frame_set.frames.items() if frame.image is not None}
         xyz = None
         if self._rig is not None and all(len(found) <= MOST_DETECTIONS for found in detections.values()):

@@ -15,8 +15,8 @@ import numpy as np
 
 from hardware.transport.sender import Sender
 from mosca.data.frames import Frame, FrameSource, mid_exposure_ns
-from mosca.detection.detect import DetectionSettings, detect_and_learn
-from mosca.detection.scheduler import Lessons
+from mosca.detection.detect import DetectionSettings, detect_with_statistics
+from mosca.detection.scheduler import DelayedStatistics
 from scenarios.lab.priority import before_others, prompt
 from scenarios.lab.station_background import Backgrounds
 
@@ -147,7 +147,7 @@ def _run(
     totals = StationTotals()
     infos = {info.name: info for info in source.cameras}
     count = PulseCount(source.cameras[0].frame_rate_hz)
-    lessons = {name: Lessons(name) for name in infos}
+    lessons = {name: DelayedStatistics(name) for name in infos}
     for depth in {info.bit_depth for info in source.cameras}:
         _warm(settings, depth)
     arrivals = Arrivals(source, arrival_ns or (lambda frame: sender.now_ns()), end)
@@ -174,13 +174,13 @@ def _run(
                 begun = time.perf_counter()
                 own = lessons[frame.camera]
                 depth = infos[frame.camera].bit_depth
-                (found,), new = detect_and_learn(
+                (found,), new = detect_with_statistics(
                     [frame.image],
                     [frame.camera],
                     settings,
                     depth,
                     [backgrounds.of(frame.camera)],
-                    learned=own.at(pulse),
+                    statistics=own.for_frame_set(pulse),
                 )
                 own.add(pulse, new)
                 sender.send(*place, found)
@@ -200,4 +200,4 @@ def _warm(settings: DetectionSettings, bit_depth: int) -> None:
     """Detect in a made-up image, so that what has to be compiled or loaded is so before the first frame."""
     image = np.zeros((64, 64), np.uint8 if bit_depth <= 8 else np.uint16)
     image[28:34, 29:35] = 2**bit_depth - 56
-    detect_and_learn([image], ["warming"], settings, bit_depth)
+    detect_with_statistics([image], ["warming"], settings, bit_depth)

@@ -39,11 +39,11 @@ def compile_beforehand() -> None:
 def compiling(programs: Sequence[tuple[str, ...]]) -> Iterator[None]:
     """Run programs that compile, where no kernels are kept yet, while the block runs; leave it when they are done."""
     from mosca.correspondence.candidates import search
-    from mosca.detection.frame_set_kernel import look_at_set
+    from mosca.detection.frame_set_kernel import detect_frame_set
     from mosca.numba_support.cache import is_compiled
     from twin.cameras.render.target import render_all
 
-    if all(map(is_compiled, (look_at_set, search, render_all))):
+    if all(map(is_compiled, (detect_frame_set, search, render_all))):
         yield
         return
     quiet = subprocess.DEVNULL

@@ -8,7 +8,7 @@ import numpy as np
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
-from mosca.detection.scheduler import Look, look_ahead
+from mosca.detection.scheduler import FrameSetDetector, detect_ahead
 from mosca.diagnostics.camera_health import Health
 from mosca.errors import InputError
 from mosca.formats.tracks.tracks_file import check_tracks_file, write_tracks
@@ -50,9 +50,9 @@ def zone_steps(
     """Turn a source's frames into tracks, zone by zone; ``rig``: of all cameras."""
     check_source(source, rig)
     sets = assemble(source, source.cameras, settings.assembly, assembly)
-    look = Look(settings.detection, {info.name: info.bit_depth for info in source.cameras})
+    look = FrameSetDetector(settings.detection, {info.name: info.bit_depth for info in source.cameras})
     yield from run_zones(
-        look_ahead(look, sets, settings.workers, settings.split or 1), zones, settings, healths
+        detect_ahead(look, sets, settings.workers, settings.split or 1), zones, settings, healths
     )
 
 

@@ -21,7 +21,7 @@ from optv.segmentation import target_recognition
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from mosca.detection.detect import NOTHING, detect, detect_and_learn
+from mosca.detection.detect import NO_STATISTICS, detect, detect_with_statistics
 from mosca.detection.settings import DetectionSettings
 
 WIDTH, HEIGHT, BLUR, SNR, BLACK, MARGIN = 656, 491, 0.7, 50.0, 4.0, 16
@@ -88,11 +88,11 @@ def made(
 
 def ours(images: Images, settings: DetectionSettings) -> Finder:
     """Return our detector after it has seen the images once, as in a running pipeline."""
-    known = NOTHING
+    known = NO_STATISTICS
     for image in images:
-        known = known.plus(detect_and_learn([image], ["left"], settings, learned=known)[1])
+        known = known.plus(detect_with_statistics([image], ["left"], settings, statistics=known)[1])
     known.priors(("left",))
-    return lambda image: detect(image, "left", settings, learned=known).xy_px
+    return lambda image: detect(image, "left", settings, statistics=known).xy_px
 
 
 def peers(diameter: float, threshold: int) -> Mapping[str, Finder]:

@@ -7,7 +7,13 @@ import pytest
 from scipy.special import j1
 
 from mosca.data.detections import SATURATED, UNREFINED
-from mosca.detection.detect import NOTHING, DetectionSettings, detect, detect_and_learn, detect_set
+from mosca.detection.detect import (
+    NO_STATISTICS,
+    DetectionSettings,
+    detect,
+    detect_set,
+    detect_with_statistics,
+)
 from mosca.errors import InputError
 
 FINE = 16  # samples a pixel
@@ -129,11 +135,13 @@ def errors(found, truth):
 def learned_errors(seed, sizes, blur, contrast, snr, rounds, **odd):
     """Errors, variances and bound by size, after ``rounds`` frames of all sizes have taught what they can."""
     rng = np.random.default_rng(seed)
-    learned, out = NOTHING, {}
+    learned, out = NO_STATISTICS, {}
     for k in range(rounds + 1):
         for diameter in sizes:
             image, truth, gain = frame(rng, diameter, blur, contrast, snr, **odd)
-            found, new = detect_and_learn([image], ["a"], settings_for(contrast, snr, gain), learned=learned)
+            found, new = detect_with_statistics(
+                [image], ["a"], settings_for(contrast, snr, gain), statistics=learned
+            )
             learned = learned.plus(new)
             if k == rounds:
                 out[diameter] = (*errors(found[0], truth), bound_px(diameter, blur, contrast, gain, **odd))
@@ -213,14 +221,16 @@ def test_saturated_pixels_are_left_out_and_flagged():
 def test_same_images_give_the_same_bytes_alone_or_in_a_set():
     rng = np.random.default_rng(7)
     images = [frame(rng, 5.3, 0.7, 200, 40, 200)[0] for _ in range(3)]
-    together, new = detect_and_learn(images, ["a", "b", "c"])
-    again, _ = detect_and_learn(images, ["a", "b", "c"], learned=new)
+    together, new = detect_with_statistics(images, ["a", "b", "c"])
+    again, _ = detect_with_statistics(images, ["a", "b", "c"], statistics=new)
     for i, name in enumerate("abc"):
-        alone, taught = detect_and_learn([images[i]], [name])
+        alone, taught = detect_with_statistics([images[i]], [name])
         assert alone[0].xy_px.tobytes() == together[i].xy_px.tobytes()
         np.testing.assert_array_equal(taught.tallies[0], new.tallies[i])
-        assert detect_set([images[i]], [name], learned=new)[0].xy_px.tobytes() == again[i].xy_px.tobytes()
-    split = detect_and_learn(images[:1], ["a"])[1].plus(detect_and_learn(images[1:], ["b", "c"])[1])
+        assert detect_set([images[i]], [name], statistics=new)[0].xy_px.tobytes() == again[i].xy_px.tobytes()
+    split = detect_with_statistics(images[:1], ["a"])[1].plus(
+        detect_with_statistics(images[1:], ["b", "c"])[1]
+    )
     np.testing.assert_array_equal(split.priors(("a", "b", "c")).blurs, new.priors(("a", "b", "c")).blurs)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mosca.data.detections import MERGED, UNREFINED
-from mosca.detection.detect import NOTHING, DetectionSettings, detect, detect_and_learn
+from mosca.detection.detect import NO_STATISTICS, DetectionSettings, detect, detect_with_statistics
 
 FINE, SIDE, BLUR = 8, 30, 0.6
 GAIN, READ, LEVEL, DARK = 0.0128, 0.13, 4.0, 2.0
@@ -74,7 +74,7 @@ def disc(rng):
 
 @pytest.fixture(scope="module")
 def learned():
-    rng, known = np.random.default_rng(1), NOTHING
+    rng, known = np.random.default_rng(1), NO_STATISTICS
     for _ in range(2):
         rows = [
             [
@@ -83,7 +83,7 @@ def learned():
             ]
             for _ in range(5)
         ]
-        known = known.plus(detect_and_learn([frame(np.block(rows), rng)], ["a"], learned=known)[1])
+        known = known.plus(detect_with_statistics([frame(np.block(rows), rng)], ["a"], statistics=known)[1])
     return known
 
 
@@ -102,7 +102,7 @@ def test_two_discs_reach_their_joint_bound(diameter, most, learned):
     squared, least, stated = [], [], []
     for apart in rng.uniform(0.75, 1.35, 10):
         shapes = pair_of(rng, apart, diameter)
-        found = detect(frame(image_of(shapes), rng), "a", TOGETHER, learned=learned)
+        found = detect(frame(image_of(shapes), rng), "a", TOGETHER, statistics=learned)
         assert len(found) == 2, f"{apart:.2f} diameters apart"
         for shape, bound in zip(shapes, bounds_px2(shapes), strict=True):
             away = found.xy_px - shape[:2]
@@ -129,7 +129,7 @@ def test_what_is_long_but_one_stays_one(how, learned):
         )
         middle = SIDE / 2 + rng.uniform(-0.5, 0.5, 2)
         found = detect(
-            frame(image_of([(*middle, radius, BRIGHT, shape)]), rng), "a", TOGETHER, learned=learned
+            frame(image_of([(*middle, radius, BRIGHT, shape)]), rng), "a", TOGETHER, statistics=learned
         )
         assert len(found) == 1
 
@@ -138,7 +138,7 @@ def test_a_middle_without_a_fit_is_as_uncertain_as_its_region_is_long(learned):
     # three in a row: no pair, no disc; their middle lies a diameter off the outer ones
     rng = np.random.default_rng(5)
     shapes = [(SIDE / 2 + 3.5 * k, SIDE / 2, 2.2, BRIGHT, None) for k in (-1, 0, 1)]
-    found = detect(frame(image_of(shapes), rng), "a", TOGETHER, learned=learned)
+    found = detect(frame(image_of(shapes), rng), "a", TOGETHER, statistics=learned)
     lonely = (found.flags & (UNREFINED | MERGED)) == UNREFINED
     for k in np.flatnonzero(lonely):
         nearest = min(np.hypot(*(found.xy_px[k] - shape[:2])) for shape in shapes)

@@ -17,7 +17,7 @@ from mosca.camera.projection import project
 from mosca.data.detections import Detections
 from mosca.data.files.rig_file import read_rig
 from mosca.data.frames import CameraInfo, Frame, FrameSet
-from mosca.detection.scheduler import Look, look_ahead
+from mosca.detection.scheduler import FrameSetDetector, detect_ahead
 from mosca.errors import InputError
 from mosca.formats.tracks.tracks_csv import read_tracks_csv
 from mosca.pipeline import PipelineSettings, run, run_seen
@@ -119,9 +119,9 @@ def test_tracks_are_bit_for_bit_those_of_the_images(takes, tmp_path):
     with open_recording(takes / "frames", rig) as source:
         wanted = list(run(source, rig, chosen))
     with open_recording(takes / "frames", rig) as source:
-        look = Look(chosen.detection, {info.name: info.bit_depth for info in source.cameras})
+        look = FrameSetDetector(chosen.detection, {info.name: info.bit_depth for info in source.cameras})
         with RecordingWriter(tmp_path / "kept", source.cameras, holds="detections") as writer:
-            for frame_set, found, _ in look_ahead(look, assemble(source, source.cameras), 2):
+            for frame_set, found, _ in detect_ahead(look, assemble(source, source.cameras), 2):
                 writer.write_set(frame_set, found)
     with open_recording(tmp_path / "kept", rig) as recording:
         given_steps = list(

@@ -12,7 +12,7 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.frames import CameraInfo, Frame, FrameSource, mid_exposure_ns
-from mosca.detection.detect import NOTHING, DetectionSettings, Learned, detect_and_learn
+from mosca.detection.detect import NO_STATISTICS, CameraStatistics, DetectionSettings, detect_with_statistics
 from mosca.errors import InputError
 
 FEWEST_FRAMES = 8
@@ -73,7 +73,7 @@ class _Notes:
     frame_ns: list[int] = field(default_factory=list)
     index: list[int] = field(default_factory=list)
     found: list[Detections] = field(default_factory=list)
-    learned: Learned = NOTHING
+    learned: CameraStatistics = NO_STATISTICS
     row_time_ns: int = 0
 
 
@@ -122,7 +122,7 @@ def _look(note: _Notes, frame: Frame, settings: DetectionSettings, background: A
     middle = mid_exposure_ns(frame)
     first_row = middle if frame.row_time_ns == 0 else middle - half_readout
     check_rise(frame.camera, note.index, note.frame_ns, frame.index, first_row)
-    found, taught = detect_and_learn(
+    found, taught = detect_with_statistics(
         [frame.image],
         [frame.camera],
         settings,

@@ -13,7 +13,7 @@ the target, so that they cost it nothing. The blur has a prior from the frames b
 2 px could be a small one of much blur or a large one of little. Pixels that are saturated, or that a neighbour
 lights up, are left out.
 
-No point spread function is given. What the frames teach, camera by camera (``Learned``):
+No point spread function is given. What the frames teach, camera by camera (``CameraStatistics``):
 
 - the blur, as the mean over clean targets of what their own pixels say of it, weighted by their information;
 - how far the fit lies from the *light's centroid*, as a smooth function of the place in the image and of the
@@ -59,7 +59,7 @@ CHANCE = 12.0
 
 
 @dataclass(frozen=True, eq=False)
-class Learned:
+class CameraStatistics:
     """What the frames of some cameras have taught; read-only, and added up with ``plus``.
 
     For each camera ``names``: ``tallies`` (n, 5) number of clean targets, sums for the blur, of misfits, number
@@ -71,22 +71,22 @@ class Learned:
     normal: Array = field(default_factory=lambda: np.zeros((0, N_TERMS, N_TERMS)))
     right_side: Array = field(default_factory=lambda: np.zeros((0, N_TERMS, 2)))
     _priors: dict[tuple[str, ...], "Priors"] = field(default_factory=dict, repr=False)
-    _parts: Mapping[str, "Learned"] = field(default_factory=dict, repr=False)
+    _parts: Mapping[str, "CameraStatistics"] = field(default_factory=dict, repr=False)
 
-    def plus(self, other: "Learned") -> "Learned":
+    def plus(self, other: "CameraStatistics") -> "CameraStatistics":
         """Return what both teach together. Beyond MEMORY targets of a camera the older ones fade."""
         if self.names != other.names:
             names = self.names + tuple(name for name in other.names if name not in self.names)
             return self._of(names).plus(other._of(names)) if self.names else other
         if max(self.tallies[:, N_TARGETS].tolist(), default=0.0) <= MEMORY:
-            return Learned(
+            return CameraStatistics(
                 self.names,
                 self.tallies + other.tallies,
                 self.normal + other.normal,
                 self.right_side + other.right_side,
             )
         keep = np.minimum(1.0, MEMORY / np.maximum(self.tallies[:, N_TARGETS], 1.0))
-        return Learned(
+        return CameraStatistics(
             self.names,
             keep[:, None] * self.tallies + other.tallies,
             keep[:, None, None] * self.normal + other.normal,
@@ -113,34 +113,34 @@ class Learned:
             one = self._parts.get(name, self)
             one.priors(one.names)
 
-    def each(self) -> dict[str, "Learned"]:
+    def each(self) -> dict[str, "CameraStatistics"]:
         """Return what each camera has taught by itself."""
         return {
-            name: Learned(
+            name: CameraStatistics(
                 (name,), self.tallies[k : k + 1], self.normal[k : k + 1], self.right_side[k : k + 1]
             )
             for k, name in enumerate(self.names)
         }
 
-    def _of(self, names: tuple[str, ...]) -> "Learned":
+    def _of(self, names: tuple[str, ...]) -> "CameraStatistics":
         """Return the same for other cameras, zeros for those that are not known."""
         rows = np.array([self.names.index(name) if name in self.names else -1 for name in names])
         parts = []
         for part in (self.tallies, self.normal, self.right_side):
             padded = np.concatenate([part, np.zeros((1, *part.shape[1:]))])
             parts.append(padded[rows])
-        return Learned(names, *parts)
+        return CameraStatistics(names, *parts)
 
 
-NOTHING = Learned()
+NO_STATISTICS = CameraStatistics()
 
 
-def joined(parts: Mapping[str, Learned]) -> Learned:
+def joined(parts: Mapping[str, CameraStatistics]) -> CameraStatistics:
     """Return what single cameras have taught as one; what their fits start from is not worked out again."""
     known = {name: one for name, one in parts.items() if one.names}
     if not known:
-        return NOTHING
-    return Learned(
+        return NO_STATISTICS
+    return CameraStatistics(
         tuple(known),
         np.concatenate([one.tallies for one in known.values()]),
         np.concatenate([one.normal for one in known.values()]),
@@ -168,7 +168,7 @@ def _stacked(ones: Sequence[Priors]) -> Priors:
     )
 
 
-def _priors(learned: Learned) -> Priors:
+def _priors(learned: CameraStatistics) -> Priors:
     tallies = learned.tallies
     known = tallies[:, BLUR_WEIGHT] > 0
     weight = np.where(known, tallies[:, BLUR_WEIGHT], 1.0)

@@ -8,7 +8,7 @@ import pytest
 
 from mosca.data.frames import Frame, FrameSet
 from mosca.detection.detect import DetectionSettings
-from mosca.detection.scheduler import Look, look_ahead
+from mosca.detection.scheduler import FrameSetDetector, detect_ahead
 
 PATIENCE_S = 60.0
 
@@ -23,15 +23,15 @@ def in_callers_thread():
     return threading.current_thread() is threading.main_thread()
 
 
-class Held(Look):
+class Held(FrameSetDetector):
     """The threads that look ahead are held until the caller has looked at a set itself."""
 
-    def at(self, frame_set, *more, **others):
+    def detect(self, frame_set, *more, **others):
         if in_callers_thread():
             caller_looked.set()
         else:
             assert caller_looked.wait(PATIENCE_S)
-        return super().at(frame_set, *more, **others)
+        return super().detect(frame_set, *more, **others)
 
 
 caller_looked = threading.Event()
@@ -40,21 +40,21 @@ caller_looked = threading.Event()
 @pytest.mark.parametrize("workers", [1, 2])
 def test_the_caller_looks_at_a_set_itself_rather_than_wait(workers):
     caller_looked.clear()
-    seen = list(look_ahead(Held(DetectionSettings(), {"cam1": 8}), dark_sets(12), workers))
+    seen = list(detect_ahead(Held(DetectionSettings(), {"cam1": 8}), dark_sets(12), workers))
     assert [frame_set.pulse for frame_set, _, _ in seen] == list(range(12))
     assert caller_looked.is_set()
 
 
-class Failing(Look):
-    def at(self, frame_set, *more, **others):
+class Failing(FrameSetDetector):
+    def detect(self, frame_set, *more, **others):
         if frame_set.pulse == 5:
             raise ArithmeticError("pulse 5")
-        return super().at(frame_set, *more, **others)
+        return super().detect(frame_set, *more, **others)
 
 
 @pytest.mark.parametrize("workers", [0, 1, 3])
 def test_an_error_comes_when_it_is_its_sets_turn(workers):
-    ahead = look_ahead(Failing(DetectionSettings(), {"cam1": 8}), dark_sets(9), workers)
+    ahead = detect_ahead(Failing(DetectionSettings(), {"cam1": 8}), dark_sets(9), workers)
     assert [frame_set.pulse for frame_set, _, _ in islice(ahead, 5)] == list(range(5))
     with pytest.raises(ArithmeticError, match="pulse 5"):
         next(ahead)

@@ -1,4 +1,4 @@
-"""Lessons: when they are used, the same whatever frames are missing, and at other sets for other cameras."""
+"""Delayed statistics: when they are used, the same whatever frames are missing, at different sets for each camera."""
 
 from functools import cache
 from itertools import pairwise
@@ -7,8 +7,14 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mosca.detection.disc_fit.camera_statistics import N_TALLIES, N_TERMS, NOTHING, Learned, joined
-from mosca.detection.scheduler import BEHIND, EARLY, QUICK, SELDOM, Lessons
+from mosca.detection.disc_fit.camera_statistics import (
+    N_TALLIES,
+    N_TERMS,
+    NO_STATISTICS,
+    CameraStatistics,
+    joined,
+)
+from mosca.detection.scheduler import BEHIND, EARLY, QUICK, SELDOM, DelayedStatistics
 
 
 @cache
@@ -17,11 +23,13 @@ def lesson(name, k):
     rng = np.random.default_rng(k)
     root = rng.normal(size=(1, N_TERMS, 40))
     tallies = np.full((1, N_TALLIES), 30.0) + rng.random((1, N_TALLIES))
-    return Learned((name,), tallies, root @ root.transpose(0, 2, 1), rng.normal(size=(1, N_TERMS, 2)))
+    return CameraStatistics(
+        (name,), tallies, root @ root.transpose(0, 2, 1), rng.normal(size=(1, N_TERMS, 2))
+    )
 
 
 def summed(name, numbers):
-    known = NOTHING
+    known = NO_STATISTICS
     for k in numbers:
         known = known.plus(lesson(name, k))
     return known
@@ -36,17 +44,17 @@ def alike(a, b):
 @settings(deadline=None, max_examples=30)
 @given(name=st.text(max_size=6), missing=st.sets(st.integers(0, 140)))
 def test_what_is_known_at_a_set_does_not_depend_on_which_were_asked_about(name, missing):
-    lessons, whole, changes = Lessons(name), Lessons(name), []
-    before = NOTHING
+    lessons, whole, changes = DelayedStatistics(name), DelayedStatistics(name), []
+    before = NO_STATISTICS
     for k in range(140):
-        known = whole.at(k)
+        known = whole.for_frame_set(k)
         if known is not before and k >= QUICK:
             changes.append(k)
         before = known
-        whole.add(k, lesson(name, k) if k not in missing else NOTHING)
+        whole.add(k, lesson(name, k) if k not in missing else NO_STATISTICS)
         if k in missing:
             continue
-        assert alike(lessons.at(k), known)
+        assert alike(lessons.for_frame_set(k), known)
         lessons.add(k, lesson(name, k))
         if k < QUICK:
             turn = max(t for t in EARLY if t <= k)
@@ -58,10 +66,10 @@ def test_what_is_known_at_a_set_does_not_depend_on_which_were_asked_about(name, 
 def test_each_camera_has_its_own_turn():
     turns = []
     for name in ("a1", "a2", "a3", "a4"):
-        lessons = Lessons(name)
+        lessons = DelayedStatistics(name)
         known = []
         for k in range(QUICK + 2 * SELDOM):
-            known.append(lessons.at(k))
+            known.append(lessons.for_frame_set(k))
             lessons.add(k, lesson(name, k))
         turns.append([k for k in range(QUICK, len(known)) if known[k] is not known[k - 1]])
     assert all(len(t) == 2 and t[1] - t[0] == SELDOM for t in turns)
@@ -71,12 +79,12 @@ def test_each_camera_has_its_own_turn():
 def test_joined_cameras_start_their_fits_as_they_do_together():
     names = ("a", "b", "c")
     apart = {n: summed(n, range(10 * k, 10 * k + 20)) for k, n in enumerate(names)}
-    together = NOTHING
+    together = NO_STATISTICS
     for one in apart.values():
         together = together.plus(one)
     for asked in (names, ("c", "a"), ("b", "unknown")):
         ours, theirs = joined(apart).priors(asked), together.priors(asked)
         for field in ("blurs", "offsets", "roughness"):
             np.testing.assert_array_equal(getattr(ours, field), getattr(theirs, field))
-    assert joined({"a": NOTHING}) is NOTHING
+    assert joined({"a": NO_STATISTICS}) is NO_STATISTICS
     assert all(alike(together.each()[n], apart[n]) for n in names)
