@@ -87,8 +87,8 @@ class ScenarioItem(pytest.Item):
     def runtest(self) -> None:
         """Run; a broken limit, or a control that was not caught, fails."""
         from scenarios.run.scenario import run_scenario
+        from scenarios.spec.catalog import scenario_name
         from scenarios.spec.scenario import load_scenario
-        from scenarios.suite.catalog import scenario_name
 
         result = run_scenario(load_scenario(self.path), scenario_name(self.path), self.path.parent)
         if not result.record.passed:

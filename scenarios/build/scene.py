@@ -132,7 +132,7 @@ def _subject(spec: Scenario, folder: Path) -> Scene:
             marker_diameter_m=scene.marker_diameter_m,
         )
     if isinstance(scene, RobotScene):
-        from scenarios.lab.commanded import command_lines
+        from scenarios.build.robot_commands import command_lines
         from twin.scenes.robot import build_robot
 
         return build_robot(

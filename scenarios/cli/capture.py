@@ -8,7 +8,7 @@ import click
 
 from mosca.errors import InputError
 from scenarios.cli.options import POSITIVE
-from scenarios.run.progress import Progress
+from scenarios.cli.progress import Progress
 
 if TYPE_CHECKING:
     from scenarios.lab.capture import CaptureOutcome

@@ -3,19 +3,18 @@
 import os
 import re
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from mosca.errors import InputError
-from scenarios.cli.options import POSITIVE, Number
-from scenarios.run.progress import Progress
+from scenarios.cli.options import FILE, POSITIVE, Number
+from scenarios.cli.progress import Progress
 
 if TYPE_CHECKING:
     from hardware.emulate.serve import Served
+    from scenarios.lab.serve import Request
 
-FILE = click.Path(path_type=Path)
 SHARE = Number(0.0, 1.0)
 
 
@@ -53,22 +52,7 @@ SHARE = Number(0.0, 1.0)
     help="what the cameras wait for; serial: Line1, pulsed by an emulated generator on a serial port",
 )
 @click.option("--workers", type=click.IntRange(1, 64), help="rendering threads  [default: all cores]")
-def twin_serve(
-    what: str,
-    address: str,
-    rate: float | None,
-    seconds: float | None,
-    loop: bool,
-    ahead: int | None,
-    loss: float,
-    withhold: float,
-    reboots: tuple[str, ...],
-    drift: float,
-    seed: int,
-    rig_out: Path | None,
-    trigger: str,
-    workers: int | None,
-) -> None:
+def twin_serve(**given: Any) -> None:
     """Serve virtual cameras or a recording as GigE Vision cameras, for any client that speaks the standard.
 
     WHAT is a scenario (file or name), a recording, or a rig file whose [twin] table names one of them. The line's
@@ -77,26 +61,29 @@ def twin_serve(
     \b
     Example:  mosca twin serve subjects/drone --seconds 60 --rig-out served.toml
     """
-    from typing import cast
+    from scenarios.lab.serve import serve
 
-    from scenarios.lab.serve import InjectedFaults, ServeRequest, Trigger, serve
-
-    trouble = InjectedFaults(loss, withhold, drift, dict(_reboot(text) for text in reboots), seed)
-    request = ServeRequest(
-        what,
-        address,
-        rate,
-        seconds,
-        loop,
-        ahead,
-        trouble,
-        rig_out,
-        cast(Trigger, trigger),
-        workers or os.cpu_count() or 1,
-    )
+    request = _serve_request(**given)
     with Progress("rendering ahead") as shown:
         up = serve(request, shown, _tell)
     _print(_counts(up))
+
+
+def _serve_request(
+    *,
+    rate: float | None,
+    loss: float,
+    withhold: float,
+    reboots: tuple[str, ...],
+    drift: float,
+    seed: int,
+    workers: int | None,
+    **same_name: Any,
+) -> "Request":
+    from scenarios.lab.serve import Request, Trouble
+
+    trouble = Trouble(loss, withhold, drift, dict(_reboot(text) for text in reboots), seed)
+    return Request(rate_hz=rate, trouble=trouble, workers=workers or os.cpu_count() or 1, **same_name)
 
 
 def _reboot(text: str) -> tuple[str, float]:

@@ -1,7 +1,6 @@
 """The verb for a run that does not wait: live."""
 
-import os
-from pathlib import Path
+from typing import Any
 
 import click
 
@@ -35,20 +34,7 @@ from scenarios.cli.options import FILE, LAG, POSITIVE, SET
 @click.option(
     "--workers", type=click.IntRange(1, 64), help="rendering threads of a scenario  [default: all cores]"
 )
-def live(
-    source: str,
-    rig: Path | None,
-    out: Path | None,
-    record: Path | None,
-    seconds: float | None,
-    fps: float | None,
-    rate: float | None,
-    queued: int,
-    lag: int | None,
-    settings: Path | None,
-    overrides: tuple[str, ...],
-    workers: int | None,
-) -> None:
+def live(**given: Any) -> None:
     """Track a source while it runs: never far behind, whole frame sets left out and told where it must be.
 
     SOURCE is hardware:RIG.toml, recording:DIR, played at its rate, or a scenario, rendered beforehand. One line a
@@ -57,21 +43,8 @@ def live(
     \b
     Example:  mosca live any_source --seconds 2 --out live.csv --record live.json
     """
-    from scenarios.commands.live import LiveRequest, run_request
+    from scenarios.commands.live import run_live_command
+    from scenarios.commands.live_sources import LiveOptions
 
-    request = LiveRequest(
-        source,
-        rig,
-        out,
-        record,
-        seconds,
-        fps,
-        rate,
-        queued,
-        lag,
-        settings,
-        overrides,
-        workers or os.cpu_count() or 1,
-    )
-    for line in run_request(request, click.echo):
+    for line in run_live_command(LiveOptions(**given), click.echo):
         click.echo(line)

@@ -19,8 +19,8 @@ from scenarios.cli import live as cli_live
 from scenarios.cli import rig as cli_rig
 from scenarios.cli import station as cli_station
 from scenarios.cli import tracks as cli_tracks
+from scenarios.cli.progress import Progress
 from scenarios.run.interrupt import was_interrupted
-from scenarios.run.progress import Progress
 
 EXIT_PASSED, EXIT_BROKEN, EXIT_ERROR = 0, 1, 2
 FILE = click.Path(path_type=Path)
@@ -71,8 +71,8 @@ def run(
     \b
     Example:  mosca run actor --set capture.duration_s=2 --out runs/try
     """
+    from scenarios.spec.catalog import find, scenario_name
     from scenarios.spec.scenario import load_scenario
-    from scenarios.suite.catalog import find, scenario_name
 
     path = find(scenario)
     if seed is not None:
@@ -82,8 +82,8 @@ def run(
     target = out or Path("runs") / name
     from reports.compare import summary_table
     from scenarios.run.folder import check_out, write_run
-    from scenarios.run.options import RunOptions
     from scenarios.run.scenario import run_scenario
+    from scenarios.types import RunOptions
 
     check_out(target)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -132,7 +132,7 @@ def suite(
     \b
     Example:  mosca suite --tier quick --junit runs/suite.xml
     """
-    from scenarios.suite import catalog
+    from scenarios.spec import catalog
 
     if baselines is not None and not update_baselines:
         raise InputError("--baselines goes with --update-baselines; to compare with a folder give --compare")
@@ -184,7 +184,7 @@ def list_() -> None:
     """
     from rich.table import Table
 
-    from scenarios.suite.catalog import entries
+    from scenarios.spec.catalog import entries
 
     shown = Table(box=None, pad_edge=False)
     for heading in ("scenario", "tier", "expect", "what it claims"):
@@ -202,7 +202,7 @@ def new(path: Path) -> None:
     \b
     Example:  mosca new my_lab.toml
     """
-    from scenarios.suite.catalog import write_template
+    from scenarios.spec.catalog import write_template
 
     write_template(path)
     click.echo(f"{path} written; edit it, then: mosca run {path}")

@@ -1,14 +1,13 @@
 """The verbs for rigs and targets: calibrate, rig check, rig compare, rig convert, target sheet."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from mosca.errors import InputError
-from scenarios.cli.options import POSITIVE, Number
-from scenarios.run.progress import Progress
-
-FILE = click.Path(path_type=Path)
+from scenarios.cli.options import FILE, POSITIVE, Number
+from scenarios.cli.progress import Progress
 
 
 @click.command()
@@ -61,21 +60,7 @@ FILE = click.Path(path_type=Path)
     type=click.IntRange(min=0),
     help="frame set in which field or board is the world  [default: the first]",
 )
-def calibrate(
-    recording: Path,
-    target: Path,
-    out: Path,
-    lens: str | None,
-    free: str | None,
-    pixel_pitch_mm: float,
-    known: Path | None,
-    exterior_only: bool,
-    axes: tuple[Path, Path] | None,
-    lengths: tuple[Path, Path] | None,
-    fps: float | None,
-    every: int,
-    reference: int | None,
-) -> None:
+def calibrate(**given: Any) -> None:
     """Calibrate cameras from images of a target: interior and exterior orientation, with precision and judgement.
 
     The target file's kind says what is done: a test field or a board (the world is where it first stood), a wand
@@ -86,16 +71,12 @@ def calibrate(
               mosca calibrate lab/moved --target field.toml --known rig.toml --exterior-only --out rig2.toml
               mosca calibrate lab --target points.toml --lens opencv --free fx_px,fy_px,cx_px,cy_px,k1 --out rig.toml
     """
-    from mosca.calibration.session import EstimateSettings
-    from mosca.calibration.single_camera.interior_orientation import LensChoice
-    from scenarios.commands.calibrate import Request
+    from scenarios.commands.calibrate import CalibrateOptions
     from scenarios.commands.calibrate import calibrate as work
 
-    names = None if free is None else tuple(name.strip() for name in free.split(","))
-    choice = LensChoice(lens or "mosca", pixel_pitch_mm)
-    settings = EstimateSettings(choice, names, exterior_only, every, reference)
-    with Progress(recording.name) as shown:
-        lines = work(Request(recording, target, out, known, axes, lengths, fps, lens), settings, shown)
+    options = CalibrateOptions(**given)
+    with Progress(options.recording.name) as shown:
+        lines = work(options, shown)
     for line in lines:
         click.echo(line)
 

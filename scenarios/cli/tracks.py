@@ -1,13 +1,67 @@
 """The verbs that make tracks and give them names: reconstruct, labels, zones."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import click
 
 from mosca.errors import InputError
 from scenarios.cli.options import FILE, LAG, POSITIVE, SET
-from scenarios.run.progress import Progress
+from scenarios.cli.progress import Progress
+
+
+@dataclass(frozen=True)
+class ReconstructOptions:
+    """The options of ``mosca reconstruct``, under their names."""
+
+    recording: Path
+    rig: Path
+    out: Path
+    fps: float | None
+    settings: Path | None
+    overrides: tuple[str, ...]
+    labels: Path | None
+    fill: float | None
+    lag: int | None
+    continuous: bool
+    rate: float | None
+    clocks: Literal["auto", "common", "own"] | None
+    search: float | None
+    worn: Path | None
+
+    def run(self, progress: Callable[[int, int | None], None]) -> list[str]:
+        """Reconstruct and return the lines to print; InputError where options exclude each other."""
+        recording = (self.recording, self.rig, self.out, self.fps, self.settings, self.overrides)
+        if self.continuous:
+            from scenarios.commands.reconstruct_continuous import ContinuousOptions, reconstruct_continuous
+
+            _exclude("--continuous", {"--labels": self.labels, "--fill": self.fill, "--lag": self.lag})
+            if self.worn is not None:
+                _exclude(
+                    "--worn, whose cameras are of one clock",
+                    {"--clocks": self.clocks, "--search": self.search},
+                )
+            search_s = 10.0 if self.search is None else self.search
+            options = ContinuousOptions(self.rate, self.clocks or "auto", search_s, worn=self.worn)
+            return reconstruct_continuous(*recording, options, progress)
+        _exclude(
+            "a run without --continuous",
+            {"--rate": self.rate, "--clocks": self.clocks, "--search": self.search, "--worn": self.worn},
+        )
+        from scenarios.commands.reconstruct import reconstruct_recording
+        from scenarios.run.postprocess import Postprocessing
+
+        after = Postprocessing(self.lag, self.labels, self.fill)
+        return reconstruct_recording(*recording, progress, after)
+
+
+def _exclude(what: str, options: dict[str, object]) -> None:
+    """Raise InputError where one of ``options`` is given that does not go with ``what``."""
+    for name, given in options.items():
+        if given is not None:
+            raise InputError(f"{name} does not go with {what}; leave one of them out")
 
 
 @click.command()
@@ -53,22 +107,7 @@ from scenarios.run.progress import Progress
     metavar="LAMPS.toml",
     help="continuous: cameras are worn on limbs and carry lamps that blink numbers; where they are comes from these",
 )
-def reconstruct(
-    recording: Path,
-    rig: Path,
-    out: Path,
-    fps: float | None,
-    settings: Path | None,
-    overrides: tuple[str, ...],
-    labels: Path | None,
-    fill: float | None,
-    lag: int | None,
-    continuous: bool,
-    rate: float | None,
-    clocks: Literal["auto", "common", "own"] | None,
-    search: float | None,
-    worn: Path | None,
-) -> None:
+def reconstruct(**given: Any) -> None:
     """Turn a recording of real (or rendered) images into tracks.
 
     \b
@@ -82,36 +121,11 @@ def reconstruct(
     Cameras on the limbs of a person, which see each other's lamps:
               mosca reconstruct lab/take3 --rig rig.toml --out take3.csv --continuous --worn lamps.toml
     """
-    if continuous:
-        from scenarios.commands.reconstruct_continuous import ContinuousOptions, reconstruct_continuous
-
-        _apart("--continuous", {"--labels": labels, "--fill": fill, "--lag": lag})
-        if worn is not None:
-            _apart("--worn, whose cameras are of one clock", {"--clocks": clocks, "--search": search})
-        options = ContinuousOptions(rate, clocks or "auto", 10.0 if search is None else search, worn=worn)
-        with Progress(recording.name) as shown:
-            told = reconstruct_continuous(recording, rig, out, fps, settings, overrides, options, shown)
-        for line in told:
-            click.echo(line)
-        return
-    _apart(
-        "a run without --continuous", {"--rate": rate, "--clocks": clocks, "--search": search, "--worn": worn}
-    )
-    from scenarios.commands.reconstruct import reconstruct_recording
-    from scenarios.run.postprocess import Finish
-
-    finish = Finish(lag, labels, fill)
-    with Progress(recording.name) as shown:
-        told = reconstruct_recording(recording, rig, out, fps, settings, overrides, shown, finish)
-    for line in told:
+    options = ReconstructOptions(**given)
+    with Progress(options.recording.name) as shown:
+        lines = options.run(shown)
+    for line in lines:
         click.echo(line)
-
-
-def _apart(what: str, options: dict[str, object]) -> None:
-    """Raise InputError where one of ``options`` is given that does not go with ``what``."""
-    for name, given in options.items():
-        if given is not None:
-            raise InputError(f"{name} does not go with {what}; leave one of them out")
 
 
 @click.group()
@@ -242,7 +256,7 @@ def zones(tracks: tuple[Path, ...], out: Path, fps: float | None) -> None:
     """
     if len(tracks) < 2:
         raise InputError(f"zones: {len(tracks)} file of tracks given; 2 or more are to be stitched")
-    from scenarios.run.zones import stitch_files
+    from scenarios.commands.zones import stitch_files
 
     for line in stitch_files(tracks, out, fps):
         click.echo(line)

@@ -7,6 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from mosca.calibration.initial.interior_orientation import LensChoice
 from mosca.calibration.session import EstimateSettings, Shown, calibrate_session
 from mosca.calibration.single_camera.adjust import AdjustmentSettings
 from mosca.calibration.single_camera.from_points import calibrate_from_points, summary
@@ -25,29 +26,36 @@ T = TypeVar("T", LFrame, ScaleBar)
 
 
 @dataclass(frozen=True)
-class Request:
-    """What is asked of ``mosca calibrate``; see its help.
-
-    ``axes`` and ``lengths``: recording and target file; ``lens``: model for measured points, before their file's.
-    """
+class CalibrateOptions:
+    """The options of ``mosca calibrate``, under their names; its help describes them."""
 
     recording: Path
     target: Path
     out: Path
+    lens: str | None = None
+    free: str | None = None
+    pixel_pitch_mm: float = 0.01
     known: Path | None = None
+    exterior_only: bool = False
     axes: tuple[Path, Path] | None = None
     lengths: tuple[Path, Path] | None = None
     fps: float | None = None
-    lens: str | None = None
+    every: int = 1
+    reference: int | None = None
+
+    def settings(self) -> EstimateSettings:
+        """Return what is estimated, and from which frame sets."""
+        free = None if self.free is None else tuple(name.strip() for name in self.free.split(","))
+        lens = LensChoice(self.lens or "mosca", self.pixel_pitch_mm)
+        return EstimateSettings(lens, free, self.exterior_only, self.every, self.reference)
 
 
-def calibrate(
-    request: Request, settings: EstimateSettings, progress: Callable[[int, int | None], None]
-) -> list[str]:
-    """Calibrate, write the rig and its page, and return what to tell, a line each.
+def calibrate(request: CalibrateOptions, progress: Callable[[int, int | None], None]) -> list[str]:
+    """Calibrate, write the rig and its page, and return what to report, a line each.
 
     A calibration that must not be used writes its page alone and raises CalibrationError.
     """
+    settings = request.settings()
     out = request.out
     if out.suffix != ".toml":
         raise InputError(f"{out}: a rig file ends in .toml")
@@ -131,7 +139,7 @@ def _overlaps(rig: Rig) -> list[str]:
     return lines
 
 
-def _from_points(request: Request, target: PointsTarget, settings: EstimateSettings) -> list[str]:
+def _from_points(request: CalibrateOptions, target: PointsTarget, settings: EstimateSettings) -> list[str]:
     for option, given in (
         ("--known", request.known),
         ("--axes", request.axes),

@@ -21,30 +21,12 @@ from mosca.precompile import warm_up
 from mosca.smoothing.fixed_lag import FixedLag, LagSettings
 from mosca.synchronisation import Assembly
 from reports.record import RunRecord, write_record
-from scenarios.commands.live_sources import LiveSource, opened_live
+from scenarios.commands.live_sources import LiveOptions, LiveSource, opened_live
 from scenarios.run.interrupt import first_ctrl_c
 from scenarios.run.provenance import provenance
-from scenarios.run.record import told_health
+from scenarios.run.record import health_record
 
 EVERY_S = 1.0
-
-
-@dataclass(frozen=True)
-class LiveRequest:
-    """What is asked for; as the options of ``mosca live`` are called."""
-
-    source: str
-    rig: Path | None = None
-    out: Path | None = None
-    record: Path | None = None
-    seconds: float | None = None
-    fps: float | None = None
-    rate: float | None = None
-    queued: int = 2
-    lag: int | None = None
-    settings: Path | None = None
-    overrides: tuple[str, ...] = ()
-    workers: int = 1
 
 
 @dataclass
@@ -59,7 +41,7 @@ class _Second:
     tracks: set[int] = field(default_factory=set)
 
     def line(self, now: float, elapsed: float, skipped: int) -> str:
-        """Return the line that tells it; ``skipped``: frame sets left out so far."""
+        """Return it as a line; ``skipped``: frame sets left out so far."""
         if not self.sets:
             return f"{elapsed:4.0f} s: nothing came, {skipped - self.skipped} sets dropped"
         p50, p99 = 1e3 * np.quantile(self.latency, [0.5, 0.99])
@@ -70,26 +52,23 @@ class _Second:
         )
 
 
-def run_request(request: LiveRequest, told: Callable[[str], None]) -> list[str]:
-    """Run live until the source ends, ``seconds`` are over or Ctrl-C; return what to tell at the end.
+def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> list[str]:
+    """Run live until the source ends, ``seconds`` are over or Ctrl-C; return the lines of the summary.
 
-    ``told`` is called with a line each second. Tracks are written on the way; the record holds each stage's times.
+    ``report`` is called with a line each second. Tracks are written on the way; the record holds each stage's times.
     """
-    if request.record is not None and request.record.suffix.lower() != ".json":
+    if options.record is not None and options.record.suffix.lower() != ".json":
         raise InputError(
-            f"{request.record}: suffix '{request.record.suffix}' given; a record is a .json file"
+            f"{options.record}: suffix '{options.record.suffix}' given; a record is a .json file"
         )
-    if request.record is not None:
-        check_writable(request.record)
-    smoother = None if request.lag is None else FixedLag(LagSettings(lag=request.lag))
+    if options.record is not None:
+        check_writable(options.record)
+    smoother = None if options.lag is None else FixedLag(LagSettings(lag=options.lag))
     with ExitStack() as stack:
-        log = None if request.out is None else stack.enter_context(_log(request.out, stack))
-        source = opened_live(
-            request.source, request.rig, request.settings, request.overrides, request.fps, request.rate,
-            request.seconds, request.workers, stack,
-        )  # fmt: skip
+        log = None if options.out is None else stack.enter_context(_log(options.out, stack))
+        source = opened_live(options, stack)
         for note in source.notes:
-            told(note)
+            report(note)
         warm_up()  # a compiler's seconds would count as latency
         if smoother is not None:
             FixedLag(LagSettings(lag=1)).step(0, _one_sample())
@@ -97,30 +76,30 @@ def run_request(request: LiveRequest, told: Callable[[str], None]) -> list[str]:
             Assembly(),
             Health(source.rig, HealthSettings(start_px=source.settings.match.camera_sigma_px)),
         )
-        steps = stack.enter_context(_Steps(source, assembly, health, request))
-        stages, elapsed = _follow(steps, assembly, smoother, log, request, told)
+        steps = stack.enter_context(_Steps(source, assembly, health, options))
+        stages, elapsed = _follow(steps, assembly, smoother, log, options, report)
         lines = _summary(steps.count, elapsed, stages, assembly)
         if log is not None:
             tracks = log.finish(source.frames.cameras[0].frame_rate_hz)
-            lines.append(f"{tracks} tracks with {log.samples} samples in {request.out}")
+            lines.append(f"{tracks} tracks with {log.samples} samples in {options.out}")
         lines += health.findings()
-        if request.record is not None:
+        if options.record is not None:
             write_record(
-                _record(request, steps.count, elapsed, stages, assembly, health, log), request.record
+                _record(options, steps.count, elapsed, stages, assembly, health, log), options.record
             )
-            lines.append(f"{request.record}")
+            lines.append(f"{options.record}")
     return lines
 
 
 class _Steps:
     """The steps of a live run; a context that ends the source, at Ctrl-C as well."""
 
-    def __init__(self, source: LiveSource, assembly: Assembly, health: Health, request: LiveRequest) -> None:
+    def __init__(self, source: LiveSource, assembly: Assembly, health: Health, options: LiveOptions) -> None:
         self._source = source
         self.over = threading.Event()
         self.count = 0
         self.steps = run_live(
-            source.frames, source.rig, source.settings, assembly, health=health, queued=request.queued
+            source.frames, source.rig, source.settings, assembly, health=health, queued=options.queued
         )
 
     def __enter__(self) -> "_Steps":
@@ -134,7 +113,7 @@ class _Steps:
         self._ctrl_c.__exit__(None, None, None)
 
     def end(self) -> None:
-        """End the source; what it has sent is still followed unless ``over`` is looked at."""
+        """End the source; what it has sent is still followed unless the caller checks ``over``."""
         self.over.set()
         self._source.stop()
 
@@ -144,8 +123,8 @@ def _follow(
     assembly: Assembly,
     smoother: FixedLag | None,
     log: TracksLog | None,
-    request: LiveRequest,
-    told: Callable[[str], None],
+    options: LiveOptions,
+    report: Callable[[str], None],
 ) -> tuple[dict[str, list[float]], float]:
     """Follow the run to its end; return each stage's times, ``latency`` their sum, and how long it took."""
     stages: dict[str, list[float]] = {"latency": []}
@@ -172,11 +151,11 @@ def _follow(
             log.write(samples)
         now = time.perf_counter()
         if now - second.start >= EVERY_S:
-            told(second.line(now, now - begin, assembly.skipped_sets))
+            report(second.line(now, now - begin, assembly.skipped_sets))
             second = _Second(now, skipped=assembly.skipped_sets)
             if log is not None:
                 log.flush()
-        if steps.over.is_set() or (request.seconds is not None and now - begin >= request.seconds):
+        if steps.over.is_set() or (options.seconds is not None and now - begin >= options.seconds):
             break
     if smoother is not None and log is not None:
         log.write(smoother.rest())
@@ -222,7 +201,7 @@ def _summary(sets: int, elapsed: float, stages: Mapping[str, list[float]], assem
 
 
 def _record(
-    request: LiveRequest,
+    options: LiveOptions,
     sets: int,
     elapsed: float,
     stages: Mapping[str, list[float]],
@@ -240,10 +219,10 @@ def _record(
                 f"{stage}_max": float(np.max(values)),
             }
     return RunRecord(
-        scenario=request.source,
+        scenario=options.source,
         title="live run",
         seed=0,
-        source=request.source,
+        source=options.source,
         model_gap="none",
         expect="pass",
         passed=True,
@@ -260,10 +239,10 @@ def _record(
             "corrupt": sum(c.corrupt for c in assembly.cameras.values()),
             "late": sum(c.late for c in assembly.cameras.values()),
             "samples": 0 if log is None else log.samples,
-            "queued": request.queued,
+            "queued": options.queued,
             "notes": dict(assembly.notes),
         },
-        cameras={one.name: told_health(one) for one in health.cameras()},
+        cameras={one.name: health_record(one) for one in health.cameras()},
         timings=timings,
         provenance=provenance(),
     )

@@ -1,5 +1,6 @@
 """Sources that come at their own pace: devices, recordings and scenarios played as if they were filmed now."""
 
+import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -17,17 +18,36 @@ from mosca.pipeline import PipelineSettings
 from mosca.recording import McapRecording, open_recording
 from scenarios.build.calibration_faults import with_fault
 from scenarios.build.cameras import calibrated, true_rig, twin_source, virtual_cameras
+from scenarios.build.frame_sources import SelectedCameras
 from scenarios.build.scene import build_scene, pipeline_settings
 from scenarios.commands.reconstruct import live_spec, reconstruct_settings
-from scenarios.run.sources import Chosen
+from scenarios.spec.catalog import find
 from scenarios.spec.scenario import load_scenario
-from scenarios.suite.catalog import find
 
 MEMORY_BYTES = 1 << 30
 """How much of a scenario's frames is rendered beforehand."""
 
 
-class Paced:
+@dataclass(frozen=True)
+class LiveOptions:
+    """The options of ``mosca live``, under their names; its help describes them."""
+
+    source: str
+    rig: Path | None = None
+    out: Path | None = None
+    record: Path | None = None
+    seconds: float | None = None
+    fps: float | None = None
+    rate: float | None = None
+    queued: int = 2
+    lag: int | None = None
+    settings: Path | None = None
+    overrides: tuple[str, ...] = ()
+    workers: int | None = None
+    """Rendering threads of a scenario; default: all cores."""
+
+
+class PacedFrames:
     """Frames of a source, each when it is due: by its time, ``speed`` times as fast. ``stop`` ends it at once."""
 
     def __init__(self, cameras: tuple[CameraInfo, ...], frames: Iterable[Frame], speed: float = 1.0) -> None:
@@ -62,7 +82,7 @@ class Paced:
 
 @dataclass(frozen=True, eq=False)
 class LiveSource:
-    """What a live run reads: frames, the rig to measure with, settings; ``stop`` ends it; ``notes``: what to tell."""
+    """What a live run reads: frames, rig, settings; ``stop`` ends it; ``notes``: lines to print."""
 
     frames: FrameSource
     rig: Rig
@@ -71,86 +91,63 @@ class LiveSource:
     notes: tuple[str, ...] = ()
 
 
-def opened_live(
-    source: str,
-    rig: Path | None,
-    settings: Path | None,
-    overrides: tuple[str, ...],
-    fps: float | None,
-    rate: float | None,
-    seconds: float | None,
-    workers: int,
-    stack: ExitStack,
-) -> LiveSource:
+def opened_live(options: LiveOptions, stack: ExitStack) -> LiveSource:
     """Open hardware:RIG.toml, recording:DIR or a scenario; InputError for another, and for options it cannot have."""
+    source = options.source
     kind, colon, place = source.partition(":")
     if colon and not place:
         raise InputError(f"{source}: allowed are hardware:RIG.toml, recording:DIR and a scenario")
     if kind == "hardware":
-        if rate is not None or fps is not None:
+        if options.rate is not None or options.fps is not None:
             raise InputError(
                 f"{source}: --rate and --fps are of recordings; devices run at [hardware] rate_hz"
             )
-        return _devices(Path(place), rig, settings, overrides, stack)
+        return _devices(Path(place), options, stack)
     if kind == "recording":
-        return _recording(Path(place), rig, settings, overrides, fps, rate, stack)
-    for option, value in (("--rig", rig), ("--settings", settings), ("--fps", fps)):
+        return _recording(Path(place), options, stack)
+    for option, value in (("--rig", options.rig), ("--settings", options.settings), ("--fps", options.fps)):
         if value is not None:
             raise InputError(f"{option} {value}: a scenario has its own; change its keys with --set")
-    return _scenario(source, overrides, rate, seconds, workers, stack)
+    return _scenario(options, stack)
 
 
-def _recording(
-    path: Path,
-    rig_path: Path | None,
-    settings: Path | None,
-    overrides: tuple[str, ...],
-    fps: float | None,
-    rate: float | None,
-    stack: ExitStack,
-) -> LiveSource:
-    if rig_path is None:
+def _recording(path: Path, options: LiveOptions, stack: ExitStack) -> LiveSource:
+    if options.rig is None:
         raise InputError(f"recording:{path}: --rig RIG.toml is wanted, the calibration of its cameras")
-    rig = read_rig(rig_path)
-    recording = open_recording(path, rig, fps)
+    rig = read_rig(options.rig)
+    recording = open_recording(path, rig, options.fps)
     stack.enter_context(recording)
     if isinstance(recording, McapRecording) and recording.holds == "detections":
         raise InputError(f"recording:{path}: holds detections, no images; 'mosca reconstruct' reads it")
-    speed = 1.0 if rate is None else rate / recording.cameras[0].frame_rate_hz
-    paced = Paced(recording.cameras, recording, speed)
-    return LiveSource(paced, rig, _settings(settings, overrides), paced.stop)
+    speed = 1.0 if options.rate is None else options.rate / recording.cameras[0].frame_rate_hz
+    paced = PacedFrames(recording.cameras, recording, speed)
+    return LiveSource(paced, rig, _settings(options), paced.stop)
 
 
-def _devices(
-    path: Path, rig_path: Path | None, settings: Path | None, overrides: tuple[str, ...], stack: ExitStack
-) -> LiveSource:
+def _devices(path: Path, options: LiveOptions, stack: ExitStack) -> LiveSource:
     from hardware.settings import read_hardware
     from hardware.source import HardwareSource
 
-    rig = read_rig(path if rig_path is None else rig_path)
+    rig = read_rig(path if options.rig is None else options.rig)
     devices = read_hardware(path)
     missing = [name for name in rig.names if name not in devices.cameras]
     if missing:
         raise InputError(f"{path}: no camera '{missing[0]}'; it names {', '.join(devices.cameras)}")
     source = stack.enter_context(HardwareSource(devices))
-    frames: FrameSource = source if set(rig.names) == set(devices.cameras) else Chosen(source, rig.names)
-    return LiveSource(frames, rig, _settings(settings, overrides), source.stop)
+    frames: FrameSource = (
+        source if set(rig.names) == set(devices.cameras) else SelectedCameras(source, rig.names)
+    )
+    return LiveSource(frames, rig, _settings(options), source.stop)
 
 
-def _settings(path: Path | None, overrides: tuple[str, ...]) -> PipelineSettings:
-    return reconstruct_settings(live_spec(path, overrides), path)
+def _settings(options: LiveOptions) -> PipelineSettings:
+    return reconstruct_settings(live_spec(options.settings, options.overrides), options.settings)
 
 
-def _scenario(
-    name: str,
-    overrides: tuple[str, ...],
-    rate: float | None,
-    seconds: float | None,
-    workers: int,
-    stack: ExitStack,
-) -> LiveSource:
+def _scenario(options: LiveOptions, stack: ExitStack) -> LiveSource:
+    name, seconds = options.source, options.seconds
     path = find(name)
-    spec = load_scenario(path, overrides)
+    spec = load_scenario(path, options.overrides)
     cameras = virtual_cameras(spec, true_rig(spec, path.parent))
     rig = with_fault(calibrated(spec, cameras).rig, spec.fault)
     if spec.zone:
@@ -158,7 +155,7 @@ def _scenario(
             f"{path}: a scenario of zones is stitched when it is over; 'mosca run {name}' does that"
         )
     nominal = spec.capture.frame_rate_hz
-    speed = 1.0 if rate is None else rate / nominal
+    speed = 1.0 if options.rate is None else options.rate / nominal
     size = sum(v.camera.width * v.camera.height * (1 if spec.errors.bits <= 8 else 2) for v in cameras)
     wanted = (
         spec.capture.pulses if seconds is None else min(spec.capture.pulses, round(seconds * nominal * speed))
@@ -167,11 +164,12 @@ def _scenario(
     notes: tuple[str, ...] = ()
     if pulses < wanted:
         notes = (f"{pulses / nominal:g} s of {wanted / nominal:g} s fit in memory and are played",)
+    workers = options.workers or os.cpu_count() or 1
     source: FrameSource = stack.enter_context(
         twin_source(spec, build_scene(spec, path.parent), cameras, workers)
     )
     if any(info.name not in rig.names for info in source.cameras):
-        source = Chosen(source, rig.names)
+        source = SelectedCameras(source, rig.names)
     frames = list(islice(iter(source), pulses * len(source.cameras)))
-    paced = Paced(source.cameras, frames, speed)
+    paced = PacedFrames(source.cameras, frames, speed)
     return LiveSource(paced, rig, pipeline_settings(spec), paced.stop, notes)

@@ -1,5 +1,6 @@
 """The verb for real images: turn a recording into tracks."""
 
+from collections.abc import Callable
 from itertools import chain, islice
 from pathlib import Path
 from typing import Literal
@@ -16,12 +17,12 @@ from mosca.errors import InputError
 from mosca.formats.tracks.tracks_file import check_tracks_file, write_tracks
 from mosca.pipeline import PipelineSettings, check_source, run, run_seen
 from mosca.recording import McapRecording, open_recording
+from mosca.recording.count_sets import counted
 from mosca.synchronisation import Assembly
 from scenarios.build.cameras import overlap_of
 from scenarios.build.scene import stage_settings
-from scenarios.lab.from_detections import counted
 from scenarios.run.interrupt import between_steps
-from scenarios.run.postprocess import PLAIN, Finish, Finisher
+from scenarios.run.postprocess import NONE, Postprocessing, Postprocessor
 from scenarios.spec.scenario import DetectionSpec, MatchSpec, TrackSpec, apply_overrides
 
 
@@ -67,15 +68,15 @@ def reconstruct_recording(
     fps: float | None,
     settings_path: Path | None,
     overrides: tuple[str, ...],
-    progress: "object" = None,
-    finish: Finish = PLAIN,
+    progress: Callable[[int, int], None] | None = None,
+    after: Postprocessing = NONE,
 ) -> list[str]:
-    """Run the pipeline on a recording, write its tracks to ``out`` and return what to tell, a line each.
+    """Run the pipeline on a recording, write its tracks to ``out`` and return the lines to print.
 
-    ``finish``: what is done with the tracks besides: smoothed on the way, labelled, their gaps filled.
+    ``after``: smoothing, labelling and gap filling of the measured tracks.
     """
     check_tracks_file(out)
-    finisher = Finisher(finish)
+    postprocessor = Postprocessor(after)
     rig = read_rig(rig_path)
     if not any(overlap_of(a, b) for a in rig.cameras for b in rig.cameras if a is not b):
         raise InputError(
@@ -96,11 +97,11 @@ def reconstruct_recording(
             steps = run(source, rig, settings, assembly, backgrounds)
         for step in steps:
             stop()
-            finisher.take(step.frame_set.pulse, step.samples)
+            postprocessor.take(step.frame_set.pulse, step.samples)
             counts += 1, sum(len(d) for d in step.detections.values()), len(step.points)
-            if callable(progress):
+            if progress is not None:
                 progress(int(counts[0]), int(counts[0]))
-    tracks, more = finisher.finished()
+    tracks, more = postprocessor.finished()
     write_tracks(tracks, out, rate)
     tracks = tracks.select(tracks.status == "measured")
     sets = max(counts[0], 1)

@@ -23,11 +23,11 @@ from mosca.errors import InputError
 from mosca.formats.tracks.tracks_file import check_tracks_file, write_tracks
 from mosca.recording import McapRecording, open_recording
 from scenarios.build.cameras import overlap_of
+from scenarios.build.frame_sources import SelectedCameras
 from scenarios.commands.lamp_file import read_lamps
 from scenarios.commands.reconstruct import reconstruct_settings, reconstruct_spec, recorded_backgrounds
 from scenarios.run.continuous import clock_line, record_clocks
 from scenarios.run.interrupt import between_steps
-from scenarios.run.sources import Chosen
 
 HIGHEST_RATE_HZ = 10_000.0
 
@@ -80,7 +80,7 @@ def reconstruct_continuous(
                 f"{recording}: holds detections of frame sets, not images; --continuous needs each camera's frames"
             )
         if any(info.name not in rig.names for info in source.cameras):
-            source = Chosen(source, rig.names)
+            source = SelectedCameras(source, rig.names)
 
         def attend(done: int) -> None:
             stop()

@@ -10,8 +10,8 @@ from hardware.driver import Grabbed
 from hardware.source import HardwareSource
 from mosca.data.frames import Frame
 from mosca.synchronisation import Assembly
+from scenarios.build.frame_sources import WrappedSource
 from scenarios.lab.recorder import LostSets, Recorder
-from scenarios.run.sources import PassedOn
 
 if TYPE_CHECKING:
     from mosca.pipeline import PipelineSettings
@@ -149,7 +149,7 @@ class Intake:
                     self._arrivals.popitem(last=False)
 
 
-class _Watched(PassedOn):
+class _Watched(WrappedSource):
     """A source that shows each frame to ``see`` on its way."""
 
     def __init__(self, source: HardwareSource, see: Callable[[Frame, Grabbed], object]) -> None:

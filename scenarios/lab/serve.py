@@ -21,11 +21,11 @@ from mosca.data.rig import Rig
 from mosca.errors import InputError
 from mosca.recording import open_recording
 from scenarios.build.cameras import calibrated, true_rig, twin_source, virtual_cameras
+from scenarios.build.frame_sources import SelectedCameras
 from scenarios.build.scene import build_scene
 from scenarios.run.interrupt import between_steps
-from scenarios.run.sources import Chosen
+from scenarios.spec.catalog import find
 from scenarios.spec.scenario import load_scenario
-from scenarios.suite.catalog import find
 
 MEMORY_BYTES = 1 << 30
 """How much of the frames is kept in memory unless ``--ahead`` says otherwise."""
@@ -212,7 +212,7 @@ def _scenario(what: str, workers: int, stack: ExitStack) -> ServedSource:
         twin_source(spec, build_scene(spec, path.parent), cameras, workers)
     )
     if any(info.name not in rig.names for info in source.cameras):
-        source = Chosen(source, rig.names)
+        source = SelectedCameras(source, rig.names)
     return ServedSource(source, rig)
 
 
@@ -240,7 +240,7 @@ def _rig(path: Path, request: ServeRequest, stack: ExitStack) -> ServedSource:
     there = {info.name: info for info in subject.source.cameras}
     for table in document.camera:
         _check_camera(path, table, there)
-    source = Chosen(subject.source, names) if set(names) != set(there) else subject.source
+    source = SelectedCameras(subject.source, names) if set(names) != set(there) else subject.source
     whole = all(table.lens is not None and table.pose is not None for table in document.camera)
     rig = read_rig(path) if whole else None
 

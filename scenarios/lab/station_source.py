@@ -12,7 +12,7 @@ from hardware.transport.sender import Sender
 from hardware.trigger import Trigger
 from hardware.triggers import open_trigger
 from mosca.data.frames import Frame, FrameSource
-from scenarios.run.sources import PassedOn
+from scenarios.build.frame_sources import WrappedSource
 
 WAIT_S = 0.1
 LATE_S = 0.1
@@ -21,7 +21,7 @@ OWN_PULSES = ("serial", "software", "action")
 """Trigger sources by which a station makes the pulses itself."""
 
 
-class PacedRecording(PassedOn):
+class PacedRecording(WrappedSource):
     """A recording that is played as fast as it was taken, as a rig would give it, from the start that is ordered.
 
     Recordings of one session start together on all stations; one that comes later goes on where the others are.
@@ -115,7 +115,7 @@ class _Gated:
         return self._trigger.start() if self._gate.hold() else None
 
 
-class RigOfStation(PassedOn):
+class RigOfStation(WrappedSource):
     """The devices of a station as a source: a master camera, whose exposures are the pulses, waits for the order.
 
     ``opener`` and ``trigger_opener`` are for tests.

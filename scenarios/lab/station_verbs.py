@@ -20,6 +20,7 @@ from mosca.data.files.toml import check
 from mosca.data.tracks import Samples, table
 from mosca.formats.tracks.tracks_file import check_tracks_file, write_tracks
 from mosca.recording import open_recording
+from scenarios.build.frame_sources import SelectedCameras
 from scenarios.commands.reconstruct import reconstruct_settings, reconstruct_spec, recorded_backgrounds
 from scenarios.lab.merge import Delays, all_whole, calibrated_rig, run_merged, summary_lines
 from scenarios.lab.priority import before_others, prompt
@@ -27,7 +28,6 @@ from scenarios.lab.station import run_station
 from scenarios.lab.station_background import Backgrounds
 from scenarios.lab.station_source import PacedRecording, RigOfStation
 from scenarios.run.interrupt import first_ctrl_c
-from scenarios.run.sources import Chosen
 
 RIGS_S = 15.0
 Told = Callable[[str], None]
@@ -58,7 +58,7 @@ def detect_on_station(
     else:
         cameras = read_rig(rig)
         backgrounds = Backgrounds(ready=recorded_backgrounds(recording, cameras, fps, spec.background))
-        source = PacedRecording(Chosen(open_recording(recording, cameras, fps), names))
+        source = PacedRecording(SelectedCameras(open_recording(recording, cameras, fps), names))
     with before_others():  # the engine's threads too
         try:
             transport = open_transport(connect)

@@ -39,10 +39,10 @@ def write_run(result: RunResult, out: Path, rrd: Path | None = None) -> None:
             write_bodies_csv(result.poses, part / "bodies.csv")
         if result.commands is not None:
             _write_commands(result.commands, part / "commands.csv")
-        if result.estimated is not None:
-            write_rig(result.estimated.calibration.rig, part / "rig.toml")
+        if result.calibration is not None:
+            write_rig(result.calibration.calibration.rig, part / "rig.toml")
             write_calibration_page(
-                part / "calibration.html", result.estimated.calibration, result.estimated.evidence
+                part / "calibration.html", result.calibration.calibration, result.calibration.evidence
             )
         if rrd is not None:
             shutil.move(rrd, part / "run.rrd")

@@ -1,12 +1,14 @@
 """From frames to tracks in a run: the pipeline to its end, and what record, page and viewer need of it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 
 from mosca.calibration.monitoring.rig_keeper import RigKeeper
+from mosca.continuous.moving_cameras.body_worn import Worn
+from mosca.continuous.reconstruct import Reconstructed
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
@@ -17,16 +19,15 @@ from mosca.pipeline import PipelineSettings, Step, run
 from mosca.recording import RecordingWriter
 from mosca.synchronisation import Assembly
 from reports.evidence import CameraView
-from scenarios.lab.commanded import write_commands
+from scenarios.build.frame_sources import Recorded, SelectedCameras
+from scenarios.build.robot_commands import write_commands
+from scenarios.run.continuous import collect_continuous
 from scenarios.run.interrupt import between_steps
-from scenarios.run.options import RunOptions
-from scenarios.run.record import Collected
-from scenarios.run.sources import Chosen, Written
 from scenarios.run.zones import tracks_of_all, zone_steps, zones_of
 from scenarios.score.cramer_rao import needs_bound, pulses_asked
 from scenarios.spec.scenario import Scenario
 from scenarios.spec.scenes import RobotScene
-from twin.source import TwinSource
+from scenarios.types import Collected, RunOptions, TruthSource
 
 VIEW_AT = 0.4
 """Where in the run the picture of a camera is taken: a share of its length."""
@@ -34,32 +35,29 @@ VIEW_AT = 0.4
 
 def collected_of(
     source: FrameSource,
+    twin: TruthSource | None,
     rig: Rig,
     settings: PipelineSettings,
     spec: Scenario,
     options: RunOptions,
     stack: ExitStack,
 ) -> Collected:
-    """Run the pipeline to its end and keep what the record, the page and the viewer need."""
+    """Run the pipeline to its end and keep what the record, the page and the viewer need.
+
+    ``twin``: the same source where it knows the truth.
+    """
     assembly = Assembly()
     samples: list[Samples] = []
     views: tuple[CameraView, ...] = ()
     view_pulse, pulses = -1, spec.capture.pulses
     seconds: dict[str, float] = {}
     latency: list[float] = []
-    wanted = set(pulses_asked(pulses).tolist()) if needs_bound(spec.limits) else set()
-    asked: dict[int, Mapping[str, Detections]] = {}
-    log = None
-    if options.rrd is not None:
-        from reports.viewer import RerunLog
-
-        space = spec.working_space
-        log = stack.enter_context(
-            RerunLog(options.rrd, rig, (np.array(space.center_m), np.array(space.size_m)))
-        )
-    read = _recorded(source, options, spec, stack)
+    bound_pulses = set(pulses_asked(pulses).tolist()) if needs_bound(spec.limits) else set()
+    detections: dict[int, Mapping[str, Detections]] = {}
+    log = _rerun_log(options.rrd, rig, spec, twin, stack)
+    read = _recorded(source, twin, options, spec, stack)
     if any(info.name not in rig.names for info in read.cameras):
-        read = Chosen(read, rig.names)
+        read = SelectedCameras(read, rig.names)
     stop = stack.enter_context(between_steps())
     keeper = RigKeeper(rig) if spec.pipeline.watch else None
     zones = zones_of(spec, rig)
@@ -77,21 +75,11 @@ def collected_of(
         for stage, value in step.seconds.items():
             seconds[stage] = seconds.get(stage, 0.0) + value
         latency.append(sum(step.seconds.values()))
-        if step.frame_set.pulse in wanted:
-            asked[step.frame_set.pulse] = step.detections
+        if step.frame_set.pulse in bound_pulses:
+            detections[step.frame_set.pulse] = step.detections
         if done == max(1, round(VIEW_AT * pulses)):
             views, view_pulse = _views(step), step.frame_set.pulse
-        if log is not None:
-            images = {n: f.image for n, f in step.frame_set.frames.items() if f.image is not None}
-            tracked = step.samples.select(step.samples.frame == step.frame_set.pulse)
-            log.log_step(
-                step.frame_set.pulse, step.frame_set.time_ns, images, step.detections,
-                tracked.xyz, tracked.track,
-            )  # fmt: skip
-            if isinstance(source, TwinSource) and step.frame_set.pulse < len(source.truth_xyz):
-                log.log_truth(
-                    step.frame_set.pulse, step.frame_set.time_ns, source.truth_xyz[step.frame_set.pulse]
-                )
+        log(step)
         if options.progress is not None:
             options.progress(done, max(done, pulses))
     if keeper is not None:
@@ -110,35 +98,58 @@ def collected_of(
     if zones:
         tracks = tracks_of_all(tracks, zones, assembly)
     cameras = tuple(one for health in healths for one in health.cameras())
-    return Collected(tracks, views, view_pulse, assembly, seconds, asked, cameras)
+    return Collected(tracks, views, view_pulse, assembly, seconds, detections, cameras)
 
 
 def collected_continuous(
     source: FrameSource,
+    twin: TruthSource | None,
     rig: Rig,
     settings: PipelineSettings,
     spec: Scenario,
     options: RunOptions,
     stack: ExitStack,
-) -> tuple[Collected, Any]:
+) -> tuple[Collected, Reconstructed | Worn]:
     """Run ``mosca.continuous`` on the frames, which need no pulse in common."""
-    from scenarios.run.continuous import collect_continuous
-
     if options.rrd is not None:
         raise InputError("--rrd shows frame sets, which a [continuous] scenario has none of; leave it out")
-    read = _recorded(source, options, spec, stack)
+    read = _recorded(source, twin, options, spec, stack)
     return collect_continuous(read, rig, settings, spec, options.progress)
 
 
-def _recorded(source: FrameSource, options: RunOptions, spec: Scenario, stack: ExitStack) -> FrameSource:
-    """Return ``source``, written down on its way through where that is asked for, with what drove its subject."""
+def _rerun_log(
+    path: Path | None, rig: Rig, spec: Scenario, twin: TruthSource | None, stack: ExitStack
+) -> Callable[[Step], None]:
+    """Return what writes a step into the Rerun log at ``path``; without a path it does nothing."""
+    if path is None:
+        return lambda step: None
+    from reports.viewer import RerunLog
+
+    space = spec.working_space
+    log = stack.enter_context(RerunLog(path, rig, (np.array(space.center_m), np.array(space.size_m))))
+
+    def write(step: Step) -> None:
+        pulse, time_ns = step.frame_set.pulse, step.frame_set.time_ns
+        images = {n: f.image for n, f in step.frame_set.frames.items() if f.image is not None}
+        tracked = step.samples.select(step.samples.frame == pulse)
+        log.log_step(pulse, time_ns, images, step.detections, tracked.xyz, tracked.track)
+        if twin is not None and pulse < len(twin.truth_xyz):
+            log.log_truth(pulse, time_ns, twin.truth_xyz[pulse])
+
+    return write
+
+
+def _recorded(
+    source: FrameSource, twin: TruthSource | None, options: RunOptions, spec: Scenario, stack: ExitStack
+) -> FrameSource:
+    """Return ``source``, recorded where that is asked for, with the commands that drove its subject."""
     if options.record_to is None:
         return source
     writer = stack.enter_context(RecordingWriter(options.record_to, source.cameras))
-    if isinstance(source, TwinSource) and source.scene.commands is not None:
+    if twin is not None and twin.scene.commands is not None:
         target = spec.scene.target if isinstance(spec.scene, RobotScene) else "robot"
-        write_commands(writer, source.scene.commands, target)
-    return Written(source, writer)
+        write_commands(writer, twin.scene.commands, target)
+    return Recorded(source, writer)
 
 
 def _views(step: Step) -> tuple[CameraView, ...]:

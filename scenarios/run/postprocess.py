@@ -14,30 +14,31 @@ from mosca.smoothing.rts import SmoothSettings, filled
 
 
 @dataclass(frozen=True)
-class Finish:
-    """``lag``: frames that a sample waits to be smoothed; ``labels``: a marker model's file; ``fill_s``: gaps up to
-    this [s] are filled. None: not.
-    """
+class Postprocessing:
+    """What is done with measured tracks; None: not."""
 
     lag: int | None = None
+    """Frames by which smoothing waits."""
     labels: Path | None = None
+    """File of a marker model that names the tracks."""
     fill_s: float | None = None
+    """Longest gap that is filled [s]."""
 
 
-PLAIN = Finish()
+NONE = Postprocessing()
 
 
-class Finisher:
-    """Takes samples as they leave the tracker and gives finished tracks; InputError at once for what cannot be."""
+class Postprocessor:
+    """Takes samples as they leave the tracker, gives processed tracks; InputError at once for wrong settings."""
 
-    def __init__(self, finish: Finish) -> None:
-        if finish.fill_s is not None and not 0 < finish.fill_s < float("inf"):
+    def __init__(self, settings: Postprocessing) -> None:
+        if settings.fill_s is not None and not 0 < settings.fill_s < float("inf"):
             raise InputError(
-                f"--fill {finish.fill_s:g}: the longest gap to fill is wanted, in seconds above 0"
+                f"--fill {settings.fill_s:g}: the longest gap to fill is wanted, in seconds above 0"
             )
-        self._finish = finish
-        self._model = None if finish.labels is None else read_model(finish.labels)
-        self._smoother = None if finish.lag is None else FixedLag(LagSettings(lag=finish.lag))
+        self._settings = settings
+        self._model = None if settings.labels is None else read_model(settings.labels)
+        self._smoother = None if settings.lag is None else FixedLag(LagSettings(lag=settings.lag))
         self._measured: list[Samples] = []
         self._smoothed: list[Samples] = []
 
@@ -53,19 +54,19 @@ class Finisher:
         tracks = measured = table(self._measured)
         if self._smoother is not None:
             tracks = table([*self._smoothed, self._smoother.rest()])
-            told.append(f"positions are smoothed with a lag of {self._finish.lag} frames")
+            told.append(f"positions are smoothed with a lag of {self._settings.lag} frames")
         if self._model is not None:
             # names come from distances as they were measured
             labelled = label_tracks(measured, self._model)
             found = dict(zip(labelled.track.tolist(), labelled.label.tolist(), strict=True))
             tracks, measured = _with_labels(tracks, found), labelled
             names = {name for name in found.values() if name}
-            told.append(f"{len(names)} of {len(self._model.names)} markers of {self._finish.labels} found")
-        if self._finish.fill_s is not None:
+            told.append(f"{len(names)} of {len(self._model.names)} markers of {self._settings.labels} found")
+        if self._settings.fill_s is not None:
             # what is missing is estimated from the measured positions: the smoothed ones' errors hang together
-            fills = gaps_filled(measured, self._finish.fill_s)
+            fills = gaps_filled(measured, self._settings.fill_s)
             tracks = _joined(tracks, fills)
-            told.append(filled_line(fills, self._finish.fill_s))
+            told.append(filled_line(fills, self._settings.fill_s))
         return tracks, told
 
 

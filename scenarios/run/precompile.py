@@ -7,10 +7,10 @@ from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 
+from mosca.data.frames import FrameSource
 from scenarios.build.cameras import true_rig, twin_source, virtual_cameras
 from scenarios.build.scene import build_scene
 from scenarios.spec.scenario import load_scenario
-from twin.source import TwinSource
 
 PIPELINE = (("mosca.precompile", "points"), ("mosca.precompile", "look"))
 TWIN = (("scenarios.run.precompile",),)
@@ -18,7 +18,7 @@ RICH = Path(__file__).parents[1] / "library" / "light" / "actor_in_context.toml"
 """A scenario that asks for most of what the twin can do."""
 
 
-def compile_side_by_side(source: TwinSource) -> None:
+def compile_side_by_side(source: FrameSource) -> None:
     """Where no compiled kernels are kept yet, compile the pipeline's in processes of their own beside the twin's.
 
     numba compiles one function at a time in a process. Without a folder to keep them in, nothing is done here:

@@ -2,55 +2,34 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.data.detections import Detections
 from mosca.data.rig import Rig
-from mosca.data.tracks import Tracks
 from mosca.data.truth import Truth
 from mosca.diagnostics.camera_health import CameraHealth
-from mosca.synchronisation import Assembly
 from reports.evidence import CameraView, ErrorTable, Evidence, FrameCounts
 from reports.record import Blocks, Metric, RunRecord
+from scenarios.build.cameras import Calibrated
 from scenarios.run.provenance import provenance
-from scenarios.score.tracks import Matched, Score, limits_met
+from scenarios.score.tracks import limits_met
 from scenarios.spec.scenario import METRICS, Scenario
-
-
-@dataclass(frozen=True, eq=False)
-class Collected:
-    """What is kept of a run of the pipeline: its tracks, a picture of each camera at ``view_pulse``, the frames'
-    counts, computing time by stage [s], the detections of the pulses ``asked`` for their bound, how the cameras did.
-    """
-
-    tracks: Tracks
-    views: tuple[CameraView, ...]
-    view_pulse: int
-    assembly: Assembly
-    seconds: Mapping[str, float]
-    asked: Mapping[int, Mapping[str, Detections]]
-    cameras: tuple[CameraHealth, ...] = ()
+from scenarios.types import Collected, Score, Scored
 
 
 def record_of(
     spec: Scenario,
     name: str,
     source: str,
-    scores: Mapping[str, Score],
-    premises: Mapping[str, Any],
+    worth: Scored,
     timings: Mapping[str, float],
-    known: Any,
-    collected: Collected,
-    not_judged: tuple[str, ...] = (),
+    known: Calibrated,
 ) -> RunRecord:
-    """Return the record of a run of ``source``; ``known``: the calibration that holds where none was estimated.
-
-    ``not_judged``: metrics that the scenario limits and this source cannot tell.
-    """
+    """Return the record of a run of ``source``; ``known``: the nominal calibration."""
+    scores, collected, not_judged = worth.scores, worth.collected, worth.not_judged
     limits = {metric: limit for metric, limit in spec.limits.items() if metric not in not_judged}
     met = limits_met(scores, limits, lambda metric: METRICS[metric][1])
     rows = tuple(
@@ -72,9 +51,9 @@ def record_of(
         passed=passed,
         verdict=verdict,
         metrics=rows,
-        premises=premises,
+        premises=worth.premises,
         counts=_counts(collected),
-        cameras={one.name: told_health(one) for one in collected.cameras},
+        cameras={one.name: health_record(one) for one in collected.cameras},
         timings={key: float(value) for key, value in timings.items()},
         not_judged=not_judged,
         provenance={
@@ -128,7 +107,7 @@ def _counts(collected: Collected) -> dict[str, Any]:
     }
 
 
-def told_health(one: CameraHealth) -> dict[str, Any]:
+def health_record(one: CameraHealth) -> dict[str, Any]:
     """Return a camera's health for the record; what is not known is None."""
     values = {key: value for key, value in asdict(one).items() if key != "name"}
     values["residuals_px"] = [round(value, 4) for value in one.residuals_px]
@@ -138,10 +117,9 @@ def told_health(one: CameraHealth) -> dict[str, Any]:
     }
 
 
-def evidence_of(
-    spec: Scenario, rig: Rig, collected: Collected, truth: Truth | None, matched: Matched | None
-) -> Evidence:
+def evidence_of(spec: Scenario, rig: Rig, worth: Scored) -> Evidence:
     """Return what the page shows; without a truth the tracks alone."""
+    collected, truth, pairs = worth.collected, worth.truth, worth.pairs
     base = Evidence(
         rig,
         np.array(spec.working_space.center_m),
@@ -149,7 +127,7 @@ def evidence_of(
         collected.tracks,
         collected.views,
     )
-    if truth is None or matched is None:
+    if truth is None or pairs is None:
         return base
     time_s = truth.time_ns * 1e-9
     pulse = min(max(collected.view_pulse, 0), len(truth.time_ns) - 1)
@@ -158,15 +136,15 @@ def evidence_of(
         truth_time_ns=truth.time_ns,
         truth_xyz=truth.xyz,
         truth_names=truth.names,
-        errors=ErrorTable(matched.frame, time_s[matched.frame], matched.marker, matched.error_m),
+        errors=ErrorTable(pairs.frame, time_s[pairs.frame], pairs.marker, pairs.error_m),
     )
     if not truth.cameras:  # a user's own reference: who could see what is not known
         return beside
     return replace(
         beside,
         views=tuple(_with_truth(v, truth, pulse) for v in collected.views),
-        marker_seen=matched.seen_mask.sum(axis=0),
-        counts=FrameCounts(time_s, matched.seen, matched.seen - matched.missed, matched.ghosts),
+        marker_seen=pairs.seen_mask.sum(axis=0),
+        counts=FrameCounts(time_s, pairs.seen, pairs.seen - pairs.missed, pairs.ghosts),
     )
 
 

@@ -5,8 +5,9 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
+from mosca.continuous.moving_cameras.body_worn import Worn
+from mosca.continuous.reconstruct import Reconstructed
 from mosca.data.bodies import BodyPoses, RigidBody
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
@@ -21,49 +22,62 @@ from reports.evidence import Evidence
 from reports.record import RunRecord
 from scenarios.build.calibration_faults import with_fault
 from scenarios.build.cameras import Calibrated, calibrated, true_rig, twin_source, virtual_cameras
+from scenarios.build.frame_sources import opened as opened_source
+from scenarios.build.frame_sources import patient
 from scenarios.build.scene import build_scene, pipeline_settings
-from scenarios.run.options import RunOptions
+from scenarios.build.worn_rig import worn_cameras, worn_rig, worn_settings
 from scenarios.run.pipeline import collected_continuous, collected_of
 from scenarios.run.postprocess import with_gaps_filled
 from scenarios.run.precompile import compile_side_by_side
-from scenarios.run.record import Collected, evidence_of, record_of
-from scenarios.run.sources import opened, patient
+from scenarios.run.record import evidence_of, record_of
 from scenarios.score.bodies import rigid_bodies
-from scenarios.score.reference import reference
-from scenarios.score.score_run import Measured, scored
+from scenarios.score.continuous import as_worn
+from scenarios.score.reference import requested_truth
+from scenarios.score.score_run import scored
 from scenarios.score.without_truth import self_checks
-from scenarios.session.estimated import Estimated, estimated
+from scenarios.session.estimated import SessionCalibration, calibrate_in_session
 from scenarios.spec.scenario import Scenario
+from scenarios.types import Collected, Measured, RunOptions, Score, Scored, TruthSource
 from twin.cameras.virtual_camera import VirtualCamera
-from twin.scenes.scene import Scene
-from twin.source import TwinSource
+from twin.scenes.scene import Commands, Scene
 
 
 @dataclass(frozen=True, eq=False)
 class RunResult:
-    """A run's record, what the page shows beside it, its tracks and the truth (None where there is none).
-
-    ``commands``: what drove the subject; ``estimated``: the calibration of its own; ``poses``: of its rigid bodies.
-    """
+    """What a run gave."""
 
     record: RunRecord
     evidence: Evidence
+    """What the page shows beside the record."""
     tracks: Tracks
     truth: Truth | None
-    commands: Any = None
-    estimated: Estimated | None = None
+    """None where there is none."""
+    commands: Commands | None = None
+    """What drove the subject."""
+    calibration: SessionCalibration | None = None
+    """The calibration of the scenario's own session."""
     poses: BodyPoses | None = None
+    """Poses of the scenario's rigid bodies."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Built:
-    """What a scenario describes, made: true rig and cameras, what is known of them, settings, the twin's scene."""
+    """True rig and cameras of a scenario, its nominal calibration, pipeline settings, and the twin's scene."""
 
     rig: Rig
     cameras: tuple[VirtualCamera, ...]
     known: Calibrated
     settings: PipelineSettings
     scene: Scene | None
+
+
+@dataclass(frozen=True, eq=False)
+class _Opened:
+    """Where the frames come from (``twin`` is the same source where it knows the truth), and its settings."""
+
+    source: FrameSource
+    twin: TruthSource | None
+    settings: PipelineSettings
 
 
 def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | None = None) -> RunResult:
@@ -73,25 +87,21 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
     with ExitStack() as stack, _timed(timings, "total"):
         with _timed(timings, "build"):
             built = _built(spec, folder, options)
-        own: Estimated | None = None
+        own: SessionCalibration | None = None
         if spec.calibration is not None:
             with _timed(timings, "calibration"):
-                own, told = _own_calibration(spec, name, built, options)
+                own, reported = _own_calibration(spec, name, built, options)
             if spec.expect == "caught":
-                return _refused(spec, name, options, built.known, timings, told, own)
+                return _refused(spec, name, options, built.known, timings, reported, own)
         believed = with_fault(built.known.rig if own is None else own.calibration.rig, spec.fault)
-        source, settings = _opened(spec, built, options)
-        stack.enter_context(source)
-        if isinstance(source, TwinSource):
+        opened = _opened(spec, built, options)
+        stack.enter_context(opened.source)
+        if opened.twin is not None:
             with _timed(timings, "compile"):
-                compile_side_by_side(source)
-        curves = None
+                compile_side_by_side(opened.twin)
         with _timed(timings, "frames_to_tracks"):
-            if spec.continuous is not None:
-                collected, curves = collected_continuous(source, believed, settings, spec, options, stack)
-            else:
-                collected = collected_of(source, believed, settings, spec, options, stack)
-        # where its markers sit on a body is the scenario's to say, whoever takes the frames
+            collected, continuous = _tracked(opened, believed, spec, options, stack)
+        # the scenario defines where its markers are on a body, whatever the source of the frames
         bodies = rigid_bodies(built.scene or build_scene(spec, folder)) if spec.pipeline.bodies else ()
         poses = None
         if bodies:
@@ -100,40 +110,34 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         if own is not None:
             for k, one in enumerate(f for f in own.calibration.findings if f.severity == "warn"):
                 collected.assembly.notes[f"calibration {k + 1}"] = f"{one.code}: {one.message}"
-        truth = source.truth() if isinstance(source, TwinSource) else reference(options)
-        if isinstance(source, TwinSource) and isinstance(truth, Truth) and options.record_to is not None:
+        truth = requested_truth(options) if opened.twin is None else opened.twin.truth()
+        if opened.twin is not None and isinstance(truth, Truth) and options.record_to is not None:
             write_truth(truth, options.record_to / "truth.npz")
 
         def synchronous() -> Tracks:
             again = replace(options, record_to=None)
-            return collected_of(source, believed, settings, spec, again, stack).tracks
+            return collected_of(
+                opened.source, opened.twin, believed, opened.settings, spec, again, stack
+            ).tracks
 
         with _timed(timings, "score"):
-            share = None if own is None else own.share_m2
+            calibration_m2 = None if own is None else own.covariance_m2
             names = built.known.rig.names
-            measured = Measured(collected, believed, names, synchronous, curves, bodies, poses, share)
-            worth = scored(spec, name, measured, truth, source, built.scene)
-            collected = worth.collected
-            own_worth, notes = self_checks(
-                spec, collected.tracks, poses, {**timings, **collected.seconds}, collected.assembly.sets
+            measured = Measured(
+                collected, believed, names, synchronous, continuous, bodies, poses, calibration_m2
             )
-            for k, line in enumerate(notes):
-                collected.assembly.notes[f"length {k + 1}"] = line
-            # against a truth rays are judged over the points that are there, not over ghosts
-            scores = {**own_worth, **worth.scores, **({} if own is None else own.scores())}
+            worth = scored(spec, name, measured, truth, opened.twin, built.scene)
+            collected = worth.collected
+            scores = _all_scores(spec, worth, poses, timings, own)
         written = collected.tracks
         if spec.pipeline.fill_s is not None:
-            # what is scored and counted was measured; what is written has its gaps filled besides
+            # scored and counted is what was measured; what is written has its gaps filled as well
             written, collected.assembly.notes["filled"] = with_gaps_filled(written, spec.pipeline.fill_s)
     timings |= collected.seconds
-    record = record_of(
-        spec, name, options.source, scores, worth.premises, timings, built.known, collected, worth.not_judged
-    )
-    evidence = evidence_of(spec, believed, collected, worth.truth, worth.matched)
-    if curves is not None:
-        from scenarios.run.continuous import as_worn
-
-        evidence = as_worn(evidence, spec, curves)
+    record = record_of(spec, name, options.source, replace(worth, scores=scores), timings, built.known)
+    evidence = evidence_of(spec, believed, worth)
+    if continuous is not None:
+        evidence = as_worn(evidence, spec, continuous)
     commands = None if built.scene is None else built.scene.commands
     return RunResult(record, evidence, written, worth.truth, commands, own, poses)
 
@@ -142,8 +146,6 @@ def _built(spec: Scenario, folder: Path, options: RunOptions) -> _Built:
     rig = true_rig(spec, folder)
     cameras = virtual_cameras(spec, rig)
     if spec.continuous is not None and spec.continuous.worn_on is not None:
-        from scenarios.score.worn_cameras import worn_cameras, worn_rig, worn_settings
-
         cameras = worn_cameras(spec, cameras)
         known, settings = worn_rig(spec, cameras), worn_settings(spec)
     else:
@@ -154,14 +156,14 @@ def _built(spec: Scenario, folder: Path, options: RunOptions) -> _Built:
 
 def _own_calibration(
     spec: Scenario, name: str, built: _Built, options: RunOptions
-) -> tuple[Estimated | None, tuple[tuple[str, str], ...]]:
+) -> tuple[SessionCalibration | None, tuple[tuple[str, str], ...]]:
     """Return the calibration of the scenario's own session, and codes and messages of what it told of.
 
     CalibrationError where it is refused and the scenario does not expect that it is; where it does, the refusal is
     what was told.
     """
     try:
-        own = estimated(spec, built.cameras, built.known.rig, options.workers)
+        own = calibrate_in_session(spec, built.cameras, built.known.rig, options.workers)
     except CalibrationError as refusal:
         if spec.expect != "caught":
             raise
@@ -172,15 +174,41 @@ def _own_calibration(
     return own, told
 
 
-def _opened(spec: Scenario, built: _Built, options: RunOptions) -> tuple[FrameSource, PipelineSettings]:
-    """Return where the frames come from, and settings that are patient with it."""
+def _opened(spec: Scenario, built: _Built, options: RunOptions) -> _Opened:
     if built.scene is not None:
-        return twin_source(spec, built.scene, built.cameras, options.workers), built.settings
-    source = opened(options.source, built.rig, spec.capture.frame_rate_hz, spec.capture.pulses)
+        twin = twin_source(spec, built.scene, built.cameras, options.workers)
+        return _Opened(twin, twin, built.settings)
+    source = opened_source(options.source, built.rig, spec.capture.frame_rate_hz, spec.capture.pulses)
     settings = built.settings
     if options.source.startswith("hardware:"):
         settings = replace(settings, assembly=patient(settings.assembly, source))
-    return source, settings
+    return _Opened(source, None, settings)
+
+
+def _tracked(
+    opened: _Opened, rig: Rig, spec: Scenario, options: RunOptions, stack: ExitStack
+) -> tuple[Collected, Reconstructed | Worn | None]:
+    """Return what the pipeline gave, and the continuous reconstruction where the scenario wants one."""
+    if spec.continuous is None:
+        return collected_of(opened.source, opened.twin, rig, opened.settings, spec, options, stack), None
+    return collected_continuous(opened.source, opened.twin, rig, opened.settings, spec, options, stack)
+
+
+def _all_scores(
+    spec: Scenario,
+    worth: Scored,
+    poses: BodyPoses | None,
+    timings: Mapping[str, float],
+    own: SessionCalibration | None,
+) -> dict[str, Score]:
+    """Return the scores with and without truth, and the session's; notes on lengths go into the assembly's."""
+    collected = worth.collected
+    seconds = {**timings, **collected.seconds}
+    without_truth, notes = self_checks(spec, collected.tracks, poses, seconds, collected.assembly.sets)
+    for k, line in enumerate(notes):
+        collected.assembly.notes[f"length {k + 1}"] = line
+    # with a truth, ray residuals are of the points that exist, not of ghosts: the later mapping wins
+    return {**without_truth, **worth.scores, **({} if own is None else own.scores())}
 
 
 def _with_bodies(collected: Collected, bodies: tuple[RigidBody, ...]) -> tuple[Collected, BodyPoses]:
@@ -196,26 +224,26 @@ def _refused(
     options: RunOptions,
     known: Calibrated,
     timings: Mapping[str, float],
-    told: tuple[tuple[str, str], ...],
-    own: Estimated | None,
+    reported: tuple[tuple[str, str], ...],
+    own: SessionCalibration | None,
 ) -> RunResult:
     """Return the result of a scenario whose calibration must be refused or warned of; nothing is measured.
 
-    ``told``: codes and messages of what was.
+    ``reported``: codes and messages of the calibration's findings.
     """
-    caught = next((message for code, message in told if code == spec.caught_as), None)
-    others = ", ".join(code or message for code, message in told) or "nothing"
+    caught = next((message for code, message in reported if code == spec.caught_as), None)
+    others = ", ".join(code or message for code, message in reported) or "nothing"
     verdict = (
         f"caught as it must be: {spec.caught_as}: {caught.removeprefix(f'{spec.caught_as}: ')}"
         if caught is not None
         else f"not caught: '{spec.caught_as}' should have been told of; told of was {others}"
     )
     nothing = Collected(table([]), (), -1, Assembly(), {}, {})
-    scores = {} if own is None else own.scores()
-    record = record_of(spec, name, options.source, scores, {}, timings, known, nothing)
+    worth = Scored({} if own is None else own.scores(), {}, nothing, None, None)
+    record = record_of(spec, name, options.source, worth, timings, known)
     record = replace(record, passed=caught is not None, verdict=verdict)
     rig = known.rig if own is None else own.calibration.rig
-    return RunResult(record, evidence_of(spec, rig, nothing, None, None), nothing.tracks, None, None, own)
+    return RunResult(record, evidence_of(spec, rig, worth), nothing.tracks, None, None, own)
 
 
 class _timed:

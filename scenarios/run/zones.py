@@ -1,7 +1,6 @@
 """Zones of a scenario, and tracks files of zones: run side by side and stitched into one set."""
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -11,14 +10,11 @@ from mosca.data.tracks import Tracks
 from mosca.detection.scheduler import FrameSetDetector, detect_ahead
 from mosca.diagnostics.camera_health import Health
 from mosca.errors import InputError
-from mosca.formats.tracks.tracks_file import check_tracks_file, write_tracks
-from mosca.formats.tracks.tracks_read import read_tracks
 from mosca.pipeline import PipelineSettings, Step, check_source
 from mosca.stitching.run import Zone, check_zones, of_zones, run_zones
 from mosca.stitching.stitch import stitched
 from mosca.synchronisation import Assembly, assemble
 from scenarios.build.scene import MARGIN
-from scenarios.commands.labels import rate_of
 from scenarios.spec.scenario import Scenario
 
 
@@ -59,26 +55,12 @@ def zone_steps(
 def tracks_of_all(tracks: Tracks, zones: Sequence[Zone], assembly: Assembly) -> Tracks:
     """Return the tracks of ``run_zones`` as one set; what must be known of the zones goes into the notes."""
     result = stitched(of_zones(tracks, zones))
-    assembly.notes["zones"] = _sentence(result.handed_over, result.merged)
+    assembly.notes["zones"] = stitching_line(result.handed_over, result.merged)
     for k, note in enumerate(result.notes):
         assembly.notes[f"zones {k + 1}"] = note
     return result.tracks
 
 
-def stitch_files(paths: Sequence[Path], out: Path, fps: float | None) -> list[str]:
-    """Stitch tracks files, one a zone, into ``out``; return what to tell. The zones are called as their files."""
-    check_tracks_file(out)
-    names = [path.stem if sum(p.stem == path.stem for p in paths) == 1 else str(path) for path in paths]
-    if len(set(names)) < len(names):
-        raise InputError(f"zones: {', '.join(map(str, paths))}: a file is given twice; each zone has its own")
-    result = stitched({name: read_tracks(path) for name, path in zip(names, paths, strict=True)})
-    write_tracks(result.tracks, out, rate_of(result.tracks, fps, paths[0]))
-    return [
-        f"{len(np.unique(result.tracks.track))} tracks with {len(result.tracks)} samples in {out}",
-        _sentence(result.handed_over, result.merged),
-        *result.notes,
-    ]
-
-
-def _sentence(handed_over: int, merged: int) -> str:
+def stitching_line(handed_over: int, merged: int) -> str:
+    """Return how many targets and samples were stitched, in words."""
     return f"{handed_over} targets handed over between zones, {merged} samples merged from two zones or more"

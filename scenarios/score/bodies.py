@@ -7,7 +7,8 @@ from mosca.data.arrays import Array
 from mosca.data.bodies import FEWEST_MARKERS, BodyPoses, RigidBody
 from mosca.data.rotations import rotation_from_quaternion
 from mosca.data.truth import Truth
-from scenarios.score.tracks import BLOCKS, SEEN_CAMERAS, SEEN_SHARE, Score, ratio_of_sums
+from scenarios.score.tracks import BLOCKS, SEEN_CAMERAS, SEEN_SHARE, ratio_of_sums
+from scenarios.types import Score
 from twin.scenes.scene import Scene
 
 

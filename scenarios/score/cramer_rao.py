@@ -22,7 +22,8 @@ from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.rig import Camera, Rig, principal_distances_px
 from mosca.data.truth import Truth
-from scenarios.score.tracks import Matched, Score, ratio_of_sums
+from scenarios.score.tracks import ratio_of_sums
+from scenarios.types import Score, TruthPairs
 from twin.cameras.expected_image import Expected
 from twin.cameras.exposure.mount import Mount
 from twin.cameras.exposure.shutter import Timing
@@ -106,7 +107,7 @@ def bound(
 
 def efficiencies(
     bounds: Bound,
-    matched: Matched,
+    matched: TruthPairs,
     truth: Truth,
     detections: Mapping[int, Mapping[str, Detections]],
     blocks: int,

@@ -19,7 +19,7 @@ from mosca.data.arrays import Array
 from mosca.data.truth import Truth, read_truth
 from mosca.errors import InputError
 from mosca.formats.tracks.csv_columns import parsed, read_named
-from scenarios.run.options import RunOptions
+from scenarios.types import RunOptions
 
 JUDGED = (
     "position_rms", "position_p95", "position_max", "relative_accuracy", "nees", "coverage95", "identity_switches",
@@ -31,7 +31,7 @@ SAME_NS = 1000
 
 
 @dataclass(frozen=True, eq=False)
-class Reference:
+class ReferenceTrajectories:
     """Where markers ``names`` (m) were: for each ``time_ns`` (t,) rising and ``xyz`` (t, 3) [m].
 
     A marker that never moves has one instant and ``still``. ``sigma_m``: standard deviation of a coordinate, rms over
@@ -66,7 +66,7 @@ class Reference:
         return both
 
 
-def reference(options: RunOptions) -> Truth | Reference | None:
+def requested_truth(options: RunOptions) -> Truth | ReferenceTrajectories | None:
     """Return the truth that was asked for, else the one beside a recording, else None."""
     if options.truth is not None:
         return read_reference(options.truth)
@@ -78,7 +78,7 @@ def reference(options: RunOptions) -> Truth | Reference | None:
     return None
 
 
-def read_reference(path: Path) -> Truth | Reference:
+def read_reference(path: Path) -> Truth | ReferenceTrajectories:
     """Read a ``truth.npz`` or a ``truth.csv``. Raises InputError naming file, row and column."""
     match path.suffix.lower():
         case ".npz":
@@ -90,7 +90,7 @@ def read_reference(path: Path) -> Truth | Reference:
     )
 
 
-def read_reference_csv(path: Path) -> Reference:
+def read_reference_csv(path: Path) -> ReferenceTrajectories:
     """Read a ``truth.csv``. Raises InputError naming file, row and column."""
     cells = read_named(path, ("label", "x", "y", "z"), ("time_ns", "sigma_m"), "truth.csv")
     label = np.array(cells["label"], dtype=np.str_)
@@ -122,7 +122,7 @@ def read_reference_csv(path: Path) -> Reference:
             raise InputError(f"{path}: marker '{name}' stands {when}")
         times.append(time_ns[rows])
         places.append(xyz[rows])
-    return Reference(
+    return ReferenceTrajectories(
         names, tuple(times), tuple(places), still, float(np.sqrt(np.mean(sigma[known] ** 2))), path
     )
 

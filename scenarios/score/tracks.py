@@ -8,7 +8,6 @@ Intervals come from a bootstrap over blocks of frames, since neighbouring frames
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -18,6 +17,7 @@ from scipy.stats import chi2
 from mosca.data.arrays import Array
 from mosca.data.tracks import Tracks
 from mosca.data.truth import Truth
+from scenarios.types import Score, TruthPairs
 
 SEEN_SHARE, SEEN_CAMERAS = 0.5, 2
 BLOCKS = 40
@@ -25,56 +25,12 @@ RESAMPLES = 2000
 ALPHAS = np.arange(0.05, 0.96, 0.05)
 
 
-@dataclass(frozen=True, eq=False)
-class Matched:
-    """The pairing of all frames.
-
-    One row a matched pair: ``frame`` (k,) index into the truth, ``marker`` (k,), ``track`` (k,), ``error_m`` (k, 3)
-    measured minus true, ``nees`` (k,), ``residual_px`` (k,), ``n_cameras`` (k,). One row a frame: ``seen`` (t,)
-    seen markers, ``missed`` (t,), ``ghosts`` (t,). ``gate_m`` (t,): the pairing's distance limit.
-    ``seen_mask`` (t, m).
-    """
-
-    frame: Array
-    marker: Array
-    track: Array
-    error_m: Array
-    nees: Array
-    residual_px: Array
-    n_cameras: Array
-    seen: Array
-    missed: Array
-    ghosts: Array
-    gate_m: Array
-    seen_mask: Array
-
-    @property
-    def distance_m(self) -> Array:
-        """3D distance of each pair (k,) [m]."""
-        return np.linalg.norm(self.error_m, axis=1)
-
-
-@dataclass(frozen=True)
-class Score:
-    """A metric's value, the number of items behind it, its 95 % interval, and what it is made of.
-
-    ``sums`` and ``weights``: per block of frames, so that two runs can be compared block by block; what they
-    hold for each metric stands in ``reports.compare``.
-    """
-
-    value: float
-    n: int
-    ci95: tuple[float, float] | None = None
-    sums: tuple[float, ...] = ()
-    weights: tuple[float, ...] = ()
-
-
 def pair(
     tracks: Tracks,
     truth: Truth,
     working_space_m: float,
     calibration: Callable[[Array], Array] | None = None,
-) -> Matched:
+) -> TruthPairs:
     """Pair measured samples with true markers, frame by frame.
 
     ``working_space_m``: the longest edge of the working space [m]. A sample whose time is farther than half
@@ -111,13 +67,13 @@ def pair(
     if calibration is not None:
         covariance = covariance + calibration(measured.xyz[rows])
     nees = np.einsum("ni,ni->n", error, np.linalg.solve(covariance, error[:, :, None])[:, :, 0])
-    return Matched(
+    return TruthPairs(
         frame, marker, measured.track[rows], error, nees, measured.residual_px[rows], measured.n_cameras[rows],
         seen_mask.sum(axis=1), missed, ghosts, gate, seen_mask,
     )  # fmt: skip
 
 
-def metrics(matched: Matched, working_space_m: float) -> dict[str, Score]:
+def metrics(matched: TruthPairs, working_space_m: float) -> dict[str, Score]:
     """Return all metrics that a pairing gives, by name (DESIGN's names); lengths in m, image errors in px."""
     frames = len(matched.seen)
     if frames == 0:
@@ -160,7 +116,7 @@ def metrics(matched: Matched, working_space_m: float) -> dict[str, Score]:
     return result
 
 
-def identity_switches(matched: Matched) -> int:
+def identity_switches(matched: TruthPairs) -> int:
     """Return how often a marker is followed by another track than the one that followed it before."""
     switches = 0
     for marker in np.unique(matched.marker):
@@ -169,7 +125,7 @@ def identity_switches(matched: Matched) -> int:
     return switches
 
 
-def hota(matched: Matched) -> float:
+def hota(matched: TruthPairs) -> float:
     """Return HOTA (Luiten et al. 2021) with similarity ``max(0, 1 - d/d0)``, d0 the pairing's gate.
 
     The pairing of ``pair`` serves for every alpha; the mean is over alpha = 0.05 ... 0.95. Misses count
@@ -200,7 +156,7 @@ def hota(matched: Matched) -> float:
     return float(np.mean(values))
 
 
-def per_marker_completeness(matched: Matched) -> Array:
+def per_marker_completeness(matched: TruthPairs) -> Array:
     """Return the share of seen frames in which each marker was found (m,), NaN where it was never seen."""
     seen = matched.seen_mask.sum(axis=0)
     missed = _missed_of_marker(matched)
@@ -219,7 +175,7 @@ def limits_met(
     return met
 
 
-def _missed_of_marker(matched: Matched) -> Array:
+def _missed_of_marker(matched: TruthPairs) -> Array:
     """Return in how many frames each marker was seen but not found (m,)."""
     found = np.zeros_like(matched.seen_mask)
     found[matched.frame, matched.marker] = True

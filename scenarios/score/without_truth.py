@@ -18,8 +18,9 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.bodies import BodyPoses
 from mosca.data.tracks import Tracks
-from scenarios.score.tracks import BLOCKS, Score, ratio_of_sums
+from scenarios.score.tracks import BLOCKS, ratio_of_sums
 from scenarios.spec.scenario import LengthSpec, Scenario
+from scenarios.types import Score
 
 NEED_NO_TRUTH = (
     "reprojection_rms", "length_rms", "length_max", "rigidity_rms", "static_noise", "latency_p99", "frame_rate",

@@ -7,67 +7,22 @@ import numpy as np
 
 from mosca.camera.projection import project
 from mosca.continuous.association.frame_detections import CameraDetections
+from mosca.continuous.moving_cameras.body_worn import Worn
 from mosca.data.arrays import Array
-from mosca.data.rig import Rig
+from mosca.data.rig import Pose, Rig
 from mosca.data.tracks import Tracks
 from mosca.data.truth import Truth
-from mosca.errors import InputError
-from mosca.pipeline import PipelineSettings
-from scenarios.build.cameras import Calibrated, fitted_cameras
-from scenarios.build.scene import stage_settings
 from scenarios.build.worn_lamps import LAMP
-from scenarios.score.tracks import SEEN_CAMERAS, SEEN_SHARE, Score
+from scenarios.build.worn_rig import known_lamps
+from scenarios.score.tracks import SEEN_CAMERAS, SEEN_SHARE
 from scenarios.spec.scenario import Scenario
-from twin.cameras.virtual_camera import VirtualCamera
+from scenarios.types import Collected, Score
 from twin.scenes.scene import Scene
 
 NEAR_M = 0.02
 """A curve that stays so near to a lamp's known place is that lamp's."""
 NEAR_PX = 2.0
 """An image point so near to where a lamp should be is that lamp's."""
-
-
-def worn_cameras(spec: Scenario, cameras: tuple[VirtualCamera, ...]) -> tuple[VirtualCamera, ...]:
-    """Return the cameras that ride on the body ``worn_on``, with ``moving`` then those on others that film it too.
-
-    InputError where fewer than two ride on the body itself.
-    """
-    assert spec.continuous is not None
-    body = spec.continuous.worn_on
-    worn = tuple(v for v in cameras if v.mount.body == body)
-    others = tuple(v for v in cameras if v.mount.body not in (None, body)) if spec.continuous.moving else ()
-    if len(worn) < 2:
-        raise InputError(
-            f"continuous.worn_on = '{body}': {len(worn)} [[camera]] tables have body = '{body}'; two at "
-            "least are wanted"
-        )
-    return worn + others
-
-
-def worn_rig(spec: Scenario, worn: tuple[VirtualCamera, ...]) -> Calibrated:
-    """Return the rig in the body's frame, the pipeline's lens model fitted to the true lenses' rays.
-
-    Cameras on other bodies have no pose that anybody knows.
-    """
-    assert spec.continuous is not None
-    found = fitted_cameras(spec, worn, 0.5 * spec.continuous.reach_m)
-    if not spec.continuous.moving:
-        return found
-    from scenarios.score.continuous_limbs import without_poses
-
-    return replace(
-        found,
-        rig=without_poses(
-            found.rig, {v.camera.name for v in worn if v.mount.body == spec.continuous.worn_on}
-        ),
-    )
-
-
-def worn_settings(spec: Scenario) -> PipelineSettings:
-    """Return the pipeline's settings for markers around the body."""
-    assert spec.continuous is not None
-    r = spec.continuous.reach_m
-    return stage_settings(spec.pipeline, ((-r, -r, -r), (r, r, r)))
 
 
 def relative_truth(truth: Truth, scene: Scene, body: str) -> Truth:
@@ -91,7 +46,7 @@ def relative_truth(truth: Truth, scene: Scene, body: str) -> Truth:
     )
 
 
-def lamp_places(spec: Scenario, rig: Rig) -> dict[str, Array]:
+def lamp_positions(spec: Scenario, rig: Rig) -> dict[str, Array]:
     """Return camera -> known place of its lamp in the body's frame [m]."""
     return {
         own.name: rig.camera(own.name).world_from_camera.transform(np.array([own.lamp_m]))[0]
@@ -151,4 +106,86 @@ def reasons(truth: Truth) -> dict[str, str]:
             f"two cameras and more see a marker {twice:.1f} % of the time, one {once:.1f} %; the others are hidden "
             f"by the body or outside the images, most of all {least}"
         )
+    }
+
+
+def rig_in_the_middle(worn: Worn) -> Rig:
+    """Return the rig as it was in the middle of the recording."""
+    found = worn.reconstructed
+    assert found.cameras is not None
+    times = found.observations.time_s
+    rotations, centres = found.cameras.at(np.array([0.5 * (times.min() + times.max())]))
+    return Rig(
+        tuple(
+            replace(one, world_from_camera=Pose(rotations[0, c], centres[0, c]))
+            for c, one in enumerate(found.rig.cameras)
+        )
+    )
+
+
+def moving_scores(
+    spec: Scenario, collected: Collected, worn: Worn, truth: Truth, scene: Scene | None
+) -> tuple[Collected, Truth, dict[str, Score]]:
+    """Return the markers' tracks, the truth in the body's frame, and the scores of lamps and camera paths."""
+    assert spec.continuous is not None
+    assert spec.continuous.worn_on is not None
+    scores = moving_lamp_scores(worn)
+    if scene is None:
+        return collected, truth, scores
+    known = known_lamps(spec, worn.reconstructed.rig)[0]
+    scores |= path_scores(worn, known, true_poses(spec, worn, truth, scene), truth.time_ns)
+    truth = relative_truth(truth, scene, spec.continuous.worn_on)
+    collected.assembly.notes.update(reasons(truth))
+    return collected, truth, scores
+
+
+def moving_lamp_scores(worn: Worn) -> dict[str, Score]:
+    """Return the share of lamps that another camera told by their numbers, and their rms distance from the poses."""
+    count = len(worn.reconstructed.rig.cameras)
+    found = {int(k) for own in worn.by_code for k in np.unique(own) if k >= 0}
+    images = sum(int((one >= 0).sum()) for one in worn.lamp)
+    return {
+        "lamps_found": Score(len(found) / count, count),
+        "lamp_px": Score(worn.lamp_rms_px, images),
+    }
+
+
+def true_poses(spec: Scenario, worn: Worn, truth: Truth, scene: Scene) -> tuple[Array, Array]:
+    """Return body_from_camera at the pulses: rotations (t, c, 3, 3) and places (t, c, 3) [m], without their shake."""
+    from scenarios.build.worn_lamps import rider_pose
+
+    assert spec.continuous is not None
+    sampler = scene.sampler()
+    names = [scene.model.body(k).name for k in range(scene.model.nbody)]
+    body = names.index(spec.continuous.worn_on)
+    of_name = {own.name: own for own in spec.camera}
+    cameras = worn.reconstructed.rig.names
+    own = [(names.index(of_name[name].body), rider_pose(of_name[name])) for name in cameras]
+    rotations = np.empty((len(truth.time_ns), len(cameras), 3, 3))
+    places = np.empty(rotations.shape[:3])
+    for k, time_ns in enumerate(truth.time_ns):
+        sampler.at(time_ns * 1e-9)
+        turns, at = sampler.data.xmat.reshape(-1, 3, 3), sampler.data.xpos
+        for c, (carrier, pose) in enumerate(own):
+            rotations[k, c] = turns[body].T @ turns[carrier] @ pose.rotation
+            places[k, c] = turns[body].T @ (turns[carrier] @ pose.translation + at[carrier] - at[body])
+    return rotations, places
+
+
+def path_scores(
+    worn: Worn, known: tuple[str, ...], true: tuple[Array, Array], time_ns: Array
+) -> dict[str, Score]:
+    """Return how far the paths of the cameras that were not ``known`` are off, rms: places [m], rotations [rad]."""
+    found = worn.reconstructed
+    assert found.cameras is not None
+    moving = [c for c, name in enumerate(found.rig.names) if name not in known]
+    first = found.clocks[0]
+    rotations, centres = found.cameras.at((time_ns - first.origin_ns) * 1e-9)
+    away = np.linalg.norm(centres - true[1], axis=2)[:, moving]
+    trace = np.einsum("tcij,tcij->tc", rotations, true[0])[:, moving]
+    angle = np.arccos(np.clip((trace - 1) / 2, -1, 1))
+    n = away.size
+    return {
+        "camera_position_rms": Score(float(np.sqrt((away**2).mean())), n),
+        "camera_angle_rms": Score(float(np.sqrt((angle**2).mean())), n),
     }

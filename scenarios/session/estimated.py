@@ -15,11 +15,11 @@ from mosca.data.calibration_evidence import CalibrationEvidence
 from mosca.data.files.target_tables import CalibrationTarget
 from mosca.data.rig import Camera, Rig
 from mosca.triangulation.triangulate import triangulate
-from scenarios.score.tracks import Score
 from scenarios.session.faults import swapped, turned
 from scenarios.session.scenes import Session, axes_session, bar_session, target_session
 from scenarios.spec.calibration import MovedCameraFault, SwappedSessionFault
 from scenarios.spec.scenario import Scenario
+from scenarios.types import Score
 from twin.cameras.optics.lens import TwinLens
 from twin.cameras.virtual_camera import VirtualCamera
 from twin.source import TwinSource
@@ -32,7 +32,7 @@ AT_ONCE = 2000
 
 
 @dataclass(frozen=True, eq=False)
-class Estimated:
+class SessionCalibration:
     """A calibration from rendered images, and how far it is from the truth.
 
     ``ray_px`` (n,): over all cameras' whole images, the distance between the place at the working space's distance
@@ -55,7 +55,7 @@ class Estimated:
             "calibration_sigma_y": _score(sigma[1], len(self.calibration.used)),
         }
 
-    def share_m2(self, xyz: Array) -> Array:
+    def covariance_m2(self, xyz: Array) -> Array:
         """Return the covariance (n, 3, 3) [m^2] that the calibration's own error gives to points (n, 3) [m, world].
 
         All cameras in whose images a point lies are taken to have measured it, alike well; 0 where fewer than two.
@@ -78,13 +78,13 @@ def _score(value: float, n: int) -> Score:
     return Score(float(value), n, None)
 
 
-def estimated(
+def calibrate_in_session(
     spec: Scenario,
     cameras: tuple[VirtualCamera, ...],
     earlier: Rig,
     workers: int,
     progress: Callable[[int], None] | None = None,
-) -> Estimated:
+) -> SessionCalibration:
     """Render the session of ``spec.calibration``, calibrate from its frames, judge the result and hold it against
     the truth.
 
@@ -123,13 +123,13 @@ def estimated(
         progress=progress,
     )
     ray_px, volume_m = against_truth(calibration.rig, fixed, center, size)
-    return Estimated(calibration, evidence, ray_px, volume_m)
+    return SessionCalibration(calibration, evidence, ray_px, volume_m)
 
 
 def against_truth(
     rig: Rig, cameras: tuple[VirtualCamera, ...], center: Array, size: Array
 ) -> tuple[Array, Array]:
-    """Return the errors of rays (n,) [px] and of points in the working space (k,) [m]; see ``Estimated``."""
+    """Return the errors of rays (n,) [px] and of points in the working space (k,) [m]; see ``SessionCalibration``."""
     off = np.concatenate([_ray_errors(rig, one, center) for one in cameras])
     axis = np.linspace(-0.5, 0.5, VOLUME_GRID)
     grid = center + size * np.stack(np.meshgrid(axis, axis, axis), -1).reshape(-1, 3)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from mosca.data.frames import Frame, FrameSource
 from mosca.data.rig import Pose, principal_distances_px
 from mosca.errors import InputError
-from scenarios.run.sources import PassedOn
+from scenarios.build.frame_sources import WrappedSource
 from twin.cameras.virtual_camera import VirtualCamera
 
 
@@ -29,7 +29,7 @@ def _turned(virtual: VirtualCamera, turn_px: float) -> VirtualCamera:
     return replace(virtual, camera=replace(camera, world_from_camera=moved))
 
 
-class _Swapped(PassedOn):
+class _Swapped(WrappedSource):
     """A source in which two cameras have each other's names."""
 
     def __init__(self, source: FrameSource, names: tuple[str, str]) -> None:

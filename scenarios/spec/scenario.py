@@ -373,13 +373,18 @@ def _override(document: dict[str, Any], text: str) -> None:
         parsed = tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         parsed = value  # a bare word is meant as a string
-    *tables, last = key.strip().split(".")
+    set_key(document, key.strip(), parsed, f"--set {text}")
+
+
+def set_key(document: dict[str, Any], key: str, value: Any, given: str) -> None:
+    """Set a dotted ``key`` of ``document``; ``given``: what an InputError begins with."""
+    *tables, last = key.split(".")
     here = document
     for name in tables:
         here = here.setdefault(name, {})
         if not isinstance(here, dict):
-            raise InputError(f"--set {text}: '{name}' is a value, not a table")
-    here[last] = parsed
+            raise InputError(f"{given}: '{name}' is a value, not a table")
+    here[last] = value
 
 
 def scenario_schema() -> dict[str, Any]:

@@ -13,7 +13,7 @@ from junitparser import Error, Failure, JUnitXml, TestCase, TestSuite
 from mosca.errors import InputError, MoscaError
 from reports.compare import Regression, missing, regressions
 from reports.record import RunRecord, read_record, write_record
-from scenarios.suite.catalog import Entry
+from scenarios.spec.catalog import Entry
 
 BASELINES = Path(__file__).resolve().parents[2] / "reports" / "baselines"
 

@@ -22,8 +22,8 @@ from mosca.pipeline import PipelineSettings, run
 from scenarios.build.cameras import calibrated, true_rig, virtual_cameras
 from scenarios.build.scene import build_scene, pipeline_settings
 from scenarios.score.tracks import metrics, pair
+from scenarios.spec.catalog import find
 from scenarios.spec.scenario import load_scenario
-from scenarios.suite.catalog import find
 from twin.source import TwinSource
 
 

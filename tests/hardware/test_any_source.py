@@ -18,10 +18,10 @@ from needs import needs_aravis, needs_module
 from mosca.data.tracks import read_npz
 from mosca.recording import open_recording
 from scenarios.run.folder import write_run
-from scenarios.run.options import RunOptions
 from scenarios.run.scenario import run_scenario
+from scenarios.spec.catalog import find
 from scenarios.spec.scenario import load_scenario
-from scenarios.suite.catalog import find
+from scenarios.types import RunOptions
 
 # before any test asks pylon for its cameras
 os.environ.setdefault("PYLON_CAMEMU", "4")

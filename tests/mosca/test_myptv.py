@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from mosca.calibration.session import EstimateSettings
 from mosca.calibration.single_camera.adjust import CameraAdjustment
 from mosca.calibration.single_camera.from_points import calibrate_from_points
 from mosca.camera.projection import project, rays
@@ -27,7 +26,7 @@ from mosca.detection.detect import DetectionSettings, detect
 from mosca.formats.tracks.tracks_csv import read_tracks_csv
 from mosca.pipeline import run
 from mosca.recording import open_recording
-from scenarios.commands.calibrate import Request, calibrate
+from scenarios.commands.calibrate import CalibrateOptions, calibrate
 from scenarios.commands.reconstruct import (
     reconstruct_recording,
     reconstruct_settings,
@@ -249,8 +248,8 @@ def compare(folder: Path) -> Comparison:
         folder / "tracks.csv",
         EXAMPLES / "myptv_settings.toml",
     )
-    request = Request(EXAMPLE, EXAMPLES / "myptv_target.toml", rig_file)
-    calibrate(request, EstimateSettings(), lambda done, total: None)
+    options = CalibrateOptions(EXAMPLE, EXAMPLES / "myptv_target.toml", rig_file)
+    calibrate(options, lambda done, total: None)
     reconstruct_recording(EXAMPLE, rig_file, out, 50.0, settings_file, ())
     tracks, rig, spec = read_tracks_csv(out), read_rig(rig_file), reconstruct_spec(settings_file)
     # the same once more, to see which detections the points are made of

@@ -22,10 +22,10 @@ from mosca.errors import InputError
 from mosca.formats.tracks.tracks_csv import read_tracks_csv
 from mosca.pipeline import PipelineSettings, run, run_seen
 from mosca.recording import RecordingWriter, mcap_format, open_recording
+from mosca.recording.count_sets import counted
 from mosca.synchronisation import Assembly, assemble
 from scenarios.cli.main import cli
 from scenarios.lab.capture import CaptureRequest, capture
-from scenarios.lab.from_detections import counted
 
 SIZE, NAMES, RATE = (160, 120), ("left", "right", "top"), 50.0
 LENS = """

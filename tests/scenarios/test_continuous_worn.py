@@ -11,12 +11,12 @@ from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 from scenarios.build.cameras import true_rig, virtual_cameras
 from scenarios.build.worn_lamps import check_no_lamps, rider_pose, worn_lamps
-from scenarios.run.continuous import clock_scores
-from scenarios.score.continuous_limbs import path_scores, worn_lamps_of
-from scenarios.score.worn_cameras import without_lamps, worn_cameras, worn_rig
+from scenarios.build.worn_rig import known_lamps, worn_cameras, worn_rig
+from scenarios.score.continuous import clock_scores
+from scenarios.score.worn_cameras import path_scores, without_lamps
+from scenarios.spec.catalog import find
 from scenarios.spec.continuous import ContinuousSpec
 from scenarios.spec.scenario import load_scenario
-from scenarios.suite.catalog import find
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +123,7 @@ def test_nobody_tells_where_cameras_on_limbs_sit(limbs):
 
 def test_lamps_blink_numbers_of_their_own_a_bit_for_a_frame(limbs):
     spec, _cameras, rig = limbs
-    known, lamps = worn_lamps_of(spec, rig)
+    known, lamps = known_lamps(spec, rig)
     assert known == ("belt_left", "belt_right")
     assert lamps.bit_s == pytest.approx(1 / 60)
     assert len(set(lamps.numbers)) == 6
@@ -139,7 +139,7 @@ def test_a_camera_on_a_limb_without_a_number_is_told(limbs):
     with pytest.raises(
         InputError, match=r"camera 'head': continuous\.moving wants each worn camera's lamp_m"
     ):
-        worn_lamps_of(spec.model_copy(update={"camera": tuple(bare)}), rig)
+        known_lamps(spec.model_copy(update={"camera": tuple(bare)}), rig)
 
 
 def test_paths_are_scored_where_nobody_knew_them():

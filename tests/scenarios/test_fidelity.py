@@ -18,7 +18,7 @@ from scenarios.fidelity import checks, peers, sensor, shutter
 from scenarios.fidelity import static_markers as still
 from scenarios.fidelity import twin_adapter as door
 from scenarios.fidelity.pictures import CROPS, all_crops
-from scenarios.suite.catalog import find
+from scenarios.spec.catalog import find
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 MOST_BYTES = 30_000

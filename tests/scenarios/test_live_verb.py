@@ -20,11 +20,11 @@ from mosca.formats.tracks.tracks_read import read_tracks
 from reports.record import read_record
 from scenarios.build.cameras import calibrated, true_rig, virtual_cameras
 from scenarios.cli.main import cli
-from scenarios.commands.live import LiveRequest, run_request
-from scenarios.commands.live_sources import Paced, opened_live
-from scenarios.run.options import RunOptions
+from scenarios.commands.live import run_live_command
+from scenarios.commands.live_sources import LiveOptions, PacedFrames, opened_live
 from scenarios.run.scenario import run_scenario
 from scenarios.spec.scenario import load_scenario
+from scenarios.types import RunOptions
 
 TINY = """
 title = "tiny"
@@ -74,8 +74,8 @@ def refused(*words: object) -> str:
 
 def test_a_scenario_is_played_live_and_recorded(lab, tmp_path):
     told = []
-    lines = run_request(
-        LiveRequest(
+    lines = run_live_command(
+        LiveOptions(
             str(lab / "tiny.toml"), out=tmp_path / "a.csv", record=tmp_path / "a.json", queued=100, rate=20.0
         ),
         told.append,
@@ -209,9 +209,9 @@ def test_frames_come_when_they_are_due_and_stop_at_once():
     image = np.zeros((3, 4), np.uint8)
     frames = [Frame("a", k, k * 50_000_000, 1_000_000, image) for k in range(5)]
     start = time.perf_counter()
-    at = [time.perf_counter() - start for _ in Paced((info,), frames, speed=2.0)]
+    at = [time.perf_counter() - start for _ in PacedFrames((info,), frames, speed=2.0)]
     assert all(t >= 0.025 * k - 1e-3 for k, t in enumerate(at))
-    paced = Paced((info,), [frames[0], Frame("a", 1, 3600 * 10**9, 1_000_000, image)])
+    paced = PacedFrames((info,), [frames[0], Frame("a", 1, 3600 * 10**9, 1_000_000, image)])
     stream = iter(paced)
     next(stream)
     paced.stop()
@@ -221,7 +221,7 @@ def test_frames_come_when_they_are_due_and_stop_at_once():
 def test_a_long_scenario_is_cut_to_what_fits_in_memory(lab, monkeypatch):
     monkeypatch.setattr("scenarios.commands.live_sources.MEMORY_BYTES", 4 * 320 * 240 * 6)
     with ExitStack() as stack:
-        source = opened_live(str(lab / "tiny.toml"), None, None, (), None, None, None, 1, stack)
+        source = opened_live(LiveOptions(str(lab / "tiny.toml"), workers=1), stack)
         assert source.notes == ("0.06 s of 0.4 s fit in memory and are played",)
         assert len(list(source.frames)) == 4 * 6
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from scenarios.run.scenario import run_scenario
+from scenarios.spec.catalog import find
 from scenarios.spec.scenario import load_scenario
-from scenarios.suite.catalog import find
 
 CMU = Path("cmu_mocap")
 

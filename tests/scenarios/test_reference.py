@@ -1,5 +1,7 @@
 """A user's own reference: read, interpolated, scored against; what it cannot judge is said."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,13 +11,12 @@ from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 from mosca.synchronisation import Assembly
-from scenarios.run.options import RunOptions
-from scenarios.run.record import Collected, record_of
-from scenarios.score.reference import read_reference, read_reference_csv, reference
-from scenarios.score.score_run import Measured, scored
-from scenarios.score.tracks import Score
+from scenarios.run.record import record_of
+from scenarios.score.reference import read_reference, read_reference_csv, requested_truth
+from scenarios.score.score_run import scored
+from scenarios.spec.catalog import find
 from scenarios.spec.scenario import load_scenario
-from scenarios.suite.catalog import find
+from scenarios.types import Collected, Measured, RunOptions, Score
 
 STEP_NS = 10_000_000
 
@@ -111,10 +112,10 @@ def test_any_bytes(tmp_path_factory, data):
 
 
 def test_what_lies_beside_a_recording_is_taken(tmp_path):
-    assert reference(RunOptions(source=f"recording:{tmp_path}")) is None
+    assert requested_truth(RunOptions(source=f"recording:{tmp_path}")) is None
     written(tmp_path / "truth.csv", [("a", 0, 1, 2)], "label,x,y,z")
-    assert reference(RunOptions(source=f"recording:{tmp_path}")).names == ("a",)
-    assert reference(RunOptions(source=f"hardware:{tmp_path}")) is None
+    assert requested_truth(RunOptions(source=f"recording:{tmp_path}")).names == ("a",)
+    assert requested_truth(RunOptions(source=f"hardware:{tmp_path}")) is None
     with pytest.raises(InputError, match=r"suffix '\.txt' given; a truth is a \.npz .* or a \.csv"):
         read_reference(tmp_path / "truth.txt")
 
@@ -193,6 +194,6 @@ def test_what_cannot_be_judged_does_not_pass(given_truth, truth, not_judged, lim
     worth = scored(spec, "s", run, given_truth if truth else None, None, None)
     assert worth.not_judged == not_judged
     scores = {"reprojection_rms": Score(0.1, 400), **worth.scores}
-    record = record_of(spec, "s", "recording:x", scores, {}, {}, NoGap(), run.collected, worth.not_judged)
+    record = record_of(spec, "s", "recording:x", replace(worth, scores=scores), {}, NoGap())
     assert (record.verdict, record.passed) == (verdict, passed)
     assert record.not_judged == not_judged

@@ -9,8 +9,8 @@ from mosca.data.bodies import BodyPoses
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 from scenarios.score.without_truth import about_own_mean, lengths_found, self_checks
+from scenarios.spec.catalog import find
 from scenarios.spec.scenario import LengthSpec, load_scenario
-from scenarios.suite.catalog import find
 
 BAR = LengthSpec(name="bar", length_m=0.4)
 RNG = np.random.default_rng(4)

@@ -18,7 +18,7 @@ from scenarios.build.cameras import true_rig, virtual_cameras
 from scenarios.run import scenario as runner
 from scenarios.run.folder import write_run
 from scenarios.run.scenario import run_scenario
-from scenarios.session.estimated import estimated
+from scenarios.session.estimated import calibrate_in_session
 from scenarios.session.faults import swapped, turned
 from scenarios.session.scenes import axes_session, bar_session, target_session
 from scenarios.spec.scenario import Scenario, load_scenario
@@ -216,7 +216,7 @@ def sessions(tmp_path_factory):
     def made(fault):
         one = spec(folder, f"{FIELD}\n{fault}")
         rig = true_rig(one, folder)
-        return estimated(one, virtual_cameras(one, rig), rig, 1)
+        return calibrate_in_session(one, virtual_cameras(one, rig), rig, 1)
 
     return {"": made(""), WRONG_UNITS: made(WRONG_UNITS)}
 
@@ -237,7 +237,7 @@ def with_sessions(sessions, monkeypatch):
     def known(given_spec, *rest):
         return sessions["" if given_spec.calibration.fault is None else WRONG_UNITS]
 
-    monkeypatch.setattr(runner, "estimated", known)
+    monkeypatch.setattr(runner, "calibrate_in_session", known)
 
 
 def test_a_fault_that_is_told_of_is_caught(with_sessions, tmp_path):
@@ -274,7 +274,7 @@ def test_a_session_that_does_not_do_at_all_is_caught_too(tmp_path):
     few = "markers = 6\nstands = 1\nframes = 1"
     result = run_scenario(spec(tmp_path, few, CAUGHT.format("few-views"), limits=""), "small", tmp_path)
     assert result.record.passed, result.record.verdict
-    assert result.estimated is None
+    assert result.calibration is None
     write_run(result, tmp_path / "out")
     assert not (tmp_path / "out/rig.toml").exists()
     with pytest.raises(CalibrationError, match="few-views: "):
@@ -345,4 +345,4 @@ def test_unknown_cameras_in_faults_are_told(tmp_path):
         rig = true_rig(one, tmp_path)
         cameras = tuple(replace(v) for v in virtual_cameras(one, rig))
         with pytest.raises(InputError, match=says):
-            estimated(one, cameras, rig, 1)
+            calibrate_in_session(one, cameras, rig, 1)

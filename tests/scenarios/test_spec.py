@@ -7,8 +7,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from mosca.errors import InputError
+from scenarios.spec.catalog import TEMPLATE, built_in, entries, find, scenario_name, write_template
 from scenarios.spec.scenario import load_scenario, scenario_schema
-from scenarios.suite.catalog import TEMPLATE, built_in, entries, find, scenario_name, write_template
 
 GOOD = """
 title = "x"

@@ -16,9 +16,9 @@ from mosca.data.arrays import Array
 from mosca.data.motion.motion import matrices_from_quaternions
 from mosca.errors import InputError
 from scenarios.build.scene import build_scene
+from scenarios.spec.catalog import find
 from scenarios.spec.scenario import load_scenario
 from scenarios.spec.scenes import ActorScene
-from scenarios.suite.catalog import find
 from twin.scenes.actions import Action
 from twin.scenes.actor import BuiltInConfiguration, build_actor
 from twin.scenes.scene import MARKER_GROUP, Scene

@@ -11,11 +11,11 @@ from hardware.onboard.commands import ProgramRun, read_program
 from mosca.data.frames import CameraInfo
 from mosca.errors import InputError
 from mosca.recording import RecordingWriter
+from scenarios.build.robot_commands import command_lines, write_commands
 from scenarios.build.scene import build_scene
-from scenarios.lab.commanded import command_lines, write_commands
-from scenarios.run.options import RunOptions
 from scenarios.run.scenario import run_scenario
 from scenarios.spec.scenario import load_scenario
+from scenarios.types import RunOptions
 
 SCENARIO = Path(__file__).resolve().parents[2] / "scenarios" / "library" / "subjects" / "robot_program.toml"
 CAMERAS = [CameraInfo("left", 2, 2, 8, 100.0)]

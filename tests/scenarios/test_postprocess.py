@@ -8,7 +8,7 @@ from mosca.data.truth import Truth
 from mosca.errors import InputError
 from mosca.formats.bodies.model_file import write_model
 from mosca.labelling.marker_model import learn_model
-from scenarios.run.postprocess import Finish, Finisher, with_gaps_filled
+from scenarios.run.postprocess import Postprocessing, Postprocessor, with_gaps_filled
 from scenarios.score.tracks import metrics, pair
 
 FRAMES, MARKERS, SIGMA = 200, 5, 5e-4
@@ -26,7 +26,7 @@ def fed(finish, xyz=None):
     """A finisher that was given all samples but marker 2's during HIDDEN."""
     xyz = motion() if xyz is None else xyz
     rng = np.random.default_rng(4)
-    finisher = Finisher(finish)
+    finisher = Postprocessor(finish)
     for f in range(FRAMES):
         track = np.array([k for k in range(MARKERS) if k != 2 or not HIDDEN.start <= f < HIDDEN.stop])
         n = len(track)
@@ -56,7 +56,7 @@ def truth(xyz):
 
 
 def test_nothing_is_done_unless_asked():
-    tracks, told = fed(Finish()).finished()
+    tracks, told = fed(Postprocessing()).finished()
     assert told == []
     assert len(tracks) == FRAMES * MARKERS - 8
     assert (tracks.status == "measured").all()
@@ -64,8 +64,8 @@ def test_nothing_is_done_unless_asked():
 
 def test_gaps_are_filled_and_no_score_changes():
     xyz = motion()
-    plain, _ = fed(Finish(), xyz).finished()
-    tracks, told = fed(Finish(fill_s=0.2), xyz).finished()
+    plain, _ = fed(Postprocessing(), xyz).finished()
+    tracks, told = fed(Postprocessing(fill_s=0.2), xyz).finished()
     new = tracks.select(tracks.status == "filled")
     assert new.frame.tolist() == list(range(80, 88))
     assert set(new.track) == {2}
@@ -77,13 +77,13 @@ def test_gaps_are_filled_and_no_score_changes():
     assert scores[0] == scores[1]
     assert scores[1]["completeness"].value == pytest.approx(1 - 8 / (FRAMES * MARKERS))
     # a gap that is longer than wanted stays open
-    assert len(fed(Finish(fill_s=0.05)).finished()[0]) == len(plain)
+    assert len(fed(Postprocessing(fill_s=0.05)).finished()[0]) == len(plain)
 
 
 def test_with_a_lag_the_same_samples_come_smoothed_and_gaps_are_filled_all_the_same():
     xyz = motion()
-    plain, _ = fed(Finish(fill_s=0.2), xyz).finished()
-    tracks, told = fed(Finish(lag=10, fill_s=0.2), xyz).finished()
+    plain, _ = fed(Postprocessing(fill_s=0.2), xyz).finished()
+    tracks, told = fed(Postprocessing(lag=10, fill_s=0.2), xyz).finished()
     assert told[0] == "positions are smoothed with a lag of 10 frames"
     for name in ("frame", "track", "status", "time_ns"):
         np.testing.assert_array_equal(getattr(tracks, name), getattr(plain, name))
@@ -98,13 +98,13 @@ def test_with_a_lag_the_same_samples_come_smoothed_and_gaps_are_filled_all_the_s
 
 
 def test_names_reach_smoothed_and_filled_samples(tmp_path):
-    plain, _ = fed(Finish()).finished()
+    plain, _ = fed(Postprocessing()).finished()
     names = np.array([f"M{k}" for k in plain.track])
     named = Tracks(**({n: getattr(plain, n) for n in Tracks.__dataclass_fields__} | {"label": names}))
     write_model(learn_model(named), tmp_path / "model.toml")
     for finish in (
-        Finish(labels=tmp_path / "model.toml", fill_s=0.2),
-        Finish(2, tmp_path / "model.toml", 0.2),
+        Postprocessing(labels=tmp_path / "model.toml", fill_s=0.2),
+        Postprocessing(2, tmp_path / "model.toml", 0.2),
     ):
         tracks, told = fed(finish).finished()
         assert f"5 of 5 markers of {tmp_path / 'model.toml'} found" in told
@@ -112,7 +112,7 @@ def test_names_reach_smoothed_and_filled_samples(tmp_path):
 
 
 def test_no_samples_are_no_trouble(tmp_path):
-    finisher = Finisher(Finish(lag=3, fill_s=0.1))
+    finisher = Postprocessor(Postprocessing(lag=3, fill_s=0.1))
     finisher.take(0, Samples.none())
     tracks, _ = finisher.finished()
     assert len(tracks) == len(table([])) == 0
@@ -121,16 +121,16 @@ def test_no_samples_are_no_trouble(tmp_path):
 @pytest.mark.parametrize(
     ("finish", "said"),
     [
-        (Finish(fill_s=0.0), "--fill 0: the longest gap"),
-        (Finish(fill_s=float("nan")), "--fill nan"),
-        (Finish(lag=-2), "lag = -2 given"),
+        (Postprocessing(fill_s=0.0), "--fill 0: the longest gap"),
+        (Postprocessing(fill_s=float("nan")), "--fill nan"),
+        (Postprocessing(lag=-2), "lag = -2 given"),
     ],
 )
 def test_what_cannot_be_done_is_said_before_anything_is(finish, said):
     with pytest.raises(InputError, match=said):
-        Finisher(finish)
+        Postprocessor(finish)
 
 
 def test_a_missing_model_is_said_before_anything_is(tmp_path):
     with pytest.raises(InputError, match="no such file"):
-        Finisher(Finish(labels=tmp_path / "model.toml"))
+        Postprocessor(Postprocessing(labels=tmp_path / "model.toml"))

@@ -51,8 +51,8 @@ def patient(settings: AssemblySettings, source: FrameSource) -> AssemblySettings
     )
 
 
-class PassedOn:
-    """A source that passes another's frames on; closing it closes the other."""
+class WrappedSource:
+    """A source that yields another's frames; closing it closes the other."""
 
     def __init__(self, source: FrameSource) -> None:
         self._source = source
@@ -72,8 +72,8 @@ class PassedOn:
         self.close()
 
 
-class Written(PassedOn):
-    """A source whose frames are written down on their way through."""
+class Recorded(WrappedSource):
+    """A source whose frames are recorded as they are read."""
 
     def __init__(self, source: FrameSource, writer: RecordingWriter) -> None:
         super().__init__(source)
@@ -85,7 +85,7 @@ class Written(PassedOn):
             yield frame
 
 
-class Chosen(PassedOn):
+class SelectedCameras(WrappedSource):
     """A source without the frames of cameras that the rig does not have: those that ride on the subject."""
 
     def __init__(self, source: FrameSource, names: tuple[str, ...]) -> None:

@@ -1,0 +1,84 @@
+"""Rig and settings of cameras that are worn on the body that they film."""
+
+from collections.abc import Set as AbstractSet
+from dataclasses import replace
+
+import numpy as np
+
+from mosca.continuous.moving_cameras.body_worn import Lamps
+from mosca.data.rig import Pose, Rig
+from mosca.errors import InputError
+from mosca.pipeline import PipelineSettings
+from scenarios.build.cameras import Calibrated, fitted_cameras
+from scenarios.build.scene import stage_settings
+from scenarios.spec.scenario import Scenario
+from twin.cameras.virtual_camera import VirtualCamera
+
+NO_POSE = Pose(np.eye(3), np.zeros(3))
+
+
+def worn_cameras(spec: Scenario, cameras: tuple[VirtualCamera, ...]) -> tuple[VirtualCamera, ...]:
+    """Return the cameras that ride on the body ``worn_on``, with ``moving`` then those on others that film it too.
+
+    InputError where fewer than two ride on the body itself.
+    """
+    assert spec.continuous is not None
+    body = spec.continuous.worn_on
+    worn = tuple(v for v in cameras if v.mount.body == body)
+    others = tuple(v for v in cameras if v.mount.body not in (None, body)) if spec.continuous.moving else ()
+    if len(worn) < 2:
+        raise InputError(
+            f"continuous.worn_on = '{body}': {len(worn)} [[camera]] tables have body = '{body}'; two at "
+            "least are wanted"
+        )
+    return worn + others
+
+
+def worn_rig(spec: Scenario, worn: tuple[VirtualCamera, ...]) -> Calibrated:
+    """Return the rig in the body's frame, the pipeline's lens model fitted to the true lenses' rays.
+
+    Cameras on other bodies have no pose that anybody knows.
+    """
+    assert spec.continuous is not None
+    found = fitted_cameras(spec, worn, 0.5 * spec.continuous.reach_m)
+    if not spec.continuous.moving:
+        return found
+    from scenarios.build.worn_rig import without_poses
+
+    return replace(
+        found,
+        rig=without_poses(
+            found.rig, {v.camera.name for v in worn if v.mount.body == spec.continuous.worn_on}
+        ),
+    )
+
+
+def worn_settings(spec: Scenario) -> PipelineSettings:
+    """Return the pipeline's settings for markers around the body."""
+    assert spec.continuous is not None
+    r = spec.continuous.reach_m
+    return stage_settings(spec.pipeline, ((-r, -r, -r), (r, r, r)))
+
+
+def without_poses(rig: Rig, known: AbstractSet[str]) -> Rig:
+    """Return the rig with the poses of the cameras ``known`` alone; the others' are no more than a place to write."""
+    return Rig(
+        tuple(one if one.name in known else replace(one, world_from_camera=NO_POSE) for one in rig.cameras)
+    )
+
+
+def known_lamps(spec: Scenario, rig: Rig) -> tuple[tuple[str, ...], Lamps]:
+    """Return the cameras on the body itself, whose places are known, and all cameras' lamps; InputError without."""
+    assert spec.continuous is not None
+    of_name = {own.name: own for own in spec.camera}
+    numbers, places = [], []
+    for name in rig.names:
+        own = of_name[name]
+        if own.lamp_m is None or own.lamp_number is None:
+            raise InputError(
+                f"camera '{name}': continuous.moving wants each worn camera's lamp_m and lamp_number; give them"
+            )
+        numbers.append(own.lamp_number)
+        places.append(own.lamp_m)
+    known = tuple(name for name in rig.names if of_name[name].body == spec.continuous.worn_on)
+    return known, Lamps(tuple(numbers), np.array(places, dtype=float), 1.0 / spec.capture.frame_rate_hz)

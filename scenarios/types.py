@@ -1,0 +1,168 @@
+"""Values that a run hands from stage to stage: how it is run, what the pipeline gave, what it is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.data.bodies import BodyPoses, RigidBody
+from mosca.data.detections import Detections
+from mosca.data.frames import FrameSource
+from mosca.data.rig import Rig
+from mosca.data.tracks import Tracks
+from mosca.data.truth import Truth
+
+if TYPE_CHECKING:
+    from mosca.continuous.moving_cameras.body_worn import Worn
+    from mosca.continuous.reconstruct import Reconstructed
+    from mosca.diagnostics.camera_health import CameraHealth
+    from mosca.synchronisation import Assembly
+    from reports.evidence import CameraView
+    from twin.cameras.expected_image import Expected
+    from twin.cameras.virtual_camera import VirtualCamera
+    from twin.scenes.scene import Scene
+
+Progress = Callable[[int, int], None]
+"""Called with the number of steps done and of all steps."""
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How a scenario is run."""
+
+    source: str = "twin"
+    """``twin``, ``recording:DIR`` or ``hardware:RIG.toml``."""
+    workers: int = 1
+    """Rendering threads."""
+    rrd: Path | None = None
+    """A Rerun log to write while running."""
+    record_to: Path | None = None
+    """A folder to record the frames into."""
+    truth: Path | None = None
+    """Truth for frames that are not the twin's; default: ``truth.npz`` beside a recording."""
+    progress: Progress | None = None
+
+
+class TruthSource(FrameSource, Protocol):
+    """A frame source that knows the truth of its frames: the twin."""
+
+    scene: Scene
+    virtual: tuple[VirtualCamera, ...]
+
+    @property
+    def truth_xyz(self) -> Sequence[Array]:
+        """True marker positions (m, 3) [m] of each pulse that was exposed so far."""
+        ...
+
+    def truth(self) -> Truth:
+        """Return the truth of all pulses that were exposed."""
+        ...
+
+    def expected(self, pulse: int) -> tuple[Expected, ...]:
+        """Return each camera's image of a pulse without noise."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Collected:
+    """What is kept of a run of the pipeline."""
+
+    tracks: Tracks
+    views: tuple[CameraView, ...]
+    """A picture of each camera at ``view_pulse``."""
+    view_pulse: int
+    assembly: Assembly
+    """Counts of frames and frame sets, and notes."""
+    seconds: Mapping[str, float]
+    """Computing time by stage [s]."""
+    detections: Mapping[int, Mapping[str, Detections]]
+    """Pulse -> camera -> detections, of the pulses for which the Cramer-Rao bound is computed."""
+    cameras: tuple[CameraHealth, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class TruthPairs:
+    """Measured samples paired with true markers, over all frames (t) and markers (m)."""
+
+    frame: Array
+    """Of each pair (k,): index of its instant in the truth."""
+    marker: Array
+    """Of each pair (k,): index of the true marker."""
+    track: Array
+    """Of each pair (k,): number of the track."""
+    error_m: Array
+    """Of each pair (k, 3): measured minus true position [m]."""
+    nees: Array
+    """Of each pair (k,): normalised estimation error squared."""
+    residual_px: Array
+    n_cameras: Array
+    seen: Array
+    """Number of seen markers of each frame (t,)."""
+    missed: Array
+    """Number of seen markers without a sample, of each frame (t,)."""
+    ghosts: Array
+    """Number of samples without a marker, of each frame (t,)."""
+    gate_m: Array
+    """Largest distance of a pair in each frame (t,) [m]."""
+    seen_mask: Array
+    """Whether a marker is seen in a frame (t, m)."""
+
+    @property
+    def distance_m(self) -> Array:
+        """3D distance of each pair (k,) [m]."""
+        return np.linalg.norm(self.error_m, axis=1)
+
+
+@dataclass(frozen=True)
+class Score:
+    """Value of a metric.
+
+    ``sums`` and ``weights`` are per block of frames, so that two runs can be compared block by block;
+    ``reports.compare`` lists what they hold for each metric.
+    """
+
+    value: float
+    n: int
+    """Number of items behind the value."""
+    ci95: tuple[float, float] | None = None
+    """95 % confidence interval."""
+    sums: tuple[float, ...] = ()
+    weights: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What is scored: the tracks, the rig with which they were reconstructed, and what else was found."""
+
+    collected: Collected
+    rig: Rig
+    cameras: tuple[str, ...]
+    """Names of the cameras that decide whether a marker is seen."""
+    synchronous: Callable[[], Tracks]
+    """Runs the synchronous pipeline on the same frames and returns its tracks."""
+    continuous: Reconstructed | Worn | None = None
+    """The continuous reconstruction; None for frame sets."""
+    bodies: tuple[RigidBody, ...] = ()
+    poses: BodyPoses | None = None
+    calibration_m2: Callable[[Array], Array] | None = None
+    """Covariance (n, 3, 3) [m^2] that the error of the run's own calibration adds to points (n, 3) [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """Metrics and premises of a run, and the tracks and the truth that were compared."""
+
+    scores: Mapping[str, Score]
+    premises: Mapping[str, Any]
+    collected: Collected
+    """As it was scored: in the body's frame where cameras are worn."""
+    truth: Truth | None
+    """In the same frame; None without a truth."""
+    pairs: TruthPairs | None
+    not_judged: tuple[str, ...] = ()
+    """Limited metrics that need more than there is."""
