@@ -10,16 +10,18 @@ from typing import Literal, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mosca.calibration.initial.interior_orientation import LensChoice
+from mosca.calibration.single_camera.interior_orientation import LensChoice
 from mosca.calibration.session import EstimateSettings, Shown, calibrate_session
 from mosca.camera.projection import project as project_points
-from mosca.correspondence.match import EVERYWHERE, MatchSettings, Predicted
+from mosca.camera.ray_table import make_ray_table
+from mosca.correspondence.match import EVERYWHERE, MatchSettings
 from mosca.correspondence.match import match as match_rays
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration
 from mosca.data.detections import Detections
 from mosca.data.files.rig_file import read_rig, write_rig
 from mosca.data.files.target_file import PointsTarget, read_target_file
+from mosca.data.rays import Predicted
 from mosca.data.rig import Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose, Rig
 from mosca.data.targets import ScaleBar
 from mosca.data.tracks import Points, Tracks, table
@@ -32,7 +34,6 @@ from mosca.formats.tracks.tracks_read import read_tracks
 from mosca.pipeline import PipelineSettings, run
 from mosca.recording import open_recording
 from mosca.tracking.tracker import Tracker, TrackSettings
-from mosca.triangulation.triangulate import bundle_rays
 from mosca.triangulation.triangulate import triangulate as triangulate_table
 
 T = TypeVar("T", LFrame, ScaleBar)
@@ -170,7 +171,7 @@ def match(
     """
     settings = settings or MatchSettings()
     low, high = EVERYWHERE if volume is None else (np.asarray(edge, dtype=float) for edge in volume)
-    rays = bundle_rays(rig, detections, settings.camera_sigma_px, settings.target)
+    rays = make_ray_table(rig, detections, settings.camera_sigma_px, settings.target)
     return match_rays(rays, Predicted.nothing(), settings, (low, high))
 
 

@@ -13,7 +13,7 @@ from scenarios.cli.progress import Progress
 
 if TYPE_CHECKING:
     from hardware.emulate.serve import Served
-    from scenarios.lab.serve import Request
+    from scenarios.lab.serve import ServeRequest
 
 SHARE = Number(0.0, 1.0)
 
@@ -79,11 +79,11 @@ def _serve_request(
     seed: int,
     workers: int | None,
     **same_name: Any,
-) -> "Request":
-    from scenarios.lab.serve import Request, Trouble
+) -> "ServeRequest":
+    from scenarios.lab.serve import InjectedFaults, ServeRequest
 
-    trouble = Trouble(loss, withhold, drift, dict(_reboot(text) for text in reboots), seed)
-    return Request(rate_hz=rate, trouble=trouble, workers=workers or os.cpu_count() or 1, **same_name)
+    faults = InjectedFaults(loss, withhold, drift, dict(_reboot(text) for text in reboots), seed)
+    return ServeRequest(rate_hz=rate, trouble=faults, workers=workers or os.cpu_count() or 1, **same_name)
 
 
 def _reboot(text: str) -> tuple[str, float]:

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from mosca.calibration.single_camera.interior_orientation import LensChoice
 
-from mosca.calibration.initial.interior_orientation import LensChoice
 from mosca.calibration.session import EstimateSettings, Shown, calibrate_session
 from mosca.calibration.single_camera.adjust import AdjustmentSettings
 from mosca.calibration.single_camera.from_points import calibrate_from_points, summary

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from mosca.continuous.moving_cameras.body_worn import Worn
-from mosca.continuous.reconstruct import CameraClock, Reconstructed
+from mosca.continuous.reconstruct import EstimatedClock, Reconstructed
 from mosca.data.arrays import Array
 from mosca.data.tracks import Tracks
 from mosca.data.truth import Truth
@@ -83,7 +83,7 @@ def clock_scores(found: Reconstructed, truth: Truth) -> dict[str, Score]:
     return {"clock_frames": Score(max(offsets), n), "clock_drift_ppm": Score(max(drifts), n)}
 
 
-def _line(clock: CameraClock, first_ns: int, stamp_ns: Array, true_ns: Array) -> tuple[float, float]:
+def _line(clock: EstimatedClock, first_ns: int, stamp_ns: Array, true_ns: Array) -> tuple[float, float]:
     """Return session time as offset and rate of a camera's own seconds since its origin: what its stamps should say.
 
     ``first_ns``: mid-exposure of its first frame by its own stamp.
