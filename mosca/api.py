@@ -10,8 +10,8 @@ from typing import Literal, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mosca.calibration.single_camera.interior_orientation import LensChoice
 from mosca.calibration.session import EstimateSettings, Shown, calibrate_session
+from mosca.calibration.single_camera.interior_orientation import LensChoice
 from mosca.camera.projection import project as project_points
 from mosca.camera.ray_table import make_ray_table
 from mosca.correspondence.match import EVERYWHERE, MatchSettings
