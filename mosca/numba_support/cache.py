@@ -24,13 +24,17 @@ IMPORT = re.compile(
 
 
 def kept(dispatcher: Any) -> Any:
-    """Return a Numba dispatcher that was made with ``cache=True``, with its stamp widened to what it imports.
+    """Return a Numba dispatcher that was made with ``cache=True``, with its version widened to what it imports.
 
-    The stamp is a private attribute of Numba's index file (0.61 to 0.68 have it); the alternative, subclasses of five
+    Numba compares the version of an index file before it reads the rest, which may name classes that an update has
+    removed. Data files carry the digest too: a process that still runs older sources cannot replace them. Version and
+    pattern are private attributes of Numba's index file (0.61 to 0.68 have them); the alternative, subclasses of five
     cache locators, touches more private names. ``tests/mosca/test_kernel_cache.py`` shows that it works.
     """
+    digest = source_stamp(Path(dispatcher.py_func.__code__.co_filename))
     index = dispatcher._cache._cache_file
-    index._source_stamp = (index._source_stamp, source_stamp(Path(dispatcher.py_func.__code__.co_filename)))
+    index._version = (index._version, digest)
+    index._data_name_pattern = index._data_name_pattern.replace(".{number", f".{digest[:12]}.{{number")
     return dispatcher
 
 

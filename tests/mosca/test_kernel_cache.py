@@ -61,6 +61,18 @@ def test_a_kernel_is_kept_until_something_changes_that_it_has_compiled_in(projec
     assert run(project) == ["False", "22", "True"]
 
 
+def test_an_update_that_removes_a_class_reads_nothing_of_what_was_kept(project: Path) -> None:
+    """The index names classes of arguments: read with the old one gone, it could not be loaded."""
+    pairs = project / "mosca" / "pairs.py"
+    pairs.write_text("from typing import NamedTuple\nclass Pair(NamedTuple):\n    a: int\n")
+    fast = project / "mosca" / "fast.py"
+    fast.write_text(FAST + "from mosca.pairs import Pair\n@kernel\ndef g(p):\n    return p.a\ng(Pair(3))\n")
+    assert run(project) == ["False", "2", "True"]
+    pairs.write_text(pairs.read_text().replace("Pair", "Couple"))
+    fast.write_text(fast.read_text().replace("Pair", "Couple"))
+    assert run(project) == ["False", "2", "True"]
+
+
 def test_what_a_file_imports_is_followed_through_every_way_to_write_it(tmp_path: Path) -> None:
     package = tmp_path / "mosca"
     package.mkdir()
