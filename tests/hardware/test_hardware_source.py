@@ -1,11 +1,10 @@
 """The rig as a source of frames, over cameras that are simulated in the test."""
 
-import textwrap
 import threading
 
 import numpy as np
 import pytest
-from fake_rig import SIZE, Fake, FakeDriver, FakeLine, picture
+from fake_rig import SIZE, Fake, FakeDriver, FakeLine, picture, write_rig
 
 from hardware.driver import DeviceError
 from hardware.settings import read_hardware
@@ -19,20 +18,7 @@ RATE = 100.0
 
 
 def rig_file(tmp_path, names, more="", size=SIZE):
-    text = f"[hardware]\nrate_hz = {RATE}\n"
-    for name in names:
-        text += textwrap.dedent(f"""
-            [[camera]]
-            name = "{name}"
-            size = [{size[0]}, {size[1]}]
-            [camera.hardware]
-            driver = "gige"
-            serial = "{name}"
-            {more}
-            """)
-    path = tmp_path / "rig.toml"
-    path.write_text(text)
-    return path
+    return write_rig(tmp_path / "rig.toml", names, size, RATE, more)
 
 
 def source(tmp_path, fakes, pulses=60, software=False, **kwargs):

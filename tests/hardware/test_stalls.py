@@ -66,7 +66,7 @@ class Held(FakeDriver):
     """A camera whose reader stands while the first 150 pulses pass."""
 
     def grab(self, timeout_s):
-        while self.name == "b" and self.block and self.line.made < 150 and not self.line._stop.is_set():
+        while self.name == "b" and self.block and self.line.made < 150 and not self.line.ended.is_set():
             time.sleep(0.001)
         return super().grab(timeout_s)
 
