@@ -1,4 +1,4 @@
-"""Block ids that a stream's protocol wraps, told apart from a stream that begins anew."""
+"""Unwraps block ids; a stream that restarts is recognised."""
 
 # GigE Vision counts blocks from 1 to 65535 and then from 1 again, unless it uses 64-bit ids
 PERIOD = 65535

@@ -101,7 +101,7 @@ def _opened(
     try:
         return GigeCamera(aravis, name, device)
     except _NoAnswer:
-        # nothing is there, or it was there when this program last looked
+        # not present, or present only at this program's last discovery
         found = devices()
         if chosen(found, settings) is None:
             raise not_found(found, name, settings) from None
@@ -127,8 +127,8 @@ def _listed(aravis: Aravis) -> Sequence[Device]:
 class GigeCamera(GenICamCamera):
     """One GigE Vision camera under this program's control.
 
-    Stamps are the camera's own clock in ns (the library divides by its tick frequency). GigE Vision says only that
-    a block's stamp marks when its data was generated; cameras stamp the start of exposure, or a fixed delay later.
+    Stamps are the device clock in ns (the library divides by its tick frequency). GigE Vision requires only that a
+    block's stamp marks when its data was generated; cameras stamp the start of exposure, or a fixed delay later.
     """
 
     def __init__(self, aravis: Aravis, name: str, device: Device) -> None:
@@ -162,7 +162,7 @@ class GigeCamera(GenICamCamera):
             aravis.unref(self._camera)
             raise _NoAnswer(f"camera '{name}': {described(device)} does not answer ({error})") from None
         except BaseException:
-            # else it would stay under this program's control, and nobody could open it
+            # else it would stay under this program's control, and no program could open it
             aravis.unref(self._camera)
             raise
 
@@ -178,7 +178,7 @@ class GigeCamera(GenICamCamera):
         chunk = counter_chunk(self.features) if settings.trigger_counter else None
         self._counter = None if chunk is None else COUNTER_CHUNKS[chunk].encode()
         if settings.packet_bytes is not None:
-            # else the library shrinks packets that do not come through, and nobody is told
+            # else the library shrinks packets that do not come through, without notice
             self._aravis("camera_gv_set_packet_size_adjustment", self._camera, PACKET_SIZE_ADJUSTMENT_NEVER)
         return report
 

@@ -214,7 +214,7 @@ class OpenCamera(ABC):
     @abstractmethod
     def _free(self) -> None: ...
 
-    def _await_ready(self) -> None:  # noqa: B027 - most devices do not say when they are ready
+    def _await_ready(self) -> None:  # noqa: B027 - most devices do not signal when they are ready
         """Wait until a trigger would be taken."""
 
     def _fire(self) -> None:
@@ -247,7 +247,7 @@ class GenICamCamera(OpenCamera):
         try:
             return self._configured(settings)
         except FeatureRefused as error:
-            # settings that are refused are told by name: this is a device that does not even say what it has
+            # refused settings are reported by name: this device does not even list its features
             raise self._gone(str(error)) from None
 
     def _configured(self, settings: CameraHardware) -> DeviceReport:

@@ -18,7 +18,7 @@ from hardware.emulate.stream import ImageLayout, chunk
 PtpStatus = Literal["Disabled", "Listening", "Uncalibrated", "Slave"]
 LISTENING_NS = 200_000_000
 LOCKING_NS = 500_000_000
-"""How long after PTP was switched on a device hears its master, and is locked to it."""
+"""Time from PTP on until a device is listening to its master, and until it is locked to it."""
 
 _COMMON_MINUS_MONOTONIC = time.time_ns() - time.monotonic_ns()
 
@@ -133,7 +133,7 @@ Source = Literal["Software", "Line1", "Action1"]
 class PendingImage:
     """An exposure with what was set when it began: everything that its image depends on.
 
-    ``session``: counts the stops of acquisition; a shot of an earlier one is not sent any more. ``chunks``: what
+    ``session``: counts the stops of acquisition; an image of an earlier one is not sent any more. ``chunks``: what
     follows the image, None without chunk data.
     """
 
@@ -146,7 +146,7 @@ class PendingImage:
 
 
 class Acquisition:
-    """Begins exposures as the settings ``values`` (by feature name) say; not to be used by two threads at a time.
+    """Begins exposures by the settings ``values`` (by feature name); not to be used by two threads at a time.
 
     ``stamp``: the device's clock at a monotonic time. ``full_readout_ns``: of an image of ``sensor_height`` rows.
     ``first_block``: number of the first block of each acquisition. ``counts``: what became of the triggers.
@@ -207,7 +207,7 @@ class Acquisition:
         return True
 
     def next_image(self, now_ns: int) -> PendingImage | float | None:
-        """Return the next shot, else the seconds until one may be due, else None where nothing is foreseen."""
+        """Return the next image to send, else the seconds until one may be due, else None."""
         while self._scheduled and self._scheduled[0] <= now_ns:
             self.trigger("Action1", heapq.heappop(self._scheduled))
         free = self.active and self._values["TriggerMode"] == 0

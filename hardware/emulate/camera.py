@@ -36,21 +36,21 @@ SMALLEST_PACKET, LARGEST_PACKET = 576, 16000
 
 
 class EmulatedCamera:
-    """A camera of ``identity``; the lock of ``changed`` guards all of it, and who waits for a shot waits on it.
+    """A camera of ``identity``; the lock of ``changed`` guards all of it, and waits for images use it.
 
     ``stream``: where test packets go out, and whose memory is lost with the supply. ``first_block``: number of the
-    first block of an acquisition. ``counts`` tells what became of the triggers: on the line
+    first block of an acquisition. ``counts``: what became of the triggers; on the line
     pulses = withheld + unarmed + ignored + overrun + exposures.
     """
 
     def __init__(
-        self, identity: Identity, stream: Stream, faults: Faults, luck: FaultDraws, first_block: int = 1
+        self, identity: Identity, stream: Stream, faults: Faults, draws: FaultDraws, first_block: int = 1
     ) -> None:
         self.identity, self.faults = identity, faults
         self.changed = Condition()
         self.counts: Counter[str] = Counter()
         self.privilege = Privilege()
-        self._stream, self._luck = stream, luck
+        self._stream, self._draws = stream, draws
         self._began_ns: int | None = None
         self._reset_ns: int | None = None
         self._returns_ns = 0
@@ -83,7 +83,7 @@ class EmulatedCamera:
             self._supply(time_ns)
             if time_ns < self._returns_ns:
                 self.counts["unarmed"] += 1
-            elif self._luck.withheld(number):
+            elif self._draws.withheld(number):
                 self.counts["withheld"] += 1
             else:
                 self._acquisition.pulse(number, time_ns)
@@ -93,7 +93,7 @@ class EmulatedCamera:
         """Take an action command: it triggers at once, or at its time in the device's clock.
 
         One for other keys is not for this camera, and is acknowledged all the same. A camera without PTP goes by its
-        own clock, and says that it has no common time.
+        own clock, and reports that it has no common time.
         """
         with self.changed:
             values, now = self._values, time.monotonic_ns()
@@ -126,7 +126,7 @@ class EmulatedCamera:
             self.changed.notify_all()
 
     def next_image(self) -> PendingImage | float | None:
-        """Return the next shot, else the seconds until one may be due, else None. Hold ``changed`` meanwhile."""
+        """Return the next image to send, else the seconds until one may be due, else None; hold ``changed``."""
         return self._acquisition.next_image(time.monotonic_ns())
 
     # what it is like now

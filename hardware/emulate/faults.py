@@ -54,7 +54,7 @@ FAULTLESS = Faults()
 
 
 class FaultDraws:
-    """What the dice say to one camera: packets and requests in order, pulses by their number."""
+    """Random draws of one camera's faults: packets and requests in order, pulses by their number."""
 
     def __init__(self, faults: Faults, serial: str) -> None:
         self._faults = faults

@@ -1,4 +1,4 @@
-"""Who an emulated camera is, and what its registers hold after it was switched on."""
+"""Identity of an emulated camera, and the values of its registers at power-on."""
 
 from dataclasses import dataclass
 from ipaddress import IPv4Interface
@@ -31,7 +31,7 @@ PACKET_BYTES = 1500
 @dataclass(frozen=True)
 class Identity:
     """``name``: of the source's camera. ``address``: with the length of its network. ``rate_hz``, ``exposure_us``:
-    what the source says, and so the settings at first; ``fastest_hz``: how fast the whole sensor can be read.
+    as the source has them, and so the settings at first; ``fastest_hz``: how fast the whole sensor can be read.
     """
 
     name: str

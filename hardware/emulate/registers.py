@@ -152,7 +152,7 @@ class Privilege:
         if self.level & EXCLUSIVE_ACCESS and self.holder != client:
             raise Refused(Status.ACCESS_DENIED)
 
-    def heard(self, client: Client, now_ns: int) -> None:
+    def heartbeat(self, client: Client, now_ns: int) -> None:
         """Take note that ``client`` is alive: each command of the holder counts as a heartbeat."""
         if client == self.holder:
             self._heard_ns = now_ns

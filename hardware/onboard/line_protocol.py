@@ -120,7 +120,7 @@ class UdpLines:
             ) from None
 
     def write(self, text: str) -> None:
-        """Refuse: nobody is at the other end."""
+        """Refuse: no program is at the other end."""
         raise DeviceError(f"{self._where}: listens only")
 
     def read(self, timeout_s: float) -> Line | None:

@@ -1,7 +1,7 @@
-"""What the reconstructing station makes of what it hears: who is there, which pulse is which, and merged sets.
+"""State of the reconstructing station: which stations are present, pulse alignment, and merged sets.
 
 Everything comes in order through ``take``; no threads and no network are known here. What happens to a station is
-told and kept (``events``); a station that dies costs its cameras, no more.
+passed on and kept (``events``); a lost station costs its cameras, no more.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -23,8 +23,8 @@ COUNTDOWN_NS = 500_000_000
 """From the moment when all stations are ready to the start that is ordered: the order has to reach them all."""
 
 MOST_QUIET_NS = 50_000_000
-"""From one look to the next a station is taken to be silent for so long at most: a longer time passed because this
-process did not get to run, and who was asleep cannot tell who was silent."""
+"""Largest silence that one check adds to a station: a longer interval means that this process was stalled, and it
+cannot judge silence then."""
 
 ECHO_NS = 300_000_000
 """What comes so soon after a token's fall was under way, and does not mean that the station is back."""
@@ -34,7 +34,7 @@ class Listener:
     """States of ``stations`` that show ``cameras`` (name -> width, height); used by one thread.
 
     ``start_ns``: when the stations are to start, by this machine's clock, once all are ready.
-    ``rate_hz``: of the pulses; None takes the stations' word. ``told`` is called with each event.
+    ``rate_hz``: of the pulses; None takes the stations' rate. ``on_event`` is called with each event.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class Listener:
         rate_hz: float | None,
         settings: ReceiverSettings,
         opened_ns: int,
-        told: Callable[[Event], None],
+        on_event: Callable[[Event], None],
     ) -> None:
         self.settings = settings
         self.events: list[Event] = []
@@ -54,13 +54,13 @@ class Listener:
         self.states = {station: StationState(station) for station in stations}
         self.merger = Merger(tuple(cameras), self._camera_away, settings.merge)
         self.places: StationPulses | None = None
-        self._told, self._sizes = told, dict(cameras)
+        self._on_event, self._sizes = on_event, dict(cameras)
         self._owner: dict[str, str] = {}
         self._opened_ns = self._now_ns = self._looked_ns = opened_ns
 
     @property
     def all_ended(self) -> bool:
-        """True where every station has said that this was all."""
+        """True where every station has sent its last message."""
         return all(state.ended for state in self.states.values())
 
     def timed(self, station: str) -> bool:
@@ -115,7 +115,7 @@ class Listener:
             state.add_pending(message, received_ns)
 
     def _of_this_start(self, state: StationState, epoch: int, received_ns: int) -> bool:
-        """Note that the station is heard; False for words of an earlier start."""
+        """Note that the station sends; False for a message of an earlier start."""
         if epoch in state.earlier:
             state.statistics.stale += 1
             if received_ns - (state.heard_ns or 0) < self.settings.silence_s * 1e9 and state.stands:
@@ -133,7 +133,7 @@ class Listener:
                 state.name, "appeared" if first else "back", "is here" if first else "has started again"
             )
         elif state.silent and received_ns - state.gone_ns < ECHO_NS:
-            return True  # said before it went
+            return True  # sent before it ended
         elif state.silent and received_ns > (state.heard_ns or 0):
             self._note(
                 state.name,
@@ -145,7 +145,7 @@ class Listener:
         return True
 
     def _place(self, state: StationState, message: DetectionMessage, received_ns: int) -> bool:
-        """Bring a message to its pulse; False while that cannot be told."""
+        """Bring a message to its pulse; False while that is not known."""
         if self.places is None or not self.timed(state.name) or self.places.shift(state.name) is None:
             return False
         arrival_ns = state.clock.to_local(message.arrival_ns)
@@ -164,7 +164,7 @@ class Listener:
         shift = self.places.shift(state.name)
         assert shift is not None
         if self._owner.get(message.detections.camera) != state.name:
-            return  # told when its station said which cameras it has
+            return  # noted when its station listed its cameras
         self.merger.take(
             Arrived(
                 message.pulse + shift,
@@ -214,7 +214,7 @@ class Listener:
             self._note(state.name, "ended", "has failed" if health.state == "failed" else "has ended")
 
     def _take_cameras(self, state: StationState, cameras: Sequence[StationCamera]) -> None:
-        """Note whose cameras these are; one that cannot be merged is told and ignored."""
+        """Note whose cameras these are; one that cannot be merged is noted and ignored."""
         for camera in cameras:
             self.rate_hz = camera.rate_hz if self.rate_hz is None else self.rate_hz
             wrong = self._wrong(state, camera, self.rate_hz)
@@ -254,8 +254,8 @@ class Listener:
             self._note(state.name, "gone", "is gone: its program ended, or its network")
         state.stands = stands
 
-    def look(self, now_ns: int, heard_ns: Mapping[str, int]) -> None:
-        """Notice who is silent, allow the start, and let go what was held; ``heard_ns``: when each was heard last."""
+    def check(self, now_ns: int, heard_ns: Mapping[str, int]) -> None:
+        """Note silent stations, allow the start, and release what is pending; ``heard_ns``: last message of each."""
         self._now_ns = now_ns
         passed_ns, looked_ns, self._looked_ns = now_ns - self._looked_ns, self._looked_ns, now_ns
         for state in self.states.values():
@@ -300,7 +300,7 @@ class Listener:
     def _note(self, station: str, kind: str, text: str) -> None:
         event = Event(self._now_ns, station, kind, text)
         self.events.append(event)
-        self._told(event)
+        self._on_event(event)
 
 
 def _overlap(known: Sequence[str], notes: Sequence[str]) -> int:

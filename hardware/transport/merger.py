@@ -87,7 +87,7 @@ class MergeStatistics:
 
 
 class Merger:
-    """Takes messages and gives sets of ``cameras``; ``away(camera)`` tells that its station cannot be waited for."""
+    """Takes messages and gives sets of ``cameras``; ``away(camera)``: whether its station is not waited for."""
 
     def __init__(
         self, cameras: Sequence[str], away: Callable[[str], bool], settings: MergeSettings | None = None

@@ -24,9 +24,9 @@ A message of detections is a head of 80 bytes, two names, and columns of n targe
 | then | uint8 | flags (n) |
 
 A message of health is bytes 0-3 and a JSON object in utf-8 with the fields of ``HealthMessage``. An answer of the
-clock, and an order to start, is epoch (uint64) and a time of the station's clock (int64); a question whether a
-station was heard to its end is epoch (uint64) and its name, the answer a byte: 1 yes, 0 not yet. Numbers are the ones
-that were measured, to the last bit: merged detections equal local ones.
+clock, and an order to start, is epoch (uint64) and a time of the station's clock (int64); a query whether a
+station's last message was received is epoch (uint64) and its name, the answer a byte: 1 yes, 0 not yet. Numbers are
+exact to the last bit: merged detections equal local ones.
 """
 
 import json
@@ -51,7 +51,7 @@ _HEAD = struct.Struct("<2sBBBBBBQQqqqqqQQ")
 _CLOCK = struct.Struct("<Qq")
 _EPOCH = struct.Struct("<Q")
 YES, NOT_YET = b"\1", b"\0"
-"""Answers to whether a station was heard to its end."""
+"""Answers to whether a station's last message was received."""
 
 
 class MessageError(MoscaError):
@@ -60,7 +60,7 @@ class MessageError(MoscaError):
 
 @dataclass(frozen=True, eq=False)
 class DetectionMessage:
-    """One camera's detections of one pulse; times [ns] as the module says. Empty unless ``status`` is "detected"."""
+    """One camera's detections of one pulse; times in ns. Empty unless ``status`` is "detected"."""
 
     station: str
     epoch: int
@@ -91,8 +91,8 @@ class HealthMessage:
     """How a station is doing.
 
     ``state``: "starting", "holding" (has the pulses, waits for the order to start), "armed" (waits for frames),
-    "running", "ended", "failed" (``notes`` say why). ``sent_ns``: by its own clock. ``refused``: messages that the
-    engine did not take; ``skipped``: frames that the station did not look at because it was behind. ``notes``: the
+    "running", "ended", "failed" (``notes``: why). ``sent_ns``: by its own clock. ``refused``: messages that the
+    engine did not take; ``skipped``: frames that the station did not process because it was behind. ``notes``: the
     latest.
     """
 
@@ -225,7 +225,7 @@ def unpack_clock(data: bytes) -> tuple[int, int]:
 
 
 def pack_heard(station: str, epoch: int) -> bytes:
-    """Return the question whether this start of a station was heard to its end."""
+    """Return the query whether the last message of this start of a station was received."""
     return _EPOCH.pack(epoch) + station.encode()
 
 

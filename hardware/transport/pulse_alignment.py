@@ -2,15 +2,15 @@
 
 All cameras hang on one trigger cable, so a pulse's frames arrive at all stations at about the same time. A station's
 count and another's belong together by a whole number, its *shift*, and the time of arrival, in one clock
-(``hardware.transport.clock``), tells it: the earliest of some arrivals, since frames come late, never early.
+(``hardware.transport.clock``), shows it: the earliest of some arrivals, since frames come late, never early.
 
-- Start: the earliest station's pulse 0 is the session's. Who counts from another pulse is found out, said, and
+- Start: the earliest station's pulse 0 is the session's. A station that counts from another pulse is noted, and
   counted on from there.
 - Who comes later, or comes back, finds its place on the line of pulses that the others have kept up.
 - Arrivals of two stations must agree to a quarter of a period: a station that lies between pulses is left out, and
-  said. Cameras that deliver later by whole periods than the others' cannot be told from a wrong count.
+  noted. Cameras that deliver later by whole periods than the others' cannot be distinguished from a wrong count.
 - A station whose frames come before their pulse counts too far ahead, and is placed anew. One whose frames come late
-  may be slow or count wrongly: that is said, and no more.
+  may be slow or count wrongly: that is noted, and no more.
 """
 
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ class _Alignment:
 
 
 class StationPulses:
-    """Shifts of ``stations``, from arrivals; ``notes`` says what happened, (station, text) each.
+    """Shifts of ``stations``, from arrivals; ``notes``: what happened, (station, text) each.
 
     ``start_wait_s``: how long after the first arrival stations may be silent before the rest begins without them.
     """

@@ -18,9 +18,11 @@ CLOCK_SHARE = 0.1
 
 @dataclass(frozen=True)
 class ReceiverSettings:
-    """``silence_s``: a station not heard of for so long is told and not waited for. ``start_wait_s``: how long the
-    start waits for stations. ``clock_s``: from one question for a clock to the next. ``queued``: merged sets that may
-    wait for whoever iterates; then the oldest is left out and counted.
+    """Waiting times of the receiver.
+
+    ``silence_s``: a station that sends nothing for so long is noted and not waited for. ``start_wait_s``: how long
+    the start waits for stations. ``clock_s``: interval of clock queries. ``queued``: merged sets that may wait for
+    the consumer; then the oldest is left out and counted.
     """
 
     merge: MergeSettings = field(default_factory=MergeSettings)
@@ -66,8 +68,8 @@ class StationStatistics:
 
 @dataclass
 class ReceiverStatistics:
-    """What became of all messages: ``stations``, ``merge``, ``left_out`` sets nobody took in time, ``overrun``
-    messages that found no room here.
+    """What became of all messages: ``stations``, ``merge``, ``left_out`` sets not consumed in time, ``overrun``
+    messages dropped at a full queue.
     """
 
     stations: Mapping[str, StationStatistics]
@@ -103,7 +105,7 @@ class StationState:
 
     @property
     def ended(self) -> bool:
-        """True where it has said that this was all."""
+        """True where it has sent its last message."""
         return self.health is not None and self.health.state in ("ended", "failed")
 
     @property
@@ -139,7 +141,7 @@ class StationState:
         self.expected[camera] = max(message.sequence + 1, expected)
 
     def count_rest(self) -> None:
-        """Count what its last words say was sent and did not come."""
+        """Count what was sent, by its last message, and not received."""
         if self.health is None:
             return
         for camera in self.health.cameras:
@@ -148,7 +150,7 @@ class StationState:
             self.expected[camera.name] = max(camera.sent, expected)
 
     def add_pending(self, message: DetectionMessage, received_ns: int) -> None:
-        """Let a message wait until its pulse can be told."""
+        """Keep a message until its pulse is known."""
         self.pending.append((message, received_ns))
         if len(self.pending) > HELD:
             self.pending.popleft()

@@ -1,4 +1,4 @@
-"""What an engine between stations is: the one door behind which it stands, and the keys that are used.
+"""Interface of the engines that carry messages between stations, and the keys that are used.
 
 | key | carries |
 |---|---|
@@ -8,7 +8,7 @@
 | ``mosca/STATION/rig`` | asked for: its rig file, calibrated or not |
 | ``mosca/STATION/start`` | asked: the session starts at this time of your clock |
 | ``mosca/STATION/alive`` | a token that stands as long as the station's process |
-| ``mosca/heard`` | asked for: whether a station's start has been heard to its end (``hardware.transport.messages``) |
+| ``mosca/heard`` | query: whether a station's last message was received (``hardware.transport.messages``) |
 
 The reconstructing station is one of the names: it answers ``rig`` and stands by its token.
 """
@@ -29,14 +29,14 @@ JAM_S = 0.25
 
 
 class TransportError(MoscaError):
-    """An engine that is not installed, or an endpoint that cannot be used; told in one line."""
+    """An engine that is not installed, or an endpoint that cannot be used; in one line."""
 
 
 class Transport(Protocol):
     """Publishes, asks and watches. Callbacks come on the engine's threads, one at a time for each subscription."""
 
     def publish(self, key: str, payload: bytes) -> bool:
-        """Send to whoever subscribed; what finds no room soon is dropped. False where the engine refuses it."""
+        """Send to all subscribers; dropped where the queue stays full. False where the engine refuses it."""
         ...
 
     def subscribe(self, pattern: str, take: Callable[[str, bytes], None]) -> None:
@@ -48,7 +48,7 @@ class Transport(Protocol):
         ...
 
     def query(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
-        """Return the answer to ``payload``, None where nobody answers within ``timeout_s``."""
+        """Return the answer to ``payload``, None without one within ``timeout_s``."""
         ...
 
     def declare_token(self, key: str) -> None:
@@ -65,7 +65,7 @@ class Transport(Protocol):
 
 
 def check_endpoint(text: str) -> str:
-    """Return ``text`` where it can be an endpoint; TransportError says how one looks.
+    """Return ``text`` where it can be an endpoint; TransportError shows the form.
 
     Engines take what is none, and then wait for ever.
     """
@@ -78,7 +78,7 @@ def check_endpoint(text: str) -> str:
 
 
 def check_station(name: str) -> str:
-    """Return ``name`` where it can be a station's; InputError says what is allowed."""
+    """Return ``name`` where it can be a station's; InputError lists what is allowed."""
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,60}", name):
         raise InputError(f"station name '{name}' given; 1 to 60 letters, digits, _ and - are allowed")
     return name

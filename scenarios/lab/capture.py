@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from mosca.pipeline import PipelineSettings
     from scenarios.lab.live_view import LiveView
 
-LOOK_S = 0.05
-ACCOUNT_S = 1.0
+POLL_S = 0.05
+STATISTICS_S = 1.0
 TAIL_PULSES = 4
 Progress = Callable[[int, int | None], None]
 
@@ -55,7 +55,7 @@ class CaptureRequest:
 
 @dataclass
 class CameraRow:
-    """What became of one camera's pulses: ``frames`` in the recording or looked at, ``failed``, ``dropped``."""
+    """What became of one camera's pulses: ``frames`` in the recording or processed, ``failed``, ``dropped``."""
 
     frames: int = 0
     failed: int = 0
@@ -115,8 +115,8 @@ def capture(
             run = ProgramRun(program, source.session_ns, recorder.write_message)
             stack.callback(run.close)
         view = None if settings is None else _view(stack, request, source, settings, recorder)
-        looked = settings if request.detections else None
-        intake = Intake(source, recorder, looked, view, request.waiting_bytes)
+        detection = settings if request.detections else None
+        intake = Intake(source, recorder, detection, view, request.waiting_bytes)
         stack.callback(intake.close)
         stopped = _watch(source, intake, recorder, run, lambda done: progress and progress(done, pulses))
         if run is not None:
@@ -210,13 +210,13 @@ def _watch(
     progress: Callable[[int], object],
 ) -> bool:
     """Let it run and write down clocks and accounts; return whether Ctrl-C ended it."""
-    stopped, next_account = False, time.monotonic() + ACCOUNT_S
+    stopped, next_statistics = False, time.monotonic() + STATISTICS_S
     with between_steps() as check:
         intake.start()
         if run is not None:
             run.start()
         while intake.running:
-            intake.wait(LOOK_S)
+            intake.wait(POLL_S)
             try:
                 check()
             except KeyboardInterrupt:
@@ -225,8 +225,8 @@ def _watch(
             if recorder.failed is not None:
                 source.stop()
             _write_clocks(recorder, source, intake)
-            if time.monotonic() >= next_account:
-                next_account += ACCOUNT_S
+            if time.monotonic() >= next_statistics:
+                next_statistics += STATISTICS_S
                 _write_statistics(recorder, source, intake)
             progress(intake.pulses)
     _write_clocks(recorder, source, intake)
@@ -273,7 +273,7 @@ def _outcome(
     view: "LiveView | None",
     wanted: int | None,
 ) -> CaptureOutcome:
-    """Sum up; ``wanted``: pulses that there should be, None where somebody stopped it."""
+    """Sum up; ``wanted``: pulses that there should be, None where it was stopped by hand."""
     pulses = wanted if wanted is not None else _whole_pulses(intake)
     rows = {}
     for name, seen in intake.cameras.items():
@@ -305,7 +305,7 @@ def _whole_pulses(intake: Intake) -> int:
 
 
 def _about(source: HardwareSource, outcome: CaptureOutcome) -> dict[str, Any]:
-    """Return what ``recording.toml`` says of the capture, for people."""
+    """Return the description of the capture for ``recording.toml``."""
     devices = {
         name: {
             "model": report.model,

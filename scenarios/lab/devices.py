@@ -11,7 +11,7 @@ Look = Callable[[str, str], Sequence[Device]]
 
 
 def describe_devices(path: Path | None, look: Look = devices) -> tuple[list[str], list[str]]:
-    """Return a line for each device and each driver that cannot look, then one for each camera of the rig file; and
+    """Return a line for each device and each driver that cannot search, then one for each camera of the rig file; and
     the names of the rig file's cameras that no driver sees.
     """
     cameras = {} if path is None else read_hardware(path).cameras

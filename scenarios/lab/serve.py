@@ -28,8 +28,8 @@ from scenarios.spec.scenario import load_scenario
 from scenarios.suite.catalog import find
 
 MEMORY_BYTES = 1 << 30
-"""How much of the frames is kept in memory unless ``--ahead`` says otherwise."""
-LOOK_S = 0.02
+"""How much of the frames is kept in memory without ``--ahead``."""
+POLL_S = 0.02
 LOOPBACK_PACKET = 8000
 """Loopback carries large packets; five times as many small ones would keep a core busy."""
 Trigger = Literal["Line1", "serial", "Software", "Action1", "Off"]
@@ -43,7 +43,7 @@ TRIGGER_SOURCES: Mapping[Trigger, str] = {
 
 
 class TwinTable(Table):
-    """``[twin]`` of a rig file: what its cameras look at when they are served."""
+    """``[twin]`` of a rig file: the scene of its cameras when they are served."""
 
     scenario: str = ""
     recording: str = ""
@@ -93,11 +93,11 @@ class ServedSource:
 def serve(
     request: ServeRequest,
     progress: Callable[[int, int | None], None] | None,
-    told: Callable[[Served], None],
+    on_ready: Callable[[Served], None],
 ) -> Served:
     """Serve until Ctrl-C or for ``request.seconds``; return what was served, closed, with its counts.
 
-    ``told``: called once the devices answer. Raises InputError for what cannot be served.
+    ``on_ready``: called once the devices answer. Raises InputError for what cannot be served.
     """
     if request.rig_out is not None:
         check_writable(request.rig_out)
@@ -126,7 +126,7 @@ def serve(
             text = rig_text(subject.rig, up, rate_hz, request.trigger, "" if box is None else box.port)
             with whole_file(request.rig_out) as temporary:
                 temporary.write_text(text, encoding="utf-8")
-        told(up)
+        on_ready(up)
         _stay(up, rate_hz, request)
         return up
 
@@ -187,7 +187,7 @@ def _stay(up: Served, rate_hz: float, request: ServeRequest) -> None:
                 elif not waits and not any(armed):
                     up.line.stop()
                     waits = True
-                time.sleep(LOOK_S)
+                time.sleep(POLL_S)
         except KeyboardInterrupt:
             return
 
@@ -244,10 +244,10 @@ def _rig(path: Path, request: ServeRequest, stack: ExitStack) -> ServedSource:
     whole = all(table.lens is not None and table.pose is not None for table in document.camera)
     rig = read_rig(path) if whole else None
 
-    def said(key: str) -> dict[str, str]:
+    def given(key: str) -> dict[str, str]:
         return {t.name: str(t.hardware[key]) for t in document.camera if t.hardware.get(key)}
 
-    return replace(subject, source=source, rig=rig, addresses=said("address"), serials=said("serial"))
+    return replace(subject, source=source, rig=rig, addresses=given("address"), serials=given("serial"))
 
 
 def _check_camera(path: Path, table: CameraTable, there: Mapping[str, CameraInfo]) -> None:

@@ -1,8 +1,8 @@
 """A detecting station: frames of its own cameras become detections, sent to the station that reconstructs.
 
-The frames are looked at one by one as they come, with the same detection, and the same lessons from earlier frames,
+The frames are processed one by one as they come, with the same detection, and the same statistics of earlier frames,
 as in a local run: what arrives elsewhere is what a local run would have found. A thread reads the source and notes
-when each frame was there; a station that falls behind leaves out its oldest frames, and says which.
+when each frame was there; a station that falls behind leaves out its oldest frames, and reports which.
 """
 
 import threading
@@ -21,7 +21,7 @@ from scenarios.lab.priority import before_others, prompt
 from scenarios.lab.station_background import Backgrounds
 
 BACKLOG_S, LEAST_BACKLOG = 1.0, 12
-"""How long, and how many frames a camera, may wait to be looked at; then the oldest is left out. A rig holds its
+"""How long, and how many frames a camera, may wait for detection; then the oldest is left out. A rig holds its
 first frames until their pulses are known, and gives them all at once."""
 WAIT_S = 0.1
 
@@ -47,7 +47,7 @@ class Arrivals:
         self._reader.start()
 
     def __iter__(self) -> Iterator[tuple[Frame, int, bool] | None]:
-        """Yield (frame, arrival, whether to look at it), or None when none came for a while."""
+        """Yield (frame, arrival, whether to detect in it), or None when none came for a while."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._waiting or self._over, WAIT_S)
@@ -109,7 +109,7 @@ class PulseCount:
 
 @dataclass
 class StationTotals:
-    """What a station did: ``frames`` came, ``detected`` were looked at, ``targets`` were found in them."""
+    """What a station did: ``frames`` came, ``detected`` were processed, ``targets`` were found in them."""
 
     frames: int = 0
     detected: int = 0
@@ -129,7 +129,7 @@ def run_station(
     """Detect and send until the source ends or ``every``, called between frames, returns False.
 
     ``arrival_ns``: when a frame was there, by the sender's clock. ``end`` makes the source end. ``backgrounds``: what
-    is taken off the images. Closes source and sender; the others are told when the source fails.
+    is taken off the images. Closes source and sender; the other stations are informed when the source fails.
     """
     with before_others(), prompt():
         return _run(source, sender, settings, arrival_ns, every, end, backgrounds or Backgrounds())

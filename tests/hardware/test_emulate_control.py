@@ -272,7 +272,7 @@ def victim():
     )
 )
 def test_any_bytes_leave_the_device_alive(victim, datagrams):
-    control, client = victim.devices[0]._control, ("127.0.0.1", 1000)
+    control, client = victim.devices[0].control, ("127.0.0.1", 1000)
     control.answer(command(0x82, 1, struct.pack(">II", CCP, CONTROL), 0), client)
     for datagram in datagrams:
         for broadcast in (False, True):

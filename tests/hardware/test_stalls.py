@@ -190,25 +190,24 @@ def test_a_line_that_is_behind_makes_the_pulses_that_were_due_before_it_was_stop
     assert camera.heard == list(range(10))
 
 
-def test_a_device_that_was_asleep_does_not_take_its_client_for_dead(monkeypatch):
+def test_a_device_that_was_stalled_does_not_end_its_client_s_control(monkeypatch):
     with served(ArraySource(1, 2), first_address=free_address()) as up:
         device = up.devices[0]
         hand = Hand(str(device.identity.address.ip))
-        control, privilege = device._control, device.camera.privilege
-        device._control._stop.set()  # its own polled would be among those below
-        control._thread.join()
+        control, privilege = device.control, device.camera.privilege
+        control.close()  # its own checks would be among those below
         begin = time.monotonic_ns()
         privilege.ask(("127.0.0.1", hand.port), 2, begin)
 
         def looked(*at_s):
             for one in at_s:
-                control._look_after(begin + round(one * SECOND))
+                control.check_heartbeat(begin + round(one * SECOND))
             return privilege.holder is not None
 
         assert looked(
             0.0, 10.0, 10.4, 10.8, 11.2, 11.6, 11.9
         )  # asleep for ten seconds: the client was, too, perhaps
-        privilege.heard(("127.0.0.1", hand.port), begin + round(11.9 * SECOND))
+        privilege.heartbeat(("127.0.0.1", hand.port), begin + round(11.9 * SECOND))
         assert looked(*np.arange(12.0, 14.8, 0.4))
         assert not looked(*np.arange(14.8, 15.6, 0.4))  # awake, and nothing was heard for 3 s
         hand.close()
