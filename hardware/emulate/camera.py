@@ -55,7 +55,7 @@ class EmulatedCamera:
         self._reset_ns: int | None = None
         self._returns_ns = 0
         self._rebooted = False
-        self._clock = EmulatedClock(0)
+        self.clock = EmulatedClock(0)
         self._ptp: tuple[PtpStatus, int] = ("Disabled", 0)
         tree = features(tuple(dict.fromkeys((FORMAT_OF_DEPTH[identity.bit_depth], "Mono8"))))
         self._features = {feature.register or feature.name: feature for feature in tree}
@@ -66,7 +66,7 @@ class EmulatedCamera:
         self._values = self.registers.values
         self._acquisition = Acquisition(
             self._values,
-            lambda mono_ns: self._clock.at(mono_ns),
+            lambda mono_ns: self.clock.at(mono_ns),
             SECOND / identity.fastest_hz,
             identity.height,
             first_block,
@@ -105,12 +105,12 @@ class EmulatedCamera:
             if action.at_ns is None:
                 self._acquisition.trigger("Action1", now)
                 return Status.SUCCESS
-            due = self._clock.when(action.at_ns)
+            due = self.clock.when(action.at_ns)
             if not self._acquisition.schedule(max(due, now)):
                 return Status.OVERFLOW
             if due < now:
                 return Status.ACTION_LATE
-            return Status.SUCCESS if self._clock.ptp_status(now) == "Slave" else Status.NO_REF_TIME
+            return Status.SUCCESS if self.clock.ptp_status(now) == "Slave" else Status.NO_REF_TIME
 
     def reboot(self) -> None:
         """Lose the supply now and come back after ``faults.reboot_gone_s``."""
@@ -239,7 +239,7 @@ class EmulatedCamera:
             self._began_ns = now
             if self.faults.jump_at_s is not None:
                 jump = ClockJump(now + round(self.faults.jump_at_s * SECOND), self.faults.jump_ns)
-                self._clock = replace(self._clock, jumps=(jump,))
+                self.clock = replace(self.clock, jumps=(jump,))
         self._acquisition.start(now)
 
     def _reset_soon(self, _: int) -> None:
@@ -247,23 +247,23 @@ class EmulatedCamera:
 
     def _control_timestamp(self, bits: int) -> None:
         now = time.monotonic_ns()
-        if bits & 1 and self._clock.ptp_ns is None:
-            self._clock = EmulatedClock(now, 0, self.faults.drift_ppm)
+        if bits & 1 and self.clock.ptp_ns is None:
+            self.clock = EmulatedClock(now, 0, self.faults.drift_ppm)
         if bits & 2:
-            self._values["TimestampLatched"] = self._clock.at(now)
+            self._values["TimestampLatched"] = self.clock.at(now)
 
     def _enable_ptp(self, on: int) -> None:
         now = time.monotonic_ns()
         self._values["PtpEnable"] = on
-        if on and self._clock.ptp_ns is None:
-            self._clock = replace(self._clock, ptp_ns=now)
-        elif not on and self._clock.ptp_ns is not None:
-            self._clock = EmulatedClock(now, self._clock.at(now), self.faults.drift_ppm)
+        if on and self.clock.ptp_ns is None:
+            self.clock = replace(self.clock, ptp_ns=now)
+        elif not on and self.clock.ptp_ns is not None:
+            self.clock = EmulatedClock(now, self.clock.at(now), self.faults.drift_ppm)
         self._latch_ptp(1)
 
     def _latch_ptp(self, _: int) -> None:
         now = time.monotonic_ns()
-        self._ptp = self._clock.ptp_status(now), self._clock.offset_from_master(now)
+        self._ptp = self.clock.ptp_status(now), self.clock.offset_from_master(now)
 
     def _set_packet_size(self, value: int) -> None:
         asked = value & 0xFFFC
@@ -300,6 +300,6 @@ class EmulatedCamera:
 
     def _boot(self, at_ns: int) -> None:
         """Begin with the settings that the camera has when its supply comes."""
-        self._clock = EmulatedClock(at_ns, self.faults.clock_offset_ns, self.faults.drift_ppm)
+        self.clock = EmulatedClock(at_ns, self.faults.clock_offset_ns, self.faults.drift_ppm)
         self._ptp = ("Disabled", 0)
         self._values.update(boot_values(self.identity, self._xml_bytes, self._stream.source_port))

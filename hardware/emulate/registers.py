@@ -67,6 +67,10 @@ class RegisterFile:
             if one.address + one.length > after.address:
                 raise ValueError(f"registers {one.name} and {after.name} overlap at 0x{after.address:x}")
 
+    def named(self, name: str) -> Register:
+        """Return register ``name``."""
+        return next(register for register in self._registers if register.name == name)
+
     def value(self, name: str) -> Value:
         """Return what register ``name`` shows now."""
         ask = self._live.get(name)

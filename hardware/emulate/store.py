@@ -93,6 +93,11 @@ class FrameStore:
                 self._changed.wait(BETWEEN_LOOKS_S)
             return self._frames[camera, pulse]
 
+    @property
+    def kept(self) -> int:
+        """Number of frames in memory."""
+        return len(self._frames)
+
     def rewind(self) -> None:
         """Begin again with pulse 0."""
         with self._changed:

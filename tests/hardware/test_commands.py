@@ -214,7 +214,7 @@ def test_events_come_by_udp_and_tcp_and_wait_for_the_clock():
     session = Session()
     server = socket.create_server(("127.0.0.1", 0))
     listening = UdpLines("probe", "127.0.0.1:0")  # a free port, and then ours
-    port = listening._socket.getsockname()[1]
+    port = listening.port
     listening.close()
     tables = (
         {"name": "imu", "kind": "udp", "address": f"127.0.0.1:{port}"},
@@ -267,7 +267,7 @@ def test_what_is_not_there_is_one_line():
     address = f"127.0.0.1:{server.getsockname()[1]}"
     server.close()
     first = UdpLines("event 'a'", "127.0.0.1:0")
-    taken = f"127.0.0.1:{first._socket.getsockname()[1]}"
+    taken = f"127.0.0.1:{first.port}"
     with pytest.raises(DeviceError, match=r"event 'b' at .* cannot listen"):
         UdpLines("event 'b'", taken)
     first.close()

@@ -47,8 +47,7 @@ def in_control(hand: Hand) -> None:
 
 
 def address_of(up: Served, name: str) -> int:
-    registers = up.devices[0].camera.registers._registers
-    return next(r.address for r in registers if r.name == name)
+    return up.devices[0].camera.registers.named(name).address
 
 
 def test_discovery_says_who_it_is(up, hands):
