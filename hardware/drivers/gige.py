@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import logging
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -25,6 +26,8 @@ from hardware.drivers.features import text
 from hardware.drivers.opened import GenICamCamera, chosen, claim, described, not_found, release
 from hardware.drivers.pixels import whole_image
 from hardware.settings import CameraHardware
+
+log = logging.getLogger("mosca.hardware.drivers")
 
 PROTOCOL = "GigEVision"
 # the library has one list for all
@@ -107,6 +110,7 @@ def _opened(
             raise not_found(found, name, settings) from None
         if tries == 1:
             raise
+        log.debug("camera '%s': no answer yet, opening it again", name)
     return _opened(aravis, name, device, settings, tries - 1)
 
 

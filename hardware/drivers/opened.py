@@ -1,6 +1,7 @@
 """What all drivers share: an open camera's states, who may touch it when, and the text of its errors."""
 
 import contextlib
+import logging
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -17,6 +18,8 @@ from hardware.drivers.configure import (
 from hardware.drivers.features import FeatureRefused, Features
 from hardware.drivers.pixels import FORMATS
 from hardware.settings import CameraHardware
+
+log = logging.getLogger("mosca.hardware.drivers")
 
 # while a grab waits, other threads get their turn this often
 SLICE_S = 0.05
@@ -99,7 +102,7 @@ class OpenCamera(ABC):
         """What this device can do."""
 
     def configure(self, settings: CameraHardware) -> DeviceReport:
-        """Set the device and read it back; DeviceError where it took another value than was asked for."""
+        """Set the device and read it back; DeviceError where it accepted another value than the one requested."""
         with self._control:
             self._demand_open()
             if self._armed:
@@ -117,6 +120,7 @@ class OpenCamera(ABC):
                     self._start()
                     self._leaving = False
                     self._armed = True
+                log.debug("camera '%s': armed", self.name)
 
     def grab(self, timeout_s: float) -> Grabbed | None:
         """Return the next buffer, failed ones too, or None when none came within ``timeout_s``."""
@@ -184,6 +188,7 @@ class OpenCamera(ABC):
                     self._open = False
                     release(self.device)
                     self._free()
+                    log.info("camera '%s': closed", self.name)
 
     def _demand_open(self) -> None:
         if not self._open:

@@ -23,9 +23,11 @@ class MergeSettings:
 
 @dataclass(frozen=True, eq=False)
 class Arrived:
-    """A message in the session's terms: ``pulse``, ``time_ns`` (mid-exposure) on the session's clock, ``arrival_ns``
-    and ``sent_ns`` at its station and ``received_ns`` here, all in this machine's clock. ``held``: it waited, here or
-    at its station, until the start was known, and may be old.
+    """A message in the session's terms.
+
+    ``pulse``, ``time_ns`` (mid-exposure) on the session's clock; ``arrival_ns`` and ``sent_ns`` at its station and
+    ``received_ns`` here, all in this machine's clock. ``buffered``: it waited, here or at its station, until the
+    start was known, and may be old.
     """
 
     pulse: int
@@ -35,7 +37,7 @@ class Arrived:
     received_ns: int
     status: Status
     detections: Detections
-    held: bool = False
+    buffered: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +108,7 @@ class Merger:
         name = item.detections.camera
         count = self.statistics.cameras[name]
         self._newest[name] = max(self._newest[name], item.pulse)
-        if not item.held and item.received_ns - item.arrival_ns > self.settings.oldest_s * 1e9:
+        if not item.buffered and item.received_ns - item.arrival_ns > self.settings.oldest_s * 1e9:
             count.aged += 1
             return
         if self._next is not None and item.pulse < self._next:

@@ -72,7 +72,9 @@ class Receiver:
         transport.declare_queryable(HEARD, self._received_to_end)
         transport.declare_token(key_of(name, "alive"))
         transport.subscribe(EVERYTHING, self._published)
-        transport.watch_tokens(EVERY_TOKEN, lambda key, stands: self._post("token", station_of(key), stands))
+        transport.watch_tokens(
+            EVERY_TOKEN, lambda key, declared: self._post("token", station_of(key), declared)
+        )
         self._threads = [threading.Thread(target=self._work, name="merge", daemon=True)]
         self._threads += [
             threading.Thread(target=self._attend, args=(n,), name=f"clock of {n}", daemon=True)
@@ -94,7 +96,7 @@ class Receiver:
     @property
     def start_ns(self) -> int | None:
         """Time of the session's pulse 0 by this machine's clock [ns], late by what its frames took to arrive."""
-        return None if self._listener.places is None else self._listener.places.start_ns
+        return None if self._listener.pulses is None else self._listener.pulses.start_ns
 
     def rigs(self, timeout_s: float) -> dict[str, str]:
         """Return the rig files (text) of the stations that have handed theirs in, waiting for all of them."""

@@ -10,7 +10,7 @@ from hardware.transport.clock import RemoteClock
 from hardware.transport.merger import MergeSettings, MergeStatistics
 from hardware.transport.messages import DetectionMessage, HealthMessage
 
-HELD = 4000
+MOST_PENDING = 4000
 """Messages that may wait until their station's clock and place are known; older ones are thrown away."""
 CLOCK_SHARE = 0.1
 """Share of a period to which a station's clock has to be certain before its frames are placed."""
@@ -88,12 +88,12 @@ class StationState:
     health: HealthMessage | None = None
     epoch: int | None = None
     earlier: set[int] = field(default_factory=set)
-    stands: bool = False
+    has_token: bool = False
     silent: bool = False
     heard_ns: int | None = None
     quiet_ns: int = 0
     gone_ns: int = 0
-    placed_ns: int = 0
+    aligned_ns: int = 0
     pending: deque[tuple[DetectionMessage, int]] = field(default_factory=deque)
     voted: int = 0
     expected: dict[str, int] = field(default_factory=dict)
@@ -152,7 +152,7 @@ class StationState:
     def add_pending(self, message: DetectionMessage, received_ns: int) -> None:
         """Keep a message until its pulse is known."""
         self.pending.append((message, received_ns))
-        if len(self.pending) > HELD:
+        if len(self.pending) > MOST_PENDING:
             self.pending.popleft()
             self.voted = max(self.voted - 1, 0)
             self.statistics.unplaced += 1

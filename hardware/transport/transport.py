@@ -7,10 +7,10 @@
 | ``mosca/STATION/clock`` | asked for: what the station's clock shows |
 | ``mosca/STATION/rig`` | asked for: its rig file, calibrated or not |
 | ``mosca/STATION/start`` | asked: the session starts at this time of your clock |
-| ``mosca/STATION/alive`` | a token that stands as long as the station's process |
+| ``mosca/STATION/alive`` | a liveliness token of the station's process |
 | ``mosca/heard`` | query: whether a station's last message was received (``hardware.transport.messages``) |
 
-The reconstructing station is one of the names: it answers ``rig`` and stands by its token.
+The reconstructing station is one of the names: it answers ``rig`` and declares its token.
 """
 
 import re
@@ -44,7 +44,7 @@ class Transport(Protocol):
         ...
 
     def declare_queryable(self, key: str, reply: Callable[[bytes], bytes]) -> None:
-        """Answer those who ask for ``key``."""
+        """Answer queries for ``key``."""
         ...
 
     def query(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
@@ -52,11 +52,11 @@ class Transport(Protocol):
         ...
 
     def declare_token(self, key: str) -> None:
-        """Set up a token that stands until ``close``, or until this process or its network is gone."""
+        """Declare a token until ``close``, or until this process or its network is lost."""
         ...
 
     def watch_tokens(self, pattern: str, take: Callable[[str, bool], None]) -> None:
-        """Tell ``take(key, stands)`` of tokens that are there, that come and that go."""
+        """Call ``take(key, declared)`` for present tokens, and for each that is declared or withdrawn."""
         ...
 
     def close(self) -> None:
