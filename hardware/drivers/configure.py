@@ -30,10 +30,7 @@ OWN_KEYS = {
 }
 # they change what windows there are, so they go before the window
 # entries of ChunkSelector that are a count of pulses on a line, and the chunks they switch on
-COUNTER_CHUNKS = {
-    "CounterValue": "ChunkCounterValue",
-    "Triggerinputcounter": "ChunkTriggerinputcounter",
-}
+COUNTER_CHUNKS = {"CounterValue": "ChunkCounterValue", "Triggerinputcounter": "ChunkTriggerinputcounter"}
 EARLY = ("UserSet", "Binning", "Decimation", "Sensor", "RegionSelector", "RegionMode")
 # not set, but reported beside what was
 FACTS = (

@@ -8,13 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 
 from hardware.driver import Capabilities, ClockReading, Device, DeviceError, DeviceReport, Grabbed
-from hardware.drivers.configure import (
-    capabilities_of,
-    configure,
-    exposure_ns,
-    latch_of,
-    model_and_serial,
-)
+from hardware.drivers.configure import capabilities_of, configure, exposure_ns, latch_of, model_and_serial
 from hardware.drivers.features import FeatureRefused, Features
 from hardware.drivers.pixels import FORMATS
 from hardware.settings import CameraHardware

@@ -99,10 +99,7 @@ def pylon_driven(tmp_path: Path) -> Iterator[Driven]:
         return CameraHardware(driver="pylon", serial="0815-0000", window=(0, 0, WIDTH, HEIGHT), **more)
 
     yield Driven(
-        "pylon",
-        free=settings(trigger="Off"),
-        silent=settings(trigger="Software"),
-        wrong={"exposure_us": 1e9},
+        "pylon", free=settings(trigger="Off"), silent=settings(trigger="Software"), wrong={"exposure_us": 1e9}
     )
 
 
