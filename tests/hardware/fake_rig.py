@@ -43,6 +43,11 @@ def picture(camera: str, pulse: int) -> np.ndarray:
     return image
 
 
+def pulse_in(frame) -> int:
+    """The pulse of a frame of ``picture``."""
+    return int(np.frombuffer(frame.image[0, :4].tobytes(), np.uint32)[0])
+
+
 @dataclass
 class Fake:
     """One camera's behaviour; times in pulses."""

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from loopback import PATIENT_S, until
 
 from hardware.driver import DeviceError
 from hardware.onboard.commands import (
@@ -24,9 +25,6 @@ from hardware.onboard.commands import (
 )
 from hardware.onboard.line_protocol import LONGEST_LINE, TcpLines, UdpLines
 from mosca.errors import InputError
-
-PATIENT_S = 60.0
-"""For what comes at once, however busy the machine is."""
 
 
 @contextmanager
@@ -93,13 +91,6 @@ def program(address, commands, kind="tcp", reply_s=PATIENT_S, events=()):
         event=[EventTable(**event) for event in events],
         program=[CommandTable(at_s=at, target="robot", command=command) for at, command in commands],
     )
-
-
-def until(met):
-    deadline = time.monotonic() + PATIENT_S
-    while not met():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def finished(run, session, n):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from aravis_client import RETENTION_US, SUCCESS, Aravis, Client, Image
 from array_source import ArraySource, picture
-from loopback import free_address
+from loopback import PATIENT_S, free_address
 from needs import needs_aravis
 from paced import PERIOD_NS, make_pulses
 
@@ -21,8 +21,6 @@ from hardware.emulate.faults import FaultDraws, Faults
 from hardware.emulate.serve import Served, served
 
 FULL = (491, 656)
-PATIENT_S = 60.0
-"""For images that come at once, however busy the machine is."""
 
 
 @pytest.fixture(autouse=True)

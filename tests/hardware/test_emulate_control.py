@@ -8,7 +8,7 @@ import pytest
 from array_source import ArraySource
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from loopback import Hand, free_address
+from loopback import Hand, free_address, until
 
 from hardware.emulate.faults import Faults
 from hardware.emulate.serve import Served, served
@@ -32,13 +32,6 @@ def hands(up):
     yield made
     for hand in made:
         hand.close()
-
-
-def until(met):
-    deadline = time.monotonic() + 60
-    while not met():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def in_control(hand: Hand) -> None:

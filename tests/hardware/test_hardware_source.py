@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 import pytest
-from fake_rig import SIZE, Fake, FakeDriver, FakeLine, picture, write_rig
+from fake_rig import SIZE, Fake, FakeDriver, FakeLine, picture, pulse_in, write_rig
 
 from hardware.driver import DeviceError
 from hardware.settings import read_hardware
@@ -30,10 +30,6 @@ def source(tmp_path, fakes, pulses=60, software=False, **kwargs):
         lambda name, settings: FakeDriver(name, settings, fakes[name], line),
         (lambda rig, drivers: SoftwareTrigger(drivers, RATE)) if software else (lambda rig, drivers: line),
     )
-
-
-def pulse_in(frame):
-    return int(np.frombuffer(frame.image[0, :4].tobytes(), np.uint32)[0])
 
 
 def test_it_is_a_source_of_frames_and_each_set_is_of_one_pulse(tmp_path):
