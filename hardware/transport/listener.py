@@ -148,29 +148,36 @@ class Listener:
 
     def _align(self, state: StationState, message: DetectionMessage, received_ns: int) -> bool:
         """Deliver a message under its pulse; False while that is not known."""
-        if self.pulses is None or not self.timed(state.name) or self.pulses.shift(state.name) is None:
+        pulses = self.pulses
+        if pulses is None or not self.timed(state.name) or pulses.shift(state.name) is None:
             return False
         arrival_ns = state.clock.to_local(message.arrival_ns)
-        self.pulses.take(state.name, message.epoch, message.pulse, arrival_ns - message.exposure_ns)
-        self._note_alignment()
-        if self.pulses.shift(state.name) is None:  # it counts wrongly: it votes again
+        pulses.take(state.name, message.epoch, message.pulse, arrival_ns - message.exposure_ns)
+        self._note_alignment(pulses)
+        shift = pulses.shift(state.name)
+        if shift is None:  # it counts wrongly: it votes again
             return False
         # what waited at the station itself follows in a burst
-        self._deliver(state, message, received_ns, buffered=arrival_ns < state.aligned_ns)
+        buffered = arrival_ns < state.aligned_ns
+        self._deliver(state, message, received_ns, (shift, pulses.period_ns), buffered)
         return True
 
     def _deliver(
-        self, state: StationState, message: DetectionMessage, received_ns: int, buffered: bool = False
+        self,
+        state: StationState,
+        message: DetectionMessage,
+        received_ns: int,
+        alignment: tuple[int, float],
+        buffered: bool,
     ) -> None:
-        assert self.pulses is not None
-        shift = self.pulses.shift(state.name)
-        assert shift is not None
+        """Hand a message to the merger; ``alignment``: the station's shift, and the period of the pulses [ns]."""
+        shift, period_ns = alignment
         if self._owner.get(message.detections.camera) != state.name:
             return  # noted when its station listed its cameras
         self.merger.take(
             Arrived(
                 message.pulse + shift,
-                message.time_ns + round(shift * self.pulses.period_ns),
+                message.time_ns + round(shift * period_ns),
                 state.clock.to_local(message.arrival_ns),
                 state.clock.to_local(message.sent_ns),
                 received_ns,
@@ -182,24 +189,26 @@ class Listener:
 
     def _release(self) -> None:
         """Deliver pending messages whose pulses are known by now, in order of pulses."""
-        if self.pulses is None:
+        pulses = self.pulses
+        if pulses is None:
             return
         for state in self.states.values():
-            if not self.timed(state.name) or self.pulses.shift(state.name) is not None:
+            if not self.timed(state.name) or pulses.shift(state.name) is not None:
                 continue
             for message, _ in list(state.pending)[state.voted :]:
                 here = state.clock.to_local(message.arrival_ns) - message.exposure_ns
-                self.pulses.take(state.name, message.epoch, message.pulse, here)
+                pulses.take(state.name, message.epoch, message.pulse, here)
             state.voted = len(state.pending)
-        self._note_alignment()
-        free: list[tuple[StationState, DetectionMessage, int]] = []
+        self._note_alignment(pulses)
+        free: list[tuple[StationState, DetectionMessage, int, int]] = []
         for state in self.states.values():
-            if state.pending and self.pulses.shift(state.name) is not None:
-                free += [(state, message, received) for message, received in state.pending]
+            shift = pulses.shift(state.name)
+            if state.pending and shift is not None:
+                free += [(state, message, received, shift) for message, received in state.pending]
                 state.pending.clear()
                 state.voted, state.aligned_ns = 0, self._now_ns
-        for state, message, received_ns in sorted(free, key=lambda one: one[2]):
-            self._deliver(state, message, received_ns, buffered=True)
+        for state, message, received_ns, shift in sorted(free, key=lambda one: one[2]):
+            self._deliver(state, message, received_ns, (shift, pulses.period_ns), buffered=True)
 
     def _take_health(self, state: StationState, health: HealthMessage, received_ns: int) -> None:
         if not self._of_this_start(state, health.epoch, received_ns):
@@ -283,11 +292,10 @@ class Listener:
                 self.pulses.try_start(now_ns)
             self._release()
 
-    def _note_alignment(self) -> None:
-        assert self.pulses is not None
-        for station, text in self.pulses.notes:
+    def _note_alignment(self, pulses: StationPulses) -> None:
+        for station, text in pulses.notes:
             self._note(station, "place", text)
-        self.pulses.notes.clear()
+        pulses.notes.clear()
 
     def _camera_away(self, camera: str) -> bool:
         owner = self._owner.get(camera)
