@@ -131,18 +131,16 @@ Source = Literal["Software", "Line1", "Action1"]
 
 @dataclass(frozen=True)
 class PendingImage:
-    """An exposure with what was set when it began: everything that its image depends on.
-
-    ``session``: counts the stops of acquisition; an image of an earlier one is not sent any more. ``chunks``: what
-    follows the image, None without chunk data.
-    """
+    """An exposure with what was set when it began: everything that its image depends on."""
 
     exposure: SensorExposure
     block: int
     device_ns: int
     layout: ImageLayout
     session: int
+    """Counts the stops of acquisition; an image of an earlier one is not sent any more."""
     chunks: bytes | None = None
+    """What follows the image, None without chunk data."""
 
 
 class Acquisition:

@@ -88,22 +88,22 @@ class StationCamera:
 
 @dataclass(frozen=True)
 class HealthMessage:
-    """How a station is doing.
-
-    ``state``: "starting", "holding" (has the pulses, waits for the order to start), "armed" (waits for frames),
-    "running", "ended", "failed" (``notes``: why). ``sent_ns``: by its own clock. ``refused``: messages that the
-    engine did not take; ``skipped``: frames that the station did not process because it was behind. ``notes``: the
-    latest.
-    """
+    """State and counts of a station."""
 
     station: str
     epoch: int
     sent_ns: int
+    """Time of its own clock [ns]."""
     state: State
+    """``holding``: makes the pulses, waits for the start command; ``armed``: waits for frames; ``failed``: see
+    ``notes``."""
     cameras: tuple[StationCamera, ...] = ()
     refused: int = 0
+    """Messages that the engine did not take."""
     skipped: int = 0
+    """Frames that the station did not process because it was behind."""
     notes: tuple[str, ...] = field(default=())
+    """The latest notes."""
 
 
 def pack_detections(message: DetectionMessage) -> bytes:

@@ -18,64 +18,67 @@ CLOCK_SHARE = 0.1
 
 @dataclass(frozen=True)
 class ReceiverSettings:
-    """Waiting times of the receiver.
-
-    ``silence_s``: a station that sends nothing for so long is noted and not waited for. ``start_wait_s``: how long
-    the start waits for stations. ``clock_s``: interval of clock queries. ``queued``: merged sets that may wait for
-    the consumer; then the oldest is left out and counted.
-    """
+    """Waiting times of the receiver."""
 
     merge: MergeSettings = field(default_factory=MergeSettings)
     silence_s: float = 0.5
+    """A station that sends nothing for so long is noted and not waited for."""
     start_wait_s: float = 15.0
+    """How long the start waits for stations."""
     clock_s: float = 0.2
+    """Interval of clock queries."""
     queued: int = 50
+    """Merged sets that may wait for the consumer; then the oldest is left out and counted."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened to a station. ``kind``: appeared, back, silent, gone, ended, place, error, note."""
+    """Something that happened to a station."""
 
     time_ns: int
     station: str
     kind: str
+    """One of appeared, back, silent, gone, ended, place, error, note."""
     text: str
 
 
 @dataclass
 class StationStatistics:
-    """What became of one station's messages, to be read at any time.
-
-    ``received`` and ``lost`` (numbers left out in the count, and, once it has ended, at its end); ``unplaced``:
-    thrown away before it was known which pulse they were of; ``stale``: of an earlier start; ``spoilt``: not to be
-    read; ``refused`` and ``skipped``: its own counts; ``silent``: how often it fell silent, ``gone`` how often its
-    token fell, ``starts``: how often it began; ``clock_error_ns`` and ``clock_skew``: of its clock beside this one.
-    """
+    """What became of one station's messages, to be read at any time."""
 
     received: int = 0
     lost: int = 0
+    """Sequence numbers that were not received."""
     unplaced: int = 0
+    """Messages dropped before their pulse was known."""
     stale: int = 0
+    """Messages of an earlier start."""
     spoilt: int = 0
+    """Messages that could not be read."""
     refused: int = 0
+    """Messages that its engine did not take, by its own count."""
     skipped: int = 0
+    """Frames that it did not process, by its own count."""
     silent: int = 0
+    """How often it fell silent."""
     gone: int = 0
+    """How often its token was withdrawn."""
     starts: int = 0
     clock_error_ns: float = float("nan")
+    """Uncertainty of its clock against this one [ns]."""
     clock_skew: float = 0.0
 
 
 @dataclass
 class ReceiverStatistics:
-    """What became of all messages: ``stations``, ``merge``, ``left_out`` sets not consumed in time, ``overrun``
-    messages dropped at a full queue.
-    """
+    """What became of all messages."""
 
     stations: Mapping[str, StationStatistics]
     merge: MergeStatistics
     left_out: int = 0
+    """Sets that were not consumed in time."""
     overrun: int = 0
+    """Messages dropped at a full queue."""
 
 
 @dataclass

@@ -35,21 +35,23 @@ Progress = Callable[[int, int | None], None]
 
 @dataclass(frozen=True)
 class CaptureRequest:
-    """What to capture. ``frames``: pulses, None until Ctrl-C. ``detections``: keep these alone, no images.
-
-    ``view``: show it live; ``view_log``: into this .rrd file instead of the viewer. ``settings``: file as of ``mosca
-    reconstruct``, for detections and view. ``program``: commands and events (``hardware.onboard.commands``).
-    """
+    """What to capture."""
 
     rig: Path
     out: Path
     frames: int | None = None
+    """Pulses, None until Ctrl-C."""
     seconds: float | None = None
     detections: bool = False
+    """Keep these alone, no images."""
     view: bool = False
+    """Show it live."""
     view_log: Path | None = None
+    """Into this .rrd file instead of the viewer."""
     settings: Path | None = None
+    """File as of ``mosca reconstruct``, for detections and view."""
     program: Path | None = None
+    """Commands and events (``hardware.onboard.commands``)."""
     waiting_bytes: int = WAITING_BYTES
 
 
@@ -67,10 +69,11 @@ class CameraRow:
 
 @dataclass
 class CaptureOutcome:
-    """A finished capture. ``lost``: frame sets that this machine was too slow for; ``whole``: nothing is missing."""
+    """A finished capture."""
 
     pulses: int = 0
     lost: int = 0
+    """Frame sets that this machine was too slow for."""
     lost_text: str = ""
     stopped: bool = False
     shown: int = 0

@@ -40,43 +40,48 @@ LARGEST_DRIFT = 5e-4
 
 @dataclass(frozen=True)
 class Edges:
-    """Instants at which a camera saw the lamp change: ``time_s``, ``sigma_s`` (n,), ``on`` (n,) whether it went on.
-
-    Times are in the camera's own stamps [s] from ``origin_ns`` on. ``partly``: how many were seen in part.
-    """
+    """Times at which a camera saw the lamp change, in the camera's own stamps."""
 
     origin_ns: int
+    """Origin of the times [ns]."""
     time_s: Array
+    """(n,) since the origin [s]."""
     sigma_s: Array
+    """(n,) standard deviation [s]."""
     on: Array
+    """(n,) whether the lamp went on."""
     partly: int
+    """How many were seen in part."""
 
 
 @dataclass(frozen=True)
 class FlashOffset:
-    """A camera's stamps against the reference's: ``offset_s`` ahead at the middle of the edges, ``drift_ppm`` faster.
-
-    ``drift_sigma_ppm``: None with too few edges. ``edges``: seen by both. ``rest_s``: rms of what is left.
-    ``as_stated``: by how much the residuals exceed what the edges' own uncertainties let expect (1 where they agree).
-    """
+    """A camera's stamps against the reference's."""
 
     camera: str
     offset_s: float
+    """How far ahead its stamps are at the middle of the edges [s]."""
     offset_sigma_s: float
     drift_ppm: float
+    """How much faster its clock runs."""
     drift_sigma_ppm: float | None
+    """None with too few edges."""
     edges: int
+    """Edges seen by both."""
     rest_s: float
+    """RMS of the residuals [s]."""
     as_stated: float
+    """Ratio of the residuals to the edges' own standard deviations (1 where they agree)."""
 
 
 @dataclass(frozen=True)
 class FlashSync:
-    """Result: ``reference``, the first camera, the others' offsets; ``notes``: what could not be found."""
+    """Result: ``reference``, the first camera, the others' offsets."""
 
     reference: str
     offsets: tuple[FlashOffset, ...]
     notes: tuple[str, ...] = ()
+    """What could not be found."""
 
     def lines(self) -> list[str]:
         """Return it in words, a line a camera."""

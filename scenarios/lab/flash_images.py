@@ -15,18 +15,16 @@ HALF = 0.5
 
 @dataclass(frozen=True)
 class Brightness:
-    """A camera's frames in order: ``start_ns`` of the exposure at the lamp's row, ``exposure_ns``, ``light`` (n,).
-
-    ``most_dn``: by how much the brightest pixel changed, ``full_dn`` the largest value a pixel has. ``clipped``: the
-    lamp's pixels all reach it, so that a part of the light cannot be measured.
-    """
+    """A camera's frames in order: ``start_ns`` of the exposure at the lamp's row, ``exposure_ns``, ``light`` (n,)."""
 
     start_ns: Array
     exposure_ns: Array
     light: Array
     most_dn: float
+    """By how much the brightest pixel changed, ``full_dn`` the largest value a pixel has."""
     full_dn: float
     clipped: bool
+    """The lamp's pixels all reach it, so that a part of the light cannot be measured."""
 
 
 def light_of_lamp(source: FrameSource) -> Mapping[str, Brightness]:

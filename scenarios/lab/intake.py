@@ -24,16 +24,14 @@ REMEMBERED_FRAMES = 20_000
 
 @dataclass
 class FrameCounts:
-    """One camera's frames so far: ``whole`` and ``failed``, of ``pulses`` different pulses, ``last`` the newest.
-
-    ``left_out``: whole ones that belong to frame sets that were lost.
-    """
+    """One camera's frames so far: ``whole`` and ``failed``, of ``pulses`` different pulses, ``last`` the newest."""
 
     whole: int = 0
     failed: int = 0
     pulses: int = 0
     last: int = -1
     left_out: int = 0
+    """Whole ones that belong to frame sets that were lost."""
 
 
 class Intake:

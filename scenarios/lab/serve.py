@@ -52,15 +52,14 @@ class TwinTable(Table):
 
 @dataclass(frozen=True)
 class InjectedFaults:
-    """What goes wrong, for all cameras but ``reboots``: camera -> seconds after its acquisition began.
-
-    ``drift_ppm``: the cameras' clocks drift from minus to plus this, evenly spread.
-    """
+    """Faults of the served cameras; for all of them but ``reboots``."""
 
     loss: float = 0.0
     withhold: float = 0.0
     drift_ppm: float = 0.0
+    """The cameras' clocks drift from minus to plus this, evenly spread."""
     reboots: Mapping[str, float] = field(default_factory=dict)
+    """Camera -> seconds from the start of its acquisition to its reboot."""
     seed: int = 0
 
 
