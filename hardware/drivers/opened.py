@@ -1,4 +1,4 @@
-"""What all drivers share: an open camera's states, who may touch it when, and the text of its errors."""
+"""What all drivers share: states and locks of an open camera, and the text of its errors."""
 
 import contextlib
 import logging
@@ -74,12 +74,12 @@ def described(device: Device) -> str:
 class OpenCamera(ABC):
     """One open camera. ``grab`` belongs to one thread; ``software_trigger``, ``clock`` and ``close`` to any.
 
-    Two locks: what goes to the device's registers holds ``_control``, what touches its stream ``_stream``; who
-    needs both takes ``_control`` first. A waiting grab lets go of the stream every 50 ms.
+    Two locks: access to the device's registers holds ``_control``, access to its stream ``_stream``; ``_control`` is
+    taken first where both are needed. A waiting grab releases the stream every 50 ms.
     """
 
     def __init__(self, name: str, device: Device) -> None:
-        """``device``: claimed by who constructs this."""
+        """``device``: claimed by the caller."""
         self.name = name
         self.device = device
         self._control = threading.RLock()

@@ -38,17 +38,20 @@ class ClockJump:
 
 @dataclass(frozen=True)
 class EmulatedClock:
-    """A clock that was ``offset_ns`` when the device booted (monotonic ``booted_ns``) and gains ``drift_ppm``.
+    """A device clock with offset, drift and jumps.
 
-    ``ptp_ns``: when PTP was switched on, None while it is off. Once locked it shows the master's time exactly: there
-    are no synchronisation messages, only their effect.
+    Once locked to a PTP master it shows the master's time exactly: there are no synchronisation messages, only their
+    effect.
     """
 
     booted_ns: int
+    """Host time of the boot [ns]."""
     offset_ns: int = 0
+    """Time shown at the boot [ns]."""
     drift_ppm: float = 0.0
     jumps: tuple[ClockJump, ...] = ()
     ptp_ns: int | None = None
+    """Host time when PTP was switched on [ns], None while it is off."""
 
     def at(self, mono_ns: int) -> int:
         """Return what the clock shows at ``mono_ns`` [ns], never below 0."""
@@ -85,15 +88,14 @@ class EmulatedClock:
 
 @dataclass(frozen=True)
 class SensorExposure:
-    """An exposure that was begun at ``start_ns``; at ``out_ns`` it has ended and is read out.
-
-    ``number``: of the trigger, which is the number of the source's frame. Times are this machine's monotonic clock's
-    [ns].
-    """
+    """One exposure; times are host times (monotonic)."""
 
     number: int
+    """Number of the trigger, which is the number of the source's frame."""
     start_ns: int
+    """Start of exposure [ns]."""
     out_ns: int
+    """When it has ended and is read out [ns]."""
 
 
 class Shutter:

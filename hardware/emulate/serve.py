@@ -52,7 +52,7 @@ class EmulatedDevice:
 
     @property
     def identity(self) -> Identity:
-        """Who the device is."""
+        """Identity of the device."""
         return self.camera.identity
 
     def counts(self) -> Mapping[str, int]:

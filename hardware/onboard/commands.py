@@ -118,7 +118,7 @@ class Reply:
 
 
 class CommandTarget:
-    """Somebody who takes lines and may answer each with a line."""
+    """A target that takes lines and may answer each with a line."""
 
     def __init__(self, table: TargetTable, lines: Lines) -> None:
         self.table, self._lines = table, lines

@@ -15,10 +15,12 @@ from mosca.data.detections import Detections
 
 @dataclass(frozen=True)
 class MergeSettings:
-    """``deadline_s``: how long a set waits for its cameras; ``oldest_s``: age at which a message is thrown away."""
+    """Waiting times of the merger."""
 
     deadline_s: float = 0.03
+    """How long a set waits for its cameras."""
     oldest_s: float = 0.25
+    """Age at which a message is dropped."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,7 +39,7 @@ INBOX = 20_000
 class Receiver:
     """Merged sets of ``cameras`` (name -> width, height) as ``stations`` see them; iterate once.
 
-    ``rig``: the text of the rig file that is handed to who asks for this station's, called ``name``. ``rate_hz``: of
+    ``rig``: text of the rig file that answers queries for that of this station, called ``name``. ``rate_hz``: of
     the pulses; None takes the stations' word. Ends the transport when it is closed.
     """
 

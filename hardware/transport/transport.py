@@ -25,7 +25,7 @@ EVERYTHING = f"{ROOT}/**"
 EVERY_TOKEN = f"{ROOT}/*/alive"
 HEARD = f"{ROOT}/heard"
 JAM_S = 0.25
-"""What cannot be sent for so long is too old: who merges throws it away (``hardware.transport.merger``)."""
+"""A message that cannot be sent for so long is too old: the merger drops it (``hardware.transport.merger``)."""
 
 
 class TransportError(MoscaError):

@@ -19,10 +19,10 @@ QUEUED_BATCHES = 16
 
 
 class ZenohTransport:
-    """A ``Transport``. ``connect``, ``listen``: endpoints like ``tcp/10.0.0.1:7447``; who listens may come later.
+    """A ``Transport``.
 
-    ``jam_s``: how long a message waits at a full queue; after that the next ones are dropped at once until it
-    has space.
+    ``connect``, ``listen``: endpoints like ``tcp/10.0.0.1:7447``; the listening peer may start later. ``jam_s``: how
+    long a message waits at a full queue; after that the next ones are dropped at once until it has space.
     """
 
     def __init__(self, connect: Sequence[str] = (), listen: Sequence[str] = (), jam_s: float = JAM_S) -> None:

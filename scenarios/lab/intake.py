@@ -111,7 +111,7 @@ class Intake:
             self._failed = error
 
     def _detect(self, settings: "PipelineSettings") -> None:
-        from scenarios.lab.detecting import detected  # what needs compiling is for those who detect
+        from scenarios.lab.detecting import detected  # compiled code is loaded only where it is used
 
         watched = _Counted(self._source, self._count)
         following = 0

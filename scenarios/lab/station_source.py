@@ -126,7 +126,7 @@ class RigOfStation(PassedOn):
     ) -> None:
         self.gate = StartGate(trigger_opener)
         self.hardware = HardwareSource(rig, opener=opener, trigger_opener=self.gate.open)
-        # who merges waits for no station for long: one camera behind the others is to cost its own frames alone
+        # the merger waits for no station for long: a camera that lags must cost its own frames alone
         self.hardware.reorder = False
         super().__init__(self.hardware)
         self._notes_sent = 0
