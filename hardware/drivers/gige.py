@@ -31,7 +31,7 @@ log = logging.getLogger("mosca.hardware.drivers")
 
 PROTOCOL = "GigEVision"
 # the library has one list for all
-_looking = threading.RLock()
+_discovery = threading.RLock()
 # a camera that is busy may answer later than the library listens, which is for a second
 LOOKS = 3
 # buffers hold a second at 100 Hz, and no more than a quarter of a gigabyte
@@ -63,7 +63,7 @@ def load() -> Aravis:
 def devices(producer: str = "") -> Sequence[Device]:
     """Return the GigE Vision cameras that answer a broadcast on any interface; takes about a second."""
     aravis = load()
-    with _looking:
+    with _discovery:
         aravis("update_device_list")
         return _listed(aravis)
 
@@ -115,7 +115,7 @@ def _opened(
 
 
 def _listed(aravis: Aravis) -> Sequence[Device]:
-    with _looking:
+    with _discovery:
         return [
             Device(
                 driver="gige",

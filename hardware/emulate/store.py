@@ -11,7 +11,7 @@ MISSING_AFTER = 8
 """A frame is held for lost when the source has given frames of so many later pulses."""
 WAIT_S = 30.0
 """How long a camera waits for a frame that is not there yet."""
-BETWEEN_LOOKS_S = 0.5
+POLL_INTERVAL_S = 0.5
 
 
 class FrameStore:
@@ -60,7 +60,7 @@ class FrameStore:
         """
         with self._changed:
             while self._failed is None and self._length is None and self._newest < self._ahead - 1:
-                self._changed.wait(BETWEEN_LOOKS_S)
+                self._changed.wait(POLL_INTERVAL_S)
                 if progress is not None:
                     progress(max(self._newest, 0), self._ahead)
         self.check()
@@ -90,7 +90,7 @@ class FrameStore:
                 gone = self._ended or pulse < self._newest - MISSING_AFTER
                 if gone or self._closed or self._failed is not None or time.monotonic() > until:
                     return None
-                self._changed.wait(BETWEEN_LOOKS_S)
+                self._changed.wait(POLL_INTERVAL_S)
             return self._frames[camera, pulse]
 
     @property
@@ -149,7 +149,7 @@ class FrameStore:
                     self._ended = True
                     self._changed.notify_all()
                     while not self._over(this_round):
-                        self._changed.wait(BETWEEN_LOOKS_S)
+                        self._changed.wait(POLL_INTERVAL_S)
                     return not self._closed
                 base = self._newest + 1
 
@@ -157,7 +157,7 @@ class FrameStore:
         """Keep ``frame`` as soon as there is space; False when this reading is over."""
         with self._changed:
             while pulse >= self._asked + self._ahead and not self._over(this_round):
-                self._changed.wait(BETWEEN_LOOKS_S)
+                self._changed.wait(POLL_INTERVAL_S)
             if self._over(this_round):
                 return False
             self._frames.setdefault((frame.camera, pulse), frame)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from hardware.transport.messages import Status
+from hardware.transport.messages import DetectionStatus
 from mosca.data.detections import Detections
 
 
@@ -36,7 +36,7 @@ class Arrived:
     sent_ns: int
     """When the message left its station."""
     received_ns: int
-    status: Status
+    status: DetectionStatus
     detections: Detections
     buffered: bool = False
     """Whether it waited, here or at its station, until the start was known; it may be old then."""

@@ -43,8 +43,8 @@ from mosca.errors import MoscaError
 VERSION = 1
 MAGIC = b"MO"
 DETECTIONS, HEALTH = 1, 2
-Status = Literal["detected", "no frame", "corrupt", "skipped"]
-STATUSES: tuple[Status, ...] = ("detected", "no frame", "corrupt", "skipped")
+DetectionStatus = Literal["detected", "no frame", "corrupt", "skipped"]
+STATUSES: tuple[DetectionStatus, ...] = ("detected", "no frame", "corrupt", "skipped")
 State = Literal["starting", "holding", "armed", "running", "ended", "failed"]
 MOST_TARGETS = 100_000
 _HEAD = struct.Struct("<2sBBBBBBQQqqqqqQQ")
@@ -70,7 +70,7 @@ class DetectionMessage:
     exposure_ns: int
     arrival_ns: int
     sent_ns: int
-    status: Status
+    status: DetectionStatus
     detections: Detections
 
 

@@ -11,10 +11,10 @@ from typing import Self
 from hardware.transport.messages import (
     YES,
     DetectionMessage,
+    DetectionStatus,
     HealthMessage,
     State,
     StationCamera,
-    Status,
     pack_clock,
     pack_detections,
     pack_health,
@@ -101,7 +101,7 @@ class Sender:
         exposure_ns: int,
         arrival_ns: int,
         found: Detections | None,
-        status: Status = "detected",
+        status: DetectionStatus = "detected",
     ) -> None:
         """Send what one camera saw at ``pulse``, or (``found`` None) why it saw nothing."""
         message = DetectionMessage(

@@ -79,7 +79,7 @@ def twin_serve(
     """
     from typing import cast
 
-    from scenarios.lab.serve import InjectedFaults, ServeRequest, Trigger, serve
+    from scenarios.lab.serve import InjectedFaults, ServeRequest, TriggerKind, serve
 
     trouble = InjectedFaults(loss, withhold, drift, dict(_reboot(text) for text in reboots), seed)
     request = ServeRequest(
@@ -91,7 +91,7 @@ def twin_serve(
         ahead,
         trouble,
         rig_out,
-        cast(Trigger, trigger),
+        cast(TriggerKind, trigger),
         workers or os.cpu_count() or 1,
     )
     with Progress("rendering ahead") as shown:

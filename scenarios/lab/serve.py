@@ -32,8 +32,8 @@ MEMORY_BYTES = 1 << 30
 POLL_S = 0.02
 LOOPBACK_PACKET = 8000
 """Loopback carries large packets; five times as many small ones would keep a core busy."""
-Trigger = Literal["Line1", "serial", "Software", "Action1", "Off"]
-TRIGGER_SOURCES: Mapping[Trigger, str] = {
+TriggerKind = Literal["Line1", "serial", "Software", "Action1", "Off"]
+TRIGGER_SOURCES: Mapping[TriggerKind, str] = {
     "Line1": "external",
     "serial": "serial",
     "Software": "software",
@@ -75,7 +75,7 @@ class ServeRequest:
     ahead: int | None = None
     trouble: InjectedFaults = InjectedFaults()
     rig_out: Path | None = None
-    trigger: Trigger = "Line1"
+    trigger: TriggerKind = "Line1"
     workers: int = 1
 
 
@@ -130,7 +130,7 @@ def serve(
         return up
 
 
-def rig_text(rig: Rig | None, up: Served, rate_hz: float, trigger: Trigger, port: str = "") -> str:
+def rig_text(rig: Rig | None, up: Served, rate_hz: float, trigger: TriggerKind, port: str = "") -> str:
     """Return a rig file with which ``mosca capture --rig`` grabs from the devices of ``up``.
 
     ``rig``: the cameras' calibration, if it is known; ``port``: of a serial trigger.

@@ -147,7 +147,7 @@ def _run(
     totals = StationTotals()
     infos = {info.name: info for info in source.cameras}
     count = PulseCount(source.cameras[0].frame_rate_hz)
-    lessons = {name: Lessons(name) for name in infos}
+    statistics = {name: Lessons(name) for name in infos}
     for depth in {info.bit_depth for info in source.cameras}:
         _warm(settings, depth)
     arrivals = Arrivals(source, arrival_ns or (lambda frame: sender.now_ns()), end)
@@ -164,15 +164,15 @@ def _run(
             pulse = count.of(frame)
             if backgrounds.takes(frame):
                 continue
-            place = (frame.camera, pulse, mid_exposure_ns(frame), frame.exposure_ns, arrived_ns)
+            header = (frame.camera, pulse, mid_exposure_ns(frame), frame.exposure_ns, arrived_ns)
             if frame.image is None:
-                sender.send(*place, None, "corrupt" if frame.status == "corrupt" else "no frame")
+                sender.send(*header, None, "corrupt" if frame.status == "corrupt" else "no frame")
             elif not wanted:
                 sender.skipped += 1
-                sender.send(*place, None, "skipped")
+                sender.send(*header, None, "skipped")
             else:
                 begun = time.perf_counter()
-                own = lessons[frame.camera]
+                own = statistics[frame.camera]
                 depth = infos[frame.camera].bit_depth
                 (found,), new = detect_and_learn(
                     [frame.image],
@@ -183,7 +183,7 @@ def _run(
                     learned=own.at(pulse),
                 )
                 own.add(pulse, new)
-                sender.send(*place, found)
+                sender.send(*header, found)
                 totals.detected += 1
                 totals.targets += len(found)
                 totals.seconds += time.perf_counter() - begun

@@ -406,7 +406,9 @@ def test_devices_are_listed_without_being_opened(tmp_path, rig):
 
 
 def test_a_camera_that_is_not_there_fails_the_check(rig, monkeypatch):
-    monkeypatch.setattr(devices_module, "describe_devices", partial(describe_devices, look=lambda *asked: []))
+    monkeypatch.setattr(
+        devices_module, "describe_devices", partial(describe_devices, list_devices=lambda *asked: [])
+    )
     result = CliRunner().invoke(cli_rig.rig, ["check", "--devices", str(rig)])
     assert isinstance(result.exception, InputError)
     assert "its cameras not found: a" in str(result.exception)
