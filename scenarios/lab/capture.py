@@ -1,8 +1,8 @@
 """Capture: the rig's frames, or what they show, into a recording that is readable at any moment."""
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -168,19 +168,13 @@ def _calibrated(path: Path) -> Rig | None:
     return read_rig(path)
 
 
-@contextmanager
-def _recording(request: CaptureRequest, source: HardwareSource) -> Iterator[RecordingWriter]:
-    holds = "detections" if request.detections else "frames"
+def _recording(request: CaptureRequest, source: HardwareSource) -> RecordingWriter:
     text = request.rig.read_text(encoding="utf-8")
-    tail_bytes = 0 if request.detections else request.waiting_bytes
-    with RecordingWriter(
-        request.out,
-        source.cameras,
-        text,
-        holds=holds,  # type: ignore[arg-type]
-        tail_bytes=tail_bytes,
-    ) as writer:
-        yield writer
+    if request.detections:
+        return RecordingWriter(request.out, source.cameras, text, holds="detections", tail_bytes=0)
+    return RecordingWriter(
+        request.out, source.cameras, text, holds="frames", tail_bytes=request.waiting_bytes
+    )
 
 
 def _view(
