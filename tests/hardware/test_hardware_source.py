@@ -77,6 +77,27 @@ def test_a_camera_that_goes_comes_back_at_the_right_pulse(tmp_path, monkeypatch)
     assert indices == sorted(set(indices))
 
 
+def test_a_take_is_logged_with_its_losses_and_nothing_is_printed(tmp_path, monkeypatch, caplog, capfd):
+    monkeypatch.setattr("hardware.camera_readers.REOPEN_S", 0.05)
+    fakes = {"a": Fake(), "b": Fake(gone=range(20, 40))}
+    with caplog.at_level("DEBUG", "mosca.hardware"), source(tmp_path, fakes, pulses=80) as rig:
+        list(rig)
+    logged = {
+        level: [r.getMessage() for r in caplog.records if r.levelname == level]
+        for level in ("INFO", "WARNING")
+    }
+    assert logged["WARNING"] == rig.statistics.notes
+    for text in (
+        "camera 'b': fake, serial b, opened",
+        "trigger 'external' started at 100 Hz",
+        "rig.toml: closed",
+    ):
+        assert any(text in line for line in logged["INFO"])
+    summary = next(line for line in logged["INFO"] if line.startswith("camera 'b'") and "frames" in line)
+    assert "1 reopened" in summary
+    assert capfd.readouterr() == ("", "")
+
+
 def test_clocks_that_can_be_read_number_frames_though_answers_fail(tmp_path, monkeypatch):
     """Gaps, a camera that is lost and found, and two answers of three that do not come."""
     monkeypatch.setattr("hardware.camera_readers.REOPEN_S", 0.05)
