@@ -74,13 +74,6 @@ class StationPulses:
         """Return what is added to the station's count; None while that is not known."""
         return self._alignments[station].shift
 
-    def late_ns(self, station: str, pulse: int, local_ns: int) -> float | None:
-        """Return how far behind its pulse (in the station's count) an arrival is, beyond what is usual."""
-        state = self._alignments[station]
-        if self._times is None or state.shift is None:
-            return None
-        return local_ns - state.latency_ns - self._times.at(pulse + state.shift)
-
     def take(self, station: str, epoch: int, pulse: int, local_ns: int) -> None:
         """Take an arrival: ``pulse`` as the station counts, ``local_ns``: host time less exposure."""
         state = self._alignments[station]
