@@ -2,5 +2,5 @@
 
 import logging
 
-# a library prints nothing of its own accord: who wants the log adds a handler
+# a library prints nothing by itself: an application adds a handler
 logging.getLogger("mosca.hardware").addHandler(logging.NullHandler())

@@ -149,9 +149,10 @@ class CameraDriver(Protocol):
 
 @dataclass(frozen=True)
 class Device:
-    """A camera that a driver finds, before it is opened; ``address``: whatever the driver opens it by."""
+    """A camera that a driver finds, before it is opened."""
 
     driver: str
     model: str
     serial: str
     address: str
+    """Whatever the driver opens it by."""

@@ -9,7 +9,7 @@
     exposure_us = 800.0             # ExposureTime
     gain_db = 0.0                   # Gain
     pixel_format = "Mono8"          # Mono8, Mono10, Mono12, Mono16; BayerXX8 and colour are reduced to mono
-    trigger_counter = false         # true: gige cameras that can send their count of pulses, a witness of lost ones
+    trigger_counter = false         # true: gige cameras that can send their count of pulses, which shows lost ones
     window = [0, 128, 656, 256]     # OffsetX, OffsetY, Width, Height: windowed readout; default: the whole sensor
     features = { AcquisitionFrameRateEnable = false }    # anything else by its GenICam name
 
@@ -43,7 +43,9 @@ class CameraHardware(Table):
 
     driver: Literal["gige", "pylon", "gentl", "webcam"]
     serial: str = Field("", description="the device's serial number")
-    address: str = Field("", description="IP address, device number or file, where a serial does not tell")
+    address: str = Field(
+        "", description="IP address, device number or file, where a serial does not identify it"
+    )
     trigger: str = Field("Line1", description="TriggerSource; Off runs free")
     trigger_activation: Literal["RisingEdge", "FallingEdge"] = "RisingEdge"
     exposure_us: Positive | None = Field(
@@ -101,7 +103,7 @@ class TriggerTable(Table):
         0.0, description="action: how far ahead it is scheduled [ms]; the cameras' clocks must agree by PTP"
     )
     ptp_ahead_s: float = Field(
-        0.0, description="action: PTP time less this machine's UTC [s]; 37 where the master tells TAI"
+        0.0, description="action: PTP time less this machine's UTC [s]; 37 where the master gives TAI"
     )
 
     @model_validator(mode="after")
@@ -118,7 +120,7 @@ class HardwareTable(Table):
 
     rate_hz: Positive = Field(100.0, description="rate of the pulses, or of the free-running cameras [1/s]")
     trigger: TriggerTable = TriggerTable()
-    silence_s: Positive = Field(2.0, description="a camera that is silent for so long is told")
+    silence_s: Positive = Field(2.0, description="a camera that is silent for so long is noted")
 
 
 @dataclass(frozen=True)
@@ -136,7 +138,7 @@ class RigHardware:
 
 
 def read_hardware(path: Path) -> RigHardware:
-    """Return the hardware tables of the rig file at ``path``; InputError says what is wrong, and where."""
+    """Return the hardware tables of the rig file at ``path``; InputError where it is wrong."""
     path = Path(path)
     document = read_rig_file(path)
     shared = check(HardwareTable, document.hardware, f"{path}: [hardware]")

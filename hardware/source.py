@@ -11,7 +11,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Self
 
 from hardware.camera_readers import QUEUED_BYTES, CameraReaders
@@ -23,7 +22,7 @@ from hardware.pulse_numbers.camera_state import NumberedBuffer
 from hardware.pulse_numbers.clock_poller import ClockPoller
 from hardware.pulse_numbers.numbering import PulseNumbers
 from hardware.reorder_buffer import ReorderBuffer
-from hardware.settings import CameraHardware, RigHardware, read_hardware
+from hardware.settings import CameraHardware, RigHardware
 from hardware.statistics import CameraStatistics, RigStatistics
 from hardware.trigger import Trigger
 from hardware.triggers import open_trigger
@@ -301,8 +300,3 @@ class HardwareSource:
 def free_running(cameras: Mapping[str, CameraHardware], drivers: Mapping[str, CameraDriver]) -> list[str]:
     """Return the cameras that nothing triggers; a file that is played follows no clock."""
     return [n for n, c in cameras.items() if c.trigger == "Off" and drivers[n].capabilities.real_time]
-
-
-def open_rig(path: Path, pulses: int | None = None) -> HardwareSource:
-    """Open the devices of the rig file at ``path``; InputError for the file, DeviceError for a device."""
-    return HardwareSource(read_hardware(path), pulses)

@@ -88,7 +88,7 @@ class AravisFeatures:
             low, high = ctypes.c_int64(-(2**63)), ctypes.c_int64(2**63 - 1)
         self._described(f"device_get_{kind}_feature_bounds", name, ctypes.byref(low), ctypes.byref(high))
         step = float(self._described(f"device_get_{kind}_feature_increment", name) or 0)
-        # the library says "no step" by the least double there is
+        # the library returns the least double for "no step"
         return low.value, high.value, step if step > 1e-300 else 0.0
 
     def entries(self, name: str) -> tuple[str, ...]:

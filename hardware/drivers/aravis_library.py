@@ -41,7 +41,7 @@ def decoded(raw: bytes | None) -> str:
 
 
 class AravisError(Exception):
-    """What the library says went wrong."""
+    """An error that the library reports."""
 
 
 class _GError(ctypes.Structure):

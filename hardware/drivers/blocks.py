@@ -1,4 +1,4 @@
-"""Block ids that a stream's protocol wraps, told apart from a stream that begins anew."""
+"""Unwraps block ids; a stream that restarts is recognised."""
 
 # GigE Vision counts blocks from 1 to 65535 and then from 1 again, unless it uses 64-bit ids
 PERIOD = 65535
@@ -7,8 +7,8 @@ PERIOD = 65535
 class BlockIds:
     """Unwraps the 16-bit block ids of one stream, from ``arm`` on.
 
-    A step back by more than half the period is a wrap; a shorter one is a late block or a device that began anew,
-    and is left as it is for who groups the frames. Ids above the period were never 16-bit ones.
+    A step back by more than half the period is a wrap; a shorter one is a late block or a device that restarted,
+    and is left as it is for frame grouping. Ids above the period were never 16-bit ones.
     """
 
     def __init__(self) -> None:

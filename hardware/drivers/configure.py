@@ -30,12 +30,9 @@ OWN_KEYS = {
 }
 # they change what windows there are, so they go before the window
 # entries of ChunkSelector that are a count of pulses on a line, and the chunks they switch on
-COUNTER_CHUNKS = {
-    "CounterValue": "ChunkCounterValue",
-    "Triggerinputcounter": "ChunkTriggerinputcounter",
-}
+COUNTER_CHUNKS = {"CounterValue": "ChunkCounterValue", "Triggerinputcounter": "ChunkTriggerinputcounter"}
 EARLY = ("UserSet", "Binning", "Decimation", "Sensor", "RegionSelector", "RegionMode")
-# not set, but worth a look beside what was
+# not set, but reported beside what was
 FACTS = (
     "DeviceVendorName",
     "DeviceVersion",
@@ -117,7 +114,7 @@ def configure(features: Features, settings: CameraHardware, camera: str) -> Mapp
 
 
 def exposure_ns(features: Features, settings: CameraHardware) -> int:
-    """Return the exposure [ns] that the device says it has; without such a feature, what was asked for, or 0."""
+    """Return the exposure [ns] read from the device; without such a feature the requested one, or 0."""
     exposure_us = number(features, "ExposureTime", "ExposureTimeAbs")
     if exposure_us is None:
         exposure_us = settings.exposure_us or 0.0
@@ -162,7 +159,7 @@ def counter_chunk(features: Features) -> str | None:
 
 def _count_triggers(setter: _Setter, settings: CameraHardware) -> None:
     features = setter.features
-    setter.put_where_present("ChunkModeActive", True)  # some devices say only then what they have
+    setter.put_where_present("ChunkModeActive", True)  # some devices list their chunks only then
     name = counter_chunk(features)
     if name is None:
         there = features.entries("ChunkSelector") if features.kind("ChunkSelector") == "enumeration" else ()
@@ -204,7 +201,7 @@ def _triggers_off(setter: _Setter) -> None:
 
 def _window(setter: _Setter, settings: CameraHardware) -> None:
     features = setter.features
-    # offsets to 0 first: an old offset would not leave room for a larger width
+    # offsets to 0 first: an old offset would forbid a larger width
     setter.put_where_present("OffsetX", 0)
     setter.put_where_present("OffsetY", 0)
     window = settings.window or (0, 0, _largest(features, "Width"), _largest(features, "Height"))

@@ -11,7 +11,7 @@ Kind = Literal["integer", "float", "boolean", "enumeration", "string", "command"
 
 # a device rounds a time or a gain to its own steps; more than this is another value
 FLOAT_SHARE = 0.005
-# limits beyond this are a description's way to say that there are none
+# limits beyond this mean that there are none
 BOUNDLESS = 1e18
 
 
@@ -88,7 +88,7 @@ def put(features: Features, camera: str, name: str, value: Feature, key: str = "
     _within(features, where, name, kind, fitting)
     try:
         features.write(name, fitting)
-        # keys of scheduled actions can be written only: no device tells what it took
+        # keys of scheduled actions are write-only
         taken = features.read(name) if features.readable(name) else fitting
     except FeatureRefused as error:
         raise DeviceError(

@@ -47,16 +47,16 @@ def devices(producer: str = "") -> Sequence[Device]:
         )
     with _loading:
         used = _producer(producer, "driver 'gentl'")
-        used.look()
+        used.update()
         return [_device(info) for info in used.infos]
 
 
 def open_camera(name: str, settings: CameraHardware) -> "GentlCamera":
     """Open the camera with the serial number, or the producer's own name for it as address, of ``settings``."""
-    # another look at the producer, by a thread that opens another camera, would close what is opened here
+    # another update of the device list, by a thread that opens another camera, would close what is opened here
     with _loading:
         used = _producer(settings.producer, f"camera '{name}'")
-        used.look()
+        used.update()
         found = [_device(info) for info in used.infos]
         device = chosen(found, settings)
         if device is None:
@@ -101,7 +101,7 @@ def _errors() -> tuple[type[Exception], ...]:
 
 
 class Producer:
-    """One loaded .cti: a process may initialise each only once, and a new look at its devices closes open ones."""
+    """One loaded .cti: a process may initialise each only once, and an update of its device list closes open ones."""
 
     def __init__(self, path: str) -> None:
         self.harvester: Any = load().Harvester()
@@ -110,10 +110,10 @@ class Producer:
 
     @property
     def infos(self) -> Sequence[Any]:
-        """The devices that the last look found."""
+        """The devices found by the last update."""
         return list(self.harvester.device_info_list)
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Look for devices, unless one is open."""
         if not self.open:
             self.harvester.update()
@@ -161,7 +161,7 @@ class GentlCamera(GenICamCamera):
         self._producer, self._acquirer = producer, acquirer
         self._errors = _errors()
         self._blocks = BlockIds()
-        self.incomplete = self._told = self._whole = 0
+        self.incomplete = self._reported = self._whole = 0
         self._fetched: Grabbed | None = None
         super().__init__(name, device, GenTLFeatures(acquirer.remote_device.node_map, self._errors))
         acquirer.add_callback(acquirer.Events.INCOMPLETE_BUFFER, _counting(self))
@@ -169,7 +169,7 @@ class GentlCamera(GenICamCamera):
 
     def _start(self) -> None:
         self._blocks = BlockIds()
-        self.incomplete = self._told = self._whole = 0
+        self.incomplete = self._reported = self._whole = 0
         self._fetched = None
         payload = number(self.features, "PayloadSize") or 1.0
         wanted = max(LEAST_BUFFERS, min(BUFFERS, int(BUFFER_BYTES / payload)))
@@ -183,8 +183,8 @@ class GentlCamera(GenICamCamera):
         if self._fetched is None:
             self._fetched = self._next(timeout_s)
         # what harvesters passed over came before the buffer that it gave
-        if self.incomplete > self._told:
-            self._told += 1
+        if self.incomplete > self._reported:
+            self._reported += 1
             return Grabbed(None, None, time.monotonic_ns(), self._exposure_ns, None, "INCOMPLETE")
         fetched, self._fetched = self._fetched, None
         return fetched
@@ -232,7 +232,7 @@ class GentlCamera(GenICamCamera):
         try:
             return int(raw.timestamp_ns)
         except self._errors:
-            # older producers count ticks and say how many a second has
+            # older producers count ticks of a stated frequency
             return int(raw.timestamp) * 10**9 // int(raw.parent.parent.timestamp_frequency)
 
     def _stop(self) -> None:

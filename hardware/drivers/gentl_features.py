@@ -7,14 +7,7 @@ from hardware.drivers.features import FeatureRefused, Kind
 from hardware.settings import Feature
 
 # GenICam's numbers of interfaces and of access modes
-KINDS: dict[int, Kind] = {
-    2: "integer",
-    3: "boolean",
-    4: "command",
-    5: "float",
-    6: "string",
-    9: "enumeration",
-}
+KINDS: dict[int, Kind] = {2: "integer", 3: "boolean", 4: "command", 5: "float", 6: "string", 9: "enumeration"}
 NOT_IMPLEMENTED, NOT_AVAILABLE, WRITE_ONLY, READ_ONLY, READ_WRITE = range(5)
 
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import logging
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -26,9 +27,11 @@ from hardware.drivers.opened import GenICamCamera, chosen, claim, described, not
 from hardware.drivers.pixels import whole_image
 from hardware.settings import CameraHardware
 
+log = logging.getLogger("mosca.hardware.drivers")
+
 PROTOCOL = "GigEVision"
 # the library has one list for all
-_looking = threading.RLock()
+_discovery = threading.RLock()
 # a camera that is busy may answer later than the library listens, which is for a second
 LOOKS = 3
 # buffers hold a second at 100 Hz, and no more than a quarter of a gigabyte
@@ -60,7 +63,7 @@ def load() -> Aravis:
 def devices(producer: str = "") -> Sequence[Device]:
     """Return the GigE Vision cameras that answer a broadcast on any interface; takes about a second."""
     aravis = load()
-    with _looking:
+    with _discovery:
         aravis("update_device_list")
         return _listed(aravis)
 
@@ -101,17 +104,18 @@ def _opened(
     try:
         return GigeCamera(aravis, name, device)
     except _NoAnswer:
-        # nothing is there, or it was there when this program last looked
+        # not present, or present only at this program's last discovery
         found = devices()
         if chosen(found, settings) is None:
             raise not_found(found, name, settings) from None
         if tries == 1:
             raise
+        log.debug("camera '%s': no answer yet, opening it again", name)
     return _opened(aravis, name, device, settings, tries - 1)
 
 
 def _listed(aravis: Aravis) -> Sequence[Device]:
-    with _looking:
+    with _discovery:
         return [
             Device(
                 driver="gige",
@@ -127,8 +131,8 @@ def _listed(aravis: Aravis) -> Sequence[Device]:
 class GigeCamera(GenICamCamera):
     """One GigE Vision camera under this program's control.
 
-    Stamps are the camera's own clock in ns (the library divides by its tick frequency). GigE Vision says only that
-    a block's stamp marks when its data was generated; cameras stamp the start of exposure, or a fixed delay later.
+    Stamps are the device clock in ns (the library divides by its tick frequency). GigE Vision requires only that a
+    block's stamp marks when its data was generated; cameras stamp the start of exposure, or a fixed delay later.
     """
 
     def __init__(self, aravis: Aravis, name: str, device: Device) -> None:
@@ -162,7 +166,7 @@ class GigeCamera(GenICamCamera):
             aravis.unref(self._camera)
             raise _NoAnswer(f"camera '{name}': {described(device)} does not answer ({error})") from None
         except BaseException:
-            # else it would stay under this program's control, and nobody could open it
+            # else it would stay under this program's control, and no program could open it
             aravis.unref(self._camera)
             raise
 
@@ -178,7 +182,7 @@ class GigeCamera(GenICamCamera):
         chunk = counter_chunk(self.features) if settings.trigger_counter else None
         self._counter = None if chunk is None else COUNTER_CHUNKS[chunk].encode()
         if settings.packet_bytes is not None:
-            # else the library shrinks packets that do not come through, and nobody is told
+            # else the library shrinks packets that do not come through, without notice
             self._aravis("camera_gv_set_packet_size_adjustment", self._camera, PACKET_SIZE_ADJUSTMENT_NEVER)
         return report
 

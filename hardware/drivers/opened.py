@@ -1,22 +1,19 @@
-"""What all drivers share: an open camera's states, who may touch it when, and the text of its errors."""
+"""What all drivers share: states and locks of an open camera, and the text of its errors."""
 
 import contextlib
+import logging
 import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 
 from hardware.driver import Capabilities, ClockReading, Device, DeviceError, DeviceReport, Grabbed
-from hardware.drivers.configure import (
-    capabilities_of,
-    configure,
-    exposure_ns,
-    latch_of,
-    model_and_serial,
-)
+from hardware.drivers.configure import capabilities_of, configure, exposure_ns, latch_of, model_and_serial
 from hardware.drivers.features import FeatureRefused, Features
 from hardware.drivers.pixels import FORMATS
 from hardware.settings import CameraHardware
+
+log = logging.getLogger("mosca.hardware.drivers")
 
 # while a grab waits, other threads get their turn this often
 SLICE_S = 0.05
@@ -77,12 +74,12 @@ def described(device: Device) -> str:
 class OpenCamera(ABC):
     """One open camera. ``grab`` belongs to one thread; ``software_trigger``, ``clock`` and ``close`` to any.
 
-    Two locks: what goes to the device's registers holds ``_control``, what touches its stream ``_stream``; who
-    needs both takes ``_control`` first. A waiting grab lets go of the stream every 50 ms.
+    Two locks: access to the device's registers holds ``_control``, access to its stream ``_stream``; ``_control`` is
+    taken first where both are needed. A waiting grab releases the stream every 50 ms.
     """
 
     def __init__(self, name: str, device: Device) -> None:
-        """``device``: claimed by who constructs this."""
+        """``device``: claimed by the caller."""
         self.name = name
         self.device = device
         self._control = threading.RLock()
@@ -99,7 +96,7 @@ class OpenCamera(ABC):
         """What this device can do."""
 
     def configure(self, settings: CameraHardware) -> DeviceReport:
-        """Set the device and read it back; DeviceError where it took another value than was asked for."""
+        """Set the device and read it back; DeviceError where it accepted another value than the one requested."""
         with self._control:
             self._demand_open()
             if self._armed:
@@ -117,6 +114,7 @@ class OpenCamera(ABC):
                     self._start()
                     self._leaving = False
                     self._armed = True
+                log.debug("camera '%s': armed", self.name)
 
     def grab(self, timeout_s: float) -> Grabbed | None:
         """Return the next buffer, failed ones too, or None when none came within ``timeout_s``."""
@@ -184,6 +182,7 @@ class OpenCamera(ABC):
                     self._open = False
                     release(self.device)
                     self._free()
+                    log.info("camera '%s': closed", self.name)
 
     def _demand_open(self) -> None:
         if not self._open:
@@ -214,7 +213,7 @@ class OpenCamera(ABC):
     @abstractmethod
     def _free(self) -> None: ...
 
-    def _await_ready(self) -> None:  # noqa: B027 - most devices do not say when they are ready
+    def _await_ready(self) -> None:  # noqa: B027 - most devices do not signal when they are ready
         """Wait until a trigger would be taken."""
 
     def _fire(self) -> None:
@@ -247,7 +246,7 @@ class GenICamCamera(OpenCamera):
         try:
             return self._configured(settings)
         except FeatureRefused as error:
-            # settings that are refused are told by name: this is a device that does not even say what it has
+            # refused settings are reported by name: this device does not even list its features
             raise self._gone(str(error)) from None
 
     def _configured(self, settings: CameraHardware) -> DeviceReport:

@@ -24,12 +24,15 @@ Packing = Literal["bytes", "p", "packed", "yuyv", "uyvy", "rgb", "bgr", "rgba", 
 
 @dataclass(frozen=True)
 class PixelFormat:
-    """``code``: PFNC's 32 bits; ``bits``: significant ones; ``packing``: how they lie; ``mosaic``: Bayer."""
+    """A pixel format of the Pixel Format Naming Convention (PFNC)."""
 
     code: int
+    """PFNC's 32 bits."""
     bits: int
+    """Significant bits of a pixel."""
     packing: Packing
     mosaic: bool = False
+    """Whether it is a Bayer mosaic."""
 
     @property
     def bits_in_memory(self) -> int:

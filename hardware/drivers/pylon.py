@@ -1,6 +1,6 @@
 """Basler cameras of any interface, through pylon (pypylon), and pylon's camera emulator.
 
-The environment variable PYLON_CAMEMU says how many emulated cameras there are. They show test images or files,
+The environment variable PYLON_CAMEMU is the number of emulated cameras. They show test images or files,
 can only be triggered by software, ignore triggers that come too early without a word, and have no clock.
 """
 
@@ -160,7 +160,7 @@ class PylonCamera(GenICamCamera):
     """One Basler camera.
 
     Its stamps count ticks of its own clock: of GevTimestampTickFrequency where it has that (ace GigE: 8 ns), else
-    of 1 ns. Basler's manuals say that the stamp is "generated when frame acquisition was triggered"; with one
+    of 1 ns. By Basler's manuals the stamp is "generated when frame acquisition was triggered"; with one
     exposure a trigger that is the start of exposure, but for the trigger's own delay of some microseconds.
     """
 
@@ -248,10 +248,10 @@ class PylonCamera(GenICamCamera):
         )
 
     def _await_ready(self) -> None:
-        # the device ignores a trigger that comes too early, and nothing tells
+        # the device ignores a trigger that comes too early, without notice
         camera = self._camera
         try:
-            # in looks: time in which this machine did not run the library says nothing of the device
+            # in polls: time in which this process was stalled does not count
             ready = not camera.CanWaitForFrameTriggerReady() or any(
                 camera.WaitForFrameTriggerReady(READY_MS // READY_LOOKS, self._pylon.TimeoutHandling_Return)
                 for _ in range(READY_LOOKS)

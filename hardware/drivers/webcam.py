@@ -1,6 +1,6 @@
 """Webcams, and video files in their place, through OpenCV's VideoCapture.
 
-A webcam runs free and has no clock that it tells: its frames carry this machine's, so sets of several webcams are
+A webcam is free-running and without a readable clock: its frames carry the host's, so sets of several webcams are
 as good as their arrival times. A file plays each time from its beginning, as fast as it is grabbed; after its last
 frame the camera is silent. Lossless files in grey (FFV1, pix_fmt gray) come bit for bit.
 """
@@ -243,7 +243,7 @@ class _Reader:
 
 
 def _mono(picture: Array) -> tuple[Array | None, str]:
-    """Return OpenCV's picture as (H, W) uint8 that nobody else holds, or None and why."""
+    """Return OpenCV's picture as (H, W) uint8 in memory of its own, or None and why."""
     if picture.dtype == np.uint8 and picture.ndim == 2:
         return np.ascontiguousarray(picture), ""
     if picture.dtype == np.uint8 and picture.ndim == 3 and picture.shape[2] == 3:

@@ -18,7 +18,7 @@ from hardware.emulate.stream import ImageLayout, chunk
 PtpStatus = Literal["Disabled", "Listening", "Uncalibrated", "Slave"]
 LISTENING_NS = 200_000_000
 LOCKING_NS = 500_000_000
-"""How long after PTP was switched on a device hears its master, and is locked to it."""
+"""Time from PTP on until a device is listening to its master, and until it is locked to it."""
 
 _COMMON_MINUS_MONOTONIC = time.time_ns() - time.monotonic_ns()
 
@@ -38,17 +38,20 @@ class ClockJump:
 
 @dataclass(frozen=True)
 class EmulatedClock:
-    """A clock that was ``offset_ns`` when the device booted (monotonic ``booted_ns``) and gains ``drift_ppm``.
+    """A device clock with offset, drift and jumps.
 
-    ``ptp_ns``: when PTP was switched on, None while it is off. Once locked it shows the master's time exactly: there
-    are no synchronisation messages, only their effect.
+    Once locked to a PTP master it shows the master's time exactly: there are no synchronisation messages, only their
+    effect.
     """
 
     booted_ns: int
+    """Host time of the boot [ns]."""
     offset_ns: int = 0
+    """Time shown at the boot [ns]."""
     drift_ppm: float = 0.0
     jumps: tuple[ClockJump, ...] = ()
     ptp_ns: int | None = None
+    """Host time when PTP was switched on [ns], None while it is off."""
 
     def at(self, mono_ns: int) -> int:
         """Return what the clock shows at ``mono_ns`` [ns], never below 0."""
@@ -85,15 +88,14 @@ class EmulatedClock:
 
 @dataclass(frozen=True)
 class SensorExposure:
-    """An exposure that was begun at ``start_ns``; at ``out_ns`` it has ended and is read out.
-
-    ``number``: of the trigger, which is the number of the source's frame. Times are this machine's monotonic clock's
-    [ns].
-    """
+    """One exposure; times are host times (monotonic)."""
 
     number: int
+    """Number of the trigger, which is the number of the source's frame."""
     start_ns: int
+    """Start of exposure [ns]."""
     out_ns: int
+    """When it has ended and is read out [ns]."""
 
 
 class Shutter:
@@ -131,22 +133,20 @@ Source = Literal["Software", "Line1", "Action1"]
 
 @dataclass(frozen=True)
 class PendingImage:
-    """An exposure with what was set when it began: everything that its image depends on.
-
-    ``session``: counts the stops of acquisition; a shot of an earlier one is not sent any more. ``chunks``: what
-    follows the image, None without chunk data.
-    """
+    """An exposure with what was set when it began: everything that its image depends on."""
 
     exposure: SensorExposure
     block: int
     device_ns: int
     layout: ImageLayout
     session: int
+    """Counts the stops of acquisition; an image of an earlier one is not sent any more."""
     chunks: bytes | None = None
+    """What follows the image, None without chunk data."""
 
 
 class Acquisition:
-    """Begins exposures as the settings ``values`` (by feature name) say; not to be used by two threads at a time.
+    """Begins exposures by the settings ``values`` (by feature name); not to be used by two threads at a time.
 
     ``stamp``: the device's clock at a monotonic time. ``full_readout_ns``: of an image of ``sensor_height`` rows.
     ``first_block``: number of the first block of each acquisition. ``counts``: what became of the triggers.
@@ -207,7 +207,7 @@ class Acquisition:
         return True
 
     def next_image(self, now_ns: int) -> PendingImage | float | None:
-        """Return the next shot, else the seconds until one may be due, else None where nothing is foreseen."""
+        """Return the next image to send, else the seconds until one may be due, else None."""
         while self._scheduled and self._scheduled[0] <= now_ns:
             self.trigger("Action1", heapq.heappop(self._scheduled))
         free = self.active and self._values["TriggerMode"] == 0

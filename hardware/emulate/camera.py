@@ -36,26 +36,26 @@ SMALLEST_PACKET, LARGEST_PACKET = 576, 16000
 
 
 class EmulatedCamera:
-    """A camera of ``identity``; the lock of ``changed`` guards all of it, and who waits for a shot waits on it.
+    """A camera of ``identity``; the lock of ``changed`` guards all of it, and waits for images use it.
 
     ``stream``: where test packets go out, and whose memory is lost with the supply. ``first_block``: number of the
-    first block of an acquisition. ``counts`` tells what became of the triggers: on the line
+    first block of an acquisition. ``counts``: what became of the triggers; on the line
     pulses = withheld + unarmed + ignored + overrun + exposures.
     """
 
     def __init__(
-        self, identity: Identity, stream: Stream, faults: Faults, luck: FaultDraws, first_block: int = 1
+        self, identity: Identity, stream: Stream, faults: Faults, draws: FaultDraws, first_block: int = 1
     ) -> None:
         self.identity, self.faults = identity, faults
         self.changed = Condition()
         self.counts: Counter[str] = Counter()
         self.privilege = Privilege()
-        self._stream, self._luck = stream, luck
+        self._stream, self._draws = stream, draws
         self._began_ns: int | None = None
         self._reset_ns: int | None = None
         self._returns_ns = 0
         self._rebooted = False
-        self._clock = EmulatedClock(0)
+        self.clock = EmulatedClock(0)
         self._ptp: tuple[PtpStatus, int] = ("Disabled", 0)
         tree = features(tuple(dict.fromkeys((FORMAT_OF_DEPTH[identity.bit_depth], "Mono8"))))
         self._features = {feature.register or feature.name: feature for feature in tree}
@@ -66,7 +66,7 @@ class EmulatedCamera:
         self._values = self.registers.values
         self._acquisition = Acquisition(
             self._values,
-            lambda mono_ns: self._clock.at(mono_ns),
+            lambda mono_ns: self.clock.at(mono_ns),
             SECOND / identity.fastest_hz,
             identity.height,
             first_block,
@@ -83,7 +83,7 @@ class EmulatedCamera:
             self._supply(time_ns)
             if time_ns < self._returns_ns:
                 self.counts["unarmed"] += 1
-            elif self._luck.withheld(number):
+            elif self._draws.withheld(number):
                 self.counts["withheld"] += 1
             else:
                 self._acquisition.pulse(number, time_ns)
@@ -93,7 +93,7 @@ class EmulatedCamera:
         """Take an action command: it triggers at once, or at its time in the device's clock.
 
         One for other keys is not for this camera, and is acknowledged all the same. A camera without PTP goes by its
-        own clock, and says that it has no common time.
+        own clock, and reports that it has no common time.
         """
         with self.changed:
             values, now = self._values, time.monotonic_ns()
@@ -105,12 +105,12 @@ class EmulatedCamera:
             if action.at_ns is None:
                 self._acquisition.trigger("Action1", now)
                 return Status.SUCCESS
-            due = self._clock.when(action.at_ns)
+            due = self.clock.when(action.at_ns)
             if not self._acquisition.schedule(max(due, now)):
                 return Status.OVERFLOW
             if due < now:
                 return Status.ACTION_LATE
-            return Status.SUCCESS if self._clock.ptp_status(now) == "Slave" else Status.NO_REF_TIME
+            return Status.SUCCESS if self.clock.ptp_status(now) == "Slave" else Status.NO_REF_TIME
 
     def reboot(self) -> None:
         """Lose the supply now and come back after ``faults.reboot_gone_s``."""
@@ -126,7 +126,7 @@ class EmulatedCamera:
             self.changed.notify_all()
 
     def next_image(self) -> PendingImage | float | None:
-        """Return the next shot, else the seconds until one may be due, else None. Hold ``changed`` meanwhile."""
+        """Return the next image to send, else the seconds until one may be due, else None; hold ``changed``."""
         return self._acquisition.next_image(time.monotonic_ns())
 
     # what it is like now
@@ -239,7 +239,7 @@ class EmulatedCamera:
             self._began_ns = now
             if self.faults.jump_at_s is not None:
                 jump = ClockJump(now + round(self.faults.jump_at_s * SECOND), self.faults.jump_ns)
-                self._clock = replace(self._clock, jumps=(jump,))
+                self.clock = replace(self.clock, jumps=(jump,))
         self._acquisition.start(now)
 
     def _reset_soon(self, _: int) -> None:
@@ -247,23 +247,23 @@ class EmulatedCamera:
 
     def _control_timestamp(self, bits: int) -> None:
         now = time.monotonic_ns()
-        if bits & 1 and self._clock.ptp_ns is None:
-            self._clock = EmulatedClock(now, 0, self.faults.drift_ppm)
+        if bits & 1 and self.clock.ptp_ns is None:
+            self.clock = EmulatedClock(now, 0, self.faults.drift_ppm)
         if bits & 2:
-            self._values["TimestampLatched"] = self._clock.at(now)
+            self._values["TimestampLatched"] = self.clock.at(now)
 
     def _enable_ptp(self, on: int) -> None:
         now = time.monotonic_ns()
         self._values["PtpEnable"] = on
-        if on and self._clock.ptp_ns is None:
-            self._clock = replace(self._clock, ptp_ns=now)
-        elif not on and self._clock.ptp_ns is not None:
-            self._clock = EmulatedClock(now, self._clock.at(now), self.faults.drift_ppm)
+        if on and self.clock.ptp_ns is None:
+            self.clock = replace(self.clock, ptp_ns=now)
+        elif not on and self.clock.ptp_ns is not None:
+            self.clock = EmulatedClock(now, self.clock.at(now), self.faults.drift_ppm)
         self._latch_ptp(1)
 
     def _latch_ptp(self, _: int) -> None:
         now = time.monotonic_ns()
-        self._ptp = self._clock.ptp_status(now), self._clock.offset_from_master(now)
+        self._ptp = self.clock.ptp_status(now), self.clock.offset_from_master(now)
 
     def _set_packet_size(self, value: int) -> None:
         asked = value & 0xFFFC
@@ -300,6 +300,6 @@ class EmulatedCamera:
 
     def _boot(self, at_ns: int) -> None:
         """Begin with the settings that the camera has when its supply comes."""
-        self._clock = EmulatedClock(at_ns, self.faults.clock_offset_ns, self.faults.drift_ppm)
+        self.clock = EmulatedClock(at_ns, self.faults.clock_offset_ns, self.faults.drift_ppm)
         self._ptp = ("Disabled", 0)
         self._values.update(boot_values(self.identity, self._xml_bytes, self._stream.source_port))

@@ -1,7 +1,7 @@
-"""A device's control channel: takes commands from the network, checks who may, and acknowledges.
+"""Control channel of a device (GVCP): receives commands, checks the privilege, and acknowledges.
 
-Whatever arrives, the device lives on: what is no command is not answered, what is none that it knows or wants what is
-not to be had is answered with the standard's status for it.
+Whatever arrives, the device goes on: a datagram that is no command is not answered; an unknown or impossible command
+is answered with the standard's status for it.
 """
 
 import errno
@@ -31,9 +31,9 @@ from hardware.emulate.stream import Stream
 from mosca.errors import InputError
 
 TICK_S = 0.05
-"""How often heartbeat and supply are looked after when nothing comes."""
-ASLEEP_NS, GRACE_NS = 500_000_000, 2_000_000_000
-"""Who did not look for so long was asleep itself, and cannot tell who was silent; clients have the grace to speak."""
+"""How often heartbeat and supply are checked when nothing arrives."""
+STALLED_NS, GRACE_NS = 500_000_000, 2_000_000_000
+"""After this thread was stalled for so long it cannot judge heartbeats; clients then get the grace time."""
 DISCOVERY_BYTES = 0xF8
 LARGEST_READ = LARGEST_GVCP_PAYLOAD - 4
 ADDRESS = {register.name: register.address for register in BOOTSTRAP}
@@ -58,7 +58,7 @@ class Control:
         self._camera, self._stream = camera, stream
         self._stop = Event()
         self._answered: _Answered | None = None
-        self._looked_ns = self._judges_ns = 0
+        self._checked_ns = self._judge_from_ns = 0
         self._handlers: dict[int, Callable[[gige_vision.GvcpCommand, Client], bytes]] = {
             Command.READREG: self._read_registers,
             Command.WRITEREG: self._write_registers,
@@ -85,15 +85,16 @@ class Control:
                     receiver = key.fileobj
                     assert isinstance(receiver, socket.socket)
                     self._receive(receiver)
-                self._look_after(time.monotonic_ns())
+                self.check_heartbeat(time.monotonic_ns())
 
-    def _look_after(self, now_ns: int) -> None:
+    def check_heartbeat(self, now_ns: int) -> None:
+        """End the control of a client whose heartbeat has timed out."""
         camera = self._camera
         camera.linked(now_ns)
-        if now_ns - self._looked_ns > ASLEEP_NS:
-            self._judges_ns = now_ns + GRACE_NS
-        self._looked_ns = now_ns
-        if now_ns < self._judges_ns:
+        if now_ns - self._checked_ns > STALLED_NS:
+            self._judge_from_ns = now_ns + GRACE_NS
+        self._checked_ns = now_ns
+        if now_ns < self._judge_from_ns:
             return
         with camera.changed:
             heartbeat = int(camera.registers.value("HeartbeatTimeout"))
@@ -130,13 +131,13 @@ class Control:
         if repeated is not None and (repeated.client, repeated.datagram) == (client, datagram):
             return repeated.answer
         with self._camera.changed:
-            self._camera.privilege.heard(client, time.monotonic_ns())
-            answer = self._obey(request, client)
+            self._camera.privilege.heartbeat(client, time.monotonic_ns())
+            answer = self._execute(request, client)
         if request.command in REPEATABLE:
             self._answered = _Answered(client, datagram, answer)
         return answer if request.flags & ACKNOWLEDGE else b""
 
-    def _obey(self, request: gige_vision.GvcpCommand, client: Client) -> bytes:
+    def _execute(self, request: gige_vision.GvcpCommand, client: Client) -> bytes:
         try:
             if request.command == Command.PACKETRESEND:
                 return self._resend(request, client)

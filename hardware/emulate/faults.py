@@ -13,28 +13,29 @@ STREAMS = {"packet_loss": 1, "resend_refused": 2, "withheld": 3, "resent_loss": 
 
 @dataclass(frozen=True)
 class Faults:
-    """Troubles of one camera; times are seconds after its acquisition first started.
-
-    ``packet_loss``: share of stream packets, resent ones too, that are lost. ``resend_refused``: share of requests
-    for packets that are answered with "unavailable". ``withheld``: share of line pulses that do not reach the camera.
-    ``clock_offset_ns``: what the clock shows at boot. ``drift_ppm``: how much it gains. ``jump_at_s``: the clock
-    jumps by ``jump_ns``. ``reboot_at_s``: the camera loses its supply for ``reboot_gone_s``; settings, control, clock
-    and block numbers start anew. ``silent_at_s``: for ``silent_for_s`` nothing reaches the camera or leaves it,
-    though it works on: a pulled cable. ``seed``: of all that is drawn.
-    """
+    """Faults of one camera; times are seconds after its acquisition first started."""
 
     packet_loss: float = 0.0
+    """Share of stream packets, resent ones too, that are lost."""
     resend_refused: float = 0.0
+    """Share of requests for packets that are answered with "unavailable"."""
     withheld: float = 0.0
+    """Share of line pulses that do not reach the camera."""
     clock_offset_ns: int = 0
+    """Device clock at boot [ns]."""
     drift_ppm: float = 0.0
+    """Drift of the device clock."""
     jump_at_s: float | None = None
+    """The device clock jumps by ``jump_ns`` then."""
     jump_ns: int = 0
     reboot_at_s: float | None = None
+    """The camera loses its supply for ``reboot_gone_s``; settings, control, clock and block numbers start anew."""
     reboot_gone_s: float = 2.0
     silent_at_s: float | None = None
+    """For ``silent_for_s`` nothing reaches the camera or leaves it, though it works on: a pulled cable."""
     silent_for_s: float = 1.0
     seed: int = 0
+    """Seed of the random draws."""
 
     def __post_init__(self) -> None:
         for name in SHARES:
@@ -54,7 +55,7 @@ FAULTLESS = Faults()
 
 
 class FaultDraws:
-    """What the dice say to one camera: packets and requests in order, pulses by their number."""
+    """Random draws of one camera's faults: packets and requests in order, pulses by their number."""
 
     def __init__(self, faults: Faults, serial: str) -> None:
         self._faults = faults

@@ -72,34 +72,34 @@ BOOTSTRAP = (
 
 @dataclass(frozen=True)
 class Feature:
-    """One node of the feature tree and the register behind it.
-
-    ``register``: a bootstrap register; "" gives the feature one of its own. ``bits``: first and last bit of the
-    register that are meant, counted from the most significant. ``most``: the register that holds the largest value
-    allowed now. ``locked``: not to be written while the camera acquires. ``category``: None for a node that only
-    others need. ``selects``: features that depend on this selector. ``chunk``: number of the chunk behind each image
-    that holds it, which it has in place of a register.
-    """
+    """One node of the feature tree and the register behind it."""
 
     name: str
     kind: FeatureKind
     category: str | None
+    """None for a node that only others refer to."""
     access: Access = "RW"
     minimum: float | None = None
     maximum: float | None = None
     increment: float | None = None
     most: str = ""
+    """Register of the largest value allowed now."""
     unit: str = ""
     entries: Mapping[str, int] = field(default_factory=dict)
     locked: bool = False
+    """Not to be written while the camera acquires."""
     register: str = ""
+    """Its bootstrap register; "" gives the feature one of its own."""
     bits: tuple[int, int] | None = None
+    """First and last bit of the register that are meant, counted from the most significant."""
     command: int = 1
     signed: bool = False
     length: int = 4
     selects: tuple[str, ...] = ()
+    """Features that depend on this selector."""
     tip: str = ""
     chunk: int = 0
+    """Number of the chunk behind each image that holds it, which it has in place of a register."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "entries", MappingProxyType(dict(self.entries)))

@@ -1,4 +1,4 @@
-"""The GenICam XML file, which tells a client the feature tree and the registers behind it (GenApi schema 1.1)."""
+"""The GenICam XML file, which describes the feature tree and the registers behind it (GenApi schema 1.1)."""
 
 import xml.etree.ElementTree as Xml
 from collections.abc import Iterable, Mapping

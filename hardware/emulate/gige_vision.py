@@ -170,7 +170,7 @@ def resend(payload: bytes) -> ResendRequest:
 
 
 def action(request: GvcpCommand) -> ActionCommand:
-    """Return what an ACTION command says."""
+    """Return the fields of an ACTION command."""
     wanted = 20 if request.flags & SCHEDULED else 12
     if len(request.payload) < wanted:
         raise Refused(Status.INVALID_PARAMETER)

@@ -1,4 +1,4 @@
-"""Who an emulated camera is, and what its registers hold after it was switched on."""
+"""Identity of an emulated camera, and the values of its registers at power-on."""
 
 from dataclasses import dataclass
 from ipaddress import IPv4Interface
@@ -30,26 +30,29 @@ PACKET_BYTES = 1500
 
 @dataclass(frozen=True)
 class Identity:
-    """``name``: of the source's camera. ``address``: with the length of its network. ``rate_hz``, ``exposure_us``:
-    what the source says, and so the settings at first; ``fastest_hz``: how fast the whole sensor can be read.
-    """
+    """Names, address and sensor of an emulated camera."""
 
     name: str
+    """Name of the source's camera."""
     serial: str
     address: IPv4Interface
+    """IP address with the length of its network prefix."""
     width: int
     height: int
     bit_depth: int
     rate_hz: float
+    """Frame rate of the source, and the setting at power-on."""
     exposure_us: float
+    """Exposure time of the source, and the setting at power-on."""
     fastest_hz: float
+    """Highest frame rate of the whole sensor."""
     vendor: str = "Mosca"
     model: str = "Twin"
     firmware: str = "1.0"
 
 
 def boot_values(identity: Identity, xml_bytes: int, source_port: int) -> dict[str, Value]:
-    """Return what the registers hold after the supply came; every register that is not named holds 0 or nothing."""
+    """Return the registers' values at power-on; all others are 0 or empty."""
     address = int(identity.address.ip)
     return {
         "Version": VERSION_2_0,

@@ -67,6 +67,10 @@ class RegisterFile:
             if one.address + one.length > after.address:
                 raise ValueError(f"registers {one.name} and {after.name} overlap at 0x{after.address:x}")
 
+    def named(self, name: str) -> Register:
+        """Return register ``name``."""
+        return next(register for register in self._registers if register.name == name)
+
     def value(self, name: str) -> Value:
         """Return what register ``name`` shows now."""
         ask = self._live.get(name)
@@ -152,7 +156,7 @@ class Privilege:
         if self.level & EXCLUSIVE_ACCESS and self.holder != client:
             raise Refused(Status.ACCESS_DENIED)
 
-    def heard(self, client: Client, now_ns: int) -> None:
+    def heartbeat(self, client: Client, now_ns: int) -> None:
         """Take note that ``client`` is alive: each command of the holder counts as a heartbeat."""
         if client == self.holder:
             self._heard_ns = now_ns

@@ -39,12 +39,12 @@ class EmulatedDevice:
         faults: Faults = FAULTLESS,
         first_block: int = 1,
     ) -> None:
-        luck = FaultDraws(faults, identity.serial)
+        draws = FaultDraws(faults, identity.serial)
         self._frames = frames
         sockets = control_sockets(identity)
-        self._stream = Stream(str(identity.address.ip), luck)
-        self.camera = EmulatedCamera(identity, self._stream, faults, luck, first_block)
-        self._control = Control(self.camera, self._stream, sockets)
+        self._stream = Stream(str(identity.address.ip), draws)
+        self.camera = EmulatedCamera(identity, self._stream, faults, draws, first_block)
+        self.control = Control(self.camera, self._stream, sockets)
         self._stop = Event()
         self._images: Counter[str] = Counter()
         self._thread = Thread(target=self._run, name=f"gvsp {identity.name}", daemon=True)
@@ -52,7 +52,7 @@ class EmulatedDevice:
 
     @property
     def identity(self) -> Identity:
-        """Who the device is."""
+        """Identity of the device."""
         return self.camera.identity
 
     def counts(self) -> Mapping[str, int]:
@@ -67,7 +67,7 @@ class EmulatedDevice:
         with self.camera.changed:
             self.camera.changed.notify_all()
         self._thread.join()
-        self._control.close()
+        self.control.close()
         self._stream.close()
 
     def _run(self) -> None:
@@ -232,7 +232,7 @@ def interface(text: str) -> IPv4Interface:
 
 
 def serial_at(place: IPv4Interface) -> str:
-    """Return the serial number of a camera at ``place``: clients tell cameras apart by it, also of two servers."""
+    """Return the serial number of a camera at ``place``: clients identify cameras by it, also of two servers."""
     return f"TWIN{int(place.ip):08X}"
 
 

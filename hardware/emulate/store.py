@@ -11,7 +11,7 @@ MISSING_AFTER = 8
 """A frame is held for lost when the source has given frames of so many later pulses."""
 WAIT_S = 30.0
 """How long a camera waits for a frame that is not there yet."""
-BETWEEN_LOOKS_S = 0.5
+POLL_INTERVAL_S = 0.5
 
 
 class FrameStore:
@@ -21,8 +21,8 @@ class FrameStore:
     not, frames are read while pulses pass, and beginning anew iterates over the source anew. ``loop``: after the last
     pulse comes the first.
 
-    A camera's first frame is of the pulse that its index says, where the source is in the session's clock (twin,
-    captures, folders of images), and the others of those that their stamps say. With other clocks a pulse is told
+    A camera's first frame is of the pulse of its index, where the source is in the session's clock (twin,
+    captures, folders of images), and the others of those of their stamps. With other clocks a pulse is found
     from the time since the camera's frame before.
     """
 
@@ -60,7 +60,7 @@ class FrameStore:
         """
         with self._changed:
             while self._failed is None and self._length is None and self._newest < self._ahead - 1:
-                self._changed.wait(BETWEEN_LOOKS_S)
+                self._changed.wait(POLL_INTERVAL_S)
                 if progress is not None:
                     progress(max(self._newest, 0), self._ahead)
         self.check()
@@ -90,8 +90,13 @@ class FrameStore:
                 gone = self._ended or pulse < self._newest - MISSING_AFTER
                 if gone or self._closed or self._failed is not None or time.monotonic() > until:
                     return None
-                self._changed.wait(BETWEEN_LOOKS_S)
+                self._changed.wait(POLL_INTERVAL_S)
             return self._frames[camera, pulse]
+
+    @property
+    def kept(self) -> int:
+        """Number of frames in memory."""
+        return len(self._frames)
 
     def rewind(self) -> None:
         """Begin again with pulse 0."""
@@ -114,7 +119,7 @@ class FrameStore:
         try:
             while self._read_once():
                 pass
-        except Exception as error:  # handed to whoever fills; a reader without frames ends
+        except Exception as error:  # raised where the store is filled; a reader without frames ends
             with self._changed:
                 self._failed = error
                 self._changed.notify_all()
@@ -144,15 +149,15 @@ class FrameStore:
                     self._ended = True
                     self._changed.notify_all()
                     while not self._over(this_round):
-                        self._changed.wait(BETWEEN_LOOKS_S)
+                        self._changed.wait(POLL_INTERVAL_S)
                     return not self._closed
                 base = self._newest + 1
 
     def _keep(self, frame: Frame, pulse: int, this_round: int) -> bool:
-        """Keep ``frame`` as soon as there is room; False when this reading is over."""
+        """Keep ``frame`` as soon as there is space; False when this reading is over."""
         with self._changed:
             while pulse >= self._asked + self._ahead and not self._over(this_round):
-                self._changed.wait(BETWEEN_LOOKS_S)
+                self._changed.wait(POLL_INTERVAL_S)
             if self._over(this_round):
                 return False
             self._frames.setdefault((frame.camera, pulse), frame)
@@ -188,7 +193,7 @@ class _Numbering:
         if self._one_clock:
             self._first = frame.index if self._first is None else self._first
             index, time_ns = self._began.setdefault(frame.camera, (frame.index, frame.time_ns))
-            # the counter of a real camera does not count the pulses that it missed: its stamps tell
+            # the counter of a real camera does not count the pulses that it missed: its stamps show them
             since = round((frame.time_ns - time_ns) * self._rates[frame.camera] / 1e9)
             return max(index - self._first + since, 0)
         self._first = frame.time_ns if self._first is None else self._first

@@ -31,7 +31,7 @@ Packet = bytes | memoryview
 
 @dataclass(frozen=True)
 class ImageLayout:
-    """What the leader says of an image: its format, and which part of the sensor it is [px]."""
+    """Image fields of the leader: pixel format, and which part of the sensor it is [px]."""
 
     pixel_format: int
     width: int
@@ -81,12 +81,12 @@ def image_packets(
 
 
 def unavailable(block: int, packet: int) -> bytes:
-    """Return the packet that says that packet ``packet`` of ``block`` cannot be sent again."""
+    """Return the status packet: packet ``packet`` of ``block`` is not available any more."""
     return _header(block, PAYLOAD, packet, Status.PACKET_UNAVAILABLE)
 
 
 def probe(packet_bytes: int) -> bytes:
-    """Return a test packet: as large as ``packet_bytes`` says, block and packet 0, nothing meant by what is in it."""
+    """Return a test packet: of ``packet_bytes``, block and packet 0, arbitrary data."""
     return _header(0, PAYLOAD, 0).ljust(packet_bytes - IP_UDP_BYTES, b"\x5a")
 
 
@@ -136,8 +136,8 @@ class Stream:
     packets_resent, resends_refused and test_packets. Threads may share it.
     """
 
-    def __init__(self, address: str, luck: FaultDraws) -> None:
-        self._luck = luck
+    def __init__(self, address: str, draws: FaultDraws) -> None:
+        self._draws = draws
         self._lock = Lock()
         self._kept: OrderedDict[int, Sequence[Packet]] = OrderedDict()
         self.counts: Counter[str] = Counter()
@@ -147,13 +147,13 @@ class Stream:
         self.source_port: int = self._socket.getsockname()[1]
 
     def send(self, block: int, packets: Sequence[Packet], to: Destination) -> None:
-        """Send ``packets``, which are those of ``block``, but for those that chance takes; keep them all."""
+        """Send ``packets``, which are those of ``block``, but for those drawn as lost; keep them all."""
         with self._lock:
             self._kept.pop(block, None)
             self._kept[block] = packets
             if len(self._kept) > KEPT_BLOCKS:
                 self._kept.popitem(last=False)
-        lost = self._luck.lost(len(packets))
+        lost = self._draws.lost(len(packets))
         for number, packet in enumerate(packets):
             if number not in lost:
                 self._send(packet, to)
@@ -161,18 +161,18 @@ class Stream:
         self._count("packets_lost", len(lost))
 
     def resend(self, wanted: ResendRequest, to: Destination) -> None:
-        """Send kept packets again, or say that they are not to be had."""
+        """Send kept packets again, or the status that they are not available."""
         with self._lock:
             kept = self._kept.get(wanted.block, ())
-        refused = self._luck.refused()
+        refused = self._draws.refused()
         self._count("resend_requests")
         self._count("resends_refused", refused)
         asked = range(wanted.first, min(wanted.last, wanted.first + LARGEST_RESEND - 1) + 1)
-        lost = self._luck.lost_again(len(asked))
+        lost = self._draws.lost_again(len(asked))
         for place, number in enumerate(asked):
             if not kept or refused:
                 self._send(unavailable(wanted.block, number), to)
-                return  # one answer tells it of all
+                return  # one answer is enough for all
             if number >= len(kept):
                 self._send(unavailable(wanted.block, number), to)
             elif place in lost:

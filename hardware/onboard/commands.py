@@ -1,6 +1,6 @@
 """Commands to a subject, its replies, and events from elsewhere, all on the clock of the frames.
 
-A program file (TOML) says what is sent when, and what is listened to::
+A program file (TOML) lists what is sent when, and what is received::
 
     [[target]]
     name = "robot"
@@ -21,8 +21,8 @@ A program file (TOML) says what is sent when, and what is listened to::
 Everything is lines of UTF-8, ended by a newline. The channels of the recording, each message with ``host_ns``, this
 machine's monotonic time of it: ``commands`` (stamped when it was sent), ``replies`` (when its line was whole),
 ``events`` (when it came). A line that is a JSON object stands under ``data``, any other under ``line``. Each target
-has a thread of its own: one that answers late delays nobody else's commands, and its own are then sent late, which is
-told (``late_ms``).
+has a thread of its own: one that answers late delays no other target's commands; its own are then sent late, and the
+delay is noted (``late_ms``).
 """
 
 import json
@@ -42,7 +42,7 @@ from hardware.onboard.line_protocol import Lines, SerialLines, TcpLines, UdpLine
 from mosca.data.files.toml import NotNegative, Table, check, read_toml
 
 LATE_MS = 5.0
-"""A command that goes out later than this is told."""
+"""A command that is sent later than this is noted."""
 LOOK_S = 0.1
 
 SessionNs = Callable[[int], int | None]
@@ -118,13 +118,13 @@ class Reply:
 
 
 class CommandTarget:
-    """Somebody who takes lines and may answer each with a line."""
+    """A target that takes lines and may answer each with a line."""
 
     def __init__(self, table: TargetTable, lines: Lines) -> None:
         self.table, self._lines = table, lines
 
     def send(self, command: str, on_sent: Callable[[int], None] | None = None) -> Reply:
-        """Send ``command`` and wait for its answer; ``on_sent`` is told when it is out. DeviceError."""
+        """Send ``command`` and wait for its answer; ``on_sent`` is called when it is sent. DeviceError."""
         sent_ns = time.monotonic_ns()
         self._lines.write(command)
         if on_sent is not None:
@@ -158,7 +158,7 @@ def open_target(table: TargetTable) -> CommandTarget:
 
 
 class EventSource:
-    """Somebody who tells; ``take`` waits for the next line."""
+    """A source of events; ``take`` waits for the next line."""
 
     def __init__(self, table: EventTable) -> None:
         where = f"event '{table.name}'"
@@ -256,12 +256,12 @@ class ProgramRun:
 
         def sent(sent_ns: int) -> None:
             late_ms = ((self._session_ns(sent_ns) or 0) - item.at_s * 1e9) / 1e6
-            told = {"target": name, "at_s": item.at_s, "command": item.command, "late_ms": late_ms}
+            sent = {"target": name, "at_s": item.at_s, "command": item.command, "late_ms": late_ms}
             if late_ms > LATE_MS:
                 self.notes.append(
                     f"target '{name}': the command of {item.at_s:g} s went {late_ms:.0f} ms late"
                 )
-            self._record(("commands", sent_ns, told))
+            self._record(("commands", sent_ns, sent))
 
         reply = target.send(line, sent)
         self.sent += 1

@@ -119,8 +119,10 @@ class UdpLines:
                 f"{self._where}: cannot listen ({error.strerror or error}); choose another address"
             ) from None
 
+        self.port: int = self._socket.getsockname()[1]
+
     def write(self, text: str) -> None:
-        """Refuse: nobody is at the other end."""
+        """Refuse: no program is at the other end."""
         raise DeviceError(f"{self._where}: listens only")
 
     def read(self, timeout_s: float) -> Line | None:

@@ -29,9 +29,10 @@ MOST_SEGMENTS = 8
 
 @dataclass
 class _Segment:
-    """Readings that agree, up to the one begun at ``last_ns``; ``best``: the one with the smallest error."""
+    """Readings that agree, up to the one begun at ``last_ns``."""
 
     best: ClockReading
+    """The one with the smallest error."""
     last_ns: int
 
 

@@ -1,9 +1,10 @@
-"""What the reconstructing station makes of what it hears: who is there, which pulse is which, and merged sets.
+"""State of the reconstructing station: which stations are present, pulse alignment, and merged sets.
 
 Everything comes in order through ``take``; no threads and no network are known here. What happens to a station is
-told and kept (``events``); a station that dies costs its cameras, no more.
+passed on and kept (``events``); a lost station costs its cameras, no more.
 """
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 
 from hardware.transport.merger import Arrived, MergedSet, Merger
@@ -19,22 +20,23 @@ from hardware.transport.messages import (
 from hardware.transport.pulse_alignment import StationPulses
 from hardware.transport.station_state import Event, ReceiverSettings, StationState
 
+log = logging.getLogger("mosca.hardware.stations")
 COUNTDOWN_NS = 500_000_000
 """From the moment when all stations are ready to the start that is ordered: the order has to reach them all."""
 
 MOST_QUIET_NS = 50_000_000
-"""From one look to the next a station is taken to be silent for so long at most: a longer time passed because this
-process did not get to run, and who was asleep cannot tell who was silent."""
+"""Largest silence that one check adds to a station: a longer interval means that this process was stalled, and it
+cannot judge silence then."""
 
 ECHO_NS = 300_000_000
-"""What comes so soon after a token's fall was under way, and does not mean that the station is back."""
+"""A message so soon after a token was withdrawn was under way: the station is not back."""
 
 
 class Listener:
     """States of ``stations`` that show ``cameras`` (name -> width, height); used by one thread.
 
     ``start_ns``: when the stations are to start, by this machine's clock, once all are ready.
-    ``rate_hz``: of the pulses; None takes the stations' word. ``told`` is called with each event.
+    ``rate_hz``: of the pulses; None takes the stations' rate. ``on_event`` is called with each event.
     """
 
     def __init__(
@@ -44,7 +46,7 @@ class Listener:
         rate_hz: float | None,
         settings: ReceiverSettings,
         opened_ns: int,
-        told: Callable[[Event], None],
+        on_event: Callable[[Event], None],
     ) -> None:
         self.settings = settings
         self.events: list[Event] = []
@@ -53,14 +55,14 @@ class Listener:
         self.start_ns: int | None = None
         self.states = {station: StationState(station) for station in stations}
         self.merger = Merger(tuple(cameras), self._camera_away, settings.merge)
-        self.places: StationPulses | None = None
-        self._told, self._sizes = told, dict(cameras)
+        self.pulses: StationPulses | None = None
+        self._on_event, self._sizes = on_event, dict(cameras)
         self._owner: dict[str, str] = {}
-        self._opened_ns = self._now_ns = self._looked_ns = opened_ns
+        self._opened_ns = self._now_ns = self._checked_ns = opened_ns
 
     @property
     def all_ended(self) -> bool:
-        """True where every station has said that this was all."""
+        """True where every station has sent its last message."""
         return all(state.ended for state in self.states.values())
 
     def timed(self, station: str) -> bool:
@@ -73,7 +75,7 @@ class Listener:
         return state is None or state.received_to_end(epoch)
 
     def rest(self, now_ns: int) -> list[MergedSet]:
-        """Return what is left when nothing more comes, and close the counts."""
+        """Return the remaining sets when no more messages come, and close the counts."""
         sets = self.merger.rest(now_ns)
         for state in self.states.values():
             state.drop_pending()
@@ -82,7 +84,7 @@ class Listener:
         return sets
 
     def take(self, kind: str, station: str, what: object, received_ns: int) -> None:
-        """Take a "message", "health", "clock" (answer, asked, answered), "rig" or "token" (stands or not)."""
+        """Take a "message", "health", "clock" (answer, asked, answered), "rig" or "token" (declared or not)."""
         self._now_ns = received_ns
         state = self.states.get(station)
         if state is None:
@@ -111,14 +113,14 @@ class Listener:
         if not self._of_this_start(state, message.epoch, received_ns):
             return
         state.count(message)
-        if state.pending or not self._place(state, message, received_ns):
+        if state.pending or not self._align(state, message, received_ns):
             state.add_pending(message, received_ns)
 
     def _of_this_start(self, state: StationState, epoch: int, received_ns: int) -> bool:
-        """Note that the station is heard; False for words of an earlier start."""
+        """Note that the station sends; False for a message of an earlier start."""
         if epoch in state.earlier:
             state.statistics.stale += 1
-            if received_ns - (state.heard_ns or 0) < self.settings.silence_s * 1e9 and state.stands:
+            if received_ns - (state.heard_ns or 0) < self.settings.silence_s * 1e9 and state.has_token:
                 self._note_once(
                     state.name, "error", "speaks with two voices: do two stations have this name?"
                 )
@@ -126,14 +128,14 @@ class Listener:
         if epoch != state.epoch:
             first = state.epoch is None
             state.begins(epoch)
-            if self.places is not None:
-                self.places.restarted(state.name)
+            if self.pulses is not None:
+                self.pulses.restarted(state.name)
             self.merger.restarted([name for name, owner in self._owner.items() if owner == state.name])
             self._note(
                 state.name, "appeared" if first else "back", "is here" if first else "has started again"
             )
         elif state.silent and received_ns - state.gone_ns < ECHO_NS:
-            return True  # said before it went
+            return True  # sent before it ended
         elif state.silent and received_ns > (state.heard_ns or 0):
             self._note(
                 state.name,
@@ -144,60 +146,69 @@ class Listener:
         state.heard_ns = received_ns
         return True
 
-    def _place(self, state: StationState, message: DetectionMessage, received_ns: int) -> bool:
-        """Bring a message to its pulse; False while that cannot be told."""
-        if self.places is None or not self.timed(state.name) or self.places.shift(state.name) is None:
+    def _align(self, state: StationState, message: DetectionMessage, received_ns: int) -> bool:
+        """Deliver a message under its pulse; False while that is not known."""
+        pulses = self.pulses
+        if pulses is None or not self.timed(state.name) or pulses.shift(state.name) is None:
             return False
         arrival_ns = state.clock.to_local(message.arrival_ns)
-        self.places.take(state.name, message.epoch, message.pulse, arrival_ns - message.exposure_ns)
-        self._note_alignment()
-        if self.places.shift(state.name) is None:  # it counts wrongly: it votes anew
+        pulses.take(state.name, message.epoch, message.pulse, arrival_ns - message.exposure_ns)
+        self._note_alignment(pulses)
+        shift = pulses.shift(state.name)
+        if shift is None:  # it counts wrongly: it votes again
             return False
-        # what its frames waited for at the station itself follows in a burst
-        self._deliver(state, message, received_ns, held=arrival_ns < state.placed_ns)
+        # what waited at the station itself follows in a burst
+        buffered = arrival_ns < state.aligned_ns
+        self._deliver(state, message, received_ns, (shift, pulses.period_ns), buffered)
         return True
 
     def _deliver(
-        self, state: StationState, message: DetectionMessage, received_ns: int, held: bool = False
+        self,
+        state: StationState,
+        message: DetectionMessage,
+        received_ns: int,
+        alignment: tuple[int, float],
+        buffered: bool,
     ) -> None:
-        assert self.places is not None
-        shift = self.places.shift(state.name)
-        assert shift is not None
+        """Hand a message to the merger; ``alignment``: the station's shift, and the period of the pulses [ns]."""
+        shift, period_ns = alignment
         if self._owner.get(message.detections.camera) != state.name:
-            return  # told when its station said which cameras it has
+            return  # noted when its station listed its cameras
         self.merger.take(
             Arrived(
                 message.pulse + shift,
-                message.time_ns + round(shift * self.places.period_ns),
+                message.time_ns + round(shift * period_ns),
                 state.clock.to_local(message.arrival_ns),
                 state.clock.to_local(message.sent_ns),
                 received_ns,
                 message.status,
                 message.detections,
-                held,
+                buffered,
             )
         )
 
     def _release(self) -> None:
-        """Hand on what was held, where its place is known by now; pulse by pulse, as it would have come."""
-        if self.places is None:
+        """Deliver pending messages whose pulses are known by now, in order of pulses."""
+        pulses = self.pulses
+        if pulses is None:
             return
         for state in self.states.values():
-            if not self.timed(state.name) or self.places.shift(state.name) is not None:
+            if not self.timed(state.name) or pulses.shift(state.name) is not None:
                 continue
             for message, _ in list(state.pending)[state.voted :]:
                 here = state.clock.to_local(message.arrival_ns) - message.exposure_ns
-                self.places.take(state.name, message.epoch, message.pulse, here)
+                pulses.take(state.name, message.epoch, message.pulse, here)
             state.voted = len(state.pending)
-        self._note_alignment()
-        free: list[tuple[StationState, DetectionMessage, int]] = []
+        self._note_alignment(pulses)
+        free: list[tuple[StationState, DetectionMessage, int, int]] = []
         for state in self.states.values():
-            if state.pending and self.places.shift(state.name) is not None:
-                free += [(state, message, received) for message, received in state.pending]
+            shift = pulses.shift(state.name)
+            if state.pending and shift is not None:
+                free += [(state, message, received, shift) for message, received in state.pending]
                 state.pending.clear()
-                state.voted, state.placed_ns = 0, self._now_ns
-        for state, message, received_ns in sorted(free, key=lambda one: one[2]):
-            self._deliver(state, message, received_ns, held=True)
+                state.voted, state.aligned_ns = 0, self._now_ns
+        for state, message, received_ns, shift in sorted(free, key=lambda one: one[2]):
+            self._deliver(state, message, received_ns, (shift, pulses.period_ns), buffered=True)
 
     def _take_health(self, state: StationState, health: HealthMessage, received_ns: int) -> None:
         if not self._of_this_start(state, health.epoch, received_ns):
@@ -214,7 +225,7 @@ class Listener:
             self._note(state.name, "ended", "has failed" if health.state == "failed" else "has ended")
 
     def _take_cameras(self, state: StationState, cameras: Sequence[StationCamera]) -> None:
-        """Note whose cameras these are; one that cannot be merged is told and ignored."""
+        """Note whose cameras these are; one that cannot be merged is noted and ignored."""
         for camera in cameras:
             self.rate_hz = camera.rate_hz if self.rate_hz is None else self.rate_hz
             wrong = self._wrong(state, camera, self.rate_hz)
@@ -222,8 +233,8 @@ class Listener:
                 self._note(state.name, "error", f"camera '{camera.name}' {wrong}; it is ignored")
             else:
                 self._owner[camera.name] = state.name
-        if self.places is None and self.rate_hz is not None:
-            self.places = StationPulses(tuple(self.states), self.rate_hz, self.settings.start_wait_s)
+        if self.pulses is None and self.rate_hz is not None:
+            self.pulses = StationPulses(tuple(self.states), self.rate_hz, self.settings.start_wait_s)
 
     def _wrong(self, state: StationState, camera: StationCamera, rate_hz: float) -> str:
         """Return why a camera cannot be merged, "" where it can."""
@@ -247,22 +258,22 @@ class Listener:
         state.clock.take(asked_ns, remote_ns, answered_ns)
         state.statistics.clock_error_ns, state.statistics.clock_skew = state.clock.error_ns, state.clock.skew
 
-    def _take_token(self, state: StationState, stands: bool) -> None:
-        if state.stands and not stands and not state.ended:
+    def _take_token(self, state: StationState, declared: bool) -> None:
+        if state.has_token and not declared and not state.ended:
             state.statistics.gone += 1
             state.silent, state.gone_ns = True, self._now_ns
             self._note(state.name, "gone", "is gone: its program ended, or its network")
-        state.stands = stands
+        state.has_token = declared
 
-    def look(self, now_ns: int, heard_ns: Mapping[str, int]) -> None:
-        """Notice who is silent, allow the start, and let go what was held; ``heard_ns``: when each was heard last."""
+    def check(self, now_ns: int, heard_ns: Mapping[str, int]) -> None:
+        """Note silent stations, allow the start, and release what is pending; ``heard_ns``: last message of each."""
         self._now_ns = now_ns
-        passed_ns, looked_ns, self._looked_ns = now_ns - self._looked_ns, self._looked_ns, now_ns
+        passed_ns, checked_ns, self._checked_ns = now_ns - self._checked_ns, self._checked_ns, now_ns
         for state in self.states.values():
             if state.heard_ns is None or state.silent or state.ended:
                 state.quiet_ns = 0
                 continue
-            heard = max(state.heard_ns, heard_ns.get(state.name, 0)) >= looked_ns
+            heard = max(state.heard_ns, heard_ns.get(state.name, 0)) >= checked_ns
             state.quiet_ns = 0 if heard else state.quiet_ns + min(passed_ns, MOST_QUIET_NS)
             if state.quiet_ns > self.settings.silence_s * 1e9:
                 state.silent = True
@@ -277,21 +288,20 @@ class Listener:
                     self._note(state.name, "error", "is not ready; the session starts without it")
             self.start_ns = now_ns + COUNTDOWN_NS
         if any(state.pending for state in self.states.values()):
-            if self.places is not None and not self.places.started:
-                self.places.try_start(now_ns)
+            if self.pulses is not None and not self.pulses.started:
+                self.pulses.try_start(now_ns)
             self._release()
 
-    def _note_alignment(self) -> None:
-        assert self.places is not None
-        for station, text in self.places.notes:
+    def _note_alignment(self, pulses: StationPulses) -> None:
+        for station, text in pulses.notes:
             self._note(station, "place", text)
-        self.places.notes.clear()
+        pulses.notes.clear()
 
     def _camera_away(self, camera: str) -> bool:
         owner = self._owner.get(camera)
         if owner is None or self.states[owner].away:
             return True
-        return self.places is None or self.places.shift(owner) is None
+        return self.pulses is None or self.pulses.shift(owner) is None
 
     def _note_once(self, station: str, kind: str, text: str) -> None:
         if not any(event.station == station and event.text == text for event in self.events):
@@ -299,8 +309,14 @@ class Listener:
 
     def _note(self, station: str, kind: str, text: str) -> None:
         event = Event(self._now_ns, station, kind, text)
+        log.log(
+            logging.INFO if kind in ("appeared", "ended") else logging.WARNING,
+            "station %s: %s",
+            station,
+            text,
+        )
         self.events.append(event)
-        self._told(event)
+        self._on_event(event)
 
 
 def _overlap(known: Sequence[str], notes: Sequence[str]) -> int:

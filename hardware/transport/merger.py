@@ -9,51 +9,56 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from hardware.transport.messages import Status
+from hardware.transport.messages import DetectionStatus
 from mosca.data.detections import Detections
 
 
 @dataclass(frozen=True)
 class MergeSettings:
-    """``deadline_s``: how long a set waits for its cameras; ``oldest_s``: age at which a message is thrown away."""
+    """Waiting times of the merger."""
 
     deadline_s: float = 0.03
+    """How long a set waits for its cameras."""
     oldest_s: float = 0.25
+    """Age at which a message is dropped."""
 
 
 @dataclass(frozen=True, eq=False)
 class Arrived:
-    """A message in the session's terms: ``pulse``, ``time_ns`` (mid-exposure) on the session's clock, ``arrival_ns``
-    and ``sent_ns`` at its station and ``received_ns`` here, all in this machine's clock. ``held``: it waited, here or
-    at its station, until the start was known, and may be old.
-    """
+    """A message in the session's terms; times are host times of this machine [ns] unless said otherwise."""
 
     pulse: int
+    """The session's pulse."""
     time_ns: int
+    """Mid-exposure on the session's clock [ns]."""
     arrival_ns: int
+    """When the frame arrived at its station."""
     sent_ns: int
+    """When the message left its station."""
     received_ns: int
-    status: Status
+    status: DetectionStatus
     detections: Detections
-    held: bool = False
+    buffered: bool = False
+    """Whether it waited, here or at its station, until the start was known; it may be old then."""
 
 
 @dataclass(frozen=True, eq=False)
 class MergedSet:
-    """What all stations saw of one pulse.
-
-    ``detections`` maps camera -> Detections in the rig's order; ``missing`` maps each other camera -> why.
-    ``time_ns``: median mid-exposure of those that are here. ``merged_ns``: this machine's clock when the set was
-    whole; ``arrived_ns`` and ``sent_ns``: camera -> when its frame arrived at the station, and its message left.
-    """
+    """What all stations saw of one pulse."""
 
     pulse: int
     time_ns: int
+    """Median mid-exposure of the detections that were received [ns]."""
     detections: Mapping[str, Detections]
+    """Camera -> detections, in the rig's order."""
     missing: Mapping[str, str]
+    """Each other camera -> why."""
     merged_ns: int
+    """Host time when the set was complete [ns]."""
     arrived_ns: Mapping[str, int]
+    """Camera -> when its frame arrived at the station [ns]."""
     sent_ns: Mapping[str, int]
+    """Camera -> when its message left the station [ns]."""
 
     def __post_init__(self) -> None:
         for name in ("detections", "missing", "arrived_ns", "sent_ns"):
@@ -62,32 +67,37 @@ class MergedSet:
 
 @dataclass
 class CameraMerge:
-    """One camera's part in the sets: ``merged`` of them have it; ``no_frame`` its station had none or could not use
-    it, ``away`` its station was not there, ``lost``: the message did not come in time. They add up to the sets.
-    ``late``: came after its set; ``aged``: too old; ``doubled``: came twice.
-    """
+    """One camera's part in the sets: ``merged`` + ``no_frame`` + ``away`` + ``lost`` are all sets."""
 
     merged: int = 0
+    """Sets with its detections."""
     no_frame: int = 0
+    """Its station had no frame, or could not use it."""
     away: int = 0
+    """Its station was absent."""
     lost: int = 0
+    """Its message did not come in time."""
     late: int = 0
+    """Messages that came after their set."""
     aged: int = 0
+    """Messages that were too old."""
     doubled: int = 0
+    """Messages that came twice."""
 
 
 @dataclass
 class MergeStatistics:
-    """Counts so far. ``unseen``: pulses between sets of which nothing came at all."""
+    """Counts so far."""
 
     sets: int = 0
     complete: int = 0
     unseen: int = 0
+    """Pulses between sets of which nothing came at all."""
     cameras: dict[str, CameraMerge] = field(default_factory=dict)
 
 
 class Merger:
-    """Takes messages and gives sets of ``cameras``; ``away(camera)`` tells that its station cannot be waited for."""
+    """Takes messages and gives sets of ``cameras``; ``away(camera)``: whether its station is not waited for."""
 
     def __init__(
         self, cameras: Sequence[str], away: Callable[[str], bool], settings: MergeSettings | None = None
@@ -106,7 +116,7 @@ class Merger:
         name = item.detections.camera
         count = self.statistics.cameras[name]
         self._newest[name] = max(self._newest[name], item.pulse)
-        if not item.held and item.received_ns - item.arrival_ns > self.settings.oldest_s * 1e9:
+        if not item.buffered and item.received_ns - item.arrival_ns > self.settings.oldest_s * 1e9:
             count.aged += 1
             return
         if self._next is not None and item.pulse < self._next:

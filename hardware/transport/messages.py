@@ -24,9 +24,9 @@ A message of detections is a head of 80 bytes, two names, and columns of n targe
 | then | uint8 | flags (n) |
 
 A message of health is bytes 0-3 and a JSON object in utf-8 with the fields of ``HealthMessage``. An answer of the
-clock, and an order to start, is epoch (uint64) and a time of the station's clock (int64); a question whether a
-station was heard to its end is epoch (uint64) and its name, the answer a byte: 1 yes, 0 not yet. Numbers are the ones
-that were measured, to the last bit: merged detections equal local ones.
+clock, and an order to start, is epoch (uint64) and a time of the station's clock (int64); a query whether a
+station's last message was received is epoch (uint64) and its name, the answer a byte: 1 yes, 0 not yet. Numbers are
+exact to the last bit: merged detections equal local ones.
 """
 
 import json
@@ -43,15 +43,15 @@ from mosca.errors import MoscaError
 VERSION = 1
 MAGIC = b"MO"
 DETECTIONS, HEALTH = 1, 2
-Status = Literal["detected", "no frame", "corrupt", "skipped"]
-STATUSES: tuple[Status, ...] = ("detected", "no frame", "corrupt", "skipped")
+DetectionStatus = Literal["detected", "no frame", "corrupt", "skipped"]
+STATUSES: tuple[DetectionStatus, ...] = ("detected", "no frame", "corrupt", "skipped")
 State = Literal["starting", "holding", "armed", "running", "ended", "failed"]
 MOST_TARGETS = 100_000
 _HEAD = struct.Struct("<2sBBBBBBQQqqqqqQQ")
 _CLOCK = struct.Struct("<Qq")
 _EPOCH = struct.Struct("<Q")
 YES, NOT_YET = b"\1", b"\0"
-"""Answers to whether a station was heard to its end."""
+"""Answers to whether a station's last message was received."""
 
 
 class MessageError(MoscaError):
@@ -60,7 +60,7 @@ class MessageError(MoscaError):
 
 @dataclass(frozen=True, eq=False)
 class DetectionMessage:
-    """One camera's detections of one pulse; times [ns] as the module says. Empty unless ``status`` is "detected"."""
+    """One camera's detections of one pulse; times in ns. Empty unless ``status`` is "detected"."""
 
     station: str
     epoch: int
@@ -70,7 +70,7 @@ class DetectionMessage:
     exposure_ns: int
     arrival_ns: int
     sent_ns: int
-    status: Status
+    status: DetectionStatus
     detections: Detections
 
 
@@ -88,22 +88,22 @@ class StationCamera:
 
 @dataclass(frozen=True)
 class HealthMessage:
-    """How a station is doing.
-
-    ``state``: "starting", "holding" (has the pulses, waits for the order to start), "armed" (waits for frames),
-    "running", "ended", "failed" (``notes`` say why). ``sent_ns``: by its own clock. ``refused``: messages that the
-    engine did not take; ``skipped``: frames that the station did not look at because it was behind. ``notes``: the
-    latest.
-    """
+    """State and counts of a station."""
 
     station: str
     epoch: int
     sent_ns: int
+    """Time of its own clock [ns]."""
     state: State
+    """``holding``: makes the pulses, waits for the start command; ``armed``: waits for frames; ``failed``: see
+    ``notes``."""
     cameras: tuple[StationCamera, ...] = ()
     refused: int = 0
+    """Messages that the engine did not take."""
     skipped: int = 0
+    """Frames that the station did not process because it was behind."""
     notes: tuple[str, ...] = field(default=())
+    """The latest notes."""
 
 
 def pack_detections(message: DetectionMessage) -> bytes:
@@ -225,7 +225,7 @@ def unpack_clock(data: bytes) -> tuple[int, int]:
 
 
 def pack_heard(station: str, epoch: int) -> bytes:
-    """Return the question whether this start of a station was heard to its end."""
+    """Return the query whether the last message of this start of a station was received."""
     return _EPOCH.pack(epoch) + station.encode()
 
 

@@ -1,7 +1,7 @@
 """The reconstructing station's end: listens to all stations, finds out which pulse is which, and merges.
 
 One thread merges; one a station asks for its clock, its health and its rig file. Callbacks of the engine only queue.
-What happens to a station is told (``told``) and kept (``events``); a station that dies costs its cameras, no more.
+Events of a station are passed on (``on_event``) and kept (``events``); a lost station costs its cameras, no more.
 """
 
 import queue
@@ -39,7 +39,7 @@ INBOX = 20_000
 class Receiver:
     """Merged sets of ``cameras`` (name -> width, height) as ``stations`` see them; iterate once.
 
-    ``rig``: the text of the rig file that is handed to who asks for this station's, called ``name``. ``rate_hz``: of
+    ``rig``: text of the rig file that answers queries for that of this station, called ``name``. ``rate_hz``: of
     the pulses; None takes the stations' word. Ends the transport when it is closed.
     """
 
@@ -52,12 +52,12 @@ class Receiver:
         settings: ReceiverSettings | None = None,
         rig: str = "",
         name: str = "reconstruct",
-        told: Callable[[Event], None] = lambda event: None,
+        on_event: Callable[[Event], None] = lambda event: None,
     ) -> None:
         check_stations(stations)
         self.settings = settings or ReceiverSettings()
         self._transport = transport
-        self._listener = Listener(stations, cameras, rate_hz, self.settings, time.monotonic_ns(), told)
+        self._listener = Listener(stations, cameras, rate_hz, self.settings, time.monotonic_ns(), on_event)
         self._heard_ns = dict.fromkeys(stations, 0)
         self.statistics = ReceiverStatistics(
             MappingProxyType({name: state.statistics for name, state in self._listener.states.items()}),
@@ -72,7 +72,9 @@ class Receiver:
         transport.declare_queryable(HEARD, self._received_to_end)
         transport.declare_token(key_of(name, "alive"))
         transport.subscribe(EVERYTHING, self._published)
-        transport.watch_tokens(EVERY_TOKEN, lambda key, stands: self._post("token", station_of(key), stands))
+        transport.watch_tokens(
+            EVERY_TOKEN, lambda key, declared: self._post("token", station_of(key), declared)
+        )
         self._threads = [threading.Thread(target=self._work, name="merge", daemon=True)]
         self._threads += [
             threading.Thread(target=self._attend, args=(n,), name=f"clock of {n}", daemon=True)
@@ -88,13 +90,13 @@ class Receiver:
 
     @property
     def rate_hz(self) -> float | None:
-        """Rate of the pulses, None while no station has told it."""
+        """Rate of the pulses, None while no station has sent it."""
         return self._listener.rate_hz
 
     @property
     def start_ns(self) -> int | None:
         """Time of the session's pulse 0 by this machine's clock [ns], late by what its frames took to arrive."""
-        return None if self._listener.places is None else self._listener.places.start_ns
+        return None if self._listener.pulses is None else self._listener.pulses.start_ns
 
     def rigs(self, timeout_s: float) -> dict[str, str]:
         """Return the rig files (text) of the stations that have handed theirs in, waiting for all of them."""
@@ -153,7 +155,7 @@ class Receiver:
         self._inbox.put((kind, station, what, now_ns))
 
     def _received_to_end(self, question: bytes) -> bytes:
-        if self._over or self._stop.is_set():  # nobody listens any more
+        if self._over or self._stop.is_set():  # the consumer has ended
             return YES
         try:
             heard = self._listener.received_to_end(*unpack_heard(question))
@@ -175,7 +177,7 @@ class Receiver:
                 self._post("clock", station, (answer, before, after))
                 try:
                     now_epoch = unpack_clock(answer)[0]
-                except MessageError:  # told by the thread that merges
+                except MessageError:  # noted by the thread that merges
                     now_epoch = epoch
                 if now_epoch != epoch:
                     rig = self._transport.query(key_of(station, "rig"), b"", ASK_S)
@@ -215,7 +217,7 @@ class Receiver:
             if now_ns - looked_ns < LOOK_NS:
                 continue
             looked_ns = now_ns
-            listener.look(now_ns, self._heard_ns)
+            listener.check(now_ns, self._heard_ns)
             if not listener.all_ended:
                 ended_ns = None
             elif ended_ns is None:

@@ -11,10 +11,10 @@ from typing import Self
 from hardware.transport.messages import (
     YES,
     DetectionMessage,
+    DetectionStatus,
     HealthMessage,
     State,
     StationCamera,
-    Status,
     pack_clock,
     pack_detections,
     pack_health,
@@ -29,7 +29,7 @@ from mosca.errors import InputError
 HEALTH_S = 0.2
 NOTES = 20
 LEAVE_S, ASK_S, ASK_AGAIN_S = 5.0, 0.5, 0.02
-"""A station leaves once its last words were heard, after so long in any case; how often it asks whether they were."""
+"""A station leaves once its last message was received, after so long in any case; how often it queries that."""
 
 
 class Sender:
@@ -79,14 +79,14 @@ class Sender:
         self._beat.start()
 
     def set_state(self, state: State, note: str = "") -> None:
-        """Change the state that the others see, and tell them."""
+        """Change the station's state, and publish it."""
         self._state = state
         if note:
             self._notes.append(note)
         self._transport.publish(key_of(self.station, "health"), pack_health(self.health()))
 
     def note(self, text: str) -> None:
-        """Have the others told something at the next occasion."""
+        """Add a note to the next health message."""
         self._notes.append(text)
 
     def ordered(self, timeout_s: float) -> bool:
@@ -101,7 +101,7 @@ class Sender:
         exposure_ns: int,
         arrival_ns: int,
         found: Detections | None,
-        status: Status = "detected",
+        status: DetectionStatus = "detected",
     ) -> None:
         """Send what one camera saw at ``pulse``, or (``found`` None) why it saw nothing."""
         message = DetectionMessage(
@@ -145,7 +145,7 @@ class Sender:
         self.close()
 
     def _wait_until_heard(self) -> None:
-        """Stay until nobody listens, or has heard the last words: what falls silent before is taken for dead."""
+        """Wait until the last message was received, or no receiver is left: a silent station counts as lost."""
         until = time.monotonic() + LEAVE_S
         while time.monotonic() < until:
             answer = self._transport.query(HEARD, pack_heard(self.station, self.epoch), ASK_S)

@@ -10,7 +10,7 @@ from hardware.transport.clock import RemoteClock
 from hardware.transport.merger import MergeSettings, MergeStatistics
 from hardware.transport.messages import DetectionMessage, HealthMessage
 
-HELD = 4000
+MOST_PENDING = 4000
 """Messages that may wait until their station's clock and place are known; older ones are thrown away."""
 CLOCK_SHARE = 0.1
 """Share of a period to which a station's clock has to be certain before its frames are placed."""
@@ -18,62 +18,67 @@ CLOCK_SHARE = 0.1
 
 @dataclass(frozen=True)
 class ReceiverSettings:
-    """``silence_s``: a station not heard of for so long is told and not waited for. ``start_wait_s``: how long the
-    start waits for stations. ``clock_s``: from one question for a clock to the next. ``queued``: merged sets that may
-    wait for whoever iterates; then the oldest is left out and counted.
-    """
+    """Waiting times of the receiver."""
 
     merge: MergeSettings = field(default_factory=MergeSettings)
     silence_s: float = 0.5
+    """A station that sends nothing for so long is noted and not waited for."""
     start_wait_s: float = 15.0
+    """How long the start waits for stations."""
     clock_s: float = 0.2
+    """Interval of clock queries."""
     queued: int = 50
+    """Merged sets that may wait for the consumer; then the oldest is left out and counted."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened to a station. ``kind``: appeared, back, silent, gone, ended, place, error, note."""
+    """Something that happened to a station."""
 
     time_ns: int
     station: str
     kind: str
+    """One of appeared, back, silent, gone, ended, place, error, note."""
     text: str
 
 
 @dataclass
 class StationStatistics:
-    """What became of one station's messages, to be read at any time.
-
-    ``received`` and ``lost`` (numbers left out in the count, and, once it has ended, at its end); ``unplaced``:
-    thrown away before it was known which pulse they were of; ``stale``: of an earlier start; ``spoilt``: not to be
-    read; ``refused`` and ``skipped``: its own counts; ``silent``: how often it fell silent, ``gone`` how often its
-    token fell, ``starts``: how often it began; ``clock_error_ns`` and ``clock_skew``: of its clock beside this one.
-    """
+    """What became of one station's messages, to be read at any time."""
 
     received: int = 0
     lost: int = 0
+    """Sequence numbers that were not received."""
     unplaced: int = 0
+    """Messages dropped before their pulse was known."""
     stale: int = 0
+    """Messages of an earlier start."""
     spoilt: int = 0
+    """Messages that could not be read."""
     refused: int = 0
+    """Messages that its engine did not take, by its own count."""
     skipped: int = 0
+    """Frames that it did not process, by its own count."""
     silent: int = 0
+    """How often it fell silent."""
     gone: int = 0
+    """How often its token was withdrawn."""
     starts: int = 0
     clock_error_ns: float = float("nan")
+    """Uncertainty of its clock against this one [ns]."""
     clock_skew: float = 0.0
 
 
 @dataclass
 class ReceiverStatistics:
-    """What became of all messages: ``stations``, ``merge``, ``left_out`` sets nobody took in time, ``overrun``
-    messages that found no room here.
-    """
+    """What became of all messages."""
 
     stations: Mapping[str, StationStatistics]
     merge: MergeStatistics
     left_out: int = 0
+    """Sets that were not consumed in time."""
     overrun: int = 0
+    """Messages dropped at a full queue."""
 
 
 @dataclass
@@ -86,12 +91,12 @@ class StationState:
     health: HealthMessage | None = None
     epoch: int | None = None
     earlier: set[int] = field(default_factory=set)
-    stands: bool = False
+    has_token: bool = False
     silent: bool = False
     heard_ns: int | None = None
     quiet_ns: int = 0
     gone_ns: int = 0
-    placed_ns: int = 0
+    aligned_ns: int = 0
     pending: deque[tuple[DetectionMessage, int]] = field(default_factory=deque)
     voted: int = 0
     expected: dict[str, int] = field(default_factory=dict)
@@ -103,7 +108,7 @@ class StationState:
 
     @property
     def ended(self) -> bool:
-        """True where it has said that this was all."""
+        """True where it has sent its last message."""
         return self.health is not None and self.health.state in ("ended", "failed")
 
     @property
@@ -139,7 +144,7 @@ class StationState:
         self.expected[camera] = max(message.sequence + 1, expected)
 
     def count_rest(self) -> None:
-        """Count what its last words say was sent and did not come."""
+        """Count what was sent, by its last message, and not received."""
         if self.health is None:
             return
         for camera in self.health.cameras:
@@ -148,9 +153,9 @@ class StationState:
             self.expected[camera.name] = max(camera.sent, expected)
 
     def add_pending(self, message: DetectionMessage, received_ns: int) -> None:
-        """Let a message wait until its pulse can be told."""
+        """Keep a message until its pulse is known."""
         self.pending.append((message, received_ns))
-        if len(self.pending) > HELD:
+        if len(self.pending) > MOST_PENDING:
             self.pending.popleft()
             self.voted = max(self.voted - 1, 0)
             self.statistics.unplaced += 1

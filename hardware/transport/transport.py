@@ -1,4 +1,4 @@
-"""What an engine between stations is: the one door behind which it stands, and the keys that are used.
+"""Interface of the engines that carry messages between stations, and the keys that are used.
 
 | key | carries |
 |---|---|
@@ -7,10 +7,10 @@
 | ``mosca/STATION/clock`` | asked for: what the station's clock shows |
 | ``mosca/STATION/rig`` | asked for: its rig file, calibrated or not |
 | ``mosca/STATION/start`` | asked: the session starts at this time of your clock |
-| ``mosca/STATION/alive`` | a token that stands as long as the station's process |
-| ``mosca/heard`` | asked for: whether a station's start has been heard to its end (``hardware.transport.messages``) |
+| ``mosca/STATION/alive`` | a liveliness token of the station's process |
+| ``mosca/heard`` | query: whether a station's last message was received (``hardware.transport.messages``) |
 
-The reconstructing station is one of the names: it answers ``rig`` and stands by its token.
+The reconstructing station is one of the names: it answers ``rig`` and declares its token.
 """
 
 import re
@@ -25,18 +25,18 @@ EVERYTHING = f"{ROOT}/**"
 EVERY_TOKEN = f"{ROOT}/*/alive"
 HEARD = f"{ROOT}/heard"
 JAM_S = 0.25
-"""What cannot be sent for so long is too old: who merges throws it away (``hardware.transport.merger``)."""
+"""A message that cannot be sent for so long is too old: the merger drops it (``hardware.transport.merger``)."""
 
 
 class TransportError(MoscaError):
-    """An engine that is not installed, or an endpoint that cannot be used; told in one line."""
+    """An engine that is not installed, or an endpoint that cannot be used; in one line."""
 
 
 class Transport(Protocol):
     """Publishes, asks and watches. Callbacks come on the engine's threads, one at a time for each subscription."""
 
     def publish(self, key: str, payload: bytes) -> bool:
-        """Send to whoever subscribed; what finds no room soon is dropped. False where the engine refuses it."""
+        """Send to all subscribers; dropped where the queue stays full. False where the engine refuses it."""
         ...
 
     def subscribe(self, pattern: str, take: Callable[[str, bytes], None]) -> None:
@@ -44,19 +44,19 @@ class Transport(Protocol):
         ...
 
     def declare_queryable(self, key: str, reply: Callable[[bytes], bytes]) -> None:
-        """Answer those who ask for ``key``."""
+        """Answer queries for ``key``."""
         ...
 
     def query(self, key: str, payload: bytes, timeout_s: float) -> bytes | None:
-        """Return the answer to ``payload``, None where nobody answers within ``timeout_s``."""
+        """Return the answer to ``payload``, None without one within ``timeout_s``."""
         ...
 
     def declare_token(self, key: str) -> None:
-        """Set up a token that stands until ``close``, or until this process or its network is gone."""
+        """Declare a token until ``close``, or until this process or its network is lost."""
         ...
 
     def watch_tokens(self, pattern: str, take: Callable[[str, bool], None]) -> None:
-        """Tell ``take(key, stands)`` of tokens that are there, that come and that go."""
+        """Call ``take(key, declared)`` for present tokens, and for each that is declared or withdrawn."""
         ...
 
     def close(self) -> None:
@@ -65,7 +65,7 @@ class Transport(Protocol):
 
 
 def check_endpoint(text: str) -> str:
-    """Return ``text`` where it can be an endpoint; TransportError says how one looks.
+    """Return ``text`` where it can be an endpoint; TransportError shows the form.
 
     Engines take what is none, and then wait for ever.
     """
@@ -78,7 +78,7 @@ def check_endpoint(text: str) -> str:
 
 
 def check_station(name: str) -> str:
-    """Return ``name`` where it can be a station's; InputError says what is allowed."""
+    """Return ``name`` where it can be a station's; InputError lists what is allowed."""
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,60}", name):
         raise InputError(f"station name '{name}' given; 1 to 60 letters, digits, _ and - are allowed")
     return name

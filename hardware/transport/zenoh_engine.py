@@ -1,4 +1,4 @@
-"""Zenoh between stations: TCP peers with explicit endpoints; nobody is looked for by multicast."""
+"""Zenoh between stations: TCP peers with explicit endpoints, no multicast scouting."""
 
 import json
 import re
@@ -11,7 +11,7 @@ import zenoh
 from hardware.transport.transport import JAM_S, TransportError, check_endpoint
 
 LEASE_MS = 4000
-"""A peer that is not heard of for so long is gone: its token falls, and it is connected to anew."""
+"""A peer that sends nothing for so long is lost: its token is withdrawn, and it is connected again."""
 
 
 QUEUED_BATCHES = 16
@@ -19,10 +19,10 @@ QUEUED_BATCHES = 16
 
 
 class ZenohTransport:
-    """A ``Transport``. ``connect``, ``listen``: endpoints like ``tcp/10.0.0.1:7447``; who listens may come later.
+    """A ``Transport``.
 
-    ``jam_s``: so long a message waits for room; once it did in vain, the next ones are dropped at once until there is
-    some.
+    ``connect``, ``listen``: endpoints like ``tcp/10.0.0.1:7447``; the listening peer may start later. ``jam_s``: how
+    long a message waits at a full queue; after that the next ones are dropped at once until it has space.
     """
 
     def __init__(self, connect: Sequence[str] = (), listen: Sequence[str] = (), jam_s: float = JAM_S) -> None:
@@ -131,21 +131,21 @@ class ZenohTransport:
             self._session.close()
 
     def _keep(self, declared: object) -> None:
-        # what is declared is withdrawn when nobody holds it
+        # a declaration is withdrawn when its object is deleted
         with self._guard:
             self._kept.append(declared)
 
 
 def _reason(error: Exception) -> str:
-    """Return what is wrong in a few words, else what the engine says, without the places in its sources."""
-    for told, reason in (
+    """Return what is wrong in a few words, else the engine's message without its source locations."""
+    for message, reason in (
         ("Address already in use", "another program listens there; choose another port, or end that program"),
         (
             "Cannot assign requested address",
             "this machine has no such address; 0.0.0.0 listens on all it has",
         ),
     ):
-        if told in str(error):
+        if message in str(error):
             return reason
     text = re.sub(r" at /\S+?:\d+\.?", "", str(error))
     return text.splitlines()[0].strip() if text else type(error).__name__

@@ -3,6 +3,7 @@
 Its protocol: ``hardware.triggers.pulse_protocol``.
 """
 
+import logging
 import threading
 import time
 from collections import deque
@@ -23,6 +24,7 @@ from hardware.triggers.pulse_protocol import (
     rate_command,
 )
 
+log = logging.getLogger("mosca.hardware.triggers")
 PING_INTERVAL_S = 0.1
 PINGS_KEPT = 600
 ANSWER_S, POLL_S = 5.0, 0.1
@@ -96,6 +98,7 @@ class SerialTrigger(External):
                     ping.host_ns - round(ping.pulses * 1e9 / self._rate_hz),
                     ping.round_trip_ns,
                 )
+        log.info("%s: started, known to %.3f ms", self._where, trip_ns / 2e6)
         self._end.clear()
         self._thread = threading.Thread(target=self._run, name="pulse generator", daemon=True)
         self._thread.start()
@@ -140,8 +143,9 @@ class SerialTrigger(External):
         while not self._end.wait(PING_INTERVAL_S):
             try:
                 ping = self._ping()
-            except DeviceError:
-                return  # the next command raises it again, in the caller's thread
+            except DeviceError as error:  # the next command raises it again, in the caller's thread
+                log.debug("%s", error)
+                return
             if ping is not None:
                 self._pings.append(ping)
 

@@ -26,9 +26,9 @@ def command_lines(path: Path, target: str) -> Lines:
         named = [table.name for table in program.target]
         found = [(round(c.at_s * 1e9), line_of(c.command)) for c in program.program if c.target == target]
     else:
-        told = _recorded(path)
-        named = sorted({str(data.get("target")) for _, data in told})
-        found = [(t, line_of(data["command"])) for t, data in told if data.get("target") == target]
+        recorded = _recorded(path)
+        named = sorted({str(data.get("target")) for _, data in recorded})
+        found = [(t, line_of(data["command"])) for t, data in recorded if data.get("target") == target]
     if not found:
         raise InputError(
             f"{path}: no command for target '{target}'; it has targets {', '.join(named) or '(none)'}"
@@ -65,9 +65,9 @@ def _recorded(path: Path) -> list[tuple[int, dict[str, Any]]]:
             raise InputError(
                 f"{path}: images and videos hold no commands; a recording.mcap or a program.toml is wanted"
             )
-        told = list(recording.channel(CHANNEL))
+        recorded = list(recording.channel(CHANNEL))
     return [
         (t, data)
-        for t, data in told
+        for t, data in recorded
         if isinstance(data, dict) and isinstance(data.get("command"), str | dict)
     ]

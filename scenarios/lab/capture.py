@@ -1,8 +1,8 @@
 """Capture: the rig's frames, or what they show, into a recording that is readable at any moment."""
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,35 +27,37 @@ if TYPE_CHECKING:
     from mosca.pipeline import PipelineSettings
     from scenarios.lab.live_view import LiveView
 
-LOOK_S = 0.05
-ACCOUNT_S = 1.0
+POLL_S = 0.05
+STATISTICS_S = 1.0
 TAIL_PULSES = 4
 Progress = Callable[[int, int | None], None]
 
 
 @dataclass(frozen=True)
 class CaptureRequest:
-    """What to capture. ``frames``: pulses, None until Ctrl-C. ``detections``: keep these alone, no images.
-
-    ``view``: show it live; ``view_log``: into this .rrd file instead of the viewer. ``settings``: file as of ``mosca
-    reconstruct``, for detections and view. ``program``: commands and events (``hardware.onboard.commands``).
-    """
+    """What to capture."""
 
     rig: Path
     out: Path
     frames: int | None = None
+    """Pulses, None until Ctrl-C."""
     seconds: float | None = None
     detections: bool = False
+    """Keep these alone, no images."""
     view: bool = False
+    """Show it live."""
     view_log: Path | None = None
+    """Into this .rrd file instead of the viewer."""
     settings: Path | None = None
+    """File as of ``mosca reconstruct``, for detections and view."""
     program: Path | None = None
+    """Commands and events (``hardware.onboard.commands``)."""
     waiting_bytes: int = WAITING_BYTES
 
 
 @dataclass
 class CameraRow:
-    """What became of one camera's pulses: ``frames`` in the recording or looked at, ``failed``, ``dropped``."""
+    """What became of one camera's pulses: ``frames`` in the recording or processed, ``failed``, ``dropped``."""
 
     frames: int = 0
     failed: int = 0
@@ -67,10 +69,11 @@ class CameraRow:
 
 @dataclass
 class CaptureOutcome:
-    """A finished capture. ``lost``: frame sets that this machine was too slow for; ``whole``: nothing is missing."""
+    """A finished capture."""
 
     pulses: int = 0
     lost: int = 0
+    """Frame sets that this machine was too slow for."""
     lost_text: str = ""
     stopped: bool = False
     shown: int = 0
@@ -115,8 +118,8 @@ def capture(
             run = ProgramRun(program, source.session_ns, recorder.write_message)
             stack.callback(run.close)
         view = None if settings is None else _view(stack, request, source, settings, recorder)
-        looked = settings if request.detections else None
-        intake = Intake(source, recorder, looked, view, request.waiting_bytes)
+        detection = settings if request.detections else None
+        intake = Intake(source, recorder, detection, view, request.waiting_bytes)
         stack.callback(intake.close)
         stopped = _watch(source, intake, recorder, run, lambda done: progress and progress(done, pulses))
         if run is not None:
@@ -165,19 +168,13 @@ def _calibrated(path: Path) -> Rig | None:
     return read_rig(path)
 
 
-@contextmanager
-def _recording(request: CaptureRequest, source: HardwareSource) -> Iterator[RecordingWriter]:
-    holds = "detections" if request.detections else "frames"
+def _recording(request: CaptureRequest, source: HardwareSource) -> RecordingWriter:
     text = request.rig.read_text(encoding="utf-8")
-    tail_bytes = 0 if request.detections else request.waiting_bytes
-    with RecordingWriter(
-        request.out,
-        source.cameras,
-        text,
-        holds=holds,  # type: ignore[arg-type]
-        tail_bytes=tail_bytes,
-    ) as writer:
-        yield writer
+    if request.detections:
+        return RecordingWriter(request.out, source.cameras, text, holds="detections", tail_bytes=0)
+    return RecordingWriter(
+        request.out, source.cameras, text, holds="frames", tail_bytes=request.waiting_bytes
+    )
 
 
 def _view(
@@ -210,13 +207,13 @@ def _watch(
     progress: Callable[[int], object],
 ) -> bool:
     """Let it run and write down clocks and accounts; return whether Ctrl-C ended it."""
-    stopped, next_account = False, time.monotonic() + ACCOUNT_S
+    stopped, next_statistics = False, time.monotonic() + STATISTICS_S
     with between_steps() as check:
         intake.start()
         if run is not None:
             run.start()
         while intake.running:
-            intake.wait(LOOK_S)
+            intake.wait(POLL_S)
             try:
                 check()
             except KeyboardInterrupt:
@@ -225,8 +222,8 @@ def _watch(
             if recorder.failed is not None:
                 source.stop()
             _write_clocks(recorder, source, intake)
-            if time.monotonic() >= next_account:
-                next_account += ACCOUNT_S
+            if time.monotonic() >= next_statistics:
+                next_statistics += STATISTICS_S
                 _write_statistics(recorder, source, intake)
             progress(intake.pulses)
     _write_clocks(recorder, source, intake)
@@ -273,7 +270,7 @@ def _outcome(
     view: "LiveView | None",
     wanted: int | None,
 ) -> CaptureOutcome:
-    """Sum up; ``wanted``: pulses that there should be, None where somebody stopped it."""
+    """Sum up; ``wanted``: pulses that there should be, None where it was stopped by hand."""
     pulses = wanted if wanted is not None else _whole_pulses(intake)
     rows = {}
     for name, seen in intake.cameras.items():
@@ -305,7 +302,7 @@ def _whole_pulses(intake: Intake) -> int:
 
 
 def _about(source: HardwareSource, outcome: CaptureOutcome) -> dict[str, Any]:
-    """Return what ``recording.toml`` says of the capture, for people."""
+    """Return the description of the capture for ``recording.toml``."""
     devices = {
         name: {
             "model": report.model,

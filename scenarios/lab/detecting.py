@@ -14,7 +14,7 @@ from mosca.pipeline import PipelineSettings
 from mosca.synchronisation import Assembly
 
 MOST_WORKERS = 2
-"""Threads that look ahead; more would keep back more sets than a killed capture may lose."""
+"""Threads that detect ahead; more would hold more sets than a killed capture may lose."""
 
 
 def detected(

@@ -7,11 +7,11 @@ from hardware.driver import Device, DeviceError
 from hardware.drivers import devices
 from hardware.settings import DRIVERS, CameraHardware, read_hardware
 
-Look = Callable[[str, str], Sequence[Device]]
+ListDevices = Callable[[str, str], Sequence[Device]]
 
 
-def describe_devices(path: Path | None, look: Look = devices) -> tuple[list[str], list[str]]:
-    """Return a line for each device and each driver that cannot look, then one for each camera of the rig file; and
+def describe_devices(path: Path | None, list_devices: ListDevices = devices) -> tuple[list[str], list[str]]:
+    """Return a line for each device and each driver that cannot search, then one for each camera of the rig file; and
     the names of the rig file's cameras that no driver sees.
     """
     cameras = {} if path is None else read_hardware(path).cameras
@@ -21,7 +21,7 @@ def describe_devices(path: Path | None, look: Look = devices) -> tuple[list[str]
     found: list[Device] = []
     for driver, producer in asked:
         try:
-            seen = look(driver, producer)
+            seen = list_devices(driver, producer)
         except DeviceError as error:
             lines.append(str(error))
             continue

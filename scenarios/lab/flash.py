@@ -1,7 +1,7 @@
 """Cameras without a trigger, synchronised by a light that flashes in all their views.
 
 A lamp that goes on or off at irregular times is seen by every camera. Where the edge falls into an exposure, the
-image of the lamp is lit in part, and the part tells the instant:
+image of the lamp is lit in part, and the part gives the instant:
 
     on:   t = start of exposure + (1 - part) * exposure        off:   t = start of exposure + part * exposure
 
@@ -35,70 +35,75 @@ AGREE_S = 2e-4
 AS_GOOD = 0.7
 """Another shift that matches so large a share of the edges might be the true one."""
 LARGEST_DRIFT = 5e-4
-"""Clocks run apart by less: two crystals of 100 ppm and room for one warm camera."""
+"""Clocks run apart by less: two crystals of 100 ppm and a margin for one warm camera."""
 
 
 @dataclass(frozen=True)
 class Edges:
-    """Instants at which a camera saw the lamp change: ``time_s``, ``sigma_s`` (n,), ``on`` (n,) whether it went on.
-
-    Times are in the camera's own stamps [s] from ``origin_ns`` on. ``partly``: how many were seen in part.
-    """
+    """Times at which a camera saw the lamp change, in the camera's own stamps."""
 
     origin_ns: int
+    """Origin of the times [ns]."""
     time_s: Array
+    """(n,) since the origin [s]."""
     sigma_s: Array
+    """(n,) standard deviation [s]."""
     on: Array
+    """(n,) whether the lamp went on."""
     partly: int
+    """How many were seen in part."""
 
 
 @dataclass(frozen=True)
 class FlashOffset:
-    """A camera's stamps against the reference's: ``offset_s`` ahead at the middle of the edges, ``drift_ppm`` faster.
-
-    ``drift_sigma_ppm``: None where too few edges tell. ``edges``: seen by both. ``rest_s``: rms of what is left.
-    ``as_stated``: by how much the residuals exceed what the edges' own uncertainties let expect (1 where they agree).
-    """
+    """A camera's stamps against the reference's."""
 
     camera: str
     offset_s: float
+    """How far ahead its stamps are at the middle of the edges [s]."""
     offset_sigma_s: float
     drift_ppm: float
+    """How much faster its clock runs."""
     drift_sigma_ppm: float | None
+    """None with too few edges."""
     edges: int
+    """Edges seen by both."""
     rest_s: float
+    """RMS of the residuals [s]."""
     as_stated: float
+    """Ratio of the residuals to the edges' own standard deviations (1 where they agree)."""
 
 
 @dataclass(frozen=True)
 class FlashSync:
-    """What the flashes tell: ``reference``, the first camera, the others' offsets; ``notes``: what they do not."""
+    """Result: ``reference``, the first camera, the others' offsets."""
 
     reference: str
     offsets: tuple[FlashOffset, ...]
     notes: tuple[str, ...] = ()
+    """What could not be found."""
 
     def lines(self) -> list[str]:
         """Return it in words, a line a camera."""
-        told = []
+        lines = []
         for one in self.offsets:
             drift = (
                 "too few edges for a drift"
                 if one.drift_sigma_ppm is None
                 else f"drift {one.drift_ppm:+.1f} +- {one.drift_sigma_ppm:.1f} ppm"
             )
-            told.append(
+            lines.append(
                 f"camera '{one.camera}': stamps {1e3 * one.offset_s:+.4f} +- {1e3 * one.offset_sigma_s:.4f} ms "
                 f"ahead of '{self.reference}', {drift}, {one.edges} edges of the flash"
             )
-        return [*told, *self.notes]
+        return [*lines, *self.notes]
 
 
 def synchronise(source: FrameSource) -> FlashSync:
     """Return how the stamps of a recording's cameras lie to each other, from the flashes that all of them filmed.
 
     ``source`` is read twice. Cameras and the place of the lamp stand still, or it is waved over a dark background.
-    Raises InputError where a camera saw no flash, or where flashes come too evenly to tell which is which.
+    Raises InputError where a camera saw no flash, or where flashes come too evenly to be identified.
     """
     edges = {name: edges_of(name, seen) for name, seen in light_of_lamp(source).items()}
     if len(edges) < 2:
@@ -204,19 +209,19 @@ def _edge(seen: Brightness, part: Array, k: int, on: bool, noise: float) -> tupl
         time = float(seen.start_ns[j]) + exposure * ((1 - share) if on else share)
         return time, max(exposure * noise, 1.0), True
     begin, end = _bounds(seen, partial, k, on)
-    # what is lost in the noise of a frame that looks whole belongs to the gap
+    # what is lost in the noise of a frame that seems complete belongs to the gap
     slack = SURE_SIGMAS * noise * float(seen.exposure_ns[k])
     return (begin + end) / 2, (max(end - begin, 0.0) + 2 * slack) / math.sqrt(12), False
 
 
 def _bounds(seen: Brightness, partial: list[int], k: int, on: bool) -> tuple[float, float]:
-    """Return between which instants [ns] the edge about frame ``k`` lies, where no part of the light tells it."""
+    """Return between which instants [ns] the edge about frame ``k`` lies, where no partly lit frame gives it."""
     ends = seen.start_ns + seen.exposure_ns
     if partial:
         return float(seen.start_ns[partial[0]]), float(ends[partial[0]])
     if not seen.clipped:
         return float(ends[k - 1]), float(seen.start_ns[k])
-    # a part of the light already fills the pixels: a frame that looks lit may be so from any instant of its own
+    # a part of the light already fills the pixels: a frame that is lit may be so from any instant of its own
     if on:
         return float(ends[k - 1]), float(ends[k])
     return float(seen.start_ns[k - 1]), float(seen.start_ns[k])

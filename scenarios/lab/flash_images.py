@@ -15,18 +15,16 @@ HALF = 0.5
 
 @dataclass(frozen=True)
 class Brightness:
-    """A camera's frames in order: ``start_ns`` of the exposure at the lamp's row, ``exposure_ns``, ``light`` (n,).
-
-    ``most_dn``: by how much the brightest pixel changed, ``full_dn`` the largest value a pixel has. ``clipped``: the
-    lamp's pixels all reach it, so that a part of the light cannot be told.
-    """
+    """A camera's frames in order: ``start_ns`` of the exposure at the lamp's row, ``exposure_ns``, ``light`` (n,)."""
 
     start_ns: Array
     exposure_ns: Array
     light: Array
     most_dn: float
+    """By how much the brightest pixel changed, ``full_dn`` the largest value a pixel has."""
     full_dn: float
     clipped: bool
+    """The lamp's pixels all reach it, so that a part of the light cannot be measured."""
 
 
 def light_of_lamp(source: FrameSource) -> Mapping[str, Brightness]:
@@ -40,7 +38,7 @@ def light_of_lamp(source: FrameSource) -> Mapping[str, Brightness]:
         change = highs[info.name].astype(np.int64) - lows[info.name]
         changing = change > HALF * change.max()
         free = changing & (highs[info.name] < 2**info.bit_depth - 1)
-        # pixels at the end of their scale do not tell a part of the light; where there are no others, none is told
+        # saturated pixels do not measure a part of the light; where there are no others, none is measured
         clipped[info.name] = not free.any()
         masks[info.name] = changing if clipped[info.name] else free
     rows: dict[str, list[tuple[int, int, float]]] = {info.name: [] for info in source.cameras}

@@ -24,16 +24,14 @@ REMEMBERED_FRAMES = 20_000
 
 @dataclass
 class FrameCounts:
-    """One camera's frames so far: ``whole`` and ``failed``, of ``pulses`` different pulses, ``last`` the newest.
-
-    ``left_out``: whole ones that belong to frame sets that were lost.
-    """
+    """One camera's frames so far: ``whole`` and ``failed``, of ``pulses`` different pulses, ``last`` the newest."""
 
     whole: int = 0
     failed: int = 0
     pulses: int = 0
     last: int = -1
     left_out: int = 0
+    """Whole ones that belong to frame sets that were lost."""
 
 
 class Intake:
@@ -104,18 +102,18 @@ class Intake:
         try:
             if self._settings is None:
                 for frame, buffer in self._source.with_buffers():
-                    self._see(frame, buffer)
+                    self._count(frame, buffer)
                     kept = self._recorder.take(frame, buffer.host_ns)
                     self.cameras[frame.camera].left_out += not kept and frame.image is not None
             else:
                 self._detect(self._settings)
-        except BaseException as error:  # it belongs to whoever captures: ``check``
+        except BaseException as error:  # raised in the capturing thread by ``check``
             self._failed = error
 
     def _detect(self, settings: "PipelineSettings") -> None:
-        from scenarios.lab.detecting import detected  # what needs compiling is for those who detect
+        from scenarios.lab.detecting import detected  # compiled code is loaded only where it is used
 
-        watched = _Watched(self._source, self._see)
+        watched = _Counted(self._source, self._count)
         following = 0
         for frame_set, detections in detected(watched, settings, self.assembly, self._queued):
             if frame_set.pulse > following:
@@ -125,7 +123,7 @@ class Intake:
                 arrived = {n: self._arrivals.pop((n, f.index), 0) for n, f in frame_set.frames.items()}
             self._recorder.take_set(frame_set, detections, {n: t for n, t in arrived.items() if t})
 
-    def _see(self, frame: Frame, buffer: Grabbed) -> None:
+    def _count(self, frame: Frame, buffer: Grabbed) -> None:
         """Count ``frame``, keep its buffer's stamps, offer it to the view."""
         seen = self.cameras[frame.camera]
         seen.whole += frame.image is not None
@@ -149,14 +147,14 @@ class Intake:
                     self._arrivals.popitem(last=False)
 
 
-class _Watched(WrappedSource):
-    """A source that shows each frame to ``see`` on its way."""
+class _Counted(WrappedSource):
+    """A source that passes each frame to ``count`` on its way."""
 
-    def __init__(self, source: HardwareSource, see: Callable[[Frame, Grabbed], object]) -> None:
+    def __init__(self, source: HardwareSource, count: Callable[[Frame, Grabbed], object]) -> None:
         super().__init__(source)
-        self._rig, self._see = source, see
+        self._rig, self._count = source, count
 
     def __iter__(self) -> Iterator[Frame]:
         for frame, buffer in self._rig.with_buffers():
-            self._see(frame, buffer)
+            self._count(frame, buffer)
             yield frame

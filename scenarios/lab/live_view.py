@@ -30,7 +30,7 @@ from reports.viewer_program import viewer_program
 SHOWN_HZ = 10.0
 LEAST_REST_S = 0.05
 BEHIND = 0.1
-"""Share of the recording's room to wait above which nothing is shown."""
+"""Fill level of the recording's queue above which nothing is shown."""
 OPEN_PULSES = 4
 VIEWER_STARTS_S = 0.3
 """A viewer without a display has ended by then."""
@@ -39,7 +39,7 @@ VIEWER_STARTS_S = 0.3
 class LiveView:
     """Shows what ``offer`` is given. ``rig`` None: cameras without calibration, beside each other and without 3D.
 
-    ``behind``: tells how far the recording is behind, 0 to 1. ``shown``: frame sets logged so far; ``failed``: why
+    ``behind``: fill level of the recording's queue, 0 to 1. ``shown``: frame sets logged so far; ``failed``: why
     showing ended early.
     """
 
@@ -100,7 +100,7 @@ class LiveView:
             started = time.monotonic()
             try:
                 self._show(frame_set)
-            except Exception as error:  # a view that fails must not end the capture; it is told at its end
+            except Exception as error:  # a view that fails must not end the capture; it is noted at its end
                 self.failed = error
                 return
             self.shown += 1
@@ -121,7 +121,7 @@ class LiveView:
 
 
 def uncalibrated(cameras: Sequence[CameraInfo]) -> Rig:
-    """Return cameras that only serve to show images: side by side, all looking the same way."""
+    """Return cameras that only serve to show images: side by side, with parallel axes."""
     return Rig(
         tuple(
             Camera(

@@ -60,7 +60,7 @@ class Delays:
 
 
 def calibrated_rig(path: Path, from_stations: Callable[[], Mapping[str, str]]) -> tuple[Rig, list[str]]:
-    """Return the rig of the file at ``path``, and what to tell.
+    """Return the rig of the file at ``path``, and notes.
 
     A camera that the file does not calibrate is taken from the rig file of its station (``from_stations`` asks for
     them: station -> text, and is only called then). InputError where none has it.
@@ -73,7 +73,7 @@ def calibrated_rig(path: Path, from_stations: Callable[[], Mapping[str, str]]) -
         for table in _parsed(station, text).camera:
             if table.lens is not None and table.pose is not None:
                 theirs.setdefault(table.name, (station, table))
-    cameras, told = [], []
+    cameras, notes = [], []
     for table in file.camera:
         if table.lens is None or table.pose is None:
             if table.name not in theirs:
@@ -82,12 +82,12 @@ def calibrated_rig(path: Path, from_stations: Callable[[], Mapping[str, str]]) -
                     "calibrate it first (mosca calibrate)"
                 )
             station, table = theirs[table.name]
-            told.append(f"camera '{table.name}': calibration of station {station}")
+            notes.append(f"camera '{table.name}': calibration of station {station}")
         cameras.append(camera_of(table, path))
     with tempfile.TemporaryDirectory() as folder:  # read anew, so that it is checked like any other
         whole = Path(folder) / path.name
         whole.write_text(rig_toml(Rig(tuple(cameras))), encoding="utf-8")
-        return read_rig(whole), told
+        return read_rig(whole), notes
 
 
 def _parsed(station: str, text: str) -> RigFile:
@@ -100,7 +100,7 @@ def _parsed(station: str, text: str) -> RigFile:
 def summary_lines(statistics: ReceiverStatistics) -> list[str]:
     """Return in words what became of pulses, cameras and stations; nothing is left out that was lost."""
     merge = statistics.merge
-    told = [
+    lines = [
         f"{merge.sets} sets merged, {merge.complete} of them complete; {merge.unseen} pulses between them that "
         "nobody saw"
     ]
@@ -115,12 +115,12 @@ def summary_lines(statistics: ReceiverStatistics) -> list[str]:
             if number
         ]
         if parts:
-            told.append(f"camera '{name}' is missing in {merge.sets - c.merged} sets: {', '.join(parts)}")
+            lines.append(f"camera '{name}' is missing in {merge.sets - c.merged} sets: {', '.join(parts)}")
         thrown = [
             f"{n} {what}" for n, what in ((c.late, "late"), (c.aged, "too old"), (c.doubled, "doubled")) if n
         ]
         if thrown:
-            told.append(f"camera '{name}': messages thrown away: {', '.join(thrown)}")
+            lines.append(f"camera '{name}': messages thrown away: {', '.join(thrown)}")
     for name, s in statistics.stations.items():
         parts = [
             f"{number} {what}"
@@ -138,14 +138,14 @@ def summary_lines(statistics: ReceiverStatistics) -> list[str]:
             if number
         ]
         clock = f"clock to {s.clock_error_ns * 1e-6:.2f} ms, skew {s.clock_skew * 1e6:+.1f} ppm"
-        told.append(
+        lines.append(
             f"station {name}: {s.received} messages ({clock})" + (f"; {', '.join(parts)}" if parts else "")
         )
     if statistics.left_out:
-        told.append(f"{statistics.left_out} merged sets left out: the reconstruction was behind")
+        lines.append(f"{statistics.left_out} merged sets left out: the reconstruction was behind")
     if statistics.overrun:
-        told.append(f"{statistics.overrun} messages found no room: this PC was behind")
-    return told
+        lines.append(f"{statistics.overrun} messages found no room: this PC was behind")
+    return lines
 
 
 def all_whole(statistics: ReceiverStatistics) -> bool:

@@ -16,7 +16,7 @@ SESSION = Path("/proc/self/autogroup")
 
 @contextmanager
 def before_others() -> Iterator[bool]:
-    """Raise the priority of this thread, and of those that it starts, for the block; say whether that was allowed.
+    """Raise the priority of this thread, and of those that it starts, for the block; yield whether that was allowed.
 
     Linux allows it to root and to those whom limits.conf gives ``nice``; macOS to root; Windows has no such call. On
     Linux the session of this program goes before other sessions too.
@@ -42,7 +42,7 @@ def before_others() -> Iterator[bool]:
 
 
 def _session_nice() -> int | None:
-    """Return how nice this program's session is, None where sessions are not told apart."""
+    """Return the nice value of this program's session, None where sessions are not distinguished."""
     try:
         return int(SESSION.read_text().split()[-1])
     except (OSError, ValueError, IndexError):
@@ -61,7 +61,7 @@ def _set_session_nice(nice: int) -> None:
 def prompt() -> Iterator[None]:
     """Let threads of this process change places quickly for the block, and keep the collector off what is here now.
 
-    Modules and compiled code are some hundred thousand objects that stay; looking through them for garbage takes
+    Modules and compiled code are some hundred thousand objects that stay; scanning them for garbage takes
     tens of milliseconds.
     """
     usual = sys.getswitchinterval()

@@ -1,7 +1,7 @@
 """Frames to disk while they come: packed on threads of their own, written by one, lost as whole sets when behind.
 
-What comes has to wait where packing or disk fall behind. So that memory stays bounded, a frame set whose first frame
-finds no room is left out of the recording, all cameras of it, and named; frames are never left out one by one. Each
+Frames wait where packing or disk fall behind. So that memory stays bounded, a frame set whose first frame finds the
+queue full is left out of the recording, all cameras of it, and listed; frames are never left out one by one. Each
 camera's frames stay in order. What was written reaches the operating system at least every ``flush_s``. A frame that
 waits longer than KEPT_AFTER_S for that, behind a disk or a busy machine, is copied to memory that outlives this
 process; so are, as they come, those whose pulses are not known yet at the start.
@@ -25,7 +25,7 @@ from mosca.recording import RecordingWriter
 WAITING_BYTES = 1 << 29
 FLUSH_S = 0.02
 KEPT_AFTER_S = 0.045
-HURRY_S, HURRY_BELOW, LOOK_S = 0.03, 0.3, 0.003
+HURRY_S, HURRY_BELOW, POLL_S = 0.03, 0.3, 0.003
 REMEMBERED_PULSES = 2000
 
 
@@ -46,8 +46,8 @@ class LostSets:
 
     def text(self, most: int = 5) -> str:
         """Return the ranges in words, the first ``most`` of them."""
-        told = [f"{a}" if a == b else f"{a}-{b}" for a, b in self.ranges[:most]]
-        return ", ".join(told) + (f" and {len(self.ranges) - most} more" if len(self.ranges) > most else "")
+        texts = [f"{a}" if a == b else f"{a}-{b}" for a, b in self.ranges[:most]]
+        return ", ".join(texts) + (f" and {len(self.ranges) - most} more" if len(self.ranges) > most else "")
 
 
 @dataclass(eq=False)
@@ -62,7 +62,7 @@ class _Waiting:
 
 
 class Recorder:
-    """Takes frames, frame sets of detections and further messages, and writes them behind the caller's back.
+    """Takes frames, frame sets of detections and further messages, and writes them in a thread of its own.
 
     ``waiting_bytes``: of pixels that may wait. ``workers``: threads that pack. ``failed``: why writing ended early
     (a full disk), None while all is well; what comes later is thrown away. ``take`` is for one thread.
@@ -99,7 +99,7 @@ class Recorder:
 
     @property
     def behind(self) -> float:
-        """How much of the room to wait is taken, 0 to 1."""
+        """Fill level of the queue, 0 to 1."""
         return self._waiting / self._most
 
     def take(self, frame: Frame, host_ns: int | None = None) -> bool:
@@ -161,9 +161,9 @@ class Recorder:
         return known
 
     def _pack(self, frame: Frame) -> bytes:
-        """Pack ``frame``; while frames come that are old already, later where there is room: they are kept first."""
+        """Pack ``frame``; later, while old frames arrive and the queue has space: those are kept first."""
         while time.monotonic_ns() < self._hurry_until_ns and self.behind < HURRY_BELOW:
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
         return self._writer.pack(frame)
 
     def _keep_old(self) -> None:
@@ -211,7 +211,7 @@ class Recorder:
                     if not clean and time.monotonic() - flushed >= self._flush_s:
                         self._flush()
                         flushed, clean = time.monotonic(), True
-            except BaseException as error:  # it belongs to whoever captures, and is told there
+            except BaseException as error:  # raised in the capturing thread
                 self.failed = error
 
 

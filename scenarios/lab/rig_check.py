@@ -1,4 +1,4 @@
-"""What a person wants to know of a rig before an experiment, from a few seconds of its own frames.
+"""Check of a rig before an experiment, from a few seconds of its own frames.
 
 Devices and their settings, where these differ, what became of the pulses, how bright and how sharp the images are,
 how well the stamps lie on the pulses, and how long the disk lasts. Nothing is recorded.
@@ -21,8 +21,8 @@ from hardware.triggers import open_trigger
 from mosca.data.arrays import Array
 
 SECONDS = 2.0
-LOOKED_AT = 8
-"""Images of each camera that are looked at for light and focus, spread over the time."""
+IMAGES_CHECKED = 8
+"""Images of each camera that are checked for light and focus, spread over the time."""
 DARK, SATURATED = 0.3, 2e-3
 """Share of white below which the brightest pixels are dark; share of all pixels that may be white."""
 EDGES, REACH_PX = 200, 6
@@ -46,14 +46,14 @@ def check_rig_live(
     opener: OpenCamera = open_camera,
     trigger_opener: OpenTrigger = open_trigger,
 ) -> tuple[list[str], bool]:
-    """Take frames of the rig's devices for ``seconds``; return what to tell, and whether each pulse has its frames.
+    """Take frames of the rig's devices for ``seconds``; return the report, and whether each pulse has its frames.
 
     ``folder``: where recordings are to go. InputError for the file, DeviceError for a device. ``opener`` and
     ``trigger_opener`` are for tests.
     """
     hardware = read_hardware(path)
     rate_hz = hardware.shared.rate_hz
-    pulses = max(round(seconds * rate_hz), LOOKED_AT)
+    pulses = max(round(seconds * rate_hz), IMAGES_CHECKED)
     seen: dict[str, _Samples] = defaultdict(_Samples)
     with HardwareSource(hardware, pulses, opener, trigger_opener) as source:
         infos = {info.name: info for info in source.cameras}
@@ -64,7 +64,7 @@ def check_rig_live(
                 one.failed += 1
                 continue
             one.pulses.add(pulse)
-            if len(one.images) < LOOKED_AT and pulse >= len(one.images) * pulses // LOOKED_AT:
+            if len(one.images) < IMAGES_CHECKED and pulse >= len(one.images) * pulses // IMAGES_CHECKED:
                 one.images.append(frame.image)
         reports, notes = dict(source.reports), list(source.statistics.notes)
     lines, whole = [], True
@@ -101,13 +101,13 @@ def check_rig_live(
 
 def _device(name: str, report: DeviceReport) -> str:
     firmware = report.settings.get("DeviceFirmwareVersion") or report.settings.get("DeviceVersion")
-    told = [f"{report.model or 'camera'} {report.serial}".strip()]
+    parts = [f"{report.model or 'camera'} {report.serial}".strip()]
     if firmware:
-        told.append(f"firmware {firmware}")
-    told.append(f"{report.width} x {report.height} px, {report.bit_depth} bit")
+        parts.append(f"firmware {firmware}")
+    parts.append(f"{report.width} x {report.height} px, {report.bit_depth} bit")
     if report.exposure_ns:
-        told.append(f"exposure {report.exposure_ns / 1e3:g} us")
-    return f"camera '{name}': " + ", ".join(told)
+        parts.append(f"exposure {report.exposure_ns / 1e3:g} us")
+    return f"camera '{name}': " + ", ".join(parts)
 
 
 def differing(reports: Mapping[str, DeviceReport]) -> list[str]:
@@ -133,14 +133,14 @@ def light(images: Sequence[Array], bit_depth: int) -> str:
     white = 2**bit_depth - 1
     brightest = float(np.median([np.partition(image.ravel(), -20)[-20] for image in images])) / white
     saturated = float(np.mean([np.mean(image >= white) for image in images]))
-    told = f"brightest pixels at {100 * brightest:.0f} % of white"
+    text = f"brightest pixels at {100 * brightest:.0f} % of white"
     if saturated > SATURATED:
         return (
-            f"{told}, {100 * saturated:.1f} % of all pixels white: shorten the exposure, lower gain or light"
+            f"{text}, {100 * saturated:.1f} % of all pixels white: shorten the exposure, lower gain or light"
         )
     if brightest < DARK:
-        return f"{told}: dark; more light, a longer exposure, a larger aperture, or nothing bright is in view"
-    return told
+        return f"{text}: dark; more light, a longer exposure, a larger aperture, or nothing bright is in view"
+    return text
 
 
 def focus(images: Sequence[Array]) -> str:
@@ -149,8 +149,8 @@ def focus(images: Sequence[Array]) -> str:
     if not widths:
         return "no clear edges to judge the focus by: put markers in view"
     width = float(np.median(widths))
-    told = f"edges are blurred by {width:.1f} px (standard deviation)"
-    return f"{told}: focus the lens, or the markers move in the exposure" if width > BLURRED_PX else told
+    text = f"edges are blurred by {width:.1f} px (standard deviation)"
+    return f"{text}: focus the lens, or the markers move in the exposure" if width > BLURRED_PX else text
 
 
 def edge_width_px(image: Array) -> float | None:

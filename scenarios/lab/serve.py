@@ -28,12 +28,12 @@ from scenarios.spec.catalog import find
 from scenarios.spec.scenario import load_scenario
 
 MEMORY_BYTES = 1 << 30
-"""How much of the frames is kept in memory unless ``--ahead`` says otherwise."""
-LOOK_S = 0.02
+"""How much of the frames is kept in memory without ``--ahead``."""
+POLL_S = 0.02
 LOOPBACK_PACKET = 8000
 """Loopback carries large packets; five times as many small ones would keep a core busy."""
-Trigger = Literal["Line1", "serial", "Software", "Action1", "Off"]
-TRIGGER_SOURCES: Mapping[Trigger, str] = {
+TriggerKind = Literal["Line1", "serial", "Software", "Action1", "Off"]
+TRIGGER_SOURCES: Mapping[TriggerKind, str] = {
     "Line1": "external",
     "serial": "serial",
     "Software": "software",
@@ -43,7 +43,7 @@ TRIGGER_SOURCES: Mapping[Trigger, str] = {
 
 
 class TwinTable(Table):
-    """``[twin]`` of a rig file: what its cameras look at when they are served."""
+    """``[twin]`` of a rig file: the scene of its cameras when they are served."""
 
     scenario: str = ""
     recording: str = ""
@@ -52,15 +52,14 @@ class TwinTable(Table):
 
 @dataclass(frozen=True)
 class InjectedFaults:
-    """What goes wrong, for all cameras but ``reboots``: camera -> seconds after its acquisition began.
-
-    ``drift_ppm``: the cameras' clocks drift from minus to plus this, evenly spread.
-    """
+    """Faults of the served cameras; for all of them but ``reboots``."""
 
     loss: float = 0.0
     withhold: float = 0.0
     drift_ppm: float = 0.0
+    """The cameras' clocks drift from minus to plus this, evenly spread."""
     reboots: Mapping[str, float] = field(default_factory=dict)
+    """Camera -> seconds from the start of its acquisition to its reboot."""
     seed: int = 0
 
 
@@ -76,7 +75,7 @@ class ServeRequest:
     ahead: int | None = None
     trouble: InjectedFaults = InjectedFaults()
     rig_out: Path | None = None
-    trigger: Trigger = "Line1"
+    trigger: TriggerKind = "Line1"
     workers: int = 1
 
 
@@ -93,11 +92,11 @@ class ServedSource:
 def serve(
     request: ServeRequest,
     progress: Callable[[int, int | None], None] | None,
-    told: Callable[[Served], None],
+    on_ready: Callable[[Served], None],
 ) -> Served:
     """Serve until Ctrl-C or for ``request.seconds``; return what was served, closed, with its counts.
 
-    ``told``: called once the devices answer. Raises InputError for what cannot be served.
+    ``on_ready``: called once the devices answer. Raises InputError for what cannot be served.
     """
     if request.rig_out is not None:
         check_writable(request.rig_out)
@@ -126,12 +125,12 @@ def serve(
             text = rig_text(subject.rig, up, rate_hz, request.trigger, "" if box is None else box.port)
             with whole_file(request.rig_out) as temporary:
                 temporary.write_text(text, encoding="utf-8")
-        told(up)
+        on_ready(up)
         _stay(up, rate_hz, request)
         return up
 
 
-def rig_text(rig: Rig | None, up: Served, rate_hz: float, trigger: Trigger, port: str = "") -> str:
+def rig_text(rig: Rig | None, up: Served, rate_hz: float, trigger: TriggerKind, port: str = "") -> str:
     """Return a rig file with which ``mosca capture --rig`` grabs from the devices of ``up``.
 
     ``rig``: the cameras' calibration, if it is known; ``port``: of a serial trigger.
@@ -187,7 +186,7 @@ def _stay(up: Served, rate_hz: float, request: ServeRequest) -> None:
                 elif not waits and not any(armed):
                     up.line.stop()
                     waits = True
-                time.sleep(LOOK_S)
+                time.sleep(POLL_S)
         except KeyboardInterrupt:
             return
 
@@ -244,10 +243,10 @@ def _rig(path: Path, request: ServeRequest, stack: ExitStack) -> ServedSource:
     whole = all(table.lens is not None and table.pose is not None for table in document.camera)
     rig = read_rig(path) if whole else None
 
-    def said(key: str) -> dict[str, str]:
+    def given(key: str) -> dict[str, str]:
         return {t.name: str(t.hardware[key]) for t in document.camera if t.hardware.get(key)}
 
-    return replace(subject, source=source, rig=rig, addresses=said("address"), serials=said("serial"))
+    return replace(subject, source=source, rig=rig, addresses=given("address"), serials=given("serial"))
 
 
 def _check_camera(path: Path, table: CameraTable, there: Mapping[str, CameraInfo]) -> None:

@@ -1,8 +1,8 @@
 """A detecting station: frames of its own cameras become detections, sent to the station that reconstructs.
 
-The frames are looked at one by one as they come, with the same detection, and the same lessons from earlier frames,
+The frames are processed one by one as they come, with the same detection, and the same statistics of earlier frames,
 as in a local run: what arrives elsewhere is what a local run would have found. A thread reads the source and notes
-when each frame was there; a station that falls behind leaves out its oldest frames, and says which.
+when each frame was there; a station that falls behind leaves out its oldest frames, and reports which.
 """
 
 import threading
@@ -21,7 +21,7 @@ from scenarios.lab.priority import before_others, prompt
 from scenarios.lab.station_background import Backgrounds
 
 BACKLOG_S, LEAST_BACKLOG = 1.0, 12
-"""How long, and how many frames a camera, may wait to be looked at; then the oldest is left out. A rig holds its
+"""How long, and how many frames a camera, may wait for detection; then the oldest is left out. A rig holds its
 first frames until their pulses are known, and gives them all at once."""
 WAIT_S = 0.1
 
@@ -47,7 +47,7 @@ class Arrivals:
         self._reader.start()
 
     def __iter__(self) -> Iterator[tuple[Frame, int, bool] | None]:
-        """Yield (frame, arrival, whether to look at it), or None when none came for a while."""
+        """Yield (frame, arrival, whether to detect in it), or None when none came for a while."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._waiting or self._over, WAIT_S)
@@ -109,7 +109,7 @@ class PulseCount:
 
 @dataclass
 class StationTotals:
-    """What a station did: ``frames`` came, ``detected`` were looked at, ``targets`` were found in them."""
+    """What a station did: ``frames`` came, ``detected`` were processed, ``targets`` were found in them."""
 
     frames: int = 0
     detected: int = 0
@@ -129,7 +129,7 @@ def run_station(
     """Detect and send until the source ends or ``every``, called between frames, returns False.
 
     ``arrival_ns``: when a frame was there, by the sender's clock. ``end`` makes the source end. ``backgrounds``: what
-    is taken off the images. Closes source and sender; the others are told when the source fails.
+    is taken off the images. Closes source and sender; the other stations are informed when the source fails.
     """
     with before_others(), prompt():
         return _run(source, sender, settings, arrival_ns, every, end, backgrounds or Backgrounds())
@@ -147,7 +147,7 @@ def _run(
     totals = StationTotals()
     infos = {info.name: info for info in source.cameras}
     count = PulseCount(source.cameras[0].frame_rate_hz)
-    lessons = {name: DelayedStatistics(name) for name in infos}
+    statistics = {name: DelayedStatistics(name) for name in infos}
     for depth in {info.bit_depth for info in source.cameras}:
         _warm(settings, depth)
     arrivals = Arrivals(source, arrival_ns or (lambda frame: sender.now_ns()), end)
@@ -164,15 +164,15 @@ def _run(
             pulse = count.of(frame)
             if backgrounds.takes(frame):
                 continue
-            place = (frame.camera, pulse, mid_exposure_ns(frame), frame.exposure_ns, arrived_ns)
+            header = (frame.camera, pulse, mid_exposure_ns(frame), frame.exposure_ns, arrived_ns)
             if frame.image is None:
-                sender.send(*place, None, "corrupt" if frame.status == "corrupt" else "no frame")
+                sender.send(*header, None, "corrupt" if frame.status == "corrupt" else "no frame")
             elif not wanted:
                 sender.skipped += 1
-                sender.send(*place, None, "skipped")
+                sender.send(*header, None, "skipped")
             else:
                 begun = time.perf_counter()
-                own = lessons[frame.camera]
+                own = statistics[frame.camera]
                 depth = infos[frame.camera].bit_depth
                 (found,), new = detect_with_statistics(
                     [frame.image],
@@ -183,7 +183,7 @@ def _run(
                     statistics=own.for_frame_set(pulse),
                 )
                 own.add(pulse, new)
-                sender.send(*place, found)
+                sender.send(*header, found)
                 totals.detected += 1
                 totals.targets += len(found)
                 totals.seconds += time.perf_counter() - begun

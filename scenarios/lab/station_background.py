@@ -1,6 +1,6 @@
 """What does not move in a station's images: from its recording's first frames, or from those that its cameras give.
 
-A rig has no recording to look at before. So its first frames, as many as [background] frames says, are looked at for
+A rig has no earlier recording. So its first frames, as many as [background] frames, are used for
 that alone, and detections begin with the next one.
 """
 
@@ -17,14 +17,14 @@ Make = Callable[[Iterable[Array]], Array]
 class Backgrounds:
     """Each camera's background, known (``ready``) or made of its first frames as ``spec`` has it.
 
-    ``told`` is called once for each that was made.
+    ``on_made`` is called once for each that was made.
     """
 
     def __init__(
         self,
         spec: BackgroundSpec | None = None,
         ready: Mapping[str, Array] | None = None,
-        told: Callable[[str], None] = lambda text: None,
+        on_made: Callable[[str], None] = lambda text: None,
     ) -> None:
         self._known = dict(ready or {})
         self._wanted = 0 if spec is None or spec.kind == "none" or ready else spec.frames
@@ -33,7 +33,7 @@ class Backgrounds:
         )
         self._first: dict[str, list[Array]] = {}
         self._seen: dict[str, int] = {}
-        self._told = told
+        self.on_made = on_made
 
     def of(self, camera: str) -> Array | None:
         """Return what is taken off a camera's images, None where nothing is."""
@@ -50,5 +50,5 @@ class Backgrounds:
         if seen >= self._wanted and images:
             self._known[frame.camera] = self._make(images)
             del self._first[frame.camera]
-            self._told(f"camera '{frame.camera}': background of its first {seen} frames; detections begin")
+            self.on_made(f"camera '{frame.camera}': background of its first {seen} frames; detections begin")
         return True

@@ -126,10 +126,10 @@ class RigOfStation(WrappedSource):
     ) -> None:
         self.gate = StartGate(trigger_opener)
         self.hardware = HardwareSource(rig, opener=opener, trigger_opener=self.gate.open)
-        # who merges waits for no station for long: one camera behind the others is to cost its own frames alone
+        # the merger waits for no station for long: a camera that lags must cost its own frames alone
         self.hardware.reorder = False
         super().__init__(self.hardware)
-        self._told = 0
+        self._notes_sent = 0
         self._latest: tuple[Frame, int] | None = None
 
     def __iter__(self) -> Iterator[Frame]:
@@ -146,12 +146,12 @@ class RigOfStation(WrappedSource):
         assert latest is frame
         return host_ns
 
-    def tell(self, sender: Sender) -> None:
-        """Pass on what happened to the devices since the last time."""
+    def send_notes(self, sender: Sender) -> None:
+        """Send the notes of the devices since the last call."""
         notes = self.hardware.statistics.notes
-        for note in notes[self._told :]:
+        for note in notes[self._notes_sent :]:
             sender.note(note)
-        self._told = len(notes)
+        self._notes_sent = len(notes)
 
     def stop(self) -> None:
         """End after what is under way; may be called from another thread."""

@@ -1,4 +1,4 @@
-"""What the station verbs do: open, run until the end or Ctrl-C, and say what became of everything."""
+"""The station commands: open, run until the end or Ctrl-C, and report."""
 
 import threading
 import time
@@ -30,7 +30,7 @@ from scenarios.lab.station_source import PacedRecording, RigOfStation
 from scenarios.run.interrupt import first_ctrl_c
 
 RIGS_S = 15.0
-Told = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 def detect_on_station(
@@ -42,9 +42,9 @@ def detect_on_station(
     seconds: float | None,
     settings_path: Path | None,
     overrides: tuple[str, ...],
-    told: Told,
+    report: Report,
 ) -> list[str]:
-    """Run a detecting station until its source ends, ``seconds`` are over, or Ctrl-C; return what to tell."""
+    """Run a detecting station until its source ends, ``seconds`` are over, or Ctrl-C; return the report."""
     check_station(name)
     spec = reconstruct_spec(settings_path, overrides)
     detection = reconstruct_settings(spec, settings_path).detection
@@ -54,7 +54,7 @@ def detect_on_station(
     if recording is None:
         devices = RigOfStation(read_hardware(rig))
         source: RigOfStation | PacedRecording = devices
-        backgrounds = Backgrounds(spec.background, told=told)
+        backgrounds = Backgrounds(spec.background, on_made=report)
     else:
         cameras = read_rig(rig)
         backgrounds = Backgrounds(ready=recorded_backgrounds(recording, cameras, fps, spec.background))
@@ -67,14 +67,14 @@ def detect_on_station(
             source.close()
             raise
         source.gate.sender = sender
-        told(f"station {name}: {', '.join(names)}; sends to {', '.join(connect)}")
+        report(f"station {name}: {', '.join(names)}; sends to {', '.join(connect)}")
         until = None if seconds is None else time.monotonic() + seconds
         stopped = threading.Event()
         with first_ctrl_c(stopped.set):
 
             def every() -> bool:
                 if devices is not None:
-                    devices.tell(sender)
+                    devices.send_notes(sender)
                 return not stopped.is_set() and (until is None or time.monotonic() < until)
 
             totals = run_station(
@@ -99,11 +99,11 @@ def reconstruct_stations(
     deadline_s: float,
     settings_path: Path | None,
     overrides: tuple[str, ...],
-    told: Told,
+    report: Report,
 ) -> tuple[list[str], bool]:
     """Merge and reconstruct until all stations end, ``seconds`` are over, or Ctrl-C.
 
-    Return what to tell, and whether every camera is in every set. The tracks are written in any case.
+    Return the report, and whether every camera is in every set. The tracks are written in any case.
     """
     check_tracks_file(out)
     # [background] is the stations'
@@ -127,12 +127,12 @@ def reconstruct_stations(
             rate,
             ReceiverSettings(MergeSettings(deadline_s)),
             rig_path.read_text(encoding="utf-8"),
-            told=lambda event: told(_line(event)),
+            on_event=lambda event: report(_line(event)),
         )
         stack.enter_context(receiver)
         # stopping waits for the thread that Ctrl-C interrupted
         stack.enter_context(first_ctrl_c(lambda: threading.Thread(target=receiver.stop, daemon=True).start()))
-        told(f"listens on {', '.join(listen)} for {', '.join(stations)}")
+        report(f"listens on {', '.join(listen)} for {', '.join(stations)}")
         rig, lines = calibrated_rig(rig_path, lambda: receiver.rigs(RIGS_S))
         timer = threading.Timer(seconds or 0, receiver.stop)
         if seconds is not None:

@@ -24,7 +24,8 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import linregress
 
-from hardware.source import open_rig
+from hardware.settings import read_hardware
+from hardware.source import HardwareSource
 from mosca.recording import open_recording
 from mosca.synchronisation import Assembly, AssemblySettings, assemble
 
@@ -99,7 +100,7 @@ def grab(rig: Path, pulses: int, shown: dict[tuple[str, int], np.ndarray]) -> No
     """Read ``pulses`` pulses of ``rig`` and compare each image with the one ``shown`` at its pulse."""
     assembly, wrong = Assembly(), 0
     begin = time.process_time()
-    with open_rig(rig, pulses) as source:
+    with HardwareSource(read_hardware(rig), pulses) as source:
         for frame_set in assemble(source, source.cameras, AssemblySettings(open_pulses=100), assembly):
             for name, frame in frame_set.frames.items():
                 wrong += not np.array_equal(frame.image, shown[name, frame_set.pulse % TAKE_PULSES])

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 from needs import needs_aravis, needs_module
 
+from hardware.driver import CameraDriver
 from hardware.drivers import gige
 from hardware.settings import CameraHardware
 from mosca.data.arrays import Array
@@ -41,6 +43,13 @@ class Driven:
     def with_(self, **changes: Any) -> CameraHardware:
         """Return the free-running settings with changes."""
         return CameraHardware(**{**self.free.model_dump(), **changes})
+
+
+def grab_for(camera: CameraDriver, seconds: float) -> None:
+    """Grab, whatever comes, for so long."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        camera.grab(0.2)
 
 
 def one_line(error: BaseException, *words: str) -> None:
@@ -99,10 +108,7 @@ def pylon_driven(tmp_path: Path) -> Iterator[Driven]:
         return CameraHardware(driver="pylon", serial="0815-0000", window=(0, 0, WIDTH, HEIGHT), **more)
 
     yield Driven(
-        "pylon",
-        free=settings(trigger="Off"),
-        silent=settings(trigger="Software"),
-        wrong={"exposure_us": 1e9},
+        "pylon", free=settings(trigger="Off"), silent=settings(trigger="Software"), wrong={"exposure_us": 1e9}
     )
 
 

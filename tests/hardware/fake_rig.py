@@ -1,8 +1,10 @@
-"""Cameras without devices: a line of pulses in a thread, and drivers that answer it, with faults on demand."""
+"""Cameras without devices: pulses from a thread, and drivers that answer them, with faults on demand."""
 
 import queue
+import textwrap
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,6 +16,24 @@ SIZE = (32, 24)
 EXPOSURE_NS = 500_000
 
 
+def write_rig(path, names, size=SIZE, rate=100.0, more="", camera=""):
+    """Write a rig file of ``names``; ``camera``: further keys of [[camera]], ``more``: of [camera.hardware]."""
+    text = f"[hardware]\nrate_hz = {rate}\n"
+    for name in names:
+        text += textwrap.dedent(f"""
+            [[camera]]
+            name = "{name}"
+            size = [{size[0]}, {size[1]}]
+            {camera}
+            [camera.hardware]
+            driver = "gige"
+            serial = "{name}"
+            {more}
+            """)
+    path.write_text(text)
+    return path
+
+
 def picture(camera: str, pulse: int) -> np.ndarray:
     """A picture that no other camera or pulse has."""
     width, height = SIZE
@@ -21,6 +41,11 @@ def picture(camera: str, pulse: int) -> np.ndarray:
     image[0, :4] = np.frombuffer(np.uint32(pulse).tobytes(), np.uint8)
     image[1, 0] = sum(camera.encode()) % 256
     return image
+
+
+def pulse_in(frame) -> int:
+    """The pulse of a frame of ``picture``."""
+    return int(np.frombuffer(frame.image[0, :4].tobytes(), np.uint32)[0])
 
 
 @dataclass
@@ -35,25 +60,28 @@ class Fake:
     clock: bool = True
     software: bool = False
     readable: bool = False  # most answers do not come
+    picture: Callable[[str, int], np.ndarray] = picture
 
 
-class FakeLine(External):
-    """Pulses at a rate in a thread; drivers hang on it. It waits until a camera's loss and return were noticed."""
+class PulseThread(External):
+    """Pulses at a rate in a thread, each ``delay_s`` after it is due; ``fire`` hands one to the drivers."""
+
+    delay_s = 0.0
 
     def __init__(self, rate_hz: float) -> None:
-        self.rate_hz, self.drivers, self.made, self.withheld = rate_hz, {}, 0, 0
-        self._stop = threading.Event()
+        self.rate_hz, self.drivers, self.made, self.begin_ns = rate_hz, {}, 0, 0
+        self.ended = threading.Event()
         self._thread = None
 
     def start(self):
-        self._stop.clear()
-        begin = time.monotonic()
-        self._thread = threading.Thread(target=self._run, args=(begin,), daemon=True)
+        self.ended.clear()
+        self.begin_ns = time.monotonic_ns()
+        self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
-        return round(begin * 1e9)
+        return self.begin_ns
 
     def stop(self):
-        self._stop.set()
+        self.ended.set()
         if self._thread is not None:
             self._thread.join()
             self._thread = None
@@ -63,40 +91,36 @@ class FakeLine(External):
 
     close = stop
 
-    def _run(self, begin):
-        while not self._stop.is_set():
-            wait = begin + self.made / self.rate_hz - time.monotonic()
-            if wait > 0 and self._stop.wait(wait):
+    def due_ns(self, number):
+        return self.begin_ns + round(number * 1e9 / self.rate_hz)
+
+    def fire(self, number):
+        """Hand a pulse to the drivers; False ends the thread."""
+        for driver in list(self.drivers.values()):
+            driver.pulse(number)
+        return True
+
+    def _run(self):
+        while not self.ended.is_set():
+            wait = self.due_ns(self.made) * 1e-9 + self.delay_s - time.monotonic()
+            if wait > 0 and self.ended.wait(wait):
                 return
-            while any(driver.unnoticed(self.made) for driver in self.drivers.copy().values()):
-                if self._stop.wait(0.002):
-                    return
-            for driver in list(self.drivers.values()):
-                driver.pulse(self.made, begin + self.made / self.rate_hz)
+            if not self.fire(self.made):
+                return
             self.made += 1
 
 
-class FakeDriver:
-    """A camera on the line (or on software), named after its settings' serial."""
+class FakeDevice:
+    """What all fake drivers have: a place on the line, a queue of frames, no settings."""
 
-    def __init__(self, name, settings, fake, line):
-        if line.made in fake.gone:
-            raise DeviceError(f"camera '{name}': not there")
-        self.name, self.fake, self.line = name, fake, line
+    def __init__(self, name, line, size):
+        self.name, self.line, self.size = name, line, size
         self.frames: queue.Queue = queue.Queue()
-        self.armed, self.closed, self.block, self.count, self.asked = False, False, 0, 0, 0
-        self.lost = False
-        self.boot = time.monotonic() - fake.offset_s
+        self.armed, self.closed, self.block, self.count = False, False, 0, 0
         line.drivers[name] = self
 
-    @property
-    def capabilities(self):
-        return Capabilities(
-            device_clock=self.fake.clock, hardware_trigger=True, software_trigger=self.fake.software
-        )
-
     def configure(self, settings):
-        return DeviceReport("fake", settings.serial, *SIZE, 8, EXPOSURE_NS)
+        return DeviceReport("fake", settings.serial, *self.size, 8, EXPOSURE_NS, {"Gain": 0.0})
 
     def arm(self):
         self.armed, self.block = True, 0
@@ -110,9 +134,37 @@ class FakeDriver:
     def close(self):
         self.closed = True
 
+
+class FakeLine(PulseThread):
+    """Pulses that wait until a camera's loss and return were noticed."""
+
+    def fire(self, number):
+        while any(driver.unnoticed(number) for driver in self.drivers.copy().values()):
+            if self.ended.wait(0.002):
+                return False
+        return super().fire(number)
+
+
+class FakeDriver(FakeDevice):
+    """A camera on the line (or on software), named after its settings' serial."""
+
+    def __init__(self, name, settings, fake, line, size=SIZE):
+        if line.made in fake.gone:
+            raise DeviceError(f"camera '{name}': not there")
+        super().__init__(name, line, size)
+        self.fake, self.asked, self.lost = fake, 0, False
+        self.boot_ns = time.monotonic_ns() - round(fake.offset_s * 1e9)
+
+    @property
+    def capabilities(self):
+        return Capabilities(
+            device_clock=self.fake.clock, hardware_trigger=True, software_trigger=self.fake.software
+        )
+
     def software_trigger(self):
-        self.pulse(self.count, time.monotonic())
-        return time.monotonic_ns()
+        now = time.monotonic_ns()
+        self._expose(self.count, now)
+        return now
 
     def clock(self):
         if not self.fake.readable:
@@ -121,8 +173,7 @@ class FakeDriver:
         if self.asked > 1 and self.asked % 3:
             raise DeviceError(f"camera '{self.name}': does not tell its clock (timeout)")
         before = time.monotonic_ns()
-        shown = round((time.monotonic() - self.boot) * (1 + self.fake.ppm * 1e-6) * 1e9)
-        return ClockReading(shown, before, time.monotonic_ns())
+        return ClockReading(self._stamp(before), before, time.monotonic_ns())
 
     def unnoticed(self, number):
         """Tell whether pulses have to wait: it is gone, or back, and nobody has found that out yet."""
@@ -132,14 +183,8 @@ class FakeDriver:
         here = self.armed and not self.lost
         return (number == gone[-1] and not self.lost) or (number == gone[-1] + 20 and not here)
 
-    def pulse(self, number, now):
-        if not self.armed or number in self.fake.misses or number in self.fake.gone:
-            return
-        stamp = round((now - self.boot) * (1 + self.fake.ppm * 1e-6) * 1e9) if self.fake.clock else None
-        image = None if number in self.fake.spoilt else picture(self.name, number)
-        self.frames.put((self.block, stamp, image, round(now * 1e9) + EXPOSURE_NS))
-        self.block += 1
-        self.count += 1
+    def pulse(self, number):
+        self._expose(number, self.line.due_ns(number))
 
     def grab(self, timeout_s):
         if self.line.made in self.fake.gone:
@@ -152,3 +197,15 @@ class FakeDriver:
         note = "" if image is not None else "MISSING_PACKETS"
         # here when it was due, after its exposure: a busy machine is late for some cameras only, which is not tried
         return Grabbed(block, stamp, host_ns, EXPOSURE_NS, image, note)
+
+    def _stamp(self, host_ns):
+        return round((host_ns - self.boot_ns) * (1 + self.fake.ppm * 1e-6))
+
+    def _expose(self, number, at_ns):
+        if not self.armed or number in self.fake.misses or number in self.fake.gone:
+            return
+        stamp = self._stamp(at_ns) if self.fake.clock else None
+        image = None if number in self.fake.spoilt else self.fake.picture(self.name, number)
+        self.frames.put((self.block, stamp, image, at_ns + EXPOSURE_NS))
+        self.block += 1
+        self.count += 1

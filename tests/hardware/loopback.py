@@ -4,11 +4,20 @@ import itertools
 import os
 import socket
 import struct
+import time
 
 PATIENT_S = 60.0
 """For answers that come at once, however busy the machine is."""
 
 _blocks = itertools.count()
+
+
+def until(met) -> None:
+    """Wait until ``met()`` is true."""
+    deadline = time.monotonic() + PATIENT_S
+    while not met():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def free_address() -> str:

@@ -23,12 +23,13 @@ def needs_aravis() -> None:
         _absent("libaravis-0.8.so.0 is not installed (Debian: apt install libaravis-0.8-0)")
 
 
-def needs_module(name: str, extra: str) -> ModuleType:
-    """Return module ``name``; skip, or fail in CI, without it."""
+def needs_module(name: str, extra: str = "", package: str = "") -> ModuleType:
+    """Return module ``name`` of the project's ``extra`` or of ``package``; skip, or fail in CI, without it."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)
             return importlib.import_module(name)
     except ImportError:
-        _absent(f"{name} is not installed (pip install 'mosca-testbench[{extra}]')")
+        wanted = package or f"mosca-testbench[{extra}]"
+        _absent(f"{name} is not installed (pip install '{wanted}')")
         raise

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from loopback import PATIENT_S, until
 
 from hardware.driver import DeviceError
 from hardware.onboard.commands import (
@@ -24,9 +25,6 @@ from hardware.onboard.commands import (
 )
 from hardware.onboard.line_protocol import LONGEST_LINE, TcpLines, UdpLines
 from mosca.errors import InputError
-
-PATIENT_S = 60.0
-"""For what comes at once, however busy the machine is."""
 
 
 @contextmanager
@@ -93,13 +91,6 @@ def program(address, commands, kind="tcp", reply_s=PATIENT_S, events=()):
         event=[EventTable(**event) for event in events],
         program=[CommandTable(at_s=at, target="robot", command=command) for at, command in commands],
     )
-
-
-def until(met):
-    deadline = time.monotonic() + PATIENT_S
-    while not met():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def finished(run, session, n):
@@ -214,7 +205,7 @@ def test_events_come_by_udp_and_tcp_and_wait_for_the_clock():
     session = Session()
     server = socket.create_server(("127.0.0.1", 0))
     listening = UdpLines("probe", "127.0.0.1:0")  # a free port, and then ours
-    port = listening._socket.getsockname()[1]
+    port = listening.port
     listening.close()
     tables = (
         {"name": "imu", "kind": "udp", "address": f"127.0.0.1:{port}"},
@@ -267,7 +258,7 @@ def test_what_is_not_there_is_one_line():
     address = f"127.0.0.1:{server.getsockname()[1]}"
     server.close()
     first = UdpLines("event 'a'", "127.0.0.1:0")
-    taken = f"127.0.0.1:{first._socket.getsockname()[1]}"
+    taken = f"127.0.0.1:{first.port}"
     with pytest.raises(DeviceError, match=r"event 'b' at .* cannot listen"):
         UdpLines("event 'b'", taken)
     first.close()

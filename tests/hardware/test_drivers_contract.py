@@ -7,12 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from driven import DRIVEN, Driven, one_line, wait_long_for_packets
+from loopback import PATIENT_S
 
 from hardware.driver import CameraDriver, DeviceError
 from hardware.drivers import devices, open_camera
-
-PATIENT_S = 60.0
-"""For what comes at once, however busy the machine is."""
 
 
 @pytest.fixture(scope="module", params=sorted(DRIVEN))

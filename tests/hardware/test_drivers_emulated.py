@@ -1,6 +1,5 @@
 """The Aravis driver on our own GigE Vision devices: line triggers, lost packets, a restart, deeper pixels."""
 
-import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -9,7 +8,7 @@ from threading import Event
 import numpy as np
 import pytest
 from array_source import ArraySource, picture
-from driven import one_line, wait_long_for_packets
+from driven import grab_for, one_line, wait_long_for_packets
 from needs import needs_aravis
 from paced import make_pulses
 
@@ -202,9 +201,3 @@ def test_a_restart_of_the_camera_is_told_and_it_opens_again() -> None:
         again.arm()
         assert again.grab(60.0) is not None
         again.close()
-
-
-def grab_for(camera: CameraDriver, seconds: float) -> None:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        camera.grab(0.2)

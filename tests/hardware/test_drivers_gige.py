@@ -1,13 +1,12 @@
 """The Aravis driver on Aravis' own fake camera."""
 
-import time
 from contextlib import closing
 
 import numpy as np
 import pytest
-from driven import FAKE_ADDRESS, HEIGHT, WIDTH, fake_gige_camera, one_line, wait_long_for_packets
+from driven import FAKE_ADDRESS, HEIGHT, WIDTH, fake_gige_camera, grab_for, one_line, wait_long_for_packets
 
-from hardware.driver import CameraDriver, DeviceError, Grabbed
+from hardware.driver import DeviceError, Grabbed
 from hardware.drivers import open_camera
 from hardware.settings import CameraHardware
 
@@ -107,12 +106,6 @@ def test_by_address_and_not_found() -> None:
         with pytest.raises(DeviceError, match="sees no device") as caught:
             open_camera("a", by_serial)
         one_line(caught.value, "camera 'a'", "FAKE4")
-
-
-def grab_for(camera: CameraDriver, seconds: float) -> None:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        camera.grab(0.5)
 
 
 @pytest.mark.slow

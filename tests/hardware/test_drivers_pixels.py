@@ -99,9 +99,7 @@ def test_the_image_is_nobody_elses(name: str) -> None:
 
 @given(
     mosaic=hnp.arrays(
-        np.uint16,
-        st.tuples(st.integers(2, 9), st.integers(2, 9)),
-        elements=st.integers(0, 4095),
+        np.uint16, st.tuples(st.integers(2, 9), st.integers(2, 9)), elements=st.integers(0, 4095)
     )
 )
 def test_bayer_is_the_weighted_mean_of_nine(mosaic: Array) -> None:
@@ -159,10 +157,7 @@ def test_grey_stays_as_it_was_and_yuv_gives_its_y() -> None:
         assert image.tolist() == [expected]
 
 
-@given(
-    first=st.integers(1, PERIOD),
-    steps=st.lists(st.integers(1, 2000), max_size=200),
-)
+@given(first=st.integers(1, PERIOD), steps=st.lists(st.integers(1, 2000), max_size=200))
 def test_sixteen_bit_block_ids_are_unwrapped(first: int, steps: list[int]) -> None:
     ids, true = BlockIds(), first
     assert ids.unwrapped(first) == first

@@ -76,7 +76,7 @@ def camera(faults: Faults = FAULTLESS, first_block: int = 1) -> EmulatedCamera:
 
 
 def register(one: EmulatedCamera, name: str) -> Register:
-    return next(r for r in one.registers._registers if r.name == name)
+    return one.registers.named(name)
 
 
 def put(one: EmulatedCamera, **values: float) -> None:
@@ -293,7 +293,7 @@ def test_a_scheduled_action_fires_at_its_time():
     time.sleep(0.01)
     assert one.act(ActionCommand(0, 0, 1, 1)) == Status.ACTION_LATE
     assert len(shots(one)) == 1
-    due = one._clock.at(time.monotonic_ns()) + 30 * MS
+    due = one.clock.at(time.monotonic_ns()) + 30 * MS
     assert one.act(ActionCommand(0, 0, 1, due)) == Status.NO_REF_TIME
     assert 0.0 < one.next_image() <= 0.030
     time.sleep(0.035)
@@ -304,7 +304,7 @@ def test_a_scheduled_action_fires_at_its_time():
 def test_too_many_scheduled_actions_are_refused():
     one = armed(source=2)
     put(one, ActionGroupMask=1)
-    later = one._clock.at(time.monotonic_ns()) + 10**12
+    later = one.clock.at(time.monotonic_ns()) + 10**12
     answers = [one.act(ActionCommand(0, 0, 1, later)) for _ in range(17)]
     assert answers[-1] == Status.OVERFLOW
     assert Status.OVERFLOW not in answers[:-1]
@@ -363,11 +363,11 @@ def test_latched_ptp_and_time_stay_what_they_were():
 
 def test_withheld_pulses_are_those_that_the_dice_say():
     faults = Faults(withheld=0.3, seed=4)
-    luck = FaultDraws(faults, WHO.serial)
+    draws = FaultDraws(faults, WHO.serial)
     one, now = armed(faults=faults), time.monotonic_ns()
     for k in range(25):
         one.pulse(k, now + k * 10 * MS)
-    assert [shot.exposure.number for shot in shots(one)] == [k for k in range(25) if not luck.withheld(k)]
+    assert [shot.exposure.number for shot in shots(one)] == [k for k in range(25) if not draws.withheld(k)]
     assert 0 < one.counts["withheld"] < 25
 
 
@@ -381,7 +381,7 @@ def test_a_reboot_forgets_everything_and_the_clock_starts_anew():
     time.sleep(0.06)
     now = time.monotonic_ns()
     assert one.linked(now)
-    assert one._clock.at(now) < 100 * MS
+    assert one.clock.at(now) < 100 * MS
     assert one.registers.value("TriggerMode") == 0
     put(one, TriggerMode=1, TriggerSource=1, AcquisitionStart=1)
     one.pulse(9, now)

@@ -8,7 +8,7 @@ import pytest
 from array_source import ArraySource
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from loopback import Hand, free_address
+from loopback import Hand, free_address, until
 
 from hardware.emulate.faults import Faults
 from hardware.emulate.serve import Served, served
@@ -34,21 +34,13 @@ def hands(up):
         hand.close()
 
 
-def until(met):
-    deadline = time.monotonic() + 60
-    while not met():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
 def in_control(hand: Hand) -> None:
     assert hand.write(CCP, CONTROL) == 0
     assert hand.write(HEARTBEAT, PATIENT_MS) == 0
 
 
 def address_of(up: Served, name: str) -> int:
-    registers = up.devices[0].camera.registers._registers
-    return next(r.address for r in registers if r.name == name)
+    return up.devices[0].camera.registers.named(name).address
 
 
 def test_discovery_says_who_it_is(up, hands):
@@ -272,7 +264,7 @@ def victim():
     )
 )
 def test_any_bytes_leave_the_device_alive(victim, datagrams):
-    control, client = victim.devices[0]._control, ("127.0.0.1", 1000)
+    control, client = victim.devices[0].control, ("127.0.0.1", 1000)
     control.answer(command(0x82, 1, struct.pack(">II", CCP, CONTROL), 0), client)
     for datagram in datagrams:
         for broadcast in (False, True):

@@ -56,7 +56,7 @@ def test_a_long_source_is_read_while_pulses_pass(stores):
     source = ArraySource(2, 60)
     store = stores(source, 6)
     assert all(same(store, k, n, n) for n in range(60) for k in range(2))
-    assert len(store._frames) <= 2 * 13
+    assert store.kept <= 2 * 13
     assert store.frame("cam0", 60) is None
     assert store.last_pulse == 59
     store.rewind()

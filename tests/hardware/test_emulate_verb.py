@@ -9,7 +9,7 @@ import pytest
 from aravis_client import Client
 from array_source import ArraySource, picture
 from click.testing import CliRunner
-from loopback import free_address
+from loopback import free_address, until
 from needs import needs_aravis
 
 from hardware.settings import read_hardware
@@ -118,13 +118,6 @@ class Clock:
 
     def monotonic(self) -> float:
         return float(self.over)
-
-
-def until(met):
-    deadline = time.monotonic() + 60
-    while not met():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def test_a_client_grabs_a_recording_twice_over(take, monkeypatch):

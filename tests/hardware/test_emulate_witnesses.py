@@ -16,11 +16,11 @@ SHAPE = (240, 320)
 
 
 def address_of(device, name: str) -> int:
-    return next(r.address for r in device.camera.registers._registers if r.name == name)
+    return device.camera.registers.named(name).address
 
 
 def test_pygigevision_grabs_bit_for_bit():
-    gige = needs_module("pyGigEVision", "test")
+    gige = needs_module("pyGigEVision", package="pyGigEVision")
     with served(ArraySource(2, 100, SHAPE), first_address=free_address()) as up:
         device, second = up.devices
         client, xml = gige.bootstrap(str(device.identity.address.ip))

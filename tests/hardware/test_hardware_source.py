@@ -1,11 +1,10 @@
 """The rig as a source of frames, over cameras that are simulated in the test."""
 
-import textwrap
 import threading
 
 import numpy as np
 import pytest
-from fake_rig import SIZE, Fake, FakeDriver, FakeLine, picture
+from fake_rig import SIZE, Fake, FakeDriver, FakeLine, picture, pulse_in, write_rig
 
 from hardware.driver import DeviceError
 from hardware.settings import read_hardware
@@ -19,20 +18,7 @@ RATE = 100.0
 
 
 def rig_file(tmp_path, names, more="", size=SIZE):
-    text = f"[hardware]\nrate_hz = {RATE}\n"
-    for name in names:
-        text += textwrap.dedent(f"""
-            [[camera]]
-            name = "{name}"
-            size = [{size[0]}, {size[1]}]
-            [camera.hardware]
-            driver = "gige"
-            serial = "{name}"
-            {more}
-            """)
-    path = tmp_path / "rig.toml"
-    path.write_text(text)
-    return path
+    return write_rig(tmp_path / "rig.toml", names, size, RATE, more)
 
 
 def source(tmp_path, fakes, pulses=60, software=False, **kwargs):
@@ -44,10 +30,6 @@ def source(tmp_path, fakes, pulses=60, software=False, **kwargs):
         lambda name, settings: FakeDriver(name, settings, fakes[name], line),
         (lambda rig, drivers: SoftwareTrigger(drivers, RATE)) if software else (lambda rig, drivers: line),
     )
-
-
-def pulse_in(frame):
-    return int(np.frombuffer(frame.image[0, :4].tobytes(), np.uint32)[0])
 
 
 def test_it_is_a_source_of_frames_and_each_set_is_of_one_pulse(tmp_path):
@@ -93,6 +75,27 @@ def test_a_camera_that_goes_comes_back_at_the_right_pulse(tmp_path, monkeypatch)
     assert {pulse_in(f) for f in frames if f.camera == "a"} == set(range(200))
     indices = [f.index for f in of_b]
     assert indices == sorted(set(indices))
+
+
+def test_a_take_is_logged_with_its_losses_and_nothing_is_printed(tmp_path, monkeypatch, caplog, capfd):
+    monkeypatch.setattr("hardware.camera_readers.REOPEN_S", 0.05)
+    fakes = {"a": Fake(), "b": Fake(gone=range(20, 40))}
+    with caplog.at_level("DEBUG", "mosca.hardware"), source(tmp_path, fakes, pulses=80) as rig:
+        list(rig)
+    logged = {
+        level: [r.getMessage() for r in caplog.records if r.levelname == level]
+        for level in ("INFO", "WARNING")
+    }
+    assert logged["WARNING"] == rig.statistics.notes
+    for text in (
+        "camera 'b': fake, serial b, opened",
+        "trigger 'external' started at 100 Hz",
+        "rig.toml: closed",
+    ):
+        assert any(text in line for line in logged["INFO"])
+    summary = next(line for line in logged["INFO"] if line.startswith("camera 'b'") and "frames" in line)
+    assert "1 reopened" in summary
+    assert capfd.readouterr() == ("", "")
 
 
 def test_clocks_that_can_be_read_number_frames_though_answers_fail(tmp_path, monkeypatch):

@@ -2,9 +2,9 @@
 
 import socket
 import threading
-import time
 
 import pytest
+from loopback import until
 from memory_transport import Exchange
 from needs import needs_module
 
@@ -32,13 +32,6 @@ def ends(request):
     for end in made:
         end.close()
         end.close()
-
-
-def until(condition, seconds=60.0):
-    end = time.monotonic() + seconds
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.01)
-    assert condition()
 
 
 def test_what_is_published_arrives_in_order(ends):

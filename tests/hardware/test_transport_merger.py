@@ -82,7 +82,7 @@ def test_old_messages_are_thrown_away():
     m.take(item("a1", 0, 1000, age_ms=251))
     assert m.statistics.cameras["a1"].aged == 1
     assert m.ready(10**12) == []
-    m.take(replace(item("a1", 0, 1000, age_ms=251), held=True))  # it waited for the start to be known
+    m.take(replace(item("a1", 0, 1000, age_ms=251), buffered=True))  # it waited for the start to be known
     assert m.statistics.cameras["a1"].aged == 1
     assert len(m.rest(10**12)) == 1
 

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
+from loopback import until
 from memory_transport import Exchange
 from ready_station import SIZE, infos, play, pulse_in
 
@@ -81,13 +82,6 @@ def receiver(exchange, stations=("A", "B"), settings=PATIENT, cameras=SIZES, rat
 
 def soon():
     return time.monotonic_ns() + 300_000_000
-
-
-def until(met):
-    deadline = time.monotonic() + 60
-    while not met():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def read(stream, sets, met):

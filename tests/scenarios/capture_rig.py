@@ -5,23 +5,23 @@ NEWEST then holds the host's time at which the last frame was grabbed (int64).
 """
 
 import os
+import queue
 import signal
 import sys
-import textwrap
-import threading
 import time
-from collections import deque
 from pathlib import Path
 
 import numpy as np
 
-from hardware.driver import Capabilities, ClockReading, DeviceError, DeviceReport, Grabbed
-from hardware.trigger import External
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "hardware"))
+from fake_rig import EXPOSURE_NS, FakeDevice, PulseThread
+from fake_rig import write_rig as write_rig_of
+
+from hardware.driver import Capabilities, ClockReading, DeviceError, Grabbed
 
 RATE = 100.0
 SIZE = (656, 491)
 QUARTER = (164, 123)
-EXPOSURE_NS = 500_000
 
 
 def dark_noise(seed=0, size=SIZE, n=8):
@@ -40,19 +40,7 @@ def dark_noise(seed=0, size=SIZE, n=8):
 
 
 def write_rig(path, names, size=SIZE, rate=RATE, more=""):
-    text = f"[hardware]\nrate_hz = {rate}\n"
-    for name in names:
-        text += textwrap.dedent(f"""
-            [[camera]]
-            name = "{name}"
-            size = [{size[0]}, {size[1]}]
-            {more}
-            [camera.hardware]
-            driver = "gige"
-            serial = "{name}"
-            """)
-    path.write_text(text)
-    return path
+    return write_rig_of(path, names, size, rate, camera=more)
 
 
 def ctrl_c(when):
@@ -71,74 +59,33 @@ def ctrl_c(when):
     return progress
 
 
-class Line(External):
+class Line(PulseThread):
     """Pulses at a rate; ``misses``: camera -> pulses that it does not see; ``spoilt``: those that come damaged.
 
     After pulse ``gone_at`` no camera answers; ``asked_in_vain``: those that were asked then.
     """
 
+    # a frame is here once it was exposed: one that is earlier is none of its stamp's
+    delay_s = EXPOSURE_NS * 1e-9
+
     def __init__(self, rate=RATE, misses=None, spoilt=None, gone_at=None):
-        self.rate, self.misses, self.spoilt, self.gone_at = rate, misses or {}, spoilt or {}, gone_at
-        self.drivers, self.made, self.begin_ns, self.asked_in_vain = {}, 0, 0, set()
-        self.armed_when_started, self.newest = None, np.zeros(1, np.int64)
-        self._stop, self._thread = threading.Event(), None
+        super().__init__(rate)
+        self.misses, self.spoilt, self.gone_at = misses or {}, spoilt or {}, gone_at
+        self.asked_in_vain, self.armed_when_started, self.newest = set(), None, np.zeros(1, np.int64)
 
     def start(self):
         self.armed_when_started = {name: driver.armed for name, driver in self.drivers.items()}
-        self._stop.clear()
-        begin = time.monotonic()
-        self.begin_ns = round(begin * 1e9)
-        self._thread = threading.Thread(target=self._run, args=(begin,), daemon=True)
-        self._thread.start()
-        return self.begin_ns
-
-    def stop(self):
-        self._stop.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-
-    close = stop
-
-    def report(self):
-        return {"pulses": self.made}
-
-    def _run(self, begin):
-        while not self._stop.is_set():
-            # a frame is here once it was exposed: one that is earlier is none of its stamp's
-            wait = begin + self.made / self.rate + EXPOSURE_NS * 1e-9 - time.monotonic()
-            if wait > 0 and self._stop.wait(wait):
-                return
-            for driver in self.drivers.values():
-                driver.pulse(self.made)
-            self.made += 1
+        return super().start()
 
 
-class Camera:
+class Camera(FakeDevice):
     """A camera on the line; ``images`` come round and round, or a function of the pulse."""
 
     def __init__(self, name, line, images, size=SIZE):
-        self.name, self.line, self.images, self.size = name, line, images, size
-        self.frames, self.came = deque(), threading.Semaphore(0)
-        self.armed, self.block, self.given = False, 0, 0
-        line.drivers[name] = self
+        super().__init__(name, line, size)
+        self.images, self.given = images, 0
 
     capabilities = Capabilities(device_clock=True, hardware_trigger=True)
-
-    def configure(self, settings):
-        return DeviceReport("fake", settings.serial, *self.size, 8, EXPOSURE_NS, {"Gain": 0.0})
-
-    def arm(self):
-        self.armed, self.block = True, 0
-
-    def disarm(self):
-        self.armed = False
-
-    def statistics(self):
-        return {"exposed": self.block}
-
-    def close(self):
-        pass
 
     def software_trigger(self):
         raise DeviceError("none")
@@ -153,18 +100,18 @@ class Camera:
         image = self.images(number) if callable(self.images) else self.images[number % len(self.images)]
         if number in self.line.spoilt.get(self.name, ()):
             image = None
-        stamp = self.line.begin_ns + round(number * 1e9 / self.line.rate) + 5_000_000_000
-        self.frames.append((self.block, stamp, image))
+        self.frames.put((self.block, self.line.due_ns(number) + 5_000_000_000, image))
         self.block += 1
-        self.came.release()
+        self.count += 1
 
     def grab(self, timeout_s):
         if self.line.gone_at is not None and self.given > self.line.gone_at:
             self.line.asked_in_vain.add(self.name)
             raise DeviceError(f"camera '{self.name}': does not answer any more; check its cable")
-        if not self.came.acquire(timeout=timeout_s):
+        try:
+            block, stamp, image = self.frames.get(timeout=timeout_s)
+        except queue.Empty:
             return None
-        block, stamp, image = self.frames.popleft()
         self.given += 1
         image = None if image is None else image.copy()
         now = time.monotonic_ns()

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from capture_rig import Line, ctrl_c, openers, write_rig
 from click.testing import CliRunner
+from fake_rig import pulse_in
 from mcap.reader import make_reader
 
 from hardware.driver import Device, DeviceError
@@ -40,10 +41,6 @@ def picture(camera, pulse):
     image = np.random.default_rng([ord(camera), pulse]).integers(0, 9, (SMALL[1], SMALL[0])).astype(np.uint8)
     image[0, :4] = np.frombuffer(np.uint32(pulse).tobytes(), np.uint8)
     return image
-
-
-def pulse_in(frame):
-    return int(np.frombuffer(frame.image[0, :4].tobytes(), np.uint32)[0])
 
 
 def small(line):
@@ -409,7 +406,9 @@ def test_devices_are_listed_without_being_opened(tmp_path, rig):
 
 
 def test_a_camera_that_is_not_there_fails_the_check(rig, monkeypatch):
-    monkeypatch.setattr(devices_module, "describe_devices", partial(describe_devices, look=lambda *asked: []))
+    monkeypatch.setattr(
+        devices_module, "describe_devices", partial(describe_devices, list_devices=lambda *asked: [])
+    )
     result = CliRunner().invoke(cli_rig.rig, ["check", "--devices", str(rig)])
     assert isinstance(result.exception, InputError)
     assert "its cameras not found: a" in str(result.exception)

@@ -128,7 +128,7 @@ def test_backgrounds_are_made_and_taken_off_as_in_a_local_run(tmp_path):
     seen = {}
     for backgrounds in (Backgrounds(ready=made), Backgrounds(spec), Backgrounds()):
         exchange, told = Exchange(), []
-        backgrounds._told = told.append
+        backgrounds.on_made = told.append
         with Receiver(exchange.open(), ("A",), dict.fromkeys(NAMES, SIZE), RATE, PATIENT) as here:
             source = PacedRecording(Lit(WHOLE.cameras, PULSES))
             sender = source.gate.sender = Sender(exchange.open(), "A", source.cameras)
