@@ -1,4 +1,4 @@
-"""TwinSource: a FrameSource whose cameras look at a scene, and the truth of what they looked at."""
+"""TwinSource: a FrameSource of virtual cameras before a scene, and its truth."""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -12,14 +12,14 @@ from mosca.data.arrays import Array
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.truth import Truth
 from mosca.errors import InputError
-from twin.cameras.camera_session import Shot, Station
+from twin.cameras.camera_session import CameraSession, TrueExposure
 from twin.cameras.delivery import Delivery, Taken, deliver
 from twin.cameras.expected_image import STEP_PX, Expected, expected_frame
-from twin.cameras.exposure.scene_sampling import Moment
+from twin.cameras.exposure.scene_sampling import SceneSamples
 from twin.cameras.exposure.shutter import pulse_time_s
 from twin.cameras.optics.lens import moved
 from twin.cameras.stray_light.stray import Surroundings
-from twin.cameras.stray_light.surroundings import Around
+from twin.cameras.stray_light.surroundings import StrayLight
 from twin.cameras.subject import Subject
 from twin.cameras.virtual_camera import VirtualCamera
 from twin.scenes.scene import Scene, SceneSampler
@@ -59,17 +59,31 @@ class _Reading:
 
 
 class TwinSource:
-    """Exposes ``scene`` through ``cameras`` at ``frame_rate_hz`` from pulse 0, ``pulses`` times.
-
-    ``exposure_s``: the window of every exposure [s], but for cameras with one of their own. A triggered camera
-    takes a frame a pulse, one that runs free as many as fall between two pulses. ``deliveries``: camera name ->
-    what goes wrong on its frames' way; a camera that is not named delivers every frame. ``surroundings``: what
-    else sends light; None: nothing.
+    """Exposes a scene through virtual cameras at the pulses of a trigger.
 
     Same seed, same bytes: over runs, processes and numbers of ``workers`` (threads), because each frame draws
     from streams of its own. Each iteration starts anew with workers of its own; ``close`` ends those under way.
-    ``truth()`` tells what really was at the pulses that the iteration started last has read. Raises InputError for
-    cameras that cannot be.
+    ``truth()`` returns the true state at the pulses that the iteration started last has read. Raises InputError for
+    impossible cameras.
+
+    Parameters
+    ----------
+    scene
+        What is filmed.
+    cameras
+        The cameras. A triggered one takes a frame a pulse, a free-running one as many as fall between two pulses.
+    frame_rate_hz, pulses
+        Rate of the trigger and number of its pulses, from pulse 0.
+    exposure_s
+        Length of every exposure, but for cameras with one of their own.
+    seed
+        Of all random numbers.
+    workers
+        Threads that render.
+    deliveries
+        Camera name -> faults of its frames' delivery; a camera that is not named delivers every frame.
+    surroundings
+        Stray light; None: none.
     """
 
     def __init__(
@@ -93,8 +107,8 @@ class TwinSource:
             if name not in names:
                 raise InputError(f"deliveries: camera '{name}' given; the rig has {', '.join(names)}")
         self._subject = Subject.of(scene, self.virtual)
-        self._stations = tuple(
-            Station(
+        self._sessions = tuple(
+            CameraSession(
                 v,
                 self._subject,
                 frame_rate_hz=frame_rate_hz,
@@ -104,17 +118,17 @@ class TwinSource:
             )
             for v in self.virtual
         )
-        self._around = None
+        self._stray_light = None
         if surroundings is not None and surroundings != Surroundings():
-            self._around = Around(surroundings, self._stations)
+            self._stray_light = StrayLight(surroundings, self._sessions)
         self._thread = local()
         self._latest: list[PulseLog] = []
         self._readings: set[_Reading] = set()
 
     @property
     def cameras(self) -> tuple[CameraInfo, ...]:
-        """What each camera says of itself."""
-        return tuple(station.info for station in self._stations)
+        """Each camera's description."""
+        return tuple(session.info for session in self._sessions)
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield the frames as they arrive: pulse by pulse, in the rig's order; starts anew each time."""
@@ -147,8 +161,8 @@ class TwinSource:
         return [log.xyz for log in self._latest]
 
     def truth(self) -> Truth:
-        """Return what really was at the pulses read so far."""
-        return truth_of(list(self._latest), self._stations, self.scene.marker_names)
+        """Return the true state at the pulses read so far."""
+        return truth_of(list(self._latest), self._sessions, self.scene.marker_names)
 
     def expected(self, pulse: int) -> tuple[Expected, ...]:
         """Return what each camera's frame at ``pulse`` holds on average, and how it changes when its image moves.
@@ -156,24 +170,24 @@ class TwinSource:
         The camera shakes and opens as it does in that frame; sensor noise alone is averaged out. Stray light
         counts as background. A camera without a frame at that pulse is left out.
         """
-        moment = Moment(self._sampler(), self._subject.geoms, self._subject.bodies)
+        samples = SceneSamples(self._sampler(), self._subject.geoms, self._subject.bodies)
         found = []
-        for camera, station in enumerate(self._stations):
-            for exposure in station.exposures(pulse)[:1]:
-                sight = station.look(exposure, moment)
-                light = self._room(station)
-                station.collect(sight, moment, light)
-                rest, ambient = light.astype(float), station.ambient
-                if self._around is not None:
-                    self._around.add_targets(camera, sight, moment, light)
-                    ambient = self._around.ambient(camera, sight, moment, light)
+        for camera, session in enumerate(self._sessions):
+            for exposure in session.exposures(pulse)[:1]:
+                exposed = session.prepare(exposure, samples)
+                light = self._light_buffer(session)
+                session.add_light(exposed, samples, light)
+                rest, ambient = light.astype(float), session.ambient
+                if self._stray_light is not None:
+                    self._stray_light.add_targets(camera, exposed, samples, light)
+                    ambient = self._stray_light.ambient(camera, exposed, samples, light)
                 shifted = []
                 for right, down in ((STEP_PX, 0.0), (-STEP_PX, 0.0), (0.0, STEP_PX), (0.0, -STEP_PX)):
-                    light = self._room(station)
-                    station.collect(replace(sight, lens=moved(sight.lens, right, down)), moment, light)
+                    light = self._light_buffer(session)
+                    session.add_light(replace(exposed, lens=moved(exposed.lens, right, down)), samples, light)
                     shifted.append(light.copy())
                 right_left_down_up = (shifted[0], shifted[1], shifted[2], shifted[3])
-                virtual = station.virtual
+                virtual = session.virtual
                 found.append(
                     expected_frame(virtual.camera.name, virtual.sensor, ambient, rest, right_left_down_up)
                 )
@@ -199,26 +213,26 @@ class TwinSource:
 
     def _expose_pulse(self, pulse: int) -> _Period:
         """Let every camera take what it takes from a pulse until the next."""
-        moment = Moment(self._sampler(), self._subject.geoms, self._subject.bodies)
-        sights = [[s.look(e, moment) for e in s.exposures(pulse)] for s in self._stations]
+        samples = SceneSamples(self._sampler(), self._subject.geoms, self._subject.bodies)
+        exposed_scenes = [[s.prepare(e, samples) for e in s.exposures(pulse)] for s in self._sessions]
         taken: list[Taken] = []
-        shots: list[tuple[Shot, ...]] = []
-        for camera, station in enumerate(self._stations):
+        true_exposures: list[tuple[TrueExposure, ...]] = []
+        for camera, session in enumerate(self._sessions):
             own = []
-            for sight in sights[camera]:
-                light = self._room(station)
-                own.append(station.collect(sight, moment, light))
-                ambient = station.ambient
-                if self._around is not None:
-                    self._around.add_targets(camera, sight, moment, light)
-                    ambient = self._around.ambient(camera, sight, moment, light)
-                frame = station.develop(sight.exposure, light, ambient)
-                taken.append(Taken(frame, sight.exposure.start_s, sight.exposure.nominal_s))
-            shots.append(tuple(own))
+            for exposed in exposed_scenes[camera]:
+                light = self._light_buffer(session)
+                own.append(session.add_light(exposed, samples, light))
+                ambient = session.ambient
+                if self._stray_light is not None:
+                    self._stray_light.add_targets(camera, exposed, samples, light)
+                    ambient = self._stray_light.ambient(camera, exposed, samples, light)
+                frame = session.read_out(exposed.exposure, light, ambient)
+                taken.append(Taken(frame, exposed.exposure.start_s, exposed.exposure.nominal_s))
+            true_exposures.append(tuple(own))
         taken.sort(key=lambda one: one.due_s)  # stable: the rig's order for those of one trigger
         middle = pulse_time_s(pulse, self.frame_rate_hz) + self.exposure_s / 2
-        xyz = moment.at(np.array([middle])).geom_xyz[0, self._subject.marker_at]
-        return _Period(tuple(taken), PulseLog(middle, xyz, tuple(shots)))
+        xyz = samples.at(np.array([middle])).geom_xyz[0, self._subject.marker_at]
+        return _Period(tuple(taken), PulseLog(middle, xyz, tuple(true_exposures)))
 
     def _sampler(self) -> SceneSampler:
         if not hasattr(self._thread, "sampler"):
@@ -226,12 +240,12 @@ class TwinSource:
         sampler: SceneSampler = self._thread.sampler
         return sampler
 
-    def _room(self, station: Station) -> Array:
-        """Return this worker's room for the light on a camera's pixels (H, W) float32, dark."""
-        shape = (station.virtual.camera.height, station.virtual.camera.width)
-        rooms = self._thread.__dict__.setdefault("rooms", {})
-        if shape not in rooms:
-            rooms[shape] = np.empty(shape, dtype=np.float32)
-        room: Array = rooms[shape]
-        room.fill(0.0)
-        return room
+    def _light_buffer(self, session: CameraSession) -> Array:
+        """Return this worker's buffer for the light on a camera's pixels (H, W) float32, zeroed."""
+        shape = (session.virtual.camera.height, session.virtual.camera.width)
+        buffers = self._thread.__dict__.setdefault("buffers", {})
+        if shape not in buffers:
+            buffers[shape] = np.empty(shape, dtype=np.float32)
+        buffer: Array = buffers[shape]
+        buffer.fill(0.0)
+        return buffer

@@ -3,7 +3,7 @@
 Photon transfer (sections 2 and 6): pairs of even images at rising exposure give mean and temporal variance; the
 slope of variance over mean is the system gain K, the slope of mean over photons the responsivity R = K eta. Spatial
 nonuniformity (sections 4 and 8): stacks of images in the dark and at half of saturation. Nothing here knows how the
-images were made. All in counts [DN] unless a name says otherwise.
+images were made. All in counts [DN] unless a name states otherwise.
 """
 
 from dataclasses import dataclass

@@ -1,6 +1,6 @@
 """Light of what is not evenly bright or not one convex spot: limb darkening, shading, printed figures.
 
-Targets are told by their definitions (brightness as a function of the place on the target), never by the
+Targets are given by their definitions (brightness as a function of the place on the target), never by the
 contours that the twin draws; those are checked against them.
 """
 

@@ -34,7 +34,7 @@ def fixed(value: Any) -> Path:
 
 
 class World:
-    """One marker (geom 0, ``marker``) and what may stand before it, moving as told."""
+    """One marker (geom 0, ``marker``) and what may stand before it, moving as given."""
 
     def __init__(
         self, at: Path, radius: float, normal: Array | None = None, turn: Path | None = None

@@ -34,7 +34,7 @@ from twin.cameras.sensor.background_light import Backdrop
 from twin.cameras.sensor.sensor import Sensor
 from twin.cameras.stray_light.context_image import Cloth, Context
 from twin.cameras.stray_light.glare import Glare
-from twin.cameras.stray_light.mirror import Mirror
+from twin.cameras.stray_light.mirror import PlaneMirror
 from twin.cameras.stray_light.stray import Surroundings
 from twin.cameras.stray_light.world import RingLight, ShinySpot
 from twin.cameras.virtual_camera import VirtualCamera
@@ -121,7 +121,7 @@ def surroundings(spec: Scenario) -> Surroundings:
         context,
         None if given.ring_light is None else RingLight(**given.ring_light.model_dump()),
         tuple(ShinySpot(**spot.model_dump()) for spot in given.spots),
-        tuple(Mirror(**mirror.model_dump()) for mirror in given.mirrors),
+        tuple(PlaneMirror(**mirror.model_dump()) for mirror in given.mirrors),
         Glare(**given.glare.model_dump()),
     )
 

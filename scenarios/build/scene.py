@@ -130,7 +130,7 @@ def _subject(spec: Scenario, folder: Path) -> Scene:
             speed_mps=scene.speed_mps,
             markers=scene.markers,
             marker_diameter_m=scene.marker_diameter_m,
-        )
+        ).scene
     if isinstance(scene, RobotScene):
         from scenarios.build.robot_commands import command_lines
         from twin.scenes.robot import build_robot

@@ -20,7 +20,7 @@ from scenarios.fidelity.demo_scene import (
 from twin.cameras.sensor.background_light import Backdrop
 from twin.cameras.sensor.sensor import Sensor
 from twin.cameras.stray_light.context_image import Cloth, Context
-from twin.cameras.stray_light.mirror import Mirror
+from twin.cameras.stray_light.mirror import PlaneMirror
 from twin.cameras.stray_light.stray import Surroundings
 from twin.cameras.stray_light.world import RingLight, ShinySpot
 from twin.scenes.actor import build_actor
@@ -111,11 +111,11 @@ def mirror() -> Crop:
     """A polished floor."""
     balls = [Ball(by_px(x, y), metres(7.0)) for x, y in ((-34.0, -14.0), (0.0, -4.0), (32.0, -17.0))]
     scene, camera = stage(balls), quiet_camera()
-    floor = Mirror((0.0, 0.06, 1.6), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (3.0, 3.0), 0.5)
+    floor = PlaneMirror((0.0, 0.06, 1.6), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (3.0, 3.0), 0.5)
     seen = photo(scene, camera, surroundings=Surroundings(mirrors=(floor,)))
     return Crop(
         "mirror",
-        "Mirror images",
+        "PlaneMirror images",
         (WITHOUT, "above a floor that reflects half"),
         side_by_side(grey(photo(scene, camera)), grey(seen), zoom=4),
         "The image of each marker stands where plane geometry has it, dimmer by the reflectance. Such images are "

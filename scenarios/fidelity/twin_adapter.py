@@ -21,8 +21,8 @@ from twin.cameras.render.render import (
     FLAT,
     Figures,
     MeshRays,
-    Seen,
     TargetsInCamera,
+    VisibleTargets,
     Window,
     render_targets,
 )
@@ -97,7 +97,7 @@ def seen_by_twin(
     occluders: Occluders = NOTHING,
     geoms_at: Callable[[float], tuple[Array, Array]] | None = None,
     mesh_rays: MeshRays | None = None,
-) -> tuple[Array, Seen]:
+) -> tuple[Array, VisibleTargets]:
     """Return the twin's noise-free image (H, W) over ELECTRONS, and what it says it saw.
 
     ``size``: width and height; ``geoms_at``: time -> the occluders' centres (k, 3) and rotations (k, 3, 3) in the

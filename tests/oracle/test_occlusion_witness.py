@@ -15,7 +15,7 @@ from scenarios.fidelity.twin_adapter import Target, seen_by_twin, window_of
 from scenarios.fidelity.views import small_camera
 from twin.cameras.render.mesh_occlusion import MeshRays
 from twin.cameras.render.occluders import occluders_of
-from twin.cameras.render.render import Seen, has_meshes
+from twin.cameras.render.render import VisibleTargets, has_meshes
 from twin.scenes.scene import Scene
 from witness.image import Array
 from witness.rays import MARKER_GROUP, POSITION, ROTATION, UNSEEN_GROUP, Path, World, fixed, seen_over_time
@@ -81,7 +81,7 @@ def put(where: World, name: str, at: Path, turn: Path | None = None) -> World:
     return where.add_mesh(MESHES[name], at, turn)
 
 
-def look(where: World) -> tuple[Array, Seen]:
+def look(where: World) -> tuple[Array, VisibleTargets]:
     """Return the twin's image of the marker (geom 0) and what it saw."""
     model, data = where.compile()
     geoms = tuple(int(g) for g in np.flatnonzero(model.geom_group == MARKER_GROUP))

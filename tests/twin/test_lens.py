@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from mosca.camera.projection import fit_lens, image_grid, lens_directions, lens_pixels
 from mosca.data.rig import FisheyeLens, MoscaLens, OpenCVLens
 from twin.cameras.optics.blur_parameters import Optics
-from twin.cameras.optics.lens import GAPS, GapTerms, TwinLens, land, origin_at, warmed
+from twin.cameras.optics.lens import GAPS, GapTerms, TwinLens, point_at_distance, project, warmed
 
 W, H = 656, 491
 MOSCA = MoscaLens(6.5, 291.45, 255.46, 0.00943, 0.00944, -0.0067, 8.7e-4, -1.8e-5, 3e-7, 2.8e-4, 4.5e-5)
@@ -60,7 +60,7 @@ def test_there_and_back(lens, terms, distance):
 def test_slopes_against_finite_differences(lens, terms):
     twin = TwinLens.of(lens, W, H, terms)
     for place in twin.directions(np.array([[30.0, 40.0], [600.0, 300.0], [330.0, 250.0]]), 1.7) * 1.7:
-        _u, _v, *slopes, ok = land(twin.vector, *place)
+        _u, _v, *slopes, ok = project(twin.vector, *place)
         assert ok
         for k in range(3):
             step = 1e-6 * np.eye(3)[k]
@@ -124,9 +124,9 @@ def test_places_nearer_than_the_pupil_shift_are_not_imaged():
 )
 def test_land_inverts_origin(name, gap, tilt, shift, distance, at):
     vector = TwinLens.of(LENSES[name], W, H, GapTerms(gap, tilt, shift)).vector
-    place = origin_at(vector, *at, distance)
+    place = point_at_distance(vector, *at, distance)
     assert np.linalg.norm(place) == pytest.approx(distance, rel=1e-12)
-    u, v, *_slopes, ok = land(vector, *place)
+    u, v, *_slopes, ok = project(vector, *place)
     assert ok
     np.testing.assert_allclose((u, v), at, rtol=0, atol=1e-7)
 
@@ -161,7 +161,7 @@ def test_equidistant_in_closed_form_before_and_behind(theta_deg):
     twin = TwinLens.of(lens, W, H)
     np.testing.assert_allclose(twin.pixels(v), [expected], atol=1e-9)
     np.testing.assert_allclose(twin.directions(np.array([expected])), [v], atol=1e-12)
-    _u, _v, *slopes, ok = land(twin.vector, *v)
+    _u, _v, *slopes, ok = project(twin.vector, *v)
     assert ok
     # along a meridian the image moves f d(theta), across it f theta / sin(theta); along the ray not at all
     along = [np.cos(theta) * np.cos(about), np.cos(theta) * np.sin(about), -np.sin(theta)]

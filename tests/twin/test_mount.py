@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from mosca.data.arrays import Array
 from mosca.data.rig import OpenCVLens, Pose
 from mosca.errors import InputError
-from twin.cameras.exposure.mount import Mount, Stand, pixels_per_radian
+from twin.cameras.exposure.mount import CameraSupport, Mount, pixels_per_radian
 from twin.cameras.optics.lens import TwinLens
 from twin.streams import rng
 
@@ -23,11 +23,11 @@ POSE = Pose(
 )
 
 
-def stand(mount: Mount, seed: int = SEED, duration_s: float = 100.0, name: str = "eye") -> Stand:
-    return Stand.of(mount, name, POSE, FOCAL_PX, seed, duration_s)
+def stand(mount: Mount, seed: int = SEED, duration_s: float = 100.0, name: str = "eye") -> CameraSupport:
+    return CameraSupport.of(mount, name, POSE, FOCAL_PX, seed, duration_s)
 
 
-def image_of(stand_: Stand, times_s: Array, place: Array, frame: int = 0) -> Array:
+def image_of(stand_: CameraSupport, times_s: Array, place: Array, frame: int = 0) -> Array:
     """Image (k, 2) of a place in the world by a pinhole: similar triangles, from the middle of the view [px]."""
     rotation, position = stand_.pose_at(times_s, frame)
     here = np.einsum("kji,kj->ki", rotation, place - position)

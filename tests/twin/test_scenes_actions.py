@@ -22,7 +22,7 @@ from scenarios.spec.scenes import ActorScene
 from twin.scenes.actions import Action
 from twin.scenes.actor import BuiltInConfiguration, build_actor
 from twin.scenes.scene import MARKER_GROUP, Scene
-from twin.scenes.submovements import Score, minimum_jerk, there_and_back
+from twin.scenes.submovements import MovementSequence, minimum_jerk, there_and_back
 
 ACTIONS = ("boxing", "dance", "jump")
 CENTER, SIZE = np.array([0.2, -0.1, 1.25]), np.array([2.5, 2.5, 2.5])
@@ -298,7 +298,7 @@ def test_errors() -> None:
 
 @given(st.lists(st.tuples(st.floats(0, 5), st.floats(0.1, 2), st.floats(-1, 1)), min_size=1, max_size=6))
 def test_movements_add_up_to_the_last_target(moves: list[tuple[float, float, float]]) -> None:
-    score = Score()
+    score = MovementSequence()
     score.begin(arm=0.25)
     for start, length, target in moves:
         score.move("arm", start, start + length, target)

@@ -8,6 +8,8 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from test_targets_scenes import BUILDERS as TARGETS
+from test_targets_scenes import positions
 
 from twin.scenes.actor import build_actor
 from twin.scenes.cloud import build_cloud
@@ -52,11 +54,12 @@ BUILDERS: dict[str, Builder] = {
     "circle": lambda s, _: build_actor(**COMMON, rng=np.random.default_rng(s)),
     "in_place": lambda s, _: build_actor(**COMMON, gait="in_place", rng=np.random.default_rng(s)),
     "back_and_forth": lambda s, _: build_actor(**COMMON, gait="back_and_forth", rng=np.random.default_rng(s)),
-    "drone": lambda s, _: build_drone(**COMMON, rng=np.random.default_rng(s)),
+    "drone": lambda s, _: build_drone(**COMMON, rng=np.random.default_rng(s)).scene,
     "robot": lambda s, _: build_robot(**COMMON, rng=np.random.default_rng(s)),
     "cloud": lambda s, _: build_cloud(**COMMON, rng=np.random.default_rng(s)),
     "turntable": lambda s, f: _own(s, f, "turntable"),
     "physics": lambda s, f: _own(s, f, "physics"),
+    **{name: lambda s, _, build=build: build(s) for name, build in TARGETS.items()},
 }
 
 
@@ -66,18 +69,25 @@ def made(request: pytest.FixtureRequest, folder: Path) -> tuple[str, Scene]:
 
 
 def test_markers_are_massless_geoms_that_touch_nothing(made: tuple[str, Scene]) -> None:
-    _, scene = made
+    name, scene = made
     model, ids = scene.model, np.array(scene.marker_geoms)
     assert len(set(scene.marker_names)) == len(ids)
     assert [model.geom(int(g)).name.rpartition(MARKER_PREFIX)[2] for g in ids] == list(scene.marker_names)
     assert set(np.nonzero(model.geom_group == MARKER_GROUP)[0]) == set(ids)
     assert not model.geom_contype[ids].any()
     assert not model.geom_conaffinity[ids].any()
-    kinds = {int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)}
-    assert set(model.geom_type[ids]) <= kinds
+    sphere, cylinder, box = (
+        int(getattr(mujoco.mjtGeom, f"mjGEOM_{k}")) for k in ("SPHERE", "CYLINDER", "BOX")
+    )
+    assert set(model.geom_type[ids]) <= {sphere, cylinder, box}
+    boxes = model.geom_type[ids] == box
+    assert {n for n, is_box in zip(scene.marker_names, boxes, strict=True) if is_box} == set(scene.figures)
     assert model.nmocap == 0
     for names in scene.bodies.values():
         assert set(names) <= set(scene.marker_names)
+    if name in TARGETS:
+        assert set(scene.glows) == set(scene.marker_names)
+        assert list(scene.bodies.values()) == [scene.marker_names]
 
 
 def test_same_seed_gives_the_same_bytes(made: tuple[str, Scene], folder: Path) -> None:
@@ -86,8 +96,9 @@ def test_same_seed_gives_the_same_bytes(made: tuple[str, Scene], folder: Path) -
     times = np.linspace(-0.1, DURATION_S + 0.1, 23)
     for t in times:
         assert scene.configuration_at(t).tobytes() == again.configuration_at(t).tobytes()
-    if name != "physics":  # nothing is drawn there
-        assert any((scene.configuration_at(t) != other.configuration_at(t)).any() for t in times)
+    assert positions(scene, times).tobytes() == positions(again, times).tobytes()
+    if name != "physics" and scene.marker_names == other.marker_names:  # nothing is drawn there
+        assert (positions(scene, times) != positions(other, times)).any()
 
 
 def test_configurations_are_pure_and_may_be_asked_for_from_any_thread(made: tuple[str, Scene]) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mosca.errors import InputError
-from twin.scenes.drone import EDGE_M, Flight, build_flight
+from twin.scenes.drone import EDGE_M, Flight, build_drone
 from twin.scenes.flight import FLIGHT_PATHS, FlightPath
 from twin.scenes.scene import MARKER_GROUP, Scene
 from twin.scenes.world import SEAT_M
@@ -17,7 +17,7 @@ CENTER, SIZE = np.array([0.2, 0.1, 1.25]), np.array([2.5, 2.5, 2.5])
 
 def _flight(**settings: Any) -> Flight:
     given = {"duration_s": 3.0, "box_center_m": CENTER, "box_size_m": SIZE, "rng": np.random.default_rng(2)}
-    return build_flight(**{**given, **settings})
+    return build_drone(**{**given, **settings})
 
 
 def test_size_and_mass_are_the_papers() -> None:

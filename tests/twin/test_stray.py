@@ -21,10 +21,10 @@ from twin.cameras.sensor.background_light import Ambient
 from twin.cameras.sensor.sensor import Sensor
 from twin.cameras.stray_light.context_image import Context
 from twin.cameras.stray_light.glare import Glare, veil, veil_image
-from twin.cameras.stray_light.mirror import Mirror, SceneRays, mirrored, seen_share, with_mirrored
+from twin.cameras.stray_light.mirror import PlaneMirror, SceneRays, mirrored, seen_share, with_mirrored
 from twin.cameras.stray_light.stray import Surroundings, stray_targets, unhidden
 from twin.cameras.stray_light.world import (
-    Heads,
+    RigPoses,
     RingLight,
     ShinySpot,
     TargetsInWorld,
@@ -40,7 +40,7 @@ NODES = 3
 LOOKING_MINUS_X = np.array([[0.0, 0, -1], [1, 0, 0], [0, -1, 0]])
 """World from camera: looks along -x, image x along the world's y, z up."""
 EYE = np.array([2.0, 0.0, 0.0])
-WALL = Mirror((0.0, 0.0, 0.0), (1.0, 0, 0), (0, 1.0, 0), (3.0, 2.0), reflectance=0.8)
+WALL = PlaneMirror((0.0, 0.0, 0.0), (1.0, 0, 0), (0, 1.0, 0), (3.0, 2.0), reflectance=0.8)
 """In the plane x = 0, seen from +x, 3 m along y and 2 m high."""
 
 
@@ -151,9 +151,9 @@ def test_a_target_does_not_hide_itself():
 
 def test_mirrors_that_mean_nothing_are_refused():
     with pytest.raises(InputError, match="right angles"):
-        Mirror((0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 1))
+        PlaneMirror((0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 1))
     with pytest.raises(InputError, match="reflectance"):
-        Mirror((0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1), reflectance=1.2)
+        PlaneMirror((0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1), reflectance=1.2)
 
 
 def area(pieces: Array) -> float:
@@ -202,7 +202,7 @@ def rendered(targets: TargetsInCamera, figures: Figures | None = None) -> Array:
 def test_the_image_in_a_mirror_is_the_flipped_image_of_a_flipped_world(shape):
     """A camera that looks straight into a mirror sees what its image behind it sees, left and right swapped."""
     # the mirror is y = 1; a camera on y = 0.6 looks along +y; the world's image behind the mirror swaps y with 2 - y
-    mirror = Mirror((0.0, 1.0, 0.0), (0.0, -1.0, 0), (1.0, 0, 0), (4.0, 4.0), reflectance=1.0)
+    mirror = PlaneMirror((0.0, 1.0, 0.0), (0.0, -1.0, 0), (1.0, 0, 0), (4.0, 4.0), reflectance=1.0)
     looking = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
     at = np.array([0.0, 0.6, 0.0])
     tilted = (
@@ -223,13 +223,13 @@ def test_the_image_in_a_mirror_is_the_flipped_image_of_a_flipped_world(shape):
     assert image.sum() == pytest.approx(straight.sum(), rel=1e-4)
 
 
-def heads() -> Heads:
+def heads() -> RigPoses:
     """Camera 0 at (2, 0, 0) looks along -x; camera 1 at (-2, 0, 0) faces it; camera 2 at (-2, 1, 0) looks away."""
     facing = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
     position = np.array([EYE, -EYE, [-2.0, 1, 0]])
     rotation = np.stack([LOOKING_MINUS_X, facing, LOOKING_MINUS_X])
     lit = np.array([[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]])
-    return Heads(
+    return RigPoses(
         np.repeat(position[:, None], NODES, axis=1), np.repeat(rotation[:, None], NODES, axis=1), lit
     )
 

@@ -1,4 +1,4 @@
-"""A camera at its place in a session: everything about it that is worked out once, and how it takes a frame."""
+"""A camera during a session: everything about it that is computed once, and how it takes a frame."""
 
 import math
 from dataclasses import dataclass
@@ -8,22 +8,22 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.frames import CameraInfo, Frame
-from twin.cameras.exposure.lighting import NEVER, Lit, TargetLight, lit_during, target_light
-from twin.cameras.exposure.mount import Stand, pixels_per_radian
+from twin.cameras.exposure.lighting import NEVER, LitIntervals, TargetLight, lit_during, target_light
+from twin.cameras.exposure.mount import CameraSupport, pixels_per_radian
 from twin.cameras.exposure.scene_sampling import (
-    Moment,
-    Places,
-    Stretch,
+    GeomPoses,
+    SampledInterval,
+    SceneSamples,
     View,
+    interval_about,
     lobatto_nodes,
     seen_from,
-    stretch_about,
 )
 from twin.cameras.exposure.shutter import Exposure, check_timing, numbers_in, open_shutter
 from twin.cameras.optics.lens import TwinLens, warmed
 from twin.cameras.optics.psf import psf_of
-from twin.cameras.render.mesh_occlusion import Look, MeshRays, between
-from twin.cameras.render.render import Seen, TargetsInCamera, Window, has_meshes, render_targets
+from twin.cameras.render.mesh_occlusion import MeshRays, SceneAt, interpolate
+from twin.cameras.render.render import TargetsInCamera, VisibleTargets, Window, has_meshes, render_targets
 from twin.cameras.sensor.background_light import Ambient, ambient_map
 from twin.cameras.sensor.readout import expose
 from twin.cameras.subject import Subject, carrying_body
@@ -35,41 +35,43 @@ FEWEST_TURNS = 0.08
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
-    """What really was at one frame.
-
-    ``rotation`` (3, 3) and ``position`` (3,): the true ``world_from_camera`` at the true mid-exposure;
-    ``marker_xyz`` (m, 3): the markers then, world frame [m].
-    """
+class TrueExposure:
+    """The true state at the true mid-exposure of one frame."""
 
     exposure: Exposure
-    seen: Seen
+    seen: VisibleTargets
     rotation: Array
+    """(3, 3): camera -> world."""
     position: Array
+    """(3,): the camera's centre, world frame [m]."""
     marker_xyz: Array
+    """(m, 3): the markers, world frame [m]."""
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """What a camera has before it during one exposure.
-
-    ``times_s`` (k,), session clock: the window's nodes and, where none stands there, the true mid-exposure, which
-    is number ``middle``. At these, ``places`` of everything, and the camera's ``world_from_camera``: ``rotation``
-    (k, 3, 3) and ``position`` (k, 3). ``view``, ``shining`` and ``lit``: the targets and what hides them at the
-    nodes, their light and when they shine. ``lens``: its vector, as warm as it is.
-    """
+class ExposedScene:
+    """The scene in front of a camera during one exposure."""
 
     exposure: Exposure
     window: Window
     times_s: Array
-    places: Places
+    """(k,) instants, session clock: the window's nodes and, where it is none of them, the true mid-exposure."""
+    poses: GeomPoses
+    """Of everything at these instants."""
     rotation: Array
+    """(k, 3, 3): camera -> world at these instants."""
     position: Array
+    """(k, 3): the camera's centre at these instants, world frame [m]."""
     middle: int
+    """Index of the true mid-exposure in ``times_s``."""
     view: View
+    """Targets and solids in the camera frame, at the window's nodes."""
     shining: TargetLight
-    lit: Lit
+    """Light of the targets."""
+    lit: LitIntervals
+    """When the targets shine."""
     lens: Array
+    """Parameter vector at the exposure's temperature."""
 
     @property
     def half(self) -> int:
@@ -82,7 +84,7 @@ class Sight:
         return float(self.times_s[self.half])
 
 
-class Station:
+class CameraSession:
     """One virtual camera during a session; may be used by several threads at once.
 
     Raises InputError where its timing cannot be.
@@ -107,7 +109,7 @@ class Station:
         self.psf = psf_of(virtual.optics, camera.width, camera.height)
         self.ambient = _ambient(virtual, exposure_s, seed)
         self.signal_e = virtual.marker_signal * virtual.sensor.full_well_e
-        self._stand = Stand.of(
+        self._support = CameraSupport.of(
             virtual.mount,
             camera.name,
             camera.world_from_camera,
@@ -118,7 +120,7 @@ class Station:
         self._body = None
         if virtual.mount.body is not None:
             self._body = int(np.searchsorted(subject.bodies, carrying_body(subject.scene, virtual)))
-        # plain targets look the same from everywhere, and without codes and strobes they shine all the time
+        # plain targets are equally bright from everywhere, and without codes and strobes they shine all the time
         m = len(subject.radius)
         self._even, self._lit_always = None, None
         if subject.even:
@@ -129,7 +131,7 @@ class Station:
 
     @property
     def info(self) -> CameraInfo:
-        """What the camera says of itself."""
+        """The camera's description."""
         camera, timing = self.virtual.camera, self.virtual.timing
         rate = self.frame_rate_hz if timing.rate_hz is None else timing.rate_hz
         bits = self.virtual.sensor.bits
@@ -148,95 +150,97 @@ class Station:
             timing, camera.name, number, self.frame_rate_hz, self.exposure_s, self.seed, camera.height
         )
 
-    def pose_at(self, times_s: Array, frame: int, places: Places) -> tuple[Array, Array]:
-        """Return ``world_from_camera`` at instants (k,), at which everything is at ``places``."""
+    def pose_at(self, times_s: Array, frame: int, poses: GeomPoses) -> tuple[Array, Array]:
+        """Return ``world_from_camera`` at instants (k,), at which everything is at ``poses``."""
         carrier = None
         if self._body is not None:
-            carrier = (places.body_turn[:, self._body], places.body_xyz[:, self._body])
-        return self._stand.pose_at(times_s, frame, carrier)
+            carrier = (poses.body_rotation[:, self._body], poses.body_xyz[:, self._body])
+        return self._support.pose_at(times_s, frame, carrier)
 
-    def look(self, exposure: Exposure, moment: Moment) -> Sight:
-        """Return what the camera has before it during an exposure: mount, scene and the targets' light."""
+    def prepare(self, exposure: Exposure, samples: SceneSamples) -> ExposedScene:
+        """Return the scene in front of the camera during an exposure: mount, poses and the targets' light."""
         subject = self.subject
         nodes = self._nodes_s(exposure)
         times, half = exposure.start_s + nodes, len(nodes) // 2
         middle = half
         if abs(times[half] - exposure.middle_s) > 1e-12:
             times, middle = np.append(times, exposure.middle_s), len(nodes)
-        places = moment.at(times, self._stretch(exposure))
-        rotation, position = self.pose_at(times, exposure.number, places)
-        return Sight(
+        poses = samples.at(times, self._interval(exposure))
+        rotation, position = self.pose_at(times, exposure.number, poses)
+        return ExposedScene(
             exposure,
             Window(nodes, exposure.length_s, exposure.row_time_s),
             times,
-            places,
+            poses,
             rotation,
             position,
             middle,
-            seen_from(rotation, position, places, subject.marker_at, subject.solid_at, len(nodes)),
-            self._even or self._light(places, half, rotation[half], position[half]),
+            seen_from(rotation, position, poses, subject.marker_at, subject.solid_at, len(nodes)),
+            self._even or self._light(poses, half, rotation[half], position[half]),
             self._lit_always or self._lit(exposure),
             warmed(self.lens.vector, self.virtual.optics, exposure.middle_s),
         )
 
-    def _light(self, places: Places, at: int, rotation: Array, position: Array) -> TargetLight:
-        """Return the targets' light at one of the instants of ``places``."""
+    def _light(self, poses: GeomPoses, at: int, rotation: Array, position: Array) -> TargetLight:
+        """Return the targets' light at one of the instants of ``poses``."""
         subject = self.subject
-        xyz, axis = places.geom_xyz[at, subject.marker_at], places.geom_turn[at, subject.marker_at, :, 2]
+        xyz, axis = poses.geom_xyz[at, subject.marker_at], poses.geom_rotation[at, subject.marker_at, :, 2]
         return target_light(subject.glows, self.signal_e, xyz, axis, position, rotation)
 
-    def _lit(self, exposure: Exposure) -> Lit:
+    def _lit(self, exposure: Exposure) -> LitIntervals:
         """Return when the targets shine."""
         on, off = exposure.light_s
         strobe = (on - exposure.start_s, off - exposure.start_s)
         return lit_during(self.subject.glows, exposure.start_s, exposure.span_s, strobe)
 
-    def collect(self, sight: Sight, moment: Moment, light: Array) -> Shot:
-        """Add the targets' light to the camera's pixels (H, W) float32 [electrons]; return what really was."""
-        subject, view = self.subject, sight.view
+    def add_light(self, exposed: ExposedScene, samples: SceneSamples, light: Array) -> TrueExposure:
+        """Add the targets' light to the camera's pixels (H, W) float32 [electrons]; return the true state."""
+        subject, view = self.subject, exposed.view
         mesh_rays = None
         if has_meshes(subject.occluders):
             mesh_rays = MeshRays(
                 subject.scene.model,
-                _looking(sight, moment),
-                sight.half_s - sight.exposure.start_s,
+                _scene_at(exposed, samples),
+                exposed.half_s - exposed.exposure.start_s,
                 subject.occluders,
                 subject.scene.marker_geoms,
             )
 
-        def render(lit_s: Array) -> Seen:
+        def render(lit_s: Array) -> VisibleTargets:
             targets = TargetsInCamera(
                 view.path,
                 view.turn,
                 subject.radius,
                 subject.shape,
                 subject.figure,
-                sight.shining.electrons,
+                exposed.shining.electrons,
                 lit_s,
-                sight.shining.limb,
-                sight.shining.shade,
+                exposed.shining.limb,
+                exposed.shining.shade,
             )
             return render_targets(
                 light,
-                sight.lens,
+                exposed.lens,
                 self.psf,
-                sight.window,
+                exposed.window,
                 targets,
                 subject.occluders,
                 view.solid_xyz,
-                view.solid_turn,
+                view.solid_rotation,
                 subject.figures,
                 mesh_rays,
             )
 
-        seen = render(sight.lit.first)
-        for again in _rounds(sight.lit, len(subject.marker_at)):
+        seen = render(exposed.lit.first)
+        for again in _rounds(exposed.lit, len(subject.marker_at)):
             render(again)
-        middle = sight.middle
-        markers = sight.places.geom_xyz[middle, subject.marker_at]
-        return Shot(sight.exposure, seen, sight.rotation[middle], sight.position[middle], markers)
+        middle = exposed.middle
+        markers = exposed.poses.geom_xyz[middle, subject.marker_at]
+        return TrueExposure(
+            exposed.exposure, seen, exposed.rotation[middle], exposed.position[middle], markers
+        )
 
-    def develop(self, exposure: Exposure, light: Array, ambient: Ambient) -> Frame:
+    def read_out(self, exposure: Exposure, light: Array, ambient: Ambient) -> Frame:
         """Return the frame that the sensor makes of the targets' light (H, W) and of what comes besides."""
         name = self.virtual.camera.name
         random = key(self.seed, f"camera/{name}/sensor", exposure.number)
@@ -257,32 +261,32 @@ class Station:
         mount moves fast.
         """
         span = exposure.span_s
-        turns = self._stand.mount.fastest_hz(exposure.start_s, exposure.end_s) * span
+        turns = self._support.mount.fastest_hz(exposure.start_s, exposure.end_s) * span
         if turns > FEWEST_TURNS:
             return lobatto_nodes(span, 5 + 2 * math.ceil(2.0 * turns))
         if exposure.row_time_s == 0.0:
             return np.array([0.0, 0.5 * span, span])
         return lobatto_nodes(span, 5 if span <= 0.003 else 7 if span <= 0.010 else 9)
 
-    def _stretch(self, exposure: Exposure) -> Stretch | None:
+    def _interval(self, exposure: Exposure) -> SampledInterval | None:
         """Return the stretch of time whose geometry the camera shares with others of like timing."""
         if self.free:
             return None
         timing, span = self.virtual.timing, exposure.span_s
-        return stretch_about(exposure.nominal_s + timing.delay_s + 0.5 * span, span, timing.jitter_s)
+        return interval_about(exposure.nominal_s + timing.delay_s + 0.5 * span, span, timing.jitter_s)
 
 
-def _looking(sight: Sight, moment: Moment) -> Look:
-    """Return what tells where scene and camera are at an instant of an exposure."""
-    nodes = sight.window.nodes_s
+def _scene_at(exposed: ExposedScene, samples: SceneSamples) -> SceneAt:
+    """Return the function that gives scene and camera at an instant of an exposure."""
+    nodes = exposed.window.nodes_s
     k = len(nodes)
 
-    def look(time_s: float) -> tuple[Any, Array, Array]:
-        data = moment.hold(sight.exposure.start_s + time_s).data
-        rotation, position = sight.rotation[:k], sight.position[:k]
-        return data, between(rotation, nodes, time_s), between(position, nodes, time_s)
+    def at(time_s: float) -> tuple[Any, Array, Array]:
+        data = samples.hold(exposed.exposure.start_s + time_s).data
+        rotation, position = exposed.rotation[:k], exposed.position[:k]
+        return data, interpolate(rotation, nodes, time_s), interpolate(position, nodes, time_s)
 
-    return look
+    return at
 
 
 def _ambient(virtual: VirtualCamera, exposure_s: float, seed: int) -> Ambient:
@@ -301,7 +305,7 @@ def _ambient(virtual: VirtualCamera, exposure_s: float, seed: int) -> Ambient:
     return Ambient.of(sensor, light.mean_e, light.flat, shape=(camera.height, camera.width))
 
 
-def _rounds(lit: Lit, count: int) -> list[Array]:
+def _rounds(lit: LitIntervals, count: int) -> list[Array]:
     """Return when targets shine (m, 2) for each time that some of them shine once more."""
     rounds: list[Array] = []
     times = np.zeros(count, dtype=int)

@@ -20,24 +20,30 @@ SHARES = ("dropped_share", "burst_share", "corrupt_share", "late_share", "reorde
 
 @dataclass(frozen=True)
 class Delivery:
-    """Shares of a camera's frames that meet trouble, 0 to 1; a frame that several meet has the first of this order.
-
-    Dead: those that open from ``dies_s`` to ``returns_s``, session clock (None: never). Dropped:
-    ``dropped_share`` at random and ``burst_share`` in bursts of ``burst_frames``. ``corrupt_share``: arrive
-    without a usable image. ``late_share``: come after ``late_frames`` more frames of the rig.
-    ``reordered_share``: come after the camera's next frame. ``doubled_share``: come twice.
+    """Shares of a camera's frames with a fault of delivery, 0 to 1; of several faults the first in this order counts:
+    dead, dropped, corrupt, late, reordered, doubled.
     """
 
     dropped_share: float = 0.0
+    """Lost at random."""
     burst_share: float = 0.0
+    """Lost in bursts."""
     burst_frames: int = 10
+    """Length of a burst."""
     corrupt_share: float = 0.0
+    """Arrive without a usable image."""
     late_share: float = 0.0
+    """Come after ``late_frames`` more frames of the rig."""
     late_frames: int = 50
+    """How late."""
     reordered_share: float = 0.0
+    """Come after the camera's next frame."""
     doubled_share: float = 0.0
+    """Come twice."""
     dies_s: float | None = None
+    """Frames that open from then on are lost, session clock (None: never)."""
     returns_s: float | None = None
+    """Until then (None: for ever)."""
 
     def __post_init__(self) -> None:
         for name in SHARES:

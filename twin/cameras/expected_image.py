@@ -1,4 +1,4 @@
-"""What a frame holds on average, and how that changes when the image moves: what the information bound is made of."""
+"""The mean of a frame and its change when the image moves: the inputs of the Cramer-Rao bound."""
 
 from dataclasses import dataclass
 
@@ -14,20 +14,22 @@ STEP_PX = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """The mean of one frame over all that its sensor does at random; the camera's pose and instant are as they were.
-
-    ``camera`` name; ``mean_e`` (H, W) electrons; ``target_e`` (H, W) the targets' part of them; ``right_e`` and
-    ``down_e`` (H, W) their change when the image moves to the right and down [electrons a pixel]; ``variance_e2``
-    (H, W) of the noise: photons, read noise, rounding to counts; ``saturated`` (H, W) where counts tell no more.
-    """
+    """The mean of one frame over all randomness of its sensor; the camera's pose and instant are as they were."""
 
     camera: str
+    """Its name."""
     mean_e: Array
+    """(H, W) electrons."""
     target_e: Array
+    """(H, W): the targets' part of them."""
     right_e: Array
+    """(H, W): change when the image moves to the right [electrons a pixel]."""
     down_e: Array
+    """(H, W): change when the image moves down [electrons a pixel]."""
     variance_e2: Array
+    """(H, W) of the noise: photons, temporal dark noise, quantisation."""
     saturated: Array
+    """(H, W): where counts are at the limit."""
 
 
 def expected_frame(

@@ -1,6 +1,6 @@
 """Named sensors and lenses with their sources, and what the twin makes of them.
 
-The numbers stand in ``library_files/sensors.toml`` and ``lenses.toml``; each entry says where they come from and
+The numbers stand in ``library_files/sensors.toml`` and ``lenses.toml``; each entry states where they come from and
 which of them are assumptions.
 """
 
@@ -108,12 +108,12 @@ def lenses(folder: Path = FILES) -> dict[str, LensSpec]:
 
 
 def sensor(name: str) -> SensorSpec:
-    """Return the sensor called ``name``; InputError says what there is."""
+    """Return the sensor called ``name``; InputError lists those that there are."""
     return _named("sensor", name, sensors())
 
 
 def lens(name: str) -> LensSpec:
-    """Return the lens called ``name``; InputError says what there is."""
+    """Return the lens called ``name``; InputError lists those that there are."""
     return _named("lens", name, lenses())
 
 

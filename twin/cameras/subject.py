@@ -1,4 +1,4 @@
-"""What all cameras of a session look at, in the form that the kernels read."""
+"""The scene of a session in the form that the kernels read: targets and occluders, the same for all cameras."""
 
 from dataclasses import dataclass
 
@@ -15,28 +15,30 @@ from twin.scenes.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """What all cameras look at: a scene's targets and what hides them.
-
-    ``radius`` (m,) [m], ``shape`` (m,) BALL, FLAT or FIGURE, ``figure`` (m,) number in ``figures`` or -1.
-    ``geoms`` (g,): ids of the geoms that matter, of which ``marker_at`` (m,) are the markers and ``solid_at`` (k,)
-    the occluders; ``bodies`` (b,): ids of those that carry cameras.
-    """
+    """A scene's targets (m) and what hides them, for all cameras."""
 
     scene: Scene
     radius: Array
+    """(m,) [m]."""
     shape: Array
+    """(m,): BALL, FLAT or FIGURE."""
     figure: Array
+    """(m,): number in ``figures`` or -1."""
     figures: Figures
     glows: GlowTable
     occluders: Occluders
     geoms: Array
+    """(g,): ids of the geoms that matter."""
     marker_at: Array
+    """(m,): the markers among ``geoms``."""
     solid_at: Array
+    """(k,): the occluders among ``geoms``."""
     bodies: Array
+    """(b,): ids of the bodies that carry cameras."""
 
     @property
     def even(self) -> bool:
-        """Whether all targets look the same from everywhere."""
+        """Whether all targets are equally bright from everywhere."""
         return bool((self.glows.kind == PLAIN).all()) and not self.glows.shade.any()
 
     @classmethod

@@ -12,16 +12,18 @@ from twin.cameras.sensor.sensor import Sensor
 
 @dataclass(frozen=True, eq=False)
 class VirtualCamera:
-    """``camera``: the true geometry; the rest is what it does to light and time, each told in its own file.
+    """A calibrated camera of the rig with what a real one does to light and time, each described in its own file.
 
-    ``marker_signal``: light that a pixel fully covered by a marker collects, over the full well. ``backdrop``: what
-    is uneven behind the targets. The defaults of all are those that no scenario may soften.
+    The defaults of all are those that no scenario may soften.
     """
 
     camera: Camera
+    """The true geometry."""
     optics: Optics = field(default_factory=Optics)
     timing: Timing = field(default_factory=Timing)
     mount: Mount = field(default_factory=Mount)
     sensor: Sensor = field(default_factory=Sensor)
     marker_signal: float = 0.6
+    """Light that a pixel fully covered by a marker collects, over the saturation capacity."""
     backdrop: Backdrop = field(default_factory=Backdrop)
+    """What is uneven behind the targets."""

@@ -2,7 +2,7 @@
 
 The model is the skeleton itself: one body a joint with a ball joint at its rest offset, under a free
 root. A configuration is the root's position and every joint's rotation, so that bones keep their length
-and MuJoCo's kinematics says where everything is. Nothing is simulated.
+and MuJoCo's kinematics gives the positions. Nothing is simulated.
 """
 
 from dataclasses import dataclass
@@ -40,16 +40,15 @@ _SKIN_M = 0.12
 
 @dataclass(frozen=True)
 class BodyLamp:
-    """A lamp that a worn camera carries, an LED in a ball that sends its light to all sides alike.
-
-    ``place_m``: its place on ``body``, that body's axes. ``blink``: its code; None: always on.
-    """
+    """A lamp that a worn camera carries: an LED in a ball that shines evenly to all sides."""
 
     name: str
     body: str
     place_m: tuple[float, float, float]
+    """Its position in the axes of ``body``."""
     diameter_m: float = 0.012
     blink: Blink | None = None
+    """Its code; None: always on."""
 
 
 def build_actor(
@@ -80,7 +79,7 @@ def build_actor(
 
     With ``motion_file`` (.amc with its ``skeleton_file`` .asf, or .bvh) the recording is played from
     ``start_s`` (converted BVH files need some frames to leave an added T-pose). ``metres_per_unit``,
-    ``frame_rate_hz`` and ``drop_frames`` stand in for what the file cannot say (defaults: ASF from its
+    ``frame_rate_hz`` and ``drop_frames`` stand in for what the file lacks (defaults: ASF from its
     length, 120 Hz; BVH 0.01, the file's rate, 1 frame dropped). ``placement`` "center" turns the
     recording by ``heading_deg`` about the vertical, puts the middle of the part played over the middle of
     the box and its lowest heel or ball on the floor; "file" leaves it where it was. ``keep_in_box``: a
@@ -97,19 +96,8 @@ def build_actor(
     box = Box(box_center_m, box_size_m)
     positive({"duration_s": duration_s, "marker_diameter_m": marker_diameter_m})
     if motion_file is None:
-        positive({"speed_mps": speed_mps})
-        if action not in ACTIONS:
-            raise InputError(f"action = {action!r} given; allowed: {', '.join(ACTIONS)}")
-        if not 1.3 <= stature_m <= 2.3:
-            raise InputError(f"stature_m = {stature_m} given; 1.3 to 2.3 m wanted")
-        if gait not in GAIT_PATHS:
-            raise InputError(f"gait = {gait!r} given; allowed: {', '.join(GAIT_PATHS)}")
+        _check_built_in(action, gait, speed_mps, stature_m, box)
         skeleton = walker_skeleton(stature_m)
-        if box.high[2] < stature_m:
-            raise InputError(
-                f"box_center_m = {box.center.tolist()}, box_size_m = {box.size.tolist()}: the box ends at "
-                f"{box.high[2]:.2f} m and the actor, standing on z = 0, at {stature_m} m; raise or enlarge the box"
-            )
         anatomy = read_anatomy(skeleton, f"stature_m = {stature_m}")
     else:
         motion = _read(Path(motion_file), skeleton_file, metres_per_unit, frame_rate_hz, drop_frames)
@@ -138,6 +126,22 @@ def build_actor(
         path = _recorded(model, joints, motion, start_s)
     glows = {one.name: Glow("lamp", half_deg=ALL_SIDES_DEG, blink=one.blink) for one in lamps if one.blink}
     return Scene(model, names, geoms, path, duration_s, bodies, glows=glows)
+
+
+def _check_built_in(action: str, gait: str, speed_mps: float, stature_m: float, box: Box) -> None:
+    """Raise InputError where an actor without a recording cannot do what is wanted in the box."""
+    positive({"speed_mps": speed_mps})
+    if action not in ACTIONS:
+        raise InputError(f"action = {action!r} given; allowed: {', '.join(ACTIONS)}")
+    if not 1.3 <= stature_m <= 2.3:
+        raise InputError(f"stature_m = {stature_m} given; 1.3 to 2.3 m wanted")
+    if gait not in GAIT_PATHS:
+        raise InputError(f"gait = {gait!r} given; allowed: {', '.join(GAIT_PATHS)}")
+    if box.high[2] < stature_m:
+        raise InputError(
+            f"box_center_m = {box.center.tolist()}, box_size_m = {box.size.tolist()}: the box ends at "
+            f"{box.high[2]:.2f} m and the actor, standing on z = 0, at {stature_m} m; raise or enlarge the box"
+        )
 
 
 def _wear(spec: mujoco.MjSpec, lamps: tuple[BodyLamp, ...]) -> None:

@@ -1,6 +1,6 @@
 """From a skeleton's joints to a body: which joint is which, and the limbs' shapes in the rest pose.
 
-Shapes and marker positions are said in the rest pose, in world axes with the root joint at the origin:
+Shapes and marker positions are given in the rest pose, in world axes with the root joint at the origin:
 the subject faces -y, its left is at +x, arms along x, palms down. Sizes follow the subject's own bones.
 """
 

@@ -12,7 +12,7 @@ import numpy as np
 from mosca.data.motion.motion import Motion
 from twin.scenes.choreography import Stance, begin, footing, loop_times, read, step
 from twin.scenes.posture import Performer, posed
-from twin.scenes.submovements import Score
+from twin.scenes.submovements import MovementSequence
 
 STANCE: Stance = {"l": (0.12, 0.26, -0.25), "r": (-0.15, -0.08, -0.75)}
 _GUARD = {"l": (0.15, 0.36, 0.08), "r": (0.14, 0.24, 0.06)}
@@ -80,7 +80,7 @@ def boxing(who: Performer, rng: np.random.Generator) -> Motion:
     return posed(who, postures.mirrored() if rng.random() < _LEFT_HANDED else postures, rate)
 
 
-def _round(rng: np.random.Generator) -> tuple[Score, float]:
+def _round(rng: np.random.Generator) -> tuple[MovementSequence, float]:
     """Return what a boxer does who leads with the left, and how long it takes [s]."""
     hands = {f"{side}_hand": _GUARD[side] for side in "lr"}
     elbows = {f"{side}_elbow": _ELBOW[side] for side in "lr"}
@@ -105,7 +105,7 @@ def _round(rng: np.random.Generator) -> tuple[Score, float]:
     return score, clock
 
 
-def _strike(score: Score, strike: Strike, clock: float, rng: np.random.Generator) -> float:
+def _strike(score: MovementSequence, strike: Strike, clock: float, rng: np.random.Generator) -> float:
     """Write a strike from ``clock`` on; return when the next one may start."""
     own, faster = strike.side, rng.uniform(0.94, 1.06)
     hand, elbow, twist = f"{own}_hand", f"{own}_elbow", f"{own}_forearm"
@@ -133,7 +133,7 @@ def _strike(score: Score, strike: Strike, clock: float, rng: np.random.Generator
     return back - 0.04
 
 
-def _cover(score: Score, clock: float, rng: np.random.Generator) -> float:
+def _cover(score: MovementSequence, clock: float, rng: np.random.Generator) -> float:
     """Write a cover behind crossed forearms, head down; return when the next strike may start."""
     up, held = clock + 0.22, clock + 0.22 + rng.uniform(0.25, 0.45)
     down = held + 0.25
@@ -151,7 +151,7 @@ def _cover(score: Score, clock: float, rng: np.random.Generator) -> float:
     return down
 
 
-def _step_to(score: Score, clock: float, place: np.ndarray) -> float:
+def _step_to(score: MovementSequence, clock: float, place: np.ndarray) -> float:
     """Write a step of both feet to ``place`` (x, y, turn); return when it is done."""
     way = place - score.target("place")
     # The foot on the side of the way goes first, so that the feet do not meet.

@@ -10,7 +10,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from twin.scenes.posture import Postures
-from twin.scenes.submovements import Score, Values
+from twin.scenes.submovements import MovementSequence, Values
 
 HEIGHT_M = 0.90
 """The root's height of a person who stands with knees unlocked [m]."""
@@ -41,9 +41,9 @@ Stance = Mapping[str, Sequence[float]]
 FEET_TOGETHER: Stance = {"l": (0.11, 0.14, 0.12), "r": (-0.11, 0.14, -0.12)}
 
 
-def begin(stance: Stance, **start: Values) -> Score:
+def begin(stance: Stance, **start: Values) -> MovementSequence:
     """Return a score of someone who stands; ``start``: channels that start otherwise ("l_hand", "height")."""
-    score = Score()
+    score = MovementSequence()
     sided = {f"{side}_{name}": value for name, value in _SIDED.items() for side in "lr"}
     feet = {f"{side}_foot": footing((0.0, 0.0, 0.0), stance, side) for side in "lr"}
     score.begin(**{**_STAND, **sided, **feet, **start})
@@ -58,7 +58,7 @@ def footing(place: Sequence[float] | Array, stance: Stance, side: str) -> Array:
 
 
 def step(
-    score: Score, side: str, start_s: float, end_s: float, to: Values, lift_m: float = STEP_LIFT_M
+    score: MovementSequence, side: str, start_s: float, end_s: float, to: Values, lift_m: float = STEP_LIFT_M
 ) -> None:
     """Lift a foot and put it down at ``to`` (x, y, turn)."""
     score.move(f"{side}_foot", start_s, end_s, to)
@@ -72,7 +72,7 @@ def loop_times(length_s: float) -> tuple[Array, float]:
     return np.linspace(0.0, length_s, count + 1), count / length_s
 
 
-def read(score: Score, time_s: Array, scale: float) -> Postures:
+def read(score: MovementSequence, time_s: Array, scale: float) -> Postures:
     """Return the postures at ``time_s`` (n,) of a person ``scale`` times 1.75 m tall."""
     v = score.at(time_s)
     place, shift = v["place"], v["shift"]

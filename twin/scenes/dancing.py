@@ -14,7 +14,7 @@ from mosca.data.arrays import Array
 from mosca.data.motion.motion import Motion, multiply_quaternions
 from twin.scenes.choreography import HANGING, HEIGHT_M, Stance, begin, footing, loop_times, read, step
 from twin.scenes.posture import Performer, posed
-from twin.scenes.submovements import Score, minimum_jerk
+from twin.scenes.submovements import MovementSequence, minimum_jerk
 
 STANCE: Stance = {"l": (0.13, 0.14, 0.2), "r": (-0.13, 0.14, -0.2)}
 _WIDE, _WIDE_ELBOW = (0.70, 0.16, 0.02), (0.1, -0.6, -1.0)
@@ -47,7 +47,7 @@ def dance(who: Performer, rng: np.random.Generator) -> Motion:
     order: list[tuple[Callable[..., Any], str]] = [
         (figures[k], "lr"[int(rng.integers(2))]) for k in rng.permutation(len(figures))
     ]
-    # One turn to the left and one to the right: after the loop nobody is wound up.
+    # One turn to the left and one to the right: the loop ends with the heading of its start.
     for place, side in zip(sorted(rng.choice(len(order), 2, replace=False), reverse=True), "lr", strict=True):
         order.insert(int(place), (_turn, side))
     for figure, side in order:
@@ -61,25 +61,31 @@ def dance(who: Performer, rng: np.random.Generator) -> Motion:
 
 
 def _arms(
-    score: Score, start: float, end: float, hand: Array | tuple[float, ...], elbow: tuple[float, ...]
+    score: MovementSequence,
+    start: float,
+    end: float,
+    hand: Array | tuple[float, ...],
+    elbow: tuple[float, ...],
 ) -> None:
     for side in "lr":
         score.move(f"{side}_hand", start, end, hand)
         score.move(f"{side}_elbow", start, end, elbow)
 
 
-def _close(score: Score, start: float, end: float, above: str, up_m: float) -> None:
+def _close(score: MovementSequence, start: float, end: float, above: str, up_m: float) -> None:
     """Write arms that cross before the trunk, that of side ``above`` in front, ``up_m`` higher than usual."""
     for own, hand, elbow in ((above, _ABOVE, _ABOVE_ELBOW), (_OTHER[above], _BELOW, _BELOW_ELBOW)):
         score.move(f"{own}_hand", start, end, (*hand[:2], hand[2] + up_m))
         score.move(f"{own}_elbow", start, end, elbow)
 
 
-def _hang(score: Score, start: float, end: float) -> None:
+def _hang(score: MovementSequence, start: float, end: float) -> None:
     _arms(score, start, end, HANGING, _HANGING_ELBOW)
 
 
-def _overhead(score: Score, clock: float, beat: float, side: str, rng: np.random.Generator) -> float:
+def _overhead(
+    score: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator
+) -> float:
     """Write: both arms by the side overhead, a bend to one side and the other, arms down before the body."""
     sign = 1.0 if side == "l" else -1.0
     bend = sign * rng.uniform(0.14, 0.24)
@@ -95,7 +101,9 @@ def _overhead(score: Score, clock: float, beat: float, side: str, rng: np.random
     return clock + 6.0 * beat
 
 
-def _crossing(score: Score, clock: float, beat: float, side: str, rng: np.random.Generator) -> float:
+def _crossing(
+    score: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator
+) -> float:
     """Write: arms wide open, crossed before the chest with ``side`` in front, open, crossed again, down."""
     _arms(score, clock, clock + 1.2 * beat, _WIDE, _WIDE_ELBOW)
     now = clock + 1.2 * beat
@@ -110,7 +118,7 @@ def _crossing(score: Score, clock: float, beat: float, side: str, rng: np.random
     return now + 1.2 * beat
 
 
-def _squat(score: Score, clock: float, beat: float, side: str, rng: np.random.Generator) -> float:
+def _squat(score: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator) -> float:
     """Write: a squat with the arms forward and one hand over the other, and up again with arms overhead."""
     depth = rng.uniform(0.30, 0.36)
     low, up = clock + 1.8 * beat, clock + 2.5 * beat
@@ -130,7 +138,7 @@ def _squat(score: Score, clock: float, beat: float, side: str, rng: np.random.Ge
     return up + 3.8 * beat
 
 
-def _aside(score: Score, clock: float, beat: float, side: str, rng: np.random.Generator) -> float:
+def _aside(score: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator) -> float:
     """Write: a step to one side and back, one arm thrown up, the other across the body."""
     way = (1.0 if side == "l" else -1.0) * rng.uniform(0.16, 0.24)
     home = score.target("place").copy()
@@ -154,7 +162,7 @@ def _aside(score: Score, clock: float, beat: float, side: str, rng: np.random.Ge
     return now + 1.2 * beat
 
 
-def _turn(score: Score, clock: float, beat: float, side: str, rng: np.random.Generator) -> Turn:
+def _turn(score: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator) -> Turn:
     """Write a turn towards ``side`` on the foot of that side, the other knee lifted, arms closed."""
     sign, free = (1.0 if side == "l" else -1.0), _OTHER[side]
     open_, end = clock + 1.4 * beat, clock + 1.4 * beat + float(rng.uniform(1.25, 1.5))

@@ -57,7 +57,7 @@ FEWEST_MARKERS, MOST_MARKERS = 5, len(_MARKER_RAYS)
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """What the drone was to do: kept for those who ask how well it did."""
+    """A scene with a drone, and the path that it was to fly."""
 
     scene: Scene
     reference: Reference
@@ -76,43 +76,32 @@ def build_drone(
     markers: int = MOST_MARKERS,
     marker_diameter_m: float = 0.016,
     floor: bool = True,
-) -> Scene:
-    """Return a drone that flies ``path`` ("figure_eight", "circle", "waypoints") in the working space.
-
-    ``speed_mps`` along the path, ``gust_n`` rms force of a smooth gust on each axis [N]; ``markers`` 5..8
-    balls named D1, D2, ... of the rigid body "drone". ``rng`` draws start, gusts and waypoints. Raises
-    InputError where the box has no room or the speed is too high for the path's bends.
-    """
-    return build_flight(
-        duration_s=duration_s,
-        box_center_m=box_center_m,
-        box_size_m=box_size_m,
-        rng=rng,
-        path=path,
-        speed_mps=speed_mps,
-        gust_n=gust_n,
-        mass_kg=mass_kg,
-        markers=markers,
-        marker_diameter_m=marker_diameter_m,
-        floor=floor,
-    ).scene
-
-
-def build_flight(
-    *,
-    duration_s: float,
-    box_center_m: Array,
-    box_size_m: Array,
-    rng: np.random.Generator,
-    path: FlightPath = "figure_eight",
-    speed_mps: float = 0.5,
-    gust_n: float = 0.02,
-    mass_kg: float = MASS_KG,
-    markers: int = MOST_MARKERS,
-    marker_diameter_m: float = 0.016,
-    floor: bool = True,
 ) -> Flight:
-    """Return what ``build_drone`` returns together with the path that it was to fly."""
+    """Return a drone that flies ``path`` in the working space, and the path that it was to fly.
+
+    Raises InputError where the box is too small or the speed is too high for the path's bends.
+
+    Parameters
+    ----------
+    duration_s
+        Length of the scene.
+    box_center_m, box_size_m
+        (3,) the working space.
+    rng
+        Draws start, gusts and waypoints.
+    path
+        "figure_eight", "circle" or "waypoints".
+    speed_mps
+        Speed along the path.
+    gust_n
+        Rms force of a smooth gust on each axis [N].
+    mass_kg
+        Of the drone.
+    markers, marker_diameter_m
+        5 to 8 balls named D1, D2, ... of the rigid body "drone".
+    floor
+        Whether there is a floor.
+    """
     box = Box(box_center_m, box_size_m)
     positive(
         {

@@ -34,26 +34,27 @@ class Blink:
 
 @dataclass(frozen=True)
 class Glow:
-    """The light of one target, relative to the scenario's marker signal.
-
-    ``kind``: "plain" equally bright from all sides and distances; "retro" retroreflective tape under the
-    camera's ring light; "paper" printed and lit evenly (Lambert); "lamp" an LED. ``strength``: factor on the
-    marker signal. ``half_deg``: angle off the normal at which a retro tape or an LED sends half of it; 180: an LED
-    in a diffusing ball, alike to all sides.
-    ``at_m``: distance at which a ring light's retro target is as bright as the marker signal says (it falls
-    with the square of the distance); None: the same at all distances. ``limb``: share of its brightness that a
-    ball's rim lacks. ``shade``: brightness gradient over a ball or disc, change from its middle to its rim,
-    towards ``shade_world`` (3,). ``blink``: code of a lamp; None: always on.
-    """
+    """The light of one target, relative to the scenario's marker signal."""
 
     kind: GlowKind = "plain"
+    """"plain": equally bright from all sides and distances; "retro": retroreflective tape under the camera's ring
+    light; "paper": printed and lit evenly (Lambert); "lamp": an LED."""
     strength: float = 1.0
+    """Factor on the marker signal."""
     half_deg: float = 45.0
+    """Angle off the normal at which a retro tape or an LED sends half of it; 180: an LED in a diffusing ball,
+    alike to all sides."""
     at_m: float | None = None
+    """Distance at which a ring light's retro target has the brightness of the marker signal (it falls with the
+    square of the distance); None: the same at all distances."""
     limb: float = 0.0
+    """Share of its brightness that a ball's rim lacks."""
     shade: float = 0.0
+    """Brightness gradient over a ball or disc: change from its middle to its rim."""
     shade_world: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """(3,): direction of the gradient."""
     blink: Blink | None = None
+    """Code of a lamp; None: always on."""
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(GlowKind):

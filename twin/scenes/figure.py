@@ -37,7 +37,7 @@ class Figure:
 def figure(contours: Sequence[Array]) -> Figure:
     """Return the figure of contours, each an array of pieces (k, 7).
 
-    Raises ValueError for a contour whose pieces do not join: what it encloses would not be said.
+    Raises ValueError for a contour whose pieces do not join: what it encloses would be undefined.
     """
     for pieces in contours:
         starts, ends = piece_ends(pieces)

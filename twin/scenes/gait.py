@@ -106,7 +106,7 @@ class Gait:
             radius = float(self.extent[0])
             angle = self.heading + self.speed_mps / radius * time_s
             return self.center + radius * np.array([np.cos(angle), np.sin(angle)]), angle + np.pi / 2
-        # Lane, turn, lane, turn; the draw of the phase says where in the lap the session starts.
+        # Lane, turn, lane, turn; the draw of the phase decides where in the lap the session starts.
         length = 2 * float(np.linalg.norm(self.extent))
         lane_s = length / self.speed_mps + _RAMP_S
         half_lap = lane_s + _TURN_S

@@ -16,7 +16,7 @@ from mosca.data.arrays import Array
 from mosca.data.motion.motion import Motion
 from twin.scenes.choreography import FEET_TOGETHER, begin, footing, loop_times, read, step
 from twin.scenes.posture import Performer, Postures, balanced, posed
-from twin.scenes.submovements import Score, minimum_jerk
+from twin.scenes.submovements import MovementSequence, minimum_jerk
 
 GRAVITY_MPS2 = 9.81
 _CROUCH_S, _PUSH_S, _CATCH_S, _RISE_S, _REST_S = 0.60, 0.34, 0.36, 0.60, 0.25
@@ -104,7 +104,7 @@ def jumps(who: Performer, rng: np.random.Generator) -> Motion:
     return balanced(who, replace(postures, pelvis_xyz=wanted + [0.0, 0.0, -0.05]), rate, wanted)
 
 
-def _write(score: Score, jump: Jump, place: Array) -> None:
+def _write(score: MovementSequence, jump: Jump, place: Array) -> None:
     """Write trunk, arms and feet of a jump to ``place`` (x, y, turn)."""
     low, off, down = jump.start_s + _CROUCH_S, jump.takeoff_s, jump.landing_s
     for channel, parts in {
@@ -138,7 +138,7 @@ def _write(score: Score, jump: Jump, place: Array) -> None:
         score.move(f"{side}_knee", down + _CATCH_S, jump.end_s, 0.05)
 
 
-def _turn_round(score: Score, clock: float, place: Array, angle: float) -> float:
+def _turn_round(score: MovementSequence, clock: float, place: Array, angle: float) -> float:
     """Write a turn on the spot by ``angle`` in small steps; return when it is done."""
     steps = 2 * _STEPS_A_FOOT
     score.move("place", clock, clock + steps * _STEP_S, place + [0.0, 0.0, angle])

@@ -1,8 +1,8 @@
-"""Postures of a person said by where hands and feet are, and the joint rotations that bring them there.
+"""Postures of a person given by where hands and feet are, and the joint rotations that bring them there.
 
 Arms and legs are chains of two bones, solved in closed form by the law of cosines; a target out of reach is
 drawn in smoothly, so that elbows and knees never lock. The skeleton is ``gait.walker_skeleton``: at rest it
-faces -y, its left at +x. Targets of hands are said in (outward, forward, up): the same numbers mean the
+faces -y, its left at +x. Targets of hands are given in (outward, forward, up): the same numbers mean the
 same thing left and right.
 """
 

@@ -31,11 +31,14 @@ version of a mathematics library to the next, and frames must not.
 
 @dataclass(frozen=True, eq=False)
 class Commands:
-    """Commands given to the subject on the session clock: ``time_ns`` (n,), ``values`` (n, k), ``names`` (k)."""
+    """Commands given to the subject on the session clock."""
 
     names: tuple[str, ...]
+    """Names of the k values."""
     time_ns: Array
+    """(n,)."""
     values: Array
+    """(n, k)."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time_ns", read_only(self.time_ns, (None,), "time_ns", np.int64))
@@ -45,25 +48,25 @@ class Commands:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A subject with markers in a world.
-
-    ``model``: compiled MjModel; markers are geoms in MARKER_GROUP (``marker_geoms``, in the order of
-    ``marker_names``). ``configuration_at(t)``: qpos (nq,) at session time t [s], for -0.1 <= t <=
-    duration_s + 0.1, a pure function (same t, same bytes, any thread). ``bodies``: rigid body name ->
-    names of the markers that it carries. ``commands``: what drove it, if anything did. ``figures``: marker
-    name -> what is printed on its +z face (a marker without one shines as a whole; a box must have one).
-    ``glows``: marker name -> how it sends light (default: ``Glow()``).
-    """
+    """A subject with markers in a world."""
 
     model: mujoco.MjModel
+    """Compiled MjModel; markers are geoms in MARKER_GROUP."""
     marker_names: tuple[str, ...]
     marker_geoms: tuple[int, ...]
+    """Their geoms, in the order of the names."""
     configuration_at: Callable[[float], Array]
+    """qpos (nq,) at session time t [s], for -0.1 <= t <= duration_s + 0.1: a pure function (same t, same bytes, any
+    thread)."""
     duration_s: float
     bodies: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Rigid body -> names of the markers that it carries."""
     commands: Commands | None = None
+    """What drove the subject, if anything did."""
     figures: Mapping[str, Figure] = field(default_factory=dict)
+    """Marker -> what is printed on its +z face. A marker without one shines as a whole; a box must have one."""
     glows: Mapping[str, Glow] = field(default_factory=dict)
+    """Marker -> its light (default: ``Glow()``)."""
 
     def __post_init__(self) -> None:
         for name in ("bodies", "figures", "glows"):

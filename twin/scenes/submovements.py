@@ -1,4 +1,4 @@
-"""Movements written as a score: channels that go from target to target, smooth however they overlap.
+"""Sequences of movements: channels that go from target to target, smooth however they overlap.
 
 Each movement adds its way times the minimum-jerk curve 10 u^3 - 15 u^4 + 6 u^5 (Flash and Hogan 1985), and
 movements that overlap are summed (Flash and Henis 1991, superposition): a hand that is sent on before it
@@ -29,8 +29,8 @@ def there_and_back(u: Array) -> Array:
 
 
 @dataclass(eq=False)
-class Score:
-    """Named channels and what each is told to do and when; written by a choreography, then read once."""
+class MovementSequence:
+    """Named channels and the movements of each with their times; written by a choreography, then read once."""
 
     _start: dict[str, Array] = field(default_factory=dict)
     _target: dict[str, Array] = field(default_factory=dict)

@@ -1,7 +1,7 @@
 """A checkerboard or ChArUco board, waved before the cameras by hand.
 
 The board is one target with one figure: white paper with black parts taken away. Black squares meet in points
-only, so no edge is said twice and every corner is exactly where ``Board.corners`` has it.
+only, so no edge is given twice and every corner is exactly where ``Board.corners`` has it.
 """
 
 import cv2

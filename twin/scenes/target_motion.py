@@ -122,7 +122,7 @@ def carried_by_hand(
 
 
 def carried_body(spec: mujoco.MjSpec, name: str) -> mujoco.MjsBody:
-    """Add a free body to ``spec`` whose pose a ``CarriedPath`` says."""
+    """Add a free body to ``spec`` whose pose a ``CarriedPath`` gives."""
     body = spec.worldbody.add_body(name=name)
     body.add_freejoint(name=name)
     # a moving body must weigh something; nothing here is simulated

@@ -1,4 +1,4 @@
-"""Targets as geoms: plates that carry a figure, discs and balls, each with its centre exactly where it is said.
+"""Targets as geoms: plates that carry a figure, discs and balls, each with its centre exactly where it is specified.
 
 A plate is a sheet so thin (2 um) that its face, its centre and its back are one place; what carries it stands
 ``FILM_M`` behind. White parts have gain 1; black ones send nothing, or ``INK`` of it where they are printed.

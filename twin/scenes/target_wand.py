@@ -77,7 +77,7 @@ def build_scale_bar(
     """Return ``bar`` (by default coded targets 0 and 1, a third of the box apart) waved through the working space.
 
     Other parameters as for ``build_wand``; the rigid body is "scale_bar". The bar is exactly as long as its
-    certificate says. Raises InputError where the box has no room for it.
+    certificate states. Raises InputError where the box has no room for it.
     """
     box = Box(box_center_m, box_size_m)
     bar = default_scale_bar(box) if bar is None else bar

@@ -67,7 +67,7 @@ class Box:
 class Shape:
     """A solid primitive: MuJoCo ``kind`` and ``size`` (3,) [m], ``center`` (3,) [m] and ``rotation`` (3, 3).
 
-    All shapes of a body and the marker positions on them are said in the same axes.
+    All shapes of a body and the marker positions on them are given in the same axes.
     """
 
     kind: mujoco.mjtGeom
@@ -158,7 +158,7 @@ def add_shape(
     mass: float | None = None,
     rgba: tuple[float, float, float, float] = _CLOTH,
 ) -> mujoco.MjsGeom:
-    """Add ``shape`` to ``body``, in whose axes it is said; ``solid`` shapes collide; ``mass`` in kg."""
+    """Add ``shape`` to ``body``, in whose axes it is given; ``solid`` shapes collide; ``mass`` in kg."""
     weight = {} if mass is None else {"mass": mass}
     return body.add_geom(
         name=name,

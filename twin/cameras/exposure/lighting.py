@@ -24,45 +24,52 @@ NEVER = (0.0, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class GlowTable:
-    """The glows of m targets side by side: ``kind`` (m,), ``strength`` (m,), ``exponent`` (m,) of the lobe (0: none),
-    ``at_m`` (m,) (NaN: the same at all distances), ``limb`` (m,) the lobe's and the target's own together,
-    ``shade`` (m, 3) gradient in the world frame, ``ball`` (m,), ``blinks`` (m).
-    """
+    """The glows of m targets side by side."""
 
     kind: Array
+    """(m,): PLAIN, RETRO, PAPER or LAMP."""
     strength: Array
+    """(m,): factor on the marker signal."""
     exponent: Array
+    """(m,) of the lobe's cosine; 0: no lobe."""
     at_m: Array
+    """(m,): distance of full brightness; NaN: the same at all distances."""
     limb: Array
+    """(m,): share that the rim lacks, the lobe's and the target's own together."""
     shade: Array
+    """(m, 3): gradient of brightness, world frame."""
     ball: Array
+    """(m,): whether the target is a ball."""
     blinks: tuple[Blink | None, ...]
+    """Code of each; None: always on."""
 
 
 @dataclass(frozen=True, eq=False)
 class TargetLight:
-    """What the renderer needs of m targets: ``electrons`` (m,), ``limb`` (m,) and ``shade`` (m, 3), camera frame."""
+    """Light of m targets as the renderer takes it, camera frame."""
 
     electrons: Array
+    """(m,) that a pixel fully covered by the target collects in the window's length."""
     limb: Array
+    """(m,): share of brightness that the rim lacks."""
     shade: Array
+    """(m, 3): change of brightness from the middle to the rim."""
 
 
 @dataclass(frozen=True, eq=False)
-class Lit:
-    """When m targets shine during a frame, in seconds from the opening of its first row.
-
-    ``first`` (m, 2): a target's first interval; (-inf, inf) where it is never dark, an empty one where it is never
-    lit. ``again`` (k,): targets that shine once more, as often as they do, and ``again_s`` (k, 2): when.
-    """
+class LitIntervals:
+    """When m targets shine during a frame, in seconds from the opening of its first row."""
 
     first: Array
+    """(m, 2): a target's first interval; (-inf, inf) where it is never dark, an empty one where it is never lit."""
     again: Array
+    """(k,): targets that shine once more, as often as they do."""
     again_s: Array
+    """(k, 2): when."""
 
 
 def glow_table(glows: Sequence[Glow], ball: Array) -> GlowTable:
-    """Return the table of ``glows``; ``ball`` (m,) says which targets are balls.
+    """Return the table of ``glows``; ``ball`` (m,): which targets are balls.
 
     A retro ball shows all angles at once, so that its lobe is limb darkening: the renderer's law, brightness
     ``1 - limb (1 - cos a)``, with one half at ``half_deg``; a rim cannot be darker than dark, so below 60 degrees
@@ -116,7 +123,7 @@ def target_light(
 
 def lit_during(
     glows: GlowTable, opening_s: float, span_s: float, strobe_s: tuple[float, float] = ALWAYS
-) -> Lit:
+) -> LitIntervals:
     """Return when targets shine between ``opening_s`` (session clock) and ``span_s`` later.
 
     Lamps follow their codes. ``strobe_s``: when the camera's strobe is on, from ``opening_s``; retro and plain
@@ -138,7 +145,7 @@ def lit_during(
             first[k] = intervals[0] - opening_s
             again += [k] * (len(intervals) - 1)
             again_s += list(intervals[1:] - opening_s)
-    return Lit(first, np.array(again, dtype=np.int64), np.array(again_s, dtype=float).reshape(-1, 2))
+    return LitIntervals(first, np.array(again, dtype=np.int64), np.array(again_s, dtype=float).reshape(-1, 2))
 
 
 def _ring_distance(glow: Glow) -> float:

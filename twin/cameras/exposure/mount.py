@@ -1,13 +1,14 @@
 """The mount: how the camera body moves while it looks.
 
-A turn of the camera is told in pixels: how far it moves the image of what is far away, right and down. The pose is
-a function of continuous time, so that what moves within an exposure blurs; only the white shake stands still
+A rotation of the camera is given in pixels: how far it moves the image of what is far away, right and down. The
+pose is a function of continuous time, so that what moves within an exposure blurs; only the white shake stands still
 within a frame.
 """
 
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Pose
 from mosca.errors import InputError
 from mosca.numba_support.decorators import kernel
-from twin.cameras.optics.lens import land
+from twin.cameras.optics.lens import project
 from twin.streams import rng
 
 TONES = 64
@@ -26,30 +27,33 @@ WANDER_STEP_S = 1.0
 
 @dataclass(frozen=True)
 class Mount:
-    """How the camera body moves.
-
-    ``body_px`` rms shake from frame to frame, each image axis. Vibration: ``vibration_px`` rms each image axis, in
-    the band ``vibration_hz``, its power density in proportion to ``frequency ** vibration_slope``. Drift:
-    ``drift_px_per_s`` (x, y) steady, and a random walk of ``wander_px`` rms each axis in the first second that is
-    reflected at +-``wander_bound_px``. Bump: at ``bump_s`` (None: never) and within ``bump_rise_s`` the
-    image moves by ``bump_px`` (x, y) and the camera by ``bump_m`` along its own axes, and there they stay.
-
-    ``body``: the scene's body that the camera rides on (None: it stands in the world); the rig's
-    ``world_from_camera`` is then read as ``body_from_camera``.
-    """
+    """How the camera body moves."""
 
     body_px: float = 0.03
+    """Rms shake from frame to frame, each image axis."""
     vibration_px: float = 0.0
+    """Rms vibration, each image axis."""
     vibration_hz: tuple[float, float] = (5.0, 60.0)
+    """Band of the vibration: lowest and highest frequency."""
     vibration_slope: float = 0.0
+    """Power density of the vibration is in proportion to ``frequency ** vibration_slope``."""
     drift_px_per_s: tuple[float, float] = (0.0, 0.0)
+    """Steady drift (x, y)."""
     wander_px: float = 0.0
+    """Random walk: rms each axis in the first second."""
     wander_bound_px: float = 1.0
+    """The random walk is reflected at plus and minus this."""
     bump_s: float | None = None
+    """When the camera is bumped (None: never)."""
     bump_px: tuple[float, float] = (0.0, 0.0)
+    """Lasting motion of the image by the bump (x, y)."""
     bump_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Lasting motion of the camera by the bump along its own axes."""
     bump_rise_s: float = 0.01
+    """Duration of the bump."""
     body: str | None = None
+    """The scene's body that carries the camera (None: it stands in the world); the rig's ``world_from_camera`` is
+    then read as ``body_from_camera``."""
 
     def __post_init__(self) -> None:
         low, high = self.vibration_hz
@@ -70,7 +74,7 @@ class Mount:
 
 
 @dataclass(frozen=True, eq=False)
-class Stand:
+class CameraSupport:
     """A mounted camera during a session: its pose at any instant, a pure function of (seed, name, frame, time).
 
     ``pose``: world_from_camera, or body_from_camera of a camera that rides. ``tones`` (2, n, 3): frequency [1/s],
@@ -89,7 +93,7 @@ class Stand:
     @classmethod
     def of(
         cls, mount: Mount, name: str, pose: Pose, px_per_radian: float, seed: int, duration_s: float
-    ) -> "Stand":
+    ) -> "CameraSupport":
         """Return the camera's mount for a session of ``duration_s`` (a longer one begins alike)."""
         return cls(
             mount,
@@ -156,7 +160,7 @@ class Stand:
 
 def pixels_per_radian(lens: Array) -> float:
     """Return how far the image moves for a small turn of the camera, at the middle of the view [px/rad]."""
-    _u, _v, ux, _uy, _uz, _vx, vy, _vz, _ok = land(lens, 0.0, 0.0, 1.0)
+    _u, _v, ux, _uy, _uz, _vx, vy, _vz, _ok = project(lens, 0.0, 0.0, 1.0)
     return float(np.sqrt(ux * ux + vy * vy) / np.sqrt(2.0))
 
 
@@ -192,7 +196,7 @@ def _walk(mount: Mount, name: str, seed: int, duration_s: float) -> Array:
 
 
 @kernel
-def _placed(rotation, translation, turns, moved):  # type: ignore[no-untyped-def]
+def _placed(rotation: Array, translation: Array, turns: Array, moved: Array) -> Any:
     """Return the pose * (moved, small turns about the camera's x and y axes) at each instant."""
     count = turns.shape[0]
     out_turn, out_xyz = np.empty((count, 3, 3)), np.empty((count, 3))

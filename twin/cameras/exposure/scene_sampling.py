@@ -1,10 +1,10 @@
 """The scene's geometry about one pulse, evaluated once for all cameras whose exposures lie alike.
 
-Forward kinematics at every camera's every instant is dear; over the few milliseconds of an exposure everything
-moves along a polynomial. So a *stretch* of time is sampled at Chebyshev's nodes and interpolated by Lagrange's
+Forward kinematics at every camera's every instant is expensive; over the few milliseconds of an exposure everything
+moves along a polynomial. So an *interval* of time is sampled at Chebyshev's nodes and interpolated by Lagrange's
 formula (Trefethen, Approximation Theory and Approximation Practice, chapters 4 to 6). With n nodes over a length
 T a coordinate is off by at most ``2 (T / 4)^n / n!`` times its n-th derivative. The number of nodes is even, so
-that mid-stretch is where the error is largest; there it is measured, and a stretch that misses TOLERANCE (a kink,
+that the error is largest in its middle; there it is measured, and an interval that misses TOLERANCE (a kink,
 a rotor) is evaluated instant by instant. Measured over 2 ms: 0.03 nm for a walking actor; where a kink lies beside
 the middle, in a robot's contacts or in noisy motion capture, up to 0.4 um.
 
@@ -12,6 +12,7 @@ What a camera gets depends on its own timing alone: which other cameras there ar
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -20,35 +21,39 @@ from mosca.numba_support.decorators import kernel
 from twin.scenes.scene import SceneSampler
 
 TOLERANCE = 1e-8
-"""Largest error of an interpolated place, measured mid-stretch [m]."""
+"""Largest error of an interpolated position, measured in the middle of an interval [m]."""
 TURN_TOLERANCE = 1e-7
-"""Largest error of an element of an interpolated rotation, measured mid-stretch."""
+"""Largest error of an element of an interpolated rotation, measured in the middle of an interval."""
 LADDER = ((0.00125, 4), (0.0025, 6), (0.005, 6), (0.010, 8), (0.025, 10))
-"""Lengths of stretches [s] and their numbers of nodes."""
-ROOM_JITTERS = 6.0
-"""How far, in rms trigger jitters, exposures may stray without leaving their stretch, at both ends."""
+"""Lengths of intervals [s] and their numbers of nodes."""
+MARGIN_JITTERS = 6.0
+"""How far, in rms trigger jitters, exposures may stray without leaving their interval, at both ends."""
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
-    """Where geoms and bodies are at k instants, world frame [m].
-
-    ``geom_xyz`` (k, g, 3), ``geom_turn`` (k, g, 3, 3), ``body_xyz`` (k, b, 3), ``body_turn`` (k, b, 3, 3).
-    """
+class GeomPoses:
+    """Poses of geoms and bodies at k instants, world frame [m]."""
 
     geom_xyz: Array
-    geom_turn: Array
+    """(k, g, 3)."""
+    geom_rotation: Array
+    """(k, g, 3, 3): geom -> world."""
     body_xyz: Array
-    body_turn: Array
+    """(k, b, 3)."""
+    body_rotation: Array
+    """(k, b, 3, 3): body -> world."""
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """A length of time: its middle and its length [s], and how many nodes it takes."""
+class SampledInterval:
+    """An interval of time that is sampled at ``nodes`` instants."""
 
     middle_s: float
+    """Its middle, session clock."""
     length_s: float
+    """Its length."""
     nodes: int
+    """Number of Chebyshev nodes."""
 
     def holds(self, from_s: float, to_s: float) -> bool:
         """Whether all of a while lies in it."""
@@ -56,40 +61,40 @@ class Stretch:
         return self.middle_s - half <= from_s and to_s <= self.middle_s + half
 
 
-def stretch_about(middle_s: float, span_s: float, jitter_s: float) -> Stretch | None:
-    """Return the stretch for exposures of ``span_s`` about ``middle_s``; None where interpolating would not pay."""
-    wanted = span_s + 2.0 * ROOM_JITTERS * jitter_s
+def interval_about(middle_s: float, span_s: float, jitter_s: float) -> SampledInterval | None:
+    """Return the interval for exposures of ``span_s`` about ``middle_s``; None where interpolating would not pay."""
+    wanted = span_s + 2.0 * MARGIN_JITTERS * jitter_s
     for length, nodes in LADDER:
         if wanted <= length:
-            return Stretch(middle_s, length, nodes)
+            return SampledInterval(middle_s, length, nodes)
     return None
 
 
-class Moment:
-    """One worker's view of a scene during one pulse period; remembers what it has evaluated.
+class SceneSamples:
+    """The poses of a scene during one pulse period, for one worker; remembers what it has evaluated.
 
-    ``geoms`` (g,) and ``bodies`` (b,): the ids to be told of.
+    ``geoms`` (g,) and ``bodies`` (b,): the ids to be sampled.
     """
 
     def __init__(self, sampler: SceneSampler, geoms: Array, bodies: Array) -> None:
         self._sampler, self._geoms, self._bodies = sampler, geoms, bodies
         self._known: dict[float, Array] = {}
-        self._stretches: dict[Stretch, tuple[Array, Array] | None] = {}
+        self._intervals: dict[SampledInterval, tuple[Array, Array] | None] = {}
         g, b = len(geoms), len(bodies)
         self._tolerance = np.repeat([TOLERANCE, TURN_TOLERANCE] * 2, [3 * g, 9 * g, 3 * b, 9 * b])
 
-    def at(self, times_s: Array, stretch: Stretch | None = None) -> Places:
-        """Return where everything is at instants (k,); ``stretch``: the one that they should lie in."""
+    def at(self, times_s: Array, interval: SampledInterval | None = None) -> GeomPoses:
+        """Return where everything is at instants (k,); ``interval``: the one that they should lie in."""
         rows = None
-        if stretch is not None and stretch.holds(float(times_s.min()), float(times_s.max())):
-            nodes = self._sampled(stretch)
+        if interval is not None and interval.holds(float(times_s.min()), float(times_s.max())):
+            nodes = self._sampled(interval)
             if nodes is not None:
                 rows = interpolated(*nodes, times_s)
         if rows is None:
             rows = np.stack([self._exact(float(t)) for t in times_s])
         k, g, b = len(times_s), len(self._geoms), len(self._bodies)
         turns, bodies, body_turns = 3 * g, 12 * g, 12 * g + 3 * b
-        return Places(
+        return GeomPoses(
             rows[:, :turns].reshape(k, g, 3),
             rows[:, turns:bodies].reshape(k, g, 3, 3),
             rows[:, bodies:body_turns].reshape(k, b, 3),
@@ -97,7 +102,7 @@ class Moment:
         )
 
     def hold(self, time_s: float) -> SceneSampler:
-        """Return the sampler with its data at ``time_s``, for who asks MuJoCo itself."""
+        """Return the sampler with its data at ``time_s``, for calls of MuJoCo itself."""
         self._sampler.at(time_s)
         return self._sampler
 
@@ -117,15 +122,15 @@ class Moment:
             )
         return row
 
-    def _sampled(self, stretch: Stretch) -> tuple[Array, Array] | None:
+    def _sampled(self, interval: SampledInterval) -> tuple[Array, Array] | None:
         """Return the stretch's nodes (n,) and rows (n, d); None where they would not be good enough."""
-        if stretch not in self._stretches:
-            times = chebyshev_nodes(stretch.middle_s, stretch.length_s, stretch.nodes)
+        if interval not in self._intervals:
+            times = chebyshev_nodes(interval.middle_s, interval.length_s, interval.nodes)
             rows = np.stack([self._exact(float(t)) for t in times])
-            middle = interpolated(times, rows, np.array([stretch.middle_s]))
-            off = np.abs(middle[0] - self._exact(stretch.middle_s))
-            self._stretches[stretch] = (times, rows) if (off <= self._tolerance).all() else None
-        return self._stretches[stretch]
+            middle = interpolated(times, rows, np.array([interval.middle_s]))
+            off = np.abs(middle[0] - self._exact(interval.middle_s))
+            self._intervals[interval] = (times, rows) if (off <= self._tolerance).all() else None
+        return self._intervals[interval]
 
 
 def chebyshev_nodes(middle: float, length: float, n: int) -> Array:
@@ -144,7 +149,7 @@ def interpolated(nodes: Array, values: Array, times: Array) -> Array:
 
 
 @kernel
-def _interpolated(nodes, values, times):  # type: ignore[no-untyped-def]
+def _interpolated(nodes: Array, values: Array, times: Array) -> Any:
     out = np.zeros((times.shape[0], values.shape[1]))
     for k in range(times.shape[0]):
         for i in range(nodes.shape[0]):
@@ -159,45 +164,47 @@ def _interpolated(nodes, values, times):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Targets and what hides them in the frame of a camera at K instants.
-
-    ``path`` (m, K, 3) and ``turn`` (m, K, 3, 3) of the targets; ``solid_xyz`` (K, s, 3) and ``solid_turn``
-    (K, s, 3, 3) of what hides them [m].
-    """
+    """Targets and what hides them in the frame of a camera at K instants [m]."""
 
     path: Array
+    """(m, K, 3): centres of the targets."""
     turn: Array
+    """(m, K, 3, 3): target's axes -> camera frame."""
     solid_xyz: Array
-    solid_turn: Array
+    """(K, s, 3): centres of the solids that hide."""
+    solid_rotation: Array
+    """(K, s, 3, 3): solid -> camera frame."""
 
 
 def seen_from(
-    rotation: Array, position: Array, places: Places, targets: Array, solids: Array, count: int
+    rotation: Array, position: Array, poses: GeomPoses, targets: Array, solids: Array, count: int
 ) -> View:
-    """Return what a camera has before it at the first ``count`` instants of ``places``.
+    """Return what a camera has before it at the first ``count`` instants of ``poses``.
 
     ``rotation`` (k, 3, 3), ``position`` (k, 3): its ``world_from_camera``; ``targets`` (m,) and ``solids`` (s,):
-    numbers of the geoms of ``places``.
+    numbers of the geoms of ``poses``.
     """
-    here = _seen_from(rotation, position, places.geom_xyz, places.geom_turn, targets, solids, count)
+    here = _seen_from(rotation, position, poses.geom_xyz, poses.geom_rotation, targets, solids, count)
     return View(*here)
 
 
 @kernel
-def _seen_from(rotation, position, xyz, turn, targets, solids, count):  # type: ignore[no-untyped-def]
+def _seen_from(
+    rotation: Array, position: Array, xyz: Array, turn: Array, targets: Array, solids: Array, count: int
+) -> Any:
     path, path_turn = np.empty((targets.shape[0], count, 3)), np.empty((targets.shape[0], count, 3, 3))
-    solid, solid_turn = np.empty((count, solids.shape[0], 3)), np.empty((count, solids.shape[0], 3, 3))
+    solid, solid_rotation = np.empty((count, solids.shape[0], 3)), np.empty((count, solids.shape[0], 3, 3))
     for k in range(count):
         r, p = rotation[k], position[k]
         for m in range(targets.shape[0]):
             _in_camera(r, p, xyz[k, targets[m]], turn[k, targets[m]], path[m, k], path_turn[m, k])
         for s in range(solids.shape[0]):
-            _in_camera(r, p, xyz[k, solids[s]], turn[k, solids[s]], solid[k, s], solid_turn[k, s])
-    return path, path_turn, solid, solid_turn
+            _in_camera(r, p, xyz[k, solids[s]], turn[k, solids[s]], solid[k, s], solid_rotation[k, s])
+    return path, path_turn, solid, solid_rotation
 
 
 @kernel
-def _in_camera(rotation, position, xyz, turn, here, turned):  # type: ignore[no-untyped-def]
+def _in_camera(rotation: Array, position: Array, xyz: Array, turn: Array, here: Array, turned: Array) -> None:
     """Write a place and its axes in the frame of a camera to ``here`` and ``turned``."""
     x, y, z = xyz[0] - position[0], xyz[1] - position[1], xyz[2] - position[2]
     for i in range(3):

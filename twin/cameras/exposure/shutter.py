@@ -19,62 +19,73 @@ ALWAYS = (-math.inf, math.inf)
 
 @dataclass(frozen=True)
 class Timing:
-    """When a camera exposes and how it stamps.
-
-    Trigger: ``jitter_s`` rms of each exposure's start and ``delay_s`` a constant delay, of which the stamps know
-    nothing; ``skew_s`` a known offset from the pulse, which they tell. Free running, where ``rate_hz`` is given:
-    frame n opens ``offset_s + n / rate`` after the session's start, the rate being ``drift_ppm`` higher than stated;
-    jitter and delay come on top.
-
-    ``exposure_s`` of a row (None: the capture's); ``row_time_s`` from row to row (0: global shutter). ``strobe_s``:
-    how long the light is on (None: always), from ``strobe_delay_s`` after the camera's own opening (``strobe`` "own")
-    or after the trigger pulse, for the whole rig ("rig"). It is no brighter for being short: a strobe of a quarter of
-    the exposure gives a quarter of the light.
-
-    ``stamp_event``, ``clock`` as in CameraInfo. Device and host clocks read ``clock_offset_s`` at the session's
-    start and run ``clock_drift_ppm`` fast; stamps are whole ticks of ``stamp_resolution_ns``. A host's stamp comes
-    late by a random time, exponential with mean ``stamp_jitter_s`` (its rms about that mean too).
-    """
+    """When a camera exposes and how it stamps."""
 
     jitter_s: float = 20e-6
+    """Rms of each exposure's start; not in the stamps."""
     delay_s: float = 0.0
+    """Constant delay after the trigger; not in the stamps."""
     skew_s: float = 0.0
+    """Known offset from the pulse; in the stamps."""
     rate_hz: float | None = None
+    """Stated rate of a free-running camera (None: triggered). Frame n opens ``offset_s + n / rate`` after the
+    session's start; jitter and delay come on top."""
     offset_s: float = 0.0
     drift_ppm: float = 0.0
+    """By how much the true rate of a free-running camera is above the stated one."""
     exposure_s: float | None = None
+    """Of a row; None: the capture's."""
     row_time_s: float = 0.0
+    """From row to row (0: global shutter)."""
     strobe_s: float | None = None
+    """How long the strobe is on (None: always). It is no brighter for being short: a strobe of a quarter of the
+    exposure gives a quarter of the light."""
     strobe_delay_s: float = 0.0
+    """From the camera's own opening, or the rig's trigger pulse, to the strobe."""
     strobe: Literal["own", "rig"] = "own"
+    """The camera's own strobe, or one for the whole rig."""
     stamp_event: StampEvent = "exposure_start"
+    """As in CameraInfo."""
     clock: Literal["device", "host", "session"] = "session"
+    """As in CameraInfo."""
     clock_offset_s: float = 0.0
+    """Reading of a device or host clock at the session's start."""
     clock_drift_ppm: float = 0.0
+    """By how much that clock runs fast."""
     stamp_resolution_ns: int = 1
+    """Stamps are whole multiples of this."""
     stamp_jitter_s: float = 0.0
+    """Mean of a host stamp's delay, exponentially distributed (its rms about that mean too)."""
 
 
 @dataclass(frozen=True)
 class Exposure:
     """The true times of one frame [s], and what the camera states of them [ns].
 
-    ``number`` counts the camera's frames; ``nominal_s``: the first row's opening without delay and jitter,
-    ``start_s``: the true one; ``length_s`` of each row; ``row_time_s``, ``rows``; ``light_s`` when the strobe is on.
-    Stated: ``stamp_ns`` of the stamp event, ``exposure_ns``, ``row_time_ns``. A camera that drives its own
-    strobe states the light's window as its exposure, one of a rig's strobe its shutter's.
+    A camera that drives its own strobe states the light's window as its exposure, one of a rig's strobe its
+    shutter's.
     """
 
     number: int
+    """Of the frame, counted by the camera."""
     nominal_s: float
+    """The first row's opening without delay and jitter."""
     start_s: float
+    """The first row's true opening."""
     length_s: float
+    """Of each row."""
     row_time_s: float
+    """From row to row."""
     rows: int
+    """Rows of the image."""
     light_s: tuple[float, float]
+    """When the strobe is on: from, until."""
     stamp_ns: int
+    """Stated time of the stamp event."""
     exposure_ns: int
+    """Stated length."""
     row_time_ns: int
+    """Stated time from row to row."""
 
     @property
     def end_s(self) -> float:

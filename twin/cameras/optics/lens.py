@@ -1,12 +1,12 @@
-"""The twin's lenses, written from the optics side: light comes from a place and lands on a pixel.
+"""The twin's lenses, written from the optics side: light comes from a point in space and falls on a pixel.
 
 Parameter numbers are those of the rig file; the formulas are written here anew (the pipeline has its own). What
 the pipeline's models cannot express, the *gap*, comes on top of the model, in the order in which light meets it:
 
 1. Entrance-pupil shift. Chief rays at a field angle theta cross the axis at ``z = shift * 2 sin^2 theta`` and not in
    one centre; at 45 deg that is ``shift``. Even and smooth in theta like the series of Gennery (2006, "Generalized
-   camera calibration including fish-eye lenses"), and bounded behind the camera. So near and far places on one ray
-   from the centre land on different pixels, and ``land`` must be given places in metres.
+   camera calibration including fish-eye lenses"), and bounded behind the camera. So near and far points on one ray
+   from the centre land on different pixels, and ``project`` must be given points in metres.
 2. The lens model of the rig file.
 3. Higher radial orders: ``gap_px * T9(s)`` along the radius, s the distance from the image's centre over half
    its diagonal, T9 the Chebyshev polynomial of order 9, which the odd powers up to the 7th cannot follow. The
@@ -30,14 +30,14 @@ from mosca.data.rig import Lens
 from mosca.numba_support.decorators import callable_bare_step, inlined_step, kernel
 from twin.cameras.optics.blur_parameters import Optics
 from twin.cameras.optics.lens_models import (
-    from_collinearity,
-    from_fisheye,
-    from_pinhole,
-    land_collinearity,
-    land_fisheye,
-    land_pinhole,
+    direction_collinearity,
+    direction_fisheye,
+    direction_pinhole,
     off_plane,
     onto_plane,
+    project_collinearity,
+    project_fisheye,
+    project_pinhole,
 )
 from twin.cameras.optics.lens_vector import (
     COLLINEARITY,
@@ -82,7 +82,7 @@ and the field; most of a tilt is a turn of the camera, so that with a free pose 
 
 @dataclass(frozen=True, eq=False)
 class TwinLens:
-    """A lens ready for the kernels: ``vector`` is laid out as ``twin.cameras.optics.lens_vector`` says."""
+    """A lens ready for the kernels: ``vector`` has the layout of ``twin.cameras.optics.lens_vector``."""
 
     vector: Array
 
@@ -105,7 +105,7 @@ class TwinLens:
         return cls(vector_of(lens, width, height, terms.gap_px, terms.tilt_deg, terms.pupil_shift_m))
 
     def pixels(self, places: Array) -> Array:
-        """Place (n, 3) in the camera frame [m] -> pixel (n, 2); NaN where the lens does not image it.
+        """Point (n, 3) in the camera frame [m] -> pixel (n, 2); NaN where the lens does not image it.
 
         Without a pupil shift the distance does not matter and directions of any length will do.
         """
@@ -114,14 +114,15 @@ class TwinLens:
     def directions(self, xy_px: Array, distance_m: float = math.inf) -> Array:
         """Pixel (n, 2) -> unit direction (n, 3) from the camera's centre to what it sees at ``distance_m``.
 
-        NaN where no light comes from. The distance matters with a pupil shift only, see ``origin``.
+        NaN where no light comes from. The distance matters with a pupil shift only, see ``pixel_direction``.
         """
         xy = np.ascontiguousarray(xy_px, dtype=float).reshape(-1, 2)
         return _many_directions(self.vector, xy, distance_m)
 
 
 def warmed(vector: Array, optics: Optics, time_s: float) -> Array:
-    """Return the lens vector ``time_s`` after the session's start: interior orientation drifts as ``optics`` says.
+    """Return the lens vector ``time_s`` after the session's start: interior orientation drifts at the rates of
+    ``optics``.
 
     The principal distance grows by ``principal_distance_ppm_per_s``, the principal point moves by
     ``principal_point_px_per_s``, both linear in time; distortion and gap stay. Read-only, like ``vector``.
@@ -159,30 +160,30 @@ def _move(vector: Array, right_px: float, down_px: float) -> None:
 
 
 @callable_bare_step
-def land(lens: Array, x: float, y: float, z: float) -> Any:
-    """Where light from the place (x, y, z) lands: u, v, then du and dv by (x, y, z), and whether it does.
+def project(lens: Array, x: float, y: float, z: float) -> Any:
+    """Project a point (x, y, z): u, v, then du and dv by (x, y, z), and whether the lens images it.
 
-    The place is in the camera frame, in metres (any length will do without a pupil shift).
+    The point is in the camera frame, in metres (any length will do without a pupil shift).
     Returns (u, v, ux, uy, uz, vx, vy, vz, ok).
     """
     if lens[RARE] != 0.0:
-        return _land_with_rare_terms(lens, x, y, z)
-    return _land_with_gap(lens, x, y, z)
+        return _project_with_rare_terms(lens, x, y, z)
+    return _project_with_gap(lens, x, y, z)
 
 
 @inlined_step
-def _land_with_gap(lens: Array, x: float, y: float, z: float) -> Any:
-    """As ``land``, by the lens model and the higher radial orders."""
+def _project_with_gap(lens: Array, x: float, y: float, z: float) -> Any:
+    """As ``project``, by the lens model and the higher radial orders."""
     if lens[KIND] == FISHEYE:
-        u, v, ux, uy, uz, vx, vy, vz, ok = land_fisheye(lens, x, y, z)
+        u, v, ux, uy, uz, vx, vy, vz, ok = project_fisheye(lens, x, y, z)
     else:
         if not z > 0.0:
             return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False
         slope_x, slope_y = x / z, y / z
         if lens[KIND] == COLLINEARITY:
-            u, v, u1, u2, v1, v2, ok = land_collinearity(lens, slope_x, slope_y)
+            u, v, u1, u2, v1, v2, ok = project_collinearity(lens, slope_x, slope_y)
         else:
-            u, v, u1, u2, v1, v2, ok = land_pinhole(lens, slope_x, slope_y)
+            u, v, u1, u2, v1, v2, ok = project_pinhole(lens, slope_x, slope_y)
         ux, uy, uz = u1 / z, u2 / z, -(u1 * slope_x + u2 * slope_y) / z
         vx, vy, vz = v1 / z, v2 / z, -(v1 * slope_x + v2 * slope_y) / z
     if lens[GAP] != 0.0 and ok:
@@ -198,10 +199,10 @@ def _land_with_gap(lens: Array, x: float, y: float, z: float) -> Any:
 
 
 @callable_bare_step
-def _land_with_rare_terms(lens: Array, x: float, y: float, z: float) -> Any:
-    """As ``land``, with pupil shift before and tilt behind."""
+def _project_with_rare_terms(lens: Array, x: float, y: float, z: float) -> Any:
+    """As ``project``, with pupil shift before and tilt behind."""
     w, wx, wy, wz, seen = _above_pupil(lens[PUPIL], x, y, z)
-    u, v, ux, uy, uz, vx, vy, vz, ok = _land_with_gap(lens, x, y, w)
+    u, v, ux, uy, uz, vx, vy, vz, ok = _project_with_gap(lens, x, y, w)
     ux, uy, uz = ux + uz * wx, uy + uz * wy, uz * wz
     vx, vy, vz = vx + vz * wx, vy + vz * wy, vz * wz
     fx, fy, u0, v0 = lens[PIVOT], lens[PIVOT + 1], lens[PIVOT + 2], lens[PIVOT + 3]
@@ -216,12 +217,12 @@ def _land_with_rare_terms(lens: Array, x: float, y: float, z: float) -> Any:
 
 
 @callable_bare_step
-def origin(lens: Array, u: float, v: float) -> Any:
+def pixel_direction(lens: Array, u: float, v: float) -> Any:
     """The direction (x, y, z) that light on pixel (u, v) comes from; not normalised for pinhole kinds.
 
     NaN where no light comes from. With a pupil shift the ray does not start in the camera's centre: the direction
-    is right for places infinitely far, and ``origin_at`` for those at a distance D. The parallax between the two is
-    ``shift * 2 sin^2 theta * sin theta / D`` rad, for a shift of 1 mm at 30 deg and 4 m 0.06 mrad.
+    is right for points infinitely far, and ``point_at_distance`` for those at a distance D. The parallax between the
+    two is ``shift * 2 sin^2 theta * sin theta / D`` rad, for a shift of 1 mm at 30 deg and 4 m 0.06 mrad.
     """
     if lens[RARE] != 0.0:
         fx, fy, u0, v0 = lens[PIVOT], lens[PIVOT + 1], lens[PIVOT + 2], lens[PIVOT + 3]
@@ -230,16 +231,16 @@ def origin(lens: Array, u: float, v: float) -> Any:
     if lens[GAP] != 0.0:
         u, v = _before_gap(lens, u, v)
     if lens[KIND] == COLLINEARITY:
-        return from_collinearity(lens, u, v)
+        return direction_collinearity(lens, u, v)
     if lens[KIND] == FISHEYE:
-        return from_fisheye(lens, u, v)
-    return from_pinhole(lens, u, v)
+        return direction_fisheye(lens, u, v)
+    return direction_pinhole(lens, u, v)
 
 
 @callable_bare_step
-def origin_at(lens: Array, u: float, v: float, distance: float) -> Any:
-    """The place (x, y, z) [m] at ``distance`` from the camera's centre that light on pixel (u, v) comes from."""
-    x, y, z = origin(lens, u, v)
+def point_at_distance(lens: Array, u: float, v: float, distance: float) -> Any:
+    """The point (x, y, z) [m] at ``distance`` from the camera's centre that light on pixel (u, v) comes from."""
+    x, y, z = pixel_direction(lens, u, v)
     s2, z2 = x * x + y * y, z * z
     n = math.sqrt(s2 + z2)
     x, y, z = x / n, y / n, z / n
@@ -251,9 +252,9 @@ def origin_at(lens: Array, u: float, v: float, distance: float) -> Any:
 
 @inlined_step
 def _above_pupil(shift: float, x: float, y: float, z: float) -> Any:
-    """Height w of a place above where its chief ray crosses the axis, dw by (x, y, z), and whether there is one.
+    """Height w of a point above where its chief ray crosses the axis, dw by (x, y, z), and whether there is one.
 
-    ``w + 2 shift s^2 / (s^2 + w^2) = z``, by Newton's method. Places so near that several rays reach them are not
+    ``w + 2 shift s^2 / (s^2 + w^2) = z``, by Newton's method. Points so near that several rays reach them are not
     imaged: the equation's slope has to stay above a half.
     """
     q = x * x + y * y
@@ -310,10 +311,10 @@ def _before_gap(lens: Array, u: float, v: float) -> Any:
 
 @kernel
 def many_pixels(lens: Array, places: Array) -> Array:
-    """Place (n, 3) -> pixel (n, 2) of a lens vector; NaN where it is not imaged."""
+    """Point (n, 3) -> pixel (n, 2) of a lens vector; NaN where it is not imaged."""
     out = np.empty((places.shape[0], 2))
     for i in range(places.shape[0]):
-        u, v, _a, _b, _c, _d, _e, _f, ok = land(lens, places[i, 0], places[i, 1], places[i, 2])
+        u, v, _a, _b, _c, _d, _e, _f, ok = project(lens, places[i, 0], places[i, 1], places[i, 2])
         out[i, 0], out[i, 1] = (u, v) if ok else (np.nan, np.nan)
     return out
 
@@ -323,9 +324,9 @@ def _many_directions(lens: Array, xy: Array, distance: float) -> Array:
     out = np.empty((xy.shape[0], 3))
     for i in range(xy.shape[0]):
         if lens[PUPIL] != 0.0 and distance < math.inf:
-            x, y, z = origin_at(lens, xy[i, 0], xy[i, 1], distance)
+            x, y, z = point_at_distance(lens, xy[i, 0], xy[i, 1], distance)
         else:
-            x, y, z = origin(lens, xy[i, 0], xy[i, 1])
+            x, y, z = pixel_direction(lens, xy[i, 0], xy[i, 1])
         n = math.sqrt(x * x + y * y + z * z)
         out[i, 0], out[i, 1], out[i, 2] = x / n, y / n, z / n
     return out

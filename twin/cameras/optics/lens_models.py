@@ -17,7 +17,7 @@ CONVERGED2 = 1e-28
 
 
 @inlined_step
-def land_collinearity(lens: Array, sx: float, sy: float) -> Any:
+def project_collinearity(lens: Array, sx: float, sy: float) -> Any:
     """Image of the slopes (x / z, y / z): u, v, du and dv by the slopes, and whether it is imaged."""
     ix, iy = lens[1] * sx, -lens[1] * sy
     xb, yb = ix, iy
@@ -43,7 +43,7 @@ def land_collinearity(lens: Array, sx: float, sy: float) -> Any:
 
 
 @inlined_step
-def from_collinearity(lens: Array, u: float, v: float) -> Any:
+def direction_collinearity(lens: Array, u: float, v: float) -> Any:
     """Direction (x, y, 1) of light on (u, v)."""
     right = lens[4] * (u - lens[2])
     down = lens[5] * (v - lens[3])
@@ -70,7 +70,7 @@ def _collinearity_shift(lens: Array, xb: float, yb: float) -> Any:
 
 
 @inlined_step
-def land_pinhole(lens: Array, x: float, y: float) -> Any:
+def project_pinhole(lens: Array, x: float, y: float) -> Any:
     """Image of the slopes (x / z, y / z): u, v, du and dv by the slopes, and whether it is imaged."""
     xd, yd, xx, xy, yy, rr = _bent(lens, x, y)
     fx, fy = lens[1], lens[2]
@@ -81,7 +81,7 @@ def land_pinhole(lens: Array, x: float, y: float) -> Any:
 
 
 @inlined_step
-def from_pinhole(lens: Array, u: float, v: float) -> Any:
+def direction_pinhole(lens: Array, u: float, v: float) -> Any:
     """Direction (x, y, 1) of light on (u, v): Newton's method."""
     target_x, target_y = (u - lens[3]) / lens[1], (v - lens[4]) / lens[2]
     if lens[PRISM] != 0.0:
@@ -120,7 +120,7 @@ def _bent(lens: Array, x: float, y: float) -> Any:
 def _land_prism(
     lens: Array, x: float, y: float, xd: float, yd: float, xx: float, xy: float, yy: float, rr: float
 ) -> Any:
-    """As ``land_pinhole``, from what ``_bent`` gives: thin prism, then OpenCV's tilted sensor."""
+    """As ``project_pinhole``, from what ``_bent`` gives: thin prism, then OpenCV's tilted sensor."""
     xd, yd, xx, xy, yx, yy = _add_prism(lens, x, y, xd, yd, xx, xy, yy, rr)
     ok = xx * yy - xy * yx > 0.0 and xx + yy > 0.0 and rr < lens[ENDS]
     xd, yd, a, b, c, d, w = onto_plane(lens, OPENCV_PLANE, xd, yd)
@@ -131,7 +131,7 @@ def _land_prism(
 
 @callable_bare_step
 def _from_prism(lens: Array, p: float, q: float) -> Any:
-    """As ``from_pinhole``, from a place on the tilted sensor in units of the principal distance."""
+    """As ``direction_pinhole``, from a place on the tilted sensor in units of the principal distance."""
     target_x, target_y = off_plane(lens, OPENCV_PLANE, p, q)
     sx, sy = target_x, target_y
     for _ in range(STEPS):
@@ -159,7 +159,7 @@ def _add_prism(
 
 
 @inlined_step
-def land_fisheye(lens: Array, x: float, y: float, z: float) -> Any:
+def project_fisheye(lens: Array, x: float, y: float, z: float) -> Any:
     """Image of the direction: u, v, du and dv by (x, y, z), and whether it is imaged; z may be negative."""
     s = math.sqrt(x * x + y * y)
     fx, fy = lens[1], lens[2]
@@ -179,7 +179,7 @@ def land_fisheye(lens: Array, x: float, y: float, z: float) -> Any:
 
 
 @inlined_step
-def from_fisheye(lens: Array, u: float, v: float) -> Any:
+def direction_fisheye(lens: Array, u: float, v: float) -> Any:
     """Unit direction of light on (u, v): Newton's method between bounds, NaN outside the image circle."""
     a, b = (u - lens[3]) / lens[1], (v - lens[4]) / lens[2]
     radius = math.sqrt(a * a + b * b)

@@ -1,4 +1,4 @@
-"""A lens as a vector of numbers that kernels read: its layout, said here and nowhere else.
+"""A lens as a vector of numbers that kernels read: its layout, defined only here.
 
     0       KIND       COLLINEARITY, PINHOLE or FISHEYE
     1-12    the model's own numbers, in the order of the rig file:

@@ -4,7 +4,7 @@ The light through one patch of the pupil lands beside the ideal image: by defocu
 in the pupil; by coma, with its square and with the field (the ray aberrations of Seidel's theory). All patches
 are blurred by one Gaussian, which stands for diffraction and what else is small. So every spread is a sum of
 shifted Gaussian images, exact for any target, and no table of pictures is needed. The mean displacement is
-taken off: where the light's centroid falls is what a lens model says (``twin.cameras.optics.lens``).
+taken off: the position of the light's centroid is the lens model's (``twin.cameras.optics.lens``).
 """
 
 import math
@@ -29,13 +29,13 @@ for _n, (_at, _weight) in enumerate(_NODES, start=1):
 
 @dataclass(frozen=True, eq=False)
 class Psf:
-    """``kernel`` of one patch; ``terms`` (9,): focus distance [m] (0: sharp everywhere), blur circle a unit of
-    defocus [px], focal length [m], curvature, coma [px at the
-    corner], image centre (x, y), half diagonal, sigma [px].
-    """
+    """The blur of a lens."""
 
     kernel: PixelKernel
+    """Of one patch of the pupil."""
     terms: Array
+    """(9,): focus distance [m] (0: sharp everywhere), blur circle a unit of defocus [px], focal length [m],
+    curvature, coma [px at the corner], image centre (x, y), half diagonal, sigma [px]."""
 
 
 def psf_of(optics: Optics, width: int, height: int) -> Psf:

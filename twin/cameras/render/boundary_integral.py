@@ -7,13 +7,14 @@ panel's time tau (-1..1), and each row of pixels integrates over its own window.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import callable_bare_step, kernel
 from twin.cameras.optics.pixel_kernel import share, weight
+from twin.cameras.render.inputs import RowTiming
 
 MAX_NODES = 24
 """Nodes in a panel of time or of a contour."""
@@ -53,7 +54,7 @@ class Panel(NamedTuple):
 
 
 @callable_bare_step
-def nodes_for(motion_px):  # type: ignore[no-untyped-def]
+def nodes_for(motion_px: float) -> Any:
     """Gauss-Legendre nodes that integrate an image motion of this length, at most 15 px.
 
     They lie widest apart in the middle, pi / 2 of their mean distance: with 1.6 a pixel that is 1 px, which the
@@ -67,7 +68,7 @@ def nodes_for(motion_px):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def add_points(what, out, blur, points, panel, rows):  # type: ignore[no-untyped-def]
+def add_points(what: int, out: Increments, blur: Blur, points: Array, panel: Panel, rows: RowTiming) -> None:
     """Add moving boundary points (EDGE) or spots (SPOT) to the increments ``out``.
 
     ``points`` (n, 9): coefficients of u, v and amount in tau. ``rows``: the RowTiming.
@@ -87,7 +88,17 @@ def add_points(what, out, blur, points, panel, rows):  # type: ignore[no-untyped
 
 
 @callable_bare_step
-def _add_all_rows(what, out, blur, points, panel, begin, end, length, step_x):  # type: ignore[no-untyped-def]
+def _add_all_rows(
+    what: int,
+    out: Increments,
+    blur: Blur,
+    points: Array,
+    panel: Panel,
+    begin: float,
+    end: float,
+    length: float,
+    step_x: Array,
+) -> None:
     """Add points whose rows are all exposed from ``begin`` to ``end`` (global shutter)."""
     change, x0, y0 = out
     table, reach, patch = blur
@@ -116,7 +127,18 @@ def _add_all_rows(what, out, blur, points, panel, begin, end, length, step_x):  
 
 
 @callable_bare_step
-def _add_one_row(what, out, row, blur, points, panel, begin, end, length, step_x):  # type: ignore[no-untyped-def]
+def _add_one_row(
+    what: int,
+    out: Increments,
+    row: int,
+    blur: Blur,
+    points: Array,
+    panel: Panel,
+    begin: float,
+    end: float,
+    length: float,
+    step_x: Array,
+) -> None:
     """Add points to the one row that is exposed from ``begin`` to ``end`` (rolling shutter)."""
     change, x0, y0 = out
     table, reach, patch = blur
@@ -145,7 +167,7 @@ def _add_one_row(what, out, row, blur, points, panel, begin, end, length, step_x
 
 
 @callable_bare_step
-def _steps(what, step_x, table, reach, u):  # type: ignore[no-untyped-def]
+def _steps(what: int, step_x: Array, table: Array, reach: int, u: float) -> None:
     """Change from pixel to pixel, from the first at 0 on, that a point at u adds along a row."""
     previous = 1.0 if what == EDGE else 0.0
     for q in range(2 * reach + 3):
@@ -155,7 +177,7 @@ def _steps(what, step_x, table, reach, u):  # type: ignore[no-untyped-def]
 
 
 @callable_bare_step
-def fill(light, increments, electrons, least):  # type: ignore[no-untyped-def]
+def fill(light: Array, increments: Increments, electrons: float, least: float) -> None:
     """Add the running sums of the increments to the image; light below ``least`` electrons is left out."""
     change, x0, y0 = increments
     height, width = light.shape

@@ -1,46 +1,49 @@
 """The brightness of a disc beyond an even one, as spots of light: limb darkening and a gradient."""
 
 import math
+from typing import Any
 
+from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel
-from twin.cameras.optics.lens import land
+from twin.cameras.optics.lens import project
 from twin.cameras.render.boundary_integral import MOST_NODES, NODE_AT, NODE_SHARE
-from twin.cameras.render.outline import circle_of, rim
+from twin.cameras.render.inputs import TargetPose
+from twin.cameras.render.outline import circle_point, outline_circle
 
 STEP_PX = 0.7
 """Distance of spots around the disc."""
 
 
 @kernel
-def _rings(diameter):  # type: ignore[no-untyped-def]
+def _rings(diameter: float) -> Any:
     """How many rings of spots a disc of this image diameter needs, and how many spots in each."""
     return min(MOST_NODES, 4 + int(diameter)), 12 + int(math.pi * diameter / STEP_PX)
 
 
 @kernel
-def spot_count(diameter):  # type: ignore[no-untyped-def]
+def spot_count(diameter: float) -> Any:
     """Number of spots of a disc of this image diameter."""
     rings, around = _rings(diameter)
     return rings * around
 
 
 @kernel
-def spots(lens, target, profile, diameter, out):  # type: ignore[no-untyped-def]
+def spots(lens: Array, target: TargetPose, profile: Array, diameter: float, out: Array) -> None:
     """Write spots (u, v, amount) of the brightness of a disc beyond 1: Gauss in the radius, even angles.
 
     The radius is the sine of the quadrature's variable, in which limb darkening is smooth.
     """
     rings, around = _rings(diameter)
-    circle = circle_of(target, target.radius)
+    circle = outline_circle(target, target.radius)
     cx, cy, cz = circle[0], circle[1], circle[2]
     n = 0
     for i in range(rings):
         angle = 0.25 * math.pi * (NODE_AT[rings, i] + 1.0)
         q, dq = math.sin(angle), 0.5 * math.pi * NODE_SHARE[rings, i] * math.cos(angle)
         for k in range(around):
-            dx, dy, dz, ex, ey, ez = rim(circle, 2.0 * math.pi * (k + 0.5 * (i % 2)) / around)
+            dx, dy, dz, ex, ey, ez = circle_point(circle, 2.0 * math.pi * (k + 0.5 * (i % 2)) / around)
             gx, gy, gz = dx - cx, dy - cy, dz - cz
-            u, v, ux, uy, uz, vx, vy, vz, _ok = land(lens, cx + q * gx, cy + q * gy, cz + q * gz)
+            u, v, ux, uy, uz, vx, vy, vz, _ok = project(lens, cx + q * gx, cy + q * gy, cz + q * gz)
             u_q, v_q = ux * gx + uy * gy + uz * gz, vx * gx + vy * gy + vz * gz
             u_a, v_a = q * (ux * ex + uy * ey + uz * ez), q * (vx * ex + vy * ey + vz * ez)
             area = abs(u_q * v_a - v_q * u_a) * dq * 2.0 * math.pi / around

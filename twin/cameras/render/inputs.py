@@ -178,13 +178,17 @@ class Solid(NamedTuple):
 
 
 class NearSolids(NamedTuple):
-    """The solids that may hide a target: ``number`` of the first ``count``; poses ``xyz`` (k, 3) and ``turn``
-    (k, 3, 3) of these at one instant, overwritten from instant to instant; ``kind`` and ``size`` of all.
-    """
+    """The solids that may hide a target, and their poses at one instant, overwritten from instant to instant."""
 
     number: Array
-    count: int
+    """Their numbers, in the first ``found`` of (k,)."""
+    found: int
+    """How many they are."""
     kind: Array
+    """(k,) of all solids: type of geom as MuJoCo has it."""
     size: Array
+    """(k, 3) of all solids as MuJoCo has it [m]."""
     xyz: Array
+    """(k, 3): centres of those found, camera frame [m]."""
     turn: Array
+    """(k, 3, 3): rotations of those found, geom -> camera frame."""

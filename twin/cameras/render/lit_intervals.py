@@ -1,18 +1,21 @@
 """What a target itself lights of a row of its image: where the fan of rays ``a + s b`` meets it, in closed form."""
 
 import math
+from typing import Any
 
 import numpy as np
 
+from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel
-from twin.cameras.optics.lens import land
-from twin.cameras.render.outline import BALL, along
+from twin.cameras.optics.lens import project
+from twin.cameras.render.inputs import TargetPose
+from twin.cameras.render.outline import BALL, contour_point
 from twin.cameras.render.row_intervals import roots
 from twin.scenes.figure import LINE
 
 
 @kernel
-def lit_by_disc(target, a, b):  # type: ignore[no-untyped-def]
+def lit_by_disc(target: TargetPose, a: Array, b: Array) -> Any:
     """Interval of s in which the rays a + s b meet a ball, or a flat round target."""
     shape, turn, x, y, z, r = target
     if shape == BALL:
@@ -39,7 +42,9 @@ def lit_by_disc(target, a, b):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def lit_by_figure(lens, target, pieces, a, b, lit_u, lit_step):  # type: ignore[no-untyped-def]
+def lit_by_figure(
+    lens: Array, target: TargetPose, pieces: Array, a: Array, b: Array, lit_u: Array, lit_step: Array
+) -> Any:
     """Write where the row crosses the contours and by how much the light rises there; return how many times."""
     _shape, turn, x, y, z, _r = target
     nx, ny, nz = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
@@ -71,8 +76,8 @@ def lit_by_figure(lens, target, pieces, a, b, lit_u, lit_step):  # type: ignore[
             share = s0 if k == 0 else s1
             if share < 0.0 or share > 1.0:
                 continue
-            gx, gy, hx, hy = along(pieces[i], share)
-            u, _v, _a, _b, _c, _d, _e, _f, ok = land(
+            gx, gy, hx, hy = contour_point(pieces[i], share)
+            u, _v, _a, _b, _c, _d, _e, _f, ok = project(
                 lens,
                 x + gx * turn[0, 0] + gy * turn[0, 1],
                 y + gx * turn[1, 0] + gy * turn[1, 1],
@@ -88,7 +93,7 @@ def lit_by_figure(lens, target, pieces, a, b, lit_u, lit_step):  # type: ignore[
 
 
 @kernel
-def _share_of_arc(angle, start, swing, whole):  # type: ignore[no-untyped-def]
+def _share_of_arc(angle: float, start: float, swing: float, whole: float) -> Any:
     """The share of an arc at an angle; -1 where it does not reach."""
     away = (angle - start) % whole if swing > 0.0 else (start - angle) % whole
     return away / abs(swing) if away <= abs(swing) else -1.0

@@ -1,4 +1,4 @@
-"""Meshes before targets: MuJoCo's exact ray caster, asked at as many instants as a mesh passes a target."""
+"""Meshes before targets: MuJoCo's exact ray caster, at as many instants as their motion past a target needs."""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,23 +11,28 @@ from twin.cameras.optics.lens import many_pixels
 from twin.cameras.render.inputs import TargetPose, TargetsInCamera
 from twin.cameras.render.occluder_culling import GROUP_PX, MOST_GROUPS
 from twin.cameras.render.occluders import Occluders, may_hide
-from twin.cameras.render.outline import lagrange
+from twin.cameras.render.outline import lagrange_weights
 from twin.cameras.render.ray_samples import SampleGrid, runs, sample_rays
 from twin.scenes.scene import UNSEEN_GROUP
 
-Look = Callable[[float], tuple[Any, Array, Array]]
+SceneAt = Callable[[float], tuple[Any, Array, Array]]
 """Seconds from the first row's opening -> MjData of that instant, and the camera's rotation and position in the
 world. What an earlier call gave is good until the next one.
 """
 
 
 class MeshRays:
-    """Answers what stands before the markers of a scene; ``middle_s``: the exposure's middle."""
+    """Occlusion of the markers of a scene by meshes; ``middle_s``: the exposure's middle."""
 
     def __init__(
-        self, model: Any, look: Look, middle_s: float, occluders: Occluders, marker_geoms: tuple[int, ...]
+        self,
+        model: Any,
+        scene_at: SceneAt,
+        middle_s: float,
+        occluders: Occluders,
+        marker_geoms: tuple[int, ...],
     ) -> None:
-        self.model, self.look, self.middle_s = model, look, middle_s
+        self.model, self.scene_at, self.middle_s = model, scene_at, middle_s
         self.occluders, self.marker_geoms = occluders, marker_geoms
         self.groups = np.ones(6, dtype=np.uint8)
         self.groups[UNSEEN_GROUP] = 0
@@ -35,7 +40,7 @@ class MeshRays:
     def candidates(self, targets: TargetsInCamera) -> Array:
         """Return for each target 1 where a mesh's bounding sphere can hide any of it (m,)."""
         chosen = np.zeros(len(targets.radius), dtype=np.int64)
-        data, rotation, position = self.look(self.middle_s)
+        data, rotation, position = self.scene_at(self.middle_s)
         middle = targets.path.shape[1] // 2
         swing = np.ptp(targets.path, axis=1).max(axis=1)
         for geom, reach in zip(self.occluders.mesh_geom, self.occluders.mesh_radius, strict=True):
@@ -75,16 +80,16 @@ class MeshRays:
     ) -> float:
         """Return how far [px] the meshes' own points nearest the line of sight slip past a target's image."""
         geoms = self.occluders.mesh_geom
-        sight = between(targets.path[marker], nodes, 0.5 * (begin + end))
-        data, rotation, position = self.look(0.5 * (begin + end))
+        sight = interpolate(targets.path[marker], nodes, 0.5 * (begin + end))
+        data, rotation, position = self.scene_at(0.5 * (begin + end))
         share = np.clip(((data.geom_xpos[geoms] - position) @ rotation) @ sight / (sight @ sight), 0.05, 1.0)
         world = position + (share[:, None] * sight) @ rotation.T
         local = np.einsum("gji,gj->gi", _turns(data, geoms), world - data.geom_xpos[geoms])
         images = []
         for t in (begin, end):
-            data, rotation, position = self.look(t)
+            data, rotation, position = self.scene_at(t)
             moved = np.einsum("gij,gj->gi", _turns(data, geoms), local) + data.geom_xpos[geoms]
-            both = np.vstack([(moved - position) @ rotation, between(targets.path[marker], nodes, t)])
+            both = np.vstack([(moved - position) @ rotation, interpolate(targets.path[marker], nodes, t)])
             images.append(many_pixels(lens, np.ascontiguousarray(both)))
         way = images[1] - images[0]
         slips = np.linalg.norm(way[:-1] - way[-1], axis=1)
@@ -94,8 +99,8 @@ class MeshRays:
         self, marker: int, lens: Array, targets: TargetsInCamera, nodes: Array, time_s: float, still: bool
     ) -> tuple[Array, SampleGrid, Array]:
         """Return the cells of a target's samples at an instant, their grid, and which of them nothing hides."""
-        x, y, z = (float(c) for c in between(targets.path[marker], nodes, time_s))
-        turn = between(targets.turn[marker], nodes, time_s)
+        x, y, z = (float(c) for c in interpolate(targets.path[marker], nodes, time_s))
+        turn = interpolate(targets.turn[marker], nodes, time_s)
         target = TargetPose(int(targets.shape[marker]), turn, x, y, z, float(targets.radius[marker]))
         for per_px in (3, 0):  # coarse samples suffice for most
             rays, cell, grid = sample_rays(lens, target, per_px)
@@ -106,7 +111,7 @@ class MeshRays:
 
     def visible(self, marker: int, directions: Array, time_s: float) -> Array:
         """Return which rays (n, 3), camera frame, meet the target before anything else at an instant (n,)."""
-        data, rotation, position = self.look(time_s)
+        data, rotation, position = self.scene_at(time_s)
         unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
         world = np.ascontiguousarray(unit @ rotation.T)
         n = len(world)
@@ -124,8 +129,8 @@ def _turns(data: Any, geoms: Array) -> Array:
     return turns
 
 
-def between(values: Array, nodes: Array, time_s: float) -> Array:
+def interpolate(values: Array, nodes: Array, time_s: float) -> Array:
     """Return values (K, ...) given at ``nodes`` at an instant."""
     weights = np.empty(len(nodes))
-    lagrange(nodes, time_s, weights)
+    lagrange_weights(nodes, time_s, weights)
     return np.asarray(np.tensordot(weights, values, axes=1))

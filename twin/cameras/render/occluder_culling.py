@@ -1,14 +1,23 @@
 """Which solids may hide a target at all, their poses at an instant, and how fast they pass it."""
 
 import math
+from typing import Any
 
 import numpy as np
 
+from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel
-from twin.cameras.optics.lens import land
-from twin.cameras.render.inputs import Solid
+from twin.cameras.optics.lens import project
+from twin.cameras.render.inputs import NearSolids, RenderInputs, Solid, SolidArrays, TargetPose
 from twin.cameras.render.occluders import axis_reach, hit, may_hide
-from twin.cameras.render.outline import circle_of, lagrange, place, rim, turned
+from twin.cameras.render.outline import (
+    circle_point,
+    lagrange_weights,
+    outline_circle,
+    position_at,
+    rotation_at,
+)
+from twin.cameras.render.target_image import TargetImage
 
 GROUP_PX = 0.25
 """Motion of a target past what hides it for which the hidden part is judged anew."""
@@ -18,7 +27,7 @@ OUTLINE_MARGIN = 1.05
 
 
 @kernel
-def motion_bounds(kind, size, geom_xyz, geom_turn):  # type: ignore[no-untyped-def]
+def motion_bounds(kind: Array, size: Array, geom_xyz: Array, geom_rotation: Array) -> Any:
     """Return (k, 8) of each geom: centre and axis at the middle node, half length and reach with all its motion."""
     last = geom_xyz.shape[0] - 1
     middle = last // 2
@@ -28,14 +37,14 @@ def motion_bounds(kind, size, geom_xyz, geom_turn):  # type: ignore[no-untyped-d
         moved = bent = 0.0
         for i in range(3):
             moved = max(moved, (geom_xyz[last, g, i] - geom_xyz[0, g, i]) ** 2)
-            bent += (geom_turn[last, g, i, 2] - geom_turn[0, g, i, 2]) ** 2
-            out[g, i], out[g, 3 + i] = geom_xyz[middle, g, i], geom_turn[middle, g, i, 2]
+            bent += (geom_rotation[last, g, i, 2] - geom_rotation[0, g, i, 2]) ** 2
+            out[g, i], out[g, 3 + i] = geom_xyz[middle, g, i], geom_rotation[middle, g, i, 2]
         out[g, 6], out[g, 7] = half, reach + math.sqrt(3.0 * moved) + half * math.sqrt(bent)
     return out
 
 
 @kernel
-def near_solids(inputs, m, image, number):  # type: ignore[no-untyped-def]
+def near_solids(inputs: RenderInputs, m: int, image: TargetImage, number: Array) -> Any:
     """Write the numbers of the solids that may hide target m.
 
     Returns how many, and into how many groups of instants the exposure must be divided. ``image``: its TargetImage.
@@ -57,23 +66,23 @@ def near_solids(inputs, m, image, number):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _slip_px(inputs, m, image, number, count):  # type: ignore[no-untyped-def]
+def _slip_px(inputs: RenderInputs, m: int, image: TargetImage, number: Array, count: int) -> Any:
     """How far at most a solid's own point nearest the line of sight moves past the target in the image [px]."""
     lens, nodes, path = inputs.lens, inputs.nodes_s, inputs.targets.path[m]
     x, y, z = image.target.x, image.target.y, image.target.z
     weights, at_begin, at_end = np.empty(nodes.shape[0]), np.empty(nodes.shape[0]), np.empty(nodes.shape[0])
-    lagrange(nodes, image.instant_s, weights)
-    lagrange(nodes, image.begin_s, at_begin)
-    lagrange(nodes, image.end_s, at_end)
-    ax, ay, az = place(path, at_begin)
-    bx, by, bz = place(path, at_end)
-    ua, va, _a, _b, _c, _d, _e, _f, ok_a = land(lens, ax, ay, az)
-    ub, vb, _a, _b, _c, _d, _e, _f, ok_b = land(lens, bx, by, bz)
+    lagrange_weights(nodes, image.instant_s, weights)
+    lagrange_weights(nodes, image.begin_s, at_begin)
+    lagrange_weights(nodes, image.end_s, at_end)
+    ax, ay, az = position_at(path, at_begin)
+    bx, by, bz = position_at(path, at_end)
+    ua, va, _a, _b, _c, _d, _e, _f, ok_a = project(lens, ax, ay, az)
+    ub, vb, _a, _b, _c, _d, _e, _f, ok_b = project(lens, bx, by, bz)
     slip = 0.0
     local = np.empty(3)
     for q in range(count):
         xyz, turn = inputs.solids.xyz[:, number[q]], inputs.solids.turn[:, number[q]]
-        cx, cy, cz = place(xyz, weights)
+        cx, cy, cz = position_at(xyz, weights)
         f = min(max((cx * x + cy * y + cz * z) / (x * x + y * y + z * z), 0.05), 1.0)
         for i in range(3):
             local[i] = 0.0
@@ -90,40 +99,40 @@ def _slip_px(inputs, m, image, number, count):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _material(lens, xyz, turn, weights, local):  # type: ignore[no-untyped-def]
+def _material(lens: Array, xyz: Array, turn: Array, weights: Array, local: Array) -> Any:
     """Where a point that is fixed in a geom is imaged at an instant."""
-    x, y, z = place(xyz, weights)
+    x, y, z = position_at(xyz, weights)
     for k in range(weights.shape[0]):
         t = turn[k]
         x += weights[k] * (t[0, 0] * local[0] + t[0, 1] * local[1] + t[0, 2] * local[2])
         y += weights[k] * (t[1, 0] * local[0] + t[1, 1] * local[1] + t[1, 2] * local[2])
         z += weights[k] * (t[2, 0] * local[0] + t[2, 1] * local[1] + t[2, 2] * local[2])
-    u, v, _a, _b, _c, _d, _e, _f, ok = land(lens, x, y, z)
+    u, v, _a, _b, _c, _d, _e, _f, ok = project(lens, x, y, z)
     return u, v, ok
 
 
 @kernel
-def pose_solids(near, solids, nodes, instant_s):  # type: ignore[no-untyped-def]
+def pose_solids(near: NearSolids, solids: SolidArrays, nodes: Array, instant_s: float) -> None:
     """Write the poses of the near solids at an instant."""
     weights = np.empty(nodes.shape[0])
-    lagrange(nodes, instant_s, weights)
-    for q in range(near.count):
+    lagrange_weights(nodes, instant_s, weights)
+    for q in range(near.found):
         g = near.number[q]
-        near.xyz[g, 0], near.xyz[g, 1], near.xyz[g, 2] = place(solids.xyz[:, g], weights)
-        turned(solids.turn[:, g], weights, near.turn[g])
+        near.xyz[g, 0], near.xyz[g, 1], near.xyz[g, 2] = position_at(solids.xyz[:, g], weights)
+        rotation_at(solids.turn[:, g], weights, near.turn[g])
 
 
 @kernel
-def hidden_by_one(near, target):  # type: ignore[no-untyped-def]
+def hidden_by_one(near: NearSolids, target: TargetPose) -> Any:
     """Whether one convex solid hides the whole outline, drawn 5 % too large, and so all of the target."""
-    circle = circle_of(target, OUTLINE_MARGIN * target.radius)
+    circle = outline_circle(target, OUTLINE_MARGIN * target.radius)
     away = math.sqrt(target.x * target.x + target.y * target.y + target.z * target.z)
-    for q in range(near.count):
+    for q in range(near.found):
         g = near.number[q]
         solid = Solid(near.kind[g], near.size[g], near.xyz[g], near.turn[g])
         all_hit = True
         for k in range(12):
-            dx, dy, dz, _a, _b, _c = rim(circle, k * math.pi / 6)
+            dx, dy, dz, _a, _b, _c = circle_point(circle, k * math.pi / 6)
             front = (away - target.radius) / math.sqrt(dx * dx + dy * dy + dz * dz)
             if not hit(solid, dx, dy, dz) < front:
                 all_hit = False

@@ -1,6 +1,6 @@
 """What stands between the camera and a marker: analytic rays against MuJoCo's primitives.
 
-All in the camera frame, rays from its origin. Meshes are left to ``mj_multiRay`` (see ``render``). Planes and
+All in the camera frame, rays from its origin. Meshes are left to ``mj_multiRay`` (see ``mesh_occlusion``). Planes and
 height fields are floors: they hide nothing that is above them from a camera above them and are passed over.
 """
 

@@ -6,15 +6,15 @@ target's outline.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel
-from twin.cameras.optics.lens import origin, origin_at
+from twin.cameras.optics.lens import pixel_direction, point_at_distance
 from twin.cameras.optics.lens_vector import FISHEYE, KIND, PUPIL
-from twin.cameras.render.inputs import ImageBox, Solid
+from twin.cameras.render.inputs import ImageBox, NearSolids, Solid, TargetPose
 from twin.cameras.render.lit_intervals import lit_by_disc, lit_by_figure
 from twin.cameras.render.occluders import hit
 from twin.cameras.render.outline import BALL, FIGURE
@@ -52,7 +52,9 @@ class Scan(NamedTuple):
 
 
 @kernel
-def scan_hidden(lens, target, contours, box, near, profile):  # type: ignore[no-untyped-def]
+def scan_hidden(
+    lens: Array, target: TargetPose, contours: Array, box: ImageBox, near: NearSolids, profile: Array
+) -> Any:
     """Return the boundary of what is hidden (n, 3) and of what is lit (k, 3) as (u, v, dv), and both areas [px^2].
 
     ``contours``: the pieces of a figure; ``box`` of the target's image; ``near``: the NearSolids; ``profile``
@@ -65,7 +67,7 @@ def scan_hidden(lens, target, contours, box, near, profile):  # type: ignore[no-
     rays, a, b = np.empty((scan.pieces + 1, 3)), np.empty(3), np.empty(3)
     most_lit = 2 * contours.shape[0] if figure else 2
     lit_u, lit_step = np.empty(most_lit), np.empty(most_lit)
-    low, high = np.empty(scan.pieces * near.count), np.empty(scan.pieces * near.count)
+    low, high = np.empty(scan.pieces * near.found), np.empty(scan.pieces * near.found)
     edges, lit_edges = np.empty((64, 3)), np.empty((64, 3))
     # whole numbers, no constants: each constant handed to a function would have it compiled once more
     edge_count = lit_count = np.int64(0)
@@ -101,7 +103,7 @@ def scan_hidden(lens, target, contours, box, near, profile):  # type: ignore[no-
 
 
 @kernel
-def _scan(lens, target, box):  # type: ignore[no-untyped-def]
+def _scan(lens: Array, target: TargetPose, box: ImageBox) -> Any:
     """Return how finely a target's image is scanned, and the rays of a small one."""
     left, right, top, bottom = box
     large = max(right - left, bottom - top)
@@ -124,14 +126,14 @@ def _scan(lens, target, box):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _ray(lens, target, scan, u, v):  # type: ignore[no-untyped-def]
+def _ray(lens: Array, target: TargetPose, scan: Scan, u: float, v: float) -> Any:
     """A direction to pixel (u, v), scaled so that straight lines of pixels are evenly spaced along it."""
     if lens[PUPIL] != 0.0:
-        dx, dy, dz = origin_at(lens, u, v, scan.distance_m)
+        dx, dy, dz = point_at_distance(lens, u, v, scan.distance_m)
         if not scan.gnomonic:
             return dx / dz, dy / dz, 1.0
     else:
-        dx, dy, dz = origin(lens, u, v)
+        dx, dy, dz = pixel_direction(lens, u, v)
     if scan.gnomonic:
         k = scan.distance_m / (dx * target.x + dy * target.y + dz * target.z)
         return dx * k, dy * k, dz * k
@@ -139,7 +141,7 @@ def _ray(lens, target, scan, u, v):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _whole_row(lens, target, scan, v, a, b):  # type: ignore[no-untyped-def]
+def _whole_row(lens: Array, target: TargetPose, scan: Scan, v: float, a: Array, b: Array) -> None:
     """Write the fan a + s b of a whole row of the box, s from 0 to 1."""
     a[0], a[1], a[2] = _ray(lens, target, scan, scan.box.left, v)
     dx, dy, dz = _ray(lens, target, scan, scan.box.right, v)
@@ -147,7 +149,7 @@ def _whole_row(lens, target, scan, v, a, b):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _row_rays(lens, target, scan, j, v, rays):  # type: ignore[no-untyped-def]
+def _row_rays(lens: Array, target: TargetPose, scan: Scan, j: int, v: float, rays: Array) -> None:
     """Write the rays (pieces + 1, 3) at the ends of the pieces of row ``j``, at height ``v`` of the image."""
     if not scan.small:
         rays[0, 0], rays[0, 1], rays[0, 2] = _ray(lens, target, scan, scan.box.left, v)
@@ -169,13 +171,15 @@ def _row_rays(lens, target, scan, j, v, rays):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _quadratic_weights(f):  # type: ignore[no-untyped-def]
+def _quadratic_weights(f: float) -> Any:
     """Weights that interpolate values given at 0, 1/2 and 1."""
     return (2.0 * f - 1.0) * (f - 1.0), 4.0 * f * (1.0 - f), f * (2.0 * f - 1.0)
 
 
 @kernel
-def _covered_in_row(target, scan, near, rays, low, high):  # type: ignore[no-untyped-def]
+def _covered_in_row(
+    target: TargetPose, scan: Scan, near: NearSolids, rays: Array, low: Array, high: Array
+) -> Any:
     """Write the intervals of a row in which solids stand before the target.
 
     Returns how many, and from where to where the row lies in a ball or disc.
@@ -195,7 +199,7 @@ def _covered_in_row(target, scan, near, rays, low, high):  # type: ignore[no-unt
             if one >= two:
                 continue
             lit_low, lit_high = min(lit_low, start + one), max(lit_high, start + two)
-        for q in range(near.count):
+        for q in range(near.found):
             first, last = _covered_before(target, near, near.number[q], a, b, one, two)
             if first < last:
                 low[found], high[found] = start + first, start + last
@@ -204,7 +208,9 @@ def _covered_in_row(target, scan, near, rays, low, high):  # type: ignore[no-unt
 
 
 @kernel
-def _covered_before(target, near, g, a, b, one, two):  # type: ignore[no-untyped-def]
+def _covered_before(
+    target: TargetPose, near: NearSolids, g: int, a: Array, b: Array, one: float, two: float
+) -> Any:
     """The part of one..two in which solid ``g`` covers the fan a + s b before the target; low >= high: none."""
     solid = Solid(near.kind[g], near.size[g], near.xyz[g], near.turn[g])
     first, last = covered(solid, a, b)
@@ -215,9 +221,18 @@ def _covered_before(target, near, g, a, b, one, two):  # type: ignore[no-untyped
 
 
 @kernel
-def _hide(  # type: ignore[no-untyped-def]
-    edges, count, area, scan, profile, v, low, high, lit_u, lit_step
-):
+def _hide(
+    edges: Array,
+    count: int,
+    area: float,
+    scan: Scan,
+    profile: Array,
+    v: float,
+    low: float,
+    high: float,
+    lit_u: Array,
+    lit_step: Array,
+) -> Any:
     """Add the boundary of what is hidden from ``low`` to ``high`` of the row at ``v``; ``area``: of all so far.
 
     ``lit_u`` and ``lit_step`` (k,): where the target's light rises in this row, and by how much. Returns the edges,
@@ -258,14 +273,14 @@ def _hide(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _anything_before(lens, target, scan, near):  # type: ignore[no-untyped-def]
+def _anything_before(lens: Array, target: TargetPose, scan: Scan, near: NearSolids) -> Any:
     """Whether any solid stands before the box of a figure, by rows of half a pixel: most figures have none."""
     top, bottom = scan.box.top, scan.box.bottom
     a, b = np.empty(3), np.empty(3)
     rows = 2 + int(2.0 * (bottom - top))
     for j in range(rows):
         _whole_row(lens, target, scan, top + (bottom - top) * (j + 0.5) / rows, a, b)
-        for q in range(near.count):
+        for q in range(near.found):
             first, last = _covered_before(target, near, near.number[q], a, b, 0.0, 1.0)
             if first < last:
                 return True
@@ -273,35 +288,35 @@ def _anything_before(lens, target, scan, near):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _put(edges, n, u, v, amount):  # type: ignore[no-untyped-def]
+def _put(edges: Array, n: int, u: float, v: float, amount: float) -> None:
     edges[n, 0], edges[n, 1], edges[n, 2] = u, v, amount
 
 
 @kernel
-def _wider(edges, count, more):  # type: ignore[no-untyped-def]
+def _wider(edges: Array, count: int, more: int) -> Any:
     """Return the edges in a larger array."""
     wider = np.empty((2 * edges.shape[0] + more, 3))
-    # one by one: an assignment of slices would compile what it says of shapes that differ
+    # one by one: an assignment of slices would compile its error message for shapes that differ
     for i in range(count):
         wider[i, 0], wider[i, 1], wider[i, 2] = edges[i, 0], edges[i, 1], edges[i, 2]
     return wider
 
 
 @kernel
-def has_profile(profile):  # type: ignore[no-untyped-def]
+def has_profile(profile: Array) -> Any:
     """Whether the brightness of a target differs from place to place on it."""
     return profile[0] != 0.0 or profile[1] != 0.0 or profile[2] != 0.0 or profile[3] != 0.0
 
 
 @kernel
-def brightness(profile, qx, qy):  # type: ignore[no-untyped-def]
+def brightness(profile: Array, qx: float, qy: float) -> Any:
     """Brightness at (qx, qy), the position on the disc over its radius: limb darkening and a gradient."""
     inside = max(0.0, 1.0 - qx * qx - qy * qy)
     return 1.0 - profile[0] * (1.0 - math.sqrt(inside)) + profile[1] * qx + profile[2] * qy
 
 
 @kernel
-def front_of(target, dx, dy, dz):  # type: ignore[no-untyped-def]
+def front_of(target: TargetPose, dx: float, dy: float, dz: float) -> Any:
     """Distance along d at which the target's own front is met (the silhouette's edge counts as met)."""
     shape, turn, x, y, z, r = target
     if shape != BALL:
@@ -313,14 +328,14 @@ def front_of(target, dx, dy, dz):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _before(solid, a, b, s, target):  # type: ignore[no-untyped-def]
+def _before(solid: Solid, a: Array, b: Array, s: float, target: TargetPose) -> Any:
     """Whether the ray at s meets the solid before the target."""
     dx, dy, dz = a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]
     return hit(solid, dx, dy, dz) < front_of(target, dx, dy, dz) * BEFORE
 
 
 @kernel
-def _in_front(solid, a, b, first, last, target):  # type: ignore[no-untyped-def]
+def _in_front(solid: Solid, a: Array, b: Array, first: float, last: float, target: TargetPose) -> Any:
     """The part of an interval in which the solid stands before the target; solids that meet part it once."""
     at_first = _before(solid, a, b, first + 0.05 * (last - first), target)
     at_last = _before(solid, a, b, last - 0.05 * (last - first), target)
@@ -339,7 +354,7 @@ def _in_front(solid, a, b, first, last, target):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _merge(low, high, count):  # type: ignore[no-untyped-def]
+def _merge(low: Array, high: Array, count: int) -> Any:
     """Sort intervals and join those that touch, in place; return how many are left."""
     for i in range(1, count):
         one, two = low[i], high[i]

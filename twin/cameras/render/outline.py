@@ -6,13 +6,15 @@ equal steps converge exponentially; along pieces with corners Gauss-Legendre nod
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
+from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel
-from twin.cameras.optics.lens import land
+from twin.cameras.optics.lens import project
 from twin.cameras.render.boundary_integral import MAX_NODES, NODE_AT, NODE_SHARE
-from twin.cameras.render.inputs import ImageBox
+from twin.cameras.render.inputs import ImageBox, TargetPose
 from twin.scenes.figure import LINE
 
 BALL, FLAT, FIGURE = 0, 1, 2
@@ -23,7 +25,7 @@ MOST_PANELS = 100
 
 
 @kernel
-def lagrange(nodes, t, out):  # type: ignore[no-untyped-def]
+def lagrange_weights(nodes: Array, t: float, out: Array) -> None:
     """Weights (K,) that interpolate values given at ``nodes`` (K,) at the instant t."""
     for k in range(nodes.shape[0]):
         product = 1.0
@@ -34,7 +36,7 @@ def lagrange(nodes, t, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def place(path, weights):  # type: ignore[no-untyped-def]
+def position_at(path: Array, weights: Array) -> Any:
     """Interpolate a path (K, 3)."""
     x = y = z = 0.0
     for k in range(weights.shape[0]):
@@ -45,7 +47,7 @@ def place(path, weights):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def turned(turn, weights, out):  # type: ignore[no-untyped-def]
+def rotation_at(turn: Array, weights: Array, out: Array) -> None:
     """Interpolate rotations (K, 3, 3): sums of matrices, good to the square of the turn between nodes."""
     for i in range(3):
         for j in range(3):
@@ -56,7 +58,7 @@ def turned(turn, weights, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def across(x, y, z):  # type: ignore[no-untyped-def]
+def perpendicular_axes(x: float, y: float, z: float) -> Any:
     """Two unit vectors at right angles to (x, y, z) and to each other, the first one as nearly along x as can be."""
     n = math.sqrt(x * x + y * y + z * z)
     x, y, z = x / n, y / n, z / n
@@ -70,12 +72,12 @@ def across(x, y, z):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def circle_of(target, r):  # type: ignore[no-untyped-def]
+def outline_circle(target: TargetPose, r: float) -> Any:
     """The circle that is a target's outline with radius ``r``: centre, and two radii at right angles (9 numbers)."""
     shape, turn, x, y, z, _r = target
     if shape == BALL:
         # the touching circle: centre C (1 - r^2 / d^2), radius r sqrt(1 - r^2 / d^2)
-        ax, ay, az, bx, by, bz = across(x, y, z)
+        ax, ay, az, bx, by, bz = perpendicular_axes(x, y, z)
         q = 1.0 - r * r / (x * x + y * y + z * z)
         k = r * math.sqrt(q)
         return x * q, y * q, z * q, k * ax, k * ay, k * az, k * bx, k * by, k * bz
@@ -85,7 +87,7 @@ def circle_of(target, r):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def rim(circle, angle):  # type: ignore[no-untyped-def]
+def circle_point(circle: tuple[float, ...], angle: float) -> Any:
     """The direction to a point of the circle, and its derivative by the angle."""
     c, s = math.cos(angle), math.sin(angle)
     x, y, z, ax, ay, az, bx, by, bz = circle
@@ -96,14 +98,14 @@ def rim(circle, angle):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def image_box(lens, target):  # type: ignore[no-untyped-def]
+def image_box(lens: Array, target: TargetPose) -> Any:
     """Whether the lens images all of a target's outline, and the box of its image [px]."""
-    circle = circle_of(target, 1.02 * target.radius)
+    circle = outline_circle(target, 1.02 * target.radius)
     left, right, top, bottom = 1e9, -1e9, 1e9, -1e9
     whole = True
     for j in range(24):
-        dx, dy, dz, _a, _b, _c = rim(circle, 2.0 * math.pi * j / 24)
-        u, v, _d, _e, _f, _g, _h, _i, ok = land(lens, dx, dy, dz)
+        dx, dy, dz, _a, _b, _c = circle_point(circle, 2.0 * math.pi * j / 24)
+        u, v, _d, _e, _f, _g, _h, _i, ok = project(lens, dx, dy, dz)
         if ok:
             left, right = min(left, u), max(right, u)
             top, bottom = min(top, v), max(bottom, v)
@@ -113,20 +115,20 @@ def image_box(lens, target):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def outline_steps(diameter, sigma):  # type: ignore[no-untyped-def]
+def outline_steps(diameter: float, sigma: float) -> Any:
     """How many steps an outline of this image diameter needs."""
     return max(FEWEST_STEPS, int(math.pi * diameter / (STEP_SIGMA * sigma)) + 1)
 
 
 @kernel
-def trace(lens, target, pieces, n, sense, out):  # type: ignore[no-untyped-def]
+def trace(lens: Array, target: TargetPose, pieces: Array, n: int, sense: float, out: Array) -> None:
     """Write (u, v, dv) of the boundary into ``out`` (n, 3); ``sense``: +1 where the contours turn the image's way."""
     shape, turn, x, y, z, r = target
     if shape != FIGURE:
-        circle = circle_of(target, r)
+        circle = outline_circle(target, r)
         for j in range(n):
-            dx, dy, dz, ex, ey, ez = rim(circle, 2.0 * math.pi * j / n)
-            u, v, _ux, _uy, _uz, vx, vy, vz, _ok = land(lens, dx, dy, dz)
+            dx, dy, dz, ex, ey, ez = circle_point(circle, 2.0 * math.pi * j / n)
+            u, v, _ux, _uy, _uz, vx, vy, vz, _ok = project(lens, dx, dy, dz)
             out[j, 0], out[j, 1] = u, v
             out[j, 2] = sense * (vx * ex + vy * ey + vz * ez) * 2.0 * math.pi / n
         return
@@ -137,11 +139,11 @@ def trace(lens, target, pieces, n, sense, out):  # type: ignore[no-untyped-def]
         for p in range(panels):
             for k in range(nodes):
                 share = (p + 0.5 + 0.5 * NODE_AT[nodes, k]) / panels
-                gx, gy, hx, hy = along(pieces[i], share)
+                gx, gy, hx, hy = contour_point(pieces[i], share)
                 dx = x + gx * turn[0, 0] + gy * turn[0, 1]
                 dy = y + gx * turn[1, 0] + gy * turn[1, 1]
                 dz = z + gx * turn[2, 0] + gy * turn[2, 1]
-                u, v, _ux, _uy, _uz, vx, vy, vz, _ok = land(lens, dx, dy, dz)
+                u, v, _ux, _uy, _uz, vx, vy, vz, _ok = project(lens, dx, dy, dz)
                 rise = (
                     vx * (hx * turn[0, 0] + hy * turn[0, 1])
                     + vy * (hx * turn[1, 0] + hy * turn[1, 1])
@@ -153,7 +155,7 @@ def trace(lens, target, pieces, n, sense, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def along(piece, share):  # type: ignore[no-untyped-def]
+def contour_point(piece: Array, share: float) -> Any:
     """The point at a share of a piece of contour, and its derivative by the share."""
     if piece[0] == LINE:
         hx, hy = piece[3] - piece[1], piece[4] - piece[2]
@@ -165,7 +167,7 @@ def along(piece, share):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def cut_pieces(pieces, px_per_m, sigma):  # type: ignore[no-untyped-def]
+def cut_pieces(pieces: Array, px_per_m: float, sigma: float) -> Any:
     """Return pieces (n, 9) with the nodes and panels that each needs, and the number of all nodes."""
     out = np.empty((pieces.shape[0], 9))
     total = 0
@@ -186,7 +188,7 @@ def cut_pieces(pieces, px_per_m, sigma):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def quadratics(first, middle, last):  # type: ignore[no-untyped-def]
+def quadratics(first: Array, middle: Array, last: Array) -> Any:
     """Return points (n, 9): quadratics in tau through u, v and amount at tau = -1, 0, 1."""
     n = first.shape[0]
     out = np.empty((n, 9))

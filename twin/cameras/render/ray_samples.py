@@ -1,18 +1,20 @@
-"""A target asked ray by ray: where a mesh may hide it, or the lens does not image all of it.
+"""A target sampled by rays: where a mesh may hide it, or the lens does not image all of it.
 
 24 samples a pixel each way (images of 12 px and more: 12). What is blocked, or imaged at all, leaves as boundary
 points, two for each run of such samples in a row.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel
-from twin.cameras.optics.lens import land, origin, origin_at
+from twin.cameras.optics.lens import pixel_direction, point_at_distance, project
 from twin.cameras.optics.lens_vector import PUPIL
-from twin.cameras.render.outline import BALL, circle_of, rim
+from twin.cameras.render.inputs import TargetPose
+from twin.cameras.render.outline import BALL, circle_point, outline_circle
 
 
 class SampleGrid(NamedTuple):
@@ -26,18 +28,18 @@ class SampleGrid(NamedTuple):
 
 
 @kernel
-def sample_rays(lens, target, per_px):  # type: ignore[no-untyped-def]
+def sample_rays(lens: Array, target: TargetPose, per_px: int) -> Any:
     """Rays through a fine grid over the target's image, those that meet the target (a figure: its disc).
 
     ``per_px``: samples a pixel each way, 0: as many as the size asks for. Returns directions (n, 3), the grid
     cell (n, 2) that each goes through (column, row), and the grid.
     """
     shape, turn, x, y, z, r = target
-    circle = circle_of(target, 1.02 * r)
+    circle = outline_circle(target, 1.02 * r)
     left, right, top, bottom = 1e9, -1e9, 1e9, -1e9
     for j in range(24):
-        dx, dy, dz, _a, _b, _c = rim(circle, 2.0 * math.pi * j / 24)
-        pu, pv, _d, _e, _f, _g, _h, _i, ok = land(lens, dx, dy, dz)
+        dx, dy, dz, _a, _b, _c = circle_point(circle, 2.0 * math.pi * j / 24)
+        pu, pv, _d, _e, _f, _g, _h, _i, ok = project(lens, dx, dy, dz)
         if ok:
             left, right = min(left, pu), max(right, pu)
             top, bottom = min(top, pv), max(bottom, pv)
@@ -57,16 +59,18 @@ def sample_rays(lens, target, per_px):  # type: ignore[no-untyped-def]
         pv = top + (j + 0.5) * step
         for i in range(columns):
             pu = left + (i + 0.5) * step
-            dx, dy, dz = origin_at(lens, pu, pv, away) if lens[PUPIL] != 0.0 else origin(lens, pu, pv)
+            dx, dy, dz = (
+                point_at_distance(lens, pu, pv, away) if lens[PUPIL] != 0.0 else pixel_direction(lens, pu, pv)
+            )
             # beyond the lens's last direction there is none that lands on the pixel
-            lu, lv, _a, _b, _c, _d, _e, _f, ok = land(lens, dx, dy, dz)
+            lu, lv, _a, _b, _c, _d, _e, _f, ok = project(lens, dx, dy, dz)
             if not ok or abs(lu - pu) + abs(lv - pv) > 1e-3:
                 continue
             if shape != BALL:
-                across = dx * nx + dy * ny + dz * nz
-                if across == 0.0:
+                towards = dx * nx + dy * ny + dz * nz
+                if towards == 0.0:
                     continue
-                t = (x * nx + y * ny + z * nz) / across
+                t = (x * nx + y * ny + z * nz) / towards
                 inside = t > 0.0 and (t * dx - x) ** 2 + (t * dy - y) ** 2 + (t * dz - z) ** 2 <= r * r
             else:
                 b = dx * x + dy * y + dz * z
@@ -79,7 +83,7 @@ def sample_rays(lens, target, per_px):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def runs(cell, grid, chosen, sign):  # type: ignore[no-untyped-def]
+def runs(cell: Array, grid: SampleGrid, chosen: Array, sign: float) -> Any:
     """Boundary points (n, 3) of the chosen cells, row by row: (u, v, dv), the area between them times ``sign``."""
     left, top, step = grid.left, grid.top, grid.step
     count = cell.shape[0]

@@ -34,13 +34,21 @@ from twin.cameras.render.target import (
 )
 
 __all__ = [
-    "BALL", "FIGURE", "FLAT", "Figures", "MeshRays", "Seen", "TargetsInCamera", "Window", "has_meshes",
+    "BALL",
+    "FIGURE",
+    "FLAT",
+    "Figures",
+    "MeshRays",
+    "TargetsInCamera",
+    "VisibleTargets",
+    "Window",
+    "has_meshes",
     "render_targets",
 ]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class VisibleTargets:
     """What the camera saw of each target."""
 
     visible: Array
@@ -59,17 +67,32 @@ def render_targets(
     targets: TargetsInCamera,
     occluders: Occluders,
     geom_xyz: Array,
-    geom_turn: Array,
+    geom_rotation: Array,
     figures: Figures = NO_FIGURES,
     mesh_rays: "MeshRays | None" = None,
-) -> Seen:
-    """Add the targets' light to ``light`` (H, W) [electrons], in place, and return what was seen of them.
+) -> VisibleTargets:
+    """Add the targets' light to the pixels and return what is visible of each target.
 
-    ``lens``: parameter vector of ``twin.cameras.optics.lens``. ``geom_xyz`` (K, k, 3), ``geom_turn`` (K, k, 3, 3):
-    the occluders' poses in the camera frame at the window's nodes. ``mesh_rays`` answers for meshes, if there are
-    any; they are judged at as many instants as they pass the target.
+    Parameters
+    ----------
+    light
+        (H, W) float32 [electrons], added to in place.
+    lens
+        Parameter vector, see ``twin.cameras.optics.lens_vector``.
+    psf
+        Blur of the lens.
+    window
+        When the rows are exposed, and the K instants at which paths are given.
+    targets, figures
+        What is rendered.
+    occluders
+        What may hide the targets.
+    geom_xyz, geom_rotation
+        (K, k, 3) [m] and (K, k, 3, 3): the occluders' poses in the camera frame at the window's nodes.
+    mesh_rays
+        Occlusion by meshes, if there are any, at as many instants as their motion past the target needs.
     """
-    inputs = _inputs(lens, psf, window, targets, occluders, geom_xyz, geom_turn, figures)
+    inputs = _inputs(lens, psf, window, targets, occluders, geom_xyz, geom_rotation, figures)
     count = len(targets.radius)
     mesh = np.zeros(count, dtype=np.int64) if mesh_rays is None else mesh_rays.candidates(targets)
     seen, state, spans = render_all(light, inputs, mesh)
@@ -81,7 +104,7 @@ def render_targets(
                 :4
             ]
     seen[seen[:, 0] == 0.0, 1:] = np.nan
-    return Seen(seen[:, 0], seen[:, 1:3], seen[:, 3])
+    return VisibleTargets(seen[:, 0], seen[:, 1:3], seen[:, 3])
 
 
 def _inputs(
@@ -91,7 +114,7 @@ def _inputs(
     targets: TargetsInCamera,
     occluders: Occluders,
     geom_xyz: Array,
-    geom_turn: Array,
+    geom_rotation: Array,
     figures: Figures,
 ) -> RenderInputs:
     """Return what ``render_targets`` is given in the form that the kernels take."""
@@ -120,8 +143,8 @@ def _inputs(
             occluders.size,
             occluders.marker,
             geom_xyz,
-            geom_turn,
-            motion_bounds(occluders.kind, occluders.size, geom_xyz, geom_turn),
+            geom_rotation,
+            motion_bounds(occluders.kind, occluders.size, geom_xyz, geom_rotation),
         ),
     )
 

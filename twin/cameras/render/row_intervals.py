@@ -8,11 +8,13 @@ the caps' rims; capsules: their two spheres and their side.)
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel
+from twin.cameras.render.inputs import Solid
 from twin.cameras.render.occluders import CAPSULE, CYLINDER, ELLIPSOID, SPHERE
 
 NOWHERE = (np.inf, -np.inf)
@@ -33,7 +35,7 @@ class Fan(NamedTuple):
 
 
 @kernel
-def covered(solid, a, b):  # type: ignore[no-untyped-def]
+def covered(solid: Solid, a: Array, b: Array) -> Any:
     """Interval (low, high) of s in which the rays ``a + s b`` (3,), camera frame, meet a solid; low > high: none."""
     kind, size, centre, turn = solid
     ox = -(turn[0, 0] * centre[0] + turn[1, 0] * centre[1] + turn[2, 0] * centre[2])
@@ -68,7 +70,7 @@ def covered(solid, a, b):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def roots(q2, q1, q0):  # type: ignore[no-untyped-def]
+def roots(q2: float, q1: float, q0: float) -> Any:
     """Real roots (low, high) of q2 s^2 + 2 q1 s + q0, and whether there are any."""
     if q2 == 0.0:
         if q1 == 0.0:
@@ -86,7 +88,7 @@ def roots(q2, q1, q0):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _sphere(fan, height, p, q, r):  # type: ignore[no-untyped-def]
+def _sphere(fan: Fan, height: float, p: float, q: float, r: float) -> Any:
     """Rays that touch an ellipsoid of half axes p, q, r about the point (0, 0, height): scaled, the unit sphere."""
     ox, oy, oz = fan.ox / p, fan.oy / q, (fan.oz - height) / r
     ax, ay, az, bx, by, bz = fan.ax / p, fan.ay / q, fan.az / r, fan.bx / p, fan.by / q, fan.bz / r
@@ -108,7 +110,7 @@ def _sphere(fan, height, p, q, r):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _side(fan, r, h):  # type: ignore[no-untyped-def]
+def _side(fan: Fan, r: float, h: float) -> Any:
     """Rays that touch the side of a cylinder about z between its caps."""
     ox, oy, oz, ax, ay, az, bx, by, bz = fan
     low, high = NOWHERE
@@ -127,7 +129,7 @@ def _side(fan, r, h):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _cap(fan, z, r):  # type: ignore[no-untyped-def]
+def _cap(fan: Fan, z: float, r: float) -> Any:
     """Rays through the rim of a disc at height z above the camera."""
     ox, oy, _oz, ax, ay, az, bx, by, bz = fan
     low, high = NOWHERE
@@ -147,7 +149,7 @@ def _cap(fan, z, r):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _box(fan, size):  # type: ignore[no-untyped-def]
+def _box(fan: Fan, size: Array) -> Any:
     """Crossings of the fan's plane with the twelve edges."""
     ox, oy, oz, ax, ay, az, bx, by, bz = fan
     low, high = NOWHERE

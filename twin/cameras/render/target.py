@@ -1,21 +1,21 @@
 """One target after the other: its boundary, less what hides it, moved through the exposure, onto the pixels.
 
-Where and when a target is imaged says ``target_image``. Its boundary is traced through the lens (``outline``), what
+Where and when a target is imaged: ``target_image``. Its boundary is traced through the lens (``outline``), what
 stands before it is taken off (``occlusion_scan``), and both move during the exposure while the rows of pixels
 integrate (``boundary_integral``), through each patch of the pupil (``psf``).
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel
-from twin.cameras.optics.lens import land
+from twin.cameras.optics.lens import project
 from twin.cameras.render.boundary_integral import EDGE, SPOT, Blur, Increments, Panel, add_points, fill
 from twin.cameras.render.bright_spots import spot_count, spots
-from twin.cameras.render.inputs import NearSolids, RowTiming, Solid, TargetPose
+from twin.cameras.render.inputs import ImageBox, NearSolids, RenderInputs, RowTiming, Solid, TargetPose
 from twin.cameras.render.occluder_culling import hidden_by_one, near_solids, pose_solids
 from twin.cameras.render.occluders import hit
 from twin.cameras.render.occlusion_scan import BEFORE, front_of, has_profile, scan_hidden
@@ -24,22 +24,31 @@ from twin.cameras.render.outline import (
     FIGURE,
     MOST_PANELS,
     PANEL_PX,
-    circle_of,
+    circle_point,
     cut_pieces,
     image_box,
-    lagrange,
+    lagrange_weights,
+    outline_circle,
     outline_steps,
-    place,
+    position_at,
     quadratics,
-    rim,
+    rotation_at,
     trace,
-    turned,
 )
 from twin.cameras.render.ray_samples import runs, sample_rays
-from twin.cameras.render.target_image import HIDDEN, IN_VIEW, OUTSIDE, PARTLY, carried, image_of, lit_s
+from twin.cameras.render.target_image import (
+    HIDDEN,
+    IN_VIEW,
+    OUTSIDE,
+    PARTLY,
+    TargetImage,
+    carried,
+    image_of,
+    lit_s,
+)
 
 MESH_NEAR = -1
-"""State of a target that a mesh may hide: only MuJoCo's rays can tell."""
+"""State of a target that a mesh may hide: only MuJoCo's rays can decide."""
 BY_PRIMITIVES, ONLY_SPAN, HIDDEN_GIVEN, REST_GIVEN = 0, 1, 2, 3
 """How a target is rendered: hidden by primitives; not at all, only when it is exposed; with the boundary of what is
 hidden, or of what is left, given (by mesh rays)."""
@@ -72,7 +81,7 @@ class GivenBoundary(NamedTuple):
 
 
 @kernel
-def render_all(light, inputs, mesh):  # type: ignore[no-untyped-def]
+def render_all(light: Array, inputs: RenderInputs, mesh: Array) -> Any:
     """Render all targets; ``mesh`` (m,): whether a mesh may hide each.
 
     Returns (visible, x, y, diameter) of each, its state (MESH_NEAR: left to mesh rays), and for those when they are
@@ -92,32 +101,34 @@ def render_all(light, inputs, mesh):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def render_one(light, inputs, m, mode, given, span):  # type: ignore[no-untyped-def]
-    """Render target ``m`` as ``mode`` says; ONLY_SPAN writes when it is exposed to ``span`` (3,)."""
+def render_one(
+    light: Array, inputs: RenderInputs, m: int, mode: int, given: GivenBoundary, span: Array
+) -> Any:
+    """Render target ``m`` in a ``mode``; ONLY_SPAN writes when it is exposed to ``span`` (3,)."""
     height, width = light.shape
     image = image_of(inputs, m, height, width)
     if image.state != IN_VIEW:
         return _not_seen(image, image.state)
     if mode == ONLY_SPAN:
         span[0], span[1], span[2] = image.begin_s, image.instant_s, image.end_s
-        return _not_seen(image, np.int64(MESH_NEAR))
+        return _not_seen(image, int(MESH_NEAR))
     whole, box = image_box(inputs.lens, image.target)
     if max(box.right - box.left, box.bottom - box.top) > LARGEST_PX:
-        return _not_seen(image, np.int64(OUTSIDE))
+        return _not_seen(image, int(OUTSIDE))
     near, groups = _near(inputs, m, mode, image)
-    if near.count > 0:
+    if near.found > 0:
         pose_solids(near, inputs.solids, inputs.nodes_s, image.instant_s)
         if groups == 1 and hidden_by_one(near, image.target):
-            return _not_seen(image, np.int64(HIDDEN))
+            return _not_seen(image, int(HIDDEN))
     out = _increments(image, box, inputs.pixel_reach, height)
     if out.values.shape[0] == 0 or (not whole and image.target.shape == FIGURE):
-        return _not_seen(image, np.int64(OUTSIDE))
+        return _not_seen(image, int(OUTSIDE))
     electrons = inputs.targets.electrons[m]
     if not whole:
         # the lens cuts it: its light is what the rays through its own image meet
         share = _add_sampled(out, inputs, m, image, near)
         fill(light, out, electrons, LEAST_E)
-        return _seen_share(image, share * _inside(inputs.lens, image.target, width, height), np.int64(PARTLY))
+        return _seen_share(image, share * _inside(inputs.lens, image.target, width, height), int(PARTLY))
 
     hidden, rest = 0.0, False
     contours, points = _contours(inputs, m, image)
@@ -125,15 +136,15 @@ def render_one(light, inputs, m, mode, given, span):  # type: ignore[no-untyped-
         _add_given(out, inputs, m, image, given)
         hidden = given.hidden
         rest = mode == REST_GIVEN and hidden < 1.0
-    elif near.count > 0:
+    elif near.found > 0:
         hidden, rest = _add_hidden(out, inputs, m, image, box, contours, near, groups)
         rest = rest and hidden <= WHOLLY
     if rest:
         fill(light, out, electrons, LEAST_E)
         inside = _inside(inputs.lens, image.target, width, height)
-        return _seen_share(image, (1.0 - hidden) * inside, np.int64(PARTLY))
+        return _seen_share(image, (1.0 - hidden) * inside, int(PARTLY))
     if hidden > WHOLLY:
-        return _not_seen(image, np.int64(HIDDEN))
+        return _not_seen(image, int(HIDDEN))
 
     _add_whole(out, inputs, m, image, contours, points)
     fill(light, out, electrons, LEAST_E)
@@ -141,29 +152,29 @@ def render_one(light, inputs, m, mode, given, span):  # type: ignore[no-untyped-
     half = 0.6 * image.diameter + 1.0
     if image.u < half or image.v < half or image.u > width - 1 - half or image.v > height - 1 - half:
         weights = np.empty(inputs.nodes_s.shape[0])
-        lagrange(inputs.nodes_s, image.instant_s, weights)
-        turned(inputs.targets.turn[m], weights, image.target.turn)
+        lagrange_weights(inputs.nodes_s, image.instant_s, weights)
+        rotation_at(inputs.targets.turn[m], weights, image.target.turn)
         visible *= _inside(inputs.lens, image.target, width, height)
-    return _seen_share(image, visible, np.int64(IN_VIEW if hidden == 0.0 else PARTLY))
+    return _seen_share(image, visible, int(IN_VIEW if hidden == 0.0 else PARTLY))
 
 
 @kernel
-def _not_seen(image, state):  # type: ignore[no-untyped-def]
+def _not_seen(image: TargetImage, state: int) -> Any:
     return Rendered(0.0, image.u, image.v, image.diameter, state)
 
 
 @kernel
-def _seen_share(image, visible, state):  # type: ignore[no-untyped-def]
+def _seen_share(image: TargetImage, visible: float, state: int) -> Any:
     return Rendered(visible, image.u, image.v, image.diameter, state)
 
 
 @kernel
-def _near(inputs, m, mode, image):  # type: ignore[no-untyped-def]
+def _near(inputs: RenderInputs, m: int, mode: int, image: TargetImage) -> Any:
     """Return the solids that may hide a target, and the groups of instants in which to judge what they hide."""
     solids = inputs.solids
     k = solids.kind.shape[0]
     number = np.empty(k, dtype=np.int64)
-    count, groups = np.int64(0), np.int64(1)
+    count, groups = 0, 1
     if mode == BY_PRIMITIVES:
         count, groups = near_solids(inputs, m, image, number)
     near = NearSolids(number, count, solids.kind, solids.size, np.empty((k, 3)), np.empty((k, 3, 3)))
@@ -171,7 +182,7 @@ def _near(inputs, m, mode, image):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _increments(image, box, reach, height):  # type: ignore[no-untyped-def]
+def _increments(image: TargetImage, box: ImageBox, reach: int, height: int) -> Any:
     """Return zero increments for the image of the whole motion; without rows where there is nothing to render."""
     pad = reach + 2 + math.ceil(image.spread)
     motion = image.motion_px
@@ -184,7 +195,7 @@ def _increments(image, box, reach, height):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _contours(inputs, m, image):  # type: ignore[no-untyped-def]
+def _contours(inputs: RenderInputs, m: int, image: TargetImage) -> Any:
     """Return the pieces of a figure's contours (n, 9), and how many points any target's boundary needs."""
     sigma = inputs.blur_terms[8]
     if inputs.targets.shape[m] != FIGURE:
@@ -195,7 +206,7 @@ def _contours(inputs, m, image):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _blur_and_rows(inputs, m, image):  # type: ignore[no-untyped-def]
+def _blur_and_rows(inputs: RenderInputs, m: int, image: TargetImage) -> Any:
     """Return how a target's light spreads, and when its rows collect it."""
     on, off = lit_s(inputs, m)
     rows = RowTiming(inputs.rows.length_s, inputs.rows.row_time_s, on, off)
@@ -203,13 +214,13 @@ def _blur_and_rows(inputs, m, image):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _motion_in_steps(inputs, image):  # type: ignore[no-untyped-def]
+def _motion_in_steps(inputs: RenderInputs, image: TargetImage) -> Any:
     """The image's motion in units of 0.6 px over the blur's sigma: what decides how finely time is divided."""
     return image.motion_px * 0.6 / inputs.blur_terms[8]
 
 
 @kernel
-def _group(image, g, groups):  # type: ignore[no-untyped-def]
+def _group(image: TargetImage, g: int, groups: int) -> Any:
     """The exposure of group ``g`` of instants: from, in the middle, until."""
     begin, end = image.begin_s, image.end_s
     group_begin = begin + (end - begin) * g / groups
@@ -218,7 +229,9 @@ def _group(image, g, groups):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _add_given(out, inputs, m, image, given):  # type: ignore[no-untyped-def]
+def _add_given(
+    out: Increments, inputs: RenderInputs, m: int, image: TargetImage, given: GivenBoundary
+) -> None:
     """Add the boundary that mesh rays found, group after group of instants."""
     lens, nodes, path = inputs.lens, inputs.nodes_s, inputs.targets.path[m]
     blur, rows = _blur_and_rows(inputs, m, image)
@@ -229,16 +242,25 @@ def _add_given(out, inputs, m, image, given):  # type: ignore[no-untyped-def]
         if given.hidden == 1.0 or edges.shape[0] == 0:
             continue
         begin, middle, end = _group(image, g, groups)
-        lagrange(nodes, middle, weights)
-        x, y, z = place(path, weights)
-        u, v, _a, _b, _c, _d, _e, _f, _ok = land(lens, x, y, z)
+        lagrange_weights(nodes, middle, weights)
+        x, y, z = position_at(path, weights)
+        u, v, _a, _b, _c, _d, _e, _f, _ok = project(lens, x, y, z)
         moving = carried(edges, lens, nodes, path, u, v, begin, middle, end)
         panel = Panel(begin, end, _motion_in_steps(inputs, image) / groups)
         add_points(EDGE, out, blur, moving, panel, rows)
 
 
 @kernel
-def _add_hidden(out, inputs, m, image, box, contours, near, groups):  # type: ignore[no-untyped-def]
+def _add_hidden(
+    out: Increments,
+    inputs: RenderInputs,
+    m: int,
+    image: TargetImage,
+    box: ImageBox,
+    contours: Array,
+    near: NearSolids,
+    groups: int,
+) -> Any:
     """Add the boundary of what solids hide, of what is mostly hidden that of the rest: a difference of large areas
     would blur it.
 
@@ -259,12 +281,12 @@ def _add_hidden(out, inputs, m, image, box, contours, near, groups):  # type: ig
         begin, middle, end = _group(image, g, groups)
         target, u, v, group_box = image.target, image.u, image.v, box
         if groups > 1:
-            lagrange(nodes, middle, weights)
-            x, y, z = place(path, weights)
-            turned(inputs.targets.turn[m], weights, target.turn)
+            lagrange_weights(nodes, middle, weights)
+            x, y, z = position_at(path, weights)
+            rotation_at(inputs.targets.turn[m], weights, target.turn)
             target = TargetPose(target.shape, target.turn, x, y, z, target.radius)
             pose_solids(near, inputs.solids, nodes, middle)
-            u, v, _a, _b, _c, _d, _e, _f, _ok = land(lens, x, y, z)
+            u, v, _a, _b, _c, _d, _e, _f, _ok = project(lens, x, y, z)
             _whole, group_box = image_box(lens, target)
         edges, lit_edges, hidden_area, lit_area = scan_hidden(
             lens, target, contours, group_box, near, profile
@@ -285,7 +307,9 @@ def _add_hidden(out, inputs, m, image, box, contours, near, groups):  # type: ig
 
 
 @kernel
-def _add_whole(out, inputs, m, image, contours, points):  # type: ignore[no-untyped-def]
+def _add_whole(
+    out: Increments, inputs: RenderInputs, m: int, image: TargetImage, contours: Array, points: int
+) -> None:
     """Add a target's whole boundary (``points`` points) and its spots, panel by panel of time."""
     lens, profile, shape = inputs.lens, inputs.targets.profile[m], image.target.shape
     blur, rows = _blur_and_rows(inputs, m, image)
@@ -305,9 +329,9 @@ def _add_whole(out, inputs, m, image, contours, points):  # type: ignore[no-unty
         for k in range(3):
             if still and k != 1:
                 continue
-            lagrange(inputs.nodes_s, begin + 0.5 * k * (end - begin), weights)
-            x, y, z = place(inputs.targets.path[m], weights)
-            turned(inputs.targets.turn[m], weights, image.target.turn)
+            lagrange_weights(inputs.nodes_s, begin + 0.5 * k * (end - begin), weights)
+            x, y, z = position_at(inputs.targets.path[m], weights)
+            rotation_at(inputs.targets.turn[m], weights, image.target.turn)
             target = TargetPose(shape, image.target.turn, x, y, z, image.target.radius)
             trace(lens, target, contours, points, sense, before if k == 0 else (at if k == 1 else after))
             if spot_points > 0:
@@ -323,7 +347,7 @@ def _add_whole(out, inputs, m, image, contours, points):  # type: ignore[no-unty
 
 
 @kernel
-def _add_sampled(out, inputs, m, image, near):  # type: ignore[no-untyped-def]
+def _add_sampled(out: Increments, inputs: RenderInputs, m: int, image: TargetImage, near: NearSolids) -> Any:
     """Add the part of a target that the lens images and nothing hides, from samples; return its share."""
     lens, nodes, path = inputs.lens, inputs.nodes_s, inputs.targets.path[m]
     rays, cell, grid = sample_rays(lens, image.target, 0)
@@ -332,7 +356,7 @@ def _add_sampled(out, inputs, m, image, near):  # type: ignore[no-untyped-def]
     for i in range(rays.shape[0]):
         dx, dy, dz = rays[i, 0], rays[i, 1], rays[i, 2]
         front = front_of(image.target, dx, dy, dz)
-        for q in range(near.count):
+        for q in range(near.found):
             g = near.number[q]
             solid = Solid(near.kind[g], near.size[g], near.xyz[g], near.turn[g])
             if hit(solid, dx, dy, dz) < front * BEFORE:
@@ -342,7 +366,7 @@ def _add_sampled(out, inputs, m, image, near):  # type: ignore[no-untyped-def]
             seen += 1
     if seen == 0:
         return 0.0
-    u, v, _a, _b, _c, _d, _e, _f, _ok = land(lens, image.target.x, image.target.y, image.target.z)
+    u, v, _a, _b, _c, _d, _e, _f, _ok = project(lens, image.target.x, image.target.y, image.target.z)
     edges = runs(cell, grid, free, 1.0)
     moving = carried(edges, lens, nodes, path, u, v, image.begin_s, image.instant_s, image.end_s)
     blur, rows = _blur_and_rows(inputs, m, image)
@@ -352,16 +376,16 @@ def _add_sampled(out, inputs, m, image, near):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _inside(lens, target, width, height):  # type: ignore[no-untyped-def]
+def _inside(lens: Array, target: TargetPose, width: int, height: int) -> Any:
     """Share of a target's disc that lies inside the image, from 240 points on it."""
-    circle = circle_of(target, target.radius)
+    circle = outline_circle(target, target.radius)
     count = 0
     for i in range(10):
         q = math.sqrt((i + 0.5) / 10.0)
         for k in range(24):
-            dx, dy, dz, _a, _b, _c = rim(circle, 2.0 * math.pi * (k + 0.5 * (i % 2)) / 24)
+            dx, dy, dz, _a, _b, _c = circle_point(circle, 2.0 * math.pi * (k + 0.5 * (i % 2)) / 24)
             cx, cy, cz = circle[0], circle[1], circle[2]
-            u, v, _a, _b, _c, _d, _e, _f, ok = land(
+            u, v, _a, _b, _c, _d, _e, _f, ok = project(
                 lens, cx + q * (dx - cx), cy + q * (dy - cy), cz + q * (dz - cz)
             )
             if ok and -0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5:

@@ -1,17 +1,17 @@
 """Where and when a target is imaged in one exposure: timing, culling, size, and the motion of its image."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel
-from twin.cameras.optics.lens import land
+from twin.cameras.optics.lens import project
 from twin.cameras.optics.lens_vector import FISHEYE, KIND
 from twin.cameras.optics.psf import patches
-from twin.cameras.render.inputs import TargetPose
-from twin.cameras.render.outline import BALL, lagrange, place, turned
+from twin.cameras.render.inputs import RenderInputs, TargetPose
+from twin.cameras.render.outline import BALL, lagrange_weights, position_at, rotation_at
 
 IN_VIEW, PARTLY, HIDDEN, OUTSIDE, DARK = 0, 1, 2, 3, 4
 """States of a target in an image."""
@@ -51,13 +51,13 @@ class TargetImage(NamedTuple):
 
 
 @kernel
-def image_of(inputs, m, height, width):  # type: ignore[no-untyped-def]
+def image_of(inputs: RenderInputs, m: int, height: int, width: int) -> Any:
     """Return the TargetImage of target ``m`` in an image of height x width."""
     turn = np.empty((3, 3))
     target, u, v, stretch, instant, imaged = _mid_exposure(inputs, m, turn, height)
     lens, path = inputs.lens, inputs.targets.path[m]
     x, y, z, r = target.x, target.y, target.z, target.radius
-    state = np.int64(OUTSIDE)
+    state = int(OUTSIDE)
     if not imaged:
         return TargetImage(
             state, target, np.nan, np.nan, np.nan, 0.0, np.empty((1, 3))[:0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -73,30 +73,30 @@ def image_of(inputs, m, height, width):  # type: ignore[no-untyped-def]
     begin, end = _exposed(inputs, m, instant, v, margin + 2.0, height)
     motion, moved = 0.0, 0.0
     if end <= begin:
-        state = np.int64(DARK)
+        state = int(DARK)
     else:
         motion, moved = image_motion(lens, inputs.nodes_s, path, begin, end)
-        across = -margin - motion <= u <= width + margin + motion
-        if motion >= 0.0 and across and -margin - motion <= v <= height + margin + motion:
+        in_columns = -margin - motion <= u <= width + margin + motion
+        if motion >= 0.0 and in_columns and -margin - motion <= v <= height + margin + motion:
             behind = turn[0, 2] * x + turn[1, 2] * y + turn[2, 2] * z >= -EDGE_ON * away
-            state = np.int64(HIDDEN) if target.shape != BALL and behind else np.int64(IN_VIEW)
+            state = int(HIDDEN) if target.shape != BALL and behind else int(IN_VIEW)
     return TargetImage(
         state, target, u, v, diameter, stretch, patch, spread, begin, instant, end, motion, moved
     )
 
 
 @kernel
-def lit_s(inputs, m):  # type: ignore[no-untyped-def]
+def lit_s(inputs: RenderInputs, m: int) -> Any:
     """When target ``m`` is lit: while it shines and the strobe is on (from, until)."""
     lit = inputs.targets.lit_s
     return max(inputs.rows.on_s, lit[m, 0]), min(inputs.rows.off_s, lit[m, 1])
 
 
 @kernel
-def _mid_exposure(inputs, m, turn, height):  # type: ignore[no-untyped-def]
+def _mid_exposure(inputs: RenderInputs, m: int, turn: Array, height: int) -> Any:
     """The target at the middle of its own rows' exposure; ``turn`` (3, 3) is filled.
 
-    With a rolling shutter the row tells the instant and the instant the row: a fixed point. Returns the pose, its
+    With a rolling shutter the row decides the instant and the instant the row: a fixed point. Returns the pose, its
     image (u, v), the stretch, the instant, and whether the lens images it.
     """
     lens, nodes, path, r = inputs.lens, inputs.nodes_s, inputs.targets.path[m], inputs.targets.radius[m]
@@ -109,9 +109,9 @@ def _mid_exposure(inputs, m, turn, height):  # type: ignore[no-untyped-def]
     u = v = x = y = z = stretch = 0.0
     imaged = True
     for _ in range(1 if row_time == 0.0 else ROW_ITERATIONS):
-        lagrange(nodes, instant, weights)
-        x, y, z = place(path, weights)
-        u, v, ux, uy, uz, vx, vy, vz, ok = land(lens, x, y, z)
+        lagrange_weights(nodes, instant, weights)
+        x, y, z = position_at(path, weights)
+        u, v, ux, uy, uz, vx, vy, vz, ok = project(lens, x, y, z)
         if not ok or x * x + y * y + z * z < 4 * r * r:
             imaged = False
             break
@@ -123,12 +123,12 @@ def _mid_exposure(inputs, m, turn, height):  # type: ignore[no-untyped-def]
             instant = 0.5 * (begin + end) if end > begin else opens + 0.5 * length
             if abs(instant - before_s) < ROW_INSTANT_S:
                 break
-    turned(inputs.targets.turn[m], weights, turn)
+    rotation_at(inputs.targets.turn[m], weights, turn)
     return TargetPose(inputs.targets.shape[m], turn, x, y, z, r), u, v, stretch, instant, imaged
 
 
 @kernel
-def _exposed(inputs, m, instant, v, rows, height):  # type: ignore[no-untyped-def]
+def _exposed(inputs: RenderInputs, m: int, instant: float, v: float, rows: float, height: int) -> Any:
     """From when to when any of the ``rows`` above and below the target's image at ``v`` collects its light."""
     lens, nodes, path = inputs.lens, inputs.nodes_s, inputs.targets.path[m]
     length, row_time = inputs.rows.length_s, inputs.rows.row_time_s
@@ -141,7 +141,17 @@ def _exposed(inputs, m, instant, v, rows, height):  # type: ignore[no-untyped-de
 
 
 @kernel
-def _row_instant(lens, nodes, path, instant, row, shift, late, row_time, height):  # type: ignore[no-untyped-def]
+def _row_instant(
+    lens: Array,
+    nodes: Array,
+    path: Array,
+    instant: float,
+    row: float,
+    shift: float,
+    late: float,
+    row_time: float,
+    height: int,
+) -> Any:
     """When the row ``shift`` below a moving target opens, plus ``late``; ``instant`` and ``row``: where to begin."""
     weights = np.empty(nodes.shape[0])
     t = instant
@@ -150,9 +160,9 @@ def _row_instant(lens, nodes, path, instant, row, shift, late, row_time, height)
         t = min(max(row, -0.2 * height), 1.2 * height) * row_time + late
         if abs(t - before) < 1e-9 * row_time:
             break
-        lagrange(nodes, min(max(t, nodes[0]), nodes[nodes.shape[0] - 1]), weights)
-        x, y, z = place(path, weights)
-        _u, v, _a, _b, _c, _d, _e, _f, ok = land(lens, x, y, z)
+        lagrange_weights(nodes, min(max(t, nodes[0]), nodes[nodes.shape[0] - 1]), weights)
+        x, y, z = position_at(path, weights)
+        _u, v, _a, _b, _c, _d, _e, _f, ok = project(lens, x, y, z)
         if not ok:
             break
         row = v + shift
@@ -160,25 +170,25 @@ def _row_instant(lens, nodes, path, instant, row, shift, late, row_time, height)
 
 
 @kernel
-def image_motion(lens, nodes, path, begin, end):  # type: ignore[no-untyped-def]
+def image_motion(lens: Array, nodes: Array, path: Array, begin: float, end: float) -> Any:
     """Length of the image of a path [px] (-1: not imaged), and how far the target goes [m].
 
     A path that turns back or speeds up counts at its faster half's pace.
     """
     weights = np.empty(nodes.shape[0])
-    lagrange(nodes, begin, weights)
-    ax, ay, az = place(path, weights)
-    lagrange(nodes, end, weights)
-    bx, by, bz = place(path, weights)
+    lagrange_weights(nodes, begin, weights)
+    ax, ay, az = position_at(path, weights)
+    lagrange_weights(nodes, end, weights)
+    bx, by, bz = position_at(path, weights)
     swing = math.sqrt((bx - ax) ** 2 + (by - ay) ** 2 + (bz - az) ** 2)
-    ua, va, _a, _b, _c, _d, _e, _f, ok_a = land(lens, ax, ay, az)
-    ub, vb, _a, _b, _c, _d, _e, _f, ok_b = land(lens, bx, by, bz)
+    ua, va, _a, _b, _c, _d, _e, _f, ok_a = project(lens, ax, ay, az)
+    ub, vb, _a, _b, _c, _d, _e, _f, ok_b = project(lens, bx, by, bz)
     if not ok_a or not ok_b:
         return -1.0, swing
     chord = math.sqrt((ub - ua) ** 2 + (vb - va) ** 2)
-    lagrange(nodes, 0.5 * (begin + end), weights)
-    cx, cy, cz = place(path, weights)
-    um, vm, _a, _b, _c, _d, _e, _f, ok_m = land(lens, cx, cy, cz)
+    lagrange_weights(nodes, 0.5 * (begin + end), weights)
+    cx, cy, cz = position_at(path, weights)
+    um, vm, _a, _b, _c, _d, _e, _f, ok_m = project(lens, cx, cy, cz)
     if not ok_m:
         return chord, swing
     turned_back = 2.0 * math.sqrt(max((um - ua) ** 2 + (vm - va) ** 2, (ub - um) ** 2 + (vb - vm) ** 2))
@@ -187,15 +197,25 @@ def image_motion(lens, nodes, path, begin, end):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def carried(edges, lens, nodes, path, u, v, begin, middle, end):  # type: ignore[no-untyped-def]
+def carried(
+    edges: Array,
+    lens: Array,
+    nodes: Array,
+    path: Array,
+    u: float,
+    v: float,
+    begin: float,
+    middle: float,
+    end: float,
+) -> Any:
     """Boundary points (n, 9) found at ``middle``, carried along by the target's image (u, v) through begin..end."""
     weights = np.empty(nodes.shape[0])
-    lagrange(nodes, begin, weights)
-    x, y, z = place(path, weights)
-    ua, va, _a, _b, _c, _d, _e, _f, _ok = land(lens, x, y, z)
-    lagrange(nodes, end, weights)
-    x, y, z = place(path, weights)
-    ub, vb, _a, _b, _c, _d, _e, _f, _ok = land(lens, x, y, z)
+    lagrange_weights(nodes, begin, weights)
+    x, y, z = position_at(path, weights)
+    ua, va, _a, _b, _c, _d, _e, _f, _ok = project(lens, x, y, z)
+    lagrange_weights(nodes, end, weights)
+    x, y, z = position_at(path, weights)
+    ub, vb, _a, _b, _c, _d, _e, _f, _ok = project(lens, x, y, z)
     # the quadratic through the three positions, in tau of begin..end
     at = (2.0 * middle - begin - end) / (end - begin)
     one_u, one_v = 0.5 * (ub - ua), 0.5 * (vb - va)

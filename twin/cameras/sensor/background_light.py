@@ -6,7 +6,7 @@ pixel's light: nothing finer is meant. Pixels without a target then cost one loo
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,19 +21,19 @@ _DUST = 0xD0575607
 
 @dataclass(frozen=True, eq=False)
 class Ambient:
-    """The light of every pixel besides the targets, as levels.
-
-    ``index`` (H, W) uint16: each pixel's level among ``levels_e`` (n,) [electrons]; (1, 1) where one holds for all,
-    and for images of any size if ``shape`` is None. ``flat`` (H, W) float32: factor on all light that comes through
-    the lens (vignetting, dust, PRNU; 0: a dead pixel), None: 1. ``mean_e`` float32, as ``index``: the light before
-    levels and without extra.
-    """
+    """The light of every pixel besides the targets, as levels."""
 
     bank: LevelBank
+    """The levels of the sensor."""
     mean_e: Array
+    """(H, W) or (1, 1) float32: the light before levels and without extra [electrons]."""
     index: Array
+    """(H, W) uint16: each pixel's level among ``levels_e``; (1, 1) where one holds for all."""
     flat: Array | None
+    """(H, W) float32: factor on all light that comes through the lens (vignetting, dust, PRNU; 0: a dead pixel);
+    None: 1."""
     shape: tuple[int, int] | None
+    """(H, W); None: for images of any size."""
 
     @staticmethod
     def of(
@@ -46,7 +46,7 @@ class Ambient:
         """Return the ambient light of mean electrons ``mean_e``, (H, W) or one number for all pixels.
 
         One number is a level of its own, so that even light is exact. ``shape`` (H, W) is needed only where neither
-        ``mean_e`` nor ``flat`` tells it and a coarse map will be added. Raises ValueError where sizes do not agree.
+        ``mean_e`` nor ``flat`` gives it and a coarse map will be added. Raises ValueError where sizes do not agree.
         """
         given = np.asarray(mean_e, dtype=np.float32)
         given = given.reshape(1, 1) if given.ndim == 0 else np.ascontiguousarray(given)
@@ -116,27 +116,31 @@ class Ambient:
 
 @dataclass(frozen=True)
 class Backdrop:
-    """How uneven the background is, and what lies on the glass.
-
-    ``gradient`` (x, y): change of the background from edge to edge, as a share of it. ``blob_e`` more electrons at
-    the middle of a soft spot of light at ``blob_xy`` (share of width and height), ``blob_radius`` (sigma, share of
-    the width). ``dust``: number of dark spots of mean ``dust_radius_px``, each taking at most ``dust_loss``.
-    """
+    """How uneven the background is, and what lies on the glass."""
 
     gradient: tuple[float, float] = (0.0, 0.0)
+    """(x, y): change of the background from edge to edge, as a share of it."""
     blob_e: float = 0.0
+    """More electrons at the middle of a soft spot of light."""
     blob_xy: tuple[float, float] = (0.5, 0.5)
+    """Its position, share of width and height."""
     blob_radius: float = 0.2
+    """Its sigma, share of the width."""
     dust: int = 0
+    """Number of dark spots."""
     dust_loss: float = 0.1
+    """Light that each takes at most, as a share."""
     dust_radius_px: float = 6.0
+    """Their mean radius."""
 
 
 class AmbientMap(NamedTuple):
-    """``mean_e`` (H, W) or one number, and ``flat`` (H, W) or None: the arguments of ``Ambient.of``."""
+    """The arguments of ``Ambient.of``."""
 
     mean_e: Array | float
+    """(H, W) or one number."""
     flat: Array | None
+    """(H, W) or None."""
 
 
 def ambient_map(
@@ -201,14 +205,23 @@ def _dust(width: int, height: int, key: int, look: Backdrop) -> Array:
 
 
 @kernel
-def _uniforms(out, key):  # type: ignore[no-untyped-def]
+def _uniforms(out: Array, key: np.uint64) -> None:
     """Fill with numbers in (0, 1)."""
     for i in range(out.size):
         out[i] = uniform(mix(key + np.uint64(i) * STEP))
 
 
 @kernel
-def _fixed_pattern(more, factor, key, dsnu, prnu, hot, hot_e, dead):  # type: ignore[no-untyped-def]
+def _fixed_pattern(
+    more: Array,
+    factor: Array,
+    key: np.uint64,
+    dsnu: float,
+    prnu: float,
+    hot: float,
+    hot_e: float,
+    dead: float,
+) -> None:
     """Fill the electrons that each pixel has of itself, and its factor on light; every trait draws on its own."""
     for p in range(more.size):
         state = mix(key + np.uint64(p) * STEP)
@@ -221,7 +234,14 @@ def _fixed_pattern(more, factor, key, dsnu, prnu, hot, hot_e, dead):  # type: ig
 
 
 @kernel
-def _onto_levels(mean, extra, flat, index, used, scale):  # type: ignore[no-untyped-def]
+def _onto_levels(
+    mean: Array,
+    extra: Array,
+    flat: Array,
+    index: Array,
+    used: Array,
+    scale: tuple[float, float, float, float],
+) -> None:
     """Fill the levels nearest to ``mean + flat * extra`` and mark which are in use; see ``LevelBank.number``."""
     height, width = index.shape
     full = extra.shape == index.shape
@@ -243,7 +263,9 @@ def _onto_levels(mean, extra, flat, index, used, scale):  # type: ignore[no-unty
 
 
 @kernel
-def _row_onto_levels(line, index, used, scale):  # type: ignore[no-untyped-def]
+def _row_onto_levels(
+    line: Array, index: Array, used: Array, scale: tuple[float, float, float, float]
+) -> None:
     """Fill one row's levels from its electrons (which it overwrites)."""
     floor_e, anchor, anchor_scale, step = scale
     floor2, per_step, per_floor = floor_e * floor_e, 1.0 / step, 1.0 / floor_e
@@ -259,7 +281,7 @@ def _row_onto_levels(line, index, used, scale):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _columns(columns, width):  # type: ignore[no-untyped-def]
+def _columns(columns: int, width: int) -> Any:
     """Return, for each pixel of a row, the place (width,) in a coarse map's columns."""
     u = np.empty(width)
     for x in range(width):
@@ -268,7 +290,7 @@ def _columns(columns, width):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _stretched(coarse, y, height, columns, line):  # type: ignore[no-untyped-def]
+def _stretched(coarse: Array, y: int, height: int, columns: Array, line: Array) -> None:
     """Fill row ``y`` of a coarse map stretched over the image, bilinear, constant beyond the outer middles."""
     rows = coarse.shape[0]
     v = min(max((y + 0.5) * rows / height - 0.5, 0.0), rows - 1.0)

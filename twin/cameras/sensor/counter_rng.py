@@ -7,6 +7,7 @@ exponential of the platform's library enters, named at each function: there the 
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +18,7 @@ STEP = np.uint64(0x9E3779B97F4A7C15)
 
 
 @kernel
-def mix(x):  # type: ignore[no-untyped-def]
+def mix(x: Any) -> Any:
     """SplitMix64's finaliser: 64 well mixed bits of a counter (uint64)."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -25,13 +26,13 @@ def mix(x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def uniform(bits):  # type: ignore[no-untyped-def]
+def uniform(bits: Any) -> Any:
     """A number in (0, 1) of 52 of 64 random bits; it and its complement are exact."""
     return (np.float64(bits >> np.uint64(12)) + 0.5) / 4503599627370496.0
 
 
 @kernel
-def normal(bits):  # type: ignore[no-untyped-def]
+def normal(bits: Any) -> Any:
     """A standard normal number of 64 random bits: the inverse distribution function, to about 1 part in 10^16.
 
     Wichura, Algorithm AS 241 (PPND16), Applied Statistics 37 (1988) 477. Plain arithmetic within 1.44 sigma
@@ -74,7 +75,7 @@ def normal(bits):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def poisson(mu, bits):  # type: ignore[no-untyped-def]
+def poisson(mu: float, bits: Any) -> Any:
     """A Poisson number of mean mu >= 0 of 64 random bits, as a float: exact inversion, so that it grows with mu.
 
     From 10 on: the asymptotic series of the inverse distribution function, whose integer part is the number unless
@@ -101,8 +102,8 @@ def poisson(mu, bits):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _search(n, mu, p):  # type: ignore[no-untyped-def]
-    """The largest n with P(N < n) <= p, looked for from a guess."""
+def _search(n: float, mu: float, p: float) -> float:
+    """The largest n with P(N < n) <= p, searched from a guess."""
     while not _reached(n, mu, p):
         n -= 1.0
     while _reached(n + 1.0, mu, p):
@@ -111,7 +112,7 @@ def _search(n, mu, p):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _reached(n, mu, p):  # type: ignore[no-untyped-def]
+def _reached(n: float, mu: float, p: float) -> bool:
     """Whether P(N < n) <= p: the smaller of the two tails summed until its terms no longer count."""
     if n <= 0.0:
         return True

@@ -2,7 +2,7 @@
 
 A level is a mean number of electrons. Its counts are Poisson electrons and Gaussian noise through the sensor's
 response, black level, gain, quantisation and saturation. The levels of one sensor lie on a fixed grid, so that a
-level's law depends on nothing but (sensor, anchor, level), whoever asks for it first.
+level's law depends on nothing but (sensor, anchor, level), whatever is asked first.
 """
 
 import math
@@ -131,7 +131,9 @@ class ElectronNumbers(NamedTuple):
 
 
 @kernel
-def _law(level, noise, edges, edge_laws, edge_made, thresholds):  # type: ignore[no-untyped-def]
+def _law(
+    level: float, noise: float, edges: Array, edge_laws: Array, edge_made: Array, thresholds: Array
+) -> None:
     """Fill a level's cumulative probabilities: P(electrons + noise < edge), summed over the numbers of electrons.
 
     ``edge_laws`` keeps, for each edge, P(n + noise < edge) of the numbers n around it: all levels share them.
@@ -155,7 +157,16 @@ def _law(level, noise, edges, edge_laws, edge_made, thresholds):  # type: ignore
 
 
 @callable_bare_step
-def _add_up(offset, noise, electrons, edges, edge_laws, edge_made, shifted, thresholds):  # type: ignore[no-untyped-def]
+def _add_up(
+    offset: float,
+    noise: float,
+    electrons: ElectronNumbers,
+    edges: Array,
+    edge_laws: Array,
+    edge_made: Array,
+    shifted: Array,
+    thresholds: Array,
+) -> None:
     """Fill ``_law``'s thresholds from the probabilities of the numbers of electrons."""
     low, high, share, up_to = electrons
     wide = edge_laws.shape[1]
@@ -177,14 +188,14 @@ def _add_up(offset, noise, electrons, edges, edge_laws, edge_made, shifted, thre
 
 
 @callable_bare_step
-def _edge_law(edge, start, noise, laws, row):  # type: ignore[no-untyped-def]
+def _edge_law(edge: float, start: int, noise: float, laws: Array, row: int) -> None:
     """Fill a row of ``laws`` with P(n + noise < edge) for n = start, start + 1, ..."""
     for i in range(laws.shape[1]):
         laws[row, i] = 0.5 * math.erfc((start + i - edge) / (noise * 1.4142135623730951))
 
 
 @kernel
-def _guide(thresholds, first, bits, guide):  # type: ignore[no-untyped-def]
+def _guide(thresholds: Array, first: int, bits: int, guide: Array) -> None:
     """Fill the least counts that a number's leading bits allow, with SEARCH added where they allow more."""
     j = 0
     for cell in range(guide.size):

@@ -6,6 +6,7 @@ counted from (key of the frame, pixel number): no pixel depends on another, nor 
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -64,7 +65,17 @@ def _whole_groups(values: Array) -> Array:
 
 
 @kernel
-def _look_up(out, index, many, frame, own, guide, guide_bits, first, thresholds):  # type: ignore[no-untyped-def]
+def _look_up(
+    out: Array,
+    index: Array,
+    many: bool,
+    frame: np.uint64,
+    own: np.uint64,
+    guide: Array,
+    guide_bits: int,
+    first: Array,
+    thresholds: Array,
+) -> None:
     """Fill the counts that all pixels have without a target; ``many``: each pixel has a level of its own.
 
     Four pixels share one 64-bit number, 16 bits each. These suffice for the guide; where a threshold is near, the
@@ -92,7 +103,7 @@ def _look_up(out, index, many, frame, own, guide, guide_bits, first, thresholds)
 
 
 @kernel
-def _lit_groups(light, lit):  # type: ignore[no-untyped-def]
+def _lit_groups(light: Array, lit: Array) -> Any:
     """Note the first pixels of the groups that a target lights, and return how many there are."""
     found = 0
     for group in range(light.size // GROUP):
@@ -106,7 +117,16 @@ def _lit_groups(light, lit):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _draw_lit(out, light, index, flat, lit, own, levels, response):  # type: ignore[no-untyped-def]
+def _draw_lit(
+    out: Array,
+    light: Array,
+    index: Array,
+    flat: Array,
+    lit: Array,
+    own: np.uint64,
+    levels: Array,
+    response: tuple[float, float, float, float, float, float],
+) -> None:
     """Fill the counts of the pixels that a target lights, in the groups ``lit``; each draws from its own stream."""
     read_noise, gain, black, top, curve, peak = response
     saturated = levels[-1]

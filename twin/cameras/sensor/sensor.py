@@ -12,32 +12,38 @@ MOST_CURVED = 0.2
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor by its data sheet.
+    """A sensor by its data sheet; fixed patterns are drawn once for a camera.
 
-    ``full_well_e`` saturation capacity; ``read_noise_e`` rms of the temporal dark noise at no exposure; ``bits`` 8,
-    10 or 12; ``black_dn`` offset in counts of 8 bit (scaled with the bits); ``background_e`` even light on all.
-    ``quantum_efficiency`` electrons a photon; ``dark_current_e_per_s``. Fixed patterns, drawn once for a camera:
-    ``dsnu_e`` rms of the dark signal, ``prnu`` rms share of the response, ``hot_pixels`` share of pixels with
-    ``hot_e`` electrons too many (mean of an exponential law), ``dead_pixels`` share that see nothing.
-    ``linearity``: share by which the response falls short of a straight line at full well (square law), 0.2 at most.
-
-    The system gain is ``K = (2^bits - 1 - black) / full_well``, so that a full well of a straight response is the
+    The system gain is ``K = (2^bits - 1 - black) / full_well_e``: the saturation capacity of a linear response is the
     last count.
     """
 
     full_well_e: float = 20_000.0
+    """Saturation capacity."""
     read_noise_e: float = 10.0
+    """Temporal dark noise at no exposure, rms."""
     bits: int = 8
+    """8, 10 or 12."""
     black_dn: float = 4.0
+    """Offset in counts of 8 bit (scaled with the bits)."""
     background_e: float = 200.0
+    """Even light on all pixels."""
     quantum_efficiency: float = 0.6
+    """Electrons a photon."""
     dark_current_e_per_s: float = 0.0
+    """Of each pixel."""
     dsnu_e: float = 0.0
+    """DSNU: rms of the dark signal."""
     prnu: float = 0.0
+    """PRNU: rms share of the response."""
     linearity: float = 0.0
+    """Share by which the response falls short of a straight line at saturation (square law), 0.2 at most."""
     hot_pixels: float = 0.0
+    """Share of hot pixels."""
     hot_e: float = 1_000.0
+    """Their electrons too many: mean of an exponential law."""
     dead_pixels: float = 0.0
+    """Share of pixels without a response."""
 
     @property
     def top(self) -> int:

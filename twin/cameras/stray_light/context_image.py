@@ -1,7 +1,7 @@
 """The context image: scene and body as a camera sees them besides the markers.
 
-One ray a few pixels, through the lens's own rays, tells which surface is seen; it is shaded by Lambert's law in even
-ambient light and in the light of a lamp at the camera, which falls with the square of the distance. Markers are
+One ray a few pixels, through the lens's own rays, decides which surface is seen; it is shaded by Lambert's law in
+even ambient light and in the light of a lamp at the camera, which falls with the square of the distance. Markers are
 left out (they are integrated, see ``render``). Shadows, textures and mirror images are not made; the
 image is as sharp as its rays are dense, which stands in for the lens's blur. It is made at a stated rate: between two
 refreshes the last one stands, so fast limbs are a little behind, markers never.
@@ -33,34 +33,35 @@ _MUJOCO_DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
 
 @dataclass(frozen=True)
 class Cloth:
-    """What the geoms whose names match ``pattern`` (as file names do: ``*``, ``?``) are covered with.
-
-    ``reflectance`` of a Lambert surface in place of their colour's; ``retro`` how many times brighter than a white
-    Lambert surface it is under the camera's own lamp, seen head on (falling with cos^2): reflective tape has 100 and
-    more. ``band_m``: only between these places along the geom's z axis (a capsule's length) from its middle.
-    """
+    """A covering of the geoms whose names match a pattern."""
 
     pattern: str
+    """As of file names: ``*``, ``?``."""
     reflectance: float
+    """Of a Lambert surface, in place of their colour's."""
     retro: float = 0.0
+    """How many times brighter than a white Lambert surface it is under the camera's own lamp, seen head on
+    (falling with cos^2): reflective tape has 100 and more."""
     band_m: tuple[float, float] | None = None
+    """Only between these positions along the geom's z axis (a capsule's length) from its middle."""
 
 
 @dataclass(frozen=True)
 class Context:
-    """How a context image is made.
-
-    ``rate_hz``: how often; ``step_px``: one ray for so many pixels each way. ``ambient``: what a white surface
-    gives a pixel in the room's even light, ``lamp``: what it adds facing the camera's lamp at ``at_m``, both over
-    the full well in one exposure. ``clothes``: a later one covers an earlier one.
-    """
+    """How a context image is made."""
 
     rate_hz: float = 10.0
+    """How often."""
     step_px: int = 2
+    """One ray for so many pixels each way."""
     ambient: float = 0.01
+    """Light of a white surface in even light, over the saturation capacity in one exposure."""
     lamp: float = 0.02
+    """What the camera's lamp at ``at_m`` adds to a white surface facing it, in the same unit."""
     at_m: float = 3.0
+    """Distance of that brightness."""
     clothes: tuple[Cloth, ...] = ()
+    """A later one covers an earlier one."""
 
     def __post_init__(self) -> None:
         allowed = (

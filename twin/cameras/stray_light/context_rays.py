@@ -6,7 +6,7 @@ by tiles: a tile of rays is a cone, a geom's bounding sphere is another, and onl
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -24,32 +24,35 @@ TILE = 4
 
 @dataclass(frozen=True, eq=False)
 class RayGrid:
-    """Rays through a grid of pixels ``step_px`` apart on an image of ``width`` x ``height``.
-
-    ``rays`` (rows, columns, 3) unit directions, camera frame, through the middles of step x step pixels (NaN:
-    the lens images nothing there); ``tile_axis`` (r, c, 3) and ``tile_angle`` (r, c) [rad]: cone around the rays of
-    each tile (-1: none in it).
-    """
+    """Rays through a grid of pixels."""
 
     width: int
+    """Of the image [px]."""
     height: int
+    """Of the image [px]."""
     step_px: int
+    """Distance of the rays."""
     rays: Array
+    """(rows, columns, 3): unit directions, camera frame, through the middles of step x step pixels; NaN: the lens
+    images nothing there."""
     tile_axis: Array
+    """(r, c, 3): axis of the cone around the rays of each tile."""
     tile_angle: Array
+    """(r, c): its half angle [rad]; -1: no ray in it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Met:
-    """What each ray meets first, all of (rows, columns): ``geom`` row of the geoms' arrays or -1, ``distance`` [m],
-    ``normal`` (rows, columns, 3) unit, camera frame; ``other``: whether it comes near a geom that only MuJoCo's own
-    ray caster knows.
-    """
+    """What each ray meets first, all of (rows, columns)."""
 
     geom: Array
+    """Row of the geoms' arrays, or -1."""
     distance: Array
+    """[m]."""
     normal: Array
+    """(rows, columns, 3): unit normal, camera frame."""
     other: Array
+    """Whether the ray comes near a geom that only MuJoCo's own ray caster knows."""
 
 
 def ray_grid(lens: TwinLens, width: int, height: int, step_px: int) -> RayGrid:
@@ -68,7 +71,7 @@ def cast(grid: RayGrid, kind: Array, size: Array, bound: Array, xyz: Array, turn
     """Return what the rays meet of geoms at ``xyz`` (k, 3), ``turn`` (k, 3, 3) geom -> camera frame.
 
     ``kind`` (k,) and ``size`` (k, 3) as MuJoCo has them; ``bound`` (k,) radii of bounding spheres [m]. Planes
-    count from their front side, as far as their size says (0: without end).
+    count from their front side, as far as their size goes (0: without end).
     """
     return Met(*_cast(grid.rays, grid.tile_axis, grid.tile_angle, kind, size, bound, xyz, turn))
 
@@ -89,7 +92,16 @@ def _tiles(rays: Array) -> tuple[Array, Array]:
 
 
 @kernel
-def _cast(rays, tile_axis, tile_angle, kind, size, bound, xyz, turn):  # type: ignore[no-untyped-def]
+def _cast(
+    rays: Array,
+    tile_axis: Array,
+    tile_angle: Array,
+    kind: Array,
+    size: Array,
+    bound: Array,
+    xyz: Array,
+    turn: Array,
+) -> Any:
     rows, columns = rays.shape[:2]
     geoms = kind.shape[0]
     geom = np.full((rows, columns), -1, dtype=np.int64)
@@ -148,7 +160,7 @@ def _is_known(kind: int) -> bool:
 
 
 @kernel
-def _meet_plane(size, xyz, turn, g, dx, dy, dz):  # type: ignore[no-untyped-def]
+def _meet_plane(size: Array, xyz: Array, turn: Array, g: int, dx: float, dy: float, dz: float) -> Any:
     """Distance at which a ray meets the front of plane g (its +z side); inf if never."""
     fall = turn[g, 0, 2] * dx + turn[g, 1, 2] * dy + turn[g, 2, 2] * dz
     height = turn[g, 0, 2] * xyz[g, 0] + turn[g, 1, 2] * xyz[g, 1] + turn[g, 2, 2] * xyz[g, 2]
@@ -164,7 +176,7 @@ def _meet_plane(size, xyz, turn, g, dx, dy, dz):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _normal(kind, size, xyz, turn, g, px, py, pz):  # type: ignore[no-untyped-def]
+def _normal(kind: int, size: Array, xyz: Array, turn: Array, g: int, px: float, py: float, pz: float) -> Any:
     """Outward unit normal of primitive g at a point of its surface, camera frame."""
     dx, dy, dz = px - xyz[g, 0], py - xyz[g, 1], pz - xyz[g, 2]
     x = turn[g, 0, 0] * dx + turn[g, 1, 0] * dy + turn[g, 2, 0] * dz
@@ -219,7 +231,16 @@ class Illumination(NamedTuple):
 
 
 @kernel
-def shade(rays, geom, distance, normal, xyz, turn, covers, light):  # type: ignore[no-untyped-def]
+def shade(
+    rays: Array,
+    geom: Array,
+    distance: Array,
+    normal: Array,
+    xyz: Array,
+    turn: Array,
+    covers: Covers,
+    light: Illumination,
+) -> Any:
     """Return the light (rows, columns) float32 that a pixel gets of what its ray meets (``Met``).
 
     ``xyz`` (k, 3) and ``turn`` (k, 3, 3): poses of the geoms, camera frame.

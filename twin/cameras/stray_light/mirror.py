@@ -36,7 +36,7 @@ _DISC = np.array(
 
 
 @dataclass(frozen=True)
-class Mirror:
+class PlaneMirror:
     """A reflecting rectangle about ``center_m`` (3,), seen from the side that ``normal`` (3,) points to.
 
     ``x_axis`` (3,): direction of its first side, at right angles to the normal; ``size_m``: lengths of its sides;
@@ -105,7 +105,7 @@ class SceneRays:
 
 
 def mirrored(
-    mirror: Mirror,
+    mirror: PlaneMirror,
     targets: TargetsInWorld,
     signal_e: float,
     position: Array,
@@ -134,7 +134,7 @@ def mirrored(
     return replace(through_image, turn=np.ascontiguousarray(turn), figure=figure)
 
 
-def seen_share(mirror: Mirror, targets: TargetsInWorld, eye: Array, rays: SceneRays) -> Array:
+def seen_share(mirror: PlaneMirror, targets: TargetsInWorld, eye: Array, rays: SceneRays) -> Array:
     """Return the share (m,) of each target's disc that is seen from ``eye`` (3,) by way of the mirror."""
     x_axis, y_axis, normal = mirror.axes
     center = np.array(mirror.center_m)

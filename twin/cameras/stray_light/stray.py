@@ -14,9 +14,9 @@ from twin.cameras.render.occluders import Occluders
 from twin.cameras.render.render import TargetsInCamera
 from twin.cameras.stray_light.context_image import Context
 from twin.cameras.stray_light.glare import Glare
-from twin.cameras.stray_light.mirror import Mirror, SceneRays, mirrored
+from twin.cameras.stray_light.mirror import PlaneMirror, SceneRays, mirrored
 from twin.cameras.stray_light.world import (
-    Heads,
+    RigPoses,
     RingLight,
     ShinySpot,
     TargetsInWorld,
@@ -38,7 +38,7 @@ class Surroundings:
     context: Context | None = None
     ring_light: RingLight | None = None
     spots: tuple[ShinySpot, ...] = ()
-    mirrors: tuple[Mirror, ...] = ()
+    mirrors: tuple[PlaneMirror, ...] = ()
     glare: Glare = field(default_factory=Glare)
 
     @property
@@ -61,7 +61,7 @@ def stray_targets(
     surroundings: Surroundings,
     *,
     camera: int,
-    heads: Heads,
+    heads: RigPoses,
     targets: TargetsInWorld,
     signal_e: float,
     rays: SceneRays,
@@ -89,7 +89,7 @@ def stray_targets(
 
 
 def unhidden(nodes: int) -> tuple[Occluders, Array, Array]:
-    """Return the renderer's ``occluders``, ``geom_xyz`` and ``geom_turn`` where nothing hides anything."""
+    """Return the renderer's ``occluders``, ``geom_xyz`` and ``geom_rotation`` where nothing hides anything."""
     none, size = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
     occluders = Occluders(none, none, size, none, none, np.zeros(0))
     return occluders, np.zeros((nodes, 0, 3)), np.zeros((nodes, 0, 3, 3))

@@ -1,4 +1,4 @@
-"""What surrounds a rig in a session: stray light as targets, context and glare as light on pixels."""
+"""Stray light of a session: reflections as targets, context image and glare as light on pixels."""
 
 import math
 from dataclasses import replace
@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from mosca.data.arrays import Array
-from twin.cameras.camera_session import Sight, Station
+from twin.cameras.camera_session import CameraSession, ExposedScene
 from twin.cameras.exposure.lighting import ALWAYS
-from twin.cameras.exposure.scene_sampling import Moment
+from twin.cameras.exposure.scene_sampling import SceneSamples
 from twin.cameras.render.occluders import Occluders
 from twin.cameras.render.render import Figures, TargetsInCamera, render_targets
 from twin.cameras.sensor.background_light import Ambient
@@ -22,21 +22,21 @@ from twin.cameras.stray_light.context_image import (
 from twin.cameras.stray_light.glare import veil
 from twin.cameras.stray_light.mirror import SceneRays, with_mirrored
 from twin.cameras.stray_light.stray import Surroundings, stray_targets, unhidden
-from twin.cameras.stray_light.world import Heads, TargetsInWorld
+from twin.cameras.stray_light.world import RigPoses, TargetsInWorld
 
 KEPT_PER_CAMERA = 4
 """Context images that stand ready for each camera: workers are a few frames apart."""
 
 
-class Around:
-    """The surroundings of ``stations``; may be used by several threads at once.
+class StrayLight:
+    """Stray light in the cameras of ``sessions``; may be used by several threads at once.
 
     Raises InputError for a cloth that nothing in the scene wears.
     """
 
-    def __init__(self, surroundings: Surroundings, stations: tuple[Station, ...]) -> None:
-        self._given, self._stations = surroundings, stations
-        self._subject = stations[0].subject
+    def __init__(self, surroundings: Surroundings, sessions: tuple[CameraSession, ...]) -> None:
+        self._given, self._sessions = surroundings, sessions
+        self._subject = sessions[0].subject
         scene = self._subject.scene
         printed = [scene.figures[name] for name in scene.marker_names if name in scene.figures]
         self._figure_count, self._figures = len(printed), Figures.of(with_mirrored(printed))
@@ -54,104 +54,104 @@ class Around:
                     surroundings.context,
                     s.virtual.sensor.full_well_e,
                 )
-                for s in stations
+                for s in sessions
             )
-        self._refreshed = Refreshed(keep=KEPT_PER_CAMERA * len(stations))
+        self._refreshed = Refreshed(keep=KEPT_PER_CAMERA * len(sessions))
 
-    def add_targets(self, camera: int, sight: Sight, moment: Moment, light: Array) -> None:
+    def add_targets(self, camera: int, exposed: ExposedScene, samples: SceneSamples, light: Array) -> None:
         """Add the stray targets' light to the pixels (H, W) [electrons] of camera number ``camera``."""
         if not self._given.has_targets:
             return
-        station, subject = self._stations[camera], self._subject
-        nodes = len(sight.window.nodes_s)
+        session, subject = self._sessions[camera], self._subject
+        nodes = len(exposed.window.nodes_s)
         stray = stray_targets(
             self._given,
             camera=camera,
-            heads=self._heads(camera, sight),
-            targets=self._in_world(sight),
-            signal_e=station.signal_e,
-            rays=SceneRays(subject.scene.model, moment.hold(sight.half_s).data),
+            heads=self._heads(camera, exposed),
+            targets=self._in_world(exposed),
+            signal_e=session.signal_e,
+            rays=SceneRays(subject.scene.model, samples.hold(exposed.half_s).data),
             figures=self._figure_count,
         )
 
         def render(targets: TargetsInCamera, hiding: tuple[Occluders, Array, Array]) -> None:
             if len(targets.radius):
                 render_targets(
-                    light, sight.lens, station.psf, sight.window, targets, *hiding, figures=self._figures
+                    light, exposed.lens, session.psf, exposed.window, targets, *hiding, figures=self._figures
                 )
 
-        render(stray.direct, (self._occluders, sight.view.solid_xyz, sight.view.solid_turn))
+        render(stray.direct, (self._occluders, exposed.view.solid_xyz, exposed.view.solid_rotation))
         render(stray.mirrored, unhidden(nodes))
 
-    def ambient(self, camera: int, sight: Sight, moment: Moment, light: Array) -> Ambient:
+    def ambient(self, camera: int, exposed: ExposedScene, samples: SceneSamples, light: Array) -> Ambient:
         """Return what the camera's pixels collect besides the targets' ``light`` (H, W) [electrons]."""
-        station = self._stations[camera]
-        ambient, total = station.ambient, light
+        session = self._sessions[camera]
+        ambient, total = session.ambient, light
         if self._given.context is not None:
-            image, ambient = self._context(camera, sight, moment)
+            image, ambient = self._context(camera, exposed, samples)
             total = light + image
         if self._given.glare.share > 0.0:
             ambient = ambient.with_extra(veil(total, self._given.glare))
         return ambient
 
-    def _context(self, camera: int, sight: Sight, moment: Moment) -> tuple[Array, Ambient]:
+    def _context(self, camera: int, exposed: ExposedScene, samples: SceneSamples) -> tuple[Array, Ambient]:
         """Return the context image that stands at a frame, and the ambient light with it."""
-        station, context = self._stations[camera], self._given.context
+        session, context = self._sessions[camera], self._given.context
         assert context is not None
-        first = refresh_pulse(sight.exposure.number, station.info.frame_rate_hz, context.rate_hz)
+        first = refresh_pulse(exposed.exposure.number, session.info.frame_rate_hz, context.rate_hz)
 
         def make() -> tuple[Array, Ambient]:
-            at = np.array([station.exposure(first).middle_s])
-            rotation, position = station.pose_at(at, first, moment.at(at))
+            at = np.array([session.exposure(first).middle_s])
+            rotation, position = session.pose_at(at, first, samples.at(at))
             image = context_image(
-                self._views[camera], moment.hold(float(at[0])), float(at[0]), rotation[0], position[0]
+                self._views[camera], samples.hold(float(at[0])), float(at[0]), rotation[0], position[0]
             )
-            bare = station.ambient
+            bare = session.ambient
             through = image if bare.flat is None else image * bare.flat
-            return image, Ambient.of(station.virtual.sensor, bare.mean_e + through, bare.flat)
+            return image, Ambient.of(session.virtual.sensor, bare.mean_e + through, bare.flat)
 
         made: tuple[Array, Ambient] = self._refreshed.get((camera, first), make)
         return made
 
-    def _in_world(self, sight: Sight) -> TargetsInWorld:
+    def _in_world(self, exposed: ExposedScene) -> TargetsInWorld:
         """Return the scene's targets, for mirrors."""
-        subject, k = self._subject, len(sight.window.nodes_s)
+        subject, k = self._subject, len(exposed.window.nodes_s)
         return TargetsInWorld(
-            sight.places.geom_xyz[:k, subject.marker_at].transpose(1, 0, 2),
-            sight.places.geom_turn[:k, subject.marker_at].transpose(1, 0, 2, 3),
+            exposed.poses.geom_xyz[:k, subject.marker_at].transpose(1, 0, 2),
+            exposed.poses.geom_rotation[:k, subject.marker_at].transpose(1, 0, 2, 3),
             subject.radius,
             subject.shape,
             subject.figure,
             np.asarray(subject.scene.marker_geoms, dtype=np.int64),
             subject.glows,
-            sight.lit.first,
+            exposed.lit.first,
         )
 
-    def _heads(self, camera: int, sight: Sight) -> Heads:
+    def _heads(self, camera: int, exposed: ExposedScene) -> RigPoses:
         """Return where all cameras are while one exposes, and when their ring lights shine."""
-        k = len(sight.window.nodes_s)
-        turns, places, lit = [], [], []
-        for number, station in enumerate(self._stations):
+        k = len(exposed.window.nodes_s)
+        turns, poses, lit = [], [], []
+        for number, session in enumerate(self._sessions):
             if number == camera:
-                turn, place = sight.rotation, sight.position
+                turn, place = exposed.rotation, exposed.position
             else:
-                turn, place = station.pose_at(sight.times_s, sight.exposure.number, sight.places)
+                turn, place = session.pose_at(exposed.times_s, exposed.exposure.number, exposed.poses)
             turns.append(turn[:k])
-            places.append(place[:k])
-            lit.append(self._shining(station, sight))
-        return Heads(np.array(places), np.array(turns), np.array(lit))
+            poses.append(place[:k])
+            lit.append(self._shining(session, exposed))
+        return RigPoses(np.array(poses), np.array(turns), np.array(lit))
 
-    def _shining(self, station: Station, sight: Sight) -> tuple[float, float]:
+    def _shining(self, session: CameraSession, exposed: ExposedScene) -> tuple[float, float]:
         """Return when a camera's strobe is on while another exposes, in seconds from that one's opening."""
-        if station.virtual.timing.strobe_s is None:
+        if session.virtual.timing.strobe_s is None:
             return ALWAYS
-        opens, closes = sight.exposure.start_s, sight.exposure.end_s
-        pulse = math.floor(opens * station.frame_rate_hz)
+        opens, closes = exposed.exposure.start_s, exposed.exposure.end_s
+        pulse = math.floor(opens * session.frame_rate_hz)
         lights = [
             exposure.light_s
             for near in (pulse - 1, pulse, pulse + 1)
             if near >= 0
-            for exposure in station.exposures(near)
+            for exposure in session.exposures(near)
         ]
         best = max(lights, key=lambda on: min(on[1], closes) - max(on[0], opens), default=(opens, opens))
         return best[0] - opens, best[1] - opens

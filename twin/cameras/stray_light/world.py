@@ -17,15 +17,16 @@ from twin.scenes.world import rotation_to
 
 @dataclass(frozen=True)
 class RingLight:
-    """The ring light of each camera as others see it: a bright disc of ``radius_m`` about the lens.
-
-    ``strength``: how much brighter than a marker it is, seen head on; ``half_deg``: angle off its axis at which it is
-    half as bright. It shines while its camera's strobe does.
+    """The ring light of each camera as others see it: a bright disc about the lens. It shines while its camera's
+    strobe does.
     """
 
     radius_m: float = 0.04
+    """Of the disc."""
     strength: float = 20.0
+    """How much brighter than a marker it is, seen head on."""
     half_deg: float = 30.0
+    """Angle off its axis at which it is half as bright."""
 
     def __post_init__(self) -> None:
         _positive("ring light", radius_m=self.radius_m, strength=self.strength)
@@ -34,19 +35,20 @@ class RingLight:
 
 @dataclass(frozen=True)
 class ShinySpot:
-    """A fixed place that throws the ring light back: a tripod's chrome, a screw, tape on the floor.
-
-    A bright ball of ``radius_m`` at ``position_m`` (3,), ``strength`` times as bright as a marker; seen best along
-    ``facing`` (3,) and half as bright ``half_deg`` off it (None: the same from all sides); falling with the square
-    of the distance from ``at_m`` (None: not).
-    """
+    """A fixed bright ball that reflects the ring light: a tripod's chrome, a screw, tape on the floor."""
 
     position_m: tuple[float, float, float]
+    """Its centre."""
     radius_m: float
+    """Of the ball."""
     strength: float
+    """How many times as bright as a marker."""
     facing: tuple[float, float, float] | None = None
+    """(3,): direction from which it is brightest; None: the same from all sides."""
     half_deg: float = 20.0
+    """Angle off ``facing`` at which it is half as bright."""
     at_m: float | None = None
+    """Distance of that brightness, which falls with its square; None: the same at all distances."""
 
     def __post_init__(self) -> None:
         at_m = {} if self.at_m is None else {"at_m": self.at_m}
@@ -60,36 +62,42 @@ class ShinySpot:
 
 @dataclass(frozen=True, eq=False)
 class TargetsInWorld:
-    """Targets in the world during one exposure: ``path`` (m, K, 3) centres at the window's nodes [m], ``turn``
-    (m, K, 3, 3) target's axes -> world, ``radius`` (m,) [m], ``shape`` (m,) and ``figure`` (m,) as the renderer has
-    them, ``geom`` (m,) the geom that each is or -1, ``glows`` of all, ``lit_s`` (m, 2) when each shines.
-    """
+    """Targets in the world during one exposure."""
 
     path: Array
+    """(m, K, 3): centres at the window's nodes [m]."""
     turn: Array
+    """(m, K, 3, 3): target's axes -> world."""
     radius: Array
+    """(m,) [m]."""
     shape: Array
+    """(m,) as the renderer has it."""
     figure: Array
+    """(m,) as the renderer has it."""
     geom: Array
+    """(m,): the geom that each is, or -1."""
     glows: GlowTable
+    """Of all."""
     lit_s: Array
+    """(m, 2): when each shines."""
 
     def __len__(self) -> int:
         return len(self.radius)
 
 
 @dataclass(frozen=True, eq=False)
-class Heads:
-    """Where all cameras of a rig are during one exposure, world frame: ``position`` (c, K, 3) [m], ``rotation``
-    (c, K, 3, 3) camera -> world, both at the window's nodes; ``lit_s`` (c, 2) when their ring lights shine.
-    """
+class RigPoses:
+    """Poses of all cameras of a rig during one exposure, at the window's nodes, and their ring lights."""
 
     position: Array
+    """(c, K, 3): centres, world frame [m]."""
     rotation: Array
+    """(c, K, 3, 3): camera -> world."""
     lit_s: Array
+    """(c, 2): when their ring lights shine."""
 
 
-def ring_lights(light: RingLight, heads: Heads, chosen: Sequence[int]) -> TargetsInWorld:
+def ring_lights(light: RingLight, heads: RigPoses, chosen: Sequence[int]) -> TargetsInWorld:
     """Return the ring lights of the ``chosen`` cameras: flat discs that face along the cameras' axes."""
     at = list(chosen)
     glow = Glow("lamp", strength=light.strength, half_deg=light.half_deg)
