@@ -1,4 +1,4 @@
-"""The story, read top to bottom: frames -> observations -> curves -> image points given anew -> curves -> tracks."""
+"""Frames -> observations -> curves -> image points assigned again to the curves -> curves -> tracks."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ from mosca.continuous.association.coarse_sync import ClockTie
 from mosca.continuous.association.correspondence import observed
 from mosca.continuous.estimator.estimate import ContinuousEstimate, ContinuousSettings, estimate
 from mosca.continuous.findings import association_findings, late_cameras, on_curves_clock
-from mosca.continuous.model.observations import CameraPaths, TimedObservations
+from mosca.continuous.model.observations import CameraPaths, TimedObservations, UncertainCurves
 from mosca.continuous.resample import residuals_px, tracks_on_grid
 from mosca.data.arrays import Array
 from mosca.data.frames import FrameSource
@@ -69,12 +69,15 @@ class Reconstructed:
         own = (span - first.offset_s) / (1.0 + first.drift)
         return self.origin_ns + int(np.ceil(own[0] * 1e9)), self.origin_ns + int(np.floor(own[1] * 1e9))
 
-    def tracks(self, time_ns: Array) -> Tracks:
-        """Return samples of all markers at ``time_ns`` (t,), stamps of the first camera's clock."""
+    def tracks(self, time_ns: Array, curves: UncertainCurves | None = None) -> Tracks:
+        """Return samples of all markers at ``time_ns`` (t,), stamps of the first camera's clock.
+
+        ``curves``: of the same markers, another method's; None: the estimated ones.
+        """
         first = self.clocks[0]
         own = (np.asarray(time_ns) - self.origin_ns) * 1e-9
         return tracks_on_grid(
-            self.estimated.curves,
+            self.estimated.curves if curves is None else curves,
             self.observations,
             self.rig,
             first.offset_s + (1.0 + first.drift) * own,

@@ -85,10 +85,6 @@ class SplineCurves:
         """Return the places (t, points, 3) [m] at the instants ``time_s`` (t,); NaN where a point was not seen."""
         return self._known(values(self.knots, self.coefficients, time_s), time_s)
 
-    def velocity_at(self, time_s: Array) -> Array:
-        """Return the velocities (t, points, 3) [m/s]; NaN where a point was not seen."""
-        return self._known(values(self.knots, self.coefficients, time_s, 1), time_s)
-
     def covariance_at(self, time_s: Array) -> Array:
         """Return the covariances (t, points, 3, 3) [m^2] at the instants ``time_s`` (t,)."""
         first, weight = self.knots.weights(time_s)
