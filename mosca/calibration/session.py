@@ -47,7 +47,7 @@ class EstimateSettings:
     """How cameras are calibrated from frames.
 
     ``lens``: model to estimate, ``free`` its parameters (None: all); ``exterior_only``: keep the lenses of the known
-    rig; ``every``: look at each so many-th frame set; ``reference``: frame set in which a rigid target is the world;
+    rig; ``every``: read each so many-th frame set; ``reference``: frame set in which a rigid target is the world;
     ``detection``: how the balls of wands and L-frames are found; ``volume`` (low, high) [m, world]: where will be
     measured.
     """
@@ -79,11 +79,12 @@ def calibrate_session(
     made_from: str = "",
     progress: Progress | None = None,
 ) -> tuple[Calibration, CalibrationEvidence]:
-    """Calibrate from frames of a target, set the axes by an L-frame, try the rig on a certified bar, and judge it.
+    """Calibrate from frames of a target, set the axes by an L-frame, test the rig on a certified bar, and check its
+    quality.
 
     ``axes``, ``lengths``: frames of L-frame and bar, where there are; ``known``: an earlier rig of these cameras that
     the new one is held against, and whose lenses stay with ``settings.exterior_only``; ``made_from``: what the page
-    says of it. Returns the judged calibration and the evidence that its page shows. InputError or CalibrationError,
+    says of it. Returns the checked calibration and the evidence that its page shows. InputError or CalibrationError,
     in one line, where the frames do not do.
     """
     with shown.opened(known) as source:
@@ -109,9 +110,9 @@ def calibrate_session(
 
 
 def with_residuals(calibration: Calibration) -> Rig:
-    """Return the rig whose cameras say what their lens models leave.
+    """Return the rig whose cameras state the residual error of their lens models.
 
-    Where a target stood still: what lasts from exposure to exposure. Else the scatter that detection does not tell:
+    Where a target was stationary: the systematic error. Else the scatter beyond the detections' own:
     ``sigma_px`` of an image coordinate holds detection noise besides; what shakes whole images is kept apart of it.
     """
     sightings, cameras = calibration.sightings, []
@@ -231,7 +232,7 @@ def held_out_lengths(
 
 
 def is_rigid(target: CalibrationTarget) -> TypeGuard[TestField | Board]:
-    """Tell whether a target joins all its marks by itself: their places on it are known beforehand."""
+    """Return whether a target joins all its marks by itself: their positions on it are known a priori."""
     return isinstance(target, TestField | Board)
 
 
@@ -265,7 +266,7 @@ def _diameters_m(calibration: Calibration, target: CalibrationTarget) -> Array |
 
 
 def _mean_detections(source: FrameSource, settings: EstimateSettings) -> dict[str, Detections]:
-    """Return the mean detections of targets that stand still, by camera.
+    """Return the mean detections of stationary targets, by camera.
 
     Those of the first image of a camera are followed by nearness; what is not there in half the images is left out.
     """

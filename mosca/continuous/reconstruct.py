@@ -63,7 +63,7 @@ class Reconstructed:
         return self.gathered.ties[0].origin_ns
 
     def span_ns(self) -> tuple[int, int]:
-        """Return first and last instant of which an image point tells, the first camera's stamps."""
+        """Return the first and last instant of an image point, the first camera's stamps."""
         first = self.clocks[0]
         span = np.array([self.observations.time_s.min(), self.observations.time_s.max()])
         own = (span - first.offset_s) / (1.0 + first.drift)

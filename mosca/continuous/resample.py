@@ -1,9 +1,9 @@
-"""Curves -> tracks on a grid of instants: places, covariances, and whether image points lie near enough to vouch
-for it.
+"""Curves -> tracks on a grid of instants: positions, covariances, and whether image points support
+them.
 
 A sample is "measured" where two cameras and more have an image point of it within one frame period before or after,
 "filled" where the curve carries on between such instants, over at most LONGEST_FILL_S. Beyond a point's first and
-last image point nothing is said.
+last image point there are no samples.
 """
 
 from collections.abc import Sequence
@@ -62,7 +62,7 @@ def tracks_on_grid(
     near_s: Sequence[float],
     cameras: CameraPaths | None = None,
 ) -> Tracks:
-    """Return samples of all points at ``instants_s`` (t,), the curves' clock; they are told as of ``time_ns`` (t,).
+    """Return samples of all points at ``instants_s`` (t,), the curves' clock; stamped ``time_ns`` (t,).
 
     ``observations`` of these points, on the curves' clock; ``near_s``: each camera's frame period [s]; ``cameras``:
     the rig's poses where they change. Covariances are the curves' own.

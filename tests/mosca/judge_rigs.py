@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from bundle_scenes import HEIGHT, WIDTH, looking, ring
+from bundle_scenes import HEIGHT, WIDTH, ring
+from rigs import looking_at
 from scipy.spatial.transform import Rotation
 
 from mosca.calibration.bundle.solver import (
@@ -166,7 +167,7 @@ def overhead(rng, n=3, height=1.6) -> list[Camera]:
     for k, c in enumerate(good_rig(rng, n)):
         a = 2 * np.pi * k / n
         centre = [0.6 * np.cos(a), 0.6 * np.sin(a) + 0.05, 1 + height + rng.normal(0, 0.1)]
-        out.append(replace(c, world_from_camera=looking(centre, [0, 0, 1])))
+        out.append(replace(c, world_from_camera=looking_at(centre, [0, 0, 1])))
     return out
 
 

@@ -6,7 +6,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from bundle_scenes import HEIGHT, WIDTH, cv2_pixels, looking, moved, ring, views, wand_points
+from bundle_scenes import HEIGHT, WIDTH, cv2_pixels, moved, ring, views, wand_points
+from rigs import looking_at
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -167,7 +168,7 @@ def scipys_resection(image, start, free, xy, points) -> tuple[Camera, np.ndarray
 def test_one_camera_and_fixed_points_is_the_resection(model):
     rng = np.random.default_rng(1)
     points = rng.uniform(-0.6, 0.6, (60, 3)) + [0, 0, 1]
-    pose = looking([2, 1, 1.5], [0, 0, 1])
+    pose = looking_at([2, 1, 1.5], [0, 0, 1])
     if model == "opencv":
         lens, free = (
             OpenCVLens(1000, 1004, 640, 510, -0.1, 0.03),
@@ -341,7 +342,7 @@ def test_cameras_that_share_a_lens_keep_one_lens():
 
 def test_a_parameter_that_the_data_leave_open_is_named_and_held():
     # all points in a narrow cone round the axis: nothing shows k3
-    pose = looking([3, 0, 1], [0, 0, 1])
+    pose = looking_at([3, 0, 1], [0, 0, 1])
     camera = Camera("far", WIDTH, HEIGHT, OpenCVLens(1000, 1000, 639.5, 511.5), pose)
     rng = np.random.default_rng(6)
     points = rng.uniform(-0.15, 0.15, (80, 3)) * [4, 1, 1] + [0, 0, 1]

@@ -1,4 +1,4 @@
-"""From what free-running cameras saw to observations: strands, clocks, identities, samples on a grid.
+"""From what free-running cameras saw to observations: tracklets, clocks, identities, samples on a grid.
 
 Points move on sums of sinusoids and are projected here by the pinhole equations; each camera exposes at instants of
 its own and stamps them by a clock of its own.
@@ -13,7 +13,7 @@ from mosca.continuous.association.coarse_sync import common_clock, tied_clocks
 from mosca.continuous.association.frame_detections import CameraDetections, check_rise
 from mosca.continuous.association.interpolated_tracks import SampledCurves
 from mosca.continuous.association.tracklet_merging import parts_in_time
-from mosca.continuous.association.tracklets_2d import Tracklets, strands
+from mosca.continuous.association.tracklets_2d import Tracklets, tracklets
 from mosca.continuous.model.observations import TimedObservations, no_carriers
 from mosca.continuous.resample import residuals_px, tracks_on_grid
 from mosca.data.frames import CameraInfo
@@ -24,8 +24,8 @@ from mosca.errors import InputError
 def test_a_strand_is_one_point():
     seen, names, _true = session()
     for one, point in zip(seen, names, strict=True):
-        strand = strands(one)
-        owners = [np.unique(point[strand == s]) for s in np.unique(strand)]
+        tracklet = tracklets(one)
+        owners = [np.unique(point[tracklet == s]) for s in np.unique(tracklet)]
         assert all(len(o) == 1 for o in owners)
         assert len(owners) <= 1.2 * POINTS
 
@@ -49,7 +49,7 @@ def test_between_exposures_a_path_is_the_curve_itself_to_third_order():
 
 def test_clocks_that_know_nothing_of_each_other_are_tied_by_the_images():
     seen, _names, true_s = session(4.5)
-    ties = tied_clocks(seen, [strands(one) for one in seen], rig(), 1.0)
+    ties = tied_clocks(seen, [tracklets(one) for one in seen], rig(), 1.0)
     for k, (one, tie) in enumerate(zip(seen, ties, strict=True)):
         found = tie.common_s((one.frame_ns - tie.origin_ns) * 1e-9)
         # seconds of the first camera's clock, which began with the session and does not drift
@@ -67,7 +67,7 @@ def test_clocks_of_still_points_cannot_be_tied():
         for one in seen
     ]  # fmt: skip
     with pytest.raises(InputError, match="no time offset within 1 s makes its images meet"):
-        tied_clocks(held, [strands(one) for one in held], rig(), 1.0)
+        tied_clocks(held, [tracklets(one) for one in held], rig(), 1.0)
 
 
 @pytest.mark.parametrize("own_clock", [False, True])

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bundle_scenes import HEIGHT, WIDTH, looking, ring
+from bundle_scenes import HEIGHT, WIDTH, ring
 from judge_rigs import (
     DIAMETER_M,
     bar_sightings,
@@ -19,6 +19,7 @@ from judge_rigs import (
     overhead,
     seen,
 )
+from rigs import looking_at
 from scipy.spatial.transform import Rotation
 
 from mosca.calibration.quality.checks import judge
@@ -80,7 +81,7 @@ def far_plane(distance, noise_px, tilt=0.5, poses=1):
     cameras = []
     for k in range(2):
         centre = [distance * np.sin(tilt), 0.3 * k, distance * np.cos(tilt)]
-        cameras.append(Camera(f"c{k}", WIDTH, HEIGHT, lens, looking(centre, [0, 0, 0])))
+        cameras.append(Camera(f"c{k}", WIDTH, HEIGHT, lens, looking_at(centre, [0, 0, 0])))
     if poses == 1:
         rows = seen(cameras, plane, rng, noise_px)
         start = disturbed(cameras, rng, 1e-4, 1e-3, keep_lens=True)
@@ -109,7 +110,7 @@ def shallow(relief, free=("f_px",), noise_px=0.1):
             WIDTH,
             HEIGHT,
             OpenCVLens(1000.0, 1000.0, 640, 510),
-            looking([0.3 * k, 0.02, 3.6], [0.3 * k, 0, 1]),
+            looking_at([0.3 * k, 0.02, 3.6], [0.3 * k, 0, 1]),
         )
         for k in range(2)
     ]

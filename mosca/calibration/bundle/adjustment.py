@@ -21,9 +21,9 @@ class Precision:
     """How good an adjustment is. All covariances carry the a-posteriori sigma0.
 
     ``covariance`` (u, u) of ``Adjustment.parameters``; ``points`` (p, 3, 3) [m^2] and ``placements`` (f, 6,
-    6) (turn about the thing's own axes, position) with the cameras' part, zero where held, NaN where not
-    determined; ``redundancy_numbers`` (n, 2) of each image coordinate (Baarda 1968: 0 says nothing about
-    itself, 1 all; NaN where left out) and ``standardised`` (n, 2) its residual over that residual's standard
+    6) (rotation about the thing's own axes, position) with the cameras' part, zero where held, NaN where not
+    determined; ``redundancy_numbers`` (n, 2) of each image coordinate (Baarda 1968: 0: not checked by the
+    others, 1: fully; NaN where left out) and ``standardised`` (n, 2) its residual over that residual's standard
     deviation (w-test); ``statistic`` (n,) the same of both coordinates together: v^T Q_vv^-1 v, of unit
     variance, chi-square with 2 degrees of freedom, also of points left out (from the others' prediction), NaN
     where it cannot be tested. ``sigma_x_px`` ... by camera (c,): a-posteriori standard deviation of an image
@@ -118,7 +118,7 @@ def precision_of(
         reduced_cofactors, block_cofactors = in_free_network(problem, layout, solution, block_cofactors)
     loose = undetermined(layout, solution.inverse)
     points = np.zeros((len(problem.points), 3, 3))
-    # points that no observation touches keep what is known of them
+    # points without observations keep their a-priori covariance
     absent = ~problem.points.held
     absent[np.concatenate([layout.members, layout.kept])] = False
     points[absent] = np.nan

@@ -175,7 +175,7 @@ def _blocks(
 def _known(
     problem: Problem, rods: Distances, assigned: _Assignment, eliminated: Array, kept: Array
 ) -> tuple[Known, Distances]:
-    """Return what is known of the blocks beforehand, and the distances that touch only kept points."""
+    """Return the a-priori values of the blocks, and the distances that touch only kept points."""
     rod_arrays, kept_rods = _rods(
         rods, assigned.point_block, assigned.offset, eliminated, kept, len(assigned.size)
     )

@@ -1,7 +1,7 @@
 """Levenberg-Marquardt on the reduced normal equations of a bundle adjustment.
 
-Marquardt (1963): the diagonal is multiplied by 1 + damping; the damping falls after a step that brings what
-it promised and rises ever faster after one that does not (Nielsen 1999).
+Marquardt (1963): the diagonal is multiplied by 1 + damping; the damping falls after a step that gains what
+was predicted and rises ever faster after one that does not (Nielsen 1999).
 """
 
 from collections.abc import Sequence
@@ -29,12 +29,12 @@ FIRST_DAMPING, LEAST_DAMPING, WORST_DAMPING = 1e-6, 1e-10, 1e12
 STALLED = 1e2
 # of its promise a step may miss this share and the problem still counts as near enough to quadratic
 AS_PROMISED = 0.1
-# sums of squares of so many numbers cannot be told apart below this share of theirs
+# sums of squares of so many numbers cannot be distinguished below this share of theirs
 ROUNDING = 1e-14
 # residuals of rounding size, in standard deviations: an exact fit
 EXACT = 1e-9
 
-# residuals, in typical ones and in standard deviations, that make a point look badly placed; the share of them
+# residuals, in typical ones and in standard deviations, that mark a point as badly placed; the share of them
 # that must be left when it is placed anew; and the residual of a point that is not imaged
 FAR, BETTER, NOWHERE = 8.0, 0.5, 1e9
 
@@ -186,7 +186,7 @@ def reduced(
 
 
 def descend(task: Task, start: State, weight: Array) -> Descent:
-    """Walk from ``start`` to the least cost; ``weight`` (n,) 1/sigma of the sorted image points, 0 where left
+    """Descend from ``start`` to the least cost; ``weight`` (n,) 1/sigma of the sorted image points, 0 where left
     out.
     """
     layout = task.layout
@@ -219,7 +219,8 @@ def descend(task: Task, start: State, weight: Array) -> Descent:
         ratio = gained / promised
         fall = 0.1 if ratio > 0.75 else max(1 / 3, 1 - (2 * ratio - 1) ** 3)
         damping, growth = max(damping * fall, LEAST_DAMPING), 2.0
-        # steps that keep their promises shrink at least linearly: what the next would promise, at the last one's rate
+        # steps that gain what was predicted shrink at least linearly: predicted gain of the next, at
+        # the last one's rate
         next_one = promised**2 / before if before > 0 and abs(ratio - 1) < AS_PROMISED else np.inf
         if min(gained, next_one) <= enough:
             return Descent(state, normals, cost, step + 1, unseen, damping < STALLED)

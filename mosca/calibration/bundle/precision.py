@@ -137,7 +137,7 @@ def _test(
         tests[m, :] = np.nan
         return
     by_unknowns(out, columns, camera, j)
-    # derivatives by the unknowns of the groups, and where these stand among all
+    # derivatives by the unknowns of the groups, and their indices among all
     size = width
     for k in range(2):
         for i in range(width):

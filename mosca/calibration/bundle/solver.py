@@ -1,6 +1,6 @@
 """Bundle adjustment: the one solver for wands, test fields, boards, self-calibration and body-worn cameras.
 
-A ``Problem`` says what is unknown and what was observed, ``solve`` returns the ``Adjustment``:
+A ``Problem`` states what is unknown and what was observed, ``solve`` returns the ``Adjustment``:
 
     cameras = tuple(CameraUnknowns(camera, free=("f_px", "k1")) for camera in rig.cameras)
     observations = Observations(camera, point, xy_px)
@@ -62,7 +62,7 @@ __all__ = [
 ]  # fmt: skip
 LOSSES = {"least squares": LEAST_SQUARES, "huber": HUBER, "cauchy": CAUCHY}
 HOLDING_ROUNDS, PLACING_ROUNDS = 16, 5
-# unknowns of the reduced system up to which its eigenvectors are looked at
+# unknowns of the reduced system up to which its eigenvectors are examined
 MOST_LOOKED_INTO = 1500
 
 

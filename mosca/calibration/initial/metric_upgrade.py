@@ -67,7 +67,7 @@ def grown(
     """Add cameras to a projective reconstruction as long as they see ``fewest`` of its points, ``most`` in all.
 
     ``xy`` (c, p, 2): plain image points of all cameras, NaN where unseen. Projection matrices and points are
-    then found anew in turns.
+    then estimated again alternately.
     """
     one, tried = start, set(start.cameras)
     while len(one.cameras) < most:
@@ -119,7 +119,7 @@ def _again(one: ProjectiveReconstruction, xy: Array, rng: np.random.Generator) -
 
 def metric_guesses(one: ProjectiveReconstruction, most: int) -> list[MetricGuess]:
     """Return up to ``most`` metric guesses of a projective reconstruction, the likeliest first."""
-    # distances from the other camera's focal length tell apart what lies on one valley
+    # distances from the other camera's focal length distinguish what lies on one valley
     focal = np.geomspace(*FOCAL_RANGE, GRID)
     first, second = (side.ravel() for side in np.meshgrid(focal, focal, indexing="ij"))
     # the first camera's matrix becomes (I | 0)

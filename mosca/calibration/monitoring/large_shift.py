@@ -16,9 +16,9 @@ from mosca.data.tracks import Points
 REACH_PX = 80.0
 BIN_PX = 2.0
 LEAST_EXPECTED = 20
-"""Points that a camera was expected to see in the frames looked at, for its absence to mean anything."""
+"""Points that a camera was expected to see in the frames examined, for its absence to count."""
 LEAST_VOTES = 8.0
-"""How many times the votes of an average place the common shift must have."""
+"""How many times the votes of an average bin the common shift must have."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +48,7 @@ class LargeShiftDetector:
             others = (points.rays >= 0).sum(axis=1) - matched
             met, missed = int((matched & (others >= 2)).sum()), ~matched & (others >= 2)
             if met >= 2 * self._share * (met + int(missed.sum())):
-                self._seen[k].append(
-                    (frame, met, met, np.empty((0, 2)))
-                )  # nothing is lost: no need to look closer
+                self._seen[k].append((frame, met, met, np.empty((0, 2))))  # nothing is missing
                 continue
             with np.errstate(invalid="ignore"):
                 xy = project(camera, points.xyz[missed])

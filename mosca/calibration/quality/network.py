@@ -183,7 +183,7 @@ def missing_links(calibration: Calibration, label: Array) -> tuple[tuple[int, in
 
 
 def _in_words(calibration: Calibration, one: int, other: int, count: int) -> str:
-    """Say where the target must be shown to join two cameras."""
+    """Return where the target must be shown to join two cameras."""
     first, second = calibration.rig.names[one], calibration.rig.names[other]
     if count == 0:
         return (

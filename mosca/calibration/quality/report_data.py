@@ -1,4 +1,4 @@
-"""Everything that a page shows of a calibration, worked out in one place."""
+"""All data that a page shows of a calibration."""
 
 from collections.abc import Sequence
 

@@ -1,7 +1,7 @@
 """Where a self-calibration without any known length starts: a projective core, made metric by its cameras.
 
 After Svoboda, Martinec and Pajdla 2005 (MultiCamSelfCal): pairs, projective reconstruction, metric upgrade by what
-is known of any camera. The upgrade here tries all focal lengths (``projective_upgrade``) and lets bundle
+is known of any camera. The upgrade here tries all focal lengths (``metric_upgrade``) and lets bundle
 adjustments of the likeliest guesses decide.
 """
 
@@ -35,7 +35,7 @@ FEWEST_TRIPLE, MOST_IN_CORE = 20, 5
 FEWEST_CAMERAS = 3
 # an ordinary lens's focal length in half diagonals, only to make numbers handy
 HANDY_FOCAL = 1.6
-# guesses so much worse than the best are not looked into
+# guesses so much worse than the best are not examined
 WORSE_FACTOR, WORSE_BY = 3.0, 5.0
 MOST_POINTS = 500
 

@@ -1,9 +1,9 @@
 """Frames of free-running cameras -> observations, each image point with its own instant and its marker's name.
 
-The walk: look at every frame on its own (``gather_look``) -> follow points in each camera (``gather_strands``) ->
-tie the cameras' clocks coarsely where they know nothing of each other (``gather_clocks``) -> tell markers apart by
-comparing the cameras at common instants, and give every real image point to its marker (``gather_identity``). No
-frame sets anywhere.
+Steps: detect in every frame on its own (``frame_detections``) -> follow points in each camera (``gather_tracklets``)
+-> tie the cameras' clocks coarsely where they know nothing of each other (``coarse_sync``) -> distinguish markers by
+comparing the cameras at common instants, and give every real image point to its marker (``correspondence``). No frame
+sets anywhere.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,7 +17,7 @@ from mosca.continuous.association.correspondence import common_instants, curves_
 from mosca.continuous.association.frame_detections import CameraDetections, FrameCount, look_at_frames
 from mosca.continuous.association.interpolated_tracks import SampledCurves
 from mosca.continuous.association.tracklet_merging import joined
-from mosca.continuous.association.tracklets_2d import Tracklets, strands
+from mosca.continuous.association.tracklets_2d import Tracklets, tracklets
 from mosca.continuous.model.observations import Curves, TimedObservations
 from mosca.continuous.model.rig_at_time import MovingRig
 from mosca.data.arrays import Array
@@ -27,13 +27,13 @@ from mosca.errors import InputError
 from mosca.pipeline import PipelineSettings, check_source
 
 SHORTEST_S = 0.1
-"""Shorter recordings say too little of how things move."""
+"""Shorter recordings determine the motion too poorly [s]."""
 
 
 @dataclass(frozen=True)
 class AssociationSettings:
     """``pipeline``: settings of detection, matching and tracking. ``clocks``: "common" where all stamps are of one
-    clock, "own" where each camera has its own and was started at an unknown time, "auto" by what the cameras say of
+    clock, "own" where each camera has its own and was started at an unknown time, "auto" by what the cameras state of
     themselves (``CameraInfo.clock``: "device" is a clock of its own). ``search_s``: by how much at most cameras with
     clocks of their own were started apart.
     """
@@ -101,14 +101,14 @@ def gather_seen(
     own = settings.clocks == "own" or (
         settings.clocks == "auto" and any(one.info.clock == "device" for one in seen) and len(seen) > 1
     )
-    strand = [strands(one) for one in seen]
-    ties = tied_clocks(seen, strand, rig, settings.search_s) if own else common_clock(seen)
-    return markers_of(seen, strand, ties, rig, settings, count or FrameCount(), attend, searched=own)
+    tracklet = [tracklets(one) for one in seen]
+    ties = tied_clocks(seen, tracklet, rig, settings.search_s) if own else common_clock(seen)
+    return markers_of(seen, tracklet, ties, rig, settings, count or FrameCount(), attend, searched=own)
 
 
 def markers_of(
     seen: tuple[CameraDetections, ...],
-    strand: Sequence[Array],
+    tracklet: Sequence[Array],
     ties: tuple[ClockTie, ...],
     rig: Rig,
     settings: AssociationSettings,
@@ -119,12 +119,12 @@ def markers_of(
 ) -> Associated:
     """Return markers' image points and first curves, once clocks are tied: matched, tracked, joined over pauses.
 
-    ``strand``: of each camera's image points; ``count``: frames that were looked at, from which ``attend`` goes on;
-    ``moving``: where the cameras are at each instant, None where they stand as ``rig`` says.
+    ``tracklet``: of each camera's image points; ``count``: frames that were examined, from which ``attend`` goes on;
+    ``moving``: where the cameras are at each instant, None where they are as in ``rig``.
     """
     paths = [
         Tracklets.of(one, of_point, tie.common_s(one.time_s(tie.origin_ns)))
-        for one, of_point, tie in zip(seen, strand, ties, strict=True)
+        for one, of_point, tie in zip(seen, tracklet, ties, strict=True)
     ]
     done = sum(count.frames.values())
     tracks, sigma = tracked(
@@ -139,7 +139,7 @@ def markers_of(
     track = settings.pipeline.track
     curves = curves_of(tracks, track.coast_s)
     found, row = observed(seen, ties, rig, curves, sigma, moving=moving)
-    tracks = joined(tracks, curves, found, strand, row, track.acceleration_mps2)
+    tracks = joined(tracks, curves, found, tracklet, row, track.acceleration_mps2)
     curves = curves_of(tracks, track.coast_s)
     found, _row = observed(seen, ties, rig, curves, sigma, moving=moving)
     return Associated(found, curves, ties, seen, np.asarray(sigma), count, searched)

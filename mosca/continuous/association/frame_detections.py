@@ -1,6 +1,6 @@
 """Frames of free-running cameras -> what each camera saw, frame by frame; no image is kept.
 
-Each frame is looked at by the usual detector with what the camera's own earlier frames taught, and counts at its own
+Each frame is examined by the usual detector with the statistics of the camera's earlier frames, and counts at its own
 instant: mid-exposure by its own stamp (``mosca.data.frames``), of each image point with a rolling shutter at its row.
 """
 
@@ -16,7 +16,7 @@ from mosca.detection.detect import NOTHING, DetectionSettings, Learned, detect_a
 from mosca.errors import InputError
 
 FEWEST_FRAMES = 8
-"""Frames of a camera from which on a trajectory can be told from a few places."""
+"""Frames of a camera from which on a trajectory can be distinguished from a few isolated points."""
 MOST_DETECTIONS = 5000
 """Image points that a frame may have; more are noise."""
 
@@ -59,7 +59,7 @@ class CameraDetections:
 
 @dataclass
 class FrameCount:
-    """Running counts of a look: frames that came, and those of them without a usable image, by camera."""
+    """Running counts: frames that came, and those of them without a usable image, by camera."""
 
     frames: dict[str, int] = field(default_factory=dict)
     unusable: dict[str, int] = field(default_factory=dict)

@@ -16,7 +16,7 @@ from mosca.data.rig import Pose
 from mosca.errors import InputError
 
 MOST_RAYS = 2000
-"""Correspondences that a start looks at, spread evenly over all."""
+"""Correspondences that a start uses, spread evenly over all."""
 STEP = 5
 """Instants from one that is begun anew to the next; those between begin at the nearest of them."""
 WORSE = 2.0
@@ -26,7 +26,7 @@ WORSE = 2.0
 def first_scene(views: Views, cameras: Cameras, *, epipoles: bool = True) -> PosesAndPoints:
     """Return a start for ``adjust``, adjusted once; with "moving" each instant on its own.
 
-    Datum: the first camera as the given cameras say, and so its distance to the second (each instant's, "moving").
+    Datum: the first camera as given, and so its distance to the second (each instant's, "moving").
     ``epipoles``: use them. InputError where no two cameras share enough points.
     """
     t, c = views.xy_px.shape[:2]

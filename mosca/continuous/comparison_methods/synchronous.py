@@ -31,7 +31,7 @@ SETTLED = 1e-9
 class Views:
     """What c cameras saw of m points at t common instants: ``xy_px`` (t, c, m, 2), NaN where not seen.
 
-    ``carried_by`` (m,): camera that carries the point, -1 for none; ``carried_at`` (m, 3) its place there [m].
+    ``carried_by`` (m,): camera that carries the point, -1 for none; ``carried_at`` (m, 3) its position there [m].
     """
 
     cameras: tuple[Camera, ...]
@@ -59,7 +59,7 @@ class Views:
 @dataclass(frozen=True, eq=False)
 class PosesAndPoints:
     """Poses world_from_camera at every instant, ``rotations`` (t, c, 3, 3) and ``centres`` (t, c, 3) [m], and the
-    free points' places ``xyz`` (t, n, 3) [m], NaN where fewer than two cameras see the point.
+    free points' positions ``xyz`` (t, n, 3) [m], NaN where fewer than two cameras see the point.
     """
 
     rotations: Array
@@ -94,8 +94,8 @@ def adjust(views: Views, start: PosesAndPoints, cameras: Cameras, *, epipoles: b
     """Return the least-squares scene near ``start`` (Levenberg-Marquardt, points eliminated).
 
     ``epipoles``: use carried points (eq. 7), or leave them (eq. 4). Unknown cameras: the first one keeps its pose,
-    and the size of the scene stays near the start's; both are the datum, which images do not tell. With "fixed" the
-    poses of the start's first instant are those of all.
+    and the size of the scene stays near the start's; both are the datum, which images do not determine. With "fixed"
+    the poses of the start's first instant are those of all.
     """
     task = _Task(views, cameras, epipoles)
     if cameras == "fixed":
@@ -265,14 +265,14 @@ class _Task:
     def _by_carriers_turn(
         self, scene: PosesAndPoints, carrier: int, m: int, at: Array, image: ProjectedPoints
     ) -> Array:
-        """Return d image / d turn of the carrier (k, 2, 3): d (R exp([w]x) a) / dw = -R [a]x."""
+        """Return d image / d rotation of the carrier (k, 2, 3): d (R exp([w]x) a) / dw = -R [a]x."""
         a = self.views.carried_at[m]
         cross = np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
         return np.asarray(-image.by_point @ scene.rotations[at, carrier] @ cross)
 
 
 LOST_PX = 1e4
-"""Error that stands for a point which a trial pose does not image at all."""
+"""Error of a point which a trial pose does not image at all."""
 
 
 def _errors(image: ProjectedPoints, observed: Array) -> tuple[ProjectedPoints, Array]:

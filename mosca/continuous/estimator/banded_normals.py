@@ -83,7 +83,7 @@ class Band:
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """T = L L^T, L lower banded as LAPACK keeps it."""
+    """T = L L^T, L lower banded as LAPACK stores it."""
 
     lower: Array
     count: int
@@ -198,7 +198,7 @@ def solve_bordered(
 def add_rows(band: Array, right: Array, border: Array, width: int, rows: Rows) -> None:  # pragma: no cover
     """Add rows ``rest = J x`` (n,): J^T J into ``band``, J^T rest into ``right``, J^T shared into ``border``.
 
-    ``band[i - j, j]`` (i >= j) holds the lower half. Unknown (k, c) stands at k * ``width`` + c. Row r reaches the
+    ``band[i - j, j]`` (i >= j) holds the lower half. Unknown (k, c) has index k * ``width`` + c. Row r reaches the
     coefficients ``first[r]`` + a with ``weights[r, a]``, and of each the ``columns[r]`` (-1: none) with
     ``values[r]``; ``shared`` (n, b) are its derivatives by unknowns that have no time.
     """

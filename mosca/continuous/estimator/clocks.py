@@ -1,8 +1,8 @@
-"""Cameras' clocks: which of their unknowns are free, and which the data cannot tell.
+"""Cameras' clocks: which of their unknowns are free, and which the data do not determine.
 
 Gauge: the first camera's offset and drift are zero (a common shift of time changes nothing that can be seen); its
-row time is free. Every unknown begins with what can be said beforehand, ``BEFORE``; one that the data do not make
-at least ``TELLS`` times more certain is held where it was, and said so.
+row time is free. Every unknown begins with its a-priori standard deviation, ``BEFORE``; one that the data do not make
+at least ``TELLS`` times more certain is held where it was, and reported.
 """
 
 import numpy as np
@@ -27,13 +27,15 @@ def free_unknowns(clocks: str, cameras: int) -> Array:
 
 
 def untold(places: StateLayout, covariance: Array) -> Array:
-    """Return the mask (cameras, 3) of free unknowns that the data do not tell, from the covariance of the shared."""
+    """Return the mask (cameras, 3) of free unknowns that the data do not determine, from the covariance of the
+    shared.
+    """
     sigma = np.sqrt(np.append(np.diag(covariance), 0.0))[places.clock]
     return np.asarray((places.clock >= 0) & (sigma > np.array(BEFORE) / TELLS))
 
 
 def prior(places: StateLayout, clocks: Array) -> tuple[Array, Array]:
-    """Return the precision (b,) of the shared unknowns known beforehand, and their right side at ``clocks``."""
+    """Return the precision (b,) of the shared unknowns known a priori, and their right side at ``clocks``."""
     precision, right = np.zeros(places.shared), np.zeros(places.shared)
     for c, kind in zip(*np.nonzero(places.clock >= 0), strict=True):
         at = places.clock[c, kind]

@@ -18,7 +18,7 @@ TELLING = 12.0
 """A pair's vector must have moved so many times more than its length."""
 EXPLAINED = 2.0
 """Variances of a distance over time up to so many times what its uncertainty explains may be chance: curves' errors
-last for several instants, so that few are independent, and many pairs are looked at."""
+last for several instants, so that few are independent, and many pairs are examined."""
 JUMPS = 0.05
 """Share of instants that are not asked whether a distance is constant: those where it fits worst. Where points jump
 between exposures curves are off by more than they know, and one such instant would hide the most rigid pair."""
@@ -29,7 +29,7 @@ FEWEST_INSTANTS = 8
 LONGEST_M = 0.8
 """Two points of one limb are at most so far apart."""
 AT_ONCE = 64
-"""Pairs that are looked at together, for memory's sake."""
+"""Pairs that are examined together, to limit memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ def find_pairs(knots: Knots, xyz: Array, drawn: Array, known: Array, spans: Arra
         vector = best[:, a] - best[:, b]
         length = np.linalg.norm(vector, axis=2)
         spread = np.linalg.norm(others[:, :, a] - others[:, :, b], axis=3) - length
-        # instants that are known well say most
+        # inverse-variance weights
         variance = np.maximum((spread**2).mean(axis=0), 1e-12)
         weight = inside / (variance + np.median(variance, axis=0))
         weight /= np.maximum(weight.sum(axis=0), 1e-300)
@@ -100,7 +100,7 @@ def joined(parts: list[Pairs]) -> Pairs:
 
 def learned(pairs: Pairs, knots: Knots, drawn: Array) -> tuple[Pairs, Array]:
     """Return pairs with distances and slacks as curves of the posterior (draws, count, p, 3) have them, and which of
-    them (m,) still say something.
+    them (m,) still count.
     """
     if not len(pairs):
         return pairs, np.zeros(0, dtype=bool)

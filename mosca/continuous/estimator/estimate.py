@@ -1,7 +1,8 @@
 """Curves of all points, cameras' poses and clocks from all exposures at their own times, with covariances.
 
-The walk: refuse what cannot be used -> each point by itself, smooth as the data say -> all points together, whose
-accelerations are learned together -> constant distances found and used -> what the data cannot tell is held and said.
+Steps: refuse what cannot be used -> each point by itself, smooth as the data require -> all points together, whose
+accelerations are learned together -> constant distances found and used -> what the data do not determine is held and
+reported.
 """
 
 import time as stopwatch
@@ -42,11 +43,11 @@ DRAWS = 12
 """Curves drawn from the posterior at each round; each has hundreds of accelerations to learn from."""
 LARGEST_SIGMA0 = 1.5
 JOINED_AT = 1
-"""The round from which on curves have learned from each other, so that distances can be looked at."""
+"""The round from which on curves have learned from each other, so that distances can be examined."""
 SPOILT = 0.1
 """Where more than this share of distances is dropped at once, what was learned with them is learned anew."""
 SETTLING = 2
-"""In so many last rounds no new distances are looked for: what is new must still loosen or tighten."""
+"""In so many last rounds no new distances are searched for: what is new must still loosen or tighten."""
 ROUNDS_ALONE = 2
 MOST_ROUNDS = 20
 FEWEST_ROUNDS = 4
@@ -68,7 +69,7 @@ def estimate(
 
     ``rig``: lenses and poses; the poses are right ("known") or a start. ``start``: curves to begin with, ``paths``:
     cameras' paths to begin with ("moving"), by default the rig's poses. Gauge of unknown cameras: the first stays
-    where the rig has it; the scale is the start's and is said to be unknown. InputError in one line for equal or
+    where the rig has it; the scale is the start's and is reported as unknown. InputError in one line for equal or
     unsorted time stamps, cameras without common time, too short a recording.
     """
     began = stopwatch.perf_counter()
@@ -146,7 +147,7 @@ def _settled(
     image: ImagePoints, state: State, points: Array, settings: ContinuousSettings, strength: Array,
     noise: float, clock_free: Array,
 ) -> tuple[State, Array, Array]:  # fmt: skip
-    """Return the state with clocks and poses come to rest, which clock unknowns cannot be told and are held, and how
+    """Return the state with clocks and poses come to rest, which clock unknowns are not determined and held, and how
     moving cameras move: their part of the prior's covariance.
     """
     rng = np.random.default_rng(0)
@@ -159,7 +160,7 @@ def _settled(
             break
         drawn = draws(solved, places, DRAWS, rng)
         if noise > 1:
-            # what clocks and poses that are not right yet do looks like noise, and shrinks as they come right
+            # errors of clocks and poses act as noise, which shrinks as these converge
             noise = max(1.0, noise * sigma0(solved, places, drawn))
         covariances = _learned(state, places, drawn, covariances)
     held = clock_rules.untold(places, solved.covariance)
@@ -173,8 +174,8 @@ def _settled(
 def _learned(state: State, places: StateLayout, drawn: list[Array], before: list[Array]) -> list[Array]:
     """Return the prior's covariance of each group as its drawn curves have it.
 
-    Expectation-maximisation creeps where data say little, as of cameras that stand still: their deviations take a
-    step of twice its length, and stay above ``STILL``.
+    Expectation-maximisation converges slowly where data determine little, as of cameras that are stationary: their
+    deviations take a step of twice its length, and stay above ``STILL``.
     """
     count, result = state.knots.count, []
     for points, curves, old in zip(places.groups, drawn, before, strict=True):
@@ -193,7 +194,9 @@ def _rounds(
     image: ImagePoints, state: State, places: StateLayout, covariances: list[Array], settings: ContinuousSettings,
     known: Array, spans: Array,
 ) -> tuple[Solved, list[Array], Pairs]:  # fmt: skip
-    """Step and learn in turn; constant distances are sought once curves are joined, and once more with their help."""
+    """Alternate Gauss-Newton steps and learning of variances; constant distances are sought once curves are joined,
+    and once more with their help.
+    """
     rng = np.random.default_rng(0)
     pairs, before = NO_PAIRS, (covariances, state.pace)
     left: set[tuple[int, int]] = set()
@@ -231,7 +234,7 @@ def _pairs(
 ) -> tuple[Pairs, set[tuple[int, int]]]:  # fmt: skip
     """Return the constant distances as the drawn curves have them, and those that do not hold and were dropped.
 
-    New ones are looked for, too, but none of ``left``, which were taken once and did not hold; None: not any more.
+    New ones are searched for, too, but none of ``left``, which were taken once and did not hold; None: not any more.
     """
     whole = np.zeros((DRAWS, *state.xyz.shape))
     group = np.full(len(known), -1)

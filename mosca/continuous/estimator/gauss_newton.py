@@ -85,7 +85,7 @@ def step(
         try:
             factors.append(band.factor())
         except LinAlgError:
-            # what images tell by less than the rounding errors of what they tell best: stays where it is
+            # directions determined below the rounding errors of the best-determined one: held
             band.hold(x)
             rights[-1] = band.right
             factors.append(band.factor())
@@ -221,7 +221,7 @@ def frame_rows(state: State, places: StateLayout, group: int) -> Rows:
     the second's distance to the first.
 
     Only what the cameras see of each other and of points is observed, so that the whole may drift, turn and grow as
-    one at every instant; ``FRAME`` says how far, and is far looser than images are where images can tell.
+    one at every instant; ``FRAME`` says how far, and is far looser than images where these determine it.
     """
     knots, moving = state.knots, state.moving
     time, cameras = knots.breaks_s, places.cameras if moving is not None else 0

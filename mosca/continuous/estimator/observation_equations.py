@@ -202,7 +202,7 @@ def weighted(rows: Rows, weight: Array) -> Rows:
 
 
 def _right_jacobians(turns: Array) -> Array:
-    """Return d(turn about own axes)/d(rotation vector) (n, 3, 3) (Sola 2018, eq. 143)."""
+    """Return d(rotation about own axes)/d(rotation vector) (n, 3, 3) (Sola 2018, eq. 143)."""
     angle = np.maximum(np.linalg.norm(turns, axis=1), 1e-6)[:, None, None]
     cross = cross_matrices(turns)
     return np.asarray(

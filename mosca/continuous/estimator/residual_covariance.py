@@ -1,13 +1,13 @@
-"""What curves do not hold, and their covariance alone would deny: jitter of points, and image errors that last.
+"""Errors missing from the splines' covariance: motion above the knot frequency, and time-correlated image errors.
 
 Jitter: recorded motion has parts quicker than exposures, which curves pass through at exposures and know nothing of
 between them. Exposures themselves show how large it is: a point's curve made very smooth (the third derivative white)
 leaves in the images what is jitter, as large as is likeliest (REML). It is stated once everywhere: at exposures it is
 known, and that is too much; between them curves bring their neighbours' jitter along, and that may be too little.
 
-Image errors that last (lens, calibration, a lamp's shape seen from one side) do not shrink as exposures are added up.
-The covariance of a camera's residuals of one point with those some exposures later tells their share; what they do to
-a point is what as large an error of one exposure of each camera would do.
+Time-correlated image errors (lens, calibration, a lamp's shape seen from one side) do not shrink as exposures are
+added up. The covariance of a camera's residuals of one point with those some exposures later gives their share; what
+they do to a point is what as large an error of one exposure of each camera would do.
 """
 
 import numpy as np
@@ -46,8 +46,8 @@ def unheld(
 
 
 def of_lenses(image: ImagePoints) -> Array:
-    """Return what the calibration says that lens models leave of the images, of each camera (c,), in the variances
-    stated, which hold it: the least that lasts.
+    """Return the residual errors of the lens models that the calibration states, of each camera (c,), in the
+    variances stated, which contain it: the least time-correlated variance.
 
     Of errors that a curve takes up, or that change as a point moves on, residuals show too little.
     """
@@ -60,7 +60,8 @@ def of_lenses(image: ImagePoints) -> Array:
 def jitter(image: ImagePoints, solved: Solved, alone: StateLayout, points: Array, share: float) -> Array:
     """Return the variance (points,) an axis [m^2] of what is too quick for exposures.
 
-    ``share``: of errors that last, in the variances stated; cameras in turn show them as jitter, which they are not.
+    ``share``: of time-correlated errors, in the variances stated; cameras in turn show them as jitter, which they are
+    not.
     """
     noise, lever, number = smoothest_noise(image, solved.state, alone, points)
     excess = noise**2 - 1 - share
@@ -68,7 +69,7 @@ def jitter(image: ImagePoints, solved: Solved, alone: StateLayout, points: Array
 
 
 def lasting(image: ImagePoints, solved: Solved) -> float:
-    """Return the variance of image errors that last, in the variances stated; 0 where chance explains it.
+    """Return the variance of time-correlated image errors, in the variances stated; 0 where chance explains it.
 
     Where C cameras see a point, its curve takes up 3 of 2 C parts of such errors, the residuals show the others.
     """
@@ -97,7 +98,8 @@ def lasting(image: ImagePoints, solved: Solved) -> float:
 
 
 def single_looks(image: ImagePoints, solved: Solved, places: StateLayout, share: Array) -> Array:
-    """Return at the knots the covariances (pieces + 1, all points, 3, 3) [m^2] that lasting errors give to points.
+    """Return at the knots the covariances (pieces + 1, all points, 3, 3) [m^2] that time-correlated errors give to
+    points.
 
     ``share`` (c,): of each camera's errors, in the variances stated. They do what errors of one exposure of each
     camera that sees a point then would do; where cameras move, to their poses, too.

@@ -34,7 +34,7 @@ class ContinuousSettings:
 class Clock:
     """A camera's clock: time of an image point = offset_s + (1 + drift) * time_s + row_time_s * y_px.
 
-    The sigmas are standard deviations, 0 for what was not estimated; ``held``: what the data could not tell and
+    The sigmas are standard deviations, 0 for what was not estimated; ``held``: what the data did not determine and
     stayed as it was.
     """
 
@@ -65,7 +65,7 @@ class SplineCurves:
     ``blocks`` (degree + 1, count, points, 3, 3): covariances between coefficients k + o and k of one point;
     ``carried`` (count, points, 3, b) and ``shared`` (b, b): what the unknowns without time add; ``beyond``
     (points, 3, 3): motion too quick for the knots, times ``pace`` (pieces + 1,) at them; ``unheld``
-    (pieces + 1, points, 3, 3): at them, what curves do not hold (``unheld.py``) [m^2]. ``from_s``, ``to_s``
+    (pieces + 1, points, 3, 3): at them, what curves do not hold (``residual_covariance``) [m^2]. ``from_s``, ``to_s``
     (points,): between these the point is known.
     """
 
@@ -82,7 +82,7 @@ class SplineCurves:
     to_s: Array
 
     def at(self, time_s: Array) -> Array:
-        """Return the places (t, points, 3) [m] at the instants ``time_s`` (t,); NaN where a point was not seen."""
+        """Return the positions (t, points, 3) [m] at the instants ``time_s`` (t,); NaN where a point was not seen."""
         return self._known(values(self.knots, self.coefficients, time_s), time_s)
 
     def covariance_at(self, time_s: Array) -> Array:
@@ -110,7 +110,7 @@ class SplineCurves:
 
 @dataclass(frozen=True, eq=False)
 class SplinePaths:
-    """World_from_camera as functions of time: a start path turned by curves, and centres that are curves.
+    """World_from_camera as functions of time: a start path rotated by curves, and centres that are curves.
 
     R(t) = R_start(t) exp([w(t)]x); ``coefficients`` (count, cameras, 6) of w [rad] and of the centre [m];
     ``frame`` (count, cameras, 6): those that the estimate began with, near which the frame is held.

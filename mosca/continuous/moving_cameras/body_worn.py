@@ -1,7 +1,7 @@
 """Cameras on the limbs of the body that they film: where they are at each instant, and the markers.
 
-The walk: look at every frame -> tell lamps by their blinks (``gather_blinks``) -> cameras' poses at common instants
-from each other's lamps alone (``gather_mutual``) -> match markers at these instants with these poses -> curves and
+Steps: detect in every frame -> identify lamps by their blinks (``blink_codes``) -> cameras' poses at common instants
+from each other's lamps alone (``mutual_pose``) -> match markers at these instants with these poses -> curves and
 poses together from every image point at its own instant, lamps among them as points that cameras carry
 (``estimate``, ``cameras = "moving"``) -> image points given to markers anew by these -> the same once more.
 
@@ -19,7 +19,7 @@ from mosca.continuous.association.blink_codes import LampSettings, blinking
 from mosca.continuous.association.coarse_sync import common_clock
 from mosca.continuous.association.correspondence import common_instants, observed
 from mosca.continuous.association.frame_detections import CameraDetections, FrameCount, look_at_frames
-from mosca.continuous.association.tracklets_2d import strands
+from mosca.continuous.association.tracklets_2d import tracklets
 from mosca.continuous.estimator.estimate import ContinuousSettings, estimate
 from mosca.continuous.findings import association_findings
 from mosca.continuous.model.camera_paths import PosedCameras
@@ -37,7 +37,7 @@ from mosca.pipeline import check_source
 LAMP_PX = 2.0
 """An image point so near to where a lamp must be is that lamp's."""
 TOLD_PERIODS = 1.5
-"""A pose is told so near to an instant at which lamps told it, in the cameras' periods."""
+"""Maximum time from an LED observation at which a camera pose is valid, in frame periods."""
 COARSER = 2.0
 """The first estimate's knots lie so many times as far apart."""
 LONGEST_S = 0.5
@@ -87,10 +87,10 @@ def reconstruct_worn(
 ) -> Worn:
     """Turn frames of free-running cameras on a body's limbs into curves of markers and paths of the cameras.
 
-    ``known``: names of the cameras whose poses in ``rig`` are right; those of the others are not looked at. They come
+    ``known``: names of the cameras whose poses in ``rig`` are right; those of the others are not used. They come
     first in what is estimated: the first is the frame, its distance to the second the metre. Without
     ``settings.knot_s`` knots are as far apart as the quickest camera's frames. InputError where fewer than two are
-    known, or lamps do not tell where the others are.
+    known, or lamps do not determine the others.
     """
     check_source(source, rig)
     gathering = AssociationSettings() if gathering is None else gathering
@@ -127,15 +127,15 @@ def solve_worn(
         for c, (one, t, own) in enumerate(zip(seen, times, by_code, strict=True))
     )
     marked = tuple(_without(one, own) for one, own in zip(seen, lamp, strict=True))
-    strand = [strands(one) for one in marked]
-    gathered = markers_of(marked, strand, ties, rig, gathering, count or FrameCount(), attend, moving)
+    tracklet = [tracklets(one) for one in marked]
+    gathered = markers_of(marked, tracklet, ties, rig, gathering, count or FrameCount(), attend, moving)
     settings = settings or ContinuousSettings()
     # a camera's path is seen at its own exposures alone: knots as far apart as the quickest one's frames
     knot_s = settings.knot_s or min(one.period_s for one in seen)
     settings = replace(settings, cameras="moving", clocks="known", knot_s=knot_s)
     found, paths = gathered.observations, moving.paths
     start: Curves = gathered.start
-    # the first time only serves to bridge where lamps did not tell poses, and to give image points to markers anew
+    # the first pass only bridges gaps between poses, and to give image points to markers anew
     quick = replace(settings, limbs=False, knot_s=COARSER * knot_s)
     for now in (quick, settings):
         whole = with_lamps(found, seen, times, lamp, gathered.sigma_px, lamps)
