@@ -2,7 +2,8 @@
 
 1. Frame sets between which nothing moved are one *stationary interval* of the target.
 2. Each camera's interior orientation starts from its own views (``interior_orientation``), the target's poses
-   before it from ``target_pose``, and all are chained into one world (``pose_graph``): that of the reference interval.
+   before it from ``target_pose``, and all are chained into one world (``pose_graph``), that of the
+   reference interval.
 3. One bundle adjustment of all cameras, lenses and target poses at once (Mosca paper, section 2.2), the marks'
    positions held, or weighted with what is known of them; blunders are found by data snooping. Before the last round
    the images' centres are corrected for the eccentricity of round marks and the shake of whole images
@@ -25,7 +26,7 @@ from mosca.calibration.bundle.solver import (
     Problem,
     solve,
 )
-from mosca.calibration.bundle.systematic_errors import lasting_covariance, lasting_errors
+from mosca.calibration.bundle.systematic_errors import systematic_covariance, systematic_errors
 from mosca.calibration.initial.pose_graph import View, chain
 from mosca.calibration.initial.target_pose import PoseFit, poses_of
 from mosca.calibration.single_camera.interior_orientation import (
@@ -157,8 +158,8 @@ def _adjusted(
     # a mark in one stationary interval and camera: what is wrong with it is wrong in each exposure
     seen_as = np.column_stack([sightings.camera, placement, sightings.mark])
     cell = np.unique(seen_as, axis=0, return_inverse=True)[1].reshape(-1)
-    lasting = lasting_errors(result, sightings.camera, cell)
-    covariance = covariance + lasting_covariance(problem, result, cell, lasting)
+    lasting = systematic_errors(result, sightings.camera, cell)
+    covariance = covariance + systematic_covariance(problem, result, cell, lasting)
     precision = result.precision
     return Calibration(
         Rig(result.cameras),

@@ -7,7 +7,7 @@ from typing import Generic, TypeGuard, TypeVar
 
 import numpy as np
 
-from mosca.calibration.quality.checks import judge
+from mosca.calibration.quality.checks import check_calibration
 from mosca.calibration.quality.limits import QualityLimits
 from mosca.calibration.quality.report_data import evidence_of
 from mosca.calibration.quality.scale import LengthErrors, length_errors
@@ -97,7 +97,7 @@ def calibrate_session(
     if lengths is not None:
         with lengths.opened(calibration.rig) as source:
             errors = held_out_lengths(calibration, source, lengths.target, settings)
-    calibration = judged(calibration, shown.target, settings, known=known, lengths=errors)
+    calibration = checked(calibration, shown.target, settings, known=known, lengths=errors)
     calibration = replace(calibration, rig=with_residuals(calibration))
     evidence = evidence_of(
         calibration,
@@ -134,7 +134,7 @@ def calibrate_frames(
     known: Rig | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Calibrate the cameras of a source whose frames show ``target``; not judged yet, see ``judged``.
+    """Calibrate the cameras of a source whose frames show ``target``; not checked yet, see ``checked``.
 
     ``known``: an earlier calibration of these cameras, to start from. The world is the target's frame where it first
     stood; of a wand, near that of one of the cameras (see ``on_axes``). InputError or CalibrationError, in one line,
@@ -186,7 +186,7 @@ def _check(target: CalibrationTarget, settings: EstimateSettings) -> None:
         check_lens("cameras", settings.lens.model, settings.free)
 
 
-def judged(
+def checked(
     calibration: Calibration,
     target: CalibrationTarget,
     settings: EstimateSettings | None = None,
@@ -199,7 +199,7 @@ def judged(
     ``known``: an earlier calibration of the same cameras to hold it against; ``lengths``: held-out ones.
     """
     settings = settings or EstimateSettings()
-    found = judge(
+    found = check_calibration(
         calibration,
         known=known,
         target_diameters_m=_diameters_m(calibration, target),

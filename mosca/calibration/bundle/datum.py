@@ -23,7 +23,7 @@ SINGULAR = 1e-11
 PLAUSIBLE_SHARE = 0.1
 """What is plausible of a lens parameter a priori: it moves no image point by more than this share of half
 the image's diagonal; of a rotation so many rad, of a position this share of the distance to the points."""
-SHOWN = 0.1
+LEAST_OPEN_SHARE = 0.1
 
 
 def point_motions(points: Array) -> Array:
@@ -124,7 +124,9 @@ def weak_directions(
     worst: dict[int, LensPrior] = {}
     for column, camera, parameter, _ in free_lens_parameters(problem, layout):
         before = worst.get(camera)
-        if column in known or open_share[column] < (SHOWN if before is None else open_share[before.column]):
+        if column in known or open_share[column] < (
+            LEAST_OPEN_SHARE if before is None else open_share[before.column]
+        ):
             continue
         value = float(state.cameras[camera, LENS + parameter])
         worst[camera] = LensPrior(column, camera, parameter, value, float(plausible[column]))

@@ -26,7 +26,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from mosca.calibration.bundle.adjustment import Adjustment
 from mosca.calibration.bundle.initial_points import intersected
-from mosca.calibration.bundle.kernels import BY_OWN, BY_TURN, BY_WORLD, LEAST_SQUARES, OBSERVED, observe
+from mosca.calibration.bundle.kernels import BY_OWN, BY_ROTATION, BY_WORLD, LEAST_SQUARES, OBSERVED, observe
 from mosca.calibration.bundle.layout import NormalsLayout, layout_of
 from mosca.calibration.bundle.lenses import FAST
 from mosca.calibration.bundle.levenberg_marquardt import Task, empty_normals, linearised, reduced, state_of
@@ -342,7 +342,7 @@ def _sums(
             for i in range(3):
                 by_world = x * out[0, BY_WORLD + i] + y * out[1, BY_WORLD + i]
                 if placement >= 0:
-                    by_block[m, shake, i] = x * out[0, BY_TURN + i] + y * out[1, BY_TURN + i]
+                    by_block[m, shake, i] = x * out[0, BY_ROTATION + i] + y * out[1, BY_ROTATION + i]
                     by_block[m, shake, 3 + i] = by_world
                 else:
                     by_block[m, shake, i] = by_world

@@ -36,7 +36,7 @@ EXACT = 1e-9
 
 # residuals, in typical ones and in standard deviations, that mark a point as badly placed; the share of them
 # that must be left when it is placed anew; and the residual of a point that is not imaged
-FAR, BETTER, NOWHERE = 8.0, 0.5, 1e9
+FAR_SIGMAS, LEFT_SHARE, UNSEEN_SIGMAS = 8.0, 0.5, 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,9 +104,9 @@ def placed_again(
     """
     layout = task.layout
     away = _distances(layout, residual, weight)
-    if away.max(initial=0.0) < FAR:
+    if away.max(initial=0.0) < FAR_SIGMAS:
         return None
-    limit = least or FAR * max(float(np.median(away[weight > 0])), 1.0)
+    limit = least or FAR_SIGMAS * max(float(np.median(away[weight > 0])), 1.0)
     lost = np.intersect1d(layout.observations.point[away >= limit], layout.members)
     if len(lost) == 0:
         return None
@@ -118,14 +118,14 @@ def placed_again(
         np.bincount(layout.observations.point, one**2, len(points))
         for one in (away, _distances(layout, residuals(layout, again), weight))
     )
-    worse = after > BETTER * before
+    worse = after > LEFT_SHARE * before
     again.points[worse] = state.points[worse]
     return again if (~worse[lost]).any() else None
 
 
 def _distances(layout: NormalsLayout, residual: Array, weight: Array) -> Array:
     """Return how far (n,) points of the world are from where they are seen, in standard deviations."""
-    away = np.nan_to_num(np.hypot(residual[:, 0], residual[:, 1]) * weight, nan=NOWHERE)
+    away = np.nan_to_num(np.hypot(residual[:, 0], residual[:, 1]) * weight, nan=UNSEEN_SIGMAS)
     return np.where((weight > 0) & (layout.observations.placement < 0), away, 0.0)
 
 
@@ -194,7 +194,7 @@ def descend(task: Task, start: State, weight: Array) -> Descent:
     state = start
     cost, unseen, pull = linearised(task, state, weight, normals)
     if unseen:
-        state = placed_again(task, state, normals.residuals_px, weight, NOWHERE) or state
+        state = placed_again(task, state, normals.residuals_px, weight, UNSEEN_SIGMAS) or state
         cost, unseen, pull = linearised(task, state, weight, normals)
     used = int((weight > 0).sum())
     redundancy = max(2 * used - len(layout.names) - int(layout.blocks.size.sum()), 1)

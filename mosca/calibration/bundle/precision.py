@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mosca.calibration.bundle.kernels import BY_OWN, BY_POSE, BY_TURN, BY_WORLD, OBSERVED, observe, weigh
+from mosca.calibration.bundle.kernels import BY_OWN, BY_POSE, BY_ROTATION, BY_WORLD, OBSERVED, observe, weigh
 from mosca.calibration.bundle.lenses import FAST, L
 from mosca.calibration.bundle.tables import (
     Blocks,
@@ -162,11 +162,13 @@ def _test(
     own = 0 if n == 0 else (6 if placement >= 0 else 3)
     for i in range(own):
         row = offset[m] + i
-        unknown = BY_TURN + i if own == 6 and i < 3 else (BY_WORLD + i - 3 if own == 6 else BY_WORLD + i)
+        unknown = BY_ROTATION + i if own == 6 and i < 3 else (BY_WORLD + i - 3 if own == 6 else BY_WORLD + i)
         d0, d1 = out[0, unknown], out[1, unknown]
         f0 = f1 = 0.0
         for k in range(own):
-            other = BY_TURN + k if own == 6 and k < 3 else (BY_WORLD + k - 3 if own == 6 else BY_WORLD + k)
+            other = (
+                BY_ROTATION + k if own == 6 and k < 3 else (BY_WORLD + k - 3 if own == 6 else BY_WORLD + k)
+            )
             x = block[row, offset[m] + k]
             f0 += x * out[0, other]
             f1 += x * out[1, other]

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg.lapack import dposv
 
 from mosca.calibration.bundle.adjustment import Adjustment, Precision, precision_of, tested
-from mosca.calibration.bundle.data_snooping import snoop, without_lonely
+from mosca.calibration.bundle.data_snooping import snoop, without_undetermined
 from mosca.calibration.bundle.datum import check_datum, generators, null_generators, weak_directions
 from mosca.calibration.bundle.initial_points import intersected
 from mosca.calibration.bundle.inner_constraints import diagonals, onto_given
@@ -63,7 +63,7 @@ __all__ = [
 LOSSES = {"least squares": LEAST_SQUARES, "huber": HUBER, "cauchy": CAUCHY}
 HOLDING_ROUNDS, PLACING_ROUNDS = 16, 5
 # unknowns of the reduced system up to which its eigenvectors are examined
-MOST_LOOKED_INTO = 1500
+MOST_EIGENVECTORS = 1500
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def solve(
     state = first_state(problem, layout) if start is None else _state_of(problem, layout, start)
     loss = Loss(LOSSES[settings.loss], settings.loss_scale**2)
     task = Task(problem, layout, lens_priors(problem, layout), loss, settings.tolerance, settings.most_steps)
-    weight = without_lonely(layout, layout.observations.weight)
+    weight = without_undetermined(layout, layout.observations.weight)
     task, solution, weak, steps = _solved(task, state, weight, settings.hold_weak)
     held = tuple(layout.names[one.column] for one in task.priors[len(lens_priors(problem, layout)) :])
     rejected = np.zeros(len(layout.order), dtype=bool)
@@ -164,7 +164,7 @@ def _solved(
             descent = other
         matrix, inverse, motions = _normal_matrix(task, descent)
         more: Priors = ()
-        if 0 < len(matrix) <= MOST_LOOKED_INTO:
+        if 0 < len(matrix) <= MOST_EIGENVECTORS:
             variance = _variance(task, Solution(descent, weight, matrix, inverse, motions))[0]
             found, more = weak_directions(
                 task.problem, task.layout, descent.state, matrix, variance, task.priors

@@ -25,7 +25,7 @@ LEAST_REDUNDANCY = 0.1
 """Cells whose mean residual the adjustment fits nearly away are left out."""
 
 
-def lasting_errors(adjustment: Adjustment, camera: Array, cell: Array) -> Array:
+def systematic_errors(adjustment: Adjustment, camera: Array, cell: Array) -> Array:
     """Return the systematic part of image errors (c,), rms an axis [px]; NaN without enough repeats.
 
     ``adjustment``: with precision; ``camera`` (n,) of each observation; ``cell`` (n,) alike for observations that
@@ -50,10 +50,10 @@ def lasting_errors(adjustment: Adjustment, camera: Array, cell: Array) -> Array:
     return found
 
 
-def lasting_covariance(problem: Problem, adjustment: Adjustment, cell: Array, lasting_px: Array) -> Array:
+def systematic_covariance(problem: Problem, adjustment: Adjustment, cell: Array, lasting_px: Array) -> Array:
     """Return what systematic errors add to the covariance (u, u) of ``adjustment.parameters``.
 
-    ``cell`` as for ``lasting_errors``; ``lasting_px`` (c,) what that found, NaN counts nothing.
+    ``cell`` as for ``systematic_errors``; ``lasting_px`` (c,) what that found, NaN counts nothing.
     """
     if len(adjustment.parameters) == 0 or not np.nansum(lasting_px) > 0:
         return np.zeros((len(adjustment.parameters),) * 2)

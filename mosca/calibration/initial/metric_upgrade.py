@@ -146,7 +146,7 @@ def _upgrades(matrices: Array, first: Array, second: Array, sign: float = 1.0) -
     m = p[None] * k1[:, None, :] / k2[:, :, None]
     t = e[None] / k2
     length = np.linalg.norm(t, axis=1)
-    w = _turned_to_x(t / length[:, None]) @ m
+    w = _rotation_to_x(t / length[:, None]) @ m
     size = np.sqrt(np.linalg.norm(w[:, 1], axis=1) * np.linalg.norm(w[:, 2], axis=1))
     row = (np.cross(w[:, 1], w[:, 2]) / size[:, None] - w[:, 0]) / length[:, None]
     out = np.zeros((len(first), 4, 4))
@@ -155,7 +155,7 @@ def _upgrades(matrices: Array, first: Array, second: Array, sign: float = 1.0) -
     return out
 
 
-def _turned_to_x(unit: Array) -> Array:
+def _rotation_to_x(unit: Array) -> Array:
     """Return rotations (g, 3, 3) that turn unit vectors (g, 3) into the x axis."""
     other = np.where(np.abs(unit[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
     y = np.cross(unit, other)

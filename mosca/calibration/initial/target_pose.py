@@ -89,7 +89,7 @@ def _starts(rays: Array, points: Array) -> list[Pose]:
     # view along the rays' middle, so that wide views are plane images too
     view = rays.mean(axis=0)
     view /= np.linalg.norm(view)
-    turn = _turned_to(view)
+    turn = _rotated_to(view)
     seen = rays @ turn
     if (seen[:, 2] > 1e-3).all():
         local = (points - middle) @ axes
@@ -101,7 +101,7 @@ def _starts(rays: Array, points: Array) -> list[Pose]:
     return starts
 
 
-def _turned_to(z: Array) -> Array:
+def _rotated_to(z: Array) -> Array:
     side = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.7 else np.array([0.0, 1.0, 0.0])
     y = np.cross(z, side)
     y /= np.linalg.norm(y)

@@ -55,9 +55,9 @@ class LargeShiftDetector:
                 xy = xy[((xy > 0) & (xy < (camera.width - 1, camera.height - 1))).all(axis=1)]
             free = np.setdiff1d(np.arange(len(found)), points.rays[matched, k])
             self._seen[k].append((frame, met + len(xy), met, _displacements(xy, found.xy_px[free])))
-        return next((lost for k in range(len(self._seen)) if (lost := self._judged(k)) is not None), None)
+        return next((lost for k in range(len(self._seen)) if (lost := self._checked(k)) is not None), None)
 
-    def _judged(self, k: int) -> LargeShift | None:
+    def _checked(self, k: int) -> LargeShift | None:
         recent = self._seen[k]
         expected, met = sum(one[1] for one in recent), sum(one[2] for one in recent)
         if len(recent) < self._frames or expected < LEAST_EXPECTED or met >= self._share * expected:

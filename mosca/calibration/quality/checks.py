@@ -1,6 +1,6 @@
 """Quality checks of a calibration, one after the other.
 
-    findings = judge(calibration, known=rig_of_last_week, target_diameters_m=field_diameters)
+    findings = check_calibration(calibration, known=rig_of_last_week, target_diameters_m=field_diameters)
 
 A finding refuses, warns or notes; a good calibration has neither of the first two.
 """
@@ -21,7 +21,7 @@ from mosca.data.rig import Rig
 ORDER = {"refuse": 0, "warn": 1, "note": 2}
 
 
-def judge(
+def check_calibration(
     calibration: Calibration,
     *,
     known: Rig | None = None,

@@ -128,7 +128,7 @@ def adjust_camera(
         if (kept == used).all():
             break
         used = kept
-    return _judged(where, fit, xy, world, used, chosen, settings)
+    return _checked(where, fit, xy, world, used, chosen, settings)
 
 
 def check_lens(where: str, model: str, parameters: Sequence[str] | None) -> None:
@@ -188,7 +188,7 @@ def _chosen_fit(
     return fit, chosen
 
 
-def _judged(
+def _checked(
     where: str,
     fit: CameraFit,
     xy: Array,

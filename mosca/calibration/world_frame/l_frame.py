@@ -91,7 +91,7 @@ def world_from_l_frame(
         by_parameter = np.einsum("ni,nik->k", slope, _moved_by(calibration, balls))
         variance += float(by_parameter @ calibration.covariance @ by_parameter)
     sigma = float(np.sqrt(variance))
-    findings = _judged(ratio, sigma) if lengths_known else ()
+    findings = _checked(ratio, sigma) if lengths_known else ()
     scale = 1.0 if lengths_known else 1 / ratio
     pose = rigid(scale * found, known)
     moved = pose.transform(scale * found)
@@ -180,7 +180,7 @@ def _moved_by(calibration: Calibration, balls: BallCandidates) -> Array:
     return moved
 
 
-def _judged(ratio: float, sigma: float) -> tuple[Finding, ...]:
+def _checked(ratio: float, sigma: float) -> tuple[Finding, ...]:
     off = abs(ratio - 1)
     for factor, what in UNITS.items():
         if abs(ratio / factor - 1) < NEAR:

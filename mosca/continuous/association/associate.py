@@ -14,7 +14,7 @@ import numpy as np
 
 from mosca.continuous.association.coarse_sync import ClockTie, common_clock, tied_clocks
 from mosca.continuous.association.correspondence import common_instants, curves_of, observed, tracked
-from mosca.continuous.association.frame_detections import CameraDetections, FrameCount, look_at_frames
+from mosca.continuous.association.frame_detections import CameraDetections, FrameCount, detect_in_frames
 from mosca.continuous.association.interpolated_tracks import SampledCurves
 from mosca.continuous.association.tracklet_merging import joined
 from mosca.continuous.association.tracklets_2d import Tracklets, tracklets
@@ -84,7 +84,7 @@ def associate(
     settings = AssociationSettings() if settings is None else settings
     check_source(source, rig)
     count = FrameCount()
-    seen = look_at_frames(source, rig.names, settings.pipeline.detection, backgrounds, count, attend)
+    seen = detect_in_frames(source, rig.names, settings.pipeline.detection, backgrounds, count, attend)
     return gather_seen(seen, rig, settings, count, attend)
 
 

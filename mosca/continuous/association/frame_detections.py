@@ -77,7 +77,7 @@ class _Notes:
     row_time_ns: int = 0
 
 
-def look_at_frames(
+def detect_in_frames(
     source: FrameSource,
     names: Iterable[str],
     settings: DetectionSettings,
@@ -110,13 +110,13 @@ def look_at_frames(
         if frame.image is None:
             counts.unusable[frame.camera] = counts.unusable.get(frame.camera, 0) + 1
         else:
-            _look(note, frame, settings, (backgrounds or {}).get(frame.camera))
+            _detect(note, frame, settings, (backgrounds or {}).get(frame.camera))
         if attend is not None:
             attend(done)
     return tuple(_seen(note) for note in notes.values())
 
 
-def _look(note: _Notes, frame: Frame, settings: DetectionSettings, background: Array | None) -> None:
+def _detect(note: _Notes, frame: Frame, settings: DetectionSettings, background: Array | None) -> None:
     assert frame.image is not None
     half_readout = frame.row_time_ns * (frame.rows - 1) // 2
     middle = mid_exposure_ns(frame)

@@ -19,7 +19,7 @@ from mosca.data.rig import Pose
 
 FEWEST = {0: 8, 1: 5, 2: 3}
 """Correspondences that a matrix needs at least, by the number of observed epipoles."""
-TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
+QUARTER_ROTATION = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
 class TooFewPointsError(ValueError):
@@ -157,7 +157,7 @@ def _about_base(first: Array, second: Array, epipole: Array, other: Array) -> Ar
     if len(first) < 2:
         raise TooFewPointsError(f"{len(first)} corresponding points with both epipoles given, 2 are needed")
     a, b = first @ right, second @ left
-    # b . TURN (c I + s TURN) a = c (b . TURN a) - s (b . a)
-    rows = np.column_stack([np.einsum("ni,ij,nj->n", b, TURN, a), -np.einsum("ni,ni->n", b, a)])
+    # b . QUARTER_ROTATION (c I + s QUARTER_ROTATION) a = c (b . QUARTER_ROTATION a) - s (b . a)
+    rows = np.column_stack([np.einsum("ni,ij,nj->n", b, QUARTER_ROTATION, a), -np.einsum("ni,ni->n", b, a)])
     c, s = np.linalg.svd(rows, full_matrices=False)[2][-1]
-    return np.asarray(left @ TURN @ (c * np.eye(2) + s * TURN) @ right.T)
+    return np.asarray(left @ QUARTER_ROTATION @ (c * np.eye(2) + s * QUARTER_ROTATION) @ right.T)

@@ -14,12 +14,12 @@ AT_ORIGIN = Pose(np.eye(3), np.zeros(3))
 @dataclass(frozen=True, eq=False)
 class ProjectedPoints:
     """``xy_px`` (n, 2); ``by_point`` (n, 2, 3) [px/m], which is also minus the derivative by the camera's position;
-    ``by_turn`` (n, 2, 3) [px/rad], about the camera's own axes (``R -> R exp([w]x)``). NaN where not imaged.
+    ``by_rotation`` (n, 2, 3) [px/rad], about the camera's own axes (``R -> R exp([w]x)``). NaN where not imaged.
     """
 
     xy_px: Array
     by_point: Array
-    by_turn: Array
+    by_rotation: Array
 
 
 def project_moving(camera: Camera, rotations: Array, centres: Array, points: Array) -> ProjectedPoints:

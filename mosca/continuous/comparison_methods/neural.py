@@ -197,7 +197,7 @@ class _Task:
             # a trial that loses a point must not count as a fit
             error[own] = np.where(lost[:, None], 1e4, rest)
             by_point[own] = np.where(lost[:, None, None], 0.0, image.by_point)
-            turn = np.where(lost[:, None, None], 0.0, image.by_turn)
+            turn = np.where(lost[:, None, None], 0.0, image.by_rotation)
             pose[own] = np.concatenate([turn, -by_point[own]], axis=2)
         return error, by_point, pose
 

@@ -22,7 +22,7 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Camera
 
 Cameras = Literal["known", "fixed", "moving"]
-STEPS, TIRED, TINY = 60, 1e12, 1e-12
+STEPS, WORST_DAMPING, TINY = 60, 1e12, 1e-12
 SETTLED = 1e-9
 """Share of the cost below which another step is not worth it."""
 
@@ -117,7 +117,7 @@ def adjust(views: Views, start: PosesAndPoints, cameras: Cameras, *, epipoles: b
             live[np.flatnonzero(better)[gained < SETTLED]] = False
             system = task.linearised(state)
         damping = np.where(better, np.maximum(damping / 10, 1e-10), damping * 10)
-        live &= damping < TIRED
+        live &= damping < WORST_DAMPING
         live &= system.cost > TINY * np.maximum(system.count, 1)
         if not live.any():
             break
@@ -161,7 +161,7 @@ class _Task:
         cost, count = np.zeros(t), np.zeros(t)
         for k in range(len(self.views.cameras)):
             at, which, image, error = self._ordinary(scene, k)
-            pose = np.concatenate([image.by_turn, -image.by_point], axis=2)
+            pose = np.concatenate([image.by_rotation, -image.by_point], axis=2)
             pose_t, point_t = np.swapaxes(pose, 1, 2), np.swapaxes(image.by_point, 1, 2)
             own = slice(6 * k, 6 * k + 6)
             point[at, which] += point_t @ image.by_point
@@ -174,9 +174,11 @@ class _Task:
         for viewer, carrier, m, at in self.epipoles:
             image, error = self._epipole(scene, viewer, m, at)
             slope = np.zeros((len(at), 2, size))
-            slope[:, :, 6 * viewer : 6 * viewer + 3] = image.by_turn
+            slope[:, :, 6 * viewer : 6 * viewer + 3] = image.by_rotation
             slope[:, :, 6 * viewer + 3 : 6 * viewer + 6] = -image.by_point
-            slope[:, :, 6 * carrier : 6 * carrier + 3] = self._by_carriers_turn(scene, carrier, m, at, image)
+            slope[:, :, 6 * carrier : 6 * carrier + 3] = self._by_carriers_rotation(
+                scene, carrier, m, at, image
+            )
             slope[:, :, 6 * carrier + 3 : 6 * carrier + 6] = image.by_point
             camera[at] += np.swapaxes(slope, 1, 2) @ slope
             camera_right[at] += np.einsum("kpi,kp->ki", slope, error)
@@ -262,7 +264,7 @@ class _Task:
         )
         return _errors(image, self.views.xy_px[at, viewer, m])
 
-    def _by_carriers_turn(
+    def _by_carriers_rotation(
         self, scene: PosesAndPoints, carrier: int, m: int, at: Array, image: ProjectedPoints
     ) -> Array:
         """Return d image / d rotation of the carrier (k, 2, 3): d (R exp([w]x) a) / dw = -R [a]x."""
@@ -282,6 +284,6 @@ def _errors(image: ProjectedPoints, observed: Array) -> tuple[ProjectedPoints, A
         return image, error
     none = lost[:, None, None]
     cleared = ProjectedPoints(
-        image.xy_px, np.where(none, 0.0, image.by_point), np.where(none, 0.0, image.by_turn)
+        image.xy_px, np.where(none, 0.0, image.by_point), np.where(none, 0.0, image.by_rotation)
     )
     return cleared, np.where(lost[:, None], LOST_PX, error)

@@ -163,7 +163,7 @@ def _settled(
             # errors of clocks and poses act as noise, which shrinks as these converge
             noise = max(1.0, noise * sigma0(solved, places, drawn))
         covariances = _learned(state, places, drawn, covariances)
-    held = clock_rules.untold(places, solved.covariance)
+    held = clock_rules.undetermined_clocks(places, solved.covariance)
     return (
         replace(state, clocks=np.where(held, 0.0, state.clocks)),
         held,

@@ -18,7 +18,7 @@ DEGREE = 3
 FEWEST_SIGHTINGS = 6
 MOST_UNKNOWNS = 600_000
 """Knots are spread wider where there would be more coefficients than this."""
-LARGEST_TURN = 0.7
+LARGEST_ROTATION_RAD = 0.7
 """Cameras that rotate less about their mean rotation are described by vectors about it [rad]."""
 CAMERA_START = (3.0, 1.0)
 """A-priori accelerations of a moving camera: rad/s^2 and m/s^2 in a band of one hertz."""
@@ -112,7 +112,7 @@ def moving_start(
         # about one rotation, so that what is learned is how quickly a camera rotates, not how rough the start was
         each = Rotation.from_matrix(rotation[:, c])
         away = (each.mean().inv() * each).as_rotvec()
-        if np.linalg.norm(away, axis=1).max() < LARGEST_TURN:
+        if np.linalg.norm(away, axis=1).max() < LARGEST_ROTATION_RAD:
             rotation[:, c], turns[:, c] = each.mean().as_matrix(), away
     begin = PosedCameras(still.cameras, time, rotation, centre, "cubic")
     coefficients = np.concatenate([fitted(knots, time, turns), fitted(knots, time, centre)], axis=2)

@@ -23,7 +23,7 @@ CHANCE = 3.0
 """Standard deviations by which variances must exceed what is stated to be believed."""
 LATER = range(3, 9)
 """Exposures from one residual to the next that it is compared with: beyond what the fit itself makes alike."""
-LOOK_S = 0.5
+EXPOSURE_GROUP_S = 0.5
 """How fast it changes from where cameras see a point."""
 
 
@@ -36,12 +36,12 @@ def unheld(
     """
     knots = solved.state.knots
     total = np.zeros((knots.pieces + 1, len(image.observations.points), 3, 3))
-    share = np.maximum(lasting(image, solved), of_lenses(image))
+    share = np.maximum(time_correlated_variance(image, solved), of_lenses(image))
     seen = np.bincount(image.observations.camera, minlength=len(share))
     mean = float(np.average(share, weights=np.maximum(seen, 1)))
     total[:, points] += jitter(image, solved, alone, points, mean)[:, None, None] * np.eye(3)
     if mean > 0:
-        total[:, points] += single_looks(image, solved, places, share)[:, points]
+        total[:, points] += time_correlated_covariances(image, solved, places, share)[:, points]
     return total
 
 
@@ -68,7 +68,7 @@ def jitter(image: ImagePoints, solved: Solved, alone: StateLayout, points: Array
     return np.asarray(np.where(excess > CHANCE * np.sqrt(2 / number), excess / lever, 0.0))
 
 
-def lasting(image: ImagePoints, solved: Solved) -> float:
+def time_correlated_variance(image: ImagePoints, solved: Solved) -> float:
     """Return the variance of time-correlated image errors, in the variances stated; 0 where chance explains it.
 
     Where C cameras see a point, its curve takes up 3 of 2 C parts of such errors, the residuals show the others.
@@ -97,7 +97,9 @@ def lasting(image: ImagePoints, solved: Solved) -> float:
     return alike / own if alike / number > chance else 0.0
 
 
-def single_looks(image: ImagePoints, solved: Solved, places: StateLayout, share: Array) -> Array:
+def time_correlated_covariances(
+    image: ImagePoints, solved: Solved, places: StateLayout, share: Array
+) -> Array:
     """Return at the knots the covariances (pieces + 1, all points, 3, 3) [m^2] that time-correlated errors give to
     points.
 
@@ -105,7 +107,7 @@ def single_looks(image: ImagePoints, solved: Solved, places: StateLayout, share:
     camera that sees a point then would do; where cameras move, to their poses, too.
     """
     o, knots = image.observations, solved.state.knots
-    bins = max(1, round((knots.end_s - knots.start_s) / LOOK_S))
+    bins = max(1, round((knots.end_s - knots.start_s) / EXPOSURE_GROUP_S))
     time = np.clip((image.times(solved.state) - knots.start_s) / (knots.end_s - knots.start_s), 0, 1)
     bin_of = np.minimum((time * bins).astype(int), bins - 1)
     result = np.zeros((bins, len(o.points), 3, 3))

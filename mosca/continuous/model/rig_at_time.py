@@ -15,14 +15,14 @@ from mosca.data.tracks import Points
 
 @dataclass(frozen=True, eq=False)
 class MovingRig:
-    """A rig whose cameras move. ``paths``: their poses; ``told_s``: how near to one of ``known_s`` (instants of each
+    """A rig whose cameras move. ``paths``: their poses; ``valid_s``: how near to one of ``known_s`` (instants of each
     camera at which its pose was estimated) an instant must be for the pose to be valid [s].
     """
 
     rig: Rig
     paths: CameraPaths
     known_s: tuple[Array, ...]
-    told_s: float
+    valid_s: float
 
     def rigs(self, time_s: Array) -> list[Rig]:
         """Return the rig at each of ``time_s`` (t,); cameras without a pose there are where the rig has them."""
@@ -52,7 +52,7 @@ class MovingRig:
             )
             before = np.maximum(np.asarray(after) - 1, 0)
             away = np.minimum(np.abs(known[after] - time_s), np.abs(known[before] - time_s))
-            columns.append(away <= self.told_s)
+            columns.append(away <= self.valid_s)
         return np.column_stack(columns)
 
 

@@ -18,7 +18,7 @@ from mosca.continuous.association.associate import AssociationSettings, check_lo
 from mosca.continuous.association.blink_codes import LampSettings, blinking
 from mosca.continuous.association.coarse_sync import common_clock
 from mosca.continuous.association.correspondence import common_instants, observed
-from mosca.continuous.association.frame_detections import CameraDetections, FrameCount, look_at_frames
+from mosca.continuous.association.frame_detections import CameraDetections, FrameCount, detect_in_frames
 from mosca.continuous.association.tracklets_2d import tracklets
 from mosca.continuous.estimator.estimate import ContinuousSettings, estimate
 from mosca.continuous.findings import association_findings
@@ -36,7 +36,7 @@ from mosca.pipeline import check_source
 
 LAMP_PX = 2.0
 """An image point so near to where a lamp must be is that lamp's."""
-TOLD_PERIODS = 1.5
+VALID_PERIODS = 1.5
 """Maximum time from an LED observation at which a camera pose is valid, in frame periods."""
 COARSER = 2.0
 """The first estimate's knots lie so many times as far apart."""
@@ -95,7 +95,7 @@ def reconstruct_worn(
     check_source(source, rig)
     gathering = AssociationSettings() if gathering is None else gathering
     count = FrameCount()
-    seen = look_at_frames(source, rig.names, gathering.pipeline.detection, backgrounds, count, attend)
+    seen = detect_in_frames(source, rig.names, gathering.pipeline.detection, backgrounds, count, attend)
     return solve_worn(seen, rig, known, lamps, gathering, settings, count, attend)
 
 
@@ -121,7 +121,7 @@ def solve_worn(
     sights = lamp_rays(seen, times, by_code, rig, instants, lamps.bit_s)
     placed = placed_by_lamps(sights, rig, fixed, lamps.at_m)
     period = max(one.period_s for one in seen)
-    moving = _moving(rig, placed, TOLD_PERIODS * period)
+    moving = _moving(rig, placed, VALID_PERIODS * period)
     lamp = tuple(
         _lamps_near(one, c, t, own, rig, moving, lamps)
         for c, (one, t, own) in enumerate(zip(seen, times, by_code, strict=True))
@@ -141,7 +141,7 @@ def solve_worn(
         whole = with_lamps(found, seen, times, lamp, gathered.sigma_px, lamps)
         estimated = estimate(whole, rig, now, start, paths)
         start, paths = estimated.curves, estimated.paths
-        moving = replace(moving, paths=paths, told_s=LONGEST_S)
+        moving = replace(moving, paths=paths, valid_s=LONGEST_S)
         if now is quick:
             found, _row = observed(marked, ties, rig, start, gathered.sigma_px, BETTER_PX, moving)
     told = (
@@ -188,7 +188,7 @@ def _carriers(one: CameraDetections, lamps: Lamps) -> Array:
     )
 
 
-def _moving(rig: Rig, placed: MutualPoses, told_s: float) -> MovingRig:
+def _moving(rig: Rig, placed: MutualPoses, valid_s: float) -> MovingRig:
     good = np.asarray(np.isfinite(placed.centres).all(axis=2))
     for c, name in enumerate(rig.names):
         if good[:, c].sum() < 3:
@@ -197,7 +197,7 @@ def _moving(rig: Rig, placed: MutualPoses, told_s: float) -> MovingRig:
                 "cameras see its lamp and it two of theirs, and check their numbers and the time of a bit"
             )
     paths = PosedCameras(rig.names, placed.time_s, placed.rotations, placed.centres)
-    return MovingRig(rig, paths, tuple(placed.time_s[good[:, c]] for c in range(len(rig.names))), told_s)
+    return MovingRig(rig, paths, tuple(placed.time_s[good[:, c]] for c in range(len(rig.names))), valid_s)
 
 
 def _lamps_near(
