@@ -47,10 +47,10 @@ from mosca.errors import CalibrationError, InputError
 FREE: dict[str, tuple[str, ...]] = {
     "mosca": (
         "c_mm", "xp_px", "yp_px", "my_mm_per_px", "a",
-        "K1_per_mm2", "K2_per_mm4", "K3_per_mm6", "P1_per_mm", "P2_per_mm",
+        "K1_per_mm2", "K2_per_mm4", "K3_per_mm6", "P1_per_mm", "P2_per_mm"
     ),
     "opencv": ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3"),
-    "fisheye": ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "k4"),
+    "fisheye": ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "k4")
 }  # fmt: skip
 """Lens parameters that are estimated: the Mosca paper's (section 2.2), mx held."""
 LEAST_SIGMA_PX = 0.003

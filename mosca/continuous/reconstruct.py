@@ -143,7 +143,7 @@ def _clocks(
     return tuple(
         EstimatedClock(
             name, tie.origin_ns, tie.offset_s, tie.drift, clock.row_time_s,
-            clock.offset_sigma_s, clock.drift_sigma, clock.row_time_sigma_s,
+            clock.offset_sigma_s, clock.drift_sigma, clock.row_time_sigma_s
         )
         for name, tie, clock in zip(rig.names, _tied(ties, estimated), estimated.clocks, strict=True)
     )  # fmt: skip

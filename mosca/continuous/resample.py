@@ -99,5 +99,5 @@ def tracks_on_grid(
         residual = np.sqrt(total[instant, number] / (2 * images[instant, number]))
     return Tracks(
         instant, np.asarray(time_ns)[instant], number, np.array(curves.points)[number], xyz, covariance, views,
-        residual, np.where(views >= 2, "measured", "filled"),
+        residual, np.where(views >= 2, "measured", "filled")
     )  # fmt: skip

@@ -67,7 +67,7 @@ def seen_by(
     info = CameraInfo(camera.name, WIDTH, HEIGHT, 8, RATE_HZ, "device" if own_clock else "session")
     seen = CameraDetections(
         info, stamp, start, np.concatenate(rows), np.tile(SIGMA_PX**2 * np.eye(2), (n, 1, 1)), np.full(n, 6.0),
-        np.full(n, 200.0), np.ones(n), np.zeros(n, np.uint8),
+        np.full(n, 200.0), np.ones(n), np.zeros(n, np.uint8)
     )  # fmt: skip
     return seen, np.concatenate(names), true_s
 

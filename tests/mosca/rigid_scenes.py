@@ -22,7 +22,7 @@ def some_rig(rng, n=4, model="mosca", radius=4.0, height=1.2, size=(656, 491)) -
         if model == "mosca":
             lens = MoscaLens(
                 7.5 * rng.uniform(0.9, 1.1), *centre, 0.0099, 0.00991, -0.004,
-                1e-3 * rng.uniform(0.5, 1.5), -1.5e-5, 0.0, 1e-4, 5e-5,
+                1e-3 * rng.uniform(0.5, 1.5), -1.5e-5, 0.0, 1e-4, 5e-5
             )  # fmt: skip
         else:
             f = 757 * rng.uniform(0.9, 1.1)

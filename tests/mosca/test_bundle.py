@@ -158,7 +158,7 @@ def scipys_resection(image, start, free, xy, points) -> tuple[Camera, np.ndarray
         z = np.array([0, 0, 0, *base.world_from_camera.translation, *(getattr(base.lens, n) for n in free)])
         fit = least_squares(
             lambda z, base=base: (image(camera_of(base, z), points) - xy).ravel(),
-            z, jac="3-point", method="trf", x_scale="jac", ftol=1e-15, xtol=1e-15, gtol=1e-15,
+            z, jac="3-point", method="trf", x_scale="jac", ftol=1e-15, xtol=1e-15, gtol=1e-15
         )  # fmt: skip
         found = camera_of(base, fit.x)
     return found, fit.jac, 2 * fit.cost
@@ -219,7 +219,7 @@ def test_a_board_before_one_camera_is_opencvs_calibration():
     stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-15)
     rms, matrix, distortion, turns, shifts = cv2.calibrateCamera(
         [board.astype(np.float32)] * 12, [s.astype(np.float32) for s in seen], (WIDTH, HEIGHT), guess, np.zeros(5),
-        flags=flags, criteria=stop,
+        flags=flags, criteria=stop
     )  # fmt: skip
     start = replace(camera, lens=OpenCVLens(980, 980, 640, 512))
     free = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2")

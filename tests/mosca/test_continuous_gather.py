@@ -37,7 +37,7 @@ def test_between_exposures_a_path_is_the_curve_itself_to_third_order():
     n = len(t)
     seen = CameraDetections(
         CameraInfo("c", 10, 10, 8, 10.0), np.rint(t * 1e9).astype(np.int64), np.arange(n + 1), xy,
-        np.tile(np.eye(2), (n, 1, 1)), np.ones(n), np.ones(n), np.ones(n), np.zeros(n, np.uint8),
+        np.tile(np.eye(2), (n, 1, 1)), np.ones(n), np.ones(n), np.ones(n), np.zeros(n, np.uint8)
     )  # fmt: skip
     asked = np.array([0.11, 0.2, 0.3, 0.41])
     found = Tracklets.of(seen, np.zeros(n, np.int64), t).at(asked)
@@ -62,7 +62,7 @@ def test_clocks_of_still_points_cannot_be_tied():
     held = [
         CameraDetections(
             one.info, one.frame_ns, one.start, np.zeros_like(one.xy_px) + [[100.0, 100.0]], one.covariance_px2,
-            one.diameter_px, one.peak, one.elongation, one.flags,
+            one.diameter_px, one.peak, one.elongation, one.flags
         )
         for one in seen
     ]  # fmt: skip
@@ -97,7 +97,7 @@ def test_clocks_taken_for_common_spoil_the_observations():
     apart = tuple(
         CameraDetections(
             one.info, one.frame_ns - one.frame_ns[0], one.start, one.xy_px, one.covariance_px2,
-            one.diameter_px, one.peak, one.elongation, one.flags,
+            one.diameter_px, one.peak, one.elongation, one.flags
         )
         for one in seen
     )  # fmt: skip
@@ -109,7 +109,7 @@ def test_cameras_that_never_ran_together_are_told():
     seen, _names, _true = session(2.0, own_clock=False)
     late = CameraDetections(
         seen[2].info, seen[2].frame_ns + 100_000_000_000, seen[2].start, seen[2].xy_px, seen[2].covariance_px2,
-        seen[2].diameter_px, seen[2].peak, seen[2].elongation, seen[2].flags,
+        seen[2].diameter_px, seen[2].peak, seen[2].elongation, seen[2].flags
     )  # fmt: skip
     with pytest.raises(InputError, match=r"camera 'c2': filmed from 100.* at no time together"):
         gather_seen((seen[0], seen[1], late), rig(), AssociationSettings())
@@ -148,7 +148,7 @@ def test_samples_on_a_grid_say_what_vouches_for_them():
     xy[:, 0] += 0.3
     given = TimedObservations(
         cameras.names, ("a", "b"), camera, point, exposure, at, xy, np.tile(np.eye(2), (len(at), 1, 1)),
-        **no_carriers(("a", "b")),
+        **no_carriers(("a", "b"))
     )  # fmt: skip
     np.testing.assert_allclose(residuals_px(_Straight(), given, cameras), [[0.3, 0.0]] * len(at), atol=1e-6)
     instants = np.array([-0.1, 0.105, 0.45, 0.7, 2.0])
@@ -170,7 +170,7 @@ def test_curves_through_samples_end_where_their_samples_do():
     n = len(t)
     tracks = Tracks(
         np.arange(n), t, np.full(n, 7), np.full(n, ""), np.outer(t * 1e-9, [1.0, 2.0, 3.0]),
-        np.tile(np.eye(3), (n, 1, 1)), np.full(n, 2), np.zeros(n), np.full(n, "measured"),
+        np.tile(np.eye(3), (n, 1, 1)), np.full(n, 2), np.zeros(n), np.full(n, "measured")
     )  # fmt: skip
     curves = SampledCurves.of(tracks, 6, 0.03)
     assert curves.points == ("m000",)

@@ -92,7 +92,7 @@ def filmed(noise_px: float = 0.05) -> tuple[tuple[CameraDetections, ...], list[n
             CameraDetections(
                 CameraInfo(f"c{c}", WIDTH, HEIGHT, 8, RATE_HZ), np.rint(times * 1e9).astype(np.int64),
                 np.concatenate([[0], np.cumsum(counts)]), xy, np.tile(0.05**2 * np.eye(2), (n, 1, 1)),
-                np.full(n, 5.0), np.full(n, 100.0), np.ones(n), np.zeros(n, np.uint8),
+                np.full(n, 5.0), np.full(n, 100.0), np.ones(n), np.zeros(n, np.uint8)
             )
         )  # fmt: skip
         whose.append(np.concatenate(owners).astype(int))
@@ -210,12 +210,7 @@ SETTINGS = ContinuousSettings(limbs=False, knot_s=0.033)
 def test_markers_and_the_camera_on_a_limb_come_out_of_images_alone(session):
     seen, _whose = session
     worn = solve_worn(
-        seen,
-        rig(known_pose=False),
-        ("c0", "c1"),
-        Lamps(NUMBERS, LAMP_M, 1 / RATE_HZ),
-        GATHERING,
-        SETTINGS,
+        seen, rig(known_pose=False), ("c0", "c1"), Lamps(NUMBERS, LAMP_M, 1 / RATE_HZ), GATHERING, SETTINGS
     )
     found = worn.reconstructed
     assert len(found.estimated.curves.points) == 9

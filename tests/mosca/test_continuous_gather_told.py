@@ -31,7 +31,7 @@ def observations_of(camera: np.ndarray) -> TimedObservations:
     none = np.zeros(n)
     return TimedObservations(
         rig().names, ("p",), camera, none, none, none, np.zeros((n, 2)), np.tile(np.eye(2), (n, 1, 1)),
-        **no_carriers(("p",)),
+        **no_carriers(("p",))
     )  # fmt: skip
 
 

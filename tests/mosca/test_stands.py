@@ -62,7 +62,7 @@ def test_a_turn_about_the_middle_is_a_motion():
     xy[second] = (xy[second] - middle) @ turn.T + middle
     moved = Sightings(
         still.cameras, still.sizes, 2, still.camera, still.frame, still.mark, xy, still.covariance_px2,
-        still.diameter_px,
+        still.diameter_px
     )  # fmt: skip
     np.testing.assert_array_equal(stationary_intervals(moved), [0, 1])
 
@@ -73,7 +73,7 @@ def test_one_camera_that_sees_it_move_is_enough():
     xy[(still.frame == 1) & (still.camera == 2)] += [2, 0]
     moved = Sightings(
         still.cameras, still.sizes, 2, still.camera, still.frame, still.mark, xy, still.covariance_px2,
-        still.diameter_px,
+        still.diameter_px
     )  # fmt: skip
     np.testing.assert_array_equal(stationary_intervals(moved), [0, 1])
 
@@ -90,6 +90,6 @@ def test_a_few_blunders_are_no_motion(blunders):
     xy[np.flatnonzero(still.frame == 1)[:blunders]] += 30
     bad = Sightings(
         still.cameras, still.sizes, 3, still.camera, still.frame, still.mark, xy, still.covariance_px2,
-        still.diameter_px,
+        still.diameter_px
     )  # fmt: skip
     assert (stationary_intervals(bad) == 0).all()

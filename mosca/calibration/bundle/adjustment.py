@@ -98,7 +98,7 @@ def tested(layout: NormalsLayout, solution: Solution, loss: Loss) -> tuple[Array
     cofactors, tests = np.empty_like(solution.inverse), np.empty((len(layout.order), 7))
     precise(
         solution.descent.state, see, layout.observations.weight, layout.columns, layout.blocks, loss,
-        solution.descent.normals.mixed, inverse, cofactors, tests,
+        solution.descent.normals.mixed, inverse, cofactors, tests
     )  # fmt: skip
     return cofactors, tests
 

@@ -101,12 +101,7 @@ def check_datum(problem: Problem, loose: int) -> None:
 
 
 def weak_directions(
-    problem: Problem,
-    layout: NormalsLayout,
-    state: State,
-    matrix: Array,
-    variance: float,
-    priors: Priors,
+    problem: Problem, layout: NormalsLayout, state: State, matrix: Array, variance: float, priors: Priors
 ) -> tuple[tuple[str, ...], Priors]:
     """Return the names of weakly determined unknowns, and a prior for the worst parameter of each lens with
     some.

@@ -313,7 +313,7 @@ def _with_blocks(
 @kernel(fastmath=FAST)
 def _sums(
     state: State, see: SortedObservations, columns: LensColumns, index: Array, image: Array, z: Array,
-    slopes: Array, by_block: Array,
+    slopes: Array, by_block: Array
 ) -> None:  # fmt: skip
     """Add z^T w^2 J of each observation to its image's ``slopes`` (i, 2, u + 1) by the reduced system's unknowns, the
     last column taking what is held; write that of its block's unknowns to ``by_block`` (n, 2, 6).

@@ -60,7 +60,7 @@ class Batch(NamedTuple):
 @kernel(fastmath=FAST)
 def linearise(
     state: State, see: SortedObservations, columns: LensColumns, blocks: Blocks, known: Known, loss: Loss,
-    normals: NormalEquations,
+    normals: NormalEquations
 ) -> tuple[float, int]:  # fmt: skip
     """Write the normal equations at ``state`` into ``normals``; return the cost and the number of unseen points."""
     cameras = state.cameras

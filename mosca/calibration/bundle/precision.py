@@ -36,7 +36,7 @@ class BlockCofactors(NamedTuple):
 @kernel(fastmath=FAST)
 def precise(
     state: State, see: SortedObservations, base_weight: Array, columns: LensColumns, blocks: Blocks, loss: Loss,
-    mixed: Array, inverse: ReducedInverse, block_cofactors: Array, tests: Array,
+    mixed: Array, inverse: ReducedInverse, block_cofactors: Array, tests: Array
 ) -> None:  # fmt: skip
     """Write cofactors of the blocks and the residual and test statistic of each image point.
 
@@ -124,7 +124,7 @@ def _times_inverse(inverse: Array, at: int, n: int, blocks: int, matrix: Array, 
 @step(fastmath=FAST)
 def _test(
     m: int, state: State, see: SortedObservations, base_weight: Array, columns: LensColumns, loss: Loss,
-    inverse: ReducedInverse, work: tuple[Array, Array, Array, Array], part: BlockCofactors, tests: Array,
+    inverse: ReducedInverse, work: tuple[Array, Array, Array, Array], part: BlockCofactors, tests: Array
 ) -> None:  # fmt: skip
     """Write the tests of one image point; ``part``: cofactors of its block."""
     block, spread, n, first = part

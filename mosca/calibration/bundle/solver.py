@@ -58,7 +58,7 @@ from mosca.errors import CalibrationError
 
 __all__ = [
     "FOCAL", "FREE", "HELD", "Adjustment", "BundleSettings", "CameraUnknowns", "Distances", "ObjectPoints",
-    "Observations", "Placements", "Precision", "Problem", "solve",
+    "Observations", "Placements", "Precision", "Problem", "solve"
 ]  # fmt: skip
 LOSSES = {"least squares": LEAST_SQUARES, "huber": HUBER, "cauchy": CAUCHY}
 HOLDING_ROUNDS, PLACING_ROUNDS = 16, 5

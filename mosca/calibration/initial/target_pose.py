@@ -62,12 +62,7 @@ def homography(plane: Array, image: Array) -> Array:
     p = np.column_stack([plane, np.ones(len(plane))]) @ a.T
     q = np.column_stack([image, np.ones(len(image))]) @ b.T
     none = np.zeros_like(p)
-    rows = np.concatenate(
-        [
-            np.hstack([p, none, -q[:, :1] * p]),
-            np.hstack([none, p, -q[:, 1:2] * p]),
-        ]
-    )
+    rows = np.concatenate([np.hstack([p, none, -q[:, :1] * p]), np.hstack([none, p, -q[:, 1:2] * p])])
     matrix = np.linalg.inv(b) @ np.linalg.svd(rows)[2][-1].reshape(3, 3) @ a
     return np.asarray(matrix / np.linalg.norm(matrix))
 

@@ -162,7 +162,7 @@ class BumpDetector:
             return None
         return Alarm(
             found.camera, (found.camera,), found.since, found.shift_px, (float("nan"),) * 3, found.chi_square,
-            float(chi2.sf(found.chi_square, 1)),
+            float(chi2.sf(found.chi_square, 1))
         )  # fmt: skip
 
 

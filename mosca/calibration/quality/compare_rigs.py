@@ -141,7 +141,7 @@ def compare_rigs(
     apart, rest = np.linalg.norm(points_b[met] - grid[met], axis=1), np.linalg.norm(after, axis=1)
     return RigDifference(
         cameras, align, motion, scale, box, int(met.sum()), _rms(apart), float(apart.max(initial=0.0)), _rms(rest),
-        float(rest.max(initial=0.0)), np.sqrt(np.mean(after**2, axis=0)) if len(rest) else np.zeros(3),
+        float(rest.max(initial=0.0)), np.sqrt(np.mean(after**2, axis=0)) if len(rest) else np.zeros(3)
     )  # fmt: skip
 
 

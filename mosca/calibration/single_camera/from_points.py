@@ -21,10 +21,7 @@ REJECTED_SHOWN = 8
 
 
 def calibrate_from_points(
-    recording: Path,
-    target: PointsTarget,
-    settings: AdjustmentSettings | None = None,
-    lens: str | None = None,
+    recording: Path, target: PointsTarget, settings: AdjustmentSettings | None = None, lens: str | None = None
 ) -> tuple[Rig, tuple[CameraAdjustment, ...]]:
     """Calibrate each camera of ``target`` by space resection; its files lie in the folder ``recording``.
 

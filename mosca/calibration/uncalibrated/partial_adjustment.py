@@ -94,7 +94,7 @@ def network(
         ),
         ObjectPoints.free(start),
         distances=rods_between(tracks, inflate),
-        datum="points",
+        datum="points"
     )  # fmt: skip
     done = solve(problem, settings)
     return Network(dict(zip(order, done.cameras, strict=True)), tracks, done.points, done)

@@ -80,7 +80,7 @@ def tied_clocks(
             for known in ties:
                 pair = _Pair(
                     rig.cameras[known], rig.cameras[c], seen[known], seen[c],
-                    Tracklets.of(seen[known], tracklet[known], ties[known].common_s(own_s[known])), paths[c],
+                    Tracklets.of(seen[known], tracklet[known], ties[known].common_s(own_s[known])), paths[c]
                 )  # fmt: skip
                 found = _searched(pair, search_s)
                 if found is not None and (best is None or found.clear > best[0]):

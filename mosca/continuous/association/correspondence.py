@@ -169,7 +169,7 @@ def odd_sizes_px(diameter_px: Array, away_m: Array, point: Array) -> Array:
 
 def _assigned(
     one: CameraDetections, tie: ClockTie, rig: Rig, c: int, curves: Curves, sigma_px: float, curve_px: float,
-    moving: MovingRig | None,
+    moving: MovingRig | None
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Return image points of a camera, the curves that they belong to, and how far these were [m]."""
     camera = rig.cameras[c]

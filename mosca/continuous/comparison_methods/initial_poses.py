@@ -130,7 +130,7 @@ def _still(views: Views, epipoles: bool) -> tuple[Array, Array] | None:
     rotations[second], centres[second] = poses[second].rotation, poses[second].translation
     pair = Views(
         (views.cameras[first], views.cameras[second]), views.xy_px[:, [first, second]], views.carried_by,
-        views.carried_at,
+        views.carried_at
     )  # fmt: skip
     t = len(views.xy_px)
     both_r, both_c = rotations[[first, second]], centres[[first, second]]

@@ -50,7 +50,7 @@ class Nets:
         bias = -(inner * where).sum(axis=1)
         return cls(
             np.tile(inner, (count, 1, 1)), np.tile(bias, (count, 1)), np.zeros((count, outputs, HIDDEN)),
-            np.zeros((count, outputs)), start, duration,
+            np.zeros((count, outputs)), start, duration
         )  # fmt: skip
 
     def code(self, time_s: Array) -> Array:

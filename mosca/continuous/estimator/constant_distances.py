@@ -140,5 +140,5 @@ def limb_rows(pairs: Pairs, column: Array, knots: Knots, xyz: Array, shared: int
     first, weight = knots.weights(time)
     return Rows(
         np.repeat(first, len(pairs)), np.repeat(weight, len(pairs), axis=0), np.tile(columns, (len(time), 1)),
-        by.reshape(n, 6), np.zeros((n, shared)), ((pairs.distance - length) / pairs.slack).ravel(),
+        by.reshape(n, 6), np.zeros((n, shared)), ((pairs.distance - length) / pairs.slack).ravel()
     )  # fmt: skip

@@ -28,12 +28,7 @@ from mosca.continuous.estimator.observation_equations import ImagePoints
 from mosca.continuous.estimator.residual_covariance import unheld
 from mosca.continuous.estimator.single_point import first_curves
 from mosca.continuous.estimator.state import State, StateLayout, layout
-from mosca.continuous.model.estimated import (
-    Clock,
-    ConstantDistance,
-    ContinuousEstimate,
-    ContinuousSettings,
-)
+from mosca.continuous.model.estimated import Clock, ConstantDistance, ContinuousEstimate, ContinuousSettings
 from mosca.continuous.model.observations import CameraPaths, Curves, TimedObservations
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
@@ -145,7 +140,7 @@ def _first_covariances(points: Array, strength: Array, places: StateLayout) -> l
 
 def _settled(
     image: ImagePoints, state: State, points: Array, settings: ContinuousSettings, strength: Array,
-    noise: float, clock_free: Array,
+    noise: float, clock_free: Array
 ) -> tuple[State, Array, Array]:  # fmt: skip
     """Return the state with clocks and poses come to rest, which clock unknowns are not determined and held, and how
     moving cameras move: their part of the prior's covariance.
@@ -192,7 +187,7 @@ def _learned(state: State, places: StateLayout, drawn: list[Array], before: list
 
 def _rounds(
     image: ImagePoints, state: State, places: StateLayout, covariances: list[Array], settings: ContinuousSettings,
-    known: Array, spans: Array,
+    known: Array, spans: Array
 ) -> tuple[Solved, list[Array], Pairs]:  # fmt: skip
     """Alternate Gauss-Newton steps and learning of variances; constant distances are sought once curves are joined,
     and once more with their help.
@@ -230,7 +225,7 @@ def _rounds(
 
 def _pairs(
     pairs: Pairs, state: State, places: StateLayout, drawn: list[Array], known: Array, spans: Array,
-    left: set[tuple[int, int]] | None,
+    left: set[tuple[int, int]] | None
 ) -> tuple[Pairs, set[tuple[int, int]]]:  # fmt: skip
     """Return the constant distances as the drawn curves have them, and those that do not hold and were dropped.
 

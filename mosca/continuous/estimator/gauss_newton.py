@@ -176,7 +176,7 @@ def curves_of(
     return SplineCurves(
         tuple(observations.points[p] for p in free), knots, state.xyz[:, free], blocks[:, :, free],
         carried[:, free], solved.covariance, beyond[free], state.pace_at_knots, unheld[:, free],
-        spans[free, 0], spans[free, 1],
+        spans[free, 0], spans[free, 1]
     )  # fmt: skip
 
 
@@ -252,13 +252,13 @@ def frame_rows(state: State, places: StateLayout, group: int) -> Rows:
         np.append(first[each], first), np.concatenate([weight[each], weight]),
         np.concatenate([columns, np.tile(begin + 9 + np.arange(3), (len(time), 1))]),
         np.concatenate([by, base]), np.zeros((n + len(time), places.shared)),
-        np.append(rest.ravel(), (base * apart).sum(axis=1)),
+        np.append(rest.ravel(), (base * apart).sum(axis=1))
     )  # fmt: skip
 
 
 def _short_enough(
     image: ImagePoints, old: State, new: State, found: list[Array], shared: Array, places: StateLayout,
-    covariances: list[Array], pairs: Pairs, weight: Array,
+    covariances: list[Array], pairs: Pairs, weight: Array
 ) -> State:  # fmt: skip
     """Return the new state, or one nearer to the old where the step made things worse."""
     best = cost(image, old, places, covariances, pairs, weight)
