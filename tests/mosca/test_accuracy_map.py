@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration_scenes import field_calibration, good_rig
 from changed_rigs import changed_rig
-from judge_rigs import field_calibration, good_rig
 
 from mosca.calibration.quality.accuracy_map import accuracy_map, triangulated_points
 from mosca.calibration.quality.jacobian import sensitivity

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bundle_scenes import HEIGHT, WIDTH, ring
-from judge_rigs import (
+from calibration_scenes import (
     DIAMETER_M,
     bar_sightings,
     board_calibration,
