@@ -13,7 +13,7 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 
 GROSS = 16.0
-"""Squared residuals above this, in the variances stated, are not asked about stamps."""
+"""Squared residuals above this, in the variances stated, are not used to test stamps."""
 LATE_SIGMA, LATE_S = 8.0, 1e-4
 """Report a time offset above this: in standard deviations, and in time."""
 STEP_S = 1e-3

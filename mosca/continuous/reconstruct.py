@@ -21,7 +21,7 @@ from mosca.errors import InputError
 FEW_TOGETHER = 6
 """Points whose curves are estimated together before clocks are known."""
 BETTER_PX = 0.1
-"""How far estimated curves may be off in the images when image points are given to them anew."""
+"""How far estimated curves may be off in the images when image points are assigned to them again."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,8 @@ def reconstruct(
     backgrounds: Mapping[str, Array] | None = None,
     attend: Callable[[int], None] | None = None,
 ) -> Reconstructed:
-    """Turn frames of fixed, calibrated, free-running cameras into curves of markers, and the cameras' clocks.
+    """Reconstruct from frames of fixed, calibrated, free-running cameras the curves of markers, and the cameras'
+    clocks.
 
     ``settings.clocks`` "known" becomes "drift" where clocks had to be searched for. InputError: see ``associate``.
     """

@@ -19,7 +19,7 @@ from mosca.data.tracks import Tracks
 
 LONGEST_FILL_S = 1.0
 CHUNK = 1000
-"""Instants whose covariances are asked for at a time."""
+"""Instants whose covariances are computed at a time."""
 
 
 def residuals_px(

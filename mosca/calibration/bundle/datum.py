@@ -59,7 +59,7 @@ def generators(layout: NormalsLayout, state: State) -> Array:
     rotation, position = table[:, :9].reshape(-1, 3, 3), table[:, 9:LENS]
     out = np.zeros((len(layout.names) + 1, MOTIONS))
     cameras = len(table)
-    # turning the world about e_k turns a camera about R^T e_k of its own
+    # rotating the world about e_k rotates a camera about R^T e_k of its own
     out[layout.index[:cameras, :3], 3:6] = np.swapaxes(rotation, 1, 2)
     out[layout.index[:cameras, 3:6]] = point_motions(position)
     if len(layout.kept):

@@ -35,7 +35,7 @@ ROUNDING = 1e-14
 EXACT = 1e-9
 
 # residuals, in typical ones and in standard deviations, that mark a point as badly placed; the share of them
-# that must be left when it is placed anew; and the residual of a point that is not imaged
+# that must be left when it is intersected again; and the residual of a point that is not imaged
 FAR_SIGMAS, LEFT_SHARE, UNSEEN_SIGMAS = 8.0, 0.5, 1e9
 
 
@@ -96,7 +96,7 @@ def first_state(problem: Problem, layout: NormalsLayout) -> State:
 def placed_again(
     task: Task, state: State, residual: Array, weight: Array, least: float = 0.0
 ) -> State | None:
-    """Return the state with badly placed points intersected anew, None where that helps none.
+    """Return the state with badly placed points intersected again, None where that helps none.
 
     ``residual`` (n, 2) there [px]; ``least``: what, in standard deviations, a bad point has at least. Badly
     placed: a camera ought to see the point and does not, or sees it far from where the point lies; at a poor

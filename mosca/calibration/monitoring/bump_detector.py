@@ -207,6 +207,6 @@ def changes(frames: list[FrameSums]) -> Changes:
 
 
 def _since(every: list[FrameSums], k: int) -> int:
-    """Return the first frame from which on camera k's turn explains most: the likeliest time of change."""
+    """Return the first frame from which on camera k's rotation explains most: the likeliest time of change."""
     starts = range(len(every))
     return max(starts, key=lambda first: changes(every[first:]).statistic[k])

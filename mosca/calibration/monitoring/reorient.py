@@ -1,4 +1,4 @@
-"""Re-orientation of a bumped camera from the points that the others track: its pose anew, its lens held."""
+"""Re-orientation of a bumped camera from the points that the others track: its pose is estimated, its lens held."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -77,7 +77,7 @@ def gather(
     """Return what camera ``name`` saw of a frame's points that two or more others measure, without its own part.
 
     ``shift_px``: (x, y) by which its image is off (``common_shift``), for a bump so large that its images were not
-    matched: images are paired with points anew.
+    matched: images are paired with points again.
     """
     index, found = rig.names.index(rig.camera(name).name), detections.get(name)
     others = Rig(tuple(c for c in rig.cameras if c.name != name))

@@ -61,7 +61,7 @@ def aspect(lens: Lens) -> float:
 
 
 def lens_owner(rig: Rig, camera: int, parameters: Sequence[str]) -> str:
-    """Return the name of the camera under which the lens parameters of camera number ``camera`` stand."""
+    """Return the name of the camera under which the lens parameters of camera number ``camera`` are listed."""
     one = rig.cameras[camera]
     if own_lens_parameters(one.name, parameters):
         return one.name
@@ -72,7 +72,7 @@ def lens_owner(rig: Rig, camera: int, parameters: Sequence[str]) -> str:
 
 
 def own_lens_parameters(name: str, parameters: Sequence[str]) -> tuple[str, ...]:
-    """Return the free lens parameters, without the camera's name, that stand under ``name``."""
+    """Return the free lens parameters, without the camera's name, that are listed under ``name``."""
     split = [one.rpartition(".") for one in parameters]
     return tuple(what for whose, _, what in split if whose == name and what not in POSE_NAMES)
 

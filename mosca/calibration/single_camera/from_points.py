@@ -25,7 +25,7 @@ def calibrate_from_points(
 ) -> tuple[Rig, tuple[CameraAdjustment, ...]]:
     """Calibrate each camera of ``target`` by space resection; its files lie in the folder ``recording``.
 
-    ``settings.pixel_pitch_mm`` gives way to the target's; ``lens``: model of all cameras, before the target's.
+    ``settings.pixel_pitch_mm`` is overridden by the target's; ``lens``: model of all cameras, before the target's.
     InputError for a file that cannot be used, CalibrationError for points that do not determine their camera.
     """
     if not Path(recording).is_dir():

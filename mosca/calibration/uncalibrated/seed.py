@@ -33,7 +33,7 @@ from mosca.errors import CalibrationError
 PAIRS, CORES, GUESSES = 6, 2, 6
 FEWEST_TRIPLE, MOST_IN_CORE = 20, 5
 FEWEST_CAMERAS = 3
-# an ordinary lens's focal length in half diagonals, only to make numbers handy
+# an ordinary lens's focal length in half diagonals, only to scale numbers
 USUAL_FOCAL = 1.6
 # guesses so much worse than the best are not examined
 WORSE_FACTOR, WORSE_BY = 3.0, 5.0

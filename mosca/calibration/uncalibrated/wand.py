@@ -37,7 +37,7 @@ def calibrate_wand(
 
     ``sightings``: marks are the wand's balls; where its order is not known (-1), the rows of an image are in
     their order along the line, from either end. ``lenses``: one a camera; model (mosca or opencv) and shape of the
-    pixels count, all else is found anew. Lengths are the wand's; axes are near those of one of the cameras.
+    pixels count, all else is estimated. Lengths are the wand's; axes are near those of one of the cameras.
     CalibrationError where cameras are not joined by common views, or where the result cannot be a rig.
     """
     settings = settings or SelfSettings()

@@ -63,7 +63,7 @@ class Associated:
     searched: bool
 
     def again(self, rig: Rig, curves: Curves, curve_px: float = 0.1) -> "Associated":
-        """Return all with image points given to markers anew, by better curves of the same points."""
+        """Return all with image points assigned to markers again, by better curves of the same points."""
         found, _row = observed(self.seen, self.ties, rig, curves, self.sigma_px, curve_px)
         return replace(self, observations=found)
 

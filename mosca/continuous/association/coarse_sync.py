@@ -2,7 +2,7 @@
 with.
 
 Rays of two cameras to one point lie in a plane with the line between the cameras (epipolar constraint), if and only
-if they were looked along at one instant. So one camera's clock is shifted against the other's until most rays find
+if they were of one instant. So one camera's clock is shifted against the other's until most rays find
 a partner in their plane; chance partners are as many at any shift. The shift is found over the whole recording
 first, then in windows along it, through which a straight line goes: offset and drift. Curves (``estimate``) make it
 fine.
@@ -228,7 +228,7 @@ def _top(shifts: Array, score: Array) -> float:
 
 
 def _votes(pair: _Pair, instants_a: Array, shifts: Array, width_px: float) -> tuple[Array, Array]:
-    """Return for each shift how many rays of a find a partner in b (by nearness), and how many were asked."""
+    """Return for each shift how many rays of a find a partner in b (by nearness), and how many were tested."""
     step = shifts[1] - shifts[0]
     a_world = _world(pair.camera_a, pair.path_a.at(instants_a))
     base = pair.camera_b.world_from_camera.translation - pair.camera_a.world_from_camera.translation

@@ -35,7 +35,7 @@ GATE_SIGMA, CURVE_PX = 4.5, 0.25
 WORST_PX = 1.0
 """Image points less certain than this are not used (those that no disc could be fitted to)."""
 ODD_SHARE = 0.15
-"""Share of its area by which an image may differ from the usual one before it is thought partly hidden."""
+"""Share of its area by which an image may differ from the usual one before it is taken as partly hidden."""
 CHUNK = 500
 """Frames whose points are projected at a time."""
 

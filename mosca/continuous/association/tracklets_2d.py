@@ -27,7 +27,7 @@ LONGEST_GAP = 2.6
 
 @dataclass
 class _Open:
-    """Strands that may go on (k,): number, last position (k, 2) and time, and after it mean speed of the last step,
+    """Tracklets that may go on (k,): number, last position (k, 2) and time, and after it mean speed of the last step,
     its middle and the change of speed [px/s^2]; NaN speed where there was no step yet.
     """
 

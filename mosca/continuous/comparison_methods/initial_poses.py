@@ -18,7 +18,7 @@ from mosca.errors import InputError
 MOST_RAYS = 2000
 """Correspondences that a start uses, spread evenly over all."""
 STEP = 5
-"""Instants from one that is begun anew to the next; those between begin at the nearest of them."""
+"""Instants from one with an initial value of its own to the next; those between begin at the nearest of them."""
 WORSE = 2.0
 """Instants with so many times the usual error are tried again from their neighbours' poses."""
 

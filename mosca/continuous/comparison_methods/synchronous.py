@@ -7,7 +7,7 @@ instant is an adjustment of its own, with nothing to tie it to the others.
 
 Why not ``mosca.calibration.bundle``: there an image point depends on one camera's pose and on a point of the world or
 of a placed thing. An epipole depends on two cameras' poses, and a thing's pose cannot be the same unknown as
-a camera's. Lenses, blunders and precision, which that solver is made for, are not asked here. What is needed is
+a camera's. Lenses, blunders and precision, which that solver is made for, are not needed here. What is needed is
 small: points are eliminated in blocks of three (Brown 1958), and the epipoles only touch the reduced system.
 """
 

@@ -20,7 +20,7 @@ EXPLAINED = 2.0
 """Variances of a distance over time up to so many times what its uncertainty explains may be chance: curves' errors
 last for several instants, so that few are independent, and many pairs are examined."""
 JUMPS = 0.05
-"""Share of instants that are not asked whether a distance is constant: those where it fits worst. Where points jump
+"""Share of instants left out of the test whether a distance is constant: those where it fits worst. Where points jump
 between exposures curves are off by more than they know, and one such instant would hide the most rigid pair."""
 SMALLEST_SLACK_M = 1e-4
 MOST_LOOSENED = 10.0
@@ -115,7 +115,7 @@ def learned(pairs: Pairs, knots: Knots, drawn: Array) -> tuple[Pairs, Array]:
     length = np.stack(lengths)
     distance = np.median(length.mean(axis=0), axis=0)
     varied = np.sqrt(((length - distance) ** 2).mean(axis=(0, 1)))
-    # EM creeps: a step of twice its length both ways, never below the floor
+    # over-relaxed EM: a step of twice its length in log scale both ways, never below the floor
     slack = np.maximum(varied * np.minimum(MOST_LOOSENED, varied / pairs.slack), SMALLEST_SLACK_M)
     return Pairs(pairs.pair, distance, slack), moved > TELLING**2 * slack**2
 

@@ -40,7 +40,7 @@ LARGEST_SIGMA0 = 1.5
 JOINED_AT = 1
 """The round from which on curves have learned from each other, so that distances can be examined."""
 SPOILT = 0.1
-"""Where more than this share of distances is dropped at once, what was learned with them is learned anew."""
+"""Where more than this share of distances is dropped at once, what was learned with them is learned again."""
 SETTLING = 2
 """In so many last rounds no new distances are searched for: what is new must still loosen or tighten."""
 ROUNDS_ALONE = 2
@@ -93,7 +93,7 @@ def estimate(
     of_cameras = np.zeros((0, 0))
     if not known:
         state, held, of_cameras = _settled(image, state, points, settings, strength, noise, clock_free)
-        # what was learned while clocks and poses were wrong took their errors for motion: learned anew, from rays,
+        # what was learned while clocks and poses were wrong took their errors for motion: learned again, from rays,
         # since image points that a start is far from (jumps) count little and would never come back
         state, strength, _ = first_curves(image, replace(state, order=ORDERS[0]), alone, points, None, False)
     groups = grouped(state, points, settings)

@@ -220,7 +220,7 @@ def frame_rows(state: State, places: StateLayout, group: int) -> Rows:
     """Return equations that hold the frame of moving cameras: each is near its start, the first very near, and so is
     the second's distance to the first.
 
-    Only what the cameras see of each other and of points is observed, so that the whole may drift, turn and grow as
+    Only what the cameras see of each other and of points is observed, so that the whole may drift, rotate and grow as
     one at every instant; ``FRAME`` says how far, and is far looser than images where these determine it.
     """
     knots, moving = state.knots, state.moving

@@ -1,4 +1,4 @@
-"""What an estimate begins with: which points, knots and groups, and cameras where they are thought to be."""
+"""Initial state of an estimate: its points, knots and groups, and the cameras' assumed poses."""
 
 import numpy as np
 from scipy.cluster.hierarchy import leaves_list, linkage

@@ -77,7 +77,7 @@ class ImagePoints:
             other, other_centre = rotations[self.carrier], centres[self.carrier]
             turn = other_turn = np.zeros((0, 3))
         else:
-            # all points of an exposure share its instant, at which every camera's pose is asked for once
+            # all points of an exposure share its instant, at which every camera's pose is evaluated once
             instant, which = np.unique(time_s, return_inverse=True)
             all_rotations, all_centres = state.moving.at(instant)
             rotation, centre = all_rotations[which, o.camera], all_centres[which, o.camera]

@@ -58,7 +58,7 @@ def of_lenses(image: ImagePoints) -> Array:
 
 
 def jitter(image: ImagePoints, solved: Solved, alone: StateLayout, points: Array, share: float) -> Array:
-    """Return the variance (points,) an axis [m^2] of what is too quick for exposures.
+    """Return the variance (points,) an axis [m^2] of motion above the exposures' rate.
 
     ``share``: of time-correlated errors, in the variances stated; cameras in turn show them as jitter, which they are
     not.
@@ -129,7 +129,7 @@ def time_correlated_covariances(
 
 
 def _each_alone(by: Array, at: tuple[Array, ...], share: Array, shape: tuple[int, int, int]) -> Array:
-    """Return covariances (bins, points, 3, 3) of points whose cameras stand where they are.
+    """Return covariances (bins, points, 3, 3) of points as seen by cameras at their own poses.
 
     ``by`` (n, 2, 3) whitened derivatives; ``at`` bin, point and camera of each image point; ``shape`` their numbers.
     """

@@ -64,7 +64,7 @@ class SplineCurves:
 
     ``blocks`` (degree + 1, count, points, 3, 3): covariances between coefficients k + o and k of one point;
     ``carried`` (count, points, 3, b) and ``shared`` (b, b): what the unknowns without time add; ``beyond``
-    (points, 3, 3): motion too quick for the knots, times ``pace`` (pieces + 1,) at them; ``unheld``
+    (points, 3, 3): motion above the knot frequency, times ``pace`` (pieces + 1,) at them; ``unheld``
     (pieces + 1, points, 3, 3): at them, what curves do not hold (``residual_covariance``) [m^2]. ``from_s``, ``to_s``
     (points,): between these the point is known.
     """

@@ -3,7 +3,7 @@
 Steps: detect in every frame -> identify lamps by their blinks (``blink_codes``) -> cameras' poses at common instants
 from each other's lamps alone (``mutual_pose``) -> match markers at these instants with these poses -> curves and
 poses together from every image point at its own instant, lamps among them as points that cameras carry
-(``estimate``, ``cameras = "moving"``) -> image points given to markers anew by these -> the same once more.
+(``estimate``, ``cameras = "moving"``) -> image points assigned to markers again by these -> the same once more.
 
 Known: the lenses, the poses of two cameras and more to each other (they are the frame and the metre), where each
 camera's lamp is to its lens, and that all stamps are of one clock. Nothing else: no start, no names.
@@ -65,7 +65,7 @@ class Lamps:
 class Worn:
     """What worn cameras gave. ``reconstructed``: with the cameras' paths; ``placed``: poses from lamps alone;
     ``lamp`` of each camera's image points (n,) the camera whose lamp it is, or -1; ``by_code`` those of them that the
-    code told; ``lamp_rms_px``: how far lamps lie from where the estimated poses have them.
+    code identified; ``lamp_rms_px``: how far lamps lie from where the estimated poses have them.
     """
 
     reconstructed: Reconstructed
@@ -85,7 +85,8 @@ def reconstruct_worn(
     backgrounds: Mapping[str, Array] | None = None,
     attend: Callable[[int], None] | None = None,
 ) -> Worn:
-    """Turn frames of free-running cameras on a body's limbs into curves of markers and paths of the cameras.
+    """Reconstruct from frames of free-running cameras on a body's limbs the curves of markers and paths of the
+    cameras.
 
     ``known``: names of the cameras whose poses in ``rig`` are right; those of the others are not used. They come
     first in what is estimated: the first is the frame, its distance to the second the metre. Without
@@ -135,7 +136,7 @@ def solve_worn(
     settings = replace(settings, cameras="moving", clocks="known", knot_s=knot_s)
     found, paths = gathered.observations, moving.paths
     start: Curves = gathered.start
-    # the first pass only bridges gaps between poses, and to give image points to markers anew
+    # the first pass only bridges gaps between poses, and assigns image points to markers again
     quick = replace(settings, limbs=False, knot_s=COARSER * knot_s)
     for now in (quick, settings):
         whole = with_lamps(found, seen, times, lamp, gathered.sigma_px, lamps)
