@@ -78,19 +78,21 @@ class RigidTarget:
 
 @dataclass(frozen=True)
 class RigidSettings:
-    """``lens``: model to estimate; ``free``: its parameters, None for all of the model's. ``exterior_only``: hold the
-    lenses of the known rig. ``reference``: frame set in which the target is the world; None: where it first
-    stood. ``blunder_significance``: chance that a good image point is rejected. ``steady``: take shakes
-    of whole images for noise of the cameras' bodies; False where they are the target's motion between the
-    exposures of cameras that are not synchronised.
-    """
+    """How cameras are calibrated from a rigid target."""
 
     lens: LensChoice = field(default_factory=LensChoice)
+    """Model to estimate."""
     free: tuple[str, ...] | None = None
+    """Its parameters; None for all of the model's."""
     exterior_only: bool = False
+    """Hold the lenses of the known rig."""
     reference: int | None = None
+    """Frame set in which the target is the world; None: the first stationary interval."""
     blunder_significance: float | None = 0.01
+    """Chance that a good image point is rejected."""
     steady: bool = True
+    """Take shakes of whole images for noise of the cameras' bodies; False where they are the target's motion
+    between the exposures of cameras that are not synchronised."""
 
 
 def calibrate_rigid(

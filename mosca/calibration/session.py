@@ -44,21 +44,22 @@ Target_co = TypeVar("Target_co", bound=CalibrationTarget, covariant=True)
 
 @dataclass(frozen=True)
 class EstimateSettings:
-    """How cameras are calibrated from frames.
-
-    ``lens``: model to estimate, ``free`` its parameters (None: all); ``exterior_only``: keep the lenses of the known
-    rig; ``every``: read each so many-th frame set; ``reference``: frame set in which a rigid target is the world;
-    ``detection``: how the balls of wands and L-frames are found; ``volume`` (low, high) [m, world]: where will be
-    measured.
-    """
+    """How cameras are calibrated from frames."""
 
     lens: LensChoice = field(default_factory=LensChoice)
+    """Model to estimate."""
     free: tuple[str, ...] | None = None
+    """Its parameters; None for all."""
     exterior_only: bool = False
+    """Keep the lenses of the known rig."""
     every: int = 1
+    """Read each so many-th frame set."""
     reference: int | None = None
+    """Frame set in which a rigid target is the world."""
     detection: DetectionSettings = field(default_factory=DetectionSettings)
+    """How the balls of wands and L-frames are found."""
     volume: tuple[Sequence[float], Sequence[float]] | None = None
+    """(low, high) [m, world]: where will be measured."""
 
 
 @dataclass(frozen=True)

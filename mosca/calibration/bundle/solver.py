@@ -68,22 +68,21 @@ MOST_EIGENVECTORS = 1500
 
 @dataclass(frozen=True)
 class BundleSettings:
-    """How a bundle is adjusted.
-
-    ``loss``: robust losses count residuals beyond ``loss_scale`` (in a-priori standard deviations, of both
-    coordinates together) for less. ``tolerance``: share of its standard deviation by which an unknown may
-    still move at the end. ``blunder_significance``: chance that an image point is rejected in an adjustment
-    without blunders; None rejects none. ``hold_weak``: hold lens parameters that the data leave open near
-    their starting values. ``precision``: work out covariances, redundancy numbers and tests.
-    """
+    """How a bundle is adjusted."""
 
     loss: Literal["least squares", "huber", "cauchy"] = "least squares"
+    """Robust losses give less weight to residuals beyond ``loss_scale``."""
     loss_scale: float = 2.5
+    """In a-priori standard deviations, of both coordinates together."""
     tolerance: float = 1e-2
+    """Share of its standard deviation by which an unknown may still move at the end."""
     most_steps: int = 100
     blunder_significance: float | None = None
+    """Chance that an image point is rejected in an adjustment without blunders; None rejects none."""
     hold_weak: bool = True
+    """Hold lens parameters that the data do not determine near their starting values."""
     precision: bool = True
+    """Compute covariances, redundancy numbers and tests."""
 
 
 def solve(

@@ -13,21 +13,21 @@ from mosca.data.arrays import Array
 
 @dataclass(frozen=True)
 class ContinuousSettings:
-    """What is known and what is estimated.
-
-    ``clocks``: "known" (time stamps are right), or estimate each camera's "offset", offset and "drift", or also the
-    rolling shutter's row time ("rolling"). ``cameras``: "known" poses, "fixed" unknown ones (the rig's are the
-    start), or "moving" ones. ``limbs``: find constant distances and use them. ``knot_s``: knot spacing [s], None:
-    from the data's rate. ``most_together``: points whose accelerations are learned together; more are taken in
-    groups. ``rounds``: of learning with constant distances.
-    """
+    """What is known and what is estimated."""
 
     clocks: Literal["known", "offset", "drift", "rolling"] = "known"
+    """"known": time stamps are right; else what is estimated of each camera's clock: "offset", offset and "drift",
+    or also the rolling shutter's row time ("rolling")."""
     cameras: Literal["known", "fixed", "moving"] = "known"
+    """"known" poses, "fixed" unknown ones (the rig's are the start), or "moving" ones."""
     limbs: bool = True
+    """Find constant distances and use them."""
     knot_s: float | None = None
+    """Knot spacing [s]; None: from the data's rate."""
     most_together: int = 60
+    """Points whose accelerations are learned together; more are taken in groups."""
     rounds: int = 8
+    """Iterations of learning with constant distances."""
 
 
 @dataclass(frozen=True)
