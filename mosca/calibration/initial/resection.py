@@ -88,7 +88,7 @@ def resect_fisheye(
         pinhole = resect(where, xy, world, rng)
         f = float(np.sqrt(pinhole.lens.fx_px * pinhole.lens.fy_px))
         pose = aim(pinhole, (cx, cy))
-        found.append(_checked(FisheyeLens(f, f, cx, cy), pose, xy, world))
+        found.append(_evaluated(FisheyeLens(f, f, cx, cy), pose, xy, world))
     except CalibrationError as failure:
         failures.append(failure)
     radius = np.linalg.norm(xy - (cx, cy), axis=1).max()
@@ -99,7 +99,7 @@ def resect_fisheye(
         left, sizes, right = np.linalg.svd(matrix[:, :3])
         if np.linalg.det(left @ right) > 0 and sizes[2] > 1e-6 * sizes[0]:
             origin = -np.linalg.solve(matrix[:, :3], matrix[:, 3])
-            found.append(_checked(lens, Pose((left @ right).T, origin), xy, world))
+            found.append(_evaluated(lens, Pose((left @ right).T, origin), xy, world))
     if not found:
         raise failures[0]
     best = min(found, key=lambda candidate: candidate.median_px)
@@ -254,7 +254,7 @@ def _factors(where: str, matrix: Array, world: Array) -> tuple[Array, Array, Arr
     return interior / interior[2, 2], rotation, -np.linalg.solve(matrix[:, :3], matrix[:, 3])
 
 
-def _checked(lens: FisheyeLens, pose: Pose, xy: Array, world: Array) -> Resection:
+def _evaluated(lens: FisheyeLens, pose: Pose, xy: Array, world: Array) -> Resection:
     distance = np.linalg.norm(lens_pixels(lens, pose.inverse().transform(world)) - xy, axis=1)
     distance = np.nan_to_num(distance, nan=np.inf)
     median = float(np.median(distance))
