@@ -1,12 +1,13 @@
 """Calibration from a rigid target with known marks: a test field or a board, standing or carried about.
 
-1. Frame sets between which nothing moved are one *stand* of the target (``stands``).
-2. Each camera's interior orientation starts from its own views (``interior``), the target's poses before it from
-   ``poses``, and all are chained into one world (``chain``): that of the target at the reference stand.
-3. One bundle adjustment of all cameras, lenses and stands at once (Mosca paper, section 2.2), the marks' places
-   held, or weighted with what is known of them; blunders are found by data snooping. Before the last round the
-   images' centres are corrected for what needs the geometry: the eccentricity of round marks, and the shake of whole
-   images (``bundle.images``).
+1. Frame sets between which nothing moved are one *stationary interval* of the target.
+2. Each camera's interior orientation starts from its own views (``interior_orientation``), the target's poses
+   before it from ``target_pose``, and all are chained into one world (``pose_graph``), that of the
+   reference interval.
+3. One bundle adjustment of all cameras, lenses and target poses at once (Mosca paper, section 2.2), the marks'
+   positions held, or weighted with what is known of them; blunders are found by data snooping. Before the last round
+   the images' centres are corrected for the eccentricity of round marks and the shake of whole images
+   (``bundle.exposure_shake``).
 """
 
 from dataclasses import dataclass, field, replace
@@ -25,7 +26,7 @@ from mosca.calibration.bundle.solver import (
     Problem,
     solve,
 )
-from mosca.calibration.bundle.systematic_errors import lasting_covariance, lasting_errors
+from mosca.calibration.bundle.systematic_errors import systematic_covariance, systematic_errors
 from mosca.calibration.initial.pose_graph import View, chain
 from mosca.calibration.initial.target_pose import PoseFit, poses_of
 from mosca.calibration.single_camera.interior_orientation import (
@@ -46,10 +47,10 @@ from mosca.errors import CalibrationError, InputError
 FREE: dict[str, tuple[str, ...]] = {
     "mosca": (
         "c_mm", "xp_px", "yp_px", "my_mm_per_px", "a",
-        "K1_per_mm2", "K2_per_mm4", "K3_per_mm6", "P1_per_mm", "P2_per_mm",
+        "K1_per_mm2", "K2_per_mm4", "K3_per_mm6", "P1_per_mm", "P2_per_mm"
     ),
     "opencv": ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3"),
-    "fisheye": ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "k4"),
+    "fisheye": ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "k4")
 }  # fmt: skip
 """Lens parameters that are estimated: the Mosca paper's (section 2.2), mx held."""
 LEAST_SIGMA_PX = 0.003
@@ -77,19 +78,21 @@ class RigidTarget:
 
 @dataclass(frozen=True)
 class RigidSettings:
-    """``lens``: model to estimate; ``free``: its parameters, None for all of the model's. ``exterior_only``: hold the
-    lenses of the known rig. ``reference``: frame set in which the target is the world; None: where it first
-    stood. ``blunder_significance``: chance that a good image point is rejected. ``steady``: take shakes
-    of whole images for noise of the cameras' bodies; False where they are the target's motion between the
-    exposures of cameras that are not synchronised.
-    """
+    """How cameras are calibrated from a rigid target."""
 
     lens: LensChoice = field(default_factory=LensChoice)
+    """Model to estimate."""
     free: tuple[str, ...] | None = None
+    """Its parameters; None for all of the model's."""
     exterior_only: bool = False
+    """Hold the lenses of the known rig."""
     reference: int | None = None
+    """Frame set in which the target is the world; None: the first stationary interval."""
     blunder_significance: float | None = 0.01
+    """Chance that a good image point is rejected."""
     steady: bool = True
+    """Take shakes of whole images for noise of the cameras' bodies; False where they are the target's motion
+    between the exposures of cameras that are not synchronised."""
 
 
 def calibrate_rigid(
@@ -98,7 +101,7 @@ def calibrate_rigid(
     """Calibrate the cameras of ``sightings`` from a rigid target.
 
     ``known``: an earlier calibration to start from; with ``exterior_only`` its lenses are kept. The world is the
-    target's frame at the reference stand. CalibrationError, in one line, where the sightings do not do.
+    target's frame in the reference interval. CalibrationError, in one line, where the sightings do not suffice.
     """
     settings = settings or RigidSettings()
     sightings = sightings.only(sightings.mark >= 0)
@@ -142,23 +145,23 @@ def _adjusted(
         xy = sightings.xy_px - _eccentricity(result, sightings, placement, target)
         problem = replace(problem, observations=replace(problem.observations, xy_px=xy))
         result = solve(problem, rough, result)
-    # the shakes are told from what blunders do to whole images only where these are out; and what a descent that
+    # shakes can be separated from blunders only where these are out; and what a descent that
     # ended early has left of the images' residuals would be taken for shake
     result = solve(problem, replace(bundle, tolerance=EXACTLY), result)
     shake = body_shake(problem, result, sightings.frame) if settings.steady else 0.0
     steady = steadied(problem, result, sightings.frame, shake)
     problem = replace(problem, observations=replace(problem.observations, xy_px=steady))
     if target.sigma_m > 0:
-        # only now: with the marks' places among the unknowns every step costs a hundred times as much
+        # only now: with the marks' positions among the unknowns every step costs a hundred times as much
         problem = replace(problem, points=ObjectPoints.weighted(target.marks_m, target.sigma_m))
     result = solve(problem, bundle, result)
     assert result.precision is not None
     covariance = shaken_covariance(problem, result, sightings.frame, shake)
-    # a mark at a stand in a camera: what is wrong with it is wrong in each exposure
+    # a mark in one stationary interval and camera: what is wrong with it is wrong in each exposure
     seen_as = np.column_stack([sightings.camera, placement, sightings.mark])
     cell = np.unique(seen_as, axis=0, return_inverse=True)[1].reshape(-1)
-    lasting = lasting_errors(result, sightings.camera, cell)
-    covariance = covariance + lasting_covariance(problem, result, cell, lasting)
+    lasting = systematic_errors(result, sightings.camera, cell)
+    covariance = covariance + systematic_covariance(problem, result, cell, lasting)
     precision = result.precision
     return Calibration(
         Rig(result.cameras),
@@ -205,7 +208,7 @@ def _eccentricity(result: Adjustment, sightings: Sightings, placement: Array, ta
     for k, camera in enumerate(result.cameras):
         mine = sightings.camera == k
         out[mine] = eccentricity_px(camera, at[mine], normal[mine], radius[mine])
-    # a mark that the trial geometry shows from behind is a blunder; it must not lose its place, too
+    # a mark that the trial geometry shows from behind is a blunder; it must not lose its position, too
     return np.nan_to_num(out)
 
 
@@ -245,7 +248,7 @@ def _starting_cameras(
 
 
 def _seen(sightings: Sightings, stand: Array) -> dict[View, TargetView]:
-    """Return the mean places of the marks by camera and stand."""
+    """Return the mean positions of the marks by camera and stationary interval."""
     marks = int(sightings.mark.max(initial=0)) + 1
     key = (sightings.camera * (int(stand.max(initial=0)) + 1) + stand) * marks + sightings.mark
     every, inverse, count = np.unique(key, return_inverse=True, return_counts=True)

@@ -7,7 +7,7 @@ from typing import Generic, TypeGuard, TypeVar
 
 import numpy as np
 
-from mosca.calibration.quality.checks import judge
+from mosca.calibration.quality.checks import check_calibration
 from mosca.calibration.quality.limits import QualityLimits
 from mosca.calibration.quality.report_data import evidence_of
 from mosca.calibration.quality.scale import LengthErrors, length_errors
@@ -44,21 +44,22 @@ Target_co = TypeVar("Target_co", bound=CalibrationTarget, covariant=True)
 
 @dataclass(frozen=True)
 class EstimateSettings:
-    """How cameras are calibrated from frames.
-
-    ``lens``: model to estimate, ``free`` its parameters (None: all); ``exterior_only``: keep the lenses of the known
-    rig; ``every``: look at each so many-th frame set; ``reference``: frame set in which a rigid target is the world;
-    ``detection``: how the balls of wands and L-frames are found; ``volume`` (low, high) [m, world]: where will be
-    measured.
-    """
+    """How cameras are calibrated from frames."""
 
     lens: LensChoice = field(default_factory=LensChoice)
+    """Model to estimate."""
     free: tuple[str, ...] | None = None
+    """Its parameters; None for all."""
     exterior_only: bool = False
+    """Keep the lenses of the known rig."""
     every: int = 1
+    """Read each so many-th frame set."""
     reference: int | None = None
+    """Frame set in which a rigid target is the world."""
     detection: DetectionSettings = field(default_factory=DetectionSettings)
+    """How the balls of wands and L-frames are found."""
     volume: tuple[Sequence[float], Sequence[float]] | None = None
+    """(low, high) [m, world]: where will be measured."""
 
 
 @dataclass(frozen=True)
@@ -79,11 +80,12 @@ def calibrate_session(
     made_from: str = "",
     progress: Progress | None = None,
 ) -> tuple[Calibration, CalibrationEvidence]:
-    """Calibrate from frames of a target, set the axes by an L-frame, try the rig on a certified bar, and judge it.
+    """Calibrate from frames of a target, set the axes by an L-frame, test the rig on a certified bar, and check its
+    quality.
 
     ``axes``, ``lengths``: frames of L-frame and bar, where there are; ``known``: an earlier rig of these cameras that
     the new one is held against, and whose lenses stay with ``settings.exterior_only``; ``made_from``: what the page
-    says of it. Returns the judged calibration and the evidence that its page shows. InputError or CalibrationError,
+    says of it. Returns the checked calibration and the evidence that its page shows. InputError or CalibrationError,
     in one line, where the frames do not do.
     """
     with shown.opened(known) as source:
@@ -96,7 +98,7 @@ def calibrate_session(
     if lengths is not None:
         with lengths.opened(calibration.rig) as source:
             errors = held_out_lengths(calibration, source, lengths.target, settings)
-    calibration = judged(calibration, shown.target, settings, known=known, lengths=errors)
+    calibration = checked(calibration, shown.target, settings, known=known, lengths=errors)
     calibration = replace(calibration, rig=with_residuals(calibration))
     evidence = evidence_of(
         calibration,
@@ -109,9 +111,9 @@ def calibrate_session(
 
 
 def with_residuals(calibration: Calibration) -> Rig:
-    """Return the rig whose cameras say what their lens models leave.
+    """Return the rig whose cameras state the residual error of their lens models.
 
-    Where a target stood still: what lasts from exposure to exposure. Else the scatter that detection does not tell:
+    Where a target was stationary: the systematic error. Else the scatter beyond the detections' own:
     ``sigma_px`` of an image coordinate holds detection noise besides; what shakes whole images is kept apart of it.
     """
     sightings, cameras = calibration.sightings, []
@@ -133,7 +135,7 @@ def calibrate_frames(
     known: Rig | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Calibrate the cameras of a source whose frames show ``target``; not judged yet, see ``judged``.
+    """Calibrate the cameras of a source whose frames show ``target``; not checked yet, see ``checked``.
 
     ``known``: an earlier calibration of these cameras, to start from. The world is the target's frame where it first
     stood; of a wand, near that of one of the cameras (see ``on_axes``). InputError or CalibrationError, in one line,
@@ -185,7 +187,7 @@ def _check(target: CalibrationTarget, settings: EstimateSettings) -> None:
         check_lens("cameras", settings.lens.model, settings.free)
 
 
-def judged(
+def checked(
     calibration: Calibration,
     target: CalibrationTarget,
     settings: EstimateSettings | None = None,
@@ -198,7 +200,7 @@ def judged(
     ``known``: an earlier calibration of the same cameras to hold it against; ``lengths``: held-out ones.
     """
     settings = settings or EstimateSettings()
-    found = judge(
+    found = check_calibration(
         calibration,
         known=known,
         target_diameters_m=_diameters_m(calibration, target),
@@ -231,7 +233,7 @@ def held_out_lengths(
 
 
 def is_rigid(target: CalibrationTarget) -> TypeGuard[TestField | Board]:
-    """Tell whether a target joins all its marks by itself: their places on it are known beforehand."""
+    """Return whether a target joins all its marks by itself: their positions on it are known a priori."""
     return isinstance(target, TestField | Board)
 
 
@@ -265,7 +267,7 @@ def _diameters_m(calibration: Calibration, target: CalibrationTarget) -> Array |
 
 
 def _mean_detections(source: FrameSource, settings: EstimateSettings) -> dict[str, Detections]:
-    """Return the mean detections of targets that stand still, by camera.
+    """Return the mean detections of stationary targets, by camera.
 
     Those of the first image of a camera are followed by nearness; what is not there in half the images is left out.
     """

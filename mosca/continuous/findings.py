@@ -1,4 +1,4 @@
-"""What residuals tell once there are curves: whether stamps fit, which clocks are ambiguous, what is no marker."""
+"""Findings from the residuals of curves: whether stamps fit, which clocks are ambiguous, what is no marker."""
 
 from dataclasses import replace
 
@@ -13,9 +13,9 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 
 GROSS = 16.0
-"""Squared residuals above this, in the variances stated, are not asked about stamps."""
+"""Squared residuals above this, in the variances stated, are not used to test stamps."""
 LATE_SIGMA, LATE_S = 8.0, 1e-4
-"""Stamps are told of from this on: in standard deviations, and in time."""
+"""Report a time offset above this: in standard deviations, and in time."""
 STEP_S = 1e-3
 PASSES = 5
 

@@ -1,4 +1,4 @@
-"""The story, read top to bottom: frames -> observations -> curves -> image points given anew -> curves -> tracks."""
+"""Frames -> observations -> curves -> image points assigned again to the curves -> curves -> tracks."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -10,7 +10,7 @@ from mosca.continuous.association.coarse_sync import ClockTie
 from mosca.continuous.association.correspondence import observed
 from mosca.continuous.estimator.estimate import ContinuousEstimate, ContinuousSettings, estimate
 from mosca.continuous.findings import association_findings, late_cameras, on_curves_clock
-from mosca.continuous.model.observations import CameraPaths, TimedObservations
+from mosca.continuous.model.observations import CameraPaths, TimedObservations, UncertainCurves
 from mosca.continuous.resample import residuals_px, tracks_on_grid
 from mosca.data.arrays import Array
 from mosca.data.frames import FrameSource
@@ -21,7 +21,7 @@ from mosca.errors import InputError
 FEW_TOGETHER = 6
 """Points whose curves are estimated together before clocks are known."""
 BETTER_PX = 0.1
-"""How far estimated curves may be off in the images when image points are given to them anew."""
+"""How far estimated curves may be off in the images when image points are assigned to them again."""
 
 
 @dataclass(frozen=True)
@@ -63,18 +63,21 @@ class Reconstructed:
         return self.gathered.ties[0].origin_ns
 
     def span_ns(self) -> tuple[int, int]:
-        """Return first and last instant of which an image point tells, the first camera's stamps."""
+        """Return the first and last instant of an image point, the first camera's stamps."""
         first = self.clocks[0]
         span = np.array([self.observations.time_s.min(), self.observations.time_s.max()])
         own = (span - first.offset_s) / (1.0 + first.drift)
         return self.origin_ns + int(np.ceil(own[0] * 1e9)), self.origin_ns + int(np.floor(own[1] * 1e9))
 
-    def tracks(self, time_ns: Array) -> Tracks:
-        """Return samples of all markers at ``time_ns`` (t,), stamps of the first camera's clock."""
+    def tracks(self, time_ns: Array, curves: UncertainCurves | None = None) -> Tracks:
+        """Return samples of all markers at ``time_ns`` (t,), stamps of the first camera's clock.
+
+        ``curves``: of the same markers, another method's; None: the estimated ones.
+        """
         first = self.clocks[0]
         own = (np.asarray(time_ns) - self.origin_ns) * 1e-9
         return tracks_on_grid(
-            self.estimated.curves,
+            self.estimated.curves if curves is None else curves,
             self.observations,
             self.rig,
             first.offset_s + (1.0 + first.drift) * own,
@@ -97,7 +100,8 @@ def reconstruct(
     backgrounds: Mapping[str, Array] | None = None,
     attend: Callable[[int], None] | None = None,
 ) -> Reconstructed:
-    """Turn frames of fixed, calibrated, free-running cameras into curves of markers, and the cameras' clocks.
+    """Reconstruct from frames of fixed, calibrated, free-running cameras the curves of markers, and the cameras'
+    clocks.
 
     ``settings.clocks`` "known" becomes "drift" where clocks had to be searched for. InputError: see ``associate``.
     """
@@ -140,7 +144,7 @@ def _clocks(
     return tuple(
         EstimatedClock(
             name, tie.origin_ns, tie.offset_s, tie.drift, clock.row_time_s,
-            clock.offset_sigma_s, clock.drift_sigma, clock.row_time_sigma_s,
+            clock.offset_sigma_s, clock.drift_sigma, clock.row_time_sigma_s
         )
         for name, tie, clock in zip(rig.names, _tied(ties, estimated), estimated.clocks, strict=True)
     )  # fmt: skip

@@ -1,9 +1,9 @@
-"""Curves -> tracks on a grid of instants: places, covariances, and whether image points lie near enough to vouch
-for it.
+"""Curves -> tracks on a grid of instants: positions, covariances, and whether image points support
+them.
 
 A sample is "measured" where two cameras and more have an image point of it within one frame period before or after,
 "filled" where the curve carries on between such instants, over at most LONGEST_FILL_S. Beyond a point's first and
-last image point nothing is said.
+last image point there are no samples.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from mosca.data.tracks import Tracks
 
 LONGEST_FILL_S = 1.0
 CHUNK = 1000
-"""Instants whose covariances are asked for at a time."""
+"""Instants whose covariances are computed at a time."""
 
 
 def residuals_px(
@@ -62,7 +62,7 @@ def tracks_on_grid(
     near_s: Sequence[float],
     cameras: CameraPaths | None = None,
 ) -> Tracks:
-    """Return samples of all points at ``instants_s`` (t,), the curves' clock; they are told as of ``time_ns`` (t,).
+    """Return samples of all points at ``instants_s`` (t,), the curves' clock; stamped ``time_ns`` (t,).
 
     ``observations`` of these points, on the curves' clock; ``near_s``: each camera's frame period [s]; ``cameras``:
     the rig's poses where they change. Covariances are the curves' own.
@@ -99,5 +99,5 @@ def tracks_on_grid(
         residual = np.sqrt(total[instant, number] / (2 * images[instant, number]))
     return Tracks(
         instant, np.asarray(time_ns)[instant], number, np.array(curves.points)[number], xyz, covariance, views,
-        residual, np.where(views >= 2, "measured", "filled"),
+        residual, np.where(views >= 2, "measured", "filled")
     )  # fmt: skip

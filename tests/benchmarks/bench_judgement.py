@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "mosca"))
 
 from rigid_scenes import board_marks, carried, seen, some_rig, still, stood
 
-from mosca.calibration.quality.checks import judge
+from mosca.calibration.quality.checks import check_calibration
 from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
 from mosca.calibration.single_camera.interior_orientation import LensChoice
 from mosca.data.calibration import Finding
@@ -42,7 +42,7 @@ def findings(seed: int) -> list[str]:
         made = calibrate_rigid(sightings, target, RigidSettings(LensChoice(model, 0.0099)))
     except CalibrationError as error:
         return [str(error)]
-    told: tuple[Finding, ...] = judge(made, rigid_target=target.kind == "test field")
+    told: tuple[Finding, ...] = check_calibration(made, rigid_target=target.kind == "test field")
     return [f"{one.severity} {one.code}: {one.message}" for one in told if one.severity != "note"]
 
 

@@ -2,20 +2,11 @@
 
 import cv2
 import numpy as np
+from rigs import looking_at
 
 from mosca.data.rig import Camera, OpenCVLens, Pose
 
 WIDTH, HEIGHT = 1280, 1024
-
-
-def looking(centre, target) -> Pose:
-    """Return the pose of a camera at ``centre`` that looks at ``target``, its y axis down."""
-    centre = np.asarray(centre, dtype=float)
-    z = np.asarray(target, dtype=float) - centre
-    z /= np.linalg.norm(z)
-    x = np.cross(z, [0, 0, 1.0])
-    x /= np.linalg.norm(x)
-    return Pose(np.column_stack([x, np.cross(z, x), z]), centre)
 
 
 def ring(n=4, radius=3.0, seed=0, **lens) -> list[Camera]:
@@ -32,7 +23,7 @@ def ring(n=4, radius=3.0, seed=0, **lens) -> list[Camera]:
             "cy_px": 510.0 - k,
             **lens,
         }
-        pose = looking(centre, rng.normal(0, 0.1, 3) + [0, 0, 1])
+        pose = looking_at(centre, rng.normal(0, 0.1, 3) + [0, 0, 1])
         cameras.append(Camera(f"c{k}", WIDTH, HEIGHT, OpenCVLens(**values), pose))
     return cameras
 

@@ -1,25 +1,17 @@
 """Scenes for the tests of continuous time: smooth random motion, not drawn from any spline, seen by cameras."""
 
 import numpy as np
+import rigs
 
 from mosca.camera.projection import project
 from mosca.continuous.model.observations import TimedObservations, no_carriers
-from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
-
-
-def look_at(centre, target):
-    z = (target - centre) / np.linalg.norm(target - centre)
-    x = np.cross(z, [0, 0, 1.0])
-    x /= np.linalg.norm(x)
-    return Pose(np.column_stack([x, np.cross(z, x), z]), centre)
+from mosca.data.rig import OpenCVLens
 
 
 def ring(n=3, away=2.5, focal=600.0):
     """n cameras of 656 x 491 around the origin, 68 degrees apart."""
-    lens = OpenCVLens(focal, focal, 327.5, 245.0)
-    turns = 1.2 * np.arange(n) + 0.3
-    places = np.column_stack([away * np.cos(turns), away * np.sin(turns), 0.8 + 0.1 * np.arange(n)])
-    return Rig(tuple(Camera(f"c{k}", 656, 491, lens, look_at(p, np.zeros(3))) for k, p in enumerate(places)))
+    lens, heights = OpenCVLens(focal, focal, 327.5, 245.0), 0.8 + 0.1 * np.arange(n)
+    return rigs.ring(n, lens, radius_m=away, height_m=heights, first_rad=0.3, step_rad=1.2)
 
 
 def sines(seed, markers, fastest_hz=3.0):

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
+from rigs import looking_at
 
 from mosca.continuous.association.frame_detections import CameraDetections
 from mosca.data.frames import CameraInfo
-from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
+from mosca.data.rig import Camera, OpenCVLens, Rig
 
 FOCAL, WIDTH, HEIGHT = 700.0, 656, 491
 POINTS, RATE_HZ, SIGMA_PX = 10, 50.0, 0.05
@@ -16,17 +17,11 @@ EPOCH_NS = (0, 5_000_000_000, -77_000_000_000)
 
 
 def rig() -> Rig:
-    """Three cameras 1.8 m from the middle, which they look at."""
-    cameras = []
-    for k, azimuth in enumerate(np.deg2rad([0.0, 75.0, 200.0])):
-        place = np.array([1.8 * np.cos(azimuth), 1.8 * np.sin(azimuth), 0.3 * k])
-        forward = -place / np.linalg.norm(place)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        turn = np.column_stack([right, np.cross(forward, right), forward])
-        lens = OpenCVLens(FOCAL, FOCAL, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
-        cameras.append(Camera(f"c{k}", WIDTH, HEIGHT, lens, Pose(turn, place)))
-    return Rig(tuple(cameras))
+    """Three cameras 1.8 m from the middle, which they are aimed at."""
+    lens = OpenCVLens(FOCAL, FOCAL, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
+    azimuths, heights = np.deg2rad([0.0, 75.0, 200.0]), (0.0, 0.3, 0.6)
+    centres = [(1.8 * np.cos(a), 1.8 * np.sin(a), h) for a, h in zip(azimuths, heights, strict=True)]
+    return Rig(tuple(Camera(f"c{k}", WIDTH, HEIGHT, lens, looking_at(c)) for k, c in enumerate(centres)))
 
 
 @dataclass(frozen=True)
@@ -72,7 +67,7 @@ def seen_by(
     info = CameraInfo(camera.name, WIDTH, HEIGHT, 8, RATE_HZ, "device" if own_clock else "session")
     seen = CameraDetections(
         info, stamp, start, np.concatenate(rows), np.tile(SIGMA_PX**2 * np.eye(2), (n, 1, 1)), np.full(n, 6.0),
-        np.full(n, 200.0), np.ones(n), np.zeros(n, np.uint8),
+        np.full(n, 200.0), np.ones(n), np.zeros(n, np.uint8)
     )  # fmt: skip
     return seen, np.concatenate(names), true_s
 

@@ -3,20 +3,13 @@
 from dataclasses import fields, replace
 
 import numpy as np
+from rigs import looking_at
 from scipy.spatial.transform import Rotation
 
 from mosca.calibration.bundle.layout import POSE_NAMES
 from mosca.camera.projection import image_grid, project, rays
 from mosca.data.rig import Camera, Lens, MoscaLens, OpenCVLens, Pose, Rig, principal_distances_px
 from mosca.data.sightings import Part, Sightings
-
-
-def looking(place, target=(0.0, 0.0, 0.0)) -> Pose:
-    forward = np.asarray(target, float) - place
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, [0, 0, 1.0])
-    right /= np.linalg.norm(right)
-    return Pose(np.column_stack([right, np.cross(forward, right), forward]), np.asarray(place, float))
 
 
 def some_rig(rng, n=4, model="mosca", radius=4.0, height=1.2, size=(656, 491)) -> Rig:
@@ -29,12 +22,12 @@ def some_rig(rng, n=4, model="mosca", radius=4.0, height=1.2, size=(656, 491)) -
         if model == "mosca":
             lens = MoscaLens(
                 7.5 * rng.uniform(0.9, 1.1), *centre, 0.0099, 0.00991, -0.004,
-                1e-3 * rng.uniform(0.5, 1.5), -1.5e-5, 0.0, 1e-4, 5e-5,
+                1e-3 * rng.uniform(0.5, 1.5), -1.5e-5, 0.0, 1e-4, 5e-5
             )  # fmt: skip
         else:
             f = 757 * rng.uniform(0.9, 1.1)
             lens = OpenCVLens(f, f * 1.001, *centre, -0.1, 0.05, 1e-4, -2e-4)
-        cameras.append(Camera(f"cam{k + 1}", *size, lens, looking(place, rng.uniform(-0.1, 0.1, 3))))
+        cameras.append(Camera(f"cam{k + 1}", *size, lens, looking_at(place, rng.uniform(-0.1, 0.1, 3))))
     return Rig(tuple(cameras))
 
 

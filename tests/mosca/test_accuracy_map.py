@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from judge_rigs import field_calibration, good_rig
+from calibration_scenes import field_calibration, good_rig
+from changed_rigs import changed_rig
 
 from mosca.calibration.quality.accuracy_map import accuracy_map, triangulated_points
-from mosca.calibration.quality.jacobian import changed_rig, sensitivity
+from mosca.calibration.quality.jacobian import sensitivity
 from mosca.camera.projection import project
 from mosca.data.rig import MoscaLens, Rig
 from mosca.triangulation.triangulate import triangulate

@@ -6,7 +6,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from bundle_scenes import HEIGHT, WIDTH, cv2_pixels, looking, moved, ring, views, wand_points
+from bundle_scenes import HEIGHT, WIDTH, cv2_pixels, moved, ring, views, wand_points
+from rigs import looking_at
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -157,7 +158,7 @@ def scipys_resection(image, start, free, xy, points) -> tuple[Camera, np.ndarray
         z = np.array([0, 0, 0, *base.world_from_camera.translation, *(getattr(base.lens, n) for n in free)])
         fit = least_squares(
             lambda z, base=base: (image(camera_of(base, z), points) - xy).ravel(),
-            z, jac="3-point", method="trf", x_scale="jac", ftol=1e-15, xtol=1e-15, gtol=1e-15,
+            z, jac="3-point", method="trf", x_scale="jac", ftol=1e-15, xtol=1e-15, gtol=1e-15
         )  # fmt: skip
         found = camera_of(base, fit.x)
     return found, fit.jac, 2 * fit.cost
@@ -167,7 +168,7 @@ def scipys_resection(image, start, free, xy, points) -> tuple[Camera, np.ndarray
 def test_one_camera_and_fixed_points_is_the_resection(model):
     rng = np.random.default_rng(1)
     points = rng.uniform(-0.6, 0.6, (60, 3)) + [0, 0, 1]
-    pose = looking([2, 1, 1.5], [0, 0, 1])
+    pose = looking_at([2, 1, 1.5], [0, 0, 1])
     if model == "opencv":
         lens, free = (
             OpenCVLens(1000, 1004, 640, 510, -0.1, 0.03),
@@ -218,7 +219,7 @@ def test_a_board_before_one_camera_is_opencvs_calibration():
     stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-15)
     rms, matrix, distortion, turns, shifts = cv2.calibrateCamera(
         [board.astype(np.float32)] * 12, [s.astype(np.float32) for s in seen], (WIDTH, HEIGHT), guess, np.zeros(5),
-        flags=flags, criteria=stop,
+        flags=flags, criteria=stop
     )  # fmt: skip
     start = replace(camera, lens=OpenCVLens(980, 980, 640, 512))
     free = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2")
@@ -341,7 +342,7 @@ def test_cameras_that_share_a_lens_keep_one_lens():
 
 def test_a_parameter_that_the_data_leave_open_is_named_and_held():
     # all points in a narrow cone round the axis: nothing shows k3
-    pose = looking([3, 0, 1], [0, 0, 1])
+    pose = looking_at([3, 0, 1], [0, 0, 1])
     camera = Camera("far", WIDTH, HEIGHT, OpenCVLens(1000, 1000, 639.5, 511.5), pose)
     rng = np.random.default_rng(6)
     points = rng.uniform(-0.15, 0.15, (80, 3)) * [4, 1, 1] + [0, 0, 1]

@@ -4,9 +4,10 @@ dense Jacobian made by finite differences, for every lens model and every kind o
 
 import numpy as np
 import pytest
-from bundle_scenes import HEIGHT, WIDTH, looking
+from bundle_scenes import HEIGHT, WIDTH
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rigs import looking_at
 from scipy.spatial.transform import Rotation
 
 from mosca.calibration.bundle.kernels import imaged
@@ -124,9 +125,9 @@ def everything(seed=0, free=None) -> Problem:
     cameras = []
     for k, lens in enumerate(LENSES):
         a = k * np.pi / 2 + 0.3
-        pose = looking([2.5 * np.cos(a), 2.5 * np.sin(a), 1.5 + 0.2 * k], [0, 0, 1])
+        pose = looking_at([2.5 * np.cos(a), 2.5 * np.sin(a), 1.5 + 0.2 * k], [0, 0, 1])
         cameras.append(CameraUnknowns(Camera(f"c{k}", WIDTH, HEIGHT, lens, pose), free[k]))
-    pose = looking([1.5, 1.5, 2.4], [0, 0, 1])
+    pose = looking_at([1.5, 1.5, 2.4], [0, 0, 1])
     again = Camera("again", WIDTH, HEIGHT, LENSES[0], pose)
     cameras.append(CameraUnknowns(again, (), pose_sigma=(0.1, np.inf, 0.2, 0.05, 0, 0.3), lens_as="c0"))
     cameras[0] = CameraUnknowns(cameras[0].camera, free[0], {"k1": (-0.19, 0.01), "f_px": (1001.0, 3.0)})

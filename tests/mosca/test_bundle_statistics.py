@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bundle_scenes import HEIGHT, WIDTH, cv2_pixels, looking, moved, ring, views, wand_points
+from bundle_scenes import HEIGHT, WIDTH, cv2_pixels, moved, ring, views, wand_points
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rigs import looking_at
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -220,7 +221,7 @@ def test_a_prior_is_one_more_observation(shift, sigma, which):
     small)."""
     name, value = which
     rng = np.random.default_rng(7)
-    pose = looking([3, 0, 1], [0, 0, 1])
+    pose = looking_at([3, 0, 1], [0, 0, 1])
     camera = Camera("c", WIDTH, HEIGHT, OpenCVLens(900, 900, 640, 512), pose)
     points = rng.uniform(-0.8, 0.8, (60, 3)) + [0, 0, 1]
     xy = cv2_pixels(camera, points) + rng.normal(0, 0.2, (60, 2))

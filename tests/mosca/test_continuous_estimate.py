@@ -212,8 +212,8 @@ def test_points_are_known_only_while_they_are_seen():
         (lambda o: replace(o, time_s=o.time_s + np.where(o.camera == 2, 9.0, 0.0)), "shares no time"),
         (lambda o: o.only(o.exposure < 3), "record longer"),
         (lambda o: o.only(o.camera == 0), "no image points"),
-        (lambda o: o.only(np.zeros(len(o), dtype=bool)), "no image points"),
-    ],
+        (lambda o: o.only(np.zeros(len(o), dtype=bool)), "no image points")
+    ]
 )  # fmt: skip
 def test_recordings_that_cannot_be_used_are_refused_in_one_line(change, text):
     observations = take(sines(9, 1), ring(), staggered(0.5), 0.1, 9)

@@ -60,7 +60,7 @@ def test_slopes_of_an_image_point(seed):
         return project_moving(camera, moved, (centre + x[6:])[None], (point + x[:3])[None]).xy_px[0]
 
     numeric = approx_fprime(np.zeros(9), image, 1e-7)
-    ours = np.hstack([found.by_point[0], found.by_turn[0], -found.by_point[0]])
+    ours = np.hstack([found.by_point[0], found.by_rotation[0], -found.by_point[0]])
     assert ours == pytest.approx(numeric, rel=1e-4, abs=1e-3)
     fixed = replace(camera, world_from_camera=Pose(turn, centre))
     assert found.xy_px == pytest.approx(project(fixed, point[None]), abs=1e-9)

@@ -122,7 +122,7 @@ def random_band(seed):
     n = len(first)
     rows = Rows(
         first, weights, np.tile([[0, 1, 2, -1], [3, 4, 5, -1]], (n // 4, 1)).repeat(2, axis=0),
-        rng.normal(size=(n, 4)), np.zeros((n, 0)), rng.normal(size=n),
+        rng.normal(size=(n, 4)), np.zeros((n, 0)), rng.normal(size=n)
     )  # fmt: skip
     dense = np.zeros((n, knots.count * 6))
     for r in range(n):

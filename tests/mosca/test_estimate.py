@@ -12,8 +12,8 @@ from mosca.calibration.session import (
     EstimateSettings,
     calibrate_frames,
     calibrate_sightings,
+    checked,
     held_out_lengths,
-    judged,
     on_axes,
     rigid_target,
 )
@@ -82,7 +82,7 @@ def test_a_field_is_judged_by_the_size_of_its_dots():
     given = seen(rig, field.positions, stood(rng, 1, 3, 0, 0), rng, noise=0.01)
     for factor, codes in ((1.0, set()), (0.85, {"wrong-size"}), (1000.0, {"mixed-units"})):
         sightings = discs_px(given, rig, field, factor)
-        found = judged(calibrate_sightings(sightings, field, LENS), field)
+        found = checked(calibrate_sightings(sightings, field, LENS), field)
         assert {one.code for one in found.refused} == codes
 
 
@@ -95,7 +95,7 @@ def test_a_board_gives_the_rig_and_needs_no_diameters():
     )
     poses = carried(rng, 30)
     given = seen(rig, board.corners(), poses, rng, noise=0.01)
-    found = judged(calibrate_sightings(given, board, LENS), board)
+    found = checked(calibrate_sightings(given, board, LENS), board)
     assert not found.refused
     assert found.scaled_by == "the board's marks"
 

@@ -4,22 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigid_scenes import (
-    board_marks,
-    carried,
-    errors_of,
-    field_marks,
-    looking,
-    seen,
-    some_rig,
-    still,
-    stood,
-)
+from rigid_scenes import board_marks, carried, errors_of, field_marks, seen, some_rig, still, stood
+from rigs import ring
 
 from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
 from mosca.calibration.single_camera.interior_orientation import LensChoice
 from mosca.camera.projection import project
-from mosca.data.rig import Camera, FisheyeLens, Pose, Rig
+from mosca.data.rig import FisheyeLens, Pose, Rig
 from mosca.errors import CalibrationError
 
 PITCH = 0.0099
@@ -56,12 +47,12 @@ def test_a_standing_field(model, settings):
 
 
 def fisheye_rig(rng) -> Rig:
-    cameras = []
-    for k in range(3):
-        place = [2.5 * np.cos(2.1 * k), 2.5 * np.sin(2.1 * k), 0.8]
-        lens = FisheyeLens(260.0, 261.0, 325 + rng.normal(), 246 + rng.normal(), -0.03, 0.004)
-        cameras.append(Camera(f"cam{k + 1}", 656, 491, lens, looking(np.array(place))))
-    return Rig(tuple(cameras))
+    lenses = [
+        FisheyeLens(260.0, 261.0, 325 + rng.normal(), 246 + rng.normal(), -0.03, 0.004) for _ in range(3)
+    ]
+    return ring(
+        3, lenses, radius_m=2.5, height_m=0.8, first_rad=0.0, step_rad=2.1, names=("cam1", "cam2", "cam3")
+    )
 
 
 def test_a_fisheye_rig_from_a_field():

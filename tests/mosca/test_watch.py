@@ -60,7 +60,7 @@ def frame(rig: Rig, true: Rig, rng, points=None, body_px=BODY_PX, matched=None, 
     n = int(good.sum())
     return detections, Points(
         found[good], np.tile(1e-8 * np.eye(3), (n, 1, 1)), count[good], np.full(n, 0.05), rays[good],
-        np.full(n, 0.01), count[good],
+        np.full(n, 0.01), count[good]
     )  # fmt: skip
 
 

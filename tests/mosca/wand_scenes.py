@@ -1,23 +1,14 @@
 """Scenes for the tests of wand and self-calibration: rigs, waved wands, and what cameras see of them."""
 
 import numpy as np
+from rigs import looking_at
 
 from mosca.camera.projection import project
-from mosca.data.rig import Camera, MoscaLens, Pose
+from mosca.data.rig import Camera, MoscaLens
 from mosca.data.sightings import Sightings
 
 WIDTH, HEIGHT, PITCH = 656, 491, 0.0099
 NOISE_PX = 0.05
-
-
-def looking(centre, target) -> Pose:
-    """Return the pose of a camera at ``centre`` that looks at ``target``, its y axis down."""
-    centre = np.asarray(centre, dtype=float)
-    z = np.asarray(target, dtype=float) - centre
-    z /= np.linalg.norm(z)
-    x = np.cross(z, [0, 0, 1.0])
-    x /= np.linalg.norm(x)
-    return Pose(np.column_stack([x, np.cross(z, x), z]), centre)
 
 
 def camera(name, rng, centre, target, c_mm=7.5) -> Camera:
@@ -29,7 +20,7 @@ def camera(name, rng, centre, target, c_mm=7.5) -> Camera:
         PITCH,
         K1_per_mm2=1e-3 * (1 + rng.normal(0, 0.1)),
     )
-    return Camera(name, WIDTH, HEIGHT, lens, looking(centre, target))
+    return Camera(name, WIDTH, HEIGHT, lens, looking_at(centre, target))
 
 
 def rig(n=4, seed=0, focals=(7.5,), radius=4.0) -> tuple[Camera, ...]:

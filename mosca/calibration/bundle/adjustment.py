@@ -18,60 +18,59 @@ from mosca.data.rig import Camera, FisheyeLens, principal_distances_px
 
 @dataclass(frozen=True, eq=False)
 class Precision:
-    """How good an adjustment is. All covariances carry the a-posteriori sigma0.
-
-    ``covariance`` (u, u) of ``Adjustment.parameters``; ``points`` (p, 3, 3) [m^2] and ``placements`` (f, 6,
-    6) (turn about the thing's own axes, position) with the cameras' part, zero where held, NaN where not
-    determined; ``redundancy_numbers`` (n, 2) of each image coordinate (Baarda 1968: 0 says nothing about
-    itself, 1 all; NaN where left out) and ``standardised`` (n, 2) its residual over that residual's standard
-    deviation (w-test); ``statistic`` (n,) the same of both coordinates together: v^T Q_vv^-1 v, of unit
-    variance, chi-square with 2 degrees of freedom, also of points left out (from the others' prediction), NaN
-    where it cannot be tested. ``sigma_x_px`` ... by camera (c,): a-posteriori standard deviation of an image
-    coordinate and of the same on the object at each point's own distance (the Mosca paper's figure of a
-    calibration, section 2.2, Table 2).
-    """
+    """How good an adjustment is. All covariances carry the a-posteriori sigma0."""
 
     covariance: Array
+    """(u, u) of ``Adjustment.parameters``."""
     points: Array
+    """(p, 3, 3) [m^2], the cameras' part included; zero where held, NaN where not determined."""
     placements: Array
+    """(f, 6, 6) rotation about the thing's own axes and position; as ``points``."""
     redundancy_numbers: Array
+    """(n, 2) of each image coordinate (Baarda 1968): 0: not checked by the others, 1: fully; NaN where left out."""
     standardised: Array
+    """(n, 2) residual over its standard deviation (w-test)."""
     statistic: Array
+    """(n,) v^T Q_vv^-1 v of both coordinates together, of unit variance: chi-square with 2 degrees of freedom;
+    also of points left out (from the others' prediction), NaN where it cannot be tested."""
     sigma_x_px: Array
+    """(c,) a-posteriori standard deviation of an image coordinate, by camera."""
     sigma_y_px: Array
     sigma_x_m: Array
+    """(c,) the same on the object at each point's own distance (the Mosca paper, section 2.2, Table 2)."""
     sigma_y_m: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Adjustment:
-    """A bundle adjustment's result.
-
-    ``cameras``, ``points`` (p, 3) [m] and ``placements`` adjusted; ``residuals_px`` (n, 2) observed minus
-    projected, of points left out too, NaN where a camera does not image its point; ``used`` (n,) bool;
-    ``rejected`` indices of the observations rejected as blunders (``used`` lacks also those of points that
-    the rest does not determine, and unseen ones); ``parameters`` names of the u unknowns of cameras, lenses
-    and kept points; ``weak`` those that the data hardly determine, the lens parameters among them ``held``
-    near their starting values; ``sigma0`` a-posteriori standard deviation of unit weight (1 where the sigmas
-    a priori were right; in px where they were 1 px); ``redundancy`` observations minus unknowns; ``cost``
-    weighted sum of squares, or robust loss; ``precision`` None unless asked for.
-    """
+    """A bundle adjustment's result."""
 
     cameras: tuple[Camera, ...]
     points: Array
+    """(p, 3) [m]."""
     placements: Placements
     residuals_px: Array
+    """(n, 2) observed minus projected, of points left out too; NaN where a camera does not image its point."""
     used: Array
+    """(n,) bool."""
     rejected: Array
+    """Indices of observations rejected as blunders; ``used`` lacks also undetermined and unseen ones."""
     parameters: tuple[str, ...]
+    """Names of the u unknowns of cameras, lenses and kept points."""
     weak: tuple[str, ...]
+    """Those that the data hardly determine ..."""
     held: tuple[str, ...]
+    """... and the lens parameters among them held near their starting values."""
     sigma0: float
+    """A-posteriori standard deviation of unit weight: 1 where the a-priori sigmas were right."""
     redundancy: int
+    """Observations minus unknowns."""
     cost: float
+    """Weighted sum of squares, or robust loss."""
     steps: int
     converged: bool
     precision: Precision | None
+    """None unless requested."""
 
     @property
     def standard_deviations(self) -> dict[str, float]:
@@ -98,7 +97,7 @@ def tested(layout: NormalsLayout, solution: Solution, loss: Loss) -> tuple[Array
     cofactors, tests = np.empty_like(solution.inverse), np.empty((len(layout.order), 7))
     precise(
         solution.descent.state, see, layout.observations.weight, layout.columns, layout.blocks, loss,
-        solution.descent.normals.mixed, inverse, cofactors, tests,
+        solution.descent.normals.mixed, inverse, cofactors, tests
     )  # fmt: skip
     return cofactors, tests
 
@@ -118,7 +117,7 @@ def precision_of(
         reduced_cofactors, block_cofactors = in_free_network(problem, layout, solution, block_cofactors)
     loose = undetermined(layout, solution.inverse)
     points = np.zeros((len(problem.points), 3, 3))
-    # points that no observation touches keep what is known of them
+    # points without observations keep their a-priori covariance
     absent = ~problem.points.held
     absent[np.concatenate([layout.members, layout.kept])] = False
     points[absent] = np.nan

@@ -23,7 +23,7 @@ Test = Callable[[Solution], tuple[Array, float, int]]
 """Of a solution: statistics v^T Q_vv^-1 v (n,) in a-priori units, sum of squares, redundancy."""
 
 
-def without_lonely(layout: NormalsLayout, weight: Array) -> Array:
+def without_undetermined(layout: NormalsLayout, weight: Array) -> Array:
     """Return the weights (n,) with 0 for the image points of points and placements that too few of them
     determine.
     """
@@ -93,4 +93,4 @@ def _without_worst(
 
 
 def _weights(layout: NormalsLayout, rejected: Array) -> Array:
-    return without_lonely(layout, np.where(rejected, 0.0, layout.observations.weight))
+    return without_undetermined(layout, np.where(rejected, 0.0, layout.observations.weight))

@@ -1,6 +1,6 @@
 """Datum and determination: which common motions nothing fixes, and which parameters the data leave open.
 
-A network without control can shift, turn and, without a length, stretch as a whole. These seven motions are
+A network without control can shift, rotate and, without a length, stretch as a whole. These seven motions are
 known in closed form (``generators``); which of them nothing fixes is read off the reduced normal matrix.
 """
 
@@ -21,13 +21,13 @@ NOTHING_FIXES = 1e-9
 SINGULAR = 1e-11
 """The same of any direction: two unknowns are one."""
 PLAUSIBLE_SHARE = 0.1
-"""What is plausible of a lens parameter beforehand: it moves no image point by more than this share of half
-the image's diagonal; of a turn so many rad, of a position this share of the distance to the points."""
-SHOWN = 0.1
+"""What is plausible of a lens parameter a priori: it moves no image point by more than this share of half
+the image's diagonal; of a rotation so many rad, of a position this share of the distance to the points."""
+LEAST_OPEN_SHARE = 0.1
 
 
 def point_motions(points: Array) -> Array:
-    """Return how points (n, 3) move (n, 3, 7) by a common shift, small turn about the world's axes, and
+    """Return how points (n, 3) move (n, 3, 7) by a common shift, small rotation about the world's axes, and
     stretch.
     """
     motions = np.zeros((len(points), 3, MOTIONS))
@@ -59,7 +59,7 @@ def generators(layout: NormalsLayout, state: State) -> Array:
     rotation, position = table[:, :9].reshape(-1, 3, 3), table[:, 9:LENS]
     out = np.zeros((len(layout.names) + 1, MOTIONS))
     cameras = len(table)
-    # turning the world about e_k turns a camera about R^T e_k of its own
+    # rotating the world about e_k rotates a camera about R^T e_k of its own
     out[layout.index[:cameras, :3], 3:6] = np.swapaxes(rotation, 1, 2)
     out[layout.index[:cameras, 3:6]] = point_motions(position)
     if len(layout.kept):
@@ -101,18 +101,13 @@ def check_datum(problem: Problem, loose: int) -> None:
 
 
 def weak_directions(
-    problem: Problem,
-    layout: NormalsLayout,
-    state: State,
-    matrix: Array,
-    variance: float,
-    priors: Priors,
+    problem: Problem, layout: NormalsLayout, state: State, matrix: Array, variance: float, priors: Priors
 ) -> tuple[tuple[str, ...], Priors]:
     """Return the names of weakly determined unknowns, and a prior for the worst parameter of each lens with
     some.
 
-    The reduced normal ``matrix`` (u, u) is scaled by what is plausible of each unknown beforehand: an
-    eigenvalue below 1 is a direction of which the data, with a ``variance`` of unit weight, say less than
+    The reduced normal ``matrix`` (u, u) is scaled by what is plausible of each unknown a priori: an
+    eigenvalue below 1 is a direction of which the data, with a ``variance`` of unit weight, determine less well than
     that. CalibrationError where an unknown that is no lens parameter is not determined at all.
     """
     plausible = _plausible(problem, layout, state)
@@ -124,7 +119,9 @@ def weak_directions(
     worst: dict[int, LensPrior] = {}
     for column, camera, parameter, _ in free_lens_parameters(problem, layout):
         before = worst.get(camera)
-        if column in known or open_share[column] < (SHOWN if before is None else open_share[before.column]):
+        if column in known or open_share[column] < (
+            LEAST_OPEN_SHARE if before is None else open_share[before.column]
+        ):
             continue
         value = float(state.cameras[camera, LENS + parameter])
         worst[camera] = LensPrior(column, camera, parameter, value, float(plausible[column]))
@@ -141,7 +138,7 @@ def weak_directions(
 
 
 def _plausible(problem: Problem, layout: NormalsLayout, state: State) -> Array:
-    """Return what is plausible (u,) of each unknown of the reduced system as a standard deviation beforehand."""
+    """Return what is plausible (u,) of each unknown of the reduced system as a standard deviation a priori."""
     table = state.cameras
     out = np.full(len(layout.names) + 1, PLAUSIBLE_SHARE)
     sample = slice(None, None, max(1, len(layout.order) // 1000))

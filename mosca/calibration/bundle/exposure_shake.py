@@ -1,10 +1,10 @@
-"""What moves whole images: a camera's body shakes, and all image points of an exposure are off together.
+"""Shake of whole images: a camera's body moves, and all image points of an exposure share an error.
 
 Least squares takes image points for independent. A shake of 0.03 px of the body is small beside a centre's noise of
-0.02 px when one point is looked at, and large beside what a hundred points of an image say together: the adjustment
+0.02 px when one point is examined, and large beside the precision of a hundred points together: the adjustment
 would believe an image too much, and its covariance would promise too much. So each image has a shake (x, y) of its
 own, random with one variance for all: a mixed model (Henderson 1975; Searle, Casella and McCulloch 1992, ch. 7).
-A body that shakes turns: told by how far the image's middle moves, the rim moves up to twice as far in a wide lens.
+A body that shakes rotates: for a given motion of the image's middle, the rim moves up to twice as far in a wide lens.
 Taken for an even shift, what it stretches there would pass for the perspective of a target that has moved.
 
 With v the residuals of the least-squares adjustment, W the weights, Z the shifts' columns, N the normal equations
@@ -26,7 +26,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from mosca.calibration.bundle.adjustment import Adjustment
 from mosca.calibration.bundle.initial_points import intersected
-from mosca.calibration.bundle.kernels import BY_OWN, BY_TURN, BY_WORLD, LEAST_SQUARES, OBSERVED, observe
+from mosca.calibration.bundle.kernels import BY_OWN, BY_ROTATION, BY_WORLD, LEAST_SQUARES, OBSERVED, observe
 from mosca.calibration.bundle.layout import NormalsLayout, layout_of
 from mosca.calibration.bundle.lenses import FAST
 from mosca.calibration.bundle.levenberg_marquardt import Task, empty_normals, linearised, reduced, state_of
@@ -40,7 +40,7 @@ from mosca.data.rig import principal_distances_px
 from mosca.numba_support.decorators import kernel
 
 FEWEST_POINTS = 4
-"""Used points an image must have for its mean residual to say something of its shake."""
+"""Used points an image must have for its mean residual to inform about its shake."""
 LEAST_SHARE = 1e-3
 """Mean share of an image's shift that must be left in its residuals; below it nothing shows the shakes."""
 LEAST_NOISE = 1e-6
@@ -119,7 +119,7 @@ class ExposureShifts:
     Z^T W Z is diagonal; ``count`` (i,) used points; ``d`` (2i,) weights Z^T W Z, ``u`` (2i,);
     ``g`` (2i, u) with the unknowns of the reduced system, whose ``cofactors`` (u, u) are scaled to a unit diagonal by
     ``scale`` (u,); ``s`` (2i, q) with those of the blocks, whose normal matrix is ``v``, its inverse ``v_inverse``.
-    ``cost``: v^T W v, with what is known beforehand.
+    ``cost``: v^T W v, a-priori observations included.
     """
 
     image_of: Array
@@ -192,7 +192,7 @@ def shifts_of(
 ) -> ExposureShifts:
     """Return the shakes of the images beside the adjustment's unknowns.
 
-    ``even``: as shifts that are alike at all points of an image, not as turns of its camera.
+    ``even``: as shifts that are alike at all points of an image, not as rotations of its camera.
     """
     assert adjustment.precision is not None
     layout = layout_of(problem)
@@ -253,8 +253,8 @@ def _by_shakes(
 ) -> tuple[Array, Array]:
     """Return how observations move with their images' shakes (n, 2, 2), and the diagonal of Z^T W Z (2i,).
 
-    A shake is a turn of the camera about its own x and y axes, in the pixels by which the image's middle moves; each
-    image's two are mixed by a rotation that makes Z^T W Z diagonal, which leaves their variance what it is.
+    A shake is a rotation of the camera about its own x and y axes, in the pixels by which the image's middle moves;
+    each image's two are mixed by a rotation that makes Z^T W Z diagonal, which leaves their variance what it is.
     """
     see = problem.observations
     at = np.asarray(adjustment.points)[see.point]
@@ -313,7 +313,7 @@ def _with_blocks(
 @kernel(fastmath=FAST)
 def _sums(
     state: State, see: SortedObservations, columns: LensColumns, index: Array, image: Array, z: Array,
-    slopes: Array, by_block: Array,
+    slopes: Array, by_block: Array
 ) -> None:  # fmt: skip
     """Add z^T w^2 J of each observation to its image's ``slopes`` (i, 2, u + 1) by the reduced system's unknowns, the
     last column taking what is held; write that of its block's unknowns to ``by_block`` (n, 2, 6).
@@ -342,7 +342,7 @@ def _sums(
             for i in range(3):
                 by_world = x * out[0, BY_WORLD + i] + y * out[1, BY_WORLD + i]
                 if placement >= 0:
-                    by_block[m, shake, i] = x * out[0, BY_TURN + i] + y * out[1, BY_TURN + i]
+                    by_block[m, shake, i] = x * out[0, BY_ROTATION + i] + y * out[1, BY_ROTATION + i]
                     by_block[m, shake, 3 + i] = by_world
                 else:
                     by_block[m, shake, i] = by_world

@@ -18,7 +18,7 @@ def intersected(
     """Return points (p, 3) with the eliminated ones that are NaN replaced by the point nearest to their rays.
 
     Rays that hardly cross, or meet behind a camera (possible with poor starting poses), put the point at the
-    mean of its rays at the typical distance of the others. A point that nothing places is put where
+    mean of its rays at the typical distance of the others. A point that nothing determines is put where
     ``fallback`` (p, 3) has it; CalibrationError without.
     """
     missing = layout.members[~np.isfinite(points.take(layout.members, axis=0)).all(axis=1)]

@@ -1,9 +1,9 @@
-"""Image points of a bundle adjustment and their derivatives, strip by strip, compiled.
+"""Image points of a bundle adjustment and their derivatives, batch by batch, compiled.
 
-A *strip* is up to LANES image points of one camera that follow each other: the same lens, so that each formula runs
-over the whole strip before the next, several points at once in the processor's vectors. What the formulas hand on
-stands in ``work``, row after row of LANES numbers, and in ``j``, the derivatives by the camera's unknowns: two rows
-(x, y) a column. Both are flat and the rows' places constants, since the compiler must see that no row overlaps
+A *batch* is up to LANES image points of one camera that follow each other: the same lens, so that each formula runs
+over the whole batch before the next, several points at once in the processor's vectors. Intermediate results
+are in ``work``, row after row of LANES numbers, and in ``j``, the derivatives by the camera's unknowns: two rows
+(x, y) a column. Both are flat and the rows' offsets constants, since the compiler must see that no row overlaps
 another. The formulas are those of ``kernels.observe`` and ``lenses``, for one point at a time.
 """
 
@@ -16,8 +16,8 @@ from mosca.data.arrays import Array
 from mosca.numba_support.decorators import step
 
 LANES, VECTOR = 64, 8
-"""Image points of a strip, at most, and the number whose multiples the processor likes."""
-# places in ``work``: direction in the camera's frame (3), observed pixel (2), 1/sigma, whether imaged, then residual
+"""Image points of a batch at most, and the vector width to whose multiples it is padded."""
+# offsets in ``work``: direction in the camera's frame (3), observed pixel (2), 1/sigma, whether imaged, then residual
 # (2), derivatives of x and y by the direction (3 + 3) and by the lens parameters (18 + 18), by the block's unknowns
 # (x, y of 6) and by the point where it is kept (x, y of 3)
 V, SEEN, WEIGHT, THERE, E, A, LX, LY, BLOCK, OWN, ROOM = (
@@ -49,7 +49,7 @@ def gather(state: State, see: SortedObservations, m: int, count: int, lanes: int
 
 @step(fastmath=FAST)
 def project(c: Array, lanes: int, w: Array, out: Array) -> None:
-    """Turn the directions into the camera's frame; write pixel (at E), derivatives and whether it is imaged."""
+    """Rotate the directions into the camera's frame; write pixel (at E), derivatives and whether it is imaged."""
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]
     for i in range(lanes):
         x, y, z = w[V + i], w[V + LANES + i], w[V + 2 * LANES + i]
@@ -81,7 +81,7 @@ def project(c: Array, lanes: int, w: Array, out: Array) -> None:
 
 @step(fastmath=FAST)
 def _opencv_plain(q: Array, lanes: int, w: Array) -> float:
-    """``lenses``' OpenCV model without its seldom used coefficients, over a strip; return how many
+    """``lenses``' OpenCV model without its rarely used coefficients, over a batch; return how many
     points are not imaged.
     """
     fx, fy, cx, cy, k1, k2, p1, p2, k3, fold = q[0], q[1], q[2], q[3], q[4], q[5], q[6], q[7], q[8], q[FOLD]
@@ -185,8 +185,8 @@ def derive(c: Array, camera: int, columns: LensColumns, lanes: int, w: Array, j:
 
 @step(fastmath=FAST)
 def derive_placed(state: State, see: SortedObservations, m: int, count: int, w: Array) -> None:
-    """Write the derivatives by the turn of each point's placement and by the placement's shift at BLOCK, by the point
-    on its thing at OWN, from those by the point in the world at BLOCK.
+    """Write the derivatives by the rotation of each point's placement and by the placement's shift at BLOCK, by the
+    point on its thing at OWN, from those by the point in the world at BLOCK.
     """
     _, points, placements = state
     point_of, placement_of = see.point, see.placement

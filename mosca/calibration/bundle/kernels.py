@@ -22,8 +22,8 @@ pull."""
 LEAST_SQUARES, HUBER, CAUCHY = 0, 1, 2
 LENS = 12
 """Where a camera's lens row begins in the table of cameras."""
-# derivatives of the pixel by the camera's pose (6), the point in the world, its placement's turn, the point on it
-BY_POSE, BY_WORLD, BY_TURN, BY_OWN, OBSERVED = IMAGED, IMAGED + 6, IMAGED + 9, IMAGED + 12, IMAGED + 15
+# derivatives of the pixel by the camera's pose (6), the point in the world, its placement's rotation, the point on it
+BY_POSE, BY_WORLD, BY_ROTATION, BY_OWN, OBSERVED = IMAGED, IMAGED + 6, IMAGED + 9, IMAGED + 12, IMAGED + 15
 
 
 @kernel(fastmath=FAST)
@@ -76,8 +76,8 @@ def observe(state: State, see: SortedObservations, m: int, out: Array) -> bool:
             c1 = b0 * b[1] + b1 * b[4] + b2 * b[7]
             c2 = b0 * b[2] + b1 * b[5] + b2 * b[8]
             # x' = B exp([w]x) p: dx/dw = -B [p]x
-            out[k, BY_TURN], out[k, BY_TURN + 1] = c2 * p1 - c1 * p2, c0 * p2 - c2 * p0
-            out[k, BY_TURN + 2] = c1 * p0 - c0 * p1
+            out[k, BY_ROTATION], out[k, BY_ROTATION + 1] = c2 * p1 - c1 * p2, c0 * p2 - c2 * p0
+            out[k, BY_ROTATION + 2] = c1 * p0 - c0 * p1
             b0, b1, b2 = c0, c1, c2
         out[k, BY_OWN], out[k, BY_OWN + 1], out[k, BY_OWN + 2] = b0, b1, b2
     return True

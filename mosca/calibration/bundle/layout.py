@@ -109,7 +109,7 @@ def layout_of(problem: Problem) -> NormalsLayout:
     observations = SortedObservations(
         see.camera[order], see.point[order], np.asarray(see.placement)[order], see.xy_px.take(order, axis=0),
         1 / np.asarray(see.sigma_px)[order], part[own], slots.slot[own], kept_rank[see.point[order]],
-        slots.kept_slot[own], assigned.block[order],
+        slots.kept_slot[own], assigned.block[order]
     )  # fmt: skip
     first_observation = np.append(0, np.cumsum(np.bincount(run, minlength=len(runs) - 1)))
     blocks = _blocks(assigned, first_observation, slot_first, slot_group, runs, index.shape[1])
@@ -117,7 +117,7 @@ def layout_of(problem: Problem) -> NormalsLayout:
     pair_of, pairs = pair_table(slot_first, slot_group, observations.kept_group, observations.camera, groups)
     return NormalsLayout(
         observations, groups_of.columns, blocks, known, order, index, groups_of.names, assigned.members,
-        assigned.placed, groups_of.kept, kept_rods, groups_of.lens_places, groups_of.lens_factors, pair_of, pairs,
+        assigned.placed, groups_of.kept, kept_rods, groups_of.lens_places, groups_of.lens_factors, pair_of, pairs
     )  # fmt: skip
 
 
@@ -175,7 +175,7 @@ def _blocks(
 def _known(
     problem: Problem, rods: Distances, assigned: _Assignment, eliminated: Array, kept: Array
 ) -> tuple[Known, Distances]:
-    """Return what is known of the blocks beforehand, and the distances that touch only kept points."""
+    """Return the a-priori values of the blocks, and the distances that touch only kept points."""
     rod_arrays, kept_rods = _rods(
         rods, assigned.point_block, assigned.offset, eliminated, kept, len(assigned.size)
     )

@@ -1,7 +1,7 @@
 """Levenberg-Marquardt on the reduced normal equations of a bundle adjustment.
 
-Marquardt (1963): the diagonal is multiplied by 1 + damping; the damping falls after a step that brings what
-it promised and rises ever faster after one that does not (Nielsen 1999).
+Marquardt (1963): the diagonal is multiplied by 1 + damping; the damping falls after a step that gains what
+was predicted and rises ever faster after one that does not (Nielsen 1999).
 """
 
 from collections.abc import Sequence
@@ -29,14 +29,14 @@ FIRST_DAMPING, LEAST_DAMPING, WORST_DAMPING = 1e-6, 1e-10, 1e12
 STALLED = 1e2
 # of its promise a step may miss this share and the problem still counts as near enough to quadratic
 AS_PROMISED = 0.1
-# sums of squares of so many numbers cannot be told apart below this share of theirs
+# sums of squares of so many numbers cannot be distinguished below this share of theirs
 ROUNDING = 1e-14
 # residuals of rounding size, in standard deviations: an exact fit
 EXACT = 1e-9
 
-# residuals, in typical ones and in standard deviations, that make a point look badly placed; the share of them
-# that must be left when it is placed anew; and the residual of a point that is not imaged
-FAR, BETTER, NOWHERE = 8.0, 0.5, 1e9
+# residuals, in typical ones and in standard deviations, that mark a point as badly placed; the share of them
+# that must be left when it is intersected again; and the residual of a point that is not imaged
+FAR_SIGMAS, LEFT_SHARE, UNSEEN_SIGMAS = 8.0, 0.5, 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +96,7 @@ def first_state(problem: Problem, layout: NormalsLayout) -> State:
 def placed_again(
     task: Task, state: State, residual: Array, weight: Array, least: float = 0.0
 ) -> State | None:
-    """Return the state with badly placed points intersected anew, None where that helps none.
+    """Return the state with badly placed points intersected again, None where that helps none.
 
     ``residual`` (n, 2) there [px]; ``least``: what, in standard deviations, a bad point has at least. Badly
     placed: a camera ought to see the point and does not, or sees it far from where the point lies; at a poor
@@ -104,9 +104,9 @@ def placed_again(
     """
     layout = task.layout
     away = _distances(layout, residual, weight)
-    if away.max(initial=0.0) < FAR:
+    if away.max(initial=0.0) < FAR_SIGMAS:
         return None
-    limit = least or FAR * max(float(np.median(away[weight > 0])), 1.0)
+    limit = least or FAR_SIGMAS * max(float(np.median(away[weight > 0])), 1.0)
     lost = np.intersect1d(layout.observations.point[away >= limit], layout.members)
     if len(lost) == 0:
         return None
@@ -118,14 +118,14 @@ def placed_again(
         np.bincount(layout.observations.point, one**2, len(points))
         for one in (away, _distances(layout, residuals(layout, again), weight))
     )
-    worse = after > BETTER * before
+    worse = after > LEFT_SHARE * before
     again.points[worse] = state.points[worse]
     return again if (~worse[lost]).any() else None
 
 
 def _distances(layout: NormalsLayout, residual: Array, weight: Array) -> Array:
     """Return how far (n,) points of the world are from where they are seen, in standard deviations."""
-    away = np.nan_to_num(np.hypot(residual[:, 0], residual[:, 1]) * weight, nan=NOWHERE)
+    away = np.nan_to_num(np.hypot(residual[:, 0], residual[:, 1]) * weight, nan=UNSEEN_SIGMAS)
     return np.where((weight > 0) & (layout.observations.placement < 0), away, 0.0)
 
 
@@ -186,7 +186,7 @@ def reduced(
 
 
 def descend(task: Task, start: State, weight: Array) -> Descent:
-    """Walk from ``start`` to the least cost; ``weight`` (n,) 1/sigma of the sorted image points, 0 where left
+    """Descend from ``start`` to the least cost; ``weight`` (n,) 1/sigma of the sorted image points, 0 where left
     out.
     """
     layout = task.layout
@@ -194,7 +194,7 @@ def descend(task: Task, start: State, weight: Array) -> Descent:
     state = start
     cost, unseen, pull = linearised(task, state, weight, normals)
     if unseen:
-        state = placed_again(task, state, normals.residuals_px, weight, NOWHERE) or state
+        state = placed_again(task, state, normals.residuals_px, weight, UNSEEN_SIGMAS) or state
         cost, unseen, pull = linearised(task, state, weight, normals)
     used = int((weight > 0).sum())
     redundancy = max(2 * used - len(layout.names) - int(layout.blocks.size.sum()), 1)
@@ -219,7 +219,8 @@ def descend(task: Task, start: State, weight: Array) -> Descent:
         ratio = gained / promised
         fall = 0.1 if ratio > 0.75 else max(1 / 3, 1 - (2 * ratio - 1) ** 3)
         damping, growth = max(damping * fall, LEAST_DAMPING), 2.0
-        # steps that keep their promises shrink at least linearly: what the next would promise, at the last one's rate
+        # steps that gain what was predicted shrink at least linearly: predicted gain of the next, at
+        # the last one's rate
         next_one = promised**2 / before if before > 0 and abs(ratio - 1) < AS_PROMISED else np.inf
         if min(gained, next_one) <= enough:
             return Descent(state, normals, cost, step + 1, unseen, damping < STALLED)

@@ -60,7 +60,7 @@ class Batch(NamedTuple):
 @kernel(fastmath=FAST)
 def linearise(
     state: State, see: SortedObservations, columns: LensColumns, blocks: Blocks, known: Known, loss: Loss,
-    normals: NormalEquations,
+    normals: NormalEquations
 ) -> tuple[float, int]:  # fmt: skip
     """Write the normal equations at ``state`` into ``normals``; return the cost and the number of unseen points."""
     cameras = state.cameras
@@ -88,7 +88,7 @@ def linearise(
                 if camera_of[m + count] != camera or offset[m + count] != offset[m]:
                     break
                 count += 1
-            # whole vectors only: what is too many repeats the last point, with the weight 0
+            # whole vectors only: padding repeats the last point, with the weight 0
             lanes = -(-count // VECTOR) * VECTOR
             gather(state, see, m, count, lanes, work)
             project(cameras[camera], lanes, work, out)
@@ -118,7 +118,7 @@ def linearise(
 def _sum_camera(
     camera: int, used: int, lanes: int, w: Array, j: Array, group_normals: Array, group_slope: Array
 ) -> None:
-    """Add a strip to its camera's normals (the upper triangle) and slope."""
+    """Add a batch to its camera's normals (the upper triangle) and slope."""
     rows = 2 * LANES
     for i in range(0, used, 2):
         one, two = j[i * rows : (i + 1) * rows], j[(i + 1) * rows : (i + 2) * rows]
@@ -158,7 +158,7 @@ def _sum_block(batch: Batch, see: SortedObservations, blocks: Blocks, normals: N
         local[i] = block[m + i] - b
         together &= local[i] == local[0] + i
     column = (slot[m] - slot_first[block[m]]) * width
-    # a placement's block is its turn and then its shift, a point's part of a block one shift
+    # a placement's block is its rotation and then its shift, a point's part of a block one shift
     parts = 6 if see.placement[m] >= 0 else 3
     for first in range(0, parts, 3):
         for second in range(0, parts, 3):

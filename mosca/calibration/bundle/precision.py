@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mosca.calibration.bundle.kernels import BY_OWN, BY_POSE, BY_TURN, BY_WORLD, OBSERVED, observe, weigh
+from mosca.calibration.bundle.kernels import BY_OWN, BY_POSE, BY_ROTATION, BY_WORLD, OBSERVED, observe, weigh
 from mosca.calibration.bundle.lenses import FAST, L
 from mosca.calibration.bundle.tables import (
     Blocks,
@@ -36,7 +36,7 @@ class BlockCofactors(NamedTuple):
 @kernel(fastmath=FAST)
 def precise(
     state: State, see: SortedObservations, base_weight: Array, columns: LensColumns, blocks: Blocks, loss: Loss,
-    mixed: Array, inverse: ReducedInverse, block_cofactors: Array, tests: Array,
+    mixed: Array, inverse: ReducedInverse, block_cofactors: Array, tests: Array
 ) -> None:  # fmt: skip
     """Write cofactors of the blocks and the residual and test statistic of each image point.
 
@@ -124,7 +124,7 @@ def _times_inverse(inverse: Array, at: int, n: int, blocks: int, matrix: Array, 
 @step(fastmath=FAST)
 def _test(
     m: int, state: State, see: SortedObservations, base_weight: Array, columns: LensColumns, loss: Loss,
-    inverse: ReducedInverse, work: tuple[Array, Array, Array, Array], part: BlockCofactors, tests: Array,
+    inverse: ReducedInverse, work: tuple[Array, Array, Array, Array], part: BlockCofactors, tests: Array
 ) -> None:  # fmt: skip
     """Write the tests of one image point; ``part``: cofactors of its block."""
     block, spread, n, first = part
@@ -137,7 +137,7 @@ def _test(
         tests[m, :] = np.nan
         return
     by_unknowns(out, columns, camera, j)
-    # derivatives by the unknowns of the groups, and where these stand among all
+    # derivatives by the unknowns of the groups, and their indices among all
     size = width
     for k in range(2):
         for i in range(width):
@@ -162,11 +162,13 @@ def _test(
     own = 0 if n == 0 else (6 if placement >= 0 else 3)
     for i in range(own):
         row = offset[m] + i
-        unknown = BY_TURN + i if own == 6 and i < 3 else (BY_WORLD + i - 3 if own == 6 else BY_WORLD + i)
+        unknown = BY_ROTATION + i if own == 6 and i < 3 else (BY_WORLD + i - 3 if own == 6 else BY_WORLD + i)
         d0, d1 = out[0, unknown], out[1, unknown]
         f0 = f1 = 0.0
         for k in range(own):
-            other = BY_TURN + k if own == 6 and k < 3 else (BY_WORLD + k - 3 if own == 6 else BY_WORLD + k)
+            other = (
+                BY_ROTATION + k if own == 6 and k < 3 else (BY_WORLD + k - 3 if own == 6 else BY_WORLD + k)
+            )
             x = block[row, offset[m] + k]
             f0 += x * out[0, other]
             f1 += x * out[1, other]

@@ -1,4 +1,4 @@
-"""What is known beforehand of the unknowns that stay in the reduced system: lenses, camera poses, kept
+"""A-priori observations of the unknowns of the reduced system: lenses, camera poses, kept
 points.
 """
 
@@ -16,7 +16,7 @@ from mosca.data.arrays import Array
 
 @dataclass(frozen=True)
 class LensPrior:
-    """A free lens parameter observed beforehand: its column, its place (camera, parameter), value and sigma."""
+    """A free lens parameter observed a priori: its column, its camera and parameter, value and sigma."""
 
     column: int
     camera: int
@@ -53,7 +53,7 @@ def free_lens_parameters(problem: Problem, layout: NormalsLayout) -> list[tuple[
 def pulls(
     problem: Problem, layout: NormalsLayout, priors: Priors, state: State
 ) -> tuple[tuple[Array, Array] | None, float]:
-    """Return normal matrix (u, u) and slope (u,) of all that is known beforehand, and its cost; None if
+    """Return normal matrix (u, u) and slope (u,) of all a-priori observations, and its cost; None if
     nothing is.
     """
     weighted = [
@@ -110,8 +110,8 @@ def _kept_rods(layout: NormalsLayout, points: Array, normals: Array, slope: Arra
 
 
 def count(problem: Problem, layout: NormalsLayout, priors: Priors) -> int:
-    """Return how many observations beside image points the adjustment has: lengths and all that is known
-    beforehand.
+    """Return how many observations beside image points the adjustment has: lengths and a-priori
+    values.
     """
     poses = sum(0 < sigma < np.inf for one in problem.cameras for sigma in one.pose_sigma)
     lengths = len(layout.known.distances) + len(layout.kept_rods)

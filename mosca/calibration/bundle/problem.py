@@ -30,7 +30,7 @@ class CameraUnknowns:
 
     ``free``: lens parameters to estimate, or "f_px" (fx and fy together). ``priors``: name -> (value,
     standard deviation) of free lens parameters, in their units. ``pose_sigma`` (6,): a-priori standard
-    deviations of the turn about the camera's own x, y, z axes [rad] and of its position [m] from the starting
+    deviations of the rotation about the camera's own x, y, z axes [rad] and of its position [m] from the starting
     pose (FREE, HELD or between). ``lens_as``: name of a camera before this one whose lens this one shares;
     the lens, ``free`` and ``priors`` are then that one's. Raises ValueError for what cannot be, InputError
     for an unknown parameter.
@@ -145,7 +145,7 @@ class Placements:
     """Poses ``world_from_thing`` of rigid things (a board, a wand, a body), one a thing and frame: unknown.
 
     ``rotation`` (f, 3, 3), ``translation`` (f, 3) [m]: starting values; ``sigma`` (f, 6): a-priori standard
-    deviations of the turn about the thing's own axes [rad] and of its position [m], infinite where free
+    deviations of the rotation about the thing's own axes [rad] and of its position [m], infinite where free
     (default), never 0. A camera worn through a room is the same with the roles exchanged: camera held at the
     origin, the room placed.
     """
@@ -251,7 +251,7 @@ class Problem:
 
     ``datum``: "given": what is held or weighted fixes the coordinate system; "points": a free network, whose
     datum is that its points ``datum_points`` (p,) bool (default: all points of the world that are seen)
-    neither shift, turn nor, where no length is known, stretch against their given values (inner constraints,
+    neither shift, rotate nor, where no length is known, stretch against their given values (inner constraints,
     Meissl 1962).
     """
 

@@ -24,7 +24,7 @@ def invert(matrix: Array, at: int, n: int, damping: float, lower: Array, inverse
     """Invert the symmetric n x n block at ``matrix[at:]``, its diagonal times 1 + damping, by Cholesky's
     method.
 
-    Writes the inverse to the same place of ``inverse``; ``lower`` is room to work. A direction that the block
+    Writes the inverse to the same offset of ``inverse``; ``lower`` is a work array. A direction that the block
     does not determine (SINGULAR_PIVOT) is held: its rows of the inverse are zero.
     """
     for i in range(n):
@@ -37,7 +37,7 @@ def invert(matrix: Array, at: int, n: int, damping: float, lower: Array, inverse
                 lower[i, k] = s * lower[k, k]
             else:
                 lower[i, i] = 1 / np.sqrt(s) if s > SINGULAR_PIVOT * diagonal else 0.0
-    # the inverse of the triangle in its own place (its diagonal already stands inverted)
+    # the inverse of the triangle in place (its diagonal is inverted already)
     for i in range(n):
         for k in range(i):
             s = 0.0
@@ -78,7 +78,7 @@ def invert_three(m: Array, at: int, damping: float, out: Array) -> None:
 def _carry(inverse: Array, at: int, n: int, size: int, own: Array, each: Array, out: Array) -> None:
     """Write W V^-1 of a run (columns, n size) into ``out``.
 
-    ``own``: its W; ``each`` (n n, size): room for its V^-1, element by element.
+    ``own``: its W; ``each`` (n n, size): work array for its V^-1, element by element.
     """
     for one in range(size):
         for i in range(n * n):
@@ -248,7 +248,7 @@ def back_substitute(
 @kernel
 def sorted_by(key: Array, size: int, before: Array) -> Array:
     """Return the order ``before`` (n,) sorted by ``key`` (n,), whole numbers below ``size``, by counting: equal ones
-    stay as they stand.
+    keep their order.
     """
     order, first = np.empty(before.size, np.int64), np.zeros(size + 1, np.int64)
     for m in range(key.size):

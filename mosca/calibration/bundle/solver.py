@@ -1,6 +1,6 @@
 """Bundle adjustment: the one solver for wands, test fields, boards, self-calibration and body-worn cameras.
 
-A ``Problem`` says what is unknown and what was observed, ``solve`` returns the ``Adjustment``:
+A ``Problem`` states what is unknown and what was observed, ``solve`` returns the ``Adjustment``:
 
     cameras = tuple(CameraUnknowns(camera, free=("f_px", "k1")) for camera in rig.cameras)
     observations = Observations(camera, point, xy_px)
@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg.lapack import dposv
 
 from mosca.calibration.bundle.adjustment import Adjustment, Precision, precision_of, tested
-from mosca.calibration.bundle.data_snooping import snoop, without_lonely
+from mosca.calibration.bundle.data_snooping import snoop, without_undetermined
 from mosca.calibration.bundle.datum import check_datum, generators, null_generators, weak_directions
 from mosca.calibration.bundle.initial_points import intersected
 from mosca.calibration.bundle.inner_constraints import diagonals, onto_given
@@ -58,32 +58,31 @@ from mosca.errors import CalibrationError
 
 __all__ = [
     "FOCAL", "FREE", "HELD", "Adjustment", "BundleSettings", "CameraUnknowns", "Distances", "ObjectPoints",
-    "Observations", "Placements", "Precision", "Problem", "solve",
+    "Observations", "Placements", "Precision", "Problem", "solve"
 ]  # fmt: skip
 LOSSES = {"least squares": LEAST_SQUARES, "huber": HUBER, "cauchy": CAUCHY}
 HOLDING_ROUNDS, PLACING_ROUNDS = 16, 5
-# unknowns of the reduced system up to which its eigenvectors are looked at
-MOST_LOOKED_INTO = 1500
+# unknowns of the reduced system up to which its eigenvectors are examined
+MOST_EIGENVECTORS = 1500
 
 
 @dataclass(frozen=True)
 class BundleSettings:
-    """How a bundle is adjusted.
-
-    ``loss``: robust losses count residuals beyond ``loss_scale`` (in a-priori standard deviations, of both
-    coordinates together) for less. ``tolerance``: share of its standard deviation by which an unknown may
-    still move at the end. ``blunder_significance``: chance that an image point is rejected in an adjustment
-    without blunders; None rejects none. ``hold_weak``: hold lens parameters that the data leave open near
-    their starting values. ``precision``: work out covariances, redundancy numbers and tests.
-    """
+    """How a bundle is adjusted."""
 
     loss: Literal["least squares", "huber", "cauchy"] = "least squares"
+    """Robust losses give less weight to residuals beyond ``loss_scale``."""
     loss_scale: float = 2.5
+    """In a-priori standard deviations, of both coordinates together."""
     tolerance: float = 1e-2
+    """Share of its standard deviation by which an unknown may still move at the end."""
     most_steps: int = 100
     blunder_significance: float | None = None
+    """Chance that an image point is rejected in an adjustment without blunders; None rejects none."""
     hold_weak: bool = True
+    """Hold lens parameters that the data do not determine near their starting values."""
     precision: bool = True
+    """Compute covariances, redundancy numbers and tests."""
 
 
 def solve(
@@ -99,7 +98,7 @@ def solve(
     state = first_state(problem, layout) if start is None else _state_of(problem, layout, start)
     loss = Loss(LOSSES[settings.loss], settings.loss_scale**2)
     task = Task(problem, layout, lens_priors(problem, layout), loss, settings.tolerance, settings.most_steps)
-    weight = without_lonely(layout, layout.observations.weight)
+    weight = without_undetermined(layout, layout.observations.weight)
     task, solution, weak, steps = _solved(task, state, weight, settings.hold_weak)
     held = tuple(layout.names[one.column] for one in task.priors[len(lens_priors(problem, layout)) :])
     rejected = np.zeros(len(layout.order), dtype=bool)
@@ -164,7 +163,7 @@ def _solved(
             descent = other
         matrix, inverse, motions = _normal_matrix(task, descent)
         more: Priors = ()
-        if 0 < len(matrix) <= MOST_LOOKED_INTO:
+        if 0 < len(matrix) <= MOST_EIGENVECTORS:
             variance = _variance(task, Solution(descent, weight, matrix, inverse, motions))[0]
             found, more = weak_directions(
                 task.problem, task.layout, descent.state, matrix, variance, task.priors

@@ -1,15 +1,15 @@
-"""What lasts from exposure to exposure of a target that stands still, and does not average out.
+"""Systematic image errors, which repeated exposures of a stationary target share and which do not average out.
 
-A lens is not quite what its model says, and a mark's image is not quite where its light is: while a target stands,
-these errors are the same in each exposure. Least squares takes them for new ones each time. Repeats tell them from
+A lens is not quite its model, and a mark's image is not quite where its light is: while a target is stationary, these
+errors are the same in each exposure. Least squares takes them for new ones each time. Repeats distinguish them from
 noise (pure error and lack of fit: Draper and Smith 1998, section 2.1): the mean residual of a mark that a camera saw
 n times has the variance rho (sigma_L^2 + sigma_n^2 / n), of which the scatter among the n knows sigma_n, and rho is
 what the adjustment leaves of it (redundancy numbers, Baarda 1968). What they do to the parameters p is their part of
 
     C_L = N^-1 (sum over cells of g^T sigma_L^2 (1 - 1/n) g) N^-1,   g = sum over the cell of A^T W,
 
-the covariance of estimates whose errors hang together in cells, here a mark at a stand in a camera (White 1980;
-Liang and Zeger 1986). The part 1/n of it stands in the covariance of independent errors already.
+the covariance of estimates whose errors hang together in cells, here a mark in one stationary interval and camera
+(White 1980; Liang and Zeger 1986). The part 1/n of it is in the covariance of independent errors already.
 """
 
 import numpy as np
@@ -20,16 +20,16 @@ from mosca.calibration.bundle.problem import Problem
 from mosca.data.arrays import Array
 
 FEWEST_CELLS = 20
-"""Marks at stands that a camera must have seen repeatedly for it to be told how much lasts."""
+"""Cells that a camera must have seen repeatedly for its systematic error to be estimated."""
 LEAST_REDUNDANCY = 0.1
-"""Cells whose mean residual the adjustment fits nearly away tell nothing."""
+"""Cells whose mean residual the adjustment fits nearly away are left out."""
 
 
-def lasting_errors(adjustment: Adjustment, camera: Array, cell: Array) -> Array:
-    """Return the part of image errors that lasts (c,), rms an axis [px]; NaN where repeats do not tell it.
+def systematic_errors(adjustment: Adjustment, camera: Array, cell: Array) -> Array:
+    """Return the systematic part of image errors (c,), rms an axis [px]; NaN without enough repeats.
 
     ``adjustment``: with precision; ``camera`` (n,) of each observation; ``cell`` (n,) alike for observations that
-    one camera made of one mark at one stand.
+    one camera made of one mark in one stationary interval.
     """
     assert adjustment.precision is not None
     cameras = len(adjustment.cameras)
@@ -50,10 +50,10 @@ def lasting_errors(adjustment: Adjustment, camera: Array, cell: Array) -> Array:
     return found
 
 
-def lasting_covariance(problem: Problem, adjustment: Adjustment, cell: Array, lasting_px: Array) -> Array:
-    """Return what errors that last add to the covariance (u, u) of ``adjustment.parameters``.
+def systematic_covariance(problem: Problem, adjustment: Adjustment, cell: Array, lasting_px: Array) -> Array:
+    """Return what systematic errors add to the covariance (u, u) of ``adjustment.parameters``.
 
-    ``cell`` as for ``lasting_errors``; ``lasting_px`` (c,) what that found, NaN counts nothing.
+    ``cell`` as for ``systematic_errors``; ``lasting_px`` (c,) what that found, NaN counts nothing.
     """
     if len(adjustment.parameters) == 0 or not np.nansum(lasting_px) > 0:
         return np.zeros((len(adjustment.parameters),) * 2)

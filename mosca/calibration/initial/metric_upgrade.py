@@ -67,7 +67,7 @@ def grown(
     """Add cameras to a projective reconstruction as long as they see ``fewest`` of its points, ``most`` in all.
 
     ``xy`` (c, p, 2): plain image points of all cameras, NaN where unseen. Projection matrices and points are
-    then found anew in turns.
+    then estimated again alternately.
     """
     one, tried = start, set(start.cameras)
     while len(one.cameras) < most:
@@ -119,7 +119,7 @@ def _again(one: ProjectiveReconstruction, xy: Array, rng: np.random.Generator) -
 
 def metric_guesses(one: ProjectiveReconstruction, most: int) -> list[MetricGuess]:
     """Return up to ``most`` metric guesses of a projective reconstruction, the likeliest first."""
-    # distances from the other camera's focal length tell apart what lies on one valley
+    # distances from the other camera's focal length distinguish what lies on one valley
     focal = np.geomspace(*FOCAL_RANGE, GRID)
     first, second = (side.ravel() for side in np.meshgrid(focal, focal, indexing="ij"))
     # the first camera's matrix becomes (I | 0)
@@ -146,7 +146,7 @@ def _upgrades(matrices: Array, first: Array, second: Array, sign: float = 1.0) -
     m = p[None] * k1[:, None, :] / k2[:, :, None]
     t = e[None] / k2
     length = np.linalg.norm(t, axis=1)
-    w = _turned_to_x(t / length[:, None]) @ m
+    w = _rotation_to_x(t / length[:, None]) @ m
     size = np.sqrt(np.linalg.norm(w[:, 1], axis=1) * np.linalg.norm(w[:, 2], axis=1))
     row = (np.cross(w[:, 1], w[:, 2]) / size[:, None] - w[:, 0]) / length[:, None]
     out = np.zeros((len(first), 4, 4))
@@ -155,7 +155,7 @@ def _upgrades(matrices: Array, first: Array, second: Array, sign: float = 1.0) -
     return out
 
 
-def _turned_to_x(unit: Array) -> Array:
+def _rotation_to_x(unit: Array) -> Array:
     """Return rotations (g, 3, 3) that turn unit vectors (g, 3) into the x axis."""
     other = np.where(np.abs(unit[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
     y = np.cross(unit, other)

@@ -9,17 +9,17 @@ from mosca.data.rig import Pose
 from mosca.errors import CalibrationError
 
 View = tuple[int, int]
-"""A camera and a stand: the indices of who saw the target, and of which pose it had."""
+"""A camera and a pose of the target, by index."""
 
 
 def chain(
     views: Mapping[View, Pose], doubt: Mapping[View, float], reference: int, names: Sequence[str]
 ) -> tuple[dict[int, Pose], dict[int, Pose]]:
-    """Return world_from_camera by camera and world_from_target by stand, the world being stand ``reference``.
+    """Return world_from_camera by camera and world_from_target by target pose, the world being pose ``reference``.
 
-    ``views``: camera_from_target of each view; ``doubt``: how little each is to be trusted. Grown from the
-    reference along the least doubtful views (a minimum spanning tree); stands that no placed camera saw are left
-    out. CalibrationError names the cameras that no common view joins.
+    ``views``: camera_from_target of each view; ``doubt``: how little each is to be trusted. Grown from the reference
+    along the least doubtful views (a minimum spanning tree); target poses that no placed camera saw are left out.
+    CalibrationError names the cameras that no common view joins.
     """
     cameras: dict[int, Pose] = {}
     stands: dict[int, Pose] = {reference: Pose(np.eye(3), np.zeros(3))}

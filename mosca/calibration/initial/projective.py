@@ -53,7 +53,7 @@ def fundamental(first: Array, second: Array, rng: np.random.Generator, samples: 
 def plane_misfit(first: Array, second: Array, rng: np.random.Generator) -> float:
     """Return by how much (median, units of the coordinates) the best homography misses image points (n, 2).
 
-    Small where the points lie in a plane or the cameras stand together: then they say little about a pair.
+    Small where the points lie in a plane or the cameras stand together: then they determine a pair poorly.
     """
     x = _h(first)
 
@@ -106,7 +106,7 @@ def transfer(matrix: Array, points: Array, xy: Array) -> Array:
 
 
 def minima(grid: Array) -> list[tuple[int, int]]:
-    """Return the places of the local minima of a grid (n, m), the deepest first."""
+    """Return the positions of the local minima of a grid (n, m), the deepest first."""
     padded = np.pad(grid, 1, constant_values=np.inf)
     rows, columns = grid.shape
     around = [

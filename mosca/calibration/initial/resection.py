@@ -2,7 +2,7 @@
 
 The direct linear transformation (Abdel-Aziz and Karara 1971) gives the 3 x 4 projection matrix of at least six
 points that do not lie in one plane; its factors are the camera. Random samples scored by the median residual
-(Rousseeuw 1984; concentration steps of Rousseeuw and Van Driessen 1999) keep up to about a third of
+(Rousseeuw 1984; concentration steps of Rousseeuw and Van Driessen 1999) tolerate up to about a third of
 blunders out. The result has no distortion: it is where ``mosca.calibration.single_camera.adjust`` starts.
 """
 
@@ -19,7 +19,7 @@ from mosca.errors import CalibrationError
 
 FEWEST_POINTS = 6
 # rms distance from the best plane over the largest rms extent: below it the principal distance and the distance
-# to the camera cannot be told apart
+# to the camera cannot be distinguished
 LEAST_RELIEF = 5e-3
 SAMPLES = 300
 SAMPLES_A_FIELD_ANGLE = 60
@@ -60,7 +60,7 @@ def resect(where: str, xy_px: Array, xyz: Array, rng: np.random.Generator) -> Re
     interior, rotation, origin = _factors(where, back @ matrix, world[inliers])
     lens = OpenCVLens(*(float(interior[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))))
     pose = Pose(rotation.T, origin)
-    # the linear solution's own residual (with its skew) judges the points, not the pinhole's
+    # the linear solution's own residual (with its skew) is the criterion for the points, not the pinhole's
     homogeneous = np.column_stack([world, np.ones(len(world))]) @ (back @ matrix).T
     distance = np.linalg.norm(homogeneous[:, :2] / homogeneous[:, 2:] - xy, axis=1)
     median = float(np.median(distance))
@@ -88,7 +88,7 @@ def resect_fisheye(
         pinhole = resect(where, xy, world, rng)
         f = float(np.sqrt(pinhole.lens.fx_px * pinhole.lens.fy_px))
         pose = aim(pinhole, (cx, cy))
-        found.append(_judged(FisheyeLens(f, f, cx, cy), pose, xy, world))
+        found.append(_evaluated(FisheyeLens(f, f, cx, cy), pose, xy, world))
     except CalibrationError as failure:
         failures.append(failure)
     radius = np.linalg.norm(xy - (cx, cy), axis=1).max()
@@ -99,7 +99,7 @@ def resect_fisheye(
         left, sizes, right = np.linalg.svd(matrix[:, :3])
         if np.linalg.det(left @ right) > 0 and sizes[2] > 1e-6 * sizes[0]:
             origin = -np.linalg.solve(matrix[:, :3], matrix[:, 3])
-            found.append(_judged(lens, Pose((left @ right).T, origin), xy, world))
+            found.append(_evaluated(lens, Pose((left @ right).T, origin), xy, world))
     if not found:
         raise failures[0]
     best = min(found, key=lambda candidate: candidate.median_px)
@@ -116,10 +116,10 @@ def resect_fisheye(
 
 
 def aim(resection: Resection, centre_px: tuple[float, float]) -> Pose:
-    """Return the pose turned so that its z axis is the ray of ``centre_px``.
+    """Return the pose rotated so that its z axis is the ray of ``centre_px``.
 
     Where the principal point is then held at ``centre_px``, the image moves little: a shift of the principal
-    point and a small turn of a camera look alike.
+    point and a small rotation of a camera cannot be separated.
     """
     z = lens_directions(resection.lens, np.array([centre_px]))[0]
     y = np.cross(z, [1.0, 0.0, 0.0])
@@ -254,7 +254,7 @@ def _factors(where: str, matrix: Array, world: Array) -> tuple[Array, Array, Arr
     return interior / interior[2, 2], rotation, -np.linalg.solve(matrix[:, :3], matrix[:, 3])
 
 
-def _judged(lens: FisheyeLens, pose: Pose, xy: Array, world: Array) -> Resection:
+def _evaluated(lens: FisheyeLens, pose: Pose, xy: Array, world: Array) -> Resection:
     distance = np.linalg.norm(lens_pixels(lens, pose.inverse().transform(world)) - xy, axis=1)
     distance = np.nan_to_num(distance, nan=np.inf)
     median = float(np.median(distance))

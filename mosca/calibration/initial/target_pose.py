@@ -1,8 +1,8 @@
 """Pose of a known rigid target before a calibrated camera: linear starts, refined; a plane has two.
 
-A target seen under angles that hardly differ from a parallel projection looks the same when its relief is turned
+A target seen under angles that hardly differ from a parallel projection looks the same when its relief is inverted
 inside out along the line of sight. For a solid target the two differ in the images; for a plane only its
-perspective tells them apart (Oberkampf, DeMenthon and Davis 1996), so that both poses are returned, the
+perspective distinguishes them (Oberkampf, DeMenthon and Davis 1996), so that both poses are returned, the
 better-fitting one first.
 """
 
@@ -62,12 +62,7 @@ def homography(plane: Array, image: Array) -> Array:
     p = np.column_stack([plane, np.ones(len(plane))]) @ a.T
     q = np.column_stack([image, np.ones(len(image))]) @ b.T
     none = np.zeros_like(p)
-    rows = np.concatenate(
-        [
-            np.hstack([p, none, -q[:, :1] * p]),
-            np.hstack([none, p, -q[:, 1:2] * p]),
-        ]
-    )
+    rows = np.concatenate([np.hstack([p, none, -q[:, :1] * p]), np.hstack([none, p, -q[:, 1:2] * p])])
     matrix = np.linalg.inv(b) @ np.linalg.svd(rows)[2][-1].reshape(3, 3) @ a
     return np.asarray(matrix / np.linalg.norm(matrix))
 
@@ -86,10 +81,10 @@ def _starts(rays: Array, points: Array) -> list[Pose]:
     if len(points) >= FEWEST_SOLID and relief > LEAST_RELIEF:
         solid = _solid_start(rays, points)
         starts += [] if solid is None else [solid]
-    # look along the rays' middle, so that wide views are plane images too
+    # view along the rays' middle, so that wide views are plane images too
     view = rays.mean(axis=0)
     view /= np.linalg.norm(view)
-    turn = _turned_to(view)
+    turn = _rotated_to(view)
     seen = rays @ turn
     if (seen[:, 2] > 1e-3).all():
         local = (points - middle) @ axes
@@ -101,7 +96,7 @@ def _starts(rays: Array, points: Array) -> list[Pose]:
     return starts
 
 
-def _turned_to(z: Array) -> Array:
+def _rotated_to(z: Array) -> Array:
     side = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.7 else np.array([0.0, 1.0, 0.0])
     y = np.cross(z, side)
     y /= np.linalg.norm(y)
@@ -123,7 +118,7 @@ def _plane_start(plane: Array, image: Array) -> Pose | None:
 
 
 def _mirrored(pose: Pose) -> Pose:
-    """Return the pose of the plane whose relief along the line of sight is turned inside out."""
+    """Return the pose of the plane whose relief along the line of sight is inverted."""
     view = pose.translation / np.linalg.norm(pose.translation)
     flip = np.eye(3) - 2 * np.outer(view, view)
     axes = flip @ pose.rotation
@@ -158,7 +153,7 @@ def _refined(start: Pose, rays: Array, points: Array, robust: bool) -> PoseFit |
     """
     across = _across(rays)
     rotation, translation = start.rotation, start.translation
-    middle = points.mean(axis=0)  # turns about the target's middle: turn and shift hardly mix
+    middle = points.mean(axis=0)  # rotations about the target's middle: rotation and shift hardly mix
     translation = translation + rotation @ middle
     local = points - middle
     weight = np.ones(len(points))
@@ -197,7 +192,7 @@ def _refined(start: Pose, rays: Array, points: Array, robust: bool) -> PoseFit |
 def _residuals(
     rotation: Array, translation: Array, rays: Array, across: Array, points: Array
 ) -> tuple[Array | None, Array | None]:
-    """Return residuals (n, 2) [tangent] and their slope (n, 2, 6) by turn and shift; None behind the camera."""
+    """Return residuals (n, 2) [tangent] and their slope (n, 2, 6) by rotation and shift; None behind the camera."""
     v = points @ rotation.T + translation
     depth = np.einsum("ni,ni->n", rays, v)
     if not (depth > 1e-9).all():

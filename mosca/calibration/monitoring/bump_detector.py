@@ -1,6 +1,6 @@
-"""A running rig watches itself: an alarm when a camera was bumped, by name, and its new pose from the others.
+"""Detects cameras that were bumped during a run, by name.
 
-Each frame's points give, camera by camera, the turn that would best explain how its image lies beside what the
+Each frame's points give, camera by camera, the rotation that would best explain how its image lies beside what the
 other cameras see, with all cameras' information on each other (Baarda 1968's test of one camera's common
 shift against all residuals). Sums over the last frames are tested; the body's shake of whole images is part of
 their covariance. A bump too large for the matching shows as a camera whose images all miss by one shift.
@@ -35,11 +35,11 @@ class BumpSettings:
     ``windows``: numbers of last frames that are tested; ``significance``: chance of a false alarm at one test;
     ``least_px``: shifts of an image below this are let pass (calibration errors, warming up);
     ``least_frames``: how long it must last, and ``least_points``: how many of its images a frame it must be seen in,
-    or a half-hidden marker or two look like a bump (measured on a drone with eight); ``lead``: by how much
+    or a few half-hidden markers are taken for a bump (measured on a drone with eight); ``lead``: by how much
     (chi-square) the camera must explain the residuals better than any other to be named; ``body_px``: how far a
     camera's body shakes its whole image, rms an axis and frame; ``camera_sigma_px``: random error of an image
     point beside its detection's. ``lost_share``: a camera that fewer than this share of the expected points meet,
-    while as many images beside them lie at one common shift, was bumped far; ``lost_frames`` looked at.
+    while as many images beside them lie at one common shift, was bumped far; ``lost_frames`` examined.
     """
 
     windows: tuple[int, ...] = (5, 20, 80)
@@ -58,7 +58,7 @@ class BumpSettings:
 class Alarm:
     """A camera was bumped.
 
-    ``camera`` None where the residuals do not tell which of ``suspects``; ``since`` the frame from which on;
+    ``camera`` None where the residuals do not determine which of ``suspects``; ``since`` the frame from which on;
     ``shift_px`` by how much its image moved (rms over the points); ``turn_rad`` (3,) about its own axes that
     explains it, NaN where only the shift is known; ``chi_square`` of the change with 3 degrees of freedom and
     ``significance``, the chance of it without a bump.
@@ -85,7 +85,7 @@ class Alarm:
 
 
 class BumpDetector:
-    """Watches a rig for bumped cameras; ``update`` takes each frame set's points and says so at most once a bump."""
+    """Detects bumped cameras; ``update`` takes each frame set's points and raises at most one alarm a bump."""
 
     def __init__(self, rig: Rig, settings: BumpSettings | None = None) -> None:
         self.settings = settings or BumpSettings()
@@ -145,7 +145,7 @@ class BumpDetector:
         if np.mean([one.count[best] for one in every[first:]]) < self.settings.least_points:
             return None
         if not named and len(self.rig.names) > 2 and len(every) - first < self.settings.windows[-1] // 2:
-            return None  # a few frames more will tell which
+            return None  # a few more frames will decide which
         return Alarm(
             self.rig.names[k] if named else None,
             tuple(rivals if len(self.rig.names) > 2 else self.rig.names),
@@ -162,7 +162,7 @@ class BumpDetector:
             return None
         return Alarm(
             found.camera, (found.camera,), found.since, found.shift_px, (float("nan"),) * 3, found.chi_square,
-            float(chi2.sf(found.chi_square, 1)),
+            float(chi2.sf(found.chi_square, 1))
         )  # fmt: skip
 
 
@@ -178,10 +178,10 @@ class Changes:
 
 
 def changes(frames: list[FrameSums]) -> Changes:
-    """Return what each camera would have to have turned by to explain the sums of ``frames``.
+    """Return what each camera would have to be rotated by to explain the sums of ``frames``.
 
     E v = M[:, k] w, Cov v = M + M B M summed over frames; generalised least squares, M pseudo-inverted, since
-    turns that no residual shows exist (two cameras).
+    rotations that no residual shows exist (two cameras).
     """
     v = sum((f.pull for f in frames), np.zeros_like(frames[0].pull))
     m = sum((f.information for f in frames), np.zeros_like(frames[0].information))
@@ -207,6 +207,6 @@ def changes(frames: list[FrameSums]) -> Changes:
 
 
 def _since(every: list[FrameSums], k: int) -> int:
-    """Return the first frame from which on camera k's turn explains most: the likeliest time of change."""
+    """Return the first frame from which on camera k's rotation explains most: the likeliest time of change."""
     starts = range(len(every))
     return max(starts, key=lambda first: changes(every[first:]).statistic[k])

@@ -16,9 +16,9 @@ from mosca.data.tracks import Points
 REACH_PX = 80.0
 BIN_PX = 2.0
 LEAST_EXPECTED = 20
-"""Points that a camera was expected to see in the frames looked at, for its absence to mean anything."""
+"""Points that a camera was expected to see in the frames examined, for its absence to count."""
 LEAST_VOTES = 8.0
-"""How many times the votes of an average place the common shift must have."""
+"""How many times the votes of an average bin the common shift must have."""
 
 
 @dataclass(frozen=True)
@@ -48,18 +48,16 @@ class LargeShiftDetector:
             others = (points.rays >= 0).sum(axis=1) - matched
             met, missed = int((matched & (others >= 2)).sum()), ~matched & (others >= 2)
             if met >= 2 * self._share * (met + int(missed.sum())):
-                self._seen[k].append(
-                    (frame, met, met, np.empty((0, 2)))
-                )  # nothing is lost: no need to look closer
+                self._seen[k].append((frame, met, met, np.empty((0, 2))))  # nothing is missing
                 continue
             with np.errstate(invalid="ignore"):
                 xy = project(camera, points.xyz[missed])
                 xy = xy[((xy > 0) & (xy < (camera.width - 1, camera.height - 1))).all(axis=1)]
             free = np.setdiff1d(np.arange(len(found)), points.rays[matched, k])
             self._seen[k].append((frame, met + len(xy), met, _displacements(xy, found.xy_px[free])))
-        return next((lost for k in range(len(self._seen)) if (lost := self._judged(k)) is not None), None)
+        return next((lost for k in range(len(self._seen)) if (lost := self._checked(k)) is not None), None)
 
-    def _judged(self, k: int) -> LargeShift | None:
+    def _checked(self, k: int) -> LargeShift | None:
         recent = self._seen[k]
         expected, met = sum(one[1] for one in recent), sum(one[2] for one in recent)
         if len(recent) < self._frames or expected < LEAST_EXPECTED or met >= self._share * expected:

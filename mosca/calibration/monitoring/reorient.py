@@ -1,4 +1,4 @@
-"""Re-orientation of a bumped camera from the points that the others track: its pose anew, its lens held."""
+"""Re-orientation of a bumped camera from the points that the others track: its pose is estimated, its lens held."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -52,8 +52,8 @@ class CameraObservations:
 class Reorientation:
     """A camera's new pose.
 
-    ``covariance`` (6, 6) of turn about its own axes [rad] and position [m], with the body's shake; ``sigma0`` of unit
-    weight (1 where the stated errors are right); ``used`` (n,) bool; ``rms_px`` of the used residuals;
+    ``covariance`` (6, 6) of rotation about its own axes [rad] and position [m], with the body's shake; ``sigma0`` of
+    unit weight (1 where the stated errors are right); ``used`` (n,) bool; ``rms_px`` of the used residuals;
     ``turn_rad`` and ``shift_m`` from the pose before.
     """
 
@@ -77,7 +77,7 @@ def gather(
     """Return what camera ``name`` saw of a frame's points that two or more others measure, without its own part.
 
     ``shift_px``: (x, y) by which its image is off (``common_shift``), for a bump so large that its images were not
-    matched: images are paired with points anew.
+    matched: images are paired with points again.
     """
     index, found = rig.names.index(rig.camera(name).name), detections.get(name)
     others = Rig(tuple(c for c in rig.cameras if c.name != name))
@@ -116,7 +116,7 @@ def common_shift(
 ) -> tuple[float, float]:
     """Return the shift (x, y) [px] that most of a camera's images have against the points of the others.
 
-    The densest place among all differences; (0, 0) where there are none. For one frame set.
+    The densest bin among all differences; (0, 0) where there are none. For one frame set.
     """
     camera, found = rig.camera(name), detections.get(name)
     others = (points.rays >= 0).sum(axis=1) - (points.rays[:, rig.names.index(name)] >= 0)

@@ -1,4 +1,4 @@
-"""Keeps a running rig true: watches it, and re-orients a bumped camera from the points that the others track.
+"""Monitors a running rig: detects bumps, and re-orients a bumped camera from the points that the others track.
 
 Given to ``mosca.pipeline.run`` as its keeper: each frame set's points go in, and the rig for the next comes out.
 """
@@ -67,7 +67,7 @@ class RigKeeper:
         """Take a frame set's points; ``rig`` may be another one afterwards."""
         self._recent.append((frame, detections, points))
         if self._open is not None:
-            # only frames since the bump tell the new pose
+            # only frames since the bump determine the new pose
             if frame - self._open.alarm.since >= REORIENT_FRAMES:
                 self._reorient(frame)
             return
@@ -100,7 +100,7 @@ class RigKeeper:
         self._open = None
         try:
             self.rig, new = reoriented(self.rig, name, CameraObservations.joined(parts), self._body_px)
-        except MoscaError as error:  # the run goes on with the old rig, and the incident says why
+        except MoscaError as error:  # the run goes on with the old rig; the incident gives the reason
             self.incidents.append(Incident(incident.alarm, incident.at, why_not=str(error)))
         else:
             self.incidents.append(Incident(incident.alarm, incident.at, frame, new))

@@ -1,4 +1,4 @@
-"""What one frame set's points say about each camera's turn, with all cameras' information on each other."""
+"""Normal equations of each camera's rotation from one frame set's points, correlations between cameras included."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,17 +12,17 @@ from mosca.data.rig import Rig
 from mosca.data.tracks import Points
 
 FARTHEST_SIGMAS = 6.0
-"""Images farther from their point than this are wrong matches and say nothing."""
+"""Images farther from their point than this are wrong matches and left out."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrameSums:
-    """Normal equations of c cameras' turns from one frame's residuals.
+    """Normal equations of c cameras' rotations from one frame's residuals.
 
     With residuals r of all images of a point, their weights W and J by the point, P = W - W J N^-1 J^T W leaves
-    what the point cannot take up; with A by the turns: ``pull`` (3c,) sum A^T P r, ``information`` (3c, 3c)
+    what the point cannot take up; with A by the rotations: ``pull`` (3c,) sum A^T P r, ``information`` (3c, 3c)
     sum A^T P A = M, ``spread`` (3c, 3c) covariance of the pull, M + M B M with B the body's shake.
-    ``image_square`` (c, 3, 3) sum of A^T A [px^2/rad^2] and ``count`` (c,) images: a turn's effect in px.
+    ``image_square`` (c, 3, 3) sum of A^T A [px^2/rad^2] and ``count`` (c,) images: a rotation's effect in px.
     """
 
     frame: int
@@ -67,7 +67,7 @@ def frame_sums(
 
 
 def _fitted(slope: Array, weight: Array, rest: Array, seen: Array) -> tuple[Array, Array, Array]:
-    """Return weights, residuals at each point's best place, and which points (n,) have three equations to spare
+    """Return weights, residuals at each point's best position, and which points (n,) have three equations to spare
     or a pair's one; images far off lose their weight.
     """
     weighted = np.swapaxes(slope, 2, 3) @ weight
@@ -95,16 +95,16 @@ def _sums(
     information = -between.reshape(3 * c, 3 * c)
     for k in range(c):
         information[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += own[:, k].sum(axis=0)
-    # at the point's best place sum J^T W r = 0, so that P r = W r
+    # at the point's best position sum J^T W r = 0, so that P r = W r
     pull = np.einsum("ncij,ncik,nck->cj", turn, weight, rest).reshape(-1)
-    shake = np.concatenate([body_px**2 * _turns_of_shifts(turn[:, k], seen[:, k]) for k in range(c)])
+    shake = np.concatenate([body_px**2 * _rotation_variances(turn[:, k], seen[:, k]) for k in range(c)])
     spread = information + information @ (shake[:, None] * information)
     square = np.einsum("ncij,ncik->cjk", turn, turn)
     return FrameSums(frame, pull, information, spread, square, seen.sum(axis=0).astype(float))
 
 
-def _turns_of_shifts(turn: Array, seen: Array) -> Array:
-    """Return the variances (3,) [rad^2/px^2] of turns that shift the image by 1 px an axis: about x and y only."""
+def _rotation_variances(turn: Array, seen: Array) -> Array:
+    """Return the variances (3,) [rad^2/px^2] of rotations, about x and y, that shift the image by 1 px an axis."""
     if not seen.any():
         return np.zeros(3)
     square = np.mean(np.sum(turn[seen] ** 2, axis=1), axis=0)

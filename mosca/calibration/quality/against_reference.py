@@ -1,4 +1,4 @@
-"""Against an earlier rig: do two cameras stand for each other, and did one move?
+"""Against an earlier rig: were two cameras exchanged, and did one move?
 
 The new poses are carried into the earlier rig's frame by the common motion of most cameras, and the earlier
 cameras' images of the new target points are held against what was seen: all in px, whatever the frames are.
@@ -91,9 +91,10 @@ def moved(calibration: Calibration, known: Rig, settings: QualityLimits) -> tupl
 
 
 def best_misfit(seen: list[_CameraView], assigned: list[Camera]) -> Array:
-    """Return the rms difference [px] (c,) of each camera to its assigned earlier one, moved as most cameras say.
+    """Return the rms difference [px] (c,) of each camera to its assigned earlier one, moved by the motion that most
+    cameras share.
 
-    Each camera in turn says what the common motion is; the one counts on which most agree.
+    Each camera proposes a common motion; the one on which most agree is taken.
     """
     every = []
     for voter, camera in zip(seen, assigned, strict=True):
@@ -168,7 +169,7 @@ def _own_sigma(calibration: Calibration, one: _CameraView) -> float:
 
 
 def _motion(seen: list[_CameraView], known: Rig, one: _CameraView, misfit: Array) -> tuple[float, float]:
-    """Return by how much a camera shifted [m] and turned [rad] against the camera that fits best."""
+    """Return by how much a camera shifted [m] and rotated [rad] against the camera that fits best."""
     others = [k for k, other in enumerate(seen) if other is not one]
     anchor = seen[min(others, key=lambda k: misfit[k])].camera
     motion = anchor.world_from_camera @ known.camera(anchor.name).world_from_camera.inverse()

@@ -1,6 +1,6 @@
-"""When not to believe a calibration: every check, one after the other.
+"""Quality checks of a calibration, one after the other.
 
-    findings = judge(calibration, known=rig_of_last_week, target_diameters_m=field_diameters)
+    findings = check_calibration(calibration, known=rig_of_last_week, target_diameters_m=field_diameters)
 
 A finding refuses, warns or notes; a good calibration has neither of the first two.
 """
@@ -21,7 +21,7 @@ from mosca.data.rig import Rig
 ORDER = {"refuse": 0, "warn": 1, "note": 2}
 
 
-def judge(
+def check_calibration(
     calibration: Calibration,
     *,
     known: Rig | None = None,
@@ -35,7 +35,7 @@ def judge(
 
     ``known``: an earlier rig of the same cameras; ``target_diameters_m``: true diameters of the marks (m,), or
     of all; ``lengths``: held-out lengths (``judge_size.length_errors``); ``volume`` (low, high) [m, world] where
-    will be measured; ``rigid_target``: the places of the world's marks were known beforehand, so that the target
+    will be measured; ``rigid_target``: the positions of the world's marks were known a priori, so that the target
     itself joins cameras that see none of its marks in common.
     """
     s = settings or QualityLimits()

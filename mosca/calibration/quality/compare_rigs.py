@@ -3,7 +3,7 @@
     for line in compare_rigs(rig, other).lines(): print(line)
 
 Rays are compared as lines at the working distance: a point on b's ray is imaged by a. What remains after one
-similarity (or rigid motion) common to all cameras is what matters for shapes; after each camera's own turn
+similarity (or rigid motion) common to all cameras is what matters for shapes; after each camera's own rotation
 remains what its lens alone does.
 """
 
@@ -23,7 +23,7 @@ from mosca.triangulation.triangulate import triangulate
 GRID_CELLS = 24
 VOLUME_POINTS = 7
 VOLUME_SHARE = 0.5
-"""Edge of the volume that is looked at by default, in mean distances of the cameras from its middle."""
+"""Edge of the volume that is examined by default, in mean distances of the cameras from its middle."""
 MOTIONS = ("similarity", "rigid", "none")
 
 
@@ -141,12 +141,12 @@ def compare_rigs(
     apart, rest = np.linalg.norm(points_b[met] - grid[met], axis=1), np.linalg.norm(after, axis=1)
     return RigDifference(
         cameras, align, motion, scale, box, int(met.sum()), _rms(apart), float(apart.max(initial=0.0)), _rms(rest),
-        float(rest.max(initial=0.0)), np.sqrt(np.mean(after**2, axis=0)) if len(rest) else np.zeros(3),
+        float(rest.max(initial=0.0)), np.sqrt(np.mean(after**2, axis=0)) if len(rest) else np.zeros(3)
     )  # fmt: skip
 
 
 def _measured(seen_by: Rig, measured_by: Rig, points: Array) -> Array:
-    """Return where the one rig places (n, 3) what the other images of ``points`` (n, 3)."""
+    """Return where the one rig positions (n, 3) what the other images of ``points`` (n, 3)."""
     table = np.stack([_inside(camera, project(camera, points)) for camera in seen_by.cameras], axis=1)
     return triangulate(measured_by, table)[0]
 
@@ -169,7 +169,7 @@ def _camera_difference(a: Camera, b: Camera, aligned: Camera, middle: Array) -> 
     before, after = _ray_distance(a, b, xy, distance), _ray_distance(a, aligned, xy, distance)
     mine, theirs = lens_directions(a.lens, xy), lens_directions(b.lens, xy)
     both = np.flatnonzero(np.isfinite(mine).all(axis=1) & np.isfinite(theirs).all(axis=1))
-    # the turn that brings b's rays onto a's best: what is left is the lens
+    # the rotation that brings b's rays onto a's best: what is left is the lens
     turn = nearest_rotation(mine[both].T @ theirs[both])[0]
     own = np.linalg.norm(lens_pixels(a.lens, theirs[both] @ turn.T) - xy[both], axis=1)
     pose, other = a.world_from_camera, aligned.world_from_camera

@@ -1,4 +1,4 @@
-"""What can be wrong with a calibration: the codes, one place for all."""
+"""Codes of all findings about calibrations."""
 
 from mosca.data.calibration import Finding, Severity
 

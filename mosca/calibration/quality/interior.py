@@ -71,7 +71,7 @@ def changed_interior(calibration: Calibration, known: Rig, settings: QualityLimi
 
 
 def little_depth(calibration: Calibration, settings: QualityLimits) -> tuple[Finding, ...]:
-    """Return the cameras whose principal distance and distance look alike to the images."""
+    """Return the cameras whose principal distance and distance cannot be separated by the images."""
     found = []
     for k, camera in enumerate(calibration.rig.cameras):
         sigma = sigma_of_principal_distance(calibration, k)
@@ -119,7 +119,7 @@ def weak_parameters(calibration: Calibration) -> tuple[Finding, ...]:
 
 
 def distance_correlation(calibration: Calibration, camera: int) -> tuple[float, float]:
-    """Return correlation of the principal distance with the camera's place along its axis, and its inflation.
+    """Return correlation of the principal distance with the camera's position along its axis, and its inflation.
 
     The inflation is by how much the camera's own other parameters widen the principal distance's variance.
     (0, 1) where either was held.

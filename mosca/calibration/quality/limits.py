@@ -1,4 +1,4 @@
-"""The limits by which a calibration is judged, each with its reason."""
+"""The limits of the quality checks, each with its reason."""
 
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ class QualityLimits:
     ``least_common_views`` of a plane that join two cameras.
 
     Mirrored planes: ``mirror_significance``, the chance at which the second pose is dropped;
-    ``mirror_relief``: out-of-plane extent over extent from which no second pose is looked for;
+    ``mirror_relief``: out-of-plane extent over extent from which no second pose is searched for;
     ``mirror_turn_rad``: poses nearer to each other than this are one.
 
     Sizes: ``size_error`` of the marks' images that blur explains, and ``size_bias_px`` that thresholds do;
@@ -33,12 +33,12 @@ class QualityLimits:
     length beyond both refuses the scale.
 
     Against an earlier rig: ``swap_ratio``: how many times better an exchange must fit than the names do;
-    ``swap_least_px``: misfit below which nobody was exchanged; ``moved_sigmas`` and ``moved_px``: a camera that
-    left its place by more than both has moved.
+    ``swap_least_px``: misfit below which no cameras are taken to be exchanged; ``moved_sigmas`` and ``moved_px``: a
+    camera that left its position by more than both has moved.
 
     Coverage, of the cells ``cells`` (columns, rows) of an image or of the volume: ``warned_coverage`` and
     ``noted_coverage``. Residuals: ``warned_blunders`` and ``refused_blunders``, shares of a camera's points;
-    ``pattern_significance``, ``pattern_px`` and ``pattern_sigmas``: a residual pattern is told when chance does
+    ``pattern_significance``, ``pattern_px`` and ``pattern_sigmas``: a residual pattern is reported when chance does
     not make it and it is larger than both.
     """
 

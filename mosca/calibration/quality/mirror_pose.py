@@ -18,7 +18,7 @@ from mosca.data.rig import Camera, Pose
 
 FEWEST_POINTS = 4
 MOST_FRAMES = 60
-"""Placements of a camera that are looked at, evenly chosen."""
+"""Placements of a camera that are examined, evenly chosen."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class MirroredPose:
 
 
 def mirrored_poses(calibration: Calibration, settings: QualityLimits) -> tuple[Finding, ...]:
-    """Return the cameras and frames whose mirrored pose cannot be told from the one taken."""
+    """Return the cameras and frames whose mirrored pose cannot be distinguished from the one taken."""
     found: list[Finding] = []
     world = calibration.points_in_world()
     tied = _tied(calibration)
@@ -76,7 +76,7 @@ def second_pose(
         return None
     freedom = max(2 * len(rows) - 6, 1)
     variance = max(here.cost / freedom, calibration.sigma0**2, 1e-12)
-    # what it costs to stand at the other pose, against the noise: F with 1 and all degrees of freedom
+    # cost of the other pose, against the noise: F with 1 and all degrees of freedom
     total = max(2 * int(calibration.used.sum()) - len(calibration.parameters), 1)
     statistic = max(there.cost - here.cost, 0.0) / variance
     chance = float(f_distribution.sf(statistic, 1, total))
@@ -88,14 +88,14 @@ def _mirrored(camera: Camera, middle: Array, normal: Array) -> Camera:
     pose = camera.world_from_camera
     sight = middle - pose.translation
     sight = sight / np.linalg.norm(sight)
-    # the scene mirrored twice is turned: across the sight, and in its own plane, where it stays what it is
+    # the scene mirrored twice is rotated: across the line of sight, and in its own plane, where it stays what it is
     turn = (np.eye(3) - 2 * np.outer(sight, sight)) @ (np.eye(3) - 2 * np.outer(normal, normal))
     centre = middle + turn.T @ (pose.translation - middle)
     return replace(camera, world_from_camera=Pose(turn.T @ pose.rotation, centre))
 
 
 def _tied(calibration: Calibration) -> Array:
-    """Return which sightings (n,) are of points that something else than their own camera places."""
+    """Return which sightings (n,) are of points that another camera determines, too."""
     count = len(calibration.target_translation)
     rows = calibration.used & (calibration.placement >= 0)
     seen = np.zeros((count, len(calibration.rig.cameras)), dtype=bool)
@@ -109,7 +109,7 @@ def _tied(calibration: Calibration) -> Array:
 def _alone(
     calibration: Calibration, index: int, mine: Array, tied: bool, settings: QualityLimits
 ) -> list[Finding]:
-    """Return what is to say of the placements that only this camera saw."""
+    """Return findings about the placements that only this camera saw."""
     camera = calibration.rig.cameras[index]
     frames = np.unique(calibration.placement[mine])
     frames = frames[:: max(1, -(-len(frames) // MOST_FRAMES))]

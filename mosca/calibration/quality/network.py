@@ -177,13 +177,13 @@ def missing_links(calibration: Calibration, label: Array) -> tuple[tuple[int, in
             if {label[i], label[j]} == {label[0], other}
         ]
         counted = [(i, j, int(_inside(rig.cameras[j], seen[i]).sum())) for i, j in pairs]
-        # of links as good as each other the shortest: there two cameras look at the same side of the target
+        # of links as good as each other the shortest: there two cameras see the same side of the target
         found.append(max(counted, key=lambda one: (one[2], -apart[one[0], one[1]])))
     return tuple(found)
 
 
 def _in_words(calibration: Calibration, one: int, other: int, count: int) -> str:
-    """Say where the target must be shown to join two cameras."""
+    """Return where the target must be shown to join two cameras."""
     first, second = calibration.rig.names[one], calibration.rig.names[other]
     if count == 0:
         return (

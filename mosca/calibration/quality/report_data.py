@@ -1,4 +1,4 @@
-"""Everything that a page shows of a calibration, worked out in one place."""
+"""All data that a page shows of a calibration."""
 
 from collections.abc import Sequence
 
@@ -34,7 +34,7 @@ def evidence_of(
     ``volume`` (low, high) [m, world] of the accuracy map: default the box of the target's points (1 to 99 %);
     ``detection_sigma_px``: error of an image coordinate when measuring, default the calibration's own and
     the shake of whole images. The
-    other arguments as for ``judge``.
+    other arguments as for ``check_calibration``.
     """
     settings = settings or QualityLimits()
     strength = links(calibration, rigid_target)

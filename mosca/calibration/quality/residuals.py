@@ -1,4 +1,4 @@
-"""What the residuals tell: too many blunders, and patterns over the image that the lens model cannot follow."""
+"""Residuals: too many blunders, and patterns over the image that the lens model cannot follow."""
 
 import numpy as np
 from scipy.stats import f as f_distribution
@@ -18,7 +18,7 @@ POINTS_OF_AN_IMAGE = 8
 def blunders(calibration: Calibration, settings: QualityLimits) -> tuple[Finding, ...]:
     """Return the cameras of which a large share of points does not fit."""
     found = []
-    # points that nothing places have no residual and are nobody's fault
+    # points that nothing determines have no residual
     judged = np.isfinite(calibration.residuals_px).all(axis=1)
     for k, camera in enumerate(calibration.rig.cameras):
         mine = judged & (calibration.sightings.camera == k)

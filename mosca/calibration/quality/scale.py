@@ -31,10 +31,10 @@ UNITS = {
 def sizes(
     calibration: Calibration, target_diameters_m: Array | float, settings: QualityLimits
 ) -> tuple[Finding, ...]:
-    """Return whether the marks look as large as the calibrated geometry says.
+    """Return whether the marks have the image size that the calibrated geometry predicts.
 
-    ``target_diameters_m``: of each mark (m,), or of all. The places of the marks and their diameters come from
-    one file, but only the places made the rig: if these are wrong, the images are too large or too small.
+    ``target_diameters_m``: of each mark (m,), or of all. The positions of the marks and their diameters come from
+    one file, but only the positions made the rig: if these are wrong, the images are too large or too small.
     """
     ratio, sigma, typical_px, count = size_ratio(calibration, target_diameters_m)
     if count < 3:
@@ -60,7 +60,7 @@ def sizes(
 
 
 def distances(calibration: Calibration, settings: QualityLimits) -> tuple[Finding, ...]:
-    """Return whether the target stands at a distance that cannot be metres."""
+    """Return whether the target is at a distance that cannot be metres."""
     see, rows = calibration.sightings, calibration.used
     centres = np.array([camera.world_from_camera.translation for camera in calibration.rig.cameras])
     away = np.linalg.norm(calibration.points_in_world() - centres[see.camera], axis=1)[rows]

@@ -58,7 +58,7 @@ class CameraAdjustment:
     """An adjusted camera and how good it is.
 
     ``residuals_px`` (n, 2) observed minus projected of all points, the rejected too; ``used`` (n,) bool;
-    ``parameters`` names of the p unknowns (turn about the camera's own axes, position, lens) and their
+    ``parameters`` names of the p unknowns (rotation about the camera's own axes, position, lens) and their
     ``covariance`` (p, p) in these units; ``sigma0_px`` a-posteriori standard deviation of an image
     coordinate; ``sigma_x_px``, ``sigma_y_px`` the same of each coordinate and ``sigma_x_m``, ``sigma_y_m``
     carried to the target (the paper's figure of a calibration, Table 2); ``chosen`` the groups that joined and
@@ -128,7 +128,7 @@ def adjust_camera(
         if (kept == used).all():
             break
         used = kept
-    return _judged(where, fit, xy, world, used, chosen, settings)
+    return _checked(where, fit, xy, world, used, chosen, settings)
 
 
 def check_lens(where: str, model: str, parameters: Sequence[str] | None) -> None:
@@ -188,7 +188,7 @@ def _chosen_fit(
     return fit, chosen
 
 
-def _judged(
+def _checked(
     where: str,
     fit: CameraFit,
     xy: Array,

@@ -21,14 +21,11 @@ REJECTED_SHOWN = 8
 
 
 def calibrate_from_points(
-    recording: Path,
-    target: PointsTarget,
-    settings: AdjustmentSettings | None = None,
-    lens: str | None = None,
+    recording: Path, target: PointsTarget, settings: AdjustmentSettings | None = None, lens: str | None = None
 ) -> tuple[Rig, tuple[CameraAdjustment, ...]]:
     """Calibrate each camera of ``target`` by space resection; its files lie in the folder ``recording``.
 
-    ``settings.pixel_pitch_mm`` gives way to the target's; ``lens``: model of all cameras, before the target's.
+    ``settings.pixel_pitch_mm`` is overridden by the target's; ``lens``: model of all cameras, before the target's.
     InputError for a file that cannot be used, CalibrationError for points that do not determine their camera.
     """
     if not Path(recording).is_dir():

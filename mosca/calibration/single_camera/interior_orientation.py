@@ -52,7 +52,7 @@ class LensChoice:
 
 @dataclass(frozen=True, eq=False)
 class TargetView:
-    """Marks that a camera saw at one stand: ``mark`` (n,), their mean place ``xy_px`` (n, 2)."""
+    """Marks that a camera saw in one stationary interval: ``mark`` (n,), their mean position ``xy_px`` (n, 2)."""
 
     mark: Array
     xy_px: Array
@@ -60,7 +60,7 @@ class TargetView:
 
 @dataclass(frozen=True, eq=False)
 class CameraViews:
-    """What camera ``name`` of ``size`` (width, height) saw of the marks ``marks_m`` (m, 3) [m], stand by stand."""
+    """What camera ``name`` of ``size`` (width, height) saw of marks ``marks_m`` (m, 3) [m], by interval."""
 
     name: str
     size: tuple[int, int]
@@ -69,7 +69,7 @@ class CameraViews:
 
 
 def starting_camera(shown: CameraViews, lens: LensChoice, rng: np.random.Generator) -> Camera:
-    """Return a camera at the origin with the interior orientation that its views tell.
+    """Return a camera at the origin with the interior orientation that its views determine.
 
     CalibrationError where they do not.
     """
@@ -111,7 +111,7 @@ def _from_plane(shown: CameraViews, lens: LensChoice) -> Camera:
             f"few-views: camera '{name}': {len(usable)} views of the flat target with {FEWEST_MARKS} marks or more, "
             f"at least {FEWEST_PLANE_VIEWS} are wanted; hold it before the camera at more angles"
         )
-    # evenly from all there are: neighbours look alike
+    # evenly from all: neighbouring views are nearly the same
     picked = [usable[k] for k in np.unique(np.linspace(0, len(usable) - 1, MOST_START_VIEWS).astype(int))]
     f_px = _focal_px(replace(shown, views=picked))
     camera = Camera(name, *size, plain_lens(lens, f_px, size), Pose(np.eye(3), np.zeros(3)))

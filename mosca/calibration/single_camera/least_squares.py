@@ -1,6 +1,6 @@
 """Least squares for one camera and known points: the bundle solver, with nothing else unknown.
 
-Unknowns are the camera's turn about its own axes (3), its position in the world (3) and the free lens
+Unknowns are the camera's rotation about its own axes (3), its position in the world (3) and the free lens
 parameters, in that order.
 """
 
@@ -23,7 +23,7 @@ from mosca.data.rig import Camera, Lens
 from mosca.errors import CalibrationError
 
 POSE_PARAMETERS = ("turn_x_rad", "turn_y_rad", "turn_z_rad", "X_m", "Y_m", "Z_m")
-# residual of a point that the trial camera cannot image: it must not look like a perfect fit
+# residual of a point that the trial camera cannot image: not to be taken for a perfect fit
 UNSEEN_PX = 1e3
 # share of its standard deviation by which an unknown may still move
 CONVERGED = 1e-3
@@ -76,7 +76,7 @@ def fit_camera(
     settings = BundleSettings(tolerance=tolerance, hold_weak=False, precision=False)
     try:
         camera, determined = solve(problem, settings).cameras[0], True
-    except CalibrationError:  # what the caller does without the parameters is the caller's to say
+    except CalibrationError:  # the caller decides what to do without the parameters
         camera, determined = start, False
     residuals, jacobian = linearised(camera, free, xy_px, xyz)
     root = np.sqrt(weights)

@@ -37,7 +37,7 @@ def robust_points(
     """Return which points (n,) are no gross blunders, by a redescending weight from ``inliers`` (n,) on.
 
     ``nested``: sets of free lens parameters, each richer than the one before; the last that the points determine
-    judges, since a lens term left out looks like blunders in the corners.
+    is used, since a lens term left out appears as blunders in the corners.
     """
     free, camera = nested[0], start
     for richer in nested:

@@ -113,12 +113,12 @@ def _free(model: str, groups: Iterable[Group]) -> Group:
 
 
 def _imitated(camera: Camera, xy: Array, world: Array) -> bool:
-    """Tell whether principal point, affinity, scale and pose imitate Mosca's P1 and P2 in the volume measured.
+    """Return whether principal point, affinity, scale and pose imitate Mosca's P1 and P2 in the volume measured.
 
-    Judged by variance inflation, the ratio of a parameter's variance to what it would be if all others were known.
+    Criterion: variance inflation, the ratio of a parameter's variance to what it would be if all others were known.
     Through a wide lens over a deep target it is 4 to 10 for P1 and P2; through a long lens over a shallow target
     250 to 2,300 (measured on MyPTV's example), and with them points outside the target are predicted
-    worse. OpenCV's model has no affinity, so that p1 and p2 are welcome to stand in for it.
+    worse. OpenCV's model has no affinity, so that p1 and p2 may take its part.
     """
     free = _free(camera.lens.model, [*COMPETING, DECENTRING])
     design = linearised(camera, free, xy, world)[1].reshape(2 * len(xy), -1)

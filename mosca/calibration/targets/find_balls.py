@@ -1,6 +1,6 @@
 """Find a wand's balls among the targets of one image, and a single light for sessions without a wand.
 
-A straight wand's image is straight, up to the lens, and the place of an inner ball between the outer ones follows
+A straight wand's image is straight, up to the lens, and the position of an inner ball between the outer ones follows
 from the wand and from how much nearer one end is than the other. Three balls leave that ratio of distances free, so
 it must lie within what a wand can have before a camera; each further ball is a check (the cross-ratio).
 """
@@ -15,12 +15,14 @@ from mosca.data.sightings import Part
 from mosca.data.wands import Wand
 
 ALIKE_ENDS = 0.05
-"""A wand whose balls lie alike from both ends, within this share of its length, does not tell its ends apart."""
+"""A wand whose balls lie alike from both ends, within this share of its length, has ends that cannot be
+distinguished.
+"""
 
 
 @dataclass(frozen=True)
 class WandReading:
-    """How a wand is looked for.
+    """How a wand is detected.
 
     ``largest_depth_ratio``: how many times farther than the near end the far end may be; ``bend``: how far from the
     line of the outer balls an inner one may be seen, as a share of their distance, beyond ``slack_px``; lenses bend
@@ -40,8 +42,8 @@ def read_wand(
 ) -> Part | None:
     """Return the wand's balls in one image, or None where it is not seen whole or could be two ways.
 
-    Rows stand in their order along the wand; ``mark`` is their number, or -1 where the two ends look alike (two
-    balls, or balls that lie alike from both ends).
+    Rows are in their order along the wand; ``mark`` is their number, or -1 where the two ends cannot be distinguished
+    (two balls, or balls that lie alike from both ends).
     """
     reading = reading or WandReading()
     balls, n = len(wand.along_m), len(detections)

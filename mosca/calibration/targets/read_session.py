@@ -29,7 +29,7 @@ def read_sightings(
     progress: Progress | None = None,
     assembly: Assembly | None = None,
 ) -> Sightings:
-    """Return what the frame sets of a source show of a target; each ``every``-th set is looked at.
+    """Return what the frame sets of a source show of a target; each ``every``-th set is examined.
 
     ``progress`` is called with the number of sets read. InputError where no image shows anything.
     """

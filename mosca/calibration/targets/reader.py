@@ -102,7 +102,7 @@ class BoardReader:
 
 
 class _WandReader:
-    """Finds the balls of a wand; their marks are -1 where the wand looks alike from both ends."""
+    """Finds the balls of a wand; their marks are -1 where the ends cannot be distinguished."""
 
     def __init__(self, wand: Wand, detection: DetectionSettings) -> None:
         self._wand, self._detection = wand, detection

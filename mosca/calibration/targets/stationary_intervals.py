@@ -1,4 +1,4 @@
-"""When the target stood still: frame sets between which no mark moved share one pose of the target."""
+"""When the target was stationary: frame sets between which no mark moved share one pose of the target."""
 
 import numpy as np
 
@@ -11,10 +11,10 @@ SIGMAS = 6.0
 
 
 def stationary_intervals(sightings: Sightings) -> Array:
-    """Return the stand (frames,) of each frame set, counted from 0; -1 where nothing was seen.
+    """Return the stationary interval (frames,) of each frame set, counted from 0; -1 where nothing was seen.
 
     A new one begins where the marks of any camera moved by more than ``LEAST_MOVE_PX`` and their noise, against
-    the stand's first frame set: a slow creep is a motion, too.
+    the interval's first frame set: a slow creep is a motion, too.
     """
     order = np.argsort(sightings.frame, kind="stable")
     bounds = np.searchsorted(sightings.frame[order], np.arange(sightings.frames + 1))
@@ -32,7 +32,7 @@ def stationary_intervals(sightings: Sightings) -> Array:
 
 
 def _moved(sightings: Sightings, before: Array, now: Array) -> bool:
-    """Tell whether any camera saw its marks elsewhere; no mark in common means so, too."""
+    """Return whether any camera saw its marks move; no mark in common counts as motion."""
     mark, camera = sightings.mark, sightings.camera
     key = camera * (int(mark.max(initial=0)) + 2) + mark
     _, i, j = np.intersect1d(key[before], key[now], return_indices=True)

@@ -1,7 +1,8 @@
-"""Which end of a wand is which, where its balls do not tell: two balls, or balls that lie alike from both ends.
+"""Which end of a wand is which, where its balls do not determine it: two balls, or balls that lie alike from both
+ends.
 
 The middle of the balls' images is nearly the image of the wand's middle, whichever end is first: it gives rough
-epipolar lines, and they say which ends belong together in two cameras. The balls then give sharper ones.
+epipolar lines, and these determine which ends belong together in two cameras. The balls then give sharper ones.
 """
 
 from collections.abc import Sequence
@@ -27,8 +28,8 @@ def ordered(
 ) -> Sightings:
     """Return the sightings with unknown marks (-1) numbered along the wand, alike in all cameras of a frame.
 
-    The rows of an image stand in their order along the line. Which end has number 0 is chance; images whose order
-    nothing decides keep -1.
+    The rows of an image are in their order along the line. Which end has number 0 is chance; images whose order
+    nothing decides have -1.
     """
     unknown = sightings.mark < 0
     if not unknown.any():

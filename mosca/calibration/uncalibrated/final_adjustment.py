@@ -35,7 +35,7 @@ ROUNDS = 3
 
 @dataclass(frozen=True, eq=False)
 class FinalNetwork:
-    """The network at last, and what lens parameters were estimated."""
+    """The final network, and what lens parameters were estimated."""
 
     network: Network
     free: Free
@@ -75,7 +75,7 @@ def finished(
 
 
 def _held_more(trial: Network, one: Network) -> bool:
-    """Tell whether a richer model made the solver hold more of the parameters that both have."""
+    """Return whether a richer model made the solver hold more of the parameters that both have."""
     common = set(one.adjustment.parameters) - set(one.adjustment.held)
     return bool(common & set(trial.adjustment.held))
 

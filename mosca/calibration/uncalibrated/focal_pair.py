@@ -16,7 +16,7 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Pose
 
 GRID = 24
-# wands looked at while trying
+# wands examined while trying
 MOST_WANDS = 60
 # points behind a camera weigh as much as a wand of so varying a length
 BEHIND = 2.0

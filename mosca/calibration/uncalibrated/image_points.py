@@ -125,7 +125,7 @@ def point_views(
 ) -> PointViews:
     """Return the sightings as tracks; object point ``frame * marks + mark``, unknown marks (-1) left out.
 
-    ``lenses``: of each camera; default square pixels and OpenCV's model. InputError where a mark stands twice in
+    ``lenses``: of each camera; default square pixels and OpenCV's model. InputError where a mark occurs twice in
     an image or the lenses do not suit.
     """
     known = np.flatnonzero(sightings.mark >= 0)

@@ -1,6 +1,6 @@
 """A metric network grows by one camera at a time: resection on its points, or a wand's common view with one of it.
 
-The chain of zones: a camera need only share views with some camera that stands already. After each one all is
+The chain of zones: a camera need only share views with some calibrated camera. After each one all is
 adjusted (incremental reconstruction, Snavely et al. 2006).
 """
 
@@ -82,7 +82,7 @@ def _next(
 
 
 def trusted_points(one: Network, tracks: PointViews) -> Array:
-    """Return the points (p, 3) that the network's cameras place, NaN for those that its rays contradict."""
+    """Return the points (p, 3) that the network's cameras determine, NaN for those that its rays contradict."""
     mine = tracks.of_cameras(one.cameras)
     points = intersected(mine, one.cameras)
     far = np.linalg.norm(residuals(mine, one.cameras, points), axis=1)
@@ -92,7 +92,7 @@ def trusted_points(one: Network, tracks: PointViews) -> Array:
 
 
 def _resected(tracks: PointViews, k: int, points: Array, bend: float, rng: np.random.Generator) -> Camera:
-    """Return a camera of unknown focal length from the points that stand already."""
+    """Return a camera of unknown focal length from the points of the network."""
     mine = np.flatnonzero((tracks.camera == k) & np.isfinite(points[tracks.point]).all(axis=1))
     mine = rng.permutation(mine)[:MOST_RESECTED]
     middle, reach = tracks.middle_px(k), tracks.reach_px(k)
@@ -106,7 +106,7 @@ def _resected(tracks: PointViews, k: int, points: Array, bend: float, rng: np.ra
 
 
 def _beside(one: Network, tracks: PointViews, k: int, bend: float, rng: np.random.Generator) -> Camera | None:
-    """Return a camera from its common wands with one camera that stands already; None without enough."""
+    """Return a camera from its common wands with one camera of the network; None without enough."""
     common = tracks.common()[k].copy()
     common[[j for j in range(len(common)) if j not in one.cameras]] = 0
     other = int(np.argmax(common))
@@ -137,12 +137,12 @@ def _straight(tracks: PointViews, camera: Camera, k: int, points: Array) -> Arra
 
 
 def wand_ends(tracks: PointViews, points: Array, good: Array) -> Array:
-    """Return the rods (w, 3) both of whose ends are among the good ``points`` (m,): places of both in it, rod."""
+    """Return the rods (w, 3) both of whose ends are among the good ``points`` (m,): positions of both in it, rod."""
     place = np.full(tracks.points, -1)
     place[points[good]] = np.flatnonzero(good)
     first, second = place[tracks.rods.first], place[tracks.rods.second]
     both = np.flatnonzero((first >= 0) & (second >= 0))
-    # the longest rod of a wand says most
+    # the longest rod of a wand is the most accurate
     longest = tracks.rods.length_m[both] >= 0.9 * tracks.rods.length_m.max(initial=0.0)
     both = both[longest]
     return np.column_stack([first[both], second[both], both])

@@ -19,7 +19,7 @@ from mosca.data.rig import Camera, Pose
 from mosca.errors import CalibrationError
 
 PAIRS, GUESSES = 3, 3
-# guesses so much worse than the best are not looked into
+# guesses so much worse than the best are not examined
 WORSE_FACTOR, WORSE_BY = 3.0, 0.1
 # angle between the rays of a point beyond which it does not matter any more
 WIDE_RAD = 0.6

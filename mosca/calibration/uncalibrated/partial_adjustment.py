@@ -94,7 +94,7 @@ def network(
         ),
         ObjectPoints.free(start),
         distances=rods_between(tracks, inflate),
-        datum="points",
+        datum="points"
     )  # fmt: skip
     done = solve(problem, settings)
     return Network(dict(zip(order, done.cameras, strict=True)), tracks, done.points, done)
@@ -146,7 +146,7 @@ def cleaned(tracks: PointViews, cameras: Mapping[int, Camera], limit: float) -> 
     """Return the image points without those that contradict these cameras by more than ``limit`` a-priori sigmas.
 
     Of each object point the worst ray goes out, then the rest is intersected again; of two rays that do not meet
-    both go, for nothing tells which is wrong. So do both ends of a rod of quite another length than it has. Image
+    both go, since it is unknown which is wrong. So do both ends of a rod of quite another length than it has. Image
     points of other cameras stay.
     """
     for _ in range(CLEANINGS):

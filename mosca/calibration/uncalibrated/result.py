@@ -1,4 +1,4 @@
-"""The verdict on a self-calibration and its report: what is no rig is refused, what is doubtful is said."""
+"""Checks of a self-calibration and its report: an implausible rig is refused, a doubtful one gets findings."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -131,7 +131,7 @@ def calibration_of(
     scaled_by: str,
     scale_sigma: float | None,
 ) -> Calibration:
-    """Return the report; each mark of its sightings is one place of the world, a mark of one frame.
+    """Return the report; each mark of its sightings is one point of the world, a mark of one frame.
 
     ``scale_sigma``: relative standard deviation of the length that scales, None where nothing does.
     """
@@ -152,7 +152,7 @@ def calibration_of(
         covariance = covariance + scale_sigma**2 * _stretch(adjusted.parameters, one.cameras, one.points)
     sigma_px = np.column_stack([precision.sigma_x_px, precision.sigma_y_px])
     sigma_m = np.column_stack([precision.sigma_x_m, precision.sigma_y_m])
-    # a mark that nothing places has no place; the last row is its
+    # a mark that nothing determines has no position: the last row
     places = np.vstack([one.points, np.full((1, 3), np.nan)])
     return Calibration(
         rig,

@@ -1,7 +1,7 @@
 """Where a self-calibration without any known length starts: a projective core, made metric by its cameras.
 
 After Svoboda, Martinec and Pajdla 2005 (MultiCamSelfCal): pairs, projective reconstruction, metric upgrade by what
-is known of any camera. The upgrade here tries all focal lengths (``projective_upgrade``) and lets bundle
+is known of any camera. The upgrade here tries all focal lengths (``metric_upgrade``) and lets bundle
 adjustments of the likeliest guesses decide.
 """
 
@@ -33,9 +33,9 @@ from mosca.errors import CalibrationError
 PAIRS, CORES, GUESSES = 6, 2, 6
 FEWEST_TRIPLE, MOST_IN_CORE = 20, 5
 FEWEST_CAMERAS = 3
-# an ordinary lens's focal length in half diagonals, only to make numbers handy
-HANDY_FOCAL = 1.6
-# guesses so much worse than the best are not looked into
+# an ordinary lens's focal length in half diagonals, only to scale numbers
+USUAL_FOCAL = 1.6
+# guesses so much worse than the best are not examined
 WORSE_FACTOR, WORSE_BY = 3.0, 5.0
 MOST_POINTS = 500
 
@@ -95,7 +95,7 @@ def _guesses(
         xy[k, row >= 0] = tracks.plain(k, tracks.xy_px[row[row >= 0]], bend)
     both = np.isfinite(xy[[first, second]]).all(axis=(0, 2))
     _, _, _, pair = pair_geometry(tracks, first, second, bend, rng)
-    matrices = pair_matrices(pair.matrix, (HANDY_FOCAL, HANDY_FOCAL))
+    matrices = pair_matrices(pair.matrix, (USUAL_FOCAL, USUAL_FOCAL))
     limit = 6 * max(pair.median, 1e-9)
     good = np.asarray(np.isfinite(xy[[first, second]]).all(axis=2))
     good[:, both] &= epipolar_distance(pair.matrix, xy[first, both], xy[second, both]) <= limit

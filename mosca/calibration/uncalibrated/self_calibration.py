@@ -40,7 +40,7 @@ def self_calibrate(
 ) -> Calibration:
     """Calibrate cameras from sightings of one light (mark 0) a frame.
 
-    ``lenses``: one a camera; model (mosca or opencv) and shape of the pixels count, all else is found anew; default
+    ``lenses``: one a camera; model (mosca or opencv) and shape of the pixels count, all else is estimated; default
     OpenCV's model with square pixels. CalibrationError where cameras are not joined by common views, or where the
     result cannot be a rig.
     """

@@ -78,9 +78,9 @@ def pair_geometry(
 
 
 def flat(x: Array, y: Array, found: Robust, rng: np.random.Generator) -> bool:
-    """Tell whether a homography fits two cameras' points as well as their fundamental matrix does, nearly.
+    """Return whether a homography fits two cameras' points as well as their fundamental matrix does, nearly.
 
-    Then the points lie in one plane, or the cameras at one place, and the fundamental matrix is chance.
+    Then the points lie in one plane, or the cameras at one position, and the fundamental matrix is chance.
     """
     parallax = plane_misfit(x[found.inliers], y[found.inliers], rng)
     return parallax < FLAT * max(found.median, LEAST_PARALLAX / FLAT)

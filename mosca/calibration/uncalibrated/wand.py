@@ -20,7 +20,7 @@ from mosca.data.sightings import Sightings
 from mosca.data.wands import Wand
 from mosca.errors import CalibrationError
 
-# a distance that is said to be exact is held to this share of it
+# relative standard deviation of a distance that is stated as exact
 EXACT = 1e-5
 # share by which one distance on a wand may be off against its length
 WRONG_SHAPE = 0.004
@@ -35,9 +35,9 @@ def calibrate_wand(
 ) -> Calibration:
     """Calibrate cameras of unknown focal length from sightings of a wand.
 
-    ``sightings``: marks are the wand's balls; where its order is not known (-1), the rows of an image stand in
+    ``sightings``: marks are the wand's balls; where its order is not known (-1), the rows of an image are in
     their order along the line, from either end. ``lenses``: one a camera; model (mosca or opencv) and shape of the
-    pixels count, all else is found anew. Lengths are the wand's; axes are near those of one of the cameras.
+    pixels count, all else is estimated. Lengths are the wand's; axes are near those of one of the cameras.
     CalibrationError where cameras are not joined by common views, or where the result cannot be a rig.
     """
     settings = settings or SelfSettings()
@@ -63,7 +63,7 @@ def calibrate_wand(
 
 
 def _check_shape(tracks: PointViews, cameras: Mapping[int, Camera], wand: Wand) -> None:
-    """Raise CalibrationError where the wand's balls do not lie as its file says."""
+    """Raise CalibrationError where the wand's balls do not lie as in its file."""
     points = intersected(tracks, cameras).reshape(-1, len(wand.along_m), 3)
     first, second = np.triu_indices(len(wand.along_m), 1)
     along = np.array(wand.along_m)
@@ -87,7 +87,7 @@ def _rods(wand: Wand, frames: int) -> Distances:
     """Return the distances of all balls of all frames; ball k of frame f is the object point f * balls + k.
 
     What is wrong with the wand is wrong in all frames alike, and comes on top of the covariance; here it only
-    says how firmly several distances on one wand are believed against each other.
+    weights several distances on one wand against each other.
     """
     balls = len(wand.along_m)
     first, second = np.triu_indices(balls, 1)

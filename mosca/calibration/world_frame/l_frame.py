@@ -20,7 +20,7 @@ from mosca.errors import CalibrationError
 FITS = 0.01
 """Misfit of the balls, over the frame's size, up to which they are the L-frame's."""
 NEAR = 0.05
-"""Scale error up to which lengths are looked for as they are; beyond, any size is tried."""
+"""Scale error up to which lengths are searched for as they are; beyond, any size is tried."""
 WRONG_SCALE, DOUBTFUL_SCALE = 0.02, 0.001
 UNITS = {1e3: "mm for m", 1e-3: "m for mm", 1e2: "cm for m", 1e-2: "m for cm", 39.37: "inch for m"}
 
@@ -48,7 +48,7 @@ class Axes:
 
     @property
     def rms_m(self) -> float:
-        """Root mean square distance of the balls from their places in the file [m]."""
+        """Root mean square distance of the balls from their positions in the file [m]."""
         return float(np.sqrt(np.mean((self.residuals_m**2).sum(axis=1))))
 
 
@@ -91,7 +91,7 @@ def world_from_l_frame(
         by_parameter = np.einsum("ni,nik->k", slope, _moved_by(calibration, balls))
         variance += float(by_parameter @ calibration.covariance @ by_parameter)
     sigma = float(np.sqrt(variance))
-    findings = _judged(ratio, sigma) if lengths_known else ()
+    findings = _checked(ratio, sigma) if lengths_known else ()
     scale = 1.0 if lengths_known else 1 / ratio
     pose = rigid(scale * found, known)
     moved = pose.transform(scale * found)
@@ -148,7 +148,7 @@ def _moved(camera: Camera, pose: Pose, scale: float) -> Pose:
 
 
 def _size(balls: BallCandidates, known: Array, sigma_m: float) -> tuple[float, Array, float]:
-    """Return the size of the balls' figure over the known one, its slope (n, 3) by their places, and its variance.
+    """Return the size of the balls' figure over the known one, its slope (n, 3) by their positions, and its variance.
 
     The variance is that of detection and of the file; the calibration's is not in it.
     """
@@ -157,7 +157,7 @@ def _size(balls: BallCandidates, known: Array, sigma_m: float) -> tuple[float, A
     measured = np.array([np.linalg.norm(found[i] - found[j]) for i, j in pairs])
     true = np.array([np.linalg.norm(known[i] - known[j]) for i, j in pairs])
     ratio = float(measured @ true / (true @ true))
-    # d ratio / d place of each ball
+    # d ratio / d position of each ball
     slope = np.zeros_like(found)
     for (i, j), length, weight in zip(pairs, measured, true, strict=True):
         along = (found[i] - found[j]) / length * weight
@@ -171,7 +171,7 @@ def _size(balls: BallCandidates, known: Array, sigma_m: float) -> tuple[float, A
 
 
 def _moved_by(calibration: Calibration, balls: BallCandidates) -> Array:
-    """Return how the calibration's parameters move the places of the balls (n, 3, u)."""
+    """Return how the calibration's parameters move the positions of the balls (n, 3, u)."""
     ball, camera = np.nonzero(np.isfinite(balls.xy_px).all(axis=2))
     covariance = np.tile(balls.sigma_px**2 * np.eye(2), (len(ball), 1, 1))
     points = triangulated_points(calibration, camera, ball, balls.xy_px[ball, camera], covariance)
@@ -180,7 +180,7 @@ def _moved_by(calibration: Calibration, balls: BallCandidates) -> Array:
     return moved
 
 
-def _judged(ratio: float, sigma: float) -> tuple[Finding, ...]:
+def _checked(ratio: float, sigma: float) -> tuple[Finding, ...]:
     off = abs(ratio - 1)
     for factor, what in UNITS.items():
         if abs(ratio / factor - 1) < NEAR:

@@ -1,4 +1,4 @@
-"""Places of balls that cameras see, and which of them are which balls of a known figure."""
+"""Positions of balls that cameras see, and which of them are which balls of a known figure."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ TIMES_BETTER = 3.0
 
 @dataclass(frozen=True, eq=False)
 class BallCandidates:
-    """Places (n, 3) [m] where rays of two cameras or more meet, with their covariances (n, 3, 3) from detection.
+    """Positions (n, 3) [m] where rays of two cameras or more meet, with their covariances (n, 3, 3) from detection.
 
     ``xy_px`` (n, c, 2): what each camera saw of them, NaN where nothing; ``sigma_px``: of such a coordinate.
     """
@@ -43,9 +43,9 @@ class BallCandidates:
 
 
 def spots(rig: Rig, detections: Mapping[str, Detections]) -> BallCandidates:
-    """Return the places where rays of two cameras or more meet.
+    """Return the positions where rays of two cameras or more meet.
 
-    Those seen by most cameras come first; each detection belongs to one place at the most.
+    Those seen by most cameras come first; each detection belongs to one position at the most.
     """
     known = [k for k, camera in enumerate(rig.cameras) if len(detections.get(camera.name, ())) > 0]
     for k in known:
@@ -111,7 +111,7 @@ def _seen(rig: Rig, detections: Mapping[str, Detections], place: Array) -> tuple
 
 
 def best_match(places: Array, known: Array, fits: float, near: float | None) -> tuple[int, ...] | None:
-    """Return which of the places (m, 3) are the points ``known`` (n, 3), or None.
+    """Return which of the positions (m, 3) are the points ``known`` (n, 3), or None.
 
     ``fits``: largest root mean square misfit over the figure's size; ``near``: how far the scale may be from 1,
     None for any. CalibrationError where two readings fit alike.

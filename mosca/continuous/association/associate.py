@@ -1,9 +1,9 @@
 """Frames of free-running cameras -> observations, each image point with its own instant and its marker's name.
 
-The walk: look at every frame on its own (``gather_look``) -> follow points in each camera (``gather_strands``) ->
-tie the cameras' clocks coarsely where they know nothing of each other (``gather_clocks``) -> tell markers apart by
-comparing the cameras at common instants, and give every real image point to its marker (``gather_identity``). No
-frame sets anywhere.
+Steps: detect in every frame on its own (``frame_detections``) -> follow points in each camera (``gather_tracklets``)
+-> tie the cameras' clocks coarsely where they know nothing of each other (``coarse_sync``) -> distinguish markers by
+comparing the cameras at common instants, and give every real image point to its marker (``correspondence``). No frame
+sets anywhere.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -14,10 +14,10 @@ import numpy as np
 
 from mosca.continuous.association.coarse_sync import ClockTie, common_clock, tied_clocks
 from mosca.continuous.association.correspondence import common_instants, curves_of, observed, tracked
-from mosca.continuous.association.frame_detections import CameraDetections, FrameCount, look_at_frames
+from mosca.continuous.association.frame_detections import CameraDetections, FrameCount, detect_in_frames
 from mosca.continuous.association.interpolated_tracks import SampledCurves
 from mosca.continuous.association.tracklet_merging import joined
-from mosca.continuous.association.tracklets_2d import Tracklets, strands
+from mosca.continuous.association.tracklets_2d import Tracklets, tracklets
 from mosca.continuous.model.observations import Curves, TimedObservations
 from mosca.continuous.model.rig_at_time import MovingRig
 from mosca.data.arrays import Array
@@ -27,13 +27,13 @@ from mosca.errors import InputError
 from mosca.pipeline import PipelineSettings, check_source
 
 SHORTEST_S = 0.1
-"""Shorter recordings say too little of how things move."""
+"""Shorter recordings determine the motion too poorly [s]."""
 
 
 @dataclass(frozen=True)
 class AssociationSettings:
     """``pipeline``: settings of detection, matching and tracking. ``clocks``: "common" where all stamps are of one
-    clock, "own" where each camera has its own and was started at an unknown time, "auto" by what the cameras say of
+    clock, "own" where each camera has its own and was started at an unknown time, "auto" by what the cameras state of
     themselves (``CameraInfo.clock``: "device" is a clock of its own). ``search_s``: by how much at most cameras with
     clocks of their own were started apart.
     """
@@ -63,7 +63,7 @@ class Associated:
     searched: bool
 
     def again(self, rig: Rig, curves: Curves, curve_px: float = 0.1) -> "Associated":
-        """Return all with image points given to markers anew, by better curves of the same points."""
+        """Return all with image points assigned to markers again, by better curves of the same points."""
         found, _row = observed(self.seen, self.ties, rig, curves, self.sigma_px, curve_px)
         return replace(self, observations=found)
 
@@ -84,7 +84,7 @@ def associate(
     settings = AssociationSettings() if settings is None else settings
     check_source(source, rig)
     count = FrameCount()
-    seen = look_at_frames(source, rig.names, settings.pipeline.detection, backgrounds, count, attend)
+    seen = detect_in_frames(source, rig.names, settings.pipeline.detection, backgrounds, count, attend)
     return gather_seen(seen, rig, settings, count, attend)
 
 
@@ -101,14 +101,14 @@ def gather_seen(
     own = settings.clocks == "own" or (
         settings.clocks == "auto" and any(one.info.clock == "device" for one in seen) and len(seen) > 1
     )
-    strand = [strands(one) for one in seen]
-    ties = tied_clocks(seen, strand, rig, settings.search_s) if own else common_clock(seen)
-    return markers_of(seen, strand, ties, rig, settings, count or FrameCount(), attend, searched=own)
+    tracklet = [tracklets(one) for one in seen]
+    ties = tied_clocks(seen, tracklet, rig, settings.search_s) if own else common_clock(seen)
+    return markers_of(seen, tracklet, ties, rig, settings, count or FrameCount(), attend, searched=own)
 
 
 def markers_of(
     seen: tuple[CameraDetections, ...],
-    strand: Sequence[Array],
+    tracklet: Sequence[Array],
     ties: tuple[ClockTie, ...],
     rig: Rig,
     settings: AssociationSettings,
@@ -119,12 +119,12 @@ def markers_of(
 ) -> Associated:
     """Return markers' image points and first curves, once clocks are tied: matched, tracked, joined over pauses.
 
-    ``strand``: of each camera's image points; ``count``: frames that were looked at, from which ``attend`` goes on;
-    ``moving``: where the cameras are at each instant, None where they stand as ``rig`` says.
+    ``tracklet``: of each camera's image points; ``count``: frames that were examined, from which ``attend`` goes on;
+    ``moving``: where the cameras are at each instant, None where they are as in ``rig``.
     """
     paths = [
         Tracklets.of(one, of_point, tie.common_s(one.time_s(tie.origin_ns)))
-        for one, of_point, tie in zip(seen, strand, ties, strict=True)
+        for one, of_point, tie in zip(seen, tracklet, ties, strict=True)
     ]
     done = sum(count.frames.values())
     tracks, sigma = tracked(
@@ -139,7 +139,7 @@ def markers_of(
     track = settings.pipeline.track
     curves = curves_of(tracks, track.coast_s)
     found, row = observed(seen, ties, rig, curves, sigma, moving=moving)
-    tracks = joined(tracks, curves, found, strand, row, track.acceleration_mps2)
+    tracks = joined(tracks, curves, found, tracklet, row, track.acceleration_mps2)
     curves = curves_of(tracks, track.coast_s)
     found, _row = observed(seen, ties, rig, curves, sigma, moving=moving)
     return Associated(found, curves, ties, seen, np.asarray(sigma), count, searched)

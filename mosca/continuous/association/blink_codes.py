@@ -1,9 +1,9 @@
 """Which image points of a camera are which lamp, by the number that each lamp blinks.
 
-A lamp shows its number's 16 bits over and over (``mosca.data.lamp_codes``) and a camera that runs free looks when it
-likes, so that neither the code's start nor where in a bit a frame falls is known. A strand that bridges the dark bits
-is lit in some frames and dark in others; each number at each start is weighed by the likelihood of that, and taken
-where it is far likelier than any other and than chance.
+A lamp shows its number's 16 bits over and over (``mosca.data.lamp_codes``) and a free-running camera exposes at any
+time, so that neither the code's start nor where in a bit a frame falls is known. A tracklet that bridges the dark
+bits is lit in some frames and dark in others; each number at each start is weighed by the likelihood of that, and
+taken where it is far likelier than any other and than chance.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.continuous.association.frame_detections import CameraDetections
-from mosca.continuous.association.tracklets_2d import strands
+from mosca.continuous.association.tracklets_2d import tracklets
 from mosca.data.arrays import Array
 from mosca.data.lamp_codes import LAMP_BITS, lamp_bits
 from mosca.errors import InputError
@@ -21,13 +21,13 @@ NO_LAMP = -1
 DARKEST = 3
 """Bits that a lamp is dark in a row at most."""
 SHIFTS = 4
-"""Places in a bit at which the first frame may fall that are tried."""
+"""Phases in a bit at which the first frame may fall that are tried."""
 
 
 @dataclass(frozen=True)
 class LampSettings:
-    """``bit_s``: how long a bit lasts [s]. ``missed``, ``stray``: chance that a lit lamp is not seen, that a dark one
-    is. ``odds``: how much likelier than any other a number must be. ``least_bits``: bits that a strand must span.
+    """``bit_s``: duration of a bit [s]. ``missed``, ``stray``: chance that a lit lamp is not seen, that a dark one
+    is. ``odds``: how much likelier than any other a number must be. ``least_bits``: bits that a tracklet must span.
     """
 
     bit_s: float
@@ -52,12 +52,12 @@ def blinking(seen: CameraDetections, numbers: Sequence[int], settings: LampSetti
             f"{1e3 * settings.bit_s:.3g} ms; each bit must be seen: blink more slowly or film faster"
         )
     longest = (DARKEST + 1) * settings.bit_s / seen.period_s + 1.6
-    strand = strands(seen, longest)
+    tracklet = tracklets(seen, longest)
     frame = seen.frame
-    number = np.full(len(strand), NO_LAMP, dtype=np.int64)
-    sure = np.zeros(len(strand))
-    order = np.argsort(strand, kind="stable")
-    for rows in np.split(order, np.flatnonzero(np.diff(strand[order])) + 1) if len(order) else []:
+    number = np.full(len(tracklet), NO_LAMP, dtype=np.int64)
+    sure = np.zeros(len(tracklet))
+    order = np.argsort(tracklet, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(tracklet[order])) + 1) if len(order) else []:
         found, odds = _number_of(seen, frame[rows], numbers, settings)
         number[rows], sure[rows] = found, odds
     return _one_each(frame, number, sure)
@@ -66,7 +66,7 @@ def blinking(seen: CameraDetections, numbers: Sequence[int], settings: LampSetti
 def _number_of(
     seen: CameraDetections, lit: Array, numbers: Sequence[int], settings: LampSettings
 ) -> tuple[int, float]:
-    """Return the number of a strand that is lit in the frames ``lit``, and its log odds against all else."""
+    """Return the number of a tracklet that is lit in the frames ``lit``, and its log odds against all else."""
     during = np.arange(lit[0], lit[-1] + 1)
     own_s = (seen.frame_ns[during] - seen.frame_ns[lit[0]]) * 1e-9
     if own_s[-1] < (settings.least_bits - 1) * settings.bit_s:
@@ -93,7 +93,7 @@ def _number_of(
 
 
 def _one_each(frame: Array, number: Array, sure: Array) -> Array:
-    """Return the numbers with each lamp once a frame at most: the surer strand's."""
+    """Return the numbers with each lamp once a frame at most: the surer tracklet's."""
     lamps = np.flatnonzero(number != NO_LAMP)
     lamps = lamps[np.lexsort((-sure[lamps], number[lamps], frame[lamps]))]
     again = np.zeros(len(lamps), dtype=bool)

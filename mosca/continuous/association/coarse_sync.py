@@ -2,7 +2,7 @@
 with.
 
 Rays of two cameras to one point lie in a plane with the line between the cameras (epipolar constraint), if and only
-if they were looked along at one instant. So one camera's clock is shifted against the other's until most rays find
+if they were of one instant. So one camera's clock is shifted against the other's until most rays find
 a partner in their plane; chance partners are as many at any shift. The shift is found over the whole recording
 first, then in windows along it, through which a straight line goes: offset and drift. Curves (``estimate``) make it
 fine.
@@ -26,16 +26,16 @@ COARSE_PX, FINE_PX = 1.5, 0.4
 INSTANTS = 60
 """Instants of a search at which rays are compared."""
 MOST_POINTS = 40
-"""Points of an instant that are compared, of the camera whose clock stands."""
+"""Points of an instant that are compared, of the camera whose clock is held."""
 CLEAR = 8.0
 """How far the best shift must stand out from the others, in their (robust) standard deviations."""
 RIVAL = 0.85
 """A shift that stands out so much of what the best one does fits as well: repeating motion (a stride) has several."""
 WINDOWS = 8
 DRIFT_FROM_S = 4.0
-"""Shorter recordings say nothing of a drift that matters in them."""
+"""Shorter recordings do not determine a drift that matters in them."""
 WIDEST_DRIFT = 400e-6
-"""Drift between two cameras' clocks that is looked for."""
+"""Drift between two cameras' clocks that is searched for."""
 
 
 @dataclass(frozen=True)
@@ -64,15 +64,15 @@ def common_clock(seen: Sequence[CameraDetections]) -> tuple[ClockTie, ...]:
 
 
 def tied_clocks(
-    seen: Sequence[CameraDetections], strand: Sequence[Array], rig: Rig, search_s: float
+    seen: Sequence[CameraDetections], tracklet: Sequence[Array], rig: Rig, search_s: float
 ) -> tuple[ClockTie, ...]:
     """Return the ties of cameras whose clocks know nothing of each other; the first camera's is the common one.
 
-    ``search_s``: by how much cameras may have been started apart. InputError where the images do not say.
+    ``search_s``: by how much cameras may have been started apart. InputError where the images do not determine it.
     """
     own_s = [one.time_s(int(one.frame_ns[0])) for one in seen]
     ties: dict[int, ClockTie] = {0: ClockTie(int(seen[0].frame_ns[0]))}
-    paths = [Tracklets.of(one, strand[c], own_s[c]) for c, one in enumerate(seen)]
+    paths = [Tracklets.of(one, tracklet[c], own_s[c]) for c, one in enumerate(seen)]
     waiting = list(range(1, len(seen)))
     while waiting:
         best: tuple[float, int, ClockTie] | None = None
@@ -80,7 +80,7 @@ def tied_clocks(
             for known in ties:
                 pair = _Pair(
                     rig.cameras[known], rig.cameras[c], seen[known], seen[c],
-                    Tracklets.of(seen[known], strand[known], ties[known].common_s(own_s[known])), paths[c],
+                    Tracklets.of(seen[known], tracklet[known], ties[known].common_s(own_s[known])), paths[c]
                 )  # fmt: skip
                 found = _searched(pair, search_s)
                 if found is not None and (best is None or found.clear > best[0]):
@@ -104,7 +104,7 @@ def tied_clocks(
 
 @dataclass(frozen=True, eq=False)
 class _Pair:
-    """Two cameras, one whose clock stands (a) and one whose clock is searched (b), with their image points."""
+    """Two cameras, one whose clock is held (a) and one whose clock is searched (b), with their image points."""
 
     camera_a: Camera
     camera_b: Camera
@@ -135,7 +135,7 @@ class _Found:
     rival_s: float | None
 
     def tie(self, origin_ns: int) -> ClockTie:
-        """Return a's clock as b's has it: the equation turned round."""
+        """Return a's clock as b's has it: the equation inverted."""
         rate = 1 / (1 + self.drift)
         rival = None if self.rival_s is None else -self.rival_s * rate
         return ClockTie(origin_ns, -self.shift_s * rate, rate - 1, self.clear, rival)
@@ -167,7 +167,7 @@ def _searched(pair: _Pair, search_s: float) -> _Found | None:
 
 
 def rival(score: Array, best: int) -> int | None:
-    """Return the place of another top that is about as high as the ``best``, None where there is none.
+    """Return the position of another maximum that is about as high as the ``best``, None where there is none.
 
     ``score`` (n,) above what chance makes; the top itself reaches down to half its height on both sides.
     """
@@ -218,7 +218,7 @@ def _straight(t: Array, s: Array, worth: Array) -> tuple[float, float]:
 
 
 def _top(shifts: Array, score: Array) -> float:
-    """Return the place of the highest score, between the steps by a parabola."""
+    """Return the position of the highest score, between the steps by a parabola."""
     at = int(np.argmax(score))
     if at in (0, len(score) - 1):
         return float(shifts[at])
@@ -228,7 +228,7 @@ def _top(shifts: Array, score: Array) -> float:
 
 
 def _votes(pair: _Pair, instants_a: Array, shifts: Array, width_px: float) -> tuple[Array, Array]:
-    """Return for each shift how many rays of a find a partner in b (by nearness), and how many were asked."""
+    """Return for each shift how many rays of a find a partner in b (by nearness), and how many were tested."""
     step = shifts[1] - shifts[0]
     a_world = _world(pair.camera_a, pair.path_a.at(instants_a))
     base = pair.camera_b.world_from_camera.translation - pair.camera_a.world_from_camera.translation

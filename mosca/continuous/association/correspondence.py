@@ -1,9 +1,9 @@
 """Which image points of cameras that are not synchronised are one marker.
 
-The strands of all cameras are asked where they were at common instants (the exposures of the fastest camera), and
-these places go through the synchronous matcher and tracker as frame sets would. The tracks that come out are
+The tracklets of all cameras are interpolated at common instants (the exposures of the fastest camera), and
+these positions go through the synchronous matcher and tracker as frame sets would. The tracks that come out are
 followed by curves, and every real image point, at its own instant, goes to the curve that passes it: what was
-interpolated serves to tell markers apart and never as a measurement.
+interpolated serves to distinguish markers and never as a measurement.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -29,13 +29,13 @@ from mosca.pipeline import PipelineSettings, run_seen
 FEWEST_SAMPLES = 6
 """A track of fewer samples is none."""
 INTERPOLATED_PX = 0.15
-"""Standard deviation of a place between two exposures beyond the detections' own, to begin with; it is learned."""
+"""Standard deviation of a position between two exposures beyond the detections' own, to begin with; it is learned."""
 GATE_SIGMA, CURVE_PX = 4.5, 0.25
 """How far an image point may lie from its curve; standard deviation an axis of a curve through samples."""
 WORST_PX = 1.0
-"""Image points less certain than this tell nothing (those that no disc could be fitted to)."""
+"""Image points less certain than this are not used (those that no disc could be fitted to)."""
 ODD_SHARE = 0.15
-"""Share of its area by which an image may differ from the usual one before it is thought partly hidden."""
+"""Share of its area by which an image may differ from the usual one before it is taken as partly hidden."""
 CHUNK = 500
 """Frames whose points are projected at a time."""
 
@@ -79,7 +79,7 @@ def tracked(
 ) -> tuple[Tracks, Array]:
     """Return the tracks at common instants, and each camera's random error besides its detections' (c,) [px].
 
-    ``paths``: the cameras' strands on the common clock. ``moving``: the same rig's poses where they change.
+    ``paths``: the cameras' tracklets on the common clock. ``moving``: the same rig's poses where they change.
     """
     health = Health(rig, HealthSettings(start_px=INTERPOLATED_PX))
     places = [path.at(instants_s) for path in paths]
@@ -169,7 +169,7 @@ def odd_sizes_px(diameter_px: Array, away_m: Array, point: Array) -> Array:
 
 def _assigned(
     one: CameraDetections, tie: ClockTie, rig: Rig, c: int, curves: Curves, sigma_px: float, curve_px: float,
-    moving: MovingRig | None,
+    moving: MovingRig | None
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Return image points of a camera, the curves that they belong to, and how far these were [m]."""
     camera = rig.cameras[c]
@@ -205,7 +205,7 @@ def _nearest(
     if not len(own) or not len(image):
         return np.empty(0, np.int64), np.empty(0, np.int64)
     off = one.xy_px[own][:, None] - image[None]
-    # the larger axis of a detection's error speaks for both
+    # the larger axis of a detection's error is taken for both
     variance = one.covariance_px2[own].trace(axis1=1, axis2=2) / 2 + sigma_px**2 + curve_px**2
     squared = (off**2).sum(axis=2) / variance[:, None]
     allowed = (squared < GATE_SIGMA**2) & (variance < WORST_PX**2)[:, None]

@@ -1,6 +1,6 @@
 """Frames of free-running cameras -> what each camera saw, frame by frame; no image is kept.
 
-Each frame is looked at by the usual detector with what the camera's own earlier frames taught, and counts at its own
+Each frame is examined by the usual detector with the statistics of the camera's earlier frames, and counts at its own
 instant: mid-exposure by its own stamp (``mosca.data.frames``), of each image point with a rolling shutter at its row.
 """
 
@@ -16,7 +16,7 @@ from mosca.detection.detect import NO_STATISTICS, CameraStatistics, DetectionSet
 from mosca.errors import InputError
 
 FEWEST_FRAMES = 8
-"""Frames of a camera from which on a trajectory can be told from a few places."""
+"""Frames of a camera from which on a trajectory can be distinguished from a few isolated points."""
 MOST_DETECTIONS = 5000
 """Image points that a frame may have; more are noise."""
 
@@ -59,7 +59,7 @@ class CameraDetections:
 
 @dataclass
 class FrameCount:
-    """Running counts of a look: frames that came, and those of them without a usable image, by camera."""
+    """Running counts: frames that came, and those of them without a usable image, by camera."""
 
     frames: dict[str, int] = field(default_factory=dict)
     unusable: dict[str, int] = field(default_factory=dict)
@@ -77,7 +77,7 @@ class _Notes:
     row_time_ns: int = 0
 
 
-def look_at_frames(
+def detect_in_frames(
     source: FrameSource,
     names: Iterable[str],
     settings: DetectionSettings,
@@ -110,13 +110,13 @@ def look_at_frames(
         if frame.image is None:
             counts.unusable[frame.camera] = counts.unusable.get(frame.camera, 0) + 1
         else:
-            _look(note, frame, settings, (backgrounds or {}).get(frame.camera))
+            _detect(note, frame, settings, (backgrounds or {}).get(frame.camera))
         if attend is not None:
             attend(done)
     return tuple(_seen(note) for note in notes.values())
 
 
-def _look(note: _Notes, frame: Frame, settings: DetectionSettings, background: Array | None) -> None:
+def _detect(note: _Notes, frame: Frame, settings: DetectionSettings, background: Array | None) -> None:
     assert frame.image is not None
     half_readout = frame.row_time_ns * (frame.rows - 1) // 2
     middle = mid_exposure_ns(frame)

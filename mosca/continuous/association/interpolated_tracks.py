@@ -43,7 +43,7 @@ class SampledCurves:
         return cls(names, numbers[kept], start, time_s[at], xyz[at], speed, longest_s)
 
     def at(self, time_s: Array) -> Array:
-        """Return the places (t, points, 3) at ``time_s`` (t,) [s], world frame [m]; NaN where unknown."""
+        """Return the positions (t, points, 3) at ``time_s`` (t,) [s], world frame [m]; NaN where unknown."""
         wanted = np.asarray(time_s, dtype=float)
         out = np.full((len(wanted), len(self.points), 3), np.nan)
         for k in range(len(self.points)):

@@ -1,8 +1,8 @@
 """Tracks that are one marker's are joined: a camera followed it while the others did not see it, or the tracker
 lost it.
 
-A strand (a point followed in one camera) whose image points went to one track first and to another one afterwards
-says that they are one, where the first ends before the second begins and a motion leads from one to the other.
+A tracklet (a point followed in one camera) whose image points went to one track first and to another one afterwards
+shows that they are one, where the first ends before the second begins and a motion leads from one to the other.
 """
 
 from collections import Counter
@@ -26,16 +26,16 @@ def joined(
     tracks: Tracks,
     curves: SampledCurves,
     found: TimedObservations,
-    strand: Sequence[Array],
+    tracklet: Sequence[Array],
     row: Array,
     acceleration_mps2: float,
 ) -> Tracks:
     """Return ``tracks`` in which those of one marker have one number.
 
-    ``found``: which image points went to ``curves``; ``strand``: of each camera's image points; ``row`` (n,):
+    ``found``: which image points went to ``curves``; ``tracklet``: of each camera's image points; ``row`` (n,):
     number of each of ``found`` among its camera's image points.
     """
-    votes = _votes(found, strand, row)
+    votes = _votes(found, tracklet, row)
     into: dict[int, int] = {}
     left, right = set(), set()
     for (a, b), _count in sorted(votes.items(), key=lambda vote: (-vote[1], vote[0])):
@@ -56,15 +56,15 @@ def joined(
     return Tracks(**(columns | {"track": track}))
 
 
-def _votes(found: TimedObservations, strand: Sequence[Array], row: Array) -> Counter[tuple[int, int]]:
-    """Return how many strands went from one curve to another."""
+def _votes(found: TimedObservations, tracklet: Sequence[Array], row: Array) -> Counter[tuple[int, int]]:
+    """Return how many tracklets went from one curve to another."""
     votes: Counter[tuple[int, int]] = Counter()
     for c in range(len(found.cameras)):
         own = np.flatnonzero(found.camera == c)
-        of_strand = strand[c][row[own]]
-        order = np.lexsort((found.time_s[own], of_strand))
-        own, of_strand = own[order], of_strand[order]
-        changes = (of_strand[1:] == of_strand[:-1]) & (found.point[own[1:]] != found.point[own[:-1]])
+        of_tracklet = tracklet[c][row[own]]
+        order = np.lexsort((found.time_s[own], of_tracklet))
+        own, of_tracklet = own[order], of_tracklet[order]
+        changes = (of_tracklet[1:] == of_tracklet[:-1]) & (found.point[own[1:]] != found.point[own[:-1]])
         for k in np.flatnonzero(changes):
             votes[int(found.point[own[k]]), int(found.point[own[k + 1]])] += 1
     return votes

@@ -1,7 +1,7 @@
 """Image points of one camera followed from frame to frame, and where they were in between.
 
-A *strand* is a point followed in one camera. It is no identity: it ends where its point is hidden or where two meet.
-It only serves to say where the point was between two exposures, so that cameras that expose at other instants can be
+A *tracklet* is a point followed in one camera. It is no identity: it ends where its point is hidden or where two
+meet. It only interpolates the point between two exposures, so that cameras that expose at other instants can be
 compared.
 """
 
@@ -16,19 +16,19 @@ from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 
 GATE_PX, GATE_SHARE = 5.0, 0.3
-"""How far an image point may lie from where its strand leads: a length and a share of its last step."""
+"""How far an image point may lie from where its tracklet leads: a length and a share of its last step."""
 FIRST_GATE_PX = 16.0
-"""How far a point may have moved from the first frame of its strand to the second [px]."""
+"""How far a point may have moved from the first frame of its tracklet to the second [px]."""
 BEND = 0.8
-"""Share of its last change of speed with which a strand is carried on."""
+"""Share of its last change of speed with which a tracklet is extrapolated: damping of the acceleration."""
 LONGEST_GAP = 2.6
-"""Longest time from an image point of a strand to the next, in the camera's periods."""
+"""Longest time from an image point of a tracklet to the next, in the camera's periods."""
 
 
 @dataclass
 class _Open:
-    """Strands that may go on (k,): number, last place (k, 2) and time, and after it mean speed of the last step, its
-    middle and the change of speed [px/s^2]; NaN speed where there was no step yet.
+    """Tracklets that may go on (k,): number, last position (k, 2) and time, and after it mean speed of the last step,
+    its middle and the change of speed [px/s^2]; NaN speed where there was no step yet.
     """
 
     number: Array
@@ -58,7 +58,7 @@ class _Open:
         return speed * (now_s - self.last_s)[:, None]
 
     def goes_on(self, at: Array, place: Array, now_s: float) -> None:
-        """Take the next places (p, 2) of strands ``at`` (p,)."""
+        """Take the next positions (p, 2) of tracklets ``at`` (p,)."""
         step = np.maximum(now_s - self.last_s[at], 1e-9)[:, None]
         speed, middle = (place - self.place[at]) / step, 0.5 * (now_s + self.last_s[at])
         apart = np.maximum(middle - self.middle_s[at], 1e-9)[:, None]
@@ -67,10 +67,10 @@ class _Open:
         self.place[at], self.last_s[at], self.speed[at], self.middle_s[at] = place, now_s, speed, middle
 
 
-def strands(seen: CameraDetections, longest_gap: float = LONGEST_GAP) -> Array:
-    """Return the strand (n,) of each image point of a camera.
+def tracklets(seen: CameraDetections, longest_gap: float = LONGEST_GAP) -> Array:
+    """Return the tracklet (n,) of each image point of a camera.
 
-    ``longest_gap``: longest time from an image point of a strand to the next, in the camera's periods.
+    ``longest_gap``: longest time from an image point of a tracklet to the next, in the camera's periods.
     """
     of_point = np.full(len(seen.xy_px), -1, dtype=np.int64)
     following = 0
@@ -92,13 +92,13 @@ def strands(seen: CameraDetections, longest_gap: float = LONGEST_GAP) -> Array:
 
 
 def _pairs(place: Array, way: Array, xy: Array) -> tuple[Array, Array]:
-    """Return which open strands and which image points belong together, the least total distance."""
+    """Return which open tracklets and which image points belong together, the least total distance."""
     if not len(place) or not len(xy):
         return np.empty(0, np.int64), np.empty(0, np.int64)
     known: Array = np.all(np.isfinite(way), axis=1)
     way = np.where(known[:, None], way, 0.0)
     gate = np.where(known, GATE_PX + GATE_SHARE * np.linalg.norm(way, axis=1), FIRST_GATE_PX)
-    # in units of the gate: a strand whose way is known chooses sharply
+    # in units of the gate: a tracklet of known velocity has a narrower gate
     away = cdist(place + way, xy) / gate[:, None]
     allowed = away < 1.0
     at, to = linear_sum_assignment(np.where(allowed, away, 1e3))
@@ -108,14 +108,14 @@ def _pairs(place: Array, way: Array, xy: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class ImageInterpolation:
-    """Where strands were at instants: one row a strand and instant, sorted by instant.
+    """Where tracklets were at instants: one row a tracklet and instant, sorted by instant.
 
-    ``instant`` (r,) its number; ``strand`` (r,); ``xy_px`` (r, 2); ``row`` (r,) the nearer one of the two image
-    points that the place lies between, ``other`` (r,) the second; ``speed_px`` (r, 2) [px/s].
+    ``instant`` (r,) its number; ``tracklet`` (r,); ``xy_px`` (r, 2); ``row`` (r,) the nearer one of the two image
+    points that the position lies between, ``other`` (r,) the second; ``speed_px`` (r, 2) [px/s].
     """
 
     instant: Array
-    strand: Array
+    tracklet: Array
     xy_px: Array
     row: Array
     other: Array
@@ -124,14 +124,15 @@ class ImageInterpolation:
 
 @dataclass(frozen=True, eq=False)
 class Tracklets:
-    """A camera's strands as pieces of curves, ready to be asked where they are.
+    """A camera's tracklets as pieces of curves, for interpolation.
 
-    Image points sorted by strand and time: ``order`` (n,) their numbers, ``strand``, ``time_s`` (n,), ``xy_px`` and
-    ``speed_px`` (n, 2). ``left`` (p,): those from which a piece leads to the next; ``last`` (p,): a strand's last.
+    Image points sorted by tracklet and time: ``order`` (n,) their numbers, ``tracklet``, ``time_s`` (n,), ``xy_px``
+    and ``speed_px`` (n, 2). ``left`` (p,): those from which a piece leads to the next; ``last`` (p,): a tracklet's
+    last.
     """
 
     order: Array
-    strand: Array
+    tracklet: Array
     time_s: Array
     xy_px: Array
     speed_px: Array
@@ -139,10 +140,10 @@ class Tracklets:
     last: Array
 
     @classmethod
-    def of(cls, seen: CameraDetections, strand: Array, time_s: Array) -> "Tracklets":
-        """Return the paths of strands (n,) of image points at ``time_s`` (n,) [s]."""
-        order = np.lexsort((time_s, strand))
-        s, t, xy = strand[order], time_s[order], seen.xy_px[order]
+    def of(cls, seen: CameraDetections, tracklet: Array, time_s: Array) -> "Tracklets":
+        """Return the paths of tracklets (n,) of image points at ``time_s`` (n,) [s]."""
+        order = np.lexsort((time_s, tracklet))
+        s, t, xy = tracklet[order], time_s[order], seen.xy_px[order]
         same = (s[1:] == s[:-1]) & (t[1:] - t[:-1] <= LONGEST_GAP * seen.period_s)
         left = np.flatnonzero(same)
         last = np.ones(len(left), dtype=bool)
@@ -150,10 +151,10 @@ class Tracklets:
         return cls(order, s, t, xy, _speeds(s, t, xy), left, last)
 
     def at(self, instants_s: Array) -> ImageInterpolation:
-        """Return where the strands were at ``instants_s`` (rising) [s].
+        """Return where the tracklets were at ``instants_s`` (rising) [s].
 
-        Cubic Hermite polynomials through neighbouring image points; nothing is said beyond a strand's ends or across
-        gaps of more than LONGEST_GAP periods.
+        Cubic Hermite polynomials through neighbouring image points; nothing is returned beyond a tracklet's ends or
+        across gaps of more than LONGEST_GAP periods.
         """
         t, left = self.time_s, self.left
         first = np.searchsorted(instants_s, t[left], "left")
@@ -173,7 +174,7 @@ class Tracklets:
         sort = np.argsort(instant, kind="stable")
         return ImageInterpolation(
             instant[sort],
-            self.strand[a][sort],
+            self.tracklet[a][sort],
             place[sort],
             self.order[np.where(before, a, a + 1)][sort],
             self.order[np.where(before, a + 1, a)][sort],
@@ -206,7 +207,7 @@ def _speeds(s: Array, t: Array, xy: Array) -> Array:
 def detections_at(
     seen: CameraDetections, places: ImageInterpolation, instant: int
 ) -> tuple[Detections, Array]:
-    """Return the places of one instant as detections of the camera, and their strands."""
+    """Return the positions of one instant as detections of the camera, and their tracklets."""
     low, high = np.searchsorted(places.instant, [instant, instant + 1])
     rows, others = places.row[low:high], places.other[low:high]
     found = Detections(
@@ -218,4 +219,4 @@ def detections_at(
         np.maximum(seen.elongation[rows], seen.elongation[others]),
         seen.flags[rows] | seen.flags[others],
     )
-    return found, places.strand[low:high]
+    return found, places.tracklet[low:high]

@@ -1,13 +1,13 @@
 """Two views that may see each other: fundamental matrix, essential matrix and relative pose.
 
 A camera that sees the other one observes its epipole: with F e = 0 (second paper, eq. 5) and F' e' = 0 (eq. 6),
-F = B' M B^T, where the columns of B (3, 2) and B' span what stands at right angles to e and e'. So M (2, 2), 3
-unknowns up to scale, is all that the corresponding points have to tell, instead of 8 in a linear solution (9 numbers
+F = B' M B^T, where the columns of B (3, 2) and B' span the plane perpendicular to e and e'. So M (2, 2), 3
+unknowns up to scale, is all that the corresponding points determine, instead of 8 in a linear solution (9 numbers
 up to scale). An epipole that is not observed leaves its side of M whole (B = I): one code for both, one, or none.
 
 All image points are bearings: rays (n, 3) in the camera's frame, for an essential matrix unit rays. So lenses beyond
-180 degrees and epipoles outside the image are like any others, and the sign of an epipole's ray tells where the other
-camera is, not only on which line. (Homogeneous pixels (x, y, 1) are bearings, too, where F is wanted.)
+180 degrees and epipoles outside the image are like any others, and the sign of an epipole's ray shows on which side
+the other camera is, not only on which line. (Homogeneous pixels (x, y, 1) are bearings, too, where F is wanted.)
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from mosca.data.rig import Pose
 
 FEWEST = {0: 8, 1: 5, 2: 3}
 """Correspondences that a matrix needs at least, by the number of observed epipoles."""
-TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
+QUARTER_ROTATION = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
 class TooFewPointsError(ValueError):
@@ -50,8 +50,8 @@ def fundamental(
 def essential(first: Array, second: Array, epipole: Array | None = None, other: Array | None = None) -> Array:
     """Return E (3, 3) of singular values 1, 1, 0 with ``second . E first ~ 0`` for corresponding unit rays (n, 3).
 
-    Epipoles as in ``fundamental``; they hold exactly. With both observed E has a single unknown, the turn about the
-    base: M is a rotation or its mirror image, linear in cosine and sine, so that two points do.
+    Epipoles as in ``fundamental``; they hold exactly. With both observed E has a single unknown, the rotation about
+    the base: M is a rotation or its mirror image, linear in cosine and sine, so that two points do.
     """
     if epipole is not None and other is not None:
         return _about_base(_unit(first), _unit(second), _unit(epipole), _unit(other))
@@ -123,7 +123,7 @@ def _unit(rays: Array) -> Array:
 
 
 def _basis(epipole: Array | None) -> Array:
-    """Return what stands at right angles to an epipole as columns (3, 2), or I (3, 3) where none is observed."""
+    """Return a basis perpendicular to an epipole as columns (3, 2), or I (3, 3) where none is observed."""
     if epipole is None:
         return np.eye(3)
     e = _unit(epipole)
@@ -147,9 +147,9 @@ def _equalised(matrix: Array) -> Array:
 
 
 def _about_base(first: Array, second: Array, epipole: Array, other: Array) -> Array:
-    """Return the essential matrix with both epipoles: only the turn about the base is left.
+    """Return the essential matrix with both epipoles: only the rotation about the base is left.
 
-    With bases whose third axis is the direction from the first camera to the second, in both frames, R is a turn
+    With bases whose third axis is the direction from the first camera to the second, in both frames, R is a rotation
     about that axis, and E = [t]x R = B' J Rot(angle) B^T is linear in cosine and sine of the angle.
     """
     right = _basis(epipole)
@@ -157,7 +157,7 @@ def _about_base(first: Array, second: Array, epipole: Array, other: Array) -> Ar
     if len(first) < 2:
         raise TooFewPointsError(f"{len(first)} corresponding points with both epipoles given, 2 are needed")
     a, b = first @ right, second @ left
-    # b . TURN (c I + s TURN) a = c (b . TURN a) - s (b . a)
-    rows = np.column_stack([np.einsum("ni,ij,nj->n", b, TURN, a), -np.einsum("ni,ni->n", b, a)])
+    # b . QUARTER_ROTATION (c I + s QUARTER_ROTATION) a = c (b . QUARTER_ROTATION a) - s (b . a)
+    rows = np.column_stack([np.einsum("ni,ij,nj->n", b, QUARTER_ROTATION, a), -np.einsum("ni,ni->n", b, a)])
     c, s = np.linalg.svd(rows, full_matrices=False)[2][-1]
-    return np.asarray(left @ TURN @ (c * np.eye(2) + s * TURN) @ right.T)
+    return np.asarray(left @ QUARTER_ROTATION @ (c * np.eye(2) + s * QUARTER_ROTATION) @ right.T)

@@ -16,9 +16,9 @@ from mosca.data.rig import Pose
 from mosca.errors import InputError
 
 MOST_RAYS = 2000
-"""Correspondences that a start looks at, spread evenly over all."""
+"""Correspondences that a start uses, spread evenly over all."""
 STEP = 5
-"""Instants from one that is begun anew to the next; those between begin at the nearest of them."""
+"""Instants from one with an initial value of its own to the next; those between begin at the nearest of them."""
 WORSE = 2.0
 """Instants with so many times the usual error are tried again from their neighbours' poses."""
 
@@ -26,7 +26,7 @@ WORSE = 2.0
 def first_scene(views: Views, cameras: Cameras, *, epipoles: bool = True) -> PosesAndPoints:
     """Return a start for ``adjust``, adjusted once; with "moving" each instant on its own.
 
-    Datum: the first camera as the given cameras say, and so its distance to the second (each instant's, "moving").
+    Datum: the first camera as given, and so its distance to the second (each instant's, "moving").
     ``epipoles``: use them. InputError where no two cameras share enough points.
     """
     t, c = views.xy_px.shape[:2]
@@ -130,7 +130,7 @@ def _still(views: Views, epipoles: bool) -> tuple[Array, Array] | None:
     rotations[second], centres[second] = poses[second].rotation, poses[second].translation
     pair = Views(
         (views.cameras[first], views.cameras[second]), views.xy_px[:, [first, second]], views.carried_by,
-        views.carried_at,
+        views.carried_at
     )  # fmt: skip
     t = len(views.xy_px)
     both_r, both_c = rotations[[first, second]], centres[[first, second]]

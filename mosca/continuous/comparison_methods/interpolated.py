@@ -1,9 +1,10 @@
-"""The second paper's baselines: image tracks interpolated to common instants, then as if synchronous (section 5).
+"""The second paper's linear and cubic methods: image tracks interpolated to common instants, then as if synchronous
+(section 5).
 
 Each camera's track of each point is interpolated in the image, by straight lines or a cubic spline, to instants at
 which the other cameras have it too. From there on the cameras count as synchronous: points are intersected (known
 cameras) or adjusted with the cameras (unknown ones), with epipoles (eq. 7) or without them (eq. 4). Nothing knows
-that an interpolated image point is no observation: that is the baselines' error, in fast motion most of it.
+that an interpolated image point is no observation: that is these methods' error, in fast motion most of it.
 """
 
 from dataclasses import dataclass
@@ -68,7 +69,7 @@ class ImageTracks:
 
 @dataclass(frozen=True, eq=False)
 class Interpolated:
-    """A baseline's curves and cameras.
+    """A method's curves and cameras.
 
     ``points``: names of the free points; ``rms_px`` of the image errors at the instants of the adjustment; ``scene``
     and ``instants_s`` (t,) that adjustment.
@@ -83,9 +84,9 @@ class Interpolated:
     rms_px: float
 
     def at(self, time_s: Array) -> Array:
-        """Return the places (t, points, 3) [m]; NaN where fewer than two cameras have a point.
+        """Return the positions (t, points, 3) [m]; NaN where fewer than two cameras have a point.
 
-        Cameras that stand still: image points interpolated to ``time_s`` and intersected. Moving ones: between the
+        Cameras that are stationary: image points interpolated to ``time_s`` and intersected. Moving ones: between the
         instants of the adjustment, interpolated as the image tracks are.
         """
         if self.moving:
@@ -107,11 +108,11 @@ def interpolated(
     epipoles: bool = True,
     instants_s: Array | None = None,
 ) -> Interpolated:
-    """Return the paper's linear or cubic baseline.
+    """Return the paper's linear or cubic method.
 
     ``cameras``: "known" as in ``rig``; "fixed" or "moving": only their lenses are taken from it (and, as the datum,
     the first camera's pose and its distance to the second). ``epipoles``: used where observed; with known cameras
-    they have nothing to tell. ``instants_s`` (t,): common instants (default: all exposures between the last
+    they are not used. ``instants_s`` (t,): common instants (default: all exposures between the last
     camera's first and the first camera's last). InputError where the cameras share no time or too few points.
     """
     tracks = ImageTracks(observations, rig, kind)
@@ -150,7 +151,7 @@ def common_instants(observations: TimedObservations) -> Array:
 
 
 def _between(instants: Array, xyz: Array, time_s: Array, kind: Kind) -> Array:
-    """Interpolate places (t, n, 3) in time, by pieces without NaN; NaN elsewhere."""
+    """Interpolate positions (t, n, 3) in time, by pieces without NaN; NaN elsewhere."""
     found = np.full((len(time_s), *xyz.shape[1:]), np.nan)
     for n in range(xyz.shape[1]):
         known = np.isfinite(xyz[:, n]).all(axis=1).astype(int)

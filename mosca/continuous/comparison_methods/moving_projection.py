@@ -1,4 +1,4 @@
-"""Image points of points before moving cameras, with the derivatives by point, turn and place of the camera."""
+"""Projection into moving cameras, with the derivatives by point, rotation and position of the camera."""
 
 from dataclasses import dataclass, replace
 
@@ -13,13 +13,13 @@ AT_ORIGIN = Pose(np.eye(3), np.zeros(3))
 
 @dataclass(frozen=True, eq=False)
 class ProjectedPoints:
-    """``xy_px`` (n, 2); ``by_point`` (n, 2, 3) [px/m], which is also minus the derivative by the camera's place;
-    ``by_turn`` (n, 2, 3) [px/rad], about the camera's own axes (``R -> R exp([w]x)``). NaN where not imaged.
+    """``xy_px`` (n, 2); ``by_point`` (n, 2, 3) [px/m], which is also minus the derivative by the camera's position;
+    ``by_rotation`` (n, 2, 3) [px/rad], about the camera's own axes (``R -> R exp([w]x)``). NaN where not imaged.
     """
 
     xy_px: Array
     by_point: Array
-    by_turn: Array
+    by_rotation: Array
 
 
 def project_moving(camera: Camera, rotations: Array, centres: Array, points: Array) -> ProjectedPoints:

@@ -53,14 +53,14 @@ class Neural:
     rms_px: float
 
     def at(self, time_s: Array) -> Array:
-        """Return the places (t, points, 3) [m]; NaN where a point is not known."""
+        """Return the positions (t, points, 3) [m]; NaN where a point is not known."""
         t = np.asarray(time_s, dtype=float)
         xyz = self.anywhere(t)
         xyz[(t[:, None] < self.from_s - 1e-9) | (t[:, None] > self.to_s + 1e-9)] = np.nan
         return xyz
 
     def anywhere(self, time_s: Array) -> Array:
-        """Return what the networks say (t, points, 3) [m], known or not."""
+        """Return the output of the networks (t, points, 3) [m], known or not."""
         return np.array(np.moveaxis(self.middle[:, None] + self.size_m * self.nets.at(time_s), 0, 1))
 
 
@@ -97,7 +97,7 @@ def neural(
         own = Nets.fresh(6 * len(observations.cameras), 1, (first, last), settings.response_s, rng)
         poses = NetPoses.fit(observations.cameras, own, start.instants_s, rotations, centres)
     begun = Neural(start.points, nets, middle, size, from_s, to_s, poses, np.inf)
-    # a point that the start never places has no trajectory, and before and after it nothing to begin from
+    # a point that the start never determines has no trajectory, and before and after it nothing to begin from
     early, late = np.full(len(observations.points), first), np.full(len(observations.points), last)
     early[observations.free], late[observations.free] = from_s, to_s
     point, t = observations.point, observations.time_s
@@ -194,10 +194,10 @@ class _Task:
             image = project_moving(camera, rotations[at, k], centres[at, k], points[own])
             rest = see.xy_px[row[own]] - image.xy_px
             lost = ~np.isfinite(rest).all(axis=1)
-            # a trial that loses a point must not look like a fit
+            # a trial that loses a point must not count as a fit
             error[own] = np.where(lost[:, None], 1e4, rest)
             by_point[own] = np.where(lost[:, None, None], 0.0, image.by_point)
-            turn = np.where(lost[:, None, None], 0.0, image.by_turn)
+            turn = np.where(lost[:, None, None], 0.0, image.by_rotation)
             pose[own] = np.concatenate([turn, -by_point[own]], axis=2)
         return error, by_point, pose
 

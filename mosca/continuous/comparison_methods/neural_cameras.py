@@ -37,7 +37,7 @@ class PoseModel(Protocol):
         ...
 
     def slopes(self, time_s: Array) -> Array:
-        """Return (t, c, 6, u): turn about the camera's own axes and place, by its own u unknowns."""
+        """Return (t, c, 6, u): rotation about the camera's own axes and position, by its own u unknowns."""
         ...
 
     def moved(self, time_s: Array, z: Array) -> "PoseModel":
@@ -69,9 +69,9 @@ class SteadyPoses:
 
 @dataclass(frozen=True, eq=False)
 class NetPoses:
-    """Cameras as networks, one for each of the six components: turn from ``middle`` (c, 3, 3), and place against
-    ``origin`` (c, 3), in units of ``spread`` (c, 6) [rad, m]: how far the component strays in the start. So a camera
-    that hardly moves there is hardly moved by a step of given length, and a worn one freely.
+    """Cameras as networks, one for each of the six components: rotation from ``middle`` (c, 3, 3), and position
+    against ``origin`` (c, 3), in units of ``spread`` (c, 6) [rad, m]: how far the component strays in the start. So a
+    camera that hardly moves there is hardly moved by a step of given length, and a worn one freely.
     """
 
     cameras: tuple[str, ...]

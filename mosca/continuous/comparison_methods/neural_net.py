@@ -16,7 +16,7 @@ from mosca.data.arrays import Array
 
 HIDDEN = 256
 FREQUENCIES = (1.0, 2.0)
-"""Half turns of the encoding over the whole recording."""
+"""Half periods of the encoding over the whole recording."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Nets:
         response_s: float,
         rng: np.random.Generator,
     ) -> "Nets":
-        """Return networks that say zero; their hidden units switch within ``response_s`` at random instants."""
+        """Return networks of output zero; their hidden units switch within ``response_s`` at random instants."""
         start, duration = span_s[0], max(span_s[1] - span_s[0], 1e-9)
         speed = np.pi * np.sqrt(np.square(FREQUENCIES).sum())  # of the encoding, by s
         inner = rng.normal(0, duration / (speed * response_s), (HIDDEN, 4))
@@ -50,7 +50,7 @@ class Nets:
         bias = -(inner * where).sum(axis=1)
         return cls(
             np.tile(inner, (count, 1, 1)), np.tile(bias, (count, 1)), np.zeros((count, outputs, HIDDEN)),
-            np.zeros((count, outputs)), start, duration,
+            np.zeros((count, outputs)), start, duration
         )  # fmt: skip
 
     def code(self, time_s: Array) -> Array:

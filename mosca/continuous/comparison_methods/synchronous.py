@@ -7,7 +7,7 @@ instant is an adjustment of its own, with nothing to tie it to the others.
 
 Why not ``mosca.calibration.bundle``: there an image point depends on one camera's pose and on a point of the world or
 of a placed thing. An epipole depends on two cameras' poses, and a thing's pose cannot be the same unknown as
-a camera's. Lenses, blunders and precision, which that solver is made for, are not asked here. What is needed is
+a camera's. Lenses, blunders and precision, which that solver is made for, are not needed here. What is needed is
 small: points are eliminated in blocks of three (Brown 1958), and the epipoles only touch the reduced system.
 """
 
@@ -22,7 +22,7 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Camera
 
 Cameras = Literal["known", "fixed", "moving"]
-STEPS, TIRED, TINY = 60, 1e12, 1e-12
+STEPS, WORST_DAMPING, TINY = 60, 1e12, 1e-12
 SETTLED = 1e-9
 """Share of the cost below which another step is not worth it."""
 
@@ -31,7 +31,7 @@ SETTLED = 1e-9
 class Views:
     """What c cameras saw of m points at t common instants: ``xy_px`` (t, c, m, 2), NaN where not seen.
 
-    ``carried_by`` (m,): camera that carries the point, -1 for none; ``carried_at`` (m, 3) its place there [m].
+    ``carried_by`` (m,): camera that carries the point, -1 for none; ``carried_at`` (m, 3) its position there [m].
     """
 
     cameras: tuple[Camera, ...]
@@ -59,7 +59,7 @@ class Views:
 @dataclass(frozen=True, eq=False)
 class PosesAndPoints:
     """Poses world_from_camera at every instant, ``rotations`` (t, c, 3, 3) and ``centres`` (t, c, 3) [m], and the
-    free points' places ``xyz`` (t, n, 3) [m], NaN where fewer than two cameras see the point.
+    free points' positions ``xyz`` (t, n, 3) [m], NaN where fewer than two cameras see the point.
     """
 
     rotations: Array
@@ -94,8 +94,8 @@ def adjust(views: Views, start: PosesAndPoints, cameras: Cameras, *, epipoles: b
     """Return the least-squares scene near ``start`` (Levenberg-Marquardt, points eliminated).
 
     ``epipoles``: use carried points (eq. 7), or leave them (eq. 4). Unknown cameras: the first one keeps its pose,
-    and the size of the scene stays near the start's; both are the datum, which images do not tell. With "fixed" the
-    poses of the start's first instant are those of all.
+    and the size of the scene stays near the start's; both are the datum, which images do not determine. With "fixed"
+    the poses of the start's first instant are those of all.
     """
     task = _Task(views, cameras, epipoles)
     if cameras == "fixed":
@@ -117,7 +117,7 @@ def adjust(views: Views, start: PosesAndPoints, cameras: Cameras, *, epipoles: b
             live[np.flatnonzero(better)[gained < SETTLED]] = False
             system = task.linearised(state)
         damping = np.where(better, np.maximum(damping / 10, 1e-10), damping * 10)
-        live &= damping < TIRED
+        live &= damping < WORST_DAMPING
         live &= system.cost > TINY * np.maximum(system.count, 1)
         if not live.any():
             break
@@ -161,7 +161,7 @@ class _Task:
         cost, count = np.zeros(t), np.zeros(t)
         for k in range(len(self.views.cameras)):
             at, which, image, error = self._ordinary(scene, k)
-            pose = np.concatenate([image.by_turn, -image.by_point], axis=2)
+            pose = np.concatenate([image.by_rotation, -image.by_point], axis=2)
             pose_t, point_t = np.swapaxes(pose, 1, 2), np.swapaxes(image.by_point, 1, 2)
             own = slice(6 * k, 6 * k + 6)
             point[at, which] += point_t @ image.by_point
@@ -174,9 +174,11 @@ class _Task:
         for viewer, carrier, m, at in self.epipoles:
             image, error = self._epipole(scene, viewer, m, at)
             slope = np.zeros((len(at), 2, size))
-            slope[:, :, 6 * viewer : 6 * viewer + 3] = image.by_turn
+            slope[:, :, 6 * viewer : 6 * viewer + 3] = image.by_rotation
             slope[:, :, 6 * viewer + 3 : 6 * viewer + 6] = -image.by_point
-            slope[:, :, 6 * carrier : 6 * carrier + 3] = self._by_carriers_turn(scene, carrier, m, at, image)
+            slope[:, :, 6 * carrier : 6 * carrier + 3] = self._by_carriers_rotation(
+                scene, carrier, m, at, image
+            )
             slope[:, :, 6 * carrier + 3 : 6 * carrier + 6] = image.by_point
             camera[at] += np.swapaxes(slope, 1, 2) @ slope
             camera_right[at] += np.einsum("kpi,kp->ki", slope, error)
@@ -262,17 +264,17 @@ class _Task:
         )
         return _errors(image, self.views.xy_px[at, viewer, m])
 
-    def _by_carriers_turn(
+    def _by_carriers_rotation(
         self, scene: PosesAndPoints, carrier: int, m: int, at: Array, image: ProjectedPoints
     ) -> Array:
-        """Return d image / d turn of the carrier (k, 2, 3): d (R exp([w]x) a) / dw = -R [a]x."""
+        """Return d image / d rotation of the carrier (k, 2, 3): d (R exp([w]x) a) / dw = -R [a]x."""
         a = self.views.carried_at[m]
         cross = np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
         return np.asarray(-image.by_point @ scene.rotations[at, carrier] @ cross)
 
 
 LOST_PX = 1e4
-"""Error that stands for a point which a trial pose does not image at all."""
+"""Error of a point which a trial pose does not image at all."""
 
 
 def _errors(image: ProjectedPoints, observed: Array) -> tuple[ProjectedPoints, Array]:
@@ -282,6 +284,6 @@ def _errors(image: ProjectedPoints, observed: Array) -> tuple[ProjectedPoints, A
         return image, error
     none = lost[:, None, None]
     cleared = ProjectedPoints(
-        image.xy_px, np.where(none, 0.0, image.by_point), np.where(none, 0.0, image.by_turn)
+        image.xy_px, np.where(none, 0.0, image.by_point), np.where(none, 0.0, image.by_rotation)
     )
     return cleared, np.where(lost[:, None], LOST_PX, error)

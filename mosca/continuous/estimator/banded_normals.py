@@ -9,6 +9,7 @@ T is banded (a coefficient meets only its neighbours in time), so that all costs
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky_banded, lapack, solve_triangular
@@ -22,20 +23,25 @@ BLOCK = 48
 """Smallest block of the selected inversion: below this the calls cost more than the sums."""
 
 
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """n equations ``J x + shared s = rest`` of standard deviation 1; see ``add_rows`` for the columns."""
+class Rows(NamedTuple):
+    """n equations ``J x + shared s = rest`` of standard deviation 1."""
 
     first: Array
+    """(n,) first coefficient in time that an equation touches."""
     weights: Array
+    """(n, reach) of it and the following coefficients."""
     columns: Array
+    """(n, v) unknowns of each of these coefficients, -1 for none."""
     values: Array
+    """(n, v) derivatives by them."""
     shared: Array
+    """(n, b) derivatives by the unknowns that have no time."""
     rest: Array
+    """(n,)."""
 
     def applied(self, x: Array, width: int) -> Array:
         """Return J x (n,) of unknowns x (count * width,)."""
-        return apply_rows(x, width, self.first, self.weights, self.columns, self.values)
+        return apply_rows(x, width, self)
 
 
 class Band:
@@ -49,10 +55,7 @@ class Band:
 
     def add(self, rows: Rows) -> None:
         """Add the squares of equations."""
-        add_rows(
-            self.band, self.right, self.border, self.width,
-            rows.first, rows.weights, rows.columns, rows.values, rows.shared, rows.rest,
-        )  # fmt: skip
+        add_rows(self.band, self.right, self.border, self.width, rows)
 
     def add_prior(self, gram: Array, precision: Array) -> None:
         """Add ``gram`` (banded over time, lower) times ``precision`` (width, width) between the unknowns."""
@@ -80,7 +83,7 @@ class Band:
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """T = L L^T, L lower banded as LAPACK keeps it."""
+    """T = L L^T, L lower banded as LAPACK stores it."""
 
     lower: Array
     count: int
@@ -192,24 +195,14 @@ def solve_bordered(
 
 
 @kernel
-def add_rows(
-    band: Array,
-    right: Array,
-    border: Array,
-    width: int,
-    first: Array,
-    weights: Array,
-    columns: Array,
-    values: Array,
-    shared: Array,
-    rest: Array,
-) -> None:  # pragma: no cover
+def add_rows(band: Array, right: Array, border: Array, width: int, rows: Rows) -> None:  # pragma: no cover
     """Add rows ``rest = J x`` (n,): J^T J into ``band``, J^T rest into ``right``, J^T shared into ``border``.
 
-    ``band[i - j, j]`` (i >= j) holds the lower half. Unknown (k, c) stands at k * ``width`` + c. Row r reaches the
+    ``band[i - j, j]`` (i >= j) holds the lower half. Unknown (k, c) has index k * ``width`` + c. Row r reaches the
     coefficients ``first[r]`` + a with ``weights[r, a]``, and of each the ``columns[r]`` (-1: none) with
     ``values[r]``; ``shared`` (n, b) are its derivatives by unknowns that have no time.
     """
+    first, weights, columns, values, shared, rest = rows
     n, reach = weights.shape
     most = columns.shape[1]
     at = np.empty(reach * most, np.int64)
@@ -232,10 +225,9 @@ def add_rows(
 
 
 @kernel
-def apply_rows(
-    x: Array, width: int, first: Array, weights: Array, columns: Array, values: Array
-) -> Array:  # pragma: no cover
+def apply_rows(x: Array, width: int, rows: Rows) -> Array:  # pragma: no cover
     """Return J x (n,) of rows as in ``add_rows``."""
+    first, weights, columns, values = rows.first, rows.weights, rows.columns, rows.values
     n, reach = weights.shape
     result = np.zeros(n)
     for r in range(n):

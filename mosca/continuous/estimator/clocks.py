@@ -1,8 +1,8 @@
-"""Cameras' clocks: which of their unknowns are free, and which the data cannot tell.
+"""Cameras' clocks: which of their unknowns are free, and which the data do not determine.
 
 Gauge: the first camera's offset and drift are zero (a common shift of time changes nothing that can be seen); its
-row time is free. Every unknown begins with what can be said beforehand, ``BEFORE``; one that the data do not make
-at least ``TELLS`` times more certain is held where it was, and said so.
+row time is free. Every unknown begins with its a-priori standard deviation, ``BEFORE``; one that the data do not make
+at least ``LEAST_GAIN`` times more certain is held where it was, and reported.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from mosca.data.arrays import Array
 
 BEFORE = (0.1, 1e-3, 1e-4)
 """Standard deviations before any data: offset [s], drift, row time [s/px]."""
-TELLS = 5.0
+LEAST_GAIN = 5.0
 KINDS = ("offset", "drift", "row time")
 FREE = {"known": 0, "offset": 1, "drift": 2, "rolling": 3}
 
@@ -26,14 +26,16 @@ def free_unknowns(clocks: str, cameras: int) -> Array:
     return free
 
 
-def untold(places: StateLayout, covariance: Array) -> Array:
-    """Return the mask (cameras, 3) of free unknowns that the data do not tell, from the covariance of the shared."""
+def undetermined_clocks(places: StateLayout, covariance: Array) -> Array:
+    """Return the mask (cameras, 3) of free unknowns that the data do not determine, from the covariance of the
+    shared.
+    """
     sigma = np.sqrt(np.append(np.diag(covariance), 0.0))[places.clock]
-    return np.asarray((places.clock >= 0) & (sigma > np.array(BEFORE) / TELLS))
+    return np.asarray((places.clock >= 0) & (sigma > np.array(BEFORE) / LEAST_GAIN))
 
 
 def prior(places: StateLayout, clocks: Array) -> tuple[Array, Array]:
-    """Return the precision (b,) of the shared unknowns known beforehand, and their right side at ``clocks``."""
+    """Return the precision (b,) of the shared unknowns known a priori, and their right side at ``clocks``."""
     precision, right = np.zeros(places.shared), np.zeros(places.shared)
     for c, kind in zip(*np.nonzero(places.clock >= 0), strict=True):
         at = places.clock[c, kind]

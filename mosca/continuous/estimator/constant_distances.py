@@ -18,9 +18,9 @@ TELLING = 12.0
 """A pair's vector must have moved so many times more than its length."""
 EXPLAINED = 2.0
 """Variances of a distance over time up to so many times what its uncertainty explains may be chance: curves' errors
-last for several instants, so that few are independent, and many pairs are looked at."""
+last for several instants, so that few are independent, and many pairs are examined."""
 JUMPS = 0.05
-"""Share of instants that are not asked whether a distance is constant: those where it fits worst. Where points jump
+"""Share of instants left out of the test whether a distance is constant: those where it fits worst. Where points jump
 between exposures curves are off by more than they know, and one such instant would hide the most rigid pair."""
 SMALLEST_SLACK_M = 1e-4
 MOST_LOOSENED = 10.0
@@ -29,7 +29,7 @@ FEWEST_INSTANTS = 8
 LONGEST_M = 0.8
 """Two points of one limb are at most so far apart."""
 AT_ONCE = 64
-"""Pairs that are looked at together, for memory's sake."""
+"""Pairs that are examined together, to limit memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ def find_pairs(knots: Knots, xyz: Array, drawn: Array, known: Array, spans: Arra
         vector = best[:, a] - best[:, b]
         length = np.linalg.norm(vector, axis=2)
         spread = np.linalg.norm(others[:, :, a] - others[:, :, b], axis=3) - length
-        # instants that are known well say most
+        # inverse-variance weights
         variance = np.maximum((spread**2).mean(axis=0), 1e-12)
         weight = inside / (variance + np.median(variance, axis=0))
         weight /= np.maximum(weight.sum(axis=0), 1e-300)
@@ -100,7 +100,7 @@ def joined(parts: list[Pairs]) -> Pairs:
 
 def learned(pairs: Pairs, knots: Knots, drawn: Array) -> tuple[Pairs, Array]:
     """Return pairs with distances and slacks as curves of the posterior (draws, count, p, 3) have them, and which of
-    them (m,) still say something.
+    them (m,) still count.
     """
     if not len(pairs):
         return pairs, np.zeros(0, dtype=bool)
@@ -115,7 +115,7 @@ def learned(pairs: Pairs, knots: Knots, drawn: Array) -> tuple[Pairs, Array]:
     length = np.stack(lengths)
     distance = np.median(length.mean(axis=0), axis=0)
     varied = np.sqrt(((length - distance) ** 2).mean(axis=(0, 1)))
-    # EM creeps: a step of twice its length both ways, never below the floor
+    # over-relaxed EM: a step of twice its length in log scale both ways, never below the floor
     slack = np.maximum(varied * np.minimum(MOST_LOOSENED, varied / pairs.slack), SMALLEST_SLACK_M)
     return Pairs(pairs.pair, distance, slack), moved > TELLING**2 * slack**2
 
@@ -140,5 +140,5 @@ def limb_rows(pairs: Pairs, column: Array, knots: Knots, xyz: Array, shared: int
     first, weight = knots.weights(time)
     return Rows(
         np.repeat(first, len(pairs)), np.repeat(weight, len(pairs), axis=0), np.tile(columns, (len(time), 1)),
-        by.reshape(n, 6), np.zeros((n, shared)), ((pairs.distance - length) / pairs.slack).ravel(),
+        by.reshape(n, 6), np.zeros((n, shared)), ((pairs.distance - length) / pairs.slack).ravel()
     )  # fmt: skip

@@ -1,7 +1,8 @@
 """Curves of all points, cameras' poses and clocks from all exposures at their own times, with covariances.
 
-The walk: refuse what cannot be used -> each point by itself, smooth as the data say -> all points together, whose
-accelerations are learned together -> constant distances found and used -> what the data cannot tell is held and said.
+Steps: refuse what cannot be used -> each point by itself, smooth as the data require -> all points together, whose
+accelerations are learned together -> constant distances found and used -> what the data do not determine is held and
+reported.
 """
 
 import time as stopwatch
@@ -27,12 +28,7 @@ from mosca.continuous.estimator.observation_equations import ImagePoints
 from mosca.continuous.estimator.residual_covariance import unheld
 from mosca.continuous.estimator.single_point import first_curves
 from mosca.continuous.estimator.state import State, StateLayout, layout
-from mosca.continuous.model.estimated import (
-    Clock,
-    ConstantDistance,
-    ContinuousEstimate,
-    ContinuousSettings,
-)
+from mosca.continuous.model.estimated import Clock, ConstantDistance, ContinuousEstimate, ContinuousSettings
 from mosca.continuous.model.observations import CameraPaths, Curves, TimedObservations
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
@@ -42,11 +38,11 @@ DRAWS = 12
 """Curves drawn from the posterior at each round; each has hundreds of accelerations to learn from."""
 LARGEST_SIGMA0 = 1.5
 JOINED_AT = 1
-"""The round from which on curves have learned from each other, so that distances can be looked at."""
+"""The round from which on curves have learned from each other, so that distances can be examined."""
 SPOILT = 0.1
-"""Where more than this share of distances is dropped at once, what was learned with them is learned anew."""
+"""Where more than this share of distances is dropped at once, what was learned with them is learned again."""
 SETTLING = 2
-"""In so many last rounds no new distances are looked for: what is new must still loosen or tighten."""
+"""In so many last rounds no new distances are searched for: what is new must still loosen or tighten."""
 ROUNDS_ALONE = 2
 MOST_ROUNDS = 20
 FEWEST_ROUNDS = 4
@@ -68,7 +64,7 @@ def estimate(
 
     ``rig``: lenses and poses; the poses are right ("known") or a start. ``start``: curves to begin with, ``paths``:
     cameras' paths to begin with ("moving"), by default the rig's poses. Gauge of unknown cameras: the first stays
-    where the rig has it; the scale is the start's and is said to be unknown. InputError in one line for equal or
+    where the rig has it; the scale is the start's and is reported as unknown. InputError in one line for equal or
     unsorted time stamps, cameras without common time, too short a recording.
     """
     began = stopwatch.perf_counter()
@@ -97,7 +93,7 @@ def estimate(
     of_cameras = np.zeros((0, 0))
     if not known:
         state, held, of_cameras = _settled(image, state, points, settings, strength, noise, clock_free)
-        # what was learned while clocks and poses were wrong took their errors for motion: learned anew, from rays,
+        # what was learned while clocks and poses were wrong took their errors for motion: learned again, from rays,
         # since image points that a start is far from (jumps) count little and would never come back
         state, strength, _ = first_curves(image, replace(state, order=ORDERS[0]), alone, points, None, False)
     groups = grouped(state, points, settings)
@@ -144,9 +140,9 @@ def _first_covariances(points: Array, strength: Array, places: StateLayout) -> l
 
 def _settled(
     image: ImagePoints, state: State, points: Array, settings: ContinuousSettings, strength: Array,
-    noise: float, clock_free: Array,
+    noise: float, clock_free: Array
 ) -> tuple[State, Array, Array]:  # fmt: skip
-    """Return the state with clocks and poses come to rest, which clock unknowns cannot be told and are held, and how
+    """Return the state with clocks and poses come to rest, which clock unknowns are not determined and held, and how
     moving cameras move: their part of the prior's covariance.
     """
     rng = np.random.default_rng(0)
@@ -159,10 +155,10 @@ def _settled(
             break
         drawn = draws(solved, places, DRAWS, rng)
         if noise > 1:
-            # what clocks and poses that are not right yet do looks like noise, and shrinks as they come right
+            # errors of clocks and poses act as noise, which shrinks as these converge
             noise = max(1.0, noise * sigma0(solved, places, drawn))
         covariances = _learned(state, places, drawn, covariances)
-    held = clock_rules.untold(places, solved.covariance)
+    held = clock_rules.undetermined_clocks(places, solved.covariance)
     return (
         replace(state, clocks=np.where(held, 0.0, state.clocks)),
         held,
@@ -173,8 +169,8 @@ def _settled(
 def _learned(state: State, places: StateLayout, drawn: list[Array], before: list[Array]) -> list[Array]:
     """Return the prior's covariance of each group as its drawn curves have it.
 
-    Expectation-maximisation creeps where data say little, as of cameras that stand still: their deviations take a
-    step of twice its length, and stay above ``STILL``.
+    Expectation-maximisation converges slowly where data determine little, as of cameras that are stationary: their
+    deviations take a step of twice its length, and stay above ``STILL``.
     """
     count, result = state.knots.count, []
     for points, curves, old in zip(places.groups, drawn, before, strict=True):
@@ -191,9 +187,11 @@ def _learned(state: State, places: StateLayout, drawn: list[Array], before: list
 
 def _rounds(
     image: ImagePoints, state: State, places: StateLayout, covariances: list[Array], settings: ContinuousSettings,
-    known: Array, spans: Array,
+    known: Array, spans: Array
 ) -> tuple[Solved, list[Array], Pairs]:  # fmt: skip
-    """Step and learn in turn; constant distances are sought once curves are joined, and once more with their help."""
+    """Alternate Gauss-Newton steps and learning of variances; constant distances are sought once curves are joined,
+    and once more with their help.
+    """
     rng = np.random.default_rng(0)
     pairs, before = NO_PAIRS, (covariances, state.pace)
     left: set[tuple[int, int]] = set()
@@ -227,11 +225,11 @@ def _rounds(
 
 def _pairs(
     pairs: Pairs, state: State, places: StateLayout, drawn: list[Array], known: Array, spans: Array,
-    left: set[tuple[int, int]] | None,
+    left: set[tuple[int, int]] | None
 ) -> tuple[Pairs, set[tuple[int, int]]]:  # fmt: skip
     """Return the constant distances as the drawn curves have them, and those that do not hold and were dropped.
 
-    New ones are looked for, too, but none of ``left``, which were taken once and did not hold; None: not any more.
+    New ones are searched for, too, but none of ``left``, which were taken once and did not hold; None: not any more.
     """
     whole = np.zeros((DRAWS, *state.xyz.shape))
     group = np.full(len(known), -1)

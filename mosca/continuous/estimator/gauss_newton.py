@@ -85,7 +85,7 @@ def step(
         try:
             factors.append(band.factor())
         except LinAlgError:
-            # what images tell by less than the rounding errors of what they tell best: stays where it is
+            # directions determined below the rounding errors of the best-determined one: held
             band.hold(x)
             rights[-1] = band.right
             factors.append(band.factor())
@@ -176,7 +176,7 @@ def curves_of(
     return SplineCurves(
         tuple(observations.points[p] for p in free), knots, state.xyz[:, free], blocks[:, :, free],
         carried[:, free], solved.covariance, beyond[free], state.pace_at_knots, unheld[:, free],
-        spans[free, 0], spans[free, 1],
+        spans[free, 0], spans[free, 1]
     )  # fmt: skip
 
 
@@ -220,8 +220,8 @@ def frame_rows(state: State, places: StateLayout, group: int) -> Rows:
     """Return equations that hold the frame of moving cameras: each is near its start, the first very near, and so is
     the second's distance to the first.
 
-    Only what the cameras see of each other and of points is observed, so that the whole may drift, turn and grow as
-    one at every instant; ``FRAME`` says how far, and is far looser than images are where images can tell.
+    Only what the cameras see of each other and of points is observed, so that the whole may drift, rotate and grow as
+    one at every instant; ``FRAME`` says how far, and is far looser than images where these determine it.
     """
     knots, moving = state.knots, state.moving
     time, cameras = knots.breaks_s, places.cameras if moving is not None else 0
@@ -252,13 +252,13 @@ def frame_rows(state: State, places: StateLayout, group: int) -> Rows:
         np.append(first[each], first), np.concatenate([weight[each], weight]),
         np.concatenate([columns, np.tile(begin + 9 + np.arange(3), (len(time), 1))]),
         np.concatenate([by, base]), np.zeros((n + len(time), places.shared)),
-        np.append(rest.ravel(), (base * apart).sum(axis=1)),
+        np.append(rest.ravel(), (base * apart).sum(axis=1))
     )  # fmt: skip
 
 
 def _short_enough(
     image: ImagePoints, old: State, new: State, found: list[Array], shared: Array, places: StateLayout,
-    covariances: list[Array], pairs: Pairs, weight: Array,
+    covariances: list[Array], pairs: Pairs, weight: Array
 ) -> State:  # fmt: skip
     """Return the new state, or one nearer to the old where the step made things worse."""
     best = cost(image, old, places, covariances, pairs, weight)

@@ -1,4 +1,4 @@
-"""What an estimate begins with: which points, knots and groups, and cameras where they are thought to be."""
+"""Initial state of an estimate: its points, knots and groups, and the cameras' assumed poses."""
 
 import numpy as np
 from scipy.cluster.hierarchy import leaves_list, linkage
@@ -18,14 +18,14 @@ DEGREE = 3
 FEWEST_SIGHTINGS = 6
 MOST_UNKNOWNS = 600_000
 """Knots are spread wider where there would be more coefficients than this."""
-LARGEST_TURN = 0.7
-"""Cameras that turn less about their mean rotation are described by vectors about it [rad]."""
+LARGEST_ROTATION_RAD = 0.7
+"""Cameras that rotate less about their mean rotation are described by vectors about it [rad]."""
 CAMERA_START = (3.0, 1.0)
-"""How a moving camera turns and moves before anything is learned: rad/s^2 and m/s^2 in a band of one hertz."""
+"""A-priori accelerations of a moving camera: rad/s^2 and m/s^2 in a band of one hertz."""
 
 
 def enough(observations: TimedObservations, told: list[str]) -> Array:
-    """Return the free points that two cameras see often enough, and say which are left out."""
+    """Return the free points that two cameras see often enough, and report which are left out."""
     points = []
     for p in observations.free:
         own = observations.point == p
@@ -86,7 +86,7 @@ def first_knots(observations: TimedObservations, settings: ContinuousSettings) -
 def moving_start(
     settings: ContinuousSettings, still: StillCameras, paths: CameraPaths | None, knots: Knots
 ) -> SplinePaths | None:
-    """Return the cameras' paths to begin with as curves, None where cameras stand still."""
+    """Return the cameras' paths to begin with as curves, None where cameras are stationary."""
     if settings.cameras != "moving":
         return None
     time = np.linspace(knots.start_s, knots.end_s, 2 * knots.count + 1)
@@ -109,10 +109,10 @@ def moving_start(
             rotation[:, c], centre[:, c] = given[0][nearest, k], given[1][nearest, k]
     turns = np.zeros_like(centre)
     for c in range(len(still.cameras)):
-        # about one rotation, so that what is learned is how quickly a camera turns, not how rough the start was
+        # about one rotation, so that what is learned is how quickly a camera rotates, not how rough the start was
         each = Rotation.from_matrix(rotation[:, c])
         away = (each.mean().inv() * each).as_rotvec()
-        if np.linalg.norm(away, axis=1).max() < LARGEST_TURN:
+        if np.linalg.norm(away, axis=1).max() < LARGEST_ROTATION_RAD:
             rotation[:, c], turns[:, c] = each.mean().as_matrix(), away
     begin = PosedCameras(still.cameras, time, rotation, centre, "cubic")
     coefficients = np.concatenate([fitted(knots, time, turns), fitted(knots, time, centre)], axis=2)

@@ -12,8 +12,8 @@ FEWEST_EXPOSURES = 4
 def check(observations: TimedObservations, rig: Rig) -> None:
     """Raise InputError for unknown cameras, equal or unsorted time stamps, no shared time, or too short a recording.
 
-    Cameras share time where their spans overlap; with unknown clocks this is asked of the stamps all the same, since
-    an offset is only sought around zero.
+    Cameras share time where their spans overlap; with unknown clocks this is required of the stamps all the same,
+    since an offset is only sought around zero.
     """
     for name in observations.cameras:
         rig.camera(name)

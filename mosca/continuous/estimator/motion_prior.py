@@ -3,7 +3,7 @@
 The prior is white noise on the second or third derivative: ``p(x) ~ exp(-1/2 integral x''^T Q^-1 x'' dt)``, of the
 two the one under which all image points are likelier (recorded people: the second; smooth machines: the third). Each
 point by itself first: one strength a point, where the marginal likelihood of its image points (REML: the polynomials
-that the prior says nothing about integrated out) is largest. Then Q between all coordinates of all points that are
+on which the prior is flat integrated out) is largest. Then Q between all coordinates of all points that are
 estimated together, by expectation-maximisation: Q is the mean of x'' x''^T over curves drawn from the posterior.
 Points of a body move together, and the camera of the moment sees across its own line of sight what the others cannot
 see just then: that Q is full is what brings depth between exposures.
@@ -28,7 +28,7 @@ RANGE = (-32.0, 12.0)
 PACE_S = 0.1
 """How fast motion's liveliness changes."""
 FARTHEST_M = 100.0
-"""A point that nothing determines is this far from the origin: keeps the equations regular, weighs nothing."""
+"""A point that nothing determines is this far from the origin: keeps the equations regular, has no weight."""
 
 
 def one_point(
@@ -116,7 +116,7 @@ def expected_accelerations(knots: Knots, curves: Array, order: int, pace: Array 
 
 
 def liveliness(knots: Knots, curves: list[Array], covariances: list[Array], order: int) -> Array:
-    """Return how many times more than ``covariances`` say each piece (pieces,) moves, all groups' drawn curves
+    """Return how many times more than ``covariances`` state each piece (pieces,) moves, all groups' drawn curves
     (draws, count, w) together, smoothed over ``PACE_S``.
     """
     middle = 0.5 * (knots.breaks_s[:-1] + knots.breaks_s[1:])

@@ -77,7 +77,7 @@ class ImagePoints:
             other, other_centre = rotations[self.carrier], centres[self.carrier]
             turn = other_turn = np.zeros((0, 3))
         else:
-            # all points of an exposure share its instant, at which every camera's pose is asked for once
+            # all points of an exposure share its instant, at which every camera's pose is evaluated once
             instant, which = np.unique(time_s, return_inverse=True)
             all_rotations, all_centres = state.moving.at(instant)
             rotation, centre = all_rotations[which, o.camera], all_centres[which, o.camera]
@@ -153,7 +153,7 @@ class ImagePoints:
 
     def _rows(
         self, state: State, time_s: Array, by_point: Array, rest: Array, shared: Array,
-        poses: Array | None = None, others: Array | None = None,
+        poses: Array | None = None, others: Array | None = None
     ) -> Rows:  # fmt: skip
         o = self.observations
         first, weight = state.knots.weights(time_s)
@@ -172,7 +172,7 @@ class ImagePoints:
             np.repeat(first, 2), np.repeat(weight, 2, axis=0),
             np.repeat(np.concatenate(columns, axis=1), 2, axis=0), joined.reshape(-1, joined.shape[2]),
             shared.reshape(2 * len(shared), -1) if shared.size else np.zeros((2 * len(shared), shared.shape[2])),
-            rest.ravel(),
+            rest.ravel()
         )  # fmt: skip
 
 
@@ -197,12 +197,12 @@ def weighted(rows: Rows, weight: Array) -> Rows:
     keep = root > 0
     return Rows(
         rows.first[keep], rows.weights[keep], rows.columns[keep], rows.values[keep] * root[keep, None],
-        rows.shared[keep] * root[keep, None], rows.rest[keep] * root[keep],
+        rows.shared[keep] * root[keep, None], rows.rest[keep] * root[keep]
     )  # fmt: skip
 
 
 def _right_jacobians(turns: Array) -> Array:
-    """Return d(turn about own axes)/d(rotation vector) (n, 3, 3) (Sola 2018, eq. 143)."""
+    """Return d(rotation about own axes)/d(rotation vector) (n, 3, 3) (Sola 2018, eq. 143)."""
     angle = np.maximum(np.linalg.norm(turns, axis=1), 1e-6)[:, None, None]
     cross = cross_matrices(turns)
     return np.asarray(

@@ -1,13 +1,13 @@
-"""What curves do not hold, and their covariance alone would deny: jitter of points, and image errors that last.
+"""Errors missing from the splines' covariance: motion above the knot frequency, and time-correlated image errors.
 
 Jitter: recorded motion has parts quicker than exposures, which curves pass through at exposures and know nothing of
 between them. Exposures themselves show how large it is: a point's curve made very smooth (the third derivative white)
 leaves in the images what is jitter, as large as is likeliest (REML). It is stated once everywhere: at exposures it is
 known, and that is too much; between them curves bring their neighbours' jitter along, and that may be too little.
 
-Image errors that last (lens, calibration, a lamp's shape seen from one side) do not shrink as exposures are added up.
-The covariance of a camera's residuals of one point with those some exposures later tells their share; what they do to
-a point is what as large an error of one exposure of each camera would do.
+Time-correlated image errors (lens, calibration, a lamp's shape seen from one side) do not shrink as exposures are
+added up. The covariance of a camera's residuals of one point with those some exposures later gives their share; what
+they do to a point is what as large an error of one exposure of each camera would do.
 """
 
 import numpy as np
@@ -23,7 +23,7 @@ CHANCE = 3.0
 """Standard deviations by which variances must exceed what is stated to be believed."""
 LATER = range(3, 9)
 """Exposures from one residual to the next that it is compared with: beyond what the fit itself makes alike."""
-LOOK_S = 0.5
+EXPOSURE_GROUP_S = 0.5
 """How fast it changes from where cameras see a point."""
 
 
@@ -36,18 +36,18 @@ def unheld(
     """
     knots = solved.state.knots
     total = np.zeros((knots.pieces + 1, len(image.observations.points), 3, 3))
-    share = np.maximum(lasting(image, solved), of_lenses(image))
+    share = np.maximum(time_correlated_variance(image, solved), of_lenses(image))
     seen = np.bincount(image.observations.camera, minlength=len(share))
     mean = float(np.average(share, weights=np.maximum(seen, 1)))
     total[:, points] += jitter(image, solved, alone, points, mean)[:, None, None] * np.eye(3)
     if mean > 0:
-        total[:, points] += single_looks(image, solved, places, share)[:, points]
+        total[:, points] += time_correlated_covariances(image, solved, places, share)[:, points]
     return total
 
 
 def of_lenses(image: ImagePoints) -> Array:
-    """Return what the calibration says that lens models leave of the images, of each camera (c,), in the variances
-    stated, which hold it: the least that lasts.
+    """Return the residual errors of the lens models that the calibration states, of each camera (c,), in the
+    variances stated, which contain it: the least time-correlated variance.
 
     Of errors that a curve takes up, or that change as a point moves on, residuals show too little.
     """
@@ -58,17 +58,18 @@ def of_lenses(image: ImagePoints) -> Array:
 
 
 def jitter(image: ImagePoints, solved: Solved, alone: StateLayout, points: Array, share: float) -> Array:
-    """Return the variance (points,) an axis [m^2] of what is too quick for exposures.
+    """Return the variance (points,) an axis [m^2] of motion above the exposures' rate.
 
-    ``share``: of errors that last, in the variances stated; cameras in turn show them as jitter, which they are not.
+    ``share``: of time-correlated errors, in the variances stated; cameras in turn show them as jitter, which they are
+    not.
     """
     noise, lever, number = smoothest_noise(image, solved.state, alone, points)
     excess = noise**2 - 1 - share
     return np.asarray(np.where(excess > CHANCE * np.sqrt(2 / number), excess / lever, 0.0))
 
 
-def lasting(image: ImagePoints, solved: Solved) -> float:
-    """Return the variance of image errors that last, in the variances stated; 0 where chance explains it.
+def time_correlated_variance(image: ImagePoints, solved: Solved) -> float:
+    """Return the variance of time-correlated image errors, in the variances stated; 0 where chance explains it.
 
     Where C cameras see a point, its curve takes up 3 of 2 C parts of such errors, the residuals show the others.
     """
@@ -96,14 +97,17 @@ def lasting(image: ImagePoints, solved: Solved) -> float:
     return alike / own if alike / number > chance else 0.0
 
 
-def single_looks(image: ImagePoints, solved: Solved, places: StateLayout, share: Array) -> Array:
-    """Return at the knots the covariances (pieces + 1, all points, 3, 3) [m^2] that lasting errors give to points.
+def time_correlated_covariances(
+    image: ImagePoints, solved: Solved, places: StateLayout, share: Array
+) -> Array:
+    """Return at the knots the covariances (pieces + 1, all points, 3, 3) [m^2] that time-correlated errors give to
+    points.
 
     ``share`` (c,): of each camera's errors, in the variances stated. They do what errors of one exposure of each
     camera that sees a point then would do; where cameras move, to their poses, too.
     """
     o, knots = image.observations, solved.state.knots
-    bins = max(1, round((knots.end_s - knots.start_s) / LOOK_S))
+    bins = max(1, round((knots.end_s - knots.start_s) / EXPOSURE_GROUP_S))
     time = np.clip((image.times(solved.state) - knots.start_s) / (knots.end_s - knots.start_s), 0, 1)
     bin_of = np.minimum((time * bins).astype(int), bins - 1)
     result = np.zeros((bins, len(o.points), 3, 3))
@@ -125,7 +129,7 @@ def single_looks(image: ImagePoints, solved: Solved, places: StateLayout, share:
 
 
 def _each_alone(by: Array, at: tuple[Array, ...], share: Array, shape: tuple[int, int, int]) -> Array:
-    """Return covariances (bins, points, 3, 3) of points whose cameras stand where they are.
+    """Return covariances (bins, points, 3, 3) of points as seen by cameras at their own poses.
 
     ``by`` (n, 2, 3) whitened derivatives; ``at`` bin, point and camera of each image point; ``shape`` their numbers.
     """

@@ -1,4 +1,4 @@
-"""First curves: each point by itself, from its rays at their own instants. Linear, so that nothing need be near."""
+"""First curves: each point by itself, from its rays at their own instants. Linear: needs no initial guess."""
 
 from dataclasses import replace
 
@@ -47,7 +47,7 @@ def first_curves(
                 depth = np.maximum(image.depths(state), NEAREST_M)
             seen = image.rays(state, depth)
             usable = np.isfinite(seen.residual).all(axis=1).astype(float)
-            # noise as large as is likeliest: a smooth curve, from which gross errors stand out
+            # noise as large as is likeliest: a smooth curve, against which gross errors show
             state = _each_point(image, seen, state, usable, points, True)[0]
     seen = image.linearised(state, places)
     seen = LinearisedImages(seen.residual, _whole(seen.rows, state.xyz, len(image.observations.points)))
@@ -63,12 +63,12 @@ def smoothest_noise(
     image: ImagePoints, state: State, places: StateLayout, points: Array
 ) -> tuple[Array, Array, Array]:
     """Return of ``points``, each made as smooth as the highest order has it: how many times larger than stated its
-    image errors then are, the mean square of an image coordinate's derivative by place [1/m^2], and their number.
+    image errors then are, the mean square of an image coordinate's derivative by position [1/m^2], and their number.
     """
     seen = image.linearised(state, places)
     seen = LinearisedImages(seen.residual, _whole(seen.rows, state.xyz, len(image.observations.points)))
     smooth = replace(state, order=max(ORDERS))
-    # jumps are rare and far larger than what is left elsewhere: told by a first pass, they count less in the second
+    # jumps are rare and far larger than what is left elsewhere: found by a first pass, they count less in the second
     once = _each_point(image, seen, smooth, robust_weights(seen.residual), points, True)[0]
     noise = _each_point(image, seen, smooth, robust_weights(image.residuals(once)), points, True)[2]
     square = (seen.rows.values[:, :3] ** 2).sum(axis=1).reshape(-1, 2).sum(axis=1) / 2
@@ -108,7 +108,7 @@ def _whole(rows: Rows, xyz: Array, points: int) -> Rows:
 
 
 def _middle_distance(state: State, time_s: Array) -> float:
-    """Return the mean distance [m] of cameras from the place that their axes pass nearest to."""
+    """Return the mean distance [m] of cameras from the position that their axes pass nearest to."""
     rotation, centre = state.paths.at(np.linspace(time_s.min(), time_s.max(), 5))
     axis = rotation[..., 2].reshape(-1, 3)
     places = centre.reshape(-1, 3)
@@ -128,7 +128,7 @@ def _following(curves: Curves, names: tuple[str, ...], points: Array, knots: Kno
         given = at[:, curves.points.index(names[p])]
         good = np.isfinite(given).all(axis=1)
         if good.sum() >= 2:
-            # gaps and ends: the nearest known place
+            # gaps and ends: the nearest known position
             filled = np.column_stack([np.interp(time, time[good], given[good, k]) for k in range(3)])
             result[:, n] = fitted(knots, time, filled)
     return result

@@ -1,4 +1,4 @@
-"""What is estimated, as one value: curves of points, cameras' poses and clocks; and where each unknown stands."""
+"""What is estimated, as one value: curves of points, cameras' poses and clocks; and the index of each unknown."""
 
 from dataclasses import dataclass, replace
 
@@ -40,7 +40,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class StateLayout:
-    """Where unknowns stand.
+    """Index layout of the unknowns.
 
     ``groups``: points that meet, each a band of 3 columns a point; with ``moving`` cameras one group, 6 more columns
     a camera. Without time: 6 a camera where ``still_free``, then ``clock`` (cameras, 3) indices of free clock

@@ -1,7 +1,7 @@
 """Uniform B-splines in time: values, derivatives, and the exact integral of a squared derivative.
 
 A curve is ``x(t) = sum_k c_k N((t - start) / step + degree - k)`` with the cardinal B-spline ``N`` of ``degree`` on
-[0, degree + 1] (de Boor 1978). All pieces are alike, so that one small matrix turns a place within a piece into the
+[0, degree + 1] (de Boor 1978). All pieces are alike, so that one small matrix maps a position within a piece to the
 weights of the ``degree + 1`` coefficients that reach it.
 """
 
@@ -105,7 +105,7 @@ def fitted(knots: Knots, time_s: Array, places: Array) -> Array:
 
 @lru_cache(maxsize=32)
 def _derived(degree: int, derivative: int) -> Array:
-    """Return the matrix from powers of the place in a piece (0 to 1) to the weights' derivatives, per unit step."""
+    """Return the matrix from powers of the position in a piece (0 to 1) to the weights' derivatives."""
     spline = BSpline.basis_element(np.arange(degree + 2.0), extrapolate=False)
     pieces = PPoly.from_spline((spline.t, spline.c, degree)).derivative(derivative)
     # the piece [k, k + 1] of N belongs to the coefficient that started k pieces ago

@@ -1,4 +1,4 @@
-"""Cameras' exterior orientations over time: cameras that stand still, and poses between those of some instants."""
+"""Cameras' exterior orientations over time: cameras that are stationary, and poses between those of some instants."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,7 +22,7 @@ class StillCameras:
 
     @classmethod
     def of(cls, rig: Rig) -> "StillCameras":
-        """Return the cameras of a rig where they stand."""
+        """Return the cameras of a rig, stationary."""
         poses = [camera.world_from_camera for camera in rig.cameras]
         return cls(rig.names, np.array([p.rotation for p in poses]), np.array([p.translation for p in poses]))
 
@@ -46,7 +46,7 @@ class _Between:
 class PosedCameras:
     """Poses known at ``time_s`` (t,), between them interpolated (``kind``); NaN outside and where none is known.
 
-    "linear": straight lines and great arcs (slerp); "cubic": splines with continuous acceleration, of turns too.
+    "linear": straight lines and great arcs (slerp); "cubic": splines with continuous acceleration, of rotations too.
     """
 
     cameras: tuple[str, ...]

@@ -13,28 +13,28 @@ from mosca.data.arrays import Array
 
 @dataclass(frozen=True)
 class ContinuousSettings:
-    """What is known and what is estimated.
-
-    ``clocks``: "known" (time stamps are right), or estimate each camera's "offset", offset and "drift", or also the
-    rolling shutter's row time ("rolling"). ``cameras``: "known" poses, "fixed" unknown ones (the rig's are the
-    start), or "moving" ones. ``limbs``: find constant distances and use them. ``knot_s``: knot spacing [s], None:
-    from the data's rate. ``most_together``: points whose accelerations are learned together; more are taken in
-    groups. ``rounds``: of learning with constant distances.
-    """
+    """What is known and what is estimated."""
 
     clocks: Literal["known", "offset", "drift", "rolling"] = "known"
+    """"known": time stamps are right; else what is estimated of each camera's clock: "offset", offset and "drift",
+    or also the rolling shutter's row time ("rolling")."""
     cameras: Literal["known", "fixed", "moving"] = "known"
+    """"known" poses, "fixed" unknown ones (the rig's are the start), or "moving" ones."""
     limbs: bool = True
+    """Find constant distances and use them."""
     knot_s: float | None = None
+    """Knot spacing [s]; None: from the data's rate."""
     most_together: int = 60
+    """Points whose accelerations are learned together; more are taken in groups."""
     rounds: int = 8
+    """Iterations of learning with constant distances."""
 
 
 @dataclass(frozen=True)
 class Clock:
     """A camera's clock: time of an image point = offset_s + (1 + drift) * time_s + row_time_s * y_px.
 
-    The sigmas are standard deviations, 0 for what was not estimated; ``held``: what the data could not tell and
+    The sigmas are standard deviations, 0 for what was not estimated; ``held``: what the data did not determine and
     stayed as it was.
     """
 
@@ -64,8 +64,8 @@ class SplineCurves:
 
     ``blocks`` (degree + 1, count, points, 3, 3): covariances between coefficients k + o and k of one point;
     ``carried`` (count, points, 3, b) and ``shared`` (b, b): what the unknowns without time add; ``beyond``
-    (points, 3, 3): motion too quick for the knots, times ``pace`` (pieces + 1,) at them; ``unheld``
-    (pieces + 1, points, 3, 3): at them, what curves do not hold (``unheld.py``) [m^2]. ``from_s``, ``to_s``
+    (points, 3, 3): motion above the knot frequency, times ``pace`` (pieces + 1,) at them; ``unheld``
+    (pieces + 1, points, 3, 3): at them, what curves do not hold (``residual_covariance``) [m^2]. ``from_s``, ``to_s``
     (points,): between these the point is known.
     """
 
@@ -82,12 +82,8 @@ class SplineCurves:
     to_s: Array
 
     def at(self, time_s: Array) -> Array:
-        """Return the places (t, points, 3) [m] at the instants ``time_s`` (t,); NaN where a point was not seen."""
+        """Return the positions (t, points, 3) [m] at the instants ``time_s`` (t,); NaN where a point was not seen."""
         return self._known(values(self.knots, self.coefficients, time_s), time_s)
-
-    def velocity_at(self, time_s: Array) -> Array:
-        """Return the velocities (t, points, 3) [m/s]; NaN where a point was not seen."""
-        return self._known(values(self.knots, self.coefficients, time_s, 1), time_s)
 
     def covariance_at(self, time_s: Array) -> Array:
         """Return the covariances (t, points, 3, 3) [m^2] at the instants ``time_s`` (t,)."""
@@ -114,7 +110,7 @@ class SplineCurves:
 
 @dataclass(frozen=True, eq=False)
 class SplinePaths:
-    """World_from_camera as functions of time: a start path turned by curves, and centres that are curves.
+    """World_from_camera as functions of time: a start path rotated by curves, and centres that are curves.
 
     R(t) = R_start(t) exp([w(t)]x); ``coefficients`` (count, cameras, 6) of w [rad] and of the centre [m];
     ``frame`` (count, cameras, 6): those that the estimate began with, near which the frame is held.

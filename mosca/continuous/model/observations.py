@@ -76,7 +76,7 @@ def no_carriers(points: Sequence[str]) -> dict[str, Array]:
 
 
 class Curves(Protocol):
-    """Places of points as functions of time, world frame [m]; NaN where a point is not known."""
+    """Positions of points as functions of time, world frame [m]; NaN where a point is not known."""
 
     @property
     def points(self) -> tuple[str, ...]:
@@ -84,7 +84,7 @@ class Curves(Protocol):
         ...
 
     def at(self, time_s: Array) -> Array:
-        """Return the places (t, points, 3) at the instants ``time_s`` (t,)."""
+        """Return the positions (t, points, 3) at the instants ``time_s`` (t,)."""
         ...
 
 

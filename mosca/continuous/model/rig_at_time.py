@@ -1,4 +1,4 @@
-"""Cameras that move, for what was made for cameras that stand: a rig at each instant, images at each one's pose."""
+"""Moving cameras: a rig at each instant, images at each camera's pose."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -15,14 +15,14 @@ from mosca.data.tracks import Points
 
 @dataclass(frozen=True, eq=False)
 class MovingRig:
-    """A rig whose cameras move. ``paths``: their poses; ``told_s``: how near to one of ``known_s`` (instants of each
-    camera at which its pose was told) an instant must be for the camera to be there [s].
+    """A rig whose cameras move. ``paths``: their poses; ``valid_s``: how near to one of ``known_s`` (instants of each
+    camera at which its pose was estimated) an instant must be for the pose to be valid [s].
     """
 
     rig: Rig
     paths: CameraPaths
     known_s: tuple[Array, ...]
-    told_s: float
+    valid_s: float
 
     def rigs(self, time_s: Array) -> list[Rig]:
         """Return the rig at each of ``time_s`` (t,); cameras without a pose there are where the rig has them."""
@@ -41,7 +41,7 @@ class MovingRig:
         ]
 
     def there(self, time_s: Array) -> Array:
-        """Return at which of ``time_s`` (t,) each camera's pose is told (t, c)."""
+        """Return at which of ``time_s`` (t,) each camera's pose is known (t, c)."""
         columns = []
         for known in self.known_s:
             if not len(known):
@@ -52,7 +52,7 @@ class MovingRig:
             )
             before = np.maximum(np.asarray(after) - 1, 0)
             away = np.minimum(np.abs(known[after] - time_s), np.abs(known[before] - time_s))
-            columns.append(away <= self.told_s)
+            columns.append(away <= self.valid_s)
         return np.column_stack(columns)
 
 
@@ -69,9 +69,9 @@ class RigAtEach:
 
 
 def images_at(camera: Camera, c: int, paths: CameraPaths | None, time_s: Array, xyz: Array) -> Array:
-    """Return the images (t, m, 2) [px] of places (t, m, 3) [m] in camera number ``c`` at ``time_s`` (t,).
+    """Return the images (t, m, 2) [px] of positions (t, m, 3) [m] in camera number ``c`` at ``time_s`` (t,).
 
-    ``paths`` None: the camera stands where it says.
+    ``paths`` None: the camera is stationary at its own pose.
     """
     if paths is None:
         pose = camera.world_from_camera

@@ -1,9 +1,9 @@
 """Cameras on the limbs of the body that they film: where they are at each instant, and the markers.
 
-The walk: look at every frame -> tell lamps by their blinks (``gather_blinks``) -> cameras' poses at common instants
-from each other's lamps alone (``gather_mutual``) -> match markers at these instants with these poses -> curves and
+Steps: detect in every frame -> identify lamps by their blinks (``blink_codes``) -> cameras' poses at common instants
+from each other's lamps alone (``mutual_pose``) -> match markers at these instants with these poses -> curves and
 poses together from every image point at its own instant, lamps among them as points that cameras carry
-(``estimate``, ``cameras = "moving"``) -> image points given to markers anew by these -> the same once more.
+(``estimate``, ``cameras = "moving"``) -> image points assigned to markers again by these -> the same once more.
 
 Known: the lenses, the poses of two cameras and more to each other (they are the frame and the metre), where each
 camera's lamp is to its lens, and that all stamps are of one clock. Nothing else: no start, no names.
@@ -18,8 +18,8 @@ from mosca.continuous.association.associate import AssociationSettings, check_lo
 from mosca.continuous.association.blink_codes import LampSettings, blinking
 from mosca.continuous.association.coarse_sync import common_clock
 from mosca.continuous.association.correspondence import common_instants, observed
-from mosca.continuous.association.frame_detections import CameraDetections, FrameCount, look_at_frames
-from mosca.continuous.association.tracklets_2d import strands
+from mosca.continuous.association.frame_detections import CameraDetections, FrameCount, detect_in_frames
+from mosca.continuous.association.tracklets_2d import tracklets
 from mosca.continuous.estimator.estimate import ContinuousSettings, estimate
 from mosca.continuous.findings import association_findings
 from mosca.continuous.model.camera_paths import PosedCameras
@@ -36,8 +36,8 @@ from mosca.pipeline import check_source
 
 LAMP_PX = 2.0
 """An image point so near to where a lamp must be is that lamp's."""
-TOLD_PERIODS = 1.5
-"""A pose is told so near to an instant at which lamps told it, in the cameras' periods."""
+VALID_PERIODS = 1.5
+"""Maximum time from an LED observation at which a camera pose is valid, in frame periods."""
 COARSER = 2.0
 """The first estimate's knots lie so many times as far apart."""
 LONGEST_S = 0.5
@@ -65,7 +65,7 @@ class Lamps:
 class Worn:
     """What worn cameras gave. ``reconstructed``: with the cameras' paths; ``placed``: poses from lamps alone;
     ``lamp`` of each camera's image points (n,) the camera whose lamp it is, or -1; ``by_code`` those of them that the
-    code told; ``lamp_rms_px``: how far lamps lie from where the estimated poses have them.
+    code identified; ``lamp_rms_px``: how far lamps lie from where the estimated poses have them.
     """
 
     reconstructed: Reconstructed
@@ -85,17 +85,18 @@ def reconstruct_worn(
     backgrounds: Mapping[str, Array] | None = None,
     attend: Callable[[int], None] | None = None,
 ) -> Worn:
-    """Turn frames of free-running cameras on a body's limbs into curves of markers and paths of the cameras.
+    """Reconstruct from frames of free-running cameras on a body's limbs the curves of markers and paths of the
+    cameras.
 
-    ``known``: names of the cameras whose poses in ``rig`` are right; those of the others are not looked at. They come
+    ``known``: names of the cameras whose poses in ``rig`` are right; those of the others are not used. They come
     first in what is estimated: the first is the frame, its distance to the second the metre. Without
     ``settings.knot_s`` knots are as far apart as the quickest camera's frames. InputError where fewer than two are
-    known, or lamps do not tell where the others are.
+    known, or lamps do not determine the others.
     """
     check_source(source, rig)
     gathering = AssociationSettings() if gathering is None else gathering
     count = FrameCount()
-    seen = look_at_frames(source, rig.names, gathering.pipeline.detection, backgrounds, count, attend)
+    seen = detect_in_frames(source, rig.names, gathering.pipeline.detection, backgrounds, count, attend)
     return solve_worn(seen, rig, known, lamps, gathering, settings, count, attend)
 
 
@@ -121,27 +122,27 @@ def solve_worn(
     sights = lamp_rays(seen, times, by_code, rig, instants, lamps.bit_s)
     placed = placed_by_lamps(sights, rig, fixed, lamps.at_m)
     period = max(one.period_s for one in seen)
-    moving = _moving(rig, placed, TOLD_PERIODS * period)
+    moving = _moving(rig, placed, VALID_PERIODS * period)
     lamp = tuple(
         _lamps_near(one, c, t, own, rig, moving, lamps)
         for c, (one, t, own) in enumerate(zip(seen, times, by_code, strict=True))
     )
     marked = tuple(_without(one, own) for one, own in zip(seen, lamp, strict=True))
-    strand = [strands(one) for one in marked]
-    gathered = markers_of(marked, strand, ties, rig, gathering, count or FrameCount(), attend, moving)
+    tracklet = [tracklets(one) for one in marked]
+    gathered = markers_of(marked, tracklet, ties, rig, gathering, count or FrameCount(), attend, moving)
     settings = settings or ContinuousSettings()
     # a camera's path is seen at its own exposures alone: knots as far apart as the quickest one's frames
     knot_s = settings.knot_s or min(one.period_s for one in seen)
     settings = replace(settings, cameras="moving", clocks="known", knot_s=knot_s)
     found, paths = gathered.observations, moving.paths
     start: Curves = gathered.start
-    # the first time only serves to bridge where lamps did not tell poses, and to give image points to markers anew
+    # the first pass only bridges gaps between poses, and assigns image points to markers again
     quick = replace(settings, limbs=False, knot_s=COARSER * knot_s)
     for now in (quick, settings):
         whole = with_lamps(found, seen, times, lamp, gathered.sigma_px, lamps)
         estimated = estimate(whole, rig, now, start, paths)
         start, paths = estimated.curves, estimated.paths
-        moving = replace(moving, paths=paths, told_s=LONGEST_S)
+        moving = replace(moving, paths=paths, valid_s=LONGEST_S)
         if now is quick:
             found, _row = observed(marked, ties, rig, start, gathered.sigma_px, BETTER_PX, moving)
     told = (
@@ -188,7 +189,7 @@ def _carriers(one: CameraDetections, lamps: Lamps) -> Array:
     )
 
 
-def _moving(rig: Rig, placed: MutualPoses, told_s: float) -> MovingRig:
+def _moving(rig: Rig, placed: MutualPoses, valid_s: float) -> MovingRig:
     good = np.asarray(np.isfinite(placed.centres).all(axis=2))
     for c, name in enumerate(rig.names):
         if good[:, c].sum() < 3:
@@ -197,7 +198,7 @@ def _moving(rig: Rig, placed: MutualPoses, told_s: float) -> MovingRig:
                 "cameras see its lamp and it two of theirs, and check their numbers and the time of a bit"
             )
     paths = PosedCameras(rig.names, placed.time_s, placed.rotations, placed.centres)
-    return MovingRig(rig, paths, tuple(placed.time_s[good[:, c]] for c in range(len(rig.names))), told_s)
+    return MovingRig(rig, paths, tuple(placed.time_s[good[:, c]] for c in range(len(rig.names))), valid_s)
 
 
 def _lamps_near(

@@ -1,7 +1,7 @@
 """Where worn cameras are at each instant, from the lamps that they see of each other (observed epipoles) alone.
 
 Some cameras' poses are known; their frame is the world's. A camera whose lamp two placed cameras see is where these
-rays meet, and is turned so that it sees the lamps of placed cameras where it does (Wahba's problem): so one camera
+rays meet, and is rotated so that it sees the lamps of placed cameras where it does (Wahba's problem): so one camera
 after the other is placed. All of an instant are then adjusted together on all sightings of lamps (the second term of
 eq. 7 of the second paper; the lamps' ways from their lenses are taken into account), those that were not placed
 beginning where they were at the nearest instant.
@@ -26,7 +26,7 @@ RAY_SIGMA = 2e-3
 LOOSE = (0.5, 0.5)
 """What holds a pose that lamps do not: rad and m from where it began, standard deviations."""
 KNOWN = (0.04, 0.03)
-"""A pose counts where lamps tell it so well: rad and m, standard deviations."""
+"""A pose counts where lamps determine it so well: rad and m, standard deviations."""
 SEED_PASSES = 5
 STEPS = 8
 FARTHEST_RAD = 0.03
@@ -46,7 +46,7 @@ class LampRays:
 @dataclass(frozen=True, eq=False)
 class MutualPoses:
     """world_from_camera at instants: ``rotations`` (t, c, 3, 3), ``centres`` (t, c, 3) [m], NaN where lamps do not
-    tell; ``residual_rad`` (t,) rms of the sightings.
+    determine them; ``residual_rad`` (t,) rms of the sightings.
     """
 
     time_s: Array
@@ -115,7 +115,7 @@ def placed_by_lamps(sights: LampRays, rig: Rig, known: Array, lamp_m: Array) -> 
 
 
 def _seeded(rays: Array, rotations: Array, centres: Array, known: Array, lamp_m: Array) -> None:
-    """Place the cameras of one instant one after the other, in place."""
+    """Place the cameras of one instant one after the other, in the given arrays."""
     placed = np.array(known, dtype=bool)
     waiting = True
     while waiting:
@@ -146,8 +146,8 @@ def _meeting(origins: Array, rays: Array) -> Array:
 def _adjusted(
     rays: Array, rotations: Array, centres: Array, known: Array, lamp_m: Array
 ) -> tuple[Array, Array, float]:
-    """Return the poses of one instant that fit all sightings of lamps best, NaN where they are not told, and the rms
-    residual [rad].
+    """Return the poses of one instant that fit all sightings of lamps best, NaN where they are not determined, and
+    the rms residual [rad].
     """
     begun = np.asarray(np.isfinite(centres).all(axis=1))
     free = np.flatnonzero(begun & ~known)
@@ -197,7 +197,7 @@ def _linearised(
     unknowns: int,
 ) -> tuple[Array, Array]:
     """Return observed minus predicted directions (n, 3) and their derivatives (n, 3, unknowns): of each free camera
-    its turn about its own axes and its place.
+    its rotation about its own axes and its position.
     """
     back = np.swapaxes(turn[viewer], 1, 2)
     lamp = place[carrier] + np.einsum("nij,nj->ni", turn[carrier], lamp_m[carrier])

@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from bundle_scenes import HEIGHT, WIDTH, looking, ring
+from bundle_scenes import HEIGHT, WIDTH, ring
+from rigs import looking_at
 from scipy.spatial.transform import Rotation
 
 from mosca.calibration.bundle.solver import (
@@ -49,7 +50,7 @@ def seen(cameras, world, rng, noise_px=NOISE_PX, placement=-1, frame=0, marks=No
 
 
 def calibration_of(cameras, start, free, rows, marks, target, placements=(), held_first=False, noise_px=NOISE_PX,
-                   free_marks=False, settings=None) -> Calibration:  # fmt: skip
+                   *, free_marks=False, settings=None) -> Calibration:  # fmt: skip
     """Solve and return the calibration; ``marks`` fixed, cameras free."""
     table = np.array(rows)
     camera, frame, mark, placement = (table[:, k].astype(int) for k in range(4))
@@ -78,7 +79,7 @@ def calibration_of(cameras, start, free, rows, marks, target, placements=(), hel
         Rig(done.cameras), target, sightings, done.parameters, p.covariance, done.residuals_px, done.used,
         done.points, placement, done.placements.rotation, done.placements.translation, done.sigma0,
         np.column_stack([p.sigma_x_px, p.sigma_y_px]), np.column_stack([p.sigma_x_m, p.sigma_y_m]),
-        done.weak, done.held, 0.0, "the target's file",
+        done.weak, done.held, 0.0, "the target's file"
     )  # fmt: skip
 
 
@@ -166,7 +167,7 @@ def overhead(rng, n=3, height=1.6) -> list[Camera]:
     for k, c in enumerate(good_rig(rng, n)):
         a = 2 * np.pi * k / n
         centre = [0.6 * np.cos(a), 0.6 * np.sin(a) + 0.05, 1 + height + rng.normal(0, 0.1)]
-        out.append(replace(c, world_from_camera=looking(centre, [0, 0, 1])))
+        out.append(replace(c, world_from_camera=looking_at(centre, [0, 0, 1])))
     return out
 
 
@@ -181,7 +182,7 @@ def bar_sightings(cameras, length, frames, rng, noise_px=NOISE_PX) -> Sightings:
     table = np.array(rows)
     return Sightings(
         tuple(c.name for c in cameras), np.array([(c.width, c.height) for c in cameras]), frames, table[:, 0],
-        table[:, 1], table[:, 2], table[:, 4:6], np.tile(noise_px**2 * np.eye(2), (len(table), 1, 1)), table[:, 6],
+        table[:, 1], table[:, 2], table[:, 4:6], np.tile(noise_px**2 * np.eye(2), (len(table), 1, 1)), table[:, 6]
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from continuous_sessions import Motion, rig, session
 
 from mosca.continuous.association.coarse_sync import rival, tied_clocks
-from mosca.continuous.association.tracklets_2d import strands
+from mosca.continuous.association.tracklets_2d import tracklets
 from mosca.continuous.findings import association_findings, late_cameras
 from mosca.continuous.model.observations import TimedObservations, no_carriers
 
@@ -31,14 +31,14 @@ def observations_of(camera: np.ndarray) -> TimedObservations:
     none = np.zeros(n)
     return TimedObservations(
         rig().names, ("p",), camera, none, none, none, np.zeros((n, 2)), np.tile(np.eye(2), (n, 1, 1)),
-        **no_carriers(("p",)),
+        **no_carriers(("p",))
     )  # fmt: skip
 
 
 def test_motion_that_repeats_itself_leaves_several_offsets_and_it_is_said():
     """All points go round in 1 s: an offset of a whole second more or less fits as well."""
     seen, _names, _true = session(4.0, motion=Motion(frequencies_hz=(1.0, 2.0, 3.0)))
-    ties = tied_clocks(seen, [strands(one) for one in seen], rig(), 1.6)
+    ties = tied_clocks(seen, [tracklets(one) for one in seen], rig(), 1.6)
     for tie in ties[1:]:
         assert tie.rival_s is not None
         turns = tie.rival_s - tie.offset_s
@@ -51,7 +51,7 @@ def test_motion_that_repeats_itself_leaves_several_offsets_and_it_is_said():
 
 def test_motion_that_does_not_repeat_itself_has_no_rival():
     seen, _names, _true = session(4.0)
-    ties = tied_clocks(seen, [strands(one) for one in seen], rig(), 1.6)
+    ties = tied_clocks(seen, [tracklets(one) for one in seen], rig(), 1.6)
     assert all(tie.rival_s is None for tie in ties)
     assert told_of_ties(seen, ties) == ()
 

@@ -1,4 +1,4 @@
-"""From what free-running cameras saw to observations: strands, clocks, identities, samples on a grid.
+"""From what free-running cameras saw to observations: tracklets, clocks, identities, samples on a grid.
 
 Points move on sums of sinusoids and are projected here by the pinhole equations; each camera exposes at instants of
 its own and stamps them by a clock of its own.
@@ -13,7 +13,7 @@ from mosca.continuous.association.coarse_sync import common_clock, tied_clocks
 from mosca.continuous.association.frame_detections import CameraDetections, check_rise
 from mosca.continuous.association.interpolated_tracks import SampledCurves
 from mosca.continuous.association.tracklet_merging import parts_in_time
-from mosca.continuous.association.tracklets_2d import Tracklets, strands
+from mosca.continuous.association.tracklets_2d import Tracklets, tracklets
 from mosca.continuous.model.observations import TimedObservations, no_carriers
 from mosca.continuous.resample import residuals_px, tracks_on_grid
 from mosca.data.frames import CameraInfo
@@ -24,8 +24,8 @@ from mosca.errors import InputError
 def test_a_strand_is_one_point():
     seen, names, _true = session()
     for one, point in zip(seen, names, strict=True):
-        strand = strands(one)
-        owners = [np.unique(point[strand == s]) for s in np.unique(strand)]
+        tracklet = tracklets(one)
+        owners = [np.unique(point[tracklet == s]) for s in np.unique(tracklet)]
         assert all(len(o) == 1 for o in owners)
         assert len(owners) <= 1.2 * POINTS
 
@@ -37,7 +37,7 @@ def test_between_exposures_a_path_is_the_curve_itself_to_third_order():
     n = len(t)
     seen = CameraDetections(
         CameraInfo("c", 10, 10, 8, 10.0), np.rint(t * 1e9).astype(np.int64), np.arange(n + 1), xy,
-        np.tile(np.eye(2), (n, 1, 1)), np.ones(n), np.ones(n), np.ones(n), np.zeros(n, np.uint8),
+        np.tile(np.eye(2), (n, 1, 1)), np.ones(n), np.ones(n), np.ones(n), np.zeros(n, np.uint8)
     )  # fmt: skip
     asked = np.array([0.11, 0.2, 0.3, 0.41])
     found = Tracklets.of(seen, np.zeros(n, np.int64), t).at(asked)
@@ -49,7 +49,7 @@ def test_between_exposures_a_path_is_the_curve_itself_to_third_order():
 
 def test_clocks_that_know_nothing_of_each_other_are_tied_by_the_images():
     seen, _names, true_s = session(4.5)
-    ties = tied_clocks(seen, [strands(one) for one in seen], rig(), 1.0)
+    ties = tied_clocks(seen, [tracklets(one) for one in seen], rig(), 1.0)
     for k, (one, tie) in enumerate(zip(seen, ties, strict=True)):
         found = tie.common_s((one.frame_ns - tie.origin_ns) * 1e-9)
         # seconds of the first camera's clock, which began with the session and does not drift
@@ -62,12 +62,12 @@ def test_clocks_of_still_points_cannot_be_tied():
     held = [
         CameraDetections(
             one.info, one.frame_ns, one.start, np.zeros_like(one.xy_px) + [[100.0, 100.0]], one.covariance_px2,
-            one.diameter_px, one.peak, one.elongation, one.flags,
+            one.diameter_px, one.peak, one.elongation, one.flags
         )
         for one in seen
     ]  # fmt: skip
     with pytest.raises(InputError, match="no time offset within 1 s makes its images meet"):
-        tied_clocks(held, [strands(one) for one in held], rig(), 1.0)
+        tied_clocks(held, [tracklets(one) for one in held], rig(), 1.0)
 
 
 @pytest.mark.parametrize("own_clock", [False, True])
@@ -97,7 +97,7 @@ def test_clocks_taken_for_common_spoil_the_observations():
     apart = tuple(
         CameraDetections(
             one.info, one.frame_ns - one.frame_ns[0], one.start, one.xy_px, one.covariance_px2,
-            one.diameter_px, one.peak, one.elongation, one.flags,
+            one.diameter_px, one.peak, one.elongation, one.flags
         )
         for one in seen
     )  # fmt: skip
@@ -109,7 +109,7 @@ def test_cameras_that_never_ran_together_are_told():
     seen, _names, _true = session(2.0, own_clock=False)
     late = CameraDetections(
         seen[2].info, seen[2].frame_ns + 100_000_000_000, seen[2].start, seen[2].xy_px, seen[2].covariance_px2,
-        seen[2].diameter_px, seen[2].peak, seen[2].elongation, seen[2].flags,
+        seen[2].diameter_px, seen[2].peak, seen[2].elongation, seen[2].flags
     )  # fmt: skip
     with pytest.raises(InputError, match=r"camera 'c2': filmed from 100.* at no time together"):
         gather_seen((seen[0], seen[1], late), rig(), AssociationSettings())
@@ -148,7 +148,7 @@ def test_samples_on_a_grid_say_what_vouches_for_them():
     xy[:, 0] += 0.3
     given = TimedObservations(
         cameras.names, ("a", "b"), camera, point, exposure, at, xy, np.tile(np.eye(2), (len(at), 1, 1)),
-        **no_carriers(("a", "b")),
+        **no_carriers(("a", "b"))
     )  # fmt: skip
     np.testing.assert_allclose(residuals_px(_Straight(), given, cameras), [[0.3, 0.0]] * len(at), atol=1e-6)
     instants = np.array([-0.1, 0.105, 0.45, 0.7, 2.0])
@@ -170,7 +170,7 @@ def test_curves_through_samples_end_where_their_samples_do():
     n = len(t)
     tracks = Tracks(
         np.arange(n), t, np.full(n, 7), np.full(n, ""), np.outer(t * 1e-9, [1.0, 2.0, 3.0]),
-        np.tile(np.eye(3), (n, 1, 1)), np.full(n, 2), np.zeros(n), np.full(n, "measured"),
+        np.tile(np.eye(3), (n, 1, 1)), np.full(n, 2), np.zeros(n), np.full(n, "measured")
     )  # fmt: skip
     curves = SampledCurves.of(tracks, 6, 0.03)
     assert curves.points == ("m000",)

@@ -45,7 +45,7 @@ def test_the_covariance_holds_what_lasts(monkeypatch):
     found = [squares(*calibrated(seed, LASTING_PX)) for seed in range(3)]
     assert 0.5 < np.mean(found) < 2.0, found
     # the control: taken for new errors in each exposure, an eighth of their variance would be left
-    monkeypatch.setattr(rigid, "lasting_covariance", lambda *_: 0.0)
+    monkeypatch.setattr(rigid, "systematic_covariance", lambda *_: 0.0)
     alone = [squares(*calibrated(seed, LASTING_PX)) for seed in range(2)]
     assert np.mean(alone) > 3.0, alone
 

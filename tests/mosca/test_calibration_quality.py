@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bundle_scenes import HEIGHT, WIDTH, looking, ring
-from judge_rigs import (
+from bundle_scenes import HEIGHT, WIDTH, ring
+from calibration_scenes import (
     DIAMETER_M,
     bar_sightings,
     board_calibration,
@@ -19,9 +19,10 @@ from judge_rigs import (
     overhead,
     seen,
 )
+from rigs import looking_at
 from scipy.spatial.transform import Rotation
 
-from mosca.calibration.quality.checks import judge
+from mosca.calibration.quality.checks import check_calibration
 from mosca.calibration.quality.findings import CODES
 from mosca.calibration.quality.interior import depth_range, distance_correlation
 from mosca.calibration.quality.network import coverage, links, volume_coverage
@@ -45,7 +46,7 @@ def test_good_field_raises_nothing(seed):
     rng = np.random.default_rng(1000 + seed)
     cameras = good_rig(rng)
     calibration = field_calibration(seed, cameras)
-    findings = judge(calibration, known=Rig(tuple(cameras)), target_diameters_m=DIAMETER_M)
+    findings = check_calibration(calibration, known=Rig(tuple(cameras)), target_diameters_m=DIAMETER_M)
     assert codes(findings) == set(), findings
 
 
@@ -54,7 +55,7 @@ def test_good_board_raises_nothing(seed):
     rng = np.random.default_rng(2000 + seed)
     cameras = overhead(rng)
     calibration = board_calibration(seed, cameras)
-    findings = judge(calibration, known=Rig(tuple(cameras)), target_diameters_m=DIAMETER_M)
+    findings = check_calibration(calibration, known=Rig(tuple(cameras)), target_diameters_m=DIAMETER_M)
     assert codes(findings) == set(), findings
 
 
@@ -69,7 +70,7 @@ def test_good_waved_points_raise_nothing(seed):
     rows = [r for r in rows if twice[r[2]]]
     start = disturbed(cameras, rng, 0.002, 0.005, 1.002)
     calibration = calibration_of(cameras, start, ("f_px", "k1"), rows, world, "wand", free_marks=True)
-    assert codes(judge(calibration, known=Rig(tuple(cameras)))) == set()
+    assert codes(check_calibration(calibration, known=Rig(tuple(cameras)))) == set()
 
 
 def far_plane(distance, noise_px, tilt=0.5, poses=1):
@@ -80,7 +81,7 @@ def far_plane(distance, noise_px, tilt=0.5, poses=1):
     cameras = []
     for k in range(2):
         centre = [distance * np.sin(tilt), 0.3 * k, distance * np.cos(tilt)]
-        cameras.append(Camera(f"c{k}", WIDTH, HEIGHT, lens, looking(centre, [0, 0, 0])))
+        cameras.append(Camera(f"c{k}", WIDTH, HEIGHT, lens, looking_at(centre, [0, 0, 0])))
     if poses == 1:
         rows = seen(cameras, plane, rng, noise_px)
         start = disturbed(cameras, rng, 1e-4, 1e-3, keep_lens=True)
@@ -92,12 +93,12 @@ def far_plane(distance, noise_px, tilt=0.5, poses=1):
 
 
 def test_mirrored_pose_is_refused():
-    assert codes(judge(far_plane(40.0, 0.5))) == {"mirrored-pose"}
+    assert codes(check_calibration(far_plane(40.0, 0.5))) == {"mirrored-pose"}
 
 
 def test_perspective_decides_the_pose_and_so_do_other_views():
-    assert codes(judge(far_plane(4.0, 0.1))) == set()
-    assert codes(judge(far_plane(40.0, 0.5, poses=3))) == set()
+    assert codes(check_calibration(far_plane(4.0, 0.1))) == set()
+    assert codes(check_calibration(far_plane(40.0, 0.5, poses=3))) == set()
 
 
 def shallow(relief, free=("f_px",), noise_px=0.1):
@@ -109,7 +110,7 @@ def shallow(relief, free=("f_px",), noise_px=0.1):
             WIDTH,
             HEIGHT,
             OpenCVLens(1000.0, 1000.0, 640, 510),
-            looking([0.3 * k, 0.02, 3.6], [0.3 * k, 0, 1]),
+            looking_at([0.3 * k, 0.02, 3.6], [0.3 * k, 0, 1]),
         )
         for k in range(2)
     ]
@@ -118,21 +119,23 @@ def shallow(relief, free=("f_px",), noise_px=0.1):
 
 def test_little_depth_is_told_with_its_correlation():
     flat = shallow(0.02)
-    findings = judge(flat)
+    findings = check_calibration(flat)
     assert codes(findings) == {"little-depth"}
     assert depth_range(flat, 0) < 0.05
     assert distance_correlation(flat, 0)[0] > 0.99 or distance_correlation(flat, 0)[0] < -0.99
-    assert codes(judge(shallow(0.8))) == set()
+    assert codes(check_calibration(shallow(0.8))) == set()
 
 
 def test_few_points_leave_nothing_to_notice_mistakes_by():
     rng = np.random.default_rng(7)
     cameras = good_rig(rng, 2)
     few = field_points(rng, (1.4, 1.4, 1.0), (2, 2, 2))
-    assert "few-views" in codes(judge(field_calibration(7, cameras, few, free=("f_px", "cx_px", "cy_px"))))
+    assert "few-views" in codes(
+        check_calibration(field_calibration(7, cameras, few, free=("f_px", "cx_px", "cy_px")))
+    )
     more = field_points(rng, n=(3, 3, 3))
     assert "few-views" not in codes(
-        judge(field_calibration(7, cameras, more, free=("f_px", "cx_px", "cy_px")))
+        check_calibration(field_calibration(7, cameras, more, free=("f_px", "cx_px", "cy_px")))
     )
 
 
@@ -140,7 +143,11 @@ def test_few_points_leave_nothing_to_notice_mistakes_by():
 def test_few_views_of_a_board(frames, severity):
     rng = np.random.default_rng(8)
     poses = board_poses(rng, frames, 0.6, 0.3)
-    findings = [f for f in judge(board_calibration(8, poses=poses, free=("f_px",))) if f.code == "few-views"]
+    findings = [
+        f
+        for f in check_calibration(board_calibration(8, poses=poses, free=("f_px",)))
+        if f.code == "few-views"
+    ]
     assert {f.severity for f in findings} == ({severity} if severity else set())
 
 
@@ -151,20 +158,20 @@ def test_wrong_size_shows_in_the_marks_images(scale, expected):
     calibration = field_calibration(9, scale=scale)
     ratio, sigma, *_ = size_ratio(calibration, DIAMETER_M)
     assert ratio == pytest.approx(scale, abs=4 * sigma + 2e-3)
-    assert codes(judge(calibration, target_diameters_m=DIAMETER_M)) == expected
+    assert codes(check_calibration(calibration, target_diameters_m=DIAMETER_M)) == expected
 
 
 @pytest.mark.parametrize("scale", [1000.0, 100.0, 1 / 1000, 39.37])
 def test_mixed_units(scale):
-    findings = judge(field_calibration(10, scale=scale), target_diameters_m=DIAMETER_M)
+    findings = check_calibration(field_calibration(10, scale=scale), target_diameters_m=DIAMETER_M)
     assert codes(findings) == {"mixed-units"}
     assert findings[0].severity == "refuse"
 
 
 def test_a_file_all_in_millimetres_stands_too_far_away():
-    assert codes(judge(field_calibration(10, scale=1000.0), target_diameters_m=1000 * DIAMETER_M)) == {
-        "mixed-units"
-    }
+    assert codes(
+        check_calibration(field_calibration(10, scale=1000.0), target_diameters_m=1000 * DIAMETER_M)
+    ) == {"mixed-units"}
 
 
 @pytest.mark.parametrize(("scale", "expected"), [(1.0, set()), (1.0001, set()), (1.0006, {"scale-error"})])
@@ -176,7 +183,7 @@ def test_held_out_lengths_tell_the_scale(scale, expected):
     errors = length_errors(calibration, bar, 1.0, 2e-5)
     assert errors.scale_error == pytest.approx(scale - 1, abs=4 * errors.scale_sigma)
     assert 2e-5 < errors.scale_sigma < 1e-4
-    assert codes(judge(calibration, lengths=errors)) == expected
+    assert codes(check_calibration(calibration, lengths=errors)) == expected
 
 
 def test_held_out_lengths_are_honest_about_their_sigma():
@@ -213,7 +220,7 @@ def test_swapped_cameras_are_named(count):
     known = Rig(tuple(cameras))
     # the cables of the first two were exchanged: each name has the other's pictures
     swapped = [replace(cameras[1], name="c0"), replace(cameras[0], name="c1"), *cameras[2:]]
-    findings = judge(field_calibration(20, swapped), known=known)
+    findings = check_calibration(field_calibration(20, swapped), known=known)
     assert codes(findings) == {"swapped-cameras"}
     assert "'c0' and 'c1'" in findings[0].message
     assert findings[0].severity == "refuse"
@@ -224,7 +231,7 @@ def test_a_board_put_elsewhere_is_no_exchange():
     cameras = good_rig(rng, 3)
     motion = Pose(Rotation.from_rotvec([0.1, 0.2, 1.3]).as_matrix(), np.array([2.0, -1.0, 0.4]))
     known = Rig(tuple(replace(c, world_from_camera=motion @ c.world_from_camera) for c in cameras))
-    assert codes(judge(field_calibration(25, cameras), known=known)) == set()
+    assert codes(check_calibration(field_calibration(25, cameras), known=known)) == set()
 
 
 @pytest.mark.parametrize(("rad", "expected"), [(5e-3, {"rig-moved"}), (2e-3, {"rig-moved"}), (1e-4, set())])
@@ -233,7 +240,9 @@ def test_a_moved_camera_is_named(rad, expected):
     cameras = good_rig(rng, 4)
     known = Rig((*cameras[:2], turned(cameras[2], rad), cameras[3]))
     findings = [
-        f for f in judge(field_calibration(26, cameras, noise_px=0.02), known=known) if f.severity != "note"
+        f
+        for f in check_calibration(field_calibration(26, cameras, noise_px=0.02), known=known)
+        if f.severity != "note"
     ]
     assert codes(findings) == expected
     assert {f.camera for f in findings} == ({"c2"} if expected else set())
@@ -267,7 +276,7 @@ def good():
 )
 def test_an_interior_orientation_that_no_camera_has(good, values, bad):
     free = {"k1": 0.0, "k2": 0.0} | values
-    found = {f for f in judge(with_lens(good, **free)) if f.severity != "note"}
+    found = {f for f in check_calibration(with_lens(good, **free)) if f.severity != "note"}
     assert codes(found) == ({"interior-ran-away"} if bad else set())
     assert all(f.camera == "c0" for f in found)
 
@@ -276,7 +285,7 @@ def test_an_uncertain_principal_distance_ran_away(good):
     k = good.parameters.index("c1.f_px")
     wide = good.covariance.copy()
     wide[k, k] = (0.03 * 1000) ** 2
-    assert codes(judge(replace(good, covariance=wide))) == {"interior-ran-away"}
+    assert codes(check_calibration(replace(good, covariance=wide))) == {"interior-ran-away"}
 
 
 @pytest.mark.parametrize(("change", "expected"), [(1.04, {"interior-ran-away"}), (1.01, set())])
@@ -284,7 +293,7 @@ def test_a_principal_distance_unlike_the_known_one(good, change, expected):
     known = with_lens(
         good, 1, fx_px=good.rig.cameras[1].lens.fx_px * change, fy_px=good.rig.cameras[1].lens.fy_px * change
     )
-    assert codes(judge(good, known=known.rig)) - {"rig-moved"} == expected
+    assert codes(check_calibration(good, known=known.rig)) - {"rig-moved"} == expected
 
 
 def only(calibration, keep):
@@ -296,11 +305,11 @@ def only(calibration, keep):
 def test_cameras_that_nothing_joins(good):
     see = good.sightings
     apart = np.where(see.camera < 2, see.mark % 2 == 0, see.mark % 2 == 1)
-    findings = judge(only(good, apart))
+    findings = check_calibration(only(good, apart))
     assert codes(findings) == {"no-link"}
     assert "c0, c1; c2, c3" in findings[0].message
     assert "show the target there while both watch" in findings[0].message
-    assert codes(judge(only(good, apart), rigid_target=True)) == set()
+    assert codes(check_calibration(only(good, apart), rigid_target=True)) == set()
 
 
 @pytest.mark.parametrize(("common", "expected"), [(12, {"weak-link"}), (44, set())])
@@ -309,23 +318,25 @@ def test_cameras_joined_by_few_points(good, common, expected):
     keep = (see.mark < common) | (see.mark % 2 == (see.camera >= 2))
     linked = only(good, keep)
     assert links(linked)[0, 2] <= common
-    assert codes(judge(linked)) == expected
+    assert codes(check_calibration(linked)) == expected
 
 
 def test_boards_join_cameras_by_views():
     def who(f):
         return {0, 1} if f < 10 else {1, 2} if f < 20 else {0, 1, 2}
 
-    assert codes(judge(board_calibration(31, frames=22, who=who))) == set()
-    assert codes(judge(board_calibration(31, frames=21, who=lambda f: {0, 1} if f < 19 else {1, 2}))) >= {
-        "weak-link"
-    }
+    assert codes(check_calibration(board_calibration(31, frames=22, who=who))) == set()
+    assert codes(
+        check_calibration(board_calibration(31, frames=21, who=lambda f: {0, 1} if f < 19 else {1, 2}))
+    ) >= {"weak-link"}
 
 
 def test_a_target_seen_in_the_middle_only():
     rng = np.random.default_rng(32)
     cameras = good_rig(rng, 3)
-    findings = judge(field_calibration(32, cameras, field_points(rng, (0.9, 0.9, 0.9)), 0.02, ("f_px", "k1")))
+    findings = check_calibration(
+        field_calibration(32, cameras, field_points(rng, (0.9, 0.9, 0.9)), 0.02, ("f_px", "k1"))
+    )
     assert codes(findings) == {"little-coverage"}
     assert "corners without any: top left, top right, bottom left, bottom right" in findings[0].message
 
@@ -337,7 +348,7 @@ def test_coverage_counts_cells_between_points(good):
     assert coverage(good, 0, (8, 6)).mean() <= min(1.0, (box[0] + 0.25) * (box[1] + 0.34))
     assert volume_coverage(good, (-1, -1, 0.4), (1, 1, 1.6)).mean() > 0.95
     assert volume_coverage(good, (-4, -4, 0), (4, 4, 8)).mean() < 0.1
-    found = judge(good, volume=((-4, -4, 0), (4, 4, 8)))
+    found = check_calibration(good, volume=((-4, -4, 0), (4, 4, 8)))
     assert codes(found) == {"little-coverage"}
 
 
@@ -345,7 +356,7 @@ def test_coverage_counts_cells_between_points(good):
 def test_many_blunders(good, share, severity):
     rng = np.random.default_rng(33)
     bad = (good.sightings.camera == 1) & (rng.random(len(good.sightings)) < share)
-    found = [f for f in judge(replace(good, used=good.used & ~bad)) if f.severity != "note"]
+    found = [f for f in check_calibration(replace(good, used=good.used & ~bad)) if f.severity != "note"]
     assert {(f.code, f.severity, f.camera) for f in found} == (
         {("blunders", severity, "c1")} if severity else set()
     )
@@ -363,11 +374,11 @@ def test_a_lens_that_the_model_cannot_follow(k1, expected):
     poses = board_poses(rng, 25)
     rows = [r for f, p in enumerate(poses) for r in seen(cameras, p.transform(marks), rng, 0.05, f, f)]
     done = calibration_of(cameras, start, ("f_px",), rows, marks, "board", poses, True, 0.05)
-    assert codes(judge(done)) == expected
+    assert codes(check_calibration(done)) == expected
 
 
 def test_weak_parameters_are_noted(good):
-    findings = judge(replace(good, weak=("c2.k2", "c2.cx_px"), held=("c2.k2",)))
+    findings = check_calibration(replace(good, weak=("c2.k2", "c2.cx_px"), held=("c2.k2",)))
     assert codes(findings) == set()
     weak = [f for f in findings if f.code == "weak-parameter"]
     assert len(weak) == 1
@@ -377,8 +388,8 @@ def test_weak_parameters_are_noted(good):
 
 def test_findings_are_one_line_and_known():
     cases = [
-        judge(field_calibration(10, scale=1000.0), target_diameters_m=DIAMETER_M),
-        judge(far_plane(40.0, 0.5)),
+        check_calibration(field_calibration(10, scale=1000.0), target_diameters_m=DIAMETER_M),
+        check_calibration(far_plane(40.0, 0.5)),
     ]
     for finding in (f for case in cases for f in case):
         assert finding.code in CODES

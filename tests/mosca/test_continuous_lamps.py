@@ -5,6 +5,7 @@ Images are computed here by the equidistant projection (radius = f x angle); two
 
 import numpy as np
 import pytest
+from rigs import looking_at
 from scipy.spatial.transform import Rotation
 
 from mosca.continuous.association.associate import AssociationSettings
@@ -29,22 +30,14 @@ SHIFT_S = 0.0083
 """Where in a bit the lamps are at time 0: no camera knows."""
 
 
-def looking(place, at) -> Pose:
-    ahead = np.asarray(at, float) - place
-    ahead /= np.linalg.norm(ahead)
-    right = np.cross(ahead, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    return Pose(np.column_stack([right, np.cross(ahead, right), ahead]), np.asarray(place, float))
-
-
-STANDING = (looking([-0.5, -0.6, 0.2], [0.1, 0.2, 0.0]), looking([0.5, -0.6, 0.2], [-0.1, 0.2, 0.0]))
+STANDING = (looking_at([-0.5, -0.6, 0.2], [0.1, 0.2, 0.0]), looking_at([0.5, -0.6, 0.2], [-0.1, 0.2, 0.0]))
 
 
 def pose_of(camera: int, time_s: float) -> Pose:
     """The third camera swings as a forearm does: 0.3 rad and 5 cm to and fro."""
     if camera < 2:
         return STANDING[camera]
-    rest = looking([0.1, 0.7, 0.3], [0.0, -0.1, 0.0])
+    rest = looking_at([0.1, 0.7, 0.3], [0.0, -0.1, 0.0])
     angle = 0.3 * np.sin(2 * np.pi * 0.6 * time_s)
     turn = Rotation.from_rotvec(angle * np.array([0.6, 0.0, 0.8])).as_matrix()
     move = 0.05 * np.array([np.sin(5.0 * time_s), np.cos(4.0 * time_s), 0.4 * np.sin(3.0 * time_s)])
@@ -99,7 +92,7 @@ def filmed(noise_px: float = 0.05) -> tuple[tuple[CameraDetections, ...], list[n
             CameraDetections(
                 CameraInfo(f"c{c}", WIDTH, HEIGHT, 8, RATE_HZ), np.rint(times * 1e9).astype(np.int64),
                 np.concatenate([[0], np.cumsum(counts)]), xy, np.tile(0.05**2 * np.eye(2), (n, 1, 1)),
-                np.full(n, 5.0), np.full(n, 100.0), np.ones(n), np.zeros(n, np.uint8),
+                np.full(n, 5.0), np.full(n, 100.0), np.ones(n), np.zeros(n, np.uint8)
             )
         )  # fmt: skip
         whose.append(np.concatenate(owners).astype(int))
@@ -217,12 +210,7 @@ SETTINGS = ContinuousSettings(limbs=False, knot_s=0.033)
 def test_markers_and_the_camera_on_a_limb_come_out_of_images_alone(session):
     seen, _whose = session
     worn = solve_worn(
-        seen,
-        rig(known_pose=False),
-        ("c0", "c1"),
-        Lamps(NUMBERS, LAMP_M, 1 / RATE_HZ),
-        GATHERING,
-        SETTINGS,
+        seen, rig(known_pose=False), ("c0", "c1"), Lamps(NUMBERS, LAMP_M, 1 / RATE_HZ), GATHERING, SETTINGS
     )
     found = worn.reconstructed
     assert len(found.estimated.curves.points) == 9
