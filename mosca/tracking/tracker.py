@@ -9,13 +9,11 @@ earlier ones with them. A hidden target is expected where its own motion brings 
 is handed out is the measured point, not the filter's: no smoothing hides errors.
 """
 
-from dataclasses import dataclass
-from typing import Literal
-
 import numpy as np
 
 from mosca.correspondence.match import Predicted
 from mosca.data.arrays import Array
+from mosca.data.settings import TrackSettings
 from mosca.data.tracks import Points, Samples
 from mosca.tracking.motion_models import motion
 from mosca.tracking.rigid_neighbours import found_instead, learn, recall, take_over
@@ -33,35 +31,6 @@ TWIN_SHARE = 0.25
 """A nameless target and a lost one found again so near to it (in largest gates) are the same."""
 CONVINCING = 6.0
 """Log-likelihood ratio of distances by which a lost target is known again."""
-
-
-@dataclass(frozen=True)
-class TrackSettings:
-    """How targets move and what makes one.
-
-    ``model``: "acceleration" (Singer, lasting ``memory_s``) or "velocity" (constant, white acceleration).
-    ``acceleration_mps2``: standard deviation of the targets' acceleration, an axis; each target's own is learned
-    from there. ``speed_mps``: of a new target's velocity, each axis. ``gate_sigma``: how far from its
-    prediction a point may lie. ``gate_m``: never farther than this; a confirmed target takes a point of two cameras
-    from half as far, with an image of odd size from a quarter (two cameras agree by chance, and the gate of a target
-    long unseen admits many such chances). ``confirm_weight``: weight of sightings that confirms a target.
-    ``coast_s``: how long a target is predicted by its own motion without being seen. ``remember_s``: how long a
-    lost one can come back under its identity. ``name_wait_s``: how long a new target that may be a lost one waits for
-    its name; its samples leave when it has one. ``limb_m``: how far its limb mates may be; 0: none are
-    learned (particles).
-    """
-
-    model: Literal["acceleration", "velocity"] = "acceleration"
-    memory_s: float = 0.1
-    acceleration_mps2: float = 20.0
-    speed_mps: float = 1.5
-    gate_sigma: float = 4.5
-    gate_m: float = 0.08
-    confirm_weight: float = 5.0
-    coast_s: float = 0.25
-    remember_s: float = 60.0
-    name_wait_s: float = 0.2
-    limb_m: float = 0.6
 
 
 class Tracker:

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from mosca.synchronisation import AssemblySettings
 from mosca.tracking.nearest_neighbour import NearestSettings
 from mosca.tracking.tracker import TrackSettings
 from scenarios.build.worn_lamps import check_no_lamps, worn_lamps
-from scenarios.spec.scenario import DetectionSpec, MatchSpec, Scenario, TrackSpec
+from scenarios.spec.scenario import Scenario
 from scenarios.spec.scenes import (
     ActorScene,
     BoardScene,
@@ -33,6 +33,7 @@ from scenarios.spec.scenes import (
     ScaleBarScene,
     WandScene,
 )
+from scenarios.spec.stages import StageTables
 from twin.scenes.emission import Glow
 from twin.scenes.scene import Scene
 from twin.streams import rng
@@ -44,25 +45,6 @@ WORST_SIGMA_M = 0.005
 TargetScene = FieldScene | BoardScene | WandScene | ScaleBarScene | LFrameScene | LightScene
 T = TypeVar("T")
 Volume = tuple[tuple[float, float, float], tuple[float, float, float]]
-
-
-class Stages(Protocol):
-    """Anything that has the tables of the stages' settings."""
-
-    @property
-    def detection(self) -> DetectionSpec:
-        """Settings of target detection."""
-        ...
-
-    @property
-    def match(self) -> MatchSpec:
-        """Settings of correspondence."""
-        ...
-
-    @property
-    def track(self) -> TrackSpec:
-        """Settings of tracking."""
-        ...
 
 
 def build_scene(spec: Scenario, folder: Path) -> Scene:
@@ -239,7 +221,9 @@ def pipeline_settings(spec: Scenario) -> PipelineSettings:
     return settings
 
 
-def stage_settings(stages: Stages, volume: Volume | None, edge_m: float | None = None) -> PipelineSettings:
+def stage_settings(
+    stages: StageTables, volume: Volume | None, edge_m: float | None = None
+) -> PipelineSettings:
     """Return the pipeline's defaults with what ``stages`` gives in its tables detection, match and track.
 
     The tracker's defaults are lengths and speeds of a person in 2.5 m; they are scaled to the volume's longest

@@ -1,5 +1,6 @@
 """The verb for real images: turn a recording into tracks."""
 
+import logging
 from collections.abc import Callable
 from itertools import chain, islice
 from pathlib import Path
@@ -23,7 +24,10 @@ from scenarios.build.cameras import overlap_of
 from scenarios.build.scene import stage_settings
 from scenarios.run.interrupt import between_steps
 from scenarios.run.postprocess import NONE, Postprocessing, Postprocessor
-from scenarios.spec.scenario import DetectionSpec, MatchSpec, TrackSpec, apply_overrides
+from scenarios.spec.scenario import apply_overrides
+from scenarios.spec.stages import StageTables
+
+LOG = logging.getLogger(__name__)
 
 
 class VolumeSpec(Table):
@@ -50,14 +54,10 @@ class BackgroundSpec(Table):
     frames: int = Field(100, ge=1, description="how many frames of each camera, from the first")
 
 
-class ReconstructSpec(Table):
+class ReconstructSpec(StageTables):
     """Settings file of ``mosca reconstruct``."""
 
     background: BackgroundSpec = BackgroundSpec()
-
-    detection: DetectionSpec = DetectionSpec()
-    match: MatchSpec = MatchSpec()
-    track: TrackSpec = TrackSpec()
     volume: VolumeSpec | None = Field(None, description="box in which targets can be; default: everywhere")
 
 
@@ -84,7 +84,9 @@ def reconstruct_recording(
         )
     spec = reconstruct_spec(settings_path, overrides)
     settings = reconstruct_settings(spec, settings_path)
+    LOG.info("%s: rig of %d cameras; background: %s", recording, len(rig.cameras), spec.background.kind)
     backgrounds = recorded_backgrounds(recording, rig, fps, spec.background)
+    LOG.info("frames to tracks")
     assembly = Assembly()
     counts = np.zeros(3)
     with open_recording(recording, rig, fps) as source, between_steps() as stop:
@@ -101,8 +103,10 @@ def reconstruct_recording(
             counts += 1, sum(len(d) for d in step.detections.values()), len(step.points)
             if progress is not None:
                 progress(int(counts[0]), int(counts[0]))
+    LOG.info("%d frame sets tracked; smoothing, labels and gaps", int(counts[0]))
     tracks, more = postprocessor.finished()
     write_tracks(tracks, out, rate)
+    LOG.info("%s written", out)
     tracks = tracks.select(tracks.status == "measured")
     sets = max(counts[0], 1)
     told = [

@@ -3,7 +3,8 @@
 A user's reference, ``truth.csv``, holds one row a marker and instant: ``label,x,y,z`` [m, the rig's world frame] and
 ``time_ns`` [session clock, as in ``tracks.csv``], which is left out where nothing moves; ``sigma_m``, if it is there,
 is each coordinate's standard deviation. Other columns are left alone, so that a ``tracks.csv`` of another system
-serves. Between its instants places are interpolated, by a cubic spline, never over a gap.
+serves. A table with a column for each coordinate, ``time,NAME.x,NAME.y,NAME.z,...`` ([s] and [m]), serves too.
+Between the instants positions are interpolated, by a cubic spline, never over a gap.
 
 It says where markers were, not which cameras could see them: what is counted in seen markers cannot be judged by it.
 """
@@ -16,6 +17,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from mosca.data.arrays import Array
+from mosca.data.motion.joint_csv import read_points_csv
 from mosca.data.truth import Truth, read_truth
 from mosca.errors import InputError
 from mosca.formats.tracks.csv_columns import parsed, read_named
@@ -90,8 +92,32 @@ def read_reference(path: Path) -> Truth | ReferenceTrajectories:
     )
 
 
+def _read_wide_csv(path: Path) -> ReferenceTrajectories | None:
+    """Return the reference in a table ``time,NAME.x,NAME.y,NAME.z,...`` [s, m]; None for another table."""
+    if not path.is_file():
+        return None
+    with path.open("rb") as file:
+        first = file.readline().split(b",")
+    if first[0].strip().strip(b'"').lower() != b"time":
+        return None
+    motion = read_points_csv(path)
+    known = np.isfinite(motion.xyz).all(axis=2)
+    time_ns = np.rint(motion.time_s * 1e9).astype(np.int64)
+    names = [k for k in range(len(motion.names)) if known[:, k].any()]
+    return ReferenceTrajectories(
+        tuple(motion.names[k] for k in names),
+        tuple(time_ns[known[:, k]] for k in names),
+        tuple(motion.xyz[known[:, k], k] for k in names),
+        False,
+        0.0,
+        path,
+    )
+
+
 def read_reference_csv(path: Path) -> ReferenceTrajectories:
     """Read a ``truth.csv``. Raises InputError naming file, row and column."""
+    if (wide := _read_wide_csv(path)) is not None:
+        return wide
     cells = read_named(path, ("label", "x", "y", "z"), ("time_ns", "sigma_m"), "truth.csv")
     label = np.array(cells["label"], dtype=np.str_)
     if not len(label):

@@ -77,6 +77,14 @@ def test_run_writes_the_whole_folder_and_repeats_itself(tmp_path):
     assert "position_rms" in done.stdout
 
 
+def test_verbosity(tmp_path):
+    path = scenario(tmp_path)
+    shown = {words: mosca(*words, "run", path, cwd=tmp_path).stderr for words in ((), ("-v",), ("-q",))}
+    assert shown[()] == shown[("-q",)] == ""
+    assert "INFO scenarios.run.scenario: frames_to_tracks: " in shown[("-v",)]
+    assert "exclude each other" in one_line(mosca("-q", "-v", "list", cwd=tmp_path))
+
+
 def test_a_broken_limit_exits_1_and_a_caught_control_0(tmp_path):
     path = scenario(tmp_path, limits="position_rms = 1e-9")
     assert mosca("run", path, cwd=tmp_path).returncode == 1
