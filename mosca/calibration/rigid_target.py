@@ -26,10 +26,15 @@ from mosca.calibration.bundle.solver import (
     solve,
 )
 from mosca.calibration.bundle.systematic_errors import lasting_covariance, lasting_errors
-from mosca.calibration.initial.interior_orientation import CameraViews, LensChoice, Seen, starting_camera
 from mosca.calibration.initial.pose_graph import View, chain
 from mosca.calibration.initial.target_pose import PoseFit, poses_of
-from mosca.calibration.targets.stationary_intervals import stands_of
+from mosca.calibration.single_camera.interior_orientation import (
+    CameraViews,
+    LensChoice,
+    TargetView,
+    starting_camera,
+)
+from mosca.calibration.targets.stationary_intervals import stationary_intervals
 from mosca.camera.eccentricity import eccentricity_px
 from mosca.camera.projection import lens_directions
 from mosca.data.arrays import Array
@@ -97,7 +102,7 @@ def calibrate_rigid(
     """
     settings = settings or RigidSettings()
     sightings = sightings.only(sightings.mark >= 0)
-    stand = stands_of(sightings)[sightings.frame]
+    stand = stationary_intervals(sightings)[sightings.frame]
     seen = _seen(sightings, stand)
     cameras = _starting_cameras(sightings, seen, target, settings, known)
     fits = {view: _poses(cameras[view[0]], one, target) for view, one in seen.items()}
@@ -206,7 +211,7 @@ def _eccentricity(result: Adjustment, sightings: Sightings, placement: Array, ta
 
 def _starting_cameras(
     sightings: Sightings,
-    seen: dict[View, Seen],
+    seen: dict[View, TargetView],
     target: RigidTarget,
     settings: RigidSettings,
     known: Rig | None,
@@ -239,7 +244,7 @@ def _starting_cameras(
     return tuple(cameras)
 
 
-def _seen(sightings: Sightings, stand: Array) -> dict[View, Seen]:
+def _seen(sightings: Sightings, stand: Array) -> dict[View, TargetView]:
     """Return the mean places of the marks by camera and stand."""
     marks = int(sightings.mark.max(initial=0)) + 1
     key = (sightings.camera * (int(stand.max(initial=0)) + 1) + stand) * marks + sightings.mark
@@ -248,14 +253,14 @@ def _seen(sightings: Sightings, stand: Array) -> dict[View, Seen]:
     view, mark = np.divmod(every, marks)
     camera, at = np.divmod(view, int(stand.max(initial=0)) + 1)
     bounds = np.flatnonzero(np.r_[True, np.diff(view) != 0, True])
-    return {(int(camera[i]), int(at[i])): Seen(mark[i:j], xy[i:j]) for i, j in pairwise(bounds)}
+    return {(int(camera[i]), int(at[i])): TargetView(mark[i:j], xy[i:j]) for i, j in pairwise(bounds)}
 
 
-def _poses(camera: Camera, seen: Seen, target: RigidTarget) -> tuple[PoseFit, ...]:
+def _poses(camera: Camera, seen: TargetView, target: RigidTarget) -> tuple[PoseFit, ...]:
     return poses_of(lens_directions(camera.lens, seen.xy_px), target.marks_m[seen.mark])
 
 
-def _doubt(fits: tuple[PoseFit, ...], seen: Seen) -> float:
+def _doubt(fits: tuple[PoseFit, ...], seen: TargetView) -> float:
     """Return how little a pose is to be trusted: few marks, or a mirrored pose that fits nearly as well."""
     ambiguous = 0.0 if len(fits) < 2 else min(1.0, (fits[0].rms_rad / max(fits[1].rms_rad, 1e-300)) ** 2)
     return 1 / len(seen.mark) + ambiguous**4

@@ -7,17 +7,17 @@ from typing import Generic, TypeGuard, TypeVar
 
 import numpy as np
 
-from mosca.calibration.initial.interior_orientation import LensChoice, plain_lens
 from mosca.calibration.quality.checks import judge
-from mosca.calibration.quality.limits import JudgeSettings
+from mosca.calibration.quality.limits import QualityLimits
 from mosca.calibration.quality.report_data import evidence_of
 from mosca.calibration.quality.scale import LengthErrors, length_errors
-from mosca.calibration.read_session import Progress, sight
 from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
 from mosca.calibration.single_camera.adjust import check_lens
+from mosca.calibration.single_camera.interior_orientation import LensChoice, plain_lens
+from mosca.calibration.targets.read_session import Progress, read_sightings
 from mosca.calibration.targets.reader import reader_of
-from mosca.calibration.wand.calibrate import calibrate_wand
-from mosca.calibration.wand.end_order import ordered
+from mosca.calibration.uncalibrated.end_order import ordered
+from mosca.calibration.uncalibrated.wand import calibrate_wand
 from mosca.calibration.world_frame.l_frame import in_axes, world_from_l_frame
 from mosca.data.arrays import Array
 from mosca.data.boards import Board
@@ -142,7 +142,7 @@ def calibrate_frames(
     settings = settings or EstimateSettings()
     _check(target, settings)
     return calibrate_sightings(
-        sight(source, reader_of(target, settings.detection), settings.every, progress),
+        read_sightings(source, reader_of(target, settings.detection), settings.every, progress),
         target,
         settings,
         known,
@@ -205,7 +205,7 @@ def judged(
         lengths=lengths,
         volume=settings.volume,
         rigid_target=is_rigid(target),
-        settings=JudgeSettings(size_error=BALL_SIZE_ERROR) if isinstance(target, Wand) else None,
+        settings=QualityLimits(size_error=BALL_SIZE_ERROR) if isinstance(target, Wand) else None,
     )
     return replace(calibration, findings=(*calibration.findings, *found))
 
@@ -222,7 +222,7 @@ def held_out_lengths(
     calibration: Calibration | Rig, source: FrameSource, bar: ScaleBar, settings: EstimateSettings
 ) -> LengthErrors:
     """Return how a certified bar, which the source's frames show, comes out with a calibrated rig."""
-    sightings = sight(source, reader_of(bar, settings.detection), settings.every)
+    sightings = read_sightings(source, reader_of(bar, settings.detection), settings.every)
     rig = calibration if isinstance(calibration, Rig) else calibration.rig
     lenses = [rig.camera(name).lens for name in sightings.cameras]
     # which end of a bar of balls is which must be the same in all cameras

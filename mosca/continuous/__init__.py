@@ -2,5 +2,5 @@
 
 The walk: Frames (not frame sets) -> image points, each of its own instant (``observations``) -> curves of points and
 of cameras, clocks of the cameras, all estimated at once -> covariance at any instant. The second paper's own models,
-which interpolate to common times first, stand beside ours as baselines.
+which interpolate to common times first, are in ``comparison_methods``.
 """

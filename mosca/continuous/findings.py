@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from mosca.camera.projection import project
-from mosca.continuous.association.associate import Gathered
-from mosca.continuous.estimator.estimate import Estimated
-from mosca.continuous.observations import Curves, Observations
+from mosca.continuous.association.associate import Associated
+from mosca.continuous.estimator.estimate import ContinuousEstimate
+from mosca.continuous.model.observations import Curves, TimedObservations
 from mosca.continuous.resample import residuals_px
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
@@ -20,7 +20,7 @@ STEP_S = 1e-3
 PASSES = 5
 
 
-def on_curves_clock(found: Observations, estimated: Estimated) -> Observations:
+def on_curves_clock(found: TimedObservations, estimated: ContinuousEstimate) -> TimedObservations:
     """Return observations whose times are those of the estimated curves."""
     at, rate, row = (
         np.array([getattr(one, name) for one in estimated.clocks])[found.camera]
@@ -34,7 +34,7 @@ def _squared(rest: Array, covariance: Array) -> Array:
     return np.asarray(np.einsum("ni,ni->n", rest, np.linalg.solve(covariance, rest[:, :, None])[:, :, 0]))
 
 
-def late_cameras(curves: Curves, observations: Observations, rig: Rig) -> tuple[str, ...]:
+def late_cameras(curves: Curves, observations: TimedObservations, rig: Rig) -> tuple[str, ...]:
     """Return a line where cameras' stamps, taken as right, do not fit the images: points lie ahead or behind.
 
     The delay is the residuals' share along the images' motion. Curves follow all cameras, so that it is by how much a
@@ -77,7 +77,7 @@ def _delay(rest: Array, flow: Array, covariance: Array) -> tuple[float, float]:
     return delay, sigma
 
 
-def told_of(gathered: Gathered, found: Observations) -> tuple[str, ...]:
+def association_findings(gathered: Associated, found: TimedObservations) -> tuple[str, ...]:
     """Return what became of frames, clocks and image points, where it is not as it should be."""
     lines = [
         f"camera '{name}': {count} of {gathered.count.frames[name]} frames without a usable image"

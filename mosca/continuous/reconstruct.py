@@ -1,16 +1,16 @@
-"""The story, read top to bottom: frames -> observations -> curves -> image points given anew -> curves -> tracks."""
+"""Frames -> observations -> curves -> image points assigned again to the curves -> curves -> tracks."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mosca.continuous.association.associate import Gathered, GatherSettings, gather
+from mosca.continuous.association.associate import Associated, AssociationSettings, associate
 from mosca.continuous.association.coarse_sync import ClockTie
 from mosca.continuous.association.correspondence import observed
-from mosca.continuous.estimator.estimate import ContinuousSettings, Estimated, estimate
-from mosca.continuous.findings import late_cameras, on_curves_clock, told_of
-from mosca.continuous.observations import CameraPaths, Observations
+from mosca.continuous.estimator.estimate import ContinuousEstimate, ContinuousSettings, estimate
+from mosca.continuous.findings import association_findings, late_cameras, on_curves_clock
+from mosca.continuous.model.observations import CameraPaths, TimedObservations, UncertainCurves
 from mosca.continuous.resample import residuals_px, tracks_on_grid
 from mosca.data.arrays import Array
 from mosca.data.frames import FrameSource
@@ -25,7 +25,7 @@ BETTER_PX = 0.1
 
 
 @dataclass(frozen=True)
-class CameraClock:
+class EstimatedClock:
     """A camera's clock.
 
     An instant of the common clock [s], which counts from the first camera's ``origin_ns``, is
@@ -49,10 +49,10 @@ class Reconstructed:
     should know, a line each. ``cameras``: their paths where they move; ``observations`` are then those of markers.
     """
 
-    gathered: Gathered
-    estimated: Estimated
-    observations: Observations
-    clocks: tuple[CameraClock, ...]
+    gathered: Associated
+    estimated: ContinuousEstimate
+    observations: TimedObservations
+    clocks: tuple[EstimatedClock, ...]
     findings: tuple[str, ...]
     rig: Rig
     cameras: CameraPaths | None = None
@@ -69,12 +69,15 @@ class Reconstructed:
         own = (span - first.offset_s) / (1.0 + first.drift)
         return self.origin_ns + int(np.ceil(own[0] * 1e9)), self.origin_ns + int(np.floor(own[1] * 1e9))
 
-    def tracks(self, time_ns: Array) -> Tracks:
-        """Return samples of all markers at ``time_ns`` (t,), stamps of the first camera's clock."""
+    def tracks(self, time_ns: Array, curves: UncertainCurves | None = None) -> Tracks:
+        """Return samples of all markers at ``time_ns`` (t,), stamps of the first camera's clock.
+
+        ``curves``: of the same markers, another method's; None: the estimated ones.
+        """
         first = self.clocks[0]
         own = (np.asarray(time_ns) - self.origin_ns) * 1e-9
         return tracks_on_grid(
-            self.estimated.curves,
+            self.estimated.curves if curves is None else curves,
             self.observations,
             self.rig,
             first.offset_s + (1.0 + first.drift) * own,
@@ -92,17 +95,17 @@ class Reconstructed:
 def reconstruct(
     source: FrameSource,
     rig: Rig,
-    gathering: GatherSettings | None = None,
+    gathering: AssociationSettings | None = None,
     settings: ContinuousSettings | None = None,
     backgrounds: Mapping[str, Array] | None = None,
     attend: Callable[[int], None] | None = None,
 ) -> Reconstructed:
     """Turn frames of fixed, calibrated, free-running cameras into curves of markers, and the cameras' clocks.
 
-    ``settings.clocks`` "known" becomes "drift" where clocks had to be searched for. InputError as ``gather`` has it.
+    ``settings.clocks`` "known" becomes "drift" where clocks had to be searched for. InputError: see ``associate``.
     """
     settings = ContinuousSettings() if settings is None else settings
-    gathered = gather(source, rig, gathering, backgrounds, attend)
+    gathered = associate(source, rig, gathering, backgrounds, attend)
     if gathered.searched and settings.clocks == "known":
         settings = replace(settings, clocks="drift")
     # clocks and names want curves, not what points have to do with each other: that is what costs
@@ -114,7 +117,7 @@ def reconstruct(
         raise InputError("no image point lies on its curve: the clocks or the rig do not fit the images")
     estimated = estimate(found, rig, settings, estimated.curves)
     clocks = _clocks(rig, ties, estimated)
-    told = told_of(gathered, found)
+    told = association_findings(gathered, found)
     if settings.clocks == "known":
         told += late_cameras(estimated.curves, found, rig)
     return Reconstructed(
@@ -122,7 +125,7 @@ def reconstruct(
     )
 
 
-def _tied(ties: tuple[ClockTie, ...], estimated: Estimated) -> tuple[ClockTie, ...]:
+def _tied(ties: tuple[ClockTie, ...], estimated: ContinuousEstimate) -> tuple[ClockTie, ...]:
     """Return the ties with what was estimated on top of them."""
     return tuple(
         replace(
@@ -134,9 +137,11 @@ def _tied(ties: tuple[ClockTie, ...], estimated: Estimated) -> tuple[ClockTie, .
     )
 
 
-def _clocks(rig: Rig, ties: tuple[ClockTie, ...], estimated: Estimated) -> tuple[CameraClock, ...]:
+def _clocks(
+    rig: Rig, ties: tuple[ClockTie, ...], estimated: ContinuousEstimate
+) -> tuple[EstimatedClock, ...]:
     return tuple(
-        CameraClock(
+        EstimatedClock(
             name, tie.origin_ns, tie.offset_s, tie.drift, clock.row_time_s,
             clock.offset_sigma_s, clock.drift_sigma, clock.row_time_sigma_s,
         )

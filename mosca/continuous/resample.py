@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from mosca.continuous.association.tracklet_merging import parts_in_time
-from mosca.continuous.moving_cameras.rig_at_time import images_of
-from mosca.continuous.observations import CameraPaths, Curves, Observations, UncertainCurves
+from mosca.continuous.model.observations import CameraPaths, Curves, TimedObservations, UncertainCurves
+from mosca.continuous.model.rig_at_time import images_of
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
@@ -23,7 +23,7 @@ CHUNK = 1000
 
 
 def residuals_px(
-    curves: Curves, observations: Observations, rig: Rig, cameras: CameraPaths | None = None
+    curves: Curves, observations: TimedObservations, rig: Rig, cameras: CameraPaths | None = None
 ) -> Array:
     """Return how far each image point (n, 2) lies from its curve's image [px]; NaN where the curve is unknown.
 
@@ -55,7 +55,7 @@ def residuals_px(
 
 def tracks_on_grid(
     curves: UncertainCurves,
-    observations: Observations,
+    observations: TimedObservations,
     rig: Rig,
     instants_s: Array,
     time_ns: Array,

@@ -8,10 +8,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from mosca.calibration.initial.interior_orientation import LensChoice
 from mosca.calibration.session import EstimateSettings, Shown, calibrate_session
 from mosca.calibration.single_camera.adjust import AdjustmentSettings
 from mosca.calibration.single_camera.from_points import calibrate_from_points, summary
+from mosca.calibration.single_camera.interior_orientation import LensChoice
 from mosca.camera.projection import lens_directions
 from mosca.data.calibration import Calibration
 from mosca.data.files.rig_file import read_rig, write_rig

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from mosca.continuous.association.associate import GatherSettings
+from mosca.continuous.association.associate import AssociationSettings
 from mosca.continuous.estimator.estimate import ContinuousSettings
 from mosca.continuous.moving_cameras.body_worn import reconstruct_worn
 from mosca.continuous.reconstruct import Reconstructed, reconstruct
@@ -34,9 +34,9 @@ HIGHEST_RATE_HZ = 10_000.0
 
 @dataclass(frozen=True)
 class ContinuousOptions:
-    """``rate_hz``: of the grid; None: the fastest camera's. ``clocks``: see ``GatherSettings``. ``search_s``: by how
-    much cameras with clocks of their own may have been started apart. ``limbs``: whether constant distances are used.
-    ``worn``: file of the lamps that cameras on limbs carry; the rig's poses then count for those that it names.
+    """``rate_hz``: of the grid; None: the fastest camera's. ``clocks``: see ``AssociationSettings``. ``search_s``: by
+    how much cameras with clocks of their own may have been started apart. ``limbs``: whether constant distances are
+    used. ``worn``: file of the lamps that cameras on limbs carry; the rig's poses then count for those that it names.
     """
 
     rate_hz: float | None = None
@@ -87,7 +87,7 @@ def reconstruct_continuous(
             if progress is not None:
                 progress(done, done)
 
-        gathering = GatherSettings(pipeline, options.clocks, options.search_s)
+        gathering = AssociationSettings(pipeline, options.clocks, options.search_s)
         wanted = ContinuousSettings(clocks="known", limbs=options.limbs)
         if lamps is None:
             found = reconstruct(source, rig, gathering, wanted, backgrounds, attend)

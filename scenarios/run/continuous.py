@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from mosca.continuous.association.associate import GatherSettings
+from mosca.continuous.association.associate import AssociationSettings
 from mosca.continuous.estimator.estimate import ContinuousSettings
 from mosca.continuous.moving_cameras.body_worn import Worn, reconstruct_worn
-from mosca.continuous.reconstruct import CameraClock, Reconstructed, reconstruct
+from mosca.continuous.reconstruct import EstimatedClock, Reconstructed, reconstruct
 from mosca.data.arrays import Array
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
@@ -21,9 +21,9 @@ from scenarios.spec.scenario import Scenario
 from scenarios.types import Collected
 
 
-def gather_settings(spec: ContinuousSpec, pipeline: PipelineSettings) -> GatherSettings:
+def gather_settings(spec: ContinuousSpec, pipeline: PipelineSettings) -> AssociationSettings:
     """Return how observations are gathered."""
-    return GatherSettings(pipeline, spec.clocks, spec.search_s)
+    return AssociationSettings(pipeline, spec.clocks, spec.search_s)
 
 
 def continuous_settings(spec: ContinuousSpec) -> ContinuousSettings:
@@ -73,7 +73,7 @@ def collect_continuous(
     return Collected(tracks, (), -1, assembly, seconds, {}), found if worn is None else worn
 
 
-def clock_line(clock: CameraClock) -> str:
+def clock_line(clock: EstimatedClock) -> str:
     """Return a camera's clock in words, with 95 % intervals."""
     line = (
         f"starts {clock.offset_s:+.6f} s (+- {1.96 * clock.offset_sigma_s:.1g}) against the first camera's, runs "

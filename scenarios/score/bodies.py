@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mosca.calibration.world_frame.similarity import rigid
+from mosca.calibration.common.robust_fit import rigid
 from mosca.data.arrays import Array
 from mosca.data.bodies import FEWEST_MARKERS, BodyPoses, RigidBody
 from mosca.data.rotations import rotation_from_quaternion

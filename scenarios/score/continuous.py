@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from mosca.continuous.comparison_methods.compare import reconstruct_by
 from mosca.continuous.moving_cameras.body_worn import Worn
-from mosca.continuous.reconstruct import CameraClock, Reconstructed
+from mosca.continuous.reconstruct import EstimatedClock, Reconstructed
 from mosca.data.arrays import Array
 from mosca.data.tracks import Tracks
 from mosca.data.truth import Truth
@@ -83,7 +84,7 @@ def clock_scores(found: Reconstructed, truth: Truth) -> dict[str, Score]:
     return {"clock_frames": Score(max(offsets), n), "clock_drift_ppm": Score(max(drifts), n)}
 
 
-def _line(clock: CameraClock, first_ns: int, stamp_ns: Array, true_ns: Array) -> tuple[float, float]:
+def _line(clock: EstimatedClock, first_ns: int, stamp_ns: Array, true_ns: Array) -> tuple[float, float]:
     """Return session time as offset and rate of a camera's own seconds since its origin: what its stamps should say.
 
     ``first_ns``: mid-exposure of its first frame by its own stamp.
@@ -130,3 +131,17 @@ def over_synchronous(
         return {}
     mine, other = (ours.distance_m[both] ** 2).mean(), (theirs.distance_m[at[both]] ** 2).mean()
     return {"over_synchronous": Score(float(np.sqrt(mine / other)), int(both.sum()))}
+
+
+def comparison_scores(
+    spec: Scenario, found: Reconstructed, truth: Truth, working_space_m: float
+) -> dict[str, Score]:
+    """Return the rms errors [m] of other trajectory models on the same image points, at the truth's instants."""
+    assert spec.continuous is not None
+    scores = {}
+    for method in spec.continuous.compare:
+        pairs = pair(reconstruct_by(method, found, truth.time_ns), truth, working_space_m)
+        if len(pairs.frame):
+            rms_m = float(np.sqrt((pairs.distance_m**2).mean()))
+            scores[f"rms_{method}"] = Score(rms_m, len(pairs.frame))
+    return scores

@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from mosca.continuous.reconstruct import Reconstructed
 from mosca.data.rig import Rig
 from mosca.data.truth import Truth
 from scenarios.score.bodies import body_scores
-from scenarios.score.continuous import over_synchronous, scored_apart
+from scenarios.score.continuous import comparison_scores, over_synchronous, scored_apart
 from scenarios.score.cramer_rao import bound, efficiencies, needs_bound, pulses_asked
 from scenarios.score.premises import premises_met
 from scenarios.score.reference import JUDGED, ReferenceTrajectories
@@ -46,6 +47,8 @@ def scored(
     scores = metrics(pairs, space) | more
     if "over_synchronous" in spec.limits:
         scores |= over_synchronous(pairs, measured.synchronous(), truth, space)
+    if isinstance(measured.continuous, Reconstructed):
+        scores |= comparison_scores(spec, measured.continuous, truth, space)
     if measured.poses is not None:
         scores |= body_scores(measured.poses, measured.bodies, truth)
     if twin is not None and needs_bound(spec.limits):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from mosca.camera.projection import project
-from mosca.continuous.association.frame_detections import Seen
+from mosca.continuous.association.frame_detections import CameraDetections
 from mosca.continuous.moving_cameras.body_worn import Worn
 from mosca.data.arrays import Array
 from mosca.data.rig import Pose, Rig
@@ -66,7 +66,7 @@ def without_lamps(tracks: Tracks, places: dict[str, Array]) -> Tracks:
     return tracks.select(kept)
 
 
-def lamp_scores(seen: Sequence[Seen], rig: Rig, places: dict[str, Array]) -> dict[str, Score]:
+def lamp_scores(seen: Sequence[CameraDetections], rig: Rig, places: dict[str, Array]) -> dict[str, Score]:
     """Return the share of lamps that another camera sees in most frames, and how far from where they should be.
 
     ``lamp_px``: rms distance of the lamps' images (observed epipoles, but for the lamps' known way from the lens)

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.calibration.initial.interior_orientation import LensChoice
 from mosca.calibration.quality.point_covariance import calibration_covariance
 from mosca.calibration.session import EstimateSettings, Shown, Target_co, calibrate_session
+from mosca.calibration.single_camera.interior_orientation import LensChoice
 from mosca.camera.projection import image_grid, project, rays
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration

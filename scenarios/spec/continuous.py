@@ -35,6 +35,11 @@ class ContinuousSpec(Table):
         None,
         description="distance of the trajectories' knots [s]; without it as far apart as all cameras' exposures",
     )
+    compare: tuple[Literal["linear", "cubic", "neural"], ...] = Field(
+        (),
+        description="other trajectory models that get the same image points, scored as rms_linear, rms_cubic and "
+        "rms_neural; 'neural' costs the cube of the exposures: seconds of recording, not minutes",
+    )
     worn_on: str | None = Field(
         None,
         description="body on which the cameras ride that film it: their places on it are known, the room's "
@@ -49,6 +54,10 @@ class ContinuousSpec(Table):
     def _worn_where_moving(self) -> "ContinuousSpec":
         if not self.moving:
             return self
+        if self.compare:
+            raise ValueError(
+                "compare and moving = true: the models compared take cameras that stand; leave one out"
+            )
         if self.worn_on is None:
             raise ValueError("moving = true wants worn_on: the body on which two cameras and more ride")
         if self.clocks == "own" or self.estimate != "known":

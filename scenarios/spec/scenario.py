@@ -52,6 +52,9 @@ METRICS = {
     "clock_frames": ("1", "at_most"),
     "clock_drift_ppm": ("1", "at_most"),
     "over_synchronous": ("1", "at_most"),
+    "rms_linear": ("m", "at_most"),
+    "rms_cubic": ("m", "at_most"),
+    "rms_neural": ("m", "at_most"),
     "lamps_found": ("1", "at_least"),
     "lamp_px": ("px", "at_most"),
     "camera_position_rms": ("m", "at_most"),
@@ -271,6 +274,10 @@ class Scenario(Table):
                 raise ValueError(
                     f"limits.{name} needs a [[length]] that is seen; add one, or take the limit away"
                 )
+        compared = () if self.continuous is None else self.continuous.compare
+        for name in ("linear", "cubic", "neural"):
+            if f"rms_{name}" in self.limits and name not in compared:
+                raise ValueError(f"limits.rms_{name} needs continuous.compare = ['{name}']; add it")
         if "rigidity_rms" in self.limits and not self.pipeline.bodies:
             raise ValueError("limits.rigidity_rms needs rigid bodies; set pipeline.bodies = true")
         missing = [name for name in self.fails_on if name not in self.limits]

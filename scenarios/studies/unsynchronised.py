@@ -14,10 +14,10 @@ from typing import Literal
 
 import numpy as np
 
-from mosca.calibration.world_frame.similarity import similarity
+from mosca.calibration.common.robust_fit import similarity
 from mosca.camera.projection import project
-from mosca.continuous.camera_paths import StillCameras
-from mosca.continuous.observations import CameraPaths, Curves, Observations
+from mosca.continuous.model.camera_paths import StillCameras
+from mosca.continuous.model.observations import CameraPaths, Curves, TimedObservations
 from mosca.data.arrays import Array
 from mosca.data.motion.asf import read_asf_amc
 from mosca.data.motion.bvh import read_bvh
@@ -121,7 +121,7 @@ def observe(
     paths: CameraPaths | None = None,
     noise_px: float = 0.0,
     seed: int = 0,
-) -> Observations:
+) -> TimedObservations:
     """Return what the cameras of ``rig`` see of a motion, camera k at frames ``apart * k + every * i``.
 
     ``epipoles``: the cameras see each other's projection centres, too. ``paths``: cameras that move (default: as
@@ -159,7 +159,7 @@ def observe(
     )
     covariance = np.tile(np.eye(2) * max(noise_px, 0.01) ** 2, (len(xy_px), 1, 1))
     carried_by = np.concatenate([np.full(n, -1), np.arange(len(rig.cameras))])[: len(names)]
-    return Observations(
+    return TimedObservations(
         rig.names,
         names,
         camera_,
@@ -173,7 +173,7 @@ def observe(
     )
 
 
-def shared_frames(observations: Observations, truth: PointMotion) -> Array:
+def shared_frames(observations: TimedObservations, truth: PointMotion) -> Array:
     """Return the motion's frames (f,) between the last camera's first exposure and the first camera's last."""
     times = [observations.time_s[observations.camera == k] for k in range(len(observations.cameras))]
     first, last = max(t.min() for t in times), min(t.max() for t in times)

@@ -26,12 +26,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from mosca.continuous.baselines.interpolated import Interpolated, interpolated
-from mosca.continuous.baselines.neural import neural
-from mosca.continuous.baselines.synchronous import Cameras
-from mosca.continuous.camera_paths import StillCameras
+from mosca.continuous.comparison_methods.interpolated import Interpolated, interpolated
+from mosca.continuous.comparison_methods.neural import neural
+from mosca.continuous.comparison_methods.synchronous import Cameras
 from mosca.continuous.estimator.estimate import ContinuousSettings, estimate
-from mosca.continuous.observations import CameraPaths, Curves, Observations
+from mosca.continuous.model.camera_paths import StillCameras
+from mosca.continuous.model.observations import CameraPaths, Curves, TimedObservations
 from mosca.data.arrays import Array
 from mosca.data.rig import Pose, Rig
 from scenarios.studies.unsynchronised import (
@@ -101,7 +101,7 @@ class Ours:
         return self.curves.at(time_s)
 
 
-def ours(see: Observations, rig: Rig, kind: Cameras, epipoles: bool) -> Ours:
+def ours(see: TimedObservations, rig: Rig, kind: Cameras, epipoles: bool) -> Ours:
     """Return our estimate; with unknown cameras it begins at the cubic baseline's curves and cameras."""
     if not epipoles:
         see = see.only(see.carried_by[see.point] < 0)

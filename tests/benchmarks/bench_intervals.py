@@ -28,8 +28,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "mosca"))
 
 from rigid_scenes import board_marks, carried, errors_of, field_marks, seen, some_rig, still, stood
 
-from mosca.calibration.initial.interior_orientation import LensChoice
 from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
+from mosca.calibration.single_camera.interior_orientation import LensChoice
 
 NOISE_PX, SHAKE_PX, MARK_SIGMA_M, PITCH_MM = 0.02, 0.03, 1e-5, 0.0099
 CASES = ("field", "field-steady", "stands", "board", "board-steady", "field-opencv")

@@ -16,9 +16,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "mosca"))
 
 from rigid_scenes import board_marks, carried, seen, some_rig, still, stood
 
-from mosca.calibration.initial.interior_orientation import LensChoice
 from mosca.calibration.quality.checks import judge
 from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
+from mosca.calibration.single_camera.interior_orientation import LensChoice
 from mosca.data.calibration import Finding
 from mosca.errors import CalibrationError
 

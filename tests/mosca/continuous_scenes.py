@@ -3,7 +3,7 @@
 import numpy as np
 
 from mosca.camera.projection import project
-from mosca.continuous.observations import Observations, no_carriers
+from mosca.continuous.model.observations import TimedObservations, no_carriers
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 
 
@@ -70,7 +70,7 @@ def take(path, rig, stamps, sigma_px, seed=0, clocks=None, row_s=0.0):
     a = np.concatenate(parts)
     names = tuple(f"m{k}" for k in range(n))
     spread = np.tile(sigma_px**2 * np.eye(2), (len(a), 1, 1))
-    return Observations(
+    return TimedObservations(
         rig.names, names, a[:, 0], a[:, 1], a[:, 2], a[:, 3], a[:, 4:6], spread, **no_carriers(names)
     )
 

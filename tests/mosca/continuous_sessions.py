@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.continuous.association.frame_detections import Seen
+from mosca.continuous.association.frame_detections import CameraDetections
 from mosca.data.frames import CameraInfo
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 
@@ -55,7 +55,7 @@ def pinhole(camera: Camera, xyz: np.ndarray) -> np.ndarray:
 
 def seen_by(
     camera: Camera, k: int, duration_s: float, own_clock: bool, motion: Motion = Motion()
-) -> tuple[Seen, np.ndarray, np.ndarray]:
+) -> tuple[CameraDetections, np.ndarray, np.ndarray]:
     """Return what a camera saw, which point each image point is, and the true instants of its frames."""
     random = np.random.default_rng(10 + k)
     true_s = np.arange(BEGIN_S[k], duration_s, 1 / RATE_HZ)
@@ -70,7 +70,7 @@ def seen_by(
     n = sum(len(r) for r in rows)
     start = np.concatenate([[0], np.cumsum([len(r) for r in rows])])
     info = CameraInfo(camera.name, WIDTH, HEIGHT, 8, RATE_HZ, "device" if own_clock else "session")
-    seen = Seen(
+    seen = CameraDetections(
         info, stamp, start, np.concatenate(rows), np.tile(SIGMA_PX**2 * np.eye(2), (n, 1, 1)), np.full(n, 6.0),
         np.full(n, 200.0), np.ones(n), np.zeros(n, np.uint8),
     )  # fmt: skip
@@ -79,6 +79,6 @@ def seen_by(
 
 def session(
     duration_s: float = 3.0, own_clock: bool = True, motion: Motion = Motion()
-) -> tuple[list[Seen], list[np.ndarray], list[np.ndarray]]:
+) -> tuple[list[CameraDetections], list[np.ndarray], list[np.ndarray]]:
     found = [seen_by(camera, k, duration_s, own_clock, motion) for k, camera in enumerate(rig().cameras)]
     return [f[0] for f in found], [f[1] for f in found], [f[2] for f in found]

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from changed_rigs import changed_rig
 from judge_rigs import field_calibration, good_rig
 
-from mosca.calibration.quality.accuracy_map import accuracy_map, measured_points
-from mosca.calibration.quality.jacobian import changed_rig, sensitivity
+from mosca.calibration.quality.accuracy_map import accuracy_map, triangulated_points
+from mosca.calibration.quality.jacobian import sensitivity
 from mosca.camera.projection import project
 from mosca.data.rig import MoscaLens, Rig
 from mosca.triangulation.triangulate import triangulate
@@ -115,7 +116,7 @@ def test_measured_points_are_those_of_the_triangulation(calibration):
     points = np.array([[0.1, 0.2, 1.1], [-0.4, 0.3, 0.8]])
     camera, key = np.repeat(np.arange(3), 2), np.tile([7, 3], 3)
     xy = np.concatenate([project(c, points) for c in calibration.rig.cameras])
-    found = measured_points(calibration, camera, key, xy, np.tile(0.01 * np.eye(2), (6, 1, 1)))
+    found = triangulated_points(calibration, camera, key, xy, np.tile(0.01 * np.eye(2), (6, 1, 1)))
     assert list(found.key) == [3, 7]
     assert np.allclose(found.xyz, points[::-1], atol=1e-9)
     assert found.by_parameter.shape == (2, 3, len(calibration.parameters))

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from changed_rigs import changed_rig
 from scipy.spatial.transform import Rotation
 from test_wand import calibrated
 from wand_scenes import NOISE_PX, rig, seen, waved
 
-from mosca.calibration.quality.jacobian import changed_rig
-from mosca.calibration.self_calibration.calibrate import self_calibrate
+from mosca.calibration.uncalibrated.self_calibration import self_calibrate
 from mosca.calibration.world_frame.l_frame import in_axes, world_from_l_frame
 from mosca.camera.projection import project
 from mosca.data.detections import Detections

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mosca.calibration.bundle.kernels import imaged
-from mosca.calibration.bundle.layout import lay_out
+from mosca.calibration.bundle.layout import layout_of
 from mosca.calibration.bundle.lenses import FOLD, IMAGED, L, image, lens_row
 from mosca.calibration.bundle.levenberg_marquardt import empty_normals, first_state, moved, reduced
 from mosca.calibration.bundle.normals import linearise
 from mosca.calibration.bundle.priors import lens_priors, pulls
-from mosca.calibration.bundle.rotations import weighted_blocks
+from mosca.calibration.bundle.rotations import observed_blocks
 from mosca.calibration.bundle.solver import (
     BundleSettings,
     CameraUnknowns,
@@ -26,6 +26,7 @@ from mosca.calibration.bundle.solver import (
     Problem,
     solve,
 )
+from mosca.calibration.bundle.tables import Loss
 from mosca.camera.lens_models import fisheye as fisheye_model
 from mosca.camera.lens_models import mosca as mosca_model
 from mosca.camera.lens_models import opencv as opencv_model
@@ -169,7 +170,7 @@ def dense(problem, layout, state):
 
     Columns: the reduced system's, then the blocks'.
     """
-    unknowns, blocks = len(layout.names), int(layout.blocks[0].sum())
+    unknowns, blocks = len(layout.names), int(layout.blocks.size.sum())
     small = {
         "K1_per_mm2": 1e-8,
         "K2_per_mm4": 1e-9,
@@ -185,8 +186,8 @@ def dense(problem, layout, state):
     def residuals(at):
         cameras, points, placements = at
         pixel = np.empty((len(layout.order), 2))
-        imaged(at, layout.see, pixel)
-        parts = [(pixel * layout.see[4][:, None]).ravel()]
+        imaged(at, layout.observations, pixel)
+        parts = [(pixel * layout.observations.weight[:, None]).ravel()]
         for one in lens_priors(problem, layout):
             parts.append([(cameras[one.camera, 12 + one.parameter] - one.value) / one.sigma])
         for c, one in enumerate(problem.cameras):
@@ -224,23 +225,23 @@ def disturbed(problem, layout, state, seed=5):
     cameras = len(problem.cameras)
     group[:cameras, :6] = rng.normal(0, 0.01, (cameras, 6)) * (layout.index[:cameras, :6] >= 0)
     group[cameras:, :3] = rng.normal(0, 0.01, (len(layout.kept), 3))
-    return moved(layout, state, group, rng.normal(0, 0.01, int(layout.blocks[0].sum())))
+    return moved(layout, state, group, rng.normal(0, 0.01, int(layout.blocks.size.sum())))
 
 
 def test_normal_equations_of_every_kind_of_unknown():
     problem = everything()
-    layout = lay_out(problem)
+    layout = layout_of(problem)
     state = disturbed(problem, layout, first_state(problem, layout))
     residuals, jacobian = dense(problem, layout, state)
     normals = empty_normals(layout)
     cost, unseen = linearise(
-        state, layout.see, layout.columns, layout.blocks, layout.known, (0, 1.0), normals
+        state, layout.observations, layout.columns, layout.blocks, layout.known, Loss(0, 1.0), normals
     )
-    cost += weighted_blocks(state, layout.blocks, layout.known, normals)
+    cost += observed_blocks(state, layout.blocks, layout.known, normals)
     pull, more = pulls(problem, layout, lens_priors(problem, layout), state)
     assert unseen == 0
     assert cost + more == pytest.approx(residuals @ residuals, rel=1e-10)
-    matrix, slope = reduced(layout, normals, pull, 0.0, np.empty_like(normals[4]))
+    matrix, slope = reduced(layout, normals, pull, 0.0, np.empty_like(normals.blocks))
     u = len(layout.names)
     full, gradient = jacobian.T @ jacobian, jacobian.T @ residuals
     block_inverse = np.linalg.inv(full[u:, u:])
@@ -262,23 +263,25 @@ def test_normal_equations_of_every_kind_of_unknown():
 @pytest.mark.parametrize("robust", [(0, 1.0), (1, 4.0), (2, 4.0)])
 def test_what_a_camera_does_not_image_costs_and_pulls_nothing(robust):
     problem = everything()
-    layout = lay_out(problem)
+    layout = layout_of(problem)
     state = disturbed(problem, layout, first_state(problem, layout))
     # some points far behind one camera or another, one in a camera, one nowhere
     rng = np.random.default_rng(3)
     state[1][:6] = rng.normal(0, 6.0, (6, 3))
     state[1][6], state[1][7] = state[0][0, 9:12], np.nan
     residual = np.empty((len(layout.order), 2))
-    imaged(state, layout.see, residual)
+    imaged(state, layout.observations, residual)
     seen = np.isfinite(residual).all(axis=1)
     assert 5 < (~seen).sum() < len(seen) / 2
     found = []
-    for weight in (layout.see[4], np.where(seen, layout.see[4], 0.0)):
+    for weight in (layout.observations.weight, np.where(seen, layout.observations.weight, 0.0)):
         normals = empty_normals(layout)
-        see = (*layout.see[:4], weight, *layout.see[5:])
-        cost, unseen = linearise(state, see, layout.columns, layout.blocks, layout.known, robust, normals)
+        see = layout.observations._replace(weight=weight)
+        cost, unseen = linearise(
+            state, see, layout.columns, layout.blocks, layout.known, Loss(*robust), normals
+        )
         np.testing.assert_allclose(
-            normals[-1], np.where(seen[:, None], residual, np.nan), rtol=1e-9, atol=1e-9
+            normals.residuals_px, np.where(seen[:, None], residual, np.nan), rtol=1e-9, atol=1e-9
         )
         found.append((cost, unseen, normals))
     (cost, unseen, whole), (other, none, part) = found
@@ -293,7 +296,7 @@ def test_what_a_camera_does_not_image_costs_and_pulls_nothing(robust):
 def test_covariances_and_redundancy_numbers_are_those_of_the_dense_inverse():
     problem = everything(free=FEW)
     done = solve(problem, BundleSettings(tolerance=1e-6, hold_weak=False))
-    layout = lay_out(problem)
+    layout = layout_of(problem)
     from mosca.calibration.bundle.solver import _state_of
 
     state = _state_of(problem, layout, done)

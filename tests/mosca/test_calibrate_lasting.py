@@ -7,9 +7,9 @@ import pytest
 from rigid_scenes import errors_of, field_marks, seen, some_rig, still, stood
 
 from mosca.calibration import rigid_target as rigid
-from mosca.calibration.initial.interior_orientation import LensChoice
 from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
 from mosca.calibration.session import with_residuals
+from mosca.calibration.single_camera.interior_orientation import LensChoice
 
 NOISE_PX, LASTING_PX, REPEATS = 0.02, 0.02, 8
 SETTINGS = RigidSettings(LensChoice("mosca", 0.0099))

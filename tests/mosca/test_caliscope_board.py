@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 import pytest
 
-from mosca.calibration.initial.interior_orientation import LensChoice
 from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
+from mosca.calibration.single_camera.interior_orientation import LensChoice
 from mosca.data.files.rig_file import read_rig
 from mosca.data.rig import OpenCVLens, Rig
 from mosca.data.sightings import Sightings

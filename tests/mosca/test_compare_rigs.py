@@ -7,8 +7,8 @@ import pytest
 from bundle_scenes import ring
 from scipy.spatial.transform import Rotation
 
+from mosca.calibration.common.robust_fit import similarity
 from mosca.calibration.quality.compare_rigs import compare_rigs
-from mosca.calibration.world_frame.similarity import similarity
 from mosca.data.rig import Pose, Rig
 from mosca.errors import InputError
 

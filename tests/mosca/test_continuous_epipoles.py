@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mosca.continuous.baselines.epipoles import (
+from mosca.continuous.comparison_methods.epipoles import (
     TooFewPointsError,
     distances_along,
     essential,

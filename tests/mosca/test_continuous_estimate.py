@@ -11,9 +11,9 @@ from continuous_scenes import limbs, nees, ring, rms, sines, take
 from scipy.interpolate import BSpline
 
 import mosca.continuous.estimator.estimate as whole
-from mosca.continuous.estimator.checks import check
 from mosca.continuous.estimator.constant_distances import Pairs
 from mosca.continuous.estimator.estimate import ContinuousSettings, estimate
+from mosca.continuous.estimator.input_checks import check
 from mosca.data.rig import Pose, Rig
 from mosca.data.rotations import rotation_from_vector
 from mosca.errors import InputError

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from continuous_sessions import DRIFT, POINTS, RATE_HZ, pinhole, rig, session
 
-from mosca.continuous.association.associate import GatherSettings, gather_seen
+from mosca.continuous.association.associate import AssociationSettings, gather_seen
 from mosca.continuous.association.coarse_sync import common_clock, tied_clocks
-from mosca.continuous.association.frame_detections import Seen, check_rise
+from mosca.continuous.association.frame_detections import CameraDetections, check_rise
 from mosca.continuous.association.interpolated_tracks import SampledCurves
 from mosca.continuous.association.tracklet_merging import parts_in_time
-from mosca.continuous.association.tracklets_2d import Paths, strands
-from mosca.continuous.observations import Observations, no_carriers
+from mosca.continuous.association.tracklets_2d import Tracklets, strands
+from mosca.continuous.model.observations import TimedObservations, no_carriers
 from mosca.continuous.resample import residuals_px, tracks_on_grid
 from mosca.data.frames import CameraInfo
 from mosca.data.tracks import Tracks
@@ -35,12 +35,12 @@ def test_between_exposures_a_path_is_the_curve_itself_to_third_order():
     t = np.array([0.0, 0.1, 0.25, 0.3, 0.42, 0.5])
     xy = np.column_stack([3 + 20 * t - 9 * t**2, 5 - 4 * t + 2 * t**2])
     n = len(t)
-    seen = Seen(
+    seen = CameraDetections(
         CameraInfo("c", 10, 10, 8, 10.0), np.rint(t * 1e9).astype(np.int64), np.arange(n + 1), xy,
         np.tile(np.eye(2), (n, 1, 1)), np.ones(n), np.ones(n), np.ones(n), np.zeros(n, np.uint8),
     )  # fmt: skip
     asked = np.array([0.11, 0.2, 0.3, 0.41])
-    found = Paths.of(seen, np.zeros(n, np.int64), t).at(asked)
+    found = Tracklets.of(seen, np.zeros(n, np.int64), t).at(asked)
     np.testing.assert_array_equal(found.instant, [0, 1, 2, 3])
     wanted = np.column_stack([3 + 20 * asked - 9 * asked**2, 5 - 4 * asked + 2 * asked**2])
     np.testing.assert_allclose(found.xy_px, wanted, atol=1e-9)
@@ -60,7 +60,7 @@ def test_clocks_that_know_nothing_of_each_other_are_tied_by_the_images():
 def test_clocks_of_still_points_cannot_be_tied():
     seen, _names, _true = session(2.0)
     held = [
-        Seen(
+        CameraDetections(
             one.info, one.frame_ns, one.start, np.zeros_like(one.xy_px) + [[100.0, 100.0]], one.covariance_px2,
             one.diameter_px, one.peak, one.elongation, one.flags,
         )
@@ -73,7 +73,7 @@ def test_clocks_of_still_points_cannot_be_tied():
 @pytest.mark.parametrize("own_clock", [False, True])
 def test_every_image_point_gets_its_marker(own_clock):
     seen, names, _true = session(4.5, own_clock)
-    found = gather_seen(tuple(seen), rig(), GatherSettings(search_s=1.0))
+    found = gather_seen(tuple(seen), rig(), AssociationSettings(search_s=1.0))
     assert found.searched is own_clock
     observations = found.observations
     of_marker = {}
@@ -95,24 +95,24 @@ def test_clocks_taken_for_common_spoil_the_observations():
     """The control: free-running cameras that were started apart, believed to be of one clock."""
     seen, _names, _true = session(3.0)
     apart = tuple(
-        Seen(
+        CameraDetections(
             one.info, one.frame_ns - one.frame_ns[0], one.start, one.xy_px, one.covariance_px2,
             one.diameter_px, one.peak, one.elongation, one.flags,
         )
         for one in seen
     )  # fmt: skip
     with pytest.raises(InputError, match="no marker was followed by two cameras"):
-        gather_seen(apart, rig(), GatherSettings(clocks="common"))
+        gather_seen(apart, rig(), AssociationSettings(clocks="common"))
 
 
 def test_cameras_that_never_ran_together_are_told():
     seen, _names, _true = session(2.0, own_clock=False)
-    late = Seen(
+    late = CameraDetections(
         seen[2].info, seen[2].frame_ns + 100_000_000_000, seen[2].start, seen[2].xy_px, seen[2].covariance_px2,
         seen[2].diameter_px, seen[2].peak, seen[2].elongation, seen[2].flags,
     )  # fmt: skip
     with pytest.raises(InputError, match=r"camera 'c2': filmed from 100.* at no time together"):
-        gather_seen((seen[0], seen[1], late), rig(), GatherSettings())
+        gather_seen((seen[0], seen[1], late), rig(), AssociationSettings())
 
 
 def test_stamps_must_rise():
@@ -146,7 +146,7 @@ def test_samples_on_a_grid_say_what_vouches_for_them():
     xyz = _Straight().at(at)[np.arange(len(at)), point.astype(int)]
     xy = np.array([pinhole(cameras.cameras[int(c)], x) for c, x in zip(camera, xyz, strict=True)])
     xy[:, 0] += 0.3
-    given = Observations(
+    given = TimedObservations(
         cameras.names, ("a", "b"), camera, point, exposure, at, xy, np.tile(np.eye(2), (len(at), 1, 1)),
         **no_carriers(("a", "b")),
     )  # fmt: skip

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from mosca.continuous.association.associate import GatherSettings
+from mosca.continuous.association.associate import AssociationSettings
 from mosca.continuous.association.blink_codes import NO_LAMP, LampSettings, blinking
-from mosca.continuous.association.frame_detections import Seen
+from mosca.continuous.association.frame_detections import CameraDetections
 from mosca.continuous.estimator.estimate import ContinuousSettings
+from mosca.continuous.model.rig_at_time import MovingRig, images_at
 from mosca.continuous.moving_cameras.body_worn import Lamps, solve_worn
 from mosca.continuous.moving_cameras.mutual_pose import LampRays, lamp_rays, placed_by_lamps
-from mosca.continuous.moving_cameras.rig_at_time import MovingRig, images_at
 from mosca.correspondence.match import MatchSettings
 from mosca.data.frames import CameraInfo
 from mosca.data.lamp_codes import lamp_bits
@@ -79,7 +79,7 @@ def rig(known_pose: bool = True) -> Rig:
     return Rig(tuple(Camera(f"c{c}", WIDTH, HEIGHT, lens, pose) for c, pose in enumerate(poses)))
 
 
-def filmed(noise_px: float = 0.05) -> tuple[tuple[Seen, ...], list[np.ndarray]]:
+def filmed(noise_px: float = 0.05) -> tuple[tuple[CameraDetections, ...], list[np.ndarray]]:
     """Return what the three cameras see, and of each image point the camera whose lamp it is, or -1."""
     rng = np.random.default_rng(5)
     found, whose = [], []
@@ -96,7 +96,7 @@ def filmed(noise_px: float = 0.05) -> tuple[tuple[Seen, ...], list[np.ndarray]]:
         xy = np.concatenate(points)
         n = len(xy)
         found.append(
-            Seen(
+            CameraDetections(
                 CameraInfo(f"c{c}", WIDTH, HEIGHT, 8, RATE_HZ), np.rint(times * 1e9).astype(np.int64),
                 np.concatenate([[0], np.cumsum(counts)]), xy, np.tile(0.05**2 * np.eye(2), (n, 1, 1)),
                 np.full(n, 5.0), np.full(n, 100.0), np.ones(n), np.zeros(n, np.uint8),
@@ -210,7 +210,7 @@ def test_a_rig_that_moves_is_there_only_near_where_it_was_told():
 
 
 # all images are drawn alike, however far the marker is
-GATHERING = GatherSettings(PipelineSettings(match=MatchSettings(judge_sizes=False)))
+GATHERING = AssociationSettings(PipelineSettings(match=MatchSettings(judge_sizes=False)))
 SETTINGS = ContinuousSettings(limbs=False, knot_s=0.033)
 
 

@@ -8,8 +8,8 @@ from continuous_sessions import Motion, rig, session
 
 from mosca.continuous.association.coarse_sync import rival, tied_clocks
 from mosca.continuous.association.tracklets_2d import strands
-from mosca.continuous.findings import late_cameras, told_of
-from mosca.continuous.observations import Observations, no_carriers
+from mosca.continuous.findings import association_findings, late_cameras
+from mosca.continuous.model.observations import TimedObservations, no_carriers
 
 
 def test_another_top_of_like_height_is_a_rival():
@@ -23,13 +23,13 @@ def told_of_ties(seen, ties) -> tuple[str, ...]:
     """What is told where every image point has its marker and no image is missing."""
     gathered = SimpleNamespace(count=SimpleNamespace(unusable={}), seen=seen, ties=ties)
     camera = np.concatenate([np.full(len(one.xy_px), c) for c, one in enumerate(seen)])
-    return told_of(gathered, observations_of(camera))
+    return association_findings(gathered, observations_of(camera))
 
 
-def observations_of(camera: np.ndarray) -> Observations:
+def observations_of(camera: np.ndarray) -> TimedObservations:
     n = len(camera)
     none = np.zeros(n)
-    return Observations(
+    return TimedObservations(
         rig().names, ("p",), camera, none, none, none, np.zeros((n, 2)), np.tile(np.eye(2), (n, 1, 1)),
         **no_carriers(("p",)),
     )  # fmt: skip
@@ -63,7 +63,7 @@ class _Truth:
         return Motion().at(np.asarray(time_s))
 
 
-def observed(late_s: dict[int, float]) -> Observations:
+def observed(late_s: dict[int, float]) -> TimedObservations:
     """Return what cameras see whose stamps are ``late_s`` before their exposures."""
     seen, names, true_s = session(3.0, own_clock=False)
     frame = [one.frame for one in seen]
@@ -79,7 +79,7 @@ def observed(late_s: dict[int, float]) -> Observations:
         for c, (one, n) in enumerate(zip(seen, names, strict=True))
     ]
     columns = [np.concatenate(part) for part in zip(*parts, strict=True)]
-    return Observations(rig().names, _Truth.points, *columns, **no_carriers(_Truth.points))
+    return TimedObservations(rig().names, _Truth.points, *columns, **no_carriers(_Truth.points))
 
 
 def test_a_late_camera_is_told_by_how_much():

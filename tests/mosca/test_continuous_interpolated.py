@@ -11,11 +11,11 @@ from scipy.optimize import approx_fprime, least_squares
 from scipy.spatial.transform import Rotation
 
 from mosca.camera.projection import project
-from mosca.continuous.baselines.initial_poses import first_scene, in_datum
-from mosca.continuous.baselines.interpolated import ImageTracks, common_instants, interpolated
-from mosca.continuous.baselines.moving_projection import sight, turned
-from mosca.continuous.baselines.synchronous import Scene, Views, adjust, intersected
-from mosca.continuous.camera_paths import PosedCameras, StillCameras
+from mosca.continuous.comparison_methods.initial_poses import first_scene, in_datum
+from mosca.continuous.comparison_methods.interpolated import ImageTracks, common_instants, interpolated
+from mosca.continuous.comparison_methods.moving_projection import project_moving, rotated
+from mosca.continuous.comparison_methods.synchronous import PosesAndPoints, Views, adjust, intersected
+from mosca.continuous.model.camera_paths import PosedCameras, StillCameras
 from mosca.data.motion.motion import PointMotion
 from mosca.data.rig import Camera, FisheyeLens, Pose
 from mosca.errors import InputError
@@ -39,7 +39,7 @@ def synchronous(truth, noise=0.0, epipoles=True, seed=0):
 
 def true_scene(rig, truth, instants):
     rotations, centres = StillCameras.of(rig).at(instants)
-    return Scene(rotations, centres, truth.xyz[np.rint(instants * 120).astype(int)])
+    return PosesAndPoints(rotations, centres, truth.xyz[np.rint(instants * 120).astype(int)])
 
 
 @given(st.integers(0, 1000))
@@ -53,11 +53,11 @@ def test_slopes_of_an_image_point(seed):
     # up to 115 degrees from the axis
     away = Rotation.from_rotvec([0, rng.uniform(-2, 2), 0]).apply([0, 0, 1.0])
     point = centre + turn @ away * rng.uniform(0.5, 3)
-    found = sight(camera, turn[None], centre[None], point[None])
+    found = project_moving(camera, turn[None], centre[None], point[None])
 
     def image(x):
-        moved = turned(turn[None], x[None, 3:6])
-        return sight(camera, moved, (centre + x[6:])[None], (point + x[:3])[None]).xy_px[0]
+        moved = rotated(turn[None], x[None, 3:6])
+        return project_moving(camera, moved, (centre + x[6:])[None], (point + x[:3])[None]).xy_px[0]
 
     numeric = approx_fprime(np.zeros(9), image, 1e-7)
     ours = np.hstack([found.by_point[0], found.by_turn[0], -found.by_point[0]])
@@ -70,7 +70,7 @@ def test_slopes_of_an_image_point(seed):
 def test_turns_are_rotations_by_vectors(vector):
     start = Rotation.from_rotvec([0.3, -1.0, 0.2])
     wanted = (start * Rotation.from_rotvec(vector)).as_matrix()
-    assert turned(start.as_matrix()[None], np.array([vector]))[0] == pytest.approx(wanted, abs=1e-12)
+    assert rotated(start.as_matrix()[None], np.array([vector]))[0] == pytest.approx(wanted, abs=1e-12)
 
 
 def test_tracks_are_scipys_splines_and_broken_at_gaps():
@@ -209,7 +209,7 @@ def test_datum_is_first_camera_and_first_base():
     views = ImageTracks(see, rig, "linear").at(instants)
     scene = true_scene(rig, truth, instants)
     turn = Rotation.from_rotvec([0.4, 1.0, -2.0]).as_matrix()
-    other = Scene(turn @ scene.rotations, 3 * scene.centres @ turn.T + 1, 3 * scene.xyz @ turn.T + 1)
+    other = PosesAndPoints(turn @ scene.rotations, 3 * scene.centres @ turn.T + 1, 3 * scene.xyz @ turn.T + 1)
     back = in_datum(other, views)
     assert back.xyz == pytest.approx(scene.xyz, abs=1e-9)
     assert back.centres == pytest.approx(scene.centres, abs=1e-9)

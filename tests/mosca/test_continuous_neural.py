@@ -7,11 +7,11 @@ import pytest
 from scipy.optimize import approx_fprime
 from scipy.spatial.transform import Rotation
 
-from mosca.continuous.baselines.interpolated import interpolated
-from mosca.continuous.baselines.neural import NeuralSettings, neural
-from mosca.continuous.baselines.neural_cameras import NetPoses, SteadyPoses, right_jacobians
-from mosca.continuous.baselines.neural_net import Nets, Tangent, damped_solve, encoded, fitted
-from mosca.continuous.camera_paths import StillCameras
+from mosca.continuous.comparison_methods.interpolated import interpolated
+from mosca.continuous.comparison_methods.neural import NeuralSettings, neural
+from mosca.continuous.comparison_methods.neural_cameras import NetPoses, SteadyPoses, right_jacobians
+from mosca.continuous.comparison_methods.neural_net import Nets, Tangent, damped_solve, encoded, fitted
+from mosca.continuous.model.camera_paths import StillCameras
 from mosca.data.motion.motion import PointMotion
 from scenarios.studies.unsynchronised import observe, score, shared_frames, surround
 

@@ -5,8 +5,8 @@ import pytest
 from scipy.interpolate import BSpline
 
 from mosca.continuous.estimator.banded_normals import Band, Rows, solve_bordered
-from mosca.continuous.estimator.bspline import Knots, fitted, knots_over, values
 from mosca.continuous.estimator.motion_prior import expected_accelerations, log_determinant, shrunk
+from mosca.continuous.model.bspline import Knots, fitted, knots_over, values
 
 
 def dense(banded):

@@ -8,8 +8,6 @@ import pytest
 from coded_views import View, paint
 from rigid_scenes import board_marks, carried, field_marks, ray_rms_px, seen, some_rig, stood
 
-from mosca.calibration.initial.interior_orientation import LensChoice
-from mosca.calibration.read_session import sight
 from mosca.calibration.session import (
     EstimateSettings,
     calibrate_frames,
@@ -19,6 +17,8 @@ from mosca.calibration.session import (
     on_axes,
     rigid_target,
 )
+from mosca.calibration.single_camera.interior_orientation import LensChoice
+from mosca.calibration.targets.read_session import read_sightings
 from mosca.calibration.targets.reader import reader_of
 from mosca.camera.projection import project
 from mosca.data.boards import Board
@@ -174,16 +174,16 @@ def test_every_other_set_is_looked_at_and_what_is_missing_is_left_out():
     empty = np.full((200, 240), 8, np.uint8)
     images = [[painted(k), None if k == 2 else painted(10 + k)] for k in range(5)]
     counts = []
-    found = sight(Images(images, ("a", "b")), reader_of(coded_field()), 2, counts.append)
+    found = read_sightings(Images(images, ("a", "b")), reader_of(coded_field()), 2, counts.append)
     assert found.cameras == ("a", "b")
     assert counts == [1, 2, 3]
     assert sorted(zip(found.camera.tolist(), found.frame.tolist(), strict=True)) == sorted(
         3 * [(0, 0), (0, 1), (0, 2), (1, 0), (1, 2)]
     )
     with pytest.raises(InputError, match="2 frame sets of cam1 show nothing of the target"):
-        sight(Images([[empty], [empty]]), reader_of(coded_field()))
+        read_sightings(Images([[empty], [empty]]), reader_of(coded_field()))
     with pytest.raises(InputError, match="every = 0 given"):
-        sight(Images([[empty]]), reader_of(coded_field()), 0)
+        read_sightings(Images([[empty]]), reader_of(coded_field()), 0)
 
 
 def test_one_view_of_a_few_marks_is_refused():

@@ -17,8 +17,8 @@ from mosca.calibration.bundle.solver import (
     Problem,
     solve,
 )
-from mosca.calibration.initial.interior_orientation import LensChoice
 from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
+from mosca.calibration.single_camera.interior_orientation import LensChoice
 from mosca.camera.projection import project
 from mosca.data.rig import Pose
 

@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from joint_adjustment import StandError, adjust_together, resected_camera, stand_centres
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from mosca.calibration.bundle.solver import Adjustment, BundleSettings
-from mosca.calibration.single_camera.joint import StandError, adjust_together, resected_camera, stand_centres
 from mosca.camera.projection import project_with_jacobians
 from mosca.data.files.rig_file import read_rig
 from mosca.data.files.target_file import MeasuredPoints

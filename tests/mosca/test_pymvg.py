@@ -13,7 +13,7 @@ import pytest
 from scipy.linalg import rq
 from wand_scenes import similarity
 
-from mosca.calibration.self_calibration.calibrate import self_calibrate
+from mosca.calibration.uncalibrated.self_calibration import self_calibrate
 from mosca.data.calibration import Calibration
 from mosca.data.sightings import Sightings
 

@@ -16,8 +16,8 @@ from rigid_scenes import (
     stood,
 )
 
-from mosca.calibration.initial.interior_orientation import LensChoice
 from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
+from mosca.calibration.single_camera.interior_orientation import LensChoice
 from mosca.camera.projection import project
 from mosca.data.rig import Camera, FisheyeLens, Pose, Rig
 from mosca.errors import CalibrationError

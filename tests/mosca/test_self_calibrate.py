@@ -9,7 +9,7 @@ from test_wand import normalised_errors, unknown
 from wand_scenes import HEIGHT, PITCH, WIDTH, rig, seen, waved
 
 from mosca.calibration.initial.projective import fundamental, intersect, projection
-from mosca.calibration.self_calibration.calibrate import self_calibrate
+from mosca.calibration.uncalibrated.self_calibration import self_calibrate
 from mosca.errors import CalibrationError
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mosca.calibration.targets.stationary_intervals import LEAST_MOVE_PX, stands_of
+from mosca.calibration.targets.stationary_intervals import LEAST_MOVE_PX, stationary_intervals
 from mosca.data.sightings import Part, Sightings
 
 
@@ -28,24 +28,24 @@ def made(shifts, rng, cameras=2, marks=15, noise=0.02, shake=0.0, unseen=()) -> 
 @given(seed=st.integers(0, 1000), frames=st.integers(1, 12), shake=st.floats(0, 0.03))
 def test_a_standing_target_is_one_stand(seed, frames, shake):
     sightings = made(np.zeros((frames, 2)), np.random.default_rng(seed), shake=shake)
-    assert (stands_of(sightings) == 0).all()
+    assert (stationary_intervals(sightings) == 0).all()
 
 
 def test_stop_and_go():
     places = np.repeat([[0, 0], [12, 3], [11, -4]], [4, 3, 5], axis=0).astype(float)
     sightings = made(places, np.random.default_rng(1), shake=0.03)
-    np.testing.assert_array_equal(stands_of(sightings), np.repeat([0, 1, 2], [4, 3, 5]))
+    np.testing.assert_array_equal(stationary_intervals(sightings), np.repeat([0, 1, 2], [4, 3, 5]))
 
 
 def test_a_carried_target_stands_nowhere():
     shifts = np.arange(10)[:, None] * np.array([[3.0, 1.0]])
-    np.testing.assert_array_equal(stands_of(made(shifts, np.random.default_rng(2))), np.arange(10))
+    np.testing.assert_array_equal(stationary_intervals(made(shifts, np.random.default_rng(2))), np.arange(10))
 
 
 def test_a_slow_creep_is_a_motion_too():
     """0.05 px a frame is no motion from one frame to the next, but 20 frames are 1 px."""
     shifts = np.column_stack([0.05 * np.arange(21), np.zeros(21)])
-    stands = stands_of(made(shifts, np.random.default_rng(3)))
+    stands = stationary_intervals(made(shifts, np.random.default_rng(3)))
     assert stands.max() >= 2
     for k in range(stands.max() + 1):
         # nowhere may one stand hold more than the limit and the noise of its first frame
@@ -64,7 +64,7 @@ def test_a_turn_about_the_middle_is_a_motion():
         still.cameras, still.sizes, 2, still.camera, still.frame, still.mark, xy, still.covariance_px2,
         still.diameter_px,
     )  # fmt: skip
-    np.testing.assert_array_equal(stands_of(moved), [0, 1])
+    np.testing.assert_array_equal(stationary_intervals(moved), [0, 1])
 
 
 def test_one_camera_that_sees_it_move_is_enough():
@@ -75,12 +75,12 @@ def test_one_camera_that_sees_it_move_is_enough():
         still.cameras, still.sizes, 2, still.camera, still.frame, still.mark, xy, still.covariance_px2,
         still.diameter_px,
     )  # fmt: skip
-    np.testing.assert_array_equal(stands_of(moved), [0, 1])
+    np.testing.assert_array_equal(stationary_intervals(moved), [0, 1])
 
 
 def test_frames_without_sightings_belong_to_no_stand():
     sightings = made(np.zeros((5, 2)), np.random.default_rng(6), unseen=(0, 2))
-    np.testing.assert_array_equal(stands_of(sightings), [-1, 0, -1, 0, 0])
+    np.testing.assert_array_equal(stationary_intervals(sightings), [-1, 0, -1, 0, 0])
 
 
 @pytest.mark.parametrize("blunders", [1, 3])
@@ -92,4 +92,4 @@ def test_a_few_blunders_are_no_motion(blunders):
         still.cameras, still.sizes, 3, still.camera, still.frame, still.mark, xy, still.covariance_px2,
         still.diameter_px,
     )  # fmt: skip
-    assert (stands_of(bad) == 0).all()
+    assert (stationary_intervals(bad) == 0).all()

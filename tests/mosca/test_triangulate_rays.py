@@ -5,12 +5,12 @@ from dataclasses import astuple, replace
 import cv2
 import numpy as np
 import pytest
+from changed_rigs import changed_rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from judge_rigs import field_calibration, good_rig
 from scipy.spatial.transform import Rotation
 
-from mosca.calibration.quality.jacobian import changed_rig
 from mosca.calibration.quality.point_covariance import calibration_covariance
 from mosca.camera.projection import project, rays
 from mosca.camera.ray_table import ANGLE, FLAGS, LONG, SIGMA, SPREAD, WHITE

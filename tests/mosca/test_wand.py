@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from wand_scenes import outward_ring, rig, seen, similarity, waved, waved_around
 
-from mosca.calibration.wand.calibrate import calibrate_wand
-from mosca.calibration.wand.end_order import ordered
+from mosca.calibration.uncalibrated.end_order import ordered
+from mosca.calibration.uncalibrated.wand import calibrate_wand
 from mosca.data.calibration import Calibration
 from mosca.data.wands import Wand
 from mosca.errors import CalibrationError, InputError

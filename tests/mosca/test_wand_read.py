@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wand_scenes import rig, seen, waved
 
-from mosca.calibration.wand.find_balls import read_light, read_wand
+from mosca.calibration.targets.find_balls import read_light, read_wand
 from mosca.data.detections import Detections
 from mosca.data.wands import Wand
 

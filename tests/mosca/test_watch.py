@@ -8,9 +8,15 @@ from bundle_scenes import HEIGHT, WIDTH, ring
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from mosca.calibration.monitoring.bump_detector import RigWatch, WatchSettings, changes
-from mosca.calibration.monitoring.reorient import Seen, common_shift, gather, reorient, reoriented
-from mosca.calibration.monitoring.residual_sums import frame_sums
+from mosca.calibration.monitoring.bump_detector import BumpDetector, BumpSettings, changes
+from mosca.calibration.monitoring.reorient import (
+    CameraObservations,
+    common_shift,
+    gather,
+    reorient,
+    reoriented,
+)
+from mosca.calibration.monitoring.rotation_information import frame_sums
 from mosca.camera.projection import project
 from mosca.data.detections import Detections
 from mosca.data.rig import Pose, Rig
@@ -63,7 +69,7 @@ RIG = Rig(tuple(ring(4)))
 
 def watched(rig, true, frames, seed=0, first=0, watch=None, **kw):
     rng = np.random.default_rng(seed)
-    watch = watch or RigWatch(rig, WatchSettings(camera_sigma_px=0.0))
+    watch = watch or BumpDetector(rig, BumpSettings(camera_sigma_px=0.0))
     for k in range(first, first + frames):
         alarm = watch.update_points(k, *frame(rig, true, rng, **kw))
         if alarm is not None:
@@ -84,7 +90,7 @@ def test_a_bump_of_a_third_of_a_pixel_is_found_and_named():
     for k in range(4):
         cameras = list(RIG.cameras)
         cameras[k] = bumped(cameras[k], 0.3e-3)  # about 0.3 px at f = 1000 px
-        watch = RigWatch(RIG, WatchSettings(camera_sigma_px=0.0))
+        watch = BumpDetector(RIG, BumpSettings(camera_sigma_px=0.0))
         alarm, _ = watched(RIG, RIG, 40, k, watch=watch)
         assert alarm is None
         alarm, _ = watched(RIG, Rig(tuple(cameras)), 100, 10 + k, 40, watch)
@@ -121,7 +127,7 @@ def test_no_false_alarm_in_10000_frames():
         np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
         for values in (pulls, information[which], spread[which])
     ]
-    settings = WatchSettings()
+    settings = BumpSettings()
     worst = 0.0
     for window in settings.windows:
         for end in range(window, 10001, 16):
@@ -140,7 +146,7 @@ def test_two_cameras_cannot_tell_which_one_moved():
     assert set(alarm.suspects) == {"c0", "c1"}
     assert "cannot tell" in alarm.message
     with pytest.raises(InputError, match="2 cameras"):
-        reoriented(rig, "c1", Seen(*(np.empty(0) for _ in range(5))))
+        reoriented(rig, "c1", CameraObservations(*(np.empty(0) for _ in range(5))))
 
 
 def test_a_bump_too_large_to_match_is_found_by_the_images_that_miss():
@@ -157,7 +163,7 @@ def test_a_bump_too_large_to_match_is_found_by_the_images_that_miss():
         detections, points = frame(RIG, true, rng, matched=matched)
         shift = common_shift(RIG, "c2", detections, points)
         parts.append(gather(RIG, "c2", k, detections, points, shift))
-    new, found = reoriented(RIG, "c2", Seen.joined(parts))
+    new, found = reoriented(RIG, "c2", CameraObservations.joined(parts))
     check_pose(found, cameras[2], 0.05)
     watch.restart(new)
     assert watched(new, true, 60, 9, watch=watch)[0] is None
@@ -166,7 +172,7 @@ def test_a_bump_too_large_to_match_is_found_by_the_images_that_miss():
 def test_a_camera_that_merely_looks_elsewhere_is_not_lost():
     # its images are elsewhere at random: half of the markers hidden from it, reflections instead
     rng = np.random.default_rng(10)
-    watch = RigWatch(RIG, WatchSettings(camera_sigma_px=0.0))
+    watch = BumpDetector(RIG, BumpSettings(camera_sigma_px=0.0))
     for k in range(40):
         detections, points = frame(RIG, RIG, rng, matched=(True, True, True, False))
         n = 25
@@ -196,7 +202,7 @@ def test_reorientation_finds_the_place_with_an_honest_covariance():
     for seed in range(12):
         rng = np.random.default_rng(100 + seed)
         parts = [gather(RIG, "c3", k, *frame(RIG, true, rng)) for k in range(8)]
-        found = reorient(RIG.camera("c3"), Seen.joined(parts), BODY_PX)
+        found = reorient(RIG.camera("c3"), CameraObservations.joined(parts), BODY_PX)
         check_pose(found, true_cameras[3], 0.06)
         error = found.camera.world_from_camera.translation - true_cameras[3].world_from_camera.translation
         pulls.append(error / np.sqrt(np.diag(found.covariance)[3:]))
@@ -207,7 +213,7 @@ def test_reorientation_finds_the_place_with_an_honest_covariance():
 
 def test_wrong_pairs_are_left_out():
     rng = np.random.default_rng(11)
-    seen = Seen.joined([gather(RIG, "c0", k, *frame(RIG, RIG, rng)) for k in range(5)])
+    seen = CameraObservations.joined([gather(RIG, "c0", k, *frame(RIG, RIG, rng)) for k in range(5)])
     wrong = rng.random(len(seen)) < 0.1
     xy = seen.xy_px + np.where(wrong[:, None], rng.uniform(3, 30, (len(seen), 2)), 0)
     found = reorient(RIG.camera("c0"), replace(seen, xy_px=xy), BODY_PX)
@@ -218,7 +224,7 @@ def test_wrong_pairs_are_left_out():
 def test_too_few_points_and_points_on_a_line():
     rng = np.random.default_rng(12)
     seen = gather(RIG, "c0", 0, *frame(RIG, RIG, rng))
-    few = Seen(*(getattr(seen, name)[:5] for name in Seen.__dataclass_fields__))
+    few = CameraObservations(*(getattr(seen, name)[:5] for name in CameraObservations.__dataclass_fields__))
     with pytest.raises(CalibrationError, match="at least 12"):
         reorient(RIG.camera("c0"), few)
     line = np.linspace(-0.5, 0.5, 30)[:, None] * [1, 0.2, 0.1] + [0, 0, 1]

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mosca.continuous.reconstruct import CameraClock
+from mosca.continuous.reconstruct import EstimatedClock
 from mosca.data.lamp_codes import lamp_bits
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
@@ -87,8 +87,8 @@ def test_clock_scores_are_the_worse_end_and_the_worst_camera():
     truth = SimpleNamespace(frames=frames, cameras=("a", "b"))
     seen = [SimpleNamespace(frame_ns=stamps + late, period_s=0.1) for late in (0, 7)]
     clocks = (
-        CameraClock("a", 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        CameraClock("b", 7, 0.251, 1.5e-4, 0.0, 1e-6, 1e-6, 0.0),
+        EstimatedClock("a", 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        EstimatedClock("b", 7, 0.251, 1.5e-4, 0.0, 1e-6, 1e-6, 0.0),
     )
     found = SimpleNamespace(
         clocks=clocks, gathered=SimpleNamespace(seen=seen), rig=SimpleNamespace(names=("a", "b"))

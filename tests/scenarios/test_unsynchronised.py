@@ -10,9 +10,9 @@ import pytest
 from scipy.interpolate import make_lsq_spline
 from scipy.spatial.transform import Rotation
 
-from mosca.continuous.baselines.interpolated import interpolated
-from mosca.continuous.camera_paths import StillCameras
+from mosca.continuous.comparison_methods.interpolated import interpolated
 from mosca.continuous.estimator.estimate import ContinuousSettings, estimate
+from mosca.continuous.model.camera_paths import StillCameras
 from mosca.data.motion.motion import PointMotion
 from mosca.data.rig import Pose, Rig
 from mosca.errors import InputError

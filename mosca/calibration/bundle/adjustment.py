@@ -5,12 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.calibration.bundle.datum import placed_points
+from mosca.calibration.bundle.inner_constraints import in_free_network, undetermined
 from mosca.calibration.bundle.kernels import LENS
-from mosca.calibration.bundle.layout import Layout
-from mosca.calibration.bundle.levenberg_marquardt import Solution, State, adjusted_cameras
-from mosca.calibration.bundle.network import in_free_network, undetermined
+from mosca.calibration.bundle.layout import NormalsLayout
+from mosca.calibration.bundle.levenberg_marquardt import Solution, adjusted_cameras
 from mosca.calibration.bundle.precision import precise
 from mosca.calibration.bundle.problem import Placements, Problem
+from mosca.calibration.bundle.tables import Loss, ReducedInverse, State
 from mosca.data.arrays import Array, read_only
 from mosca.data.rig import Camera, FisheyeLens, principal_distances_px
 
@@ -88,23 +89,23 @@ class Adjustment:
         return np.asarray(self.precision.covariance / np.outer(sigma, sigma))
 
 
-def tested(layout: Layout, solution: Solution, robust: tuple[int, float]) -> tuple[Array, Array]:
+def tested(layout: NormalsLayout, solution: Solution, loss: Loss) -> tuple[Array, Array]:
     """Return the cofactors of the blocks, flat, and the tests (n, 7) of the sorted image points
     (``precise``).
     """
-    normals = solution.descent.normals
-    see = (*layout.see[:4], solution.weight, *layout.see[5:])
+    see = layout.observations._replace(weight=solution.weight)
+    inverse = ReducedInverse(np.pad(solution.cofactors, (0, 1)), layout.index, solution.inverse)
     cofactors, tests = np.empty_like(solution.inverse), np.empty((len(layout.order), 7))
     precise(
-        solution.descent.state, see, layout.see[4], layout.columns, layout.blocks, robust, normals, solution.inverse,
- np.pad(solution.cofactors, (0, 1)), layout.index, cofactors, tests,
+        solution.descent.state, see, layout.observations.weight, layout.columns, layout.blocks, loss,
+        solution.descent.normals.mixed, inverse, cofactors, tests,
     )  # fmt: skip
     return cofactors, tests
 
 
 def precision_of(
     problem: Problem,
-    layout: Layout,
+    layout: NormalsLayout,
     solution: Solution,
     cofactors: Array,
     tests: Array,
@@ -136,7 +137,7 @@ def precision_of(
     own = np.where(used[:, None], 1 - tests[:, [2, 4]], np.nan)
     numbers[order] = own
     sigma = np.sqrt(np.maximum(variance * own, 1e-300))
-    whitened = -tests[:, :2] * (layout.see[4] * np.sqrt(tests[:, 6]))[:, None]
+    whitened = -tests[:, :2] * (layout.observations.weight * np.sqrt(tests[:, 6]))[:, None]
     standardised[order] = np.where(own > 1e-6, whitened / sigma, np.nan)
     statistic[order] = tests[:, 5] / max(variance, 1e-300)
     sigmas = _by_camera(problem, layout, state, used, tests, own)
@@ -151,10 +152,10 @@ def precision_of(
     )
 
 
-def _by_point(layout: Layout, cofactors: Array) -> Array:
+def _by_point(layout: NormalsLayout, cofactors: Array) -> Array:
     """Return the cofactors (m, 3, 3) of the eliminated points, from those of their blocks, flat."""
-    dim, at_v = layout.blocks[0], layout.blocks[4]
-    _, block, offset = layout.blocks[-1].T
+    dim, at_v = layout.blocks.size, layout.blocks.normals_at
+    _, block, offset = layout.blocks.members.T
     axis = np.arange(3)
     first = at_v[block] + offset * (dim[block] + 1)
     flat = first[:, None, None] + axis[:, None] * dim[block][:, None, None] + axis
@@ -162,10 +163,10 @@ def _by_point(layout: Layout, cofactors: Array) -> Array:
 
 
 def _by_camera(
-    problem: Problem, layout: Layout, state: State, used: Array, tests: Array, numbers: Array
+    problem: Problem, layout: NormalsLayout, state: State, used: Array, tests: Array, numbers: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Return sigma x, y [px] and sigma x, y [m] of each camera (c,)."""
-    camera, table = layout.see[0], state[0]
+    camera, table = layout.observations.camera, state.cameras
     away = placed_points(layout, state, slice(None)) - table[camera, 9:LENS]
     axis_depth = np.einsum("ni,ni->n", away, table[:, [2, 5, 8]][camera])
     depth = np.where(_is_fisheye(problem)[camera], np.linalg.norm(away, axis=1), axis_depth)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from mosca.calibration.bundle.layout import Layout
+from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.calibration.bundle.levenberg_marquardt import Solution
 from mosca.data.arrays import Array
 
@@ -23,33 +23,33 @@ Test = Callable[[Solution], tuple[Array, float, int]]
 """Of a solution: statistics v^T Q_vv^-1 v (n,) in a-priori units, sum of squares, redundancy."""
 
 
-def without_lonely(layout: Layout, weight: Array) -> Array:
+def without_lonely(layout: NormalsLayout, weight: Array) -> Array:
     """Return the weights (n,) with 0 for the image points of points and placements that too few of them
     determine.
     """
-    dim, member = layout.blocks[0], layout.blocks[-1]
+    dim, member = layout.blocks.size, layout.blocks.members
     block, used = layout.block_of, weight > 0
-    enough = 2 * np.bincount(block[used], minlength=len(dim)) + np.diff(layout.known[5])
-    information, pose_weight = layout.known[1], layout.known[4]
+    enough = 2 * np.bincount(block[used], minlength=len(dim)) + np.diff(layout.known.first_distance)
+    information, pose_weight = layout.known.information, layout.known.pose_weight
     if information.size:
         weighted = (information[member[:, 0]] != 0).any(axis=(1, 2))
         enough += 3 * np.bincount(member[weighted, 1], minlength=len(dim))
     if pose_weight.size:
-        pose_block = layout.known[2]
+        pose_block = layout.known.pose_block
         there = pose_block > 0
         enough[pose_block[there]] += (pose_weight[there] > 0).sum(axis=1)
     weight = np.where((enough >= dim)[block], weight, 0.0)
     # a point that a distance joins to others needs two rays of its own, too
-    point = layout.see[1]
+    point = layout.observations.point
     rays = np.bincount(point[weight > 0], minlength=int(point.max(initial=0)) + 1)
-    joined = np.isin(point, member[dim[member[:, 1]] > 3, 0]) & (layout.see[2] < 0)
+    joined = np.isin(point, member[dim[member[:, 1]] > 3, 0]) & (layout.observations.placement < 0)
     if information.size:
         joined &= ~(information[point] != 0).any(axis=(1, 2))
     return np.where(joined & (rays[point] < 2), 0.0, weight)
 
 
 def snoop(
-    layout: Layout, solution: Solution, significance: float, solve: Solve, test: Test
+    layout: NormalsLayout, solution: Solution, significance: float, solve: Solve, test: Test
 ) -> tuple[Solution, Array]:
     """Return the solution without blunders and which sorted image points (n,) were rejected.
 
@@ -69,11 +69,11 @@ def snoop(
 
 
 def _without_worst(
-    layout: Layout, solution: Solution, rejected: Array, level: float, solve: Solve, test: Test
+    layout: NormalsLayout, solution: Solution, rejected: Array, level: float, solve: Solve, test: Test
 ) -> tuple[Solution, Array]:
     block = layout.block_of
     # observations that touch no block influence each other through their camera
-    near = np.where(block > 0, block + layout.see[0].max() + 1, layout.see[0])
+    near = np.where(block > 0, block + layout.observations.camera.max() + 1, layout.observations.camera)
     for _ in range(ROUNDS):
         statistic, cost, redundancy = test(solution)
         if redundancy - 2 < LEAST_REDUNDANCY:
@@ -92,5 +92,5 @@ def _without_worst(
     return solution, rejected
 
 
-def _weights(layout: Layout, rejected: Array) -> Array:
-    return without_lonely(layout, np.where(rejected, 0.0, layout.see[4]))
+def _weights(layout: NormalsLayout, rejected: Array) -> Array:
+    return without_lonely(layout, np.where(rejected, 0.0, layout.observations.weight))

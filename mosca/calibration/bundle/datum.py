@@ -7,10 +7,11 @@ known in closed form (``generators``); which of them nothing fixes is read off t
 import numpy as np
 
 from mosca.calibration.bundle.kernels import LENS
-from mosca.calibration.bundle.layout import Layout
+from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.calibration.bundle.lenses import influence
 from mosca.calibration.bundle.priors import LensPrior, Priors, free_lens_parameters
 from mosca.calibration.bundle.problem import Problem
+from mosca.calibration.bundle.tables import State
 from mosca.data.arrays import Array
 from mosca.errors import CalibrationError
 
@@ -39,12 +40,12 @@ def point_motions(points: Array) -> Array:
     return motions
 
 
-def placed_points(layout: Layout, state: tuple[Array, ...], which: slice) -> Array:
+def placed_points(layout: NormalsLayout, state: State, which: slice) -> Array:
     """Return the points in the world [m] of the observations ``which`` of the sorted ones."""
     _, points, placements = state
-    place = points[layout.see[1][which]]
+    place = points[layout.observations.point[which]]
     if len(placements):
-        placement = layout.see[2][which]
+        placement = layout.observations.placement[which]
         on_thing = placement >= 0
         pose = placements[placement[on_thing]]
         turned = np.einsum("nij,nj->ni", pose[:, :9].reshape(-1, 3, 3), place[on_thing])
@@ -52,7 +53,7 @@ def placed_points(layout: Layout, state: tuple[Array, ...], which: slice) -> Arr
     return np.asarray(place)
 
 
-def generators(layout: Layout, state: tuple[Array, ...]) -> Array:
+def generators(layout: NormalsLayout, state: State) -> Array:
     """Return how the unknowns of the reduced system move (u, 7) by the common motions, in this order."""
     table, points, _ = state
     rotation, position = table[:, :9].reshape(-1, 3, 3), table[:, 9:LENS]
@@ -62,7 +63,7 @@ def generators(layout: Layout, state: tuple[Array, ...]) -> Array:
     out[layout.index[:cameras, :3], 3:6] = np.swapaxes(rotation, 1, 2)
     out[layout.index[:cameras, 3:6]] = point_motions(position)
     if len(layout.kept):
-        on_thing = np.isin(layout.kept, layout.see[1][layout.see[2] >= 0])
+        on_thing = np.isin(layout.kept, layout.observations.point[layout.observations.placement >= 0])
         columns = layout.index[cameras:, :3][~on_thing]
         out[columns] = point_motions(points[layout.kept[~on_thing]])
     # held unknowns have the index -1, the row that is cut off
@@ -100,7 +101,12 @@ def check_datum(problem: Problem, loose: int) -> None:
 
 
 def weak_directions(
-    problem: Problem, layout: Layout, state: tuple[Array, ...], matrix: Array, variance: float, priors: Priors
+    problem: Problem,
+    layout: NormalsLayout,
+    state: State,
+    matrix: Array,
+    variance: float,
+    priors: Priors,
 ) -> tuple[tuple[str, ...], Priors]:
     """Return the names of weakly determined unknowns, and a prior for the worst parameter of each lens with
     some.
@@ -120,7 +126,7 @@ def weak_directions(
         before = worst.get(camera)
         if column in known or open_share[column] < (SHOWN if before is None else open_share[before.column]):
             continue
-        value = float(state[0][camera, LENS + parameter])
+        value = float(state.cameras[camera, LENS + parameter])
         worst[camera] = LensPrior(column, camera, parameter, value, float(plausible[column]))
     more = tuple(worst.values())
     if len(values) and values[0] < 1 and not more:
@@ -134,12 +140,12 @@ def weak_directions(
     return tuple(layout.names[k] for k in weak), more
 
 
-def _plausible(problem: Problem, layout: Layout, state: tuple[Array, ...]) -> Array:
+def _plausible(problem: Problem, layout: NormalsLayout, state: State) -> Array:
     """Return what is plausible (u,) of each unknown of the reduced system as a standard deviation beforehand."""
-    table = state[0]
+    table = state.cameras
     out = np.full(len(layout.names) + 1, PLAUSIBLE_SHARE)
     sample = slice(None, None, max(1, len(layout.order) // 1000))
-    away = placed_points(layout, state, sample) - table[layout.see[0][sample], 9:LENS]
+    away = placed_points(layout, state, sample) - table[layout.observations.camera[sample], 9:LENS]
     far = np.linalg.norm(away, axis=1)
     distance = float(np.median(far[np.isfinite(far)]))
     out[layout.index[: len(table), 3:6]] = PLAUSIBLE_SHARE * distance

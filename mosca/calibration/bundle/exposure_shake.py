@@ -27,12 +27,13 @@ from scipy.sparse.linalg import SuperLU, splu
 from mosca.calibration.bundle.adjustment import Adjustment
 from mosca.calibration.bundle.initial_points import intersected
 from mosca.calibration.bundle.kernels import BY_OWN, BY_TURN, BY_WORLD, LEAST_SQUARES, OBSERVED, observe
-from mosca.calibration.bundle.layout import Layout, lay_out
+from mosca.calibration.bundle.layout import NormalsLayout, layout_of
 from mosca.calibration.bundle.lenses import FAST
 from mosca.calibration.bundle.levenberg_marquardt import Task, empty_normals, linearised, reduced, state_of
 from mosca.calibration.bundle.precision import by_unknowns, carry_down
 from mosca.calibration.bundle.priors import pulls
 from mosca.calibration.bundle.problem import Problem
+from mosca.calibration.bundle.tables import LensColumns, Loss, SortedObservations, State
 from mosca.camera.projection import project_with_jacobians
 from mosca.data.arrays import Array
 from mosca.data.rig import principal_distances_px
@@ -111,7 +112,7 @@ def shaken_covariance(problem: Problem, adjustment: Adjustment, exposure: Array,
 
 
 @dataclass(frozen=True, eq=False)
-class Shifts:
+class ExposureShifts:
     """The shakes of i images (2 each) beside the unknowns of an adjustment.
 
     ``image_of`` (n,) image of each observation, ``z`` (n, 2, 2) how it moves with its image's shakes, mixed so that
@@ -145,7 +146,7 @@ class _Solver:
     shifts is ``normal`` (scaled as the cofactors); ``x_g`` (2i, u) the sparse part's solution for ``g``.
     """
 
-    shifts: Shifts
+    shifts: ExposureShifts
     ratio: float
     e: Array
     blocks: SuperLU | None
@@ -153,7 +154,7 @@ class _Solver:
     normal: Array
 
     @classmethod
-    def of(cls, shifts: Shifts, ratio: float) -> "_Solver":
+    def of(cls, shifts: ExposureShifts, ratio: float) -> "_Solver":
         e = 1 / (shifts.d + ratio)
         inner = csc_array(shifts.v - shifts.s.T @ diags_array(e) @ shifts.s)
         blocks = splu(inner) if inner.shape[0] else None
@@ -178,7 +179,7 @@ class _Solver:
         return total
 
 
-def _sparse_part(shifts: Shifts, e: Array, blocks: SuperLU | None, z: Array) -> Array:
+def _sparse_part(shifts: ExposureShifts, e: Array, blocks: SuperLU | None, z: Array) -> Array:
     """Return (D + ratio - S V^-1 S^T)^-1 z for z (2i, k), by Woodbury's identity."""
     x = e[:, None] * z
     if blocks is None:
@@ -186,24 +187,26 @@ def _sparse_part(shifts: Shifts, e: Array, blocks: SuperLU | None, z: Array) -> 
     return np.asarray(x + e[:, None] * (shifts.s @ blocks.solve(shifts.s.T @ x)))
 
 
-def shifts_of(problem: Problem, adjustment: Adjustment, exposure: Array, even: bool = False) -> Shifts:
+def shifts_of(
+    problem: Problem, adjustment: Adjustment, exposure: Array, even: bool = False
+) -> ExposureShifts:
     """Return the shakes of the images beside the adjustment's unknowns.
 
     ``even``: as shifts that are alike at all points of an image, not as turns of its camera.
     """
     assert adjustment.precision is not None
-    layout = lay_out(problem)
+    layout = layout_of(problem)
     points = intersected(
         adjustment.cameras, layout, np.where(np.isfinite(adjustment.points), adjustment.points, 0.0)
     )
     state = state_of(problem, adjustment.cameras, points, adjustment.placements)
     used = np.asarray(adjustment.used)
-    weight = np.where(used[layout.order], layout.see[4], 0.0)
-    task = Task(problem, layout, (), (LEAST_SQUARES, 1.0), 1.0, 1)
+    weight = np.where(used[layout.order], layout.observations.weight, 0.0)
+    task = Task(problem, layout, (), Loss(LEAST_SQUARES, 1.0), 1.0, 1)
     normals = empty_normals(layout)
     linearised(task, state, weight, normals)
     pull, _ = pulls(problem, layout, (), state)
-    inverse = np.empty_like(normals[4])
+    inverse = np.empty_like(normals.blocks)
     reduced(layout, normals, pull, 0.0, inverse)
     image, of = np.unique(
         np.column_stack([problem.observations.camera, exposure]), axis=0, return_inverse=True
@@ -217,19 +220,19 @@ def shifts_of(problem: Problem, adjustment: Adjustment, exposure: Array, even: b
     slopes = np.zeros((len(image), 2, len(layout.names) + 1))
     by_block = np.zeros((len(layout.order), 2, 6))
     index = np.where(layout.index < 0, len(layout.names), layout.index)
-    see = (*layout.see[:4], weight, *layout.see[5:])
+    see = layout.observations._replace(weight=weight)
     _sums(state, see, layout.columns, index, of[layout.order], z[layout.order], slopes, by_block)
-    v, v_inverse, open_ = _block_matrices(layout, normals[4], inverse)
+    v, v_inverse, open_ = _block_matrices(layout, normals.blocks, inverse)
     s = _with_blocks(layout, of[layout.order], by_block, len(image), open_)
     each = np.eye(len(layout.names) + 1, len(layout.names))
     g = slopes[:, :, :-1].reshape(2 * len(image), -1)
-    g = g - s @ carry_down(layout.blocks, normals, inverse, index, each)
+    g = g - s @ carry_down(layout.blocks, normals.mixed, inverse, index, each)
     residual = np.where(used[:, None], adjustment.residuals_px, 0.0)
     pulled = squares[:, None] * np.einsum("nij,ni->nj", z, residual)
     u = np.column_stack([np.bincount(of, pulled[:, k], len(image)) for k in (0, 1)])
     cofactors = np.asarray(adjustment.precision.covariance) / max(adjustment.sigma0**2, 1e-300)
     scale = np.sqrt(np.diag(cofactors))
-    return Shifts(
+    return ExposureShifts(
         of,
         z,
         np.bincount(of[used], minlength=len(image)),
@@ -277,9 +280,9 @@ def _by_shakes(
     return z @ mix[image_of], d.ravel()
 
 
-def _block_matrices(layout: Layout, flat: Array, inverse: Array) -> tuple[csc_array, csc_array, Array]:
+def _block_matrices(layout: NormalsLayout, flat: Array, inverse: Array) -> tuple[csc_array, csc_array, Array]:
     """Return the blocks' normal matrix and its inverse (q, q), and which unknowns (q,) nothing determines."""
-    dim, first_value, first = layout.blocks[0], layout.blocks[4], layout.blocks[5]
+    dim, first_value, first = layout.blocks.size, layout.blocks.normals_at, layout.blocks.slope_at
     block = np.repeat(np.arange(len(dim)), dim * dim)
     row, column = np.divmod(np.arange(len(block)) - first_value[block], dim[block])
     at, shape = (first[block] + row, first[block] + column), (int(dim.sum()),) * 2
@@ -290,11 +293,15 @@ def _block_matrices(layout: Layout, flat: Array, inverse: Array) -> tuple[csc_ar
     return csc_array(coo_array((kept, at), shape=shape)), v_inverse, open_
 
 
-def _with_blocks(layout: Layout, image: Array, by_block: Array, images: int, open_: Array) -> csr_array:
+def _with_blocks(
+    layout: NormalsLayout, image: Array, by_block: Array, images: int, open_: Array
+) -> csr_array:
     """Return Z^T W A of the blocks (2 images, q), from what each sorted observation gives to it (n, 2, 6)."""
-    dim, first = layout.blocks[0], layout.blocks[5]
+    dim, first = layout.blocks.size, layout.blocks.slope_at
     block = layout.block_of
-    column = np.broadcast_to((first[block] + layout.see[5])[:, None, None] + np.arange(6), by_block.shape)
+    column = np.broadcast_to(
+        (first[block] + layout.observations.offset)[:, None, None] + np.arange(6), by_block.shape
+    )
     row = np.broadcast_to((2 * image)[:, None, None] + np.arange(2)[:, None], by_block.shape)
     there = by_block != 0
     found = csr_array(
@@ -304,19 +311,21 @@ def _with_blocks(layout: Layout, image: Array, by_block: Array, images: int, ope
 
 
 @kernel(fastmath=FAST)
-def _sums(state, see, columns, index, image, z, slopes, by_block):  # type: ignore[no-untyped-def]
+def _sums(
+    state: State, see: SortedObservations, columns: LensColumns, index: Array, image: Array, z: Array,
+    slopes: Array, by_block: Array,
+) -> None:  # fmt: skip
     """Add z^T w^2 J of each observation to its image's ``slopes`` (i, 2, u + 1) by the reduced system's unknowns, the
     last column taking what is held; write that of its block's unknowns to ``by_block`` (n, 2, 6).
     """
-    cameras, points, placements = state
-    camera_of, point_of, placement_of, _, weight, _, slot, kept, _, _ = see
+    weight, slot = see.weight, see.slot
     width = index.shape[1]
     out, j = np.empty((2, OBSERVED)), np.zeros((2, width))
-    for m in range(camera_of.size):
+    for m in range(weight.size):
         if weight[m] == 0.0:
             continue
-        camera, point, placement = camera_of[m], kept[m], placement_of[m]
-        if not observe(cameras, camera, points, point_of[m], placements, placement, out):
+        camera, point, placement = see.camera[m], see.kept_group[m], see.placement[m]
+        if not observe(state, see, m, out):
             continue
         by_unknowns(out, columns, camera, j)
         for shake in range(2):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mosca.calibration.bundle.layout import Layout
+from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.camera.projection import lens_directions
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera
@@ -13,7 +13,7 @@ LEAST_CROSSING = 1e-5
 
 
 def intersected(
-    cameras: tuple[Camera, ...], layout: Layout, points: Array, fallback: Array | None = None
+    cameras: tuple[Camera, ...], layout: NormalsLayout, points: Array, fallback: Array | None = None
 ) -> Array:
     """Return points (p, 3) with the eliminated ones that are NaN replaced by the point nearest to their rays.
 
@@ -24,7 +24,7 @@ def intersected(
     missing = layout.members[~np.isfinite(points.take(layout.members, axis=0)).all(axis=1)]
     if len(missing) == 0:
         return points
-    camera, point, placement, xy_px = layout.see[:4]
+    camera, point, placement, xy_px = layout.observations[:4]
     rank = np.full(len(points), -1, dtype=np.int64)
     rank[missing] = np.arange(len(missing))
     chosen = np.flatnonzero((rank[point] >= 0) & (placement < 0))

@@ -11,6 +11,8 @@ import numpy as np
 
 from mosca.calibration.bundle.kernels import LEAST_SQUARES, LENS, UNSEEN, weigh
 from mosca.calibration.bundle.lenses import FAST, FOLD, MODEL, OPENCV_PLAIN, L, image
+from mosca.calibration.bundle.tables import LensColumns, Loss, SortedObservations, State
+from mosca.data.arrays import Array
 from mosca.numba_support.decorators import step
 
 LANES, VECTOR = 64, 8
@@ -24,11 +26,11 @@ V, SEEN, WEIGHT, THERE, E, A, LX, LY, BLOCK, OWN, ROOM = (
 
 
 @step(fastmath=FAST)
-def gather(state, see, m, count, lanes, work):  # type: ignore[no-untyped-def]
+def gather(state: State, see: SortedObservations, m: int, count: int, lanes: int, work: Array) -> None:
     """Write the direction of each point in the world from the camera, its pixel and its weight."""
     cameras, points, placements = state
-    camera_of, point_of, placement_of, xy_px, weight = see[:5]
-    c = cameras[camera_of[m]]
+    point_of, placement_of, xy_px, weight = see.point, see.placement, see.xy_px, see.weight
+    c = cameras[see.camera[m]]
     for i in range(lanes):
         k = m + min(i, count - 1)
         p, f = points[point_of[k]], placement_of[k]
@@ -46,7 +48,7 @@ def gather(state, see, m, count, lanes, work):  # type: ignore[no-untyped-def]
 
 
 @step(fastmath=FAST)
-def project(c, lanes, w, out):  # type: ignore[no-untyped-def]
+def project(c: Array, lanes: int, w: Array, out: Array) -> None:
     """Turn the directions into the camera's frame; write pixel (at E), derivatives and whether it is imaged."""
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]
     for i in range(lanes):
@@ -78,7 +80,7 @@ def project(c, lanes, w, out):  # type: ignore[no-untyped-def]
 
 
 @step(fastmath=FAST)
-def _opencv_plain(q, lanes, w):  # type: ignore[no-untyped-def]
+def _opencv_plain(q: Array, lanes: int, w: Array) -> float:
     """``lenses``' OpenCV model without its seldom used coefficients, over a strip; return how many
     points are not imaged.
     """
@@ -117,11 +119,12 @@ def _opencv_plain(q, lanes, w):  # type: ignore[no-untyped-def]
 
 
 @step(fastmath=FAST)
-def weighted_residuals(m, count, lanes, weight, robust, w, residual):  # type: ignore[no-untyped-def]
+def weighted_residuals(
+    m: int, count: int, lanes: int, weight: Array, loss: Loss, w: Array, residual: Array
+) -> tuple[float, int]:
     """Write the residuals, then weighted ones at E and their weights; return the cost and how many are
     unseen.
     """
-    loss, scale2 = robust
     cost, unseen = 0.0, 0
     for i in range(lanes):
         x, y = w[E + i] - w[SEEN + i], w[E + LANES + i] - w[SEEN + LANES + i]
@@ -136,19 +139,19 @@ def weighted_residuals(m, count, lanes, weight, robust, w, residual):  # type: i
         else:
             residual[m + i, 0] = residual[m + i, 1] = np.nan
             unseen += weight[m + i] > 0
-    if loss != LEAST_SQUARES:
+    if loss.kind != LEAST_SQUARES:
         cost = 0.0
         for i in range(lanes):
             x, y = w[E + i], w[E + LANES + i]
-            rho, factor = weigh(x * x + y * y, loss, scale2)
+            rho, factor = weigh(x * x + y * y, loss)
             root = np.sqrt(factor)
             cost += rho
             w[E + i], w[E + LANES + i], w[WEIGHT + i] = root * x, root * y, root * w[WEIGHT + i]
-    return cost + unseen * weigh(2 * UNSEEN * UNSEEN, loss, scale2)[0], unseen
+    return cost + unseen * weigh(2 * UNSEEN * UNSEEN, loss)[0], unseen
 
 
 @step(fastmath=FAST)
-def derive(c, camera, columns, lanes, w, j):  # type: ignore[no-untyped-def]
+def derive(c: Array, camera: int, columns: LensColumns, lanes: int, w: Array, j: Array) -> int:
     """Write the weighted derivatives by the camera's unknowns into ``j`` and by the point in the world at
     BLOCK; return how many unknowns, made even by one of which nothing depends.
     """
@@ -181,12 +184,12 @@ def derive(c, camera, columns, lanes, w, j):  # type: ignore[no-untyped-def]
 
 
 @step(fastmath=FAST)
-def derive_placed(state, see, m, count, w):  # type: ignore[no-untyped-def]
+def derive_placed(state: State, see: SortedObservations, m: int, count: int, w: Array) -> None:
     """Write the derivatives by the turn of each point's placement and by the placement's shift at BLOCK, by the point
     on its thing at OWN, from those by the point in the world at BLOCK.
     """
     _, points, placements = state
-    point_of, placement_of = see[1], see[2]
+    point_of, placement_of = see.point, see.placement
     for i in range(count):
         p, b = points[point_of[m + i]], placements[placement_of[m + i]]
         for axis in range(0, 2 * LANES, LANES):

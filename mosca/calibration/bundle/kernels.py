@@ -6,14 +6,14 @@ Each block touches few groups: a *slot* is one block in one group. With group no
 the mixed part W, a step solves (U - W V^-1 W^T) d_groups = -(g - W V^-1 g_blocks) and then each block by
 itself (Schur complement; Brown 1958, Triggs et al. 1999).
 
-Residuals are projected minus observed, in standard deviations. A state is three tables: cameras (c, 32) with
-rotation (9), position (3) and lens row (20); points (p, 3); placements (f, 12) with rotation (9) and position
-(3).
+Residuals are projected minus observed, in standard deviations. The arrays are described in ``tables``.
 """
 
 import numpy as np
 
 from mosca.calibration.bundle.lenses import FAST, IMAGED, image
+from mosca.calibration.bundle.tables import Loss, SortedObservations, State
+from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel
 
 UNSEEN = 1e3
@@ -27,22 +27,25 @@ BY_POSE, BY_WORLD, BY_TURN, BY_OWN, OBSERVED = IMAGED, IMAGED + 6, IMAGED + 9, I
 
 
 @kernel(fastmath=FAST)
-def weigh(u, loss, scale2):  # type: ignore[no-untyped-def]
+def weigh(u: float, loss: Loss) -> tuple[float, float]:
     """Robust loss and weight of the squared residual u (2-D, in standard deviations; Huber 1964, Cauchy)."""
-    if loss == HUBER and u > scale2:
+    scale2 = loss.scale2
+    if loss.kind == HUBER and u > scale2:
         root = np.sqrt(scale2 / u)
         return 2 * root * u - scale2, root
-    if loss == CAUCHY:
+    if loss.kind == CAUCHY:
         return scale2 * np.log1p(u / scale2), 1 / (1 + u / scale2)
     return u, 1.0
 
 
 @kernel(fastmath=FAST)
-def observe(cameras, camera, points, point, placements, placement, out):  # type: ignore[no-untyped-def]
-    """Project a point; tells whether it is imaged.
+def observe(state: State, see: SortedObservations, m: int, out: Array) -> bool:
+    """Project the point of observation ``m``; return whether it is imaged.
 
-    Writes ``out`` (2, 37): of x and y the pixel and its derivatives, at the places named above.
+    Writes ``out`` (2, 37): of x and y the pixel and its derivatives, at the indices named above.
     """
+    cameras, points, placements = state
+    camera, point, placement = see.camera[m], see.point[m], see.placement[m]
     p0, p1, p2 = points[point, 0], points[point, 1], points[point, 2]
     x, y, z = p0, p1, p2
     if placement >= 0:
@@ -81,14 +84,13 @@ def observe(cameras, camera, points, point, placements, placement, out):  # type
 
 
 @kernel(fastmath=FAST)
-def imaged(state, see, out):  # type: ignore[no-untyped-def]
+def imaged(state: State, see: SortedObservations, out: Array) -> None:
     """Write the residuals ``out`` (n, 2), projected minus observed [px]; NaN where a camera does not image
     its point.
     """
-    cameras, points, placements = state
     work = np.empty((2, OBSERVED))
     for m in range(out.shape[0]):
-        if observe(cameras, see[0][m], points, see[1][m], placements, see[2][m], work):
-            out[m, 0], out[m, 1] = work[0, 0] - see[3][m, 0], work[1, 0] - see[3][m, 1]
+        if observe(state, see, m, work):
+            out[m, 0], out[m, 1] = work[0, 0] - see.xy_px[m, 0], work[1, 0] - see.xy_px[m, 1]
         else:
             out[m, 0] = out[m, 1] = np.nan

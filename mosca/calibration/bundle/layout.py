@@ -1,10 +1,10 @@
-"""Where everything of a bundle adjustment stands: columns of the reduced system, blocks, slots, sorted
-observations.
+"""Index layout of the normal equations: columns of the reduced system, blocks, slots, sorted observations.
 
-The tuples of arrays are what the compiled kernels take; see ``kernels`` for groups, blocks and slots.
+See ``kernels`` for groups, blocks and slots, ``tables`` for the arrays that the compiled functions take.
 """
 
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -12,72 +12,126 @@ from scipy.sparse.csgraph import connected_components
 
 from mosca.calibration.bundle.problem import FOCAL, Distances, Problem
 from mosca.calibration.bundle.reduction import find_runs, pair_table, sorted_by
+from mosca.calibration.bundle.tables import Blocks, Known, LensColumns, SortedObservations
 from mosca.data.arrays import Array, looked_at
 from mosca.errors import CalibrationError
 
 POSE_NAMES = ("turn_x_rad", "turn_y_rad", "turn_z_rad", "X_m", "Y_m", "Z_m")
-MOST_JOINED = 16
+MOST_JOINED_POINTS = 16
 """Points joined by distances up to this number are one block; more stay in the reduced system."""
 LANE = 4
 """Groups' columns are padded to multiples of this, so that compiled loops run over whole vectors."""
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
-    """The structure of a problem.
+class NormalsLayout:
+    """The structure of the reduced normal equations of a problem."""
 
-    ``see``, ``columns``, ``blocks`` and ``known`` are the kernels'; ``order`` (n,) sorts the problem's
-    observations into theirs; ``index`` (groups, K) columns of each group in the reduced system, -1 where
-    held; ``names`` of these; ``members`` eliminated points, in the order of their blocks; ``placed``
-    placements that have a block, in order; ``kept`` points that stay in the reduced system, ``kept_rods``
-    distances between these or to held ones; ``lens_places`` (q, 3) group, place in the group's columns and
-    lens parameter of every free lens parameter, with ``lens_factors`` (q,).
-    """
-
-    see: tuple[Array, ...]
-    columns: tuple[Array, ...]
-    blocks: tuple[Array, ...]
-    known: tuple[Array, ...]
+    observations: SortedObservations
+    columns: LensColumns
+    blocks: Blocks
+    known: Known
     order: Array
+    """(n,) sorts the problem's observations into ``observations``."""
     index: Array
+    """(groups, K) columns of each group in the reduced system, -1 where held."""
     names: tuple[str, ...]
+    """Of the unknowns of the reduced system."""
     members: Array
+    """Eliminated points, in the order of their blocks."""
     placed: Array
+    """Placements that have a block, in the order of their blocks."""
     kept: Array
+    """Points that stay in the reduced system."""
     kept_rods: Distances
+    """Distances between these, or from these to held points."""
     lens_places: Array
+    """(q, 3) of every free lens parameter: group, column within the group, index of the lens parameter."""
     lens_factors: Array
+    """(q,) derivative of that lens parameter by the column."""
     pair_of: Array
     pairs: int
 
     @property
     def block_of(self) -> Array:
         """Block (n,) of each sorted observation."""
-        return self.see[-1]
+        return self.observations.block
 
 
-def lay_out(problem: Problem) -> Layout:
+class _Assignment(NamedTuple):
+    """Which unknowns are eliminated in which block."""
+
+    size: Array
+    """(b,) unknowns of each block."""
+    block: Array
+    """(n,) block of each observation; block 0 is that of observations that touch none."""
+    point_block: Array
+    """(p,) block of each point."""
+    offset: Array
+    """(p,) first unknown of each point in its block."""
+    pose_block: Array
+    """(f,) block of each placement, 0 for none."""
+    members: Array
+    placed: Array
+
+
+def layout_of(problem: Problem) -> NormalsLayout:
     """Return the structure of ``problem``. CalibrationError for a camera that sees nothing or a point without
-    start.
+    starting coordinates.
     """
-    see, n_points = problem.observations, len(problem.points)
-    cameras, placements = len(problem.cameras), len(problem.placements)
+    see, cameras = problem.observations, len(problem.cameras)
     _every_camera_sees(problem)
-    placement = np.asarray(see.placement)
-    on_thing = placement >= 0
-    held = np.asarray(problem.points.held)
-    observed = np.zeros(n_points, dtype=bool)
+    on_thing = np.asarray(see.placement) >= 0
+    observed = np.zeros(len(problem.points), dtype=bool)
     observed[see.point] = True
     rods = _useful(problem)
     kept_mask, label = _kept(problem, on_thing, rods)
+    held = np.asarray(problem.points.held)
     eliminated = ~held & ~kept_mask & (observed | (label >= 0) if len(rods) else observed)
+    assigned = _assigned(problem, eliminated, label, len(rods) > 0)
+    groups_of = _groups(problem, np.flatnonzero(kept_mask))
+    index, groups = groups_of.index, len(groups_of.index)
+    order = sorted_by(assigned.block, len(assigned.size), sorted_by(see.camera, cameras, np.arange(len(see))))
+    kept_rank = np.full(len(held), -1, dtype=np.int64)
+    kept_rank[groups_of.kept] = cameras + np.arange(len(groups_of.kept))
+    slots = _slots(assigned.block[order], see.camera[order], kept_rank[see.point[order]], groups)
+    slot_block, slot_group = np.divmod(slots.key, groups)
+    slot_first = np.searchsorted(slot_block, np.arange(len(assigned.size) + 1))
+    runs = find_runs(assigned.size, slot_first, slot_group)
+    run = np.repeat(np.arange(len(runs) - 1), np.diff(runs))[assigned.block[order]]
+    # of a run first all that one camera sees, so that batches are long
+    part = np.where(on_thing[order], 0, assigned.offset[see.point[order]])
+    own = sorted_by(
+        see.camera[order] * MOST_JOINED_POINTS + part // 3, cameras * MOST_JOINED_POINTS, np.arange(len(see))
+    )
+    own = sorted_by(run, len(runs), own)
+    order = order[own]
+    observations = SortedObservations(
+        see.camera[order], see.point[order], np.asarray(see.placement)[order], see.xy_px.take(order, axis=0),
+        1 / np.asarray(see.sigma_px)[order], part[own], slots.slot[own], kept_rank[see.point[order]],
+        slots.kept_slot[own], assigned.block[order],
+    )  # fmt: skip
+    first_observation = np.append(0, np.cumsum(np.bincount(run, minlength=len(runs) - 1)))
+    blocks = _blocks(assigned, first_observation, slot_first, slot_group, runs, index.shape[1])
+    known, kept_rods = _known(problem, rods, assigned, eliminated, kept_mask)
+    pair_of, pairs = pair_table(slot_first, slot_group, observations.kept_group, observations.camera, groups)
+    return NormalsLayout(
+        observations, groups_of.columns, blocks, known, order, index, groups_of.names, assigned.members,
+        assigned.placed, groups_of.kept, kept_rods, groups_of.lens_places, groups_of.lens_factors, pair_of, pairs,
+    )  # fmt: skip
+
+
+def _assigned(problem: Problem, eliminated: Array, label: Array, joined: bool) -> _Assignment:
+    """Return the blocks: points first, those ``joined`` by distances together (``label``), then placements."""
+    see, n_points, placements = problem.observations, len(problem.points), len(problem.placements)
+    placement = np.asarray(see.placement)
+    on_thing = placement >= 0
     members = np.flatnonzero(eliminated)
-    if len(rods):
+    if joined:
         members = members[np.argsort(label[members], kind="stable")]
         opens = np.r_[True, (np.diff(label[members]) != 0) | (label[members][1:] < 0)][: len(members)]
     else:
         opens = np.ones(len(members), dtype=bool)
-    # block 0 holds the observations that touch no block; then points, then placements
     home, offset = np.zeros(n_points, dtype=np.int64), np.zeros(n_points, dtype=np.int64)
     home[members] = np.cumsum(opens)
     starts = np.flatnonzero(opens)
@@ -91,66 +145,50 @@ def lay_out(problem: Problem) -> Layout:
     rank = _alike_together(dim, len(sizes), block, see.camera)
     block, dim[rank] = rank[block], dim.copy()
     home, pose_block = rank[home], rank[pose_block]
-    members = members[np.argsort(home[members] * (3 * MOST_JOINED) + offset[members])]
-    placed = placed[np.argsort(pose_block[placed])]
+    members = members[np.argsort(home[members] * (3 * MOST_JOINED_POINTS) + offset[members])]
+    return _Assignment(dim, block, home, offset, pose_block, members, placed[np.argsort(pose_block[placed])])
 
-    index, names, kept, columns, lens_places, lens_factors = _groups(problem, np.flatnonzero(kept_mask))
-    width, groups = index.shape[1], len(index)
-    order = sorted_by(block, len(dim), sorted_by(see.camera, cameras, np.arange(len(see))))
-    block, camera, point = block[order], see.camera[order], see.point[order]
-    kept_rank = np.full(n_points, -1, dtype=np.int64)
-    kept_rank[kept] = cameras + np.arange(len(kept))
-    kept_group = kept_rank[point]
-    slot, kept_slot, slot_key = _slots(block, camera, kept_group, groups)
-    slot_block, slot_group = np.divmod(slot_key, groups)
-    slot_first = np.searchsorted(slot_block, np.arange(len(dim) + 1))
-    runs = find_runs(dim, slot_first, slot_group)
-    run = np.repeat(np.arange(len(runs) - 1), np.diff(runs))[block]
-    # of a run first all that one camera sees, so that strips are long
-    part = np.where(on_thing[order], 0, offset[point])
-    own = sorted_by(camera * MOST_JOINED + part // 3, cameras * MOST_JOINED, np.arange(len(see)))
-    own = sorted_by(run, len(runs), own)
-    order, block, camera, point, part = order[own], block[own], camera[own], point[own], part[own]
-    slot, kept_slot, kept_group = slot[own], kept_slot[own], kept_group[own]
-    blocks = (
+
+def _blocks(
+    assigned: _Assignment,
+    first_observation: Array,
+    slot_first: Array,
+    slot_group: Array,
+    runs: Array,
+    width: int,
+) -> Blocks:
+    """Return where the parts of the blocks begin; ``width``: columns of a group."""
+    dim, members = assigned.size, assigned.members
+    return Blocks(
         dim,
-        np.append(0, np.cumsum(np.bincount(run, minlength=len(runs) - 1))),
+        first_observation,
         slot_first,
         slot_group,
         np.cumsum(dim * dim) - dim * dim,
         np.cumsum(dim) - dim,
         np.append(0, np.cumsum(dim * np.diff(slot_first) * width)),
         runs,
-        np.column_stack([members, home[members], offset[members]]),
+        np.column_stack([members, assigned.point_block[members], assigned.offset[members]]),
     )
-    rod_arrays, kept_rods = _rods(rods, home, offset, eliminated, kept_mask, len(dim))
-    pair_of, pairs = pair_table(slot_first, slot_group, kept_group, camera, groups)
-    information = problem.points.information
-    sigma = problem.placements.sigma
-    known = (
+
+
+def _known(
+    problem: Problem, rods: Distances, assigned: _Assignment, eliminated: Array, kept: Array
+) -> tuple[Known, Distances]:
+    """Return what is known of the blocks beforehand, and the distances that touch only kept points."""
+    rod_arrays, kept_rods = _rods(
+        rods, assigned.point_block, assigned.offset, eliminated, kept, len(assigned.size)
+    )
+    information, sigma = problem.points.information, problem.placements.sigma
+    known = Known(
         problem.points.xyz,
         looked_at(np.zeros((0, 3, 3))) if information is None else information,
-        pose_block,
+        assigned.pose_block,
         np.column_stack([problem.placements.rotation.reshape(-1, 9), problem.placements.translation]),
         np.zeros((0, 6)) if sigma is None else 1 / sigma,
         *rod_arrays,
     )
-    sorted_see = (
-        camera,
-        point,
-        placement[order],
-        see.xy_px.take(order, axis=0),
-        1 / np.asarray(see.sigma_px)[order],
-        part,
-        slot,
-        kept_group,
-        kept_slot,
-        block,
-    )
-    return Layout(
-        sorted_see, columns, blocks, known, order, index, names, members, placed, kept, kept_rods,
-        lens_places, lens_factors, pair_of, pairs,
-    )  # fmt: skip
+    return known, kept_rods
 
 
 def _alike_together(dim: Array, point_blocks: int, block: Array, camera: Array) -> Array:
@@ -168,12 +206,19 @@ def _alike_together(dim: Array, point_blocks: int, block: Array, camera: Array) 
     return rank
 
 
-def _slots(block: Array, camera: Array, kept_group: Array, groups: int) -> tuple[Array, Array, Array]:
-    """Return the slots of the cameras and kept points of observations (n,), and each slot's block and group
-    as a key, sorted: block times ``groups`` plus group.
+class _Slots(NamedTuple):
+    """Slots of observations."""
 
-    The observations are sorted by block, then by camera. Block 0 has no slots (-1).
-    """
+    slot: Array
+    """(n,) of the camera, -1 in block 0."""
+    kept_slot: Array
+    """(n,) of the kept point, -1 for none."""
+    key: Array
+    """(slots,) block times the number of groups plus group, rising."""
+
+
+def _slots(block: Array, camera: Array, kept_group: Array, groups: int) -> _Slots:
+    """Return the slots of the cameras and kept points of observations sorted by block, then by camera."""
     key = block * groups + camera
     static = int(np.searchsorted(block, 1))
     slot, kept_slot = np.full(len(key), -1, dtype=np.int64), np.full(len(key), -1, dtype=np.int64)
@@ -182,11 +227,11 @@ def _slots(block: Array, camera: Array, kept_group: Array, groups: int) -> tuple
         slot_key = np.unique(np.concatenate([key[static:], second[static:]]))
         kept_slot[static:] = np.searchsorted(slot_key, second[static:])
         slot[static:] = np.searchsorted(slot_key, key[static:])
-        return slot, kept_slot, slot_key
+        return _Slots(slot, kept_slot, slot_key)
     opens = np.ones(len(key) - static, dtype=bool)
     opens[1:] = key[static + 1 :] != key[static:-1]
     slot[static:] = np.cumsum(opens) - 1
-    return slot, kept_slot, key[static:][opens]
+    return _Slots(slot, kept_slot, key[static:][opens])
 
 
 def _every_camera_sees(problem: Problem) -> None:
@@ -199,9 +244,9 @@ def _every_camera_sees(problem: Problem) -> None:
 
 
 def _useful(problem: Problem) -> Distances:
-    """Return the distances both of whose ends something else places, too.
+    """Return the distances both of whose ends are determined by something else, too.
 
-    A point with one ray and a distance has two places: it would lead astray more than it tells.
+    One ray and one distance leave a point two solutions.
     """
     rods = problem.distances
     if len(rods) == 0:
@@ -229,7 +274,7 @@ def _kept(problem: Problem, on_thing: Array, rods: Distances) -> tuple[Array, Ar
         joined = joined[~held[joined]]
         label[joined] = component[joined]
         size = np.bincount(label[joined], minlength=len(held))
-        stays = size > MOST_JOINED
+        stays = size > MOST_JOINED_POINTS
         stays[label[kept & (label >= 0)]] = True
         kept[joined] |= stays[label[joined]]
     if not np.isfinite(problem.points.xyz[kept]).all():
@@ -263,9 +308,19 @@ def _rods(
     return arrays, Distances(rods.first[rest], rods.second[rest], rods.length_m[rest], rods.sigma_m[rest])
 
 
-def _groups(
-    problem: Problem, kept: Array
-) -> tuple[Array, tuple[str, ...], Array, tuple[Array, ...], Array, Array]:
+@dataclass(frozen=True, eq=False)
+class _Groups:
+    """Columns of the groups; the fields are those of ``NormalsLayout``."""
+
+    index: Array
+    names: tuple[str, ...]
+    kept: Array
+    columns: LensColumns
+    lens_places: Array
+    lens_factors: Array
+
+
+def _groups(problem: Problem, kept: Array) -> _Groups:
     """Return the columns of the groups, their names, the kept points, and how lens parameters map to columns."""
     owner = problem.lens_owner()
     most = max((len(problem.cameras[k].free) for k in owner), default=0)
@@ -303,12 +358,6 @@ def _groups(
     for k, point in enumerate(kept):
         index[cameras + k, :3] = len(names) + np.arange(3)
         names += [f"point {point}.{axis}_m" for axis in "XYZ"]
-    columns = (owner, count, first, second, factor)
-    return (
-        index,
-        tuple(names),
-        kept,
-        columns,
-        np.array(places, dtype=np.int64).reshape(-1, 3),
-        np.array(factors),
-    )
+    columns = LensColumns(owner, count, first, second, factor)
+    of_lenses = np.array(places, dtype=np.int64).reshape(-1, 3)
+    return _Groups(index, tuple(names), kept, columns, of_lenses, np.array(factors))

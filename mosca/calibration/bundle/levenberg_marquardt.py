@@ -12,13 +12,14 @@ from scipy.linalg.lapack import dposv
 
 from mosca.calibration.bundle.initial_points import intersected
 from mosca.calibration.bundle.kernels import LENS, imaged
-from mosca.calibration.bundle.layout import Layout
+from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.calibration.bundle.lenses import lens_of, lens_row, set_folds
 from mosca.calibration.bundle.normals import linearise
 from mosca.calibration.bundle.priors import Priors, pulls
 from mosca.calibration.bundle.problem import Placements, Problem
 from mosca.calibration.bundle.reduction import back_substitute, reduce_to_groups, scatter
-from mosca.calibration.bundle.rotations import turn_on, weighted_blocks
+from mosca.calibration.bundle.rotations import observed_blocks, rotate_by
+from mosca.calibration.bundle.tables import Loss, NormalEquations, State
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Pose
 
@@ -37,24 +38,20 @@ EXACT = 1e-9
 # that must be left when it is placed anew; and the residual of a point that is not imaged
 FAR, BETTER, NOWHERE = 8.0, 0.5, 1e9
 
-State = tuple[Array, Array, Array]
-"""Tables of cameras (c, 32), points (p, 3) and placements (f, 12), as ``kernels`` says."""
-Normals = tuple[Array, ...]
-
 
 @dataclass(frozen=True, eq=False)
 class Task:
     """What every step of an adjustment needs.
 
-    ``robust``: loss and its squared scale; ``tolerance``: a step is not worth taking when it promises to move
+    ``tolerance``: a step is not worth taking when it promises to move
     no unknown by more than this share of its standard deviation, and is the last one when it moved none by
     more.
     """
 
     problem: Problem
-    layout: Layout
+    layout: NormalsLayout
     priors: Priors
-    robust: tuple[int, float]
+    loss: Loss
     tolerance: float
     most_steps: int
 
@@ -66,7 +63,7 @@ class Descent:
     """
 
     state: State
-    normals: Normals
+    normals: NormalEquations
     cost: float
     steps: int
     unseen: int
@@ -89,7 +86,7 @@ class Solution:
     motions: int
 
 
-def first_state(problem: Problem, layout: Layout) -> State:
+def first_state(problem: Problem, layout: NormalsLayout) -> State:
     """Return the starting values; points without are intersected from their rays."""
     cameras = tuple(one.camera for one in problem.cameras)
     points = intersected(cameras, layout, np.array(problem.points.xyz))
@@ -110,45 +107,45 @@ def placed_again(
     if away.max(initial=0.0) < FAR:
         return None
     limit = least or FAR * max(float(np.median(away[weight > 0])), 1.0)
-    lost = np.intersect1d(layout.see[1][away >= limit], layout.members)
+    lost = np.intersect1d(layout.observations.point[away >= limit], layout.members)
     if len(lost) == 0:
         return None
-    points = state[1].copy()
+    points = state.points.copy()
     points[lost] = np.nan
     cameras = adjusted_cameras(task.problem, layout, state)
-    again = state[0], intersected(cameras, layout, points, state[1]), state[2]
+    again = state._replace(points=intersected(cameras, layout, points, state.points))
     before, after = (
-        np.bincount(layout.see[1], one**2, len(points))
+        np.bincount(layout.observations.point, one**2, len(points))
         for one in (away, _distances(layout, residuals(layout, again), weight))
     )
     worse = after > BETTER * before
-    again[1][worse] = state[1][worse]
+    again.points[worse] = state.points[worse]
     return again if (~worse[lost]).any() else None
 
 
-def _distances(layout: Layout, residual: Array, weight: Array) -> Array:
+def _distances(layout: NormalsLayout, residual: Array, weight: Array) -> Array:
     """Return how far (n,) points of the world are from where they are seen, in standard deviations."""
     away = np.nan_to_num(np.hypot(residual[:, 0], residual[:, 1]) * weight, nan=NOWHERE)
-    return np.where((weight > 0) & (layout.see[2] < 0), away, 0.0)
+    return np.where((weight > 0) & (layout.observations.placement < 0), away, 0.0)
 
 
-def residuals(layout: Layout, state: State) -> Array:
+def residuals(layout: NormalsLayout, state: State) -> Array:
     """Return projected minus observed (n, 2) [px] of the sorted image points, NaN where not imaged."""
     out = np.empty((len(layout.order), 2))
-    imaged(state, layout.see, out)
+    imaged(state, layout.observations, out)
     return out
 
 
-def adjusted_cameras(problem: Problem, layout: Layout, state: State) -> tuple[Camera, ...]:
+def adjusted_cameras(problem: Problem, layout: NormalsLayout, state: State) -> tuple[Camera, ...]:
     """Return the cameras of a state."""
-    table = state[0]
+    table = state.cameras
     return tuple(
         replace(
             one.camera,
             lens=lens_of(table[owner, LENS:], problem.cameras[owner].camera.lens),
             world_from_camera=Pose(table[c, :9].reshape(3, 3), table[c, 9:LENS]),
         )
-        for c, (one, owner) in enumerate(zip(problem.cameras, layout.columns[0], strict=True))
+        for c, (one, owner) in enumerate(zip(problem.cameras, layout.columns.owner, strict=True))
     )
 
 
@@ -161,15 +158,16 @@ def state_of(problem: Problem, cameras: Sequence[Camera], points: Array, placeme
         for camera, k in zip(cameras, problem.lens_owner(), strict=True)
         for pose in [camera.world_from_camera]
     ]
-    return (
-        np.array(table),
-        np.array(points),
-        np.column_stack([placements.rotation.reshape(-1, 9), placements.translation]),
-    )
+    poses = np.column_stack([placements.rotation.reshape(-1, 9), placements.translation])
+    return State(np.array(table), np.array(points), poses)
 
 
 def reduced(
-    layout: Layout, normals: Normals, pull: tuple[Array, Array] | None, damping: float, inverse: Array
+    layout: NormalsLayout,
+    normals: NormalEquations,
+    pull: tuple[Array, Array] | None,
+    damping: float,
+    inverse: Array,
 ) -> tuple[Array, Array]:
     """Return the reduced normal matrix (u, u) and slope (u,); write the inverse blocks into ``inverse``."""
     unknowns, width = len(layout.names), layout.index.shape[1]
@@ -192,14 +190,14 @@ def descend(task: Task, start: State, weight: Array) -> Descent:
     out.
     """
     layout = task.layout
-    normals, inverse = empty_normals(layout), np.empty(int((layout.blocks[0] ** 2).sum()))
+    normals, inverse = empty_normals(layout), np.empty(int((layout.blocks.size**2).sum()))
     state = start
     cost, unseen, pull = linearised(task, state, weight, normals)
     if unseen:
-        state = placed_again(task, state, normals[-1], weight, NOWHERE) or state
+        state = placed_again(task, state, normals.residuals_px, weight, NOWHERE) or state
         cost, unseen, pull = linearised(task, state, weight, normals)
     used = int((weight > 0).sum())
-    redundancy = max(2 * used - len(layout.names) - int(layout.blocks[0].sum()), 1)
+    redundancy = max(2 * used - len(layout.names) - int(layout.blocks.size.sum()), 1)
     damping, growth, before = FIRST_DAMPING, 2.0, 0.0
     for step in range(task.most_steps):
         enough = max(task.tolerance**2 / redundancy, ROUNDING) * cost
@@ -230,20 +228,20 @@ def descend(task: Task, start: State, weight: Array) -> Descent:
 
 
 def linearised(
-    task: Task, state: State, weight: Array, normals: Normals
+    task: Task, state: State, weight: Array, normals: NormalEquations
 ) -> tuple[float, int, tuple[Array, Array] | None]:
     """Write the normal equations at a state; return the cost, the number of unseen points and ``pulls``."""
     layout = task.layout
-    see = (*layout.see[:4], weight, *layout.see[5:])
-    cost, unseen = linearise(state, see, layout.columns, layout.blocks, layout.known, task.robust, normals)
-    if layout.known[1].size or layout.known[4].size:
-        cost += weighted_blocks(state, layout.blocks, layout.known, normals)
+    see = layout.observations._replace(weight=weight)
+    cost, unseen = linearise(state, see, layout.columns, layout.blocks, layout.known, task.loss, normals)
+    if layout.known.information.size or layout.known.pose_weight.size:
+        cost += observed_blocks(state, layout.blocks, layout.known, normals)
     pull, more = pulls(task.problem, layout, task.priors, state)
     return float(cost) + more, int(unseen), pull
 
 
 def _step(
-    task: Task, normals: Normals, pull: tuple[Array, Array] | None, damping: float, inverse: Array
+    task: Task, normals: NormalEquations, pull: tuple[Array, Array] | None, damping: float, inverse: Array
 ) -> tuple[tuple[Array, Array] | None, float]:
     """Return a damped step of the groups and of the blocks (None where there is none) and the promised decrease."""
     layout = task.layout
@@ -257,30 +255,30 @@ def _step(
             return None, np.inf
         step = scale * step
     group_step = np.append(step, 0.0)[layout.index]
-    block_step = np.empty(len(normals[5]))
+    block_step = np.empty(len(normals.block_slope))
     promised = back_substitute(layout.blocks, normals, damping, inverse, group_step, block_step)
-    own = np.diagonal(normals[0], axis1=1, axis2=2)
-    promised += float(np.sum(group_step * (damping * own * group_step - normals[2])))
+    own = np.diagonal(normals.groups, axis1=1, axis2=2)
+    promised += float(np.sum(group_step * (damping * own * group_step - normals.group_slope)))
     if pull is not None:
         promised += float(step @ (damping * np.diag(pull[0]) * step)) - float(step @ pull[1])
     return (group_step, block_step), promised
 
 
-def moved(layout: Layout, state: State, group_step: Array, block_step: Array) -> State | None:
+def moved(layout: NormalsLayout, state: State, group_step: Array, block_step: Array) -> State | None:
     """Return ``state`` after steps of the groups (groups, K) and blocks; None for a scale of a lens not above
     0.
     """
     cameras, points, placements = state
     cameras = cameras.copy()
     steps = group_step[: len(cameras)]
-    turn_on(cameras, np.ascontiguousarray(steps[:, :3]))
+    rotate_by(cameras, np.ascontiguousarray(steps[:, :3]))
     cameras[:, 9:LENS] += steps[:, 3:6]
     if len(layout.lens_places):
         group, place, parameter = layout.lens_places.T
         cameras[group, LENS + parameter] += layout.lens_factors * group_step[group, place]
         if not set_folds(cameras[:, LENS:]):
             return None
-        cameras[:, LENS:] = cameras[layout.columns[0], LENS:]
+        cameras[:, LENS:] = cameras[layout.columns.owner, LENS:]
     if len(layout.members) + len(layout.kept):
         points = points.copy()
         eliminated = 3 * len(layout.members)
@@ -289,18 +287,18 @@ def moved(layout: Layout, state: State, group_step: Array, block_step: Array) ->
     if len(layout.placed):
         steps = block_step[3 * len(layout.members) :].reshape(-1, 6)
         moved = placements[layout.placed]
-        turn_on(moved, np.ascontiguousarray(steps[:, :3]))
+        rotate_by(moved, np.ascontiguousarray(steps[:, :3]))
         moved[:, 9:] += steps[:, 3:]
         placements = placements.copy()
         placements[layout.placed] = moved
-    return cameras, points, placements
+    return State(cameras, points, placements)
 
 
-def empty_normals(layout: Layout) -> Normals:
-    """Return room for normal equations, as ``kernels`` orders them, and the residuals (n, 2) [px]."""
+def empty_normals(layout: NormalsLayout) -> NormalEquations:
+    """Return empty arrays for the normal equations."""
     groups, width = layout.index.shape
-    dim, at_w = layout.blocks[0], layout.blocks[6]
-    return (
+    dim, at_w = layout.blocks.size, layout.blocks.mixed_at
+    return NormalEquations(
         np.empty((groups, width, width)),
         np.empty((layout.pairs, width, width)),
         np.empty((groups, width)),

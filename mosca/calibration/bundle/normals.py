@@ -1,9 +1,11 @@
-"""Normal equations of a bundle adjustment, summed strip by strip, compiled; the Jacobian is never stored.
+"""Normal equations of a bundle adjustment, summed batch by batch, compiled; the Jacobian is never stored.
 
-The names are ``kernels``', strips are ``strips``'. W^T of a run of blocks (``reduction``) stands turned over: a line
-for each unknown of the run's groups, in it first the first unknowns of all its blocks, then the second ones: points
-that follow each other in a strip follow each other there.
+The notation is that of ``kernels``, batches are those of ``jacobian_rows``. W^T of a run of blocks (``reduction``) is
+stored transposed: a row for each unknown of the run's groups, in it first the first unknowns of all its blocks, then
+the second ones: consecutive points of a batch are consecutive there.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,23 +23,53 @@ from mosca.calibration.bundle.jacobian_rows import (
     weighted_residuals,
 )
 from mosca.calibration.bundle.lenses import FAST, IMAGED
+from mosca.calibration.bundle.tables import (
+    Blocks,
+    Known,
+    LensColumns,
+    Loss,
+    NormalEquations,
+    SortedObservations,
+    State,
+)
+from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel, step
 
 
-@kernel(fastmath=FAST)
-def linearise(state, see, columns, blocks, known, robust, normals):  # type: ignore[no-untyped-def]
-    """Write the normal equations at ``state`` into ``normals``; return the cost and the number of unseen
-    points.
+class Batch(NamedTuple):
+    """Up to LANES observations of one camera in one run of blocks, with their derivatives."""
 
-    The arguments are the tuples of arrays that ``layout`` makes, in its order.
-    """
-    cameras, points, _ = state
-    camera_of, placement_of, offset = see[0], see[2], see[5]
-    dim, first_observation, _, _, at_v, at_g, at_w, runs, _ = blocks
-    rod_first, rods, rod_weight = known[-3], known[-2], known[-1]
-    group_normals, cross, group_slope, mixed, block_normals, block_slope, _, _ = normals
+    block: int
+    """First block of the run."""
+    blocks: int
+    """Number of blocks in the run."""
+    first: int
+    """First observation."""
+    number: int
+    """Number of observations."""
+    used: int
+    """Number of the camera's unknowns, even (``jacobian_rows.derive``)."""
+    work: Array
+    """Work array of ``jacobian_rows``."""
+    jacobian: Array
+    """Derivatives by the camera's unknowns."""
+    local: Array
+    """(LANES,) work array: block of each observation, counted from the run's first."""
+
+
+@kernel(fastmath=FAST)
+def linearise(
+    state: State, see: SortedObservations, columns: LensColumns, blocks: Blocks, known: Known, loss: Loss,
+    normals: NormalEquations,
+) -> tuple[float, int]:  # fmt: skip
+    """Write the normal equations at ``state`` into ``normals``; return the cost and the number of unseen points."""
+    cameras = state.cameras
+    camera_of, placement_of, offset = see.camera, see.placement, see.offset
+    dim, first_observation, runs = blocks.size, blocks.first_observation, blocks.runs
+    at_v, at_g, at_w = blocks.normals_at, blocks.slope_at, blocks.mixed_at
+    group_normals, group_slope, mixed = normals.groups, normals.group_slope, normals.mixed
     group_normals[:] = 0
-    cross[:] = 0
+    normals.cross[:] = 0
     group_slope[:] = 0
     groups, width = group_slope.shape
     work, j, local = np.zeros(ROOM), np.zeros(2 * width * LANES), np.zeros(LANES, np.int64)
@@ -46,8 +78,8 @@ def linearise(state, see, columns, blocks, known, robust, normals):  # type: ign
     for r in range(runs.size - 1):
         b, end = runs[r], runs[r + 1]
         n = dim[b]
-        block_normals[at_v[b] : at_v[b] + (end - b) * n * n] = 0
-        block_slope[at_g[b] : at_g[b] + (end - b) * n] = 0
+        normals.blocks[at_v[b] : at_v[b] + (end - b) * n * n] = 0
+        normals.block_slope[at_g[b] : at_g[b] + (end - b) * n] = 0
         mixed[at_w[b] : at_w[end]] = 0
         m, last = first_observation[r], first_observation[r + 1]
         while m < last:
@@ -60,21 +92,21 @@ def linearise(state, see, columns, blocks, known, robust, normals):  # type: ign
             lanes = -(-count // VECTOR) * VECTOR
             gather(state, see, m, count, lanes, work)
             project(cameras[camera], lanes, work, out)
-            rho, lost = weighted_residuals(m, count, lanes, see[4], robust, work, normals[-1])
+            rho, lost = weighted_residuals(m, count, lanes, see.weight, loss, work, normals.residuals_px)
             cost, unseen = cost + rho, unseen + lost
             used = derive(cameras[camera], camera, columns, lanes, work, j)
             _sum_camera(camera, used, lanes, work, j, group_normals, group_slope)
             if placement_of[m] >= 0:
                 derive_placed(state, see, m, count, work)
+            batch = Batch(b, end - b, m, count, used, work, j, local)
             if n:
-                _sum_block(b, end - b, m, count, used, see, blocks, work, j, local, normals)
+                _sum_block(batch, see, blocks, normals)
             if groups > cameras.shape[0]:
-                _sum_kept(b, end - b, m, count, used, see, blocks, work, j, normals)
+                _sum_kept(batch, see, blocks, normals)
             m += count
         for one in range(b, end):
-            for d in range(rod_first[one], rod_first[one + 1]):
-                v, g = at_v[one], at_g[one]
-                cost += _known_distance(points, rods[d], rod_weight[d], n, v, g, block_normals, block_slope)
+            for d in range(known.first_distance[one], known.first_distance[one + 1]):
+                cost += _known_distance(state.points, known, d, n, at_v[one], at_g[one], normals)
     for camera in range(cameras.shape[0]):
         for i in range(width):
             for k in range(i):
@@ -83,7 +115,9 @@ def linearise(state, see, columns, blocks, known, robust, normals):  # type: ign
 
 
 @step(fastmath=FAST)
-def _sum_camera(camera, used, lanes, w, j, group_normals, group_slope):  # type: ignore[no-untyped-def]
+def _sum_camera(
+    camera: int, used: int, lanes: int, w: Array, j: Array, group_normals: Array, group_slope: Array
+) -> None:
     """Add a strip to its camera's normals (the upper triangle) and slope."""
     rows = 2 * LANES
     for i in range(0, used, 2):
@@ -112,28 +146,24 @@ def _sum_camera(camera, used, lanes, w, j, group_normals, group_slope):  # type:
 
 
 @step(fastmath=FAST)
-def _sum_block(b, size, m, count, used, see, blocks, w, j, local, normals):  # type: ignore[no-untyped-def]
-    """Add a strip to its blocks' normals and slope, and to what these have in common with the camera.
-
-    ``b``, ``size``: the first block of the run and their number; ``local``: room for LANES numbers.
-    """
-    offset, slot, block = see[5][m], see[6], see[9]
-    dim, _, slot_first, _, at_v, at_g, at_w, _, _ = blocks
-    _, _, group_slope, mixed, block_normals, block_slope, _, _ = normals
-    n, width = dim[b], group_slope.shape[1]
+def _sum_block(batch: Batch, see: SortedObservations, blocks: Blocks, normals: NormalEquations) -> None:
+    """Add a batch to its blocks' normals and slope, and to what these have in common with the camera."""
+    b, size, m, count, used, w, j, local = batch
+    offset, slot, block = see.offset[m], see.slot, see.block
+    slot_first, at_v, at_g, at_w = blocks.first_slot, blocks.normals_at, blocks.slope_at, blocks.mixed_at
+    mixed, block_normals, block_slope = normals.mixed, normals.blocks, normals.block_slope
+    n, width = blocks.size[b], normals.group_slope.shape[1]
     together = True
     for i in range(count):
         local[i] = block[m + i] - b
         together &= local[i] == local[0] + i
     column = (slot[m] - slot_first[block[m]]) * width
     # a placement's block is its turn and then its shift, a point's part of a block one shift
-    parts = 6 if see[2][m] >= 0 else 3
+    parts = 6 if see.placement[m] >= 0 else 3
     for first in range(0, parts, 3):
         for second in range(0, parts, 3):
             to = at_v[b] + (offset + first) * n + offset + second
-            _sum_own(
-                BLOCK + 2 * first * LANES, BLOCK + 2 * second * LANES, to, n, count, local, w, block_normals
-            )
+            _sum_own(batch, BLOCK + 2 * first * LANES, BLOCK + 2 * second * LANES, to, n, block_normals)
     for a in range(parts):
         x, to = BLOCK + 2 * a * LANES, at_g[b] + offset + a
         one, two = w[x : x + LANES], w[x + LANES : x + 2 * LANES]
@@ -152,9 +182,10 @@ def _sum_block(b, size, m, count, used, see, blocks, w, j, local, normals):  # t
 
 
 @step(fastmath=FAST)
-def _sum_own(x, y, to, n, count, local, w, block_normals):  # type: ignore[no-untyped-def]
-    """Add the products of three derivatives, at ``x`` in ``w``, and three, at ``y``, of a strip to its blocks."""
-    for i in range(count):
+def _sum_own(batch: Batch, x: int, y: int, to: int, n: int, block_normals: Array) -> None:
+    """Add the products of three derivatives, at ``x`` in ``work``, and three, at ``y``, of a batch to its blocks."""
+    w, local = batch.work, batch.local
+    for i in range(batch.number):
         p0, p1, p2 = w[x + i], w[x + 2 * LANES + i], w[x + 4 * LANES + i]
         q0, q1, q2 = w[x + LANES + i], w[x + 3 * LANES + i], w[x + 5 * LANES + i]
         at = to + n * n * local[i]
@@ -166,19 +197,15 @@ def _sum_own(x, y, to, n, count, local, w, block_normals):  # type: ignore[no-un
 
 
 @step(fastmath=FAST)
-def _sum_kept(b, size, m, count, used, see, blocks, w, j, normals):  # type: ignore[no-untyped-def]
-    """Add a strip to the kept points that it shows, and to what these have in common with cameras and blocks."""
-    camera, placement, offset, kept, kept_slot, block = (
-        see[0][m],
-        see[2][m],
-        see[5][m],
-        see[7],
-        see[8],
-        see[9],
-    )
-    dim, _, slot_first, _, _, _, at_w, _, _ = blocks
-    group_normals, cross, group_slope, mixed, _, _, pair_of, _ = normals
-    n, width = dim[b], group_slope.shape[1]
+def _sum_kept(batch: Batch, see: SortedObservations, blocks: Blocks, normals: NormalEquations) -> None:
+    """Add a batch to the kept points that it shows, and to what these have in common with cameras and blocks."""
+    b, size, m, count, used, w, j, _ = batch
+    camera, placement, offset = see.camera[m], see.placement[m], see.offset[m]
+    kept, kept_slot, block = see.kept_group, see.kept_slot, see.block
+    slot_first, at_w = blocks.first_slot, blocks.mixed_at
+    group_normals, cross, group_slope = normals.groups, normals.cross, normals.group_slope
+    mixed, pair_of = normals.mixed, normals.pair_of
+    n, width = blocks.size[b], group_slope.shape[1]
     parts = 0 if n == 0 else (6 if placement >= 0 else 3)
     first = OWN if placement >= 0 else BLOCK
     for i in range(count):
@@ -203,9 +230,12 @@ def _sum_kept(b, size, m, count, used, see, blocks, w, j, normals):  # type: ign
 
 
 @step(fastmath=FAST)
-def _known_distance(points, rod, weight, n, v, g, block_normals, block_slope):  # type: ignore[no-untyped-def]
-    """Add a known distance between two points of a block, or to a held point (offset -1); return its cost."""
-    one, two, at_one, at_two = rod
+def _known_distance(
+    points: Array, known: Known, d: int, n: int, v: int, g: int, normals: NormalEquations
+) -> float:
+    """Add the known distance ``d`` between two points of a block, or to a held point (offset -1); return its cost."""
+    one, two, at_one, at_two = known.distances[d]
+    weight, block_normals, block_slope = known.distance_weight[d], normals.blocks, normals.block_slope
     x = points[one, 0] - points[two, 0]
     y = points[one, 1] - points[two, 1]
     z = points[one, 2] - points[two, 2]
@@ -217,8 +247,8 @@ def _known_distance(points, rod, weight, n, v, g, block_normals, block_slope):  
             if at < 0:
                 continue
             block_slope[g + at + i] += sign * by[i] * e
-            for to, turn in ((at_one, sign), (at_two, -sign)):
+            for to, product in ((at_one, sign), (at_two, -sign)):
                 if to >= 0:
                     for k in range(3):
-                        block_normals[v + (at + i) * n + to + k] += turn * by[i] * by[k]
+                        block_normals[v + (at + i) * n + to + k] += product * by[i] * by[k]
     return e * e

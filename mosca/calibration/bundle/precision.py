@@ -1,40 +1,53 @@
-"""Precision and reliability of a bundle adjustment, run by run, compiled. The names are ``kernels``'."""
+"""Precision and reliability of a bundle adjustment, run by run, compiled. Notation as in ``kernels``."""
+
+from typing import NamedTuple
 
 import numpy as np
 
 from mosca.calibration.bundle.kernels import BY_OWN, BY_POSE, BY_TURN, BY_WORLD, OBSERVED, observe, weigh
 from mosca.calibration.bundle.lenses import FAST, L
+from mosca.calibration.bundle.tables import (
+    Blocks,
+    LensColumns,
+    Loss,
+    ReducedInverse,
+    SortedObservations,
+    State,
+)
+from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel, step
 
 LEAST_REDUNDANCY_NUMBER = 1e-6
-"""An image point with less says nothing about itself: it cannot be tested."""
+"""An image point with a smaller redundancy number cannot be tested."""
+
+
+class BlockCofactors(NamedTuple):
+    """Cofactors of one block (``precise``)."""
+
+    own: Array
+    """(n, n) of its unknowns."""
+    with_groups: Array
+    """(n, wide) V^-1 W^T Q."""
+    size: int
+    """n."""
+    first_slot: int
 
 
 @kernel(fastmath=FAST)
-def precise(  # type: ignore[no-untyped-def]
-    state,
-    see,
-    base_weight,
-    columns,
-    blocks,
-    robust,
-    normals,
-    inverse,
-    cofactors,
-    index,
-    block_cofactors,
-    tests,
-):
-    """Write cofactors of the blocks and, of each image point, its residual and how it stands out.
+def precise(
+    state: State, see: SortedObservations, base_weight: Array, columns: LensColumns, blocks: Blocks, loss: Loss,
+    mixed: Array, inverse: ReducedInverse, block_cofactors: Array, tests: Array,
+) -> None:  # fmt: skip
+    """Write cofactors of the blocks and the residual and test statistic of each image point.
 
-    ``cofactors`` (u + 1, u + 1) of the reduced system, the last row and column zero; ``index`` (groups, K)
-    its columns; ``inverse``: V^-1; ``block_cofactors`` (as V): V^-1 W^T Q W V^-1 + V^-1. ``tests`` (n, 7):
-    residual projected minus observed x, y [px]; the projection's cofactors xx, xy, yy over those of the image
-    point a priori; v^T Q_vv^-1 v, of points left out e^T Q_ee^-1 e, NaN where it cannot be tested; and the
-    robust weight.
+    ``base_weight`` (n,): 1 / sigma a priori of the sorted image points, also of those left out; ``mixed``: W^T
+    (``NormalEquations``). Written are ``block_cofactors`` (as V): V^-1 W^T Q W V^-1 + V^-1; and ``tests`` (n, 7):
+    residual projected minus observed x, y [px]; the projection's cofactors xx, xy, yy over those of the image point a
+    priori; v^T Q_vv^-1 v, of points left out e^T Q_ee^-1 e, NaN where it cannot be tested; and the robust weight.
     """
-    dim, first_observation, slot_first, slot_group, at_v, _, at_w, runs, _ = blocks
-    mixed, width = normals[3], index.shape[1]
+    dim, slot_first, slot_group, at_v = blocks.size, blocks.first_slot, blocks.slot_group, blocks.normals_at
+    cofactors, index, runs = inverse.cofactors, inverse.group_columns, blocks.runs
+    width = index.shape[1]
     work = (
         np.empty((2, OBSERVED)),
         np.zeros((2, width)),
@@ -46,10 +59,10 @@ def precise(  # type: ignore[no-untyped-def]
         n, first = dim[b], slot_first[b]
         slots = slot_first[b + 1] - first
         rows, wide = count * n, slots * width
-        own = _block_by_block(mixed, at_w[b], n, count, wide)
+        own = _block_by_block(mixed, blocks.mixed_at[b], n, count, wide)
         # carried: V^-1 W^T (d block / d group, up to sign); spread: the same times Q
         carried = np.empty((rows, wide))
-        _times_inverse(inverse, at_v[b], n, count, own, carried)
+        _times_inverse(inverse.blocks, at_v[b], n, count, own, carried)
         q = np.empty((wide, wide))
         for i in range(wide):
             row = index[slot_group[first + i // width], i % width]
@@ -61,22 +74,22 @@ def precise(  # type: ignore[no-untyped-def]
             own_cofactors = block_cofactors[v : v + n * n].reshape(n, n)
             for i in range(n):
                 for k in range(n):
-                    x = inverse[v + i * n + k]
+                    x = inverse.blocks[v + i * n + k]
                     for c in range(wide):
                         x += spread[top + i, c] * carried[top + k, c]
                     own_cofactors[i, k] = x
-        for m in range(first_observation[r], first_observation[r + 1]):
+        for m in range(blocks.first_observation[r], blocks.first_observation[r + 1]):
             # the block's part in the covariance with the groups, at the columns of this block's slots
-            one = see[9][m]
+            one = see.block[m]
             v, top = at_v[one], (one - b) * n
-            _test(
-                m, state, see, base_weight, columns, robust, cofactors, index, work,
-                block_cofactors[v : v + n * n].reshape(n, n), spread[top : top + n], n, slot_first[one], tests,
-            )  # fmt: skip
+            part = BlockCofactors(
+                block_cofactors[v : v + n * n].reshape(n, n), spread[top : top + n], n, slot_first[one]
+            )
+            _test(m, state, see, base_weight, columns, loss, inverse, work, part, tests)
 
 
 @step(fastmath=FAST)
-def _block_by_block(mixed, at, n, count, wide):  # type: ignore[no-untyped-def]
+def _block_by_block(mixed: Array, at: int, n: int, count: int, wide: int) -> Array:
     """Return W^T of a run (count n, wide), the unknowns of each block together."""
     out = np.empty((count * n, wide))
     for c in range(wide):
@@ -88,7 +101,7 @@ def _block_by_block(mixed, at, n, count, wide):  # type: ignore[no-untyped-def]
 
 
 @step(fastmath=FAST)
-def _times_inverse(inverse, at, n, blocks, matrix, out):  # type: ignore[no-untyped-def]
+def _times_inverse(inverse: Array, at: int, n: int, blocks: int, matrix: Array, out: Array) -> None:
     """Write V^-1 times the rows of ``matrix`` (blocks n, q), block by block from ``inverse[at:]`` on, into
     ``out``.
     """
@@ -109,18 +122,18 @@ def _times_inverse(inverse, at, n, blocks, matrix, out):  # type: ignore[no-unty
 
 
 @step(fastmath=FAST)
-def _test(  # type: ignore[no-untyped-def]
-    m, state, see, base_weight, columns, robust, cofactors, index, work, block, spread, n, first, tests
-):
-    """Write the tests of one image point; ``block`` (n, n) cofactors of its block, ``spread`` (n, wide) V^-1
-    W^T Q.
-    """
-    cameras, points, placements = state
-    camera_of, point_of, placement_of, xy_px, weight, offset, slot, kept, kept_slot, _ = see
+def _test(
+    m: int, state: State, see: SortedObservations, base_weight: Array, columns: LensColumns, loss: Loss,
+    inverse: ReducedInverse, work: tuple[Array, Array, Array, Array], part: BlockCofactors, tests: Array,
+) -> None:  # fmt: skip
+    """Write the tests of one image point; ``part``: cofactors of its block."""
+    block, spread, n, first = part
+    cofactors, index = inverse.cofactors, inverse.group_columns
+    xy_px, weight, offset, slot, kept_slot = see.xy_px, see.weight, see.offset, see.slot, see.kept_slot
     out, j, by, place = work
     width = index.shape[1]
-    camera, point, placement = camera_of[m], kept[m], placement_of[m]
-    if not observe(cameras, camera, points, point_of[m], placements, placement, out):
+    camera, point, placement = see.camera[m], see.kept_group[m], see.placement[m]
+    if not observe(state, see, m, out):
         tests[m, :] = np.nan
         return
     by_unknowns(out, columns, camera, j)
@@ -149,8 +162,8 @@ def _test(  # type: ignore[no-untyped-def]
     own = 0 if n == 0 else (6 if placement >= 0 else 3)
     for i in range(own):
         row = offset[m] + i
-        part = BY_TURN + i if own == 6 and i < 3 else (BY_WORLD + i - 3 if own == 6 else BY_WORLD + i)
-        d0, d1 = out[0, part], out[1, part]
+        unknown = BY_TURN + i if own == 6 and i < 3 else (BY_WORLD + i - 3 if own == 6 else BY_WORLD + i)
+        d0, d1 = out[0, unknown], out[1, unknown]
         f0 = f1 = 0.0
         for k in range(own):
             other = BY_TURN + k if own == 6 and k < 3 else (BY_WORLD + k - 3 if own == 6 else BY_WORLD + k)
@@ -167,7 +180,7 @@ def _test(  # type: ignore[no-untyped-def]
         q11 += d1 * (f1 - 2 * g1)
     e0, e1 = out[0, 0] - xy_px[m, 0], out[1, 0] - xy_px[m, 1]
     base = base_weight[m] * base_weight[m]
-    robust_weight = weigh((e0 * e0 + e1 * e1) * base, robust[0], robust[1])[1]
+    robust_weight = weigh((e0 * e0 + e1 * e1) * base, loss)[1]
     factor = base * robust_weight if weight[m] > 0 else base
     q00, q01, q11 = q00 * factor, q01 * factor, q11 * factor
     # residuals of points that take part vary less than the image points, of those left out more
@@ -182,7 +195,7 @@ def _test(  # type: ignore[no-untyped-def]
 
 
 @kernel(fastmath=FAST)
-def by_unknowns(out, columns, camera, j):  # type: ignore[no-untyped-def]
+def by_unknowns(out: Array, columns: LensColumns, camera: int, j: Array) -> None:
     """Write the pixel's derivative by the unknowns of its camera's group (2, K): pose, then free lens
     parameters.
     """
@@ -199,12 +212,12 @@ def by_unknowns(out, columns, camera, j):  # type: ignore[no-untyped-def]
 
 
 @kernel(fastmath=FAST)
-def carry_down(blocks, normals, inverse, index, z):  # type: ignore[no-untyped-def]
+def carry_down(blocks: Blocks, mixed: Array, inverse: Array, index: Array, z: Array) -> Array:
     """Return V^-1 W^T z of all blocks (all their unknowns, q), for z (u + 1, q) of the reduced system, last
     row zero.
     """
-    dim, _, slot_first, slot_group, at_v, at_g, at_w, runs, _ = blocks
-    mixed, width = normals[3], index.shape[1]
+    dim, runs, slot_first, slot_group = blocks.size, blocks.runs, blocks.first_slot, blocks.slot_group
+    at_v, at_g, at_w, width = blocks.normals_at, blocks.slope_at, blocks.mixed_at, index.shape[1]
     out = np.zeros((dim.sum(), z.shape[1]))
     for r in range(runs.size - 1):
         b, count = runs[r], runs[r + 1] - runs[r]
@@ -224,10 +237,13 @@ def carry_down(blocks, normals, inverse, index, z):  # type: ignore[no-untyped-d
 
 
 @kernel(fastmath=FAST)
-def carry_up(blocks, normals, inverse, index, unknowns, z):  # type: ignore[no-untyped-def]
+def carry_up(
+    blocks: Blocks, mixed: Array, inverse: Array, index: Array, unknowns: int, z: Array
+) -> tuple[Array, Array, Array]:
     """Return W V^-1 z (u, q), V^-1 z and the sum of z^T V^-1 z (q, q), for z (all unknowns of the blocks, q)."""
-    dim, _, slot_first, slot_group, at_v, at_g, at_w, runs, _ = blocks
-    mixed, width, columns = normals[3], index.shape[1], z.shape[1]
+    dim, runs, slot_first, slot_group = blocks.size, blocks.runs, blocks.first_slot, blocks.slot_group
+    at_v, at_g, at_w = blocks.normals_at, blocks.slope_at, blocks.mixed_at
+    width, columns = index.shape[1], z.shape[1]
     out, square, every = np.zeros((unknowns, columns)), np.zeros((columns, columns)), np.zeros_like(z)
     for r in range(runs.size - 1):
         b, count = runs[r], runs[r + 1] - runs[r]

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.calibration.bundle.kernels import LENS
-from mosca.calibration.bundle.layout import Layout
+from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.calibration.bundle.problem import Problem
-from mosca.calibration.bundle.rotations import weighted_pose
+from mosca.calibration.bundle.rotations import observed_pose
+from mosca.calibration.bundle.tables import State
 from mosca.data.arrays import Array
 
 
@@ -27,7 +28,7 @@ class LensPrior:
 Priors = tuple[LensPrior, ...]
 
 
-def lens_priors(problem: Problem, layout: Layout) -> Priors:
+def lens_priors(problem: Problem, layout: NormalsLayout) -> Priors:
     """Return the priors that the problem states of lens parameters."""
     found = []
     for column, camera, parameter, name in free_lens_parameters(problem, layout):
@@ -37,7 +38,7 @@ def lens_priors(problem: Problem, layout: Layout) -> Priors:
     return tuple(found)
 
 
-def free_lens_parameters(problem: Problem, layout: Layout) -> list[tuple[int, int, int, str]]:
+def free_lens_parameters(problem: Problem, layout: NormalsLayout) -> list[tuple[int, int, int, str]]:
     """Return column, camera, parameter and name of each free lens parameter; of "f_px" the parameter is fx."""
     found = []
     seen: set[int] = set()
@@ -50,7 +51,7 @@ def free_lens_parameters(problem: Problem, layout: Layout) -> list[tuple[int, in
 
 
 def pulls(
-    problem: Problem, layout: Layout, priors: Priors, state: tuple[Array, ...]
+    problem: Problem, layout: NormalsLayout, priors: Priors, state: State
 ) -> tuple[tuple[Array, Array] | None, float]:
     """Return normal matrix (u, u) and slope (u,) of all that is known beforehand, and its cost; None if
     nothing is.
@@ -75,7 +76,7 @@ def pulls(
         own_normals, own_slope = np.zeros((6, 6)), np.zeros(6)
         weight = np.divide(1.0, sigma, out=np.zeros(6), where=sigma > 0)
         given = np.concatenate([pose.rotation.ravel(), pose.translation])
-        cost += weighted_pose(cameras[c], given, weight, own_normals, own_slope)
+        cost += observed_pose(cameras[c], given, weight, own_normals, own_slope)
         free = np.flatnonzero(layout.index[c, :6] >= 0)
         columns = layout.index[c, free]
         normals[np.ix_(columns, columns)] += own_normals[np.ix_(free, free)]
@@ -91,7 +92,7 @@ def pulls(
     return (normals, slope), cost
 
 
-def _kept_rods(layout: Layout, points: Array, normals: Array, slope: Array) -> float:
+def _kept_rods(layout: NormalsLayout, points: Array, normals: Array, slope: Array) -> float:
     rods, cost = layout.kept_rods, 0.0
     cameras = len(layout.index) - len(layout.kept)
     first_column = dict(zip(layout.kept.tolist(), layout.index[cameras:, 0].tolist(), strict=True))
@@ -108,13 +109,15 @@ def _kept_rods(layout: Layout, points: Array, normals: Array, slope: Array) -> f
     return cost
 
 
-def count(problem: Problem, layout: Layout, priors: Priors) -> int:
+def count(problem: Problem, layout: NormalsLayout, priors: Priors) -> int:
     """Return how many observations beside image points the adjustment has: lengths and all that is known
     beforehand.
     """
     poses = sum(0 < sigma < np.inf for one in problem.cameras for sigma in one.pose_sigma)
-    lengths = len(layout.known[6]) + len(layout.kept_rods)
-    placements = int((layout.known[4][layout.placed] > 0).sum()) if layout.known[4].size else 0
+    lengths = len(layout.known.distances) + len(layout.kept_rods)
+    placements = (
+        int((layout.known.pose_weight[layout.placed] > 0).sum()) if layout.known.pose_weight.size else 0
+    )
     points = 0
     if problem.points.information is not None:
         own = np.concatenate([layout.members, layout.kept])

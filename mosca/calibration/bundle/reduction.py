@@ -1,5 +1,5 @@
-"""Elimination of the blocks of a bundle adjustment, and the way back; compiled. The names are
-``kernels``'.
+"""Elimination of the blocks of a bundle adjustment, and the way back; compiled. Notation as in
+``kernels``.
 
 Blocks of one size that touch the same groups follow each other: a *run* of them is one matrix, W^T of all of
 them (rows by unknowns of the blocks, columns by slots), as ``normals`` lays it out.
@@ -8,6 +8,8 @@ them (rows by unknowns of the blocks, columns by slots), as ``normals`` lays it 
 import numpy as np
 
 from mosca.calibration.bundle.lenses import FAST
+from mosca.calibration.bundle.tables import Blocks, NormalEquations
+from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel, step
 
 SINGULAR_PIVOT = 1e-13
@@ -18,7 +20,7 @@ MOST_ROWS = 384
 
 
 @step(fastmath=FAST)
-def invert(matrix, at, n, damping, lower, inverse):  # type: ignore[no-untyped-def]
+def invert(matrix: Array, at: int, n: int, damping: float, lower: Array, inverse: Array) -> None:
     """Invert the symmetric n x n block at ``matrix[at:]``, its diagonal times 1 + damping, by Cholesky's
     method.
 
@@ -52,7 +54,7 @@ def invert(matrix, at, n, damping, lower, inverse):  # type: ignore[no-untyped-d
 
 
 @step(fastmath=FAST)
-def invert_three(m, at, damping, out):  # type: ignore[no-untyped-def]
+def invert_three(m: Array, at: int, damping: float, out: Array) -> None:
     """``invert`` for a 3 x 3 block, written out: most blocks are one point."""
     d0, d1, d2 = m[at] * (1 + damping), m[at + 4] * (1 + damping), m[at + 8] * (1 + damping)
     p0 = 1 / d0 if d0 > 0 else 0.0
@@ -73,7 +75,7 @@ def invert_three(m, at, damping, out):  # type: ignore[no-untyped-def]
 
 
 @step(fastmath=FAST)
-def _carry(inverse, at, n, size, own, each, out):  # type: ignore[no-untyped-def]
+def _carry(inverse: Array, at: int, n: int, size: int, own: Array, each: Array, out: Array) -> None:
     """Write W V^-1 of a run (columns, n size) into ``out``.
 
     ``own``: its W; ``each`` (n n, size): room for its V^-1, element by element.
@@ -98,7 +100,7 @@ def _carry(inverse, at, n, size, own, each, out):  # type: ignore[no-untyped-def
 
 
 @step(fastmath=FAST)
-def _products(own, carried, out):  # type: ignore[no-untyped-def]
+def _products(own: Array, carried: Array, out: Array) -> None:
     """Write own carried^T (columns, columns), which is symmetric: half of it, two lines by two at once, is summed.
 
     Columns are even (``layout.LANE``). For these sizes about twice as fast as a general matrix product.
@@ -119,13 +121,22 @@ def _products(own, carried, out):  # type: ignore[no-untyped-def]
 
 
 @kernel(fastmath=FAST)
-def reduce_to_groups(blocks, normals, damping, inverse, pairs, reduced_slope):  # type: ignore[no-untyped-def]
+def reduce_to_groups(
+    blocks: Blocks,
+    normals: NormalEquations,
+    damping: float,
+    inverse: Array,
+    pairs: Array,
+    reduced_slope: Array,
+) -> None:
     """Eliminate the blocks: writes W V^-1 W^T into ``pairs`` and g - W V^-1 g_blocks into ``reduced_slope``.
 
     ``pairs`` (n_pairs, K, K) is by pairs of groups, the lower group first; ``inverse`` keeps the V^-1.
     """
-    dim, _, slot_first, slot_group, at_v, at_g, at_w, runs, _ = blocks
-    _, _, group_slope, mixed, block_normals, block_slope, pair_of, _ = normals
+    dim, runs, slot_first, slot_group = blocks.size, blocks.runs, blocks.first_slot, blocks.slot_group
+    at_v, at_g, at_w = blocks.normals_at, blocks.slope_at, blocks.mixed_at
+    group_slope, mixed, pair_of = normals.group_slope, normals.mixed, normals.pair_of
+    block_normals, block_slope = normals.blocks, normals.block_slope
     width = group_slope.shape[1]
     lower = np.zeros((dim.max(), dim.max()))
     pairs[:] = 0
@@ -165,12 +176,12 @@ def reduce_to_groups(blocks, normals, damping, inverse, pairs, reduced_slope):  
 
 
 @kernel(fastmath=FAST)
-def scatter(normals, pairs, index, damping, out):  # type: ignore[no-untyped-def]
+def scatter(normals: NormalEquations, pairs: Array, index: Array, damping: float, out: Array) -> None:
     """Write the reduced normal matrix ``out`` (n, n); ``index`` (groups, K) holds each group's columns in it.
 
     ``pairs``: what the elimination takes away. Groups may share columns (a common lens).
     """
-    group_normals, cross, _, _, _, _, pair_of, _ = normals
+    group_normals, cross, pair_of = normals.groups, normals.cross, normals.pair_of
     groups, width = index.shape
     out[:] = 0
     for a in range(groups):
@@ -195,13 +206,21 @@ def scatter(normals, pairs, index, damping, out):  # type: ignore[no-untyped-def
 
 
 @kernel(fastmath=FAST)
-def back_substitute(blocks, normals, damping, inverse, group_step, block_step):  # type: ignore[no-untyped-def]
+def back_substitute(
+    blocks: Blocks,
+    normals: NormalEquations,
+    damping: float,
+    inverse: Array,
+    group_step: Array,
+    block_step: Array,
+) -> float:
     """Write the step of every block, given that of the groups (groups, K); return the blocks' promised
     decrease.
     """
-    dim, _, slot_first, slot_group, at_v, at_g, at_w, runs, _ = blocks
-    _, _, group_slope, mixed, block_normals, block_slope, _, _ = normals
-    width = group_slope.shape[1]
+    dim, runs, slot_first, slot_group = blocks.size, blocks.runs, blocks.first_slot, blocks.slot_group
+    at_v, at_g, at_w = blocks.normals_at, blocks.slope_at, blocks.mixed_at
+    mixed, block_normals, block_slope = normals.mixed, normals.blocks, normals.block_slope
+    width = normals.group_slope.shape[1]
     promised = 0.0
     for r in range(runs.size - 1):
         b, size = runs[r], runs[r + 1] - runs[r]
@@ -227,23 +246,23 @@ def back_substitute(blocks, normals, damping, inverse, group_step, block_step): 
 
 
 @kernel
-def sorted_by(key, size, before):  # type: ignore[no-untyped-def]
+def sorted_by(key: Array, size: int, before: Array) -> Array:
     """Return the order ``before`` (n,) sorted by ``key`` (n,), whole numbers below ``size``, by counting: equal ones
     stay as they stand.
     """
-    order, place = np.empty(before.size, np.int64), np.zeros(size + 1, np.int64)
+    order, first = np.empty(before.size, np.int64), np.zeros(size + 1, np.int64)
     for m in range(key.size):
-        place[key[m] + 1] += 1
+        first[key[m] + 1] += 1
     for k in range(size):
-        place[k + 1] += place[k]
+        first[k + 1] += first[k]
     for m in before:
-        order[place[key[m]]] = m
-        place[key[m]] += 1
+        order[first[key[m]]] = m
+        first[key[m]] += 1
     return order
 
 
 @kernel
-def find_runs(dim, slot_first, slot_group):  # type: ignore[no-untyped-def]
+def find_runs(dim: Array, slot_first: Array, slot_group: Array) -> Array:
     """Return where the runs of blocks begin, and their end: same size, same groups, at most MOST_ROWS
     unknowns.
     """
@@ -270,7 +289,9 @@ def find_runs(dim, slot_first, slot_group):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def pair_table(slot_first, slot_group, kept, cameras, groups):  # type: ignore[no-untyped-def]
+def pair_table(
+    slot_first: Array, slot_group: Array, kept: Array, cameras: Array, groups: int
+) -> tuple[Array, int]:
     """Number the pairs of groups (groups, groups), lower first, that a block or observation joins; -1
     elsewhere.
     """

@@ -1,14 +1,16 @@
-"""Turns of cameras and placements, and what is known of poses and points beforehand; compiled."""
+"""Rotations of cameras and placements, and a-priori values of poses and points as observations; compiled."""
 
 import numpy as np
 
+from mosca.calibration.bundle.tables import Blocks, Known, NormalEquations, State
+from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel, step
 
 
 @kernel
-def turn_on(rotation, step):  # type: ignore[no-untyped-def]
-    """Turn rotations (n, 9 or more; the first nine, row by row) about their own axes by vectors (n, 3): R
-    exp([w]x).
+def rotate_by(rotation: Array, step: Array) -> None:
+    """Rotate (n, 9 or more; the first nine, row by row) in place about their own axes by vectors (n, 3):
+    R exp([w]x).
     """
     e, r = np.empty((3, 3)), np.empty(9)
     for n in range(rotation.shape[0]):
@@ -27,8 +29,8 @@ def turn_on(rotation, step):  # type: ignore[no-untyped-def]
 
 
 @step
-def log_turn(r):  # type: ignore[no-untyped-def]
-    """Rotation matrix (3, 3) -> rotation vector, its three numbers, for turns well below half a turn."""
+def rotation_vector(r: Array) -> tuple[float, float, float]:
+    """Rotation matrix (3, 3) -> rotation vector, its three components, for angles well below pi."""
     x, y, z = (r[2, 1] - r[1, 2]) / 2, (r[0, 2] - r[2, 0]) / 2, (r[1, 0] - r[0, 1]) / 2
     sine = np.sqrt(x * x + y * y + z * z)
     angle = np.arctan2(sine, (r[0, 0] + r[1, 1] + r[2, 2] - 1) / 2)
@@ -37,11 +39,11 @@ def log_turn(r):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def weighted_pose(pose, given, weight, normals, slope):  # type: ignore[no-untyped-def]
+def observed_pose(pose: Array, given: Array, weight: Array, normals: Array, slope: Array) -> float:
     """Add an observed pose to ``normals`` (6, 6), ``slope`` (6,); ``weight`` (6,) 1/sigma; return its cost.
 
-    ``pose``, ``given`` (12,): rotation row by row, position. The turn's residual is log(R0^T R), whose
-    derivative by a further turn is the inverse right Jacobian of SO(3) (Chirikjian 2011, eq. 10.86): I + [p]x
+    ``pose``, ``given`` (12,): rotation row by row, position. The rotation's residual is log(R0^T R), whose
+    derivative by a further rotation is the inverse right Jacobian of SO(3) (Chirikjian 2011, eq. 10.86): I + [p]x
     / 2 + (1/a^2 - (1 + cos a) / (2 a sin a)) [p]x^2.
     """
     r = np.zeros((3, 3))
@@ -49,7 +51,7 @@ def weighted_pose(pose, given, weight, normals, slope):  # type: ignore[no-untyp
         for k in range(3):
             for n in range(3):
                 r[i, k] += given[3 * n + i] * pose[3 * n + k]
-    x, y, z = log_turn(r)
+    x, y, z = rotation_vector(r)
     a2 = x * x + y * y + z * z
     a = np.sqrt(a2)
     c = 1 / 12.0 if a < 1e-4 else 1 / a2 - (1 + np.cos(a)) / (2 * a * np.sin(a))
@@ -73,14 +75,14 @@ def weighted_pose(pose, given, weight, normals, slope):  # type: ignore[no-untyp
 
 
 @kernel
-def weighted_blocks(state, blocks, known, normals):  # type: ignore[no-untyped-def]
+def observed_blocks(state: State, blocks: Blocks, known: Known, normals: NormalEquations) -> float:
     """Add the observed coordinates of eliminated points and the observed poses of placements; return their
     cost.
     """
-    _, points, placements = state
-    dim, _, _, _, at_v, at_g, _, _, member = blocks
-    given, information, pose_block, given_placements, pose_weight, _, _, _ = known
-    _, _, _, _, block_normals, block_slope, _, _ = normals
+    points, given, information = state.points, known.points, known.information
+    dim, at_v, at_g, member = blocks.size, blocks.normals_at, blocks.slope_at, blocks.members
+    pose_block, pose_weight = known.pose_block, known.pose_weight
+    block_normals, block_slope = normals.blocks, normals.block_slope
     cost = 0.0
     if information.size:
         for k in range(member.shape[0]):
@@ -100,5 +102,5 @@ def weighted_blocks(state, blocks, known, normals):  # type: ignore[no-untyped-d
             if b > 0:
                 own = block_normals[at_v[b] : at_v[b] + 36].reshape(6, 6)
                 slope = block_slope[at_g[b] : at_g[b] + 6]
-                cost += weighted_pose(placements[f], given_placements[f], pose_weight[f], own, slope)
+                cost += observed_pose(state.placements[f], known.placements[f], pose_weight[f], own, slope)
     return cost

@@ -23,12 +23,12 @@ from mosca.calibration.bundle.adjustment import Adjustment, Precision, precision
 from mosca.calibration.bundle.data_snooping import snoop, without_lonely
 from mosca.calibration.bundle.datum import check_datum, generators, null_generators, weak_directions
 from mosca.calibration.bundle.initial_points import intersected
+from mosca.calibration.bundle.inner_constraints import diagonals, onto_given
 from mosca.calibration.bundle.kernels import CAUCHY, HUBER, LEAST_SQUARES, LENS, UNSEEN, weigh
-from mosca.calibration.bundle.layout import Layout, lay_out
+from mosca.calibration.bundle.layout import NormalsLayout, layout_of
 from mosca.calibration.bundle.levenberg_marquardt import (
     Descent,
     Solution,
-    State,
     Task,
     adjusted_cameras,
     descend,
@@ -40,7 +40,6 @@ from mosca.calibration.bundle.levenberg_marquardt import (
     residuals,
     state_of,
 )  # fmt: skip
-from mosca.calibration.bundle.network import diagonals, onto_given
 from mosca.calibration.bundle.priors import Priors, count, lens_priors, pulls
 from mosca.calibration.bundle.problem import (
     FOCAL,
@@ -53,6 +52,7 @@ from mosca.calibration.bundle.problem import (
     Placements,
     Problem,
 )  # fmt: skip
+from mosca.calibration.bundle.tables import Loss, State
 from mosca.data.arrays import Array, read_only
 from mosca.errors import CalibrationError
 
@@ -95,13 +95,11 @@ def solve(
     CalibrationError where the datum or an unknown is not determined.
     """
     settings = settings or BundleSettings()
-    layout = lay_out(problem)
+    layout = layout_of(problem)
     state = first_state(problem, layout) if start is None else _state_of(problem, layout, start)
-    robust = (LOSSES[settings.loss], settings.loss_scale**2)
-    task = Task(
-        problem, layout, lens_priors(problem, layout), robust, settings.tolerance, settings.most_steps
-    )
-    weight = without_lonely(layout, layout.see[4])
+    loss = Loss(LOSSES[settings.loss], settings.loss_scale**2)
+    task = Task(problem, layout, lens_priors(problem, layout), loss, settings.tolerance, settings.most_steps)
+    weight = without_lonely(layout, layout.observations.weight)
     task, solution, weak, steps = _solved(task, state, weight, settings.hold_weak)
     held = tuple(layout.names[one.column] for one in task.priors[len(lens_priors(problem, layout)) :])
     rejected = np.zeros(len(layout.order), dtype=bool)
@@ -115,11 +113,11 @@ def solve(
     if settings.precision:
         if problem.datum == "points":
             solution = _solution_at(task, solution)
-        cofactors, tests = tested(layout, solution, robust)
+        cofactors, tests = tested(layout, solution, loss)
         precision = precision_of(problem, layout, solution, cofactors, tests, variance)
     descent = solution.descent
     # a common motion changes no residual
-    own = descent.normals[-1] if (solution.weight > 0).all() else residuals(layout, descent.state)
+    own = descent.normals.residuals_px if (solution.weight > 0).all() else residuals(layout, descent.state)
     used, out, residual = np.empty(len(own), dtype=bool), np.empty(len(own), dtype=bool), np.empty_like(own)
     used[layout.order] = (solution.weight > 0) & np.isfinite(own[:, 0])
     out[layout.order], residual[layout.order] = rejected, -own
@@ -156,7 +154,7 @@ def _solved(
         descent = descend(task, state, weight)
         steps += descent.steps
         for _ in range(PLACING_ROUNDS):
-            again = placed_again(task, descent.state, descent.normals[-1], weight)
+            again = placed_again(task, descent.state, descent.normals.residuals_px, weight)
             if again is None:
                 break
             other = descend(task, again, weight)
@@ -175,7 +173,9 @@ def _solved(
         if not (more and hold_weak):
             break
         # near their starting values, wherever they have crept
-        more = tuple(replace(one, value=float(first[0][one.camera, LENS + one.parameter])) for one in more)
+        more = tuple(
+            replace(one, value=float(first.cameras[one.camera, LENS + one.parameter])) for one in more
+        )
         task, state = replace(task, priors=task.priors + more), descent.state
     return task, Solution(descent, weight, _inverse(task.layout, matrix), inverse, motions), weak, steps
 
@@ -194,7 +194,7 @@ def _normal_matrix(task: Task, descent: Descent) -> tuple[Array, Array, int]:
     loose.
     """
     pull, _ = pulls(task.problem, task.layout, task.priors, descent.state)
-    inverse = np.empty_like(descent.normals[4])
+    inverse = np.empty_like(descent.normals.blocks)
     matrix, _ = reduced(task.layout, descent.normals, pull, 0.0, inverse)
     if len(matrix) == 0:
         return matrix, inverse, 0
@@ -208,7 +208,7 @@ def _normal_matrix(task: Task, descent: Descent) -> tuple[Array, Array, int]:
     return matrix, inverse, loose.shape[1]
 
 
-def _inverse(layout: Layout, matrix: Array) -> Array:
+def _inverse(layout: NormalsLayout, matrix: Array) -> Array:
     if len(matrix) == 0:
         return matrix
     scale = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
@@ -230,7 +230,7 @@ def _variance(task: Task, solution: Solution) -> tuple[float, int]:
     redundancy = 2 * active + count(task.problem, layout, task.priors) - len(layout.names) - determined
     redundancy += solution.motions if task.problem.datum == "points" else 0
     # a point that is not seen has a cost, but is no observation
-    unseen = descent.unseen * weigh(2 * UNSEEN**2, *task.robust)[0]
+    unseen = descent.unseen * weigh(2 * UNSEEN**2, task.loss)[0]
     return max(descent.cost - unseen, 0.0) / max(redundancy, 1), redundancy
 
 
@@ -244,12 +244,12 @@ def _snooped(task: Task, solution: Solution, significance: float) -> tuple[Solut
 
     def test(one: Solution) -> tuple[Array, float, int]:
         variance, redundancy = _variance(task, one)
-        return tested(task.layout, one, task.robust)[1][:, 5], variance * redundancy, redundancy
+        return tested(task.layout, one, task.loss)[1][:, 5], variance * redundancy, redundancy
 
     return snoop(task.layout, solution, significance, solve_again, test)
 
 
-def _state_of(problem: Problem, layout: Layout, start: Adjustment) -> State:
+def _state_of(problem: Problem, layout: NormalsLayout, start: Adjustment) -> State:
     """Return the state of an earlier adjustment of the same structure."""
     points = np.where(np.isfinite(start.points), start.points, problem.points.xyz)
     return state_of(problem, start.cameras, intersected(start.cameras, layout, points), start.placements)

@@ -22,7 +22,7 @@ ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Projective:
+class ProjectiveReconstruction:
     """Projection matrices (k, 3, 4) of ``cameras`` (k indices), homogeneous ``points`` (p, 4), NaN where
     unknown, and which image points (k, p) of them agree.
     """
@@ -34,7 +34,7 @@ class Projective:
 
 
 @dataclass(frozen=True, eq=False)
-class Metric:
+class MetricGuess:
     """A metric guess: ``focal`` (k,) in half diagonals, camera_from_world ``rotation`` (k, 3, 3), ``centre`` (k, 3);
     ``cost``: how unlike real cameras they were.
     """
@@ -61,7 +61,9 @@ def pair_matrices(fundamental: Array, focal: tuple[float, float]) -> Array:
     return np.asarray(both @ upgrade)
 
 
-def grown(start: Projective, xy: Array, fewest: int, most: int, rng: np.random.Generator) -> Projective:
+def grown(
+    start: ProjectiveReconstruction, xy: Array, fewest: int, most: int, rng: np.random.Generator
+) -> ProjectiveReconstruction:
     """Add cameras to a projective reconstruction as long as they see ``fewest`` of its points, ``most`` in all.
 
     ``xy`` (c, p, 2): plain image points of all cameras, NaN where unseen. Projection matrices and points are
@@ -86,21 +88,25 @@ def grown(start: Projective, xy: Array, fewest: int, most: int, rng: np.random.G
     return one
 
 
-def _with(one: Projective, camera: int, found: Robust, there: Array, xy: Array) -> Projective:
+def _with(
+    one: ProjectiveReconstruction, camera: int, found: Robust, there: Array, xy: Array
+) -> ProjectiveReconstruction:
     # points that the new camera contradicts may be wrong themselves, those it alone joins to another are new
     good = np.isfinite(xy[camera]).all(axis=1)
     good[np.flatnonzero(there)[~found.inliers]] = False
     cameras = (*one.cameras, camera)
     matrices = np.concatenate([one.matrices, found.matrix[None]])
-    return _intersected(Projective(cameras, matrices, one.points, np.vstack([one.good, good])), xy)
+    return _intersected(
+        ProjectiveReconstruction(cameras, matrices, one.points, np.vstack([one.good, good])), xy
+    )
 
 
-def _intersected(one: Projective, xy: Array) -> Projective:
+def _intersected(one: ProjectiveReconstruction, xy: Array) -> ProjectiveReconstruction:
     trusted = np.where(one.good[:, :, None], xy[list(one.cameras)], np.nan)
-    return Projective(one.cameras, one.matrices, intersect(one.matrices, trusted), one.good)
+    return ProjectiveReconstruction(one.cameras, one.matrices, intersect(one.matrices, trusted), one.good)
 
 
-def _again(one: Projective, xy: Array, rng: np.random.Generator) -> Projective:
+def _again(one: ProjectiveReconstruction, xy: Array, rng: np.random.Generator) -> ProjectiveReconstruction:
     matrices, good = one.matrices.copy(), one.good.copy()
     for k, camera in enumerate(one.cameras):
         there = np.flatnonzero(np.isfinite(one.points).all(axis=1) & np.isfinite(xy[camera]).all(axis=1))
@@ -108,10 +114,10 @@ def _again(one: Projective, xy: Array, rng: np.random.Generator) -> Projective:
         if np.median(transfer(matrices[k], one.points[there], xy[camera, there])) > found.median:
             matrices[k] = found.matrix
         good[k, there] = found.inliers
-    return _intersected(Projective(one.cameras, matrices, one.points, good), xy)
+    return _intersected(ProjectiveReconstruction(one.cameras, matrices, one.points, good), xy)
 
 
-def metric_guesses(one: Projective, most: int) -> list[Metric]:
+def metric_guesses(one: ProjectiveReconstruction, most: int) -> list[MetricGuess]:
     """Return up to ``most`` metric guesses of a projective reconstruction, the likeliest first."""
     # distances from the other camera's focal length tell apart what lies on one valley
     focal = np.geomspace(*FOCAL_RANGE, GRID)
@@ -121,7 +127,7 @@ def metric_guesses(one: Projective, most: int) -> list[Metric]:
     canonical = one.matrices @ np.linalg.inv(to_first)
     points = one.points[np.isfinite(one.points).all(axis=1)] @ to_first.T
     signs = [_costs(canonical, points, sign, first, second) for sign in (1.0, -1.0)]
-    found: list[tuple[float, Metric]] = []
+    found: list[tuple[float, MetricGuess]] = []
     for cost, upgrades in signs:
         grid = cost.reshape(GRID, GRID)
         for i, j in minima(grid)[:most]:
@@ -200,7 +206,7 @@ def _front_share(matrices: Array, points: Array, upgrades: Array) -> Array:
     return np.asarray(front / len(matrices))
 
 
-def _metric(matrices: Array, cost: float) -> Metric:
+def _metric(matrices: Array, cost: float) -> MetricGuess:
     """Return metric cameras nearest to upgraded matrices (k, 3, 4)."""
     fx, fy, *_ = _interior(matrices[:, :, :3])
     focal = np.clip(np.sqrt(fx * fy), *FOCAL_RANGE)
@@ -210,4 +216,4 @@ def _metric(matrices: Array, cost: float) -> Metric:
         turn = turn * np.sign(np.linalg.det(turn)) / np.linalg.norm(turn[2])
         rotation.append(nearest_rotation(turn)[0])
         centre.append(-np.linalg.solve(matrix[:, :3], matrix[:, 3]))
-    return Metric(focal, np.array(rotation), np.array(centre), cost)
+    return MetricGuess(focal, np.array(rotation), np.array(centre), cost)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.calibration.robust import SIGMA_BY_MEDIAN_1D
+from mosca.calibration.common.robust_fit import SIGMA_BY_MEDIAN_1D
 from mosca.data.arrays import Array
 
 FOCAL_RANGE = (0.45, 16.0)

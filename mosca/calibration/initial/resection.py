@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import rq
 
-from mosca.calibration.robust import SIGMA_BY_MEDIAN_2D
+from mosca.calibration.common.robust_fit import SIGMA_BY_MEDIAN_2D
 from mosca.camera.projection import lens_directions, lens_pixels
 from mosca.data.arrays import Array
 from mosca.data.rig import FisheyeLens, OpenCVLens, Pose

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mosca.calibration.robust import SIGMA_BY_MEDIAN_2D
+from mosca.calibration.common.robust_fit import SIGMA_BY_MEDIAN_2D
 from mosca.camera.projection import cross_matrices
 from mosca.data.arrays import Array
 from mosca.data.rig import Pose

@@ -5,7 +5,7 @@ other cameras see, with all cameras' information on each other (Baarda 1968's te
 shift against all residuals). Sums over the last frames are tested; the body's shake of whole images is part of
 their covariance. A bump too large for the matching shows as a camera whose images all miss by one shift.
 
-    watch = RigWatch(rig)
+    watch = BumpDetector(rig)
     for step in run(source, rig):
         alarm = watch.update(step)
         if alarm and alarm.camera:
@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from mosca.calibration.monitoring.large_shift import LostImages
-from mosca.calibration.monitoring.residual_sums import FrameSums, frame_sums
+from mosca.calibration.monitoring.large_shift import LargeShiftDetector
+from mosca.calibration.monitoring.rotation_information import FrameSums, frame_sums
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.rig import Rig
@@ -29,7 +29,7 @@ from mosca.pipeline import Step
 
 
 @dataclass(frozen=True)
-class WatchSettings:
+class BumpSettings:
     """When a camera is taken for bumped.
 
     ``windows``: numbers of last frames that are tested; ``significance``: chance of a false alarm at one test;
@@ -84,14 +84,14 @@ class Alarm:
         return f"camera '{self.camera}' was bumped: {size}; re-orient it from the tracked points, and fix its mount"
 
 
-class RigWatch:
+class BumpDetector:
     """Watches a rig for bumped cameras; ``update`` takes each frame set's points and says so at most once a bump."""
 
-    def __init__(self, rig: Rig, settings: WatchSettings | None = None) -> None:
-        self.settings = settings or WatchSettings()
+    def __init__(self, rig: Rig, settings: BumpSettings | None = None) -> None:
+        self.settings = settings or BumpSettings()
         self.rig = rig
         self._frames: deque[FrameSums] = deque(maxlen=max(self.settings.windows))
-        self._lost = LostImages(rig, self.settings.lost_share, self.settings.lost_frames)
+        self._lost = LargeShiftDetector(rig, self.settings.lost_share, self.settings.lost_frames)
         self._count = 0
         self._limit = float(chi2.isf(self.settings.significance, 3))
 
@@ -113,7 +113,7 @@ class RigWatch:
         """Forget all frames and go on with ``rig``, in which the bumped camera has its new pose."""
         self.rig = rig
         self._frames.clear()
-        self._lost = LostImages(rig, self.settings.lost_share, self.settings.lost_frames)
+        self._lost = LargeShiftDetector(rig, self.settings.lost_share, self.settings.lost_frames)
 
     def _shifted(self) -> Alarm | None:
         every = list(self._frames)

@@ -22,7 +22,7 @@ LEAST_VOTES = 8.0
 
 
 @dataclass(frozen=True)
-class Lost:
+class LargeShift:
     """A camera that misses the points by ``shift_px`` since a frame; ``chi_square`` of the votes for the shift."""
 
     camera: str
@@ -31,14 +31,14 @@ class Lost:
     chi_square: float
 
 
-class LostImages:
+class LargeShiftDetector:
     """Counts, camera by camera, which points it should see and does not, and where its unused images lie."""
 
     def __init__(self, rig: Rig, lost_share: float, frames: int) -> None:
         self._rig, self._share, self._frames = rig, lost_share, frames
         self._seen: list[deque[tuple[int, int, int, Array]]] = [deque(maxlen=frames) for _ in rig.cameras]
 
-    def update(self, frame: int, detections: Mapping[str, Detections], points: Points) -> Lost | None:
+    def update(self, frame: int, detections: Mapping[str, Detections], points: Points) -> LargeShift | None:
         """Take a frame; return the camera that lost its points to one common shift, if any."""
         for k, camera in enumerate(self._rig.cameras):
             found = detections.get(camera.name)
@@ -59,7 +59,7 @@ class LostImages:
             self._seen[k].append((frame, met + len(xy), met, _displacements(xy, found.xy_px[free])))
         return next((lost for k in range(len(self._seen)) if (lost := self._judged(k)) is not None), None)
 
-    def _judged(self, k: int) -> Lost | None:
+    def _judged(self, k: int) -> LargeShift | None:
         recent = self._seen[k]
         expected, met = sum(one[1] for one in recent), sum(one[2] for one in recent)
         if len(recent) < self._frames or expected < LEAST_EXPECTED or met >= self._share * expected:
@@ -78,7 +78,7 @@ class LostImages:
         near = np.abs(votes - [edges[best[0] + 1], edges[best[1] + 1]]).max(axis=1) <= BIN_PX
         shift = float(np.linalg.norm(np.median(votes[near], axis=0)))
         since = next(one[0] for one in recent if one[2] < self._share * max(one[1], 1))
-        return Lost(self._rig.names[k], since, shift, (top - mean) ** 2 / max(mean, 1.0))
+        return LargeShift(self._rig.names[k], since, shift, (top - mean) ** 2 / max(mean, 1.0))
 
 
 def _displacements(points: Array, images: Array) -> Array:

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from mosca.calibration.common.robust_fit import SIGMA_BY_MEDIAN_2D
 from mosca.calibration.monitoring.large_shift import REACH_PX
-from mosca.calibration.robust import SIGMA_BY_MEDIAN_2D
 from mosca.camera.projection import project, project_with_jacobians
 from mosca.data.arrays import Array, read_only
 from mosca.data.detections import Detections
@@ -26,7 +26,7 @@ PAIRED_PX = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class CameraObservations:
     """What a camera saw of points that others measured.
 
     ``frame`` (n,); ``xyz`` (n, 3) [m] and ``covariance`` (n, 3, 3) from the other cameras alone; ``xy_px`` (n, 2)
@@ -40,7 +40,7 @@ class Seen:
     covariance_px2: Array
 
     @classmethod
-    def joined(cls, parts: "list[Seen]") -> "Seen":
+    def joined(cls, parts: "list[CameraObservations]") -> "CameraObservations":
         """Return the parts one after the other."""
         return cls(*(np.concatenate([getattr(p, name) for p in parts]) for name in cls.__dataclass_fields__))
 
@@ -73,7 +73,7 @@ def gather(
     detections: Mapping[str, Detections],
     points: Points,
     shift_px: tuple[float, float] | None = None,
-) -> Seen:
+) -> CameraObservations:
     """Return what camera ``name`` saw of a frame's points that two or more others measure, without its own part.
 
     ``shift_px``: (x, y) by which its image is off (``common_shift``), for a bump so large that its images were not
@@ -102,7 +102,7 @@ def gather(
         which = own[rows]
     else:
         rows, which = _paired(rig.camera(name), xyz, met, found, shift_px)
-    return Seen(
+    return CameraObservations(
         np.full(len(rows), frame),
         xyz[rows],
         covariance[rows],
@@ -136,7 +136,10 @@ def common_shift(
 
 
 def reorient(
-    camera: Camera, seen: Seen, body_px: float = 0.03, significance_sigmas: float = OUTLIER_SIGMAS
+    camera: Camera,
+    seen: CameraObservations,
+    body_px: float = 0.03,
+    significance_sigmas: float = OUTLIER_SIGMAS,
 ) -> Reorientation:
     """Resect ``camera`` from ``seen``, its lens held, from its old pose on.
 
@@ -193,7 +196,7 @@ def reorient(
     )
 
 
-def _linearised(camera: Camera, seen: Seen) -> tuple[Array, Array, Array]:
+def _linearised(camera: Camera, seen: CameraObservations) -> tuple[Array, Array, Array]:
     """Return residuals (n, 2), their derivatives by the pose (n, 2, 6) and weights (n, 2, 2)."""
     p = project_with_jacobians(camera, seen.xyz)
     spread = seen.covariance_px2 + p.by_point @ seen.covariance @ np.swapaxes(p.by_point, 1, 2)
@@ -227,8 +230,8 @@ def _paired(
     return rows[good], which[good]
 
 
-def _nothing() -> Seen:
-    return Seen(
+def _nothing() -> CameraObservations:
+    return CameraObservations(
         np.empty(0, dtype=np.int64),
         np.empty((0, 3)),
         np.empty((0, 3, 3)),
@@ -237,7 +240,9 @@ def _nothing() -> Seen:
     )
 
 
-def reoriented(rig: Rig, name: str, seen: Seen, body_px: float = 0.03) -> tuple[Rig, Reorientation]:
+def reoriented(
+    rig: Rig, name: str, seen: CameraObservations, body_px: float = 0.03
+) -> tuple[Rig, Reorientation]:
     """Return the rig with camera ``name`` in its new pose. InputError for a rig of fewer than three cameras."""
     if len(rig.cameras) < 3:
         raise InputError(

@@ -9,8 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.calibration.monitoring.bump_detector import Alarm, RigWatch, WatchSettings
-from mosca.calibration.monitoring.reorient import Reorientation, Seen, common_shift, gather, reoriented
+from mosca.calibration.monitoring.bump_detector import Alarm, BumpDetector, BumpSettings
+from mosca.calibration.monitoring.reorient import (
+    CameraObservations,
+    Reorientation,
+    common_shift,
+    gather,
+    reoriented,
+)
 from mosca.data.detections import Detections
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points
@@ -48,10 +54,10 @@ class Incident:
 class RigKeeper:
     """A keeper of the pipeline: ``rig`` is what holds now, ``incidents`` what happened."""
 
-    def __init__(self, rig: Rig, settings: WatchSettings | None = None, mend: bool = True) -> None:
+    def __init__(self, rig: Rig, settings: BumpSettings | None = None, mend: bool = True) -> None:
         self.rig = rig
         self.incidents: list[Incident] = []
-        self._watch = RigWatch(rig, settings)
+        self._watch = BumpDetector(rig, settings)
         self._mend = mend
         self._body_px = self._watch.settings.body_px
         self._recent: deque[tuple[int, Mapping[str, Detections], Points]] = deque(maxlen=REORIENT_FRAMES)
@@ -93,7 +99,7 @@ class RigKeeper:
                 parts.append(gather(self.rig, name, number, detections, points, shift))
         self._open = None
         try:
-            self.rig, new = reoriented(self.rig, name, Seen.joined(parts), self._body_px)
+            self.rig, new = reoriented(self.rig, name, CameraObservations.joined(parts), self._body_px)
         except MoscaError as error:  # the run goes on with the old rig, and the incident says why
             self.incidents.append(Incident(incident.alarm, incident.at, why_not=str(error)))
         else:

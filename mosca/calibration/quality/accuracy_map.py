@@ -96,7 +96,7 @@ def accuracy_map(
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredPoints:
+class TriangulatedPoints:
     """Points measured with a rig.
 
     ``key`` (p,) rising; ``xyz`` (p, 3) [m]; ``covariance`` (p, 3, 3) from detection [m^2]; ``by_parameter``
@@ -109,9 +109,9 @@ class MeasuredPoints:
     by_parameter: Array
 
 
-def measured_points(
+def triangulated_points(
     calibration: Calibration | Rig, camera: Array, key: Array, xy_px: Array, covariance_px2: Array
-) -> MeasuredPoints:
+) -> TriangulatedPoints:
     """Measure points from n image points: ``camera`` (n,) of the rig saw point ``key`` (n,) at ``xy_px`` (n, 2).
 
     Points that fewer than two cameras see, or whose rays do not meet, are left out.
@@ -130,7 +130,7 @@ def measured_points(
         inverse = np.full_like(total, np.nan)
         inverse[met] = np.linalg.inv(total[met])
         xyz = xyz + np.einsum("nij,nj->ni", inverse, slope)
-    return MeasuredPoints(names[met], xyz[met], inverse[met], -inverse[met] @ pull[met])
+    return TriangulatedPoints(names[met], xyz[met], inverse[met], -inverse[met] @ pull[met])
 
 
 def _normals(

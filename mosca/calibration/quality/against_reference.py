@@ -11,7 +11,7 @@ import numpy as np
 
 from mosca.calibration.quality.findings import refuse, warn
 from mosca.calibration.quality.jacobian import sensitivity
-from mosca.calibration.quality.limits import JudgeSettings
+from mosca.calibration.quality.limits import QualityLimits
 from mosca.camera.projection import project
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
@@ -26,7 +26,7 @@ UNSEEN_PX = 1e4
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _CameraView:
     """What a new camera saw: points (n, 3) of the new world at pixels (n, 2)."""
 
     camera: Camera
@@ -34,7 +34,7 @@ class _Seen:
     xy_px: Array
 
 
-def exchanged(calibration: Calibration, known: Rig, settings: JudgeSettings) -> tuple[Finding, ...]:
+def exchanged(calibration: Calibration, known: Rig, settings: QualityLimits) -> tuple[Finding, ...]:
     """Return a refusal where two cameras fit the earlier rig far better with their names exchanged."""
     seen = _seen(calibration, known)
     if len(seen) < 2:
@@ -65,7 +65,7 @@ def exchanged(calibration: Calibration, known: Rig, settings: JudgeSettings) -> 
     return (refuse("swapped-cameras", text, found[0]),)
 
 
-def moved(calibration: Calibration, known: Rig, settings: JudgeSettings) -> tuple[Finding, ...]:
+def moved(calibration: Calibration, known: Rig, settings: QualityLimits) -> tuple[Finding, ...]:
     """Return the cameras that left their place in the earlier rig, against what most cameras did in common."""
     seen = _seen(calibration, known)
     if len(seen) < 2:
@@ -90,7 +90,7 @@ def moved(calibration: Calibration, known: Rig, settings: JudgeSettings) -> tupl
     return tuple(found)
 
 
-def best_misfit(seen: list[_Seen], assigned: list[Camera]) -> Array:
+def best_misfit(seen: list[_CameraView], assigned: list[Camera]) -> Array:
     """Return the rms difference [px] (c,) of each camera to its assigned earlier one, moved as most cameras say.
 
     Each camera in turn says what the common motion is; the one counts on which most agree.
@@ -116,7 +116,7 @@ def _overall(misfit: Array) -> float:
     return float(np.sqrt(np.mean(misfit**2)))
 
 
-def _misfit(one: _Seen, old: Camera, new_from_old: Pose) -> float:
+def _misfit(one: _CameraView, old: Camera, new_from_old: Pose) -> float:
     moved_camera = replace(old, world_from_camera=new_from_old @ old.world_from_camera)
     with np.errstate(invalid="ignore", over="ignore"):
         off = np.linalg.norm(project(moved_camera, one.points) - one.xy_px, axis=1)
@@ -124,7 +124,7 @@ def _misfit(one: _Seen, old: Camera, new_from_old: Pose) -> float:
     return float(np.sqrt(np.mean(off**2)))
 
 
-def _mean_motion(seen: list[_Seen], assigned: list[Camera]) -> Pose:
+def _mean_motion(seen: list[_CameraView], assigned: list[Camera]) -> Pose:
     """Return the motion that carries the earlier centres and axes onto the new ones, in the mean."""
     pairs = [
         (one.camera.world_from_camera, c.world_from_camera) for one, c in zip(seen, assigned, strict=True)
@@ -136,7 +136,7 @@ def _mean_motion(seen: list[_Seen], assigned: list[Camera]) -> Pose:
     return Pose(rotation, shift)
 
 
-def _seen(calibration: Calibration, known: Rig) -> list[_Seen]:
+def _seen(calibration: Calibration, known: Rig) -> list[_CameraView]:
     """Return what the cameras saw that the earlier rig has too, at most MOST_POINTS each."""
     world, found = calibration.points_in_world(), []
     for k, camera in enumerate(calibration.rig.cameras):
@@ -144,7 +144,7 @@ def _seen(calibration: Calibration, known: Rig) -> list[_Seen]:
         if camera.name in known.names and len(rows):
             rows = rows[:: max(1, -(-len(rows) // MOST_POINTS))]
             # the new camera's own image of the points: noise is no difference
-            found.append(_Seen(camera, world[rows], project(camera, world[rows])))
+            found.append(_CameraView(camera, world[rows], project(camera, world[rows])))
     return found
 
 
@@ -158,7 +158,7 @@ def _same_size(one: Camera, other: Camera) -> bool:
     return (one.width, one.height) == (other.width, other.height)
 
 
-def _own_sigma(calibration: Calibration, one: _Seen) -> float:
+def _own_sigma(calibration: Calibration, one: _CameraView) -> float:
     """Return the standard deviation [px] of the camera's image of its points by its own parameters."""
     k = calibration.rig.names.index(one.camera.name)
     slope = sensitivity(calibration.rig, k, calibration.parameters, one.points)
@@ -167,7 +167,7 @@ def _own_sigma(calibration: Calibration, one: _Seen) -> float:
     return float(np.sqrt(np.mean(spread)))
 
 
-def _motion(seen: list[_Seen], known: Rig, one: _Seen, misfit: Array) -> tuple[float, float]:
+def _motion(seen: list[_CameraView], known: Rig, one: _CameraView, misfit: Array) -> tuple[float, float]:
     """Return by how much a camera shifted [m] and turned [rad] against the camera that fits best."""
     others = [k for k, other in enumerate(seen) if other is not one]
     anchor = seen[min(others, key=lambda k: misfit[k])].camera

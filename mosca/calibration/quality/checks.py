@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from mosca.calibration.quality.against_reference import exchanged, moved
 from mosca.calibration.quality.interior import changed_interior, little_depth, ran_away, weak_parameters
-from mosca.calibration.quality.limits import JudgeSettings
+from mosca.calibration.quality.limits import QualityLimits
 from mosca.calibration.quality.mirror_pose import mirrored_poses
 from mosca.calibration.quality.network import few_views, linked, little_coverage
 from mosca.calibration.quality.residuals import blunders, lens_misfit
@@ -29,7 +29,7 @@ def judge(
     lengths: LengthErrors | None = None,
     volume: tuple[Sequence[float], Sequence[float]] | None = None,
     rigid_target: bool = False,
-    settings: JudgeSettings | None = None,
+    settings: QualityLimits | None = None,
 ) -> tuple[Finding, ...]:
     """Return what a person must know before believing ``calibration``, the gravest first.
 
@@ -38,7 +38,7 @@ def judge(
     will be measured; ``rigid_target``: the places of the world's marks were known beforehand, so that the target
     itself joins cameras that see none of its marks in common.
     """
-    s = settings or JudgeSettings()
+    s = settings or QualityLimits()
     found = [
         *few_views(calibration, s),
         *linked(calibration, s, rigid_target),
@@ -60,7 +60,7 @@ def judge(
     return tuple(sorted(found, key=lambda one: ORDER[one.severity]))
 
 
-def _against(calibration: Calibration, known: Rig, settings: JudgeSettings) -> tuple[Finding, ...]:
+def _against(calibration: Calibration, known: Rig, settings: QualityLimits) -> tuple[Finding, ...]:
     """Return how the calibration differs from an earlier rig; exchanged cameras explain all the rest."""
     swapped = exchanged(calibration, known, settings)
     if swapped:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mosca.calibration.world_frame.similarity import similarity
+from mosca.calibration.common.robust_fit import similarity
 from mosca.camera.projection import image_grid, lens_directions, lens_pixels, project
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Pose, Rig

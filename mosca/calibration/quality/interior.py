@@ -9,7 +9,7 @@ from mosca.calibration.quality.jacobian import (
     principal_distance_column,
     sigma_of_principal_distance,
 )
-from mosca.calibration.quality.limits import JudgeSettings
+from mosca.calibration.quality.limits import QualityLimits
 from mosca.camera.projection import image_grid, lens_directions, lens_pixels
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
@@ -18,7 +18,7 @@ from mosca.data.rig import Camera, FisheyeLens, Rig, principal_distances_px, pri
 DO_AGAIN = "calibrate again with the target filling the image, tilted and at several distances, or hold"
 
 
-def ran_away(calibration: Calibration, settings: JudgeSettings) -> tuple[Finding, ...]:
+def ran_away(calibration: Calibration, settings: QualityLimits) -> tuple[Finding, ...]:
     """Return what in the cameras' interior orientation no real camera has."""
     found: list[Finding] = []
     for k, camera in enumerate(calibration.rig.cameras):
@@ -44,7 +44,7 @@ def ran_away(calibration: Calibration, settings: JudgeSettings) -> tuple[Finding
     return tuple(found)
 
 
-def changed_interior(calibration: Calibration, known: Rig, settings: JudgeSettings) -> tuple[Finding, ...]:
+def changed_interior(calibration: Calibration, known: Rig, settings: QualityLimits) -> tuple[Finding, ...]:
     """Return the cameras whose principal distance is not that of the same camera in ``known``."""
     found = []
     for k, camera in enumerate(calibration.rig.cameras):
@@ -70,7 +70,7 @@ def changed_interior(calibration: Calibration, known: Rig, settings: JudgeSettin
     return tuple(found)
 
 
-def little_depth(calibration: Calibration, settings: JudgeSettings) -> tuple[Finding, ...]:
+def little_depth(calibration: Calibration, settings: QualityLimits) -> tuple[Finding, ...]:
     """Return the cameras whose principal distance and distance look alike to the images."""
     found = []
     for k, camera in enumerate(calibration.rig.cameras):
@@ -161,7 +161,7 @@ def _depths(calibration: Calibration, camera: int) -> Array:
     return np.asarray(np.linalg.norm(seen, axis=1) if isinstance(one.lens, FisheyeLens) else seen[:, 2])
 
 
-def _for_lack_of_depth(calibration: Calibration, camera: int, settings: JudgeSettings) -> bool:
+def _for_lack_of_depth(calibration: Calibration, camera: int, settings: QualityLimits) -> bool:
     held = _principal_distance_name(calibration, camera) in calibration.held
     correlation = abs(distance_correlation(calibration, camera)[0])
     return held or correlation > settings.distance_correlation
@@ -172,7 +172,7 @@ def _principal_distance_name(calibration: Calibration, camera: int) -> str:
     return "" if column is None else calibration.parameters[column]
 
 
-def _impossible_scale(camera: Camera, settings: JudgeSettings) -> str:
+def _impossible_scale(camera: Camera, settings: QualityLimits) -> str:
     widths = principal_distances_px(camera.lens)[0] / camera.width
     low, high = settings.principal_distance_widths
     if low <= widths <= high:
@@ -183,7 +183,7 @@ def _impossible_scale(camera: Camera, settings: JudgeSettings) -> str:
     )
 
 
-def _impossible_centre(camera: Camera, settings: JudgeSettings) -> str:
+def _impossible_centre(camera: Camera, settings: QualityLimits) -> str:
     x, y = principal_point_px(camera.lens)
     off_x, off_y = (x + 0.5) / camera.width - 0.5, (y + 0.5) / camera.height - 0.5
     if max(abs(off_x), abs(off_y)) <= settings.principal_point_share:
@@ -195,7 +195,7 @@ def _impossible_centre(camera: Camera, settings: JudgeSettings) -> str:
     )
 
 
-def _impossible_aspect(camera: Camera, settings: JudgeSettings) -> str:
+def _impossible_aspect(camera: Camera, settings: QualityLimits) -> str:
     off = aspect(camera.lens) - 1
     if abs(off) <= settings.aspect_error:
         return ""
@@ -205,7 +205,7 @@ def _impossible_aspect(camera: Camera, settings: JudgeSettings) -> str:
     )
 
 
-def _impossible_distortion(calibration: Calibration, index: int, settings: JudgeSettings) -> list[Finding]:
+def _impossible_distortion(calibration: Calibration, index: int, settings: QualityLimits) -> list[Finding]:
     """Return a finding where the distortion folds inside the image or moves a corner too far."""
     camera, lens = calibration.rig.cameras[index], calibration.rig.cameras[index].lens
     if _impossible_scale(camera, settings):

@@ -1,15 +1,14 @@
 """How a calibrated rig's projections change with its parameters, by the names that the calibration gives them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from mosca.camera.projection import project_with_jacobians
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration
-from mosca.data.rig import Camera, Lens, MoscaLens, Pose, Rig, principal_distances_px
+from mosca.data.rig import Lens, MoscaLens, Rig, principal_distances_px
 
 POSE_NAMES = ("turn_x_rad", "turn_y_rad", "turn_z_rad", "X_m", "Y_m", "Z_m")
 BOTH_FOCAL = "f_px"
@@ -95,29 +94,3 @@ def principal_distance_column(calibration: Calibration, camera: int) -> int | No
         if f"{owner}.{name}" in calibration.parameters:
             return calibration.parameters.index(f"{owner}.{name}")
     return None
-
-
-def changed_rig(calibration: Calibration, change: Array) -> Rig:
-    """Return the rig with ``change`` (u,) added to the calibration's parameters: turns as R exp([w]x)."""
-    step = dict(zip(calibration.parameters, np.asarray(change, dtype=float).tolist(), strict=True))
-    rig = calibration.rig
-    return Rig(
-        tuple(
-            _changed(camera, lens_owner(rig, k, calibration.parameters), step)
-            for k, camera in enumerate(rig.cameras)
-        )
-    )
-
-
-def _changed(camera: Camera, owner: str, step: dict[str, float]) -> Camera:
-    pose = np.array([step.get(f"{camera.name}.{name}", 0.0) for name in POSE_NAMES])
-    old, lens = camera.world_from_camera, camera.lens
-    turned = old.rotation @ Rotation.from_rotvec(pose[:3]).as_matrix()
-    values = {f.name: getattr(lens, f.name) + step.get(f"{owner}.{f.name}", 0.0) for f in fields(lens)}
-    both = step.get(f"{owner}.{BOTH_FOCAL}", 0.0)
-    if both:
-        values["fy_px"] += both * aspect(lens)
-        values["fx_px"] += both
-    return replace(
-        camera, lens=replace(lens, **values), world_from_camera=Pose(turned, old.translation + pose[3:])
-    )

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class JudgeSettings:
+class QualityLimits:
     """When a calibration is warned of or refused. Shares and ratios are pure numbers.
 
     Interior orientation, which no real camera leaves:

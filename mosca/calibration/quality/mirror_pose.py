@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from mosca.calibration.quality.findings import note, refuse, warn
-from mosca.calibration.quality.limits import JudgeSettings
+from mosca.calibration.quality.limits import QualityLimits
 from mosca.calibration.single_camera.least_squares import ROUGHLY_CONVERGED, fit_camera
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
@@ -22,7 +22,7 @@ MOST_FRAMES = 60
 
 
 @dataclass(frozen=True)
-class Mirror:
+class MirroredPose:
     """The second pose of a camera before a plane.
 
     ``turn_rad`` from the first; ``ratio`` of the two weighted sums of squares (second over first); ``chance``
@@ -34,7 +34,7 @@ class Mirror:
     chance: float
 
 
-def mirrored_poses(calibration: Calibration, settings: JudgeSettings) -> tuple[Finding, ...]:
+def mirrored_poses(calibration: Calibration, settings: QualityLimits) -> tuple[Finding, ...]:
     """Return the cameras and frames whose mirrored pose cannot be told from the one taken."""
     found: list[Finding] = []
     world = calibration.points_in_world()
@@ -52,8 +52,8 @@ def mirrored_poses(calibration: Calibration, settings: JudgeSettings) -> tuple[F
 
 
 def second_pose(
-    calibration: Calibration, camera: Camera, rows: Array, points: Array, settings: JudgeSettings
-) -> Mirror | None:
+    calibration: Calibration, camera: Camera, rows: Array, points: Array, settings: QualityLimits
+) -> MirroredPose | None:
     """Return the mirrored pose of ``camera`` before ``points`` (n, 3) seen as sightings ``rows`` (n,).
 
     The lens is held. None where the points are no plane, or there is no second pose.
@@ -80,7 +80,7 @@ def second_pose(
     total = max(2 * int(calibration.used.sum()) - len(calibration.parameters), 1)
     statistic = max(there.cost - here.cost, 0.0) / variance
     chance = float(f_distribution.sf(statistic, 1, total))
-    return Mirror(angle, float(there.cost / max(here.cost, 1e-300)), chance)
+    return MirroredPose(angle, float(there.cost / max(here.cost, 1e-300)), chance)
 
 
 def _mirrored(camera: Camera, middle: Array, normal: Array) -> Camera:
@@ -107,7 +107,7 @@ def _tied(calibration: Calibration) -> Array:
 
 
 def _alone(
-    calibration: Calibration, index: int, mine: Array, tied: bool, settings: JudgeSettings
+    calibration: Calibration, index: int, mine: Array, tied: bool, settings: QualityLimits
 ) -> list[Finding]:
     """Return what is to say of the placements that only this camera saw."""
     camera = calibration.rig.cameras[index]
@@ -135,7 +135,7 @@ def _alone(
     return [raise_("mirrored-pose", text, camera.name)]
 
 
-def _camera_text(camera: Camera, mirror: Mirror, settings: JudgeSettings) -> str:
+def _camera_text(camera: Camera, mirror: MirroredPose, settings: QualityLimits) -> str:
     return (
         f"camera '{camera.name}': it saw a plane so flatly that the mirrored pose, turned by "
         f"{np.degrees(mirror.turn_rad):.0f} deg, fits as well (sum of squares {mirror.ratio:.3g} times that of the "

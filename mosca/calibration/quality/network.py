@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull, Delaunay, QhullError
 
 from mosca.calibration.quality.findings import note, refuse, warn
 from mosca.calibration.quality.jacobian import lens_owner, own_lens_parameters, principal_distance_column
-from mosca.calibration.quality.limits import JudgeSettings
+from mosca.calibration.quality.limits import QualityLimits
 from mosca.camera.projection import project
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
@@ -20,7 +20,7 @@ CORNERS = {"top left": (0, 0), "top right": (0, -1), "bottom left": (-1, 0), "bo
 VOLUME_CELLS = 6
 
 
-def few_views(calibration: Calibration, settings: JudgeSettings) -> tuple[Finding, ...]:
+def few_views(calibration: Calibration, settings: QualityLimits) -> tuple[Finding, ...]:
     """Return the cameras with too few image points or views to notice a mistake."""
     found = []
     for k, camera in enumerate(calibration.rig.cameras):
@@ -110,7 +110,7 @@ def links(calibration: Calibration, rigid_target: bool = False) -> Array:
 
 
 def linked(
-    calibration: Calibration, settings: JudgeSettings, rigid_target: bool = False
+    calibration: Calibration, settings: QualityLimits, rigid_target: bool = False
 ) -> tuple[Finding, ...]:
     """Return the cameras that no common view joins, or few."""
     names = calibration.rig.names
@@ -242,7 +242,7 @@ def _between(points: Array, places: Array) -> Array:
 
 def little_coverage(
     calibration: Calibration,
-    settings: JudgeSettings,
+    settings: QualityLimits,
     volume: tuple[Sequence[float], Sequence[float]] | None = None,
 ) -> tuple[Finding, ...]:
     """Return the cameras whose image, and whether the ``volume`` (low, high) [m], was covered in part only."""

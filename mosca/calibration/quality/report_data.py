@@ -7,7 +7,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from mosca.calibration.quality.accuracy_map import accuracy_map
-from mosca.calibration.quality.limits import JudgeSettings
+from mosca.calibration.quality.limits import QualityLimits
 from mosca.calibration.quality.network import coverage, links, missing_links
 from mosca.calibration.quality.scale import LengthErrors
 from mosca.data.calibration import Calibration
@@ -27,7 +27,7 @@ def evidence_of(
     comparison: Sequence[str] = (),
     made_from: str = "",
     rigid_target: bool = False,
-    settings: JudgeSettings | None = None,
+    settings: QualityLimits | None = None,
 ) -> CalibrationEvidence:
     """Return the evidence for ``calibration``.
 
@@ -36,7 +36,7 @@ def evidence_of(
     the shake of whole images. The
     other arguments as for ``judge``.
     """
-    settings = settings or JudgeSettings()
+    settings = settings or QualityLimits()
     strength = links(calibration, rigid_target)
     covered = np.array(
         [coverage(calibration, k, settings.cells) for k in range(len(calibration.rig.cameras))]

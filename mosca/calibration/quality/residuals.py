@@ -5,7 +5,7 @@ from scipy.stats import f as f_distribution
 
 from mosca.calibration.quality.findings import refuse, warn
 from mosca.calibration.quality.jacobian import lens_owner, own_lens_parameters
-from mosca.calibration.quality.limits import JudgeSettings
+from mosca.calibration.quality.limits import QualityLimits
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
 
@@ -15,7 +15,7 @@ POINTS_OF_AN_IMAGE = 8
 """Points an image from which its common shift (the body's shake) is taken off first."""
 
 
-def blunders(calibration: Calibration, settings: JudgeSettings) -> tuple[Finding, ...]:
+def blunders(calibration: Calibration, settings: QualityLimits) -> tuple[Finding, ...]:
     """Return the cameras of which a large share of points does not fit."""
     found = []
     # points that nothing places have no residual and are nobody's fault
@@ -36,7 +36,7 @@ def blunders(calibration: Calibration, settings: JudgeSettings) -> tuple[Finding
     return tuple(found)
 
 
-def lens_misfit(calibration: Calibration, settings: JudgeSettings) -> tuple[Finding, ...]:
+def lens_misfit(calibration: Calibration, settings: QualityLimits) -> tuple[Finding, ...]:
     """Return the cameras whose residuals have a pattern over the image beyond chance."""
     found = []
     for k, camera in enumerate(calibration.rig.cameras):

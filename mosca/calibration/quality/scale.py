@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.calibration.quality.accuracy_map import measured_points
+from mosca.calibration.common.robust_fit import SIGMA_BY_MEDIAN_1D
+from mosca.calibration.quality.accuracy_map import triangulated_points
 from mosca.calibration.quality.findings import refuse, warn
-from mosca.calibration.quality.limits import JudgeSettings
-from mosca.calibration.robust import SIGMA_BY_MEDIAN_1D
+from mosca.calibration.quality.limits import QualityLimits
 from mosca.camera.projection import project_with_jacobians
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
@@ -29,7 +29,7 @@ UNITS = {
 
 
 def sizes(
-    calibration: Calibration, target_diameters_m: Array | float, settings: JudgeSettings
+    calibration: Calibration, target_diameters_m: Array | float, settings: QualityLimits
 ) -> tuple[Finding, ...]:
     """Return whether the marks look as large as the calibrated geometry says.
 
@@ -59,7 +59,7 @@ def sizes(
     return (refuse("wrong-size", text),)
 
 
-def distances(calibration: Calibration, settings: JudgeSettings) -> tuple[Finding, ...]:
+def distances(calibration: Calibration, settings: QualityLimits) -> tuple[Finding, ...]:
     """Return whether the target stands at a distance that cannot be metres."""
     see, rows = calibration.sightings, calibration.used
     centres = np.array([camera.world_from_camera.translation for camera in calibration.rig.cameras])
@@ -148,7 +148,7 @@ def length_errors(
     camera = np.array([_index(rig, name) for name in sightings.cameras], dtype=np.int64)[sightings.camera]
     ends = (sightings.mark == 0) | (sightings.mark == 1)
     key = 2 * sightings.frame + sightings.mark
-    points = measured_points(
+    points = triangulated_points(
         calibration, camera[ends], key[ends], sightings.xy_px[ends], sightings.covariance_px2[ends]
     )
     first = np.flatnonzero(points.key % 2 == 0)
@@ -184,9 +184,9 @@ def length_errors(
     )
 
 
-def scale_error(errors: LengthErrors, settings: JudgeSettings | None = None) -> tuple[Finding, ...]:
+def scale_error(errors: LengthErrors, settings: QualityLimits | None = None) -> tuple[Finding, ...]:
     """Return a refusal where held-out lengths come out wrong beyond their own uncertainty."""
-    settings = settings or JudgeSettings()
+    settings = settings or QualityLimits()
     unit = _unit(1 + errors.scale_error, settings.unit_error)
     if unit:
         text = (

@@ -10,7 +10,7 @@ from dataclasses import astuple, dataclass, fields
 import numpy as np
 
 from mosca.calibration.initial.resection import Resection, aim, resect, resect_fisheye
-from mosca.calibration.single_camera.least_squares import Fit, fit_camera, residuals_of
+from mosca.calibration.single_camera.least_squares import CameraFit, fit_camera, residuals_of
 from mosca.calibration.single_camera.outliers import LEAST_REDUNDANCY, robust_points, snoop
 from mosca.calibration.single_camera.parameter_selection import (
     choose_parameters,
@@ -166,7 +166,7 @@ def _start(
 
 def _chosen_fit(
     where: str, start: Camera, xy: Array, world: Array, used: Array, settings: AdjustmentSettings
-) -> tuple[Fit, tuple[tuple[str, float], ...]]:
+) -> tuple[CameraFit, tuple[tuple[str, float], ...]]:
     """Return the fit with the parameters that the used points determine, and the groups with their p-values."""
     points, pixels = world[used], xy[used]
     if settings.parameters is not None:
@@ -190,7 +190,7 @@ def _chosen_fit(
 
 def _judged(
     where: str,
-    fit: Fit,
+    fit: CameraFit,
     xy: Array,
     world: Array,
     used: Array,

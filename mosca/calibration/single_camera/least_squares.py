@@ -34,7 +34,7 @@ LEAST_EIGENVALUE = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class CameraFit:
     """A camera fitted to points.
 
     ``free`` lens parameters; ``residuals`` (n, 2) observed minus projected [px], UNSEEN_PX where not imaged;
@@ -62,8 +62,8 @@ def fit_camera(
     xyz: Array,
     weights: Array | None = None,
     tolerance: float = CONVERGED,
-) -> Fit:
-    """Fit pose and the ``free`` lens parameters to pixels (n, 2) of points (n, 3) [m].
+) -> CameraFit:
+    """CameraFit pose and the ``free`` lens parameters to pixels (n, 2) of points (n, 3) [m].
 
     ``weights`` (n,) of the points (default 1); ``tolerance`` the share of its standard deviation by which an
     unknown may still move. The other lens parameters stay as ``start`` has them; where the points leave an unknown
@@ -81,11 +81,11 @@ def fit_camera(
     residuals, jacobian = linearised(camera, free, xy_px, xyz)
     root = np.sqrt(weights)
     cofactors = _cofactors(jacobian, root) if determined else None
-    return Fit(camera, tuple(free), residuals, jacobian, cofactors, _cost(residuals, root))
+    return CameraFit(camera, tuple(free), residuals, jacobian, cofactors, _cost(residuals, root))
 
 
 def linearised(camera: Camera, free: Sequence[str], xy_px: Array, xyz: Array) -> tuple[Array, Array]:
-    """Return the residuals (n, 2) of ``residuals_of`` and the projection's Jacobian (n, 2, p) as in ``Fit``."""
+    """Return the residuals (n, 2) of ``residuals_of`` and the projection's Jacobian (n, 2, p) as in ``CameraFit``."""
     projection = project_with_jacobians(camera, xyz)
     rest = np.nan_to_num(xy_px - projection.xy_px, nan=UNSEEN_PX)
     by_lens = projection.by_lens[:, :, _columns(camera.lens, free)]

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from mosca.calibration.robust import SIGMA_BY_MEDIAN_2D
+from mosca.calibration.common.robust_fit import SIGMA_BY_MEDIAN_2D
 from mosca.calibration.single_camera.least_squares import (
     ROUGHLY_CONVERGED,
-    Fit,
+    CameraFit,
     fit_camera,
     linearised,
     residuals_of,
@@ -57,7 +57,9 @@ def robust_points(
     return near
 
 
-def snoop(fit: Fit, xy_px: Array, xyz: Array, used: Array, significance: float) -> tuple[Fit, Array]:
+def snoop(
+    fit: CameraFit, xy_px: Array, xyz: Array, used: Array, significance: float
+) -> tuple[CameraFit, Array]:
     """Return the fit without blunders and the points (n,) used; the free parameters stay those of ``fit``.
 
     ``significance``: chance that any point is rejected where there are no blunders.
@@ -73,7 +75,9 @@ def snoop(fit: Fit, xy_px: Array, xyz: Array, used: Array, significance: float) 
     return fit, used
 
 
-def _without_worst(fit: Fit, xy_px: Array, xyz: Array, used: Array, level: float) -> tuple[Fit, Array]:
+def _without_worst(
+    fit: CameraFit, xy_px: Array, xyz: Array, used: Array, level: float
+) -> tuple[CameraFit, Array]:
     """Reject the worst point and adjust again, until no point's residual is improbable."""
     used = used.copy()
     for _ in range(len(xy_px)):
@@ -91,7 +95,7 @@ def _without_worst(fit: Fit, xy_px: Array, xyz: Array, used: Array, level: float
     return fit, used
 
 
-def _fitting_after_all(fit: Fit, xy_px: Array, xyz: Array, used: Array, level: float) -> Array:
+def _fitting_after_all(fit: CameraFit, xy_px: Array, xyz: Array, used: Array, level: float) -> Array:
     """Return which rejected points (n,) lie where the fit to the others predicts them."""
     back = np.zeros(len(used), dtype=bool)
     if used.all():
@@ -106,7 +110,7 @@ def _fitting_after_all(fit: Fit, xy_px: Array, xyz: Array, used: Array, level: f
     return back
 
 
-def _standardised(fit: Fit) -> Array:
+def _standardised(fit: CameraFit) -> Array:
     """Return v^T Q_vv^-1 v of each point (n,), v its residual (2,) and Q_vv the cofactors of v."""
     assert fit.cofactors is not None
     cofactors = np.eye(2) - fit.jacobian @ fit.cofactors @ np.swapaxes(fit.jacobian, 1, 2)

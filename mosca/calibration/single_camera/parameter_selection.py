@@ -14,7 +14,7 @@ from dataclasses import fields
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from mosca.calibration.single_camera.least_squares import ROUGHLY_CONVERGED, Fit, fit_camera, linearised
+from mosca.calibration.single_camera.least_squares import ROUGHLY_CONVERGED, CameraFit, fit_camera, linearised
 from mosca.calibration.single_camera.outliers import LEAST_REDUNDANCY, ROUNDING_PX
 from mosca.data.arrays import Array
 from mosca.data.rig import LENS_MODELS, Camera
@@ -60,7 +60,7 @@ def nested_parameters(model: str, n_points: int, groups: Sequence[Group]) -> lis
 
 def choose_parameters(
     start: Camera, xy_px: Array, xyz: Array, significance: float, groups: Sequence[Group]
-) -> tuple[Fit, tuple[tuple[str, float], ...]]:
+) -> tuple[CameraFit, tuple[tuple[str, float], ...]]:
     """Fit a camera to pixels (n, 2) of points (n, 3) [m] with those ``groups`` of parameters that they determine.
 
     ``significance``: level of the F-test. Also returns the groups that joined, in order, and their p-values.
@@ -81,8 +81,8 @@ def choose_parameters(
 
 
 def _best_group(
-    fit: Fit, joined: list[Group], open_groups: list[Group], xy: Array, world: Array
-) -> tuple[float, Group, Fit] | None:
+    fit: CameraFit, joined: list[Group], open_groups: list[Group], xy: Array, world: Array
+) -> tuple[float, Group, CameraFit] | None:
     """Return p-value, group and fit of the open group that lowers the sum of squares most significantly."""
     model = fit.camera.lens.model
     trials = []

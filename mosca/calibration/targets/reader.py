@@ -1,19 +1,25 @@
-"""What finds a target's marks in an image, whatever the target."""
+"""Finds a target's marks in an image: boards, coded test fields, scale bars and wands."""
+
+from dataclasses import replace
 
 import numpy as np
 
-from mosca.calibration.read_session import MarkReader
-from mosca.calibration.targets.board import BoardReader
-from mosca.calibration.targets.test_field import FieldReader
-from mosca.calibration.wand.find_balls import read_wand
+from mosca.calibration.targets.find_balls import read_wand
+from mosca.calibration.targets.read_session import MarkReader
+from mosca.coded_targets.boards import find_board
+from mosca.coded_targets.detect import CodedSettings, find_coded
 from mosca.data.arrays import Array
 from mosca.data.boards import Board
 from mosca.data.files.target_tables import CalibrationTarget
+from mosca.data.found_targets import CodedDetections
 from mosca.data.sightings import Part
 from mosca.data.targets import BallTarget, CodedTarget, ScaleBar, TestField
 from mosca.data.wands import Wand
 from mosca.detection.detect import DetectionSettings, detect
 from mosca.errors import InputError
+
+FEWEST = 6
+"""Targets that must be read before the colour of the plates is believed."""
 
 
 def reader_of(target: CalibrationTarget, detection: DetectionSettings | None = None) -> MarkReader:
@@ -34,6 +40,65 @@ def reader_of(target: CalibrationTarget, detection: DetectionSettings | None = N
     raise InputError(
         "an L-frame does not calibrate cameras; give a test field, a board or a wand, and the L-frame with --axes"
     )
+
+
+class FieldReader:
+    """Finds the numbers of a test field or scale bar; marks are counted in the order of its targets.
+
+    White dots on black plates, or the other way round: whichever the first image with targets shows.
+    """
+
+    def __init__(self, target: TestField | ScaleBar, settings: CodedSettings | None = None) -> None:
+        targets = target.targets if isinstance(target, TestField) else target.placed()
+        coded = [(k, one.target) for k, one in enumerate(targets) if isinstance(one.target, CodedTarget)]
+        if not coded:
+            raise InputError(
+                "the target has no coded targets, so that its marks cannot be told apart; give them numbers"
+            )
+        self.mark_of = {one.number: k for k, one in coded}
+        first = coded[0][1]
+        r = first.dot_radius_m
+        self._settings = settings or CodedSettings(
+            colour="both",
+            numbers=frozenset(self.mark_of),
+            ring_inner=first.ring_inner_m / r,
+            ring_outer=first.ring_outer_m / r,
+            plate=first.plate_m / r,
+        )
+        self._enough = min(FEWEST, len(coded))
+
+    def read(self, image: Array, camera: str, bit_depth: int) -> Part:
+        """Return the field's targets in an image (H, W)."""
+        if self._settings.colour != "both":
+            return self._part(find_coded(image, camera, self._settings, bit_depth))
+        white, black = (
+            find_coded(image, camera, replace(self._settings, colour=colour), bit_depth)
+            for colour in ("white", "black")
+        )
+        most = max(white, black, key=len)
+        if len(most) >= self._enough:
+            self._settings = replace(self._settings, colour="white" if most is white else "black")
+        return self._part(most)
+
+    def _part(self, found: CodedDetections) -> Part:
+        mark = np.array([self.mark_of[int(number)] for number in found.number], dtype=np.int64)
+        return Part(0, 0, mark, found.xy_px, found.covariance_px2, 2 * found.semi_axes_px[:, 0])
+
+
+class BoardReader:
+    """Finds a board's inner corners; marks are counted as ``Board.corners()`` counts them."""
+
+    def __init__(self, board: Board) -> None:
+        self._board = board
+        self.refusals: dict[str, int] = {}
+        """Why boards were not found, and in how many images."""
+
+    def read(self, image: Array, camera: str, bit_depth: int) -> Part:
+        """Return the board's corners in an image (H, W)."""
+        found = find_board(image, self._board, camera)
+        if found.refused:
+            self.refusals[found.refused] = self.refusals.get(found.refused, 0) + 1
+        return Part(0, 0, found.corner, found.xy_px, found.covariance_px2, np.full(len(found), np.nan))
 
 
 class _WandReader:

@@ -10,7 +10,7 @@ LEAST_MOVE_PX = 0.35
 SIGMAS = 6.0
 
 
-def stands_of(sightings: Sightings) -> Array:
+def stationary_intervals(sightings: Sightings) -> Array:
     """Return the stand (frames,) of each frame set, counted from 0; -1 where nothing was seen.
 
     A new one begins where the marks of any camera moved by more than ``LEAST_MOVE_PX`` and their noise, against

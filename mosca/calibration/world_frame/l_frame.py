@@ -6,10 +6,10 @@ from itertools import combinations
 
 import numpy as np
 
-from mosca.calibration.quality.accuracy_map import measured_points
+from mosca.calibration.common.robust_fit import rigid
+from mosca.calibration.quality.accuracy_map import triangulated_points
 from mosca.calibration.quality.findings import refuse, warn
-from mosca.calibration.world_frame.l_frame_balls import Spots, best_match, spots
-from mosca.calibration.world_frame.similarity import rigid
+from mosca.calibration.world_frame.l_frame_balls import BallCandidates, best_match, spots
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
 from mosca.data.detections import Detections
@@ -147,7 +147,7 @@ def _moved(camera: Camera, pose: Pose, scale: float) -> Pose:
     return pose @ Pose(own.rotation, scale * own.translation)
 
 
-def _size(balls: Spots, known: Array, sigma_m: float) -> tuple[float, Array, float]:
+def _size(balls: BallCandidates, known: Array, sigma_m: float) -> tuple[float, Array, float]:
     """Return the size of the balls' figure over the known one, its slope (n, 3) by their places, and its variance.
 
     The variance is that of detection and of the file; the calibration's is not in it.
@@ -170,11 +170,11 @@ def _size(balls: Spots, known: Array, sigma_m: float) -> tuple[float, Array, flo
     return ratio, slope, float(variance)
 
 
-def _moved_by(calibration: Calibration, balls: Spots) -> Array:
+def _moved_by(calibration: Calibration, balls: BallCandidates) -> Array:
     """Return how the calibration's parameters move the places of the balls (n, 3, u)."""
     ball, camera = np.nonzero(np.isfinite(balls.xy_px).all(axis=2))
     covariance = np.tile(balls.sigma_px**2 * np.eye(2), (len(ball), 1, 1))
-    points = measured_points(calibration, camera, ball, balls.xy_px[ball, camera], covariance)
+    points = triangulated_points(calibration, camera, ball, balls.xy_px[ball, camera], covariance)
     moved = np.zeros((len(balls), 3, len(calibration.parameters)))
     moved[points.key] = points.by_parameter
     return moved

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from mosca.calibration.world_frame.similarity import rigid
+from mosca.calibration.common.robust_fit import rigid
 from mosca.camera.projection import project, rays
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
@@ -22,7 +22,7 @@ TIMES_BETTER = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Spots:
+class BallCandidates:
     """Places (n, 3) [m] where rays of two cameras or more meet, with their covariances (n, 3, 3) from detection.
 
     ``xy_px`` (n, c, 2): what each camera saw of them, NaN where nothing; ``sigma_px``: of such a coordinate.
@@ -36,13 +36,13 @@ class Spots:
     def __len__(self) -> int:
         return len(self.places)
 
-    def of(self, chosen: Sequence[int]) -> "Spots":
+    def of(self, chosen: Sequence[int]) -> "BallCandidates":
         """Return the chosen ones, in this order."""
         rows = list(chosen)
-        return Spots(self.places[rows], self.covariance[rows], self.xy_px[rows], self.sigma_px)
+        return BallCandidates(self.places[rows], self.covariance[rows], self.xy_px[rows], self.sigma_px)
 
 
-def spots(rig: Rig, detections: Mapping[str, Detections]) -> Spots:
+def spots(rig: Rig, detections: Mapping[str, Detections]) -> BallCandidates:
     """Return the places where rays of two cameras or more meet.
 
     Those seen by most cameras come first; each detection belongs to one place at the most.
@@ -62,7 +62,7 @@ def spots(rig: Rig, detections: Mapping[str, Detections]) -> Spots:
             if sum(index >= 0 for index in group) >= 2:
                 groups[group] = None
     if not groups:
-        return Spots(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, len(rig.cameras), 2)), 1.0)
+        return BallCandidates(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, len(rig.cameras), 2)), 1.0)
     table = np.array(list(groups))
     xy = np.full((*table.shape, 2), np.nan)
     for k in known:
@@ -79,7 +79,7 @@ def spots(rig: Rig, detections: Mapping[str, Detections]) -> Spots:
         if residual[row] <= MATCH_PX and not own & taken:
             taken |= own
             chosen.append(row)
-    return Spots(places, covariance, xy, sigma).of(chosen[:MOST_SPOTS])
+    return BallCandidates(places, covariance, xy, sigma).of(chosen[:MOST_SPOTS])
 
 
 def _meetings(rig: Rig, detections: Mapping[str, Detections], first: int, second: int) -> Array:

@@ -14,12 +14,12 @@ import numpy as np
 
 from mosca.continuous.association.coarse_sync import ClockTie, common_clock, tied_clocks
 from mosca.continuous.association.correspondence import common_instants, curves_of, observed, tracked
-from mosca.continuous.association.frame_detections import LookCount, Seen, look_at_frames
+from mosca.continuous.association.frame_detections import CameraDetections, FrameCount, look_at_frames
 from mosca.continuous.association.interpolated_tracks import SampledCurves
 from mosca.continuous.association.tracklet_merging import joined
-from mosca.continuous.association.tracklets_2d import Paths, strands
-from mosca.continuous.moving_cameras.rig_at_time import MovingRig
-from mosca.continuous.observations import Curves, Observations
+from mosca.continuous.association.tracklets_2d import Tracklets, strands
+from mosca.continuous.model.observations import Curves, TimedObservations
+from mosca.continuous.model.rig_at_time import MovingRig
 from mosca.data.arrays import Array
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
@@ -31,7 +31,7 @@ SHORTEST_S = 0.1
 
 
 @dataclass(frozen=True)
-class GatherSettings:
+class AssociationSettings:
     """``pipeline``: settings of detection, matching and tracking. ``clocks``: "common" where all stamps are of one
     clock, "own" where each camera has its own and was started at an unknown time, "auto" by what the cameras say of
     themselves (``CameraInfo.clock``: "device" is a clock of its own). ``search_s``: by how much at most cameras with
@@ -44,7 +44,7 @@ class GatherSettings:
 
 
 @dataclass(frozen=True, eq=False)
-class Gathered:
+class Associated:
     """What was gathered.
 
     ``observations``: times on the common clock, as coarsely as it is known. ``start``: curves
@@ -54,48 +54,48 @@ class Gathered:
     for.
     """
 
-    observations: Observations
+    observations: TimedObservations
     start: SampledCurves
     ties: tuple[ClockTie, ...]
-    seen: tuple[Seen, ...]
+    seen: tuple[CameraDetections, ...]
     sigma_px: Array
-    count: LookCount
+    count: FrameCount
     searched: bool
 
-    def again(self, rig: Rig, curves: Curves, curve_px: float = 0.1) -> "Gathered":
+    def again(self, rig: Rig, curves: Curves, curve_px: float = 0.1) -> "Associated":
         """Return all with image points given to markers anew, by better curves of the same points."""
         found, _row = observed(self.seen, self.ties, rig, curves, self.sigma_px, curve_px)
         return replace(self, observations=found)
 
 
-def gather(
+def associate(
     source: FrameSource,
     rig: Rig,
-    settings: GatherSettings | None = None,
+    settings: AssociationSettings | None = None,
     backgrounds: Mapping[str, Array] | None = None,
     attend: Callable[[int], None] | None = None,
-) -> Gathered:
+) -> Associated:
     """Return what a source's frames show of markers, for ``mosca.continuous.estimator.estimate``.
 
     ``backgrounds``: camera -> image (H, W) taken off before detection. ``attend``: called with a rising count of
     steps. InputError where a camera's stamps do not rise, where it ran at no time together with others, sends too
     few frames, or no marker is followed by two cameras.
     """
-    settings = GatherSettings() if settings is None else settings
+    settings = AssociationSettings() if settings is None else settings
     check_source(source, rig)
-    count = LookCount()
+    count = FrameCount()
     seen = look_at_frames(source, rig.names, settings.pipeline.detection, backgrounds, count, attend)
     return gather_seen(seen, rig, settings, count, attend)
 
 
 def gather_seen(
-    seen: tuple[Seen, ...],
+    seen: tuple[CameraDetections, ...],
     rig: Rig,
-    settings: GatherSettings,
-    count: LookCount | None = None,
+    settings: AssociationSettings,
+    count: FrameCount | None = None,
     attend: Callable[[int], None] | None = None,
-) -> Gathered:
-    """As ``gather``, of what the rig's cameras saw already."""
+) -> Associated:
+    """As ``associate``, of what the rig's cameras saw already."""
     for one in seen:
         check_long_enough(one)
     own = settings.clocks == "own" or (
@@ -103,27 +103,27 @@ def gather_seen(
     )
     strand = [strands(one) for one in seen]
     ties = tied_clocks(seen, strand, rig, settings.search_s) if own else common_clock(seen)
-    return markers_of(seen, strand, ties, rig, settings, count or LookCount(), attend, searched=own)
+    return markers_of(seen, strand, ties, rig, settings, count or FrameCount(), attend, searched=own)
 
 
 def markers_of(
-    seen: tuple[Seen, ...],
+    seen: tuple[CameraDetections, ...],
     strand: Sequence[Array],
     ties: tuple[ClockTie, ...],
     rig: Rig,
-    settings: GatherSettings,
-    count: LookCount,
+    settings: AssociationSettings,
+    count: FrameCount,
     attend: Callable[[int], None] | None = None,
     moving: MovingRig | None = None,
     searched: bool = False,
-) -> Gathered:
+) -> Associated:
     """Return markers' image points and first curves, once clocks are tied: matched, tracked, joined over pauses.
 
     ``strand``: of each camera's image points; ``count``: frames that were looked at, from which ``attend`` goes on;
     ``moving``: where the cameras are at each instant, None where they stand as ``rig`` says.
     """
     paths = [
-        Paths.of(one, of_point, tie.common_s(one.time_s(tie.origin_ns)))
+        Tracklets.of(one, of_point, tie.common_s(one.time_s(tie.origin_ns)))
         for one, of_point, tie in zip(seen, strand, ties, strict=True)
     ]
     done = sum(count.frames.values())
@@ -142,10 +142,10 @@ def markers_of(
     tracks = joined(tracks, curves, found, strand, row, track.acceleration_mps2)
     curves = curves_of(tracks, track.coast_s)
     found, _row = observed(seen, ties, rig, curves, sigma, moving=moving)
-    return Gathered(found, curves, ties, seen, np.asarray(sigma), count, searched)
+    return Associated(found, curves, ties, seen, np.asarray(sigma), count, searched)
 
 
-def check_long_enough(one: Seen) -> None:
+def check_long_enough(one: CameraDetections) -> None:
     """Raise InputError where a camera filmed for too short a time."""
     length = (one.frame_ns[-1] - one.frame_ns[0]) * 1e-9
     if length < SHORTEST_S:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.continuous.association.frame_detections import Seen
+from mosca.continuous.association.frame_detections import CameraDetections
 from mosca.continuous.association.tracklets_2d import strands
 from mosca.data.arrays import Array
 from mosca.data.lamp_codes import LAMP_BITS, lamp_bits
@@ -41,7 +41,7 @@ class LampSettings:
             raise InputError(f"lamps: bit_s = {self.bit_s:g} given; a time above 0 s is wanted")
 
 
-def blinking(seen: Seen, numbers: Sequence[int], settings: LampSettings) -> Array:
+def blinking(seen: CameraDetections, numbers: Sequence[int], settings: LampSettings) -> Array:
     """Return the lamp (n,) of each image point of a camera: one of ``numbers``, or NO_LAMP.
 
     InputError where the camera's frames are too far apart to see every bit.
@@ -63,7 +63,9 @@ def blinking(seen: Seen, numbers: Sequence[int], settings: LampSettings) -> Arra
     return _one_each(frame, number, sure)
 
 
-def _number_of(seen: Seen, lit: Array, numbers: Sequence[int], settings: LampSettings) -> tuple[int, float]:
+def _number_of(
+    seen: CameraDetections, lit: Array, numbers: Sequence[int], settings: LampSettings
+) -> tuple[int, float]:
     """Return the number of a strand that is lit in the frames ``lit``, and its log odds against all else."""
     during = np.arange(lit[0], lit[-1] + 1)
     own_s = (seen.frame_ns[during] - seen.frame_ns[lit[0]]) * 1e-9

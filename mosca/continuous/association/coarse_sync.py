@@ -15,8 +15,8 @@ from itertools import pairwise
 import numpy as np
 
 from mosca.camera.projection import lens_directions
-from mosca.continuous.association.frame_detections import Seen
-from mosca.continuous.association.tracklets_2d import Between, Paths
+from mosca.continuous.association.frame_detections import CameraDetections
+from mosca.continuous.association.tracklets_2d import ImageInterpolation, Tracklets
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Rig, principal_distances_px
 from mosca.errors import InputError
@@ -57,14 +57,14 @@ class ClockTie:
         return self.offset_s + (1.0 + self.drift) * own_s
 
 
-def common_clock(seen: Sequence[Seen]) -> tuple[ClockTie, ...]:
+def common_clock(seen: Sequence[CameraDetections]) -> tuple[ClockTie, ...]:
     """Return the ties of cameras whose stamps are of one clock."""
     origin = min(int(one.frame_ns[0]) for one in seen)
     return tuple(ClockTie(origin) for _one in seen)
 
 
 def tied_clocks(
-    seen: Sequence[Seen], strand: Sequence[Array], rig: Rig, search_s: float
+    seen: Sequence[CameraDetections], strand: Sequence[Array], rig: Rig, search_s: float
 ) -> tuple[ClockTie, ...]:
     """Return the ties of cameras whose clocks know nothing of each other; the first camera's is the common one.
 
@@ -72,7 +72,7 @@ def tied_clocks(
     """
     own_s = [one.time_s(int(one.frame_ns[0])) for one in seen]
     ties: dict[int, ClockTie] = {0: ClockTie(int(seen[0].frame_ns[0]))}
-    paths = [Paths.of(one, strand[c], own_s[c]) for c, one in enumerate(seen)]
+    paths = [Tracklets.of(one, strand[c], own_s[c]) for c, one in enumerate(seen)]
     waiting = list(range(1, len(seen)))
     while waiting:
         best: tuple[float, int, ClockTie] | None = None
@@ -80,7 +80,7 @@ def tied_clocks(
             for known in ties:
                 pair = _Pair(
                     rig.cameras[known], rig.cameras[c], seen[known], seen[c],
-                    Paths.of(seen[known], strand[known], ties[known].common_s(own_s[known])), paths[c],
+                    Tracklets.of(seen[known], strand[known], ties[known].common_s(own_s[known])), paths[c],
                 )  # fmt: skip
                 found = _searched(pair, search_s)
                 if found is not None and (best is None or found.clear > best[0]):
@@ -108,10 +108,10 @@ class _Pair:
 
     camera_a: Camera
     camera_b: Camera
-    seen_a: Seen
-    seen_b: Seen
-    path_a: Paths
-    path_b: Paths
+    seen_a: CameraDetections
+    seen_b: CameraDetections
+    path_a: Tracklets
+    path_b: Tracklets
 
     @property
     def px_per_rad(self) -> float:
@@ -270,7 +270,7 @@ class _World:
         return self.rays[low:high]
 
 
-def _world(camera: Camera, places: Between) -> _World:
+def _world(camera: Camera, places: ImageInterpolation) -> _World:
     directions = lens_directions(camera.lens, places.xy_px) @ camera.world_from_camera.rotation.T
     known = np.isfinite(directions).all(axis=1)
     return _World(places.instant[known], directions[known])

@@ -12,11 +12,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from mosca.continuous.association.coarse_sync import ClockTie
-from mosca.continuous.association.frame_detections import Seen
+from mosca.continuous.association.frame_detections import CameraDetections
 from mosca.continuous.association.interpolated_tracks import SampledCurves
-from mosca.continuous.association.tracklets_2d import Paths, detections_at
-from mosca.continuous.moving_cameras.rig_at_time import MovingRig, RigAtEach, centres_at, images_at, images_of
-from mosca.continuous.observations import Curves, Observations, no_carriers
+from mosca.continuous.association.tracklets_2d import Tracklets, detections_at
+from mosca.continuous.model.observations import Curves, TimedObservations, no_carriers
+from mosca.continuous.model.rig_at_time import MovingRig, RigAtEach, centres_at, images_at, images_of
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, Detections
 from mosca.data.frames import FrameSet
@@ -40,7 +40,7 @@ CHUNK = 500
 """Frames whose points are projected at a time."""
 
 
-def common_instants(seen: Sequence[Seen], ties: Sequence[ClockTie]) -> Array:
+def common_instants(seen: Sequence[CameraDetections], ties: Sequence[ClockTie]) -> Array:
     """Return the instants (t,) of the common clock at which cameras are compared: the exposures of the fastest one.
 
     Those at which two cameras and more were running. InputError where a camera never ran together with another.
@@ -69,8 +69,8 @@ def common_instants(seen: Sequence[Seen], ties: Sequence[ClockTie]) -> Array:
 
 
 def tracked(
-    seen: Sequence[Seen],
-    paths: Sequence[Paths],
+    seen: Sequence[CameraDetections],
+    paths: Sequence[Tracklets],
     instants_s: Array,
     rig: Rig,
     settings: PipelineSettings,
@@ -119,14 +119,14 @@ def curves_of(tracks: Tracks, coast_s: float) -> SampledCurves:
 
 
 def observed(
-    seen: Sequence[Seen],
+    seen: Sequence[CameraDetections],
     ties: Sequence[ClockTie],
     rig: Rig,
     curves: Curves,
     sigma_px: Array,
     curve_px: float = CURVE_PX,
     moving: MovingRig | None = None,
-) -> tuple[Observations, Array]:
+) -> tuple[TimedObservations, Array]:
     """Return the image points that belong to ``curves``, each at its own instant on the common clock, and their
     numbers.
 
@@ -148,7 +148,7 @@ def observed(
         parts.append((np.full(len(row), c), point, one.frame[row], times[row], one.xy_px[row], covariance))
     columns = [np.concatenate(part) for part in zip(*parts, strict=True)]
     points = curves.points
-    return Observations(rig.names, points, *columns, **no_carriers(points)), np.concatenate(numbers)
+    return TimedObservations(rig.names, points, *columns, **no_carriers(points)), np.concatenate(numbers)
 
 
 def odd_sizes_px(diameter_px: Array, away_m: Array, point: Array) -> Array:
@@ -168,7 +168,7 @@ def odd_sizes_px(diameter_px: Array, away_m: Array, point: Array) -> Array:
 
 
 def _assigned(
-    one: Seen, tie: ClockTie, rig: Rig, c: int, curves: Curves, sigma_px: float, curve_px: float,
+    one: CameraDetections, tie: ClockTie, rig: Rig, c: int, curves: Curves, sigma_px: float, curve_px: float,
     moving: MovingRig | None,
 ) -> tuple[Array, Array, Array]:  # fmt: skip
     """Return image points of a camera, the curves that they belong to, and how far these were [m]."""
@@ -198,7 +198,9 @@ def _assigned(
     return np.concatenate(rows), np.concatenate(points), np.concatenate(aways)
 
 
-def _nearest(one: Seen, own: Array, image: Array, sigma_px: float, curve_px: float) -> tuple[Array, Array]:
+def _nearest(
+    one: CameraDetections, own: Array, image: Array, sigma_px: float, curve_px: float
+) -> tuple[Array, Array]:
     """Return which of the image points ``own`` goes to which of the images (p, 2): least distance in all."""
     if not len(own) or not len(image):
         return np.empty(0, np.int64), np.empty(0, np.int64)

@@ -22,7 +22,7 @@ MOST_DETECTIONS = 5000
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class CameraDetections:
     """What one camera saw: f frames, n image points in the order of the frames.
 
     ``frame_ns`` (f,) mid-exposure of each frame's first row on the camera's own clock, strictly rising; ``start``
@@ -58,7 +58,7 @@ class Seen:
 
 
 @dataclass
-class LookCount:
+class FrameCount:
     """Running counts of a look: frames that came, and those of them without a usable image, by camera."""
 
     frames: dict[str, int] = field(default_factory=dict)
@@ -82,9 +82,9 @@ def look_at_frames(
     names: Iterable[str],
     settings: DetectionSettings,
     backgrounds: Mapping[str, Array] | None = None,
-    count: LookCount | None = None,
+    count: FrameCount | None = None,
     attend: Callable[[int], None] | None = None,
-) -> tuple[Seen, ...]:
+) -> tuple[CameraDetections, ...]:
     """Return what the cameras ``names`` saw, in that order; frames of other cameras are passed over.
 
     ``backgrounds``: camera -> image taken off first. ``attend``: called with the number of frames so far. InputError
@@ -99,7 +99,7 @@ def look_at_frames(
                 "give the cameras the same names in both"
             )
         notes[name] = _Notes(infos[name])
-    counts = LookCount() if count is None else count
+    counts = FrameCount() if count is None else count
     done = 0
     for frame in source:
         note = notes.get(frame.camera)
@@ -159,7 +159,7 @@ def check_rise(camera: str, indices: list[int], times_ns: list[int], index: int,
     )
 
 
-def _seen(note: _Notes) -> Seen:
+def _seen(note: _Notes) -> CameraDetections:
     if len(note.frame_ns) < FEWEST_FRAMES:
         raise InputError(
             f"camera '{note.info.name}': {len(note.frame_ns)} usable frames given, {FEWEST_FRAMES} are "
@@ -167,7 +167,7 @@ def _seen(note: _Notes) -> Seen:
             "motion; record longer, or leave the camera out of the rig file"
         )
     found = note.found
-    return Seen(
+    return CameraDetections(
         note.info,
         np.array(note.frame_ns, dtype=np.int64),
         np.concatenate([[0], np.cumsum([len(one) for one in found])]),

@@ -10,7 +10,7 @@ from mosca.data.tracks import Tracks
 
 @dataclass(frozen=True, eq=False)
 class SampledCurves:
-    """Tracks as curves (``mosca.continuous.observations.Curves``): cubic Hermite pieces through their samples.
+    """Tracks as curves (``mosca.continuous.model.observations.Curves``): cubic Hermite pieces through their samples.
 
     ``points``: names; ``track`` (points,): numbers of their tracks; ``start`` (points + 1,) first sample of each;
     ``time_s`` (n,) rising within a point, ``xyz`` and ``speed`` (n, 3). Unknown before the first and after the last

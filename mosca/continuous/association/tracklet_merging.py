@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from mosca.continuous.association.interpolated_tracks import SampledCurves
-from mosca.continuous.observations import Observations
+from mosca.continuous.model.observations import TimedObservations
 from mosca.data.arrays import Array
 from mosca.data.tracks import Tracks
 
@@ -25,7 +25,7 @@ SLACK_M = 0.02
 def joined(
     tracks: Tracks,
     curves: SampledCurves,
-    found: Observations,
+    found: TimedObservations,
     strand: Sequence[Array],
     row: Array,
     acceleration_mps2: float,
@@ -56,7 +56,7 @@ def joined(
     return Tracks(**(columns | {"track": track}))
 
 
-def _votes(found: Observations, strand: Sequence[Array], row: Array) -> Counter[tuple[int, int]]:
+def _votes(found: TimedObservations, strand: Sequence[Array], row: Array) -> Counter[tuple[int, int]]:
     """Return how many strands went from one curve to another."""
     votes: Counter[tuple[int, int]] = Counter()
     for c in range(len(found.cameras)):

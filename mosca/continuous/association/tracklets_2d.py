@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from mosca.continuous.association.frame_detections import Seen
+from mosca.continuous.association.frame_detections import CameraDetections
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 
@@ -67,7 +67,7 @@ class _Open:
         self.place[at], self.last_s[at], self.speed[at], self.middle_s[at] = place, now_s, speed, middle
 
 
-def strands(seen: Seen, longest_gap: float = LONGEST_GAP) -> Array:
+def strands(seen: CameraDetections, longest_gap: float = LONGEST_GAP) -> Array:
     """Return the strand (n,) of each image point of a camera.
 
     ``longest_gap``: longest time from an image point of a strand to the next, in the camera's periods.
@@ -107,7 +107,7 @@ def _pairs(place: Array, way: Array, xy: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
-class Between:
+class ImageInterpolation:
     """Where strands were at instants: one row a strand and instant, sorted by instant.
 
     ``instant`` (r,) its number; ``strand`` (r,); ``xy_px`` (r, 2); ``row`` (r,) the nearer one of the two image
@@ -123,7 +123,7 @@ class Between:
 
 
 @dataclass(frozen=True, eq=False)
-class Paths:
+class Tracklets:
     """A camera's strands as pieces of curves, ready to be asked where they are.
 
     Image points sorted by strand and time: ``order`` (n,) their numbers, ``strand``, ``time_s`` (n,), ``xy_px`` and
@@ -139,7 +139,7 @@ class Paths:
     last: Array
 
     @classmethod
-    def of(cls, seen: Seen, strand: Array, time_s: Array) -> "Paths":
+    def of(cls, seen: CameraDetections, strand: Array, time_s: Array) -> "Tracklets":
         """Return the paths of strands (n,) of image points at ``time_s`` (n,) [s]."""
         order = np.lexsort((time_s, strand))
         s, t, xy = strand[order], time_s[order], seen.xy_px[order]
@@ -149,7 +149,7 @@ class Paths:
         last[:-1] = left[1:] != left[:-1] + 1
         return cls(order, s, t, xy, _speeds(s, t, xy), left, last)
 
-    def at(self, instants_s: Array) -> Between:
+    def at(self, instants_s: Array) -> ImageInterpolation:
         """Return where the strands were at ``instants_s`` (rising) [s].
 
         Cubic Hermite polynomials through neighbouring image points; nothing is said beyond a strand's ends or across
@@ -171,7 +171,7 @@ class Paths:
         place = place + u**2 * (3 - 2 * u) * p1 - u**2 * (1 - u) * h * v1
         before = u[:, 0] < 0.5
         sort = np.argsort(instant, kind="stable")
-        return Between(
+        return ImageInterpolation(
             instant[sort],
             self.strand[a][sort],
             place[sort],
@@ -203,7 +203,9 @@ def _speeds(s: Array, t: Array, xy: Array) -> Array:
     return np.where((has_right & ~has_left)[:, None], right, speed)
 
 
-def detections_at(seen: Seen, places: Between, instant: int) -> tuple[Detections, Array]:
+def detections_at(
+    seen: CameraDetections, places: ImageInterpolation, instant: int
+) -> tuple[Detections, Array]:
     """Return the places of one instant as detections of the camera, and their strands."""
     low, high = np.searchsorted(places.instant, [instant, instant + 1])
     rows, others = places.row[low:high], places.other[low:high]

@@ -9,12 +9,13 @@ T is banded (a coefficient meets only its neighbours in time), so that all costs
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky_banded, lapack, solve_triangular
 
-from mosca.continuous.estimator.banded_kernels import add_rows, apply_rows
 from mosca.data.arrays import Array
+from mosca.numba_support.decorators import kernel
 
 ROUNDING = 1e-13
 """Of the largest number: what sums of many squares may have lost to rounding."""
@@ -22,20 +23,25 @@ BLOCK = 48
 """Smallest block of the selected inversion: below this the calls cost more than the sums."""
 
 
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """n equations ``J x + shared s = rest`` of standard deviation 1; see ``add_rows`` for the columns."""
+class Rows(NamedTuple):
+    """n equations ``J x + shared s = rest`` of standard deviation 1."""
 
     first: Array
+    """(n,) first coefficient in time that an equation touches."""
     weights: Array
+    """(n, reach) of it and the following coefficients."""
     columns: Array
+    """(n, v) unknowns of each of these coefficients, -1 for none."""
     values: Array
+    """(n, v) derivatives by them."""
     shared: Array
+    """(n, b) derivatives by the unknowns that have no time."""
     rest: Array
+    """(n,)."""
 
     def applied(self, x: Array, width: int) -> Array:
         """Return J x (n,) of unknowns x (count * width,)."""
-        return apply_rows(x, width, self.first, self.weights, self.columns, self.values)
+        return apply_rows(x, width, self)
 
 
 class Band:
@@ -49,10 +55,7 @@ class Band:
 
     def add(self, rows: Rows) -> None:
         """Add the squares of equations."""
-        add_rows(
-            self.band, self.right, self.border, self.width,
-            rows.first, rows.weights, rows.columns, rows.values, rows.shared, rows.rest,
-        )  # fmt: skip
+        add_rows(self.band, self.right, self.border, self.width, rows)
 
     def add_prior(self, gram: Array, precision: Array) -> None:
         """Add ``gram`` (banded over time, lower) times ``precision`` (width, width) between the unknowns."""
@@ -189,3 +192,47 @@ def solve_bordered(
     covariance = scale[:, None] * np.linalg.inv(scale[:, None] * reduced * scale) * scale
     shared = covariance @ right
     return [x - c @ shared for x, c in zip(firsts, carried, strict=True)], shared, carried, covariance
+
+
+@kernel
+def add_rows(band: Array, right: Array, border: Array, width: int, rows: Rows) -> None:  # pragma: no cover
+    """Add rows ``rest = J x`` (n,): J^T J into ``band``, J^T rest into ``right``, J^T shared into ``border``.
+
+    ``band[i - j, j]`` (i >= j) holds the lower half. Unknown (k, c) stands at k * ``width`` + c. Row r reaches the
+    coefficients ``first[r]`` + a with ``weights[r, a]``, and of each the ``columns[r]`` (-1: none) with
+    ``values[r]``; ``shared`` (n, b) are its derivatives by unknowns that have no time.
+    """
+    first, weights, columns, values, shared, rest = rows
+    n, reach = weights.shape
+    most = columns.shape[1]
+    at = np.empty(reach * most, np.int64)
+    of = np.empty(reach * most, np.float64)
+    for r in range(n):
+        m = 0
+        for a in range(reach):
+            for v in range(most):
+                if columns[r, v] >= 0:
+                    at[m] = (first[r] + a) * width + columns[r, v]
+                    of[m] = weights[r, a] * values[r, v]
+                    m += 1
+        for i in range(m):
+            right[at[i]] += of[i] * rest[r]
+            for b in range(shared.shape[1]):
+                border[at[i], b] += of[i] * shared[r, b]
+            for j in range(m):
+                if at[i] >= at[j]:
+                    band[at[i] - at[j], at[j]] += of[i] * of[j]
+
+
+@kernel
+def apply_rows(x: Array, width: int, rows: Rows) -> Array:  # pragma: no cover
+    """Return J x (n,) of rows as in ``add_rows``."""
+    first, weights, columns, values = rows.first, rows.weights, rows.columns, rows.values
+    n, reach = weights.shape
+    result = np.zeros(n)
+    for r in range(n):
+        for a in range(reach):
+            for v in range(columns.shape[1]):
+                if columns[r, v] >= 0:
+                    result[r] += weights[r, a] * values[r, v] * x[(first[r] + a) * width + columns[r, v]]
+    return result

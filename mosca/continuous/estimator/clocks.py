@@ -7,8 +7,8 @@ at least ``TELLS`` times more certain is held where it was, and said so.
 
 import numpy as np
 
-from mosca.continuous.estimator.state import Layout
-from mosca.continuous.result import Clock
+from mosca.continuous.estimator.state import StateLayout
+from mosca.continuous.model.estimated import Clock
 from mosca.data.arrays import Array
 
 BEFORE = (0.1, 1e-3, 1e-4)
@@ -26,13 +26,13 @@ def free_unknowns(clocks: str, cameras: int) -> Array:
     return free
 
 
-def untold(places: Layout, covariance: Array) -> Array:
+def untold(places: StateLayout, covariance: Array) -> Array:
     """Return the mask (cameras, 3) of free unknowns that the data do not tell, from the covariance of the shared."""
     sigma = np.sqrt(np.append(np.diag(covariance), 0.0))[places.clock]
     return np.asarray((places.clock >= 0) & (sigma > np.array(BEFORE) / TELLS))
 
 
-def prior(places: Layout, clocks: Array) -> tuple[Array, Array]:
+def prior(places: StateLayout, clocks: Array) -> tuple[Array, Array]:
     """Return the precision (b,) of the shared unknowns known beforehand, and their right side at ``clocks``."""
     precision, right = np.zeros(places.shared), np.zeros(places.shared)
     for c, kind in zip(*np.nonzero(places.clock >= 0), strict=True):
@@ -43,7 +43,7 @@ def prior(places: Layout, clocks: Array) -> tuple[Array, Array]:
 
 
 def results(
-    names: tuple[str, ...], places: Layout, clocks: Array, covariance: Array, held: Array
+    names: tuple[str, ...], places: StateLayout, clocks: Array, covariance: Array, held: Array
 ) -> list[Clock]:
     """Return the cameras' clocks with standard deviations."""
     sigma = np.where(places.clock >= 0, np.sqrt(np.append(np.diag(covariance), 0.0))[places.clock], 0.0)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.continuous.estimator.banded_normals import Rows
-from mosca.continuous.estimator.bspline import Knots, values
+from mosca.continuous.model.bspline import Knots, values
 from mosca.data.arrays import Array
 
 TELLING = 12.0

@@ -10,10 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from mosca.continuous.estimator import clocks as clock_rules
-from mosca.continuous.estimator.checks import check
 from mosca.continuous.estimator.constant_distances import NO_PAIRS, Pairs, find_pairs, joined, learned
 from mosca.continuous.estimator.gauss_newton import Solved, curves_of, draws, sigma0, step
-from mosca.continuous.estimator.initial import (
+from mosca.continuous.estimator.initial_state import (
     enough,
     first_covariance,
     first_knots,
@@ -22,22 +21,23 @@ from mosca.continuous.estimator.initial import (
     seen_from_to,
     still_of,
 )
+from mosca.continuous.estimator.input_checks import check
 from mosca.continuous.estimator.motion_prior import ORDERS, expected_accelerations, liveliness, shrunk
 from mosca.continuous.estimator.observation_equations import ImagePoints
 from mosca.continuous.estimator.residual_covariance import unheld
 from mosca.continuous.estimator.single_point import first_curves
-from mosca.continuous.estimator.state import Layout, State, layout
-from mosca.continuous.observations import CameraPaths, Curves, Observations
-from mosca.continuous.result import (
+from mosca.continuous.estimator.state import State, StateLayout, layout
+from mosca.continuous.model.estimated import (
     Clock,
     ConstantDistance,
+    ContinuousEstimate,
     ContinuousSettings,
-    Estimated,
 )
+from mosca.continuous.model.observations import CameraPaths, Curves, TimedObservations
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 
-__all__ = ["Clock", "ConstantDistance", "ContinuousSettings", "Estimated", "estimate"]
+__all__ = ["Clock", "ConstantDistance", "ContinuousEstimate", "ContinuousSettings", "estimate"]
 DRAWS = 12
 """Curves drawn from the posterior at each round; each has hundreds of accelerations to learn from."""
 LARGEST_SIGMA0 = 1.5
@@ -58,12 +58,12 @@ NEARLY_ONE = 1.1
 
 
 def estimate(
-    observations: Observations,
+    observations: TimedObservations,
     rig: Rig,
     settings: ContinuousSettings | None = None,
     start: Curves | None = None,
     paths: CameraPaths | None = None,
-) -> Estimated:
+) -> ContinuousEstimate:
     """Return the curves of all points that no camera carries, cameras' paths and clocks, with covariances.
 
     ``rig``: lenses and poses; the poses are right ("known") or a start. ``start``: curves to begin with, ``paths``:
@@ -132,12 +132,12 @@ def estimate(
         for (i, j), d, s in zip(pairs.pair, pairs.distance, pairs.slack, strict=True)
     )
     times = clock_rules.results(observations.cameras, places, solved.state.clocks, solved.covariance, held)
-    return Estimated(
+    return ContinuousEstimate(
         curves, solved.state.paths, tuple(times), found, tuple(told), size, stopwatch.perf_counter() - began
     )
 
 
-def _first_covariances(points: Array, strength: Array, places: Layout) -> list[Array]:
+def _first_covariances(points: Array, strength: Array, places: StateLayout) -> list[Array]:
     of_point = dict(zip(points.tolist(), strength, strict=True))
     return [first_covariance(of_point, places, g) for g in range(len(places.groups))]
 
@@ -170,7 +170,7 @@ def _settled(
     )
 
 
-def _learned(state: State, places: Layout, drawn: list[Array], before: list[Array]) -> list[Array]:
+def _learned(state: State, places: StateLayout, drawn: list[Array], before: list[Array]) -> list[Array]:
     """Return the prior's covariance of each group as its drawn curves have it.
 
     Expectation-maximisation creeps where data say little, as of cameras that stand still: their deviations take a
@@ -190,7 +190,7 @@ def _learned(state: State, places: Layout, drawn: list[Array], before: list[Arra
 
 
 def _rounds(
-    image: ImagePoints, state: State, places: Layout, covariances: list[Array], settings: ContinuousSettings,
+    image: ImagePoints, state: State, places: StateLayout, covariances: list[Array], settings: ContinuousSettings,
     known: Array, spans: Array,
 ) -> tuple[Solved, list[Array], Pairs]:  # fmt: skip
     """Step and learn in turn; constant distances are sought once curves are joined, and once more with their help."""
@@ -226,7 +226,7 @@ def _rounds(
 
 
 def _pairs(
-    pairs: Pairs, state: State, places: Layout, drawn: list[Array], known: Array, spans: Array,
+    pairs: Pairs, state: State, places: StateLayout, drawn: list[Array], known: Array, spans: Array,
     left: set[tuple[int, int]] | None,
 ) -> tuple[Pairs, set[tuple[int, int]]]:  # fmt: skip
     """Return the constant distances as the drawn curves have them, and those that do not hold and were dropped.

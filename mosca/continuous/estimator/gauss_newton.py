@@ -7,13 +7,18 @@ from scipy.linalg import LinAlgError
 
 from mosca.continuous.estimator import clocks
 from mosca.continuous.estimator.banded_normals import Band, Factor, Rows, solve_bordered
-from mosca.continuous.estimator.bspline import values
 from mosca.continuous.estimator.constant_distances import Pairs, limb_rows
 from mosca.continuous.estimator.motion_prior import FARTHEST_M, expected_accelerations
-from mosca.continuous.estimator.observation_equations import ImagePoints, Seen, robust_weights, weighted
-from mosca.continuous.estimator.state import Layout, State, replaced, unknowns
-from mosca.continuous.observations import Observations
-from mosca.continuous.result import SplineCurves
+from mosca.continuous.estimator.observation_equations import (
+    ImagePoints,
+    LinearisedImages,
+    robust_weights,
+    weighted,
+)
+from mosca.continuous.estimator.state import State, StateLayout, replaced, unknowns
+from mosca.continuous.model.bspline import values
+from mosca.continuous.model.estimated import SplineCurves
+from mosca.continuous.model.observations import TimedObservations
 from mosca.data.arrays import Array
 
 HALVINGS = 6
@@ -46,7 +51,7 @@ class Solved:
 def step(
     image: ImagePoints,
     state: State,
-    places: Layout,
+    places: StateLayout,
     covariances: list[Array],
     pairs: Pairs,
     noise: float = 1.0,
@@ -93,7 +98,7 @@ def step(
     return Solved(new, factors, carried, covariance, parts, weight, seen.residual, moved)
 
 
-def add_prior(band: Band, state: State, places: Layout, group: int, covariance: Array) -> None:
+def add_prior(band: Band, state: State, places: StateLayout, group: int, covariance: Array) -> None:
     """Add the smoothness prior of a group, and what keeps unknowns that nothing determines finite."""
     knots, width, points = state.knots, places.width(group), 3 * len(places.groups[group])
     band.add_prior(
@@ -106,7 +111,7 @@ def add_prior(band: Band, state: State, places: Layout, group: int, covariance: 
     band.add_prior(knots.gram(0), np.diag(loose))
 
 
-def draws(solved: Solved, places: Layout, number: int, rng: np.random.Generator) -> list[Array]:
+def draws(solved: Solved, places: StateLayout, number: int, rng: np.random.Generator) -> list[Array]:
     """Return of each group curves drawn from the posterior, (number, count, width)."""
     shared = np.zeros((places.shared, number))
     if places.shared:
@@ -120,7 +125,7 @@ def draws(solved: Solved, places: Layout, number: int, rng: np.random.Generator)
     return drawn
 
 
-def sigma0(solved: Solved, places: Layout, drawn: list[Array]) -> float:
+def sigma0(solved: Solved, places: StateLayout, drawn: list[Array]) -> float:
     """Return the residuals' size in the standard deviations that ``step`` took, what was fitted to them taken off.
 
     The fit's degrees of freedom are trace(H^-1 J^T J): the mean square of what drawn curves change in the images.
@@ -137,9 +142,9 @@ def sigma0(solved: Solved, places: Layout, drawn: list[Array]) -> float:
 
 def curves_of(
     solved: Solved,
-    places: Layout,
+    places: StateLayout,
     covariances: list[Array],
-    observations: Observations,
+    observations: TimedObservations,
     spans: Array,
     unheld: Array,
 ) -> SplineCurves:
@@ -175,14 +180,16 @@ def curves_of(
     )  # fmt: skip
 
 
-def of_group(image: ImagePoints, places: Layout, group: int) -> Array:
+def of_group(image: ImagePoints, places: StateLayout, group: int) -> Array:
     """Return the mask of the image points whose equations a group holds; carried points are with the first."""
     inside = np.zeros(len(image.observations.points), dtype=bool)
     inside[places.groups[group]] = True
     return np.where(image.carrier >= 0, group == 0, inside[image.observations.point])
 
 
-def _of_group(seen: Seen, weight: Array, places: Layout, group: int, image: ImagePoints, base: int) -> Rows:
+def _of_group(
+    seen: LinearisedImages, weight: Array, places: StateLayout, group: int, image: ImagePoints, base: int
+) -> Rows:
     """Return the weighted equations of a group's image points in the group's own columns."""
     points = len(image.observations.points)
     rows = weighted(seen.rows, weight * of_group(image, places, group))
@@ -195,7 +202,7 @@ def _of_group(seen: Seen, weight: Array, places: Layout, group: int, image: Imag
     return Rows(rows.first, rows.weights, table[rows.columns], rows.values, rows.shared, rows.rest)
 
 
-def _shared_prior(places: Layout, state: State) -> tuple[Array, Array]:
+def _shared_prior(places: StateLayout, state: State) -> tuple[Array, Array]:
     precision, right = clocks.prior(places, state.clocks)
     if places.still_free:
         loose = np.repeat(np.array(DRIFT_OF_FRAME) ** -2.0, 3) * 1e-4
@@ -209,7 +216,7 @@ def _shared_prior(places: Layout, state: State) -> tuple[Array, Array]:
     return matrix, right
 
 
-def frame_rows(state: State, places: Layout, group: int) -> Rows:
+def frame_rows(state: State, places: StateLayout, group: int) -> Rows:
     """Return equations that hold the frame of moving cameras: each is near its start, the first very near, and so is
     the second's distance to the first.
 
@@ -250,7 +257,7 @@ def frame_rows(state: State, places: Layout, group: int) -> Rows:
 
 
 def _short_enough(
-    image: ImagePoints, old: State, new: State, found: list[Array], shared: Array, places: Layout,
+    image: ImagePoints, old: State, new: State, found: list[Array], shared: Array, places: StateLayout,
     covariances: list[Array], pairs: Pairs, weight: Array,
 ) -> State:  # fmt: skip
     """Return the new state, or one nearer to the old where the step made things worse."""
@@ -267,7 +274,12 @@ def _short_enough(
 
 
 def cost(
-    image: ImagePoints, state: State, places: Layout, covariances: list[Array], pairs: Pairs, weight: Array
+    image: ImagePoints,
+    state: State,
+    places: StateLayout,
+    covariances: list[Array],
+    pairs: Pairs,
+    weight: Array,
 ) -> float:
     """Return the weighted squares of image errors, of the prior and of constant distances."""
     residual = image.residuals(state)[weight > 0]

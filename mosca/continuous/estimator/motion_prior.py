@@ -18,7 +18,7 @@ from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.optimize import minimize_scalar
 
 from mosca.continuous.estimator.banded_normals import Band, Rows
-from mosca.continuous.estimator.bspline import Knots, values
+from mosca.continuous.model.bspline import Knots, values
 from mosca.data.arrays import Array
 
 ORDERS = (2, 3)

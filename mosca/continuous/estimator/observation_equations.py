@@ -6,9 +6,9 @@ import numpy as np
 
 from mosca.camera.projection import cross_matrices, lens_directions, project_with_jacobians
 from mosca.continuous.estimator.banded_normals import Rows
-from mosca.continuous.estimator.bspline import values
-from mosca.continuous.estimator.state import Layout, State, instants
-from mosca.continuous.observations import Observations
+from mosca.continuous.estimator.state import State, StateLayout, instants
+from mosca.continuous.model.bspline import values
+from mosca.continuous.model.observations import TimedObservations
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Pose, Rig
 
@@ -19,7 +19,7 @@ HUBER = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class LinearisedImages:
     """Image points at a state: ``residual`` (n, 2) in standard deviations, NaN where the lens images nothing;
     ``rows`` 2 n equations with whole-problem columns (3 a point, then 6 a moving camera), not yet weighted.
     """
@@ -42,7 +42,7 @@ class _Near:
 class ImagePoints:
     """Image points with what does not change while estimating: whitening, lenses, carriers."""
 
-    def __init__(self, observations: Observations, rig: Rig) -> None:
+    def __init__(self, observations: TimedObservations, rig: Rig) -> None:
         self.observations = observations
         here = Pose(np.eye(3), np.zeros(3))
         self.lenses = [
@@ -91,7 +91,7 @@ class ImagePoints:
         v = np.einsum("nji,nj->ni", rotation, world - centre)
         return _Near(v, rotation, other, turn, other_turn)
 
-    def rays(self, state: State, depth: Array) -> Seen:
+    def rays(self, state: State, depth: Array) -> LinearisedImages:
         """Return equations linear in the points: how far rays pass by, in the image at a ``depth`` (n,) [m]."""
         o = self.observations
         time_s = self.times(state)
@@ -107,7 +107,7 @@ class ImagePoints:
             rotation, centre = all_rotations[which, o.camera], all_centres[which, o.camera]
         by_point = self.whitening @ by_v @ np.swapaxes(rotation, 1, 2)
         rest = np.einsum("nij,nj->ni", by_point, centre)
-        return Seen(rest, self._rows(state, time_s, by_point, rest, np.zeros((len(o), 2, 0))))
+        return LinearisedImages(rest, self._rows(state, time_s, by_point, rest, np.zeros((len(o), 2, 0))))
 
     def depths(self, state: State) -> Array:
         """Return the distances (n,) of the points from their cameras [m]."""
@@ -118,7 +118,7 @@ class ImagePoints:
         xy, _ = self._project(self._near(state, self.times(state)).v)
         return np.asarray(np.einsum("nij,nj->ni", self.whitening, self.observations.xy_px - xy))
 
-    def linearised(self, state: State, places: Layout) -> Seen:
+    def linearised(self, state: State, places: StateLayout) -> LinearisedImages:
         """Return residuals and their equations at ``state``."""
         o = self.observations
         time_s = self.times(state)
@@ -136,7 +136,7 @@ class ImagePoints:
                 rows = np.flatnonzero(column >= 0)
                 shared[rows, :, column[rows]] = by_time[rows] * lever[rows, None]
         if not (places.moving or places.still_free):
-            return Seen(residual, self._rows(state, time_s, by_point, residual, shared))
+            return LinearisedImages(residual, self._rows(state, time_s, by_point, residual, shared))
         poses = np.concatenate([by_v @ cross_matrices(near.v), -by_point], axis=2)
         carried = -by_point @ near.carrier_rotation @ cross_matrices(o.carried_at[o.point])
         others = np.concatenate([carried, by_point], axis=2)
@@ -144,10 +144,12 @@ class ImagePoints:
             for k in range(places.cameras):
                 shared[o.camera == k, :, 6 * k : 6 * k + 6] += poses[o.camera == k]
                 shared[self.carrier == k, :, 6 * k : 6 * k + 6] += others[self.carrier == k]
-            return Seen(residual, self._rows(state, time_s, by_point, residual, shared))
+            return LinearisedImages(residual, self._rows(state, time_s, by_point, residual, shared))
         poses[:, :, :3] = poses[:, :, :3] @ _right_jacobians(near.turn)
         others[:, :, :3] = others[:, :, :3] @ _right_jacobians(near.carrier_turn)
-        return Seen(residual, self._rows(state, time_s, by_point, residual, shared, poses, others))
+        return LinearisedImages(
+            residual, self._rows(state, time_s, by_point, residual, shared, poses, others)
+        )
 
     def _rows(
         self, state: State, time_s: Array, by_point: Array, rest: Array, shared: Array,

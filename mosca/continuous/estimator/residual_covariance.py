@@ -16,7 +16,7 @@ from mosca.continuous.estimator.gauss_newton import Solved, frame_rows, of_group
 from mosca.continuous.estimator.motion_prior import FARTHEST_M
 from mosca.continuous.estimator.observation_equations import HUBER, ImagePoints
 from mosca.continuous.estimator.single_point import smoothest_noise
-from mosca.continuous.estimator.state import Layout, State
+from mosca.continuous.estimator.state import State, StateLayout
 from mosca.data.arrays import Array
 
 CHANCE = 3.0
@@ -27,7 +27,9 @@ LOOK_S = 0.5
 """How fast it changes from where cameras see a point."""
 
 
-def unheld(image: ImagePoints, solved: Solved, places: Layout, alone: Layout, points: Array) -> Array:
+def unheld(
+    image: ImagePoints, solved: Solved, places: StateLayout, alone: StateLayout, points: Array
+) -> Array:
     """Return covariances (pieces + 1, all points, 3, 3) [m^2] at the knots, to be added to those of the curves.
 
     ``points``: those that are estimated; ``alone``: the layout in which each is by itself.
@@ -55,7 +57,7 @@ def of_lenses(image: ImagePoints) -> Array:
     return np.asarray(np.minimum(image.lens_px**2 / np.maximum(stated, 1e-12), 1.0))
 
 
-def jitter(image: ImagePoints, solved: Solved, alone: Layout, points: Array, share: float) -> Array:
+def jitter(image: ImagePoints, solved: Solved, alone: StateLayout, points: Array, share: float) -> Array:
     """Return the variance (points,) an axis [m^2] of what is too quick for exposures.
 
     ``share``: of errors that last, in the variances stated; cameras in turn show them as jitter, which they are not.
@@ -94,7 +96,7 @@ def lasting(image: ImagePoints, solved: Solved) -> float:
     return alike / own if alike / number > chance else 0.0
 
 
-def single_looks(image: ImagePoints, solved: Solved, places: Layout, share: Array) -> Array:
+def single_looks(image: ImagePoints, solved: Solved, places: StateLayout, share: Array) -> Array:
     """Return at the knots the covariances (pieces + 1, all points, 3, 3) [m^2] that lasting errors give to points.
 
     ``share`` (c,): of each camera's errors, in the variances stated. They do what errors of one exposure of each
@@ -179,7 +181,7 @@ def _with_poses(
     return result
 
 
-def _held(state: State, places: Layout, group: int, at: float) -> Array:
+def _held(state: State, places: StateLayout, group: int, at: float) -> Array:
     """Return the equations (m, width) that hold the frame of moving cameras at the share ``at`` of the time."""
     rows = frame_rows(state, places, group)
     knots = state.knots.pieces + 1

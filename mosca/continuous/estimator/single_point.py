@@ -5,11 +5,16 @@ from dataclasses import replace
 import numpy as np
 
 from mosca.continuous.estimator.banded_normals import Rows
-from mosca.continuous.estimator.bspline import Knots, fitted
 from mosca.continuous.estimator.motion_prior import ORDERS, one_point
-from mosca.continuous.estimator.observation_equations import ImagePoints, Seen, robust_weights, weighted
-from mosca.continuous.estimator.state import Layout, State
-from mosca.continuous.observations import Curves
+from mosca.continuous.estimator.observation_equations import (
+    ImagePoints,
+    LinearisedImages,
+    robust_weights,
+    weighted,
+)
+from mosca.continuous.estimator.state import State, StateLayout
+from mosca.continuous.model.bspline import Knots, fitted
+from mosca.continuous.model.observations import Curves
 from mosca.data.arrays import Array
 
 RAY_PASSES = 2
@@ -17,7 +22,12 @@ NEAREST_M = 0.05
 
 
 def first_curves(
-    image: ImagePoints, state: State, places: Layout, points: Array, start: Curves | None, noise_free: bool
+    image: ImagePoints,
+    state: State,
+    places: StateLayout,
+    points: Array,
+    start: Curves | None,
+    noise_free: bool,
 ) -> tuple[State, Array, float]:
     """Return the state with curves of ``points`` (indices), each one's log strength of smoothness, and how many times
     larger than stated image errors are (1 unless ``noise_free``).
@@ -40,7 +50,7 @@ def first_curves(
             # noise as large as is likeliest: a smooth curve, from which gross errors stand out
             state = _each_point(image, seen, state, usable, points, True)[0]
     seen = image.linearised(state, places)
-    seen = Seen(seen.residual, _whole(seen.rows, state.xyz, len(image.observations.points)))
+    seen = LinearisedImages(seen.residual, _whole(seen.rows, state.xyz, len(image.observations.points)))
     weight = robust_weights(seen.residual)
     tried = [
         _each_point(image, seen, replace(state, order=order), weight, points, noise_free) for order in ORDERS
@@ -50,13 +60,13 @@ def first_curves(
 
 
 def smoothest_noise(
-    image: ImagePoints, state: State, places: Layout, points: Array
+    image: ImagePoints, state: State, places: StateLayout, points: Array
 ) -> tuple[Array, Array, Array]:
     """Return of ``points``, each made as smooth as the highest order has it: how many times larger than stated its
     image errors then are, the mean square of an image coordinate's derivative by place [1/m^2], and their number.
     """
     seen = image.linearised(state, places)
-    seen = Seen(seen.residual, _whole(seen.rows, state.xyz, len(image.observations.points)))
+    seen = LinearisedImages(seen.residual, _whole(seen.rows, state.xyz, len(image.observations.points)))
     smooth = replace(state, order=max(ORDERS))
     # jumps are rare and far larger than what is left elsewhere: told by a first pass, they count less in the second
     once = _each_point(image, seen, smooth, robust_weights(seen.residual), points, True)[0]
@@ -69,7 +79,7 @@ def smoothest_noise(
 
 
 def _each_point(
-    image: ImagePoints, seen: Seen, state: State, weight: Array, points: Array, noise_free: bool
+    image: ImagePoints, seen: LinearisedImages, state: State, weight: Array, points: Array, noise_free: bool
 ) -> tuple[State, Array, Array, float]:
     """Return the state with each point's own likeliest curve, their log strengths and noises, and the cost of all."""
     xyz, strength, noise, total = np.array(state.xyz), np.zeros(len(points)), np.ones(len(points)), 0.0

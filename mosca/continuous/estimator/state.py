@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mosca.continuous.camera_paths import StillCameras
-from mosca.continuous.estimator.bspline import Knots
-from mosca.continuous.result import SplinePaths
+from mosca.continuous.model.bspline import Knots
+from mosca.continuous.model.camera_paths import StillCameras
+from mosca.continuous.model.estimated import SplinePaths
 from mosca.data.arrays import Array
 from mosca.data.rotations import rotation_from_vector
 
@@ -39,7 +39,7 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class StateLayout:
     """Where unknowns stand.
 
     ``groups``: points that meet, each a band of 3 columns a point; with ``moving`` cameras one group, 6 more columns
@@ -65,15 +65,15 @@ class Layout:
         return at
 
 
-def layout(groups: tuple[Array, ...], cameras: int, kind: str, clock_free: Array) -> Layout:
+def layout(groups: tuple[Array, ...], cameras: int, kind: str, clock_free: Array) -> StateLayout:
     """Return the layout for cameras of ``kind`` ("known", "fixed", "moving") and the mask of free clock unknowns."""
     still_free = kind == "fixed"
     base = 6 * cameras if still_free else 0
     clock = np.where(clock_free, base + np.cumsum(clock_free.ravel()).reshape(clock_free.shape) - 1, -1)
-    return Layout(groups, cameras, kind == "moving", still_free, clock, base + int(clock_free.sum()))
+    return StateLayout(groups, cameras, kind == "moving", still_free, clock, base + int(clock_free.sum()))
 
 
-def unknowns(state: State, places: Layout, group: int) -> Array:
+def unknowns(state: State, places: StateLayout, group: int) -> Array:
     """Return the group's coefficients as one vector (count * width,)."""
     parts = [state.xyz[:, places.groups[group]].reshape(state.knots.count, -1)]
     if state.moving is not None:
@@ -81,7 +81,7 @@ def unknowns(state: State, places: Layout, group: int) -> Array:
     return np.concatenate(parts, axis=1).ravel()
 
 
-def replaced(state: State, places: Layout, coefficients: list[Array], shared: Array) -> State:
+def replaced(state: State, places: StateLayout, coefficients: list[Array], shared: Array) -> State:
     """Return the state with new ``coefficients`` of each group, and ``shared`` added to what has no time."""
     xyz, moving = np.array(state.xyz), state.moving
     for g, (points, vector) in enumerate(zip(places.groups, coefficients, strict=True)):

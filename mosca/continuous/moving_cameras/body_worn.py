@@ -14,19 +14,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mosca.continuous.association.associate import GatherSettings, check_long_enough, markers_of
+from mosca.continuous.association.associate import AssociationSettings, check_long_enough, markers_of
 from mosca.continuous.association.blink_codes import LampSettings, blinking
 from mosca.continuous.association.coarse_sync import common_clock
 from mosca.continuous.association.correspondence import common_instants, observed
-from mosca.continuous.association.frame_detections import LookCount, Seen, look_at_frames
+from mosca.continuous.association.frame_detections import CameraDetections, FrameCount, look_at_frames
 from mosca.continuous.association.tracklets_2d import strands
-from mosca.continuous.camera_paths import PosedCameras
 from mosca.continuous.estimator.estimate import ContinuousSettings, estimate
-from mosca.continuous.findings import told_of
-from mosca.continuous.moving_cameras.mutual_pose import Placed, lamp_rays, placed_by_lamps
-from mosca.continuous.moving_cameras.rig_at_time import MovingRig, images_at, lamp_places
-from mosca.continuous.observations import CameraPaths, Curves, Observations
-from mosca.continuous.reconstruct import BETTER_PX, CameraClock, Reconstructed
+from mosca.continuous.findings import association_findings
+from mosca.continuous.model.camera_paths import PosedCameras
+from mosca.continuous.model.observations import CameraPaths, Curves, TimedObservations
+from mosca.continuous.model.rig_at_time import MovingRig, images_at, lamp_places
+from mosca.continuous.moving_cameras.mutual_pose import MutualPoses, lamp_rays, placed_by_lamps
+from mosca.continuous.reconstruct import BETTER_PX, EstimatedClock, Reconstructed
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED
 from mosca.data.frames import FrameSource
@@ -69,7 +69,7 @@ class Worn:
     """
 
     reconstructed: Reconstructed
-    placed: Placed
+    placed: MutualPoses
     lamp: tuple[Array, ...]
     by_code: tuple[Array, ...]
     lamp_rms_px: float
@@ -80,7 +80,7 @@ def reconstruct_worn(
     rig: Rig,
     known: Sequence[str],
     lamps: Lamps,
-    gathering: GatherSettings | None = None,
+    gathering: AssociationSettings | None = None,
     settings: ContinuousSettings | None = None,
     backgrounds: Mapping[str, Array] | None = None,
     attend: Callable[[int], None] | None = None,
@@ -93,20 +93,20 @@ def reconstruct_worn(
     known, or lamps do not tell where the others are.
     """
     check_source(source, rig)
-    gathering = GatherSettings() if gathering is None else gathering
-    count = LookCount()
+    gathering = AssociationSettings() if gathering is None else gathering
+    count = FrameCount()
     seen = look_at_frames(source, rig.names, gathering.pipeline.detection, backgrounds, count, attend)
     return solve_worn(seen, rig, known, lamps, gathering, settings, count, attend)
 
 
 def solve_worn(
-    seen: Sequence[Seen],
+    seen: Sequence[CameraDetections],
     rig: Rig,
     known: Sequence[str],
     lamps: Lamps,
-    gathering: GatherSettings,
+    gathering: AssociationSettings,
     settings: ContinuousSettings | None = None,
-    count: LookCount | None = None,
+    count: FrameCount | None = None,
     attend: Callable[[int], None] | None = None,
 ) -> Worn:
     """As ``reconstruct_worn``, of what the rig's cameras saw already."""
@@ -128,7 +128,7 @@ def solve_worn(
     )
     marked = tuple(_without(one, own) for one, own in zip(seen, lamp, strict=True))
     strand = [strands(one) for one in marked]
-    gathered = markers_of(marked, strand, ties, rig, gathering, count or LookCount(), attend, moving)
+    gathered = markers_of(marked, strand, ties, rig, gathering, count or FrameCount(), attend, moving)
     settings = settings or ContinuousSettings()
     # a camera's path is seen at its own exposures alone: knots as far apart as the quickest one's frames
     knot_s = settings.knot_s or min(one.period_s for one in seen)
@@ -146,11 +146,11 @@ def solve_worn(
             found, _row = observed(marked, ties, rig, start, gathered.sigma_px, BETTER_PX, moving)
     told = (
         f"frame and metre are those of {' and '.join(map(repr, known))}, whose poses were given",
-        *told_of(gathered, found),
+        *association_findings(gathered, found),
         *(line for line in estimated.findings if not line.startswith("scale:")),
     )
     clocks = tuple(
-        CameraClock(one.info.name, ties[0].origin_ns, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for one in seen
+        EstimatedClock(one.info.name, ties[0].origin_ns, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for one in seen
     )
     return Worn(
         Reconstructed(gathered, estimated, found, clocks, told, rig, estimated.paths),
@@ -162,8 +162,8 @@ def solve_worn(
 
 
 def _known_first(
-    rig: Rig, known: Sequence[str], lamps: Lamps, seen: Sequence[Seen]
-) -> tuple[Rig, Lamps, tuple[Seen, ...]]:
+    rig: Rig, known: Sequence[str], lamps: Lamps, seen: Sequence[CameraDetections]
+) -> tuple[Rig, Lamps, tuple[CameraDetections, ...]]:
     """Return all with the known cameras first."""
     for name in known:
         rig.camera(name)
@@ -179,7 +179,7 @@ def _known_first(
     )
 
 
-def _carriers(one: Seen, lamps: Lamps) -> Array:
+def _carriers(one: CameraDetections, lamps: Lamps) -> Array:
     """Return the camera (n,) whose lamp each image point is by its code, or -1."""
     of_number = {number: c for c, number in enumerate(lamps.numbers)}
     own = lamps.numbers
@@ -188,7 +188,7 @@ def _carriers(one: Seen, lamps: Lamps) -> Array:
     )
 
 
-def _moving(rig: Rig, placed: Placed, told_s: float) -> MovingRig:
+def _moving(rig: Rig, placed: MutualPoses, told_s: float) -> MovingRig:
     good = np.asarray(np.isfinite(placed.centres).all(axis=2))
     for c, name in enumerate(rig.names):
         if good[:, c].sum() < 3:
@@ -201,7 +201,7 @@ def _moving(rig: Rig, placed: Placed, told_s: float) -> MovingRig:
 
 
 def _lamps_near(
-    one: Seen, c: int, time_s: Array, by_code: Array, rig: Rig, moving: MovingRig, lamps: Lamps
+    one: CameraDetections, c: int, time_s: Array, by_code: Array, rig: Rig, moving: MovingRig, lamps: Lamps
 ) -> Array:
     """Return the camera (n,) whose lamp each image point is, by its code or by where the lamp must be, or -1."""
     lamp = np.array(by_code)
@@ -226,7 +226,7 @@ def _lamps_near(
     return lamp
 
 
-def _without(one: Seen, lamp: Array) -> Seen:
+def _without(one: CameraDetections, lamp: Array) -> CameraDetections:
     """Return what a camera saw but for lamps."""
     keep = lamp < 0
     count = np.bincount(one.frame[keep], minlength=len(one.frame_ns))
@@ -239,9 +239,13 @@ def _without(one: Seen, lamp: Array) -> Seen:
 
 
 def with_lamps(
-    found: Observations, seen: Sequence[Seen], times_s: Sequence[Array], lamp: Sequence[Array], sigma_px: Array,
+    found: TimedObservations,
+    seen: Sequence[CameraDetections],
+    times_s: Sequence[Array],
+    lamp: Sequence[Array],
+    sigma_px: Array,
     lamps: Lamps,
-) -> Observations:  # fmt: skip
+) -> TimedObservations:
     """Return observations with the lamps' image points besides, as points that cameras carry."""
     n = len(found.points)
     parts = [[found.camera, found.point, found.exposure, found.time_s, found.xy_px, found.covariance_px2]]
@@ -264,13 +268,13 @@ def with_lamps(
     names = (*found.points, *(f"lamp/{name}" for name in found.cameras))
     carried_by = np.concatenate([np.full(n, -1), np.arange(len(lamps.numbers))])
     carried_at = np.concatenate([np.zeros((n, 3)), lamps.at_m])
-    return Observations(
+    return TimedObservations(
         found.cameras, names, camera, point, exposure, time, xy, covariance, carried_by, carried_at
     )
 
 
 def _lamp_rms_px(
-    seen: Sequence[Seen],
+    seen: Sequence[CameraDetections],
     times_s: Sequence[Array],
     lamp: Sequence[Array],
     rig: Rig,

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from mosca.camera.projection import lens_directions
 from mosca.continuous.association.blink_codes import DARKEST
-from mosca.continuous.association.frame_detections import Seen
+from mosca.continuous.association.frame_detections import CameraDetections
 from mosca.continuous.association.tracklet_merging import parts_in_time
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
@@ -44,7 +44,7 @@ class LampRays:
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class MutualPoses:
     """world_from_camera at instants: ``rotations`` (t, c, 3, 3), ``centres`` (t, c, 3) [m], NaN where lamps do not
     tell; ``residual_rad`` (t,) rms of the sightings.
     """
@@ -56,7 +56,7 @@ class Placed:
 
 
 def lamp_rays(
-    seen: Sequence[Seen],
+    seen: Sequence[CameraDetections],
     times_s: Sequence[Array],
     lamp: Sequence[Array],
     rig: Rig,
@@ -87,7 +87,7 @@ def lamp_rays(
     return LampRays(np.asarray(instants_s, dtype=float), rays)
 
 
-def placed_by_lamps(sights: LampRays, rig: Rig, known: Array, lamp_m: Array) -> Placed:
+def placed_by_lamps(sights: LampRays, rig: Rig, known: Array, lamp_m: Array) -> MutualPoses:
     """Return the cameras' poses at each instant.
 
     ``known`` (c,): which of the rig's poses are right and stay. ``lamp_m`` (c, 3): each camera's lamp, its own frame.
@@ -101,7 +101,9 @@ def placed_by_lamps(sights: LampRays, rig: Rig, known: Array, lamp_m: Array) -> 
         _seeded(sights.rays[i], rotations[i], centres[i], known, lamp_m)
     begun = np.asarray(np.isfinite(centres).all(axis=2))
     residual = np.full(t, np.nan)
-    result = Placed(sights.time_s, np.full_like(rotations, np.nan), np.full_like(centres, np.nan), residual)
+    result = MutualPoses(
+        sights.time_s, np.full_like(rotations, np.nan), np.full_like(centres, np.nan), residual
+    )
     for k in np.flatnonzero(begun.any(axis=0)):
         some = np.flatnonzero(begun[:, k])
         nearest = some[np.abs(some[None, :] - np.arange(t)[:, None]).argmin(axis=1)]

@@ -1,1 +1,0 @@
-"""Self-calibration from unknown points: view graph, incremental reconstruction."""

@@ -1,0 +1,100 @@
+"""A rig from a wand that is waved through the volume: focal lengths found, scale from the wand's length."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from mosca.calibration.bundle.solver import Distances
+from mosca.calibration.uncalibrated.end_order import ordered
+from mosca.calibration.uncalibrated.final_adjustment import finished
+from mosca.calibration.uncalibrated.image_points import PointViews, point_views
+from mosca.calibration.uncalibrated.incremental import grow
+from mosca.calibration.uncalibrated.initial_pair import wand_start
+from mosca.calibration.uncalibrated.partial_adjustment import CLEAR_SIGMAS, cleaned, intersected
+from mosca.calibration.uncalibrated.result import calibration_of, check
+from mosca.calibration.uncalibrated.self_calibration import MOST_WHILE_GROWING, SelfSettings
+from mosca.calibration.uncalibrated.view_graph import FEWEST_COMMON, check_links, common_bend
+from mosca.data.calibration import Calibration
+from mosca.data.rig import Camera, Lens
+from mosca.data.sightings import Sightings
+from mosca.data.wands import Wand
+from mosca.errors import CalibrationError
+
+# a distance that is said to be exact is held to this share of it
+EXACT = 1e-5
+# share by which one distance on a wand may be off against its length
+WRONG_SHAPE = 0.004
+
+
+def calibrate_wand(
+    sightings: Sightings,
+    wand: Wand,
+    rng: np.random.Generator,
+    lenses: Sequence[Lens] | None = None,
+    settings: SelfSettings | None = None,
+) -> Calibration:
+    """Calibrate cameras of unknown focal length from sightings of a wand.
+
+    ``sightings``: marks are the wand's balls; where its order is not known (-1), the rows of an image stand in
+    their order along the line, from either end. ``lenses``: one a camera; model (mosca or opencv) and shape of the
+    pixels count, all else is found anew. Lengths are the wand's; axes are near those of one of the cameras.
+    CalibrationError where cameras are not joined by common views, or where the result cannot be a rig.
+    """
+    settings = settings or SelfSettings()
+    balls = len(wand.along_m)
+    sightings = ordered(sightings, balls, lenses, rng)
+    tracks = point_views(sightings, balls, lenses, _rods(wand, sightings.frames))
+    check_links(tracks)
+    some = tracks.thinned(MOST_WHILE_GROWING * len(tracks.names), rng)
+    bend = common_bend(some, rng)
+    start = grow(wand_start(some, bend, rng), some, bend, rng)
+    _check_shape(cleaned(tracks, start.cameras, CLEAR_SIGMAS * start.spread), start.cameras, wand)
+    final = finished(start, tracks, tracks.lenses, settings.blunder_significance)
+    check(final, tracks)
+    length = wand.along_m[-1] - wand.along_m[0]
+    return calibration_of(
+        final,
+        tracks,
+        sightings,
+        "wand",
+        f"the wand's length {length:g} m",
+        wand.sigma_m * np.sqrt(2) / length,
+    )
+
+
+def _check_shape(tracks: PointViews, cameras: Mapping[int, Camera], wand: Wand) -> None:
+    """Raise CalibrationError where the wand's balls do not lie as its file says."""
+    points = intersected(tracks, cameras).reshape(-1, len(wand.along_m), 3)
+    first, second = np.triu_indices(len(wand.along_m), 1)
+    along = np.array(wand.along_m)
+    ratio = np.linalg.norm(points[:, first] - points[:, second], axis=2) / (along[second] - along[first])
+    ratio = ratio[np.isfinite(ratio).all(axis=1)]
+    if len(ratio) < FEWEST_COMMON:
+        return
+    off = ratio - ratio[:, [len(along) - 2]]
+    middle = np.median(off, axis=0)
+    doubt = 1.4826 * np.median(np.abs(off - middle), axis=0) / np.sqrt(len(off))
+    worst = int(np.argmax(np.abs(middle)))
+    if abs(middle[worst]) > WRONG_SHAPE + 5 * doubt[worst]:
+        raise CalibrationError(
+            f"wrong-size: balls {first[worst] + 1} and {second[worst] + 1} of the wand come out "
+            f"{100 * middle[worst]:+.1f} % off the file's distance compared with its length; measure the wand again, "
+            "and check the order of its balls in along_m"
+        )
+
+
+def _rods(wand: Wand, frames: int) -> Distances:
+    """Return the distances of all balls of all frames; ball k of frame f is the object point f * balls + k.
+
+    What is wrong with the wand is wrong in all frames alike, and comes on top of the covariance; here it only
+    says how firmly several distances on one wand are believed against each other.
+    """
+    balls = len(wand.along_m)
+    first, second = np.triu_indices(balls, 1)
+    base = balls * np.arange(frames)[:, None]
+    length = np.array(wand.along_m)[second] - np.array(wand.along_m)[first]
+    sigma = np.maximum(wand.sigma_m * np.sqrt(2), EXACT * length)
+    every = np.ones((frames, 1))
+    return Distances(
+        (base + first).ravel(), (base + second).ravel(), (every * length).ravel(), (every * sigma).ravel()
+    )

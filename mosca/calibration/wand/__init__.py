@@ -1,1 +1,0 @@
-"""Wand calibration of cameras without initial values."""

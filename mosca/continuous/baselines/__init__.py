@@ -1,1 +1,0 @@
-"""Methods of the literature, to compare with: linear and spline interpolation, neural trajectories."""

@@ -1,0 +1,163 @@
+"""Cameras without known poses: where to begin. Two views by their essential matrix, the others by resection."""
+
+import numpy as np
+
+from mosca.calibration.initial.target_pose import poses_of
+from mosca.continuous.comparison_methods.epipoles import TooFewPointsError, relative_pose
+from mosca.continuous.comparison_methods.synchronous import (
+    Cameras,
+    PosesAndPoints,
+    Views,
+    adjust,
+    intersected,
+)
+from mosca.data.arrays import Array
+from mosca.data.rig import Pose
+from mosca.errors import InputError
+
+MOST_RAYS = 2000
+"""Correspondences that a start looks at, spread evenly over all."""
+STEP = 5
+"""Instants from one that is begun anew to the next; those between begin at the nearest of them."""
+WORSE = 2.0
+"""Instants with so many times the usual error are tried again from their neighbours' poses."""
+
+
+def first_scene(views: Views, cameras: Cameras, *, epipoles: bool = True) -> PosesAndPoints:
+    """Return a start for ``adjust``, adjusted once; with "moving" each instant on its own.
+
+    Datum: the first camera as the given cameras say, and so its distance to the second (each instant's, "moving").
+    ``epipoles``: use them. InputError where no two cameras share enough points.
+    """
+    t, c = views.xy_px.shape[:2]
+    poses = [camera.world_from_camera for camera in views.cameras]
+    rotations = np.tile(np.array([p.rotation for p in poses]), (t, 1, 1, 1))
+    centres = np.tile(np.array([p.translation for p in poses]), (t, 1, 1))
+    if cameras == "known":
+        return PosesAndPoints(rotations, centres, intersected(views, rotations, centres))
+    if cameras == "fixed":
+        found = _still(views, epipoles)
+        if found is None:
+            raise InputError(
+                f"cameras {', '.join(one.name for one in views.cameras)}: no two of them share 8 points at common "
+                "instants (3 where both see each other); record longer or let the cameras overlap"
+            )
+        start = _scene(views, *found)
+        return in_datum(adjust(views, start, "fixed", epipoles=epipoles).scene, views)
+    centres, rotations = np.full((t, c, 3), np.nan), np.tile(np.eye(3), (t, c, 1, 1))
+    for i in sorted(range(t), key=lambda i: (i % STEP != 0, i)):
+        if i % STEP and np.isfinite(centres).any():
+            break
+        one = _still(_instants(views, np.array([i])), epipoles)
+        if one is not None:
+            rotations[i], centres[i] = one
+    if not np.isfinite(centres).any():
+        raise InputError(
+            "moving cameras: at no instant do two cameras share 8 points (3 where both see each other)"
+        )
+    return _moving(views, rotations, centres, epipoles)
+
+
+def in_datum(scene: PosesAndPoints, views: Views) -> PosesAndPoints:
+    """Return a scene moved and stretched to its datum: first camera and its distance to the second as given."""
+    own = views.cameras[0].world_from_camera
+    other = views.cameras[1].world_from_camera
+    wanted = float(np.linalg.norm(other.translation - own.translation)) or 1.0
+    base = np.linalg.norm(scene.centres[:, 1] - scene.centres[:, 0], axis=1)
+    scale = (wanted / base)[:, None, None]
+    turn = own.rotation @ np.swapaxes(scene.rotations[:, 0], 1, 2)  # (t, 3, 3)
+
+    def moved(x: Array) -> Array:
+        away = np.einsum("tij,tmj->tmi", turn, x - scene.centres[:, :1])
+        return np.asarray(own.translation + scale * away)
+
+    return PosesAndPoints(turn[:, None] @ scene.rotations, moved(scene.centres), moved(scene.xyz))
+
+
+def _moving(views: Views, rotations: Array, centres: Array, epipoles: bool) -> PosesAndPoints:
+    """Adjust every instant from its own start and, where that ends badly, from its neighbours'."""
+    ready = np.asarray(np.isfinite(centres).all(axis=(1, 2)))
+    nearest = np.array(
+        [np.flatnonzero(ready)[np.argmin(np.abs(np.flatnonzero(ready) - i))] for i in range(len(ready))]
+    )
+    best = adjust(views, _scene(views, rotations[nearest], centres[nearest]), "moving", epipoles=epipoles)
+    scene, rms = in_datum(best.scene, views), best.rms_px.copy()
+    for _ in range(2):
+        for step in (1, -1):
+            beside = np.clip(np.arange(len(rms)) + step, 0, len(rms) - 1)
+            again = np.flatnonzero((rms > WORSE * np.median(rms)) & (rms > rms[beside]))
+            if not len(again):
+                continue
+            part = _instants(views, again)
+            start = _scene(part, scene.rotations[beside[again]], scene.centres[beside[again]])
+            trial = adjust(part, start, "moving", epipoles=epipoles)
+            better = trial.rms_px < rms[again]
+            moved, chosen = in_datum(trial.scene, part), again[better]
+            scene.rotations[chosen], scene.centres[chosen] = moved.rotations[better], moved.centres[better]
+            scene.xyz[chosen], rms[chosen] = moved.xyz[better], trial.rms_px[better]
+    return scene
+
+
+def _scene(views: Views, rotations: Array, centres: Array) -> PosesAndPoints:
+    t = len(views.xy_px)
+    if rotations.ndim == 3:
+        rotations, centres = np.tile(rotations, (t, 1, 1, 1)), np.tile(centres, (t, 1, 1))
+    return PosesAndPoints(rotations, centres, intersected(views, rotations, centres))
+
+
+def _instants(views: Views, which: Array) -> Views:
+    return Views(views.cameras, views.xy_px[which], views.carried_by, views.carried_at)
+
+
+def _still(views: Views, epipoles: bool) -> tuple[Array, Array] | None:
+    """Return poses (c, 3, 3), (c, 3) of still cameras, up to a similarity; None where not all are found."""
+    rays = views.rays()
+    own = rays[:, :, views.free]
+    seen = np.asarray(np.isfinite(own).all(axis=-1))
+    c = seen.shape[1]
+    pairs = [(i, j) for i in range(c) for j in range(i + 1, c)]
+    first, second = max(pairs, key=lambda pair: int((seen[:, pair[0]] & seen[:, pair[1]]).sum()))
+    both = seen[:, first] & seen[:, second]
+    thin = _thinned(int(both.sum()))
+    a, b = own[:, first][both][thin], own[:, second][both][thin]
+    toward, back = _epipole(views, rays, first, second), _epipole(views, rays, second, first)
+    try:
+        found = relative_pose(a, b, toward if epipoles else None, back if epipoles else None)
+    except TooFewPointsError:
+        return None
+    poses = {first: Pose(np.eye(3), np.zeros(3)), second: found.second_from_first.inverse()}
+    rotations, centres = np.tile(np.eye(3), (c, 1, 1)), np.zeros((c, 3))
+    rotations[second], centres[second] = poses[second].rotation, poses[second].translation
+    pair = Views(
+        (views.cameras[first], views.cameras[second]), views.xy_px[:, [first, second]], views.carried_by,
+        views.carried_at,
+    )  # fmt: skip
+    t = len(views.xy_px)
+    both_r, both_c = rotations[[first, second]], centres[[first, second]]
+    xyz = intersected(pair, np.tile(both_r, (t, 1, 1, 1)), np.tile(both_c, (t, 1, 1)))
+    for k in range(c):
+        if k in poses:
+            continue
+        good = np.asarray(seen[:, k] & np.isfinite(xyz).all(axis=-1))
+        thin = _thinned(int(good.sum()))
+        fits = poses_of(own[:, k][good][thin], xyz[good][thin])
+        if not fits:
+            return None
+        pose = fits[0].camera_from_target.inverse()
+        rotations[k], centres[k] = pose.rotation, pose.translation
+    return rotations, centres
+
+
+def _epipole(views: Views, rays: Array, viewer: int, carrier: int) -> Array | None:
+    """Return the mean ray (3,) on which one camera sees the centre of another; None where it does not."""
+    for m in np.flatnonzero(views.carried_by == carrier):
+        seen = rays[:, viewer, m][np.isfinite(rays[:, viewer, m]).all(axis=-1)]
+        if len(seen) and not views.carried_at[m].any():
+            return np.asarray(seen.mean(axis=0))
+    return None
+
+
+def _thinned(count: int) -> Array:
+    return (
+        np.unique(np.linspace(0, count - 1, min(count, MOST_RAYS)).astype(int)) if count else np.zeros(0, int)
+    )

@@ -1,0 +1,139 @@
+"""What an estimate begins with: which points, knots and groups, and cameras where they are thought to be."""
+
+import numpy as np
+from scipy.cluster.hierarchy import leaves_list, linkage
+from scipy.spatial.distance import squareform
+from scipy.spatial.transform import Rotation
+
+from mosca.continuous.estimator.state import State, StateLayout
+from mosca.continuous.model.bspline import Knots, fitted, knots_over, values
+from mosca.continuous.model.camera_paths import PosedCameras, StillCameras
+from mosca.continuous.model.estimated import ContinuousSettings, SplinePaths
+from mosca.continuous.model.observations import CameraPaths, TimedObservations
+from mosca.data.arrays import Array
+from mosca.data.rig import Rig
+from mosca.errors import InputError
+
+DEGREE = 3
+FEWEST_SIGHTINGS = 6
+MOST_UNKNOWNS = 600_000
+"""Knots are spread wider where there would be more coefficients than this."""
+LARGEST_TURN = 0.7
+"""Cameras that turn less about their mean rotation are described by vectors about it [rad]."""
+CAMERA_START = (3.0, 1.0)
+"""How a moving camera turns and moves before anything is learned: rad/s^2 and m/s^2 in a band of one hertz."""
+
+
+def enough(observations: TimedObservations, told: list[str]) -> Array:
+    """Return the free points that two cameras see often enough, and say which are left out."""
+    points = []
+    for p in observations.free:
+        own = observations.point == p
+        seen_by = len(np.unique(observations.camera[own]))
+        if own.sum() >= FEWEST_SIGHTINGS and seen_by >= 2:
+            points.append(int(p))
+        else:
+            told.append(
+                f"point '{observations.points[p]}' is left out: {own.sum()} image points by {seen_by} cameras, "
+                f"{FEWEST_SIGHTINGS} by 2 are needed"
+            )
+    if not points:
+        raise InputError(
+            f"continuous: no point is seen {FEWEST_SIGHTINGS} times and by two cameras; record longer or turn the "
+            "cameras so that they see the same markers"
+        )
+    return np.array(points)
+
+
+def seen_from_to(observations: TimedObservations, time_s: Array) -> Array:
+    """Return the first and last instant (points, 2) [s] at which each point was seen, NaN where never.
+
+    ``time_s`` (n,): when each image point was exposed.
+    """
+    spans = np.full((len(observations.points), 2), np.nan)
+    for p in np.unique(observations.point):
+        own = time_s[observations.point == p]
+        spans[p] = own.min(), own.max()
+    return spans
+
+
+def still_of(rig: Rig, names: tuple[str, ...]) -> StillCameras:
+    """Return the named cameras where the rig has them."""
+    poses = [rig.camera(name).world_from_camera for name in names]
+    return StillCameras(
+        names, np.array([p.rotation for p in poses]), np.array([p.translation for p in poses])
+    )
+
+
+def first_knots(observations: TimedObservations, settings: ContinuousSettings) -> Knots:
+    """Return knots as far apart as exposures are on average, those of all cameras counted.
+
+    Cameras that expose together count once: they see the same instant.
+    """
+    one = np.unique(np.column_stack([observations.camera, observations.exposure]), axis=0, return_index=True)[
+        1
+    ]
+    when = np.sort(observations.time_s[one])
+    duration = float(when[-1] - when[0])
+    instants_seen = 1 + int((np.diff(when) > 1e-4).sum())
+    spacing = duration / max(instants_seen - 1, 1)
+    width = 3 * len(observations.points) + 6 * len(observations.cameras)
+    finest = duration * width / MOST_UNKNOWNS
+    room = 0.0 if settings.clocks == "known" else spacing
+    return knots_over(when[0] - room, when[-1] + room, settings.knot_s or max(spacing, finest), DEGREE)
+
+
+def moving_start(
+    settings: ContinuousSettings, still: StillCameras, paths: CameraPaths | None, knots: Knots
+) -> SplinePaths | None:
+    """Return the cameras' paths to begin with as curves, None where cameras stand still."""
+    if settings.cameras != "moving":
+        return None
+    time = np.linspace(knots.start_s, knots.end_s, 2 * knots.count + 1)
+    rotation, centre = still.at(time)
+    if paths is not None:
+        given = paths.at(time)
+        for c, name in enumerate(still.cameras):
+            if name not in paths.cameras:
+                raise InputError(
+                    f"continuous: no path to begin with for camera '{name}'; give one for each camera"
+                )
+            k = paths.cameras.index(name)
+            good = np.flatnonzero(np.isfinite(given[1][:, k]).all(axis=1))
+            if not len(good):
+                raise InputError(
+                    f"continuous: the path to begin with of camera '{name}' is empty; leave it out"
+                )
+            # before and after what is given, and in gaps: the nearest pose
+            nearest = good[np.abs(time[good][None, :] - time[:, None]).argmin(axis=1)]
+            rotation[:, c], centre[:, c] = given[0][nearest, k], given[1][nearest, k]
+    turns = np.zeros_like(centre)
+    for c in range(len(still.cameras)):
+        # about one rotation, so that what is learned is how quickly a camera turns, not how rough the start was
+        each = Rotation.from_matrix(rotation[:, c])
+        away = (each.mean().inv() * each).as_rotvec()
+        if np.linalg.norm(away, axis=1).max() < LARGEST_TURN:
+            rotation[:, c], turns[:, c] = each.mean().as_matrix(), away
+    begin = PosedCameras(still.cameras, time, rotation, centre, "cubic")
+    coefficients = np.concatenate([fitted(knots, time, turns), fitted(knots, time, centre)], axis=2)
+    return SplinePaths(still.cameras, begin, knots, coefficients, coefficients)
+
+
+def grouped(state: State, points: Array, settings: ContinuousSettings) -> tuple[Array, ...]:
+    """Return the groups of points that are estimated together: neighbours, so that those of one limb are in one."""
+    if settings.cameras == "moving" or len(points) <= settings.most_together:
+        return (points,)
+    at = values(state.knots, state.xyz[:, points], state.knots.breaks_s[:: max(1, state.knots.pieces // 50)])
+    apart = np.linalg.norm(at[:, :, None] - at[:, None], axis=3).mean(axis=0)
+    order = leaves_list(linkage(squareform(apart, checks=False), "average"))
+    parts = np.array_split(points[order], -(-len(points) // settings.most_together))
+    return tuple(np.sort(part) for part in parts)
+
+
+def first_covariance(strengths: dict[int, float], places: StateLayout, group: int) -> Array:
+    """Return the prior's covariance of a group before anything is learned together: each point by itself."""
+    own = np.repeat([np.exp(-strengths[p]) for p in places.groups[group].tolist()], 3)
+    if not places.moving:
+        return np.diag(own)
+    turn, move = CAMERA_START
+    return np.diag(np.concatenate([own, np.tile([turn**2] * 3 + [move**2] * 3, places.cameras)]))

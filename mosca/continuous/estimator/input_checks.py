@@ -1,0 +1,58 @@
+"""Recordings that cannot be used are refused in one line, before anything is estimated."""
+
+import numpy as np
+
+from mosca.continuous.model.observations import TimedObservations
+from mosca.data.rig import Rig
+from mosca.errors import InputError
+
+FEWEST_EXPOSURES = 4
+
+
+def check(observations: TimedObservations, rig: Rig) -> None:
+    """Raise InputError for unknown cameras, equal or unsorted time stamps, no shared time, or too short a recording.
+
+    Cameras share time where their spans overlap; with unknown clocks this is asked of the stamps all the same, since
+    an offset is only sought around zero.
+    """
+    for name in observations.cameras:
+        rig.camera(name)
+    if not len(observations):
+        raise InputError("continuous: no image points given; detect and identify markers first")
+    spans = []
+    for c, name in enumerate(observations.cameras):
+        own = observations.camera == c
+        if not own.any():
+            raise InputError(f"continuous: camera '{name}' has no image points; leave it out")
+        exposure, at = np.unique(observations.exposure[own], return_index=True)
+        time = observations.time_s[own]
+        if np.any(time != time[at][np.searchsorted(exposure, observations.exposure[own])]):
+            raise InputError(
+                f"continuous: camera '{name}' has an exposure with two time stamps; give each one"
+            )
+        steps = np.diff(time[at])
+        if len(exposure) < FEWEST_EXPOSURES:
+            raise InputError(
+                f"continuous: camera '{name}' has {len(exposure)} exposures, at least {FEWEST_EXPOSURES} are needed; "
+                "record longer"
+            )
+        for wrong, what in ((steps == 0, "the same time stamp"), (steps < 0, "an earlier time stamp")):
+            if wrong.any():
+                k = int(np.flatnonzero(wrong)[0])
+                raise InputError(
+                    f"continuous: camera '{name}' gives exposure {exposure[k + 1]} {what} ({time[at][k + 1]:.6f} s) "
+                    f"{'as' if steps[k] == 0 else 'than'} exposure {exposure[k]}; frames must come sorted, each with "
+                    "its own time"
+                )
+        spans.append((time.min(), time.max()))
+    for c, name in enumerate(observations.cameras):
+        others = [s for k, s in enumerate(spans) if k != c]
+        if len(spans) > 1 and not any(spans[c][0] <= b and a <= spans[c][1] for a, b in others):
+            raise InputError(
+                f"continuous: camera '{name}' ({spans[c][0]:.3f} to {spans[c][1]:.3f} s) shares no time with the "
+                "others; check its clock or leave it out"
+            )
+    if len(spans) < 2:
+        raise InputError(
+            f"continuous: only camera '{observations.cameras[0]}' is there; two at least are needed to see depth"
+        )

@@ -1,0 +1,1 @@
+"""What goes into and comes out of continuous time: observations, curves, camera paths, clocks."""

@@ -1,0 +1,109 @@
+"""What free-running cameras saw: image points, each with its own instant; and curves, what is made of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from mosca.data.arrays import Array, read_only
+
+
+@dataclass(frozen=True, eq=False)
+class TimedObservations:
+    """n image points of named points, each of an exposure of its own.
+
+    ``cameras`` and ``points``: their names. Of each image point: ``camera`` (n,) and ``point`` (n,) indices;
+    ``exposure`` (n,) running number of the camera's frame, rising with time; ``time_s`` (n,) mid-exposure of that
+    frame's first row, on the camera's own clock counted from the session's start [s]; ``xy_px`` (n, 2);
+    ``covariance_px2`` (n, 2, 2) of its random error.
+
+    Epipoles (second paper, section 3) are image points like others: a camera that is seen is a point that a camera
+    carries. ``carried_by`` (points,): index of the camera that carries the point, -1 where none does;
+    ``carried_at`` (points, 3): where it sits in that camera's frame [m], zero for the projection centre itself.
+    """
+
+    cameras: tuple[str, ...]
+    points: tuple[str, ...]
+    camera: Array
+    point: Array
+    exposure: Array
+    time_s: Array
+    xy_px: Array
+    covariance_px2: Array
+    carried_by: Array
+    carried_at: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cameras", tuple(self.cameras))
+        object.__setattr__(self, "points", tuple(self.points))
+        n, m = len(self.xy_px), len(self.points)
+        for name, shape, dtype in (
+            ("camera", (n,), np.int64),
+            ("point", (n,), np.int64),
+            ("exposure", (n,), np.int64),
+            ("time_s", (n,), np.float64),
+            ("xy_px", (n, 2), np.float64),
+            ("covariance_px2", (n, 2, 2), np.float64),
+            ("carried_by", (m,), np.int64),
+            ("carried_at", (m, 3), np.float64),
+        ):
+            object.__setattr__(self, name, read_only(getattr(self, name), shape, name, dtype))
+        for name, index, end in (
+            ("camera", self.camera, len(self.cameras)),
+            ("point", self.point, len(self.points)),
+        ):
+            if n and (index.min() < 0 or index.max() >= end):
+                raise ValueError(f"{name}: {index.min()} to {index.max()} given, 0 to {end - 1} allowed")
+
+    def __len__(self) -> int:
+        return len(self.xy_px)
+
+    @property
+    def free(self) -> Array:
+        """Indices of the points that no camera carries: the markers whose curves are wanted."""
+        return np.flatnonzero(self.carried_by < 0)
+
+    def only(self, keep: Array) -> "TimedObservations":
+        """Return the image points ``keep`` (mask or indices); cameras and points counted as before."""
+        columns = ("camera", "point", "exposure", "time_s", "xy_px", "covariance_px2")
+        return replace(self, **{name: getattr(self, name)[keep] for name in columns})
+
+
+def no_carriers(points: Sequence[str]) -> dict[str, Array]:
+    """Return ``carried_by`` and ``carried_at`` of points that no camera carries."""
+    return {"carried_by": np.full(len(points), -1), "carried_at": np.zeros((len(points), 3))}
+
+
+class Curves(Protocol):
+    """Places of points as functions of time, world frame [m]; NaN where a point is not known."""
+
+    @property
+    def points(self) -> tuple[str, ...]:
+        """Their names."""
+        ...
+
+    def at(self, time_s: Array) -> Array:
+        """Return the places (t, points, 3) at the instants ``time_s`` (t,)."""
+        ...
+
+
+class UncertainCurves(Curves, Protocol):
+    """Curves that know how certain they are."""
+
+    def covariance_at(self, time_s: Array) -> Array:
+        """Return the covariances (t, points, 3, 3) [m^2] at the instants ``time_s`` (t,)."""
+        ...
+
+
+class CameraPaths(Protocol):
+    """Exterior orientations of cameras as functions of time."""
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Their names."""
+        ...
+
+    def at(self, time_s: Array) -> tuple[Array, Array]:
+        """Return world_from_camera: rotations (t, cameras, 3, 3) and centres (t, cameras, 3) [m]."""
+        ...

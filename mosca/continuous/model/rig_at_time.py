@@ -1,0 +1,101 @@
+"""Cameras that move, for what was made for cameras that stand: a rig at each instant, images at each one's pose."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mosca.camera.projection import lens_pixels
+from mosca.continuous.model.observations import CameraPaths, Curves
+from mosca.data.arrays import Array
+from mosca.data.detections import Detections
+from mosca.data.rig import Camera, Pose, Rig
+from mosca.data.tracks import Points
+
+
+@dataclass(frozen=True, eq=False)
+class MovingRig:
+    """A rig whose cameras move. ``paths``: their poses; ``told_s``: how near to one of ``known_s`` (instants of each
+    camera at which its pose was told) an instant must be for the camera to be there [s].
+    """
+
+    rig: Rig
+    paths: CameraPaths
+    known_s: tuple[Array, ...]
+    told_s: float
+
+    def rigs(self, time_s: Array) -> list[Rig]:
+        """Return the rig at each of ``time_s`` (t,); cameras without a pose there are where the rig has them."""
+        rotations, centres = self.paths.at(time_s)
+        known = np.asarray(np.isfinite(centres).all(axis=2))
+        return [
+            Rig(
+                tuple(
+                    replace(camera, world_from_camera=Pose(rotations[i, c], centres[i, c]))
+                    if known[i, c]
+                    else camera
+                    for c, camera in enumerate(self.rig.cameras)
+                )
+            )
+            for i in range(len(time_s))
+        ]
+
+    def there(self, time_s: Array) -> Array:
+        """Return at which of ``time_s`` (t,) each camera's pose is told (t, c)."""
+        columns = []
+        for known in self.known_s:
+            if not len(known):
+                columns.append(np.zeros(len(time_s), dtype=bool))
+                continue
+            after = (
+                np.clip(np.searchsorted(known, time_s), 1, max(len(known) - 1, 1)) if len(known) > 1 else 0
+            )
+            before = np.maximum(np.asarray(after) - 1, 0)
+            away = np.minimum(np.abs(known[after] - time_s), np.abs(known[before] - time_s))
+            columns.append(away <= self.told_s)
+        return np.column_stack(columns)
+
+
+class RigAtEach:
+    """Hands the pipeline the rig of the next frame set (``mosca.pipeline.Keeper``)."""
+
+    def __init__(self, rigs: list[Rig]) -> None:
+        self._rigs = rigs
+        self.rig = rigs[0]
+
+    def attend(self, frame: int, detections: Mapping[str, Detections], points: Points) -> None:
+        """Take note that frame set ``frame`` is done."""
+        self.rig = self._rigs[min(frame + 1, len(self._rigs) - 1)]
+
+
+def images_at(camera: Camera, c: int, paths: CameraPaths | None, time_s: Array, xyz: Array) -> Array:
+    """Return the images (t, m, 2) [px] of places (t, m, 3) [m] in camera number ``c`` at ``time_s`` (t,).
+
+    ``paths`` None: the camera stands where it says.
+    """
+    if paths is None:
+        pose = camera.world_from_camera
+        rotation, centre = pose.rotation[None], pose.translation[None]
+    else:
+        turns, places = paths.at(time_s)
+        rotation, centre = turns[:, c], places[:, c]
+    inside = np.einsum("tji,tmj->tmi", np.broadcast_to(rotation, (len(xyz), 3, 3)), xyz - centre[:, None])
+    return np.asarray(lens_pixels(camera.lens, inside.reshape(-1, 3)).reshape(*xyz.shape[:2], 2))
+
+
+def centres_at(camera: Camera, c: int, paths: CameraPaths | None, time_s: Array) -> Array:
+    """Return where camera number ``c`` is at ``time_s`` (t,): (t, 3) [m]."""
+    if paths is None:
+        return np.tile(camera.world_from_camera.translation, (len(time_s), 1))
+    return np.asarray(paths.at(time_s)[1][:, c])
+
+
+def lamp_places(lamp_m: Array, paths: CameraPaths, time_s: Array) -> Array:
+    """Return where each camera's lamp ``lamp_m`` (c, 3), its own frame, is at ``time_s``: (t, c, 3) [m]."""
+    rotations, centres = paths.at(time_s)
+    return np.asarray(centres + np.einsum("tcij,cj->tci", rotations, lamp_m))
+
+
+def images_of(curves: Curves, camera: Camera, c: int, paths: CameraPaths | None, time_s: Array) -> Array:
+    """Return the images (t, points, 2) [px] of curves in camera number ``c`` at ``time_s`` (t,)."""
+    return images_at(camera, c, paths, time_s, curves.at(time_s))
