@@ -45,7 +45,7 @@ Combination = Literal["mean", "root_mean", "extreme"]
 class Reading:
     """How a metric is read: ``better`` is "less", "more" or the value it should have.
 
-    ``made_by`` tells how its blocks make the metric. "mean": sum(sums) / sum(weights). "root_mean": the
+    ``made_by``: how its blocks make the metric. "mean": sum(sums) / sum(weights). "root_mean": the
     square root of that. "extreme": the largest of sums / weights. ``speed``: the machine is in it.
     """
 

@@ -1,4 +1,4 @@
-"""From a scenario's words to cameras: the true rig, the virtual cameras, the calibration that the pipeline gets."""
+"""Cameras of a scenario: the true rig, the virtual cameras, the calibration that the pipeline gets."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,7 +24,7 @@ from scenarios.build.scene import beside
 from scenarios.build.worn_lamps import rider_pose
 from scenarios.spec.cameras import CameraSpec, ErrorsSpec
 from scenarios.spec.scenario import ClockFault, Scenario
-from scenarios.spec.unused_keys import check_not_idle
+from scenarios.spec.unused_keys import check_no_unused_keys
 from twin.cameras.delivery import Delivery
 from twin.cameras.exposure.mount import Mount
 from twin.cameras.exposure.shutter import Timing
@@ -155,7 +155,7 @@ def _virtual(camera: Camera, own: CameraSpec, spec: Scenario, late_s: float) -> 
         if "row_time_s" not in said:
             timing["row_time_s"] = chip.row_time_s
     mount, delivery = _merged(spec.mount, own.mount), _merged(spec.delivery, own.delivery)
-    check_not_idle(camera.name, {"timing": timing, "mount": mount, "delivery": delivery})
+    check_no_unused_keys(camera.name, {"timing": timing, "mount": mount, "delivery": delivery})
     pitch_mm, f_mm = pitch_and_focal_mm(camera, chip, spec.cameras.pixel_pitch_mm)
     rate_hz = timing["rate_hz"] or spec.capture.frame_rate_hz
     check_fits(camera, chip, lens, pitch_mm, optics["f_number"], rate_hz)

@@ -1,4 +1,4 @@
-"""What drove a subject, or shall drive it, as lines of text in time: from a program file, or from a recording.
+"""Commands that drive a subject, as timed lines of text: from a program file, or from a recording.
 
 The same program (``hardware.onboard.commands``) is sent to a robot by ``mosca capture --program`` and drives the
 twin's; what a recording kept of it drives the twin again as it was really sent.
@@ -26,9 +26,9 @@ def command_lines(path: Path, target: str) -> Lines:
         named = [table.name for table in program.target]
         found = [(round(c.at_s * 1e9), line_of(c.command)) for c in program.program if c.target == target]
     else:
-        told = _recorded(path)
-        named = sorted({str(data.get("target")) for _, data in told})
-        found = [(t, line_of(data["command"])) for t, data in told if data.get("target") == target]
+        recorded = _recorded(path)
+        named = sorted({str(data.get("target")) for _, data in recorded})
+        found = [(t, line_of(data["command"])) for t, data in recorded if data.get("target") == target]
     if not found:
         raise InputError(
             f"{path}: no command for target '{target}'; it has targets {', '.join(named) or '(none)'}"
@@ -42,7 +42,7 @@ def line_of(command: str | dict[str, Any]) -> str:
 
 
 def write_commands(writer: RecordingWriter, commands: Any, target: str = "robot") -> None:
-    """Write what drove a twin's subject (``twin.scenes.scene.Commands`` with pwm_left and pwm_right) as a channel.
+    """Write the commands of a twin's subject (``twin.scenes.scene.Commands``, pwm_left and pwm_right) as a channel.
 
     The messages are those that a capture writes of the program it sends; commands of others become an object of their
     values by name.
@@ -65,9 +65,9 @@ def _recorded(path: Path) -> list[tuple[int, dict[str, Any]]]:
             raise InputError(
                 f"{path}: images and videos hold no commands; a recording.mcap or a program.toml is wanted"
             )
-        told = list(recording.channel(CHANNEL))
+        recorded = list(recording.channel(CHANNEL))
     return [
         (t, data)
-        for t, data in told
+        for t, data in recorded
         if isinstance(data, dict) and isinstance(data.get("command"), str | dict)
     ]

@@ -1,4 +1,4 @@
-"""From a scenario's words to things: the scene, and the settings of the pipeline."""
+"""The twin's scene of a scenario, and the settings of its pipeline."""
 
 from dataclasses import replace
 from pathlib import Path

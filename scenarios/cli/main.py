@@ -1,4 +1,4 @@
-"""The command line: ``mosca VERB``. Heavy rooms are imported by the verbs that need them."""
+"""The command line: ``mosca VERB``. Heavy packages are imported by the verbs that need them."""
 
 import logging
 import os
@@ -17,6 +17,7 @@ from mosca.errors import InputError, MoscaError
 from scenarios.cli import capture as cli_capture
 from scenarios.cli import lab as cli_lab
 from scenarios.cli import live as cli_live
+from scenarios.cli import motion as cli_motion
 from scenarios.cli import rig as cli_rig
 from scenarios.cli import station as cli_station
 from scenarios.cli import tracks as cli_tracks
@@ -154,14 +155,14 @@ def suite(
     with Progress("suite") as shown:
         count = 0
 
-        def told(outcome: Any) -> None:
+        def report(outcome: Any) -> None:
             nonlocal count
             count += 1
             state = "failed" if not outcome.passed else "passed"
             LOG.info("%s: %s, %.1f s", outcome.name, state, outcome.seconds)
             shown(count, len(entries))
 
-        outcomes = work.run_suite(entries, out, jobs or os.cpu_count() or 1, told)
+        outcomes = work.run_suite(entries, out, jobs or os.cpu_count() or 1, report)
     if update_baselines:
         work.update_baselines(outcomes, baselines or work.BASELINES)
         click.echo(
@@ -253,6 +254,7 @@ cli.add_command(cli_tracks.labels)
 cli.add_command(cli_tracks.bodies)
 cli.add_command(cli_tracks.zones)
 cli.add_command(cli_live.live)
+cli.add_command(cli_motion.motion)
 cli.add_command(cli_rig.calibrate)
 cli.add_command(cli_rig.rig)
 cli.add_command(cli_rig.target)

@@ -86,10 +86,10 @@ def calibrate(request: CalibrateOptions, progress: Callable[[int, int | None], N
         first = calibration.refused[0]
         raise CalibrationError(f"{out} not written: {first.code}: {first.message} (see {page})")
     write_rig(calibration.rig, out)
-    return [*told(calibration), f"{out} written; {page}"]
+    return [*summary_lines(calibration), f"{out} written; {page}"]
 
 
-def told(calibration: Calibration) -> list[str]:
+def summary_lines(calibration: Calibration) -> list[str]:
     """Return a calibration in a few lines: precision of each camera, and what must be known."""
     size = f"{len(calibration.sightings)} image points, {int((~calibration.used).sum())} left out"
     lines = [

@@ -64,12 +64,12 @@ def apply_to(path: Path, model_path: Path, out: Path, fps: float | None) -> list
     write_tracks(tracks, out, rate_of(tracks, fps, path))
     found = [name for name in model.names if (tracks.label == name).any()]
     missing = [name for name in model.names if name not in found]
-    told = [
+    lines = [
         f"{len(found)} of {len(model.names)} markers found in {len(np.unique(tracks.track))} tracks, in {out}"
     ]
     if missing:
-        told.append(f"not found: {', '.join(missing)}")
-    return told
+        lines.append(f"not found: {', '.join(missing)}")
+    return lines
 
 
 def label_blinking(

@@ -109,25 +109,25 @@ def reconstruct_recording(
     LOG.info("%s written", out)
     tracks = tracks.select(tracks.status == "measured")
     sets = max(counts[0], 1)
-    told = [
+    lines = [
         f"{assembly.frames} frames in {assembly.sets} sets, {assembly.complete_sets} of them complete",
         f"a set has {counts[1] / sets:.1f} detections and {counts[2] / sets:.1f} points",
         f"{len(np.unique(tracks.track))} tracks with {len(tracks)} samples in {out}",
     ]
     if len(tracks):
-        told.append(f"reprojection error {np.sqrt(np.mean(tracks.residual_px**2)):.3f} px rms")
+        lines.append(f"reprojection error {np.sqrt(np.mean(tracks.residual_px**2)):.3f} px rms")
     else:
-        told.append(_why_no_tracks(counts, settings))
-    told += more
-    told += [
+        lines.append(_why_no_tracks(counts, settings))
+    lines += more
+    lines += [
         f"{name}: {c.dropped} dropped, {c.corrupt} corrupt, {c.late} late, {c.doubled} doubled"
         for name, c in assembly.cameras.items()
         if c.dropped or c.corrupt or c.late or c.doubled
     ]
-    told += [f"{kind}: {note}" for kind, note in assembly.notes.items()]
+    lines += [f"{kind}: {note}" for kind, note in assembly.notes.items()]
     if assembly.skipped_sets:
-        told.append(f"{assembly.skipped_sets} frame sets are missing in the recording")
-    return told
+        lines.append(f"{assembly.skipped_sets} frame sets are missing in the recording")
+    return lines
 
 
 def _why_no_tracks(counts: Array, settings: PipelineSettings) -> str:

@@ -1,4 +1,4 @@
-"""One scenario from scene to score: build, calibrate, expose, run the pipeline, meet the truth."""
+"""One scenario from scene to score: build, calibrate, expose, run the pipeline, compare with the truth."""
 
 import logging
 import time
@@ -161,10 +161,10 @@ def _built(spec: Scenario, folder: Path, options: RunOptions) -> _Built:
 def _own_calibration(
     spec: Scenario, name: str, built: _Built, options: RunOptions
 ) -> tuple[SessionCalibration | None, tuple[tuple[str, str], ...]]:
-    """Return the calibration of the scenario's own session, and codes and messages of what it told of.
+    """Return the calibration of the scenario's own session, and codes and messages of its findings.
 
     CalibrationError where it is refused and the scenario does not expect that it is; where it does, the refusal is
-    what was told.
+    the finding.
     """
     try:
         own = calibrate_in_session(spec, built.cameras, built.known.rig, options.workers)
@@ -172,10 +172,10 @@ def _own_calibration(
         if spec.expect != "caught":
             raise
         return None, ((refusal.code, str(refusal)),)
-    told = tuple((one.code, one.message) for one in own.calibration.findings if one.severity != "note")
+    reported = tuple((one.code, one.message) for one in own.calibration.findings if one.severity != "note")
     if own.calibration.refused and spec.expect != "caught":
-        raise CalibrationError(f"{name}: {told[0][0]}: {told[0][1]}")
-    return own, told
+        raise CalibrationError(f"{name}: {reported[0][0]}: {reported[0][1]}")
+    return own, reported
 
 
 def _opened(spec: Scenario, built: _Built, options: RunOptions) -> _Opened:

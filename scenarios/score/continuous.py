@@ -52,7 +52,7 @@ def clock_scores(found: Reconstructed, truth: Truth) -> dict[str, Score]:
     """Return how far the clocks of free-running cameras are off, the worst one of them.
 
     ``clock_frames``: of the camera's own frame period, the larger error of its run's two ends. The first camera's
-    clock, on which all is told, has none.
+    clock, to which all times refer, has none.
     """
     if truth.frames is None:
         return {}

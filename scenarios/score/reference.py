@@ -53,9 +53,9 @@ class ReferenceTrajectories:
         xyz = np.full((t, m, 3), np.nan)
         for k, (own, places) in enumerate(zip(self.time_ns, self.xyz, strict=True)):
             xyz[:, k] = places[0] if self.still else _between(own, places, time_ns)
-        nobody = np.zeros((t, m, 0))
+        unseen = np.zeros((t, m, 0))
         return Truth(
-            time_ns, self.names, xyz, nobody, (), np.zeros((t, m, 0, 2)), nobody, np.zeros((t, 0), np.int64)
+            time_ns, self.names, xyz, unseen, (), np.zeros((t, m, 0, 2)), unseen, np.zeros((t, 0), np.int64)
         )
 
     def share(self, other: Callable[[Array], Array] | None) -> Callable[[Array], Array]:
@@ -126,14 +126,14 @@ def read_reference_csv(path: Path) -> ReferenceTrajectories:
     sigma = parsed(cells["sigma_m"], "sigma_m", float, path) if "sigma_m" in cells else np.zeros(len(label))
     still = "time_ns" not in cells
     time_ns = np.zeros(len(label), np.int64) if still else parsed(cells["time_ns"], "time_ns", int, path)
-    for bad, told in (
+    for bad, message in (
         (label == "", "label is empty; each marker needs a name"),
         (np.isinf(xyz).any(axis=1) | np.isin(np.isnan(xyz).sum(axis=1), (1, 2)),
          "x, y, z: three numbers are wanted, or none where the marker was not seen"),
         (~((sigma >= 0) & (sigma < np.inf)), "sigma_m: a number of 0 or more is wanted [m]"),
     ):  # fmt: skip
         if bad.any():
-            raise InputError(f"{path}, row {int(np.argmax(bad)) + 2}: {told}")
+            raise InputError(f"{path}, row {int(np.argmax(bad)) + 2}: {message}")
     known = ~np.isnan(xyz).any(axis=1)
     names = tuple(str(name) for name in dict.fromkeys(label[known].tolist()))
     if not names:

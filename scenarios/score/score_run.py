@@ -1,4 +1,4 @@
-"""A run's tracks meet the truth: each metric that the scenario can be scored on, and its premises."""
+"""A run's tracks compared with the truth: each metric that the scenario can be scored on, and its premises."""
 
 from collections.abc import Collection
 from dataclasses import replace
@@ -62,7 +62,7 @@ def not_judged(spec: Scenario, judged: Collection[str]) -> tuple[str, ...]:
 
 
 def _beside_reference(spec: Scenario, measured: Measured, given: ReferenceTrajectories) -> Scored:
-    """Return what a user's own reference can judge: where the markers are that it tells of, not which were missed."""
+    """Return what a user's own reference can judge: errors of the markers that it has, not which were missed."""
     collected = measured.collected
     space = max(spec.working_space.size_m)
     truth = given.at(np.unique(collected.tracks.time_ns))

@@ -1,4 +1,4 @@
-"""Tracks meet the truth. Pure: no files, no clocks, no twin.
+"""Tracks compared with the truth. Pure: no files, no clocks, no twin.
 
 Per frame the measured points and the true markers are paired one to one with the least total distance, within
 ``min(half the smallest distance between true markers, 1 % of the working space)``. A measured point that

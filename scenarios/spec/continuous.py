@@ -12,7 +12,7 @@ from mosca.data.files.toml import Positive, Table
 class ContinuousSpec(Table):
     """Frames go through ``mosca.continuous``: each at its own instant, trajectories as functions of time.
 
-    Scored at the pulses' instants, which are told on the first camera's clock: let that be the session's.
+    Scored at the pulses' instants, on the first camera's clock, which should be the session's.
     """
 
     clocks: Literal["auto", "common", "own"] = Field(

@@ -1,4 +1,4 @@
-"""Identities by blink codes, by coded targets and from printed sheets, through the command line."""
+"""Blink codes, coded targets, printed sheets and motion files through the command line."""
 
 from itertools import islice
 
@@ -9,6 +9,7 @@ from command_line import mosca
 
 from mosca.data.files.rig_file import write_rig
 from mosca.data.lamp_codes import lamp_bits
+from mosca.data.motion.bvh import read_bvh
 from mosca.data.target_codes import SECTORS, code_bits
 from mosca.data.targets import CodedTarget
 from mosca.data.tracks import Tracks
@@ -145,3 +146,34 @@ def test_wrong_words_are_named(tmp_path, words, message):
     assert done.returncode == 2
     assert message in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+BVH = """HIERARCHY
+ROOT hip
+{
+  OFFSET 0 0 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  End Site
+  {
+    OFFSET 0 50 0
+  }
+}
+MOTION
+Frames: 2
+Frame Time: 0.02
+0 90 0 0 0 0
+1 90 0 10 0 0
+"""
+
+
+def test_motions_are_converted(tmp_path):
+    (tmp_path / "a.bvh").write_text(BVH)
+    done = mosca("motion", "convert", "a.bvh", "b.bvh", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    one, two = (read_bvh(tmp_path / name) for name in ("a.bvh", "b.bvh"))
+    np.testing.assert_allclose(two.root_xyz, one.root_xyz, atol=1e-9)
+    np.testing.assert_allclose(two.rotations, one.rotations, atol=1e-9)
+    for words in (("a.bvh", "b.csv"), ("a.amc", "b.bvh"), ("a.bvh", "b.bvh", "--skeleton", "a.asf")):
+        refused = mosca("motion", "convert", *words, cwd=tmp_path)
+        assert refused.returncode == 2
+        assert refused.stderr.count("\n") == 1
