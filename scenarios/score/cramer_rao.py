@@ -8,7 +8,8 @@ over the cameras, where all that see the target see it whole. The target's diame
 too, says nothing of the place of a round image.
 
 Lens errors of the calibration are no random errors and not part of the bound. Nor is it an error of detection that
-a ball's image has its middle elsewhere than the image of the ball's centre lies (geometry says how far, and triangulation corrects it): detections are held against the middle of the light that was really there.
+the centre of a ball's image is not the image of the ball's centre (geometry gives the difference, and triangulation
+corrects it): detections are compared with the centroid of the light that was really there.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
