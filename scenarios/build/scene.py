@@ -50,14 +50,14 @@ Volume = tuple[tuple[float, float, float], tuple[float, float, float]]
 def build_scene(spec: Scenario, folder: Path) -> Scene:
     """Return the scene; files that the scenario names are looked for beside it (``folder``)."""
     made = _subject(spec, folder)
-    said = {} if spec.glow is None else spec.glow.model_dump(exclude_unset=True)
-    if said:
-        glows = {name: replace(made.glows.get(name, Glow()), **said) for name in made.marker_names}
+    glow_keys = {} if spec.glow is None else spec.glow.model_dump(exclude_unset=True)
+    if glow_keys:
+        glows = {name: replace(made.glows.get(name, Glow()), **glow_keys) for name in made.marker_names}
         made = replace(made, glows=glows)
     if spec.lamps is not None:
-        if said.get("kind", "lamp") != "lamp" and spec.lamps.names is None:
+        if glow_keys.get("kind", "lamp") != "lamp" and spec.lamps.names is None:
             raise InputError(
-                f"glow.kind = '{said['kind']}' with [lamps]: all markers are lamps; leave the kind out"
+                f"glow.kind = '{glow_keys['kind']}' with [lamps]: all markers are lamps; leave the kind out"
             )
         from twin.scenes.target_lamps import LAMP, with_numbered_lamps
 
@@ -66,7 +66,7 @@ def build_scene(spec: Scenario, folder: Path) -> Scene:
             spec.capture.frame_rate_hz,
             names=spec.lamps.names,
             frames_per_bit=spec.lamps.frames_per_bit,
-            glow=replace(LAMP, **{**said, "kind": "lamp"}),
+            glow=replace(LAMP, **{**glow_keys, "kind": "lamp"}),
         )
     return made
 

@@ -5,7 +5,7 @@ pixels have, from images rendered without noise and with the image moved (Kay 19
 known variance). To the bound of the image come the random errors that belong to the scenario, not to the pipeline:
 the shake of the camera's body and the trigger's jitter times the target's speed. In space: ``(sum J' S^-1 J)^-1``
 over the cameras, where all that see the target see it whole. The target's diameter, which an estimator must find
-too, says nothing of the place of a round image.
+too, has no information on the position of a round image.
 
 Lens errors of the calibration are no random errors and not part of the bound. Nor is it an error of detection that
 the centre of a ball's image is not the image of the ball's centre (geometry gives the difference, and triangulation

@@ -6,7 +6,7 @@ is each coordinate's standard deviation. Other columns are left alone, so that a
 serves. A table with a column for each coordinate, ``time,NAME.x,NAME.y,NAME.z,...`` ([s] and [m]), serves too.
 Between the instants positions are interpolated, by a cubic spline, never over a gap.
 
-It says where markers were, not which cameras could see them: what is counted in seen markers cannot be judged by it.
+It holds positions of markers, not which cameras could see them: metrics of seen markers need the twin's.
 """
 
 from collections.abc import Callable
@@ -37,7 +37,7 @@ class ReferenceTrajectories:
     """Where markers ``names`` (m) were: for each ``time_ns`` (t,) rising and ``xyz`` (t, 3) [m].
 
     A marker that never moves has one instant and ``still``. ``sigma_m``: standard deviation of a coordinate, rms over
-    all rows; 0 where the file says nothing. ``path``: the file, for messages.
+    all rows; 0 where the file has none. ``path``: the file, for messages.
     """
 
     names: tuple[str, ...]

@@ -1,6 +1,6 @@
 """Metrics of a run that need no truth: claims that hold on a rig or recording as on the twin.
 
-- ``reprojection_rms``: how well the rays of a point meet [px];
+- ``reprojection_rms``: reprojection error of the points' rays [px];
 - ``length_rms``, ``length_max``: measured minus certified lengths of a scale bar or wand, ``[[length]]`` in the
   scenario (the length measurement error of VDI/VDE 2634 part 1);
 - ``rigidity_rms``: how far the markers of rigid bodies are from their places in the body [m];

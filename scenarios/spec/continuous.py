@@ -1,6 +1,4 @@
-"""What a scenario file may say of cameras that are not synchronised: how their clocks are tied and what is
-estimated.
-"""
+"""Keys of a scenario file: cameras that are not synchronised, how their clocks are related, what is estimated."""
 
 from typing import Literal
 

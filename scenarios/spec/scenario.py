@@ -1,4 +1,4 @@
-"""What a scenario file may say, with units, bounds and defaults; nothing is computed here.
+"""Keys of a scenario file, with units, bounds and defaults; nothing is computed here.
 
 The published JSON schema (``mosca schema``) is made from these tables, so that editors complete and check.
 """
@@ -204,7 +204,7 @@ class LengthSpec(Table):
 
 
 class Scenario(Table):
-    """One scenario: what moves, what looks, what is wrong, and what is claimed."""
+    """One scenario: subject, cameras, disturbances, and the accuracy that is claimed."""
 
     title: str = Field(description="what is claimed, in one line")
     description: str = Field("", description="why, and where the limits come from")
