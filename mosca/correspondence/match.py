@@ -29,7 +29,7 @@ from mosca.correspondence.hypothesis import (
 )
 from mosca.correspondence.selection import OPEN, choose, columns
 from mosca.data.arrays import Array
-from mosca.data.settings import MatchSettings
+from mosca.data.settings import MatchSettings as MatchSettings
 from mosca.data.tracks import Points
 from mosca.triangulation.triangulate import Bundle
 

@@ -5,7 +5,7 @@ kernels.
 import math
 from functools import lru_cache
 
-from mosca.data.settings import DetectionSettings
+from mosca.data.settings import DetectionSettings as DetectionSettings
 from mosca.detection.centroid import Noise
 from mosca.detection.threshold_regions import Search
 

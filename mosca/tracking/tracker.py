@@ -13,7 +13,7 @@ import numpy as np
 
 from mosca.correspondence.match import Predicted
 from mosca.data.arrays import Array
-from mosca.data.settings import TrackSettings
+from mosca.data.settings import TrackSettings as TrackSettings
 from mosca.data.tracks import Points, Samples
 from mosca.tracking.motion_models import motion
 from mosca.tracking.rigid_neighbours import found_instead, learn, recall, take_over

@@ -30,16 +30,26 @@ def attribute_docstrings(settings: type) -> dict[str, str]:
         if isinstance(field, ast.AnnAssign) and isinstance(following, ast.Expr):
             assert isinstance(field.target, ast.Name)
             assert isinstance(following.value, ast.Constant)
-            found[field.target.id] = " ".join(following.value.value.split())
+            found[field.target.id] = " ".join(str(following.value.value).split())
     return found
 
 
-if TYPE_CHECKING:  # the keys of these tables are those of the settings, which a type checker cannot see
-    DetectionSpec = MatchSpec = TrackSpec = Table
+DETECTION = "Settings of target detection that differ from the pipeline's defaults."
+MATCH = "Settings of correspondence that differ from the pipeline's defaults."
+TRACK = "Settings of tracking that differ from the pipeline's defaults."
+
+if TYPE_CHECKING:  # made below: a type checker need not see their keys
+
+    class DetectionSpec(Table):
+        """See DETECTION."""
+
+    class MatchSpec(Table):
+        """See MATCH."""
+
+    class TrackSpec(Table):
+        """See TRACK."""
+
 else:
-    DETECTION = "Settings of target detection that differ from the pipeline's defaults."
-    MATCH = "Settings of correspondence that differ from the pipeline's defaults."
-    TRACK = "Settings of tracking that differ from the pipeline's defaults."
     DetectionSpec = settings_table(DetectionSettings, "DetectionSpec", DETECTION)
     MatchSpec = settings_table(MatchSettings, "MatchSpec", MATCH)
     TrackSpec = settings_table(TrackSettings, "TrackSpec", TRACK)
