@@ -156,13 +156,6 @@ def hota(matched: TruthPairs) -> float:
     return float(np.mean(values))
 
 
-def per_marker_completeness(matched: TruthPairs) -> Array:
-    """Return the share of seen frames in which each marker was found (m,), NaN where it was never seen."""
-    seen = matched.seen_mask.sum(axis=0)
-    missed = _missed_of_marker(matched)
-    return np.where(seen > 0, (seen - missed) / np.maximum(seen, 1), np.nan)
-
-
 def limits_met(
     scores: Mapping[str, Score], limits: Mapping[str, float], sense: Callable[[str], str]
 ) -> dict[str, bool]:
