@@ -6,7 +6,7 @@ The rule (pure; no randomness, no IO). A metric is a *regression* when it is wor
 - by more than the half-width of the 95 % interval *of that worsening*.
 
 Whose interval? Two runs of one scenario with one seed see the same frames and the same noise, so their
-errors are paired. The interval of either run alone says how far another *session* would differ; it is
+errors are paired. The interval of either run alone is about another *session*; it is
 often +-10 % and would hide a planted 5 %. What counts is the interval of the difference, taken from
 pairs: each record keeps what its metrics are made of block by block (``Blocks``), and the delete-one-block
 jackknife of the difference gives its standard error (Kuensch 1989, "The jackknife and the bootstrap for
@@ -58,7 +58,7 @@ Combination = Literal["mean", "root_mean", "extreme"]
 class Reading:
     """How a metric is read: ``better`` is "less", "more" or the value it should have.
 
-    ``made_by`` tells how its blocks make the metric. "mean": sum(sums) / sum(weights). "root_mean": the
+    ``made_by``: how its blocks make the metric. "mean": sum(sums) / sum(weights). "root_mean": the
     square root of that. "extreme": the largest of sums / weights. ``speed``: the machine is in it.
     """
 

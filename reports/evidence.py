@@ -1,4 +1,4 @@
-"""Evidence: what a page shows of one run beside its figures. Plain data, handed in by whoever scored it."""
+"""Evidence: what a page shows of one run beside its figures. Plain data, made by the scorer."""
 
 from dataclasses import dataclass
 

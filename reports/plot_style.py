@@ -1,7 +1,7 @@
-"""The house's hand: palette, type, and figures turned into SVG that a page can hold.
+"""Shared plot style: palette, type, and figures turned into SVG that a page can hold.
 
 Colours are drawn as fixed hex values and leave as CSS variables, so that one picture serves light, dark
-and print. They are Okabe and Ito's (2008), told apart by colour-blind readers; the dark set is lighter.
+and print. They are Okabe and Ito's (2008), distinct for colour-blind readers; the dark set is lighter.
 """
 
 import io
@@ -103,7 +103,7 @@ class Picture:
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Draw in the house's style inside; matplotlib's own settings come back on leaving."""
+    """Draw in the shared style inside; matplotlib's own settings come back on leaving."""
     with matplotlib.rc_context(_STYLE), warnings.catch_warnings():
         # The browser's fonts draw the text: what matplotlib's own font lacks is not missing.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")

@@ -61,7 +61,7 @@ class RunRecord:
     """What one run of one scenario gave.
 
     ``passed``: every limit met; for ``expect = "fail"``, that it failed for the stated reason.
-    ``not_judged``: metrics that the scenario limits and this source cannot tell: such a run has not passed.
+    ``not_judged``: metrics that the scenario limits and this source cannot give: such a run has not passed.
     ``premises``: name -> {value, minimum or maximum, holds}. ``counts``: frames, sets, drops and the
     like. ``cameras``: name -> how each did: residual, error besides detection noise, shares connected and missing,
     clock offset. ``timings``: seconds, the only part that differs between two runs of the same seed and code.

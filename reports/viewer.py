@@ -13,8 +13,7 @@ points seen through a camera are off by its distortion (exact in the 3D view).
 """
 
 import uuid
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -24,22 +23,11 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.rig import Camera, Rig, principal_distances_px, principal_point_px
-from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 
 APPLICATION = "mosca"
 JPEG_QUALITY = 75
 """Frames are to be looked at here, not measured: a sixth of the bytes of PNG."""
-
-
-@dataclass(frozen=True, eq=False)
-class LoggedFrame:
-    """What cameras gave at one pulse: ``images`` (H, W) and ``detections`` by camera name."""
-
-    frame: int
-    time_ns: int
-    images: Mapping[str, Array] = field(default_factory=dict)
-    detections: Mapping[str, Detections] = field(default_factory=dict)
 
 
 class RerunLog:
@@ -144,30 +132,6 @@ class RerunLog:
 
     def _compressed(self, image: Array) -> Any:
         return self._rr.Image(_eight_bits(image)).compress(jpeg_quality=JPEG_QUALITY)
-
-
-def write_recording(
-    path: Path,
-    rig: Rig,
-    frames: Iterable[LoggedFrame],
-    tracks: Tracks,
-    truth_xyz: Array | None = None,
-    working_space: tuple[Array, Array] | None = None,
-) -> None:
-    """Write a whole run: ``frames`` in order, each with the samples of ``tracks`` of its number.
-
-    ``truth_xyz`` (t, m, 3): the truth of frame number i in row i, or None.
-    """
-    starts = np.searchsorted(tracks.frame, np.arange(int(tracks.frame[-1]) + 2 if len(tracks) else 1))
-    with RerunLog(path, rig, working_space) as log:
-        for step in frames:
-            known = 0 <= step.frame < len(starts) - 1
-            rows = slice(*starts[step.frame : step.frame + 2]) if known else slice(0, 0)
-            log.log_step(
-                step.frame, step.time_ns, step.images, step.detections, tracks.xyz[rows], tracks.track[rows]
-            )
-            if truth_xyz is not None and 0 <= step.frame < len(truth_xyz):
-                log.log_truth(step.frame, step.time_ns, truth_xyz[step.frame])
 
 
 def _rerun() -> Any:

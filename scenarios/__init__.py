@@ -1,1 +1,1 @@
-"""The only room where everything meets: scenario files, runs, scores, the suite and the command line."""
+"""The package that uses all others: scenario files, runs, scores, the suite and the command line."""

@@ -9,9 +9,7 @@ The search (``mosca.correspondence.candidates``) lists the consistent groups of 
 chance, and lets the tracks decide by their predictions what two cameras alone leave open.
 """
 
-import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -32,6 +30,7 @@ from mosca.correspondence.hypothesis import (
 from mosca.correspondence.selection import OPEN, choose, columns
 from mosca.data.arrays import Array
 from mosca.data.rays import Predicted, RayTable
+from mosca.data.settings import MatchSettings as MatchSettings
 from mosca.data.tracks import Points
 
 USUAL = 0.25
@@ -39,27 +38,6 @@ USUAL = 0.25
 flat or fast, fits were not tried."""
 EVERYWHERE = (np.full(3, -np.inf), np.full(3, np.inf))
 """A volume without bounds."""
-
-
-@dataclass(frozen=True)
-class MatchSettings:
-    """``gate_sigma``: how many standard deviations a ray may pass beside the point. ``camera_sigma_px``: random
-    error of image points besides detection noise (body, trigger, lens model), an axis. ``minimum_cameras``: smallest
-    group. ``support_sigma``: how near a track's prediction supports a group. ``outlier_sigma``: a group of three
-    and more loses its worst ray beyond this. ``worst_sigma_m``: a point whose largest standard deviation exceeds
-    this is none (two cameras that face each other, an image of odd size). ``judge_sizes``: whether all targets are
-    of one size, so that an image of odd size is partly hidden or merged and is trusted less; not for particles.
-    ``target``: "ball" frees images of a ball's eccentricity; "point" leaves them (small targets, discs).
-    """
-
-    gate_sigma: float = 4.5
-    camera_sigma_px: float = 0.06
-    minimum_cameras: int = 2
-    support_sigma: float = 4.0
-    outlier_sigma: float = 4.0
-    worst_sigma_m: float = math.inf
-    judge_sizes: bool = True
-    target: Literal["point", "ball"] = "point"
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,14 +10,13 @@ identity. The samples are the measured points, not the filter's estimates: no sm
 """
 
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 from pydantic.dataclasses import dataclass
 
 from mosca.data.arrays import Array
-from mosca.data.files.toml import SETTINGS, NotNegative, Positive
 from mosca.data.rays import Predicted
+from mosca.data.settings import TrackSettings as TrackSettings
 from mosca.data.tracks import Points, Samples
 from mosca.tracking.motion_models import motion
 from mosca.tracking.neighbour_model import learn_distances, reacquired_nearby, reidentified, take_over
@@ -45,35 +44,6 @@ SAME_TARGET_SHARE = 0.25
 """An unnamed track and a reacquired one this near to each other (times the largest gate) are the same target."""
 CONVINCING = 6.0
 """Log-likelihood ratio of distances from which a new track is taken for a lost one."""
-
-
-@dataclass(frozen=True, config=SETTINGS)
-class TrackSettings:
-    """How targets move, and what makes a track."""
-
-    model: Literal["acceleration", "velocity"] = "acceleration"
-    """Singer's acceleration with a memory of ``memory_s``, or constant velocity (white acceleration)."""
-    memory_s: Positive = 0.1
-    """Correlation time of the acceleration [s]."""
-    acceleration_mps2: Positive = 20.0
-    """Standard deviation of the targets' acceleration, an axis; adapted for each track from there."""
-    speed_mps: Positive = 1.5
-    """Standard deviation of a new track's velocity, an axis."""
-    gate_sigma: Positive = 4.5
-    """How many standard deviations a point may lie from its prediction."""
-    gate_m: Positive = 0.08
-    """Never farther than this; a confirmed track takes a point of two cameras from half as far, with an image of odd
-    size from a quarter (two cameras agree by chance, and the gate of a track long unseen admits much clutter)."""
-    confirm_weight: Positive = 5.0
-    """Weight of the points that confirms a track."""
-    coast_s: NotNegative = 0.25
-    """How long a track is predicted by its own motion without a point."""
-    remember_s: NotNegative = 60.0
-    """How long a lost track can be reacquired under its identity."""
-    name_wait_s: NotNegative = 0.2
-    """How long a new track that may be a lost one waits for its identity; its samples are returned with it."""
-    limb_m: NotNegative = 0.6
-    """How far limb mates may be [m]; 0: particles, no limbs."""
 
 
 class Tracker:

@@ -1,4 +1,4 @@
-"""Cameras by name: what the library's sensor and lens say of a camera, and whether they can go together."""
+"""Cameras by name: keys that a camera takes from the library's sensor and lens, and whether they fit together."""
 
 import math
 
@@ -10,7 +10,7 @@ from twin.cameras import library
 from twin.cameras.library import LensSpec, SensorSpec
 
 CHIP_KEYS = ("full_well_e", "read_noise_e", "bits", "quantum_efficiency")
-"""What a sensor of the library says of light and noise, where the scenario does not."""
+"""Keys of light and noise that a library sensor gives where the scenario does not."""
 ROUNDING = 1.02
 """Slack of image circles and frame rates, which makers round."""
 
@@ -26,14 +26,14 @@ def named_lens(name: str | None) -> LensSpec | None:
 
 
 def with_chip(spec: Scenario) -> Cameras:
-    """Return the ring with size and pitch of the named sensor and the named lens's focal length, where not said."""
-    said, changes = spec.cameras.model_fields_set, {}
+    """Return the ring with size and pitch of the named sensor and the named lens's focal length, where not given."""
+    given, changes = spec.cameras.model_fields_set, {}
     chip, lens = named_sensor(spec.sensor.name), named_lens(spec.optics.lens)
     if chip is not None:
         changes = {"size_px": (chip.width, chip.height), "pixel_pitch_mm": chip.pixel_pitch_um * 1e-3}
     if lens is not None:
         changes["c_mm"] = lens.focal_length_mm
-    return spec.cameras.model_copy(update={key: value for key, value in changes.items() if key not in said})
+    return spec.cameras.model_copy(update={key: value for key, value in changes.items() if key not in given})
 
 
 def pitch_and_focal_mm(camera: Camera, chip: SensorSpec | None, pitch_mm: float) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""From a scenario's words to cameras: the true rig, the virtual cameras, the calibration that the pipeline gets."""
+"""Cameras of a scenario: the true rig, the virtual cameras, the calibration that the pipeline gets."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,7 +24,7 @@ from scenarios.build.scene import beside
 from scenarios.build.worn_lamps import rider_pose
 from scenarios.spec.cameras import CameraSpec, ErrorsSpec
 from scenarios.spec.scenario import ClockFault, Scenario
-from scenarios.spec.unused_keys import check_not_idle
+from scenarios.spec.unused_keys import check_no_unused_keys
 from twin.cameras.delivery import Delivery
 from twin.cameras.exposure.mount import Mount
 from twin.cameras.exposure.shutter import Timing
@@ -65,9 +65,9 @@ def true_rig(spec: Scenario, folder: Path) -> Rig:
 
 def virtual_cameras(spec: Scenario, rig: Rig) -> tuple[VirtualCamera, ...]:
     """Return the rig's cameras, then those that ride on bodies, with all that the scenario says of them."""
-    said = [camera.name for camera in spec.camera]
+    names = [camera.name for camera in spec.camera]
     for camera in spec.camera:
-        if said.count(camera.name) > 1:
+        if names.count(camera.name) > 1:
             raise InputError(f"[[camera]] name = '{camera.name}' stands twice; say all of it in one table")
         if camera.body is None and camera.name not in rig.names:
             raise InputError(
@@ -115,8 +115,8 @@ def surroundings(spec: Scenario) -> Surroundings:
     given = spec.surroundings
     context = None
     if given.context is not None:
-        said = given.context.model_dump()
-        context = Context(**{**said, "clothes": tuple(Cloth(**cloth) for cloth in said["clothes"])})
+        keys = given.context.model_dump()
+        context = Context(**{**keys, "clothes": tuple(Cloth(**cloth) for cloth in keys["clothes"])})
     return Surroundings(
         context,
         None if given.ring_light is None else RingLight(**given.ring_light.model_dump()),
@@ -146,16 +146,16 @@ def _virtual(camera: Camera, own: CameraSpec, spec: Scenario, late_s: float) -> 
     }
     chip, lens = named_sensor(sensor.pop("name")), named_lens(optics.pop("lens"))
     if chip is not None:
-        said = {
+        given_keys = {
             key
             for table in (spec.errors, own.errors, spec.sensor, own.sensor, spec.timing, own.timing)
             for key in table.model_fields_set
         }
-        sensor |= {key: getattr(chip, key) for key in CHIP_KEYS if key not in said}
-        if "row_time_s" not in said:
+        sensor |= {key: getattr(chip, key) for key in CHIP_KEYS if key not in given_keys}
+        if "row_time_s" not in given_keys:
             timing["row_time_s"] = chip.row_time_s
     mount, delivery = _merged(spec.mount, own.mount), _merged(spec.delivery, own.delivery)
-    check_not_idle(camera.name, {"timing": timing, "mount": mount, "delivery": delivery})
+    check_no_unused_keys(camera.name, {"timing": timing, "mount": mount, "delivery": delivery})
     pitch_mm, f_mm = pitch_and_focal_mm(camera, chip, spec.cameras.pixel_pitch_mm)
     rate_hz = timing["rate_hz"] or spec.capture.frame_rate_hz
     check_fits(camera, chip, lens, pitch_mm, optics["f_number"], rate_hz)

@@ -1,4 +1,4 @@
-"""What drove a subject, or shall drive it, as lines of text in time: from a program file, or from a recording.
+"""Commands that drive a subject, as timed lines of text: from a program file, or from a recording.
 
 The same program (``hardware.onboard.commands``) is sent to a robot by ``mosca capture --program`` and drives the
 twin's; what a recording kept of it drives the twin again as it was really sent.
@@ -42,7 +42,7 @@ def line_of(command: str | dict[str, Any]) -> str:
 
 
 def write_commands(writer: RecordingWriter, commands: Any, target: str = "robot") -> None:
-    """Write what drove a twin's subject (``twin.scenes.scene.Commands`` with pwm_left and pwm_right) as a channel.
+    """Write the commands of a twin's subject (``twin.scenes.scene.Commands``, pwm_left and pwm_right) as a channel.
 
     The messages are those that a capture writes of the program it sends; commands of others become an object of their
     values by name.

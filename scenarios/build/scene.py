@@ -1,8 +1,8 @@
-"""From a scenario's words to things: the scene, and the settings of the pipeline."""
+"""The twin's scene of a scenario, and the settings of its pipeline."""
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from mosca.synchronisation import AssemblySettings
 from mosca.tracking.nearest_neighbour import NearestSettings
 from mosca.tracking.tracker import TrackSettings
 from scenarios.build.worn_lamps import check_no_lamps, worn_lamps
-from scenarios.spec.scenario import DetectionSpec, MatchSpec, Scenario, TrackSpec
+from scenarios.spec.scenario import Scenario
 from scenarios.spec.scenes import (
     ActorScene,
     BoardScene,
@@ -33,6 +33,7 @@ from scenarios.spec.scenes import (
     ScaleBarScene,
     WandScene,
 )
+from scenarios.spec.stages import StageTables
 from twin.scenes.emission import Glow
 from twin.scenes.scene import Scene
 from twin.streams import rng
@@ -46,36 +47,17 @@ T = TypeVar("T")
 Volume = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
-class Stages(Protocol):
-    """Anything that has the tables of the stages' settings."""
-
-    @property
-    def detection(self) -> DetectionSpec:
-        """Settings of target detection."""
-        ...
-
-    @property
-    def match(self) -> MatchSpec:
-        """Settings of correspondence."""
-        ...
-
-    @property
-    def track(self) -> TrackSpec:
-        """Settings of tracking."""
-        ...
-
-
 def build_scene(spec: Scenario, folder: Path) -> Scene:
     """Return the scene; files that the scenario names are looked for beside it (``folder``)."""
     made = _subject(spec, folder)
-    said = {} if spec.glow is None else spec.glow.model_dump(exclude_unset=True)
-    if said:
-        glows = {name: replace(made.glows.get(name, Glow()), **said) for name in made.marker_names}
+    glow_keys = {} if spec.glow is None else spec.glow.model_dump(exclude_unset=True)
+    if glow_keys:
+        glows = {name: replace(made.glows.get(name, Glow()), **glow_keys) for name in made.marker_names}
         made = replace(made, glows=glows)
     if spec.lamps is not None:
-        if said.get("kind", "lamp") != "lamp" and spec.lamps.names is None:
+        if glow_keys.get("kind", "lamp") != "lamp" and spec.lamps.names is None:
             raise InputError(
-                f"glow.kind = '{said['kind']}' with [lamps]: all markers are lamps; leave the kind out"
+                f"glow.kind = '{glow_keys['kind']}' with [lamps]: all markers are lamps; leave the kind out"
             )
         from twin.scenes.target_lamps import LAMP, with_numbered_lamps
 
@@ -84,7 +66,7 @@ def build_scene(spec: Scenario, folder: Path) -> Scene:
             spec.capture.frame_rate_hz,
             names=spec.lamps.names,
             frames_per_bit=spec.lamps.frames_per_bit,
-            glow=replace(LAMP, **{**said, "kind": "lamp"}),
+            glow=replace(LAMP, **{**glow_keys, "kind": "lamp"}),
         )
     return made
 
@@ -239,7 +221,9 @@ def pipeline_settings(spec: Scenario) -> PipelineSettings:
     return settings
 
 
-def stage_settings(stages: Stages, volume: Volume | None, edge_m: float | None = None) -> PipelineSettings:
+def stage_settings(
+    stages: StageTables, volume: Volume | None, edge_m: float | None = None
+) -> PipelineSettings:
     """Return the pipeline's defaults with what ``stages`` gives in its tables detection, match and track.
 
     The tracker's defaults are lengths and speeds of a person in 2.5 m; they are scaled to the volume's longest

@@ -1,5 +1,6 @@
-"""The command line: ``mosca VERB``. Heavy rooms are imported by the verbs that need them."""
+"""The command line: ``mosca VERB``. Heavy packages are imported by the verbs that need them."""
 
+import logging
 import os
 import sys
 from pathlib import Path
@@ -16,23 +17,28 @@ from mosca.errors import InputError, MoscaError
 from scenarios.cli import capture as cli_capture
 from scenarios.cli import lab as cli_lab
 from scenarios.cli import live as cli_live
+from scenarios.cli import motion as cli_motion
 from scenarios.cli import rig as cli_rig
 from scenarios.cli import station as cli_station
 from scenarios.cli import tracks as cli_tracks
+from scenarios.cli.options import FILE, log_to_stderr
 from scenarios.cli.progress import Progress
 from scenarios.run.interrupt import was_interrupted
 
+LOG = logging.getLogger(__name__)
 EXIT_PASSED, EXIT_BROKEN, EXIT_ERROR = 0, 1, 2
-FILE = click.Path(path_type=Path)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="mosca")
-def cli() -> None:
+@click.option("-v", "--verbose", count=True, help="log each stage of the work; -vv: more")
+@click.option("-q", "--quiet", is_flag=True, help="log errors alone, and show no progress")
+def cli(verbose: int, quiet: bool) -> None:
     """A digital-twin testbench for photogrammetric marker motion capture.
 
     Exit codes: 0 every limit met, 1 a limit broken or not judged, 2 an error you can mend (told in one line).
     """
+    log_to_stderr(verbose, quiet)
 
 
 @cli.command()
@@ -149,12 +155,14 @@ def suite(
     with Progress("suite") as shown:
         count = 0
 
-        def told(outcome: Any) -> None:
+        def report(outcome: Any) -> None:
             nonlocal count
             count += 1
+            state = "failed" if not outcome.passed else "passed"
+            LOG.info("%s: %s, %.1f s", outcome.name, state, outcome.seconds)
             shown(count, len(entries))
 
-        outcomes = work.run_suite(entries, out, jobs or os.cpu_count() or 1, told)
+        outcomes = work.run_suite(entries, out, jobs or os.cpu_count() or 1, report)
     if update_baselines:
         work.update_baselines(outcomes, baselines or work.BASELINES)
         click.echo(
@@ -246,6 +254,7 @@ cli.add_command(cli_tracks.labels)
 cli.add_command(cli_tracks.bodies)
 cli.add_command(cli_tracks.zones)
 cli.add_command(cli_live.live)
+cli.add_command(cli_motion.motion)
 cli.add_command(cli_rig.calibrate)
 cli.add_command(cli_rig.rig)
 cli.add_command(cli_rig.target)

@@ -1,5 +1,6 @@
-"""Options that several verbs have, and what options may hold."""
+"""Options that several verbs have, what options may hold, and what -v and -q do."""
 
+import logging
 import math
 from pathlib import Path
 from typing import Any
@@ -30,3 +31,18 @@ SET = click.option(
     help="change a setting, e.g. detection.contrast_dn=10",
 )
 POSITIVE = Number(min=0, min_open=True)
+LOGGERS = ("mosca", "twin", "hardware", "scenarios")
+LEVELS = (logging.WARNING, logging.INFO, logging.DEBUG)
+"""Of no -v, one and two."""
+
+
+def log_to_stderr(verbose: int, quiet: bool) -> None:
+    """Send the packages' log to stderr: warnings, with -v stages, with -vv details, with -q errors alone."""
+    if quiet and verbose:
+        raise click.UsageError("-q and -v exclude each other; give one of them")
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
+    for name in LOGGERS:
+        logger = logging.getLogger(name)
+        logger.setLevel(logging.ERROR if quiet else LEVELS[min(verbose, len(LEVELS) - 1)])
+        logger.handlers = [handler]

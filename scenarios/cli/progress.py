@@ -1,8 +1,10 @@
-"""A progress bar on a terminal; nothing in a pipe."""
+"""A progress bar on a terminal; nothing in a pipe, and nothing with -q."""
 
 import sys
 from collections.abc import Callable
 from typing import Any
+
+import click
 
 
 class Progress:
@@ -14,7 +16,9 @@ class Progress:
         self._task: Any = None
 
     def __enter__(self) -> Callable[[int, int | None], None]:
-        if sys.stderr.isatty():
+        context = click.get_current_context(silent=True)
+        quiet = context is not None and context.find_root().params.get("quiet", False)
+        if sys.stderr.isatty() and not quiet:
             from rich.console import Console
             from rich.progress import Progress as Bar
 

@@ -256,3 +256,52 @@ def target_sheet(path: Path, out: Path, page: str | None, colour: str) -> None:
         raise InputError(f"{path}: kind = 'points' has nothing to print; a field, a board or a scale bar has")
     for sheet in write_sheets(made, out, page, cast(Literal["white", "black"], colour)):
         click.echo(f"{sheet} written; measure its ruler after printing")
+
+
+@target.command("scale")
+@click.argument("path", type=FILE)
+@click.option(
+    "--ruler",
+    type=(POSITIVE, POSITIVE),
+    metavar="MEASURED PRINTED",
+    help="length of the sheet's ruler as measured, and as printed beside it [mm]",
+)
+@click.option(
+    "--scan",
+    type=(FILE, POSITIVE),
+    metavar="IMAGE DPI",
+    help="scan of a sheet with coded targets, and its resolution [pixels an inch]",
+)
+@click.option(
+    "--page",
+    type=click.Choice(["A4", "A3", "A2", "letter"]),
+    help="paper of the sheet  [default: as printed]",
+)
+@click.option(
+    "--colour", type=click.Choice(["white", "black"]), default="white", show_default=True, help="of dots"
+)
+def target_scale(
+    path: Path,
+    ruler: tuple[float, float] | None,
+    scan: tuple[Path, float] | None,
+    page: str | None,
+    colour: str,
+) -> None:
+    """Find the scale at which a sheet was printed, and the lengths that its target file must hold.
+
+    \b
+    Example:  mosca target scale field.toml --ruler 148.9 150
+              mosca target scale field.toml --scan sheet.png 600
+    """
+    from typing import Literal, cast
+
+    from scenarios.commands.targets import scale_from_ruler, scale_from_scan
+
+    if ruler is not None and scan is None:
+        lines = scale_from_ruler(path, *ruler)
+    elif scan is not None and ruler is None:
+        lines = scale_from_scan(path, *scan, page, cast(Literal["white", "black"], colour))
+    else:
+        raise InputError("target scale: give --ruler MEASURED PRINTED or --scan IMAGE DPI, one of the two")
+    for line in lines:
+        click.echo(line)

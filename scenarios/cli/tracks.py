@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import click
 
@@ -184,6 +184,73 @@ def apply(tracks: Path, model: Path, out: Path, fps: float | None) -> None:
     from scenarios.commands.labels import apply_to
 
     for line in apply_to(tracks, model, out, fps):
+        click.echo(line)
+
+
+@labels.command()
+@click.argument("tracks", type=FILE)
+@click.option("--out", required=True, type=FILE, help="the same tracks with labels: .npz, .csv, .c3d or .trc")
+@click.option(
+    "--name",
+    "names",
+    multiple=True,
+    metavar="NUMBER=LABEL",
+    help="label of a lamp  [default: lamp/NUMBER, all]",
+)
+@click.option(
+    "--frames-per-bit",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="pulses that a bit lasts",
+)
+@click.option("--in-step", is_flag=True, help="bit 0 begins at pulse 0  [default: at an unknown pulse]")
+@click.option(
+    "--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]"
+)
+def blink(
+    tracks: Path, out: Path, names: tuple[str, ...], frames_per_bit: int, in_step: bool, fps: float | None
+) -> None:
+    """Name the tracks of active markers by their blink codes.
+
+    \b
+    Example:  mosca labels blink take3.csv --name 0=LWRI --name 1=RWRI --out take3.c3d
+    """
+    from mosca.labelling.blinking_leds import BlinkSettings
+    from scenarios.commands.labels import label_blinking
+
+    settings = BlinkSettings(frames_per_bit=frames_per_bit, in_step=in_step)
+    for line in label_blinking(tracks, out, settings, names, fps):
+        click.echo(line)
+
+
+@labels.command()
+@click.argument("recording", type=FILE)
+@click.option("--rig", required=True, type=FILE, help="calibrated rig file")
+@click.option(
+    "--out", required=True, type=FILE, help="tracks, labelled code/NUMBER: .npz, .csv, .c3d or .trc"
+)
+@click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
+@click.option(
+    "--colour",
+    type=click.Choice(["white", "black", "both"]),
+    default="white",
+    show_default=True,
+    help="of dots and sectors",
+)
+def coded(recording: Path, rig: Path, out: Path, fps: float | None, colour: str) -> None:
+    """Track coded targets: the number of each is its identity and its correspondence.
+
+    \b
+    Example:  mosca labels coded lab/take4 --rig rig.toml --out take4.csv
+    """
+    from mosca.coded_targets.detect import CodedSettings
+    from scenarios.commands.labels import label_coded
+
+    settings = CodedSettings(colour=cast(Literal["white", "black", "both"], colour))
+    with Progress(recording.name) as shown:
+        lines = label_coded(recording, rig, out, fps, settings, shown)
+    for line in lines:
         click.echo(line)
 
 

@@ -21,7 +21,7 @@ POSES = (".csv", ".tum")
 
 
 def learn_from(path: Path, out: Path, bodies: tuple[str, ...], frames: str | None) -> list[str]:
-    """Learn rigid bodies from the tracks in ``path``, write them to ``out`` and return what to tell, a line each.
+    """Learn rigid bodies from the tracks in ``path``, write them to ``out`` and return the lines to print.
 
     ``bodies``: ``NAME=TRACK,TRACK,...`` texts; ``frames``: ``FIRST:LAST``. InputError where that cannot be.
     """
@@ -55,7 +55,7 @@ def learn_from(path: Path, out: Path, bodies: tuple[str, ...], frames: str | Non
 def find_in(
     path: Path, definitions: Path, out: Path, body: str | None, tracks_out: Path | None, fps: float | None
 ) -> list[str]:
-    """Find the poses of the bodies of a file in the tracks of another, write them and return what to tell.
+    """Find the poses of the bodies of a file in the tracks of another, write them and return the lines to print.
 
     ``out``: .csv for all bodies with covariance, or .tum for one; ``body``: which one; ``tracks_out``: the same
     tracks, labelled by the bodies that they belong to.
@@ -79,15 +79,15 @@ def find_in(
         labelled = labelled_by_bodies(tracks, bodies)
         write_tracks(labelled, tracks_out, rate_of(labelled, fps, path))
     frames = len(np.unique(tracks.frame))
-    told = []
+    lines = []
     for one in bodies:
         mine = poses.of(one.name)
         rms = np.sqrt(np.nanmean(mine.residual_m**2)) if np.isfinite(mine.residual_m).any() else np.nan
-        told.append(
+        lines.append(
             f"body '{one.name}': a pose in {len(mine)} of {frames} frames"
             + (f", its markers {1e3 * rms:.3g} mm rms off their places" if np.isfinite(rms) else "")
         )
-    return [*told, f"poses in {out}"]
+    return [*lines, f"poses in {out}"]
 
 
 def _body(text: str) -> tuple[str, tuple[int, ...]]:

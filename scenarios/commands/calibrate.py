@@ -1,5 +1,6 @@
 """The verbs for real calibrations: from a recording and a target file to a rig file and its page."""
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from mosca.errors import CalibrationError, InputError
 from mosca.recording import open_recording
 from reports.calibration_page import write_calibration_page
 
+LOG = logging.getLogger(__name__)
 T = TypeVar("T", LFrame, ScaleBar)
 
 
@@ -68,6 +70,7 @@ def calibrate(request: CalibrateOptions, progress: Callable[[int, int | None], N
     if settings.exterior_only and known is None:
         raise InputError("--exterior-only keeps the lenses of an earlier rig; give it with --known RIG.toml")
     page = out.with_suffix(".html")
+    LOG.info("%s: target %s, reading images and adjusting", request.recording, request.target)
     calibration, evidence = calibrate_session(
         Shown(target, lambda rig: open_recording(request.recording, rig, request.fps)),
         settings,
@@ -77,15 +80,16 @@ def calibrate(request: CalibrateOptions, progress: Callable[[int, int | None], N
         made_from=f"{request.recording} with {request.target.name}",
         progress=lambda n: progress(n, None),
     )
+    LOG.info("%d image points adjusted, %d findings", len(calibration.sightings), len(calibration.findings))
     write_calibration_page(page, calibration, evidence)
     if calibration.refused:
         first = calibration.refused[0]
         raise CalibrationError(f"{out} not written: {first.code}: {first.message} (see {page})")
     write_rig(calibration.rig, out)
-    return [*told(calibration), f"{out} written; {page}"]
+    return [*summary_lines(calibration), f"{out} written; {page}"]
 
 
-def told(calibration: Calibration) -> list[str]:
+def summary_lines(calibration: Calibration) -> list[str]:
     """Return a calibration in a few lines: precision of each camera, and what must be known."""
     size = f"{len(calibration.sightings)} image points, {int((~calibration.used).sum())} left out"
     lines = [

@@ -1,4 +1,4 @@
-"""The file that says which lamps worn cameras carry: ``mosca reconstruct --continuous --worn LAMPS.toml``."""
+"""The file of the lamps that worn cameras carry: ``mosca reconstruct --continuous --worn LAMPS.toml``."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""``mosca live``: a run that keeps up with its source, says each second how it does, and writes on the way."""
+"""``mosca live``: a run that keeps up with its source, reports each second, and writes tracks while it runs."""
 
 import threading
 import time

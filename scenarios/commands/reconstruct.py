@@ -1,5 +1,6 @@
 """The verb for real images: turn a recording into tracks."""
 
+import logging
 from collections.abc import Callable
 from itertools import chain, islice
 from pathlib import Path
@@ -23,7 +24,10 @@ from scenarios.build.cameras import overlap_of
 from scenarios.build.scene import stage_settings
 from scenarios.run.interrupt import between_steps
 from scenarios.run.postprocess import NONE, Postprocessing, Postprocessor
-from scenarios.spec.scenario import DetectionSpec, MatchSpec, TrackSpec, apply_overrides
+from scenarios.spec.scenario import apply_overrides
+from scenarios.spec.stages import StageTables
+
+LOG = logging.getLogger(__name__)
 
 
 class VolumeSpec(Table):
@@ -50,14 +54,10 @@ class BackgroundSpec(Table):
     frames: int = Field(100, ge=1, description="how many frames of each camera, from the first")
 
 
-class ReconstructSpec(Table):
+class ReconstructSpec(StageTables):
     """Settings file of ``mosca reconstruct``."""
 
     background: BackgroundSpec = BackgroundSpec()
-
-    detection: DetectionSpec = DetectionSpec()
-    match: MatchSpec = MatchSpec()
-    track: TrackSpec = TrackSpec()
     volume: VolumeSpec | None = Field(None, description="box in which targets can be; default: everywhere")
 
 
@@ -84,7 +84,9 @@ def reconstruct_recording(
         )
     spec = reconstruct_spec(settings_path, overrides)
     settings = reconstruct_settings(spec, settings_path)
+    LOG.info("%s: rig of %d cameras; background: %s", recording, len(rig.cameras), spec.background.kind)
     backgrounds = recorded_backgrounds(recording, rig, fps, spec.background)
+    LOG.info("frames to tracks")
     assembly = Assembly()
     counts = np.zeros(3)
     with open_recording(recording, rig, fps) as source, between_steps() as stop:
@@ -101,29 +103,31 @@ def reconstruct_recording(
             counts += 1, sum(len(d) for d in step.detections.values()), len(step.points)
             if progress is not None:
                 progress(int(counts[0]), int(counts[0]))
+    LOG.info("%d frame sets tracked; smoothing, labels and gaps", int(counts[0]))
     tracks, more = postprocessor.finished()
     write_tracks(tracks, out, rate)
+    LOG.info("%s written", out)
     tracks = tracks.select(tracks.status == "measured")
     sets = max(counts[0], 1)
-    told = [
+    lines = [
         f"{assembly.frames} frames in {assembly.sets} sets, {assembly.complete_sets} of them complete",
         f"a set has {counts[1] / sets:.1f} detections and {counts[2] / sets:.1f} points",
         f"{len(np.unique(tracks.track))} tracks with {len(tracks)} samples in {out}",
     ]
     if len(tracks):
-        told.append(f"reprojection error {np.sqrt(np.mean(tracks.residual_px**2)):.3f} px rms")
+        lines.append(f"reprojection error {np.sqrt(np.mean(tracks.residual_px**2)):.3f} px rms")
     else:
-        told.append(_why_no_tracks(counts, settings))
-    told += more
-    told += [
+        lines.append(_why_no_tracks(counts, settings))
+    lines += more
+    lines += [
         f"{name}: {c.dropped} dropped, {c.corrupt} corrupt, {c.late} late, {c.doubled} doubled"
         for name, c in assembly.cameras.items()
         if c.dropped or c.corrupt or c.late or c.doubled
     ]
-    told += [f"{kind}: {note}" for kind, note in assembly.notes.items()]
+    lines += [f"{kind}: {note}" for kind, note in assembly.notes.items()]
     if assembly.skipped_sets:
-        told.append(f"{assembly.skipped_sets} frame sets are missing in the recording")
-    return told
+        lines.append(f"{assembly.skipped_sets} frame sets are missing in the recording")
+    return lines
 
 
 def _why_no_tracks(counts: Array, settings: PipelineSettings) -> str:

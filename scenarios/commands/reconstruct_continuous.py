@@ -56,9 +56,9 @@ def reconstruct_continuous(
     options: ContinuousOptions | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[str]:
-    """Write the tracks of a recording to ``out`` and what is known of its clocks beside it; return what to tell.
+    """Write the tracks of a recording to ``out`` and its clocks beside them; return the lines to print.
 
-    The grid begins at the first instant of which an image point tells; times are the first camera's stamps.
+    The grid begins at the first image point's instant; times are the first camera's stamps.
     """
     options = ContinuousOptions() if options is None else options
     check_tracks_file(out)

@@ -14,7 +14,7 @@ from scenarios.run.zones import stitching_line
 
 
 def stitch_files(paths: Sequence[Path], out: Path, fps: float | None) -> list[str]:
-    """Stitch tracks files, one a zone, into ``out``; return what to tell. The zones are called as their files."""
+    """Stitch tracks files, one a zone, into ``out``; return the lines to print. A zone has the name of its file."""
     check_tracks_file(out)
     names = [path.stem if sum(p.stem == path.stem for p in paths) == 1 else str(path) for path in paths]
     if len(set(names)) < len(names):

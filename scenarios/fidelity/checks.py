@@ -28,7 +28,7 @@ CHECKS: tuple[Callable[[bool], Check], ...] = (
 
 
 def run_checks(quick: bool, progress: Callable[[int, int], None] = lambda done, total: None) -> list[Check]:
-    """Return what all checks found; ``progress`` is told how many are done, of how many."""
+    """Return what all checks found; ``progress`` is called with the numbers done and in all."""
     found = []
     for number, check in enumerate(CHECKS):
         progress(number, len(CHECKS))

@@ -61,8 +61,8 @@ def made_by() -> str:
     """Return versions and machine in a sentence."""
     made = provenance()
     versions = made["versions"]
-    told = ", ".join(f"{name} {versions[name]}" for name in ("mosca", "mujoco", "numpy", "numba"))
-    return f"Made by {told}, Python {versions['python']}, {platform.system()} {platform.machine()}."
+    programs = ", ".join(f"{name} {versions[name]}" for name in ("mosca", "mujoco", "numpy", "numba"))
+    return f"Made by {programs}, Python {versions['python']}, {platform.system()} {platform.machine()}."
 
 
 if __name__ == "__main__":

@@ -91,11 +91,11 @@ def _beside(name: str, shown: str, quick: bool) -> Check:
             for what, off in faults.items()
         ],
     ]
-    told = (
+    own_error = (
         f"{own[free, 0].max():.1e} px in view, {own[HIDDEN, 0].max():.1e} px partly hidden, {own[:, 1].max():.1e} of "
         "a full pixel (against exact outlines and the ray caster)"
     )
-    return Check(title, compared, witness, told.replace("e-0", "e-"), tuple(rows))
+    return Check(title, compared, witness, own_error.replace("e-0", "e-"), tuple(rows))
 
 
 def _peer_image(name: str, where: str) -> tuple[Array | None, str]:

@@ -45,7 +45,7 @@ def sensors(quick: bool) -> Check:
         "DSNU 12 % too large": (replace(sheet, dsnu_e=5.6), "DSNU"),
     }
     for name, (faulty, what) in faults.items():
-        off = {told: (value, bar) for told, value, bar in _off(_measured(_camera(faulty), sheet), sheet)}
+        off = {stated: (value, bar) for stated, value, bar in _off(_measured(_camera(faulty), sheet), sheet)}
         rows.append(Row(f"fault: {name}", off[what][0], "of it", off[what][1], control=True))
     return Check(
         "Sensor (EMVA 1288)",
@@ -67,7 +67,7 @@ def _off(found: tuple[PhotonTransfer, float, float], sheet: Sensor) -> list[tupl
         ("DSNU", dsnu, sheet.dsnu_e, PATTERN),
         ("PRNU", nonuniformity, sheet.prnu, PATTERN),
     ]
-    return [(name, abs(value / told - 1), bar) for name, value, told, bar in pairs]
+    return [(name, abs(value / stated - 1), bar) for name, value, stated, bar in pairs]
 
 
 def _measured(grab: Grab, sheet: Sensor) -> tuple[PhotonTransfer, float, float]:

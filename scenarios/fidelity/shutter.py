@@ -126,7 +126,7 @@ def _expected(case: Case, instants: int = INSTANTS) -> Array:
 
 
 def _faults() -> list[Row]:
-    """Return how far off the image of a twin is that was told something slightly else than the witness."""
+    """Return how far off the image of a twin is whose input differs slightly from the witness'."""
     across, rolled, flashed = (
         CASES["global shutter"][0],
         CASES["rolling shutter"][0],
@@ -143,10 +143,10 @@ def _faults() -> list[Row]:
     return [
         Row(
             f"fault: {name}",
-            centroids_apart(_rendered(replace(case, **told)), _expected(case)),
+            centroids_apart(_rendered(replace(case, **changed)), _expected(case)),
             "px",
             RMS_PX,
             control=True,
         )
-        for name, (case, told) in faults.items()
+        for name, (case, changed) in faults.items()
     ]

@@ -1,6 +1,6 @@
 """One target or several before one camera, as plain numbers: how the checks ask the twin.
 
-What an image must be comes from the room ``witness``, which knows nothing of the twin.
+What an image must be comes from the package ``witness``, which knows nothing of the twin.
 """
 
 from collections.abc import Callable

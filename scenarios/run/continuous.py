@@ -1,4 +1,4 @@
-"""A scenario's frames through ``mosca.continuous``: what is kept of the run, and how its clocks meet the truth."""
+"""A scenario's frames through ``mosca.continuous``: tracks, counts and notes of the run."""
 
 import time
 from collections.abc import Callable
@@ -105,10 +105,10 @@ def record_clocks(found: Reconstructed) -> dict[str, Any]:
 def lamp_notes(worn: Worn) -> dict[str, str]:
     """Return in words how cameras and lamps were found."""
     found = worn.reconstructed
-    told = np.isfinite(worn.placed.centres).all(axis=2).mean(axis=0)
+    known = np.isfinite(worn.placed.centres).all(axis=2).mean(axis=0)
     shares = ", ".join(
         f"{name} {100 * share:.0f} %"
-        for name, share in zip(found.rig.names, told, strict=True)
+        for name, share in zip(found.rig.names, known, strict=True)
         if share < 1.0
     )
     code, images = (sum(int((one >= 0).sum()) for one in of) for of in (worn.by_code, worn.lamp))

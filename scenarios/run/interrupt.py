@@ -1,4 +1,4 @@
-"""Ctrl-C that waits for the work in hand."""
+"""Ctrl-C that takes effect between two steps of the work."""
 
 import signal
 import threading
@@ -8,8 +8,8 @@ from types import FrameType
 
 
 @contextmanager
-def first_ctrl_c(told: Callable[[], None]) -> Iterator[None]:
-    """Call ``told`` at the first Ctrl-C; a second one interrupts at once.
+def first_ctrl_c(on_first: Callable[[], None]) -> Iterator[None]:
+    """Call ``on_first`` at the first Ctrl-C; a second one interrupts at once.
 
     Outside the main thread, where Python hands out no signals, this does nothing.
     """
@@ -20,7 +20,7 @@ def first_ctrl_c(told: Callable[[], None]) -> Iterator[None]:
         if asked:
             raise KeyboardInterrupt
         asked = True
-        told()
+        on_first()
 
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -49,25 +49,25 @@ class Postprocessor:
             self._smoothed.append(self._smoother.step(frame, samples))
 
     def finished(self) -> tuple[Tracks, list[str]]:
-        """Return the tracks, and what to tell of them, a line each."""
-        told = []
+        """Return the tracks, and lines about them to print."""
+        lines = []
         tracks = measured = table(self._measured)
         if self._smoother is not None:
             tracks = table([*self._smoothed, self._smoother.rest()])
-            told.append(f"positions are smoothed with a lag of {self._settings.lag} frames")
+            lines.append(f"positions are smoothed with a lag of {self._settings.lag} frames")
         if self._model is not None:
             # names come from distances as they were measured
             labelled = label_tracks(measured, self._model)
             found = dict(zip(labelled.track.tolist(), labelled.label.tolist(), strict=True))
             tracks, measured = _with_labels(tracks, found), labelled
             names = {name for name in found.values() if name}
-            told.append(f"{len(names)} of {len(self._model.names)} markers of {self._settings.labels} found")
+            lines.append(f"{len(names)} of {len(self._model.names)} markers of {self._settings.labels} found")
         if self._settings.fill_s is not None:
             # what is missing is estimated from the measured positions: the smoothed ones' errors hang together
             fills = gaps_filled(measured, self._settings.fill_s)
             tracks = _joined(tracks, fills)
-            told.append(filled_line(fills, self._settings.fill_s))
-        return tracks, told
+            lines.append(filled_line(fills, self._settings.fill_s))
+        return tracks, lines
 
 
 def gaps_filled(tracks: Tracks, fill_s: float) -> Tracks:
@@ -83,12 +83,12 @@ def with_gaps_filled(tracks: Tracks, fill_s: float) -> tuple[Tracks, str]:
 
 
 def filled_line(fills: Tracks, fill_s: float) -> str:
-    """Return what to tell of filled samples."""
-    said = f"{len(fills)} samples filled in gaps up to {fill_s:g} s, marked 'filled'"
+    """Return a line about filled samples."""
+    line = f"{len(fills)} samples filled in gaps up to {fill_s:g} s, marked 'filled'"
     if not len(fills):
-        return said
+        return line
     worst = float(np.sqrt(np.trace(fills.covariance, axis1=1, axis2=2).max()))
-    return f"{said}; the least certain is known to {1e3 * worst:.2g} mm"
+    return f"{line}; the least certain is known to {1e3 * worst:.2g} mm"
 
 
 def _with_labels(tracks: Tracks, label_of: dict[int, str]) -> Tracks:

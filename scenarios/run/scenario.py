@@ -1,5 +1,6 @@
-"""One scenario from scene to score: build, calibrate, expose, run the pipeline, meet the truth."""
+"""One scenario from scene to score: build, calibrate, expose, run the pipeline, compare with the truth."""
 
+import logging
 import time
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -40,6 +41,8 @@ from scenarios.spec.scenario import Scenario
 from scenarios.types import Collected, Measured, RunOptions, Score, Scored, TruthSource
 from twin.cameras.virtual_camera import VirtualCamera
 from twin.scenes.scene import Commands, Scene
+
+LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +86,7 @@ class _Opened:
 def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | None = None) -> RunResult:
     """Run ``spec``; files that it names are looked for in ``folder``. PremiseError where a premise fails."""
     options = options or RunOptions()
+    LOG.info("%s: frames of %s", name, options.source)
     timings: dict[str, float] = {}
     with ExitStack() as stack, _timed(timings, "total"):
         with _timed(timings, "build"):
@@ -157,10 +161,10 @@ def _built(spec: Scenario, folder: Path, options: RunOptions) -> _Built:
 def _own_calibration(
     spec: Scenario, name: str, built: _Built, options: RunOptions
 ) -> tuple[SessionCalibration | None, tuple[tuple[str, str], ...]]:
-    """Return the calibration of the scenario's own session, and codes and messages of what it told of.
+    """Return the calibration of the scenario's own session, and codes and messages of its findings.
 
     CalibrationError where it is refused and the scenario does not expect that it is; where it does, the refusal is
-    what was told.
+    the finding.
     """
     try:
         own = calibrate_in_session(spec, built.cameras, built.known.rig, options.workers)
@@ -168,10 +172,10 @@ def _own_calibration(
         if spec.expect != "caught":
             raise
         return None, ((refusal.code, str(refusal)),)
-    told = tuple((one.code, one.message) for one in own.calibration.findings if one.severity != "note")
+    reported = tuple((one.code, one.message) for one in own.calibration.findings if one.severity != "note")
     if own.calibration.refused and spec.expect != "caught":
-        raise CalibrationError(f"{name}: {told[0][0]}: {told[0][1]}")
-    return own, told
+        raise CalibrationError(f"{name}: {reported[0][0]}: {reported[0][1]}")
+    return own, reported
 
 
 def _opened(spec: Scenario, built: _Built, options: RunOptions) -> _Opened:
@@ -247,7 +251,7 @@ def _refused(
 
 
 class _timed:
-    """Adds the seconds of a block to a dictionary."""
+    """Adds the seconds of a block to a dictionary, and logs them."""
 
     def __init__(self, timings: dict[str, float], name: str) -> None:
         self._timings, self._name = timings, name
@@ -257,3 +261,4 @@ class _timed:
 
     def __exit__(self, *exc: object) -> None:
         self._timings[self._name] = time.perf_counter() - self._start
+        LOG.info("%s: %.2f s", self._name, self._timings[self._name])

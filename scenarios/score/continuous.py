@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mosca.continuous.comparison_methods.compare import reconstruct_by
 from mosca.continuous.moving_cameras.body_worn import Worn
 from mosca.continuous.reconstruct import EstimatedClock, Reconstructed
 from mosca.data.arrays import Array
@@ -51,7 +52,7 @@ def clock_scores(found: Reconstructed, truth: Truth) -> dict[str, Score]:
     """Return how far the clocks of free-running cameras are off, the worst one of them.
 
     ``clock_frames``: of the camera's own frame period, the larger error of its run's two ends. The first camera's
-    clock, on which all is told, has none.
+    clock, to which all times refer, has none.
     """
     if truth.frames is None:
         return {}
@@ -130,3 +131,17 @@ def over_synchronous(
         return {}
     mine, other = (ours.distance_m[both] ** 2).mean(), (theirs.distance_m[at[both]] ** 2).mean()
     return {"over_synchronous": Score(float(np.sqrt(mine / other)), int(both.sum()))}
+
+
+def comparison_scores(
+    spec: Scenario, found: Reconstructed, truth: Truth, working_space_m: float
+) -> dict[str, Score]:
+    """Return the rms errors [m] of other trajectory models on the same image points, at the truth's instants."""
+    assert spec.continuous is not None
+    scores = {}
+    for method in spec.continuous.compare:
+        pairs = pair(reconstruct_by(method, found, truth.time_ns), truth, working_space_m)
+        if len(pairs.frame):
+            rms_m = float(np.sqrt((pairs.distance_m**2).mean()))
+            scores[f"rms_{method}"] = Score(rms_m, len(pairs.frame))
+    return scores

@@ -5,11 +5,11 @@ pixels have, from images rendered without noise and with the image moved (Kay 19
 known variance). To the bound of the image come the random errors that belong to the scenario, not to the pipeline:
 the shake of the camera's body and the trigger's jitter times the target's speed. In space: ``(sum J' S^-1 J)^-1``
 over the cameras, where all that see the target see it whole. The target's diameter, which an estimator must find
-too, says nothing of the place of a round image.
+too, has no information on the position of a round image.
 
 Lens errors of the calibration are no random errors and not part of the bound. Nor is it an error of detection that
-a ball's image has its middle elsewhere than the image of the ball's centre lies (geometry says how far, and who
-triangulates takes it off): detections are held against the middle of the light that was really there.
+the centre of a ball's image is not the image of the ball's centre (geometry gives the difference, and triangulation
+corrects it): detections are compared with the centroid of the light that was really there.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -98,7 +98,7 @@ def bound(
         information[seen] += np.einsum("nki,nkl,nlj->nij", jacobian, np.linalg.inv(total[seen]), jacobian)
         views += seen
     point = np.full(information.shape, np.nan)
-    # elsewhere the images without a bound tell something too, and the bound would be none
+    # elsewhere images without a bound carry information too, which would make the bound invalid
     whole = views == (truth.visible[pulses] > 0).sum(axis=2)
     bounded = (views >= 2) & whole
     point[bounded] = np.linalg.inv(information[bounded])

@@ -3,9 +3,10 @@
 A user's reference, ``truth.csv``, holds one row a marker and instant: ``label,x,y,z`` [m, the rig's world frame] and
 ``time_ns`` [session clock, as in ``tracks.csv``], which is left out where nothing moves; ``sigma_m``, if it is there,
 is each coordinate's standard deviation. Other columns are left alone, so that a ``tracks.csv`` of another system
-serves. Between its instants places are interpolated, by a cubic spline, never over a gap.
+serves. A table with a column for each coordinate, ``time,NAME.x,NAME.y,NAME.z,...`` ([s] and [m]), serves too.
+Between the instants positions are interpolated, by a cubic spline, never over a gap.
 
-It says where markers were, not which cameras could see them: what is counted in seen markers cannot be judged by it.
+It holds positions of markers, not which cameras could see them: metrics of seen markers need the twin's.
 """
 
 from collections.abc import Callable
@@ -16,6 +17,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from mosca.data.arrays import Array
+from mosca.data.motion.joint_csv import read_points_csv
 from mosca.data.truth import Truth, read_truth
 from mosca.errors import InputError
 from mosca.formats.tracks.csv_columns import parsed, read_named
@@ -35,7 +37,7 @@ class ReferenceTrajectories:
     """Where markers ``names`` (m) were: for each ``time_ns`` (t,) rising and ``xyz`` (t, 3) [m].
 
     A marker that never moves has one instant and ``still``. ``sigma_m``: standard deviation of a coordinate, rms over
-    all rows; 0 where the file says nothing. ``path``: the file, for messages.
+    all rows; 0 where the file has none. ``path``: the file, for messages.
     """
 
     names: tuple[str, ...]
@@ -51,9 +53,9 @@ class ReferenceTrajectories:
         xyz = np.full((t, m, 3), np.nan)
         for k, (own, places) in enumerate(zip(self.time_ns, self.xyz, strict=True)):
             xyz[:, k] = places[0] if self.still else _between(own, places, time_ns)
-        nobody = np.zeros((t, m, 0))
+        unseen = np.zeros((t, m, 0))
         return Truth(
-            time_ns, self.names, xyz, nobody, (), np.zeros((t, m, 0, 2)), nobody, np.zeros((t, 0), np.int64)
+            time_ns, self.names, xyz, unseen, (), np.zeros((t, m, 0, 2)), unseen, np.zeros((t, 0), np.int64)
         )
 
     def share(self, other: Callable[[Array], Array] | None) -> Callable[[Array], Array]:
@@ -90,8 +92,32 @@ def read_reference(path: Path) -> Truth | ReferenceTrajectories:
     )
 
 
+def _read_wide_csv(path: Path) -> ReferenceTrajectories | None:
+    """Return the reference in a table ``time,NAME.x,NAME.y,NAME.z,...`` [s, m]; None for another table."""
+    if not path.is_file():
+        return None
+    with path.open("rb") as file:
+        first = file.readline().split(b",")
+    if first[0].strip().strip(b'"').lower() != b"time":
+        return None
+    motion = read_points_csv(path)
+    known: Array = np.isfinite(motion.xyz).all(axis=2)
+    time_ns = np.rint(motion.time_s * 1e9).astype(np.int64)
+    names = [k for k in range(len(motion.names)) if known[:, k].any()]
+    return ReferenceTrajectories(
+        tuple(motion.names[k] for k in names),
+        tuple(time_ns[known[:, k]] for k in names),
+        tuple(motion.xyz[known[:, k], k] for k in names),
+        False,
+        0.0,
+        path,
+    )
+
+
 def read_reference_csv(path: Path) -> ReferenceTrajectories:
     """Read a ``truth.csv``. Raises InputError naming file, row and column."""
+    if (wide := _read_wide_csv(path)) is not None:
+        return wide
     cells = read_named(path, ("label", "x", "y", "z"), ("time_ns", "sigma_m"), "truth.csv")
     label = np.array(cells["label"], dtype=np.str_)
     if not len(label):
@@ -100,14 +126,14 @@ def read_reference_csv(path: Path) -> ReferenceTrajectories:
     sigma = parsed(cells["sigma_m"], "sigma_m", float, path) if "sigma_m" in cells else np.zeros(len(label))
     still = "time_ns" not in cells
     time_ns = np.zeros(len(label), np.int64) if still else parsed(cells["time_ns"], "time_ns", int, path)
-    for bad, told in (
+    for bad, message in (
         (label == "", "label is empty; each marker needs a name"),
         (np.isinf(xyz).any(axis=1) | np.isin(np.isnan(xyz).sum(axis=1), (1, 2)),
          "x, y, z: three numbers are wanted, or none where the marker was not seen"),
         (~((sigma >= 0) & (sigma < np.inf)), "sigma_m: a number of 0 or more is wanted [m]"),
     ):  # fmt: skip
         if bad.any():
-            raise InputError(f"{path}, row {int(np.argmax(bad)) + 2}: {told}")
+            raise InputError(f"{path}, row {int(np.argmax(bad)) + 2}: {message}")
     known = ~np.isnan(xyz).any(axis=1)
     names = tuple(str(name) for name in dict.fromkeys(label[known].tolist()))
     if not names:

@@ -1,14 +1,15 @@
-"""A run's tracks meet the truth: each metric that the scenario can be scored on, and its premises."""
+"""A run's tracks compared with the truth: each metric that the scenario can be scored on, and its premises."""
 
 from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
 
+from mosca.continuous.reconstruct import Reconstructed
 from mosca.data.rig import Rig
 from mosca.data.truth import Truth
 from scenarios.score.bodies import body_scores
-from scenarios.score.continuous import over_synchronous, scored_apart
+from scenarios.score.continuous import comparison_scores, over_synchronous, scored_apart
 from scenarios.score.cramer_rao import bound, efficiencies, needs_bound, pulses_asked
 from scenarios.score.premises import premises_met
 from scenarios.score.reference import JUDGED, ReferenceTrajectories
@@ -46,6 +47,8 @@ def scored(
     scores = metrics(pairs, space) | more
     if "over_synchronous" in spec.limits:
         scores |= over_synchronous(pairs, measured.synchronous(), truth, space)
+    if isinstance(measured.continuous, Reconstructed):
+        scores |= comparison_scores(spec, measured.continuous, truth, space)
     if measured.poses is not None:
         scores |= body_scores(measured.poses, measured.bodies, truth)
     if twin is not None and needs_bound(spec.limits):
@@ -59,7 +62,7 @@ def not_judged(spec: Scenario, judged: Collection[str]) -> tuple[str, ...]:
 
 
 def _beside_reference(spec: Scenario, measured: Measured, given: ReferenceTrajectories) -> Scored:
-    """Return what a user's own reference can judge: where the markers are that it tells of, not which were missed."""
+    """Return what a user's own reference can judge: errors of the markers that it has, not which were missed."""
     collected = measured.collected
     space = max(spec.working_space.size_m)
     truth = given.at(np.unique(collected.tracks.time_ns))

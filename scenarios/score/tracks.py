@@ -1,4 +1,4 @@
-"""Tracks meet the truth. Pure: no files, no clocks, no twin.
+"""Tracks compared with the truth. Pure: no files, no clocks, no twin.
 
 Per frame the measured points and the true markers are paired one to one with the least total distance, within
 ``min(half the smallest distance between true markers, 1 % of the working space)``. A measured point that
@@ -154,13 +154,6 @@ def hota(matched: TruthPairs) -> float:
         detection = tp / (tp + fn + fp)
         values.append(np.sqrt(detection * association))
     return float(np.mean(values))
-
-
-def per_marker_completeness(matched: TruthPairs) -> Array:
-    """Return the share of seen frames in which each marker was found (m,), NaN where it was never seen."""
-    seen = matched.seen_mask.sum(axis=0)
-    missed = _missed_of_marker(matched)
-    return np.where(seen > 0, (seen - missed) / np.maximum(seen, 1), np.nan)
 
 
 def limits_met(

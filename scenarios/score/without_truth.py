@@ -1,6 +1,6 @@
-"""What a run is worth by itself, without any truth: claims that hold on a rig or recording as on the twin.
+"""Metrics of a run that need no truth: claims that hold on a rig or recording as on the twin.
 
-- ``reprojection_rms``: how well the rays of a point meet [px];
+- ``reprojection_rms``: reprojection error of the points' rays [px];
 - ``length_rms``, ``length_max``: measured minus certified lengths of a scale bar or wand, ``[[length]]`` in the
   scenario (the length measurement error of VDI/VDE 2634 part 1);
 - ``rigidity_rms``: how far the markers of rigid bodies are from their places in the body [m];
@@ -34,7 +34,7 @@ STEADY = 0.95
 def self_checks(
     spec: Scenario, tracks: Tracks, poses: BodyPoses | None, seconds: Mapping[str, float], sets: int
 ) -> tuple[dict[str, Score], list[str]]:
-    """Return what needs no truth, and notes on what could not be told, a line each.
+    """Return what needs no truth, and notes on what could not be determined, a line each.
 
     ``seconds``: computing time, of it ``latency_p99`` and ``frames_to_tracks``; ``sets``: frame sets worked off.
     Times and the noise of still markers are scored only where the scenario limits them.
@@ -80,7 +80,7 @@ def lengths_found(tracks: Tracks, wanted: LengthSpec) -> tuple[Array, Array, str
 
     Its two markers are those labelled so where the scenario names them. Where it does not they are two tracks whose
     distance stays near the length as long as both are seen: two tracks that only pass each other at that distance
-    do not. Where several such pairs are seen in one frame, which is meant cannot be told: those frames are left out.
+    do not. Where several such pairs are seen in one frame, the right one is unknown: those frames are left out.
     """
     if wanted.markers is not None:
         a, b = (np.flatnonzero(np.asarray(tracks.label) == name) for name in wanted.markers)

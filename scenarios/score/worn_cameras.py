@@ -1,4 +1,4 @@
-"""Cameras worn on the body that they film: their rig in that body's frame, and the truth told in it."""
+"""Cameras worn on the body that they film: the truth in that body's frame, and scores of lamps and paths."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -140,7 +140,7 @@ def moving_scores(
 
 
 def moving_lamp_scores(worn: Worn) -> dict[str, Score]:
-    """Return the share of lamps that another camera told by their numbers, and their rms distance from the poses."""
+    """Return the share of lamps that another camera identified by their numbers, and their rms reprojection error."""
     count = len(worn.reconstructed.rig.cameras)
     found = {int(k) for own in worn.by_code for k in np.unique(own) if k >= 0}
     images = sum(int((one >= 0).sum()) for one in worn.lamp)

@@ -1,4 +1,4 @@
-"""What a calibration session shows the cameras, and the file that is believed to describe it."""
+"""Scenes of a calibration session, and the target as its file describes it."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Generic
@@ -153,12 +153,12 @@ def _board(spec: Scenario, wanted: CalibrationSpec) -> Session[Board]:
         tilt_rad=np.deg2rad(34.0),
         floor=False,
     )
-    said = replace(board, sigma_m=wanted.known_to * square * BOARD_COLUMNS)
+    described = replace(board, sigma_m=wanted.known_to * square * BOARD_COLUMNS)
     if isinstance(wanted.fault, WrongSizeFault | WrongUnitsFault):
         factor = wanted.fault.factor
         factor = factor if isinstance(wanted.fault, WrongUnitsFault) else 1 / factor
-        said = replace(said, square_m=square * factor, margin_m=square * factor)
-    return Session(scene, wanted.frames, said)
+        described = replace(described, square_m=square * factor, margin_m=square * factor)
+    return Session(scene, wanted.frames, described)
 
 
 def _wand(spec: Scenario, wanted: CalibrationSpec) -> Session[Wand]:

@@ -1,4 +1,4 @@
-"""What a scenario file may say of the calibration that its pipeline believes in.
+"""Keys of a scenario file: the calibration that its pipeline believes in.
 
 Without the table the pipeline gets the true poses and the best fit of its lens model to the true lenses: what a
 perfect calibration would give. With it the rig is estimated, as in a lab, from rendered images of a calibration

@@ -1,7 +1,7 @@
-"""What a scenario file may say of its cameras: where they stand, and what each does to light and time.
+"""Keys of a scenario file: the cameras, their poses, and what each does to light and time.
 
 The tables [errors], [optics], [timing], [mount], [sensor] and [delivery] hold for all cameras; a [[camera]] of a
-name changes what it says for that one. The meanings are those of ``twin.cameras``.
+name changes the keys that it gives for that one. The meanings are those of ``twin.cameras``.
 """
 
 from typing import Annotated, Literal

@@ -1,6 +1,4 @@
-"""What a scenario file may say of cameras that are not synchronised: how their clocks are tied and what is
-estimated.
-"""
+"""Keys of a scenario file: cameras that are not synchronised, how their clocks are related, what is estimated."""
 
 from typing import Literal
 
@@ -12,7 +10,7 @@ from mosca.data.files.toml import Positive, Table
 class ContinuousSpec(Table):
     """Frames go through ``mosca.continuous``: each at its own instant, trajectories as functions of time.
 
-    Scored at the pulses' instants, which are told on the first camera's clock: let that be the session's.
+    Scored at the pulses' instants, on the first camera's clock, which should be the session's.
     """
 
     clocks: Literal["auto", "common", "own"] = Field(
@@ -35,6 +33,11 @@ class ContinuousSpec(Table):
         None,
         description="distance of the trajectories' knots [s]; without it as far apart as all cameras' exposures",
     )
+    compare: tuple[Literal["linear", "cubic", "neural"], ...] = Field(
+        (),
+        description="other trajectory models that get the same image points, scored as rms_linear, rms_cubic and "
+        "rms_neural; 'neural' costs the cube of the exposures: seconds of recording, not minutes",
+    )
     worn_on: str | None = Field(
         None,
         description="body on which the cameras ride that film it: their places on it are known, the room's "
@@ -49,6 +52,10 @@ class ContinuousSpec(Table):
     def _worn_where_moving(self) -> "ContinuousSpec":
         if not self.moving:
             return self
+        if self.compare:
+            raise ValueError(
+                "compare and moving = true: the models compared take cameras that stand; leave one out"
+            )
         if self.worn_on is None:
             raise ValueError("moving = true wants worn_on: the body on which two cameras and more ride")
         if self.clocks == "own" or self.estimate != "known":

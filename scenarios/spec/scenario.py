@@ -1,4 +1,4 @@
-"""What a scenario file may say, with units, bounds and defaults; nothing is computed here.
+"""Keys of a scenario file, with units, bounds and defaults; nothing is computed here.
 
 The published JSON schema (``mosca schema``) is made from these tables, so that editors complete and check.
 """
@@ -26,6 +26,7 @@ from scenarios.spec.cameras import (
 )
 from scenarios.spec.continuous import ContinuousSpec
 from scenarios.spec.scenes import GlowSpec, LampsSpec, SceneSpec
+from scenarios.spec.stages import StageTables
 
 METRICS = {
     "position_rms": ("m", "at_most"),
@@ -51,6 +52,9 @@ METRICS = {
     "clock_frames": ("1", "at_most"),
     "clock_drift_ppm": ("1", "at_most"),
     "over_synchronous": ("1", "at_most"),
+    "rms_linear": ("m", "at_most"),
+    "rms_cubic": ("m", "at_most"),
+    "rms_neural": ("m", "at_most"),
     "lamps_found": ("1", "at_least"),
     "lamp_px": ("px", "at_most"),
     "camera_position_rms": ("m", "at_most"),
@@ -154,63 +158,7 @@ class ZoneSpec(Table):
     size_m: tuple[Positive, Positive, Positive] = Field(description="edges of its box [m]")
 
 
-class DetectionSpec(Table):
-    """Settings of target detection that differ from the pipeline's defaults."""
-
-    contrast_dn: Positive | None = Field(None, description="B: smallest contrast of a target, 8-bit counts")
-    minimum_size_px: NotNegative | None = Field(
-        None, description="D_min: smallest side of a target's box [px]"
-    )
-    maximum_size_px: Positive | None = Field(None, description="D_max: largest side of a target's box [px]")
-    lowest_dn: int | None = Field(
-        None, ge=0, description="h_min: all thresholds lie above it, 8-bit counts above the background"
-    )
-    step_dn: int | None = Field(None, ge=1, description="s: from one threshold to the next, 8-bit counts")
-    centroid: Literal["background", "paper"] | None = Field(
-        None, description="centroid above the local background, or as printed in the paper"
-    )
-    dilation_px: int | None = Field(
-        None, ge=0, le=2, description="how far the centroid's mask reaches beyond the target [px]"
-    )
-    split_pairs: bool | None = Field(
-        None, description="true: targets that touch are fitted together; 0.1 to 0.5 ms a pair"
-    )
-    read_noise_dn: NotNegative | None = Field(
-        None, description="noise of a dark pixel, standard deviation, 8-bit counts"
-    )
-    gain_dn_per_e: NotNegative | None = Field(None, description="system gain, 8-bit counts an electron")
-
-
-class MatchSpec(Table):
-    """Settings of correspondence that differ from the pipeline's defaults."""
-
-    gate_sigma: Positive | None = None
-    camera_sigma_px: Positive | None = None
-    minimum_cameras: int | None = Field(None, ge=2)
-    worst_sigma_m: Positive | None = Field(None, description="points less certain than this are withheld [m]")
-    target: Literal["ball", "point"] | None = Field(
-        None, description="'ball' frees images of the eccentricity that a ball's have"
-    )
-    judge_sizes: bool | None = Field(
-        None, description="trust images of odd size less; false where targets differ in size (particles)"
-    )
-
-
-class TrackSpec(Table):
-    """Settings of tracking that differ from the pipeline's defaults."""
-
-    acceleration_mps2: Positive | None = None
-    speed_mps: Positive | None = None
-    gate_m: Positive | None = None
-    confirm_weight: Positive | None = None
-    coast_s: NotNegative | None = None
-    model: Literal["acceleration", "velocity"] | None = None
-    limb_m: NotNegative | None = Field(
-        None, description="how far limb mates may be [m]; 0: particles, no limbs"
-    )
-
-
-class PipelineSpec(Table):
+class PipelineSpec(StageTables):
     """The pipeline as a lab user would set it for this subject."""
 
     watch: bool = Field(False, description="watch the rig while it runs, and re-orient a bumped camera")
@@ -232,9 +180,6 @@ class PipelineSpec(Table):
         None,
         description="fill tracks' gaps up to this in what is written [s]; filled samples are never scored",
     )
-    detection: DetectionSpec = DetectionSpec()
-    match: MatchSpec = MatchSpec()
-    track: TrackSpec = TrackSpec()
 
 
 class Premises(Table):
@@ -259,7 +204,7 @@ class LengthSpec(Table):
 
 
 class Scenario(Table):
-    """One scenario: what moves, what looks, what is wrong, and what is claimed."""
+    """One scenario: subject, cameras, disturbances, and the accuracy that is claimed."""
 
     title: str = Field(description="what is claimed, in one line")
     description: str = Field("", description="why, and where the limits come from")
@@ -329,6 +274,10 @@ class Scenario(Table):
                 raise ValueError(
                     f"limits.{name} needs a [[length]] that is seen; add one, or take the limit away"
                 )
+        compared = () if self.continuous is None else self.continuous.compare
+        for name in ("linear", "cubic", "neural"):
+            if f"rms_{name}" in self.limits and name not in compared:
+                raise ValueError(f"limits.rms_{name} needs continuous.compare = ['{name}']; add it")
         if "rigidity_rms" in self.limits and not self.pipeline.bodies:
             raise ValueError("limits.rigidity_rms needs rigid bodies; set pipeline.bodies = true")
         missing = [name for name in self.fails_on if name not in self.limits]

@@ -1,4 +1,4 @@
-"""What a scenario file may say of what the cameras look at."""
+"""Keys of a scenario file: the scene before the cameras."""
 
 from typing import Annotated, Literal
 

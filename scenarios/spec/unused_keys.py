@@ -1,4 +1,4 @@
-"""Words that would do nothing as they stand are errors: a disturbance that nobody feels proves nothing."""
+"""Rejects keys that have no effect in their context: a disturbance without effect proves nothing."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -71,7 +71,7 @@ RULES = (
 )
 
 
-def check_not_idle(camera: str, words: Words) -> None:
+def check_no_unused_keys(camera: str, words: Words) -> None:
     """Raise InputError where one of a camera's ``words`` (table -> key -> value, all merged) does nothing."""
     for rule in RULES:
         for key in rule.keys:

@@ -1,7 +1,7 @@
 """The second paper's tables 1 and 2, ours beside theirs: three cameras that take turns, CMU motions, exact points.
 
 Run: ``python tests/benchmarks/bench_continuous.py [--cameras known moving fixed] [--methods linear cubic neural ours]
-[--worn] [MOTION ...]``; motions as in ``scenarios.studies.unsynchronised.MOTIONS`` (default: all ten; the first
+[--worn] [MOTION ...]``; motions as in ``tests.studies.unsynchronised.MOTIONS`` (default: all ten; the first
 one, the standing long jump, is table 1). Data: ``$MOSCA_DATA/cmu_mocap``.
 
 RMSE [mm] of all points over all frames that the three cameras span. "known": cameras as they are, nothing aligned.
@@ -34,7 +34,7 @@ from mosca.continuous.model.camera_paths import StillCameras
 from mosca.continuous.model.observations import CameraPaths, Curves, TimedObservations
 from mosca.data.arrays import Array
 from mosca.data.rig import Pose, Rig
-from scenarios.studies.unsynchronised import (
+from tests.studies.unsynchronised import (
     JUMP,
     MOTIONS,
     TUNING,
@@ -46,7 +46,7 @@ from scenarios.studies.unsynchronised import (
     shared_frames,
     surround,
 )
-from scenarios.studies.unsynchronised_worn import worn
+from tests.studies.unsynchronised_worn import worn
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data")) / "cmu_mocap"
 METHODS = ("linear", "cubic", "neural", "ours")

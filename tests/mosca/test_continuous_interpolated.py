@@ -19,7 +19,7 @@ from mosca.continuous.model.camera_paths import PosedCameras, StillCameras
 from mosca.data.motion.motion import PointMotion
 from mosca.data.rig import Camera, FisheyeLens, Pose
 from mosca.errors import InputError
-from scenarios.studies.unsynchronised import observe, score, shared_frames, surround
+from tests.studies.unsynchronised import observe, score, shared_frames, surround
 
 
 def waving(points=12, frames=121, seed=0):

@@ -13,7 +13,7 @@ from mosca.continuous.comparison_methods.neural_cameras import NetPoses, SteadyP
 from mosca.continuous.comparison_methods.neural_net import Nets, Tangent, damped_solve, encoded, fitted
 from mosca.continuous.model.camera_paths import StillCameras
 from mosca.data.motion.motion import PointMotion
-from scenarios.studies.unsynchronised import observe, score, shared_frames, surround
+from tests.studies.unsynchronised import observe, score, shared_frames, surround
 
 
 def some_nets(count=2, outputs=3, seed=3):

@@ -11,7 +11,7 @@ from reports_examples import example_evidence, example_rig, example_view
 from mosca.data.detections import Detections
 from mosca.data.rig import MoscaLens
 from mosca.errors import InputError
-from reports.viewer import LoggedFrame, RerunLog, write_recording
+from reports.viewer import RerunLog
 
 rerun_chunk = pytest.importorskip("rerun.chunk", reason="rerun-sdk 0.41 or later is not installed")
 
@@ -38,12 +38,13 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     evidence = example_evidence(frames=6, markers=4)
     assert evidence.truth_time_ns is not None
     view = evidence.views[0]
-    frames = [
-        LoggedFrame(i, int(evidence.truth_time_ns[i]), {"cam0": view.image}, {"cam0": view.detections})
-        for i in range(6)
-    ]
     box = (evidence.working_space_center, evidence.working_space_size)
-    write_recording(path, evidence.rig, frames, evidence.tracks, evidence.truth_xyz, box)
+    with RerunLog(path, evidence.rig, box) as log:
+        for i in range(6):
+            rows, time_ns = evidence.tracks.frame == i, int(evidence.truth_time_ns[i])
+            xyz, track = evidence.tracks.xyz[rows], evidence.tracks.track[rows]
+            log.log_step(i, time_ns, {"cam0": view.image}, {"cam0": view.detections}, xyz, track)
+            log.log_truth(i, time_ns, evidence.truth_xyz[i])
     return path
 
 

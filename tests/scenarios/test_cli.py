@@ -11,36 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import mosca
+from tiny_scenario import write_tiny
 
 from mosca.recording import open_recording
 
 MOSCA = [sys.executable, "-m", "scenarios.cli.main"]
-TINY = """
-title = "tiny"
-{top}
-[working_space]
-size_m = [1.0, 1.0, 1.0]
-[capture]
-duration_s = 0.3
-[scene]
-kind = "cloud"
-markers = 8
-marker_diameter_m = 0.02
-[cameras]
-radius_m = 2.0
-height_m = 0.6
-size_px = [320, 240]
-pixel_pitch_mm = 0.02
-{cameras}
-[limits]
-{limits}
-"""
 
 
 def scenario(tmp_path, top="", cameras="", limits="position_rms = 0.01"):
-    path = tmp_path / "tiny.toml"
-    path.write_text(TINY.format(top=top, cameras=cameras, limits=limits))
-    return path
+    return write_tiny(tmp_path, top=top, cameras=cameras, limits=limits)
 
 
 def mosca_alone(*words, cwd):
@@ -75,6 +54,14 @@ def test_run_writes_the_whole_folder_and_repeats_itself(tmp_path):
     assert records[0] == records[1]
     assert (tmp_path / "a/tracks.csv").read_bytes() == (tmp_path / "b/tracks.csv").read_bytes()
     assert "position_rms" in done.stdout
+
+
+def test_verbosity(tmp_path):
+    path = scenario(tmp_path)
+    shown = {words: mosca(*words, "run", path, cwd=tmp_path).stderr for words in ((), ("-v",), ("-q",))}
+    assert shown[()] == shown[("-q",)] == ""
+    assert "INFO scenarios.run.scenario: frames_to_tracks: " in shown[("-v",)]
+    assert "exclude each other" in one_line(mosca("-q", "-v", "list", cwd=tmp_path))
 
 
 def test_a_broken_limit_exits_1_and_a_caught_control_0(tmp_path):

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from tiny_scenario import write_tiny
 
 from mosca.data.files.rig_file import write_rig
 from mosca.data.frames import CameraInfo, Frame
@@ -26,32 +27,12 @@ from scenarios.run.scenario import run_scenario
 from scenarios.spec.scenario import load_scenario
 from scenarios.types import RunOptions
 
-TINY = """
-title = "tiny"
-[working_space]
-size_m = [1.0, 1.0, 1.0]
-[capture]
-duration_s = 0.4
-[scene]
-kind = "cloud"
-markers = 8
-marker_diameter_m = 0.02
-[cameras]
-radius_m = 2.0
-height_m = 0.6
-size_px = [320, 240]
-pixel_pitch_mm = 0.02
-[limits]
-position_rms = 0.01
-"""
-
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory) -> Path:
     """A folder with a scenario, its recording and its rig."""
     folder = tmp_path_factory.mktemp("lab")
-    (folder / "tiny.toml").write_text(TINY)
-    spec = load_scenario(folder / "tiny.toml")
+    spec = load_scenario(write_tiny(folder, duration_s=0.4))
     run_scenario(spec, "tiny", folder, RunOptions(record_to=folder / "take"))
     write_rig(calibrated(spec, virtual_cameras(spec, true_rig(spec, folder))).rig, folder / "rig.toml")
     return folder

@@ -5,7 +5,7 @@ import pytest
 
 from mosca.data.tracks import Tracks
 from mosca.data.truth import Truth
-from scenarios.score.tracks import hota, identity_switches, metrics, pair, per_marker_completeness
+from scenarios.score.tracks import hota, identity_switches, metrics, pair
 
 SPACE = 2.0
 
@@ -168,8 +168,3 @@ def test_interval_holds_the_spread_of_blocks():
     expected = 1e-3 / np.sqrt(2 * 800)
     assert 0.5 * expected < (high - low) / 3.92 < 2 * expected
     assert low < 1e-3 < high
-
-
-def test_completeness_of_each_marker():
-    rows = [row for row in both() if not (row[1] == 1 and row[0] < 1)]
-    assert per_marker_completeness(pair(tracks(rows), truth(), SPACE)).tolist() == [1.0, 0.75]

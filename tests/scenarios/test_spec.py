@@ -6,9 +6,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from mosca.data.settings import DetectionSettings, MatchSettings, TrackSettings
 from mosca.errors import InputError
 from scenarios.spec.catalog import TEMPLATE, built_in, entries, find, scenario_name, write_template
-from scenarios.spec.scenario import load_scenario, scenario_schema
+from scenarios.spec.scenario import PipelineSpec, load_scenario, scenario_schema
 
 GOOD = """
 title = "x"
@@ -128,3 +129,30 @@ def test_any_bytes_are_a_known_error(tmp_path, data):
     path.write_bytes(data)
     with pytest.raises(InputError):
         load_scenario(path)
+
+
+@pytest.mark.parametrize(
+    ("table", "settings"),
+    [("detection", DetectionSettings), ("match", MatchSettings), ("track", TrackSettings)],
+)
+def test_a_stage_has_the_keys_of_its_settings(table, settings):
+    spec = type(getattr(PipelineSpec(), table))
+    assert set(spec.model_fields) == set(settings.__dataclass_fields__)
+    assert all(field.description for field in spec.model_fields.values())
+    defaults = {key: value for key, value in vars(settings()).items() if value != float("inf")}
+    assert spec(**defaults).model_dump(exclude_none=True) == defaults
+
+
+@pytest.mark.parametrize(
+    ("key", "message"),
+    [
+        ("pipeline.detection.contrast_dn=-1", "greater than 0"),
+        ("pipeline.match.minimum_cameras=1", "greater than or equal to 2"),
+        ("pipeline.track.coast_s=-1", "greater than or equal to 0"),
+        ("pipeline.detection.centroid=x", "'refined', 'background' or 'paper'"),
+        ("pipeline.track.gate=1", "did you mean 'gate_m'"),
+    ],
+)
+def test_a_stage_has_the_bounds_of_its_settings(key, message):
+    with pytest.raises(InputError, match=message):
+        load_scenario(find("rigs/three_cameras"), (key,))

@@ -16,7 +16,7 @@ from mosca.continuous.model.camera_paths import StillCameras
 from mosca.data.motion.motion import PointMotion
 from mosca.data.rig import Pose, Rig
 from mosca.errors import InputError
-from scenarios.studies.unsynchronised import (
+from tests.studies.unsynchronised import (
     JUMP,
     MOTIONS,
     TUNING,
@@ -27,7 +27,7 @@ from scenarios.studies.unsynchronised import (
     shared_frames,
     surround,
 )
-from scenarios.studies.unsynchronised_worn import worn
+from tests.studies.unsynchronised_worn import worn
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data")) / "cmu_mocap"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no CMU motions in {DATA} (set MOSCA_DATA)")

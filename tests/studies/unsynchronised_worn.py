@@ -1,4 +1,4 @@
-"""Cameras on the actor's body, for the experiment of ``scenarios.studies.unsynchronised``: they move as its bones do.
+"""Cameras on the actor's body, for the experiment of ``tests.studies.unsynchronised``: they move as its bones do.
 
 Three small fisheye cameras, 200 degrees across, on belly, left wrist and right shin, each on a bracket of 0.2 m to
 the front of its bone in the rest pose, and turned there so that in the first frame it looks at the body's middle.
@@ -14,7 +14,7 @@ from mosca.data.arrays import Array
 from mosca.data.motion.motion import forward_kinematics
 from mosca.data.rig import Camera, FisheyeLens, Pose, Rig
 from mosca.errors import InputError
-from scenarios.studies.unsynchronised import (
+from tests.studies.unsynchronised import (
     FRAME_RATE_HZ,
     HEIGHT,
     LONGEST_FRAMES,

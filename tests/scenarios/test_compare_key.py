@@ -1,0 +1,33 @@
+"""Other trajectory models beside the continuous reconstruction: ``[continuous] compare``."""
+
+import pytest
+
+from mosca.errors import InputError
+from scenarios.run.library import run_scenario
+
+SHORT = "continuous/free_running_short"
+
+
+def test_other_models_are_scored_on_the_same_image_points():
+    result = run_scenario(SHORT, {"continuous.compare": ["linear", "cubic"]})
+    value = {metric.name: metric.value for metric in result.record.metrics}
+    assert "rms_neural" not in value
+    # points at 1 m/s, 20 ms between exposures: straight lines miss 0.5 mm of the paths, cubic ones next to nothing
+    assert value["rms_cubic"] == pytest.approx(value["position_rms"], rel=0.1)
+    assert value["rms_linear"] > 3 * value["rms_cubic"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"continuous.compare": ["quintic"]}, "'linear', 'cubic' or 'neural'"),
+        ({"limits.rms_cubic": 0.001}, r"limits.rms_cubic needs continuous.compare = \['cubic'\]"),
+        (
+            {"continuous.compare": ["cubic"], "continuous.moving": True, "continuous.worn_on": "torso"},
+            "compare and moving = true",
+        ),
+    ],
+)
+def test_wrong_keys_are_named(changes, message):
+    with pytest.raises(InputError, match=message):
+        run_scenario(SHORT, changes)
