@@ -5,19 +5,42 @@ is: see ``mosca.detection.threshold_regions``. A *block* is 64 pixels that follo
 has a bit for each that is bright.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.detection.threshold_regions import END, FIRST, PLACE, ROW
+from mosca.detection.images import ImageSet, pixels_of
+from mosca.detection.search import END, END_RUN, FIRST, FIRST_RUN, IMAGE, PLACE, ROW, FoundRegions
 from mosca.numba_support.decorators import bare_step, step
-from mosca.numba_support.intrinsics import bits_set, bright_mask, copy_16, image_at, trailing_zeros
+from mosca.numba_support.intrinsics import bits_set, bright_mask, copy_16, trailing_zeros
 
 BLOCK, SHIFT, OVER = 64, 6, 16
 """Pixels in a block, and the power of two that it is; values that are copied at a time."""
 ROW_COST = 10
 """A row of a box is taken to cost as much as so many blocks of a whole image (an estimate)."""
+
+
+class SearchBoxes(NamedTuple):
+    """Windows of the images in which targets are searched for."""
+
+    boxes: Array
+    """(k, 4) int32 x0, y0, x1, y1 [px], ends included."""
+    start: Array
+    """(n + 1,) int64: where each image's boxes begin; empty: all of each image is searched."""
+
+
+class BrightPixels(NamedTuple):
+    """The pixels of a frame set's images above a threshold."""
+
+    runs: Array
+    """(m, 4) int32 in raster order, columns as in ``mosca.detection.search``."""
+    values: Array
+    """(k,) int32 their grey values [DN]."""
+    run_start: Array
+    """(n + 1,) int64: where each image's runs begin."""
+    value_start: Array
+    """(n + 1,) int64: where each image's values begin."""
 
 
 @bare_step
@@ -35,9 +58,9 @@ def mask_of(address: Any, pixels: Array, block: Any, level: int) -> Any:
 
 @bare_step
 def bright_blocks(address: Any, pixels: Array, level: int, blocks: Array, masks: Array, n: int) -> int:
-    """Write the blocks with a bright pixel and their masks from place n on, and return where they end.
+    """Write the blocks with a bright pixel and their masks from index n on; return the index after the last.
 
-    Most of a frame is dark: each block is written, and the next one over it unless it is bright.
+    Most of a frame is dark: each block is written, and the next one overwrites it unless it is bright.
     """
     whole = len(pixels) >> SHIFT
     for block in range(whole):
@@ -56,7 +79,7 @@ def bright_blocks(address: Any, pixels: Array, level: int, blocks: Array, masks:
 def bright_blocks_within(
     address: Any,
     pixels: Array,
-    size: tuple[int, int],
+    width: int,
     level: int,
     boxes: Array,
     blocks: Array,
@@ -67,8 +90,10 @@ def bright_blocks_within(
 
     Row by row over the boxes there, from left to right, so that each block comes once and in order.
     """
-    height, width = size
-    order = np.empty(len(boxes), np.int32)  # from the topmost down; few: of many boxes none is looked at
+    height = len(pixels) // width
+    order = np.empty(
+        len(boxes), np.int32
+    )  # from the topmost down; few: with many boxes the whole image is scanned
     for k in range(len(boxes)):
         i = k
         while i > 0 and boxes[order[i - 1], 1] > boxes[k, 1]:
@@ -128,9 +153,9 @@ def copy_values(pixels: Array, at: int, n: int, values: Array, to: int) -> None:
 def bright_runs(
     pixels: Array, width: int, blocks: Array, masks: Array, runs: Array, values: Array, n: int, n_values: int
 ) -> tuple[int, int]:
-    """Write an image's runs in raster order, and their grey values, from places n and n_values on.
+    """Write an image's runs in raster order, and their grey values, from indices n and n_values on.
 
-    Returns where both end. A run that reaches from one block into the next is one; the end of a row ends it.
+    Returns the indices after the last of both. A run may reach over blocks; the end of a row ends it.
     """
     y, row, last = 0, 0, -1  # a row, its first pixel, and the end of the run before
     first_value = n_values
@@ -159,23 +184,18 @@ def bright_runs(
 
 
 @step
-def scan_set(
-    addresses: Array, like: Array, size: tuple[int, int], level: int, boxes: Array, box_start: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Return the runs of pixels above ``level`` of all images of a frame set, or those within boxes.
+def scan_set(images: ImageSet, level: int, search: SearchBoxes) -> BrightPixels:
+    """Return the pixels above ``level`` of all images of a frame set, or those in ``search``'s boxes.
 
-    ``addresses`` (n,) uint64: where the images of ``size`` (H, W) and the type of ``like`` (0,) lie in memory.
-    ``boxes`` (k, 4) int32 x0, y0, x1, y1, ends included, those of image i from ``box_start`` (n + 1) i on; where
-    ``box_start`` is empty, all of each image is searched, and so it is where that is faster. Returns runs
-    (m, 4), grey values, and where those of each image begin (n + 1).
+    All of an image is searched where that is faster than box by box.
     """
-    n_images = len(addresses)
-    height, width = size
-    n_blocks = (height * width + BLOCK - 1) >> SHIFT
+    n_images, width = len(images.addresses), images.width
+    boxes, box_start = search.boxes, search.start
+    n_blocks = (images.height * width + BLOCK - 1) >> SHIFT
     blocks, masks = np.empty(n_images * n_blocks + 1, np.int32), np.empty(n_images * n_blocks + 1, np.int64)
     start = np.zeros(n_images + 1, np.int64)
     for i in range(n_images):
-        pixels = image_at(addresses[i], like, 1, height * width).ravel()
+        pixels, address = pixels_of(images, i), images.addresses[i]
         own = boxes[:0]
         rows = 0
         if len(box_start) > 0:
@@ -183,38 +203,36 @@ def scan_set(
             for k in range(len(own)):
                 rows += own[k, 3] - own[k, 1] + 1
         if len(box_start) == 0 or ROW_COST * rows > n_blocks:
-            start[i + 1] = bright_blocks(addresses[i], pixels, level, blocks, masks, start[i])
+            start[i + 1] = bright_blocks(address, pixels, level, blocks, masks, start[i])
         else:
-            start[i + 1] = bright_blocks_within(
-                addresses[i], pixels, size, level, own, blocks, masks, start[i]
-            )
-    most_runs, most_values = n_images * height, OVER
+            start[i + 1] = bright_blocks_within(address, pixels, width, level, own, blocks, masks, start[i])
+    most_runs, most_values = n_images * images.height, OVER
     for k in range(start[-1]):
         most_runs += bits_set(masks[k] & ~(masks[k] << 1))  # type: ignore[call-arg]
         most_values += bits_set(masks[k])
     runs, values = np.empty((most_runs, 4), np.int32), np.empty(most_values, np.int32)
     run_start, value_start = np.zeros(n_images + 1, np.int64), np.zeros(n_images + 1, np.int64)
     for i in range(n_images):
-        pixels = image_at(addresses[i], like, 1, height * width).ravel()
         own_blocks, own_masks = blocks[start[i] : start[i + 1]], masks[start[i] : start[i + 1]]
         run_start[i + 1], value_start[i + 1] = bright_runs(
-            pixels, width, own_blocks, own_masks, runs, values, run_start[i], value_start[i]
+            pixels_of(images, i), width, own_blocks, own_masks, runs, values, run_start[i], value_start[i]
         )
-    return runs[: run_start[-1]], values[: value_start[-1]], run_start, value_start
+    return BrightPixels(runs[: run_start[-1]], values[: value_start[-1]], run_start, value_start)
 
 
 @step
-def regions_within(runs: Array, regions: Array, boxes: Array, box_start: Array) -> Array:
-    """Return the rows of ``regions`` that lie inside one of their image's boxes, off its outermost pixels."""
+def regions_within(found: FoundRegions, search: SearchBoxes) -> FoundRegions:
+    """Return the regions that lie inside one of their image's boxes, off its outermost pixels."""
+    regions, boxes, box_start = found.regions, search.boxes, search.start
     kept = np.zeros(len(regions), np.bool_)
     for r in range(len(regions)):
-        own = runs[regions[r, 1] : regions[r, 2]]
+        own = found.runs[regions[r, FIRST_RUN] : regions[r, END_RUN]]
         top, bottom = own[0, 0], own[-1, 0]
         left, right = own[0, 1], own[0, 2]
         for i in range(1, len(own)):
             left, right = min(left, own[i, 1]), max(right, own[i, 2])
-        for k in range(box_start[regions[r, 0]], box_start[regions[r, 0] + 1]):
+        for k in range(box_start[regions[r, IMAGE]], box_start[regions[r, IMAGE] + 1]):
             if boxes[k, 1] < top and boxes[k, 3] > bottom and boxes[k, 0] < left and boxes[k, 2] >= right:
                 kept[r] = True
                 break
-    return regions[kept]
+    return FoundRegions(found.runs, regions[kept], found.lowest)

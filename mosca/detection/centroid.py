@@ -10,10 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
+from mosca.detection.images import ImageSet, image_of
+from mosca.detection.search import END_RUN, FIRST_RUN, IMAGE, THRESHOLD, FoundRegions
 from mosca.numba_support.decorators import bare_step, step
-from mosca.numba_support.intrinsics import image_at
 
 X, Y, XX, XY, YY, DIAMETER, PEAK, ELONGATION = range(8)
+"""Columns of a table of measured regions: centre [px], its covariance [px^2], diameter [px], largest grey value [DN],
+longer over shorter side of its box."""
 N_COLUMNS = 8
 
 
@@ -22,6 +25,23 @@ class Noise(NamedTuple):
 
     dark_dn2: float
     gain_dn: float
+
+
+class CentroidRule(NamedTuple):
+    """How the centroid of a region is taken."""
+
+    local: bool
+    """The local background is taken off and the mask grown; else the region is measured as it is."""
+    dilation_px: int
+    """How far the mask is grown."""
+    noise: Noise
+
+
+class Background(NamedTuple):
+    """Sum [DN] and number of the pixels that give a background; 0 and 1 stand for none."""
+
+    total: Any
+    n: Any
 
 
 @step
@@ -174,20 +194,11 @@ def central(sums: tuple[Any, ...], x: float, y: float) -> tuple[float, float, fl
 
 @step
 def measure(
-    image: Array,
-    runs: Array,
-    threshold: int,
-    dilation: int,
-    filled: bool,
-    bg_sum: int,
-    bg_n: int,
-    noise: Noise,
-    out: Array,
+    image: Array, runs: Array, threshold: int, background: Background, rule: CentroidRule, out: Array
 ) -> None:
-    """Write centroid, covariance, diameter and peak of one region to ``out``.
-
-    ``bg_sum`` / ``bg_n`` is the background's grey value; 0 / 1 stands for none.
-    """
+    """Write centroid, covariance, diameter and peak of one region to ``out``."""
+    dilation, filled, noise = rule.dilation_px, rule.local, rule.noise
+    bg_sum, bg_n = background.total, background.n
     first_row, rows = mask_rows(runs, dilation, image.shape[0], image.shape[1])
     left, right = rows[0, 0], rows[0, 1]
     for v in range(1, len(rows)):
@@ -225,16 +236,12 @@ def measure(
 
 @bare_step
 def measure_region(
-    image: Array,
-    runs: Array,
-    threshold: int,
-    floor: int,
-    local: bool,
-    dilation: int,
-    noise: Noise,
-    out: Array,
+    image: Array, runs: Array, threshold: int, floor: int, rule: CentroidRule, out: Array
 ) -> bool:
-    """Write the row of one region, unless it touches its image's border: then False. As ``measure_regions``."""
+    """Write the row of one region, unless it touches its image's border: then False. As ``measure_regions``.
+
+    ``threshold``: that of the region; ``floor``: the image's lowest [DN].
+    """
     height, width = image.shape
     top, bottom = runs[0, 0], runs[-1, 0]
     left, right = runs[0, 1], runs[0, 2] - 1
@@ -244,48 +251,35 @@ def measure_region(
     if top == 0 or left == 0 or bottom == height - 1 or right == width - 1:
         return False
     grow, bg_sum, bg_n = 0, np.int64(0), np.int64(1)
-    if local:
+    if rule.local:
         # A region that ends above the lowest threshold ends where something else begins.
-        grow = dilation if threshold == floor else min(dilation, 1)
+        grow = rule.dilation_px if threshold == floor else min(rule.dilation_px, 1)
         box = (left - grow - 1, right + grow + 1, top - grow - 1, bottom + grow + 1)
         bg_sum, bg_n = ring_of(image, floor, box)
         if bg_n == 0:
             bg_sum, bg_n = ring_of(image, threshold, box)
         if bg_n == 0:
             bg_sum, bg_n = np.int64(threshold), np.int64(1)
-    measure(image, runs, threshold, grow, local, bg_sum, bg_n, noise, out)
+    measure(image, runs, threshold, Background(bg_sum, bg_n), CentroidRule(rule.local, grow, rule.noise), out)
     size_x, size_y = right - left + 1, bottom - top + 1
     out[ELONGATION] = max(size_x, size_y) / min(size_x, size_y)
     return True
 
 
 @step
-def measure_regions(
-    addresses: Array,
-    like: Array,
-    size: tuple[int, int],
-    runs: Array,
-    regions: Array,
-    lowest: Array,
-    local: bool,
-    dilation: int,
-    noise: Noise,
-) -> tuple[Array, Array]:
+def measure_regions(images: ImageSet, found: FoundRegions, rule: CentroidRule) -> tuple[Array, Array]:
     """Measure every region that does not touch its image's border.
 
-    ``addresses``, ``like`` and ``size``: the images, as in ``mosca.detection.bright_runs.scan_set``; ``runs``,
-    ``regions`` and ``lowest`` are those of ``find_regions_in_set``. With ``local`` the background is taken off
-    and the mask grown; without, the region is measured as it is. Returns a table (n, N_COLUMNS) and the region
-    of each row (n).
+    Returns a table (n, N_COLUMNS) and the region of each row (n).
     """
-    height, width = size
+    regions = found.regions
     table = np.empty((len(regions), N_COLUMNS))
     region_of = np.empty(len(regions), np.int32)
     n = 0
     for r in range(len(regions)):
-        image, floor = image_at(addresses[regions[r, 0]], like, height, width), lowest[regions[r, 0]]
-        own = runs[regions[r, 1] : regions[r, 2]]
-        if measure_region(image, own, regions[r, 3], floor, local, dilation, noise, table[n]):
+        image, floor = image_of(images, regions[r, IMAGE]), found.lowest[regions[r, IMAGE]]
+        own = found.runs[regions[r, FIRST_RUN] : regions[r, END_RUN]]
+        if measure_region(image, own, regions[r, THRESHOLD], floor, rule, table[n]):
             region_of[n] = r
             n += 1
     return table[:n], region_of[:n]

@@ -40,19 +40,20 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.detection.background import mean_background, minimum_background
-from mosca.detection.detect_finish import columns
-from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS, CameraStatistics, Priors
+from mosca.detection.bright_runs import SearchBoxes
+from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS, CameraStatistics
 from mosca.detection.disc_fit.gauss_newton import Model
 from mosca.detection.frame_set_kernel import (
     BACKGROUND,
-    NOWHERE,
     PAPER,
     REFINED,
-    Lessons,
-    Places,
-    Regions,
+    REGIONS_ONLY,
+    Measured,
+    Task,
+    columns,
     detect_frame_set,
 )
+from mosca.detection.images import ImageSet, image_set
 from mosca.detection.merged_targets.split import split_pairs
 from mosca.detection.settings import DEFAULTS, DetectionSettings, noise_of, search_of
 from mosca.errors import InputError
@@ -70,13 +71,8 @@ __all__ = [
     "target_regions",
 ]
 
-HOW = {"paper": PAPER, "background": BACKGROUND, "refined": REFINED}
-_NO_BOXES = np.empty((0, 4), np.int32)
-_EVERYWHERE = np.empty(0, np.int64)
-_LIKE: dict[object, Array] = {
-    np.dtype(np.uint8): np.empty(0, np.uint8),
-    np.dtype(np.uint16): np.empty(0, np.uint16),
-}
+_METHODS = {"paper": PAPER, "background": BACKGROUND, "refined": REFINED}
+_EVERYWHERE = SearchBoxes(np.empty((0, 4), np.int32), np.empty(0, np.int64))
 
 
 def detect(
@@ -92,7 +88,7 @@ def detect(
     ``bit_depth`` is the number of significant bits of a pixel (8 to 16), ``camera`` the name that the
     detections carry. ``background`` (H, W), of the image's type, is taken off first, negative values becoming
     0 (guide to motion capture, "Marker Detection"; see ``mean_background`` and ``minimum_background``).
-    ``statistics``: what earlier frames taught, see ``detect_with_statistics``.
+    ``statistics``: of earlier frames, see ``detect_with_statistics``.
 
     Raises InputError for an image, a background or a bit depth that do not fit each other.
     """
@@ -111,11 +107,11 @@ def detect_set(
 ) -> list[Detections]:
     """Return the targets of each image of a frame set; ``detect`` for several cameras at once.
 
-    Images of one size and type are worked off without the GIL in one go, so that several threads can each
+    Images of one size and type are processed without the GIL in one call, so that several threads can each
     take a frame set; others one by one. ``windows``: for each image the boxes (k, 4) x0, y0, x1, y1 [px, ends
-    included] in which targets are looked for, or None for all of it: a target is reported, once, where it lies
+    included] in which targets are searched for, or None for all of it: a target is reported, once, where it lies
     inside one of them, off its outermost pixels. Small windows make large images fast; where there are many,
-    all of the image is looked at.
+    the whole image is scanned.
     """
     return detect_with_statistics(images, cameras, settings, bit_depth, backgrounds, windows, statistics)[0]
 
@@ -129,11 +125,11 @@ def detect_with_statistics(
     windows: Sequence[Array | None] | None = None,
     statistics: CameraStatistics = NO_STATISTICS,
 ) -> tuple[list[Detections], CameraStatistics]:
-    """Do as ``detect_set`` and return what these images alone teach about their cameras too.
+    """Do as ``detect_set`` and return what these images alone add to the statistics of their cameras too.
 
-    Add it to what is known, ``statistics.plus(new)``, and hand the sum to a later call: the same images with the
-    same ``statistics`` give the same places, whatever threads do. Without, each call starts afresh. Only the
-    "refined" place learns.
+    Add it, ``statistics.plus(new)``, and pass the sum to a later call: the same images with the same
+    ``statistics`` give the same centres, with any number of threads. Without, each call starts afresh. Only the
+    "refined" centroid uses statistics.
     """
     _check_counts(images, cameras, backgrounds, windows)
     if not images:
@@ -144,24 +140,22 @@ def detect_with_statistics(
     ]
     first = pixels[0]
     if any(image.shape != first.shape or image.dtype != first.dtype for image in pixels):
-        found, taught = [], NO_STATISTICS
+        found, added = [], NO_STATISTICS
         for i, (image, name) in enumerate(zip(pixels, cameras, strict=True)):
             boxes = None if windows is None else [windows[i]]
             part, new = detect_with_statistics([image], [name], settings, bit_depth, None, boxes, statistics)
             found += part
-            taught = taught.plus(new)
-        return found, taught
-    placed = _placed(pixels)
+            added = added.plus(new)
+        return found, added
+    described = image_set(pixels)
     priors = statistics.priors(tuple(cameras))
-    regions, (table, region_of, image_of), lessons = _looked(
-        placed, settings, bit_depth, windows, HOW[settings.centroid], priors
-    )
+    task = _task(settings, bit_depth, _METHODS[settings.centroid])
+    found, measured, sums = detect_frame_set(described, _boxes(windows, described), task, priors)
     if settings.centroid != "refined":
-        return _detections(cameras, table, image_of), NO_STATISTICS
+        return _detections(cameras, measured), NO_STATISTICS
     if settings.split_pairs:
-        given = (*placed, priors.blurs, priors.offsets, _model_of(settings, bit_depth))
-        table, image_of = split_pairs(table, image_of, region_of, *regions, given)
-    return _detections(cameras, table, image_of), CameraStatistics(tuple(cameras), *lessons)
+        measured = split_pairs(measured, described, found, priors, task.model)
+    return _detections(cameras, measured), CameraStatistics(tuple(cameras), *sums)
 
 
 def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_depth: int = 8) -> Array:
@@ -170,9 +164,8 @@ def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_dep
     Targets that touch the image's border are still in it.
     """
     pixels = _foreground(image, "image", bit_depth, None)
-    (runs, regions, _), _, _ = _looked(
-        _placed([pixels]), settings, bit_depth, None, NOWHERE, NO_STATISTICS.priors(("image",))
-    )
+    priors, task = NO_STATISTICS.priors(("image",)), _task(settings, bit_depth, REGIONS_ONLY)
+    (runs, regions, _), _, _ = detect_frame_set(image_set([pixels]), _EVERYWHERE, task, priors)
     labels = np.zeros(image.shape, np.int32)
     for number, (_, first_run, end_run, _) in enumerate(regions, start=1):
         for row, first, end in runs[first_run:end_run]:
@@ -218,47 +211,26 @@ def _foreground(image: Array, camera: str, bit_depth: int, background: Array | N
     return np.ascontiguousarray(cv2.subtract(image, background))
 
 
-def _boxes(windows: Sequence[Array | None] | None, height: int, width: int) -> tuple[Array, Array]:
-    """Return the windows of all images in one table (k, 4) and where each image's begin (n + 1)."""
+def _boxes(windows: Sequence[Array | None] | None, images: ImageSet) -> SearchBoxes:
+    """Return the windows of all images in one table."""
     if windows is None:
-        return _NO_BOXES, _EVERYWHERE
-    everything = np.array([[0, 0, width - 1, height - 1]], np.int32)
+        return _EVERYWHERE
+    everything = np.array([[0, 0, images.width - 1, images.height - 1]], np.int32)
     parts = [everything if own is None else np.asarray(own, np.int32).reshape(-1, 4) for own in windows]
-    return np.concatenate(parts), np.cumsum([0] + [len(part) for part in parts])
-
-
-def _placed(images: Sequence[Array]) -> tuple[Array, Array, tuple[int, int]]:
-    """Return where contiguous images of one size and type lie in memory, their type, and their size."""
-    addresses = np.array([image.ctypes.data for image in images], np.uint64)
-    height, width = images[0].shape
-    return addresses, _LIKE[images[0].dtype], (height, width)
-
-
-def _looked(
-    placed: tuple[Array, Array, tuple[int, int]],
-    settings: DetectionSettings,
-    bit_depth: int,
-    windows: Sequence[Array | None] | None,
-    how: int,
-    priors: Priors,
-) -> tuple[Regions, Places, Lessons]:
-    """Return what ``detect_frame_set`` finds in the images that ``_placed`` describes."""
-    return detect_frame_set(
-        *placed, *_boxes(windows, *placed[2]), search_of(settings, bit_depth), how, settings.dilation_px,
-        noise_of(settings, bit_depth), priors.blurs, priors.offsets, priors.roughness,
-        _model_of(settings, bit_depth),
-    )  # fmt: skip
+    return SearchBoxes(np.concatenate(parts), np.cumsum([0] + [len(part) for part in parts]))
 
 
 @lru_cache
-def _model_of(settings: DetectionSettings, bit_depth: int) -> Model:
+def _task(settings: DetectionSettings, bit_depth: int, method: int) -> Task:
+    """Return what is detected in images of this bit depth."""
     noise = noise_of(settings, bit_depth)
-    return Model(noise.dark_dn2, noise.gain_dn, float(2**bit_depth - 1))
+    model = Model(noise.dark_dn2, noise.gain_dn, float(2**bit_depth - 1))
+    return Task(search_of(settings, bit_depth), method, settings.dilation_px, noise, model)
 
 
-def _detections(cameras: Sequence[str], table: Array, image_of: Array) -> list[Detections]:
-    """Return each camera's part of a table of all cameras' targets."""
-    *found, start = columns(table, image_of, len(cameras))
+def _detections(cameras: Sequence[str], measured: Measured) -> list[Detections]:
+    """Return each camera's part of the targets of a frame set."""
+    *found, start = columns(measured.table, measured.image_of, len(cameras))
     for column in found:
         column.setflags(write=False)
     bounds = start.tolist()

@@ -1,85 +1,147 @@
-"""All that is done with the images of a frame set, compiled as one kernel: scan, regions, places.
+"""Detection in all images of a frame set, compiled as one kernel: scan, regions, centres, columns of the result.
 
 Called by ``mosca.detection.detect``. Free of the GIL from the first pixel to the last: each return to Python has to
 win the GIL back from the thread that matches and tracks, and would wait for that longer than most of these steps
 take.
 """
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.data.detections import UNREFINED
-from mosca.detection.bright_runs import regions_within, scan_set
+from mosca.data.detections import MERGED, UNREFINED
+from mosca.detection.bright_runs import SearchBoxes, regions_within, scan_set
+from mosca.detection.centroid import (
+    DIAMETER,
+    ELONGATION,
+    PEAK,
+    XX,
+    XY,
+    YY,
+    CentroidRule,
+    Noise,
+    X,
+    Y,
+    measure_region,
+    measure_regions,
+)
 from mosca.detection.centroid import N_COLUMNS as N_MEASURED
-from mosca.detection.centroid import Noise, measure_regions
-from mosca.detection.detect_finish import place_failed
-from mosca.detection.disc_fit.fit_regions import FLAGS, N_COLUMNS, N_TALLIES, N_TERMS, refine_regions
+from mosca.detection.disc_fit.fit_regions import FLAGS, N_COLUMNS, TOUCHING, Priors, refine_regions
 from mosca.detection.disc_fit.gauss_newton import Model
-from mosca.detection.threshold_regions import Search, find_regions_in_set
-from mosca.numba_support.decorators import kernel
+from mosca.detection.disc_fit.light_offset import N_TALLIES, N_TERMS, StatisticsSums
+from mosca.detection.images import ImageSet, image_of
+from mosca.detection.merged_targets.pixels import region_mean, region_moments
+from mosca.detection.search import END_RUN, FIRST_RUN, IMAGE, THRESHOLD, FoundRegions, Search
+from mosca.detection.threshold_regions import find_regions_in_set
+from mosca.numba_support.decorators import kernel, short_kernel, step
 
-NOWHERE, PAPER, BACKGROUND, REFINED = range(4)
-"""How regions are placed: not at all, else as the values of ``DetectionSettings.centroid`` say."""
+REGIONS_ONLY, PAPER, BACKGROUND, REFINED = range(4)
+"""How centres are found: not at all, else as the values of ``DetectionSettings.centroid``."""
 
-Regions = tuple[Array, Array, Array]
-"""Runs (m, 3), regions (r, 4) and each image's lowest threshold (n), as ``find_regions_in_set`` returns them."""
-Places = tuple[Array, Array, Array]
-"""Table (k, N_COLUMNS) of what was placed, and the region and the image (k) of each row."""
-Lessons = tuple[Array, Array, Array]
-"""What each image teaches, as ``refine_regions`` returns it; zeros where nothing was refined."""
+
+class Measured(NamedTuple):
+    """The targets of a frame set that were measured."""
+
+    table: Array
+    """(k, N_COLUMNS of ``mosca.detection.disc_fit.fit_regions``)."""
+    region_of: Array
+    """(k,) int32 region of each row."""
+    image_of: Array
+    """(k,) int32 image of each row."""
+
+
+class Task(NamedTuple):
+    """What is detected, and how it is measured; see ``DetectionSettings``."""
+
+    search: Search
+    method: int
+    dilation_px: int
+    noise: Noise
+    model: Model
 
 
 @kernel
 def detect_frame_set(
-    addresses: Array,
-    like: Array,
-    size: tuple[int, int],
-    boxes: Array,
-    box_start: Array,
-    search: Search,
-    how: int,
-    dilation: int,
-    noise: Noise,
-    blurs: Array,
-    offsets: Array,
-    roughness: Array,
-    model: Model,
-) -> tuple[Regions, Places, Lessons]:
-    """Find the targets of all images of a frame set and place them.
+    images: ImageSet, boxes: SearchBoxes, task: Task, priors: Priors
+) -> tuple[FoundRegions, Measured, StatisticsSums]:
+    """Find the targets of all images of a frame set and measure them.
 
-    ``addresses``, ``like``, ``size``, ``boxes`` and ``box_start``: images and windows, as ``scan_set`` takes them;
-    ``how``: as above; ``dilation`` [px] and ``noise``: of what is not refined; ``blurs``, ``offsets``, ``roughness``
-    and ``model``: as ``refine_regions`` takes them.
+    Returns the sums for the cameras' statistics too, zeros where nothing was refined.
     """
-    n_images = len(addresses)
-    bright, values, run_start, value_start = scan_set(
-        addresses, like, size, search.lowest + 1, boxes, box_start
-    )
-    runs, regions, lowest = find_regions_in_set(bright, values, run_start, value_start, search)
-    if len(box_start) > 0:
-        regions = regions_within(runs, regions, boxes, box_start)
-    if how == REFINED:
-        table, region_of, tallies, normal, right_side = refine_regions(
-            addresses, like, size, runs, regions, lowest, blurs, offsets, roughness, model
-        )
+    n_images = len(images.addresses)
+    bright = scan_set(images, task.search.lowest + 1, boxes)
+    found = find_regions_in_set(bright, task.search)
+    if len(boxes.start) > 0:
+        found = regions_within(found, boxes)
+    if task.method == REFINED:
+        table, region_of, sums = refine_regions(images, found, priors, task.model)
+        measure_unrefined(images, found, CentroidRule(True, task.dilation_px, task.noise), table, region_of)
     else:
-        tallies = np.zeros((n_images, N_TALLIES))
-        normal, right_side = np.zeros((n_images, N_TERMS, N_TERMS)), np.zeros((n_images, N_TERMS, 2))
-        some = regions if how != NOWHERE else regions[:0]
-        measured, region_of = measure_regions(
-            addresses, like, size, runs, some, lowest, how == BACKGROUND, dilation, noise
+        sums = StatisticsSums(
+            np.zeros((n_images, N_TALLIES)),
+            np.zeros((n_images, N_TERMS, N_TERMS)),
+            np.zeros((n_images, N_TERMS, 2)),
         )
+        some = found.regions if task.method != REGIONS_ONLY else found.regions[:0]
+        rule = CentroidRule(task.method == BACKGROUND, task.dilation_px, task.noise)
+        measured, region_of = measure_regions(images, FoundRegions(found.runs, some, found.lowest), rule)
         table = np.zeros((len(measured), N_COLUMNS))
         for n in range(len(measured)):
             for k in range(N_MEASURED):
                 table[n, k] = measured[n, k]
             table[n, FLAGS] = UNREFINED
-    if how == REFINED:
-        image_of = place_failed(
-            addresses, like, size, runs, regions, lowest, dilation, noise, table, region_of
-        )
-    else:
-        image_of = np.empty(len(table), np.int32)
-        for n in range(len(table)):
-            image_of[n] = regions[region_of[n], 0]
-    return (runs, regions, lowest), (table, region_of, image_of), (tallies, normal, right_side)
+    image_of_row = np.empty(len(table), np.int32)
+    for n in range(len(table)):
+        image_of_row[n] = found.regions[region_of[n], IMAGE]
+    return found, Measured(table, region_of, image_of_row), sums
+
+
+@step
+def measure_unrefined(
+    images: ImageSet, found: FoundRegions, rule: CentroidRule, table: Array, region_of: Array
+) -> None:
+    """Give the rows of ``table`` whose fit failed the centroid by ``rule``, above the local background.
+
+    What cannot be fitted mostly touches a neighbour, whose light draws the centroid. The uncertainty of a region
+    that stands alone grows with how much it is longer than wide: its middle is that of no target.
+    """
+    for n in range(len(table)):
+        flags = int(table[n, FLAGS])
+        if not flags & UNREFINED:
+            continue
+        region = found.regions[region_of[n]]
+        own = found.runs[region[FIRST_RUN] : region[END_RUN]]
+        floor = found.lowest[region[IMAGE]]
+        measure_region(image_of(images, region[IMAGE]), own, region[THRESHOLD], floor, rule, table[n])
+        drawn = (TOUCHING * table[n, DIAMETER]) ** 2
+        if not flags & MERGED:
+            xx, xy, yy = region_moments(own, region_mean(own))
+            drawn += math.hypot(0.5 * (xx - yy), xy)
+        table[n, XX] += drawn
+        table[n, YY] += drawn
+
+
+@short_kernel
+def columns(
+    table: Array, image_of: Array, n_images: int
+) -> tuple[Array, Array, Array, Array, Array, Array, Array]:
+    """Return the columns of ``Detections`` of all images in turn, and where each image's begin (n + 1).
+
+    Keeps the GIL: to win it back from another thread would take longer than this does.
+    """
+    n = len(table)
+    xy, covariance, flags = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n, np.uint8)
+    diameter, peak, elongation = np.empty(n), np.empty(n), np.empty(n)
+    start = np.zeros(n_images + 1, np.int64)
+    for i in range(n):
+        xy[i, 0], xy[i, 1] = table[i, X], table[i, Y]
+        covariance[i, 0, 0], covariance[i, 0, 1] = table[i, XX], table[i, XY]
+        covariance[i, 1, 0], covariance[i, 1, 1] = table[i, XY], table[i, YY]
+        diameter[i], peak[i], elongation[i] = table[i, DIAMETER], table[i, PEAK], table[i, ELONGATION]
+        flags[i] = int(table[i, FLAGS])
+        start[image_of[i] + 1] += 1
+    for k in range(n_images):
+        start[k + 1] += start[k]
+    return xy, covariance, diameter, peak, elongation, flags, start

@@ -1,4 +1,4 @@
-"""Looking at frame sets: detection in all cameras, on as many threads as wanted; what it teaches is handed on."""
+"""Runs detection for all cameras, in threads; per-camera estimates of blur and bias feed later frame sets."""
 
 from bisect import bisect_right
 from collections import deque
@@ -15,34 +15,41 @@ from mosca.data.frames import FrameSet
 from mosca.detection.detect import DetectionSettings, detect_with_statistics
 from mosca.detection.disc_fit.camera_statistics import NO_STATISTICS, CameraStatistics, joined
 
-BEHIND = 4
-"""Frame sets after which what one taught is used: however many threads look ahead, each set is looked at with the
-same knowledge, and gives the same detections.
-"""
+DELAY = 4
+"""Frame sets after which a set's statistics are used: with any number of threads, each set is detected with the same
+estimates, and gives the same detections."""
 
-QUICK, SELDOM = 64, 16
-"""Up to this set what is new is used at the ``EARLY`` sets; after it, when little is new, so many sets' lessons at a
-time, each camera's at other sets."""
-EARLY = tuple(accumulate([0] + 8 * [1] + 4 * [2] + 3 * [3] + 3 * [4] + 3 * [6] + [8]))
-"""All at first, then when about an eighth is new: to draw the conclusions takes longer than to look at a set."""
+EARLY_SETS, UPDATE_PERIOD = 64, 16
+"""Up to this set the estimates are updated at the ``EARLY_UPDATES``; after it every so many sets, each camera's at
+others."""
+EARLY_UPDATES = tuple(accumulate([0] + 8 * [1] + 4 * [2] + 3 * [3] + 3 * [4] + 3 * [6] + [8]))
+"""Update schedule: every set at first, then when the data grew by about 12 %; the solve costs more than a set."""
 
-Seen = tuple[dict[str, Detections], CameraStatistics, float]
+Detected = tuple[dict[str, Detections], CameraStatistics, float]
+"""Detections by camera, what the set adds to the cameras' statistics, and computing time [s]."""
 
 
 @dataclass(frozen=True)
 class FrameSetDetector:
-    """How frames are looked at: settings, each camera's ``bit_depth`` and what is taken off its images."""
+    """Detection in the images of frame sets."""
 
     settings: DetectionSettings
     bit_depth: Mapping[str, int]
+    """Significant bits of each camera's pixels."""
     backgrounds: Mapping[str, Array] = field(default_factory=dict)
+    """Images (H, W) that are subtracted, by camera."""
 
     def detect(
-        self, frame_set: FrameSet, learned: CameraStatistics, helpers: Executor | None = None, split: int = 1
-    ) -> Seen:
-        """Return the detections of a set's cameras, what they teach, and the time that it took [s].
+        self,
+        frame_set: FrameSet,
+        statistics: CameraStatistics,
+        helpers: Executor | None = None,
+        split: int = 1,
+    ) -> Detected:
+        """Return the detections of a set's cameras, what they add to the statistics, and the time that it took [s].
 
-        ``split``: the cameras are divided into so many shares; all but the first go to the ``helpers``.
+        ``statistics``: of earlier sets; ``split``: the cameras are divided into so many shares; all but the first go
+        to the ``helpers``.
         """
         start = perf_counter()
         images = {name: f.image for name, f in frame_set.frames.items() if f.image is not None}
@@ -50,155 +57,155 @@ class FrameSetDetector:
         shares = max(1, min(split if helpers is not None else 1, len(names)))
         bounds = [len(names) * k // shares for k in range(shares + 1)]
         own, *others = [{n: images[n] for n in names[i:j]} for i, j in pairwise(bounds)]
-        waiting = (
-            [helpers.submit(self._some, share, learned) for share in others] if helpers is not None else []
+        pending = (
+            [helpers.submit(self._some, share, statistics) for share in others] if helpers is not None else []
         )
-        detections, taught = self._some(own, learned)
-        for future in waiting:
+        detections, added = self._some(own, statistics)
+        for future in pending:
             found, new = future.result()
             detections.update(found)
-            taught = taught.plus(new)
-        return {name: detections[name] for name in names}, taught, perf_counter() - start
+            added = added.plus(new)
+        return {name: detections[name] for name in names}, added, perf_counter() - start
 
     def _some(
-        self, images: Mapping[str, Array], learned: CameraStatistics
+        self, images: Mapping[str, Array], statistics: CameraStatistics
     ) -> tuple[dict[str, Detections], CameraStatistics]:
-        """Return the detections of some cameras' images and what they teach."""
+        """Return the detections of some cameras' images and what they add to the statistics."""
         detections: dict[str, Detections] = {}
-        taught = NO_STATISTICS
+        added = NO_STATISTICS
         for depth in sorted({self.bit_depth[name] for name in images}):
             names = [name for name in images if self.bit_depth[name] == depth]
             backgrounds = [self.backgrounds.get(name) for name in names] if self.backgrounds else None
             found, new = detect_with_statistics(
-                [images[name] for name in names], names, self.settings, depth, backgrounds, None, learned
+                [images[name] for name in names], names, self.settings, depth, backgrounds, None, statistics
             )
             detections.update(zip(names, found, strict=True))
-            taught = taught.plus(new)
-        return detections, taught
+            added = added.plus(new)
+        return detections, added
 
 
 def detect_ahead(
-    look: FrameSetDetector, sets: Iterable[FrameSet], workers: int, split: int = 1
+    detector: FrameSetDetector, sets: Iterable[FrameSet], workers: int, split: int = 1
 ) -> Iterator[tuple[FrameSet, dict[str, Detections], float]]:
     """Yield each frame set with its detections and the computing time that they took [s], in order.
 
-    ``workers``: threads that look at sets ahead of the one that is yielded, beside the caller's own, which looks at
-    one itself rather than wait; 0: at each in its turn, its cameras divided among ``split`` threads.
+    ``workers``: threads that detect in sets ahead of the one that is yielded, beside the caller's own, which works on
+    one itself rather than wait; 0: one set after the other, its cameras divided among ``split`` threads.
     """
     if workers <= 0:
-        yield from _look_in_turn(look, sets, split)
+        yield from _one_by_one(detector, sets, split)
         return
-    known = _Known()
-    waiting: deque[_Ahead] = deque()
+    delayed = _DelayedSums()
+    queue: deque[_Ahead] = deque()
 
     def first() -> tuple[FrameSet, dict[str, Detections], float]:
-        detections, taught, seconds = _while_waiting(look, waiting)
-        known.add(taught)
-        return waiting.popleft().frame_set, detections, seconds
+        detections, added, seconds = _await_first(detector, queue)
+        delayed.add(added)
+        return queue.popleft().frame_set, detections, seconds
 
-    with ThreadPoolExecutor(workers, "look") as pool:
+    with ThreadPoolExecutor(workers, "detect") as pool:
         try:
             for number, frame_set in enumerate(sets):
-                learned = known.for_frame_set(number)
-                waiting.append(_Ahead(frame_set, learned, pool.submit(look.detect, frame_set, learned)))
-                if len(waiting) >= min(workers + 2, BEHIND):
+                used = delayed.for_frame_set(number)
+                queue.append(_Ahead(frame_set, used, pool.submit(detector.detect, frame_set, used)))
+                if len(queue) >= min(workers + 2, DELAY):
                     yield first()
-            while waiting:
+            while queue:
                 yield first()
         finally:
-            for ahead in waiting:
+            for ahead in queue:
                 ahead.future.cancel()
 
 
 @dataclass
 class _Ahead:
-    """A frame set that is looked at ahead, with what is known for it."""
+    """A frame set whose detection is under way, with the statistics that it uses."""
 
     frame_set: FrameSet
-    learned: CameraStatistics
-    future: Future[Seen]
+    statistics: CameraStatistics
+    future: Future[Detected]
 
 
-def _while_waiting(look: FrameSetDetector, waiting: Sequence[_Ahead]) -> Seen:
-    """Return what is seen in the first set that waits; until then look at those that no thread has begun."""
-    first = waiting[0]
-    for ahead in waiting:
+def _await_first(detector: FrameSetDetector, queue: Sequence[_Ahead]) -> Detected:
+    """Return the detections of the first set of the queue; until then work on those that no thread has begun."""
+    first = queue[0]
+    for ahead in queue:
         if first.future.done():
             break
-        if ahead.future.cancel():  # it is ours now
+        if ahead.future.cancel():  # no thread has begun it
             ahead.future = Future()
             try:
-                ahead.future.set_result(look.detect(ahead.frame_set, ahead.learned))
-            except Exception as error:  # raised when it is this set's turn
+                ahead.future.set_result(detector.detect(ahead.frame_set, ahead.statistics))
+            except Exception as error:  # raised when this set is yielded
                 ahead.future.set_exception(error)
     return first.future.result()
 
 
-def _look_in_turn(
-    look: FrameSetDetector, sets: Iterable[FrameSet], split: int
+def _one_by_one(
+    detector: FrameSetDetector, sets: Iterable[FrameSet], split: int
 ) -> Iterator[tuple[FrameSet, dict[str, Detections], float]]:
-    known = _Known()
+    delayed = _DelayedSums()
     with ExitStack() as stack:
-        helpers = stack.enter_context(ThreadPoolExecutor(split - 1, "look")) if split > 1 else None
-        learned = known.for_frame_set(0)
+        helpers = stack.enter_context(ThreadPoolExecutor(split - 1, "detect")) if split > 1 else None
+        used = delayed.for_frame_set(0)
         for number, frame_set in enumerate(sets):
-            detections, taught, seconds = look.detect(frame_set, learned, helpers, split)
+            detections, added, seconds = detector.detect(frame_set, used, helpers, split)
             yield frame_set, detections, seconds
-            # while the next set is on its way: to conclude takes long
-            known.add(taught)
-            learned = known.for_frame_set(number + 1)
-            learned.conclude()
+            # off the latency path: the solve takes long
+            delayed.add(added)
+            used = delayed.for_frame_set(number + 1)
+            used.solve()
 
 
 class DelayedStatistics:
-    """What one camera's sets have taught: added up as it falls due, and the sum used at the camera's turns."""
+    """One camera's statistics: those of a set are added after ``DELAY`` sets and used from the next update on."""
 
     def __init__(self, camera: str) -> None:
-        # cameras that are numbered on have turns one after the other: no set pays for all
-        self._phase = sum(camera.encode()) % SELDOM
-        self._learned = self._gathered = NO_STATISTICS
-        self._waiting: deque[tuple[int, CameraStatistics]] = deque()
-        self._turn = -1
+        # cameras with consecutive numbers are updated at different sets: no set pays for all
+        self._phase = sum(camera.encode()) % UPDATE_PERIOD
+        self._used = self._summed = NO_STATISTICS
+        self._pending: deque[tuple[int, CameraStatistics]] = deque()
+        self._updated = -1
 
-    def add(self, number: int, taught: CameraStatistics) -> None:
-        """Take what set ``number`` has taught; numbers rise."""
-        self._waiting.append((number, taught))
+    def add(self, number: int, added: CameraStatistics) -> None:
+        """Take what set ``number`` adds; numbers rise."""
+        self._pending.append((number, added))
 
     def for_frame_set(self, number: int) -> CameraStatistics:
-        """Return what is known when set ``number`` is looked at; numbers rise."""
-        if number < QUICK:
-            turn = EARLY[bisect_right(EARLY, number) - 1]
+        """Return the statistics that detection in set ``number`` uses; numbers rise."""
+        if number < EARLY_SETS:
+            update = EARLY_UPDATES[bisect_right(EARLY_UPDATES, number) - 1]
         else:
-            turn = max(number - (number - self._phase) % SELDOM, EARLY[-1])
-        if turn > self._turn:
-            self._gather(turn - BEHIND)
-            self._turn, self._learned = turn, self._gathered
-        return self._learned
+            update = max(number - (number - self._phase) % UPDATE_PERIOD, EARLY_UPDATES[-1])
+        if update > self._updated:
+            self._sum_up(update - DELAY)
+            self._updated, self._used = update, self._summed
+        return self._used
 
-    def _gather(self, last: int) -> None:
-        while self._waiting and self._waiting[0][0] <= last:
-            self._gathered = self._gathered.plus(self._waiting.popleft()[1])
+    def _sum_up(self, last: int) -> None:
+        while self._pending and self._pending[0][0] <= last:
+            self._summed = self._summed.plus(self._pending.popleft()[1])
 
 
-class _Known:
-    """What the sets up to BEHIND before a set have taught, camera by camera."""
+class _DelayedSums:
+    """All cameras' delayed statistics."""
 
     def __init__(self) -> None:
         self._cameras: dict[str, DelayedStatistics] = {}
         self._parts: dict[str, CameraStatistics] = {}
-        self._number, self._learned = 0, NO_STATISTICS
+        self._number, self._used = 0, NO_STATISTICS
 
-    def add(self, taught: CameraStatistics) -> None:
-        """Take what the next set has taught."""
-        for name, lesson in taught.each().items():
+    def add(self, added: CameraStatistics) -> None:
+        """Take what the next set adds."""
+        for name, one in added.by_camera().items():
             if name not in self._cameras:
                 self._cameras[name] = DelayedStatistics(name)
-            self._cameras[name].add(self._number, lesson)
+            self._cameras[name].add(self._number, one)
         self._number += 1
 
     def for_frame_set(self, number: int) -> CameraStatistics:
-        """Return what is known when set ``number`` is looked at; numbers rise."""
-        parts = {name: lessons.for_frame_set(number) for name, lessons in self._cameras.items()}
+        """Return the statistics that detection in set ``number`` uses; numbers rise."""
+        parts = {name: own.for_frame_set(number) for name, own in self._cameras.items()}
         if any(one is not self._parts.get(name) for name, one in parts.items()):
-            self._parts, self._learned = parts, joined(parts)
-        return self._learned
+            self._parts, self._used = parts, joined(parts)
+        return self._used

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 from mosca.data.settings import DetectionSettings as DetectionSettings
 from mosca.detection.centroid import Noise
-from mosca.detection.threshold_regions import Search
+from mosca.detection.search import Search
 
 DEFAULTS = DetectionSettings()
 

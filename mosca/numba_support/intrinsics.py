@@ -2,24 +2,10 @@
 
 from typing import Any
 
-import numpy as np
-from numba import carray  # type: ignore[attr-defined]
 from numba.core import cgutils, types
 from numba.core.cgutils import ir  # type: ignore[attr-defined]
 from numba.extending import intrinsic
-
-from mosca.data.arrays import Array
-from mosca.numba_support.decorators import step
-
-
-@intrinsic
-def _pointer(_context: Any, address: Any, like: Any) -> Any:
-    """Return ``address`` (uint64) as a pointer to values of the type of the array ``like``."""
-
-    def code(_context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.inttoptr(arguments[0], _context.get_value_type(signature.return_type))
-
-    return types.CPointer(like.dtype)(types.uint64, like), code
+from numba.np.arrayobj import populate_array
 
 
 @intrinsic
@@ -100,11 +86,27 @@ def prefetch(_context: Any, address: Any) -> Any:
     return types.void(types.uint64), code
 
 
-@step
-def image_at(address: np.uint64, like: Array, height: int, width: int) -> Array:
-    """Return the image (H, W) of the type of ``like`` that lies in memory at ``address``, row after row.
+@intrinsic
+def array_at(_context: Any, address: Any, like: Any, shape: Any) -> Any:
+    """Return the contiguous array of a shape and of the type of ``like`` at ``address`` (uint64), without owning it.
 
-    So a kernel takes all images of a frame set without anyone copying them into one array; the caller keeps
-    them alive and has checked that they are contiguous and of one size and type.
+    So compiled code takes images that are known by their addresses, and parts of working memory, without a reference
+    count. The caller keeps the owner alive. (Numba's ``carray`` does the same for pointers; what is compiled without
+    reference counting must not call it.)
     """
-    return carray(_pointer(address, like), (height, width))  # type: ignore[call-arg]
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        made = context.make_array(signature.return_type)(context, builder)
+        data = builder.inttoptr(arguments[0], made.data.type)
+        size = context.get_constant(types.intp, like.dtype.bitwidth // 8)
+        extents = [
+            context.cast(builder, extent, kind, types.intp)
+            for kind, extent in zip(shape, cgutils.unpack_tuple(builder, arguments[2]), strict=True)
+        ]
+        strides = [size]
+        for extent in extents[:0:-1]:
+            strides.insert(0, builder.mul(strides[0], extent))
+        populate_array(made, data, extents, strides, size, None)
+        return made._getvalue()
+
+    return types.Array(like.dtype, len(shape), "C")(types.uint64, like, shape), code

@@ -14,7 +14,7 @@ from mosca.detection.disc_fit.camera_statistics import (
     CameraStatistics,
     joined,
 )
-from mosca.detection.scheduler import BEHIND, EARLY, QUICK, SELDOM, DelayedStatistics
+from mosca.detection.scheduler import DELAY, EARLY_SETS, EARLY_UPDATES, UPDATE_PERIOD, DelayedStatistics
 
 
 @cache
@@ -48,7 +48,7 @@ def test_what_is_known_at_a_set_does_not_depend_on_which_were_asked_about(name, 
     before = NO_STATISTICS
     for k in range(140):
         known = whole.for_frame_set(k)
-        if known is not before and k >= QUICK:
+        if known is not before and k >= EARLY_SETS:
             changes.append(k)
         before = known
         whole.add(k, lesson(name, k) if k not in missing else NO_STATISTICS)
@@ -56,11 +56,11 @@ def test_what_is_known_at_a_set_does_not_depend_on_which_were_asked_about(name, 
             continue
         assert alike(lessons.for_frame_set(k), known)
         lessons.add(k, lesson(name, k))
-        if k < QUICK:
-            turn = max(t for t in EARLY if t <= k)
+        if k < EARLY_SETS:
+            turn = max(t for t in EARLY_UPDATES if t <= k)
             assert turn > 0.8 * k - 1
-            assert alike(known, summed(name, [i for i in range(turn - BEHIND + 1) if i not in missing]))
-    assert {b - a for a, b in pairwise(changes)} <= {SELDOM * n for n in range(1, 9)}
+            assert alike(known, summed(name, [i for i in range(turn - DELAY + 1) if i not in missing]))
+    assert {b - a for a, b in pairwise(changes)} <= {UPDATE_PERIOD * n for n in range(1, 9)}
 
 
 def test_each_camera_has_its_own_turn():
@@ -68,11 +68,11 @@ def test_each_camera_has_its_own_turn():
     for name in ("a1", "a2", "a3", "a4"):
         lessons = DelayedStatistics(name)
         known = []
-        for k in range(QUICK + 2 * SELDOM):
+        for k in range(EARLY_SETS + 2 * UPDATE_PERIOD):
             known.append(lessons.for_frame_set(k))
             lessons.add(k, lesson(name, k))
-        turns.append([k for k in range(QUICK, len(known)) if known[k] is not known[k - 1]])
-    assert all(len(t) == 2 and t[1] - t[0] == SELDOM for t in turns)
+        turns.append([k for k in range(EARLY_SETS, len(known)) if known[k] is not known[k - 1]])
+    assert all(len(t) == 2 and t[1] - t[0] == UPDATE_PERIOD for t in turns)
     assert len({t[0] for t in turns}) == 4
 
 
@@ -87,4 +87,4 @@ def test_joined_cameras_start_their_fits_as_they_do_together():
         for field in ("blurs", "offsets", "roughness"):
             np.testing.assert_array_equal(getattr(ours, field), getattr(theirs, field))
     assert joined({"a": NO_STATISTICS}) is NO_STATISTICS
-    assert all(alike(together.each()[n], apart[n]) for n in names)
+    assert all(alike(together.by_camera()[n], apart[n]) for n in names)

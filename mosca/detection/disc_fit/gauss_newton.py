@@ -42,6 +42,23 @@ class Model(NamedTuple):
     full_dn: float
 
 
+class DiscFit(NamedTuple):
+    """A fitted disc, [px] and [DN], offsets as those of its pixels."""
+
+    x: float
+    y: float
+    amplitude: float
+    background: float
+    radius: float
+    blur: float
+    covariance: tuple[float, float, float]
+    """(xx, xy, yy) of the centre [px^2]."""
+    chi2: float
+    blur_variance: float
+    """Of the blur, from the data alone [px^2]."""
+    converged: bool
+
+
 @bare_step(fastmath=FAST)
 def sums(
     n: int,
@@ -237,14 +254,12 @@ def fit_disc(
     model: Model,
     symmetric: bool,
     work: Array,
-) -> tuple[Any, ...]:
-    """Fit a blurred disc by Gauss-Newton steps until the place moves by less than its error.
+) -> DiscFit:
+    """Fit a blurred disc to n pixels by Gauss-Newton steps until the centre moves by less than its error.
 
     ``start``: x0, y0, amplitude, background, radius; ``blur``: its prior mean and standard deviation;
-    ``symmetric``: whether the pixels lie all around the target, so that the place can be solved apart; ``work``
-    (6, 7): scratch. Returns
-    x0, y0, amplitude, background, radius, blur, the variances (xx, xy, yy) of the place, chi-square, the blur's
-    variance from the data alone, and whether it converged.
+    ``symmetric``: whether the pixels lie all around the target, so that the centre can be solved apart; ``work``
+    (6, 7): working memory.
     """
     x0, y0, a, b, radius = start
     mean, prior = blur[0], 1.0 / (blur[1] * blur[1])
@@ -301,4 +316,4 @@ def fit_disc(
         if calm and (near or (turn > 0 and moved < SETTLED_2)):
             good = True
             break
-    return x0, y0, a, b, radius, s, (cxx, cxy, cyy), chi2, blur_variance, good
+    return DiscFit(x0, y0, a, b, radius, s, (cxx, cxy, cyy), chi2, blur_variance, good)

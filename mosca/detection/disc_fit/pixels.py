@@ -1,57 +1,58 @@
-"""Compiled gathering of the pixels that a target is fitted to.
+"""Compiled gathering of the pixels that a disc is fitted to: round windows, masks of neighbours, first sums.
 
 Compiled into the kernel in ``mosca.detection.disc_fit.fit_regions``.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.detection.disc_fit.gauss_newton import FAST, ONE, ZERO, f32
-from mosca.numba_support.decorators import bare_step, step
-from mosca.numba_support.intrinsics import copy_16, image_at
+from mosca.numba_support.decorators import bare_step
+from mosca.numba_support.intrinsics import array_at, copy_16
 
-SMALL = f32(1e-3)
+STEEP_PX = f32(1e-3)  # keeps the ratio of two distances from the middle finite at the middle
 X, Y, SHARPER, THERE, V = range(5)
-"""Rows of the pixels that a fit takes (5, n): offsets [px], how much sharper the edge is there, 1, or 0 where there
-is only padding, and grey value. The last is written 16 at a time: room for as many must follow."""
+"""Rows of the pixels that a fit takes (5, n): offsets [px], factor by which the edge is sharper there, 1, or 0 for
+padding, and grey value [DN]. The last is written 16 at a time: at least as many elements must follow it."""
 OVER = 16
+EDGE_BLURS, EDGE_PX = 1.6, 0.5
+"""How far a fit's window reaches beyond half the region's box, in blurs and in pixels: the box itself goes past the
+disc's edge by about 1.2 blurs."""
+CORNER_PX = 2
+"""How far off a box's corners the background's first estimate is taken."""
 
 
-class Windows(NamedTuple):
-    """Round windows about a pixel, one for each size of region, as they are needed.
-
-    Pixels of all windows of an image one after the other in ``lanes`` (1, room), each padded to a multiple of 8.
-    ``half`` (1 + sizes, most rows): how far each row of a size's window reaches to both sides. A row of ``known``
-    (1 + sizes, 2): where that size's window begins, negative where it is not made yet, and its number of pixels;
-    row 0: where all end, and -.
-    """
+class RoundWindows(NamedTuple):
+    """Pixels of round windows, one for each size of region that occurs in an image."""
 
     lanes: Array
+    """(size,) float32: the pixels (5, n) of all windows of an image in turn, n padded to a multiple of 8."""
     half: Array
+    """(1 + sizes, most rows) int32: how far each row of a size's window reaches to both sides [px]."""
     known: Array
+    """(1 + sizes, 2) int64: where a size's window begins in ``lanes``, negative before it is made, and its number of
+    pixels. Row 0: where all windows end, and 0."""
 
 
-@step(fastmath=FAST)
-def lent(rows: Array) -> Array:
-    """Return a contiguous array (n, m) as one that does not own its memory, so that nobody counts who uses it.
+class Marked(NamedTuple):
+    """Square of pixels of which some are left out of a fit, see ``mark_foreign``."""
 
-    Counting costs more than a fit's sums where arrays go through many hands. The caller keeps ``rows``.
-    """
-    return image_at(np.uint64(rows.ctypes.data), rows, rows.shape[0], rows.shape[1])
+    side: int
+    left: int
+    """First column in the image [px]."""
+    top: int
+    """First row in the image [px]."""
 
 
 @bare_step(fastmath=FAST)
-def gather(image: Array, place: tuple[int, int], reach2: float, pixels: Array) -> int:
-    """Copy the pixels with a distance from the pixel ``place`` of at most the root of ``reach2``, and their offsets.
-
-    Returns how many.
-    """
+def gather(image: Array, centre: tuple[int, int], reach2: float, pixels: Array) -> int:
+    """Copy the pixels within the root of ``reach2`` of the pixel ``centre`` and their offsets; return how many."""
     x, y, v = pixels[X], pixels[Y], pixels[V]
     height, width = image.shape
-    column, row = place
+    column, row = centre
     n = 0
     whole = int(math.sqrt(reach2))
     for j in range(max(row - whole, 0), min(row + whole + 1, height)):
@@ -65,7 +66,7 @@ def gather(image: Array, place: tuple[int, int], reach2: float, pixels: Array) -
 
 @bare_step(fastmath=FAST)
 def pad(n: int, pixels: Array) -> None:
-    """Tell n pixels from the padding to the next multiple of 8, which sums take at once."""
+    """Mark n pixels as there and those up to the next multiple of 8, which sums take at once, as padding."""
     x, y, sharper, there, v = pixels[X], pixels[Y], pixels[SHARPER], pixels[THERE], pixels[V]
     end = (n + 7) // 8 * 8
     for i in range(n):
@@ -75,17 +76,25 @@ def pad(n: int, pixels: Array) -> None:
         sharper[i] = ONE
 
 
-@step(fastmath=FAST)
-def make_window(size: int, reach2: float, windows: Windows) -> None:
+@bare_step(fastmath=FAST)
+def window_place(size: int, windows: RoundWindows) -> tuple[Any, Any]:
+    """Return the address (uint64) of the pixels (5, n) of the window of a size of region, and n."""
+    begin = np.uint64(windows.known[size, 0] * windows.lanes.itemsize)
+    return np.uint64(windows.lanes.ctypes.data) + begin, (windows.known[size, 1] + 7) // 8 * 8
+
+
+@bare_step(fastmath=FAST)
+def make_window(size: int, reach2: float, windows: RoundWindows) -> None:
     """Write the pixels that ``gather`` takes off the image's border as the window of this size of region."""
-    _, half, known = windows
+    half, known = windows.half, windows.known
     begin, n = known[0, 0], 0
     whole = int(math.sqrt(reach2))
     for j in range(-whole, whole + 1):
         half[size, j + whole] = int(math.sqrt(reach2 - j * j))
         n += 2 * half[size, j + whole] + 1
     known[size, 0], known[size, 1] = begin, n
-    pixels = window_of(size, windows)
+    address, columns = window_place(size, windows)
+    pixels = array_at(address, windows.lanes, (5, columns))  # type: ignore[call-arg]
     known[0, 0] = begin + pixels.size + OVER
     x, y, sharper = pixels[X], pixels[Y], pixels[SHARPER]
     n = 0
@@ -96,22 +105,14 @@ def make_window(size: int, reach2: float, windows: Windows) -> None:
     pad(n, pixels)
 
 
-@step(fastmath=FAST)
-def window_of(size: int, windows: Windows) -> Array:
-    """Return the pixels (5, n) of the window of a size of region."""
-    lanes, _, known = windows
-    at = np.uint64(lanes.ctypes.data) + np.uint64(known[size, 0] * lanes.itemsize)
-    return image_at(at, lanes, 5, (known[size, 1] + 7) // 8 * 8)
-
-
 @bare_step(fastmath=FAST)
-def grey_values(image: Array, place: int, half: Array, v: Array) -> None:
-    """Copy the grey values of the rows of a round window about the pixel number ``place``, 16 at a time.
+def grey_values(image: Array, centre: int, half: Array, v: Array) -> None:
+    """Copy the grey values of the rows of a round window about the pixel number ``centre``, 16 at a time.
 
     Up to 15 more than a row has are read, and overwritten by the next row's.
     """
     width = image.shape[1]
-    n, middle = 0, place - (len(half) // 2) * width
+    n, middle = 0, centre - (len(half) // 2) * width
     source, target = np.uint64(image.ctypes.data), np.uint64(v.ctypes.data)
     for j in range(len(half)):
         wide = int(half[j])
@@ -126,73 +127,84 @@ def grey_values(image: Array, place: int, half: Array, v: Array) -> None:
 @bare_step(fastmath=FAST)
 def reach_of(size: int, blur: float) -> float:
     """Return how far the fit of a region reaches: its box goes past the edge by about 1.2 blurs."""
-    return 0.5 * size + 1.6 * blur + 0.5
+    return 0.5 * size + EDGE_BLURS * blur + EDGE_PX
 
 
-@step(fastmath=FAST)
-def gather_round(
-    image: Array, place: tuple[int, int], size: int, reach: float, windows: Windows, scratch: Array
-) -> tuple[int, Array]:
-    """Return how many pixels lie within ``reach`` of the pixel ``place``, and those, padded."""
+@bare_step(fastmath=FAST)
+def is_inside(image: Array, centre: tuple[int, int], reach: float) -> bool:
+    """Tell whether the round window about a pixel lies inside the image, with ``OVER`` pixels after it."""
     height, width = image.shape
     far = int(reach)
-    if windows.known[size, 0] < 0:
-        make_window(size, reach * reach, windows)
-    middle = place[1] * width + place[0]
-    inside = far <= place[0] < width - far and far <= place[1] < height - far
-    if inside and middle + far * (width + 1) + OVER <= image.size:
-        n, pixels = windows.known[size, 1], window_of(size, windows)
-        grey_values(image, middle, windows.half[size, : 2 * far + 1], pixels[V])
-        for i in range(n, len(pixels[V])):
-            pixels[V, i] = ZERO
-        return n, pixels
-    n = gather(image, place, reach * reach, scratch)
+    middle = centre[1] * width + centre[0]
+    inside = far <= centre[0] < width - far and far <= centre[1] < height - far
+    return inside and middle + far * (width + 1) + OVER <= image.size
+
+
+@bare_step(fastmath=FAST)
+def fill_window(
+    image: Array, centre: tuple[int, int], size: int, reach: float, windows: RoundWindows, pixels: Array
+) -> int:
+    """Copy the grey values about the pixel ``centre`` into the window (5, n) of this size; return how many."""
+    far = int(reach)
+    middle = centre[1] * image.shape[1] + centre[0]
+    n = windows.known[size, 1]
+    grey_values(image, middle, windows.half[size, : 2 * far + 1], pixels[V])
+    for i in range(n, len(pixels[V])):
+        pixels[V, i] = ZERO
+    return n
+
+
+@bare_step(fastmath=FAST)
+def gather_at_border(image: Array, centre: tuple[int, int], reach: float, pixels: Array) -> int:
+    """Copy the pixels of the image within ``reach`` of the pixel ``centre``, padded; return how many."""
+    n = gather(image, centre, reach * reach, pixels)
     for i in range(n):
-        scratch[SHARPER, i] = ONE
-    pad(n, scratch)
-    return n, scratch
+        pixels[SHARPER, i] = ONE
+    pad(n, pixels)
+    return n
 
 
 @bare_step(fastmath=FAST)
 def gather_unmarked(
     image: Array,
-    place: tuple[int, int],
+    centre: tuple[int, int],
     shape: tuple[float, float, float],
     around: tuple[float, float],
     reach: float,
-    marks: tuple[Array, int, int, int],
+    out: Array,
+    marked: Marked,
     pixels: Array,
 ) -> int:
-    """Copy the pixels that ``blank`` leaves and that lie within ``reach`` of a target; return how many.
+    """Copy the pixels that are not marked in ``out`` and lie within ``reach`` of a target; return how many.
 
-    Pixel offsets from ``place`` are turned by the symmetric matrix ``shape`` (xx, xy, yy), in which the target is
-    round, and ``around`` is its middle there. ``marks``: those of ``blank``, its side, first column and row.
+    Pixel offsets from ``centre`` are mapped by the symmetric matrix ``shape`` (xx, xy, yy), in which the target is
+    round, and ``around`` is its middle there. ``out`` (side * side,) and ``marked``: see ``mark_foreign``.
     """
     x, y, sharper, v = pixels[X], pixels[Y], pixels[SHARPER], pixels[V]
     height, width = image.shape
-    out, side, left, top = marks
+    side, left, top = marked.side, marked.left, marked.top
     n = 0
     first_row, end_row = rows_within(shape, around, reach)
-    for j in range(max(place[1] + first_row, 0, top), min(place[1] + end_row, height, top + side)):
-        first, end = span_within(shape, around, reach, j - place[1])
-        line, at, dy = image[j], (j - top) * side - left, float(j - place[1])
-        for i in range(max(place[0] + first, 0, left), min(place[0] + end, width, left + side)):
-            dx = float(i - place[0])
+    for j in range(max(centre[1] + first_row, 0, top), min(centre[1] + end_row, height, top + side)):
+        first, end = span_within(shape, around, reach, j - centre[1])
+        line, at, dy = image[j], (j - top) * side - left, float(j - centre[1])
+        for i in range(max(centre[0] + first, 0, left), min(centre[0] + end, width, left + side)):
+            dx = float(i - centre[0])
             x[n], y[n] = f32(shape[0] * dx + shape[1] * dy), f32(shape[1] * dx + shape[2] * dy)
             v[n] = f32(line[i])
             n += out[at + i] == 0
-    # turned with the target, the round blur becomes narrower to one side, wider to the other
+    # mapped with the target, the round blur becomes narrower to one side, wider to the other
     m0, m1, m2, ax, ay = f32(shape[0]), f32(shape[1]), f32(shape[2]), f32(around[0]), f32(around[1])
     for i in range(n):
         qx, qy = x[i] - ax, y[i] - ay
         wx, wy = m0 * qx + m1 * qy, m1 * qx + m2 * qy
-        sharper[i] = (math.sqrt(qx * qx + qy * qy) + SMALL) / (math.sqrt(wx * wx + wy * wy) + SMALL)
+        sharper[i] = (math.sqrt(qx * qx + qy * qy) + STEEP_PX) / (math.sqrt(wx * wx + wy * wy) + STEEP_PX)
     return n
 
 
 @bare_step(fastmath=FAST)
 def half_side(shape: tuple[float, float, float], around: tuple[float, float], reach: float) -> int:
-    """Return how far from the middle pixel ``gather_unmarked`` looks, and ``blank`` for what lies around that."""
+    """Return how far from its middle pixel ``gather_unmarked`` takes pixels, and 2 px more for ``mark_foreign``."""
     first_row, end_row = rows_within(shape, around, reach)
     first, end = rows_within((shape[2], shape[1], shape[0]), (around[1], around[0]), reach)
     return int(max(-first_row, end_row, -first, end)) + 2
@@ -223,3 +235,127 @@ def span_within(
         return 0, 0
     half = math.sqrt(d)
     return math.ceil((-half_b - half) / a), math.floor((-half_b + half) / a) + 1
+
+
+@bare_step(fastmath=FAST)
+def mark_foreign(
+    image: Array, runs: Array, centre: tuple[int, int], floor: int, full: float, side: int, marks: Array
+) -> Marked:
+    """Mark in ``marks[0]`` (side * side,), centred on the pixel ``centre``, what is left out of the fit of a region.
+
+    These are saturated pixels, and pixels above ``floor`` that are not the region's own, dilated by 2 px, as far as a
+    blurred edge reaches below the floor; by 1 px where the dilation covers the region's own. Row follows row without
+    a gap, so that the dilation of a pixel in one of the two outermost columns is marked in the next row too: they are
+    not to be used. ``marks`` (4, side * side or more): the other rows are working memory.
+    """
+    height, width = len(image), len(image[0])
+    left, top = centre[0] - side // 2, centre[1] - side // 2
+    n = side * side
+    out, own, others, wide = marks[0], marks[1], marks[2], marks[3]
+    for k in range(n):
+        out[k] = own[k] = others[k] = 0
+    for i in range(len(runs)):
+        j = runs[i, 0] - top
+        if 0 <= j < side:
+            for k in range(max(int(runs[i, 1]) - left, 0), min(int(runs[i, 2]) - left, side)):
+                own[j * side + k] = 1
+    first, end = max(-left, 0), min(width - left, side)
+    for j in range(max(-top, 0), min(height - top, side)):
+        line, at = image[top + j], np.uint64(j * side + first)
+        for k in range(end - first):
+            value = line[np.uint64(left + first) + np.uint64(k)]
+            out[at + np.uint64(k)] = value >= full
+            others[at + np.uint64(k)] = (value > floor) & (own[at + np.uint64(k)] == 0)
+    # by 1 px to all sides, then by another
+    dilate(others, wide, n, side)
+    for k in range(n):
+        out[k] |= wide[k]
+    dilate(wide, others, n, side)
+    for k in range(n):
+        out[k] |= others[k] & (own[k] ^ 1)
+    return Marked(side, left, top)
+
+
+@bare_step(fastmath=FAST)
+def dilate(marks: Array, grown: Array, n: int, side: int) -> None:
+    """Write to ``grown`` the marks (n,) of a window and those of their 8 neighbours, 0 in the first and last row."""
+    for k in range(side + 1):
+        grown[k] = grown[n - 1 - k] = 0
+    # of unsigned numbers none counts from the end, so that the compiler may take many at once
+    one, row = np.uint64(1), np.uint64(side)
+    for k in range(n - 2 * side - 2):
+        i = np.uint64(k)
+        above = marks[i] | marks[i + one] | marks[i + one + one]
+        i += row
+        here = marks[i] | marks[i + one] | marks[i + one + one]
+        middle = i + one
+        i += row
+        grown[middle] = above | here | marks[i] | marks[i + one] | marks[i + one + one]
+
+
+@bare_step(fastmath=True)  # only grey values go in
+def window_sums(n: int, pixels: Array, threshold: int, level: float) -> tuple[Any, ...]:
+    """Return the number of pixels above a threshold, their peak, and the sums (1, x, y, xx, xy, yy) of v - level."""
+    x, y, v = pixels[X], pixels[Y], pixels[V]
+    limit, base = f32(threshold), f32(level)
+    count = s = sx = sy = sxx = sxy = syy = ZERO
+    peak = np.int32(0)  # the largest of whole numbers is found many at once, that of others is not
+    for i in range(n):
+        inside = ONE if v[i] > limit else ZERO
+        light = inside * (v[i] - base)
+        lx, ly = light * x[i], light * y[i]
+        count += inside
+        s += light
+        sx += lx
+        sy += ly
+        sxx += lx * x[i]
+        sxy += lx * y[i]
+        syy += ly * y[i]
+    for i in range(n):
+        peak = max(peak, np.int32(v[i]))
+    return np.int64(count), f32(peak), (s, sx, sy, sxx, sxy, syy)
+
+
+@bare_step(fastmath=FAST)
+def region_sums(image: Array, runs: Array, centre: tuple[int, int], level: float) -> tuple[Any, ...]:
+    """Return peak and sums as ``window_sums`` for the pixels of a region, about the pixel ``centre``."""
+    base = f32(level)
+    s = sx = sy = sxx = sxy = syy = peak = ZERO
+    for i in range(len(runs)):
+        py = f32(runs[i, 0] - centre[1])
+        for column in range(runs[i, 1], runs[i, 2]):
+            value, px = f32(image[runs[i, 0], column]), f32(column - centre[0])
+            light = value - base
+            s += light
+            sx += light * px
+            sy += light * py
+            sxx += light * px * px
+            sxy += light * px * py
+            syy += light * py * py
+            peak = max(peak, value)
+    return peak, (s, sx, sy, sxx, sxy, syy)
+
+
+@bare_step(fastmath=FAST)
+def box_of(runs: Array, begin: int, end: int) -> tuple[tuple[Any, Any, Any, Any], Any]:
+    """Return left, right, top and bottom pixel of the region of these runs, and its number of pixels."""
+    left, right, n = runs[begin, 1], runs[begin, 2], np.int64(0)
+    for i in range(begin, end):
+        left = min(left, runs[i, 1])
+        right = max(right, runs[i, 2])
+        n += runs[i, 2] - runs[i, 1]
+    return (np.int64(left), np.int64(right - 1), np.int64(runs[begin, 0]), np.int64(runs[end - 1, 0])), n
+
+
+@bare_step(fastmath=FAST)
+def corner_background(image: Array, box: tuple[Any, Any, Any, Any], floor: int) -> float:
+    """Return the mean grey value of the dark pixels ``CORNER_PX`` off a box's corners, ``floor`` where none is."""
+    left, right, top, bottom = box
+    height, width = image.shape
+    total, n = 0.0, 0
+    for y in (max(top - CORNER_PX, 0), min(bottom + CORNER_PX, height - 1)):
+        for x in (max(left - CORNER_PX, 0), min(right + CORNER_PX, width - 1)):
+            if image[y, x] <= floor:
+                total += image[y, x]
+                n += 1
+    return total / n if n > 0 else float(floor)

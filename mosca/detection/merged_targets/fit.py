@@ -4,6 +4,7 @@
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,8 @@ SMALL = 0.01
 """Chi-square that a step must promise: steps below a tenth of the error are not taken."""
 FLAT = 4.0
 """Blurs from an edge beyond which it is taken for flat."""
+A1, A2, A3, A4, A5 = 0.319381530, -0.356563782, 1.781477937, -1.821255978, 1.330274429
+"""Abramowitz and Stegun 1964, 26.2.17."""
 PAIR, SWEPT, ELLIPSE = range(3)
 UNKNOWNS = (10, 8, 8)
 MOST_NODES = 16
@@ -25,7 +28,16 @@ FORESEEN = 4.0
 step promises."""
 
 
-A1, A2, A3, A4, A5 = 0.319381530, -0.356563782, 1.781477937, -1.821255978, 1.330274429
+class FitTask(NamedTuple):
+    """What the fits to one image's pixels share."""
+
+    blur: float
+    """Prior mean [px],"""
+    spread: float
+    """and standard deviation [px]."""
+    model: Model
+    work: Array
+    """(10, 11): working memory."""
 
 
 @bare_step(fastmath=FAST)
@@ -140,21 +152,14 @@ def light_of(kind: int, p: Array, x: float, y: float, slope: Array) -> float:
 
 @step(fastmath=FAST)
 def fit(
-    kind: int,
-    p: Array,
-    pixels: Array,
-    n: int,
-    blur: float,
-    spread: float,
-    model: Model,
-    enough: float,
-    work: Array,
+    kind: int, p: Array, pixels: Array, n: int, task: FitTask, enough: float
 ) -> tuple[float, Array, bool]:
     """Fit the unknowns ``p`` in place; return chi-square, the inverse normal matrix, whether it has come to rest.
 
     ``enough``: a chi-square of which only matters whether it is reached: the fit ends where that is known. The noise
     of one long target is taken from the pixels as they are: weights of a model that does not fit would move with it.
     """
+    blur, spread, model, work = task.blur, task.spread, task.model, task.work
     m = UNKNOWNS[kind]
     slope, change, off = np.empty(m), np.empty((m, n)), np.empty(n)
     normal, right, inverse = np.empty((m, m)), np.empty(m), np.zeros((m, m))

@@ -19,35 +19,22 @@ alike in size and brightness and farther apart than ``NEAREST`` diameters.
 """
 
 import math
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
-from mosca.detection.disc_fit.fit_regions import (
-    BLUR,
-    BLUR_INFO,
-    DIAMETER,
-    ELONGATION,
-    FLAGS,
-    MISFIT,
-    N_TERMS,
-    PEAK,
-    PULL,
-    ROUGH,
-    XX,
-    XY,
-    YY,
-    X,
-    Y,
-    set_terms,
-)
+from mosca.detection.centroid import DIAMETER, ELONGATION, PEAK, XX, XY, YY, X, Y
+from mosca.detection.disc_fit.fit_regions import BLUR, BLUR_INFO, FLAGS, MISFIT, PULL, ROUGH, Priors
 from mosca.detection.disc_fit.gauss_newton import FAST, Model
-from mosca.detection.merged_targets.fit import ELLIPSE, PAIR, SWEPT, clearance, fit
+from mosca.detection.disc_fit.light_offset import N_TERMS, moved
+from mosca.detection.frame_set_kernel import Measured
+from mosca.detection.images import ImageSet, image_of
+from mosca.detection.merged_targets.fit import ELLIPSE, PAIR, SWEPT, FitTask, clearance, fit
 from mosca.detection.merged_targets.pixels import gather_all, keep_near, start_of
+from mosca.detection.search import END_RUN, FIRST_RUN, IMAGE, FoundRegions
 from mosca.numba_support.decorators import bare_step, kernel, step
-from mosca.numba_support.intrinsics import image_at
 
 DECISIVE = 30.0
 """Chi-square by which two discs must explain the pixels better than one long target, two unknowns dearer."""
@@ -70,77 +57,98 @@ MISMATCH_PX = 0.8
 standard deviation an axis over the fourth power of blur by radius (measured at diameters of 4 to 12 px)."""
 
 
+EXCESS, EXCESS_SIGMAS = 0.3, 5.0
+"""Excess of chi-square per degree of freedom up to which two discs hold: this and so many standard deviations."""
+FEWEST_PIXELS = 30
+"""Fewer pixels than three for each unknown are not fitted."""
+
+
+class FittedPair(NamedTuple):
+    """Two discs fitted to the same pixels."""
+
+    p: Array
+    """(10,) unknowns, see ``mosca.detection.merged_targets.fit``."""
+    inverse: Array
+    """(10, 10) of the normal matrix."""
+    chi2: float
+    n: int
+    """Number of pixels."""
+    peak: float
+    """Largest grey value [DN]."""
+
+
+@step(fastmath=FAST)
+def fit_both_orders(start: Array, pixels: Array, n: int, peak: float, task: FitTask) -> FittedPair:
+    """Fit two discs from ``start``, which is changed; where they cover each other, either one in front."""
+    best, best_chi2, variance = start, math.inf, np.zeros((10, 10))
+    for _front in range(2):
+        trial = start.copy()
+        chi2, inverse, good = fit(PAIR, trial, pixels, n, task, 0.0)
+        if good and chi2 < best_chi2 - 1e-6:
+            best, best_chi2, variance = trial, chi2, inverse
+        if not good or clearance(trial) > 0.0:
+            break  # none hides the other
+        for a in range(4):
+            start[2 * a], start[2 * a + 1] = trial[2 * a + 1], trial[2 * a]
+        start[8], start[9] = trial[8], trial[9]
+    return FittedPair(best, variance, best_chi2, n, peak)
+
+
+@bare_step(fastmath=FAST)
+def write_pair(
+    image: Array, pair: FittedPair, offsets: Array, terms: Array, full_dn: float, rows: Array
+) -> None:
+    """Write both discs of a pair to ``rows`` (2, columns), with their camera's offsets (N_TERMS, 2)."""
+    p, variance = pair.p, pair.inverse
+    misfit = max(pair.chi2 / (pair.n - 10), 1.0)
+    for a in range(2):
+        out = rows[a]
+        half = math.sqrt(p[4 + a] ** 2 + p[9] ** 2)
+        x, y = moved(image, p[a], p[2 + a], half, offsets, terms)
+        out[X], out[Y], out[DIAMETER], out[PEAK], out[ELONGATION] = x, y, 2.0 * half, pair.peak, 1.0
+        model_px2 = (MISMATCH_PX * (p[9] / p[4 + a]) ** 4) ** 2
+        out[XX], out[YY] = (
+            misfit * variance[a, a] + model_px2,
+            misfit * variance[2 + a, 2 + a] + model_px2,
+        )
+        out[XY] = misfit * variance[a, 2 + a]
+        out[FLAGS] = SATURATED if pair.peak >= full_dn else 0
+        out[MISFIT] = pair.chi2 / (pair.n - 10)
+        out[BLUR], out[BLUR_INFO], out[ROUGH] = 0.0, 0.0, 0.0
+
+
 @kernel(fastmath=FAST)
 def fit_pairs(
-    addresses: Array,
-    like: Array,
-    size: tuple[int, int],
-    runs: Array,
-    regions: Array,
-    asked: Array,
-    lowest: Array,
-    blurs: Array,
-    learned: Array,
-    model: Model,
+    images: ImageSet, found: FoundRegions, candidates: Array, priors: Priors, model: Model
 ) -> tuple[Array, Array]:
-    """Fit two discs to each of ``asked`` (k, 2): a region alone (its number, -1) or with a second one.
+    """Fit two discs to each of ``candidates`` (k, 2): a region alone (its number, -1) or with a second one.
 
-    The others as in ``mosca.detection.disc_fit.fit_regions.refine_regions``. Returns rows (k, 2, columns of its
-    table) and which are two targets (k,).
+    Returns rows (k, 2, columns of the table of ``mosca.detection.disc_fit.fit_regions``) and which are two targets
+    (k,).
     """
-    height, width = size
-    rows, two = np.zeros((len(asked), 2, PULL + 1)), np.zeros(len(asked), np.bool_)
+    rows, two = np.zeros((len(candidates), 2, PULL + 1)), np.zeros(len(candidates), np.bool_)
     work, terms = np.empty((10, 11)), np.empty(N_TERMS)
-    for q in range(len(asked)):
-        first, second = asked[q, 0], asked[q, 1]
-        k = regions[first, 0]
-        image = image_at(addresses[k], like, height, width)
-        own = runs[regions[first, 1] : regions[first, 2]]
-        other = own[:0] if second < 0 else runs[regions[second, 1] : regions[second, 2]]
-        pixels, n, level, peak = gather_all(image, own, other, lowest[k], model.full_dn)
-        if n < 30:
+    runs, regions = found.runs, found.regions
+    for q in range(len(candidates)):
+        first, second = candidates[q, 0], candidates[q, 1]
+        k = regions[first, IMAGE]
+        image = image_of(images, k)
+        own = runs[regions[first, FIRST_RUN] : regions[first, END_RUN]]
+        other = own[:0] if second < 0 else runs[regions[second, FIRST_RUN] : regions[second, END_RUN]]
+        pixels, n, level, peak = gather_all(image, own, other, found.lowest[k], model.full_dn)
+        if n < FEWEST_PIXELS:
             continue
-        start = start_of(pixels, n, own, other, level, peak, blurs[k, 0])
+        task = FitTask(priors.blurs[k, 0], priors.blurs[k, 1], model, work)
+        start = start_of(pixels, n, own, other, level, peak, task.blur)
         if start[4] < SMALLEST:
             continue
-        n = keep_near(pixels, n, start)
-        best, best_chi2, variance = start, math.inf, np.zeros((10, 10))
-        for _front in range(2):
-            trial = start.copy()
-            chi2, inverse, good = fit(PAIR, trial, pixels, n, blurs[k, 0], blurs[k, 1], model, 0.0, work)
-            if good and chi2 < best_chi2 - 1e-6:
-                best, best_chi2, variance = trial, chi2, inverse
-            if not good or clearance(trial) > 0.0:
-                break  # none hides the other
-            for a in range(4):
-                start[2 * a], start[2 * a + 1] = trial[2 * a + 1], trial[2 * a]
-            start[8], start[9] = trial[8], trial[9]
-        if not plausible(best, best_chi2, n, model):
+        pair = fit_both_orders(start, pixels, keep_near(pixels, n, start), peak, task)
+        if not plausible(pair.p, pair.chi2, pair.n, model):
             continue
-        if second < 0 and not better_than_one(
-            best, best_chi2, pixels, n, blurs[k, 0], blurs[k, 1], model, work
-        ):
+        if second < 0 and not better_than_one(pair, pixels, task):
             continue
         two[q] = True
-        misfit = max(best_chi2 / (n - 10), 1.0)
-        for a in range(2):
-            out = rows[q, a]
-            x, y = best[a], best[2 + a]
-            half = math.sqrt(best[4 + a] ** 2 + best[9] ** 2)
-            set_terms(image, x, y, half, terms)
-            for t in range(9):
-                x += learned[k, t, 0] * terms[t]
-                y += learned[k, t, 1] * terms[t]
-            out[X], out[Y], out[DIAMETER], out[PEAK], out[ELONGATION] = x, y, 2.0 * half, peak, 1.0
-            model_px2 = (MISMATCH_PX * (best[9] / best[4 + a]) ** 4) ** 2
-            out[XX], out[YY] = (
-                misfit * variance[a, a] + model_px2,
-                misfit * variance[2 + a, 2 + a] + model_px2,
-            )
-            out[XY] = misfit * variance[a, 2 + a]
-            out[FLAGS] = SATURATED if peak >= model.full_dn else 0
-            out[MISFIT] = best_chi2 / (n - 10)
-            out[BLUR], out[BLUR_INFO], out[ROUGH] = 0.0, 0.0, 0.0
+        write_pair(image, pair, priors.offsets[k], terms, model.full_dn, rows[q])
     return rows, two
 
 
@@ -158,14 +166,13 @@ def plausible(p: Array, chi2: float, n: int, model: Model) -> bool:
         return False
     excess = chi2 / max(n - 10, 1) - 1.0
     rough = max(excess, 0.0) * (model.dark_dn2 + model.gain_dn * bright) / (bright * bright)
-    return excess < 0.3 + 5.0 * math.sqrt(2.0 / n) or rough < MOST_ROUGH
+    return excess < EXCESS + EXCESS_SIGMAS * math.sqrt(2.0 / n) or rough < MOST_ROUGH
 
 
 @step(fastmath=FAST)
-def better_than_one(
-    p: Array, chi2: float, pixels: Array, n: int, blur: float, spread: float, model: Model, work: Array
-) -> bool:
-    """Tell whether two discs explain the pixels decisively better than one that is long, in both ways it can be."""
+def better_than_one(pair: FittedPair, pixels: Array, task: FitTask) -> bool:
+    """Tell whether two discs explain the pixels decisively better than one that moved and than an ellipse."""
+    p, chi2, n = pair.p, pair.chi2, pair.n
     dx, dy = 0.5 * (p[1] - p[0]), 0.5 * (p[3] - p[2])
     x, y, half = p[0] + dx, p[2] + dy, math.hypot(dx, dy)
     radius, bright = 0.5 * (p[4] + p[5]), 0.5 * (p[6] + p[7])
@@ -183,7 +190,7 @@ def better_than_one(
             one[2], one[3] = -e * (dx * dx - dy * dy) / (half * half), -e * 2.0 * dx * dy / (half * half)
             one[4] = radius * 2.0 * longer / (longer + 1.0)
         enough = chi2 + DECISIVE * misfit
-        if fit(kind, one, pixels, n, blur, spread, model, enough, work)[0] < enough:
+        if fit(kind, one, pixels, n, task, enough)[0] < enough:
             return False
     return True
 
@@ -207,8 +214,9 @@ def touching(table: Array, image_of: Array) -> Array:
     return found[:n]
 
 
-def asked_of(table: Array, flags: Array, image_of: Array) -> Array:
+def candidates_of(table: Array, image_of: Array) -> Array:
     """Return which rows of a table may be two targets: (k, 2) of one alone (row, -1) or of two that touch."""
+    flags = table[:, FLAGS].astype(np.uint8)
     beside = touching(table, image_of)
     long = (table[:, PULL] > LONG) & (flags == 0)
     alone = (flags & (UNREFINED | MERGED) == UNREFINED) | (flags & PARTIAL > 0)
@@ -221,29 +229,21 @@ def asked_of(table: Array, flags: Array, image_of: Array) -> Array:
 
 
 def split_pairs(
-    table: Array,
-    image_of: Array,
-    region_of: Array,
-    runs: Array,
-    regions: Array,
-    lowest: Array,
-    given: tuple[Any, ...],
-) -> tuple[Array, Array]:
-    """Return the table of ``mosca.detection.disc_fit.fit_regions`` with two rows for each two targets, and the
-    image of each row.
+    measured: Measured, images: ImageSet, found: FoundRegions, priors: Priors, model: Model
+) -> Measured:
+    """Return the targets with two rows for each two that one fit or two fits side by side took for something else.
 
-    ``image_of`` (n,), ``region_of`` (n,): image and region of each row; ``given``: addresses, like, size, blurs,
-    learned and model as there. A row that is in two pairs goes with the first one that holds.
+    A row that is in two pairs goes with the first one that holds.
     """
-    asked = asked_of(table, table[:, FLAGS].astype(np.uint8), image_of)
-    if not len(asked):
-        return table, image_of
-    addresses, like, size, blurs, learned, model = given
-    by_region = np.where(asked >= 0, region_of[asked], -1)
-    rows, two = fit_pairs(addresses, like, size, runs, regions, by_region, lowest, blurs, learned, model)
+    table, region_of, image_of = measured
+    rows_of = candidates_of(table, image_of)
+    if not len(rows_of):
+        return measured
+    by_region = np.where(rows_of >= 0, region_of[rows_of], -1)
+    fits, two = fit_pairs(images, found, by_region, priors, model)
     spent: set[int] = set()
     more, after = [], []
-    for (one, other), fitted, is_two in zip(asked.tolist(), rows, two, strict=True):
+    for (one, other), fitted, is_two in zip(rows_of.tolist(), fits, two, strict=True):
         if not is_two or one in spent or other in spent:
             continue
         spent |= {one, other} - {-1}
@@ -254,6 +254,10 @@ def split_pairs(
             more.append(fitted[1])
             after.append(one)
     if not more:
-        return table, image_of
+        return measured
     at = np.array(after) + 1
-    return np.insert(table, at, np.array(more), axis=0), np.insert(image_of, at, image_of[after])
+    return Measured(
+        np.insert(table, at, np.array(more), axis=0),
+        np.insert(region_of, at, region_of[after]),
+        np.insert(image_of, at, image_of[after]),
+    )

@@ -1,0 +1,134 @@
+"""Compiled first values of a fit: sums over a region's light, and the disc that they suggest.
+
+Compiled into the kernel in ``mosca.detection.disc_fit.fit_regions``.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+from mosca.detection.disc_fit.gauss_newton import FAST, P0, P1, P2, P3, P4
+from mosca.numba_support.decorators import bare_step
+
+ROUND, ROUND_PX = 0.04, 1.5
+"""A region of n pixels whose second moments differ by less than ``ROUND + ROUND_PX / n`` of their mean is taken for
+round: pixels and noise do as much. More corrects fewer ellipses, less stretches round targets by chance."""
+MOST_STRETCHED = 0.85
+"""Largest difference of moments that is corrected, as a share of their mean; beyond, pixels would lie too sparse."""
+LEAST_RADIUS = 0.4
+"""Least radius that a fit starts from, in blurs."""
+CLIPPED_GAIN = 1.5
+"""Factor from the peak of a saturated target to the amplitude that its fit starts from."""
+
+
+class Region(NamedTuple):
+    """A region of bright pixels in an image."""
+
+    image: int
+    left: int
+    """First and last column and row of its bounding box [px]."""
+    right: int
+    top: int
+    bottom: int
+    n_px: int
+    first_run: int
+    """Its runs are those from here to before ``end_run``."""
+    end_run: int
+    threshold: int
+    """It holds pixels above this [DN]."""
+    floor: int
+    """The image's lowest threshold [DN]: what is not above it is background."""
+
+
+class Light(NamedTuple):
+    """First sums over a region's light."""
+
+    peak: Any
+    """Largest grey value [DN]."""
+    background: float
+    """First estimate [DN]."""
+    x: float
+    """Centroid about the middle pixel of the region's box [px]."""
+    y: float
+    shape: tuple[float, float, float]
+    """Symmetric matrix (xx, xy, yy) in which the target is round."""
+    pull: float
+    """Difference of the principal second moments over their sum."""
+    crowded: bool
+    """Other regions' pixels lie in the window."""
+    saturated: bool
+
+
+@bare_step(fastmath=FAST)
+def tail_point(share: float) -> float:
+    """Return t at which the normal distribution leaves ``share`` (up to a half) above it.
+
+    Abramowitz and Stegun 26.2.22, right to 0.003.
+    """
+    q = math.sqrt(-2.0 * math.log(min(max(share, 1e-6), 0.5)))
+    return max(q - (2.30753 + 0.27061 * q) / (1.0 + q * (0.99229 + 0.04481 * q)), 0.0)
+
+
+@bare_step(fastmath=FAST)
+def below_edge(t: float) -> float:
+    """Return the normal distribution's integral up to t >= 0, by the polynomial of the edge."""
+    t = min(t, 3.0)
+    u = t * t
+    return float(0.5 + t * (P0 + u * (P1 + u * (P2 + u * (P3 + u * P4)))))
+
+
+@bare_step(fastmath=FAST)
+def central_moments(sums_of_light: Any) -> tuple[float, float, float, float, float]:
+    """Return centroid and central second moments (xx, xy, yy) from sums (1, x, y, xx, xy, yy) of light."""
+    flux = max(float(sums_of_light[0]), 1e-6)
+    x, y = sums_of_light[1] / flux, sums_of_light[2] / flux
+    xx, xy, yy = sums_of_light[3] / flux, sums_of_light[4] / flux, sums_of_light[5] / flux
+    return x, y, xx - x * x, xy - x * y, yy - y * y
+
+
+@bare_step(fastmath=FAST)
+def stretch(xx: float, xy: float, yy: float, blur2: float, n: int) -> tuple[float, float, float]:
+    """Return the symmetric matrix (xx, xy, yy) of determinant 1 that makes an elliptic target round.
+
+    From its second moments less those of the blur. What pixels and noise do to a round target is left alone:
+    the unit matrix.
+    """
+    size = max(0.5 * (xx + yy) - blur2, 0.5 * blur2)
+    p, q = 0.5 * (xx - yy) / size, xy / size
+    if p * p + q * q < (ROUND + ROUND_PX / n) ** 2:
+        return 1.0, 0.0, 1.0
+    e = min(math.sqrt(p * p + q * q), MOST_STRETCHED)
+    k = e / math.sqrt(p * p + q * q)
+    # moments are proportional to [[1 + p, q], [q, 1 - p]]: its inverse root, by Cayley and Hamilton
+    a, b, c = 1.0 - k * p, -k * q, 1.0 + k * p
+    root = math.sqrt(a * c - b * b)
+    a, b, c = a / root, b / root, c / root
+    t = math.sqrt(a + c + 2.0)
+    return (a + 1.0) / t, b / t, (c + 1.0) / t
+
+
+@bare_step(fastmath=FAST)
+def light_of(
+    region: Region, background: float, peak: Any, sums: Any, crowded: bool, blur: float, full_dn: float
+) -> Light:
+    """Return what the sums (1, x, y, xx, xy, yy) of a region's light above the background give of its shape."""
+    x, y, xx, xy, yy = central_moments(sums)
+    pull_x, pull_y = (xx - yy) / (xx + yy), 2.0 * xy / (xx + yy)
+    return Light(
+        peak, background, x, y, stretch(xx, xy, yy, 0.5 * blur * blur, region.n_px),
+        math.sqrt(pull_x * pull_x + pull_y * pull_y), crowded, peak >= full_dn,
+    )  # fmt: skip
+
+
+@bare_step(fastmath=FAST)
+def first_disc(region: Region, light: Light, blur: float) -> tuple[float, float]:
+    """Return amplitude and radius to start from, from the region's peak, area and threshold."""
+    amplitude = float(light.peak - light.background)
+    area_radius = math.sqrt(region.n_px / math.pi)
+    radius = area_radius
+    for _ in range(2):
+        radius = area_radius - blur * tail_point((region.threshold + 0.5 - light.background) / amplitude)
+        radius = max(radius, LEAST_RADIUS * blur)
+        amplitude = (light.peak - light.background) / below_edge(radius / blur)
+    if light.saturated:
+        amplitude *= CLIPPED_GAIN
+    return amplitude, radius

@@ -1,0 +1,113 @@
+"""Compiled sums of what an image says of its camera: how far the light's centroids lie from the fitted centres.
+
+The model: ``mosca.detection.disc_fit.camera_statistics``. Compiled into the kernel in
+``mosca.detection.disc_fit.fit_regions``.
+"""
+
+from typing import NamedTuple
+
+from mosca.data.arrays import Array
+from mosca.detection.disc_fit.first_values import Region
+from mosca.detection.disc_fit.gauss_newton import FAST, ONE, DiscFit, f32
+from mosca.detection.disc_fit.pixels import V, X, Y, gather
+from mosca.numba_support.decorators import bare_step
+
+# What an image adds to its camera's statistics: counts and sums, see mosca.detection.disc_fit.camera_statistics.
+N_TARGETS, BLUR_SUM, BLUR_WEIGHT, ROUGH_SUM, N_LIGHT = range(5)
+N_TALLIES, N_TERMS = 5, 12
+N_OFFSET_TERMS = 9
+"""Terms of the offset that are put onto the fit; those in R are shading."""
+
+LIGHT_BLURS = 4.5
+"""How far beyond the disc's edge, in blurs, a target's whole light is summed."""
+RING_PX, FEWEST_IN_RING = 1.2, 8.0
+"""Width of the outermost ring of that window, which gives the background, and pixels wanted in it."""
+OFFSET_SIGMA_2, FAR_2 = 1e-4, 0.04
+"""Variance [px^2] added to that of an offset of the light, and the squared offset from which its weight falls."""
+
+
+class StatisticsSums(NamedTuple):
+    """What n images add to the statistics of their cameras."""
+
+    tallies: Array
+    """(n, N_TALLIES) counts and sums."""
+    normal: Array
+    """(n, N_TERMS, N_TERMS) normal matrices of the offsets."""
+    right_side: Array
+    """(n, N_TERMS, 2) right sides of the offsets."""
+
+
+@bare_step(fastmath=FAST)
+def moved(
+    image: Array, x: float, y: float, radius: float, offsets: Array, terms: Array
+) -> tuple[float, float]:
+    """Return a fitted centre plus its camera's offset (N_TERMS, 2) there and at this size."""
+    set_terms(image, x, y, radius, terms)
+    for k in range(N_OFFSET_TERMS):
+        x += offsets[k, 0] * terms[k]
+        y += offsets[k, 1] * terms[k]
+    return x, y
+
+
+@bare_step(fastmath=FAST)
+def set_terms(image: Array, x: float, y: float, radius: float, terms: Array) -> None:
+    """Write (1, 1 / R, 1 / R^2, R) x (1, u, v) to ``terms``, u and v from the image's middle in half widths."""
+    height, width = image.shape
+    u, v = 2.0 * x / width - 1.0, (2.0 * y - height) / width
+    size = 1.0
+    for k in range(4):
+        terms[3 * k], terms[3 * k + 1], terms[3 * k + 2] = size, size * u, size * v
+        size = 0.25 * radius if k == 2 else size * 2.0 / radius
+
+
+@bare_step(fastmath=FAST)
+def add_light(
+    image: Array,
+    region: Region,
+    reach: float,
+    fit: DiscFit,
+    radius: float,
+    pixels: Array,
+    terms: Array,
+    sums: StatisticsSums,
+) -> None:
+    """Add how far the centroid of a target's whole light lies from its fit, unless other regions are that near."""
+    middle = ((region.left + region.right + 1) // 2, (region.top + region.bottom + 1) // 2)
+    n = gather(image, middle, reach * reach, pixels)
+    x, y, v = pixels[X], pixels[Y], pixels[V]
+    bright, limit = 0, f32(region.floor)
+    for i in range(n):
+        bright += v[i] > limit
+    if bright != region.n_px:
+        return
+    # the background from the outer ring
+    inner2 = f32((reach - RING_PX) ** 2)
+    ax, ay, base = f32(fit.x), f32(fit.y), f32(fit.background)
+    ring = n_ring = f32(0)
+    for i in range(n):
+        outside = (x[i] - ax) ** 2 + (y[i] - ay) ** 2 > inner2
+        ring += (v[i] - base) * outside
+        n_ring += ONE * outside
+    if n_ring < FEWEST_IN_RING:
+        return
+    base += ring / n_ring
+    s = sx = sy = f32(0)
+    for i in range(n):
+        s += v[i] - base
+        sx += (v[i] - base) * (x[i] - ax)
+        sy += (v[i] - base) * (y[i] - ay)
+    dx, dy = float(sx / s), float(sy / s)
+    far2 = dx * dx + dy * dy
+    if not far2 < 1.0:
+        return
+    # about the inverse variance of the difference, with a floor
+    variance = fit.covariance
+    weight = 1.0 / ((variance[0] + variance[2] + OFFSET_SIGMA_2) * (1.0 + far2 / FAR_2))
+    k = region.image
+    set_terms(image, middle[0] + fit.x, middle[1] + fit.y, radius, terms)
+    for i in range(N_TERMS):
+        for j in range(N_TERMS):
+            sums.normal[k, i, j] += weight * terms[i] * terms[j]
+        sums.right_side[k, i, 0] += weight * terms[i] * dx
+        sums.right_side[k, i, 1] += weight * terms[i] * dy
+    sums.tallies[k, N_LIGHT] += 1.0

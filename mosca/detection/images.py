@@ -1,0 +1,47 @@
+"""The images of a frame set as compiled code takes them: where they lie in memory, without copying them."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mosca.data.arrays import Array
+from mosca.numba_support.decorators import step
+from mosca.numba_support.intrinsics import array_at
+
+_LIKE: dict[object, Array] = {
+    np.dtype(np.uint8): np.empty(0, np.uint8),
+    np.dtype(np.uint16): np.empty(0, np.uint16),
+}
+
+
+class ImageSet(NamedTuple):
+    """Contiguous images of one size and type."""
+
+    addresses: Array
+    """Of each image's first pixel (n,) uint64. The caller keeps the images alive."""
+    like: Array
+    """Of the pixels' type (0,): uint8 or uint16."""
+    height: int
+    """Rows of each image."""
+    width: int
+    """Columns of each image."""
+
+
+def image_set(images: Sequence[Array]) -> ImageSet:
+    """Describe contiguous images (H, W), at least one, of one size and type (uint8 or uint16)."""
+    height, width = images[0].shape
+    addresses = np.array([image.ctypes.data for image in images], np.uint64)
+    return ImageSet(addresses, _LIKE[images[0].dtype], height, width)
+
+
+@step
+def image_of(images: ImageSet, k: int) -> Array:
+    """Return image k (H, W) as a non-owning view."""
+    return array_at(images.addresses[k], images.like, (images.height, images.width))
+
+
+@step
+def pixels_of(images: ImageSet, k: int) -> Array:
+    """Return all pixels (H * W,) of image k, row by row, as a non-owning view."""
+    return array_at(images.addresses[k], images.like, (images.height * images.width,))

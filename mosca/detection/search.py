@@ -1,0 +1,55 @@
+"""What detection searches for and what it finds: tables that compiled functions share.
+
+A *run* is a row of adjoining pixels above a threshold. A *region* is an accepted target (``mosca.detection.detect``
+defines which regions are).
+"""
+
+from typing import NamedTuple
+
+from mosca.data.arrays import Array
+from mosca.numba_support.decorators import bare_step
+
+ROW, FIRST, END, PLACE = range(4)
+"""Columns of a table of runs: row, first column, end column, and index of its first pixel among the ``values``, the
+grey values of all bright pixels of an image in raster order."""
+
+IMAGE, FIRST_RUN, END_RUN, THRESHOLD = range(4)
+"""Columns of a table of regions."""
+
+
+class Search(NamedTuple):
+    """What is searched, in grey values of the image [DN] and pixels; symbols as in ``mosca.detection.detect``."""
+
+    highest: int
+    """First threshold, Imax - B / 2."""
+    lowest: int
+    """h_min: thresholds lie above it."""
+    step: int
+    """s."""
+    contrast: float
+    """B."""
+    smallest_px: float
+    """D_min."""
+    largest_px: float
+    """D_max."""
+
+
+class FoundRegions(NamedTuple):
+    """The targets of a frame set's images."""
+
+    runs: Array
+    """(m, 3) int32 row, first and end column, sorted by image and region."""
+    regions: Array
+    """(r, 4) int32 image, first run, end run, threshold [DN]."""
+    lowest: Array
+    """(images,) int32: each image's lowest threshold [DN]."""
+
+
+@bare_step
+def is_target(size_x: int, size_y: int, contrast: int, search: Search) -> bool:
+    """Tell whether a region passes the limits of size and contrast (step 6)."""
+    return (
+        search.smallest_px < size_x < search.largest_px
+        and search.smallest_px < size_y < search.largest_px
+        and contrast > search.contrast
+    )
