@@ -2,126 +2,150 @@
 
 Mosca paper, section 3.2: the ray of a target in one camera appears as an epipolar line in another; targets
 on that line are candidates, and further cameras decide where the lines meet. "On the line" is judged by the
-covariances of both detections, never by a fixed number of pixels.
+covariances of both detections (gating), never by a fixed number of pixels.
 
-The search (``mosca.correspondence.candidates``) lists the consistent groups of rays; the choice
-(``mosca.correspondence.selection``) takes a set of them in which no image serves twice, by their likelihood against
-chance, and lets the tracks decide by their predictions what two cameras alone leave open.
+The search (``mosca.correspondence.candidates``) lists the hypotheses, rays that meet; the selection
+(``mosca.correspondence.selection``) takes a consistent set of them, in which each detection is used at most once, by
+their likelihood against clutter; predictions of tracks decide what two cameras alone leave ambiguous.
 """
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as checked_dataclass
 
 from mosca.correspondence.candidates import search
-from mosca.correspondence.hypothesis import (
-    GATE,
-    HIGH,
-    JUDGE,
-    LOW,
-    MINIMUM,
-    OUTLIER,
-    RULES,
-    SHAPES,
-    SIZES,
-    TYPICAL,
-    WORST,
-)
+from mosca.correspondence.hypothesis import SHAPES, SIZES, Hypotheses, MatchData, Rules
 from mosca.correspondence.selection import OPEN, choose, columns
 from mosca.data.arrays import Array
 from mosca.data.rays import Predicted, RayTable
 from mosca.data.tracks import Points
+from mosca.numba_support.decorators import kernel
 
 USUAL = 0.25
-"""Share of images that are long, or stand alone without a fit, from which that says nothing of an image: targets are
-flat or fast, fits were not tried."""
+"""Share of images that are long, or stand alone without a fit, from which that is no evidence against an image:
+targets are flat or fast, fits were not tried."""
 EVERYWHERE = (np.full(3, -np.inf), np.full(3, np.inf))
 """A volume without bounds."""
 
+Positive = Annotated[float, Field(gt=0)]
 
-@dataclass(frozen=True)
+
+@checked_dataclass(frozen=True, config=ConfigDict(use_attribute_docstrings=True))
 class MatchSettings:
-    """``gate_sigma``: how many standard deviations a ray may pass beside the point. ``camera_sigma_px``: random
-    error of image points besides detection noise (body, trigger, lens model), an axis. ``minimum_cameras``: smallest
-    group. ``support_sigma``: how near a track's prediction supports a group. ``outlier_sigma``: a group of three
-    and more loses its worst ray beyond this. ``worst_sigma_m``: a point whose largest standard deviation exceeds
-    this is none (two cameras that face each other, an image of odd size). ``judge_sizes``: whether all targets are
-    of one size, so that an image of odd size is partly hidden or merged and is trusted less; not for particles.
-    ``target``: "ball" frees images of a ball's eccentricity; "point" leaves them (small targets, discs).
-    """
+    """Settings of correspondence."""
 
-    gate_sigma: float = 4.5
-    camera_sigma_px: float = 0.06
-    minimum_cameras: int = 2
-    support_sigma: float = 4.0
-    outlier_sigma: float = 4.0
-    worst_sigma_m: float = math.inf
+    gate_sigma: Positive = 4.5
+    """Gate of a ray about a point, in standard deviations: larger finds more targets of poor images and more chance
+    hypotheses."""
+    camera_sigma_px: Annotated[float, Field(ge=0)] = 0.06
+    """Random error of image points besides detection noise (body, trigger, lens model), an axis."""
+    minimum_cameras: Annotated[int, Field(ge=2)] = 2
+    """Smallest number of rays of a point."""
+    support_sigma: Positive = 4.0
+    """Gate of a hypothesis about a track's prediction, in standard deviations."""
+    outlier_sigma: Positive = 4.0
+    """A hypothesis of three rays and more loses its worst one beyond this."""
+    worst_sigma_m: Positive = math.inf
+    """A point whose largest standard deviation exceeds this is withheld (two cameras that face each other, an image
+    of odd size)."""
     judge_sizes: bool = True
+    """Whether all targets are of one size, so that an image of odd size is partly hidden or merged and is trusted
+    less; false for particles."""
     target: Literal["point", "ball"] = "point"
+    """'ball' frees images of a ball's eccentricity; 'point' leaves them (small targets, discs)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Matched:
-    """The points of a frame set; ``considered``: how many groups of rays met; ``left_open``: how many pairs were
-    not taken because another that meets about as well wants one of their images.
-    """
+    """The points of a frame set, and counts of what led to them."""
 
     points: Points
     considered: int
+    """How many hypotheses there were."""
     left_open: int
+    """How many pairs were not taken because another that meets about as well has one of their images."""
 
 
 def match(
-    bundle: RayTable,
+    table: RayTable,
     predicted: Predicted,
     settings: MatchSettings,
     volume: tuple[Array, Array] = EVERYWHERE,
     typical_diameter_m: float = 0.0,
 ) -> Points:
-    """Return the points within ``volume`` (low (3,), high (3,)) [m] whose rays meet, best group first taken.
+    """Return the points whose rays meet, from a consistent set of hypotheses.
 
-    ``typical_diameter_m``: of the targets, as far as it is known (0: compare the images of a group alone). An
-    image too small for it is a target partly hidden, one too large is merged with another; the centroid is
-    shifted by about ``share of the area x radius``: the ray counts for less and is searched for farther away. Such
-    a merged image serves a second group if a track speaks for it.
+    A hypothesis is worth its likelihood against clutter and that of the track that predicts it (each track supports
+    one hypothesis). A pair without a track is taken only where no other such pair that meets about as well has one of
+    its rays: two cameras leave that ambiguous, later frame sets resolve it.
 
-    A group's worth is its likelihood against chance, with what a track says that expects it there (each track
-    speaks for one group). A pair without a track is taken only where no other such pair that meets about as well
-    wants one of its rays: two cameras cannot tell, time will.
+    Parameters
+    ----------
+    table
+        The rays of a frame set.
+    predicted
+        Where tracks expect their targets.
+    settings
+        Gates, and what is judged.
+    volume
+        Corners low (3,) and high (3,) [m] of where points may be.
+    typical_diameter_m
+        Diameter of the targets as far as it is known (0: compare the images of a hypothesis alone). An image too
+        small for it is a target partly hidden, one too large is merged with another; the centroid is shifted by about
+        ``share of the area x radius``: the ray counts for less and its gate is wider. A merged image is used a second
+        time if a track predicts that hypothesis.
     """
-    return match_counted(bundle, predicted, settings, volume, typical_diameter_m).points
+    return match_counted(table, predicted, settings, volume, typical_diameter_m).points
 
 
 def match_counted(
-    bundle: RayTable,
+    table: RayTable,
     predicted: Predicted,
     settings: MatchSettings,
     volume: tuple[Array, Array] = EVERYWHERE,
     typical_diameter_m: float = 0.0,
 ) -> Matched:
     """As ``match``, with the counts of what was considered and what was left open."""
-    rules = np.empty(RULES)
-    rules[GATE], rules[OUTLIER] = settings.gate_sigma, settings.outlier_sigma
-    rules[MINIMUM], rules[WORST] = settings.minimum_cameras, settings.worst_sigma_m**2
-    rules[JUDGE] = _judged_by(bundle) if settings.judge_sizes else 0.0
-    rules[TYPICAL] = typical_diameter_m
-    rules[LOW:HIGH], rules[HIGH:RULES] = volume
-    values, members, trusts = search(
-        bundle.rays, bundle.views, bundle.pairs, bundle.bases, bundle.start, rules, predicted.xyz,
+    (x0, y0, z0), (x1, y1, z1) = volume
+    rules = Rules(
+        float(settings.gate_sigma), float(settings.outlier_sigma), float(settings.support_sigma),
+        settings.minimum_cameras, float(settings.worst_sigma_m) ** 2, _judged_by(table, settings),
+        float(typical_diameter_m), (float(x0), float(y0), float(z0)), (float(x1), float(y1), float(z1)),
+    )  # fmt: skip
+    found, considered, left_open = match_rays(
+        table.rays,
+        table.views,
+        table.pairs,
+        table.bases,
+        table.start,
+        rules,
+        predicted.xyz,
         predicted.covariance,
-    )  # fmt: skip
-    state = choose(
-        values, members, trusts, bundle.rays, bundle.views, rules, predicted.xyz, predicted.covariance,
-        float(settings.support_sigma),
-    )  # fmt: skip
-    found = columns(values, members, trusts, state, bundle.rays, bundle.start)
+    )
     for column in found:
         column.setflags(write=False)
-    return Matched(Points.handed_over(found), len(values), int(np.count_nonzero(state == OPEN)))
+    return Matched(Points.handed_over(found), considered, left_open)
 
 
-def _judged_by(bundle: RayTable) -> float:
-    """Return whether images are judged by their sizes alone or by their shapes too."""
-    return SHAPES if bundle.odd < USUAL * len(bundle.rays) else SIZES
+@kernel
+def match_rays(rays, views, pairs, bases, start, rules, xyz, covariance):  # type: ignore[no-untyped-def]
+    """Return the columns of ``Points``, the number of hypotheses, and how many pairs are left open."""
+    data = MatchData(rays, views, rules)
+    kept, count = search(data, pairs, bases, start, xyz, covariance)
+    kept = Hypotheses(kept.values[:count], kept.members[:count], kept.trusts[:count])
+    state = choose(kept, data, xyz, covariance)
+    left_open = 0
+    for g in range(count):
+        left_open += state[g] == OPEN
+    return columns(kept, state, rays, start), count, left_open
+
+
+def _judged_by(table: RayTable, settings: MatchSettings) -> float:
+    """Return whether images are judged by their sizes alone, by their shapes too, or not at all (0)."""
+    if not settings.judge_sizes:
+        return 0.0
+    return SHAPES if table.odd < USUAL * len(table.rays) else SIZES
