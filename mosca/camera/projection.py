@@ -4,20 +4,17 @@ A point's way into the image: world -> camera frame (x right, y down, z forward)
 """
 
 from dataclasses import astuple, dataclass, fields
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from mosca.camera.lens_models import fisheye as fisheye_model
-from mosca.camera.lens_models import mosca as mosca_model
-from mosca.camera.lens_models import opencv as opencv_model
+from mosca.camera.lens_models.arrays import directions as directions_of
+from mosca.camera.lens_models.arrays import pixels
 from mosca.data.arrays import Array
 from mosca.data.rig import LENS_MODELS, Camera, FisheyeLens, Lens, MoscaLens, OpenCVLens
 from mosca.errors import InputError
 
-_MODELS: dict[str, ModuleType] = {"mosca": mosca_model, "opencv": opencv_model, "fisheye": fisheye_model}
 HELD: dict[str, frozenset[str]] = {
     "mosca": frozenset({"mx_mm_per_px"}),
     "opencv": frozenset({"k4", "k5", "k6", "s1", "s2", "s3", "s4", "tauX", "tauY"}),
@@ -28,13 +25,12 @@ HELD: dict[str, frozenset[str]] = {
 
 def lens_directions(lens: Lens, xy_px: Array) -> Array:
     """Pixel (n, 2) -> unit direction (n, 3) in the camera frame; NaN where the lens has none."""
-    v = _MODELS[lens.model].directions(lens, np.asarray(xy_px, dtype=float).reshape(-1, 2))
-    return v / np.linalg.norm(v, axis=1, keepdims=True)
+    return directions_of(lens, xy_px)[0]
 
 
 def lens_pixels(lens: Lens, directions: Array) -> Array:
     """Direction (n, 3) of any length in the camera frame -> pixel (n, 2); NaN where it is not imaged."""
-    return _MODELS[lens.model].pixels(lens, np.asarray(directions, dtype=float).reshape(-1, 3))[0]
+    return pixels(lens, directions)[0]
 
 
 def project(camera: Camera, points: Array) -> Array:
@@ -64,7 +60,7 @@ def project_with_jacobians(camera: Camera, points: Array) -> Projection:
     """World points (n, 3) [m] -> pixels and their Jacobians; NaN where the lens does not image them."""
     world_from_camera = camera.world_from_camera
     v = world_from_camera.inverse().transform(np.asarray(points, dtype=float).reshape(-1, 3))
-    xy, by_direction, by_lens = _MODELS[camera.lens.model].pixels(camera.lens, v)
+    xy, by_direction, by_lens = pixels(camera.lens, v)
     by_point = by_direction @ world_from_camera.rotation.T
     # v' = exp(-[w]x) v: dv/dw = [v]x
     by_rotation = by_direction @ cross_matrices(v)
@@ -89,8 +85,7 @@ class Rays:
 def rays(camera: Camera, xy_px: Array) -> Rays:
     """Return the rays of pixels (n, 2); NaN where the lens has none."""
     rotation = camera.world_from_camera.rotation
-    v = lens_directions(camera.lens, xy_px)
-    by_direction = _MODELS[camera.lens.model].pixels(camera.lens, v)[1]
+    v, by_direction = directions_of(camera.lens, xy_px)
     return Rays(camera.world_from_camera.translation, v @ rotation.T, by_direction @ rotation.T)
 
 
@@ -136,12 +131,12 @@ def fit_lens(model: str, xy_px: Array, directions: Array, start: Lens | None = N
         return type(first)(*full)
 
     def residuals(x: Array) -> Array:
-        rest = _MODELS[model].pixels(lens_of(x), v)[0] - xy
+        rest = pixels(lens_of(x), v)[0] - xy
         # a point that the trial lens cannot image must not look like a perfect fit
         return np.nan_to_num(rest, nan=1e3).ravel()
 
     def jacobian(x: Array) -> Array:
-        by_lens = _MODELS[model].pixels(lens_of(x), v)[2]
+        by_lens = pixels(lens_of(x), v)[2]
         return np.nan_to_num(by_lens).reshape(-1, len(names))[:, free]
 
     fit = least_squares(

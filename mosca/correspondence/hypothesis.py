@@ -1,13 +1,19 @@
-"""Groups of rays as the matching kernels hold them: solve, judge by image sizes, add and drop rays."""
+"""Hypotheses, "these images in different cameras are one target": intersect, judge by image sizes, accept, keep.
+
+Compiled steps of ``mosca.correspondence.candidates`` and ``mosca.correspondence.selection``. Arrays travel in
+NamedTuples, which Numba passes as their members.
+"""
+
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mosca.camera.ray_table import LONG
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.data.rays import ANGLE, BONUS, FLAGS, RADIUS, SIGMA
-from mosca.numba_support.decorators import bare_step
+from mosca.numba_support.decorators import bare_step, step
 from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3
-from mosca.triangulation.triangulate import DEPTH, TRUST, solve_rays
+from mosca.triangulation.triangulate import DEPTH, RANKS, TRUST, solve_rays
 
 MOST_ODD, MOST_LARGE = 0.7, 0.9
 """Areas of small and of large images are compared up to this difference; beyond it an image says little more."""
@@ -30,26 +36,97 @@ TOO_LARGE = 1.3
 """Area over a target's from which an image is taken for two targets."""
 
 XYZ, COVARIANCE, CHI2, GAIN, DIAMETER, VALUES = 0, 3, 12, 13, 14, 15
-"""Places in a group's row of values: point, covariance (3, 3) row by row, sum of squared whitened errors, logarithm
-of its likelihood against that of a chance meeting, diameter [m]."""
+"""Columns of a hypothesis's values: point [m], covariance (3, 3) row by row [m^2], sum of squared whitened errors,
+log-likelihood ratio against clutter, diameter [m]."""
 
-
-GATE, OUTLIER, MINIMUM, WORST, JUDGE, TYPICAL, LOW, HIGH, RULES = 0, 1, 2, 3, 4, 5, 6, 9, 12
-"""Places in the rules: ``mosca.correspondence.match.MatchSettings`` as the kernels read them (WORST a variance),
-the targets' typical diameter [m], the volume."""
-
-# Not plain numbers: numba would compile what takes them once for each value.
+# Not plain numbers: Numba would compile what takes them once for each value.
 NONE, ONCE, TWICE = np.int64(0), np.int64(1), np.int64(2)
 
-# A group in hand is three arrays: ``members`` (c,) ray of each camera or -1; ``ranks`` (c, RANKS) what goes with
-# each (``mosca.triangulation.triangulate``); ``solved`` (VALUES,) its row of values. Plain arrays, no records of
-# arrays: to pass those from kernel to kernel costs more than what the kernels do.
+
+class Rules(NamedTuple):
+    """``mosca.correspondence.match.MatchSettings`` as the kernels read them, and what is known of targets."""
+
+    gate_sigma: float
+    outlier_sigma: float
+    support_sigma: float
+    minimum_cameras: int
+    worst_m2: float
+    """Largest variance of a point in any direction."""
+    judge: float
+    """0, SIZES or SHAPES."""
+    typical_m: float
+    """Diameter of the targets; 0 where it is unknown."""
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    """Corners of the volume [m]."""
+
+
+class MatchData(NamedTuple):
+    """What hypotheses are made from: ``RayTable.rays``, ``RayTable.views`` and the rules."""
+
+    rays: Any
+    views: Any
+    rules: Rules
+
+
+class Hypothesis(NamedTuple):
+    """The hypothesis in hand."""
+
+    members: Any
+    """(c,) ray of each camera, or -1."""
+    ranks: Any
+    """(c, RANKS) what goes with each ray (``mosca.triangulation.triangulate``)."""
+    values: Any
+    """(VALUES,)."""
+
+
+class Hypotheses(NamedTuple):
+    """Hypotheses that are kept, one a row."""
+
+    values: Any
+    """(n, VALUES)."""
+    members: Any
+    """(n, c)."""
+    trusts: Any
+    """(n, c) column TRUST of the ranks."""
+
+
+@step
+def new_hypothesis(cameras):  # type: ignore[no-untyped-def]
+    """Return arrays for a hypothesis in hand."""
+    return Hypothesis(np.empty(cameras, dtype=np.int64), np.ones((cameras, RANKS)), np.zeros(VALUES))
+
+
+@step
+def no_hypotheses(capacity, cameras):  # type: ignore[no-untyped-def]
+    """Return arrays for ``capacity`` hypotheses."""
+    return Hypotheses(
+        np.empty((capacity, VALUES)),
+        np.empty((capacity, cameras), dtype=np.int64),
+        np.empty((capacity, cameras)),
+    )
+
+
+@step
+def with_capacity(kept, count):  # type: ignore[no-untyped-def]
+    """Return the first ``count`` hypotheses in arrays that hold one more at least."""
+    if count < kept.values.shape[0]:
+        return kept
+    longer = no_hypotheses(2 * count, kept.members.shape[1])
+    longer.values[:count], longer.members[:count], longer.trusts[:count] = (
+        kept.values,
+        kept.members,
+        kept.trusts,
+    )
+    return longer
 
 
 @bare_step
-def solve(members, ranks, solved, steps, rays, views):  # type: ignore[no-untyped-def]
-    """Intersect the group's rays; the depths start from ``solved``. See ``solve_rays``."""
-    x, y, z = solved[0], solved[1], solved[2]
+def solve(hypothesis, steps, data):  # type: ignore[no-untyped-def]
+    """Intersect the rays; the depths start from the point that the values hold. See ``solve_rays``."""
+    members, ranks, values = hypothesis
+    rays, views, _ = data
+    x, y, z = values[0], values[1], values[2]
     for c in range(members.shape[0]):
         k = members[c]
         if k >= 0:
@@ -61,31 +138,33 @@ def solve(members, ranks, solved, steps, rays, views):  # type: ignore[no-untype
             if not depth > 0.0:
                 return -1.0
             ranks[c, DEPTH] = depth
-    return solve_rays(members, ranks, rays, views, steps, solved)
+    return solve_rays(members, ranks, rays, views, steps, values)
 
 
 @bare_step
-def judge_sizes(members, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
+def judge_sizes(hypothesis, data):  # type: ignore[no-untyped-def]
     """Set each member's trust from the size of its image; returns the target's diameter from its largest image.
 
     As long as no typical size is known, the second largest of four and more is the whole one: the largest may be of
     two targets, and beside it all others would look half hidden.
     """
-    largest, second, images = largest_image(members, solved, rays, views)
-    if rules[TYPICAL] > 0.0:
-        whole = rules[TYPICAL]
+    members, ranks, values = hypothesis
+    rules = data.rules
+    largest, second, images = largest_image(members, values, data)
+    if rules.typical_m > 0.0:
+        whole = rules.typical_m
     else:
         whole = second if images >= 4 else largest
     for c in range(members.shape[0]):
         k = members[c]
         if k >= 0:
-            size = image_size(k, c, solved, rays, views)
-            ranks[c, TRUST] = np.sqrt(trust2_of(k, size, whole, rays, rules[JUDGE]))
+            size = image_size(k, c, values, data)
+            ranks[c, TRUST] = np.sqrt(trust2_of(k, size, whole, data.rays, rules.judge))
     return largest
 
 
 @bare_step
-def largest_image(members, solved, rays, views):  # type: ignore[no-untyped-def]
+def largest_image(members, point, data):  # type: ignore[no-untyped-def]
     """Return the largest and second largest size [m] of a group's images, and of how many.
 
     Images that detection takes for two targets say nothing of the size, unless all are.
@@ -95,9 +174,9 @@ def largest_image(members, solved, rays, views):  # type: ignore[no-untyped-def]
     for c in range(members.shape[0]):
         k = members[c]
         if k >= 0:
-            size = image_size(k, c, solved, rays, views)
+            size = image_size(k, c, point, data)
             anyhow = max(anyhow, size)
-            if not int(rays[k, FLAGS]) & MERGED:
+            if not int(data.rays[k, FLAGS]) & MERGED:
                 images += 1
                 second = max(second, min(size, largest))
                 largest = max(largest, size)
@@ -105,10 +184,11 @@ def largest_image(members, solved, rays, views):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def image_size(ray, camera, point, rays, views):  # type: ignore[no-untyped-def]
+def image_size(ray, camera, point, data):  # type: ignore[no-untyped-def]
     """Return how large [m] a target at ``point`` is that fills the ray's image."""
+    views = data.views
     x, y, z = point[0] - views[camera, 0], point[1] - views[camera, 1], point[2] - views[camera, 2]
-    return rays[ray, ANGLE] * np.sqrt(x * x + y * y + z * z)
+    return data.rays[ray, ANGLE] * np.sqrt(x * x + y * y + z * z)
 
 
 @bare_step
@@ -159,39 +239,41 @@ def wholeness(ray, trust, rays):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def too_large(ray, camera, point, rays, views, rules):  # type: ignore[no-untyped-def]
+def too_large(ray, camera, point, data):  # type: ignore[no-untyped-def]
     """Whether an image shows two targets grown together."""
-    if int(rays[ray, FLAGS]) & MERGED:
+    rules = data.rules
+    if int(data.rays[ray, FLAGS]) & MERGED:
         return True
-    if not rules[JUDGE] > 0.0 or rules[TYPICAL] <= 0.0:
+    if not rules.judge > 0.0 or rules.typical_m <= 0.0:
         return False
-    return image_size(ray, camera, point, rays, views) ** 2 > TOO_LARGE * rules[TYPICAL] ** 2
+    return image_size(ray, camera, point, data) ** 2 > TOO_LARGE * rules.typical_m**2
 
 
 @bare_step
-def half_hidden(members, solved, diameter, rays, views, rules):  # type: ignore[no-untyped-def]
+def half_hidden(members, point, diameter, data):  # type: ignore[no-untyped-def]
     """Whether a member's image is so small that more than half of the target must be hidden."""
-    if not rules[JUDGE] > 0.0:
+    rules = data.rules
+    if not rules.judge > 0.0:
         return False
-    whole = rules[TYPICAL] if rules[TYPICAL] > 0.0 else diameter
+    whole = rules.typical_m if rules.typical_m > 0.0 else diameter
     for c in range(members.shape[0]):
         k = members[c]
-        if k >= 0 and 1.0 - (image_size(k, c, solved, rays, views) / whole) ** 2 > HALF_HIDDEN:
+        if k >= 0 and 1.0 - (image_size(k, c, point, data) / whole) ** 2 > HALF_HIDDEN:
             return True
     return False
 
 
 @bare_step
-def acceptable(members, solved, count, error, diameter, rays, views, rules):  # type: ignore[no-untyped-def]
-    """Whether a solved group is a target: errors, volume, certainty; a pair with both images at least half there."""
-    if not 0.0 <= error <= limit(2 * count - 3, rules[GATE] if count == 2 else rules[OUTLIER]):
+def acceptable(hypothesis, count, error, diameter, data):  # type: ignore[no-untyped-def]
+    """Whether a hypothesis is accepted: errors, volume, certainty; a pair only with images at least half visible."""
+    rules, solved = data.rules, hypothesis.values
+    if not 0.0 <= error <= limit(2 * count - 3, rules.gate_sigma if count == 2 else rules.outlier_sigma):
         return False
-    for k in range(3):
-        if not rules[LOW + k] <= solved[k] <= rules[HIGH + k]:
-            return False
-    if count == 2 and half_hidden(members, solved, diameter, rays, views, rules):
+    if not inside(solved, rules):
         return False
-    worst = rules[WORST]
+    if count == 2 and half_hidden(hypothesis.members, solved, diameter, data):
+        return False
+    worst = rules.worst_m2
     if solved[3] + solved[7] + solved[11] <= worst:
         return True
     # no eigenvalue above the worst: worst x identity less the covariance has no negative one (Sylvester)
@@ -200,6 +282,16 @@ def acceptable(members, solved, count, error, diameter, rays, views, rules):  # 
     minor = d0 * d1 - e01 * e01
     det = d2 * minor + e02 * (2.0 * e01 * e12 - d1 * e02) - d0 * e12 * e12
     return d0 >= 0.0 and minor >= 0.0 and det >= 0.0
+
+
+@bare_step
+def inside(point, rules):  # type: ignore[no-untyped-def]
+    """Whether a point lies in the volume."""
+    return (
+        rules.low[0] <= point[0] <= rules.high[0]
+        and rules.low[1] <= point[1] <= rules.high[1]
+        and rules.low[2] <= point[2] <= rules.high[2]
+    )
 
 
 @bare_step
@@ -212,23 +304,24 @@ def limit(freedom, sigma):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def store(members, ranks, solved, error, diameter, rays, at, kept_values, kept_members, kept_trusts):  # type: ignore[no-untyped-def]
+def store(hypothesis, error, diameter, rays, at, kept):  # type: ignore[no-untyped-def]
     """Complete a group's values and keep it in row ``at``: values (n, VALUES), members (n, c), trusts (n, c).
 
     Gain: the likelihood of its images as one target against that of images by chance, but for the density of
     targets, which all groups share (Poore 1994, section 3): sum log(1 / (2 pi sigma^2 rho)) - chi2 / 2 +
     log det(2 pi P) / 2.
     """
+    members, ranks, solved = hypothesis
     covariance = Symmetric3(solved[3], solved[4], solved[5], solved[7], solved[8], solved[11])
     det = determinant3(covariance, cofactors3(covariance))
     gain = 0.5 * np.log(max(det, 1e-300) * (2.0 * np.pi) ** 3) - 0.5 * error
     for c in range(members.shape[0]):
         k, trust = members[c], ranks[c, TRUST]
-        kept_members[at, c], kept_trusts[at, c] = k, trust
+        kept.members[at, c], kept.trusts[at, c] = k, trust
         if k >= 0:
             gain += rays[k, BONUS]
             if trust < 1.0:
                 gain += 2.0 * np.log(trust)
     solved[CHI2], solved[GAIN], solved[DIAMETER] = error, gain, diameter
     for k in range(VALUES):
-        kept_values[at, k] = solved[k]
+        kept.values[at, k] = solved[k]

@@ -2,11 +2,11 @@
 
 Mosca paper, section 3.2: the ray of a target in one camera appears as an epipolar line in another; targets
 on that line are candidates, and further cameras decide where the lines meet. "On the line" is judged by the
-covariances of both detections, never by a fixed number of pixels.
+covariances of both detections (gating), never by a fixed number of pixels.
 
-The search (``mosca.correspondence.candidates``) lists the consistent groups of rays; the choice
-(``mosca.correspondence.selection``) takes a set of them in which no image serves twice, by their likelihood against
-chance, and lets the tracks decide by their predictions what two cameras alone leave open.
+The search (``mosca.correspondence.candidates``) lists the hypotheses, rays that meet; the selection
+(``mosca.correspondence.selection``) takes a consistent set of them, in which each detection is used at most once, by
+their likelihood against clutter; predictions of tracks decide what two cameras alone leave ambiguous.
 """
 
 from dataclasses import dataclass
@@ -14,92 +14,108 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.correspondence.candidates import search
-from mosca.correspondence.hypothesis import (
-    GATE,
-    HIGH,
-    JUDGE,
-    LOW,
-    MINIMUM,
-    OUTLIER,
-    RULES,
-    SHAPES,
-    SIZES,
-    TYPICAL,
-    WORST,
-)
+from mosca.correspondence.hypothesis import SHAPES, SIZES, Hypotheses, MatchData, Rules
 from mosca.correspondence.selection import OPEN, choose, columns
 from mosca.data.arrays import Array
 from mosca.data.rays import Predicted, RayTable
 from mosca.data.settings import MatchSettings as MatchSettings
 from mosca.data.tracks import Points
+from mosca.numba_support.decorators import kernel
 
 USUAL = 0.25
-"""Share of images that are long, or stand alone without a fit, from which that says nothing of an image: targets are
-flat or fast, fits were not tried."""
+"""Share of images that are long, or stand alone without a fit, from which that is no evidence against an image:
+targets are flat or fast, fits were not tried."""
 EVERYWHERE = (np.full(3, -np.inf), np.full(3, np.inf))
 """A volume without bounds."""
 
 
 @dataclass(frozen=True, eq=False)
 class Matched:
-    """The points of a frame set; ``considered``: how many groups of rays met; ``left_open``: how many pairs were
-    not taken because another that meets about as well wants one of their images.
-    """
+    """The points of a frame set, and counts of what led to them."""
 
     points: Points
     considered: int
+    """How many hypotheses there were."""
     left_open: int
+    """How many pairs were not taken because another that meets about as well has one of their images."""
 
 
 def match(
-    bundle: RayTable,
+    table: RayTable,
     predicted: Predicted,
     settings: MatchSettings,
     volume: tuple[Array, Array] = EVERYWHERE,
     typical_diameter_m: float = 0.0,
 ) -> Points:
-    """Return the points within ``volume`` (low (3,), high (3,)) [m] whose rays meet, best group first taken.
+    """Return the points whose rays meet, from a consistent set of hypotheses.
 
-    ``typical_diameter_m``: of the targets, as far as it is known (0: compare the images of a group alone). An
-    image too small for it is a target partly hidden, one too large is merged with another; the centroid is
-    shifted by about ``share of the area x radius``: the ray counts for less and is searched for farther away. Such
-    a merged image serves a second group if a track speaks for it.
+    A hypothesis is worth its likelihood against clutter and that of the track that predicts it (each track supports
+    one hypothesis). A pair without a track is taken only where no other such pair that meets about as well has one of
+    its rays: two cameras leave that ambiguous, later frame sets resolve it.
 
-    A group's worth is its likelihood against chance, with what a track says that expects it there (each track
-    speaks for one group). A pair without a track is taken only where no other such pair that meets about as well
-    wants one of its rays: two cameras cannot tell, time will.
+    Parameters
+    ----------
+    table
+        The rays of a frame set.
+    predicted
+        Where tracks expect their targets.
+    settings
+        Gates, and what is judged.
+    volume
+        Corners low (3,) and high (3,) [m] of where points may be.
+    typical_diameter_m
+        Diameter of the targets as far as it is known (0: compare the images of a hypothesis alone). An image too
+        small for it is a target partly hidden, one too large is merged with another; the centroid is shifted by about
+        ``share of the area x radius``: the ray counts for less and its gate is wider. A merged image is used a second
+        time if a track predicts that hypothesis.
     """
-    return match_counted(bundle, predicted, settings, volume, typical_diameter_m).points
+    return match_counted(table, predicted, settings, volume, typical_diameter_m).points
 
 
 def match_counted(
-    bundle: RayTable,
+    table: RayTable,
     predicted: Predicted,
     settings: MatchSettings,
     volume: tuple[Array, Array] = EVERYWHERE,
     typical_diameter_m: float = 0.0,
 ) -> Matched:
     """As ``match``, with the counts of what was considered and what was left open."""
-    rules = np.empty(RULES)
-    rules[GATE], rules[OUTLIER] = settings.gate_sigma, settings.outlier_sigma
-    rules[MINIMUM], rules[WORST] = settings.minimum_cameras, settings.worst_sigma_m**2
-    rules[JUDGE] = _judged_by(bundle) if settings.judge_sizes else 0.0
-    rules[TYPICAL] = typical_diameter_m
-    rules[LOW:HIGH], rules[HIGH:RULES] = volume
-    values, members, trusts = search(
-        bundle.rays, bundle.views, bundle.pairs, bundle.bases, bundle.start, rules, predicted.xyz,
+    (x0, y0, z0), (x1, y1, z1) = volume
+    rules = Rules(
+        float(settings.gate_sigma), float(settings.outlier_sigma), float(settings.support_sigma),
+        settings.minimum_cameras, float(settings.worst_sigma_m) ** 2, _judged_by(table, settings),
+        float(typical_diameter_m), (float(x0), float(y0), float(z0)), (float(x1), float(y1), float(z1)),
+    )  # fmt: skip
+    found, considered, left_open = match_rays(
+        table.rays,
+        table.views,
+        table.pairs,
+        table.bases,
+        table.start,
+        rules,
+        predicted.xyz,
         predicted.covariance,
-    )  # fmt: skip
-    state = choose(
-        values, members, trusts, bundle.rays, bundle.views, rules, predicted.xyz, predicted.covariance,
-        float(settings.support_sigma),
-    )  # fmt: skip
-    found = columns(values, members, trusts, state, bundle.rays, bundle.start)
+    )
     for column in found:
         column.setflags(write=False)
-    return Matched(Points.handed_over(found), len(values), int(np.count_nonzero(state == OPEN)))
+    return Matched(Points.handed_over(found), considered, left_open)
 
 
-def _judged_by(bundle: RayTable) -> float:
-    """Return whether images are judged by their sizes alone or by their shapes too."""
-    return SHAPES if bundle.odd < USUAL * len(bundle.rays) else SIZES
+@kernel
+def match_rays(rays, views, pairs, bases, start, rules, xyz, covariance):  # type: ignore[no-untyped-def]
+    """Return the columns of ``Points``, the number of hypotheses, and how many pairs are left open."""
+    data = MatchData(rays, views, rules)
+    kept, count = search(data, pairs, bases, start, xyz, covariance)
+    kept = Hypotheses(kept.values[:count], kept.members[:count], kept.trusts[:count])
+    state = choose(kept, data, xyz, covariance)
+    left_open = 0
+    for g in range(count):
+        left_open += state[g] == OPEN
+    return columns(kept, state, rays, start), count, left_open
+
+
+def _judged_by(table: RayTable, settings: MatchSettings) -> float:
+    """Return whether images are judged by their sizes alone, by their shapes too, or not at all (0)."""
+    if not settings.judge_sizes:
+        return 0.0
+    return SHAPES if table.odd < USUAL * len(table.rays) else SIZES

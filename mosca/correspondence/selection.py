@@ -1,8 +1,8 @@
-"""Which groups are targets: compiled kernels of ``mosca.correspondence.match``, after
+"""Which hypotheses are targets: compiled steps of ``mosca.correspondence.match``, after
 ``mosca.correspondence.candidates``.
 
-Groups are taken by their likelihood against chance, best first, so that no image serves twice; a group that loses
-images to a better one is tried again with those it has left. What two cameras alone cannot tell is left open.
+Hypotheses are taken by their likelihood against clutter, best first, so that no image is used twice; one that loses
+images to a better one is tried again with those it has left. What two cameras alone leave ambiguous is left open.
 """
 
 import numpy as np
@@ -12,12 +12,12 @@ from mosca.correspondence.hypothesis import (
     COVARIANCE,
     DIAMETER,
     GAIN,
-    MINIMUM,
     NONE,
     TWICE,
     VALUES,
     XYZ,
     acceptable,
+    new_hypothesis,
     solve,
     store,
     too_large,
@@ -25,57 +25,58 @@ from mosca.correspondence.hypothesis import (
 )
 from mosca.correspondence.spatial_index import buckets, within
 from mosca.data.rays import EDGES, SIGMA
-from mosca.numba_support.decorators import bare_step, kernel, step
+from mosca.numba_support.decorators import bare_step, step
 from mosca.numba_support.linalg3 import Symmetric3, mahalanobis3
-from mosca.triangulation.triangulate import RANKS, TRUST
+from mosca.triangulation.triangulate import TRUST
 
 CLEARLY_WORSE = 9.0
-"""A pair whose squared error is larger by this (3 standard deviations) does not contest another."""
+"""Chi-square, 3 standard deviations, by which a pair must be worse than another to leave that uncontested: larger
+leaves more pairs open, smaller takes more wrong ones."""
 PRIOR_SEEN = 5.0
-"""So many images seen and as many missed are taken for known beforehand."""
+"""Prior of the detection probability, as so many images detected and as many missed (Laplace smoothing)."""
 OPEN, TAKEN, GONE = 0, 1, 2
 
 
-@kernel
-def choose(values, members, trusts, rays, views, rules, xyz, covariance, support):  # type: ignore[no-untyped-def]
-    """Return the state (n,) of each group: OPEN (a pair that others contest), TAKEN or GONE.
+@step
+def choose(kept, data, xyz, covariance):  # type: ignore[no-untyped-def]
+    """Return the state (n,) of each hypothesis: OPEN (a pair that others contest), TAKEN or GONE.
 
-    Changes groups that lose rays in place. ``xyz`` (k, 3), ``covariance`` (k, 3, 3): where tracks expect their
-    targets; ``support``: how many standard deviations away from it one speaks for a group.
+    Changes hypotheses that lose rays in place. ``xyz`` (k, 3), ``covariance`` (k, 3, 3): predictions of the tracks.
     """
+    values, members = kept.values, kept.members
     n, cameras = members.shape
-    used = np.zeros(rays.shape[0], dtype=np.int64)
-    spoken = np.zeros(xyz.shape[0], dtype=np.bool_)
-    state = np.zeros(n, dtype=np.int8)
-    mates, ranks, solved = np.empty(cameras, dtype=np.int64), np.ones((cameras, RANKS)), np.empty(VALUES)
-    low, step, first, at, items, wide = buckets(xyz[:, 0].copy(), support * np.sqrt(covariance[:, 0, 0]))
+    used = np.zeros(data.rays.shape[0], dtype=np.int64)
+    assigned = np.zeros(xyz.shape[0], dtype=np.bool_)
+    state, hypothesis = np.zeros(n, dtype=np.int8), new_hypothesis(cameras)
+    support = data.rules.support_sigma
+    line = buckets(xyz[:, 0].copy(), support * np.sqrt(covariance[:, 0, 0]))
     found = np.empty(xyz.shape[0], dtype=np.int64)
     density = _log_density(values, xyz)
-    lost, kept = _seen_shares(values, members, views)
+    lost, seen_share = _log_detection_shares(values, members, data.views)
     track, worth = np.full(n, -1, dtype=np.int64), np.zeros(n)
     for _round in range(max(cameras - 1, 1)):
         for g in range(n):
             if state[g] == OPEN:
                 half = support * np.sqrt(values[g, COVARIANCE])
-                near = within(low, step, first, at, items, wide, values[g, XYZ], half, found)
-                track[g], gained = _speaker(g, values, xyz, covariance, spoken, support, density, found, near)
-                seen, missing = _seen_and_missing(g, values, members, views)
-                worth[g] = values[g, GAIN] + density + gained + missing * lost + kept * seen
+                near = within(line, values[g, XYZ], half, found)
+                track[g], gained = _best_track(
+                    values[g], xyz, covariance, assigned, support, density, found, near
+                )
+                seen, missing = _seen_and_missing(g, values, members, data.views)
+                worth[g] = values[g, GAIN] + density + gained + missing * lost + seen_share * seen
         waiting = np.flatnonzero(state == OPEN)
         changed = False
         for g in waiting[np.argsort(-worth[waiting], kind="mergesort")]:
-            # chance explains it as well, and no track expects it
+            # clutter explains it as well, and no track predicts it
             if worth[g] < 0.0 and track[g] < 0:
                 state[g] = GONE
-            elif _take(g, values, members, track, used, spoken, rays, views, rules):
+            elif _take(g, kept, track, used, assigned, data):
                 state[g] = TAKEN
                 changed = True
         if not changed:
             break
         for left in waiting:
-            if state[left] == OPEN and not _shrink(
-                left, values, members, trusts, used, mates, ranks, solved, rays, views, rules
-            ):
+            if state[left] == OPEN and not _shrink(left, kept, used, hypothesis, data):
                 state[left] = GONE
     _take_uncontested(values, members, state, used)
     return state
@@ -83,7 +84,7 @@ def choose(values, members, trusts, rays, views, rules, xyz, covariance, support
 
 @step
 def _log_density(values, xyz):  # type: ignore[no-untyped-def]
-    """Return the logarithm of the density of groups [1/m^3] in the box that they and the tracks fill."""
+    """Return the logarithm of the density of hypotheses [1/m^3] in the box that they and the tracks fill."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for k in range(3):
         for g in range(values.shape[0]):
@@ -98,10 +99,10 @@ def _log_density(values, xyz):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _seen_shares(values, members, views):  # type: ignore[no-untyped-def]
+def _log_detection_shares(values, members, views):  # type: ignore[no-untyped-def]
     """Return the logarithms of the shares of cameras that miss, and that see, a target in their field of view.
 
-    From the groups of three and more of this frame set, as far as there are enough.
+    From the hypotheses of three rays and more of this frame set, as far as there are enough.
     """
     seen, missed = PRIOR_SEEN, PRIOR_SEEN
     for g in range(members.shape[0]):
@@ -114,7 +115,7 @@ def _seen_shares(values, members, views):  # type: ignore[no-untyped-def]
 
 @bare_step
 def _seen_and_missing(g, values, members, views):  # type: ignore[no-untyped-def]
-    """Return how many cameras have a ray in a group, and how many have its point in view and none."""
+    """Return how many cameras have a ray in a hypothesis, and how many have its point in view and none."""
     seen = count = 0
     for c in range(members.shape[1]):
         if members[g, c] >= 0:
@@ -135,49 +136,49 @@ def _seen_and_missing(g, values, members, views):  # type: ignore[no-untyped-def
 
 
 @bare_step
-def _speaker(g, values, xyz, covariance, spoken, gate, density, found, near):  # type: ignore[no-untyped-def]
-    """Return which of the first ``near`` tracks ``found`` speaks for a group, or -1, and how much that is worth.
+def _best_track(values, xyz, covariance, assigned, gate, density, found, near):  # type: ignore[no-untyped-def]
+    """Return the track that best predicts a hypothesis, of the first ``near`` of ``found``, or -1, and its worth.
 
-    The worth is the log-likelihood ratio of "this track's target" against "a group anywhere": a track that has not
-    been seen for long expects its target everywhere and says little.
+    The worth is the log-likelihood ratio of "this track's target" against "a hypothesis anywhere": small for a track
+    that has not been seen for long, whose prediction is uncertain.
     """
-    best, worth = -1, 0.0
+    best, worth, gate2 = -1, 0.0, gate * gate
     for k in range(near):
         t = found[k]
-        if spoken[t]:
+        if assigned[t]:
             continue
         x, y, z = (
-            values[g, XYZ] - xyz[t, 0],
-            values[g, XYZ + 1] - xyz[t, 1],
-            values[g, XYZ + 2] - xyz[t, 2],
+            values[XYZ] - xyz[t, 0],
+            values[XYZ + 1] - xyz[t, 1],
+            values[XYZ + 2] - xyz[t, 2],
         )
         innovation = Symmetric3(
-            covariance[t, 0, 0] + values[g, COVARIANCE],
-            covariance[t, 0, 1] + values[g, COVARIANCE + 1],
-            covariance[t, 0, 2] + values[g, COVARIANCE + 2],
-            covariance[t, 1, 1] + values[g, COVARIANCE + 4],
-            covariance[t, 1, 2] + values[g, COVARIANCE + 5],
-            covariance[t, 2, 2] + values[g, COVARIANCE + 8],
+            covariance[t, 0, 0] + values[COVARIANCE],
+            covariance[t, 0, 1] + values[COVARIANCE + 1],
+            covariance[t, 0, 2] + values[COVARIANCE + 2],
+            covariance[t, 1, 1] + values[COVARIANCE + 4],
+            covariance[t, 1, 2] + values[COVARIANCE + 5],
+            covariance[t, 2, 2] + values[COVARIANCE + 8],
         )
-        gate2 = gate * gate
         if x * x > gate2 * innovation.xx or y * y > gate2 * innovation.yy or z * z > gate2 * innovation.zz:
             continue
         away2, det = mahalanobis3(innovation, x, y, z)
         if not away2 < gate2:
             continue
-        said = -density - 0.5 * np.log(det * (2.0 * np.pi) ** 3) - 0.5 * away2
-        if said > worth:
-            best, worth = t, said
+        ratio = -density - 0.5 * np.log(det * (2.0 * np.pi) ** 3) - 0.5 * away2
+        if ratio > worth:
+            best, worth = t, ratio
     return best, worth
 
 
 @bare_step
-def _take(g, values, members, track, used, spoken, rays, views, rules):  # type: ignore[no-untyped-def]
-    """Take a group if its rays are free; a pair only if a track, still free, speaks for it.
+def _take(g, kept, track, used, assigned, data):  # type: ignore[no-untyped-def]
+    """Take a hypothesis if its rays are unused; a pair only if a track, not yet assigned, predicts it.
 
-    An image of two targets serves a second group if a track speaks for that.
+    An image of two targets is used a second time if a track predicts that hypothesis.
     """
-    alone = track[g] < 0 or spoken[track[g]]
+    values, members = kept.values, kept.members
+    alone = track[g] < 0 or assigned[track[g]]
     count = 0
     for c in range(members.shape[1]):
         k = members[g, c]
@@ -185,12 +186,12 @@ def _take(g, values, members, track, used, spoken, rays, views, rules):  # type:
             count += 1
             if used[k] > 1 or (used[k] == 1 and alone):
                 return False
-            if used[k] == 1 and not too_large(k, c, values[g, XYZ : XYZ + 3], rays, views, rules):
+            if used[k] == 1 and not too_large(k, c, values[g, XYZ : XYZ + 3], data):
                 return False
     if alone and count == 2:
         return False
     if track[g] >= 0:
-        spoken[track[g]] = True
+        assigned[track[g]] = True
     for c in range(members.shape[1]):
         if members[g, c] >= 0:
             used[members[g, c]] += 1
@@ -198,8 +199,10 @@ def _take(g, values, members, track, used, spoken, rays, views, rules):  # type:
 
 
 @bare_step
-def _shrink(g, values, members, trusts, used, mates, ranks, solved, rays, views, rules):  # type: ignore[no-untyped-def]
-    """Take the rays that are used up from a group and solve it anew; False where no target is left."""
+def _shrink(g, kept, used, hypothesis, data):  # type: ignore[no-untyped-def]
+    """Take the rays that are used from a hypothesis and solve it anew; False where no target is left."""
+    values, members = kept.values, kept.members
+    mates, ranks, solved = hypothesis
     count, lost = NONE, False
     for c in range(members.shape[1]):
         k = members[g, c]
@@ -208,31 +211,28 @@ def _shrink(g, values, members, trusts, used, mates, ranks, solved, rays, views,
         count += members[g, c] >= 0
     if not lost:
         return True
-    if count < rules[MINIMUM]:
+    if count < data.rules.minimum_cameras:
         return False
     for c in range(members.shape[1]):
-        mates[c], ranks[c, TRUST] = members[g, c], trusts[g, c]
+        mates[c], ranks[c, TRUST] = members[g, c], kept.trusts[g, c]
     for k in range(VALUES):
         solved[k] = values[g, k]
-    error = solve(mates, ranks, solved, TWICE, rays, views)
-    if not acceptable(mates, solved, count, error, values[g, DIAMETER], rays, views, rules):
+    error, diameter = solve(hypothesis, TWICE, data), values[g, DIAMETER]
+    if not acceptable(hypothesis, count, error, diameter, data):
         return False
-    store(mates, ranks, solved, error, values[g, DIAMETER], rays, g, values, members, trusts)
+    store(hypothesis, error, diameter, data.rays, g, kept)
     return True
 
 
 @step
 def _take_uncontested(values, members, state, used):  # type: ignore[no-untyped-def]
-    """Take the groups whose rays no other open one wants that meets about as well."""
-    n, cameras = members.shape
-    # for each ray the best group that wants it, and the best of those with another set of rays
+    """Take the hypotheses whose rays no other open one contests that meets about as well."""
+    # for each ray the best hypothesis that has it, and the best of those with another set of rays
     first = np.full(used.shape[0], -1, dtype=np.int64)
     second = np.full(used.shape[0], -1, dtype=np.int64)
-    for g in range(n):
-        if state[g] != OPEN:
-            continue
-        for c in range(cameras):
-            k = members[g, c]
+    waiting = np.flatnonzero(state == OPEN)
+    for g in waiting:
+        for k in members[g]:
             if k < 0:
                 continue
             if first[k] < 0:
@@ -243,35 +243,39 @@ def _take_uncontested(values, members, state, used):  # type: ignore[no-untyped-
                 first[k], second[k] = g, first[k]
             elif second[k] < 0 or values[g, CHI2] < values[second[k], CHI2]:
                 second[k] = g
-    for g in range(n):
-        if state[g] != OPEN:
-            continue
-        for c in range(cameras):
-            k = members[g, c]
-            if k < 0:
-                continue
+    for g in waiting:
+        if not _contested(g, values, members, used, first, second):
+            state[g] = TAKEN
+            for k in members[g]:
+                if k >= 0:
+                    used[k] += 1
+
+
+@bare_step
+def _contested(g, values, members, used, first, second):  # type: ignore[no-untyped-def]
+    """Whether a ray of a hypothesis is used, or another hypothesis that meets about as well has it."""
+    for c in range(members.shape[1]):
+        k = members[g, c]
+        if k >= 0:
             rival = second[k] if _same(g, first[k], members) else first[k]
             if used[k] > 0 or (rival >= 0 and values[rival, CHI2] < values[g, CHI2] + CLEARLY_WORSE):
-                break
-        else:
-            state[g] = TAKEN
-            for c in range(cameras):
-                if members[g, c] >= 0:
-                    used[members[g, c]] += 1
+                return True
+    return False
 
 
 @bare_step
 def _same(g, other, members):  # type: ignore[no-untyped-def]
-    """Whether two groups have the same rays."""
+    """Whether two hypotheses have the same rays."""
     other_rays = 0
     for c in range(members.shape[1]):
         other_rays += members[g, c] != members[other, c]
     return other_rays == 0
 
 
-@kernel
-def columns(values, members, trusts, state, rays, start):  # type: ignore[no-untyped-def]
-    """Return the columns of ``Points`` of the groups that were taken."""
+@step
+def columns(kept, state, rays, start):  # type: ignore[no-untyped-def]
+    """Return the columns of ``Points`` of the hypotheses that were taken."""
+    values, members, trusts = kept
     n, cameras = 0, members.shape[1]
     for g in range(values.shape[0]):
         n += state[g] == TAKEN

@@ -1,10 +1,12 @@
-"""Where to look: indexes that let ``mosca.correspondence.candidates`` and ``mosca.correspondence.selection`` find
-neighbours in no time.
+"""Spatial indexes, with which ``mosca.correspondence.candidates`` and ``mosca.correspondence.selection`` find
+neighbours in constant time.
 
 Two of them. Intervals on a line in buckets: the rays of two cameras by the angle of their epipolar plane about the
 base, or tracks by one coordinate. Rays of a camera in the cells of a plane: directions by stereographic projection
 from the camera's axis, which is finite for every direction but straight behind and turns circles into circles.
 """
+
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,13 +19,25 @@ CORNER, SCALE, CELLS, FIRST, FRAME = 0, 2, 4, 5, 6
 """Columns of a camera's frame of cells: its corner (2), cells a unit (2), cells a side, number of its first cell."""
 
 
+class Buckets(NamedTuple):
+    """Intervals on a line, sorted into buckets."""
+
+    low: float
+    """Where the first bucket begins."""
+    step: float
+    """Width of a bucket."""
+    first: Any
+    """(n,) first bucket of each interval."""
+    start: Any
+    """Bucket k holds ``items[start[k]:start[k + 1]]``."""
+    items: Any
+    wide: Any
+    """Intervals in no bucket: every search reads them."""
+
+
 @step
 def buckets(middle, half):  # type: ignore[no-untyped-def]
-    """Put intervals ``middle`` -+ ``half`` (n,) into about n buckets; infinite ones are wide.
-
-    Returns where the first bucket begins and how wide each is, the first bucket (n,) of each interval, and the
-    buckets: number k holds ``items[start[k]:start[k + 1]]``; at last ``wide``, those in no bucket.
-    """
+    """Put intervals ``middle`` -+ ``half`` (n,) into about n buckets; infinite ones are wide."""
     n = middle.shape[0]
     low, high = np.inf, -np.inf
     for k in range(n):
@@ -51,7 +65,7 @@ def buckets(middle, half):  # type: ignore[no-untyped-def]
         for b in range(first[k], last[k] + 1):
             items[start[b + 1]] = k
             start[b + 1] += 1
-    return low, step, first, start, items, wide
+    return Buckets(low, step, first, start, items, wide)
 
 
 @bare_step
@@ -61,8 +75,9 @@ def bucket_of(value, low, step, n):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def within(low, step, first_of, start, items, wide, middle, half, found):  # type: ignore[no-untyped-def]
+def within(line, middle, half, found):  # type: ignore[no-untyped-def]
     """Fill ``found`` (n,) with the intervals that may meet ``middle`` -+ ``half``, each once; returns how many."""
+    low, step, first_of, start, items, wide = line
     n, count = first_of.shape[0], 0
     if not np.isfinite(half):
         for k in range(n):

@@ -38,12 +38,12 @@ def compile_beforehand() -> None:
 @contextmanager
 def compiling(programs: Sequence[tuple[str, ...]]) -> Iterator[None]:
     """Run programs that compile, where no kernels are kept yet, while the block runs; leave it when they are done."""
-    from mosca.correspondence.candidates import search
+    from mosca.correspondence.match import match_rays
     from mosca.detection.frame_set_kernel import detect_frame_set
     from mosca.numba_support.cache import is_compiled
     from twin.cameras.render.target import render_all
 
-    if all(map(is_compiled, (detect_frame_set, search, render_all))):
+    if all(map(is_compiled, (detect_frame_set, match_rays, render_all))):
         yield
         return
     quiet = subprocess.DEVNULL

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy.stats import chi2
 
 from mosca.camera.projection import project
@@ -334,3 +335,11 @@ def test_tracks_save_the_search_and_wrong_ones_mislead_nobody(count, sigma_m):
     assert (wrong[1:] <= wrong[0] + 1).all()
     assert (abs(points[1:] - points[0]) <= 2).all()
     assert (changed[1:] <= 0.02 * points[0]).all()
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"gate_sigma": 0.0}, {"minimum_cameras": 1}, {"camera_sigma_px": -0.1}, {"target": "disc"}]
+)
+def test_settings_outside_their_bounds_are_refused(wrong):
+    with pytest.raises(ValidationError, match=next(iter(wrong))):
+        MatchSettings(**wrong)

@@ -1,11 +1,12 @@
-"""Lens models of the pipeline, one file a model.
+"""Lens models of the pipeline, one file a model: each mapping once, compiled, one point at a time.
 
-Each file has the same two functions, both for many points at once:
+Each file has three functions of a lens row (``row``):
 
-- ``directions(lens, xy_px)``: pixel (n, 2) -> direction (n, 3) in the camera frame.
-- ``pixels(lens, directions)``: direction (n, 3) -> pixel (n, 2) with its Jacobians with respect to the
-  direction (n, 2, 3) and to the lens parameters (n, 2, p), p in the order of the dataclass's fields.
-  NaN where the lens does not image the direction.
+- ``direction``: pixel -> unit direction in the camera frame, and the pixel's derivative by the direction.
+- ``image``: direction -> pixel, and its derivatives by the direction and by the lens parameters; ``fast_image``: the
+  same with arithmetic that may be reordered.
+- ``radial_slope``: slope of the radial mapping, whose first zero is the fold (``monotonic_range``).
 
-A new lens is a dataclass in ``mosca.data.rig``, a file here and a line in ``mosca.camera.projection``.
+``arrays`` applies them to many points. A new lens is a dataclass in ``mosca.data.rig``, a file here and a line
+in each function of ``arrays`` that chooses by model.
 """

@@ -11,58 +11,115 @@ correction is a function of the measured point: pixel -> ray is closed form, pro
 
 from functools import lru_cache
 
-import numpy as np
-
 from mosca.camera.lens_models.monotonic_range import first_positive_root
-from mosca.data.arrays import Array
+from mosca.camera.lens_models.row import BY_LENS as L
+from mosca.camera.lens_models.row import FAST, FOLD, NEWTON_STEPS, set_by_tangent
 from mosca.data.rig import MoscaLens
+from mosca.numba_support.decorators import bare_step, step
 
-NEWTON_STEPS = 30
 CONVERGED_MM = 1e-13
+"""Newton's method ends with a step below this: some units in the last place of a sensor's coordinates."""
+INVERTED_MM = 1e-9
+"""Residual up to which a point counts as inverted."""
 
 
-def directions(lens: MoscaLens, xy_px: Array) -> Array:
-    """Pixel (n, 2) -> direction (n, 3) with z = 1, camera frame; closed form."""
-    ideal = _ideal(lens, _measured(lens, xy_px))
-    return np.column_stack([ideal[:, 0] / lens.c_mm, -ideal[:, 1] / lens.c_mm, np.ones(len(ideal))])
+@bare_step
+def direction(q, u, v, d, g):  # type: ignore[no-untyped-def]
+    """Fill the unit direction ``d`` (3,) of a pixel and d pixel / d direction ``g`` (2, 3), closed form.
 
-
-def pixels(lens: MoscaLens, directions: Array) -> tuple[Array, Array, Array]:
-    """Direction (n, 3), camera frame -> pixel (n, 2), d pixel/d direction (n, 2, 3), d pixel/d lens (n, 2, 11).
-
-    Inverts the correction by Newton's method from the ideal point. NaN for directions behind the
-    camera and where the correction cannot be inverted (the polynomial folds back).
+    Returns whether the pixel lies before the fold, where light comes from that direction.
     """
-    v = np.asarray(directions, dtype=float)
-    front = v[:, 2] > 0
-    z = np.where(front, v[:, 2], 1.0)
-    tangent = np.column_stack([v[:, 0] / z, v[:, 1] / z])
-    ideal = lens.c_mm * tangent * (1.0, -1.0)
-    measured, invertible = _invert(lens, ideal)
-    slope = np.linalg.inv(_ideal_slope(lens, measured))  # d measured / d ideal, (n, 2, 2)
-    # d pixel / d measured: the y axis turns from up to down
-    scale = np.array([1.0 / lens.mx_mm_per_px, -1.0 / lens.my_mm_per_px])
-    xy = np.array([lens.xp_px, lens.yp_px]) + measured * scale
-    pixel_by_ideal = scale[:, None] * slope
+    c, mx, my, a, k1, k2, k3, p1, p2 = q[0], q[3], q[4], q[5], q[6], q[7], q[8], q[9], q[10]
+    x, y = mx * (u - q[1]), -my * (v - q[2])
+    r2 = x * x + y * y
+    radial = r2 * (k1 + r2 * (k2 + r2 * k3))
+    rise = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
+    ix = x + a * y + x * radial + (r2 + 2.0 * x * x) * p1 + 2.0 * x * y * p2
+    iy = y + a * x + y * radial + 2.0 * x * y * p1 + (r2 + 2.0 * y * y) * p2
+    s00 = 1.0 + radial + x * x * rise + 6.0 * x * p1 + 2.0 * y * p2
+    s01 = a + x * y * rise + 2.0 * y * p1 + 2.0 * x * p2
+    s11 = 1.0 + radial + y * y * rise + 2.0 * x * p1 + 6.0 * y * p2
+    det = s00 * s11 - s01 * s01
+    tx, ty = ix / c, -iy / c
+    # pixel by tangent: scale (1/mx, -1/my), inverse slope, c (1, -1)
+    across, down = c / (mx * det), c / (my * det)
+    j00, j01 = across * s11, across * s01
+    j10, j11 = down * s01, down * s00
+    set_by_tangent(tx, ty, j00, j01, j10, j11, d, g)
+    return det > 0.0 and s00 + s11 > 0.0 and r2 < q[FOLD]
 
-    ideal_by_direction = np.zeros((len(v), 2, 3))
-    ideal_by_direction[:, 0, 0] = lens.c_mm / z
-    ideal_by_direction[:, 0, 2] = -ideal[:, 0] / z
-    ideal_by_direction[:, 1, 1] = -lens.c_mm / z
-    ideal_by_direction[:, 1, 2] = -ideal[:, 1] / z
 
-    # c moves the ideal point; a, K, P move the correction at a fixed measured point, so that the
-    # measured point has to give way: d measured = -slope * d correction.
-    by_lens = np.empty((len(v), 2, 11))
-    by_lens[:, :, 0] = (pixel_by_ideal @ (ideal / lens.c_mm)[:, :, None])[:, :, 0]
-    by_lens[:, :, 1:3] = np.eye(2)
-    by_lens[:, 0, 3], by_lens[:, 1, 3] = -measured[:, 0] / lens.mx_mm_per_px**2, 0.0
-    by_lens[:, 0, 4], by_lens[:, 1, 4] = 0.0, measured[:, 1] / lens.my_mm_per_px**2
-    by_lens[:, :, 5:] = -pixel_by_ideal @ _correction_terms(measured)
-    by_direction = pixel_by_ideal @ ideal_by_direction
-    bad = ~(front & invertible)
-    xy[bad], by_direction[bad], by_lens[bad] = np.nan, np.nan, np.nan
-    return xy, by_direction, by_lens
+def _image(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
+    """Project a direction: fill ``out`` (2, IMAGED or more) and return whether the lens images it.
+
+    Inverts the correction by Newton's method from the ideal point.
+    """
+    if not v2 > 0:
+        return False
+    c, mx, my, af, k1, k2, k3, p1, p2 = q[0], q[3], q[4], q[5], q[6], q[7], q[8], q[9], q[10]
+    iz = 1 / v2
+    # ideal point [mm], y up; Newton's method for the measured point that the correction carries there
+    ix, iy = c * v0 * iz, -c * v1 * iz
+    x, y = ix, iy
+    a = b = d = rx = ry = 0.0
+    r2 = 0.0
+    for iteration in range(NEWTON_STEPS + 1):
+        r2 = x * x + y * y
+        radial = r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
+        rx = ix - (x + af * y + x * radial + (r2 + 2 * x * x) * p1 + 2 * x * y * p2)
+        ry = iy - (y + af * x + y * radial + 2 * x * y * p1 + (r2 + 2 * y * y) * p2)
+        a = 1 + radial + x * x * slope + 6 * x * p1 + 2 * y * p2
+        b = af + x * y * slope + 2 * y * p1 + 2 * x * p2
+        d = 1 + radial + y * y * slope + 2 * x * p1 + 6 * y * p2
+        determinant = a * d - b * b
+        dx, dy = (d * rx - b * ry) / determinant, (a * ry - b * rx) / determinant
+        if iteration == NEWTON_STEPS or (abs(dx) <= CONVERGED_MM and abs(dy) <= CONVERGED_MM):
+            break
+        x, y = x + dx, y + dy
+    determinant = a * d - b * b
+    if not (
+        determinant > 0 and a + d > 0 and abs(rx) < INVERTED_MM and abs(ry) < INVERTED_MM and r2 < q[FOLD]
+    ):
+        return False
+    # pixel by ideal point: inverse of the slope, then the pitches; the y axis turns from up to down
+    n00, n01 = d / determinant / mx, -b / determinant / mx
+    n10, n11 = b / determinant / my, -a / determinant / my
+    out[0, 0], out[1, 0] = q[1] + x / mx, q[2] - y / my
+    c *= iz
+    out[0, 1], out[0, 2] = n00 * c, -n01 * c
+    out[1, 1], out[1, 2] = n10 * c, -n11 * c
+    out[0, 3], out[1, 3] = -(n00 * ix + n01 * iy) * iz, -(n10 * ix + n11 * iy) * iz
+    out[0, L], out[1, L] = (n00 * ix + n01 * iy) / q[0], (n10 * ix + n11 * iy) / q[0]
+    out[0, L + 1], out[1, L + 1], out[0, L + 2], out[1, L + 2] = 1.0, 0.0, 0.0, 1.0
+    out[0, L + 3], out[1, L + 3], out[0, L + 4], out[1, L + 4] = (
+        -x / (mx * mx),
+        0.0,
+        0.0,
+        y / (my * my),
+    )
+    out[0, L + 5], out[1, L + 5] = -(n00 * y + n01 * x), -(n10 * y + n11 * x)
+    u, w = -(n00 * x + n01 * y), -(n10 * x + n11 * y)
+    out[0, L + 6], out[1, L + 6], out[0, L + 7], out[1, L + 7] = (
+        u * r2,
+        w * r2,
+        u * r2 * r2,
+        w * r2 * r2,
+    )
+    out[0, L + 8], out[1, L + 8] = u * r2 * r2 * r2, w * r2 * r2 * r2
+    s, t, e = r2 + 2 * x * x, r2 + 2 * y * y, 2 * x * y
+    out[0, L + 9], out[1, L + 9] = -(n00 * s + n01 * e), -(n10 * s + n11 * e)
+    out[0, L + 10], out[1, L + 10] = -(n00 * e + n01 * t), -(n10 * e + n11 * t)
+    return True
+
+
+image, fast_image = step(_image), step(fastmath=FAST)(_image)
+
+
+@step
+def radial_slope(q, s):  # type: ignore[no-untyped-def]
+    """Return the slope of the radial mapping, ideal by measured radius, at the squared measured radius s [mm^2]."""
+    return 1 + s * (3 * q[6] + s * (5 * q[7] + s * 7 * q[8]))
 
 
 @lru_cache(maxsize=256)
@@ -72,76 +129,3 @@ def fold_mm2(lens: MoscaLens) -> float:
     The slope of r + K1 r^3 + K2 r^5 + K3 r^7 by r, a polynomial in r^2.
     """
     return first_positive_root((1.0, 3 * lens.K1_per_mm2, 5 * lens.K2_per_mm4, 7 * lens.K3_per_mm6))
-
-
-def _measured(lens: MoscaLens, xy_px: Array) -> Array:
-    xy = np.asarray(xy_px, dtype=float)
-    return np.column_stack(
-        [lens.mx_mm_per_px * (xy[:, 0] - lens.xp_px), -lens.my_mm_per_px * (xy[:, 1] - lens.yp_px)]
-    )
-
-
-def _correction_terms(measured: Array) -> Array:
-    """Return the factors (n, 2, 6) of a, K1, K2, K3, P1, P2 in (dx, dy)."""
-    x, y = measured[:, 0], measured[:, 1]
-    r2 = x * x + y * y
-    terms = np.empty((len(x), 2, 6))
-    terms[:, 0, 0], terms[:, 1, 0] = y, x
-    for k, power in enumerate((r2, r2**2, r2**3), start=1):
-        terms[:, 0, k], terms[:, 1, k] = x * power, y * power
-    terms[:, 0, 4], terms[:, 1, 4] = r2 + 2 * x * x, 2 * x * y
-    terms[:, 0, 5], terms[:, 1, 5] = 2 * x * y, r2 + 2 * y * y
-    return terms
-
-
-def _coefficients(lens: MoscaLens) -> Array:
-    return np.array(
-        [lens.a, lens.K1_per_mm2, lens.K2_per_mm4, lens.K3_per_mm6, lens.P1_per_mm, lens.P2_per_mm]
-    )
-
-
-def _ideal(lens: MoscaLens, measured: Array) -> Array:
-    return measured + _correction_terms(measured) @ _coefficients(lens)
-
-
-def _ideal_slope(lens: MoscaLens, measured: Array) -> Array:
-    """Return d ideal / d measured (n, 2, 2)."""
-    x, y = measured[:, 0], measured[:, 1]
-    r2 = x * x + y * y
-    a, k1, k2, k3, p1, p2 = _coefficients(lens)
-    radial = r2 * (k1 + r2 * (k2 + r2 * k3))
-    radial_slope = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))  # d radial / d r2, doubled: dr2/dx = 2 x
-    slope = np.empty((len(x), 2, 2))
-    slope[:, 0, 0] = 1 + radial + x * x * radial_slope + 6 * x * p1 + 2 * y * p2
-    slope[:, 0, 1] = a + x * y * radial_slope + 2 * y * p1 + 2 * x * p2
-    slope[:, 1, 0] = a + x * y * radial_slope + 2 * y * p1 + 2 * x * p2
-    slope[:, 1, 1] = 1 + radial + y * y * radial_slope + 2 * x * p1 + 6 * y * p2
-    return slope
-
-
-def _invert(lens: MoscaLens, ideal: Array) -> tuple[Array, Array]:
-    """Return measured points (n, 2) of ideal ones and which of them were found."""
-    measured = ideal.copy()
-    with np.errstate(all="ignore"):
-        for _ in range(NEWTON_STEPS):
-            slope = _ideal_slope(lens, measured)
-            rest = ideal - _ideal(lens, measured)
-            determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
-            step = np.column_stack(
-                [
-                    (slope[:, 1, 1] * rest[:, 0] - slope[:, 0, 1] * rest[:, 1]) / determinant,
-                    (slope[:, 0, 0] * rest[:, 1] - slope[:, 1, 0] * rest[:, 0]) / determinant,
-                ]
-            )
-            measured = measured + step
-            if not np.any(np.abs(step) > CONVERGED_MM):
-                break
-        slope = _ideal_slope(lens, measured)
-        determinant = slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]
-        rest = np.abs(ideal - _ideal(lens, measured)).max(axis=1, initial=0.0)
-        # both stretches turn negative beyond the fold, so the determinant alone does not tell; farther out
-        # both may be positive again, so the slope alone does not tell either
-        found = (rest < 1e-9) & (determinant > 0) & (slope[:, 0, 0] + slope[:, 1, 1] > 0)
-        found &= (measured**2).sum(axis=1) < fold_mm2(lens)
-    measured = np.where(found[:, None], measured, 0.0)
-    return measured, found
