@@ -15,7 +15,8 @@ from mosca.data.arrays import Array, looked_at
 from mosca.data.bodies import RigidBody
 from mosca.data.rotations import rotation_from_vector
 from mosca.rigid_bodies.ambiguity import ALIKE_M, arrangements
-from mosca.rigid_bodies.pose_kernels import claim, find, fit_pose
+from mosca.rigid_bodies.constellation_search import Candidates, Pose, SearchRules, claim, find
+from mosca.rigid_bodies.pose_kernels import fit_pose
 
 HIDDEN_SHARE = 0.3
 """A point that is off draws the pose towards it and so hides up to two thirds of its error, with few markers."""
@@ -170,7 +171,8 @@ class Constellation:
         """Return ``rows`` (m,) with a free point for each marker that had none, from within ``reach_m`` and gates."""
         gates = (self._gates(seen) + reach_m) ** 2
         mine = rows.copy()
-        claim(self._place, rotation, translation, seen.xyz, free, gates, mine)
+        points = Candidates(seen.xyz, seen.covariance, free)
+        claim(self._place, Pose(rotation, translation), points, gates, mine)
         return mine
 
     def find(self, seen: Seen, free: Array) -> tuple[Fit | None, int]:
@@ -180,10 +182,8 @@ class Constellation:
         """
         settings, m = self.settings, len(self._place)
         rows, score = np.full((2, m), -1), np.zeros((2, 2))
-        find(
-            self._place, self._triples, seen.xyz, seen.covariance, free, self._sigma2, settings.slack_m**2,
-            settings.gate_sigma, settings.alike_m, rows, score,
-        )  # fmt: skip
+        rules = SearchRules(self._sigma2, settings.slack_m**2, settings.gate_sigma, settings.alike_m)
+        find(self._place, self._triples, Candidates(seen.xyz, seen.covariance, free), rules, rows, score)
         count = int(score[0, 0])
         if count < min(settings.least_found, m):
             return None, 0
