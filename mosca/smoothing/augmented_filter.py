@@ -27,7 +27,7 @@ class Filters(NamedTuple):
     """(s, 9) position, velocity, acceleration."""
     spread: Array
     """(s, 9, 9) its covariance."""
-    count: Array
+    kept: Array
     """(s,) earlier positions kept."""
     xyz: Array
     """(s, w, 3) earlier positions, oldest first."""
@@ -86,14 +86,14 @@ def update(measured, prior, filters):  # type: ignore[no-untyped-def]
         else:
             variance = _likeliest(measured, n, prior, filters, s)
             _update_one(measured, n, variance, filters, s, scratch, inverse, innovation)
-        k = filters.count[s]
+        k = filters.kept[s]
         for a in range(3):
             filters.xyz[s, k, a] = filters.mean[s, a]
             for b in range(3):
                 filters.own[s, k, a, b] = filters.spread[s, a, b]
             for i in range(9):
                 filters.cross[s, k, a, i] = filters.spread[s, a, i]
-        filters.count[s] = k + 1
+        filters.kept[s] = k + 1
 
 
 @kernel
@@ -104,9 +104,9 @@ def release(upto, frame, filters, released, xyz, own):  # type: ignore[no-untype
     with the number of each slot: the caller shifts its own columns.
     """
     out = 0
-    for s in range(filters.count.shape[0]):
+    for s in range(filters.kept.shape[0]):
         k = 0
-        while k < filters.count[s] and frame[s, k] <= upto:
+        while k < filters.kept[s] and frame[s, k] <= upto:
             for a in range(3):
                 xyz[out, a] = filters.xyz[s, k, a]
                 for b in range(3):
@@ -115,7 +115,7 @@ def release(upto, frame, filters, released, xyz, own):  # type: ignore[no-untype
             k += 1
         released[s] = k
         if k > 0:
-            left = filters.count[s] - k
+            left = filters.kept[s] - k
             for j in range(left):
                 for a in range(3):
                     filters.xyz[s, j, a] = filters.xyz[s, j + k, a]
@@ -123,7 +123,7 @@ def release(upto, frame, filters, released, xyz, own):  # type: ignore[no-untype
                         filters.own[s, j, a, b] = filters.own[s, j + k, a, b]
                     for i in range(9):
                         filters.cross[s, j, a, i] = filters.cross[s, j + k, a, i]
-            filters.count[s] = left
+            filters.kept[s] = left
     return out
 
 
@@ -151,7 +151,7 @@ def _begin(measured, n, prior, filters, s):  # type: ignore[no-untyped-def]
         for b in range(3):
             filters.spread[s, a, b] = measured.covariance[n, a, b]
         filters.spread[s, 3 + a, 3 + a], filters.spread[s, 6 + a, 6 + a] = prior.speed2, variance
-    filters.count[s] = 0
+    filters.kept[s] = 0
 
 
 @step
@@ -185,7 +185,7 @@ def _update_one(measured, n, variance, filters, s, scratch, inverse, innovation)
         innovation[a] = measured.xyz[n, a] - x[a]
     innovation_inverse(p, measured.covariance[n], inverse)
     update_state(x, p, innovation, inverse, scratch)
-    for k in range(filters.count[s]):
+    for k in range(filters.kept[s]):
         for a in range(3):
             predict_state(cross[k, a], move)
         for a in range(3):

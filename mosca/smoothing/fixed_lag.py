@@ -81,6 +81,11 @@ class FixedLag:
             -1.0 if s.acceleration_mps2 is None else s.acceleration_mps2**2,
         )
 
+    @property
+    def capacity(self) -> int:
+        """For how many tracks there are slots; it grows with the tracks that are seen within ``forget_s``."""
+        return len(self._slots.track)
+
     def step(self, frame: int, samples: Samples) -> Samples:
         """Take the samples that left the tracker at ``frame``; return those of ``frame - lag`` and before, smoothed.
 
@@ -121,12 +126,12 @@ class FixedLag:
             times, rest = self._take(samples.select(~late))
             return times, Samples.joined([samples.select(late), rest])
         steps = np.where(fresh, 0, samples.time_ns - before) * 1e-9
-        count, n_slots = self._filters.count, len(self._slots.track)
+        count, n_slots = self._filters.kept, len(self._slots.track)
         most = int((count[slots] + np.bincount(slots, minlength=n_slots)[slots]).max())
         if most >= self._waiting.frame.shape[1]:
             self._enlarge(n_slots, 2 * most)
         column = (
-            self._filters.count[slots] + np.arange(len(slots)) - np.flatnonzero(first)[np.cumsum(first) - 1]
+            self._filters.kept[slots] + np.arange(len(slots)) - np.flatnonzero(first)[np.cumsum(first) - 1]
         )
         move, noise = axis_moves(steps, s.memory_s)
         xyz, covariance = np.ascontiguousarray(samples.xyz), np.ascontiguousarray(samples.covariance)
@@ -140,8 +145,8 @@ class FixedLag:
 
     def _leave(self, upto: int) -> Samples:
         filters, waiting = self._filters, self._waiting
-        total = int(filters.count.sum())
-        gone = np.zeros(len(filters.count), np.int64)
+        total = int(filters.kept.sum())
+        gone = np.zeros(len(filters.kept), np.int64)
         xyz, own = np.empty((total, 3)), np.empty((total, 3, 3))
         n = release(upto, waiting.frame, filters, gone, xyz, own)
         if n == 0:
@@ -173,7 +178,7 @@ class FixedLag:
         for track, slot in list(self._slot_of.items()):
             if (
                 now_ns - self._slots.last_ns[slot] > self.settings.forget_s * 1e9
-                and self._filters.count[slot] == 0
+                and self._filters.kept[slot] == 0
             ):
                 del self._slot_of[track]
                 self._free.append(slot)
@@ -192,7 +197,7 @@ def _tables(n: int, w: int) -> tuple[_Slots, Filters, _Waiting]:
     """Return empty tables for ``n`` tracks with ``w`` samples waiting each."""
     r = len(LADDER)
     filters = Filters(
-        mean=np.zeros((n, 9)), spread=np.zeros((n, 9, 9)), count=np.zeros(n, np.int64), xyz=np.zeros((n, w, 3)),
+        mean=np.zeros((n, 9)), spread=np.zeros((n, 9, 9)), kept=np.zeros(n, np.int64), xyz=np.zeros((n, w, 3)),
         own=np.zeros((n, w, 3, 3)), cross=np.zeros((n, w, 3, 9)), axis_mean=np.zeros((n, r, 3, 3)),
         axis_spread=np.zeros((n, r, 3, 3, 3)), cost=np.zeros((n, r)),
     )  # fmt: skip
