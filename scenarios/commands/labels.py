@@ -8,8 +8,7 @@ from mosca.data.files.whole_file import check_writable
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 from mosca.formats.bodies.model_file import read_model, write_model
-from mosca.formats.tracks.tracks_file import check_tracks_file, write_tracks
-from mosca.formats.tracks.tracks_read import read_tracks
+from mosca.formats.tracks.tracks_file import check_tracks_file, read_tracks, write_tracks
 from mosca.labelling.assign import label_tracks
 from mosca.labelling.marker_model import learn_model
 
