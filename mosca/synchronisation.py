@@ -13,9 +13,13 @@ import cmath
 import math
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from itertools import islice
 
+from pydantic import NonNegativeInt
+from pydantic.dataclasses import dataclass
+
+from mosca.data.files.toml import SETTINGS
 from mosca.data.frames import CameraInfo, Frame, FrameSet, mid_exposure_ns
 from mosca.errors import InputError
 
@@ -29,20 +33,18 @@ REMEMBERED_SETS = 1000
 """For how many yielded sets a frame can still be told late from doubled."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=SETTINGS)
 class AssemblySettings:
-    """How long to wait, and what to believe.
+    """How long to wait for frames, and which time stamps are plausible."""
 
-    ``open_pulses``: a set is closed when this many newer pulses are open. ``longest_gap_pulses``: a frame
-    farther ahead than this has a wrong stamp and is counted as stray. ``start_frames``: at least so
-    many frames (and two a camera) fix the phase before the first set is yielded. ``nominal_times``: pulse k and
-    all its frames are stamped with k nominal periods: two takes of the same pulses then have the same times.
-    """
-
-    open_pulses: int = 5
-    longest_gap_pulses: int = 20_000
-    start_frames: int = 8
+    open_pulses: NonNegativeInt = 5
+    """A set is closed when this many newer pulses are open."""
+    longest_gap_pulses: NonNegativeInt = 20_000
+    """A frame farther ahead than this has a wrong stamp and is counted as stray."""
+    start_frames: NonNegativeInt = 8
+    """At least so many frames (and two a camera) fix the phase before the first set is yielded."""
     nominal_times: bool = False
+    """Pulse k and its frames are stamped with k nominal periods: two takes of the same pulses have the same times."""
 
 
 @dataclass

@@ -1,104 +1,93 @@
-"""How a running rig is doing, camera by camera: residuals, what connects, what is missing, whose clock lags.
+"""Health of a running rig, camera by camera, for people: residuals, connected detections, dropouts, clock offsets.
 
-And how large the errors of image points really are. A detection's covariance holds the noise of its pixels alone;
-the camera's body shakes, its trigger jitters, its lens is not quite what the calibration says. These are learned
-from the residuals themselves: with weights W = S^-1, S an image's whole covariance, and J the change of its place
-with the point's, what is left of its error after the point is fitted has the trace ``tr (S - J P J')``,
-P = (sum J' W J)^-1. Squared residuals regressed on it give the variance that each camera adds and, as the part that
-grows with the square of the image's speed, the jitter of the triggers (variance components, Foerstner 1979).
-
-A camera that exposes d seconds late shows every point u d farther on, u its image's speed: d follows from the same
-residuals by least squares. All cameras late by the same is a shift of time that nothing tells: offsets are against
-their mean. How certain an offset is follows from the scatter of whole frame sets about it (White 1980), since a
-body's shake moves all images of a set together.
+A camera that exposes d seconds late shows every point u d farther along its motion, u its image's speed: d follows
+from the residuals by least squares. A delay that all cameras share is a shift of time that no residual shows: offsets
+are against their mean. How certain an offset is follows from the scatter of whole frame sets about it (White 1980),
+since a body's shake moves all images of a set together.
 """
 
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass as plain_dataclass
 from time import perf_counter
 
 import numpy as np
-from scipy.optimize import nnls
+from pydantic import PositiveInt
+from pydantic.dataclasses import dataclass
 
 from mosca.camera.ray_table import make_ray_table
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
+from mosca.data.files.toml import SETTINGS, NotNegative, Positive
 from mosca.data.frames import FrameSet
 from mosca.data.rays import RayTable
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points
-from mosca.diagnostics.residual_sums import look
+from mosca.diagnostics.noise_model import ImageNoise, NoiseModel
+from mosca.diagnostics.residual_sums import ImageErrors, PointColumns, RayColumns, Sampling, residual_sums
 
 START_SETS = 200
-"""Frame sets in which much is to be learned."""
-CLOCK_LOOKS = 1000
-"""Looks from which offsets of clocks are drawn."""
-ALIKE_LOOKS, START_LOOKS = 6.0, 0.5
-"""What is known beforehand counts as so many looks: that cameras of a rig shake alike to about half, and
-``start_px``. A body shakes all images of a set together: a look has one or two independent residuals a camera."""
+"""Frame sets at the start after each ``every`` of which residuals are summed."""
+CLOCK_UPDATES = 1000
+"""Latest updates from which clock offsets are estimated."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=SETTINGS)
 class HealthSettings:
-    """``every``: frame sets from one look at the residuals to the next, ``seldom`` after the first ``START_SETS``;
-    ``most_points`` of a set are looked at, others each time. ``memory``: looks after which an old one
-    counts 1/e. ``start_px``: random error of image points besides detection noise until it is learned, and
-    ``least_px`` below which it is not taken. ``least_images``: of a camera, before anything is said of its clock
-    and its connections.
-    ``farthest_m``: how far a point may move from set to set to have a speed. ``late_s``: clock offsets below this are
-    let pass, and ``certain_sigma``: by how many standard deviations one must be sure. ``poor_share``: of a camera's
-    detections that connect, below which it is told of. ``block_s``: length of the residuals' time blocks.
-    ``adopt_px``: how far from its point an image may lie that matching left out, to be asked whether its camera is
-    late.
-    """
+    """How often residuals are summed, and what is reported."""
 
-    every: int = 2
-    seldom: int = 10
-    most_points: int = 20
-    memory: float = 400.0
-    start_px: float = 0.06
-    least_px: float = 0.005
-    least_images: float = 300.0
-    farthest_m: float = 0.1
-    late_s: float = 100e-6
-    certain_sigma: float = 6.0
-    poor_share: float = 0.5
-    block_s: float = 1.0
-    adopt_px: float = 3.0
-
-
-@dataclass(frozen=True, eq=False)
-class Noise:
-    """Error of image points besides detection noise: ``sigma_px`` (c,) an axis, of each camera, what was learned and
-    what the calibration says that its lens model leaves; ``jitter_s`` of the triggers.
-    """
-
-    sigma_px: Array
-    jitter_s: float
+    every: PositiveInt = 2
+    """Frame sets from one update to the next, in the first ``START_SETS``."""
+    seldom: PositiveInt = 10
+    """The same after those."""
+    most_points: PositiveInt = 20
+    """Points of a frame set that are used, others each time."""
+    memory: Positive = 400.0
+    """Updates after which an old one counts 1/e."""
+    start_px: NotNegative = 0.06
+    """Random error of image points besides detection noise until it is learned."""
+    least_px: NotNegative = 0.005
+    """The same at least."""
+    least_images: NotNegative = 300.0
+    """Images of a camera before its clock and its connections are reported."""
+    farthest_m: Positive = 0.1
+    """How far a point may move from set to set to have a speed."""
+    late_s: NotNegative = 100e-6
+    """Clock offsets below this are not reported."""
+    certain_sigma: NotNegative = 6.0
+    """Nor those below so many of their standard deviations."""
+    poor_share: NotNegative = 0.5
+    """A camera is reported if a smaller share of its detections becomes part of points."""
+    block_s: Positive = 1.0
+    """Length of the residuals' time blocks."""
+    adopt_px: NotNegative = 3.0
+    """How far from its point an image may lie that matching left out, to count for its camera's clock."""
 
 
-@dataclass(frozen=True)
+@plain_dataclass(frozen=True)
 class CameraHealth:
-    """One camera since the start: ``residual_px`` rms an axis of late; ``extra_px`` error besides detection noise;
-    ``connected``: share of its detections that became part of points; ``missing``: share of frame sets without it;
-    ``late_s`` how much later than the mean of all cameras it exposes, with its standard deviation (NaN: unknown).
-    ``residuals_px``: rms of each block of time.
-    """
+    """One camera since the start."""
 
     name: str
     residual_px: float
+    """Rms an axis of late."""
     extra_px: float
+    """Error besides detection noise."""
     connected: float
+    """Share of its detections that became part of points."""
     missing: float
+    """Share of frame sets without it."""
     late_s: float
+    """How much later than the mean of all cameras it exposes; NaN: unknown."""
     late_sigma_s: float
+    """Standard deviation of that."""
     residuals_px: tuple[float, ...]
+    """Rms of each block of time."""
 
 
 class Health:
-    """Watches the points of a running pipeline. ``attend`` takes each frame set; ``noise`` is what was learned.
+    """Health of a running pipeline's cameras. ``attend`` takes each frame set.
 
     ``nameless``: samples that had no identity yet when the run ended. ``seconds``: computing time so far.
     """
@@ -107,21 +96,21 @@ class Health:
         self.settings = settings or HealthSettings()
         self._names = rig.names
         c = len(rig.cameras)
-        self.noise = Noise(np.full(c, self.settings.start_px), 0.0)
-        # of the lens's misfit the points take up most: little of it shows in residuals
-        self._lens_px = np.array([camera.residual_px for camera in rig.cameras])
-        self._looks = 0.0
+        one = self.settings
+        self._model = NoiseModel(rig, one.start_px, one.least_px, one.memory)
         self._sets = 0
         self._missing, self._detected, self._connected = np.zeros(c), np.zeros(c), np.zeros(c)
         self._before: tuple[float, Array] | None = None
-        self._normal, self._right = np.zeros((c + 1, c + 1)), np.zeros(c + 1)
-        self._beforehand = np.zeros((c + 1, c + 1))
-        self._beforehand[:c, :c] = ALIKE_LOOKS * (np.eye(c) - 1.0 / c) + START_LOOKS * np.eye(c)
-        self._clocks: deque[tuple[Array, Array, Array]] = deque(maxlen=CLOCK_LOOKS)
+        self._clocks: deque[tuple[Array, Array, Array]] = deque(maxlen=CLOCK_UPDATES)
         self._square, self._images = np.zeros(c), np.zeros(c)
         self._blocks: dict[int, Array] = {}
         self.nameless = 0
         self.seconds = 0.0
+
+    @property
+    def noise(self) -> ImageNoise:
+        """Error of image points besides detection noise, as learned so far."""
+        return self._model.noise
 
     def attend(
         self,
@@ -149,7 +138,7 @@ class Health:
         if self._sets % (s.every if self._sets <= START_SETS else s.seldom) == 0 and len(points):
             if bundle is None:
                 bundle = make_ray_table(rig, detections, self.noise.sigma_px)
-            self._look(time_s, bundle, points)
+            self._add_residuals(time_s, bundle, points)
         self._before = (time_s, points.xyz)
         self.seconds += perf_counter() - begin
 
@@ -169,8 +158,8 @@ class Health:
         )  # fmt: skip
 
     def findings(self) -> tuple[str, ...]:
-        """Return what a person should look at, a line each."""
-        s, told = self.settings, []
+        """Return what a person should check, a line each."""
+        s, lines = self.settings, []
         cameras = self.cameras()
         poor = [
             self._detected[k] >= s.least_images and one.connected < s.poor_share
@@ -180,54 +169,40 @@ class Health:
             # a camera that was moved shows its points displaced, as one that is late does
             if not any(poor) and abs(one.late_s) > max(s.late_s, s.certain_sigma * one.late_sigma_s):
                 when = "later" if one.late_s > 0 else "earlier"
-                told.append(
+                lines.append(
                     f"camera '{one.name}' exposes {1e3 * abs(one.late_s):.2f} ms {when} than the others' mean "
                     f"(+- {1e3 * 2 * one.late_sigma_s:.2f}): check its trigger and its clock"
                 )
             if poor[k]:
-                told.append(
+                lines.append(
                     f"camera '{one.name}': only {100 * one.connected:.0f} % of {self._detected[k]:.0f} detections "
                     "meet other cameras': look for reflections, bright clothes, or a camera that was moved"
                 )
-        return tuple(told)
+        return tuple(lines)
 
-    def _look(self, time_s: float, bundle: RayTable, points: Points) -> None:
-        """Add what the residuals of some of the points say to the sums, and draw the conclusions."""
+    def _add_residuals(self, time_s: float, bundle: RayTable, points: Points) -> None:
+        """Add the residuals of some of the points to the sums, and update the noise model."""
         if self._before is None:
             return
         before_s, before = self._before
-        s, every = self.settings, -(-len(points) // self.settings.most_points)
-        whole, usual, normal, right, square, images, pull, clock, timed = look(
-            bundle.rays, bundle.views, bundle.start, bundle.covariance_px2, bundle.extra_px2, points.rays, points.xyz,
-            points.n_cameras, points.trusted, before, time_s - before_s, -self._sets % every, every, s.farthest_m,
-            s.adopt_px, self.noise.sigma_px**2, self.noise.jitter_s,
-        )  # fmt: skip
-        if whole == 0:
+        s, noise, every = self.settings, self._model.noise, -(-len(points) // self.settings.most_points)
+        sums = residual_sums(
+            RayColumns(bundle.rays, bundle.views, bundle.start, bundle.covariance_px2, bundle.extra_px2),
+            PointColumns(
+                points.rays, points.xyz, points.n_cameras, points.trusted, before, time_s - before_s
+            ),
+            ImageErrors(noise.sigma_px**2, noise.jitter_s),
+            Sampling(-self._sets % every, every, s.farthest_m, s.adopt_px),
+        )
+        if sums.whole == 0:
             return
-        if usual > 0:
+        if sums.usual > 0:
             keep = math.exp(-1.0 / s.memory)
-            self._normal, self._right = keep * self._normal + normal, keep * self._right + right
-            self._looks = keep * self._looks + 1.0
-            self._square, self._images = keep * self._square + square, keep * self._images + images
+            self._square, self._images = keep * self._square + sums.square, keep * self._images + sums.images
             block = self._blocks.setdefault(int(time_s // s.block_s), np.zeros((2, len(self._names))))
-            block += [square, images]
-            self._conclude()
-        self._clocks.append((pull, clock, timed))
-
-    def _conclude(self) -> None:
-        """Solve for the variances that each camera and the triggers add, none below zero."""
-        c, s = len(self._names), self.settings
-        own = self._normal.diagonal()[:c]
-        seen = own > 0
-        if not seen.any():
-            return
-        look = float(own[seen].mean()) / self._looks
-        normal, right = self._normal + look * self._beforehand, self._right.copy()
-        right[:c] += look * START_LOOKS * s.start_px**2
-        size = np.sqrt(np.maximum(normal.diagonal(), 1e-300))
-        found = nnls(normal / size / size[:, None], right / size)[0] / size
-        sigma = np.sqrt(np.maximum(found[:c], s.least_px**2) + self._lens_px**2)
-        self.noise = Noise(sigma, math.sqrt(found[c]))
+            block += [sums.square, sums.images]
+            self._model.update(sums)
+        self._clocks.append((sums.pull, sums.clock, sums.timed))
 
     def _offsets(self) -> tuple[Array, Array]:
         """Return by how much each camera is late (c,) and the standard deviation [s]; NaN where nothing moved."""
@@ -246,7 +221,7 @@ class Health:
         late, sigma = nothing.copy(), nothing.copy()
         late[seen] = inverse @ pulls[:, seen].sum(axis=0)
         scatter = (pulls - np.einsum("kij,j->ki", clocks, np.nan_to_num(late)))[:, seen]
-        # as many looks as are left when the offsets are taken from them
+        # degrees of freedom that the offsets leave
         few = len(pulls) / max(len(pulls) - n + 1, 0.5)
         sigma[seen] = np.sqrt(few * np.diag(inverse @ (scatter.T @ scatter) @ inverse))
         return late, sigma

@@ -1,84 +1,161 @@
-"""What the residuals of a frame set say, summed up camera by camera: compiled, for
-``mosca.diagnostics.camera_health``.
+"""Sums over the residuals of a frame set, camera by camera, for ``mosca.diagnostics``: compiled.
 
-The points looked at move to their best places first; the derivation of what is summed stands in
-``mosca.diagnostics.camera_health``.
+Each point first moves to its best position; ``mosca.diagnostics.noise_model`` and ``camera_health`` derive what is
+summed.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
 from mosca.data.rays import ANGLE, DIRECTION, ORIGIN, RADIUS, WHITE
+from mosca.data.arrays import Array
 from mosca.numba_support.decorators import bare_step, kernel
+from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3, divided3, store3, times3
 
 FARTHEST_SIGMAS = 5.0
-"""Images farther from their point say nothing of the usual error."""
+"""Points with an image farther than this from its prediction do not count for the usual error."""
 LEAST_LEFT = 0.05
-"""Share of its error that an image must keep beside its point to tell of it."""
+"""Share of its error that an image must keep beside its point to count."""
+SINGULAR = 1e-9
+"""Normal matrices whose smallest eigenvalue over the largest is below this (within a factor of 9) are singular."""
+REST, FLOW, SLOPE, WEIGHT, OWN, TABLE = 0, 2, 4, 10, 13, 16
+"""Columns of an image: residual and speed (2) each, its Jacobian by the point (2 x 3), weight and own covariance (xx,
+xy, yy)."""
+
+
+class RayColumns(NamedTuple):
+    """The columns of a ``mosca.triangulation.triangulate.Bundle`` of c cameras."""
+
+    rays: Array
+    views: Array
+    start: Array
+    covariance: Array
+    extra_px2: Array
+
+
+class PointColumns(NamedTuple):
+    """The n points made of them, and where points were in the frame set before."""
+
+    members: Array
+    """(n, c) each camera's ray of the point, -1 for none."""
+    xyz: Array
+    """(n, 3)"""
+    cameras: Array
+    """(n,)"""
+    trusted: Array
+    """(n,)"""
+    before: Array
+    """(m, 3) points of the frame set before."""
+    elapsed_s: float
+    """Time since then."""
+
+
+class ImageErrors(NamedTuple):
+    """Error of image points besides detection noise, as known so far."""
+
+    sigma_px2: Array
+    """(c,)"""
+    jitter_s: float
+
+
+class Sampling(NamedTuple):
+    """Which points are used, and how far to search."""
+
+    first: int
+    every: int
+    """Every so many points from ``first`` on."""
+    farthest_m: float
+    """A point's speed is that since the nearest point before, if nearer than this and mutually nearest."""
+    adopt_px: float
+    """How far beside a point an unused ray may lie to be its image, where clocks are estimated."""
+
+
+class ResidualSums(NamedTuple):
+    """Sums over the points of one frame set of c cameras."""
+
+    whole: int
+    """Points with images in enough cameras that count in full."""
+    usual: int
+    """Those of them without an outlier; the next four are sums over these."""
+    normal: Array
+    """(c + 1, c + 1) normal matrix for the variances of each camera and the triggers."""
+    right: Array
+    """(c + 1,)"""
+    square: Array
+    """(c,) squared residuals [px^2]."""
+    images: Array
+    """(c,)"""
+    pull: Array
+    """(c,) right side for each camera's delay, over all points."""
+    clock: Array
+    """(c, c) its normal matrix."""
+    timed: Array
+    """(c,) images in it."""
+
+
+class _Fit(NamedTuple):
+    """Working memory: the images of one point after it was adjusted."""
+
+    seen: Array
+    """(c,) which cameras have an image."""
+    table: Array
+    """(c, TABLE)"""
+    inverse: Array
+    """(3, 3) covariance of the point."""
+    toward: Array
+    """(c, 3) scratch."""
 
 
 @kernel
-def look(  # type: ignore[no-untyped-def]
-    rays, views, start, covariance, extra_px2, members, xyz, cameras, trusted, before, elapsed_s, first, every,
-    farthest_m, adopt_px, sigma_px2, jitter_s
-):  # fmt: skip
-    """Sum up the residuals of every ``every``-th point from ``first`` on that has a speed.
-
-    ``rays``, ``views``, ``start``, ``covariance``, ``extra_px2``: a ``mosca.data.rays.RayTable``;
-    ``members`` (n, c), ``xyz`` (n, 3), ``cameras`` (n,), ``trusted`` (n,): its points; ``before`` (m, 3): those of
-    the set before, ``elapsed_s`` ago. A point's speed is that since the point nearest to it there, if that is
-    nearer than ``farthest_m`` and has none nearer here. ``adopt_px``: how far a ray that no point has may lie
-    beside one, to be its image where clocks are asked for. ``sigma_px2`` (c,), ``jitter_s``: what is known of the
-    errors.
-
-    Returns how many points were whole and how many of them fitted as usual; of the latter the normal matrix
-    (c + 1, c + 1) and right side (c + 1,) for the variances, sums of squared residuals (c,) [px^2] and images (c,);
-    of all points the pull (c,) on each camera's clock, the matrix (c, c) that it pulls against, and images (c,).
-    """
-    n, c = members.shape
-    normal, right, square, images = np.zeros((c + 1, c + 1)), np.zeros(c + 1), np.zeros(c), np.zeros(c)
-    pull, clock, timed = np.zeros(c), np.zeros((c, c)), np.zeros(c)
-    # rest and flow (2), slope (2 x 3), weight and own covariance (3) of each camera's image
-    seen, table, inverse = np.zeros(c, np.bool_), np.empty((c, TABLE)), np.empty((3, 3))
-    which, speed, toward = np.empty(c, np.int64), np.empty(3), np.empty((c, 3))
-    taken = np.zeros(rays.shape[0], np.bool_)
+def residual_sums(rays, points, errors, sampling):  # type: ignore[no-untyped-def]
+    """Return the ``ResidualSums`` of those of the points that have a speed."""
+    n, c = points.members.shape
+    sums = ResidualSums(
+        0, 0, np.zeros((c + 1, c + 1)), np.zeros(c + 1), np.zeros(c), np.zeros(c), np.zeros(c), np.zeros((c, c)),
+        np.zeros(c),
+    )  # fmt: skip
+    fit = _Fit(np.zeros(c, np.bool_), np.empty((c, TABLE)), np.empty((3, 3)), np.empty((c, 3)))
+    which, speed = np.empty(c, np.int64), np.empty(3)
+    taken = np.zeros(rays.rays.shape[0], np.bool_)
     for i in range(n):
         for k in range(c):
-            if members[i, k] >= 0:
-                taken[start[k] + members[i, k]] = True
-    given = (rays, views, covariance, extra_px2, sigma_px2, jitter_s)
+            if points.members[i, k] >= 0:
+                taken[rays.start[k] + points.members[i, k]] = True
     whole = usual = 0
-    for i in range(first, n, every):
-        if not (elapsed_s > 0.0 and cameras[i] >= 2 and _speed(i, xyz, before, elapsed_s, farthest_m, speed)):
+    for i in range(sampling.first, n, sampling.every):
+        if not (
+            points.elapsed_s > 0.0
+            and points.cameras[i] >= 2
+            and _speed(i, points, sampling.farthest_m, speed)
+        ):
             continue
         for k in range(c):
-            which[k] = start[k] + members[i, k] if members[i, k] >= 0 else -1
-        fit = _fitted(which, xyz[i], speed, given, seen, table, inverse)
-        if cameras[i] >= min(3, c) and trusted[i] >= cameras[i] - 0.5:
+            which[k] = rays.start[k] + points.members[i, k] if points.members[i, k] >= 0 else -1
+        fitted = _adjusted(which, points.xyz[i], speed, rays, errors, fit)
+        if points.cameras[i] >= min(3, c) and points.trusted[i] >= points.cameras[i] - 0.5:
             whole += 1
-            if fit and _is_usual(seen, table):
+            if fitted and _is_usual(fit):
                 usual += 1
-                _add_noise(seen, table, inverse, sigma_px2, jitter_s, normal, right, square, images)
-        # the images of a camera that is late are left out of the points: look for them beside their place
-        if cameras[i] < c and _adopt(which, xyz[i], rays, views, start, taken, adopt_px):
-            fit = _fitted(which, xyz[i], speed, given, seen, table, inverse)
-        if fit:
-            _add_clocks(seen, table, inverse, toward, pull, clock, timed)
-    return whole, usual, normal, right, square, images, pull, clock, timed
-
-
-REST, FLOW, SLOPE, WEIGHT, OWN, TABLE = 0, 2, 4, 10, 13, 16
-"""Columns of what is known of an image: residual and speed (2) each, its change by the point (2 x 3), weight and own
-covariance (xx, xy, yy)."""
+                _add_noise(fit, errors, sums)
+        # a late camera's images are not among the points': search for them nearby
+        if points.cameras[i] < c and _adopt(which, points.xyz[i], rays, taken, sampling.adopt_px):
+            fitted = _adjusted(which, points.xyz[i], speed, rays, errors, fit)
+        if fitted:
+            _add_clocks(fit, sums)
+    return ResidualSums(
+        whole, usual, sums.normal, sums.right, sums.square, sums.images, sums.pull, sums.clock, sums.timed
+    )
 
 
 @bare_step
-def _speed(i, xyz, before, elapsed_s, farthest_m, speed):  # type: ignore[no-untyped-def]
+def _speed(i, points, farthest_m, speed):  # type: ignore[no-untyped-def]
     """Fill the speed (3,) of point i since the set before; False where none is known."""
-    there = _nearest(xyz[i], before, farthest_m)
-    if there < 0 or _nearest(before[there], xyz, np.inf) != i:
+    there = _nearest(points.xyz[i], points.before, farthest_m)
+    if there < 0 or _nearest(points.before[there], points.xyz, np.inf) != i:
         return False
     for p in range(3):
-        speed[p] = (xyz[i, p] - before[there, p]) / max(elapsed_s, 1e-9)
+        speed[p] = (points.xyz[i, p] - points.before[there, p]) / max(points.elapsed_s, 1e-9)
     return True
 
 
@@ -95,50 +172,20 @@ def _nearest(point, others, within):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _fitted(which, point, speed, given, seen, table, inverse):  # type: ignore[no-untyped-def]
-    """Fill the table of the images ``which`` (c,) of a point, as they are after it has moved to its best place.
+def _adjusted(which, point, speed, rays, errors, fit):  # type: ignore[no-untyped-def]
+    """Fill ``fit`` with the images ``which`` (c,) of a point, as they are after it has moved to its best position.
 
     A ray gives the residual of its image to first order, as triangulation does: no point needs to be projected.
-    ``given``: rays, views, covariance, extra_px2, sigma_px2 and jitter_s as in ``look``; ``inverse`` (3, 3):
-    covariance of the point. False where its images do not tell its place.
+    False where the images do not determine the point.
     """
-    rays, views, covariance, extra_px2, sigma_px2, jitter_s = given
     n00 = n01 = n02 = n11 = n12 = n22 = b0 = b1 = b2 = 0.0
     count = 0
     for c in range(which.shape[0]):
-        k = which[c]
-        seen[c] = False
-        if k < 0:
+        fit.seen[c] = which[c] >= 0 and _image(fit.table[c], c, which[c], point, speed, rays, errors)
+        if not fit.seen[c]:
             continue
-        x, y, z = (
-            point[0] - views[c, ORIGIN],
-            point[1] - views[c, ORIGIN + 1],
-            point[2] - views[c, ORIGIN + 2],
-        )
-        depth = rays[k, DIRECTION] * x + rays[k, DIRECTION + 1] * y + rays[k, DIRECTION + 2] * z
-        if not depth > 0.0:
-            continue
-        seen[c] = True
         count += 1
-        own = table[c]
-        own[OWN], own[OWN + 1], own[OWN + 2] = covariance[k, 0, 0], covariance[k, 0, 1], covariance[k, 1, 1]
-        # the rays are whitened by all that they were thought to err by
-        l00 = np.sqrt(own[OWN] + extra_px2[c])
-        l10 = own[OWN + 1] / l00
-        l11 = np.sqrt(own[OWN + 2] + extra_px2[c] - l10 * l10)
-        for p in range(3):
-            own[SLOPE + p] = l00 * rays[k, WHITE + p] / depth
-            own[SLOPE + 3 + p] = (l10 * rays[k, WHITE + p] + l11 * rays[k, WHITE + 3 + p]) / depth
-        for row in range(2):
-            a, b, d = own[SLOPE + 3 * row], own[SLOPE + 3 * row + 1], own[SLOPE + 3 * row + 2]
-            own[REST + row] = -(a * x + b * y + d * z)
-            own[FLOW + row] = a * speed[0] + b * speed[1] + d * speed[2]
-        jitter2 = jitter_s * jitter_s
-        t00 = own[OWN] + sigma_px2[c] + jitter2 * own[FLOW] ** 2
-        t01 = own[OWN + 1] + jitter2 * own[FLOW] * own[FLOW + 1]
-        t11 = own[OWN + 2] + sigma_px2[c] + jitter2 * own[FLOW + 1] ** 2
-        det = t00 * t11 - t01 * t01
-        own[WEIGHT], own[WEIGHT + 1], own[WEIGHT + 2] = t11 / det, -t01 / det, t00 / det
+        own = fit.table[c]
         u0, u1, u2 = _weighted(own, 0)
         v0, v1, v2 = _weighted(own, 1)
         n00 += u0 * own[SLOPE] + v0 * own[SLOPE + 3]
@@ -150,31 +197,55 @@ def _fitted(which, point, speed, given, seen, table, inverse):  # type: ignore[n
         b0 += u0 * own[REST] + v0 * own[REST + 1]
         b1 += u1 * own[REST] + v1 * own[REST + 1]
         b2 += u2 * own[REST] + v2 * own[REST + 1]
-    c00, c01, c02 = n11 * n22 - n12 * n12, n02 * n12 - n01 * n22, n01 * n12 - n02 * n11
-    c11, c12, c22 = n00 * n22 - n02 * n02, n01 * n02 - n00 * n12, n00 * n11 - n01 * n01
-    det = n00 * c00 + n01 * c01 + n02 * c02
-    # the least eigenvalue over the largest, within a factor of 9
-    if count < 2 or not det > 1e-9 * (n00 + n11 + n22) * (c00 + c11 + c22):
+    normal = Symmetric3(n00, n01, n02, n11, n12, n22)
+    cofactors = cofactors3(normal)
+    det = determinant3(normal, cofactors)
+    if count < 2 or not det > SINGULAR * (n00 + n11 + n22) * (cofactors.xx + cofactors.yy + cofactors.zz):
         return False
-    inverse[0, 0], inverse[1, 1], inverse[2, 2] = c00 / det, c11 / det, c22 / det
-    inverse[0, 1], inverse[0, 2], inverse[1, 2] = c01 / det, c02 / det, c12 / det
-    inverse[1, 0], inverse[2, 0], inverse[2, 1] = c01 / det, c02 / det, c12 / det
-    x, y, z = (
-        (c00 * b0 + c01 * b1 + c02 * b2) / det,
-        (c01 * b0 + c11 * b1 + c12 * b2) / det,
-        (c02 * b0 + c12 * b1 + c22 * b2) / det,
-    )
+    store3(divided3(cofactors, det), fit.inverse)
+    x, y, z = times3(cofactors, b0, b1, b2)
+    x, y, z = x / det, y / det, z / det
     for c in range(which.shape[0]):
-        if seen[c]:
-            own = table[c]
+        if fit.seen[c]:
+            own = fit.table[c]
             own[REST] -= own[SLOPE] * x + own[SLOPE + 1] * y + own[SLOPE + 2] * z
             own[REST + 1] -= own[SLOPE + 3] * x + own[SLOPE + 4] * y + own[SLOPE + 5] * z
     return True
 
 
 @bare_step
+def _image(own, c, k, point, speed, rays, errors):  # type: ignore[no-untyped-def]
+    """Fill a row of the table with ray ``k`` of camera ``c``; False where the point lies behind the camera."""
+    views, covariance = rays.views, rays.covariance
+    x, y, z = point[0] - views[c, ORIGIN], point[1] - views[c, ORIGIN + 1], point[2] - views[c, ORIGIN + 2]
+    ray = rays.rays[k]
+    depth = ray[DIRECTION] * x + ray[DIRECTION + 1] * y + ray[DIRECTION + 2] * z
+    if not depth > 0.0:
+        return False
+    own[OWN], own[OWN + 1], own[OWN + 2] = covariance[k, 0, 0], covariance[k, 0, 1], covariance[k, 1, 1]
+    # the rays are whitened by all that they were assumed to err by
+    l00 = np.sqrt(own[OWN] + rays.extra_px2[c])
+    l10 = own[OWN + 1] / l00
+    l11 = np.sqrt(own[OWN + 2] + rays.extra_px2[c] - l10 * l10)
+    for p in range(3):
+        own[SLOPE + p] = l00 * ray[WHITE + p] / depth
+        own[SLOPE + 3 + p] = (l10 * ray[WHITE + p] + l11 * ray[WHITE + 3 + p]) / depth
+    for row in range(2):
+        a, b, d = own[SLOPE + 3 * row], own[SLOPE + 3 * row + 1], own[SLOPE + 3 * row + 2]
+        own[REST + row] = -(a * x + b * y + d * z)
+        own[FLOW + row] = a * speed[0] + b * speed[1] + d * speed[2]
+    jitter2 = errors.jitter_s * errors.jitter_s
+    t00 = own[OWN] + errors.sigma_px2[c] + jitter2 * own[FLOW] ** 2
+    t01 = own[OWN + 1] + jitter2 * own[FLOW] * own[FLOW + 1]
+    t11 = own[OWN + 2] + errors.sigma_px2[c] + jitter2 * own[FLOW + 1] ** 2
+    det = t00 * t11 - t01 * t01
+    own[WEIGHT], own[WEIGHT + 1], own[WEIGHT + 2] = t11 / det, -t01 / det, t00 / det
+    return True
+
+
+@bare_step
 def _weighted(own, row):  # type: ignore[no-untyped-def]
-    """Return a column (3) of J'W: what the point feels of a residual along one axis of the image."""
+    """Return a column (3) of J'W: the pull on the point of a residual along one axis of the image."""
     v, w = own[WEIGHT + row], own[WEIGHT + 1 + row]
     return (
         own[SLOPE] * v + own[SLOPE + 3] * w,
@@ -184,9 +255,10 @@ def _weighted(own, row):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _is_usual(seen, table):  # type: ignore[no-untyped-def]
-    for c in range(seen.shape[0]):
-        if seen[c]:
+def _is_usual(fit):  # type: ignore[no-untyped-def]
+    table = fit.table
+    for c in range(fit.seen.shape[0]):
+        if fit.seen[c]:
             x, y = table[c, REST], table[c, REST + 1]
             away2 = (
                 table[c, WEIGHT] * x * x + 2.0 * table[c, WEIGHT + 1] * x * y + table[c, WEIGHT + 2] * y * y
@@ -197,25 +269,25 @@ def _is_usual(seen, table):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _add_noise(seen, table, inverse, sigma_px2, jitter_s, normal, right, square, images):  # type: ignore[no-untyped-def]
+def _add_noise(fit, errors, sums):  # type: ignore[no-untyped-def]
     """Add a point's images to the regression of squared residuals on the variances of cameras and triggers."""
-    last = seen.shape[0]
+    last, normal, right = fit.seen.shape[0], sums.normal, sums.right
     for c in range(last):
-        if not seen[c]:
+        if not fit.seen[c]:
             continue
-        own = table[c]
-        whole = own[OWN] + own[OWN + 2] + 2.0 * sigma_px2[c]
+        own = fit.table[c]
+        whole = own[OWN] + own[OWN + 2] + 2.0 * errors.sigma_px2[c]
         flow2 = own[FLOW] ** 2 + own[FLOW + 1] ** 2
-        whole += jitter_s * jitter_s * flow2
+        whole += errors.jitter_s * errors.jitter_s * flow2
         taken_up = 0.0
         for row in (SLOPE, SLOPE + 3):
             for p in range(3):
                 for q in range(3):
-                    taken_up += own[row + p] * inverse[p, q] * own[row + q]
+                    taken_up += own[row + p] * fit.inverse[p, q] * own[row + q]
         left = 1.0 - taken_up / whole
         squared = own[REST] ** 2 + own[REST + 1] ** 2
-        square[c] += squared
-        images[c] += 1.0
+        sums.square[c] += squared
+        sums.images[c] += 1.0
         if not left > LEAST_LEFT:
             continue
         scale = 1.0 / (left * whole)
@@ -230,20 +302,21 @@ def _add_noise(seen, table, inverse, sigma_px2, jitter_s, normal, right, square,
 
 
 @bare_step
-def _add_clocks(seen, table, inverse, toward, pull, clock, images):  # type: ignore[no-untyped-def]
-    """Add what a point's residuals along its motion say of each camera's delay."""
-    cameras = seen.shape[0]
+def _add_clocks(fit, sums):  # type: ignore[no-untyped-def]
+    """Add a point's residuals along its motion to the normal equations of the cameras' delays."""
+    seen, inverse, toward = fit.seen, fit.inverse, fit.toward
+    cameras, clock = seen.shape[0], sums.clock
     for c in range(cameras):
         if not seen[c]:
             continue
-        own = table[c]
+        own = fit.table[c]
         v = own[WEIGHT] * own[FLOW] + own[WEIGHT + 1] * own[FLOW + 1]
         w = own[WEIGHT + 1] * own[FLOW] + own[WEIGHT + 2] * own[FLOW + 1]
         for p in range(3):
             toward[c, p] = own[SLOPE + p] * v + own[SLOPE + 3 + p] * w
-        pull[c] += v * own[REST] + w * own[REST + 1]
+        sums.pull[c] += v * own[REST] + w * own[REST + 1]
         clock[c, c] += v * own[FLOW] + w * own[FLOW + 1]
-        images[c] += 1.0
+        sums.timed[c] += 1.0
     for c in range(cameras):
         if not seen[c]:
             continue
@@ -258,28 +331,28 @@ def _add_clocks(seen, table, inverse, toward, pull, clock, images):  # type: ign
 
 
 @bare_step
-def _adopt(which, point, rays, views, start, taken, reach_px):  # type: ignore[no-untyped-def]
+def _adopt(which, point, rays, taken, reach_px):  # type: ignore[no-untyped-def]
     """Give a point without an image in a camera the free ray nearest to it within reach; True where any was."""
     adopted = False
     for c in range(which.shape[0]):
         if which[c] >= 0:
             continue
         x, y, z = (
-            point[0] - views[c, ORIGIN],
-            point[1] - views[c, ORIGIN + 1],
-            point[2] - views[c, ORIGIN + 2],
+            point[0] - rays.views[c, ORIGIN],
+            point[1] - rays.views[c, ORIGIN + 1],
+            point[2] - rays.views[c, ORIGIN + 2],
         )
         distance = np.sqrt(x * x + y * y + z * z)
         nearest = reach_px
-        for k in range(start[c], start[c + 1]):
+        for k in range(rays.start[c], rays.start[c + 1]):
             if taken[k]:
                 continue
             beside = np.sqrt(
-                (x / distance - rays[k, DIRECTION]) ** 2
-                + (y / distance - rays[k, DIRECTION + 1]) ** 2
-                + (z / distance - rays[k, DIRECTION + 2]) ** 2
+                (x / distance - rays.rays[k, DIRECTION]) ** 2
+                + (y / distance - rays.rays[k, DIRECTION + 1]) ** 2
+                + (z / distance - rays.rays[k, DIRECTION + 2]) ** 2
             )
-            beside_px = beside * (2.0 * rays[k, RADIUS] / rays[k, ANGLE])
+            beside_px = beside * (2.0 * rays.rays[k, RADIUS] / rays.rays[k, ANGLE])
             if beside_px <= nearest:
                 nearest, which[c], adopted = beside_px, k, True
     return adopted

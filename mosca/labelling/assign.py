@@ -7,11 +7,12 @@ which assignments of about the same cost differ stays without a track. Tracks th
 named by their distances from those that have a name.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
+from pydantic import NonNegativeInt, PositiveInt
+from pydantic.dataclasses import dataclass
 
 from mosca.data.arrays import Array
+from mosca.data.files.toml import SETTINGS, NotNegative, Positive
 from mosca.data.tracks import Tracks
 from mosca.labelling.marker_model import MarkerModel
 
@@ -24,22 +25,26 @@ NEUTRAL = 1.0
 """Cost of a link that is as it should be on average, and of one that nothing is known of."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=SETTINGS)
 class LabelSettings:
-    """``beam``: assignments kept at each step; ``bound``: most that one link costs; ``missing``: cost of a marker
-    without a track; ``wrong_side``: of four markers that are mirrored; ``margin``: assignments whose costs differ
-    by less are equally good; ``window``: frames on either side of the fullest that are looked at; ``least_samples``
-    of a track that is named; ``noise_m``: what a distance is off by measurement.
-    """
+    """Costs of assignments, in units of a distance's variance."""
 
-    beam: int = 400
-    bound: float = 25.0
-    missing: float = 10.0
-    wrong_side: float = 12.0
-    margin: float = 5.0
-    window: int = 50
-    least_samples: int = 5
-    noise_m: float = 0.001
+    beam: PositiveInt = 400
+    """Assignments kept at each step."""
+    bound: Positive = 25.0
+    """Largest cost of one link."""
+    missing: NotNegative = 10.0
+    """Cost of a marker without a track."""
+    wrong_side: NotNegative = 12.0
+    """Cost of four markers that are mirrored."""
+    margin: NotNegative = 5.0
+    """Assignments whose costs differ by less are equally good."""
+    window: NonNegativeInt = 50
+    """Frames on either side of the fullest that are used."""
+    least_samples: PositiveInt = 5
+    """Samples of a track that is labelled, at least."""
+    noise_m: NotNegative = 0.001
+    """Standard deviation of a measured distance."""
 
 
 DEFAULTS = LabelSettings()

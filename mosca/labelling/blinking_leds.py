@@ -20,17 +20,20 @@ from mosca.errors import InputError
 
 @dataclass(frozen=True)
 class BlinkSettings:
-    """``frames_per_bit``: pulses that a bit lasts. ``in_step``: bit 0 begins at pulse 0 (a rig whose lamps count its
-    trigger); False: at any. ``missed`` and ``stray``: chance that a lit lamp has no sample, that a dark one has one.
-    ``odds``: how much likelier than any other a number must be. ``least_bits``: bits that must be observed.
-    """
+    """How lamps blink, and how certain a number must be."""
 
     frames_per_bit: int = 1
+    """Pulses that a bit lasts."""
     in_step: bool = False
+    """Bit 0 begins at pulse 0 (a rig whose lamps count its trigger); False: at any."""
     missed: float = 0.05
+    """Probability that a lit lamp has no sample."""
     stray: float = 0.01
+    """Probability that a dark one has one."""
     odds: float = 1e4
+    """Likelihood ratio of a number to any other, at least."""
     least_bits: int = LAMP_BITS
+    """Bits that must be observed."""
 
     def __post_init__(self) -> None:
         if self.frames_per_bit < 1 or self.least_bits < 1:

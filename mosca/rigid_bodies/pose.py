@@ -6,16 +6,20 @@ a second one within ``flip_chi2`` of the first is as good as it, and only the po
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass as plain_dataclass
 from itertools import combinations
 
 import numpy as np
+from pydantic import PositiveInt
+from pydantic.dataclasses import dataclass
 
 from mosca.data.arrays import Array, looked_at
 from mosca.data.bodies import RigidBody
+from mosca.data.files.toml import SETTINGS, NotNegative, Positive
 from mosca.data.rotations import rotation_from_vector
 from mosca.rigid_bodies.ambiguity import ALIKE_M, arrangements
-from mosca.rigid_bodies.pose_kernels import claim, find, fit_pose
+from mosca.rigid_bodies.constellation_search import Candidates, Pose, SearchRules, claim, find
+from mosca.rigid_bodies.pose_kernels import fit_pose
 
 HIDDEN_SHARE = 0.3
 """A point that is off draws the pose towards it and so hides up to two thirds of its error, with few markers."""
@@ -23,66 +27,74 @@ UNKNOWN_M = 0.001
 """Standard deviation of a point on each axis [m] where nobody says."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=SETTINGS)
 class BodySettings:
-    """``gate_sigma``: how many standard deviations a marker may lie off its place; ``slack_m``: what besides the
-    stated errors may move it on each axis (bent holders), for gates only. ``alike_m``: arrangements that differ by
-    less look alike. ``flip_chi2``: how much worse another reading of the same points must be, chi-square.
-    ``least_found``: markers that must agree when a body is found anew, or all where it has fewer.
-    ``largest_turn_rad``: standard deviation of the rotation about its worst axis beyond which a pose is withheld.
-    ``coast_s``: how long a body is followed unseen. ``acceleration_mps2``, ``turn_rad_s2``, ``speed_mps``: how far a
-    body can stray from its prediction; the speed is that of one just found.
-    """
+    """When a body counts as found, and how it moves."""
 
-    gate_sigma: float = 4.5
-    slack_m: float = 0.0005
-    alike_m: float = ALIKE_M
-    flip_chi2: float = 25.0
-    least_found: int = 4
-    largest_turn_rad: float = 0.2
-    coast_s: float = 0.25
-    acceleration_mps2: float = 30.0
-    turn_rad_s2: float = 100.0
-    speed_mps: float = 3.0
+    gate_sigma: Positive = 4.5
+    """How many standard deviations a marker may lie off its place."""
+    slack_m: NotNegative = 0.0005
+    """Variation of a marker's place besides the stated errors, an axis (bent holders); for gates only."""
+    alike_m: Positive = ALIKE_M
+    """Arrangements of markers that differ by less are ambiguous."""
+    flip_chi2: NotNegative = 25.0
+    """Chi-square by which another assignment of the same points must be worse."""
+    least_found: PositiveInt = 4
+    """Markers that must agree when a body is found anew, or all where it has fewer."""
+    largest_turn_rad: Positive = 0.2
+    """Standard deviation of the rotation about its worst axis beyond which a pose is withheld."""
+    coast_s: NotNegative = 0.25
+    """How long a body is predicted without being seen."""
+    acceleration_mps2: NotNegative = 30.0
+    """With ``turn_rad_s2``: how far a body can depart from its prediction."""
+    turn_rad_s2: NotNegative = 100.0
+    """Angular acceleration."""
+    speed_mps: NotNegative = 3.0
+    """Speed of a body just found."""
 
 
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """Points of one instant: ``xyz`` (n, 3) [m], ``covariance`` (n, 3, 3) [m^2], ``variance`` (n,) its trace;
-    ``track`` (n,) -1 for none;
-    ``row_of``: track -> row, empty where the points have no identity; ``named``: label -> row of those that have
-    a label of their own.
-    """
+@plain_dataclass(frozen=True, eq=False)
+class InstantPoints:
+    """Points of one instant."""
 
     xyz: Array
+    """(n, 3) [m]"""
     covariance: Array
+    """(n, 3, 3) [m^2]"""
     variance: Array
+    """(n,) its trace."""
     track: Array
+    """(n,) -1 for none."""
     row_of: Mapping[int, int]
+    """Track -> row, empty where the points have no identity."""
     named: Mapping[str, int]
+    """Label -> row of those that have a label of their own."""
 
     def __len__(self) -> int:
         return len(self.xyz)
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """A body's pose: ``rotation`` (3, 3), ``translation`` (3,), ``covariance`` (6, 6) as in ``BodyPoses``; ``rows``
-    (m,) which point each marker is, -1 for none; ``chi2`` (m,) of each (0 for none).
-    """
+@plain_dataclass(frozen=True, eq=False)
+class PoseFit:
+    """A body's pose."""
 
     rotation: Array
+    """(3, 3)"""
     translation: Array
+    """(3,)"""
     covariance: Array
+    """(6, 6) as in ``BodyPoses``."""
     rows: Array
+    """(m,) point of each marker, -1 for none."""
     chi2: Array
+    """(m,) of each marker, 0 for none."""
 
     @property
     def count(self) -> int:
-        """How many markers it rests on."""
+        """Number of markers used."""
         return int((self.rows >= 0).sum())
 
-    def residual_m(self, body: RigidBody, seen: Seen) -> float:
+    def residual_m(self, body: RigidBody, seen: InstantPoints) -> float:
         """Return the rms distance of the points from the markers' places [m]."""
         used = self.rows >= 0
         there = body.positions[used] @ self.rotation.T + self.translation
@@ -100,7 +112,7 @@ class Constellation:
         self._others: dict[bytes, list[Array]] = {}
         self.span_m = float(body.distances().max())
 
-    def fit(self, seen: Seen, rows: Array) -> Fit | None:
+    def fit(self, seen: InstantPoints, rows: Array) -> PoseFit | None:
         """Return the pose of the markers at points ``rows`` (m,), -1 for none; None where they leave it open."""
         used = np.flatnonzero(rows >= 0)
         if len(used) < 3:
@@ -122,9 +134,9 @@ class Constellation:
             return None
         every = np.zeros(len(rows))
         every[used] = chi2
-        return Fit(rotation, translation, spread, rows.copy(), every)
+        return PoseFit(rotation, translation, spread, rows.copy(), every)
 
-    def sound_fit(self, seen: Seen, rows: Array) -> Fit | None:
+    def sound_fit(self, seen: InstantPoints, rows: Array) -> PoseFit | None:
         """Return the pose of those of the points that agree: one that does not is left out, the worst first.
 
         None where three that agree do not remain.
@@ -136,12 +148,12 @@ class Constellation:
             fit = min(without, key=lambda one: float(one.chi2.sum())) if without else None
         return fit
 
-    def _without(self, fit: Fit, k: int, seen: Seen) -> Fit | None:
+    def _without(self, fit: PoseFit, k: int, seen: InstantPoints) -> PoseFit | None:
         fewer = fit.rows.copy()
         fewer[k] = -1
         return self.fit(seen, fewer)
 
-    def _agree(self, fit: Fit, seen: Seen) -> bool:
+    def _agree(self, fit: PoseFit, seen: InstantPoints) -> bool:
         """Tell whether every point lies within its gate, the worst one also by the pose of the others alone."""
         used = np.flatnonzero(fit.rows >= 0)
         there = self._place[used] @ fit.rotation.T + fit.translation
@@ -155,35 +167,40 @@ class Constellation:
         if others is None or not self.settled(others):
             return True
         row = fit.rows[k]
-        gate = self._gates(seen)[row] + self.span_m * turn_sigma(others)
+        gate = self._gates(seen)[row] + self.span_m * rotation_sigma(others)
         there = others.rotation @ self._place[k] + others.translation
         return bool(np.linalg.norm(seen.xyz[row] - there) < gate)
 
-    def _gates(self, seen: Seen) -> Array:
+    def _gates(self, seen: InstantPoints) -> Array:
         """Return how far each point (n,) may lie from a marker's place [m]."""
         variance = seen.variance + (self._sigma2 + self.settings.slack_m**2)
         return np.asarray(self.settings.gate_sigma * np.sqrt(variance))
 
     def claim(
-        self, seen: Seen, free: Array, rotation: Array, translation: Array, rows: Array, reach_m: float
+        self,
+        seen: InstantPoints,
+        free: Array,
+        rotation: Array,
+        translation: Array,
+        rows: Array,
+        reach_m: float,
     ) -> Array:
         """Return ``rows`` (m,) with a free point for each marker that had none, from within ``reach_m`` and gates."""
         gates = (self._gates(seen) + reach_m) ** 2
         mine = rows.copy()
-        claim(self._place, rotation, translation, seen.xyz, free, gates, mine)
+        points = Candidates(seen.xyz, seen.covariance, free)
+        claim(self._place, Pose(rotation, translation), points, gates, mine)
         return mine
 
-    def find(self, seen: Seen, free: Array) -> tuple[Fit | None, int]:
+    def find(self, seen: InstantPoints, free: Array) -> tuple[PoseFit | None, int]:
         """Look for the body among the points ``free`` (n,); returns its pose and how many markers were found.
 
         No pose, but a count, where another one explains the points as well.
         """
         settings, m = self.settings, len(self._place)
         rows, score = np.full((2, m), -1), np.zeros((2, 2))
-        find(
-            self._place, self._triples, seen.xyz, seen.covariance, free, self._sigma2, settings.slack_m**2,
-            settings.gate_sigma, settings.alike_m, rows, score,
-        )  # fmt: skip
+        rules = SearchRules(self._sigma2, settings.slack_m**2, settings.gate_sigma, settings.alike_m)
+        find(self._place, self._triples, Candidates(seen.xyz, seen.covariance, free), rules, rows, score)
         count = int(score[0, 0])
         if count < min(settings.least_found, m):
             return None, 0
@@ -194,7 +211,7 @@ class Constellation:
             return None, count
         return fit, fit.count
 
-    def others(self, fit: Fit, seen: Seen) -> list[Fit]:
+    def others(self, fit: PoseFit, seen: InstantPoints) -> list[PoseFit]:
         """Return other readings of the same points that are about as likely as ``fit``."""
         used = fit.rows >= 0
         key = used.tobytes()
@@ -215,17 +232,19 @@ class Constellation:
                 found.append(other)
         return found
 
-    def settled(self, fit: Fit) -> bool:
+    def settled(self, fit: PoseFit) -> bool:
         """Tell whether the rotation is known well enough to be handed out."""
-        return turn_sigma(fit) < self.settings.largest_turn_rad
+        return rotation_sigma(fit) < self.settings.largest_turn_rad
 
 
-def turn_sigma(fit: Fit) -> float:
+def rotation_sigma(fit: PoseFit) -> float:
     """Return the standard deviation of the rotation about its worst axis [rad]."""
     return float(np.sqrt(np.linalg.eigvalsh(fit.covariance[3:, 3:])[-1]))
 
 
-def seen_of(xyz: Array, covariance: Array, track: Array | None = None, marker: Array | None = None) -> Seen:
+def instant_points(
+    xyz: Array, covariance: Array, track: Array | None = None, marker: Array | None = None
+) -> InstantPoints:
     """Return points of one instant; an unknown covariance (NaN) becomes that of UNKNOWN_M."""
     xyz = np.ascontiguousarray(xyz, dtype=float).reshape(-1, 3)
     covariance = np.ascontiguousarray(covariance, dtype=float).reshape(-1, 3, 3)
@@ -238,7 +257,7 @@ def seen_of(xyz: Array, covariance: Array, track: Array | None = None, marker: A
     names = [] if marker is None else marker.tolist()
     named = {name: row for row, name in enumerate(names) if name and names.count(name) == 1}
     identity = np.full(len(xyz), -1) if track is None else np.asarray(track)
-    return Seen(looked_at(xyz), looked_at(covariance), variance, identity, row_of, named)
+    return InstantPoints(looked_at(xyz), looked_at(covariance), variance, identity, row_of, named)
 
 
 def predicted(rotation: Array, translation: Array, rates: Array, step_s: float) -> tuple[Array, Array]:

@@ -20,12 +20,12 @@ from mosca.rigid_bodies.ambiguity import check_bodies
 from mosca.rigid_bodies.pose import (
     BodySettings,
     Constellation,
-    Fit,
-    Seen,
+    InstantPoints,
+    PoseFit,
     angle_between,
+    instant_points,
     predicted,
-    seen_of,
-    turn_sigma,
+    rotation_sigma,
     vector_of,
 )
 
@@ -52,7 +52,7 @@ class _State:
 class _Answer:
     """Of one body at one instant: its pose, or how many markers were seen of one that is withheld."""
 
-    fit: Fit | None
+    fit: PoseFit | None
     count: int
 
 
@@ -80,7 +80,7 @@ class BodyTracker:
         answers = self.attend(seen, time_ns * 1e-9)
         return _poses(self.bodies, answers, seen, frame, time_ns)
 
-    def attend(self, seen: Seen, time_s: float) -> list[_Answer]:
+    def attend(self, seen: InstantPoints, time_s: float) -> list[_Answer]:
         """Return each body's answer at ``time_s`` [s]."""
         free = np.ones(len(seen), dtype=bool)
         answers: list[_Answer] = []
@@ -97,7 +97,9 @@ class BodyTracker:
                 _remember(state, answer.fit, seen, time_s, self.settings)
         return answers
 
-    def _followed(self, one: Constellation, state: _State, seen: Seen, free: Array, time_s: float) -> _Answer:
+    def _followed(
+        self, one: Constellation, state: _State, seen: InstantPoints, free: Array, time_s: float
+    ) -> _Answer:
         """Return the pose of a body whose markers are known by label, by track or by its motion."""
         rows = _named(one.body, seen)
         named = int((rows >= 0).sum()) >= 3
@@ -126,9 +128,9 @@ class BodyTracker:
             return _Answer(None, fit.count)
         return _Answer(fit, fit.count)
 
-    def _completed(self, one: Constellation, seen: Seen, free: Array, fit: Fit) -> Fit:
+    def _completed(self, one: Constellation, seen: InstantPoints, free: Array, fit: PoseFit) -> PoseFit:
         """Return the pose with the free points that stand where its other markers should be."""
-        reach = one.span_m * turn_sigma(fit)
+        reach = one.span_m * rotation_sigma(fit)
         rows = one.claim(seen, free, fit.rotation, fit.translation, fit.rows, reach)
         more = one.sound_fit(seen, rows) if (rows != fit.rows).any() else None
         return more if more is not None and more.count > fit.count else fit
@@ -139,7 +141,7 @@ class BodyTracker:
         start = 0.0 if state.moving else self.settings.speed_mps * step_s
         return start + strength * step_s**2 / 2
 
-    def _found(self, lost: list[int], seen: Seen, free: Array) -> Iterator[tuple[int, _Answer]]:
+    def _found(self, lost: list[int], seen: InstantPoints, free: Array) -> Iterator[tuple[int, _Answer]]:
         """Look for lost bodies among the free points; the one that explains most takes its points first."""
         while lost and free.sum() >= 3:
             fits = {}
@@ -188,7 +190,7 @@ def _over_tracks(
     frames, first = np.unique(tracks.frame[measured], return_index=True)
     groups = np.split(measured, first[1:])
     instants = [
-        seen_of(tracks.xyz[g], tracks.covariance[g], tracks.track[g], tracks.label[g]) for g in groups
+        instant_points(tracks.xyz[g], tracks.covariance[g], tracks.track[g], tracks.label[g]) for g in groups
     ]
     times = [int(tracks.time_ns[g[0]]) for g in groups]
     forward, backward = BodyTracker(bodies, settings), BodyTracker(bodies, settings)
@@ -219,21 +221,21 @@ def _merged(ahead: list[_Answer], back: list[_Answer]) -> list[_Answer]:
     return merged
 
 
-def _of_instant(points: Points | Samples | Tracks, frame: int) -> Seen:
+def _of_instant(points: Points | Samples | Tracks, frame: int) -> InstantPoints:
     if isinstance(points, Points):
-        return seen_of(points.xyz, points.covariance)
+        return instant_points(points.xyz, points.covariance)
     rows = points.frame == frame
     rows &= points.status == ("measured" if isinstance(points, Tracks) else 0)
     label = points.label[rows] if isinstance(points, Tracks) else None
-    return seen_of(points.xyz[rows], points.covariance[rows], points.track[rows], label)
+    return instant_points(points.xyz[rows], points.covariance[rows], points.track[rows], label)
 
 
-def _named(body: RigidBody, seen: Seen) -> Array:
+def _named(body: RigidBody, seen: InstantPoints) -> Array:
     """Return which point (m,) carries the name of each marker, -1 for none."""
     return np.array([seen.named.get(name, -1) for name in body.markers])
 
 
-def _by_track(track: Array, seen: Seen, rows: Array) -> Array:
+def _by_track(track: Array, seen: InstantPoints, rows: Array) -> Array:
     """Return ``rows`` (m,) with the points of the tracks (m,) that the markers were before, where they had none."""
     if not seen.row_of:
         return rows
@@ -250,7 +252,9 @@ def _half_nearest(body: RigidBody) -> float:
     return float(distances[distances > 0].min() / 2)
 
 
-def _remember(state: _State, fit: Fit, seen: Seen, time_s: float, settings: BodySettings) -> None:
+def _remember(
+    state: _State, fit: PoseFit, seen: InstantPoints, time_s: float, settings: BodySettings
+) -> None:
     step = time_s - state.time_s
     if 0.0 < step <= settings.coast_s:
         newest = np.concatenate(
@@ -266,7 +270,7 @@ def _remember(state: _State, fit: Fit, seen: Seen, time_s: float, settings: Body
 
 
 def _poses(
-    bodies: Sequence[RigidBody], answers: Sequence[_Answer], seen: Seen, frame: int, time_ns: int
+    bodies: Sequence[RigidBody], answers: Sequence[_Answer], seen: InstantPoints, frame: int, time_ns: int
 ) -> BodyPoses:
     known = [(body, a) for body, a in zip(bodies, answers, strict=True) if a.fit is not None or a.count]
     if not known:

@@ -1,48 +1,45 @@
-"""Smoothing of finished trajectories, and gaps filled with an honest covariance.
+"""Smoothing of finished tracks: Rauch-Tung-Striebel with Singer's motion, each track by itself.
 
-Each track is smoothed by itself with Singer's motion (``mosca.tracking.motion_models``); the variance of its
-acceleration is the likeliest of a ladder. Measured samples stay as they are: ``smoothed`` gives its estimates as
-tracks of their own, ``filled`` adds samples of status ``filled`` only where a track has none. How far to trust a
-model inside a gap is measured on the tracks themselves: pieces that were seen are left out, predicted and compared,
-and the covariance of filled samples is scaled until these errors fit it.
+The variance of a track's acceleration is the likeliest of a ladder. Compiled as a Kalman filter forwards and Bryson
+and Frazier's recursion backwards: this form (Bierman 1973) needs no inverse of a predicted covariance, so that
+instants without a measurement are only steps without an update. Matrices this small are multiplied in loops: a
+library's call costs more, and is slow to compile.
 """
 
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass as plain_dataclass
+from typing import NamedTuple
 
 import numpy as np
+from pydantic.dataclasses import dataclass
 
 from mosca.data.arrays import Array
-from mosca.data.tracks import Samples, Tracks, table
-from mosca.smoothing.smooth_kernels import smooth_one
+from mosca.data.files.toml import SETTINGS, NotNegative, Positive
+from mosca.data.tracks import Tracks
+from mosca.numba_support.decorators import kernel, step
+from mosca.numba_support.linalg3 import cofactors3, determinant3, divided3, store3, sum3, symmetric3
 from mosca.tracking.motion_models import motion
+from mosca.tracking.state import Scratch
 
 LADDER = 2.0 ** np.arange(-2, 9)
 """Accelerations that are tried [m/s^2, standard deviation an axis]."""
-TRIALS = 12
-"""Pieces of each track that are left out to learn what a gap costs."""
-ENOUGH = 30
-"""Pieces that must have been tried before a covariance is made narrower than the model's."""
-LASTING_S = 0.1
-"""How long a half-hidden target stays so, and its error with it: that of limbs which pass each other."""
-CHI2_95 = 7.815
-"""95 % quantile of the chi-square distribution with 3 degrees of freedom."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=SETTINGS)
 class SmoothSettings:
-    """``memory_s``: how long an acceleration lasts; ``speed_mps``: of a track's first velocity; ``longest_gap_s``:
-    gaps up to this are filled; ``acceleration_mps2``: of all tracks, None: each track's likeliest.
-    """
+    """How targets move, for smoothing and filling of finished tracks."""
 
-    memory_s: float = 0.1
-    speed_mps: float = 3.0
-    longest_gap_s: float = 0.25
-    acceleration_mps2: float | None = None
+    memory_s: Positive = 0.1
+    """Correlation time of the acceleration [s]."""
+    speed_mps: Positive = 3.0
+    """Standard deviation of a track's first velocity, an axis."""
+    longest_gap_s: NotNegative = 0.25
+    """Gaps up to this are filled."""
+    acceleration_mps2: NotNegative | None = None
+    """Standard deviation of all tracks' acceleration, an axis; None: each track's likeliest."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Path:
+@plain_dataclass(frozen=True, eq=False)
+class TrackInstants:
     """One track on all its instants: rows measured and, between them, instants without."""
 
     track: int
@@ -63,70 +60,27 @@ def smoothed(tracks: Tracks, settings: SmoothSettings | None = None) -> Tracks:
     settings = SmoothSettings() if settings is None else settings
     tracks = tracks.select(np.asarray(tracks.status) == "measured")
     xyz, covariance = np.array(tracks.xyz), np.array(tracks.covariance)
-    for rows in _rows_of_tracks(tracks):
-        path = _path(tracks, rows, np.empty(0, np.int64), np.empty(0, np.int64), settings)
-        variance = _likeliest(path, settings)
-        xyz[rows], covariance[rows], _, _ = _smooth(path, path.measured, variance, settings)
+    for rows in rows_of_tracks(tracks):
+        path = instants_of(tracks, rows, np.empty(0, np.int64), np.empty(0, np.int64), settings)
+        variance = likeliest_variance(path, settings)
+        xyz[rows], covariance[rows], _, _ = smooth_track(path, path.measured, variance, settings)
     return Tracks(
         tracks.frame, tracks.time_ns, tracks.track, tracks.label, xyz, covariance,
         tracks.n_cameras, tracks.residual_px, tracks.status,
     )  # fmt: skip
 
 
-def filled(tracks: Tracks, settings: SmoothSettings | None = None) -> Tracks:
-    """Return ``tracks`` and, where a track pauses for ``longest_gap_s`` or less, samples of status ``filled``.
-
-    Instants are those at which any track has a sample. Filled samples have 0 cameras and residual NaN.
-    """
-    settings = SmoothSettings() if settings is None else settings
-    frames, first = np.unique(tracks.frame, return_index=True)
-    times = np.asarray(tracks.time_ns)[first]
-    measured = tracks.select(np.asarray(tracks.status) == "measured")
-    paths = []
-    for rows in _rows_of_tracks(measured):
-        own = measured.frame[rows]
-        missing = np.setdiff1d(frames[(frames > own[0]) & (frames < own[-1])], own)
-        paths.append(_path(measured, rows, missing, times[np.searchsorted(frames, missing)], settings))
-    variances = [_likeliest(path, settings) for path in paths]
-    paths = [_with_lasting_errors(path) for path in paths]
-    widths = _widening(paths, variances, settings)
-    parts = [_fill(p, v, widths, settings) for p, v in zip(paths, variances, strict=True)]
-    added = _named(table([part for part in parts if len(part)]), measured)
-    both = [np.concatenate([getattr(tracks, n), getattr(added, n)]) for n in Tracks.__dataclass_fields__]
-    together = Tracks(*both)
-    return together.select(np.lexsort((together.track, together.frame)))
-
-
-def _with_lasting_errors(path: _Path) -> _Path:
-    """Return ``path`` with wider covariances where a target is measured worse than it mostly is.
-
-    It is half hidden there, as it is before a gap and after it, and errs alike from one frame to the next: many
-    such frames tell no more than one in ``LASTING_S`` does.
-    """
-    size = np.trace(path.covariance, axis1=1, axis2=2)
-    usual = np.median(size[path.measured])
-    step = np.median(np.diff(path.time_ns)) * 1e-9 if len(size) > 1 else LASTING_S
-    frames = max(LASTING_S / step, 1.0)
-    worse = np.clip(1.0 - usual / size, 0.0, 1.0)
-    factor = np.where(path.measured, 1.0 + (frames - 1.0) * worse, 1.0)
-    return replace(path, covariance=path.covariance * factor[:, None, None])
-
-
-def _named(added: Tracks, measured: Tracks) -> Tracks:
-    """Return filled samples with the labels that their tracks have."""
-    some = measured.select(measured.label != "")
-    label_of = dict(zip(some.track.tolist(), some.label.tolist(), strict=True))
-    labels = np.array([label_of.get(track, "") for track in added.track.tolist()], dtype=np.str_)
-    return replace(added, label=labels)
-
-
-def _rows_of_tracks(tracks: Tracks) -> list[Array]:
+def rows_of_tracks(tracks: Tracks) -> list[Array]:
+    """Return the rows of each track, in order of time."""
     order = np.lexsort((tracks.frame, tracks.track))
     cuts = np.flatnonzero(np.diff(np.asarray(tracks.track)[order])) + 1
     return [rows for rows in np.split(order, cuts) if len(rows)]
 
 
-def _path(tracks: Tracks, rows: Array, frames: Array, times: Array, settings: SmoothSettings) -> _Path:
+def instants_of(
+    tracks: Tracks, rows: Array, frames: Array, times: Array, settings: SmoothSettings
+) -> TrackInstants:
+    """Return the track in ``rows`` (n,), with instants without a measurement at ``frames`` and ``times`` (k,)."""
     frame = np.concatenate([tracks.frame[rows], frames])
     time_ns = np.concatenate([tracks.time_ns[rows], times])
     order = np.argsort(time_ns, kind="stable")
@@ -136,7 +90,7 @@ def _path(tracks: Tracks, rows: Array, frames: Array, times: Array, settings: Sm
     measured = (np.arange(n) < len(rows))[order]
     steps = np.diff(time_ns[order], prepend=time_ns[order][0]) * 1e-9
     move, noise = axis_moves(steps, settings.memory_s)
-    return _Path(
+    return TrackInstants(
         int(tracks.track[rows[0]]), frame[order], time_ns[order], xyz, covariance, measured, move, noise
     )
 
@@ -144,110 +98,227 @@ def _path(tracks: Tracks, rows: Array, frames: Array, times: Array, settings: Sm
 def axis_moves(steps_s: Array, memory_s: float) -> tuple[Array, Array]:
     """Return transition and noise (n, 3, 3) of one axis over steps (n,) [s], noise for variance of acceleration 1."""
     move, noise = np.empty((len(steps_s), 3, 3)), np.empty((len(steps_s), 3, 3))
-    for step in np.unique(steps_s):
-        m = motion("acceleration", float(step), memory_s)
-        move[steps_s == step] = [[1.0, m.pv, m.pa], [0.0, 1.0, m.va], [0.0, 0.0, m.aa]]
-        noise[steps_s == step] = [[m.qpp, m.qpv, m.qpa], [m.qpv, m.qvv, m.qva], [m.qpa, m.qva, m.qaa]]
+    for step_s in np.unique(steps_s):
+        m, same = motion("acceleration", float(step_s), memory_s), steps_s == step_s
+        move[same] = [[1.0, m.pv, m.pa], [0.0, 1.0, m.va], [0.0, 0.0, m.aa]]
+        noise[same] = [[m.qpp, m.qpv, m.qpa], [m.qpv, m.qvv, m.qva], [m.qpa, m.qva, m.qaa]]
     return move, noise
 
 
-def _smooth(
-    path: _Path, measured: Array, variance: float, settings: SmoothSettings
+def smooth_track(
+    path: TrackInstants, measured: Array, variance: float, settings: SmoothSettings
 ) -> tuple[Array, Array, float, float]:
-    place, spread, cost, nis = smooth_one(
+    """Smooth a track of which ``measured`` (t,) counts; return what ``smooth_one`` does."""
+    xyz, spread, cost, nis = smooth_one(
         path.xyz, path.covariance, measured, path.move, path.noise, settings.speed_mps**2, variance
     )
-    return place, spread, float(cost), float(nis)
+    return xyz, spread, float(cost), float(nis)
 
 
-def _likeliest(path: _Path, settings: SmoothSettings) -> float:
+def likeliest_variance(path: TrackInstants, settings: SmoothSettings) -> float:
     """Return the variance of acceleration under which the path's measurements are likeliest."""
     if settings.acceleration_mps2 is not None:
         return settings.acceleration_mps2**2
-    costs = [_smooth(path, path.measured, float(a) ** 2, settings)[2] for a in LADDER]
+    costs = [smooth_track(path, path.measured, float(a) ** 2, settings)[2] for a in LADDER]
     return float(LADDER[int(np.argmin(costs))]) ** 2
 
 
-def _widening(paths: list[_Path], variances: list[float], settings: SmoothSettings) -> dict[int, float]:
-    """Return by gap length (instants, powers of two) how the errors compare with the model's covariance: a factor.
+class _Filtered(NamedTuple):
+    """What the forward pass over t instants leaves for the backward pass."""
 
-    Pieces that were seen are left out, as far apart as four times their length; what counts is their mean squared
-    error in units of the stated covariance, over 3, or their 95 % quantile over a normal distribution's where that
-    is more. It is below 1 only where ENOUGH pieces say so.
+    predicted_p: Array
+    """(t, 9, 9) covariance before the update."""
+    x: Array
+    """(t, 9) state after it."""
+    p: Array
+    """(t, 9, 9)"""
+    inverse: Array
+    """(t, 3, 3) of the innovation's covariance, 0 without a measurement."""
+    innovation: Array
+    """(t, 3)"""
+
+
+@kernel
+def smooth_one(xyz, covariance, measured, move, noise, speed2, variance):  # type: ignore[no-untyped-def]
+    """Smooth one trajectory of t instants.
+
+    ``xyz`` (t, 3), ``covariance`` (t, 3, 3) count where ``measured`` (t,); the first instant must be. ``move``,
+    ``noise`` (t, 3, 3): one axis' transition and noise from the instant before, for ``variance`` of acceleration 1;
+    the first is not used. ``speed2``: variance of the first velocity. Returns positions (t, 3), covariances
+    (t, 3, 3), -2 log-likelihood and mean normalised innovation squared.
     """
-    squares: dict[int, list[float]] = {}
-    shares: dict[int, list[float]] = {}
-    longest = max((_longest(path.measured) for path in paths), default=0)
-    lengths = [2**k for k in range(12) if 2**k < 2 * longest]
-    for path, variance in zip(paths, variances, strict=True):
-        for length in lengths:
-            hidden = _left_out(path.measured, length)
-            if not hidden.any():
-                continue
-            place, spread, _, _ = _smooth(path, path.measured & ~hidden, variance, settings)
-            away = place[hidden] - path.xyz[hidden]
-            total = spread[hidden] + path.covariance[hidden]
-            nees = np.einsum("ni,ni->n", away, np.linalg.solve(total, away[:, :, None])[:, :, 0])
-            squares.setdefault(length, []).extend(nees.tolist())
-            own = np.trace(spread[hidden], axis1=1, axis2=2) / np.trace(total, axis1=1, axis2=2)
-            shares.setdefault(length, []).extend(own.tolist())
-    return {
-        length: _factor(np.array(squares.get(length, [])), np.array(shares.get(length, [])), length)
-        for length in lengths
-    }
+    t = xyz.shape[0]
+    filtered = _Filtered(
+        np.empty((t, 9, 9)), np.empty((t, 9)), np.empty((t, 9, 9)), np.zeros((t, 3, 3)), np.zeros((t, 3))
+    )
+    cost, nis = _forward(xyz, covariance, measured, move, noise, speed2, variance, filtered)
+    position, spread = np.empty((t, 3)), np.empty((t, 3, 3))
+    _backward(measured, move, filtered, position, spread)
+    return position, spread, cost, nis
 
 
-def _factor(squares: Array, shares: Array, length: int) -> float:
-    """Return by how much to scale a covariance for errors of these ``squares`` (n,), ``length`` of each piece.
+@step
+def _forward(xyz, covariance, measured, move, noise, speed2, variance, filtered):  # type: ignore[no-untyped-def]
+    """Kalman filter; fills ``filtered`` and returns -2 log-likelihood and mean normalised innovation squared."""
+    x, p, scratch = np.zeros(9), np.zeros((9, 9)), Scratch(np.empty((9, 3)), np.empty((3, 9)))
+    for a in range(3):
+        x[a] = xyz[0, a]
+        for b in range(3):
+            p[a, b] = covariance[0, a, b]
+        p[3 + a, 3 + a], p[6 + a, 6 + a] = speed2, variance
+    cost, nis, count = 0.0, 0.0, 0
+    for k in range(xyz.shape[0]):
+        if k > 0:
+            predict_state(x, move[k])
+            predict_covariance(p, move[k])
+            add_process_noise(p, noise[k], variance)
+        _copy(p, filtered.predicted_p, k)
+        if measured[k] and k > 0:
+            inverse, innovation = filtered.inverse[k], filtered.innovation[k]
+            for a in range(3):
+                innovation[a] = xyz[k, a] - x[a]
+            determinant = innovation_inverse(p, covariance[k], inverse)
+            square = 0.0
+            for a in range(3):
+                for b in range(3):
+                    square += innovation[a] * inverse[a, b] * innovation[b]
+            update_state(x, p, innovation, inverse, scratch)
+            cost += square + np.log(determinant)
+            nis += square
+            count += 1
+        for i in range(9):
+            filtered.x[k, i] = x[i]
+        _copy(p, filtered.p, k)
+    return cost, nis / max(count, 1)
 
-    ``shares`` (n,): of the estimate in the errors' variance; the rest is that of the measurement compared with.
+
+@step
+def _backward(measured, move, filtered, position, spread):  # type: ignore[no-untyped-def]
+    """Bryson and Frazier's recursion; fills positions (t, 3) and covariances (t, 3, 3)."""
+    # lead, weight: adjoint of what is measured later, at the corrected state
+    lead, weight, left, work = np.zeros(9), np.zeros((9, 9)), np.empty((9, 9)), np.empty((9, 9))
+    f = np.empty((3, 3))
+    for k in range(position.shape[0] - 1, -1, -1):
+        for a in range(3):
+            position[k, a] = filtered.x[k, a]
+            for i in range(9):
+                position[k, a] -= filtered.p[k, a, i] * lead[i]
+                work[a, i] = 0.0
+                for j in range(9):
+                    work[a, i] += filtered.p[k, a, j] * weight[j, i]
+            for b in range(3):
+                spread[k, a, b] = filtered.p[k, a, b]
+                for i in range(9):
+                    spread[k, a, b] -= work[a, i] * filtered.p[k, b, i]
+        if k == 0:
+            break
+        if measured[k]:
+            inverse, innovation = filtered.inverse[k], filtered.innovation[k]
+            for i in range(9):
+                for j in range(9):
+                    left[i, j] = 1.0 if i == j else 0.0
+                for b in range(3):
+                    for a in range(3):
+                        left[i, b] -= filtered.predicted_p[k, i, a] * inverse[a, b]
+            _adjoint(left, lead, weight, work)
+            for a in range(3):
+                for b in range(3):
+                    lead[a] -= inverse[a, b] * innovation[b]
+                    weight[a, b] += inverse[a, b]
+        for i in range(3):
+            for j in range(3):
+                f[i, j] = move[k, j, i]
+        predict_state(lead, f)
+        predict_covariance(weight, f)
+
+
+@step
+def add_process_noise(p, noise, variance):  # type: ignore[no-untyped-def]
+    """Add to a covariance (9, 9) one axis' noise (3, 3) for an acceleration of ``variance``."""
+    for i in range(3):
+        for j in range(3):
+            for a in range(3):
+                p[3 * i + a, 3 * j + a] += variance * noise[i, j]
+
+
+@step
+def innovation_inverse(p, covariance, inverse):  # type: ignore[no-untyped-def]
+    """Fill the inverse (3, 3) of a position's innovation covariance; returns its determinant."""
+    s = sum3(symmetric3(p), symmetric3(covariance))
+    cofactors = cofactors3(s)
+    determinant = determinant3(s, cofactors)
+    store3(divided3(cofactors, determinant), inverse)
+    return determinant
+
+
+@step
+def _copy(p, kept, k):  # type: ignore[no-untyped-def]
+    for i in range(9):
+        for j in range(9):
+            kept[k, i, j] = p[i, j]
+
+
+@step
+def _adjoint(left, lead, weight, work):  # type: ignore[no-untyped-def]
+    """Carry ``lead`` (9,) and ``weight`` (9, 9) back over an update: left' lead and left' weight left."""
+    for i in range(9):
+        for j in range(9):
+            work[i, j] = 0.0
+            for k in range(9):
+                work[i, j] += weight[i, k] * left[k, j]
+    for i in range(9):
+        for j in range(9):
+            weight[i, j] = 0.0
+            for k in range(9):
+                weight[i, j] += left[k, i] * work[k, j]
+    for i in range(9):
+        work[0, i] = 0.0
+        for k in range(9):
+            work[0, i] += left[k, i] * lead[k]
+    for i in range(9):
+        lead[i] = work[0, i]
+
+
+@step
+def predict_state(x, f):  # type: ignore[no-untyped-def]
+    """Multiply position, velocity and acceleration of three axes (9,) by one axis' transition (3, 3), in place."""
+    for a in range(3):
+        u, v, w = x[a], x[3 + a], x[6 + a]
+        for i in range(3):
+            x[3 * i + a] = f[i, 0] * u + f[i, 1] * v + f[i, 2] * w
+
+
+@step
+def predict_covariance(p, f):  # type: ignore[no-untyped-def]
+    """Multiply the symmetric covariance (9, 9) of such a state by it from both sides, in place."""
+    for _ in range(2):
+        for i in range(9):
+            for a in range(3):
+                u, v, w = p[i, a], p[i, 3 + a], p[i, 6 + a]
+                for k in range(3):
+                    p[i, 3 * k + a] = f[k, 0] * u + f[k, 1] * v + f[k, 2] * w
+        for i in range(9):
+            for j in range(i):
+                p[i, j], p[j, i] = p[j, i], p[i, j]
+
+
+@step
+def update_state(x, p, innovation, inverse, scratch):  # type: ignore[no-untyped-def]
+    """Kalman update of a state (9,) and its covariance (9, 9) in place by the innovation (3,) of a position.
+
+    ``inverse`` (3, 3) of the innovation's covariance. ``scratch``: filled with the covariance's first rows before the
+    update and the gain.
     """
-    if not len(squares):
-        return 1.0
-    whole = max(float(squares.mean()) / 3.0, float(np.quantile(squares, 0.95)) / CHI2_95)
-    whole *= 1.0 + np.sqrt(2.0 * length / (3.0 * len(squares)))  # few pieces leave it uncertain by this much
-    own = float(shares.mean())
-    # to take the measurements' share off where it is most of it would be guessing: narrower by the whole, never more
-    factor = whole if whole < 1.0 else (whole - (1.0 - own)) / own
-    return factor if len(squares) >= ENOUGH * length else max(1.0, factor)
-
-
-def _longest(measured: Array) -> int:
-    seen = np.flatnonzero(measured)
-    return int(np.diff(seen).max(initial=1)) - 1
-
-
-def _left_out(measured: Array, length: int) -> Array:
-    """Return the mask of up to TRIALS pieces of ``length`` within what was measured, with room around each.
-
-    They are spread over the whole track: how it moves changes on its way.
-    """
-    starts, at = [], 2 * length + 1
-    while at + 3 * length < len(measured):
-        if measured[at - length : at + 2 * length].all():
-            starts.append(at)
-            at += 4 * length
-        at += 1
-    hidden = np.zeros(len(measured), bool)
-    for k in np.unique(np.linspace(0, len(starts) - 1, min(TRIALS, len(starts))).round().astype(int)):
-        hidden[starts[k] : starts[k] + length] = True
-    return hidden
-
-
-def _fill(path: _Path, variance: float, widths: dict[int, float], settings: SmoothSettings) -> Samples:
-    """Return the samples that close a path's gaps."""
-    place, spread, _, _ = _smooth(path, path.measured, variance, settings)
-    seen = np.flatnonzero(path.measured)
-    rows: list[int] = []
-    wide: list[float] = []
-    for a, b in pairwise(seen.tolist()):
-        if b > a + 1 and (path.time_ns[b] - path.time_ns[a]) * 1e-9 <= settings.longest_gap_s + 1e-9:
-            length = min(k for k in widths if k >= b - a - 1)
-            rows += range(a + 1, b)
-            wide += [widths[length]] * (b - a - 1)
-    r, n = np.array(rows, dtype=int), len(rows)
-    factor = np.array(wide).reshape(-1, 1, 1)
-    return Samples(
-        path.frame[r], path.time_ns[r], np.full(n, path.track), place[r], spread[r] * factor,
-        np.zeros(n, np.int64), np.full(n, np.nan), np.ones(n, np.int8),
-    )  # fmt: skip
+    top, gain = scratch.rows, scratch.gain
+    for i in range(9):
+        for b in range(3):
+            top[b, i] = p[b, i]
+    for i in range(9):
+        for b in range(3):
+            gain[i, b] = top[0, i] * inverse[0, b] + top[1, i] * inverse[1, b] + top[2, i] * inverse[2, b]
+        x[i] += gain[i, 0] * innovation[0] + gain[i, 1] * innovation[1] + gain[i, 2] * innovation[2]
+    for i in range(9):
+        for j in range(i + 1):
+            less = gain[i, 0] * top[0, j] + gain[i, 1] * top[1, j] + gain[i, 2] * top[2, j]
+            same = gain[j, 0] * top[0, i] + gain[j, 1] * top[1, i] + gain[j, 2] * top[2, i]
+            p[i, j] = p[j, i] = 0.5 * (p[i, j] - less + p[j, i] - same)

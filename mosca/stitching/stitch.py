@@ -11,34 +11,39 @@ Samples of two zones of one target and instant are merged, weighted by their cov
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass as plain_dataclass
 from itertools import combinations
 
 import numpy as np
+from pydantic import PositiveInt
+from pydantic.dataclasses import dataclass
 
 from mosca.data.arrays import Array
+from mosca.data.files.toml import SETTINGS, NotNegative, Positive
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 from mosca.stitching.association import Group, bridged, pairs_of, placed_like, same_target
 from mosca.stitching.fusion import merged, shifted
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=SETTINGS)
 class ZoneSettings:
-    """``gate_sigma``: how far samples of one target may be apart, in their standard deviations; ``gate_m``: never
-    farther, the zones' shift included; ``gate_mps``: how much their velocities may differ besides their uncertainty;
-    ``least_common``: instants that two tracks must share to be compared; ``bridge_s``: for how long a target may be
-    in no zone on its way; ``acceleration_mps2``: what it may do meanwhile; ``told_m``: shifts up to this are the
-    calibrations' own error: neither told nor taken out.
-    """
+    """When tracks of two zones are of one target."""
 
-    gate_sigma: float = 4.0
-    gate_m: float = 0.03
-    gate_mps: float = 0.05
-    least_common: int = 5
-    bridge_s: float = 0.2
-    acceleration_mps2: float = 20.0
-    told_m: float = 0.001
+    gate_sigma: Positive = 4.0
+    """How many standard deviations samples of one target may be apart."""
+    gate_m: Positive = 0.03
+    """Never farther, the zones' shift included."""
+    gate_mps: NotNegative = 0.05
+    """How much their velocities may differ besides their uncertainty."""
+    least_common: PositiveInt = 5
+    """Instants that two tracks must share to be compared."""
+    bridge_s: NotNegative = 0.2
+    """For how long a target may be in no zone on its way."""
+    acceleration_mps2: NotNegative = 20.0
+    """Its acceleration meanwhile."""
+    reported_m: NotNegative = 0.001
+    """Shifts up to this are the calibrations' own error: neither reported nor corrected."""
 
 
 DEFAULTS = ZoneSettings()
@@ -46,7 +51,7 @@ NEARLY = 0.7
 """Share of the most votes that a smaller shift needs."""
 
 
-@dataclass(frozen=True, eq=False)
+@plain_dataclass(frozen=True, eq=False)
 class ZoneShift:
     """What zone ``two`` measures minus what zone ``one`` measures of the same targets.
 
@@ -61,7 +66,7 @@ class ZoneShift:
     real: bool
 
 
-@dataclass(frozen=True, eq=False)
+@plain_dataclass(frozen=True, eq=False)
 class Stitched:
     """One set of ``tracks``; ``shifts`` between zones that share targets; how many samples were ``merged`` from two
     and more, how many targets were ``handed_over``; ``notes``: what must be known, a line each.
@@ -145,7 +150,7 @@ def _shift_between(
     covariance = covariance + away.T @ away / (k * max(k - 1, 1))
     sure = float(shift @ np.linalg.solve(covariance, shift)) > settings.gate_sigma**2
     return ZoneShift(
-        name, other, shift, covariance, k, sure and float(np.linalg.norm(shift)) > settings.told_m
+        name, other, shift, covariance, k, sure and float(np.linalg.norm(shift)) > settings.reported_m
     )
 
 

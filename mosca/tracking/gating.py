@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mosca.numba_support.decorators import bare_step, inlined_step, step
+from mosca.numba_support.linalg3 import mahalanobis3, plus_identity3, sum3, symmetric3
 from mosca.tracking.neighbour_model import distance_evidence
 from mosca.tracking.state import CONFIRMED, SLOTS_USED, UNPREDICTED
 
@@ -104,13 +105,15 @@ def _score(bank, neighbours, i, points, r, gate, rules, time_s):  # type: ignore
     if away2 > (rules.gate_m * evidence) ** 2:
         return -1.0
     score = -1.0
-    away, log_det = _mahalanobis(p, covariance, 0.0, x, y, z)
+    innovation_covariance = sum3(symmetric3(p), symmetric3(covariance))
+    away, determinant = mahalanobis3(innovation_covariance, x, y, z)
     if away <= rules.gate_sigma**2:
-        score = gate.offset - away - log_det
+        score = gate.offset - away - np.log(determinant)
     if gate.manoeuvre > 0.0 and away > MANOEUVRE_COST:
-        farther, wider = _mahalanobis(p, covariance, gate.manoeuvre, x, y, z)
+        wider = plus_identity3(innovation_covariance, gate.manoeuvre)
+        farther, determinant = mahalanobis3(wider, x, y, z)
         if farther <= rules.gate_sigma**2:
-            score = max(score, gate.offset - farther - wider - MANOEUVRE_COST)
+            score = max(score, gate.offset - farther - np.log(determinant) - MANOEUVRE_COST)
     if score <= 0.0:
         return score
     if bank.missed[i] == 0 and away <= rules.gate_sigma**2:
@@ -125,18 +128,6 @@ def _score(bank, neighbours, i, points, r, gate, rules, time_s):  # type: ignore
         if fits < CONTRADICTED and trusted < rules.reliable_from:
             return -1.0
     return score
-
-
-@bare_step
-def _mahalanobis(p, r, extra, x, y, z):  # type: ignore[no-untyped-def]
-    """Return the squared Mahalanobis distance of (x, y, z) for p + r + extra * identity, and that's log det."""
-    d0, d1, d2 = p[0, 0] + r[0, 0] + extra, p[1, 1] + r[1, 1] + extra, p[2, 2] + r[2, 2] + extra
-    e01, e02, e12 = p[0, 1] + r[0, 1], p[0, 2] + r[0, 2], p[1, 2] + r[1, 2]
-    c00, c01, c02 = d1 * d2 - e12 * e12, e02 * e12 - e01 * d2, e01 * e12 - e02 * d1
-    det = d0 * c00 + e01 * c01 + e02 * c02
-    c11, c12, c22 = d0 * d2 - e02 * e02, e01 * e02 - d0 * e12, d0 * d1 - e01 * e01
-    form = c00 * x * x + c11 * y * y + c22 * z * z + 2.0 * (c01 * x * y + c02 * x * z + c12 * y * z)
-    return form / det, np.log(det)
 
 
 @step

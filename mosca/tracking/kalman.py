@@ -7,6 +7,7 @@ of acceleration is adapted for each track from its normalised innovations square
 import numpy as np
 
 from mosca.numba_support.decorators import bare_step, inlined_step, step
+from mosca.numba_support.linalg3 import inverse3, sum3, symmetric3, times3
 from mosca.tracking.state import (
     BY_MOTION,
     BY_NEIGHBOURS,
@@ -209,36 +210,14 @@ def _predict_one(mean, covariance, m, variance):  # type: ignore[no-untyped-def]
 def _update_one(mean, covariance, xyz, noise, size, scratch):  # type: ignore[no-untyped-def]
     """Kalman update by a measured position; returns the normalised innovation squared (3 degrees of freedom)."""
     gain, top = scratch.gain, scratch.rows
-    s00, s01, s02 = (
-        covariance[0, 0] + noise[0, 0],
-        covariance[0, 1] + noise[0, 1],
-        covariance[0, 2] + noise[0, 2],
-    )
-    s11, s12, s22 = (
-        covariance[1, 1] + noise[1, 1],
-        covariance[1, 2] + noise[1, 2],
-        covariance[2, 2] + noise[2, 2],
-    )
-    c00, c01, c02 = s11 * s22 - s12 * s12, s02 * s12 - s01 * s22, s01 * s12 - s02 * s11
-    det = s00 * c00 + s01 * c01 + s02 * c02
-    i00, i01, i02 = c00 / det, c01 / det, c02 / det
-    i11, i12, i22 = (
-        (s00 * s22 - s02 * s02) / det,
-        (s01 * s02 - s00 * s12) / det,
-        (s00 * s11 - s01 * s01) / det,
-    )
+    weight = inverse3(sum3(symmetric3(covariance), symmetric3(noise)))
     u, v, w = xyz[0] - mean[0], xyz[1] - mean[1], xyz[2] - mean[2]
-    nis = (
-        u * (i00 * u + i01 * v + i02 * w)
-        + v * (i01 * u + i11 * v + i12 * w)
-        + w * (i02 * u + i12 * v + i22 * w)
-    )
+    wu, wv, ww = times3(weight, u, v, w)
+    nis = u * wu + v * wv + w * ww
     for a in range(size):
         x, y, z = covariance[a, 0], covariance[a, 1], covariance[a, 2]
         top[0, a], top[1, a], top[2, a] = x, y, z
-        gain[a, 0] = x * i00 + y * i01 + z * i02
-        gain[a, 1] = x * i01 + y * i11 + z * i12
-        gain[a, 2] = x * i02 + y * i12 + z * i22
+        gain[a, 0], gain[a, 1], gain[a, 2] = times3(weight, x, y, z)
     for a in range(size):
         mean[a] += gain[a, 0] * u + gain[a, 1] * v + gain[a, 2] * w
         for b in range(a, size):

@@ -5,24 +5,24 @@ takes the point nearest to where it was last seen, within a threshold; nothing i
 the same point, as the guide's hand and shoulder do. A point that no marker took begins a new one.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
+from pydantic.dataclasses import dataclass
 from scipy.spatial import cKDTree
 
 from mosca.data.arrays import Array
+from mosca.data.files.toml import SETTINGS, NotNegative, Positive
 from mosca.data.rays import Predicted
 from mosca.data.tracks import Points, Samples
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=SETTINGS)
 class NearestSettings:
-    """``threshold_m``: how far a marker may move between two frames. ``keep_s``: how long one that no point is
-    near to waits where it was last seen.
-    """
+    """How far markers move."""
 
-    threshold_m: float = 0.08
-    keep_s: float = 0.25
+    threshold_m: Positive = 0.08
+    """How far a marker may move between two frames."""
+    keep_s: NotNegative = 0.25
+    """How long a marker without a point is kept where it was last seen."""
 
 
 class NearestTracker:

@@ -7,6 +7,7 @@ before, by Gauss-Newton steps with a prior that limits the spin where the neighb
 import numpy as np
 
 from mosca.numba_support.decorators import bare_step, step
+from mosca.numba_support.linalg3 import inverse3, plus_identity3, store3, symmetric3, times3
 from mosca.tracking.state import NEIGHBOURS
 
 RIGID, UNOBSERVED, OBSERVED_HALF_S = 0.005, 0.15, 0.2
@@ -47,19 +48,19 @@ def carried_along(bank, neighbours, i, hidden_s, step_s, xyz, covariance):  # ty
         return np.inf
     mean_weight = total / seen
     rotation, normal, right = neighbours.rotation[i], np.empty((3, 3)), np.empty(3)
-    spin = np.empty((3, 3))
     prior = 1.0 / (SPIN_RADPS * max(step_s, 1e-4)) ** 2
     misfit = 0.0
     for _ in range(ITERATIONS):
         misfit = _normal_equations(bank, neighbours, i, then, now, normal, right)
-        _inverse(normal, prior, spin)
-        _rotate_by(rotation, spin, right)
+        spin = inverse3(plus_identity3(symmetric3(normal), prior))
+        _rotate_by(rotation, *times3(spin, right[0], right[1], right[2]))
     lever = _rotated(rotation, neighbours.own_xyz_last_seen[i], then)
     for a in range(3):
         xyz[a] = now[a] + lever[a]
     inflation = max(1.0, misfit / max(3.0 * seen - 6.0, 1.0)) if seen > 2 else 1.0
-    _inverse(normal, 1.0 / min((SPIN_RADPS * hidden_s) ** 2, LARGEST_SPIN_RAD2), spin)
-    _fill_covariance(spin, lever, 1.0 / total + 1.0 / mean_weight, inflation, covariance)
+    prior = 1.0 / min((SPIN_RADPS * hidden_s) ** 2, LARGEST_SPIN_RAD2)
+    store3(inverse3(plus_identity3(symmetric3(normal), prior)), normal)
+    _fill_covariance(normal, lever, 1.0 / total + 1.0 / mean_weight, inflation, covariance)
     return covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
 
 
@@ -140,11 +141,8 @@ def _rotated(rotation, point, centre):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _rotate_by(rotation, spin, right):  # type: ignore[no-untyped-def]
-    """Rotate a matrix further by the rotation vector ``spin`` @ ``right`` (Rodrigues, column by column)."""
-    x = spin[0, 0] * right[0] + spin[0, 1] * right[1] + spin[0, 2] * right[2]
-    y = spin[1, 0] * right[0] + spin[1, 1] * right[1] + spin[1, 2] * right[2]
-    z = spin[2, 0] * right[0] + spin[2, 1] * right[1] + spin[2, 2] * right[2]
+def _rotate_by(rotation, x, y, z):  # type: ignore[no-untyped-def]
+    """Rotate a matrix (3, 3) further by the rotation vector (x, y, z) (Rodrigues, column by column)."""
     angle = np.sqrt(x * x + y * y + z * z)
     if angle > 0.0:
         s, c = np.sin(angle) / angle, (1.0 - np.cos(angle)) / (angle * angle)
@@ -154,15 +152,3 @@ def _rotate_by(rotation, spin, right):  # type: ignore[no-untyped-def]
             rotation[0, b] = u + s * k + c * (y * n - z * m)
             rotation[1, b] = v + s * m + c * (z * k - x * n)
             rotation[2, b] = w + s * n + c * (x * m - y * k)
-
-
-@bare_step
-def _inverse(a, more, out):  # type: ignore[no-untyped-def]
-    """Inverse of the symmetric 3 x 3 matrix ``a`` + ``more`` x identity, into ``out``."""
-    d0, d1, d2 = a[0, 0] + more, a[1, 1] + more, a[2, 2] + more
-    e01, e02, e12 = a[0, 1], a[0, 2], a[1, 2]
-    c00, c01, c02 = d1 * d2 - e12 * e12, e02 * e12 - e01 * d2, e01 * e12 - e02 * d1
-    det = d0 * c00 + e01 * c01 + e02 * c02
-    out[0, 0], out[1, 1], out[2, 2] = c00 / det, (d0 * d2 - e02 * e02) / det, (d0 * d1 - e01 * e01) / det
-    out[0, 1], out[0, 2], out[1, 2] = c01 / det, c02 / det, (e01 * e02 - d0 * e12) / det
-    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]

@@ -10,8 +10,7 @@ from mosca.errors import InputError
 from mosca.formats.bodies.bodies_csv import write_bodies_csv
 from mosca.formats.bodies.body_file import read_bodies, write_bodies
 from mosca.formats.bodies.tum import write_tum
-from mosca.formats.tracks.tracks_file import check_tracks_file, write_tracks
-from mosca.formats.tracks.tracks_read import read_tracks
+from mosca.formats.tracks.tracks_file import check_tracks_file, read_tracks, write_tracks
 from mosca.rigid_bodies.ambiguity import check_bodies
 from mosca.rigid_bodies.learn import learn_body
 from mosca.rigid_bodies.tracker import body_poses, labelled_by_bodies

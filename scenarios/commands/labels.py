@@ -13,8 +13,7 @@ from mosca.data.lamp_codes import LAMP_NUMBERS
 from mosca.data.tracks import Samples, Tracks, table
 from mosca.errors import InputError
 from mosca.formats.bodies.model_file import read_model, write_model
-from mosca.formats.tracks.tracks_file import check_tracks_file, write_tracks
-from mosca.formats.tracks.tracks_read import read_tracks
+from mosca.formats.tracks.tracks_file import check_tracks_file, read_tracks, write_tracks
 from mosca.labelling.assign import label_tracks
 from mosca.labelling.blinking_leds import BlinkSettings, label_lamps
 from mosca.labelling.coded_targets import coded_label, coded_points, coded_samples

@@ -14,7 +14,7 @@ from mosca.data.files.whole_file import check_writable
 from mosca.data.tracks import Samples
 from mosca.diagnostics.camera_health import Health, HealthSettings
 from mosca.errors import InputError
-from mosca.formats.tracks.tracks_log import TracksLog
+from mosca.formats.tracks.tracks_file import TracksLog
 from mosca.live import run_live
 from mosca.pipeline import Step
 from mosca.precompile import warm_up

@@ -10,7 +10,8 @@ from mosca.errors import InputError
 from mosca.formats.bodies.model_file import read_model
 from mosca.labelling.assign import label_tracks
 from mosca.smoothing.fixed_lag import FixedLag, LagSettings
-from mosca.smoothing.rts import SmoothSettings, filled
+from mosca.smoothing.gap_filling import filled
+from mosca.smoothing.rts import SmoothSettings
 
 
 @dataclass(frozen=True)

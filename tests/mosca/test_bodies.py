@@ -12,7 +12,7 @@ from mosca.data.tracks import Points, Samples, Tracks
 from mosca.errors import InputError
 from mosca.rigid_bodies.ambiguity import check_bodies, difference_m, nearest
 from mosca.rigid_bodies.learn import learn_body
-from mosca.rigid_bodies.pose import BodySettings, Constellation, seen_of
+from mosca.rigid_bodies.pose import BodySettings, Constellation, instant_points
 from mosca.rigid_bodies.tracker import BodyTracker, body_poses, labelled_by_bodies
 
 SIGMA = 2e-4
@@ -90,13 +90,13 @@ def test_a_pose_without_noise_is_exact_and_as_scipy_has_it() -> None:
     turn, place = Rotation.random(random_state=5).as_matrix(), np.array([1.0, -2.0, 3.0])
     xyz = DRONE.positions @ turn.T + place
     one = Constellation(DRONE, BodySettings())
-    fit = one.fit(seen_of(xyz, np.tile(np.diag([1e-8, 4e-8, 9e-8]), (6, 1, 1))), np.arange(6))
+    fit = one.fit(instant_points(xyz, np.tile(np.diag([1e-8, 4e-8, 9e-8]), (6, 1, 1))), np.arange(6))
     assert fit is not None
     np.testing.assert_allclose(fit.rotation, turn, atol=1e-13)
     np.testing.assert_allclose(fit.translation, place, atol=1e-13)
     # equal errors all round: scipy's Kabsch is the least squares solution
     noisy = xyz + rng.normal(0, 1e-3, xyz.shape)
-    fit = one.fit(seen_of(noisy, np.tile(1e-6 * np.eye(3), (6, 1, 1))), np.arange(6))
+    fit = one.fit(instant_points(noisy, np.tile(1e-6 * np.eye(3), (6, 1, 1))), np.arange(6))
     assert fit is not None
     ours, middle = DRONE.positions.mean(axis=0), noisy.mean(axis=0)
     kabsch = Rotation.align_vectors(noisy - middle, DRONE.positions - ours)[0].as_matrix()
@@ -116,7 +116,7 @@ def test_covariance_is_that_of_the_errors() -> None:
     d2 = []
     for _ in range(2000):
         xyz = body.positions @ turn.T + place + np.einsum("mij,mj->mi", root, rng.normal(size=(4, 3)))
-        fit = one.fit(seen_of(xyz, covariance), np.arange(4))
+        fit = one.fit(instant_points(xyz, covariance), np.arange(4))
         assert fit is not None
         error = np.concatenate(
             [place - fit.translation, Rotation.from_matrix(turn @ fit.rotation.T).as_rotvec()]
@@ -130,11 +130,11 @@ def test_covariance_is_that_of_the_errors() -> None:
 def test_few_markers_leave_the_pose_open() -> None:
     line = RigidBody("line", ("a", "b", "c", "d"), [[0, 0, 0], [0.1, 0, 0], [0.25, 0, 0], [0, 0.1, 0]])
     one = Constellation(line, BodySettings())
-    seen = seen_of(line.positions, np.tile(1e-8 * np.eye(3), (4, 1, 1)))
+    seen = instant_points(line.positions, np.tile(1e-8 * np.eye(3), (4, 1, 1)))
     assert one.fit(seen, np.array([0, 1, -1, -1])) is None
     assert one.fit(seen, np.array([0, 1, 2, -1])) is None  # in a line
     near = line.positions + [[0, 0, 0], [0, 1e-4, 0], [0, 0, 0], [0, 0, 0]]
-    fit = one.fit(seen_of(near, seen.covariance), np.array([0, 1, 2, -1]))
+    fit = one.fit(instant_points(near, seen.covariance), np.array([0, 1, 2, -1]))
     assert fit is None or not one.settled(fit)
 
 
@@ -202,7 +202,7 @@ FLIPPING = RigidBody("flip", ("a", "b", "c", "d"), [[0.1, 0, 0], [0, 0.1, 0], [-
 
 
 def test_three_markers_that_can_be_taken_otherwise_are_withheld() -> None:
-    seen = seen_of(FLIPPING.positions[:3], np.tile(SIGMA**2 * np.eye(3), (3, 1, 1)))
+    seen = instant_points(FLIPPING.positions[:3], np.tile(SIGMA**2 * np.eye(3), (3, 1, 1)))
     check_bodies([FLIPPING])
     n = 3
     points = Points(

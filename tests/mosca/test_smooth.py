@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mosca.data.tracks import Tracks
-from mosca.smoothing.rts import SmoothSettings, filled, smoothed
-from mosca.smoothing.smooth_kernels import smooth_one
+from mosca.smoothing.gap_filling import filled
+from mosca.smoothing.rts import SmoothSettings, smooth_one, smoothed
 
 SIGMA = 1e-3
 

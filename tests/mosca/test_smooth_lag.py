@@ -149,7 +149,7 @@ def test_forgotten_tracks_begin_anew_and_free_their_place():
         out = smoother.step(f, Samples(*(v if n != "track" else v + f for n, v in vars(one).items())))
         assert out.track.tolist() == [f]
     assert len(smoother._slot_of) <= 2
-    assert len(smoother._count) == 32
+    assert smoother.capacity == 32
 
 
 @given(

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from mosca.data.tracks import Tracks
-from mosca.smoothing.rts import CHI2_95, SmoothSettings, filled
+from mosca.smoothing.gap_filling import CHI2_95, filled
+from mosca.smoothing.rts import SmoothSettings
 
 RATE, SIGMA_M, HIDDEN_M = 100.0, 2e-4, 2e-3
 

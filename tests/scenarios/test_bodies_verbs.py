@@ -8,8 +8,7 @@ from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 from mosca.formats.bodies.bodies_csv import read_bodies_csv
 from mosca.formats.bodies.tum import read_tum
-from mosca.formats.tracks.tracks_file import write_tracks
-from mosca.formats.tracks.tracks_read import read_tracks
+from mosca.formats.tracks.tracks_file import read_tracks, write_tracks
 from scenarios.commands.bodies import find_in, learn_from
 
 MARKERS = np.array([[0.12, 0.04, 0.03], [-0.10, 0.06, 0.0], [0.02, -0.13, 0.01], [0.0, 0.03, 0.11]])

@@ -16,8 +16,7 @@ from mosca.data.tracks import Samples
 from mosca.errors import InputError
 from mosca.formats.bodies.model_file import read_model
 from mosca.formats.tracks.tracks_csv import read_tracks_csv
-from mosca.formats.tracks.tracks_log import TracksLog
-from mosca.formats.tracks.tracks_read import read_tracks
+from mosca.formats.tracks.tracks_file import TracksLog, read_tracks
 from reports.record import read_record
 from scenarios.build.cameras import calibrated, true_rig, virtual_cameras
 from scenarios.cli.main import cli

@@ -1,4 +1,7 @@
-"""TOML files checked against a pydantic model; what is wrong is said in one line that helps."""
+"""TOML files checked against a pydantic model; one line of text names what is wrong and what is allowed.
+
+Tables are ``Table`` or pydantic dataclasses with ``SETTINGS``: errors read the same for both.
+"""
 
 import difflib
 import tomllib
@@ -6,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic.fields import FieldInfo
 
 from mosca.errors import InputError
 
@@ -14,6 +18,8 @@ Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 SETTINGS = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 """Of pydantic dataclasses that are settings of a stage and a TOML table at once."""
+UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
+"""Pydantic's errors for a key that a model or a dataclass does not know."""
 
 
 class Table(BaseModel):
@@ -57,11 +63,11 @@ def _similar_files(path: Path) -> str:
 
 
 def _first_line(model: type[BaseModel], error: ValidationError) -> str:
-    # a misspelt key is both unknown and missing: the unknown one tells more
-    errors = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
+    # a misspelt key is both unknown and missing: the unknown one is more helpful
+    errors = sorted(error.errors(), key=lambda e: e["type"] not in UNKNOWN_KEY)
     first, more = errors[0], len(errors) - 1
     place = _dotted(first["loc"])
-    if first["type"] == "extra_forbidden":
+    if first["type"] in UNKNOWN_KEY:
         allowed = _keys_at(model, first["loc"][:-1])
         key = str(first["loc"][-1])
         near = difflib.get_close_matches(key, allowed, n=1)
@@ -85,45 +91,50 @@ def _dotted(location: tuple[int | str, ...]) -> str:
     return text
 
 
-def _model_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[type[BaseModel]]:
+def _model_at(model: type, location: tuple[int | str, ...]) -> list[type]:
     """Return the models that may stand at ``location`` (several where a union has no tag yet)."""
-    here: list[type[BaseModel]] = [model]
+    here: list[type] = [model]
     for part in location:
-        nexts: list[type[BaseModel]] = []
+        nexts: list[type] = []
         for candidate in here:
-            if isinstance(part, str) and part in candidate.model_fields:
-                nexts += _models_in(candidate.model_fields[part].annotation)
+            if isinstance(part, str) and part in _fields(candidate):
+                nexts += _models_in(_fields(candidate)[part].annotation)
             elif isinstance(part, int) or any(_tag_of(candidate) == part for _ in (0,)):
                 nexts.append(candidate)
         here = nexts or [m for m in here if _tag_of(m) == part] or here
     return here
 
 
-def _tag_of(model: type[BaseModel]) -> Any:
+def _fields(model: type) -> dict[str, FieldInfo]:
+    """Return the fields of a model or of a pydantic dataclass."""
+    return getattr(model, "__pydantic_fields__", {})
+
+
+def _tag_of(model: type) -> Any:
     for key in ("kind", "model"):
-        if key in model.model_fields:
-            values = get_args(model.model_fields[key].annotation)
+        if key in _fields(model):
+            values = get_args(_fields(model)[key].annotation)
             if values:
                 return values[0]
     return None
 
 
-def _models_in(annotation: Any) -> list[type[BaseModel]]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+def _models_in(annotation: Any) -> list[type]:
+    if isinstance(annotation, type) and _fields(annotation):
         return [annotation]
     return [m for arg in get_args(annotation) for m in _models_in(arg)]
 
 
-def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+def _keys_at(model: type, location: tuple[int | str, ...]) -> list[str]:
     tags = [part for part in location if isinstance(part, str)]
     models = _model_at(model, location)
     tagged = [m for m in models if tags and _tag_of(m) == tags[-1]]
-    return sorted({name for m in (tagged or models) for name in m.model_fields})
+    return sorted({name for m in (tagged or models) for name in _fields(m)})
 
 
-def _described(model: type[BaseModel], location: tuple[int | str, ...]) -> str:
+def _described(model: type, location: tuple[int | str, ...]) -> str:
     for candidate in _model_at(model, location[:-1]):
-        field = candidate.model_fields.get(str(location[-1]))
+        field = _fields(candidate).get(str(location[-1]))
         if field is not None and field.description:
             return f"({field.description}) "
     return ""

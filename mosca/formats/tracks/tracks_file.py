@@ -1,14 +1,18 @@
-"""Tracks to a file, in the format that its suffix names."""
+"""Tracks from and to a file, in the format that its suffix names; and written while they are measured."""
 
+import csv
 from pathlib import Path
+from typing import Self
+
+import numpy as np
 
 from mosca.data.files.whole_file import check_writable, whole_file
-from mosca.data.tracks import Tracks, write_npz
+from mosca.data.tracks import Samples, Tracks, read_npz, table, write_npz
 from mosca.errors import InputError
-from mosca.formats.tracks.c3d import write_c3d
-from mosca.formats.tracks.marker_table import table_from_tracks
-from mosca.formats.tracks.tracks_csv import write_tracks_csv
-from mosca.formats.tracks.trc import write_trc
+from mosca.formats.tracks.c3d import read_c3d, write_c3d
+from mosca.formats.tracks.marker_table import table_from_tracks, tracks_from_table
+from mosca.formats.tracks.tracks_csv import COLUMNS, cells_of, read_tracks_csv, write_tracks_csv
+from mosca.formats.tracks.trc import read_trc, write_trc
 
 SUFFIXES = (".npz", ".csv", ".c3d", ".trc")
 
@@ -17,6 +21,24 @@ def check_tracks_file(path: Path) -> None:
     """Raise InputError where ``path`` is no file for tracks; ask before long work, not after it."""
     _check_suffix(path)
     check_writable(path)
+
+
+def read_tracks(path: Path) -> Tracks:
+    """Read tracks from .npz, .csv, .c3d or .trc; C3D and TRC hold no covariances, which are NaN then.
+
+    Raises InputError for another suffix, a missing file and one that is something else.
+    """
+    path = Path(path)
+    match path.suffix.lower():
+        case ".npz":
+            return read_npz(path)
+        case ".csv":
+            return read_tracks_csv(path)
+        case ".c3d":
+            return tracks_from_table(read_c3d(path))
+        case ".trc":
+            return tracks_from_table(read_trc(path))
+    raise _wrong_suffix(path)
 
 
 def write_tracks(tracks: Tracks, path: Path, frame_rate_hz: float) -> None:
@@ -41,6 +63,65 @@ def write_tracks(tracks: Tracks, path: Path, frame_rate_hz: float) -> None:
             write_trc(table_from_tracks(tracks, frame_rate_hz), path)
 
 
+class TracksLog:
+    """Tracks on the disk while they are measured, whatever becomes of the program.
+
+    Appends samples to ``PATH.part.csv``, in the order in which they become certain.
+
+    ``finish`` writes them, sorted, to ``path`` in the format of its suffix and removes the part file; without it the
+    part file stays. InputError for another suffix and where a part file of an earlier run still lies there.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+        check_tracks_file(self.path)
+        self.part = self.path.with_name(f"{self.path.name}.part.csv")
+        try:
+            self._file = open(self.part, "x", encoding="utf-8", newline="")  # noqa: SIM115  (closed by close)
+        except FileExistsError:
+            raise InputError(
+                f"{self.part}: left by a run that was cut short; move it away or remove it"
+            ) from None
+        except OSError as error:
+            raise InputError(f"{self.part}: cannot be written: {error.strerror}") from None
+        self._writer = csv.writer(self._file, lineterminator="\n")
+        self._writer.writerow(COLUMNS)
+        self.samples = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def write(self, samples: Samples) -> None:
+        """Append samples."""
+        if len(samples):
+            self._writer.writerows(zip(*cells_of(table([samples])), strict=True))
+            self.samples += len(samples)
+
+    def flush(self) -> None:
+        """Hand what was written to the operating system."""
+        self._file.flush()
+
+    def close(self) -> None:
+        """Close the part file; it stays. May be called twice."""
+        self._file.close()
+
+    def finish(self, frame_rate_hz: float) -> int:
+        """Write the tracks to their place and remove the part file; return how many tracks there are."""
+        self.close()
+        tracks = read_tracks_csv(self.part)
+        tracks = tracks.select(np.lexsort((tracks.track, tracks.frame)))
+        write_tracks(tracks, self.path, frame_rate_hz)
+        self.part.unlink()
+        return len(np.unique(tracks.track))
+
+
 def _check_suffix(path: Path) -> None:
     if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: suffix '{path.suffix}' given; {', '.join(SUFFIXES)} are allowed")
+        raise _wrong_suffix(path)
+
+
+def _wrong_suffix(path: Path) -> InputError:
+    return InputError(f"{path}: suffix '{path.suffix}' given; {', '.join(SUFFIXES)} are allowed")
