@@ -1,7 +1,5 @@
 """Places before a camera, and lenses made of others: what several checks have in common."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from witness.image import Array
@@ -71,9 +69,3 @@ def tangent_circle(centre: Array, radius: float) -> Array:
     """Return the places (n, 3) [m] where a ball's tangent cone touches it."""
     directions = ball_outline(centre, radius)
     return np.asarray(directions * np.sqrt(centre @ centre - radius**2))
-
-
-def image_slopes(project: Callable[[Array], Array], at: Array, step: float = 1e-6) -> Array:
-    """Return d pixel / d place (2, 3) by central differences."""
-    steps = step * np.eye(3)
-    return np.column_stack([(project(at + s)[0] - project(at - s)[0]) / (2 * step) for s in steps])

@@ -10,17 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mosca.camera.projection import lens_pixels
 from mosca.errors import InputError
 from twin.cameras.library import (
     FILES,
     Sourced,
-    interior_of,
     lens,
     lenses,
-    optics_of,
     sensor,
-    sensor_of,
     sensors,
 )
 
@@ -68,40 +64,6 @@ def test_every_number_has_a_source_or_is_called_an_assumption(spec):
     documented = numbers - set(spec.assumed)
     # who has neither paper nor page assumes everything
     assert spec.urls or not documented or "Knyaz" in spec.source
-
-
-def test_what_the_twin_makes_of_a_sensor():
-    made = sensor_of(sensor("sony_imx174"))
-    assert (made.full_well_e, made.read_noise_e, made.bits, made.quantum_efficiency) == (
-        32691.0,
-        6.83,
-        12,
-        0.77,
-    )
-    assert sensor_of(sensor("sony_imx174"), bits=8).bits == 8
-
-
-def test_what_the_twin_makes_of_a_lens():
-    optics = optics_of(lens("fa_8mm"), 5.86, 4.0, 3.0)
-    assert (optics.f_mm, optics.f_number, optics.focus_m, optics.gap_px) == (8.0, 4.0, 3.0, 0.0)
-    assert optics.pixel_pitch_mm == pytest.approx(0.00586)
-    with pytest.raises(InputError, match=r"f_number = 1.2 given; 2.4 to 16 is allowed"):
-        optics_of(lens("fa_8mm"), 5.86, 1.2)
-
-
-@pytest.mark.parametrize("name", lenses())
-def test_the_image_ends_where_the_lens_says(name):
-    spec, camera = lens(name), sensor("sony_imx249")
-    made = interior_of(spec, camera)
-    centre = [(camera.width - 1) / 2, (camera.height - 1) / 2]
-    assert [made.cx_px, made.cy_px] == centre
-    radius = spec.image_circle_mm / 2
-    if spec.projection == "equidistant":
-        half = np.deg2rad(spec.field_deg / 2)
-    else:
-        half = np.arctan(radius / spec.focal_length_mm / (1 + spec.distortion))
-    xy = lens_pixels(made, np.array([[np.sin(half), 0.0, np.cos(half)]]))[0]
-    assert (xy[0] - centre[0]) * camera.pixel_pitch_um / 1000 == pytest.approx(radius, rel=0.01)
 
 
 @pytest.mark.parametrize(

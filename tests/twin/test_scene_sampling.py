@@ -154,7 +154,7 @@ def test_what_a_camera_has_before_it() -> None:
             np.testing.assert_allclose(
                 view.path[m, k], rotation[k].T @ (xyz[k, geom] - position[k]), atol=1e-15
             )
-            np.testing.assert_allclose(view.turn[m, k], rotation[k].T @ turn[k, geom], atol=1e-15)
+            np.testing.assert_allclose(view.rotation[m, k], rotation[k].T @ turn[k, geom], atol=1e-15)
         for s, geom in enumerate(solids):
             np.testing.assert_allclose(
                 view.solid_xyz[k, s], rotation[k].T @ (xyz[k, geom] - position[k]), atol=1e-15

@@ -20,7 +20,7 @@ from twin.cameras.render.render import BALL, FIGURE, FLAT, Figures, TargetsInCam
 from twin.cameras.sensor.background_light import Ambient
 from twin.cameras.sensor.sensor import Sensor
 from twin.cameras.stray_light.context_image import Context
-from twin.cameras.stray_light.glare import Glare, veil, veil_image
+from twin.cameras.stray_light.glare import Glare, veil
 from twin.cameras.stray_light.mirror import PlaneMirror, SceneRays, mirrored, seen_share, with_mirrored
 from twin.cameras.stray_light.stray import Surroundings, stray_targets, unhidden
 from twin.cameras.stray_light.world import (
@@ -76,20 +76,27 @@ def rays_in(*boxes: tuple[tuple[float, float, float], tuple[float, float, float]
     return SceneRays(model, data)
 
 
+def veil_image(light: Array, glare: Glare) -> Array:
+    """Return the haze at every pixel (H, W) float32 [electrons]; its sum is share x the sum of the light."""
+    fine = cv2.resize(veil(light, glare), light.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    total, spread = glare.share * float(light.sum(dtype=float)), float(fine.sum(dtype=float))
+    return np.asarray(fine * (total / spread) if spread > 0.0 else fine, dtype=np.float32)
+
+
 def test_a_mirror_image_by_hand():
     target = world_targets([(1.0, 0.5, 0.25)], turn=LOOKING_MINUS_X.T)
     image = mirrored(WALL, target, SIGNAL, *still(), rays_in())
     # behind the mirror at (-1, 0.5, 0.25): 3 m before the camera, 0.5 to its right, 0.25 above
     np.testing.assert_allclose(image.path[0], [[0.5, -0.25, 3.0]] * NODES, atol=1e-15)
     assert image.electrons[0] == pytest.approx(0.8 * SIGNAL, rel=1e-12)
-    np.testing.assert_allclose(np.linalg.det(image.turn[0]), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(image.rotation[0]), 1.0, rtol=1e-12)
 
 
 def test_an_image_turns_as_mirrors_do():
     # a target's normal along the world's +x is seen along -x in the mirror: the camera's +z
     facing_x = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
     image = mirrored(WALL, world_targets([(1, 0, 0)], turn=facing_x), SIGNAL, *still(), rays_in())
-    np.testing.assert_allclose(image.turn[0, 1][:, 2], [0, 0, 1], atol=1e-15)
+    np.testing.assert_allclose(image.rotation[0, 1][:, 2], [0, 0, 1], atol=1e-15)
     # shade towards +x in the world falls towards the camera's +z, towards +z of the world stays up
     shaded = world_targets([(1, 0, 0)], Glow(shade=0.5, shade_world=(1, 0, 1)))
     got = mirrored(WALL, shaded, SIGNAL, *still(), rays_in()).shade[0]
@@ -237,7 +244,13 @@ def heads() -> RigPoses:
 def stray(surroundings: Surroundings, targets: TargetsInWorld | None = None, camera: int = 0):
     own = world_targets([]) if targets is None else targets
     return stray_targets(
-        surroundings, camera=camera, heads=heads(), targets=own, signal_e=SIGNAL, rays=rays_in(), figures=0
+        surroundings,
+        camera=camera,
+        rig_poses=heads(),
+        targets=own,
+        signal_e=SIGNAL,
+        rays=rays_in(),
+        figures=0,
     )
 
 
@@ -253,7 +266,7 @@ def test_nothing_is_the_default():
 def test_a_camera_sees_the_lights_of_the_others():
     seen = stray(Surroundings(ring_light=RingLight(0.05, 20.0, 30.0))).direct
     np.testing.assert_allclose(seen.path[0], [[0, 0, 4.0]] * NODES, atol=1e-15)
-    np.testing.assert_allclose(seen.turn[0, 0][:, 2], [0, 0, -1], atol=1e-15)
+    np.testing.assert_allclose(seen.rotation[0, 0][:, 2], [0, 0, -1], atol=1e-15)
     assert seen.electrons[0] == pytest.approx(20 * SIGNAL)
     assert seen.electrons[1] == 0.0  # it looks the other way
     assert seen.lit_s.tolist() == [[2.0, 3.0], [4.0, 5.0]]
@@ -297,8 +310,8 @@ def test_stray_targets_are_joined_to_the_scenes_own():
 
 def test_spots_without_a_facing_face_whoever_looks():
     spots = shiny_spots([ShinySpot((0, 0, 0), 0.01, 3.0, half_deg=5.0)], np.array([0.0, 4.0, 0.0]), NODES)
-    assert spots.turn.shape == (1, NODES, 3, 3)
-    np.testing.assert_allclose(spots.turn[0, 0][:, 2], [0, 1, 0], atol=1e-15)
+    assert spots.rotation.shape == (1, NODES, 3, 3)
+    np.testing.assert_allclose(spots.rotation[0, 0][:, 2], [0, 1, 0], atol=1e-15)
 
 
 @given(

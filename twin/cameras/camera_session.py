@@ -30,7 +30,7 @@ from twin.cameras.subject import Subject, carrying_body
 from twin.cameras.virtual_camera import VirtualCamera
 from twin.streams import key
 
-FEWEST_TURNS = 0.08
+FEWEST_PERIODS = 0.08
 """Periods of the mount's fastest motion within a frame that three nodes can follow to 0.1 %."""
 
 
@@ -209,7 +209,7 @@ class CameraSession:
         def render(lit_s: Array) -> VisibleTargets:
             targets = TargetsInCamera(
                 view.path,
-                view.turn,
+                view.rotation,
                 subject.radius,
                 subject.shape,
                 subject.figure,
@@ -261,9 +261,9 @@ class CameraSession:
         mount moves fast.
         """
         span = exposure.span_s
-        turns = self._support.mount.fastest_hz(exposure.start_s, exposure.end_s) * span
-        if turns > FEWEST_TURNS:
-            return lobatto_nodes(span, 5 + 2 * math.ceil(2.0 * turns))
+        periods = self._support.mount.fastest_hz(exposure.start_s, exposure.end_s) * span
+        if periods > FEWEST_PERIODS:
+            return lobatto_nodes(span, 5 + 2 * math.ceil(2.0 * periods))
         if exposure.row_time_s == 0.0:
             return np.array([0.0, 0.5 * span, span])
         return lobatto_nodes(span, 5 if span <= 0.003 else 7 if span <= 0.010 else 9)

@@ -1,23 +1,17 @@
-"""Named sensors and lenses with their sources, and what the twin makes of them.
+"""Named sensors and lenses with their sources.
 
-The numbers stand in ``library_files/sensors.toml`` and ``lenses.toml``; each entry states where they come from and
+The numbers are in ``library_files/sensors.toml`` and ``lenses.toml``; each entry states where they come from and
 which of them are assumptions.
 """
 
 import difflib
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, model_validator
 
 from mosca.data.files.toml import Table, check, read_toml
-from mosca.data.rig import FisheyeLens, Lens, OpenCVLens
 from mosca.errors import InputError
-from twin.cameras.optics.blur_parameters import Optics
-
-if TYPE_CHECKING:
-    from twin.cameras.sensor.sensor import Sensor
 
 FILES = Path(__file__).parent / "library_files"
 Positive = Annotated[float, Field(gt=0)]
@@ -115,55 +109,6 @@ def sensor(name: str) -> SensorSpec:
 def lens(name: str) -> LensSpec:
     """Return the lens called ``name``; InputError lists those that there are."""
     return _named("lens", name, lenses())
-
-
-def sensor_of(spec: SensorSpec, bits: int | None = None) -> "Sensor":
-    """Return the twin's sensor with these electrons; ``bits`` of the output where the camera is set to fewer."""
-    from twin.cameras.sensor.sensor import Sensor  # numba: not needed to look things up
-
-    return Sensor(
-        full_well_e=spec.full_well_e,
-        read_noise_e=spec.read_noise_e,
-        bits=spec.bits if bits is None else bits,
-        quantum_efficiency=spec.quantum_efficiency,
-    )
-
-
-def optics_of(spec: LensSpec, pixel_pitch_um: float, f_number: float, focus_m: float | None = None) -> Optics:
-    """Return the optics of a lens at an f-number, focused at ``focus_m`` (None: sharp everywhere); no gap.
-
-    InputError for an f-number that the lens does not have.
-    """
-    if not spec.f_number_min <= f_number <= spec.f_number_max:
-        raise InputError(
-            f"lens '{spec.title}': f_number = {f_number:g} given; {spec.f_number_min:g} to {spec.f_number_max:g} "
-            "is allowed"
-        )
-    return Optics(
-        focus_m=focus_m,
-        f_mm=spec.focal_length_mm,
-        f_number=f_number,
-        pixel_pitch_mm=pixel_pitch_um / 1000.0,
-        gap_px=0.0,
-    )
-
-
-def interior_of(spec: LensSpec, camera: SensorSpec) -> Lens:
-    """Return the nominal interior orientation: principal point in the middle, the first distortion term alone.
-
-    It gives the stated distortion at the rim of the image circle: ``k1 = distortion / (slope there)^2``, where an
-    equidistant lens has the angle in place of the slope.
-    """
-    pitch_mm = camera.pixel_pitch_um / 1000.0
-    focal_px = spec.focal_length_mm / pitch_mm
-    centre = ((camera.width - 1) / 2, (camera.height - 1) / 2)
-    if spec.projection == "equidistant":
-        assert spec.field_deg is not None
-        rim = math.radians(spec.field_deg / 2)
-        return FisheyeLens(focal_px, focal_px, *centre, k1=spec.distortion / rim**2)
-    # the rim is where the distorted image ends: slope (1 + distortion) * focal length = radius
-    rim = spec.image_circle_mm / 2 / spec.focal_length_mm / (1.0 + spec.distortion)
-    return OpenCVLens(focal_px, focal_px, *centre, k1=spec.distortion / rim**2)
 
 
 def _entries(kind: type[Spec], path: Path) -> dict[str, Spec]:

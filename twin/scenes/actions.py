@@ -55,8 +55,8 @@ def act(name: ActionName, skeleton: Skeleton, balance: Balance, box: Box, rng: n
     the next, and where in the loop it starts. Raises InputError where limbs would leave the box.
     """
     scale = float(np.linalg.norm(skeleton.offsets[skeleton.index("ltibia")])) / (0.245 * STATURE_M)
-    who = Performer(skeleton, scale, FOOT_RADIUS_M * scale + _CLEARANCE_M, balance)
-    motion = _placed(_PERFORMED[name](who, rng), _heading(rng), box)
+    performer = Performer(skeleton, scale, FOOT_RADIUS_M * scale + _CLEARANCE_M, balance)
+    motion = _placed(_PERFORMED[name](performer, rng), _heading(rng), box)
     _check_inside(motion, box, name)
     values = np.concatenate([motion.root_xyz, motion.rotations.reshape(len(motion.root_xyz), -1)], axis=1)
     if not np.allclose(values[0], values[-1], atol=1e-6):

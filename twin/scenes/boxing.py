@@ -69,22 +69,22 @@ COMBINATIONS = (
 _BEFORE_S, _BACK_S, _LOAD_S = 0.05, 0.26, 0.20
 
 
-def boxing(who: Performer, rng: np.random.Generator) -> Motion:
+def boxing(performer: Performer, rng: np.random.Generator) -> Motion:
     """Return a loop: all combinations, in an order, at places and with timing drawn by ``rng``.
 
     Every fifth boxer leads with the right.
     """
-    score, length = _round(rng)
+    sequence, length = _round(rng)
     time_s, rate = loop_times(length)
-    postures = read(score, time_s, who.scale)
-    return posed(who, postures.mirrored() if rng.random() < _LEFT_HANDED else postures, rate)
+    postures = read(sequence, time_s, performer.scale)
+    return posed(performer, postures.mirrored() if rng.random() < _LEFT_HANDED else postures, rate)
 
 
 def _round(rng: np.random.Generator) -> tuple[MovementSequence, float]:
     """Return what a boxer does who leads with the left, and how long it takes [s]."""
     hands = {f"{side}_hand": _GUARD[side] for side in "lr"}
     elbows = {f"{side}_elbow": _ELBOW[side] for side in "lr"}
-    score = begin(
+    sequence = begin(
         STANCE, height=_HEIGHT_M, pelvis=_PELVIS, spine=_SPINE, r_pivot=(0.0, _HEEL), l_knee=0.1, r_knee=0.1,
         **hands, **elbows,
     )  # fmt: skip
@@ -93,47 +93,49 @@ def _round(rng: np.random.Generator) -> tuple[MovementSequence, float]:
     for k, which in enumerate(order):
         for name in COMBINATIONS[which]:
             clock = (
-                _cover(score, clock, rng) if name == "cover" else _strike(score, STRIKES[name], clock, rng)
+                _cover(sequence, clock, rng)
+                if name == "cover"
+                else _strike(sequence, STRIKES[name], clock, rng)
             )
         last = k == len(order) - 1
         place = np.zeros(3) if last else rng.uniform([-_ROOM_M, -_ROOM_M, -0.45], [_ROOM_M, _ROOM_M, 0.45])
-        clock = _step_to(score, clock + 0.15, place)
+        clock = _step_to(sequence, clock + 0.15, place)
     bobs = int(clock / _BOB_S)
     for k in range(bobs):
         start = k * clock / bobs
-        score.hill("height", start, start + clock / bobs, _BOB_M)
-    return score, clock
+        sequence.hill("height", start, start + clock / bobs, _BOB_M)
+    return sequence, clock
 
 
-def _strike(score: MovementSequence, strike: Strike, clock: float, rng: np.random.Generator) -> float:
+def _strike(sequence: MovementSequence, strike: Strike, clock: float, rng: np.random.Generator) -> float:
     """Write a strike from ``clock`` on; return when the next one may start."""
     own, faster = strike.side, rng.uniform(0.94, 1.06)
     hand, elbow, twist = f"{own}_hand", f"{own}_elbow", f"{own}_forearm"
     start = clock + _BEFORE_S
     if strike.load is not None:
-        score.move(hand, clock, clock + _LOAD_S, strike.load)
-        score.move(elbow, clock, clock + _LOAD_S, (0.9, -0.2, -0.7))
+        sequence.move(hand, clock, clock + _LOAD_S, strike.load)
+        sequence.move(elbow, clock, clock + _LOAD_S, (0.9, -0.2, -0.7))
         start = clock + _LOAD_S - 0.06
     end = start + strike.out_s * faster
     back = end + _BACK_S * faster
     aim = np.asarray(strike.reach) + rng.normal(0.0, (0.015, 0.01, 0.025))
-    score.move(hand, start, end, aim)
-    score.move(elbow, start - 0.12, end, strike.elbow)
-    score.move(twist, start, end, strike.twist)
+    sequence.move(hand, start, end, aim)
+    sequence.move(elbow, start - 0.12, end, strike.elbow)
+    sequence.move(twist, start, end, strike.twist)
     out_s, back_s = (start - _BEFORE_S, end), (end, back + 0.08)
-    score.visit("pelvis", out_s, back_s, (strike.pelvis, *_PELVIS[1:]))
-    score.visit("spine", out_s, back_s, (strike.spine, *_SPINE[1:]))
-    score.visit("shift", out_s, back_s, strike.shift)
-    score.visit(f"{own}_pivot", out_s, back_s, score.target(f"{own}_pivot") + strike.pivot)
+    sequence.visit("pelvis", out_s, back_s, (strike.pelvis, *_PELVIS[1:]))
+    sequence.visit("spine", out_s, back_s, (strike.spine, *_SPINE[1:]))
+    sequence.visit("shift", out_s, back_s, strike.shift)
+    sequence.visit(f"{own}_pivot", out_s, back_s, sequence.target(f"{own}_pivot") + strike.pivot)
     covering = "r" if own == "l" else "l"
-    score.visit(f"{covering}_hand", (start - 0.12, end - 0.02), (end + 0.04, back), _CHIN)
-    score.move(hand, end + 0.01, back, _GUARD[own])
-    score.move(elbow, end + 0.01, back, _ELBOW[own])
-    score.move(twist, end + 0.01, back, 0.0)
+    sequence.visit(f"{covering}_hand", (start - 0.12, end - 0.02), (end + 0.04, back), _CHIN)
+    sequence.move(hand, end + 0.01, back, _GUARD[own])
+    sequence.move(elbow, end + 0.01, back, _ELBOW[own])
+    sequence.move(twist, end + 0.01, back, 0.0)
     return back - 0.04
 
 
-def _cover(score: MovementSequence, clock: float, rng: np.random.Generator) -> float:
+def _cover(sequence: MovementSequence, clock: float, rng: np.random.Generator) -> float:
     """Write a cover behind crossed forearms, head down; return when the next strike may start."""
     up, held = clock + 0.22, clock + 0.22 + rng.uniform(0.25, 0.45)
     down = held + 0.25
@@ -142,22 +144,22 @@ def _cover(score: MovementSequence, clock: float, rng: np.random.Generator) -> f
         ("l", (-0.07, 0.40, 0.14), (0.7, 0.2, -1.0)),
         ("r", (-0.07, 0.23, 0.02), (0.7, -0.2, -1.0)),
     ):
-        score.visit(f"{side}_hand", out_s, back_s, wrist)
-        score.visit(f"{side}_elbow", out_s, back_s, elbow)
+        sequence.visit(f"{side}_hand", out_s, back_s, wrist)
+        sequence.visit(f"{side}_elbow", out_s, back_s, elbow)
     slowly_s = (held, down + 0.1)
-    score.visit("gaze", out_s, slowly_s, (0.0, 0.22))
-    score.visit("height", out_s, slowly_s, _HEIGHT_M - 0.06)
-    score.visit("spine", out_s, slowly_s, (_SPINE[0], _SPINE[1] + 0.12, 0.0))
+    sequence.visit("gaze", out_s, slowly_s, (0.0, 0.22))
+    sequence.visit("height", out_s, slowly_s, _HEIGHT_M - 0.06)
+    sequence.visit("spine", out_s, slowly_s, (_SPINE[0], _SPINE[1] + 0.12, 0.0))
     return down
 
 
-def _step_to(score: MovementSequence, clock: float, place: np.ndarray) -> float:
+def _step_to(sequence: MovementSequence, clock: float, place: np.ndarray) -> float:
     """Write a step of both feet to ``place`` (x, y, turn); return when it is done."""
-    way = place - score.target("place")
+    way = place - sequence.target("place")
     # The foot on the side of the way goes first, so that the feet do not meet.
     forward = np.sin(place[2]) * way[0] - np.cos(place[2]) * way[1]
     first, second = ("l", "r") if forward > 0 else ("r", "l")
-    score.move("place", clock, clock + 0.62, place)
-    step(score, first, clock, clock + 0.30, footing(place, STANCE, first))
-    step(score, second, clock + 0.30, clock + 0.60, footing(place, STANCE, second))
+    sequence.move("place", clock, clock + 0.62, place)
+    step(sequence, first, clock, clock + 0.30, footing(place, STANCE, first))
+    step(sequence, second, clock + 0.30, clock + 0.60, footing(place, STANCE, second))
     return clock + 0.65

@@ -43,11 +43,11 @@ FEET_TOGETHER: Stance = {"l": (0.11, 0.14, 0.12), "r": (-0.11, 0.14, -0.12)}
 
 def begin(stance: Stance, **start: Values) -> MovementSequence:
     """Return a score of someone who stands; ``start``: channels that start otherwise ("l_hand", "height")."""
-    score = MovementSequence()
+    sequence = MovementSequence()
     sided = {f"{side}_{name}": value for name, value in _SIDED.items() for side in "lr"}
     feet = {f"{side}_foot": footing((0.0, 0.0, 0.0), stance, side) for side in "lr"}
-    score.begin(**{**_STAND, **sided, **feet, **start})
-    return score
+    sequence.begin(**{**_STAND, **sided, **feet, **start})
+    return sequence
 
 
 def footing(place: Sequence[float] | Array, stance: Stance, side: str) -> Array:
@@ -58,12 +58,17 @@ def footing(place: Sequence[float] | Array, stance: Stance, side: str) -> Array:
 
 
 def step(
-    score: MovementSequence, side: str, start_s: float, end_s: float, to: Values, lift_m: float = STEP_LIFT_M
+    sequence: MovementSequence,
+    side: str,
+    start_s: float,
+    end_s: float,
+    to: Values,
+    lift_m: float = STEP_LIFT_M,
 ) -> None:
     """Lift a foot and put it down at ``to`` (x, y, turn)."""
-    score.move(f"{side}_foot", start_s, end_s, to)
-    score.hill(f"{side}_lift", start_s, end_s, lift_m)
-    score.hill(f"{side}_pivot", start_s, end_s, (0.0, _STEP_PITCH))
+    sequence.move(f"{side}_foot", start_s, end_s, to)
+    sequence.hill(f"{side}_lift", start_s, end_s, lift_m)
+    sequence.hill(f"{side}_pivot", start_s, end_s, (0.0, _STEP_PITCH))
 
 
 def loop_times(length_s: float) -> tuple[Array, float]:
@@ -72,9 +77,9 @@ def loop_times(length_s: float) -> tuple[Array, float]:
     return np.linspace(0.0, length_s, count + 1), count / length_s
 
 
-def read(score: MovementSequence, time_s: Array, scale: float) -> Postures:
+def read(sequence: MovementSequence, time_s: Array, scale: float) -> Postures:
     """Return the postures at ``time_s`` (n,) of a person ``scale`` times 1.75 m tall."""
-    v = score.at(time_s)
+    v = sequence.at(time_s)
     place, shift = v["place"], v["shift"]
     c, s = np.cos(place[:, 2]), np.sin(place[:, 2])
     x = place[:, 0] + c * shift[:, 0] + s * shift[:, 1]

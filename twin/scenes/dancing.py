@@ -38,9 +38,9 @@ class Turn:
     sign: float
 
 
-def dance(who: Performer, rng: np.random.Generator) -> Motion:
+def dance(performer: Performer, rng: np.random.Generator) -> Motion:
     """Return a loop: every figure and two turns, in an order, to sides and at a tempo drawn by ``rng``."""
-    score = begin(STANCE)
+    sequence = begin(STANCE)
     beat, clock = float(rng.uniform(0.42, 0.5)), 0.1
     turns: list[Turn] = []
     figures = (_overhead, _crossing, _squat, _aside)
@@ -52,135 +52,141 @@ def dance(who: Performer, rng: np.random.Generator) -> Motion:
         order.insert(int(place), (_turn, side))
     for figure, side in order:
         if figure is _turn:
-            turns.append(_turn(score, clock, beat, side, rng))
+            turns.append(_turn(sequence, clock, beat, side, rng))
             clock = turns[-1].end_s + 1.6 * beat
         else:
-            clock = figure(score, clock, beat, side, rng)
+            clock = figure(sequence, clock, beat, side, rng)
     time_s, rate = loop_times(clock + 0.1)
-    return _turned(posed(who, read(score, time_s, who.scale), rate), time_s, turns, who.scale)
+    return _turned(
+        posed(performer, read(sequence, time_s, performer.scale), rate), time_s, turns, performer.scale
+    )
 
 
 def _arms(
-    score: MovementSequence,
+    sequence: MovementSequence,
     start: float,
     end: float,
     hand: Array | tuple[float, ...],
     elbow: tuple[float, ...],
 ) -> None:
     for side in "lr":
-        score.move(f"{side}_hand", start, end, hand)
-        score.move(f"{side}_elbow", start, end, elbow)
+        sequence.move(f"{side}_hand", start, end, hand)
+        sequence.move(f"{side}_elbow", start, end, elbow)
 
 
-def _close(score: MovementSequence, start: float, end: float, above: str, up_m: float) -> None:
+def _close(sequence: MovementSequence, start: float, end: float, above: str, up_m: float) -> None:
     """Write arms that cross before the trunk, that of side ``above`` in front, ``up_m`` higher than usual."""
     for own, hand, elbow in ((above, _ABOVE, _ABOVE_ELBOW), (_OTHER[above], _BELOW, _BELOW_ELBOW)):
-        score.move(f"{own}_hand", start, end, (*hand[:2], hand[2] + up_m))
-        score.move(f"{own}_elbow", start, end, elbow)
+        sequence.move(f"{own}_hand", start, end, (*hand[:2], hand[2] + up_m))
+        sequence.move(f"{own}_elbow", start, end, elbow)
 
 
-def _hang(score: MovementSequence, start: float, end: float) -> None:
-    _arms(score, start, end, HANGING, _HANGING_ELBOW)
+def _hang(sequence: MovementSequence, start: float, end: float) -> None:
+    _arms(sequence, start, end, HANGING, _HANGING_ELBOW)
 
 
 def _overhead(
-    score: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator
+    sequence: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator
 ) -> float:
     """Write: both arms by the side overhead, a bend to one side and the other, arms down before the body."""
     sign = 1.0 if side == "l" else -1.0
     bend = sign * rng.uniform(0.14, 0.24)
-    _arms(score, clock, clock + 1.3 * beat, _WIDE, _WIDE_ELBOW)
-    _arms(score, clock + 0.8 * beat, clock + 2.0 * beat, _OVERHEAD, _OVERHEAD_ELBOW)
+    _arms(sequence, clock, clock + 1.3 * beat, _WIDE, _WIDE_ELBOW)
+    _arms(sequence, clock + 0.8 * beat, clock + 2.0 * beat, _OVERHEAD, _OVERHEAD_ELBOW)
     for k, to in enumerate((bend, -bend, 0.0)):
         start, end = clock + (1.6 + 1.1 * k) * beat, clock + (2.9 + 1.1 * k) * beat
-        score.move("spine", start, end, (0.0, 0.02, to))
-        score.move("pelvis", start, end, (0.0, 0.05, to / 3))
-        score.move("shift", start, end, (-0.25 * to, 0.0))
-    _arms(score, clock + 4.4 * beat, clock + 5.5 * beat, _FRONT, _FRONT_ELBOW)
-    _hang(score, clock + 5.1 * beat, clock + 6.1 * beat)
+        sequence.move("spine", start, end, (0.0, 0.02, to))
+        sequence.move("pelvis", start, end, (0.0, 0.05, to / 3))
+        sequence.move("shift", start, end, (-0.25 * to, 0.0))
+    _arms(sequence, clock + 4.4 * beat, clock + 5.5 * beat, _FRONT, _FRONT_ELBOW)
+    _hang(sequence, clock + 5.1 * beat, clock + 6.1 * beat)
     return clock + 6.0 * beat
 
 
 def _crossing(
-    score: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator
+    sequence: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator
 ) -> float:
     """Write: arms wide open, crossed before the chest with ``side`` in front, open, crossed again, down."""
-    _arms(score, clock, clock + 1.2 * beat, _WIDE, _WIDE_ELBOW)
+    _arms(sequence, clock, clock + 1.2 * beat, _WIDE, _WIDE_ELBOW)
     now = clock + 1.2 * beat
     for front in (side, _OTHER[side]):
         up = rng.uniform(-0.02, 0.05)
-        _close(score, now, now + 0.8 * beat, front, up)
-        score.move("spine", now, now + 0.8 * beat, (0.25 if front == "l" else -0.25, 0.12, 0.0))
-        score.move("spine", now + 1.1 * beat, now + 2.1 * beat, (0.0, 0.02, 0.0))
-        _arms(score, now + 1.1 * beat, now + 2.0 * beat, _WIDE, _WIDE_ELBOW)
+        _close(sequence, now, now + 0.8 * beat, front, up)
+        sequence.move("spine", now, now + 0.8 * beat, (0.25 if front == "l" else -0.25, 0.12, 0.0))
+        sequence.move("spine", now + 1.1 * beat, now + 2.1 * beat, (0.0, 0.02, 0.0))
+        _arms(sequence, now + 1.1 * beat, now + 2.0 * beat, _WIDE, _WIDE_ELBOW)
         now += 2.1 * beat
-    _hang(score, now, now + 1.3 * beat)
+    _hang(sequence, now, now + 1.3 * beat)
     return now + 1.2 * beat
 
 
-def _squat(score: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator) -> float:
+def _squat(
+    sequence: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator
+) -> float:
     """Write: a squat with the arms forward and one hand over the other, and up again with arms overhead."""
     depth = rng.uniform(0.30, 0.36)
     low, up = clock + 1.8 * beat, clock + 2.5 * beat
     out_s, back_s = (clock, low), (up, up + 1.6 * beat)
-    score.visit("height", out_s, back_s, HEIGHT_M - depth)
-    score.visit("shift", out_s, back_s, (0.0, -0.07))
-    score.visit("pelvis", out_s, back_s, (0.0, 0.45, 0.0))
-    score.visit("spine", out_s, back_s, (0.0, 0.30, 0.0))
+    sequence.visit("height", out_s, back_s, HEIGHT_M - depth)
+    sequence.visit("shift", out_s, back_s, (0.0, -0.07))
+    sequence.visit("pelvis", out_s, back_s, (0.0, 0.45, 0.0))
+    sequence.visit("spine", out_s, back_s, (0.0, 0.30, 0.0))
     for own in "lr":
-        score.visit(f"{own}_knee", out_s, back_s, 0.35)
-        score.visit(f"{own}_pivot", out_s, back_s, (0.0, 0.25))
-    _close(score, clock, low, side, 0.0)
-    _arms(score, up, up + 1.1 * beat, _OPEN, _OVERHEAD_ELBOW)
-    _arms(score, up + 0.7 * beat, up + 1.8 * beat, _OVERHEAD, _OVERHEAD_ELBOW)
-    _arms(score, up + 2.1 * beat, up + 3.3 * beat, _WIDE, _WIDE_ELBOW)
-    _hang(score, up + 2.8 * beat, up + 3.9 * beat)
+        sequence.visit(f"{own}_knee", out_s, back_s, 0.35)
+        sequence.visit(f"{own}_pivot", out_s, back_s, (0.0, 0.25))
+    _close(sequence, clock, low, side, 0.0)
+    _arms(sequence, up, up + 1.1 * beat, _OPEN, _OVERHEAD_ELBOW)
+    _arms(sequence, up + 0.7 * beat, up + 1.8 * beat, _OVERHEAD, _OVERHEAD_ELBOW)
+    _arms(sequence, up + 2.1 * beat, up + 3.3 * beat, _WIDE, _WIDE_ELBOW)
+    _hang(sequence, up + 2.8 * beat, up + 3.9 * beat)
     return up + 3.8 * beat
 
 
-def _aside(score: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator) -> float:
+def _aside(
+    sequence: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator
+) -> float:
     """Write: a step to one side and back, one arm thrown up, the other across the body."""
     way = (1.0 if side == "l" else -1.0) * rng.uniform(0.16, 0.24)
-    home = score.target("place").copy()
+    home = sequence.target("place").copy()
     now, other = clock, _OTHER[side]
     for place, first in ((home + [way, 0.0, 0.0], side), (home, other)):
-        score.move("place", now, now + 2.0 * beat, place)
-        step(score, first, now, now + 0.95 * beat, footing(place, STANCE, first))
-        step(score, _OTHER[first], now + beat, now + 1.95 * beat, footing(place, STANCE, _OTHER[first]))
+        sequence.move("place", now, now + 2.0 * beat, place)
+        step(sequence, first, now, now + 0.95 * beat, footing(place, STANCE, first))
+        step(sequence, _OTHER[first], now + beat, now + 1.95 * beat, footing(place, STANCE, _OTHER[first]))
         high, across = (0.30, 0.12, 0.44), (-0.06, 0.30, -0.1)
-        score.move(f"{first}_hand", now, now + 0.8 * beat, (0.55, 0.25, 0.0))
-        score.move(f"{first}_hand", now + 0.5 * beat, now + 1.3 * beat, high)
-        score.move(f"{first}_elbow", now, now + beat, _OVERHEAD_ELBOW)
+        sequence.move(f"{first}_hand", now, now + 0.8 * beat, (0.55, 0.25, 0.0))
+        sequence.move(f"{first}_hand", now + 0.5 * beat, now + 1.3 * beat, high)
+        sequence.move(f"{first}_elbow", now, now + beat, _OVERHEAD_ELBOW)
         # By way of the side: the straight way down from overhead leads through the face.
-        score.move(f"{_OTHER[first]}_hand", now, now + 0.8 * beat, _OPEN)
-        score.move(f"{_OTHER[first]}_hand", now + 0.5 * beat, now + 1.4 * beat, across)
-        score.move(f"{_OTHER[first]}_elbow", now, now + 1.1 * beat, _FRONT_ELBOW)
-        score.hill("height", now + 0.2 * beat, now + 1.8 * beat, -0.05)
+        sequence.move(f"{_OTHER[first]}_hand", now, now + 0.8 * beat, _OPEN)
+        sequence.move(f"{_OTHER[first]}_hand", now + 0.5 * beat, now + 1.4 * beat, across)
+        sequence.move(f"{_OTHER[first]}_elbow", now, now + 1.1 * beat, _FRONT_ELBOW)
+        sequence.hill("height", now + 0.2 * beat, now + 1.8 * beat, -0.05)
         now += 2.1 * beat
-    _arms(score, now - 0.4 * beat, now + 0.7 * beat, (0.5, 0.28, -0.05), _FRONT_ELBOW)
-    _hang(score, now + 0.2 * beat, now + 1.2 * beat)
+    _arms(sequence, now - 0.4 * beat, now + 0.7 * beat, (0.5, 0.28, -0.05), _FRONT_ELBOW)
+    _hang(sequence, now + 0.2 * beat, now + 1.2 * beat)
     return now + 1.2 * beat
 
 
-def _turn(score: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator) -> Turn:
+def _turn(sequence: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator) -> Turn:
     """Write a turn towards ``side`` on the foot of that side, the other knee lifted, arms closed."""
     sign, free = (1.0 if side == "l" else -1.0), _OTHER[side]
     open_, end = clock + 1.4 * beat, clock + 1.4 * beat + float(rng.uniform(1.25, 1.5))
-    home = score.target("place").copy()
-    _arms(score, clock, open_, (0.66, 0.24, 0.02), _WIDE_ELBOW)
-    _close(score, open_ - 0.2 * beat, open_ + 0.9 * beat, side, 0.0)
-    _arms(score, end - 0.8 * beat, end + 0.4 * beat, _WIDE, _WIDE_ELBOW)
-    _hang(score, end + 0.3 * beat, end + 1.6 * beat)
-    score.visit("shift", (clock, open_), (end, end + 1.4 * beat), (0.12 * sign, 0.05))
+    home = sequence.target("place").copy()
+    _arms(sequence, clock, open_, (0.66, 0.24, 0.02), _WIDE_ELBOW)
+    _close(sequence, open_ - 0.2 * beat, open_ + 0.9 * beat, side, 0.0)
+    _arms(sequence, end - 0.8 * beat, end + 0.4 * beat, _WIDE, _WIDE_ELBOW)
+    _hang(sequence, end + 0.3 * beat, end + 1.6 * beat)
+    sequence.visit("shift", (clock, open_), (end, end + 1.4 * beat), (0.12 * sign, 0.05))
     out_s, back_s = (open_ - 0.6 * beat, open_ + 0.4 * beat), (end - 0.3 * beat, end + 0.8 * beat)
-    score.visit(f"{side}_pivot", out_s, back_s, (0.0, 0.45))
-    score.visit("height", out_s, back_s, HEIGHT_M + 0.05)
+    sequence.visit(f"{side}_pivot", out_s, back_s, (0.0, 0.45))
+    sequence.visit("height", out_s, back_s, HEIGHT_M + 0.05)
     out_s, back_s = (open_ - 0.3 * beat, open_ + 0.9 * beat), (end - 0.9 * beat, end + 0.2 * beat)
     raised: Stance = {free: (-0.10 * sign, 0.16, -0.5 * sign)}
-    score.visit(f"{free}_foot", out_s, back_s, footing(home, raised, free))
-    score.visit(f"{free}_lift", out_s, back_s, 0.32)
-    score.visit(f"{free}_pivot", out_s, back_s, (0.0, 0.7))
-    score.visit(f"{free}_knee", out_s, back_s, 0.3)
+    sequence.visit(f"{free}_foot", out_s, back_s, footing(home, raised, free))
+    sequence.visit(f"{free}_lift", out_s, back_s, 0.32)
+    sequence.visit(f"{free}_pivot", out_s, back_s, (0.0, 0.7))
+    sequence.visit(f"{free}_knee", out_s, back_s, 0.3)
     ball = footing(home, STANCE, side)
     return Turn(open_ - 0.1 * beat, end, (float(ball[0]), float(ball[1])), sign)
 

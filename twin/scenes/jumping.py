@@ -58,7 +58,7 @@ class Jump:
 
     @property
     def end_s(self) -> float:
-        """When the jumper stands again."""
+        """When the jumper is standing again."""
         return self.landing_s + _CATCH_S + _RISE_S
 
     def rise(self) -> BPoly:
@@ -81,30 +81,30 @@ class Jump:
         )  # fmt: skip
 
 
-def jumps(who: Performer, rng: np.random.Generator) -> Motion:
+def jumps(performer: Performer, rng: np.random.Generator) -> Motion:
     """Return a loop: a jump there and one back, their lengths, heights and depths drawn by ``rng``."""
     distance = float(rng.uniform(0.50, 0.62))
     here, there = np.array([0.0, distance / 2, 0.0]), np.array([0.0, -distance / 2, 0.0])
-    score = begin(FEET_TOGETHER, arms=(0.1, 0.52), place=here)
+    sequence = begin(FEET_TOGETHER, arms=(0.1, 0.52), place=here)
     for side in "lr":
-        score.begin(**{f"{side}_foot": footing(here, FEET_TOGETHER, side)})
+        sequence.begin(**{f"{side}_foot": footing(here, FEET_TOGETHER, side)})
     clock, made = 0.2, []
     for end in (there, here):
         jump = Jump(
-            clock, distance * who.scale, float(rng.uniform(0.20, 0.30)), float(rng.uniform(0.24, 0.30))
+            clock, distance * performer.scale, float(rng.uniform(0.20, 0.30)), float(rng.uniform(0.24, 0.30))
         )
         made.append(jump)
-        heading = float(score.target("place")[2])
-        _write(score, jump, np.array([*end[:2], heading]))
-        clock = _turn_round(score, jump.end_s, np.array([*end[:2], heading]), np.pi - 2 * heading)
+        heading = float(sequence.target("place")[2])
+        _write(sequence, jump, np.array([*end[:2], heading]))
+        clock = _turn_round(sequence, jump.end_s, np.array([*end[:2], heading]), np.pi - 2 * heading)
     time_s, rate = loop_times(clock + _REST_S)
-    postures = read(score, time_s, who.scale)
-    postures = replace(postures, **_swung(score.at(time_s)["arms"], who.scale))
-    wanted = _led(who, postures, made, time_s, rate, who.scale * np.stack([here, there]))
-    return balanced(who, replace(postures, pelvis_xyz=wanted + [0.0, 0.0, -0.05]), rate, wanted)
+    postures = read(sequence, time_s, performer.scale)
+    postures = replace(postures, **_swung(sequence.at(time_s)["arms"], performer.scale))
+    wanted = _led(performer, postures, made, time_s, rate, performer.scale * np.stack([here, there]))
+    return balanced(performer, replace(postures, pelvis_xyz=wanted + [0.0, 0.0, -0.05]), rate, wanted)
 
 
-def _write(score: MovementSequence, jump: Jump, place: Array) -> None:
+def _write(sequence: MovementSequence, jump: Jump, place: Array) -> None:
     """Write trunk, arms and feet of a jump to ``place`` (x, y, turn)."""
     low, off, down = jump.start_s + _CROUCH_S, jump.takeoff_s, jump.landing_s
     for channel, parts in {
@@ -112,20 +112,20 @@ def _write(score: MovementSequence, jump: Jump, place: Array) -> None:
         "spine": (0.35, 0.05, 0.30, 0.02),
     }.items():
         crouched, flying, caught, standing = parts
-        score.move(channel, jump.start_s, low, (0.0, crouched, 0.0))
-        score.move(channel, low, off + 0.05, (0.0, flying, 0.0))
-        score.move(channel, down - 0.20, down + 0.25, (0.0, caught, 0.0))
-        score.move(channel, down + _CATCH_S, jump.end_s, (0.0, standing, 0.0))
+        sequence.move(channel, jump.start_s, low, (0.0, crouched, 0.0))
+        sequence.move(channel, low, off + 0.05, (0.0, flying, 0.0))
+        sequence.move(channel, down - 0.20, down + 0.25, (0.0, caught, 0.0))
+        sequence.move(channel, down + _CATCH_S, jump.end_s, (0.0, standing, 0.0))
     # Arms: back while crouching, through to the front and up, forward at landing, down.
-    score.move("arms", jump.start_s, low - 0.02, (-0.75, 0.50))
-    score.move("arms", low - 0.14, off + 0.05, (1.9, 0.46))
-    score.move("arms", down - 0.25, down + 0.15, (1.05, 0.48))
-    score.move("arms", down + 0.30, jump.end_s, (0.1, 0.52))
-    score.move("gaze", jump.start_s, low, (0.0, 0.15))
-    score.move("gaze", down, jump.end_s, (0.0, 0.0))
+    sequence.move("arms", jump.start_s, low - 0.02, (-0.75, 0.50))
+    sequence.move("arms", low - 0.14, off + 0.05, (1.9, 0.46))
+    sequence.move("arms", down - 0.25, down + 0.15, (1.05, 0.48))
+    sequence.move("arms", down + 0.30, jump.end_s, (0.1, 0.52))
+    sequence.move("gaze", jump.start_s, low, (0.0, 0.15))
+    sequence.move("gaze", down, jump.end_s, (0.0, 0.0))
     for side in "lr":
-        score.move(f"{side}_foot", off, down, footing(place, FEET_TOGETHER, side))
-        score.hill(f"{side}_lift", off, down, 0.16)
+        sequence.move(f"{side}_foot", off, down, footing(place, FEET_TOGETHER, side))
+        sequence.hill(f"{side}_lift", off, down, 0.16)
         for start, end, pitch in (
             (jump.start_s, low, _CROUCHED_PITCH),
             (off - 0.20, off + 0.03, 0.75),
@@ -133,15 +133,15 @@ def _write(score: MovementSequence, jump: Jump, place: Array) -> None:
             (down, down + _CATCH_S, _CROUCHED_PITCH),
             (down + _CATCH_S, jump.end_s, 0.0),
         ):
-            score.move(f"{side}_pivot", start, end, (0.0, pitch))
-        score.move(f"{side}_knee", jump.start_s, low, 0.12)
-        score.move(f"{side}_knee", down + _CATCH_S, jump.end_s, 0.05)
+            sequence.move(f"{side}_pivot", start, end, (0.0, pitch))
+        sequence.move(f"{side}_knee", jump.start_s, low, 0.12)
+        sequence.move(f"{side}_knee", down + _CATCH_S, jump.end_s, 0.05)
 
 
-def _turn_round(score: MovementSequence, clock: float, place: Array, angle: float) -> float:
+def _turn_round(sequence: MovementSequence, clock: float, place: Array, angle: float) -> float:
     """Write a turn on the spot by ``angle`` in small steps; return when it is done."""
     steps = 2 * _STEPS_A_FOOT
-    score.move("place", clock, clock + steps * _STEP_S, place + [0.0, 0.0, angle])
+    sequence.move("place", clock, clock + steps * _STEP_S, place + [0.0, 0.0, angle])
     sides = "lr" if angle > 0 else "rl"  # the foot inside the turn goes first
     for k in range(steps):
         # A foot is put down as the body will be turned in the middle of its stand.
@@ -149,7 +149,7 @@ def _turn_round(score: MovementSequence, clock: float, place: Array, angle: floa
         turned = place + [0.0, 0.0, angle * share]
         side = sides[k % 2]
         start = clock + k * _STEP_S
-        step(score, side, start, start + _STEP_S, footing(turned, FEET_TOGETHER, side))
+        step(sequence, side, start, start + _STEP_S, footing(turned, FEET_TOGETHER, side))
     return clock + steps * _STEP_S
 
 
@@ -162,10 +162,10 @@ def _swung(arms: Array, scale: float) -> dict[str, Array]:
 
 
 def _led(
-    who: Performer, postures: Postures, made: list[Jump], time_s: Array, rate: float, feet_m: Array
+    performer: Performer, postures: Postures, made: list[Jump], time_s: Array, rate: float, feet_m: Array
 ) -> Array:
     """Return where the centre of mass is to be (n, 3) [m]; ``feet_m`` (2, 3): where the jumps start."""
-    standing = who.balance.center_of_mass(posed(who, _first(postures), rate))[0]
+    standing = performer.balance.center_of_mass(posed(performer, _first(postures), rate))[0]
     before = float(feet_m[0, 1] - standing[1])  # how far it is before the place on which someone stands
     place, advance, rise = (
         np.tile(feet_m[0, :2], (len(time_s), 1)),

@@ -98,9 +98,9 @@ class Performer:
     balance: Balance
 
 
-def posed(who: Performer, p: Postures, frame_rate_hz: float) -> Motion:
-    """Return the motion of ``who`` through the postures ``p``."""
-    skeleton, world = who.skeleton, _trunk(p)
+def posed(performer: Performer, p: Postures, frame_rate_hz: float) -> Motion:
+    """Return the motion of ``performer`` through the postures ``p``."""
+    skeleton, world = performer.skeleton, _trunk(p)
     local = {"upperback": world["bend"], "thorax": world["bend"], **_head(p)}
     at = skeleton.offsets
     upperback = p.pelvis_xyz + world["root"] @ at[skeleton.index("upperback")]
@@ -117,7 +117,7 @@ def posed(who: Performer, p: Postures, frame_rate_hz: float) -> Motion:
         local[f"{side}humerus"] = _transposed(world["thorax"]) @ humerus
         local[f"{side}radius"] = _euler("ZX", np.stack([-sign * flexion, p.forearms[:, k]], axis=-1))
         local[f"{side}hand"] = _euler("Z", -sign * p.wrists[:, k, None])
-        _leg(who, p, k, world["root"], local)
+        _leg(performer, p, k, world["root"], local)
     local["root"] = world["root"]
     rotations = np.zeros((len(p.facing), len(skeleton.names), 4))
     rotations[..., 0] = 1.0
@@ -127,17 +127,17 @@ def posed(who: Performer, p: Postures, frame_rate_hz: float) -> Motion:
     return Motion(skeleton, frame_rate_hz, p.pelvis_xyz, without_flips(rotations))
 
 
-def balanced(who: Performer, p: Postures, frame_rate_hz: float, wanted: Array) -> Motion:
+def balanced(performer: Performer, p: Postures, frame_rate_hz: float, wanted: Array) -> Motion:
     """Return the motion through ``p`` with the pelvis moved so that the centre of mass is at ``wanted`` (n, 3).
 
     Repeated correction by what is missing. The legs, which stay where they stand, make a correction fall short
     by 0 to 40 %: it is made a quarter larger, and seven leave micrometres.
     """
     for _ in range(_BALANCE_STEPS):
-        motion = posed(who, p, frame_rate_hz)
-        missing = wanted - who.balance.center_of_mass(motion)
+        motion = posed(performer, p, frame_rate_hz)
+        missing = wanted - performer.balance.center_of_mass(motion)
         p = replace(p, pelvis_xyz=p.pelvis_xyz + _BALANCE_GAIN * missing)
-    return posed(who, p, frame_rate_hz)
+    return posed(performer, p, frame_rate_hz)
 
 
 def _trunk(p: Postures) -> dict[str, Array]:
@@ -153,12 +153,12 @@ def _head(p: Postures) -> dict[str, Array]:
     return {"lowerneck": _euler("ZX", 0.45 * wanted), "head": _euler("ZX", 0.45 * wanted)}
 
 
-def _leg(who: Performer, p: Postures, k: int, root: Array, local: dict[str, Array]) -> None:
+def _leg(performer: Performer, p: Postures, k: int, root: Array, local: dict[str, Array]) -> None:
     side, sign = _SIDES[k]
-    skeleton, at = who.skeleton, who.skeleton.offsets
+    skeleton, at = performer.skeleton, performer.skeleton.offsets
     hip = p.pelvis_xyz + root @ at[skeleton.index(f"{side}femur")]
     foot = _euler("ZX", p.feet[:, k])
-    ankle = p.balls[:, k] + [0.0, 0.0, who.sole_m] - foot @ at[skeleton.index(f"{side}toes")]
+    ankle = p.balls[:, k] + [0.0, 0.0, performer.sole_m] - foot @ at[skeleton.index(f"{side}toes")]
     heading = p.feet[:, k, 0] + sign * p.knees[:, k]
     pole = np.stack([np.sin(heading), -np.cos(heading), np.full(len(heading), 0.1)], axis=-1)
     bones = [float(np.linalg.norm(at[skeleton.index(f"{side}{bone}")])) for bone in ("tibia", "foot")]

@@ -1,4 +1,4 @@
-"""The mount: how the camera body moves while it looks.
+"""The mount: how the camera body moves.
 
 A rotation of the camera is given in pixels: how far it moves the image of what is far away, right and down. The
 pose is a function of continuous time, so that what moves within an exposure blurs; only the white shake stands still
@@ -79,7 +79,7 @@ class CameraSupport:
 
     ``pose``: world_from_camera, or body_from_camera of a camera that rides. ``tones`` (2, n, 3): frequency [1/s],
     amplitude [px] and phase of the vibration's sinusoids along the image's x and y. ``walk`` (2, k): the random
-    walk's places, WANDER_STEP_S apart [px].
+    walk's positions, WANDER_STEP_S apart [px].
     """
 
     mount: Mount
@@ -134,21 +134,21 @@ class CameraSupport:
         ``carrier``: world_from_body of the body that it rides on, rotations (k, 3, 3) and positions (k, 3).
         """
         k = len(times_s)
-        turns, moved = np.zeros((k, 2)), np.zeros((k, 3))
+        angles, moved = np.zeros((k, 2)), np.zeros((k, 3))
         if self.mount.body_px != 0.0:
-            turns += rng(self.seed, f"camera/{self.name}/body", frame).normal(0.0, self.mount.body_px, 2)
+            angles += rng(self.seed, f"camera/{self.name}/body", frame).normal(0.0, self.mount.body_px, 2)
         if not self.steady:
             shift = self.image_shift_px(times_s)
-            # a turn about y to the left moves the image right, one about x upwards moves it down
-            turns[:, 0] += shift[:, 1]
-            turns[:, 1] -= shift[:, 0]
+            # a rotation about y to the left moves the image right, one about x upwards moves it down
+            angles[:, 0] += shift[:, 1]
+            angles[:, 1] -= shift[:, 0]
             moved += self._bumped(np.asarray(times_s))[:, None] * np.array(self.mount.bump_m)
-        turns /= self.px_per_radian
-        turn, place = _placed(self.pose.rotation, self.pose.translation, turns, moved)
+        angles /= self.px_per_radian
+        rotation, position = _placed(self.pose.rotation, self.pose.translation, angles, moved)
         if carrier is None:
-            return turn, place
+            return rotation, position
         riding, from_body = carrier
-        return riding @ turn, (riding @ place[:, :, None])[:, :, 0] + from_body
+        return riding @ rotation, (riding @ position[:, :, None])[:, :, 0] + from_body
 
     def _bumped(self, times_s: Array) -> Array:
         """Return how much of the bump has happened (k,), 0 to 1."""
@@ -165,15 +165,15 @@ def pixels_per_radian(lens: Array) -> float:
 
 
 def _tones(mount: Mount, name: str, seed: int) -> Array:
-    """Return sinusoids (2, n, 3) of the stated spectrum: one at a random place of each of n slices of the band.
+    """Return sinusoids (2, n, 3) of the stated spectrum: one at a random position of each of n slices of the band.
 
     Their phases are random; the sum of many such is a Gaussian process (Shinozuka & Deodatis, Applied Mechanics
     Reviews 44 (1991) 191) and its rms over a long time is exactly the stated one.
     """
     low, high = mount.vibration_hz
     random = rng(seed, f"camera/{name}/vibration")
-    place, phase = random.random((2, TONES)), random.uniform(0.0, 2.0 * math.pi, (2, TONES))
-    frequency = low + (high - low) * (np.arange(TONES) + place) / TONES
+    offset, phase = random.random((2, TONES)), random.uniform(0.0, 2.0 * math.pi, (2, TONES))
+    frequency = low + (high - low) * (np.arange(TONES) + offset) / TONES
     power = frequency**mount.vibration_slope
     amplitude = mount.vibration_px * np.sqrt(2.0 * power / power.sum(axis=1, keepdims=True))
     return np.stack([frequency, amplitude, phase], axis=-1)
@@ -196,13 +196,13 @@ def _walk(mount: Mount, name: str, seed: int, duration_s: float) -> Array:
 
 
 @kernel
-def _placed(rotation: Array, translation: Array, turns: Array, moved: Array) -> Any:
-    """Return the pose * (moved, small turns about the camera's x and y axes) at each instant."""
-    count = turns.shape[0]
-    out_turn, out_xyz = np.empty((count, 3, 3)), np.empty((count, 3))
+def _placed(rotation: Array, translation: Array, angles: Array, moved: Array) -> Any:
+    """Return the pose * (moved, small rotations about the camera's x and y axes) at each instant."""
+    count = angles.shape[0]
+    out_rotation, out_xyz = np.empty((count, 3, 3)), np.empty((count, 3))
     shake = np.empty((3, 3))
     for k in range(count):
-        x, y = turns[k, 0], turns[k, 1]
+        x, y = angles[k, 0], angles[k, 1]
         angle = math.sqrt(x * x + y * y)
         # Rodrigues' formula about (x, y, 0)
         s = math.sin(angle) / angle if angle > 1e-12 else 1.0
@@ -215,7 +215,7 @@ def _placed(rotation: Array, translation: Array, turns: Array, moved: Array) -> 
             for n in range(3):
                 out_xyz[k, i] += rotation[i, n] * moved[k, n]
             for j in range(3):
-                out_turn[k, i, j] = 0.0
+                out_rotation[k, i, j] = 0.0
                 for n in range(3):
-                    out_turn[k, i, j] += rotation[i, n] * shake[n, j]
-    return out_turn, out_xyz
+                    out_rotation[k, i, j] += rotation[i, n] * shake[n, j]
+    return out_rotation, out_xyz

@@ -22,7 +22,7 @@ from twin.scenes.scene import SceneSampler
 
 TOLERANCE = 1e-8
 """Largest error of an interpolated position, measured in the middle of an interval [m]."""
-TURN_TOLERANCE = 1e-7
+ROTATION_TOLERANCE = 1e-7
 """Largest error of an element of an interpolated rotation, measured in the middle of an interval."""
 LADDER = ((0.00125, 4), (0.0025, 6), (0.005, 6), (0.010, 8), (0.025, 10))
 """Lengths of intervals [s] and their numbers of nodes."""
@@ -81,7 +81,7 @@ class SceneSamples:
         self._known: dict[float, Array] = {}
         self._intervals: dict[SampledInterval, tuple[Array, Array] | None] = {}
         g, b = len(geoms), len(bodies)
-        self._tolerance = np.repeat([TOLERANCE, TURN_TOLERANCE] * 2, [3 * g, 9 * g, 3 * b, 9 * b])
+        self._tolerance = np.repeat([TOLERANCE, ROTATION_TOLERANCE] * 2, [3 * g, 9 * g, 3 * b, 9 * b])
 
     def at(self, times_s: Array, interval: SampledInterval | None = None) -> GeomPoses:
         """Return where everything is at instants (k,); ``interval``: the one that they should lie in."""
@@ -93,12 +93,12 @@ class SceneSamples:
         if rows is None:
             rows = np.stack([self._exact(float(t)) for t in times_s])
         k, g, b = len(times_s), len(self._geoms), len(self._bodies)
-        turns, bodies, body_turns = 3 * g, 12 * g, 12 * g + 3 * b
+        rotations, bodies, body_rotations = 3 * g, 12 * g, 12 * g + 3 * b
         return GeomPoses(
-            rows[:, :turns].reshape(k, g, 3),
-            rows[:, turns:bodies].reshape(k, g, 3, 3),
-            rows[:, bodies:body_turns].reshape(k, b, 3),
-            rows[:, body_turns:].reshape(k, b, 3, 3),
+            rows[:, :rotations].reshape(k, g, 3),
+            rows[:, rotations:bodies].reshape(k, g, 3, 3),
+            rows[:, bodies:body_rotations].reshape(k, b, 3),
+            rows[:, body_rotations:].reshape(k, b, 3, 3),
         )
 
     def hold(self, time_s: float) -> SceneSampler:
@@ -168,7 +168,7 @@ class View:
 
     path: Array
     """(m, K, 3): centres of the targets."""
-    turn: Array
+    rotation: Array
     """(m, K, 3, 3): target's axes -> camera frame."""
     solid_xyz: Array
     """(K, s, 3): centres of the solids that hide."""
@@ -184,31 +184,42 @@ def seen_from(
     ``rotation`` (k, 3, 3), ``position`` (k, 3): its ``world_from_camera``; ``targets`` (m,) and ``solids`` (s,):
     numbers of the geoms of ``poses``.
     """
-    here = _seen_from(rotation, position, poses.geom_xyz, poses.geom_rotation, targets, solids, count)
-    return View(*here)
+    return View(*_seen_from(rotation, position, poses.geom_xyz, poses.geom_rotation, targets, solids, count))
 
 
 @kernel
 def _seen_from(
-    rotation: Array, position: Array, xyz: Array, turn: Array, targets: Array, solids: Array, count: int
+    rotation: Array,
+    position: Array,
+    xyz: Array,
+    geom_rotation: Array,
+    targets: Array,
+    solids: Array,
+    count: int,
 ) -> Any:
-    path, path_turn = np.empty((targets.shape[0], count, 3)), np.empty((targets.shape[0], count, 3, 3))
+    path, path_rotation = np.empty((targets.shape[0], count, 3)), np.empty((targets.shape[0], count, 3, 3))
     solid, solid_rotation = np.empty((count, solids.shape[0], 3)), np.empty((count, solids.shape[0], 3, 3))
     for k in range(count):
         r, p = rotation[k], position[k]
         for m in range(targets.shape[0]):
-            _in_camera(r, p, xyz[k, targets[m]], turn[k, targets[m]], path[m, k], path_turn[m, k])
+            _in_camera(
+                r, p, xyz[k, targets[m]], geom_rotation[k, targets[m]], path[m, k], path_rotation[m, k]
+            )
         for s in range(solids.shape[0]):
-            _in_camera(r, p, xyz[k, solids[s]], turn[k, solids[s]], solid[k, s], solid_rotation[k, s])
-    return path, path_turn, solid, solid_rotation
+            _in_camera(
+                r, p, xyz[k, solids[s]], geom_rotation[k, solids[s]], solid[k, s], solid_rotation[k, s]
+            )
+    return path, path_rotation, solid, solid_rotation
 
 
 @kernel
-def _in_camera(rotation: Array, position: Array, xyz: Array, turn: Array, here: Array, turned: Array) -> None:
-    """Write a place and its axes in the frame of a camera to ``here`` and ``turned``."""
+def _in_camera(
+    rotation: Array, position: Array, xyz: Array, geom_rotation: Array, xyz_here: Array, rotation_here: Array
+) -> None:
+    """Write a position and its axes in the frame of a camera to ``xyz_here`` and ``rotation_here``."""
     x, y, z = xyz[0] - position[0], xyz[1] - position[1], xyz[2] - position[2]
     for i in range(3):
         a, b, c = rotation[0, i], rotation[1, i], rotation[2, i]
-        here[i] = a * x + b * y + c * z
+        xyz_here[i] = a * x + b * y + c * z
         for j in range(3):
-            turned[i, j] = a * turn[0, j] + b * turn[1, j] + c * turn[2, j]
+            rotation_here[i, j] = a * geom_rotation[0, j] + b * geom_rotation[1, j] + c * geom_rotation[2, j]

@@ -1,7 +1,7 @@
 """What a lens adds to the ideal image: blur that changes with distance and field, falling light, warming.
 
 The pupil is cut into patches (``psf``): each images a point at its ray aberration, defocus proportional to the
-place in the pupil, coma to its square times the field, blurred by diffraction and the rest as one Gaussian.
+position in the pupil, coma to its square times the field, blurred by diffraction and the rest as one Gaussian.
 """
 
 from dataclasses import dataclass

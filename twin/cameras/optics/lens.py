@@ -104,12 +104,12 @@ class TwinLens:
         terms = GapTerms(float(given)) if isinstance(given, int | float) else given
         return cls(vector_of(lens, width, height, terms.gap_px, terms.tilt_deg, terms.pupil_shift_m))
 
-    def pixels(self, places: Array) -> Array:
+    def pixels(self, points: Array) -> Array:
         """Point (n, 3) in the camera frame [m] -> pixel (n, 2); NaN where the lens does not image it.
 
         Without a pupil shift the distance does not matter and directions of any length will do.
         """
-        return many_pixels(self.vector, np.ascontiguousarray(places, dtype=float).reshape(-1, 3))
+        return many_pixels(self.vector, np.ascontiguousarray(points, dtype=float).reshape(-1, 3))
 
     def directions(self, xy_px: Array, distance_m: float = math.inf) -> Array:
         """Pixel (n, 2) -> unit direction (n, 3) from the camera's centre to what it sees at ``distance_m``.
@@ -310,11 +310,11 @@ def _before_gap(lens: Array, u: float, v: float) -> Any:
 
 
 @kernel
-def many_pixels(lens: Array, places: Array) -> Array:
+def many_pixels(lens: Array, points: Array) -> Array:
     """Point (n, 3) -> pixel (n, 2) of a lens vector; NaN where it is not imaged."""
-    out = np.empty((places.shape[0], 2))
-    for i in range(places.shape[0]):
-        u, v, _a, _b, _c, _d, _e, _f, ok = project(lens, places[i, 0], places[i, 1], places[i, 2])
+    out = np.empty((points.shape[0], 2))
+    for i in range(points.shape[0]):
+        u, v, _a, _b, _c, _d, _e, _f, ok = project(lens, points[i, 0], points[i, 1], points[i, 2])
         out[i, 0], out[i, 1] = (u, v) if ok else (np.nan, np.nan)
     return out
 

@@ -1,4 +1,4 @@
-"""Kernels of the lens models, one pair each: light's direction to a place in the image, and back.
+"""Kernels of the lens models, one pair each: light's direction to a position in the image, and back.
 
 Written from the optics side; the pipeline has its own. ``_land_...`` give (u, v), their slopes and whether the
 lens images the light; ``_from_...`` give a direction, NaN where the pixel gets no light.
@@ -131,7 +131,7 @@ def _land_prism(
 
 @callable_bare_step
 def _from_prism(lens: Array, p: float, q: float) -> Any:
-    """As ``direction_pinhole``, from a place on the tilted sensor in units of the principal distance."""
+    """As ``direction_pinhole``, from a position on the tilted sensor in units of the principal distance."""
     target_x, target_y = off_plane(lens, OPENCV_PLANE, p, q)
     sx, sy = target_x, target_y
     for _ in range(STEPS):

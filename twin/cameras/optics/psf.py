@@ -1,8 +1,8 @@
 """How a lens spreads the light of a point: the pupil in patches, each blurred alike.
 
-The light through one patch of the pupil lands beside the ideal image: by defocus, in proportion to the place
-in the pupil; by coma, with its square and with the field (the ray aberrations of Seidel's theory). All patches
-are blurred by one Gaussian, which stands for diffraction and what else is small. So every spread is a sum of
+The light through one patch of the pupil lands beside the ideal image: by defocus, in proportion to the
+position in the pupil; by coma, with its square and with the field (the ray aberrations of Seidel's theory). All
+patches are blurred by one Gaussian, which stands for diffraction and what else is small. So every spread is a sum of
 shifted Gaussian images, exact for any target, and no table of pictures is needed. The mean displacement is
 taken off: the position of the light's centroid is the lens model's (``twin.cameras.optics.lens``).
 """

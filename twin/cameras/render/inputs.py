@@ -53,7 +53,7 @@ class TargetsInCamera:
 
     path: Array
     """(m, K, 3): centres at the window's nodes."""
-    turn: Array
+    rotation: Array
     """(m, K, 3, 3): target's axes -> camera frame; its normal is the third column."""
     radius: Array
     """(m,); a figure's: of the disc that encloses it."""
@@ -72,13 +72,13 @@ class TargetsInCamera:
 
     @classmethod
     def plain(
-        cls, path: Array, turn: Array, radius: Array, shape: Array, electrons: Array
+        cls, path: Array, rotation: Array, radius: Array, shape: Array, electrons: Array
     ) -> "TargetsInCamera":
         """Return balls and flat targets that are evenly bright and shine all the time."""
         m = len(path)
         return cls(
             np.ascontiguousarray(path, dtype=float),
-            np.ascontiguousarray(turn, dtype=float),
+            np.ascontiguousarray(rotation, dtype=float),
             np.ascontiguousarray(radius, dtype=float),
             np.ascontiguousarray(shape, dtype=np.int64),
             np.full(m, -1, dtype=np.int64),
@@ -102,7 +102,7 @@ class TargetArrays(NamedTuple):
     """The arrays of ``TargetsInCamera``; ``profile`` (m, 4): limb and shade."""
 
     path: Array
-    turn: Array
+    rotation: Array
     radius: Array
     shape: Array
     figure: Array
@@ -122,7 +122,7 @@ class SolidArrays(NamedTuple):
     """(k,): number of the target that the geom is, or -1."""
     xyz: Array
     """(K, k, 3) [m]."""
-    turn: Array
+    rotation: Array
     """(K, k, 3, 3): geom -> camera frame."""
     bounds: Array
     """(k, 8): the capsule that encloses all of a geom's motion, see ``motion_bounds``."""
@@ -149,10 +149,10 @@ class RenderInputs(NamedTuple):
 
 
 class TargetPose(NamedTuple):
-    """A target at one instant, camera frame: ``shape``, ``turn`` (3, 3) target -> camera, centre and radius [m]."""
+    """A target at one instant: ``shape``, ``rotation`` (3, 3) to the camera frame, centre in it, and radius [m]."""
 
     shape: int
-    turn: Array
+    rotation: Array
     x: float
     y: float
     z: float
@@ -174,7 +174,7 @@ class Solid(NamedTuple):
     kind: int
     size: Array
     xyz: Array
-    turn: Array
+    rotation: Array
 
 
 class NearSolids(NamedTuple):
@@ -190,5 +190,5 @@ class NearSolids(NamedTuple):
     """(k, 3) of all solids as MuJoCo has it [m]."""
     xyz: Array
     """(k, 3): centres of those found, camera frame [m]."""
-    turn: Array
+    rotation: Array
     """(k, 3, 3): rotations of those found, geom -> camera frame."""

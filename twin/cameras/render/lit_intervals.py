@@ -17,7 +17,7 @@ from twin.scenes.figure import LINE
 @kernel
 def lit_by_disc(target: TargetPose, a: Array, b: Array) -> Any:
     """Interval of s in which the rays a + s b meet a ball, or a flat round target."""
-    shape, turn, x, y, z, r = target
+    shape, rotation, x, y, z, r = target
     if shape == BALL:
         k = x * x + y * y + z * z - r * r
         ca, cb = x * a[0] + y * a[1] + z * a[2], x * b[0] + y * b[1] + z * b[2]
@@ -27,7 +27,7 @@ def lit_by_disc(target: TargetPose, a: Array, b: Array) -> Any:
         q2, q1, q0 = cb * cb - k * bb, ca * cb - k * ab, ca * ca - k * aa
     else:
         # P = t d with t = c.n / d.n; |t d - c|^2 <= r^2, times (d.n)^2
-        nx, ny, nz = turn[0, 2], turn[1, 2], turn[2, 2]
+        nx, ny, nz = rotation[0, 2], rotation[1, 2], rotation[2, 2]
         cn = x * nx + y * ny + z * nz
         na, nb = a[0] * nx + a[1] * ny + a[2] * nz, b[0] * nx + b[1] * ny + b[2] * nz
         px, py, pz = cn * a[0] - na * x, cn * a[1] - na * y, cn * a[2] - na * z
@@ -46,12 +46,12 @@ def lit_by_figure(
     lens: Array, target: TargetPose, pieces: Array, a: Array, b: Array, lit_u: Array, lit_step: Array
 ) -> Any:
     """Write where the row crosses the contours and by how much the light rises there; return how many times."""
-    _shape, turn, x, y, z, _r = target
+    _shape, rotation, x, y, z, _r = target
     nx, ny, nz = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
     # the fan's plane in the figure's own coordinates: p + qx gx + qy gy = 0
     p = nx * x + ny * y + nz * z
-    qx = nx * turn[0, 0] + ny * turn[1, 0] + nz * turn[2, 0]
-    qy = nx * turn[0, 1] + ny * turn[1, 1] + nz * turn[2, 1]
+    qx = nx * rotation[0, 0] + ny * rotation[1, 0] + nz * rotation[2, 0]
+    qy = nx * rotation[0, 1] + ny * rotation[1, 1] + nz * rotation[2, 1]
     count = 0
     for i in range(pieces.shape[0]):
         tries = 0
@@ -79,9 +79,9 @@ def lit_by_figure(
             gx, gy, hx, hy = contour_point(pieces[i], share)
             u, _v, _a, _b, _c, _d, _e, _f, ok = project(
                 lens,
-                x + gx * turn[0, 0] + gy * turn[0, 1],
-                y + gx * turn[1, 0] + gy * turn[1, 1],
-                z + gx * turn[2, 0] + gy * turn[2, 1],
+                x + gx * rotation[0, 0] + gy * rotation[0, 1],
+                y + gx * rotation[1, 0] + gy * rotation[1, 1],
+                z + gx * rotation[2, 0] + gy * rotation[2, 1],
             )
             if ok and count < lit_u.shape[0]:
                 # the fan's normal points down the image: a contour that goes down has its inside, on its

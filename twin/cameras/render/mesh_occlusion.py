@@ -84,11 +84,11 @@ class MeshRays:
         data, rotation, position = self.scene_at(0.5 * (begin + end))
         share = np.clip(((data.geom_xpos[geoms] - position) @ rotation) @ sight / (sight @ sight), 0.05, 1.0)
         world = position + (share[:, None] * sight) @ rotation.T
-        local = np.einsum("gji,gj->gi", _turns(data, geoms), world - data.geom_xpos[geoms])
+        local = np.einsum("gji,gj->gi", _geom_rotations(data, geoms), world - data.geom_xpos[geoms])
         images = []
         for t in (begin, end):
             data, rotation, position = self.scene_at(t)
-            moved = np.einsum("gij,gj->gi", _turns(data, geoms), local) + data.geom_xpos[geoms]
+            moved = np.einsum("gij,gj->gi", _geom_rotations(data, geoms), local) + data.geom_xpos[geoms]
             both = np.vstack([(moved - position) @ rotation, interpolate(targets.path[marker], nodes, t)])
             images.append(many_pixels(lens, np.ascontiguousarray(both)))
         way = images[1] - images[0]
@@ -100,8 +100,10 @@ class MeshRays:
     ) -> tuple[Array, SampleGrid, Array]:
         """Return the cells of a target's samples at an instant, their grid, and which of them nothing hides."""
         x, y, z = (float(c) for c in interpolate(targets.path[marker], nodes, time_s))
-        turn = interpolate(targets.turn[marker], nodes, time_s)
-        target = TargetPose(int(targets.shape[marker]), turn, x, y, z, float(targets.radius[marker]))
+        target_rotation = interpolate(targets.rotation[marker], nodes, time_s)
+        target = TargetPose(
+            int(targets.shape[marker]), target_rotation, x, y, z, float(targets.radius[marker])
+        )
         for per_px in (3, 0):  # coarse samples suffice for most
             rays, cell, grid = sample_rays(lens, target, per_px)
             free = self.visible(marker, rays, time_s)
@@ -124,9 +126,9 @@ class MeshRays:
         return geoms == self.marker_geoms[marker]
 
 
-def _turns(data: Any, geoms: Array) -> Array:
-    turns: Array = data.geom_xmat[geoms].reshape(-1, 3, 3)
-    return turns
+def _geom_rotations(data: Any, geoms: Array) -> Array:
+    rotations: Array = data.geom_xmat[geoms].reshape(-1, 3, 3)
+    return rotations
 
 
 def interpolate(values: Array, nodes: Array, time_s: float) -> Array:

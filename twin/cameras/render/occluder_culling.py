@@ -81,29 +81,29 @@ def _slip_px(inputs: RenderInputs, m: int, image: TargetImage, number: Array, co
     slip = 0.0
     local = np.empty(3)
     for q in range(count):
-        xyz, turn = inputs.solids.xyz[:, number[q]], inputs.solids.turn[:, number[q]]
+        xyz, rotation = inputs.solids.xyz[:, number[q]], inputs.solids.rotation[:, number[q]]
         cx, cy, cz = position_at(xyz, weights)
         f = min(max((cx * x + cy * y + cz * z) / (x * x + y * y + z * z), 0.05), 1.0)
         for i in range(3):
             local[i] = 0.0
             for k in range(weights.shape[0]):
-                t = turn[k]
+                t = rotation[k]
                 local[i] += weights[k] * (
                     t[0, i] * (f * x - cx) + t[1, i] * (f * y - cy) + t[2, i] * (f * z - cz)
                 )
-        uc, vc, ok_c = _material(lens, xyz, turn, at_begin, local)
-        ud, vd, ok_d = _material(lens, xyz, turn, at_end, local)
+        uc, vc, ok_c = _material(lens, xyz, rotation, at_begin, local)
+        ud, vd, ok_d = _material(lens, xyz, rotation, at_end, local)
         if ok_a and ok_b and ok_c and ok_d:
             slip = max(slip, math.sqrt((ud - uc - ub + ua) ** 2 + (vd - vc - vb + va) ** 2))
     return slip
 
 
 @kernel
-def _material(lens: Array, xyz: Array, turn: Array, weights: Array, local: Array) -> Any:
+def _material(lens: Array, xyz: Array, rotation: Array, weights: Array, local: Array) -> Any:
     """Where a point that is fixed in a geom is imaged at an instant."""
     x, y, z = position_at(xyz, weights)
     for k in range(weights.shape[0]):
-        t = turn[k]
+        t = rotation[k]
         x += weights[k] * (t[0, 0] * local[0] + t[0, 1] * local[1] + t[0, 2] * local[2])
         y += weights[k] * (t[1, 0] * local[0] + t[1, 1] * local[1] + t[1, 2] * local[2])
         z += weights[k] * (t[2, 0] * local[0] + t[2, 1] * local[1] + t[2, 2] * local[2])
@@ -119,7 +119,7 @@ def pose_solids(near: NearSolids, solids: SolidArrays, nodes: Array, instant_s: 
     for q in range(near.found):
         g = near.number[q]
         near.xyz[g, 0], near.xyz[g, 1], near.xyz[g, 2] = position_at(solids.xyz[:, g], weights)
-        rotation_at(solids.turn[:, g], weights, near.turn[g])
+        rotation_at(solids.rotation[:, g], weights, near.rotation[g])
 
 
 @kernel
@@ -129,7 +129,7 @@ def hidden_by_one(near: NearSolids, target: TargetPose) -> Any:
     away = math.sqrt(target.x * target.x + target.y * target.y + target.z * target.z)
     for q in range(near.found):
         g = near.number[q]
-        solid = Solid(near.kind[g], near.size[g], near.xyz[g], near.turn[g])
+        solid = Solid(near.kind[g], near.size[g], near.xyz[g], near.rotation[g])
         all_hit = True
         for k in range(12):
             dx, dy, dz, _a, _b, _c = circle_point(circle, k * math.pi / 6)

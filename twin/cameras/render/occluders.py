@@ -1,4 +1,4 @@
-"""What stands between the camera and a marker: analytic rays against MuJoCo's primitives.
+"""Occluders between the camera and a marker: analytic rays against MuJoCo's primitives.
 
 All in the camera frame, rays from its origin. Meshes are left to ``mj_multiRay`` (see ``mesh_occlusion``). Planes and
 height fields are floors: they hide nothing that is above them from a camera above them and are passed over.
@@ -124,13 +124,13 @@ def hit(solid: Solid, dx: float, dy: float, dz: float) -> float:
 
     An origin inside the solid counts as not entering.
     """
-    kind, size, centre, turn = solid
-    ox = -(turn[0, 0] * centre[0] + turn[1, 0] * centre[1] + turn[2, 0] * centre[2])
-    oy = -(turn[0, 1] * centre[0] + turn[1, 1] * centre[1] + turn[2, 1] * centre[2])
-    oz = -(turn[0, 2] * centre[0] + turn[1, 2] * centre[1] + turn[2, 2] * centre[2])
-    x = turn[0, 0] * dx + turn[1, 0] * dy + turn[2, 0] * dz
-    y = turn[0, 1] * dx + turn[1, 1] * dy + turn[2, 1] * dz
-    z = turn[0, 2] * dx + turn[1, 2] * dy + turn[2, 2] * dz
+    kind, size, centre, rotation = solid
+    ox = -(rotation[0, 0] * centre[0] + rotation[1, 0] * centre[1] + rotation[2, 0] * centre[2])
+    oy = -(rotation[0, 1] * centre[0] + rotation[1, 1] * centre[1] + rotation[2, 1] * centre[2])
+    oz = -(rotation[0, 2] * centre[0] + rotation[1, 2] * centre[1] + rotation[2, 2] * centre[2])
+    x = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
+    y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
+    z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
     if kind == SPHERE:
         return _enter_sphere(ox, oy, oz, x, y, z, size[0])
     if kind == ELLIPSOID:

@@ -1,4 +1,4 @@
-"""The hidden part of a target: rows of its image scanned for what stands before it.
+"""The hidden part of a target: rows of its image scanned for occluders.
 
 In each row (8 a pixel) the lit intervals of the target (``lit_intervals``) are cut with the intervals that solids
 cover (``row_intervals``). What is hidden leaves as boundary points of negative light, in the same form as the
@@ -29,7 +29,7 @@ PIECE_PX = 3.0
 PROFILE_PX = 0.4
 """Longest piece of a hidden interval over which the brightness of a profile counts as constant."""
 BEFORE = 1.0 - 1e-9
-"""Share of the distance to the target within which a solid stands before it."""
+"""Share of the distance to the target within which a solid hides it."""
 
 
 class Scan(NamedTuple):
@@ -180,7 +180,7 @@ def _quadratic_weights(f: float) -> Any:
 def _covered_in_row(
     target: TargetPose, scan: Scan, near: NearSolids, rays: Array, low: Array, high: Array
 ) -> Any:
-    """Write the intervals of a row in which solids stand before the target.
+    """Write the intervals of a row in which solids hide the target.
 
     Returns how many, and from where to where the row lies in a ball or disc.
     """
@@ -212,7 +212,7 @@ def _covered_before(
     target: TargetPose, near: NearSolids, g: int, a: Array, b: Array, one: float, two: float
 ) -> Any:
     """The part of one..two in which solid ``g`` covers the fan a + s b before the target; low >= high: none."""
-    solid = Solid(near.kind[g], near.size[g], near.xyz[g], near.turn[g])
+    solid = Solid(near.kind[g], near.size[g], near.xyz[g], near.rotation[g])
     first, last = covered(solid, a, b)
     first, last = max(first, one), min(last, two)
     if first >= last:
@@ -274,7 +274,7 @@ def _hide(
 
 @kernel
 def _anything_before(lens: Array, target: TargetPose, scan: Scan, near: NearSolids) -> Any:
-    """Whether any solid stands before the box of a figure, by rows of half a pixel: most figures have none."""
+    """Whether any solid hides a part of the box of a figure, by rows of half a pixel: most figures have none."""
     top, bottom = scan.box.top, scan.box.bottom
     a, b = np.empty(3), np.empty(3)
     rows = 2 + int(2.0 * (bottom - top))
@@ -304,7 +304,7 @@ def _wider(edges: Array, count: int, more: int) -> Any:
 
 @kernel
 def has_profile(profile: Array) -> Any:
-    """Whether the brightness of a target differs from place to place on it."""
+    """Whether the brightness of a target varies over it."""
     return profile[0] != 0.0 or profile[1] != 0.0 or profile[2] != 0.0 or profile[3] != 0.0
 
 
@@ -318,9 +318,9 @@ def brightness(profile: Array, qx: float, qy: float) -> Any:
 @kernel
 def front_of(target: TargetPose, dx: float, dy: float, dz: float) -> Any:
     """Distance along d at which the target's own front is met (the silhouette's edge counts as met)."""
-    shape, turn, x, y, z, r = target
+    shape, rotation, x, y, z, r = target
     if shape != BALL:
-        nx, ny, nz = turn[0, 2], turn[1, 2], turn[2, 2]
+        nx, ny, nz = rotation[0, 2], rotation[1, 2], rotation[2, 2]
         return (x * nx + y * ny + z * nz) / (dx * nx + dy * ny + dz * nz)
     a = dx * dx + dy * dy + dz * dz
     b = dx * x + dy * y + dz * z
@@ -336,7 +336,7 @@ def _before(solid: Solid, a: Array, b: Array, s: float, target: TargetPose) -> A
 
 @kernel
 def _in_front(solid: Solid, a: Array, b: Array, first: float, last: float, target: TargetPose) -> Any:
-    """The part of an interval in which the solid stands before the target; solids that meet part it once."""
+    """The part of an interval in which the solid hides the target; solids that meet part it once."""
     at_first = _before(solid, a, b, first + 0.05 * (last - first), target)
     at_last = _before(solid, a, b, last - 0.05 * (last - first), target)
     if at_first and at_last:

@@ -47,13 +47,13 @@ def position_at(path: Array, weights: Array) -> Any:
 
 
 @kernel
-def rotation_at(turn: Array, weights: Array, out: Array) -> None:
+def rotation_at(rotation: Array, weights: Array, out: Array) -> None:
     """Interpolate rotations (K, 3, 3): sums of matrices, good to the square of the turn between nodes."""
     for i in range(3):
         for j in range(3):
             value = 0.0
             for k in range(weights.shape[0]):
-                value += weights[k] * turn[k, i, j]
+                value += weights[k] * rotation[k, i, j]
             out[i, j] = value
 
 
@@ -74,7 +74,7 @@ def perpendicular_axes(x: float, y: float, z: float) -> Any:
 @kernel
 def outline_circle(target: TargetPose, r: float) -> Any:
     """The circle that is a target's outline with radius ``r``: centre, and two radii at right angles (9 numbers)."""
-    shape, turn, x, y, z, _r = target
+    shape, rotation, x, y, z, _r = target
     if shape == BALL:
         # the touching circle: centre C (1 - r^2 / d^2), radius r sqrt(1 - r^2 / d^2)
         ax, ay, az, bx, by, bz = perpendicular_axes(x, y, z)
@@ -82,7 +82,8 @@ def outline_circle(target: TargetPose, r: float) -> Any:
         k = r * math.sqrt(q)
         return x * q, y * q, z * q, k * ax, k * ay, k * az, k * bx, k * by, k * bz
     return (
-        x, y, z, r * turn[0, 0], r * turn[1, 0], r * turn[2, 0], r * turn[0, 1], r * turn[1, 1], r * turn[2, 1],
+        x, y, z, r * rotation[0, 0], r * rotation[1, 0], r * rotation[2, 0],
+        r * rotation[0, 1], r * rotation[1, 1], r * rotation[2, 1],
     )  # fmt: skip
 
 
@@ -123,7 +124,7 @@ def outline_steps(diameter: float, sigma: float) -> Any:
 @kernel
 def trace(lens: Array, target: TargetPose, pieces: Array, n: int, sense: float, out: Array) -> None:
     """Write (u, v, dv) of the boundary into ``out`` (n, 3); ``sense``: +1 where the contours turn the image's way."""
-    shape, turn, x, y, z, r = target
+    shape, rotation, x, y, z, r = target
     if shape != FIGURE:
         circle = outline_circle(target, r)
         for j in range(n):
@@ -140,14 +141,14 @@ def trace(lens: Array, target: TargetPose, pieces: Array, n: int, sense: float, 
             for k in range(nodes):
                 share = (p + 0.5 + 0.5 * NODE_AT[nodes, k]) / panels
                 gx, gy, hx, hy = contour_point(pieces[i], share)
-                dx = x + gx * turn[0, 0] + gy * turn[0, 1]
-                dy = y + gx * turn[1, 0] + gy * turn[1, 1]
-                dz = z + gx * turn[2, 0] + gy * turn[2, 1]
+                dx = x + gx * rotation[0, 0] + gy * rotation[0, 1]
+                dy = y + gx * rotation[1, 0] + gy * rotation[1, 1]
+                dz = z + gx * rotation[2, 0] + gy * rotation[2, 1]
                 u, v, _ux, _uy, _uz, vx, vy, vz, _ok = project(lens, dx, dy, dz)
                 rise = (
-                    vx * (hx * turn[0, 0] + hy * turn[0, 1])
-                    + vy * (hx * turn[1, 0] + hy * turn[1, 1])
-                    + vz * (hx * turn[2, 0] + hy * turn[2, 1])
+                    vx * (hx * rotation[0, 0] + hy * rotation[0, 1])
+                    + vy * (hx * rotation[1, 0] + hy * rotation[1, 1])
+                    + vz * (hx * rotation[2, 0] + hy * rotation[2, 1])
                 )
                 out[row, 0], out[row, 1] = u, v
                 out[row, 2] = sense * pieces[i, 6] * rise * NODE_SHARE[nodes, k] / panels

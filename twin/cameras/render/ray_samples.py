@@ -34,7 +34,7 @@ def sample_rays(lens: Array, target: TargetPose, per_px: int) -> Any:
     ``per_px``: samples a pixel each way, 0: as many as the size asks for. Returns directions (n, 3), the grid
     cell (n, 2) that each goes through (column, row), and the grid.
     """
-    shape, turn, x, y, z, r = target
+    shape, rotation, x, y, z, r = target
     circle = outline_circle(target, 1.02 * r)
     left, right, top, bottom = 1e9, -1e9, 1e9, -1e9
     for j in range(24):
@@ -54,7 +54,7 @@ def sample_rays(lens: Array, target: TargetPose, per_px: int) -> Any:
     cell = np.empty((columns * rows, 2), dtype=np.int64)
     n = 0
     away = math.sqrt(x * x + y * y + z * z)
-    nx, ny, nz = turn[0, 2], turn[1, 2], turn[2, 2]
+    nx, ny, nz = rotation[0, 2], rotation[1, 2], rotation[2, 2]
     for j in range(rows):
         pv = top + (j + 0.5) * step
         for i in range(columns):

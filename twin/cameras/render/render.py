@@ -128,7 +128,7 @@ def _inputs(
         RowTiming(float(window.length_s), float(window.row_time_s), float(on), float(off)),
         TargetArrays(
             targets.path,
-            targets.turn,
+            targets.rotation,
             targets.radius,
             targets.shape,
             targets.figure,

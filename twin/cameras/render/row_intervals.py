@@ -37,16 +37,16 @@ class Fan(NamedTuple):
 @kernel
 def covered(solid: Solid, a: Array, b: Array) -> Any:
     """Interval (low, high) of s in which the rays ``a + s b`` (3,), camera frame, meet a solid; low > high: none."""
-    kind, size, centre, turn = solid
-    ox = -(turn[0, 0] * centre[0] + turn[1, 0] * centre[1] + turn[2, 0] * centre[2])
-    oy = -(turn[0, 1] * centre[0] + turn[1, 1] * centre[1] + turn[2, 1] * centre[2])
-    oz = -(turn[0, 2] * centre[0] + turn[1, 2] * centre[1] + turn[2, 2] * centre[2])
-    ax = turn[0, 0] * a[0] + turn[1, 0] * a[1] + turn[2, 0] * a[2]
-    ay = turn[0, 1] * a[0] + turn[1, 1] * a[1] + turn[2, 1] * a[2]
-    az = turn[0, 2] * a[0] + turn[1, 2] * a[1] + turn[2, 2] * a[2]
-    bx = turn[0, 0] * b[0] + turn[1, 0] * b[1] + turn[2, 0] * b[2]
-    by = turn[0, 1] * b[0] + turn[1, 1] * b[1] + turn[2, 1] * b[2]
-    bz = turn[0, 2] * b[0] + turn[1, 2] * b[1] + turn[2, 2] * b[2]
+    kind, size, centre, rotation = solid
+    ox = -(rotation[0, 0] * centre[0] + rotation[1, 0] * centre[1] + rotation[2, 0] * centre[2])
+    oy = -(rotation[0, 1] * centre[0] + rotation[1, 1] * centre[1] + rotation[2, 1] * centre[2])
+    oz = -(rotation[0, 2] * centre[0] + rotation[1, 2] * centre[1] + rotation[2, 2] * centre[2])
+    ax = rotation[0, 0] * a[0] + rotation[1, 0] * a[1] + rotation[2, 0] * a[2]
+    ay = rotation[0, 1] * a[0] + rotation[1, 1] * a[1] + rotation[2, 1] * a[2]
+    az = rotation[0, 2] * a[0] + rotation[1, 2] * a[1] + rotation[2, 2] * a[2]
+    bx = rotation[0, 0] * b[0] + rotation[1, 0] * b[1] + rotation[2, 0] * b[2]
+    by = rotation[0, 1] * b[0] + rotation[1, 1] * b[1] + rotation[2, 1] * b[2]
+    bz = rotation[0, 2] * b[0] + rotation[1, 2] * b[1] + rotation[2, 2] * b[2]
     fan = Fan(ox, oy, oz, ax, ay, az, bx, by, bz)
     if kind == SPHERE:
         return _sphere(fan, 0.0, size[0], size[0], size[0])

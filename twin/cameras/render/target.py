@@ -153,7 +153,7 @@ def render_one(
     if image.u < half or image.v < half or image.u > width - 1 - half or image.v > height - 1 - half:
         weights = np.empty(inputs.nodes_s.shape[0])
         lagrange_weights(inputs.nodes_s, image.instant_s, weights)
-        rotation_at(inputs.targets.turn[m], weights, image.target.turn)
+        rotation_at(inputs.targets.rotation[m], weights, image.target.rotation)
         visible *= _inside(inputs.lens, image.target, width, height)
     return _seen_share(image, visible, int(IN_VIEW if hidden == 0.0 else PARTLY))
 
@@ -283,8 +283,8 @@ def _add_hidden(
         if groups > 1:
             lagrange_weights(nodes, middle, weights)
             x, y, z = position_at(path, weights)
-            rotation_at(inputs.targets.turn[m], weights, target.turn)
-            target = TargetPose(target.shape, target.turn, x, y, z, target.radius)
+            rotation_at(inputs.targets.rotation[m], weights, target.rotation)
+            target = TargetPose(target.shape, target.rotation, x, y, z, target.radius)
             pose_solids(near, inputs.solids, nodes, middle)
             u, v, _a, _b, _c, _d, _e, _f, _ok = project(lens, x, y, z)
             _whole, group_box = image_box(lens, target)
@@ -331,8 +331,8 @@ def _add_whole(
                 continue
             lagrange_weights(inputs.nodes_s, begin + 0.5 * k * (end - begin), weights)
             x, y, z = position_at(inputs.targets.path[m], weights)
-            rotation_at(inputs.targets.turn[m], weights, image.target.turn)
-            target = TargetPose(shape, image.target.turn, x, y, z, image.target.radius)
+            rotation_at(inputs.targets.rotation[m], weights, image.target.rotation)
+            target = TargetPose(shape, image.target.rotation, x, y, z, image.target.radius)
             trace(lens, target, contours, points, sense, before if k == 0 else (at if k == 1 else after))
             if spot_points > 0:
                 spot_out = spot_before if k == 0 else (spot_at if k == 1 else spot_after)
@@ -358,7 +358,7 @@ def _add_sampled(out: Increments, inputs: RenderInputs, m: int, image: TargetIma
         front = front_of(image.target, dx, dy, dz)
         for q in range(near.found):
             g = near.number[q]
-            solid = Solid(near.kind[g], near.size[g], near.xyz[g], near.turn[g])
+            solid = Solid(near.kind[g], near.size[g], near.xyz[g], near.rotation[g])
             if hit(solid, dx, dy, dz) < front * BEFORE:
                 free[i] = False
                 break

@@ -53,8 +53,8 @@ class TargetImage(NamedTuple):
 @kernel
 def image_of(inputs: RenderInputs, m: int, height: int, width: int) -> Any:
     """Return the TargetImage of target ``m`` in an image of height x width."""
-    turn = np.empty((3, 3))
-    target, u, v, stretch, instant, imaged = _mid_exposure(inputs, m, turn, height)
+    rotation = np.empty((3, 3))
+    target, u, v, stretch, instant, imaged = _mid_exposure(inputs, m, rotation, height)
     lens, path = inputs.lens, inputs.targets.path[m]
     x, y, z, r = target.x, target.y, target.z, target.radius
     state = int(OUTSIDE)
@@ -78,7 +78,7 @@ def image_of(inputs: RenderInputs, m: int, height: int, width: int) -> Any:
         motion, moved = image_motion(lens, inputs.nodes_s, path, begin, end)
         in_columns = -margin - motion <= u <= width + margin + motion
         if motion >= 0.0 and in_columns and -margin - motion <= v <= height + margin + motion:
-            behind = turn[0, 2] * x + turn[1, 2] * y + turn[2, 2] * z >= -EDGE_ON * away
+            behind = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z >= -EDGE_ON * away
             state = int(HIDDEN) if target.shape != BALL and behind else int(IN_VIEW)
     return TargetImage(
         state, target, u, v, diameter, stretch, patch, spread, begin, instant, end, motion, moved
@@ -93,8 +93,8 @@ def lit_s(inputs: RenderInputs, m: int) -> Any:
 
 
 @kernel
-def _mid_exposure(inputs: RenderInputs, m: int, turn: Array, height: int) -> Any:
-    """The target at the middle of its own rows' exposure; ``turn`` (3, 3) is filled.
+def _mid_exposure(inputs: RenderInputs, m: int, rotation: Array, height: int) -> Any:
+    """The target at the middle of its own rows' exposure; ``rotation`` (3, 3) is filled.
 
     With a rolling shutter the row decides the instant and the instant the row: a fixed point. Returns the pose, its
     image (u, v), the stretch, the instant, and whether the lens images it.
@@ -123,8 +123,8 @@ def _mid_exposure(inputs: RenderInputs, m: int, turn: Array, height: int) -> Any
             instant = 0.5 * (begin + end) if end > begin else opens + 0.5 * length
             if abs(instant - before_s) < ROW_INSTANT_S:
                 break
-    rotation_at(inputs.targets.turn[m], weights, turn)
-    return TargetPose(inputs.targets.shape[m], turn, x, y, z, r), u, v, stretch, instant, imaged
+    rotation_at(inputs.targets.rotation[m], weights, rotation)
+    return TargetPose(inputs.targets.shape[m], rotation, x, y, z, r), u, v, stretch, instant, imaged
 
 
 @kernel

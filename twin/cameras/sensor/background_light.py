@@ -1,6 +1,7 @@
 """Everything that a pixel collects besides the targets: background, glass, fixed patterns of the sensor, stray light.
 
-The mean of each pixel stands on the nearest of many close levels (0.15 of the noise apart), and that level *is* the
+The mean of each pixel is rounded to the nearest of many close levels (0.15 of the noise apart), and that level
+*is* the
 pixel's light: nothing finer is meant. Pixels without a target then cost one look-up in their level's exact law.
 """
 
@@ -159,23 +160,23 @@ def ambient_map(
     from it. ``vignetting``: share of light lost at the corner, after the cos^4 law of a lens whose corner loses so
     much. Background, gradient and blob come through the lens; dark current x exposure, DSNU and hot pixels do not.
     """
-    look = Backdrop() if backdrop is None else backdrop
+    given = Backdrop() if backdrop is None else backdrop
     light: Array | float = sensor.background_e
     dark: Array | float = sensor.dark_current_e_per_s * exposure_s
     flat: Array | None = None
     x = (np.arange(width) + 0.5) / width
     y = (np.arange(height)[:, None] + 0.5) / height
-    if any(look.gradient):
-        light = light * (1.0 + look.gradient[0] * (x - 0.5) + look.gradient[1] * (y - 0.5))
-    if look.blob_e:
-        dx, dy = x - look.blob_xy[0], (y - look.blob_xy[1]) * (height / width)
-        light = light + look.blob_e * np.exp(-(dx * dx + dy * dy) / (2.0 * look.blob_radius**2))
+    if any(given.gradient):
+        light = light * (1.0 + given.gradient[0] * (x - 0.5) + given.gradient[1] * (y - 0.5))
+    if given.blob_e:
+        dx, dy = x - given.blob_xy[0], (y - given.blob_xy[1]) * (height / width)
+        light = light + given.blob_e * np.exp(-(dx * dx + dy * dy) / (2.0 * given.blob_radius**2))
     if vignetting:
         tan2 = 1.0 / math.sqrt(1.0 - vignetting) - 1.0
         far2 = ((x - 0.5) * width) ** 2 + ((y - 0.5) * height) ** 2
         flat = 1.0 / (1.0 + tan2 * far2 * (4.0 / (width * width + height * height))) ** 2
-    if look.dust:
-        shade = _dust(width, height, key, look)
+    if given.dust:
+        shade = _dust(width, height, key, given)
         flat = shade if flat is None else flat * shade
     if any((sensor.dsnu_e, sensor.prnu, sensor.hot_pixels, sensor.dead_pixels)):
         more, factor = np.empty((height, width)), np.empty((height, width))
@@ -190,13 +191,13 @@ def ambient_map(
     return AmbientMap(mean, flat)
 
 
-def _dust(width: int, height: int, key: int, look: Backdrop) -> Array:
+def _dust(width: int, height: int, key: int, given: Backdrop) -> Array:
     """Return the share of light (H, W) that the dust lets through: discs, darkest at their middle."""
-    through, places = np.ones((height, width)), np.empty((look.dust, 4))
-    _uniforms(places.ravel(), np.uint64(key ^ _DUST))
-    for u, v, size, strength in places:
+    through, spots = np.ones((height, width)), np.empty((given.dust, 4))
+    _uniforms(spots.ravel(), np.uint64(key ^ _DUST))
+    for u, v, size, strength in spots:
         x, y = u * width - 0.5, v * height - 0.5
-        radius, loss = look.dust_radius_px * (0.5 + size), look.dust_loss * strength
+        radius, loss = given.dust_radius_px * (0.5 + size), given.dust_loss * strength
         x0, x1 = max(0, math.floor(x - radius)), min(width, math.ceil(x + radius) + 1)
         y0, y1 = max(0, math.floor(y - radius)), min(height, math.ceil(y + radius) + 1)
         far2 = ((np.arange(x0, x1) - x) ** 2 + (np.arange(y0, y1)[:, None] - y) ** 2) / radius**2
@@ -273,16 +274,16 @@ def _row_onto_levels(
     last = used.size - 1.0
     for x in range(line.size):
         above = line[x] if line[x] > 0.0 else 0.0
-        place = first + (2.0 * math.sqrt(above + floor2) + (line[x] - above) * per_floor) * per_step + 0.5
-        place = place if place > 0.0 else 0.0
-        index[x] = np.uint16(np.int32(place if place < last else last))
+        level = first + (2.0 * math.sqrt(above + floor2) + (line[x] - above) * per_floor) * per_step + 0.5
+        level = level if level > 0.0 else 0.0
+        index[x] = np.uint16(np.int32(level if level < last else last))
     for x in range(line.size):
         used[index[x]] = 1
 
 
 @kernel
 def _columns(columns: int, width: int) -> Any:
-    """Return, for each pixel of a row, the place (width,) in a coarse map's columns."""
+    """Return, for each pixel of a row, the position (width,) in a coarse map's columns."""
     u = np.empty(width)
     for x in range(width):
         u[x] = min(max((x + 0.5) * columns / width - 0.5, 0.0), columns - 1.0)

@@ -114,7 +114,7 @@ def _scale(mean_e: Array, floor_e: float) -> Array:
 
 
 def _unscale(scale: Array, floor_e: float) -> Array:
-    """Return the means that have these places on the scale."""
+    """Return the means at these positions on the scale."""
     zero = 2.0 * floor_e
     return np.asarray(
         np.where(scale >= zero, (np.maximum(scale, zero) / 2.0) ** 2 - floor_e**2, (scale - zero) * floor_e)

@@ -4,7 +4,7 @@ One ray a few pixels, through the lens's own rays, decides which surface is seen
 even ambient light and in the light of a lamp at the camera, which falls with the square of the distance. Markers are
 left out (they are integrated, see ``render``). Shadows, textures and mirror images are not made; the
 image is as sharp as its rays are dense, which stands in for the lens's blur. It is made at a stated rate: between two
-refreshes the last one stands, so fast limbs are a little behind, markers never.
+refreshes the last one is used, so fast limbs are a little behind, markers never.
 """
 
 import math
@@ -156,13 +156,13 @@ def context_image(
     """
     state = sampler.at(time_s)
     xyz = np.ascontiguousarray((state.geom_xyz[view.geom] - position) @ rotation)
-    turn = np.ascontiguousarray(rotation.T @ state.geom_rotation[view.geom])
-    met = cast(view.grid, view.kind, view.size, view.bound, xyz, turn)
+    geom_rotation = np.ascontiguousarray(rotation.T @ state.geom_rotation[view.geom])
+    met = cast(view.grid, view.kind, view.size, view.bound, xyz, geom_rotation)
     if not np.isin(view.kind, (*PRIMITIVES, int(mujoco.mjtGeom.mjGEOM_PLANE))).all():
         _ask_mujoco(view, sampler, rotation, position, met)
     context = view.context
     coarse = shade(
-        view.grid.rays, met.geom, met.distance, met.normal, xyz, turn, view.covers,
+        view.grid.rays, met.geom, met.distance, met.normal, xyz, geom_rotation, view.covers,
         Illumination(context.ambient * view.full_well_e, context.lamp * view.full_well_e, float(context.at_m)),
     )  # fmt: skip
     return enlarged(coarse, context.step_px, view.grid.width, view.grid.height)
@@ -178,7 +178,7 @@ def enlarged(coarse: Array, step_px: int, width: int, height: int) -> Array:
 
 
 def refresh_pulse(pulse: int, frame_rate_hz: float, rate_hz: float) -> int:
-    """Return the pulse whose context image stands at ``pulse``: the last at or before it that begins a refresh.
+    """Return the pulse whose context image is used at ``pulse``: the last at or before it that begins a refresh.
 
     Refresh n begins at the first pulse at or after n / rate; a rate above the frame rate refreshes each pulse.
     """
@@ -189,7 +189,7 @@ def refresh_pulse(pulse: int, frame_rate_hz: float, rate_hz: float) -> int:
 
 
 class Refreshed:
-    """Values that stand until their next refresh, made once and shared by threads.
+    """Values that are used until their next refresh, made once and shared by threads.
 
     What is made must be a pure function of its key: which thread makes it, and whether again, then changes nothing.
     """

@@ -67,13 +67,13 @@ def ray_grid(lens: TwinLens, width: int, height: int, step_px: int) -> RayGrid:
     return RayGrid(width, height, step_px, grid, axis, angle)
 
 
-def cast(grid: RayGrid, kind: Array, size: Array, bound: Array, xyz: Array, turn: Array) -> Met:
-    """Return what the rays meet of geoms at ``xyz`` (k, 3), ``turn`` (k, 3, 3) geom -> camera frame.
+def cast(grid: RayGrid, kind: Array, size: Array, bound: Array, xyz: Array, rotation: Array) -> Met:
+    """Return what the rays meet of geoms at ``xyz`` (k, 3), ``rotation`` (k, 3, 3) geom -> camera frame.
 
     ``kind`` (k,) and ``size`` (k, 3) as MuJoCo has them; ``bound`` (k,) radii of bounding spheres [m]. Planes
     count from their front side, as far as their size goes (0: without end).
     """
-    return Met(*_cast(grid.rays, grid.tile_axis, grid.tile_angle, kind, size, bound, xyz, turn))
+    return Met(*_cast(grid.rays, grid.tile_axis, grid.tile_angle, kind, size, bound, xyz, rotation))
 
 
 def _tiles(rays: Array) -> tuple[Array, Array]:
@@ -100,7 +100,7 @@ def _cast(
     size: Array,
     bound: Array,
     xyz: Array,
-    turn: Array,
+    rotation: Array,
 ) -> Any:
     rows, columns = rays.shape[:2]
     geoms = kind.shape[0]
@@ -140,16 +140,16 @@ def _cast(
                     for k in range(count):
                         g = near[k]
                         if kind[g] == PLANE:
-                            t = _meet_plane(size, xyz, turn, g, dx, dy, dz)
+                            t = _meet_plane(size, xyz, rotation, g, dx, dy, dz)
                         else:
-                            t = hit(Solid(kind[g], size[g], xyz[g], turn[g]), dx, dy, dz)
+                            t = hit(Solid(kind[g], size[g], xyz[g], rotation[g]), dx, dy, dz)
                         if t < distance[p, q]:
                             distance[p, q], geom[p, q] = t, g
                     g = geom[p, q]
                     if g >= 0:
                         t = distance[p, q]
                         normal[p, q, 0], normal[p, q, 1], normal[p, q, 2] = _normal(
-                            kind[g], size, xyz, turn, g, t * dx, t * dy, t * dz
+                            kind[g], size, xyz, rotation, g, t * dx, t * dy, t * dz
                         )
     return geom, distance, normal, other
 
@@ -160,28 +160,30 @@ def _is_known(kind: int) -> bool:
 
 
 @kernel
-def _meet_plane(size: Array, xyz: Array, turn: Array, g: int, dx: float, dy: float, dz: float) -> Any:
+def _meet_plane(size: Array, xyz: Array, rotation: Array, g: int, dx: float, dy: float, dz: float) -> Any:
     """Distance at which a ray meets the front of plane g (its +z side); inf if never."""
-    fall = turn[g, 0, 2] * dx + turn[g, 1, 2] * dy + turn[g, 2, 2] * dz
-    height = turn[g, 0, 2] * xyz[g, 0] + turn[g, 1, 2] * xyz[g, 1] + turn[g, 2, 2] * xyz[g, 2]
+    fall = rotation[g, 0, 2] * dx + rotation[g, 1, 2] * dy + rotation[g, 2, 2] * dz
+    height = rotation[g, 0, 2] * xyz[g, 0] + rotation[g, 1, 2] * xyz[g, 1] + rotation[g, 2, 2] * xyz[g, 2]
     if fall >= 0.0 or height >= 0.0:
         return np.inf
     t = height / fall
     for k in range(2):
         if size[g, k] > 0.0:
             x, y, z = t * dx - xyz[g, 0], t * dy - xyz[g, 1], t * dz - xyz[g, 2]
-            if abs(turn[g, 0, k] * x + turn[g, 1, k] * y + turn[g, 2, k] * z) > size[g, k]:
+            if abs(rotation[g, 0, k] * x + rotation[g, 1, k] * y + rotation[g, 2, k] * z) > size[g, k]:
                 return np.inf
     return t
 
 
 @kernel
-def _normal(kind: int, size: Array, xyz: Array, turn: Array, g: int, px: float, py: float, pz: float) -> Any:
+def _normal(
+    kind: int, size: Array, xyz: Array, rotation: Array, g: int, px: float, py: float, pz: float
+) -> Any:
     """Outward unit normal of primitive g at a point of its surface, camera frame."""
     dx, dy, dz = px - xyz[g, 0], py - xyz[g, 1], pz - xyz[g, 2]
-    x = turn[g, 0, 0] * dx + turn[g, 1, 0] * dy + turn[g, 2, 0] * dz
-    y = turn[g, 0, 1] * dx + turn[g, 1, 1] * dy + turn[g, 2, 1] * dz
-    z = turn[g, 0, 2] * dx + turn[g, 1, 2] * dy + turn[g, 2, 2] * dz
+    x = rotation[g, 0, 0] * dx + rotation[g, 1, 0] * dy + rotation[g, 2, 0] * dz
+    y = rotation[g, 0, 1] * dx + rotation[g, 1, 1] * dy + rotation[g, 2, 1] * dz
+    z = rotation[g, 0, 2] * dx + rotation[g, 1, 2] * dy + rotation[g, 2, 2] * dz
     a, b, c = size[g, 0], size[g, 1], size[g, 2]
     if kind == PLANE:
         x, y, z = 0.0, 0.0, 1.0
@@ -205,9 +207,9 @@ def _normal(kind: int, size: Array, xyz: Array, turn: Array, g: int, px: float, 
     n = math.sqrt(x * x + y * y + z * z)
     x, y, z = x / n, y / n, z / n
     return (
-        turn[g, 0, 0] * x + turn[g, 0, 1] * y + turn[g, 0, 2] * z,
-        turn[g, 1, 0] * x + turn[g, 1, 1] * y + turn[g, 1, 2] * z,
-        turn[g, 2, 0] * x + turn[g, 2, 1] * y + turn[g, 2, 2] * z,
+        rotation[g, 0, 0] * x + rotation[g, 0, 1] * y + rotation[g, 0, 2] * z,
+        rotation[g, 1, 0] * x + rotation[g, 1, 1] * y + rotation[g, 1, 2] * z,
+        rotation[g, 2, 0] * x + rotation[g, 2, 1] * y + rotation[g, 2, 2] * z,
     )
 
 
@@ -237,13 +239,13 @@ def shade(
     distance: Array,
     normal: Array,
     xyz: Array,
-    turn: Array,
+    rotation: Array,
     covers: Covers,
     light: Illumination,
 ) -> Any:
     """Return the light (rows, columns) float32 that a pixel gets of what its ray meets (``Met``).
 
-    ``xyz`` (k, 3) and ``turn`` (k, 3, 3): poses of the geoms, camera frame.
+    ``xyz`` (k, 3) and ``rotation`` (k, 3, 3): poses of the geoms, camera frame.
     """
     base, wears, cloths = covers
     ambient, lamp, at_m = light
@@ -260,7 +262,7 @@ def shade(
                 if wears[g, c]:
                     z = 0.0
                     for k in range(3):
-                        z += turn[g, k, 2] * (t * d[k] - xyz[g, k])
+                        z += rotation[g, k, 2] * (t * d[k] - xyz[g, k])
                     if cloths[c, 2] <= z <= cloths[c, 3]:
                         reflectance, retro = cloths[c, 0], cloths[c, 1]
             facing = abs(d[0] * normal[p, q, 0] + d[1] * normal[p, q, 1] + d[2] * normal[p, q, 2])

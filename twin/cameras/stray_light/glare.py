@@ -43,10 +43,3 @@ def veil(light: Array, glare: Glare) -> Array:
     sigma_px = glare.sigma * width
     haze = gaussian_filter(parts, (sigma_px * rows / height, sigma_px * columns / width), mode="reflect")
     return np.asarray(haze * glare.share, dtype=np.float32)
-
-
-def veil_image(light: Array, glare: Glare) -> Array:
-    """Return the haze at every pixel (H, W) float32 [electrons]; its sum is share x the sum of the light."""
-    fine = cv2.resize(veil(light, glare), light.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    total, spread = glare.share * float(light.sum(dtype=float)), float(fine.sum(dtype=float))
-    return np.asarray(fine * (total / spread) if spread > 0.0 else fine, dtype=np.float32)

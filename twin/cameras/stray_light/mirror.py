@@ -24,7 +24,7 @@ from twin.scenes.figure import LINE, Figure
 from twin.scenes.scene import UNSEEN_GROUP
 
 THICKNESS_M = 0.01
-"""What stands this near to a mirror's plane is the mirror's own solid and hides nothing."""
+"""What lies this near to a mirror's plane is the mirror's own solid and hides nothing."""
 _RINGS = ((1, 0.0), (6, math.sqrt(4 / 19)), (12, math.sqrt(13 / 19)))
 _DISC = np.array(
     [
@@ -82,14 +82,14 @@ class PlaneMirror:
 
 
 class SceneRays:
-    """Asks MuJoCo's exact ray caster what stands in a line's way. ``data`` stands at mid-exposure."""
+    """MuJoCo's exact ray caster, with ``data`` at mid-exposure."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self.model, self.data = model, data
         self.groups = np.ones(6, dtype=np.uint8)
         self.groups[UNSEEN_GROUP] = 0
 
-    def look(self, origin: Array, directions: Array) -> tuple[Array, Array]:
+    def cast(self, origin: Array, directions: Array) -> tuple[Array, Array]:
         """Return how far (n,) one sees from ``origin`` (3,) along unit ``directions`` (n, 3) [m], inf: without end;
         and which geom (n,) ends it, or -1.
         """
@@ -125,13 +125,13 @@ def mirrored(
     chosen = np.flatnonzero(share > 0.0)
     seen = some(targets, chosen)
     # the light is what the camera's image would see; the image is what the camera sees of the flipped targets
-    eye, look = mirror.image(position), mirror.flip @ rotation
+    eye, eye_rotation = mirror.image(position), mirror.flip @ rotation
     passes = np.where(seen.glows.kind == RETRO, 2, 1)
-    through_image = in_camera(seen, signal_e, eye, look, share[chosen] * mirror.reflectance**passes)
+    through_image = in_camera(seen, signal_e, eye, eye_rotation, share[chosen] * mirror.reflectance**passes)
     # a reflection of axes is a rotation once the second axis is turned round (and the figure with it)
-    turn = through_image.turn * np.array([1.0, -1.0, 1.0])
+    turned = through_image.rotation * np.array([1.0, -1.0, 1.0])
     figure = np.where(seen.figure >= 0, seen.figure + figures, -1)
-    return replace(through_image, turn=np.ascontiguousarray(turn), figure=figure)
+    return replace(through_image, rotation=np.ascontiguousarray(turned), figure=figure)
 
 
 def seen_share(mirror: PlaneMirror, targets: TargetsInWorld, eye: Array, rays: SceneRays) -> Array:
@@ -154,15 +154,15 @@ def seen_share(mirror: PlaneMirror, targets: TargetsInWorld, eye: Array, rays: S
     at, ends, owner = crossing[inside], points[inside], before[np.nonzero(inside)[0]]
     to_mirror = np.linalg.norm(at - eye, axis=1)
     slack = THICKNESS_M * to_mirror / eye_height
-    far, _met = rays.look(eye, (at - eye) / to_mirror[:, None])
+    far, _met = rays.cast(eye, (at - eye) / to_mirror[:, None])
     free = far > to_mirror - slack
-    # the way on, looked at by the camera's image: what it meets behind the mirror is not in the way
+    # the way on, as seen by the camera's image: what it meets behind the mirror is not in the way
     to_end = np.linalg.norm(ends - image_eye, axis=1)
     way = (ends - image_eye) / to_end[:, None]
-    far, met = rays.look(image_eye, way)
+    far, met = rays.cast(image_eye, way)
     for k in np.flatnonzero(free & (far < to_mirror + slack)):
         start = to_mirror[k] + slack[k]
-        beyond, geom = rays.look(image_eye + start * way[k], way[k : k + 1])
+        beyond, geom = rays.cast(image_eye + start * way[k], way[k : k + 1])
         far[k], met[k] = start + beyond[0], geom[0]
     own = (met >= 0) & (met == targets.geom[owner])
     free &= own | (far > to_end - targets.radius[owner] - 1e-6)
@@ -189,13 +189,13 @@ def _mirrored_figure(figure: Figure) -> Figure:
 def _discs(targets: TargetsInWorld, chosen: Array, eye: Array) -> Array:
     """Return points (n, 19, 3) spread evenly over the discs that ``eye`` sees of the ``chosen`` targets."""
     middle = targets.path.shape[1] // 2
-    centers, turn = targets.path[chosen, middle], targets.turn[chosen, middle]
+    centers, rotation = targets.path[chosen, middle], targets.rotation[chosen, middle]
     # a ball's disc lies across the line of sight, a flat target's is its own
     towards = eye - centers
     aside = np.cross(towards, np.eye(3)[np.argmin(np.abs(towards), axis=1)])
     aside /= np.linalg.norm(aside, axis=1, keepdims=True)
     over = np.cross(towards / np.linalg.norm(towards, axis=1, keepdims=True), aside)
     ball = (targets.shape[chosen] == BALL)[:, None]
-    x, y = np.where(ball, aside, turn[:, :, 0]), np.where(ball, over, turn[:, :, 1])
+    x, y = np.where(ball, aside, rotation[:, :, 0]), np.where(ball, over, rotation[:, :, 1])
     spread = _DISC[:, :1] * x[:, None] + _DISC[:, 1:] * y[:, None]
     return np.asarray(centers[:, None] + targets.radius[chosen, None, None] * spread)

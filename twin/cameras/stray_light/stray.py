@@ -61,29 +61,29 @@ def stray_targets(
     surroundings: Surroundings,
     *,
     camera: int,
-    heads: RigPoses,
+    rig_poses: RigPoses,
     targets: TargetsInWorld,
     signal_e: float,
     rays: SceneRays,
     figures: int = 0,
 ) -> Stray:
-    """Return the stray light on camera number ``camera`` of ``heads`` in one exposure.
+    """Return the stray light on camera number ``camera`` of ``rig_poses`` in one exposure.
 
     ``targets``: the scene's own, for the mirrors; ``signal_e``: electrons of a pixel covered by a marker; ``rays``:
     the scene at mid-exposure; ``figures``: how many figures the scene has. In a mirror a camera sees its own ring
     light too.
     """
-    position, rotation = heads.position[camera], heads.rotation[camera]
+    position, rotation = rig_poses.position[camera], rig_poses.rotation[camera]
     nodes = len(position)
     lights = surroundings.ring_light or RingLight()
-    everyone = range(len(heads.position)) if surroundings.ring_light is not None else range(0)
-    others = ring_lights(lights, heads, [c for c in everyone if c != camera])
+    everyone = range(len(rig_poses.position)) if surroundings.ring_light is not None else range(0)
+    others = ring_lights(lights, rig_poses, [c for c in everyone if c != camera])
     spots = shiny_spots(surroundings.spots, position[nodes // 2], nodes)
     direct = [in_camera(part, signal_e, position, rotation) for part in (others, spots)]
     images = [in_camera(_none(nodes), signal_e, position, rotation)]
     for mirror in surroundings.mirrors:
         seen_in_it = shiny_spots(surroundings.spots, mirror.image(position[nodes // 2]), nodes)
-        for part in (targets, ring_lights(lights, heads, list(everyone)), seen_in_it):
+        for part in (targets, ring_lights(lights, rig_poses, list(everyone)), seen_in_it):
             images.append(mirrored(mirror, part, signal_e, position, rotation, rays, figures))
     return Stray(joined(*direct), joined(*images))
 

@@ -25,7 +25,7 @@ from twin.cameras.stray_light.stray import Surroundings, stray_targets, unhidden
 from twin.cameras.stray_light.world import RigPoses, TargetsInWorld
 
 KEPT_PER_CAMERA = 4
-"""Context images that stand ready for each camera: workers are a few frames apart."""
+"""Context images that are kept for each camera: workers are a few frames apart."""
 
 
 class StrayLight:
@@ -67,7 +67,7 @@ class StrayLight:
         stray = stray_targets(
             self._given,
             camera=camera,
-            heads=self._heads(camera, exposed),
+            rig_poses=self._rig_poses(camera, exposed),
             targets=self._in_world(exposed),
             signal_e=session.signal_e,
             rays=SceneRays(subject.scene.model, samples.hold(exposed.half_s).data),
@@ -95,7 +95,7 @@ class StrayLight:
         return ambient
 
     def _context(self, camera: int, exposed: ExposedScene, samples: SceneSamples) -> tuple[Array, Ambient]:
-        """Return the context image that stands at a frame, and the ambient light with it."""
+        """Return the context image that is valid at a frame, and the ambient light with it."""
         session, context = self._sessions[camera], self._given.context
         assert context is not None
         first = refresh_pulse(exposed.exposure.number, session.info.frame_rate_hz, context.rate_hz)
@@ -127,19 +127,19 @@ class StrayLight:
             exposed.lit.first,
         )
 
-    def _heads(self, camera: int, exposed: ExposedScene) -> RigPoses:
+    def _rig_poses(self, camera: int, exposed: ExposedScene) -> RigPoses:
         """Return where all cameras are while one exposes, and when their ring lights shine."""
         k = len(exposed.window.nodes_s)
-        turns, poses, lit = [], [], []
+        rotations, positions, lit = [], [], []
         for number, session in enumerate(self._sessions):
             if number == camera:
-                turn, place = exposed.rotation, exposed.position
+                rotation, position = exposed.rotation, exposed.position
             else:
-                turn, place = session.pose_at(exposed.times_s, exposed.exposure.number, exposed.poses)
-            turns.append(turn[:k])
-            poses.append(place[:k])
+                rotation, position = session.pose_at(exposed.times_s, exposed.exposure.number, exposed.poses)
+            rotations.append(rotation[:k])
+            positions.append(position[:k])
             lit.append(self._shining(session, exposed))
-        return RigPoses(np.array(poses), np.array(turns), np.array(lit))
+        return RigPoses(np.array(positions), np.array(rotations), np.array(lit))
 
     def _shining(self, session: CameraSession, exposed: ExposedScene) -> tuple[float, float]:
         """Return when a camera's strobe is on while another exposes, in seconds from that one's opening."""

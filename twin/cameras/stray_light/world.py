@@ -66,7 +66,7 @@ class TargetsInWorld:
 
     path: Array
     """(m, K, 3): centres at the window's nodes [m]."""
-    turn: Array
+    rotation: Array
     """(m, K, 3, 3): target's axes -> world."""
     radius: Array
     """(m,) [m]."""
@@ -118,10 +118,10 @@ def shiny_spots(spots: Sequence[ShinySpot], seen_from: Array, nodes: int) -> Tar
         seen_from - at if spot.facing is None else np.array(spot.facing)
         for spot, at in zip(spots, where, strict=True)
     ]
-    turn = np.array([rotation_to(along) for along in facing]).reshape(-1, 3, 3)
+    rotation = np.array([rotation_to(along) for along in facing]).reshape(-1, 3, 3)
     glows = [Glow("retro", strength=s.strength, half_deg=s.half_deg, at_m=s.at_m) for s in spots]
     return _targets(
-        np.repeat(where[:, None], nodes, axis=1), np.repeat(turn[:, None], nodes, axis=1),
+        np.repeat(where[:, None], nodes, axis=1), np.repeat(rotation[:, None], nodes, axis=1),
         [spot.radius_m for spot in spots], BALL, glows, np.tile(ALWAYS, (len(spots), 1)),
     )  # fmt: skip
 
@@ -138,13 +138,13 @@ def in_camera(
         targets.glows,
         signal_e,
         targets.path[:, middle],
-        targets.turn[:, middle, :, 2],
+        targets.rotation[:, middle, :, 2],
         position[middle],
         rotation[middle],
     )
     return TargetsInCamera(
         path=np.ascontiguousarray(np.einsum("mki,kij->mkj", targets.path - position, rotation)),
-        turn=np.ascontiguousarray(np.einsum("kia,mkij->mkaj", rotation, targets.turn)),
+        rotation=np.ascontiguousarray(np.einsum("kia,mkij->mkaj", rotation, targets.rotation)),
         radius=targets.radius,
         shape=targets.shape,
         figure=targets.figure,
@@ -173,13 +173,13 @@ def joined(*parts: TargetsInCamera) -> TargetsInCamera:
 
 
 def _targets(
-    path: Array, turn: Array, radius: Sequence[float], shape: int, glows: Sequence[Glow], lit_s: Array
+    path: Array, rotation: Array, radius: Sequence[float], shape: int, glows: Sequence[Glow], lit_s: Array
 ) -> TargetsInWorld:
     m = len(radius)
     none = np.full(m, -1, dtype=np.int64)
     return TargetsInWorld(
         path,
-        turn,
+        rotation,
         np.array(radius, dtype=float),
         np.full(m, shape, dtype=np.int64),
         none,
