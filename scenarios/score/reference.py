@@ -101,7 +101,7 @@ def _read_wide_csv(path: Path) -> ReferenceTrajectories | None:
     if first[0].strip().strip(b'"').lower() != b"time":
         return None
     motion = read_points_csv(path)
-    known: Array = np.isfinite(motion.xyz).all(axis=2)
+    known = np.asarray(np.isfinite(motion.xyz).all(axis=2))
     time_ns = np.rint(motion.time_s * 1e9).astype(np.int64)
     names = [k for k in range(len(motion.names)) if known[:, k].any()]
     return ReferenceTrajectories(

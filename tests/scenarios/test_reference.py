@@ -197,3 +197,15 @@ def test_what_cannot_be_judged_does_not_pass(given_truth, truth, not_judged, lim
     record = record_of(spec, "s", "recording:x", replace(worth, scores=scores), {}, NoGap())
     assert (record.verdict, record.passed) == (verdict, passed)
     assert record.not_judged == not_judged
+
+
+def test_a_wide_table_is_a_reference(tmp_path):
+    path = tmp_path / "truth.csv"
+    path.write_text("time,a.x,a.y,a.z,b.x,b.y,b.z\n0.0,0,1,2,,,\n0.5,1,1,2,5,6,7\n")
+    found = read_reference(path)
+    assert found.names == ("a", "b")
+    assert [one.tolist() for one in found.time_ns] == [[0, 500_000_000], [500_000_000]]
+    np.testing.assert_allclose(found.at(np.array([250_000_000])).xyz[0, 0], [0.5, 1, 2])
+    path.write_text("time,a.x,a.y\n0.0,0,1\n")
+    with pytest.raises(InputError, match=r"time,NAME\.x,NAME\.y,NAME\.z"):
+        read_reference(path)
