@@ -29,8 +29,7 @@ from mosca.data.wands import LFrame
 from mosca.detection.detect import DetectionSettings
 from mosca.detection.detect import detect as detect_targets
 from mosca.errors import CalibrationError, InputError
-from mosca.formats.tracks.tracks_file import write_tracks
-from mosca.formats.tracks.tracks_read import read_tracks
+from mosca.formats.tracks.tracks_file import read_tracks, write_tracks
 from mosca.pipeline import PipelineSettings, run
 from mosca.recording import open_recording
 from mosca.tracking.tracker import Tracker, TrackSettings

@@ -1,6 +1,6 @@
 """Settings of the pipeline's stages: what is a target, which rays meet, how targets move.
 
-One class a stage, checked where it is made. A settings file and a scenario have the same keys, bounds and descriptions:
+One class a stage, checked where it is made. A settings file and a scenario have the same keys, bounds and text:
 their tables are made from these classes. Importing this module compiles nothing.
 """
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mosca.data.rays import ANGLE, DIRECTION, ORIGIN, RADIUS, WHITE
 from mosca.data.arrays import Array
+from mosca.data.rays import ANGLE, DIRECTION, ORIGIN, RADIUS, WHITE
 from mosca.numba_support.decorators import bare_step, kernel
 from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3, divided3, store3, times3
 

@@ -12,7 +12,6 @@ identity. The samples are the measured points, not the filter's estimates: no sm
 from dataclasses import replace
 
 import numpy as np
-from pydantic.dataclasses import dataclass
 
 from mosca.data.arrays import Array
 from mosca.data.rays import Predicted

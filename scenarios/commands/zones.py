@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from mosca.errors import InputError
-from mosca.formats.tracks.tracks_file import check_tracks_file, write_tracks
-from mosca.formats.tracks.tracks_read import read_tracks
+from mosca.formats.tracks.tracks_file import check_tracks_file, read_tracks, write_tracks
 from mosca.stitching.stitch import stitched
 from scenarios.commands.labels import rate_of
 from scenarios.run.zones import stitching_line

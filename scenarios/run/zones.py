@@ -10,7 +10,6 @@ from mosca.data.tracks import Tracks
 from mosca.detection.scheduler import FrameSetDetector, detect_ahead
 from mosca.diagnostics.camera_health import Health
 from mosca.errors import InputError
-from mosca.formats.tracks.tracks_file import check_tracks_file, read_tracks, write_tracks
 from mosca.pipeline import PipelineSettings, Step, check_source
 from mosca.stitching.run import Zone, check_zones, of_zones, run_zones
 from mosca.stitching.stitch import stitched

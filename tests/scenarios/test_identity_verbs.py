@@ -14,8 +14,7 @@ from mosca.data.target_codes import SECTORS, code_bits
 from mosca.data.targets import CodedTarget
 from mosca.data.tracks import Tracks
 from mosca.formats.sheets.target_sheet import PAGES_MM, lay_out_sheets
-from mosca.formats.tracks.tracks_file import write_tracks
-from mosca.formats.tracks.tracks_read import read_tracks
+from mosca.formats.tracks.tracks_file import read_tracks, write_tracks
 from mosca.recording import RecordingWriter
 from scenarios.build.cameras import true_rig, twin_source, virtual_cameras
 from scenarios.build.scene import build_scene
