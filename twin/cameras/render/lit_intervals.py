@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import kernel
+from mosca.numba_support.decorators import callable_bare_step, kernel
 from twin.cameras.optics.lens import project
 from twin.cameras.render.inputs import TargetPose
 from twin.cameras.render.outline import BALL, contour_point
@@ -14,7 +14,7 @@ from twin.cameras.render.row_intervals import roots
 from twin.scenes.figure import LINE
 
 
-@kernel
+@callable_bare_step
 def lit_by_disc(target: TargetPose, a: Array, b: Array) -> Any:
     """Interval of s in which the rays a + s b meet a ball, or a flat round target."""
     shape, rotation, x, y, z, r = target

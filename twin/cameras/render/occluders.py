@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import kernel
+from mosca.numba_support.decorators import callable_bare_step, kernel
 from twin.cameras.render.inputs import Solid
 from twin.scenes.scene import MARKER_GROUP, UNSEEN_GROUP, Scene
 
@@ -118,7 +118,7 @@ def may_hide(
     return ex * ex + ey * ey + ez * ez < (reach + r) ** 2
 
 
-@kernel
+@callable_bare_step
 def hit(solid: Solid, dx: float, dy: float, dz: float) -> float:
     """Distance along (dx, dy, dz), in its lengths, at which a ray from the origin enters the solid; inf if never.
 
@@ -159,7 +159,7 @@ def hit(solid: Solid, dx: float, dy: float, dz: float) -> float:
     return first if 0.0 < first <= last else np.inf
 
 
-@kernel
+@callable_bare_step
 def _enter_sphere(ox: float, oy: float, oz: float, x: float, y: float, z: float, r: float) -> float:
     a = x * x + y * y + z * z
     b = ox * x + oy * y + oz * z
@@ -171,7 +171,7 @@ def _enter_sphere(ox: float, oy: float, oz: float, x: float, y: float, z: float,
     return t if t > 0.0 else np.inf
 
 
-@kernel
+@callable_bare_step
 def _enter_side(
     ox: float, oy: float, oz: float, x: float, y: float, z: float, r: float, half: float
 ) -> float:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.numba_support.decorators import kernel
+from mosca.numba_support.decorators import callable_bare_step, kernel
 from twin.cameras.optics.lens import pixel_direction, point_at_distance
 from twin.cameras.optics.lens_vector import FISHEYE, KIND, PUPIL
 from twin.cameras.render.inputs import ImageBox, NearSolids, Solid, TargetPose
@@ -125,7 +125,7 @@ def _scan(lens: Array, target: TargetPose, box: ImageBox) -> Any:
     return scan
 
 
-@kernel
+@callable_bare_step
 def _ray(lens: Array, target: TargetPose, scan: Scan, u: float, v: float) -> Any:
     """A direction to pixel (u, v), scaled so that straight lines of pixels are evenly spaced along it."""
     if lens[PUPIL] != 0.0:
@@ -170,7 +170,7 @@ def _row_rays(lens: Array, target: TargetPose, scan: Scan, j: int, v: float, ray
             rays[piece + 1, i] = p * row[0, i] + q * row[1, i] + w * row[2, i]
 
 
-@kernel
+@callable_bare_step
 def _quadratic_weights(f: float) -> Any:
     """Weights that interpolate values given at 0, 1/2 and 1."""
     return (2.0 * f - 1.0) * (f - 1.0), 4.0 * f * (1.0 - f), f * (2.0 * f - 1.0)
@@ -287,7 +287,7 @@ def _anything_before(lens: Array, target: TargetPose, scan: Scan, near: NearSoli
     return False
 
 
-@kernel
+@callable_bare_step
 def _put(edges: Array, n: int, u: float, v: float, amount: float) -> None:
     edges[n, 0], edges[n, 1], edges[n, 2] = u, v, amount
 
@@ -302,20 +302,20 @@ def _wider(edges: Array, count: int, more: int) -> Any:
     return wider
 
 
-@kernel
+@callable_bare_step
 def has_profile(profile: Array) -> Any:
     """Whether the brightness of a target varies over it."""
     return profile[0] != 0.0 or profile[1] != 0.0 or profile[2] != 0.0 or profile[3] != 0.0
 
 
-@kernel
+@callable_bare_step
 def brightness(profile: Array, qx: float, qy: float) -> Any:
     """Brightness at (qx, qy), the position on the disc over its radius: limb darkening and a gradient."""
     inside = max(0.0, 1.0 - qx * qx - qy * qy)
     return 1.0 - profile[0] * (1.0 - math.sqrt(inside)) + profile[1] * qx + profile[2] * qy
 
 
-@kernel
+@callable_bare_step
 def front_of(target: TargetPose, dx: float, dy: float, dz: float) -> Any:
     """Distance along d at which the target's own front is met (the silhouette's edge counts as met)."""
     shape, rotation, x, y, z, r = target
@@ -327,14 +327,14 @@ def front_of(target: TargetPose, dx: float, dy: float, dz: float) -> Any:
     return (b - math.sqrt(max(0.0, b * b - a * (x * x + y * y + z * z - r * r)))) / a
 
 
-@kernel
+@callable_bare_step
 def _before(solid: Solid, a: Array, b: Array, s: float, target: TargetPose) -> Any:
     """Whether the ray at s meets the solid before the target."""
     dx, dy, dz = a[0] + s * b[0], a[1] + s * b[1], a[2] + s * b[2]
     return hit(solid, dx, dy, dz) < front_of(target, dx, dy, dz) * BEFORE
 
 
-@kernel
+@callable_bare_step
 def _in_front(solid: Solid, a: Array, b: Array, first: float, last: float, target: TargetPose) -> Any:
     """The part of an interval in which the solid hides the target; solids that meet part it once."""
     at_first = _before(solid, a, b, first + 0.05 * (last - first), target)
@@ -353,7 +353,7 @@ def _in_front(solid: Solid, a: Array, b: Array, first: float, last: float, targe
     return (first, near) if at_first else (near, last)
 
 
-@kernel
+@callable_bare_step
 def _merge(low: Array, high: Array, count: int) -> Any:
     """Sort intervals and join those that touch, in place; return how many are left."""
     for i in range(1, count):
