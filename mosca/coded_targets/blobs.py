@@ -1,7 +1,7 @@
 """Bright patches of an image: what exceeds the middle of its surroundings, as sums over 8-connected pixels.
 
-A part of ``mosca.coded_targets.detect``, which tells the method. Patches are built of runs (unbroken rows of bright
-pixels), so that the dark part of an image, nearly all of it, costs a look at eight pixels at a time.
+A part of ``mosca.coded_targets.detect``, which describes the method. Patches are built of runs (unbroken rows of
+bright pixels), so that the dark part of an image, nearly all of it, is tested eight pixels at a time.
 """
 
 import cv2

@@ -27,7 +27,9 @@ LEAST_SHARE = 0.5
 WINDOW_SHARE, SMALLEST_WINDOW_PX, LARGEST_WINDOW_PX = 0.35, 3, 11
 """Half the window of the refinement: share of the smallest distance of two corners, and its limits."""
 BLUR_PX, BLUR_REACH = 1.0, 4
+"""Standard deviation of the blur before refinement, and half the width of its kernel [px]."""
 SYSTEMATIC_PX = 0.01
+"""Error that a finite window leaves of edges one or two pixels wide (measured on rendered boards)."""
 FARTHEST_SHARE = 0.15
 """How far a corner may lie from where its board's homography has it, in distances of corners."""
 BEYOND_SHARE = 0.3

@@ -55,7 +55,7 @@ STEPS_MOST, CLOSE_PX, FARTHEST = 12, 3e-4, 0.5
 def measure_dots(
     image: Array,
     dots: Readings,
-    look: TargetAppearance,
+    target: TargetAppearance,
     dark_dn2: float,
     gain_dn: float,
     turned_dn: float | None = None,
@@ -72,26 +72,33 @@ def measure_dots(
     if turned_dn is not None:
         dark, gain = dark + gain * (turned_dn - plate), -gain
     centroids(
-        image, dots.frames, plate_and_white(image, dots, look), look.ring_inner, dark, gain, xy, covariance
+        image,
+        dots.frames,
+        plate_and_white(image, dots, target),
+        target.ring_inner,
+        dark,
+        gain,
+        xy,
+        covariance,
     )
     return xy, covariance
 
 
-def plate_and_white(image: Array, dots: Readings, look: TargetAppearance) -> Array:
+def plate_and_white(image: Array, dots: Readings, target: TargetAppearance) -> Array:
     """Return (n, 5) the plate's light [DN] with its slopes along u and v, and the slopes of white over its level.
 
     Slopes per radius of the dot. The light of a lamp or a lens that falls by 0.1 % a pixel draws the plain centroid
     of a dot of radius R px by ``0.001 R^2 / 4`` px, and a slope of the plate's light by more.
     """
     middle, apart = (
-        0.5 * (look.ring_inner + look.ring_outer),
-        BAND_SPREAD * (look.ring_outer - look.ring_inner),
+        0.5 * (target.ring_inner + target.ring_outer),
+        BAND_SPREAD * (target.ring_outer - target.ring_inner),
     )
-    radii = np.array([look.gap, look.outside, middle - apart, middle, middle + apart])
-    light, levels = light_at(image, dots.frames, look, radii)
+    radii = np.array([target.gap, target.outside, middle - apart, middle, middle + apart])
+    light, levels = light_at(image, dots.frames, target, radii)
     contrast = levels[:, [CONTRAST_DN]]
     seen = np.ascontiguousarray(levels[:, [SLOPE_U, SLOPE_V]] / contrast)
-    slopes = shading(light, radii, seen, dots.frames, dots.rings, look)
+    slopes = shading(light, radii, seen, dots.frames, dots.rings, target)
     return np.column_stack([levels[:, PLATE_DN], slopes[:, :2] * contrast, slopes[:, 2:]])
 
 

@@ -1,6 +1,6 @@
 """From an image to the words of coded rings, on the image itself and on reduced copies of it.
 
-A part of ``mosca.coded_targets.detect``, which tells the method.
+A part of ``mosca.coded_targets.detect``, which describes the method.
 """
 
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ from mosca.data.arrays import Array, looked_at
 LARGEST_DOT_PX = 13.0
 """Diameter of the largest dot that is sure to be one patch; larger ones are found on reduced images."""
 SMALLEST_REDUCED_PX = 6.0
-"""Diameter of the smallest dot that is looked for on reduced images; smaller ones have been found before."""
+"""Diameter of the smallest dot that is searched for on reduced images; smaller ones have been found before."""
 PERSPECTIVES = (0.03, -0.03, 0.06, -0.06)
 """What is tried after 0: by how much a radius of the dot is nearer or farther, over the distance."""
 LEANING = 0.9
@@ -62,13 +62,15 @@ class Readings:
         return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
 
 
-def read_codes(image: Array, look: TargetAppearance, maximum_dot_px: float, least_margin: float) -> Readings:
+def read_codes(
+    image: Array, target: TargetAppearance, maximum_dot_px: float, least_margin: float
+) -> Readings:
     """Return what is read about white dots in an image (H, W), in its pixels; some twice."""
-    ring = Ring(0.5 * (look.ring_inner + look.ring_outer), least_margin)
+    ring = Ring(0.5 * (target.ring_inner + target.ring_outer), least_margin)
     parts: list[Readings] = []
     for smaller, factor in _reductions(image, maximum_dot_px):
         least = 0.0 if factor == 1 else SMALLEST_REDUCED_PX / 2
-        own = look._replace(noise_dn=look.noise_dn / factor, least_axis_px=least)
+        own = target._replace(noise_dn=target.noise_dn / factor, least_axis_px=least)
         frames = find_dots(smaller, bright_patches(smaller, own.contrast_dn, own.noise_dn), own)
         places = frames[:, [X, Y]] * factor + (factor - 1) / 2
         fresh = (
@@ -83,9 +85,9 @@ def read_codes(image: Array, look: TargetAppearance, maximum_dot_px: float, leas
     return Readings.joined(parts)
 
 
-def band_radii(look: TargetAppearance) -> Array:
+def band_radii(target: TargetAppearance) -> Array:
     """Return the radii (BANDS,) at which a ring is asked."""
-    middle, width = 0.5 * (look.ring_inner + look.ring_outer), look.ring_outer - look.ring_inner
+    middle, width = 0.5 * (target.ring_inner + target.ring_outer), target.ring_outer - target.ring_inner
     return np.array([middle - BAND_SPREAD * width, middle, middle + BAND_SPREAD * width])
 
 
@@ -104,9 +106,9 @@ def _within(places: Array, read: Readings) -> Array:
     return np.asarray((away < reach).any(axis=1))
 
 
-def _read(image: Array, frames: Array, look: TargetAppearance, ring: Ring) -> Readings:
+def _read(image: Array, frames: Array, target: TargetAppearance, ring: Ring) -> Readings:
     """Return the surest reading about each dot that has one; leaning dots are tried with perspective too."""
-    first = _tried(image, frames, look, ring)
+    first = _tried(image, frames, target, ring)
     axes, angle = ellipses_of(frames)
     unsure = np.flatnonzero((first.rings[:, MARGIN] < SURE) & (axes[:, 1] < LEANING * axes[:, 0]))
     if not len(unsure):
@@ -116,7 +118,7 @@ def _read(image: Array, frames: Array, look: TargetAppearance, ring: Ring) -> Re
         bent = frames[unsure]
         # the plate leans about the longer axis: along the shorter one it is nearer here and farther there
         bent[:, GX], bent[:, GY] = -g * np.sin(angle[unsure]), g * np.cos(angle[unsure])
-        tries.append(_tried(image, bent, look, ring))
+        tries.append(_tried(image, bent, target, ring))
     best = np.argmax([one.rings[:, MARGIN] for one in tries], axis=0)
     for k, one in enumerate(tries):
         rows = np.flatnonzero(best == k)
@@ -125,9 +127,9 @@ def _read(image: Array, frames: Array, look: TargetAppearance, ring: Ring) -> Re
     return first[first.rings[:, MARGIN] > 0]
 
 
-def _tried(image: Array, frames: Array, look: TargetAppearance, ring: Ring) -> Readings:
+def _tried(image: Array, frames: Array, target: TargetAppearance, ring: Ring) -> Readings:
     """Return what is read in frames (n, FRAME), the margin -1 where nothing is."""
-    light, levels = light_at(image, frames, look, band_radii(look))
+    light, levels = light_at(image, frames, target, band_radii(target))
     rings = np.full((len(frames), 3), -1.0)
     plates = np.flatnonzero(levels[:, CONTRAST_DN] > 0)
     rings[plates] = read_rings(light[plates], frames[plates], ring)

@@ -118,11 +118,11 @@ def find_coded(
     scale = 2.0 ** (bit_depth - 8)
     top = image.dtype.type(2**bit_depth - 1)
     noise = noise_of(image)
-    look = _look(settings, scale, noise)
+    target = _appearance(settings, scale, noise)
     found = []
     for dark in {"white": (False,), "black": (True,), "both": (False, True)}[settings.colour]:
         bright = np.ascontiguousarray(top - np.minimum(image, top) if dark else image)
-        dots = read_codes(bright, look, settings.maximum_dot_px, settings.least_confidence)
+        dots = read_codes(bright, target, settings.maximum_dot_px, settings.least_confidence)
         numbers, rolls = _numbers(dots, settings.numbers)
         known = np.flatnonzero(numbers >= 0)
         known = known[_surest(dots[known], settings.ring_outer)]
@@ -130,7 +130,7 @@ def find_coded(
         xy, covariance = measure_dots(
             bright,
             dots,
-            look,
+            target,
             max(noise**2, (settings.read_noise_dn * scale) ** 2 + 1 / 12),
             settings.gain_dn_per_e * scale,
             float(top) if dark else None,
@@ -169,7 +169,7 @@ def noise_of(image: Array) -> float:
     return max(1.4826 * median / math.sqrt(6.0), math.sqrt(1 / 12))
 
 
-def _look(settings: CodedSettings, scale: float, noise: float) -> TargetAppearance:
+def _appearance(settings: CodedSettings, scale: float, noise: float) -> TargetAppearance:
     """Return what targets look like in an image of ``scale`` times the grey values of 8 bits."""
     return TargetAppearance(
         gap=0.5 * (1.0 + settings.ring_inner),

@@ -1,6 +1,6 @@
 """Compiled search for the dots of coded targets, and the light of the rings about them.
 
-Called by ``mosca.coded_targets.detect``, which tells the method. Free of the GIL, one thread. A *frame* is a row
+Called by ``mosca.coded_targets.detect``, which describes the method. Free of the GIL, one thread. A *frame* is a row
 (x, y, axx, axy, ayy, gx, gy) that maps the plate into the image: ``(x, y) + A u / (1 + g . u)``, with u in radii of
 the dot and A symmetric, so that |u| = 1 is the dot's ellipse, and g the perspective that remains. Angles on the
 plate run counter-clockwise seen from the front: u = r (cos t, -sin t), since y points down in the image.
@@ -14,8 +14,6 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel, step
 
-# A kernel and all its steps stand in one file: numba keeps a cached kernel as long as its own file is unchanged.
-
 X, Y, AXX, AXY, AYY, GX, GY = range(7)
 FRAME = 7
 PLATE_DN, CONTRAST_DN, SLOPE_U, SLOPE_V = range(4)
@@ -23,6 +21,7 @@ LEVELS = 4
 
 SECTORS, PER_SECTOR, BANDS, RAYS = 20, 6, 3, 24
 STEPS = SECTORS * PER_SECTOR
+# Directions of the samples along a ring.
 COS = np.cos(2.0 * np.pi * np.arange(STEPS) / STEPS)
 SIN = np.sin(2.0 * np.pi * np.arange(STEPS) / STEPS)
 # the contour's polygon has a slightly smaller second moment than its ellipse: (2 + cos(2 pi / n)) / 3
@@ -32,29 +31,34 @@ LEAST_AREA_PX, LARGEST_BOX_PX = 5, 56
 HALF_PX = 0.5  # no dot is thinner than a pixel
 SHORTEST_SECTOR_PX = 1.0  # on the ring's inner edge, where the ellipse is narrow: below, sectors run together
 ROUGHEST = 0.05  # rms distance of a contour from its ellipse, in radii, besides that of noise and pixels
-STAIN, COARSE_STAIN = (
-    0.4,
-    0.6,
-)  # what a plate may depart from even light, of the contrast; before the frame is refined
+STAIN, COARSE_STAIN = 0.4, 0.6
+"""Departure of the plate from even light, as a share of the contrast, up to which it is a plate; the second before
+the frame is refined."""
 
 
 class TargetAppearance(NamedTuple):
     """What a target looks like; radii in radii of the dot, grey values in those of the image."""
 
     gap: float
+    """Middle of the gap between dot and ring."""
     ring_inner: float
     ring_outer: float
     outside: float
+    """Middle between the ring and the plate's edge."""
     contrast_dn: float
+    """Dot and plate differ by more than this,"""
     noise_dn: float
+    """and by more than four times this, the standard deviation of a pixel."""
     flattest: float
+    """Shorter over longer axis of the flattest dot."""
     least_axis_px: float
+    """Longer half of the smallest dot's box."""
 
 
 @step
-def least_contrast(look: TargetAppearance) -> float:
+def least_contrast(target: TargetAppearance) -> float:
     """Return by how much dot and plate must differ [DN]."""
-    return max(look.contrast_dn, 4.0 * look.noise_dn)
+    return max(target.contrast_dn, 4.0 * target.noise_dn)
 
 
 @step
@@ -113,7 +117,7 @@ def ellipse_of(frame: Array, mxx: float, mxy: float, myy: float) -> float:
 
 
 @step
-def dot_of(sums: Array, frame: Array, look: TargetAppearance) -> bool:
+def dot_of(sums: Array, frame: Array, target: TargetAppearance) -> bool:
     """Write the ellipse of a bright patch to ``frame``; False where the patch is no filled ellipse."""
     area = sums[0]
     if area < LEAST_AREA_PX or max(sums[7] - sums[6], sums[9] - sums[8]) >= LARGEST_BOX_PX:
@@ -121,24 +125,24 @@ def dot_of(sums: Array, frame: Array, look: TargetAppearance) -> bool:
     x, y = sums[1] / area, sums[2] / area
     mxx, mxy, myy = sums[3] / area - x * x + 1 / 12, sums[4] / area - x * y, sums[5] / area - y * y + 1 / 12
     ratio = ellipse_of(frame, mxx, mxy, myy)
-    if ratio < 0.7 * look.flattest:
+    if ratio < 0.7 * target.flattest:
         return False
     frame[0], frame[1] = x, y
     frame[5] = frame[6] = 0.0
-    if half_extent(frame) < look.least_axis_px:
+    if half_extent(frame) < target.least_axis_px:
         return False
     solid = area / (4.0 * math.pi * math.sqrt(mxx * myy - mxy * mxy))
     return LEAST_SOLID < solid < MOST_SOLID
 
 
 @step
-def plate_level(image: Array, frame: Array, look: TargetAppearance, plate: Array) -> float:
+def plate_level(image: Array, frame: Array, target: TargetAppearance, plate: Array) -> float:
     """Fit the plate's light (mean, its slopes along u and v [DN per radius]) to gap and outside.
 
     Returns the largest departure from it [DN].
     """
     values = np.empty((2, SECTORS))
-    radii = (look.gap, look.outside)
+    radii = (target.gap, target.outside)
     plate[:] = 0.0
     for k in range(SECTORS):
         c, s = COS[k * PER_SECTOR], SIN[k * PER_SECTOR]
@@ -169,14 +173,14 @@ def dot_level(image: Array, frame: Array) -> float:
 
 
 @step
-def trace_dot(image: Array, frame: Array, level: float, look: TargetAppearance) -> tuple[float, float]:
+def trace_dot(image: Array, frame: Array, level: float, target: TargetAppearance) -> tuple[float, float]:
     """Refine a frame by the dot's contour at grey value ``level``.
 
     Returns the rms distance of the contour from its ellipse, in radii, and the ellipse's ratio of axes; (9, 0)
     where a ray from the middle does not cross the contour before the middle of the gap.
     """
     x, y = np.empty(RAYS), np.empty(RAYS)
-    reach = 0.5 * (look.gap + look.ring_inner)
+    reach = 0.5 * (target.gap + target.ring_inner)
     for k in range(RAYS):
         c, s = COS[STEPS // RAYS * k], SIN[STEPS // RAYS * k]
         last, radius, below = grey_of(image, frame, 0.3, c, s), 0.3, False
@@ -222,29 +226,29 @@ def trace_dot(image: Array, frame: Array, level: float, look: TargetAppearance) 
 
 
 @kernel
-def find_dots(image: Array, patches: Array, look: TargetAppearance) -> Array:
+def find_dots(image: Array, patches: Array, target: TargetAppearance) -> Array:
     """Return the frames (n, FRAME) of the dots among the bright patches (m, N_SUMS) of an image."""
     frames, plate = np.zeros((len(patches) + 1, FRAME)), np.empty(3)
     n = 0
     for sums in patches:
         frame = frames[n]
-        if not (dot_of(sums, frame, look) and is_inside(image, frame, look.outside)):
+        if not (dot_of(sums, frame, target) and is_inside(image, frame, target.outside)):
             continue
-        stain = plate_level(image, frame, look, plate)
+        stain = plate_level(image, frame, target, plate)
         contrast = dot_level(image, frame) - plate[0]
-        if contrast < least_contrast(look) or stain > COARSE_STAIN * contrast + 2.0 * look.noise_dn:
+        if contrast < least_contrast(target) or stain > COARSE_STAIN * contrast + 2.0 * target.noise_dn:
             continue
-        rough, ratio = trace_dot(image, frame, plate[0] + 0.5 * contrast, look)
+        rough, ratio = trace_dot(image, frame, plate[0] + 0.5 * contrast, target)
         radius = math.sqrt(max(frame[AXX] * frame[AYY] - frame[AXY] ** 2, 1e-9))
-        limit = ROUGHEST + (0.1 + 2.5 * look.noise_dn / contrast) / radius
-        sector = 2.0 * math.pi / SECTORS * look.ring_inner * radius * math.sqrt(ratio)
-        if rough < limit and ratio > look.flattest and sector > SHORTEST_SECTOR_PX:
+        limit = ROUGHEST + (0.1 + 2.5 * target.noise_dn / contrast) / radius
+        sector = 2.0 * math.pi / SECTORS * target.ring_inner * radius * math.sqrt(ratio)
+        if rough < limit and ratio > target.flattest and sector > SHORTEST_SECTOR_PX:
             n += 1
     return frames[:n]
 
 
 @kernel
-def light_at(image: Array, frames: Array, look: TargetAppearance, radii: Array) -> tuple[Array, Array]:
+def light_at(image: Array, frames: Array, target: TargetAppearance, radii: Array) -> tuple[Array, Array]:
     """Return the light (n, m, STEPS) at ``radii`` (m,) of frames (n, FRAME), and their levels (n, LEVELS) [DN].
 
     Light 0 is that of the plate, 1 that of the dot; levels are PLATE_DN with its slopes [DN per radius] and
@@ -254,11 +258,11 @@ def light_at(image: Array, frames: Array, look: TargetAppearance, radii: Array) 
     plate = np.empty(3)
     for n in range(len(frames)):
         frame = frames[n]
-        if not is_inside(image, frame, look.outside):
+        if not is_inside(image, frame, target.outside):
             continue
-        stain = plate_level(image, frame, look, plate)
+        stain = plate_level(image, frame, target, plate)
         contrast = dot_level(image, frame) - plate[0]
-        if contrast < least_contrast(look) or stain > STAIN * contrast + 2.0 * look.noise_dn:
+        if contrast < least_contrast(target) or stain > STAIN * contrast + 2.0 * target.noise_dn:
             continue
         levels[n, PLATE_DN], levels[n, CONTRAST_DN] = plate[0], contrast
         levels[n, SLOPE_U], levels[n, SLOPE_V] = plate[1], plate[2]

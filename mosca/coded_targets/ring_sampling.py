@@ -1,6 +1,6 @@
 """Compiled reading of coded rings: from the light along them to words of sectors.
 
-Called by ``mosca.coded_targets.detect``, which tells the method, with what ``mosca.coded_targets.dots`` gathers.
+Called by ``mosca.coded_targets.detect``, which describes the method, with what ``mosca.coded_targets.dots`` gathers.
 """
 
 import math
@@ -23,15 +23,13 @@ from mosca.coded_targets.dots import (
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel, step
 
-# A kernel and all its steps stand in one file: numba keeps a cached kernel as long as its own file is unchanged.
-
 WORD, START, MARGIN = range(3)
 
 WINDOW = 3  # sectors to each side: of 7 in a row, one at least is white and one black (runs of at most 5)
 LEAST_SWING = 0.3  # of white against black sectors, over the dot's contrast; and the dot's over theirs
 BAND_TOLERANCE = 0.35  # of the swing, by which one radius may contradict the ring as a whole
-LEAST_LIKENESS = 0.93
-USUAL_BLUR_PX, MOST_PEAKING = 0.8, 0.6
+LEAST_LIKENESS = 0.93  # correlation of the ring's light with that of its word, at least
+USUAL_BLUR_PX, MOST_PEAKING = 0.8, 0.6  # blur assumed in sharpening, and the largest share that it adds
 PICKS, PICK_STEP = 5, 0.15  # where in a sector its level is taken [sectors]
 PERSPECTIVE = 0.02  # by how much a radius of an edge-on dot is nearer, that no frame shows
 CLEAR_PX = 2.5  # from the next edge: no more than 1 % of other light up to a blur of 1.1 px
@@ -101,7 +99,7 @@ def sector_start(light: Array) -> float:
         edge = 0.0
         for b in range(BANDS):
             edge += light[b, after] - light[b, i - 1]
-        k = SECTORS * (i % PER_SECTOR)  # a sector is a full turn
+        k = SECTORS * (i % PER_SECTOR)  # a sector is a full period
         real += edge * edge * COS[k]
         imaginary += edge * edge * SIN[k]
     return math.atan2(imaginary, real) / (2.0 * math.pi) * PER_SECTOR
@@ -225,7 +223,7 @@ def from_edge(word: int, start: float, lengths: Array, i: int) -> tuple[bool, fl
 
 @kernel
 def shading(
-    light: Array, radii: Array, slopes: Array, frames: Array, rings: Array, look: TargetAppearance
+    light: Array, radii: Array, slopes: Array, frames: Array, rings: Array, target: TargetAppearance
 ) -> Array:
     """Return (n, 4) slopes along u and v [per radius of the dot]: of the plate's light and, last, of the white's.
 
@@ -236,11 +234,11 @@ def shading(
     out = np.zeros((len(light), 4))
     used, values = np.empty((len(radii), STEPS), np.bool_), np.empty(STEPS)
     # how far each circle is from the next edge, in radii of the dot; outside, only the ring's white is near
-    room = np.minimum(radii - look.ring_inner, look.ring_outer - radii)
-    room[0], room[1] = 0.5 * (look.ring_inner - 1.0), np.inf
+    room = np.minimum(radii - target.ring_inner, target.ring_outer - radii)
+    room[0], room[1] = 0.5 * (target.ring_inner - 1.0), np.inf
     for n in range(len(light)):
         frame, word, start = frames[n], int(rings[n, WORD]), rings[n, START] * STEPS / (2.0 * math.pi)
-        middle = 0.5 * (look.ring_inner + look.ring_outer)
+        middle = 0.5 * (target.ring_inner + target.ring_outer)
         det, trace = frame[AXX] * frame[AYY] - frame[AXY] ** 2, frame[AXX] + frame[AYY]
         # the square of the longer semi-axis less that of the shorter one: what leans may have perspective
         lean = trace * math.sqrt(max(trace * trace - 4.0 * det, 0.0))

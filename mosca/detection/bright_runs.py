@@ -49,7 +49,7 @@ def mask_of(address: Any, pixels: Array, block: Any, level: int) -> Any:
     first = block << SHIFT
     if first + BLOCK <= len(pixels):
         at = address + np.uint64(first * pixels.itemsize)
-        return bright_mask(at, pixels, np.int64(level))  # type: ignore[call-arg]
+        return bright_mask(at, pixels, np.int64(level))
     mask = np.int64(0)
     for k in range(len(pixels) - first):
         mask |= np.int64(pixels[first + k] > level) << np.int64(k)
@@ -65,7 +65,7 @@ def bright_blocks(address: Any, pixels: Array, level: int, blocks: Array, masks:
     whole = len(pixels) >> SHIFT
     for block in range(whole):
         at = address + np.uint64(block * BLOCK * pixels.itemsize)
-        mask: Any = bright_mask(at, pixels, np.int64(level))  # type: ignore[call-arg]
+        mask: Any = bright_mask(at, pixels, np.int64(level))
         blocks[np.uint64(n)], masks[np.uint64(n)] = block, mask
         n += mask != 0
     if len(pixels) % BLOCK:
@@ -146,7 +146,7 @@ def copy_values(pixels: Array, at: int, n: int, values: Array, to: int) -> None:
     for k in range(0, n, 16):
         copy_16(
             source + np.uint64(k * pixels.itemsize), pixels, target + np.uint64(k * values.itemsize), values
-        )  # type: ignore[call-arg]
+        )
 
 
 @bare_step
@@ -163,7 +163,7 @@ def bright_runs(
         base, mask = np.int64(blocks[i]) << SHIFT, masks[i]
         while mask != 0:
             filled = mask | (mask - 1)
-            begin = base + trailing_zeros(mask)  # type: ignore[call-arg]
+            begin = base + trailing_zeros(mask)
             stop = base + trailing_zeros(~filled)
             mask &= filled + 1
             while begin < stop:
@@ -208,7 +208,7 @@ def scan_set(images: ImageSet, level: int, search: SearchBoxes) -> BrightPixels:
             start[i + 1] = bright_blocks_within(address, pixels, width, level, own, blocks, masks, start[i])
     most_runs, most_values = n_images * images.height, OVER
     for k in range(start[-1]):
-        most_runs += bits_set(masks[k] & ~(masks[k] << 1))  # type: ignore[call-arg]
+        most_runs += bits_set(masks[k] & ~(masks[k] << 1))
         most_values += bits_set(masks[k])
     runs, values = np.empty((most_runs, 4), np.int32), np.empty(most_values, np.int32)
     run_start, value_start = np.zeros(n_images + 1, np.int64), np.zeros(n_images + 1, np.int64)

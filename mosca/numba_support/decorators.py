@@ -3,8 +3,9 @@
 All are free of exceptions for divisions by zero (``error_model="numpy"``). Kernels are kept compiled
 (``mosca.numba_support.cache``).
 
-Reference counts. Passing an array to a compiled function costs two atomic reference-count updates (Numba's NRT). In
-steps of a few dozen operations on six arrays that was half of the time of matching and a third of rendering. A
+Reference counts. Passing an array to a compiled function costs two atomic reference-count updates (Numba's NRT). With
+them in all steps, side by side on one core of a shared machine (4 x 656 x 491 pixels, 200 markers, best of 3 rounds),
+images to tracks took 1.10 times as long, of that detection 1.14 times and matching 1.18 times. A
 ``bare_step`` is compiled with Numba's private flag ``_nrt=False``: it must neither allocate nor return arrays, and it
 must not take an array from a step that allocates one. Numba refuses the first; ``tests/test_compiled.py`` the others.
 """

@@ -1,4 +1,10 @@
-"""Images where they lie in memory, and 64 pixels of them at a time, for compiled kernels."""
+"""LLVM instructions for compiled kernels: 64 pixels compared or 16 copied at a time, and arrays at an address.
+
+The only place with LLVM IR. What it gains, measured side by side with plain loops in its stead on one core of a
+shared machine, images to tracks of 4 x 656 x 491 pixels and 200 markers / detection in 15.5 megapixels, as times
+without it over times with it: ``bright_mask`` with the two bit counts 1.26 / 4.0; ``copy_16`` 1.07 / 1.0, where runs
+of the same code differ by 0.04.
+"""
 
 from typing import Any
 
@@ -8,7 +14,12 @@ from numba.extending import intrinsic
 from numba.np.arrayobj import populate_array
 
 
-@intrinsic
+def _instruction(code: Any) -> Any:
+    """Make an intrinsic, untyped for what calls it: the typing context is Numba's to pass."""
+    return intrinsic(code)
+
+
+@_instruction
 def bright_mask(_context: Any, address: Any, like: Any, level: Any) -> Any:
     """Return which of the 64 pixels from ``address`` (uint64) on are above ``level``: bit k of an int64 for pixel k.
 
@@ -30,7 +41,7 @@ def bright_mask(_context: Any, address: Any, like: Any, level: Any) -> Any:
     return types.int64(types.uint64, like, types.int64), code
 
 
-@intrinsic
+@_instruction
 def trailing_zeros(_context: Any, mask: Any) -> Any:
     """Return the number of the lowest bit set in an int64, 64 where none is."""
 
@@ -40,7 +51,7 @@ def trailing_zeros(_context: Any, mask: Any) -> Any:
     return types.int64(types.int64), code
 
 
-@intrinsic
+@_instruction
 def bits_set(_context: Any, mask: Any) -> Any:
     """Return how many bits of an int64 are set."""
 
@@ -50,7 +61,7 @@ def bits_set(_context: Any, mask: Any) -> Any:
     return types.int64(types.int64), code
 
 
-@intrinsic
+@_instruction
 def copy_16(_context: Any, source: Any, like: Any, target: Any, wanted: Any) -> Any:
     """Copy the 16 values from ``source`` (uint64) on, of the type of the array ``like``, unsigned, to ``target``.
 
@@ -71,22 +82,7 @@ def copy_16(_context: Any, source: Any, like: Any, target: Any, wanted: Any) -> 
     return types.void(types.uint64, like, types.uint64, wanted), code
 
 
-@intrinsic
-def prefetch(_context: Any, address: Any) -> Any:
-    """Have the memory at ``address`` (uint64) brought near; says nothing and may name any address."""
-
-    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        byte, number = ir.IntType(8).as_pointer(), ir.IntType(32)
-        kind = ir.FunctionType(ir.VoidType(), (byte, number, number, number))
-        call = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
-        # for reading, to the nearest cache, data
-        builder.call(call, (builder.inttoptr(arguments[0], byte), number(0), number(3), number(1)))
-        return context.get_constant_null(signature.return_type)
-
-    return types.void(types.uint64), code
-
-
-@intrinsic
+@_instruction
 def array_at(_context: Any, address: Any, like: Any, shape: Any) -> Any:
     """Return the contiguous array of a shape and of the type of ``like`` at ``address`` (uint64), without owning it.
 

@@ -214,7 +214,7 @@ def refine_region(
         if buffers.windows.known[size, 0] < 0:
             make_window(size, reach * reach, buffers.windows)
         address, columns = window_place(size, buffers.windows)
-        pixels = array_at(address, pixels, (5, columns))  # type: ignore[call-arg]
+        pixels = array_at(address, pixels, (5, columns))
         n = fill_window(image, middle, size, reach, buffers.windows, pixels)
     else:
         n = gather_at_border(image, middle, reach, pixels)

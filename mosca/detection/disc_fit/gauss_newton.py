@@ -12,8 +12,7 @@ import numpy as np
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import bare_step
 
-# Re-ordered sums are wanted here: they let the compiler add eight pixels at once. NaN and infinity must stay what
-# they are.
+# Re-ordered sums let the compiler add eight pixels at once. NaN and infinity keep their meaning.
 FAST = {"reassoc", "nsz", "arcp", "contract", "afn"}
 
 f32 = np.float32
@@ -22,8 +21,8 @@ f32 = np.float32
 # density Q(t^2), 0 at 3. Least squares; polynomials, since a division costs as much as ten of their terms.
 P0, P1, P2, P3, P4 = f32(0.3982078), f32(-0.06448306), f32(0.008401767), f32(-0.0006522268), f32(2.190772e-05)
 Q0, Q1, Q2, Q3, Q4 = f32(0.3964177), f32(-0.1851492), f32(0.03625069), f32(-0.003324804), f32(0.00011544)
-ZERO, HALF, ONE, REACH = f32(0), f32(0.5), f32(1), f32(3)
-TINY = f32(1e-6)
+ZERO, HALF, ONE, REACH = f32(0), f32(0.5), f32(1), f32(3)  # REACH: blurs from the edge where it ends
+TINY = f32(1e-6)  # keeps distances from the centre above zero [px^2]
 
 
 MOST_STEPS = 9

@@ -94,7 +94,7 @@ def make_window(size: int, reach2: float, windows: RoundWindows) -> None:
         n += 2 * half[size, j + whole] + 1
     known[size, 0], known[size, 1] = begin, n
     address, columns = window_place(size, windows)
-    pixels = array_at(address, windows.lanes, (5, columns))  # type: ignore[call-arg]
+    pixels = array_at(address, windows.lanes, (5, columns))
     known[0, 0] = begin + pixels.size + OVER
     x, y, sharper = pixels[X], pixels[Y], pixels[SHARPER]
     n = 0
@@ -119,7 +119,7 @@ def grey_values(image: Array, centre: int, half: Array, v: Array) -> None:
         count, at = 2 * wide + 1, middle - wide
         for k in range(0, count, 16):
             p, q = np.uint64((at + k) * image.itemsize), np.uint64((n + k) * v.itemsize)
-            copy_16(source + p, image, target + q, v)  # type: ignore[call-arg]
+            copy_16(source + p, image, target + q, v)
         n += count
         middle += width
 
