@@ -1,9 +1,9 @@
-"""A live run: a source that does not wait, and a pipeline that never falls far behind.
+"""A live run: a source that does not wait, and a pipeline with bounded latency.
 
 Frames are read and assembled on a thread of their own, so that no camera's buffer overflows while the pipeline
-computes. Frame sets wait in a short queue; when it is full the oldest *whole* set is left out, counted and named in
-the assembly: what remains is of the present, and every set that was assembled is either in the steps or among
-the skipped. Latency is then bounded by the queue's length times the time of a set.
+computes. Frame sets wait in a short queue; when it is full the oldest *whole* set is skipped, counted and named in
+the assembly: every set that was assembled is either in the steps or among the skipped. Latency is then bounded by
+the queue's length times the time of a set.
 """
 
 import threading

@@ -1,6 +1,6 @@
-"""The story, read top to bottom: frames -> frame sets -> detections -> matches -> points -> tracks.
+"""The pipeline: frames -> frame sets -> detections -> correspondences -> points -> tracks.
 
-Nothing here knows where the frames come from. ``run`` is a generator: one Step a trigger pulse.
+It does not depend on where the frames come from. ``run`` is a generator: one Step a trigger pulse.
 """
 
 import time
@@ -27,44 +27,47 @@ from mosca.tracking.tracker import Tracker, TrackSettings
 
 MOST_DETECTIONS = 5000
 """Detections an image may have; matching many more would take minutes a frame set."""
+DIAMETER_GAIN = 0.05
+"""Weight of a frame set's median in the targets' typical diameter (exponential average)."""
 
 
 @dataclass(frozen=True)
 class PipelineSettings:
-    """Settings of all stages. ``volume``: box (low (3,), high (3,)) [m, world] in which targets can be; points
-    outside are no targets. Default: everywhere. ``workers``: threads that look at frame sets ahead, beside the one
-    that matches and tracks, and detects rather than wait: one fewer than there are cores; 0 looks at each set when
-    its turn comes, as a live run must. ``split``: threads among which the cameras of a set are then divided, which
-    brings its tracks sooner (None: 2 in a live run, else 1). The tracks are the same. ``nearest``: track as the guide
-    does, the baseline of comparisons, instead of by ``track``. ``assembly``: how frames become frame sets.
-    """
+    """Settings of all stages."""
 
     detection: DetectionSettings = field(default_factory=DetectionSettings)
     match: MatchSettings = field(default_factory=MatchSettings)
     track: TrackSettings = field(default_factory=TrackSettings)
     volume: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    """Box (low (3,), high (3,)) [m, world] in which targets can be; other points are no targets. None: everywhere."""
     workers: int = 0
+    """Threads that detect in later frame sets, beside the one that matches and tracks, which detects rather than
+    wait: one fewer than there are cores. 0: each set is detected when it is needed, as a live run must."""
     split: int | None = None
+    """Threads among which the cameras of a set are then divided, which brings its tracks sooner (None: 2 in a live
+    run, else 1). The tracks are the same."""
     nearest: NearestSettings | None = None
+    """Track as the guide does, the baseline of comparisons, instead of by ``track``."""
     assembly: AssemblySettings = field(default_factory=AssemblySettings)
+    """How frames become frame sets."""
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """What one trigger pulse gave. ``samples``: points whose identity is now certain, some of earlier pulses.
-    ``seconds``: computing time of each stage until it was ready; that of the health comes after
-    (``mosca.diagnostics.camera_health.Health.seconds``).
-    """
+    """Results of one trigger pulse."""
 
     frame_set: FrameSet
     detections: Mapping[str, Detections]
     points: Points
     samples: Samples
+    """Points whose identity is now certain, some of earlier pulses."""
     seconds: Mapping[str, float]
+    """Computing time of each stage until the step was ready; that of the health comes after
+    (``mosca.diagnostics.camera_health.Health.seconds``)."""
 
 
 class Keeper(Protocol):
-    """Watches the rig while it runs, and may put it right: ``mosca.calibration.monitoring.rig_keeper.RigKeeper``."""
+    """Monitors the rig while it runs, and may correct it: ``mosca.calibration.monitoring.rig_keeper.RigKeeper``."""
 
     rig: Rig
 
@@ -86,7 +89,7 @@ def run(
 
     ``assembly``: counts of frames and gaps, filled while running. ``backgrounds``: camera -> image (H, W) of
     what does not move, taken off each of its images before detection; a camera without one keeps its images
-    as they are. ``keeper``: watches the rig and may change it on the way. ``health``: how the cameras are doing,
+    as they are. ``keeper``: monitors the rig and may correct it while running. ``health``: of the cameras,
     filled while running. InputError where the source lacks a camera of the rig, or sends images of another size, and
     where a background is of a camera that the rig lacks.
     """
@@ -136,22 +139,22 @@ def run_seen(
 
     for frame_set, detections, seconds in seen:
         check_detections(detections, frame_set.pulse)
-        clock = _Clock({"detect": seconds})
+        timer = _StageTimer({"detect": seconds})
         predicted = tracker.predict(frame_set.time_ns * 1e-9)
-        clock.lap("predict")
+        timer.lap("predict")
         bundle = make_ray_table(rig, detections, health.noise.sigma_px, settings.match.target)
         points = match(bundle, predicted, settings.match, volume, typical_diameter_m)
         typical_diameter_m = learned_diameter(typical_diameter_m, points)
-        clock.lap("match")
+        timer.lap("match")
         samples = tracker.update(points, frame_set.pulse, frame_set.time_ns, health.noise.jitter_s)
-        clock.lap("track")
+        timer.lap("track")
         measured_with = rig
         if keeper is not None:
             keeper.attend(frame_set.pulse, detections, points)
             rig = keeper.rig
-            clock.lap("keep")
-        yield Step(frame_set, detections, points, samples, clock.laps)
-        # while the next set is on its way: nobody waits for it
+            timer.lap("keep")
+        yield Step(frame_set, detections, points, samples, timer.laps)
+        # off the latency path
         health.attend(measured_with, frame_set, detections, points, bundle)
     health.nameless = tracker.waiting
 
@@ -163,7 +166,7 @@ def learned_diameter(known_m: float, points: Points) -> float:
     if n < 3:
         return known_m
     here = 0.5 * float(sure[(n - 1) // 2] + sure[n // 2])  # the median
-    return here if known_m == 0.0 else known_m + 0.05 * (here - known_m)
+    return here if known_m == 0.0 else known_m + DIAMETER_GAIN * (here - known_m)
 
 
 def check_detections(detections: Mapping[str, Detections], pulse: int) -> None:
@@ -209,7 +212,7 @@ def _box(volume: tuple[tuple[float, float, float], tuple[float, float, float]] |
     return np.asarray(volume[0], dtype=float), np.asarray(volume[1], dtype=float)
 
 
-class _Clock:
+class _StageTimer:
     """Computing time of the stages of one step [s]."""
 
     def __init__(self, laps: Mapping[str, float]) -> None:

@@ -1,7 +1,7 @@
 """Compile the pipeline's kernels before they are needed: ``python -m mosca.precompile``.
 
-With ``look`` only those that look at frames, with ``points`` only those that make points and tracks: two processes
-compile them side by side.
+With ``look`` only those of detection, with ``points`` only those of correspondence, triangulation and tracking: two
+processes compile them side by side.
 """
 
 import sys
@@ -58,7 +58,7 @@ def warm_up() -> int:
 
 
 def look() -> int:
-    """FrameSetDetector at one small frame set; returns how many targets were found."""
+    """Detect in one small frame set; returns how many targets were found."""
     source = _Blobs(_rig())
     frames = FrameSet(0, 0, {frame.camera: frame for frame in islice(source, len(source.cameras))})
     at = FrameSetDetector(DetectionSettings(), {info.name: info.bit_depth for info in source.cameras})
@@ -66,7 +66,7 @@ def look() -> int:
 
 
 def points() -> int:
-    """Match, track and judge made-up detections of a few sets; returns how many samples came out."""
+    """Match and track simulated detections of a few sets, health included; returns how many samples there were."""
     rig, tracker, samples = _rig(), Tracker(TrackSettings()), 0
     health = Health(rig)
     room = (np.full(3, -1.0), np.full(3, 1.0))

@@ -1,10 +1,10 @@
 """Rigid bodies from marker constellations: 6-DOF poses with covariance, followed, lost and found again.
 
 ``BodyTracker`` follows bodies from instant to instant (live). A marker is first the track that it was before, else
-the point nearest to where the body's motion puts it; a point that disagrees with the others is left out. What cannot
-be told is withheld (``bodies_pose``); a body that is lost is looked for among all points that are free.
-``body_poses`` does the same over whole tracks (offline), forwards and then backwards for what is missing before a
-body is first found.
+the point nearest to where the body's motion predicts it; a point that disagrees with the others is left out. Poses
+that the points leave ambiguous are withheld (``mosca.rigid_bodies.pose``); a body that is lost is searched for among
+all points that are free. ``body_poses`` does the same over whole tracks (offline), forwards and then backwards for
+what is missing before a body is first found.
 """
 
 from collections.abc import Iterator, Sequence

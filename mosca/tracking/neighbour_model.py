@@ -18,6 +18,8 @@ from mosca.tracking.state import (
     INSTANT,
     NEIGHBOURS,
     SLOTS_USED,
+    Bank,
+    Neighbours,
 )
 
 REPLACED_FROM, USED_UP_TO = 0.05, 0.15
@@ -76,7 +78,7 @@ def learn_distances(bank, neighbours, step_s, reach_m):  # type: ignore[no-untyp
 
 
 @bare_step
-def _learn_one(neighbours, i, k, measured, update_s):  # type: ignore[no-untyped-def]
+def _learn_one(neighbours: Neighbours, i: int, k: int, measured: float, update_s: float) -> None:
     """Update mean and variance of a distance with the ``measured`` one [m], by exponential averages."""
     mean, variance, observed_s = (
         neighbours.distance[i, k],
@@ -201,7 +203,7 @@ def distance_evidence(bank, neighbours, i, point, noise, hidden_s, range_m):  # 
 
 
 @bare_step
-def _has_distances(neighbours, i):  # type: ignore[no-untyped-def]
+def _has_distances(neighbours: Neighbours, i: int) -> bool:
     """Whether at least two distances of a track are known to stay the same."""
     known = 0
     for k in range(NEIGHBOURS):
@@ -263,7 +265,7 @@ def _nearest_other(bank, neighbours, i, reach_m, every, round_number):  # type: 
 
 
 @bare_step
-def _track_distance(bank, i, j):  # type: ignore[no-untyped-def]
+def _track_distance(bank: Bank, i: int, j: int) -> float:
     x, y, z = bank.mean[i, 0], bank.mean[i, 1], bank.mean[i, 2]
     u, v, w = bank.mean[j, 0], bank.mean[j, 1], bank.mean[j, 2]
     return np.sqrt((x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2)

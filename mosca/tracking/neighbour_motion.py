@@ -6,9 +6,10 @@ before, by Gauss-Newton steps with a prior that limits the spin where the neighb
 
 import numpy as np
 
+from mosca.data.arrays import Array
 from mosca.numba_support.decorators import bare_step, step
 from mosca.numba_support.linalg3 import inverse3, plus_identity3, store3, symmetric3, times3
-from mosca.tracking.state import NEIGHBOURS
+from mosca.tracking.state import NEIGHBOURS, Bank, Neighbours
 
 RIGID, UNOBSERVED, OBSERVED_HALF_S = 0.005, 0.15, 0.2
 """Standard deviation of a distance over its length: at least, before anything is observed, and after how long of
@@ -21,14 +22,14 @@ ITERATIONS = 3
 
 
 @bare_step
-def observed_now(bank, neighbours, i, k):  # type: ignore[no-untyped-def]
+def observed_now(bank: Bank, neighbours: Neighbours, i: int, k: int) -> bool:
     """Whether the neighbour ``k`` of track ``i`` has a measurement at this instant."""
     j = neighbours.slot[i, k]
     return j >= 0 and bank.serial[j] == neighbours.serial[i, k] and bank.missed[j] == 0
 
 
 @bare_step
-def distance_variance(distance, variance, observed_s):  # type: ignore[no-untyped-def]
+def distance_variance(distance: float, variance: float, observed_s: float) -> float:
     """Return the variance [m^2] with which a distance is known to stay the same."""
     observed = observed_s / OBSERVED_HALF_S
     return variance + (RIGID**2 + UNOBSERVED**2 / (1.0 + observed * observed)) * distance * distance
@@ -65,14 +66,14 @@ def carried_along(bank, neighbours, i, hidden_s, step_s, xyz, covariance):  # ty
 
 
 @bare_step
-def _weight(neighbours, i, k):  # type: ignore[no-untyped-def]
+def _weight(neighbours: Neighbours, i: int, k: int) -> float:
     return 1.0 / distance_variance(
         neighbours.distance[i, k], neighbours.variance[i, k], neighbours.observed_s[i, k]
     )
 
 
 @bare_step
-def _centroids(bank, neighbours, i, then, now):  # type: ignore[no-untyped-def]
+def _centroids(bank: Bank, neighbours: Neighbours, i: int, then: Array, now: Array) -> tuple[float, int]:
     """Fill the weighted centroids (3,) of the neighbours at the last sighting and now; returns weight and number."""
     total, seen = 0.0, 0
     for k in range(NEIGHBOURS):
@@ -91,7 +92,9 @@ def _centroids(bank, neighbours, i, then, now):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _normal_equations(bank, neighbours, i, then, now, normal, right):  # type: ignore[no-untyped-def]
+def _normal_equations(
+    bank: Bank, neighbours: Neighbours, i: int, then: Array, now: Array, normal: Array, right: Array
+) -> float:
     """Fill J'WJ (3, 3) and J'Wr (3,) of a small rotation of the neighbours; returns r'Wr."""
     for a in range(3):
         right[a] = 0.0
@@ -141,7 +144,7 @@ def _rotated(rotation, point, centre):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _rotate_by(rotation, x, y, z):  # type: ignore[no-untyped-def]
+def _rotate_by(rotation: Array, x: float, y: float, z: float) -> None:
     """Rotate a matrix (3, 3) further by the rotation vector (x, y, z) (Rodrigues, column by column)."""
     angle = np.sqrt(x * x + y * y + z * z)
     if angle > 0.0:
