@@ -1,4 +1,4 @@
-"""Project points, turn pixels into rays, and the Jacobians of both; conversion between lens models.
+"""Projection of points, rays of pixels, and the Jacobians of both; conversion between lens models.
 
 A point's way into the image: world -> camera frame (x right, y down, z forward) -> direction -> lens -> pixel.
 """
@@ -132,7 +132,7 @@ def fit_lens(model: str, xy_px: Array, directions: Array, start: Lens | None = N
 
     def residuals(x: Array) -> Array:
         rest = pixels(lens_of(x), v)[0] - xy
-        # a point that the trial lens cannot image must not look like a perfect fit
+        # a point that the trial lens cannot image must not count as a perfect fit
         return np.nan_to_num(rest, nan=1e3).ravel()
 
     def jacobian(x: Array) -> Array:

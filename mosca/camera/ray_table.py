@@ -122,7 +122,7 @@ def _across(a: int, b: int, rotation: Array, origin: Array) -> Array:
     if not base.any():
         return np.full((2, 3), np.inf)
     base = base / np.linalg.norm(base)
-    # angles count from where both cameras look, so that none is near half a turn
+    # angles count from the mean optical axis, so that none is near 180 degrees
     tried = [rotation[a, :, 2] + rotation[b, :, 2], rotation[a, :, 1], rotation[a, :, 0]]
     flat = [one - base * (one @ base) for one in tried]
     up = next(one for one in flat if np.linalg.norm(one) > 1e-3)

@@ -1,1 +1,1 @@
-"""Image points of several cameras to groups that show the same marker."""
+"""Data association between cameras: which image points show the same marker."""

@@ -69,7 +69,7 @@ def search(data, pairs, bases, start, xyz, covariance):  # type: ignore[no-untyp
     ``pairs``, ``bases``, ``start``: of the ``RayTable``. ``xyz`` (k, 3), ``covariance`` (k, 3, 3): predictions of the
     tracks, where hypotheses are tried first.
     """
-    cameras, total, rules = data.views.shape[0], data.rays.shape[0], data.rules
+    cameras, total, rules = data.views.shape[0], data.rays.shape[0], data.rules[0]
     kept, count = no_hypotheses(max(64, 2 * total // max(cameras, 1)), cameras), NONE
     state, hypothesis = _begun(data, start), new_hypothesis(cameras)
     for track in range(xyz.shape[0] if rules.typical_m > 0.0 else 0):
@@ -96,7 +96,7 @@ def search(data, pairs, bases, start, xyz, covariance):  # type: ignore[no-untyp
 def _begun(data, start):  # type: ignore[no-untyped-def]
     """Return the state before the search."""
     cameras, total = data.views.shape[0], data.rays.shape[0]
-    slack, reach = _slack(data.rays, start, data.rules)
+    slack, reach = _slack(data.rays, start, data.rules[0])
     explained = np.empty(total, dtype=np.bool_)
     for i in range(total):
         explained[i] = not np.isfinite(data.rays[i, ANGLE])
@@ -111,7 +111,7 @@ def _search_pair(pair, across, stage, start, hypothesis, state, data, kept, coun
 
     ``across`` (2, 3): of ``RayTable.bases``. ``stage``: 1 looks for half-hidden targets, beside the gates of stage 0.
     """
-    rays, gate = data.rays, data.rules.gate_sigma
+    rays, gate = data.rays, data.rules[0].gate_sigma
     explained, slack, partner = state.explained, state.slack, state.partner
     a, b = pair[0], pair[1]
     active = np.empty(start[a + 1] - start[a] + start[b + 1] - start[b], dtype=np.int64)
@@ -168,7 +168,7 @@ def _expected(track, xyz, covariance, hypothesis, state, data):  # type: ignore[
     point.
     """
     members, ranks, values = hypothesis
-    rules, cameras = data.rules, data.views.shape[0]
+    rules, cameras = data.rules[0], data.views.shape[0]
     for p in range(3):
         values[p] = xyz[track, p]
         for q in range(3):
@@ -251,7 +251,7 @@ def _unexplained(first, last, explained, active, at):  # type: ignore[no-untyped
 def _meet(i, j, a, b, away2, variance_i, variance_j, hypothesis, data):  # type: ignore[no-untyped-def]
     """Begin a hypothesis with the rays i and j of cameras a and b; False where they do not meet."""
     members, ranks, solved = hypothesis
-    rays, views, rules = data
+    rays, views, rules = data.rays, data.views, data.rules[0]
     d0, d1, d2 = rays[i, 0], rays[i, 1], rays[i, 2]
     e0, e1, e2 = rays[j, 0], rays[j, 1], rays[j, 2]
     x = views[b, 0] - views[a, 0]
@@ -290,7 +290,7 @@ def _grown(a, b, chance, hypothesis, state, data):  # type: ignore[no-untyped-de
     diameter and the expected number of hypotheses as good by chance.
     """
     members, ranks, values = hypothesis
-    rules, cameras = data.rules, members.shape[0]
+    rules, cameras = data.rules[0], members.shape[0]
     i, j = members[a], members[b]
     size_i, size_j = image_size(i, a, values, data), image_size(j, b, values, data)
     seen = larger(i, size_i, j, size_j, data.rays)
@@ -331,7 +331,7 @@ def _grown(a, b, chance, hypothesis, state, data):  # type: ignore[no-untyped-de
 
 @bare_step
 def _worst_ray(hypothesis, data):  # type: ignore[no-untyped-def]
-    """Return the camera whose ray, left out, lowers the group's squared error most.
+    """Return the camera whose ray, left out, lowers the hypothesis's squared error most.
 
     By e' (I - H)^-1 e with the ray's whitened error e and its share H = A P A' of its own error in the solution:
     exact for fixed depths, in which the problem is linear (Cook and Weisberg 1982, section 2.2).
@@ -364,7 +364,7 @@ def _worst_ray(hypothesis, data):  # type: ignore[no-untyped-def]
 
 @bare_step
 def _joined(members, partner):  # type: ignore[no-untyped-def]
-    """Whether the first two rays of a group have been joined in a group of three or more."""
+    """Whether the first two rays of a hypothesis are already joined in one of three rays or more."""
     first = -1
     for c in range(members.shape[0]):
         if members[c] >= 0:

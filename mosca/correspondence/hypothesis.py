@@ -16,7 +16,7 @@ from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3
 from mosca.triangulation.triangulate import DEPTH, RANKS, TRUST, solve_rays
 
 MOST_ODD, MOST_LARGE = 0.7, 0.9
-"""Areas of small and of large images are compared up to this difference; beyond it an image says little more."""
+"""Areas of small and of large images are compared up to this difference; beyond it there is no further evidence."""
 ODD_SHIFT = 1.05
 """Shift of an image's centroid over (missing share of its area x radius). A disc with the share h hidden shifts by
 0.85 h R to h R; of small blurred images a little less than h is seen missing."""
@@ -28,8 +28,8 @@ HALF_HIDDEN = 0.55
 such an image."""
 PARTIAL_ODD, LONG_ODD, UNFITTED_ODD = 0.2, 0.3, 0.6
 """Missing share, at least, of an image that detection takes for partly hidden; of one that is long where the others
-are round (cut on one side; its size says little); of one that stands alone and that no disc fits, where discs fit the
-others: more than half of such targets is hidden, whatever their size."""
+are round (cut on one side; its size is little evidence); of one that stands alone and that no disc fits, where
+discs fit the others: more than half of such targets is hidden, whatever their size."""
 SIZES, SHAPES = 1.0, 2.0
 """What images are judged by: their sizes alone, or whether they are long and whether a disc fits them too."""
 TOO_LARGE = 1.3
@@ -61,12 +61,42 @@ class Rules(NamedTuple):
     """Corners of the volume [m]."""
 
 
+RULES = np.dtype(
+    [
+        *(
+            (name, np.float64)
+            for name in ("gate_sigma", "outlier_sigma", "support_sigma", "worst_m2", "judge")
+        ),
+        *(
+            (name, np.float64)
+            for name in ("typical_m", "low_x", "low_y", "low_z", "high_x", "high_y", "high_z")
+        ),
+        ("minimum_cameras", np.int64),
+    ]
+)
+"""``Rules`` as a record."""
+
+
+@step
+def record_of(rules):  # type: ignore[no-untyped-def]
+    """Return rules as an array (1,) of RULES."""
+    table = np.empty(1, RULES)
+    row = table[0]
+    row.gate_sigma, row.outlier_sigma = rules.gate_sigma, rules.outlier_sigma
+    row.support_sigma, row.minimum_cameras = rules.support_sigma, rules.minimum_cameras
+    row.worst_m2, row.judge, row.typical_m = rules.worst_m2, rules.judge, rules.typical_m
+    row.low_x, row.low_y, row.low_z = rules.low
+    row.high_x, row.high_y, row.high_z = rules.high
+    return table
+
+
 class MatchData(NamedTuple):
     """What hypotheses are made from: ``RayTable.rays``, ``RayTable.views`` and the rules."""
 
     rays: Any
     views: Any
-    rules: Rules
+    rules: Any
+    """(1,) of RULES: passed by its address, where the numbers themselves cost matching 13 %."""
 
 
 class Hypothesis(NamedTuple):
@@ -146,10 +176,10 @@ def judge_sizes(hypothesis, data):  # type: ignore[no-untyped-def]
     """Set each member's trust from the size of its image; returns the target's diameter from its largest image.
 
     As long as no typical size is known, the second largest of four and more is the whole one: the largest may be of
-    two targets, and beside it all others would look half hidden.
+    two targets, and beside it all others would appear half hidden.
     """
     members, ranks, values = hypothesis
-    rules = data.rules
+    rules = data.rules[0]
     largest, second, images = largest_image(members, values, data)
     if rules.typical_m > 0.0:
         whole = rules.typical_m
@@ -165,9 +195,9 @@ def judge_sizes(hypothesis, data):  # type: ignore[no-untyped-def]
 
 @bare_step
 def largest_image(members, point, data):  # type: ignore[no-untyped-def]
-    """Return the largest and second largest size [m] of a group's images, and of how many.
+    """Return the largest and second largest size [m] of a hypothesis's images, and of how many.
 
-    Images that detection takes for two targets say nothing of the size, unless all are.
+    Images that detection takes for two targets are no evidence of the size, unless all are.
     """
     largest = second = anyhow = 0.0
     images = 0
@@ -241,7 +271,7 @@ def wholeness(ray, trust, rays):  # type: ignore[no-untyped-def]
 @bare_step
 def too_large(ray, camera, point, data):  # type: ignore[no-untyped-def]
     """Whether an image shows two targets grown together."""
-    rules = data.rules
+    rules = data.rules[0]
     if int(data.rays[ray, FLAGS]) & MERGED:
         return True
     if not rules.judge > 0.0 or rules.typical_m <= 0.0:
@@ -252,7 +282,7 @@ def too_large(ray, camera, point, data):  # type: ignore[no-untyped-def]
 @bare_step
 def half_hidden(members, point, diameter, data):  # type: ignore[no-untyped-def]
     """Whether a member's image is so small that more than half of the target must be hidden."""
-    rules = data.rules
+    rules = data.rules[0]
     if not rules.judge > 0.0:
         return False
     whole = rules.typical_m if rules.typical_m > 0.0 else diameter
@@ -266,7 +296,7 @@ def half_hidden(members, point, diameter, data):  # type: ignore[no-untyped-def]
 @bare_step
 def acceptable(hypothesis, count, error, diameter, data):  # type: ignore[no-untyped-def]
     """Whether a hypothesis is accepted: errors, volume, certainty; a pair only with images at least half visible."""
-    rules, solved = data.rules, hypothesis.values
+    rules, solved = data.rules[0], hypothesis.values
     if not 0.0 <= error <= limit(2 * count - 3, rules.gate_sigma if count == 2 else rules.outlier_sigma):
         return False
     if not inside(solved, rules):
@@ -288,9 +318,9 @@ def acceptable(hypothesis, count, error, diameter, data):  # type: ignore[no-unt
 def inside(point, rules):  # type: ignore[no-untyped-def]
     """Whether a point lies in the volume."""
     return (
-        rules.low[0] <= point[0] <= rules.high[0]
-        and rules.low[1] <= point[1] <= rules.high[1]
-        and rules.low[2] <= point[2] <= rules.high[2]
+        rules.low_x <= point[0] <= rules.high_x
+        and rules.low_y <= point[1] <= rules.high_y
+        and rules.low_z <= point[2] <= rules.high_z
     )
 
 
@@ -305,10 +335,10 @@ def limit(freedom, sigma):  # type: ignore[no-untyped-def]
 
 @bare_step
 def store(hypothesis, error, diameter, rays, at, kept):  # type: ignore[no-untyped-def]
-    """Complete a group's values and keep it in row ``at``: values (n, VALUES), members (n, c), trusts (n, c).
+    """Complete a hypothesis's values and keep it in row ``at``: values (n, VALUES), members (n, c), trusts (n, c).
 
     Gain: the likelihood of its images as one target against that of images by chance, but for the density of
-    targets, which all groups share (Poore 1994, section 3): sum log(1 / (2 pi sigma^2 rho)) - chi2 / 2 +
+    targets, which all hypotheses share (Poore 1994, section 3): sum log(1 / (2 pi sigma^2 rho)) - chi2 / 2 +
     log det(2 pi P) / 2.
     """
     members, ranks, solved = hypothesis

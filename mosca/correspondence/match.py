@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.correspondence.candidates import search
-from mosca.correspondence.hypothesis import SHAPES, SIZES, Hypotheses, MatchData, Rules
+from mosca.correspondence.hypothesis import SHAPES, SIZES, Hypotheses, MatchData, Rules, record_of
 from mosca.correspondence.selection import OPEN, choose, columns
 from mosca.data.arrays import Array
 from mosca.data.rays import Predicted, RayTable
@@ -104,7 +104,7 @@ def match_counted(
 @kernel
 def match_rays(rays, views, pairs, bases, start, rules, xyz, covariance):  # type: ignore[no-untyped-def]
     """Return the columns of ``Points``, the number of hypotheses, and how many pairs are left open."""
-    data = MatchData(rays, views, rules)
+    data = MatchData(rays, views, record_of(rules))
     kept, count = search(data, pairs, bases, start, xyz, covariance)
     kept = Hypotheses(kept.values[:count], kept.members[:count], kept.trusts[:count])
     state = choose(kept, data, xyz, covariance)

@@ -30,10 +30,10 @@ class RayIndex(NamedTuple):
 
 @inlined_step
 def nearest_ray(c, whole, index, solved, data):  # type: ignore[no-untyped-def]
-    """Return the ray of camera c nearest to the group's point among those that the covariances admit (-1: none), its
-    trust, the expected number of chance rays as near, and how many were admitted.
+    """Return the ray of camera c nearest to the hypothesis's point among those that the covariances admit (-1: none),
+    its trust, the expected number of chance rays as near, and how many were admitted.
     """
-    rays, views, rules = data
+    rays, views, rules = data.rays, data.views, data.rules[0]
     frame, first_in_cell, in_cell, place = index.cells
     reach, gate2 = index.reach[c], rules.gate_sigma**2
     x, y, z = solved[0] - views[c, 0], solved[1] - views[c, 1], solved[2] - views[c, 2]
@@ -128,4 +128,4 @@ def _side(c, axis, place, direction, w, own, solved, data):  # type: ignore[no-u
     j2 = (views[c, 9 + axis] - place * (z + views[c, 11])) / w
     variance = j0 * (j0 * solved[3] + 2.0 * (j1 * solved[4] + j2 * solved[5]))
     variance += j1 * (j1 * solved[7] + 2.0 * j2 * solved[8]) + j2 * j2 * solved[11]
-    return FIRST_ORDER * data.rules.gate_sigma * np.sqrt(variance + own)
+    return FIRST_ORDER * data.rules[0].gate_sigma * np.sqrt(variance + own)

@@ -48,7 +48,7 @@ def choose(kept, data, xyz, covariance):  # type: ignore[no-untyped-def]
     used = np.zeros(data.rays.shape[0], dtype=np.int64)
     assigned = np.zeros(xyz.shape[0], dtype=np.bool_)
     state, hypothesis = np.zeros(n, dtype=np.int8), new_hypothesis(cameras)
-    support = data.rules.support_sigma
+    support = data.rules[0].support_sigma
     line = buckets(xyz[:, 0].copy(), support * np.sqrt(covariance[:, 0, 0]))
     found = np.empty(xyz.shape[0], dtype=np.int64)
     density = _log_density(values, xyz)
@@ -211,7 +211,7 @@ def _shrink(g, kept, used, hypothesis, data):  # type: ignore[no-untyped-def]
         count += members[g, c] >= 0
     if not lost:
         return True
-    if count < data.rules.minimum_cameras:
+    if count < data.rules[0].minimum_cameras:
         return False
     for c in range(members.shape[1]):
         mates[c], ranks[c, TRUST] = members[g, c], kept.trusts[g, c]

@@ -32,9 +32,7 @@ FOLD_SAMPLES = 256
 
 
 def lens_row(lens: Lens, free: tuple[str, ...]) -> Array:
-    """Return a lens as a row (20,); ``free`` tells whether OpenCV's seldom used coefficients can differ from
-    0.
-    """
+    """Return a lens as a row (20,); ``free`` names the parameters that may change."""
     row = np.zeros(ROW)
     values = [getattr(lens, one.name) for one in fields(lens)]
     row[: len(values)] = values
@@ -79,7 +77,7 @@ def set_fold(q):  # type: ignore[no-untyped-def]
 
 @kernel
 def set_folds(rows):  # type: ignore[no-untyped-def]
-    """Write the folds of lens rows (n, 20); tell whether all have scales above 0, as a lens must."""
+    """Write the folds of lens rows (n, 20); return whether all have scales above 0, as a lens must."""
     for n in range(rows.shape[0]):
         q = rows[n]
         if not (q[0] > 0 and (q[3] > 0 and q[4] > 0 if q[MODEL] == MOSCA else q[1] > 0)):

@@ -19,6 +19,7 @@ from mosca.numba_support.decorators import bare_step, step
 STEPS = 60
 """Bisection alone halves pi down to the last bit in 52 steps."""
 CONVERGED_RAD = 1e-14
+"""Newton's method ends with a step below this: some units in the last place."""
 INVERTED = 1e-10
 """Residual up to which an image radius counts as inverted [rad]."""
 NEAR_AXIS = 1e-9
@@ -57,11 +58,11 @@ def direction(q, u, v, d, g):  # type: ignore[no-untyped-def]
         return False
     s, z = np.sin(theta), np.cos(theta)
     cx, cy = (wx / rho, wy / rho) if rho > NEAR_AXIS else (1.0, 0.0)
-    turn = rho / s if rho > NEAR_AXIS else 1.0
+    stretch = rho / s if rho > NEAR_AXIS else 1.0
     d[0], d[1], d[2] = s * cx, s * cy, z
     for k in range(3):
         along = (z * cx, z * cy, -s)[k] * slope
-        beside = (-cy, cx, 0.0)[k] * turn
+        beside = (-cy, cx, 0.0)[k] * stretch
         g[0, k] = fx * (cx * along - cy * beside)
         g[1, k] = fy * (cy * along + cx * beside)
     return True

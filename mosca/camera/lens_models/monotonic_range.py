@@ -1,8 +1,8 @@
 """Where a lens's radial mapping folds back: beyond it the model images nothing, whatever its polynomial does.
 
-A radial polynomial fitted inside the image may turn back outside it and rise again farther out; there it is
+A radial polynomial fitted inside the image may fold back outside it and rise again farther out; there it is
 regular once more and would image directions that no light takes to the sensor. So the mapping ends at the
-first place where its slope vanishes.
+first radius at which its slope vanishes.
 """
 
 from collections.abc import Sequence
