@@ -1,5 +1,6 @@
 """The import law holds, and the test that says so bites."""
 
+import ast
 import importlib.util
 from pathlib import Path
 
@@ -66,7 +67,18 @@ def test_files_can_be_read_in_one_sitting():
 
 @pytest.mark.parametrize(
     "package",
-    ["mosca", "mosca.data", "mosca.formats", "twin", "hardware", "reports"],
+    [
+        "mosca",
+        "mosca.calibration",
+        "mosca.continuous",
+        "mosca.data",
+        "mosca.formats",
+        "twin",
+        "twin.cameras",
+        "hardware",
+        "scenarios",
+        "reports",
+    ],
 )
 def test_folders_of_a_package_have_an_order(package):
     assert graph.cycle(graph.arrows(ROOT, package)) == []
@@ -95,3 +107,30 @@ def test_a_cycle_is_found(tmp_path):
 def test_a_package_can_be_taken_in_at_a_glance(package, most):
     entries = [p.name for p in (ROOT / package).iterdir() if p.name not in ("__init__.py", "__pycache__")]
     assert len(entries) <= most
+
+
+def test_no_two_public_classes_have_one_name():
+    """One name, one thing: a reader who searches for a class finds one."""
+    named: dict[str, list[str]] = {}
+    for room in law.ROOMS:
+        for path in (ROOT / room).rglob("*.py"):
+            for node in ast.parse(path.read_text(encoding="utf-8")).body:
+                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                    named.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
+    assert {name: places for name, places in named.items() if len(places) > 1} == {}
+
+
+def test_functions_fit_a_page_and_take_few_arguments_by_position():
+    """At most 80 lines and 10 positional parameters; more belong together in a structured value."""
+    too_much = []
+    for room in law.ROOMS:
+        for path in (ROOT / room).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                    lines = (node.end_lineno or node.lineno) - node.lineno + 1
+                    positional = len(node.args.posonlyargs) + len(node.args.args)
+                    if lines > 80 or positional > 10:
+                        too_much.append(
+                            f"{path.relative_to(ROOT)}: {node.name}: {lines} lines, {positional} parameters"
+                        )
+    assert too_much == []
