@@ -23,7 +23,7 @@ from hardware.pulse_numbers.clock_poller import ClockPoller
 from hardware.pulse_numbers.numbering import PulseNumbers
 from hardware.reorder_buffer import ReorderBuffer
 from hardware.settings import CameraHardware, RigHardware
-from hardware.statistics import CameraStatistics, RigStatistics
+from hardware.statistics import BufferCounts, RigStatistics
 from hardware.trigger import Trigger
 from hardware.triggers import open_trigger
 from mosca.data.arrays import Array
@@ -58,7 +58,7 @@ class HardwareSource:
         trigger_opener: OpenTrigger = open_trigger,
     ) -> None:
         self.rig = rig
-        self.statistics = RigStatistics({name: CameraStatistics() for name in rig.cameras})
+        self.statistics = RigStatistics({name: BufferCounts() for name in rig.cameras})
         self.reports: dict[str, DeviceReport] = {}
         self._opener = opener
         self._drivers: dict[str, CameraDriver] = {}

@@ -7,7 +7,7 @@ log = logging.getLogger("mosca.hardware")
 
 
 @dataclass
-class CameraStatistics:
+class BufferCounts:
     """Counts of one camera: ``whole`` + ``failed`` buffers were received."""
 
     whole: int = 0
@@ -32,7 +32,7 @@ class CameraStatistics:
 class RigStatistics:
     """Counts of all cameras, and what happened."""
 
-    cameras: dict[str, CameraStatistics] = field(default_factory=dict)
+    cameras: dict[str, BufferCounts] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     """Events, one line each, in the order in which they happened."""
 

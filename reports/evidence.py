@@ -36,7 +36,7 @@ class ErrorTable:
 
 
 @dataclass(frozen=True, eq=False)
-class FrameCounts:
+class MarkerCounts:
     """What was there and what was found, one row a frame.
 
     ``time_s`` (t,) [s from session start]; ``n_true_seen`` (t,) markers that could be seen; ``n_matched``
@@ -91,7 +91,7 @@ class Evidence:
     truth_names: tuple[str, ...] = ()
     marker_seen: Array | None = None
     errors: ErrorTable | None = None
-    counts: FrameCounts | None = None
+    counts: MarkerCounts | None = None
 
     def __post_init__(self) -> None:
         for name in ("working_space_center", "working_space_size"):

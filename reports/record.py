@@ -12,7 +12,7 @@ from mosca.errors import InputError
 
 
 @dataclass(frozen=True)
-class Blocks:
+class MetricBlocks:
     """What a metric is made of, block of consecutive frames by block: for comparing runs in pairs.
 
     ``sums`` (b,) what was added up in each block, ``weights`` (b,) how much of it there was, so that
@@ -53,7 +53,7 @@ class Metric:
     limit: float | None = None
     sense: Literal["at_most", "at_least"] = "at_most"
     passed: bool | None = None
-    blocks: Blocks | None = None
+    blocks: MetricBlocks | None = None
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ def _metric(fields: Mapping[str, Any]) -> Metric:
         **{
             **fields,
             "ci95": ci95 if ci95 is None else _pair(*ci95),
-            "blocks": None if blocks is None else Blocks(**blocks),
+            "blocks": None if blocks is None else MetricBlocks(**blocks),
         }
     )
 

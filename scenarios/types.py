@@ -136,7 +136,7 @@ class Score:
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class MeasuredTracks:
     """What is scored: the tracks, the rig with which they were reconstructed, and what else was found."""
 
     collected: Collected

@@ -28,7 +28,7 @@ from mosca.calibration.bundle.solver import (
 )
 from mosca.calibration.bundle.systematic_errors import systematic_covariance, systematic_errors
 from mosca.calibration.initial.pose_graph import View, chain
-from mosca.calibration.initial.target_pose import PoseFit, poses_of
+from mosca.calibration.initial.target_pose import TargetPoseFit, poses_of
 from mosca.calibration.single_camera.interior_orientation import (
     CameraViews,
     LensChoice,
@@ -259,11 +259,11 @@ def _seen(sightings: Sightings, stand: Array) -> dict[View, TargetView]:
     return {(int(camera[i]), int(at[i])): TargetView(mark[i:j], xy[i:j]) for i, j in pairwise(bounds)}
 
 
-def _poses(camera: Camera, seen: TargetView, target: RigidTarget) -> tuple[PoseFit, ...]:
+def _poses(camera: Camera, seen: TargetView, target: RigidTarget) -> tuple[TargetPoseFit, ...]:
     return poses_of(lens_directions(camera.lens, seen.xy_px), target.marks_m[seen.mark])
 
 
-def _doubt(fits: tuple[PoseFit, ...], seen: TargetView) -> float:
+def _doubt(fits: tuple[TargetPoseFit, ...], seen: TargetView) -> float:
     """Return how little a pose is to be trusted: few marks, or a mirrored pose that fits nearly as well."""
     ambiguous = 0.0 if len(fits) < 2 else min(1.0, (fits[0].rms_rad / max(fits[1].rms_rad, 1e-300)) ** 2)
     return 1 / len(seen.mark) + ambiguous**4

@@ -47,7 +47,7 @@ EDGE_ON = 0.5
 """Uncertainty of an epipolar plane's angle [rad] beyond which the ray is near the base and meets every plane."""
 
 
-class Search(NamedTuple):
+class SearchState(NamedTuple):
     """State of the search."""
 
     rays: RayIndex
@@ -102,7 +102,7 @@ def _begun(data, start):  # type: ignore[no-untyped-def]
         explained[i] = not np.isfinite(data.rays[i, ANGLE])
     joined, partner = np.zeros(total, dtype=np.bool_), np.full((total, cameras), -1, dtype=np.int32)
     index = RayIndex(cells(data.rays, data.views, start), reach)
-    return Search(index, slack, explained, joined, partner)
+    return SearchState(index, slack, explained, joined, partner)
 
 
 @step

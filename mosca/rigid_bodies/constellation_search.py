@@ -45,7 +45,7 @@ class SearchRules(NamedTuple):
     """Two poses are the same when no marker lies farther apart [m]."""
 
 
-class Pose(NamedTuple):
+class BodyTransform(NamedTuple):
     """x_world = rotation x_body + translation."""
 
     rotation: Array
@@ -134,7 +134,7 @@ def find(place, triples, points, rules, rows, score):  # type: ignore[no-untyped
     rows[:], score[:] = -1, 0.0
     best = _Best(rows, score, np.empty((2, m, 3)))
     three, corner = np.empty((3, 3)), np.empty((3, 3))
-    pose = Pose(np.empty((3, 3)), np.empty(3))
+    pose = BodyTransform(np.empty((3, 3)), np.empty(3))
     tried = 0
     for t in range(triples.shape[0]):
         i, j, k = triples[t, 0], triples[t, 1], triples[t, 2]
@@ -175,7 +175,7 @@ def _verify(place, points, gate2, rules, pose, best):  # type: ignore[no-untyped
         return
     spread, chi2, total = np.empty((6, 6)), np.empty(m), -1.0
     xyz, covariance, sigma2 = points.xyz, points.covariance, rules.sigma2 + rules.slack2
-    fitted = Pose(pose.rotation.copy(), pose.translation.copy())
+    fitted = BodyTransform(pose.rotation.copy(), pose.translation.copy())
     at, where, spreads = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3, 3))
     for again in range(2):
         k = 0

@@ -18,7 +18,7 @@ from mosca.data.bodies import RigidBody
 from mosca.data.files.toml import SETTINGS, NotNegative, Positive
 from mosca.data.rotations import rotation_from_vector
 from mosca.rigid_bodies.ambiguity import ALIKE_M, arrangements
-from mosca.rigid_bodies.constellation_search import Candidates, Pose, SearchRules, claim, find
+from mosca.rigid_bodies.constellation_search import BodyTransform, Candidates, SearchRules, claim, find
 from mosca.rigid_bodies.pose_kernels import fit_pose
 
 HIDDEN_SHARE = 0.3
@@ -75,7 +75,7 @@ class InstantPoints:
 
 
 @plain_dataclass(frozen=True, eq=False)
-class PoseFit:
+class BodyPoseFit:
     """A body's pose."""
 
     rotation: Array
@@ -112,7 +112,7 @@ class Constellation:
         self._others: dict[bytes, list[Array]] = {}
         self.span_m = float(body.distances().max())
 
-    def fit(self, seen: InstantPoints, rows: Array) -> PoseFit | None:
+    def fit(self, seen: InstantPoints, rows: Array) -> BodyPoseFit | None:
         """Return the pose of the markers at points ``rows`` (m,), -1 for none; None where they leave it open."""
         used = np.flatnonzero(rows >= 0)
         if len(used) < 3:
@@ -134,9 +134,9 @@ class Constellation:
             return None
         every = np.zeros(len(rows))
         every[used] = chi2
-        return PoseFit(rotation, translation, spread, rows.copy(), every)
+        return BodyPoseFit(rotation, translation, spread, rows.copy(), every)
 
-    def sound_fit(self, seen: InstantPoints, rows: Array) -> PoseFit | None:
+    def sound_fit(self, seen: InstantPoints, rows: Array) -> BodyPoseFit | None:
         """Return the pose of those of the points that agree: one that does not is left out, the worst first.
 
         None where three that agree do not remain.
@@ -148,12 +148,12 @@ class Constellation:
             fit = min(without, key=lambda one: float(one.chi2.sum())) if without else None
         return fit
 
-    def _without(self, fit: PoseFit, k: int, seen: InstantPoints) -> PoseFit | None:
+    def _without(self, fit: BodyPoseFit, k: int, seen: InstantPoints) -> BodyPoseFit | None:
         fewer = fit.rows.copy()
         fewer[k] = -1
         return self.fit(seen, fewer)
 
-    def _agree(self, fit: PoseFit, seen: InstantPoints) -> bool:
+    def _agree(self, fit: BodyPoseFit, seen: InstantPoints) -> bool:
         """Tell whether every point lies within its gate, the worst one also by the pose of the others alone."""
         used = np.flatnonzero(fit.rows >= 0)
         there = self._place[used] @ fit.rotation.T + fit.translation
@@ -189,10 +189,10 @@ class Constellation:
         gates = (self._gates(seen) + reach_m) ** 2
         mine = rows.copy()
         points = Candidates(seen.xyz, seen.covariance, free)
-        claim(self._place, Pose(rotation, translation), points, gates, mine)
+        claim(self._place, BodyTransform(rotation, translation), points, gates, mine)
         return mine
 
-    def find(self, seen: InstantPoints, free: Array) -> tuple[PoseFit | None, int]:
+    def find(self, seen: InstantPoints, free: Array) -> tuple[BodyPoseFit | None, int]:
         """Look for the body among the points ``free`` (n,); returns its pose and how many markers were found.
 
         No pose, but a count, where another one explains the points as well.
@@ -211,7 +211,7 @@ class Constellation:
             return None, count
         return fit, fit.count
 
-    def others(self, fit: PoseFit, seen: InstantPoints) -> list[PoseFit]:
+    def others(self, fit: BodyPoseFit, seen: InstantPoints) -> list[BodyPoseFit]:
         """Return other readings of the same points that are about as likely as ``fit``."""
         used = fit.rows >= 0
         key = used.tobytes()
@@ -232,12 +232,12 @@ class Constellation:
                 found.append(other)
         return found
 
-    def settled(self, fit: PoseFit) -> bool:
+    def settled(self, fit: BodyPoseFit) -> bool:
         """Tell whether the rotation is known well enough to be handed out."""
         return rotation_sigma(fit) < self.settings.largest_turn_rad
 
 
-def rotation_sigma(fit: PoseFit) -> float:
+def rotation_sigma(fit: BodyPoseFit) -> float:
     """Return the standard deviation of the rotation about its worst axis [rad]."""
     return float(np.sqrt(np.linalg.eigvalsh(fit.covariance[3:, 3:])[-1]))
 

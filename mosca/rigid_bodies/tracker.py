@@ -18,10 +18,10 @@ from mosca.data.rotations import quaternion_from_rotation
 from mosca.data.tracks import Points, Samples, Tracks
 from mosca.rigid_bodies.ambiguity import check_bodies
 from mosca.rigid_bodies.pose import (
+    BodyPoseFit,
     BodySettings,
     Constellation,
     InstantPoints,
-    PoseFit,
     angle_between,
     instant_points,
     predicted,
@@ -52,7 +52,7 @@ class _State:
 class _Answer:
     """Of one body at one instant: its pose, or how many markers were seen of one that is withheld."""
 
-    fit: PoseFit | None
+    fit: BodyPoseFit | None
     count: int
 
 
@@ -128,7 +128,9 @@ class BodyTracker:
             return _Answer(None, fit.count)
         return _Answer(fit, fit.count)
 
-    def _completed(self, one: Constellation, seen: InstantPoints, free: Array, fit: PoseFit) -> PoseFit:
+    def _completed(
+        self, one: Constellation, seen: InstantPoints, free: Array, fit: BodyPoseFit
+    ) -> BodyPoseFit:
         """Return the pose with the free points that stand where its other markers should be."""
         reach = one.span_m * rotation_sigma(fit)
         rows = one.claim(seen, free, fit.rotation, fit.translation, fit.rows, reach)
@@ -253,7 +255,7 @@ def _half_nearest(body: RigidBody) -> float:
 
 
 def _remember(
-    state: _State, fit: PoseFit, seen: InstantPoints, time_s: float, settings: BodySettings
+    state: _State, fit: BodyPoseFit, seen: InstantPoints, time_s: float, settings: BodySettings
 ) -> None:
     step = time_s - state.time_s
     if 0.0 < step <= settings.coast_s:

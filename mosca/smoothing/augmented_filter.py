@@ -43,7 +43,7 @@ class Filters(NamedTuple):
     """(s, r) -2 log-likelihood of each variance."""
 
 
-class Measured(NamedTuple):
+class TrackMeasurements(NamedTuple):
     """n measurements in order of time, as the kernel reads them."""
 
     slots: Array

@@ -15,7 +15,7 @@ from mosca.data.arrays import Array
 from mosca.data.files.toml import SETTINGS, NotNegative, Positive
 from mosca.data.tracks import Samples
 from mosca.errors import InputError
-from mosca.smoothing.augmented_filter import Filters, Measured, Prior, release, update
+from mosca.smoothing.augmented_filter import Filters, Prior, TrackMeasurements, release, update
 from mosca.smoothing.rts import LADDER, axis_moves
 
 FIRST_SLOTS = 32
@@ -135,7 +135,7 @@ class FixedLag:
         )
         move, noise = axis_moves(steps, s.memory_s)
         xyz, covariance = np.ascontiguousarray(samples.xyz), np.ascontiguousarray(samples.covariance)
-        measured = Measured(slots, fresh, xyz, covariance, move, noise, np.exp(-steps / s.learn_s))
+        measured = TrackMeasurements(slots, fresh, xyz, covariance, move, noise, np.exp(-steps / s.learn_s))
         update(measured, self._prior, self._filters)
         waiting = self._waiting
         for name in _Waiting._fields:

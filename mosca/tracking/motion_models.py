@@ -12,7 +12,7 @@ SHORT = 1e-2
 """Step over memory below which the closed form loses digits and the white-jerk limit serves."""
 
 
-class Motion(NamedTuple):
+class TransitionModel(NamedTuple):
     """A step of the state's change: transition and noise of one axis, the noise for unit variance of acceleration.
 
     ``order``: 2 (position, velocity) or 3 (and acceleration). ``pv``, ``pa``, ``va``, ``aa``: how position,
@@ -32,23 +32,23 @@ class Motion(NamedTuple):
     qaa: float
 
 
-def motion(model: str, step_s: float, memory_s: float) -> Motion:
+def motion(model: str, step_s: float, memory_s: float) -> TransitionModel:
     """Return the change over ``step_s`` >= 0 [s] of ``model``; ``memory_s``: how long an acceleration lasts."""
     t = step_s
     if model == "velocity":
-        return Motion(2, t, 0.0, 0.0, 0.0, t**4 / 4, t**3 / 2, 0.0, t * t, 0.0, 0.0)
+        return TransitionModel(2, t, 0.0, 0.0, 0.0, t**4 / 4, t**3 / 2, 0.0, t * t, 0.0, 0.0)
     a = 1.0 / memory_s
     x = a * t
     e = math.exp(-x)
     if x < SHORT:
         density = 2.0 * a
-        return Motion(
+        return TransitionModel(
             3, t, t * t / 2 * (1 - x / 3), t * (1 - x / 2), e,
             density * t**5 / 20, density * t**4 / 8, density * t**3 / 6,
             density * t**3 / 3, density * t * t / 2, density * t,
         )  # fmt: skip
     e2 = e * e
-    return Motion(
+    return TransitionModel(
         3, t, (x - 1 + e) / a**2, (1 - e) / a, e,
         (1 - e2 + 2 * x + 2 * x**3 / 3 - 2 * x * x - 4 * x * e) / a**4,
         (e2 + 1 - 2 * e + 2 * x * e - 2 * x + x * x) / a**3,

@@ -7,7 +7,7 @@ from mosca.errors import InputError
 from scenarios.spec.cameras import Cameras
 from scenarios.spec.scenario import Scenario
 from twin.cameras import library
-from twin.cameras.library import LensSpec, SensorSpec
+from twin.cameras.library import LensSpec, SensorEntry
 
 CHIP_KEYS = ("full_well_e", "read_noise_e", "bits", "quantum_efficiency")
 """Keys of light and noise that a library sensor gives where the scenario does not."""
@@ -15,7 +15,7 @@ ROUNDING = 1.02
 """Slack of image circles and frame rates, which makers round."""
 
 
-def named_sensor(name: str | None) -> SensorSpec | None:
+def named_sensor(name: str | None) -> SensorEntry | None:
     """Return the library's sensor, None for none; InputError for an unknown name."""
     return None if name is None else library.sensor(name)
 
@@ -36,7 +36,7 @@ def with_chip(spec: Scenario) -> Cameras:
     return spec.cameras.model_copy(update={key: value for key, value in changes.items() if key not in given})
 
 
-def pitch_and_focal_mm(camera: Camera, chip: SensorSpec | None, pitch_mm: float) -> tuple[float, float]:
+def pitch_and_focal_mm(camera: Camera, chip: SensorEntry | None, pitch_mm: float) -> tuple[float, float]:
     """Return a camera's pixel pitch and principal distance [mm].
 
     A Mosca lens has both; the others know pixels only: then the sensor's pitch counts, or ``pitch_mm``.
@@ -50,7 +50,7 @@ def pitch_and_focal_mm(camera: Camera, chip: SensorSpec | None, pitch_mm: float)
 
 def check_fits(
     camera: Camera,
-    chip: SensorSpec | None,
+    chip: SensorEntry | None,
     lens: LensSpec | None,
     pitch_mm: float,
     f_number: float,

@@ -11,8 +11,8 @@ from mosca.data.arrays import Array
 from mosca.data.rig import Rig
 from mosca.data.truth import Truth
 from mosca.diagnostics.camera_health import CameraHealth
-from reports.evidence import CameraView, ErrorTable, Evidence, FrameCounts
-from reports.record import Blocks, Metric, RunRecord
+from reports.evidence import CameraView, ErrorTable, Evidence, MarkerCounts
+from reports.record import Metric, MetricBlocks, RunRecord
 from scenarios.build.cameras import Calibrated
 from scenarios.run.provenance import provenance
 from scenarios.score.tracks import limits_met
@@ -70,7 +70,7 @@ def _metric(name: str, score: Score, spec: Scenario, met: Mapping[str, bool]) ->
     return Metric(
         name, score.value, unit, score.n, score.ci95, "none", spec.limits.get(name),
         "at_most" if sense == "at_most" else "at_least", met.get(name),
-        Blocks(score.sums, score.weights) if score.sums else None,
+        MetricBlocks(score.sums, score.weights) if score.sums else None,
     )  # fmt: skip
 
 
@@ -144,7 +144,7 @@ def evidence_of(spec: Scenario, rig: Rig, worth: Scored) -> Evidence:
         beside,
         views=tuple(_with_truth(v, truth, pulse) for v in collected.views),
         marker_seen=pairs.seen_mask.sum(axis=0),
-        counts=FrameCounts(time_s, pairs.seen, pairs.seen - pairs.missed, pairs.ghosts),
+        counts=MarkerCounts(time_s, pairs.seen, pairs.seen - pairs.missed, pairs.ghosts),
     )
 
 

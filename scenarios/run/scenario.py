@@ -38,7 +38,7 @@ from scenarios.score.score_run import scored
 from scenarios.score.without_truth import self_checks
 from scenarios.session.estimated import SessionCalibration, calibrate_in_session
 from scenarios.spec.scenario import Scenario
-from scenarios.types import Collected, Measured, RunOptions, Score, Scored, TruthSource
+from scenarios.types import Collected, MeasuredTracks, RunOptions, Score, Scored, TruthSource
 from twin.cameras.virtual_camera import VirtualCamera
 from twin.scenes.scene import Commands, Scene
 
@@ -127,7 +127,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
         with _timed(timings, "score"):
             calibration_m2 = None if own is None else own.covariance_m2
             names = built.known.rig.names
-            measured = Measured(
+            measured = MeasuredTracks(
                 collected, believed, names, synchronous, continuous, bodies, poses, calibration_m2
             )
             worth = scored(spec, name, measured, truth, opened.twin, built.scene)

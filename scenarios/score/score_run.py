@@ -16,14 +16,14 @@ from scenarios.score.reference import JUDGED, ReferenceTrajectories
 from scenarios.score.tracks import BLOCKS, metrics, pair
 from scenarios.score.without_truth import NEED_NO_TRUTH
 from scenarios.spec.scenario import Scenario
-from scenarios.types import Collected, Measured, Score, Scored, TruthPairs, TruthSource
+from scenarios.types import Collected, MeasuredTracks, Score, Scored, TruthPairs, TruthSource
 from twin.scenes.scene import Scene
 
 
 def scored(
     spec: Scenario,
     name: str,
-    measured: Measured,
+    measured: MeasuredTracks,
     truth: Truth | ReferenceTrajectories | None,
     twin: TruthSource | None,
     scene: Scene | None,
@@ -61,7 +61,7 @@ def not_judged(spec: Scenario, judged: Collection[str]) -> tuple[str, ...]:
     return tuple(name for name in spec.limits if name not in judged)
 
 
-def _beside_reference(spec: Scenario, measured: Measured, given: ReferenceTrajectories) -> Scored:
+def _beside_reference(spec: Scenario, measured: MeasuredTracks, given: ReferenceTrajectories) -> Scored:
     """Return what a user's own reference can judge: errors of the markers that it has, not which were missed."""
     collected = measured.collected
     space = max(spec.working_space.size_m)

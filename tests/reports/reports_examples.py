@@ -8,8 +8,8 @@ from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 from mosca.data.tracks import Tracks
-from reports.evidence import CameraView, ErrorTable, Evidence, FrameCounts
-from reports.record import Blocks, Metric, RunRecord
+from reports.evidence import CameraView, ErrorTable, Evidence, MarkerCounts
+from reports.record import Metric, MetricBlocks, RunRecord
 
 
 def look_at(position: Array, target: Array) -> Pose:
@@ -75,7 +75,7 @@ def example_evidence(seed: int = 3, frames: int = 120, markers: int = 8, views: 
         tuple(example_view(rng, f"cam{i}") for i in range(views)),
         np.round(1e9 * t).astype(np.int64), xyz, names, np.full(markers, frames),
         ErrorTable(rows, t[rows], columns, error),
-        FrameCounts(t, np.full(frames, markers), found.sum(axis=1), ghosts),
+        MarkerCounts(t, np.full(frames, markers), found.sum(axis=1), ghosts),
     )  # fmt: skip
 
 
@@ -93,7 +93,7 @@ def without_truth(evidence: Evidence) -> Evidence:
 
 
 def example_record(**changes: object) -> RunRecord:
-    blocks = Blocks(tuple(1e-8 * (4 + i % 5) * 100 for i in range(20)), (100.0,) * 20)
+    blocks = MetricBlocks(tuple(1e-8 * (4 + i % 5) * 100 for i in range(20)), (100.0,) * 20)
     metrics = (
         Metric("position_rms", 2.45e-4, "m", 960, (2.3e-4, 2.6e-4), "none", 3e-4, "at_most", True, blocks),
         Metric("relative_accuracy", 1.22e-4, "1", 960, (1.15e-4, 1.3e-4), "none", 1e-4, "at_most", False),

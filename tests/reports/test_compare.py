@@ -12,7 +12,7 @@ from scipy import stats
 
 from mosca.data.arrays import Array
 from reports.compare import missing, reading, regressions, summary_table
-from reports.record import Blocks, Metric, RunRecord
+from reports.record import Metric, MetricBlocks, RunRecord
 
 
 def run_with(*metrics: Metric, seed: int = 7, platform: str = "Linux x86_64") -> RunRecord:
@@ -22,7 +22,7 @@ def run_with(*metrics: Metric, seed: int = 7, platform: str = "Linux x86_64") ->
 def rms_of(errors: Array, blocks: int = 20, with_blocks: bool = True) -> Metric:
     """Return position_rms of errors (n, 3), its blocks, and an interval of +-10 %, as correlated frames give."""
     squares = np.array_split(np.sum(errors**2, axis=1), blocks)
-    made = Blocks(tuple(float(s.sum()) for s in squares), tuple(float(len(s)) for s in squares))
+    made = MetricBlocks(tuple(float(s.sum()) for s in squares), tuple(float(len(s)) for s in squares))
     value = float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
     return Metric(
         "position_rms",
@@ -89,8 +89,8 @@ def test_the_paired_half_width_of_a_mean_is_students(name: str) -> None:
     old, new = rng.normal(10, 1, 25), rng.normal(11, 1, 25)
     if name == "hota":
         old, new = new, old
-    before = Metric(name, float(old.mean()), "1", 25, blocks=Blocks(tuple(old), (1.0,) * 25))
-    after = Metric(name, float(new.mean()), "1", 25, blocks=Blocks(tuple(new), (1.0,) * 25))
+    before = Metric(name, float(old.mean()), "1", 25, blocks=MetricBlocks(tuple(old), (1.0,) * 25))
+    after = Metric(name, float(new.mean()), "1", 25, blocks=MetricBlocks(tuple(new), (1.0,) * 25))
     (found,) = regressions(run_with(after), run_with(before))
     wanted = stats.t.ppf(0.975, 24) * stats.sem(new - old)
     assert found.half_width == pytest.approx(wanted, rel=1e-3)
@@ -117,9 +117,11 @@ def test_few_or_different_blocks_are_not_paired() -> None:
 
 
 def test_blocks_without_samples_are_left_out() -> None:
-    blocks = Blocks((0.0, *(4.0 + i for i in range(10))), (0.0, *(1.0,) * 10))
+    blocks = MetricBlocks((0.0, *(4.0 + i for i in range(10))), (0.0, *(1.0,) * 10))
     old = Metric("position_p95", 8.5, "m", 10, blocks=blocks)
-    new = replace(old, value=8.5 * 1.05, blocks=Blocks(tuple(1.05 * s for s in blocks.sums), blocks.weights))
+    new = replace(
+        old, value=8.5 * 1.05, blocks=MetricBlocks(tuple(1.05 * s for s in blocks.sums), blocks.weights)
+    )
     assert regressions(run_with(new), run_with(old))[0].paired
 
 
@@ -170,14 +172,16 @@ def test_speed_is_judged_on_one_platform_with_intervals_only() -> None:
 
 def test_an_extreme_is_judged_by_the_scatter_of_the_blocks_extremes() -> None:
     largest = np.random.default_rng(3).gumbel(1.0, 0.1, 30)
-    old = Metric("position_max", float(largest.max()), "m", 30, blocks=Blocks(tuple(largest), (1.0,) * 30))
-    planted = replace(old, value=1.05 * old.value, blocks=Blocks(tuple(1.05 * largest), (1.0,) * 30))
+    old = Metric(
+        "position_max", float(largest.max()), "m", 30, blocks=MetricBlocks(tuple(largest), (1.0,) * 30)
+    )
+    planted = replace(old, value=1.05 * old.value, blocks=MetricBlocks(tuple(1.05 * largest), (1.0,) * 30))
     assert len(regressions(run_with(planted), run_with(old))) == 1
     rng, reports = np.random.default_rng(4), 0
     for _ in range(300):
         a, b = (rng.gumbel(1.0, 0.1, 30) for _ in range(2))
         pair = [
-            Metric("position_max", float(v.max()), "m", 30, blocks=Blocks(tuple(v), (1.0,) * 30))
+            Metric("position_max", float(v.max()), "m", 30, blocks=MetricBlocks(tuple(v), (1.0,) * 30))
             for v in (a, b)
         ]
         reports += bool(regressions(run_with(pair[0]), run_with(pair[1])))
@@ -203,7 +207,7 @@ names = st.sampled_from(["position_rms", "completeness", "nees", "ghosts_per_fra
 def runs(draw: st.DrawFn, name: str) -> RunRecord:
     value, below, above = draw(values), draw(st.floats(0, 0.5)), draw(st.floats(0, 0.5))
     sums = draw(st.none() | st.lists(values, min_size=10, max_size=10))
-    blocks = None if sums is None else Blocks(tuple(sums), (1.0,) * 10)
+    blocks = None if sums is None else MetricBlocks(tuple(sums), (1.0,) * 10)
     return run_with(Metric(name, value, "m", 9, (value * (1 - below), value * (1 + above)), blocks=blocks))
 
 
@@ -233,7 +237,7 @@ def test_the_unit_does_not_matter(pair: tuple[RunRecord, RunRecord], factor: flo
     def scaled(record: RunRecord) -> RunRecord:
         (m,) = record.metrics
         assert m.ci95 is not None
-        blocks = m.blocks and Blocks(tuple(s * factor**power for s in m.blocks.sums), m.blocks.weights)
+        blocks = m.blocks and MetricBlocks(tuple(s * factor**power for s in m.blocks.sums), m.blocks.weights)
         ci95 = (m.ci95[0] * factor, m.ci95[1] * factor)
         return replace(record, metrics=(replace(m, value=m.value * factor, ci95=ci95, blocks=blocks),))
 

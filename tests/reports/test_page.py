@@ -13,7 +13,7 @@ from reports_examples import example_evidence, example_record, example_view, wit
 
 from mosca.data.detections import Detections
 from mosca.data.tracks import Tracks
-from reports.evidence import CameraView, ErrorTable, Evidence, FrameCounts, true_positions
+from reports.evidence import CameraView, ErrorTable, Evidence, MarkerCounts, true_positions
 from reports.page import write_comparison_page, write_page
 from reports.plots import pictures
 from reports.record import Metric
@@ -164,7 +164,7 @@ def test_a_recording_without_truth_shows_what_there_is(tmp_path: Path) -> None:
 
 def nothing_found() -> Evidence:
     full = example_evidence()
-    counts = FrameCounts(full.counts.time_s, full.counts.n_true_seen, np.zeros(120), np.zeros(120))  # type: ignore[union-attr]
+    counts = MarkerCounts(full.counts.time_s, full.counts.n_true_seen, np.zeros(120), np.zeros(120))  # type: ignore[union-attr]
     empty = ErrorTable(np.empty(0), np.empty(0), np.empty(0), np.empty((0, 3)))
     return replace(full, tracks=Tracks.none(), errors=empty, counts=counts, views=())
 

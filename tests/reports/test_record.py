@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from reports_examples import example_record
 
 from mosca.errors import InputError
-from reports.record import Blocks, Metric, RunRecord, read_record, write_record
+from reports.record import Metric, MetricBlocks, RunRecord, read_record, write_record
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 
@@ -18,7 +18,7 @@ finite = st.floats(allow_nan=False, allow_infinity=False)
 def metrics(draw: st.DrawFn) -> Metric:
     n = draw(st.integers(0, 4))
     weights = st.lists(st.floats(0, 1e6), min_size=n, max_size=n)
-    blocks = Blocks(tuple(draw(st.lists(finite, min_size=n, max_size=n))), tuple(draw(weights)))
+    blocks = MetricBlocks(tuple(draw(st.lists(finite, min_size=n, max_size=n))), tuple(draw(weights)))
     return Metric(
         draw(st.text(max_size=8)), draw(finite), draw(st.sampled_from(["m", "1", "px"])), draw(st.integers(0, 9)),
         draw(st.none() | st.tuples(finite, finite)), "none", draw(st.none() | finite), "at_least",
@@ -56,9 +56,9 @@ def test_a_record_from_before_blocks_is_read(tmp_path: Path) -> None:
 
 def test_blocks_that_cannot_be_are_refused() -> None:
     with pytest.raises(ValueError, match="2 sums and 1 weights"):
-        Blocks((1.0, 2.0), (1.0,))
+        MetricBlocks((1.0, 2.0), (1.0,))
     with pytest.raises(ValueError, match="below 0"):
-        Blocks((1.0,), (-1.0,))
+        MetricBlocks((1.0,), (-1.0,))
 
 
 def test_a_missing_record_is_said_in_one_line(tmp_path: Path) -> None:

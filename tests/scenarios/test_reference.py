@@ -16,7 +16,7 @@ from scenarios.score.reference import read_reference, read_reference_csv, reques
 from scenarios.score.score_run import scored
 from scenarios.spec.catalog import find
 from scenarios.spec.scenario import load_scenario
-from scenarios.types import Collected, Measured, RunOptions, Score
+from scenarios.types import Collected, MeasuredTracks, RunOptions, Score
 
 STEP_NS = 10_000_000
 
@@ -134,7 +134,7 @@ def measured(shift_m=0.0, seed=3):
         np.full(n, 4), np.full(n, 0.1), np.full(n, "measured"),
     )  # fmt: skip
     collected = Collected(tracks, (), 0, Assembly(), {}, {})
-    return Measured(collected, Rig(()), (), lambda: tracks)
+    return MeasuredTracks(collected, Rig(()), (), lambda: tracks)
 
 
 SPEC = load_scenario(find("rigs/wand_lengths")).model_copy(

@@ -37,7 +37,7 @@ class Sourced(Table):
         return self
 
 
-class SensorSpec(Sourced):
+class SensorEntry(Sourced):
     """A sensor in the terms of EMVA 1288; ``wavelength_nm`` is that of the quantum efficiency."""
 
     width: Pixels
@@ -53,7 +53,7 @@ class SensorSpec(Sourced):
     row_time_s: Annotated[float, Field(ge=0, description="from row to row, 0 for a global shutter [s]")] = 0.0
 
     @model_validator(mode="after")
-    def _rows_fit(self) -> "SensorSpec":
+    def _rows_fit(self) -> "SensorEntry":
         if (self.shutter == "rolling") != (self.row_time_s > 0):
             raise ValueError(
                 f"row_time_s {self.row_time_s:g} given for a {self.shutter} shutter; 0 means global"
@@ -91,9 +91,9 @@ class LensSpec(Sourced):
 Spec = TypeVar("Spec", bound=Sourced)
 
 
-def sensors(folder: Path = FILES) -> dict[str, SensorSpec]:
+def sensors(folder: Path = FILES) -> dict[str, SensorEntry]:
     """Return the named sensors of ``sensors.toml`` in ``folder``; InputError names file, entry, key and value."""
-    return _entries(SensorSpec, folder / "sensors.toml")
+    return _entries(SensorEntry, folder / "sensors.toml")
 
 
 def lenses(folder: Path = FILES) -> dict[str, LensSpec]:
@@ -101,7 +101,7 @@ def lenses(folder: Path = FILES) -> dict[str, LensSpec]:
     return _entries(LensSpec, folder / "lenses.toml")
 
 
-def sensor(name: str) -> SensorSpec:
+def sensor(name: str) -> SensorEntry:
     """Return the sensor called ``name``; InputError lists those that there are."""
     return _named("sensor", name, sensors())
 

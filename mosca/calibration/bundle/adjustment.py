@@ -11,7 +11,7 @@ from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.calibration.bundle.levenberg_marquardt import Solution, adjusted_cameras
 from mosca.calibration.bundle.precision import precise
 from mosca.calibration.bundle.problem import Placements, Problem
-from mosca.calibration.bundle.tables import Loss, ReducedInverse, State
+from mosca.calibration.bundle.tables import Loss, ParameterValues, ReducedInverse
 from mosca.data.arrays import Array, read_only
 from mosca.data.rig import Camera, FisheyeLens, principal_distances_px
 
@@ -162,7 +162,7 @@ def _by_point(layout: NormalsLayout, cofactors: Array) -> Array:
 
 
 def _by_camera(
-    problem: Problem, layout: NormalsLayout, state: State, used: Array, tests: Array, numbers: Array
+    problem: Problem, layout: NormalsLayout, state: ParameterValues, used: Array, tests: Array, numbers: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Return sigma x, y [px] and sigma x, y [m] of each camera (c,)."""
     camera, table = layout.observations.camera, state.cameras

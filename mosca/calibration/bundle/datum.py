@@ -11,7 +11,7 @@ from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.calibration.bundle.lenses import influence
 from mosca.calibration.bundle.priors import LensPrior, Priors, free_lens_parameters
 from mosca.calibration.bundle.problem import Problem
-from mosca.calibration.bundle.tables import State
+from mosca.calibration.bundle.tables import ParameterValues
 from mosca.data.arrays import Array
 from mosca.errors import CalibrationError
 
@@ -40,7 +40,7 @@ def point_motions(points: Array) -> Array:
     return motions
 
 
-def placed_points(layout: NormalsLayout, state: State, which: slice) -> Array:
+def placed_points(layout: NormalsLayout, state: ParameterValues, which: slice) -> Array:
     """Return the points in the world [m] of the observations ``which`` of the sorted ones."""
     _, points, placements = state
     place = points[layout.observations.point[which]]
@@ -53,7 +53,7 @@ def placed_points(layout: NormalsLayout, state: State, which: slice) -> Array:
     return np.asarray(place)
 
 
-def generators(layout: NormalsLayout, state: State) -> Array:
+def generators(layout: NormalsLayout, state: ParameterValues) -> Array:
     """Return how the unknowns of the reduced system move (u, 7) by the common motions, in this order."""
     table, points, _ = state
     rotation, position = table[:, :9].reshape(-1, 3, 3), table[:, 9:LENS]
@@ -101,7 +101,12 @@ def check_datum(problem: Problem, loose: int) -> None:
 
 
 def weak_directions(
-    problem: Problem, layout: NormalsLayout, state: State, matrix: Array, variance: float, priors: Priors
+    problem: Problem,
+    layout: NormalsLayout,
+    state: ParameterValues,
+    matrix: Array,
+    variance: float,
+    priors: Priors,
 ) -> tuple[tuple[str, ...], Priors]:
     """Return the names of weakly determined unknowns, and a prior for the worst parameter of each lens with
     some.
@@ -137,7 +142,7 @@ def weak_directions(
     return tuple(layout.names[k] for k in weak), more
 
 
-def _plausible(problem: Problem, layout: NormalsLayout, state: State) -> Array:
+def _plausible(problem: Problem, layout: NormalsLayout, state: ParameterValues) -> Array:
     """Return what is plausible (u,) of each unknown of the reduced system as a standard deviation a priori."""
     table = state.cameras
     out = np.full(len(layout.names) + 1, PLAUSIBLE_SHARE)

@@ -29,11 +29,17 @@ from mosca.calibration.bundle.initial_points import intersected
 from mosca.calibration.bundle.kernels import BY_OWN, BY_ROTATION, BY_WORLD, LEAST_SQUARES, OBSERVED, observe
 from mosca.calibration.bundle.layout import NormalsLayout, layout_of
 from mosca.calibration.bundle.lenses import FAST
-from mosca.calibration.bundle.levenberg_marquardt import Task, empty_normals, linearised, reduced, state_of
+from mosca.calibration.bundle.levenberg_marquardt import (
+    AdjustmentTask,
+    empty_normals,
+    linearised,
+    reduced,
+    state_of,
+)
 from mosca.calibration.bundle.precision import by_unknowns, carry_down
 from mosca.calibration.bundle.priors import pulls
 from mosca.calibration.bundle.problem import Problem
-from mosca.calibration.bundle.tables import LensColumns, Loss, SortedObservations, State
+from mosca.calibration.bundle.tables import LensColumns, Loss, ParameterValues, SortedObservations
 from mosca.camera.projection import project_with_jacobians
 from mosca.data.arrays import Array
 from mosca.data.rig import principal_distances_px
@@ -202,7 +208,7 @@ def shifts_of(
     state = state_of(problem, adjustment.cameras, points, adjustment.placements)
     used = np.asarray(adjustment.used)
     weight = np.where(used[layout.order], layout.observations.weight, 0.0)
-    task = Task(problem, layout, (), Loss(LEAST_SQUARES, 1.0), 1.0, 1)
+    task = AdjustmentTask(problem, layout, (), Loss(LEAST_SQUARES, 1.0), 1.0, 1)
     normals = empty_normals(layout)
     linearised(task, state, weight, normals)
     pull, _ = pulls(problem, layout, (), state)
@@ -312,7 +318,7 @@ def _with_blocks(
 
 @kernel(fastmath=FAST)
 def _sums(
-    state: State, see: SortedObservations, columns: LensColumns, index: Array, image: Array, z: Array,
+    state: ParameterValues, see: SortedObservations, columns: LensColumns, index: Array, image: Array, z: Array,
     slopes: Array, by_block: Array
 ) -> None:  # fmt: skip
     """Add z^T w^2 J of each observation to its image's ``slopes`` (i, 2, u + 1) by the reduced system's unknowns, the

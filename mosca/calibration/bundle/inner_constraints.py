@@ -7,7 +7,7 @@ from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.calibration.bundle.levenberg_marquardt import Solution
 from mosca.calibration.bundle.precision import carry_down, carry_up
 from mosca.calibration.bundle.problem import Problem
-from mosca.calibration.bundle.tables import State
+from mosca.calibration.bundle.tables import ParameterValues
 from mosca.calibration.common.robust_fit import similarity
 from mosca.data.arrays import Array
 from mosca.errors import CalibrationError
@@ -36,7 +36,9 @@ def datum_mask(problem: Problem, layout: NormalsLayout, inverse: Array) -> Array
     return mask if problem.datum_points is None else mask & problem.datum_points[layout.members]
 
 
-def onto_given(problem: Problem, layout: NormalsLayout, solution: Solution, given: State) -> State:
+def onto_given(
+    problem: Problem, layout: NormalsLayout, solution: Solution, given: ParameterValues
+) -> ParameterValues:
     """Return the network moved so that its datum points neither shift, rotate nor stretch against their given
     values.
 
@@ -65,7 +67,7 @@ def onto_given(problem: Problem, layout: NormalsLayout, solution: Solution, give
     for poses in (table, placements):
         poses[:, :9] = (motion.rotation @ poses[:, :9].reshape(-1, 3, 3)).reshape(-1, 9)
         poses[:, 9:12] = carried(poses[:, 9:12])
-    return State(table, points, placements)
+    return ParameterValues(table, points, placements)
 
 
 def in_free_network(

@@ -11,7 +11,7 @@ import numpy as np
 
 from mosca.calibration.bundle.kernels import LEAST_SQUARES, LENS, UNSEEN, weigh
 from mosca.calibration.bundle.lenses import FAST, FOLD, MODEL, OPENCV_PLAIN, L, image
-from mosca.calibration.bundle.tables import LensColumns, Loss, SortedObservations, State
+from mosca.calibration.bundle.tables import LensColumns, Loss, ParameterValues, SortedObservations
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import step
 
@@ -26,7 +26,9 @@ V, SEEN, WEIGHT, THERE, E, A, LX, LY, BLOCK, OWN, ROOM = (
 
 
 @step(fastmath=FAST)
-def gather(state: State, see: SortedObservations, m: int, count: int, lanes: int, work: Array) -> None:
+def gather(
+    state: ParameterValues, see: SortedObservations, m: int, count: int, lanes: int, work: Array
+) -> None:
     """Write the direction of each point in the world from the camera, its pixel and its weight."""
     cameras, points, placements = state
     point_of, placement_of, xy_px, weight = see.point, see.placement, see.xy_px, see.weight
@@ -184,7 +186,7 @@ def derive(c: Array, camera: int, columns: LensColumns, lanes: int, w: Array, j:
 
 
 @step(fastmath=FAST)
-def derive_placed(state: State, see: SortedObservations, m: int, count: int, w: Array) -> None:
+def derive_placed(state: ParameterValues, see: SortedObservations, m: int, count: int, w: Array) -> None:
     """Write the derivatives by the rotation of each point's placement and by the placement's shift at BLOCK, by the
     point on its thing at OWN, from those by the point in the world at BLOCK.
     """

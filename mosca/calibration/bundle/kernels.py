@@ -12,7 +12,7 @@ Residuals are projected minus observed, in standard deviations. The arrays are d
 import numpy as np
 
 from mosca.calibration.bundle.lenses import FAST, IMAGED, image
-from mosca.calibration.bundle.tables import Loss, SortedObservations, State
+from mosca.calibration.bundle.tables import Loss, ParameterValues, SortedObservations
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel
 
@@ -39,7 +39,7 @@ def weigh(u: float, loss: Loss) -> tuple[float, float]:
 
 
 @kernel(fastmath=FAST)
-def observe(state: State, see: SortedObservations, m: int, out: Array) -> bool:
+def observe(state: ParameterValues, see: SortedObservations, m: int, out: Array) -> bool:
     """Project the point of observation ``m``; return whether it is imaged.
 
     Writes ``out`` (2, 37): of x and y the pixel and its derivatives, at the indices named above.
@@ -84,7 +84,7 @@ def observe(state: State, see: SortedObservations, m: int, out: Array) -> bool:
 
 
 @kernel(fastmath=FAST)
-def imaged(state: State, see: SortedObservations, out: Array) -> None:
+def imaged(state: ParameterValues, see: SortedObservations, out: Array) -> None:
     """Write the residuals ``out`` (n, 2), projected minus observed [px]; NaN where a camera does not image
     its point.
     """

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from mosca.calibration.bundle.problem import FOCAL, Distances, Problem
 from mosca.calibration.bundle.reduction import find_runs, pair_table, sorted_by
-from mosca.calibration.bundle.tables import Blocks, Known, LensColumns, SortedObservations
+from mosca.calibration.bundle.tables import EliminatedBlocks, Known, LensColumns, SortedObservations
 from mosca.data.arrays import Array, looked_at
 from mosca.errors import CalibrationError
 
@@ -29,7 +29,7 @@ class NormalsLayout:
 
     observations: SortedObservations
     columns: LensColumns
-    blocks: Blocks
+    blocks: EliminatedBlocks
     known: Known
     order: Array
     """(n,) sorts the problem's observations into ``observations``."""
@@ -156,10 +156,10 @@ def _blocks(
     slot_group: Array,
     runs: Array,
     width: int,
-) -> Blocks:
+) -> EliminatedBlocks:
     """Return where the parts of the blocks begin; ``width``: columns of a group."""
     dim, members = assigned.size, assigned.members
-    return Blocks(
+    return EliminatedBlocks(
         dim,
         first_observation,
         slot_first,

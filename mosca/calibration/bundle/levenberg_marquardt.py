@@ -19,7 +19,7 @@ from mosca.calibration.bundle.priors import Priors, pulls
 from mosca.calibration.bundle.problem import Placements, Problem
 from mosca.calibration.bundle.reduction import back_substitute, reduce_to_groups, scatter
 from mosca.calibration.bundle.rotations import observed_blocks, rotate_by
-from mosca.calibration.bundle.tables import Loss, NormalEquations, State
+from mosca.calibration.bundle.tables import Loss, NormalEquations, ParameterValues
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Pose
 
@@ -40,7 +40,7 @@ FAR_SIGMAS, LEFT_SHARE, UNSEEN_SIGMAS = 8.0, 0.5, 1e9
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
+class AdjustmentTask:
     """What every step of an adjustment needs.
 
     ``tolerance``: a step is not worth taking when it promises to move
@@ -62,7 +62,7 @@ class Descent:
     converged.
     """
 
-    state: State
+    state: ParameterValues
     normals: NormalEquations
     cost: float
     steps: int
@@ -86,7 +86,7 @@ class Solution:
     motions: int
 
 
-def first_state(problem: Problem, layout: NormalsLayout) -> State:
+def first_state(problem: Problem, layout: NormalsLayout) -> ParameterValues:
     """Return the starting values; points without are intersected from their rays."""
     cameras = tuple(one.camera for one in problem.cameras)
     points = intersected(cameras, layout, np.array(problem.points.xyz))
@@ -94,8 +94,8 @@ def first_state(problem: Problem, layout: NormalsLayout) -> State:
 
 
 def placed_again(
-    task: Task, state: State, residual: Array, weight: Array, least: float = 0.0
-) -> State | None:
+    task: AdjustmentTask, state: ParameterValues, residual: Array, weight: Array, least: float = 0.0
+) -> ParameterValues | None:
     """Return the state with badly placed points intersected again, None where that helps none.
 
     ``residual`` (n, 2) there [px]; ``least``: what, in standard deviations, a bad point has at least. Badly
@@ -129,14 +129,14 @@ def _distances(layout: NormalsLayout, residual: Array, weight: Array) -> Array:
     return np.where((weight > 0) & (layout.observations.placement < 0), away, 0.0)
 
 
-def residuals(layout: NormalsLayout, state: State) -> Array:
+def residuals(layout: NormalsLayout, state: ParameterValues) -> Array:
     """Return projected minus observed (n, 2) [px] of the sorted image points, NaN where not imaged."""
     out = np.empty((len(layout.order), 2))
     imaged(state, layout.observations, out)
     return out
 
 
-def adjusted_cameras(problem: Problem, layout: NormalsLayout, state: State) -> tuple[Camera, ...]:
+def adjusted_cameras(problem: Problem, layout: NormalsLayout, state: ParameterValues) -> tuple[Camera, ...]:
     """Return the cameras of a state."""
     table = state.cameras
     return tuple(
@@ -149,7 +149,9 @@ def adjusted_cameras(problem: Problem, layout: NormalsLayout, state: State) -> t
     )
 
 
-def state_of(problem: Problem, cameras: Sequence[Camera], points: Array, placements: Placements) -> State:
+def state_of(
+    problem: Problem, cameras: Sequence[Camera], points: Array, placements: Placements
+) -> ParameterValues:
     """Return a state of these cameras, points and placements."""
     table = [
         np.concatenate(
@@ -159,7 +161,7 @@ def state_of(problem: Problem, cameras: Sequence[Camera], points: Array, placeme
         for pose in [camera.world_from_camera]
     ]
     poses = np.column_stack([placements.rotation.reshape(-1, 9), placements.translation])
-    return State(np.array(table), np.array(points), poses)
+    return ParameterValues(np.array(table), np.array(points), poses)
 
 
 def reduced(
@@ -185,7 +187,7 @@ def reduced(
     return matrix, slope
 
 
-def descend(task: Task, start: State, weight: Array) -> Descent:
+def descend(task: AdjustmentTask, start: ParameterValues, weight: Array) -> Descent:
     """Descend from ``start`` to the least cost; ``weight`` (n,) 1/sigma of the sorted image points, 0 where left
     out.
     """
@@ -229,7 +231,7 @@ def descend(task: Task, start: State, weight: Array) -> Descent:
 
 
 def linearised(
-    task: Task, state: State, weight: Array, normals: NormalEquations
+    task: AdjustmentTask, state: ParameterValues, weight: Array, normals: NormalEquations
 ) -> tuple[float, int, tuple[Array, Array] | None]:
     """Write the normal equations at a state; return the cost, the number of unseen points and ``pulls``."""
     layout = task.layout
@@ -242,7 +244,11 @@ def linearised(
 
 
 def _step(
-    task: Task, normals: NormalEquations, pull: tuple[Array, Array] | None, damping: float, inverse: Array
+    task: AdjustmentTask,
+    normals: NormalEquations,
+    pull: tuple[Array, Array] | None,
+    damping: float,
+    inverse: Array,
 ) -> tuple[tuple[Array, Array] | None, float]:
     """Return a damped step of the groups and of the blocks (None where there is none) and the promised decrease."""
     layout = task.layout
@@ -265,7 +271,9 @@ def _step(
     return (group_step, block_step), promised
 
 
-def moved(layout: NormalsLayout, state: State, group_step: Array, block_step: Array) -> State | None:
+def moved(
+    layout: NormalsLayout, state: ParameterValues, group_step: Array, block_step: Array
+) -> ParameterValues | None:
     """Return ``state`` after steps of the groups (groups, K) and blocks; None for a scale of a lens not above
     0.
     """
@@ -292,7 +300,7 @@ def moved(layout: NormalsLayout, state: State, group_step: Array, block_step: Ar
         moved[:, 9:] += steps[:, 3:]
         placements = placements.copy()
         placements[layout.placed] = moved
-    return State(cameras, points, placements)
+    return ParameterValues(cameras, points, placements)
 
 
 def empty_normals(layout: NormalsLayout) -> NormalEquations:

@@ -24,13 +24,13 @@ from mosca.calibration.bundle.jacobian_rows import (
 )
 from mosca.calibration.bundle.lenses import FAST, IMAGED
 from mosca.calibration.bundle.tables import (
-    Blocks,
+    EliminatedBlocks,
     Known,
     LensColumns,
     Loss,
     NormalEquations,
+    ParameterValues,
     SortedObservations,
-    State,
 )
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel, step
@@ -59,7 +59,7 @@ class Batch(NamedTuple):
 
 @kernel(fastmath=FAST)
 def linearise(
-    state: State, see: SortedObservations, columns: LensColumns, blocks: Blocks, known: Known, loss: Loss,
+    state: ParameterValues, see: SortedObservations, columns: LensColumns, blocks: EliminatedBlocks, known: Known, loss: Loss,
     normals: NormalEquations
 ) -> tuple[float, int]:  # fmt: skip
     """Write the normal equations at ``state`` into ``normals``; return the cost and the number of unseen points."""
@@ -146,7 +146,9 @@ def _sum_camera(
 
 
 @step(fastmath=FAST)
-def _sum_block(batch: Batch, see: SortedObservations, blocks: Blocks, normals: NormalEquations) -> None:
+def _sum_block(
+    batch: Batch, see: SortedObservations, blocks: EliminatedBlocks, normals: NormalEquations
+) -> None:
     """Add a batch to its blocks' normals and slope, and to what these have in common with the camera."""
     b, size, m, count, used, w, j, local = batch
     offset, slot, block = see.offset[m], see.slot, see.block
@@ -197,7 +199,9 @@ def _sum_own(batch: Batch, x: int, y: int, to: int, n: int, block_normals: Array
 
 
 @step(fastmath=FAST)
-def _sum_kept(batch: Batch, see: SortedObservations, blocks: Blocks, normals: NormalEquations) -> None:
+def _sum_kept(
+    batch: Batch, see: SortedObservations, blocks: EliminatedBlocks, normals: NormalEquations
+) -> None:
     """Add a batch to the kept points that it shows, and to what these have in common with cameras and blocks."""
     b, size, m, count, used, w, j, _ = batch
     camera, placement, offset = see.camera[m], see.placement[m], see.offset[m]

@@ -7,12 +7,12 @@ import numpy as np
 from mosca.calibration.bundle.kernels import BY_OWN, BY_POSE, BY_ROTATION, BY_WORLD, OBSERVED, observe, weigh
 from mosca.calibration.bundle.lenses import FAST, L
 from mosca.calibration.bundle.tables import (
-    Blocks,
+    EliminatedBlocks,
     LensColumns,
     Loss,
+    ParameterValues,
     ReducedInverse,
     SortedObservations,
-    State,
 )
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel, step
@@ -35,7 +35,7 @@ class BlockCofactors(NamedTuple):
 
 @kernel(fastmath=FAST)
 def precise(
-    state: State, see: SortedObservations, base_weight: Array, columns: LensColumns, blocks: Blocks, loss: Loss,
+    state: ParameterValues, see: SortedObservations, base_weight: Array, columns: LensColumns, blocks: EliminatedBlocks, loss: Loss,
     mixed: Array, inverse: ReducedInverse, block_cofactors: Array, tests: Array
 ) -> None:  # fmt: skip
     """Write cofactors of the blocks and the residual and test statistic of each image point.
@@ -123,7 +123,7 @@ def _times_inverse(inverse: Array, at: int, n: int, blocks: int, matrix: Array, 
 
 @step(fastmath=FAST)
 def _test(
-    m: int, state: State, see: SortedObservations, base_weight: Array, columns: LensColumns, loss: Loss,
+    m: int, state: ParameterValues, see: SortedObservations, base_weight: Array, columns: LensColumns, loss: Loss,
     inverse: ReducedInverse, work: tuple[Array, Array, Array, Array], part: BlockCofactors, tests: Array
 ) -> None:  # fmt: skip
     """Write the tests of one image point; ``part``: cofactors of its block."""
@@ -214,7 +214,7 @@ def by_unknowns(out: Array, columns: LensColumns, camera: int, j: Array) -> None
 
 
 @kernel(fastmath=FAST)
-def carry_down(blocks: Blocks, mixed: Array, inverse: Array, index: Array, z: Array) -> Array:
+def carry_down(blocks: EliminatedBlocks, mixed: Array, inverse: Array, index: Array, z: Array) -> Array:
     """Return V^-1 W^T z of all blocks (all their unknowns, q), for z (u + 1, q) of the reduced system, last
     row zero.
     """
@@ -240,7 +240,7 @@ def carry_down(blocks: Blocks, mixed: Array, inverse: Array, index: Array, z: Ar
 
 @kernel(fastmath=FAST)
 def carry_up(
-    blocks: Blocks, mixed: Array, inverse: Array, index: Array, unknowns: int, z: Array
+    blocks: EliminatedBlocks, mixed: Array, inverse: Array, index: Array, unknowns: int, z: Array
 ) -> tuple[Array, Array, Array]:
     """Return W V^-1 z (u, q), V^-1 z and the sum of z^T V^-1 z (q, q), for z (all unknowns of the blocks, q)."""
     dim, runs, slot_first, slot_group = blocks.size, blocks.runs, blocks.first_slot, blocks.slot_group

@@ -10,7 +10,7 @@ from mosca.calibration.bundle.kernels import LENS
 from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.calibration.bundle.problem import Problem
 from mosca.calibration.bundle.rotations import observed_pose
-from mosca.calibration.bundle.tables import State
+from mosca.calibration.bundle.tables import ParameterValues
 from mosca.data.arrays import Array
 
 
@@ -51,7 +51,7 @@ def free_lens_parameters(problem: Problem, layout: NormalsLayout) -> list[tuple[
 
 
 def pulls(
-    problem: Problem, layout: NormalsLayout, priors: Priors, state: State
+    problem: Problem, layout: NormalsLayout, priors: Priors, state: ParameterValues
 ) -> tuple[tuple[Array, Array] | None, float]:
     """Return normal matrix (u, u) and slope (u,) of all a-priori observations, and its cost; None if
     nothing is.

@@ -8,7 +8,7 @@ them (rows by unknowns of the blocks, columns by slots), as ``normals`` lays it 
 import numpy as np
 
 from mosca.calibration.bundle.lenses import FAST
-from mosca.calibration.bundle.tables import Blocks, NormalEquations
+from mosca.calibration.bundle.tables import EliminatedBlocks, NormalEquations
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel, step
 
@@ -122,7 +122,7 @@ def _products(own: Array, carried: Array, out: Array) -> None:
 
 @kernel(fastmath=FAST)
 def reduce_to_groups(
-    blocks: Blocks,
+    blocks: EliminatedBlocks,
     normals: NormalEquations,
     damping: float,
     inverse: Array,
@@ -207,7 +207,7 @@ def scatter(normals: NormalEquations, pairs: Array, index: Array, damping: float
 
 @kernel(fastmath=FAST)
 def back_substitute(
-    blocks: Blocks,
+    blocks: EliminatedBlocks,
     normals: NormalEquations,
     damping: float,
     inverse: Array,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mosca.calibration.bundle.tables import Blocks, Known, NormalEquations, State
+from mosca.calibration.bundle.tables import EliminatedBlocks, Known, NormalEquations, ParameterValues
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel, step
 
@@ -75,7 +75,9 @@ def observed_pose(pose: Array, given: Array, weight: Array, normals: Array, slop
 
 
 @kernel
-def observed_blocks(state: State, blocks: Blocks, known: Known, normals: NormalEquations) -> float:
+def observed_blocks(
+    state: ParameterValues, blocks: EliminatedBlocks, known: Known, normals: NormalEquations
+) -> float:
     """Add the observed coordinates of eliminated points and the observed poses of placements; return their
     cost.
     """

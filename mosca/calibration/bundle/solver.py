@@ -27,9 +27,9 @@ from mosca.calibration.bundle.inner_constraints import diagonals, onto_given
 from mosca.calibration.bundle.kernels import CAUCHY, HUBER, LEAST_SQUARES, LENS, UNSEEN, weigh
 from mosca.calibration.bundle.layout import NormalsLayout, layout_of
 from mosca.calibration.bundle.levenberg_marquardt import (
+    AdjustmentTask,
     Descent,
     Solution,
-    Task,
     adjusted_cameras,
     descend,
     empty_normals,
@@ -52,7 +52,7 @@ from mosca.calibration.bundle.problem import (
     Placements,
     Problem,
 )  # fmt: skip
-from mosca.calibration.bundle.tables import Loss, State
+from mosca.calibration.bundle.tables import Loss, ParameterValues
 from mosca.data.arrays import Array, read_only
 from mosca.errors import CalibrationError
 
@@ -97,7 +97,9 @@ def solve(
     layout = layout_of(problem)
     state = first_state(problem, layout) if start is None else _state_of(problem, layout, start)
     loss = Loss(LOSSES[settings.loss], settings.loss_scale**2)
-    task = Task(problem, layout, lens_priors(problem, layout), loss, settings.tolerance, settings.most_steps)
+    task = AdjustmentTask(
+        problem, layout, lens_priors(problem, layout), loss, settings.tolerance, settings.most_steps
+    )
     weight = without_undetermined(layout, layout.observations.weight)
     task, solution, weak, steps = _solved(task, state, weight, settings.hold_weak)
     held = tuple(layout.names[one.column] for one in task.priors[len(lens_priors(problem, layout)) :])
@@ -141,8 +143,8 @@ def solve(
 
 
 def _solved(
-    task: Task, state: State, weight: Array, hold_weak: bool
-) -> tuple[Task, Solution, tuple[str, ...], int]:
+    task: AdjustmentTask, state: ParameterValues, weight: Array, hold_weak: bool
+) -> tuple[AdjustmentTask, Solution, tuple[str, ...], int]:
     """Descend, holding lens parameters that turn out to be weak, which the task returned then has as priors.
 
     Also returns the names of weak unknowns and the number of steps.
@@ -179,7 +181,7 @@ def _solved(
     return task, Solution(descent, weight, _inverse(task.layout, matrix), inverse, motions), weak, steps
 
 
-def _solution_at(task: Task, solution: Solution) -> Solution:
+def _solution_at(task: AdjustmentTask, solution: Solution) -> Solution:
     """Return the solution with the normal equations of its state, which was moved since."""
     normals = empty_normals(task.layout)
     linearised(task, solution.descent.state, solution.weight, normals)
@@ -188,7 +190,7 @@ def _solution_at(task: Task, solution: Solution) -> Solution:
     return Solution(descent, solution.weight, _inverse(task.layout, matrix), inverse, motions)
 
 
-def _normal_matrix(task: Task, descent: Descent) -> tuple[Array, Array, int]:
+def _normal_matrix(task: AdjustmentTask, descent: Descent) -> tuple[Array, Array, int]:
     """Return the reduced normal matrix with the datum fixed, the inverse blocks, and how many motions were
     loose.
     """
@@ -221,7 +223,7 @@ def _inverse(layout: NormalsLayout, matrix: Array) -> Array:
     return np.asarray((inverse + inverse.T) / 2)
 
 
-def _variance(task: Task, solution: Solution) -> tuple[float, int]:
+def _variance(task: AdjustmentTask, solution: Solution) -> tuple[float, int]:
     """Return the variance of unit weight and the redundancy."""
     layout, descent = task.layout, solution.descent
     active = int((solution.weight > 0).sum()) - descent.unseen
@@ -233,7 +235,7 @@ def _variance(task: Task, solution: Solution) -> tuple[float, int]:
     return max(descent.cost - unseen, 0.0) / max(redundancy, 1), redundancy
 
 
-def _snooped(task: Task, solution: Solution, significance: float) -> tuple[Solution, Array]:
+def _snooped(task: AdjustmentTask, solution: Solution, significance: float) -> tuple[Solution, Array]:
     """Return the solution without blunders, and which sorted image points (n,) were rejected."""
 
     def solve_again(before: Solution, weight: Array) -> Solution:
@@ -248,7 +250,7 @@ def _snooped(task: Task, solution: Solution, significance: float) -> tuple[Solut
     return snoop(task.layout, solution, significance, solve_again, test)
 
 
-def _state_of(problem: Problem, layout: NormalsLayout, start: Adjustment) -> State:
+def _state_of(problem: Problem, layout: NormalsLayout, start: Adjustment) -> ParameterValues:
     """Return the state of an earlier adjustment of the same structure."""
     points = np.where(np.isfinite(start.points), start.points, problem.points.xyz)
     return state_of(problem, start.cameras, intersected(start.cameras, layout, points), start.placements)

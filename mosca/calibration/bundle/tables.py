@@ -8,7 +8,7 @@ from typing import NamedTuple
 from mosca.data.arrays import Array
 
 
-class State(NamedTuple):
+class ParameterValues(NamedTuple):
     """Values of all unknowns and of what is held."""
 
     cameras: Array
@@ -59,7 +59,7 @@ class LensColumns(NamedTuple):
     """(c, k) ... times this; 0 for none."""
 
 
-class Blocks(NamedTuple):
+class EliminatedBlocks(NamedTuple):
     """Blocks of eliminated unknowns and where their parts begin in flat arrays."""
 
     size: Array

@@ -28,7 +28,7 @@ TUKEY = 4.685
 
 
 @dataclass(frozen=True, eq=False)
-class PoseFit:
+class TargetPoseFit:
     """A pose ``camera_from_target`` and how it fits: ``rms_rad`` root mean square distance of the rays, with the
     points that do not fit left out (``used`` (n,) bool).
     """
@@ -38,7 +38,7 @@ class PoseFit:
     used: Array
 
 
-def poses_of(directions: Array, points: Array, *, robust: bool = True) -> tuple[PoseFit, ...]:
+def poses_of(directions: Array, points: Array, *, robust: bool = True) -> tuple[TargetPoseFit, ...]:
     """Return the poses (best first, one or two) of target points (n, 3) [m] seen along unit rays (n, 3).
 
     Empty where fewer than four points are seen or no pose has all of them before the camera.
@@ -47,7 +47,7 @@ def poses_of(directions: Array, points: Array, *, robust: bool = True) -> tuple[
     if good.sum() < FEWEST_POINTS:
         return ()
     rays, there = directions[good], points[good]
-    found: list[PoseFit] = []
+    found: list[TargetPoseFit] = []
     for start in _starts(rays, there):
         fit = _refined(start, rays, there, robust)
         if fit is not None and not any(_same(fit, other) for other in found):
@@ -146,7 +146,7 @@ def _solid_start(rays: Array, points: Array) -> Pose | None:
     return Pose(rotation, translation - rotation @ middle)
 
 
-def _refined(start: Pose, rays: Array, points: Array, robust: bool) -> PoseFit | None:
+def _refined(start: Pose, rays: Array, points: Array, robust: bool) -> TargetPoseFit | None:
     """Return the least-squares pose from ``start``; None where points end up behind the camera.
 
     Residuals are taken in the plane across each ray, so that every lens is treated alike.
@@ -186,7 +186,7 @@ def _refined(start: Pose, rays: Array, points: Array, robust: bool) -> PoseFit |
         assert slope is not None
     used = weight > 0
     rms = float(np.sqrt((weight * (residual**2).sum(axis=1)).sum() / max(weight.sum(), 1e-300)))
-    return PoseFit(Pose(rotation, translation - rotation @ middle), rms, used)
+    return TargetPoseFit(Pose(rotation, translation - rotation @ middle), rms, used)
 
 
 def _residuals(
@@ -212,15 +212,15 @@ def _across(rays: Array) -> Array:
     return np.stack([first, np.cross(rays, first)], axis=1)
 
 
-def _same(one: PoseFit, other: PoseFit) -> bool:
+def _same(one: TargetPoseFit, other: TargetPoseFit) -> bool:
     turn = one.camera_from_target.rotation.T @ other.camera_from_target.rotation
     return bool(np.linalg.norm(turn - np.eye(3)) < SAME_RAD)
 
 
-def _widened(fit: PoseFit, good: Array) -> PoseFit:
+def _widened(fit: TargetPoseFit, good: Array) -> TargetPoseFit:
     used = np.zeros(len(good), dtype=bool)
     used[good] = fit.used
-    return PoseFit(fit.camera_from_target, fit.rms_rad, used)
+    return TargetPoseFit(fit.camera_from_target, fit.rms_rad, used)
 
 
 def _normaliser(points: Array) -> Array:

@@ -27,7 +27,7 @@ from mosca.continuous.estimator.motion_prior import ORDERS, expected_acceleratio
 from mosca.continuous.estimator.observation_equations import ImagePoints
 from mosca.continuous.estimator.residual_covariance import unheld
 from mosca.continuous.estimator.single_point import first_curves
-from mosca.continuous.estimator.state import State, StateLayout, layout
+from mosca.continuous.estimator.state import StateLayout, TrajectoryState, layout
 from mosca.continuous.model.estimated import Clock, ConstantDistance, ContinuousEstimate, ContinuousSettings
 from mosca.continuous.model.observations import CameraPaths, Curves, TimedObservations
 from mosca.data.arrays import Array
@@ -81,7 +81,9 @@ def estimate(
     knots = first_knots(used, settings)
     clock_free = clock_rules.free_unknowns(settings.clocks, len(observations.cameras))
     xyz = np.zeros((knots.count, len(observations.points), 3))
-    state = State(knots, xyz, still, moving_start(settings, still, paths, knots), np.zeros(clock_free.shape))
+    state = TrajectoryState(
+        knots, xyz, still, moving_start(settings, still, paths, knots), np.zeros(clock_free.shape)
+    )
     alone = layout(
         tuple(np.array([p]) for p in points), len(still.cameras), "known", np.zeros_like(clock_free)
     )
@@ -139,9 +141,9 @@ def _first_covariances(points: Array, strength: Array, places: StateLayout) -> l
 
 
 def _settled(
-    image: ImagePoints, state: State, points: Array, settings: ContinuousSettings, strength: Array,
+    image: ImagePoints, state: TrajectoryState, points: Array, settings: ContinuousSettings, strength: Array,
     noise: float, clock_free: Array
-) -> tuple[State, Array, Array]:  # fmt: skip
+) -> tuple[TrajectoryState, Array, Array]:  # fmt: skip
     """Return the state with clocks and poses come to rest, which clock unknowns are not determined and held, and how
     moving cameras move: their part of the prior's covariance.
     """
@@ -166,7 +168,9 @@ def _settled(
     )
 
 
-def _learned(state: State, places: StateLayout, drawn: list[Array], before: list[Array]) -> list[Array]:
+def _learned(
+    state: TrajectoryState, places: StateLayout, drawn: list[Array], before: list[Array]
+) -> list[Array]:
     """Return the prior's covariance of each group as its drawn curves have it.
 
     Expectation-maximisation converges slowly where data determine little, as of cameras that are stationary: their
@@ -186,7 +190,7 @@ def _learned(state: State, places: StateLayout, drawn: list[Array], before: list
 
 
 def _rounds(
-    image: ImagePoints, state: State, places: StateLayout, covariances: list[Array], settings: ContinuousSettings,
+    image: ImagePoints, state: TrajectoryState, places: StateLayout, covariances: list[Array], settings: ContinuousSettings,
     known: Array, spans: Array
 ) -> tuple[Solved, list[Array], Pairs]:  # fmt: skip
     """Alternate Gauss-Newton steps and learning of variances; constant distances are sought once curves are joined,
@@ -224,7 +228,7 @@ def _rounds(
 
 
 def _pairs(
-    pairs: Pairs, state: State, places: StateLayout, drawn: list[Array], known: Array, spans: Array,
+    pairs: Pairs, state: TrajectoryState, places: StateLayout, drawn: list[Array], known: Array, spans: Array,
     left: set[tuple[int, int]] | None
 ) -> tuple[Pairs, set[tuple[int, int]]]:  # fmt: skip
     """Return the constant distances as the drawn curves have them, and those that do not hold and were dropped.

@@ -15,7 +15,7 @@ from mosca.continuous.estimator.observation_equations import (
     robust_weights,
     weighted,
 )
-from mosca.continuous.estimator.state import State, StateLayout, replaced, unknowns
+from mosca.continuous.estimator.state import StateLayout, TrajectoryState, replaced, unknowns
 from mosca.continuous.model.bspline import values
 from mosca.continuous.model.estimated import SplineCurves
 from mosca.continuous.model.observations import TimedObservations
@@ -38,7 +38,7 @@ class Solved:
     of image points; ``weight`` and ``residual`` of image points; ``moved``: largest change of a coefficient [m].
     """
 
-    state: State
+    state: TrajectoryState
     factors: list[Factor]
     carried: list[Array]
     covariance: Array
@@ -50,7 +50,7 @@ class Solved:
 
 def step(
     image: ImagePoints,
-    state: State,
+    state: TrajectoryState,
     places: StateLayout,
     covariances: list[Array],
     pairs: Pairs,
@@ -98,7 +98,7 @@ def step(
     return Solved(new, factors, carried, covariance, parts, weight, seen.residual, moved)
 
 
-def add_prior(band: Band, state: State, places: StateLayout, group: int, covariance: Array) -> None:
+def add_prior(band: Band, state: TrajectoryState, places: StateLayout, group: int, covariance: Array) -> None:
     """Add the smoothness prior of a group, and what keeps unknowns that nothing determines finite."""
     knots, width, points = state.knots, places.width(group), 3 * len(places.groups[group])
     band.add_prior(
@@ -202,7 +202,7 @@ def _of_group(
     return Rows(rows.first, rows.weights, table[rows.columns], rows.values, rows.shared, rows.rest)
 
 
-def _shared_prior(places: StateLayout, state: State) -> tuple[Array, Array]:
+def _shared_prior(places: StateLayout, state: TrajectoryState) -> tuple[Array, Array]:
     precision, right = clocks.prior(places, state.clocks)
     if places.still_free:
         loose = np.repeat(np.array(DRIFT_OF_FRAME) ** -2.0, 3) * 1e-4
@@ -216,7 +216,7 @@ def _shared_prior(places: StateLayout, state: State) -> tuple[Array, Array]:
     return matrix, right
 
 
-def frame_rows(state: State, places: StateLayout, group: int) -> Rows:
+def frame_rows(state: TrajectoryState, places: StateLayout, group: int) -> Rows:
     """Return equations that hold the frame of moving cameras: each is near its start, the first very near, and so is
     the second's distance to the first.
 
@@ -257,9 +257,9 @@ def frame_rows(state: State, places: StateLayout, group: int) -> Rows:
 
 
 def _short_enough(
-    image: ImagePoints, old: State, new: State, found: list[Array], shared: Array, places: StateLayout,
+    image: ImagePoints, old: TrajectoryState, new: TrajectoryState, found: list[Array], shared: Array, places: StateLayout,
     covariances: list[Array], pairs: Pairs, weight: Array
-) -> State:  # fmt: skip
+) -> TrajectoryState:  # fmt: skip
     """Return the new state, or one nearer to the old where the step made things worse."""
     best = cost(image, old, places, covariances, pairs, weight)
     start = [unknowns(old, places, g) for g in range(len(places.groups))]
@@ -275,7 +275,7 @@ def _short_enough(
 
 def cost(
     image: ImagePoints,
-    state: State,
+    state: TrajectoryState,
     places: StateLayout,
     covariances: list[Array],
     pairs: Pairs,

@@ -5,7 +5,7 @@ from scipy.cluster.hierarchy import leaves_list, linkage
 from scipy.spatial.distance import squareform
 from scipy.spatial.transform import Rotation
 
-from mosca.continuous.estimator.state import State, StateLayout
+from mosca.continuous.estimator.state import StateLayout, TrajectoryState
 from mosca.continuous.model.bspline import Knots, fitted, knots_over, values
 from mosca.continuous.model.camera_paths import PosedCameras, StillCameras
 from mosca.continuous.model.estimated import ContinuousSettings, SplinePaths
@@ -119,7 +119,7 @@ def moving_start(
     return SplinePaths(still.cameras, begin, knots, coefficients, coefficients)
 
 
-def grouped(state: State, points: Array, settings: ContinuousSettings) -> tuple[Array, ...]:
+def grouped(state: TrajectoryState, points: Array, settings: ContinuousSettings) -> tuple[Array, ...]:
     """Return the groups of points that are estimated together: neighbours, so that those of one limb are in one."""
     if settings.cameras == "moving" or len(points) <= settings.most_together:
         return (points,)

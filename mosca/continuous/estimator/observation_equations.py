@@ -6,7 +6,7 @@ import numpy as np
 
 from mosca.camera.projection import cross_matrices, lens_directions, project_with_jacobians
 from mosca.continuous.estimator.banded_normals import Rows
-from mosca.continuous.estimator.state import State, StateLayout, instants
+from mosca.continuous.estimator.state import StateLayout, TrajectoryState, instants
 from mosca.continuous.model.bspline import values
 from mosca.continuous.model.observations import TimedObservations
 from mosca.data.arrays import Array
@@ -54,7 +54,7 @@ class ImagePoints:
         self.carrier = observations.carried_by[observations.point]
         self.mask = [observations.camera == c for c in range(len(self.lenses))]
 
-    def times(self, state: State) -> Array:
+    def times(self, state: TrajectoryState) -> Array:
         """Return when each image point was exposed [s]."""
         o = self.observations
         return instants(o.camera, o.time_s, o.xy_px[:, 1], state.clocks)
@@ -66,7 +66,7 @@ class ImagePoints:
             xy[own], by_v[own] = projected.xy_px, projected.by_point
         return xy, by_v
 
-    def _near(self, state: State, time_s: Array) -> _Near:
+    def _near(self, state: TrajectoryState, time_s: Array) -> _Near:
         o = self.observations
         first, weight = state.knots.weights(time_s)
         reached = first[:, None] + np.arange(weight.shape[1])
@@ -91,7 +91,7 @@ class ImagePoints:
         v = np.einsum("nji,nj->ni", rotation, world - centre)
         return _Near(v, rotation, other, turn, other_turn)
 
-    def rays(self, state: State, depth: Array) -> LinearisedImages:
+    def rays(self, state: TrajectoryState, depth: Array) -> LinearisedImages:
         """Return equations linear in the points: how far rays pass by, in the image at a ``depth`` (n,) [m]."""
         o = self.observations
         time_s = self.times(state)
@@ -109,16 +109,16 @@ class ImagePoints:
         rest = np.einsum("nij,nj->ni", by_point, centre)
         return LinearisedImages(rest, self._rows(state, time_s, by_point, rest, np.zeros((len(o), 2, 0))))
 
-    def depths(self, state: State) -> Array:
+    def depths(self, state: TrajectoryState) -> Array:
         """Return the distances (n,) of the points from their cameras [m]."""
         return np.linalg.norm(self._near(state, self.times(state)).v, axis=1)
 
-    def residuals(self, state: State) -> Array:
+    def residuals(self, state: TrajectoryState) -> Array:
         """Return measured minus predicted (n, 2) in standard deviations."""
         xy, _ = self._project(self._near(state, self.times(state)).v)
         return np.asarray(np.einsum("nij,nj->ni", self.whitening, self.observations.xy_px - xy))
 
-    def linearised(self, state: State, places: StateLayout) -> LinearisedImages:
+    def linearised(self, state: TrajectoryState, places: StateLayout) -> LinearisedImages:
         """Return residuals and their equations at ``state``."""
         o = self.observations
         time_s = self.times(state)
@@ -152,7 +152,7 @@ class ImagePoints:
         )
 
     def _rows(
-        self, state: State, time_s: Array, by_point: Array, rest: Array, shared: Array,
+        self, state: TrajectoryState, time_s: Array, by_point: Array, rest: Array, shared: Array,
         poses: Array | None = None, others: Array | None = None
     ) -> Rows:  # fmt: skip
         o = self.observations

@@ -16,7 +16,7 @@ from mosca.continuous.estimator.gauss_newton import Solved, frame_rows, of_group
 from mosca.continuous.estimator.motion_prior import FARTHEST_M
 from mosca.continuous.estimator.observation_equations import HUBER, ImagePoints
 from mosca.continuous.estimator.single_point import smoothest_noise
-from mosca.continuous.estimator.state import State, StateLayout
+from mosca.continuous.estimator.state import StateLayout, TrajectoryState
 from mosca.data.arrays import Array
 
 CHANCE = 3.0
@@ -185,7 +185,7 @@ def _with_poses(
     return result
 
 
-def _held(state: State, places: StateLayout, group: int, at: float) -> Array:
+def _held(state: TrajectoryState, places: StateLayout, group: int, at: float) -> Array:
     """Return the equations (m, width) that hold the frame of moving cameras at the share ``at`` of the time."""
     rows = frame_rows(state, places, group)
     knots = state.knots.pieces + 1

@@ -12,7 +12,7 @@ from mosca.continuous.estimator.observation_equations import (
     robust_weights,
     weighted,
 )
-from mosca.continuous.estimator.state import State, StateLayout
+from mosca.continuous.estimator.state import StateLayout, TrajectoryState
 from mosca.continuous.model.bspline import Knots, fitted
 from mosca.continuous.model.observations import Curves
 from mosca.data.arrays import Array
@@ -23,12 +23,12 @@ NEAREST_M = 0.05
 
 def first_curves(
     image: ImagePoints,
-    state: State,
+    state: TrajectoryState,
     places: StateLayout,
     points: Array,
     start: Curves | None,
     noise_free: bool,
-) -> tuple[State, Array, float]:
+) -> tuple[TrajectoryState, Array, float]:
     """Return the state with curves of ``points`` (indices), each one's log strength of smoothness, and how many times
     larger than stated image errors are (1 unless ``noise_free``).
 
@@ -60,7 +60,7 @@ def first_curves(
 
 
 def smoothest_noise(
-    image: ImagePoints, state: State, places: StateLayout, points: Array
+    image: ImagePoints, state: TrajectoryState, places: StateLayout, points: Array
 ) -> tuple[Array, Array, Array]:
     """Return of ``points``, each made as smooth as the highest order has it: how many times larger than stated its
     image errors then are, the mean square of an image coordinate's derivative by position [1/m^2], and their number.
@@ -79,8 +79,13 @@ def smoothest_noise(
 
 
 def _each_point(
-    image: ImagePoints, seen: LinearisedImages, state: State, weight: Array, points: Array, noise_free: bool
-) -> tuple[State, Array, Array, float]:
+    image: ImagePoints,
+    seen: LinearisedImages,
+    state: TrajectoryState,
+    weight: Array,
+    points: Array,
+    noise_free: bool,
+) -> tuple[TrajectoryState, Array, Array, float]:
     """Return the state with each point's own likeliest curve, their log strengths and noises, and the cost of all."""
     xyz, strength, noise, total = np.array(state.xyz), np.zeros(len(points)), np.ones(len(points)), 0.0
     for n, p in enumerate(points):
@@ -107,7 +112,7 @@ def _whole(rows: Rows, xyz: Array, points: int) -> Rows:
     return Rows(only.first, only.weights, only.columns, only.values, only.shared, rest)
 
 
-def _middle_distance(state: State, time_s: Array) -> float:
+def _middle_distance(state: TrajectoryState, time_s: Array) -> float:
     """Return the mean distance [m] of cameras from the position that their axes pass nearest to."""
     rotation, centre = state.paths.at(np.linspace(time_s.min(), time_s.max(), 5))
     axis = rotation[..., 2].reshape(-1, 3)

@@ -12,7 +12,7 @@ from mosca.data.rotations import rotation_from_vector
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class TrajectoryState:
     """Current values. ``xyz`` (count, points, 3) coefficients of all points, carried ones unused; cameras either
     ``still`` or ``moving``; ``clocks`` (cameras, 3): offset [s], drift, row time [s]. ``pace`` (pieces,): how many
     times livelier than on average motion is, as a variance; None: alike everywhere.
@@ -73,7 +73,7 @@ def layout(groups: tuple[Array, ...], cameras: int, kind: str, clock_free: Array
     return StateLayout(groups, cameras, kind == "moving", still_free, clock, base + int(clock_free.sum()))
 
 
-def unknowns(state: State, places: StateLayout, group: int) -> Array:
+def unknowns(state: TrajectoryState, places: StateLayout, group: int) -> Array:
     """Return the group's coefficients as one vector (count * width,)."""
     parts = [state.xyz[:, places.groups[group]].reshape(state.knots.count, -1)]
     if state.moving is not None:
@@ -81,7 +81,9 @@ def unknowns(state: State, places: StateLayout, group: int) -> Array:
     return np.concatenate(parts, axis=1).ravel()
 
 
-def replaced(state: State, places: StateLayout, coefficients: list[Array], shared: Array) -> State:
+def replaced(
+    state: TrajectoryState, places: StateLayout, coefficients: list[Array], shared: Array
+) -> TrajectoryState:
     """Return the state with new ``coefficients`` of each group, and ``shared`` added to what has no time."""
     xyz, moving = np.array(state.xyz), state.moving
     for g, (points, vector) in enumerate(zip(places.groups, coefficients, strict=True)):
