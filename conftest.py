@@ -25,10 +25,7 @@ ROOT = Path(__file__).resolve().parent
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Let ``--tier full`` collect the nightly scenarios too."""
     parser.addoption(
-        "--tier",
-        choices=["quick", "full"],
-        default="quick",
-        help="scenarios to collect (full: slow tests too)",
+        "--tier", choices=["quick", "full"], default="quick", help="scenarios to collect (full: slow tests too)"
     )
 
 

@@ -61,9 +61,7 @@ class CameraReaders:
     def start(self, trigger: Trigger) -> None:
         """Start the threads; ``trigger`` is informed of frames, polls and losses."""
         for name in self._drivers:
-            thread = threading.Thread(
-                target=self._run, args=(name, trigger), name=f"camera {name}", daemon=True
-            )
+            thread = threading.Thread(target=self._run, args=(name, trigger), name=f"camera {name}", daemon=True)
             thread.start()
             self._threads.append(thread)
 

@@ -13,9 +13,7 @@ class FrameMaker:
     ``events``: what the stamps of each camera mark. ``reports``: the size of its frames.
     """
 
-    def __init__(
-        self, rate_hz: float, events: Mapping[str, StampEvent], reports: Mapping[str, DeviceReport]
-    ) -> None:
+    def __init__(self, rate_hz: float, events: Mapping[str, StampEvent], reports: Mapping[str, DeviceReport]) -> None:
         self._period_ns = 1e9 / rate_hz
         self._events, self._reports = events, reports
         self._last_index: dict[str, int] = {}

@@ -43,24 +43,19 @@ class CameraHardware(Table):
 
     driver: Literal["gige", "pylon", "gentl", "webcam"]
     serial: str = Field("", description="the device's serial number")
-    address: str = Field(
-        "", description="IP address, device number or file, where a serial does not identify it"
-    )
+    address: str = Field("", description="IP address, device number or file, where a serial does not identify it")
     trigger: str = Field("Line1", description="TriggerSource; Off runs free")
     trigger_activation: Literal["RisingEdge", "FallingEdge"] = "RisingEdge"
-    exposure_us: Positive | None = Field(
-        None, description="ExposureTime [us]; without it the device's own is kept"
-    )
+    exposure_us: Positive | None = Field(None, description="ExposureTime [us]; without it the device's own is kept")
     gain_db: NotNegative | None = Field(None, description="Gain; without it the device's own is kept")
     pixel_format: str = Field("Mono8", description="PixelFormat: " + ", ".join(PIXEL_FORMATS))
-    window: (
-        Annotated[tuple[int, int, int, int], Field(description="OffsetX, OffsetY, Width, Height [px]")] | None
-    ) = None
+    window: Annotated[tuple[int, int, int, int], Field(description="OffsetX, OffsetY, Width, Height [px]")] | None = (
+        None
+    )
     packet_bytes: int | None = Field(None, ge=576, le=16000, description="GevSCPSPacketSize [bytes]")
     producer: str = Field("", description="gentl: the vendor's .cti file")
     trigger_counter: bool = Field(
-        False,
-        description="gige: the camera counts the pulses on its line and sends the count with each frame",
+        False, description="gige: the camera counts the pulses on its line and sends the count with each frame"
     )
     features: dict[str, Feature] = Field(default_factory=dict, description="more, by GenICam name")
 
@@ -78,13 +73,9 @@ class CameraHardware(Table):
         if self.driver == "gentl" and not self.producer:
             raise ValueError("driver 'gentl' needs producer, the path of the vendor's .cti file")
         if self.trigger_counter and (self.driver != "gige" or not self.trigger.startswith("Line")):
-            raise ValueError(
-                "trigger_counter counts the pulses of a line (Line0 to Line9) with driver 'gige'"
-            )
+            raise ValueError("trigger_counter counts the pulses of a line (Line0 to Line9) with driver 'gige'")
         if self.window is not None and (min(self.window[:2]) < 0 or min(self.window[2:]) < 1):
-            raise ValueError(
-                f"window {list(self.window)}: offsets from 0, width and height from 1 are wanted"
-            )
+            raise ValueError(f"window {list(self.window)}: offsets from 0, width and height from 1 are wanted")
         return self
 
 
@@ -150,9 +141,7 @@ def read_hardware(path: Path) -> RigHardware:
                 f"driver ({', '.join(DRIVERS)}) and serial"
             )
         if table.name in cameras:
-            raise InputError(
-                f"{path}: camera name '{table.name}' stands twice; give each camera its own name"
-            )
+            raise InputError(f"{path}: camera name '{table.name}' stands twice; give each camera its own name")
         cameras[table.name] = check(
             CameraHardware, table.hardware, f"{path}: camera '{table.name}' [camera.hardware]"
         )

@@ -81,9 +81,7 @@ class HardwareSource:
         self._buffer = ReorderBuffer(tuple(rig.cameras), QUEUED_BYTES // 2)
         self._end = EndOfTake(pulses, rig.shared.rate_hz)
         self._past_end: set[str] = set()
-        self._frames = FrameMaker(
-            rig.shared.rate_hz, {name: self._event(name) for name in rig.cameras}, self.reports
-        )
+        self._frames = FrameMaker(rig.shared.rate_hz, {name: self._event(name) for name in rig.cameras}, self.reports)
 
     @property
     def on_image(self) -> Callable[[Array], object] | None:
@@ -264,9 +262,7 @@ class HardwareSource:
                     "exposure time against the rate, and its cable"
                 )
 
-    def _numbered(
-        self, numbers: PulseNumbers, name: str, buffer: Grabbed | ClockReading
-    ) -> Iterator[NumberedBuffer]:
+    def _numbered(self, numbers: PulseNumbers, name: str, buffer: Grabbed | ClockReading) -> Iterator[NumberedBuffer]:
         """Yield ``buffer`` with its pulse: the trigger's, where each pulse waits for its frames, else the clock's."""
         if isinstance(buffer, ClockReading):
             yield from numbers.read(name, buffer)

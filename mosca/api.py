@@ -139,9 +139,7 @@ def triangulate(rig: Rig, images: Mapping[str, ArrayLike], sigma_px: float = 1.0
     lengths = {len(xy) for xy in tables.values()}
     if len(lengths) > 1:
         given = ", ".join(f"{name} {len(xy)}" for name, xy in tables.items())
-        raise InputError(
-            f"triangulate: {given} rows given; the same number for each camera is wanted (NaN: unseen)"
-        )
+        raise InputError(f"triangulate: {given} rows given; the same number for each camera is wanted (NaN: unseen)")
     n = lengths.pop() if lengths else 0
     unseen = np.full((n, 2), np.nan)
     xy_px = np.stack([tables.get(name, unseen) for name in rig.names], axis=1)
@@ -260,9 +258,7 @@ def calibrate(
     if isinstance(shown, PointsTarget):
         raise InputError(f"{target}: measured points need no recording; use 'mosca calibrate' for them")
     rig = known if known is None or isinstance(known, Rig) else read_rig(Path(known))
-    box = (
-        None if volume is None else (tuple(np.asarray(volume[0], float)), tuple(np.asarray(volume[1], float)))
-    )
+    box = None if volume is None else (tuple(np.asarray(volume[0], float)), tuple(np.asarray(volume[1], float)))
     calibration, _evidence = calibrate_session(
         Shown(shown, lambda given: open_recording(Path(recording), given, fps)),
         EstimateSettings(LensChoice(lens), volume=box),

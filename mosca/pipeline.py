@@ -130,9 +130,7 @@ def run_seen(
     For detections that come without their images: from a recording that holds no others, or from other machines.
     """
     settings = PipelineSettings() if settings is None else settings
-    health = (
-        Health(rig, HealthSettings(start_px=settings.match.camera_sigma_px)) if health is None else health
-    )
+    health = Health(rig, HealthSettings(start_px=settings.match.camera_sigma_px)) if health is None else health
     volume = _box(settings.volume)
     tracker = Tracker(settings.track) if settings.nearest is None else NearestTracker(settings.nearest)
     typical_diameter_m = 0.0

@@ -188,9 +188,7 @@ class PulseClock:
 class _Window:
     """The pulses that are open, in clock numbers (which may start below 0)."""
 
-    def __init__(
-        self, names: Sequence[str], clock: PulseClock, settings: AssemblySettings, counts: Assembly
-    ) -> None:
+    def __init__(self, names: Sequence[str], clock: PulseClock, settings: AssemblySettings, counts: Assembly) -> None:
         self._names = tuple(names)
         self._clock = clock
         self._settings = settings

@@ -7,19 +7,7 @@ from matplotlib.figure import Figure
 
 from mosca.data.calibration import Calibration
 from mosca.data.calibration_evidence import CalibrationEvidence
-from reports.plot_style import (
-    BLUE,
-    GRID,
-    HEAT,
-    INK,
-    ORANGE,
-    VERMILION,
-    WIDE,
-    Picture,
-    canvas,
-    strided,
-    svg_text,
-)
+from reports.plot_style import BLUE, GRID, HEAT, INK, ORANGE, VERMILION, WIDE, Picture, canvas, strided, svg_text
 from reports.units import figure as number
 
 MOST_ARROWS = 700
@@ -57,12 +45,8 @@ def residuals_picture(calibration: Calibration) -> Picture:
         if k == 0:
             bar = _nice_below(1.6 * largest)
             at = np.array([0.03 * width, 0.955 * see.sizes[k][1]])
-            axes.plot(
-                [at[0], at[0] + bar * factor], [at[1]] * 2, color=INK, linewidth=2.0, solid_capstyle="butt"
-            )
-            axes.text(
-                at[0] + bar * factor + 0.015 * width, at[1], f"{number(bar)} px", va="center", fontsize=8
-            )
+            axes.plot([at[0], at[0] + bar * factor], [at[1]] * 2, color=INK, linewidth=2.0, solid_capstyle="butt")
+            axes.text(at[0] + bar * factor + 0.015 * width, at[1], f"{number(bar)} px", va="center", fontsize=8)
     out_count = int((~calibration.used).sum())
     caption = (
         f"Observed minus projected, magnified (the bar in the first image shows how much); darker is larger. "
@@ -112,9 +96,7 @@ def _image_axes(calibration: Calibration, title_inch: float) -> tuple[Figure, li
     for k in range(shown):
         row, column = divmod(k, across)
         bottom = height - (row + 1) * (tall + 0.45 * title_inch + 0.08) + 0.08
-        axes = drawing.add_axes(
-            ((0.08 + column * (one + 0.15)) / width, bottom / height, one / width, tall / height)
-        )
+        axes = drawing.add_axes(((0.08 + column * (one + 0.15)) / width, bottom / height, one / width, tall / height))
         axes.set_xlim(-0.5, sizes[k, 0] - 0.5)
         axes.set_ylim(sizes[k, 1] - 0.5, -0.5)
         axes.set_aspect("equal")

@@ -22,15 +22,11 @@ def label_points(axes: Axes, places: Array, names: Sequence[str]) -> None:
     axes.apply_aspect()
     points_pt = axes.transData.transform(places) * 72 / axes.figure.dpi
     frame = axes.get_window_extent()
-    low, high = (
-        np.array(side) * 72 / axes.figure.dpi for side in ((frame.x0, frame.y0), (frame.x1, frame.y1))
-    )
+    low, high = (np.array(side) * 72 / axes.figure.dpi for side in ((frame.x0, frame.y0), (frame.x1, frame.y1)))
     offsets = label_offsets(points_pt, [WIDTH_PT * len(name) for name in names], low, high)
     for name, place, offset in zip(names, places, offsets, strict=True):
         far = np.abs(offset).max() > LEADER_FROM_PT
-        leader = (
-            {"arrowstyle": "-", "color": MUTED, "linewidth": 0.5, "shrinkA": 0, "shrinkB": 2} if far else None
-        )
+        leader = {"arrowstyle": "-", "color": MUTED, "linewidth": 0.5, "shrinkA": 0, "shrinkB": 2} if far else None
         axes.annotate(
             name, place, offset, textcoords="offset points", fontsize=SIZE_PT, color=INK, va="center",
             arrowprops=leader, zorder=5,
@@ -63,9 +59,7 @@ def label_offsets(points_pt: Array, widths_pt: Sequence[float], low_pt: Array, h
 def _offset(ring: float, direction: tuple[int, int], width: float) -> Array:
     """Return where the left edge of a label stands that lies in a direction from its point, ``ring`` away."""
     x, y = direction
-    return np.array(
-        [ring if x > 0 else -ring - width if x < 0 else -width / 2, y * (ring + HEIGHT_PT / 2 - 5)]
-    )
+    return np.array([ring if x > 0 else -ring - width if x < 0 else -width / 2, y * (ring + HEIGHT_PT / 2 - 5)])
 
 
 def _common(one: Array, other: Array) -> float:

@@ -79,9 +79,7 @@ def with_sigma(value: float, sigma: float | None) -> str:
     '1234.568 ± 0.012'
     """
     if sigma is None:
-        return (
-            figure(value) if abs(value) < 1e5 and (value == 0 or abs(value) >= 1e-3) else _power(value, None)
-        )
+        return figure(value) if abs(value) < 1e5 and (value == 0 or abs(value) >= 1e-3) else _power(value, None)
     if not math.isfinite(sigma) or sigma <= 0:
         return figure(value)
     if max(abs(value), sigma) < 1e-2:
@@ -131,9 +129,7 @@ def _tiles(calibration: Calibration, evidence: CalibrationEvidence) -> list[dict
     if evidence.accuracy is not None and np.isfinite(evidence.accuracy.sigma_m).any():
         worst = float(np.nanmax(evidence.accuracy.sigma_m))
         middle = float(np.nanmedian(evidence.accuracy.sigma_m))
-        tiles.append(
-            _tile("A point in space, σ", middle, "m", f"predicted, median; at worst {_length(worst)}")
-        )
+        tiles.append(_tile("A point in space, σ", middle, "m", f"predicted, median; at worst {_length(worst)}"))
     if evidence.lengths is not None:
         lengths = evidence.lengths
         tiles.append(
@@ -154,12 +150,7 @@ def _tile(name: str, value: float, unit: str, note: str) -> dict[str, str]:
 
 def _finding(one: Finding) -> dict[str, str]:
     text, tone = SEVERITIES[one.severity]
-    return {
-        "text": text,
-        "tone": tone,
-        "code": one.code,
-        "message": f"{one.message[0].upper()}{one.message[1:]}.",
-    }
+    return {"text": text, "tone": tone, "code": one.code, "message": f"{one.message[0].upper()}{one.message[1:]}."}
 
 
 def _precision(calibration: Calibration) -> list[dict[str, Any]]:
@@ -233,9 +224,7 @@ def _exterior(calibration: Calibration) -> list[dict[str, Any]]:
                     with_sigma(1e3 * float(value), _scaled(sigmas.get(f"{camera.name}.{axis}_m"), 1e3))
                     for axis, value in zip("XYZ", pose.translation, strict=True)
                 ],
-                "turn": " ".join(f"{v:+.6f}" for v in quaternion_from_rotation(pose.rotation)).replace(
-                    "-", "−"
-                ),
+                "turn": " ".join(f"{v:+.6f}" for v in quaternion_from_rotation(pose.rotation)).replace("-", "−"),
                 "sigma_turn": " / ".join("held" if s is None else figure(1e3 * s) for s in turn),
             }
         )

@@ -80,9 +80,7 @@ def rig_picture(calibration: Calibration, evidence: CalibrationEvidence) -> Pict
                     zorder=1,
                 )
         for i, j in evidence.missing:
-            axes.plot(
-                centres[[i, j], h], centres[[i, j], v], color=VERMILION, linewidth=1.4, linestyle=DASHED
-            )
+            axes.plot(centres[[i, j], h], centres[[i, j], v], color=VERMILION, linewidth=1.4, linestyle=DASHED)
         reach = 0.08 * spread * axes_z
         axes.quiver(
             centres[:, h], centres[:, v], reach[:, h], reach[:, v], angles="xy", scale_units="xy", scale=1, color=INK,
@@ -148,16 +146,10 @@ def accuracy_picture(grid: AccuracyGrid) -> Picture:
         "calibration, "
         "which does not average out (medians). "
     )
-    caption += (
-        f"{number(round(100 * nothing))} % of the volume is seen by fewer than two cameras."
-        if nothing
-        else ""
-    )
+    caption += f"{number(round(100 * nothing))} % of the volume is seen by fewer than two cameras." if nothing else ""
     middle = number(float(np.median(finite))) if len(finite) else "–"
     alt = f"Predicted accuracy in three planes of the volume: median {middle} mm."
-    return Picture(
-        "accuracy", "How well it measures where", caption.strip(), alt, svg_text(drawing, "accuracy", alt)
-    )
+    return Picture("accuracy", "How well it measures where", caption.strip(), alt, svg_text(drawing, "accuracy", alt))
 
 
 def lengths_picture(lengths: HeldOutLengths) -> Picture:
@@ -172,9 +164,7 @@ def lengths_picture(lengths: HeldOutLengths) -> Picture:
     mean, common = 1e3 * lengths.scale_error * lengths.true_m, 1e3 * lengths.scale_sigma * lengths.true_m
     axes.axhline(0, color=MUTED, linewidth=0.8)
     axes.axhline(mean, color=ORANGE, linewidth=1.4)
-    axes.fill_between(
-        [-0.5, len(error) - 0.5], mean - common, mean + common, color=ORANGE, alpha=0.2, linewidth=0
-    )
+    axes.fill_between([-0.5, len(error) - 0.5], mean - common, mean + common, color=ORANGE, alpha=0.2, linewidth=0)
     axes.set_xlim(-0.5, len(error) - 0.5)
     axes.set_xlabel("picture")
     axes.set_ylabel("measured less true [mm]")
@@ -212,8 +202,7 @@ def correlation_picture(calibration: Calibration) -> Picture:
         axes.imshow(BOTH_SIGNS((block + 1) / 2), interpolation="none", zorder=2)
         axes.grid(False)
         names = [
-            calibration.parameters[i].rpartition(".")[2].rsplit("_", 1)[0].replace("turn_", "turn ")
-            for i in own[k]
+            calibration.parameters[i].rpartition(".")[2].rsplit("_", 1)[0].replace("turn_", "turn ") for i in own[k]
         ]
         axes.set_xticks(range(len(names)), names, rotation=90, fontsize=6.5)
         axes.set_yticks(range(len(names)), names, fontsize=6.5)

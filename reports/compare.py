@@ -183,9 +183,7 @@ def _regression(record: RunRecord, new: Metric, baseline: RunRecord, old: Metric
     if not worse_by > half_width:
         return None
     share = worse_by / size if size > 0 else float("inf")
-    return Regression(
-        record.scenario, new.name, new.unit, new.value, old.value, worse_by, half_width, share, paired
-    )
+    return Regression(record.scenario, new.name, new.unit, new.value, old.value, worse_by, half_width, share, paired)
 
 
 def _badness(how: Reading, value: float) -> float:

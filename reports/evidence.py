@@ -102,15 +102,11 @@ class Evidence:
             raise ValueError("evidence: truth_time_ns and truth_xyz belong together")
         if self.truth_xyz is not None and self.truth_time_ns is not None:
             t, m = len(np.asarray(self.truth_time_ns)), len(self.truth_names)
-            object.__setattr__(
-                self, "truth_time_ns", read_only(self.truth_time_ns, (t,), "truth_time_ns", np.int64)
-            )
+            object.__setattr__(self, "truth_time_ns", read_only(self.truth_time_ns, (t,), "truth_time_ns", np.int64))
             object.__setattr__(self, "truth_xyz", read_only(self.truth_xyz, (t, m, 3), "truth_xyz"))
         if self.marker_seen is not None:
             m = len(self.truth_names)
-            object.__setattr__(
-                self, "marker_seen", read_only(self.marker_seen, (m,), "marker_seen", np.int64)
-            )
+            object.__setattr__(self, "marker_seen", read_only(self.marker_seen, (m,), "marker_seen", np.int64))
         if self.errors is not None:
             markers = self.errors.marker
             if self.truth_xyz is None:

@@ -117,8 +117,7 @@ def write_fidelity_json(path: Path, checks: Sequence[Check], provenance: Mapping
     document = {
         "met": all_met(checks),
         "checks": [
-            {**asdict(check), "rows": [{**asdict(row), "met": row.met} for row in check.rows]}
-            for check in checks
+            {**asdict(check), "rows": [{**asdict(row), "met": row.met} for row in check.rows]} for check in checks
         ],
         "provenance": dict(provenance),
     }

@@ -91,11 +91,7 @@ def _summary(check: Check) -> dict[str, Any]:
         "nearest_figure": "" if nearest is None else _figure_and_bar(nearest),
         "rows": [
             dict(
-                zip(
-                    ("figure", "unit", "bar", "outcome"),
-                    cells(row),
-                    strict=True,
-                ),
+                zip(("figure", "unit", "bar", "outcome"), cells(row), strict=True),
                 name=row.name,
                 met=row.met,
                 control=row.control,

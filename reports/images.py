@@ -44,13 +44,10 @@ def camera_picture(view: CameraView, name: str) -> Picture:
         text = _show_near(near, axes, view, chosen)
     caption = (
         f"{n} target{'s' if n != 1 else ''} detected in one frame of {view.camera} "
-        f"({width} × {height} px, contrast stretched). "
-        + (f"Enlarged: {text}." if chosen is not None else "")
+        f"({width} × {height} px, contrast stretched). " + (f"Enlarged: {text}." if chosen is not None else "")
     )
     alt = f"Image of camera {view.camera} with {n} detections circled; {text}."
-    return Picture(
-        name, f"What camera {view.camera} sees", caption.strip(), alt, svg_text(drawing, name, alt)
-    )
+    return Picture(name, f"What camera {view.camera} sees", caption.strip(), alt, svg_text(drawing, name, alt))
 
 
 def stretched(image: Array, low: float | None = None, high: float | None = None) -> Array:
@@ -112,9 +109,7 @@ def _show_near(near: Axes, overview: Axes, view: CameraView, chosen: int) -> str
     near.xaxis.set_major_locator(MaxNLocator(nbins=5, integer=True))
     near.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True))
     overview.add_patch(
-        Rectangle(
-            (x0 - 0.5, y0 - 0.5), 2 * half + 1, 2 * half + 1, fill=False, edgecolor=ON_IMAGE, linewidth=1.4
-        )
+        Rectangle((x0 - 0.5, y0 - 0.5), 2 * half + 1, 2 * half + 1, fill=False, edgecolor=ON_IMAGE, linewidth=1.4)
     )
     sigma = np.sqrt(np.maximum(np.diagonal(view.detections.covariance_px2[chosen]), 0.0))
     text = f"one target of {number(diameter)} px, its centroid (+) known to {number(float(sigma.mean()))} px"

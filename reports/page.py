@@ -87,9 +87,7 @@ def write_comparison_page(path: Path, records: Sequence[RunRecord], labels: Sequ
         {
             "name": name,
             "cells": [
-                _comparison_cell(
-                    record.metric(name), None if record is first else first.metric(name), name in lost
-                )
+                _comparison_cell(record.metric(name), None if record is first else first.metric(name), name in lost)
                 for record, first, lost in zip(records, firsts, worse, strict=True)
             ],
         }

@@ -101,9 +101,7 @@ def histogram_picture(record: RunRecord, errors: ErrorTable) -> Picture:
     alt = f"Histogram of {len(values)} 3D errors: median {number(p50)} mm, rms {number(rms)} mm, "
     alt += f"95 % below {number(p95)} mm."
     caption = f"{number(len(values))} samples; the largest is {number(float(values.max()))} mm."
-    return Picture(
-        "histogram", "How large the errors are", caption, alt, svg_text(drawing, "histogram", alt), False
-    )
+    return Picture("histogram", "How large the errors are", caption, alt, svg_text(drawing, "histogram", alt), False)
 
 
 def trajectories_picture(evidence: Evidence) -> Picture:
@@ -145,8 +143,7 @@ def trajectories_picture(evidence: Evidence) -> Picture:
             above.set_ylabel("position from its mean [m]")
             below.set_ylabel("difference [mm]")
     handles = [
-        above.plot([], [], color=colour, linewidth=2.5, label="xyz"[i])[0]
-        for i, colour in enumerate(AXIS_COLOURS)
+        above.plot([], [], color=colour, linewidth=2.5, label="xyz"[i])[0] for i, colour in enumerate(AXIS_COLOURS)
     ]
     drawing.legend(handles=handles, loc="upper right", ncols=3, bbox_to_anchor=(0.996, 1.0), handlelength=1.2)
     alt = "Trajectories against truth: " + ", ".join(
@@ -254,9 +251,7 @@ def completeness_picture(record: RunRecord, evidence: Evidence) -> Picture:
     axes.bar(np.arange(m), 100 - floor, bottom=floor, color=VERMILION, alpha=0.22, width=0.86, linewidth=0)
     axes.bar(np.arange(m), ranked - floor, bottom=floor, color=BLUE, alpha=0.85, width=0.86, linewidth=0)
     if limit is not None and limit.limit is not None:
-        axes.axhline(
-            100 * limit.limit, color=VERMILION, linewidth=1.3, linestyle=DOTTED, label="limit of all"
-        )
+        axes.axhline(100 * limit.limit, color=VERMILION, linewidth=1.3, linestyle=DOTTED, label="limit of all")
         legend_above(axes)
     axes.set_ylim(floor, 100)
     axes.set_xlim(-0.7, max(m, 1) - 0.3)
@@ -273,9 +268,7 @@ def completeness_picture(record: RunRecord, evidence: Evidence) -> Picture:
     worst = f"{evidence.truth_names[order[0]]} with {number(float(ranked[0]))} %" if m else "none"
     complete = int((ranked == 100).sum())
     alt = f"Completeness of {m} markers: worst {worst}; {complete} complete."
-    caption = (
-        f"Share of {of_what} that have the marker, worst first: {worst}. {complete} of {m} are complete."
-    )
+    caption = f"Share of {of_what} that have the marker, worst first: {worst}. {complete} of {m} are complete."
     svg = svg_text(drawing, "completeness", alt)
     return Picture("completeness", "Completeness marker by marker", caption, alt, svg)
 

@@ -41,9 +41,7 @@ def residuals_picture(tracks: Tracks) -> Picture:
     alt = f"Histogram of {len(values)} reprojection residuals, rms {number(rms)} px."
     caption = f"How well the rays of {number(len(values))} points meet. No truth is known here: this is not "
     caption += "an error in space."
-    return Picture(
-        "residuals", "Reprojection residuals", caption, alt, svg_text(drawing, "residuals", alt), False
-    )
+    return Picture("residuals", "Reprojection residuals", caption, alt, svg_text(drawing, "residuals", alt), False)
 
 
 def longest_tracks_picture(tracks: Tracks) -> Picture:
@@ -77,9 +75,7 @@ def points_picture(tracks: Tracks) -> Picture:
     thin = strided(len(frames), 2 * MOST_STEPS)
     drawing = canvas(WIDE, 1.9)
     axes = drawing.add_axes((0.062, 0.24, 0.928, 0.68))
-    axes.plot(
-        1e-9 * tracks.time_ns[first][thin], count[thin], color=BLUE, linewidth=0.9, drawstyle="steps-mid"
-    )
+    axes.plot(1e-9 * tracks.time_ns[first][thin], count[thin], color=BLUE, linewidth=0.9, drawstyle="steps-mid")
     axes.set_ylim(0, 1.1 * max(1, int(count.max())))
     axes.set_xlabel("time [s]")
     axes.set_ylabel("points")

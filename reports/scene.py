@@ -55,8 +55,7 @@ def scene_picture(evidence: Evidence) -> Picture:
     n_tracks = len(np.unique(evidence.tracks.track))
     size = " × ".join(number(v) for v in evidence.working_space_size)
     alt = (
-        f"Rig of {len(evidence.rig.cameras)} cameras around a working space of {size} m "
-        f"with {n_tracks} trajectories."
+        f"Rig of {len(evidence.rig.cameras)} cameras around a working space of {size} m with {n_tracks} trajectories."
     )
     caption = (
         f"{len(evidence.rig.cameras)} cameras, working space {size} m (orange), {n_tracks} reconstructed "
@@ -81,10 +80,7 @@ def volume_picture(evidence: Evidence) -> Picture | None:
         axes = drawing.add_axes((0.055 + 0.303 * column, 0.14, 0.245, 0.74))
         low, high = _box_sides(evidence)
         axes.imshow(
-            HEAT(
-                np.clip((cell.T - smallest) / (largest - smallest), 0, 1),
-                alpha=np.isfinite(cell.T).astype(float),
-            ),
+            HEAT(np.clip((cell.T - smallest) / (largest - smallest), 0, 1), alpha=np.isfinite(cell.T).astype(float)),
             extent=(low[h], high[h], low[v], high[v]),
             origin="lower",
             interpolation="none",
@@ -149,9 +145,9 @@ def _draw_floor(axes: Axes, everything: Array, height: float) -> float:
     low, high = everything.min(axis=0)[:2], everything.max(axis=0)[:2]
     step = nice_step(float((high - low).max()), 6)
     low, high = np.floor(low / step) * step, np.ceil(high / step) * step
-    lines = [
-        [[x, low[1], height], [x, high[1], height]] for x in np.arange(low[0], high[0] + step / 2, step)
-    ] + [[[low[0], y, height], [high[0], y, height]] for y in np.arange(low[1], high[1] + step / 2, step)]
+    lines = [[[x, low[1], height], [x, high[1], height]] for x in np.arange(low[0], high[0] + step / 2, step)] + [
+        [[low[0], y, height], [high[0], y, height]] for y in np.arange(low[1], high[1] + step / 2, step)
+    ]
     axes.add_collection(LineCollection([_flat(np.array(s)) for s in lines], colors=GRID, linewidths=0.6))
     origin = np.array([low[0], low[1], height])
     for direction, name in zip(np.eye(3), "xyz", strict=True):
@@ -193,9 +189,7 @@ def _draw_cameras(axes: Axes, rig: Rig, middle: Array, length: float) -> None:
         corners = camera.world_from_camera.transform(length * _corner_rays(camera))
         apex = camera.world_from_camera.translation
         edges = [[apex, c] for c in corners] + [[corners[i], corners[(i + 1) % 4]] for i in range(4)]
-        axes.add_collection(
-            LineCollection([_flat(np.array(s)) for s in edges], colors=INK, linewidths=0.8, zorder=4)
-        )
+        axes.add_collection(LineCollection([_flat(np.array(s)) for s in edges], colors=INK, linewidths=0.8, zorder=4))
         place = _flat(apex) + 0.65 * length * _unit(_flat(apex) - _flat(middle))
         axes.plot(*_flat(apex), marker="o", markersize=2.2, color=INK, zorder=4)
         if names:

@@ -147,8 +147,7 @@ def _blueprint(rig: Rig) -> Any:
     from rerun import blueprint
 
     images = [
-        blueprint.Spatial2DView(origin=f"{_entity(camera)}/image", name=camera.name)
-        for camera in rig.cameras[:4]
+        blueprint.Spatial2DView(origin=f"{_entity(camera)}/image", name=camera.name) for camera in rig.cameras[:4]
     ]
     world = blueprint.Spatial3DView(origin="world", name="world")
     return blueprint.Blueprint(

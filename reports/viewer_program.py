@@ -29,12 +29,8 @@ def show(run: Path, web: bool = False) -> None:
         raise InputError(f"{path}: no such file; a run writes it with --rrd: mosca run SCENARIO --rrd")
     program = viewer_program("mosca view")
     if not web and sys.platform == "linux" and not ({"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ)):
-        raise InputError(
-            f"{path}: there is no display for a window; add --web for a browser, or copy the file"
-        )
+        raise InputError(f"{path}: there is no display for a window; add --web for a browser, or copy the file")
     how = ("--web-viewer", "--bind", "127.0.0.1") if web else ("--port", "auto", "--bind", "127.0.0.1")
     ended = subprocess.run([program, str(path), *how], check=False)
     if ended.returncode:
-        raise InputError(
-            f"{path}: the Rerun viewer ended with code {ended.returncode}; what it said stands above"
-        )
+        raise InputError(f"{path}: the Rerun viewer ended with code {ended.returncode}; what it said stands above")

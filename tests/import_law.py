@@ -8,27 +8,11 @@ ROOMS = ("mosca", "twin", "hardware", "reports", "scenarios", "witness")
 HARDWARE = ("hardware", "mosca.data", "mosca.errors")
 # room (longest prefix wins): rooms it may import from, rooms or modules it may not, third-party packages
 LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
-    "mosca.data": (
-        ("mosca.data", "mosca.errors"),
-        (),
-        ("numpy", "scipy", "pydantic", "tomli_w"),
-    ),
+    "mosca.data": (("mosca.data", "mosca.errors"), (), ("numpy", "scipy", "pydantic", "tomli_w")),
     "mosca": (
         ("mosca",),
         ("mosca.data.truth",),
-        (
-            "numpy",
-            "scipy",
-            "cv2",
-            "numba",
-            "pydantic",
-            "tomli_w",
-            "mcap",
-            "blosc2",
-            "av",
-            "ezc3d",
-            "zstandard",
-        ),
+        ("numpy", "scipy", "cv2", "numba", "pydantic", "tomli_w", "mcap", "blosc2", "av", "ezc3d", "zstandard"),
     ),
     # a printable sheet is a drawing: PDF and SVG come from the plot library
     "mosca.formats.sheets.target_sheet": (("mosca",), ("mosca.data.truth",), ("numpy", "matplotlib")),
@@ -54,11 +38,7 @@ LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     "witness": (("witness",), (), ("numpy", "scipy", "cv2", "mujoco")),
     "witness.gl": (("witness",), (), ("numpy", "scipy", "mujoco", "pyrender", "trimesh")),
     "scenarios.fidelity": (ROOMS, (), ("numpy", "scipy", "mujoco", "trimesh")),
-    "scenarios": (
-        ROOMS,
-        (),
-        ("numpy", "scipy", "llvmlite", "pydantic", "click", "rich", "junitparser", "pytest"),
-    ),
+    "scenarios": (ROOMS, (), ("numpy", "scipy", "llvmlite", "pydantic", "click", "rich", "junitparser", "pytest")),
 }
 IMPORTLIB_ALLOWED = ("scenarios", "hardware.drivers")
 

@@ -50,6 +50,4 @@ def ring(
     targets = np.broadcast_to(np.asarray(target, dtype=float), (count, 3))
     lenses = list(lens) if isinstance(lens, Sequence) else [lens] * count
     labels = [names.format(k) for k in range(count)] if isinstance(names, str) else names
-    return Rig(
-        tuple(Camera(labels[k], *size, lenses[k], looking_at(centres[k], targets[k])) for k in range(count))
-    )
+    return Rig(tuple(Camera(labels[k], *size, lenses[k], looking_at(centres[k], targets[k])) for k in range(count)))

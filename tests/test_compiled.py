@@ -17,10 +17,7 @@ import twin
 def everything() -> dict[str, Dispatcher]:
     """Return all compiled functions of the rooms that have any."""
     found = {}
-    modules = [
-        *pkgutil.walk_packages(mosca.__path__, "mosca."),
-        *pkgutil.walk_packages(twin.__path__, "twin."),
-    ]
+    modules = [*pkgutil.walk_packages(mosca.__path__, "mosca."), *pkgutil.walk_packages(twin.__path__, "twin.")]
     for info in modules:
         for value in vars(importlib.import_module(info.name)).values():
             if isinstance(value, Dispatcher):
@@ -59,6 +56,4 @@ def test_a_bare_step_neither_returns_arrays_nor_takes_any_from_steps_that_make_t
     for called in function.py_func.__code__.co_names:
         other = around.get(called)
         if isinstance(other, Dispatcher) and not is_bare(other):
-            assert not returns_an_array(other), (
-                f"{name} takes an array from {called}, which nobody gives back"
-            )
+            assert not returns_an_array(other), f"{name} takes an array from {called}, which nobody gives back"

@@ -188,9 +188,7 @@ class TwinSource:
                     shifted.append(light.copy())
                 right_left_down_up = (shifted[0], shifted[1], shifted[2], shifted[3])
                 virtual = session.virtual
-                found.append(
-                    expected_frame(virtual.camera.name, virtual.sensor, ambient, rest, right_left_down_up)
-                )
+                found.append(expected_frame(virtual.camera.name, virtual.sensor, ambient, rest, right_left_down_up))
         return tuple(found)
 
     def _taken(self, reading: _Reading) -> Iterator[Taken]:

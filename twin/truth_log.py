@@ -22,11 +22,7 @@ class PulseLog:
 
     def frame_of(self, camera: int) -> TrueExposure | None:
         """Return the frame of a camera that lies nearest to the pulse, if it took any."""
-        return min(
-            self.exposures[camera],
-            key=lambda frame: abs(frame.exposure.middle_s - self.time_s),
-            default=None,
-        )
+        return min(self.exposures[camera], key=lambda frame: abs(frame.exposure.middle_s - self.time_s), default=None)
 
 
 def truth_of(logs: list[PulseLog], sessions: tuple[CameraSession, ...], names: tuple[str, ...]) -> Truth:

@@ -87,9 +87,7 @@ class PhotonTransfer:
 def linearity_error(photons: Array, signal: Array) -> float:
     """Return the mean of ``|y - (a0 + a1 H)| / (a0 + a1 H)`` for the line fitted with weights 1 / y."""
     design = np.column_stack([np.ones_like(photons), photons]) / signal[:, None]
-    line = (
-        np.column_stack([np.ones_like(photons), photons]) @ np.linalg.lstsq(design, np.ones_like(signal))[0]
-    )
+    line = np.column_stack([np.ones_like(photons), photons]) @ np.linalg.lstsq(design, np.ones_like(signal))[0]
     return float(np.mean(np.abs(signal - line) / np.abs(line)))
 
 

@@ -59,14 +59,10 @@ def by_mujoco() -> Array:
         body.add_geom(type=kinds.mjGEOM_SPHERE, size=[radius, 0, 0], pos=centre, material="white")
     for centre, normal, radius in DISCS:
         quat = Rotation.from_matrix(turn_to(normal)).as_quat(scalar_first=True)
-        body.add_geom(
-            type=kinds.mjGEOM_CYLINDER, size=[radius, 1e-6, 0], pos=centre, quat=quat, material="white"
-        )
+        body.add_geom(type=kinds.mjGEOM_CYLINDER, size=[radius, 1e-6, 0], pos=centre, quat=quat, material="white")
     body.add_geom(type=kinds.mjGEOM_BOX, size=BOX[1], pos=BOX[0], material="black")
     upright = Rotation.from_euler("x", 90, degrees=True).as_quat(scalar_first=True)
-    body.add_geom(
-        type=kinds.mjGEOM_CAPSULE, size=[*CAPSULE[1:], 0], pos=CAPSULE[0], quat=upright, material="black"
-    )
+    body.add_geom(type=kinds.mjGEOM_CAPSULE, size=[*CAPSULE[1:], 0], pos=CAPSULE[0], quat=upright, material="black")
     body.add_camera(name="eye", pos=[0, 0, 0], quat=[0, 1, 0, 0], fovy=spec.visual.global_.fovy)
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -97,9 +93,7 @@ def by_pyrender() -> Array:
     for centre, radius in BALLS:
         add(trimesh.creation.icosphere(subdivisions=6, radius=radius), 1.0, centre)
     for centre, normal, radius in DISCS:
-        add(
-            trimesh.creation.cylinder(radius=radius, height=1e-6, sections=1024), 1.0, centre, turn_to(normal)
-        )
+        add(trimesh.creation.cylinder(radius=radius, height=1e-6, sections=1024), 1.0, centre, turn_to(normal))
     add(trimesh.creation.box(extents=2 * np.array(BOX[1])), 0.0, BOX[0])
     along_y = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
     rod = trimesh.creation.capsule(height=2 * CAPSULE[2], radius=CAPSULE[1], count=[256, 256])

@@ -21,9 +21,7 @@ Path = Callable[[float], Array]
 """Time -> centre (3,) or rotation (3, 3), camera frame."""
 
 # world_from_camera: looks along the world's +y, a little down and askew
-ROTATION = (
-    np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]]) @ Rotation.from_rotvec([-0.2, 0.1, 0.15]).as_matrix()
-)
+ROTATION = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]]) @ Rotation.from_rotvec([-0.2, 0.1, 0.15]).as_matrix()
 POSITION = np.array([0.1, -2.0, 0.3])
 
 
@@ -36,9 +34,7 @@ def fixed(value: Any) -> Path:
 class World:
     """One marker (geom 0, ``marker``) and what may stand before it, moving as given."""
 
-    def __init__(
-        self, at: Path, radius: float, normal: Array | None = None, turn: Path | None = None
-    ) -> None:
+    def __init__(self, at: Path, radius: float, normal: Array | None = None, turn: Path | None = None) -> None:
         self.spec, self.paths = mujoco.MjSpec(), list[tuple[Path, Path]]()
         self.flat, self.radius = normal is not None or turn is not None, radius
         kind, size = mujoco.mjtGeom.mjGEOM_SPHERE, [radius, 0, 0]
@@ -48,9 +44,7 @@ class World:
                 turn = fixed(Rotation.align_vectors([normal], [[0, 0, 1.0]])[0].as_matrix())
         self.add(kind, size, at, turn, MARKER_GROUP)
 
-    def add(
-        self, kind: Any, size: Any, at: Path, turn: Path | None = None, group: int = 0, **more: Any
-    ) -> "World":
+    def add(self, kind: Any, size: Any, at: Path, turn: Path | None = None, group: int = 0, **more: Any) -> "World":
         """Add a geom that goes along ``at`` [m] and turns like ``turn``, both in the camera frame."""
         number = len(self.paths)
         body = self.spec.worldbody.add_body(name=f"b{number}", mocap=True)
@@ -134,7 +128,5 @@ def meets(model: mujoco.MjModel, data: mujoco.MjData, lens: WitnessLens, xy: Arr
     first, distance = np.full(n, -1, dtype=np.int32), np.zeros(n)
     groups = np.ones(6, dtype=np.uint8)
     groups[UNSEEN_GROUP] = 0
-    mujoco.mj_multiRay(
-        model, data, POSITION, directions.ravel(), groups, 1, -1, first, distance, None, n, 1e6
-    )
+    mujoco.mj_multiRay(model, data, POSITION, directions.ravel(), groups, 1, -1, first, distance, None, n, 1e6)
     return np.asarray(first == marker)

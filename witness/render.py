@@ -41,9 +41,7 @@ def opencv_lens(matrix: Array, distortion: Array) -> WitnessLens:
     zero = np.zeros(3)
 
     def project(directions: Array) -> Array:
-        return cv2.projectPoints(np.ascontiguousarray(directions, float), zero, zero, matrix, distortion)[0][
-            :, 0
-        ]
+        return cv2.projectPoints(np.ascontiguousarray(directions, float), zero, zero, matrix, distortion)[0][:, 0]
 
     def unproject(xy: Array) -> Array:
         stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-13)
@@ -173,9 +171,7 @@ def pixels_by_brute_force(polygon: Array, sigma_px: float, width: int, height: i
     rows, columns = height + 2 * margin, width + 2 * margin
     cover = np.zeros((rows * fine, columns * fine))
     left = -margin - 0.5 + np.arange(columns * fine) / fine
-    turned = np.roll(
-        polygon, -int(polygon[:, 1].argmin()), axis=0
-    )  # from the top down one side, up the other
+    turned = np.roll(polygon, -int(polygon[:, 1].argmin()), axis=0)  # from the top down one side, up the other
     bottom = int(turned[:, 1].argmax())
     one, other = turned[: bottom + 1], np.vstack([turned[bottom:], turned[:1]])[::-1]
     for row in range(len(cover)):

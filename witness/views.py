@@ -6,9 +6,7 @@ from witness.image import Array
 from witness.render import WitnessLens, ball_outline, opencv_lens
 
 
-def real_lens(
-    plain: WitnessLens, matrix: Array, tilt_deg: tuple[float, float], shift_m: float
-) -> WitnessLens:
+def real_lens(plain: WitnessLens, matrix: Array, tilt_deg: tuple[float, float], shift_m: float) -> WitnessLens:
     """Return a lens whose entrance pupil wanders along the axis and whose sensor is tilted.
 
     A chief ray of field angle theta crosses the axis at ``shift_m`` * 2 sin^2 theta: found step by step. The tilt
@@ -51,8 +49,7 @@ def place(
     other = np.cross(sight, one)
     step = 1e-5
     around = lens.project(
-        distance
-        * np.array([sight + step * one, sight - step * one, sight + step * other, sight - step * other])
+        distance * np.array([sight + step * one, sight - step * one, sight + step * other, sight - step * other])
     )
     slopes = np.array([around[0] - around[1], around[2] - around[3]]) / (2 * step)
     scale = np.sqrt(abs(np.linalg.det(slopes)))  # px/rad

@@ -263,6 +263,4 @@ def _read_again(setter: _Setter) -> Mapping[str, object]:
 
 def model_and_serial(features: Features) -> tuple[str, str]:
     """Return the device's model and serial number as its feature tree has them, "" where it has none."""
-    return text(features, "DeviceModelName"), (
-        text(features, "DeviceSerialNumber") or text(features, "DeviceID")
-    )
+    return text(features, "DeviceModelName"), (text(features, "DeviceSerialNumber") or text(features, "DeviceID"))

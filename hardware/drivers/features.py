@@ -69,9 +69,7 @@ def put(features: Features, camera: str, name: str, value: Feature, key: str = "
     kind = features.kind(name)
     if kind is None:
         asked = f" ({key} asks for it)" if key else ""
-        raise DeviceError(
-            f"camera '{camera}': the device has no feature '{name}'{asked}{_near(features, name)}"
-        )
+        raise DeviceError(f"camera '{camera}': the device has no feature '{name}'{asked}{_near(features, name)}")
     if kind == "command":
         return _execute(features, camera, name, value)
     where = f"camera '{camera}': {name}" + (f" ({key})" if key else "")
@@ -174,8 +172,7 @@ def _fitting(features: Features, where: str, name: str, kind: Kind, value: Featu
     elif kind == "integer" and float(value).is_integer():
         return int(value)
     raise DeviceError(
-        f"{where} = {_shown(value)} does not suit a feature of kind {kind}; "
-        f"allowed: {allowed(features, name)}"
+        f"{where} = {_shown(value)} does not suit a feature of kind {kind}; allowed: {allowed(features, name)}"
     )
 
 
@@ -192,16 +189,12 @@ def _within(features: Features, where: str, name: str, kind: Kind, value: Featur
         return
     if not fits:
         keeps = f"; the device keeps {_shown(features.read(name))}" if features.readable(name) else ""
-        raise DeviceError(
-            f"{where} = {_shown(value)} is not allowed now; allowed: {allowed(features, name)}{keeps}"
-        )
+        raise DeviceError(f"{where} = {_shown(value)} is not allowed now; allowed: {allowed(features, name)}{keeps}")
 
 
 def _near(features: Features, name: str) -> str:
     near = difflib.get_close_matches(name, list(features.names()), n=1)
-    return (
-        f"; did you mean '{near[0]}'?" if near and near[0] != name else "; look it up in the camera's manual"
-    )
+    return f"; did you mean '{near[0]}'?" if near and near[0] != name else "; look it up in the camera's manual"
 
 
 def _shown(value: Feature) -> str:

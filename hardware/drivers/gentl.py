@@ -42,9 +42,7 @@ def load() -> ModuleType:
 def devices(producer: str = "") -> Sequence[Device]:
     """Return the cameras that the GenTL producer at path ``producer`` sees; DeviceError where it cannot be used."""
     if not producer:
-        raise DeviceError(
-            "driver 'gentl': which cameras there are says a producer; name the vendor's .cti file"
-        )
+        raise DeviceError("driver 'gentl': which cameras there are says a producer; name the vendor's .cti file")
     with _loading:
         used = _producer(producer, "driver 'gentl'")
         used.update()
@@ -64,9 +62,7 @@ def open_camera(name: str, settings: CameraHardware) -> "GentlCamera":
         claim(device, name)
         acquirer = None
         try:
-            acquirer = _acquirer(
-                used, used.infos[found.index(device)], f"camera '{name}': {described(device)}"
-            )
+            acquirer = _acquirer(used, used.infos[found.index(device)], f"camera '{name}': {described(device)}")
             return GentlCamera(name, device, used, acquirer)
         except BaseException:
             if acquirer is not None:
@@ -82,9 +78,7 @@ def _acquirer(producer: "Producer", info: Any, where: str) -> Any:
     try:
         return producer.harvester.create(info)
     except _errors() as error:
-        raise DeviceError(
-            f"{where} does not open ({first_line(error)}); does another program have it?"
-        ) from None
+        raise DeviceError(f"{where} does not open ({first_line(error)}); does another program have it?") from None
     finally:
         if handler is not None:
             signal.signal(signal.SIGINT, handler)

@@ -64,9 +64,7 @@ class GenTLFeatures:
         """Return the least and largest value and the step (0 where there is none) of a number."""
         node = self._nodes.get_node(name)
         stepped = self.kind(name) == "integer" or node.has_inc()
-        limits: tuple[float, float, float] = self._asked(
-            lambda: (node.min, node.max, node.inc if stepped else 0.0)
-        )
+        limits: tuple[float, float, float] = self._asked(lambda: (node.min, node.max, node.inc if stepped else 0.0))
         return limits
 
     def entries(self, name: str) -> tuple[str, ...]:

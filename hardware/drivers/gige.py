@@ -97,9 +97,7 @@ def open_camera(name: str, settings: CameraHardware) -> "GigeCamera":
     return camera
 
 
-def _opened(
-    aravis: Aravis, name: str, device: Device, settings: CameraHardware, tries: int = LOOKS
-) -> "GigeCamera":
+def _opened(aravis: Aravis, name: str, device: Device, settings: CameraHardware, tries: int = LOOKS) -> "GigeCamera":
     """Open a camera, again where it does not answer but is there."""
     try:
         return GigeCamera(aravis, name, device)
@@ -282,9 +280,7 @@ class GigeCamera(GenICamCamera):
             return {}
         aravis, stream = self._aravis, self._arv_stream
         return {
-            decoded(aravis("stream_get_info_name", stream, number)): aravis(
-                "stream_get_info_uint64", stream, number
-            )
+            decoded(aravis("stream_get_info_name", stream, number)): aravis("stream_get_info_uint64", stream, number)
             for number in range(aravis("stream_get_n_infos", stream))
         }
 

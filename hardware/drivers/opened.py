@@ -54,9 +54,7 @@ def chosen(found: Sequence[Device], settings: CameraHardware) -> Device | None:
 def not_found(found: Sequence[Device], name: str, settings: CameraHardware) -> DeviceError:
     """Return the error that names the missing device and those that are there."""
     wanted = " and ".join(
-        f"{key} '{value}'"
-        for key, value in (("serial", settings.serial), ("address", settings.address))
-        if value
+        f"{key} '{value}'" for key, value in (("serial", settings.serial), ("address", settings.address)) if value
     )
     there = "; ".join(described(device) for device in found) or "none"
     return DeviceError(

@@ -80,9 +80,7 @@ FORMATS = _formats()
 _BY_CODE = {pixel_format.code: pixel_format for pixel_format in FORMATS.values()}
 
 
-def whole_image(
-    buffer: Array, code: int, width: int, height: int, line_padding: int = 0
-) -> tuple[Array | None, str]:
+def whole_image(buffer: Array, code: int, width: int, height: int, line_padding: int = 0) -> tuple[Array | None, str]:
     """Return the mono image (height, width) in ``buffer`` and "", or None and why there is none.
 
     ``buffer``: (n,) uint8, read and never kept; ``code``: PFNC; ``line_padding``: bytes after each line.

@@ -184,16 +184,12 @@ class PylonCamera(GenICamCamera):
             return asked
         # the emulator lists lines and actions that nothing can raise
         return Capabilities(
-            software_trigger=asked.software_trigger,
-            window=asked.window,
-            max_triggered_hz=asked.max_triggered_hz,
+            software_trigger=asked.software_trigger, window=asked.window, max_triggered_hz=asked.max_triggered_hz
         )
 
     def _configured(self, settings: CameraHardware) -> DeviceReport:
         if self._emulated and settings.trigger not in ("Off", "Software"):
-            raise self._error(
-                f"is emulated: trigger = '{settings.trigger}' would never fire; allowed: Software, Off"
-            )
+            raise self._error(f"is emulated: trigger = '{settings.trigger}' would never fire; allowed: Software, Off")
         return super()._configured(settings)
 
     def _start(self) -> None:
@@ -208,9 +204,7 @@ class PylonCamera(GenICamCamera):
     def _fetch(self, timeout_s: float) -> Grabbed | None:
         pylon = self._pylon
         try:
-            result = self._camera.RetrieveResult(
-                max(0, round(timeout_s * 1000)), pylon.TimeoutHandling_Return
-            )
+            result = self._camera.RetrieveResult(max(0, round(timeout_s * 1000)), pylon.TimeoutHandling_Return)
         except self._error_type as error:
             raise self._gone(_first_line(error)) from None
         host_ns = time.monotonic_ns()

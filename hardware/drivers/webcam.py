@@ -65,9 +65,7 @@ def open_camera(name: str, settings: CameraHardware) -> "Webcam":
     else:
         path = Path(settings.address)
         if not path.is_file():
-            raise DeviceError(
-                f"camera '{name}': no video file at {path}; address is a device's number or a file"
-            )
+            raise DeviceError(f"camera '{name}': no video file at {path}; address is a device's number or a file")
         device = Device("webcam", "video file", "", str(path.resolve()))
     claim(device, name)
     try:
@@ -101,11 +99,7 @@ class Webcam(OpenCamera):
         if not capture.isOpened():
             raise self._error(
                 "does not open; "
-                + (
-                    "is it a video that OpenCV can read?"
-                    if self._number is None
-                    else "does another program have it?"
-                )
+                + ("is it a video that OpenCV can read?" if self._number is None else "does another program have it?")
             )
         return capture
 
@@ -116,9 +110,7 @@ class Webcam(OpenCamera):
         if settings.window is not None:
             left, top, width, height = settings.window
             if left or top:
-                raise self._error(
-                    f"window = {list(settings.window)}: a webcam has no offsets; allowed: [0, 0, W, H]"
-                )
+                raise self._error(f"window = {list(settings.window)}: a webcam has no offsets; allowed: [0, 0, W, H]")
             taken["CAP_PROP_FRAME_WIDTH"] = self._set("CAP_PROP_FRAME_WIDTH", width, "window")
             taken["CAP_PROP_FRAME_HEIGHT"] = self._set("CAP_PROP_FRAME_HEIGHT", height, "window")
         if settings.exposure_us is not None:
@@ -147,13 +139,9 @@ class Webcam(OpenCamera):
         if settings.trigger != "Off":
             raise self._error(f"trigger = '{settings.trigger}': a webcam runs free; allowed: Off")
         if settings.pixel_format != "Mono8":
-            raise self._error(
-                f"pixel_format = '{settings.pixel_format}': a webcam gives Mono8; allowed: Mono8"
-            )
+            raise self._error(f"pixel_format = '{settings.pixel_format}': a webcam gives Mono8; allowed: Mono8")
         if settings.packet_bytes is not None:
-            raise self._error(
-                f"packet_bytes = {settings.packet_bytes}: a webcam has no packets; leave it out"
-            )
+            raise self._error(f"packet_bytes = {settings.packet_bytes}: a webcam has no packets; leave it out")
 
     def _set(self, name: str, value: float, key: str) -> float:
         number = getattr(self._cv2, name, None) if name.startswith("CAP_PROP_") else None

@@ -228,13 +228,9 @@ def control_sockets(identity: Identity) -> tuple[socket.socket, ...]:
     except OSError as error:
         taken = error.errno == errno.EADDRINUSE
         reason = (
-            f"already serves a camera (port {GVCP_PORT} is taken)"
-            if taken
-            else "is not to be had on this machine"
+            f"already serves a camera (port {GVCP_PORT} is taken)" if taken else "is not to be had on this machine"
         )
-        hint = (
-            "choose another first address" if taken else f"give the interface that address, or use {LOOPBACK}"
-        )
+        hint = "choose another first address" if taken else f"give the interface that address, or use {LOOPBACK}"
         raise InputError(f"camera '{identity.name}': address {address.ip} {reason}; {hint}") from None
     everyone = dict.fromkeys(("255.255.255.255", str(address.network.broadcast_address)))
     return unicast, *(_bound(one, share=True) for one in everyone)

@@ -40,9 +40,7 @@ class Faults:
     def __post_init__(self) -> None:
         for name in SHARES:
             if not 0.0 <= getattr(self, name) <= 1.0:
-                raise InputError(
-                    f"faults: {name} = {getattr(self, name)} given; a share from 0 to 1 is wanted"
-                )
+                raise InputError(f"faults: {name} = {getattr(self, name)} given; a share from 0 to 1 is wanted")
         if not abs(self.drift_ppm) <= 10_000:
             raise InputError(f"faults: drift_ppm = {self.drift_ppm} given; -10000 to 10000 is wanted")
         for name in ("jump_at_s", "reboot_at_s", "silent_at_s", "reboot_gone_s", "silent_for_s"):

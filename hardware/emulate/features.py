@@ -189,9 +189,7 @@ def _counting() -> Iterator[Feature]:
     yield Feature("CounterSelector", "enumeration", here, entries={"Counter0": 0}, selects=selected)
     yield Feature("CounterEventSource", "enumeration", here, entries=COUNTER_SOURCES)
     yield Feature("CounterEventActivation", "enumeration", here, entries=ACTIVATIONS)
-    yield Feature(
-        "CounterValue", "integer", here, "RO", tip="Pulses on the line, those that the camera ignores too."
-    )
+    yield Feature("CounterValue", "integer", here, "RO", tip="Pulses on the line, those that the camera ignores too.")
     yield Feature("CounterReset", "command", here, "WO")
     yield Feature("ChunkModeActive", "boolean", behind, locked=True)
     entries = {"CounterValue": 0}
@@ -216,9 +214,7 @@ def _device() -> Iterator[Feature]:
     latch = Feature("", "command", "DeviceControl", "WO", register="TimestampControl")
     yield replace(latch, name="TimestampLatch", command=2)
     yield replace(latch, name="TimestampReset", command=1)
-    yield Feature(
-        "TimestampLatchValue", "integer", "DeviceControl", "RO", unit="ns", register="TimestampLatched"
-    )
+    yield Feature("TimestampLatchValue", "integer", "DeviceControl", "RO", unit="ns", register="TimestampLatched")
     yield Feature("PtpEnable", "boolean", "PtpControl")
     yield Feature("PtpDataSetLatch", "command", "PtpControl", "WO")
     yield Feature("PtpStatus", "enumeration", "PtpControl", "RO", entries=PTP_STATES)
@@ -243,9 +239,7 @@ def _transport() -> Iterator[Feature]:
         register="StreamPacketSize",
         bits=(16, 31),
     )
-    yield Feature(
-        "GevSCPSDoNotFragment", "boolean", here, locked=True, register="StreamPacketSize", bits=(1, 1)
-    )
+    yield Feature("GevSCPSDoNotFragment", "boolean", here, locked=True, register="StreamPacketSize", bits=(1, 1))
     yield Feature("GevSCPSFireTestPacket", "command", here, register="StreamPacketSize", bits=(0, 0))
     yield Feature("GevSCPHostPort", "integer", here, locked=True, register="StreamPort", bits=(16, 31))
     yield Feature("GevSCDA", "integer", here, locked=True, register="StreamDestination")

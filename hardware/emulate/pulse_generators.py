@@ -39,9 +39,7 @@ class TriggerLine:
     ``ended``: asked before each pulse whether it is one too many.
     """
 
-    def __init__(
-        self, cameras: Iterable[Triggered], ended: Callable[[int], bool] = lambda number: False
-    ) -> None:
+    def __init__(self, cameras: Iterable[Triggered], ended: Callable[[int], bool] = lambda number: False) -> None:
         self._cameras: Sequence[Triggered] = tuple(cameras)
         self._ended = ended
         self._lock = Lock()
@@ -70,9 +68,7 @@ class TriggerLine:
     def start(self, rate_hz: float) -> None:
         """Begin with pulse 0; InputError for a rate that cannot be."""
         if not 0.0 < rate_hz <= FASTEST_HZ:
-            raise InputError(
-                f"trigger line: {rate_hz:g} Hz given; above 0 and at most {FASTEST_HZ:g} is wanted"
-            )
+            raise InputError(f"trigger line: {rate_hz:g} Hz given; above 0 and at most {FASTEST_HZ:g} is wanted")
         with self._lock:
             self._halt()
             self._stop.clear()

@@ -207,9 +207,7 @@ def served(
         store.fill(progress)
         devices = []
         for k, info in enumerate(infos):
-            identity = _identity(
-                info, places[k], (serials or {}).get(info.name) or serial_at(places[k]), store
-            )
+            identity = _identity(info, places[k], (serials or {}).get(info.name) or serial_at(places[k]), store)
             own = (faults or {}).get(info.name, FAULTLESS)
             device = EmulatedDevice(identity, partial(store.frame, info.name), own, first_block)
             stack.callback(device.close)
@@ -263,13 +261,5 @@ def _identity(info: CameraInfo, place: IPv4Interface, serial: str, store: FrameS
     exposure_us = first.exposure_ns / 1000 if first is not None and first.exposure_ns else EXPOSURE_US
     fastest_hz = max(SLOWEST_SENSOR_HZ, 2 * info.frame_rate_hz)
     return Identity(
-        info.name,
-        serial,
-        place,
-        info.width,
-        info.height,
-        info.bit_depth,
-        info.frame_rate_hz,
-        exposure_us,
-        fastest_hz,
+        info.name, serial, place, info.width, info.height, info.bit_depth, info.frame_rate_hz, exposure_us, fastest_hz
     )

@@ -46,12 +46,7 @@ def chunk(number: int, data: bytes) -> bytes:
 
 
 def image_packets(
-    block: int,
-    device_ns: int,
-    layout: ImageLayout,
-    pixels: Array,
-    packet_bytes: int,
-    chunks: bytes | None = None,
+    block: int, device_ns: int, layout: ImageLayout, pixels: Array, packet_bytes: int, chunks: bytes | None = None
 ) -> Sequence[Packet]:
     """Return the packets of block ``block``: packet k has the number k.
 

@@ -64,9 +64,7 @@ class EventTable(Table):
 
     name: str = Field(min_length=1)
     kind: Literal["udp", "tcp"] = "udp"
-    address: str = Field(
-        min_length=1, description="udp: host:port to listen at; tcp: host:port to connect to"
-    )
+    address: str = Field(min_length=1, description="udp: host:port to listen at; tcp: host:port to connect to")
 
 
 class CommandTable(Table):
@@ -149,11 +147,7 @@ class CommandTarget:
 def open_target(table: TargetTable) -> CommandTarget:
     """Connect to a target; DeviceError in one line where that fails."""
     where = f"target '{table.name}'"
-    lines = (
-        TcpLines(where, table.address)
-        if table.kind == "tcp"
-        else SerialLines(where, table.address, table.baud)
-    )
+    lines = TcpLines(where, table.address) if table.kind == "tcp" else SerialLines(where, table.address, table.baud)
     return CommandTarget(table, lines)
 
 
@@ -163,9 +157,7 @@ class EventSource:
     def __init__(self, table: EventTable) -> None:
         where = f"event '{table.name}'"
         self.table = table
-        self._lines: Lines = (
-            UdpLines(where, table.address) if table.kind == "udp" else TcpLines(where, table.address)
-        )
+        self._lines: Lines = UdpLines(where, table.address) if table.kind == "udp" else TcpLines(where, table.address)
 
     def take(self, timeout_s: float) -> tuple[int, str] | None:
         """Return (host time [ns], line), or None when none came in time; DeviceError where the line is cut."""
@@ -224,9 +216,7 @@ class ProgramRun:
             source.close()
         self._record(None)
         if self._early:
-            self.notes.append(
-                f"{len(self._early)} messages came before the first frames and are not recorded"
-            )
+            self.notes.append(f"{len(self._early)} messages came before the first frames and are not recorded")
             self._early.clear()
 
     def _begin(self, name: str, work: Callable[[], None]) -> None:
@@ -238,9 +228,7 @@ class ProgramRun:
         name = target.table.name
         for done, item in enumerate(items):
             if not self._wait_for(round(item.at_s * 1e9)):
-                self.notes.append(
-                    f"target '{name}': {len(items) - done} commands were not sent, the take ended"
-                )
+                self.notes.append(f"target '{name}': {len(items) - done} commands were not sent, the take ended")
                 return
             try:
                 self._send(target, item)
@@ -258,9 +246,7 @@ class ProgramRun:
             late_ms = ((self._session_ns(sent_ns) or 0) - item.at_s * 1e9) / 1e6
             sent = {"target": name, "at_s": item.at_s, "command": item.command, "late_ms": late_ms}
             if late_ms > LATE_MS:
-                self.notes.append(
-                    f"target '{name}': the command of {item.at_s:g} s went {late_ms:.0f} ms late"
-                )
+                self.notes.append(f"target '{name}': the command of {item.at_s:g} s went {late_ms:.0f} ms late")
             self._record(("commands", sent_ns, sent))
 
         reply = target.send(line, sent)

@@ -65,9 +65,7 @@ def earliest_arrival_ns(pending: Sequence[Grabbed], period_ns: float) -> float:
     if first is None:
         return min(b.host_ns - b.exposure_ns - k * period_ns for k, b in enumerate(pending))
     return min(
-        b.host_ns - b.exposure_ns - round((s - first) / period_ns) * period_ns
-        for b, s in stamps
-        if s is not None
+        b.host_ns - b.exposure_ns - round((s - first) / period_ns) * period_ns for b, s in stamps if s is not None
     )
 
 

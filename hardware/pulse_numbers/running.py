@@ -5,12 +5,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from hardware.driver import Grabbed
-from hardware.pulse_numbers.camera_state import (
-    CameraState,
-    NumberedBuffer,
-    earliest_arrival_ns,
-    index_after_jump,
-)
+from hardware.pulse_numbers.camera_state import CameraState, NumberedBuffer, earliest_arrival_ns, index_after_jump
 from hardware.pulse_numbers.clock_model import HostPulseTimes
 from hardware.pulse_numbers.clock_sync import ClockPulses
 from hardware.pulse_numbers.free_running import FreeClock
@@ -188,9 +183,7 @@ class Running:
 
     def _usual_delay_ns(self, camera: CameraState) -> float:
         """Return the present delay of frames [ns]: the other cameras', without others this camera's own."""
-        others = [
-            min(c.delays) for c in self._cameras.values() if c is not camera and c.delays and not c.pending
-        ]
+        others = [min(c.delays) for c in self._cameras.values() if c is not camera and c.delays and not c.pending]
         return float(np.median(others)) if others else min(camera.delays, default=0.0)
 
     def _by_arrival(self, camera: CameraState, buffer: Grabbed) -> NumberedBuffer:
@@ -204,9 +197,7 @@ class Running:
         pulse = self.pulse_times.pulse_of(self._arrival_ns(camera, buffer))
         return self._numbered(camera, max(pulse, camera.last_pulse + 1), 0.0, buffer)
 
-    def _numbered(
-        self, camera: CameraState, pulse: int, residual_ns: float, buffer: Grabbed
-    ) -> NumberedBuffer:
+    def _numbered(self, camera: CameraState, pulse: int, residual_ns: float, buffer: Grabbed) -> NumberedBuffer:
         camera.last_block, camera.last_pulse = buffer.block_id, pulse
         camera.counter.take(pulse, buffer)
         return NumberedBuffer(camera.name, pulse, residual_ns, buffer)

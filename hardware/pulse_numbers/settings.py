@@ -29,8 +29,6 @@ class NumberingSettings(NamedTuple):
     @classmethod
     def at_rate(cls, rate_hz: float, start_ns: int | None, start_wait_s: float) -> Self:
         """Return the settings at a pulse rate."""
-        votes, start_votes = (
-            min(max(round(s * rate_hz), FEWEST_VOTES), MOST_VOTES) for s in (VOTE_S, START_S)
-        )
+        votes, start_votes = (min(max(round(s * rate_hz), FEWEST_VOTES), MOST_VOTES) for s in (VOTE_S, START_S))
         reading_wait = max(round(READING_WAIT_S * rate_hz), FEWEST_VOTES)
         return cls(1e9 / rate_hz, votes, start_votes, reading_wait, start_ns, start_wait_s * 1e9)

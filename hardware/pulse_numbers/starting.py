@@ -53,9 +53,7 @@ class Starting:
     def start_by_arrivals(self) -> Started | None:
         """Begin with the cameras that have delivered; None where none has."""
         period_ns, start_ns = self._settings.period_ns, self._settings.start_ns
-        earliest = {
-            c.name: earliest_arrival_ns(c.pending, period_ns) for c in self._cameras.values() if c.pending
-        }
+        earliest = {c.name: earliest_arrival_ns(c.pending, period_ns) for c in self._cameras.values() if c.pending}
         if not earliest:
             return None
         first = min(earliest.values())

@@ -5,9 +5,7 @@ from collections.abc import Sequence
 from hardware.transport.transport import JAM_S, Transport, TransportError
 
 
-def open_transport(
-    connect: Sequence[str] = (), listen: Sequence[str] = (), jam_s: float = JAM_S
-) -> Transport:
+def open_transport(connect: Sequence[str] = (), listen: Sequence[str] = (), jam_s: float = JAM_S) -> Transport:
     """Open the engine; TransportError where it is not installed or an endpoint cannot be used.
 
     ``connect``, ``listen``: endpoints such as ``tcp/192.168.7.1:7447``. The one that listens may come later.

@@ -45,8 +45,7 @@ class RemoteClock:
         self._pings.append(((asked_ns + received_ns) // 2, remote_ns, received_ns - asked_ns))
         origin_here, origin_there, _ = self._pings[0]
         pings = np.array(
-            [(here - origin_here, there - origin_there, trip) for here, there, trip in self._pings],
-            dtype=float,
+            [(here - origin_here, there - origin_there, trip) for here, there, trip in self._pings], dtype=float
         )
         quick = pings[pings[:, 2] <= np.median(pings[:, 2])]
         there, offset = quick[:, 1], quick[:, 0] - quick[:, 1]

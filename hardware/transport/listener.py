@@ -89,9 +89,7 @@ class Listener:
         state = self.states.get(station)
         if state is None:
             if kind == "message":
-                self._note_once(
-                    station, "error", "is none of the stations that were named; it is not listened to"
-                )
+                self._note_once(station, "error", "is none of the stations that were named; it is not listened to")
             return
         try:
             match kind, what:
@@ -121,9 +119,7 @@ class Listener:
         if epoch in state.earlier:
             state.statistics.stale += 1
             if received_ns - (state.heard_ns or 0) < self.settings.silence_s * 1e9 and state.has_token:
-                self._note_once(
-                    state.name, "error", "speaks with two voices: do two stations have this name?"
-                )
+                self._note_once(state.name, "error", "speaks with two voices: do two stations have this name?")
             return False
         if epoch != state.epoch:
             first = state.epoch is None
@@ -131,16 +127,12 @@ class Listener:
             if self.pulses is not None:
                 self.pulses.restarted(state.name)
             self.merger.restarted([name for name, owner in self._owner.items() if owner == state.name])
-            self._note(
-                state.name, "appeared" if first else "back", "is here" if first else "has started again"
-            )
+            self._note(state.name, "appeared" if first else "back", "is here" if first else "has started again")
         elif state.silent and received_ns - state.gone_ns < ECHO_NS:
             return True  # sent before it ended
         elif state.silent and received_ns > (state.heard_ns or 0):
             self._note(
-                state.name,
-                "back",
-                f"is heard again after {(received_ns - (state.heard_ns or 0)) / 1e9:.2f} s",
+                state.name, "back", f"is heard again after {(received_ns - (state.heard_ns or 0)) / 1e9:.2f} s"
             )
         state.silent = False
         state.heard_ns = received_ns
@@ -278,9 +270,7 @@ class Listener:
             if state.quiet_ns > self.settings.silence_s * 1e9:
                 state.silent = True
                 state.statistics.silent += 1
-                self._note(
-                    state.name, "silent", f"is silent for {self.settings.silence_s:g} s; it is not waited for"
-                )
+                self._note(state.name, "silent", f"is silent for {self.settings.silence_s:g} s; it is not waited for")
         waited = now_ns - self._opened_ns > self.settings.start_wait_s * 1e9
         if self.start_ns is None and (waited or all(state.settled for state in self.states.values())):
             for state in self.states.values():
@@ -309,12 +299,7 @@ class Listener:
 
     def _note(self, station: str, kind: str, text: str) -> None:
         event = Event(self._now_ns, station, kind, text)
-        log.log(
-            logging.INFO if kind in ("appeared", "ended") else logging.WARNING,
-            "station %s: %s",
-            station,
-            text,
-        )
+        log.log(logging.INFO if kind in ("appeared", "ended") else logging.WARNING, "station %s: %s", station, text)
         self.events.append(event)
         self._on_event(event)
 

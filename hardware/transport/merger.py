@@ -157,8 +157,7 @@ class Merger:
     def _waits(self, pulse: int) -> bool:
         here = self._open[pulse]
         return any(
-            name not in here and self._newest[name] <= pulse and not self._away(name)
-            for name in self._cameras
+            name not in here and self._newest[name] <= pulse and not self._away(name) for name in self._cameras
         )
 
     def _close(self, pulse: int, now_ns: int) -> MergedSet:

@@ -144,9 +144,7 @@ def unpack_detections(data: bytes) -> DetectionMessage:
     begin = _HEAD.size + n_station + n_camera
     begin += -begin % 8
     if n > MOST_TARGETS or size != len(data) or size != begin + 65 * n:
-        raise MessageError(
-            f"detections: {len(data)} bytes given for {n} targets, {begin + 65 * n} are wanted"
-        )
+        raise MessageError(f"detections: {len(data)} bytes given for {n} targets, {begin + 65 * n} are wanted")
     if status >= len(STATUSES) or (status and n):
         raise MessageError(f"detections: status {status} with {n} targets")
     try:
@@ -240,8 +238,6 @@ def _check_start(data: bytes, kind: int) -> None:
     if len(data) < 4 or data[:2] != MAGIC:
         raise MessageError("a message that does not begin with 'MO'; something else publishes under 'mosca/'")
     if data[2] != VERSION:
-        raise MessageError(
-            f"a message of version {data[2]}, this is version {VERSION}; install the same on all PCs"
-        )
+        raise MessageError(f"a message of version {data[2]}, this is version {VERSION}; install the same on all PCs")
     if data[3] != kind:
         raise MessageError(f"a message of kind {data[3]}, {kind} is wanted")

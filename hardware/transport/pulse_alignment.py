@@ -152,9 +152,7 @@ class StationPulses:
         if late < -EARLY * self.period_ns:
             state.early += 1
             if state.early >= EARLY_FRAMES:
-                self.notes.append(
-                    (station, "its frames come before their pulses: it counts wrongly; placed anew")
-                )
+                self.notes.append((station, "its frames come before their pulses: it counts wrongly; placed anew"))
                 state.shift, state.early = None, 0
                 state.votes.clear()
             return

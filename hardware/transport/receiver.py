@@ -72,13 +72,10 @@ class Receiver:
         transport.declare_queryable(HEARD, self._received_to_end)
         transport.declare_token(key_of(name, "alive"))
         transport.subscribe(EVERYTHING, self._published)
-        transport.watch_tokens(
-            EVERY_TOKEN, lambda key, declared: self._post("token", station_of(key), declared)
-        )
+        transport.watch_tokens(EVERY_TOKEN, lambda key, declared: self._post("token", station_of(key), declared))
         self._threads = [threading.Thread(target=self._work, name="merge", daemon=True)]
         self._threads += [
-            threading.Thread(target=self._attend, args=(n,), name=f"clock of {n}", daemon=True)
-            for n in stations
+            threading.Thread(target=self._attend, args=(n,), name=f"clock of {n}", daemon=True) for n in stations
         ]
         for thread in self._threads:
             thread.start()

@@ -51,9 +51,7 @@ class Sender:
         self.station = check_station(station)
         for info in cameras:
             if set(info.name) & set("/*$?#"):
-                raise InputError(
-                    f"camera name '{info.name}' cannot be sent; letters, digits, _ . and - are wanted"
-                )
+                raise InputError(f"camera name '{info.name}' cannot be sent; letters, digits, _ . and - are wanted")
         # not from a seed: two starts of a station must not be taken for one
         self.epoch = random.SystemRandom().getrandbits(63)
         self.now_ns = clock

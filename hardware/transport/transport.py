@@ -71,9 +71,7 @@ def check_endpoint(text: str) -> str:
     """
     found = re.fullmatch(r"(?:tcp|udp|tls|quic|ws)/[^/?#]+:(\d{1,5})(?:[?#].*)?", text)
     if found is None or not 0 < int(found[1]) < 65536:
-        raise TransportError(
-            f"endpoint '{text}': endpoints look like tcp/192.168.7.1:7447, the port at its end"
-        )
+        raise TransportError(f"endpoint '{text}': endpoints look like tcp/192.168.7.1:7447, the port at its end")
     return text
 
 
@@ -87,9 +85,7 @@ def check_station(name: str) -> str:
 def check_stations(names: Sequence[str]) -> None:
     """Raise InputError where ``names`` are none, or two are the same, or one cannot be a station's."""
     if not names or len(set(names)) < len(names):
-        raise InputError(
-            f"stations {', '.join(names) or 'none'} given; one or more different names are wanted"
-        )
+        raise InputError(f"stations {', '.join(names) or 'none'} given; one or more different names are wanted")
     for name in names:
         check_station(name)
 

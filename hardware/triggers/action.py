@@ -34,9 +34,7 @@ class ActionTrigger(External):
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         except OSError as error:
-            raise DeviceError(
-                f"action commands: no socket ({error.strerror}); check the network's rights"
-            ) from None
+            raise DeviceError(f"action commands: no socket ({error.strerror}); check the network's rights") from None
 
     def start(self) -> int | None:
         """Begin with pulse 0 now; return this machine's time of it [ns]."""

@@ -63,9 +63,7 @@ class SerialTrigger(External):
         try:
             answer = self._ask(VERSION)
             if answer != PROTOCOL:
-                raise DeviceError(
-                    f"{self._where}: answers '{answer}', '{PROTOCOL}' is wanted; load its firmware"
-                )
+                raise DeviceError(f"{self._where}: answers '{answer}', '{PROTOCOL}' is wanted; load its firmware")
             self._ask(STOP)
             wanted = rate_command(rate_hz)
             taken = self._ask(wanted)
@@ -94,10 +92,7 @@ class SerialTrigger(External):
                 break
             ping = self._ping()
             if ping is not None and ping.round_trip_ns < trip_ns:
-                begun_ns, trip_ns = (
-                    ping.host_ns - round(ping.pulses * 1e9 / self._rate_hz),
-                    ping.round_trip_ns,
-                )
+                begun_ns, trip_ns = (ping.host_ns - round(ping.pulses * 1e9 / self._rate_hz), ping.round_trip_ns)
         log.info("%s: started, known to %.3f ms", self._where, trip_ns / 2e6)
         self._end.clear()
         self._thread = threading.Thread(target=self._run, name="pulse generator", daemon=True)
@@ -172,7 +167,5 @@ class SerialTrigger(External):
         except OSError as error:  # SerialException is one
             raise DeviceError(f"{self._where}: is gone ({error}); plug it in and start again") from None
         if not answer.endswith(b"\n"):
-            raise DeviceError(
-                f"{self._where}: no answer to '{line}' within {ANSWER_S:g} s; is its firmware loaded?"
-            )
+            raise DeviceError(f"{self._where}: no answer to '{line}' within {ANSWER_S:g} s; is its firmware loaded?")
         return answer.decode("ascii", errors="replace").strip()

@@ -29,12 +29,7 @@ from mosca.calibration.bundle.solver import (
 from mosca.calibration.bundle.systematic_errors import systematic_covariance, systematic_errors
 from mosca.calibration.initial.pose_graph import View, chain
 from mosca.calibration.initial.target_pose import TargetPoseFit, poses_of
-from mosca.calibration.single_camera.interior_orientation import (
-    CameraViews,
-    LensChoice,
-    TargetView,
-    starting_camera,
-)
+from mosca.calibration.single_camera.interior_orientation import CameraViews, LensChoice, TargetView, starting_camera
 from mosca.calibration.targets.stationary_intervals import stationary_intervals
 from mosca.camera.eccentricity import eccentricity_px
 from mosca.camera.projection import lens_directions
@@ -137,9 +132,7 @@ def _adjusted(
     bundle = BundleSettings(blunder_significance=settings.blunder_significance)
     xy = sightings.xy_px
     rough = replace(bundle, precision=False, blunder_significance=None, loss="huber")
-    problem = Problem(
-        unknowns, Observations(sightings.camera, sightings.mark, xy, placement, sigma), held, poses
-    )
+    problem = Problem(unknowns, Observations(sightings.camera, sightings.mark, xy, placement, sigma), held, poses)
     result = solve(problem, rough)
     for _ in range(ECCENTRICITY_ROUNDS if target.radii_m is not None else 0):
         xy = sightings.xy_px - _eccentricity(result, sightings, placement, target)
@@ -199,9 +192,7 @@ def _eccentricity(result: Adjustment, sightings: Sightings, placement: Array, ta
     if moved.any():
         rotation = result.placements.rotation[placement[moved]]
         at, normal = at.copy(), normal.copy()
-        at[moved] = (
-            np.einsum("nij,nj->ni", rotation, at[moved]) + result.placements.translation[placement[moved]]
-        )
+        at[moved] = np.einsum("nij,nj->ni", rotation, at[moved]) + result.placements.translation[placement[moved]]
         normal[moved] = np.einsum("nij,nj->ni", rotation, normal[moved])
     out = np.zeros((len(at), 2))
     radius = np.asarray(target.radii_m)[sightings.mark]
@@ -220,9 +211,7 @@ def _starting_cameras(
     known: Rig | None,
 ) -> tuple[Camera, ...]:
     if settings.exterior_only and known is None:
-        raise CalibrationError(
-            "exterior orientation alone needs the rig whose lenses are to be kept; give it"
-        )
+        raise CalibrationError("exterior orientation alone needs the rig whose lenses are to be kept; give it")
     cameras = []
     rngs = np.random.default_rng(SEED).spawn(len(sightings.cameras))
     for k, name in enumerate(sightings.cameras):
@@ -271,9 +260,7 @@ def _doubt(fits: tuple[TargetPoseFit, ...], seen: TargetView) -> float:
 
 def _reference(sightings: Sightings, stand: Array, views: dict[View, Pose], settings: RigidSettings) -> int:
     if settings.reference is not None:
-        where = (
-            f"reference = {settings.reference} given, but frame set {settings.reference}: the target, which "
-        )
+        where = f"reference = {settings.reference} given, but frame set {settings.reference}: the target, which "
         if not 0 <= settings.reference < sightings.frames:
             raise InputError(
                 f"{where}was to be the world there, has no images; 0 to {sightings.frames - 1} are allowed, name one "
@@ -281,9 +268,7 @@ def _reference(sightings: Sightings, stand: Array, views: dict[View, Pose], sett
             )
         chosen = stand[sightings.frame == settings.reference]
         if len(chosen) == 0:
-            raise CalibrationError(
-                f"{where}was to be the world there, was not seen; name a frame set that shows it"
-            )
+            raise CalibrationError(f"{where}was to be the world there, was not seen; name a frame set that shows it")
         return int(chosen[0])
     if not views:
         raise CalibrationError(

@@ -101,11 +101,7 @@ def calibrate_session(
     calibration = checked(calibration, shown.target, settings, known=known, lengths=errors)
     calibration = replace(calibration, rig=with_residuals(calibration))
     evidence = evidence_of(
-        calibration,
-        volume=settings.volume,
-        lengths=errors,
-        made_from=made_from,
-        rigid_target=is_rigid(shown.target),
+        calibration, volume=settings.volume, lengths=errors, made_from=made_from, rigid_target=is_rigid(shown.target)
     )
     return calibration, evidence
 
@@ -167,23 +163,17 @@ def calibrate_sightings(
             for name, (w, h) in zip(sightings.cameras, sightings.sizes, strict=True)
         ]
         return calibrate_wand(sightings, target, np.random.default_rng(SEED), lenses)
-    raise InputError(
-        f"a {type(target).__name__} does not calibrate cameras; give a test field, a board or a wand"
-    )
+    raise InputError(f"a {type(target).__name__} does not calibrate cameras; give a test field, a board or a wand")
 
 
 def _check(target: CalibrationTarget, settings: EstimateSettings) -> None:
     if isinstance(target, Wand) and settings.exterior_only:
-        raise InputError(
-            "a wand does not give exterior orientation alone; show the test field or the board again"
-        )
+        raise InputError("a wand does not give exterior orientation alone; show the test field or the board again")
     if settings.free is not None:
         if isinstance(target, Wand):
             raise InputError("a wand's cameras have lens parameters of their own choice; leave 'free' out")
         if settings.exterior_only:
-            raise InputError(
-                "'free' names lens parameters, and exterior orientation alone has none; leave it out"
-            )
+            raise InputError("'free' names lens parameters, and exterior orientation alone has none; leave it out")
         check_lens("cameras", settings.lens.model, settings.free)
 
 
@@ -212,9 +202,7 @@ def checked(
     return replace(calibration, findings=(*calibration.findings, *found))
 
 
-def on_axes(
-    calibration: Calibration, source: FrameSource, frame: LFrame, settings: EstimateSettings
-) -> Calibration:
+def on_axes(calibration: Calibration, source: FrameSource, frame: LFrame, settings: EstimateSettings) -> Calibration:
     """Return the calibration in the axes of an L-frame, which the source's frames show standing still."""
     axes = world_from_l_frame(calibration, _mean_detections(source, settings), frame)
     return in_axes(calibration, axes)
@@ -279,9 +267,7 @@ def _mean_detections(source: FrameSource, settings: EstimateSettings) -> dict[st
                 images[name].append(detect(frame.image, name, settings.detection, depth[name]))
     found = {name: _mean(name, every) for name, every in images.items() if every}
     if not any(len(one) for one in found.values()):
-        raise CalibrationError(
-            "few-views: nothing is seen of the L-frame; check exposure and detection settings"
-        )
+        raise CalibrationError("few-views: nothing is seen of the L-frame; check exposure and detection settings")
     return found
 
 

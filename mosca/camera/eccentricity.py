@@ -49,9 +49,7 @@ def eccentricity_px(camera: Camera, centres: Array, normals: Array, radii_m: Arr
         raise InputError(f"eccentricity: radii_m = {radii_m} given; give radii above zero")
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     if not (length > 0).all():
-        raise InputError(
-            "eccentricity: a normal of length zero given; give the direction that the disc faces"
-        )
+        raise InputError("eccentricity: a normal of length zero given; give the direction that the disc faces")
     to_camera = camera.world_from_camera.inverse()
     c, n = to_camera.transform(centres), (normals / length) @ to_camera.rotation.T
     axes = _planes(camera.lens, c)
@@ -134,13 +132,9 @@ def _offsets(lens: Lens, axes: Array, circle: Array, inertia: Array, shown: Arra
     x, y = np.array([STEP, 0.0]), np.array([0.0, STEP])
     right, left, down, up = (pixels(centre + by) for by in (x, -x, y, -y))
     jacobian = np.stack([right - left, down - up], axis=2) / (2 * STEP)
-    both = (
-        pixels(centre + x + y) - pixels(centre + x - y) - pixels(centre - x + y) + pixels(centre - x - y)
-    ) / 4
+    both = (pixels(centre + x + y) - pixels(centre + x - y) - pixels(centre - x + y) + pixels(centre - x - y)) / 4
     # second[:, i, j, k]: of pixel coordinate i, by plane coordinates j and k
-    second = np.stack([right - 2 * here + left, both, both, down - 2 * here + up], axis=2).reshape(
-        -1, 2, 2, 2
-    )
+    second = np.stack([right - 2 * here + left, both, both, down - 2 * here + up], axis=2).reshape(-1, 2, 2, 2)
     second /= STEP**2
     bend = np.einsum("nijk,njk->ni", second, moments) / 2
     (a, b), (c, d) = jacobian[:, 0].T, jacobian[:, 1].T

@@ -181,11 +181,7 @@ def fill_rays(cameras, seen, start, fields, xy, covariance, extra, diameter, elo
             good = direction_of(own, xy[n, 0], xy[n, 1], d, local)
             across, long = _longer_axis(diameter[n], elongation[n])
             odd += long or flags[n] & (UNREFINED | MERGED) == UNREFINED
-            s00, s01, s11 = (
-                covariance[n, 0, 0] + extra[c],
-                covariance[n, 0, 1],
-                covariance[n, 1, 1] + extra[c],
-            )
+            s00, s01, s11 = (covariance[n, 0, 0] + extra[c], covariance[n, 0, 1], covariance[n, 1, 1] + extra[c])
             area = s00 * s11 - s01 * s01
             if not (good and s00 > 0.0 and area > 0.0):
                 rays[n] = np.nan
@@ -228,9 +224,7 @@ def _to_world(views, c, d, local, g, rays, n):  # type: ignore[no-untyped-def]
         for k in range(3):
             m = ROTATION + 3 * k
             g[row, k] = (
-                local[row, 0] * views[c, m]
-                + local[row, 1] * views[c, m + 1]
-                + local[row, 2] * views[c, m + 2]
+                local[row, 0] * views[c, m] + local[row, 1] * views[c, m + 1] + local[row, 2] * views[c, m + 2]
             )
     for k in range(3):
         m = ROTATION + 3 * k
@@ -276,9 +270,7 @@ def _normals(rays, n, x, y, z):  # type: ignore[no-untyped-def]
     k = NORMAL
     for p in range(3):
         for q in range(p, 3):
-            rays[n, k] = (
-                rays[n, WHITE + p] * rays[n, WHITE + q] + rays[n, WHITE + 3 + p] * rays[n, WHITE + 3 + q]
-            )
+            rays[n, k] = rays[n, WHITE + p] * rays[n, WHITE + q] + rays[n, WHITE + 3 + p] * rays[n, WHITE + 3 + q]
             k += 1
     rays[n, k] = rays[n, NORMAL] * x + rays[n, NORMAL + 1] * y + rays[n, NORMAL + 2] * z
     rays[n, k + 1] = rays[n, NORMAL + 1] * x + rays[n, NORMAL + 3] * y + rays[n, NORMAL + 4] * z
@@ -290,9 +282,7 @@ def _whiten_at_shifted(rays, n):  # type: ignore[no-untyped-def]
     """Take from the whitened errors of a ray their part along its shifted direction, where the error is zero."""
     norm2 = rays[n, 0] ** 2 + rays[n, 1] ** 2 + rays[n, 2] ** 2
     for row in (WHITE, WHITE + 3):
-        along = (
-            rays[n, row] * rays[n, 0] + rays[n, row + 1] * rays[n, 1] + rays[n, row + 2] * rays[n, 2]
-        ) / norm2
+        along = (rays[n, row] * rays[n, 0] + rays[n, row + 1] * rays[n, 1] + rays[n, row + 2] * rays[n, 2]) / norm2
         for k in range(3):
             rays[n, row + k] -= along * rays[n, k]
 

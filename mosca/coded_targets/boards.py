@@ -73,8 +73,7 @@ def find_board(image: Array, board: Board, camera: str = "") -> BoardDetections:
     off = np.linalg.norm(_mapped(homography, plane) - xy, axis=1) / spacing
     if not off.max() <= FARTHEST_SHARE:
         return BoardDetections.none(
-            camera,
-            f"{len(xy)} corners, one of them {off.max():.2f} squares from where the board would have it",
+            camera, f"{len(xy)} corners, one of them {off.max():.2f} squares from where the board would have it"
         )
     if not _has_room(image, xy, half):
         return BoardDetections.none(camera, NO_ROOM)

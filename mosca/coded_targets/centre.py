@@ -71,16 +71,7 @@ def measure_dots(
     plate, dark, gain = dots.levels[:, PLATE_DN], np.full(len(dots), float(dark_dn2)), float(gain_dn)
     if turned_dn is not None:
         dark, gain = dark + gain * (turned_dn - plate), -gain
-    centroids(
-        image,
-        dots.frames,
-        plate_and_white(image, dots, target),
-        target.ring_inner,
-        dark,
-        gain,
-        xy,
-        covariance,
-    )
+    centroids(image, dots.frames, plate_and_white(image, dots, target), target.ring_inner, dark, gain, xy, covariance)
     return xy, covariance
 
 
@@ -114,14 +105,7 @@ def window_of(frame: Array, ring_inner: float) -> tuple[float, float]:
 
 @kernel
 def centroids(
-    image: Array,
-    frames: Array,
-    light: Array,
-    ring_inner: float,
-    dark: Array,
-    gain: float,
-    xy: Array,
-    cov: Array,
+    image: Array, frames: Array, light: Array, ring_inner: float, dark: Array, gain: float, xy: Array, cov: Array
 ) -> None:
     """Write centres and covariances of the dots of ``frames`` (n, FRAME) to ``xy`` (n, 2) and ``cov`` (n, 2, 2).
 

@@ -10,19 +10,7 @@ import cv2
 import numpy as np
 
 from mosca.coded_targets.blobs import NEIGHBOURHOOD_PX, bright_patches
-from mosca.coded_targets.dots import (
-    AXX,
-    AXY,
-    AYY,
-    CONTRAST_DN,
-    GX,
-    GY,
-    TargetAppearance,
-    X,
-    Y,
-    find_dots,
-    light_at,
-)
+from mosca.coded_targets.dots import AXX, AXY, AYY, CONTRAST_DN, GX, GY, TargetAppearance, X, Y, find_dots, light_at
 from mosca.coded_targets.ring_sampling import MARGIN, Ring, read_rings
 from mosca.data.arrays import Array, looked_at
 
@@ -62,9 +50,7 @@ class Readings:
         return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
 
 
-def read_codes(
-    image: Array, target: TargetAppearance, maximum_dot_px: float, least_margin: float
-) -> Readings:
+def read_codes(image: Array, target: TargetAppearance, maximum_dot_px: float, least_margin: float) -> Readings:
     """Return what is read about white dots in an image (H, W), in its pixels; some twice."""
     ring = Ring(0.5 * (target.ring_inner + target.ring_outer), least_margin)
     parts: list[Readings] = []
@@ -73,11 +59,7 @@ def read_codes(
         own = target._replace(noise_dn=target.noise_dn / factor, least_axis_px=least)
         frames = find_dots(smaller, bright_patches(smaller, own.contrast_dn, own.noise_dn), own)
         places = frames[:, [X, Y]] * factor + (factor - 1) / 2
-        fresh = (
-            ~np.any([_within(places, part) for part in parts], axis=0)
-            if parts
-            else np.full(len(frames), True)
-        )
+        fresh = ~np.any([_within(places, part) for part in parts], axis=0) if parts else np.full(len(frames), True)
         found = _read(smaller, frames[fresh], own, ring)
         found.frames[:, [X, Y]] = found.frames[:, [X, Y]] * factor + (factor - 1) / 2
         found.frames[:, [AXX, AXY, AYY]] *= factor

@@ -107,9 +107,7 @@ class CodedSettings:
 DEFAULTS = CodedSettings()
 
 
-def find_coded(
-    image: Array, camera: str, settings: CodedSettings = DEFAULTS, bit_depth: int = 8
-) -> CodedDetections:
+def find_coded(image: Array, camera: str, settings: CodedSettings = DEFAULTS, bit_depth: int = 8) -> CodedDetections:
     """Return the coded targets in an image (H, W) of uint8 or uint16 with ``bit_depth`` significant bits (8 to 16).
 
     ``camera``: the name that the detections carry. Raises InputError for another image or bit depth.

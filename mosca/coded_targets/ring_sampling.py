@@ -8,18 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mosca.coded_targets.dots import (
-    AXX,
-    AXY,
-    AYY,
-    BANDS,
-    COS,
-    PER_SECTOR,
-    SECTORS,
-    SIN,
-    STEPS,
-    TargetAppearance,
-)
+from mosca.coded_targets.dots import AXX, AXY, AYY, BANDS, COS, PER_SECTOR, SECTORS, SIN, STEPS, TargetAppearance
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel, step
 
@@ -249,9 +238,7 @@ def shading(
             c, s = COS[i], SIN[i]
             outwards = math.hypot(frame[AXX] * c - frame[AXY] * s, frame[AXY] * c - frame[AYY] * s)
             along = math.hypot(frame[AXX] * s + frame[AXY] * c, frame[AXY] * s + frame[AYY] * c)
-            away *= det / (
-                outwards * along
-            )  # a leaning plate's radii and circles do not cross at right angles
+            away *= det / (outwards * along)  # a leaning plate's radii and circles do not cross at right angles
             for b in range(len(radii)):
                 used[b, i] = white == (b > 1) and away > 1.0 and room[b] * det / along > clear_px
         plate, ring = np.zeros(5), np.zeros(5)

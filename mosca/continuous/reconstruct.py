@@ -138,9 +138,7 @@ def _tied(ties: tuple[ClockTie, ...], estimated: ContinuousEstimate) -> tuple[Cl
     )
 
 
-def _clocks(
-    rig: Rig, ties: tuple[ClockTie, ...], estimated: ContinuousEstimate
-) -> tuple[EstimatedClock, ...]:
+def _clocks(rig: Rig, ties: tuple[ClockTie, ...], estimated: ContinuousEstimate) -> tuple[EstimatedClock, ...]:
     return tuple(
         EstimatedClock(
             name, tie.origin_ns, tie.offset_s, tie.drift, clock.row_time_s,

@@ -63,14 +63,8 @@ class Rules(NamedTuple):
 
 RULES = np.dtype(
     [
-        *(
-            (name, np.float64)
-            for name in ("gate_sigma", "outlier_sigma", "support_sigma", "worst_m2", "judge")
-        ),
-        *(
-            (name, np.float64)
-            for name in ("typical_m", "low_x", "low_y", "low_z", "high_x", "high_y", "high_z")
-        ),
+        *((name, np.float64) for name in ("gate_sigma", "outlier_sigma", "support_sigma", "worst_m2", "judge")),
+        *((name, np.float64) for name in ("typical_m", "low_x", "low_y", "low_z", "high_x", "high_y", "high_z")),
         ("minimum_cameras", np.int64),
     ]
 )
@@ -131,9 +125,7 @@ def new_hypothesis(cameras):  # type: ignore[no-untyped-def]
 def no_hypotheses(capacity, cameras):  # type: ignore[no-untyped-def]
     """Return arrays for ``capacity`` hypotheses."""
     return Hypotheses(
-        np.empty((capacity, VALUES)),
-        np.empty((capacity, cameras), dtype=np.int64),
-        np.empty((capacity, cameras)),
+        np.empty((capacity, VALUES)), np.empty((capacity, cameras), dtype=np.int64), np.empty((capacity, cameras))
     )
 
 
@@ -143,11 +135,7 @@ def with_capacity(kept, count):  # type: ignore[no-untyped-def]
     if count < kept.values.shape[0]:
         return kept
     longer = no_hypotheses(2 * count, kept.members.shape[1])
-    longer.values[:count], longer.members[:count], longer.trusts[:count] = (
-        kept.values,
-        kept.members,
-        kept.trusts,
-    )
+    longer.values[:count], longer.members[:count], longer.trusts[:count] = (kept.values, kept.members, kept.trusts)
     return longer
 
 
@@ -160,11 +148,7 @@ def solve(hypothesis, steps, data):  # type: ignore[no-untyped-def]
     for c in range(members.shape[0]):
         k = members[c]
         if k >= 0:
-            depth = (
-                rays[k, 0] * (x - views[c, 0])
-                + rays[k, 1] * (y - views[c, 1])
-                + rays[k, 2] * (z - views[c, 2])
-            )
+            depth = rays[k, 0] * (x - views[c, 0]) + rays[k, 1] * (y - views[c, 1]) + rays[k, 2] * (z - views[c, 2])
             if not depth > 0.0:
                 return -1.0
             ranks[c, DEPTH] = depth

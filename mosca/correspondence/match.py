@@ -87,14 +87,7 @@ def match_counted(
         float(typical_diameter_m), (float(x0), float(y0), float(z0)), (float(x1), float(y1), float(z1)),
     )  # fmt: skip
     found, considered, left_open = match_rays(
-        table.rays,
-        table.views,
-        table.pairs,
-        table.bases,
-        table.start,
-        rules,
-        predicted.xyz,
-        predicted.covariance,
+        table.rays, table.views, table.pairs, table.bases, table.start, rules, predicted.xyz, predicted.covariance
     )
     for column in found:
         column.setflags(write=False)

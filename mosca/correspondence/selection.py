@@ -59,9 +59,7 @@ def choose(kept, data, xyz, covariance):  # type: ignore[no-untyped-def]
             if state[g] == OPEN:
                 half = support * np.sqrt(values[g, COVARIANCE])
                 near = within(line, values[g, XYZ], half, found)
-                track[g], gained = _best_track(
-                    values[g], xyz, covariance, assigned, support, density, found, near
-                )
+                track[g], gained = _best_track(values[g], xyz, covariance, assigned, support, density, found, near)
                 seen, missing = _seen_and_missing(g, values, members, data.views)
                 worth[g] = values[g, GAIN] + density + gained + missing * lost + seen_share * seen
         waiting = np.flatnonzero(state == OPEN)
@@ -121,11 +119,7 @@ def _seen_and_missing(g, values, members, views):  # type: ignore[no-untyped-def
         if members[g, c] >= 0:
             seen += 1
             continue
-        x, y, z = (
-            values[g, XYZ] - views[c, 0],
-            values[g, XYZ + 1] - views[c, 1],
-            values[g, XYZ + 2] - views[c, 2],
-        )
+        x, y, z = (values[g, XYZ] - views[c, 0], values[g, XYZ + 1] - views[c, 1], values[g, XYZ + 2] - views[c, 2])
         w = np.sqrt(x * x + y * y + z * z) + views[c, 5] * x + views[c, 8] * y + views[c, 11] * z
         if not w > 0.0:
             continue
@@ -147,11 +141,7 @@ def _best_track(values, xyz, covariance, assigned, gate, density, found, near): 
         t = found[k]
         if assigned[t]:
             continue
-        x, y, z = (
-            values[XYZ] - xyz[t, 0],
-            values[XYZ + 1] - xyz[t, 1],
-            values[XYZ + 2] - xyz[t, 2],
-        )
+        x, y, z = (values[XYZ] - xyz[t, 0], values[XYZ + 1] - xyz[t, 1], values[XYZ + 2] - xyz[t, 2])
         innovation = Symmetric3(
             covariance[t, 0, 0] + values[COVARIANCE],
             covariance[t, 0, 1] + values[COVARIANCE + 1],

@@ -128,11 +128,7 @@ def cells(rays, views, start):  # type: ignore[no-untyped-def]
                 column = cell_of(place[i, 0], frame[c, CORNER], frame[c, SCALE], side)
                 row = cell_of(place[i, 1], frame[c, CORNER + 1], frame[c, SCALE + 1], side)
                 cell[i] = int(frame[c, FIRST] + row * side + column)
-    first, items, sorted_place = (
-        np.zeros(total + 2, dtype=np.int64),
-        np.empty(n, dtype=np.int64),
-        np.empty((n, 2)),
-    )
+    first, items, sorted_place = (np.zeros(total + 2, dtype=np.int64), np.empty(n, dtype=np.int64), np.empty((n, 2)))
     for i in range(n):
         if cell[i] >= 0:
             first[cell[i] + 2] += 1

@@ -41,9 +41,7 @@ def read_only_image(pixels: Any) -> Array:
     """
     image: Array = np.asarray(pixels)
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
-        raise ValueError(
-            f"image: shape {image.shape} of {image.dtype} given, (H, W) of uint8 or uint16 wanted"
-        )
+        raise ValueError(f"image: shape {image.shape} of {image.dtype} given, (H, W) of uint8 or uint16 wanted")
     image.setflags(write=False)
     return image
 

@@ -12,11 +12,7 @@ from mosca.data.arrays import Array
 from mosca.data.targets import above_zero, not_below_zero
 
 DICTIONARIES: dict[str, tuple[int, int]] = {
-    **{
-        f"DICT_{side}X{side}_{count}": (side, count)
-        for side in (4, 5, 6, 7)
-        for count in (50, 100, 250, 1000)
-    },
+    **{f"DICT_{side}X{side}_{count}": (side, count) for side in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
     "DICT_ARUCO_ORIGINAL": (5, 1024),
     "DICT_ARUCO_MIP_36H12": (6, 250),
     "DICT_APRILTAG_16H5": (4, 30),
@@ -65,17 +61,12 @@ class Board:
             raise ValueError(f"marker_m = {self.marker_m:g} given; above 0 and below square_m is allowed")
         markers, known = len(self.white_squares()), DICTIONARIES[self.dictionary][1]
         if markers > known:
-            raise ValueError(
-                f"dictionary = '{self.dictionary}' has {known} markers; this board takes {markers}"
-            )
+            raise ValueError(f"dictionary = '{self.dictionary}' has {known} markers; this board takes {markers}")
 
     @property
     def size_m(self) -> tuple[float, float]:
         """Width and height of the board with its margin [m]."""
-        return (
-            self.columns * self.square_m + 2 * self.margin_m,
-            self.rows * self.square_m + 2 * self.margin_m,
-        )
+        return (self.columns * self.square_m + 2 * self.margin_m, self.rows * self.square_m + 2 * self.margin_m)
 
     def corners(self) -> Array:
         """Return the inner corners ((columns - 1) (rows - 1), 3) [m], row by row from the upper left."""
@@ -90,7 +81,4 @@ class Board:
 
     def square_centre(self, column: int, row: int) -> tuple[float, float]:
         """Return x and y of a square's middle [m]."""
-        return (
-            (column + 0.5 - self.columns / 2) * self.square_m,
-            (self.rows / 2 - row - 0.5) * self.square_m,
-        )
+        return ((column + 0.5 - self.columns / 2) * self.square_m, (self.rows / 2 - row - 0.5) * self.square_m)

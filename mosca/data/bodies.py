@@ -34,14 +34,10 @@ class RigidBody:
         object.__setattr__(self, "positions", read_only(self.positions, (m, 3), "positions"))
         not_below_zero("sigma_m", self.sigma_m)
         if not FEWEST_MARKERS <= m <= MOST_MARKERS:
-            raise ValueError(
-                f"body '{self.name}': {m} markers given; {FEWEST_MARKERS} to {MOST_MARKERS} are allowed"
-            )
+            raise ValueError(f"body '{self.name}': {m} markers given; {FEWEST_MARKERS} to {MOST_MARKERS} are allowed")
         for marker in self.markers:
             if self.markers.count(marker) > 1:
-                raise ValueError(
-                    f"body '{self.name}': marker '{marker}' stands twice; each has a name of its own"
-                )
+                raise ValueError(f"body '{self.name}': marker '{marker}' stands twice; each has a name of its own")
         if not np.isfinite(self.positions).all():
             raise ValueError(f"body '{self.name}': a marker's place is no finite number; measure it again")
         spread = np.linalg.svd(self.positions - self.positions.mean(axis=0), compute_uv=False)

@@ -103,7 +103,6 @@ class Calibration:
             which = self.placement[placed]
             at = at.copy()
             at[placed] = (
-                np.einsum("nij,nj->ni", self.target_rotation[which], at[placed])
-                + self.target_translation[which]
+                np.einsum("nij,nj->ni", self.target_rotation[which], at[placed]) + self.target_translation[which]
             )
         return np.asarray(at)

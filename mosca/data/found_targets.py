@@ -66,9 +66,7 @@ class BoardDetections:
         object.__setattr__(self, "corner", read_only(self.corner, (None,), "corner", np.int64))
         n = len(self.corner)
         object.__setattr__(self, "xy_px", read_only(self.xy_px, (n, 2), "xy_px"))
-        object.__setattr__(
-            self, "covariance_px2", read_only(self.covariance_px2, (n, 2, 2), "covariance_px2")
-        )
+        object.__setattr__(self, "covariance_px2", read_only(self.covariance_px2, (n, 2, 2), "covariance_px2"))
 
     def __len__(self) -> int:
         return len(self.corner)

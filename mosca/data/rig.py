@@ -24,10 +24,7 @@ class Pose:
     def __post_init__(self) -> None:
         object.__setattr__(self, "rotation", read_only(self.rotation, (3, 3), "rotation"))
         object.__setattr__(self, "translation", read_only(self.translation, (3,), "translation"))
-        if (
-            not np.allclose(self.rotation @ self.rotation.T, np.eye(3), atol=1e-6)
-            or np.linalg.det(self.rotation) < 0
-        ):
+        if not np.allclose(self.rotation @ self.rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(self.rotation) < 0:
             raise ValueError("rotation: not a rotation matrix (orthonormal, determinant +1)")
 
     def inverse(self) -> "Pose":

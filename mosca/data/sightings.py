@@ -67,9 +67,7 @@ class Sightings:
         )
 
     @classmethod
-    def joined(
-        cls, cameras: tuple[str, ...], sizes: Array, frames: int, parts: Sequence["Part"]
-    ) -> "Sightings":
+    def joined(cls, cameras: tuple[str, ...], sizes: Array, frames: int, parts: Sequence["Part"]) -> "Sightings":
         """Return the image points of ``parts``, each of one image."""
 
         def stacked(name: str, shape: tuple[int, ...]) -> Array:

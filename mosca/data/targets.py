@@ -171,9 +171,7 @@ class ScaleBar:
     @property
     def names(self) -> tuple[str, str]:
         """The targets' names: their numbers, else bar/1 and bar/2."""
-        one, two = (
-            end.name if isinstance(end, CodedTarget) else f"bar/{k}" for k, end in enumerate(self.ends, 1)
-        )
+        one, two = (end.name if isinstance(end, CodedTarget) else f"bar/{k}" for k, end in enumerate(self.ends, 1))
         return one, two
 
     def placed(self) -> tuple[PlacedTarget, PlacedTarget]:

@@ -132,9 +132,7 @@ def _truth_of(fields: Mapping[str, Array]) -> Truth:
         if name != "frames" and (name in fields or name not in later)
     }
     if FRAMES + "camera" in fields:
-        values["frames"] = FramesTruth(
-            **{name: fields[FRAMES + name] for name in FramesTruth.__dataclass_fields__}
-        )
+        values["frames"] = FramesTruth(**{name: fields[FRAMES + name] for name in FramesTruth.__dataclass_fields__})
     values["names"] = tuple(str(n) for n in values["names"])
     values["cameras"] = tuple(str(n) for n in values["cameras"])
     return Truth(**values)

@@ -77,23 +77,14 @@ def bright_blocks(address: Any, pixels: Array, level: int, blocks: Array, masks:
 
 @step
 def bright_blocks_within(
-    address: Any,
-    pixels: Array,
-    width: int,
-    level: int,
-    boxes: Array,
-    blocks: Array,
-    masks: Array,
-    n: int,
+    address: Any, pixels: Array, width: int, level: int, boxes: Array, blocks: Array, masks: Array, n: int
 ) -> int:
     """Do as ``bright_blocks`` for the blocks that reach into boxes (k, 4) x0, y0, x1, y1, ends included.
 
     Row by row over the boxes there, from left to right, so that each block comes once and in order.
     """
     height = len(pixels) // width
-    order = np.empty(
-        len(boxes), np.int32
-    )  # from the topmost down; few: with many boxes the whole image is scanned
+    order = np.empty(len(boxes), np.int32)  # from the topmost down; few: with many boxes the whole image is scanned
     for k in range(len(boxes)):
         i = k
         while i > 0 and boxes[order[i - 1], 1] > boxes[k, 1]:
@@ -123,9 +114,7 @@ def bright_blocks_within(
             break
         for i in range(n_active):
             first, last = max(boxes[active[i], 0], 0), min(boxes[active[i], 2], width - 1)
-            for block in range(
-                max((row * width + first) >> SHIFT, done + 1), ((row * width + last) >> SHIFT) + 1
-            ):
+            for block in range(max((row * width + first) >> SHIFT, done + 1), ((row * width + last) >> SHIFT) + 1):
                 done = block
                 mask = mask_of(address, pixels, block, level)
                 blocks[n], masks[n] = block, mask
@@ -144,9 +133,7 @@ def copy_values(pixels: Array, at: int, n: int, values: Array, to: int) -> None:
     source = np.uint64(pixels.ctypes.data) + np.uint64(at * pixels.itemsize)
     target = np.uint64(values.ctypes.data) + np.uint64(to * values.itemsize)
     for k in range(0, n, 16):
-        copy_16(
-            source + np.uint64(k * pixels.itemsize), pixels, target + np.uint64(k * values.itemsize), values
-        )
+        copy_16(source + np.uint64(k * pixels.itemsize), pixels, target + np.uint64(k * values.itemsize), values)
 
 
 @bare_step

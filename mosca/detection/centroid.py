@@ -185,11 +185,7 @@ def moments(
 def central(sums: tuple[Any, ...], x: float, y: float) -> tuple[float, float, float]:
     """Return the second moments (xx, xy, yy) about (x, y) from moments about the origin."""
     n, nx, ny, nxx, nxy, nyy = sums
-    return (
-        nxx - 2.0 * x * nx + x * x * n,
-        nxy - x * ny - y * nx + x * y * n,
-        nyy - 2.0 * y * ny + y * y * n,
-    )
+    return (nxx - 2.0 * x * nx + x * x * n, nxy - x * ny - y * nx + x * y * n, nyy - 2.0 * y * ny + y * y * n)
 
 
 @step
@@ -235,9 +231,7 @@ def measure(
 
 
 @bare_step
-def measure_region(
-    image: Array, runs: Array, threshold: int, floor: int, rule: CentroidRule, out: Array
-) -> bool:
+def measure_region(image: Array, runs: Array, threshold: int, floor: int, rule: CentroidRule, out: Array) -> bool:
     """Write the row of one region, unless it touches its image's border: then False. As ``measure_regions``.
 
     ``threshold``: that of the region; ``floor``: the image's lowest [DN].

@@ -80,9 +80,7 @@ def detect_frame_set(
         measure_unrefined(images, found, CentroidRule(True, task.dilation_px, task.noise), table, region_of)
     else:
         sums = StatisticsSums(
-            np.zeros((n_images, N_TALLIES)),
-            np.zeros((n_images, N_TERMS, N_TERMS)),
-            np.zeros((n_images, N_TERMS, 2)),
+            np.zeros((n_images, N_TALLIES)), np.zeros((n_images, N_TERMS, N_TERMS)), np.zeros((n_images, N_TERMS, 2))
         )
         some = found.regions if task.method != REGIONS_ONLY else found.regions[:0]
         rule = CentroidRule(task.method == BACKGROUND, task.dilation_px, task.noise)
@@ -124,9 +122,7 @@ def measure_unrefined(
 
 
 @short_kernel
-def columns(
-    table: Array, image_of: Array, n_images: int
-) -> tuple[Array, Array, Array, Array, Array, Array, Array]:
+def columns(table: Array, image_of: Array, n_images: int) -> tuple[Array, Array, Array, Array, Array, Array, Array]:
     """Return the columns of ``Detections`` of all images in turn, and where each image's begin (n + 1).
 
     Keeps the GIL: to win it back from another thread would take longer than this does.

@@ -9,10 +9,7 @@ from mosca.data.arrays import Array
 from mosca.numba_support.decorators import step
 from mosca.numba_support.intrinsics import array_at
 
-_LIKE: dict[object, Array] = {
-    np.dtype(np.uint8): np.empty(0, np.uint8),
-    np.dtype(np.uint16): np.empty(0, np.uint16),
-}
+_LIKE: dict[object, Array] = {np.dtype(np.uint8): np.empty(0, np.uint8), np.dtype(np.uint16): np.empty(0, np.uint16)}
 
 
 class ImageSet(NamedTuple):

@@ -40,11 +40,7 @@ class FrameSetDetector:
     """Images (H, W) that are subtracted, by camera."""
 
     def detect(
-        self,
-        frame_set: FrameSet,
-        statistics: CameraStatistics,
-        helpers: Executor | None = None,
-        split: int = 1,
+        self, frame_set: FrameSet, statistics: CameraStatistics, helpers: Executor | None = None, split: int = 1
     ) -> Detected:
         """Return the detections of a set's cameras, what they add to the statistics, and the time that it took [s].
 
@@ -57,9 +53,7 @@ class FrameSetDetector:
         shares = max(1, min(split if helpers is not None else 1, len(names)))
         bounds = [len(names) * k // shares for k in range(shares + 1)]
         own, *others = [{n: images[n] for n in names[i:j]} for i, j in pairwise(bounds)]
-        pending = (
-            [helpers.submit(self._some, share, statistics) for share in others] if helpers is not None else []
-        )
+        pending = [helpers.submit(self._some, share, statistics) for share in others] if helpers is not None else []
         detections, added = self._some(own, statistics)
         for future in pending:
             found, new = future.result()

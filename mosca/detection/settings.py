@@ -31,6 +31,5 @@ def noise_of(settings: DetectionSettings, bit_depth: int) -> Noise:
     """Return the noise in grey values of images of this bit depth, with that of rounding to whole ones."""
     scale = 2 ** (bit_depth - 8)
     return Noise(
-        dark_dn2=float((settings.read_noise_dn * scale) ** 2 + 1 / 12),
-        gain_dn=float(settings.gain_dn_per_e * scale),
+        dark_dn2=float((settings.read_noise_dn * scale) ** 2 + 1 / 12), gain_dn=float(settings.gain_dn_per_e * scale)
     )

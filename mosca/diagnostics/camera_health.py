@@ -161,10 +161,7 @@ class Health:
         """Return what a person should check, a line each."""
         s, lines = self.settings, []
         cameras = self.cameras()
-        poor = [
-            self._detected[k] >= s.least_images and one.connected < s.poor_share
-            for k, one in enumerate(cameras)
-        ]
+        poor = [self._detected[k] >= s.least_images and one.connected < s.poor_share for k, one in enumerate(cameras)]
         for k, one in enumerate(cameras):
             # a camera that was moved shows its points displaced, as one that is late does
             if not any(poor) and abs(one.late_s) > max(s.late_s, s.certain_sigma * one.late_sigma_s):
@@ -188,9 +185,7 @@ class Health:
         s, noise, every = self.settings, self._model.noise, -(-len(points) // self.settings.most_points)
         sums = residual_sums(
             RayColumns(bundle.rays, bundle.views, bundle.start, bundle.covariance_px2, bundle.extra_px2),
-            PointColumns(
-                points.rays, points.xyz, points.n_cameras, points.trusted, before, time_s - before_s
-            ),
+            PointColumns(points.rays, points.xyz, points.n_cameras, points.trusted, before, time_s - before_s),
             ImageErrors(noise.sigma_px**2, noise.jitter_s),
             Sampling(-self._sets % every, every, s.farthest_m, s.adopt_px),
         )

@@ -124,11 +124,7 @@ def residual_sums(rays, points, errors, sampling):  # type: ignore[no-untyped-de
                 taken[rays.start[k] + points.members[i, k]] = True
     whole = usual = 0
     for i in range(sampling.first, n, sampling.every):
-        if not (
-            points.elapsed_s > 0.0
-            and points.cameras[i] >= 2
-            and _speed(i, points, sampling.farthest_m, speed)
-        ):
+        if not (points.elapsed_s > 0.0 and points.cameras[i] >= 2 and _speed(i, points, sampling.farthest_m, speed)):
             continue
         for k in range(c):
             which[k] = rays.start[k] + points.members[i, k] if points.members[i, k] >= 0 else -1
@@ -260,9 +256,7 @@ def _is_usual(fit):  # type: ignore[no-untyped-def]
     for c in range(fit.seen.shape[0]):
         if fit.seen[c]:
             x, y = table[c, REST], table[c, REST + 1]
-            away2 = (
-                table[c, WEIGHT] * x * x + 2.0 * table[c, WEIGHT + 1] * x * y + table[c, WEIGHT + 2] * y * y
-            )
+            away2 = table[c, WEIGHT] * x * x + 2.0 * table[c, WEIGHT + 1] * x * y + table[c, WEIGHT + 2] * y * y
             if not away2 < FARTHEST_SIGMAS**2:
                 return False
     return True

@@ -63,9 +63,7 @@ def label_tracks(tracks: Tracks, model: MarkerModel, settings: LabelSettings = D
     return Tracks(**(columns | {"label": label}))
 
 
-def marker_of_tracks(
-    tracks: Tracks, model: MarkerModel, settings: LabelSettings = DEFAULTS
-) -> dict[int, int]:
+def marker_of_tracks(tracks: Tracks, model: MarkerModel, settings: LabelSettings = DEFAULTS) -> dict[int, int]:
     """Return track -> index of the model's marker that it is, of those that can be told."""
     measured = tracks.select(tracks.status == "measured")
     if not len(measured):
@@ -198,13 +196,7 @@ def _link_cost(first: Array, second: Array, mean: Array, sigma: Array, settings:
 
 
 def _extension(
-    i: int,
-    before: list[int],
-    chosen: Array,
-    first: Array,
-    second: Array,
-    model: MarkerModel,
-    settings: LabelSettings,
+    i: int, before: list[int], chosen: Array, first: Array, second: Array, model: MarkerModel, settings: LabelSettings
 ) -> Array:
     """Return the cost (b, n) of giving marker ``i`` each track, for each assignment ``chosen`` (b, m)."""
     n = len(first)
@@ -251,9 +243,7 @@ def _side_costs(
     return np.asarray(cost / np.maximum(count, 1)[:, None])
 
 
-def _name_the_rest(
-    xyz: Array, there: Array, of_column: Array, model: MarkerModel, settings: LabelSettings
-) -> None:
+def _name_the_rest(xyz: Array, there: Array, of_column: Array, model: MarkerModel, settings: LabelSettings) -> None:
     """Name tracks ``of_column`` (n,) that have no marker yet, the surest first, until none is sure."""
     while True:
         best: tuple[float, int, int] | None = None
@@ -261,8 +251,7 @@ def _name_the_rest(
             busy = of_column[there[there[:, k]].any(axis=0)]
             open_markers = np.setdiff1d(np.arange(len(model.names)), busy)
             costs = sorted(
-                (_cost_as(int(i), int(k), xyz, there, of_column, model, settings), int(i))
-                for i in open_markers
+                (_cost_as(int(i), int(k), xyz, there, of_column, model, settings), int(i)) for i in open_markers
             )
             sure = costs and costs[0][0] < settings.margin
             alone = sure and (len(costs) == 1 or costs[1][0] > costs[0][0] + settings.margin)

@@ -51,9 +51,7 @@ class BlinkSettings:
 DEFAULTS = BlinkSettings()
 
 
-def lamp_numbers(
-    tracks: Tracks, settings: BlinkSettings = DEFAULTS, pulses: Array | None = None
-) -> dict[int, int]:
+def lamp_numbers(tracks: Tracks, settings: BlinkSettings = DEFAULTS, pulses: Array | None = None) -> dict[int, int]:
     """Return track -> number of the lamp that it is, of those that can be told.
 
     ``pulses`` (p,): the pulses whose frame sets were there; by default those with a measured sample of any track. A
@@ -82,9 +80,7 @@ def label_lamps(
     names = {k: f"lamp/{k:02d}" for k in range(LAMP_NUMBERS)} if names is None else names
     found = lamp_numbers(tracks, settings, pulses)
     of_track = {track: names[number] for track, number in found.items() if number in names}
-    label = [
-        of_track.get(t, old) for t, old in zip(tracks.track.tolist(), tracks.label.tolist(), strict=True)
-    ]
+    label = [of_track.get(t, old) for t, old in zip(tracks.track.tolist(), tracks.label.tolist(), strict=True)]
     columns = {name: getattr(tracks, name) for name in Tracks.__dataclass_fields__}
     return Tracks(**(columns | {"label": np.array(label, dtype=np.str_)}))
 

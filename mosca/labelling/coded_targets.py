@@ -75,9 +75,7 @@ class _Table:
     angle: Array
 
     @classmethod
-    def of(
-        cls, rig: Rig, seen: Sequence[CodedDetections | None], every: Array, camera_sigma_px: float
-    ) -> "_Table":
+    def of(cls, rig: Rig, seen: Sequence[CodedDetections | None], every: Array, camera_sigma_px: float) -> "_Table":
         """Return the table of the numbers ``every`` (n,)."""
         n, c = len(every), len(rig.cameras)
         row = np.full((n, c), -1)

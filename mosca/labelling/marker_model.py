@@ -59,9 +59,7 @@ class MarkerModel:
         object.__setattr__(self, "quads", read_only(self.quads, (q, 4), "quads", np.int64))
         object.__setattr__(self, "volume_m3", read_only(self.volume_m3, (q,), "volume_m3"))
         if m < 3 or len(set(self.names)) < m:
-            raise ValueError(
-                f"marker model: {m} names given ({len(set(self.names))} distinct); 3 or more are wanted"
-            )
+            raise ValueError(f"marker model: {m} names given ({len(set(self.names))} distinct); 3 or more are wanted")
 
 
 def learn_model(tracks: Tracks, limbs: Mapping[str, Sequence[str]] | None = None) -> MarkerModel:
@@ -73,16 +71,12 @@ def learn_model(tracks: Tracks, limbs: Mapping[str, Sequence[str]] | None = None
     """
     names, xyz = by_label(tracks)
     if len(names) < 3:
-        raise InputError(
-            f"marker model: {len(names)} labels in the stretch; label three or more of its tracks"
-        )
+        raise InputError(f"marker model: {len(names)} labels in the stretch; label three or more of its tracks")
     groups = {limb: tuple(members) for limb, members in (limbs or {}).items()}
     for limb, members in groups.items():
         for member in members:
             if member not in names:
-                raise InputError(
-                    f"limb '{limb}': marker '{member}' is not in the stretch; it has {', '.join(names)}"
-                )
+                raise InputError(f"limb '{limb}': marker '{member}' is not in the stretch; it has {', '.join(names)}")
     distances = np.linalg.norm(xyz[:, :, None] - xyz[:, None], axis=3)
     mean, sigma = _moments(distances)
     if groups:

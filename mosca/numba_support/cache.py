@@ -76,9 +76,7 @@ def _read(path: Path) -> tuple[bytes, tuple[str, ...]]:
     names = []
     for package, members, module in IMPORT.findall(text):
         names.append((package or module).decode())
-        names += [
-            f"{package.decode()}.{m.split()[0]}" for m in members.decode().strip("()").split(",") if m.split()
-        ]
+        names += [f"{package.decode()}.{m.split()[0]}" for m in members.decode().strip("()").split(",") if m.split()]
     return text, tuple(names)
 
 

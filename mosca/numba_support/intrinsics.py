@@ -74,9 +74,7 @@ def copy_16(_context: Any, source: Any, like: Any, target: Any, wanted: Any) -> 
         pixels = builder.load(builder.inttoptr(arguments[0], given.as_pointer()), align=pixel.width // 8)
         is_whole = isinstance(wanted.dtype, types.Integer)
         values = builder.zext(pixels, made) if is_whole else builder.uitofp(pixels, made)
-        builder.store(
-            values, builder.inttoptr(arguments[2], made.as_pointer()), align=wanted.dtype.bitwidth // 8
-        )
+        builder.store(values, builder.inttoptr(arguments[2], made.as_pointer()), align=wanted.dtype.bitwidth // 8)
         return context.get_constant_null(signature.return_type)
 
     return types.void(types.uint64, like, types.uint64, wanted), code

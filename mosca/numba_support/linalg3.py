@@ -70,17 +70,13 @@ def plus_identity3(a: Symmetric3, factor: float) -> Symmetric3:
 @inlined_step
 def scaled3(a: Symmetric3, factor: float) -> Symmetric3:
     """Return factor a."""
-    return Symmetric3(
-        a.xx * factor, a.xy * factor, a.xz * factor, a.yy * factor, a.yz * factor, a.zz * factor
-    )
+    return Symmetric3(a.xx * factor, a.xy * factor, a.xz * factor, a.yy * factor, a.yz * factor, a.zz * factor)
 
 
 @inlined_step
 def divided3(a: Symmetric3, divisor: float) -> Symmetric3:
     """Return a / divisor, each element by a division of its own."""
-    return Symmetric3(
-        a.xx / divisor, a.xy / divisor, a.xz / divisor, a.yy / divisor, a.yz / divisor, a.zz / divisor
-    )
+    return Symmetric3(a.xx / divisor, a.xy / divisor, a.xz / divisor, a.yy / divisor, a.yz / divisor, a.zz / divisor)
 
 
 @inlined_step

@@ -8,9 +8,7 @@ from mosca.synchronisation import Assembly
 
 
 def counted(
-    sets: Iterable[tuple[FrameSet, Mapping[str, Detections]]],
-    cameras: Iterable[CameraInfo],
-    assembly: Assembly,
+    sets: Iterable[tuple[FrameSet, Mapping[str, Detections]]], cameras: Iterable[CameraInfo], assembly: Assembly
 ) -> Iterator[tuple[FrameSet, Mapping[str, Detections], float]]:
     """Pass frame sets on, for ``run_seen``, and count them in ``assembly``; numbers left out are skipped sets."""
     names = [info.name for info in cameras]

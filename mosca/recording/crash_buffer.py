@@ -219,22 +219,9 @@ def _shape(head: bytes) -> tuple[int, int]:
 def _kept(slot: bytes, cameras: Sequence[CameraInfo]) -> Kept | None:
     if len(slot) < _NOTE_AT or slot[:8] != _FULL:
         return None
-    (
-        camera,
-        status,
-        event,
-        pixel,
-        _,
-        height,
-        width,
-        n_note,
-        _,
-        host_ns,
-        index,
-        time_ns,
-        exposure_ns,
-        row_ns,
-    ) = _SLOT.unpack_from(slot, 8)
+    (camera, status, event, pixel, _, height, width, n_note, _, host_ns, index, time_ns, exposure_ns, row_ns) = (
+        _SLOT.unpack_from(slot, 8)
+    )
     if camera >= len(cameras) or status >= len(STATUSES) or event >= len(EVENTS) or n_note > _NOTE_BYTES:
         return None
     info, image = cameras[camera], None
@@ -246,9 +233,7 @@ def _kept(slot: bytes, cameras: Sequence[CameraInfo]) -> Kept | None:
         image = np.frombuffer(slot, dtype, height * width, _PIXELS_AT).reshape(height, width)
         image = image.astype(np.uint16 if pixel == 2 else np.uint8)
     note = slot[_NOTE_AT : _NOTE_AT + n_note].decode("utf-8", errors="replace")
-    frame = Frame(
-        info.name, index, time_ns, exposure_ns, image, STATUSES[status], EVENTS[event], row_ns, note
-    )
+    frame = Frame(info.name, index, time_ns, exposure_ns, image, STATUSES[status], EVENTS[event], row_ns, note)
     return Kept(frame, None if host_ns < 0 else host_ns)
 
 

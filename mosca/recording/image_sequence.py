@@ -84,9 +84,7 @@ class NumberedRecording:
 def numbered_frame(camera: str, number: int, stamp: Stamp, image: Array | None, fault: str) -> Frame:
     """Return the frame of an image that was found (``fault`` empty), or of one that cannot be read."""
     if stamp.status != "ok":
-        return Frame(
-            camera, number, stamp.time_ns, stamp.exposure_ns, None, stamp.status, note="by frames.csv"
-        )
+        return Frame(camera, number, stamp.time_ns, stamp.exposure_ns, None, stamp.status, note="by frames.csv")
     status = "ok" if image is not None else "corrupt"
     return Frame(camera, number, stamp.time_ns, stamp.exposure_ns, image, status, note=fault)  # type: ignore[arg-type]
 

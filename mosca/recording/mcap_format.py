@@ -83,9 +83,7 @@ def camera_topic(camera: str, holds: Holds) -> str:
 def pack_frame(frame: Frame, codec: Codec) -> bytes:
     """Return the message of ``frame``."""
     image = frame.image
-    payload = (
-        b"" if image is None else _packed(image.astype(image.dtype.newbyteorder("<"), copy=False), codec)
-    )
+    payload = b"" if image is None else _packed(image.astype(image.dtype.newbyteorder("<"), copy=False), codec)
     height, width = (0, 0) if image is None else image.shape
     note = frame.note.encode("utf-8")
     header = _HEADER.pack(
@@ -180,6 +178,4 @@ def unpack_detections(camera: str, message: bytes) -> tuple[int, Detections]:
     numbers = np.frombuffer(message, "<f8", n * _NUMBERS, start).reshape(n, _NUMBERS)
     flags = np.frombuffer(message, np.uint8, n, start + n * (_ROW_BYTES - 1))
     covariance = numbers[:, [2, 3, 3, 4]].reshape(n, 2, 2)
-    return pulse, Detections(
-        camera, numbers[:, :2], covariance, numbers[:, 5], numbers[:, 6], numbers[:, 7], flags
-    )
+    return pulse, Detections(camera, numbers[:, :2], covariance, numbers[:, 5], numbers[:, 6], numbers[:, 7], flags)

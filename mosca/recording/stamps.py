@@ -112,9 +112,7 @@ def _lines(path: Path) -> list[tuple[int, dict[str, str]]]:
             if not cells:
                 continue
             if len(cells) != len(header):
-                raise InputError(
-                    f"{path}, line {reader.line_num}: {len(cells)} values for {len(header)} columns"
-                )
+                raise InputError(f"{path}, line {reader.line_num}: {len(cells)} values for {len(header)} columns")
             row = dict(zip(header, (cell.strip() for cell in cells), strict=True))
             lines.append((reader.line_num, row))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -126,9 +124,7 @@ def _integer(row: dict[str, str], column: str, path: Path, line: int) -> int:
     try:
         value = int(row[column])
     except ValueError:
-        raise InputError(
-            f"{path}, line {line}: {column} = {row[column][:40]!r}; a whole number is wanted"
-        ) from None
+        raise InputError(f"{path}, line {line}: {column} = {row[column][:40]!r}; a whole number is wanted") from None
     if not -(2**63) <= value < 2**63 or (column == "exposure_ns" and value < 0):
         raise InputError(f"{path}, line {line}: {column} = {value} is out of range")
     return value

@@ -146,9 +146,7 @@ class RecordingWriter:
             frame = frame_set.frames[name]
             message = layout.pack_detections(frame_set.pulse, frame, found)
             self._add(frame, message, (host_times_ns or {}).get(name))
-        self.write_channel(
-            layout.SETS, frame_set.time_ns, {"pulse": frame_set.pulse, "time_ns": frame_set.time_ns}
-        )
+        self.write_channel(layout.SETS, frame_set.time_ns, {"pulse": frame_set.pulse, "time_ns": frame_set.time_ns})
 
     def write_channel(self, name: str, time_ns: int, data: bytes | Mapping[str, Any]) -> None:
         """Append a message to the further channel ``name``: bytes as they are, a mapping as JSON.

@@ -34,9 +34,7 @@ def check_bodies(bodies: Sequence[RigidBody], alike_m: float = ALIKE_M) -> None:
             _check_pair(other, body, alike_m)
 
 
-def arrangements(
-    some: Array, onto: Array, tolerance_m: float, skip_identity: bool
-) -> Iterator[tuple[int, ...]]:
+def arrangements(some: Array, onto: Array, tolerance_m: float, skip_identity: bool) -> Iterator[tuple[int, ...]]:
     """Yield every way to lay points ``some`` (k, 3) on distinct ones of ``onto`` (m, 3), as indices (k) into it.
 
     All distances must agree to twice ``tolerance_m``, which every arrangement nearer than it fulfils.

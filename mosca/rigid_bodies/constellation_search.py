@@ -115,9 +115,7 @@ def find(place, triples, points, rules, rows, score):  # type: ignore[no-untyped
     away = np.empty((f, f))
     gate2 = np.empty(n)
     for a in range(n):
-        variance = (
-            covariance[a, 0, 0] + covariance[a, 1, 1] + covariance[a, 2, 2] + rules.sigma2 + rules.slack2
-        )
+        variance = covariance[a, 0, 0] + covariance[a, 1, 1] + covariance[a, 2, 2] + rules.sigma2 + rules.slack2
         gate2[a] = rules.sigmas**2 * variance
     span = 0.0
     for i in range(m):
@@ -188,9 +186,7 @@ def _verify(place, points, gate2, rules, pose, best):  # type: ignore[no-untyped
                 k += 1
         if k < 3:
             return
-        total = fit_pose(
-            at[:k], where[:k], spreads[:k], sigma2, fitted.rotation, fitted.translation, spread, chi2
-        )
+        total = fit_pose(at[:k], where[:k], spreads[:k], sigma2, fitted.rotation, fitted.translation, spread, chi2)
         if total < 0.0:
             return
         if again == 0:
@@ -271,9 +267,7 @@ def _triad(corner, three, pose):  # type: ignore[no-untyped-def]
     shift = np.zeros(3)
     for i in range(3):
         for a in range(3):
-            rotated = (
-                rotation[a, 0] * corner[i, 0] + rotation[a, 1] * corner[i, 1] + rotation[a, 2] * corner[i, 2]
-            )
+            rotated = rotation[a, 0] * corner[i, 0] + rotation[a, 1] * corner[i, 1] + rotation[a, 2] * corner[i, 2]
             shift[a] += (three[i, a] - rotated) / 3
     for a in range(3):
         translation[a] = shift[a]
@@ -302,6 +296,4 @@ def _axes(points, axes):  # type: ignore[no-untyped-def]
 def _moved(pose, place, out):  # type: ignore[no-untyped-def]
     rotation, translation = pose.rotation, pose.translation
     for a in range(3):
-        out[a] = (
-            rotation[a, 0] * place[0] + rotation[a, 1] * place[1] + rotation[a, 2] * place[2] + translation[a]
-        )
+        out[a] = rotation[a, 0] * place[0] + rotation[a, 1] * place[1] + rotation[a, 2] * place[2] + translation[a]

@@ -23,11 +23,7 @@ NOT_RIGID_M = 0.003
 
 
 def learn_body(
-    tracks: Tracks,
-    ids: Sequence[int],
-    name: str,
-    markers: Sequence[str] | None = None,
-    alike_m: float = ALIKE_M,
+    tracks: Tracks, ids: Sequence[int], name: str, markers: Sequence[str] | None = None, alike_m: float = ALIKE_M
 ) -> RigidBody:
     """Return the rigid body that the tracks ``ids`` are the markers of, from all frames that show three or more.
 

@@ -177,13 +177,7 @@ class Constellation:
         return np.asarray(self.settings.gate_sigma * np.sqrt(variance))
 
     def claim(
-        self,
-        seen: InstantPoints,
-        free: Array,
-        rotation: Array,
-        translation: Array,
-        rows: Array,
-        reach_m: float,
+        self, seen: InstantPoints, free: Array, rotation: Array, translation: Array, rows: Array, reach_m: float
     ) -> Array:
         """Return ``rows`` (m,) with a free point for each marker that had none, from within ``reach_m`` and gates."""
         gates = (self._gates(seen) + reach_m) ** 2

@@ -72,9 +72,7 @@ def _normals(place, xyz, weight, rotation, translation, normal, right, lever, ch
     total = 0.0
     for i in range(place.shape[0]):
         for a in range(3):
-            lever[i, a] = (
-                rotation[a, 0] * place[i, 0] + rotation[a, 1] * place[i, 1] + rotation[a, 2] * place[i, 2]
-            )
+            lever[i, a] = rotation[a, 0] * place[i, 0] + rotation[a, 1] * place[i, 1] + rotation[a, 2] * place[i, 2]
             r[a] = xyz[i, a] - lever[i, a] - translation[a]
             jac[a, a] = 1.0
         # d(R p) = w x (R p)

@@ -128,9 +128,7 @@ class BodyTracker:
             return _Answer(None, fit.count)
         return _Answer(fit, fit.count)
 
-    def _completed(
-        self, one: Constellation, seen: InstantPoints, free: Array, fit: BodyPoseFit
-    ) -> BodyPoseFit:
+    def _completed(self, one: Constellation, seen: InstantPoints, free: Array, fit: BodyPoseFit) -> BodyPoseFit:
         """Return the pose with the free points that stand where its other markers should be."""
         reach = one.span_m * rotation_sigma(fit)
         rows = one.claim(seen, free, fit.rotation, fit.translation, fit.rows, reach)
@@ -178,22 +176,16 @@ def body_poses(tracks: Tracks, bodies: Sequence[RigidBody], settings: BodySettin
     return _over_tracks(tracks, bodies, settings)[0]
 
 
-def labelled_by_bodies(
-    tracks: Tracks, bodies: Sequence[RigidBody], settings: BodySettings = DEFAULTS
-) -> Tracks:
+def labelled_by_bodies(tracks: Tracks, bodies: Sequence[RigidBody], settings: BodySettings = DEFAULTS) -> Tracks:
     """Return ``tracks`` with the markers' names as labels where a body's pose rests on them; others stay."""
     return _over_tracks(tracks, bodies, settings)[1]
 
 
-def _over_tracks(
-    tracks: Tracks, bodies: Sequence[RigidBody], settings: BodySettings
-) -> tuple[BodyPoses, Tracks]:
+def _over_tracks(tracks: Tracks, bodies: Sequence[RigidBody], settings: BodySettings) -> tuple[BodyPoses, Tracks]:
     measured = np.flatnonzero(tracks.status == "measured")
     frames, first = np.unique(tracks.frame[measured], return_index=True)
     groups = np.split(measured, first[1:])
-    instants = [
-        instant_points(tracks.xyz[g], tracks.covariance[g], tracks.track[g], tracks.label[g]) for g in groups
-    ]
+    instants = [instant_points(tracks.xyz[g], tracks.covariance[g], tracks.track[g], tracks.label[g]) for g in groups]
     times = [int(tracks.time_ns[g[0]]) for g in groups]
     forward, backward = BodyTracker(bodies, settings), BodyTracker(bodies, settings)
     ahead = [forward.attend(s, t * 1e-9) for s, t in zip(instants, times, strict=True)]
@@ -254,9 +246,7 @@ def _half_nearest(body: RigidBody) -> float:
     return float(distances[distances > 0].min() / 2)
 
 
-def _remember(
-    state: _State, fit: BodyPoseFit, seen: InstantPoints, time_s: float, settings: BodySettings
-) -> None:
+def _remember(state: _State, fit: BodyPoseFit, seen: InstantPoints, time_s: float, settings: BodySettings) -> None:
     step = time_s - state.time_s
     if 0.0 < step <= settings.coast_s:
         newest = np.concatenate(

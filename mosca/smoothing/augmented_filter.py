@@ -10,13 +10,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel, step
-from mosca.smoothing.rts import (
-    add_process_noise,
-    innovation_inverse,
-    predict_covariance,
-    predict_state,
-    update_state,
-)
+from mosca.smoothing.rts import add_process_noise, innovation_inverse, predict_covariance, predict_state, update_state
 from mosca.tracking.state import Scratch
 
 

@@ -130,9 +130,7 @@ class FixedLag:
         most = int((count[slots] + np.bincount(slots, minlength=n_slots)[slots]).max())
         if most >= self._waiting.frame.shape[1]:
             self._enlarge(n_slots, 2 * most)
-        column = (
-            self._filters.kept[slots] + np.arange(len(slots)) - np.flatnonzero(first)[np.cumsum(first) - 1]
-        )
+        column = self._filters.kept[slots] + np.arange(len(slots)) - np.flatnonzero(first)[np.cumsum(first) - 1]
         move, noise = axis_moves(steps, s.memory_s)
         xyz, covariance = np.ascontiguousarray(samples.xyz), np.ascontiguousarray(samples.covariance)
         measured = TrackMeasurements(slots, fresh, xyz, covariance, move, noise, np.exp(-steps / s.learn_s))
@@ -176,10 +174,7 @@ class FixedLag:
     def _forget(self, now_ns: int) -> None:
         """Free the slots of tracks that have not been seen for long and have nothing waiting."""
         for track, slot in list(self._slot_of.items()):
-            if (
-                now_ns - self._slots.last_ns[slot] > self.settings.forget_s * 1e9
-                and self._filters.kept[slot] == 0
-            ):
+            if now_ns - self._slots.last_ns[slot] > self.settings.forget_s * 1e9 and self._filters.kept[slot] == 0:
                 del self._slot_of[track]
                 self._free.append(slot)
 

@@ -78,9 +78,7 @@ def _named(added: Tracks, measured: Tracks) -> Tracks:
     return replace(added, label=labels)
 
 
-def _widening(
-    paths: list[TrackInstants], variances: list[float], settings: SmoothSettings
-) -> dict[int, float]:
+def _widening(paths: list[TrackInstants], variances: list[float], settings: SmoothSettings) -> dict[int, float]:
     """Return by gap length (instants, powers of two) how the errors compare with the model's covariance: a factor.
 
     Intervals that were seen are left out, as far apart as four times their length; what counts is their mean squared
@@ -117,9 +115,7 @@ def _factor(squares: Array, shares: Array, length: int) -> float:
     if not len(squares):
         return 1.0
     whole = max(float(squares.mean()) / 3.0, float(np.quantile(squares, 0.95)) / CHI2_95)
-    whole *= 1.0 + np.sqrt(
-        2.0 * length / (3.0 * len(squares))
-    )  # few intervals leave it uncertain by this much
+    whole *= 1.0 + np.sqrt(2.0 * length / (3.0 * len(squares)))  # few intervals leave it uncertain by this much
     own = float(shares.mean())
     # to take the measurements' share off where it is most of it would be guessing: narrower by the whole, never more
     factor = whole if whole < 1.0 else (whole - (1.0 - own)) / own
@@ -148,9 +144,7 @@ def _left_out(measured: Array, length: int) -> Array:
     return hidden
 
 
-def _fill(
-    path: TrackInstants, variance: float, widths: dict[int, float], settings: SmoothSettings
-) -> Samples:
+def _fill(path: TrackInstants, variance: float, widths: dict[int, float], settings: SmoothSettings) -> Samples:
     """Return the samples that close a path's gaps."""
     xyz, spread, _, _ = smooth_track(path, path.measured, variance, settings)
     seen = np.flatnonzero(path.measured)

@@ -77,9 +77,7 @@ def rows_of_tracks(tracks: Tracks) -> list[Array]:
     return [rows for rows in np.split(order, cuts) if len(rows)]
 
 
-def instants_of(
-    tracks: Tracks, rows: Array, frames: Array, times: Array, settings: SmoothSettings
-) -> TrackInstants:
+def instants_of(tracks: Tracks, rows: Array, frames: Array, times: Array, settings: SmoothSettings) -> TrackInstants:
     """Return the track in ``rows`` (n,), with instants without a measurement at ``frames`` and ``times`` (k,)."""
     frame = np.concatenate([tracks.frame[rows], frames])
     time_ns = np.concatenate([tracks.time_ns[rows], times])

@@ -54,13 +54,7 @@ def pairs_of(one: Tracks, two: Tracks, gate_m: float, least_common: int) -> list
         i, j = mine[at], theirs[beside]
         if count >= NEAR_SHARE * len(i):
             found.append(
-                Pair(
-                    a,
-                    b,
-                    one.time_ns[i] * 1e-9,
-                    two.xyz[j] - one.xyz[i],
-                    one.covariance[i] + two.covariance[j],
-                )
+                Pair(a, b, one.time_ns[i] * 1e-9, two.xyz[j] - one.xyz[i], one.covariance[i] + two.covariance[j])
             )
     return found
 
@@ -92,11 +86,7 @@ def placed_like(zones: Mapping[str, Tracks], links: Sequence[tuple[float, Key, K
 
 
 def bridged(
-    zones: Mapping[str, Tracks],
-    groups: Sequence[Group],
-    bridge_s: float,
-    acceleration_mps2: float,
-    gate_m: float,
+    zones: Mapping[str, Tracks], groups: Sequence[Group], bridge_s: float, acceleration_mps2: float, gate_m: float
 ) -> list[Group]:
     """Return ``groups`` with those joined that end in one zone and go on in another within ``bridge_s``."""
     frames = {key: rows for name, tracks in zones.items() for key, rows in _frames_of(name, tracks).items()}

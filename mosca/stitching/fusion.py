@@ -15,9 +15,7 @@ def shifted(tracks: Tracks, by_m: Array) -> Tracks:
     return Tracks(**(columns | {"xyz": tracks.xyz + by_m}))
 
 
-def merged(
-    zones: Mapping[str, Tracks], groups: Sequence[Group], gate_sigma: float
-) -> tuple[Tracks, int, int]:
+def merged(zones: Mapping[str, Tracks], groups: Sequence[Group], gate_sigma: float) -> tuple[Tracks, int, int]:
     """Return one set of tracks, numbered as ``groups``; how many samples were merged, and how many did not fit.
 
     Samples of one target and instant become the mean weighted by inverse covariances, whose covariance is the inverse
@@ -63,10 +61,7 @@ def _weighted(xyz: Array, covariance: Array, gate_sigma: float) -> tuple[Array, 
     surest = int(np.trace(covariance, axis1=1, axis2=2).argmin())
     for k in range(len(xyz)):
         away = xyz[k] - xyz[surest]
-        if (
-            k != surest
-            and away @ np.linalg.solve(covariance[k] + covariance[surest], away) > (2.0 * gate_sigma) ** 2
-        ):
+        if k != surest and away @ np.linalg.solve(covariance[k] + covariance[surest], away) > (2.0 * gate_sigma) ** 2:
             return xyz[surest], covariance[surest], np.array([surest])
     weights = np.linalg.inv(covariance)
     spread = np.linalg.inv(weights.sum(axis=0))

@@ -39,9 +39,7 @@ def run_zones(
     check_zones(zones)
     shares = tee(seen, len(zones))
     runs = [
-        run_seen(
-            _share(one, zone), zone.rig, replace(settings, volume=(zone.low_m, zone.high_m)), None, health
-        )
+        run_seen(_share(one, zone), zone.rig, replace(settings, volume=(zone.low_m, zone.high_m)), None, health)
         for one, zone, health in zip(shares, zones, healths, strict=True)
     ]
     for steps in zip(*runs, strict=True):
@@ -87,16 +85,10 @@ def _joined(steps: Sequence[Step]) -> Step:
     frames = {name: frame for step in steps for name, frame in step.frame_set.frames.items()}
     detections = {name: found for step in steps for name, found in step.detections.items()}
     seconds = {stage: sum(step.seconds[stage] for step in steps) for stage in steps[0].seconds}
-    samples = [
-        replace(step.samples, track=step.samples.track * len(steps) + k) for k, step in enumerate(steps)
-    ]
+    samples = [replace(step.samples, track=step.samples.track * len(steps) + k) for k, step in enumerate(steps)]
     first = steps[0].frame_set
     return Step(
-        FrameSet(first.pulse, first.time_ns, frames),
-        detections,
-        _points(steps),
-        Samples.joined(samples),
-        seconds,
+        FrameSet(first.pulse, first.time_ns, frames), detections, _points(steps), Samples.joined(samples), seconds
     )
 
 

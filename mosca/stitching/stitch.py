@@ -124,9 +124,7 @@ def _check(zones: Mapping[str, Tracks]) -> None:
             )
 
 
-def _shift_between(
-    one: Tracks, two: Tracks, name: str, other: str, settings: ZoneSettings
-) -> ZoneShift | None:
+def _shift_between(one: Tracks, two: Tracks, name: str, other: str, settings: ZoneSettings) -> ZoneShift | None:
     """Return what most pairs of tracks agree on; None where the zones share no target."""
     found = pairs_of(one, two, settings.gate_m, settings.least_common)
     if not found:
@@ -149,9 +147,7 @@ def _shift_between(
     away = means[kept] - shift
     covariance = covariance + away.T @ away / (k * max(k - 1, 1))
     sure = float(shift @ np.linalg.solve(covariance, shift)) > settings.gate_sigma**2
-    return ZoneShift(
-        name, other, shift, covariance, k, sure and float(np.linalg.norm(shift)) > settings.reported_m
-    )
+    return ZoneShift(name, other, shift, covariance, k, sure and float(np.linalg.norm(shift)) > settings.reported_m)
 
 
 def _places(names: Sequence[str], shifts: Sequence[ZoneShift]) -> dict[str, Array]:

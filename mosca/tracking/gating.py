@@ -56,9 +56,7 @@ def gated_pairs(bank, neighbours, points, used, state, rules, time_s):  # type: 
         if bank.state[i] != state or bank.source[i] == UNPREDICTED:
             continue
         p, expected = bank.predicted_covariance[i], bank.predicted[i]
-        manoeuvre = (
-            (0.5 * rules.manoeuvre_mps2 * (time_s - bank.seen_s[i]) ** 2) ** 2 if bank.missed[i] == 0 else 0.0
-        )
+        manoeuvre = (0.5 * rules.manoeuvre_mps2 * (time_s - bank.seen_s[i]) ** 2) ** 2 if bank.missed[i] == 0 else 0.0
         spread = np.sqrt(p[0, 0] + p[1, 1] + p[2, 2] + 3.0 * manoeuvre + loosest)
         gate = Gate(min(rules.gate_m, rules.gate_sigma * spread), manoeuvre, offset)
         for k in range(np.searchsorted(along, expected[axis] - gate.reach), m):

@@ -117,8 +117,7 @@ def _update_track(bank, i, xyz, covariance, rules, scratch):  # type: ignore[no-
     if bank.missed[i] == 0:
         excess = min(nis / EXPECTED_NIS, LARGEST_NIS_RATIO) - 1.0
         bank.variance[i] = min(
-            max(bank.variance[i] * np.exp(ADAPTATION_RATE * excess), rules.least_variance),
-            rules.largest_variance,
+            max(bank.variance[i] * np.exp(ADAPTATION_RATE * excess), rules.least_variance), rules.largest_variance
         )
 
 

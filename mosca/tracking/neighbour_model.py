@@ -80,11 +80,7 @@ def learn_distances(bank, neighbours, step_s, reach_m):  # type: ignore[no-untyp
 @bare_step
 def _learn_one(neighbours: Neighbours, i: int, k: int, measured: float, update_s: float) -> None:
     """Update mean and variance of a distance with the ``measured`` one [m], by exponential averages."""
-    mean, variance, observed_s = (
-        neighbours.distance[i, k],
-        neighbours.variance[i, k],
-        neighbours.observed_s[i, k],
-    )
+    mean, variance, observed_s = (neighbours.distance[i, k], neighbours.variance[i, k], neighbours.observed_s[i, k])
     away = measured - mean
     rate = min(update_s / min(observed_s + update_s, WINDOW_S), 1.0)
     # a sudden change is rather a wrong point than a segment that changed
@@ -165,11 +161,7 @@ def take_over(bank, old, new):  # type: ignore[no-untyped-def]
         bank.mean[old, a] = bank.mean[new, a]
         for b in range(9):
             bank.covariance[old, a, b] = bank.covariance[new, a, b]
-    bank.seen_s[old], bank.missed[old], bank.reliable[old] = (
-        bank.seen_s[new],
-        bank.missed[new],
-        bank.reliable[new],
-    )
+    bank.seen_s[old], bank.missed[old], bank.reliable[old] = (bank.seen_s[new], bank.missed[new], bank.reliable[new])
     bank.variance[old] = bank.variance[new]
     bank.state[new], bank.serial[new], bank.identity[new] = FREE, -1, -1
 

@@ -67,9 +67,7 @@ def carried_along(bank, neighbours, i, hidden_s, step_s, xyz, covariance):  # ty
 
 @bare_step
 def _weight(neighbours: Neighbours, i: int, k: int) -> float:
-    return 1.0 / distance_variance(
-        neighbours.distance[i, k], neighbours.variance[i, k], neighbours.observed_s[i, k]
-    )
+    return 1.0 / distance_variance(neighbours.distance[i, k], neighbours.variance[i, k], neighbours.observed_s[i, k])
 
 
 @bare_step

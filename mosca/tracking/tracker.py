@@ -64,9 +64,7 @@ class Tracker:
             raise ValueError(f"time {time_s} s lies before {self._time_s} s: points must come in order")
         self._time_s, self._step_s = float(time_s), float(step)
         move = motion(s.model, self._step_s, s.memory_s)
-        return Predicted(
-            *predict_tracks(self._bank, self._neighbours, move, self._time_s, self._step_s, self._rules)
-        )
+        return Predicted(*predict_tracks(self._bank, self._neighbours, move, self._time_s, self._step_s, self._rules))
 
     def update(self, points: Points, frame: int, time_ns: int, jitter_s: float = 0.0) -> Samples:
         """Assign the points of the instant last predicted to the tracks; return the samples of known identity.

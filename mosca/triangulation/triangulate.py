@@ -66,9 +66,7 @@ def solve_rays(members, ranks, rays, views, steps, solved):  # type: ignore[no-u
             k = members[c]
             if k >= 0:
                 ranks[c, DEPTH] = (
-                    rays[k, 0] * (x - views[c, 0])
-                    + rays[k, 1] * (y - views[c, 1])
-                    + rays[k, 2] * (z - views[c, 2])
+                    rays[k, 0] * (x - views[c, 0]) + rays[k, 1] * (y - views[c, 1]) + rays[k, 2] * (z - views[c, 2])
                 )
                 if not ranks[c, DEPTH] > 0.0:
                     return -1.0
@@ -103,22 +101,13 @@ def triangulate(rig: Rig, xy_px: Any, sigma_px: float = 1.0) -> tuple[Array, Arr
         rows = np.flatnonzero(np.isfinite(xy[:, c]).all(axis=1))
         k = len(rows)
         found[camera.name] = Detections(
-            camera.name,
-            xy[rows, c],
-            np.tile(sigma_px**2 * np.eye(2), (k, 1, 1)),
-            np.ones(k),
-            np.ones(k),
-            np.ones(k),
+            camera.name, xy[rows, c], np.tile(sigma_px**2 * np.eye(2), (k, 1, 1)), np.ones(k), np.ones(k), np.ones(k)
         )
         row_of[rows, c] = first + np.arange(k)
         first += k
     bundle = make_ray_table(rig, found, 0.0)
     solved, total, count = _solve_rows(row_of, bundle.rays, bundle.views)
-    return (
-        solved[:, :3],
-        solved[:, 3:].reshape(n, 3, 3),
-        sigma_px * np.sqrt(total / (2 * np.maximum(count, 1))),
-    )
+    return (solved[:, :3], solved[:, 3:].reshape(n, 3, 3), sigma_px * np.sqrt(total / (2 * np.maximum(count, 1))))
 
 
 @kernel

@@ -49,12 +49,7 @@ def pitch_and_focal_mm(camera: Camera, chip: SensorEntry | None, pitch_mm: float
 
 
 def check_fits(
-    camera: Camera,
-    chip: SensorEntry | None,
-    lens: LensSpec | None,
-    pitch_mm: float,
-    f_number: float,
-    rate_hz: float,
+    camera: Camera, chip: SensorEntry | None, lens: LensSpec | None, pitch_mm: float, f_number: float, rate_hz: float
 ) -> None:
     """Raise InputError where a named sensor or lens cannot be that camera's.
 

@@ -60,9 +60,7 @@ def check_rig(rig: Rig, space: WorkingSpace) -> None:
                     f"cameras '{rig.cameras[other].name}' and '{camera.name}' stand at the same place "
                     f"{_text(places[k])} m and see no depth; give them different cameras.azimuth_deg"
                 )
-    grid = centre + size * (
-        np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, VIEW_GRID)] * 3), -1).reshape(-1, 3)
-    )
+    grid = centre + size * (np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, VIEW_GRID)] * 3), -1).reshape(-1, 3))
     views = np.array([sees(camera, grid) for camera in rig.cameras])
     blind = [camera.name for camera, seen in zip(rig.cameras, views, strict=True) if not seen.any()]
     if not (views.sum(axis=0) >= 2).any():
@@ -76,13 +74,7 @@ def check_rig(rig: Rig, space: WorkingSpace) -> None:
 def windowed(camera: Camera, window_px: tuple[int, int, int, int]) -> Camera:
     """Return the camera that reads only a window (left, top, width, height) of its image."""
     left, top, width, height = window_px
-    if (
-        left < 0
-        or top < 0
-        or min(width, height) < 1
-        or left + width > camera.width
-        or top + height > camera.height
-    ):
+    if left < 0 or top < 0 or min(width, height) < 1 or left + width > camera.width or top + height > camera.height:
         raise InputError(
             f"camera '{camera.name}': window_px = {list(window_px)} does not lie in its image of "
             f"{camera.width} x {camera.height}"
@@ -100,12 +92,7 @@ def sees(camera: Camera, points: Array) -> Array:
     xy = project(camera, points)
     inside = np.asarray(np.isfinite(xy).all(axis=1))
     xy = np.where(inside[:, None], xy, -1.0)
-    return (
-        inside
-        & (xy >= -0.5).all(axis=1)
-        & (xy[:, 0] <= camera.width - 0.5)
-        & (xy[:, 1] <= camera.height - 0.5)
-    )
+    return inside & (xy >= -0.5).all(axis=1) & (xy[:, 0] <= camera.width - 0.5) & (xy[:, 1] <= camera.height - 0.5)
 
 
 def _looking(place: Array, target: Array, name: str) -> Pose:
@@ -113,9 +100,7 @@ def _looking(place: Array, target: Array, name: str) -> Pose:
     forward = target - place
     distance = np.linalg.norm(forward)
     if distance < 1e-9:
-        raise InputError(
-            f"camera '{name}' stands at the point that it looks at; change look_at_m or height_m"
-        )
+        raise InputError(f"camera '{name}' stands at the point that it looks at; change look_at_m or height_m")
     forward = forward / distance
     right = np.cross(forward, [0.0, 0.0, 1.0])
     if np.linalg.norm(right) < 1e-6:

@@ -173,13 +173,7 @@ def _virtual(camera: Camera, own: CameraSpec, spec: Scenario, late_s: float) -> 
     timing["delay_s"] += late_s
     return VirtualCamera(
         camera,
-        Optics(
-            psf_sigma_px=errors.psf_sigma_px,
-            gap_px=gap.gap_px,
-            f_mm=f_mm,
-            pixel_pitch_mm=pitch_mm,
-            **optics,
-        ),
+        Optics(psf_sigma_px=errors.psf_sigma_px, gap_px=gap.gap_px, f_mm=f_mm, pixel_pitch_mm=pitch_mm, **optics),
         Timing(jitter_s=errors.trigger_jitter_s, **timing),
         Mount(body_px=errors.body_px, body=own.body, **mount),
         Sensor(**sensor),

@@ -46,9 +46,7 @@ def patient(settings: AssemblySettings, source: FrameSource) -> AssemblySettings
     """Return settings that wait for late frames of devices up to a second, as memory allows: a run is not live."""
     wanted = max(info.frame_rate_hz for info in source.cameras)
     size = sum(info.image_bytes for info in source.cameras)
-    return replace(
-        settings, open_pulses=max(settings.open_pulses, min(round(wanted), PATIENCE_BYTES // size))
-    )
+    return replace(settings, open_pulses=max(settings.open_pulses, min(round(wanted), PATIENCE_BYTES // size)))
 
 
 class WrappedSource:

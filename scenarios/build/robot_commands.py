@@ -30,9 +30,7 @@ def command_lines(path: Path, target: str) -> Lines:
         named = sorted({str(data.get("target")) for _, data in recorded})
         found = [(t, line_of(data["command"])) for t, data in recorded if data.get("target") == target]
     if not found:
-        raise InputError(
-            f"{path}: no command for target '{target}'; it has targets {', '.join(named) or '(none)'}"
-        )
+        raise InputError(f"{path}: no command for target '{target}'; it has targets {', '.join(named) or '(none)'}")
     return sorted(found, key=lambda one: one[0])
 
 
@@ -50,12 +48,7 @@ def write_commands(writer: RecordingWriter, commands: Any, target: str = "robot"
     for time_ns, values in zip(commands.time_ns, commands.values, strict=True):
         named = dict(zip(commands.names, (float(v) for v in values), strict=True))
         sides = {side: named[f"pwm_{side}"] for side in ("left", "right") if f"pwm_{side}" in named}
-        message = {
-            "time_ns": int(time_ns),
-            "target": target,
-            "at_s": time_ns / 1e9,
-            "command": sides or named,
-        }
+        message = {"time_ns": int(time_ns), "target": target, "at_s": time_ns / 1e9, "command": sides or named}
         writer.write_channel(CHANNEL, int(time_ns), message)
 
 
@@ -67,7 +60,5 @@ def _recorded(path: Path) -> list[tuple[int, dict[str, Any]]]:
             )
         recorded = list(recording.channel(CHANNEL))
     return [
-        (t, data)
-        for t, data in recorded
-        if isinstance(data, dict) and isinstance(data.get("command"), str | dict)
+        (t, data) for t, data in recorded if isinstance(data, dict) and isinstance(data.get("command"), str | dict)
     ]

@@ -122,9 +122,7 @@ def _subject(spec: Scenario, folder: Path) -> Scene:
             average_pwm=scene.average_pwm,
             difference_pwm=scene.difference_pwm,
             target_diameter_m=scene.marker_diameter_m,
-            commands=None
-            if scene.commands is None
-            else command_lines(beside(scene.commands, folder), scene.target),
+            commands=None if scene.commands is None else command_lines(beside(scene.commands, folder), scene.target),
             heading_rad=None if scene.heading_deg is None else np.deg2rad(scene.heading_deg),
         )
     if isinstance(scene, CloudScene):
@@ -137,10 +135,7 @@ def _subject(spec: Scenario, folder: Path) -> Scene:
         return _target(scene, where, folder)
     from twin.scenes.user_model import build_own
 
-    files: dict[str, Any] = {
-        "model_file": beside(scene.model, folder),
-        "markers_file": beside(scene.markers, folder),
-    }
+    files: dict[str, Any] = {"model_file": beside(scene.model, folder), "markers_file": beside(scene.markers, folder)}
     if scene.motion == "turntable":
         return build_own(**where, **files, motion="turntable", speed_mps=scene.speed_mps)
     if scene.motion == "physics":
@@ -187,9 +182,7 @@ def _target(scene: TargetScene, where: dict[str, Any], folder: Path) -> Scene:
 
     if isinstance(scene, LFrameScene):
         del where["rng"]
-        return build_l_frame(
-            **where, l_frame=_described(file, LFrame), azimuth_rad=np.deg2rad(scene.azimuth_deg)
-        )
+        return build_l_frame(**where, l_frame=_described(file, LFrame), azimuth_rad=np.deg2rad(scene.azimuth_deg))
     speed: dict[str, Any] = {"speed_mps": scene.speed_mps, "turn_rad_s": np.deg2rad(scene.turn_deg_per_s)}
     if isinstance(scene, WandScene):
         return build_wand(**where, wand=_described(file, Wand), **speed)
@@ -221,9 +214,7 @@ def pipeline_settings(spec: Scenario) -> PipelineSettings:
     return settings
 
 
-def stage_settings(
-    stages: StageTables, volume: Volume | None, edge_m: float | None = None
-) -> PipelineSettings:
+def stage_settings(stages: StageTables, volume: Volume | None, edge_m: float | None = None) -> PipelineSettings:
     """Return the pipeline's defaults with what ``stages`` gives in its tables detection, match and track.
 
     The tracker's defaults are lengths and speeds of a person in 2.5 m; they are scaled to the volume's longest

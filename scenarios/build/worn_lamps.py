@@ -24,9 +24,7 @@ def rider_pose(own: CameraSpec) -> Pose:
     forward, up = np.array(own.forward, float), np.array(own.up, float)
     right = np.cross(forward, up)
     if np.linalg.norm(right) <= 1e-6 * np.linalg.norm(forward) * np.linalg.norm(up):
-        raise InputError(
-            f"camera '{own.name}': forward = {own.forward} and up = {own.up} must not be parallel"
-        )
+        raise InputError(f"camera '{own.name}': forward = {own.forward} and up = {own.up} must not be parallel")
     forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
     turn = np.column_stack([right, np.cross(forward, right), forward])
     return Pose(turn, np.array(own.place_m, float))

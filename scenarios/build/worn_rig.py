@@ -46,10 +46,7 @@ def worn_rig(spec: Scenario, worn: tuple[VirtualCamera, ...]) -> Calibrated:
     from scenarios.build.worn_rig import without_poses
 
     return replace(
-        found,
-        rig=without_poses(
-            found.rig, {v.camera.name for v in worn if v.mount.body == spec.continuous.worn_on}
-        ),
+        found, rig=without_poses(found.rig, {v.camera.name for v in worn if v.mount.body == spec.continuous.worn_on})
     )
 
 
@@ -62,9 +59,7 @@ def worn_settings(spec: Scenario) -> PipelineSettings:
 
 def without_poses(rig: Rig, known: AbstractSet[str]) -> Rig:
     """Return the rig with the poses of the cameras ``known`` alone; the others' are no more than a place to write."""
-    return Rig(
-        tuple(one if one.name in known else replace(one, world_from_camera=NO_POSE) for one in rig.cameras)
-    )
+    return Rig(tuple(one if one.name in known else replace(one, world_from_camera=NO_POSE) for one in rig.cameras))
 
 
 def known_lamps(spec: Scenario, rig: Rig) -> tuple[tuple[str, ...], Lamps]:

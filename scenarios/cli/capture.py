@@ -65,10 +65,7 @@ def tell(outcome: "CaptureOutcome", out: Path) -> None:
     for heading in ("frames", "failed", "dropped", "overrun", "relocked", "reopened"):
         table.add_column(heading, justify="right")
     for name, row in outcome.cameras.items():
-        table.add_row(
-            name,
-            *map(str, (row.frames, row.failed, row.dropped, row.overrun, row.relocked, row.reopened)),
-        )
+        table.add_row(name, *map(str, (row.frames, row.failed, row.dropped, row.overrun, row.relocked, row.reopened)))
     # a pipe gets whole lines instead of a guess at a terminal's width
     Console(width=None if sys.stdout.isatty() else 140).print(table)
     for note in outcome.notes:

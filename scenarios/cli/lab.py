@@ -29,21 +29,13 @@ SHARE = Number(0.0, 1.0)
 @click.option("--rate", type=Number(0, 10_000, min_open=True), help="pulses [Hz]  [default: the source's]")
 @click.option("--seconds", type=POSITIVE, help="end after this  [default: Ctrl-C]")
 @click.option("--loop", is_flag=True, help="after the last frame comes the first")
-@click.option(
-    "--ahead", type=click.IntRange(min=1), help="pulses kept in memory  [default: what 1 GiB holds]"
-)
+@click.option("--ahead", type=click.IntRange(min=1), help="pulses kept in memory  [default: what 1 GiB holds]")
 @click.option("--loss", type=SHARE, default=0.0, help="share of stream packets that are lost")
-@click.option(
-    "--withhold", type=SHARE, default=0.0, help="share of trigger pulses that do not reach a camera"
-)
-@click.option(
-    "--reboot", "reboots", multiple=True, metavar="CAMERA@S", help="this camera reboots after S seconds"
-)
+@click.option("--withhold", type=SHARE, default=0.0, help="share of trigger pulses that do not reach a camera")
+@click.option("--reboot", "reboots", multiple=True, metavar="CAMERA@S", help="this camera reboots after S seconds")
 @click.option("--drift", type=Number(), default=0.0, metavar="PPM", help="the clocks drift from -PPM to +PPM")
 @click.option("--seed", type=click.IntRange(min=0), default=0, help="of the losses")
-@click.option(
-    "--rig-out", type=FILE, help="write a rig file with which 'mosca capture --rig' grabs from them"
-)
+@click.option("--rig-out", type=FILE, help="write a rig file with which 'mosca capture --rig' grabs from them")
 @click.option(
     "--trigger",
     type=click.Choice(["Line1", "serial", "Software", "Action1", "Off"]),

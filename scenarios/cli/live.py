@@ -9,31 +9,17 @@ from scenarios.cli.options import FILE, LAG, POSITIVE, SET
 
 @click.command()
 @click.argument("source")
-@click.option(
-    "--rig", type=FILE, help="calibrated rig file; a scenario and hardware:RIG.toml bring their own"
-)
+@click.option("--rig", type=FILE, help="calibrated rig file; a scenario and hardware:RIG.toml bring their own")
 @click.option("--out", type=FILE, help="tracks: .npz, .csv, .c3d or .trc; until the end OUT.part.csv grows")
 @click.option("--record", type=FILE, help="write counts and the stages' times here: .json")
-@click.option(
-    "--seconds",
-    type=POSITIVE,
-    help="end after this  [default: the source's end]",
-)
+@click.option("--seconds", type=POSITIVE, help="end after this  [default: the source's end]")
 @click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
-@click.option(
-    "--rate",
-    type=POSITIVE,
-    help="pace of recording or scenario [Hz]  [default: its own]",
-)
-@click.option(
-    "--queued", type=click.IntRange(1, 1000), default=2, show_default=True, help="frame sets that may wait"
-)
+@click.option("--rate", type=POSITIVE, help="pace of recording or scenario [Hz]  [default: its own]")
+@click.option("--queued", type=click.IntRange(1, 1000), default=2, show_default=True, help="frame sets that may wait")
 @LAG
 @click.option("--settings", type=FILE, help="TOML file with [detection], [match], [track] and [volume]")
 @SET
-@click.option(
-    "--workers", type=click.IntRange(1, 64), help="rendering threads of a scenario  [default: all cores]"
-)
+@click.option("--workers", type=click.IntRange(1, 64), help="rendering threads of a scenario  [default: all cores]")
 def live(**given: Any) -> None:
     """Track a source while it runs: never far behind, whole frame sets left out and told where it must be.
 

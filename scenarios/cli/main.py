@@ -114,12 +114,8 @@ def run(
 @click.option("--jobs", type=click.IntRange(1, 256), help="scenarios at a time  [default: all cores]")
 @click.option("--out", type=FILE, default=Path("runs/suite"), show_default=True, help="folder of run folders")
 @click.option("--junit", type=FILE, help="write JUnit XML here")
-@click.option(
-    "--compare", type=FILE, help="folder of baselines to compare with  [default: the committed ones]"
-)
-@click.option(
-    "--update-baselines", is_flag=True, help="make these results the baselines (say why in CHANGELOG)"
-)
+@click.option("--compare", type=FILE, help="folder of baselines to compare with  [default: the committed ones]")
+@click.option("--update-baselines", is_flag=True, help="make these results the baselines (say why in CHANGELOG)")
 @click.option(
     "--baselines", type=FILE, help="folder that --update-baselines writes to  [default: the committed ones]"
 )
@@ -165,9 +161,7 @@ def suite(
         outcomes = work.run_suite(entries, out, jobs or os.cpu_count() or 1, report)
     if update_baselines:
         work.update_baselines(outcomes, baselines or work.BASELINES)
-        click.echo(
-            f"{len(outcomes)} baselines written to {baselines or work.BASELINES}; say why in CHANGELOG.md"
-        )
+        click.echo(f"{len(outcomes)} baselines written to {baselines or work.BASELINES}; say why in CHANGELOG.md")
     else:
         outcomes = work.compared(outcomes, compare or work.BASELINES)
     if junit is not None:
@@ -331,9 +325,7 @@ def main() -> None:
     except click.ClickException as error:
         where = getattr(error, "ctx", None)
         path = where.command_path if where is not None else "mosca"
-        click.echo(
-            f"mosca: {error.format_message().rstrip('.')}; '{path} --help' shows what there is", err=True
-        )
+        click.echo(f"mosca: {error.format_message().rstrip('.')}; '{path} --help' shows what there is", err=True)
         sys.exit(EXIT_ERROR)
     except MoscaError as error:
         click.echo(f"mosca: {error}", err=True)

@@ -12,12 +12,8 @@ from scenarios.cli.progress import Progress
 
 @click.command()
 @click.argument("recording", type=FILE)
-@click.option(
-    "--target", required=True, type=FILE, help="target file (TOML): what was put before the cameras"
-)
-@click.option(
-    "--out", required=True, type=FILE, help="rig file to write (.toml); its page goes beside it (.html)"
-)
+@click.option("--target", required=True, type=FILE, help="target file (TOML): what was put before the cameras")
+@click.option("--out", required=True, type=FILE, help="rig file to write (.toml); its page goes beside it (.html)")
 @click.option(
     "--lens",
     type=click.Choice(["mosca", "opencv", "fisheye"]),
@@ -113,9 +109,7 @@ def rig_check(path: Path | None, devices: bool, live: bool, flash: Path | None, 
     absent: list[str] = []
     whole = True
     if live and (path is None or devices):
-        raise InputError(
-            "--live takes frames of a rig file's cameras; give the rig file, and leave --devices out"
-        )
+        raise InputError("--live takes frames of a rig file's cameras; give the rig file, and leave --devices out")
     if flash is not None:
         if path is not None or devices or live:
             raise InputError("--flash looks at a recording alone; leave rig file, --devices and --live out")
@@ -182,9 +176,7 @@ def rig_compare(a: Path, b: Path, align: str) -> None:
 @click.argument("source", type=FILE)
 @click.argument("out", type=FILE)
 @click.option("--format", "format_", help="format to write (see below)  [default: mosca]")
-@click.option(
-    "--unit", type=click.Choice(["m", "mm"]), help="unit of the source's lengths, where it cannot say"
-)
+@click.option("--unit", type=click.Choice(["m", "mm"]), help="unit of the source's lengths, where it cannot say")
 @click.option("--size-px", type=(int, int), help="image width and height, where the source cannot say")
 @click.option("--pixel-mm", type=(float, float), help="pixel pitch x and y, where a format needs it [mm]")
 @click.option(
@@ -234,12 +226,8 @@ def target() -> None:
 @target.command("sheet")
 @click.argument("path", type=FILE)
 @click.option("--out", required=True, type=FILE, help="sheet to write: .pdf or .svg; more sheets get numbers")
-@click.option(
-    "--page", type=click.Choice(["A4", "A3", "A2", "letter"]), help="paper  [default: what it takes]"
-)
-@click.option(
-    "--colour", type=click.Choice(["white", "black"]), default="white", show_default=True, help="of dots"
-)
+@click.option("--page", type=click.Choice(["A4", "A3", "A2", "letter"]), help="paper  [default: what it takes]")
+@click.option("--colour", type=click.Choice(["white", "black"]), default="white", show_default=True, help="of dots")
 def target_sheet(path: Path, out: Path, page: str | None, colour: str) -> None:
     """Print a target file's coded targets or board, with a ruler that shows whether the printer kept the size.
 
@@ -273,19 +261,11 @@ def target_sheet(path: Path, out: Path, page: str | None, colour: str) -> None:
     help="scan of a sheet with coded targets, and its resolution [pixels an inch]",
 )
 @click.option(
-    "--page",
-    type=click.Choice(["A4", "A3", "A2", "letter"]),
-    help="paper of the sheet  [default: as printed]",
+    "--page", type=click.Choice(["A4", "A3", "A2", "letter"]), help="paper of the sheet  [default: as printed]"
 )
-@click.option(
-    "--colour", type=click.Choice(["white", "black"]), default="white", show_default=True, help="of dots"
-)
+@click.option("--colour", type=click.Choice(["white", "black"]), default="white", show_default=True, help="of dots")
 def target_scale(
-    path: Path,
-    ruler: tuple[float, float] | None,
-    scan: tuple[Path, float] | None,
-    page: str | None,
-    colour: str,
+    path: Path, ruler: tuple[float, float] | None, scan: tuple[Path, float] | None, page: str | None, colour: str
 ) -> None:
     """Find the scale at which a sheet was printed, and the lengths that its target file must hold.
 

@@ -23,10 +23,7 @@ def station() -> None:
 @click.option("--rig", required=True, type=FILE, help="rig file (TOML) with this station's cameras")
 @click.option("--name", required=True, help="this station's name, e.g. A")
 @click.option(
-    "--connect",
-    required=True,
-    multiple=True,
-    help="where the reconstructing station is, e.g. tcp/10.0.0.1:7447",
+    "--connect", required=True, multiple=True, help="where the reconstructing station is, e.g. tcp/10.0.0.1:7447"
 )
 @click.option("--recording", type=FILE, help="play this recording instead of opening the cameras")
 @click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
@@ -50,9 +47,7 @@ def detect(
     """
     from scenarios.lab.station_verbs import detect_on_station
 
-    for line in detect_on_station(
-        rig, name, connect, recording, fps, seconds, settings, overrides, click.echo
-    ):
+    for line in detect_on_station(rig, name, connect, recording, fps, seconds, settings, overrides, click.echo):
         click.echo(line)
 
 
@@ -98,9 +93,7 @@ def reconstruct(
 
 
 @station.command("rig")
-@click.option(
-    "--of", "name", default="reconstruct", show_default=True, help="the station whose rig file is wanted"
-)
+@click.option("--of", "name", default="reconstruct", show_default=True, help="the station whose rig file is wanted")
 @click.option("--connect", required=True, multiple=True, help="where it, or the reconstructing station, is")
 @click.option("--out", required=True, type=FILE, help="rig file to write")
 def rig_of(name: str, connect: tuple[str, ...], out: Path) -> None:

@@ -39,10 +39,7 @@ class ReconstructOptions:
 
             _exclude("--continuous", {"--labels": self.labels, "--fill": self.fill, "--lag": self.lag})
             if self.worn is not None:
-                _exclude(
-                    "--worn, whose cameras are of one clock",
-                    {"--clocks": self.clocks, "--search": self.search},
-                )
+                _exclude("--worn, whose cameras are of one clock", {"--clocks": self.clocks, "--search": self.search})
             search_s = 10.0 if self.search is None else self.search
             options = ContinuousOptions(self.rate, self.clocks or "auto", search_s, worn=self.worn)
             return reconstruct_continuous(*recording, options, progress)
@@ -69,20 +66,11 @@ def _exclude(what: str, options: dict[str, object]) -> None:
 @click.option("--rig", required=True, type=FILE, help="rig file (TOML; also aniposelib, Caliscope, Pose2Sim)")
 @click.option("--out", required=True, type=FILE, help="tracks: .npz, .csv, .c3d or .trc")
 @click.option("--fps", type=float, help="frame rate of a recording that does not tell its own [Hz]")
-@click.option(
-    "--settings",
-    type=FILE,
-    help="TOML file with [background], [detection], [match], [track] and [volume]",
-)
+@click.option("--settings", type=FILE, help="TOML file with [background], [detection], [match], [track] and [volume]")
 @SET
+@click.option("--labels", type=FILE, help="marker model that names the tracks; 'mosca labels learn' makes one")
 @click.option(
-    "--labels", type=FILE, help="marker model that names the tracks; 'mosca labels learn' makes one"
-)
-@click.option(
-    "--fill",
-    type=float,
-    metavar="SECONDS",
-    help="fill gaps up to this, marked and with their own uncertainty",
+    "--fill", type=float, metavar="SECONDS", help="fill gaps up to this, marked and with their own uncertainty"
 )
 @LAG
 @click.option(
@@ -97,9 +85,7 @@ def _exclude(what: str, options: dict[str, object]) -> None:
     help="continuous: whether all stamps are of one clock  [default: auto, by what the recording says]",
 )
 @click.option(
-    "--search",
-    type=float,
-    help="continuous: how far apart the cameras may have been started [s]  [default: 10]",
+    "--search", type=float, help="continuous: how far apart the cameras may have been started [s]  [default: 10]"
 )
 @click.option(
     "--worn",
@@ -137,11 +123,7 @@ def labels() -> None:
 @click.argument("tracks", type=FILE)
 @click.option("--out", required=True, type=FILE, help="marker model to write: .toml")
 @click.option(
-    "--name",
-    "names",
-    multiple=True,
-    metavar="TRACK=LABEL",
-    help="name a track, e.g. 7=LFHD, where the file does not",
+    "--name", "names", multiple=True, metavar="TRACK=LABEL", help="name a track, e.g. 7=LFHD, where the file does not"
 )
 @click.option(
     "--limb",
@@ -151,13 +133,9 @@ def labels() -> None:
     help="markers that move as one, e.g. head=LFHD,RFHD,LBHD; then a still pose is enough",
 )
 @click.option(
-    "--frames",
-    metavar="FIRST:LAST",
-    help="learn from these frames alone, where every name is right  [default: all]",
+    "--frames", metavar="FIRST:LAST", help="learn from these frames alone, where every name is right  [default: all]"
 )
-def learn(
-    tracks: Path, out: Path, names: tuple[str, ...], limbs: tuple[str, ...], frames: str | None
-) -> None:
+def learn(tracks: Path, out: Path, names: tuple[str, ...], limbs: tuple[str, ...], frames: str | None) -> None:
     """Learn a marker model from a stretch of tracks whose labels are known.
 
     \b
@@ -172,9 +150,7 @@ def learn(
 @click.argument("tracks", type=FILE)
 @click.option("--model", required=True, type=FILE, help="marker model: .toml")
 @click.option("--out", required=True, type=FILE, help="the same tracks with labels: .npz, .csv, .c3d or .trc")
-@click.option(
-    "--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]"
-)
+@click.option("--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]")
 def apply(tracks: Path, model: Path, out: Path, fps: float | None) -> None:
     """Name the tracks of a file by a marker model.
 
@@ -191,23 +167,13 @@ def apply(tracks: Path, model: Path, out: Path, fps: float | None) -> None:
 @click.argument("tracks", type=FILE)
 @click.option("--out", required=True, type=FILE, help="the same tracks with labels: .npz, .csv, .c3d or .trc")
 @click.option(
-    "--name",
-    "names",
-    multiple=True,
-    metavar="NUMBER=LABEL",
-    help="label of a lamp  [default: lamp/NUMBER, all]",
+    "--name", "names", multiple=True, metavar="NUMBER=LABEL", help="label of a lamp  [default: lamp/NUMBER, all]"
 )
 @click.option(
-    "--frames-per-bit",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="pulses that a bit lasts",
+    "--frames-per-bit", type=click.IntRange(min=1), default=1, show_default=True, help="pulses that a bit lasts"
 )
 @click.option("--in-step", is_flag=True, help="bit 0 begins at pulse 0  [default: at an unknown pulse]")
-@click.option(
-    "--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]"
-)
+@click.option("--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]")
 def blink(
     tracks: Path, out: Path, names: tuple[str, ...], frames_per_bit: int, in_step: bool, fps: float | None
 ) -> None:
@@ -227,9 +193,7 @@ def blink(
 @labels.command()
 @click.argument("recording", type=FILE)
 @click.option("--rig", required=True, type=FILE, help="calibrated rig file")
-@click.option(
-    "--out", required=True, type=FILE, help="tracks, labelled code/NUMBER: .npz, .csv, .c3d or .trc"
-)
+@click.option("--out", required=True, type=FILE, help="tracks, labelled code/NUMBER: .npz, .csv, .c3d or .trc")
 @click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
 @click.option(
     "--colour",
@@ -309,9 +273,7 @@ def find_bodies(
 @click.command()
 @click.argument("tracks", nargs=-1, required=True, type=FILE)
 @click.option("--out", required=True, type=FILE, help="one set of tracks: .npz, .csv, .c3d or .trc")
-@click.option(
-    "--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]"
-)
+@click.option("--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]")
 def zones(tracks: tuple[Path, ...], out: Path, fps: float | None) -> None:
     """Stitch the tracks of several zones into one set; all on the same pulses and in the same frame.
 

@@ -92,9 +92,7 @@ def calibrate(request: CalibrateOptions, progress: Callable[[int, int | None], N
 def summary_lines(calibration: Calibration) -> list[str]:
     """Return a calibration in a few lines: precision of each camera, and what must be known."""
     size = f"{len(calibration.sightings)} image points, {int((~calibration.used).sum())} left out"
-    lines = [
-        f"{calibration.target}: {size}; sigma0 {calibration.sigma0:.2f}, scale from {calibration.scaled_by}"
-    ]
+    lines = [f"{calibration.target}: {size}; sigma0 {calibration.sigma0:.2f}, scale from {calibration.scaled_by}"]
     if calibration.body_px:
         lines.append(f"whole images shake by {calibration.body_px:.3f} px rms")
     for k, camera in enumerate(calibration.rig.cameras):
@@ -122,9 +120,7 @@ def _view(rig: Rig, name: str) -> str:
     """Return how wide a camera sees, from the middles of its image's edges."""
     camera = rig.camera(name)
     middle_x, middle_y = (camera.width - 1) / 2, (camera.height - 1) / 2
-    edges = np.array(
-        [[0, middle_y], [camera.width - 1, middle_y], [middle_x, 0], [middle_x, camera.height - 1]]
-    )
+    edges = np.array([[0, middle_y], [camera.width - 1, middle_y], [middle_x, 0], [middle_x, camera.height - 1]])
     v = lens_directions(camera.lens, edges)
     angles = [np.degrees(np.arccos(np.clip(v[k] @ v[k + 1], -1, 1))) for k in (0, 2)]
     return f"sees {angles[0]:.0f} x {angles[1]:.0f} deg"

@@ -24,9 +24,7 @@ from mosca.synchronisation import assemble
 from scenarios.run.interrupt import between_steps
 
 
-def learn_from(
-    path: Path, out: Path, names: tuple[str, ...], limbs: tuple[str, ...], frames: str | None
-) -> str:
+def learn_from(path: Path, out: Path, names: tuple[str, ...], limbs: tuple[str, ...], frames: str | None) -> str:
     """Learn a marker model from the tracks in ``path`` and write it to ``out``; return the line to print.
 
     ``names``: ``TRACK=LABEL`` texts, ``limbs``: ``LIMB=LABEL,LABEL,...``, ``frames``: ``FIRST:LAST``. Where tracks
@@ -63,9 +61,7 @@ def apply_to(path: Path, model_path: Path, out: Path, fps: float | None) -> list
     write_tracks(tracks, out, rate_of(tracks, fps, path))
     found = [name for name in model.names if (tracks.label == name).any()]
     missing = [name for name in model.names if name not in found]
-    lines = [
-        f"{len(found)} of {len(model.names)} markers found in {len(np.unique(tracks.track))} tracks, in {out}"
-    ]
+    lines = [f"{len(found)} of {len(model.names)} markers found in {len(np.unique(tracks.track))} tracks, in {out}"]
     if missing:
         lines.append(f"not found: {', '.join(missing)}")
     return lines
@@ -183,9 +179,7 @@ def _limbs(texts: tuple[str, ...]) -> dict[str, tuple[str, ...]] | None:
     for text in texts:
         limb, members = _limb(text)
         if limb in found:
-            raise InputError(
-                f"--limb {text}: limb '{limb}' is given twice; name all its labels in one --limb"
-            )
+            raise InputError(f"--limb {text}: limb '{limb}' is given twice; name all its labels in one --limb")
         found[limb] = members
     return found or None
 
@@ -194,7 +188,5 @@ def _limb(text: str) -> tuple[str, tuple[str, ...]]:
     limb, equals, members = text.partition("=")
     parts = tuple(part.strip() for part in members.split(",") if part.strip())
     if not equals or not limb or len(parts) < 2:
-        raise InputError(
-            f"--limb {text}: LIMB=LABEL,LABEL,... is wanted, for example --limb head=LFHD,RFHD,LBHD"
-        )
+        raise InputError(f"--limb {text}: LIMB=LABEL,LABEL,... is wanted, for example --limb head=LFHD,RFHD,LBHD")
     return limb, parts

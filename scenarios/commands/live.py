@@ -58,9 +58,7 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
     ``report`` is called with a line each second. Tracks are written on the way; the record holds each stage's times.
     """
     if options.record is not None and options.record.suffix.lower() != ".json":
-        raise InputError(
-            f"{options.record}: suffix '{options.record.suffix}' given; a record is a .json file"
-        )
+        raise InputError(f"{options.record}: suffix '{options.record.suffix}' given; a record is a .json file")
     if options.record is not None:
         check_writable(options.record)
     smoother = None if options.lag is None else FixedLag(LagSettings(lag=options.lag))
@@ -84,9 +82,7 @@ def run_live_command(options: LiveOptions, report: Callable[[str], None]) -> lis
             lines.append(f"{tracks} tracks with {log.samples} samples in {options.out}")
         lines += health.findings()
         if options.record is not None:
-            write_record(
-                _record(options, steps.count, elapsed, stages, assembly, health, log), options.record
-            )
+            write_record(_record(options, steps.count, elapsed, stages, assembly, health, log), options.record)
             lines.append(f"{options.record}")
     return lines
 
@@ -194,9 +190,7 @@ def _summary(sets: int, elapsed: float, stages: Mapping[str, list[float]], assem
         p50, p99, most = 1e3 * np.array([*np.quantile(latency, [0.5, 0.99]), latency.max()])
         lines.append(f"latency {p50:.1f} ms, p99 {p99:.1f} ms, at most {most:.1f} ms")
         means = {stage: 1e3 * float(np.mean(v)) for stage, v in stages.items() if stage != "latency"}
-        lines.append(
-            "a set takes " + ", ".join(f"{stage} {value:.2f}" for stage, value in means.items()) + " ms"
-        )
+        lines.append("a set takes " + ", ".join(f"{stage} {value:.2f}" for stage, value in means.items()) + " ms")
     return lines + [f"{kind}: {note}" for kind, note in assembly.notes.items()]
 
 

@@ -99,9 +99,7 @@ def opened_live(options: LiveOptions, stack: ExitStack) -> LiveSource:
         raise InputError(f"{source}: allowed are hardware:RIG.toml, recording:DIR and a scenario")
     if kind == "hardware":
         if options.rate is not None or options.fps is not None:
-            raise InputError(
-                f"{source}: --rate and --fps are of recordings; devices run at [hardware] rate_hz"
-            )
+            raise InputError(f"{source}: --rate and --fps are of recordings; devices run at [hardware] rate_hz")
         return _devices(Path(place), options, stack)
     if kind == "recording":
         return _recording(Path(place), options, stack)
@@ -134,9 +132,7 @@ def _devices(path: Path, options: LiveOptions, stack: ExitStack) -> LiveSource:
     if missing:
         raise InputError(f"{path}: no camera '{missing[0]}'; it names {', '.join(devices.cameras)}")
     source = stack.enter_context(HardwareSource(devices))
-    frames: FrameSource = (
-        source if set(rig.names) == set(devices.cameras) else SelectedCameras(source, rig.names)
-    )
+    frames: FrameSource = source if set(rig.names) == set(devices.cameras) else SelectedCameras(source, rig.names)
     return LiveSource(frames, rig, _settings(options), source.stop)
 
 
@@ -151,23 +147,17 @@ def _scenario(options: LiveOptions, stack: ExitStack) -> LiveSource:
     cameras = virtual_cameras(spec, true_rig(spec, path.parent))
     rig = with_fault(calibrated(spec, cameras).rig, spec.fault)
     if spec.zone:
-        raise InputError(
-            f"{path}: a scenario of zones is stitched when it is over; 'mosca run {name}' does that"
-        )
+        raise InputError(f"{path}: a scenario of zones is stitched when it is over; 'mosca run {name}' does that")
     nominal = spec.capture.frame_rate_hz
     speed = 1.0 if options.rate is None else options.rate / nominal
     size = sum(v.camera.width * v.camera.height * (1 if spec.errors.bits <= 8 else 2) for v in cameras)
-    wanted = (
-        spec.capture.pulses if seconds is None else min(spec.capture.pulses, round(seconds * nominal * speed))
-    )
+    wanted = spec.capture.pulses if seconds is None else min(spec.capture.pulses, round(seconds * nominal * speed))
     pulses = max(1, min(wanted, MEMORY_BYTES // size))
     notes: tuple[str, ...] = ()
     if pulses < wanted:
         notes = (f"{pulses / nominal:g} s of {wanted / nominal:g} s fit in memory and are played",)
     workers = options.workers or os.cpu_count() or 1
-    source: FrameSource = stack.enter_context(
-        twin_source(spec, build_scene(spec, path.parent), cameras, workers)
-    )
+    source: FrameSource = stack.enter_context(twin_source(spec, build_scene(spec, path.parent), cameras, workers))
     if any(info.name not in rig.names for info in source.cameras):
         source = SelectedCameras(source, rig.names)
     frames = list(islice(iter(source), pulses * len(source.cameras)))

@@ -172,9 +172,7 @@ def reconstruct_settings(spec: ReconstructSpec, path: Path | None = None) -> Pip
         raise InputError(f"{path or '--set'}: {error}") from None
 
 
-def recorded_backgrounds(
-    recording: Path, rig: Rig, fps: float | None, spec: BackgroundSpec
-) -> dict[str, Array]:
+def recorded_backgrounds(recording: Path, rig: Rig, fps: float | None, spec: BackgroundSpec) -> dict[str, Array]:
     """Return camera -> background (H, W) of a recording's first frames, as ``spec`` has it.
 
     Camera by camera and frame by frame, so that no more than a few images are in memory.

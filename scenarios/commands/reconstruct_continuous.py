@@ -92,9 +92,7 @@ def reconstruct_continuous(
         if lamps is None:
             found = reconstruct(source, rig, gathering, wanted, backgrounds, attend)
         else:
-            found = reconstruct_worn(
-                source, rig, *lamps, gathering, wanted, backgrounds, attend
-            ).reconstructed
+            found = reconstruct_worn(source, rig, *lamps, gathering, wanted, backgrounds, attend).reconstructed
     rate = options.rate_hz or max(1.0 / one.period_s for one in found.gathered.seen)
     tracks = found.tracks(grid_ns(found, rate))
     write_tracks(tracks, out, rate)

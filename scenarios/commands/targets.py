@@ -32,9 +32,7 @@ def scale_from_scan(
     """Return the same from the coded targets in a scan; ``page``, ``colour``: as for ``mosca target sheet``."""
     targets = _printed(path)
     if isinstance(targets, Board):
-        raise InputError(
-            f"{path}: a board has no coded targets that a scan shows; measure its ruler, --ruler"
-        )
+        raise InputError(f"{path}: a board has no coded targets that a scan shows; measure its ruler, --ruler")
     if not scan.is_file():
         raise InputError(f"{scan}: no such file")
     image, fault = decode_image(scan.read_bytes())
@@ -65,9 +63,7 @@ def _printed(path: Path) -> Board | list[CodedTarget]:
         coded = [end for end in target.ends if isinstance(end, CodedTarget)]
     if not coded:
         kind = "points" if isinstance(target, PointsTarget) else type(target).__name__
-        raise InputError(
-            f"{path}: describes {kind}, which has no printed sheet; a field, board or scale bar has"
-        )
+        raise InputError(f"{path}: describes {kind}, which has no printed sheet; a field, board or scale bar has")
     return coded
 
 

@@ -84,9 +84,7 @@ def _expected(case: Case, radial: int = 9, angles: int = 26) -> Array:
     field = np.hypot(*away) / (np.hypot(*SIZE) / 2)
     circle = optics.curvature_px * field**2
     if optics.focus_m is not None:  # the plane of focus stands across the axis: depth counts
-        circle += blur_circle_px(
-            centre[2], optics.focus_m, optics.f_mm, optics.f_number, optics.pixel_pitch_mm
-        )
+        circle += blur_circle_px(centre[2], optics.focus_m, optics.f_mm, optics.f_number, optics.pixel_pitch_mm)
     points, weights = pupil(radial, angles)
     places = displacements(points, circle, optics.coma_px * field, away / np.hypot(*away))
     turn = 2 * np.pi / len(polygon)  # an inscribed polygon lacks area: its ellipse is larger by this

@@ -36,9 +36,7 @@ SOLIDS = {
 }
 MESHES = {
     "mesh ball": trimesh.creation.icosphere(subdivisions=2, radius=0.045),
-    "mesh torus": trimesh.creation.torus(
-        major_radius=0.06, minor_radius=0.02, major_sections=24, minor_sections=12
-    ),
+    "mesh torus": trimesh.creation.torus(major_radius=0.06, minor_radius=0.02, major_sections=24, minor_sections=12),
 }
 SWEEP_PX = (24.0, 21.0, 18.0, 15.0, 12.0)
 INSTANTS = 16

@@ -71,10 +71,7 @@ def _beside(name: str, shown: str, quick: bool) -> Check:
             rays = seen_over_time(_hidden_world(number), WITNESS, SIZE, SIGMA, lines_per_px=48)
             exact, centroid = rays.image, rays.centroid
         corner = [part[1].start, part[0].start]
-        own[number] = (
-            np.hypot(*(image_centroid(peer[part]) + corner - centroid)),
-            np.abs(peer - exact)[part].max(),
-        )
+        own[number] = (np.hypot(*(image_centroid(peer[part]) + corner - centroid)), np.abs(peer - exact)[part].max())
         off[number] = centroids_apart(image[part], peer[part]), np.abs(image - peer)[part].max()
     free = [number for number in range(len(off)) if number not in HIDDEN]
     half = _twin_image(OpenCVLens(gl.FOCAL_PX, gl.FOCAL_PX, gl.WIDTH / 2, gl.HEIGHT / 2))
@@ -86,10 +83,7 @@ def _beside(name: str, shown: str, quick: bool) -> Check:
         Row("in view: centroid, largest", float(off[free, 0].max()), "px", FREE_PX),
         Row("partly hidden: centroid, largest", float(off[HIDDEN, 0].max()), "px", HIDDEN_PX),
         Row("pixels, largest", float(off[:, 1].max()), "of full", PIXEL),
-        *[
-            Row(f"fault: {what}: pixels", float(off), "of full", PIXEL, control=True)
-            for what, off in faults.items()
-        ],
+        *[Row(f"fault: {what}: pixels", float(off), "of full", PIXEL, control=True) for what, off in faults.items()],
     ]
     own_error = (
         f"{own[free, 0].max():.1e} px in view, {own[HIDDEN, 0].max():.1e} px partly hidden, {own[:, 1].max():.1e} of "
@@ -130,10 +124,7 @@ def _twin_image(lens: OpenCVLens) -> Array:
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=gl.BOX[1], pos=gl.BOX[0])
     spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-        size=[*gl.CAPSULE[1:], 0],
-        pos=gl.CAPSULE[0],
-        euler=[90.0, 0.0, 0.0],
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[*gl.CAPSULE[1:], 0], pos=gl.CAPSULE[0], euler=[90.0, 0.0, 0.0]
     )
     scene = Scene(spec.compile(), (), (), lambda t: np.zeros(0), 1.0)
     state, solid = scene.sampler().at(0.0), occluders_of(scene)
@@ -150,9 +141,7 @@ def _hidden_world(number: int) -> World:
     """Return what the ray caster needs to look at a partly hidden marker."""
     if number == 0:
         centre, radius = gl.BALLS[0]
-        return World(fixed(np.array(centre)), radius).add(
-            mujoco.mjtGeom.mjGEOM_BOX, gl.BOX[1], fixed(gl.BOX[0])
-        )
+        return World(fixed(np.array(centre)), radius).add(mujoco.mjtGeom.mjGEOM_BOX, gl.BOX[1], fixed(gl.BOX[0]))
     centre, normal, radius = gl.DISCS[1]
     world = World(fixed(np.array(centre)), radius, np.array(normal) / np.linalg.norm(normal))
     along_y = fixed(Rotation.from_euler("x", 90, degrees=True).as_matrix())

@@ -4,17 +4,7 @@ import numpy as np
 
 from mosca.data.rig import FisheyeLens
 from reports.fidelity import Crop
-from scenarios.fidelity.demo_scene import (
-    Ball,
-    by_px,
-    change,
-    grey,
-    metres,
-    photo,
-    quiet_camera,
-    side_by_side,
-    stage,
-)
+from scenarios.fidelity.demo_scene import Ball, by_px, change, grey, metres, photo, quiet_camera, side_by_side, stage
 from twin.cameras.exposure.mount import Mount
 from twin.cameras.optics.blur_parameters import Optics
 from twin.cameras.sensor.background_light import Backdrop
@@ -82,9 +72,7 @@ def vignetting() -> Crop:
 def glare() -> Crop:
     """A lamp that shines into the lens."""
     lamp = Ball(by_px(28.0, -14.0), metres(12.0), Glow(strength=60.0))
-    scene = stage(
-        [lamp, *[Ball(by_px(x, y), metres(6.0)) for x, y in ((-35.0, -20.0), (-30.0, 24.0), (20.0, 26.0))]]
-    )
+    scene = stage([lamp, *[Ball(by_px(x, y), metres(6.0)) for x, y in ((-35.0, -20.0), (-30.0, 24.0), (20.0, 26.0))]])
     camera = quiet_camera()
     hazy = photo(scene, camera, surroundings=Surroundings(glare=Glare(0.05)))
     return Crop(

@@ -34,9 +34,7 @@ def hot_and_dead_pixels() -> Crop:
     """Pixels that say too much or nothing."""
     scene = stage([Ball(by_px(-12.0, -6.0), metres(8.0)), Ball(by_px(13.0, 8.0), metres(5.0))])
     camera = quiet_camera(SMALL, sensor=Sensor(background_e=2_500.0))
-    bad = change(
-        camera, sensor=Sensor(background_e=2_500.0, hot_pixels=0.006, hot_e=6_000.0, dead_pixels=0.006)
-    )
+    bad = change(camera, sensor=Sensor(background_e=2_500.0, hot_pixels=0.006, hot_e=6_000.0, dead_pixels=0.006))
     panels = [grey(photo(scene, which), 0.0, 200.0) for which in (camera, bad)]
     return Crop(
         "hot_and_dead_pixels",
@@ -60,9 +58,7 @@ def fixed_patterns() -> Crop:
         "fixed_patterns",
         "DSNU and PRNU",
         (WITHOUT, "150 e- and 4 %", "difference, 8 times"),
-        side_by_side(
-            *[grey(p, 30.0, 240.0) for p in (alone, with_them)], difference(with_them, alone, 16.0), zoom=6
-        ),
+        side_by_side(*[grey(p, 30.0, 240.0) for p in (alone, with_them)], difference(with_them, alone, 16.0), zoom=6),
         "Each pixel has a dark signal and a response of its own (EMVA 1288): the patterns stay where they are while "
         "noise changes. Brightness is stretched; in the difference grey means none.",
         "sensors/fixed_patterns",
@@ -152,13 +148,10 @@ def context() -> Crop:
         marker_diameter_m=0.016,
         gait="in_place",
     )
-    camera = quiet_camera(
-        (100, 150), 275.0, pose=_looking(np.array([3.2, 1.6, 1.3]), np.array([0.0, 0.0, 0.88]))
-    )
+    camera = quiet_camera((100, 150), 275.0, pose=_looking(np.array([3.2, 1.6, 1.3]), np.array([0.0, 0.0, 0.88])))
     plain = Context(ambient=0.12, lamp=0.12, step_px=1)
     stripes = tuple(
-        Cloth(f"?_{limb}/0", 0.5, retro=10.0, band_m=(-0.03, 0.03))
-        for limb in ("forearm", "shank", "upper_arm")
+        Cloth(f"?_{limb}/0", 0.5, retro=10.0, band_m=(-0.03, 0.03)) for limb in ("forearm", "shank", "upper_arm")
     )
     striped = Context(ambient=0.12, lamp=0.12, step_px=1, clothes=stripes)
     panels = [
@@ -183,12 +176,4 @@ def _looking(place: Array, target: Array) -> Pose:
     return Pose(np.column_stack([right, np.cross(forward, right), forward]), place)
 
 
-CROPS = (
-    hot_and_dead_pixels,
-    fixed_patterns,
-    uneven_background,
-    ring_lights,
-    mirror,
-    shiny_spot,
-    context,
-)
+CROPS = (hot_and_dead_pixels, fixed_patterns, uneven_background, ring_lights, mirror, shiny_spot, context)

@@ -75,11 +75,7 @@ def limb_darkening() -> Crop:
     def seen(glow: Glow) -> Array:
         return grey(photo(stage([Ball(by_px(0.0, 0.0), metres(38.0), glow)]), quiet_camera(size)), 0.0, 190.0)
 
-    panels = (
-        seen(Glow()),
-        seen(Glow(limb=0.8)),
-        seen(Glow(limb=0.5, shade=0.5, shade_world=(-1.0, -0.6, 0.0))),
-    )
+    panels = (seen(Glow()), seen(Glow(limb=0.8)), seen(Glow(limb=0.5, shade=0.5, shade_world=(-1.0, -0.6, 0.0))))
     return Crop(
         "limb_darkening",
         "Limb darkening and shading",
@@ -97,8 +93,7 @@ def hidden_and_merging() -> Crop:
     places = ((-40.0, -18.0), (-40.0, 18.0), (14.0, -18.0), (14.0, 18.0))
     apart = [Ball(by_px(x, y), metres(11.0)) for x, y in places]
     near = [
-        Ball(by_px(x + dx, y, 2.3), metres(11.0, 2.3))
-        for (x, y), dx in zip(places[2:], (17.0, 8.0), strict=True)
+        Ball(by_px(x + dx, y, 2.3), metres(11.0, 2.3)) for (x, y), dx in zip(places[2:], (17.0, 8.0), strict=True)
     ]
     limb = capsule(by_px(-52.0, -60.0, 1.5), by_px(-40.0, 60.0, 1.5), metres(7.0, 1.5))
     panels = [

@@ -1,17 +1,7 @@
 """Pictures of what time does: motion blur, strobe, rolling shutter, lamps that blink."""
 
 from reports.fidelity import Crop
-from scenarios.fidelity.demo_scene import (
-    Ball,
-    by_px,
-    change,
-    grey,
-    metres,
-    photo,
-    quiet_camera,
-    side_by_side,
-    stage,
-)
+from scenarios.fidelity.demo_scene import Ball, by_px, change, grey, metres, photo, quiet_camera, side_by_side, stage
 from twin.cameras.exposure.shutter import Timing
 from twin.scenes.emission import Blink, Glow
 
@@ -23,9 +13,7 @@ def motion_blur() -> Crop:
     speed = metres(18.0) / exposure
 
     def balls(start_px: float) -> list[Ball]:
-        return [
-            Ball(by_px(x - start_px, y), metres(d)) for x, y, d in ((-14, -18, 9), (6, 4, 6), (-8, 22, 4))
-        ]
+        return [Ball(by_px(x - start_px, y), metres(d)) for x, y, d in ((-14, -18, 9), (6, 4, 6), (-8, 22, 4))]
 
     camera = quiet_camera(size)
     running = stage(balls(9.0), velocity_mps=(speed, speed / 4, 0.0))

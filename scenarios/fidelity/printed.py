@@ -77,9 +77,7 @@ def profiles(quick: bool) -> Check:
             rows.append(Row(f"{what}: centroid", off, "px", PROFILE_PX))
             if diameter < 20.0:  # larger ones: the witness's spots would have to lie denser
                 wanted = points_image(face.xy, light, SIGMA, *SIZE)
-                rows.append(
-                    Row(f"{what}: pixels, largest", pixels_apart(image, wanted), "of peak", 2 * PIXEL)
-                )
+                rows.append(Row(f"{what}: pixels, largest", pixels_apart(image, wanted), "of peak", 2 * PIXEL))
     true, _normal = _profiled(10.0, None, limb, shade)
     flipped, _normal = _profiled(10.0, None, limb, (0.3, 0.2, 0.0))
     pair = [seen_by_twin(LENS, SIZE, [what])[0] for what in (true, flipped)]

@@ -17,9 +17,7 @@ SHAPE, STEPS, IMAGES = (200, 300), 27, 12
 GAIN, DARK_NOISE, SATURATION, PATTERN = 0.02, 0.05, 0.05, 0.04
 """Bars, as shares of what the data sheet says."""
 SHEETS = {
-    8: Sensor(
-        bits=8, full_well_e=8_000.0, read_noise_e=25.0, dsnu_e=20.0, prnu=0.012, quantum_efficiency=0.55
-    ),
+    8: Sensor(bits=8, full_well_e=8_000.0, read_noise_e=25.0, dsnu_e=20.0, prnu=0.012, quantum_efficiency=0.55),
     10: Sensor(bits=10, full_well_e=12_000.0, read_noise_e=12.0, dsnu_e=6.0, prnu=0.008),
     12: Sensor(bits=12, dsnu_e=5.0, prnu=0.01),
 }
@@ -35,9 +33,7 @@ def sensors(quick: bool) -> Check:
         if quick and bits == 10:
             continue
         found = _measured(_camera(sheet), sheet)
-        rows += [
-            Row(f"{bits} bit: {name} off by", off, "of it", bar) for name, off, bar in _off(found, sheet)
-        ]
+        rows += [Row(f"{bits} bit: {name} off by", off, "of it", bar) for name, off, bar in _off(found, sheet)]
     sheet = SHEETS[12]
     faults = {
         "K 3 % too large": (replace(sheet, full_well_e=sheet.full_well_e / 1.03), "system gain K"),
@@ -77,8 +73,7 @@ def _measured(grab: Grab, sheet: Sensor) -> tuple[PhotonTransfer, float, float]:
     pairs = [temporal(grab(p, 2 * k + 1), grab(p, 2 * k + 2)) for k, p in enumerate(photons)]
     transfer = PhotonTransfer(photons, *np.transpose(pairs))
     dark, half = (
-        spatial(np.stack([grab(p, 1000 * (i + 1) + k) for k in range(IMAGES)]))
-        for i, p in enumerate((0.0, full / 2))
+        spatial(np.stack([grab(p, 1000 * (i + 1) + k) for k in range(IMAGES)])) for i, p in enumerate((0.0, full / 2))
     )
     return transfer, dsnu_e(dark, transfer.gain), prnu(dark, half)
 

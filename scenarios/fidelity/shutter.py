@@ -67,9 +67,7 @@ def motion(quick: bool) -> Check:
     rows: list[Row] = []
     for name, cases in CASES.items():
         pairs = [_both(case) for case in (cases[:2] if quick else cases)]
-        rows.append(
-            Row(f"{name}: centroid, rms", rms(np.array([centroids_apart(*p) for p in pairs])), "px", RMS_PX)
-        )
+        rows.append(Row(f"{name}: centroid, rms", rms(np.array([centroids_apart(*p) for p in pairs])), "px", RMS_PX))
         rows.append(Row(f"{name}: pixels, largest", max(pixels_apart(*p) for p in pairs), "of peak", PIXEL))
     fastest = CASES["rolling shutter"][0 if quick else 2]
     fine, coarse = _expected(fastest, 2 * INSTANTS - 1), _expected(fastest)
@@ -112,11 +110,7 @@ def _expected(case: Case, instants: int = INSTANTS) -> Array:
     at, radius, normal = _path(case)
 
     def image_at(t: float) -> Array:
-        outline = (
-            ball_outline(at(t), radius, 600)
-            if case.tilt is None
-            else disc_outline(at(t), normal, radius, 600)
-        )
+        outline = ball_outline(at(t), radius, 600) if case.tilt is None else disc_outline(at(t), normal, radius, 600)
         return contour_image(WITNESS.project(outline), SIGMA, *SIZE)
 
     opens, closes = row_windows(SIZE[1], case.length_s, case.row_time_s, case.light_s, case.lit_s)
@@ -127,11 +121,7 @@ def _expected(case: Case, instants: int = INSTANTS) -> Array:
 
 def _faults() -> list[Row]:
     """Return how far off the image of a twin is whose input differs slightly from the witness'."""
-    across, rolled, flashed = (
-        CASES["global shutter"][0],
-        CASES["rolling shutter"][0],
-        CASES["strobe and lamp"][0],
-    )
+    across, rolled, flashed = (CASES["global shutter"][0], CASES["rolling shutter"][0], CASES["strobe and lamp"][0])
     late = 5e-5
     faults: dict[str, tuple[Case, dict[str, Any]]] = {
         "exposure centre 50 us late": (across, {"light_s": (2 * late, 1.0)}),

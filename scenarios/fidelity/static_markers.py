@@ -103,10 +103,7 @@ def _offs(lens: Lens, witness: WitnessLens, plain: WitnessLens, optics: Optics, 
 
 def _rows(name: str, off: Array) -> list[Row]:
     far = off.astype(float)
-    return [
-        Row(f"{name}, rms", rms(far), "px", RMS_PX),
-        Row(f"{name}, largest", float(far.max()), "px", MAX_PX),
-    ]
+    return [Row(f"{name}, rms", rms(far), "px", RMS_PX), Row(f"{name}, largest", float(far.max()), "px", MAX_PX)]
 
 
 def _outline_error() -> float:

@@ -20,10 +20,7 @@ LENSES: dict[str, tuple[Lens, WitnessLens]] = {
         MoscaLens(6.5, 301.4, 255.5, 0.00943, 0.00944, -0.0067, 8.7e-4, -1.8e-5, 3e-7, 2.8e-4, 4.5e-5),
         paper_lens(6.5, 301.4, 255.5, 0.00943, 0.00944, -0.0067, (8.7e-4, -1.8e-5, 3e-7), (2.8e-4, 4.5e-5)),
     ),
-    "rational": (
-        OpenCVLens(690.0, 694.0, 333.0, 238.0, *RATIONAL),
-        opencv_lens(MATRIX, np.array(RATIONAL)),
-    ),
+    "rational": (OpenCVLens(690.0, 694.0, 333.0, 238.0, *RATIONAL), opencv_lens(MATRIX, np.array(RATIONAL))),
     "thin prism": (
         OpenCVLens(690.0, 694.0, 333.0, 238.0, *RATIONAL, *PRISM),
         opencv_lens(MATRIX, np.array(RATIONAL + PRISM)),
@@ -35,8 +32,7 @@ LENSES: dict[str, tuple[Lens, WitnessLens]] = {
     "fisheye": (
         FisheyeLens(270.0, 271.0, 322.0, 240.0, -0.03, 0.004, -0.001, 0.0002),
         fisheye_lens(
-            np.array([[270.0, 0, 322.0], [0, 271.0, 240.0], [0, 0, 1]]),
-            np.array([-0.03, 0.004, -0.001, 0.0002]),
+            np.array([[270.0, 0, 322.0], [0, 271.0, 240.0], [0, 0, 1]]), np.array([-0.03, 0.004, -0.001, 0.0002])
         ),
     ),
 }
@@ -57,11 +53,7 @@ def small_camera(
 
 
 def marker(
-    witness: WitnessLens,
-    xy: tuple[float, float],
-    diameter: float,
-    tilt_deg: float | None,
-    distance: float = 2.0,
+    witness: WitnessLens, xy: tuple[float, float], diameter: float, tilt_deg: float | None, distance: float = 2.0
 ) -> tuple[Target, Array]:
     """Return a still marker for the twin and its outline (n, 3) for the witness [m].
 

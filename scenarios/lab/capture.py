@@ -172,9 +172,7 @@ def _recording(request: CaptureRequest, source: HardwareSource) -> RecordingWrit
     text = request.rig.read_text(encoding="utf-8")
     if request.detections:
         return RecordingWriter(request.out, source.cameras, text, holds="detections", tail_bytes=0)
-    return RecordingWriter(
-        request.out, source.cameras, text, holds="frames", tail_bytes=request.waiting_bytes
-    )
+    return RecordingWriter(request.out, source.cameras, text, holds="frames", tail_bytes=request.waiting_bytes)
 
 
 def _view(
@@ -191,9 +189,7 @@ def _view(
 
     rig = _calibrated(request.rig)
     shown = rig or uncalibrated(source.cameras)
-    log = stack.enter_context(
-        log_in_viewer(shown) if request.view_log is None else RerunLog(request.view_log, shown)
-    )
+    log = stack.enter_context(log_in_viewer(shown) if request.view_log is None else RerunLog(request.view_log, shown))
     view = LiveView(log, source.cameras, rig, settings, lambda: recorder.behind)
     stack.callback(view.close)
     return view
@@ -264,11 +260,7 @@ def _write_statistics(recorder: Recorder, source: HardwareSource, intake: Intake
 
 
 def _outcome(
-    source: HardwareSource,
-    intake: Intake,
-    run: ProgramRun | None,
-    view: "LiveView | None",
-    wanted: int | None,
+    source: HardwareSource, intake: Intake, run: ProgramRun | None, view: "LiveView | None", wanted: int | None
 ) -> CaptureOutcome:
     """Sum up; ``wanted``: pulses that there should be, None where it was stopped by hand."""
     pulses = wanted if wanted is not None else _whole_pulses(intake)
@@ -290,9 +282,7 @@ def _outcome(
         notes += run.notes
     if view is not None and view.failed is not None:
         notes.append(f"view: ended early ({view.failed})")
-    return CaptureOutcome(
-        pulses, lost.count, lost.text(), False, 0 if view is None else view.shown, rows, notes
-    )
+    return CaptureOutcome(pulses, lost.count, lost.text(), False, 0 if view is None else view.shown, rows, notes)
 
 
 def _whole_pulses(intake: Intake) -> int:

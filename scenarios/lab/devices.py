@@ -28,13 +28,9 @@ def describe_devices(path: Path | None, list_devices: ListDevices = devices) -> 
         found += seen
         if not seen:
             lines.append(f"{driver}: no cameras")
-    lines = [
-        f"{d.driver}: {d.model or 'camera'}, serial {d.serial or '-'}, at {d.address}" for d in found
-    ] + lines
+    lines = [f"{d.driver}: {d.model or 'camera'}, serial {d.serial or '-'}, at {d.address}" for d in found] + lines
     if not producers:
-        lines.append(
-            "gentl: looks through a rig file's producers (.cti); name the rig file to see their cameras"
-        )
+        lines.append("gentl: looks through a rig file's producers (.cti); name the rig file to see their cameras")
     absent = []
     for name, settings in cameras.items():
         device = next((d for d in found if d.driver == settings.driver and _is(settings, d)), None)

@@ -109,9 +109,7 @@ def synchronise(source: FrameSource) -> FlashSync:
     if len(edges) < 2:
         raise InputError("flash: one camera has nobody to be synchronised with")
     reference = next(iter(edges))
-    offsets = tuple(
-        align(name, edges[reference], found) for name, found in edges.items() if name != reference
-    )
+    offsets = tuple(align(name, edges[reference], found) for name, found in edges.items() if name != reference)
     notes = tuple(
         f"camera '{name}': no edge fell into an exposure; each is known to the gap between two, "
         f"{2e3 * math.sqrt(3) * float(np.median(found.sigma_s)):.3g} ms: make the exposure longer"
@@ -237,9 +235,7 @@ def _matched(name: str, reference: Edges, own: Edges) -> tuple[Array, float]:
                 pairs = _pairs(reference, own, shift)
                 best.append((len(pairs), shift, pairs))
     if not best:
-        raise InputError(
-            f"camera '{name}': its flashes are none of the reference camera's; film them together"
-        )
+        raise InputError(f"camera '{name}': its flashes are none of the reference camera's; film them together")
     best.sort(key=lambda one: -one[0])
     most, shift, pairs = best[0]
     reach = _reach(reference, own)

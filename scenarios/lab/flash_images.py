@@ -64,9 +64,7 @@ def _row(frame: Frame, mask: Array) -> tuple[int, int, float]:
     return start, frame.exposure_ns, float(frame.image[mask].sum(dtype=np.int64))
 
 
-def _brightness(
-    rows: Sequence[tuple[int, int, float]], most: float, full: float, clipped: bool
-) -> Brightness:
+def _brightness(rows: Sequence[tuple[int, int, float]], most: float, full: float, clipped: bool) -> Brightness:
     ordered = sorted(rows)
     start, exposure = (np.array([row[k] for row in ordered], dtype=np.int64) for k in (0, 1))
     return Brightness(start, exposure, np.array([row[2] for row in ordered]), most, full, clipped)

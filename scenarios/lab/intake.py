@@ -134,9 +134,7 @@ class Intake:
         if self._view is not None:
             self._view.offer(frame)
         with self._guard:
-            kept = self._stamps.setdefault(
-                frame.camera, {"index": [], "block": [], "device_ns": [], "host_ns": []}
-            )
+            kept = self._stamps.setdefault(frame.camera, {"index": [], "block": [], "device_ns": [], "host_ns": []})
             kept["index"].append(frame.index)
             kept["block"].append(buffer.block_id)
             kept["device_ns"].append(buffer.device_ns)

@@ -22,10 +22,7 @@ KEPT_DELAYS = 500_000
 
 
 def run_merged(
-    sets: Iterable[MergedSet],
-    rig: Rig,
-    settings: PipelineSettings | None = None,
-    health: Health | None = None,
+    sets: Iterable[MergedSet], rig: Rig, settings: PipelineSettings | None = None, health: Health | None = None
 ) -> Iterator[Step]:
     """Turn merged detections into tracks, as ``mosca.pipeline.run_sets`` does with frame sets."""
     seen = ((FrameSet(s.pulse, s.time_ns), in_order(s.detections, rig), 0.0) for s in sets)
@@ -116,9 +113,7 @@ def summary_lines(statistics: ReceiverStatistics) -> list[str]:
         ]
         if parts:
             lines.append(f"camera '{name}' is missing in {merge.sets - c.merged} sets: {', '.join(parts)}")
-        thrown = [
-            f"{n} {what}" for n, what in ((c.late, "late"), (c.aged, "too old"), (c.doubled, "doubled")) if n
-        ]
+        thrown = [f"{n} {what}" for n, what in ((c.late, "late"), (c.aged, "too old"), (c.doubled, "doubled")) if n]
         if thrown:
             lines.append(f"camera '{name}': messages thrown away: {', '.join(thrown)}")
     for name, s in statistics.stations.items():
@@ -138,9 +133,7 @@ def summary_lines(statistics: ReceiverStatistics) -> list[str]:
             if number
         ]
         clock = f"clock to {s.clock_error_ns * 1e-6:.2f} ms, skew {s.clock_skew * 1e6:+.1f} ppm"
-        lines.append(
-            f"station {name}: {s.received} messages ({clock})" + (f"; {', '.join(parts)}" if parts else "")
-        )
+        lines.append(f"station {name}: {s.received} messages ({clock})" + (f"; {', '.join(parts)}" if parts else ""))
     if statistics.left_out:
         lines.append(f"{statistics.left_out} merged sets left out: the reconstruction was behind")
     if statistics.overrun:

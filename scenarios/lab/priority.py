@@ -28,9 +28,7 @@ def before_others() -> Iterator[bool]:
         yield False
         return
     session = _session_nice()
-    raises = (
-        session is not None and session > NICE
-    )  # else another program of the session did, and takes it back
+    raises = session is not None and session > NICE  # else another program of the session did, and takes it back
     if raises:
         _set_session_nice(NICE)
     try:

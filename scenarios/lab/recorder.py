@@ -133,9 +133,7 @@ class Recorder:
         if slot is not None:
             self._early[id(image)] = (image, slot)
 
-    def take_set(
-        self, frame_set: FrameSet, detections: Mapping[str, Detections], host_ns: Mapping[str, int]
-    ) -> None:
+    def take_set(self, frame_set: FrameSet, detections: Mapping[str, Detections], host_ns: Mapping[str, int]) -> None:
         """Have the detections of a frame set written."""
         self._jobs.put(partial(self._writer.write_set, frame_set, detections, host_ns))
 

@@ -87,9 +87,7 @@ def check_rig_live(
         lines += [f"  {text}" for text in (light(one.images, info.bit_depth), focus(one.images)) if text]
     lines += differing(reports)
     lines += notes
-    lines.append(
-        "constant delays between cameras do not show in stamps: film a flash (mosca rig check --flash)"
-    )
+    lines.append("constant delays between cameras do not show in stamps: film a flash (mosca rig check --flash)")
     rate_bytes = sum(info.image_bytes for info in infos.values()) * rate_hz
     free = shutil.disk_usage(folder).free
     lines.append(
@@ -120,9 +118,7 @@ def differing(reports: Mapping[str, DeviceReport]) -> list[str]:
         for key in sorted({key for settings in cameras.values() for key in settings} - set(OWN)):
             values = {name: settings.get(key) for name, settings in cameras.items()}
             if len({str(value) for value in values.values()}) > 1:
-                lines.append(
-                    f"{key} differs: " + ", ".join(f"{name} {value}" for name, value in values.items())
-                )
+                lines.append(f"{key} differs: " + ", ".join(f"{name} {value}" for name, value in values.items()))
     return lines
 
 
@@ -135,9 +131,7 @@ def light(images: Sequence[Array], bit_depth: int) -> str:
     saturated = float(np.mean([np.mean(image >= white) for image in images]))
     text = f"brightest pixels at {100 * brightest:.0f} % of white"
     if saturated > SATURATED:
-        return (
-            f"{text}, {100 * saturated:.1f} % of all pixels white: shorten the exposure, lower gain or light"
-        )
+        return f"{text}, {100 * saturated:.1f} % of all pixels white: shorten the exposure, lower gain or light"
     if brightest < DARK:
         return f"{text}: dark; more light, a longer exposure, a larger aperture, or nothing bright is in view"
     return text

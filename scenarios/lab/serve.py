@@ -90,9 +90,7 @@ class ServedSource:
 
 
 def serve(
-    request: ServeRequest,
-    progress: Callable[[int, int | None], None] | None,
-    on_ready: Callable[[Served], None],
+    request: ServeRequest, progress: Callable[[int, int | None], None] | None, on_ready: Callable[[Served], None]
 ) -> Served:
     """Serve until Ctrl-C or for ``request.seconds``; return what was served, closed, with its counts.
 
@@ -207,9 +205,7 @@ def _scenario(what: str, workers: int, stack: ExitStack) -> ServedSource:
     spec = load_scenario(path)
     cameras = virtual_cameras(spec, true_rig(spec, path.parent))
     rig = calibrated(spec, cameras).rig
-    source: FrameSource = stack.enter_context(
-        twin_source(spec, build_scene(spec, path.parent), cameras, workers)
-    )
+    source: FrameSource = stack.enter_context(twin_source(spec, build_scene(spec, path.parent), cameras, workers))
     if any(info.name not in rig.names for info in source.cameras):
         source = SelectedCameras(source, rig.names)
     return ServedSource(source, rig)
@@ -226,9 +222,7 @@ def _rig(path: Path, request: ServeRequest, stack: ExitStack) -> ServedSource:
     document = read_rig_file(path)
     twin = check(TwinTable, dict(document.twin), f"{path}: [twin]")
     if bool(twin.scenario) == bool(twin.recording):
-        raise InputError(
-            f"{path}: [twin] wants scenario = or recording =, one of them: what the cameras look at"
-        )
+        raise InputError(f"{path}: [twin] wants scenario = or recording =, one of them: what the cameras look at")
     if twin.scenario:
         beside = path.parent / twin.scenario
         name = str(beside) if beside.is_file() else twin.scenario
@@ -261,11 +255,7 @@ def _check_camera(path: Path, table: CameraTable, there: Mapping[str, CameraInfo
 
 
 def _faults(names: Sequence[str], trouble: InjectedFaults) -> dict[str, Faults]:
-    drifts = (
-        np.linspace(-trouble.drift_ppm, trouble.drift_ppm, len(names))
-        if len(names) > 1
-        else [trouble.drift_ppm]
-    )
+    drifts = np.linspace(-trouble.drift_ppm, trouble.drift_ppm, len(names)) if len(names) > 1 else [trouble.drift_ppm]
     return {
         name: Faults(
             packet_loss=trouble.loss,

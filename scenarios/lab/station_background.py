@@ -28,9 +28,7 @@ class Backgrounds:
     ) -> None:
         self._known = dict(ready or {})
         self._wanted = 0 if spec is None or spec.kind == "none" or ready else spec.frames
-        self._make: Make = (
-            minimum_background if spec is not None and spec.kind == "minimum" else mean_background
-        )
+        self._make: Make = minimum_background if spec is not None and spec.kind == "minimum" else mean_background
         self._first: dict[str, list[Array]] = {}
         self._seen: dict[str, int] = {}
         self.on_made = on_made

@@ -77,9 +77,7 @@ def detect_on_station(
                     devices.send_notes(sender)
                 return not stopped.is_set() and (until is None or time.monotonic() < until)
 
-            totals = run_station(
-                source, sender, detection, source.arrival_ns, every, source.stop, backgrounds
-            )
+            totals = run_station(source, sender, detection, source.arrival_ns, every, source.stop, backgrounds)
     lines = [
         f"station {name}: {totals.frames} frames, {totals.detected} looked at, {totals.targets} targets found",
         f"{1e3 * totals.seconds / max(totals.detected, 1):.2f} ms a frame; {sender.skipped} frames skipped, "
@@ -109,11 +107,7 @@ def reconstruct_stations(
     # [background] is the stations'
     settings = reconstruct_settings(reconstruct_spec(settings_path, overrides), settings_path)
     file = read_rig_file(rig_path)
-    rate = (
-        check(HardwareTable, dict(file.hardware), f"{rig_path}: [hardware]").rate_hz
-        if file.hardware
-        else None
-    )
+    rate = check(HardwareTable, dict(file.hardware), f"{rig_path}: [hardware]").rate_hz if file.hardware else None
     check_stations(stations)
     samples: list[Samples] = []
     delays, points = Delays(), 0

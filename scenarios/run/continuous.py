@@ -34,9 +34,9 @@ def continuous_settings(spec: ContinuousSpec) -> ContinuousSettings:
 def pulses_ns(spec: Scenario) -> Array:
     """Return the pulses' nominal mid-exposures (t,), session clock [ns]."""
     capture = spec.capture
-    return np.rint(
-        (np.arange(capture.pulses) / capture.frame_rate_hz + 0.5 * capture.exposure_s) * 1e9
-    ).astype(np.int64)
+    return np.rint((np.arange(capture.pulses) / capture.frame_rate_hz + 0.5 * capture.exposure_s) * 1e9).astype(
+        np.int64
+    )
 
 
 def collect_continuous(
@@ -80,9 +80,7 @@ def clock_line(clock: EstimatedClock) -> str:
         f"{-1e6 * clock.drift / (1.0 + clock.drift):+.2f} ppm (+- {1.96e6 * clock.drift_sigma:.1g}) fast"
     )
     if clock.row_time_s:
-        line += (
-            f", {1e6 * clock.row_time_s:.3g} us (+- {1.96e6 * clock.row_time_sigma_s:.1g}) from row to row"
-        )
+        line += f", {1e6 * clock.row_time_s:.3g} us (+- {1.96e6 * clock.row_time_sigma_s:.1g}) from row to row"
     return line
 
 
@@ -107,9 +105,7 @@ def lamp_notes(worn: Worn) -> dict[str, str]:
     found = worn.reconstructed
     known = np.isfinite(worn.placed.centres).all(axis=2).mean(axis=0)
     shares = ", ".join(
-        f"{name} {100 * share:.0f} %"
-        for name, share in zip(found.rig.names, known, strict=True)
-        if share < 1.0
+        f"{name} {100 * share:.0f} %" for name, share in zip(found.rig.names, known, strict=True) if share < 1.0
     )
     code, images = (sum(int((one >= 0).sum()) for one in of) for of in (worn.by_code, worn.lamp))
     return {

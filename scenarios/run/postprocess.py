@@ -34,9 +34,7 @@ class Postprocessor:
 
     def __init__(self, settings: Postprocessing) -> None:
         if settings.fill_s is not None and not 0 < settings.fill_s < float("inf"):
-            raise InputError(
-                f"--fill {settings.fill_s:g}: the longest gap to fill is wanted, in seconds above 0"
-            )
+            raise InputError(f"--fill {settings.fill_s:g}: the longest gap to fill is wanted, in seconds above 0")
         self._settings = settings
         self._model = None if settings.labels is None else read_model(settings.labels)
         self._smoother = None if settings.lag is None else FixedLag(LagSettings(lag=settings.lag))
@@ -94,14 +92,10 @@ def filled_line(fills: Tracks, fill_s: float) -> str:
 
 def _with_labels(tracks: Tracks, label_of: dict[int, str]) -> Tracks:
     labels = np.array([label_of.get(track, "") for track in tracks.track.tolist()], dtype=np.str_)
-    return Tracks(
-        **({name: getattr(tracks, name) for name in Tracks.__dataclass_fields__} | {"label": labels})
-    )
+    return Tracks(**({name: getattr(tracks, name) for name in Tracks.__dataclass_fields__} | {"label": labels}))
 
 
 def _joined(tracks: Tracks, more: Tracks) -> Tracks:
     """Return the samples of both, sorted by frame and track."""
-    both = Tracks(
-        *(np.concatenate([getattr(tracks, n), getattr(more, n)]) for n in Tracks.__dataclass_fields__)
-    )
+    both = Tracks(*(np.concatenate([getattr(tracks, n), getattr(more, n)]) for n in Tracks.__dataclass_fields__))
     return both.select(np.lexsort((both.track, both.frame)))

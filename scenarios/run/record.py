@@ -21,20 +21,13 @@ from scenarios.types import Collected, Score, Scored
 
 
 def record_of(
-    spec: Scenario,
-    name: str,
-    source: str,
-    worth: Scored,
-    timings: Mapping[str, float],
-    known: Calibrated,
+    spec: Scenario, name: str, source: str, worth: Scored, timings: Mapping[str, float], known: Calibrated
 ) -> RunRecord:
     """Return the record of a run of ``source``; ``known``: the nominal calibration."""
     scores, collected, not_judged = worth.scores, worth.collected, worth.not_judged
     limits = {metric: limit for metric, limit in spec.limits.items() if metric not in not_judged}
     met = limits_met(scores, limits, lambda metric: METRICS[metric][1])
-    rows = tuple(
-        _metric(metric, score, spec, met) for metric, score in scores.items() if np.isfinite(score.value)
-    )
+    rows = tuple(_metric(metric, score, spec, met) for metric, score in scores.items() if np.isfinite(score.value))
     broken = [metric for metric, ok in met.items() if not ok]
     notes = " ".join(collected.assembly.notes.values())
     unnoticed = [phrase for phrase in spec.told if phrase not in notes]
@@ -112,8 +105,7 @@ def health_record(one: CameraHealth) -> dict[str, Any]:
     values = {key: value for key, value in asdict(one).items() if key != "name"}
     values["residuals_px"] = [round(value, 4) for value in one.residuals_px]
     return {
-        key: None if isinstance(value, float) and not math.isfinite(value) else value
-        for key, value in values.items()
+        key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in values.items()
     }
 
 

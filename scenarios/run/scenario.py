@@ -120,9 +120,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
 
         def synchronous() -> Tracks:
             again = replace(options, record_to=None)
-            return collected_of(
-                opened.source, opened.twin, believed, opened.settings, spec, again, stack
-            ).tracks
+            return collected_of(opened.source, opened.twin, believed, opened.settings, spec, again, stack).tracks
 
         with _timed(timings, "score"):
             calibration_m2 = None if own is None else own.covariance_m2

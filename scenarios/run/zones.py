@@ -47,9 +47,7 @@ def zone_steps(
     check_source(source, rig)
     sets = assemble(source, source.cameras, settings.assembly, assembly)
     look = FrameSetDetector(settings.detection, {info.name: info.bit_depth for info in source.cameras})
-    yield from run_zones(
-        detect_ahead(look, sets, settings.workers, settings.split or 1), zones, settings, healths
-    )
+    yield from run_zones(detect_ahead(look, sets, settings.workers, settings.split or 1), zones, settings, healths)
 
 
 def tracks_of_all(tracks: Tracks, zones: Sequence[Zone], assembly: Assembly) -> Tracks:

@@ -12,13 +12,7 @@ from mosca.data.tracks import Tracks
 from mosca.data.truth import Truth
 from reports.evidence import Evidence
 from scenarios.score.tracks import pair
-from scenarios.score.worn_cameras import (
-    lamp_positions,
-    lamp_scores,
-    reasons,
-    relative_truth,
-    without_lamps,
-)
+from scenarios.score.worn_cameras import lamp_positions, lamp_scores, reasons, relative_truth, without_lamps
 from scenarios.spec.scenario import Scenario
 from scenarios.types import Collected, Score, TruthPairs
 from twin.scenes.scene import Scene
@@ -41,11 +35,7 @@ def scored_apart(
     places = lamp_positions(spec, found.rig)
     tracks = without_lamps(collected.tracks, places)
     collected.assembly.notes.update(reasons(truth))
-    return (
-        replace(collected, tracks=tracks),
-        truth,
-        scores | lamp_scores(found.gathered.seen, found.rig, places),
-    )
+    return (replace(collected, tracks=tracks), truth, scores | lamp_scores(found.gathered.seen, found.rig, places))
 
 
 def clock_scores(found: Reconstructed, truth: Truth) -> dict[str, Score]:
@@ -110,22 +100,14 @@ def as_worn(evidence: Evidence, spec: Scenario, found: Reconstructed | Worn) -> 
 
         rig = rig_in_the_middle(found)
     reach = spec.continuous.reach_m
-    return replace(
-        evidence, rig=rig, working_space_center=np.zeros(3), working_space_size=np.full(3, 2.0 * reach)
-    )
+    return replace(evidence, rig=rig, working_space_center=np.zeros(3), working_space_size=np.full(3, 2.0 * reach))
 
 
-def over_synchronous(
-    ours: TruthPairs, synchronous: Tracks, truth: Truth, working_space_m: float
-) -> dict[str, Score]:
+def over_synchronous(ours: TruthPairs, synchronous: Tracks, truth: Truth, working_space_m: float) -> dict[str, Score]:
     """Return our error over the synchronous pipeline's, rms over rms, of markers and instants that both measured."""
     theirs = pair(synchronous, truth, working_space_m)
-    known = {
-        (f, m): k for k, (f, m) in enumerate(zip(theirs.frame.tolist(), theirs.marker.tolist(), strict=True))
-    }
-    at = np.array(
-        [known.get(key, -1) for key in zip(ours.frame.tolist(), ours.marker.tolist(), strict=True)], int
-    )
+    known = {(f, m): k for k, (f, m) in enumerate(zip(theirs.frame.tolist(), theirs.marker.tolist(), strict=True))}
+    at = np.array([known.get(key, -1) for key in zip(ours.frame.tolist(), ours.marker.tolist(), strict=True)], int)
     both = at >= 0
     if not both.any():
         return {}
@@ -133,9 +115,7 @@ def over_synchronous(
     return {"over_synchronous": Score(float(np.sqrt(mine / other)), int(both.sum()))}
 
 
-def comparison_scores(
-    spec: Scenario, found: Reconstructed, truth: Truth, working_space_m: float
-) -> dict[str, Score]:
+def comparison_scores(spec: Scenario, found: Reconstructed, truth: Truth, working_space_m: float) -> dict[str, Score]:
     """Return the rms errors [m] of other trajectory models on the same image points, at the truth's instants."""
     assert spec.continuous is not None
     scores = {}

@@ -106,11 +106,7 @@ def bound(
 
 
 def efficiencies(
-    bounds: Bound,
-    matched: TruthPairs,
-    truth: Truth,
-    detections: Mapping[int, Mapping[str, Detections]],
-    blocks: int,
+    bounds: Bound, matched: TruthPairs, truth: Truth, detections: Mapping[int, Mapping[str, Detections]], blocks: int
 ) -> dict[str, Score]:
     """Return what the bounds are of the errors reached, rms over rms: of points in space, and of their images.
 
@@ -126,10 +122,7 @@ def efficiencies(
         at = block[asked[counted]]
         found["efficiency"] = _efficiency(least[counted], matched.distance_m[counted] ** 2, at, blocks)
     image = [
-        (
-            block[k],
-            *_image_errors(bounds.image_px2[k, :, c], bounds.light_px[k, :, c], seen[name].xy_px),
-        )
+        (block[k], *_image_errors(bounds.image_px2[k, :, c], bounds.light_px[k, :, c], seen[name].xy_px))
         for k, pulse in enumerate(bounds.pulses)
         for c, name in enumerate(truth.cameras)
         if (seen := detections.get(int(pulse), {})) and name in seen
@@ -183,12 +176,7 @@ def _image_bounds(frame: Expected, xy_px: Array, diameter_px: Array, visible: Ar
         for u, v, diameter in np.column_stack([xy_px[others], diameter_px[others]])[gaps < 2 * MARGIN_PX]:
             own &= rim <= np.hypot(column - u, row - v) - diameter / 2
         change = np.stack(
-            [
-                frame.right_e[window][own],
-                frame.down_e[window][own],
-                frame.target_e[window][own],
-                np.ones(own.sum()),
-            ]
+            [frame.right_e[window][own], frame.down_e[window][own], frame.target_e[window][own], np.ones(own.sum())]
         )
         information = (change / frame.variance_e2[window][own]) @ change.T
         scale = np.sqrt(np.diag(information))

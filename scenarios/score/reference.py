@@ -54,9 +54,7 @@ class ReferenceTrajectories:
         for k, (own, places) in enumerate(zip(self.time_ns, self.xyz, strict=True)):
             xyz[:, k] = places[0] if self.still else _between(own, places, time_ns)
         unseen = np.zeros((t, m, 0))
-        return Truth(
-            time_ns, self.names, xyz, unseen, (), np.zeros((t, m, 0, 2)), unseen, np.zeros((t, 0), np.int64)
-        )
+        return Truth(time_ns, self.names, xyz, unseen, (), np.zeros((t, m, 0, 2)), unseen, np.zeros((t, 0), np.int64))
 
     def share(self, other: Callable[[Array], Array] | None) -> Callable[[Array], Array]:
         """Return covariances (n, 3, 3) [m^2] to add to those of points (n, 3): ``other``'s and the reference's."""
@@ -87,9 +85,7 @@ def read_reference(path: Path) -> Truth | ReferenceTrajectories:
             return read_truth(path)
         case ".csv":
             return read_reference_csv(path)
-    raise InputError(
-        f"{path}: suffix '{path.suffix}' given; a truth is a .npz (the twin's) or a .csv (your own)"
-    )
+    raise InputError(f"{path}: suffix '{path.suffix}' given; a truth is a .npz (the twin's) or a .csv (your own)")
 
 
 def _read_wide_csv(path: Path) -> ReferenceTrajectories | None:

@@ -26,10 +26,7 @@ ALPHAS = np.arange(0.05, 0.96, 0.05)
 
 
 def pair(
-    tracks: Tracks,
-    truth: Truth,
-    working_space_m: float,
-    calibration: Callable[[Array], Array] | None = None,
+    tracks: Tracks, truth: Truth, working_space_m: float, calibration: Callable[[Array], Array] | None = None
 ) -> TruthPairs:
     """Pair measured samples with true markers, frame by frame.
 
@@ -100,9 +97,7 @@ def metrics(matched: TruthPairs, working_space_m: float) -> dict[str, Score]:
         p95 = [float(np.quantile(d, 0.95)) * len(d) if len(d) else 0.0 for d in by_block]
         largest = [float(d.max(initial=0.0)) for d in by_block]
         filled = tuple(float(len(d) > 0) for d in by_block)
-        result["position_p95"] = Score(
-            float(np.quantile(distance, 0.95)), k, None, tuple(p95), tuple(pairs.tolist())
-        )
+        result["position_p95"] = Score(float(np.quantile(distance, 0.95)), k, None, tuple(p95), tuple(pairs.tolist()))
         result["position_max"] = Score(float(distance.max()), k, None, tuple(largest), filled)
         result["relative_accuracy"] = ratio_of_sums(squares, pairs * working_space_m**2, k, np.sqrt)
         result["nees"] = ratio_of_sums(of_pairs(matched.nees), pairs, k)
@@ -206,9 +201,7 @@ def _in_time(times: Array, wanted: Array, at: Array) -> Array:
     return np.abs(times[at] - wanted) <= 0.5 * np.median(np.diff(times))
 
 
-def ratio_of_sums(
-    above: Array, below: Array, n: int, finish: Callable[[Array], Array] = lambda x: x
-) -> Score:
+def ratio_of_sums(above: Array, below: Array, n: int, finish: Callable[[Array], Array] = lambda x: x) -> Score:
     """Score of a ratio of block sums, with its block bootstrap."""
     above, below = np.asarray(above, dtype=float), np.asarray(below, dtype=float)
     if below.sum() == 0:

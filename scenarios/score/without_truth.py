@@ -85,11 +85,7 @@ def lengths_found(tracks: Tracks, wanted: LengthSpec) -> tuple[Array, Array, str
     if wanted.markers is not None:
         a, b = (np.flatnonzero(np.asarray(tracks.label) == name) for name in wanted.markers)
         frame, distance_m = _distances(tracks, a, b)
-        note = (
-            ""
-            if len(frame)
-            else f"length '{wanted.name}': {' and '.join(wanted.markers)} were not seen together"
-        )
+        note = "" if len(frame) else f"length '{wanted.name}': {' and '.join(wanted.markers)} were not seen together"
         return frame, distance_m, note
     rows = {int(one): np.flatnonzero(tracks.track == one) for one in np.unique(tracks.track)}
     frames, distances = [np.empty(0, int)], [np.empty(0)]

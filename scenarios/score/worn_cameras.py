@@ -144,10 +144,7 @@ def moving_lamp_scores(worn: Worn) -> dict[str, Score]:
     count = len(worn.reconstructed.rig.cameras)
     found = {int(k) for own in worn.by_code for k in np.unique(own) if k >= 0}
     images = sum(int((one >= 0).sum()) for one in worn.lamp)
-    return {
-        "lamps_found": Score(len(found) / count, count),
-        "lamp_px": Score(worn.lamp_rms_px, images),
-    }
+    return {"lamps_found": Score(len(found) / count, count), "lamp_px": Score(worn.lamp_rms_px, images)}
 
 
 def true_poses(spec: Scenario, worn: Worn, truth: Truth, scene: Scene) -> tuple[Array, Array]:
@@ -172,9 +169,7 @@ def true_poses(spec: Scenario, worn: Worn, truth: Truth, scene: Scene) -> tuple[
     return rotations, places
 
 
-def path_scores(
-    worn: Worn, known: tuple[str, ...], true: tuple[Array, Array], time_ns: Array
-) -> dict[str, Score]:
+def path_scores(worn: Worn, known: tuple[str, ...], true: tuple[Array, Array], time_ns: Array) -> dict[str, Score]:
     """Return how far the paths of the cameras that were not ``known`` are off, rms: places [m], rotations [rad]."""
     found = worn.reconstructed
     assert found.cameras is not None

@@ -126,9 +126,7 @@ def calibrate_in_session(
     return SessionCalibration(calibration, evidence, ray_px, volume_m)
 
 
-def against_truth(
-    rig: Rig, cameras: tuple[VirtualCamera, ...], center: Array, size: Array
-) -> tuple[Array, Array]:
+def against_truth(rig: Rig, cameras: tuple[VirtualCamera, ...], center: Array, size: Array) -> tuple[Array, Array]:
     """Return the errors of rays (n,) [px] and of points in the working space (k,) [m]; see ``SessionCalibration``."""
     off = np.concatenate([_ray_errors(rig, one, center) for one in cameras])
     axis = np.linspace(-0.5, 0.5, VOLUME_GRID)
@@ -163,11 +161,7 @@ def _ray_errors(rig: Rig, virtual: VirtualCamera, center: Array) -> Array:
 
 
 def _source(
-    spec: Scenario,
-    session: Session[CalibrationTarget],
-    cameras: tuple[VirtualCamera, ...],
-    workers: int,
-    number: int,
+    spec: Scenario, session: Session[CalibrationTarget], cameras: tuple[VirtualCamera, ...], workers: int, number: int
 ) -> TwinSource:
     assert spec.calibration is not None
     return TwinSource(

@@ -94,8 +94,7 @@ def _field(spec: Scenario, wanted: CalibrationSpec) -> Session[TestField]:
     scene = field_scene(laid, path, exposures / rate_hz, origin=np.zeros(3), floor=False)
     sigma = wanted.known_to * float(size.max())
     measured = tuple(
-        replace(one, position=one.position + center + sigma * draw.standard_normal(3))
-        for one in laid.field.targets
+        replace(one, position=one.position + center + sigma * draw.standard_normal(3)) for one in laid.field.targets
     )
     return Session(scene, exposures, _believed(TestField(measured, sigma), wanted))
 
@@ -108,9 +107,7 @@ def _believed(field: TestField, wanted: CalibrationSpec) -> TestField:
         factor = dots = 1 / wanted.fault.factor
     else:
         return field
-    targets = tuple(
-        replace(one, position=one.position * factor, target=_scaled(one, dots)) for one in field.targets
-    )
+    targets = tuple(replace(one, position=one.position * factor, target=_scaled(one, dots)) for one in field.targets)
     return TestField(targets, field.sigma_m * factor)
 
 
@@ -168,12 +165,7 @@ def _wand(spec: Scenario, wanted: CalibrationSpec) -> Session[Wand]:
     wand = Wand((0.0, 0.35 * length, length), 0.02 * edge)
     speed = 2 * SPEED_SHARE * float(where["box_size_m"].max())
     scene = build_wand(
-        **where,
-        rng=rng(spec.seed, "calibration"),
-        wand=wand,
-        speed_mps=speed,
-        turn_rad_s=2.0,
-        floor=False,
+        **where, rng=rng(spec.seed, "calibration"), wand=wand, speed_mps=speed, turn_rad_s=2.0, floor=False
     )
     factor = 1.0
     if isinstance(wanted.fault, WrongSizeFault):

@@ -59,15 +59,12 @@ class CalibrationSpec(Table):
     layout: Literal["tower", "corner", "plate"] = Field("tower", description="how they stand")
     relief: NotNegative = Field(0.0, le=1, description="depth of a plate's targets, share of its edge")
     size_m: tuple[Positive, Positive, Positive] | None = Field(
-        None,
-        description="edges of the field, or of the box that a target is carried in; default: the working space",
+        None, description="edges of the field, or of the box that a target is carried in; default: the working space"
     )
     known_to: NotNegative = Field(
         1e-5, description="standard deviation of the marks' places or lengths, share of the longest edge"
     )
-    stands: int = Field(
-        1, ge=1, le=200, description="places at which the field is put; the first is the world"
-    )
+    stands: int = Field(1, ge=1, le=200, description="places at which the field is put; the first is the world")
     shift: NotNegative = Field(0.2, description="how far from the first stand, share of the field's edges")
     tilt_deg: NotNegative = Field(15.0, le=60, description="how far it leans there at most")
     frames: int = Field(20, ge=1, le=5000, description="exposures (of a field: at each stand)")
@@ -79,9 +76,7 @@ class CalibrationSpec(Table):
     )
     lengths: bool = Field(False, description="hold the result against a certified bar that it did not use")
     earlier: bool = Field(False, description="hold the result against an earlier calibration, the true one")
-    exterior_only: bool = Field(
-        False, description="keep the earlier calibration's lenses, estimate the poses"
-    )
+    exterior_only: bool = Field(False, description="keep the earlier calibration's lenses, estimate the poses")
     fault: CalibrationFault | None = None
 
     @model_validator(mode="after")

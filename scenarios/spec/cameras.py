@@ -20,9 +20,7 @@ class Cameras(Table):
 
     rig: str | None = Field(None, description="rig file; the ring's keys are then not used")
     count: int = Field(4, ge=2, le=32, description="cameras on the ring")
-    azimuth_deg: tuple[float, ...] | None = Field(
-        None, description="where on the ring; default: evenly spaced"
-    )
+    azimuth_deg: tuple[float, ...] | None = Field(None, description="where on the ring; default: evenly spaced")
     radius_m: Positive = Field(4.0, description="radius of the ring about the working space's centre [m]")
     height_m: float | tuple[float, ...] = Field(1.6, description="height of the cameras above the floor [m]")
     look_at_m: Vector | None = Field(None, description="where they look; default: the working space's centre")
@@ -60,26 +58,18 @@ class ErrorsSpec(Table):
 class OpticsSpec(Table):
     """What the lenses do beyond their distortion; blur in focus is ``errors.psf_sigma_px``."""
 
-    lens: str | None = Field(
-        None, description="a lens of the library: its focal length and its range of f-numbers"
-    )
-    focus_m: Positive | None = Field(
-        None, description="distance of sharp focus [m]; default: sharp everywhere"
-    )
+    lens: str | None = Field(None, description="a lens of the library: its focal length and its range of f-numbers")
+    focus_m: Positive | None = Field(None, description="distance of sharp focus [m]; default: sharp everywhere")
     f_number: Positive = Field(4.0, description="aperture")
     curvature_px: float = Field(0.0, description="blur circle that field curvature adds at the corner [px]")
     coma_px: float = Field(0.0, description="length of the coma at the corner [px]")
-    vignetting: Annotated[float, Field(ge=0, lt=1)] = Field(
-        0.0, description="share of light lost at the corner"
-    )
+    vignetting: Annotated[float, Field(ge=0, lt=1)] = Field(0.0, description="share of light lost at the corner")
     tilt_deg: Pair | None = Field(None, description="tilt of the sensor; default: what model_gap stands for")
     pupil_shift_m: float | None = Field(
         None, description="shift of the entrance pupil at 45 deg [m]; default: what model_gap stands for"
     )
     principal_distance_ppm_per_s: float = Field(0.0, description="warming: growth of the principal distance")
-    principal_point_px_per_s: Pair = Field(
-        (0.0, 0.0), description="warming: way of the principal point [px/s]"
-    )
+    principal_point_px_per_s: Pair = Field((0.0, 0.0), description="warming: way of the principal point [px/s]")
 
 
 class TimingSpec(Table):
@@ -87,17 +77,13 @@ class TimingSpec(Table):
 
     delay_s: float = Field(0.0, description="a delay of the trigger that the stamps know nothing of [s]")
     skew_s: float = Field(0.0, description="a known offset from the pulse, which the stamps tell [s]")
-    rate_hz: Positive | None = Field(
-        None, description="free running at its own rate [Hz]; default: triggered"
-    )
+    rate_hz: Positive | None = Field(None, description="free running at its own rate [Hz]; default: triggered")
     offset_s: float = Field(0.0, description="free running: first frame after the start [s]")
     drift_ppm: float = Field(0.0, description="free running: how much faster than stated")
     exposure_s: Positive | None = Field(None, description="own exposure [s]; default: capture.exposure_s")
     row_time_s: NotNegative = Field(0.0, description="rolling shutter: from row to row [s]; 0: global")
     strobe_s: Positive | None = Field(None, description="how long the light is on [s]; default: always")
-    strobe_delay_s: float = Field(
-        0.0, description="from the opening (own) or the pulse (rig) to the light [s]"
-    )
+    strobe_delay_s: float = Field(0.0, description="from the opening (own) or the pulse (rig) to the light [s]")
     strobe: Literal["own", "rig"] = Field("own", description="whose light: each camera's, or one for the rig")
     stamp_event: Literal["exposure_start", "exposure_middle", "readout"] = "exposure_start"
     clock: Literal["session", "device", "host"] = "session"
@@ -126,17 +112,14 @@ class SensorSpec(Table):
     """The sensor in EMVA 1288 terms; full well, dark noise, bits and background stand in [errors]."""
 
     name: str | None = Field(
-        None,
-        description="a sensor of the library: size, pitch, full well, noise, bits and row time are its own",
+        None, description="a sensor of the library: size, pitch, full well, noise, bits and row time are its own"
     )
     quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = Field(0.6, description="electrons a photon")
     black_dn: NotNegative = Field(4.0, description="black level, 8-bit counts")
     dark_current_e_per_s: NotNegative = Field(0.0, description="dark current [e-/s]")
     dsnu_e: NotNegative = Field(0.0, description="fixed pattern of the dark signal, rms [e-]")
     prnu: Share = Field(0.0, description="fixed pattern of the response, rms share")
-    linearity: Annotated[float, Field(ge=0, le=0.2)] = Field(
-        0.0, description="response lost at full well, share"
-    )
+    linearity: Annotated[float, Field(ge=0, le=0.2)] = Field(0.0, description="response lost at full well, share")
     hot_pixels: Share = Field(0.0, description="share of pixels that are hot")
     hot_e: Positive = Field(1000.0, description="mean of what they collect too many [e-]")
     dead_pixels: Share = Field(0.0, description="share of pixels that see nothing")
@@ -176,8 +159,7 @@ class CameraSpec(Table):
     )
     lamp_diameter_m: Positive = Field(0.012, description="diameter of the LED's ball [m]")
     lamp_number: Annotated[int, Field(ge=0, lt=LAMP_NUMBERS)] | None = Field(
-        None,
-        description="number that the LED blinks, a bit for a frame period of the capture; default: always on",
+        None, description="number that the LED blinks, a bit for a frame period of the capture; default: always on"
     )
     window_px: tuple[int, int, int, int] | None = Field(
         None, description="windowed readout: left, top, width, height [px]"
@@ -200,9 +182,7 @@ class CameraSpec(Table):
                 f"camera '{self.name}': {min(rider_only)} is for a camera that rides on a body; the rig's "
                 "cameras have theirs from [cameras] or the rig file"
             )
-        if self.body is not None and (
-            self.size_px is None or (self.c_mm is None) == (self.fisheye_deg is None)
-        ):
+        if self.body is not None and (self.size_px is None or (self.c_mm is None) == (self.fisheye_deg is None)):
             raise ValueError(
                 f"camera '{self.name}' rides on '{self.body}': give its size_px and one of c_mm and fisheye_deg"
             )
@@ -254,9 +234,7 @@ class RingLightSpec(Table):
 
     radius_m: Positive = 0.04
     strength: Positive = Field(20.0, description="times as bright as a marker, seen head on")
-    half_deg: Annotated[float, Field(gt=0, lt=90)] = Field(
-        30.0, description="angle at which it is half as bright"
-    )
+    half_deg: Annotated[float, Field(gt=0, lt=90)] = Field(30.0, description="angle at which it is half as bright")
 
 
 class ShinySpotSpec(Table):
@@ -283,9 +261,7 @@ class MirrorSpec(Table):
 class GlareSpec(Table):
     """Haze in the lenses."""
 
-    share: Annotated[float, Field(ge=0, lt=1)] = Field(
-        0.0, description="share of the light that comes as haze"
-    )
+    share: Annotated[float, Field(ge=0, lt=1)] = Field(0.0, description="share of the light that comes as haze")
     sigma: Positive = Field(0.125, description="its width over the image's")
 
 

@@ -61,9 +61,7 @@ def entries(paths: tuple[Path, ...], tier: str | None = None) -> list[Entry]:
     names = [e.name for e in found]
     for entry in found:
         if names.count(entry.name) > 1:
-            raise InputError(
-                f"{entry.path}: a second scenario is called '{entry.name}'; give one another name"
-            )
+            raise InputError(f"{entry.path}: a second scenario is called '{entry.name}'; give one another name")
     return [e for e in found if tier is None or tier == "full" or e.spec.tier == tier]
 
 

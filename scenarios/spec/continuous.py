@@ -30,8 +30,7 @@ class ContinuousSpec(Table):
     )
     limbs: bool = Field(True, description="whether constant distances are found from the data and used")
     knot_s: Positive | None = Field(
-        None,
-        description="distance of the trajectories' knots [s]; without it as far apart as all cameras' exposures",
+        None, description="distance of the trajectories' knots [s]; without it as far apart as all cameras' exposures"
     )
     compare: tuple[Literal["linear", "cubic", "neural"], ...] = Field(
         (),
@@ -44,18 +43,14 @@ class ContinuousSpec(Table):
         "cameras are "
         "not there, and markers are told in that body's own frame",
     )
-    reach_m: Positive = Field(
-        1.3, description="worn cameras: how far from the body's origin markers can be [m]"
-    )
+    reach_m: Positive = Field(1.3, description="worn cameras: how far from the body's origin markers can be [m]")
 
     @model_validator(mode="after")
     def _worn_where_moving(self) -> "ContinuousSpec":
         if not self.moving:
             return self
         if self.compare:
-            raise ValueError(
-                "compare and moving = true: the models compared take cameras that stand; leave one out"
-            )
+            raise ValueError("compare and moving = true: the models compared take cameras that stand; leave one out")
         if self.worn_on is None:
             raise ValueError("moving = true wants worn_on: the body on which two cameras and more ride")
         if self.clocks == "own" or self.estimate != "known":

@@ -139,9 +139,7 @@ class MovedFault(Table):
 
     kind: Literal["moved_cameras"]
     cameras: tuple[str, ...] = Field(min_length=1)
-    shift_m: Vector = Field(
-        description="where they are believed to stand minus where they do, world frame [m]"
-    )
+    shift_m: Vector = Field(description="where they are believed to stand minus where they do, world frame [m]")
 
 
 FaultSpec = Annotated[
@@ -168,17 +166,14 @@ class PipelineSpec(StageTables):
     tracker: Literal["mosca", "nearest"] = Field(
         "mosca", description="'nearest': the guide's nearest-neighbour tracker, the baseline of comparisons"
     )
-    lens_model: Literal["mosca", "opencv", "fisheye"] = Field(
-        "mosca", description="lens model of the calibration"
-    )
+    lens_model: Literal["mosca", "opencv", "fisheye"] = Field("mosca", description="lens model of the calibration")
     step_by: Literal["time", "pulse"] = Field(
         "time",
         description="'pulse': time is the pulse's number times the period, whatever the stamps say, so that two "
         "takes of the same pulses give the same tracks to the bit",
     )
     fill_s: Positive | None = Field(
-        None,
-        description="fill tracks' gaps up to this in what is written [s]; filled samples are never scored",
+        None, description="fill tracks' gaps up to this in what is written [s]; filled samples are never scored"
     )
 
 
@@ -210,14 +205,11 @@ class Scenario(Table):
     description: str = Field("", description="why, and where the limits come from")
     tier: Literal["quick", "full"] = Field("full", description="'quick' runs in CI, 'full' at night")
     expect: Literal["pass", "fail", "caught"] = Field(
-        "pass",
-        description="'fail' for a control, 'caught' for a calibration that must be refused or warned of",
+        "pass", description="'fail' for a control, 'caught' for a calibration that must be refused or warned of"
     )
     caught_as: str | None = Field(None, description="the finding's code: " + ", ".join(CODES))
     fails_on: tuple[str, ...] = Field((), description="metrics whose limits a control must break")
-    told: tuple[str, ...] = Field(
-        (), description="phrases that the record's notes must hold: what it must notice"
-    )
+    told: tuple[str, ...] = Field((), description="phrases that the record's notes must hold: what it must notice")
     seed: int = Field(1, ge=0, description="seed of all random streams")
     model_gap: Literal["none", "measured", "stress"] = Field(
         "measured", description="how far the true lens is from what the pipeline's model can express"
@@ -236,9 +228,7 @@ class Scenario(Table):
     delivery: DeliverySpec = DeliverySpec()
     surroundings: SurroundingsSpec = SurroundingsSpec()
     camera: tuple[CameraSpec, ...] = Field((), description="what is different with one camera, by its name")
-    zone: tuple[ZoneSpec, ...] = Field(
-        (), description="volumes with cameras of their own, two or more; [[zone]]"
-    )
+    zone: tuple[ZoneSpec, ...] = Field((), description="volumes with cameras of their own, two or more; [[zone]]")
     calibration: CalibrationSpec | None = None
     fault: FaultSpec | None = None
     pipeline: PipelineSpec = PipelineSpec()
@@ -255,25 +245,19 @@ class Scenario(Table):
             if name not in METRICS:
                 raise ValueError(f"'{name}' is no metric; there are {', '.join(METRICS)}")
         if (self.expect == "caught") != (self.caught_as is not None):
-            raise ValueError(
-                "expect = 'caught' and caught_as belong together: say which finding there must be"
-            )
+            raise ValueError("expect = 'caught' and caught_as belong together: say which finding there must be")
         if self.expect == "caught":
             if self.calibration is None:
                 raise ValueError("expect = 'caught' needs a [calibration] in which something is wrong")
             if self.caught_as not in CODES:
-                raise ValueError(
-                    f"caught_as = '{self.caught_as}' is no finding; there are {', '.join(CODES)}"
-                )
+                raise ValueError(f"caught_as = '{self.caught_as}' is no finding; there are {', '.join(CODES)}")
         elif not self.limits:
             raise ValueError("[limits] is empty: a scenario without a limit claims nothing; add one")
         if self.zone:
             _check_zones(self)
         for name in ("length_rms", "length_max"):
             if name in self.limits and not self.length:
-                raise ValueError(
-                    f"limits.{name} needs a [[length]] that is seen; add one, or take the limit away"
-                )
+                raise ValueError(f"limits.{name} needs a [[length]] that is seen; add one, or take the limit away")
         compared = () if self.continuous is None else self.continuous.compare
         for name in ("linear", "cubic", "neural"):
             if f"rms_{name}" in self.limits and name not in compared:
@@ -291,9 +275,7 @@ class Scenario(Table):
 def _check_zones(spec: Scenario) -> None:
     names = [zone.name for zone in spec.zone]
     if len(names) < 2 or len(set(names)) < len(names):
-        raise ValueError(
-            f"[[zone]]: {', '.join(names)} given; two or more zones of different names are wanted"
-        )
+        raise ValueError(f"[[zone]]: {', '.join(names)} given; two or more zones of different names are wanted")
     if spec.pipeline.watch:
         raise ValueError("[[zone]] and pipeline.watch: zones are not watched; leave one of them out")
 

@@ -23,9 +23,7 @@ class ActorScene(Table):
         description="what the person does without a motion file; all but 'walk' are loops drawn by the seed, "
         "over the middle of a working space of 2.5 m",
     )
-    gait: Literal["circle", "in_place", "back_and_forth"] = Field(
-        "circle", description="path of action 'walk'"
-    )
+    gait: Literal["circle", "in_place", "back_and_forth"] = Field("circle", description="path of action 'walk'")
     speed_mps: Positive = Field(1.0, description="speed of action 'walk' [m/s]")
     markers: int = Field(50, ge=30, le=60, description="markers on the skin")
     marker_diameter_m: Positive = Field(0.016, description="diameter of the ball markers [m]")
@@ -33,9 +31,7 @@ class ActorScene(Table):
     @model_validator(mode="after")
     def _says_one_motion(self) -> "ActorScene":
         if self.motion is not None and "action" in self.model_fields_set:
-            raise ValueError(
-                f"action = '{self.action}' and motion = '{self.motion}' given; leave one of them out"
-            )
+            raise ValueError(f"action = '{self.action}' and motion = '{self.motion}' given; leave one of them out")
         for key in ("gait", "speed_mps"):
             if self.action != "walk" and key in self.model_fields_set:
                 raise ValueError(f"{key} is of action = 'walk'; '{self.action}' has its own: leave {key} out")
@@ -71,9 +67,7 @@ class RobotScene(Table):
     def _one_driver(self) -> "RobotScene":
         for key in ("average_pwm", "difference_pwm"):
             if self.commands is not None and key in self.model_fields_set:
-                raise ValueError(
-                    f"{key} is of the noise; commands = '{self.commands}' drive it: leave one out"
-                )
+                raise ValueError(f"{key} is of the noise; commands = '{self.commands}' drive it: leave one out")
         return self
 
 
@@ -101,12 +95,8 @@ class FieldScene(Table):
 
     kind: Literal["field"]
     markers: int = Field(100, ge=6, le=507, description="coded targets")
-    layout: Literal["tower", "corner"] = Field(
-        "tower", description="how they stand: a tower, or a corner of walls"
-    )
-    dot_radius_m: Positive | None = Field(
-        None, description="radius of the centre dots [m]; default: by the room"
-    )
+    layout: Literal["tower", "corner"] = Field("tower", description="how they stand: a tower, or a corner of walls")
+    dot_radius_m: Positive | None = Field(None, description="radius of the centre dots [m]; default: by the room")
     target: str | None = Field(None, description="file that describes the field, in place of a made one")
     turn_deg_per_s: float = Field(0.0, description="how fast it is turned about the vertical [deg/s]")
 

@@ -48,12 +48,7 @@ RULES = (
         lambda w: w["timing"]["strobe_s"] is not None,
         "timing.strobe_s: without it the light is always on",
     ),
-    Rule(
-        "mount",
-        ("bump_px", "bump_m"),
-        lambda w: w["mount"]["bump_s"] is not None,
-        "mount.bump_s, its instant",
-    ),
+    Rule("mount", ("bump_px", "bump_m"), lambda w: w["mount"]["bump_s"] is not None, "mount.bump_s, its instant"),
     Rule(
         "mount",
         ("bump_s",),
@@ -63,9 +58,7 @@ RULES = (
     Rule(
         "delivery",
         ("returns_s",),
-        lambda w: (
-            w["delivery"]["dies_s"] is not None and w["delivery"]["dies_s"] < w["delivery"]["returns_s"]
-        ),
+        lambda w: w["delivery"]["dies_s"] is not None and w["delivery"]["dies_s"] < w["delivery"]["returns_s"],
         "an earlier delivery.dies_s",
     ),
 )

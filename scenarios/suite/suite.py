@@ -35,9 +35,7 @@ class Outcome:
         return self.record is not None and self.record.passed and not self.worse and not self.gone
 
 
-def run_suite(
-    entries: Sequence[Entry], out: Path, jobs: int, told: Callable[[Outcome], None]
-) -> list[Outcome]:
+def run_suite(entries: Sequence[Entry], out: Path, jobs: int, told: Callable[[Outcome], None]) -> list[Outcome]:
     """Run ``entries`` in ``jobs`` processes, each scenario into ``out``/name; ``told`` hears each as it ends.
 
     Outcomes come back in the order of the entries. Longest first, so that the cores end together.
@@ -136,9 +134,7 @@ def _compared(outcome: Outcome, baselines: Path) -> Outcome:
         return outcome  # a control's figures are meant to be bad
     baseline = read_record(path)
     return replace(
-        outcome,
-        worse=tuple(regressions(outcome.record, baseline)),
-        gone=tuple(missing(outcome.record, baseline)),
+        outcome, worse=tuple(regressions(outcome.record, baseline)), gone=tuple(missing(outcome.record, baseline))
     )
 
 

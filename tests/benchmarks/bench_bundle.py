@@ -227,9 +227,7 @@ def compare(frames: int, aniposelib: str | None, ceres: str | None) -> None:
             with path.open("wb") as file:
                 np.array([4, len(data["points"]), len(data["camera"])], dtype=np.int64).tofile(file)
                 for name in ("start", "centre", "points", "camera", "point", "xy"):
-                    values = (
-                        data["start"][:, :8] if name == "start" else data.get(name, data["start"][:, 8:10])
-                    )
+                    values = data["start"][:, :8] if name == "start" else data.get(name, data["start"][:, 8:10])
                     np.ascontiguousarray(values).tofile(file)
                 np.array([1 / NOISE_PX]).tofile(file)
             for tolerance in ("1e-4", "1e-8"):
@@ -239,9 +237,7 @@ def compare(frames: int, aniposelib: str | None, ceres: str | None) -> None:
                 for line in lines.splitlines():
                     form, threads, clock, processor, iterations, cost = line.split()
                     name = f"Ceres DENSE_SCHUR {form}, {threads} thread(s), ftol {tolerance}"
-                    rows.append(
-                        (name, (float(clock), float(processor)), float(cost), f"{iterations} iterations")
-                    )
+                    rows.append((name, (float(clock), float(processor)), float(cost), f"{iterations} iterations"))
         if aniposelib:
             path = Path(folder) / "scene.npz"
             np.savez(path, **data)
@@ -249,9 +245,7 @@ def compare(frames: int, aniposelib: str | None, ceres: str | None) -> None:
             done = subprocess.run(command, check=True, capture_output=True, text=True)
             took, end = json.loads(done.stdout.splitlines()[-1])
             # its cost: its cameras with the best points for them, by scipy held at these cameras
-            rows.append(
-                ("aniposelib bundle_adjust, ftol 1e-4", tuple(took), cost_with(problem, np.array(end)), "")
-            )
+            rows.append(("aniposelib bundle_adjust, ftol 1e-4", tuple(took), cost_with(problem, np.array(end)), ""))
     print(f"{frames} frames, {len(data['points'])} points, {len(data['camera'])} image points")
     print(f"  {'':<52} {'clock':>20} {'processor':>22}")
     for name, took, cost, note in rows:
@@ -285,14 +279,10 @@ def linearity() -> None:
         problem = ours(scene(frames))
         n = len(problem.observations)
         line = f"  {n:>9} image points"
-        for name, settings in (
-            ("adjusted", BundleSettings(precision=False)),
-            ("and judged", BundleSettings()),
-        ):
+        for name, settings in (("adjusted", BundleSettings(precision=False)), ("and judged", BundleSettings())):
             solve(problem, settings)
             took, _ = best_ms(
-                lambda problem=problem, settings=settings: solve(problem, settings),
-                3 if frames < 50_000 else 1,
+                lambda problem=problem, settings=settings: solve(problem, settings), 3 if frames < 50_000 else 1
             )
             line += f"   {name} {took:9.1f} ms ({1e3 * took / n:5.2f} us a point)"
         print(line, flush=True)
@@ -300,9 +290,7 @@ def linearity() -> None:
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--aniposelib")
     parser.add_argument("--ceres")
     parser.add_argument("--short", action="store_true", help="only 1,000 frames")

@@ -46,9 +46,7 @@ def main(seconds, folder):
     rig = write_rig(folder / "rig.toml", NAMES)
     print(f"4 x {SIZE[0]} x {SIZE[1]} x {RATE:g} Hz, {pulses} pulses")
     size, wall, cpu = measured(lambda: raw(folder, images, pulses))
-    print(
-        f"raw write             {size / 1e6:8.0f} MB  {cpu / seconds:6.3f} cores at real time, in {wall:.2f} s"
-    )
+    print(f"raw write             {size / 1e6:8.0f} MB  {cpu / seconds:6.3f} cores at real time, in {wall:.2f} s")
     (folder / "raw.bin").unlink()
     frames, wall, base = measured(lambda: source_alone(rig, images, pulses))
     print(f"cameras and numbering {frames:8d} fr  {base / wall:6.3f} cores")

@@ -44,11 +44,7 @@ from twin.source import TwinSource
 
 WIDTH, HEIGHT, FOCAL_PX, DOT_RADIUS_M = 656, 491, 1000.0, 0.005
 SIGNAL_E = 0.6 * 20_000
-SIZES = {
-    0: (4, 4.5, 5, 5.5, 6, 7, 8, 10, 14),
-    30: (4.5, 5, 5.5, 6, 7, 8, 10, 14),
-    60: (7, 8, 9, 10, 11, 12, 14, 20),
-}
+SIZES = {0: (4, 4.5, 5, 5.5, 6, 7, 8, 10, 14), 30: (4.5, 5, 5.5, 6, 7, 8, 10, 14), 60: (7, 8, 9, 10, 11, 12, 14, 20)}
 
 
 def plates(dot_px: float, tilt_deg: float, rng: np.random.Generator) -> tuple[TestField, float]:
@@ -114,9 +110,7 @@ def rendered(what: Rendering) -> tuple[CodedDetections, TestField, Array, Array]
     optics = Optics(psf_sigma_px=what.blur_px, vignetting=what.vignetting)
     eye = VirtualCamera(camera, optics, sensor=sensor)
     if what.steady:
-        eye = VirtualCamera(
-            camera, replace(optics, gap_px=0.0), Timing(jitter_s=0.0), Mount(body_px=0.0), sensor
-        )
+        eye = VirtualCamera(camera, replace(optics, gap_px=0.0), Timing(jitter_s=0.0), Mount(body_px=0.0), sensor)
     source = TwinSource(scene, (eye,), frame_rate_hz=10.0, exposure_s=1e-3, pulses=1, seed=what.seed)
     (frame,) = source
     truth = source.truth()
@@ -218,18 +212,11 @@ def painted_field(height: int, width: int, count: int) -> Array:
 def print_times(rounds: int = 30) -> None:
     """Print the time of one image."""
     cv2.setNumThreads(1)
-    for height, width, count in (
-        (HEIGHT, WIDTH, 100),
-        (HEIGHT, WIDTH, 150),
-        (1200, 1664, 100),
-        (1200, 1664, 150),
-    ):
+    for height, width, count in ((HEIGHT, WIDTH, 100), (HEIGHT, WIDTH, 150), (1200, 1664, 100), (1200, 1664, 150)):
         image = painted_field(height, width, count)
         works = {
             "find_coded": lambda image=image: find_coded(image, "c"),
-            "find_coded, dots to 25 px": lambda image=image: find_coded(
-                image, "c", CodedSettings(maximum_dot_px=25)
-            ),
+            "find_coded, dots to 25 px": lambda image=image: find_coded(image, "c", CodedSettings(maximum_dot_px=25)),
             "detect (for comparison)": lambda image=image: detect(image, "c"),
         }
         print(f"\n{count} targets in {width} x {height}:                 best ms   median ms")

@@ -114,8 +114,7 @@ def ours(see: TimedObservations, rig: Rig, kind: Cameras, epipoles: bool) -> Our
         see = see.only((see.time_s >= first - 1e-9) & (see.time_s <= last + 1e-9))
         rotations, centres = start.scene.rotations[0], start.scene.centres[0]
         cameras = (
-            replace(camera, world_from_camera=Pose(rotations[k], centres[k]))
-            for k, camera in enumerate(rig.cameras)
+            replace(camera, world_from_camera=Pose(rotations[k], centres[k])) for k, camera in enumerate(rig.cameras)
         )
         done = estimate(see, Rig(tuple(cameras)), settings, start, start.paths if kind == "moving" else None)
     return Ours(done.curves.points, done.curves, done.paths)
@@ -134,25 +133,19 @@ def table(title: str, rows: list[Row], floors: list[float], cameras: list[str], 
                 # known cameras: epipoles have nothing to tell
                 key = (kind, method, epipoles or kind == "known")
                 cells += f"{1e3 * np.mean([row[key].rms_m for row in rows]):{width}.3f}"
-        theirs = "".join(
-            f"{value:{width}.3f}" for value, width in zip(paper.get(method, ()), (12, 9), strict=False)
-        )
+        theirs = "".join(f"{value:{width}.3f}" for value, width in zip(paper.get(method, ()), (12, 9), strict=False))
         print(f"{method:8}{cells}{theirs}")
     for method in methods:
         for kind in cameras:
             if kind != "known":
                 both = [1e3 * np.mean([row[kind, method, e].camera_m for row in rows]) for e in (True, False)]
-                print(
-                    f"cameras' places, {kind}, {method}: {both[0]:.3f} mm with epipoles, {both[1]:.3f} without"
-                )
+                print(f"cameras' places, {kind}, {method}: {both[0]:.3f} mm with epipoles, {both[1]:.3f} without")
 
 
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--cameras", nargs="+", default=["known", "moving"], choices=["known", "moving", "fixed"]
-    )
+    parser.add_argument("--cameras", nargs="+", default=["known", "moving"], choices=["known", "moving", "fixed"])
     parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=METHODS)
     parser.add_argument("--worn", action="store_true", help="cameras on the actor's body")
     parser.add_argument("motions", nargs="*", help="default: all of MOTIONS")

@@ -37,9 +37,7 @@ def disc_image(rng: np.random.Generator, n: int) -> np.ndarray:
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
-def times_us(
-    work: Callable[[np.ndarray], object], images: list[np.ndarray], rounds: int
-) -> tuple[float, float]:
+def times_us(work: Callable[[np.ndarray], object], images: list[np.ndarray], rounds: int) -> tuple[float, float]:
     """Return the best and the median time of ``work`` for one image [us]."""
     for image in images:
         work(image)

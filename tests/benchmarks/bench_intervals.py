@@ -57,9 +57,7 @@ def run(case: str, seed: int) -> tuple[dict[str, tuple[float, float]], float, fl
     return errors_of(done, rig, poses), done.body_px, done.sigma0, done.weak
 
 
-def coverage_band(
-    inside: list[np.ndarray], share: float, rng: np.random.Generator
-) -> tuple[float, float, float]:
+def coverage_band(inside: list[np.ndarray], share: float, rng: np.random.Generator) -> tuple[float, float, float]:
     """Return the pooled share of True in ``inside`` (one array a run) and its ``share`` band, by bootstrap."""
     hits, counts = (np.array([f(one) for one in inside], dtype=float) for f in (np.sum, len))
     pick = rng.integers(0, len(hits), (BOOTSTRAPS, len(hits)))

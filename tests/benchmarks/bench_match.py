@@ -58,12 +58,8 @@ def scaling() -> None:
             f"{cameras:7d} {markers:7d} {rays_ms:9.3f} {alone:9.3f} {held:15.3f} "
             f"{1e3 * (rays_ms + held) / markers:12.2f} {len(points):7d} {wrong:6d}"
         )
-    print(
-        f"time ~ markers^{exponent([(m, t) for (c, m), t in spent.items() if c == 4 and m >= 50]):.2f} from 50 on"
-    )
-    print(
-        f"time ~ cameras^{exponent([(c, t) for (c, m), t in spent.items() if m == 200 and c >= 3]):.2f} from 3 on"
-    )
+    print(f"time ~ markers^{exponent([(m, t) for (c, m), t in spent.items() if c == 4 and m >= 50]):.2f} from 50 on")
+    print(f"time ~ cameras^{exponent([(c, t) for (c, m), t in spent.items() if m == 200 and c >= 3]):.2f} from 3 on")
 
 
 def exponent(pairs: list[tuple[int, float]]) -> float:

@@ -58,9 +58,7 @@ class OpenPTV:
         from optv.calibration import Calibration
         from optv.parameters import ControlParams, VolumeParams
 
-        self.control = ControlParams(
-            len(rig.cameras), image_size=(656, 491), pixel_size=(0.01, 0.01), flags=["hp"]
-        )
+        self.control = ControlParams(len(rig.cameras), image_size=(656, 491), pixel_size=(0.01, 0.01), flags=["hp"])
         media = self.control.get_multimedia_params()
         media.set_n1(1.0)
         media.set_layers([1.0], [1.0])
@@ -73,11 +71,7 @@ class OpenPTV:
             one.set_pos(camera.world_from_camera.translation * 1000)
             one.set_angles(
                 np.array(
-                    [
-                        np.arctan2(-turn[1, 2], turn[2, 2]),
-                        np.arcsin(turn[0, 2]),
-                        np.arctan2(-turn[0, 1], turn[0, 0]),
-                    ]
+                    [np.arctan2(-turn[1, 2], turn[2, 2]), np.arcsin(turn[0, 2]), np.arctan2(-turn[0, 1], turn[0, 0])]
                 )
             )
             one.set_primary_point(np.array([(327.5 - 328) * 0.01, -(245 - 245.5) * 0.01, 6.4]))
@@ -126,9 +120,7 @@ def check(theirs: OpenPTV, rig: Rig, points: np.ndarray) -> None:
 
     for camera, calibration in zip(rig.cameras, theirs.calibrations, strict=True):
         flat = image_coordinates(points * 1000, calibration, theirs.control.get_multimedia_params())
-        assert (
-            np.abs(convert_arr_metric_to_pixel(flat, theirs.control) - project(camera, points)).max() < 1e-6
-        )
+        assert np.abs(convert_arr_metric_to_pixel(flat, theirs.control) - project(camera, points)).max() < 1e-6
 
 
 def frames_of(rig: Rig, markers: int, clutter: int, miss: float) -> list[Frame]:
@@ -146,11 +138,7 @@ def ours(rig: Rig, frames: list[Frame], expected: bool) -> tuple[float, float, f
     """Return ms a set, and groups right, wrong and targets missed a set."""
     spent, counts = 0.0, np.zeros(3)
     for truth, found, behind in frames:
-        tracks = (
-            Predicted(truth, np.tile(1e-6 * np.eye(3), (len(truth), 1, 1)))
-            if expected
-            else Predicted.nothing()
-        )
+        tracks = Predicted(truth, np.tile(1e-6 * np.eye(3), (len(truth), 1, 1))) if expected else Predicted.nothing()
         size = DIAMETER_M if expected else 0.0
 
         def work(found: dict = found, tracks: Predicted = tracks, size: float = size) -> Points:

@@ -34,11 +34,7 @@ class Held:
     """
 
     def __init__(
-        self,
-        frames: list[Frame],
-        cameras: tuple[CameraInfo, ...],
-        rate_hz: float | None = None,
-        polls: bool = False,
+        self, frames: list[Frame], cameras: tuple[CameraInfo, ...], rate_hz: float | None = None, polls: bool = False
     ) -> None:
         self.cameras, self._frames, self._rate_hz, self._polls = cameras, frames, rate_hz, polls
 

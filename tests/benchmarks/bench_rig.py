@@ -76,9 +76,7 @@ class Memory:
     def _look(self) -> None:
         page = os.sysconf("SC_PAGE_SIZE") / 2**20
         while not self._over.wait(1.0):
-            held = [
-                int(Path(f"/proc/{pid}/statm").read_text().split()[1]) for pid in self._processes.values()
-            ]
+            held = [int(Path(f"/proc/{pid}/statm").read_text().split()[1]) for pid in self._processes.values()]
             self._seen.append((time.monotonic() / 60, *(pages * page for pages in held)))
 
     def lines(self) -> list[str]:

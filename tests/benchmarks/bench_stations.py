@@ -103,9 +103,7 @@ def measure(two, given) -> None:
     arrived = 1e3 * np.array([(s.merged_ns - at) * 1e-9 for s in sets for at in s.arrived_ns.values()])
     left = 1e-6 * np.array([s.sent_ns[n] - at for s in sets for n, at in s.arrived_ns.items()])
     merged = 1e-6 * np.array([s.merged_ns - max(s.sent_ns.values()) for s in sets if s.sent_ns])
-    print(
-        f"{given.rate:g} Hz, {given.targets} targets, {'detected' if given.detect else 'ready'} at the stations"
-    )
+    print(f"{given.rate:g} Hz, {given.targets} targets, {'detected' if given.detect else 'ready'} at the stations")
     for title, values in (
         ("from the frame's arrival at its station", arrived),
         ("  of which until its message's departure", left),

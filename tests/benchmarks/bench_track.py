@@ -35,9 +35,7 @@ def sets_of(markers: int, sets: int) -> list[Points]:
         order = rng.permutation(markers)
         noisy = (xyz + rng.normal(0, 3e-4, xyz.shape))[order]
         four, one = np.full(markers, 4), np.ones(markers)
-        result.append(
-            Points(noisy, covariance, four, 0.05 * one, np.zeros((markers, 4)), 0.01 * one, 4.0 * one)
-        )
+        result.append(Points(noisy, covariance, four, 0.05 * one, np.zeros((markers, 4)), 0.01 * one, 4.0 * one))
     return result
 
 

@@ -34,12 +34,7 @@ def detection() -> Iterator[Figure]:
     name = "OpenPTV target_recognition"
     finders = {"ours": detectors.ours(images, settings), name: detectors.peers(8.0, threshold)[name]}
     off, false = detectors.errors_px(finders["ours"], images, places)
-    yield (
-        "detection, rms error / Cramer-Rao bound (0.98)",
-        float(np.sqrt(np.mean(off**2))) / bound,
-        1.05,
-        "<=",
-    )
+    yield ("detection, rms error / Cramer-Rao bound (0.98)", float(np.sqrt(np.mean(off**2))) / bound, 1.05, "<=")
     yield "detection, false targets in 8 images", false, 0, "<="
     taken = detectors.least_ms(finders, images, 5)
     yield "detection, OpenPTV's time / ours (1.5-2.3)", taken[name] / taken["ours"], 1.0, ">="

@@ -39,11 +39,7 @@ class Aravis:
     """The functions that are needed, with GLib's errors as RuntimeError."""
 
     def __init__(self) -> None:
-        self.lib, self.glib, self.gobject = (
-            library(),
-            c.CDLL("libglib-2.0.so.0"),
-            c.CDLL("libgobject-2.0.so.0"),
-        )
+        self.lib, self.glib, self.gobject = (library(), c.CDLL("libglib-2.0.so.0"), c.CDLL("libgobject-2.0.so.0"))
         self.gobject.g_object_unref.argtypes = [P]
         self.glib.g_error_free.argtypes = [c.POINTER(_Error)]
 
@@ -115,18 +111,14 @@ class Client:
     def trigger_on(self, source: str) -> None:
         self.set(TriggerSelector="FrameStart", TriggerSource=source, TriggerMode="On")
 
-    def arm(
-        self, buffers: int = 32, packet_bytes: int | None = 8000, retention_us: int = RETENTION_US
-    ) -> None:
+    def arm(self, buffers: int = 32, packet_bytes: int | None = 8000, retention_us: int = RETENTION_US) -> None:
         if packet_bytes is None:
             self._camera("gv_auto_packet_size", c.c_uint)
         else:
             self._camera("gv_set_packet_size", None, c.c_int(packet_bytes))
         size = self._camera("get_payload", c.c_uint)
         # root's packet sockets see the streams of other processes until their filter stands: plain UDP is wanted
-        self.aravis.call(
-            "camera_gv_set_stream_options", None, self.camera, c.c_int(NO_PACKET_SOCKET), fails=False
-        )
+        self.aravis.call("camera_gv_set_stream_options", None, self.camera, c.c_int(NO_PACKET_SOCKET), fails=False)
         self.stream = P(self._camera("create_stream", P, None, None))
         set_property = self.aravis.gobject.g_object_set
         set_property(self.stream, S(b"socket-buffer-size"), c.c_int(SOCKET_BYTES), None)

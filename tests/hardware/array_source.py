@@ -32,9 +32,7 @@ class ArraySource:
         troubles: dict[tuple[int, int], str] | None = None,
     ) -> None:
         self.shape, self.depth, self.frames = shape, depth, frames
-        self.cameras = tuple(
-            CameraInfo(f"cam{k}", shape[1], shape[0], depth, rate_hz) for k in range(cameras)
-        )
+        self.cameras = tuple(CameraInfo(f"cam{k}", shape[1], shape[0], depth, rate_hz) for k in range(cameras))
         self._period_ns = round(1e9 / rate_hz)
         self._troubles = troubles or {}
         self.iterations = 0

@@ -92,10 +92,7 @@ def gige_driven(tmp_path: Path) -> Iterator[Driven]:
     """Aravis' own fake camera, in a process of its own."""
     with fake_gige_camera("FAKE1") as settings:
         yield Driven(
-            "gige",
-            free=settings(trigger="Off"),
-            silent=settings(trigger="Software"),
-            wrong={"exposure_us": 1e9},
+            "gige", free=settings(trigger="Off"), silent=settings(trigger="Software"), wrong={"exposure_us": 1e9}
         )
 
 
@@ -129,11 +126,7 @@ def gentl_driven(tmp_path: Path) -> Iterator[Driven]:
         )
 
     yield Driven(
-        "gentl",
-        free=settings(100.0),
-        silent=settings(1.0),
-        wrong={"window": (0, 0, 100000, 100)},
-        producer=producer,
+        "gentl", free=settings(100.0), silent=settings(1.0), wrong={"window": (0, 0, 100000, 100)}, producer=producer
     )
 
 

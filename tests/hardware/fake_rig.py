@@ -157,9 +157,7 @@ class FakeDriver(FakeDevice):
 
     @property
     def capabilities(self):
-        return Capabilities(
-            device_clock=self.fake.clock, hardware_trigger=True, software_trigger=self.fake.software
-        )
+        return Capabilities(device_clock=self.fake.clock, hardware_trigger=True, software_trigger=self.fake.software)
 
     def software_trigger(self):
         now = time.monotonic_ns()

@@ -25,9 +25,7 @@ def infos(cameras, rate):
 
 def ready(camera, pulse, targets):
     """Detections that no other camera or pulse has."""
-    xy = np.column_stack(
-        [np.full(targets, pulse % 600 + 0.25), np.arange(targets) + sum(camera.encode()) / 7]
-    )
+    xy = np.column_stack([np.full(targets, pulse % 600 + 0.25), np.arange(targets) + sum(camera.encode()) / 7])
     ones = np.ones(targets)
     return Detections(camera, xy, np.tile(1e-4 * np.eye(2), (targets, 1, 1)), 5 * ones, 200 * ones, ones)
 

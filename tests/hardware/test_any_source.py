@@ -95,16 +95,7 @@ def test_gige_vision_devices_on_a_pulse_generator(take: tuple[Path, Path], tmp_p
 @contextmanager
 def served(recording: Path, rig: Path, trigger: str) -> Iterator[Path]:
     """Serve the recording as GigE Vision cameras that ``trigger`` triggers."""
-    command = [
-        sys.executable,
-        "-m",
-        "scenarios.cli.main",
-        "twin",
-        "serve",
-        str(recording),
-        "--rig-out",
-        str(rig),
-    ]
+    command = [sys.executable, "-m", "scenarios.cli.main", "twin", "serve", str(recording), "--rig-out", str(rig)]
     command += ["--trigger", trigger, "--address", "127.0.0.40", "--seconds", "3600"]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as server:
         try:
@@ -127,20 +118,14 @@ def test_a_vendor_s_own_software(take: tuple[Path, Path], tmp_path: Path) -> Non
             assert frame.image is not None
             folder = tmp_path / frame.camera
             folder.mkdir(exist_ok=True)
-            assert cv2.imwrite(
-                str(folder / f"{round(frame.time_ns * 50e-9):04d}.tiff"), np.array(frame.image)
-            )
+            assert cv2.imwrite(str(folder / f"{round(frame.time_ns * 50e-9):04d}.tiff"), np.array(frame.image))
     cameras: dict[str, dict[str, object]] = {
         name: {
             "driver": "pylon",
             "serial": f"0815-000{k}",
             "trigger": "Software",
             "window": [0, 0, 656, 491],
-            "features": {
-                "TestImageSelector": "Off",
-                "ImageFileMode": "On",
-                "ImageFilename": str(tmp_path / name),
-            },
+            "features": {"TestImageSelector": "Off", "ImageFileMode": "On", "ImageFilename": str(tmp_path / name)},
         }
         for k, name in enumerate(names)
     }

@@ -31,9 +31,7 @@ def camera(driven: Driven) -> Iterator[CameraDriver]:
     camera.close()
 
 
-def test_arm_and_disarm_alternate_and_images_are_the_receivers_own(
-    driven: Driven, camera: CameraDriver
-) -> None:
+def test_arm_and_disarm_alternate_and_images_are_the_receivers_own(driven: Driven, camera: CameraDriver) -> None:
     report = camera.configure(driven.free)
     for _ in range(3):
         camera.arm()

@@ -93,8 +93,7 @@ def run_line(devices: Served, cameras: dict[str, CameraDriver], pulses: int) -> 
 
     with ThreadPoolExecutor(len(cameras)) as threads:
         work = [
-            threads.submit(grab_all, camera, partial(wanted, name), came[name])
-            for name, camera in cameras.items()
+            threads.submit(grab_all, camera, partial(wanted, name), came[name]) for name, camera in cameras.items()
         ]
         make_pulses(devices, pulses, lambda: min(map(len, came.values())))
         over.set()
@@ -187,9 +186,7 @@ def test_a_second_program_finds_it_taken() -> None:
 def test_a_restart_of_the_camera_is_told_and_it_opens_again() -> None:
     needs_aravis()
     faults = {"cam0": Faults(reboot_at_s=0.5, reboot_gone_s=0.5)}
-    with served(
-        ArraySource(1, 400), first_address=FIRST_ADDRESS.format(41), faults=faults, loop=True
-    ) as devices:
+    with served(ArraySource(1, 400), first_address=FIRST_ADDRESS.format(41), faults=faults, loop=True) as devices:
         camera = opened(devices, "cam0")
         camera.arm()
         devices.start(100.0)

@@ -97,11 +97,7 @@ def test_the_image_is_nobody_elses(name: str) -> None:
     assert np.array_equal(image, before)
 
 
-@given(
-    mosaic=hnp.arrays(
-        np.uint16, st.tuples(st.integers(2, 9), st.integers(2, 9)), elements=st.integers(0, 4095)
-    )
-)
+@given(mosaic=hnp.arrays(np.uint16, st.tuples(st.integers(2, 9), st.integers(2, 9)), elements=st.integers(0, 4095)))
 def test_bayer_is_the_weighted_mean_of_nine(mosaic: Array) -> None:
     # OpenCV's filter with the same kernel and border, in floating point
     kernel = np.outer([1, 2, 1], [1, 2, 1]) / 16.0

@@ -29,13 +29,7 @@ def _aravis():
 
 
 @contextmanager
-def rig(
-    source: ArraySource,
-    trigger: str = "Line1",
-    packet_bytes: int = 8000,
-    retention_us=RETENTION_US,
-    **options,
-):
+def rig(source: ArraySource, trigger: str = "Line1", packet_bytes: int = 8000, retention_us=RETENTION_US, **options):
     """Yield the served cameras and their clients, armed."""
     with ExitStack() as stack:
         up = stack.enter_context(served(source, first_address=free_address(), **options))
@@ -105,11 +99,7 @@ def test_the_feature_tree_is_read_and_set():
         ]  # fmt: skip
         assert (client.text("PixelFormat"), client.integer("PayloadSize")) == ("Mono12", 64 * 48 * 2)
         client.set(ExposureTime=812.34, Gain=3.5, AcquisitionFrameRate=50.0, PtpEnable=True)
-        assert [client.real(n) for n in ("ExposureTime", "Gain", "AcquisitionFrameRate")] == [
-            812.34,
-            3.5,
-            50.0,
-        ]
+        assert [client.real(n) for n in ("ExposureTime", "Gain", "AcquisitionFrameRate")] == [812.34, 3.5, 50.0]
         client.execute("TimestampLatch")
         first = client.integer("TimestampLatchValue")
         client.execute("GevTimestampControlLatch")
@@ -303,9 +293,7 @@ def long_run(seconds: int, faults: dict) -> tuple[dict, list[dict]]:
 
 def overflows() -> int:
     """Return how many datagrams the kernel threw away because a program did not fetch them in time."""
-    names, values = (
-        line.split() for line in Path("/proc/net/snmp").read_text().splitlines() if line[:4] == "Udp:"
-    )
+    names, values = (line.split() for line in Path("/proc/net/snmp").read_text().splitlines() if line[:4] == "Udp:")
     return int(values[names.index("RcvbufErrors")])
 
 

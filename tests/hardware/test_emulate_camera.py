@@ -7,14 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hardware.emulate.acquisition import (
-    LOCKING_NS,
-    ClockJump,
-    EmulatedClock,
-    PendingImage,
-    Shutter,
-    common_ns,
-)
+from hardware.emulate.acquisition import LOCKING_NS, ClockJump, EmulatedClock, PendingImage, Shutter, common_ns
 from hardware.emulate.camera import RESET_AFTER_NS, EmulatedCamera
 from hardware.emulate.faults import FAULTLESS, FaultDraws, Faults
 from hardware.emulate.features import BOOTSTRAP
@@ -156,12 +149,7 @@ def test_overlapping_registers_are_a_mistake():
 def test_bootstrap_addresses_are_the_standards():
     # GigE Vision 2.0, table of bootstrap registers
     wanted = {"SerialNumber": 0xD8, "FirstURL": 0x200, "HeartbeatTimeout": 0x938, "ControlPrivilege": 0xA00}
-    wanted |= {
-        "StreamPort": 0xD00,
-        "StreamPacketSize": 0xD04,
-        "StreamDestination": 0xD18,
-        "TimestampLatched": 0x948,
-    }
+    wanted |= {"StreamPort": 0xD00, "StreamPacketSize": 0xD04, "StreamDestination": 0xD18, "TimestampLatched": 0x948}
     there = {register.name: register.address for register in BOOTSTRAP}
     assert {name: there[name] for name in wanted} == wanted
 
@@ -332,9 +320,7 @@ def test_a_clock_says_when_it_will_show_a_time():
 
 def test_ptp_brings_clocks_together():
     now = time.monotonic_ns()
-    one, two = (
-        EmulatedClock(now, offset, drift, ptp_ns=now) for offset, drift in ((0, 50.0), (7 * MS, -50.0))
-    )
+    one, two = (EmulatedClock(now, offset, drift, ptp_ns=now) for offset, drift in ((0, 50.0), (7 * MS, -50.0)))
     assert [one.ptp_status(now + t) for t in (0, LOCKING_NS - 1, LOCKING_NS)] == [
         "Listening",
         "Uncalibrated",

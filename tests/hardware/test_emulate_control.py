@@ -233,9 +233,7 @@ def test_action_commands_reach_cameras_by_broadcast(up, hands):
 
 
 COMMANDS = st.sampled_from([0x02, 0x04, 0x40, 0x80, 0x82, 0x84, 0x86, 0x100])
-ADDRESSES = st.one_of(
-    st.sampled_from([0xA00, 0xD00, 0xD04, 0xD18, 0x10000, 0xF0000]), st.integers(0, 0x100800)
-)
+ADDRESSES = st.one_of(st.sampled_from([0xA00, 0xD00, 0xD04, 0xD18, 0x10000, 0xF0000]), st.integers(0, 0x100800))
 PAYLOADS = st.one_of(
     st.binary(max_size=40),
     st.tuples(ADDRESSES, st.integers(0, 2**32 - 1)).map(lambda pair: struct.pack(">II", *pair)),
@@ -257,8 +255,7 @@ def victim():
 @given(
     st.lists(
         st.one_of(
-            st.binary(max_size=80),
-            st.builds(command, COMMANDS, st.integers(0, 255), PAYLOADS, st.integers(0, 3)),
+            st.binary(max_size=80), st.builds(command, COMMANDS, st.integers(0, 255), PAYLOADS, st.integers(0, 3))
         ),
         max_size=6,
     )

@@ -57,9 +57,7 @@ def test_commands_are_taken_apart():
     assert request == gige_vision.GvcpCommand(1, 0x80, 7, bytes.fromhex("00000a00"))
     assert gige_vision.words(request.payload) == (0xA00,)
     assert gige_vision.acknowledge(request, b"\0\0\0\2") == bytes.fromhex("0000 0081 0004 0007 00000002")
-    assert gige_vision.acknowledge(request, status=Status.INVALID_ADDRESS) == bytes.fromhex(
-        "8003 0081 0000 0007"
-    )
+    assert gige_vision.acknowledge(request, status=Status.INVALID_ADDRESS) == bytes.fromhex("8003 0081 0000 0007")
 
 
 @pytest.mark.parametrize("datagram", ["", "42", "41 01 0080 0004 0007 00000a00", "42 01 0002 0000 0000"])
@@ -71,9 +69,7 @@ def test_scheduled_and_plain_actions():
     keys = bytes.fromhex("00000001 00000002 00000004")
     plain = gige_vision.action(gige_vision.GvcpCommand(1, 0x100, 1, keys))
     assert plain == gige_vision.ActionCommand(1, 2, 4, None)
-    later = gige_vision.action(
-        gige_vision.GvcpCommand(0x81, 0x100, 1, keys + bytes.fromhex("0000000100000002"))
-    )
+    later = gige_vision.action(gige_vision.GvcpCommand(0x81, 0x100, 1, keys + bytes.fromhex("0000000100000002")))
     assert later.at_ns == (1 << 32) + 2
     with pytest.raises(Refused):
         gige_vision.action(gige_vision.GvcpCommand(0x81, 0x100, 1, keys))

@@ -125,9 +125,7 @@ class Counted(ArraySource):
         for frame in super().__iter__():
             late = 400_000 if frame.camera == "cam1" else 0
             if (frame.camera, frame.index) != ("cam1", 1):
-                yield replace(
-                    frame, index=frame.index + 777 * (late > 0), time_ns=frame.time_ns + late + 10**12
-                )
+                yield replace(frame, index=frame.index + 777 * (late > 0), time_ns=frame.time_ns + late + 10**12)
 
 
 def test_frames_of_other_clocks_are_told_by_their_times(stores):

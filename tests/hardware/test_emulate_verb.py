@@ -59,17 +59,7 @@ def test_it_says_who_answers_where_and_what_became_of_it(take, tmp_path):
 )
 def test_the_rig_file_says_what_triggers(take, tmp_path, trigger, camera, source):
     rig = tmp_path / "rig.toml"
-    run(
-        str(take),
-        "--address",
-        free_address(),
-        "--seconds",
-        "0.1",
-        "--rig-out",
-        str(rig),
-        "--trigger",
-        trigger,
-    )
+    run(str(take), "--address", free_address(), "--seconds", "0.1", "--rig-out", str(rig), "--trigger", trigger)
     hardware = read_hardware(rig)
     assert hardware.cameras["cam1"].trigger == camera
     assert hardware.shared.trigger.source == source

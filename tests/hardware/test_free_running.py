@@ -34,9 +34,7 @@ def errors_s(events, cameras, free):
     """Camera -> how far its frames' times lie from the true instants [s], up to what all have in common."""
     numbers = PulseNumbers(tuple(cameras), RATE, free=free)
     true = {(name, buffer.block_id): at for _, name, at, buffer in events}
-    placed = [one for _, name, _, buffer in events for one in numbers.take(name, buffer)] + list(
-        numbers.rest()
-    )
+    placed = [one for _, name, _, buffer in events for one in numbers.take(name, buffer)] + list(numbers.rest())
     assert len(placed) == len(events)
     found = {name: [] for name in cameras}
     for one in placed:

@@ -83,15 +83,10 @@ def test_a_take_is_logged_with_its_losses_and_nothing_is_printed(tmp_path, monke
     with caplog.at_level("DEBUG", "mosca.hardware"), source(tmp_path, fakes, pulses=80) as rig:
         list(rig)
     logged = {
-        level: [r.getMessage() for r in caplog.records if r.levelname == level]
-        for level in ("INFO", "WARNING")
+        level: [r.getMessage() for r in caplog.records if r.levelname == level] for level in ("INFO", "WARNING")
     }
     assert logged["WARNING"] == rig.statistics.notes
-    for text in (
-        "camera 'b': fake, serial b, opened",
-        "trigger 'external' started at 100 Hz",
-        "rig.toml: closed",
-    ):
+    for text in ("camera 'b': fake, serial b, opened", "trigger 'external' started at 100 Hz", "rig.toml: closed"):
         assert any(text in line for line in logged["INFO"])
     summary = next(line for line in logged["INFO"] if line.startswith("camera 'b'") and "frames" in line)
     assert "1 reopened" in summary

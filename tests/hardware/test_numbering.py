@@ -185,13 +185,9 @@ def test_a_machine_that_is_busy_for_a_while_is_no_clock_that_jumped(seed):
     for from_pulse, to_pulse, late_ns in ((400, 500, 30_000_000), (0, 60, 20_000_000)):
         moved, last = [], dict.fromkeys(["c0", "c1", "c2", "c3"], 0)
         for ns, name, pulse, b in rows:
-            late = max(
-                late_ns if from_pulse <= pulse < to_pulse else 0, last[name] - ns
-            )  # in order, each camera
+            late = max(late_ns if from_pulse <= pulse < to_pulse else 0, last[name] - ns)  # in order, each camera
             last[name] = ns + late
-            moved.append(
-                (ns + late, name, pulse, Grabbed(b.block_id, b.device_ns, ns + late, b.exposure_ns, None))
-            )
+            moved.append((ns + late, name, pulse, Grabbed(b.block_id, b.device_ns, ns + late, b.exposure_ns, None)))
         moved.sort(key=lambda row: row[0])
         numbers = PulseNumbers(["c0", "c1", "c2", "c3"], 100.0)
         truth = {id(row[3]): row[2] for row in moved}

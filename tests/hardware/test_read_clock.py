@@ -23,9 +23,7 @@ def busy(rig, seed, late_s):
         clocks.setdefault(name, []).append((7_000_000_000 + pulse * 10_000_000, b.device_ns))
         own = late_s[NAMES.index(name)] * (1 + 0.5 * np.sin(pulse / 200)) + rng.exponential(0.3 * max(late_s))
         last[name] = max(ns + round(own * 1e9), last[name])
-        moved.append(
-            (last[name], name, pulse, Grabbed(b.block_id, b.device_ns, last[name], 1_000_000, None, "no"))
-        )
+        moved.append((last[name], name, pulse, Grabbed(b.block_id, b.device_ns, last[name], 1_000_000, None, "no")))
     return sorted(moved, key=lambda row: row[0]), clocks
 
 

@@ -206,9 +206,7 @@ def test_a_device_that_was_stalled_does_not_end_its_client_s_control(monkeypatch
                 control.check_heartbeat(begin + round(one * SECOND))
             return privilege.holder is not None
 
-        assert looked(
-            0.0, 10.0, 10.4, 10.8, 11.2, 11.6, 11.9
-        )  # asleep for ten seconds: the client was, too, perhaps
+        assert looked(0.0, 10.0, 10.4, 10.8, 11.2, 11.6, 11.9)  # asleep for ten seconds: the client was, too, perhaps
         privilege.heartbeat(("127.0.0.1", hand.port), begin + round(11.9 * SECOND))
         assert looked(*np.arange(12.0, 14.8, 0.4))
         assert not looked(*np.arange(14.8, 15.6, 0.4))  # awake, and nothing was heard for 3 s

@@ -40,26 +40,11 @@ def message(camera="left", n=3, **changed):
     return DetectionMessage(**(fields | changed))
 
 
-SCALARS = (
-    "station",
-    "epoch",
-    "sequence",
-    "pulse",
-    "time_ns",
-    "exposure_ns",
-    "arrival_ns",
-    "sent_ns",
-    "status",
-)
+SCALARS = ("station", "epoch", "sequence", "pulse", "time_ns", "exposure_ns", "arrival_ns", "sent_ns", "status")
 COLUMNS = ("xy_px", "covariance_px2", "diameter_px", "peak", "elongation", "flags")
 
 
-@given(
-    st.integers(0, 40),
-    st.text(min_size=1, max_size=30),
-    st.integers(0, 2**32),
-    st.integers(-(2**63), 2**63 - 1),
-)
+@given(st.integers(0, 40), st.text(min_size=1, max_size=30), st.integers(0, 2**32), st.integers(-(2**63), 2**63 - 1))
 def test_there_and_back_bit_for_bit(n, camera, seed, pulse):
     sent = message(camera, pulse=pulse, detections=detections(camera, n, seed))
     got = unpack_detections(pack_detections(sent))
@@ -111,9 +96,7 @@ def refused(unpack, data):
 @given(st.binary(max_size=300))
 def test_any_bytes_are_refused_in_one_line(data):
     assert refused(unpack_detections, data)
-    assert all(
-        "\n" not in refused(unpack, data) for unpack in (unpack_detections, unpack_health, unpack_clock)
-    )
+    assert all("\n" not in refused(unpack, data) for unpack in (unpack_detections, unpack_health, unpack_clock))
 
 
 @given(st.integers(0, 300), st.integers(0, 255))
@@ -156,8 +139,7 @@ def test_health_there_and_back_and_as_json():
 
 @given(
     st.recursive(
-        st.none() | st.booleans() | st.integers() | st.text(),
-        lambda x: st.lists(x) | st.dictionaries(st.text(), x),
+        st.none() | st.booleans() | st.integers() | st.text(), lambda x: st.lists(x) | st.dictionaries(st.text(), x)
     )
 )
 def test_any_json_is_health_or_refused(document):

@@ -34,9 +34,7 @@ def test_who_starts_a_pulse_late_is_found_out(first, shift):
     run(places, Line(), {"A": (1, 0, 0.003), "B": (2, first, 0.0045)}, range(200))
     assert (places.shift("A"), places.shift("B")) == (0, shift)
     told = [text for station, text in places.notes if station == "B"]
-    assert told == (
-        [f"counts from another pulse: its pulse 0 is pulse {shift} of the session"] if shift else []
-    )
+    assert told == ([f"counts from another pulse: its pulse 0 is pulse {shift} of the session"] if shift else [])
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -49,10 +47,7 @@ def test_it_is_right_again_and_again(seed, rate):
     run(
         places,
         line,
-        {
-            n: (k, f, 0.003 + spread * rng.random())
-            for k, (n, f) in enumerate(zip("ABC", firsts, strict=True))
-        },
+        {n: (k, f, 0.003 + spread * rng.random()) for k, (n, f) in enumerate(zip("ABC", firsts, strict=True))},
         range(300),
     )
     assert [places.shift(n) for n in "ABC"] == firsts

@@ -23,11 +23,7 @@ LONG = 12_000
 """More pulses than a test needs: it ends its stations once it has seen enough."""
 # a busy machine must not make a test fail
 PATIENT = ReceiverSettings(
-    MergeSettings(deadline_s=60.0, oldest_s=60.0),
-    silence_s=60.0,
-    start_wait_s=60.0,
-    clock_s=0.05,
-    queued=LONG,
+    MergeSettings(deadline_s=60.0, oldest_s=60.0), silence_s=60.0, start_wait_s=60.0, clock_s=0.05, queued=LONG
 )
 NOTICING = replace(PATIENT, silence_s=1.0)
 

@@ -167,9 +167,7 @@ def test_withheld_pulses_are_told_from_those_that_the_camera_ignored(tmp_path, m
     assert sum(k < max(got["cam0"]) for k in inside) <= account.cameras["cam0"].unreached <= len(inside)
     assert account.cameras["cam0"].unreached > 5
     assert account.cameras["cam1"].unreached == 0
-    assert any(
-        "camera 'cam0': by its trigger counter" in note and "did not reach it" in note for note in notes
-    )
+    assert any("camera 'cam0': by its trigger counter" in note and "did not reach it" in note for note in notes)
 
 
 def test_pulses_that_found_the_camera_busy_are_counted_as_such(tmp_path):
@@ -234,9 +232,7 @@ def test_a_camera_without_such_a_chunk_is_refused(monkeypatch):
     one_line(caught.value, "camera 'cam0'", "trigger_counter", "CounterValue", "Leave it out")
 
 
-@pytest.mark.parametrize(
-    "more", [{"driver": "webcam", "trigger": "Off"}, {"driver": "gige", "trigger": "Software"}]
-)
+@pytest.mark.parametrize("more", [{"driver": "webcam", "trigger": "Off"}, {"driver": "gige", "trigger": "Software"}])
 def test_only_pulses_of_a_line_are_counted(tmp_path, more):
     path = rig_file(tmp_path / "rig.toml", "127.0.0.9", **more)
     with pytest.raises(InputError, match="trigger_counter counts the pulses of a line"):

@@ -16,13 +16,7 @@ def ring(n=4, radius=3.0, seed=0, **lens) -> list[Camera]:
     for k in range(n):
         a = 2 * np.pi * k / n + rng.normal(0, 0.1)
         centre = [radius * np.cos(a), radius * np.sin(a), 1.8 + rng.normal(0, 0.3)]
-        values = {
-            "fx_px": 1000.0 + 5 * k,
-            "fy_px": 1003.0 + 5 * k,
-            "cx_px": 640.0 + k,
-            "cy_px": 510.0 - k,
-            **lens,
-        }
+        values = {"fx_px": 1000.0 + 5 * k, "fy_px": 1003.0 + 5 * k, "cx_px": 640.0 + k, "cy_px": 510.0 - k, **lens}
         pose = looking_at(centre, rng.normal(0, 0.1, 3) + [0, 0, 1])
         cameras.append(Camera(f"c{k}", WIDTH, HEIGHT, OpenCVLens(**values), pose))
     return cameras
@@ -43,9 +37,7 @@ def views(cameras, points, noise_px=0.0, seen=1.0, seed=1):
     camera, point, xy = [], [], []
     for k, one in enumerate(cameras):
         pixel = cv2_pixels(one, points)
-        inside = ((pixel > 0) & (pixel < (WIDTH - 1, HEIGHT - 1))).all(axis=1) & (
-            rng.random(len(points)) < seen
-        )
+        inside = ((pixel > 0) & (pixel < (WIDTH - 1, HEIGHT - 1))).all(axis=1) & (rng.random(len(points)) < seen)
         there = np.flatnonzero(inside)
         camera.append(np.full(len(there), k))
         point.append(there)

@@ -55,8 +55,7 @@ def calibration_of(cameras, start, free, rows, marks, target, placements=(), hel
     table = np.array(rows)
     camera, frame, mark, placement = (table[:, k].astype(int) for k in range(4))
     unknowns = tuple(
-        CameraUnknowns(c, free, pose_sigma=HELD if held_first and k == 0 else FREE)
-        for k, c in enumerate(start)
+        CameraUnknowns(c, free, pose_sigma=HELD if held_first and k == 0 else FREE) for k, c in enumerate(start)
     )
     points = ObjectPoints.free(marks) if free_marks else ObjectPoints.fixed(marks)
     things = Placements.of(placements)
@@ -89,9 +88,7 @@ def disturbed(cameras, rng, turn=0.01, shift=0.02, focal=1.01, keep_lens=False):
         pose = c.world_from_camera
         w = Rotation.from_rotvec(rng.normal(0, turn, 3)).as_matrix()
         pose = Pose(pose.rotation @ w, pose.translation + rng.normal(0, shift, 3))
-        lens = (
-            c.lens if keep_lens else replace(c.lens, fx_px=c.lens.fx_px * focal, fy_px=c.lens.fy_px * focal)
-        )
+        lens = c.lens if keep_lens else replace(c.lens, fx_px=c.lens.fx_px * focal, fy_px=c.lens.fy_px * focal)
         out.append(replace(c, world_from_camera=pose, lens=lens))
     return out
 
@@ -108,18 +105,14 @@ def good_rig(rng, n=None) -> list[Camera]:
     return out
 
 
-def field_calibration(
-    seed, cameras=None, points=None, noise_px=NOISE_PX, free=LENS, scale=1.0, **kw
-) -> Calibration:
+def field_calibration(seed, cameras=None, points=None, noise_px=NOISE_PX, free=LENS, scale=1.0, **kw) -> Calibration:
     """Return a rig calibrated from one view of a known field; ``scale``: its file's lengths over the true ones."""
     rng = np.random.default_rng(seed)
     cameras = good_rig(rng) if cameras is None else cameras
     world = field_points(rng) if points is None else points
     rows = seen(cameras, world, rng, noise_px)
     start = [
-        replace(
-            c, world_from_camera=Pose(c.world_from_camera.rotation, c.world_from_camera.translation * scale)
-        )
+        replace(c, world_from_camera=Pose(c.world_from_camera.rotation, c.world_from_camera.translation * scale))
         for c in disturbed(cameras, rng)
     ]
     return calibration_of(cameras, start, free, rows, world * scale, "field", noise_px=noise_px, **kw)
@@ -156,9 +149,7 @@ def board_calibration(seed, cameras=None, frames=25, poses=None, noise_px=NOISE_
     rows = [(r[0], rank[r[1]], r[2], rank[r[1]], *r[4:]) for r in rows]
     start = disturbed(cameras, rng, 0.003, 0.005)
     start[0] = replace(start[0], world_from_camera=cameras[0].world_from_camera)
-    return calibration_of(
-        cameras, start, free, rows, marks, "board", [poses[f] for f in used], True, noise_px
-    )
+    return calibration_of(cameras, start, free, rows, marks, "board", [poses[f] for f in used], True, noise_px)
 
 
 def overhead(rng, n=3, height=1.6) -> list[Camera]:

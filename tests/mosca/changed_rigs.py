@@ -18,8 +18,7 @@ def changed_rig(calibration: Calibration, change: Array) -> Rig:
     rig = calibration.rig
     return Rig(
         tuple(
-            _changed(camera, lens_owner(rig, k, calibration.parameters), step)
-            for k, camera in enumerate(rig.cameras)
+            _changed(camera, lens_owner(rig, k, calibration.parameters), step) for k, camera in enumerate(rig.cameras)
         )
     )
 
@@ -33,6 +32,4 @@ def _changed(camera: Camera, owner: str, step: dict[str, float]) -> Camera:
     if both:
         values["fy_px"] += both * aspect(lens)
         values["fx_px"] += both
-    return replace(
-        camera, lens=replace(lens, **values), world_from_camera=Pose(turned, old.translation + pose[3:])
-    )
+    return replace(camera, lens=replace(lens, **values), world_from_camera=Pose(turned, old.translation + pose[3:]))

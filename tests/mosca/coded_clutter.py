@@ -99,9 +99,7 @@ def boards(rng: np.random.Generator) -> np.ndarray:
     edge = float(n * 32)
     flat = np.array([[0, 0], [edge, 0], [edge, edge], [0, edge]], np.float32)
     warp = cv2.getPerspectiveTransform(flat, corners.astype(np.float32))
-    return _finished(
-        cv2.warpPerspective(fine, warp, tuple(int(s) for s in size), flags=cv2.INTER_LINEAR), rng
-    )
+    return _finished(cv2.warpPerspective(fine, warp, tuple(int(s) for s in size), flags=cv2.INTER_LINEAR), rng)
 
 
 def noise(rng: np.random.Generator) -> np.ndarray:
@@ -142,9 +140,7 @@ def sectors(rng: np.random.Generator) -> np.ndarray:
             ring = np.concatenate([3 * np.exp(1j * angle), 2 * np.exp(1j * angle[::-1])]) * radius
             cv2.fillPoly(fine, [np.stack([x + ring.real, y + ring.imag], axis=1).astype(np.int32)], 220)
         beside = rng.uniform(-1, 1, 2) * radius if rng.random() < 0.5 else (0, 0)
-        cv2.circle(
-            fine, (int(x + beside[0]), int(y + beside[1])), int(radius * rng.uniform(0.6, 1.5)), 220, -1
-        )
+        cv2.circle(fine, (int(x + beside[0]), int(y + beside[1])), int(radius * rng.uniform(0.6, 1.5)), 220, -1)
     return _finished(fine, rng)
 
 

@@ -61,9 +61,7 @@ def resected_camera(
     elif model == "mosca":
         lens = MoscaLens(fx * pixel_pitch_mm, *centre, pixel_pitch_mm, pixel_pitch_mm * fx / fy)
     else:
-        raise InputError(
-            f"camera '{name}': lens model '{model}' given; opencv and mosca are adjusted together"
-        )
+        raise InputError(f"camera '{name}': lens model '{model}' given; opencv and mosca are adjusted together")
     return Camera(name, *size, lens, aim(first, centre))
 
 

@@ -53,14 +53,7 @@ def seen(rig: Rig, marks, poses, rng, *, noise=0.02, shake=0.0, facing=None) -> 
             xy = project(turned(camera, rng.normal(0, shake, 2)), world[there]) + noisy
             n = len(xy)
             parts.append(
-                Part(
-                    k,
-                    frame,
-                    np.flatnonzero(there),
-                    xy,
-                    np.tile(noise**2 * np.eye(2), (n, 1, 1)),
-                    np.full(n, 8.0),
-                )
+                Part(k, frame, np.flatnonzero(there), xy, np.tile(noise**2 * np.eye(2), (n, 1, 1)), np.full(n, 8.0))
             )
     sizes = np.array([(c.width, c.height) for c in rig.cameras])
     return Sightings.joined(rig.names, sizes, len(poses), parts)

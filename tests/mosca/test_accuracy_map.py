@@ -45,9 +45,7 @@ def test_detection_is_what_disturbed_pixels_do(calibration, predicted):
     points = places(predicted)
     exact = pixels(calibration.rig, points)
     noisy = exact[None] + rng.normal(0, 0.1, (TRIALS, *exact.shape))
-    found = (
-        triangulate(calibration.rig, noisy.reshape(-1, *exact.shape[1:]))[0].reshape(TRIALS, -1, 3) - points
-    )
+    found = triangulate(calibration.rig, noisy.reshape(-1, *exact.shape[1:]))[0].reshape(TRIALS, -1, 3) - points
     # 300 trials of 3 unequal axes: a standard deviation of some 7 % each, 2 % over all places
     share = ratio(found, predicted.detection.reshape(-1, 3, 3))
     assert np.all((share > 0.7) & (share < 1.35))
@@ -66,9 +64,7 @@ def test_calibration_is_what_disturbed_parameters_do(calibration, predicted):
 
 
 def test_both_parts_are_kept_apart_and_add(predicted):
-    assert np.allclose(
-        predicted.sigma_m**2, predicted.detection_sigma_m**2 + predicted.calibration_sigma_m**2
-    )
+    assert np.allclose(predicted.sigma_m**2, predicted.detection_sigma_m**2 + predicted.calibration_sigma_m**2)
     assert (predicted.n_cameras == 3).all()
 
 
@@ -89,9 +85,7 @@ def test_derivatives_are_those_of_the_changed_rig(calibration):
             ahead = project(changed_rig(calibration, change).cameras[k], points)
             behind = project(changed_rig(calibration, -change).cameras[k], points)
             numeric = (ahead - behind) / (2 * step)
-            assert np.allclose(
-                one.by_parameter[:, :, column], numeric, rtol=1e-4, atol=1e-6 * np.abs(numeric).max()
-            )
+            assert np.allclose(one.by_parameter[:, :, column], numeric, rtol=1e-4, atol=1e-6 * np.abs(numeric).max())
         assert camera.name in calibration.parameters[one.columns[0]]
 
 

@@ -20,9 +20,7 @@ def camera_infos(n: int) -> tuple[CameraInfo, ...]:
     return tuple(CameraInfo(f"c{k}", 2, 2, 8, 100.0) for k in range(n))
 
 
-def shot(
-    camera: int, pulse: int, jitter_ns: float = 0, status: str = "ok", index: int | None = None
-) -> Frame:
+def shot(camera: int, pulse: int, jitter_ns: float = 0, status: str = "ok", index: int | None = None) -> Frame:
     image = IMAGE if status == "ok" else None
     start = round(pulse * PERIOD_NS + jitter_ns) - 500_000
     at = pulse if index is None else index
@@ -166,8 +164,7 @@ def test_a_missed_trigger_shifts_nothing_though_the_counter_has_no_gap() -> None
 def test_a_wrong_nominal_rate_is_followed_over_long_runs_and_gaps(start_ns: int, rate_error: float) -> None:
     pulses = [p for p in range(6000) if not 4000 <= p < 4800]
     frames = [
-        Frame("c0", p, start_ns + round(p * PERIOD_NS * (1 + rate_error)), 0, IMAGE, note=str(p))
-        for p in pulses
+        Frame("c0", p, start_ns + round(p * PERIOD_NS * (1 + rate_error)), 0, IMAGE, note=str(p)) for p in pulses
     ]
     sets, counts = run(frames, 1)
     assert check_true(sets) == 0
@@ -197,10 +194,7 @@ def test_unlike_rates_and_unknown_cameras_are_errors() -> None:
 def test_random_jitter_of_a_quarter_period(seed: int) -> None:
     rng = random.Random(seed)
     frames = [
-        shot(c, p, rng.uniform(-0.25, 0.25) * PERIOD_NS)
-        for p in range(2000)
-        for c in range(3)
-        if rng.random() > 0.1
+        shot(c, p, rng.uniform(-0.25, 0.25) * PERIOD_NS) for p in range(2000) for c in range(3) if rng.random() > 0.1
     ]
     sets, counts = run(frames, 3)
     check_true(sets)

@@ -25,9 +25,7 @@ DRONE = RigidBody(
     ),
 )  # fmt: skip
 CUP = RigidBody(
-    "cup",
-    ("C1", "C2", "C3", "C4"),
-    np.array([[0, 0, 0], [0.12, 0, 0], [0.02, 0.08, 0], [0.05, 0.03, 0.06]]),
+    "cup", ("C1", "C2", "C3", "C4"), np.array([[0, 0, 0], [0.12, 0, 0], [0.02, 0.08, 0], [0.05, 0.03, 0.06]])
 )
 CROSS = np.array([[0.1, 0, 0], [0, 0.1, 0], [-0.1, 0, 0], [0, -0.1, 0]])
 
@@ -118,9 +116,7 @@ def test_covariance_is_that_of_the_errors() -> None:
         xyz = body.positions @ turn.T + place + np.einsum("mij,mj->mi", root, rng.normal(size=(4, 3)))
         fit = one.fit(instant_points(xyz, covariance), np.arange(4))
         assert fit is not None
-        error = np.concatenate(
-            [place - fit.translation, Rotation.from_matrix(turn @ fit.rotation.T).as_rotvec()]
-        )
+        error = np.concatenate([place - fit.translation, Rotation.from_matrix(turn @ fit.rotation.T).as_rotvec()])
         d2.append(error @ np.linalg.solve(fit.covariance, error))
     low, high = stats.chi2.ppf([0.0005, 0.9995], 6 * 2000) / 2000
     assert low < np.mean(d2) < high

@@ -95,9 +95,7 @@ def test_the_optimum_is_scipys():
             rvec, position = (z[8 * k - 6 : 8 * k - 3], z[8 * k - 3 : 8 * k]) if k else (None, None)
             pose = Pose(Rotation.from_rotvec(rvec).as_matrix(), position) if k else c.world_from_camera
             f, k1 = z[8 * k : 8 * k + 2]
-            out.append(
-                replace(c, world_from_camera=pose, lens=replace(c.lens, fx_px=f, fy_px=f * ratio[k], k1=k1))
-            )
+            out.append(replace(c, world_from_camera=pose, lens=replace(c.lens, fx_px=f, fy_px=f * ratio[k], k1=k1)))
         return out, z[8 * len(cameras) - 6 :].reshape(-1, 3)
 
     def residuals(z):
@@ -123,9 +121,7 @@ def test_the_optimum_is_scipys():
     assert done.cost == pytest.approx(2 * found.cost, rel=1e-10)
     for a, b in zip(done.cameras, theirs, strict=True):
         assert (a.lens.fx_px, a.lens.fy_px) == pytest.approx((b.lens.fx_px, b.lens.fy_px), rel=1e-7)
-        np.testing.assert_allclose(
-            a.world_from_camera.translation, b.world_from_camera.translation, atol=1e-7
-        )
+        np.testing.assert_allclose(a.world_from_camera.translation, b.world_from_camera.translation, atol=1e-7)
         np.testing.assert_allclose(a.world_from_camera.rotation, b.world_from_camera.rotation, atol=1e-7)
     np.testing.assert_allclose(done.points, points, atol=1e-7)
 
@@ -170,10 +166,7 @@ def test_one_camera_and_fixed_points_is_the_resection(model):
     points = rng.uniform(-0.6, 0.6, (60, 3)) + [0, 0, 1]
     pose = looking_at([2, 1, 1.5], [0, 0, 1])
     if model == "opencv":
-        lens, free = (
-            OpenCVLens(1000, 1004, 640, 510, -0.1, 0.03),
-            ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2"),
-        )
+        lens, free = (OpenCVLens(1000, 1004, 640, 510, -0.1, 0.03), ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2"))
     else:
         lens = MoscaLens(9.0, 640, 510, 0.01, 0.0101, -0.006, 8e-4)
         free = ("c_mm", "xp_px", "yp_px", "my_mm_per_px", "a", "K1_per_mm2")
@@ -190,9 +183,7 @@ def test_one_camera_and_fixed_points_is_the_resection(model):
     )
     for name in free:
         sigma = done.standard_deviations[f"c.{name}"]
-        assert getattr(done.cameras[0].lens, name) == pytest.approx(
-            getattr(found.lens, name), abs=1e-3 * sigma
-        )
+        assert getattr(done.cameras[0].lens, name) == pytest.approx(getattr(found.lens, name), abs=1e-3 * sigma)
     # the same covariance in the same order of the same unknowns
     covariance = cost / (120 - 12) * np.linalg.inv(jacobian.T @ jacobian)
     sigma = np.sqrt(np.diag(covariance))
@@ -260,9 +251,7 @@ def test_a_poor_start_leads_to_the_same_optimum():
         assert done.cost == pytest.approx(best.cost, rel=1e-8), seed
         np.testing.assert_array_equal(done.used, twice_seen(problem))
         for a, b in zip(done.cameras, cameras, strict=True):
-            np.testing.assert_allclose(
-                a.world_from_camera.translation, b.world_from_camera.translation, atol=5e-3
-            )
+            np.testing.assert_allclose(a.world_from_camera.translation, b.world_from_camera.translation, atol=5e-3)
 
 
 def test_points_that_begin_behind_a_camera_are_found_again():
@@ -325,15 +314,11 @@ def test_cameras_that_share_a_lens_keep_one_lens():
     points = wand_points(40)
     camera, point, xy = views(cameras, points, 0.1)
     starts = [replace(c, lens=OpenCVLens(990, 993, 640, 510)) for c in cameras]
-    unknowns = [
-        CameraUnknowns(c, ("f_px", "k1"), pose_sigma=FREE if k else HELD) for k, c in enumerate(starts)
-    ]
+    unknowns = [CameraUnknowns(c, ("f_px", "k1"), pose_sigma=FREE if k else HELD) for k, c in enumerate(starts)]
     shared = [unknowns[0]] + [replace(one, free=(), lens_as="c0") for one in unknowns[1:]]
     rods = Distances(np.arange(0, 80, 2), np.arange(1, 80, 2), np.full(40, 0.5), np.full(40, 1e-4))
     see = Observations(camera, point, xy, sigma_px=0.1)
-    one, each = (
-        solve(Problem(tuple(u), see, ObjectPoints.free(80), distances=rods)) for u in (shared, unknowns)
-    )
+    one, each = (solve(Problem(tuple(u), see, ObjectPoints.free(80), distances=rods)) for u in (shared, unknowns))
     assert len({c.lens for c in one.cameras}) == 1
     assert len(each.parameters) - len(one.parameters) == 6
     assert one.cameras[3].lens.fx_px == pytest.approx(1000, abs=5 * one.standard_deviations["c0.f_px"])

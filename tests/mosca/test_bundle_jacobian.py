@@ -40,24 +40,7 @@ from mosca.data.rig import Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose
 LENSES = [
     OpenCVLens(1000, 1004, 640, 510, -0.2, 0.08, 1e-3, -5e-4, -0.01),
     OpenCVLens(
-        900,
-        905,
-        640,
-        510,
-        -0.1,
-        0.02,
-        1e-3,
-        -5e-4,
-        0.01,
-        0.05,
-        -0.02,
-        0.01,
-        1e-3,
-        -2e-3,
-        5e-4,
-        1e-3,
-        0.02,
-        -0.01,
+        900, 905, 640, 510, -0.1, 0.02, 1e-3, -5e-4, 0.01, 0.05, -0.02, 0.01, 1e-3, -2e-3, 5e-4, 1e-3, 0.02, -0.01
     ),
     MoscaLens(9.0, 640, 510, 0.01, 0.0101, -0.006, 8e-4, -1.8e-5, 3e-7, 2.8e-4, 4.5e-5),
     FisheyeLens(600, 602, 641, 509, -0.02, 0.004, -0.001, 0.0002),
@@ -81,9 +64,7 @@ def test_the_lens_that_is_adjusted_is_that_of_projection(lens, x, y, z):
         n = by_lens.shape[2]
         scale = np.abs(by_lens[0]).max(axis=0) + 0.1
         np.testing.assert_allclose(out[:, 0], pixel[0], rtol=1e-9, atol=1e-8)
-        np.testing.assert_allclose(
-            out[:, 1:4], by_direction[0], rtol=1e-8, atol=1e-8 * np.abs(by_direction).max()
-        )
+        np.testing.assert_allclose(out[:, 1:4], by_direction[0], rtol=1e-8, atol=1e-8 * np.abs(by_direction).max())
         used = slice(0, n if lens != LENSES[0] else 9)
         assert np.all(np.abs(out[:, L : L + n] - by_lens[0])[:, used] < 1e-8 * scale[used])
 
@@ -123,17 +104,7 @@ def everything(seed=0, free=None) -> Problem:
     free = free or [
         ("f_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3"),
         ("fx_px", "fy_px", "k1", "k4", "k5", "k6", "s1", "s2", "s3", "s4", "tauX", "tauY"),
-        (
-            "c_mm",
-            "xp_px",
-            "yp_px",
-            "my_mm_per_px",
-            "a",
-            "K1_per_mm2",
-            "K2_per_mm4",
-            "K3_per_mm6",
-            "P1_per_mm",
-        ),
+        ("c_mm", "xp_px", "yp_px", "my_mm_per_px", "a", "K1_per_mm2", "K2_per_mm4", "K3_per_mm6", "P1_per_mm"),
         ("f_px", "cx_px", "cy_px", "k1", "k2", "k3", "k4"),
     ]
     cameras = []
@@ -159,8 +130,7 @@ def everything(seed=0, free=None) -> Problem:
     )
     rods = Distances([15, 17, 12, 21], [16, 18, 19, 22], [0.4, 0.5, 0.6, 0.2], [0.01, 0.02, 0.01, 0.01])
     poses = [
-        Pose(Rotation.random(random_state=k).as_matrix(), rng.uniform(-0.3, 0.3, 3) + [0, 0, 1])
-        for k in range(3)
+        Pose(Rotation.random(random_state=k).as_matrix(), rng.uniform(-0.3, 0.3, 3) + [0, 0, 1]) for k in range(3)
     ]
     sigma = np.full((3, 6), np.inf)
     sigma[1] = [0.1, 0.2, np.inf, 0.05, 0.1, np.inf]
@@ -186,13 +156,7 @@ def dense(problem, layout, state):
     Columns: the reduced system's, then the blocks'.
     """
     unknowns, blocks = len(layout.names), int(layout.blocks.size.sum())
-    small = {
-        "K1_per_mm2": 1e-8,
-        "K2_per_mm4": 1e-9,
-        "K3_per_mm6": 1e-11,
-        "my_mm_per_px": 1e-7,
-        "P1_per_mm": 1e-7,
-    }
+    small = {"K1_per_mm2": 1e-8, "K2_per_mm4": 1e-9, "K3_per_mm6": 1e-11, "my_mm_per_px": 1e-7, "P1_per_mm": 1e-7}
     steps = np.full(unknowns + blocks, 1e-6)
     for k, name in enumerate(layout.names):
         own = name.split(".")[-1]
@@ -264,9 +228,7 @@ def test_normal_equations_of_every_kind_of_unknown():
     scale = np.sqrt(np.diag(want))
     np.testing.assert_allclose(matrix / np.outer(scale, scale), want / np.outer(scale, scale), atol=1e-5)
     want_slope = gradient[:u] - full[:u, u:] @ block_inverse @ gradient[u:]
-    np.testing.assert_allclose(
-        slope / scale, want_slope / scale, atol=1e-5 * np.abs(want_slope / scale).max()
-    )
+    np.testing.assert_allclose(slope / scale, want_slope / scale, atol=1e-5 * np.abs(want_slope / scale).max())
     # the names say which unknown is which
     assert layout.names[:7] == (
         *(f"c0.{n}" for n in ("turn_x_rad", "turn_y_rad", "turn_z_rad", "X_m", "Y_m", "Z_m")),
@@ -292,9 +254,7 @@ def test_what_a_camera_does_not_image_costs_and_pulls_nothing(robust):
     for weight in (layout.observations.weight, np.where(seen, layout.observations.weight, 0.0)):
         normals = empty_normals(layout)
         see = layout.observations._replace(weight=weight)
-        cost, unseen = linearise(
-            state, see, layout.columns, layout.blocks, layout.known, Loss(*robust), normals
-        )
+        cost, unseen = linearise(state, see, layout.columns, layout.blocks, layout.known, Loss(*robust), normals)
         np.testing.assert_allclose(
             normals.residuals_px, np.where(seen[:, None], residual, np.nan), rtol=1e-9, atol=1e-9
         )

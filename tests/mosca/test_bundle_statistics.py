@@ -50,10 +50,7 @@ def unknowns_of(cameras, held_first=True) -> np.ndarray:
     """Return positions, f_px and k1 in the order in which they stand in ``parameters`` (turns left out)."""
     out = []
     for k, c in enumerate(cameras):
-        out += ([] if k == 0 and held_first else [*c.world_from_camera.translation]) + [
-            c.lens.fx_px,
-            c.lens.k1,
-        ]
+        out += ([] if k == 0 and held_first else [*c.world_from_camera.translation]) + [c.lens.fx_px, c.lens.k1]
     return np.array(out)
 
 
@@ -100,9 +97,7 @@ def test_the_inner_datum_is_the_pseudo_inverse():
             mine = np.flatnonzero(see.camera == k)
             seen = project_with_jacobians(camera, done.points[see.point[mine]])
             ratio = camera.lens.fy_px / camera.lens.fx_px
-            lens = np.stack(
-                [seen.by_lens[:, :, 0] + ratio * seen.by_lens[:, :, 1], seen.by_lens[:, :, 4]], axis=2
-            )
+            lens = np.stack([seen.by_lens[:, :, 0] + ratio * seen.by_lens[:, :, 1], seen.by_lens[:, :, 4]], axis=2)
             for j, m in enumerate(mine):
                 rows, at = slice(2 * m, 2 * m + 2), u + 3 * see.point[m]
                 design[rows, 8 * k : 8 * k + 8] = np.hstack([seen.by_pose[j], lens[j]])
@@ -190,9 +185,7 @@ def test_robust_losses_hold_against_blunders(loss):
     spoiled = replace(problem, observations=Observations(see.camera, see.point, xy, sigma_px=NOISE))
     plain, robust = solve(spoiled), solve(spoiled, BundleSettings(loss=loss))
     good = solve(problem)
-    off = [
-        np.abs(unknowns_of(one.cameras) - unknowns_of(good.cameras))[3::5].max() for one in (plain, robust)
-    ]
+    off = [np.abs(unknowns_of(one.cameras) - unknowns_of(good.cameras))[3::5].max() for one in (plain, robust)]
     assert robust.converged
     assert off[1] < 0.2 * off[0]
 
@@ -211,11 +204,7 @@ def test_a_robust_optimum_is_a_stationary_point():
 
 
 @settings(max_examples=25, deadline=None)
-@given(
-    shift=st.floats(-5, 5),
-    sigma=st.floats(0.05, 50),
-    which=st.sampled_from([("fx_px", 900.0), ("cx_px", 640.0)]),
-)
+@given(shift=st.floats(-5, 5), sigma=st.floats(0.05, 50), which=st.sampled_from([("fx_px", 900.0), ("cx_px", 640.0)]))
 def test_a_prior_is_one_more_observation(shift, sigma, which):
     """The estimate with a prior is that without, updated by the prior (Bayes' rule, linear as the step is
     small)."""
@@ -231,8 +220,7 @@ def test_a_prior_is_one_more_observation(shift, sigma, which):
     def solved(priors):
         unknowns = CameraUnknowns(camera, free, priors)
         return solve(
-            Problem((unknowns,), see, ObjectPoints.fixed(points)),
-            BundleSettings(tolerance=1e-7, hold_weak=False),
+            Problem((unknowns,), see, ObjectPoints.fixed(points)), BundleSettings(tolerance=1e-7, hold_weak=False)
         )
 
     plain, done = solved({}), solved({name: (value + shift, sigma)})
@@ -259,18 +247,14 @@ def test_a_weighted_pose_is_one_more_observation():
     strong = replace(problem.cameras[2], pose_sigma=(1e-9,) * 6)
     held = replace(problem.cameras[2], pose_sigma=HELD)
     one, two = (
-        solve(
-            replace(problem, cameras=(*problem.cameras[:2], c, problem.cameras[3])),
-            BundleSettings(tolerance=1e-7),
-        )
+        solve(replace(problem, cameras=(*problem.cameras[:2], c, problem.cameras[3])), BundleSettings(tolerance=1e-7))
         for c in (strong, held)
     )
     np.testing.assert_allclose(one.points, two.points, atol=1e-7)
     assert one.redundancy == two.redundancy
     loose = replace(problem.cameras[2], pose_sigma=(1e3,) * 6)
     three = solve(
-        replace(problem, cameras=(*problem.cameras[:2], loose, problem.cameras[3])),
-        BundleSettings(tolerance=1e-7),
+        replace(problem, cameras=(*problem.cameras[:2], loose, problem.cameras[3])), BundleSettings(tolerance=1e-7)
     )
     four = solve(problem, BundleSettings(tolerance=1e-7))
     np.testing.assert_allclose(three.points, four.points, atol=1e-7)

@@ -45,9 +45,7 @@ def test_an_exact_opencv_lens_comes_back():
     points = grid()
     done = adjust("opencv", opencv_pixels(points, DISTORTION), points)
     lens = done.camera.lens
-    np.testing.assert_allclose(
-        [lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px], [900, 905, 650, 500], atol=1e-4
-    )
+    np.testing.assert_allclose([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px], [900, 905, 650, 500], atol=1e-4)
     np.testing.assert_allclose([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3], DISTORTION, atol=1e-6)
     np.testing.assert_allclose(done.camera.world_from_camera.translation, ORIGIN, atol=1e-7)
     np.testing.assert_allclose(done.camera.world_from_camera.rotation, TURN.T, atol=1e-7)
@@ -116,9 +114,7 @@ def test_a_wide_fisheye_lens_comes_back():
     )[0].reshape(-1, 2)
     done = adjust("fisheye", xy, points)
     lens = done.camera.lens
-    np.testing.assert_allclose(
-        [lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px], [380, 381, 641, 510], atol=1e-3
-    )
+    np.testing.assert_allclose([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px], [380, 381, 641, 510], atol=1e-3)
     np.testing.assert_allclose(done.camera.world_from_camera.translation, ORIGIN, atol=1e-5)
 
 

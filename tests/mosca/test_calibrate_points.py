@@ -45,9 +45,7 @@ def write_recording(folder: Path, noise_px: float = 0.1) -> dict[str, np.ndarray
         turn = np.array([np.pi, 0.0, 0.0])
         rotation = cv2.Rodrigues(np.array([0.0, angle, 0.0]))[0] @ cv2.Rodrigues(turn)[0]
         place = rotation.T @ np.array([0.0, 0.0, -2000.0])
-        xy = cv2.projectPoints(points, cv2.Rodrigues(rotation)[0], -rotation @ place, K, None)[0].reshape(
-            -1, 2
-        )
+        xy = cv2.projectPoints(points, cv2.Rodrigues(rotation)[0], -rotation @ place, K, None)[0].reshape(-1, 2)
         xy += rng.normal(0, noise_px, xy.shape)
         rows = [" ".join(f"{v:.6f}" for v in row) for row in np.column_stack([xy, points])]
         (folder / "points" / f"{name}.txt").write_text("# u v X Y Z\n" + "\n".join(rows) + "\n")
@@ -98,8 +96,7 @@ def test_columns_units_and_pixel_origin(tmp_path):
     path = tmp_path / "a.txt"
     path.write_text("7; 10.5; -3, 250\t20.5 1e2\n\n1 2 3 4 5 6 # a remark\n")
     target = target_of(
-        tmp_path,
-        TARGET.replace('"mm"', '"mm"\ncolumns = ["-", "X", "Y", "Z", "u", "v"]\npixel_origin = "corner"'),
+        tmp_path, TARGET.replace('"mm"', '"mm"\ncolumns = ["-", "X", "Y", "Z", "u", "v"]\npixel_origin = "corner"')
     )
     points = read_measured_points(path, target)
     np.testing.assert_allclose(points.xy_px, [[20.0, 99.5], [4.5, 5.5]])
@@ -117,11 +114,7 @@ def test_columns_units_and_pixel_origin(tmp_path):
         ('kind = "points"', "", "no 'kind' given"),
         ('unit = "mm"', 'unit = "inch"', "key 'unit': 'inch' given"),
         ('unit = "mm"', "", "key 'unit' is missing"),
-        (
-            'unit = "mm"',
-            'unit = "mm"\ncolumns = ["u", "v", "X", "Y"]',
-            "each of u, v, X, Y, Z must stand in it once",
-        ),
+        ('unit = "mm"', 'unit = "mm"\ncolumns = ["u", "v", "X", "Y"]', "each of u, v, X, Y, Z must stand in it once"),
         ('lens = "opencv"', 'lense = "opencv"', "unknown key 'lense'; did you mean 'lens'?"),
         ("size_px = [1280, 1024]", "", "camera 'left' has no 'size_px'"),
         ("size_px = [1280, 1024]", "size_px = [1280, 0]", "size_px[1]"),
@@ -179,9 +172,7 @@ def test_what_a_recording_lacks_is_named(tmp_path):
 
 
 @settings(
-    max_examples=60,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 )
 @given(content=st.binary(max_size=200) | st.text("0123456789.- e\n,;#\t", max_size=200).map(str.encode))
 def test_any_bytes_are_read_or_refused(tmp_path, content):

@@ -58,9 +58,7 @@ def test_aim_keeps_the_ray_of_the_middle_pixel():
     points, turn, origin = scene(rng)
     found = resect("c", pixels(points, turn, origin), points, rng)
     ray = turn.T @ np.linalg.solve(K, [639.5, 511.5, 1.0])
-    np.testing.assert_allclose(
-        aim(found, (639.5, 511.5)).rotation[:, 2], ray / np.linalg.norm(ray), atol=1e-9
-    )
+    np.testing.assert_allclose(aim(found, (639.5, 511.5)).rotation[:, 2], ray / np.linalg.norm(ray), atol=1e-9)
 
 
 def test_a_wide_fisheye_comes_back():

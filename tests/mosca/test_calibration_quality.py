@@ -144,16 +144,12 @@ def test_few_views_of_a_board(frames, severity):
     rng = np.random.default_rng(8)
     poses = board_poses(rng, frames, 0.6, 0.3)
     findings = [
-        f
-        for f in check_calibration(board_calibration(8, poses=poses, free=("f_px",)))
-        if f.code == "few-views"
+        f for f in check_calibration(board_calibration(8, poses=poses, free=("f_px",))) if f.code == "few-views"
     ]
     assert {f.severity for f in findings} == ({severity} if severity else set())
 
 
-@pytest.mark.parametrize(
-    ("scale", "expected"), [(1.10, {"wrong-size"}), (0.95, {"wrong-size"}), (1.02, set())]
-)
+@pytest.mark.parametrize(("scale", "expected"), [(1.10, {"wrong-size"}), (0.95, {"wrong-size"}), (1.02, set())])
 def test_wrong_size_shows_in_the_marks_images(scale, expected):
     calibration = field_calibration(9, scale=scale)
     ratio, sigma, *_ = size_ratio(calibration, DIAMETER_M)
@@ -169,9 +165,9 @@ def test_mixed_units(scale):
 
 
 def test_a_file_all_in_millimetres_stands_too_far_away():
-    assert codes(
-        check_calibration(field_calibration(10, scale=1000.0), target_diameters_m=1000 * DIAMETER_M)
-    ) == {"mixed-units"}
+    assert codes(check_calibration(field_calibration(10, scale=1000.0), target_diameters_m=1000 * DIAMETER_M)) == {
+        "mixed-units"
+    }
 
 
 @pytest.mark.parametrize(("scale", "expected"), [(1.0, set()), (1.0001, set()), (1.0006, {"scale-error"})])
@@ -326,9 +322,9 @@ def test_boards_join_cameras_by_views():
         return {0, 1} if f < 10 else {1, 2} if f < 20 else {0, 1, 2}
 
     assert codes(check_calibration(board_calibration(31, frames=22, who=who))) == set()
-    assert codes(
-        check_calibration(board_calibration(31, frames=21, who=lambda f: {0, 1} if f < 19 else {1, 2}))
-    ) >= {"weak-link"}
+    assert codes(check_calibration(board_calibration(31, frames=21, who=lambda f: {0, 1} if f < 19 else {1, 2}))) >= {
+        "weak-link"
+    }
 
 
 def test_a_target_seen_in_the_middle_only():
@@ -357,14 +353,10 @@ def test_many_blunders(good, share, severity):
     rng = np.random.default_rng(33)
     bad = (good.sightings.camera == 1) & (rng.random(len(good.sightings)) < share)
     found = [f for f in check_calibration(replace(good, used=good.used & ~bad)) if f.severity != "note"]
-    assert {(f.code, f.severity, f.camera) for f in found} == (
-        {("blunders", severity, "c1")} if severity else set()
-    )
+    assert {(f.code, f.severity, f.camera) for f in found} == ({("blunders", severity, "c1")} if severity else set())
 
 
-@pytest.mark.parametrize(
-    ("k1", "expected"), [(-0.05, {"lens-model"}), (-0.008, {"lens-model"}), (-1e-4, set())]
-)
+@pytest.mark.parametrize(("k1", "expected"), [(-0.05, {"lens-model"}), (-0.008, {"lens-model"}), (-1e-4, set())])
 def test_a_lens_that_the_model_cannot_follow(k1, expected):
     rng = np.random.default_rng(34)
     cameras = overhead(rng)

@@ -102,9 +102,7 @@ def test_fisheye_sees_beyond_ninety_degrees_and_on_the_axis():
     v = np.array([[1.0, 0.0, -0.05], [0.0, 0.0, 1.0], [1e-12, 0.0, 2.0]])
     xy = lens_pixels(FISHEYE, v)
     assert np.isfinite(xy).all()
-    np.testing.assert_allclose(
-        lens_directions(FISHEYE, xy), v / np.linalg.norm(v, axis=1)[:, None], atol=1e-9
-    )
+    np.testing.assert_allclose(lens_directions(FISHEYE, xy), v / np.linalg.norm(v, axis=1)[:, None], atol=1e-9)
 
 
 @pytest.mark.parametrize("lens", LENSES, ids=lambda lens: type(lens).__name__)
@@ -143,9 +141,7 @@ def test_jacobians_against_finite_differences(lens):
             type(lens)(**{n: getattr(lens, n) + (s * dh if n == name else 0) for n in names}) for s in (1, -1)
         )
         numeric = (lens_pixels(plus, v) - lens_pixels(minus, v)) / (2 * dh)
-        np.testing.assert_allclose(
-            p.by_lens[:, :, k], numeric, rtol=2e-4, atol=1e-3 * np.abs(numeric).max() + 1e-9
-        )
+        np.testing.assert_allclose(p.by_lens[:, :, k], numeric, rtol=2e-4, atol=1e-3 * np.abs(numeric).max() + 1e-9)
 
 
 @pytest.mark.parametrize("lens", LENSES, ids=lambda lens: type(lens).__name__)

@@ -157,9 +157,7 @@ def test_a_mirrored_image_reads_no_number_but_those(axis):
     assert found.number.tolist() == sorted(wanted)
     # all 25 that a mirror makes a number, as the table says
     chosen = list(read)
-    plates = [
-        View(n, (30 + 58 * (i % 5), 26 + 48 * (i // 5)), 8.0, roll=0.3 * i) for i, n in enumerate(chosen)
-    ]
+    plates = [View(n, (30 + 58 * (i % 5), 26 + 48 * (i // 5)), 8.0, roll=0.3 * i) for i, n in enumerate(chosen)]
     found = find_coded(np.ascontiguousarray(np.flip(paint((260, 320), plates, noise=0), axis)), "left")
     assert found.number.tolist() == sorted(read[n] for n in chosen)
 
@@ -212,13 +210,7 @@ def test_centres_agree_with_the_pipelines_detector():
 
 @pytest.mark.parametrize(
     ("dot_px", "tilt_deg", "blur", "limit"),
-    [
-        (6, 0, 0.6, 0.005),
-        (8, 0, 0.9, 0.0045),
-        (12, 45, 0.6, 0.0045),
-        (12, 45, 0.9, 0.0045),
-        (20, 60, 0.9, 0.0045),
-    ],
+    [(6, 0, 0.6, 0.005), (8, 0, 0.9, 0.0045), (12, 45, 0.6, 0.0045), (12, 45, 0.9, 0.0045), (20, 60, 0.9, 0.0045)],
 )
 def test_no_bias_without_noise(dot_px, tilt_deg, blur, limit):
     """A mask of whole pixels is up to 0.012 px off here. 16 bits: no rounding; painting itself leaves 0.003."""
@@ -245,9 +237,7 @@ def test_light_that_falls_across_a_dot_does_not_draw_its_centre(dot_px, limit, c
     raw = paint(
         SHAPE, list(plates.values()), white=white, black=black, around=black, light=light, samples=8, raw=True
     )
-    found = find_coded(
-        np.rint(200 * raw).astype(np.uint16), "left", CodedSettings(colour=colour), bit_depth=16
-    )
+    found = find_coded(np.rint(200 * raw).astype(np.uint16), "left", CodedSettings(colour=colour), bit_depth=16)
     assert len(found) == len(plates)
     off = found.xy_px - [plates[int(n)].xy for n in found.number]
     assert np.sqrt(np.mean(off**2)) < limit
@@ -334,9 +324,7 @@ def test_a_whole_hidden_white_sector_is_refused():
         for k in [k for k in range(SECTORS) if bits[k]][:3]:
             hide = wedge(2 * np.pi * k / SECTORS, 2 * np.pi / SECTORS, 8.0)
             view = View(number, (60.0, 60.0), 14.0)
-            assert find_coded(paint((120, 120), [view], noise=0, samples=3), "left").number.tolist() == [
-                number
-            ]
+            assert find_coded(paint((120, 120), [view], noise=0, samples=3), "left").number.tolist() == [number]
             assert len(find_coded(paint((120, 120), [view], noise=0, samples=3, hide=hide), "left")) == 0
 
 
@@ -359,9 +347,7 @@ def test_a_rendered_test_field_is_read(glow):
     towards = np.array([1.0, 0.7, -0.35]) / np.linalg.norm([1.0, 0.7, -0.35])
     right = np.cross(towards, [0, 0, 1.0])
     right /= np.linalg.norm(right)
-    pose = Pose(
-        np.stack([right, np.cross(towards, right), towards], axis=1), np.array([0, 0, 1.0]) - 3 * towards
-    )
+    pose = Pose(np.stack([right, np.cross(towards, right), towards], axis=1), np.array([0, 0, 1.0]) - 3 * towards)
     lens = OpenCVLens(1500.0, 1500.0, 639.5, 511.5, k1=-0.1)
     eye = VirtualCamera(Camera("eye", 1280, 1024, lens, pose), optics=Optics(vignetting=0.3), sensor=Sensor())
     source = TwinSource(scene, (eye,), frame_rate_hz=10.0, exposure_s=1e-3, pulses=1, seed=1)
@@ -413,9 +399,7 @@ def test_centres_of_rendered_targets(size, tilt):
 @settings(max_examples=40, deadline=None)
 @given(
     hnp.arrays(
-        np.uint8,
-        hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=70),
-        elements=st.integers(0, 255),
+        np.uint8, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=70), elements=st.integers(0, 255)
     ),
     st.sampled_from(["white", "black", "both"]),
 )

@@ -52,9 +52,7 @@ def rendered(name: str, read_noise_e: float = 10.0) -> tuple[tuple[Array, Array]
     return tuple(views)
 
 
-@pytest.mark.parametrize(
-    ("name", "limit_px"), [("checkerboard", 0.02), ("charuco", 0.03), ("apriltags", 0.03)]
-)
+@pytest.mark.parametrize(("name", "limit_px"), [("checkerboard", 0.02), ("charuco", 0.03), ("apriltags", 0.03)])
 def test_corners_are_where_they_truly_are(name, limit_px):
     errors = []
     for image, true in rendered(name):
@@ -111,9 +109,7 @@ def test_the_covariance_of_a_corner_by_many_draws():
     assert np.isinf(corner_covariance(np.full((41, 41), 9.0), np.array([20.0, 20.0]), 6, 3.0)).all()
 
 
-def warped(
-    board: Board, tilt: float, lean: float, roll: float, rng: np.random.Generator
-) -> tuple[Array, Array]:
+def warped(board: Board, tilt: float, lean: float, roll: float, rng: np.random.Generator) -> tuple[Array, Array]:
     """Return an image (480, 640) of the board as OpenCV draws it, before a pinhole camera, and its corners (k, 2).
 
     It leans by ``tilt`` to the side ``lean`` and is rolled by ``roll`` [rad]; its longer side is about 400 px.
@@ -125,9 +121,7 @@ def warped(
         flat = np.where((column + row) % 2, 230, 20).astype(np.uint8)
     else:
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, board.dictionary))
-        drawn = cv2.aruco.CharucoBoard(
-            (board.columns, board.rows), board.square_m, board.marker_m or 0.0, dictionary
-        )
+        drawn = cv2.aruco.CharucoBoard((board.columns, board.rows), board.square_m, board.marker_m or 0.0, dictionary)
         flat = np.clip(drawn.generateImage(size), 20, 230).astype(np.uint8)
     flat = cv2.copyMakeBorder(flat, cell, cell, cell, cell, cv2.BORDER_CONSTANT, value=230)
     c, s = np.cos(lean), np.sin(lean)
@@ -140,9 +134,7 @@ def warped(
     homography = camera @ place @ centred
     image = cv2.warpPerspective(flat, homography, (640, 480), flags=cv2.INTER_AREA, borderValue=100)
     noisy = cv2.GaussianBlur(image, (0, 0), 0.7) + rng.normal(0, 2, image.shape)
-    down = np.stack(
-        np.meshgrid(np.arange(1, board.rows), np.arange(1, board.columns), indexing="ij"), axis=-1
-    )
+    down = np.stack(np.meshgrid(np.arange(1, board.rows), np.arange(1, board.columns), indexing="ij"), axis=-1)
     corners = (down.reshape(-1, 2)[:, ::-1] + 1.0) * cell - 0.5
     return np.clip(noisy, 0, 255).astype(np.uint8), cv2.perspectiveTransform(corners[None], homography)[0]
 

@@ -45,8 +45,7 @@ def test_a_checkerboard_held_by_hand_is_found(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "why"),
-    [("cam_0_frame_000", "seen as a whole"), ("cam_3_frame_1070", "from where the board would")],
+    ("name", "why"), [("cam_0_frame_000", "seen as a whole"), ("cam_3_frame_1070", "from where the board would")]
 )
 def test_what_is_not_whole_or_not_flat_is_refused(name, why):
     """In one a hand hides the border, in the other the paper is bent."""

@@ -73,9 +73,7 @@ def test_any_circle_is_that_of_a_fine_polygon(x, y, z, tilt, side, radius, lens)
     found = eccentricity_px(eye, centre[None], normal[None], radius)[0]
     np.testing.assert_allclose(found, wanted, atol=limit)
     # by either face, and by a normal of any length
-    np.testing.assert_allclose(
-        eccentricity_px(eye, centre[None], -7 * normal[None], radius)[0], found, atol=1e-9
-    )
+    np.testing.assert_allclose(eccentricity_px(eye, centre[None], -7 * normal[None], radius)[0], found, atol=1e-9)
 
 
 def test_beside_and_behind_a_fisheye():

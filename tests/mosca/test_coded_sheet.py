@@ -52,9 +52,7 @@ def polygons(commands: Path_) -> list[np.ndarray]:
             found[-1].append(at[0])
         elif kind in "Cc":
             p, t = [found[-1][-1], *at], np.linspace(0, 1, 17)[1:, None]
-            curve = (
-                (1 - t) ** 3 * p[0] + 3 * t * (1 - t) ** 2 * p[1] + 3 * t**2 * (1 - t) * p[2] + t**3 * p[3]
-            )
+            curve = (1 - t) ** 3 * p[0] + 3 * t * (1 - t) ** 2 * p[1] + 3 * t**2 * (1 - t) * p[2] + t**3 * p[3]
             found[-1].extend(curve)
     return [np.array(part) for part in found if len(part) > 2]
 
@@ -111,9 +109,7 @@ def pdf_paths(file: Path, height_mm: float = PAGES_MM["A4"][1]) -> list[tuple[fl
     return found
 
 
-def painted(
-    paths: list[tuple[float | None, Path_]], size_mm: tuple[float, float] = PAGES_MM["A4"]
-) -> np.ndarray:
+def painted(paths: list[tuple[float | None, Path_]], size_mm: tuple[float, float] = PAGES_MM["A4"]) -> np.ndarray:
     """Return the sheet as an image (H, W) of PER_MM pixels a millimetre."""
     fine = 2
     width, height = (round(edge * PER_MM * fine) for edge in size_mm)
@@ -122,9 +118,7 @@ def painted(
         if grey is not None:
             for points in polygons(commands):
                 scaled = points / POINTS_PER_MM * PER_MM * fine
-                whole = [
-                    np.rint((scaled - 0.5) * 256).astype(np.int32)
-                ]  # OpenCV's pixels lie about whole numbers
+                whole = [np.rint((scaled - 0.5) * 256).astype(np.int32)]  # OpenCV's pixels lie about whole numbers
                 cv2.fillPoly(image, whole, 255 * grey, cv2.LINE_8, 8)
     return image.reshape(height // fine, fine, width // fine, fine).mean(axis=(1, 3)).astype(np.uint8)
 
@@ -149,17 +143,9 @@ def test_a_sheet_painted_by_a_browser_is_read(tmp_path, colour):
     """96 pixels an inch, four times as fine: a scan whose resolution is known."""
     (file,) = write_target_sheets(tmp_path / "sheet.svg", TARGETS, colour=colour)
     shot = tmp_path / "shot.png"
-    options = [
-        "--headless",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--hide-scrollbars",
-        "--force-device-scale-factor=4",
-    ]
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--force-device-scale-factor=4"]
     where = [f"--user-data-dir={tmp_path / 'browser'}", "--window-size=800,1130", f"--screenshot={shot}"]
-    subprocess.run(
-        [str(BROWSER), *options, *where, file.as_uri()], check=True, capture_output=True, timeout=600
-    )
+    subprocess.run([str(BROWSER), *options, *where, file.as_uri()], check=True, capture_output=True, timeout=600)
     image = cv2.imread(str(shot), cv2.IMREAD_GRAYSCALE)
     found = find_coded(image, "scan", CodedSettings(colour=colour, maximum_dot_px=150))
     assert found.number.tolist() == [target.number for target in TARGETS]

@@ -33,9 +33,7 @@ def carried(rig: Rig, scale: float, motion: Pose) -> Rig:
 def changed(rig: Rig, index: int, pose=None, **lens) -> Rig:
     cameras = list(rig.cameras)
     one = cameras[index]
-    cameras[index] = replace(
-        one, lens=replace(one.lens, **lens), world_from_camera=pose or one.world_from_camera
-    )
+    cameras[index] = replace(one, lens=replace(one.lens, **lens), world_from_camera=pose or one.world_from_camera)
     return Rig(tuple(cameras))
 
 

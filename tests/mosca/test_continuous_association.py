@@ -139,9 +139,7 @@ class _Straight:
 def test_samples_on_a_grid_say_what_vouches_for_them():
     cameras = rig()
     times = np.concatenate([np.arange(0.0, 0.3, 0.02), np.arange(0.6, 0.9, 0.02)])
-    rows = [
-        (c, p, k, t) for c in range(2) for p in range(2) for k, t in enumerate(times) if c == 0 or t < 0.3
-    ]
+    rows = [(c, p, k, t) for c in range(2) for p in range(2) for k, t in enumerate(times) if c == 0 or t < 0.3]
     camera, point, exposure, at = (np.array(column) for column in zip(*rows, strict=True))
     xyz = _Straight().at(at)[np.arange(len(at)), point.astype(int)]
     xy = np.array([pinhole(cameras.cameras[int(c)], x) for c, x in zip(camera, xyz, strict=True)])

@@ -167,9 +167,7 @@ def test_fewest_points(which, enough):
 
 def test_two_points_and_both_epipoles_are_a_pose():
     pose, a, b, e, e2 = scene(11)
-    assert relative_pose(a[:2], b[:2], e, e2).second_from_first.rotation == pytest.approx(
-        pose.rotation, abs=1e-9
-    )
+    assert relative_pose(a[:2], b[:2], e, e2).second_from_first.rotation == pytest.approx(pose.rotation, abs=1e-9)
     with pytest.raises(TooFewPointsError):
         essential(a[:1], b[:1], e, e2)
 

@@ -56,9 +56,7 @@ def test_synchronous_cameras_lose_nothing_against_points_of_single_instants():
             xy = observations.xy_px[own]
 
             def residuals(x, xy=xy):
-                return np.concatenate(
-                    [project(c, x[None])[0] - z for c, z in zip(rig.cameras, xy, strict=True)]
-                )
+                return np.concatenate([project(c, x[None])[0] - z for c, z in zip(rig.cameras, xy, strict=True)])
 
             truth = path(stamps[0][k : k + 1])[0, p]
             single.append(np.linalg.norm(least_squares(residuals, truth).x - truth))

@@ -68,14 +68,7 @@ def observed(late_s: dict[int, float]) -> TimedObservations:
     seen, names, true_s = session(3.0, own_clock=False)
     frame = [one.frame for one in seen]
     parts = [
-        (
-            np.full(len(n), c),
-            n,
-            frame[c],
-            true_s[c][frame[c]] - late_s.get(c, 0.0),
-            one.xy_px,
-            one.covariance_px2,
-        )
+        (np.full(len(n), c), n, frame[c], true_s[c][frame[c]] - late_s.get(c, 0.0), one.xy_px, one.covariance_px2)
         for c, (one, n) in enumerate(zip(seen, names, strict=True))
     ]
     columns = [np.concatenate(part) for part in zip(*parts, strict=True)]

@@ -47,9 +47,7 @@ def pose_of(camera: int, time_s: float) -> Pose:
 def markers(time_s: float) -> np.ndarray:
     k = np.arange(9)
     base = np.column_stack([0.25 * np.cos(2.4 * k), 0.25 * np.sin(2.4 * k), 0.06 * (k - 4)])
-    sway = 0.05 * np.column_stack(
-        [np.sin(4 * time_s + k), np.cos(3 * time_s + 2 * k), np.sin(5 * time_s + k)]
-    )
+    sway = 0.05 * np.column_stack([np.sin(4 * time_s + k), np.cos(3 * time_s + 2 * k), np.sin(5 * time_s + k)])
     return base + sway
 
 
@@ -233,12 +231,7 @@ def test_lamps_taken_for_others_are_refused(session):
     seen, _whose = session
     with pytest.raises(InputError, match="camera 'c2': lamps tell at 0 instants where it is"):
         solve_worn(
-            seen,
-            rig(known_pose=False),
-            ("c0", "c1"),
-            Lamps((20, 21, 22), LAMP_M, 1 / RATE_HZ),
-            GATHERING,
-            SETTINGS,
+            seen, rig(known_pose=False), ("c0", "c1"), Lamps((20, 21, 22), LAMP_M, 1 / RATE_HZ), GATHERING, SETTINGS
         )
 
 

@@ -75,9 +75,7 @@ def test_banded_solver_equals_dense_algebra(width):
     right, border = band.right.copy(), band.border.copy()
     factor = band.factor()
     corner = rows.shared.T @ rows.shared + np.eye(2)
-    found, shared, _, covariance = solve_bordered(
-        [factor], [right], [border], corner, rows.shared.T @ rows.rest
-    )
+    found, shared, _, covariance = solve_bordered([factor], [right], [border], corner, rows.shared.T @ rows.rest)
     whole = np.block([[matrix, jacobian.T @ rows.shared], [rows.shared.T @ jacobian, corner]])
     expected = np.linalg.solve(whole, np.concatenate([jacobian.T @ rows.rest, rows.shared.T @ rows.rest]))
     np.testing.assert_allclose(np.concatenate([found[0], shared]), expected, atol=1e-8)

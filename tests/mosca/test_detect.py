@@ -12,14 +12,7 @@ from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
 from mosca.data.detections import UNREFINED
-from mosca.detection.detect import (
-    DEFAULTS,
-    DetectionSettings,
-    detect,
-    detect_set,
-    mean_background,
-    target_regions,
-)
+from mosca.detection.detect import DEFAULTS, DetectionSettings, detect, detect_set, mean_background, target_regions
 from mosca.errors import InputError
 
 
@@ -36,9 +29,7 @@ reference = _reference()
 
 def regions_of(image, wanted=DEFAULTS, bit_depth=8):
     labels = target_regions(image, wanted, bit_depth)
-    return {
-        frozenset((int(x), int(y)) for y, x in np.argwhere(labels == k)) for k in range(1, labels.max() + 1)
-    }
+    return {frozenset((int(x), int(y)) for y, x in np.argwhere(labels == k)) for k in range(1, labels.max() + 1)}
 
 
 def regions_by_paper(image, wanted, bit_depth=8):
@@ -110,9 +101,7 @@ def test_paper_centroid_equals_the_reference(seed):
     image = np.clip((light - 110) * 8, 0, 255).astype(np.uint8)
     wanted = DetectionSettings(centroid="paper", contrast_dn=10.0)
     inside = [
-        region
-        for region in regions_by_paper(image, wanted)
-        if all(0 < x < 43 and 0 < y < 39 for x, y in region)
+        region for region in regions_by_paper(image, wanted) if all(0 < x < 43 and 0 < y < 39 for x, y in region)
     ]
     expected = np.array(sorted(reference.centroid(image, region) for region in inside))
     found = detect(image, "left", wanted).xy_px
@@ -284,10 +273,7 @@ def test_transposing_the_image_swaps_x_and_y(seed, centroid, atol):
             continue  # grown together: which pixels a neighbour takes depends on the order of places
         np.testing.assert_allclose(swapped.xy_px[b, ::-1], straight.xy_px[a], rtol=0, atol=atol)
         np.testing.assert_allclose(
-            swapped.covariance_px2[b, ::-1, ::-1],
-            straight.covariance_px2[a],
-            rtol=max(1e-9, 25 * atol),
-            atol=1e-8,
+            swapped.covariance_px2[b, ::-1, ::-1], straight.covariance_px2[a], rtol=max(1e-9, 25 * atol), atol=1e-8
         )
 
 
@@ -382,10 +368,7 @@ def test_a_background_image_takes_off_what_does_not_move():
         (lambda: detect(np.zeros((4, 4, 3), np.uint8), "left"), "left.*reduce colour"),
         (lambda: detect(np.zeros((4, 4)), "left"), "float64"),
         (lambda: detect(np.zeros((4, 4), np.uint8), "left", bit_depth=12), "bit_depth 12"),
-        (
-            lambda: detect(np.zeros((4, 4), np.uint8), "left", background=np.zeros((4, 5), np.uint8)),
-            "background",
-        ),
+        (lambda: detect(np.zeros((4, 4), np.uint8), "left", background=np.zeros((4, 5), np.uint8)), "background"),
         (lambda: detect_set([np.zeros((4, 4), np.uint8)], ["a", "b"]), "1 images, 2 cameras"),
         (lambda: mean_background([]), "no images"),
         (lambda: mean_background([np.zeros((4, 4), np.uint8), np.zeros((4, 5), np.uint8)]), "image 1"),
@@ -460,9 +443,7 @@ def errors_on_discs(diameter, blur, contrast, snr, n=864, **change):
     errors, variances, phases, diameters = [], [], [], []
     for _ in range(n // (across * down)):
         shifts = rng.integers(-FINE // 2, FINE // 2, (down, across, 2))
-        rows = [
-            np.hstack([pixels_of(diameter, blur, *shifts[r, c]) for c in range(across)]) for r in range(down)
-        ]
+        rows = [np.hstack([pixels_of(diameter, blur, *shifts[r, c]) for c in range(across)]) for r in range(down)]
         light = contrast * np.vstack(rows)
         noisy = black + rng.poisson(light.clip(0) / gain) * gain + rng.normal(0, read, light.shape)
         found = detect(np.clip(np.rint(noisy), 0, 255).astype(np.uint8), "left", wanted)
@@ -500,8 +481,7 @@ def test_error_is_near_the_cramer_rao_bound_unbiased_and_as_predicted(diameter, 
 
 # Measured: 1.03, 1.03, 1.12, 1.40, 1.83. The largest grey value, and with it the noise, enters the diameter.
 @pytest.mark.parametrize(
-    ("diameter", "blur", "limit"),
-    [(2.5, 0.7, 1.3), (4, 0.5, 1.3), (6, 0.7, 1.3), (10, 0.6, 1.6), (20, 0.6, 2)],
+    ("diameter", "blur", "limit"), [(2.5, 0.7, 1.3), (4, 0.5, 1.3), (6, 0.7, 1.3), (10, 0.6, 1.6), (20, 0.6, 2)]
 )
 def test_strong_noise_is_measured_as_predicted_where_contrast_is_set_above_it(diameter, blur, limit):
     # SNR 20 at 200 DN is 10 DN: B = 24 would split plateaus, so B is well above five times the noise.

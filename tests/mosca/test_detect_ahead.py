@@ -14,9 +14,7 @@ PATIENCE_S = 60.0
 
 
 def dark_sets(n):
-    return [
-        FrameSet(k, k, {"cam1": Frame("cam1", k, k, 1_000, np.zeros((16, 16), np.uint8))}) for k in range(n)
-    ]
+    return [FrameSet(k, k, {"cam1": Frame("cam1", k, k, 1_000, np.zeros((16, 16), np.uint8))}) for k in range(n)]
 
 
 def in_callers_thread():

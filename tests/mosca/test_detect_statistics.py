@@ -7,13 +7,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mosca.detection.disc_fit.camera_statistics import (
-    N_TALLIES,
-    N_TERMS,
-    NO_STATISTICS,
-    CameraStatistics,
-    joined,
-)
+from mosca.detection.disc_fit.camera_statistics import N_TALLIES, N_TERMS, NO_STATISTICS, CameraStatistics, joined
 from mosca.detection.scheduler import DELAY, EARLY_SETS, EARLY_UPDATES, UPDATE_PERIOD, DelayedStatistics
 
 
@@ -23,9 +17,7 @@ def lesson(name, k):
     rng = np.random.default_rng(k)
     root = rng.normal(size=(1, N_TERMS, 40))
     tallies = np.full((1, N_TALLIES), 30.0) + rng.random((1, N_TALLIES))
-    return CameraStatistics(
-        (name,), tallies, root @ root.transpose(0, 2, 1), rng.normal(size=(1, N_TERMS, 2))
-    )
+    return CameraStatistics((name,), tallies, root @ root.transpose(0, 2, 1), rng.normal(size=(1, N_TERMS, 2)))
 
 
 def summed(name, numbers):

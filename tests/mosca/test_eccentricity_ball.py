@@ -36,10 +36,7 @@ def outline_centroid(lens, centre, radius, points=4000):
     u, v = np.roll(x, -1), np.roll(y, -1)
     cross = x * v - u * y
     area = cross.sum() / 2
-    return xy.mean(axis=0) + [
-        ((x + u) * cross).sum() / (6 * area),
-        ((y + v) * cross).sum() / (6 * area),
-    ], abs(area)
+    return xy.mean(axis=0) + [((x + u) * cross).sum() / (6 * area), ((y + v) * cross).sum() / (6 * area)], abs(area)
 
 
 def test_by_hand():

@@ -38,10 +38,7 @@ LENS = EstimateSettings(LensChoice("mosca", 0.0099))
 def field_of(marks, radius=0.01, sigma_m=0.0) -> Field:
     up = np.array([0.0, 0.0, 1.0])
     return Field(
-        tuple(
-            PlacedTarget(f"code/{k:03d}", CodedTarget.of_dot(k, radius), mark, up)
-            for k, mark in enumerate(marks)
-        ),
+        tuple(PlacedTarget(f"code/{k:03d}", CodedTarget.of_dot(k, radius), mark, up) for k, mark in enumerate(marks)),
         sigma_m,
     )
 
@@ -90,9 +87,7 @@ def test_a_board_gives_the_rig_and_needs_no_diameters():
     rng = np.random.default_rng(2)
     rig = some_rig(rng, 3)
     board = Board(9, 6, 0.12, 0.12)
-    np.testing.assert_allclose(
-        np.ptp(board.corners(), axis=0), np.ptp(board_marks(8, 5, 0.12), axis=0), atol=1e-12
-    )
+    np.testing.assert_allclose(np.ptp(board.corners(), axis=0), np.ptp(board_marks(8, 5, 0.12), axis=0), atol=1e-12)
     poses = carried(rng, 30)
     given = seen(rig, board.corners(), poses, rng, noise=0.01)
     found = checked(calibrate_sightings(given, board, LENS), board)
@@ -212,9 +207,7 @@ def test_the_l_frame_sets_the_axes():
     rng = np.random.default_rng(5)
     rig = small_rig()
     field = field_of(0.5 * field_marks(rng, 60))
-    found = calibrate_sightings(
-        seen(rig, field.positions, stood(rng, 1, 2, 0, 0), rng, noise=0.005), field, LENS
-    )
+    found = calibrate_sightings(seen(rig, field.positions, stood(rng, 1, 2, 0, 0), rng, noise=0.005), field, LENS)
     # the field's axes are the world's; the L-frame stands elsewhere, turned by a right angle
     turn, place = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([0.1, -0.1, -0.2])
     there = FRAME.positions @ turn.T + place
@@ -222,9 +215,7 @@ def test_the_l_frame_sets_the_axes():
     moved = on_axes(found, Images(images, rig.names), FRAME, LENS)
     for one, true in zip(moved.rig.cameras, rig.cameras, strict=True):
         np.testing.assert_allclose(
-            one.world_from_camera.translation,
-            turn.T @ (true.world_from_camera.translation - place),
-            atol=3e-3,
+            one.world_from_camera.translation, turn.T @ (true.world_from_camera.translation - place), atol=3e-3
         )
     black = np.zeros_like(images[0][0])
     with pytest.raises(CalibrationError, match="nothing is seen of the L-frame"):

@@ -51,15 +51,7 @@ def assert_same(a: Tracks, b: Tracks) -> None:
 def one_sample(label: str, xyz: tuple[float, float, float], status: str = "measured", **other: int) -> Tracks:
     covariance = np.diag([4e-8, 9e-8, 36e-8])[None]
     return Tracks(
-        [other.get("frame", 0)],
-        [5],
-        [other.get("track", 1)],
-        [label],
-        [xyz],
-        covariance,
-        [2],
-        [np.nan],
-        [status],
+        [other.get("frame", 0)], [5], [other.get("track", 1)], [label], [xyz], covariance, [2], [np.nan], [status]
     )
 
 
@@ -81,9 +73,7 @@ def test_csv_by_hand(tmp_path: Path) -> None:
 def test_csv_and_npz_to_the_last_bit(tmp_path: Path, suffix: str) -> None:
     tracks = random_tracks(40, 7)
     symmetric = (tracks.covariance + tracks.covariance.transpose(0, 2, 1)) / 2
-    tracks = Tracks(
-        *(symmetric if n == "covariance" else getattr(tracks, n) for n in Tracks.__dataclass_fields__)
-    )
+    tracks = Tracks(*(symmetric if n == "covariance" else getattr(tracks, n) for n in Tracks.__dataclass_fields__))
     path = tmp_path / f"tracks{suffix}"
     write_tracks(tracks, path, 100)
     assert_same(read_npz(path) if suffix == ".npz" else read_tracks_csv(path), tracks)
@@ -92,9 +82,7 @@ def test_csv_and_npz_to_the_last_bit(tmp_path: Path, suffix: str) -> None:
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
-GOOD_CSV = (
-    ",".join(COLUMNS) + "\n0,5,1,a,1.5,-0.1,0.3,1,1,1,0,0,0,2,,measured\n1,6,1,,,,,,,,,,,0,0.5,filled\n"
-)
+GOOD_CSV = ",".join(COLUMNS) + "\n0,5,1,a,1.5,-0.1,0.3,1,1,1,0,0,0,2,,measured\n1,6,1,,,,,,,,,,,0,0.5,filled\n"
 
 
 @pytest.mark.parametrize(

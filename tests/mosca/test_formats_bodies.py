@@ -58,9 +58,7 @@ def test_csv_to_the_last_bit(tmp_path: Path) -> None:
 def test_csv_by_hand(tmp_path: Path) -> None:
     covariance = np.diag([1.0, 2, 3, 4, 5, 6])[None]
     covariance[0, 0, 5] = covariance[0, 5, 0] = 0.5
-    poses = BodyPoses(
-        [7], [8], ["b"], [[1.0, 0, 0, 0]], [[0.1, 0.2, 0.3]], covariance, [4], [0.001], ["measured"]
-    )
+    poses = BodyPoses([7], [8], ["b"], [[1.0, 0, 0, 0]], [[0.1, 0.2, 0.3]], covariance, [4], [0.001], ["measured"])
     write_bodies_csv(poses, tmp_path / "b.csv")
     head, line = (tmp_path / "b.csv").read_text().splitlines()
     cells = dict(zip(head.split(","), line.split(","), strict=True))

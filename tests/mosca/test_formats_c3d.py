@@ -87,18 +87,7 @@ def test_unknown_errors_stay_unknown(tmp_path: Path, deviation: float) -> None:
     np.testing.assert_allclose(again.deviation_m[table.measured], deviation, rtol=0.01)
 
 
-STRANGE = (
-    "a\tb",
-    "a b",
-    "",
-    "line\nbreak",
-    " padded ",
-    "marker_3",
-    "Zähler",
-    "馬",
-    "x" * 200,
-    "x" * 200 + "y",
-)
+STRANGE = ("a\tb", "a b", "", "line\nbreak", " padded ", "marker_3", "Zähler", "馬", "x" * 200, "x" * 200 + "y")
 
 
 def test_strange_labels_come_back_plain_and_distinct(tmp_path: Path) -> None:

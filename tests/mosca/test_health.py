@@ -31,15 +31,7 @@ def rig_of(count=4):
 
 
 def watched(
-    shake_px,
-    jitter_s=0.0,
-    late_s=(0.0, 0.0, 0.0, 0.0),
-    sets=300,
-    markers=40,
-    seed=1,
-    strays=0,
-    lost=(),
-    handed=None,
+    shake_px, jitter_s=0.0, late_s=(0.0, 0.0, 0.0, 0.0), sets=300, markers=40, seed=1, strays=0, lost=(), handed=None
 ):
     """Health after frame sets whose images shake (rms of each camera), with trigger errors; m/s speeds."""
     rng = np.random.default_rng(seed)

@@ -9,14 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from mosca.calibration import rigid_target as rigid
 from mosca.calibration.bundle.exposure_shake import body_shake, shaken_covariance, steadied
-from mosca.calibration.bundle.solver import (
-    CameraUnknowns,
-    ObjectPoints,
-    Observations,
-    Placements,
-    Problem,
-    solve,
-)
+from mosca.calibration.bundle.solver import CameraUnknowns, ObjectPoints, Observations, Placements, Problem, solve
 from mosca.calibration.rigid_target import RigidSettings, RigidTarget, calibrate_rigid
 from mosca.calibration.single_camera.interior_orientation import LensChoice
 from mosca.camera.projection import project
@@ -69,8 +62,7 @@ def shaken_problem(seed: int):
     rig = some_rig(rng, n=2, model="opencv", radius=3.0)
     marks = board_marks(4, 3, 0.2)
     poses = [
-        Pose(Rotation.from_rotvec(rng.normal(0, 0.5, 3)).as_matrix(), rng.uniform(-0.4, 0.4, 3))
-        for _ in range(10)
+        Pose(Rotation.from_rotvec(rng.normal(0, 0.5, 3)).as_matrix(), rng.uniform(-0.4, 0.4, 3)) for _ in range(10)
     ]
     frames = np.repeat(np.arange(10), 2)
     sightings = seen(rig, marks, [poses[k] for k in frames], rng, noise=NOISE, shake=SHAKE)
@@ -139,9 +131,7 @@ def test_shakes_are_generalised_least_squares():
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), sigma, rtol=0.06)
     # the estimate: linear from the truth, whose images are known without error
     weights = np.linalg.solve(v, design)
-    start = np.concatenate(
-        [project(rig.cameras[c], problem_point(problem, m)) for m, c in enumerate(see.camera)]
-    )
+    start = np.concatenate([project(rig.cameras[c], problem_point(problem, m)) for m, c in enumerate(see.camera)])
     step = np.linalg.solve(design.T @ weights, weights.T @ (see.xy_px - start).ravel())[:16]
     for c in range(2):
         true, one = rig.cameras[c], done.cameras[c]

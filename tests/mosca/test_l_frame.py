@@ -33,9 +33,7 @@ def shown(places=PLACES, clutter=2, noise_px=NOISE_PX, seed=0) -> list[Detection
         xy = np.vstack([xy, rng.uniform(0, 1, (clutter, 2)) * (656, 491)])
         xy, n = xy[rng.permutation(len(xy))], len(xy)
         ones = np.ones(n)
-        out.append(
-            Detections(camera.name, xy, np.tile(np.eye(2) * noise_px**2, (n, 1, 1)), 8 * ones, ones, ones)
-        )
+        out.append(Detections(camera.name, xy, np.tile(np.eye(2) * noise_px**2, (n, 1, 1)), 8 * ones, ones, ones))
     return out
 
 
@@ -137,9 +135,7 @@ def l_frame_images(noise_px=NOISE_PX) -> tuple[list[Detections], np.ndarray]:
     rng = np.random.default_rng(8)
     table = np.stack([project(one, PLACES) + rng.normal(0, noise_px, (4, 2)) for one in TRUE], axis=1)
     ones, covariance = np.ones(4), np.tile(np.eye(2) * noise_px**2, (4, 1, 1))
-    return [
-        Detections(one.name, table[:, k], covariance, 8 * ones, ones, ones) for k, one in enumerate(TRUE)
-    ], table
+    return [Detections(one.name, table[:, k], covariance, 8 * ones, ones, ones) for k, one in enumerate(TRUE)], table
 
 
 def drawn_sizes(found, table, draws=300) -> tuple[np.ndarray, np.ndarray]:

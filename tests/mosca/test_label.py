@@ -37,9 +37,7 @@ def figure(times: np.ndarray) -> tuple[list[str], np.ndarray]:
     for limb, (joint, marks) in LEFT.items():
         for side, mirror, phase in (("l", 1, 0.0), ("r", -1, np.pi)):
             swing = 0.6 * np.sin(4 * times + phase + (limb == "leg") * np.pi)
-            turns = Rotation.from_rotvec(
-                np.stack([swing, 0 * swing, 0.2 * mirror * np.cos(3 * times)], axis=1)
-            )
+            turns = Rotation.from_rotvec(np.stack([swing, 0 * swing, 0.2 * mirror * np.cos(3 * times)], axis=1))
             for name, place in marks.items():
                 names.append(f"{name}_{side}")
                 at = np.array(joint) + turns.apply(np.array(place) * [mirror, 1, 1])
@@ -63,9 +61,7 @@ def as_tracks(xyz: np.ndarray, track: np.ndarray, label: np.ndarray, seen: np.nd
 def learned(times: np.ndarray, limbs: dict[str, tuple[str, ...]] | None):
     names, xyz = figure(times)
     seen = np.ones(xyz.shape[:2], dtype=bool)
-    return learn_model(
-        as_tracks(xyz, np.tile(np.arange(len(names)), (len(xyz), 1)), np.array(names), seen), limbs
-    )
+    return learn_model(as_tracks(xyz, np.tile(np.arange(len(names)), (len(xyz), 1)), np.array(names), seen), limbs)
 
 
 def scrambled(
@@ -74,9 +70,7 @@ def scrambled(
     """Unlabelled tracks of the figure, and what each is: some never seen, some that change their number half-way."""
     names, xyz = figure(10 + np.arange(frames) / 100)
     m = len(names)
-    stray = (
-        rng.uniform(-1, 1, (1, clutter, 3)) + 0.05 * rng.normal(size=(frames, clutter, 3)).cumsum(axis=0) / 10
-    )
+    stray = rng.uniform(-1, 1, (1, clutter, 3)) + 0.05 * rng.normal(size=(frames, clutter, 3)).cumsum(axis=0) / 10
     xyz = np.concatenate([xyz, stray + xyz[:, :1]], axis=1) + rng.normal(0, 5e-4, (frames, m + clutter, 3))
     order = rng.permutation(m + clutter)
     track = np.tile(order, (frames, 1))
@@ -93,9 +87,7 @@ def scrambled(
 
 @pytest.mark.parametrize(("pose", "least"), [("T-pose", 0.7), ("motion", 0.9)])
 def test_a_symmetric_figure_is_labelled(pose: str, least: float) -> None:
-    model = (
-        learned(np.array([0.0, 0.01]), LIMBS) if pose == "T-pose" else learned(np.linspace(0, 3, 60), None)
-    )
+    model = learned(np.array([0.0, 0.01]), LIMBS) if pose == "T-pose" else learned(np.linspace(0, 3, 60), None)
     wrong, right, total = 0, 0, 0
     for seed in range(4):
         rng = np.random.default_rng(seed)
@@ -158,12 +150,7 @@ def test_a_real_subject_with_markers_on_all_limbs(other: str, least: float) -> N
     if not first.is_file() or not second.is_file():
         pytest.skip(f"needs {first} and {second} of MOSCA_DATA")
     rng = np.random.default_rng(7)
-    parts = [
-        "hip",
-        "chest",
-        "head",
-        *(f"{s}{p}" for p in ("Thigh", "Shin", "Shldr", "ForeArm") for s in "lr"),
-    ]
+    parts = ["hip", "chest", "head", *(f"{s}{p}" for p in ("Thigh", "Shin", "Shldr", "ForeArm") for s in "lr")]
     offsets = rng.uniform(-0.12, 0.12, (len(parts), 4, 3))
     paths = []
     for path in (first, second):

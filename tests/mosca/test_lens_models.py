@@ -164,9 +164,7 @@ def test_a_fisheye_of_190_degrees_is_fitted_from_its_rays():
 
 
 def test_a_pinhole_model_refuses_rays_from_beside_the_camera():
-    with pytest.raises(
-        InputError, match="rays stand 90 deg or more off the axis, which model 'mosca' cannot image"
-    ):
+    with pytest.raises(InputError, match="rays stand 90 deg or more off the axis, which model 'mosca' cannot image"):
         convert_lens(WIDE, "mosca", W, H)
 
 

@@ -44,12 +44,7 @@ def detected(rig, points, rng, sigma=SIGMA, clutter=0, miss=0.0):
         away = np.linalg.norm(points[keep] - camera.world_from_camera.translation, axis=1)
         diameter = 800.0 * 0.014 / np.concatenate([away, np.full(clutter, 3.0)])
         found[camera.name] = Detections(
-            camera.name,
-            places,
-            np.tile(sigma**2 * np.eye(2), (n, 1, 1)),
-            diameter,
-            np.full(n, 100.0),
-            np.ones(n),
+            camera.name, places, np.tile(sigma**2 * np.eye(2), (n, 1, 1)), diameter, np.full(n, 100.0), np.ones(n)
         )
         truth[camera.name] = np.concatenate([keep, np.full(clutter, -1)]).astype(int)
     return found, truth
@@ -63,9 +58,7 @@ def grouped(rig, found, settings=None, predicted=None):
 
 def members(rig, points, truth):
     """For each group the set of true points behind its rays."""
-    return [
-        {int(truth[c.name][row[k]]) for k, c in enumerate(rig.cameras) if row[k] >= 0} for row in points.rays
-    ]
+    return [{int(truth[c.name][row[k]]) for k, c in enumerate(rig.cameras) if row[k] >= 0} for row in points.rays]
 
 
 @pytest.mark.parametrize("count", [3, 4, 8])
@@ -114,9 +107,7 @@ def test_a_bad_ray_is_left_out():
     found, _ = detected(rig, truth3d, rng, sigma=0.02)
     bad = found["c2"]
     found["c2"] = Detections(
-        "c2",
-        bad.xy_px + 0.15,
-        *(getattr(bad, n) for n in ("covariance_px2", "diameter_px", "peak", "elongation")),
+        "c2", bad.xy_px + 0.15, *(getattr(bad, n) for n in ("covariance_px2", "diameter_px", "peak", "elongation"))
     )
     points = grouped(rig, found)
     best = int(np.argmax(points.n_cameras))
@@ -223,9 +214,7 @@ def test_an_image_alone_that_no_disc_fits_is_half_hidden_where_discs_fit_others(
     assert np.trace(odd.covariance[at[0]]) > np.trace(whole.covariance[same[0]])
     # controls: beside a neighbour the fit fails for its sake; where no fit was tried, none means nothing
     crowded = grouped(rig, flagged(rig, found, "c0", 0, UNREFINED | MERGED))
-    untried = grouped(
-        rig, {n: replace(f, flags=np.full(len(f), UNREFINED, np.uint8)) for n, f in found.items()}
-    )
+    untried = grouped(rig, {n: replace(f, flags=np.full(len(f), UNREFINED, np.uint8)) for n, f in found.items()})
     assert crowded.trusted[crowded.rays[:, 0] == 0] == pytest.approx(3.0)
     assert untried.trusted == pytest.approx(np.full(12, 3.0))
 
@@ -249,9 +238,7 @@ def test_blur_makes_no_near_image_look_half_hidden():
     pose = Pose(first.world_from_camera.rotation, 0.35 * first.world_from_camera.translation)
     rig = Rig((replace(first, world_from_camera=pose), *rig.cameras[1:]))  # 1 m away, the others 3 m
     found, _ = detected(rig, rng.uniform(-0.04, 0.04, (6, 3)), rng, sigma=0.02)
-    blurred = {
-        n: replace(f, diameter_px=np.sqrt((0.6 * f.diameter_px) ** 2 + 0.9**2)) for n, f in found.items()
-    }
+    blurred = {n: replace(f, diameter_px=np.sqrt((0.6 * f.diameter_px) ** 2 + 0.9**2)) for n, f in found.items()}
     whole = grouped(rig, blurred)
     assert whole.trusted == pytest.approx(np.full(6, 4.0))
     # control: with a tenth of an image's area gone it is trusted less
@@ -286,9 +273,7 @@ def test_what_is_left_open_is_counted():
     inside = np.cross(plane, a + b)
     inside /= np.linalg.norm(inside)
     found, _ = detected(rig, np.array([0.2 * inside, -0.2 * inside]), np.random.default_rng(0), sigma=0.01)
-    result = match_counted(
-        make_ray_table(rig, found, 0.0), Predicted.nothing(), MatchSettings(camera_sigma_px=0.0)
-    )
+    result = match_counted(make_ray_table(rig, found, 0.0), Predicted.nothing(), MatchSettings(camera_sigma_px=0.0))
     assert (len(result.points), result.left_open) == (0, 4)
 
 

@@ -103,9 +103,7 @@ def test_bvh_two_bones_by_hand(tmp_path: Path) -> None:
     np.testing.assert_allclose(positions[0], [[0, 0, 0], [0, 0, 0.1], [0, 0, 0.2]], atol=1e-15)
     # File: hip (10,20,30); 90 deg about z takes y to -x, twice 90 deg takes y to -y. World (x, -z, y).
     file = np.array([[10, 20, 30], [9, 20, 30], [9, 19, 30]])
-    np.testing.assert_allclose(
-        positions[1], 0.1 * np.stack([file[:, 0], -file[:, 2], file[:, 1]], 1), atol=1e-14
-    )
+    np.testing.assert_allclose(positions[1], 0.1 * np.stack([file[:, 0], -file[:, 2], file[:, 1]], 1), atol=1e-14)
 
 
 def test_asf_amc_by_hand(tmp_path: Path) -> None:
@@ -116,9 +114,7 @@ def test_asf_amc_by_hand(tmp_path: Path) -> None:
     positions, _ = forward_kinematics(motion)
     # a's own x axis is the file's y (axis 0 0 90): 90 deg about y leaves a and takes b from x to -z.
     file = np.array([[0, 0, 0], [0, 0, 0], [0, 2, 0], [0, 2, -1]])
-    np.testing.assert_allclose(
-        positions[0], unit * np.stack([file[:, 0], -file[:, 2], file[:, 1]], 1), atol=1e-15
-    )
+    np.testing.assert_allclose(positions[0], unit * np.stack([file[:, 0], -file[:, 2], file[:, 1]], 1), atol=1e-15)
     # Frame 2 by scipy's fixed-axis Euler angles (lower case): C M C^-1, first to last about fixed axes.
     root = Rotation.from_euler("xyz", [10, 20, 30], degrees=True)
     axes = Rotation.from_euler("xyz", [10, 20, 30], degrees=True)
@@ -126,9 +122,7 @@ def test_asf_amc_by_hand(tmp_path: Path) -> None:
     start = np.array([1.0, 2.0, 3.0])
     file = np.array([start, start, start + root.apply([0, 2, 0])])
     file = np.vstack([file, file[2] + b.apply([1, 0, 0])])
-    np.testing.assert_allclose(
-        positions[1], unit * np.stack([file[:, 0], -file[:, 2], file[:, 1]], 1), atol=1e-14
-    )
+    np.testing.assert_allclose(positions[1], unit * np.stack([file[:, 0], -file[:, 2], file[:, 1]], 1), atol=1e-14)
 
 
 def test_quaternions_do_not_flip(tmp_path: Path) -> None:
@@ -144,9 +138,7 @@ order = st.permutations("XYZ").map("".join)
 
 
 @settings(
-    max_examples=40,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 )
 @given(first=order, second=order, values=st.lists(angles, min_size=6, max_size=6))
 def test_bvh_agrees_with_scipy_for_every_channel_order(
@@ -248,9 +240,7 @@ def _edit(good: bytes, edits: list[tuple[int, int, bytes]]) -> bytes:
 
 
 fuzz = settings(
-    max_examples=150,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 )
 
 

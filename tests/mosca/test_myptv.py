@@ -53,9 +53,7 @@ MEDIAN_PX = {"mosca": (0.18, 0.31, 0.32), "opencv": (0.29, 0.30, 0.30), "fisheye
 
 
 def target(tmp_path: Path, lens: str) -> PointsTarget:
-    cameras = "\n".join(
-        f'[[camera]]\nname = "{name}"\nfile = "Calibration/{name}_cal_points"' for name in CAMERAS
-    )
+    cameras = "\n".join(f'[[camera]]\nname = "{name}"\nfile = "Calibration/{name}_cal_points"' for name in CAMERAS)
     path = tmp_path / "target.toml"
     path.write_text(f'kind = "points"\nunit = "mm"\nlens = "{lens}"\nsize_px = [1280, 1024]\n{cameras}\n')
     return read_target(path)
@@ -161,8 +159,7 @@ def detections(frame: int) -> dict[str, Detections]:
     found = {}
     for name in CAMERAS:
         images = [
-            cv2.imread(str(EXAMPLE / f"Images_{name}" / f"{k:02}.tif"), cv2.IMREAD_UNCHANGED)
-            for k in (1, 2, 3)
+            cv2.imread(str(EXAMPLE / f"Images_{name}" / f"{k:02}.tif"), cv2.IMREAD_UNCHANGED) for k in (1, 2, 3)
         ]
         found[name] = detect(images[frame], name, DETECTION, background=np.minimum.reduce(images))
     return found
@@ -243,11 +240,7 @@ def own_class(point: np.ndarray, blobs: list[int], of_triples: list[set[int]], e
 
 def compare(folder: Path) -> Comparison:
     """Calibrate and reconstruct with the example files, as the command line does, and compare all frames."""
-    rig_file, out, settings_file = (
-        folder / "rig.toml",
-        folder / "tracks.csv",
-        EXAMPLES / "myptv_settings.toml",
-    )
+    rig_file, out, settings_file = (folder / "rig.toml", folder / "tracks.csv", EXAMPLES / "myptv_settings.toml")
     options = CalibrateOptions(EXAMPLE, EXAMPLES / "myptv_target.toml", rig_file)
     calibrate(options, lambda done, total: None)
     reconstruct_recording(EXAMPLE, rig_file, out, 50.0, settings_file, ())
@@ -276,9 +269,7 @@ def compare(folder: Path) -> Comparison:
                 pairs.append((step.points.xyz[own], published[row]))
                 in_file += tuple(np.round(step.points.xyz[own], 9)) in kept
             else:
-                near = [
-                    np.flatnonzero(np.linalg.norm(found[c] - images[row, c], axis=1) < 1) for c in range(3)
-                ]
+                near = [np.flatnonzero(np.linalg.norm(found[c] - images[row, c], axis=1) < 1) for c in range(3)]
                 theirs[published_class(near, members)] += 1
         blobs = [np.loadtxt(EXAMPLE / f"blobs_{name}") for name in CAMERAS]
         trees = [cKDTree(b[b[:, 5] == frame][:, 1::-1]) for b in blobs]

@@ -122,9 +122,7 @@ def through_the_verb(folder: Path, train: Markers, *options: str) -> Rig:
     cameras = "\n".join(f'[[camera]]\nname = "c{k}"\nfile = "markers_c{k}.txt"' for k in range(4))
     target, out = folder / "target.toml", folder / "rig.toml"
     target.write_text(f'kind = "points"\nunit = "mm"\nsize_px = [{SIZE[0]}, {SIZE[1]}]\n{cameras}\n')
-    done = CliRunner().invoke(
-        cli, ["calibrate", str(folder), "--target", str(target), "--out", str(out), *options]
-    )
+    done = CliRunner().invoke(cli, ["calibrate", str(folder), "--target", str(target), "--out", str(out), *options])
     assert done.exit_code == 0, done.output
     return read_rig(out)
 
@@ -179,9 +177,7 @@ def test_what_the_held_out_error_is_made_of(markers, calibrated):
     np.testing.assert_allclose(rounding_mm, (0.025, 0.025, 0.128), atol=0.002)
     # the held-out planes stood a little turned and shifted themselves, which no calibration can know
     assert ((rms(stands_mm)[:2] > 0.035) & (rms(stands_mm)[:2] < 0.06)).all()
-    assert (
-        rms(rest_mm)[:2] < 0.042
-    ).all()  # rounding 0.025, so the lens model's own misfit is 0.03 mm or less
+    assert (rms(rest_mm)[:2] < 0.042).all()  # rounding 0.025, so the lens model's own misfit is 0.03 mm or less
     turns_mrad = motion[:, 5]
     assert -0.7 < turns_mrad[0] < -0.4  # at 88 mm
     assert 0.3 < turns_mrad[1] < 0.6  # at 212 mm
@@ -223,9 +219,7 @@ def pinhole_misfit_px(index: float, markers: Markers, start: Camera) -> float:
 
     pose, lens = start.world_from_camera, start.lens
     turn = Rotation.from_matrix(pose.rotation).as_rotvec()
-    first = np.concatenate(
-        [turn, pose.translation, [lens.fx_px / 1e3, lens.cx_px / 1e3, lens.cy_px / 1e3, 0]]
-    )
+    first = np.concatenate([turn, pose.translation, [lens.fx_px / 1e3, lens.cx_px / 1e3, lens.cy_px / 1e3, 0]])
     return float(np.sqrt(np.mean(least_squares(residuals, first, x_scale=0.01).fun ** 2)))
 
 

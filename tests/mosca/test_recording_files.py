@@ -57,12 +57,7 @@ def test_any_prefix_and_suffix_and_start(tmp_path: Path, suffix: str) -> None:
         "a": [(7, "ok"), (8, "ok"), (9, "ok"), (10, "dropped"), (11, "ok")],
         "b": [(7, "dropped"), (8, "ok"), (9, "ok"), (10, "ok"), (11, "dropped")],
     }
-    assert [(f.camera, f.time_ns) for f in frames[:4]] == [
-        ("a", 0),
-        ("b", 0),
-        ("a", 20_000_000),
-        ("b", 20_000_000),
-    ]
+    assert [(f.camera, f.time_ns) for f in frames[:4]] == [("a", 0), ("b", 0), ("a", 20_000_000), ("b", 20_000_000)]
     for frame in frames:
         if frame.image is not None:
             seed = frame.index + (100 if frame.camera == "b" else 0)
@@ -93,9 +88,7 @@ def test_truncated_files_are_corrupt_named_and_counted(tmp_path: Path, suffix: s
 
 @settings(max_examples=200, deadline=None)
 @given(data=st.data(), suffix=st.sampled_from(["png", "tif", "bmp"]), deep=st.booleans())
-def test_a_file_cut_anywhere_gives_no_image_or_the_whole_one(
-    data: st.DataObject, suffix: str, deep: bool
-) -> None:
+def test_a_file_cut_anywhere_gives_no_image_or_the_whole_one(data: st.DataObject, suffix: str, deep: bool) -> None:
     image = picture(3, np.uint16 if deep and suffix != "bmp" else np.uint8)
     whole = cv2.imencode(f".{suffix}", image)[1].tobytes()
     assert what_is_missing(whole) == ""
@@ -107,9 +100,7 @@ def test_a_file_cut_anywhere_gives_no_image_or_the_whole_one(
 
 
 @settings(max_examples=200, deadline=None)
-@given(
-    head=st.sampled_from([b"", b"\x89PNG\r\n\x1a\n", b"BM", b"II*\0", b"MM\0*"]), data=st.binary(max_size=200)
-)
+@given(head=st.sampled_from([b"", b"\x89PNG\r\n\x1a\n", b"BM", b"II*\0", b"MM\0*"]), data=st.binary(max_size=200))
 def test_any_bytes_give_an_image_or_a_fault(head: bytes, data: bytes) -> None:
     found, fault = decode_image(head + data)
     assert (found is None) == bool(fault)
@@ -126,12 +117,7 @@ def test_a_flipped_bit_in_a_png_is_noticed() -> None:
 def test_colour_is_reduced_by_luma_and_deep_images_stay_deep(tmp_path: Path) -> None:
     (tmp_path / "a").mkdir()
     colour = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
-    colour[:, :10], colour[:, 10:20], colour[:, 20:30], colour[:, 30:] = (
-        (255, 0, 0),
-        (0, 255, 0),
-        (0, 0, 255),
-        77,
-    )
+    colour[:, :10], colour[:, 10:20], colour[:, 20:30], colour[:, 30:] = ((255, 0, 0), (0, 255, 0), (0, 0, 255), 77)
     cv2.imwrite(str(tmp_path / "a" / "1.png"), colour)  # OpenCV writes BGR
     with_alpha = np.dstack([colour, np.full((HEIGHT, WIDTH), 9, np.uint8)])
     cv2.imwrite(str(tmp_path / "a" / "2.png"), with_alpha)
@@ -263,9 +249,7 @@ def test_any_edit_of_frames_csv_is_read_or_an_input_error(
     assert stamps.rate_hz > 0
 
 
-def write_video(
-    path: Path, pulses: list[int], fmt: str = "gray", codec: str = "ffv1", rate: int = 100
-) -> None:
+def write_video(path: Path, pulses: list[int], fmt: str = "gray", codec: str = "ffv1", rate: int = 100) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=rate)

@@ -23,10 +23,7 @@ from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 from mosca.errors import InputError
 from mosca.recording import McapRecording, RecordingWriter, open_recording
 
-CAMERAS = (
-    CameraInfo("left", 32, 24, 8, 100.0, "device", "exposure_middle"),
-    CameraInfo("right", 32, 24, 12, 100.0),
-)
+CAMERAS = (CameraInfo("left", 32, 24, 8, 100.0, "device", "exposure_middle"), CameraInfo("right", 32, 24, 12, 100.0))
 
 
 def picture(seed: int, deep: bool) -> np.ndarray:
@@ -61,16 +58,7 @@ def write(folder: Path, n: int, codec: str = "lz4") -> list[Frame]:
 def check_equal(read: list[Frame], written: list[Frame]) -> None:
     assert len(read) == len(written)
     for a, b in zip(read, written, strict=True):
-        for name in (
-            "camera",
-            "index",
-            "time_ns",
-            "exposure_ns",
-            "status",
-            "stamp_event",
-            "row_time_ns",
-            "note",
-        ):
+        for name in ("camera", "index", "time_ns", "exposure_ns", "status", "stamp_event", "row_time_ns", "note"):
             assert getattr(a, name) == getattr(b, name)
         if b.image is None:
             assert a.image is None
@@ -91,10 +79,7 @@ def test_round_trip(tmp_path: Path, codec: str) -> None:
         assert list(recording.channel("commands")) == [(20, {"thrust": [1.5, 2]}), (40, {"thrust": []})]
         assert list(recording.channel("imu")) == [(30, b"\x00\x01")]
         assert recording.notes == ()
-    assert sorted(p.name for p in (tmp_path / "new" / "rec").iterdir()) == [
-        "recording.mcap",
-        "recording.toml",
-    ]
+    assert sorted(p.name for p in (tmp_path / "new" / "rec").iterdir()) == ["recording.mcap", "recording.toml"]
 
 
 def test_toml_for_people(tmp_path: Path) -> None:
@@ -117,9 +102,7 @@ def test_others_can_read_it_by_the_documented_layout(tmp_path: Path) -> None:
         assert reader.get_header().profile == "mosca-recording"
         assert {m.name for m in reader.iter_metadata()} == {"mosca-recording", "camera/left", "camera/right"}
         assert [a.name for a in reader.iter_attachments()] == ["rig.toml"]
-        for schema, channel, message in reader.iter_messages(
-            topics=["/camera/right/frame"], log_time_order=False
-        ):
+        for schema, channel, message in reader.iter_messages(topics=["/camera/right/frame"], log_time_order=False):
             assert (schema.name, channel.message_encoding) == ("mosca.frame.v1", "mosca.frame.v1")
             found.append(message)
         commands = [json.loads(m.data) for _, _, m in reader.iter_messages(topics=["/commands"])]
@@ -210,9 +193,7 @@ for k in range(10**6):
 
 
 def test_a_killed_writer_leaves_what_it_wrote(tmp_path: Path) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-c", KILLED, str(tmp_path)], stdout=subprocess.PIPE, text=True
-    )
+    process = subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     with process.stdout:
         written = next(int(line) for line in process.stdout if int(line) == 40)
@@ -245,14 +226,10 @@ def read_bytes(folder: Path, data: bytes) -> tuple[list[Frame], tuple[str, ...]]
 
 
 @settings(
-    max_examples=80,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 )
 @given(share=st.floats(0, 1, exclude_max=True))
-def test_a_file_cut_anywhere_gives_a_beginning_and_says_so(
-    tmp_path: Path, whole: bytes, share: float
-) -> None:
+def test_a_file_cut_anywhere_gives_a_beginning_and_says_so(tmp_path: Path, whole: bytes, share: float) -> None:
     try:
         found, notes = read_bytes(tmp_path, whole[: int(share * len(whole))])
     except InputError:
@@ -262,9 +239,7 @@ def test_a_file_cut_anywhere_gives_a_beginning_and_says_so(
 
 
 @settings(
-    max_examples=150,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 )
 @given(data=st.data())
 def test_flipped_bytes_never_give_a_wrong_picture(tmp_path: Path, whole: bytes, data: st.DataObject) -> None:
@@ -284,9 +259,7 @@ def test_flipped_bytes_never_give_a_wrong_picture(tmp_path: Path, whole: bytes, 
 
 
 @settings(
-    max_examples=100,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 )
 @given(data=st.binary(max_size=300), magic=st.booleans())
 def test_any_bytes_are_an_input_error(tmp_path: Path, data: bytes, magic: bool) -> None:

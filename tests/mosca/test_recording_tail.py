@@ -21,9 +21,7 @@ pytestmark = pytest.mark.skipif(not Path("/dev/shm").is_dir(), reason="this syst
 def frame(camera, index, note=""):
     info = next(one for one in CAMERAS if one.name == camera)
     dtype = np.uint8 if info.bit_depth == 8 else np.uint16
-    image = (
-        np.random.default_rng([ord(camera), index]).integers(0, 200, (info.height, info.width)).astype(dtype)
-    )
+    image = np.random.default_rng([ord(camera), index]).integers(0, 200, (info.height, info.width)).astype(dtype)
     if note:
         return Frame(camera, index, index * 10, 5, None, "corrupt", note=note)
     return Frame(camera, index, index * 10, 5, image)
@@ -116,10 +114,7 @@ def test_after_a_kill_what_waited_is_read_once_and_kept_beside_the_recording(tmp
     with open_recording(out) as recording:
         frames = list(recording)
         left = recording.waiting()
-    assert [(f.camera, f.index) for f in frames] == [(c, k) for k in range(4) for c in "ab"] + [
-        ("b", 4),
-        ("a", 4),
-    ]
+    assert [(f.camera, f.index) for f in frames] == [(c, k) for k in range(4) for c in "ab"] + [("b", 4), ("a", 4)]
     for one in frames:
         same(one, frame(one.camera, one.index))
     assert {k.host_ns for k in left} == {3, 40, 41}

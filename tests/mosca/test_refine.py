@@ -7,13 +7,7 @@ import pytest
 from scipy.special import j1
 
 from mosca.data.detections import SATURATED, UNREFINED
-from mosca.detection.detect import (
-    NO_STATISTICS,
-    DetectionSettings,
-    detect,
-    detect_set,
-    detect_with_statistics,
-)
+from mosca.detection.detect import NO_STATISTICS, DetectionSettings, detect, detect_set, detect_with_statistics
 from mosca.errors import InputError
 
 FINE = 16  # samples a pixel
@@ -57,10 +51,7 @@ def fine_image(diameter, blur, circle=0.0, coma=0.0, shade=0.0):
         weight = np.repeat(weights / 64, 32)
         low = np.abs(f) < 2
         pupil = np.zeros((n, n), complex)
-        wave_x, wave_y = (
-            np.exp(-2j * np.pi * np.outer(dx, f[low])),
-            np.exp(-2j * np.pi * np.outer(dy, f[low])),
-        )
+        wave_x, wave_y = (np.exp(-2j * np.pi * np.outer(dx, f[low])), np.exp(-2j * np.pi * np.outer(dy, f[low])))
         pupil[np.ix_(low, low)] = (weight[:, None] * wave_y).T @ wave_x
         spectrum = spectrum * pupil
     return np.fft.fftshift(np.fft.ifft2(spectrum).real) * FINE**2
@@ -139,9 +130,7 @@ def learned_errors(seed, sizes, blur, contrast, snr, rounds, **odd):
     for k in range(rounds + 1):
         for diameter in sizes:
             image, truth, gain = frame(rng, diameter, blur, contrast, snr, **odd)
-            found, new = detect_with_statistics(
-                [image], ["a"], settings_for(contrast, snr, gain), statistics=learned
-            )
+            found, new = detect_with_statistics([image], ["a"], settings_for(contrast, snr, gain), statistics=learned)
             learned = learned.plus(new)
             if k == rounds:
                 out[diameter] = (*errors(found[0], truth), bound_px(diameter, blur, contrast, gain, **odd))
@@ -182,9 +171,7 @@ def test_wrong_noise_makes_the_stated_error_wrong():
 
 
 def test_defocus_of_three_pixels_costs_nothing():
-    for diameter, (error, variance, bound) in learned_errors(2, (3.3, 8.3), 0.6, 200, 50, 1, circle=3.0)[
-        0
-    ].items():
+    for diameter, (error, variance, bound) in learned_errors(2, (3.3, 8.3), 0.6, 200, 50, 1, circle=3.0)[0].items():
         assert np.sqrt(np.mean(error**2) / np.mean(bound**2)) < 1.12, diameter
         assert 0.8 < np.mean(error**2 / variance) < 1.2, diameter
 
@@ -228,9 +215,7 @@ def test_same_images_give_the_same_bytes_alone_or_in_a_set():
         assert alone[0].xy_px.tobytes() == together[i].xy_px.tobytes()
         np.testing.assert_array_equal(taught.tallies[0], new.tallies[i])
         assert detect_set([images[i]], [name], statistics=new)[0].xy_px.tobytes() == again[i].xy_px.tobytes()
-    split = detect_with_statistics(images[:1], ["a"])[1].plus(
-        detect_with_statistics(images[1:], ["b", "c"])[1]
-    )
+    split = detect_with_statistics(images[:1], ["a"])[1].plus(detect_with_statistics(images[1:], ["b", "c"])[1])
     np.testing.assert_array_equal(split.priors(("a", "b", "c")).blurs, new.priors(("a", "b", "c")).blurs)
 
 

@@ -29,9 +29,7 @@ def image_of(shapes):
             cover = np.clip((radius - np.hypot(u, v / how[1])) * FINE * how[1] + 0.5, 0, 1)
         else:
             ways = (2 * np.arange(48) + 1) / 48 - 1
-            cover = sum(
-                np.clip((radius - np.hypot(x - w * how[0], y - w * how[1])) * FINE + 0.5, 0, 1) for w in ways
-            )
+            cover = sum(np.clip((radius - np.hypot(x - w * how[0], y - w * how[1])) * FINE + 0.5, 0, 1) for w in ways)
             cover = cover / 48
         light = light * (1 - cover) + bright * cover
     f = np.fft.fftfreq(n, 1 / FINE)
@@ -45,9 +43,7 @@ def image_of(shapes):
 
 def frame(light, rng):
     electrons = rng.poisson((np.maximum(light, 0) + DARK) / GAIN)
-    return np.clip(np.round(electrons * GAIN + rng.normal(0, READ, light.shape) + LEVEL), 0, 255).astype(
-        np.uint8
-    )
+    return np.clip(np.round(electrons * GAIN + rng.normal(0, READ, light.shape) + LEVEL), 0, 255).astype(np.uint8)
 
 
 def bounds_px2(shapes):
@@ -90,10 +86,7 @@ def learned():
 def pair_of(rng, apart, diameter, ratio=1.0):
     angle, middle = rng.uniform(0, 2 * np.pi), SIDE / 2 + rng.uniform(-0.5, 0.5, 2)
     half = 0.5 * apart * diameter * np.array([np.cos(angle), np.sin(angle)])
-    return [
-        (*(middle + half), diameter / 2, ratio * BRIGHT, None),
-        (*(middle - half), diameter / 2, BRIGHT, None),
-    ]
+    return [(*(middle + half), diameter / 2, ratio * BRIGHT, None), (*(middle - half), diameter / 2, BRIGHT, None)]
 
 
 @pytest.mark.parametrize(("diameter", "most"), [(5.0, 2.0), (6.5, 1.3), (8.0, 1.3)])
@@ -123,14 +116,10 @@ def test_what_is_long_but_one_stays_one(how, learned):
         radius, angle = rng.uniform(2.0, 5.0), rng.uniform(0, np.pi)
         way = rng.uniform(0.2, 1.2) * radius
         shape = (
-            (way * np.cos(angle), way * np.sin(angle))
-            if how == "moved"
-            else ("ellipse", rng.uniform(0.35, 1), angle)
+            (way * np.cos(angle), way * np.sin(angle)) if how == "moved" else ("ellipse", rng.uniform(0.35, 1), angle)
         )
         middle = SIDE / 2 + rng.uniform(-0.5, 0.5, 2)
-        found = detect(
-            frame(image_of([(*middle, radius, BRIGHT, shape)]), rng), "a", TOGETHER, statistics=learned
-        )
+        found = detect(frame(image_of([(*middle, radius, BRIGHT, shape)]), rng), "a", TOGETHER, statistics=learned)
         assert len(found) == 1
 
 

@@ -93,9 +93,7 @@ def test_reading_by_hand(tmp_path: Path) -> None:
     assert left.lens == OpenCVLens(1400.0, 1401.0, 640.0, 511.5, k1=-0.1)
     assert right.lens == MoscaLens(8.0, 640.0, 511.5, 0.005, 0.005, K1_per_mm2=1e-4)
     # (0.5, -0.5, 0.5, -0.5) is the camera that looks along the world's +x, its x to -y, its y down.
-    np.testing.assert_allclose(
-        left.world_from_camera.rotation, [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], atol=1e-15
-    )
+    np.testing.assert_allclose(left.world_from_camera.rotation, [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], atol=1e-15)
     np.testing.assert_array_equal(left.world_from_camera.translation, [2.0, -1.5, 2.2])
     np.testing.assert_array_equal(right.world_from_camera.rotation, np.eye(3))
 
@@ -209,9 +207,7 @@ def test_rotation_by_nothing() -> None:
 
 @settings(max_examples=150, deadline=None)
 @given(data=st.binary(max_size=400))
-def test_any_bytes_give_a_rig_or_an_input_error(
-    tmp_path_factory: pytest.TempPathFactory, data: bytes
-) -> None:
+def test_any_bytes_give_a_rig_or_an_input_error(tmp_path_factory: pytest.TempPathFactory, data: bytes) -> None:
     path = tmp_path_factory.mktemp("rig") / "rig.toml"
     path.write_bytes(data)
     with pytest.raises(InputError):
@@ -232,9 +228,7 @@ def test_any_edit_gives_a_rig_or_an_input_error(
 @settings(max_examples=100, deadline=None)
 @given(
     name=st.sampled_from(["s1", "s2", "s3", "s4", "tauX", "tauY"]),
-    value=st.one_of(
-        st.floats(), st.integers(), st.booleans(), st.text(max_size=4).map(repr), st.just("[0.1]")
-    ),
+    value=st.one_of(st.floats(), st.integers(), st.booleans(), st.text(max_size=4).map(repr), st.just("[0.1]")),
 )
 def test_any_prism_or_tilt_gives_a_rig_or_an_input_error(
     tmp_path_factory: pytest.TempPathFactory, name: str, value: object
@@ -255,8 +249,7 @@ def test_schema_is_one_that_editors_take() -> None:
     assert schema["required"] == ["camera"]
     assert set(schema["$defs"]) >= {"CameraTable", "MoscaLensTable", "OpenCVLensTable", "FisheyeLensTable"}
     assert (
-        schema["$defs"]["CameraTable"]["properties"]["lens"]["anyOf"][0]["discriminator"]["propertyName"]
-        == "model"
+        schema["$defs"]["CameraTable"]["properties"]["lens"]["anyOf"][0]["discriminator"]["propertyName"] == "model"
     )
 
 
@@ -334,11 +327,7 @@ def test_aniposelib_with_thin_prism_and_tilt_projects_as_opencv_says(tmp_path: P
         ("distortions = [0.01, 0.02, 0.0, 0.0]", "distortions = [0.0]", "a fisheye has 4"),
         ("[[500.0, 0.0, 320.0]", "[[500.0, 3.0, 320.0]", "skew 3"),
         ("size = [640, 480]\nmatrix", "matrix", r"\[cam_0\]: key 'size' is missing"),
-        (
-            "rotation = [0.3, -0.2, 1.1]",
-            "rotation = [[1.0,0.0,0.0],[0.0,2.0,0.0],[0.0,0.0,1.0]]",
-            "rotation is",
-        ),
+        ("rotation = [0.3, -0.2, 1.1]", "rotation = [[1.0,0.0,0.0],[0.0,2.0,0.0],[0.0,0.0,1.0]]", "rotation is"),
         ("320.0], [0.0, 510", "-3200.0], [0.0, 510", "cx_px = -3200 is far outside"),
     ],
 )

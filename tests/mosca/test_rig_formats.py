@@ -195,16 +195,10 @@ def test_a_qualisys_file_as_pose2sim_converts_it(tmp_path):
         (-0.11152829, 0.77661848, 3.06755196),
         (-0.79348039, 0.32283594, 4.35351487),
     ]
-    principal = [
-        (532.97369384375, 948.137390140625),
-        (534.494567875, 963.225891109375),
-        (513.20837403, 955.00512695),
-    ]
+    principal = [(532.97369384375, 948.137390140625), (534.494567875, 963.225891109375), (513.20837403, 955.00512695)]
     for camera, turn, shift, centre in zip(rig.cameras[:3], turns, shifts, principal, strict=True):
         camera_from_world = camera.world_from_camera.inverse()
-        np.testing.assert_allclose(
-            Rotation.from_matrix(camera_from_world.rotation).as_rotvec(), turn, atol=1e-7
-        )
+        np.testing.assert_allclose(Rotation.from_matrix(camera_from_world.rotation).as_rotvec(), turn, atol=1e-7)
         np.testing.assert_allclose(camera_from_world.translation, shift, atol=1e-7)
         np.testing.assert_allclose((camera.lens.cx_px, camera.lens.cy_px), centre, atol=1e-7)
         assert (camera.width, camera.height) == (1088, 1920)
@@ -258,9 +252,7 @@ def reprojection_px(rig: Rig, corners: Path) -> np.ndarray:
             x, y = cv2.undistortPoints(pixel[None, None], matrix, coefficients)[0, 0]
             across = np.column_stack([inverse.rotation, inverse.translation])
             rows += [x * across[2] - across[0], y * across[2] - across[1]]
-            parts.append(
-                (cv2.Rodrigues(np.array(inverse.rotation))[0], inverse.translation, matrix, coefficients)
-            )
+            parts.append((cv2.Rodrigues(np.array(inverse.rotation))[0], inverse.translation, matrix, coefficients))
         point = np.linalg.svd(rows)[2][-1]
         for (_, pixel), part in zip(views, parts, strict=True):
             again = cv2.projectPoints((point[:3] / point[3])[None], *part)[0][0, 0]
@@ -323,12 +315,7 @@ def _changed(original: bytes, position: float, cut: float, put: bytes) -> bytes:
 def written(tmp_path_factory) -> dict[str, tuple[str, bytes]]:
     folder = tmp_path_factory.mktemp("written")
     found = {}
-    for name, file in (
-        ("aniposelib", "a.toml"),
-        ("opencv", "a.yml"),
-        ("qtm", "a.qca.txt"),
-        ("openptv", "cal"),
-    ):
+    for name, file in (("aniposelib", "a.toml"), ("opencv", "a.yml"), ("qtm", "a.qca.txt"), ("openptv", "cal")):
         write_any_rig(rig_of(CENTRED), folder / file, name)
         path = folder / file if name != "openptv" else folder / "cal" / "cam_0.ori"
         found[name] = (path.name, path.read_bytes())
@@ -343,9 +330,7 @@ def written(tmp_path_factory) -> dict[str, tuple[str, bytes]]:
 @given(
     position=st.floats(0, 0.999),
     cut=st.floats(0, 1),
-    put=st.one_of(
-        st.binary(max_size=30), st.sampled_from([b"nan", b"-1e400", b"1e308", b"[", b"}", b"<a", b"\0"])
-    ),
+    put=st.one_of(st.binary(max_size=30), st.sampled_from([b"nan", b"-1e400", b"1e308", b"[", b"}", b"<a", b"\0"])),
 )
 def test_damaged_files_are_input_errors(name, written, position, cut, put):
     file, original = written[name]
@@ -356,12 +341,7 @@ def test_damaged_files_are_input_errors(name, written, position, cut, put):
 @settings(max_examples=40, deadline=None)
 @given(st.binary(max_size=200))
 def test_any_bytes_are_input_errors(file, data):
-    head = {
-        "a.yml": b"%YAML:1.0\n",
-        "a.xml": b"<opencv_storage>",
-        "a.json": b"{",
-        "a.qca.txt": b"<calibration>",
-    }
+    head = {"a.yml": b"%YAML:1.0\n", "a.xml": b"<opencv_storage>", "a.json": b"{", "a.qca.txt": b"<calibration>"}
     _read_or_refuse(file, data)
     _read_or_refuse(file, head.get(file, b"") + data)
 

@@ -115,9 +115,7 @@ def interiors(draw, distorted: bool, scx: float | None = None):
     k1, k2, p1, p2 = (near(size) if distorted else 0.0 for size in (6e-4, 3e-6, 3e-5, 3e-5))
     wide = 1 + near(0.05) if scx is None else scx
     pixel_mm = (0.01 * (1 + near(0.05)), 0.01)
-    return OpenPTVInterior(
-        pixel_mm, SIZE, 14 + near(2), near(0.3), near(0.3), k1, k2, 0.0, p1, p2, wide, near(5e-3)
-    )
+    return OpenPTVInterior(pixel_mm, SIZE, 14 + near(2), near(0.3), near(0.3), k1, k2, 0.0, p1, p2, wide, near(5e-3))
 
 
 def files_of(folder: Path, one: OpenPTVInterior) -> None:
@@ -131,9 +129,7 @@ def files_of(folder: Path, one: OpenPTVInterior) -> None:
     added = (one.k1, one.k2, one.k3, one.p1, one.p2, one.scx, one.she)
     (folder / "one.addpar").write_text(" ".join(map(repr, added)) + "\n")
     size = (*map(str, SIZE), *map(repr, one.pixel_mm))
-    (folder / "ptv.par").write_text(
-        "\n".join(["1", "img", "cal", "1", "0", "1", *size, "0", "1", "1", "1", "0"])
-    )
+    (folder / "ptv.par").write_text("\n".join(["1", "img", "cal", "1", "0", "1", *size, "0", "1", "1", "1", "0"]))
 
 
 @settings(max_examples=20, deadline=None)

@@ -47,20 +47,14 @@ def test_a_standing_field(model, settings):
 
 
 def fisheye_rig(rng) -> Rig:
-    lenses = [
-        FisheyeLens(260.0, 261.0, 325 + rng.normal(), 246 + rng.normal(), -0.03, 0.004) for _ in range(3)
-    ]
-    return ring(
-        3, lenses, radius_m=2.5, height_m=0.8, first_rad=0.0, step_rad=2.1, names=("cam1", "cam2", "cam3")
-    )
+    lenses = [FisheyeLens(260.0, 261.0, 325 + rng.normal(), 246 + rng.normal(), -0.03, 0.004) for _ in range(3)]
+    return ring(3, lenses, radius_m=2.5, height_m=0.8, first_rad=0.0, step_rad=2.1, names=("cam1", "cam2", "cam3"))
 
 
 def test_a_fisheye_rig_from_a_field():
     rng = np.random.default_rng(2)
     rig, marks = fisheye_rig(rng), rng.uniform(-1.6, 1.6, (160, 3)) * [1, 1, 0.9]
-    far = np.min(
-        [np.linalg.norm(marks - c.world_from_camera.translation, axis=1) for c in rig.cameras], axis=0
-    )
+    far = np.min([np.linalg.norm(marks - c.world_from_camera.translation, axis=1) for c in rig.cameras], axis=0)
     marks = marks[far > 0.8]
     sightings = seen(rig, marks, still(3), rng)
     done = calibrate_rigid(sightings, RigidTarget("field", marks), RigidSettings(LensChoice("fisheye")))
@@ -188,9 +182,7 @@ def test_errors_are_one_line_and_say_what_to_do():
         calibrate_rigid(sightings, target, exterior, known=other)
     messages.append(str(told.value))
     with pytest.raises(CalibrationError, match="frame set 30: the target") as told:
-        calibrate_rigid(
-            sightings.only(sightings.frame != 30), target, replace(exterior, reference=30), known=rig
-        )
+        calibrate_rigid(sightings.only(sightings.frame != 30), target, replace(exterior, reference=30), known=rig)
     messages.append(str(told.value))
     assert not any("\n" in one for one in messages)
 

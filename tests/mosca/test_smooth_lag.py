@@ -152,10 +152,7 @@ def test_forgotten_tracks_begin_anew_and_free_their_place():
     assert smoother.capacity == 32
 
 
-@given(
-    st.integers(0, 12),
-    st.lists(st.lists(st.integers(0, 4), unique=True, max_size=5), min_size=1, max_size=40),
-)
+@given(st.integers(0, 12), st.lists(st.lists(st.integers(0, 4), unique=True, max_size=5), min_size=1, max_size=40))
 def test_every_sample_leaves_once_and_none_before_its_time(lag, instants):
     rng = np.random.default_rng(1)
     there = [np.isin(np.arange(5), who) for who in instants]

@@ -65,10 +65,7 @@ def test_the_greedy_choice_is_that_of_a_plain_search():
         turns = [word[k:] + word[:k] for k in range(9)]
         if word != min(turns) or any(run in word * 2 for run in ("0000", "1111")):
             continue
-        if (
-            any(0 < sum(a != b for a, b in zip(word, t, strict=True)) < 2 for t in turns)
-            or len(set(turns)) < 9
-        ):
+        if any(0 < sum(a != b for a, b in zip(word, t, strict=True)) < 2 for t in turns) or len(set(turns)) < 9:
             continue
         if all(sum(a != b for a, b in zip(old, t, strict=True)) >= 3 for old in kept for t in turns):
             kept.append(word)
@@ -77,9 +74,7 @@ def test_the_greedy_choice_is_that_of_a_plain_search():
     assert len(kept) > 1
 
 
-@pytest.mark.parametrize(
-    ("length", "counts"), [(14, (288, 36, 21)), (15, (487, 62, 33)), (17, (2832, 187, 99))]
-)
+@pytest.mark.parametrize(("length", "counts"), [(14, (288, 36, 21)), (15, (487, 62, 33)), (17, (2832, 187, 99))])
 def test_the_trade_off_table_is_true(length, counts):
     found = [len(cyclic_code(length, d, 4, most_zeros=5, most_ones=5).words) for d in (2, 3, 4)]
     assert tuple(found) == counts
@@ -113,9 +108,7 @@ def test_up_to_three_misread_sectors_make_no_number(number, turn, wrong):
 
 
 @given(
-    number=st.integers(0, LAMP_NUMBERS - 1),
-    start=st.integers(0, LAMP_BITS - 1),
-    wrong=st.integers(0, LAMP_BITS - 1),
+    number=st.integers(0, LAMP_NUMBERS - 1), start=st.integers(0, LAMP_BITS - 1), wrong=st.integers(0, LAMP_BITS - 1)
 )
 def test_a_lamp_is_read_from_any_frame_and_not_with_a_wrong_one(number, start, wrong):
     bits = lamp_bits(number)

@@ -49,13 +49,9 @@ def test_a_solid_target_has_its_pose_back(seed, distance):
 
 
 @settings(max_examples=40, deadline=None)
-@given(
-    tilt=st.floats(0.15, 1.2), way=st.floats(0, 2 * np.pi), spin=st.floats(0, 2 * np.pi), far=st.floats(1, 4)
-)
+@given(tilt=st.floats(0.15, 1.2), way=st.floats(0, 2 * np.pi), spin=st.floats(0, 2 * np.pi), far=st.floats(1, 4))
 def test_a_tilted_plane_has_its_pose_first_and_never_more_than_two(tilt, way, spin, far):
-    turn = Rotation.from_rotvec(tilt * np.array([np.cos(way), np.sin(way), 0])) * Rotation.from_euler(
-        "z", spin
-    )
+    turn = Rotation.from_rotvec(tilt * np.array([np.cos(way), np.sin(way), 0])) * Rotation.from_euler("z", spin)
     pose, points = Pose(turn.as_matrix(), [0.1, -0.05, far]), plane()
     fits = poses_of(directions(pose, points), points)
     assert 1 <= len(fits) <= 2

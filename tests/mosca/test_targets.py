@@ -46,11 +46,7 @@ def test_the_axes_of_a_face(normal, x_axis, x, y):
 @given(st.lists(st.floats(-10, 10), min_size=6, max_size=6))
 def test_the_axes_of_a_face_are_a_rotation(values):
     normal, x_axis = np.array(values[:3]), np.array(values[3:])
-    assume(
-        np.linalg.norm(np.cross(normal, x_axis))
-        > 1e-2 * np.linalg.norm(normal) * np.linalg.norm(x_axis)
-        > 1e-4
-    )
+    assume(np.linalg.norm(np.cross(normal, x_axis)) > 1e-2 * np.linalg.norm(normal) * np.linalg.norm(x_axis) > 1e-4)
     axes = face_axes(normal, x_axis)
     np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-12)
     assert np.linalg.det(axes) > 0
@@ -76,10 +72,7 @@ def test_a_coded_target_of_the_usual_proportions():
         (lambda: RoundTarget(0.0), "radius_m = 0 given"),
         (lambda: BallTarget(float("inf")), "diameter_m = inf given"),
         (lambda: PlacedTarget("a", RoundTarget(0.1), np.zeros(3), np.zeros(3)), "normal = "),
-        (
-            lambda: PlacedTarget("a", RoundTarget(0.1), np.zeros(3), np.ones(3), np.ones(3)),
-            "lies along the normal",
-        ),
+        (lambda: PlacedTarget("a", RoundTarget(0.1), np.zeros(3), np.ones(3), np.ones(3)), "lies along the normal"),
         (lambda: TestField(()), "one target at least"),
         (lambda: TestField((PlacedTarget("a", RoundTarget(0.1), np.zeros(3)),) * 2), "'a' stands twice"),
         (lambda: TestField((PlacedTarget("a", RoundTarget(0.1), np.zeros(3)),), -1.0), "sigma_m = -1 given"),
@@ -91,10 +84,7 @@ def test_a_coded_target_of_the_usual_proportions():
         (lambda: Board(9, 6, 0.0, 0.04), "square_m = 0 given"),
         (lambda: Board(9, 6, 0.04, -0.04), "margin_m = -0.04 given"),
         (lambda: Board(9, 6, 0.04, 0.04, 0.03), "go together"),
-        (
-            lambda: Board(9, 6, 0.04, 0.04, 0.03, "DICT_9X9_50"),
-            "dictionary = 'DICT_9X9_50' given; allowed: DICT_4X4",
-        ),
+        (lambda: Board(9, 6, 0.04, 0.04, 0.03, "DICT_9X9_50"), "dictionary = 'DICT_9X9_50' given; allowed: DICT_4X4"),
         (lambda: Board(9, 6, 0.04, 0.04, 0.04, "DICT_5X5_50"), "above 0 and below square_m"),
         (lambda: Board(11, 10, 0.04, 0.04, 0.03, "DICT_5X5_50"), "has 50 markers; this board takes 55"),
         (lambda: Wand((0.0,), 0.01), "two places at least"),
@@ -102,10 +92,7 @@ def test_a_coded_target_of_the_usual_proportions():
         (lambda: LFrame(("a", "b"), np.zeros((2, 3)), 0.01), "2 markers given"),
         (lambda: LFrame(("a", "b", "c"), np.eye(3)[[0, 0, 0]] * [[1], [2], [4]], 0.01), "lie in a line"),
         (lambda: LFrame(("a", "b", "c"), np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), 0.01), "'b' and 'c'"),
-        (
-            lambda: LFrame(("a", "b", "a"), np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0.0]]), 0.01),
-            "'a' stands twice",
-        ),
+        (lambda: LFrame(("a", "b", "a"), np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0.0]]), 0.01), "'a' stands twice"),
     ],
 )
 def test_what_cannot_be_is_refused(make, said):

@@ -93,12 +93,7 @@ def test_measured_points_alone_are_wanted_where_they_are(tmp_path):
 @pytest.mark.parametrize(
     ("text", "old", "new", "said"),
     [
-        (
-            FIELD,
-            '"field"',
-            '"feld"',
-            "kind = 'feld' given; allowed: 'points', 'field', 'board', 'wand', 'l_frame'",
-        ),
+        (FIELD, '"field"', '"feld"', "kind = 'feld' given; allowed: 'points', 'field', 'board', 'wand', 'l_frame'"),
         (FIELD, "number = 17", "number = 507", "target[0].number"),
         (FIELD, "dot_radius_m", "dot_radius", "unknown key 'dot_radius'; did you mean 'dot_radius_m'?"),
         (FIELD, "0.35]", "3500]", "target[0].position_m[2]': 3500 given"),
@@ -136,9 +131,7 @@ def test_the_schema_knows_all_kinds():
 
 
 quiet = settings(
-    max_examples=80,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 )
 coordinate = st.floats(-1000, 1000)
 triple = st.tuples(coordinate, coordinate, coordinate)
@@ -166,9 +159,7 @@ def test_a_field_is_written_and_read_again(tmp_path, rows):
 
 
 def test_a_field_of_two_sizes_has_no_file():
-    field = TestField(
-        tuple(PlacedTarget(f"t{k}", RoundTarget(0.01 * (k + 1)), np.zeros(3)) for k in range(2))
-    )
+    field = TestField(tuple(PlacedTarget(f"t{k}", RoundTarget(0.01 * (k + 1)), np.zeros(3)) for k in range(2)))
     with pytest.raises(ValueError, match="of one size"):
         field_toml(field)
 
@@ -183,9 +174,7 @@ def test_any_bytes_are_read_or_refused(tmp_path, content):
 
 
 values = st.recursive(
-    st.one_of(
-        st.floats(), st.integers(-(2**63), 2**63 - 1), st.booleans(), st.text(max_size=5), triple.map(list)
-    ),
+    st.one_of(st.floats(), st.integers(-(2**63), 2**63 - 1), st.booleans(), st.text(max_size=5), triple.map(list)),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.sampled_from(["name", "number"]), inner),
     max_leaves=6,
 )

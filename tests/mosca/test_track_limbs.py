@@ -23,9 +23,7 @@ LIMB = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.15, 0], [0.02, 0.03, 0.12]])
 def limb_path(frames):
     """A limb that swings 60 degrees and travels: (frames, 4, 3) [m]."""
     t = np.arange(frames) * 0.01
-    turn = Rotation.from_euler(
-        "zx", np.column_stack([60 * np.sin(4 * t), 30 * np.sin(2.5 * t)]), degrees=True
-    )
+    turn = Rotation.from_euler("zx", np.column_stack([60 * np.sin(4 * t), 30 * np.sin(2.5 * t)]), degrees=True)
     move = np.column_stack([0.8 * t, 0.2 * np.sin(3 * t), 1 + 0 * t])
     return np.array([r.apply(LIMB) + m for r, m in zip(turn, move, strict=True)])
 
@@ -79,9 +77,7 @@ def test_a_stray_point_near_the_limb_is_not_the_hidden_marker():
     frames = []
     for k, x in enumerate(path):
         # 4 cm beside the place of the hidden marker, for half a second
-        frames.append(
-            points(np.vstack([x[:3], x[3] + [0, 0.04, 0]]) if 200 <= k < 250 else x[:3] if k >= 150 else x)
-        )
+        frames.append(points(np.vstack([x[:3], x[3] + [0, 0.04, 0]]) if 200 <= k < 250 else x[:3] if k >= 150 else x))
     tracks = follow(frames)
     hidden = identity_at(tracks, 100, path[100, 3])
     assert not np.any((tracks.track == hidden) & (tracks.frame >= 150))
@@ -109,9 +105,7 @@ def test_a_poor_sighting_off_its_limb_is_not_the_hidden_marker():
     path = leaving_its_limb(20.0)
     frames = [points(x[:3] if k == 110 else x) for k, x in enumerate(path)]
     for k in range(111, 140):  # two cameras, of which one shows an image of odd size
-        frames[k] = replace(
-            frames[k], n_cameras=np.array([4, 4, 4, 2]), trusted=np.array([4.0, 4.0, 4.0, 1.2])
-        )
+        frames[k] = replace(frames[k], n_cameras=np.array([4, 4, 4, 2]), trusted=np.array([4.0, 4.0, 4.0, 1.2]))
     tracks = follow(frames)
     fist = identity_at(tracks, 100, path[100, 3])
     assert not np.any((tracks.track == fist) & (tracks.frame > 110))

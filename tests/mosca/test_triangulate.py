@@ -25,10 +25,7 @@ MOSCA = MoscaLens(8.0, 330.0, 240.0, 0.01, 0.01, -0.006, 1e-3, -1.5e-5, 0, 1e-4,
 def rig_of(count, lens=MOSCA, radius=3.0):
     turns = np.linspace(0, 2 * np.pi, count, endpoint=False) + 0.3
     return Rig(
-        tuple(
-            looking_at([radius * np.cos(t), radius * np.sin(t), 1.0], lens, f"c{k}")
-            for k, t in enumerate(turns)
-        )
+        tuple(looking_at([radius * np.cos(t), radius * np.sin(t), 1.0], lens, f"c{k}") for k, t in enumerate(turns))
     )
 
 
@@ -71,9 +68,7 @@ def test_opencv_finds_the_same_point_from_exact_pinhole_images():
 def test_predicted_covariance_is_honest():
     rig, rng, sigma = rig_of(4), np.random.default_rng(2), 0.2
     points = rng.uniform(-0.4, 0.4, (2000, 3))
-    xyz, covariance, residual = triangulate(
-        rig, images(rig, points) + rng.normal(0, sigma, (2000, 4, 2)), sigma
-    )
+    xyz, covariance, residual = triangulate(rig, images(rig, points) + rng.normal(0, sigma, (2000, 4, 2)), sigma)
     error = xyz - points
     nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
     # the sum of 2000 chi-squares with 3 degrees of freedom, both ways

@@ -51,13 +51,9 @@ def test_rays_and_their_errors_are_those_of_the_lens_model(name, seed):
     np.testing.assert_allclose(bundle.direction, true.direction, atol=1e-11)
     root = np.linalg.cholesky(COVARIANCE + 0.05**2 * np.eye(2))
     white = np.linalg.solve(root, true.pixel_by_direction)
-    np.testing.assert_allclose(
-        bundle.rays[:, WHITE : WHITE + 6].reshape(-1, 2, 3), white, rtol=1e-8, atol=1e-5
-    )
+    np.testing.assert_allclose(bundle.rays[:, WHITE : WHITE + 6].reshape(-1, 2, 3), white, rtol=1e-8, atol=1e-5)
     spread = np.linalg.pinv(white)
-    np.testing.assert_allclose(
-        bundle.rays[:, SPREAD : SPREAD + 6].reshape(-1, 3, 2), spread, rtol=1e-7, atol=1e-11
-    )
+    np.testing.assert_allclose(bundle.rays[:, SPREAD : SPREAD + 6].reshape(-1, 3, 2), spread, rtol=1e-7, atol=1e-11)
     assert bundle.rays[:, SIGMA] == pytest.approx(np.linalg.det(root @ root.T) ** 0.25)
 
 
@@ -68,9 +64,7 @@ def test_opencv_images_the_rays_at_their_pixels(name):
     matrix = np.array([[lens.fx_px, 0, lens.cx_px], [0, lens.fy_px, lens.cy_px], [0, 0, 1]])
     distortion = np.array(astuple(lens)[4:])
     local = bundled(lens, xy)[0].direction @ POSE.rotation
-    again = cv2.projectPoints(np.ascontiguousarray(local), np.zeros(3), np.zeros(3), matrix, distortion)[0][
-        :, 0
-    ]
+    again = cv2.projectPoints(np.ascontiguousarray(local), np.zeros(3), np.zeros(3), matrix, distortion)[0][:, 0]
     np.testing.assert_allclose(again, xy, atol=1e-8)
 
 

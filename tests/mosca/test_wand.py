@@ -103,9 +103,7 @@ def test_two_balls_whose_order_nobody_knows():
     assert np.mean(known.mark >= 0) > 0.9
     # all cameras of a frame agree, up to which end is called 0
     alike = np.where(known.mark >= 0, (known.mark == number).astype(float), np.nan)
-    wrong = sum(
-        min(np.nansum(one), np.nansum(1 - one)) for one in (alike[known.frame == f] for f in range(300))
-    )
+    wrong = sum(min(np.nansum(one), np.nansum(1 - one)) for one in (alike[known.frame == f] for f in range(300)))
     assert wrong / np.isfinite(alike).sum() < 0.01
     found = calibrated(true, shuffled, TWO_BALLS)
     middle = world.mean(axis=1)
@@ -139,9 +137,7 @@ def broken(how, sightings):
         late = (sightings.frame >= 100) & (sightings.camera < 2)
         return replace(sightings, camera=np.where(late, 1 - sightings.camera, sightings.camera))
     if how == "one camera late":
-        return replace(
-            sightings, frame=np.where(sightings.camera == 1, (sightings.frame + 7) % 200, sightings.frame)
-        )
+        return replace(sightings, frame=np.where(sightings.camera == 1, (sightings.frame + 7) % 200, sightings.frame))
     if how == "two groups":
         return sightings.only(np.where(sightings.camera < 2, sightings.frame < 100, sightings.frame >= 100))
     if how == "few":
@@ -154,10 +150,7 @@ def broken(how, sightings):
     [
         ("swapped half-way", "its own"),
         ("one camera late", "same instants"),
-        (
-            "two groups",
-            "no-link: no common view joins cameras cam1, cam2 with cam3, cam4|cam3, cam4 with cam1, cam2",
-        ),
+        ("two groups", "no-link: no common view joins cameras cam1, cam2 with cam3, cam4|cam3, cam4 with cam1, cam2"),
         ("few", "camera 'cam3' shares"),
     ],
 )

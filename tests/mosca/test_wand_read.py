@@ -56,9 +56,7 @@ def test_clutter_costs_some_wands_but_hardly_makes_wrong_ones():
 
 def test_four_balls_in_clutter():
     wand = Wand((0.0, 0.1, 0.3, 0.5), 0.02)
-    found = [
-        (balls, read_wand(shown, wand, 0, 0)) for balls, shown in wands_in_images(10, along=wand.along_m)
-    ]
+    found = [(balls, read_wand(shown, wand, 0, 0)) for balls, shown in wands_in_images(10, along=wand.along_m)]
     right = [part is not None and np.array_equal(part.xy_px, balls) for balls, part in found]
     assert np.mean(right) > 0.8
     assert sum(part is not None for _, part in found) - sum(right) <= 1

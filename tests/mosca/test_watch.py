@@ -9,13 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from mosca.calibration.monitoring.bump_detector import BumpDetector, BumpSettings, changes
-from mosca.calibration.monitoring.reorient import (
-    CameraObservations,
-    common_shift,
-    gather,
-    reorient,
-    reoriented,
-)
+from mosca.calibration.monitoring.reorient import CameraObservations, common_shift, gather, reorient, reoriented
 from mosca.calibration.monitoring.rotation_information import frame_sums
 from mosca.camera.projection import project
 from mosca.data.detections import Detections

@@ -30,9 +30,7 @@ def rig(n=4, seed=0, focals=(7.5,), radius=4.0) -> tuple[Camera, ...]:
     for k in range(n):
         a = 2 * np.pi * k / n + rng.normal(0, 0.1)
         centre = [radius * np.cos(a), radius * np.sin(a), 2 + rng.normal(0, 0.3)]
-        out.append(
-            camera(f"cam{k + 1}", rng, centre, rng.normal(0, 0.2, 3) + [0, 0, 1], focals[k % len(focals)])
-        )
+        out.append(camera(f"cam{k + 1}", rng, centre, rng.normal(0, 0.2, 3) + [0, 0, 1], focals[k % len(focals)]))
     return tuple(out)
 
 
@@ -45,9 +43,7 @@ def outward_ring(n=8, seed=0) -> tuple[Camera, ...]:
         way = np.array([np.cos(a), np.sin(a), 0.0])
         side = np.array([-np.sin(a), np.cos(a), 0.0])
         out.append(
-            camera(
-                f"cam{k + 1}", rng, way + [0, 0, 1.5 + 0.4 * (k % 2)], 4 * way + 0.3 * side + [0, 0, 1], 3.6
-            )
+            camera(f"cam{k + 1}", rng, way + [0, 0, 1.5 + 0.4 * (k % 2)], 4 * way + 0.3 * side + [0, 0, 1], 3.6)
         )
     return tuple(out)
 

@@ -50,10 +50,7 @@ def target_regions(
         if not h > lowest:  # step 8
             break
     targets, count = ndimage.label(output, structure=EIGHT_NEIGHBOURS)  # step 9
-    return [
-        frozenset((int(x), int(y)) for y, x in np.argwhere(targets == number))
-        for number in range(1, count + 1)
-    ]
+    return [frozenset((int(x), int(y)) for y, x in np.argwhere(targets == number)) for number in range(1, count + 1)]
 
 
 def centroid(image: np.ndarray, region: frozenset[tuple[int, int]]) -> tuple[float, float]:

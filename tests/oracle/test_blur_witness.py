@@ -23,9 +23,7 @@ MIDDLE, FIELD = (52.0, 33.0), (80.0, 58.0)
 CENTROID_PX, PIXEL = 0.001, 0.01
 
 
-def expected(
-    optics: Optics, xy: tuple[float, float], diameter: float, tilt: float | None, distance: float
-) -> Array:
+def expected(optics: Optics, xy: tuple[float, float], diameter: float, tilt: float | None, distance: float) -> Array:
     """Return the image by the pupil's mean, of a lens with ``optics``."""
     target, outline = marker(WITNESS, xy, diameter, tilt, distance)
     polygon = WITNESS.project(outline[::10])
@@ -35,9 +33,7 @@ def expected(
     field = np.hypot(*away) / (np.hypot(*SIZE) / 2)
     circle = optics.curvature_px * field**2
     if optics.focus_m is not None:  # the plane of focus stands across the axis: depth counts, not distance
-        circle += blur_circle_px(
-            centre[2], optics.focus_m, optics.f_mm, optics.f_number, optics.pixel_pitch_mm
-        )
+        circle += blur_circle_px(centre[2], optics.focus_m, optics.f_mm, optics.f_number, optics.pixel_pitch_mm)
     points, weights = pupil(10, 28)
     places = displacements(points, circle, optics.coma_px * field, away / np.hypot(*away))
     return pupil_mean(
@@ -124,9 +120,7 @@ def test_the_pupil_witness_agrees_with_closed_forms():
     # chief ray's place 0 to its length: the largest less the smallest along the field
     points, weights = pupil(12, 32)
     rho2 = (points**2).sum(axis=1)
-    np.testing.assert_allclose(
-        [weights.sum(), weights @ rho2, weights @ rho2**2], [1.0, 0.5, 1 / 3], rtol=1e-12
-    )
+    np.testing.assert_allclose([weights.sum(), weights @ rho2, weights @ rho2**2], [1.0, 0.5, 1 / 3], rtol=1e-12)
     outwards = np.array([0.6, 0.8])
     np.testing.assert_allclose(weights @ displacements(points, 3.0, 2.0, outwards), 0.0, atol=1e-12)
     rim = np.stack([np.cos(t := np.linspace(0, 2 * np.pi, 721)), np.sin(t)], axis=1)

@@ -80,11 +80,7 @@ def checkerboard() -> tuple[list, list, list]:
 
 
 FIGURES = {
-    "circle": (
-        [circle(0, 0, DOT)],
-        [(arc(DOT, 0, 2 * np.pi)[:-1], 1.0)],
-        [(lambda x, y: np.hypot(x, y) < DOT, 1.0)],
-    ),
+    "circle": ([circle(0, 0, DOT)], [(arc(DOT, 0, 2 * np.pi)[:-1], 1.0)], [(lambda x, y: np.hypot(x, y) < DOT, 1.0)]),
     "coded target": coded(),
     "checkerboard": checkerboard(),
 }
@@ -113,9 +109,7 @@ def test_figure_is_what_its_definition_says(name, record_property):
         f"\n{name:13s} light {image.sum() / light - 1:+.1e}  centroid {off:.1e} px  pixels {pixel:.1e} of the peak; "
         f"by definition {by_definition:.1e}, witness against witness {own:.1e}"
     )
-    record_property(
-        "light, centroid px, pixels of peak", f"{image.sum() / light - 1:.1e}, {off:.1e}, {pixel:.1e}"
-    )
+    record_property("light, centroid px, pixels of peak", f"{image.sum() / light - 1:.1e}, {off:.1e}, {pixel:.1e}")
     assert seen.visible[0] == pytest.approx(1.0)
     np.testing.assert_allclose(seen.xy_px[0], WITNESS.project(CENTRE[None])[0], atol=1e-6)
     assert own < 3 * PIXEL
@@ -150,9 +144,7 @@ def test_figure_that_moves_and_turns_in_the_exposure(row_time):
         return CENTRE + np.array([4.0, -2.0, 0.0]) / 300.0 * (t - 0.5)
 
     window = window_of(1.0, row_time, SIZE[1], nodes=3 if row_time == 0.0 else 7)
-    image, _seen = seen_by_twin(
-        LENS, SIZE, [Target(centre_at, drawn.radius, turn_at, False, drawn)], window=window
-    )
+    image, _seen = seen_by_twin(LENS, SIZE, [Target(centre_at, drawn.radius, turn_at, False, drawn)], window=window)
 
     def at(t: float) -> Array:
         return outline_image(WITNESS, centre_at(t), turn_at(t), outlines, SIGMA, SIZE)[0]
@@ -165,11 +157,7 @@ def test_figure_that_moves_and_turns_in_the_exposure(row_time):
     assert pixel < PIXEL
 
 
-PROFILES = {
-    "limb": (0.5, (0.0, 0.0, 0.0)),
-    "shade": (0.0, (0.3, -0.2, 0.0)),
-    "both": (0.5, (0.3, -0.2, 0.0)),
-}
+PROFILES = {"limb": (0.5, (0.0, 0.0, 0.0)), "shade": (0.0, (0.3, -0.2, 0.0)), "both": (0.5, (0.3, -0.2, 0.0))}
 
 
 @pytest.mark.parametrize("profile", PROFILES)

@@ -76,10 +76,7 @@ def twin_image(lens: OpenCVLens, shift_m: tuple[float, float, float] = (0.0, 0.0
     spec.worldbody.add_geom(size=[0.001, 0, 0], pos=[0, 0, -5], group=MARKER_GROUP, name="somewhere")
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=gl.BOX[1], pos=np.add(gl.BOX[0], shift_m))
     spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-        size=[*gl.CAPSULE[1:], 0],
-        pos=gl.CAPSULE[0],
-        euler=[90.0, 0.0, 0.0],
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[*gl.CAPSULE[1:], 0], pos=gl.CAPSULE[0], euler=[90.0, 0.0, 0.0]
     )
     model = spec.compile()
     scene = Scene(model, ("somewhere",), (model.geom("somewhere").id,), lambda t: np.zeros(0), 1.0)
@@ -119,9 +116,7 @@ def test_the_peer_tells_its_own_error(peer):
         exact = contour_image(outline, SIGMA, *SIZE)[where]
         pixel = np.abs(peer[where] - exact).max()
         light = peer[where].sum() / area - 1
-        print(
-            f"\nmarker {number}: peer off by {np.hypot(*off):.1e} px, light {light:+.1e}, pixels {pixel:.1e}"
-        )
+        print(f"\nmarker {number}: peer off by {np.hypot(*off):.1e} px, light {light:+.1e}, pixels {pixel:.1e}")
         assert np.hypot(*off) < CENTROID_PX
         assert pixel < PIXEL
         assert abs(light) < 3e-3

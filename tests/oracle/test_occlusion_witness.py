@@ -35,9 +35,7 @@ KINDS = {
 MESHES = {
     "mesh icosphere": trimesh.creation.icosphere(subdivisions=2, radius=0.045),
     "mesh box": trimesh.creation.box(extents=(0.06, 0.1, 0.14)),
-    "mesh torus": trimesh.creation.torus(
-        major_radius=0.06, minor_radius=0.02, major_sections=24, minor_sections=12
-    ),
+    "mesh torus": trimesh.creation.torus(major_radius=0.06, minor_radius=0.02, major_sections=24, minor_sections=12),
 }
 AT = np.array([0.06, -0.04, 1.5])
 RADIUS = 0.02
@@ -114,9 +112,7 @@ def look(where: World) -> tuple[Array, VisibleTargets]:
     )
 
 
-def compare(
-    where: World, instants: int = 1, lines_per_px: int = 24
-) -> tuple[float, float, float, float, float]:
+def compare(where: World, instants: int = 1, lines_per_px: int = 24) -> tuple[float, float, float, float, float]:
     """Return the witness's share; the twin's less that, its light less that (both of the disc), how far off the
     centroid is [px] and the worst pixel, of a fully covered one.
     """
@@ -126,13 +122,7 @@ def compare(
     if rays.share >= 0.3:
         off = float(np.hypot(*(image_centroid(image) - rays.centroid)))
     light = image.sum() / rays.area - rays.share
-    return (
-        rays.share,
-        float(seen.visible[0]) - rays.share,
-        light,
-        off,
-        float(np.abs(image - rays.image).max()),
-    )
+    return (rays.share, float(seen.visible[0]) - rays.share, light, off, float(np.abs(image - rays.image).max()))
 
 
 def assert_agree(
@@ -286,9 +276,7 @@ def test_the_ray_witness_agrees_with_closed_forms():
 
 FAULTS = {
     "an edge off by a tenth of a pixel": lambda: put(world(), "box", fixed(beside(20.9))),
-    "an occluder judged at its start": lambda: put(
-        world(), "box", fixed(moving(beside(21.0), (6.0, 2.0))(0.0))
-    ),
+    "an occluder judged at its start": lambda: put(world(), "box", fixed(moving(beside(21.0), (6.0, 2.0))(0.0))),
     "a marker that stands still": lambda: put(world(), "box", moving(beside(21.0), (6.0, 2.0))),
 }
 

@@ -10,15 +10,7 @@ from mosca.data.rig import FisheyeLens, Lens, OpenCVLens
 from scenarios.fidelity.twin_adapter import ball, seen_by_twin
 from scenarios.fidelity.views import LENSES, MATRIX, PLACES, H, W, marker, shifted, small_camera
 from twin.cameras.optics.blur_parameters import Optics
-from witness.image import (
-    Array,
-    contour_image,
-    lines_image,
-    lines_moments,
-    points_image,
-    rectangle_image,
-    scan,
-)
+from witness.image import Array, contour_image, lines_image, lines_moments, points_image, rectangle_image, scan
 from witness.profile import brightness, dense, spots
 from witness.render import (
     POINTS,
@@ -84,9 +76,7 @@ def test_still_markers_land_where_their_outlines_do(gap, record_property):
         rows = deviations(lens, witness, plain, optics)
         distance = np.hypot(rows[:, 0], rows[:, 1])
         rms = float(np.sqrt(np.mean(distance**2)))
-        print(
-            f"{gap:10s} {name:10s} rms {rms:.1e} px  max {distance.max():.1e} px  area {abs(rows[:, 2]).max():.1e}"
-        )
+        print(f"{gap:10s} {name:10s} rms {rms:.1e} px  max {distance.max():.1e} px  area {abs(rows[:, 2]).max():.1e}")
         record_property(f"{gap}, {name}: rms, max px", f"{rms:.2e}, {distance.max():.2e}")
         assert rms < EXPECTED_RMS
         assert distance.max() < EXPECTED_MAX

@@ -17,9 +17,7 @@ from witness.emva import Array, PhotonTransfer, linearity_error, spatial, tempor
 LEAST_P = 1e-3
 """One test in a thousand would fail by chance; the seeds are fixed, so that none fails twice."""
 SHEETS = {
-    8: Sensor(
-        bits=8, full_well_e=8_000.0, read_noise_e=25.0, dsnu_e=20.0, prnu=0.012, quantum_efficiency=0.55
-    ),
+    8: Sensor(bits=8, full_well_e=8_000.0, read_noise_e=25.0, dsnu_e=20.0, prnu=0.012, quantum_efficiency=0.55),
     10: Sensor(bits=10, full_well_e=12_000.0, read_noise_e=12.0, dsnu_e=6.0, prnu=0.008),
     12: Sensor(bits=12, dsnu_e=5.0, prnu=0.01),
 }
@@ -79,9 +77,7 @@ def test_dark_current(way):
     # mean and variance of the dark rise with the exposure: both slopes are the dark current (section 3)
     sheet = Sensor(bits=12, dark_current_e_per_s=2_000.0)
     gain, times = sheet.gain_dn_per_e, np.array([0.0, 0.05, 0.1, 0.2, 0.4])
-    pairs = [
-        temporal(way(sheet, 3, t)(0.0, 2 * k), way(sheet, 3, t)(0.0, 2 * k + 1)) for k, t in enumerate(times)
-    ]
+    pairs = [temporal(way(sheet, 3, t)(0.0, 2 * k), way(sheet, 3, t)(0.0, 2 * k + 1)) for k, t in enumerate(times)]
     mean, variance = np.transpose(pairs)
     assert np.polyfit(times, mean, 1)[0] / gain == pytest.approx(2_000.0, rel=0.01)
     assert np.polyfit(times, variance, 1)[0] / gain**2 == pytest.approx(2_000.0, rel=0.05)

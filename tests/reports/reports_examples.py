@@ -59,9 +59,7 @@ def example_evidence(seed: int = 3, frames: int = 120, markers: int = 8, views: 
     found = rng.random((frames, markers)) > np.linspace(0.0, 0.02, markers)
     rows, columns = np.nonzero(found)
     spread = (
-        1e-4
-        * np.linspace(0.8, 1.6, markers)[columns]
-        * (1 + 0.8 * np.linalg.norm(xyz[rows, columns, :2], axis=1))
+        1e-4 * np.linspace(0.8, 1.6, markers)[columns] * (1 + 0.8 * np.linalg.norm(xyz[rows, columns, :2], axis=1))
     )
     error = rng.normal(0, 1, (len(rows), 3)) * spread[:, None]
     k = len(rows)
@@ -82,13 +80,7 @@ def example_evidence(seed: int = 3, frames: int = 120, markers: int = 8, views: 
 def without_truth(evidence: Evidence) -> Evidence:
     """Return what a real recording would have of ``evidence``."""
     return replace(
-        evidence,
-        truth_time_ns=None,
-        truth_xyz=None,
-        truth_names=(),
-        marker_seen=None,
-        errors=None,
-        counts=None,
+        evidence, truth_time_ns=None, truth_xyz=None, truth_names=(), marker_seen=None, errors=None, counts=None
     )
 
 

@@ -10,9 +10,7 @@ LOW, HIGH = np.zeros(2), np.array([290.0, 250.0])
 
 def boxes(points, widths):
     left = points + label_offsets(points, widths, LOW, HIGH)
-    return np.column_stack(
-        [left[:, 0], left[:, 1] - HEIGHT_PT / 2, left[:, 0] + widths, left[:, 1] + HEIGHT_PT / 2]
-    )
+    return np.column_stack([left[:, 0], left[:, 1] - HEIGHT_PT / 2, left[:, 0] + widths, left[:, 1] + HEIGHT_PT / 2])
 
 
 def apart(one, other) -> bool:

@@ -21,12 +21,9 @@ def calibration(lenses, findings=(), points=40, parameters=True) -> Calibration:
     rng = np.random.default_rng(1)
     c, n = len(lenses), points * len(lenses)
     cameras = tuple(
-        Camera(f"cam {k} <&>", 640, 480, lens, Pose(FACING, [0.5 * k, -3.0, 1.0]))
-        for k, lens in enumerate(lenses)
+        Camera(f"cam {k} <&>", 640, 480, lens, Pose(FACING, [0.5 * k, -3.0, 1.0])) for k, lens in enumerate(lenses)
     )
-    names = [
-        f"{one.name}.{what}" for one in cameras for what in ("turn_x_rad", "X_m", "Y_m", _focal(one.lens))
-    ]
+    names = [f"{one.name}.{what}" for one in cameras for what in ("turn_x_rad", "X_m", "Y_m", _focal(one.lens))]
     names = tuple(names if parameters else ())
     used = rng.random(n) > 0.05
     sightings = Sightings(
@@ -57,9 +54,7 @@ def evidence(count, accuracy=True, lengths=True, missing=()) -> CalibrationEvide
     links = np.full((count, count), 30) * (1 - np.eye(count, dtype=int))
     sigma = rng.uniform(1e-4, 2e-4, (5, 5, 3))
     sigma[0, 0] = np.nan
-    grid = AccuracyGrid(
-        np.linspace(-1, 1, 5), np.linspace(-1, 1, 5), np.linspace(0, 1, 3), sigma, sigma / 3, 0.05
-    )
+    grid = AccuracyGrid(np.linspace(-1, 1, 5), np.linspace(-1, 1, 5), np.linspace(0, 1, 3), sigma, sigma / 3, 0.05)
     held = HeldOutLengths(1 + rng.normal(0, 1e-4, 20), np.full(20, 1e-4), 1.0, 2.5e-5, 3e-5)
     return CalibrationEvidence(
         covered, links, np.arange(count) if missing else np.zeros(count), np.array(missing),

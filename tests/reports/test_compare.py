@@ -25,12 +25,7 @@ def rms_of(errors: Array, blocks: int = 20, with_blocks: bool = True) -> Metric:
     made = MetricBlocks(tuple(float(s.sum()) for s in squares), tuple(float(len(s)) for s in squares))
     value = float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
     return Metric(
-        "position_rms",
-        value,
-        "m",
-        len(errors),
-        (0.9 * value, 1.1 * value),
-        blocks=made if with_blocks else None,
+        "position_rms", value, "m", len(errors), (0.9 * value, 1.1 * value), blocks=made if with_blocks else None
     )
 
 
@@ -68,9 +63,7 @@ def test_an_improvement_is_no_regression() -> None:
 
 def test_other_noise_of_the_same_size_is_rarely_a_regression() -> None:
     """Same scenario and seed, but every error drawn anew: about 2.5 % of 300 may be reported, by the interval."""
-    reports = sum(
-        bool(regressions(run_with(rms_of(session(seed))), BASE_OF[seed % 10])) for seed in range(300)
-    )
+    reports = sum(bool(regressions(run_with(rms_of(session(seed))), BASE_OF[seed % 10])) for seed in range(300))
     assert reports <= 16  # binomial(300, 0.025): P(> 16) = 0.1 %
 
 
@@ -119,9 +112,7 @@ def test_few_or_different_blocks_are_not_paired() -> None:
 def test_blocks_without_samples_are_left_out() -> None:
     blocks = MetricBlocks((0.0, *(4.0 + i for i in range(10))), (0.0, *(1.0,) * 10))
     old = Metric("position_p95", 8.5, "m", 10, blocks=blocks)
-    new = replace(
-        old, value=8.5 * 1.05, blocks=MetricBlocks(tuple(1.05 * s for s in blocks.sums), blocks.weights)
-    )
+    new = replace(old, value=8.5 * 1.05, blocks=MetricBlocks(tuple(1.05 * s for s in blocks.sums), blocks.weights))
     assert regressions(run_with(new), run_with(old))[0].paired
 
 
@@ -161,10 +152,7 @@ def test_unknown_metrics_follow_their_sense() -> None:
 
 
 def test_speed_is_judged_on_one_platform_with_intervals_only() -> None:
-    old, new = (
-        Metric("frame_rate", 400, "1/s", 9, (390, 410)),
-        Metric("frame_rate", 300, "1/s", 9, (290, 310)),
-    )
+    old, new = (Metric("frame_rate", 400, "1/s", 9, (390, 410)), Metric("frame_rate", 300, "1/s", 9, (290, 310)))
     assert regressions(run_with(new), run_with(old))
     assert not regressions(run_with(new, platform="other"), run_with(old))
     assert not regressions(run_with(replace(new, ci95=None)), run_with(old))
@@ -172,9 +160,7 @@ def test_speed_is_judged_on_one_platform_with_intervals_only() -> None:
 
 def test_an_extreme_is_judged_by_the_scatter_of_the_blocks_extremes() -> None:
     largest = np.random.default_rng(3).gumbel(1.0, 0.1, 30)
-    old = Metric(
-        "position_max", float(largest.max()), "m", 30, blocks=MetricBlocks(tuple(largest), (1.0,) * 30)
-    )
+    old = Metric("position_max", float(largest.max()), "m", 30, blocks=MetricBlocks(tuple(largest), (1.0,) * 30))
     planted = replace(old, value=1.05 * old.value, blocks=MetricBlocks(tuple(1.05 * largest), (1.0,) * 30))
     assert len(regressions(run_with(planted), run_with(old))) == 1
     rng, reports = np.random.default_rng(4), 0
@@ -254,15 +240,7 @@ def test_the_summary_shows_each_run_with_figures_and_limits() -> None:
     with console.file:
         console.print(summary_table([example_record(), example_record(scenario="[red]odd", passed=False)]))
     text = console.export_text()
-    for part in (
-        "accuracy/ring_of_six",
-        "[red]odd",
-        "pass",
-        "FAIL",
-        "0.245 <= 0.3 mm",
-        "99.17 >= 98 %",
-        "14.9",
-    ):
+    for part in ("accuracy/ring_of_six", "[red]odd", "pass", "FAIL", "0.245 <= 0.3 mm", "99.17 >= 98 %", "14.9"):
         assert part in text
 
 

@@ -91,8 +91,7 @@ def test_the_head_says_what_was_claimed_and_found(page: Path) -> None:
     text = " ".join("".join(checked(page).text).split())
     assert "Claimed: position rms ≤ 0.3 mm" in text
     assert (
-        "positions are right to 0.245 mm rms, 0.0122 % of the working space, 99.17 % of the visible markers"
-        in text
+        "positions are right to 0.245 mm rms, 0.0122 % of the working space, 99.17 % of the visible markers" in text
     )
     assert "Claim holds" in text
     assert "Every limit met." in text
@@ -135,9 +134,7 @@ def test_same_input_same_bytes_and_matplotlib_left_as_it_was(page: Path, tmp_pat
 def test_names_are_escaped_wherever_they_stand(tmp_path: Path) -> None:
     odd = '<mark>"$x_1$" & \'膝\' id="1"</mark>'
     evidence = example_evidence(markers=3)
-    rig = replace(
-        evidence.rig, cameras=(replace(evidence.rig.cameras[0], name=odd), *evidence.rig.cameras[1:])
-    )
+    rig = replace(evidence.rig, cameras=(replace(evidence.rig.cameras[0], name=odd), *evidence.rig.cameras[1:]))
     view = replace(evidence.views[0], camera=odd)
     evidence = replace(evidence, rig=rig, views=(view,), truth_names=(odd, "b", "c"))
     record = example_record(

@@ -69,9 +69,7 @@ def test_a_missing_record_is_said_in_one_line(tmp_path: Path) -> None:
 
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.text(max_size=5),
-    lambda inner: (
-        st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(["metrics", "ci95", "seed"]), inner)
-    ),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(["metrics", "ci95", "seed"]), inner),
     max_leaves=8,
 )
 

@@ -76,9 +76,7 @@ def test_images_are_small_jpegs_that_decode_to_the_frame(recording: Path) -> Non
 def test_cameras_stand_where_the_rig_says(recording: Path) -> None:
     camera = example_rig().cameras[0]
     pose = columns(recording, "/world/cameras/cam0", static=True)
-    np.testing.assert_allclose(
-        pose["Transform3D:translation"][0][0], camera.world_from_camera.translation, atol=1e-6
-    )
+    np.testing.assert_allclose(pose["Transform3D:translation"][0][0], camera.world_from_camera.translation, atol=1e-6)
     by_columns = np.reshape(pose["Transform3D:mat3x3"][0][0], (3, 3)).T
     np.testing.assert_allclose(by_columns, camera.world_from_camera.rotation, atol=1e-6)
     pinhole = columns(recording, "/world/cameras/cam0/image", static=True)
@@ -93,9 +91,7 @@ def test_step_by_step_with_any_lens_depth_and_name(tmp_path: Path) -> None:
     path = tmp_path / "steps.rrd"
     deep = example_view(np.random.default_rng(0)).image.astype(np.uint16) << 4
     with RerunLog(path, type(rig)((odd, rig.cameras[1]))) as log:
-        log.log_step(
-            3, 30, {"left cam/1": deep}, {"left cam/1": Detections.none("left cam/1")}, np.empty((0, 3))
-        )
+        log.log_step(3, 30, {"left cam/1": deep}, {"left cam/1": Detections.none("left cam/1")}, np.empty((0, 3)))
         log.log_truth(3, 30, np.array([[np.nan] * 3, [1.0, 2.0, 3.0]]))
         log.log_step(4, 40)
         with pytest.raises(InputError, match="no camera 'nobody'"):

@@ -59,8 +59,7 @@ def main():
     print("ready", flush=True)
     totals = run_station(source, sender, settings)
     print(
-        f"{1e3 * totals.seconds / max(totals.detected, 1):.2f} ms a frame, {sender.skipped} skipped",
-        file=sys.stderr,
+        f"{1e3 * totals.seconds / max(totals.detected, 1):.2f} ms a frame, {sender.skipped} skipped", file=sys.stderr
     )
 
 

@@ -24,9 +24,7 @@ def take(path, n, seed, ids=(3, 1, 8, 5), loose=False):
     xyz = np.stack([turn.apply(m) + place for m in MARKERS], axis=1)
     if loose:
         xyz[:, 2, 0] += 0.02 * np.sin(9 * t)
-    xyz = np.concatenate([xyz, np.broadcast_to([2.0, 2.0, 0.0], (n, 1, 3))], axis=1) + rng.normal(
-        0, NOISE, (n, 5, 3)
-    )
+    xyz = np.concatenate([xyz, np.broadcast_to([2.0, 2.0, 0.0], (n, 1, 3))], axis=1) + rng.normal(0, NOISE, (n, 5, 3))
     rows = n * 5
     tracks = Tracks(
         np.repeat(np.arange(n), 5), np.repeat(np.arange(n) * 10_000_000, 5), np.tile([*ids, 20], n),
@@ -43,12 +41,7 @@ def test_a_body_is_learned_and_found_in_another_take(tmp_path):
     assert told[0].startswith("body 'drone': 4 markers, each known to 0.0")
     turn, _ = take(tmp_path / "two.csv", 80, 2, ids=(11, 12, 13, 14))
     told = find_in(
-        tmp_path / "two.csv",
-        tmp_path / "bodies.toml",
-        tmp_path / "poses.csv",
-        None,
-        tmp_path / "named.csv",
-        None,
+        tmp_path / "two.csv", tmp_path / "bodies.toml", tmp_path / "poses.csv", None, tmp_path / "named.csv", None
     )
     assert "body 'drone': a pose in 80 of 80 frames, its markers 0." in told[0]
     poses = read_bodies_csv(tmp_path / "poses.csv")
@@ -90,10 +83,7 @@ def test_a_body_that_bends_is_refused(tmp_path):
 
 @pytest.mark.parametrize(
     ("out", "body", "told"),
-    [
-        ("p.bvh", None, "poses are written as .csv or .tum"),
-        ("p.csv", "cat", "defines drone; name one of them"),
-    ],
+    [("p.bvh", None, "poses are written as .csv or .tum"), ("p.csv", "cat", "defines drone; name one of them")],
 )
 def test_what_cannot_be_found_is_said_before_the_tracks_are_read(tmp_path, out, body, told):
     take(tmp_path / "one.csv", 60, 1)

@@ -25,10 +25,7 @@ from scenarios.session.scenes import target_session
 def mosca(*words: object) -> str:
     """Run the command line in a process of its own, as a user does; its output. It must succeed."""
     done = subprocess.run(
-        [sys.executable, "-m", "scenarios.cli.main", *map(str, words)],
-        capture_output=True,
-        text=True,
-        check=False,
+        [sys.executable, "-m", "scenarios.cli.main", *map(str, words)], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout

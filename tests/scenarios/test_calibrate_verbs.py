@@ -111,9 +111,7 @@ def lab(tmp_path_factory):
     )
     frame = recorded(folder / "axes", waved, replace(axes_session(waved), pulses=5), cameras).target
     places = dict(zip(frame.names, frame.positions.tolist(), strict=True))
-    (folder / "l_frame.toml").write_text(
-        ball_file(kind="l_frame", diameter_m=frame.diameter_m, marker=places)
-    )
+    (folder / "l_frame.toml").write_text(ball_file(kind="l_frame", diameter_m=frame.diameter_m, marker=places))
     bar = recorded(folder / "bar", waved, replace(bar_session(waved), pulses=15), cameras).target
     (folder / "bar.toml").write_text(
         ball_file(
@@ -221,9 +219,7 @@ def test_a_field_gives_the_rig_that_made_its_images(lab, field_rig):
 
 def test_the_comparison_names_the_camera_that_was_turned_by_a_pixel(lab, field_rig, mosca, tmp_path):
     rig = read_rig(field_rig[0])
-    write_rig(
-        Rig(tuple(turned(c, 1.0) if c.name == "cam2" else c for c in rig.cameras)), tmp_path / "turned.toml"
-    )
+    write_rig(Rig(tuple(turned(c, 1.0) if c.name == "cam2" else c for c in rig.cameras)), tmp_path / "turned.toml")
     code, out, _ = mosca("rig", "compare", field_rig[0], tmp_path / "turned.toml", "--align", "none")
     assert code == 0
     rows = [line.split() for line in out.splitlines() if line.startswith("cam") and "rays" not in line]
@@ -331,9 +327,7 @@ def test_bad_input_is_one_line(lab, refused, tmp_path):
     assert "leave it out" in line("--known", lab / "truth.toml", "--exterior-only", "--free", "c_mm")
     assert "leave 'free' out" in line("--free", "c_mm", target=lab / "wand.toml", recording="wand")
     points = tmp_path / "points.toml"
-    points.write_text(
-        'kind = "points"\nunit = "mm"\nsize_px = [480, 360]\n[[camera]]\nname = "a"\nfile = "a.txt"\n'
-    )
+    points.write_text('kind = "points"\nunit = "mm"\nsize_px = [480, 360]\n[[camera]]\nname = "a"\nfile = "a.txt"\n')
     assert "--reference: not with" in line("--reference", 1, target=points)
     assert "--exterior-only: not with" in line("--exterior-only", target=points)
     assert list(tmp_path.glob("rig.*")) == []
@@ -350,9 +344,7 @@ def test_a_rig_is_described_camera_by_camera(lab, mosca, refused):
     assert "did you mean" in refused("rig", "check", lab / "truht.toml")
 
 
-@pytest.mark.parametrize(
-    ("name", "file"), [("aniposelib", "a.toml"), ("opencv", "cameras"), ("mosca", "b.toml")]
-)
+@pytest.mark.parametrize(("name", "file"), [("aniposelib", "a.toml"), ("opencv", "cameras"), ("mosca", "b.toml")])
 def test_a_rig_goes_to_another_program_and_back(lab, mosca, tmp_path, name, file):
     lens = OpenCVLens(505.0, 506.0, 240.0, 178.0, -0.1, 0.02, 1e-4, -2e-4)
     rig = Rig(tuple(replace(c, lens=lens) for c in lab.truth.cameras))
@@ -379,9 +371,7 @@ def test_a_target_is_printed(lab, mosca, refused, tmp_path):
     (tmp_path / "points.toml").write_text(
         'kind = "points"\nunit = "mm"\nsize_px = [640, 480]\n[[camera]]\nname = "a"\nfile = "a.txt"\n'
     )
-    assert "nothing to print" in refused(
-        "target", "sheet", tmp_path / "points.toml", "--out", tmp_path / "p.pdf"
-    )
+    assert "nothing to print" in refused("target", "sheet", tmp_path / "points.toml", "--out", tmp_path / "p.pdf")
 
 
 def test_the_schema_of_target_files_knows_every_kind(mosca):

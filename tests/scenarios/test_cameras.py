@@ -82,16 +82,13 @@ errors.read_noise_e = 33.0
 
 def test_a_clock_fault_adds_to_a_delay(tmp_path):
     made = cameras(
-        tmp_path,
-        '[timing]\ndelay_s = 1e-4\n[fault]\nkind = "clock_shift"\ncameras = ["cam3"]\ndelay_s = 0.002\n',
+        tmp_path, '[timing]\ndelay_s = 1e-4\n[fault]\nkind = "clock_shift"\ncameras = ["cam3"]\ndelay_s = 0.002\n'
     )
     assert [v.timing.delay_s for v in made.values()] == pytest.approx([1e-4, 1e-4, 2.1e-3, 1e-4])
 
 
 def test_deliveries_are_by_camera(tmp_path):
-    spec = scenario(
-        tmp_path, '[delivery]\ndropped_share = 0.1\n[[camera]]\nname = "cam1"\ndelivery.dies_s = 0.5\n'
-    )
+    spec = scenario(tmp_path, '[delivery]\ndropped_share = 0.1\n[[camera]]\nname = "cam1"\ndelivery.dies_s = 0.5\n')
     made = deliveries(spec, virtual_cameras(spec, true_rig(spec, tmp_path)))
     assert {name: d.dropped_share for name, d in made.items()} == dict.fromkeys(made, 0.1)
     assert [made[f"cam{k}"].dies_s for k in (1, 2, 3, 4)] == [0.5, None, None, None]
@@ -117,9 +114,9 @@ pose = {{ position_m = [{x}, 0.0, -3.0], rotation_wxyz = [1.0, 0.0, 0.0, 0.0] }}
             for name, x in (("a", -0.5), ("b", 0.5))
         )
     )
-    optics = cameras(
-        tmp_path, "[optics]\nfocus_m = 2.0\n", 'cameras={rig="two.rig",pixel_pitch_mm=0.005,c_mm=99.0}'
-    )["a"].optics
+    optics = cameras(tmp_path, "[optics]\nfocus_m = 2.0\n", 'cameras={rig="two.rig",pixel_pitch_mm=0.005,c_mm=99.0}')[
+        "a"
+    ].optics
     assert (optics.f_mm, optics.pixel_pitch_mm) == (2.5, 0.005)
 
 
@@ -129,8 +126,7 @@ pose = {{ position_m = [{x}, 0.0, -3.0], rotation_wxyz = [1.0, 0.0, 0.0, 0.0] }}
 def test_a_rider_looks_where_it_is_told(tmp_path):
     made = cameras(
         tmp_path,
-        RIDER
-        + "fisheye_deg = 190.0\nplace_m = [0.1, 0.0, 0.2]\nforward = [0.0, -2.0, 0.0]\nup = [0.0, 1.0, 3.0]\n",
+        RIDER + "fisheye_deg = 190.0\nplace_m = [0.1, 0.0, 0.2]\nforward = [0.0, -2.0, 0.0]\nup = [0.0, 1.0, 3.0]\n",
     )["rider"]
     pose = made.camera.world_from_camera
     # x right, y down, z forward; looking along -y with z up, right is -x
@@ -173,9 +169,7 @@ def test_riders_change_no_digit_of_what_the_rig_measures(tmp_path):
     short = ("capture.duration_s=0.05", "scene.turn_deg_per_s=20")
     alone = run_scenario(scenario(tmp_path, "", *short), "x", tmp_path)
     riding = run_scenario(
-        scenario(
-            tmp_path, RIDER + "fisheye_deg = 150.0\nforward = [0.0, 0.0, 1.0]\nup = [1.0, 0.0, 0.0]\n", *short
-        ),
+        scenario(tmp_path, RIDER + "fisheye_deg = 150.0\nforward = [0.0, 0.0, 1.0]\nup = [1.0, 0.0, 0.0]\n", *short),
         "x",
         tmp_path,
     )
@@ -241,10 +235,7 @@ def test_a_named_lens_gives_the_principal_distance(tmp_path):
         ('[sensor]\nname = "sony_imx249"\n', ["cam1", "100", "41", "frame_rate_hz"]),
         ('[optics]\nlens = "fa_8mm"\nf_number = 1.4\n', ["f_number", "1.4", "2.4"]),
         ('[optics]\nlens = "fa_8mm"\n[sensor]\nname = "sony_imx174"\n', ["13.4 mm", "9.5 mm", "c_mm"]),
-        (
-            '[[camera]]\nname = "cam2"\nsensor.name = "ardrone2_vertical"\n',
-            ["cam2", "656 x 491", "320 x 240"],
-        ),
+        ('[[camera]]\nname = "cam2"\nsensor.name = "ardrone2_vertical"\n', ["cam2", "656 x 491", "320 x 240"]),
         ("[optics]\nfocus_m = 0.007\n", ["focus_m", "0.007", "0.0075"]),
     ],
 )
@@ -340,16 +331,8 @@ share = 0.02
     )
     assert made.context is not None
     assert made.ring_light is not None
-    assert (made.context.ambient, made.context.clothes[0].pattern, made.context.lamp) == (
-        0.05,
-        "chest/*",
-        0.02,
-    )
-    assert (made.ring_light.strength, made.spots[0].position_m, made.glare.share) == (
-        7.0,
-        (1.0, 2.0, 3.0),
-        0.02,
-    )
+    assert (made.context.ambient, made.context.clothes[0].pattern, made.context.lamp) == (0.05, "chest/*", 0.02)
+    assert (made.ring_light.strength, made.spots[0].position_m, made.glare.share) == (7.0, (1.0, 2.0, 3.0), 0.02)
     assert (made.mirrors[0].size_m, made.mirrors[0].reflectance) == ((3.0, 2.0), 0.9)
 
 

@@ -79,9 +79,7 @@ def test_each_frame_is_in_the_recording_bit_for_bit_with_its_stamps(tmp_path, ri
     stamps = [data["cameras"].get("b", {"index": [], "device_ns": [], "host_ns": []}) for _, data in clock]
     device = {i: d for s in stamps for i, d in zip(s["index"], s["device_ns"], strict=True)}
     host = {i: h for s in stamps for i, h in zip(s["index"], s["host_ns"], strict=True)}
-    assert {i: device[i] - line.begin_ns - 5_000_000_000 for i in range(60)} == {
-        i: i * 10_000_000 for i in range(60)
-    }
+    assert {i: device[i] - line.begin_ns - 5_000_000_000 for i in range(60)} == {i: i * 10_000_000 for i in range(60)}
     with open(out / "recording.mcap", "rb") as file:
         messages = make_reader(file).iter_messages(topics=["/camera/b/frame"], log_time_order=False)
         assert {m.sequence: m.publish_time for _, _, m in messages} == {i: host[i] for i in range(60)}
@@ -118,9 +116,7 @@ def test_a_machine_that_is_too_slow_loses_whole_frame_sets_and_says_so(tmp_path,
 
     monkeypatch.setattr(RecordingWriter, "pack", slow)
     room = 6 * len(NAMES) * SMALL[0] * SMALL[1]
-    outcome = capture(
-        CaptureRequest(rig, tmp_path / "take", frames=120, waiting_bytes=room), None, *small(line)
-    )
+    outcome = capture(CaptureRequest(rig, tmp_path / "take", frames=120, waiting_bytes=room), None, *small(line))
     assert not outcome.whole
     assert 0 < outcome.lost < 120
     assert any(f"{outcome.lost} frame sets were lost whole" in note for note in outcome.notes)
@@ -186,9 +182,7 @@ def test_ctrl_c_ends_in_order(tmp_path, rig):
 
 
 @pytest.mark.parametrize(("misses", "code"), [({}, 0), ({"b": {5}}, 1)])
-def test_the_verb_tells_and_its_exit_code_says_whether_anything_is_missing(
-    tmp_path, rig, monkeypatch, misses, code
-):
+def test_the_verb_tells_and_its_exit_code_says_whether_anything_is_missing(tmp_path, rig, monkeypatch, misses, code):
     line = Line(misses=misses)
     opener, trigger = small(line)
     monkeypatch.setattr(work, "capture", partial(capture, opener=opener, trigger_opener=trigger))
@@ -319,11 +313,7 @@ print(priorities())
 
 
 def test_a_capture_goes_before_others_and_back_again():
-    command = [
-        sys.executable,
-        "-c",
-        FIRST,
-    ]  # in a session of its own: others of this one may be raised just now
+    command = [sys.executable, "-c", FIRST]  # in a session of its own: others of this one may be raised just now
     done = subprocess.run(command, capture_output=True, text=True, check=True, start_new_session=True)
     usual, allowed, raised, after = done.stdout.splitlines()
     wanted = " ".join(nice if nice == "none" else str(min(int(nice), NICE)) for nice in usual.split())
@@ -375,9 +365,7 @@ def test_a_file_that_may_not_grow_ends_it_with_one_line(tmp_path):
     check_full(tmp_path, tmp_path / "take", str(12_000_000))
 
 
-@pytest.mark.skipif(
-    not hasattr(os, "geteuid") or os.geteuid() != 0, reason="mounting a small disk needs root"
-)
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="mounting a small disk needs root")
 def test_a_full_disk_ends_it_with_one_line(tmp_path):
     disk = tmp_path / "disk"
     disk.mkdir()
@@ -406,9 +394,7 @@ def test_devices_are_listed_without_being_opened(tmp_path, rig):
 
 
 def test_a_camera_that_is_not_there_fails_the_check(rig, monkeypatch):
-    monkeypatch.setattr(
-        devices_module, "describe_devices", partial(describe_devices, list_devices=lambda *asked: [])
-    )
+    monkeypatch.setattr(devices_module, "describe_devices", partial(describe_devices, list_devices=lambda *asked: []))
     result = CliRunner().invoke(cli_rig.rig, ["check", "--devices", str(rig)])
     assert isinstance(result.exception, InputError)
     assert "its cameras not found: a" in str(result.exception)

@@ -124,9 +124,7 @@ def test_tracks_are_bit_for_bit_those_of_the_images(takes, tmp_path):
             for frame_set, found, _ in detect_ahead(look, assemble(source, source.cameras), 2):
                 writer.write_set(frame_set, found)
     with open_recording(tmp_path / "kept", rig) as recording:
-        given_steps = list(
-            run_seen(counted(recording.detection_sets(), recording.cameras, Assembly()), rig, chosen)
-        )
+        given_steps = list(run_seen(counted(recording.detection_sets(), recording.cameras, Assembly()), rig, chosen))
     assert len(given_steps) == len(wanted)
     assert sum(len(step.samples) for step in wanted) > 150
     for a, b in zip(given_steps, wanted, strict=True):
@@ -169,9 +167,7 @@ def test_what_is_kept_follows_the_documented_layout(takes):
         schema, channel, message = next(reader.iter_messages(topics=["/camera/left/detections"]))
     assert (schema.name, channel.message_encoding) == ("mosca.detections.v1",) * 2
     data = message.data
-    checksum, event, _, _, n, pulse, index, time_ns, exposure_ns, row_ns = struct.unpack_from(
-        "<IBBHIqqqqq", data
-    )
+    checksum, event, _, _, n, pulse, index, time_ns, exposure_ns, row_ns = struct.unpack_from("<IBBHIqqqqq", data)
     assert checksum == zlib.crc32(data[4:])
     assert (event, n, pulse, index, time_ns, exposure_ns, row_ns) == (0, 4, 0, 0, 0, 500_000, 0)
     numbers = np.frombuffer(data, "<f8", 8 * n, 52).reshape(n, 8)

@@ -85,9 +85,7 @@ def test_the_viewer_reads_the_log_from_a_pipe_while_it_grows(tmp_path):
     rig = uncalibrated([CameraInfo(name, *SIZE, 8, RATE) for name in NAMES])
     with log_in_viewer(rig, ("--port", "auto", "--bind", "127.0.0.1", "--save", str(saved))) as log:
         for frame in range(3):
-            log.log_step(
-                frame, frame * 10_000_000, {n: np.zeros((SIZE[1], SIZE[0]), np.uint8) for n in NAMES}
-            )
+            log.log_step(frame, frame * 10_000_000, {n: np.zeros((SIZE[1], SIZE[0]), np.uint8) for n in NAMES})
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline:  # the viewer ends a moment after the log, then the file is whole
         time.sleep(0.2)

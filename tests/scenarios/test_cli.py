@@ -186,17 +186,8 @@ def test_help_and_errors_import_nothing_heavy(tmp_path):
         "assert not heavy, heavy\n"
     )
     scenario(tmp_path).write_text("title = 3")
-    for args in (
-        ["--help"],
-        ["--version"],
-        ["run", "--help"],
-        ["run", "no.toml"],
-        ["run", "tiny.toml"],
-        ["list"],
-    ):
-        subprocess.run(
-            [sys.executable, "-c", code.format(args=args)], cwd=tmp_path, check=True, capture_output=True
-        )
+    for args in (["--help"], ["--version"], ["run", "--help"], ["run", "no.toml"], ["run", "tiny.toml"], ["list"]):
+        subprocess.run([sys.executable, "-c", code.format(args=args)], cwd=tmp_path, check=True, capture_output=True)
 
 
 def test_new_list_and_schema(tmp_path):

@@ -36,10 +36,7 @@ def picture(place: tuple[float, float, float], time_s: float) -> np.ndarray:
     rows, columns = np.mgrid[:HEIGHT, :WIDTH]
     image = np.full((HEIGHT, WIDTH), 5.0)
     for x, y, z in places(time_s) - place:
-        u, v = (
-            (WIDTH - 1) / 2 + FOCAL * x / z - shift(place)[0],
-            (HEIGHT - 1) / 2 + FOCAL * y / z - shift(place)[1],
-        )
+        u, v = ((WIDTH - 1) / 2 + FOCAL * x / z - shift(place)[0], (HEIGHT - 1) / 2 + FOCAL * y / z - shift(place)[1])
         image += 180 * np.exp(-((columns - u) ** 2 + (rows - v) ** 2) / (2 * 1.3**2))
     return np.rint(image.clip(0, 255)).astype(np.uint8)
 
@@ -68,12 +65,7 @@ def record(folder, given: dict[str, list[int]], turned: str = "") -> None:
     write_rig(rig(turned), folder / "rig.toml")
     infos = [CameraInfo(name, WIDTH, HEIGHT, 8, RATE_HZ, "session", "exposure_middle") for name in PLACES]
     frames = [
-        (
-            stamp,
-            Frame(
-                name, k, given[name][k], 0, picture(PLACES[name], stamp * 1e-9), stamp_event="exposure_middle"
-            ),
-        )
+        (stamp, Frame(name, k, given[name][k], 0, picture(PLACES[name], stamp * 1e-9), stamp_event="exposure_middle"))
         for name in PLACES
         for k, stamp in enumerate(stamps(name)[: len(given[name])])
     ]
@@ -124,10 +116,7 @@ def one_line(err: str) -> str:
         (lambda s: s[:5] + [s[4]] + s[6:], "frames 4 and 5 have the same time stamp"),
         (lambda s: [s[1], s[0], *s[2:]], "frame 1 is stamped 20 ms before frame 0"),
         (lambda s: s[:3], "camera 'middle': 3 usable frames given, 8 are needed"),
-        (
-            lambda s: [t + 50_000_000_000 for t in s],
-            "camera 'middle': filmed from 50.0.* at no time together",
-        ),
+        (lambda s: [t + 50_000_000_000 for t in s], "camera 'middle': filmed from 50.0.* at no time together"),
     ],
     ids=["equal", "unsorted", "short", "apart"],
 )

@@ -33,9 +33,7 @@ def rider(**given):
 def test_a_rider_looks_forward_with_its_rows_going_down():
     pose = rider_pose(rider())
     # x right, y down, z forward: what lies 1 m ahead, 2 m to its right and 3 m below
-    np.testing.assert_allclose(
-        pose.transform(np.array([[2.0, 3.0, 1.0]])), [[1 + 1.0, 2 - 2.0, 3 - 3.0]], atol=1e-12
-    )
+    np.testing.assert_allclose(pose.transform(np.array([[2.0, 3.0, 1.0]])), [[1 + 1.0, 2 - 2.0, 3 - 3.0]], atol=1e-12)
 
 
 def test_forward_along_up_is_refused():
@@ -90,9 +88,7 @@ def test_clock_scores_are_the_worse_end_and_the_worst_camera():
         EstimatedClock("a", 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
         EstimatedClock("b", 7, 0.251, 1.5e-4, 0.0, 1e-6, 1e-6, 0.0),
     )
-    found = SimpleNamespace(
-        clocks=clocks, gathered=SimpleNamespace(seen=seen), rig=SimpleNamespace(names=("a", "b"))
-    )
+    found = SimpleNamespace(clocks=clocks, gathered=SimpleNamespace(seen=seen), rig=SimpleNamespace(names=("a", "b")))
     scores = clock_scores(found, truth)
     # at the end 1 ms + 2 s x 50 ppm = 1.1 ms of 100 ms
     assert scores["clock_frames"].value == pytest.approx(0.011, abs=1e-5)
@@ -136,9 +132,7 @@ def test_lamps_blink_numbers_of_their_own_a_bit_for_a_frame(limbs):
 def test_a_camera_on_a_limb_without_a_number_is_told(limbs):
     spec, _cameras, rig = limbs
     bare = [c.model_copy(update={"lamp_number": None}) if c.name == "head" else c for c in spec.camera]
-    with pytest.raises(
-        InputError, match=r"camera 'head': continuous\.moving wants each worn camera's lamp_m"
-    ):
+    with pytest.raises(InputError, match=r"camera 'head': continuous\.moving wants each worn camera's lamp_m"):
         known_lamps(spec.model_copy(update={"camera": tuple(bare)}), rig)
 
 

@@ -100,9 +100,7 @@ def test_a_noisier_sensor_breaks_the_table(monkeypatch):
 
     def noisier(light, told, key, ambient):
         counts = true(light, told, key, ambient).astype(float)
-        more = (
-            0.5 * told.read_noise_e * told.gain_dn_per_e * np.random.default_rng(key).normal(size=light.shape)
-        )
+        more = 0.5 * told.read_noise_e * told.gain_dn_per_e * np.random.default_rng(key).normal(size=light.shape)
         return np.clip(np.rint(counts + more), 0, told.top)
 
     monkeypatch.setattr(sensor, "expose", noisier)
@@ -190,9 +188,7 @@ def test_pictures_are_small_the_same_each_time_and_lead_to_scenarios(crops):
 def test_the_documentation_shows_each_picture_with_its_words(crops):
     text = (DOCS / "fidelity.md").read_text()
     for crop in crops:
-        assert crop.caption in text, (
-            f"{crop.name}: make docs/fidelity.md anew (python -m scenarios.fidelity.command)"
-        )
+        assert crop.caption in text, f"{crop.name}: make docs/fidelity.md anew (python -m scenarios.fidelity.command)"
         file = DOCS / "pictures" / "fidelity" / f"{crop.name}.png"
         assert file.stat().st_size < MOST_BYTES
     for link in re.findall(r"\]\(([^)]+)\)", text):

@@ -23,17 +23,13 @@ from twin.scenes.target_lamps import build_light_marker, with_lamps
 from twin.source import TwinSource
 
 W, H, BITS = 24, 18, 12
-EDGES_S = np.array(
-    [0.0531, 0.1777, 0.2609, 0.3314, 0.5013, 0.5555, 0.7321, 0.9011, 1.0407, 1.2289, 1.3717, 1.5001]
-)
+EDGES_S = np.array([0.0531, 0.1777, 0.2609, 0.3314, 0.5013, 0.5555, 0.7321, 0.9011, 1.0407, 1.2289, 1.3717, 1.5001])
 
 
 class Filmed:
     """Cameras before one lamp: ``cameras`` name -> (rate [Hz], phase [s], exposure [s], clock offset [s], drift)."""
 
-    def __init__(
-        self, cameras, edges=EDGES_S, until=1.7, light=1500.0, noise=8.0, row_time_ns=0, full=2**BITS - 1
-    ):
+    def __init__(self, cameras, edges=EDGES_S, until=1.7, light=1500.0, noise=8.0, row_time_ns=0, full=2**BITS - 1):
         self.words, self.edges, self.until = cameras, edges, until
         self.light, self.noise, self.row_time_ns, self.full = light, noise, row_time_ns, full
         self.cameras = tuple(CameraInfo(name, W, H, BITS, c[0], "device") for name, c in cameras.items())
@@ -103,12 +99,8 @@ def test_short_exposures_know_an_edge_to_the_gap_and_say_so():
     words = {"a": (100.0, 0.0, 9.9e-3, 0.0, 0.0), "b": (100.0, 4e-3, 1e-5, 0.25, 0.0)}
     found, result = offsets(Filmed(words))
     assert found["b"].offset_s == pytest.approx(0.25, abs=4 * found["b"].offset_sigma_s)
-    assert found["b"].offset_sigma_s == pytest.approx(
-        0.00999 / np.sqrt(12) / np.sqrt(found["b"].edges), rel=0.5
-    )
-    assert any(
-        "camera 'b': no edge fell into an exposure" in note and "9.99 ms" in note for note in result.notes
-    )
+    assert found["b"].offset_sigma_s == pytest.approx(0.00999 / np.sqrt(12) / np.sqrt(found["b"].edges), rel=0.5)
+    assert any("camera 'b': no edge fell into an exposure" in note and "9.99 ms" in note for note in result.notes)
 
 
 def test_a_rolling_shutter_is_read_at_the_lamp_s_row():
@@ -159,9 +151,7 @@ def twin(blink, duration_s=1.0):
 
     def camera(name, x, timing):
         view = Camera(name, 96, 72, lens, Pose(looking, np.array([x, -1.4, 1.4])))
-        return VirtualCamera(
-            view, timing=timing, mount=Mount(body_px=0.0), optics=Optics(), sensor=Sensor(bits=12)
-        )
+        return VirtualCamera(view, timing=timing, mount=Mount(body_px=0.0), optics=Optics(), sensor=Sensor(bits=12))
 
     still = Timing(rate_hz=100.0, jitter_s=0.0, clock="device")
     cameras = (
@@ -178,9 +168,7 @@ def twin(blink, duration_s=1.0):
         floor=False,
     )
     scene = with_lamps(scene, {"light": blink})
-    return TwinSource(
-        scene, cameras, frame_rate_hz=100.0, exposure_s=9e-3, pulses=round(100 * duration_s), seed=1
-    )
+    return TwinSource(scene, cameras, frame_rate_hz=100.0, exposure_s=9e-3, pulses=round(100 * duration_s), seed=1)
 
 
 def test_the_twin_s_free_running_cameras_are_found_on_their_clocks():
@@ -210,8 +198,7 @@ def test_rig_check_says_how_cameras_of_a_recording_are_synchronised(tmp_path):
     done = CliRunner().invoke(rig_check, ["--flash", str(tmp_path / "flashes")])
     assert done.exit_code == 0, done.output
     told = re.fullmatch(
-        r"camera 'b': stamps \+(\S+) \+- (\S+) ms ahead of 'a', drift .*, 12 edges of the flash\n",
-        done.output,
+        r"camera 'b': stamps \+(\S+) \+- (\S+) ms ahead of 'a', drift .*, 12 edges of the flash\n", done.output
     )
     assert told is not None, done.output
     assert float(told[1]) == pytest.approx(250.0, abs=max(4 * float(told[2]), 0.03))

@@ -31,9 +31,7 @@ FIELD = "kind = 'field'\ndot_radius_m = 0.004\n" + "".join(
 
 def test_lamps_are_named_by_their_blinks(tmp_path):
     numbers = {4: 12, 9: 30, 11: 5, 12: 44, 15: 61, 20: 70}
-    lit = sorted(
-        (f, track) for track, number in numbers.items() for f in range(64) if lamp_bits(number)[f % 16]
-    )
+    lit = sorted((f, track) for track, number in numbers.items() for f in range(64) if lamp_bits(number)[f % 16])
     n = len(lit)
     tracks = Tracks(
         [f for f, _ in lit], [f * 10_000_000 for f, _ in lit], [t for _, t in lit], np.full(n, ""),
@@ -41,16 +39,7 @@ def test_lamps_are_named_by_their_blinks(tmp_path):
     )  # fmt: skip
     write_tracks(tracks, tmp_path / "take.csv", 100.0)
     done = mosca(
-        "labels",
-        "blink",
-        "take.csv",
-        "--name",
-        "12=LWRI",
-        "--name",
-        "13=RWRI",
-        "--out",
-        "named.csv",
-        cwd=tmp_path,
+        "labels", "blink", "take.csv", "--name", "12=LWRI", "--name", "13=RWRI", "--out", "named.csv", cwd=tmp_path
     )
     assert done.returncode == 0, done.stderr
     assert "1 of 6 tracks have a label" in done.stdout
@@ -65,10 +54,7 @@ def test_coded_targets_are_tracked_by_their_numbers(tmp_path):
     spec = load_scenario(path, ("capture.duration_s=0.03",))
     rig = true_rig(spec, path.parent)
     scene, cameras = build_scene(spec, path.parent), virtual_cameras(spec, rig)
-    with (
-        twin_source(spec, scene, cameras, 1) as source,
-        RecordingWriter(tmp_path / "take", source.cameras) as writer,
-    ):
+    with twin_source(spec, scene, cameras, 1) as source, RecordingWriter(tmp_path / "take", source.cameras) as writer:
         for frame in islice(source, 3 * len(cameras)):
             writer.write(frame)
     write_rig(rig, tmp_path / "rig.toml")
@@ -125,14 +111,8 @@ def test_a_scan_gives_the_printed_lengths(tmp_path):
         (("labels", "blink", "take.csv", "--name", "1=A", "--name", "1=B", "--out", "a.csv"), "given twice"),
         (("target", "scale", "field.toml"), "give --ruler MEASURED PRINTED or --scan IMAGE DPI"),
         (("target", "scale", "field.toml", "--ruler", "5.9", "150"), "ruler measured as 5.9 mm"),
-        (
-            ("target", "scale", "wand.toml", "--ruler", "150", "150"),
-            "describes Wand, which has no printed sheet",
-        ),
-        (
-            ("target", "scale", "board.toml", "--scan", "field.toml", "600"),
-            "no coded targets that a scan shows",
-        ),
+        (("target", "scale", "wand.toml", "--ruler", "150", "150"), "describes Wand, which has no printed sheet"),
+        (("target", "scale", "board.toml", "--scan", "field.toml", "600"), "no coded targets that a scan shows"),
         (("target", "scale", "field.toml", "--scan", "no.png", "600"), "no.png: no such file"),
         (("target", "scale", "field.toml", "--scan", "board.toml", "600"), "neither PNG, TIFF nor BMP"),
     ],

@@ -63,12 +63,7 @@ def test_capture(refused, given, told):
         (FIRST, FIRST + '\nexposure_us = "800 us"', "", "'800 us' given"),
         (FIRST, FIRST + "\nexposure_ms = 0.8", "", "'exposure_ms'; did you mean 'exposure_us'?"),
         (FIRST, FIRST + "\nexposure_us = nan", "", "nan given"),
-        (
-            FIRST,
-            FIRST + '\ntrigger = "line1"',
-            "",
-            "'line1' given; Off, Software, Line0 to Line9 and Action1",
-        ),
+        (FIRST, FIRST + '\ntrigger = "line1"', "", "'line1' given; Off, Software, Line0 to Line9 and Action1"),
         (FIRST, FIRST + "\nwindow = [0, -1, 3, 4]", "", "offsets from 0"),
         (FIRST, FIRST + "\nwindow = [0, 1, 3]", "", "window"),
         (FIRST, FIRST + "\npacket_bytes = 100", "", "100 given"),
@@ -82,12 +77,7 @@ def test_capture(refused, given, told):
         ("", "", '[hardware.trigger]\nsource = "magic"\n', "'magic' given"),
         ("", "", '[hardware.trigger]\nsource = "serial"\n', "source 'serial' needs port"),
         ("", "", '[hardware.trigger]\nsource = "master"\n', "source 'master' needs camera"),
-        (
-            "",
-            "",
-            '[hardware.trigger]\nsource = "master"\ncamera = "z"\n',
-            "camera 'z' is none of a1, a2, b1, b2",
-        ),
+        ("", "", '[hardware.trigger]\nsource = "master"\ncamera = "z"\n', "camera 'z' is none of a1, a2, b1, b2"),
     ],
 )
 @pytest.mark.parametrize(
@@ -226,10 +216,7 @@ def test_programs(refused, lab_folder, monkeypatch, program, told):
         ("rig.toml", "rig.toml: [twin] wants scenario = or recording ="),
         ("take --address nonsense", "'nonsense': an IPv4 address is wanted"),
         ("take --address ||", "'': an IPv4 address is wanted"),
-        (
-            "take --address 10.99.99.99/24",
-            "camera 'a1': address 10.99.99.99 is not to be had on this machine",
-        ),
+        ("take --address 10.99.99.99/24", "camera 'a1': address 10.99.99.99 is not to be had on this machine"),
         ("take --rate 0", "0.0 is not in the range"),
         ("take --rate nan", "nan is no finite number"),
         ("take --seconds nan", "nan is no finite number"),

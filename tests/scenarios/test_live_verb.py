@@ -162,9 +162,7 @@ def test_what_cannot_be_is_one_line(lab, tmp_path):
     assert "--fill 0" in refused("reconstruct", lab / "take", *rig, "--out", out, "--fill", 0)
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "t.csv").write_text((",".join(read_header())) + "\n")
-    assert "no sample has a label" in refused(
-        "labels", "learn", tmp_path / "t.csv", "--out", tmp_path / "m.toml"
-    )
+    assert "no sample has a label" in refused("labels", "learn", tmp_path / "t.csv", "--out", tmp_path / "m.toml")
     assert "TRACK=LABEL" in refused(
         "labels", "learn", tmp_path / "t.csv", "--name", "x", "--out", tmp_path / "m.toml"
     )

@@ -77,9 +77,7 @@ def lab(tmp_path) -> Path:
 
 
 def reconstruct(lab: Path, *overrides: str, out: str = "tracks.csv") -> list[str]:
-    return reconstruct_recording(
-        lab / "take", lab / "rig.toml", lab / out, 50.0, lab / "settings.toml", overrides
-    )
+    return reconstruct_recording(lab / "take", lab / "rig.toml", lab / out, 50.0, lab / "settings.toml", overrides)
 
 
 def one_line(capsys, monkeypatch, lab: Path, *words: str) -> str:
@@ -149,9 +147,7 @@ def test_a_background_of_an_unknown_camera_or_size(lab):
 def test_without_backgrounds_nothing_changes(lab):
     def points(backgrounds: dict[str, np.ndarray] | None) -> np.ndarray:
         with open_recording(lab / "take", rig_of(), 50.0) as source:
-            return np.concatenate(
-                [s.points.xyz for s in run(source, rig_of(), None, Assembly(), backgrounds)]
-            )
+            return np.concatenate([s.points.xyz for s in run(source, rig_of(), None, Assembly(), backgrounds)])
 
     np.testing.assert_array_equal(points(None), points({}))
     black = {name: np.zeros((HEIGHT, WIDTH), np.uint8) for name in PLACES}

@@ -44,9 +44,7 @@ def test_it_is_interpolated_between_instants_and_never_over_a_gap(tmp_path):
 
 
 def test_points_that_never_move_need_no_time(tmp_path):
-    path = written(
-        tmp_path / "truth.csv", [("a", 0, 1, 2, 1e-4), ("b", 1, 1, 2, 3e-4)], "label,x,y,z,sigma_m"
-    )
+    path = written(tmp_path / "truth.csv", [("a", 0, 1, 2, 1e-4), ("b", 1, 1, 2, 3e-4)], "label,x,y,z,sigma_m")
     found = read_reference_csv(path)
     truth = found.at(np.array([5, 10**12]))
     np.testing.assert_array_equal(truth.xyz, [[[0, 1, 2], [1, 1, 2]]] * 2)
@@ -99,11 +97,7 @@ def told(path):
     return ""
 
 
-@given(
-    data=st.one_of(
-        st.binary(max_size=200), st.text("label,xyz\n0123456789.-e\"'", max_size=200).map(str.encode)
-    )
-)
+@given(data=st.one_of(st.binary(max_size=200), st.text("label,xyz\n0123456789.-e\"'", max_size=200).map(str.encode)))
 @settings(max_examples=150, deadline=None)
 def test_any_bytes(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("any") / "truth.csv"
@@ -125,9 +119,7 @@ def measured(shift_m=0.0, seed=3):
     rng = np.random.default_rng(seed)
     frame = np.repeat(np.arange(200), 2)
     track = np.tile([4, 8], 200)
-    xyz = np.where((track == 4)[:, None], wave(frame * 0.01), wave(frame * 0.01, 2)) + rng.normal(
-        0, 1e-4, (400, 3)
-    )
+    xyz = np.where((track == 4)[:, None], wave(frame * 0.01), wave(frame * 0.01, 2)) + rng.normal(0, 1e-4, (400, 3))
     n = len(frame)
     tracks = Tracks(
         frame, frame * STEP_NS, track, np.full(n, ""), xyz + [shift_m, 0, 0], np.tile(1e-8 * np.eye(3), (n, 1, 1)),
@@ -146,9 +138,7 @@ SPEC = load_scenario(find("rigs/wand_lengths")).model_copy(
 def given_truth(tmp_path):
     own = np.arange(-5, 1000) * 2_500_000 + 300
     rows = [
-        (name, t, *xyz)
-        for k, name in ((0, "a"), (2, "b"))
-        for t, xyz in zip(own, wave(own * 1e-9, k), strict=True)
+        (name, t, *xyz) for k, name in ((0, "a"), (2, "b")) for t, xyz in zip(own, wave(own * 1e-9, k), strict=True)
     ]
     return read_reference_csv(written(tmp_path / "truth.csv", rows))
 

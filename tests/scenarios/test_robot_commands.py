@@ -37,9 +37,7 @@ def test_a_robot_hears_the_lines_that_drive_the_twin(tmp_path):
         text = (SCENARIO.parent / "robot.program").read_text()
         text = text.replace("192.168.7.30:7000", f"127.0.0.1:{robot.port}")
         program = tmp_path / "robot.program"
-        program.write_text(
-            "\n".join(line if "at_s" not in line else "at_s = 0.0" for line in text.splitlines())
-        )
+        program.write_text("\n".join(line if "at_s" not in line else "at_s = 0.0" for line in text.splitlines()))
         with RecordingWriter(tmp_path / "take", CAMERAS) as writer:
             times = iter(range(1_000_000, 10**9, 1_000_000))
             told = []
@@ -67,9 +65,7 @@ def test_what_drove_the_twin_is_written_as_a_capture_writes_it(tmp_path):
 
 def test_files_without_commands_say_what_they_have(tmp_path):
     program = SCENARIO.parent / "robot.program"
-    with pytest.raises(
-        InputError, match=r"robot\.program: no command for target 'drone'; it has targets robot"
-    ):
+    with pytest.raises(InputError, match=r"robot\.program: no command for target 'drone'; it has targets robot"):
         command_lines(program, "drone")
     with RecordingWriter(tmp_path / "take", CAMERAS):
         pass
@@ -111,8 +107,7 @@ def test_a_twin_s_recording_holds_what_drove_it_and_drives_it_again(tmp_path):
     run_scenario(spec, "robot", tmp_path, RunOptions(record_to=tmp_path / "take"))
     recorded = command_lines(tmp_path / "take", "rover")
     assert recorded == [
-        (round(at * 1e9), json.dumps({"left": float(left), "right": float(right)}))
-        for at, left, right in given
+        (round(at * 1e9), json.dumps({"left": float(left), "right": float(right)})) for at, left, right in given
     ]
     again = build_scene(load_scenario(SCENARIO, (*quick, "scene.commands=take")), tmp_path)
     first = build_scene(spec, tmp_path)

@@ -69,9 +69,7 @@ def test_a_glow_changes_only_what_it_says(tmp_path):
 
 
 def test_lamps_blink_unlike_numbers_in_the_glow_that_is_said(tmp_path):
-    made = build(
-        tmp_path, "cloud", CLOUD, "[glow]\nhalf_deg = 80.0\nstrength = 2.0\n[lamps]\nframes_per_bit = 2\n"
-    )
+    made = build(tmp_path, "cloud", CLOUD, "[glow]\nhalf_deg = 80.0\nstrength = 2.0\n[lamps]\nframes_per_bit = 2\n")
     blinks = [made.glows[name].blink for name in made.marker_names]
     assert all(blink is not None and blink.bit_s == pytest.approx(0.02) for blink in blinks)
     assert len({blink.bits for blink in blinks if blink is not None}) == 5
@@ -80,13 +78,7 @@ def test_lamps_blink_unlike_numbers_in_the_glow_that_is_said(tmp_path):
 
 def test_some_markers_may_be_lamps(tmp_path):
     made = build(tmp_path, "cloud", CLOUD, '[glow]\nkind = "retro"\n[lamps]\nnames = ["P2"]\n')
-    assert [made.glows[name].kind for name in made.marker_names] == [
-        "retro",
-        "lamp",
-        "retro",
-        "retro",
-        "retro",
-    ]
+    assert [made.glows[name].kind for name in made.marker_names] == ["retro", "lamp", "retro", "retro", "retro"]
 
 
 @pytest.mark.parametrize(

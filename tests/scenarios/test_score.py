@@ -50,9 +50,7 @@ def both(frames=4, dx=0.001):
 def test_the_calibrations_share_is_added_to_the_measurements_covariance():
     rows = [(f, 0, 0.002, 0, 0) for f in range(4)] + [(f, 1, 1.0, 0.001, 0) for f in range(4)]
     # a calibration that is 1.5 mm uncertain along x and not at all else: variances 1 + 2.25 mm^2 along x, 1 along y
-    share = pair(
-        tracks(rows), truth(), SPACE, lambda xyz: np.tile(np.diag([2.25e-6, 0, 0]), (len(xyz), 1, 1))
-    )
+    share = pair(tracks(rows), truth(), SPACE, lambda xyz: np.tile(np.diag([2.25e-6, 0, 0]), (len(xyz), 1, 1)))
     assert sorted(set(np.round(share.nees, 9))) == pytest.approx([1.0, 4 / 3.25])
     assert sorted(set(np.round(pair(tracks(rows), truth(), SPACE).nees, 9))) == pytest.approx([1.0, 4.0])
 
@@ -104,22 +102,16 @@ def test_seen_means_half_of_the_disc_in_two_cameras():
     one_camera = truth()
     visible = one_camera.visible.copy()
     visible[:, :, 1:] = 0.49
-    half = Truth(
-        *(visible if n == "visible" else getattr(one_camera, n) for n in one_camera.__dataclass_fields__)
-    )
+    half = Truth(*(visible if n == "visible" else getattr(one_camera, n) for n in one_camera.__dataclass_fields__))
     assert pair(tracks([]), half, SPACE).seen.sum() == 0
     visible[:, :, 1] = 0.5
-    half = Truth(
-        *(visible if n == "visible" else getattr(one_camera, n) for n in one_camera.__dataclass_fields__)
-    )
+    half = Truth(*(visible if n == "visible" else getattr(one_camera, n) for n in one_camera.__dataclass_fields__))
     assert pair(tracks([]), half, SPACE).seen.sum() == 8
 
 
 def test_filled_samples_never_count():
     t = tracks(both())
-    filled = Tracks(
-        *(np.full(8, "filled") if n == "status" else getattr(t, n) for n in t.__dataclass_fields__)
-    )
+    filled = Tracks(*(np.full(8, "filled") if n == "status" else getattr(t, n) for n in t.__dataclass_fields__))
     assert metrics(pair(filled, truth(), SPACE), SPACE)["completeness"].value == 0.0
 
 
@@ -146,9 +138,7 @@ def test_a_lost_frame_is_not_a_shift():
     t = tracks(both())
     moved = Tracks(*(t.frame + 100 if n == "frame" else getattr(t, n) for n in t.__dataclass_fields__))
     assert metrics(pair(moved, truth(), SPACE), SPACE)["completeness"].value == 1.0
-    late = Tracks(
-        *(t.time_ns + 6_000_000 if n == "time_ns" else getattr(t, n) for n in t.__dataclass_fields__)
-    )
+    late = Tracks(*(t.time_ns + 6_000_000 if n == "time_ns" else getattr(t, n) for n in t.__dataclass_fields__))
     assert pair(late, truth(), SPACE).ghosts.sum() == 2
 
 

@@ -73,9 +73,7 @@ def test_two_bars_at_once_cannot_be_told_apart_unless_they_are_named():
     frame, _, note = lengths_found(found, BAR)
     np.testing.assert_array_equal(frame, np.arange(30, 60))
     assert "in 30 of 60 frames several pairs of markers are 0.4 m apart" in note
-    frame, distance, note = lengths_found(
-        found, LengthSpec(name="x", length_m=0.4, markers=("bar/1", "bar/2"))
-    )
+    frame, distance, note = lengths_found(found, LengthSpec(name="x", length_m=0.4, markers=("bar/1", "bar/2")))
     assert (len(frame), note) == (60, "")
     np.testing.assert_allclose(distance, 0.4, atol=1e-12)
 
@@ -84,10 +82,7 @@ def test_two_bars_at_once_cannot_be_told_apart_unless_they_are_named():
     ("given", "told"),
     [
         (BAR, "length 'bar': no two markers stay 0.4 m apart"),
-        (
-            LengthSpec(name="x", length_m=0.4, markers=("a", "b")),
-            "length 'x': a and b were not seen together",
-        ),
+        (LengthSpec(name="x", length_m=0.4, markers=("a", "b")), "length 'x': a and b were not seen together"),
     ],
 )
 def test_a_length_that_is_not_there_is_said(given, told):

@@ -77,9 +77,7 @@ def test_missing_file_suggests_a_near_name(tmp_path):
 
 
 def test_overrides(tmp_path):
-    spec = load_scenario(
-        write(tmp_path, GOOD), ("capture.duration_s=2", "scene.markers=7", "title=other words")
-    )
+    spec = load_scenario(write(tmp_path, GOOD), ("capture.duration_s=2", "scene.markers=7", "title=other words"))
     assert (spec.capture.duration_s, spec.scene.markers, spec.title) == (2.0, 7, "other words")
     assert "KEY=VALUE" in complaint(tmp_path, GOOD, ("capture.duration_s",))
     assert "title" in complaint(tmp_path, GOOD, ("title.x=1",))
@@ -119,9 +117,7 @@ def test_schema_is_json_and_knows_the_kinds():
 
 
 @settings(
-    max_examples=100,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 )
 @given(st.binary(max_size=200))
 def test_any_bytes_are_a_known_error(tmp_path, data):
@@ -132,8 +128,7 @@ def test_any_bytes_are_a_known_error(tmp_path, data):
 
 
 @pytest.mark.parametrize(
-    ("table", "settings"),
-    [("detection", DetectionSettings), ("match", MatchSettings), ("track", TrackSettings)],
+    ("table", "settings"), [("detection", DetectionSettings), ("match", MatchSettings), ("track", TrackSettings)]
 )
 def test_a_stage_has_the_keys_of_its_settings(table, settings):
     spec = type(getattr(PipelineSpec(), table))

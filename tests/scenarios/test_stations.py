@@ -143,12 +143,8 @@ def test_backgrounds_are_made_and_taken_off_as_in_a_local_run(tmp_path):
     ready, live, none = seen.values()
     assert all(same(ready[s.frame_set.pulse][n], s.detections[n]) for s in local for n in NAMES)
     assert min(live) >= 30  # what the background was made of is not looked at
-    assert np.median([len(d["a1"]) for d in live.values()]) == np.median(
-        [len(d["a1"]) for d in ready.values()]
-    )
-    assert np.median([len(d["a1"]) for d in none.values()]) != np.median(
-        [len(d["a1"]) for d in ready.values()]
-    )
+    assert np.median([len(d["a1"]) for d in live.values()]) == np.median([len(d["a1"]) for d in ready.values()])
+    assert np.median([len(d["a1"]) for d in none.values()]) != np.median([len(d["a1"]) for d in ready.values()])
 
 
 class SharedLine(FakeLine):
@@ -219,10 +215,7 @@ def test_a_source_that_fails_is_told_to_the_others():
         with pytest.raises(InputError, match="is gone"):
             run_station(source, Sender(exchange.open(), "A", source.cameras), SETTINGS.detection)
         list(here)
-    assert [e.text for e in here.events if e.kind in ("note", "ended")] == [
-        "camera 'a1': is gone",
-        "has failed",
-    ]
+    assert [e.text for e in here.events if e.kind in ("note", "ended")] == ["camera 'a1': is gone", "has failed"]
 
 
 def test_pulses_are_counted_over_gaps_and_drift():
@@ -241,9 +234,7 @@ def test_a_calibration_comes_from_the_station_that_has_it(tmp_path):
     got, told = calibrated_rig(path, lambda: {"A": "[[camera]]\nname = 'a1'\nsize = [1, 1]\n", "B": text})
     for ours, camera in zip(got.cameras, WHOLE.cameras, strict=True):
         assert (ours.name, ours.lens) == (camera.name, camera.lens)
-        np.testing.assert_allclose(
-            ours.world_from_camera.rotation, camera.world_from_camera.rotation, atol=1e-14
-        )
+        np.testing.assert_allclose(ours.world_from_camera.rotation, camera.world_from_camera.rotation, atol=1e-14)
         assert ours.world_from_camera.translation.tolist() == camera.world_from_camera.translation.tolist()
     assert told == ["camera 'b1': calibration of station B", "camera 'b2': calibration of station B"]
     with pytest.raises(InputError, match=r"camera 'b1' is not calibrated, and no station"):
@@ -288,9 +279,7 @@ def test_the_verbs_from_recordings_to_tracks(tmp_path, monkeypatch):
     def fetch():
         rig_of.callback("reconstruct", (endpoint,), tmp_path / "got.toml")
 
-    threads = [threading.Thread(target=detect, args=(name,)) for name in "AB"] + [
-        threading.Thread(target=fetch)
-    ]
+    threads = [threading.Thread(target=detect, args=(name,)) for name in "AB"] + [threading.Thread(target=fetch)]
     for thread in threads:
         thread.start()
     done = invoke(

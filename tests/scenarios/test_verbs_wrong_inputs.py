@@ -43,10 +43,7 @@ HERE = RECONSTRUCT + "--stations A --listen tcp/127.0.0.1:0 "
         (HERE + "--out x.csv --settings none.toml", "none.toml: no such file"),
         (HERE + "--out x.csv --rig none.toml", "none.toml: no such file"),
         (HERE + "--out x.csv --rig bytes.toml", "bytes.toml: cannot be read"),
-        (
-            RECONSTRUCT + "--out x.csv --stations A,A --listen tcp/127.0.0.1:7477",
-            "one or more different names",
-        ),
+        (RECONSTRUCT + "--out x.csv --stations A,A --listen tcp/127.0.0.1:7477", "one or more different names"),
         (RECONSTRUCT + "--out x.csv --stations , --listen tcp/127.0.0.1:7477", "one or more different names"),
         (RECONSTRUCT + "--out x.csv --stations A --listen tcp/10.99.99.99:7447", "has no such address"),
         ("rig --connect tcp/127.0.0.1:7 --out nowhere/x.toml", "there is no folder nowhere"),
@@ -71,15 +68,9 @@ def test_a_port_that_somebody_listens_to(refused):
 @pytest.mark.parametrize(
     ("given", "told"),
     [
-        (
-            "run any_source --out new --source hardware:rig.toml",
-            "rig.toml: no camera 'cam1', which the scenario's",
-        ),
+        ("run any_source --out new --source hardware:rig.toml", "rig.toml: no camera 'cam1', which the scenario's"),
         ("run any_source --out new --source hardware:none.toml", "none.toml: no such file"),
-        (
-            "run any_source --out new --source hardware:",
-            "allowed are twin, recording:DIR and hardware:RIG.toml",
-        ),
+        ("run any_source --out new --source hardware:", "allowed are twin, recording:DIR and hardware:RIG.toml"),
         ("run any_source --out new --source hardware:plain.toml", "has no [camera.hardware]"),
         ("run any_source --out new --source usb:rig.toml", "allowed are twin"),
         ("run any_source --out new --source recording:take", "no camera 'cam1' of the rig"),
@@ -197,10 +188,7 @@ CONTINUOUS = "--continuous take --rig plain.toml --out new.csv "
         ("--continuous take --rig none.toml --out new.csv", "none.toml: no such file"),
         ("--continuous nope --rig plain.toml --out new.csv", "nope: no such folder"),
         ("--continuous take --rig plain.toml --out nowhere/new.csv", "no folder nowhere"),
-        (
-            "take --rig plain.toml --out new.csv --rate 3",
-            "--rate does not go with a run without --continuous",
-        ),
+        ("take --rig plain.toml --out new.csv --rate 3", "--rate does not go with a run without --continuous"),
         ("take --rig plain.toml --out new.csv --fill nan", "--fill nan"),
         ("take --rig plain.toml --out new.csv --lag -3", "lag = -3 given"),
     ],

@@ -117,9 +117,7 @@ def test_a_scenario_names_its_zones():
     assert right.low_m[0] < left.high_m[0]
     shifted = with_fault(rig, MovedFault(kind="moved_cameras", cameras=("b1",), shift_m=(0.005, 0, 0)))
     for camera in rig.cameras:
-        moved = (
-            shifted.camera(camera.name).world_from_camera.translation - camera.world_from_camera.translation
-        )
+        moved = shifted.camera(camera.name).world_from_camera.translation - camera.world_from_camera.translation
         np.testing.assert_allclose(moved, [0.005 * (camera.name == "b1"), 0, 0], atol=1e-12)
 
 
@@ -127,10 +125,7 @@ def test_a_scenario_names_its_zones():
     ("override", "said"),
     [
         ("pipeline.watch=true", "zones are not watched"),
-        (
-            'zone=[{name="a", cameras=["a1", "a2"], center_m=[0, 0, 0], size_m=[1, 1, 1]}]',
-            "two or more zones",
-        ),
+        ('zone=[{name="a", cameras=["a1", "a2"], center_m=[0, 0, 0], size_m=[1, 1, 1]}]', "two or more zones"),
         ("pipeline.fill_s=0", "greater than 0"),
     ],
 )

@@ -171,9 +171,7 @@ def test_worn_cameras_move_with_the_body_and_see_it():
     assert away[0] == pytest.approx(0.2, abs=0.01)
     assert np.linalg.norm(centres[-1] - centres[0], axis=1).min() > 2
     see = observe(truth, rig, paths=paths)
-    shown = len(see) / (
-        len(np.unique(np.column_stack([see.camera, see.exposure]), axis=0)) * (len(truth.names) + 2)
-    )
+    shown = len(see) / (len(np.unique(np.column_stack([see.camera, see.exposure]), axis=0)) * (len(truth.names) + 2))
     assert shown > 0.7
     with pytest.raises(InputError, match="at the motion's frames only"):
         paths.at(np.array([0.0041]))

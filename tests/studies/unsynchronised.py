@@ -64,9 +64,7 @@ def read_motion(folder: Path, name: str) -> Motion:
     file, skeleton = (MOTIONS | TUNING)[name]
     if skeleton:
         return read_asf_amc(folder / skeleton, folder / file, frame_rate_hz=FRAME_RATE_HZ)
-    return read_bvh(
-        folder / file, metres_per_unit=BVH_UNIT_M, frame_rate_hz=FRAME_RATE_HZ, drop_frames=BVH_DROP
-    )
+    return read_bvh(folder / file, metres_per_unit=BVH_UNIT_M, frame_rate_hz=FRAME_RATE_HZ, drop_frames=BVH_DROP)
 
 
 def read_points(folder: Path, name: str) -> PointMotion:
@@ -146,30 +144,13 @@ def observe(
             inside = ((xy >= -0.5) & (xy <= np.array([camera.width, camera.height]) - 0.5)).all(axis=1)
             m = int(inside.sum())
             columns.append(
-                (
-                    np.full(m, k),
-                    point[inside],
-                    np.full(m, running),
-                    np.full(m, truth.time_s[frame]),
-                    xy[inside],
-                )
+                (np.full(m, k), point[inside], np.full(m, running), np.full(m, truth.time_s[frame]), xy[inside])
             )
-    camera_, point_, exposure, time_s, xy_px = (
-        np.concatenate(column) for column in zip(*columns, strict=True)
-    )
+    camera_, point_, exposure, time_s, xy_px = (np.concatenate(column) for column in zip(*columns, strict=True))
     covariance = np.tile(np.eye(2) * max(noise_px, 0.01) ** 2, (len(xy_px), 1, 1))
     carried_by = np.concatenate([np.full(n, -1), np.arange(len(rig.cameras))])[: len(names)]
     return TimedObservations(
-        rig.names,
-        names,
-        camera_,
-        point_,
-        exposure,
-        time_s,
-        xy_px,
-        covariance,
-        carried_by,
-        np.zeros((len(names), 3)),
+        rig.names, names, camera_, point_, exposure, time_s, xy_px, covariance, carried_by, np.zeros((len(names), 3))
     )
 
 
@@ -219,9 +200,7 @@ def score(
         if here.sum() < 3:
             continue
         source, target = found[part][here], wanted[part][here]
-        scale, motion = (
-            (1.0, Pose(np.eye(3), np.zeros(3))) if aligned == "as is" else similarity(source, target)
-        )
+        scale, motion = (1.0, Pose(np.eye(3), np.zeros(3))) if aligned == "as is" else similarity(source, target)
         squares.append(((motion.transform(scale * source) - target) ** 2).sum(axis=1))
         away = motion.transform(scale * centres[part].reshape(-1, 3)) - true_centres[part].reshape(-1, 3)
         camera_squares.append((away**2).sum(axis=1))

@@ -14,14 +14,7 @@ from mosca.data.arrays import Array
 from mosca.data.motion.motion import forward_kinematics
 from mosca.data.rig import Camera, FisheyeLens, Pose, Rig
 from mosca.errors import InputError
-from tests.studies.unsynchronised import (
-    FRAME_RATE_HZ,
-    HEIGHT,
-    LONGEST_FRAMES,
-    WIDTH,
-    read_motion,
-    wide_camera,
-)
+from tests.studies.unsynchronised import FRAME_RATE_HZ, HEIGHT, LONGEST_FRAMES, WIDTH, read_motion, wide_camera
 
 BONES = ("lowerback", "lwrist", "rtibia"), ("abdomen", "lHand", "rShin")
 """Bones of belly, wrist and shin in ASF skeletons and in converted ones."""

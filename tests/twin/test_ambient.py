@@ -92,9 +92,7 @@ def test_dust_is_soft_and_within_its_loss():
 
 
 def test_fixed_patterns_have_their_sizes():
-    sensor = Sensor(
-        background_e=500.0, dsnu_e=6.0, prnu=0.02, hot_pixels=0.002, hot_e=800.0, dead_pixels=0.001
-    )
+    sensor = Sensor(background_e=500.0, dsnu_e=6.0, prnu=0.02, hot_pixels=0.002, hot_e=800.0, dead_pixels=0.001)
     mean, flat = ambient_map(sensor, 1000, 800, 3, exposure_s=0.01)
     dead = flat == 0
     assert dead.mean() == pytest.approx(0.001, rel=0.15)
@@ -111,10 +109,7 @@ def test_fixed_patterns_have_their_sizes():
     # each trait draws on its own: without the others the PRNU is the same, for another camera it is not
     alone = ambient_map(Sensor(prnu=0.02), 1000, 800, 3).flat
     np.testing.assert_array_equal(alone[~dead], flat[~dead])
-    assert (
-        abs(np.corrcoef(ambient_map(Sensor(prnu=0.02), 1000, 800, 4).flat.ravel(), alone.ravel())[0, 1])
-        < 0.005
-    )
+    assert abs(np.corrcoef(ambient_map(Sensor(prnu=0.02), 1000, 800, 4).flat.ravel(), alone.ravel())[0, 1]) < 0.005
 
 
 def test_dark_current_grows_with_the_exposure_and_passes_no_lens():

@@ -61,16 +61,10 @@ def test_a_ball_covers_the_pixels_that_opencv_says():
     one /= np.linalg.norm(one)
     two = np.cross(axis, one)
     angles = np.linspace(0, 2 * np.pi, 2000, endpoint=False)
-    ring = (
-        radius * np.sqrt(1 - radius**2 / d2) * (np.outer(np.cos(angles), one) + np.outer(np.sin(angles), two))
-    )
+    ring = radius * np.sqrt(1 - radius**2 / d2) * (np.outer(np.cos(angles), one) + np.outer(np.sin(angles), two))
     matrix = np.array([[FOCAL, 0, LENS.cx_px], [0, FOCAL, LENS.cy_px], [0, 0, 1]])
     rim, _ = cv2.projectPoints(
-        ring + center * (1 - radius**2 / d2),
-        np.zeros(3),
-        np.zeros(3),
-        matrix,
-        np.array([LENS.k1, LENS.k2, 0, 0]),
+        ring + center * (1 - radius**2 / d2), np.zeros(3), np.zeros(3), matrix, np.array([LENS.k1, LENS.k2, 0, 0])
     )
     contour = rim.astype(np.float32)
     away = np.array([[cv2.pointPolygonTest(contour, (x, y), True) for x in range(W)] for y in range(H)])
@@ -103,13 +97,7 @@ def test_a_floor_under_the_camera_falls_with_the_cube_of_the_cosine():
 def test_rays_meet_what_mujocos_rays_meet():
     spec = mujoco.MjSpec()
     random = np.random.default_rng(3)
-    kinds = [
-        GEOM.mjGEOM_SPHERE,
-        GEOM.mjGEOM_CAPSULE,
-        GEOM.mjGEOM_ELLIPSOID,
-        GEOM.mjGEOM_CYLINDER,
-        GEOM.mjGEOM_BOX,
-    ]
+    kinds = [GEOM.mjGEOM_SPHERE, GEOM.mjGEOM_CAPSULE, GEOM.mjGEOM_ELLIPSOID, GEOM.mjGEOM_CYLINDER, GEOM.mjGEOM_BOX]
     for k in range(30):
         turn = random.normal(size=4)
         spec.worldbody.add_geom(
@@ -117,9 +105,7 @@ def test_rays_meet_what_mujocos_rays_meet():
             quat=turn / np.linalg.norm(turn),
         )  # fmt: skip
     spec.worldbody.add_geom(type=GEOM.mjGEOM_PLANE, size=[3.0, 4.0, 0.1], pos=[0, 4.0, -1.2])
-    spec.worldbody.add_geom(
-        type=GEOM.mjGEOM_PLANE, size=[0, 0, 0.1], pos=[0, 9.0, 0], quat=[0.7071, 0.7071, 0, 0]
-    )
+    spec.worldbody.add_geom(type=GEOM.mjGEOM_PLANE, size=[0, 0, 0.1], pos=[0, 9.0, 0], quat=[0.7071, 0.7071, 0, 0])
     scene = scene_of(spec)
     model, state = scene.model, scene.sampler().at(0.0)
     sampler = scene.sampler()
@@ -177,9 +163,7 @@ def test_a_reflective_stripe():
     upright = {"type": GEOM.mjGEOM_CAPSULE, "size": [0.3, 0.5, 0], "pos": [0, 3.3, 0]}
     spec.worldbody.add_geom(name="chest/0", rgba=[0.1, 0.1, 0.1, 1], **upright)
     clothes = (Cloth("chest/*", 0.2), Cloth("chest/0", 0.5, retro=200.0, band_m=(0.1, 0.2)))
-    image = image_of(
-        scene_of(spec), Context(step_px=1, ambient=0.0, lamp=0.01, at_m=3.0, clothes=clothes), PINHOLE
-    )
+    image = image_of(scene_of(spec), Context(step_px=1, ambient=0.0, lamp=0.01, at_m=3.0, clothes=clothes), PINHOLE)
     # the front is 3 m away; the stripe from z = 0.1 to 0.2 m lies 6.67 to 13.3 px above the middle
     assert image[60, 80] == pytest.approx(0.2 * 0.01 * FULL, rel=1e-6)
     bright = np.flatnonzero(image[:, 80] > 100 * image[60, 80])
@@ -221,9 +205,7 @@ def test_enlarging_keeps_a_ramp(step):
     x = step * np.arange(columns) + (step - 1) / 2
     ramp = enlarged(np.tile(x, (rows, 1)).astype(np.float32), step, W, H)
     assert ramp.shape == (H, W)
-    np.testing.assert_allclose(
-        ramp[:, step : W - step], np.tile(np.arange(W), (H, 1))[:, step : W - step], atol=1e-3
-    )
+    np.testing.assert_allclose(ramp[:, step : W - step], np.tile(np.arange(W), (H, 1))[:, step : W - step], atol=1e-3)
 
 
 def test_a_fisheye_sees_the_floor_below_and_behind():

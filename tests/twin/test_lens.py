@@ -77,9 +77,7 @@ def test_opencv_lands_on_the_same_pixel(lens):
 @BY_LENS
 def test_same_numbers_same_rays_as_the_pipeline(lens):
     grid = image_grid(W, H)
-    np.testing.assert_allclose(
-        TwinLens.of(lens, W, H).directions(grid), lens_directions(lens, grid), atol=1e-11
-    )
+    np.testing.assert_allclose(TwinLens.of(lens, W, H).directions(grid), lens_directions(lens, grid), atol=1e-11)
 
 
 def test_a_tilted_sensor_is_opencvs():
@@ -169,9 +167,7 @@ def test_equidistant_in_closed_form_before_and_behind(theta_deg):
     slopes = np.array(slopes).reshape(2, 3)
     np.testing.assert_allclose(slopes @ along, 120.0 * np.array([np.cos(about), np.sin(about)]), atol=1e-6)
     stretch = 120.0 * theta / np.sin(theta)
-    np.testing.assert_allclose(
-        slopes @ across, stretch * np.array([-np.sin(about), np.cos(about)]), atol=1e-6
-    )
+    np.testing.assert_allclose(slopes @ across, stretch * np.array([-np.sin(about), np.cos(about)]), atol=1e-6)
     np.testing.assert_allclose(slopes @ v, 0.0, atol=1e-9)
 
 
@@ -203,9 +199,7 @@ CAMERAS = {
 
 
 @pytest.mark.parametrize("name", CAMERAS)
-@pytest.mark.parametrize(
-    ("gap", "low", "high"), [("none", 0, 1e-9), ("measured", 0.02, 0.05), ("stress", 0.1, 0.3)]
-)
+@pytest.mark.parametrize(("gap", "low", "high"), [("none", 0, 1e-9), ("measured", 0.02, 0.05), ("stress", 0.1, 0.3)])
 def test_the_gap_is_what_the_pipelines_model_cannot_follow(name, gap, low, high):
     lens, width, height = CAMERAS[name]
     grid, twin = image_grid(width, height, width / 30), TwinLens.of(lens, width, height, GAPS[gap])
@@ -218,9 +212,7 @@ def test_the_gap_is_what_the_pipelines_model_cannot_follow(name, gap, low, high)
 def test_optics_and_a_bare_number_make_the_same_lens():
     optics = Optics(gap_px=0.1, tilt_deg=(0.1, 0.2), pupil_shift_m=0.001)
     terms = GapTerms(0.1, (0.1, 0.2), 0.001)
-    np.testing.assert_array_equal(
-        TwinLens.of(MOSCA, W, H, optics).vector, TwinLens.of(MOSCA, W, H, terms).vector
-    )
+    np.testing.assert_array_equal(TwinLens.of(MOSCA, W, H, optics).vector, TwinLens.of(MOSCA, W, H, terms).vector)
     for same in (TwinLens.of(MOSCA, W, H, 0.1), TwinLens.of(MOSCA, W, H, gap_px=0.1)):
         np.testing.assert_array_equal(same.vector, TwinLens.of(MOSCA, W, H, GapTerms(0.1)).vector)
 

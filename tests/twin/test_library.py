@@ -11,14 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mosca.errors import InputError
-from twin.cameras.library import (
-    FILES,
-    Sourced,
-    lens,
-    lenses,
-    sensor,
-    sensors,
-)
+from twin.cameras.library import FILES, Sourced, lens, lenses, sensor, sensors
 
 ROOT = Path(__file__).parents[2]
 GOOD = (FILES / "sensors.toml").read_text(encoding="utf-8")

@@ -46,9 +46,7 @@ def test_half_at_60_degrees_is_the_cosine_and_half_at_45_its_square():
 
 def test_ring_light_falls_with_the_square_of_the_distance_and_a_lamp_does_not_know_it():
     retro, lamp = Glow("retro", at_m=2.0), Glow("lamp", at_m=2.0)
-    assert [electrons(retro, 0, d) for d in (1.0, 2.0, 4.0)] == pytest.approx(
-        [4000.0, 1000.0, 250.0], rel=1e-12
-    )
+    assert [electrons(retro, 0, d) for d in (1.0, 2.0, 4.0)] == pytest.approx([4000.0, 1000.0, 250.0], rel=1e-12)
     assert electrons(Glow("retro", at_m=None), 0, 4.0) == pytest.approx(1000.0)
     assert [electrons(lamp, 0, d) for d in (1.0, 4.0)] == pytest.approx([1000.0, 1000.0])
     assert [electrons(Glow("paper", at_m=2.0), 0, d) for d in (1.0, 4.0)] == [1000.0, 1000.0]
@@ -62,9 +60,7 @@ def test_paper_is_even_in_front_and_dark_behind_but_a_ball_has_no_behind():
 
 def test_a_retro_ball_has_its_lobe_as_limb_darkening():
     glows = [Glow("retro", half_deg=60.0), Glow("retro", half_deg=75.0), Glow("retro", half_deg=30.0)]
-    table = glow_table(
-        [*glows, Glow(limb=0.3), Glow("retro", half_deg=75.0, limb=0.5)], np.ones(5, dtype=bool)
-    )
+    table = glow_table([*glows, Glow(limb=0.3), Glow("retro", half_deg=75.0, limb=0.5)], np.ones(5, dtype=bool))
     # brightness 1 - limb (1 - cos a): a half at 60 degrees with limb 1, at 75 degrees with 0.5 / (1 - 0.258819)
     lobe = 0.5 / (1 - 0.2588190451)
     np.testing.assert_allclose(table.limb, [1.0, lobe, 1.0, 0.3, 1 - 0.5 * (1 - lobe)], rtol=1e-9)
@@ -96,12 +92,7 @@ def test_a_code_by_hand():
     assert when_lit(Blink((True,), 1e-3, start_s=5e-3), 0.0, 6e-3) == [pytest.approx((5e-3, 6e-3))]
 
 
-@given(
-    st.lists(st.booleans(), min_size=1, max_size=9),
-    st.integers(1, 40),
-    st.integers(0, 3000),
-    st.integers(1, 400),
-)
+@given(st.lists(st.booleans(), min_size=1, max_size=9), st.integers(1, 40), st.integers(0, 3000), st.integers(1, 400))
 def test_light_of_a_code_is_its_share_of_the_span(bits, bit_us, opening_us, span_us):
     got = when_lit(Blink(tuple(bits), bit_us * 1e-6), opening_us * 1e-6, span_us * 1e-6)
     on = sum(bits[us // bit_us % len(bits)] for us in range(opening_us, opening_us + span_us))

@@ -18,9 +18,7 @@ from twin.streams import rng
 
 FOCAL_PX, SEED = 800.0, 3
 STEADY = Mount(body_px=0.0)
-POSE = Pose(
-    Rotation.from_euler("zyx", [20.0, -40.0, 10.0], degrees=True).as_matrix(), np.array([1.0, -2.0, 0.5])
-)
+POSE = Pose(Rotation.from_euler("zyx", [20.0, -40.0, 10.0], degrees=True).as_matrix(), np.array([1.0, -2.0, 0.5]))
 
 
 def stand(mount: Mount, seed: int = SEED, duration_s: float = 100.0, name: str = "eye") -> CameraSupport:
@@ -140,8 +138,7 @@ def test_a_longer_session_begins_alike() -> None:
     mount = replace(STEADY, wander_px=0.3)
     times = np.linspace(0.0, 20.0, 77)
     np.testing.assert_array_equal(
-        stand(mount, duration_s=20.0).image_shift_px(times),
-        stand(mount, duration_s=2000.0).image_shift_px(times),
+        stand(mount, duration_s=20.0).image_shift_px(times), stand(mount, duration_s=2000.0).image_shift_px(times)
     )
 
 
@@ -149,9 +146,7 @@ def test_a_longer_session_begins_alike() -> None:
 
 
 def test_a_bump_stays() -> None:
-    bumped = stand(
-        replace(STEADY, bump_s=2.0, bump_px=(3.0, -1.5), bump_m=(0.01, 0.0, -0.02), bump_rise_s=0.02)
-    )
+    bumped = stand(replace(STEADY, bump_s=2.0, bump_px=(3.0, -1.5), bump_m=(0.01, 0.0, -0.02), bump_rise_s=0.02))
     times = np.array([0.0, 2.0, 2.01, 2.02, 50.0])
     expected = np.outer([0.0, 0.0, 0.5, 1.0, 1.0], [3.0, -1.5])
     np.testing.assert_allclose(image_of(bumped, times, far_along()), expected, atol=1e-4)
@@ -195,12 +190,7 @@ def test_poses_are_pure_functions_of_time() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [
-        {"vibration_hz": (50.0, 5.0)},
-        {"vibration_hz": (0.0, 5.0)},
-        {"wander_bound_px": 0.0},
-        {"bump_rise_s": 0.0},
-    ],
+    [{"vibration_hz": (50.0, 5.0)}, {"vibration_hz": (0.0, 5.0)}, {"wander_bound_px": 0.0}, {"bump_rise_s": 0.0}],
 )
 def test_what_cannot_be_is_named(wrong: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=f"mount: {next(iter(wrong))} = "):

@@ -48,9 +48,7 @@ def others() -> list[str]:
 
 def digest(python: str, cache: Path) -> str:
     place = {**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(cache)}
-    done = subprocess.run(
-        [python, "-c", SCRIPT], cwd=ROOT, env=place, capture_output=True, text=True, timeout=900
-    )
+    done = subprocess.run([python, "-c", SCRIPT], cwd=ROOT, env=place, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
 

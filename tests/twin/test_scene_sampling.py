@@ -134,9 +134,7 @@ def test_interpolation_is_that_of_scipy() -> None:
 
 
 def test_lobatto_nodes_reach_both_ends() -> None:
-    np.testing.assert_allclose(
-        lobatto_nodes(2.0, 5), [0, 1 - np.sqrt(0.5), 1, 1 + np.sqrt(0.5), 2], atol=1e-15
-    )
+    np.testing.assert_allclose(lobatto_nodes(2.0, 5), [0, 1 - np.sqrt(0.5), 1, 1 + np.sqrt(0.5), 2], atol=1e-15)
 
 
 def test_what_a_camera_has_before_it() -> None:
@@ -151,12 +149,8 @@ def test_what_a_camera_has_before_it() -> None:
     assert view.solid_rotation.shape == (2, 3, 3, 3)
     for k in range(2):
         for m, geom in enumerate(targets):
-            np.testing.assert_allclose(
-                view.path[m, k], rotation[k].T @ (xyz[k, geom] - position[k]), atol=1e-15
-            )
+            np.testing.assert_allclose(view.path[m, k], rotation[k].T @ (xyz[k, geom] - position[k]), atol=1e-15)
             np.testing.assert_allclose(view.rotation[m, k], rotation[k].T @ turn[k, geom], atol=1e-15)
         for s, geom in enumerate(solids):
-            np.testing.assert_allclose(
-                view.solid_xyz[k, s], rotation[k].T @ (xyz[k, geom] - position[k]), atol=1e-15
-            )
+            np.testing.assert_allclose(view.solid_xyz[k, s], rotation[k].T @ (xyz[k, geom] - position[k]), atol=1e-15)
             np.testing.assert_allclose(view.solid_rotation[k, s], rotation[k].T @ turn[k, geom], atol=1e-15)

@@ -56,15 +56,11 @@ class Sampled:
         floor = model.geom("floor").id
         feet = {
             side: [
-                g
-                for g in range(model.ngeom)
-                if model.geom(g).name.split("/")[0] in (f"{side}_foot", f"{side}_toes")
+                g for g in range(model.ngeom) if model.geom(g).name.split("/")[0] in (f"{side}_foot", f"{side}_toes")
             ]
             for side in "lr"
         }
-        self.time_s = np.arange(0.0, _length(self.scene), STEP_S) - _start(
-            self.scene
-        )  # from the loop's beginning
+        self.time_s = np.arange(0.0, _length(self.scene), STEP_S) - _start(self.scene)  # from the loop's beginning
         xyz, com, bodies, heights, left = [], [], [], [], []
         head = model.body("head").id
         for t in self.time_s:
@@ -74,10 +70,7 @@ class Sampled:
             bodies.append(sampler.data.xpos.copy())
             left.append(sampler.data.xmat[head].reshape(3, 3)[:, 0].copy())
             heights.append(
-                [
-                    min(mujoco.mj_geomDistance(model, sampler.data, floor, g, 2.0, None) for g in feet[s])
-                    for s in "lr"
-                ]
+                [min(mujoco.mj_geomDistance(model, sampler.data, floor, g, 2.0, None) for g in feet[s]) for s in "lr"]
             )
         self.xyz, self.com, self.bodies = np.array(xyz), np.array(com), np.array(bodies)
         self.soles, self.left_of_face = np.array(heights), np.array(left)
@@ -97,12 +90,7 @@ def performed() -> dict[str, Sampled]:
 
 @pytest.mark.parametrize(
     ("action", "slowest", "fastest", "marker"),
-    [
-        ("boxing", 6.0, 8.0, "WRA"),
-        ("dance", 3.0, 5.0, "WRA"),
-        ("dance", 3.0, 5.5, "FIN"),
-        ("jump", 3.5, 6.5, "WRA"),
-    ],
+    [("boxing", 6.0, 8.0, "WRA"), ("dance", 3.0, 5.0, "WRA"), ("dance", 3.0, 5.5, "FIN"), ("jump", 3.5, 6.5, "WRA")],
 )
 def test_hands_are_as_fast_as_those_of_people(
     performed: dict[str, Sampled], action: str, slowest: float, fastest: float, marker: str
@@ -110,9 +98,7 @@ def test_hands_are_as_fast_as_those_of_people(
     peaks = [performed[action].speed_of(side + marker).max() for side in "LR"]
     assert slowest < max(peaks) < fastest
     assert min(peaks) > 0.75 * max(peaks)
-    assert (
-        performed[action].speed_of("C7").max() < 4.0
-    )  # the trunk: a jump's take-off and landing are the fastest
+    assert performed[action].speed_of("C7").max() < 4.0  # the trunk: a jump's take-off and landing are the fastest
 
 
 @pytest.mark.parametrize("action", ACTIONS)
@@ -140,9 +126,7 @@ def test_joints_stay_in_human_ranges(performed: dict[str, Sampled], action: str)
         assert bend.min() > 0
         assert bend.max() < 150
         np.testing.assert_allclose(elbow[:, 2, 0], 0, atol=1e-6)
-        assert (
-            np.abs(twist_deg(f"{side}humerus", 0)).max() < 95
-        )  # rotation of the shoulder: 90 outward, 70 inward
+        assert np.abs(twist_deg(f"{side}humerus", 0)).max() < 95  # rotation of the shoulder: 90 outward, 70 inward
         hip = matrices_from_quaternions(local(f"{side}femur"))
         flexion = np.rad2deg(np.arctan2(hip[:, 1, 2], hip[:, 2, 2]))  # of the thigh, to the front
         assert flexion.min() > -30
@@ -210,9 +194,7 @@ def test_feet_stand_on_the_floor_and_do_not_slide(performed: dict[str, Sampled],
 def test_everyone_stays_in_the_box_and_out_of_himself(action: str, seed: int) -> None:
     scene = _actor(action, seed)
     sampler, model = scene.sampler(), scene.model
-    limbs = [
-        g for g in range(model.ngeom) if model.geom_group[g] != MARKER_GROUP and model.geom_bodyid[g] > 0
-    ]
+    limbs = [g for g in range(model.ngeom) if model.geom_group[g] != MARKER_GROUP and model.geom_bodyid[g] > 0]
     arms = [g for g in limbs if model.geom(g).name.split("/")[0][2:] in ("forearm", "hand")]
     body = model.geom_bodyid
     for t in np.arange(0.0, _length(scene), 0.1):
@@ -254,9 +236,7 @@ def test_a_dancer_turns_and_squats_with_arms_overhead(performed: dict[str, Sampl
     assert abs(turned[-1] - turned[0]) < 0.1  # as much to the left as to the right
     pelvis = dancer.body("root")[:, 2]
     assert pelvis.max() - pelvis.min() > 0.27
-    assert (
-        np.minimum(dancer.body("lhand"), dancer.body("rhand"))[:, 2] - dancer.body("head")[:, 2]
-    ).max() > 0.1
+    assert (np.minimum(dancer.body("lhand"), dancer.body("rhand"))[:, 2] - dancer.body("head")[:, 2]).max() > 0.1
 
 
 @pytest.mark.parametrize("action", ACTIONS)
@@ -280,9 +260,7 @@ def test_people_of_other_statures(action: str) -> None:
 
 
 def test_errors() -> None:
-    with pytest.raises(
-        InputError, match=r"action = 'dance': the person moves through .* the box is 1\.5 x 1\.5"
-    ):
+    with pytest.raises(InputError, match=r"action = 'dance': the person moves through .* the box is 1\.5 x 1\.5"):
         _actor("dance", box_size_m=np.array([1.5, 1.5, 2.5]))
     with pytest.raises(InputError, match="allowed: walk, boxing, dance, jump"):
         _actor("swim")

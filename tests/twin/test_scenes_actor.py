@@ -78,9 +78,7 @@ def test_markers_sit_on_the_skin_and_in_no_other_limb(full: Scene) -> None:
     obliquely; 1.5 mm are left at least.
     """
     model, data = full.model, _at_rest(full)
-    limbs = [
-        g for g in range(model.ngeom) if model.geom_group[g] != MARKER_GROUP and model.geom_bodyid[g] > 0
-    ]
+    limbs = [g for g in range(model.ngeom) if model.geom_group[g] != MARKER_GROUP and model.geom_bodyid[g] > 0]
     for name, marker in zip(full.marker_names, full.marker_geoms, strict=True):
         gaps = {g: mujoco.mj_geomDistance(model, data, marker, g, 0.05, None) for g in limbs}
         own = min(gap for g, gap in gaps.items() if model.geom_bodyid[g] == model.geom_bodyid[marker])
@@ -159,9 +157,7 @@ def test_a_walker_walks_at_the_speed_asked_for() -> None:
 def test_a_walkers_markers_stay_out_of_its_other_limbs() -> None:
     scene = _walker(gait="circle", speed_mps=1.2, box_size_m=HALL, markers=60)
     model, sampler = scene.model, scene.sampler()
-    limbs = [
-        g for g in range(model.ngeom) if model.geom_group[g] != MARKER_GROUP and model.geom_bodyid[g] > 0
-    ]
+    limbs = [g for g in range(model.ngeom) if model.geom_group[g] != MARKER_GROUP and model.geom_bodyid[g] > 0]
     for t in np.linspace(0, 1.5, 16):
         sampler.at(t)
         for marker in scene.marker_geoms:
@@ -230,9 +226,7 @@ def test_a_recording_is_put_over_the_middle_of_the_box_and_on_the_floor(name: st
 def test_errors_say_what_the_recording_has() -> None:
     with pytest.raises(InputError, match=r"lasts 2\.850 s \(343 frames at 120 Hz\)"):
         _recorded("walk", duration_s=5.0)
-    with pytest.raises(
-        InputError, match=r"moves through 0\.\d\d x 4\.\d\d m up to 1\.\d\d m; the box is 2\.5"
-    ):
+    with pytest.raises(InputError, match=r"moves through 0\.\d\d x 4\.\d\d m up to 1\.\d\d m; the box is 2\.5"):
         _recorded("walk", box_size_m=SIZE)
     assert _recorded("walk", box_size_m=SIZE, keep_in_box=False).duration_s == 2.7
     with pytest.raises(InputError, match="set metres_per_unit"):

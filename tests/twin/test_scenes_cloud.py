@@ -45,14 +45,8 @@ def test_the_speed_is_the_rms_speed() -> None:
 
 
 @settings(max_examples=15, deadline=None)
-@given(
-    n=st.integers(1, 90),
-    size=st.tuples(*[st.floats(0.2, 5.0)] * 3),
-    seed=st.integers(0, 1000),
-)
-def test_no_two_markers_ever_touch_and_none_leaves(
-    n: int, size: tuple[float, float, float], seed: int
-) -> None:
+@given(n=st.integers(1, 90), size=st.tuples(*[st.floats(0.2, 5.0)] * 3), seed=st.integers(0, 1000))
+def test_no_two_markers_ever_touch_and_none_leaves(n: int, size: tuple[float, float, float], seed: int) -> None:
     box, diameter = np.array(size), 0.002
     scene = build_cloud(
         duration_s=9.0,

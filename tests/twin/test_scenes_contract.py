@@ -76,9 +76,7 @@ def test_markers_are_massless_geoms_that_touch_nothing(made: tuple[str, Scene]) 
     assert set(np.nonzero(model.geom_group == MARKER_GROUP)[0]) == set(ids)
     assert not model.geom_contype[ids].any()
     assert not model.geom_conaffinity[ids].any()
-    sphere, cylinder, box = (
-        int(getattr(mujoco.mjtGeom, f"mjGEOM_{k}")) for k in ("SPHERE", "CYLINDER", "BOX")
-    )
+    sphere, cylinder, box = (int(getattr(mujoco.mjtGeom, f"mjGEOM_{k}")) for k in ("SPHERE", "CYLINDER", "BOX"))
     assert set(model.geom_type[ids]) <= {sphere, cylinder, box}
     boxes = model.geom_type[ids] == box
     assert {n for n, is_box in zip(scene.marker_names, boxes, strict=True) if is_box} == set(scene.figures)

@@ -54,9 +54,7 @@ def _with_mesh(folder: Path) -> Path:
 
 
 def test_markers_sit_on_the_mesh_and_collision_shapes_do_not_count(tmp_path: Path) -> None:
-    markers = (
-        "name,body,x,y,z,diameter,kind\nA,base,.01,.02,.5,.02,\nB,base,.19,0,.12,,flat\nC,base,.2,.1,.15,,\n"
-    )
+    markers = "name,body,x,y,z,diameter,kind\nA,base,.01,.02,.5,.02,\nB,base,.19,0,.12,,flat\nC,base,.2,.1,.15,,\n"
     scene = _own(_with_mesh(tmp_path), URDF, markers, motion="physics", floor=False)
     state = scene.sampler().at(0.0)
     # The block is 0.4 x 0.2 x 0.1 about (0, 0, 0.1): top at 0.15, side at x = 0.2, a corner at C.
@@ -89,9 +87,7 @@ def test_markers_are_seated_on_primitives(
     """By hand; the faceted round shapes are 0.1 mm too low and 2 mm off along the surface at most."""
     model = f'<mujoco><worldbody><body name="b"><freejoint/><geom {geom}/></body></worldbody></mujoco>'
     row = ",".join(map(str, near))
-    scene = _own(
-        tmp_path, model, f"name,body,x,y,z,diameter\nA,b,{row},0.01\n", motion="physics", floor=False
-    )
+    scene = _own(tmp_path, model, f"name,body,x,y,z,diameter\nA,b,{row},0.01\n", motion="physics", floor=False)
     placed = scene.model.geom_pos[scene.marker_geoms[0]]
     wanted = np.array(surface) + (SEAT_M + 0.005) * np.array(normal)
     np.testing.assert_allclose(placed, wanted, atol=2e-3)
@@ -112,9 +108,7 @@ def test_a_table_of_configurations_is_played(tmp_path: Path) -> None:
     rows = [f"{t},{np.sin(t)},0,0.5,{np.cos(h)},0,0,{np.sin(h)}" for t, h in zip(times, half, strict=True)]
     (tmp_path / "q.csv").write_text("time,x,y,z,qw,qx,qy,qz\n" + "\n".join(rows) + "\n")
     markers = "name,body,x,y,z\nA,ball,1,0,0\n"
-    scene = _own(
-        tmp_path, MJCF, markers, motion="table", motion_file=tmp_path / "q.csv", duration_s=1.0, floor=False
-    )
+    scene = _own(tmp_path, MJCF, markers, motion="table", motion_file=tmp_path / "q.csv", duration_s=1.0, floor=False)
     sampler, reach = scene.sampler(), 0.1 + SEAT_M + 0.008
     for t in (0.0, 0.317, 0.9):
         wanted = [np.sin(t) + reach * np.cos(t), reach * np.sin(t), 0.5]
@@ -129,9 +123,7 @@ def test_a_turntable_carries_the_whole_model_about_the_box(tmp_path: Path) -> No
     assert (np.abs(xyz - CENTER) < SIZE / 2).all()
     assert np.ptp(xyz[:, 0], axis=0).min() > 0.5
     assert np.ptp(np.linalg.norm(xyz[:, 0] - xyz[:, 1], axis=1)) < 1e-12
-    turned = np.unwrap(
-        [2 * np.arctan2(q[6], q[3]) for q in map(scene.configuration_at, np.linspace(0, 5, 200))]
-    )
+    turned = np.unwrap([2 * np.arctan2(q[6], q[3]) for q in map(scene.configuration_at, np.linspace(0, 5, 200))])
     assert abs(turned[-1] - turned[0]) == pytest.approx(5.0, abs=0.3)
 
 
@@ -147,23 +139,11 @@ def test_a_turntable_carries_the_whole_model_about_the_box(tmp_path: Path) -> No
         (MJCF, "name,body,x,y,z\nA,ball,0,0,1\nA,ball,1,0,0\n", {}, "'A' is used twice"),
         (MJCF, "name,body,x,y,z\n", {}, "no markers"),
         (MJCF, "name,body,x,y,z\nA,ball,0,0,1\n", {"motion": "table"}, "motion_file goes with 'table'"),
-        (
-            MJCF,
-            "name,body,x,y,z\nA,ball,0,0,1\n",
-            {"motion": "fly"},
-            "motion is one of turntable, physics, table",
-        ),
-        (
-            MJCF,
-            "name,body,x,y,z\nA,ball,0,0,1\n",
-            {"box_size_m": np.full(3, 0.15)},
-            "too small for this model",
-        ),
+        (MJCF, "name,body,x,y,z\nA,ball,0,0,1\n", {"motion": "fly"}, "motion is one of turntable, physics, table"),
+        (MJCF, "name,body,x,y,z\nA,ball,0,0,1\n", {"box_size_m": np.full(3, 0.15)}, "too small for this model"),
     ],
 )
-def test_errors_say_what_to_do(
-    tmp_path: Path, model: str, markers: str, settings: dict[str, Any], said: str
-) -> None:
+def test_errors_say_what_to_do(tmp_path: Path, model: str, markers: str, settings: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said) as error:
         _own(tmp_path, model, markers, **settings)
     assert "\n" not in str(error.value)
@@ -182,9 +162,7 @@ def test_errors_say_what_to_do(
 def test_tables_that_do_not_fit(tmp_path: Path, table: str, said: str) -> None:
     (tmp_path / "q.csv").write_text(table)
     with pytest.raises(InputError, match=said):
-        _own(
-            tmp_path, MJCF, "name,body,x,y,z\nA,ball,0,0,1\n", motion="table", motion_file=tmp_path / "q.csv"
-        )
+        _own(tmp_path, MJCF, "name,body,x,y,z\nA,ball,0,0,1\n", motion="table", motion_file=tmp_path / "q.csv")
 
 
 def test_markers_may_stand_in_a_toml_file(tmp_path: Path) -> None:
@@ -197,13 +175,9 @@ def test_markers_may_stand_in_a_toml_file(tmp_path: Path) -> None:
 
 
 @settings(
-    max_examples=100,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 )
-@given(
-    content=st.one_of(st.binary(max_size=120), st.text('name,body,xyz0.1\n"A', max_size=60).map(str.encode))
-)
+@given(content=st.one_of(st.binary(max_size=120), st.text('name,body,xyz0.1\n"A', max_size=60).map(str.encode)))
 @pytest.mark.parametrize("suffix", [".csv", ".toml"])
 def test_any_bytes_as_a_marker_table(tmp_path: Path, suffix: str, content: bytes) -> None:
     path = tmp_path / f"m{suffix}"

@@ -107,10 +107,7 @@ def test_rays_leave_primitives_where_geometry_says(
 
 
 def test_the_outermost_of_several_shapes_is_taken() -> None:
-    shapes = [
-        block(np.zeros(3), np.array([0.2, 0.2, 0.2])),
-        cylinder(np.zeros(3), np.array([0.0, 0, 0.5]), 0.02),
-    ]
+    shapes = [block(np.zeros(3), np.array([0.2, 0.2, 0.2])), cylinder(np.zeros(3), np.array([0.0, 0, 0.5]), 0.02)]
     point, normal = outermost(shapes, np.zeros(3), np.array([0.0, 0, 1]))
     np.testing.assert_allclose(point, [0, 0, 0.5], atol=1e-12)
     np.testing.assert_allclose(normal, [0, 0, 1], atol=1e-12)

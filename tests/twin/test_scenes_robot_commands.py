@@ -91,15 +91,7 @@ def test_what_it_was_told_is_kept_on_its_clock():
 
 @pytest.mark.parametrize(
     "line",
-    [
-        "forward",
-        "{}",
-        '{"left": 1}',
-        "[1, 2]",
-        '{"left": 300, "right": 0}',
-        '{"left": NaN, "right": 0}',
-        "[" * 9999,
-    ],
+    ["forward", "{}", '{"left": 1}', "[1, 2]", '{"left": 300, "right": 0}', '{"left": NaN, "right": 0}', "[" * 9999],
 )
 def test_a_line_that_is_no_command_is_refused(line):
     with pytest.raises(InputError, match=r"robot: command .* is wanted|robot: command .* are wanted"):

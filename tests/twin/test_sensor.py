@@ -27,9 +27,7 @@ def test_the_terms_of_a_data_sheet():
     assert sensor.photons(1_000.0) == 2_000.0
 
 
-@given(
-    bits=st.sampled_from([8, 10, 12]), linearity=st.floats(-0.2, 0.2), full_well=st.floats(2_000.0, 200_000.0)
-)
+@given(bits=st.sampled_from([8, 10, 12]), linearity=st.floats(-0.2, 0.2), full_well=st.floats(2_000.0, 200_000.0))
 def test_edges_are_the_response_turned_round(bits, linearity, full_well):
     sensor = Sensor(bits=bits, linearity=linearity, full_well_e=full_well)
     edges = sensor.edges_e()
@@ -73,9 +71,7 @@ def test_threads_make_the_same_bytes_in_any_order():
     light[3, 3] = 900.0
 
     def frame(k: int) -> bytes:
-        return expose(
-            light, sensor, k, base.with_extra(20.0 * k + np.arange(64.0)[:, None] * np.ones(64))
-        ).tobytes()
+        return expose(light, sensor, k, base.with_extra(20.0 * k + np.arange(64.0)[:, None] * np.ones(64))).tobytes()
 
     with ThreadPoolExecutor(8) as pool:
         together = list(pool.map(frame, range(12)))
@@ -93,9 +89,7 @@ def test_light_saturates_and_never_wraps():
 def test_more_light_never_gives_less():
     # the same random numbers: counts rise with the light, pixel by pixel
     sensor = Sensor(bits=12)
-    images = [
-        expose(np.full((50, 50), e, dtype=np.float32), sensor, 9).astype(int) for e in (1, 5, 60, 900, 901)
-    ]
+    images = [expose(np.full((50, 50), e, dtype=np.float32), sensor, 9).astype(int) for e in (1, 5, 60, 900, 901)]
     for less, more in pairwise(images):
         assert (more >= less).all()
 

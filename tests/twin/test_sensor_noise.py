@@ -44,9 +44,7 @@ def test_normal_is_the_inverse_of_the_normal_law():
     np.testing.assert_allclose(got, np.where(u < 0.5, ndtri(u), -ndtri(1 - u)), rtol=1e-13, atol=1e-15)
 
 
-@pytest.mark.parametrize(
-    "mu", [0.0, 0.3, 5.0, 9.99, 10.0, 10.5, 12.0, 20.0, 50.0, 210.0, 1_000.0, 15_000.0, 1e5]
-)
+@pytest.mark.parametrize("mu", [0.0, 0.3, 5.0, 9.99, 10.0, 10.5, 12.0, 20.0, 50.0, 210.0, 1_000.0, 15_000.0, 1e5])
 def test_poisson_is_the_inverse_of_the_poisson_law(mu):
     # the number n with P(N < n) <= u < P(N <= n), for each of 200,000 u; none is off
     got = np.empty(BITS.size)

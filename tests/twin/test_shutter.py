@@ -163,15 +163,7 @@ def test_free_running_by_hand() -> None:
     # 50.05 frames/s from 4 ms on
     opens = [shot(timing, n).start_s for n in range(4)]
     np.testing.assert_allclose(opens, 4e-3 + np.arange(4) / 50.05, atol=1e-12)
-    assert [list(numbers_in(timing, pulse, RATE_HZ)) for pulse in range(7)] == [
-        [0],
-        [],
-        [1],
-        [],
-        [2],
-        [],
-        [3],
-    ]
+    assert [list(numbers_in(timing, pulse, RATE_HZ)) for pulse in range(7)] == [[0], [], [1], [], [2], [], [3]]
 
 
 @given(

@@ -31,11 +31,7 @@ FOCAL_PX = 150.0
 RATE_HZ, EXPOSURE_S = 100.0, 1e-3
 SPEED = np.array([0.3, 0.0, 0.1])
 HIDDEN, OUTSIDE, BEHIND = "hidden", "outside", "behind"
-STEADY: dict[str, Any] = {
-    "timing": Timing(jitter_s=0.0),
-    "mount": Mount(body_px=0.0),
-    "optics": Optics(gap_px=0.0),
-}
+STEADY: dict[str, Any] = {"timing": Timing(jitter_s=0.0), "mount": Mount(body_px=0.0), "optics": Optics(gap_px=0.0)}
 
 
 def scene() -> Scene:
@@ -48,9 +44,7 @@ def scene() -> Scene:
     to_camera = Rotation.from_euler("x", 90, degrees=True).as_quat(scalar_first=True)  # +z of the geom to -y
     box = mujoco.mjtGeom.mjGEOM_BOX
     cart.add_geom(name="ball", type=ball, size=[0.03, 0, 0], pos=[-0.2, 0, 0], group=MARKER_GROUP, mass=1)
-    cart.add_geom(
-        name="flat", type=flat, size=[0.03, 1e-4, 0], pos=[0.1, 0, 0.2], quat=to_camera, group=MARKER_GROUP
-    )
+    cart.add_geom(name="flat", type=flat, size=[0.03, 1e-4, 0], pos=[0.1, 0, 0.2], quat=to_camera, group=MARKER_GROUP)
     world = spec.worldbody
     world.add_geom(name=HIDDEN, type=ball, size=[0.03, 0, 0], pos=[0.3, 0, -0.3], group=MARKER_GROUP)
     world.add_geom(name="wall", type=box, size=[0.08, 0.01, 0.08], pos=[0.3, -0.3, -0.3])
@@ -73,17 +67,9 @@ def camera(name: str, x: float = 0.0, **parts: Any) -> VirtualCamera:
 RIG = (camera("left", -0.05), camera("right", 0.05, sensor=Sensor(bits=12)))
 
 
-def session(
-    cameras: tuple[VirtualCamera, ...] = RIG, pulses: int = 6, seed: int = 1, workers: int = 1
-) -> TwinSource:
+def session(cameras: tuple[VirtualCamera, ...] = RIG, pulses: int = 6, seed: int = 1, workers: int = 1) -> TwinSource:
     return TwinSource(
-        scene(),
-        cameras,
-        frame_rate_hz=RATE_HZ,
-        exposure_s=EXPOSURE_S,
-        pulses=pulses,
-        seed=seed,
-        workers=workers,
+        scene(), cameras, frame_rate_hz=RATE_HZ, exposure_s=EXPOSURE_S, pulses=pulses, seed=seed, workers=workers
     )
 
 
@@ -93,9 +79,7 @@ def digests(source: TwinSource) -> dict[str, str]:
     with source:
         for frame in source:
             assert frame.image is not None
-            head = (
-                f"{frame.index} {frame.time_ns} {frame.exposure_ns} {frame.image.dtype} {frame.image.shape}"
-            )
+            head = f"{frame.index} {frame.time_ns} {frame.exposure_ns} {frame.image.dtype} {frame.image.shape}"
             sums[frame.camera].update(head.encode() + frame.image.tobytes())
     return {name: total.hexdigest() for name, total in sums.items()}
 
@@ -152,9 +136,7 @@ def test_cameras_differ_in_noise():
     assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 4.5 / np.sqrt(noise[0].size)
 
 
-@pytest.mark.parametrize(
-    "cameras", [(*RIG, camera("new", 0.2)), (camera("new", 0.2), *RIG)], ids=["end", "start"]
-)
+@pytest.mark.parametrize("cameras", [(*RIG, camera("new", 0.2)), (camera("new", 0.2), *RIG)], ids=["end", "start"])
 def test_a_new_camera_moves_no_other(cameras):
     alone, joined = digests(session()), digests(session(cameras))
     assert {name: joined[name] for name in alone} == alone

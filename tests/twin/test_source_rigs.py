@@ -71,10 +71,7 @@ MIXED = (
     VirtualCamera(camera("riding", 0.2).camera, mount=Mount(body="cart")),
     camera("strobed", -0.2, timing=Timing(strobe_s=2e-4, strobe_delay_s=3e-4)),
 )
-TROUBLED = {
-    "global": Delivery(late_share=0.2, late_frames=9),
-    "free": Delivery(doubled_share=0.3, dropped_share=0.1),
-}
+TROUBLED = {"global": Delivery(late_share=0.2, late_frames=9), "free": Delivery(doubled_share=0.3, dropped_share=0.1)}
 
 
 # same seed, same bytes
@@ -109,9 +106,7 @@ def test_surroundings_change_no_byte_either(workers: int) -> None:
 
 
 def test_free_cameras_keep_their_own_time() -> None:
-    free = Timing(
-        jitter_s=0.0, rate_hz=137.0, offset_s=2e-3, drift_ppm=1000.0, clock="device", clock_offset_s=5.0
-    )
+    free = Timing(jitter_s=0.0, rate_hz=137.0, offset_s=2e-3, drift_ppm=1000.0, clock="device", clock_offset_s=5.0)
     both = source((steady("fixed"), steady("free", timing=free)), pulses=50)
     assert [info.frame_rate_hz for info in both.cameras] == [RATE_HZ, 137.0]
     assert both.cameras[1].clock == "device"
@@ -181,9 +176,7 @@ def test_a_rolling_shutter_shows_each_row_at_its_own_time() -> None:
 def light_of(frames: list[Frame], sensor: Sensor = QUIET) -> float:
     """Electrons above the dark image, on average over the frames."""
     images = np.array([f.image for f in frames], dtype=float)
-    return float(
-        (images - sensor.black).sum(axis=(1, 2)).mean() / sensor.gain_dn_per_e - W * H * sensor.background_e
-    )
+    return float((images - sensor.black).sum(axis=(1, 2)).mean() / sensor.gain_dn_per_e - W * H * sensor.background_e)
 
 
 def test_a_strobe_decides_the_instant_and_the_light() -> None:
@@ -238,9 +231,7 @@ def test_the_truth_knows_where_each_camera_really_stood() -> None:
         body_px=0.5, vibration_px=0.5, drift_px_per_s=(20.0, -10.0), wander_px=0.5, bump_s=0.03, bump_px=(3.0, 0.0),
         bump_m=(0.01, 0.0, 0.0),
     )  # fmt: skip
-    _frames, truth = read(
-        source((steady("still"), steady("moving", mount=moving)), pulses=8, of=still_scene())
-    )
+    _frames, truth = read(source((steady("still"), steady("moving", mount=moving)), pulses=8, of=still_scene()))
     for pulse in range(8):
         for number in range(2):
             got, expected = truth.image_xy_px[pulse, :2, number], seen_by_pinhole(truth, pulse, number)[:2]

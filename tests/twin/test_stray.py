@@ -110,9 +110,7 @@ def test_light_of_the_camera_passes_the_mirror_twice():
     assert image.electrons[0] == pytest.approx(0.8**2 * SIGNAL / 9, rel=1e-12)
     # a lamp that faces the mirror head on, half as bright 60 degrees off
     lamp = world_targets([(1.0, 0, 0)], Glow("lamp", half_deg=60.0), turn=np.diag([-1.0, 1, -1])[[2, 1, 0]].T)
-    assert mirrored(WALL, lamp, SIGNAL, *still(), rays_in()).electrons[0] == pytest.approx(
-        0.8 * SIGNAL, rel=1e-12
-    )
+    assert mirrored(WALL, lamp, SIGNAL, *still(), rays_in()).electrons[0] == pytest.approx(0.8 * SIGNAL, rel=1e-12)
 
 
 def test_a_mirror_shows_what_passes_its_rectangle():
@@ -134,9 +132,7 @@ def test_both_ways_of_a_mirror_image_can_be_barred():
     target = world_targets([(1.0, 1.5, 0.0)])  # by way of (0, 1, 0)
     small = (0.05, 0.05, 0.05)
     way_out, way_on, beside, behind = (1.0, 0.5, 0.0), (0.5, 1.25, 0.0), (1.0, 1.0, 0.0), (-0.5, 1.25, 0.0)
-    share = [
-        seen_share(WALL, target, EYE, rays_in((at, small)))[0] for at in (way_out, way_on, beside, behind)
-    ]
+    share = [seen_share(WALL, target, EYE, rays_in((at, small)))[0] for at in (way_out, way_on, beside, behind)]
     np.testing.assert_allclose(share, [0, 0, 1, 1], atol=1e-12)
     # the mirror's own pane, up to 1 cm before its plane, does not count
     pane = ((-0.02, 0.0, 0.0), (0.025, 1.5, 1.0))
@@ -170,9 +166,7 @@ def area(pieces: Array) -> float:
         if kind == 0:
             total += gain * (a * d - c * b) / 2
         else:
-            total += (
-                gain * (c * c * (e - d) + c * (a * (np.sin(e) - np.sin(d)) - b * (np.cos(e) - np.cos(d)))) / 2
-            )
+            total += gain * (c * c * (e - d) + c * (a * (np.sin(e) - np.sin(d)) - b * (np.cos(e) - np.cos(d)))) / 2
     return total
 
 
@@ -212,12 +206,7 @@ def test_the_image_in_a_mirror_is_the_flipped_image_of_a_flipped_world(shape):
     mirror = PlaneMirror((0.0, 1.0, 0.0), (0.0, -1.0, 0), (1.0, 0, 0), (4.0, 4.0), reflectance=1.0)
     looking = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
     at = np.array([0.0, 0.6, 0.0])
-    tilted = (
-        cv2.Rodrigues(np.array([0.3, 0.2, 0.5]))[0]
-        @ looking
-        @ np.diag([1.0, -1, -1])
-        @ np.diag([-1.0, 1, -1])
-    )
+    tilted = cv2.Rodrigues(np.array([0.3, 0.2, 0.5]))[0] @ looking @ np.diag([1.0, -1, -1]) @ np.diag([-1.0, 1, -1])
     print_ = figure([polygon(np.array([[-0.1, -0.1], [0.12, -0.08], [-0.05, 0.1]]))])
     target = world_targets([(0.05, -0.4, 0.02)], shape=shape, turn=tilted, radius=print_.radius)
     figures = Figures.of(with_mirrored([print_]))
@@ -236,21 +225,13 @@ def heads() -> RigPoses:
     position = np.array([EYE, -EYE, [-2.0, 1, 0]])
     rotation = np.stack([LOOKING_MINUS_X, facing, LOOKING_MINUS_X])
     lit = np.array([[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]])
-    return RigPoses(
-        np.repeat(position[:, None], NODES, axis=1), np.repeat(rotation[:, None], NODES, axis=1), lit
-    )
+    return RigPoses(np.repeat(position[:, None], NODES, axis=1), np.repeat(rotation[:, None], NODES, axis=1), lit)
 
 
 def stray(surroundings: Surroundings, targets: TargetsInWorld | None = None, camera: int = 0):
     own = world_targets([]) if targets is None else targets
     return stray_targets(
-        surroundings,
-        camera=camera,
-        rig_poses=heads(),
-        targets=own,
-        signal_e=SIGNAL,
-        rays=rays_in(),
-        figures=0,
+        surroundings, camera=camera, rig_poses=heads(), targets=own, signal_e=SIGNAL, rays=rays_in(), figures=0
     )
 
 
@@ -314,9 +295,7 @@ def test_spots_without_a_facing_face_whoever_looks():
     np.testing.assert_allclose(spots.rotation[0, 0][:, 2], [0, 1, 0], atol=1e-15)
 
 
-@given(
-    st.integers(1, 100), st.integers(1, 100), st.floats(0.001, 0.9), st.floats(0.02, 2.0), st.integers(0, 99)
-)
+@given(st.integers(1, 100), st.integers(1, 100), st.floats(0.001, 0.9), st.floats(0.02, 2.0), st.integers(0, 99))
 def test_glare_spreads_its_share_and_loses_none(width, height, share, sigma, seed):
     light = np.random.default_rng(seed).gamma(0.1, 1000.0, (height, width)).astype(np.float32)
     haze = veil_image(light, Glare(share, sigma))

@@ -21,11 +21,7 @@ def test_same_stream_same_numbers():
 
 def test_seed_name_and_index_each_make_another_stream():
     first = rng(5, "camera/a/trigger", 2).random(4)
-    for other in (
-        rng(6, "camera/a/trigger", 2),
-        rng(5, "camera/b/trigger", 2),
-        rng(5, "camera/a/trigger", 3),
-    ):
+    for other in (rng(6, "camera/a/trigger", 2), rng(5, "camera/b/trigger", 2), rng(5, "camera/a/trigger", 3)):
         assert not np.any(first == other.random(4))
 
 

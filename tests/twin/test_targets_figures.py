@@ -80,12 +80,7 @@ def test_the_sectors_say_the_number(number):
     shape = coded_figure(CodedTarget.of_dot(number, 1.0))
     angle = (np.arange(SECTORS)[:, None] + [0.02, 0.5, 0.98]).ravel() * 2 * np.pi / SECTORS
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    for radius, wanted in (
-        (0.98, np.ones(60)),
-        (1.02, np.zeros(60)),
-        (1.98, np.zeros(60)),
-        (3.02, np.zeros(60)),
-    ):
+    for radius, wanted in ((0.98, np.ones(60)), (1.02, np.zeros(60)), (1.98, np.zeros(60)), (3.02, np.zeros(60))):
         np.testing.assert_allclose(gain_at(shape, radius * direction), wanted, atol=1e-12)
     for radius in (2.02, 2.5, 2.98):
         bits = np.repeat(code_bits(number), 3).astype(float)
@@ -129,22 +124,14 @@ def test_the_area_of_a_checkerboard(columns, rows, black):
     board = Board(columns, rows, 0.04, 0.03)
     width, height = board.size_m
     ink = (columns * rows + 1) // 2 * 0.04**2  # the upper left square is black
-    assert light_of(board_figure(board, black)) == pytest.approx(
-        width * height - (1 - black) * ink, rel=1e-12
-    )
+    assert light_of(board_figure(board, black)) == pytest.approx(width * height - (1 - black) * ink, rel=1e-12)
 
 
 def test_a_checkerboard_by_hand():
     """4 x 3 squares of 1 in a margin of 1: one sample in each cell."""
     board = Board(4, 3, 1.0, 1.0)
     wanted = 1 - np.array(
-        [
-            [0, 0, 0, 0, 0, 0],
-            [0, 1, 0, 1, 0, 0],
-            [0, 0, 1, 0, 1, 0],
-            [0, 1, 0, 1, 0, 0],
-            [0, 0, 0, 0, 0, 0],
-        ]
+        [[0, 0, 0, 0, 0, 0], [0, 1, 0, 1, 0, 0], [0, 0, 1, 0, 1, 0], [0, 1, 0, 1, 0, 0], [0, 0, 0, 0, 0, 0]]
     )
     np.testing.assert_allclose(picture(board_figure(board), 6.0, 5.0, 1.0), wanted)
 
@@ -190,9 +177,7 @@ def test_opencv_reads_a_charuco_board_that_leans():
     assert sorted(np.ravel(marker_ids)) == list(range(len(board.white_squares())))
     assert sorted(np.ravel(ids)) == list(range(len(board.corners())))
     true = board.corners()[np.ravel(ids), :2]
-    pixel = (
-        np.column_stack([(true[:, 0] + w / scale / 2) * scale, (h / scale / 2 - true[:, 1]) * scale]) - 0.5
-    )
+    pixel = np.column_stack([(true[:, 0] + w / scale / 2) * scale, (h / scale / 2 - true[:, 1]) * scale]) - 0.5
     expected = cv2.perspectiveTransform(pixel[None], view)[0]
     assert np.abs(np.asarray(corners).reshape(-1, 2) - expected).max() < 0.5
 
@@ -201,10 +186,7 @@ def test_opencv_reads_a_charuco_board_that_leans():
     ("make", "said"),
     [
         (lambda: figure([polygon(rectangle(1, 1))[:3]]), "apart where they should join"),
-        (
-            lambda: figure([circle(0, 0, 1.0)[:, [0, 1, 2, 3, 4, 4, 6]] + [0, 0, 0, 0, 0, 1, 0]]),
-            "should join",
-        ),
+        (lambda: figure([circle(0, 0, 1.0)[:, [0, 1, 2, 3, 4, 4, 6]] + [0, 0, 0, 0, 0, 1, 0]]), "should join"),
         (lambda: Figure(np.full((1, 7), np.nan), 1.0), "finite numbers are wanted"),
         (lambda: Figure(np.full((1, 7), 2.0), 1.0), "is LINE or ARC"),
         (lambda: Figure(circle(0, 0, 1.0), 0.0), "radius = 0 given"),

@@ -34,10 +34,7 @@ def test_lit_by_hand():
 
 
 blinks = st.builds(
-    Blink,
-    st.lists(st.booleans(), min_size=1, max_size=9).map(tuple),
-    st.floats(1e-3, 3.0),
-    st.floats(-5.0, 5.0),
+    Blink, st.lists(st.booleans(), min_size=1, max_size=9).map(tuple), st.floats(1e-3, 3.0), st.floats(-5.0, 5.0)
 )
 instant = st.floats(-6.0, 9.0)
 

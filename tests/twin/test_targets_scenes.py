@@ -198,9 +198,7 @@ def test_corners_of_a_board_move_with_it() -> None:
     scene = BUILDERS["charuco"](2)
     sampler = scene.sampler()
     place, rotation = pose(scene, 0.4)
-    np.testing.assert_allclose(
-        corners_at(sampler, CHARUCO, 0.4), place + CHARUCO.corners() @ rotation.T, atol=1e-14
-    )
+    np.testing.assert_allclose(corners_at(sampler, CHARUCO, 0.4), place + CHARUCO.corners() @ rotation.T, atol=1e-14)
     (geom,) = scene.marker_geoms
     width, height = CHARUCO.size_m
     np.testing.assert_allclose(scene.model.geom_size[geom][:2], [width / 2, height / 2])
@@ -216,11 +214,7 @@ def test_wands_bars_and_frames_have_their_lengths() -> None:
     wand = Wand((0.0, 0.13, 0.5), 0.016)
     xyz = positions(build_wand(**COMMON, wand=wand, rng=_rng(1)))[7]
     np.testing.assert_allclose(np.linalg.norm(xyz[:, None] - xyz, axis=-1), wand.distances(), atol=1e-12)
-    for bar in (
-        BALL_BAR,
-        ROUND_BAR,
-        ScaleBar(0.7, 0.0, (CodedTarget.of_dot(8, 0.01), CodedTarget.of_dot(9, 0.01))),
-    ):
+    for bar in (BALL_BAR, ROUND_BAR, ScaleBar(0.7, 0.0, (CodedTarget.of_dot(8, 0.01), CodedTarget.of_dot(9, 0.01)))):
         scene = build_scale_bar(**COMMON, bar=bar, rng=_rng(1))
         assert scene.marker_names == bar.names
         xyz = positions(scene)
@@ -234,9 +228,7 @@ def test_wands_bars_and_frames_have_their_lengths() -> None:
     bars = scene.model.geom_group != MARKER_GROUP
     state = scene.sampler().at(0.0)
     lowest = min(
-        z - r
-        for z, r in zip(state.geom_xyz[bars, 2], scene.model.geom_size[bars, 0], strict=True)
-        if r > 0.005
+        z - r for z, r in zip(state.geom_xyz[bars, 2], scene.model.geom_size[bars, 0], strict=True) if r > 0.005
     )
     assert lowest == pytest.approx(BOX.low[2])
 

@@ -135,9 +135,7 @@ class CameraSession:
         camera, timing = self.virtual.camera, self.virtual.timing
         rate = self.frame_rate_hz if timing.rate_hz is None else timing.rate_hz
         bits = self.virtual.sensor.bits
-        return CameraInfo(
-            camera.name, camera.width, camera.height, bits, rate, timing.clock, timing.stamp_event
-        )
+        return CameraInfo(camera.name, camera.width, camera.height, bits, rate, timing.clock, timing.stamp_event)
 
     def exposures(self, pulse: int) -> list[Exposure]:
         """Return the exposures that the camera begins from a pulse until the next."""
@@ -236,9 +234,7 @@ class CameraSession:
             render(again)
         middle = exposed.middle
         markers = exposed.poses.geom_xyz[middle, subject.marker_at]
-        return TrueExposure(
-            exposed.exposure, seen, exposed.rotation[middle], exposed.position[middle], markers
-        )
+        return TrueExposure(exposed.exposure, seen, exposed.rotation[middle], exposed.position[middle], markers)
 
     def read_out(self, exposure: Exposure, light: Array, ambient: Ambient) -> Frame:
         """Return the frame that the sensor makes of the targets' light (H, W) and of what comes besides."""

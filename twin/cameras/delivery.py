@@ -48,9 +48,7 @@ class Delivery:
     def __post_init__(self) -> None:
         for name in SHARES:
             if not 0.0 <= getattr(self, name) <= 1.0:
-                raise InputError(
-                    f"delivery: {name} = {getattr(self, name)} given; a share from 0 to 1 is wanted"
-                )
+                raise InputError(f"delivery: {name} = {getattr(self, name)} given; a share from 0 to 1 is wanted")
         for name in ("burst_frames", "late_frames"):
             if getattr(self, name) < 1:
                 raise InputError(f"delivery: {name} = {getattr(self, name)} given; 1 or more is wanted")

@@ -55,9 +55,7 @@ class SensorEntry(Sourced):
     @model_validator(mode="after")
     def _rows_fit(self) -> "SensorEntry":
         if (self.shutter == "rolling") != (self.row_time_s > 0):
-            raise ValueError(
-                f"row_time_s {self.row_time_s:g} given for a {self.shutter} shutter; 0 means global"
-            )
+            raise ValueError(f"row_time_s {self.row_time_s:g} given for a {self.shutter} shutter; 0 means global")
         if self.row_time_s * self.height > 1.0 / self.max_frame_rate_hz:
             raise ValueError(
                 f"{self.height} rows of {self.row_time_s:g} s do not fit into a frame at "
@@ -80,9 +78,7 @@ class LensSpec(Sourced):
     @model_validator(mode="after")
     def _consistent(self) -> "LensSpec":
         if self.f_number_max < self.f_number_min:
-            raise ValueError(
-                f"f_number_max {self.f_number_max:g} is below f_number_min {self.f_number_min:g}"
-            )
+            raise ValueError(f"f_number_max {self.f_number_max:g} is below f_number_min {self.f_number_min:g}")
         if self.projection == "equidistant" and self.field_deg is None:
             raise ValueError("field_deg is missing; an equidistant lens needs its full field")
         return self

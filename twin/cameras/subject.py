@@ -66,9 +66,7 @@ class Subject:
             geoms,
             np.searchsorted(geoms, markers),
             np.searchsorted(geoms, occluders.geom),
-            np.array(
-                sorted({carrying_body(scene, v) for v in cameras if v.mount.body is not None}), dtype=np.int64
-            ),
+            np.array(sorted({carrying_body(scene, v) for v in cameras if v.mount.body is not None}), dtype=np.int64),
         )
 
 

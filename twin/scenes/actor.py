@@ -224,15 +224,11 @@ def _specify(
     return spec, sorted(needed)
 
 
-def _read(
-    path: Path, skeleton_file: Path | None, unit: float | None, rate: float | None, drop: int | None
-) -> Motion:
+def _read(path: Path, skeleton_file: Path | None, unit: float | None, rate: float | None, drop: int | None) -> Motion:
     suffix = path.suffix.lower()
     if suffix == ".bvh" and skeleton_file is None:
         dropped = 1 if drop is None else drop
-        return read_bvh(
-            path, metres_per_unit=0.01 if unit is None else unit, frame_rate_hz=rate, drop_frames=dropped
-        )
+        return read_bvh(path, metres_per_unit=0.01 if unit is None else unit, frame_rate_hz=rate, drop_frames=dropped)
     if suffix == ".amc" and skeleton_file is not None:
         motion = read_asf_amc(
             Path(skeleton_file), path, frame_rate_hz=120.0 if rate is None else rate, metres_per_unit=unit
@@ -257,19 +253,11 @@ def _check_length(motion: Motion, start_s: float, duration_s: float, source: str
 def _played(motion: Motion, start_s: float, duration_s: float) -> Motion:
     first = int(np.floor(start_s * motion.frame_rate_hz))
     last = int(np.ceil((start_s + duration_s) * motion.frame_rate_hz)) + 1
-    return Motion(
-        motion.skeleton, motion.frame_rate_hz, motion.root_xyz[first:last], motion.rotations[first:last]
-    )
+    return Motion(motion.skeleton, motion.frame_rate_hz, motion.root_xyz[first:last], motion.rotations[first:last])
 
 
 def _placed(
-    motion: Motion,
-    anatomy: Anatomy,
-    box: Box,
-    start_s: float,
-    duration_s: float,
-    placement: str,
-    heading_deg: float,
+    motion: Motion, anatomy: Anatomy, box: Box, start_s: float, duration_s: float, placement: str, heading_deg: float
 ) -> Motion:
     if placement == "file":
         return motion

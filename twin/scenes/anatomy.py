@@ -78,8 +78,7 @@ def read_anatomy(skeleton: Skeleton, source: str) -> Anatomy:
     points = {part: rest[k] for part, k in parts.items()}
     hips = (points["l_thigh"] + points["r_thigh"]) / 2
     leg = sum(
-        float(np.linalg.norm(points[a] - points[b]))
-        for a, b in (("l_thigh", "l_shank"), ("l_shank", "l_foot"))
+        float(np.linalg.norm(points[a] - points[b])) for a, b in (("l_thigh", "l_shank"), ("l_shank", "l_foot"))
     )
     scale = (float(np.linalg.norm(points["neck"] - hips)) + leg) / _STANDARD_HIP_TO_NECK_AND_LEG_M
     if not _SCALES[0] < scale < _SCALES[1]:
@@ -96,9 +95,7 @@ def read_anatomy(skeleton: Skeleton, source: str) -> Anatomy:
         ball = rest[_far_end(skeleton, parts[f"{s}_foot"], source)]
         level = np.array([ball[0] - ankle[0], ball[1] - ankle[1], 0.0])
         if np.linalg.norm(level) < 0.02 * scale:
-            raise InputError(
-                f"{source}: the bone of joint '{skeleton.names[parts[f'{s}_foot']]}' is too short"
-            )
+            raise InputError(f"{source}: the bone of joint '{skeleton.names[parts[f'{s}_foot']]}' is too short")
         heel = ankle - 0.045 * scale * level / np.linalg.norm(level)
         points[f"{s}_ball"], points[f"{s}_heel"] = ball, np.array([heel[0], heel[1], ball[2]])
         if f"{s}_toes" in parts:
@@ -173,7 +170,5 @@ def _find_parts(skeleton: Skeleton, source: str) -> dict[str, int]:
 def _far_end(skeleton: Skeleton, joint: int, source: str) -> int:
     children = np.nonzero(skeleton.parents == joint)[0]
     if not len(children):
-        raise InputError(
-            f"{source}: joint '{skeleton.names[joint]}' has no end; its bone's length is unknown"
-        )
+        raise InputError(f"{source}: joint '{skeleton.names[joint]}' has no end; its bone's length is unknown")
     return int(children[0])

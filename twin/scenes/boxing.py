@@ -92,11 +92,7 @@ def _round(rng: np.random.Generator) -> tuple[MovementSequence, float]:
     order = rng.permutation(len(COMBINATIONS))
     for k, which in enumerate(order):
         for name in COMBINATIONS[which]:
-            clock = (
-                _cover(sequence, clock, rng)
-                if name == "cover"
-                else _strike(sequence, STRIKES[name], clock, rng)
-            )
+            clock = _cover(sequence, clock, rng) if name == "cover" else _strike(sequence, STRIKES[name], clock, rng)
         last = k == len(order) - 1
         place = np.zeros(3) if last else rng.uniform([-_ROOM_M, -_ROOM_M, -0.45], [_ROOM_M, _ROOM_M, 0.45])
         clock = _step_to(sequence, clock + 0.15, place)

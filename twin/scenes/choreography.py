@@ -58,12 +58,7 @@ def footing(place: Sequence[float] | Array, stance: Stance, side: str) -> Array:
 
 
 def step(
-    sequence: MovementSequence,
-    side: str,
-    start_s: float,
-    end_s: float,
-    to: Values,
-    lift_m: float = STEP_LIFT_M,
+    sequence: MovementSequence, side: str, start_s: float, end_s: float, to: Values, lift_m: float = STEP_LIFT_M
 ) -> None:
     """Lift a foot and put it down at ``to`` (x, y, turn)."""
     sequence.move(f"{side}_foot", start_s, end_s, to)

@@ -57,17 +57,11 @@ def dance(performer: Performer, rng: np.random.Generator) -> Motion:
         else:
             clock = figure(sequence, clock, beat, side, rng)
     time_s, rate = loop_times(clock + 0.1)
-    return _turned(
-        posed(performer, read(sequence, time_s, performer.scale), rate), time_s, turns, performer.scale
-    )
+    return _turned(posed(performer, read(sequence, time_s, performer.scale), rate), time_s, turns, performer.scale)
 
 
 def _arms(
-    sequence: MovementSequence,
-    start: float,
-    end: float,
-    hand: Array | tuple[float, ...],
-    elbow: tuple[float, ...],
+    sequence: MovementSequence, start: float, end: float, hand: Array | tuple[float, ...], elbow: tuple[float, ...]
 ) -> None:
     for side in "lr":
         sequence.move(f"{side}_hand", start, end, hand)
@@ -85,9 +79,7 @@ def _hang(sequence: MovementSequence, start: float, end: float) -> None:
     _arms(sequence, start, end, HANGING, _HANGING_ELBOW)
 
 
-def _overhead(
-    sequence: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator
-) -> float:
+def _overhead(sequence: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator) -> float:
     """Write: both arms by the side overhead, a bend to one side and the other, arms down before the body."""
     sign = 1.0 if side == "l" else -1.0
     bend = sign * rng.uniform(0.14, 0.24)
@@ -103,9 +95,7 @@ def _overhead(
     return clock + 6.0 * beat
 
 
-def _crossing(
-    sequence: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator
-) -> float:
+def _crossing(sequence: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator) -> float:
     """Write: arms wide open, crossed before the chest with ``side`` in front, open, crossed again, down."""
     _arms(sequence, clock, clock + 1.2 * beat, _WIDE, _WIDE_ELBOW)
     now = clock + 1.2 * beat
@@ -120,9 +110,7 @@ def _crossing(
     return now + 1.2 * beat
 
 
-def _squat(
-    sequence: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator
-) -> float:
+def _squat(sequence: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator) -> float:
     """Write: a squat with the arms forward and one hand over the other, and up again with arms overhead."""
     depth = rng.uniform(0.30, 0.36)
     low, up = clock + 1.8 * beat, clock + 2.5 * beat
@@ -142,9 +130,7 @@ def _squat(
     return up + 3.8 * beat
 
 
-def _aside(
-    sequence: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator
-) -> float:
+def _aside(sequence: MovementSequence, clock: float, beat: float, side: str, rng: np.random.Generator) -> float:
     """Write: a step to one side and back, one arm thrown up, the other across the body."""
     way = (1.0 if side == "l" else -1.0) * rng.uniform(0.16, 0.24)
     home = sequence.target("place").copy()

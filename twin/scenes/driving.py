@@ -43,13 +43,7 @@ Sides = Callable[[int, Array], tuple[float, float] | None]
 
 
 def noise(
-    box: Box,
-    margin_m: float,
-    *,
-    average_pwm: float,
-    difference_pwm: float,
-    hold_s: float,
-    rng: np.random.Generator,
+    box: Box, margin_m: float, *, average_pwm: float, difference_pwm: float, hold_s: float, rng: np.random.Generator
 ) -> Sides:
     """Return the paper's white noise, each command held for ``hold_s``.
 
@@ -76,9 +70,7 @@ def given(lines: Sequence[tuple[int, str]], box: Box) -> Sides:
 
     Raises InputError for a text that is no command; the function returned, where they drive the robot out of ``box``.
     """
-    due = sorted(
-        ((round(t * 1e-9 / PHYSICS_STEP_S), *read_command(text)) for t, text in lines), key=lambda c: c[0]
-    )
+    due = sorted(((round(t * 1e-9 / PHYSICS_STEP_S), *read_command(text)) for t, text in lines), key=lambda c: c[0])
     if due and due[0][0] < 0:
         raise InputError(f"command at {due[0][0] * PHYSICS_STEP_S:g} s: the robot takes commands from 0 s on")
     waiting = iter(due)
@@ -110,9 +102,7 @@ def read_command(line: str) -> tuple[float, float]:
     return left, right
 
 
-def drive(
-    model: mujoco.MjModel, start_m: Array, heading_rad: float, duration_s: float, sides: Sides
-) -> Drive:
+def drive(model: mujoco.MjModel, start_m: Array, heading_rad: float, duration_s: float, sides: Sides) -> Drive:
     """Return a run from -0.1 s to ``duration_s`` + 0.1 s; commands start at 0 s.
 
     ``model``: qpos starts with the robot's free joint; actuators are the left wheels, then the right wheels, with PWM

@@ -104,17 +104,10 @@ def build_drone(
     """
     box = Box(box_center_m, box_size_m)
     positive(
-        {
-            "duration_s": duration_s,
-            "speed_mps": speed_mps,
-            "mass_kg": mass_kg,
-            "marker_diameter_m": marker_diameter_m,
-        }
+        {"duration_s": duration_s, "speed_mps": speed_mps, "mass_kg": mass_kg, "marker_diameter_m": marker_diameter_m}
     )
     if not 0 <= gust_n <= 0.2 * mass_kg * 9.81:
-        raise InputError(
-            f"gust_n = {gust_n} given; 0 to a fifth of the weight ({0.2 * mass_kg * 9.81:.2f} N)"
-        )
+        raise InputError(f"gust_n = {gust_n} given; 0 to a fifth of the weight ({0.2 * mass_kg * 9.81:.2f} N)")
     if not FEWEST_MARKERS <= markers <= MOST_MARKERS:
         raise InputError(f"markers = {markers} given; {FEWEST_MARKERS} to {MOST_MARKERS} fit on the drone")
     reference = plan_flight(path, box.center, box.half_inside(_MARGIN_M, "a flying drone"), speed_mps, rng)

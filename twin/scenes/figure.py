@@ -58,9 +58,7 @@ def piece_ends(pieces: Array) -> tuple[Array, Array]:
     """Return where pieces (n, 7) start and end: (n, 2) and (n, 2) [m]."""
     line = (pieces[:, 0] == LINE)[:, None]
     centre, radius, angle = pieces[:, 1:3], pieces[:, 3:4], pieces[:, 4:6]
-    first, last = (
-        centre + radius * np.column_stack([np.cos(angle[:, k]), np.sin(angle[:, k])]) for k in (0, 1)
-    )
+    first, last = (centre + radius * np.column_stack([np.cos(angle[:, k]), np.sin(angle[:, k])]) for k in (0, 1))
     return np.where(line, pieces[:, 1:3], first), np.where(line, pieces[:, 3:5], last)
 
 
@@ -76,9 +74,7 @@ def polygon(corners: Array, gain: float = 1.0) -> Array:
     return np.column_stack([zero + LINE, corners, following, zero, zero + gain])
 
 
-def ring_sector(
-    x: float, y: float, inner: float, outer: float, start: float, end: float, gain: float = 1.0
-) -> Array:
+def ring_sector(x: float, y: float, inner: float, outer: float, start: float, end: float, gain: float = 1.0) -> Array:
     """Return the contour (4, 7) of a part of a ring between the angles ``start`` < ``end`` [rad]."""
 
     def at(radius: float, angle: float) -> tuple[float, float]:

@@ -63,9 +63,7 @@ def plan_flight(
         out = rng.uniform(0.5, 1.0, 6)
         points = np.stack([out * np.cos(around), out * np.sin(around), rng.uniform(-1, 1, 6)], axis=1)
         points = np.vstack([points, points[:1]])
-        unit = CubicSpline(_lengths(points), points, bc_type="periodic")(
-            np.linspace(0, _lengths(points)[-1], 241)
-        )
+        unit = CubicSpline(_lengths(points), points, bc_type="periodic")(np.linspace(0, _lengths(points)[-1], 241))
         unit = unit - (unit.max(axis=0) + unit.min(axis=0)) / 2
         unit /= np.abs(unit).max(axis=0)  # a spline swings out beyond its points
     else:

@@ -119,12 +119,7 @@ class Gait:
 
 
 def walk(
-    skeleton: Skeleton,
-    path: GaitPath,
-    center: Array,
-    half_box: Array,
-    speed_mps: float,
-    rng: np.random.Generator,
+    skeleton: Skeleton, path: GaitPath, center: Array, half_box: Array, speed_mps: float, rng: np.random.Generator
 ) -> Gait:
     """Return a walk about ``center`` (2,) whose limbs and markers stay within ``half_box`` (2,) [m] of it.
 

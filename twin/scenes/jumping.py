@@ -90,9 +90,7 @@ def jumps(performer: Performer, rng: np.random.Generator) -> Motion:
         sequence.begin(**{f"{side}_foot": footing(here, FEET_TOGETHER, side)})
     clock, made = 0.2, []
     for end in (there, here):
-        jump = Jump(
-            clock, distance * performer.scale, float(rng.uniform(0.20, 0.30)), float(rng.uniform(0.24, 0.30))
-        )
+        jump = Jump(clock, distance * performer.scale, float(rng.uniform(0.20, 0.30)), float(rng.uniform(0.24, 0.30)))
         made.append(jump)
         heading = float(sequence.target("place")[2])
         _write(sequence, jump, np.array([*end[:2], heading]))
@@ -107,10 +105,7 @@ def jumps(performer: Performer, rng: np.random.Generator) -> Motion:
 def _write(sequence: MovementSequence, jump: Jump, place: Array) -> None:
     """Write trunk, arms and feet of a jump to ``place`` (x, y, turn)."""
     low, off, down = jump.start_s + _CROUCH_S, jump.takeoff_s, jump.landing_s
-    for channel, parts in {
-        "pelvis": (0.50, 0.12, 0.40, 0.05),
-        "spine": (0.35, 0.05, 0.30, 0.02),
-    }.items():
+    for channel, parts in {"pelvis": (0.50, 0.12, 0.40, 0.05), "spine": (0.35, 0.05, 0.30, 0.02)}.items():
         crouched, flying, caught, standing = parts
         sequence.move(channel, jump.start_s, low, (0.0, crouched, 0.0))
         sequence.move(channel, low, off + 0.05, (0.0, flying, 0.0))

@@ -102,15 +102,10 @@ class StepPath:
         h10, h11 = s * (1 - s) ** 2 * self.step_s, s * s * (s - 1) * self.step_s
         result = self.qpos[k].copy()
         result[q] = (
-            h00 * self.qpos[k, q]
-            + h01 * self.qpos[k + 1, q]
-            + h10 * self.qvel[k, v]
-            + h11 * self.qvel[k + 1, v]
+            h00 * self.qpos[k, q] + h01 * self.qpos[k + 1, q] + h10 * self.qvel[k, v] + h11 * self.qvel[k + 1, v]
         )
         for j, (address, rate) in enumerate(zip(*self.angular, strict=True)):
-            vector = (
-                h01 * self.turns[k, j] + h10 * self.qvel[k, rate : rate + 3] + h11 * self.turn_rates[k, j]
-            )
+            vector = h01 * self.turns[k, j] + h10 * self.qvel[k, rate : rate + 3] + h11 * self.turn_rates[k, j]
             result[address : address + 4] = _turned(self.qpos[k, address : address + 4], vector)
         return result
 

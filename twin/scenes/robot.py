@@ -90,9 +90,7 @@ def build_robot(
     if hold_s < PHYSICS_STEP_S:
         raise InputError(f"hold_s = {hold_s} given; at least the physics step of {PHYSICS_STEP_S} s wanted")
     if target_diameter_m > 0.06:
-        raise InputError(
-            f"target_diameter_m = {target_diameter_m} given; up to 0.06 m do not touch on the deck"
-        )
+        raise InputError(f"target_diameter_m = {target_diameter_m} given; up to 0.06 m do not touch on the deck")
     names = tuple(f"T{k + 1}" for k in range(len(TARGET_XY_M)))
     model, geoms = compiled(_specify(names, target_diameter_m), names)
     drawn_rad = rng.uniform(0, 2 * np.pi)

@@ -50,9 +50,7 @@ class MovementSequence:
         self._moves[channel].append((start_s, end_s, goal - self._target[channel]))
         self._target[channel] = goal
 
-    def visit(
-        self, channel: str, out_s: tuple[float, float], back_s: tuple[float, float], there: Values
-    ) -> None:
+    def visit(self, channel: str, out_s: tuple[float, float], back_s: tuple[float, float], there: Values) -> None:
         """Send ``channel`` ``there`` (k,) between the times ``out_s``, and back again between ``back_s``."""
         home = self._target[channel]
         self.move(channel, *out_s, there)

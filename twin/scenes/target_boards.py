@@ -46,9 +46,7 @@ def build_board(
     the box has no room for it.
     """
     box = Box(box_center_m, box_size_m)
-    positive(
-        {"duration_s": duration_s, "speed_mps": speed_mps, "turn_rad_s": turn_rad_s, "tilt_rad": tilt_rad}
-    )
+    positive({"duration_s": duration_s, "speed_mps": speed_mps, "turn_rad_s": turn_rad_s, "tilt_rad": tilt_rad})
     if tilt_rad > _MOST_TILT_RAD:
         raise InputError(f"tilt_rad = {tilt_rad:g} given; at most {_MOST_TILT_RAD:.4g} is allowed")
     board = default_board(box) if board is None else board

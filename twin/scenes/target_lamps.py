@@ -59,9 +59,7 @@ def with_numbered_lamps(
     """
     lamps = scene.marker_names if names is None else tuple(names)
     if len(lamps) > LAMP_NUMBERS:
-        raise InputError(
-            f"{len(lamps)} lamps given; there are numbers for {LAMP_NUMBERS}: name fewer markers"
-        )
+        raise InputError(f"{len(lamps)} lamps given; there are numbers for {LAMP_NUMBERS}: name fewer markers")
     blinks = {name: in_step(lamp_bits(k), frame_rate_hz, frames_per_bit) for k, name in enumerate(lamps)}
     return with_lamps(scene, blinks, glow)
 

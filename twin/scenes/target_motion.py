@@ -76,9 +76,7 @@ class CarriedPath:
         return float(rates.max(initial=0.0) / (2 * np.pi))
 
 
-def standing(
-    center: Array, rotation: Array | None = None, spin: float = 0.0, phase: float = 0.0
-) -> CarriedPath:
+def standing(center: Array, rotation: Array | None = None, spin: float = 0.0, phase: float = 0.0) -> CarriedPath:
     """Return a body that stands at ``center`` (3,) or turns there about the vertical by ``spin`` [rad/s]."""
     rest = quaternion_from_rotation(np.eye(3) if rotation is None else rotation)
     none = np.zeros((0, 3))
@@ -144,14 +142,7 @@ def carried_scene(
     model, geoms = compiled(spec, names)
     shared = dict.fromkeys(names, glow)
     return Scene(
-        model,
-        tuple(names),
-        geoms,
-        path,
-        duration_s,
-        {body: tuple(names)},
-        figures=figures or {},
-        glows=shared,
+        model, tuple(names), geoms, path, duration_s, {body: tuple(names)}, figures=figures or {}, glows=shared
     )
 
 

@@ -15,14 +15,7 @@ from mosca.data.wands import LFrame, Wand
 from mosca.errors import InputError
 from twin.scenes.emission import Glow
 from twin.scenes.scene import Scene
-from twin.scenes.target_motion import (
-    CarriedPath,
-    carried_body,
-    carried_by_hand,
-    carried_scene,
-    room_around,
-    standing,
-)
+from twin.scenes.target_motion import CarriedPath, carried_body, carried_by_hand, carried_scene, room_around, standing
 from twin.scenes.target_plate import FILM_M, RETRO, add_ball_at, add_target, figures_of
 from twin.scenes.world import Box, add_shape, block, capsule, new_stage, positive
 

@@ -50,11 +50,7 @@ def read_marker_table(path: Path) -> tuple[OwnMarker, ...]:
     names = [marker.name for marker in markers]
     doubles = sorted({name for name in names if names.count(name) > 1})
     if not markers or doubles:
-        what = (
-            f"marker name '{doubles[0]}' is used twice; names must differ"
-            if doubles
-            else "no markers; add some"
-        )
+        what = f"marker name '{doubles[0]}' is used twice; names must differ" if doubles else "no markers; add some"
         raise InputError(f"{path}: {what}")
     return markers
 

@@ -27,11 +27,7 @@ _LAST_SEEN_GROUP = 2
 _URDF_EXTENSION = '<mujoco><compiler discardvisual="false" fusestatic="false" strippath="false"/></mujoco>'
 _TILT_RAD = 0.35
 # MuJoCo resets itself to the start when it warns of one of these.
-_DIVERGED = (
-    mujoco.mjtWarning.mjWARN_BADQPOS,
-    mujoco.mjtWarning.mjWARN_BADQVEL,
-    mujoco.mjtWarning.mjWARN_BADQACC,
-)
+_DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 
 
 def build_own(
@@ -71,9 +67,7 @@ def build_own(
     spec, bare = _load(model_file)
     seat_markers(spec, surfaces_of(bare), markers, markers_file)
     names = tuple(marker.name for marker in markers)
-    bodies = {
-        b: tuple(m.name for m in markers if m.body == b) for b in dict.fromkeys(m.body for m in markers)
-    }
+    bodies = {b: tuple(m.name for m in markers if m.body == b) for b in dict.fromkeys(m.body for m in markers)}
     if motion == "turntable":
         positive({"speed_mps": speed_mps, "turn_rad_s": turn_rad_s})
         try:
@@ -182,9 +176,7 @@ def _turntable(
     phases = rng.uniform(0, 2 * np.pi, 5)
     # Unequal shares of the speed: the path fills the box and does not close.
     rates = speed_mps * np.array([1.0, 0.83, 0.61]) / swing
-    return Turntable(
-        box.center, swing, np.minimum(rates, 2 * np.pi), phases, turn_rad_s, pivot, model.qpos0.copy()
-    )
+    return Turntable(box.center, swing, np.minimum(rates, 2 * np.pi), phases, turn_rad_s, pivot, model.qpos0.copy())
 
 
 def _let_go(model: mujoco.MjModel, duration_s: float, source: str) -> tuple[Array, Array]:

@@ -96,9 +96,7 @@ def ellipsoid(center: Array, semi_axes: Array, long_axis: Array | None = None) -
     The first axis is then level (or along x where the third one is vertical).
     """
     rotation = np.eye(3) if long_axis is None else rotation_to(np.asarray(long_axis))
-    return Shape(
-        mujoco.mjtGeom.mjGEOM_ELLIPSOID, np.asarray(semi_axes, float), np.asarray(center, float), rotation
-    )
+    return Shape(mujoco.mjtGeom.mjGEOM_ELLIPSOID, np.asarray(semi_axes, float), np.asarray(center, float), rotation)
 
 
 def block(center: Array, size: Array) -> Shape:

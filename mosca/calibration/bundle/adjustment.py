@@ -103,12 +103,7 @@ def tested(layout: NormalsLayout, solution: Solution, loss: Loss) -> tuple[Array
 
 
 def precision_of(
-    problem: Problem,
-    layout: NormalsLayout,
-    solution: Solution,
-    cofactors: Array,
-    tests: Array,
-    variance: float,
+    problem: Problem, layout: NormalsLayout, solution: Solution, cofactors: Array, tests: Array, variance: float
 ) -> Precision:
     """Return the precision of a solution, in the datum asked for; ``tests`` as ``tested`` returns them."""
     state = solution.descent.state

@@ -75,9 +75,7 @@ def null_generators(scaled: Array, motions: Array) -> Array:
 
     ``scaled`` has a unit diagonal, ``motions`` (u, 7) are in its scaled unknowns.
     """
-    left, sizes, _ = np.linalg.svd(
-        motions / np.maximum(np.linalg.norm(motions, axis=0), 1e-300), full_matrices=False
-    )
+    left, sizes, _ = np.linalg.svd(motions / np.maximum(np.linalg.norm(motions, axis=0), 1e-300), full_matrices=False)
     basis = left[:, sizes > 1e-6 * sizes.max(initial=0.0)]
     values, vectors = np.linalg.eigh(basis.T @ scaled @ basis)
     return np.asarray(basis @ vectors[:, values < NOTHING_FIXES])
@@ -101,12 +99,7 @@ def check_datum(problem: Problem, loose: int) -> None:
 
 
 def weak_directions(
-    problem: Problem,
-    layout: NormalsLayout,
-    state: ParameterValues,
-    matrix: Array,
-    variance: float,
-    priors: Priors,
+    problem: Problem, layout: NormalsLayout, state: ParameterValues, matrix: Array, variance: float, priors: Priors
 ) -> tuple[tuple[str, ...], Priors]:
     """Return the names of weakly determined unknowns, and a prior for the worst parameter of each lens with
     some.
@@ -157,11 +150,7 @@ def _plausible(problem: Problem, layout: NormalsLayout, state: ParameterValues) 
     owners: list[int] = np.unique(layout.lens_places[:, 0]).tolist()
     most = {c: influence(table[c, LENS:], 0.35 * diagonals[c]) for c in owners}
     for k, (c, own, parameter) in enumerate(layout.lens_places.tolist()):
-        share = (
-            layout.lens_factors[k]
-            * float(most[c][parameter])
-            / max(PLAUSIBLE_SHARE * diagonals[c] / 2, 1e-12)
-        )
+        share = layout.lens_factors[k] * float(most[c][parameter]) / max(PLAUSIBLE_SHARE * diagonals[c] / 2, 1e-12)
         column = layout.index[c, own]
         moves[column] = np.hypot(moves[column], share)
     moving = moves > 0

@@ -29,13 +29,7 @@ from mosca.calibration.bundle.initial_points import intersected
 from mosca.calibration.bundle.kernels import BY_OWN, BY_ROTATION, BY_WORLD, LEAST_SQUARES, OBSERVED, observe
 from mosca.calibration.bundle.layout import NormalsLayout, layout_of
 from mosca.calibration.bundle.lenses import FAST
-from mosca.calibration.bundle.levenberg_marquardt import (
-    AdjustmentTask,
-    empty_normals,
-    linearised,
-    reduced,
-    state_of,
-)
+from mosca.calibration.bundle.levenberg_marquardt import AdjustmentTask, empty_normals, linearised, reduced, state_of
 from mosca.calibration.bundle.precision import by_unknowns, carry_down
 from mosca.calibration.bundle.priors import pulls
 from mosca.calibration.bundle.problem import Problem
@@ -193,18 +187,14 @@ def _sparse_part(shifts: ExposureShifts, e: Array, blocks: SuperLU | None, z: Ar
     return np.asarray(x + e[:, None] * (shifts.s @ blocks.solve(shifts.s.T @ x)))
 
 
-def shifts_of(
-    problem: Problem, adjustment: Adjustment, exposure: Array, even: bool = False
-) -> ExposureShifts:
+def shifts_of(problem: Problem, adjustment: Adjustment, exposure: Array, even: bool = False) -> ExposureShifts:
     """Return the shakes of the images beside the adjustment's unknowns.
 
     ``even``: as shifts that are alike at all points of an image, not as rotations of its camera.
     """
     assert adjustment.precision is not None
     layout = layout_of(problem)
-    points = intersected(
-        adjustment.cameras, layout, np.where(np.isfinite(adjustment.points), adjustment.points, 0.0)
-    )
+    points = intersected(adjustment.cameras, layout, np.where(np.isfinite(adjustment.points), adjustment.points, 0.0))
     state = state_of(problem, adjustment.cameras, points, adjustment.placements)
     used = np.asarray(adjustment.used)
     weight = np.where(used[layout.order], layout.observations.weight, 0.0)
@@ -214,9 +204,7 @@ def shifts_of(
     pull, _ = pulls(problem, layout, (), state)
     inverse = np.empty_like(normals.blocks)
     reduced(layout, normals, pull, 0.0, inverse)
-    image, of = np.unique(
-        np.column_stack([problem.observations.camera, exposure]), axis=0, return_inverse=True
-    )
+    image, of = np.unique(np.column_stack([problem.observations.camera, exposure]), axis=0, return_inverse=True)
     of = of.reshape(-1)
     squares = np.where(used, 1 / np.asarray(problem.observations.sigma_px) ** 2, 0.0)
     if even:
@@ -254,9 +242,7 @@ def shifts_of(
     )
 
 
-def _by_shakes(
-    problem: Problem, adjustment: Adjustment, image_of: Array, squares: Array
-) -> tuple[Array, Array]:
+def _by_shakes(problem: Problem, adjustment: Adjustment, image_of: Array, squares: Array) -> tuple[Array, Array]:
     """Return how observations move with their images' shakes (n, 2, 2), and the diagonal of Z^T W Z (2i,).
 
     A shake is a rotation of the camera about its own x and y axes, in the pixels by which the image's middle moves;
@@ -267,10 +253,7 @@ def _by_shakes(
     placed = np.flatnonzero(np.asarray(see.placement) >= 0)
     if len(placed):
         which = np.asarray(see.placement)[placed]
-        rotation, translation = (
-            adjustment.placements.rotation[which],
-            adjustment.placements.translation[which],
-        )
+        rotation, translation = (adjustment.placements.rotation[which], adjustment.placements.translation[which])
         at[placed] = np.einsum("nij,nj->ni", rotation, at[placed]) + translation
     z = np.tile(np.eye(2), (len(at), 1, 1))
     for k, camera in enumerate(adjustment.cameras):
@@ -299,9 +282,7 @@ def _block_matrices(layout: NormalsLayout, flat: Array, inverse: Array) -> tuple
     return csc_array(coo_array((kept, at), shape=shape)), v_inverse, open_
 
 
-def _with_blocks(
-    layout: NormalsLayout, image: Array, by_block: Array, images: int, open_: Array
-) -> csr_array:
+def _with_blocks(layout: NormalsLayout, image: Array, by_block: Array, images: int, open_: Array) -> csr_array:
     """Return Z^T W A of the blocks (2 images, q), from what each sorted observation gives to it (n, 2, 6)."""
     dim, first = layout.blocks.size, layout.blocks.slope_at
     block = layout.block_of
@@ -310,9 +291,7 @@ def _with_blocks(
     )
     row = np.broadcast_to((2 * image)[:, None, None] + np.arange(2)[:, None], by_block.shape)
     there = by_block != 0
-    found = csr_array(
-        coo_array((by_block[there], (row[there], column[there])), shape=(2 * images, int(dim.sum())))
-    )
+    found = csr_array(coo_array((by_block[there], (row[there], column[there])), shape=(2 * images, int(dim.sum()))))
     return csr_array(found @ diags_array(np.where(open_, 0.0, 1.0))) if len(open_) else found
 
 

@@ -25,9 +25,7 @@ def undetermined(layout: NormalsLayout, inverse: Array) -> Array:
     """Return which eliminated points and then placements (m + f,) have a direction that nothing determines."""
     loose = diagonals(layout, inverse) <= 0
     points = 3 * len(layout.members)
-    return np.concatenate(
-        [loose[:points].reshape(-1, 3).any(axis=1), loose[points:].reshape(-1, 6).any(axis=1)]
-    )
+    return np.concatenate([loose[:points].reshape(-1, 3).any(axis=1), loose[points:].reshape(-1, 6).any(axis=1)])
 
 
 def datum_mask(problem: Problem, layout: NormalsLayout, inverse: Array) -> Array:
@@ -47,9 +45,7 @@ def onto_given(
     table, points, placements = solution.descent.state
     chosen = layout.members[datum_mask(problem, layout, solution.inverse)]
     if len(chosen) < 3:
-        raise CalibrationError(
-            f"datum 'points': {len(chosen)} determined points carry it; three at least are wanted"
-        )
+        raise CalibrationError(f"datum 'points': {len(chosen)} determined points carry it; three at least are wanted")
     target, source = given.points.take(chosen, axis=0), points.take(chosen, axis=0)
     stretch, motion = similarity(source, target, with_scale=solution.motions == 7)
 
@@ -60,9 +56,7 @@ def onto_given(
     own_points = np.concatenate([layout.members, layout.kept])
     of_world = own_points
     if len(placements):
-        of_world = own_points[
-            ~np.isin(own_points, layout.observations.point[layout.observations.placement >= 0])
-        ]
+        of_world = own_points[~np.isin(own_points, layout.observations.point[layout.observations.placement >= 0])]
     points[of_world] = carried(points.take(of_world, axis=0))
     for poses in (table, placements):
         poses[:, :9] = (motion.rotation @ poses[:, :9].reshape(-1, 3, 3)).reshape(-1, 9)

@@ -20,15 +20,11 @@ LANES, VECTOR = 64, 8
 # offsets in ``work``: direction in the camera's frame (3), observed pixel (2), 1/sigma, whether imaged, then residual
 # (2), derivatives of x and y by the direction (3 + 3) and by the lens parameters (18 + 18), by the block's unknowns
 # (x, y of 6) and by the point where it is kept (x, y of 3)
-V, SEEN, WEIGHT, THERE, E, A, LX, LY, BLOCK, OWN, ROOM = (
-    LANES * k for k in (0, 3, 5, 6, 7, 9, 15, 33, 51, 63, 69)
-)
+V, SEEN, WEIGHT, THERE, E, A, LX, LY, BLOCK, OWN, ROOM = (LANES * k for k in (0, 3, 5, 6, 7, 9, 15, 33, 51, 63, 69))
 
 
 @step(fastmath=FAST)
-def gather(
-    state: ParameterValues, see: SortedObservations, m: int, count: int, lanes: int, work: Array
-) -> None:
+def gather(state: ParameterValues, see: SortedObservations, m: int, count: int, lanes: int, work: Array) -> None:
     """Write the direction of each point in the world from the camera, its pixel and its weight."""
     cameras, points, placements = state
     point_of, placement_of, xy_px, weight = see.point, see.placement, see.xy_px, see.weight

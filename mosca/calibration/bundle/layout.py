@@ -150,12 +150,7 @@ def _assigned(problem: Problem, eliminated: Array, label: Array, joined: bool) -
 
 
 def _blocks(
-    assigned: _Assignment,
-    first_observation: Array,
-    slot_first: Array,
-    slot_group: Array,
-    runs: Array,
-    width: int,
+    assigned: _Assignment, first_observation: Array, slot_first: Array, slot_group: Array, runs: Array, width: int
 ) -> EliminatedBlocks:
     """Return where the parts of the blocks begin; ``width``: columns of a group."""
     dim, members = assigned.size, assigned.members
@@ -176,9 +171,7 @@ def _known(
     problem: Problem, rods: Distances, assigned: _Assignment, eliminated: Array, kept: Array
 ) -> tuple[Known, Distances]:
     """Return the a-priori values of the blocks, and the distances that touch only kept points."""
-    rod_arrays, kept_rods = _rods(
-        rods, assigned.point_block, assigned.offset, eliminated, kept, len(assigned.size)
-    )
+    rod_arrays, kept_rods = _rods(rods, assigned.point_block, assigned.offset, eliminated, kept, len(assigned.size))
     information, sigma = problem.points.information, problem.placements.sigma
     known = Known(
         problem.points.xyz,

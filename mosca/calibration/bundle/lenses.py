@@ -7,17 +7,7 @@ import numpy as np
 from mosca.camera.lens_models import fisheye, mosca, opencv
 from mosca.camera.lens_models.arrays import radial_slope
 from mosca.camera.lens_models.row import BY_LENS as L
-from mosca.camera.lens_models.row import (
-    FAST,
-    FISHEYE,
-    FOLD,
-    IMAGED,
-    MODEL,
-    MOSCA,
-    OPENCV_FULL,
-    OPENCV_PLAIN,
-    ROW,
-)
+from mosca.camera.lens_models.row import FAST, FISHEYE, FOLD, IMAGED, MODEL, MOSCA, OPENCV_FULL, OPENCV_PLAIN, ROW
 from mosca.data.arrays import Array
 from mosca.data.rig import Lens
 from mosca.numba_support.decorators import kernel

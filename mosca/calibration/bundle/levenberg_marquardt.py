@@ -149,14 +149,10 @@ def adjusted_cameras(problem: Problem, layout: NormalsLayout, state: ParameterVa
     )
 
 
-def state_of(
-    problem: Problem, cameras: Sequence[Camera], points: Array, placements: Placements
-) -> ParameterValues:
+def state_of(problem: Problem, cameras: Sequence[Camera], points: Array, placements: Placements) -> ParameterValues:
     """Return a state of these cameras, points and placements."""
     table = [
-        np.concatenate(
-            [pose.rotation.ravel(), pose.translation, lens_row(cameras[k].lens, problem.cameras[k].free)]
-        )
+        np.concatenate([pose.rotation.ravel(), pose.translation, lens_row(cameras[k].lens, problem.cameras[k].free)])
         for camera, k in zip(cameras, problem.lens_owner(), strict=True)
         for pose in [camera.world_from_camera]
     ]
@@ -165,11 +161,7 @@ def state_of(
 
 
 def reduced(
-    layout: NormalsLayout,
-    normals: NormalEquations,
-    pull: tuple[Array, Array] | None,
-    damping: float,
-    inverse: Array,
+    layout: NormalsLayout, normals: NormalEquations, pull: tuple[Array, Array] | None, damping: float, inverse: Array
 ) -> tuple[Array, Array]:
     """Return the reduced normal matrix (u, u) and slope (u,); write the inverse blocks into ``inverse``."""
     unknowns, width = len(layout.names), layout.index.shape[1]
@@ -244,11 +236,7 @@ def linearised(
 
 
 def _step(
-    task: AdjustmentTask,
-    normals: NormalEquations,
-    pull: tuple[Array, Array] | None,
-    damping: float,
-    inverse: Array,
+    task: AdjustmentTask, normals: NormalEquations, pull: tuple[Array, Array] | None, damping: float, inverse: Array
 ) -> tuple[tuple[Array, Array] | None, float]:
     """Return a damped step of the groups and of the blocks (None where there is none) and the promised decrease."""
     layout = task.layout

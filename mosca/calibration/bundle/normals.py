@@ -59,8 +59,8 @@ class Batch(NamedTuple):
 
 @kernel(fastmath=FAST)
 def linearise(
-    state: ParameterValues, see: SortedObservations, columns: LensColumns, blocks: EliminatedBlocks, known: Known, loss: Loss,
-    normals: NormalEquations
+    state: ParameterValues, see: SortedObservations, columns: LensColumns, blocks: EliminatedBlocks,
+    known: Known, loss: Loss, normals: NormalEquations
 ) -> tuple[float, int]:  # fmt: skip
     """Write the normal equations at ``state`` into ``normals``; return the cost and the number of unseen points."""
     cameras = state.cameras
@@ -146,9 +146,7 @@ def _sum_camera(
 
 
 @step(fastmath=FAST)
-def _sum_block(
-    batch: Batch, see: SortedObservations, blocks: EliminatedBlocks, normals: NormalEquations
-) -> None:
+def _sum_block(batch: Batch, see: SortedObservations, blocks: EliminatedBlocks, normals: NormalEquations) -> None:
     """Add a batch to its blocks' normals and slope, and to what these have in common with the camera."""
     b, size, m, count, used, w, j, local = batch
     offset, slot, block = see.offset[m], see.slot, see.block
@@ -199,9 +197,7 @@ def _sum_own(batch: Batch, x: int, y: int, to: int, n: int, block_normals: Array
 
 
 @step(fastmath=FAST)
-def _sum_kept(
-    batch: Batch, see: SortedObservations, blocks: EliminatedBlocks, normals: NormalEquations
-) -> None:
+def _sum_kept(batch: Batch, see: SortedObservations, blocks: EliminatedBlocks, normals: NormalEquations) -> None:
     """Add a batch to the kept points that it shows, and to what these have in common with cameras and blocks."""
     b, size, m, count, used, w, j, _ = batch
     camera, placement, offset = see.camera[m], see.placement[m], see.offset[m]
@@ -234,9 +230,7 @@ def _sum_kept(
 
 
 @step(fastmath=FAST)
-def _known_distance(
-    points: Array, known: Known, d: int, n: int, v: int, g: int, normals: NormalEquations
-) -> float:
+def _known_distance(points: Array, known: Known, d: int, n: int, v: int, g: int, normals: NormalEquations) -> float:
     """Add the known distance ``d`` between two points of a block, or to a held point (offset -1); return its cost."""
     one, two, at_one, at_two = known.distances[d]
     weight, block_normals, block_slope = known.distance_weight[d], normals.blocks, normals.block_slope

@@ -35,8 +35,8 @@ class BlockCofactors(NamedTuple):
 
 @kernel(fastmath=FAST)
 def precise(
-    state: ParameterValues, see: SortedObservations, base_weight: Array, columns: LensColumns, blocks: EliminatedBlocks, loss: Loss,
-    mixed: Array, inverse: ReducedInverse, block_cofactors: Array, tests: Array
+    state: ParameterValues, see: SortedObservations, base_weight: Array, columns: LensColumns,
+    blocks: EliminatedBlocks, loss: Loss, mixed: Array, inverse: ReducedInverse, block_cofactors: Array, tests: Array
 ) -> None:  # fmt: skip
     """Write cofactors of the blocks and the residual and test statistic of each image point.
 
@@ -48,12 +48,7 @@ def precise(
     dim, slot_first, slot_group, at_v = blocks.size, blocks.first_slot, blocks.slot_group, blocks.normals_at
     cofactors, index, runs = inverse.cofactors, inverse.group_columns, blocks.runs
     width = index.shape[1]
-    work = (
-        np.empty((2, OBSERVED)),
-        np.zeros((2, width)),
-        np.empty((2, width + 9)),
-        np.empty(width + 9, np.int64),
-    )
+    work = (np.empty((2, OBSERVED)), np.zeros((2, width)), np.empty((2, width + 9)), np.empty(width + 9, np.int64))
     for r in range(runs.size - 1):
         b, count = runs[r], runs[r + 1] - runs[r]
         n, first = dim[b], slot_first[b]
@@ -166,9 +161,7 @@ def _test(
         d0, d1 = out[0, unknown], out[1, unknown]
         f0 = f1 = 0.0
         for k in range(own):
-            other = (
-                BY_ROTATION + k if own == 6 and k < 3 else (BY_WORLD + k - 3 if own == 6 else BY_WORLD + k)
-            )
+            other = BY_ROTATION + k if own == 6 and k < 3 else (BY_WORLD + k - 3 if own == 6 else BY_WORLD + k)
             x = block[row, offset[m] + k]
             f0 += x * out[0, other]
             f1 += x * out[1, other]

@@ -56,9 +56,7 @@ def pulls(
     """Return normal matrix (u, u) and slope (u,) of all a-priori observations, and its cost; None if
     nothing is.
     """
-    weighted = [
-        c for c, one in enumerate(problem.cameras) if any(0 < sigma < np.inf for sigma in one.pose_sigma)
-    ]
+    weighted = [c for c, one in enumerate(problem.cameras) if any(0 < sigma < np.inf for sigma in one.pose_sigma)]
     information = problem.points.information
     if not (priors or weighted or len(layout.kept_rods) or (len(layout.kept) and information is not None)):
         return None, 0.0
@@ -115,9 +113,7 @@ def count(problem: Problem, layout: NormalsLayout, priors: Priors) -> int:
     """
     poses = sum(0 < sigma < np.inf for one in problem.cameras for sigma in one.pose_sigma)
     lengths = len(layout.known.distances) + len(layout.kept_rods)
-    placements = (
-        int((layout.known.pose_weight[layout.placed] > 0).sum()) if layout.known.pose_weight.size else 0
-    )
+    placements = int((layout.known.pose_weight[layout.placed] > 0).sum()) if layout.known.pose_weight.size else 0
     points = 0
     if problem.points.information is not None:
         own = np.concatenate([layout.members, layout.kept])

@@ -54,9 +54,7 @@ class CameraUnknowns:
                     f"{where}: lens parameter '{name}' cannot be free here; allowed, each once: {', '.join(allowed)}"
                 )
         if FOCAL in self.free and {"fx_px", "fy_px"} & set(self.free):
-            raise InputError(
-                f"{where}: '{FOCAL}' moves fx_px and fy_px together; leave these out, or '{FOCAL}'"
-            )
+            raise InputError(f"{where}: '{FOCAL}' moves fx_px and fy_px together; leave these out, or '{FOCAL}'")
         if {"c_mm", "mx_mm_per_px", "my_mm_per_px"} <= set(self.free):
             raise InputError(
                 f"{where}: c_mm, mx_mm_per_px and my_mm_per_px have two degrees of freedom; hold mx_mm_per_px"
@@ -90,9 +88,7 @@ class ObjectPoints:
         object.__setattr__(self, "held", read_only(self.held, (n,), "held", np.bool_))
         if self.information is not None:
             object.__setattr__(self, "information", read_only(self.information, (n, 3, 3), "information"))
-        given = (
-            self.held if self.information is None else self.held | (self.information != 0).any(axis=(1, 2))
-        )
+        given = self.held if self.information is None else self.held | (self.information != 0).any(axis=(1, 2))
         if not np.isfinite(self.xyz[given]).all():
             raise ValueError("xyz: a fixed or weighted point needs finite coordinates")
 
@@ -128,10 +124,7 @@ class ObjectPoints:
 
     def __add__(self, other: "ObjectPoints") -> "ObjectPoints":
         """Return these points followed by ``other``."""
-        both = [
-            np.zeros((len(one), 3, 3)) if one.information is None else one.information
-            for one in (self, other)
-        ]
+        both = [np.zeros((len(one), 3, 3)) if one.information is None else one.information for one in (self, other)]
         none = self.information is None and other.information is None
         return ObjectPoints(
             np.concatenate([self.xyz, other.xyz]),
@@ -161,9 +154,7 @@ class Placements:
         if self.sigma is not None:
             object.__setattr__(self, "sigma", read_only(self.sigma, (n, 6), "sigma"))
             if not (np.asarray(self.sigma) > 0).all():
-                raise ValueError(
-                    "sigma: above 0 is wanted; a held pose is no placement, move its points instead"
-                )
+                raise ValueError("sigma: above 0 is wanted; a held pose is no placement, move its points instead")
 
     def __len__(self) -> int:
         return len(self.translation)
@@ -207,9 +198,7 @@ class Observations:
         sigma = np.broadcast_to(np.asarray(self.sigma_px, dtype=float), (n,))
         object.__setattr__(self, "sigma_px", read_only(sigma, (n,), "sigma_px"))
         if not np.isfinite(self.xy_px).all() or not (sigma > 0).all() or not np.isfinite(sigma).all():
-            raise ValueError(
-                "xy_px and sigma_px: finite numbers, sigma_px above 0, are wanted; leave others out"
-            )
+            raise ValueError("xy_px and sigma_px: finite numbers, sigma_px above 0, are wanted; leave others out")
 
     def __len__(self) -> int:
         return len(self.xy_px)
@@ -226,17 +215,10 @@ class Distances:
 
     def __post_init__(self) -> None:
         n = len(self.first)
-        for name, dtype in (
-            ("first", np.int64),
-            ("second", np.int64),
-            ("length_m", float),
-            ("sigma_m", float),
-        ):
+        for name, dtype in (("first", np.int64), ("second", np.int64), ("length_m", float), ("sigma_m", float)):
             object.__setattr__(self, name, read_only(getattr(self, name), (n,), name, dtype))
         if not (self.length_m > 0).all() or not (self.sigma_m > 0).all() or (self.first == self.second).any():
-            raise ValueError(
-                "distances: above 0, with sigma_m above 0, between two different points are wanted"
-            )
+            raise ValueError("distances: above 0, with sigma_m above 0, between two different points are wanted")
 
     def __len__(self) -> int:
         return len(self.first)
@@ -275,14 +257,10 @@ class Problem:
         ):
             index = np.asarray(index)
             if len(index) and (index.min() < least or index.max() >= count):
-                raise ValueError(
-                    f"{what}: {index.min()} to {index.max()} given, {least} to {count - 1} allowed"
-                )
+                raise ValueError(f"{what}: {index.min()} to {index.max()} given, {least} to {count - 1} allowed")
         for k, one in enumerate(self.cameras):
             if names.index(one.camera.name) < k:
-                raise InputError(
-                    f"camera name '{one.camera.name}' stands twice; give each camera its own name"
-                )
+                raise InputError(f"camera name '{one.camera.name}' stands twice; give each camera its own name")
             if one.lens_as is not None:
                 owner = names.index(one.lens_as) if one.lens_as in names[:k] else None
                 if owner is None or self.cameras[owner].lens_as is not None:

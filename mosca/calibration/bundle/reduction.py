@@ -289,9 +289,7 @@ def find_runs(dim: Array, slot_first: Array, slot_group: Array) -> Array:
 
 
 @kernel
-def pair_table(
-    slot_first: Array, slot_group: Array, kept: Array, cameras: Array, groups: int
-) -> tuple[Array, int]:
+def pair_table(slot_first: Array, slot_group: Array, kept: Array, cameras: Array, groups: int) -> tuple[Array, int]:
     """Number the pairs of groups (groups, groups), lower first, that a block or observation joins; -1
     elsewhere.
     """

@@ -85,9 +85,7 @@ class BundleSettings:
     """Compute covariances, redundancy numbers and tests."""
 
 
-def solve(
-    problem: Problem, settings: BundleSettings | None = None, start: Adjustment | None = None
-) -> Adjustment:
+def solve(problem: Problem, settings: BundleSettings | None = None, start: Adjustment | None = None) -> Adjustment:
     """Adjust ``problem``, from its given values or from those of an earlier adjustment ``start`` of the same
     structure.
 
@@ -167,16 +165,12 @@ def _solved(
         more: Priors = ()
         if 0 < len(matrix) <= MOST_EIGENVECTORS:
             variance = _variance(task, Solution(descent, weight, matrix, inverse, motions))[0]
-            found, more = weak_directions(
-                task.problem, task.layout, descent.state, matrix, variance, task.priors
-            )
+            found, more = weak_directions(task.problem, task.layout, descent.state, matrix, variance, task.priors)
             weak += tuple(name for name in found if name not in weak)
         if not (more and hold_weak):
             break
         # near their starting values, wherever they have crept
-        more = tuple(
-            replace(one, value=float(first.cameras[one.camera, LENS + one.parameter])) for one in more
-        )
+        more = tuple(replace(one, value=float(first.cameras[one.camera, LENS + one.parameter])) for one in more)
         task, state = replace(task, priors=task.priors + more), descent.state
     return task, Solution(descent, weight, _inverse(task.layout, matrix), inverse, motions), weak, steps
 

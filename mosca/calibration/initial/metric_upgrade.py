@@ -50,9 +50,7 @@ def pair_matrices(fundamental: Array, focal: tuple[float, float]) -> Array:
     these focal lengths (half diagonals).
     """
     epipole = np.linalg.svd(fundamental.T)[2][-1]
-    cross = np.array(
-        [[0, -epipole[2], epipole[1]], [epipole[2], 0, -epipole[0]], [-epipole[1], epipole[0], 0]]
-    )
+    cross = np.array([[0, -epipole[2], epipole[1]], [epipole[2], 0, -epipole[0]], [-epipole[1], epipole[0], 0]])
     first = np.hstack([np.eye(3), np.zeros((3, 1))])
     second = np.hstack([cross @ fundamental, epipole[:, None]])
     second *= np.sqrt(3) / np.linalg.norm(second[:, :3])
@@ -96,9 +94,7 @@ def _with(
     good[np.flatnonzero(there)[~found.inliers]] = False
     cameras = (*one.cameras, camera)
     matrices = np.concatenate([one.matrices, found.matrix[None]])
-    return _intersected(
-        ProjectiveReconstruction(cameras, matrices, one.points, np.vstack([one.good, good])), xy
-    )
+    return _intersected(ProjectiveReconstruction(cameras, matrices, one.points, np.vstack([one.good, good])), xy)
 
 
 def _intersected(one: ProjectiveReconstruction, xy: Array) -> ProjectiveReconstruction:

@@ -109,12 +109,7 @@ def minima(grid: Array) -> list[tuple[int, int]]:
     """Return the positions of the local minima of a grid (n, m), the deepest first."""
     padded = np.pad(grid, 1, constant_values=np.inf)
     rows, columns = grid.shape
-    around = [
-        padded[1 + a : 1 + a + rows, 1 + b : 1 + b + columns]
-        for a in (-1, 0, 1)
-        for b in (-1, 0, 1)
-        if a or b
-    ]
+    around = [padded[1 + a : 1 + a + rows, 1 + b : 1 + b + columns] for a in (-1, 0, 1) for b in (-1, 0, 1) if a or b]
     least = np.isfinite(grid) & (grid <= np.min(around, axis=0))
     places = np.argwhere(least)
     return [(int(i), int(j)) for i, j in places[np.argsort(grid[least])]]

@@ -180,9 +180,7 @@ def _robust_matrix(
         limit = INLIER_SIGMAS * SIGMA_BY_MEDIAN_2D * np.median(near)
         inliers = near <= max(limit, 1e-9)
         if inliers.sum() < FEWEST_POINTS:
-            raise CalibrationError(
-                f"{where}: fewer than {FEWEST_POINTS} points agree on one camera; check the pairs"
-            )
+            raise CalibrationError(f"{where}: fewer than {FEWEST_POINTS} points agree on one camera; check the pairs")
         matrix = _linear(image[inliers][None], points[inliers][None])[0]
         near = _distances(matrix[None], image, points)[0]
     design = _equations(image[inliers][None], points[inliers][None])[0]

@@ -103,17 +103,11 @@ def gather(
     else:
         rows, which = _paired(rig.camera(name), xyz, met, found, shift_px)
     return CameraObservations(
-        np.full(len(rows), frame),
-        xyz[rows],
-        covariance[rows],
-        found.xy_px[which],
-        found.covariance_px2[which],
+        np.full(len(rows), frame), xyz[rows], covariance[rows], found.xy_px[which], found.covariance_px2[which]
     )
 
 
-def common_shift(
-    rig: Rig, name: str, detections: Mapping[str, Detections], points: Points
-) -> tuple[float, float]:
+def common_shift(rig: Rig, name: str, detections: Mapping[str, Detections], points: Points) -> tuple[float, float]:
     """Return the shift (x, y) [px] that most of a camera's images have against the points of the others.
 
     The densest bin among all differences; (0, 0) where there are none. For one frame set.
@@ -136,10 +130,7 @@ def common_shift(
 
 
 def reorient(
-    camera: Camera,
-    seen: CameraObservations,
-    body_px: float = 0.03,
-    significance_sigmas: float = OUTLIER_SIGMAS,
+    camera: Camera, seen: CameraObservations, body_px: float = 0.03, significance_sigmas: float = OUTLIER_SIGMAS
 ) -> Reorientation:
     """Resect ``camera`` from ``seen``, its lens held, from its old pose on.
 
@@ -168,9 +159,7 @@ def reorient(
         right = np.einsum("nki,nkl,nl->i", slope[used], weight[used], rest[used])
         size = 1 / np.sqrt(np.diag(normal))
         change = size * np.linalg.solve(normal * size[:, None] * size, size * right)
-        pose = Pose(
-            pose.rotation @ Rotation.from_rotvec(change[:3]).as_matrix(), pose.translation + change[3:]
-        )
+        pose = Pose(pose.rotation @ Rotation.from_rotvec(change[:3]).as_matrix(), pose.translation + change[3:])
         if step > 2 and change @ normal @ change < 1e-8:
             break
     if used.sum() < max(FEWEST_POINTS, 0.5 * len(seen)):
@@ -232,17 +221,11 @@ def _paired(
 
 def _nothing() -> CameraObservations:
     return CameraObservations(
-        np.empty(0, dtype=np.int64),
-        np.empty((0, 3)),
-        np.empty((0, 3, 3)),
-        np.empty((0, 2)),
-        np.empty((0, 2, 2)),
+        np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 2)), np.empty((0, 2, 2))
     )
 
 
-def reoriented(
-    rig: Rig, name: str, seen: CameraObservations, body_px: float = 0.03
-) -> tuple[Rig, Reorientation]:
+def reoriented(rig: Rig, name: str, seen: CameraObservations, body_px: float = 0.03) -> tuple[Rig, Reorientation]:
     """Return the rig with camera ``name`` in its new pose. InputError for a rig of fewer than three cameras."""
     if len(rig.cameras) < 3:
         raise InputError(

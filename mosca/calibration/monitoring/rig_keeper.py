@@ -10,13 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.calibration.monitoring.bump_detector import Alarm, BumpDetector, BumpSettings
-from mosca.calibration.monitoring.reorient import (
-    CameraObservations,
-    Reorientation,
-    common_shift,
-    gather,
-    reoriented,
-)
+from mosca.calibration.monitoring.reorient import CameraObservations, Reorientation, common_shift, gather, reoriented
 from mosca.data.detections import Detections
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points

@@ -34,12 +34,7 @@ class FrameSums:
 
 
 def frame_sums(
-    rig: Rig,
-    frame: int,
-    detections: Mapping[str, Detections],
-    points: Points,
-    sigma_px: float,
-    body_px: float,
+    rig: Rig, frame: int, detections: Mapping[str, Detections], points: Points, sigma_px: float, body_px: float
 ) -> FrameSums:
     """Return the sums of a frame's points that at least two cameras see.
 

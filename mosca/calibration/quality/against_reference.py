@@ -101,9 +101,7 @@ def best_misfit(seen: list[_CameraView], assigned: list[Camera]) -> Array:
         new_from_old = voter.camera.world_from_camera @ camera.world_from_camera.inverse()
         every.append(np.array([_misfit(one, c, new_from_old) for one, c in zip(seen, assigned, strict=True)]))
     every.append(
-        np.array(
-            [_misfit(one, c, _mean_motion(seen, assigned)) for one, c in zip(seen, assigned, strict=True)]
-        )
+        np.array([_misfit(one, c, _mean_motion(seen, assigned)) for one, c in zip(seen, assigned, strict=True)])
     )
     return min(every, key=_agreement)
 
@@ -127,12 +125,8 @@ def _misfit(one: _CameraView, old: Camera, new_from_old: Pose) -> float:
 
 def _mean_motion(seen: list[_CameraView], assigned: list[Camera]) -> Pose:
     """Return the motion that carries the earlier centres and axes onto the new ones, in the mean."""
-    pairs = [
-        (one.camera.world_from_camera, c.world_from_camera) for one, c in zip(seen, assigned, strict=True)
-    ]
-    rotation = nearest_rotation(sum((new.rotation @ old.rotation.T for new, old in pairs), np.zeros((3, 3))))[
-        0
-    ]
+    pairs = [(one.camera.world_from_camera, c.world_from_camera) for one, c in zip(seen, assigned, strict=True)]
+    rotation = nearest_rotation(sum((new.rotation @ old.rotation.T for new, old in pairs), np.zeros((3, 3))))[0]
     shift = np.mean([new.translation - rotation @ old.translation for new, old in pairs], axis=0)
     return Pose(rotation, shift)
 

@@ -106,9 +106,7 @@ def _tied(calibration: Calibration) -> Array:
     return np.asarray((calibration.placement < 0) | shared[calibration.placement])
 
 
-def _alone(
-    calibration: Calibration, index: int, mine: Array, tied: bool, settings: QualityLimits
-) -> list[Finding]:
+def _alone(calibration: Calibration, index: int, mine: Array, tied: bool, settings: QualityLimits) -> list[Finding]:
     """Return findings about the placements that only this camera saw."""
     camera = calibration.rig.cameras[index]
     frames = np.unique(calibration.placement[mine])

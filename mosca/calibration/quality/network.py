@@ -109,9 +109,7 @@ def links(calibration: Calibration, rigid_target: bool = False) -> Array:
     return strength
 
 
-def linked(
-    calibration: Calibration, settings: QualityLimits, rigid_target: bool = False
-) -> tuple[Finding, ...]:
+def linked(calibration: Calibration, settings: QualityLimits, rigid_target: bool = False) -> tuple[Finding, ...]:
     """Return the cameras that no common view joins, or few."""
     names = calibration.rig.names
     if len(names) < 2:
@@ -128,11 +126,7 @@ def linked(
     tree = minimum_spanning_tree(coo_array((1.0 / strength[strength > 0], np.nonzero(strength)))).tocoo()
     found = []
     views = common_views(calibration)
-    flat = (
-        len(calibration.marks_m) >= 4
-        and is_flat(calibration.marks_m)
-        and not (calibration.placement < 0).any()
-    )
+    flat = len(calibration.marks_m) >= 4 and is_flat(calibration.marks_m) and not (calibration.placement < 0).any()
     for i, j in zip(tree.row, tree.col, strict=True):
         points = int(strength[i, j])
         pair = f"cameras '{names[i]}' and '{names[j]}'"
@@ -171,10 +165,7 @@ def missing_links(calibration: Calibration, label: Array) -> tuple[tuple[int, in
     found = []
     for other in np.unique(label[label != label[0]]):
         pairs = [
-            (i, j)
-            for i in range(len(label))
-            for j in range(len(label))
-            if {label[i], label[j]} == {label[0], other}
+            (i, j) for i in range(len(label)) for j in range(len(label)) if {label[i], label[j]} == {label[0], other}
         ]
         counted = [(i, j, int(_inside(rig.cameras[j], seen[i]).sum())) for i, j in pairs]
         # of links as good as each other the shortest: there two cameras see the same side of the target
@@ -186,9 +177,7 @@ def _in_words(calibration: Calibration, one: int, other: int, count: int) -> str
     """Return where the target must be shown to join two cameras."""
     first, second = calibration.rig.names[one], calibration.rig.names[other]
     if count == 0:
-        return (
-            f"nothing that '{first}' saw lies in the image of '{second}': turn cameras so that they overlap"
-        )
+        return f"nothing that '{first}' saw lies in the image of '{second}': turn cameras so that they overlap"
     return (
         f"{count} of the places where '{first}' saw the target lie in the image of '{second}' too: show the target "
         "there while both watch"
@@ -217,10 +206,7 @@ def coverage(calibration: Calibration, camera: int, cells: tuple[int, int]) -> A
 
 def volume_coverage(calibration: Calibration, low: Sequence[float], high: Sequence[float]) -> Array:
     """Return which cells (x, y, z) of a box [m, world] the used points cover: in them or between them (hull)."""
-    corner, extent = (
-        np.asarray(low, dtype=float),
-        np.asarray(high, dtype=float) - np.asarray(low, dtype=float),
-    )
+    corner, extent = (np.asarray(low, dtype=float), np.asarray(high, dtype=float) - np.asarray(low, dtype=float))
     at = (calibration.points_in_world()[calibration.used] - corner) / extent * VOLUME_CELLS
     covered = np.zeros((VOLUME_CELLS,) * 3, dtype=bool)
     inside = ((at >= 0) & (at < VOLUME_CELLS)).all(axis=1)
@@ -241,9 +227,7 @@ def _between(points: Array, places: Array) -> Array:
 
 
 def little_coverage(
-    calibration: Calibration,
-    settings: QualityLimits,
-    volume: tuple[Sequence[float], Sequence[float]] | None = None,
+    calibration: Calibration, settings: QualityLimits, volume: tuple[Sequence[float], Sequence[float]] | None = None
 ) -> tuple[Finding, ...]:
     """Return the cameras whose image, and whether the ``volume`` (low, high) [m], was covered in part only."""
     found = []
@@ -260,9 +244,7 @@ def little_coverage(
             f"{settings.noted_coverage:.0%} wanted{corners}; rays outside are extrapolated: show the target there"
         )
         if share < settings.noted_coverage:
-            found.append(
-                (warn if share < settings.warned_coverage else note)("little-coverage", text, camera.name)
-            )
+            found.append((warn if share < settings.warned_coverage else note)("little-coverage", text, camera.name))
     if volume is not None:
         share = float(volume_coverage(calibration, *volume).mean())
         text = (

@@ -12,9 +12,7 @@ from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration
 
 
-def calibration_covariance(
-    calibration: Calibration, xyz: Array, seen: Array, sigma_px: Array | float = 1.0
-) -> Array:
+def calibration_covariance(calibration: Calibration, xyz: Array, seen: Array, sigma_px: Array | float = 1.0) -> Array:
     """Return the covariance (n, 3, 3) [m^2] that the calibration's own error gives to points ``xyz`` (n, 3) [m].
 
     ``seen`` (n, c): which cameras measured each point (``points.rays >= 0``); ``sigma_px``: standard deviation of

@@ -38,9 +38,7 @@ def evidence_of(
     """
     settings = settings or QualityLimits()
     strength = links(calibration, rigid_target)
-    covered = np.array(
-        [coverage(calibration, k, settings.cells) for k in range(len(calibration.rig.cameras))]
-    )
+    covered = np.array([coverage(calibration, k, settings.cells) for k in range(len(calibration.rig.cameras))])
     groups = connected_components(coo_array(strength), directed=False)[1]
     return CalibrationEvidence(
         covered,
@@ -77,6 +75,4 @@ def _accuracy(
         sigma_px = float(np.sqrt(np.mean(known**2) + calibration.body_px**2)) if len(known) else 0.1
     count = [max(LEAST_GRID, int(GRID * edge / extent.max()) // 2 * 2 + 1) for edge in extent]
     found = accuracy_map(calibration, low, high, (count[0], count[1], count[2]), sigma_px)
-    return AccuracyGrid(
-        found.x, found.y, found.z, found.detection_sigma_m, found.calibration_sigma_m, sigma_px
-    )
+    return AccuracyGrid(found.x, found.y, found.z, found.detection_sigma_m, found.calibration_sigma_m, sigma_px)

@@ -77,9 +77,7 @@ def residual_pattern(
     return float(np.sqrt(excess)), chance, float(np.sqrt(variance))
 
 
-def cell_means(
-    calibration: Calibration, camera: int, cells: tuple[int, int]
-) -> tuple[Array, Array, Array, Array]:
+def cell_means(calibration: Calibration, camera: int, cells: tuple[int, int]) -> tuple[Array, Array, Array, Array]:
     """Return mean residual (k, 2) [px] and count (k,) of each cell, and residual (m, 2) and cell (m,) of each
     used point of a camera; cells row by row.
     """

@@ -76,9 +76,7 @@ def distances(calibration: Calibration, settings: QualityLimits) -> tuple[Findin
     return (warn("mixed-units", text),)
 
 
-def size_ratio(
-    calibration: Calibration, target_diameters_m: Array | float
-) -> tuple[float, float, float, int]:
+def size_ratio(calibration: Calibration, target_diameters_m: Array | float) -> tuple[float, float, float, int]:
     """Return seen over predicted image diameter (median), its standard deviation, the typical diameter [px] and
     the number of marks' images that have one.
 
@@ -153,9 +151,7 @@ def length_errors(
     )
     first = np.flatnonzero(points.key % 2 == 0)
     second = np.searchsorted(points.key, points.key[first] + 1)
-    pair = (second < len(points.key)) & (
-        points.key[np.minimum(second, len(points.key) - 1)] == points.key[first] + 1
-    )
+    pair = (second < len(points.key)) & (points.key[np.minimum(second, len(points.key) - 1)] == points.key[first] + 1)
     first, second = first[pair], second[pair]
     if len(first) < 2:
         raise InputError(

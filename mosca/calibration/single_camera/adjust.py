@@ -12,22 +12,9 @@ import numpy as np
 from mosca.calibration.initial.resection import Resection, aim, resect, resect_fisheye
 from mosca.calibration.single_camera.least_squares import CameraFit, fit_camera, residuals_of
 from mosca.calibration.single_camera.outliers import LEAST_REDUNDANCY, robust_points, snoop
-from mosca.calibration.single_camera.parameter_selection import (
-    choose_parameters,
-    groups_of,
-    nested_parameters,
-)
+from mosca.calibration.single_camera.parameter_selection import choose_parameters, groups_of, nested_parameters
 from mosca.data.arrays import Array, read_only
-from mosca.data.rig import (
-    LENS_MODELS,
-    Camera,
-    FisheyeLens,
-    Lens,
-    MoscaLens,
-    OpenCVLens,
-    Pose,
-    principal_distances_px,
-)
+from mosca.data.rig import LENS_MODELS, Camera, FisheyeLens, Lens, MoscaLens, OpenCVLens, Pose, principal_distances_px
 from mosca.errors import CalibrationError, InputError
 
 ROUNDS = 4
@@ -146,9 +133,7 @@ def check_lens(where: str, model: str, parameters: Sequence[str] | None) -> None
             )
 
 
-def _start(
-    name: str, size: tuple[int, int], model: str, first: Resection, settings: AdjustmentSettings
-) -> Camera:
+def _start(name: str, size: tuple[int, int], model: str, first: Resection, settings: AdjustmentSettings) -> Camera:
     """Return the resected camera with its principal point moved to the middle of the image."""
     centre = ((size[0] - 1) / 2, (size[1] - 1) / 2)
     fx, fy = first.lens.fx_px, first.lens.fy_px

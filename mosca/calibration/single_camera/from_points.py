@@ -5,12 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mosca.calibration.single_camera.adjust import (
-    AdjustmentSettings,
-    CameraAdjustment,
-    adjust_camera,
-    lens_values,
-)
+from mosca.calibration.single_camera.adjust import AdjustmentSettings, CameraAdjustment, adjust_camera, lens_values
 from mosca.data.files.target_file import PointsTarget, read_measured_points
 from mosca.data.rig import Rig
 from mosca.errors import InputError

@@ -149,10 +149,7 @@ def _focal_px(shown: CameraViews) -> float:
     for seen in shown.views:
         h = homography(flat[seen.mark], (seen.xy_px - centre) / size[0])
         h = h / np.linalg.norm(h[:, :2])
-        left += [
-            h[0, 0] * h[0, 1] + h[1, 0] * h[1, 1],
-            h[0, 0] ** 2 + h[1, 0] ** 2 - h[0, 1] ** 2 - h[1, 1] ** 2,
-        ]
+        left += [h[0, 0] * h[0, 1] + h[1, 0] * h[1, 1], h[0, 0] ** 2 + h[1, 0] ** 2 - h[0, 1] ** 2 - h[1, 1] ** 2]
         right += [h[2, 0] * h[2, 1], h[2, 0] ** 2 - h[2, 1] ** 2]
     a, b = np.array(left), np.array(right)
     inverse_square = -(a @ b) / max(a @ a, 1e-300)

@@ -9,14 +9,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from mosca.calibration.bundle.solver import (
-    BundleSettings,
-    CameraUnknowns,
-    ObjectPoints,
-    Observations,
-    Problem,
-    solve,
-)
+from mosca.calibration.bundle.solver import BundleSettings, CameraUnknowns, ObjectPoints, Observations, Problem, solve
 from mosca.camera.projection import project, project_with_jacobians
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Lens

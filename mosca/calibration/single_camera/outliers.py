@@ -57,9 +57,7 @@ def robust_points(
     return near
 
 
-def snoop(
-    fit: CameraFit, xy_px: Array, xyz: Array, used: Array, significance: float
-) -> tuple[CameraFit, Array]:
+def snoop(fit: CameraFit, xy_px: Array, xyz: Array, used: Array, significance: float) -> tuple[CameraFit, Array]:
     """Return the fit without blunders and the points (n,) used; the free parameters stay those of ``fit``.
 
     ``significance``: chance that any point is rejected where there are no blunders.
@@ -75,9 +73,7 @@ def snoop(
     return fit, used
 
 
-def _without_worst(
-    fit: CameraFit, xy_px: Array, xyz: Array, used: Array, level: float
-) -> tuple[CameraFit, Array]:
+def _without_worst(fit: CameraFit, xy_px: Array, xyz: Array, used: Array, level: float) -> tuple[CameraFit, Array]:
     """Reject the worst point and adjust again, until no point's residual is improbable."""
     used = used.copy()
     for _ in range(len(xy_px)):

@@ -23,9 +23,7 @@ ROUNDS = 3
 TIMES_WORSE, CLEARLY = 4.0, 6.0
 
 
-def ordered(
-    sightings: Sightings, balls: int, lenses: Sequence[Lens] | None, rng: np.random.Generator
-) -> Sightings:
+def ordered(sightings: Sightings, balls: int, lenses: Sequence[Lens] | None, rng: np.random.Generator) -> Sightings:
     """Return the sightings with unknown marks (-1) numbered along the wand, alike in all cameras of a frame.
 
     The rows of an image are in their order along the line. Which end has number 0 is chance; images whose order

@@ -62,9 +62,7 @@ def finished(
         usable = fewer
         one = network(usable, one.cameras, free, plain, points=one.points)
     for step in range(max(len(EXTRA[m]) for m in model.values())):
-        richer = {
-            k: free[k] + EXTRA[model[k]][step] if step < len(EXTRA[model[k]]) else free[k] for k in free
-        }
+        richer = {k: free[k] + EXTRA[model[k]][step] if step < len(EXTRA[model[k]]) else free[k] for k in free}
         trial = network(usable, one.cameras, richer, plain, points=one.points)
         joined = sum(len(richer[k]) - len(free[k]) for k in free)
         gain = (one.adjustment.cost - trial.adjustment.cost) / trial.adjustment.sigma0**2

@@ -34,12 +34,7 @@ class PairGuess:
 
 
 def pair_guesses(
-    fundamental: Array,
-    first: Array,
-    second: Array,
-    length_m: Array,
-    focal_first: float | None = None,
-    most: int = 4,
+    fundamental: Array, first: Array, second: Array, length_m: Array, focal_first: float | None = None, most: int = 4
 ) -> list[PairGuess]:
     """Return the likeliest focal lengths and relative orientations of two cameras, the best first.
 

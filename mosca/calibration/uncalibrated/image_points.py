@@ -144,9 +144,7 @@ def point_views(
         else tuple(lenses)
     )
     if len(given) != len(sightings.cameras):
-        raise InputError(
-            f"lenses: {len(given)} given for {len(sightings.cameras)} cameras; give one for each"
-        )
+        raise InputError(f"lenses: {len(given)} given for {len(sightings.cameras)} cameras; give one for each")
     for name, lens in zip(sightings.cameras, given, strict=True):
         if not isinstance(lens, MoscaLens | OpenCVLens):
             raise InputError(

@@ -57,9 +57,7 @@ def _next(
 ) -> tuple[Network | None, dict[int, CalibrationError]]:
     """Return the network with one camera more, or None, and why cameras with views in common did not fit."""
     points = trusted_points(one, tracks)
-    links = np.bincount(
-        tracks.camera[np.isfinite(points[tracks.point]).all(axis=1)], minlength=len(tracks.names)
-    )
+    links = np.bincount(tracks.camera[np.isfinite(points[tracks.point]).all(axis=1)], minlength=len(tracks.names))
     failures: dict[int, CalibrationError] = {}
     for camera in np.argsort(-links, kind="stable"):
         k = int(camera)

@@ -52,9 +52,7 @@ def wand_start(tracks: PointViews, bend: float, rng: np.random.Generator) -> Net
     return best[1]
 
 
-def _pair(
-    tracks: PointViews, first: int, second: int, bend: float, rng: np.random.Generator
-) -> Network | None:
+def _pair(tracks: PointViews, first: int, second: int, bend: float, rng: np.random.Generator) -> Network | None:
     both, x, y, found = pair_geometry(tracks, first, second, bend, rng)
     if found.inliers.mean() < LEAST_INLIERS:
         return None

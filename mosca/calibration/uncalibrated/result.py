@@ -113,11 +113,7 @@ def findings_of(final: FinalNetwork, tracks: PointViews) -> tuple[Finding, ...]:
                 )
             )
     out += [
-        note(
-            "weak-parameter",
-            f"{name} was held near its start: the data hardly determine it",
-            name.split(".")[0],
-        )
+        note("weak-parameter", f"{name} was held near its start: the data hardly determine it", name.split(".")[0])
         for name in one.adjustment.held
     ]
     return tuple(out)

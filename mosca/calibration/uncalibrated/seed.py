@@ -119,9 +119,7 @@ def _sample(tracks: PointViews, first: int, second: int, rng: np.random.Generato
     return np.sort(candidates[order[:MOST_POINTS]])
 
 
-def _adjusted(
-    tracks: PointViews, metric: MetricGuess, cameras: tuple[int, ...], bend: float
-) -> Network | None:
+def _adjusted(tracks: PointViews, metric: MetricGuess, cameras: tuple[int, ...], bend: float) -> Network | None:
     start = {}
     size = float(np.median(np.linalg.norm(metric.centre - metric.centre.mean(axis=0), axis=1)))
     for k, focal, turn, centre in zip(cameras, metric.focal, metric.rotation, metric.centre, strict=True):

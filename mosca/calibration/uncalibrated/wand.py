@@ -53,12 +53,7 @@ def calibrate_wand(
     check(final, tracks)
     length = wand.along_m[-1] - wand.along_m[0]
     return calibration_of(
-        final,
-        tracks,
-        sightings,
-        "wand",
-        f"the wand's length {length:g} m",
-        wand.sigma_m * np.sqrt(2) / length,
+        final, tracks, sightings, "wand", f"the wand's length {length:g} m", wand.sigma_m * np.sqrt(2) / length
     )
 
 

@@ -164,9 +164,7 @@ def _size(balls: BallCandidates, known: Array, sigma_m: float) -> tuple[float, A
         slope[i] += along
         slope[j] -= along
     slope /= true @ true
-    variance = (
-        np.einsum("ni,nij,nj->", slope, balls.covariance, slope) + sigma_m**2 * (slope**2).sum() * ratio**2
-    )
+    variance = np.einsum("ni,nij,nj->", slope, balls.covariance, slope) + sigma_m**2 * (slope**2).sum() * ratio**2
     return ratio, slope, float(variance)
 
 

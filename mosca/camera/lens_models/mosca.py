@@ -78,9 +78,7 @@ def _image(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
             break
         x, y = x + dx, y + dy
     determinant = a * d - b * b
-    if not (
-        determinant > 0 and a + d > 0 and abs(rx) < INVERTED_MM and abs(ry) < INVERTED_MM and r2 < q[FOLD]
-    ):
+    if not (determinant > 0 and a + d > 0 and abs(rx) < INVERTED_MM and abs(ry) < INVERTED_MM and r2 < q[FOLD]):
         return False
     # pixel by ideal point: inverse of the slope, then the pitches; the y axis turns from up to down
     n00, n01 = d / determinant / mx, -b / determinant / mx
@@ -92,20 +90,10 @@ def _image(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
     out[0, 3], out[1, 3] = -(n00 * ix + n01 * iy) * iz, -(n10 * ix + n11 * iy) * iz
     out[0, L], out[1, L] = (n00 * ix + n01 * iy) / q[0], (n10 * ix + n11 * iy) / q[0]
     out[0, L + 1], out[1, L + 1], out[0, L + 2], out[1, L + 2] = 1.0, 0.0, 0.0, 1.0
-    out[0, L + 3], out[1, L + 3], out[0, L + 4], out[1, L + 4] = (
-        -x / (mx * mx),
-        0.0,
-        0.0,
-        y / (my * my),
-    )
+    out[0, L + 3], out[1, L + 3], out[0, L + 4], out[1, L + 4] = (-x / (mx * mx), 0.0, 0.0, y / (my * my))
     out[0, L + 5], out[1, L + 5] = -(n00 * y + n01 * x), -(n10 * y + n11 * x)
     u, w = -(n00 * x + n01 * y), -(n10 * x + n11 * y)
-    out[0, L + 6], out[1, L + 6], out[0, L + 7], out[1, L + 7] = (
-        u * r2,
-        w * r2,
-        u * r2 * r2,
-        w * r2 * r2,
-    )
+    out[0, L + 6], out[1, L + 6], out[0, L + 7], out[1, L + 7] = (u * r2, w * r2, u * r2 * r2, w * r2 * r2)
     out[0, L + 8], out[1, L + 8] = u * r2 * r2 * r2, w * r2 * r2 * r2
     s, t, e = r2 + 2 * x * x, r2 + 2 * y * y, 2 * x * y
     out[0, L + 9], out[1, L + 9] = -(n00 * s + n01 * e), -(n10 * s + n11 * e)

@@ -141,18 +141,8 @@ def _image(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
         for k, r in ((9, r2), (10, r4), (11, r4 * r2)):
             out[0, L + k] = -(m00 * x + m01 * y) * g * r / below
             out[1, L + k] = -(m10 * x + m11 * y) * g * r / below
-        out[0, L + 12], out[1, L + 12], out[0, L + 13], out[1, L + 13] = (
-            m00 * r2,
-            m10 * r2,
-            m00 * r4,
-            m10 * r4,
-        )
-        out[0, L + 14], out[1, L + 14], out[0, L + 15], out[1, L + 15] = (
-            m01 * r2,
-            m11 * r2,
-            m01 * r4,
-            m11 * r4,
-        )
+        out[0, L + 12], out[1, L + 12], out[0, L + 13], out[1, L + 13] = (m00 * r2, m10 * r2, m00 * r4, m10 * r4)
+        out[0, L + 14], out[1, L + 14], out[0, L + 15], out[1, L + 15] = (m01 * r2, m11 * r2, m01 * r4, m11 * r4)
     if not (a * d - b * c > 0 and a + d > 0):
         return False
     out[0, 0], out[1, 0] = q[2] + fx * xt, q[3] + fy * yt
@@ -206,10 +196,7 @@ def fold_r2(lens: OpenCVLens) -> float:
 def tilt(tau_x: float, tau_y: float) -> Array:
     """Return the homography (3, 3) of a sensor rotated by R = R_y(tauY) R_x(tauX) (OpenCV, calib3d)."""
     cx, sx, cy, sy = np.cos(tau_x), np.sin(tau_x), np.cos(tau_y), np.sin(tau_y)
-    rotation = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array(
-        [[1, 0, 0], [0, cx, sx], [0, -sx, cx]]
-    )
+    rotation = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
     return (
-        np.array([[rotation[2, 2], 0, -rotation[0, 2]], [0, rotation[2, 2], -rotation[1, 2]], [0, 0, 1.0]])
-        @ rotation
+        np.array([[rotation[2, 2], 0, -rotation[0, 2]], [0, rotation[2, 2], -rotation[1, 2]], [0, 0, 1.0]]) @ rotation
     )

@@ -91,11 +91,7 @@ def tracked(
 
     def sets() -> Iterator[tuple[FrameSet, Mapping[str, Detections], float]]:
         for k, instant in enumerate(instants_s):
-            found = {
-                one.info.name: detections_at(one, places[c], k)[0]
-                for c, one in enumerate(seen)
-                if there[k, c]
-            }
+            found = {one.info.name: detections_at(one, places[c], k)[0] for c, one in enumerate(seen) if there[k, c]}
             yield FrameSet(k, round(instant * 1e9)), found, 0.0
 
     samples: list[Samples] = []

@@ -204,9 +204,7 @@ def _speeds(s: Array, t: Array, xy: Array) -> Array:
     return np.where((has_right & ~has_left)[:, None], right, speed)
 
 
-def detections_at(
-    seen: CameraDetections, places: ImageInterpolation, instant: int
-) -> tuple[Detections, Array]:
+def detections_at(seen: CameraDetections, places: ImageInterpolation, instant: int) -> tuple[Detections, Array]:
     """Return the positions of one instant as detections of the camera, and their tracklets."""
     low, high = np.searchsorted(places.instant, [instant, instant + 1])
     rows, others = places.row[low:high], places.other[low:high]

@@ -26,9 +26,7 @@ class TooFewPointsError(ValueError):
     """There are fewer correspondences than the matrix has unknowns."""
 
 
-def fundamental(
-    first: Array, second: Array, epipole: Array | None = None, other: Array | None = None
-) -> Array:
+def fundamental(first: Array, second: Array, epipole: Array | None = None, other: Array | None = None) -> Array:
     """Return F (3, 3) of norm 1 with ``second . F first ~ 0`` for corresponding bearings (n, 3).
 
     ``epipole`` (3,): ray in the first view on which the second camera is seen, ``other`` the first camera's in the
@@ -68,9 +66,7 @@ class Relative:
     in_front: float
 
 
-def relative_pose(
-    first: Array, second: Array, epipole: Array | None = None, other: Array | None = None
-) -> Relative:
+def relative_pose(first: Array, second: Array, epipole: Array | None = None, other: Array | None = None) -> Relative:
     """Return the relative pose of two calibrated cameras from corresponding unit rays (n, 3) and observed epipoles.
 
     Of the four poses of an essential matrix the one is taken that has most points at positive distances along both

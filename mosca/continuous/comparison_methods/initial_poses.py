@@ -4,13 +4,7 @@ import numpy as np
 
 from mosca.calibration.initial.target_pose import poses_of
 from mosca.continuous.comparison_methods.epipoles import TooFewPointsError, relative_pose
-from mosca.continuous.comparison_methods.synchronous import (
-    Cameras,
-    PosesAndPoints,
-    Views,
-    adjust,
-    intersected,
-)
+from mosca.continuous.comparison_methods.synchronous import Cameras, PosesAndPoints, Views, adjust, intersected
 from mosca.data.arrays import Array
 from mosca.data.rig import Pose
 from mosca.errors import InputError
@@ -52,9 +46,7 @@ def first_scene(views: Views, cameras: Cameras, *, epipoles: bool = True) -> Pos
         if one is not None:
             rotations[i], centres[i] = one
     if not np.isfinite(centres).any():
-        raise InputError(
-            "moving cameras: at no instant do two cameras share 8 points (3 where both see each other)"
-        )
+        raise InputError("moving cameras: at no instant do two cameras share 8 points (3 where both see each other)")
     return _moving(views, rotations, centres, epipoles)
 
 
@@ -158,6 +150,4 @@ def _epipole(views: Views, rays: Array, viewer: int, carrier: int) -> Array | No
 
 
 def _thinned(count: int) -> Array:
-    return (
-        np.unique(np.linspace(0, count - 1, min(count, MOST_RAYS)).astype(int)) if count else np.zeros(0, int)
-    )
+    return np.unique(np.linspace(0, count - 1, min(count, MOST_RAYS)).astype(int)) if count else np.zeros(0, int)

@@ -14,13 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
 
 from mosca.continuous.comparison_methods.initial_poses import first_scene
-from mosca.continuous.comparison_methods.synchronous import (
-    Cameras,
-    PosesAndPoints,
-    Views,
-    adjust,
-    intersected,
-)
+from mosca.continuous.comparison_methods.synchronous import Cameras, PosesAndPoints, Views, adjust, intersected
 from mosca.continuous.model.camera_paths import PosedCameras, StillCameras
 from mosca.continuous.model.observations import CameraPaths, TimedObservations
 from mosca.data.arrays import Array
@@ -90,9 +84,7 @@ class Interpolated:
         instants of the adjustment, interpolated as the image tracks are.
         """
         if self.moving:
-            return _between(
-                self.instants_s, self.scene.xyz, np.asarray(time_s, dtype=float), self.tracks.kind
-            )
+            return _between(self.instants_s, self.scene.xyz, np.asarray(time_s, dtype=float), self.tracks.kind)
         views = self.tracks.at(time_s)
         rotations, centres = self.paths.at(time_s)
         start = PosesAndPoints(rotations, centres, intersected(views, rotations, centres))
@@ -133,9 +125,7 @@ def interpolated(
 
 def common_instants(observations: TimedObservations) -> Array:
     """Return the instants of all exposures (t,) within the time that all cameras share [s]."""
-    times = [
-        np.unique(observations.time_s[observations.camera == k]) for k in range(len(observations.cameras))
-    ]
+    times = [np.unique(observations.time_s[observations.camera == k]) for k in range(len(observations.cameras))]
     for name, t in zip(observations.cameras, times, strict=True):
         if len(t) < 2:
             raise InputError(f"camera '{name}': {len(t)} exposures with image points, at least 2 are needed")

@@ -26,9 +26,7 @@ def project_moving(camera: Camera, rotations: Array, centres: Array, points: Arr
     """Project world points (n, 3) [m], each with a world_from_camera of its own: (n, 3, 3), (n, 3)."""
     v = np.einsum("nji,nj->ni", rotations, points - centres)
     own = project_with_jacobians(replace(camera, world_from_camera=AT_ORIGIN), v)
-    return ProjectedPoints(
-        own.xy_px, own.by_point @ np.swapaxes(rotations, 1, 2), own.by_point @ cross_matrices(v)
-    )
+    return ProjectedPoints(own.xy_px, own.by_point @ np.swapaxes(rotations, 1, 2), own.by_point @ cross_matrices(v))
 
 
 def rotated(rotations: Array, vectors: Array) -> Array:

@@ -149,9 +149,7 @@ class _Task:
         self.index = np.array([np.pad(one, (0, most - len(one)), constant_values=-1) for one in members])
         self.real = self.index >= 0
         carried = see.carried_by[see.point] >= 0
-        self.epipoles = np.flatnonzero(
-            carried if epipoles and cameras != "known" else np.zeros(len(see), bool)
-        )
+        self.epipoles = np.flatnonzero(carried if epipoles and cameras != "known" else np.zeros(len(see), bool))
 
     def linearised(self, state: Neural) -> _Linear:
         see = self.see
@@ -176,16 +174,10 @@ class _Task:
         cost = float((error**2).sum() + (e2**2).sum())
         return _Linear(error, onto, by_pose, e2, viewer, carried, cost, 2 * (len(which) + len(row)))
 
-    def _seen(
-        self, row: Array, rotations: Array, centres: Array, points: Array
-    ) -> tuple[Array, Array, Array]:
+    def _seen(self, row: Array, rotations: Array, centres: Array, points: Array) -> tuple[Array, Array, Array]:
         """Return errors (k, 2) and slopes by point (k, 2, 3) and pose (k, 2, 6) of image points ``row`` (k,)."""
         see = self.see
-        error, by_point, pose = (
-            np.zeros((len(row), 2)),
-            np.zeros((len(row), 2, 3)),
-            np.zeros((len(row), 2, 6)),
-        )
+        error, by_point, pose = (np.zeros((len(row), 2)), np.zeros((len(row), 2, 3)), np.zeros((len(row), 2, 6)))
         for k, camera in enumerate(self.cameras):
             own = see.camera[row] == k
             if not own.any():
@@ -223,19 +215,13 @@ class _Task:
             part = linear.by_pose[k, own] @ slopes[self.when[row], camera]  # (k, 2, u)
             block[2 * own, camera], block[2 * own + 1, camera] = part[:, 0], part[:, 1]
             block = block.reshape(2 * q, -1)
-            both = damped_solve(kernel[k : k + 1], np.array([mu]), np.column_stack([block, error[k]])[None])[
-                0
-            ]
+            both = damped_solve(kernel[k : k + 1], np.array([mu]), np.column_stack([block, error[k]])[None])[0]
             solved.append(both)
             normal += mu * block.T @ both[:, :-1]
             right += mu * block.T @ both[:, -1]
         if len(self.epipoles):
             row = self.epipoles
-            at, viewer, carrier = (
-                self.when[row],
-                self.see.camera[row],
-                self.see.carried_by[self.see.point[row]],
-            )
+            at, viewer, carrier = (self.when[row], self.see.camera[row], self.see.carried_by[self.see.point[row]])
             block = np.zeros((len(row), c, 2, u))
             each = np.arange(len(row))
             block[each, viewer] += linear.by_viewer @ slopes[at, viewer]
@@ -246,6 +232,4 @@ class _Task:
         z = np.zeros(c * u)
         z[u:] = np.linalg.solve(normal[u:, u:], right[u:])
         dual = np.array([both[:, -1] - both[:, :-1] @ z for both in solved])
-        return replace(
-            state, nets=tangent.moved(dual), paths=state.paths.moved(self.instants, z.reshape(c, u))
-        )
+        return replace(state, nets=tangent.moved(dual), paths=state.paths.moved(self.instants, z.reshape(c, u)))

@@ -81,16 +81,12 @@ class NetPoses:
     spread: Array
 
     @classmethod
-    def fit(
-        cls, cameras: tuple[str, ...], nets: Nets, time_s: Array, rotations: Array, centres: Array
-    ) -> "NetPoses":
+    def fit(cls, cameras: tuple[str, ...], nets: Nets, time_s: Array, rotations: Array, centres: Array) -> "NetPoses":
         """Return networks brought to poses (t, c, 3, 3), (t, c, 3) at ``time_s`` (t,)."""
         c = len(cameras)
         middle = np.array([Rotation.from_matrix(rotations[:, k]).mean().as_matrix() for k in range(c)])
         origin = centres.mean(axis=0)
-        turn = np.stack(
-            [Rotation.from_matrix(middle[k].T @ rotations[:, k]).as_rotvec() for k in range(c)], axis=1
-        )
+        turn = np.stack([Rotation.from_matrix(middle[k].T @ rotations[:, k]).as_rotvec() for k in range(c)], axis=1)
         values = np.concatenate([turn, centres - origin], axis=2)  # (t, c, 6)
         spread = np.maximum(values.std(axis=0), STILL)
         flat = np.moveaxis((values / spread).reshape(len(time_s), -1), 1, 0)[..., None]

@@ -35,12 +35,7 @@ class Nets:
 
     @classmethod
     def fresh(
-        cls,
-        count: int,
-        outputs: int,
-        span_s: tuple[float, float],
-        response_s: float,
-        rng: np.random.Generator,
+        cls, count: int, outputs: int, span_s: tuple[float, float], response_s: float, rng: np.random.Generator
     ) -> "Nets":
         """Return networks of output zero; their hidden units switch within ``response_s`` at random instants."""
         start, duration = span_s[0], max(span_s[1] - span_s[0], 1e-9)

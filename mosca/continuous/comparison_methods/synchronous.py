@@ -176,9 +176,7 @@ class _Task:
             slope = np.zeros((len(at), 2, size))
             slope[:, :, 6 * viewer : 6 * viewer + 3] = image.by_rotation
             slope[:, :, 6 * viewer + 3 : 6 * viewer + 6] = -image.by_point
-            slope[:, :, 6 * carrier : 6 * carrier + 3] = self._by_carriers_rotation(
-                scene, carrier, m, at, image
-            )
+            slope[:, :, 6 * carrier : 6 * carrier + 3] = self._by_carriers_rotation(scene, carrier, m, at, image)
             slope[:, :, 6 * carrier + 3 : 6 * carrier + 6] = image.by_point
             camera[at] += np.swapaxes(slope, 1, 2) @ slope
             camera_right[at] += np.einsum("kpi,kp->ki", slope, error)
@@ -222,9 +220,7 @@ class _Task:
             taken, taken_right = taken.sum(axis=0, keepdims=True), taken_right.sum(axis=0, keepdims=True)
         diagonal = np.einsum("gaa->ga", system.camera)
         reduced = system.camera - taken
-        reduced = (
-            reduced + np.eye(shape[2]) * (damping[:, None] * diagonal + TINY * diagonal.max())[..., None]
-        )
+        reduced = reduced + np.eye(shape[2]) * (damping[:, None] * diagonal + TINY * diagonal.max())[..., None]
         moved = np.zeros_like(diagonal)
         # the first camera is the datum
         solved = np.linalg.solve(reduced[:, 6:, 6:], (system.camera_right - taken_right)[:, 6:, None])
@@ -254,9 +250,7 @@ class _Task:
         )
         return at, which, *_errors(image, self.views.xy_px[at, k, self.free[which]])
 
-    def _epipole(
-        self, scene: PosesAndPoints, viewer: int, m: int, at: Array
-    ) -> tuple[ProjectedPoints, Array]:
+    def _epipole(self, scene: PosesAndPoints, viewer: int, m: int, at: Array) -> tuple[ProjectedPoints, Array]:
         carrier = int(self.views.carried_by[m])
         lamp = scene.centres[at, carrier] + scene.rotations[at, carrier] @ self.views.carried_at[m]
         image = project_moving(

@@ -154,9 +154,7 @@ class Factor:
         j = column * w + np.arange(columns * w)[None, :]
         offset = i - j
         inside = (offset >= 0) & (offset < len(self.lower))
-        return np.where(
-            inside, self.lower[np.where(inside, offset, 0), np.broadcast_to(j, offset.shape)], 0.0
-        )
+        return np.where(inside, self.lower[np.where(inside, offset, 0), np.broadcast_to(j, offset.shape)], 0.0)
 
     def _keep(self, blocks: Array, dense: Array, row: int, column: int, unknowns: int) -> None:
         """Copy what lies within reach from S between coefficients row.. and column.. into ``blocks``."""

@@ -93,9 +93,7 @@ def find_pairs(knots: Knots, xyz: Array, drawn: Array, known: Array, spans: Arra
 
 def joined(parts: list[Pairs]) -> Pairs:
     """Return pairs of several lists in one."""
-    return Pairs(
-        *(np.concatenate([getattr(part, n) for part in parts]) for n in ("pair", "distance", "slack"))
-    )
+    return Pairs(*(np.concatenate([getattr(part, n) for part in parts]) for n in ("pair", "distance", "slack")))
 
 
 def learned(pairs: Pairs, knots: Knots, drawn: Array) -> tuple[Pairs, Array]:

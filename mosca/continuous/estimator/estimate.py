@@ -84,9 +84,7 @@ def estimate(
     state = TrajectoryState(
         knots, xyz, still, moving_start(settings, still, paths, knots), np.zeros(clock_free.shape)
     )
-    alone = layout(
-        tuple(np.array([p]) for p in points), len(still.cameras), "known", np.zeros_like(clock_free)
-    )
+    alone = layout(tuple(np.array([p]) for p in points), len(still.cameras), "known", np.zeros_like(clock_free))
     held = np.zeros_like(clock_free)
     # paths that are given are near: noise taken for larger would hide from cameras how little they move
     begun = settings.cameras == "moving" and paths is not None and settings.clocks == "known"
@@ -109,13 +107,9 @@ def estimate(
     size = sigma0(solved, places, draws(solved, places, DRAWS, rng))
     told += clock_rules.findings(observations.cameras, held)
     if settings.cameras != "known":
-        told.append(
-            "scale: no length is given, so that it is the start's; give a known distance to make it metres"
-        )
+        told.append("scale: no length is given, so that it is the start's; give a known distance to make it metres")
     if size > LARGEST_SIGMA0:
-        told.append(
-            f"image errors are {size:.1f} times as large as stated: look at clocks, calibration and names"
-        )
+        told.append(f"image errors are {size:.1f} times as large as stated: look at clocks, calibration and names")
     curves = curves_of(
         solved,
         places,
@@ -168,9 +162,7 @@ def _settled(
     )
 
 
-def _learned(
-    state: TrajectoryState, places: StateLayout, drawn: list[Array], before: list[Array]
-) -> list[Array]:
+def _learned(state: TrajectoryState, places: StateLayout, drawn: list[Array], before: list[Array]) -> list[Array]:
     """Return the prior's covariance of each group as its drawn curves have it.
 
     Expectation-maximisation converges slowly where data determine little, as of cameras that are stationary: their
@@ -190,8 +182,8 @@ def _learned(
 
 
 def _rounds(
-    image: ImagePoints, state: TrajectoryState, places: StateLayout, covariances: list[Array], settings: ContinuousSettings,
-    known: Array, spans: Array
+    image: ImagePoints, state: TrajectoryState, places: StateLayout, covariances: list[Array],
+    settings: ContinuousSettings, known: Array, spans: Array
 ) -> tuple[Solved, list[Array], Pairs]:  # fmt: skip
     """Alternate Gauss-Newton steps and learning of variances; constant distances are sought once curves are joined,
     and once more with their help.
@@ -213,9 +205,7 @@ def _rounds(
             before = covariances, state.pace
         if settings.limbs and k >= JOINED_AT:
             had = len(pairs)
-            pairs, dropped = _pairs(
-                pairs, state, places, drawn, known, spans, left if k < last - SETTLING else None
-            )
+            pairs, dropped = _pairs(pairs, state, places, drawn, known, spans, left if k < last - SETTLING else None)
             left |= dropped
             if len(dropped) > SPOILT * had:
                 # false distances bent curves, and what was learned from them is not motion

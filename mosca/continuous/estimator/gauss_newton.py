@@ -9,12 +9,7 @@ from mosca.continuous.estimator import clocks
 from mosca.continuous.estimator.banded_normals import Band, Factor, Rows, solve_bordered
 from mosca.continuous.estimator.constant_distances import Pairs, limb_rows
 from mosca.continuous.estimator.motion_prior import FARTHEST_M, expected_accelerations
-from mosca.continuous.estimator.observation_equations import (
-    ImagePoints,
-    LinearisedImages,
-    robust_weights,
-    weighted,
-)
+from mosca.continuous.estimator.observation_equations import ImagePoints, LinearisedImages, robust_weights, weighted
 from mosca.continuous.estimator.state import StateLayout, TrajectoryState, replaced, unknowns
 from mosca.continuous.model.bspline import values
 from mosca.continuous.model.estimated import SplineCurves
@@ -68,9 +63,7 @@ def step(
     for g in range(len(places.groups)):
         width = places.width(g)
         own = _of_group(seen, weight, places, g, image, base)
-        limb = limb_rows(
-            pairs, places.column(g, len(image.observations.points)), knots, state.xyz, places.shared
-        )
+        limb = limb_rows(pairs, places.column(g, len(image.observations.points)), knots, state.xyz, places.shared)
         x = unknowns(state, places, g)
         band = Band(knots.count, knots.degree + 1, width, places.shared)
         for rows in (own, limb, frame_rows(state, places, g)):
@@ -101,9 +94,7 @@ def step(
 def add_prior(band: Band, state: TrajectoryState, places: StateLayout, group: int, covariance: Array) -> None:
     """Add the smoothness prior of a group, and what keeps unknowns that nothing determines finite."""
     knots, width, points = state.knots, places.width(group), 3 * len(places.groups[group])
-    band.add_prior(
-        knots.gram(state.order, None if state.pace is None else 1 / state.pace), np.linalg.inv(covariance)
-    )
+    band.add_prior(knots.gram(state.order, None if state.pace is None else 1 / state.pace), np.linalg.inv(covariance))
     loose = np.full(width, FARTHEST_M**-2)
     if places.moving:
         sigma = np.array([DRIFT_OF_FRAME[0]] * 3 + [FARTHEST_M] * 3)
@@ -166,9 +157,7 @@ def curves_of(
     for g, (points, factor) in enumerate(zip(places.groups, solved.factors, strict=True)):
         blocks[:, :, points] = factor.inverse_blocks(len(points))
         of_group = solved.carried[g].reshape(knots.count, factor.width, places.shared)
-        carried[:, points] = of_group[:, : 3 * len(points)].reshape(
-            knots.count, len(points), 3, places.shared
-        )
+        carried[:, points] = of_group[:, : 3 * len(points)].reshape(knots.count, len(points), 3, places.shared)
         estimated[points] = True
         at = np.arange(3 * len(points)).reshape(-1, 3)
         beyond[points] = covariances[g][at[:, :, None], at[:, None, :]] * rest
@@ -229,12 +218,7 @@ def frame_rows(state: TrajectoryState, places: StateLayout, group: int) -> Rows:
     n = len(time) * cameras * 6
     if moving is None:
         return Rows(
-            first[:0],
-            weight[:0],
-            np.zeros((0, 1), int),
-            np.zeros((0, 1)),
-            np.zeros((0, places.shared)),
-            time[:0],
+            first[:0], weight[:0], np.zeros((0, 1), int), np.zeros((0, 1)), np.zeros((0, places.shared)), time[:0]
         )
     wanted = values(knots, moving.frame, time)
     sigma = np.where(np.arange(cameras)[:, None] == 0, FRAME[0], FRAME[1])
@@ -257,8 +241,8 @@ def frame_rows(state: TrajectoryState, places: StateLayout, group: int) -> Rows:
 
 
 def _short_enough(
-    image: ImagePoints, old: TrajectoryState, new: TrajectoryState, found: list[Array], shared: Array, places: StateLayout,
-    covariances: list[Array], pairs: Pairs, weight: Array
+    image: ImagePoints, old: TrajectoryState, new: TrajectoryState, found: list[Array], shared: Array,
+    places: StateLayout, covariances: list[Array], pairs: Pairs, weight: Array
 ) -> TrajectoryState:  # fmt: skip
     """Return the new state, or one nearer to the old where the step made things worse."""
     best = cost(image, old, places, covariances, pairs, weight)

@@ -60,9 +60,7 @@ def seen_from_to(observations: TimedObservations, time_s: Array) -> Array:
 def still_of(rig: Rig, names: tuple[str, ...]) -> StillCameras:
     """Return the named cameras where the rig has them."""
     poses = [rig.camera(name).world_from_camera for name in names]
-    return StillCameras(
-        names, np.array([p.rotation for p in poses]), np.array([p.translation for p in poses])
-    )
+    return StillCameras(names, np.array([p.rotation for p in poses]), np.array([p.translation for p in poses]))
 
 
 def first_knots(observations: TimedObservations, settings: ContinuousSettings) -> Knots:
@@ -70,9 +68,7 @@ def first_knots(observations: TimedObservations, settings: ContinuousSettings) -
 
     Cameras that expose together count once: they see the same instant.
     """
-    one = np.unique(np.column_stack([observations.camera, observations.exposure]), axis=0, return_index=True)[
-        1
-    ]
+    one = np.unique(np.column_stack([observations.camera, observations.exposure]), axis=0, return_index=True)[1]
     when = np.sort(observations.time_s[one])
     duration = float(when[-1] - when[0])
     instants_seen = 1 + int((np.diff(when) > 1e-4).sum())
@@ -95,15 +91,11 @@ def moving_start(
         given = paths.at(time)
         for c, name in enumerate(still.cameras):
             if name not in paths.cameras:
-                raise InputError(
-                    f"continuous: no path to begin with for camera '{name}'; give one for each camera"
-                )
+                raise InputError(f"continuous: no path to begin with for camera '{name}'; give one for each camera")
             k = paths.cameras.index(name)
             good = np.flatnonzero(np.isfinite(given[1][:, k]).all(axis=1))
             if not len(good):
-                raise InputError(
-                    f"continuous: the path to begin with of camera '{name}' is empty; leave it out"
-                )
+                raise InputError(f"continuous: the path to begin with of camera '{name}' is empty; leave it out")
             # before and after what is given, and in gaps: the nearest pose
             nearest = good[np.abs(time[good][None, :] - time[:, None]).argmin(axis=1)]
             rotation[:, c], centre[:, c] = given[0][nearest, k], given[1][nearest, k]

@@ -27,9 +27,7 @@ def check(observations: TimedObservations, rig: Rig) -> None:
         exposure, at = np.unique(observations.exposure[own], return_index=True)
         time = observations.time_s[own]
         if np.any(time != time[at][np.searchsorted(exposure, observations.exposure[own])]):
-            raise InputError(
-                f"continuous: camera '{name}' has an exposure with two time stamps; give each one"
-            )
+            raise InputError(f"continuous: camera '{name}' has an exposure with two time stamps; give each one")
         steps = np.diff(time[at])
         if len(exposure) < FEWEST_EXPOSURES:
             raise InputError(

@@ -31,9 +31,7 @@ FARTHEST_M = 100.0
 """A point that nothing determines is this far from the origin: keeps the equations regular, has no weight."""
 
 
-def one_point(
-    rows: Rows, knots: Knots, order: int, noise_free: bool = False
-) -> tuple[Array, float, float, float]:
+def one_point(rows: Rows, knots: Knots, order: int, noise_free: bool = False) -> tuple[Array, float, float, float]:
     """Return the likeliest coefficients (count, 3) of one point from its equations, the prior's log strength, how
     many times larger than stated the image errors are, and -2 log of the marginal likelihood, alike for all orders.
 

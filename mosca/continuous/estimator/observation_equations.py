@@ -46,8 +46,7 @@ class ImagePoints:
         self.observations = observations
         here = Pose(np.eye(3), np.zeros(3))
         self.lenses = [
-            Camera(c.name, c.width, c.height, c.lens, here)
-            for c in (rig.camera(n) for n in observations.cameras)
+            Camera(c.name, c.width, c.height, c.lens, here) for c in (rig.camera(n) for n in observations.cameras)
         ]
         self.lens_px = np.array([rig.camera(n).residual_px for n in observations.cameras])
         self.whitening = np.linalg.inv(np.linalg.cholesky(observations.covariance_px2))
@@ -147,9 +146,7 @@ class ImagePoints:
             return LinearisedImages(residual, self._rows(state, time_s, by_point, residual, shared))
         poses[:, :, :3] = poses[:, :, :3] @ _right_jacobians(near.turn)
         others[:, :, :3] = others[:, :, :3] @ _right_jacobians(near.carrier_turn)
-        return LinearisedImages(
-            residual, self._rows(state, time_s, by_point, residual, shared, poses, others)
-        )
+        return LinearisedImages(residual, self._rows(state, time_s, by_point, residual, shared, poses, others))
 
     def _rows(
         self, state: TrajectoryState, time_s: Array, by_point: Array, rest: Array, shared: Array,
@@ -206,7 +203,5 @@ def _right_jacobians(turns: Array) -> Array:
     angle = np.maximum(np.linalg.norm(turns, axis=1), 1e-6)[:, None, None]
     cross = cross_matrices(turns)
     return np.asarray(
-        np.eye(3)
-        - (1 - np.cos(angle)) / angle**2 * cross
-        + (angle - np.sin(angle)) / angle**3 * cross @ cross
+        np.eye(3) - (1 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross
     )

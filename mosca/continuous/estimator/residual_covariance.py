@@ -27,9 +27,7 @@ EXPOSURE_GROUP_S = 0.5
 """How fast it changes from where cameras see a point."""
 
 
-def unheld(
-    image: ImagePoints, solved: Solved, places: StateLayout, alone: StateLayout, points: Array
-) -> Array:
+def unheld(image: ImagePoints, solved: Solved, places: StateLayout, alone: StateLayout, points: Array) -> Array:
     """Return covariances (pieces + 1, all points, 3, 3) [m^2] at the knots, to be added to those of the curves.
 
     ``points``: those that are estimated; ``alone``: the layout in which each is by itself.
@@ -97,9 +95,7 @@ def time_correlated_variance(image: ImagePoints, solved: Solved) -> float:
     return alike / own if alike / number > chance else 0.0
 
 
-def time_correlated_covariances(
-    image: ImagePoints, solved: Solved, places: StateLayout, share: Array
-) -> Array:
+def time_correlated_covariances(image: ImagePoints, solved: Solved, places: StateLayout, share: Array) -> Array:
     """Return at the knots the covariances (pieces + 1, all points, 3, 3) [m^2] that time-correlated errors give to
     points.
 
@@ -161,9 +157,7 @@ def _with_poses(
     bin_of, point, camera = at
     # a column more takes what is held
     spread = np.zeros((len(by), 2, width + 1))
-    np.put_along_axis(
-        spread, np.repeat(np.where(columns < 0, width, columns)[:, None], 2, axis=1), by, axis=2
-    )
+    np.put_along_axis(spread, np.repeat(np.where(columns < 0, width, columns)[:, None], 2, axis=1), by, axis=2)
     pair, of = np.unique(camera * (int(point.max(initial=0)) + 1) + point, return_inverse=True)
     of = of.reshape(-1)
     told, count = np.zeros((bins, len(pair), 2, width)), np.zeros((bins, len(pair)))
@@ -194,9 +188,6 @@ def _held(state: TrajectoryState, places: StateLayout, group: int, at: float) ->
     which = np.append(np.arange(knot * each, (knot + 1) * each), knots * each + knot)
     dense = np.zeros((len(which), places.width(group) + 1))
     np.put_along_axis(
-        dense,
-        np.where(rows.columns[which] < 0, places.width(group), rows.columns[which]),
-        rows.values[which],
-        axis=1,
+        dense, np.where(rows.columns[which] < 0, places.width(group), rows.columns[which]), rows.values[which], axis=1
     )
     return dense[:, :-1]

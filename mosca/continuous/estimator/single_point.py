@@ -6,12 +6,7 @@ import numpy as np
 
 from mosca.continuous.estimator.banded_normals import Rows
 from mosca.continuous.estimator.motion_prior import ORDERS, one_point
-from mosca.continuous.estimator.observation_equations import (
-    ImagePoints,
-    LinearisedImages,
-    robust_weights,
-    weighted,
-)
+from mosca.continuous.estimator.observation_equations import ImagePoints, LinearisedImages, robust_weights, weighted
 from mosca.continuous.estimator.state import StateLayout, TrajectoryState
 from mosca.continuous.model.bspline import Knots, fitted
 from mosca.continuous.model.observations import Curves
@@ -52,9 +47,7 @@ def first_curves(
     seen = image.linearised(state, places)
     seen = LinearisedImages(seen.residual, _whole(seen.rows, state.xyz, len(image.observations.points)))
     weight = robust_weights(seen.residual)
-    tried = [
-        _each_point(image, seen, replace(state, order=order), weight, points, noise_free) for order in ORDERS
-    ]
+    tried = [_each_point(image, seen, replace(state, order=order), weight, points, noise_free) for order in ORDERS]
     best, strength, noise, _ = min(tried, key=lambda one: one[3])
     return best, strength, float(np.median(noise))
 
@@ -79,12 +72,7 @@ def smoothest_noise(
 
 
 def _each_point(
-    image: ImagePoints,
-    seen: LinearisedImages,
-    state: TrajectoryState,
-    weight: Array,
-    points: Array,
-    noise_free: bool,
+    image: ImagePoints, seen: LinearisedImages, state: TrajectoryState, weight: Array, points: Array, noise_free: bool
 ) -> tuple[TrajectoryState, Array, Array, float]:
     """Return the state with each point's own likeliest curve, their log strengths and noises, and the cost of all."""
     xyz, strength, noise, total = np.array(state.xyz), np.zeros(len(points)), np.ones(len(points)), 0.0
@@ -101,12 +89,7 @@ def _each_point(
 def _whole(rows: Rows, xyz: Array, points: int) -> Rows:
     """Return equations of the points' coefficients themselves instead of their changes."""
     only = Rows(
-        rows.first,
-        rows.weights,
-        rows.columns[:, :3],
-        rows.values[:, :3],
-        np.zeros((len(rows.rest), 0)),
-        rows.rest,
+        rows.first, rows.weights, rows.columns[:, :3], rows.values[:, :3], np.zeros((len(rows.rest), 0)), rows.rest
     )
     rest = rows.rest + only.applied(xyz.reshape(len(xyz), -1).ravel(), 3 * points)
     return Rows(only.first, only.weights, only.columns, only.values, only.shared, rest)

@@ -61,9 +61,7 @@ class PosedCameras:
         return [self._fitted(k) for k in range(len(self.cameras))]
 
     def _fitted(self, k: int) -> _Between | None:
-        known = np.isfinite(self.centres[:, k]).all(axis=1) & np.isfinite(self.rotations[:, k]).all(
-            axis=(1, 2)
-        )
+        known = np.isfinite(self.centres[:, k]).all(axis=1) & np.isfinite(self.rotations[:, k]).all(axis=(1, 2))
         if known.sum() < 2:
             return None
         t, centres = self.time_s[known], self.centres[known, k]

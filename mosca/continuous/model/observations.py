@@ -49,10 +49,7 @@ class TimedObservations:
             ("carried_at", (m, 3), np.float64),
         ):
             object.__setattr__(self, name, read_only(getattr(self, name), shape, name, dtype))
-        for name, index, end in (
-            ("camera", self.camera, len(self.cameras)),
-            ("point", self.point, len(self.points)),
-        ):
+        for name, index, end in (("camera", self.camera, len(self.cameras)), ("point", self.point, len(self.points))):
             if n and (index.min() < 0 or index.max() >= end):
                 raise ValueError(f"{name}: {index.min()} to {index.max()} given, 0 to {end - 1} allowed")
 

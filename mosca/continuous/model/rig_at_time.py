@@ -31,9 +31,7 @@ class MovingRig:
         return [
             Rig(
                 tuple(
-                    replace(camera, world_from_camera=Pose(rotations[i, c], centres[i, c]))
-                    if known[i, c]
-                    else camera
+                    replace(camera, world_from_camera=Pose(rotations[i, c], centres[i, c])) if known[i, c] else camera
                     for c, camera in enumerate(self.rig.cameras)
                 )
             )
@@ -47,9 +45,7 @@ class MovingRig:
             if not len(known):
                 columns.append(np.zeros(len(time_s), dtype=bool))
                 continue
-            after = (
-                np.clip(np.searchsorted(known, time_s), 1, max(len(known) - 1, 1)) if len(known) > 1 else 0
-            )
+            after = np.clip(np.searchsorted(known, time_s), 1, max(len(known) - 1, 1)) if len(known) > 1 else 0
             before = np.maximum(np.asarray(after) - 1, 0)
             away = np.minimum(np.abs(known[after] - time_s), np.abs(known[before] - time_s))
             columns.append(away <= self.valid_s)

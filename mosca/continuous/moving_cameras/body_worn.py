@@ -56,9 +56,7 @@ class Lamps:
 
     def __post_init__(self) -> None:
         if len(set(self.numbers)) != len(self.numbers):
-            raise InputError(
-                f"lamps: numbers = {list(self.numbers)} given; each lamp needs a number of its own"
-            )
+            raise InputError(f"lamps: numbers = {list(self.numbers)} given; each lamp needs a number of its own")
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,9 +148,7 @@ def solve_worn(
         *association_findings(gathered, found),
         *(line for line in estimated.findings if not line.startswith("scale:")),
     )
-    clocks = tuple(
-        EstimatedClock(one.info.name, ties[0].origin_ns, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for one in seen
-    )
+    clocks = tuple(EstimatedClock(one.info.name, ties[0].origin_ns, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for one in seen)
     return Worn(
         Reconstructed(gathered, estimated, found, clocks, told, rig, estimated.paths),
         placed,
@@ -184,9 +180,7 @@ def _carriers(one: CameraDetections, lamps: Lamps) -> Array:
     """Return the camera (n,) whose lamp each image point is by its code, or -1."""
     of_number = {number: c for c, number in enumerate(lamps.numbers)}
     own = lamps.numbers
-    return np.array(
-        [of_number.get(k, -1) for k in blinking(one, own, LampSettings(lamps.bit_s)).tolist()], int
-    )
+    return np.array([of_number.get(k, -1) for k in blinking(one, own, LampSettings(lamps.bit_s)).tolist()], int)
 
 
 def _moving(rig: Rig, placed: MutualPoses, valid_s: float) -> MovingRig:
@@ -233,9 +227,7 @@ def _without(one: CameraDetections, lamp: Array) -> CameraDetections:
     count = np.bincount(one.frame[keep], minlength=len(one.frame_ns))
     columns = ("xy_px", "covariance_px2", "diameter_px", "peak", "elongation", "flags")
     return replace(
-        one,
-        start=np.concatenate([[0], np.cumsum(count)]),
-        **{name: getattr(one, name)[keep] for name in columns},
+        one, start=np.concatenate([[0], np.cumsum(count)]), **{name: getattr(one, name)[keep] for name in columns}
     )
 
 
@@ -254,18 +246,9 @@ def with_lamps(
         rows = np.flatnonzero((lamp[c] >= 0) & ((one.flags & MERGED) == 0))
         covariance = one.covariance_px2[rows] + sigma_px[c] ** 2 * np.eye(2)
         parts.append(
-            [
-                np.full(len(rows), c),
-                n + lamp[c][rows],
-                one.frame[rows],
-                times_s[c][rows],
-                one.xy_px[rows],
-                covariance,
-            ]
+            [np.full(len(rows), c), n + lamp[c][rows], one.frame[rows], times_s[c][rows], one.xy_px[rows], covariance]
         )
-    camera, point, exposure, time, xy, covariance = (
-        np.concatenate(column) for column in zip(*parts, strict=True)
-    )
+    camera, point, exposure, time, xy, covariance = (np.concatenate(column) for column in zip(*parts, strict=True))
     names = (*found.points, *(f"lamp/{name}" for name in found.cameras))
     carried_by = np.concatenate([np.full(n, -1), np.arange(len(lamps.numbers))])
     carried_at = np.concatenate([np.zeros((n, 3)), lamps.at_m])

@@ -101,9 +101,7 @@ def placed_by_lamps(sights: LampRays, rig: Rig, known: Array, lamp_m: Array) -> 
         _seeded(sights.rays[i], rotations[i], centres[i], known, lamp_m)
     begun = np.asarray(np.isfinite(centres).all(axis=2))
     residual = np.full(t, np.nan)
-    result = MutualPoses(
-        sights.time_s, np.full_like(rotations, np.nan), np.full_like(centres, np.nan), residual
-    )
+    result = MutualPoses(sights.time_s, np.full_like(rotations, np.nan), np.full_like(centres, np.nan), residual)
     for k in np.flatnonzero(begun.any(axis=0)):
         some = np.flatnonzero(begun[:, k])
         nearest = some[np.abs(some[None, :] - np.arange(t)[:, None]).argmin(axis=1)]
@@ -187,14 +185,7 @@ def _adjusted(
 
 
 def _linearised(
-    rays: Array,
-    turn: Array,
-    place: Array,
-    lamp_m: Array,
-    viewer: Array,
-    carrier: Array,
-    slot: Array,
-    unknowns: int,
+    rays: Array, turn: Array, place: Array, lamp_m: Array, viewer: Array, carrier: Array, slot: Array, unknowns: int
 ) -> tuple[Array, Array]:
     """Return observed minus predicted directions (n, 3) and their derivatives (n, 3, unknowns): of each free camera
     its rotation about its own axes and its position.

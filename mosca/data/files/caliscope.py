@@ -93,9 +93,7 @@ def _rotation(given: Vector | Matrix, where: str) -> Array:
         return rotation_from_vector(np.array(given))
     rotation, misfit = nearest_rotation(np.array(given))
     if misfit > 1e-3:
-        raise InputError(
-            f"{where}: rotation is {misfit:.3g} off the nearest rotation matrix; 0.001 is allowed"
-        )
+        raise InputError(f"{where}: rotation is {misfit:.3g} off the nearest rotation matrix; 0.001 is allowed")
     return rotation
 
 

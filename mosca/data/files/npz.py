@@ -33,14 +33,6 @@ def from_npz(path: Path, make: Callable[[Mapping[str, Array]], Made], what: str,
         raise InputError(f"{path}: is a folder; a file of {what} is wanted") from None
     except KeyError as error:
         raise InputError(f"{path}: holds no {what}: {error.args[0]}; give what {wrote} wrote") from None
-    except (
-        OSError,
-        ValueError,
-        TypeError,
-        EOFError,
-        NotImplementedError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
+    except (OSError, ValueError, TypeError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{path}: holds no {what}: {reason}; give what {wrote} wrote") from None

@@ -128,13 +128,9 @@ class PoseTable(Table):
 class CameraTable(Table):
     """``[[camera]]``: one camera; lens and pose are missing until it is calibrated."""
 
-    name: Annotated[
-        str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$", description="letters, digits, _ . -")
-    ]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$", description="letters, digits, _ . -")]
     size: Annotated[tuple[Pixels, Pixels], Field(description="[width, height] in px")]
-    lens: Annotated[
-        MoscaLensTable | OpenCVLensTable | FisheyeLensTable | None, Field(discriminator="model")
-    ] = None
+    lens: Annotated[MoscaLensTable | OpenCVLensTable | FisheyeLensTable | None, Field(discriminator="model")] = None
     pose: PoseTable | None = None
     residual_px: Annotated[
         float, Field(ge=0, description="what the lens model leaves of the images, rms an axis [px]")

@@ -65,9 +65,7 @@ Sigma = Annotated[float, Field(ge=0, le=1.0, description="standard deviation [m]
 Coordinate = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
 Place = tuple[Coordinate, Coordinate, Coordinate]
 Number = Annotated[int, Field(ge=0, lt=NUMBERS)]
-Name = Annotated[
-    str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_./-]*$", description="letters, digits, _ . / -")
-]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_./-]*$", description="letters, digits, _ . / -")]
 
 CalibrationTarget = TestField | Board | Wand | LFrame | ScaleBar
 
@@ -139,9 +137,7 @@ class BoardTable(Table):
     def made(self) -> Board:
         """Return the board; ValueError for one that cannot be told from itself turned."""
         margin = self.square_m if self.margin_m is None else self.margin_m
-        return Board(
-            self.columns, self.rows, self.square_m, margin, self.marker_m, self.dictionary, self.sigma_m
-        )
+        return Board(self.columns, self.rows, self.square_m, margin, self.marker_m, self.dictionary, self.sigma_m)
 
 
 class WandTable(Table):
@@ -149,8 +145,7 @@ class WandTable(Table):
 
     kind: Literal["wand"]
     along_m: Annotated[
-        tuple[Coordinate, ...],
-        Field(min_length=2, max_length=20, description="the balls' places on the line"),
+        tuple[Coordinate, ...], Field(min_length=2, max_length=20, description="the balls' places on the line")
     ]
     diameter_m: Length = Field(description="diameter of the balls")
     sigma_m: Sigma = 0.0
@@ -173,9 +168,7 @@ class LFrameTable(Table):
     kind: Literal["l_frame"]
     diameter_m: Length = Field(description="diameter of the balls")
     sigma_m: Sigma = 0.0
-    marker: Annotated[
-        tuple[FrameMarkerTable, ...], Field(min_length=3, max_length=6, description="[[marker]]")
-    ]
+    marker: Annotated[tuple[FrameMarkerTable, ...], Field(min_length=3, max_length=6, description="[[marker]]")]
 
     def made(self) -> LFrame:
         """Return the frame; ValueError where it leaves the axes open."""
@@ -198,18 +191,14 @@ class ScaleBarTable(Table):
         """Return the bar; ValueError where its ends are not said or said twice."""
         sizes = (self.dot_radius_m, self.round_radius_m, self.ball_diameter_m)
         if sum(size is not None for size in sizes) != 1:
-            raise ValueError(
-                "give one of 'dot_radius_m' (with 'numbers'), 'round_radius_m', 'ball_diameter_m'"
-            )
+            raise ValueError("give one of 'dot_radius_m' (with 'numbers'), 'round_radius_m', 'ball_diameter_m'")
         if (self.numbers is None) != (self.dot_radius_m is None):
             raise ValueError("'numbers' and 'dot_radius_m' go together: coded targets at both ends")
         if self.numbers is not None and self.dot_radius_m is not None:
             one, two = (CodedTarget.of_dot(number, self.dot_radius_m) for number in self.numbers)
             return ScaleBar(self.length_m, self.sigma_m, (one, two))
         end: Target = (
-            RoundTarget(self.round_radius_m)
-            if self.round_radius_m
-            else BallTarget(self.ball_diameter_m or 0.0)
+            RoundTarget(self.round_radius_m) if self.round_radius_m else BallTarget(self.ball_diameter_m or 0.0)
         )
         return ScaleBar(self.length_m, self.sigma_m, (end, end))
 

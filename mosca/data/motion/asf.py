@@ -91,9 +91,7 @@ def _read_asf(text: str, path: Path) -> _Subject:
             bone = _Bone("")
         elif section == "bonedata" and words[0] == "end":
             if bone is None or not bone.name or bone.name in subject.bones:
-                raise InputError(
-                    f"{where}: this bone has no name or one that is used twice; names must differ"
-                )
+                raise InputError(f"{where}: this bone has no name or one that is used twice; names must differ")
             subject.bones[bone.name] = bone
             bone = None
         elif section == "bonedata" and bone is not None:
@@ -114,18 +112,14 @@ def _read_root_line(subject: _Subject, words: list[str], where: str) -> None:
         channels = tuple(word.lower() for word in rest)
         allowed = {"tx", "ty", "tz", *_DOFS}
         if not channels or not set(channels) <= allowed or len(set(channels)) < len(channels):
-            raise InputError(
-                f"{where}: root order '{' '.join(rest)}' given; different ones of TX TY TZ RX RY RZ"
-            )
+            raise InputError(f"{where}: root order '{' '.join(rest)}' given; different ones of TX TY TZ RX RY RZ")
         subject.root_channels = channels
     elif key == "axis":
         subject.bones["root"].axis_order = _axis_order(rest[:1], where)
     elif key == "position":
         subject.root_position = _three(rest, where)
     elif key == "orientation" and np.any(_three(rest, where) != 0):
-        raise InputError(
-            f"{where}: a root orientation other than 0 0 0 is not supported; turn the motion instead"
-        )
+        raise InputError(f"{where}: a root orientation other than 0 0 0 is not supported; turn the motion instead")
 
 
 def _read_bone_line(bone: _Bone, words: list[str], where: str) -> None:
@@ -165,9 +159,7 @@ def _three(words: list[str], where: str) -> Array:
 def _axis_order(words: list[str], where: str) -> str:
     order = "".join(words).upper()
     if sorted(order) != ["X", "Y", "Z"]:
-        raise InputError(
-            f"{where}: axis order '{order[:40]}' given; XYZ or another order of the three wanted"
-        )
+        raise InputError(f"{where}: axis order '{order[:40]}' given; XYZ or another order of the three wanted")
     return order
 
 
@@ -216,14 +208,10 @@ def _read_amc(text: str, path: Path, subject: _Subject) -> tuple[dict[str, Array
 def _check_frame(names: list[str], first: list[str], frames: int, where: str) -> None:
     if frames > 1 and names != first:
         odd = sorted(set(names) ^ set(first)) or ["another order"]
-        raise InputError(
-            f"{where}: frame has other bones than the first ({', '.join(odd)[:80]}); is it cut short?"
-        )
+        raise InputError(f"{where}: frame has other bones than the first ({', '.join(odd)[:80]}); is it cut short?")
 
 
-def _motion(
-    subject: _Subject, values: dict[str, Array], rate: float, unit: float, in_degrees: bool
-) -> Motion:
+def _motion(subject: _Subject, values: dict[str, Array], rate: float, unit: float, in_degrees: bool) -> Motion:
     bones = _parents_first(subject.bones)
     index = {bone.name: k for k, bone in enumerate(bones)}
     frames = len(values["root"])

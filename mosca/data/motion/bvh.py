@@ -37,11 +37,7 @@ class _Joint:
 
 
 def read_bvh(
-    path: Path,
-    *,
-    metres_per_unit: float = 0.01,
-    frame_rate_hz: float | None = None,
-    drop_frames: int = 0,
+    path: Path, *, metres_per_unit: float = 0.01, frame_rate_hz: float | None = None, drop_frames: int = 0
 ) -> Motion:
     """Return the motion in BVH file ``path`` in the world (Z up, m); the file's world has Y up.
 
@@ -122,12 +118,7 @@ def _read_property(joint: _Joint, keyword: str, words: list[str], where: str) ->
         joint.offset = [number(word, where) for word in words]
         return
     names = words[1:]
-    if (
-        not words
-        or words[0] != str(len(names))
-        or not set(names) <= _CHANNELS
-        or len(set(names)) < len(names)
-    ):
+    if not words or words[0] != str(len(names)) or not set(names) <= _CHANNELS or len(set(names)) < len(names):
         raise InputError(
             f"{where}: CHANNELS must be a count and as many different ones of {', '.join(sorted(_CHANNELS))}"
         )
@@ -186,6 +177,4 @@ def _motion(joints: list[_Joint], table: Array, rate: float, metres_per_unit: fl
         in_world(offsets) * metres_per_unit,
         tuple(orders),
     )
-    return Motion(
-        skeleton, rate, in_world(root) * metres_per_unit, without_flips(rotations_in_world(rotations))
-    )
+    return Motion(skeleton, rate, in_world(root) * metres_per_unit, without_flips(rotations_in_world(rotations)))

@@ -166,9 +166,7 @@ def _priors(statistics: CameraStatistics) -> Priors:
     mean = np.clip(mean, 0.3, 6.0)
     surely = known & (tallies[:, N_TARGETS] >= FEW)
     spread = np.sqrt((np.where(surely, SPREAD, FIRST_SPREAD) * mean) ** 2 + np.where(known, 1 / weight, 0.0))
-    usual = np.where(
-        tallies[:, N_TARGETS] > 0, tallies[:, ROUGH_SUM] / np.maximum(tallies[:, N_TARGETS], 1.0), 0.0
-    )
+    usual = np.where(tallies[:, N_TARGETS] > 0, tallies[:, ROUGH_SUM] / np.maximum(tallies[:, N_TARGETS], 1.0), 0.0)
     offsets = np.zeros((len(tallies), N_TERMS, 2))
     enough = np.flatnonzero(tallies[:, N_LIGHT] >= ENOUGH)
     if len(enough):

@@ -14,13 +14,7 @@ from mosca.data.arrays import Array
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.detection.centroid import DIAMETER, ELONGATION, PEAK, XX, XY, YY, X, Y
 from mosca.detection.disc_fit.first_values import Light, Region, first_disc, light_of
-from mosca.detection.disc_fit.gauss_newton import (
-    FAST,
-    DiscFit,
-    Model,
-    f32,
-    fit_disc,
-)
+from mosca.detection.disc_fit.gauss_newton import FAST, DiscFit, Model, f32, fit_disc
 from mosca.detection.disc_fit.light_offset import (
     BLUR_SUM,
     BLUR_WEIGHT,
@@ -131,12 +125,7 @@ def centre_of(middle: tuple[int, int], light: Light, fit: DiscFit) -> Centre:
     det = m0 * m2 - m1 * m1
     i0, i1, i2 = m2 / det, -m1 / det, m0 / det
     c = fit.covariance
-    u0, u1, w0, w1 = (
-        i0 * c[0] + i1 * c[1],
-        i0 * c[1] + i1 * c[2],
-        i1 * c[0] + i2 * c[1],
-        i1 * c[1] + i2 * c[2],
-    )
+    u0, u1, w0, w1 = (i0 * c[0] + i1 * c[1], i0 * c[1] + i1 * c[2], i1 * c[0] + i2 * c[1], i1 * c[1] + i2 * c[2])
     return Centre(
         middle[0] + i0 * fit.x + i1 * fit.y, middle[1] + i1 * fit.x + i2 * fit.y,
         u0 * i0 + u1 * i1, u0 * i1 + u1 * i2, w0 * i1 + w1 * i2,
@@ -157,18 +146,14 @@ def is_good(region: Region, light: Light, fit: DiscFit, centre: Centre) -> bool:
 
 
 @bare_step(fastmath=FAST)
-def write_row(
-    region: Region, light: Light, fit: DiscFit, centre: Centre, good: bool, odd: bool, out: Array
-) -> None:
+def write_row(region: Region, light: Light, fit: DiscFit, centre: Centre, good: bool, odd: bool, out: Array) -> None:
     """Write all but the centre and the misfit of a fit to its row of the table."""
     out[XX], out[XY], out[YY] = centre.xx, centre.xy, centre.yy
     out[DIAMETER] = 2.0 * centre.radius
     out[PEAK] = light.peak
     size_x, size_y = region.right - region.left + 1, region.bottom - region.top + 1
     out[ELONGATION] = max(size_x, size_y) / min(size_x, size_y)
-    out[FLAGS] = (SATURATED if light.saturated else 0) + (
-        0 if good else UNREFINED + (MERGED if light.crowded else 0)
-    )
+    out[FLAGS] = (SATURATED if light.saturated else 0) + (0 if good else UNREFINED + (MERGED if light.crowded else 0))
     if odd:
         # the model does not hold: the centre is as uncertain as the misfit says
         misfit = out[MISFIT]
@@ -234,9 +219,7 @@ def refine_region(
         reach = min(radius + 3.0 * blur[0] + 0.5, most)
         side = 2 * min(half_side(light.shape, (x0, y0), reach), buffers.side // 2) + 1
         marked = mark_foreign(image, own, middle, region.floor, model.full_dn, side, buffers.marks)
-        n = gather_unmarked(
-            image, middle, light.shape, (x0, y0), reach, buffers.marks[0], marked, buffers.pixels
-        )
+        n = gather_unmarked(image, middle, light.shape, (x0, y0), reach, buffers.marks[0], marked, buffers.pixels)
         pixels = buffers.pixels
         pad(n, pixels)
     start = (x0, y0, amplitude, light.background, radius)
@@ -251,9 +234,7 @@ def refine_region(
     rough = max(misfit - 1.0, 0.0) * variance / (fit.amplitude * fit.amplitude)
     out[MISFIT], out[ROUGH], out[PULL] = misfit, rough, light.pull
     chance = MISFIT_MEAN + MISFIT_SIGMAS * math.sqrt(2.0 / n)
-    odd = (
-        good and not light.saturated and misfit > chance and rough > max(MISFIT_FACTOR * usual, MISFIT_LEAST)
-    )
+    odd = good and not light.saturated and misfit > chance and rough > max(MISFIT_FACTOR * usual, MISFIT_LEAST)
     write_row(region, light, fit, centre, good, odd, out)
     if good and plain and symmetric:
         tally = sums.tallies[region.image]
@@ -313,9 +294,7 @@ def refine_regions(
     table = np.empty((n_regions, N_COLUMNS))
     region_of = np.empty(n_regions, np.int32)
     sums = StatisticsSums(
-        np.zeros((n_images, N_TALLIES)),
-        np.zeros((n_images, N_TERMS, N_TERMS)),
-        np.zeros((n_images, N_TERMS, 2)),
+        np.zeros((n_images, N_TALLIES)), np.zeros((n_images, N_TERMS, N_TERMS)), np.zeros((n_images, N_TERMS, 2))
     )
     boxes, largest = boxes_of(found, images.height, images.width)
     buffers = buffers_for(largest, priors.blurs)

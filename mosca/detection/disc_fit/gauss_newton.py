@@ -59,13 +59,7 @@ class DiscFit(NamedTuple):
 
 
 @bare_step(fastmath=FAST)
-def sums(
-    n: int,
-    pixels: Array,
-    at: tuple[Any, Any, Any, Any, Any, Any],
-    dark: Any,
-    gain: Any,
-) -> Any:
+def sums(n: int, pixels: Array, at: tuple[Any, Any, Any, Any, Any, Any], dark: Any, gain: Any) -> Any:
     """Return the normal equations of one Gauss-Newton step over n pixels.
 
     ``pixels`` (5, n or more): x, y, how much sharper than ``at`` says the edge is there, 1, or 0 for pixels that are
@@ -115,13 +109,7 @@ def sums(
 
 
 @bare_step(fastmath=FAST)
-def cross_sums(
-    n: int,
-    pixels: Array,
-    at: tuple[Any, Any, Any, Any, Any, Any],
-    dark: Any,
-    gain: Any,
-) -> Any:
+def cross_sums(n: int, pixels: Array, at: tuple[Any, Any, Any, Any, Any, Any], dark: Any, gain: Any) -> Any:
     """Return what ``sums`` leaves out: the products of x, then y, with amplitude, background, radius and blur."""
     x, y, sharper, there = pixels[0], pixels[1], pixels[2], pixels[3]
     x0, y0, a, _, radius, blur = at

@@ -38,9 +38,7 @@ class StatisticsSums(NamedTuple):
 
 
 @bare_step(fastmath=FAST)
-def moved(
-    image: Array, x: float, y: float, radius: float, offsets: Array, terms: Array
-) -> tuple[float, float]:
+def moved(image: Array, x: float, y: float, radius: float, offsets: Array, terms: Array) -> tuple[float, float]:
     """Return a fitted centre plus its camera's offset (N_TERMS, 2) there and at this size."""
     set_terms(image, x, y, radius, terms)
     for k in range(N_OFFSET_TERMS):

@@ -211,9 +211,7 @@ def half_side(shape: tuple[float, float, float], around: tuple[float, float], re
 
 
 @bare_step(fastmath=FAST)
-def rows_within(
-    shape: tuple[float, float, float], around: tuple[float, float], reach: float
-) -> tuple[int, int]:
+def rows_within(shape: tuple[float, float, float], around: tuple[float, float], reach: float) -> tuple[int, int]:
     """Return the first and the end row in which pixel offsets d have ``|M d - around| <= reach``."""
     m0, m1, m2 = shape
     det = m0 * m2 - m1 * m1

@@ -151,9 +151,7 @@ def light_of(kind: int, p: Array, x: float, y: float, slope: Array) -> float:
 
 
 @step(fastmath=FAST)
-def fit(
-    kind: int, p: Array, pixels: Array, n: int, task: FitTask, enough: float
-) -> tuple[float, Array, bool]:
+def fit(kind: int, p: Array, pixels: Array, n: int, task: FitTask, enough: float) -> tuple[float, Array, bool]:
     """Fit the unknowns ``p`` in place; return chi-square, the inverse normal matrix, whether it has come to rest.
 
     ``enough``: a chi-square of which only matters whether it is reached: the fit ends where that is known. The noise

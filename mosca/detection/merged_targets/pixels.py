@@ -18,9 +18,7 @@ OWN, SKIRT, FOREIGN = 1, 2, 3
 
 
 @step(fastmath=FAST)
-def gather_all(
-    image: Array, own: Array, other: Array, floor: int, full: float
-) -> tuple[Array, int, float, float]:
+def gather_all(image: Array, own: Array, other: Array, floor: int, full: float) -> tuple[Array, int, float, float]:
     """Return the pixels (n, 3) x, y, grey value around two regions, how many, the dark level and the peak.
 
     Left out: saturated pixels, and those of other regions with 2 px around them.
@@ -91,18 +89,12 @@ def spread_downhill(image: Array, mark: Array, top: int, left: int, floor: int) 
                     continue
                 for v in range(max(y - 1, 0), min(y + 2, mark.shape[0])):
                     for u in range(max(x - 1, 0), min(x + 2, mark.shape[1])):
-                        if (
-                            mark[v, u] in (OWN, SKIRT)
-                            and image[top + v, left + u] >= value
-                            and mark[y, x] == 0
-                        ):
+                        if mark[v, u] in (OWN, SKIRT) and image[top + v, left + u] >= value and mark[y, x] == 0:
                             mark[y, x], spread = SKIRT, True
 
 
 @step(fastmath=FAST)
-def start_of(
-    pixels: Array, n: int, own: Array, other: Array, level: float, peak: float, blur: float
-) -> Array:
+def start_of(pixels: Array, n: int, own: Array, other: Array, level: float, peak: float, blur: float) -> Array:
     """Return x1, x2, y1, y2, R1, R2, A1, A2, b, s to start from: a region's ends, or the two regions' middles."""
     out = np.empty(10)
     mean = region_mean(own)
@@ -114,9 +106,7 @@ def start_of(
     else:
         middle, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
         angle = 0.5 * math.atan2(2.0 * xy, xx - yy)
-        apart = math.sqrt(
-            2.0 * half
-        )  # two equal discs: the moments differ by a quarter of their squared distance
+        apart = math.sqrt(2.0 * half)  # two equal discs: the moments differ by a quarter of their squared distance
         dx, dy = apart * math.cos(angle), apart * math.sin(angle)
         out[0], out[1], out[2], out[3] = mean[0] - dx, mean[0] + dx, mean[1] - dy, mean[1] + dy
         out[4] = out[5] = 2.0 * math.sqrt(max(middle - half, 0.1))

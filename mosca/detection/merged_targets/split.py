@@ -95,9 +95,7 @@ def fit_both_orders(start: Array, pixels: Array, n: int, peak: float, task: FitT
 
 
 @bare_step(fastmath=FAST)
-def write_pair(
-    image: Array, pair: FittedPair, offsets: Array, terms: Array, full_dn: float, rows: Array
-) -> None:
+def write_pair(image: Array, pair: FittedPair, offsets: Array, terms: Array, full_dn: float, rows: Array) -> None:
     """Write both discs of a pair to ``rows`` (2, columns), with their camera's offsets (N_TERMS, 2)."""
     p, variance = pair.p, pair.inverse
     misfit = max(pair.chi2 / (pair.n - 10), 1.0)
@@ -107,10 +105,7 @@ def write_pair(
         x, y = moved(image, p[a], p[2 + a], half, offsets, terms)
         out[X], out[Y], out[DIAMETER], out[PEAK], out[ELONGATION] = x, y, 2.0 * half, pair.peak, 1.0
         model_px2 = (MISMATCH_PX * (p[9] / p[4 + a]) ** 4) ** 2
-        out[XX], out[YY] = (
-            misfit * variance[a, a] + model_px2,
-            misfit * variance[2 + a, 2 + a] + model_px2,
-        )
+        out[XX], out[YY] = (misfit * variance[a, a] + model_px2, misfit * variance[2 + a, 2 + a] + model_px2)
         out[XY] = misfit * variance[a, 2 + a]
         out[FLAGS] = SATURATED if pair.peak >= full_dn else 0
         out[MISFIT] = pair.chi2 / (pair.n - 10)
@@ -228,9 +223,7 @@ def candidates_of(table: Array, image_of: Array) -> Array:
     return np.concatenate([beside, np.column_stack([single, np.full(len(single), -1)])]).astype(np.int64)
 
 
-def split_pairs(
-    measured: Measured, images: ImageSet, found: FoundRegions, priors: Priors, model: Model
-) -> Measured:
+def split_pairs(measured: Measured, images: ImageSet, found: FoundRegions, priors: Priors, model: Model) -> Measured:
     """Return the targets with two rows for each two that one fit or two fits side by side took for something else.
 
     A row that is in two pairs goes with the first one that holds.

@@ -75,9 +75,7 @@ def _order(skeleton: Skeleton, k: int) -> str:
     return FULL_ORDER if not given else given + "".join(a for a in FULL_ORDER if a not in given)
 
 
-def _joint(
-    skeleton: Skeleton, names: list[str], k: int, scale: float, depth: int, order: list[int]
-) -> list[str]:
+def _joint(skeleton: Skeleton, names: list[str], k: int, scale: float, depth: int, order: list[int]) -> list[str]:
     """Return the lines of joint ``k`` and all below it; ``order`` grows by those with channels as they come."""
     pad = "  " * depth
     x, y, z = scale * skeleton.offsets[k] @ WORLD_FROM_Y_UP

@@ -43,8 +43,7 @@ class ModelTable(Table):
         tuple[Name, ...], Field(min_length=3, max_length=MOST_MARKERS, description="names, become labels")
     ]
     links: Annotated[
-        tuple[Link, ...],
-        Field(min_length=1, description="[marker, marker, distance m, its standard deviation m]"),
+        tuple[Link, ...], Field(min_length=1, description="[marker, marker, distance m, its standard deviation m]")
     ]
     sides: tuple[Side, ...] = Field((), description="[marker, marker, marker, marker, signed volume m^3]")
     limbs: dict[str, tuple[Name, ...]] = Field({}, description="limb = its markers")

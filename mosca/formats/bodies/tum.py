@@ -34,9 +34,7 @@ def write_tum(poses: BodyPoses, path: Path, body: str | None = None) -> None:
         )
     mine = measured.of(body)
     lines = [f"# {' '.join(COLUMNS)}"]
-    for time_ns, xyz, q in zip(
-        mine.time_ns.tolist(), mine.position.tolist(), mine.quaternion.tolist(), strict=True
-    ):
+    for time_ns, xyz, q in zip(mine.time_ns.tolist(), mine.position.tolist(), mine.quaternion.tolist(), strict=True):
         sign, (seconds, rest) = "-" if time_ns < 0 else "", divmod(abs(time_ns), 10**9)
         numbers = " ".join(repr(value) for value in (*xyz, q[1], q[2], q[3], q[0]))
         lines.append(f"{sign}{seconds}.{rest:09d} {numbers}")
@@ -69,9 +67,7 @@ def read_tum(path: Path, body: str = "body") -> BodyPoses:
         times.append(_time_ns(cells[0], path, number))
         rows.append([_number(cell, path, number, COLUMNS[k]) for k, cell in enumerate(cells[1:], 1)])
         if not 0.9 < np.linalg.norm(rows[-1][3:]) < 1.1:
-            raise InputError(
-                f"{path}, line {number}: qx qy qz qw = {' '.join(cells[4:])}; a unit one is wanted"
-            )
+            raise InputError(f"{path}, line {number}: qx qy qz qw = {' '.join(cells[4:])}; a unit one is wanted")
     if not rows:
         raise InputError(f"{path}: holds no pose; a line '{' '.join(COLUMNS)}' for each is wanted")
     values, n = np.array(rows), len(rows)

@@ -111,9 +111,7 @@ def opencv_parts(camera: Camera, options: RigFileOptions) -> tuple[Array, list[f
     return matrix_of(pinhole), shortest(distortion(pinhole)), False, notes
 
 
-def opencv_lens(
-    matrix: Array, coefficients: Sequence[float], fisheye: bool, where: str
-) -> OpenCVLens | FisheyeLens:
+def opencv_lens(matrix: Array, coefficients: Sequence[float], fisheye: bool, where: str) -> OpenCVLens | FisheyeLens:
     """Return the lens of a camera matrix (3, 3) [px] and coefficients in OpenCV's order; ``where`` begins errors."""
     (fx, skew, cx), (low, fy, cy), last = np.asarray(matrix, dtype=float).tolist()
     whole = np.allclose([low, *last], [0, 0, 0, 1], atol=1e-9)
@@ -125,9 +123,7 @@ def opencv_lens(
     d = [float(value) for value in coefficients]
     if fisheye:
         if len(d) != 4:
-            raise InputError(
-                f"{where}: {len(d)} distortion coefficients given; a fisheye has 4 (k1 k2 k3 k4)"
-            )
+            raise InputError(f"{where}: {len(d)} distortion coefficients given; a fisheye has 4 (k1 k2 k3 k4)")
         return FisheyeLens(fx, fy, cx, cy, *d)
     if len(d) not in (0, *COUNTS):
         raise InputError(
@@ -135,9 +131,7 @@ def opencv_lens(
             f"({' '.join(COEFFICIENTS)})"
         )
     if any(abs(tau) > LARGEST_TILT_RAD for tau in d[12:]):
-        raise InputError(
-            f"{where}: tauX, tauY = {d[12:]} given; at most {LARGEST_TILT_RAD:g} rad are allowed"
-        )
+        raise InputError(f"{where}: tauX, tauY = {d[12:]} given; at most {LARGEST_TILT_RAD:g} rad are allowed")
     return OpenCVLens(fx, fy, cx, cy, *d)
 
 
@@ -160,9 +154,7 @@ def checked_camera(camera: Camera, where: str) -> Camera:
     else:
         focal, centre = (lens.fx_px, lens.fy_px, 1.0), (lens.cx_px, lens.cy_px)
     if not (0 < camera.width <= 65535 and 0 < camera.height <= 65535):
-        raise InputError(
-            f"{where}: image of {camera.width} x {camera.height} px given; 1 to 65535 px are allowed"
-        )
+        raise InputError(f"{where}: image of {camera.width} x {camera.height} px given; 1 to 65535 px are allowed")
     if not np.isfinite(astuple(lens)).all() or not min(focal) > 0:
         raise InputError(f"{where}: lens {lens} given; finite numbers and a focal length above 0 are wanted")
     if not np.abs(position).max() <= LARGEST_POSITION_M:

@@ -55,9 +55,7 @@ def read_opencv(path: Path, options: RigFileOptions) -> tuple[tuple[Camera, ...]
         if not files:
             raise InputError(f"{path}: no {', '.join(SUFFIXES)} file in it; one a camera is wanted")
         found = [read_opencv(one, options) for one in files]
-        return tuple(c for cameras, _ in found for c in cameras), tuple(
-            n for _, notes in found for n in notes
-        )
+        return tuple(c for cameras, _ in found for c in cameras), tuple(n for _, notes in found for n in notes)
     storage = _opened(path)
     name = _text(storage, "name")
     if _node(storage, ("M1", "cameraMatrix1")) is not None:
@@ -78,9 +76,7 @@ def write_opencv(cameras: tuple[Camera, ...], path: Path, options: RigFileOption
     """
     if path.suffix.lower() not in SUFFIXES:
         if path.exists() and not path.is_dir():
-            raise InputError(
-                f"{path}: is a file; a folder, or a file ending in {', '.join(SUFFIXES)}, is wanted"
-            )
+            raise InputError(f"{path}: is a file; a folder, or a file ending in {', '.join(SUFFIXES)}, is wanted")
         path.mkdir(exist_ok=True)
         notes: Notes = ()
         for camera in cameras:
@@ -91,9 +87,7 @@ def write_opencv(cameras: tuple[Camera, ...], path: Path, options: RigFileOption
             f"{path}: {len(cameras)} cameras given, one file holds one or two; name a folder, for a file a camera"
         )
     if len({(camera.width, camera.height) for camera in cameras}) > 1:
-        raise InputError(
-            f"{path}: a stereo file holds one image size, the cameras have two; name a folder instead"
-        )
+        raise InputError(f"{path}: a stereo file holds one image size, the cameras have two; name a folder instead")
     storage = cv2.FileStorage(path.suffix.lower(), cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     unit = 1 / options.metres("m")
     first = cameras[0].world_from_camera.inverse()
@@ -123,9 +117,7 @@ def _opened(path: Path) -> Any:
     except (cv2.error, SystemError):
         opened = False
     if not opened:
-        raise InputError(
-            f"{path}: OpenCV's FileStorage cannot read it; YAML (%YAML:1.0 at its head), XML or JSON"
-        )
+        raise InputError(f"{path}: OpenCV's FileStorage cannot read it; YAML (%YAML:1.0 at its head), XML or JSON")
     return storage
 
 
@@ -150,9 +142,7 @@ def _numbers(storage: Any, keys: tuple[str, ...], where: str, counts: tuple[int,
     values = np.array([one.real() for one in items] if good else [np.nan])
     if not np.isfinite(values).all() or (counts is not None and len(values) not in counts):
         wanted = "" if counts is None else f"{' or '.join(str(n) for n in counts)} "
-        raise InputError(
-            f"{where}: key '{key}' holds {len(values)} values; {wanted}finite numbers are wanted"
-        )
+        raise InputError(f"{where}: key '{key}' holds {len(values)} values; {wanted}finite numbers are wanted")
     return values
 
 
@@ -168,9 +158,7 @@ def _camera(
     matrix_keys = (f"M{number}", f"cameraMatrix{number}") if number else MATRIX
     matrix = _numbers(storage, matrix_keys, where, (9,))
     if matrix is None:
-        raise InputError(
-            f"{where}: key '{matrix_keys[0]}' is missing; the 3 x 3 camera matrix in px is wanted"
-        )
+        raise InputError(f"{where}: key '{matrix_keys[0]}' is missing; the 3 x 3 camera matrix in px is wanted")
     distortion_keys = (f"D{number}", f"distCoeffs{number}") if number else DISTORTION
     coefficients = _numbers(storage, distortion_keys, where, None)
     numbered = tuple(f"{key}{number}" for key in FISHEYE)
@@ -198,18 +186,12 @@ def _size(storage: Any, where: str, options: RigFileOptions) -> tuple[int, int]:
                 f"{where}: keys 'image_width' and 'image_height' are missing; add them, or give the size"
             )
     if not ((size >= 1) & (size <= 65535) & (size == np.floor(size))).all():
-        raise InputError(
-            f"{where}: image of {size.tolist()} px given; two whole numbers, 1 to 65535, are wanted"
-        )
+        raise InputError(f"{where}: image of {size.tolist()} px given; two whole numbers, 1 to 65535, are wanted")
     return int(size[0]), int(size[1])
 
 
 def _pose(
-    storage: Any,
-    rotations: tuple[str, ...],
-    translations: tuple[str, ...],
-    where: str,
-    options: RigFileOptions,
+    storage: Any, rotations: tuple[str, ...], translations: tuple[str, ...], where: str, options: RigFileOptions
 ) -> Pose | None:
     turn, shift = _numbers(storage, rotations, where, (3, 9)), _numbers(storage, translations, where, (3,))
     if turn is None and shift is None:

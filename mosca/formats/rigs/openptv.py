@@ -94,9 +94,7 @@ def _sensor(folder: Path, options: RigFileOptions) -> tuple[Sensor | None, Notes
     count = lines[0] if lines else ""
     first = 2 * int(count) + 4 if count.isdecimal() and len(count) < 4 else len(lines)
     if len(lines) < first + 8:
-        raise InputError(
-            f"{path}: {len(lines)} lines given; the count of cameras, two names each and 12 numbers"
-        )
+        raise InputError(f"{path}: {len(lines)} lines given; the count of cameras, two names each and 12 numbers")
     width, height, pitch_x, pitch_y, _, *indices = numbers(" ".join(lines[first : first + 8]), path)[:8]
     if max(indices) > AIR:
         raise InputError(
@@ -104,9 +102,7 @@ def _sensor(folder: Path, options: RigFileOptions) -> tuple[Sensor | None, Notes
             "lens model here, only air (1, 1, 1) is allowed"
         )
     if not (pitch_x > 0 and pitch_y > 0 and 0 < width <= 65535 and 0 < height <= 65535):
-        raise InputError(
-            f"{path}: image {width:g} x {height:g} px of {pitch_x:g} x {pitch_y:g} mm given; above 0"
-        )
+        raise InputError(f"{path}: image {width:g} x {height:g} px of {pitch_x:g} x {pitch_y:g} mm given; above 0")
     return ((int(width), int(height)), (pitch_x, pitch_y)), ()
 
 
@@ -181,9 +177,7 @@ def _pixel(cameras: tuple[Camera, ...], options: RigFileOptions) -> tuple[tuple[
         width = known.pop()
     else:
         width = DEFAULT_PIXEL_MM
-        notes += (
-            f"pixel pitch {width:g} mm taken; it only sets the unit of the principal distance (pixel_mm)",
-        )
+        notes += (f"pixel pitch {width:g} mm taken; it only sets the unit of the principal distance (pixel_mm)",)
     shapes = []
     for camera in cameras:
         with naming(camera):

@@ -20,13 +20,7 @@ from mosca.formats.rigs.lens_conversion import Notes, RigFileOptions, as_opencv,
 SUBPIXELS = 64.0
 # QTM's camera looks along its own -z with y up; ours along z with y down
 FLIP = np.diag([1.0, -1.0, -1.0])
-KEYS = (
-    "radialDistortion1",
-    "radialDistortion2",
-    "tangentalDistortion1",
-    "tangentalDistortion2",
-    "radialDistortion3",
-)
+KEYS = ("radialDistortion1", "radialDistortion2", "tangentalDistortion1", "tangentalDistortion2", "radialDistortion3")
 AXES = [f"r{row}{column}" for row in "123" for column in "123"]
 Element = ElementTree.Element
 
@@ -46,9 +40,7 @@ def read_qtm(path: Path, options: RigFileOptions) -> tuple[tuple[Camera, ...], N
             continue
         cameras.append(_camera(element, name, where, options))
         if element.get("viewrotation", "0") not in ("0", ""):
-            notes.append(
-                f"camera '{name}': viewrotation = {element.get('viewrotation')} turns QTM's view only"
-            )
+            notes.append(f"camera '{name}': viewrotation = {element.get('viewrotation')} turns QTM's view only")
         resolution = element.get("video_resolution")
         if resolution and resolution.rstrip("pi") not in (str(cameras[-1].width), str(cameras[-1].height)):
             notes.append(
@@ -105,9 +97,7 @@ def _camera(element: Element, name: str, where: str, options: RigFileOptions) ->
         raise InputError(f'{where}: <intrinsic skew="{skew:g}"> given; only 0 is allowed')
     width, height = right - left + 1, bottom - top + 1
     if not (0 < width <= 65535 and 0 < height <= 65535 and width == int(width) and height == int(height)):
-        raise InputError(
-            f"{where}: <fov_video> of {width:g} x {height:g} px given; whole numbers of px are wanted"
-        )
+        raise InputError(f"{where}: <fov_video> of {width:g} x {height:g} px given; whole numbers of px are wanted")
     lens = OpenCVLens(fu, fv, cu - left, cv - top, *(own[key] for key in KEYS))
     backwards = rotation_of(np.array([at[key] for key in AXES]), f"{where}: <transform>")
     centre = np.array([at["x"], at["y"], at["z"]]) * options.metres("mm")
@@ -125,9 +115,7 @@ def _number(element: Element, tag: str, key: str, where: str, missing: float | N
     except ValueError:
         value = np.nan
     if not np.isfinite(value):
-        raise InputError(
-            f"{where}: <{tag} {key}> = {'nothing' if text is None else text[:40]!r}; a number is wanted"
-        )
+        raise InputError(f"{where}: <{tag} {key}> = {'nothing' if text is None else text[:40]!r}; a number is wanted")
     return value
 
 
@@ -141,9 +129,7 @@ def _add(group: Element, camera: Camera, lens: OpenCVLens) -> None:
     axes = (camera.world_from_camera.rotation @ FLIP).T
     place = dict(zip("xyz", 1e3 * camera.world_from_camera.translation, strict=True))
     turn = dict(zip(AXES, axes.ravel(), strict=True))
-    ElementTree.SubElement(
-        element, "transform", {key: repr(float(v)) for key, v in {**place, **turn}.items()}
-    )
+    ElementTree.SubElement(element, "transform", {key: repr(float(v)) for key, v in {**place, **turn}.items()})
     values = {
         "focalLengthU": SUBPIXELS * lens.fx_px,
         "focalLengthV": SUBPIXELS * lens.fy_px,

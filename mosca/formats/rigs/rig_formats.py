@@ -86,9 +86,7 @@ FORMATS: dict[str, RigFormat] = {one.name: one for one in _TABLE}
 """Name -> format; "aniposelib" is Pose2Sim's too."""
 
 
-def read_any_rig(
-    path: Path, format: str | None = None, options: RigFileOptions | None = None
-) -> tuple[Rig, Notes]:
+def read_any_rig(path: Path, format: str | None = None, options: RigFileOptions | None = None) -> tuple[Rig, Notes]:
     """Read a calibration of any of ``FORMATS``; which one, ``format`` or else the content says.
 
     Returns the rig and the notes on what was assumed or fitted. Raises InputError in one line naming file, key, value

@@ -67,9 +67,7 @@ def _camera(
     undistorted = flat / flat[:, 2:] @ matrix_of(lens).T
     directions = np.linalg.solve(interior, undistorted.T).T
     # with skew; the Mosca model's affinity can stand in for it
-    fit = min(
-        (fit_lens(model, grid, directions) for model in ("opencv", "mosca")), key=lambda one: one.max_px
-    )
+    fit = min((fit_lens(model, grid, directions) for model in ("opencv", "mosca")), key=lambda one: one.max_px)
     pose = Pose(rotation.T, centre * options.metres("m"))
     camera = checked_camera(Camera(name, *size, fit.lens, pose), str(matrix_path))
     return camera, fit_note(
@@ -112,9 +110,7 @@ def _sizes(folder: Path, count: int, options: RigFileOptions) -> list[tuple[int,
         return [options.size_px] * count
     values = numbers(read_text(path), path)
     if len(values) != 2 * count or not all(0 < value <= 65535 for value in values):
-        raise InputError(
-            f"{path}: {len(values)} numbers given; width and height of {count} cameras are wanted"
-        )
+        raise InputError(f"{path}: {len(values)} numbers given; width and height of {count} cameras are wanted")
     return [(int(values[2 * k]), int(values[2 * k + 1])) for k in range(count)]
 
 

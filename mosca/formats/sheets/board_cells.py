@@ -16,10 +16,7 @@ def black_cells(board: Board) -> Array:
     cells = [
         (x - square / 2, y - square / 2, square, square)
         for x, y in (
-            board.square_centre(c, r)
-            for c in range(board.columns)
-            for r in range(board.rows)
-            if not (c + r) % 2
+            board.square_centre(c, r) for c in range(board.columns) for r in range(board.rows) if not (c + r) % 2
         )
     ]
     if board.marker_m is None:

@@ -77,9 +77,7 @@ def as_printed(target: CodedTarget | Board, scale: float) -> CodedTarget | Board
     """Return a target or board with all lengths as they were printed."""
     if isinstance(target, Board):
         marker = None if target.marker_m is None else target.marker_m * scale
-        return replace(
-            target, square_m=target.square_m * scale, margin_m=target.margin_m * scale, marker_m=marker
-        )
+        return replace(target, square_m=target.square_m * scale, margin_m=target.margin_m * scale, marker_m=marker)
     return replace(
         target,
         dot_radius_m=target.dot_radius_m * scale,

@@ -45,10 +45,7 @@ class OnSheet:
 
 
 def write_sheets(
-    target: CalibrationTarget,
-    path: Path,
-    page: str | None = None,
-    colour: Literal["white", "black"] = "white",
+    target: CalibrationTarget, path: Path, page: str | None = None, colour: Literal["white", "black"] = "white"
 ) -> tuple[Path, ...]:
     """Write what is printed of a calibration target, and return the files.
 
@@ -75,10 +72,7 @@ def write_sheets(
 
 
 def write_target_sheets(
-    path: Path,
-    targets: Sequence[CodedTarget],
-    page: str | None = None,
-    colour: Literal["white", "black"] = "white",
+    path: Path, targets: Sequence[CodedTarget], page: str | None = None, colour: Literal["white", "black"] = "white"
 ) -> tuple[Path, ...]:
     """Write ``targets`` on as many sheets as they take, and return the files.
 
@@ -109,10 +103,7 @@ def write_board_sheet(path: Path, board: Board, page: str | None = None) -> Path
     room = (wide + 2 * MARGIN_MM, high + 2 * MARGIN_MM + FOOT_MM)
     pages = [_page(page)] if page is not None else [PAGES_MM[name] for name in LARGER]
     fitting = [
-        size
-        for narrow in pages
-        for size in (narrow, narrow[::-1])
-        if size[0] >= room[0] and size[1] >= room[1]
+        size for narrow in pages for size in (narrow, narrow[::-1]) if size[0] >= room[0] and size[1] >= room[1]
     ]
     if page is not None and not fitting:
         raise InputError(
@@ -127,12 +118,7 @@ def write_board_sheet(path: Path, board: Board, page: str | None = None) -> Path
         corners += [(x, y), (x + width, y), (x + width, y + height), (x, y + height), (x, y)]
         codes += [Outline.MOVETO, Outline.LINETO, Outline.LINETO, Outline.LINETO, Outline.CLOSEPOLY]
     edge = Rectangle(
-        (middle[0] - wide / 2, middle[1] - high / 2),
-        wide,
-        high,
-        facecolor="white",
-        edgecolor="0.5",
-        lw=HAIRLINE_PT,
+        (middle[0] - wide / 2, middle[1] - high / 2), wide, high, facecolor="white", edgecolor="0.5", lw=HAIRLINE_PT
     )
     # one path: where black cells meet there is no seam between two fillings
     _write(path, [edge, PathPatch(Outline(corners, codes), facecolor="black", lw=0)], [], size)
@@ -152,9 +138,7 @@ def ruler_mm(size_mm: Size) -> float:
     return min(LONGEST_RULER_MM, TICK_MM * int((size_mm[0] - 2 * MARGIN_MM) / TICK_MM))
 
 
-def lay_out_sheets(
-    targets: Sequence[CodedTarget], page: str | None = None
-) -> tuple[tuple[OnSheet, ...], ...]:
+def lay_out_sheets(targets: Sequence[CodedTarget], page: str | None = None) -> tuple[tuple[OnSheet, ...], ...]:
     """Return where each target stands on which sheet: in rows from the upper left, each with room for the largest.
 
     Raises InputError as ``write_target_sheets`` does.
@@ -210,9 +194,7 @@ def _cells(size_mm: Size, edge_mm: float) -> tuple[int, int]:
     return int((room_x + GAP_MM) / (edge_mm + GAP_MM)), int((room_y + GAP_MM) / (edge_mm + LABEL_MM + GAP_MM))
 
 
-def _write(
-    path: Path, patches: Sequence[Patch], labels: Sequence[tuple[float, float, str]], size_mm: Size
-) -> None:
+def _write(path: Path, patches: Sequence[Patch], labels: Sequence[tuple[float, float, str]], size_mm: Size) -> None:
     """Write patches, labels (x, y [mm], text) and the ruler on a sheet."""
     width, height = size_mm
     figure = Figure(figsize=(width / MM_PER_INCH, height / MM_PER_INCH))

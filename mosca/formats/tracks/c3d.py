@@ -96,9 +96,7 @@ def read_c3d(path: Path) -> MarkerTable:
     ) as error:
         raise InputError(f"{path}: cannot be read as C3D: {error}") from None
     if n_bytes > path.stat().st_size:
-        raise InputError(
-            f"{path}: cannot be read as C3D: cut short, {path.stat().st_size} of {n_bytes} bytes"
-        )
+        raise InputError(f"{path}: cannot be read as C3D: cut short, {path.stat().st_size} of {n_bytes} bytes")
     if unit not in METRES_PER:
         raise InputError(f"{path}: POINT:UNITS = {unit!r}; {', '.join(METRES_PER)} are known")
     if points.size == 0 or not rate_hz > 0:
@@ -131,10 +129,7 @@ def _bytes_needed(document: ezc3d.c3d, path: Path) -> int:
 
 def _residuals_mm(table: MarkerTable) -> tuple[Array, float]:
     """Return the residual field (t, m) [mm] and its step: 7 bit hold it as a whole number of steps."""
-    if (
-        not np.isfinite(table.deviation_m).any()
-        and (table.measured == np.isfinite(table.xyz).all(axis=2)).all()
-    ):
+    if not np.isfinite(table.deviation_m).any() and (table.measured == np.isfinite(table.xyz).all(axis=2)).all():
         # nothing is known of errors and nothing was filled: 0 all over says no more than that
         return np.where(table.measured, 0.0, -1.0), 1e-3
     deviation_mm = 1e3 * np.nan_to_num(table.deviation_m, nan=0.0, posinf=0.0)

@@ -32,9 +32,7 @@ def read_columns(path: Path, names: Sequence[str], kind: str) -> dict[str, Seque
     return _columns(path, rows)
 
 
-def read_named(
-    path: Path, needed: Sequence[str], optional: Sequence[str], kind: str
-) -> dict[str, Sequence[str]]:
+def read_named(path: Path, needed: Sequence[str], optional: Sequence[str], kind: str) -> dict[str, Sequence[str]]:
     """Return the cells (n) of the columns ``needed`` and of those ``optional`` that there are, in any order.
 
     Other columns are left alone. ``kind``: how such a file is called. Raises InputError where it cannot be read,

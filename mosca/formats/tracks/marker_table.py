@@ -107,9 +107,7 @@ def _column_names(tracks: Tracks) -> dict[int, str]:
     """Return track -> the name of its column."""
     label_of: dict[int, str] = {}
     frames_of: dict[int, set[int]] = {}
-    for track, label, frame in zip(
-        tracks.track.tolist(), tracks.label.tolist(), tracks.frame.tolist(), strict=True
-    ):
+    for track, label, frame in zip(tracks.track.tolist(), tracks.label.tolist(), tracks.frame.tolist(), strict=True):
         frames_of.setdefault(track, set()).add(frame)
         if label or track not in label_of:
             label_of[track] = label

@@ -79,9 +79,7 @@ class TracksLog:
         try:
             self._file = open(self.part, "x", encoding="utf-8", newline="")  # noqa: SIM115  (closed by close)
         except FileExistsError:
-            raise InputError(
-                f"{self.part}: left by a run that was cut short; move it away or remove it"
-            ) from None
+            raise InputError(f"{self.part}: left by a run that was cut short; move it away or remove it") from None
         except OSError as error:
             raise InputError(f"{self.part}: cannot be written: {error.strerror}") from None
         self._writer = csv.writer(self._file, lineterminator="\n")

@@ -96,13 +96,7 @@ class CameraSupport:
     ) -> "CameraSupport":
         """Return the camera's mount for a session of ``duration_s`` (a longer one begins alike)."""
         return cls(
-            mount,
-            name,
-            pose,
-            px_per_radian,
-            seed,
-            _tones(mount, name, seed),
-            _walk(mount, name, seed, duration_s),
+            mount, name, pose, px_per_radian, seed, _tones(mount, name, seed), _walk(mount, name, seed, duration_s)
         )
 
     @cached_property
@@ -126,9 +120,7 @@ class CameraSupport:
                 shift[:, axis] += np.interp(t, knots, self.walk[axis])
         return shift + self._bumped(t)[:, None] * np.array(m.bump_px)
 
-    def pose_at(
-        self, times_s: Array, frame: int, carrier: tuple[Array, Array] | None = None
-    ) -> tuple[Array, Array]:
+    def pose_at(self, times_s: Array, frame: int, carrier: tuple[Array, Array] | None = None) -> tuple[Array, Array]:
         """Return ``world_from_camera`` at instants (k,) of a frame: rotations (k, 3, 3) and positions (k, 3) [m].
 
         ``carrier``: world_from_body of the body that it rides on, rotations (k, 3, 3) and positions (k, 3).
@@ -185,10 +177,7 @@ def _walk(mount: Mount, name: str, seed: int, duration_s: float) -> Array:
         return np.zeros((2, 1))
     steps = math.ceil(duration_s / WANDER_STEP_S) + 2
     free = np.stack(
-        [
-            np.cumsum(rng(seed, f"camera/{name}/wander/{axis}").normal(0.0, mount.wander_px, steps))
-            for axis in "xy"
-        ]
+        [np.cumsum(rng(seed, f"camera/{name}/wander/{axis}").normal(0.0, mount.wander_px, steps)) for axis in "xy"]
     )
     bound = mount.wander_bound_px
     folded = np.abs((free + bound) % (4.0 * bound) - 2.0 * bound) - bound

@@ -176,9 +176,7 @@ class View:
     """(K, s, 3, 3): solid -> camera frame."""
 
 
-def seen_from(
-    rotation: Array, position: Array, poses: GeomPoses, targets: Array, solids: Array, count: int
-) -> View:
+def seen_from(rotation: Array, position: Array, poses: GeomPoses, targets: Array, solids: Array, count: int) -> View:
     """Return what a camera has before it at the first ``count`` instants of ``poses``.
 
     ``rotation`` (k, 3, 3), ``position`` (k, 3): its ``world_from_camera``; ``targets`` (m,) and ``solids`` (s,):
@@ -189,26 +187,16 @@ def seen_from(
 
 @kernel
 def _seen_from(
-    rotation: Array,
-    position: Array,
-    xyz: Array,
-    geom_rotation: Array,
-    targets: Array,
-    solids: Array,
-    count: int,
+    rotation: Array, position: Array, xyz: Array, geom_rotation: Array, targets: Array, solids: Array, count: int
 ) -> Any:
     path, path_rotation = np.empty((targets.shape[0], count, 3)), np.empty((targets.shape[0], count, 3, 3))
     solid, solid_rotation = np.empty((count, solids.shape[0], 3)), np.empty((count, solids.shape[0], 3, 3))
     for k in range(count):
         r, p = rotation[k], position[k]
         for m in range(targets.shape[0]):
-            _in_camera(
-                r, p, xyz[k, targets[m]], geom_rotation[k, targets[m]], path[m, k], path_rotation[m, k]
-            )
+            _in_camera(r, p, xyz[k, targets[m]], geom_rotation[k, targets[m]], path[m, k], path_rotation[m, k])
         for s in range(solids.shape[0]):
-            _in_camera(
-                r, p, xyz[k, solids[s]], geom_rotation[k, solids[s]], solid[k, s], solid_rotation[k, s]
-            )
+            _in_camera(r, p, xyz[k, solids[s]], geom_rotation[k, solids[s]], solid[k, s], solid_rotation[k, s])
     return path, path_rotation, solid, solid_rotation
 
 

@@ -130,13 +130,7 @@ def numbers_in(timing: Timing, pulse: int, frame_rate_hz: float) -> range:
 
 
 def open_shutter(
-    timing: Timing,
-    name: str,
-    number: int,
-    frame_rate_hz: float,
-    exposure_s: float,
-    seed: int,
-    rows: int = 1,
+    timing: Timing, name: str, number: int, frame_rate_hz: float, exposure_s: float, seed: int, rows: int = 1
 ) -> Exposure:
     """Return frame ``number`` of camera ``name``, an image of ``rows`` rows.
 
@@ -255,7 +249,5 @@ def _stamp_ns(timing: Timing, name: str, number: int, event_s: float, seed: int)
             uniform = (key(seed, f"camera/{name}/arrival", number) + 1) / 2.0**64
             event_s -= timing.stamp_jitter_s * math.log(uniform)
         # the epoch is added as an integer: a float of 1.8e9 s knows no nanoseconds
-        stamp = round(timing.clock_offset_s * 1e9) + round(
-            event_s * (1.0 + 1e-6 * timing.clock_drift_ppm) * 1e9
-        )
+        stamp = round(timing.clock_offset_s * 1e9) + round(event_s * (1.0 + 1e-6 * timing.clock_drift_ppm) * 1e9)
     return stamp // timing.stamp_resolution_ns * timing.stamp_resolution_ns

@@ -31,9 +31,7 @@ def gaussian_kernel(sigma_px: float) -> PixelKernel:
     What lies beyond the reach of 4.5 sigma + 1/2 px is below 1e-5 of the light.
     """
     if not sigma_px >= 0.2:
-        raise ValueError(
-            f"sigma_px = {sigma_px}: at least 0.2 px; a sharper image is not sampled by its pixels"
-        )
+        raise ValueError(f"sigma_px = {sigma_px}: at least 0.2 px; a sharper image is not sampled by its pixels")
     reach = int(np.ceil(4.5 * sigma_px + 0.5))
     s = np.arange(-reach * STEPS_PER_PX, reach * STEPS_PER_PX + 1) / STEPS_PER_PX
     a, b = (s + 0.5) / sigma_px, (s - 0.5) / sigma_px

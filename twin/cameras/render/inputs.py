@@ -71,9 +71,7 @@ class TargetsInCamera:
     """(m, 3): change of brightness from the middle to the rim."""
 
     @classmethod
-    def plain(
-        cls, path: Array, rotation: Array, radius: Array, shape: Array, electrons: Array
-    ) -> "TargetsInCamera":
+    def plain(cls, path: Array, rotation: Array, radius: Array, shape: Array, electrons: Array) -> "TargetsInCamera":
         """Return balls and flat targets that are evenly bright and shine all the time."""
         m = len(path)
         return cls(

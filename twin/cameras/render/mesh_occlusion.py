@@ -25,12 +25,7 @@ class MeshRays:
     """Occlusion of the markers of a scene by meshes; ``middle_s``: the exposure's middle."""
 
     def __init__(
-        self,
-        model: Any,
-        scene_at: SceneAt,
-        middle_s: float,
-        occluders: Occluders,
-        marker_geoms: tuple[int, ...],
+        self, model: Any, scene_at: SceneAt, middle_s: float, occluders: Occluders, marker_geoms: tuple[int, ...]
     ) -> None:
         self.model, self.scene_at, self.middle_s = model, scene_at, middle_s
         self.occluders, self.marker_geoms = occluders, marker_geoms
@@ -63,15 +58,11 @@ class MeshRays:
         begin, middle, end = (float(t) for t in span)
         slip = self._slip(marker, lens, targets, nodes, begin, end)
         groups = 1 if slip < GROUP_PX else min(MOST_GROUPS, 1 + int(slip / GROUP_PX))
-        instants = (
-            [middle] if groups == 1 else [begin + (end - begin) * (g + 0.5) / groups for g in range(groups)]
-        )
+        instants = [middle] if groups == 1 else [begin + (end - begin) * (g + 0.5) / groups for g in range(groups)]
         found = [self._samples_at(marker, lens, targets, nodes, t, groups == 1) for t in instants]
         share = float(np.mean([1.0 - free.mean() if len(free) else 1.0 for _cell, _grid, free in found]))
         rest = groups > 1 or share > 0.5
-        edges = [
-            runs(cell, grid, free if rest else ~free, 1.0 if rest else -1.0) for cell, grid, free in found
-        ]
+        edges = [runs(cell, grid, free if rest else ~free, 1.0 if rest else -1.0) for cell, grid, free in found]
         first = np.concatenate([[0], np.cumsum([len(e) for e in edges])]).astype(np.int64)
         return np.concatenate(edges), first, share, rest
 
@@ -101,9 +92,7 @@ class MeshRays:
         """Return the cells of a target's samples at an instant, their grid, and which of them nothing hides."""
         x, y, z = (float(c) for c in interpolate(targets.path[marker], nodes, time_s))
         target_rotation = interpolate(targets.rotation[marker], nodes, time_s)
-        target = TargetPose(
-            int(targets.shape[marker]), target_rotation, x, y, z, float(targets.radius[marker])
-        )
+        target = TargetPose(int(targets.shape[marker]), target_rotation, x, y, z, float(targets.radius[marker]))
         for per_px in (3, 0):  # coarse samples suffice for most
             rays, cell, grid = sample_rays(lens, target, per_px)
             free = self.visible(marker, rays, time_s)

@@ -10,13 +10,7 @@ from mosca.numba_support.decorators import kernel
 from twin.cameras.optics.lens import project
 from twin.cameras.render.inputs import NearSolids, RenderInputs, Solid, SolidArrays, TargetPose
 from twin.cameras.render.occluders import axis_reach, hit, may_hide
-from twin.cameras.render.outline import (
-    circle_point,
-    lagrange_weights,
-    outline_circle,
-    position_at,
-    rotation_at,
-)
+from twin.cameras.render.outline import circle_point, lagrange_weights, outline_circle, position_at, rotation_at
 from twin.cameras.render.target_image import TargetImage
 
 GROUP_PX = 0.25
@@ -88,9 +82,7 @@ def _slip_px(inputs: RenderInputs, m: int, image: TargetImage, number: Array, co
             local[i] = 0.0
             for k in range(weights.shape[0]):
                 t = rotation[k]
-                local[i] += weights[k] * (
-                    t[0, i] * (f * x - cx) + t[1, i] * (f * y - cy) + t[2, i] * (f * z - cz)
-                )
+                local[i] += weights[k] * (t[0, i] * (f * x - cx) + t[1, i] * (f * y - cy) + t[2, i] * (f * z - cz))
         uc, vc, ok_c = _material(lens, xyz, rotation, at_begin, local)
         ud, vd, ok_d = _material(lens, xyz, rotation, at_end, local)
         if ok_a and ok_b and ok_c and ok_d:

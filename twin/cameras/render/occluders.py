@@ -89,9 +89,7 @@ def axis_reach(kind: int, size: Array) -> Any:
 
 
 @kernel
-def may_hide(
-    centre: Array, axis: Array, half: float, reach: float, x: float, y: float, z: float, r: float
-) -> bool:
+def may_hide(centre: Array, axis: Array, half: float, reach: float, x: float, y: float, z: float, r: float) -> bool:
     """Whether a geom within ``reach`` of an axis segment can hide any of a marker of radius r at (x, y, z).
 
     Conservative: every ray to the marker lies within r of the segment from the camera to its centre.
@@ -172,9 +170,7 @@ def _enter_sphere(ox: float, oy: float, oz: float, x: float, y: float, z: float,
 
 
 @callable_bare_step
-def _enter_side(
-    ox: float, oy: float, oz: float, x: float, y: float, z: float, r: float, half: float
-) -> float:
+def _enter_side(ox: float, oy: float, oz: float, x: float, y: float, z: float, r: float, half: float) -> float:
     """Enter the side wall of a cylinder about z."""
     a = x * x + y * y
     if a == 0.0:

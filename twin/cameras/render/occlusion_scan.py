@@ -177,9 +177,7 @@ def _quadratic_weights(f: float) -> Any:
 
 
 @kernel
-def _covered_in_row(
-    target: TargetPose, scan: Scan, near: NearSolids, rays: Array, low: Array, high: Array
-) -> Any:
+def _covered_in_row(target: TargetPose, scan: Scan, near: NearSolids, rays: Array, low: Array, high: Array) -> Any:
     """Write the intervals of a row in which solids hide the target.
 
     Returns how many, and from where to where the row lies in a ball or disc.
@@ -208,9 +206,7 @@ def _covered_in_row(
 
 
 @kernel
-def _covered_before(
-    target: TargetPose, near: NearSolids, g: int, a: Array, b: Array, one: float, two: float
-) -> Any:
+def _covered_before(target: TargetPose, near: NearSolids, g: int, a: Array, b: Array, one: float, two: float) -> Any:
     """The part of one..two in which solid ``g`` covers the fan a + s b before the target; low >= high: none."""
     solid = Solid(near.kind[g], near.size[g], near.xyz[g], near.rotation[g])
     first, last = covered(solid, a, b)

@@ -24,14 +24,7 @@ from twin.cameras.render.mesh_occlusion import MeshRays
 from twin.cameras.render.occluder_culling import motion_bounds
 from twin.cameras.render.occluders import Occluders
 from twin.cameras.render.outline import BALL, FIGURE, FLAT
-from twin.cameras.render.target import (
-    HIDDEN_GIVEN,
-    MESH_NEAR,
-    REST_GIVEN,
-    GivenBoundary,
-    render_all,
-    render_one,
-)
+from twin.cameras.render.target import HIDDEN_GIVEN, MESH_NEAR, REST_GIVEN, GivenBoundary, render_all, render_one
 
 __all__ = [
     "BALL",
@@ -100,9 +93,7 @@ def render_targets(
         for m in np.flatnonzero(state == MESH_NEAR):
             edges, first, share, rest = mesh_rays.hidden(int(m), lens, targets, inputs.nodes_s, spans[m])
             mode = REST_GIVEN if rest else HIDDEN_GIVEN
-            seen[m] = render_one(light, inputs, int(m), mode, GivenBoundary(edges, first, share), spans[m])[
-                :4
-            ]
+            seen[m] = render_one(light, inputs, int(m), mode, GivenBoundary(edges, first, share), spans[m])[:4]
     seen[seen[:, 0] == 0.0, 1:] = np.nan
     return VisibleTargets(seen[:, 0], seen[:, 1:3], seen[:, 3])
 

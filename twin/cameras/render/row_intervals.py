@@ -136,9 +136,7 @@ def _cap(fan: Fan, z: float, r: float) -> Any:
     px, py = ox * az + z * ax, oy * az + z * ay
     qx, qy = ox * bz + z * bx, oy * bz + z * by
     one, two, some = roots(
-        qx * qx + qy * qy - r * r * bz * bz,
-        px * qx + py * qy - r * r * az * bz,
-        px * px + py * py - r * r * az * az,
+        qx * qx + qy * qy - r * r * bz * bz, px * qx + py * qy - r * r * az * bz, px * px + py * py - r * r * az * az
     )
     if some:
         for s in (one, two):

@@ -36,16 +36,7 @@ from twin.cameras.render.outline import (
     trace,
 )
 from twin.cameras.render.ray_samples import runs, sample_rays
-from twin.cameras.render.target_image import (
-    HIDDEN,
-    IN_VIEW,
-    OUTSIDE,
-    PARTLY,
-    TargetImage,
-    carried,
-    image_of,
-    lit_s,
-)
+from twin.cameras.render.target_image import HIDDEN, IN_VIEW, OUTSIDE, PARTLY, TargetImage, carried, image_of, lit_s
 
 MESH_NEAR = -1
 """State of a target that a mesh may hide: only MuJoCo's rays can decide."""
@@ -101,9 +92,7 @@ def render_all(light: Array, inputs: RenderInputs, mesh: Array) -> Any:
 
 
 @kernel
-def render_one(
-    light: Array, inputs: RenderInputs, m: int, mode: int, given: GivenBoundary, span: Array
-) -> Any:
+def render_one(light: Array, inputs: RenderInputs, m: int, mode: int, given: GivenBoundary, span: Array) -> Any:
     """Render target ``m`` in a ``mode``; ONLY_SPAN writes when it is exposed to ``span`` (3,)."""
     height, width = light.shape
     image = image_of(inputs, m, height, width)
@@ -229,9 +218,7 @@ def _group(image: TargetImage, g: int, groups: int) -> Any:
 
 
 @kernel
-def _add_given(
-    out: Increments, inputs: RenderInputs, m: int, image: TargetImage, given: GivenBoundary
-) -> None:
+def _add_given(out: Increments, inputs: RenderInputs, m: int, image: TargetImage, given: GivenBoundary) -> None:
     """Add the boundary that mesh rays found, group after group of instants."""
     lens, nodes, path = inputs.lens, inputs.nodes_s, inputs.targets.path[m]
     blur, rows = _blur_and_rows(inputs, m, image)
@@ -267,12 +254,7 @@ def _add_hidden(
     Returns the hidden share, and whether the boundary is that of the rest. With several groups the rotations in
     ``image`` and the poses in ``near`` are left at the last one.
     """
-    lens, nodes, path, profile = (
-        inputs.lens,
-        inputs.nodes_s,
-        inputs.targets.path[m],
-        inputs.targets.profile[m],
-    )
+    lens, nodes, path, profile = (inputs.lens, inputs.nodes_s, inputs.targets.path[m], inputs.targets.profile[m])
     blur, rows = _blur_and_rows(inputs, m, image)
     weights = np.empty(nodes.shape[0])
     rest = False
@@ -288,9 +270,7 @@ def _add_hidden(
             pose_solids(near, inputs.solids, nodes, middle)
             u, v, _a, _b, _c, _d, _e, _f, _ok = project(lens, x, y, z)
             _whole, group_box = image_box(lens, target)
-        edges, lit_edges, hidden_area, lit_area = scan_hidden(
-            lens, target, contours, group_box, near, profile
-        )
+        edges, lit_edges, hidden_area, lit_area = scan_hidden(lens, target, contours, group_box, near, profile)
         total_hidden += hidden_area
         total_lit += lit_area
         rest = rest or ((groups > 1 or hidden_area > 0.5 * lit_area) and not has_profile(profile))

@@ -80,9 +80,7 @@ def image_of(inputs: RenderInputs, m: int, height: int, width: int) -> Any:
         if motion >= 0.0 and in_columns and -margin - motion <= v <= height + margin + motion:
             behind = rotation[0, 2] * x + rotation[1, 2] * y + rotation[2, 2] * z >= -EDGE_ON * away
             state = int(HIDDEN) if target.shape != BALL and behind else int(IN_VIEW)
-    return TargetImage(
-        state, target, u, v, diameter, stretch, patch, spread, begin, instant, end, motion, moved
-    )
+    return TargetImage(state, target, u, v, diameter, stretch, patch, spread, begin, instant, end, motion, moved)
 
 
 @kernel
@@ -103,9 +101,7 @@ def _mid_exposure(inputs: RenderInputs, m: int, rotation: Array, height: int) ->
     length, row_time = inputs.rows.length_s, inputs.rows.row_time_s
     on, off = lit_s(inputs, m)
     weights = np.empty(nodes.shape[0])
-    instant = (
-        0.5 * (max(0.0, on) + min(length, off)) if row_time == 0.0 else 0.5 * height * row_time + 0.5 * length
-    )
+    instant = 0.5 * (max(0.0, on) + min(length, off)) if row_time == 0.0 else 0.5 * height * row_time + 0.5 * length
     u = v = x = y = z = stretch = 0.0
     imaged = True
     for _ in range(1 if row_time == 0.0 else ROW_ITERATIONS):
@@ -198,15 +194,7 @@ def image_motion(lens: Array, nodes: Array, path: Array, begin: float, end: floa
 
 @kernel
 def carried(
-    edges: Array,
-    lens: Array,
-    nodes: Array,
-    path: Array,
-    u: float,
-    v: float,
-    begin: float,
-    middle: float,
-    end: float,
+    edges: Array, lens: Array, nodes: Array, path: Array, u: float, v: float, begin: float, middle: float, end: float
 ) -> Any:
     """Boundary points (n, 9) found at ``middle``, carried along by the target's image (u, v) through begin..end."""
     weights = np.empty(nodes.shape[0])

@@ -38,11 +38,7 @@ class Ambient:
 
     @staticmethod
     def of(
-        sensor: Sensor,
-        mean_e: Array | float,
-        flat: Array | None = None,
-        *,
-        shape: tuple[int, int] | None = None,
+        sensor: Sensor, mean_e: Array | float, flat: Array | None = None, *, shape: tuple[int, int] | None = None
     ) -> "Ambient":
         """Return the ambient light of mean electrons ``mean_e``, (H, W) or one number for all pixels.
 
@@ -101,9 +97,7 @@ class Ambient:
 
     def window(self, x: int, y: int, width: int, height: int) -> "Ambient":
         """Return the part of a windowed readout whose top-left pixel is (x, y)."""
-        if self.shape is not None and (
-            x < 0 or y < 0 or x + width > self.shape[1] or y + height > self.shape[0]
-        ):
+        if self.shape is not None and (x < 0 or y < 0 or x + width > self.shape[1] or y + height > self.shape[0]):
             raise ValueError(f"window: {width} x {height} at ({x}, {y}) leaves the image {self.shape}")
 
         def part(values: Array) -> Array:
@@ -214,14 +208,7 @@ def _uniforms(out: Array, key: np.uint64) -> None:
 
 @kernel
 def _fixed_pattern(
-    more: Array,
-    factor: Array,
-    key: np.uint64,
-    dsnu: float,
-    prnu: float,
-    hot: float,
-    hot_e: float,
-    dead: float,
+    more: Array, factor: Array, key: np.uint64, dsnu: float, prnu: float, hot: float, hot_e: float, dead: float
 ) -> None:
     """Fill the electrons that each pixel has of itself, and its factor on light; every trait draws on its own."""
     for p in range(more.size):
@@ -236,12 +223,7 @@ def _fixed_pattern(
 
 @kernel
 def _onto_levels(
-    mean: Array,
-    extra: Array,
-    flat: Array,
-    index: Array,
-    used: Array,
-    scale: tuple[float, float, float, float],
+    mean: Array, extra: Array, flat: Array, index: Array, used: Array, scale: tuple[float, float, float, float]
 ) -> None:
     """Fill the levels nearest to ``mean + flat * extra`` and mark which are in use; see ``LevelBank.number``."""
     height, width = index.shape
@@ -264,9 +246,7 @@ def _onto_levels(
 
 
 @kernel
-def _row_onto_levels(
-    line: Array, index: Array, used: Array, scale: tuple[float, float, float, float]
-) -> None:
+def _row_onto_levels(line: Array, index: Array, used: Array, scale: tuple[float, float, float, float]) -> None:
     """Fill one row's levels from its electrons (which it overwrites)."""
     floor_e, anchor, anchor_scale, step = scale
     floor2, per_step, per_floor = floor_e * floor_e, 1.0 / step, 1.0 / floor_e

@@ -131,9 +131,7 @@ class ElectronNumbers(NamedTuple):
 
 
 @kernel
-def _law(
-    level: float, noise: float, edges: Array, edge_laws: Array, edge_made: Array, thresholds: Array
-) -> None:
+def _law(level: float, noise: float, edges: Array, edge_laws: Array, edge_made: Array, thresholds: Array) -> None:
     """Fill a level's cumulative probabilities: P(electrons + noise < edge), summed over the numbers of electrons.
 
     ``edge_laws`` keeps, for each edge, P(n + noise < edge) of the numbers n around it: all levels share them.

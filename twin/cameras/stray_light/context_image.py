@@ -147,9 +147,7 @@ def context_view(
     )
 
 
-def context_image(
-    view: ContextView, sampler: SceneSampler, time_s: float, rotation: Array, position: Array
-) -> Array:
+def context_image(view: ContextView, sampler: SceneSampler, time_s: float, rotation: Array, position: Array) -> Array:
     """Return the mean light (H, W) float32 [electrons] of one exposure at session time ``time_s``.
 
     ``rotation`` (3, 3) and ``position`` (3,) [m]: world_from_camera. Leaves the sampler's data at ``time_s``.

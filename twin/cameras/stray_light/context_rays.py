@@ -176,9 +176,7 @@ def _meet_plane(size: Array, xyz: Array, rotation: Array, g: int, dx: float, dy:
 
 
 @kernel
-def _normal(
-    kind: int, size: Array, xyz: Array, rotation: Array, g: int, px: float, py: float, pz: float
-) -> Any:
+def _normal(kind: int, size: Array, xyz: Array, rotation: Array, g: int, px: float, py: float, pz: float) -> Any:
     """Outward unit normal of primitive g at a point of its surface, camera frame."""
     dx, dy, dz = px - xyz[g, 0], py - xyz[g, 1], pz - xyz[g, 2]
     x = rotation[g, 0, 0] * dx + rotation[g, 1, 0] * dy + rotation[g, 2, 0] * dz

@@ -12,13 +12,7 @@ from twin.cameras.exposure.scene_sampling import SceneSamples
 from twin.cameras.render.occluders import Occluders
 from twin.cameras.render.render import Figures, TargetsInCamera, render_targets
 from twin.cameras.sensor.background_light import Ambient
-from twin.cameras.stray_light.context_image import (
-    ContextView,
-    Refreshed,
-    context_image,
-    context_view,
-    refresh_pulse,
-)
+from twin.cameras.stray_light.context_image import ContextView, Refreshed, context_image, context_view, refresh_pulse
 from twin.cameras.stray_light.glare import veil
 from twin.cameras.stray_light.mirror import SceneRays, with_mirrored
 from twin.cameras.stray_light.stray import Surroundings, stray_targets, unhidden

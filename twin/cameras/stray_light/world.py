@@ -55,9 +55,7 @@ class ShinySpot:
         _positive("shiny spot", radius_m=self.radius_m, strength=self.strength, **at_m)
         _angle("shiny spot", self.half_deg)
         if self.facing is not None and not 0.0 < np.linalg.norm(self.facing) < np.inf:
-            raise InputError(
-                f"shiny spot: facing = {self.facing} given; a direction of three numbers is wanted"
-            )
+            raise InputError(f"shiny spot: facing = {self.facing} given; a direction of three numbers is wanted")
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,12 +100,7 @@ def ring_lights(light: RingLight, heads: RigPoses, chosen: Sequence[int]) -> Tar
     at = list(chosen)
     glow = Glow("lamp", strength=light.strength, half_deg=light.half_deg)
     return _targets(
-        heads.position[at],
-        heads.rotation[at],
-        [light.radius_m] * len(at),
-        FLAT,
-        [glow] * len(at),
-        heads.lit_s[at],
+        heads.position[at], heads.rotation[at], [light.radius_m] * len(at), FLAT, [glow] * len(at), heads.lit_s[at]
     )
 
 
