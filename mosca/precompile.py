@@ -102,7 +102,8 @@ def _rig() -> Rig:
 def _blobs(xy_px: Array) -> Array:
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     away2 = (x[..., None] - xy_px[:, 0]) ** 2 + (y[..., None] - xy_px[:, 1]) ** 2
-    return np.rint(4 + 150 * np.exp(-away2 / 4.0).sum(axis=-1)).astype(np.uint8)
+    result: Array = np.rint(4 + 150 * np.exp(-away2 / 4.0).sum(axis=-1)).astype(np.uint8)
+    return result
 
 
 if __name__ == "__main__":

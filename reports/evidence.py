@@ -32,7 +32,8 @@ class ErrorTable:
 
     def distance_m(self) -> Array:
         """Return the length of each error (k,) [m]."""
-        return np.linalg.norm(self.error_xyz_m, axis=1)
+        result: Array = np.linalg.norm(self.error_xyz_m, axis=1)
+        return result
 
 
 @dataclass(frozen=True, eq=False)

@@ -127,7 +127,8 @@ def _flat(points: Array) -> Array:
     a, e = np.radians(AZIMUTH_DEG), np.radians(ELEVATION_DEG)
     right = np.array([-np.sin(a), np.cos(a), 0.0])
     up = np.array([-np.sin(e) * np.cos(a), -np.sin(e) * np.sin(a), np.cos(e)])
-    return np.asarray(points) @ np.column_stack([right, up])
+    result: Array = np.asarray(points) @ np.column_stack([right, up])
+    return result
 
 
 def _box_corners(center: Array, size: Array) -> Array:

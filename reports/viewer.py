@@ -173,4 +173,5 @@ def _track_colours(ids: Array) -> Array:
     """Return a colour (n, 3) uint8 for each identity: hues a golden angle apart, so neighbours differ."""
     hue = (np.asarray(ids, dtype=np.float64) * 0.61803398875) % 1.0
     waves = 0.5 + 0.5 * np.cos(2 * np.pi * (hue[:, None] - np.array([0.0, 1 / 3, 2 / 3])))
-    return (60 + 190 * waves).astype(np.uint8)
+    result: Array = (60 + 190 * waves).astype(np.uint8)
+    return result

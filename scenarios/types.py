@@ -115,7 +115,8 @@ class TruthPairs:
     @property
     def distance_m(self) -> Array:
         """3D distance of each pair (k,) [m]."""
-        return np.linalg.norm(self.error_m, axis=1)
+        result: Array = np.linalg.norm(self.error_m, axis=1)
+        return result
 
 
 @dataclass(frozen=True)

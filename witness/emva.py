@@ -43,7 +43,8 @@ class PhotonTransfer:
         full = signal[self.saturated]
         inside = (signal >= low * full) & (signal <= high * full)
         inside[self.saturated + 1 :] = False
-        return inside
+        result: slice | Array = inside
+        return result
 
     @property
     def gain(self) -> float:

@@ -22,7 +22,8 @@ Array = NDArray[Any]
 
 def spread(offset: Array, sigma_px: float) -> Array:
     """Return a pixel's answer, one axis, to light ``offset`` px from its centre: square times Gaussian."""
-    return ndtr((offset + 0.5) / sigma_px) - ndtr((offset - 0.5) / sigma_px)
+    result: Array = ndtr((offset + 0.5) / sigma_px) - ndtr((offset - 0.5) / sigma_px)
+    return result
 
 
 def gathered(offset: Array, sigma_px: float) -> Array:
@@ -32,7 +33,8 @@ def gathered(offset: Array, sigma_px: float) -> Array:
     """
 
     def twice(z: Array) -> Array:
-        return z * ndtr(z) + np.exp(-z * z / 2) / np.sqrt(2 * np.pi)
+        result: Array = z * ndtr(z) + np.exp(-z * z / 2) / np.sqrt(2 * np.pi)
+        return result
 
     return sigma_px * (twice((offset + 0.5) / sigma_px) - twice((offset - 0.5) / sigma_px))
 

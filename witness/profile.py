@@ -41,7 +41,8 @@ def spots(
     one, other = across(centre if normal is None else normal)
 
     def beside(q: Array, angle: Array) -> Array:
-        return (q * np.cos(angle))[:, None] * one + (q * np.sin(angle))[:, None] * other
+        result: Array = (q * np.cos(angle))[:, None] * one + (q * np.sin(angle))[:, None] * other
+        return result
 
     def project(q: Array, angle: Array) -> Array:
         if normal is not None:
@@ -60,7 +61,8 @@ def spots(
 
 def brightness(face: Spots, limb: float, shade: tuple[float, float, float]) -> Array:
     """Return B = 1 - limb (1 - sqrt(1 - q^2)) + shade . offset of each spot (n,)."""
-    return 1 - limb * (1 - np.sqrt(np.maximum(1 - face.q**2, 0))) + face.offset @ np.array(shade)
+    result: Array = 1 - limb * (1 - np.sqrt(np.maximum(1 - face.q**2, 0))) + face.offset @ np.array(shade)
+    return result
 
 
 Pattern = Callable[[Array, Array], Array]

@@ -45,7 +45,8 @@ def displacements(points: Array, circle_px: float, coma_px: float, outwards: Arr
     across = coma_px / 3 * 2 * a * b
     comatic = along[:, None] * outwards + across[:, None] * sideways
     # by hand: the mean of rho^2 over the disc is 1/2, of rho^2 cos 2t and rho^2 sin 2t 0
-    return circle_px / 2 * points + comatic - coma_px / 3 * outwards
+    result: Array = circle_px / 2 * points + comatic - coma_px / 3 * outwards
+    return result
 
 
 def pupil_mean(image_at: Callable[[Array], Array], places: Array, weights: Array) -> Array:
@@ -53,7 +54,8 @@ def pupil_mean(image_at: Callable[[Array], Array], places: Array, weights: Array
     total = weights[0] * image_at(places[0])
     for place, weight in zip(places[1:], weights[1:], strict=True):
         total = total + weight * image_at(place)
-    return total
+    result: Array = total
+    return result
 
 
 def disc_variance(circle_px: float) -> float:

@@ -116,7 +116,8 @@ def with_gap(lens: WitnessLens, gap_px: float, width: int, height: int, order: i
         away = xy - centre
         distance = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-12)
         size = gap_px * np.cos(order * np.arccos(np.clip(distance / half_diagonal, 0, 1)))
-        return xy + away * (size / distance)[:, None]
+        result: Array = xy + away * (size / distance)[:, None]
+        return result
 
     def unproject(xy: Array) -> Array:
         before = xy
@@ -139,14 +140,16 @@ def ball_outline(centre: Array, radius: float, points: int = POINTS) -> Array:
     half = np.arcsin(radius / distance)
     e1, e2 = across(centre)
     t = 2 * np.pi * np.arange(points)[:, None] / points
-    return np.cos(half) * centre / distance + np.sin(half) * (np.cos(t) * e1 + np.sin(t) * e2)
+    result: Array = np.cos(half) * centre / distance + np.sin(half) * (np.cos(t) * e1 + np.sin(t) * e2)
+    return result
 
 
 def disc_outline(centre: Array, normal: Array, radius: float, points: int = POINTS) -> Array:
     """Points (n, 3) on the rim of a flat round target [m]."""
     e1, e2 = across(normal)
     t = 2 * np.pi * np.arange(points)[:, None] / points
-    return centre + radius * (np.cos(t) * e1 + np.sin(t) * e2)
+    result: Array = centre + radius * (np.cos(t) * e1 + np.sin(t) * e2)
+    return result
 
 
 def area_and_centroid(polygon: Array) -> tuple[float, Array]:

@@ -146,4 +146,5 @@ def _offsets(lens: Lens, axes: Array, circle: Array, inertia: Array, shown: Arra
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         stretch = of_det / (a * d - b * c)[:, None]  # gradient of log det J
-    return here - pixels(true) + bend + np.einsum("nij,njk,nk->ni", jacobian, moments, stretch)
+    result: Array = here - pixels(true) + bend + np.einsum("nij,njk,nk->ni", jacobian, moments, stretch)
+    return result

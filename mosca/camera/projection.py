@@ -133,7 +133,8 @@ def fit_lens(model: str, xy_px: Array, directions: Array, start: Lens | None = N
     def residuals(x: Array) -> Array:
         rest = pixels(lens_of(x), v)[0] - xy
         # a point that the trial lens cannot image must not count as a perfect fit
-        return np.nan_to_num(rest, nan=1e3).ravel()
+        result: Array = np.nan_to_num(rest, nan=1e3).ravel()
+        return result
 
     def jacobian(x: Array) -> Array:
         by_lens = pixels(lens_of(x), v)[2]

@@ -162,7 +162,7 @@ def _ordered_pairs(rotation: Array, origin: Array) -> Array:
 
 
 @kernel
-def fill_rays(cameras, seen, start, fields, xy, covariance, extra, diameter, elongation, flags):  # type: ignore[no-untyped-def]
+def fill_rays(cameras, seen, start, fields, xy, covariance, extra, diameter, elongation, flags):
     """Return the rays (n, COLUMNS) of detections, the views (c, VIEW), and how many images are odd (``RayTable``).
 
     ``cameras``, ``seen``: ``RigTable.cameras`` and ``.views``. ``fields``: (c, rows, columns, 2) the eccentricity of
@@ -209,7 +209,7 @@ def fill_rays(cameras, seen, start, fields, xy, covariance, extra, diameter, elo
 
 
 @bare_step
-def _longer_axis(diameter, elongation):  # type: ignore[no-untyped-def]
+def _longer_axis(diameter, elongation):
     """Return the diameter [px] that an image's size is judged by, and whether its region is long."""
     root = np.sqrt(elongation)
     # two targets grown together are long, and their flux and peak give no diameter: the longer axis does
@@ -218,7 +218,7 @@ def _longer_axis(diameter, elongation):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _to_world(views, c, d, local, g, rays, n):  # type: ignore[no-untyped-def]
+def _to_world(views, c, d, local, g, rays, n):
     """Rotate a direction and the pixel's derivative by it from the camera's frame into the world's."""
     for row in range(2):
         for k in range(3):
@@ -232,7 +232,7 @@ def _to_world(views, c, d, local, g, rays, n):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _gram(g):  # type: ignore[no-untyped-def]
+def _gram(g):
     """Return G G' (xx, xy, yy) of the pixel's derivative G (2, 3)."""
     return (
         g[0, 0] * g[0, 0] + g[0, 1] * g[0, 1] + g[0, 2] * g[0, 2],
@@ -242,7 +242,7 @@ def _gram(g):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _whiten(g, gram, covariance, shift_x, shift_y, rays, n):  # type: ignore[no-untyped-def]
+def _whiten(g, gram, covariance, shift_x, shift_y, rays, n):
     """Fill WHITE and SPREAD of a ray and move its direction by an image shift [px].
 
     ``covariance``: of the pixel (xx, xy, yy) = L L'. WHITE = L^-1 G, SPREAD = G' (G G')^-1 L.
@@ -265,7 +265,7 @@ def _whiten(g, gram, covariance, shift_x, shift_y, rays, n):  # type: ignore[no-
 
 
 @bare_step
-def _normals(rays, n, x, y, z):  # type: ignore[no-untyped-def]
+def _normals(rays, n, x, y, z):
     """Fill a ray's share in the normal equations: A'A (xx, xy, xz, yy, yz, zz), A'A times the origin (x, y, z)."""
     k = NORMAL
     for p in range(3):
@@ -278,7 +278,7 @@ def _normals(rays, n, x, y, z):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _whiten_at_shifted(rays, n):  # type: ignore[no-untyped-def]
+def _whiten_at_shifted(rays, n):
     """Take from the whitened errors of a ray their part along its shifted direction, where the error is zero."""
     norm2 = rays[n, 0] ** 2 + rays[n, 1] ** 2 + rays[n, 2] ** 2
     for row in (WHITE, WHITE + 3):
@@ -288,7 +288,7 @@ def _whiten_at_shifted(rays, n):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _field(field, camera, u, v):  # type: ignore[no-untyped-def]
+def _field(field, camera, u, v):
     """Interpolate a field (rows, columns, 2) over an image, linearly."""
     rows, columns = field.shape[0], field.shape[1]
     x = min(max((u + 0.5) / camera[WIDTH] * (columns - 1), 0.0), columns - 1.0)

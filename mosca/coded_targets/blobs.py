@@ -30,7 +30,8 @@ def bright_patches(image: Array, contrast_dn: float, noise_dn: float) -> Array:
     bright &= np.asarray(cv2.subtract(high, low)) > contrast_dn
     flat = np.zeros(-(-bright.size // LANES) * LANES, np.uint8)
     flat[: bright.size] = bright.ravel()
-    return patch_sums(flat, flat.view(np.uint64), image.shape[1])
+    result: Array = patch_sums(flat, flat.view(np.uint64), image.shape[1])
+    return result
 
 
 @kernel

@@ -73,7 +73,8 @@ def grey(image: Array, x: float, y: float) -> float:
     right, below = i + np.uintp(1), j + np.uintp(1)
     upper = image[j, i] * (1.0 - fx) + image[j, right] * fx
     lower = image[below, i] * (1.0 - fx) + image[below, right] * fx
-    return upper * (1.0 - fy) + lower * fy
+    result: float = upper * (1.0 - fy) + lower * fy
+    return result
 
 
 @step
@@ -84,7 +85,8 @@ def grey_of(image: Array, frame: Array, radius: float, c: float, s: float) -> fl
     if frame[5] != 0.0 or frame[6] != 0.0:
         w = 1.0 / (1.0 + frame[5] * u + frame[6] * v)
         x, y = x * w, y * w
-    return grey(image, frame[0] + x, frame[1] + y)
+    result: float = grey(image, frame[0] + x, frame[1] + y)
+    return result
 
 
 @step
@@ -94,7 +96,8 @@ def is_inside(image: Array, frame: Array, radius: float) -> bool:
     half_x, half_y = room * math.hypot(frame[2], frame[3]), room * math.hypot(frame[3], frame[4])
     right, bottom = image.shape[1] - 1, image.shape[0] - 1
     across = half_x <= frame[0] < right - half_x
-    return across and half_y <= frame[1] < bottom - half_y
+    result: bool = across and half_y <= frame[1] < bottom - half_y
+    return result
 
 
 @step
@@ -132,7 +135,8 @@ def dot_of(sums: Array, frame: Array, target: TargetAppearance) -> bool:
     if half_extent(frame) < target.least_axis_px:
         return False
     solid = area / (4.0 * math.pi * math.sqrt(mxx * myy - mxy * mxy))
-    return LEAST_SOLID < solid < MOST_SOLID
+    result: bool = LEAST_SOLID < solid < MOST_SOLID
+    return result
 
 
 @step
@@ -169,7 +173,8 @@ def dot_level(image: Array, frame: Array) -> float:
     total = grey(image, frame[0], frame[1])
     for k in range(8):
         total += grey_of(image, frame, 0.4, COS[STEPS // 8 * k], SIN[STEPS // 8 * k])
-    return total / 9.0
+    result: float = total / 9.0
+    return result
 
 
 @step

@@ -63,7 +63,7 @@ class SearchState(NamedTuple):
 
 
 @step
-def search(data, pairs, bases, start, xyz, covariance):  # type: ignore[no-untyped-def]
+def search(data, pairs, bases, start, xyz, covariance):
     """Return all hypotheses (``Hypotheses``) and how many there are.
 
     ``pairs``, ``bases``, ``start``: of the ``RayTable``. ``xyz`` (k, 3), ``covariance`` (k, 3, 3): predictions of the
@@ -93,7 +93,7 @@ def search(data, pairs, bases, start, xyz, covariance):  # type: ignore[no-untyp
 
 
 @step
-def _begun(data, start):  # type: ignore[no-untyped-def]
+def _begun(data, start):
     """Return the state before the search."""
     cameras, total = data.views.shape[0], data.rays.shape[0]
     slack, reach = _slack(data.rays, start, data.rules[0])
@@ -106,7 +106,7 @@ def _begun(data, start):  # type: ignore[no-untyped-def]
 
 
 @step
-def _search_pair(pair, across, stage, start, hypothesis, state, data, kept, count):  # type: ignore[no-untyped-def]
+def _search_pair(pair, across, stage, start, hypothesis, state, data, kept, count):
     """Add the hypotheses that begin with a ray of each of two cameras; returns the hypotheses and their number.
 
     ``across`` (2, 3): of ``RayTable.bases``. ``stage``: 1 looks for half-hidden targets, beside the gates of stage 0.
@@ -160,7 +160,7 @@ def _search_pair(pair, across, stage, start, hypothesis, state, data, kept, coun
 
 
 @inlined_step
-def _expected(track, xyz, covariance, hypothesis, state, data):  # type: ignore[no-untyped-def]
+def _expected(track, xyz, covariance, hypothesis, state, data):
     """Join the rays nearest to a track's prediction. Returns as ``_grown``.
 
     The hypothesis is judged as any other is; the track only saves the search. None where anything is doubtful and has
@@ -199,7 +199,7 @@ def _expected(track, xyz, covariance, hypothesis, state, data):  # type: ignore[
 
 
 @bare_step
-def _note(hypothesis, chance, state, data):  # type: ignore[no-untyped-def]
+def _note(hypothesis, chance, state, data):
     """Record which rays a hypothesis joins, and that one which chance does not explain explains them."""
     members, values = hypothesis.members, hypothesis.values
     explained, partner = state.explained, state.partner
@@ -218,7 +218,7 @@ def _note(hypothesis, chance, state, data):  # type: ignore[no-untyped-def]
 
 
 @step
-def _slack(rays, start, rules):  # type: ignore[no-untyped-def]
+def _slack(rays, start, rules):
     """Return for each ray (n,) the factor on its variance if its target were mostly hidden, and for each camera (c,)
     the largest variance of a ray's direction [rad^2] with it.
     """
@@ -237,7 +237,7 @@ def _slack(rays, start, rules):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _unexplained(first, last, explained, active, at):  # type: ignore[no-untyped-def]
+def _unexplained(first, last, explained, active, at):
     """List the rays that no hypothesis explains in ``active`` from ``at`` on; returns how many."""
     n = 0
     for i in range(first, last):
@@ -248,7 +248,7 @@ def _unexplained(first, last, explained, active, at):  # type: ignore[no-untyped
 
 
 @bare_step
-def _meet(i, j, a, b, away2, variance_i, variance_j, hypothesis, data):  # type: ignore[no-untyped-def]
+def _meet(i, j, a, b, away2, variance_i, variance_j, hypothesis, data):
     """Begin a hypothesis with the rays i and j of cameras a and b; False where they do not meet."""
     members, ranks, solved = hypothesis
     rays, views, rules = data.rays, data.views, data.rules[0]
@@ -285,7 +285,7 @@ def _meet(i, j, a, b, away2, variance_i, variance_j, hypothesis, data):  # type:
 
 
 @bare_step
-def _grown(a, b, chance, hypothesis, state, data):  # type: ignore[no-untyped-def]
+def _grown(a, b, chance, hypothesis, state, data):
     """Extend a pair to all cameras, drop outliers, judge. Returns how many rays it has (0: none), its squared error,
     diameter and the expected number of hypotheses as good by chance.
     """
@@ -330,7 +330,7 @@ def _grown(a, b, chance, hypothesis, state, data):  # type: ignore[no-untyped-de
 
 
 @bare_step
-def _worst_ray(hypothesis, data):  # type: ignore[no-untyped-def]
+def _worst_ray(hypothesis, data):
     """Return the camera whose ray, left out, lowers the hypothesis's squared error most.
 
     By e' (I - H)^-1 e with the ray's whitened error e and its share H = A P A' of its own error in the solution:
@@ -363,7 +363,7 @@ def _worst_ray(hypothesis, data):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _joined(members, partner):  # type: ignore[no-untyped-def]
+def _joined(members, partner):
     """Whether the first two rays of a hypothesis are already joined in one of three rays or more."""
     first = -1
     for c in range(members.shape[0]):

@@ -72,7 +72,7 @@ RULES = np.dtype(
 
 
 @step
-def record_of(rules):  # type: ignore[no-untyped-def]
+def record_of(rules):
     """Return rules as an array (1,) of RULES."""
     table = np.empty(1, RULES)
     row = table[0]
@@ -116,13 +116,13 @@ class Hypotheses(NamedTuple):
 
 
 @step
-def new_hypothesis(cameras):  # type: ignore[no-untyped-def]
+def new_hypothesis(cameras):
     """Return arrays for a hypothesis in hand."""
     return Hypothesis(np.empty(cameras, dtype=np.int64), np.ones((cameras, RANKS)), np.zeros(VALUES))
 
 
 @step
-def no_hypotheses(capacity, cameras):  # type: ignore[no-untyped-def]
+def no_hypotheses(capacity, cameras):
     """Return arrays for ``capacity`` hypotheses."""
     return Hypotheses(
         np.empty((capacity, VALUES)), np.empty((capacity, cameras), dtype=np.int64), np.empty((capacity, cameras))
@@ -130,7 +130,7 @@ def no_hypotheses(capacity, cameras):  # type: ignore[no-untyped-def]
 
 
 @step
-def with_capacity(kept, count):  # type: ignore[no-untyped-def]
+def with_capacity(kept, count):
     """Return the first ``count`` hypotheses in arrays that hold one more at least."""
     if count < kept.values.shape[0]:
         return kept
@@ -140,7 +140,7 @@ def with_capacity(kept, count):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def solve(hypothesis, steps, data):  # type: ignore[no-untyped-def]
+def solve(hypothesis, steps, data):
     """Intersect the rays; the depths start from the point that the values hold. See ``solve_rays``."""
     members, ranks, values = hypothesis
     rays, views, _ = data
@@ -156,7 +156,7 @@ def solve(hypothesis, steps, data):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def judge_sizes(hypothesis, data):  # type: ignore[no-untyped-def]
+def judge_sizes(hypothesis, data):
     """Set each member's trust from the size of its image; returns the target's diameter from its largest image.
 
     As long as no typical size is known, the second largest of four and more is the whole one: the largest may be of
@@ -178,7 +178,7 @@ def judge_sizes(hypothesis, data):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def largest_image(members, point, data):  # type: ignore[no-untyped-def]
+def largest_image(members, point, data):
     """Return the largest and second largest size [m] of a hypothesis's images, and of how many.
 
     Images that detection takes for two targets are no evidence of the size, unless all are.
@@ -198,7 +198,7 @@ def largest_image(members, point, data):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def image_size(ray, camera, point, data):  # type: ignore[no-untyped-def]
+def image_size(ray, camera, point, data):
     """Return how large [m] a target at ``point`` is that fills the ray's image."""
     views = data.views
     x, y, z = point[0] - views[camera, 0], point[1] - views[camera, 1], point[2] - views[camera, 2]
@@ -206,7 +206,7 @@ def image_size(ray, camera, point, data):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def larger(i, size_i, j, size_j, rays):  # type: ignore[no-untyped-def]
+def larger(i, size_i, j, size_j, rays):
     """Return the larger of two images' sizes; one that is two targets' does not count beside one that is not."""
     one, other = int(rays[i, FLAGS]) & MERGED, int(rays[j, FLAGS]) & MERGED
     if one and not other:
@@ -217,7 +217,7 @@ def larger(i, size_i, j, size_j, rays):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def trust2_of(ray, size, whole, rays, judge):  # type: ignore[no-untyped-def]
+def trust2_of(ray, size, whole, rays, judge):
     """Return the factor on a ray's squared error when its image has ``size`` where ``whole`` would be right.
 
     Too small: partly hidden. Too large: merged with a neighbour, whose share of the light moves the centroid.
@@ -244,7 +244,7 @@ def trust2_of(ray, size, whole, rays, judge):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def wholeness(ray, trust, rays):  # type: ignore[no-untyped-def]
+def wholeness(ray, trust, rays):
     """Return how whole an image is, by its trust: 1 of the right size, 0 half hidden."""
     if trust >= 1.0:
         return 1.0
@@ -253,7 +253,7 @@ def wholeness(ray, trust, rays):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def too_large(ray, camera, point, data):  # type: ignore[no-untyped-def]
+def too_large(ray, camera, point, data):
     """Whether an image shows two targets grown together."""
     rules = data.rules[0]
     if int(data.rays[ray, FLAGS]) & MERGED:
@@ -264,7 +264,7 @@ def too_large(ray, camera, point, data):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def half_hidden(members, point, diameter, data):  # type: ignore[no-untyped-def]
+def half_hidden(members, point, diameter, data):
     """Whether a member's image is so small that more than half of the target must be hidden."""
     rules = data.rules[0]
     if not rules.judge > 0.0:
@@ -278,7 +278,7 @@ def half_hidden(members, point, diameter, data):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def acceptable(hypothesis, count, error, diameter, data):  # type: ignore[no-untyped-def]
+def acceptable(hypothesis, count, error, diameter, data):
     """Whether a hypothesis is accepted: errors, volume, certainty; a pair only with images at least half visible."""
     rules, solved = data.rules[0], hypothesis.values
     if not 0.0 <= error <= limit(2 * count - 3, rules.gate_sigma if count == 2 else rules.outlier_sigma):
@@ -299,7 +299,7 @@ def acceptable(hypothesis, count, error, diameter, data):  # type: ignore[no-unt
 
 
 @bare_step
-def inside(point, rules):  # type: ignore[no-untyped-def]
+def inside(point, rules):
     """Whether a point lies in the volume."""
     return (
         rules.low_x <= point[0] <= rules.high_x
@@ -309,7 +309,7 @@ def inside(point, rules):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def limit(freedom, sigma):  # type: ignore[no-untyped-def]
+def limit(freedom, sigma):
     """Chi-square bound of ``sigma`` standard deviations (exact for one, else Wilson and Hilferty's cube)."""
     if freedom == 1:
         return sigma * sigma
@@ -318,7 +318,7 @@ def limit(freedom, sigma):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def store(hypothesis, error, diameter, rays, at, kept):  # type: ignore[no-untyped-def]
+def store(hypothesis, error, diameter, rays, at, kept):
     """Complete a hypothesis's values and keep it in row ``at``: values (n, VALUES), members (n, c), trusts (n, c).
 
     Gain: the likelihood of its images as one target against that of images by chance, but for the density of

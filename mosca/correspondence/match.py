@@ -95,7 +95,7 @@ def match_counted(
 
 
 @kernel
-def match_rays(rays, views, pairs, bases, start, rules, xyz, covariance):  # type: ignore[no-untyped-def]
+def match_rays(rays, views, pairs, bases, start, rules, xyz, covariance):
     """Return the columns of ``Points``, the number of hypotheses, and how many pairs are left open."""
     data = MatchData(rays, views, record_of(rules))
     kept, count = search(data, pairs, bases, start, xyz, covariance)

@@ -29,7 +29,7 @@ class RayIndex(NamedTuple):
 
 
 @inlined_step
-def nearest_ray(c, whole, index, solved, data):  # type: ignore[no-untyped-def]
+def nearest_ray(c, whole, index, solved, data):
     """Return the ray of camera c nearest to the hypothesis's point among those that the covariances admit (-1: none),
     its trust, the expected number of chance rays as near, and how many were admitted.
     """
@@ -101,14 +101,14 @@ def nearest_ray(c, whole, index, solved, data):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _cells_beside(c, axis, place, side, frame):  # type: ignore[no-untyped-def]
+def _cells_beside(c, axis, place, side, frame):
     """Return the first and last row or column of cells within ``place`` -+ ``side``."""
     corner, scale, count = frame[c, CORNER + axis], frame[c, SCALE + axis], frame[c, CELLS]
     return cell_of(place - side, corner, scale, count), cell_of(place + side, corner, scale, count)
 
 
 @bare_step
-def _side(c, axis, place, direction, w, own, solved, data):  # type: ignore[no-untyped-def]
+def _side(c, axis, place, direction, w, own, solved, data):
     """Return half the gate along one axis of the stereographic plane about the image ``place`` of a point.
 
     ``direction``: unit vector from the camera to the point; ``own``: variance of the rays themselves.

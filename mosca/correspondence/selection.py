@@ -38,7 +38,7 @@ OPEN, TAKEN, GONE = 0, 1, 2
 
 
 @step
-def choose(kept, data, xyz, covariance):  # type: ignore[no-untyped-def]
+def choose(kept, data, xyz, covariance):
     """Return the state (n,) of each hypothesis: OPEN (a pair that others contest), TAKEN or GONE.
 
     Changes hypotheses that lose rays in place. ``xyz`` (k, 3), ``covariance`` (k, 3, 3): predictions of the tracks.
@@ -81,7 +81,7 @@ def choose(kept, data, xyz, covariance):  # type: ignore[no-untyped-def]
 
 
 @step
-def _log_density(values, xyz):  # type: ignore[no-untyped-def]
+def _log_density(values, xyz):
     """Return the logarithm of the density of hypotheses [1/m^3] in the box that they and the tracks fill."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for k in range(3):
@@ -97,7 +97,7 @@ def _log_density(values, xyz):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _log_detection_shares(values, members, views):  # type: ignore[no-untyped-def]
+def _log_detection_shares(values, members, views):
     """Return the logarithms of the shares of cameras that miss, and that see, a target in their field of view.
 
     From the hypotheses of three rays and more of this frame set, as far as there are enough.
@@ -112,7 +112,7 @@ def _log_detection_shares(values, members, views):  # type: ignore[no-untyped-de
 
 
 @bare_step
-def _seen_and_missing(g, values, members, views):  # type: ignore[no-untyped-def]
+def _seen_and_missing(g, values, members, views):
     """Return how many cameras have a ray in a hypothesis, and how many have its point in view and none."""
     seen = count = 0
     for c in range(members.shape[1]):
@@ -130,7 +130,7 @@ def _seen_and_missing(g, values, members, views):  # type: ignore[no-untyped-def
 
 
 @bare_step
-def _best_track(values, xyz, covariance, assigned, gate, density, found, near):  # type: ignore[no-untyped-def]
+def _best_track(values, xyz, covariance, assigned, gate, density, found, near):
     """Return the track that best predicts a hypothesis, of the first ``near`` of ``found``, or -1, and its worth.
 
     The worth is the log-likelihood ratio of "this track's target" against "a hypothesis anywhere": small for a track
@@ -162,7 +162,7 @@ def _best_track(values, xyz, covariance, assigned, gate, density, found, near): 
 
 
 @bare_step
-def _take(g, kept, track, used, assigned, data):  # type: ignore[no-untyped-def]
+def _take(g, kept, track, used, assigned, data):
     """Take a hypothesis if its rays are unused; a pair only if a track, not yet assigned, predicts it.
 
     An image of two targets is used a second time if a track predicts that hypothesis.
@@ -189,7 +189,7 @@ def _take(g, kept, track, used, assigned, data):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _shrink(g, kept, used, hypothesis, data):  # type: ignore[no-untyped-def]
+def _shrink(g, kept, used, hypothesis, data):
     """Take the rays that are used from a hypothesis and solve it anew; False where no target is left."""
     values, members = kept.values, kept.members
     mates, ranks, solved = hypothesis
@@ -215,7 +215,7 @@ def _shrink(g, kept, used, hypothesis, data):  # type: ignore[no-untyped-def]
 
 
 @step
-def _take_uncontested(values, members, state, used):  # type: ignore[no-untyped-def]
+def _take_uncontested(values, members, state, used):
     """Take the hypotheses whose rays no other open one contests that meets about as well."""
     # for each ray the best hypothesis that has it, and the best of those with another set of rays
     first = np.full(used.shape[0], -1, dtype=np.int64)
@@ -242,7 +242,7 @@ def _take_uncontested(values, members, state, used):  # type: ignore[no-untyped-
 
 
 @bare_step
-def _contested(g, values, members, used, first, second):  # type: ignore[no-untyped-def]
+def _contested(g, values, members, used, first, second):
     """Whether a ray of a hypothesis is used, or another hypothesis that meets about as well has it."""
     for c in range(members.shape[1]):
         k = members[g, c]
@@ -254,7 +254,7 @@ def _contested(g, values, members, used, first, second):  # type: ignore[no-unty
 
 
 @bare_step
-def _same(g, other, members):  # type: ignore[no-untyped-def]
+def _same(g, other, members):
     """Whether two hypotheses have the same rays."""
     other_rays = 0
     for c in range(members.shape[1]):
@@ -263,7 +263,7 @@ def _same(g, other, members):  # type: ignore[no-untyped-def]
 
 
 @step
-def columns(kept, state, rays, start):  # type: ignore[no-untyped-def]
+def columns(kept, state, rays, start):
     """Return the columns of ``Points`` of the hypotheses that were taken."""
     values, members, trusts = kept
     n, cameras = 0, members.shape[1]

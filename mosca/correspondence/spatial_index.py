@@ -36,7 +36,7 @@ class Buckets(NamedTuple):
 
 
 @step
-def buckets(middle, half):  # type: ignore[no-untyped-def]
+def buckets(middle, half):
     """Put intervals ``middle`` -+ ``half`` (n,) into about n buckets; infinite ones are wide."""
     n = middle.shape[0]
     low, high = np.inf, -np.inf
@@ -69,13 +69,13 @@ def buckets(middle, half):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def bucket_of(value, low, step, n):  # type: ignore[no-untyped-def]
+def bucket_of(value, low, step, n):
     """Return the bucket of a value, the end ones for what lies beyond."""
     return int(min(max((value - low) / step, 0.0), n + 0.0))
 
 
 @bare_step
-def within(line, middle, half, found):  # type: ignore[no-untyped-def]
+def within(line, middle, half, found):
     """Fill ``found`` (n,) with the intervals that may meet ``middle`` -+ ``half``, each once; returns how many."""
     low, step, first_of, start, items, wide = line
     n, count = first_of.shape[0], 0
@@ -99,7 +99,7 @@ def within(line, middle, half, found):  # type: ignore[no-untyped-def]
 
 
 @step
-def cells(rays, views, start):  # type: ignore[no-untyped-def]
+def cells(rays, views, start):
     """Sort the rays (n, COLUMNS) of all cameras into cells of about one ray; rays without a direction into none.
 
     Returns each camera's frame (c, FRAME), and the cells: number k holds ``items[first[k]:first[k + 1]]``, whose
@@ -143,13 +143,13 @@ def cells(rays, views, start):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def cell_of(value, corner, scale, side):  # type: ignore[no-untyped-def]
+def cell_of(value, corner, scale, side):
     """Return the row or column of a place, the end ones for what lies beyond."""
     return int(min(max((value - corner) * scale, 0.0), side - 1.0))
 
 
 @bare_step
-def plane_angles(rays, chosen, across, angle, variance):  # type: ignore[no-untyped-def]
+def plane_angles(rays, chosen, across, angle, variance):
     """Fill the angle (n,) of the epipolar planes of the rays ``chosen`` (n,) and its variance (n,) [rad^2].
 
     ``across`` (2, 3): unit vectors across the base and each other; angles count from the first to the second.

@@ -48,7 +48,8 @@ class Wand:
     def distances(self) -> Array:
         """Return the distance (n, n) of each ball from each other [m]."""
         along = np.array(self.along_m)
-        return np.abs(along[:, None] - along)
+        result: Array = np.abs(along[:, None] - along)
+        return result
 
 
 @dataclass(frozen=True, eq=False)

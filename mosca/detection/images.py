@@ -35,10 +35,12 @@ def image_set(images: Sequence[Array]) -> ImageSet:
 @step
 def image_of(images: ImageSet, k: int) -> Array:
     """Return image k (H, W) as a non-owning view."""
-    return array_at(images.addresses[k], images.like, (images.height, images.width))
+    result: Array = array_at(images.addresses[k], images.like, (images.height, images.width))
+    return result
 
 
 @step
 def pixels_of(images: ImageSet, k: int) -> Array:
     """Return all pixels (H * W,) of image k, row by row, as a non-owning view."""
-    return array_at(images.addresses[k], images.like, (images.height * images.width,))
+    result: Array = array_at(images.addresses[k], images.like, (images.height * images.width,))
+    return result

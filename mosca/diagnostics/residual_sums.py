@@ -108,7 +108,7 @@ class _Fit(NamedTuple):
 
 
 @kernel
-def residual_sums(rays, points, errors, sampling):  # type: ignore[no-untyped-def]
+def residual_sums(rays, points, errors, sampling):
     """Return the ``ResidualSums`` of those of the points that have a speed."""
     n, c = points.members.shape
     sums = ResidualSums(
@@ -145,7 +145,7 @@ def residual_sums(rays, points, errors, sampling):  # type: ignore[no-untyped-de
 
 
 @bare_step
-def _speed(i, points, farthest_m, speed):  # type: ignore[no-untyped-def]
+def _speed(i, points, farthest_m, speed):
     """Fill the speed (3,) of point i since the set before; False where none is known."""
     there = _nearest(points.xyz[i], points.before, farthest_m)
     if there < 0 or _nearest(points.before[there], points.xyz, np.inf) != i:
@@ -156,7 +156,7 @@ def _speed(i, points, farthest_m, speed):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _nearest(point, others, within):  # type: ignore[no-untyped-def]
+def _nearest(point, others, within):
     """Return which of the others (m, 3) lies nearest to a point, -1 where none lies nearer than ``within``."""
     nearest, at = within * within, -1
     x, y, z = point[0], point[1], point[2]
@@ -168,7 +168,7 @@ def _nearest(point, others, within):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _adjusted(which, point, speed, rays, errors, fit):  # type: ignore[no-untyped-def]
+def _adjusted(which, point, speed, rays, errors, fit):
     """Fill ``fit`` with the images ``which`` (c,) of a point, as they are after it has moved to its best position.
 
     A ray gives the residual of its image to first order, as triangulation does: no point needs to be projected.
@@ -210,7 +210,7 @@ def _adjusted(which, point, speed, rays, errors, fit):  # type: ignore[no-untype
 
 
 @bare_step
-def _image(own, c, k, point, speed, rays, errors):  # type: ignore[no-untyped-def]
+def _image(own, c, k, point, speed, rays, errors):
     """Fill a row of the table with ray ``k`` of camera ``c``; False where the point lies behind the camera."""
     views, covariance = rays.views, rays.covariance
     x, y, z = point[0] - views[c, ORIGIN], point[1] - views[c, ORIGIN + 1], point[2] - views[c, ORIGIN + 2]
@@ -240,7 +240,7 @@ def _image(own, c, k, point, speed, rays, errors):  # type: ignore[no-untyped-de
 
 
 @bare_step
-def _weighted(own, row):  # type: ignore[no-untyped-def]
+def _weighted(own, row):
     """Return a column (3) of J'W: the pull on the point of a residual along one axis of the image."""
     v, w = own[WEIGHT + row], own[WEIGHT + 1 + row]
     return (
@@ -251,7 +251,7 @@ def _weighted(own, row):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _is_usual(fit):  # type: ignore[no-untyped-def]
+def _is_usual(fit):
     table = fit.table
     for c in range(fit.seen.shape[0]):
         if fit.seen[c]:
@@ -263,7 +263,7 @@ def _is_usual(fit):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _add_noise(fit, errors, sums):  # type: ignore[no-untyped-def]
+def _add_noise(fit, errors, sums):
     """Add a point's images to the regression of squared residuals on the variances of cameras and triggers."""
     last, normal, right = fit.seen.shape[0], sums.normal, sums.right
     for c in range(last):
@@ -296,7 +296,7 @@ def _add_noise(fit, errors, sums):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _add_clocks(fit, sums):  # type: ignore[no-untyped-def]
+def _add_clocks(fit, sums):
     """Add a point's residuals along its motion to the normal equations of the cameras' delays."""
     seen, inverse, toward = fit.seen, fit.inverse, fit.toward
     cameras, clock = seen.shape[0], sums.clock
@@ -325,7 +325,7 @@ def _add_clocks(fit, sums):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _adopt(which, point, rays, taken, reach_px):  # type: ignore[no-untyped-def]
+def _adopt(which, point, rays, taken, reach_px):
     """Give a point without an image in a camera the free ray nearest to it within reach; True where any was."""
     adopted = False
     for c in range(which.shape[0]):

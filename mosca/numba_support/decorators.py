@@ -10,20 +10,33 @@ images to tracks took 1.10 times as long, of that detection 1.14 times and match
 must not take an array from a step that allocates one. Numba refuses the first; ``tests/test_compiled.py`` the others.
 """
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Protocol, overload
 
 import numba
 
 from mosca.numba_support.cache import kept
 
 FastMath = bool | set[str]
+Compiled = Callable[..., Any]
+"""What a decorator makes, to a type checker: Numba infers the types itself, call by call."""
+
+
+class Decorator(Protocol):
+    """``@kernel`` or ``@kernel(fastmath=...)``."""
+
+    @overload
+    def __call__(self, function: Callable[..., Any], /) -> Compiled: ...
+    @overload
+    def __call__(self, *, fastmath: FastMath) -> Callable[[Callable[..., Any]], Compiled]: ...
+
 
 _COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 _ONLY_COMPILED: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """Without the wrappers that Python would need, which take a tenth of the time to compile."""
 
 
-def _decorator(cached: bool, **options: Any) -> Any:
+def _decorator(cached: bool, **options: Any) -> Decorator:
     def decorate(function: Any = None, *, fastmath: FastMath = False) -> Any:
         if function is None:
             return lambda f: decorate(f, fastmath=fastmath)

@@ -102,7 +102,8 @@ def determinant3(a: Symmetric3, cofactors: Symmetric3) -> float:
 def inverse3(a: Symmetric3) -> Symmetric3:
     """Return the inverse; infinities or NaN for a singular matrix."""
     cofactors = cofactors3(a)
-    return divided3(cofactors, determinant3(a, cofactors))
+    result: Symmetric3 = divided3(cofactors, determinant3(a, cofactors))
+    return result
 
 
 @inlined_step

@@ -64,7 +64,7 @@ class _Best(NamedTuple):
 
 
 @kernel
-def claim(place, pose, points, gate2, rows):  # type: ignore[no-untyped-def]
+def claim(place, pose, points, gate2, rows):
     """Give each marker the free point nearest to where it should be; fills rows (m,), -1 for none.
 
     ``gate2`` (n,) square of how far each point may lie [m^2]. A point wanted by two goes to the nearer. Markers
@@ -103,7 +103,7 @@ def claim(place, pose, points, gate2, rows):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def find(place, triples, points, rules, rows, score):  # type: ignore[no-untyped-def]
+def find(place, triples, points, rules, rows, score):
     """Look for a constellation; fills rows (2, m) and score (2, 2) of the two best poses that are not the same.
 
     ``place`` (m, 3); ``triples`` (t, 3) of its markers. ``score``: markers found (0 for no pose), chi-square.
@@ -164,7 +164,7 @@ def find(place, triples, points, rules, rows, score):  # type: ignore[no-untyped
 
 
 @step
-def _verify(place, points, gate2, rules, pose, best):  # type: ignore[no-untyped-def]
+def _verify(place, points, gate2, rules, pose, best):
     """Claim points for all markers, fit them, and rank the pose among the two best."""
     m = place.shape[0]
     mine = np.full(m, -1)
@@ -203,7 +203,7 @@ def _verify(place, points, gate2, rules, pose, best):  # type: ignore[no-untyped
 
 
 @step
-def _rank(here, mine, count, total, apart, best):  # type: ignore[no-untyped-def]
+def _rank(here, mine, count, total, apart, best):
     """Keep the two best poses that are not the same, the better one first."""
     score = best.score
     for s in range(2):
@@ -223,12 +223,12 @@ def _rank(here, mine, count, total, apart, best):  # type: ignore[no-untyped-def
 
 
 @step
-def _second_from_first(best):  # type: ignore[no-untyped-def]
+def _second_from_first(best):
     _keep(1, best.positions[0], best.rows[0], best.score[0, 0], best.score[0, 1], best)
 
 
 @step
-def _keep(s, here, mine, count, total, best):  # type: ignore[no-untyped-def]
+def _keep(s, here, mine, count, total, best):
     best.score[s, 0], best.score[s, 1] = count, total
     for i in range(len(mine)):
         best.rows[s, i] = mine[i]
@@ -237,12 +237,12 @@ def _keep(s, here, mine, count, total, best):  # type: ignore[no-untyped-def]
 
 
 @step
-def _better(count, total, than):  # type: ignore[no-untyped-def]
+def _better(count, total, than):
     return count > than[0] or (count == than[0] and total < than[1])
 
 
 @step
-def _farthest(here, there):  # type: ignore[no-untyped-def]
+def _farthest(here, there):
     far = 0.0
     for i in range(here.shape[0]):
         far = max(far, _apart(here[i], there[i]))
@@ -250,12 +250,12 @@ def _farthest(here, there):  # type: ignore[no-untyped-def]
 
 
 @step
-def _apart(p, q):  # type: ignore[no-untyped-def]
+def _apart(p, q):
     return math.sqrt((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2)
 
 
 @step
-def _triad(corner, three, pose):  # type: ignore[no-untyped-def]
+def _triad(corner, three, pose):
     """Pose that lays a triangle on another: their first edges and planes agree; False for triangles that are flat."""
     rotation, translation = pose.rotation, pose.translation
     one, two = np.empty((3, 3)), np.empty((3, 3))
@@ -275,7 +275,7 @@ def _triad(corner, three, pose):  # type: ignore[no-untyped-def]
 
 
 @step
-def _axes(points, axes):  # type: ignore[no-untyped-def]
+def _axes(points, axes):
     """Fill the columns of axes (3, 3): the first edge, the plane's other direction, its normal."""
     x0, x1, x2 = points[1, 0] - points[0, 0], points[1, 1] - points[0, 1], points[1, 2] - points[0, 2]
     y0, y1, y2 = points[2, 0] - points[0, 0], points[2, 1] - points[0, 1], points[2, 2] - points[0, 2]
@@ -293,7 +293,7 @@ def _axes(points, axes):  # type: ignore[no-untyped-def]
 
 
 @step
-def _moved(pose, place, out):  # type: ignore[no-untyped-def]
+def _moved(pose, place, out):
     rotation, translation = pose.rotation, pose.translation
     for a in range(3):
         out[a] = rotation[a, 0] * place[0] + rotation[a, 1] * place[1] + rotation[a, 2] * place[2] + translation[a]

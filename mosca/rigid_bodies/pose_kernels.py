@@ -24,7 +24,7 @@ ANNIHILATED = 1e-30
 
 
 @kernel
-def fit_pose(place, xyz, covariance, sigma2, rotation, translation, spread, chi2):  # type: ignore[no-untyped-def]
+def fit_pose(place, xyz, covariance, sigma2, rotation, translation, spread, chi2):
     """Fit x_world = R place + t to points; fills R (3, 3), t (3,), covariance (6, 6) and chi2 (k,) of each point.
 
     ``place`` (k, 3) in the body's frame, ``xyz`` (k, 3) with ``covariance`` (k, 3, 3), ``sigma2`` [m^2] variance of
@@ -65,7 +65,7 @@ def fit_pose(place, xyz, covariance, sigma2, rotation, translation, spread, chi2
 
 
 @step
-def _normals(place, xyz, weight, rotation, translation, normal, right, lever, chi2):  # type: ignore[no-untyped-def]
+def _normals(place, xyz, weight, rotation, translation, normal, right, lever, chi2):
     """Fill J'WJ and J'Wr of all points at a pose; returns r'Wr."""
     normal[:], right[:] = 0.0, 0.0
     r, wr, jac, wj = np.empty(3), np.empty(3), np.zeros((3, 6)), np.empty((3, 6))
@@ -94,7 +94,7 @@ def _normals(place, xyz, weight, rotation, translation, normal, right, lever, ch
 
 
 @step
-def _horn(place, xyz, weight, rotation, translation):  # type: ignore[no-untyped-def]
+def _horn(place, xyz, weight, rotation, translation):
     """Closed-form pose with one weight a point: the eigenvector of the largest eigenvalue (Horn 1987, eq. 4)."""
     k = place.shape[0]
     p, q = np.zeros(3), np.zeros(3)
@@ -133,7 +133,7 @@ def _horn(place, xyz, weight, rotation, translation):  # type: ignore[no-untyped
 
 
 @step
-def _largest(n, vector):  # type: ignore[no-untyped-def]
+def _largest(n, vector):
     """Fill the unit eigenvector (4,) of the largest eigenvalue of n (4, 4): cyclic Jacobi rotations, n is used up."""
     vectors = np.eye(4)
     for _sweep in range(JACOBI_SWEEPS):
@@ -166,7 +166,7 @@ def _largest(n, vector):  # type: ignore[no-untyped-def]
 
 
 @step
-def _matrix(w, x, y, z, rotation):  # type: ignore[no-untyped-def]
+def _matrix(w, x, y, z, rotation):
     rotation[0, 0], rotation[0, 1], rotation[0, 2] = (
         1 - 2 * (y * y + z * z),
         2 * (x * y - w * z),
@@ -185,7 +185,7 @@ def _matrix(w, x, y, z, rotation):  # type: ignore[no-untyped-def]
 
 
 @step
-def _rotate_by(rotation, u, v, w):  # type: ignore[no-untyped-def]
+def _rotate_by(rotation, u, v, w):
     """R <- exp([(u, v, w)]) R."""
     angle = math.sqrt(u * u + v * v + w * w)
     half = math.sin(angle / 2) / angle if angle > 1e-12 else 0.5
@@ -198,7 +198,7 @@ def _rotate_by(rotation, u, v, w):  # type: ignore[no-untyped-def]
 
 
 @step
-def _cholesky(n):  # type: ignore[no-untyped-def]
+def _cholesky(n):
     """Factor the lower triangle of n (6, 6) in place; False where a pivot has all but vanished."""
     for j in range(6):
         own = n[j, j]
@@ -217,7 +217,7 @@ def _cholesky(n):  # type: ignore[no-untyped-def]
 
 
 @step
-def _solve(factor, b):  # type: ignore[no-untyped-def]
+def _solve(factor, b):
     for i in range(6):
         for k in range(i):
             b[i] -= factor[i, k] * b[k]

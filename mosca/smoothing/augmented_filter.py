@@ -70,7 +70,7 @@ class Prior(NamedTuple):
 
 
 @kernel
-def update(measured, prior, filters):  # type: ignore[no-untyped-def]
+def update(measured, prior, filters):
     """Update the filters with n measurements, and keep each position among the earlier ones."""
     scratch, inverse, innovation = Scratch(np.empty((9, 3)), np.empty((3, 9))), np.empty((3, 3)), np.empty(3)
     for n in range(measured.slots.shape[0]):
@@ -91,7 +91,7 @@ def update(measured, prior, filters):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def release(upto, frame, filters, released, xyz, own):  # type: ignore[no-untyped-def]
+def release(upto, frame, filters, released, xyz, own):
     """Take the earlier positions of frames up to ``upto`` out of all slots; return how many there were.
 
     ``frame`` (s, w) of each position. Fills ``xyz`` (m, 3) and ``own`` (m, 3, 3), slot by slot, and ``released`` (s,)
@@ -122,7 +122,7 @@ def release(upto, frame, filters, released, xyz, own):  # type: ignore[no-untype
 
 
 @step
-def _begin(measured, n, prior, filters, s):  # type: ignore[no-untyped-def]
+def _begin(measured, n, prior, filters, s):
     """Begin the filters of slot ``s`` with its first measurement."""
     for r in range(prior.ladder.shape[0]):
         filters.cost[s, r] = prior.start[r]
@@ -149,7 +149,7 @@ def _begin(measured, n, prior, filters, s):  # type: ignore[no-untyped-def]
 
 
 @step
-def _likeliest(measured, n, prior, filters, s):  # type: ignore[no-untyped-def]
+def _likeliest(measured, n, prior, filters, s):
     """Return the variance of acceleration for slot ``s``: the fixed one, or the likeliest with measurement ``n``."""
     if prior.fixed >= 0.0:
         return prior.fixed
@@ -164,7 +164,7 @@ def _likeliest(measured, n, prior, filters, s):  # type: ignore[no-untyped-def]
 
 
 @step
-def _update_one(measured, n, variance, filters, s, scratch, inverse, innovation):  # type: ignore[no-untyped-def]
+def _update_one(measured, n, variance, filters, s, scratch, inverse, innovation):
     """Predict the state and the earlier positions of slot ``s`` and update them all with measurement ``n``.
 
     ``inverse`` (3, 3), ``innovation`` (3,): working memory.
@@ -201,7 +201,7 @@ def _update_one(measured, n, variance, filters, s, scratch, inverse, innovation)
 
 
 @step
-def _update_axis(x, p, z, variance, f, q, strength):  # type: ignore[no-untyped-def]
+def _update_axis(x, p, z, variance, f, q, strength):
     """Predict and update one axis' filter in place; returns -2 log-likelihood of the measurement."""
     x[0] += f[0, 1] * x[1] + f[0, 2] * x[2]
     x[1] += f[1, 2] * x[2]

@@ -119,7 +119,8 @@ def _factor(squares: Array, shares: Array, length: int) -> float:
     own = float(shares.mean())
     # to take the measurements' share off where it is most of it would be guessing: narrower by the whole, never more
     factor = whole if whole < 1.0 else (whole - (1.0 - own)) / own
-    return factor if len(squares) >= ENOUGH * length else max(1.0, factor)
+    result: float = factor if len(squares) >= ENOUGH * length else max(1.0, factor)
+    return result
 
 
 def _longest(measured: Array) -> int:

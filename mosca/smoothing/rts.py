@@ -137,7 +137,7 @@ class _Filtered(NamedTuple):
 
 
 @kernel
-def smooth_one(xyz, covariance, measured, move, noise, speed2, variance):  # type: ignore[no-untyped-def]
+def smooth_one(xyz, covariance, measured, move, noise, speed2, variance):
     """Smooth one trajectory of t instants.
 
     ``xyz`` (t, 3), ``covariance`` (t, 3, 3) count where ``measured`` (t,); the first instant must be. ``move``,
@@ -156,7 +156,7 @@ def smooth_one(xyz, covariance, measured, move, noise, speed2, variance):  # typ
 
 
 @step
-def _forward(xyz, covariance, measured, move, noise, speed2, variance, filtered):  # type: ignore[no-untyped-def]
+def _forward(xyz, covariance, measured, move, noise, speed2, variance, filtered):
     """Kalman filter; fills ``filtered`` and returns -2 log-likelihood and mean normalised innovation squared."""
     x, p, scratch = np.zeros(9), np.zeros((9, 9)), Scratch(np.empty((9, 3)), np.empty((3, 9)))
     for a in range(3):
@@ -191,7 +191,7 @@ def _forward(xyz, covariance, measured, move, noise, speed2, variance, filtered)
 
 
 @step
-def _backward(measured, move, filtered, position, spread):  # type: ignore[no-untyped-def]
+def _backward(measured, move, filtered, position, spread):
     """Bryson and Frazier's recursion; fills positions (t, 3) and covariances (t, 3, 3)."""
     # lead, weight: adjoint of what is measured later, at the corrected state
     lead, weight, left, work = np.zeros(9), np.zeros((9, 9)), np.empty((9, 9)), np.empty((9, 9))
@@ -231,7 +231,7 @@ def _backward(measured, move, filtered, position, spread):  # type: ignore[no-un
 
 
 @step
-def add_process_noise(p, noise, variance):  # type: ignore[no-untyped-def]
+def add_process_noise(p, noise, variance):
     """Add to a covariance (9, 9) one axis' noise (3, 3) for an acceleration of ``variance``."""
     for i in range(3):
         for j in range(3):
@@ -240,7 +240,7 @@ def add_process_noise(p, noise, variance):  # type: ignore[no-untyped-def]
 
 
 @step
-def innovation_inverse(p, covariance, inverse):  # type: ignore[no-untyped-def]
+def innovation_inverse(p, covariance, inverse):
     """Fill the inverse (3, 3) of a position's innovation covariance; returns its determinant."""
     s = sum3(symmetric3(p), symmetric3(covariance))
     cofactors = cofactors3(s)
@@ -250,14 +250,14 @@ def innovation_inverse(p, covariance, inverse):  # type: ignore[no-untyped-def]
 
 
 @step
-def _copy(p, kept, k):  # type: ignore[no-untyped-def]
+def _copy(p, kept, k):
     for i in range(9):
         for j in range(9):
             kept[k, i, j] = p[i, j]
 
 
 @step
-def _adjoint(left, lead, weight, work):  # type: ignore[no-untyped-def]
+def _adjoint(left, lead, weight, work):
     """Carry ``lead`` (9,) and ``weight`` (9, 9) back over an update: left' lead and left' weight left."""
     for i in range(9):
         for j in range(9):
@@ -278,7 +278,7 @@ def _adjoint(left, lead, weight, work):  # type: ignore[no-untyped-def]
 
 
 @step
-def predict_state(x, f):  # type: ignore[no-untyped-def]
+def predict_state(x, f):
     """Multiply position, velocity and acceleration of three axes (9,) by one axis' transition (3, 3), in place."""
     for a in range(3):
         u, v, w = x[a], x[3 + a], x[6 + a]
@@ -287,7 +287,7 @@ def predict_state(x, f):  # type: ignore[no-untyped-def]
 
 
 @step
-def predict_covariance(p, f):  # type: ignore[no-untyped-def]
+def predict_covariance(p, f):
     """Multiply the symmetric covariance (9, 9) of such a state by it from both sides, in place."""
     for _ in range(2):
         for i in range(9):
@@ -301,7 +301,7 @@ def predict_covariance(p, f):  # type: ignore[no-untyped-def]
 
 
 @step
-def update_state(x, p, innovation, inverse, scratch):  # type: ignore[no-untyped-def]
+def update_state(x, p, innovation, inverse, scratch):
     """Kalman update of a state (9,) and its covariance (9, 9) in place by the innovation (3,) of a position.
 
     ``inverse`` (3, 3) of the innovation's covariance. ``scratch``: filled with the covariance's first rows before the

@@ -16,7 +16,7 @@ FORBIDDEN = 1e12
 
 
 @kernel
-def best_pairs(left, right, score, n_left, n_right):  # type: ignore[no-untyped-def]
+def best_pairs(left, right, score, n_left, n_right):
     """Return for each right (n_right,) its left, or -1: one to one, with the greatest sum of ``score`` > 0.
 
     Pair k: ``left[k]``, ``right[k]``, ``score[k]``.
@@ -47,7 +47,7 @@ def best_pairs(left, right, score, n_left, n_right):  # type: ignore[no-untyped-
 
 
 @step
-def _solve(pairs, left, right, score, row_of_left, column_of_right, partner):  # type: ignore[no-untyped-def]
+def _solve(pairs, left, right, score, row_of_left, column_of_right, partner):
     """Solve one component; rows are its lefts, columns its rights and for each row one that stands for none."""
     lefts, rights = np.empty(pairs.shape[0], np.int64), np.empty(pairs.shape[0], np.int64)
     n = m = 0
@@ -70,7 +70,7 @@ def _solve(pairs, left, right, score, row_of_left, column_of_right, partner):  #
 
 
 @step
-def _augment(cost):  # type: ignore[no-untyped-def]
+def _augment(cost):
     """Return the row of each column (-1: none) of the assignment of all rows with the least cost."""
     n, m = cost.shape
     u, v = np.zeros(n + 1), np.zeros(m + 1)

@@ -31,7 +31,7 @@ class Gate(NamedTuple):
 
 
 @step
-def gated_pairs(bank, neighbours, points, used, state, rules, time_s):  # type: ignore[no-untyped-def]
+def gated_pairs(bank, neighbours, points, used, state, rules, time_s):
     """Return the pairs of tracks in ``state`` and unused points within the gates: slots, rows and scores (k,).
 
     Score: log-likelihood ratio (times 2) of "this track's point" against "a new target's", new targets being as
@@ -77,7 +77,7 @@ def gated_pairs(bank, neighbours, points, used, state, rules, time_s):  # type: 
 
 
 @bare_step
-def _widest_axis(xyz):  # type: ignore[no-untyped-def]
+def _widest_axis(xyz):
     """Return the axis along which the points (m, 3) spread farthest."""
     axis, widest = 0, -1.0
     for a in range(3):
@@ -90,7 +90,7 @@ def _widest_axis(xyz):  # type: ignore[no-untyped-def]
 
 
 @inlined_step
-def _score(bank, neighbours, i, points, r, gate, rules, time_s):  # type: ignore[no-untyped-def]
+def _score(bank, neighbours, i, points, r, gate, rules, time_s):
     """Return the score of track ``i`` with point ``r``, 0 or below where it lies outside a gate."""
     x = points.xyz[r, 0] - bank.predicted[i, 0]
     y = points.xyz[r, 1] - bank.predicted[i, 1]
@@ -129,7 +129,7 @@ def _score(bank, neighbours, i, points, r, gate, rules, time_s):  # type: ignore
 
 
 @step
-def _longer(slots, rows, scores):  # type: ignore[no-untyped-def]
+def _longer(slots, rows, scores):
     """Return the columns of the pairs with twice the capacity."""
     n = slots.shape[0]
     more = np.empty(2 * n, np.int64), np.empty(2 * n, np.int64), np.empty(2 * n)

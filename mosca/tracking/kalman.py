@@ -32,7 +32,7 @@ TENTATIVE_MISSES = 2
 
 
 @bare_step
-def predict(bank, motion, time_s, coast_s, remember_s):  # type: ignore[no-untyped-def]
+def predict(bank, motion, time_s, coast_s, remember_s):
     """Predict all tracks one step ahead; one not seen for ``coast_s`` has no prediction by its own motion."""
     for i in range(bank.counters[SLOTS_USED]):
         if bank.state[i] == FREE:
@@ -51,7 +51,7 @@ def predict(bank, motion, time_s, coast_s, remember_s):  # type: ignore[no-untyp
 
 
 @step
-def predictions(bank):  # type: ignore[no-untyped-def]
+def predictions(bank):
     """Return predicted positions (k, 3) and covariances (k, 3, 3) of the confirmed tracks that have them."""
     top = bank.counters[SLOTS_USED]
     xyz, covariance = np.empty((top, 3)), np.empty((top, 3, 3))
@@ -67,7 +67,7 @@ def predictions(bank):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def update(bank, slot_of, points, jitter_s, time_s, rules, scratch):  # type: ignore[no-untyped-def]
+def update(bank, slot_of, points, jitter_s, time_s, rules, scratch):
     """Update each track with its point; a point without one begins a new track.
 
     ``slot_of`` (m,): slot of each point's track, -1 for none, and then filled in. ``points``: ``Measurements`` (m);
@@ -105,7 +105,7 @@ def update(bank, slot_of, points, jitter_s, time_s, rules, scratch):  # type: ig
 
 
 @inlined_step
-def _update_track(bank, i, xyz, covariance, rules, scratch):  # type: ignore[no-untyped-def]
+def _update_track(bank, i, xyz, covariance, rules, scratch):
     """Update a track with its point and adapt its variance of acceleration."""
     if bank.source[i] == BY_NEIGHBOURS:
         _restart(bank, i, xyz, covariance, rules.speed_mps)
@@ -122,7 +122,7 @@ def _update_track(bank, i, xyz, covariance, rules, scratch):  # type: ignore[no-
 
 
 @bare_step
-def _delete(bank, i):  # type: ignore[no-untyped-def]
+def _delete(bank, i):
     bank.state[i] = FREE
     bank.serial[i] = -1
     bank.identity[i] = -1
@@ -130,7 +130,7 @@ def _delete(bank, i):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _begin(bank, xyz, covariance, rules):  # type: ignore[no-untyped-def]
+def _begin(bank, xyz, covariance, rules):
     """Initiate a track at a point; its velocity is 0 +- ``rules.speed_mps``. Returns its slot."""
     i = 0
     while i < bank.counters[SLOTS_USED] and bank.state[i] != FREE:
@@ -149,7 +149,7 @@ def _begin(bank, xyz, covariance, rules):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _restart(bank, i, xyz, covariance, speed):  # type: ignore[no-untyped-def]
+def _restart(bank, i, xyz, covariance, speed):
     """Restart a filter at a point; its velocity, now +- ``speed``, stays the best estimate."""
     for a in range(9):
         for b in range(9):
@@ -164,7 +164,7 @@ def _restart(bank, i, xyz, covariance, speed):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _inflate(covariance, factor, size):  # type: ignore[no-untyped-def]
+def _inflate(covariance, factor, size):
     """Inflate the covariance of velocity and acceleration; that of the measured position stays."""
     root = np.sqrt(factor)
     for a in range(size):
@@ -173,7 +173,7 @@ def _inflate(covariance, factor, size):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _predict_one(mean, covariance, m, variance):  # type: ignore[no-untyped-def]
+def _predict_one(mean, covariance, m, variance):
     """One step of a filter: F x, F P F' + Q; the same 3 x 3 kinematics for each pair of axes."""
     for a in range(3):
         mean[a] += m.pv * mean[3 + a] + m.pa * mean[6 + a]
@@ -206,7 +206,7 @@ def _predict_one(mean, covariance, m, variance):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _update_one(mean, covariance, xyz, noise, size, scratch):  # type: ignore[no-untyped-def]
+def _update_one(mean, covariance, xyz, noise, size, scratch):
     """Kalman update by a measured position; returns the normalised innovation squared (3 degrees of freedom)."""
     gain, top = scratch.gain, scratch.rows
     weight = inverse3(sum3(symmetric3(covariance), symmetric3(noise)))

@@ -44,7 +44,7 @@ SECOND_BEHIND = 3.0
 
 
 @kernel
-def learn_distances(bank, neighbours, step_s, reach_m):  # type: ignore[no-untyped-def]
+def learn_distances(bank, neighbours, step_s, reach_m):
     """Update the distances of all tracks just seen and keep the positions; search for better neighbours at times.
 
     ``reach_m``: how far a neighbour may be.
@@ -94,7 +94,7 @@ def _learn_one(neighbours: Neighbours, i: int, k: int, measured: float, update_s
 
 
 @step
-def predict_hidden(bank, neighbours, time_s, step_s, widest_m):  # type: ignore[no-untyped-def]
+def predict_hidden(bank, neighbours, time_s, step_s, widest_m):
     """Set the prediction of each hidden track to that of its neighbours, where that is more certain.
 
     Predictions whose standard deviation exceeds ``widest_m`` [m, of the 3D distance] are not used.
@@ -117,7 +117,7 @@ def predict_hidden(bank, neighbours, time_s, step_s, widest_m):  # type: ignore[
 
 
 @short_kernel
-def reidentified(bank, neighbours, i, time_s, least, range_m, speed_mps):  # type: ignore[no-untyped-def]
+def reidentified(bank, neighbours, i, time_s, least, range_m, speed_mps):
     """Return the lost track whose distances the unnamed slot ``i`` fits, and whether it may be any lost track.
 
     The former is -1 where none is convincing: ``least`` is the log-likelihood ratio required. It may be any whose
@@ -141,7 +141,7 @@ def reidentified(bank, neighbours, i, time_s, least, range_m, speed_mps):  # typ
 
 
 @short_kernel
-def reacquired_nearby(bank, i, time_s, near_m):  # type: ignore[no-untyped-def]
+def reacquired_nearby(bank, i, time_s, near_m):
     """Return the track reacquired at this instant where the unnamed slot ``i`` is predicted, or -1.
 
     Only one that was lost before ``i`` began: then ``i`` was the same target all the time.
@@ -155,7 +155,7 @@ def reacquired_nearby(bank, i, time_s, near_m):  # type: ignore[no-untyped-def]
 
 
 @short_kernel
-def take_over(bank, old, new):  # type: ignore[no-untyped-def]
+def take_over(bank, old, new):
     """Continue slot ``old`` with the filter of slot ``new``, which becomes free."""
     for a in range(9):
         bank.mean[old, a] = bank.mean[new, a]
@@ -167,7 +167,7 @@ def take_over(bank, old, new):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def distance_evidence(bank, neighbours, i, point, noise, hidden_s, range_m):  # type: ignore[no-untyped-def]
+def distance_evidence(bank, neighbours, i, point, noise, hidden_s, range_m):
     """Log-likelihood ratio that ``point`` (3,) is track ``i``, by its distances to the neighbours seen now.
 
     ``noise`` (3, 3): covariance of the point; ``hidden_s``: since the track was last seen; ``range_m``: other
@@ -206,7 +206,7 @@ def _has_distances(neighbours: Neighbours, i: int) -> bool:
 
 
 @bare_step
-def _search(bank, neighbours, i, reach_m, round_number):  # type: ignore[no-untyped-def]
+def _search(bank, neighbours, i, reach_m, round_number):
     """Fill empty entries with the nearest other tracks, and exchange the worst for the nearest new ones."""
     empty = neighbours.slot[i, 0] < 0
     for k in range(NEIGHBOURS):
@@ -234,7 +234,7 @@ def _search(bank, neighbours, i, reach_m, round_number):  # type: ignore[no-unty
 
 
 @bare_step
-def _nearest_other(bank, neighbours, i, reach_m, every, round_number):  # type: ignore[no-untyped-def]
+def _nearest_other(bank, neighbours, i, reach_m, every, round_number):
     """Return the nearest track within reach that is no neighbour of ``i`` yet, or -1, and its squared distance.
 
     Unless ``every``, a third of the tracks at a time, so that a neighbour that was dropped does not return at once.
@@ -260,9 +260,10 @@ def _nearest_other(bank, neighbours, i, reach_m, every, round_number):  # type: 
 def _track_distance(bank: Bank, i: int, j: int) -> float:
     x, y, z = bank.mean[i, 0], bank.mean[i, 1], bank.mean[i, 2]
     u, v, w = bank.mean[j, 0], bank.mean[j, 1], bank.mean[j, 2]
-    return np.sqrt((x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2)
+    result: float = np.sqrt((x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2)
+    return result
 
 
 @bare_step
-def _distance(a, b):  # type: ignore[no-untyped-def]
+def _distance(a, b):
     return np.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)

@@ -25,7 +25,8 @@ ITERATIONS = 3
 def observed_now(bank: Bank, neighbours: Neighbours, i: int, k: int) -> bool:
     """Whether the neighbour ``k`` of track ``i`` has a measurement at this instant."""
     j = neighbours.slot[i, k]
-    return j >= 0 and bank.serial[j] == neighbours.serial[i, k] and bank.missed[j] == 0
+    result: bool = j >= 0 and bank.serial[j] == neighbours.serial[i, k] and bank.missed[j] == 0
+    return result
 
 
 @bare_step
@@ -36,7 +37,7 @@ def distance_variance(distance: float, variance: float, observed_s: float) -> fl
 
 
 @step
-def carried_along(bank, neighbours, i, hidden_s, step_s, xyz, covariance):  # type: ignore[no-untyped-def]
+def carried_along(bank, neighbours, i, hidden_s, step_s, xyz, covariance):
     """Predict track ``i`` from the rigid motion of its neighbours since it was last seen, ``hidden_s`` ago.
 
     Fills ``xyz`` (3,) and ``covariance`` (3, 3): of the segment's translation, of its rotation times the lever arm,
@@ -67,7 +68,10 @@ def carried_along(bank, neighbours, i, hidden_s, step_s, xyz, covariance):  # ty
 
 @bare_step
 def _weight(neighbours: Neighbours, i: int, k: int) -> float:
-    return 1.0 / distance_variance(neighbours.distance[i, k], neighbours.variance[i, k], neighbours.observed_s[i, k])
+    result: float = 1.0 / distance_variance(
+        neighbours.distance[i, k], neighbours.variance[i, k], neighbours.observed_s[i, k]
+    )
+    return result
 
 
 @bare_step
@@ -119,7 +123,7 @@ def _normal_equations(
 
 
 @bare_step
-def _fill_covariance(spin, lever, position_variance, inflation, covariance):  # type: ignore[no-untyped-def]
+def _fill_covariance(spin, lever, position_variance, inflation, covariance):
     """Fill [lever]x spin [lever]x' + position variance, inflated: a rotation moves the marker by it x the lever."""
     for a in range(3):
         # rows of the lever's cross-product matrix
@@ -132,7 +136,7 @@ def _fill_covariance(spin, lever, position_variance, inflation, covariance):  # 
 
 
 @bare_step
-def _rotated(rotation, point, centre):  # type: ignore[no-untyped-def]
+def _rotated(rotation, point, centre):
     x, y, z = point[0] - centre[0], point[1] - centre[1], point[2] - centre[2]
     return (
         rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z,

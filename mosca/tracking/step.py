@@ -15,7 +15,7 @@ from mosca.tracking.state import CONFIRMED, SLOTS_USED, TENTATIVE, Measurements,
 
 
 @kernel
-def predict_tracks(bank, neighbours, motion, time_s, step_s, rules):  # type: ignore[no-untyped-def]
+def predict_tracks(bank, neighbours, motion, time_s, step_s, rules):
     """Predict all tracks ``step_s`` ahead, to ``time_s``.
 
     Returns positions (k, 3) and covariances (k, 3, 3) of the confirmed tracks that have a prediction.
@@ -27,7 +27,7 @@ def predict_tracks(bank, neighbours, motion, time_s, step_s, rules):  # type: ig
 
 
 @kernel
-def update_tracks(bank, neighbours, points, jitter_s, time_s, step_s, rules):  # type: ignore[no-untyped-def]
+def update_tracks(bank, neighbours, points, jitter_s, time_s, step_s, rules):
     """Assign the points to the tracks, update these and begin new ones; learn distances unless names are open.
 
     ``points``: ``Measurements`` (m) as they are where nothing moves; ``jitter_s``: standard deviation of each
@@ -49,7 +49,7 @@ def update_tracks(bank, neighbours, points, jitter_s, time_s, step_s, rules):  #
 
 
 @step
-def _assigned(bank, neighbours, points, time_s, rules):  # type: ignore[no-untyped-def]
+def _assigned(bank, neighbours, points, time_s, rules):
     """Return the slot of each point's track (m,), or -1; confirmed tracks are assigned first."""
     left = points.xyz.shape[0]
     slot_of = np.full(left, -1, np.int64)

@@ -27,7 +27,7 @@ TRUST, SHARE, DEPTH, RANKS = 0, 1, 2, 3
 
 
 @bare_step
-def solve_rays(members, ranks, rays, views, steps, solved):  # type: ignore[no-untyped-def]
+def solve_rays(members, ranks, rays, views, steps, solved):
     """Intersect the rays ``members`` (c,), one of each camera or -1.
 
     ``ranks`` (c, RANKS): TRUST, a factor on each ray's whitened error, 1 or less; DEPTH of the point along each ray,
@@ -111,7 +111,7 @@ def triangulate(rig: Rig, xy_px: Any, sigma_px: float = 1.0) -> tuple[Array, Arr
 
 
 @kernel
-def _solve_rows(rows, rays, views):  # type: ignore[no-untyped-def]
+def _solve_rows(rows, rays, views):
     """Intersect the rays (n, c), -1 for none, of each row; NaN where fewer than two meet."""
     n, cameras = rows.shape
     solved, total, counts = np.full((n, 12), np.nan), np.full(n, np.nan), np.zeros(n, dtype=np.int64)

@@ -130,7 +130,8 @@ def grid_ns(found: Reconstructed, rate_hz: float) -> Array:
     """Return instants (t,) at ``rate_hz`` over all that was seen, the first camera's stamps [ns]."""
     begin, end = found.span_ns()
     count = int((end - begin) * 1e-9 * rate_hz) + 1
-    return begin + np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
+    result: Array = begin + np.rint(np.arange(count) * (1e9 / rate_hz)).astype(np.int64)
+    return result
 
 
 def check_overlap(rig: Rig, path: Path) -> None:

@@ -47,4 +47,5 @@ def _disc(info: CameraInfo) -> np.ndarray:
     y, x = np.mgrid[: info.height, : info.width]
     away = np.hypot(x - info.width / 2, y - info.height / 2)
     image = 0.8 * (2**info.bit_depth - 1) * np.clip(4.5 - away, 0.0, 1.0)
-    return image.astype(np.uint8 if info.bit_depth <= 8 else np.uint16)
+    result: np.ndarray = image.astype(np.uint8 if info.bit_depth <= 8 else np.uint16)
+    return result

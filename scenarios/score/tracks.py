@@ -167,7 +167,8 @@ def _missed_of_marker(matched: TruthPairs) -> Array:
     """Return in how many frames each marker was seen but not found (m,)."""
     found = np.zeros_like(matched.seen_mask)
     found[matched.frame, matched.marker] = True
-    return (matched.seen_mask & ~found).sum(axis=0)
+    result: Array = (matched.seen_mask & ~found).sum(axis=0)
+    return result
 
 
 def _gate(true_xyz: Array, working_space_m: float) -> float:
@@ -198,7 +199,8 @@ def _nearest(times: Array, wanted: Array) -> Array:
 def _in_time(times: Array, wanted: Array, at: Array) -> Array:
     if len(times) < 2:
         return np.ones(len(wanted), bool)
-    return np.abs(times[at] - wanted) <= 0.5 * np.median(np.diff(times))
+    result: Array = np.abs(times[at] - wanted) <= 0.5 * np.median(np.diff(times))
+    return result
 
 
 def ratio_of_sums(above: Array, below: Array, n: int, finish: Callable[[Array], Array] = lambda x: x) -> Score:

@@ -129,4 +129,5 @@ def outlines(cells: Array) -> list[Array]:
 def _without_straight_corners(corners: Array) -> Array:
     before, after = corners - np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0) - corners
     turns = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
-    return corners[turns != 0]
+    result: Array = corners[turns != 0]
+    return result

@@ -107,7 +107,8 @@ class StepPath:
         for j, (address, rate) in enumerate(zip(*self.angular, strict=True)):
             vector = h01 * self.turns[k, j] + h10 * self.qvel[k, rate : rate + 3] + h11 * self.turn_rates[k, j]
             result[address : address + 4] = _turned(self.qpos[k, address : address + 4], vector)
-        return result
+        value: Array = result
+        return value
 
 
 def step_path(model: mujoco.MjModel, first_s: float, step_s: float, qpos: Array, qvel: Array) -> StepPath:

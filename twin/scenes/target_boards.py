@@ -106,7 +106,8 @@ def marker_cells(dictionary: str, number: int) -> Array:
     bits, _ = DICTIONARIES[dictionary]
     markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
     pixels = cv2.aruco.generateImageMarker(markers, number, bits + 2, borderBits=1)
-    return np.asarray(pixels) == 0
+    result: Array = np.asarray(pixels) == 0
+    return result
 
 
 def corners_at(sampler: SceneSampler, board: Board, time_s: float) -> Array:

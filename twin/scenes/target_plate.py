@@ -65,7 +65,8 @@ def white_runs(bits: Sequence[bool]) -> tuple[tuple[int, int], ...]:
 def rectangle(half_width: float, half_height: float, x: float = 0.0, y: float = 0.0) -> Array:
     """Return the corners (4, 2) of a rectangle about (x, y), counter-clockwise."""
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    return signs * np.array([half_width, half_height]) + np.array([x, y])
+    result: Array = signs * np.array([half_width, half_height]) + np.array([x, y])
+    return result
 
 
 def add_plate(

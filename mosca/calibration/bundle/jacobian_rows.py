@@ -178,7 +178,8 @@ def derive(c: Array, camera: int, columns: LensColumns, lanes: int, w: Array, j:
     if used % 2:
         j[2 * used * LANES : 2 * (used + 1) * LANES] = 0
         used += 1
-    return used
+    result: int = used
+    return result
 
 
 @step(fastmath=FAST)

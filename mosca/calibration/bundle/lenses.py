@@ -41,7 +41,7 @@ def lens_of(row: Array, like: Lens) -> Lens:
 
 
 @kernel
-def set_fold(q):  # type: ignore[no-untyped-def]
+def set_fold(q):
     """Write where the mapping of lens row q folds back: bracketed by steps of a third of a degree, then
     halved.
     """
@@ -66,7 +66,7 @@ def set_fold(q):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def set_folds(rows):  # type: ignore[no-untyped-def]
+def set_folds(rows):
     """Write the folds of lens rows (n, 20); return whether all have scales above 0, as a lens must."""
     for n in range(rows.shape[0]):
         q = rows[n]
@@ -77,7 +77,7 @@ def set_folds(rows):  # type: ignore[no-untyped-def]
 
 
 @kernel(fastmath=FAST)
-def image(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
+def image(q, v0, v1, v2, out):
     """Project a direction, camera frame, by lens row q; returns whether it is imaged.
 
     Fills ``out`` (2, IMAGED or more): of x and y the pixel, its derivative by the direction (3) and by the lens
@@ -91,7 +91,7 @@ def image(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def influence(q, reach_px):  # type: ignore[no-untyped-def]
+def influence(q, reach_px):
     """Return how far, at most, each lens parameter (18,) moves image points ``reach_px`` off the axis, per
     unit.
 

@@ -249,4 +249,5 @@ def _known_distance(points: Array, known: Known, d: int, n: int, v: int, g: int,
                 if to >= 0:
                     for k in range(3):
                         block_normals[v + (at + i) * n + to + k] += product * by[i] * by[k]
-    return e * e
+    result: float = e * e
+    return result

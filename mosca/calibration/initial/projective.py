@@ -65,7 +65,8 @@ def plane_misfit(first: Array, second: Array, rng: np.random.Generator) -> float
 
 def epipolar_distance(matrix: Array, first: Array, second: Array) -> Array:
     """Return Sampson's distances (n,) of image points (n, 2) from F (3, 3)."""
-    return _sampson(matrix[None], _h(first), _h(second))[0]
+    result: Array = _sampson(matrix[None], _h(first), _h(second))[0]
+    return result
 
 
 def projection(points: Array, xy: Array, rng: np.random.Generator, samples: int = SAMPLES) -> Robust:
@@ -102,7 +103,8 @@ def intersect(matrices: Array, xy: Array) -> Array:
 
 def transfer(matrix: Array, points: Array, xy: Array) -> Array:
     """Return the distances (n,) of the images of points (n, 4) under ``matrix`` (3, 4) from ``xy`` (n, 2)."""
-    return _transfer(matrix[None], points, xy)[0]
+    result: Array = _transfer(matrix[None], points, xy)[0]
+    return result
 
 
 def minima(grid: Array) -> list[tuple[int, int]]:

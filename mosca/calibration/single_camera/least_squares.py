@@ -87,7 +87,8 @@ def linearised(camera: Camera, free: Sequence[str], xy_px: Array, xyz: Array) ->
 
 def residuals_of(camera: Camera, xy_px: Array, xyz: Array) -> Array:
     """Return observed minus projected pixels (n, 2), UNSEEN_PX where a point is not imaged."""
-    return np.nan_to_num(xy_px - project(camera, xyz), nan=UNSEEN_PX)
+    result: Array = np.nan_to_num(xy_px - project(camera, xyz), nan=UNSEEN_PX)
+    return result
 
 
 def _columns(lens: Lens, free: Sequence[str]) -> list[int]:
@@ -108,4 +109,5 @@ def _cofactors(jacobian: Array, root: Array) -> Array | None:
     values, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
     if values[0] < LEAST_EIGENVALUE:
         return None
-    return (vectors / values) @ vectors.T / np.outer(scale, scale)
+    result: Array | None = (vectors / values) @ vectors.T / np.outer(scale, scale)
+    return result

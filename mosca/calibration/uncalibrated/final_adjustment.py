@@ -126,4 +126,5 @@ def depths(final: FinalNetwork) -> Array:
         mine = (one.tracks.camera == k) & one.adjustment.used
         pose = camera.world_from_camera
         out[mine] = (one.points[one.tracks.point[mine]] - pose.translation) @ pose.rotation[:, 2]
-    return out[np.isfinite(out)]
+    result: Array = out[np.isfinite(out)]
+    return result

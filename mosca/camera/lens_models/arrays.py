@@ -44,7 +44,7 @@ def ray_row(lens: Lens) -> Array:
 
 
 @bare_step
-def direction_of(q, u, v, d, g):  # type: ignore[no-untyped-def]
+def direction_of(q, u, v, d, g):
     """Fill the unit direction ``d`` (3,) of a pixel and d pixel / d direction ``g`` (2, 3); False without one."""
     if q[MODEL] == MOSCA:
         return mosca.direction(q, u, v, d, g)
@@ -54,7 +54,7 @@ def direction_of(q, u, v, d, g):  # type: ignore[no-untyped-def]
 
 
 @step
-def image_of(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
+def image_of(q, v0, v1, v2, out):
     """Project a direction: fill ``out`` (2, IMAGED or more) and return whether the lens images it."""
     if q[MODEL] == MOSCA:
         return mosca.image(q, v0, v1, v2, out)
@@ -64,7 +64,7 @@ def image_of(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
 
 
 @step
-def radial_slope(q, s):  # type: ignore[no-untyped-def]
+def radial_slope(q, s):
     """Return the slope of the radial mapping at the squared radius or angle s; its first zero is the fold."""
     if q[MODEL] == MOSCA:
         return mosca.radial_slope(q, s)
@@ -98,7 +98,7 @@ def pixels(lens: Lens, directions: Array) -> tuple[Array, Array, Array]:
 
 
 @kernel
-def _directions(q, xy, found, slope):  # type: ignore[no-untyped-def]
+def _directions(q, xy, found, slope):
     for n in range(xy.shape[0]):
         if not direction_of(q, xy[n, 0], xy[n, 1], found[n], slope[n]):
             slope[n] = np.nan
@@ -107,7 +107,7 @@ def _directions(q, xy, found, slope):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _pixels(q, v, found):  # type: ignore[no-untyped-def]
+def _pixels(q, v, found):
     out = np.zeros((2, IMAGED))
     for n in range(v.shape[0]):
         if image_of(q, v[n, 0], v[n, 1], v[n, 2], out):

@@ -27,7 +27,7 @@ NEAR_AXIS = 1e-9
 
 
 @bare_step
-def direction(q, u, v, d, g):  # type: ignore[no-untyped-def]
+def direction(q, u, v, d, g):
     """Fill the unit direction ``d`` (3,) of a pixel and d pixel / d direction ``g`` (2, 3), camera frame.
 
     Newton's method between bounds for the angle: rho rises up to the image circle, so that bisection takes over where
@@ -68,7 +68,7 @@ def direction(q, u, v, d, g):  # type: ignore[no-untyped-def]
     return True
 
 
-def _image(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
+def _image(q, v0, v1, v2, out):
     """Project a direction: fill ``out`` (2, IMAGED or more) and return whether the lens images it."""
     fx, fy = q[0], q[1]
     s2 = v0 * v0 + v1 * v1
@@ -111,7 +111,7 @@ image, fast_image = step(_image), step(fastmath=FAST)(_image)
 
 
 @step
-def radial_slope(q, s):  # type: ignore[no-untyped-def]
+def radial_slope(q, s):
     """Return the slope of rho(theta) at the squared angle s."""
     return 1 + s * (3 * q[4] + s * (5 * q[5] + s * (7 * q[6] + s * 9 * q[7])))
 

@@ -24,7 +24,7 @@ INVERTED_MM = 1e-9
 
 
 @bare_step
-def direction(q, u, v, d, g):  # type: ignore[no-untyped-def]
+def direction(q, u, v, d, g):
     """Fill the unit direction ``d`` (3,) of a pixel and d pixel / d direction ``g`` (2, 3), closed form.
 
     Returns whether the pixel lies before the fold, where light comes from that direction.
@@ -49,7 +49,7 @@ def direction(q, u, v, d, g):  # type: ignore[no-untyped-def]
     return det > 0.0 and s00 + s11 > 0.0 and r2 < q[FOLD]
 
 
-def _image(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
+def _image(q, v0, v1, v2, out):
     """Project a direction: fill ``out`` (2, IMAGED or more) and return whether the lens images it.
 
     Inverts the correction by Newton's method from the ideal point.
@@ -105,7 +105,7 @@ image, fast_image = step(_image), step(fastmath=FAST)(_image)
 
 
 @step
-def radial_slope(q, s):  # type: ignore[no-untyped-def]
+def radial_slope(q, s):
     """Return the slope of the radial mapping, ideal by measured radius, at the squared measured radius s [mm^2]."""
     return 1 + s * (3 * q[6] + s * (5 * q[7] + s * 7 * q[8]))
 

@@ -40,7 +40,7 @@ INVERTED = 1e-10
 
 
 @bare_step
-def direction(q, u, v, d, g):  # type: ignore[no-untyped-def]
+def direction(q, u, v, d, g):
     """Fill the unit direction ``d`` (3,) of a pixel and d pixel / d direction ``g`` (2, 3), camera frame.
 
     Newton's method for the ideal point. Returns whether the pixel has a direction.
@@ -84,7 +84,7 @@ def direction(q, u, v, d, g):  # type: ignore[no-untyped-def]
 
 
 @bare_step
-def _tilted(q, wx, wy, s00, s01, s10, s11):  # type: ignore[no-untyped-def]
+def _tilted(q, wx, wy, s00, s01, s10, s11):
     """Carry a slope from before the sensor's tilt onto the sensor."""
     depth = q[TILT + 6] * wx + q[TILT + 7] * wy + q[TILT + 8]
     x = (q[TILT] * wx + q[TILT + 1] * wy + q[TILT + 2]) / depth
@@ -94,7 +94,7 @@ def _tilted(q, wx, wy, s00, s01, s10, s11):  # type: ignore[no-untyped-def]
     return c00 * s00 + c01 * s10, c00 * s01 + c01 * s11, c10 * s00 + c11 * s10, c10 * s01 + c11 * s11
 
 
-def _image(q, v0, v1, v2, out):  # type: ignore[no-untyped-def]
+def _image(q, v0, v1, v2, out):
     """Project a direction: fill ``out`` (2, IMAGED or more) and return whether the lens images it."""
     if not v2 > 0:
         return False
@@ -168,7 +168,7 @@ image, fast_image = step(_image), step(fastmath=FAST)(_image)
 
 
 @step
-def radial_slope(q, s):  # type: ignore[no-untyped-def]
+def radial_slope(q, s):
     """Return the slope of the radial mapping r q(r^2) at the squared ideal radius s; negative beyond a pole."""
     above = 1 + s * (q[4] + s * (q[5] + s * q[8]))
     below = 1 + s * (q[9] + s * (q[10] + s * q[11]))
@@ -197,6 +197,7 @@ def tilt(tau_x: float, tau_y: float) -> Array:
     """Return the homography (3, 3) of a sensor rotated by R = R_y(tauY) R_x(tauX) (OpenCV, calib3d)."""
     cx, sx, cy, sy = np.cos(tau_x), np.sin(tau_x), np.cos(tau_y), np.sin(tau_y)
     rotation = np.array([[cy, 0, -sy], [0, 1, 0], [sy, 0, cy]]) @ np.array([[1, 0, 0], [0, cx, sx], [0, -sx, cx]])
-    return (
+    result: Array = (
         np.array([[rotation[2, 2], 0, -rotation[0, 2]], [0, rotation[2, 2], -rotation[1, 2]], [0, 0, 1.0]]) @ rotation
     )
+    return result

@@ -23,7 +23,7 @@ NEWTON_STEPS = 30
 
 
 @bare_step
-def set_by_tangent(tx, ty, j00, j01, j10, j11, d, g):  # type: ignore[no-untyped-def]
+def set_by_tangent(tx, ty, j00, j01, j10, j11, d, g):
     """Fill the unit direction ``d`` (3,) and d pixel / d direction ``g`` (2, 3) from a tangent (x/z, y/z).
 
     ``j00`` ... ``j11``: the pixel's derivatives by the tangent.

@@ -65,7 +65,8 @@ def common_instants(seen: Sequence[CameraDetections], ties: Sequence[ClockTie]) 
     after = t[-1] + period * np.arange(1, int(max(0.0, ends.max() - t[-1]) / period) + 1)
     instants = np.concatenate([before, t, after])
     running = (instants[:, None] >= begins) & (instants[:, None] <= ends)
-    return instants[running.sum(axis=1) >= 2]
+    result: Array = instants[running.sum(axis=1) >= 2]
+    return result
 
 
 def tracked(

@@ -225,7 +225,8 @@ class _Task:
         # the first camera is the datum
         solved = np.linalg.solve(reduced[:, 6:, 6:], (system.camera_right - taken_right)[:, 6:, None])
         moved[:, 6:] = solved[..., 0]
-        return moved
+        result: Array = moved
+        return result
 
     def cost(self, scene: PosesAndPoints) -> Array:
         cost = np.zeros(len(scene.xyz))

@@ -41,7 +41,8 @@ class Rows(NamedTuple):
 
     def applied(self, x: Array, width: int) -> Array:
         """Return J x (n,) of unknowns x (count * width,)."""
-        return apply_rows(x, width, self)
+        result: Array = apply_rows(x, width, self)
+        return result
 
 
 class Band:

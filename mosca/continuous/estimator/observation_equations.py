@@ -110,7 +110,8 @@ class ImagePoints:
 
     def depths(self, state: TrajectoryState) -> Array:
         """Return the distances (n,) of the points from their cameras [m]."""
-        return np.linalg.norm(self._near(state, self.times(state)).v, axis=1)
+        result: Array = np.linalg.norm(self._near(state, self.times(state)).v, axis=1)
+        return result
 
     def residuals(self, state: TrajectoryState) -> Array:
         """Return measured minus predicted (n, 2) in standard deviations."""

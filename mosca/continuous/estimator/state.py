@@ -30,7 +30,8 @@ class TrajectoryState:
     def pace_at_knots(self) -> Array:
         """``pace`` (pieces + 1,) at the knots: the mean of the pieces that meet there."""
         pace = np.ones(self.knots.pieces) if self.pace is None else self.pace
-        return (np.append(pace[0], pace) + np.append(pace, pace[-1])) / 2
+        result: Array = (np.append(pace[0], pace) + np.append(pace, pace[-1])) / 2
+        return result
 
     @property
     def paths(self) -> StillCameras | SplinePaths:

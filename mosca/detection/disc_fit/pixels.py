@@ -137,7 +137,8 @@ def is_inside(image: Array, centre: tuple[int, int], reach: float) -> bool:
     far = int(reach)
     middle = centre[1] * width + centre[0]
     inside = far <= centre[0] < width - far and far <= centre[1] < height - far
-    return inside and middle + far * (width + 1) + OVER <= image.size
+    result: bool = inside and middle + far * (width + 1) + OVER <= image.size
+    return result
 
 
 @bare_step(fastmath=FAST)
@@ -151,7 +152,8 @@ def fill_window(
     grey_values(image, middle, windows.half[size, : 2 * far + 1], pixels[V])
     for i in range(n, len(pixels[V])):
         pixels[V, i] = ZERO
-    return n
+    result: int = n
+    return result
 
 
 @bare_step(fastmath=FAST)
@@ -161,7 +163,8 @@ def gather_at_border(image: Array, centre: tuple[int, int], reach: float, pixels
     for i in range(n):
         pixels[SHARPER, i] = ONE
     pad(n, pixels)
-    return n
+    result: int = n
+    return result
 
 
 @bare_step(fastmath=FAST)

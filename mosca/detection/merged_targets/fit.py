@@ -102,7 +102,8 @@ def light_of(kind: int, p: Array, x: float, y: float, slope: Array) -> float:
         slope[1], slope[3], slope[5] = h2 * bx / r2, h2 * by / r2, h2
         slope[6], slope[7], slope[8] = e1, e2 - both, 1.0
         slope[9] = -h1 * t1 - h2 * t2
-        return p[8] + p[6] * e1 + p[7] * (e2 - both)
+        result: float = p[8] + p[6] * e1 + p[7] * (e2 - both)
+        return result
     s = p[7]
     for a in range(8):
         slope[a] = 0.0
@@ -126,7 +127,8 @@ def light_of(kind: int, p: Array, x: float, y: float, slope: Array) -> float:
             slope[4] += g
             slope[7] -= g * t
         slope[5] = total
-        return p[6] + p[5] * total
+        result = p[6] + p[5] * total
+        return result
     # r = |S d|, across the edge it grows by q / r for each pixel, q = |S S d|
     a, c, dx, dy = p[2], p[3], x - p[0], y - p[1]
     u, v = (1.0 + a) * dx + c * dy, c * dx + (1.0 - a) * dy
@@ -147,7 +149,8 @@ def light_of(kind: int, p: Array, x: float, y: float, slope: Array) -> float:
     slope[2] = -g * (r_a + turn * (q_a - steep * r_a))
     slope[3] = -g * (r_c + turn * (q_c - steep * r_c))
     slope[4], slope[5], slope[7] = g, e, -g * t * steep
-    return p[6] + p[5] * e
+    result = p[6] + p[5] * e
+    return result
 
 
 @step(fastmath=FAST)

@@ -118,7 +118,8 @@ class CameraSupport:
             if m.wander_px > 0.0:
                 knots = WANDER_STEP_S * np.arange(self.walk.shape[1])
                 shift[:, axis] += np.interp(t, knots, self.walk[axis])
-        return shift + self._bumped(t)[:, None] * np.array(m.bump_px)
+        result: Array = shift + self._bumped(t)[:, None] * np.array(m.bump_px)
+        return result
 
     def pose_at(self, times_s: Array, frame: int, carrier: tuple[Array, Array] | None = None) -> tuple[Array, Array]:
         """Return ``world_from_camera`` at instants (k,) of a frame: rotations (k, 3, 3) and positions (k, 3) [m].

@@ -109,7 +109,8 @@ class TwinLens:
 
         Without a pupil shift the distance does not matter and directions of any length will do.
         """
-        return many_pixels(self.vector, np.ascontiguousarray(points, dtype=float).reshape(-1, 3))
+        result: Array = many_pixels(self.vector, np.ascontiguousarray(points, dtype=float).reshape(-1, 3))
+        return result
 
     def directions(self, xy_px: Array, distance_m: float = math.inf) -> Array:
         """Pixel (n, 2) -> unit direction (n, 3) from the camera's centre to what it sees at ``distance_m``.
@@ -117,7 +118,8 @@ class TwinLens:
         NaN where no light comes from. The distance matters with a pupil shift only, see ``pixel_direction``.
         """
         xy = np.ascontiguousarray(xy_px, dtype=float).reshape(-1, 2)
-        return _many_directions(self.vector, xy, distance_m)
+        result: Array = _many_directions(self.vector, xy, distance_m)
+        return result
 
 
 def warmed(vector: Array, optics: Optics, time_s: float) -> Array:

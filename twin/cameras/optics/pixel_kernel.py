@@ -53,7 +53,8 @@ def share(table: Array, reach: int, s: float) -> float:
         return 1.0
     p = (s + reach) * STEPS_PER_PX
     i = int(p)
-    return _hermite(table[i, 0], table[i + 1, 0], table[i, 1], table[i + 1, 1], p - i)
+    result: float = _hermite(table[i, 0], table[i + 1, 0], table[i, 1], table[i + 1, 1], p - i)
+    return result
 
 
 @callable_bare_step
@@ -63,7 +64,8 @@ def weight(table: Array, reach: int, s: float) -> float:
         return 0.0
     p = (s + reach) * STEPS_PER_PX
     i = int(p)
-    return _hermite(table[i, 1], table[i + 1, 1], table[i, 2], table[i + 1, 2], p - i)
+    result: float = _hermite(table[i, 1], table[i + 1, 1], table[i, 2], table[i + 1, 2], p - i)
+    return result
 
 
 @callable_bare_step

@@ -112,7 +112,8 @@ class MeshRays:
                 self.model, data, np.ascontiguousarray(position), world.ravel(), self.groups, 1, -1,
                 geoms, distances, None, n, 1e6,
             )  # fmt: skip
-        return geoms == self.marker_geoms[marker]
+        result: Array = geoms == self.marker_geoms[marker]
+        return result
 
 
 def _geom_rotations(data: Any, geoms: Array) -> Array:

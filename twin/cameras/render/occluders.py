@@ -113,7 +113,8 @@ def may_hide(centre: Array, axis: Array, half: float, reach: float, x: float, y:
         elif t > 1.0:
             t, s = 1.0, min(max((b - c) / a, 0.0), 1.0)
     ex, ey, ez = s * x - ax - t * dx, s * y - ay - t * dy, s * z - az - t * dz
-    return ex * ex + ey * ey + ez * ez < (reach + r) ** 2
+    result: bool = ex * ex + ey * ey + ez * ez < (reach + r) ** 2
+    return result
 
 
 @callable_bare_step
@@ -130,22 +131,26 @@ def hit(solid: Solid, dx: float, dy: float, dz: float) -> float:
     y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
     z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
     if kind == SPHERE:
-        return _enter_sphere(ox, oy, oz, x, y, z, size[0])
+        result: float = _enter_sphere(ox, oy, oz, x, y, z, size[0])
+        return result
     if kind == ELLIPSOID:
         p, q, r = size[0], size[1], size[2]
-        return _enter_sphere(ox / p, oy / q, oz / r, x / p, y / q, z / r, 1.0)
+        result = _enter_sphere(ox / p, oy / q, oz / r, x / p, y / q, z / r, 1.0)
+        return result
     if kind == CAPSULE:
         side = _enter_side(ox, oy, oz, x, y, z, size[0], size[1])
         low = _enter_sphere(ox, oy, oz + size[1], x, y, z, size[0])
         high = _enter_sphere(ox, oy, oz - size[1], x, y, z, size[0])
-        return min(side, min(low, high))
+        result = min(side, min(low, high))
+        return result
     if kind == CYLINDER:
         nearest = _enter_side(ox, oy, oz, x, y, z, size[0], size[1])
         if z != 0.0:
             t = ((-size[1] if z > 0.0 else size[1]) - oz) / z
             if t > 0.0 and (ox + t * x) ** 2 + (oy + t * y) ** 2 <= size[0] ** 2:
                 nearest = min(nearest, t)
-        return nearest
+        result = nearest
+        return result
     first, last = -np.inf, np.inf
     for o, d, h in ((ox, x, size[0]), (oy, y, size[1]), (oz, z, size[2])):
         if d == 0.0:
