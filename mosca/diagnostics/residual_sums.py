@@ -25,7 +25,7 @@ xy, yy)."""
 
 
 class RayColumns(NamedTuple):
-    """The columns of a ``mosca.triangulation.triangulate.Bundle`` of c cameras."""
+    """The columns of a ``mosca.data.rays.RayTable`` of c cameras."""
 
     rays: Array
     views: Array
