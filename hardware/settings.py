@@ -105,6 +105,11 @@ class TriggerTable(Table):
             raise ValueError("source 'master' needs camera, the one whose exposures trigger the others")
         return self
 
+    @property
+    def makes_pulses(self) -> bool:
+        """Whether this computer starts and stops the pulses; else they come from a camera or from outside."""
+        return self.source in ("serial", "software", "action")
+
 
 class HardwareTable(Table):
     """``[hardware]``: what all cameras share."""

@@ -17,8 +17,6 @@ from scenarios.build.frame_sources import WrappedSource
 WAIT_S = 0.1
 LATE_S = 0.1
 """Frames of a recording that are later than this when it begins to play are over."""
-OWN_PULSES = ("serial", "software", "action")
-"""Trigger sources by which a station makes the pulses itself."""
 
 
 class PacedRecording(WrappedSource):
@@ -72,7 +70,7 @@ class StartGate:
 
     def open(self, rig: RigHardware, drivers: Mapping[str, CameraDriver]) -> Trigger:
         """Open the rig's trigger behind the gate."""
-        return _Gated(self._opener(rig, drivers), self, rig.shared.trigger.source in OWN_PULSES)
+        return _Gated(self._opener(rig, drivers), self, rig.shared.trigger.makes_pulses)
 
     @property
     def station(self) -> Sender:

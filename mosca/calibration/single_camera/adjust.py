@@ -143,8 +143,10 @@ def _start(name: str, size: tuple[int, int], model: str, first: Resection, setti
         lens = MoscaLens(fx * pitch, *centre, pitch, pitch * fx / fy)
     elif model == "opencv":
         lens = OpenCVLens(fx, fy, *centre)
-    else:
+    elif model == "fisheye":
         lens = FisheyeLens(fx, fy, *centre)
+    else:
+        raise ValueError(f"lens model '{model}' given; mosca, opencv or fisheye is wanted")
     pose: Pose = aim(first, centre)
     return Camera(name, size[0], size[1], lens, pose)
 

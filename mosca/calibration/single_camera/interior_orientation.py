@@ -85,7 +85,9 @@ def plain_lens(lens: LensChoice, f_px: float, size: tuple[int, int]) -> Lens:
         return MoscaLens(f_px * lens.pixel_pitch_mm, *middle, lens.pixel_pitch_mm, lens.pixel_pitch_mm)
     if lens.model == "opencv":
         return OpenCVLens(f_px, f_px, *middle)
-    return FisheyeLens(f_px, f_px, *middle)
+    if lens.model == "fisheye":
+        return FisheyeLens(f_px, f_px, *middle)
+    raise ValueError(f"lens model '{lens.model}' given; mosca, opencv or fisheye is wanted")
 
 
 def _from_solid(shown: CameraViews, lens: LensChoice, rng: np.random.Generator) -> Camera:
