@@ -30,7 +30,7 @@ from mosca.data.rays import (
     RayTable,
 )
 from mosca.data.rig import Camera, Rig
-from mosca.numba_support.decorators import bare_step, kernel
+from mosca.numba_support.decorators import inlined_step, kernel
 
 WIDTH, HEIGHT, CAMERA_ROW = RAY_ROW, RAY_ROW + 1, RAY_ROW + 2
 """Columns of ``RigTable.cameras`` after those of a lens row: the image's size [px]."""
@@ -208,7 +208,7 @@ def fill_rays(cameras, seen, start, fields, xy, covariance, extra, diameter, elo
     return rays, views, odd
 
 
-@bare_step
+@inlined_step
 def _longer_axis(diameter, elongation):
     """Return the diameter [px] that an image's size is judged by, and whether its region is long."""
     root = np.sqrt(elongation)
@@ -217,7 +217,7 @@ def _longer_axis(diameter, elongation):
     return across, (elongation - 1.0) * (diameter + REGION_MARGIN_PX) > ROUNDED_PX * root
 
 
-@bare_step
+@inlined_step
 def _to_world(views, c, d, local, g, rays, n):
     """Rotate a direction and the pixel's derivative by it from the camera's frame into the world's."""
     for row in range(2):
@@ -231,7 +231,7 @@ def _to_world(views, c, d, local, g, rays, n):
         rays[n, DIRECTION + k] = views[c, m] * d[0] + views[c, m + 1] * d[1] + views[c, m + 2] * d[2]
 
 
-@bare_step
+@inlined_step
 def _gram(g):
     """Return G G' (xx, xy, yy) of the pixel's derivative G (2, 3)."""
     return (
@@ -241,7 +241,7 @@ def _gram(g):
     )
 
 
-@bare_step
+@inlined_step
 def _whiten(g, gram, covariance, shift_x, shift_y, rays, n):
     """Fill WHITE and SPREAD of a ray and move its direction by an image shift [px].
 
@@ -264,7 +264,7 @@ def _whiten(g, gram, covariance, shift_x, shift_y, rays, n):
         rays[n, DIRECTION + k] -= tx * shift_x + ty * shift_y
 
 
-@bare_step
+@inlined_step
 def _normals(rays, n, x, y, z):
     """Fill a ray's share in the normal equations: A'A (xx, xy, xz, yy, yz, zz), A'A times the origin (x, y, z)."""
     k = NORMAL
@@ -277,7 +277,7 @@ def _normals(rays, n, x, y, z):
     rays[n, k + 2] = rays[n, NORMAL + 2] * x + rays[n, NORMAL + 4] * y + rays[n, NORMAL + 5] * z
 
 
-@bare_step
+@inlined_step
 def _whiten_at_shifted(rays, n):
     """Take from the whitened errors of a ray their part along its shifted direction, where the error is zero."""
     norm2 = rays[n, 0] ** 2 + rays[n, 1] ** 2 + rays[n, 2] ** 2
@@ -287,7 +287,7 @@ def _whiten_at_shifted(rays, n):
             rays[n, row + k] -= along * rays[n, k]
 
 
-@bare_step
+@inlined_step
 def _field(field, camera, u, v):
     """Interpolate a field (rows, columns, 2) over an image, linearly."""
     rows, columns = field.shape[0], field.shape[1]

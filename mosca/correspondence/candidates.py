@@ -198,7 +198,7 @@ def _expected(track, xyz, covariance, hypothesis, state, data):
     return size, error, diameter, chance
 
 
-@bare_step
+@inlined_step
 def _note(hypothesis, chance, state, data):
     """Record which rays a hypothesis joins, and that one which chance does not explain explains them."""
     members, values = hypothesis.members, hypothesis.values
@@ -247,7 +247,7 @@ def _unexplained(first, last, explained, active, at):
     return n
 
 
-@bare_step
+@inlined_step
 def _meet(i, j, a, b, away2, variance_i, variance_j, hypothesis, data):
     """Begin a hypothesis with the rays i and j of cameras a and b; False where they do not meet."""
     members, ranks, solved = hypothesis
@@ -284,7 +284,7 @@ def _meet(i, j, a, b, away2, variance_i, variance_j, hypothesis, data):
     return inside(solved, rules)
 
 
-@bare_step
+@inlined_step
 def _grown(a, b, chance, hypothesis, state, data):
     """Extend a pair to all cameras, drop outliers, judge. Returns how many rays it has (0: none), its squared error,
     diameter and the expected number of hypotheses as good by chance.
@@ -329,7 +329,7 @@ def _grown(a, b, chance, hypothesis, state, data):
     return size, error, diameter, chance
 
 
-@bare_step
+@inlined_step
 def _worst_ray(hypothesis, data):
     """Return the camera whose ray, left out, lowers the hypothesis's squared error most.
 
@@ -362,7 +362,7 @@ def _worst_ray(hypothesis, data):
     return at
 
 
-@bare_step
+@inlined_step
 def _joined(members, partner):
     """Whether the first two rays of a hypothesis are already joined in one of three rays or more."""
     first = -1

@@ -11,7 +11,7 @@ import numpy as np
 from mosca.camera.ray_table import LONG
 from mosca.data.detections import MERGED, PARTIAL, SATURATED, UNREFINED
 from mosca.data.rays import ANGLE, BONUS, FLAGS, RADIUS, SIGMA
-from mosca.numba_support.decorators import bare_step, step
+from mosca.numba_support.decorators import inlined_step, step
 from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3
 from mosca.triangulation.triangulate import DEPTH, RANKS, TRUST, solve_rays
 
@@ -139,7 +139,7 @@ def with_capacity(kept, count):
     return longer
 
 
-@bare_step
+@inlined_step
 def solve(hypothesis, steps, data):
     """Intersect the rays; the depths start from the point that the values hold. See ``solve_rays``."""
     members, ranks, values = hypothesis
@@ -155,7 +155,7 @@ def solve(hypothesis, steps, data):
     return solve_rays(members, ranks, rays, views, steps, values)
 
 
-@bare_step
+@inlined_step
 def judge_sizes(hypothesis, data):
     """Set each member's trust from the size of its image; returns the target's diameter from its largest image.
 
@@ -177,7 +177,7 @@ def judge_sizes(hypothesis, data):
     return largest
 
 
-@bare_step
+@inlined_step
 def largest_image(members, point, data):
     """Return the largest and second largest size [m] of a hypothesis's images, and of how many.
 
@@ -197,7 +197,7 @@ def largest_image(members, point, data):
     return (largest if largest > 0.0 else anyhow), second, images
 
 
-@bare_step
+@inlined_step
 def image_size(ray, camera, point, data):
     """Return how large [m] a target at ``point`` is that fills the ray's image."""
     views = data.views
@@ -205,7 +205,7 @@ def image_size(ray, camera, point, data):
     return data.rays[ray, ANGLE] * np.sqrt(x * x + y * y + z * z)
 
 
-@bare_step
+@inlined_step
 def larger(i, size_i, j, size_j, rays):
     """Return the larger of two images' sizes; one that is two targets' does not count beside one that is not."""
     one, other = int(rays[i, FLAGS]) & MERGED, int(rays[j, FLAGS]) & MERGED
@@ -216,7 +216,7 @@ def larger(i, size_i, j, size_j, rays):
     return max(size_i, size_j)
 
 
-@bare_step
+@inlined_step
 def trust2_of(ray, size, whole, rays, judge):
     """Return the factor on a ray's squared error when its image has ``size`` where ``whole`` would be right.
 
@@ -243,7 +243,7 @@ def trust2_of(ray, size, whole, rays, judge):
     return 1.0 / (1.0 + 0.5 * (shift / rays[ray, SIGMA]) ** 2)
 
 
-@bare_step
+@inlined_step
 def wholeness(ray, trust, rays):
     """Return how whole an image is, by its trust: 1 of the right size, 0 half hidden."""
     if trust >= 1.0:
@@ -252,7 +252,7 @@ def wholeness(ray, trust, rays):
     return max(0.0, 1.0 - shift / (ODD_SHIFT * rays[ray, RADIUS]) / HALF_HIDDEN)
 
 
-@bare_step
+@inlined_step
 def too_large(ray, camera, point, data):
     """Whether an image shows two targets grown together."""
     rules = data.rules[0]
@@ -263,7 +263,7 @@ def too_large(ray, camera, point, data):
     return image_size(ray, camera, point, data) ** 2 > TOO_LARGE * rules.typical_m**2
 
 
-@bare_step
+@inlined_step
 def half_hidden(members, point, diameter, data):
     """Whether a member's image is so small that more than half of the target must be hidden."""
     rules = data.rules[0]
@@ -277,7 +277,7 @@ def half_hidden(members, point, diameter, data):
     return False
 
 
-@bare_step
+@inlined_step
 def acceptable(hypothesis, count, error, diameter, data):
     """Whether a hypothesis is accepted: errors, volume, certainty; a pair only with images at least half visible."""
     rules, solved = data.rules[0], hypothesis.values
@@ -298,7 +298,7 @@ def acceptable(hypothesis, count, error, diameter, data):
     return d0 >= 0.0 and minor >= 0.0 and det >= 0.0
 
 
-@bare_step
+@inlined_step
 def inside(point, rules):
     """Whether a point lies in the volume."""
     return (
@@ -308,7 +308,7 @@ def inside(point, rules):
     )
 
 
-@bare_step
+@inlined_step
 def limit(freedom, sigma):
     """Chi-square bound of ``sigma`` standard deviations (exact for one, else Wilson and Hilferty's cube)."""
     if freedom == 1:
@@ -317,7 +317,7 @@ def limit(freedom, sigma):
     return freedom * (1.0 - q + sigma * np.sqrt(q)) ** 3
 
 
-@bare_step
+@inlined_step
 def store(hypothesis, error, diameter, rays, at, kept):
     """Complete a hypothesis's values and keep it in row ``at``: values (n, VALUES), members (n, c), trusts (n, c).
 

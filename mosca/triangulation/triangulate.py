@@ -15,7 +15,7 @@ from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.rays import NORMAL, WHITE
 from mosca.data.rig import Rig
-from mosca.numba_support.decorators import bare_step, kernel
+from mosca.numba_support.decorators import inlined_step, kernel
 from mosca.numba_support.linalg3 import Symmetric3, cofactors3, determinant3, scaled3, times3
 
 REWEIGHTINGS = np.int64(3)
@@ -26,7 +26,7 @@ TRUST, SHARE, DEPTH, RANKS = 0, 1, 2, 3
 """Columns of what goes with each ray of a hypothesis: trust, expected number of chance rays as near, depth."""
 
 
-@bare_step
+@inlined_step
 def solve_rays(members, ranks, rays, views, steps, solved):
     """Intersect the rays ``members`` (c,), one of each camera or -1.
 

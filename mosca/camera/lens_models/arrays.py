@@ -22,7 +22,7 @@ from mosca.camera.lens_models.row import (
 )
 from mosca.data.arrays import Array
 from mosca.data.rig import FisheyeLens, Lens, MoscaLens
-from mosca.numba_support.decorators import bare_step, kernel, step
+from mosca.numba_support.decorators import inlined_step, kernel, step
 
 
 @lru_cache(maxsize=256)
@@ -43,7 +43,7 @@ def ray_row(lens: Lens) -> Array:
     return row
 
 
-@bare_step
+@inlined_step
 def direction_of(q, u, v, d, g):
     """Fill the unit direction ``d`` (3,) of a pixel and d pixel / d direction ``g`` (2, 3); False without one."""
     if q[MODEL] == MOSCA:

@@ -15,7 +15,7 @@ from mosca.camera.lens_models.monotonic_range import first_positive_root
 from mosca.camera.lens_models.row import BY_LENS as L
 from mosca.camera.lens_models.row import FAST, FOLD, NEWTON_STEPS, set_by_tangent
 from mosca.data.rig import MoscaLens
-from mosca.numba_support.decorators import bare_step, step
+from mosca.numba_support.decorators import inlined_step, step
 
 CONVERGED_MM = 1e-13
 """Newton's method ends with a step below this: some units in the last place of a sensor's coordinates."""
@@ -23,7 +23,7 @@ INVERTED_MM = 1e-9
 """Residual up to which a point counts as inverted."""
 
 
-@bare_step
+@inlined_step
 def direction(q, u, v, d, g):
     """Fill the unit direction ``d`` (3,) of a pixel and d pixel / d direction ``g`` (2, 3), closed form.
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mosca.numba_support.decorators import bare_step
+from mosca.numba_support.decorators import inlined_step
 
 FOLD, MODEL, ROW = 18, 19, 20
 """Indices in a lens row. The first 18 hold the parameters in the order of the dataclass's fields; FOLD the squared
@@ -22,7 +22,7 @@ NEWTON_STEPS = 30
 """Newton's method doubles the digits with each step; a point that takes more has no solution."""
 
 
-@bare_step
+@inlined_step
 def set_by_tangent(tx, ty, j00, j01, j10, j11, d, g):
     """Fill the unit direction ``d`` (3,) and d pixel / d direction ``g`` (2, 3) from a tangent (x/z, y/z).
 
