@@ -38,9 +38,9 @@ SMALL = 3e-3
 def eccentricity_px(camera: Camera, centres: Array, normals: Array, radii_m: Array | float) -> Array:
     """Return centroid of the disc's image minus image of its centre (n, 2) [px]; subtract it from a measurement.
 
-    ``centres`` (n, 3) [m] and ``normals`` (n, 3), of any length, world frame, by either face; ``radii_m`` (n,) or
-    one for all. NaN where the lens does not image the disc or the camera stands in its plane. Raises InputError for
-    radii that are not above zero and normals without a direction.
+    ``centres`` (n, 3) [m] and ``normals`` (n, 3), of any length, world frame, by either face; ``radii_m`` (n,) or one
+    for all. NaN where the lens does not image the disc or the camera lies in its plane. Raises InputError for radii
+    that are not above zero and normals without a direction.
     """
     centres = np.asarray(centres, dtype=float).reshape(-1, 3)
     normals = np.asarray(normals, dtype=float).reshape(-1, 3)

@@ -137,11 +137,11 @@ def ball_fields(rig: Rig) -> Array:
 
 
 NO_FIELDS = np.zeros((0, 0, 0, 2))
-"""In place of ``ball_fields``: targets are points."""
+"""Used instead of ``ball_fields`` where targets are points."""
 
 
 def _edges(camera: Camera) -> Array:
-    """Return the box (4,) left, top, right, bottom of what a camera sees, in ``match_index``'s places."""
+    """Return the box (4,) left, top, right, bottom of what a camera sees, in ``match_index``'s coordinates."""
     rays = lens_directions(camera.lens, image_grid(camera.width, camera.height, EDGE_STEP_PX))
     rays = rays[np.isfinite(rays).all(axis=1)]
     if not len(rays):
@@ -151,7 +151,7 @@ def _edges(camera: Camera) -> Array:
 
 
 def _ordered_pairs(rotation: Array, origin: Array) -> Array:
-    """Return the pairs of cameras, those first whose optical axes both stand across the base."""
+    """Return the pairs of cameras, those first whose optical axes are most nearly perpendicular to the baseline."""
     a, b = np.triu_indices(len(origin), 1)
     base = origin[b] - origin[a]
     across = np.linalg.norm(np.cross(base, rotation[a, :, 2]), axis=1)

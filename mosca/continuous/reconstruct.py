@@ -109,7 +109,7 @@ def reconstruct(
     gathered = associate(source, rig, gathering, backgrounds, attend)
     if gathered.searched and settings.clocks == "known":
         settings = replace(settings, clocks="drift")
-    # clocks and names want curves, not what points have to do with each other: that is what costs
+    # clocks and names need curves, not the correlations between points, which are expensive
     quick = replace(settings, limbs=False, most_together=min(FEW_TOGETHER, settings.most_together))
     estimated = estimate(gathered.observations, rig, quick, gathered.start)
     ties = _tied(gathered.ties, estimated)

@@ -10,7 +10,7 @@ from mosca.data.rig import Rig
 from mosca.data.sightings import Sightings
 
 Severity = Literal["refuse", "warn", "note"]
-"""refuse: the rig must not be used; warn: it may be wrong; note: worth knowing."""
+"""refuse: the rig must not be used; warn: it may be wrong; note: for information."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ class AccuracyGrid:
     """Predicted standard deviation of a measured point on a grid.
 
     ``x``, ``y``, ``z``: axes [m, world]; ``detection_m`` and ``calibration_m`` (nx, ny, nz) standard deviations in
-    space [m] from either, NaN where too few cameras look; ``detection_sigma_px`` that of an image coordinate.
+    space [m] from either, NaN where too few cameras see it; ``detection_sigma_px`` that of an image coordinate.
     """
 
     x: Array

@@ -1,4 +1,4 @@
-"""Detections: where a frame shows targets, with the error that each place has."""
+"""Detections: image positions of targets in a frame, with covariance."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -8,8 +8,8 @@ import numpy as np
 from mosca.data.arrays import Array, read_only
 
 SATURATED, MERGED, PARTIAL, UNREFINED = 1, 2, 4, 8
-"""Bits of ``Detections.flags``: some of its pixels are saturated; two targets grown together; a target that
-something hides in part; a place without sub-pixel refinement (its covariance says so)."""
+"""Bits of ``Detections.flags``: some of its pixels are saturated; two targets grown together; a target that something
+hides in part; a position without sub-pixel refinement (and with the covariance of one)."""
 
 
 def _no_flags() -> Array:
@@ -52,7 +52,7 @@ class Detections:
 
     @classmethod
     def handed_over(cls, camera: str, columns: Sequence[Array]) -> "Detections":
-        """Take columns in the order of the fields that are right and read-only; nobody checks or copies."""
+        """Take columns in the order of the fields that are valid and read-only, without checks or copies."""
         new = object.__new__(cls)
         new.__dict__.update(zip(cls.__dataclass_fields__, (camera, *columns), strict=True))
         return new

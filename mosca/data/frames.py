@@ -1,4 +1,4 @@
-"""Frames, what a camera says about itself, and sources of frames.
+"""Frames, camera properties, and sources of frames.
 
 A Frame carries only what a real camera can know: its own counter, its own clock's stamp, the pixels.
 True times, jitter, identity and visibility belong to ``mosca.data.truth``.
@@ -41,12 +41,11 @@ class CameraInfo:
 class Frame:
     """One exposure of one camera.
 
-    ``index`` is the camera's own frame counter, ``time_ns`` its stamp of ``stamp_event``,
-    ``exposure_ns`` the length of the exposure window, ``row_time_ns`` the delay from one row's
-    exposure to the next row's (0 for a global shutter). ``image`` is (H, W), uint8 or uint16,
-    read-only; None where the frame was dropped or is corrupt. ``note`` says why, for people. ``rows``:
-    the image's height, taken from ``image``; where there is none, what the source knows (CameraInfo.height),
-    0 if nothing.
+    ``index`` is the camera's own frame counter, ``time_ns`` its stamp of ``stamp_event``, ``exposure_ns`` the length
+    of the exposure window, ``row_time_ns`` the delay from one row's exposure to the next row's (0 for a global
+    shutter). ``image`` is (H, W), uint8 or uint16, read-only; None where the frame was dropped or is corrupt.
+    ``note`` gives the reason, for people. ``rows``: the image's height, taken from ``image``; where there is none,
+    what the source knows (CameraInfo.height), 0 if nothing.
     """
 
     camera: str
@@ -114,7 +113,7 @@ class FrameSource(Protocol):
 
     @property
     def cameras(self) -> tuple[CameraInfo, ...]:
-        """What each camera says of itself, in the order of the rig."""
+        """Properties of each camera, in the order of the rig."""
         ...
 
     def __iter__(self) -> Iterator[Frame]:

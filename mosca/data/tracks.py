@@ -46,7 +46,7 @@ class Points:
 
     @classmethod
     def handed_over(cls, columns: Sequence[Array]) -> "Points":
-        """Take columns in the order of the fields that are right and read-only; nobody checks or copies."""
+        """Take columns in the order of the fields that are valid and read-only, without checks or copies."""
         new = object.__new__(cls)
         new.__dict__.update(zip(cls.__dataclass_fields__, columns, strict=True))
         return new
@@ -54,7 +54,7 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Samples as they leave the tracker, frame set by frame set: columns that nobody checks, for speed.
+    """Samples as they leave the tracker, frame set by frame set: columns, unchecked for speed.
 
     As in ``Tracks``, but unsorted, without labels, and ``status`` (n,) int8 an index into STATUSES.
     """

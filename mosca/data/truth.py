@@ -11,7 +11,7 @@ from mosca.data.arrays import Array, read_only
 from mosca.data.files.npz import from_npz
 
 NO_FRAME = int(np.iinfo(np.int64).min)
-"""Stands for the mid-exposure of a camera that took no frame from a pulse until the next [ns]."""
+"""Mid-exposure entered for a camera that took no frame from a pulse until the next [ns]."""
 FRAMES = "frames."
 """How the names of the frames' table begin in the file."""
 
@@ -57,7 +57,7 @@ class FramesTruth:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What really was at each pulse.
+    """Ground truth at each pulse.
 
     ``time_ns`` (t,) the instant that the pulse's positions belong to: its nominal mid-exposure, session
     clock; ``names`` the markers' names (m of them); ``xyz`` (t, m, 3) marker centres in the world [m];
@@ -68,8 +68,8 @@ class Truth:
     frame, session clock. ``camera_rotation`` (t, c, 3, 3), ``camera_position`` (t, c, 3): the true
     ``world_from_camera`` at that instant [m], None where it was not kept (older files).
 
-    A camera that runs free stands here with its frame nearest to the pulse; where it took none until the
-    next, with NO_FRAME, nothing visible and NaN. ``frames``: all of its frames; None where all are triggered.
+    A free-running camera is entered with its frame nearest to the pulse; where it took none until the next, with
+    NO_FRAME, nothing visible and NaN. ``frames``: all of its frames; None where all are triggered.
     """
 
     time_ns: Array

@@ -135,12 +135,12 @@ class ObjectPoints:
 
 @dataclass(frozen=True, eq=False)
 class Placements:
-    """Poses ``world_from_thing`` of rigid things (a board, a wand, a body), one a thing and frame: unknown.
+    """Poses ``world_from_thing`` of rigid things (a board, a wand, a body), one per thing and frame: unknown.
 
     ``rotation`` (f, 3, 3), ``translation`` (f, 3) [m]: starting values; ``sigma`` (f, 6): a-priori standard
     deviations of the rotation about the thing's own axes [rad] and of its position [m], infinite where free
-    (default), never 0. A camera worn through a room is the same with the roles exchanged: camera held at the
-    origin, the room placed.
+    (default), never 0. A moving camera is modelled with the roles exchanged: the camera fixed at the origin, the
+    scene moving.
     """
 
     rotation: Array

@@ -24,9 +24,9 @@ SEEN_FROM = 1e-9
 class AccuracyMap:
     """Predicted accuracy on a grid.
 
-    ``x``, ``y``, ``z``: the grid's axes [m, world]; ``n_cameras`` (nx, ny, nz) that see each point;
-    ``detection`` and ``calibration`` (nx, ny, nz, 3, 3) covariances of a measured point [m^2] from either, NaN
-    where fewer than the cameras wanted see it.
+    ``x``, ``y``, ``z``: the grid's axes [m, world]; ``n_cameras`` (nx, ny, nz) that see each point; ``detection`` and
+    ``calibration`` (nx, ny, nz, 3, 3) covariances of a measured point [m^2] from either, NaN where fewer than the
+    required number of cameras see it.
     """
 
     x: Array

@@ -66,7 +66,7 @@ def exchanged(calibration: Calibration, known: Rig, settings: QualityLimits) -> 
 
 
 def moved(calibration: Calibration, known: Rig, settings: QualityLimits) -> tuple[Finding, ...]:
-    """Return the cameras that left their place in the earlier rig, against what most cameras did in common."""
+    """Return the cameras that moved since the earlier rig, relative to the common motion of most cameras."""
     seen = _seen(calibration, known)
     if len(seen) < 2:
         return ()

@@ -84,10 +84,10 @@ def is_flat(points: Array) -> bool:
 
 
 def links(calibration: Calibration, rigid_target: bool = False) -> Array:
-    """Return by how many points each two cameras (c, c) are joined.
+    """Return the number of points (c, c) that connect each pair of cameras.
 
-    Points seen by both; of a rigid thing (a placement, or with ``rigid_target`` the field itself, whose places are
-    known), points that the one saw join it to those that the other saw of the same thing.
+    Points seen by both; of a rigid target with known geometry (a placement, or with ``rigid_target`` the field
+    itself), the smaller of the two cameras' numbers of its points, since different points connect as well.
     """
     count = len(calibration.rig.cameras)
     strength = np.zeros((count, count), dtype=np.int64)

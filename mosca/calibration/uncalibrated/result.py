@@ -82,7 +82,7 @@ def check(final: FinalNetwork, tracks: PointViews) -> None:
 
 
 def findings_of(final: FinalNetwork, tracks: PointViews) -> tuple[Finding, ...]:
-    """Return what is doubtful or worth knowing about a rig that passed ``check``."""
+    """Return the warnings and notes on a rig that passed ``check``."""
     one = final.network
     tracks = tracks.of_cameras(one.cameras)
     out: list[Finding] = []

@@ -97,7 +97,7 @@ def _meetings(rig: Rig, detections: Mapping[str, Detections], first: int, second
 
 
 def _seen(rig: Rig, detections: Mapping[str, Detections], place: Array) -> tuple[int, ...]:
-    """Return the detection of each camera that shows ``place`` (3,), -1 where none does."""
+    """Return the detection of point ``place`` (3,) in each camera, -1 where there is none."""
     out = []
     for camera in rig.cameras:
         found = detections.get(camera.name)

@@ -24,7 +24,7 @@ from mosca.data.rig import Camera
 Cameras = Literal["known", "fixed", "moving"]
 STEPS, WORST_DAMPING, TINY = 60, 1e12, 1e-12
 SETTLED = 1e-9
-"""Share of the cost below which another step is not worth it."""
+"""Relative decrease of the cost below which the iteration has converged."""
 
 
 @dataclass(frozen=True, eq=False)

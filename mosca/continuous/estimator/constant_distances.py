@@ -1,9 +1,9 @@
-"""Constant distances between points of one limb: found in curves that know their own uncertainty, and used.
+"""Constant distances between points of one limb: found from curves with covariance, and used as observations.
 
-A pair is taken where the distance varies no more than the curves' own uncertainty explains, and where this says
-something: the vector between the points must itself have moved ``TELLING`` times more than the distance did. How much
-a distance truly varies (soft tissue) is learned as the equations are used: the mean square of distances in drawn
-curves about their mean. A pair that was taken wrongly so loosens itself, and leaves where it is looser than telling.
+A pair is taken where the distance varies no more than the curves' own uncertainty explains, and where this is
+informative: the vector between the points must itself vary ``TELLING`` times more than the distance does. The
+variance of a distance (soft tissue) is estimated along with the curves: the mean square of distances in sampled
+curves about their mean. A pair taken wrongly so gets a small weight, and is dropped once it is not informative.
 """
 
 from dataclasses import dataclass

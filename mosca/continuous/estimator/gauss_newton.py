@@ -67,7 +67,7 @@ def step(
         x = unknowns(state, places, g)
         band = Band(knots.count, knots.degree + 1, width, places.shared)
         for rows in (own, limb, frame_rows(state, places, g)):
-            # a step from x and the whole of x are the same equations; the prior wants the whole
+            # a step from x and the whole of x are the same equations; the prior needs all of x
             whole = rows.rest + rows.applied(x, width)
             band.add(Rows(rows.first, rows.weights, rows.columns, rows.values, rows.shared, whole))
         corner += own.shared.T @ own.shared
@@ -206,11 +206,12 @@ def _shared_prior(places: StateLayout, state: TrajectoryState) -> tuple[Array, A
 
 
 def frame_rows(state: TrajectoryState, places: StateLayout, group: int) -> Rows:
-    """Return equations that hold the frame of moving cameras: each is near its start, the first very near, and so is
-    the second's distance to the first.
+    """Return equations that fix the gauge (frame) of moving cameras: weak priors on each at its initial pose, a
+    strong one on the first and on the second's distance to the first.
 
-    Only what the cameras see of each other and of points is observed, so that the whole may drift, rotate and grow as
-    one at every instant; ``FRAME`` says how far, and is far looser than images where these determine it.
+    Only what the cameras see of each other and of points is observed, so that a common similarity transformation at
+    each instant is undetermined; ``FRAME`` is its standard deviation, far looser than the images where these
+    determine it.
     """
     knots, moving = state.knots, state.moving
     time, cameras = knots.breaks_s, places.cameras if moving is not None else 0

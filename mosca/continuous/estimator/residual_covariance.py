@@ -58,8 +58,7 @@ def of_lenses(image: ImagePoints) -> Array:
 def jitter(image: ImagePoints, solved: Solved, alone: StateLayout, points: Array, share: float) -> Array:
     """Return the variance (points,) an axis [m^2] of motion above the exposures' rate.
 
-    ``share``: of time-correlated errors, in the variances stated; cameras in turn show them as jitter, which they are
-    not.
+    ``share``: of time-correlated errors in the stated variances; changing cameras make them look like jitter.
     """
     noise, lever, number = smoothest_noise(image, solved.state, alone, points)
     excess = noise**2 - 1 - share

@@ -89,7 +89,7 @@ def values(knots: Knots, coefficients: Array, time_s: Array, derivative: int = 0
 
 
 def fitted(knots: Knots, time_s: Array, places: Array) -> Array:
-    """Return the coefficients (count, ...) of the curves nearest to ``places`` (n, ...) at instants (n,)."""
+    """Return the coefficients (count, ...) of the curves that fit ``places`` (n, ...) at instants (n,) best."""
     first, weight = knots.weights(time_s)
     flat = np.asarray(places, dtype=float).reshape(len(first), -1)
     band = np.zeros((knots.degree + 1, knots.count))

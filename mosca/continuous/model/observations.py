@@ -58,7 +58,7 @@ class TimedObservations:
 
     @property
     def free(self) -> Array:
-        """Indices of the points that no camera carries: the markers whose curves are wanted."""
+        """Indices of the points that no camera carries: the markers whose curves are estimated."""
         return np.flatnonzero(self.carried_by < 0)
 
     def only(self, keep: Array) -> "TimedObservations":

@@ -113,7 +113,7 @@ def placed_by_lamps(sights: LampRays, rig: Rig, known: Array, lamp_m: Array) -> 
 
 
 def _seeded(rays: Array, rotations: Array, centres: Array, known: Array, lamp_m: Array) -> None:
-    """Place the cameras of one instant one after the other, in the given arrays."""
+    """Compute the camera poses of one instant one after the other, into the given arrays."""
     placed = np.array(known, dtype=bool)
     waiting = True
     while waiting:

@@ -92,7 +92,7 @@ def _dotted(location: tuple[int | str, ...]) -> str:
 
 
 def _model_at(model: type, location: tuple[int | str, ...]) -> list[type]:
-    """Return the models that may stand at ``location`` (several where a union has no tag yet)."""
+    """Return the models that are allowed at ``location`` (several where a union has no tag yet)."""
     here: list[type] = [model]
     for part in location:
         nexts: list[type] = []

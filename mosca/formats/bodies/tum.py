@@ -45,7 +45,7 @@ def write_tum(poses: BodyPoses, path: Path, body: str | None = None) -> None:
 def read_tum(path: Path, body: str = "body") -> BodyPoses:
     """Read a TUM trajectory as poses of ``body``: frames 0, 1, ..., covariance and residual unknown.
 
-    Quaternions are made unit. Raises InputError naming the line, what stands there and what is wanted.
+    Quaternions are made unit. Raises InputError naming the line, its content and what is expected.
     """
     path = Path(path)
     try:

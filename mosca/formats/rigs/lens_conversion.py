@@ -29,7 +29,7 @@ NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_ .-]*")
 
 @dataclass(frozen=True)
 class RigFileOptions:
-    """What a calibration file does not say itself, and how far a lens may be bent.
+    """What a calibration file does not contain, and the tolerance for fitted lens models.
 
     ``size_px``: (width, height) where the file has none; ``unit``: of its positions, None for the format's own;
     ``pixel_mm``: pixel pitch (width, height), which OpenPTV needs; ``max_residual_px``: a lens that the format can
@@ -50,7 +50,7 @@ def as_opencv(camera: Camera, options: RigFileOptions, coefficients: int = 14) -
     """Return the camera's lens as OpenCV's pinhole model with the first ``coefficients`` of its 14.
 
     As it is where it is one, else fitted to its rays over the image (k1, k2, k3, p1, p2) with a note that states the
-    residual. InputError where that is above the options' limit, or rays stand 90 deg or more off the axis.
+    residual. InputError where that is above the options' limit, or rays are 90 deg or more off the axis.
     """
     lens = camera.lens
     if isinstance(lens, OpenCVLens) and not any(distortion(lens)[coefficients:]):

@@ -1,4 +1,4 @@
-"""CSV files whose columns are fixed: numbers at full precision, one line that says what is wrong with a cell."""
+"""CSV files with fixed columns: numbers at full precision, a one-line error for an invalid cell."""
 
 import csv
 import io
