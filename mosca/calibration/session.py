@@ -53,7 +53,7 @@ class EstimateSettings:
     exterior_only: bool = False
     """Keep the lenses of the known rig."""
     every: int = 1
-    """Read each so many-th frame set."""
+    """Read every n-th frame set."""
     reference: int | None = None
     """Frame set in which a rigid target is the world."""
     detection: DetectionSettings = field(default_factory=DetectionSettings)
@@ -185,9 +185,9 @@ def checked(
     known: Rig | None = None,
     lengths: LengthErrors | None = None,
 ) -> Calibration:
-    """Return the calibration with what a person must know before believing it.
+    """Return the calibration with the findings of the quality checks.
 
-    ``known``: an earlier calibration of the same cameras to hold it against; ``lengths``: held-out ones.
+    ``known``: an earlier calibration of the same cameras to compare with; ``lengths``: held-out ones.
     """
     settings = settings or EstimateSettings()
     found = check_calibration(

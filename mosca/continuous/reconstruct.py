@@ -45,7 +45,7 @@ class EstimatedClock:
 
 @dataclass(frozen=True, eq=False)
 class Reconstructed:
-    """What frames of free-running cameras gave. ``observations``: on the curves' clock. ``findings``: what a person
+    """Result from frames of free-running cameras. ``observations``: on the curves' clock. ``findings``: what a person
     should know, a line each. ``cameras``: their paths where they move; ``observations`` are then those of markers.
     """
 

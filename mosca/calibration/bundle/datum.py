@@ -1,4 +1,4 @@
-"""Datum and determination: which common motions nothing fixes, and which parameters the data leave open.
+"""Datum and determination: the datum defect, and which parameters the data do not determine.
 
 A network without control can shift, rotate and, without a length, stretch as a whole. These seven motions are
 known in closed form (``generators``); which of them nothing fixes is read off the reduced normal matrix.

@@ -1,10 +1,10 @@
 """Normal equations of a bundle adjustment, block by block, compiled; the Jacobian is never stored.
 
-The unknowns fall into *groups* that stay (a camera's pose and lens; a kept point) and *blocks* that are
-eliminated (the coordinates of one point, or of points joined by known distances; the pose of a placed thing).
-Each block touches few groups: a *slot* is one block in one group. With group normals U, block normals V and
-the mixed part W, a step solves (U - W V^-1 W^T) d_groups = -(g - W V^-1 g_blocks) and then each block by
-itself (Schur complement; Brown 1958, Triggs et al. 1999).
+The unknowns fall into *groups* that stay (a camera's pose and lens; a kept point) and *blocks* that are eliminated
+(the coordinates of one point, or of points joined by known distances; the pose of a placed thing). Each block touches
+few groups: a *slot* is one block in one group. With group normals U, block normals V and the mixed part W, a step
+solves (U - W V^-1 W^T) d_groups = -(g - W V^-1 g_blocks) and then each block separately (Schur complement; Brown
+1958, Triggs et al. 1999).
 
 Residuals are projected minus observed, in standard deviations. The arrays are described in ``tables``.
 """

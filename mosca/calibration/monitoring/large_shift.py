@@ -1,4 +1,4 @@
-"""Bumps too large for the matching: a camera whose images all miss the others' points by one shift."""
+"""Bumps too large for the matching: all images of a camera are displaced by one common shift."""
 
 from collections import deque
 from collections.abc import Mapping

@@ -1,7 +1,7 @@
 """Against an earlier rig: were two cameras exchanged, and did one move?
 
-The new poses are carried into the earlier rig's frame by the common motion of most cameras, and the earlier
-cameras' images of the new target points are held against what was seen: all in px, whatever the frames are.
+The new poses are transformed into the earlier rig's frame by the common motion of most cameras, and the new target
+points, projected by the earlier cameras, are compared with the observations: all in px, independent of the frames.
 """
 
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Planes seen flatly: does the mirrored pose fit as well?
+"""Planes seen with little perspective: does the mirrored pose fit as well?
 
 Under weak perspective a plane and its reflection in the plane across the line of sight have the same image
 (Oberkampf, DeMenthon and Davis 1996; Schweighofer and Pinz 2006). Perspective decides, where there is enough.

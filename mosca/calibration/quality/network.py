@@ -1,4 +1,4 @@
-"""Do the views hold together: enough of them, cameras joined to each other, images and volume covered?"""
+"""Network geometry: number of views, connections between cameras, coverage of images and volume."""
 
 from collections.abc import Sequence
 

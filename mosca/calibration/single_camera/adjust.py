@@ -42,7 +42,7 @@ class AdjustmentSettings:
 
 @dataclass(frozen=True, eq=False)
 class CameraAdjustment:
-    """An adjusted camera and how good it is.
+    """An adjusted camera and its precision.
 
     ``residuals_px`` (n, 2) observed minus projected of all points, the rejected too; ``used`` (n,) bool;
     ``parameters`` names of the p unknowns (rotation about the camera's own axes, position, lens) and their

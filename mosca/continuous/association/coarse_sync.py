@@ -66,9 +66,9 @@ def common_clock(seen: Sequence[CameraDetections]) -> tuple[ClockTie, ...]:
 def tied_clocks(
     seen: Sequence[CameraDetections], tracklet: Sequence[Array], rig: Rig, search_s: float
 ) -> tuple[ClockTie, ...]:
-    """Return the ties of cameras whose clocks know nothing of each other; the first camera's is the common one.
+    """Return the clock maps of cameras with independent clocks; the first camera's is the common one.
 
-    ``search_s``: by how much cameras may have been started apart. InputError where the images do not determine it.
+    ``search_s``: largest difference of the cameras' start times. InputError where the images do not determine it.
     """
     own_s = [one.time_s(int(one.frame_ns[0])) for one in seen]
     ties: dict[int, ClockTie] = {0: ClockTie(int(seen[0].frame_ns[0]))}

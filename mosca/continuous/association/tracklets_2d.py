@@ -1,7 +1,7 @@
 """Image points of one camera followed from frame to frame, and where they were in between.
 
-A *tracklet* is a point followed in one camera. It is no identity: it ends where its point is hidden or where two
-meet. It only interpolates the point between two exposures, so that cameras that expose at other instants can be
+A *tracklet* is a point followed in one camera. It is not an identity: it ends where its point is occluded or where
+two merge. It only interpolates the point between two exposures, so that cameras that expose at other instants can be
 compared.
 """
 

@@ -1,4 +1,4 @@
-"""One Gauss-Newton step on all curves, poses and clocks at once, and curves drawn from what it leaves open."""
+"""One Gauss-Newton step on all curves, poses and clocks jointly, and samples of the posterior."""
 
 from dataclasses import dataclass
 
@@ -27,7 +27,7 @@ DRIFT_OF_FRAME = (1.0, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A state and what is left open around it.
+    """A state and its covariance.
 
     ``carried``: each group's T^-1 B; ``covariance`` of the shared unknowns; ``rows``: each group's weighted equations
     of image points; ``weight`` and ``residual`` of image points; ``moved``: largest change of a coefficient [m].
@@ -53,7 +53,7 @@ def step(
 ) -> Solved:
     """Return the state after one step with the prior's ``covariances`` (Q of each group) and constant distances.
 
-    ``noise``: image errors are taken to be so many times larger than stated.
+    ``noise``: factor on the stated image errors.
     """
     seen = image.linearised(state, places)
     weight = robust_weights(seen.residual / noise) / noise**2
@@ -92,7 +92,7 @@ def step(
 
 
 def add_prior(band: Band, state: TrajectoryState, places: StateLayout, group: int, covariance: Array) -> None:
-    """Add the smoothness prior of a group, and what keeps unknowns that nothing determines finite."""
+    """Add the smoothness prior of a group, and a weak prior that keeps undetermined unknowns finite."""
     knots, width, points = state.knots, places.width(group), 3 * len(places.groups[group])
     band.add_prior(knots.gram(state.order, None if state.pace is None else 1 / state.pace), np.linalg.inv(covariance))
     loose = np.full(width, FARTHEST_M**-2)
@@ -245,7 +245,7 @@ def _short_enough(
     image: ImagePoints, old: TrajectoryState, new: TrajectoryState, found: list[Array], shared: Array,
     places: StateLayout, covariances: list[Array], pairs: Pairs, weight: Array
 ) -> TrajectoryState:  # fmt: skip
-    """Return the new state, or one nearer to the old where the step made things worse."""
+    """Return the new state, or a shortened step where the full one increased the cost."""
     best = cost(image, old, places, covariances, pairs, weight)
     start = [unknowns(old, places, g) for g in range(len(places.groups))]
     share = 1.0

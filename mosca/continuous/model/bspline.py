@@ -1,7 +1,7 @@
 """Uniform B-splines in time: values, derivatives, and the exact integral of a squared derivative.
 
 A curve is ``x(t) = sum_k c_k N((t - start) / step + degree - k)`` with the cardinal B-spline ``N`` of ``degree`` on
-[0, degree + 1] (de Boor 1978). All pieces are alike, so that one small matrix maps a position within a piece to the
+[0, degree + 1] (de Boor 1978). All pieces are equal, so that one small matrix maps a position within a piece to the
 weights of the ``degree + 1`` coefficients that reach it.
 """
 
