@@ -41,8 +41,8 @@ TWO_LONG = 1.6
 LEAST_DIAMETER_PX = 0.5
 """A target of one pixel has no measurable size; taken for this one."""
 BLUR_PX = 0.45
-"""Blur of lens and pixel (standard deviation) that makes images larger than what they show; of small targets the area
-by a third, by more where they are far, so that whole targets far off would hide what is missing of near ones."""
+"""Blur of lens and pixel (standard deviation) that enlarges images: of small targets the area by a third, by more
+where they are far, so that distant whole targets would mask the missing part of near ones."""
 SHARPEST = 0.1
 """Share of its area that an image keeps at least when its blur is taken off."""
 REGION_MARGIN_PX = 1.1

@@ -15,7 +15,7 @@ Severity = Literal["refuse", "warn", "note"]
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that a person must know before believing a calibration.
+    """A result of the quality checks of a calibration.
 
     ``code``: one of ``mosca.calibration.quality.findings.CODES``, for scripts and tests; ``message``: one line,
     what was found (with its figure), what is allowed, and what to do next; ``camera``: whose, where it is one

@@ -8,8 +8,8 @@ import numpy as np
 from mosca.data.arrays import Array, read_only
 
 SATURATED, MERGED, PARTIAL, UNREFINED = 1, 2, 4, 8
-"""Bits of ``Detections.flags``: some of its pixels are saturated; two targets grown together; a target that something
-hides in part; a position without sub-pixel refinement (and with the covariance of one)."""
+"""Bits of ``Detections.flags``: some of its pixels are saturated; two merged targets; a partly occluded target; a
+position without sub-pixel refinement (and with the covariance of one)."""
 
 
 def _no_flags() -> Array:

@@ -1,7 +1,7 @@
 """Frames, camera properties, and sources of frames.
 
-A Frame carries only what a real camera can know: its own counter, its own clock's stamp, the pixels.
-True times, jitter, identity and visibility belong to ``mosca.data.truth``.
+A Frame contains only what a real camera provides: its own counter, its own clock's stamp, the pixels. True times,
+jitter, identity and visibility belong to ``mosca.data.truth``.
 """
 
 from collections.abc import Iterator, Mapping
@@ -105,7 +105,7 @@ class FrameSet:
 
 @runtime_checkable
 class FrameSource(Protocol):
-    """Where frames come from: twin, recording and hardware are read through this one door.
+    """Source of frames: common interface of twin, recording and hardware.
 
     Iterating yields Frames in order of arrival; per camera their indices rise. Iteration may be
     left early. ``close`` frees everything and may be called twice; ``with`` calls it.

@@ -171,7 +171,7 @@ class Tail:
 def rescued(part: Path, in_memory: Path) -> Path | None:
     """Return where the tail of an unfinished recording can be read; None where there is none, or its writer lives.
 
-    One that is still in memory, which the machine's next start would forget, is moved beside ``part`` where possible.
+    One in memory, which a reboot would erase, is moved beside ``part`` where possible.
     """
     beside = part.parent / TAIL_NAME
     if beside.exists():

@@ -30,7 +30,7 @@ class McapRecording:
     Frames come in the order in which they were written. A frame whose pixels are damaged is corrupt; damage beyond
     one frame loses the frames that it hits (gaps) and is reported in ``notes``, as is a missing end. Frames that were
     still waiting when the writer was killed come last (``mosca.recording.crash_buffer``). A recording that ``holds``
-    "detections" has no frames: ``detection_sets`` gives what they showed.
+    "detections" has no frames: ``detection_sets`` yields their content.
     """
 
     def __init__(self, path: Path, only: Sequence[str] | None = None) -> None:

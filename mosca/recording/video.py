@@ -97,7 +97,7 @@ def luma(frame: VideoFrame) -> Array:
 
 
 def open_video(path: Path) -> InputContainer:
-    """Open a video file; InputError where it is none."""
+    """Open a video file; InputError for other files."""
     try:
         container = av.open(str(path))
     except (av.error.FFmpegError, OSError) as error:

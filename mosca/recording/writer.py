@@ -182,7 +182,7 @@ class RecordingWriter:
             self._tail.free(slot)
 
     def flush(self) -> None:
-        """Hand what was written so far to the operating system: it outlives this process."""
+        """Flush to the operating system: what was written so far survives this process."""
         with self._disk():
             self._mcap.flush()
 

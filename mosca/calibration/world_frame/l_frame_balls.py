@@ -43,7 +43,7 @@ class BallCandidates:
 
 
 def spots(rig: Rig, detections: Mapping[str, Detections]) -> BallCandidates:
-    """Return the positions where rays of two cameras or more meet.
+    """Return the positions where rays of two cameras or more intersect.
 
     Those seen by most cameras come first; each detection belongs to one position at the most.
     """

@@ -58,7 +58,7 @@ def _image(q, v0, v1, v2, out):
         return False
     c, mx, my, af, k1, k2, k3, p1, p2 = q[0], q[3], q[4], q[5], q[6], q[7], q[8], q[9], q[10]
     iz = 1 / v2
-    # ideal point [mm], y up; Newton's method for the measured point that the correction carries there
+    # ideal point [mm], y up; Newton's method for the measured point that the correction maps to it
     ix, iy = c * v0 * iz, -c * v1 * iz
     x, y = ix, iy
     a = b = d = rx = ry = 0.0

@@ -85,7 +85,7 @@ def direction(q, u, v, d, g):
 
 @bare_step
 def _tilted(q, wx, wy, s00, s01, s10, s11):
-    """Carry a slope from before the sensor's tilt onto the sensor."""
+    """Transform a Jacobian from before the sensor's tilt to the sensor."""
     depth = q[TILT + 6] * wx + q[TILT + 7] * wy + q[TILT + 8]
     x = (q[TILT] * wx + q[TILT + 1] * wy + q[TILT + 2]) / depth
     y = (q[TILT + 3] * wx + q[TILT + 4] * wy + q[TILT + 5]) / depth

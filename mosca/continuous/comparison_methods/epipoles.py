@@ -98,7 +98,7 @@ def poses_of_essential(matrix: Array) -> tuple[Pose, ...]:
 
 
 def distances_along(pose: Pose, first: Array, second: Array) -> tuple[Array, Array]:
-    """Return how far along the rays (n, 3) of two cameras (``pose``: second_from_first) they come nearest."""
+    """Return the depths along rays (n, 3) of two cameras (``pose``: second_from_first) at their closest approach."""
     a, b, t = first @ pose.rotation.T, second, pose.translation
     # s a - r b = -t, least squares
     aa, bb, ab = (np.einsum("ni,ni->n", p, q) for p, q in ((a, a), (b, b), (a, b)))

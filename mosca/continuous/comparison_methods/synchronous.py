@@ -113,7 +113,7 @@ def adjust(views: Views, start: PosesAndPoints, cameras: Cameras, *, epipoles: b
         gained = (system.cost - after)[better] / np.maximum(system.cost[better], TINY)
         if better.any():
             state = task.chosen(state, trial, better)
-            # a group that gains nothing any more has arrived
+            # a group without further decrease has converged
             live[np.flatnonzero(better)[gained < SETTLED]] = False
             system = task.linearised(state)
         damping = np.where(better, np.maximum(damping / 10, 1e-10), damping * 10)

@@ -13,7 +13,7 @@
     [limbs]                               # where they are known
     head = ["LFHD", "RFHD", "LBHD"]
 
-A pair without a link was never seen together; nothing is known of it.
+A pair without a link was never observed together.
 """
 
 from pathlib import Path

@@ -91,7 +91,7 @@ def distortion(lens: OpenCVLens) -> tuple[float, ...]:
 
 
 def shortest(coefficients: Sequence[float], least: int = 5) -> list[float]:
-    """Return the coefficients without trailing zeros, in a number that OpenCV knows."""
+    """Return the coefficients without trailing zeros, in a number that OpenCV accepts."""
     last = max((k + 1 for k, value in enumerate(coefficients) if value), default=0)
     count = next(n for n in COUNTS if n >= max(last, least))
     return list(coefficients[:count])
@@ -136,7 +136,7 @@ def opencv_lens(matrix: Array, coefficients: Sequence[float], fisheye: bool, whe
 
 
 def rotation_of(given: Array, where: str) -> Array:
-    """Return the rotation matrix (3, 3) nearest to what a file gives; InputError where it is none."""
+    """Return the rotation matrix (3, 3) nearest to what a file gives; InputError where it is not a rotation."""
     matrix = np.asarray(given, dtype=float).reshape(3, 3)
     rotation, misfit = nearest_rotation(matrix) if np.isfinite(matrix).all() else (matrix, np.inf)
     if not misfit <= LARGEST_MISFIT:
@@ -200,7 +200,7 @@ def read_text(path: Path) -> str:
 
 
 def numbers(text: str, path: Path) -> list[float]:
-    """Return the numbers of a text separated by white space; InputError names what is none."""
+    """Return the numbers of a text separated by white space; InputError names what is not a number."""
     found = []
     for word in text.split():
         try:
