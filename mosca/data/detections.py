@@ -18,21 +18,21 @@ def _no_flags() -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """Targets found in one image.
-
-    ``xy_px`` (n, 2) sub-pixel centroids; ``covariance_px2`` (n, 2, 2) of their random error;
-    ``diameter_px`` (n,) equivalent diameter of the region; ``peak`` (n,) largest grey value [DN];
-    ``elongation`` (n,) longer over shorter side of the region's box (1 for a disc); ``flags`` (n,) uint8, bits
-    as above, 0 where nothing is odd (the default for all).
-    """
+    """Targets found in one image."""
 
     camera: str
     xy_px: Array
+    """(n, 2) sub-pixel centroids."""
     covariance_px2: Array
+    """(n, 2, 2) of their random error."""
     diameter_px: Array
+    """(n,) equivalent diameter of the region."""
     peak: Array
+    """(n,) largest grey value [DN]."""
     elongation: Array
+    """(n,) longer over shorter side of the region's box (1 for a disc)."""
     flags: Array = field(default_factory=_no_flags)
+    """(n,) uint8, bits as above, 0 where nothing is odd (the default for all)."""
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.xy_px))

@@ -39,25 +39,25 @@ class CameraInfo:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One exposure of one camera.
-
-    ``index`` is the camera's own frame counter, ``time_ns`` its stamp of ``stamp_event``, ``exposure_ns`` the length
-    of the exposure window, ``row_time_ns`` the delay from one row's exposure to the next row's (0 for a global
-    shutter). ``image`` is (H, W), uint8 or uint16, read-only; None where the frame was dropped or is corrupt.
-    ``note`` gives the reason, for people. ``rows``: the image's height, taken from ``image``; where there is none,
-    what the source knows (CameraInfo.height), 0 if nothing.
-    """
+    """One exposure of one camera."""
 
     camera: str
     index: int
+    """The camera's own frame counter."""
     time_ns: int
+    """The camera's stamp of ``stamp_event``."""
     exposure_ns: int
+    """Length of the exposure window."""
     image: Array | None
+    """(H, W), uint8 or uint16, read-only; None where the frame was dropped or is corrupt."""
     status: FrameStatus = "ok"
     stamp_event: StampEvent = "exposure_start"
     row_time_ns: int = 0
+    """Delay from one row's exposure to the next row's (0 for a global shutter)."""
     note: str = ""
+    """Reason for a dropped or corrupt frame, for people."""
     rows: int = 0
+    """Height of ``image``; without image that known to the source (CameraInfo.height), else 0."""
 
     def __post_init__(self) -> None:
         if self.image is not None:
