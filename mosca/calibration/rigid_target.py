@@ -73,7 +73,7 @@ class RigidTarget:
 
 @dataclass(frozen=True)
 class RigidSettings:
-    """How cameras are calibrated from a rigid target."""
+    """Settings of a calibration from a rigid target."""
 
     lens: LensChoice = field(default_factory=LensChoice)
     """Model to estimate."""

@@ -44,7 +44,7 @@ Target_co = TypeVar("Target_co", bound=CalibrationTarget, covariant=True)
 
 @dataclass(frozen=True)
 class EstimateSettings:
-    """How cameras are calibrated from frames."""
+    """Settings of a calibration from frames."""
 
     lens: LensChoice = field(default_factory=LensChoice)
     """Model to estimate."""
@@ -57,7 +57,7 @@ class EstimateSettings:
     reference: int | None = None
     """Frame set in which a rigid target is the world."""
     detection: DetectionSettings = field(default_factory=DetectionSettings)
-    """How the balls of wands and L-frames are found."""
+    """Settings of the detection of wands' and L-frames' balls."""
     volume: tuple[Sequence[float], Sequence[float]] | None = None
     """(low, high) [m, world]: where will be measured."""
 

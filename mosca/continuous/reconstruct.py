@@ -21,7 +21,7 @@ from mosca.errors import InputError
 FEW_TOGETHER = 6
 """Points whose curves are estimated together before clocks are known."""
 BETTER_PX = 0.1
-"""How far estimated curves may be off in the images when image points are assigned to them again."""
+"""Gate for assigning image points again to the estimated curves."""
 
 
 @dataclass(frozen=True)

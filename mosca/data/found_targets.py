@@ -1,4 +1,4 @@
-"""What is found of coded targets and boards in an image: who it is, where, and how well that is known."""
+"""Coded targets and boards found in an image: number, position and covariance."""
 
 from dataclasses import dataclass
 

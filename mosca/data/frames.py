@@ -17,7 +17,7 @@ StampEvent = Literal["exposure_start", "exposure_middle", "readout"]
 
 @dataclass(frozen=True)
 class CameraInfo:
-    """What a camera states of itself before the first frame.
+    """Properties that a camera states before the first frame.
 
     ``bit_depth``: significant bits of a pixel (8, 10, 12 or 16). ``clock``: whose clock stamps the
     frames. ``frame_rate_hz``: the nominal rate of pulses (trigger) or of the free-running camera.

@@ -54,7 +54,7 @@ class RayTable:
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """Where the tracks expect their targets."""
+    """Predicted positions of the tracks' targets."""
 
     xyz: Array
     """(k, 3) [m], world frame."""

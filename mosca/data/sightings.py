@@ -1,4 +1,4 @@
-"""What the images of a calibration session show: which mark of the target was seen where, when and by whom."""
+"""Image points of a calibration session, with mark, exposure and camera."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -89,7 +89,7 @@ class Sightings:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """What one image shows: ``camera`` and ``frame`` are indices, the arrays as in ``Sightings``."""
+    """Image points of one image: ``camera`` and ``frame`` are indices, the arrays as in ``Sightings``."""
 
     camera: int
     frame: int

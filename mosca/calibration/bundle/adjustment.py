@@ -1,4 +1,4 @@
-"""What a bundle adjustment returns, and how it is worked out from the normal equations at the solution."""
+"""Result of a bundle adjustment, computed from the normal equations at the solution."""
 
 from dataclasses import dataclass
 

@@ -21,8 +21,8 @@ NOTHING_FIXES = 1e-9
 SINGULAR = 1e-11
 """The same of any direction: two unknowns are one."""
 PLAUSIBLE_SHARE = 0.1
-"""What is plausible of a lens parameter a priori: it moves no image point by more than this share of half
-the image's diagonal; of a rotation so many rad, of a position this share of the distance to the points."""
+"""Plausible a-priori range of a lens parameter: it moves no image point by more than this share of half the image's
+diagonal; of a rotation so many rad, of a position this share of the distance to the points."""
 LEAST_OPEN_SHARE = 0.1
 
 

@@ -21,7 +21,7 @@ UNSEEN = 1e3
 pull."""
 LEAST_SQUARES, HUBER, CAUCHY = 0, 1, 2
 LENS = 12
-"""Where a camera's lens row begins in the table of cameras."""
+"""First column of a camera's lens row in the table of cameras."""
 # derivatives of the pixel by the camera's pose (6), the point in the world, its placement's rotation, the point on it
 BY_POSE, BY_WORLD, BY_ROTATION, BY_OWN, OBSERVED = IMAGED, IMAGED + 6, IMAGED + 9, IMAGED + 12, IMAGED + 15
 

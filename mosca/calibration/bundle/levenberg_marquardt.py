@@ -71,7 +71,7 @@ class Descent:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A descent that ended, with the inverse of its normal equations: what precision is worked out from.
+    """A finished descent with the inverse of its normal equations, from which precision is computed.
 
     ``weight`` (n,) 1/sigma of the sorted image points, 0 where left out; ``cofactors`` (u, u) of the reduced
     system in any datum; ``inverse`` of the blocks; ``motions`` the number of common motions that nothing

@@ -1,5 +1,4 @@
-"""What a bundle adjustment is given: cameras, object points, poses of moving things, observations, lengths,
-datum.
+"""Input of a bundle adjustment: cameras, object points, poses of moving things, observations, lengths, datum.
 
 One convention for every unknown: its standard deviation a priori. 0 holds it at its given value, infinity
 leaves it free, anything between weights the given value as an observation of its own.

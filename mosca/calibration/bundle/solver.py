@@ -68,7 +68,7 @@ MOST_EIGENVECTORS = 1500
 
 @dataclass(frozen=True)
 class BundleSettings:
-    """How a bundle is adjusted."""
+    """Settings of a bundle adjustment."""
 
     loss: Literal["least squares", "huber", "cauchy"] = "least squares"
     """Robust losses give less weight to residuals beyond ``loss_scale``."""

@@ -30,7 +30,7 @@ from mosca.pipeline import Step
 
 @dataclass(frozen=True)
 class BumpSettings:
-    """When a camera is taken for bumped."""
+    """Settings of the bump test."""
 
     windows: tuple[int, ...] = (5, 20, 80)
     """Numbers of last frames that are tested."""

@@ -1,4 +1,4 @@
-"""How well a calibrated rig measures a point, predicted: from detection, and from the calibration itself.
+"""Predicted covariance of a point measured with a calibrated rig: from detection, and from the calibration.
 
 A point X seen at pixels with covariances S_c follows from N = sum J_c^T S_c^-1 J_c, so that detection gives it
 the covariance N^-1. The calibration's parameters p move it by G = -N^-1 sum J_c^T S_c^-1 dx_c/dp, which gives

@@ -27,7 +27,7 @@ UNSEEN_PX = 1e4
 
 @dataclass(frozen=True, eq=False)
 class _CameraView:
-    """What a new camera saw: points (n, 3) of the new world at pixels (n, 2)."""
+    """Observations of a new camera: points (n, 3) of the new world at pixels (n, 2)."""
 
     camera: Camera
     points: Array

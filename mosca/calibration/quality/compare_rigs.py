@@ -29,7 +29,7 @@ MOTIONS = ("similarity", "rigid", "none")
 
 @dataclass(frozen=True)
 class CameraDifference:
-    """How one camera's rays differ, in px of a: as they are, after the common motion, and by the lens alone.
+    """Differences of one camera's rays, in px of a: as they are, after the common motion, and by the lens alone.
 
     ``centre_m``, ``turn_rad``: how far the projection centre and the pose differ after the common motion.
     """

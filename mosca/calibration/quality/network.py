@@ -122,7 +122,7 @@ def linked(calibration: Calibration, settings: QualityLimits, rigid_target: bool
         wanted = "; ".join(_in_words(calibration, *pair) for pair in missing_links(calibration, label))
         text = f"{groups} groups of cameras see no point in common: {words}; {wanted}, then calibrate again"
         return (refuse("no-link", text),)
-    # the weakest link of the strongest tree decides how well the groups on its two sides hold together
+    # the weakest link of the strongest tree decides how well the groups on its two sides are connected
     tree = minimum_spanning_tree(coo_array((1.0 / strength[strength > 0], np.nonzero(strength)))).tocoo()
     found = []
     views = common_views(calibration)

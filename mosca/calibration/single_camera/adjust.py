@@ -22,7 +22,7 @@ ROUNDS = 4
 
 @dataclass(frozen=True)
 class AdjustmentSettings:
-    """How a camera is adjusted.
+    """Settings of a single camera's adjustment.
 
     ``parameters``: lens parameters to estimate; None lets the data choose, OpenCV's thin prism among the rest unless
     ``prism`` is False. ``significance``: level of the F-test by which a group joins. ``blunder_significance``:

@@ -21,7 +21,7 @@ ALIKE_ENDS = 0.05
 
 @dataclass(frozen=True)
 class WandReading:
-    """How a wand is detected.
+    """Settings of wand detection.
 
     ``largest_depth_ratio``: how many times farther than the near end the far end may be; ``bend``: how far from the
     line of the outer balls an inner one may be seen, as a share of their distance, beyond ``slack_px``; lenses bend

@@ -19,7 +19,7 @@ from mosca.errors import CalibrationError
 FOCAL_WIDTHS = (0.3, 10.0)
 """Focal lengths of real cameras, in widths of the image."""
 MIDDLE_SHARE = 0.2
-"""How far from the image's middle a principal point may lie, in widths of the image."""
+"""Largest distance of a principal point from the image's middle, in widths of the image."""
 WORST_FOCAL = 0.03
 """Relative standard deviation beyond which a focal length counts as undetermined."""
 WORST_LEFT_OUT, MANY_LEFT_OUT = 0.3, 0.1

@@ -15,7 +15,7 @@ from mosca.errors import CalibrationError
 from mosca.triangulation.triangulate import triangulate
 
 MATCH_PX = 3.0
-"""How far from its projection a ball may be seen and still be this ball."""
+"""Gate of a ball's image about its projection."""
 MOST_SPOTS, MOST_DETECTIONS = 24, 200
 # of two readings of a figure the better one must fit so many times better
 TIMES_BETTER = 3.0

@@ -44,7 +44,7 @@ class AssociationSettings:
 
 @dataclass(frozen=True, eq=False)
 class Associated:
-    """What was gathered.
+    """Result of the data association.
 
     ``observations``: times on the common clock, as coarsely as it is known. ``start``: curves
     through the interpolated tracks. ``ties``: how each camera's own clock is tied to the common one, seconds of

@@ -31,7 +31,7 @@ FEWEST_SAMPLES = 6
 INTERPOLATED_PX = 0.15
 """Standard deviation of a position between two exposures beyond the detections' own: initial value of an estimate."""
 GATE_SIGMA, CURVE_PX = 4.5, 0.25
-"""How far an image point may lie from its curve; standard deviation an axis of a curve through samples."""
+"""Gate of an image point about its curve; standard deviation an axis of a curve through samples."""
 WORST_PX = 1.0
 """Image points less certain than this are not used (those that no disc could be fitted to)."""
 ODD_SHARE = 0.15

@@ -17,7 +17,7 @@ from mosca.data.arrays import Array
 from mosca.data.tracks import Tracks
 
 LONGEST_S = 1.0
-"""A marker that no two cameras saw for longer is a new one."""
+"""Longest gap without two cameras; after it a marker is a new one."""
 SLACK_M = 0.02
 """Largest distance of the two ends, extrapolated to the middle of the gap, beyond what acceleration explains."""
 

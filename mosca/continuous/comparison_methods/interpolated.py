@@ -28,7 +28,7 @@ LONGEST_GAP = 2.5
 
 @dataclass(frozen=True, eq=False)
 class ImageTracks:
-    """What cameras saw as functions of time: ``at`` gives Views of any instants."""
+    """Image tracks as functions of time: ``at`` gives Views of any instants."""
 
     observations: TimedObservations
     rig: Rig

@@ -29,7 +29,7 @@ SETTLED = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """What c cameras saw of m points at t common instants: ``xy_px`` (t, c, m, 2), NaN where not seen.
+    """Image points of m points in c cameras at t common instants: ``xy_px`` (t, c, m, 2), NaN where not seen.
 
     ``carried_by`` (m,): camera that carries the point, -1 for none; ``carried_at`` (m, 3) its position there [m].
     """

@@ -20,7 +20,7 @@ HALVINGS = 6
 HELD = 1e12
 """Precision of what is held: far beyond images."""
 FRAME = (1e-4, 0.2)
-"""How far moving cameras may be from their start, rad or m a knot: the first, the others."""
+"""A-priori sigma of moving cameras about their initial path, rad or m per knot: the first, the others."""
 DRIFT_OF_FRAME = (1.0, 1.0)
 """Where no frame is given (cameras unknown) the start holds it, this loosely: rad and m, standard deviations."""
 

@@ -1,4 +1,4 @@
-"""What is estimated, as one value: curves of points, cameras' poses and clocks; and the index of each unknown."""
+"""State vector: curves of points, cameras' poses and clocks; and the index of each unknown."""
 
 from dataclasses import dataclass, replace
 

@@ -1,4 +1,4 @@
-"""What the continuous-time estimate takes and gives."""
+"""Settings and result of the continuous-time estimate."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -13,7 +13,7 @@ from mosca.data.arrays import Array
 
 @dataclass(frozen=True)
 class ContinuousSettings:
-    """What is known and what is estimated."""
+    """Settings of the continuous-time estimate."""
 
     clocks: Literal["known", "offset", "drift", "rolling"] = "known"
     """"known": time stamps are right; else what is estimated of each camera's clock: "offset", offset and "drift",

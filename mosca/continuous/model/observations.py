@@ -1,4 +1,4 @@
-"""What free-running cameras saw: image points, each with its own instant; and curves, what is made of them."""
+"""Observations of free-running cameras: image points, each with its own instant; and curves estimated from them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

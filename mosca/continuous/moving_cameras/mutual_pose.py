@@ -24,13 +24,13 @@ from mosca.data.rig import Rig
 RAY_SIGMA = 2e-3
 """Error of a lamp's ray [rad]: a lamp is dark up to a few frames, between which its image is interpolated."""
 LOOSE = (0.5, 0.5)
-"""What holds a pose that lamps do not: rad and m from where it began, standard deviations."""
+"""Prior of a pose about its initial value, sigma [rad, m], for directions that lamps do not determine."""
 KNOWN = (0.04, 0.03)
 """Largest standard deviations [rad, m] of a pose that is used."""
 SEED_PASSES = 5
 STEPS = 8
 FARTHEST_RAD = 0.03
-"""A sighting that lies farther from where the poses have its lamp is not that lamp's."""
+"""Gate of a sighting about its lamp's predicted image."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,7 @@ LARGEST_TILT_RAD = 1.5
 
 
 class CaliscopeCamera(BaseModel):
-    """What is read of a camera's table; other keys (exposure, error, ...) are not ours to judge."""
+    """The keys read of a camera's table; others (exposure, error, ...) are ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
 
