@@ -1,12 +1,12 @@
-"""Calibration from a rigid target with known marks: a test field or a board, standing or carried about.
+"""Calibration from a rigid target with known marks: a test field or a board, fixed or moved by hand.
 
 1. Frame sets between which nothing moved are one *stationary interval* of the target.
 2. Each camera's interior orientation starts from its own views (``interior_orientation``), the target's poses
-   before it from ``target_pose``, and all are chained into one world (``pose_graph``), that of the
-   reference interval.
+   in the camera frame from ``target_pose``; a pose graph (``pose_graph``) brings all into one world, that of
+   the reference interval.
 3. One bundle adjustment of all cameras, lenses and target poses at once (Mosca paper, section 2.2), the marks'
-   positions held, or weighted with what is known of them; blunders are found by data snooping. Before the last round
-   the images' centres are corrected for the eccentricity of round marks and the shake of whole images
+   positions fixed, or weighted by their a-priori covariance; blunders are found by data snooping. Before the last
+   round the images' centres are corrected for the eccentricity of round marks and the shake of whole images
    (``bundle.exposure_shake``).
 """
 
@@ -73,7 +73,7 @@ class RigidTarget:
 
 @dataclass(frozen=True)
 class RigidSettings:
-    """How cameras are calibrated from a rigid target."""
+    """Settings of a calibration from a rigid target."""
 
     lens: LensChoice = field(default_factory=LensChoice)
     """Model to estimate."""

@@ -44,7 +44,7 @@ Target_co = TypeVar("Target_co", bound=CalibrationTarget, covariant=True)
 
 @dataclass(frozen=True)
 class EstimateSettings:
-    """How cameras are calibrated from frames."""
+    """Settings of a calibration from frames."""
 
     lens: LensChoice = field(default_factory=LensChoice)
     """Model to estimate."""
@@ -53,11 +53,11 @@ class EstimateSettings:
     exterior_only: bool = False
     """Keep the lenses of the known rig."""
     every: int = 1
-    """Read each so many-th frame set."""
+    """Read every n-th frame set."""
     reference: int | None = None
     """Frame set in which a rigid target is the world."""
     detection: DetectionSettings = field(default_factory=DetectionSettings)
-    """How the balls of wands and L-frames are found."""
+    """Settings of the detection of wands' and L-frames' balls."""
     volume: tuple[Sequence[float], Sequence[float]] | None = None
     """(low, high) [m, world]: where will be measured."""
 
@@ -83,10 +83,10 @@ def calibrate_session(
     """Calibrate from frames of a target, set the axes by an L-frame, test the rig on a certified bar, and check its
     quality.
 
-    ``axes``, ``lengths``: frames of L-frame and bar, where there are; ``known``: an earlier rig of these cameras that
-    the new one is held against, and whose lenses stay with ``settings.exterior_only``; ``made_from``: what the page
-    says of it. Returns the checked calibration and the evidence that its page shows. InputError or CalibrationError,
-    in one line, where the frames do not do.
+    ``axes``, ``lengths``: frames of L-frame and bar, if any; ``known``: an earlier rig of these cameras to compare
+    with, whose lenses are kept with ``settings.exterior_only``; ``made_from``: description of the input for the
+    report. Returns the checked calibration and the evidence for the report. Raises InputError or CalibrationError
+    where the frames do not suffice.
     """
     with shown.opened(known) as source:
         start = known if settings.exterior_only else None
@@ -133,9 +133,9 @@ def calibrate_frames(
 ) -> Calibration:
     """Calibrate the cameras of a source whose frames show ``target``; not checked yet, see ``checked``.
 
-    ``known``: an earlier calibration of these cameras, to start from. The world is the target's frame where it first
-    stood; of a wand, near that of one of the cameras (see ``on_axes``). InputError or CalibrationError, in one line,
-    where the frames do not do.
+    ``known``: an earlier calibration of these cameras, to start from. The world is the target's frame at its first
+    pose; for a wand, close to the frame of one camera (see ``on_axes``). Raises InputError or CalibrationError where
+    the frames do not suffice.
     """
     settings = settings or EstimateSettings()
     _check(target, settings)
@@ -185,9 +185,9 @@ def checked(
     known: Rig | None = None,
     lengths: LengthErrors | None = None,
 ) -> Calibration:
-    """Return the calibration with what a person must know before believing it.
+    """Return the calibration with the findings of the quality checks.
 
-    ``known``: an earlier calibration of the same cameras to hold it against; ``lengths``: held-out ones.
+    ``known``: an earlier calibration of the same cameras to compare with; ``lengths``: held-out ones.
     """
     settings = settings or EstimateSettings()
     found = check_calibration(
@@ -203,7 +203,7 @@ def checked(
 
 
 def on_axes(calibration: Calibration, source: FrameSource, frame: LFrame, settings: EstimateSettings) -> Calibration:
-    """Return the calibration in the axes of an L-frame, which the source's frames show standing still."""
+    """Return the calibration in the axes of an L-frame, which is stationary in the source's frames."""
     axes = world_from_l_frame(calibration, _mean_detections(source, settings), frame)
     return in_axes(calibration, axes)
 

@@ -1,4 +1,4 @@
-"""Eccentricity of round targets: how far the image of a disc or a ball has its centroid from that of its centre.
+"""Eccentricity of round targets: offset of the centroid of a disc's or ball's image from the image of its centre.
 
 A circle of radius r about C with unit normal n, before a camera at the origin, has the image ellipse with the
 dual conic ``E = C C^T - r^2 (I - n n^T)`` in the plane z = 1 (the homography ``H = [r u, r v, C]`` carries the
@@ -8,16 +8,14 @@ unit circle's dual conic diag(-1, -1, 1) there; Hartley and Zisserman 2004, sect
     centre - image of C = r^2 [nx nz Cz + Cx (1 - nz^2)] / {Cz [Cz^2 - r^2 (1 - nz^2)]}, likewise in y
 
 (Mattsson and Dold derive the same; Luhmann 2014 shows its size). A ball's outline is the cone that touches it, with
-``E = C C^T - r^2 I``: centre - image of C = (Cx / Cz) r^2 / (Cz^2 - r^2), likewise in y.
-A lens with distortion carries the ellipse on into the image by some g with Jacobian J. With the ellipse's second
-moments ``M = (c c^T - E_(12,12) / E_33) / 4`` its centroid, to second order in its size, is
-``g(c) + H : M / 2 + J M grad log det J``: the bend of g (H its second derivatives), and the part of the ellipse
-that is magnified more weighs more. Without distortion both are zero and the result is exact.
-For a fisheye, which sees what no plane z = 1 shows, the plane is laid across the ray to C instead.
+``E = C C^T - r^2 I``: centre - image of C = (Cx / Cz) r^2 / (Cz^2 - r^2), likewise in y. Lens distortion maps the
+ellipse into the image by some g with Jacobian J. With the ellipse's second moments ``M = (c c^T - E_(12,12) / E_33) /
+4`` its centroid, to second order in its size, is ``g(c) + H : M / 2 + J M grad log det J``: the curvature of g (H its
+second derivatives), and the varying magnification. Without distortion both are zero and the result is exact. For a
+fisheye (field beyond the plane z = 1) the plane perpendicular to the ray to C is used instead.
 
-A ball at the distance R shifts its image by ``(r / R)^2`` times a field over the image that only the lens decides
-(``ball_field``; what is left out is smaller by another (r / R)^2): its own angular size is all that the
-correction needs.
+A ball at the distance R shifts its image by ``(r / R)^2`` times a field over the image that depends on the lens alone
+(``ball_field``; neglected terms are smaller by another (r / R)^2): the correction needs only its angular size.
 """
 
 import numpy as np
@@ -38,9 +36,9 @@ SMALL = 3e-3
 def eccentricity_px(camera: Camera, centres: Array, normals: Array, radii_m: Array | float) -> Array:
     """Return centroid of the disc's image minus image of its centre (n, 2) [px]; subtract it from a measurement.
 
-    ``centres`` (n, 3) [m] and ``normals`` (n, 3), of any length, world frame, by either face; ``radii_m`` (n,) or
-    one for all. NaN where the lens does not image the disc or the camera stands in its plane. Raises InputError for
-    radii that are not above zero and normals without a direction.
+    ``centres`` (n, 3) [m] and ``normals`` (n, 3), of any length, world frame, by either face; ``radii_m`` (n,) or one
+    for all. NaN where the lens does not image the disc or the camera lies in its plane. Raises InputError for radii
+    that are not above zero and normals without a direction.
     """
     centres = np.asarray(centres, dtype=float).reshape(-1, 3)
     normals = np.asarray(normals, dtype=float).reshape(-1, 3)

@@ -20,7 +20,7 @@ HELD: dict[str, frozenset[str]] = {
     "opencv": frozenset({"k4", "k5", "k6", "s1", "s2", "s3", "s4", "tauX", "tauY"}),
     "fisheye": frozenset(),
 }
-"""Lens parameters that ``fit_lens`` keeps: two name one thing, or images seldom determine them."""
+"""Lens parameters that ``fit_lens`` holds: redundant, or rarely determined by images."""
 
 
 def lens_directions(lens: Lens, xy_px: Array) -> Array:
@@ -71,10 +71,9 @@ def project_with_jacobians(camera: Camera, points: Array) -> Projection:
 class Rays:
     """Observed pixels as rays in the world.
 
-    ``origin`` (3,) centre of projection [m]; ``direction`` (n, 3) unit; ``pixel_by_direction`` (n, 2, 3):
-    a point X near the ray has the reprojection error
-    ``pixel_by_direction @ (X - origin) / (direction . (X - origin))`` [px] to first order in the error, for
-    every lens model, so that matching and triangulation need not know the lens.
+    ``origin`` (3,) centre of projection [m]; ``direction`` (n, 3) unit; ``pixel_by_direction`` (n, 2, 3): a point X
+    near the ray has the reprojection error ``pixel_by_direction @ (X - origin) / (direction . (X - origin))`` [px] to
+    first order in the error, for every lens model, so that matching and triangulation are independent of the lens.
     """
 
     origin: Array

@@ -41,8 +41,8 @@ TWO_LONG = 1.6
 LEAST_DIAMETER_PX = 0.5
 """A target of one pixel has no measurable size; taken for this one."""
 BLUR_PX = 0.45
-"""Blur of lens and pixel (standard deviation) that makes images larger than what they show; of small targets the area
-by a third, by more where they are far, so that whole targets far off would hide what is missing of near ones."""
+"""Blur of lens and pixel (standard deviation) that enlarges images: of small targets the area by a third, by more
+where they are far, so that distant whole targets would mask the missing part of near ones."""
 SHARPEST = 0.1
 """Share of its area that an image keeps at least when its blur is taken off."""
 REGION_MARGIN_PX = 1.1
@@ -137,11 +137,11 @@ def ball_fields(rig: Rig) -> Array:
 
 
 NO_FIELDS = np.zeros((0, 0, 0, 2))
-"""In place of ``ball_fields``: targets are points."""
+"""Used instead of ``ball_fields`` where targets are points."""
 
 
 def _edges(camera: Camera) -> Array:
-    """Return the box (4,) left, top, right, bottom of what a camera sees, in ``match_index``'s places."""
+    """Return the box (4,) left, top, right, bottom of what a camera sees, in ``match_index``'s coordinates."""
     rays = lens_directions(camera.lens, image_grid(camera.width, camera.height, EDGE_STEP_PX))
     rays = rays[np.isfinite(rays).all(axis=1)]
     if not len(rays):
@@ -151,7 +151,7 @@ def _edges(camera: Camera) -> Array:
 
 
 def _ordered_pairs(rotation: Array, origin: Array) -> Array:
-    """Return the pairs of cameras, those first whose optical axes both stand across the base."""
+    """Return the pairs of cameras, those first whose optical axes are most nearly perpendicular to the baseline."""
     a, b = np.triu_indices(len(origin), 1)
     base = origin[b] - origin[a]
     across = np.linalg.norm(np.cross(base, rotation[a, :, 2]), axis=1)

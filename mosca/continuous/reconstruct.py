@@ -21,7 +21,7 @@ from mosca.errors import InputError
 FEW_TOGETHER = 6
 """Points whose curves are estimated together before clocks are known."""
 BETTER_PX = 0.1
-"""How far estimated curves may be off in the images when image points are assigned to them again."""
+"""Gate for assigning image points again to the estimated curves."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class EstimatedClock:
 
 @dataclass(frozen=True, eq=False)
 class Reconstructed:
-    """What frames of free-running cameras gave. ``observations``: on the curves' clock. ``findings``: what a person
+    """Result from frames of free-running cameras. ``observations``: on the curves' clock. ``findings``: what a person
     should know, a line each. ``cameras``: their paths where they move; ``observations`` are then those of markers.
     """
 
@@ -109,7 +109,7 @@ def reconstruct(
     gathered = associate(source, rig, gathering, backgrounds, attend)
     if gathered.searched and settings.clocks == "known":
         settings = replace(settings, clocks="drift")
-    # clocks and names want curves, not what points have to do with each other: that is what costs
+    # clocks and names need curves, not the correlations between points, which are expensive
     quick = replace(settings, limbs=False, most_together=min(FEW_TOGETHER, settings.most_together))
     estimated = estimate(gathered.observations, rig, quick, gathered.start)
     ties = _tied(gathered.ties, estimated)

@@ -1,4 +1,4 @@
-"""Read-only arrays with a checked shape: the ground that every value of the vocabulary stands on."""
+"""Read-only arrays with a checked shape, used by all data types of ``mosca.data``."""
 
 from typing import Any
 
@@ -11,10 +11,10 @@ Array = NDArray[Any]
 def read_only(values: Any, shape: tuple[int | None, ...], name: str, dtype: DTypeLike = np.float64) -> Array:
     """Return ``values`` as a read-only contiguous array of ``dtype``, checked against ``shape``.
 
-    ``None`` in ``shape`` stands for any length. A read-only array of the right type that owns its
-    memory is returned as it is; anything else is copied, so that nobody else can write into it.
+    ``None`` in ``shape`` matches any length. A read-only array of the right type that owns its memory is returned as
+    it is; anything else is copied, so that no other reference can write to it.
 
-    Raises ValueError naming the quantity, the shape wanted and the shape given.
+    Raises ValueError naming the quantity, the expected shape and the given one.
     """
     given = np.asarray(values, dtype=dtype)
     if given.size == 0 and given.ndim != len(shape):
@@ -34,10 +34,10 @@ def read_only(values: Any, shape: tuple[int | None, ...], name: str, dtype: DTyp
 
 
 def read_only_image(pixels: Any) -> Array:
-    """Return an image (H, W) of uint8 or uint16 that nobody can write to.
+    """Return an image (H, W) of uint8 or uint16, made read-only.
 
-    The memory is taken over without a copy (frames are large): the caller gives the array away.
-    Raises ValueError for any other shape or type.
+    Not copied (frames are large): the caller must not write to the array afterwards. Raises ValueError for any other
+    shape or type.
     """
     image: Array = np.asarray(pixels)
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
@@ -47,10 +47,10 @@ def read_only_image(pixels: Any) -> Array:
 
 
 def looked_at(values: Array) -> Array:
-    """Return a view of an array through which nobody can write.
+    """Return a read-only view of an array.
 
-    Compiled code is made anew for arrays that can be written and for those that cannot: what only looks at its
-    arguments is handed views, and is compiled once.
+    Numba compiles a function separately for writable and read-only arrays; functions that only read are always passed
+    read-only views, and so are compiled once.
     """
     view = values.view()
     view.setflags(write=False)

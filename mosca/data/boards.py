@@ -1,7 +1,7 @@
 """Checkerboards and ChArUco boards: squares, corners and marker numbers.
 
-A board's frame has its origin in the middle of the face; the face looks along +z, x to the right and y up as
-one who faces it sees it. Lengths in m.
+A board's frame has its origin in the middle of the face; the face's normal is +z; x is to the right and y up for a
+viewer facing it. Lengths in m.
 """
 
 from dataclasses import dataclass
@@ -27,9 +27,9 @@ DICTIONARIES: dict[str, tuple[int, int]] = {
 class Board:
     """A checkerboard of ``columns`` x ``rows`` squares, the upper left one black, in a white margin.
 
-    Its frame's origin is the middle of its face. With ``marker_m`` and ``dictionary`` it is a ChArUco board:
-    each white square holds a marker of that edge, numbered from 0 row by row, as in OpenCV since 4.6.
-    Raises ValueError for what cannot be built or told from itself turned.
+    Its frame's origin is the middle of its face. With ``marker_m`` and ``dictionary`` it is a ChArUco board: each
+    white square holds a marker of that edge, numbered from 0 row by row, as in OpenCV since 4.6. Raises ValueError
+    for a board that cannot be built or is symmetric under rotation.
     """
 
     columns: int

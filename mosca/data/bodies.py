@@ -19,8 +19,8 @@ LEAST_OFF_LINE = 0.05
 class RigidBody:
     """Named ``markers`` (m) whose centres ``positions`` (m, 3) [m] are fixed in the body's own frame.
 
-    ``sigma_m``: standard deviation of such a place on each axis [m]. Raises ValueError for fewer than 3 markers,
-    names that stand twice, and markers in a line, about which the body could turn unseen.
+    ``sigma_m``: standard deviation of each coordinate [m]. Raises ValueError for fewer than 3 markers, duplicate
+    names, and collinear markers, which leave the rotation about their line undetermined.
     """
 
     name: str
@@ -51,25 +51,28 @@ class RigidBody:
 
 @dataclass(frozen=True, eq=False)
 class BodyPoses:
-    """Poses of rigid bodies as columns, one row a body and frame.
-
-    ``frame`` (n,) pulse number; ``time_ns`` (n,) mid-exposure; ``body`` (n,) str; ``quaternion`` (n, 4) wxyz and
-    ``position`` (n, 3) [m] of world_from_body: x_world = R(quaternion) x_body + position. ``covariance`` (n, 6, 6)
-    in the order x, y, z of the position [m], then the rotation vector about the world's x, y, z [rad], so that
-    R_true = exp([r]) R; of the measurement and the markers' places, not of the cameras' calibration.
-    ``n_markers`` (n,) used; ``residual_m`` (n,) rms distance of the markers from their places, NaN where unknown;
-    ``status`` (n,) one of BODY_STATUSES; where it is withheld, pose and covariance are NaN.
-    """
+    """Poses of rigid bodies as columns, one row per body and frame."""
 
     frame: Array
+    """(n,) pulse number."""
     time_ns: Array
+    """(n,) mid-exposure."""
     body: Array
+    """(n,) str."""
     quaternion: Array
+    """(n, 4) wxyz of world_from_body: x_world = R(quaternion) x_body + position; NaN where withheld."""
     position: Array
+    """(n, 3) [m] of world_from_body; NaN where withheld."""
     covariance: Array
+    """(n, 6, 6) of the position x, y, z [m], then the rotation vector r about the world's x, y, z [rad], R_true =
+    exp([r]) R; from the measurement and the markers' positions, without the calibration's uncertainty; NaN where
+    withheld."""
     n_markers: Array
+    """(n,) used."""
     residual_m: Array
+    """(n,) rms distance of the markers from the fitted model, NaN where unknown."""
     status: Array
+    """(n,) one of BODY_STATUSES."""
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.frame))

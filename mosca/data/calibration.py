@@ -10,12 +10,12 @@ from mosca.data.rig import Rig
 from mosca.data.sightings import Sightings
 
 Severity = Literal["refuse", "warn", "note"]
-"""refuse: the rig must not be used; warn: it may be wrong; note: worth knowing."""
+"""refuse: the rig must not be used; warn: it may be wrong; note: for information."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that a person must know before believing a calibration.
+    """A result of the quality checks of a calibration.
 
     ``code``: one of ``mosca.calibration.quality.findings.CODES``, for scripts and tests; ``message``: one line,
     what was found (with its figure), what is allowed, and what to do next; ``camera``: whose, where it is one
@@ -30,42 +30,47 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A calibrated rig, the image points that it rests on, and its precision.
-
-    ``parameters`` (u) names such as "cam1.c_mm", "cam1.turn_x_rad", "cam1.X_m" (turns about the camera's own
-    axes) and their ``covariance`` (u, u), at the size that the data show (a-posteriori, with what moves whole
-    images); ``residuals_px`` (n, 2) observed minus projected of each of ``sightings``; ``used`` (n,) bool, False
-    for blunders and points that nothing places; ``marks_m`` (m, 3) adjusted places of the target's marks in the
-    target's frame; ``placement`` (n,) which pose the target had, -1 for points of the world, of
-    ``target_rotation`` (f, 3, 3) and ``target_translation`` (f, 3) [m] (world_from_target). ``sigma0`` of unit
-    weight; ``sigma_px`` (c, 2) and ``sigma_m`` (c, 2): a-posteriori standard deviation of an image coordinate x,
-    y of each camera, in the image and carried to the target (the Mosca paper's sigma_x, sigma_y, Table 2);
-    ``weak``: parameters that the data hardly determine; ``held``: those of them held near their start;
-    ``body_px`` how far whole images shake [px rms, an axis]. ``scaled_by``: what gives the scale. ``lasting_px``
-    (c,): errors of image points that are the same in each exposure of a target that stands still (of the lens model,
-    mostly), rms an axis [px], NaN where repeats do not tell them; empty where the target never stood.
-    """
+    """A calibrated rig, the image points that it rests on, and its precision."""
 
     rig: Rig
     target: str
     sightings: Sightings
     parameters: tuple[str, ...]
+    """(u) names such as "cam1.c_mm", "cam1.turn_x_rad" (rotation about the camera's own axis), "cam1.X_m"."""
     covariance: Array
+    """(u, u) of ``parameters``, a posteriori, shake of whole images included."""
     residuals_px: Array
+    """(n, 2) observed minus projected of each of ``sightings``."""
     used: Array
+    """(n,) bool, False for blunders and points without a determined position."""
     marks_m: Array
+    """(m, 3) adjusted positions of the target's marks in the target's frame."""
     placement: Array
+    """(n,) index of the target's pose, -1 for points of the world."""
     target_rotation: Array
+    """(f, 3, 3) of world_from_target."""
     target_translation: Array
+    """(f, 3) [m] of world_from_target."""
     sigma0: float
+    """Standard deviation of unit weight."""
     sigma_px: Array
+    """(c, 2) a-posteriori standard deviation of an image coordinate x, y of each camera (the Mosca paper's sigma_x,
+    sigma_y, Table 2)."""
     sigma_m: Array
+    """(c, 2) the same, projected to the target."""
     weak: tuple[str, ...]
+    """Parameters that the data hardly determine."""
     held: tuple[str, ...]
+    """Those of ``weak`` constrained near their initial values."""
     body_px: float
+    """Shake of whole images [px rms, an axis]."""
     scaled_by: str
+    """Origin of the scale."""
     findings: tuple[Finding, ...] = field(default=())
     lasting_px: Array = field(default_factory=lambda: np.empty(0))
+    """(c,) systematic errors of image points, equal in each exposure of a stationary target (of the lens model,
+    mostly), rms an axis [px]; NaN where repeats do not determine them; empty where the target was never stationary.
+    """
 
     def __post_init__(self) -> None:
         n, u, c = len(self.sightings), len(self.parameters), len(self.rig.cameras)

@@ -1,4 +1,4 @@
-"""What a page shows of a calibration beside the calibration itself: worked out beforehand, plain data."""
+"""Data of a calibration report besides the calibration itself."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ class AccuracyGrid:
     """Predicted standard deviation of a measured point on a grid.
 
     ``x``, ``y``, ``z``: axes [m, world]; ``detection_m`` and ``calibration_m`` (nx, ny, nz) standard deviations in
-    space [m] from either, NaN where too few cameras look; ``detection_sigma_px`` that of an image coordinate.
+    space [m] from either, NaN where too few cameras see it; ``detection_sigma_px`` that of an image coordinate.
     """
 
     x: Array
@@ -57,11 +57,10 @@ class HeldOutLengths:
 class CalibrationEvidence:
     """Evidence for a calibration of c cameras.
 
-    ``covered`` (c, rows, columns) bool: cells of each image that the target's points cover; ``links`` (c, c) by how
-    many points each two cameras are joined; ``groups`` (c,) number of the group each camera hangs together with;
-    ``missing`` (k, 2) cameras between which a link would join two groups;
-    ``accuracy``, ``lengths``: None where not worked out; ``comparison``: lines of text of a comparison with another
-    rig; ``made_from``: session and command, in a line.
+    ``covered`` (c, rows, columns) bool: cells of each image that the target's points cover; ``links`` (c, c) number
+    of points that connect each pair of cameras; ``groups`` (c,) connected component of each camera; ``missing`` (k,
+    2) cameras between which a link would connect two groups; ``accuracy``, ``lengths``: None where not computed;
+    ``comparison``: lines of text of a comparison with another rig; ``made_from``: session and command, in a line.
     """
 
     covered: Array

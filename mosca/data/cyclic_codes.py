@@ -1,9 +1,9 @@
-"""Codes that are read round and round from an unknown start: sectors on a ring, blinks of a lamp.
+"""Cyclic codes, read from an unknown start: sectors on a ring, blinks of a lamp.
 
-A word stands for all its rotations. Two words differ in at least ``distance`` bits however one is turned
-against the other, and a word from its own rotations in at least ``own_distance``, so that the start can be
-told as well. The words are found by going through all necklaces in rising order and keeping each that is far
-enough from those kept so far (a greedy lexicode; Conway & Sloane 1986): the same words on every machine.
+A word represents all its cyclic shifts. Two words differ in at least ``distance`` bits under any cyclic shift, and a
+word from its own shifts in at least ``own_distance``, so that the start is determined as well. The words are found by
+going through all necklaces in rising order and keeping each that is far enough from those kept so far (a greedy
+lexicode; Conway & Sloane 1986): the same words on every machine.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ Words = TypeVar("Words", int, Array)
 
 @dataclass(frozen=True, eq=False)
 class CyclicCode:
-    """``words`` of ``length`` bits by number; bit k of a word is what is read k places after its start."""
+    """``words`` of ``length`` bits by number; bit k of a word is read k positions after its start."""
 
     length: int
     words: tuple[int, ...]
@@ -32,9 +32,9 @@ class CyclicCode:
         return tuple(bool(self.words[number] >> k & 1) for k in range(self.length))
 
     def find(self, bits: tuple[bool, ...]) -> tuple[int, int] | None:
-        """Return which word is read in ``bits`` and at which place it starts, or None.
+        """Return which word is read in ``bits`` and at which position it starts, or None.
 
-        None for anything that is not exactly a word from some start on: nothing is corrected.
+        None unless ``bits`` is exactly a shifted word: no error correction.
         """
         if len(bits) != self.length:
             return None
@@ -50,7 +50,7 @@ class CyclicCode:
 
 
 def turned(word: Words, places: int, length: int) -> Words:
-    """Return ``word``, or each of an array, of ``length`` bits as it is read when it starts ``places`` later.
+    """Return ``word``, or each of an array, of ``length`` bits cyclically shifted by ``places`` (read later).
 
     ``places`` from 0 to ``length`` - 1.
     """
@@ -94,5 +94,5 @@ def _rotations(words: Array, length: int) -> Array:
 
 
 def _places(length: int, most: int) -> list[tuple[int, ...]]:
-    """Return all choices of up to ``most`` of ``length`` places."""
+    """Return all choices of up to ``most`` of ``length`` positions."""
     return [some for count in range(most + 1) for some in combinations(range(length), count)]

@@ -1,4 +1,4 @@
-"""Detections: where a frame shows targets, with the error that each place has."""
+"""Detections: image positions of targets in a frame, with covariance."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -8,8 +8,8 @@ import numpy as np
 from mosca.data.arrays import Array, read_only
 
 SATURATED, MERGED, PARTIAL, UNREFINED = 1, 2, 4, 8
-"""Bits of ``Detections.flags``: some of its pixels are saturated; two targets grown together; a target that
-something hides in part; a place without sub-pixel refinement (its covariance says so)."""
+"""Bits of ``Detections.flags``: some of its pixels are saturated; two merged targets; a partly occluded target; a
+position without sub-pixel refinement (and with the covariance of one)."""
 
 
 def _no_flags() -> Array:
@@ -18,21 +18,21 @@ def _no_flags() -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """Targets found in one image.
-
-    ``xy_px`` (n, 2) sub-pixel centroids; ``covariance_px2`` (n, 2, 2) of their random error;
-    ``diameter_px`` (n,) equivalent diameter of the region; ``peak`` (n,) largest grey value [DN];
-    ``elongation`` (n,) longer over shorter side of the region's box (1 for a disc); ``flags`` (n,) uint8, bits
-    as above, 0 where nothing is odd (the default for all).
-    """
+    """Targets found in one image."""
 
     camera: str
     xy_px: Array
+    """(n, 2) sub-pixel centroids."""
     covariance_px2: Array
+    """(n, 2, 2) of their random error."""
     diameter_px: Array
+    """(n,) equivalent diameter of the region."""
     peak: Array
+    """(n,) largest grey value [DN]."""
     elongation: Array
+    """(n,) longer over shorter side of the region's box (1 for a disc)."""
     flags: Array = field(default_factory=_no_flags)
+    """(n,) uint8, bits as above, 0 where nothing is odd (the default for all)."""
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.xy_px))
@@ -52,7 +52,7 @@ class Detections:
 
     @classmethod
     def handed_over(cls, camera: str, columns: Sequence[Array]) -> "Detections":
-        """Take columns in the order of the fields that are right and read-only; nobody checks or copies."""
+        """Take columns in the order of the fields that are valid and read-only, without checks or copies."""
         new = object.__new__(cls)
         new.__dict__.update(zip(cls.__dataclass_fields__, (camera, *columns), strict=True))
         return new

@@ -1,4 +1,4 @@
-"""What is found of coded targets and boards in an image: who it is, where, and how well that is known."""
+"""Coded targets and boards found in an image: number, position and covariance."""
 
 from dataclasses import dataclass
 
@@ -9,26 +9,26 @@ from mosca.data.arrays import Array, read_only
 
 @dataclass(frozen=True, eq=False)
 class CodedDetections:
-    """Coded targets found and read in one image, no number twice, by rising number.
-
-    ``number`` (n,) int; ``xy_px`` (n, 2) sub-pixel centroid of the centre dot; ``covariance_px2`` (n, 2, 2) of
-    its random error. The dot's ellipse: ``semi_axes_px`` (n, 2) the longer one first; ``angle_rad`` (n,) of the
-    longer one, from the image's x axis to its y axis (down), above -pi / 2 and up to pi / 2.
-    ``roll_rad`` (n,): where the plate's x axis points in the image, the same way round, above -pi and up to pi.
-    ``confidence`` (n,): how far the sector that was hardest to read lies from its threshold, 0 (on it) to about 1
-    (as bright or as dark as those beside it). ``twice`` (m,): numbers that were read in more than one place; which
-    of them is the target cannot be told, so none is reported.
-    """
+    """Coded targets found and read in one image, no number twice, by rising number."""
 
     camera: str
     number: Array
+    """(n,) int."""
     xy_px: Array
+    """(n, 2) sub-pixel centroid of the centre dot."""
     covariance_px2: Array
+    """(n, 2, 2) of its random error."""
     semi_axes_px: Array
+    """(n, 2) of the dot's ellipse, the longer one first."""
     angle_rad: Array
+    """(n,) of the longer semi-axis, from the image's x axis to its y axis (down), above -pi / 2 and up to pi / 2."""
     roll_rad: Array
+    """(n,) direction of the plate's x axis in the image, same sense of rotation, above -pi and up to pi."""
     confidence: Array
+    """(n,) distance of the least certain sector from its threshold, 0 (on it) to about 1 (as bright or as dark as
+    those beside it)."""
     twice: Array
+    """(m,) numbers that were read at more than one position: ambiguous, so none of them is reported."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "number", read_only(self.number, (None,), "number", np.int64))

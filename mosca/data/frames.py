@@ -1,7 +1,7 @@
-"""Frames, what a camera says about itself, and sources of frames.
+"""Frames, camera properties, and sources of frames.
 
-A Frame carries only what a real camera can know: its own counter, its own clock's stamp, the pixels.
-True times, jitter, identity and visibility belong to ``mosca.data.truth``.
+A Frame contains only what a real camera provides: its own counter, its own clock's stamp, the pixels. True times,
+jitter, identity and visibility belong to ``mosca.data.truth``.
 """
 
 from collections.abc import Iterator, Mapping
@@ -17,7 +17,7 @@ StampEvent = Literal["exposure_start", "exposure_middle", "readout"]
 
 @dataclass(frozen=True)
 class CameraInfo:
-    """What a camera states of itself before the first frame.
+    """Properties that a camera states before the first frame.
 
     ``bit_depth``: significant bits of a pixel (8, 10, 12 or 16). ``clock``: whose clock stamps the
     frames. ``frame_rate_hz``: the nominal rate of pulses (trigger) or of the free-running camera.
@@ -39,26 +39,25 @@ class CameraInfo:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One exposure of one camera.
-
-    ``index`` is the camera's own frame counter, ``time_ns`` its stamp of ``stamp_event``,
-    ``exposure_ns`` the length of the exposure window, ``row_time_ns`` the delay from one row's
-    exposure to the next row's (0 for a global shutter). ``image`` is (H, W), uint8 or uint16,
-    read-only; None where the frame was dropped or is corrupt. ``note`` says why, for people. ``rows``:
-    the image's height, taken from ``image``; where there is none, what the source knows (CameraInfo.height),
-    0 if nothing.
-    """
+    """One exposure of one camera."""
 
     camera: str
     index: int
+    """The camera's own frame counter."""
     time_ns: int
+    """The camera's stamp of ``stamp_event``."""
     exposure_ns: int
+    """Length of the exposure window."""
     image: Array | None
+    """(H, W), uint8 or uint16, read-only; None where the frame was dropped or is corrupt."""
     status: FrameStatus = "ok"
     stamp_event: StampEvent = "exposure_start"
     row_time_ns: int = 0
+    """Delay from one row's exposure to the next row's (0 for a global shutter)."""
     note: str = ""
+    """Reason for a dropped or corrupt frame, for people."""
     rows: int = 0
+    """Height of ``image``; without image that known to the source (CameraInfo.height), else 0."""
 
     def __post_init__(self) -> None:
         if self.image is not None:
@@ -106,7 +105,7 @@ class FrameSet:
 
 @runtime_checkable
 class FrameSource(Protocol):
-    """Where frames come from: twin, recording and hardware are read through this one door.
+    """Source of frames: common interface of twin, recording and hardware.
 
     Iterating yields Frames in order of arrival; per camera their indices rise. Iteration may be
     left early. ``close`` frees everything and may be called twice; ``with`` calls it.
@@ -114,7 +113,7 @@ class FrameSource(Protocol):
 
     @property
     def cameras(self) -> tuple[CameraInfo, ...]:
-        """What each camera says of itself, in the order of the rig."""
+        """Properties of each camera, in the order of the rig."""
         ...
 
     def __iter__(self) -> Iterator[Frame]:

@@ -24,7 +24,7 @@ class RayTable:
     - WHITE (2 x 3): whitened reprojection error by direction.
     - SPREAD (3 x 2): direction error of one standard deviation [rad] (pseudo-inverse of WHITE).
     - NORMAL (9): share in the normal equations, A'A (xx, xy, xz, yy, yz, zz) and A'A O.
-    - SIGMA [px]: geometric mean of the error ellipse's axes; turns whitened errors into px.
+    - SIGMA [px]: geometric mean of the error ellipse's axes; converts whitened errors to px.
     - RADIUS [px]: of the target's image, and ANGLE [rad]: what its diameter subtends, both without blur.
     - BONUS: its log-likelihood ratio, target against clutter (``mosca.correspondence.match``).
     - FLAGS: of the detection, and LONG (``mosca.camera.ray_table``).
@@ -44,7 +44,7 @@ class RayTable:
     extra_px2: Array
     """(c,) variance that each camera adds to its detections, an axis."""
     odd: int
-    """How many images are long, or stand alone without a fit."""
+    """Number of images that are long, or single and not fitted."""
 
     @property
     def direction(self) -> Array:
@@ -54,7 +54,7 @@ class RayTable:
 
 @dataclass(frozen=True, eq=False)
 class Predicted:
-    """Where the tracks expect their targets."""
+    """Predicted positions of the tracks' targets."""
 
     xyz: Array
     """(k, 3) [m], world frame."""

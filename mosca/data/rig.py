@@ -69,7 +69,7 @@ class OpenCVLens:
     """OpenCV's pinhole model: ideal -> distorted with radial k1, k2, k3, rational k4, k5, k6, tangential p1, p2,
     thin prism s1-s4 and a sensor tilted by tauX, tauY [rad, below 90 deg] about its x and y axes.
 
-    The distortion's fields stand in OpenCV's order of 14 coefficients. Pixel (0, 0) is the centre of the top-left
+    The distortion's fields are in OpenCV's order of 14 coefficients. Pixel (0, 0) is the centre of the top-left
     pixel, as in OpenCV.
     """
 

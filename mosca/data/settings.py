@@ -65,7 +65,7 @@ class DetectionSettings:
     @model_validator(mode="wrap")
     @classmethod
     def _as_input_error(cls, values: Any, validate: Any) -> Any:
-        """Raise an InputError in place of pydantic's error."""
+        """Raise an InputError instead of pydantic's error."""
         try:
             return validate(values)
         except ValidationError as error:

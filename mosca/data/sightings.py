@@ -1,4 +1,4 @@
-"""What the images of a calibration session show: which mark of the target was seen where, when and by whom."""
+"""Image points of a calibration session, with mark, exposure and camera."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,11 +12,10 @@ from mosca.data.arrays import Array, read_only
 class Sightings:
     """n image points of a target's marks in the exposures of a calibration session.
 
-    ``cameras``: their names; ``sizes`` (c, 2) width and height of their images [px]; ``frames``: how many frame
-    sets there are. Of each image point: ``camera`` (n,) and ``frame`` (n,) indices; ``mark`` (n,) which of the
-    target's marks it is (a row of its list of places), -1 where that is not known; ``xy_px`` (n, 2);
-    ``covariance_px2`` (n, 2, 2) of its random error; ``diameter_px`` (n,) of the mark's image, longer axis, NaN
-    where it has none.
+    ``cameras``: their names; ``sizes`` (c, 2) width and height of their images [px]; ``frames``: how many frame sets
+    there are. Of each image point: ``camera`` (n,) and ``frame`` (n,) indices; ``mark`` (n,) which of the target's
+    marks it is (a row of its list of positions), -1 where that is not known; ``xy_px`` (n, 2); ``covariance_px2`` (n,
+    2, 2) of its random error; ``diameter_px`` (n,) of the mark's image, longer axis, NaN where it has none.
     """
 
     cameras: tuple[str, ...]
@@ -90,7 +89,7 @@ class Sightings:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """What one image shows: ``camera`` and ``frame`` are indices, the arrays as in ``Sightings``."""
+    """Image points of one image: ``camera`` and ``frame`` are indices, the arrays as in ``Sightings``."""
 
     camera: int
     frame: int

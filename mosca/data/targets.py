@@ -1,8 +1,8 @@
-"""Targets that are put before the cameras, and what is built of them: the test field and the scale bar.
+"""Calibration targets, and the test field and scale bar built of them.
 
-Shapes and places, nothing of how it looks; boards and wands have their own files. Every target has its own
-frame: its face looks along +z, x to the right and y up as one who faces it sees it. Lengths in m; ``sigma_m``
-is the standard deviation of a place or a length as it was measured beforehand.
+Geometry only, no appearance; boards and wands have their own files. Every target has its own frame: the face's normal
+is +z, x to the right and y up for a viewer facing it. Lengths in m; ``sigma_m`` is the a-priori standard deviation of
+a coordinate or a length.
 """
 
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ RING_INNER, RING_OUTER, PLATE = 2.0, 3.0, 8.0
 
 @dataclass(frozen=True)
 class CodedTarget:
-    """A white dot within a ring of sectors that says ``number`` (``target_codes``), on a square black plate.
+    """A white dot within a ring of sectors that encodes ``number`` (``target_codes``), on a square black plate.
 
     ``dot_radius_m``, ``ring_inner_m`` and ``ring_outer_m`` are radii, ``plate_m`` is the plate's edge.
     """
@@ -63,7 +63,7 @@ class RoundTarget:
 
 @dataclass(frozen=True)
 class BallTarget:
-    """A ball of ``diameter_m``; its place is its centre."""
+    """A ball of ``diameter_m``; its position is its centre."""
 
     diameter_m: float
 
@@ -78,8 +78,8 @@ Target = CodedTarget | RoundTarget | BallTarget
 class PlacedTarget:
     """A target at ``position`` (3,) [m], facing along ``normal`` (3,), its own x axis along ``x_axis`` (3,).
 
-    The axes are made unit, and ``x_axis`` perpendicular to the normal; None stands for a level one.
-    Raises ValueError for a normal without direction or an x axis along it.
+    The axes are made unit, and ``x_axis`` perpendicular to the normal; None means a level one. Raises ValueError for
+    a normal without direction or an x axis along it.
     """
 
     name: str
@@ -96,14 +96,14 @@ class PlacedTarget:
 
     @property
     def rotation(self) -> Array:
-        """Rotation (3, 3) from the target's axes to those that its place is said in: x axis, y axis, normal."""
+        """Rotation (3, 3) from the target's axes to those of its position: columns x axis, y axis, normal."""
         return face_axes(self.normal, self.x_axis)
 
 
 def face_axes(normal: Array, x_axis: Array | None = None) -> Array:
-    """Return the rotation (3, 3) whose columns are x, y and z of a face that looks along ``normal`` (3,).
+    """Return the rotation (3, 3) whose columns are x, y and z of a face with ``normal`` (3,).
 
-    x is ``x_axis`` (3,) made perpendicular to the normal; None: level, to the right of one who faces it.
+    x is ``x_axis`` (3,) made perpendicular to the normal; None: level, to the right for a viewer facing it.
     """
     z = _unit(normal, "normal")
     if x_axis is None:
@@ -119,7 +119,7 @@ def face_axes(normal: Array, x_axis: Array | None = None) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class TestField:
-    """Targets at known places in the field's own frame, in three dimensions: the classic for calibration."""
+    """Targets at known positions in the field's own frame: a 3D calibration field."""
 
     __test__: ClassVar[bool] = False  # its name is the field's standard term, not that of a test
 
@@ -142,7 +142,7 @@ class TestField:
 
     @property
     def positions(self) -> Array:
-        """The targets' places (n, 3) [m]."""
+        """The targets' positions (n, 3) [m]."""
         return np.array([placed.position for placed in self.targets])
 
 

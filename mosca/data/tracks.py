@@ -14,22 +14,22 @@ STATUSES = ("measured", "filled", "predicted")
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Triangulated points of one frame set, before they have an identity.
-
-    ``xyz`` (n, 3) world frame [m]; ``covariance`` (n, 3, 3) of the measurement [m^2]; ``n_cameras`` (n,);
-    ``residual_px`` (n,) rms reprojection error; ``rays`` (n, n_rig_cameras) index of the detection that
-    each camera contributed, -1 where it contributed none; ``diameter_m`` (n,) of the target, from the largest
-    of its images; ``trusted`` (n,) how many cameras count in full: images of odd size (partly hidden, merged)
-    count for less than one.
-    """
+    """Triangulated points of one frame set, before data association with tracks."""
 
     xyz: Array
+    """(n, 3) world frame [m]."""
     covariance: Array
+    """(n, 3, 3) of the measurement [m^2]."""
     n_cameras: Array
+    """(n,) number of cameras that measured it."""
     residual_px: Array
+    """(n,) rms reprojection error."""
     rays: Array
+    """(n, n_rig_cameras) index of the detection that each camera contributed, -1 where it contributed none."""
     diameter_m: Array
+    """(n,) of the target, from the largest of its images."""
     trusted: Array
+    """(n,) effective number of cameras: images of odd size (partly occluded, merged) count less than one."""
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.xyz))
@@ -46,7 +46,7 @@ class Points:
 
     @classmethod
     def handed_over(cls, columns: Sequence[Array]) -> "Points":
-        """Take columns in the order of the fields that are right and read-only; nobody checks or copies."""
+        """Take columns in the order of the fields that are valid and read-only, without checks or copies."""
         new = object.__new__(cls)
         new.__dict__.update(zip(cls.__dataclass_fields__, columns, strict=True))
         return new
@@ -54,7 +54,7 @@ class Points:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Samples as they leave the tracker, frame set by frame set: columns that nobody checks, for speed.
+    """Samples as they leave the tracker, frame set by frame set: columns, unchecked for speed.
 
     As in ``Tracks``, but unsorted, without labels, and ``status`` (n,) int8 an index into STATUSES.
     """
@@ -93,22 +93,26 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
-    """Samples of trajectories as columns, one row a track and frame, sorted by (frame, track).
-
-    ``frame`` (n,) pulse number; ``time_ns`` (n,) mid-exposure; ``track`` (n,) identity; ``label`` (n,) str,
-    empty where unknown; ``xyz`` (n, 3) world frame [m]; ``covariance`` (n, 3, 3) [m^2], of the measurement
-    alone; ``n_cameras`` (n,); ``residual_px`` (n,), NaN where unknown; ``status`` (n,) one of STATUSES.
-    """
+    """Samples of trajectories as columns, one row per track and frame, sorted by (frame, track)."""
 
     frame: Array
+    """(n,) pulse number."""
     time_ns: Array
+    """(n,) mid-exposure."""
     track: Array
+    """(n,) identity."""
     label: Array
+    """(n,) str, empty where unknown."""
     xyz: Array
+    """(n, 3) world frame [m]."""
     covariance: Array
+    """(n, 3, 3) [m^2], of the measurement alone."""
     n_cameras: Array
+    """(n,) number of cameras that measured it."""
     residual_px: Array
+    """(n,), NaN where unknown."""
     status: Array
+    """(n,) one of STATUSES."""
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.frame))

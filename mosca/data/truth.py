@@ -11,7 +11,7 @@ from mosca.data.arrays import Array, read_only
 from mosca.data.files.npz import from_npz
 
 NO_FRAME = int(np.iinfo(np.int64).min)
-"""Stands for the mid-exposure of a camera that took no frame from a pulse until the next [ns]."""
+"""Mid-exposure entered for a camera that took no frame from a pulse until the next [ns]."""
 FRAMES = "frames."
 """How the names of the frames' table begin in the file."""
 
@@ -57,32 +57,35 @@ class FramesTruth:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What really was at each pulse.
+    """Ground truth at each pulse.
 
-    ``time_ns`` (t,) the instant that the pulse's positions belong to: its nominal mid-exposure, session
-    clock; ``names`` the markers' names (m of them); ``xyz`` (t, m, 3) marker centres in the world [m];
-    ``visible`` (t, m, c) share of the marker's disc that camera c could see (0..1; outside the image 0);
-    ``cameras`` the cameras' names; ``image_xy_px`` (t, m, c, 2) the marker *centre's* true image, NaN
-    where the camera does not see it, with a rolling shutter at its own rows' mid-exposure; ``diameter_px``
-    (t, m, c) the diameter of the whole disc's image; ``exposure_mid_ns`` (t, c) true mid-exposure of each camera's
-    frame, session clock. ``camera_rotation`` (t, c, 3, 3), ``camera_position`` (t, c, 3): the true
-    ``world_from_camera`` at that instant [m], None where it was not kept (older files).
-
-    A camera that runs free stands here with its frame nearest to the pulse; where it took none until the
-    next, with NO_FRAME, nothing visible and NaN. ``frames``: all of its frames; None where all are triggered.
+    A free-running camera is entered with its frame nearest to the pulse; where it took none until the next, with
+    NO_FRAME, nothing visible and NaN.
     """
 
     time_ns: Array
+    """(t,) nominal mid-exposure of the pulse, session clock: the instant of its positions."""
     names: tuple[str, ...]
+    """Of the m markers."""
     xyz: Array
+    """(t, m, 3) marker centres in the world [m]."""
     visible: Array
+    """(t, m, c) share of the marker's disc that camera c could see (0..1; outside the image 0)."""
     cameras: tuple[str, ...]
+    """Names of the c cameras."""
     image_xy_px: Array
+    """(t, m, c, 2) true image of the marker *centre*, NaN where the camera does not see it; with a rolling shutter at
+    its own rows' mid-exposure."""
     diameter_px: Array
+    """(t, m, c) diameter of the whole disc's image."""
     exposure_mid_ns: Array
+    """(t, c) true mid-exposure of each camera's frame, session clock."""
     camera_rotation: Array | None = None
+    """(t, c, 3, 3) of the true ``world_from_camera`` at that instant, None where it was not kept (older files)."""
     camera_position: Array | None = None
+    """(t, c, 3) of it [m]."""
     frames: FramesTruth | None = None
+    """All frames of free-running cameras; None where all are triggered."""
 
     def __post_init__(self) -> None:
         t, m, c = len(np.asarray(self.time_ns)), len(self.names), len(self.cameras)

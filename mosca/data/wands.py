@@ -9,13 +9,13 @@ from mosca.data.arrays import Array, read_only
 from mosca.data.targets import above_zero, not_below_zero
 
 TELL_APART = 0.02
-"""Distances between markers that differ by less than this share of the longest one look alike."""
+"""Distances between markers that differ by less than this share of the longest one count as equal."""
 MOST_FRAME_MARKERS = 6
 
 
 @dataclass(frozen=True)
 class Wand:
-    """Balls on a line, ``along_m`` rising places of their centres on it; named wand/1, wand/2, ...
+    """Balls on a line, ``along_m`` positions of their centres on it, rising; named wand/1, wand/2, ...
 
     The wand's x axis is the line, its origin half-way between the first and the last ball.
     """
@@ -54,9 +54,9 @@ class Wand:
 
 @dataclass(frozen=True, eq=False)
 class LFrame:
-    """Balls ``names`` (n) whose centres ``positions`` (n, 3) [m] say where the world's axes are.
+    """Balls ``names`` (n) whose centres ``positions`` (n, 3) [m] define the world's axes.
 
-    Raises ValueError for balls in a line, or where two of them could be taken for each other.
+    Raises ValueError for collinear balls, or where two of them could be confused.
     """
 
     names: tuple[str, ...]
@@ -88,7 +88,7 @@ class LFrame:
 
 
 def look_alike(positions: Array) -> tuple[int, int] | None:
-    """Return two of the points (n, 3) that can change places (others with them) with no distance changed much."""
+    """Return two of the points (n, 3) that can be exchanged (others with them) with no distance changed much."""
     distances = np.linalg.norm(positions[:, None] - positions, axis=2)
     for order in permutations(range(len(positions))):
         moved = [k for k, other in enumerate(order) if k != other]

@@ -1,4 +1,4 @@
-"""Detections that come without their images: counted on their way into the pipeline."""
+"""Detections without images: counted as they enter the pipeline."""
 
 from collections.abc import Iterable, Iterator, Mapping
 

@@ -1,9 +1,8 @@
-"""Frames that wait to be written, kept where they outlive their process: slots of a file in memory.
+"""Buffer of frames not yet written that survives the process: slots of a file in shared memory.
 
-While a disk or a busy machine keeps a writer waiting, frames stand in its memory, and ``kill -9`` takes them with
-it. A file on /dev/shm is memory of the operating system's: what was copied there stays when the process is gone, and
-no disk can delay it. A slot holds a frame as it is, unpacked; it is used anew as soon as the frame stands in the
-recording.
+While the disk or the machine is slow, frames wait in the writer's memory and are lost on ``kill -9``. A file on
+/dev/shm is memory of the operating system: its content survives the process, and no disk can delay it. A slot holds a
+frame uncompressed; it is reused as soon as the frame is in the recording.
 
 Its layout, little-endian: 8 bytes ``mosca\\0t1``, u64 size of a slot, u64 number of slots used, padded to 4096; then
 the slots, each ::
@@ -14,7 +13,7 @@ the slots, each ::
     i64 arrival at the machine [ns] (-1: not known), i64 index, i64 time [ns], i64 exposure [ns], i64 row time [ns]
     note (UTF-8, 248 bytes at most), pixels from byte 320 of the slot on, row by row
 
-The writer locks the file (flock); whoever reads it knows by the lock whether the writer lives.
+The writer locks the file (flock); a reader determines from the lock whether the writer is alive.
 """
 
 import heapq
@@ -54,7 +53,7 @@ class Kept:
 
 
 class Tail:
-    """Room for waiting frames of ``cameras``, ``most_bytes`` of memory at most.
+    """Buffer for waiting frames of ``cameras``, ``most_bytes`` of memory at most.
 
     Raises OSError where this system has no such memory, or none is left.
     """
@@ -101,7 +100,7 @@ class Tail:
             return self._filled(image)
 
     def free(self, slot: int) -> None:
-        """Let ``slot`` be used anew: its frame stands in the recording."""
+        """Free ``slot``: its frame is in the recording."""
         with self._guard:
             heapq.heappush(self._free, slot)
 
@@ -172,7 +171,7 @@ class Tail:
 def rescued(part: Path, in_memory: Path) -> Path | None:
     """Return where the tail of an unfinished recording can be read; None where there is none, or its writer lives.
 
-    One that is still in memory, which the machine's next start would forget, is moved beside ``part`` where possible.
+    One in memory, which a reboot would erase, is moved beside ``part`` where possible.
     """
     beside = part.parent / TAIL_NAME
     if beside.exists():

@@ -76,7 +76,7 @@ def numbered_images(folder: Path) -> dict[int, Path]:
 
 
 def has_numbered_images(folder: Path) -> bool:
-    """Say whether ``folder`` holds an image whose name ends with a number."""
+    """Return whether ``folder`` holds an image whose name ends with a number."""
     return any(_number(path) is not None for path in folder.iterdir())
 
 

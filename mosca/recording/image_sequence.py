@@ -26,9 +26,9 @@ class Feed(Protocol):
 class NumberedRecording:
     """A FrameSource that yields frame by number, and for each number camera by camera.
 
-    Every camera has a frame of every number from the smallest to the largest of all cameras; one that is
-    missing is ``dropped``, one that cannot be read ``corrupt``, each with a note that names it.
-    ``notes`` says in words what is odd about the recording as a whole.
+    Every camera has a frame of every number from the smallest to the largest of all cameras; one that is missing is
+    ``dropped``, one that cannot be read ``corrupt``, each with a note that names it. ``notes``: irregularities of the
+    recording as a whole.
     """
 
     def __init__(
@@ -90,5 +90,5 @@ def numbered_frame(camera: str, number: int, stamp: Stamp, image: Array | None, 
 
 
 def dropped_frame(camera: str, number: int, stamp: Stamp, note: str) -> Frame:
-    """Return the frame that stands for one that is not there."""
+    """Return the frame that represents a missing one."""
     return Frame(camera, number, stamp.time_ns, stamp.exposure_ns, None, "dropped", note=note)

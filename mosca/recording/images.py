@@ -99,7 +99,7 @@ def _missing_in_tiff(data: bytes) -> str:
 
 
 def _tiff_values(data: bytes, order: str, place: int, kind: int, count: int) -> tuple[int, ...]:
-    """Return the integers of a directory entry; up to four bytes stand in it, more where it points to."""
+    """Return the integers of a directory entry; up to four bytes are inline, more at the offset given."""
     code, size = {3: ("H", 2), 4: ("I", 4)}[kind]
     if count * size > 4:
         (place,) = struct.unpack_from(order + "I", data, place)

@@ -1,4 +1,4 @@
-"""The project's MCAP layout, version 1: what stands in ``recording.mcap``, so that others can read it.
+"""The project's MCAP layout, version 1: content of ``recording.mcap``, for other readers.
 
 The file is a plain MCAP file (mcap.dev) with uncompressed chunks; profile ``mosca-recording``.
 

@@ -1,4 +1,4 @@
-"""Reads ``recording.mcap``, also one whose writer was killed: up to the cut, saying so."""
+"""Reads ``recording.mcap``; one whose writer was killed is read up to the cut, with a note."""
 
 import json
 import struct
@@ -27,10 +27,10 @@ _DAMAGE = (McapError, ValueError, KeyError, struct.error, OverflowError, Runtime
 class McapRecording:
     """A FrameSource over ``recording.mcap``.
 
-    Frames come in the order in which they were written. A frame whose pixels are damaged is corrupt; damage
-    beyond one frame loses the frames that it hits (gaps) and is told in ``notes``, as is a missing end. Frames that
-    were still waiting when the writer was killed come last (``mosca.recording.crash_buffer``). A recording that
-    ``holds`` "detections" has no frames: ``detection_sets`` gives what they showed.
+    Frames come in the order in which they were written. A frame whose pixels are damaged is corrupt; damage beyond
+    one frame loses the frames that it hits (gaps) and is reported in ``notes``, as is a missing end. Frames that were
+    still waiting when the writer was killed come last (``mosca.recording.crash_buffer``). A recording that ``holds``
+    "detections" has no frames: ``detection_sets`` yields their content.
     """
 
     def __init__(self, path: Path, only: Sequence[str] | None = None) -> None:
@@ -54,7 +54,7 @@ class McapRecording:
 
     @property
     def cameras(self) -> tuple[CameraInfo, ...]:
-        """What each camera said of itself."""
+        """Properties of each camera."""
         return self._cameras
 
     @property
@@ -109,9 +109,9 @@ class McapRecording:
         return read_tail(self._tail, self._all_cameras)
 
     def detection_sets(self) -> Iterator[tuple[FrameSet, dict[str, Detections]]]:
-        """Yield the frame sets, without frames, and what each camera's showed; only where it ``holds`` them.
+        """Yield the frame sets, without frames, and the detections of each camera; only where it ``holds`` them.
 
-        Sets that were left out or cut off are missing; pulse numbers tell.
+        Sets that were left out or cut off are missing, as the pulse numbers show.
         """
         names = {layout.camera_topic(info.name, "detections"): info.name for info in self._cameras}
         here: dict[str, tuple[int, Detections]] = {}
@@ -205,7 +205,7 @@ class McapRecording:
                 yield from inner
 
     def _read_head(self) -> tuple[CameraInfo, ...]:
-        """Read what stands before the first message; note a missing end."""
+        """Read what precedes the first message; note a missing end."""
         try:
             with open(self.path, "rb") as file:
                 if file.read(len(_MAGIC)) != _MAGIC:

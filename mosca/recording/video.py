@@ -1,8 +1,8 @@
 """A camera's frames in a video file, read through PyAV (FFmpeg).
 
-The frame's number comes from its presentation time: the usual spacing counts as one frame, so a frame
-that the recorder left out is dropped and shifts nothing. Where the times are too uneven to tell (more than
-a quarter of the spacing), frames are counted instead and the recording's notes say so.
+The frame's number comes from its presentation time: the usual spacing counts as one frame, so a frame that the
+recorder left out is dropped and shifts nothing. Where the times are too uneven for that (more than a quarter of the
+spacing), frames are counted instead, with a note in the recording's notes.
 
 Mono rule: of grey and YUV formats the luma plane *as stored*, without any expansion of its range (so that
 lossless video gives the very values that were written); RGB formats through FFmpeg's conversion to grey
@@ -97,7 +97,7 @@ def luma(frame: VideoFrame) -> Array:
 
 
 def open_video(path: Path) -> InputContainer:
-    """Open a video file; InputError where it is none."""
+    """Open a video file; InputError for other files."""
     try:
         container = av.open(str(path))
     except (av.error.FFmpegError, OSError) as error:

@@ -1,7 +1,7 @@
 """Writes a recording: ``recording.mcap`` (see ``mosca.recording.mcap_format``) beside ``recording.toml``.
 
-While it is written the file is called ``recording.mcap.part``, and ``recording.toml`` comes last, so that a
-folder whose writer was killed never looks like a whole recording; what it holds can still be read.
+While it is written the file is called ``recording.mcap.part``, and ``recording.toml`` comes last, so that a folder
+whose writer was killed is never taken for a complete recording; its content can still be read.
 """
 
 import json
@@ -52,13 +52,12 @@ class _Count:
 class RecordingWriter:
     """Context manager that writes frames, or detections, and further channels to a folder as they come.
 
-    ``path``: the folder, made if need be; InputError where it holds a recording already. ``cameras``: what the
-    cameras say of themselves. ``rig_toml_text``: the rig file, kept inside. ``codec``: "lz4" (fast) or "zstd"
-    (smaller); both lossless. ``holds``: "frames", or "detections" without images. ``about``: tables for
-    ``recording.toml``, to be filled before ``close``. ``tail_bytes``: of memory that outlives this process, where the
-    system has such, for frames that wait (``keep``); 0 for none. When the body raises, or the disk is full
-    (InputError), what was written stays readable as an unfinished recording. Not to be shared by threads, except
-    ``pack``.
+    ``path``: the folder, made if need be; InputError where it holds a recording already. ``cameras``: the cameras'
+    properties. ``rig_toml_text``: the rig file, kept inside. ``codec``: "lz4" (fast) or "zstd" (smaller); both
+    lossless. ``holds``: "frames", or "detections" without images. ``about``: tables for ``recording.toml``, to be
+    filled before ``close``. ``tail_bytes``: of memory that outlives this process, where the system has such, for
+    frames that wait (``keep``); 0 for none. When the body raises, or the disk is full (InputError), what was written
+    stays readable as an unfinished recording. Not to be shared by threads, except ``pack``.
     """
 
     def __init__(
@@ -169,7 +168,7 @@ class RecordingWriter:
     def reserve(self, image: Array) -> int | None:
         """Copy an image whose frame is not known yet into memory that outlives this process; return its slot.
 
-        None where there is none, or no room in it. ``reserve``, ``keep`` and ``forget`` may be called by any thread.
+        None where there is none, or no free slot. ``reserve``, ``keep`` and ``forget`` may be called by any thread.
         """
         return None if self._tail is None else self._tail.reserve(image)
 
@@ -183,7 +182,7 @@ class RecordingWriter:
             self._tail.free(slot)
 
     def flush(self) -> None:
-        """Hand what was written so far to the operating system: it outlives this process."""
+        """Flush to the operating system: what was written so far survives this process."""
         with self._disk():
             self._mcap.flush()
 
@@ -199,7 +198,7 @@ class RecordingWriter:
         self._close_tail()
 
     def abandon(self) -> None:
-        """Free the file as it stands; it can be read up to here. May be called twice."""
+        """Close the file as it is; it can be read up to here. May be called twice."""
         with suppress(OSError):  # what could not be written before cannot be now
             self._file.close()
         self._close_tail()
@@ -216,12 +215,12 @@ class RecordingWriter:
             self.abandon()
             (self.path / PART_NAME).unlink()
             if self._made_folder:
-                with suppress(OSError):  # somebody put something else there
+                with suppress(OSError):  # another process put something else there
                     self.path.rmdir()
         elif not self._file.closed:
             try:
                 self._end_file()
-            except OSError:  # the error that ended the body is the one to be told
+            except OSError:  # report the error that ended the body instead
                 self.abandon()
             self._close_tail()
 
@@ -231,7 +230,7 @@ class RecordingWriter:
 
     @contextmanager
     def _disk(self) -> Iterator[None]:
-        """Turn an error of the disk into one line, and leave the file readable up to it."""
+        """Convert an error of the disk into a one-line InputError, and leave the file readable up to it."""
         try:
             yield
         except OSError as error:
@@ -287,7 +286,7 @@ class RecordingWriter:
 
 
 def _tail(cameras: Sequence[CameraInfo], tail_bytes: int) -> Tail | None:
-    """Return memory for frames that wait; None where none is wanted, or this system has none."""
+    """Return memory for frames that wait; None where none is requested, or this system has none."""
     if tail_bytes <= 0:
         return None
     try:

@@ -1,1 +1,1 @@
-"""Bundle adjustment: the one solver that every calibration shares; its door is ``solver``."""
+"""Bundle adjustment: the one solver that every calibration shares; entry point: ``solver``."""

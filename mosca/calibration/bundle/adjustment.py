@@ -1,4 +1,4 @@
-"""What a bundle adjustment returns, and how it is worked out from the normal equations at the solution."""
+"""Result of a bundle adjustment, computed from the normal equations at the solution."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ from mosca.data.rig import Camera, FisheyeLens, principal_distances_px
 
 @dataclass(frozen=True, eq=False)
 class Precision:
-    """How good an adjustment is. All covariances carry the a-posteriori sigma0."""
+    """Precision of an adjustment. All covariances carry the a-posteriori sigma0."""
 
     covariance: Array
     """(u, u) of ``Adjustment.parameters``."""

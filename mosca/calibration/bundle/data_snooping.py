@@ -1,8 +1,8 @@
 """Blunders among the image points of a bundle adjustment: data snooping after Baarda (1968).
 
-As in ``mosca.calibration.single_camera.outliers`` the standard deviation is estimated without the point under test.
-A blunder hardly reaches beyond its own block (a point, or a placed thing), so that the largest of each block goes out
-at once; the adjustment is repeated until none is improbable, and then those that fit after all come back.
+As in ``mosca.calibration.single_camera.outliers`` the standard deviation is estimated without the point under test. A
+blunder hardly reaches beyond its own block (a point, or a placed thing), so that the largest of each block is
+rejected at once; the adjustment is repeated until none is improbable, then those that fit are readmitted.
 """
 
 from collections.abc import Callable
@@ -79,7 +79,7 @@ def _without_worst(
         if redundancy - 2 < LEAST_REDUNDANCY:
             break
         statistic = np.where(solution.weight > 0, np.nan_to_num(statistic), 0.0)
-        # the variance of the others, so that a blunder does not hide behind itself
+        # the variance of the others, so that a blunder does not mask itself
         variance = np.maximum(cost - statistic, 1e-300) / (redundancy - 2)
         improbable = np.flatnonzero(f_distribution.sf(statistic / 2 / variance, 2, redundancy - 2) < level)
         if len(improbable) == 0:

@@ -1,4 +1,4 @@
-"""Datum and determination: which common motions nothing fixes, and which parameters the data leave open.
+"""Datum and determination: the datum defect, and which parameters the data do not determine.
 
 A network without control can shift, rotate and, without a length, stretch as a whole. These seven motions are
 known in closed form (``generators``); which of them nothing fixes is read off the reduced normal matrix.
@@ -21,8 +21,8 @@ NOTHING_FIXES = 1e-9
 SINGULAR = 1e-11
 """The same of any direction: two unknowns are one."""
 PLAUSIBLE_SHARE = 0.1
-"""What is plausible of a lens parameter a priori: it moves no image point by more than this share of half
-the image's diagonal; of a rotation so many rad, of a position this share of the distance to the points."""
+"""Plausible a-priori range of a lens parameter: it moves no image point by more than this share of half the image's
+diagonal; of a rotation so many rad, of a position this share of the distance to the points."""
 LEAST_OPEN_SHARE = 0.1
 
 

@@ -1,11 +1,11 @@
 """Shake of whole images: a camera's body moves, and all image points of an exposure share an error.
 
-Least squares takes image points for independent. A shake of 0.03 px of the body is small beside a centre's noise of
-0.02 px when one point is examined, and large beside the precision of a hundred points together: the adjustment
-would believe an image too much, and its covariance would promise too much. So each image has a shake (x, y) of its
-own, random with one variance for all: a mixed model (Henderson 1975; Searle, Casella and McCulloch 1992, ch. 7).
-A body that shakes rotates: for a given motion of the image's middle, the rim moves up to twice as far in a wide lens.
-Taken for an even shift, what it stretches there would pass for the perspective of a target that has moved.
+Least squares takes image points for independent. A shake of 0.03 px of the body is of the order of a centre's noise
+(0.02 px) for one point, and large against the precision of a hundred points together: the adjustment would give an
+image too much weight, and its covariance would be too small. So each image has a shake (x, y) of its own, random with
+one variance for all: a mixed model (Henderson 1975; Searle, Casella and McCulloch 1992, ch. 7). A body that shakes
+rotates: for a given motion of the image's middle, the rim moves up to twice as far in a wide lens. Modelled as a
+uniform shift, the remaining stretch would be taken for perspective of a moved target.
 
 With v the residuals of the least-squares adjustment, W the weights, Z the shifts' columns, N the normal equations
 and A the design, ``u = Z^T W v`` has the expectation 0 and, shake s and noise sigma0 of unit weight given,

@@ -1,10 +1,10 @@
 """Normal equations of a bundle adjustment, block by block, compiled; the Jacobian is never stored.
 
-The unknowns fall into *groups* that stay (a camera's pose and lens; a kept point) and *blocks* that are
-eliminated (the coordinates of one point, or of points joined by known distances; the pose of a placed thing).
-Each block touches few groups: a *slot* is one block in one group. With group normals U, block normals V and
-the mixed part W, a step solves (U - W V^-1 W^T) d_groups = -(g - W V^-1 g_blocks) and then each block by
-itself (Schur complement; Brown 1958, Triggs et al. 1999).
+The unknowns fall into *groups* that stay (a camera's pose and lens; a kept point) and *blocks* that are eliminated
+(the coordinates of one point, or of points joined by known distances; the pose of a placed thing). Each block touches
+few groups: a *slot* is one block in one group. With group normals U, block normals V and the mixed part W, a step
+solves (U - W V^-1 W^T) d_groups = -(g - W V^-1 g_blocks) and then each block separately (Schur complement; Brown
+1958, Triggs et al. 1999).
 
 Residuals are projected minus observed, in standard deviations. The arrays are described in ``tables``.
 """
@@ -21,7 +21,7 @@ UNSEEN = 1e3
 pull."""
 LEAST_SQUARES, HUBER, CAUCHY = 0, 1, 2
 LENS = 12
-"""Where a camera's lens row begins in the table of cameras."""
+"""First column of a camera's lens row in the table of cameras."""
 # derivatives of the pixel by the camera's pose (6), the point in the world, its placement's rotation, the point on it
 BY_POSE, BY_WORLD, BY_ROTATION, BY_OWN, OBSERVED = IMAGED, IMAGED + 6, IMAGED + 9, IMAGED + 12, IMAGED + 15
 

@@ -41,11 +41,10 @@ FAR_SIGMAS, LEFT_SHARE, UNSEEN_SIGMAS = 8.0, 0.5, 1e9
 
 @dataclass(frozen=True, eq=False)
 class AdjustmentTask:
-    """What every step of an adjustment needs.
+    """Inputs common to all steps of an adjustment.
 
-    ``tolerance``: a step is not worth taking when it promises to move
-    no unknown by more than this share of its standard deviation, and is the last one when it moved none by
-    more.
+    ``tolerance``: converged when the predicted step, or the last step taken, changes no unknown by more than this
+    fraction of its standard deviation.
     """
 
     problem: Problem
@@ -72,7 +71,7 @@ class Descent:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A descent that ended, with the inverse of its normal equations: what precision is worked out from.
+    """A finished descent with the inverse of its normal equations, from which precision is computed.
 
     ``weight`` (n,) 1/sigma of the sorted image points, 0 where left out; ``cofactors`` (u, u) of the reduced
     system in any datum; ``inverse`` of the blocks; ``motions`` the number of common motions that nothing

@@ -128,7 +128,7 @@ def _sum_camera(
             s1 += two[at] * w[E + at] + two[LANES + at] * w[E + LANES + at]
         group_slope[camera, i] += s0
         group_slope[camera, i + 1] += s1
-        # two lines by two at once: four products of what is fetched once
+        # two lines by two at once: four products per load
         for k in range(i, used, 2):
             three, four = j[k * rows : (k + 1) * rows], j[(k + 1) * rows : (k + 2) * rows]
             s0 = s1 = s2 = s3 = 0.0

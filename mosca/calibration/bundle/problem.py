@@ -1,5 +1,4 @@
-"""What a bundle adjustment is given: cameras, object points, poses of moving things, observations, lengths,
-datum.
+"""Input of a bundle adjustment: cameras, object points, poses of moving things, observations, lengths, datum.
 
 One convention for every unknown: its standard deviation a priori. 0 holds it at its given value, infinity
 leaves it free, anything between weights the given value as an observation of its own.
@@ -26,21 +25,21 @@ FOCAL = "f_px"
 
 @dataclass(frozen=True, eq=False)
 class CameraUnknowns:
-    """A camera, or a camera at one time, with its starting values and what of it is unknown.
+    """A camera, or a camera at one time: starting values and unknowns.
 
-    ``free``: lens parameters to estimate, or "f_px" (fx and fy together). ``priors``: name -> (value,
-    standard deviation) of free lens parameters, in their units. ``pose_sigma`` (6,): a-priori standard
-    deviations of the rotation about the camera's own x, y, z axes [rad] and of its position [m] from the starting
-    pose (FREE, HELD or between). ``lens_as``: name of a camera before this one whose lens this one shares;
-    the lens, ``free`` and ``priors`` are then that one's. Raises ValueError for what cannot be, InputError
-    for an unknown parameter.
+    Raises ValueError for inconsistent values, InputError for an unknown parameter.
     """
 
     camera: Camera
     free: tuple[str, ...] = ()
+    """Lens parameters to estimate, or "f_px" (fx and fy together)."""
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """name -> (value, standard deviation) of free lens parameters, in their units."""
     pose_sigma: tuple[float, ...] = FREE
+    """(6,) a-priori standard deviations of the rotation about the camera's own x, y, z axes [rad] and of its position
+    [m] from the starting pose (FREE, HELD or between)."""
     lens_as: str | None = None
+    """Name of a previous camera whose lens, ``free`` and ``priors`` this one shares."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "free", tuple(self.free))
@@ -135,12 +134,12 @@ class ObjectPoints:
 
 @dataclass(frozen=True, eq=False)
 class Placements:
-    """Poses ``world_from_thing`` of rigid things (a board, a wand, a body), one a thing and frame: unknown.
+    """Poses ``world_from_thing`` of rigid things (a board, a wand, a body), one per thing and frame: unknown.
 
     ``rotation`` (f, 3, 3), ``translation`` (f, 3) [m]: starting values; ``sigma`` (f, 6): a-priori standard
     deviations of the rotation about the thing's own axes [rad] and of its position [m], infinite where free
-    (default), never 0. A camera worn through a room is the same with the roles exchanged: camera held at the
-    origin, the room placed.
+    (default), never 0. A moving camera is modelled with the roles exchanged: the camera fixed at the origin, the
+    scene moving.
     """
 
     rotation: Array
@@ -175,18 +174,18 @@ NO_PLACEMENTS = Placements(np.zeros((0, 3, 3)), np.zeros((0, 3)))
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """n image points: ``camera`` (n,) saw ``point`` (n,) at ``xy_px`` (n, 2).
-
-    ``camera`` and ``point`` are indices into the problem's; ``placement`` (n,) is the index of the pose that
-    the point's thing had, -1 (default) for a point of the world. ``sigma_px`` (n,) or a number: standard
-    deviation of a coordinate a priori.
-    """
+    """n image points."""
 
     camera: Array
+    """(n,) index into the problem's cameras."""
     point: Array
+    """(n,) index into the problem's object points."""
     xy_px: Array
+    """(n, 2) measured."""
     placement: Array | None = None
+    """(n,) index of the pose of the point's rigid thing, -1 (default) for a point of the world."""
     sigma_px: Array | float = 1.0
+    """(n,) or a number: a-priori standard deviation of a coordinate."""
 
     def __post_init__(self) -> None:
         n = len(self.xy_px)

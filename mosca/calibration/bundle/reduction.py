@@ -1,5 +1,4 @@
-"""Elimination of the blocks of a bundle adjustment, and the way back; compiled. Notation as in
-``kernels``.
+"""Elimination of the blocks of a bundle adjustment, and back-substitution; compiled. Notation as in ``kernels``.
 
 Blocks of one size that touch the same groups follow each other: a *run* of them is one matrix, W^T of all of
 them (rows by unknowns of the blocks, columns by slots), as ``normals`` lays it out.

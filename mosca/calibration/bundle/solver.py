@@ -68,7 +68,7 @@ MOST_EIGENVECTORS = 1500
 
 @dataclass(frozen=True)
 class BundleSettings:
-    """How a bundle is adjusted."""
+    """Settings of a bundle adjustment."""
 
     loss: Literal["least squares", "huber", "cauchy"] = "least squares"
     """Robust losses give less weight to residuals beyond ``loss_scale``."""
@@ -143,7 +143,7 @@ def solve(problem: Problem, settings: BundleSettings | None = None, start: Adjus
 def _solved(
     task: AdjustmentTask, state: ParameterValues, weight: Array, hold_weak: bool
 ) -> tuple[AdjustmentTask, Solution, tuple[str, ...], int]:
-    """Descend, holding lens parameters that turn out to be weak, which the task returned then has as priors.
+    """Minimise; lens parameters found to be weakly determined get a prior in the task returned.
 
     Also returns the names of weak unknowns and the number of steps.
     """

@@ -8,7 +8,7 @@ what the adjustment leaves of it (redundancy numbers, Baarda 1968). What they do
 
     C_L = N^-1 (sum over cells of g^T sigma_L^2 (1 - 1/n) g) N^-1,   g = sum over the cell of A^T W,
 
-the covariance of estimates whose errors hang together in cells, here a mark in one stationary interval and camera
+the covariance of estimates with errors correlated within cells, here a mark in one stationary interval and camera
 (White 1980; Liang and Zeger 1986). The part 1/n of it is in the covariance of independent errors already.
 """
 

@@ -1,1 +1,1 @@
-"""What several parts of calibration share."""
+"""Functions shared by several parts of calibration."""

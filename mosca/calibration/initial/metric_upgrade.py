@@ -152,7 +152,7 @@ def _upgrades(matrices: Array, first: Array, second: Array, sign: float = 1.0) -
 
 
 def _rotation_to_x(unit: Array) -> Array:
-    """Return rotations (g, 3, 3) that turn unit vectors (g, 3) into the x axis."""
+    """Return rotations (g, 3, 3) that rotate unit vectors (g, 3) into the x axis."""
     other = np.where(np.abs(unit[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
     y = np.cross(unit, other)
     y /= np.linalg.norm(y, axis=1, keepdims=True)

@@ -51,9 +51,9 @@ def fundamental(first: Array, second: Array, rng: np.random.Generator, samples: 
 
 
 def plane_misfit(first: Array, second: Array, rng: np.random.Generator) -> float:
-    """Return by how much (median, units of the coordinates) the best homography misses image points (n, 2).
+    """Return the median residual of the best homography of image points (n, 2) [units of the coordinates].
 
-    Small where the points lie in a plane or the cameras stand together: then they determine a pair poorly.
+    Small where the points lie in a plane or the baseline is short: then they determine a pair poorly.
     """
     x = _h(first)
 

@@ -1,9 +1,9 @@
-"""Pose of a known rigid target before a calibrated camera: linear starts, refined; a plane has two.
+"""Pose of a known rigid target in the frame of a calibrated camera: linear initial values, refined; two for a plane.
 
-A target seen under angles that hardly differ from a parallel projection looks the same when its relief is inverted
-inside out along the line of sight. For a solid target the two differ in the images; for a plane only its
-perspective distinguishes them (Oberkampf, DeMenthon and Davis 1996), so that both poses are returned, the
-better-fitting one first.
+A target seen under angles that hardly differ from a parallel projection has nearly the same image when its relief is
+inverted along the line of sight. For a solid target the two differ in the images; for a plane only its perspective
+distinguishes them (Oberkampf, DeMenthon and Davis 1996), so that both poses are returned, the better-fitting one
+first.
 """
 
 from dataclasses import dataclass

@@ -30,47 +30,49 @@ from mosca.pipeline import Step
 
 @dataclass(frozen=True)
 class BumpSettings:
-    """When a camera is taken for bumped.
-
-    ``windows``: numbers of last frames that are tested; ``significance``: chance of a false alarm at one test;
-    ``least_px``: shifts of an image below this are let pass (calibration errors, warming up);
-    ``least_frames``: how long it must last, and ``least_points``: how many of its images a frame it must be seen in,
-    or a few half-hidden markers are taken for a bump (measured on a drone with eight); ``lead``: by how much
-    (chi-square) the camera must explain the residuals better than any other to be named; ``body_px``: how far a
-    camera's body shakes its whole image, rms an axis and frame; ``camera_sigma_px``: random error of an image
-    point beside its detection's. ``lost_share``: a camera that fewer than this share of the expected points meet,
-    while as many images beside them lie at one common shift, was bumped far; ``lost_frames`` examined.
-    """
+    """Settings of the bump test."""
 
     windows: tuple[int, ...] = (5, 20, 80)
+    """Numbers of last frames that are tested."""
     significance: float = 1e-10
+    """Probability of a false alarm per test."""
     least_px: float = 0.2
+    """Smaller image shifts are ignored (calibration errors, warming up)."""
     least_frames: int = 10
+    """Duration from which a shift counts."""
     least_points: float = 8.0
+    """Images per frame that must show it, or a few half-hidden markers are taken for a bump (measured on a drone with
+    eight)."""
     lead: float = 25.0
+    """Chi-square by which the camera must explain the residuals better than any other to be named."""
     body_px: float = 0.03
+    """Shake of a camera's whole image, rms an axis and frame."""
     camera_sigma_px: float = 0.03
+    """Random error of an image point in addition to its detection's."""
     lost_share: float = 0.3
+    """A camera matched to fewer than this share of the expected points, while as many of its images lie at one common
+    shift, was bumped far."""
     lost_frames: int = 20
+    """Frames examined for ``lost_share``."""
 
 
 @dataclass(frozen=True)
 class Alarm:
-    """A camera was bumped.
-
-    ``camera`` None where the residuals do not determine which of ``suspects``; ``since`` the frame from which on;
-    ``shift_px`` by how much its image moved (rms over the points); ``turn_rad`` (3,) about its own axes that
-    explains it, NaN where only the shift is known; ``chi_square`` of the change with 3 degrees of freedom and
-    ``significance``, the chance of it without a bump.
-    """
+    """A camera was bumped."""
 
     camera: str | None
+    """None where the residuals do not determine which of ``suspects``."""
     suspects: tuple[str, ...]
     since: int
+    """First frame."""
     shift_px: float
+    """Shift of its image (rms over the points)."""
     turn_rad: tuple[float, float, float]
+    """(3,) rotation about its own axes that explains it, NaN where only the shift is known."""
     chi_square: float
+    """Of the change, with 3 degrees of freedom."""
     significance: float
+    """Probability of it without a bump."""
 
     @property
     def message(self) -> str:

@@ -1,4 +1,4 @@
-"""Bumps too large for the matching: a camera whose images all miss the others' points by one shift."""
+"""Bumps too large for the matching: all images of a camera are displaced by one common shift."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -18,12 +18,12 @@ BIN_PX = 2.0
 LEAST_EXPECTED = 20
 """Points that a camera was expected to see in the frames examined, for its absence to count."""
 LEAST_VOTES = 8.0
-"""How many times the votes of an average bin the common shift must have."""
+"""Least votes for the common shift, relative to an average bin."""
 
 
 @dataclass(frozen=True)
 class LargeShift:
-    """A camera that misses the points by ``shift_px`` since a frame; ``chi_square`` of the votes for the shift."""
+    """A camera whose images are displaced by ``shift_px`` since a frame; ``chi_square`` of its votes."""
 
     camera: str
     since: int

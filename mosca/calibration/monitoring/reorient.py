@@ -27,7 +27,7 @@ PAIRED_PX = 3.0
 
 @dataclass(frozen=True, eq=False)
 class CameraObservations:
-    """What a camera saw of points that others measured.
+    """A camera's image points of points that others measured.
 
     ``frame`` (n,); ``xyz`` (n, 3) [m] and ``covariance`` (n, 3, 3) from the other cameras alone; ``xy_px`` (n, 2)
     and ``covariance_px2`` (n, 2, 2) of the camera's own image.
@@ -152,7 +152,7 @@ def reorient(
         at = replace(camera, world_from_camera=pose)
         rest, slope, weight = _linearised(at, seen)
         squared = np.einsum("ni,nij,nj->n", rest, weight, rest)
-        # from a pose far off all points miss alike: what is wrong is what misses more than the others
+        # from a poor initial pose all residuals are large: wrong points are those with larger ones than the others
         scale = max(float(np.median(squared)) * SIGMA_BY_MEDIAN_2D**2, 1.0)
         used = np.isfinite(squared) & (squared < 2 * significance_sigmas**2 * scale)
         normal = np.einsum("nki,nkl,nlj->ij", slope[used], weight[used], slope[used])

@@ -46,7 +46,7 @@ class Incident:
 
 
 class RigKeeper:
-    """A keeper of the pipeline: ``rig`` is what holds now, ``incidents`` what happened."""
+    """A keeper of the pipeline: the current ``rig`` and the ``incidents`` so far."""
 
     def __init__(self, rig: Rig, settings: BumpSettings | None = None, mend: bool = True) -> None:
         self.rig = rig

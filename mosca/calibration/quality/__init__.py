@@ -1,1 +1,1 @@
-"""Whether a calibration can be believed: checks, limits, findings, accuracy in the volume."""
+"""Quality of a calibration: checks, limits, findings, accuracy in the volume."""

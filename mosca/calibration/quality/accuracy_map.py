@@ -1,4 +1,4 @@
-"""How well a calibrated rig measures a point, predicted: from detection, and from the calibration itself.
+"""Predicted covariance of a point measured with a calibrated rig: from detection, and from the calibration.
 
 A point X seen at pixels with covariances S_c follows from N = sum J_c^T S_c^-1 J_c, so that detection gives it
 the covariance N^-1. The calibration's parameters p move it by G = -N^-1 sum J_c^T S_c^-1 dx_c/dp, which gives
@@ -24,9 +24,9 @@ SEEN_FROM = 1e-9
 class AccuracyMap:
     """Predicted accuracy on a grid.
 
-    ``x``, ``y``, ``z``: the grid's axes [m, world]; ``n_cameras`` (nx, ny, nz) that see each point;
-    ``detection`` and ``calibration`` (nx, ny, nz, 3, 3) covariances of a measured point [m^2] from either, NaN
-    where fewer than the cameras wanted see it.
+    ``x``, ``y``, ``z``: the grid's axes [m, world]; ``n_cameras`` (nx, ny, nz) that see each point; ``detection`` and
+    ``calibration`` (nx, ny, nz, 3, 3) covariances of a measured point [m^2] from either, NaN where fewer than the
+    required number of cameras see it.
     """
 
     x: Array

@@ -1,7 +1,7 @@
 """Against an earlier rig: were two cameras exchanged, and did one move?
 
-The new poses are carried into the earlier rig's frame by the common motion of most cameras, and the earlier
-cameras' images of the new target points are held against what was seen: all in px, whatever the frames are.
+The new poses are transformed into the earlier rig's frame by the common motion of most cameras, and the new target
+points, projected by the earlier cameras, are compared with the observations: all in px, independent of the frames.
 """
 
 from dataclasses import dataclass, replace
@@ -27,7 +27,7 @@ UNSEEN_PX = 1e4
 
 @dataclass(frozen=True, eq=False)
 class _CameraView:
-    """What a new camera saw: points (n, 3) of the new world at pixels (n, 2)."""
+    """Observations of a new camera: points (n, 3) of the new world at pixels (n, 2)."""
 
     camera: Camera
     points: Array
@@ -66,7 +66,7 @@ def exchanged(calibration: Calibration, known: Rig, settings: QualityLimits) -> 
 
 
 def moved(calibration: Calibration, known: Rig, settings: QualityLimits) -> tuple[Finding, ...]:
-    """Return the cameras that left their place in the earlier rig, against what most cameras did in common."""
+    """Return the cameras that moved since the earlier rig, relative to the common motion of most cameras."""
     seen = _seen(calibration, known)
     if len(seen) < 2:
         return ()

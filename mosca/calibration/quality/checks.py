@@ -31,12 +31,12 @@ def check_calibration(
     rigid_target: bool = False,
     settings: QualityLimits | None = None,
 ) -> tuple[Finding, ...]:
-    """Return what a person must know before believing ``calibration``, the gravest first.
+    """Return the findings on ``calibration``, the gravest first.
 
-    ``known``: an earlier rig of the same cameras; ``target_diameters_m``: true diameters of the marks (m,), or
-    of all; ``lengths``: held-out lengths (``judge_size.length_errors``); ``volume`` (low, high) [m, world] where
-    will be measured; ``rigid_target``: the positions of the world's marks were known a priori, so that the target
-    itself joins cameras that see none of its marks in common.
+    ``known``: an earlier rig of the same cameras; ``target_diameters_m``: true diameters of the marks (m,), or of
+    all; ``lengths``: held-out lengths (``judge_size.length_errors``); ``volume`` (low, high) [m, world] of the
+    measurement; ``rigid_target``: the positions of the world's marks were known a priori, so that the target itself
+    joins cameras that see none of its marks in common.
     """
     s = settings or QualityLimits()
     found = [

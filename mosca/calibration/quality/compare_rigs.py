@@ -29,7 +29,7 @@ MOTIONS = ("similarity", "rigid", "none")
 
 @dataclass(frozen=True)
 class CameraDifference:
-    """How one camera's rays differ, in px of a: as they are, after the common motion, and by the lens alone.
+    """Differences of one camera's rays, in px of a: as they are, after the common motion, and by the lens alone.
 
     ``centre_m``, ``turn_rad``: how far the projection centre and the pose differ after the common motion.
     """
@@ -49,8 +49,9 @@ class RigDifference:
     """How rig b differs from rig a.
 
     ``motion``: a_from_b; ``scale``: lengths of a over those of b; ``volume`` (2, 3) low and high corner [m, a's
-    world]; ``n_points`` of the volume that both rigs measure; ``before_rms_m``, ``before_max_m`` how far apart a
-    and b place what the same images show; ``rms_m``, ``max_m`` after the common motion, ``axes_rms_m`` (3,) of it.
+    world]; ``n_points`` of the volume that both rigs measure; ``before_rms_m``, ``before_max_m`` distances between
+    the points that a and b reconstruct from the same images; ``rms_m``, ``max_m`` after the common motion,
+    ``axes_rms_m`` (3,) of it.
     """
 
     cameras: tuple[CameraDifference, ...]

@@ -32,7 +32,7 @@ def warn(code: str, message: str, camera: str | None = None) -> Finding:
 
 
 def note(code: str, message: str, camera: str | None = None) -> Finding:
-    """Return a finding worth knowing."""
+    """Return a finding of severity "note"."""
     return _finding(code, "note", message, camera)
 
 

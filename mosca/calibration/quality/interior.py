@@ -220,7 +220,7 @@ def _impossible_distortion(calibration: Calibration, index: int, settings: Quali
     reach = np.linalg.norm(calibration.sightings.xy_px[rows] - centre, axis=1).max(initial=0.0)
     if folded.any():
         radius = float(np.linalg.norm(grid[folded] - centre, axis=1).min())
-        # where nothing was measured the lens has no rays and measures nothing: harmless, but worth knowing
+        # where nothing was measured the lens has no rays and measures nothing: harmless, but reported
         raise_ = refuse if radius < reach else note
         return [
             raise_(

@@ -1,4 +1,4 @@
-"""How a calibrated rig's projections change with its parameters, by the names that the calibration gives them."""
+"""Jacobian of a calibrated rig's projections with respect to the calibration's named parameters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields

@@ -1,4 +1,4 @@
-"""Planes seen flatly: does the mirrored pose fit as well?
+"""Planes seen with little perspective: does the mirrored pose fit as well?
 
 Under weak perspective a plane and its reflection in the plane across the line of sight have the same image
 (Oberkampf, DeMenthon and Davis 1996; Schweighofer and Pinz 2006). Perspective decides, where there is enough.
@@ -88,7 +88,7 @@ def _mirrored(camera: Camera, middle: Array, normal: Array) -> Camera:
     pose = camera.world_from_camera
     sight = middle - pose.translation
     sight = sight / np.linalg.norm(sight)
-    # the scene mirrored twice is rotated: across the line of sight, and in its own plane, where it stays what it is
+    # two reflections are a rotation: across the line of sight, and in the plane, which leaves it unchanged
     turn = (np.eye(3) - 2 * np.outer(sight, sight)) @ (np.eye(3) - 2 * np.outer(normal, normal))
     centre = middle + turn.T @ (pose.translation - middle)
     return replace(camera, world_from_camera=Pose(turn.T @ pose.rotation, centre))

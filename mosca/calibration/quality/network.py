@@ -1,4 +1,4 @@
-"""Do the views hold together: enough of them, cameras joined to each other, images and volume covered?"""
+"""Network geometry: number of views, connections between cameras, coverage of images and volume."""
 
 from collections.abc import Sequence
 
@@ -84,10 +84,10 @@ def is_flat(points: Array) -> bool:
 
 
 def links(calibration: Calibration, rigid_target: bool = False) -> Array:
-    """Return by how many points each two cameras (c, c) are joined.
+    """Return the number of points (c, c) that connect each pair of cameras.
 
-    Points seen by both; of a rigid thing (a placement, or with ``rigid_target`` the field itself, whose places are
-    known), points that the one saw join it to those that the other saw of the same thing.
+    Points seen by both; of a rigid target with known geometry (a placement, or with ``rigid_target`` the field
+    itself), the smaller of the two cameras' numbers of its points, since different points connect as well.
     """
     count = len(calibration.rig.cameras)
     strength = np.zeros((count, count), dtype=np.int64)
@@ -122,7 +122,7 @@ def linked(calibration: Calibration, settings: QualityLimits, rigid_target: bool
         wanted = "; ".join(_in_words(calibration, *pair) for pair in missing_links(calibration, label))
         text = f"{groups} groups of cameras see no point in common: {words}; {wanted}, then calibrate again"
         return (refuse("no-link", text),)
-    # the weakest link of the strongest tree decides how well the groups on its two sides hold together
+    # the weakest link of the strongest tree decides how well the groups on its two sides are connected
     tree = minimum_spanning_tree(coo_array((1.0 / strength[strength > 0], np.nonzero(strength)))).tocoo()
     found = []
     views = common_views(calibration)

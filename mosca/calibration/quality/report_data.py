@@ -71,7 +71,7 @@ def _accuracy(
         return None
     if sigma_px is None:
         known = calibration.sigma_px[np.isfinite(calibration.sigma_px).all(axis=1)]
-        # what is measured later shakes with the cameras' bodies, too
+        # later measurements are affected by the cameras' shake, too
         sigma_px = float(np.sqrt(np.mean(known**2) + calibration.body_px**2)) if len(known) else 0.1
     count = [max(LEAST_GRID, int(GRID * edge / extent.max()) // 2 * 2 + 1) for edge in extent]
     found = accuracy_map(calibration, low, high, (count[0], count[1], count[2]), sigma_px)

@@ -22,7 +22,7 @@ ROUNDS = 4
 
 @dataclass(frozen=True)
 class AdjustmentSettings:
-    """How a camera is adjusted.
+    """Settings of a single camera's adjustment.
 
     ``parameters``: lens parameters to estimate; None lets the data choose, OpenCV's thin prism among the rest unless
     ``prism`` is False. ``significance``: level of the F-test by which a group joins. ``blunder_significance``:
@@ -42,7 +42,7 @@ class AdjustmentSettings:
 
 @dataclass(frozen=True, eq=False)
 class CameraAdjustment:
-    """An adjusted camera and how good it is.
+    """An adjusted camera and its precision.
 
     ``residuals_px`` (n, 2) observed minus projected of all points, the rejected too; ``used`` (n,) bool;
     ``parameters`` names of the p unknowns (rotation about the camera's own axes, position, lens) and their

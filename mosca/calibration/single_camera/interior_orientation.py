@@ -60,7 +60,7 @@ class TargetView:
 
 @dataclass(frozen=True, eq=False)
 class CameraViews:
-    """What camera ``name`` of ``size`` (width, height) saw of marks ``marks_m`` (m, 3) [m], by interval."""
+    """Views by camera ``name`` of ``size`` (width, height) of marks ``marks_m`` (m, 3) [m], by interval."""
 
     name: str
     size: tuple[int, int]

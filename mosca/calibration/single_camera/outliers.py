@@ -1,8 +1,8 @@
 """Blunders among measured points: gross ones by a robust fit, the rest by data snooping.
 
 Data snooping after Baarda (1968), with the standard deviation estimated without the point under test (so that the
-test is exact for few points too): the point with the largest standardised residual goes out, the
-adjustment is repeated, and at the end the points that fit after all come back.
+test is exact for few points too): the point with the largest standardised residual is rejected, the adjustment is
+repeated, and at the end the points that fit are readmitted.
 """
 
 from collections.abc import Sequence
@@ -82,7 +82,7 @@ def _without_worst(fit: CameraFit, xy_px: Array, xyz: Array, used: Array, level:
             break
         statistic = _standardised(fit)
         worst = int(np.argmax(statistic))
-        # the variance of the others, so that a blunder does not hide behind itself
+        # the variance of the others, so that a blunder does not mask itself
         variance = max(fit.cost - statistic[worst], 1e-300) / (redundancy - 2)
         if f_distribution.sf(statistic[worst] / 2 / variance, 2, redundancy - 2) >= level:
             break

@@ -1,4 +1,4 @@
-"""Which lens parameters the data determine.
+"""Selection of the lens parameters that the data determine.
 
 Pose and scale (c and my, or fx and fy) are always estimated; the principal point, the affinity a, K1, (P1, P2), K2,
 K3 (or k1, (p1, p2), k2, k3, ...) join one group at a time, that one first which lowers the sum of squares most

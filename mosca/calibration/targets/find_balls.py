@@ -15,14 +15,13 @@ from mosca.data.sightings import Part
 from mosca.data.wands import Wand
 
 ALIKE_ENDS = 0.05
-"""A wand whose balls lie alike from both ends, within this share of its length, has ends that cannot be
-distinguished.
+"""A wand symmetric within this share of its length has ends that cannot be distinguished.
 """
 
 
 @dataclass(frozen=True)
 class WandReading:
-    """How a wand is detected.
+    """Settings of wand detection.
 
     ``largest_depth_ratio``: how many times farther than the near end the far end may be; ``bend``: how far from the
     line of the outer balls an inner one may be seen, as a share of their distance, beyond ``slack_px``; lenses bend
@@ -43,7 +42,7 @@ def read_wand(
     """Return the wand's balls in one image, or None where it is not seen whole or could be two ways.
 
     Rows are in their order along the wand; ``mark`` is their number, or -1 where the two ends cannot be distinguished
-    (two balls, or balls that lie alike from both ends).
+    (two balls, or a symmetric wand).
     """
     reading = reading or WandReading()
     balls, n = len(wand.along_m), len(detections)

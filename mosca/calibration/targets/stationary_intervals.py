@@ -1,4 +1,4 @@
-"""When the target was stationary: frame sets between which no mark moved share one pose of the target."""
+"""Stationary intervals of the target: frame sets between which no mark moved share one pose."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from mosca.data.arrays import Array
 from mosca.data.sightings import Sightings
 
 LEAST_MOVE_PX = 0.35
-"""What a camera's body may shake between two exposures: ten times the usual 0.03 px."""
+"""Largest shake of a camera's body between two exposures: ten times the usual 0.03 px."""
 SIGMAS = 6.0
 
 

@@ -1,5 +1,4 @@
-"""Which end of a wand is which, where its balls do not determine it: two balls, or balls that lie alike from both
-ends.
+"""Order of a wand's ends where its balls do not determine it: two balls, or a symmetric wand.
 
 The middle of the balls' images is nearly the image of the wand's middle, whichever end is first: it gives rough
 epipolar lines, and these determine which ends belong together in two cameras. The balls then give sharper ones.

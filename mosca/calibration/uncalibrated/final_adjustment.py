@@ -86,7 +86,7 @@ def _without_gross(one: Network) -> PointViews:
 
 
 def _in_model(camera: Camera, wanted: Lens) -> Camera:
-    """Return the camera with a lens of the model, and the shape of pixels, of ``wanted``."""
+    """Return the camera with the lens model and pixel aspect of ``wanted``."""
     if isinstance(wanted, OpenCVLens):
         return camera
     if not isinstance(wanted, MoscaLens) or not isinstance(camera.lens, OpenCVLens):

@@ -27,7 +27,7 @@ from mosca.data.rig import Camera, OpenCVLens
 from mosca.errors import CalibrationError
 
 ROUGH_LENS = (FOCAL, "k1")
-# a start that misses half of the points by more than this share of half the diagonal is none
+# a start whose median residual exceeds this share of half the diagonal is rejected
 WORST_MISFIT = 0.01
 FEWEST_FOR_RESECTION, MOST_RESECTED = 25, 200
 

@@ -1,4 +1,4 @@
-"""Where a wand calibration starts: the pair of cameras with the best views of the wand."""
+"""Initial pair of a wand calibration: the two cameras with the best views of the wand."""
 
 import numpy as np
 

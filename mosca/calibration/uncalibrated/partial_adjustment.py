@@ -23,7 +23,7 @@ from mosca.data.rig import Camera
 from mosca.errors import CalibrationError
 
 CLEANINGS, ROD_SIGMAS = 6, 10.0
-# what contradicts by more robust standard deviations is left out while the network grows
+# residuals above so many robust standard deviations are left out while the network grows
 CLEAR_SIGMAS = 12.0
 FIRST = BundleSettings(loss="cauchy", loss_scale=3.0, tolerance=1.0, most_steps=20, hold_weak=True, precision=False)
 SECOND = BundleSettings(tolerance=0.3, most_steps=20, precision=False)

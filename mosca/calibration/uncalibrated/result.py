@@ -19,7 +19,7 @@ from mosca.errors import CalibrationError
 FOCAL_WIDTHS = (0.3, 10.0)
 """Focal lengths of real cameras, in widths of the image."""
 MIDDLE_SHARE = 0.2
-"""How far from the image's middle a principal point may lie, in widths of the image."""
+"""Largest distance of a principal point from the image's middle, in widths of the image."""
 WORST_FOCAL = 0.03
 """Relative standard deviation beyond which a focal length counts as undetermined."""
 WORST_LEFT_OUT, MANY_LEFT_OUT = 0.3, 0.1
@@ -82,7 +82,7 @@ def check(final: FinalNetwork, tracks: PointViews) -> None:
 
 
 def findings_of(final: FinalNetwork, tracks: PointViews) -> tuple[Finding, ...]:
-    """Return what is doubtful or worth knowing about a rig that passed ``check``."""
+    """Return the warnings and notes on a rig that passed ``check``."""
     one = final.network
     tracks = tracks.of_cameras(one.cameras)
     out: list[Finding] = []

@@ -1,4 +1,4 @@
-"""Where a self-calibration without any known length starts: a projective core, made metric by its cameras.
+"""Initial network of a self-calibration without known lengths: a projective core, upgraded to metric.
 
 After Svoboda, Martinec and Pajdla 2005 (MultiCamSelfCal): pairs, projective reconstruction, metric upgrade by what
 is known of any camera. The upgrade here tries all focal lengths (``metric_upgrade``) and lets bundle

@@ -1,4 +1,4 @@
-"""Which cameras see the same: pairs to start from, groups that nothing joins, the bend that their lenses share."""
+"""Common views of cameras: initial pairs, unconnected groups, and the radial distortion that their lenses share."""
 
 from collections.abc import Sequence
 

@@ -29,11 +29,11 @@ UNITS = {1e3: "mm for m", 1e-3: "m for mm", 1e2: "cm for m", 1e-2: "m for cm", 3
 class Axes:
     """A rig moved onto an L-frame's axes.
 
-    ``world_from_rig`` the motion, applied after the stretch ``scale``; ``places`` (n, 3) where the balls are then
-    and ``residuals_m`` (n, 3) by how much they miss the L-frame's; ``measured_over_known``: the frame's size in the
-    rig's own lengths over the file's, with its standard deviation (of detection, of the file, and of the calibration
-    where one was given) and its slope ``by_parameter`` (u,) by the calibration's parameters; ``findings``: what is
-    doubtful.
+    ``world_from_rig`` the motion, applied after ``scale``; ``places`` (n, 3) measured ball centres in the new frame
+    and ``residuals_m`` (n, 3) their differences from the L-frame's; ``measured_over_known``: ratio of the frame's
+    size in the rig to that in the file, with its standard deviation (from detection, the file and, where given, the
+    calibration) and its derivative ``by_parameter`` (u,) with respect to the calibration's parameters; ``findings``:
+    warnings.
     """
 
     rig: Rig

@@ -15,7 +15,7 @@ from mosca.errors import CalibrationError
 from mosca.triangulation.triangulate import triangulate
 
 MATCH_PX = 3.0
-"""How far from its projection a ball may be seen and still be this ball."""
+"""Gate of a ball's image about its projection."""
 MOST_SPOTS, MOST_DETECTIONS = 24, 200
 # of two readings of a figure the better one must fit so many times better
 TIMES_BETTER = 3.0
@@ -43,7 +43,7 @@ class BallCandidates:
 
 
 def spots(rig: Rig, detections: Mapping[str, Detections]) -> BallCandidates:
-    """Return the positions where rays of two cameras or more meet.
+    """Return the positions where rays of two cameras or more intersect.
 
     Those seen by most cameras come first; each detection belongs to one position at the most.
     """
@@ -97,7 +97,7 @@ def _meetings(rig: Rig, detections: Mapping[str, Detections], first: int, second
 
 
 def _seen(rig: Rig, detections: Mapping[str, Detections], place: Array) -> tuple[int, ...]:
-    """Return the detection of each camera that shows ``place`` (3,), -1 where none does."""
+    """Return the detection of point ``place`` (3,) in each camera, -1 where there is none."""
     out = []
     for camera in rig.cameras:
         found = detections.get(camera.name)

@@ -19,7 +19,7 @@ from mosca.numba_support.decorators import bare_step, step
 STEPS = 60
 """Bisection alone halves pi down to the last bit in 52 steps."""
 CONVERGED_RAD = 1e-14
-"""Newton's method ends with a step below this: some units in the last place."""
+"""Newton's method ends with a step below this: a few ulp."""
 INVERTED = 1e-10
 """Residual up to which an image radius counts as inverted [rad]."""
 NEAR_AXIS = 1e-9

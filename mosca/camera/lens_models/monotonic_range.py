@@ -1,8 +1,8 @@
 """Where a lens's radial mapping folds back: beyond it the model images nothing, whatever its polynomial does.
 
-A radial polynomial fitted inside the image may fold back outside it and rise again farther out; there it is
-regular once more and would image directions that no light takes to the sensor. So the mapping ends at the
-first radius at which its slope vanishes.
+A radial polynomial fitted inside the image may fold back outside it and rise again farther out; there it is regular
+once more and would image directions from which no light reaches the sensor. So the mapping ends at the first radius
+at which its slope vanishes.
 """
 
 from collections.abc import Sequence
@@ -15,8 +15,8 @@ from mosca.data.arrays import Array
 def first_positive_root(coefficients: Sequence[float] | Array) -> float:
     """Return the smallest positive real root of 1 + c1 s + c2 s^2 + ..., infinity where there is none.
 
-    ``coefficients``: 1, c1, c2, ... Solved for 1 / s, whose polynomial has the leading coefficient 1, so that
-    coefficients however small (or zero) do no harm.
+    ``coefficients``: 1, c1, c2, ... Solved for 1 / s, whose polynomial has the leading coefficient 1, which is stable
+    for small or zero coefficients.
     """
     inverse = np.roots(coefficients)
     largest = float(inverse.real[np.isreal(inverse)].max(initial=0.0))

@@ -18,7 +18,7 @@ from mosca.data.rig import MoscaLens
 from mosca.numba_support.decorators import inlined_step, step
 
 CONVERGED_MM = 1e-13
-"""Newton's method ends with a step below this: some units in the last place of a sensor's coordinates."""
+"""Newton's method ends with a step below this: a few ulp of a sensor's coordinates."""
 INVERTED_MM = 1e-9
 """Residual up to which a point counts as inverted."""
 
@@ -58,7 +58,7 @@ def _image(q, v0, v1, v2, out):
         return False
     c, mx, my, af, k1, k2, k3, p1, p2 = q[0], q[3], q[4], q[5], q[6], q[7], q[8], q[9], q[10]
     iz = 1 / v2
-    # ideal point [mm], y up; Newton's method for the measured point that the correction carries there
+    # ideal point [mm], y up; Newton's method for the measured point that the correction maps to it
     ix, iy = c * v0 * iz, -c * v1 * iz
     x, y = ix, iy
     a = b = d = rx = ry = 0.0
@@ -80,7 +80,7 @@ def _image(q, v0, v1, v2, out):
     determinant = a * d - b * b
     if not (determinant > 0 and a + d > 0 and abs(rx) < INVERTED_MM and abs(ry) < INVERTED_MM and r2 < q[FOLD]):
         return False
-    # pixel by ideal point: inverse of the slope, then the pitches; the y axis turns from up to down
+    # pixel by ideal point: inverse of the slope, then the pitches; the y axis is flipped from up to down
     n00, n01 = d / determinant / mx, -b / determinant / mx
     n10, n11 = b / determinant / my, -a / determinant / my
     out[0, 0], out[1, 0] = q[1] + x / mx, q[2] - y / my

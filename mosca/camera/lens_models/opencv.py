@@ -5,7 +5,7 @@ With x = X/Z, y = Y/Z, r^2 = x^2 + y^2 and q = (1 + k1 r^2 + k2 r^4 + k3 r^6) / 
     xd = x q + 2 p1 x y + p2 (r^2 + 2 x^2) + s1 r^2 + s2 r^4      u = cx + fx xt
     yd = y q + p1 (r^2 + 2 y^2) + 2 p2 x y + s3 r^2 + s4 r^4      v = cy + fy yt
 
-(xt, yt) is (xd, yd) seen on a sensor turned by R = R_y(tauY) R_x(tauX):
+(xt, yt) is (xd, yd) projected onto a sensor rotated by R = R_y(tauY) R_x(tauX):
 
     (xt, yt, 1) ~ [[R33, 0, -R13], [0, R33, -R23], [0, 0, 1]] R (xd, yd, 1)
 
@@ -85,7 +85,7 @@ def direction(q, u, v, d, g):
 
 @bare_step
 def _tilted(q, wx, wy, s00, s01, s10, s11):
-    """Carry a slope from before the sensor's tilt onto the sensor."""
+    """Transform a Jacobian from before the sensor's tilt to the sensor."""
     depth = q[TILT + 6] * wx + q[TILT + 7] * wy + q[TILT + 8]
     x = (q[TILT] * wx + q[TILT + 1] * wy + q[TILT + 2]) / depth
     y = (q[TILT + 3] * wx + q[TILT + 4] * wy + q[TILT + 5]) / depth

@@ -1,9 +1,8 @@
 """Frames of free-running cameras -> observations, each image point with its own instant and its marker's name.
 
 Steps: detect in every frame on its own (``frame_detections``) -> follow points in each camera (``gather_tracklets``)
--> tie the cameras' clocks coarsely where they know nothing of each other (``coarse_sync``) -> distinguish markers by
-comparing the cameras at common instants, and give every real image point to its marker (``correspondence``). No frame
-sets anywhere.
+-> synchronise independent camera clocks coarsely (``coarse_sync``) -> distinguish markers by comparing the cameras at
+common instants, and assign every measured image point to its marker (``correspondence``). No frame sets anywhere.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -33,9 +32,9 @@ SHORTEST_S = 0.1
 @dataclass(frozen=True)
 class AssociationSettings:
     """``pipeline``: settings of detection, matching and tracking. ``clocks``: "common" where all stamps are of one
-    clock, "own" where each camera has its own and was started at an unknown time, "auto" by what the cameras state of
-    themselves (``CameraInfo.clock``: "device" is a clock of its own). ``search_s``: by how much at most cameras with
-    clocks of their own were started apart.
+    clock, "own" where each camera has its own and was started at an unknown time, "auto" by the cameras' own
+    statement (``CameraInfo.clock``: "device" is a clock of its own). ``search_s``: largest difference of start times
+    of cameras with clocks of their own.
     """
 
     pipeline: PipelineSettings = field(default_factory=PipelineSettings)
@@ -45,7 +44,7 @@ class AssociationSettings:
 
 @dataclass(frozen=True, eq=False)
 class Associated:
-    """What was gathered.
+    """Result of the data association.
 
     ``observations``: times on the common clock, as coarsely as it is known. ``start``: curves
     through the interpolated tracks. ``ties``: how each camera's own clock is tied to the common one, seconds of

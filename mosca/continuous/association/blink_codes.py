@@ -1,4 +1,4 @@
-"""Which image points of a camera are which lamp, by the number that each lamp blinks.
+"""Identification of lamps among a camera's image points by their blink codes.
 
 A lamp shows its number's 16 bits over and over (``mosca.data.lamp_codes``) and a free-running camera exposes at any
 time, so that neither the code's start nor where in a bit a frame falls is known. A tracklet that bridges the dark

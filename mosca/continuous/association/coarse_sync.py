@@ -28,9 +28,9 @@ INSTANTS = 60
 MOST_POINTS = 40
 """Points of an instant that are compared, of the camera whose clock is held."""
 CLEAR = 8.0
-"""How far the best shift must stand out from the others, in their (robust) standard deviations."""
+"""Least peak height of the best shift above the others, in their (robust) standard deviations."""
 RIVAL = 0.85
-"""A shift that stands out so much of what the best one does fits as well: repeating motion (a stride) has several."""
+"""A second peak of at least this fraction of the best makes the shift ambiguous, as for periodic motion (gait)."""
 WINDOWS = 8
 DRIFT_FROM_S = 4.0
 """Shorter recordings do not determine a drift that matters in them."""
@@ -40,10 +40,10 @@ WIDEST_DRIFT = 400e-6
 
 @dataclass(frozen=True)
 class ClockTie:
-    """How a camera's clock is tied to the common one: ``offset_s + (1 + drift) (stamp_ns - origin_ns) / 1e9``.
+    """Map of a camera's clock to the common one: ``offset_s + (1 + drift) (stamp_ns - origin_ns) / 1e9``.
 
-    ``clear``: how far the shift stood out in its search (inf where it was not searched for). ``rival_s``: another
-    offset that fits about as well, None where there is none.
+    ``clear``: peak height of the shift in its search (inf where it was not searched for). ``rival_s``: another offset
+    that fits about as well, None if there is none.
     """
 
     origin_ns: int
@@ -66,9 +66,9 @@ def common_clock(seen: Sequence[CameraDetections]) -> tuple[ClockTie, ...]:
 def tied_clocks(
     seen: Sequence[CameraDetections], tracklet: Sequence[Array], rig: Rig, search_s: float
 ) -> tuple[ClockTie, ...]:
-    """Return the ties of cameras whose clocks know nothing of each other; the first camera's is the common one.
+    """Return the clock maps of cameras with independent clocks; the first camera's is the common one.
 
-    ``search_s``: by how much cameras may have been started apart. InputError where the images do not determine it.
+    ``search_s``: largest difference of the cameras' start times. InputError where the images do not determine it.
     """
     own_s = [one.time_s(int(one.frame_ns[0])) for one in seen]
     ties: dict[int, ClockTie] = {0: ClockTie(int(seen[0].frame_ns[0]))}

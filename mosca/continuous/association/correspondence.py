@@ -1,9 +1,9 @@
-"""Which image points of cameras that are not synchronised are one marker.
+"""Data association between unsynchronised cameras.
 
-The tracklets of all cameras are interpolated at common instants (the exposures of the fastest camera), and
-these positions go through the synchronous matcher and tracker as frame sets would. The tracks that come out are
-followed by curves, and every real image point, at its own instant, goes to the curve that passes it: what was
-interpolated serves to distinguish markers and never as a measurement.
+The tracklets of all cameras are interpolated at common instants (the exposures of the fastest camera), and the
+synchronous matcher and tracker process these positions as frame sets. Curves are fitted to the resulting tracks, and
+every measured image point, at its own instant, is assigned to the nearest curve: interpolated positions serve data
+association only and are never used as measurements.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -27,11 +27,11 @@ from mosca.errors import InputError
 from mosca.pipeline import PipelineSettings, run_seen
 
 FEWEST_SAMPLES = 6
-"""A track of fewer samples is none."""
+"""Tracks of fewer samples are dropped."""
 INTERPOLATED_PX = 0.15
-"""Standard deviation of a position between two exposures beyond the detections' own, to begin with; it is learned."""
+"""Standard deviation of a position between two exposures beyond the detections' own: initial value of an estimate."""
 GATE_SIGMA, CURVE_PX = 4.5, 0.25
-"""How far an image point may lie from its curve; standard deviation an axis of a curve through samples."""
+"""Gate of an image point about its curve; standard deviation an axis of a curve through samples."""
 WORST_PX = 1.0
 """Image points less certain than this are not used (those that no disc could be fitted to)."""
 ODD_SHARE = 0.15

@@ -23,7 +23,7 @@ MOST_DETECTIONS = 5000
 
 @dataclass(frozen=True, eq=False)
 class CameraDetections:
-    """What one camera saw: f frames, n image points in the order of the frames.
+    """Detections of one camera: f frames, n image points in the order of the frames.
 
     ``frame_ns`` (f,) mid-exposure of each frame's first row on the camera's own clock, strictly rising; ``start``
     (f + 1,) first image point of each frame; ``xy_px`` (n, 2), ``covariance_px2`` (n, 2, 2), ``diameter_px``,
@@ -67,7 +67,7 @@ class FrameCount:
 
 @dataclass
 class _Notes:
-    """What is noted of one camera on the way."""
+    """Data of one camera, accumulated over frames."""
 
     info: CameraInfo
     frame_ns: list[int] = field(default_factory=list)

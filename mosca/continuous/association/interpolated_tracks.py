@@ -1,4 +1,4 @@
-"""Curves straight through samples: where tracks were between the instants at which they were measured."""
+"""Interpolating curves: positions of tracks between the instants at which they were measured."""
 
 from dataclasses import dataclass
 

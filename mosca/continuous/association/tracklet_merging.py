@@ -17,9 +17,9 @@ from mosca.data.arrays import Array
 from mosca.data.tracks import Tracks
 
 LONGEST_S = 1.0
-"""A marker that no two cameras saw for longer is a new one."""
+"""Longest gap without two cameras; after it a marker is a new one."""
 SLACK_M = 0.02
-"""How far the two ends, both carried to the middle of the gap, may be apart beyond what acceleration does."""
+"""Largest distance of the two ends, extrapolated to the middle of the gap, beyond what acceleration explains."""
 
 
 def joined(

@@ -1,7 +1,7 @@
 """Image points of one camera followed from frame to frame, and where they were in between.
 
-A *tracklet* is a point followed in one camera. It is no identity: it ends where its point is hidden or where two
-meet. It only interpolates the point between two exposures, so that cameras that expose at other instants can be
+A *tracklet* is a point followed in one camera. It is not an identity: it ends where its point is occluded or where
+two merge. It only interpolates the point between two exposures, so that cameras that expose at other instants can be
 compared.
 """
 
@@ -16,9 +16,9 @@ from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 
 GATE_PX, GATE_SHARE = 5.0, 0.3
-"""How far an image point may lie from where its tracklet leads: a length and a share of its last step."""
+"""Gate about a tracklet's prediction: a length and a share of its last step."""
 FIRST_GATE_PX = 16.0
-"""How far a point may have moved from the first frame of its tracklet to the second [px]."""
+"""Largest motion from the first frame of a tracklet to the second [px]."""
 BEND = 0.8
 """Share of its last change of speed with which a tracklet is extrapolated: damping of the acceleration."""
 LONGEST_GAP = 2.6
@@ -108,7 +108,7 @@ def _pairs(place: Array, way: Array, xy: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class ImageInterpolation:
-    """Where tracklets were at instants: one row a tracklet and instant, sorted by instant.
+    """Positions of tracklets at instants: one row per tracklet and instant, sorted by instant.
 
     ``instant`` (r,) its number; ``tracklet`` (r,); ``xy_px`` (r, 2); ``row`` (r,) the nearer one of the two image
     points that the position lies between, ``other`` (r,) the second; ``speed_px`` (r, 2) [px/s].

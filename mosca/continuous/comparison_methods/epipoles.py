@@ -1,13 +1,13 @@
 """Two views that may see each other: fundamental matrix, essential matrix and relative pose.
 
-A camera that sees the other one observes its epipole: with F e = 0 (second paper, eq. 5) and F' e' = 0 (eq. 6),
-F = B' M B^T, where the columns of B (3, 2) and B' span the plane perpendicular to e and e'. So M (2, 2), 3
-unknowns up to scale, is all that the corresponding points determine, instead of 8 in a linear solution (9 numbers
-up to scale). An epipole that is not observed leaves its side of M whole (B = I): one code for both, one, or none.
+A camera that sees the other one observes its epipole: with F e = 0 (second paper, eq. 5) and F' e' = 0 (eq. 6), F =
+B' M B^T, where the columns of B (3, 2) and B' span the plane perpendicular to e and e'. So M (2, 2), 3 unknowns up to
+scale, is all that the corresponding points determine, instead of 8 in a linear solution (9 numbers up to scale). An
+epipole that is not observed leaves B = I on its side: one code for both, one, or none.
 
 All image points are bearings: rays (n, 3) in the camera's frame, for an essential matrix unit rays. So lenses beyond
 180 degrees and epipoles outside the image are like any others, and the sign of an epipole's ray shows on which side
-the other camera is, not only on which line. (Homogeneous pixels (x, y, 1) are bearings, too, where F is wanted.)
+the other camera is, not only on which line. (Homogeneous pixels (x, y, 1) are bearings, too, when estimating F.)
 """
 
 from dataclasses import dataclass
@@ -98,7 +98,7 @@ def poses_of_essential(matrix: Array) -> tuple[Pose, ...]:
 
 
 def distances_along(pose: Pose, first: Array, second: Array) -> tuple[Array, Array]:
-    """Return how far along the rays (n, 3) of two cameras (``pose``: second_from_first) they come nearest."""
+    """Return the depths along rays (n, 3) of two cameras (``pose``: second_from_first) at their closest approach."""
     a, b, t = first @ pose.rotation.T, second, pose.translation
     # s a - r b = -t, least squares
     aa, bb, ab = (np.einsum("ni,ni->n", p, q) for p, q in ((a, a), (b, b), (a, b)))

@@ -3,8 +3,8 @@
 
 Each camera's track of each point is interpolated in the image, by straight lines or a cubic spline, to instants at
 which the other cameras have it too. From there on the cameras count as synchronous: points are intersected (known
-cameras) or adjusted with the cameras (unknown ones), with epipoles (eq. 7) or without them (eq. 4). Nothing knows
-that an interpolated image point is no observation: that is these methods' error, in fast motion most of it.
+cameras) or adjusted with the cameras (unknown ones), with epipoles (eq. 7) or without them (eq. 4). Interpolated
+image points are treated as observations: the main error of these methods in fast motion.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ LONGEST_GAP = 2.5
 
 @dataclass(frozen=True, eq=False)
 class ImageTracks:
-    """What cameras saw as functions of time: ``at`` gives Views of any instants."""
+    """Image tracks as functions of time: ``at`` gives Views of any instants."""
 
     observations: TimedObservations
     rig: Rig

@@ -70,8 +70,8 @@ class SteadyPoses:
 @dataclass(frozen=True, eq=False)
 class NetPoses:
     """Cameras as networks, one for each of the six components: rotation from ``middle`` (c, 3, 3), and position
-    against ``origin`` (c, 3), in units of ``spread`` (c, 6) [rad, m]: how far the component strays in the start. So a
-    camera that hardly moves there is hardly moved by a step of given length, and a worn one freely.
+    against ``origin`` (c, 3), in units of ``spread`` (c, 6) [rad, m]: the component's variation in the initial state,
+    so that a step of given length moves nearly stationary cameras little and body-worn ones freely.
     """
 
     cameras: tuple[str, ...]

@@ -24,12 +24,12 @@ from mosca.data.rig import Camera
 Cameras = Literal["known", "fixed", "moving"]
 STEPS, WORST_DAMPING, TINY = 60, 1e12, 1e-12
 SETTLED = 1e-9
-"""Share of the cost below which another step is not worth it."""
+"""Relative decrease of the cost below which the iteration has converged."""
 
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """What c cameras saw of m points at t common instants: ``xy_px`` (t, c, m, 2), NaN where not seen.
+    """Image points of m points in c cameras at t common instants: ``xy_px`` (t, c, m, 2), NaN where not seen.
 
     ``carried_by`` (m,): camera that carries the point, -1 for none; ``carried_at`` (m, 3) its position there [m].
     """
@@ -113,7 +113,7 @@ def adjust(views: Views, start: PosesAndPoints, cameras: Cameras, *, epipoles: b
         gained = (system.cost - after)[better] / np.maximum(system.cost[better], TINY)
         if better.any():
             state = task.chosen(state, trial, better)
-            # a group that gains nothing any more has arrived
+            # a group without further decrease has converged
             live[np.flatnonzero(better)[gained < SETTLED]] = False
             system = task.linearised(state)
         damping = np.where(better, np.maximum(damping / 10, 1e-10), damping * 10)

@@ -3,8 +3,8 @@
     [T  B] [x]   [g]
     [B' C] [s] = [h]
 
-T is banded (a coefficient meets only its neighbours in time), so that all costs are linear in the duration. One
-``Band`` holds one group of unknowns that meet each other; groups meet only in s.
+T is banded (a coefficient is coupled only to its neighbours in time), so that all costs are linear in the duration.
+One ``Band`` holds one group of coupled unknowns; groups are coupled only through s.
 """
 
 from collections.abc import Iterator
@@ -186,7 +186,7 @@ def solve_bordered(
         right -= border.T @ firsts[-1]
     if not len(corner):
         return firsts, np.empty(0), carried, np.empty((0, 0))
-    # offsets [s], drifts and angles differ by orders of magnitude: made alike before inverting
+    # offsets [s], drifts and angles differ by orders of magnitude: scaled before inverting
     scale = 1 / np.sqrt(np.diag(corner))
     covariance = scale[:, None] * np.linalg.inv(scale[:, None] * reduced * scale) * scale
     shared = covariance @ right

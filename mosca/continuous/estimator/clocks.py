@@ -1,8 +1,8 @@
 """Cameras' clocks: which of their unknowns are free, and which the data do not determine.
 
-Gauge: the first camera's offset and drift are zero (a common shift of time changes nothing that can be seen); its
-row time is free. Every unknown begins with its a-priori standard deviation, ``BEFORE``; one that the data do not make
-at least ``LEAST_GAIN`` times more certain is held where it was, and reported.
+Gauge: the first camera's offset and drift are zero (a common shift of time is unobservable); its row time is free.
+Every unknown has the a-priori standard deviation ``BEFORE``; one whose standard deviation the data do not reduce by a
+factor of ``LEAST_GAIN`` or more is held at its value, and reported.
 """
 
 import numpy as np

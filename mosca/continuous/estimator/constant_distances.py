@@ -1,9 +1,9 @@
-"""Constant distances between points of one limb: found in curves that know their own uncertainty, and used.
+"""Constant distances between points of one limb: found from curves with covariance, and used as observations.
 
-A pair is taken where the distance varies no more than the curves' own uncertainty explains, and where this says
-something: the vector between the points must itself have moved ``TELLING`` times more than the distance did. How much
-a distance truly varies (soft tissue) is learned as the equations are used: the mean square of distances in drawn
-curves about their mean. A pair that was taken wrongly so loosens itself, and leaves where it is looser than telling.
+A pair is taken where the distance varies no more than the curves' own uncertainty explains, and where this is
+informative: the vector between the points must itself vary ``TELLING`` times more than the distance does. The
+variance of a distance (soft tissue) is estimated along with the curves: the mean square of distances in sampled
+curves about their mean. A pair taken wrongly so gets a small weight, and is dropped once it is not informative.
 """
 
 from dataclasses import dataclass
@@ -15,19 +15,20 @@ from mosca.continuous.model.bspline import Knots, values
 from mosca.data.arrays import Array
 
 TELLING = 12.0
-"""A pair's vector must have moved so many times more than its length."""
+"""Least ratio of the variation of a pair's vector to that of its length."""
 EXPLAINED = 2.0
-"""Variances of a distance over time up to so many times what its uncertainty explains may be chance: curves' errors
-last for several instants, so that few are independent, and many pairs are examined."""
+"""Ratio of a distance's variance over time to its predicted one up to which it counts as constant: errors of curves
+are correlated over several instants, so that few are independent, and many pairs are tested."""
 JUMPS = 0.05
 """Share of instants left out of the test whether a distance is constant: those where it fits worst. Where points jump
-between exposures curves are off by more than they know, and one such instant would hide the most rigid pair."""
+between exposures the errors of curves exceed their covariance, and one such instant would reject the most rigid
+pair."""
 SMALLEST_SLACK_M = 1e-4
 MOST_LOOSENED = 10.0
-"""A slack grows at most so many times more than what is seen of it."""
+"""Largest ratio of a slack to the observed variation of its distance."""
 FEWEST_INSTANTS = 8
 LONGEST_M = 0.8
-"""Two points of one limb are at most so far apart."""
+"""Largest distance between two points of one limb."""
 AT_ONCE = 64
 """Pairs that are examined together, to limit memory."""
 
@@ -54,8 +55,8 @@ NO_PAIRS = Pairs(np.zeros((0, 2), dtype=np.int64), np.zeros(0), np.zeros(0))
 def find_pairs(knots: Knots, xyz: Array, drawn: Array, known: Array, spans: Array) -> Pairs:
     """Return the pairs that stay a constant distance apart.
 
-    ``xyz`` (count, p, 3) the likeliest curves, ``drawn`` (draws, count, p, 3) curves of the posterior, ``known`` (p,)
-    which points may be taken, ``spans`` (p, 2) from when to when each was seen [s].
+    ``xyz`` (count, p, 3) the maximum-likelihood curves, ``drawn`` (draws, count, p, 3) samples of the posterior,
+    ``known`` (p,) which points may be taken, ``spans`` (p, 2) first and last instant at which each was seen [s].
     """
     time = knots.breaks_s
     best = values(knots, xyz, time)

@@ -1,8 +1,8 @@
 """Curves of all points, cameras' poses and clocks from all exposures at their own times, with covariances.
 
-Steps: refuse what cannot be used -> each point by itself, smooth as the data require -> all points together, whose
-accelerations are learned together -> constant distances found and used -> what the data do not determine is held and
-reported.
+Steps: validate the input -> estimate each point separately, with its smoothness -> all points jointly, with the
+covariance of their accelerations -> find and use constant distances -> hold and report unknowns that the data do not
+determine.
 """
 
 import time as stopwatch
@@ -35,14 +35,14 @@ from mosca.data.rig import Rig
 
 __all__ = ["Clock", "ConstantDistance", "ContinuousEstimate", "ContinuousSettings", "estimate"]
 DRAWS = 12
-"""Curves drawn from the posterior at each round; each has hundreds of accelerations to learn from."""
+"""Posterior samples of the curves per round; each has hundreds of accelerations."""
 LARGEST_SIGMA0 = 1.5
 JOINED_AT = 1
-"""The round from which on curves have learned from each other, so that distances can be examined."""
+"""Round from which the joint prior is good enough to test distances."""
 SPOILT = 0.1
-"""Where more than this share of distances is dropped at once, what was learned with them is learned again."""
+"""Where more than this share of distances is dropped at once, the variances are estimated again."""
 SETTLING = 2
-"""In so many last rounds no new distances are searched for: what is new must still loosen or tighten."""
+"""In the last rounds, this many, no new distances are searched for: variances of new ones must still converge."""
 ROUNDS_ALONE = 2
 MOST_ROUNDS = 20
 FEWEST_ROUNDS = 4
@@ -86,15 +86,15 @@ def estimate(
     )
     alone = layout(tuple(np.array([p]) for p in points), len(still.cameras), "known", np.zeros_like(clock_free))
     held = np.zeros_like(clock_free)
-    # paths that are given are near: noise taken for larger would hide from cameras how little they move
+    # given paths are near: overestimated noise would mask how little cameras move
     begun = settings.cameras == "moving" and paths is not None and settings.clocks == "known"
     known = settings.clocks == "known" and settings.cameras == "known"
     state, strength, noise = first_curves(image, state, alone, points, start, not (known or begun))
     of_cameras = np.zeros((0, 0))
     if not known:
         state, held, of_cameras = _settled(image, state, points, settings, strength, noise, clock_free)
-        # what was learned while clocks and poses were wrong took their errors for motion: learned again, from rays,
-        # since image points that a start is far from (jumps) count little and would never come back
+        # variances estimated with wrong clocks and poses attribute their errors to motion: estimated again,
+        # from rays, since image points far from the initial curves (jumps) have little weight and would never recover
         state, strength, _ = first_curves(image, replace(state, order=ORDERS[0]), alone, points, None, False)
     groups = grouped(state, points, settings)
     places = layout(groups, len(still.cameras), settings.cameras, clock_free & ~held)
@@ -138,8 +138,8 @@ def _settled(
     image: ImagePoints, state: TrajectoryState, points: Array, settings: ContinuousSettings, strength: Array,
     noise: float, clock_free: Array
 ) -> tuple[TrajectoryState, Array, Array]:  # fmt: skip
-    """Return the state with clocks and poses come to rest, which clock unknowns are not determined and held, and how
-    moving cameras move: their part of the prior's covariance.
+    """Return the state with converged clocks and poses, which clock unknowns are held as undetermined, and moving
+    cameras' part of the prior's covariance.
     """
     rng = np.random.default_rng(0)
     places = layout(grouped(state, points, settings), len(state.still.cameras), settings.cameras, clock_free)
@@ -185,8 +185,8 @@ def _rounds(
     image: ImagePoints, state: TrajectoryState, places: StateLayout, covariances: list[Array],
     settings: ContinuousSettings, known: Array, spans: Array
 ) -> tuple[Solved, list[Array], Pairs]:  # fmt: skip
-    """Alternate Gauss-Newton steps and learning of variances; constant distances are sought once curves are joined,
-    and once more with their help.
+    """Alternate Gauss-Newton steps and variance estimation; constant distances are searched for once the prior is
+    joint, and again with them in use.
     """
     rng = np.random.default_rng(0)
     pairs, before = NO_PAIRS, (covariances, state.pace)
@@ -208,11 +208,11 @@ def _rounds(
             pairs, dropped = _pairs(pairs, state, places, drawn, known, spans, left if k < last - SETTLING else None)
             left |= dropped
             if len(dropped) > SPOILT * had:
-                # false distances bent curves, and what was learned from them is not motion
+                # false distances bent the curves: variances estimated from them are wrong
                 covariances, state = before[0], replace(state, pace=before[1])
                 last = min(k + settings.rounds, MOST_ROUNDS - 1)
             elif not had and not len(pairs):
-                # nothing to learn slowly: curves alone settle soon
+                # no slowly converging variances: curves alone settle soon
                 last = min(last, JOINED_AT + ROUNDS_ALONE)
     return solved, covariances, pairs
 

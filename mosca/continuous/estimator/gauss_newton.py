@@ -1,4 +1,4 @@
-"""One Gauss-Newton step on all curves, poses and clocks at once, and curves drawn from what it leaves open."""
+"""One Gauss-Newton step on all curves, poses and clocks jointly, and samples of the posterior."""
 
 from dataclasses import dataclass
 
@@ -20,14 +20,14 @@ HALVINGS = 6
 HELD = 1e12
 """Precision of what is held: far beyond images."""
 FRAME = (1e-4, 0.2)
-"""How far moving cameras may be from their start, rad or m a knot: the first, the others."""
+"""A-priori sigma of moving cameras about their initial path, rad or m per knot: the first, the others."""
 DRIFT_OF_FRAME = (1.0, 1.0)
 """Where no frame is given (cameras unknown) the start holds it, this loosely: rad and m, standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A state and what is left open around it.
+    """A state and its covariance.
 
     ``carried``: each group's T^-1 B; ``covariance`` of the shared unknowns; ``rows``: each group's weighted equations
     of image points; ``weight`` and ``residual`` of image points; ``moved``: largest change of a coefficient [m].
@@ -53,7 +53,7 @@ def step(
 ) -> Solved:
     """Return the state after one step with the prior's ``covariances`` (Q of each group) and constant distances.
 
-    ``noise``: image errors are taken to be so many times larger than stated.
+    ``noise``: factor on the stated image errors.
     """
     seen = image.linearised(state, places)
     weight = robust_weights(seen.residual / noise) / noise**2
@@ -67,7 +67,7 @@ def step(
         x = unknowns(state, places, g)
         band = Band(knots.count, knots.degree + 1, width, places.shared)
         for rows in (own, limb, frame_rows(state, places, g)):
-            # a step from x and the whole of x are the same equations; the prior wants the whole
+            # a step from x and the whole of x are the same equations; the prior needs all of x
             whole = rows.rest + rows.applied(x, width)
             band.add(Rows(rows.first, rows.weights, rows.columns, rows.values, rows.shared, whole))
         corner += own.shared.T @ own.shared
@@ -92,7 +92,7 @@ def step(
 
 
 def add_prior(band: Band, state: TrajectoryState, places: StateLayout, group: int, covariance: Array) -> None:
-    """Add the smoothness prior of a group, and what keeps unknowns that nothing determines finite."""
+    """Add the smoothness prior of a group, and a weak prior that keeps undetermined unknowns finite."""
     knots, width, points = state.knots, places.width(group), 3 * len(places.groups[group])
     band.add_prior(knots.gram(state.order, None if state.pace is None else 1 / state.pace), np.linalg.inv(covariance))
     loose = np.full(width, FARTHEST_M**-2)
@@ -206,11 +206,12 @@ def _shared_prior(places: StateLayout, state: TrajectoryState) -> tuple[Array, A
 
 
 def frame_rows(state: TrajectoryState, places: StateLayout, group: int) -> Rows:
-    """Return equations that hold the frame of moving cameras: each is near its start, the first very near, and so is
-    the second's distance to the first.
+    """Return equations that fix the gauge (frame) of moving cameras: weak priors on each at its initial pose, a
+    strong one on the first and on the second's distance to the first.
 
-    Only what the cameras see of each other and of points is observed, so that the whole may drift, rotate and grow as
-    one at every instant; ``FRAME`` says how far, and is far looser than images where these determine it.
+    Only what the cameras see of each other and of points is observed, so that a common similarity transformation at
+    each instant is undetermined; ``FRAME`` is its standard deviation, far looser than the images where these
+    determine it.
     """
     knots, moving = state.knots, state.moving
     time, cameras = knots.breaks_s, places.cameras if moving is not None else 0
@@ -244,7 +245,7 @@ def _short_enough(
     image: ImagePoints, old: TrajectoryState, new: TrajectoryState, found: list[Array], shared: Array,
     places: StateLayout, covariances: list[Array], pairs: Pairs, weight: Array
 ) -> TrajectoryState:  # fmt: skip
-    """Return the new state, or one nearer to the old where the step made things worse."""
+    """Return the new state, or a shortened step where the full one increased the cost."""
     best = cost(image, old, places, covariances, pairs, weight)
     start = [unknowns(old, places, g) for g in range(len(places.groups))]
     share = 1.0

@@ -82,7 +82,7 @@ def first_knots(observations: TimedObservations, settings: ContinuousSettings) -
 def moving_start(
     settings: ContinuousSettings, still: StillCameras, paths: CameraPaths | None, knots: Knots
 ) -> SplinePaths | None:
-    """Return the cameras' paths to begin with as curves, None where cameras are stationary."""
+    """Return the cameras' initial paths as curves, None where cameras are stationary."""
     if settings.cameras != "moving":
         return None
     time = np.linspace(knots.start_s, knots.end_s, 2 * knots.count + 1)
@@ -101,7 +101,7 @@ def moving_start(
             rotation[:, c], centre[:, c] = given[0][nearest, k], given[1][nearest, k]
     turns = np.zeros_like(centre)
     for c in range(len(still.cameras)):
-        # about one rotation, so that what is learned is how quickly a camera rotates, not how rough the start was
+        # about one rotation, so that the variance is estimated of the rotation, not of the initial path's roughness
         each = Rotation.from_matrix(rotation[:, c])
         away = (each.mean().inv() * each).as_rotvec()
         if np.linalg.norm(away, axis=1).max() < LARGEST_ROTATION_RAD:
@@ -123,7 +123,7 @@ def grouped(state: TrajectoryState, points: Array, settings: ContinuousSettings)
 
 
 def first_covariance(strengths: dict[int, float], places: StateLayout, group: int) -> Array:
-    """Return the prior's covariance of a group before anything is learned together: each point by itself."""
+    """Return the initial covariance of a group's prior: diagonal, each point separately."""
     own = np.repeat([np.exp(-strengths[p]) for p in places.groups[group].tolist()], 3)
     if not places.moving:
         return np.diag(own)

@@ -1,12 +1,12 @@
-"""How smooth motion is, learned from the data.
+"""Smoothness prior of the motion, with its strength estimated from the data.
 
-The prior is white noise on the second or third derivative: ``p(x) ~ exp(-1/2 integral x''^T Q^-1 x'' dt)``, of the
-two the one under which all image points are likelier (recorded people: the second; smooth machines: the third). Each
-point by itself first: one strength a point, where the marginal likelihood of its image points (REML: the polynomials
-on which the prior is flat integrated out) is largest. Then Q between all coordinates of all points that are
-estimated together, by expectation-maximisation: Q is the mean of x'' x''^T over curves drawn from the posterior.
-Points of a body move together, and the camera of the moment sees across its own line of sight what the others cannot
-see just then: that Q is full is what brings depth between exposures.
+The prior is white noise on the second or third derivative: ``p(x) ~ exp(-1/2 integral x''^T Q^-1 x'' dt)``, whichever
+has the larger likelihood of all image points (recorded people: the second; smooth machines: the third). First each
+point separately: one strength per point, maximising the marginal likelihood of its image points (REML: the
+polynomials on which the prior is flat integrated out). Then Q between all coordinates of all points that are
+estimated together, by expectation-maximisation: Q is the mean of x'' x''^T over posterior samples. Points of a body
+move together, and each exposure constrains only the directions across its lines of sight: the full Q provides depth
+between exposures.
 """
 
 from dataclasses import replace
@@ -26,14 +26,15 @@ ORDERS = (2, 3)
 RANGE = (-32.0, 12.0)
 """Logarithms of strengths that are tried, in units in which coordinates are m and time s."""
 PACE_S = 0.1
-"""How fast motion's liveliness changes."""
+"""Smoothing width (Gaussian sigma) of the motion's intensity."""
 FARTHEST_M = 100.0
-"""A point that nothing determines is this far from the origin: keeps the equations regular, has no weight."""
+"""Standard deviation of a point's distance from the origin: negligible, keeps the equations regular."""
 
 
 def one_point(rows: Rows, knots: Knots, order: int, noise_free: bool = False) -> tuple[Array, float, float, float]:
-    """Return the likeliest coefficients (count, 3) of one point from its equations, the prior's log strength, how
-    many times larger than stated the image errors are, and -2 log of the marginal likelihood, alike for all orders.
+    """Return the maximum-likelihood coefficients (count, 3) of one point from its equations, the prior's log
+    strength, how many times larger than stated the image errors are, and -2 log of the marginal likelihood, alike for
+    all orders.
 
     ``noise_free``: image errors may be
     larger than stated, since clocks or poses are not known yet; they are then as large as is likeliest.

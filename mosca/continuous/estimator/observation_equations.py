@@ -15,7 +15,7 @@ from mosca.data.rig import Camera, Pose, Rig
 MOMENT_S = 1e-5
 """Step of the derivative by time; positions are smooth over it and far above rounding."""
 HUBER = 3.0
-"""Image errors up to so many standard deviations count fully; beyond, ever less."""
+"""Huber's limit: larger image errors, in standard deviations, are downweighted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,10 +175,10 @@ class ImagePoints:
 
 
 def robust_weights(residual: Array) -> Array:
-    """Return how much each image point counts (n,): 1 up to ``HUBER`` deviations, then falling with the square.
+    """Return the robust weight of each image point (n,): 1 up to ``HUBER`` deviations, then falling with the square.
 
-    Deviations are counted in the residuals' own median where that is larger than stated, so that a start that is far
-    off does not throw everything away. NaN counts nothing.
+    Deviations are in units of the residuals' median where that is larger than stated, so that a poor initial value
+    does not reject everything. NaN has weight 0.
     """
     size = np.linalg.norm(residual, axis=1)
     known = np.isfinite(size)

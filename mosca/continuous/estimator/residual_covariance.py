@@ -1,13 +1,13 @@
 """Errors missing from the splines' covariance: motion above the knot frequency, and time-correlated image errors.
 
-Jitter: recorded motion has parts quicker than exposures, which curves pass through at exposures and know nothing of
-between them. Exposures themselves show how large it is: a point's curve made very smooth (the third derivative white)
-leaves in the images what is jitter, as large as is likeliest (REML). It is stated once everywhere: at exposures it is
-known, and that is too much; between them curves bring their neighbours' jitter along, and that may be too little.
+Jitter: recorded motion has components above the exposure rate, which curves fit at exposures and miss between them.
+Their variance is estimated from the residuals of a very smooth curve (the third derivative white) by REML. One value
+is used at all times: at exposures, where the jitter is observed, it is too large; between them, where curves
+interpolate their neighbours' jitter, it may be too small.
 
-Time-correlated image errors (lens, calibration, a lamp's shape seen from one side) do not shrink as exposures are
-added up. The covariance of a camera's residuals of one point with those some exposures later gives their share; what
-they do to a point is what as large an error of one exposure of each camera would do.
+Time-correlated image errors (lens, calibration, a lamp's shape seen from one side) do not average out over exposures.
+The autocovariance of a camera's residuals of one point, some exposures apart, gives their share; their effect on a
+point is that of an error of this size in one exposure of each camera.
 """
 
 import numpy as np
@@ -20,17 +20,17 @@ from mosca.continuous.estimator.state import StateLayout, TrajectoryState
 from mosca.data.arrays import Array
 
 CHANCE = 3.0
-"""Standard deviations by which variances must exceed what is stated to be believed."""
+"""Least excess of variances over the stated ones, in standard deviations, to count as significant."""
 LATER = range(3, 9)
-"""Exposures from one residual to the next that it is compared with: beyond what the fit itself makes alike."""
+"""Lag of the autocovariance, in exposures: beyond the correlation that the fit itself causes."""
 EXPOSURE_GROUP_S = 0.5
-"""How fast it changes from where cameras see a point."""
+"""Bins of time within which the set of cameras that see a point counts as constant [s]."""
 
 
 def unheld(image: ImagePoints, solved: Solved, places: StateLayout, alone: StateLayout, points: Array) -> Array:
     """Return covariances (pieces + 1, all points, 3, 3) [m^2] at the knots, to be added to those of the curves.
 
-    ``points``: those that are estimated; ``alone``: the layout in which each is by itself.
+    ``points``: those that are estimated; ``alone``: the layout in which each is a group of its own.
     """
     knots = solved.state.knots
     total = np.zeros((knots.pieces + 1, len(image.observations.points), 3, 3))
@@ -58,8 +58,7 @@ def of_lenses(image: ImagePoints) -> Array:
 def jitter(image: ImagePoints, solved: Solved, alone: StateLayout, points: Array, share: float) -> Array:
     """Return the variance (points,) an axis [m^2] of motion above the exposures' rate.
 
-    ``share``: of time-correlated errors, in the variances stated; cameras in turn show them as jitter, which they are
-    not.
+    ``share``: of time-correlated errors in the stated variances; changing cameras make them look like jitter.
     """
     noise, lever, number = smoothest_noise(image, solved.state, alone, points)
     excess = noise**2 - 1 - share

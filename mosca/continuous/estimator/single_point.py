@@ -1,4 +1,4 @@
-"""First curves: each point by itself, from its rays at their own instants. Linear: needs no initial guess."""
+"""Initial curves: each point separately, from its rays at their own instants. Linear: needs no initial guess."""
 
 from dataclasses import replace
 
@@ -28,8 +28,8 @@ def first_curves(
     larger than stated image errors are (1 unless ``noise_free``).
 
     Rays weighed by a guessed depth first (the distance of the point nearest to all axes), then by the depth found,
-    then image errors themselves; the smoothness's order is the likelier one. ``start``: curves to linearise at
-    instead.
+    then image errors themselves; the smoothness's order is the one of larger likelihood. ``start``: curves to
+    linearise at instead.
     """
     if start is not None:
         xyz = np.array(state.xyz)
@@ -42,7 +42,7 @@ def first_curves(
                 depth = np.maximum(image.depths(state), NEAREST_M)
             seen = image.rays(state, depth)
             usable = np.isfinite(seen.residual).all(axis=1).astype(float)
-            # noise as large as is likeliest: a smooth curve, against which gross errors show
+            # maximum-likelihood noise: a smooth curve, against which gross errors show
             state = _each_point(image, seen, state, usable, points, True)[0]
     seen = image.linearised(state, places)
     seen = LinearisedImages(seen.residual, _whole(seen.rows, state.xyz, len(image.observations.points)))
@@ -74,7 +74,7 @@ def smoothest_noise(
 def _each_point(
     image: ImagePoints, seen: LinearisedImages, state: TrajectoryState, weight: Array, points: Array, noise_free: bool
 ) -> tuple[TrajectoryState, Array, Array, float]:
-    """Return the state with each point's own likeliest curve, their log strengths and noises, and the cost of all."""
+    """Return the state with each point's maximum-likelihood curve, log strengths and noises, and the total cost."""
     xyz, strength, noise, total = np.array(state.xyz), np.zeros(len(points)), np.ones(len(points)), 0.0
     for n, p in enumerate(points):
         own = weighted(seen.rows, weight * (image.observations.point == p))
@@ -87,7 +87,7 @@ def _each_point(
 
 
 def _whole(rows: Rows, xyz: Array, points: int) -> Rows:
-    """Return equations of the points' coefficients themselves instead of their changes."""
+    """Return equations in the points' coefficients instead of their increments."""
     only = Rows(
         rows.first, rows.weights, rows.columns[:, :3], rows.values[:, :3], np.zeros((len(rows.rest), 0)), rows.rest
     )

@@ -1,4 +1,4 @@
-"""What is estimated, as one value: curves of points, cameras' poses and clocks; and the index of each unknown."""
+"""State vector: curves of points, cameras' poses and clocks; and the index of each unknown."""
 
 from dataclasses import dataclass, replace
 
@@ -14,8 +14,8 @@ from mosca.data.rotations import rotation_from_vector
 @dataclass(frozen=True, eq=False)
 class TrajectoryState:
     """Current values. ``xyz`` (count, points, 3) coefficients of all points, carried ones unused; cameras either
-    ``still`` or ``moving``; ``clocks`` (cameras, 3): offset [s], drift, row time [s]. ``pace`` (pieces,): how many
-    times livelier than on average motion is, as a variance; None: alike everywhere.
+    ``still`` or ``moving``; ``clocks`` (cameras, 3): offset [s], drift, row time [s]. ``pace`` (pieces,): variance of
+    the acceleration relative to its mean; None: constant.
     """
 
     knots: Knots
@@ -43,8 +43,8 @@ class TrajectoryState:
 class StateLayout:
     """Index layout of the unknowns.
 
-    ``groups``: points that meet, each a band of 3 columns a point; with ``moving`` cameras one group, 6 more columns
-    a camera. Without time: 6 a camera where ``still_free``, then ``clock`` (cameras, 3) indices of free clock
+    ``groups``: coupled points, each group a band of 3 columns per point; with ``moving`` cameras one group, 6 more
+    columns a camera. Without time: 6 a camera where ``still_free``, then ``clock`` (cameras, 3) indices of free clock
     unknowns, -1 where held; ``shared`` of them altogether.
     """
 

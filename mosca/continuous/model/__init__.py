@@ -1,1 +1,1 @@
-"""What goes into and comes out of continuous time: observations, curves, camera paths, clocks."""
+"""Data types of the continuous-time estimate: observations, curves, camera paths, clocks."""

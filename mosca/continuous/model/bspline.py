@@ -1,7 +1,7 @@
 """Uniform B-splines in time: values, derivatives, and the exact integral of a squared derivative.
 
 A curve is ``x(t) = sum_k c_k N((t - start) / step + degree - k)`` with the cardinal B-spline ``N`` of ``degree`` on
-[0, degree + 1] (de Boor 1978). All pieces are alike, so that one small matrix maps a position within a piece to the
+[0, degree + 1] (de Boor 1978). All pieces are equal, so that one small matrix maps a position within a piece to the
 weights of the ``degree + 1`` coefficients that reach it.
 """
 
@@ -89,7 +89,7 @@ def values(knots: Knots, coefficients: Array, time_s: Array, derivative: int = 0
 
 
 def fitted(knots: Knots, time_s: Array, places: Array) -> Array:
-    """Return the coefficients (count, ...) of the curves nearest to ``places`` (n, ...) at instants (n,)."""
+    """Return the coefficients (count, ...) of the curves that fit ``places`` (n, ...) at instants (n,) best."""
     first, weight = knots.weights(time_s)
     flat = np.asarray(places, dtype=float).reshape(len(first), -1)
     band = np.zeros((knots.degree + 1, knots.count))

@@ -1,4 +1,4 @@
-"""What the continuous-time estimate takes and gives."""
+"""Settings and result of the continuous-time estimate."""
 
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -13,7 +13,7 @@ from mosca.data.arrays import Array
 
 @dataclass(frozen=True)
 class ContinuousSettings:
-    """What is known and what is estimated."""
+    """Settings of the continuous-time estimate."""
 
     clocks: Literal["known", "offset", "drift", "rolling"] = "known"
     """"known": time stamps are right; else what is estimated of each camera's clock: "offset", offset and "drift",
@@ -25,9 +25,9 @@ class ContinuousSettings:
     knot_s: float | None = None
     """Knot spacing [s]; None: from the data's rate."""
     most_together: int = 60
-    """Points whose accelerations are learned together; more are taken in groups."""
+    """Points with a joint acceleration covariance; more are split into groups."""
     rounds: int = 8
-    """Iterations of learning with constant distances."""
+    """Iterations of the variance estimation with constant distances."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +63,9 @@ class SplineCurves:
     """Curves of points as B-splines: ``coefficients`` (count, points, 3) [m].
 
     ``blocks`` (degree + 1, count, points, 3, 3): covariances between coefficients k + o and k of one point;
-    ``carried`` (count, points, 3, b) and ``shared`` (b, b): what the unknowns without time add; ``beyond``
-    (points, 3, 3): motion above the knot frequency, times ``pace`` (pieces + 1,) at them; ``unheld``
-    (pieces + 1, points, 3, 3): at them, what curves do not hold (``residual_covariance``) [m^2]. ``from_s``, ``to_s``
+    ``carried`` (count, points, 3, b) and ``shared`` (b, b): what the unknowns without time add; ``beyond`` (points,
+    3, 3): motion above the knot frequency, times ``pace`` (pieces + 1,) at them; ``unheld`` (pieces + 1, points, 3,
+    3): at them, errors missing from the curves' covariance (``residual_covariance``) [m^2]. ``from_s``, ``to_s``
     (points,): between these the point is known.
     """
 

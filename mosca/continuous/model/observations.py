@@ -1,4 +1,4 @@
-"""What free-running cameras saw: image points, each with its own instant; and curves, what is made of them."""
+"""Observations of free-running cameras: image points, each with its own instant; and curves estimated from them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -58,7 +58,7 @@ class TimedObservations:
 
     @property
     def free(self) -> Array:
-        """Indices of the points that no camera carries: the markers whose curves are wanted."""
+        """Indices of the points that no camera carries: the markers whose curves are estimated."""
         return np.flatnonzero(self.carried_by < 0)
 
     def only(self, keep: Array) -> "TimedObservations":

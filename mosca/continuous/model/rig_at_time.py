@@ -53,7 +53,7 @@ class MovingRig:
 
 
 class RigAtEach:
-    """Hands the pipeline the rig of the next frame set (``mosca.pipeline.Keeper``)."""
+    """Supplies the pipeline with the rig of the next frame set (``mosca.pipeline.Keeper``)."""
 
     def __init__(self, rigs: list[Rig]) -> None:
         self._rigs = rigs

@@ -1,9 +1,9 @@
-"""Cameras on the limbs of the body that they film: where they are at each instant, and the markers.
+"""Cameras on the limbs of the body that they film: their poses over time, and the markers.
 
 Steps: detect in every frame -> identify lamps by their blinks (``blink_codes``) -> cameras' poses at common instants
 from each other's lamps alone (``mutual_pose``) -> match markers at these instants with these poses -> curves and
-poses together from every image point at its own instant, lamps among them as points that cameras carry
-(``estimate``, ``cameras = "moving"``) -> image points assigned to markers again by these -> the same once more.
+poses together from every image point at its own instant, lamps among them as points that cameras carry (``estimate``,
+``cameras = "moving"``) -> image points assigned to markers again by these -> both once more.
 
 Known: the lenses, the poses of two cameras and more to each other (they are the frame and the metre), where each
 camera's lamp is to its lens, and that all stamps are of one clock. Nothing else: no start, no names.
@@ -35,13 +35,13 @@ from mosca.errors import InputError
 from mosca.pipeline import check_source
 
 LAMP_PX = 2.0
-"""An image point so near to where a lamp must be is that lamp's."""
+"""Gate of an image point about a lamp's predicted image."""
 VALID_PERIODS = 1.5
 """Maximum time from an LED observation at which a camera pose is valid, in frame periods."""
 COARSER = 2.0
-"""The first estimate's knots lie so many times as far apart."""
+"""Factor on the knot spacing in the first estimate."""
 LONGEST_S = 0.5
-"""Poses are carried over gaps so long where the estimate has bridged them [s]."""
+"""Longest gap [s] over which estimated poses are used."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +61,9 @@ class Lamps:
 
 @dataclass(frozen=True, eq=False)
 class Worn:
-    """What worn cameras gave. ``reconstructed``: with the cameras' paths; ``placed``: poses from lamps alone;
+    """Result from body-worn cameras. ``reconstructed``: with the cameras' paths; ``placed``: poses from lamps alone;
     ``lamp`` of each camera's image points (n,) the camera whose lamp it is, or -1; ``by_code`` those of them that the
-    code identified; ``lamp_rms_px``: how far lamps lie from where the estimated poses have them.
+    code identified; ``lamp_rms_px``: rms residual of lamps' images at the estimated poses.
     """
 
     reconstructed: Reconstructed

@@ -1,10 +1,10 @@
-"""Where worn cameras are at each instant, from the lamps that they see of each other (observed epipoles) alone.
+"""Poses of body-worn cameras at each instant from their images of each other's lamps (observed epipoles) alone.
 
-Some cameras' poses are known; their frame is the world's. A camera whose lamp two placed cameras see is where these
-rays meet, and is rotated so that it sees the lamps of placed cameras where it does (Wahba's problem): so one camera
-after the other is placed. All of an instant are then adjusted together on all sightings of lamps (the second term of
-eq. 7 of the second paper; the lamps' ways from their lenses are taken into account), those that were not placed
-beginning where they were at the nearest instant.
+Some cameras' poses are known; their frame is the world's. A camera whose lamp two placed cameras see is at the rays'
+intersection; its rotation follows from its rays to the lamps of placed cameras (Wahba's problem): so the cameras are
+placed one after the other. All of an instant are then adjusted together on all sightings of lamps (the second term of
+eq. 7 of the second paper; with the lamps' offsets from their lenses), those not placed starting from their pose at
+the nearest instant.
 """
 
 from collections.abc import Sequence
@@ -24,13 +24,13 @@ from mosca.data.rig import Rig
 RAY_SIGMA = 2e-3
 """Error of a lamp's ray [rad]: a lamp is dark up to a few frames, between which its image is interpolated."""
 LOOSE = (0.5, 0.5)
-"""What holds a pose that lamps do not: rad and m from where it began, standard deviations."""
+"""Prior of a pose about its initial value, sigma [rad, m], for directions that lamps do not determine."""
 KNOWN = (0.04, 0.03)
-"""A pose counts where lamps determine it so well: rad and m, standard deviations."""
+"""Largest standard deviations [rad, m] of a pose that is used."""
 SEED_PASSES = 5
 STEPS = 8
 FARTHEST_RAD = 0.03
-"""A sighting that lies farther from where the poses have its lamp is not that lamp's."""
+"""Gate of a sighting about its lamp's predicted image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ def placed_by_lamps(sights: LampRays, rig: Rig, known: Array, lamp_m: Array) -> 
 
 
 def _seeded(rays: Array, rotations: Array, centres: Array, known: Array, lamp_m: Array) -> None:
-    """Place the cameras of one instant one after the other, in the given arrays."""
+    """Compute the camera poses of one instant one after the other, into the given arrays."""
     placed = np.array(known, dtype=bool)
     waiting = True
     while waiting:

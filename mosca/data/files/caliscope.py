@@ -1,14 +1,14 @@
-"""Calibrations of aniposelib, Caliscope and Pose2Sim: one TOML dialect in three accents.
+"""Calibrations of aniposelib, Caliscope and Pose2Sim: one TOML dialect in three variants.
 
-A table a camera holds ``size``, ``matrix`` (3 x 3, px), ``distortions`` (OpenCV's order, or four of
-``cv2.fisheye`` where ``fisheye = true``), ``rotation`` (a rotation vector, or a 3 x 3 matrix in older
-Caliscope files) and ``translation``; the last two are *camera_from_world*, in metres.
+A table per camera holds ``size``, ``matrix`` (3 x 3, px), ``distortions`` (OpenCV's order, or four of ``cv2.fisheye``
+where ``fisheye = true``), ``rotation`` (a rotation vector, or a 3 x 3 matrix in older Caliscope files) and
+``translation``; the last two are *camera_from_world*, in metres.
 
 - aniposelib, Pose2Sim: ``[cam_0]`` ... with ``name``, beside ``[metadata]``.
 - Caliscope: ``[cameras.0]`` ... with ``cam_id`` (older: ``port``), no name. Its videos are called
   ``cam_0.mp4``, so the camera is called ``cam_0``. Cameras with ``ignore = true`` are left out.
 
-``rotation_count`` of Caliscope turns pictures for display only and is not applied.
+``rotation_count`` of Caliscope rotates images for display only and is not applied.
 """
 
 from pathlib import Path
@@ -30,7 +30,7 @@ LARGEST_TILT_RAD = 1.5
 
 
 class CaliscopeCamera(BaseModel):
-    """What is read of a camera's table; other keys (exposure, error, ...) are not ours to judge."""
+    """The keys read of a camera's table; others (exposure, error, ...) are ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
 
@@ -46,7 +46,7 @@ class CaliscopeCamera(BaseModel):
 
 
 def is_caliscope(document: dict[str, Any]) -> bool:
-    """Say whether a TOML document is a calibration of this dialect, from what it holds."""
+    """Return whether the content of a TOML document is a calibration of this dialect."""
     tables = document["cameras"] if isinstance(document.get("cameras"), dict) else document
     return "camera" not in document and any(
         isinstance(table, dict) and ("matrix" in table or "distortions" in table) for table in tables.values()

@@ -1,4 +1,4 @@
-"""Arrays from an .npz file that somebody gave, or one line on why it is none."""
+"""Arrays from a user's .npz file, or an error in one line."""
 
 import zipfile
 import zlib
@@ -17,8 +17,8 @@ Made = TypeVar("Made")
 def from_npz(path: Path, make: Callable[[Mapping[str, Array]], Made], what: str, wrote: str) -> Made:
     """Return what ``make`` makes of the arrays in a file, by their names.
 
-    Raises InputError for a missing or damaged file, and where ``make`` finds a name missing (KeyError) or arrays
-    that do not fit (ValueError, TypeError). ``what`` is wanted, e.g. "tracks"; ``wrote`` says who writes such files.
+    Raises InputError for a missing or damaged file, and where ``make`` finds a name missing (KeyError) or arrays that
+    do not fit (ValueError, TypeError). ``what`` is expected, e.g. "tracks"; ``wrote``: what writes such files.
     """
     try:
         # a file of our own: numpy leaves it open where it is no archive

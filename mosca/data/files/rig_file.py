@@ -15,8 +15,8 @@
     [camera.hardware]                              # optional: read by hardware, kept as it is
     [camera.twin]                                  # optional: read by twin, kept as it is
 
-A file may also hold ``[hardware]`` and ``[twin]`` tables for what all cameras share (trigger, clock).
-A camera that is not calibrated yet has no lens or pose; ``read_rig_file`` gives it, ``read_rig`` says so.
+A file may also hold ``[hardware]`` and ``[twin]`` tables for what all cameras share (trigger, clock). A camera that
+is not calibrated yet has no lens or pose; ``read_rig_file`` returns it, ``read_rig`` raises.
 """
 
 import math
@@ -163,9 +163,9 @@ def read_rig_file(path: Path) -> RigFile:
 def read_rig(path: Path) -> Rig:
     """Return the calibrated cameras of a rig file, or of an aniposelib/Caliscope/Pose2Sim calibration TOML.
 
-    Which of the two it is, its content says. Raises InputError naming file, key, value and what is
-    allowed; also for a camera without lens or pose, a position in millimetres, or a principal point
-    more than half an image outside the image.
+    The content determines which of the two it is. Raises InputError naming file, key, value and what is allowed; also
+    for a camera without lens or pose, a position in millimetres, or a principal point more than half an image outside
+    the image.
     """
     path = Path(path)
     document = read_toml(path)

@@ -1,8 +1,8 @@
-"""Description files of what is put before the cameras: the tables of each kind, and what they stand for.
+"""Description files of calibration objects: the tables of each kind, and the objects they define.
 
 ::
 
-    kind = "field"                        # targets at known places, in the field's own axes
+    kind = "field"                        # targets at known positions, in the field's own axes
     dot_radius_m = 0.008                  # ring_inner_m, ring_outer_m and plate_m: 2, 3 and 8 times that
     sigma_m = 0.00002
     [[target]]
@@ -21,7 +21,7 @@
     along_m = [0.0, 0.15, 0.5]            # the balls' centres on it
     diameter_m = 0.014
 
-    kind = "l_frame"                      # these balls set the world's axes
+    kind = "l_frame"                      # these balls define the world's axes
     diameter_m = 0.014
     [[marker]]
     name = "origin"
@@ -58,7 +58,7 @@ from mosca.data.targets import (
 from mosca.data.wands import LFrame, Wand
 
 FARTHEST_M = 1000.0
-"""A place farther from the origin than this was measured in millimetres."""
+"""A position farther from the origin than this was given in millimetres."""
 
 Length = Annotated[float, Field(gt=0, le=FARTHEST_M)]
 Sigma = Annotated[float, Field(ge=0, le=1.0, description="standard deviation [m]")]
@@ -135,7 +135,7 @@ class BoardTable(Table):
     sigma_m: Sigma = 0.0
 
     def made(self) -> Board:
-        """Return the board; ValueError for one that cannot be told from itself turned."""
+        """Return the board; ValueError for one that is symmetric under rotation."""
         margin = self.square_m if self.margin_m is None else self.margin_m
         return Board(self.columns, self.rows, self.square_m, margin, self.marker_m, self.dictionary, self.sigma_m)
 
@@ -163,7 +163,7 @@ class FrameMarkerTable(Table):
 
 
 class LFrameTable(Table):
-    """``kind = "l_frame"``: balls at known places of the world."""
+    """``kind = "l_frame"``: balls at known positions in the world."""
 
     kind: Literal["l_frame"]
     diameter_m: Length = Field(description="diameter of the balls")
@@ -188,7 +188,7 @@ class ScaleBarTable(Table):
     ball_diameter_m: Length | None = None
 
     def made(self) -> ScaleBar:
-        """Return the bar; ValueError where its ends are not said or said twice."""
+        """Return the bar; ValueError where its ends are missing or given twice."""
         sizes = (self.dot_radius_m, self.round_radius_m, self.ball_diameter_m)
         if sum(size is not None for size in sizes) != 1:
             raise ValueError("give one of 'dot_radius_m' (with 'numbers'), 'round_radius_m', 'ball_diameter_m'")

@@ -19,11 +19,11 @@ NotNegative = Annotated[float, Field(ge=0)]
 SETTINGS = ConfigDict(extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 """Of pydantic dataclasses that are settings of a stage and a TOML table at once."""
 UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
-"""Pydantic's errors for a key that a model or a dataclass does not know."""
+"""Pydantic's errors for an unknown key of a model or a dataclass."""
 
 
 class Table(BaseModel):
-    """A TOML table: frozen, and every key it does not know is an error."""
+    """A TOML table: frozen; unknown keys are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -92,7 +92,7 @@ def _dotted(location: tuple[int | str, ...]) -> str:
 
 
 def _model_at(model: type, location: tuple[int | str, ...]) -> list[type]:
-    """Return the models that may stand at ``location`` (several where a union has no tag yet)."""
+    """Return the models that are allowed at ``location`` (several where a union has no tag yet)."""
     here: list[type] = [model]
     for part in location:
         nexts: list[type] = []

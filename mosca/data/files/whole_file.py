@@ -11,10 +11,10 @@ from mosca.errors import InputError
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside ``path`` with the same suffix; it takes ``path``'s name at the end.
+    """Yield a temporary path beside ``path`` with the same suffix; renamed to ``path`` at the end.
 
-    When the body raises, the temporary file is removed and what stood at ``path`` before is untouched.
-    Raises InputError where the folder is missing or closed to us, or ``path`` is a folder.
+    When the body raises, the temporary file is removed and an existing file at ``path`` is untouched. Raises
+    InputError where the folder is missing or not writable, or ``path`` is a folder.
     """
     temporary = _begun(path)
     try:

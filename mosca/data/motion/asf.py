@@ -1,10 +1,9 @@
 """ASF/AMC: Acclaim's skeleton file and motion file, as in CMU's motion capture database.
 
-A bone has a direction and a length in the world of the rest pose, and its own axes C in which its
-degrees of freedom turn. Its rotation against the parent is C M C^-1 in axes that are parallel to the
-world's at rest (Lander 1998, "Working with Motion Capture File Formats"), which is just what
-``mosca.data.motion.motion`` wants. A bone's joint is where the bone starts; the far end of a bone without
-children becomes a joint with ``_end``.
+A bone has a direction and a length in the world of the rest pose, and its own axes C about which its degrees of
+freedom rotate. Its rotation against the parent is C M C^-1 in axes that are parallel to the world's at rest (Lander
+1998, "Working with Motion Capture File Formats"), the convention of ``mosca.data.motion.motion``. A bone's joint is
+where the bone starts; the far end of a bone without children becomes a joint with ``_end``.
 """
 
 from dataclasses import dataclass, field
@@ -39,7 +38,7 @@ class _Bone:
     direction: Array = field(default_factory=lambda: np.zeros(3))  # start to end, world of the rest pose
     length: float = 0.0
     axis_angles: Array = field(default_factory=lambda: np.zeros(3))
-    axis_order: str = "XYZ"  # turned first to last about fixed axes
+    axis_order: str = "XYZ"  # rotations applied first to last about fixed axes
     dofs: tuple[str, ...] = ()
     parent: str = ""
 
@@ -58,8 +57,8 @@ def read_asf_amc(
 ) -> Motion:
     """Return the motion in AMC file ``amc`` of the subject in ASF file ``asf`` in the world (Z up, m).
 
-    AMC states no frame rate: CMU's is 120 Hz. ``metres_per_unit``: instead of 0.0254 / ``length``.
-    Bones that the AMC never names rest. Raises InputError naming file, line and what is wanted.
+    AMC states no frame rate: CMU's is 120 Hz. ``metres_per_unit``: instead of 0.0254 / ``length``. Bones that the AMC
+    never names keep the rest pose. Raises InputError naming file, line and what is expected.
     """
     subject = _read_asf(read_text(asf, "ASF"), asf)
     unit = METRES_PER_INCH / subject.length if metres_per_unit is None else metres_per_unit
@@ -219,12 +218,12 @@ def _motion(subject: _Subject, values: dict[str, Array], rate: float, unit: floa
     orders: list[str] = []
     rotations: list[Array] = []
     for bone in bones:
-        # The root turns in its axis order, whatever the order of its columns.
+        # The root rotates in its axis order, whatever the order of its columns.
         columns = subject.root_channels if bone.name == "root" else bone.dofs
         dofs = tuple(d for d in root_turns if d in columns) if bone.name == "root" else columns
         cells = values.get(bone.name, np.zeros((frames, len(columns))))
         cells = cells[:, [columns.index(dof) for dof in dofs]] * (np.pi / 180 if in_degrees else 1.0)
-        # First to last about fixed axes: the last one stands leftmost in the product.
+        # First to last about fixed axes: the last one is leftmost in the product.
         orders.append("".join(dof[1].upper() for dof in dofs[::-1]))
         turn = quaternions_from_euler(cells[:, ::-1], orders[-1])
         axes = _axes(bone, subject.in_degrees)

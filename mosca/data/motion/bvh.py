@@ -41,10 +41,10 @@ def read_bvh(
 ) -> Motion:
     """Return the motion in BVH file ``path`` in the world (Z up, m); the file's world has Y up.
 
-    ``metres_per_unit``: size of the file's unit, which BVH does not state. ``frame_rate_hz``: instead of
-    the file's frame time. ``drop_frames``: frames left out at the start (CMU's BVH files begin with an
-    added T-pose). Position channels of joints other than the root are accepted where they do not change.
-    Raises InputError naming file, line and what is wanted.
+    ``metres_per_unit``: size of the file's unit, which BVH does not state. ``frame_rate_hz``: instead of the file's
+    frame time. ``drop_frames``: frames left out at the start (CMU's BVH files begin with an added T-pose). Position
+    channels of joints other than the root are accepted where they do not change. Raises InputError naming file, line
+    and what is expected.
     """
     text = read_text(path, "BVH")
     head, found, body = text.partition("MOTION")
@@ -155,7 +155,7 @@ def _motion(joints: list[_Joint], table: Array, rate: float, metres_per_unit: fl
         turning = [c for c, channel in enumerate(joint.channels) if channel.endswith("rotation")]
         orders.append("".join(joint.channels[c][0] for c in turning))
         rotations[:, k] = quaternions_from_euler(np.deg2rad(cells[:, turning]), orders[-1])
-        # Position channels stand for the joint's place in its parent's axes, in place of OFFSET.
+        # Position channels replace OFFSET as the joint's position in its parent's axes.
         place = np.broadcast_to(offsets[k], (len(table), 3)).copy()
         for c, channel in enumerate(joint.channels):
             if channel.endswith("position"):

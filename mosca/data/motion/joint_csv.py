@@ -1,7 +1,7 @@
-"""Paths of named points in a CSV table: ``time`` and then ``NAME.x``, ``NAME.y``, ``NAME.z`` a point.
+"""Paths of named points in a CSV table: ``time`` and then ``NAME.x``, ``NAME.y``, ``NAME.z`` per point.
 
-It is what BVH converters write as ``*_worldpos.csv`` and what spreadsheets of marker or joint positions
-look like. An empty cell or ``nan`` is a point that is missing at that time.
+BVH converters write this as ``*_worldpos.csv``; spreadsheets of marker or joint positions have this form. An empty
+cell or ``nan`` is a point that is missing at that time.
 """
 
 import csv
@@ -17,8 +17,8 @@ from mosca.errors import InputError
 def read_points_csv(path: Path, *, metres_per_unit: float = 1.0, y_up: bool = False) -> PointMotion:
     """Return the point paths in CSV file ``path`` in the world (Z up, m).
 
-    The header's first column is ``time`` [s] (any case); ``y_up``: the file's world has Y up, as
-    converted BVH files do. Raises InputError naming file, line and what is wanted.
+    The header's first column is ``time`` [s] (any case); ``y_up``: the file's world has Y up, as converted BVH files
+    do. Raises InputError naming file, line and what is expected.
     """
     try:
         rows = [row for row in csv.reader(read_text(path, "CSV").splitlines(), strict=True) if row]

@@ -1,9 +1,9 @@
 """Skeletons and their motions, and where every joint is: pure forward kinematics.
 
-A joint is the point at which a bone starts. In the rest pose every joint's axes are parallel to the
-world's, so that a skeleton is nothing but offsets; a motion adds the root's path and one rotation a joint.
-World: right-handed, Z up, metres. Readers turn the Y-up world of motion files into it: file (x, y, z) ->
-world (x, -z, y), so that a subject facing the file's +z faces the world's -y and has its left at +x.
+A joint is the point at which a bone starts. In the rest pose every joint's axes are parallel to the world's, so that
+a skeleton consists of offsets only; a motion adds the root's path and one rotation per joint. World: right-handed, Z
+up, metres. Readers convert the Y-up world of motion files: file (x, y, z) -> world (x, -z, y), so that a subject
+facing the file's +z faces the world's -y and has its left at +x.
 """
 
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ from mosca.errors import InputError
 WORLD_FROM_Y_UP = read_only([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], (3, 3), "world_from_y_up")
 """Rotation that takes file coordinates with Y up to the world's with Z up."""
 END_SUFFIX = "_end"
-"""What is added to a joint's name for the far end of its bone, where no other joint stands there."""
+"""Suffix of the parent joint's name for the far end of its bone, where there is no other joint."""
 LARGEST_NUMBER = 1e6
 """Numbers in motion files beyond this are damage, not data."""
 
@@ -26,10 +26,10 @@ LARGEST_NUMBER = 1e6
 class Skeleton:
     """Joints of a subject: j ``names``, each after its parent.
 
-    ``parents`` (j,) index of the parent, -1 for the root, which is joint 0. ``offsets`` (j, 3) from the
-    parent's joint, in the parent's axes [m]; the root's is zero. ``orders`` (j,) the Euler order in which
-    the file writes the joint's angles, in the file's own axes and as a product of matrices from left to
-    right ("ZYX" stands for Rz Ry Rx); "" where the file has no angle (ends of bones, rigid bones).
+    ``parents`` (j,) index of the parent, -1 for the root, which is joint 0. ``offsets`` (j, 3) from the parent's
+    joint, in the parent's axes [m]; the root's is zero. ``orders`` (j,) the Euler order in which the file writes the
+    joint's angles, in the file's own axes and as a product of matrices from left to right ("ZYX" means Rz Ry Rx); ""
+    where the file has no angle (ends of bones, rigid bones).
     """
 
     names: tuple[str, ...]
@@ -182,7 +182,7 @@ def in_world(vectors: Array) -> Array:
 
 def rotations_in_world(wxyz: Array) -> Array:
     """Return quaternions (..., 4) of file rotations with Y up as rotations of the world's axes."""
-    # R' = A R A^T turns the rotation's axis by A and leaves its angle.
+    # R' = A R A^T rotates the rotation's axis by A and leaves its angle.
     return np.concatenate([wxyz[..., :1], in_world(wxyz[..., 1:])], axis=-1)
 
 

@@ -60,8 +60,8 @@ class BodiesTable(Table):
 def read_bodies(path: Path, alike_m: float = ALIKE_M) -> tuple[RigidBody, ...]:
     """Read the rigid bodies that a TOML file defines.
 
-    Raises InputError naming key, value and what is allowed, and for bodies that could be taken for themselves turned
-    or for each other: by how many mm they differ, and what to move.
+    Raises InputError naming key, value and what is allowed, and for bodies that are nearly symmetric or nearly
+    congruent: by how many mm they differ, and what to move.
     """
     path = Path(path)
     table = check(BodiesTable, read_toml(path), path)
@@ -76,7 +76,7 @@ def read_bodies(path: Path, alike_m: float = ALIKE_M) -> tuple[RigidBody, ...]:
 def write_bodies(bodies: Sequence[RigidBody], path: Path) -> None:
     """Write the definitions of ``bodies``, every number at full precision, whole or not at all.
 
-    Raises InputError where the file cannot be written or would not be read back (names, places).
+    Raises InputError where the file cannot be written or would not be read back (names, positions).
     """
     document: dict[str, Any] = {
         "kind": "bodies",

@@ -2,7 +2,7 @@
 
 Y is up in the file, as its readers expect: world (x, y, z) -> file (x, z, -y). Each joint has three rotation channels
 in its own Euler order, completed where it has fewer; a bone's end without channels becomes the ``End Site``, and a
-last joint with channels gets one at its own place, since the format wants one on every branch.
+last joint with channels gets one at zero offset, since the format requires one on every branch.
 """
 
 from pathlib import Path

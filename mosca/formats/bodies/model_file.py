@@ -8,12 +8,12 @@
       ["LFHD", "RFHD", 0.1512, 0.0041],
     ]
     sides = [                             # four markers and the volume (b - a) x (c - a) . (d - a) [m^3] that
-      ["LFHD", "RFHD", "LBHD", "C7", 0.0002],     # keeps its sign: what tells left from right
+      ["LFHD", "RFHD", "LBHD", "C7", 0.0002],     # keeps its sign: distinguishes left from right
     ]
-    [limbs]                               # where they were told
+    [limbs]                               # where they are known
     head = ["LFHD", "RFHD", "LBHD"]
 
-A pair without a link was never seen together; nothing is known of it.
+A pair without a link was never observed together.
 """
 
 from pathlib import Path

@@ -1,6 +1,6 @@
 """TUM trajectories: ``timestamp tx ty tz qx qy qz qw`` a line, seconds and metres, world_from_body.
 
-The format of the TUM RGB-D benchmark (Sturm et al. 2012), read by evo and others; # begins a comment. It knows one
+The format of the TUM RGB-D benchmark (Sturm et al. 2012), read by evo and others; # begins a comment. It holds one
 body, no frame numbers and no errors. Time stamps are written to the nanosecond and read exactly.
 """
 
@@ -45,7 +45,7 @@ def write_tum(poses: BodyPoses, path: Path, body: str | None = None) -> None:
 def read_tum(path: Path, body: str = "body") -> BodyPoses:
     """Read a TUM trajectory as poses of ``body``: frames 0, 1, ..., covariance and residual unknown.
 
-    Quaternions are made unit. Raises InputError naming the line, what stands there and what is wanted.
+    Quaternions are made unit. Raises InputError naming the line, its content and what is expected.
     """
     path = Path(path)
     try:

@@ -29,7 +29,7 @@ NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_ .-]*")
 
 @dataclass(frozen=True)
 class RigFileOptions:
-    """What a calibration file does not say itself, and how far a lens may be bent.
+    """What a calibration file does not contain, and the tolerance for fitted lens models.
 
     ``size_px``: (width, height) where the file has none; ``unit``: of its positions, None for the format's own;
     ``pixel_mm``: pixel pitch (width, height), which OpenPTV needs; ``max_residual_px``: a lens that the format can
@@ -50,7 +50,7 @@ def as_opencv(camera: Camera, options: RigFileOptions, coefficients: int = 14) -
     """Return the camera's lens as OpenCV's pinhole model with the first ``coefficients`` of its 14.
 
     As it is where it is one, else fitted to its rays over the image (k1, k2, k3, p1, p2) with a note that states the
-    residual. InputError where that is above the options' limit, or rays stand 90 deg or more off the axis.
+    residual. InputError where that is above the options' limit, or rays are 90 deg or more off the axis.
     """
     lens = camera.lens
     if isinstance(lens, OpenCVLens) and not any(distortion(lens)[coefficients:]):
@@ -91,7 +91,7 @@ def distortion(lens: OpenCVLens) -> tuple[float, ...]:
 
 
 def shortest(coefficients: Sequence[float], least: int = 5) -> list[float]:
-    """Return the coefficients without trailing zeros, in a number that OpenCV knows."""
+    """Return the coefficients without trailing zeros, in a number that OpenCV accepts."""
     last = max((k + 1 for k, value in enumerate(coefficients) if value), default=0)
     count = next(n for n in COUNTS if n >= max(last, least))
     return list(coefficients[:count])
@@ -136,7 +136,7 @@ def opencv_lens(matrix: Array, coefficients: Sequence[float], fisheye: bool, whe
 
 
 def rotation_of(given: Array, where: str) -> Array:
-    """Return the rotation matrix (3, 3) nearest to what a file gives; InputError where it is none."""
+    """Return the rotation matrix (3, 3) nearest to what a file gives; InputError where it is not a rotation."""
     matrix = np.asarray(given, dtype=float).reshape(3, 3)
     rotation, misfit = nearest_rotation(matrix) if np.isfinite(matrix).all() else (matrix, np.inf)
     if not misfit <= LARGEST_MISFIT:
@@ -200,7 +200,7 @@ def read_text(path: Path) -> str:
 
 
 def numbers(text: str, path: Path) -> list[float]:
-    """Return the numbers of a text separated by white space; InputError names what is none."""
+    """Return the numbers of a text separated by white space; InputError names what is not a number."""
     found = []
     for word in text.split():
         try:

@@ -1,10 +1,10 @@
-"""OpenCV's FileStorage (YAML, XML or JSON): one file a camera, or one for a stereo pair.
+"""OpenCV's FileStorage (YAML, XML or JSON): one file per camera, or one for a stereo pair.
 
 A camera's file: ``camera_matrix`` [px], ``distortion_coefficients``, ``image_width``, ``image_height`` (as OpenCV's
 calibration sample writes them), ``fisheye_model`` 1 for ``cv2.fisheye``, and ``R``, ``T``: *camera_from_world*, a
 matrix or a rotation vector. A stereo file: ``M1``, ``D1``, ``M2``, ``D2``, and ``R``, ``T``: *camera2_from_camera1*;
-the first camera is the world unless ``R_world``, ``T_world`` (camera1_from_world, our own addition) say where it is.
-OpenCV has no unit of length: metres are taken unless the options say millimetres.
+the first camera is the world unless ``R_world``, ``T_world`` (camera1_from_world, our own addition) give its pose.
+OpenCV has no unit of length: metres are assumed unless the options specify millimetres.
 """
 
 from pathlib import Path
@@ -154,7 +154,7 @@ def _text(storage: Any, key: str) -> str | None:
 def _camera(
     storage: Any, name: str, number: str, where: str, options: RigFileOptions, camera_from_world: Pose
 ) -> Camera:
-    """Return a camera; ``number`` "1" or "2" stands at the end of a stereo file's keys."""
+    """Return a camera; ``number`` "1" or "2" is the suffix of a stereo file's keys."""
     matrix_keys = (f"M{number}", f"cameraMatrix{number}") if number else MATRIX
     matrix = _numbers(storage, matrix_keys, where, (9,))
     if matrix is None:

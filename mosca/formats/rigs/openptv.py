@@ -59,8 +59,8 @@ def read_openptv(path: Path, options: RigFileOptions) -> tuple[tuple[Camera, ...
 def write_openptv(cameras: tuple[Camera, ...], path: Path, options: RigFileOptions) -> Notes:
     """Write ``NAME.ori`` and ``NAME.addpar`` of each camera and ``ptv.par`` into the folder ``path``.
 
-    A lens that OpenPTV's model does not hold is fitted by it, within the limit. InputError for cameras of different
-    image sizes: OpenPTV knows one.
+    A lens outside OpenPTV's model is fitted by it, within the limit. InputError for cameras of different image sizes:
+    OpenPTV has one for all.
     """
     sizes = {(camera.width, camera.height) for camera in cameras}
     if len(sizes) > 1:

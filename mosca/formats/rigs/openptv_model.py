@@ -9,10 +9,11 @@ Camera frame x right, y up, looking along -z. With (x, y) = c (X, Y) / -Z + (xh,
 The distortion is about the middle of the sensor, not the principal point. The middle of the top-left pixel is at
 (0.5, 0.5), as OpenPTV's target recognition gives it. Source: liboptv 0.3, ``imgcoord.c``, ``trafo.c``.
 
-scx stands on both axes: so liboptv 0.3 projects. Its way back (``dist_to_flat``), and both ways of older releases,
-scale x alone. At scx = 1 all agree, so 1 is what is written, and the ratio of fx to fy goes into the pixels' shape.
+scx scales both axes in liboptv 0.3's projection. Its inverse (``dist_to_flat``), and both directions of older
+releases, scale x alone. At scx = 1 all agree, so 1 is what is written, and the ratio of fx to fy goes into the
+pixels' shape.
 
-The shear of OpenPTV turns the y axis alone, that of a Mosca lens, a, both by the same angle, so the two differ by a
+The shear of OpenPTV rotates the y axis alone, that of a Mosca lens, a, both by the same angle, so the two differ by a
 roll about the optical axis. With tan(2 roll) = sin(she), a = tan(roll), and d the direction in each camera frame:
 d_openptv = Rz(roll) d_mosca.
 """

@@ -1,10 +1,10 @@
 """Qualisys calibrations (``.qca.txt``, an XML file that QTM exports), read and written.
 
-A camera holds ``fov_video`` (left, top, right, bottom [px], counted from 0), ``transform`` (centre x, y, z [mm];
-r11 ... r33, whose rows are the axes right, up and backwards in the world) and ``intrinsic``: focal lengths and
-principal point in 1/64 px of the whole sensor; radial and tangential distortion are OpenCV's k1, k2, k3, p1, p2 and,
-being numbers without a unit, are not scaled. Where in a pixel its coordinate stands is not published: taken as the
-centre, so that half a pixel of the principal point is open.
+A camera holds ``fov_video`` (left, top, right, bottom [px], counted from 0), ``transform`` (centre x, y, z [mm]; r11
+... r33, whose rows are the axes right, up and backwards in the world) and ``intrinsic``: focal lengths and principal
+point in 1/64 px of the whole sensor; radial and tangential distortion are OpenCV's k1, k2, k3, p1, p2 and, being
+numbers without a unit, are not scaled. Which point of a pixel has its integer coordinate is not published: the centre
+is assumed, so the principal point is uncertain by half a pixel.
 """
 
 import xml.etree.ElementTree as ElementTree
@@ -18,7 +18,7 @@ from mosca.errors import InputError
 from mosca.formats.rigs.lens_conversion import Notes, RigFileOptions, as_opencv, checked_camera, rotation_of
 
 SUBPIXELS = 64.0
-# QTM's camera looks along its own -z with y up; ours along z with y down
+# QTM's optical axis is -z with y up; ours is z with y down
 FLIP = np.diag([1.0, -1.0, -1.0])
 KEYS = ("radialDistortion1", "radialDistortion2", "tangentalDistortion1", "tangentalDistortion2", "radialDistortion3")
 AXES = [f"r{row}{column}" for row in "123" for column in "123"]

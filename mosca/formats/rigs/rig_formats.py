@@ -3,7 +3,7 @@
     rig, notes = read_any_rig(Path("calibration.qca.txt"))
     notes = write_any_rig(rig, Path("calibration.toml"), "aniposelib")
 
-What a format cannot hold stands in ``FORMATS``. A lens model that a format lacks is fitted over the image, the
+``FORMATS`` lists what each format cannot hold. A lens model that a format lacks is fitted over the image, the
 residual stated in the notes and refused above ``RigFileOptions.max_residual_px``.
 """
 
@@ -87,7 +87,7 @@ FORMATS: dict[str, RigFormat] = {one.name: one for one in _TABLE}
 
 
 def read_any_rig(path: Path, format: str | None = None, options: RigFileOptions | None = None) -> tuple[Rig, Notes]:
-    """Read a calibration of any of ``FORMATS``; which one, ``format`` or else the content says.
+    """Read a calibration of any of ``FORMATS``; ``format``, or else the content, determines which one.
 
     Returns the rig and the notes on what was assumed or fitted. Raises InputError in one line naming file, key, value
     and what is allowed.

@@ -66,7 +66,7 @@ def _camera(
     flat = lens_directions(lens, grid)
     undistorted = flat / flat[:, 2:] @ matrix_of(lens).T
     directions = np.linalg.solve(interior, undistorted.T).T
-    # with skew; the Mosca model's affinity can stand in for it
+    # with skew; the Mosca model's affinity can represent it
     fit = min((fit_lens(model, grid, directions) for model in ("opencv", "mosca")), key=lambda one: one.max_px)
     pose = Pose(rotation.T, centre * options.metres("m"))
     camera = checked_camera(Camera(name, *size, fit.lens, pose), str(matrix_path))

@@ -12,7 +12,7 @@ from mosca.errors import InputError
 from mosca.formats.sheets.target_sheet import OnSheet
 
 FARTHEST_OFF = 0.1
-"""Share by which a printer may miss the size; what is further off was measured or told wrongly."""
+"""Share by which a printer may miss the size; beyond it the measurement or the input is wrong."""
 LEAST_TARGETS = 3
 MM_PER_INCH = 25.4
 
@@ -34,9 +34,9 @@ class PrintedScale:
 
 
 def scale_of_ruler(measured_mm: float, nominal_mm: float) -> float:
-    """Return the scale of a sheet whose ruler says ``nominal_mm`` and measures ``measured_mm`` between its end ticks.
+    """Return the scale of a sheet whose ruler of ``nominal_mm`` measures ``measured_mm`` between its end ticks.
 
-    Raises InputError for a length that no printer makes of it: another ruler, another unit.
+    Raises InputError for an implausible ratio: another ruler, another unit.
     """
     if not abs(measured_mm - nominal_mm) <= FARTHEST_OFF * nominal_mm:
         raise InputError(
@@ -49,9 +49,9 @@ def scale_of_ruler(measured_mm: float, nominal_mm: float) -> float:
 def scale_of_scan(found: CodedDetections, places: Sequence[OnSheet], dpi: float) -> PrintedScale:
     """Return the scales of a sheet from the coded targets found in its scan of ``dpi`` pixels an inch.
 
-    ``places``: where they stand on the sheet (``lay_out_sheets``). The affine map of the centres is fitted; the
-    lengths of its axes are the scales, however the sheet lay on the scanner. Raises InputError for fewer than three
-    targets, targets on a line, or a scale that is a tenth off.
+    ``places``: their positions on the sheet (``lay_out_sheets``). The affine map of the centres is fitted; the
+    lengths of its axes are the scales, independent of the sheet's orientation on the scanner. Raises InputError for
+    fewer than three targets, collinear targets, or a scale that is a tenth off.
     """
     where = {placed.target.number: (placed.x_mm, placed.y_mm) for placed in places}
     seen = [k for k, number in enumerate(found.number.tolist()) if number in where]

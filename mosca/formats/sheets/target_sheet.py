@@ -1,9 +1,9 @@
-"""Printable sheets of coded targets and boards: SVG and PDF in true size, with a ruler that shows whether it held.
+"""Printable sheets of coded targets and boards: SVG and PDF in true size, with a ruler to check the printed size.
 
-Of a target dot, sectors counter-clockwise from the x axis as one sees the sheet, and the plate, its edge a hairline
-to cut along; its number stands below, where no camera takes it for a part of the target. Print at 100 % ("actual
-size") and measure the ruler: a printer that shrinks the page by 3 % shrinks what is on it by as much.
-``mosca.formats.sheets.sheet_scale`` tells what was printed from the ruler's length or from a scan.
+A target consists of the dot, sectors counter-clockwise from the x axis as seen from the front, and the plate, its
+edge a hairline to cut along; its number is below, outside the plate. Print at 100 % ("actual size") and measure the
+ruler: a printer that shrinks the page by 3 % shrinks the targets by as much. ``mosca.formats.sheets.sheet_scale``
+computes the printed scale from the ruler's length or from a scan.
 """
 
 from collections.abc import Sequence
@@ -76,9 +76,9 @@ def write_target_sheets(
 ) -> tuple[Path, ...]:
     """Write ``targets`` on as many sheets as they take, and return the files.
 
-    ``path`` ends in .svg or .pdf; from the second sheet on a number stands before the ending ("targets-2.svg").
+    ``path`` ends in .svg or .pdf; from the second sheet on a number precedes the ending ("targets-2.svg").
     ``colour``: of dot and sectors, on plates of the other one. Raises InputError for another ending, page or colour,
-    no targets, a number that stands twice, or a plate larger than the page.
+    no targets, a duplicate number, or a plate larger than the page.
     """
     path = _checked(path)
     if colour not in ("white", "black"):
@@ -139,7 +139,7 @@ def ruler_mm(size_mm: Size) -> float:
 
 
 def lay_out_sheets(targets: Sequence[CodedTarget], page: str | None = None) -> tuple[tuple[OnSheet, ...], ...]:
-    """Return where each target stands on which sheet: in rows from the upper left, each with room for the largest.
+    """Return sheet and position of each target: in rows from the upper left, in cells of the largest one's size.
 
     Raises InputError as ``write_target_sheets`` does.
     """
@@ -189,7 +189,7 @@ def _page(page: str) -> Size:
 
 
 def _cells(size_mm: Size, edge_mm: float) -> tuple[int, int]:
-    """Return how many plates of this edge stand side by side and above each other on a sheet."""
+    """Return the number of columns and rows of plates of this edge on a sheet."""
     room_x, room_y = size_mm[0] - 2 * MARGIN_MM, size_mm[1] - 2 * MARGIN_MM - FOOT_MM
     return int((room_x + GAP_MM) / (edge_mm + GAP_MM)), int((room_y + GAP_MM) / (edge_mm + LABEL_MM + GAP_MM))
 

@@ -104,7 +104,7 @@ def read_c3d(path: Path) -> MarkerTable:
     xyz = points[:3].transpose(2, 1, 0) * METRES_PER[unit]
     xyz[(residuals[0].T < 0)] = np.nan
     seen = np.asarray(np.isfinite(xyz).all(axis=2))
-    # Many writers leave every residual 0: then nothing is said about filling.
+    # Many writers leave every residual 0: then filled samples are not marked.
     stated = residuals[0].T > 0
     measured = seen & stated if stated.any() else seen
     deviation = np.where(stated, residuals[0].T * METRES_PER[unit], np.nan)
@@ -113,7 +113,7 @@ def read_c3d(path: Path) -> MarkerTable:
 
 
 def _bytes_needed(document: ezc3d.c3d, path: Path) -> int:
-    """Return how long the file must be to hold its frames: ezc3d gives what it finds and does not say.
+    """Return how long the file must be to hold its frames: ezc3d reads truncated files without an error.
 
     (C3D user guide, header section: words 4 and 5 are the first and last frame, word 9 the data's block.)
     """
@@ -130,7 +130,7 @@ def _bytes_needed(document: ezc3d.c3d, path: Path) -> int:
 def _residuals_mm(table: MarkerTable) -> tuple[Array, float]:
     """Return the residual field (t, m) [mm] and its step: 7 bit hold it as a whole number of steps."""
     if not np.isfinite(table.deviation_m).any() and (table.measured == np.isfinite(table.xyz).all(axis=2)).all():
-        # nothing is known of errors and nothing was filled: 0 all over says no more than that
+        # errors unknown and nothing filled: residual 0 throughout
         return np.where(table.measured, 0.0, -1.0), 1e-3
     deviation_mm = 1e3 * np.nan_to_num(table.deviation_m, nan=0.0, posinf=0.0)
     step = max(float(deviation_mm.max()) / 127.0, 1e-3)

@@ -1,4 +1,4 @@
-"""CSV files whose columns are fixed: numbers at full precision, one line that says what is wrong with a cell."""
+"""CSV files with fixed columns: numbers at full precision, a one-line error for an invalid cell."""
 
 import csv
 import io
@@ -85,7 +85,7 @@ def reals(values: Array) -> list[str]:
 
 
 def parsed(cells: Sequence[str], name: str, kind: type[int] | type[float], path: Path) -> Array:
-    """Return a column's cells as numbers (n,), nothing as NaN; InputError names the row that is none."""
+    """Return a column's cells as numbers (n,), nothing as NaN; InputError names an invalid row."""
     try:
         if kind is int:
             return np.array(list(map(int, cells)), dtype=np.int64)

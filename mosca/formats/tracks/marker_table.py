@@ -40,8 +40,8 @@ class MarkerTable:
 def table_from_tracks(tracks: Tracks, rate_hz: float) -> MarkerTable:
     """Return ``tracks`` as a table from their first to their last frame.
 
-    A marker is called by its label. Tracks of one label share a column (a marker that was lost and found
-    again) unless they have a frame in common; then, and without a label, the track's number tells them apart.
+    A marker is called by its label. Tracks of one label share a column (a marker that was lost and found again)
+    unless they have a frame in common; then, and without a label, the track's number is appended.
     """
     if len(tracks) == 0:
         none = np.empty((0, 0))

@@ -44,8 +44,8 @@ def read_tracks(path: Path) -> Tracks:
 def write_tracks(tracks: Tracks, path: Path, frame_rate_hz: float) -> None:
     """Write ``tracks`` to ``path`` as .npz, .csv, .c3d or .trc, whole or not at all.
 
-    ``frame_rate_hz`` is stated in C3D and TRC files. Raises InputError for another suffix, a rate that is not
-    above 0, or a place that cannot be written.
+    ``frame_rate_hz`` is stated in C3D and TRC files. Raises InputError for another suffix, a rate that is not above
+    0, or a path that cannot be written.
     """
     path = Path(path)
     _check_suffix(path)
@@ -107,7 +107,7 @@ class TracksLog:
         self._file.close()
 
     def finish(self, frame_rate_hz: float) -> int:
-        """Write the tracks to their place and remove the part file; return how many tracks there are."""
+        """Write the tracks to their final path and remove the part file; return how many tracks there are."""
         self.close()
         tracks = read_tracks_csv(self.part)
         tracks = tracks.select(np.lexsort((tracks.track, tracks.frame)))

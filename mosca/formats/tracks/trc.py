@@ -1,7 +1,7 @@
 """TRC files (Motion Analysis; read by OpenSim and Pose2Sim): tab-separated text, here in millimetres.
 
-A sample that is not there is left blank. The axes stay those of the world, Z up; OpenSim expects Y up and
-turns them on its side. Numbers are written at full precision.
+A sample that is not there is left blank. The axes stay those of the world, Z up; OpenSim expects Y up and rotates
+them on import. Numbers are written at full precision.
 """
 
 from pathlib import Path
@@ -42,7 +42,7 @@ def write_trc(table: MarkerTable, path: Path) -> None:
 def read_trc(path: Path) -> MarkerTable:
     """Read a TRC file; blank or NaN samples are absent (NaN).
 
-    Raises InputError naming the line, what stands there and what is wanted.
+    Raises InputError naming the line, its content and what is expected.
     """
     path = Path(path)
     try:
