@@ -41,13 +41,13 @@ class PipelineSettings:
     volume: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     """Box (low (3,), high (3,)) [m, world] in which targets can be; other points are no targets. None: everywhere."""
     workers: int = 0
-    """Threads that detect in later frame sets, beside the one that matches and tracks, which detects rather than
-    wait: one fewer than there are cores. 0: each set is detected when it is needed, as a live run must."""
+    """Threads that detect in later frame sets, besides the one that matches and tracks (which also detects when it
+    would wait): one fewer than there are cores. 0: each set is detected when needed, as in a live run."""
     split: int | None = None
     """Threads among which the cameras of a set are then divided, which brings its tracks sooner (None: 2 in a live
     run, else 1). The tracks are the same."""
     nearest: NearestSettings | None = None
-    """Track as the guide does, the baseline of comparisons, instead of by ``track``."""
+    """Nearest-neighbour tracking of the guide, a baseline for comparisons, instead of ``track``."""
     assembly: AssemblySettings = field(default_factory=AssemblySettings)
     """How frames become frame sets."""
 

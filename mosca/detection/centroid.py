@@ -28,7 +28,7 @@ class Noise(NamedTuple):
 
 
 class CentroidRule(NamedTuple):
-    """How the centroid of a region is taken."""
+    """How the centroid of a region is computed."""
 
     local: bool
     """The local background is taken off and the mask grown; else the region is measured as it is."""
@@ -38,7 +38,7 @@ class CentroidRule(NamedTuple):
 
 
 class Background(NamedTuple):
-    """Sum [DN] and number of the pixels that give a background; 0 and 1 stand for none."""
+    """Sum [DN] and number of the pixels that give a background; (0, 1): none."""
 
     total: Any
     n: Any
@@ -113,7 +113,7 @@ def disc_diameter(flux: float, contrast: float, spread_px2: float) -> float:
 
 @bare_step
 def is_own(runs: Array, y: int, x: int) -> bool:
-    """Tell whether a pixel belongs to the region that has these runs."""
+    """Return whether a pixel belongs to the region that has these runs."""
     own = False
     for i in range(len(runs)):
         own |= runs[i, 0] == y and runs[i, 1] <= x < runs[i, 2]

@@ -1,4 +1,4 @@
-"""Samples of several zones as one set: what two zones saw of one target is weighted by its covariances."""
+"""Samples of several zones as one set: those of one target in two zones are fused by their covariances."""
 
 from collections.abc import Mapping, Sequence
 
@@ -19,8 +19,8 @@ def merged(zones: Mapping[str, Tracks], groups: Sequence[Group], gate_sigma: flo
     """Return one set of tracks, numbered as ``groups``; how many samples were merged, and how many did not fit.
 
     Samples of one target and instant become the mean weighted by inverse covariances, whose covariance is the inverse
-    of the weights' sum; measured ones count before filled ones. Where two differ by more than ``gate_sigma`` of their
-    covariances the one with less variance stands alone. Cameras add up; residuals are the cameras' rms.
+    of the weights' sum; measured ones take precedence over filled ones. Where two differ by more than ``gate_sigma``
+    standard deviations only the one with less variance is kept. Camera counts add up; residuals are the cameras' rms.
     """
     number = {key: k for k, group in enumerate(groups) for key in group}
     parts = []

@@ -27,10 +27,10 @@ TINY = f32(1e-6)  # keeps distances from the centre above zero [px^2]
 
 MOST_STEPS = 9
 NEAR, NEAR_LIGHT, NEAR_2, SETTLED_2 = 0.1, 0.05, 4.0, 1.0
-"""A start is near, so that one straight step ends the fit, where that moves the place by no more than the root of
-``NEAR_2`` of its errors, radius and blur by such a share of the blur, and the brightness by such a share of itself:
-with twice as much the errors of places begin to grow (by 2 %). Else steps end where one has moved the place by less
-than the root of ``SETTLED_2``: what they still lack goes with the square of that."""
+"""Convergence. The fit ends after one step where that moves the centre by at most ``sqrt(NEAR_2)`` standard
+deviations, radius and blur by at most ``NEAR`` of the blur, and the amplitude by at most ``NEAR_LIGHT`` of itself;
+with twice these limits the centre's errors grow by 2 %. Else it ends once a step moves the centre by less than
+``sqrt(SETTLED_2)`` standard deviations; the remaining error is of second order in that step."""
 
 
 class Model(NamedTuple):
@@ -62,9 +62,9 @@ class DiscFit(NamedTuple):
 def sums(n: int, pixels: Array, at: tuple[Any, Any, Any, Any, Any, Any], dark: Any, gain: Any) -> Any:
     """Return the normal equations of one Gauss-Newton step over n pixels.
 
-    ``pixels`` (5, n or more): x, y, how much sharper than ``at`` says the edge is there, 1, or 0 for pixels that are
-    padding, and grey value. ``at``: x0, y0, amplitude, background, radius, blur. The place and the other four
-    unknowns are at right angles for a window that is symmetric about the target, and are solved apart.
+    ``pixels`` (5, n or more): x, y, factor by which the edge is sharper there than the blur of ``at``, 1 (0 for
+    padding), and grey value. ``at``: x0, y0, amplitude, background, radius, blur. For a window that is symmetric
+    about the target the centre is uncorrelated with the other four unknowns, and is solved separately.
     """
     x, y, sharper, there, v = pixels[0], pixels[1], pixels[2], pixels[3], pixels[4]
     x0, y0, a, b, radius, blur = at
