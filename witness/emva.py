@@ -20,7 +20,7 @@ LEAST_DARK_VARIANCE = 0.24
 
 
 def temporal(a: Array, b: Array) -> tuple[float, float]:
-    """Return mean and temporal variance of two images of one light: unevenness that stays drops out."""
+    """Return mean and temporal variance of two images of one light; fixed-pattern noise cancels."""
     a, b = a.astype(float), b.astype(float)
     return float((a.mean() + b.mean()) / 2), float(np.mean((a - b) ** 2) / 2 - (a.mean() - b.mean()) ** 2 / 2)
 

@@ -69,7 +69,7 @@ def scan_hidden(
     lit_u, lit_step = np.empty(most_lit), np.empty(most_lit)
     low, high = np.empty(scan.pieces * near.found), np.empty(scan.pieces * near.found)
     edges, lit_edges = np.empty((64, 3)), np.empty((64, 3))
-    # whole numbers, no constants: each constant handed to a function would have it compiled once more
+    # integer variables, no literals: Numba would compile the function once for each literal argument
     edge_count = lit_count = np.int64(0)
     hidden_area = lit_area = 0.0
     for j in range(scan.rows):

@@ -33,9 +33,8 @@ class Glare:
 def veil(light: Array, glare: Glare) -> Array:
     """Return the haze (h, w) float32 [electrons a pixel] of ``light`` (H, W) float32.
 
-    It stands at the middles of h x w equal parts of the image, the form that ``Ambient.with_extra`` takes. What would
-    fall beside the image falls on it, mirrored at its borders, so that none is lost: the mean of the haze is
-    share x the mean of the light.
+    Values are at the centres of h x w equal parts of the image, as ``Ambient.with_extra`` takes them. Haze beyond the
+    image is reflected at its borders, so that none is lost: the mean of the haze is share x the mean of the light.
     """
     height, width = light.shape
     rows, columns = -(-height // PART_PX), -(-width // PART_PX)

@@ -43,7 +43,7 @@ class Surroundings:
 
     @property
     def has_targets(self) -> bool:
-        """Whether ``stray_targets`` has anything to give."""
+        """Whether ``stray_targets`` returns any targets."""
         return self.ring_light is not None or bool(self.spots) or bool(self.mirrors)
 
 
