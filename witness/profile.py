@@ -15,14 +15,16 @@ from witness.render import WitnessLens, across, area_and_centroid
 
 @dataclass(frozen=True, eq=False)
 class Spots:
-    """Points of light that represent a disc: pixels ``xy`` (n, 2), the area of each (n,) [px^2], the share ``q``
-    of the radius (n,) and the ``offset`` (n, 3) from the middle, over the radius, camera frame.
-    """
+    """Points of light that represent a disc."""
 
     xy: Array
+    """(n, 2) [px]"""
     area: Array
+    """(n,) [px^2]"""
     q: Array
+    """(n,) share of the radius."""
     offset: Array
+    """(n, 3) from the middle, over the radius, camera frame."""
 
 
 def spots(

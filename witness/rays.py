@@ -76,15 +76,16 @@ class World:
 
 @dataclass(frozen=True, eq=False)
 class SeenOverTime:
-    """``share`` of the marker's light that nothing hides (to 3e-4, what scan lines make of a whole one);
-    ``centroid`` (2,) of that light [px]; ``image`` (H, W) of it; ``area`` of the whole marker's image [px^2]; all
-    are means over the instants.
-    """
+    """The visible part of a marker, means over the instants of an exposure."""
 
     share: float
+    """Visible share of the marker's light, to 3e-4: relative to scan lines of the whole marker."""
     centroid: Array
+    """(2,) of that light [px]."""
     image: Array
+    """(H, W) of that light."""
     area: float
+    """Of the whole marker's image [px^2]."""
 
 
 def seen_over_time(

@@ -1,4 +1,4 @@
-"""A human actor: limbs that hide, markers on the skin, moved by a recording, by a built-in walk or action.
+"""A human actor: limbs that occlude, markers on the skin, moved by a recording or a built-in walk or action.
 
 The model is the skeleton itself: one body a joint with a ball joint at its rest offset, under a free
 root. A configuration is the root's position and every joint's rotation, so that bones keep their length
@@ -79,8 +79,8 @@ def build_actor(
 
     With ``motion_file`` (.amc with its ``skeleton_file`` .asf, or .bvh) the recording is played from
     ``start_s`` (converted BVH files need some frames to leave an added T-pose). ``metres_per_unit``,
-    ``frame_rate_hz`` and ``drop_frames`` stand in for what the file lacks (defaults: ASF from its
-    length, 120 Hz; BVH 0.01, the file's rate, 1 frame dropped). ``placement`` "center" turns the
+    ``frame_rate_hz`` and ``drop_frames`` replace what the file lacks (defaults: ASF from its
+    length, 120 Hz; BVH 0.01, the file's rate, 1 frame dropped). ``placement`` "center" rotates the
     recording by ``heading_deg`` about the vertical, puts the middle of the part played over the middle of
     the box and its lowest heel or ball on the floor; "file" leaves it where it was. ``keep_in_box``: a
     recording that leaves the box is an error. Between frames the motion is a C2 spline. A recording's

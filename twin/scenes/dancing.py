@@ -1,7 +1,7 @@
 """A dancer: turns on one foot, arms overhead, arms that cross before the chest, squats, steps to the side.
 
-Every figure starts and ends standing with hanging arms, so that their order is free. A turn is danced as if it
-did not turn, then turned as a whole about the ball of the foot that it stands on.
+Every figure starts and ends standing with hanging arms, so that their order is free. The motion of a turn is made
+without rotation, then rotated as a whole about the ball of the standing foot.
 """
 
 from collections.abc import Callable

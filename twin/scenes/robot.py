@@ -1,12 +1,11 @@
 """A four-wheeled skid-steered robot like the Mosca paper's Hercules, with 13 flat targets on its deck.
 
-0.36 m long, 0.32 m wide, 4 kg. It stands on contact physics: turning drags its wheels sideways over the
-floor, which is what makes its model worth identifying. Body axes: x forward, y left, z up, origin on the
-floor under the deck's centre.
+0.36 m long, 0.32 m wide, 4 kg. Simulated with contact physics: turning drags its wheels sideways over the floor, so
+that its dynamics are not trivial to identify. Body axes: x forward, y left, z up, origin on the floor under the
+deck's centre.
 
 Targets (paper, figure 8): #8 in the centre; #6 and #10 on the x axis, #3 and #13 on the y axis. The paper
-prints no drawing of the others; here they stand in rows 1-5, 6-10 and 11-13, so that the pattern has no
-symmetry.
+has no drawing of the others; here they are in rows 1-5, 6-10 and 11-13, so that the pattern has no symmetry.
 """
 
 from collections.abc import Sequence
@@ -78,7 +77,7 @@ def build_robot(
     ``average_pwm`` a_m and ``difference_pwm`` d_m of -255..255, each command held for ``hold_s``;
     ``target_diameter_m`` of the flat targets T1..T13 of the rigid body "robot". ``commands`` holds
     pwm_average, pwm_difference, pwm_left, pwm_right from 0 s on. ``rng`` draws the first heading and the
-    commands. Near the side of the box an average that would drive it out has its sign turned (see
+    commands. Near the side of the box an average that would drive it out is negated (see
     ``driving.noise``). ``commands``: session time [ns] and line of text of each (see ``driving.given``), in place of
     noise. ``heading_rad``: of its x axis against the world's at the start. Raises InputError naming what is wrong.
     """

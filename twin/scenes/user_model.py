@@ -1,7 +1,7 @@
 """A user's own model, MJCF or URDF with its meshes, with markers on it.
 
-What is seen is what MuJoCo's viewer shows: geom groups 0 to 2. Geoms of other groups (collision shapes)
-neither show nor hide; where a URDF link has visuals, its collision shapes do not either.
+Visible is what MuJoCo's viewer shows: geom groups 0 to 2. Geoms of other groups (collision shapes) are neither
+visible nor occlude; nor do the collision shapes of a URDF link with visuals.
 """
 
 import re
@@ -92,19 +92,20 @@ def build_own(
 
 @dataclass(frozen=True, eq=False)
 class Turntable:
-    """The configuration of a free body carried about ``center`` (3,) by ``swing`` (3,) [m] and turned.
-
-    ``rates`` (3,) [rad/s] of the swing along each axis; ``pivot`` (3,) the body's middle in its own axes
-    [m]; ``rest`` qpos of what is mounted on it.
-    """
+    """The configuration of a free body that is moved about a point and rotated."""
 
     center: Array
+    """(3,) [m]"""
     swing: Array
+    """(3,) amplitude of the motion along each axis [m]."""
     rates: Array
+    """(3,) of the swing [rad/s]."""
     phases: Array
     turn_rad_s: float
     pivot: Array
+    """(3,) the body's middle in its own axes [m]."""
     rest: Array
+    """qpos of what is mounted on it."""
 
     def __call__(self, time_s: float) -> Array:
         """Return qpos (nq,) at session time ``time_s``."""
@@ -121,7 +122,7 @@ class Turntable:
 
 
 def _load(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """Return the specification in ``path`` and the model as it stands in it, collision shapes unseen."""
+    """Return the specification and the model in ``path``, collision shapes invisible."""
     if not path.is_file():
         raise InputError(f"{path}: no such file; an MJCF (.xml) or URDF (.urdf) model is wanted")
     try:

@@ -74,20 +74,18 @@ class Mount:
 
 @dataclass(frozen=True, eq=False)
 class CameraSupport:
-    """A mounted camera during a session: its pose at any instant, a pure function of (seed, name, frame, time).
-
-    ``pose``: world_from_camera, or body_from_camera of a camera that rides. ``tones`` (2, n, 3): frequency [1/s],
-    amplitude [px] and phase of the vibration's sinusoids along the image's x and y. ``walk`` (2, k): the random
-    walk's positions, WANDER_STEP_S apart [px].
-    """
+    """A mounted camera during a session: its pose at any instant, a pure function of (seed, name, frame, time)."""
 
     mount: Mount
     name: str
     pose: Pose
+    """``world_from_camera``, or ``body_from_camera`` of a camera on a moving body."""
     px_per_radian: float
     seed: int
     tones: Array = field(repr=False)
+    """(2, n, 3) frequency [1/s], amplitude [px] and phase of the vibration's sinusoids along the image's x and y."""
     walk: Array = field(repr=False)
+    """(2, k) positions of the random walk, WANDER_STEP_S apart [px]."""
 
     @classmethod
     def of(

@@ -26,28 +26,32 @@ BEYOND_IMAGE = 0.2
 
 
 class TargetImage(NamedTuple):
-    """A target in one exposure.
-
-    ``state``: IN_VIEW, or OUTSIDE, DARK or HIDDEN (a flat target from behind); then the fields after ``diameter``
-    are undefined. ``target`` at its rows' mid-exposure ``instant_s``, imaged at (``u``, ``v``) with
-    ``diameter`` [px]; ``stretch``: image length of a length across the line of sight [px/m]. ``patches`` (n, 3) of
-    the blur and their largest displacement ``spread``. Its rows are exposed and it shines from ``begin_s`` to
-    ``end_s``, while its image moves by ``motion_px`` and the target by ``moved_m``.
-    """
+    """A target in one exposure."""
 
     state: int
+    """IN_VIEW, or OUTSIDE, DARK or HIDDEN (a flat target from behind): fields after ``diameter`` are undefined."""
     target: TargetPose
+    """At ``instant_s``."""
     u: float
+    """Image of the centre (u, v) [px]."""
     v: float
     diameter: float
+    """[px]"""
     stretch: float
+    """Image length of a length across the line of sight [px/m]."""
     patches: Array
+    """(n, 3) of the blur."""
     spread: float
+    """Largest displacement of a patch."""
     begin_s: float
+    """Exposed and shining from here to ``end_s``."""
     instant_s: float
+    """Mid-exposure of its rows."""
     end_s: float
     motion_px: float
+    """Motion of the image meanwhile."""
     moved_m: float
+    """Motion of the target meanwhile."""
 
 
 @kernel

@@ -1,7 +1,6 @@
 """Everything that a pixel collects besides the targets: background, glass, fixed patterns of the sensor, stray light.
 
-The mean of each pixel is rounded to the nearest of many levels (0.15 of the noise apart), and that level
-*is* the
+The mean of each pixel is rounded to the nearest of many levels (0.15 of the noise apart), and that level is the
 pixel's light by definition. Pixels without a target then cost one lookup in the exact distribution of their level.
 """
 

@@ -15,12 +15,12 @@ PART_PX = 8
 
 @dataclass(frozen=True)
 class Glare:
-    """``share`` of the light on the image that comes again as haze (ISO 9358 veiling glare: 0.005 to 0.05 of a lens);
-    ``sigma`` of its Gaussian over the image's width.
-    """
+    """Veiling glare of a lens (ISO 9358)."""
 
     share: float = 0.0
+    """Share of the light on the image that returns as haze; 0.005 to 0.05 for real lenses."""
     sigma: float = 0.125
+    """Of its Gaussian, over the image's width."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.share < 1.0 or not 0.0 < self.sigma < np.inf:

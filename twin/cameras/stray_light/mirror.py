@@ -37,18 +37,21 @@ _DISC = np.array(
 
 @dataclass(frozen=True)
 class PlaneMirror:
-    """A reflecting rectangle about ``center_m`` (3,), seen from the side that ``normal`` (3,) points to.
+    """A reflecting rectangle.
 
-    ``x_axis`` (3,): direction of its first side, at right angles to the normal; ``size_m``: lengths of its sides;
-    ``reflectance``: share of light that it reflects. It occludes nothing itself: a mirror with objects behind it
-    needs a geom of its own in the scene.
+    It occludes nothing itself: a mirror with objects behind it needs a geom of its own in the scene.
     """
 
     center_m: tuple[float, float, float]
+    """(3,)"""
     normal: tuple[float, float, float]
+    """(3,) points to the reflecting side."""
     x_axis: tuple[float, float, float]
+    """(3,) direction of the first side, perpendicular to the normal."""
     size_m: tuple[float, float]
+    """Lengths of the sides."""
     reflectance: float = 0.9
+    """Share of light that is reflected."""
 
     def __post_init__(self) -> None:
         lengths = np.linalg.norm(self.normal), np.linalg.norm(self.x_axis)
