@@ -87,11 +87,25 @@ def run(
 ) -> Iterator[Step]:
     """Turn a source's frames into tracks, pulse by pulse.
 
-    ``assembly``: counts of frames and gaps, filled while running. ``backgrounds``: camera -> image (H, W) of
-    what does not move, taken off each of its images before detection; a camera without one keeps its images
-    as they are. ``keeper``: monitors the rig and may correct it while running. ``health``: of the cameras,
-    filled while running. InputError where the source lacks a camera of the rig, or sends images of another size, and
-    where a background is of a camera that the rig lacks.
+    InputError where the source lacks a camera of the rig or sends images of another size, and for a background of a
+    camera that the rig lacks.
+
+    Parameters
+    ----------
+    source
+        Yields the frames.
+    rig
+        Calibrated cameras.
+    settings
+        Of all stages.
+    assembly
+        Counts of frames and gaps, filled while running.
+    backgrounds
+        Camera -> image (H, W) of the static scene, subtracted before detection; cameras may be left out.
+    keeper
+        Monitors the rig and may correct it while running.
+    health
+        Of the cameras, filled while running.
     """
     check_source(source, rig)
     settings = PipelineSettings() if settings is None else settings

@@ -31,7 +31,7 @@ class CentroidRule(NamedTuple):
     """How the centroid of a region is computed."""
 
     local: bool
-    """The local background is taken off and the mask grown; else the region is measured as it is."""
+    """The local background is subtracted and the mask grown; else the region is measured as it is."""
     dilation_px: int
     """How far the mask is grown."""
     noise: Noise
@@ -207,7 +207,7 @@ def measure(
         x = (grey[1] * bg_n - mask[1] * bg_sum) / flux
         y = (grey[2] * bg_n - mask[2] * bg_sum) / flux
     if not (0.0 <= x < right - left and 0.0 <= y < len(rows)):
-        # A surround brighter than the target: it has no background to take off.
+        # A surround brighter than the target: no background to subtract.
         bg_sum, bg_n, flux = 0, 1, grey[0]
         x, y = grey[1] / flux, grey[2] / flux
     out[X] = left + x

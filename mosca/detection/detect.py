@@ -84,12 +84,23 @@ def detect(
 ) -> Detections:
     """Return the targets in an image (H, W) of uint8 or uint16, in the order of their topmost rows.
 
-    ``bit_depth`` is the number of significant bits of a pixel (8 to 16), ``camera`` the name that the
-    detections carry. ``background`` (H, W), of the image's type, is taken off first, negative values becoming
-    0 (guide to motion capture, "Marker Detection"; see ``mean_background`` and ``minimum_background``).
-    ``statistics``: of earlier frames, see ``detect_with_statistics``.
-
     Raises InputError for an image, a background or a bit depth that do not fit each other.
+
+    Parameters
+    ----------
+    image
+        (H, W) uint8 or uint16.
+    camera
+        Name in the detections.
+    settings
+        Thresholds, sizes and the kind of centre.
+    bit_depth
+        Number of significant bits of a pixel (8 to 16).
+    background
+        (H, W), of the image's type: subtracted first, negative values becoming 0 (guide to motion capture, "Marker
+        Detection"; see ``mean_background`` and ``minimum_background``).
+    statistics
+        Of earlier frames, see ``detect_with_statistics``.
     """
     backgrounds = None if background is None else [background]
     return detect_set([image], [camera], settings, bit_depth, backgrounds, None, statistics)[0]

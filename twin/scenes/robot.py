@@ -74,12 +74,26 @@ def build_robot(
 ) -> Scene:
     """Return a robot that white noise, or ``commands``, drive about the working space, on the floor z = 0.
 
-    ``average_pwm`` a_m and ``difference_pwm`` d_m of -255..255, each command held for ``hold_s``;
-    ``target_diameter_m`` of the flat targets T1..T13 of the rigid body "robot". ``commands`` holds
-    pwm_average, pwm_difference, pwm_left, pwm_right from 0 s on. ``rng`` draws the first heading and the
-    commands. Near the side of the box an average that would drive it out is negated (see
-    ``driving.noise``). ``commands``: session time [ns] and line of text of each (see ``driving.given``), in place of
-    noise. ``heading_rad``: of its x axis against the world's at the start. Raises InputError naming what is wrong.
+    The scene's commands hold pwm_average, pwm_difference, pwm_left, pwm_right from 0 s on. Raises InputError naming
+    what is wrong.
+
+    Parameters
+    ----------
+    duration_s, box_center_m, box_size_m
+        As for all scenes.
+    rng
+        Draws the first heading and the noise.
+    average_pwm, difference_pwm
+        Amplitudes a_m and d_m of the noise, of 255; near the side of the box an average that would drive the robot
+        out is negated (see ``driving.noise``).
+    hold_s
+        Duration of each command.
+    target_diameter_m
+        Of the flat targets T1..T13 of the rigid body "robot".
+    commands
+        Session time [ns] and line of text of each (see ``driving.given``), instead of noise.
+    heading_rad
+        Of its x axis relative to the world's at the start.
     """
     box = Box(box_center_m, box_size_m)
     positive({"duration_s": duration_s, "hold_s": hold_s, "target_diameter_m": target_diameter_m})

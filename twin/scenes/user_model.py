@@ -46,14 +46,26 @@ def build_own(
 ) -> Scene:
     """Return the model in ``model_file`` (MJCF .xml or .urdf) with the markers of ``markers_file`` on it.
 
-    ``motion``: "turntable": the whole model, joints at rest, is carried about the box at up to
-    ``speed_mps`` per axis and turned at ``turn_rad_s`` [rad/s] while it tilts (start by ``rng``);
-    "physics": the model is let go from its first keyframe, else its rest pose, at -0.1 s;
-    "table": ``motion_file`` is a CSV with header, column 1 the time [s] and then all of qpos.
-    ``floor``: add the plane z = 0 unless the model brings a plane. ``bodies``: every body with markers.
+    The scene's rigid bodies are all bodies with markers. Raises InputError for files that MuJoCo cannot load, unknown
+    bodies, a box too small for a turntable, a table that does not fit, physics that diverges.
 
-    Raises InputError for files that MuJoCo cannot load, unknown bodies, a box too small for a turntable,
-    a table that does not fit, physics that diverges.
+    Parameters
+    ----------
+    duration_s, box_center_m, box_size_m
+        As for all scenes.
+    rng
+        Draws the start of the turntable.
+    model_file, markers_file
+        See above.
+    motion
+        "turntable": the whole model, joints at rest, moves about the box, rotates and tilts; "physics": simulated
+        from its first keyframe, else its rest pose, at -0.1 s; "table": ``motion_file``.
+    motion_file
+        CSV with header, column 1 the time [s], then all of qpos.
+    speed_mps, turn_rad_s
+        Of the turntable: largest speed per axis, and rotation rate.
+    floor
+        Add the plane z = 0 unless the model has a plane.
     """
     model_file, markers_file = Path(model_file), Path(markers_file)
     box = Box(box_center_m, box_size_m)

@@ -173,10 +173,10 @@ def solve_all(
 ) -> tuple[Any, ...]:
     """Solve for all six unknowns at once, for a window that is not symmetric about the target.
 
-    ``prior``: information on the blur, and prior mean less the present one. The amplitude too has a prior here,
-    ``peak``: with a side missing it is hard to tell from the radius. ``work`` (6, 7) is scratch. Returns the
-    corrections (x, y, amplitude, background, radius, blur), the place's variances (xx, xy, yy), the variance that the
-    data alone give the blur, and whether there is a solution.
+    ``prior``: information on the blur, and prior mean less the present one; ``peak``: the same of the amplitude,
+    nearly collinear with the radius where a side is missing. ``work`` (6, 7): working memory. Returns the
+    corrections (x, y, amplitude, background, radius, blur), the centre's covariance (xx, xy, yy), the variance of the
+    blur from the data alone, and whether there is a solution.
     """
     # in the order amplitude, background, radius, blur, x, y: the last rows of the factor hold the place's variance
     k = 0
@@ -244,9 +244,20 @@ def fit_disc(
 ) -> DiscFit:
     """Fit a blurred disc to n pixels by Gauss-Newton steps until the centre moves by less than its error.
 
-    ``start``: x0, y0, amplitude, background, radius; ``blur``: its prior mean and standard deviation;
-    ``symmetric``: whether the pixels lie all around the target, so that the centre can be solved apart; ``work``
-    (6, 7): working memory.
+    Parameters
+    ----------
+    n, pixels
+        The pixels as in ``sums``.
+    start
+        x0, y0, amplitude, background, radius.
+    blur
+        Prior mean and standard deviation.
+    model
+        Pixel noise and saturation.
+    symmetric
+        Whether the pixels lie all around the target, so that the centre can be solved separately.
+    work
+        (6, 7) working memory.
     """
     x0, y0, a, b, radius = start
     mean, prior = blur[0], 1.0 / (blur[1] * blur[1])
