@@ -100,7 +100,7 @@ def assemble(
     """Yield the frame sets of ``frames``, one a pulse without gaps; the first set is pulse 0.
 
     A pulse in which no camera delivered yields an empty set at its expected time. ``assembly`` is filled
-    while the iteration runs. Raises InputError for cameras of unlike rate, for a frame of an unknown
+    while the iteration runs. Raises InputError for cameras of different rates, for a frame of an unknown
     camera and when only frames with unbelievable times come.
     """
     settings = settings or AssemblySettings()

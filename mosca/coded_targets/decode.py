@@ -15,7 +15,7 @@ from mosca.coded_targets.ring_sampling import MARGIN, Ring, read_rings
 from mosca.data.arrays import Array, looked_at
 
 LARGEST_DOT_PX = 13.0
-"""Diameter of the largest dot that is sure to be one patch; larger ones are found on reduced images."""
+"""Diameter of the largest dot that is always one patch; larger ones are found on reduced images."""
 SMALLEST_REDUCED_PX = 6.0
 """Diameter of the smallest dot that is searched for on reduced images; smaller ones have been found before."""
 PERSPECTIVES = (0.03, -0.03, 0.06, -0.06)
@@ -90,7 +90,7 @@ def _within(places: Array, read: Readings) -> Array:
 
 
 def _read(image: Array, frames: Array, target: TargetAppearance, ring: Ring) -> Readings:
-    """Return the surest reading about each dot that has one; leaning dots are tried with perspective too."""
+    """Return the most certain reading of each dot that has one; tilted dots are tried with perspective too."""
     first = _tried(image, frames, target, ring)
     axes, angle = ellipses_of(frames)
     unsure = np.flatnonzero((first.rings[:, MARGIN] < SURE) & (axes[:, 1] < LEANING * axes[:, 0]))

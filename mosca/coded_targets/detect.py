@@ -10,8 +10,8 @@ A coded target is a dot within a ring of 20 sectors on a plate of the other colo
    moments are dots, on the image itself for dots up to about 13 px and on copies reduced by 2, 4, ... for
    larger ones.
 2. Frame (``coded_dots``). The dot's contour at half its own contrast, on 24 rays, gives the ellipse and with it
-   the affine map of the plate into the image but for its roll. For dots that lean and are not read surely, four
-   amounts of perspective along the shorter axis are tried too, and the surest reading is kept.
+   the affine map of the plate into the image but for its roll. For tilted dots with uncertain readings, four amounts
+   of perspective along the shorter axis are tried too, and the most certain reading is kept.
 3. Plate. At 40 points between dot and ring and outside the ring the grey value must follow a plane, within 0.4 of
    the dot's contrast.
 4. Ring (``coded_rings``). 120 directions, at three radii. The sectors start where the squared change of light
@@ -201,7 +201,7 @@ def _found(word: int) -> tuple[int, int] | None:
 
 
 def _surest(dots: Readings, ring_outer: float) -> Array:
-    """Return which readings remain (m,) where of those on each other's plates only the surest is kept."""
+    """Return which readings remain (m,): of those on each other's plates only the most certain."""
     x, y, xx, xy, yy = (dots.frames[:, k] for k in (X, Y, AXX, AXY, AYY))
     dx, dy = x[:, None] - x, y[:, None] - y
     away = np.hypot(yy * dx - xy * dy, xx * dy - xy * dx) / (xx * yy - xy**2)  # in radii of the second's dot

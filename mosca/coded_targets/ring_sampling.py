@@ -21,7 +21,7 @@ LEAST_LIKENESS = 0.93  # correlation of the ring's light with that of its word, 
 USUAL_BLUR_PX, MOST_PEAKING = 0.8, 0.6  # blur assumed in sharpening, and the largest share that it adds
 PICKS, PICK_STEP = 5, 0.15  # samples of a sector's level, and their spacing [sectors]
 PERSPECTIVE = 0.02  # by how much a radius of an edge-on dot is nearer, that no frame shows
-CLEAR_PX = 2.5  # from the next edge: no more than 1 % of other light up to a blur of 1.1 px
+CLEAR_PX = 2.5  # from the next edge: at most 1 % of light across it up to a blur of 1.1 px
 HELD = 6.0  # slopes are held at 0 with 0.02 a radius, against steps known to 0.05
 
 
@@ -153,7 +153,7 @@ def read_rings(light: Array, frames: Array, ring: Ring) -> Array:
     """Return (n, 3) word, bit k for the k-th sector, where its first sector starts [rad], and smallest margin.
 
     ``light`` (n, BANDS, STEPS) and ``frames`` (n, FRAME): see ``mosca.coded_targets.dots``. The margin is -1 where
-    the ring is no ring of sectors, or not sure.
+    the ring is no ring of sectors, or uncertain.
     """
     out = np.zeros((len(light), 3))
     for n in range(len(light)):

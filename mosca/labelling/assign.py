@@ -244,7 +244,7 @@ def _side_costs(
 
 
 def _name_the_rest(xyz: Array, there: Array, of_column: Array, model: MarkerModel, settings: LabelSettings) -> None:
-    """Name tracks ``of_column`` (n,) that have no marker yet, the surest first, until none is sure."""
+    """Name tracks ``of_column`` (n,) that have no marker yet, the most certain first, until none is certain."""
     while True:
         best: tuple[float, int, int] | None = None
         for k in np.flatnonzero((of_column < 0) & (there.sum(axis=0) >= settings.least_samples)):

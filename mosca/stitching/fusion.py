@@ -57,7 +57,7 @@ def merged(zones: Mapping[str, Tracks], groups: Sequence[Group], gate_sigma: flo
 
 
 def _weighted(xyz: Array, covariance: Array, gate_sigma: float) -> tuple[Array, Array, Array]:
-    """Return mean, covariance and which samples (n, 3) it is of: all, or the surest where they do not fit."""
+    """Return mean, covariance and the samples (n, 3) used: all, or that of least variance where they disagree."""
     surest = int(np.trace(covariance, axis1=1, axis2=2).argmin())
     for k in range(len(xyz)):
         away = xyz[k] - xyz[surest]

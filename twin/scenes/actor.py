@@ -82,7 +82,7 @@ def build_actor(
     Parameters
     ----------
     duration_s, box_center_m, box_size_m, floor
-        As for all scenes.
+        Length of the scene, working space ((3,) each), and whether there is a floor.
     markers, marker_diameter_m
         Number and size of the ball markers.
     rng

@@ -10,7 +10,7 @@ from mosca.data.arrays import Array
 
 GlowKind = Literal["plain", "retro", "paper", "lamp"]
 ALL_SIDES_DEG = 180.0
-"""``Glow.half_deg`` of a lamp that shines alike to all sides."""
+"""``Glow.half_deg`` of a lamp that shines equally to all sides."""
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,7 @@ def build_robot(
     Parameters
     ----------
     duration_s, box_center_m, box_size_m
-        As for all scenes.
+        Length of the scene, and working space ((3,) each).
     rng
         Draws the first heading and the noise.
     average_pwm, difference_pwm

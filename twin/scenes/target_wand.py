@@ -134,7 +134,7 @@ def build_l_frame(
 
 
 def default_wand(box: Box) -> Wand:
-    """Return three balls at unlike distances, a third of the box's shortest edge from end to end."""
+    """Return three balls at different distances, a third of the box's shortest edge from end to end."""
     length = float(box.size.min()) / 3
     return Wand((0.0, 0.4 * length, length), 0.04 * length)
 

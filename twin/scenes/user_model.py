@@ -52,11 +52,11 @@ def build_own(
     Parameters
     ----------
     duration_s, box_center_m, box_size_m
-        As for all scenes.
+        Length of the scene, and working space ((3,) each).
     rng
         Draws the start of the turntable.
     model_file, markers_file
-        See above.
+        Model and table of its markers.
     motion
         "turntable": the whole model, joints at rest, moves about the box, rotates and tilts; "physics": simulated
         from its first keyframe, else its rest pose, at -0.1 s; "table": ``motion_file``.

@@ -176,7 +176,7 @@ def _offsets(normal: Array, right_side: Array) -> Array:
     """Return for n cameras the significant terms (n, 12, 2) of the offset, 0 for the others.
 
     Of the sets of terms allowed the one whose chi-square, less CHANCE a term, is largest, axis by axis: terms in R
-    and (1, 1/R, 1/R^2) are so much alike that needless ones would only bring noise.
+    and (1, 1/R, 1/R^2) are so strongly correlated that superfluous ones only add noise.
     """
     out = np.zeros(right_side.shape)
     best = np.zeros((len(out), 2))

@@ -91,7 +91,7 @@ class CameraSupport:
     def of(
         cls, mount: Mount, name: str, pose: Pose, px_per_radian: float, seed: int, duration_s: float
     ) -> "CameraSupport":
-        """Return the camera's mount for a session of ``duration_s`` (a longer one begins alike)."""
+        """Return the camera's mount for a session of ``duration_s`` (a longer one begins identically)."""
         return cls(
             mount, name, pose, px_per_radian, seed, _tones(mount, name, seed), _walk(mount, name, seed, duration_s)
         )

@@ -1,4 +1,4 @@
-"""How a lens spreads the light of a point: the pupil in patches, each blurred alike.
+"""Point spread function of a lens: the pupil in patches, each with the same blur.
 
 The light through one patch of the pupil lands beside the ideal image: by defocus, in proportion to the
 position in the pupil; by coma, with its square and with the field (the ray aberrations of Seidel's theory). All

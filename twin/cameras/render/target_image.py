@@ -152,7 +152,7 @@ def _row_instant(
     row_time: float,
     height: int,
 ) -> Any:
-    """When the row ``shift`` below a moving target opens, plus ``late``; ``instant`` and ``row``: where to begin."""
+    """When the row ``shift`` below a moving target opens, plus ``late``; ``instant``, ``row``: initial values."""
     weights = np.empty(nodes.shape[0])
     t = instant
     for _ in range(60):

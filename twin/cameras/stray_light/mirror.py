@@ -119,8 +119,8 @@ def mirrored(
     """Return the mirror images that a camera sees, in its frame; those that it does not see at all are left out.
 
     ``position`` (K, 3), ``rotation`` (K, 3, 3) camera -> world at the window's nodes. Light that the camera itself
-    has sent (to retroreflective targets) goes by the mirror twice. A figure's image wears the figure numbered
-    ``figures`` (how many there are) higher: see ``with_mirrored``. The renderer must draw images without occluders:
+    has sent (to retroreflective targets) is reflected twice. A figure's image has the number of the figure plus
+    ``figures``, the number of figures: see ``with_mirrored``. The renderer must draw images without occluders:
     their occlusion is judged here, and geoms behind the mirror do not occlude them.
     """
     middle = len(position) // 2
