@@ -36,7 +36,7 @@ _OBLIQUE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Action:
-    """A loop of a moving person; made by ``act``. ``loop``: root place and rotations over ``length_s``."""
+    """A loop of a moving person; made by ``act``. ``loop``: root position and rotations over ``length_s``."""
 
     loop: CubicSpline
     length_s: float

@@ -1,4 +1,4 @@
-"""The actor's marker set: where each of up to 60 markers sits on the body, most wanted first.
+"""The actor's marker set: positions of up to 60 markers on the body, by priority.
 
 Names are those of the usual full-body sets (Vicon Plug-in Gait) where they exist. Each marker is seated
 by a ray from inside its body part: it leaves the part's own shapes at the skin.
@@ -117,7 +117,7 @@ MARKER_SITES: tuple[MarkerSite, ...] = (
 
 
 def seats(anatomy: Anatomy, shapes: dict[str, list[Shape]], markers: int) -> list[Seat]:
-    """Return where the first ``markers`` of the set sit; InputError outside 30..60."""
+    """Return the positions of the first ``markers`` of the set; InputError outside 30..60."""
     if not FEWEST <= markers <= MOST:
         raise InputError(f"markers = {markers} given; {FEWEST} to {MOST} fit on an actor")
     return [_seat(site, anatomy, shapes) for site in MARKER_SITES[:markers]]

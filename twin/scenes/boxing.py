@@ -71,7 +71,7 @@ _BEFORE_S, _BACK_S, _LOAD_S = 0.05, 0.26, 0.20
 
 
 def boxing(performer: Performer, rng: np.random.Generator) -> Motion:
-    """Return a loop: all combinations, in an order, at places and with timing drawn by ``rng``.
+    """Return a loop: all combinations, in an order, at positions and with timing drawn by ``rng``.
 
     Every fifth boxer leads with the right.
     """

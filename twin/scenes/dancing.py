@@ -178,7 +178,7 @@ def _turn(sequence: MovementSequence, clock: float, beat: float, side: str, rng:
 
 
 def _turned(motion: Motion, time_s: Array, turns: list[Turn], scale: float) -> Motion:
-    """Return ``motion`` turned as a whole about each turn's pivot; between turns it is as it was."""
+    """Return ``motion`` rotated as a whole about each turn's pivot; between turns it is unchanged."""
     root, rotations = motion.root_xyz.copy(), motion.rotations.copy()
     for turn in turns:
         angle = turn.sign * 2 * np.pi * minimum_jerk((time_s - turn.start_s) / (turn.end_s - turn.start_s))

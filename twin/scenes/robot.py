@@ -49,7 +49,7 @@ _DECK_M = np.array([0.34, 0.25, 0.006])
 _FRICTION = 0.5
 _ROTOR_INERTIA_KG_M2 = 0.01  # of motor and gear, seen at the wheel
 _TURN_BACK_M = 0.15
-"""The robot is turned back when it could reach the side of the box within this."""
+"""Safety margin of the distance from the box's side at which the robot's direction is reversed."""
 
 TARGET_XY_M: tuple[tuple[float, float], ...] = (
     *((x, 0.10) for x in (-0.15, -0.075, 0.0, 0.075, 0.15)),

@@ -75,7 +75,7 @@ BLUR_SIGMA_2 = 9e-4
 EACH = 8
 """The light's centroid is computed for every so many targets."""
 MORE_PX = 30
-"""Margin of the widest window around the largest region, on each side: room for the largest blur of a fit."""
+"""Margin of the widest window around the largest region, on each side; limits the blur of a fit."""
 
 
 class Priors(NamedTuple):

@@ -178,7 +178,7 @@ def solve_all(
     corrections (x, y, amplitude, background, radius, blur), the centre's covariance (xx, xy, yy), the variance of the
     blur from the data alone, and whether there is a solution.
     """
-    # in the order amplitude, background, radius, blur, x, y: the last rows of the factor hold the place's variance
+    # in the order amplitude, background, radius, blur, x, y: the factor's last rows hold the centre's covariance
     k = 0
     for j in range(4):
         for i in range(j, 4):

@@ -1,4 +1,4 @@
-"""The scene's geometry about one pulse, evaluated once for all cameras with equal exposure windows.
+"""The scene's geometry about one pulse, evaluated once for all cameras with similar exposure windows.
 
 Forward kinematics at every camera's every instant is expensive; over the few milliseconds of an exposure everything
 moves along a polynomial. So an *interval* of time is sampled at Chebyshev's nodes and interpolated by Lagrange's
