@@ -104,7 +104,7 @@ def detect(
     bit_depth :
         Significant bits of a pixel; default: 8 for uint8, 16 for uint16.
     background : (H, W), as the image
-        What does not move; taken off first.
+        Static scene; subtracted first.
 
     Raises InputError for an image, a background or a bit depth that do not fit each other.
     """
@@ -211,7 +211,7 @@ def reconstruct(
     fps :
         Frame rate [1/s] where the recording has no times of its own.
     backgrounds : camera name -> (H, W)
-        What does not move; taken off each image.
+        Static scene; subtracted from each image.
 
     Raises InputError where the recording does not fit the rig.
     """

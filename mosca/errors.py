@@ -1,4 +1,4 @@
-"""Errors that a user can mend: one line that names file, key, value, what is allowed and what to do."""
+"""Errors that a user can correct: one line that names file, key, value, what is allowed and what to do."""
 
 import re
 
@@ -14,7 +14,7 @@ class InputError(MoscaError):
 class CalibrationError(MoscaError):
     """Observations that do not determine a camera, or a camera that cannot be right.
 
-    A text that begins with a finding's code ("little-depth: ...") says what kind of trouble it is.
+    A text may begin with the code of a finding ("little-depth: ...").
     """
 
     @property

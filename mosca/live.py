@@ -21,7 +21,7 @@ from mosca.pipeline import Keeper, PipelineSettings, Step, check_source, run_set
 from mosca.synchronisation import Assembly, AssemblySettings, assemble
 
 LIVE_SPLIT = 2
-"""Threads among which the cameras of a frame set are divided, unless the settings say otherwise."""
+"""Threads among which the cameras of a frame set are divided, unless the settings set ``split``."""
 QUEUED_SETS = 2
 """Frame sets that may wait: one for the pipeline to take, one for the reader to bring."""
 

@@ -41,13 +41,13 @@ class PipelineSettings:
     volume: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     """Box (low (3,), high (3,)) [m, world] in which targets can be; other points are no targets. None: everywhere."""
     workers: int = 0
-    """Threads that detect in later frame sets, beside the one that matches and tracks, which detects rather than
-    wait: one fewer than there are cores. 0: each set is detected when it is needed, as a live run must."""
+    """Threads that detect in later frame sets, besides the one that matches and tracks (which also detects when it
+    would wait): one fewer than there are cores. 0: each set is detected when needed, as in a live run."""
     split: int | None = None
     """Threads among which the cameras of a set are then divided, which brings its tracks sooner (None: 2 in a live
     run, else 1). The tracks are the same."""
     nearest: NearestSettings | None = None
-    """Track as the guide does, the baseline of comparisons, instead of by ``track``."""
+    """Nearest-neighbour tracking of the guide, a baseline for comparisons, instead of ``track``."""
     assembly: AssemblySettings = field(default_factory=AssemblySettings)
     """How frames become frame sets."""
 
@@ -87,11 +87,25 @@ def run(
 ) -> Iterator[Step]:
     """Turn a source's frames into tracks, pulse by pulse.
 
-    ``assembly``: counts of frames and gaps, filled while running. ``backgrounds``: camera -> image (H, W) of
-    what does not move, taken off each of its images before detection; a camera without one keeps its images
-    as they are. ``keeper``: monitors the rig and may correct it while running. ``health``: of the cameras,
-    filled while running. InputError where the source lacks a camera of the rig, or sends images of another size, and
-    where a background is of a camera that the rig lacks.
+    InputError where the source lacks a camera of the rig or sends images of another size, and for a background of a
+    camera that the rig lacks.
+
+    Parameters
+    ----------
+    source
+        Yields the frames.
+    rig
+        Calibrated cameras.
+    settings
+        Of all stages.
+    assembly
+        Counts of frames and gaps, filled while running.
+    backgrounds
+        Camera -> image (H, W) of the static scene, subtracted before detection; cameras may be left out.
+    keeper
+        Monitors the rig and may correct it while running.
+    health
+        Of the cameras, filled while running.
     """
     check_source(source, rig)
     settings = PipelineSettings() if settings is None else settings

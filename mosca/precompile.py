@@ -1,7 +1,7 @@
 """Compile the pipeline's kernels before they are needed: ``python -m mosca.precompile``.
 
-With ``look`` only those of detection, with ``points`` only those of correspondence, triangulation and tracking: two
-processes compile them side by side.
+With ``look`` only those of detection, with ``points`` only those of correspondence, triangulation and tracking, so
+that two processes can compile in parallel.
 """
 
 import sys

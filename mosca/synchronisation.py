@@ -1,9 +1,8 @@
 """Assembly: frames of many cameras become frame sets, pulse by pulse; gaps are counted, never closed up.
 
 A frame's pulse number comes from its mid-exposure time on the common pulse clock: nominal frame rate,
-phase from the first frames, slow drift tracked. Arrival order says nothing and the camera's counter only
-checks, since a camera that misses a trigger counts on without a gap. The cameras' times must be on one
-clock; to bring them there is their source's work.
+phase from the first frames, slow drift tracked. Arrival order is not used, and the camera's counter only as a check,
+since a camera that misses a trigger counts on without a gap. The source must provide all cameras' times on one clock.
 
 Each set waits for all cameras, at most until ``open_pulses`` newer pulses are open. So late, reordered,
 doubled and lost frames, and cameras that die, cost that set at most a camera, and nothing shifts.
@@ -30,7 +29,7 @@ PERIOD_GAIN = 0.0005
 LARGEST_RATE_ERROR = 0.005
 """How far the period may move from the nominal one."""
 REMEMBERED_SETS = 1000
-"""For how many yielded sets a frame can still be told late from doubled."""
+"""Number of yielded sets for which a late frame can be distinguished from a duplicate."""
 
 
 @dataclass(frozen=True, config=SETTINGS)
@@ -49,39 +48,42 @@ class AssemblySettings:
 
 @dataclass
 class CameraCount:
-    """What became of one camera's frames, in pulses of the yielded sets.
+    """Counts of one camera's frames.
 
-    Each yielded set finds a camera ``delivered`` (usable, in time), ``corrupt``, ``late`` (too late for its
-    set) or ``dropped`` (nothing came): the four add up to the number of sets, unless a frame came before
-    the first set. ``doubled``: second frames of a pulse, ignored. ``reordered``: after a newer one, but in
-    time. ``stray``: stamp not to be believed. ``counter_jumps``: counter and time disagree.
+    ``delivered``, ``dropped``, ``corrupt`` and ``late`` add up to the number of yielded sets, unless a frame came
+    before the first set.
     """
 
     delivered: int = 0
+    """Usable and in time."""
     dropped: int = 0
+    """No frame came."""
     corrupt: int = 0
     late: int = 0
+    """Too late for its set."""
     doubled: int = 0
+    """Second frames of a pulse, ignored."""
     reordered: int = 0
+    """After a newer one, but in time."""
     stray: int = 0
+    """Implausible time stamp."""
     counter_jumps: int = 0
+    """Counter and time disagree."""
 
 
 @dataclass
 class Assembly:
-    """Running counts of an assembly; the one mutable value here, to be read at any time.
-
-    ``skipped_sets``: whole sets that a live run left out because it was behind (``mosca.live``). ``notes`` keeps
-    the first occurrence of each kind of trouble in words.
-    """
+    """Running counts of an assembly; mutable, may be read at any time."""
 
     frames: int = 0
     sets: int = 0
     complete_sets: int = 0
     empty_sets: int = 0
     skipped_sets: int = 0
+    """Whole sets that a live run skipped to bound its latency (``mosca.live``)."""
     cameras: dict[str, CameraCount] = field(default_factory=dict)
     notes: dict[str, str] = field(default_factory=dict)
+    """First occurrence of each kind of fault, as text."""
 
     def note(self, kind: str, frame: Frame, text: str) -> None:
         """Keep the first note of its kind."""
@@ -98,7 +100,7 @@ def assemble(
     """Yield the frame sets of ``frames``, one a pulse without gaps; the first set is pulse 0.
 
     A pulse in which no camera delivered yields an empty set at its expected time. ``assembly`` is filled
-    while the iteration runs. Raises InputError for cameras of unlike rate, for a frame of an unknown
+    while the iteration runs. Raises InputError for cameras of different rates, for a frame of an unknown
     camera and when only frames with unbelievable times come.
     """
     settings = settings or AssemblySettings()

@@ -26,7 +26,7 @@ from twin.scenes.scene import Scene, SceneSampler
 from twin.truth_log import PulseLog, truth_of
 
 LOOK_AHEAD = 4
-"""Pulses in work for each worker: enough to keep it busy, few enough to leave early without waste."""
+"""Pulses queued for each worker: enough to keep it busy, few enough to stop early without waste."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class _Period:
 
 
 class _Reading:
-    """One iteration over a source: its workers, and the log of the pulses it has handed out."""
+    """One iteration over a source: its workers, and the log of the pulses it has yielded."""
 
     def __init__(self, workers: int) -> None:
         self.log: list[PulseLog] = []
@@ -47,7 +47,7 @@ class _Reading:
         self._lock = Lock()
 
     def submit(self, work: Callable[[int], _Period], pulse: int) -> Future[_Period] | None:
-        """Hand a pulse to the workers; None after ``close``."""
+        """Submit a pulse to the workers; None after ``close``."""
         with self._lock:
             return None if self.closed else self._pool.submit(work, pulse)
 
@@ -145,7 +145,7 @@ class TwinSource:
             self._readings.discard(reading)
 
     def close(self) -> None:
-        """Stop the workers; iterations under way end with the frame they have given last."""
+        """Stop the workers; iterations under way end after the frame last yielded."""
         for reading in tuple(self._readings):
             reading.close()
 

@@ -20,7 +20,7 @@ LEAST_DARK_VARIANCE = 0.24
 
 
 def temporal(a: Array, b: Array) -> tuple[float, float]:
-    """Return mean and temporal variance of two images of one light: unevenness that stays drops out."""
+    """Return mean and temporal variance of two images of one light; fixed-pattern noise cancels."""
     a, b = a.astype(float), b.astype(float)
     return float((a.mean() + b.mean()) / 2), float(np.mean((a - b) ** 2) / 2 - (a.mean() - b.mean()) ** 2 / 2)
 
@@ -48,7 +48,7 @@ class PhotonTransfer:
 
     @property
     def gain(self) -> float:
-        """K [DN/e-]: slope through zero of variance over mean, dark taken off both, up to 70 % of saturation."""
+        """K [DN/e-]: slope through zero of variance over mean, less those in the dark, up to 70 % of saturation."""
         part = self._range(0.0, 0.7)
         return _slope((self.mean - self.mean[0])[part], (self.variance - self.variance[0])[part])
 
@@ -108,7 +108,7 @@ class Spatial:
 
 
 def spatial(stack: Array) -> Spatial:
-    """Return the spatial variances of images (L, M, N) of one light, the temporal noise left in the mean taken off.
+    """Return the spatial variances of images (L, M, N) of one light, less the temporal noise left in the mean.
 
     Variance of the mean image: row + column + pixel + temporal / L; of the row means: row + pixel / N + ...;
     of the column means: column + pixel / M + ...: three equations in three unknowns.

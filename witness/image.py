@@ -1,8 +1,8 @@
 """From light in the image plane to pixel values, worked out without any code of the project.
 
-A pixel takes what falls on its unit square; the blur is a Gaussian. Both are separable, so that a pixel's
-answer to a point of light at (x, y) is ``spread(x - column) * spread(y - row)`` with ``spread`` the difference
-of two normal distribution functions. Three ways lead to an image, and each is a check of the others:
+A pixel integrates over its unit square; the blur is a Gaussian. Both are separable, so that a pixel's response to a
+point of light at (x, y) is ``spread(x - column) * spread(y - row)`` with ``spread`` the difference of two normal
+distribution functions. There are three methods, each a check of the others:
 ``contour_image`` (Green's theorem along a polygon), ``lines_image`` (parallel scan lines, each from x0 to x1)
 and ``points_image`` (points of light with weights); ``witness.render.pixels_by_brute_force`` is a fourth.
 
@@ -21,7 +21,7 @@ Array = NDArray[Any]
 
 
 def spread(offset: Array, sigma_px: float) -> Array:
-    """Return a pixel's answer, one axis, to light ``offset`` px from its centre: square times Gaussian."""
+    """Return a pixel's response, one axis, to light ``offset`` px from its centre: square convolved with Gaussian."""
     result: Array = ndtr((offset + 0.5) / sigma_px) - ndtr((offset - 0.5) / sigma_px)
     return result
 
@@ -100,7 +100,7 @@ def points_image(xy: Array, weight: Array, sigma_px: float, width: int, height: 
 
 
 def lines_image(lines: Array, step_px: float, sigma_px: float, width: int, height: int) -> Array:
-    """Return the image of scan lines (n, 3): y, x0, x1 [px], each standing for a strip ``step_px`` high."""
+    """Return the image of scan lines (n, 3): y, x0, x1 [px], each representing a strip ``step_px`` high."""
     image = np.zeros((height, width))
     if len(lines) == 0:
         return image
@@ -131,8 +131,8 @@ def scan(
 ) -> tuple[Array, float]:
     """Return the scan lines (n, 3) of what is lit between two corners [px], and their distance.
 
-    ``lit``: points (n, 2) -> bool (n,). Each line is asked every 1 / ``coarse_per_px``; where the answer
-    changes, the place is found by bisection. What is thinner than the coarse step may be missed.
+    ``lit``: points (n, 2) -> bool (n,). Each line is sampled every 1 / ``coarse_per_px``; where the value
+    changes, the edge is found by bisection. What is thinner than the coarse step may be missed.
     """
     y = np.arange(low[1] + 0.5 / lines_per_px, high[1], 1 / lines_per_px)
     x = np.linspace(low[0], high[0], int(np.ceil((high[0] - low[0]) * coarse_per_px)) + 1)
@@ -145,7 +145,7 @@ def scan(
         same = lit(np.column_stack([middle, y[row]])) == was if len(row) else np.zeros(0, bool)
         before, after = np.where(same, middle, before), np.where(same, after, middle)
     turn = (before + after) / 2
-    # row-major order: a line's turns come in pairs, lit from the even to the odd one
+    # row-major order: a line's edges come in pairs, lit from the even to the odd one
     return np.column_stack([y[row[::2]], turn[::2], turn[1::2]]), 1 / lines_per_px
 
 

@@ -1,6 +1,6 @@
-"""Light of what is not evenly bright or not one convex spot: limb darkening, shading, printed figures.
+"""Light of targets that are not evenly bright or not convex: limb darkening, shading, printed figures.
 
-Targets are given by their definitions (brightness as a function of the place on the target), never by the
+Targets are given by their definitions (brightness as a function of the position on the target), never by the
 contours that the twin draws; those are checked against them.
 """
 
@@ -15,14 +15,16 @@ from witness.render import WitnessLens, across, area_and_centroid
 
 @dataclass(frozen=True, eq=False)
 class Spots:
-    """Points of light that stand for a disc: pixels ``xy`` (n, 2), the area of each (n,) [px^2], the share ``q``
-    of the radius (n,) and the place ``offset`` (n, 3) beside the middle, over the radius, camera frame.
-    """
+    """Points of light that represent a disc."""
 
     xy: Array
+    """(n, 2) [px]"""
     area: Array
+    """(n,) [px^2]"""
     q: Array
+    """(n,) share of the radius."""
     offset: Array
+    """(n, 3) from the middle, over the radius, camera frame."""
 
 
 def spots(
@@ -66,7 +68,7 @@ def brightness(face: Spots, limb: float, shade: tuple[float, float, float]) -> A
 
 
 Pattern = Callable[[Array, Array], Array]
-"""Places x, y on a plate [m] -> whether they are lit (n,)."""
+"""Positions x, y on a plate [m] -> whether they are lit (n,)."""
 
 
 def on_plate(lens: WitnessLens, centre: Array, turn: Array, xy: Array) -> tuple[Array, Array]:
@@ -89,7 +91,7 @@ def pattern_image(
 ) -> tuple[Array, float, Array]:
     """Return image (H, W), light [px^2] and centroid (2,) [px] of patterns on a plate, each with its brightness.
 
-    Scan lines ask the patterns' definition for every place: supersampling whose ends of lines are exact.
+    Scan lines evaluate the patterns' definition: supersampling with exact ends of lines.
     """
     t = 2 * np.pi * np.arange(100)[:, None] / 100
     rim = lens.project(centre + 1.02 * radius * (np.cos(t) * turn[:, 0] + np.sin(t) * turn[:, 1]))

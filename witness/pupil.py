@@ -5,7 +5,7 @@ diameter ``f^2 / N * |d - d0| / (d (d0 - f))`` (similar triangles behind the len
 rho (unit disc) lands at half the signed diameter times rho. Classical (Seidel) third-order coma of length L
 displaces it by ``L / 3 * |rho|^2 (2 + cos 2t, sin 2t)``, t and the first axis counted from the direction away from
 the image's centre: the comatic patch reaches from 0 to L with a 60 degree opening (Born and Wolf, section 5.3).
-The mean displacement is taken off: where a marker's light falls on average is the lens model's affair.
+The mean displacement is subtracted: the mean position of a marker's light belongs to the lens model.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ def pupil(radial: int = 16, around: int = 40) -> tuple[Array, Array]:
     """Return points (n, 2) of the unit disc and weights (n,) that sum to 1: Gauss-Legendre in rho^2 by angle."""
     nodes, weights = np.polynomial.legendre.leggauss(radial)
     rho = np.sqrt((1 + nodes) / 2)
-    # neighbouring rings are turned against each other, so that no direction is preferred
+    # neighbouring rings are rotated against each other, so that no direction is preferred
     t = 2 * np.pi * (np.arange(around)[None, :] + 0.381966 * np.arange(radial)[:, None]) / around
     points = rho[:, None, None] * np.stack([np.cos(t), np.sin(t)], axis=-1)
     return points.reshape(-1, 2), np.repeat(weights / 2 / around, around)

@@ -1,8 +1,8 @@
-"""What hides a marker, asked of MuJoCo's ray caster line by line, at one instant or many.
+"""Occlusion of a marker, by MuJoCo's ray caster line by line, at one instant or many.
 
-A small world is built in camera coordinates: marker and obstacles are mocap bodies, so that each can be put
-where it is at an instant. Scan lines of rays look through the lens; where the answer changes along a line, the
-place is found by bisection (``witness.image.scan``).
+A small world is built in camera coordinates: marker and obstacles are mocap bodies, so that each can be moved
+to its pose at an instant. Scan lines of rays go through the lens; edges along a line are found by bisection
+(``witness.image.scan``).
 """
 
 from collections.abc import Callable
@@ -20,19 +20,19 @@ MARKER_GROUP, UNSEEN_GROUP = 4, 5
 Path = Callable[[float], Array]
 """Time -> centre (3,) or rotation (3, 3), camera frame."""
 
-# world_from_camera: looks along the world's +y, a little down and askew
+# world_from_camera: optical axis near the world's +y, a little down and askew
 ROTATION = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]]) @ Rotation.from_rotvec([-0.2, 0.1, 0.15]).as_matrix()
 POSITION = np.array([0.1, -2.0, 0.3])
 
 
 def fixed(value: Any) -> Path:
-    """Return a path that stays where it is."""
+    """Return a constant path."""
     array = np.asarray(value, float)
     return lambda t: array
 
 
 class World:
-    """One marker (geom 0, ``marker``) and what may stand before it, moving as given."""
+    """One marker (geom 0, ``marker``) and its occluders, moving as given."""
 
     def __init__(self, at: Path, radius: float, normal: Array | None = None, turn: Path | None = None) -> None:
         self.spec, self.paths = mujoco.MjSpec(), list[tuple[Path, Path]]()
@@ -45,7 +45,7 @@ class World:
         self.add(kind, size, at, turn, MARKER_GROUP)
 
     def add(self, kind: Any, size: Any, at: Path, turn: Path | None = None, group: int = 0, **more: Any) -> "World":
-        """Add a geom that goes along ``at`` [m] and turns like ``turn``, both in the camera frame."""
+        """Add a geom with positions ``at`` [m] and rotations ``turn`` over time, both in the camera frame."""
         number = len(self.paths)
         body = self.spec.worldbody.add_body(name=f"b{number}", mocap=True)
         body.add_geom(type=kind, size=size, group=group, name=f"g{number}", **more)
@@ -66,7 +66,7 @@ class World:
         return model, data
 
     def move(self, model: mujoco.MjModel, data: mujoco.MjData, t: float) -> None:
-        """Put every body where it is at ``t``."""
+        """Set the poses of all bodies at ``t``."""
         for number, (at, turn) in enumerate(self.paths):
             k = model.body(f"b{number}").mocapid[0]
             data.mocap_pos[k] = ROTATION @ at(t) + POSITION
@@ -76,15 +76,16 @@ class World:
 
 @dataclass(frozen=True, eq=False)
 class SeenOverTime:
-    """``share`` of the marker's light that nothing hides (to 3e-4, what scan lines make of a whole one);
-    ``centroid`` (2,) of that light [px]; ``image`` (H, W) of it; ``area`` of the whole marker's image [px^2]; all
-    are means over the instants.
-    """
+    """The visible part of a marker, means over the instants of an exposure."""
 
     share: float
+    """Visible share of the marker's light, to 3e-4: relative to scan lines of the whole marker."""
     centroid: Array
+    """(2,) of that light [px]."""
     image: Array
+    """(H, W) of that light."""
     area: float
+    """Of the whole marker's image [px^2]."""
 
 
 def seen_over_time(

@@ -1,4 +1,4 @@
-"""Places before a camera, and lenses made of others: what several checks have in common."""
+"""Poses of markers before a camera, and lenses composed of others, shared by several checks."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from witness.render import WitnessLens, ball_outline, opencv_lens
 
 
 def real_lens(plain: WitnessLens, matrix: Array, tilt_deg: tuple[float, float], shift_m: float) -> WitnessLens:
-    """Return a lens whose entrance pupil wanders along the axis and whose sensor is tilted.
+    """Return a lens whose entrance pupil shifts along the axis with the field and whose sensor is tilted.
 
     A chief ray of field angle theta crosses the axis at ``shift_m`` * 2 sin^2 theta: found step by step. The tilt
     is OpenCV's, of a camera that has the principal distances and point of ``matrix`` and nothing else.
@@ -38,7 +38,7 @@ def pinhole(size: tuple[int, int], f_px: float = 300.0, bent: tuple[float, ...] 
 def place(
     lens: WitnessLens, xy: tuple[float, float], diameter: float, distance: float = 2.0
 ) -> tuple[Array, float, Array, Array, Array]:
-    """Return where a marker must stand for its image to lie about ``xy`` and to be about ``diameter`` px large.
+    """Return the pose of a marker whose image is near ``xy`` and about ``diameter`` px large.
 
     Returns its centre (3,), radius, and three unit vectors: the line of sight and two across it.
     """
@@ -63,6 +63,6 @@ def tilted_normal(tilt_deg: float, sight: Array, one: Array, other: Array) -> Ar
 
 
 def tangent_circle(centre: Array, radius: float) -> Array:
-    """Return the places (n, 3) [m] where a ball's tangent cone touches it."""
+    """Return the points (n, 3) [m] where a ball's tangent cone touches it."""
     directions = ball_outline(centre, radius)
     return np.asarray(directions * np.sqrt(centre @ centre - radius**2))

@@ -1,14 +1,14 @@
 """Finding checkerboards and ChArUco boards (with ArUco or AprilTag markers) through OpenCV.
 
-A thin wrapper: OpenCV finds the corners, their places are refined, their order made that of ``Board.corners()``,
-and what is not sure is refused. A checkerboard must be seen as a whole (``findChessboardCornersSB``; Duda and
+A thin wrapper: OpenCV finds the corners; they are refined, sorted as ``Board.corners()``, and rejected where
+uncertain. A checkerboard must be seen as a whole (``findChessboardCornersSB``; Duda and
 Frese 2018); of a ChArUco board, whose markers name the corners, at least half of them must be seen, and all corners
 must lie where one board before a camera can have them.
 
 Refinement is OpenCV's ``cornerSubPix`` (Foerstner and Guelch 1987) on the image blurred by 1 px: the point c to which
-all grey-value gradients g of a window are perpendicular, ``sum w g g^T (p - c) = 0``. The finder's own corners are
-five times as far off. The covariance is that of the pixels' noise, measured in the image, at first order, and
-``SYSTEMATIC_PX`` for what the finite window leaves of edges one or two pixels wide (measured on rendered boards).
+all grey-value gradients g of a window are perpendicular, ``sum w g g^T (p - c) = 0``. The errors of the unrefined
+corners are five times as large. The covariance is that of the pixel noise, measured in the image, at first order,
+plus ``SYSTEMATIC_PX``.
 """
 
 import math
@@ -31,21 +31,21 @@ BLUR_PX, BLUR_REACH = 1.0, 4
 SYSTEMATIC_PX = 0.01
 """Error that a finite window leaves of edges one or two pixels wide (measured on rendered boards)."""
 FARTHEST_SHARE = 0.15
-"""How far a corner may lie from where its board's homography has it, in distances of corners."""
+"""Largest residual of a corner from its board's homography, in distances between corners."""
 BEYOND_SHARE = 0.3
-"""How far beyond a checkerboard's border it is asked whether it goes on, in squares."""
+"""Distance beyond a checkerboard's border at which its continuation is tested, in squares."""
 LEAST_ALTERNATING = 0.95
 """Share of neighbouring squares that must be black and white."""
 NO_ROOM = "a corner is too near to the image's border"
 FEWEST_CORNERS = 6
-"""Below that nothing checks a homography."""
+"""Below that a homography has no redundancy."""
 
 
 def find_board(image: Array, board: Board, camera: str = "") -> BoardDetections:
     """Return the inner corners of ``board`` in an image (H, W) of uint8 or uint16, rows of ``Board.corners()``.
 
-    A board that is not there, half hidden or cut off gives none, and ``refused`` says why. Raises InputError for
-    another kind of image.
+    A board that is absent, half occluded or cut off gives none, with the reason in ``refused``. Raises InputError
+    for another kind of image.
     """
     if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16) or 0 in image.shape:
         raise InputError(
@@ -92,8 +92,8 @@ def corner_covariance(image: Array, xy_px: Array, half_px: int, noise_dn: float)
     """Return the covariance (2, 2) [px^2] of a corner refined in a window of +-``half_px`` of the blurred ``image``.
 
     ``noise_dn``: standard deviation of a pixel before the blur. First order in the pixels' noise: the corner moves by
-    ``A^-1 sum w [g (d . grad n) + (g . d) grad n]``, ``A = sum w g g^T``, with g the gradients, d the pixels' places
-    about the corner, n the blurred noise and w the window's weights. Infinite where no gradients meet.
+    ``A^-1 sum w [g (d . grad n) + (g . d) grad n]``, ``A = sum w g g^T``, with g the gradients, d the pixels' offsets
+    from the corner, n the blurred noise and w the window's weights. Infinite where A is singular.
     """
     column, row = np.floor(xy_px + 0.5).astype(int)
     reach = half_px + 1 + BLUR_REACH
@@ -107,7 +107,7 @@ def corner_covariance(image: Array, xy_px: Array, half_px: int, noise_dn: float)
     normal = np.einsum("iyx,jyx,yx->ij", g, g, weight)
     if not np.linalg.det(normal) > 1e-9 * np.trace(normal) ** 2:
         return np.full((2, 2), np.inf)
-    # what the noise of each pixel adds: central differences and blur, both turned round
+    # response to the noise of each pixel: adjoints of central differences and blur
     pull = np.zeros((2, *window.shape))
     along = g[0] * dx + g[1] * dy  # 0 on ideal edges
     for axis, d in ((1, dy), (2, dx)):
@@ -126,7 +126,7 @@ def _soft(image: Array) -> Array:
 
 
 def _has_room(image: Array, xy: Array, half_px: int) -> bool:
-    """Tell whether the windows about all corners (n, 2) lie within the image, blur and all."""
+    """Return whether the windows about all corners (n, 2) lie within the image, blur and all."""
     room = half_px + BLUR_REACH + 2
     return bool((xy >= room).all() and (xy <= np.array(image.shape[::-1]) - room - 1).all())
 
@@ -154,7 +154,7 @@ def _half_window(board: Board, spacing_px: float) -> int:
 
 
 def _checkerboard(image: Array, board: Board) -> tuple[Array, Array] | str:
-    """Return corners' numbers and places of a whole checkerboard, or why there is none."""
+    """Return indices and positions of a whole checkerboard's corners, or the reason for none."""
     size = (board.columns - 1, board.rows - 1)
     found, corners = cv2.findChessboardCornersSB(image, size)
     if not found:
@@ -173,7 +173,7 @@ def _checkerboard(image: Array, board: Board) -> tuple[Array, Array] | str:
 
 
 def _charuco(image: Array, board: Board) -> tuple[Array, Array] | str:
-    """Return corners' numbers and places of a ChArUco board, or why there are none."""
+    """Return indices and positions of a ChArUco board's corners, or the reason for none."""
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, str(board.dictionary)))
     size = (board.columns, board.rows)
     theirs = cv2.aruco.CharucoBoard(size, float(board.square_m), float(board.marker_m or 0.0), dictionary)
@@ -217,11 +217,11 @@ def _other_pattern(image: Array, board: Board, homography: Array) -> str:
     """Return why the corners found are not those of the whole checkerboard, "" where they are.
 
     OpenCV also finds a part of a larger board, or every second row of it, other ones in each image. Within the board
-    squares must be black and white in turns; beyond its sides lies its margin, or whatever is behind.
+    squares must alternate between black and white; beyond its sides is its margin, or the background.
     """
     size = np.array([board.columns, board.rows])
     column, row = np.meshgrid(np.arange(-1, size[0] + 1), np.arange(-1, size[1] + 1))
-    # asked near the board: of the square beyond a narrow margin little is left
+    # sampled near the border: a narrow margin is smaller than a square
     middle = np.stack([column, row], axis=-1) + 0.5
     middle = np.clip(middle, -BEYOND_SHARE, size + BEYOND_SHARE)
     plane = (middle - size / 2) * board.square_m * [1, -1]

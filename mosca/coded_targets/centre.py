@@ -1,8 +1,7 @@
 """Centres of the dots of coded targets: the centroid within a soft window that is centred on it.
 
-A mask of whole pixels cuts the blurred edge off here and there, and draws a centroid by 0.005 to 0.02 px. The window
-here is smooth, elliptic as the dot, and lies about the centre c itself, so that what it cuts off is cut off alike on
-both sides::
+A mask of whole pixels truncates the blurred edge unevenly and biases a centroid by 0.005 to 0.02 px. The window here
+is smooth, elliptic as the dot, and centred on the centre c itself, so that its truncation is symmetric::
 
     sum_p w(p - c) (I(p) - b(p)) (p - c) = 0
 
@@ -13,9 +12,9 @@ covariance is the random error, to a third. What remains besides, measured on re
 0.9 px, is below 0.002 px rms where the dot's shorter axis is 7 px or more, 0.004 px from 5 px on, and up to 0.009
 px below.
 
-Light that falls across a plate, from a near lamp or a lens's darker corners, draws a centroid too. Its slopes are
-asked of plate and ring where these are wide enough, and taken off; 30 % less light in the image's corners leaves up
-to 0.006 px, and 0.01 to 0.02 px where large dots lean by 60 deg.
+A brightness gradient across a plate, from a near lamp or vignetting, biases a centroid too. It is estimated on plate
+and ring where these are wide enough, and corrected; vignetting of 30 % in the image's corners leaves up to 0.006 px,
+and 0.01 to 0.02 px for large dots tilted by 60 deg.
 """
 
 import math
@@ -47,9 +46,9 @@ END_PX, END_SHARE = 4.0, 0.6
 LEAST_SLOPE, LEAST_SLOPE_PX = 0.4, 2.5
 """Width of the window's slope, at least: in radii of the dot, or in px where that is less."""
 BAND_SPREAD = 0.15
-"""From one radius at which the ring's white is asked to the next, of the ring's width."""
+"""Spacing of the radii at which the ring's white is sampled, as a share of the ring's width."""
 STEPS_MOST, CLOSE_PX, FARTHEST = 12, 3e-4, 0.5
-"""Newton steps, the length after which the next would be nothing, and how far they may lead in all, in radii."""
+"""Largest number of Newton steps, step length at convergence, and largest total shift in radii."""
 
 
 def measure_dots(
@@ -62,8 +61,8 @@ def measure_dots(
 ) -> tuple[Array, Array]:
     """Return centres (n, 2) [px] and covariances (n, 2, 2) [px^2] of ``dots``; NaN for one that has none.
 
-    ``image`` (H, W) shows them white. ``turned_dn``: the grey value that was black where the image's grey values
-    were turned round: then photon noise grows with the plate's light. ``dark_dn2``, ``gain_dn``: variance of a pixel
+    ``image`` (H, W) shows them white. ``turned_dn``: the grey value that was black, where the image was inverted:
+    then photon noise grows with the plate's light. ``dark_dn2``, ``gain_dn``: variance of a pixel
     without light [DN^2], and what a grey value of light adds to it.
     """
     image = looked_at(image)
@@ -78,8 +77,8 @@ def measure_dots(
 def plate_and_white(image: Array, dots: Readings, target: TargetAppearance) -> Array:
     """Return (n, 5) the plate's light [DN] with its slopes along u and v, and the slopes of white over its level.
 
-    Slopes per radius of the dot. The light of a lamp or a lens that falls by 0.1 % a pixel draws the plain centroid
-    of a dot of radius R px by ``0.001 R^2 / 4`` px, and a slope of the plate's light by more.
+    Slopes per radius of the dot. A brightness gradient of 0.1 % per pixel biases the plain centroid of a dot of
+    radius R px by ``0.001 R^2 / 4`` px, a gradient of the plate's light by more.
     """
     middle, apart = (
         0.5 * (target.ring_inner + target.ring_outer),

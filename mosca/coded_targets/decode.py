@@ -15,28 +15,29 @@ from mosca.coded_targets.ring_sampling import MARGIN, Ring, read_rings
 from mosca.data.arrays import Array, looked_at
 
 LARGEST_DOT_PX = 13.0
-"""Diameter of the largest dot that is sure to be one patch; larger ones are found on reduced images."""
+"""Diameter of the largest dot that is always one patch; larger ones are found on reduced images."""
 SMALLEST_REDUCED_PX = 6.0
 """Diameter of the smallest dot that is searched for on reduced images; smaller ones have been found before."""
 PERSPECTIVES = (0.03, -0.03, 0.06, -0.06)
-"""What is tried after 0: by how much a radius of the dot is nearer or farther, over the distance."""
+"""Perspectives tried after 0: relative change of depth over a radius of the dot."""
 LEANING = 0.9
 """Ratio of axes below which a dot leans enough to have perspective."""
 BAND_SPREAD = 0.22
-"""From one radius at which a ring is asked to the next, of the ring's width."""
+"""Spacing of the radii at which a ring is sampled, as a share of the ring's width."""
 SURE = 0.4
 """Margin from which on no other perspective is tried."""
 
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """What was read about dots: ``frames`` (n, FRAME) and ``levels`` (n, LEVELS) as in ``coded_dots``, ``rings``
-    (n, 3) as in ``coded_rings``.
-    """
+    """What was read about dots."""
 
     frames: Array
+    """(n, FRAME) see ``mosca.coded_targets.dots``."""
     levels: Array
+    """(n, LEVELS) likewise."""
     rings: Array
+    """(n, 3) see ``mosca.coded_targets.ring_sampling.read_rings``."""
 
     def __getitem__(self, rows: Array) -> "Readings":
         return Readings(self.frames[rows], self.levels[rows], self.rings[rows])
@@ -68,7 +69,7 @@ def read_codes(image: Array, target: TargetAppearance, maximum_dot_px: float, le
 
 
 def band_radii(target: TargetAppearance) -> Array:
-    """Return the radii (BANDS,) at which a ring is asked."""
+    """Return the radii (BANDS,) at which a ring is sampled."""
     middle, width = 0.5 * (target.ring_inner + target.ring_outer), target.ring_outer - target.ring_inner
     return np.array([middle - BAND_SPREAD * width, middle, middle + BAND_SPREAD * width])
 
@@ -81,7 +82,7 @@ def ellipses_of(frames: Array) -> tuple[Array, Array]:
 
 
 def _within(places: Array, read: Readings) -> Array:
-    """Tell which places (n, 2) [px] lie within a dot that was read surely."""
+    """Return which positions (n, 2) [px] lie within a dot that was read with certainty."""
     sure = read[np.flatnonzero(read.rings[:, MARGIN] >= SURE)].frames
     reach = np.minimum(sure[:, AXX], sure[:, AYY]) / 2
     away = np.hypot(places[:, :1] - sure[:, X], places[:, 1:] - sure[:, Y])
@@ -89,7 +90,7 @@ def _within(places: Array, read: Readings) -> Array:
 
 
 def _read(image: Array, frames: Array, target: TargetAppearance, ring: Ring) -> Readings:
-    """Return the surest reading about each dot that has one; leaning dots are tried with perspective too."""
+    """Return the most certain reading of each dot that has one; tilted dots are tried with perspective too."""
     first = _tried(image, frames, target, ring)
     axes, angle = ellipses_of(frames)
     unsure = np.flatnonzero((first.rings[:, MARGIN] < SURE) & (axes[:, 1] < LEANING * axes[:, 0]))

@@ -10,26 +10,24 @@ A coded target is a dot within a ring of 20 sectors on a plate of the other colo
    moments are dots, on the image itself for dots up to about 13 px and on copies reduced by 2, 4, ... for
    larger ones.
 2. Frame (``coded_dots``). The dot's contour at half its own contrast, on 24 rays, gives the ellipse and with it
-   the affine map of the plate into the image but for its roll. For dots that lean and are not read surely, four
-   amounts of perspective along the shorter axis are tried too, and the surest reading is kept.
-3. Plate. Between dot and ring and outside the ring all must be plate, evenly lit or with light that changes
-   evenly: at 40 places within 0.4 of the dot's contrast.
+   the affine map of the plate into the image but for its roll. For tilted dots with uncertain readings, four amounts
+   of perspective along the shorter axis are tried too, and the most certain reading is kept.
+3. Plate. At 40 points between dot and ring and outside the ring the grey value must follow a plane, within 0.4 of
+   the dot's contrast.
 4. Ring (``coded_rings``). 120 directions, at three radii. The sectors start where the squared change of light
-   has its phase. What blur has let in from the neighbours is taken off. No six sectors of a number are alike,
-   so each is compared with the middle of the lightest and the darkest of the seven about it. The three radii
-   must agree, the swing must be that of the dot, the ring's light must correlate with that of the word by 0.93,
-   and the word must be one of the code's exactly: any two numbers differ in four sectors, and nothing is put
-   right.
-5. Centre (``coded_measure``). The centroid of the dot within a soft window about it, above the light of its plate
-   and freed of what the light falls across it. The circle's eccentricity is left in: ``mosca.camera.eccentricity``
-   gives it once the camera stands.
+   has its phase. The blur between sectors is corrected. No six successive sectors of a number are alike, so each is
+   thresholded at the middle of the lightest and the darkest of the seven about it. The three radii must agree, the
+   contrast must be that of the dot, the ring's light must correlate with that of the word by 0.93, and the word must
+   be one of the code's exactly: any two numbers differ in four sectors, and no errors are corrected.
+5. Centre (``mosca.coded_targets.centre``). The centroid of the dot within a soft window, above the light of its
+   plate and corrected for brightness gradients. The circle's eccentricity is not corrected here: that needs the
+   camera's pose (``mosca.camera.eccentricity``).
 
-Of readings on one another's plates only the surest is kept; a number that is read in two places is refused in
-both. A mirrored ring is refused but for 25 of the 507 numbers, of which 13 read the same and 12 as another.
-Nothing but a mirror shows one; where there are mirrors, name the ``numbers`` that there are. So it is with
-hiding: whatever covers up to three sectors cannot make another number; four or five neighbours, covered exactly
-and in the ring's own black, do in 0.09 % and 0.2 % of all cases, more than five never. (Counted over the whole
-code in the tests.)
+Of readings on one another's plates only the most certain is kept; a number that is read twice is refused in both
+cases. A mirrored ring is refused but for 25 of the 507 numbers, of which 13 read the same and 12 as another; only
+mirrors show these: where there are mirrors, restrict ``numbers``. Occlusion of up to three sectors cannot make
+another number; four or five neighbours, covered exactly and in the ring's own black, do in 0.09 % and 0.2 % of all
+cases, more than five never. (Counted over the whole code in the tests.)
 """
 
 import math
@@ -55,7 +53,7 @@ SAMPLED_ROWS = 16
 
 @dataclass(frozen=True)
 class CodedSettings:
-    """What coded targets look like. Grey values [DN] are those of an 8-bit image, scaled with the bits."""
+    """Appearance of coded targets. Grey values [DN] are those of an 8-bit image, scaled with the bits."""
 
     colour: Literal["white", "black", "both"] = "white"
     """Of dot and sectors: white on black plates, black on white ones, or either."""
@@ -74,7 +72,7 @@ class CodedSettings:
     flattest: float = 0.3
     """Shorter over longer axis of the flattest dot: 0.3 is 72 deg of tilt."""
     least_confidence: float = 0.25
-    """Of the sector that is hardest to read; below, the target is refused."""
+    """Least margin of a sector; below, the target is refused."""
     read_noise_dn: float = 0.13
     """As in ``DetectionSettings``."""
     gain_dn_per_e: float = 0.0128
@@ -168,7 +166,7 @@ def noise_of(image: Array) -> float:
 
 
 def _appearance(settings: CodedSettings, scale: float, noise: float) -> TargetAppearance:
-    """Return what targets look like in an image of ``scale`` times the grey values of 8 bits."""
+    """Return the targets' appearance in an image of ``scale`` times the grey values of 8 bits."""
     return TargetAppearance(
         gap=0.5 * (1.0 + settings.ring_inner),
         ring_inner=settings.ring_inner,
@@ -203,7 +201,7 @@ def _found(word: int) -> tuple[int, int] | None:
 
 
 def _surest(dots: Readings, ring_outer: float) -> Array:
-    """Return which readings remain (m,) where of those on each other's plates only the surest is kept."""
+    """Return which readings remain (m,): of those on each other's plates only the most certain."""
     x, y, xx, xy, yy = (dots.frames[:, k] for k in (X, Y, AXX, AXY, AYY))
     dx, dy = x[:, None] - x, y[:, None] - y
     away = np.hypot(yy * dx - xy * dy, xx * dy - xy * dx) / (xx * yy - xy**2)  # in radii of the second's dot

@@ -37,7 +37,7 @@ the frame is refined."""
 
 
 class TargetAppearance(NamedTuple):
-    """What a target looks like; radii in radii of the dot, grey values in those of the image."""
+    """Appearance of a target; radii in radii of the dot, grey values in those of the image."""
 
     gap: float
     """Middle of the gap between dot and ring."""
@@ -91,7 +91,7 @@ def grey_of(image: Array, frame: Array, radius: float, c: float, s: float) -> fl
 
 @step
 def is_inside(image: Array, frame: Array, radius: float) -> bool:
-    """Tell whether a frame's disc of ``radius``, with room for its perspective, lies within the image."""
+    """Return whether a frame's disc of ``radius``, enlarged by its perspective, lies within the image."""
     room = radius / (1.0 - radius * math.hypot(frame[5], frame[6]))
     half_x, half_y = room * math.hypot(frame[2], frame[3]), room * math.hypot(frame[3], frame[4])
     right, bottom = image.shape[1] - 1, image.shape[0] - 1

@@ -19,9 +19,9 @@ LEAST_SWING = 0.3  # of white against black sectors, over the dot's contrast; an
 BAND_TOLERANCE = 0.35  # of the swing, by which one radius may contradict the ring as a whole
 LEAST_LIKENESS = 0.93  # correlation of the ring's light with that of its word, at least
 USUAL_BLUR_PX, MOST_PEAKING = 0.8, 0.6  # blur assumed in sharpening, and the largest share that it adds
-PICKS, PICK_STEP = 5, 0.15  # where in a sector its level is taken [sectors]
+PICKS, PICK_STEP = 5, 0.15  # samples of a sector's level, and their spacing [sectors]
 PERSPECTIVE = 0.02  # by how much a radius of an edge-on dot is nearer, that no frame shows
-CLEAR_PX = 2.5  # from the next edge: no more than 1 % of other light up to a blur of 1.1 px
+CLEAR_PX = 2.5  # from the next edge: at most 1 % of light across it up to a blur of 1.1 px
 HELD = 6.0  # slopes are held at 0 with 0.02 a radius, against steps known to 0.05
 
 
@@ -51,8 +51,8 @@ def sector_lengths(frame: Array, start: float, radius: float, blur_px: float) ->
 def sector_levels(light: Array, start: float, lengths: Array) -> Array:
     """Return the light (BANDS + 1, SECTORS) of each sector at each radius and, last, at all, sharpened.
 
-    ``start`` in steps. Blur lets a share ``a = erfc(length / sqrt(8)) / 2`` of each neighbour's light into the middle
-    of a sector; to first order that is undone by adding ``a / (1 - 4 a)`` times its differences from them.
+    ``start`` in steps. Blur adds a share ``a = erfc(length / sqrt(8)) / 2`` of each neighbour's light to the middle
+    of a sector; the first-order correction adds ``a / (1 - 4 a)`` times its differences from them.
     """
     raw = np.zeros((BANDS + 1, SECTORS))
     for j in range(PICKS):
@@ -153,7 +153,7 @@ def read_rings(light: Array, frames: Array, ring: Ring) -> Array:
     """Return (n, 3) word, bit k for the k-th sector, where its first sector starts [rad], and smallest margin.
 
     ``light`` (n, BANDS, STEPS) and ``frames`` (n, FRAME): see ``mosca.coded_targets.dots``. The margin is -1 where
-    the ring is no ring of sectors, or not sure.
+    the ring is no ring of sectors, or uncertain.
     """
     out = np.zeros((len(light), 3))
     for n in range(len(light)):
@@ -169,7 +169,7 @@ def read_rings(light: Array, frames: Array, ring: Ring) -> Array:
 
 @step
 def add_slope(values: Array, radius: float, used: Array, sums: Array) -> None:
-    """Add the products of values (STEPS,) and their places at ``radius`` to ``sums`` (uu, uv, vv, uy, vy).
+    """Add the products of values (STEPS,) and their positions at ``radius`` to ``sums`` (uu, uv, vv, uy, vy).
 
     Of the steps that are ``used``, all about their own means.
     """
@@ -192,7 +192,7 @@ def add_slope(values: Array, radius: float, used: Array, sums: Array) -> None:
 
 @step
 def slope_of(sums: Array) -> tuple[float, float]:
-    """Return the slopes along u and v from the sums of ``add_slope``, drawn towards 0 where little is seen."""
+    """Return the slopes along u and v from the sums of ``add_slope``, regularised towards 0 (``HELD``)."""
     uu, vv = sums[0] + HELD, sums[2] + HELD
     det = uu * vv - sums[1] ** 2
     return (vv * sums[3] - sums[1] * sums[4]) / det, (uu * sums[4] - sums[1] * sums[3]) / det
@@ -217,8 +217,8 @@ def shading(
     """Return (n, 4) slopes along u and v [per radius of the dot]: of the plate's light and, last, of the white's.
 
     ``light`` (n, 2 + m, STEPS) at ``radii`` (2 + m,): in the gap, outside, and m in the ring; 0 the plate's light,
-    from which ``slopes`` (n, 2) have been taken off, 1 the dot's. ``rings``: what was read. The plate is asked beside
-    black sectors and the white in white ones, ``CLEAR_PX`` from any edge: what is too small for that is held even.
+    from which ``slopes`` (n, 2) have been subtracted, 1 the dot's. ``rings``: what was read. The plate is sampled
+    beside black sectors and the white in white ones, ``CLEAR_PX`` from any edge; without such samples a slope is 0.
     """
     out = np.zeros((len(light), 4))
     used, values = np.empty((len(radii), STEPS), np.bool_), np.empty(STEPS)

@@ -109,7 +109,8 @@ def _begun(data, start):
 def _search_pair(pair, across, stage, start, hypothesis, state, data, kept, count):
     """Add the hypotheses that begin with a ray of each of two cameras; returns the hypotheses and their number.
 
-    ``across`` (2, 3): of ``RayTable.bases``. ``stage``: 1 looks for half-hidden targets, beside the gates of stage 0.
+    ``across`` (2, 3): of ``RayTable.bases``. ``stage``: 1 searches for half-hidden targets, outside the gates of
+    stage 0.
     """
     rays, gate = data.rays, data.rules[0].gate_sigma
     explained, slack, partner = state.explained, state.slack, state.partner

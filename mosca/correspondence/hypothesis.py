@@ -28,7 +28,7 @@ HALF_HIDDEN = 0.55
 such an image."""
 PARTIAL_ODD, LONG_ODD, UNFITTED_ODD = 0.2, 0.3, 0.6
 """Missing share, at least, of an image that detection takes for partly hidden; of one that is long where the others
-are round (cut on one side; its size is little evidence); of one that stands alone and that no disc fits, where
+are round (cut on one side; its size is little evidence); of one that is isolated and that no disc fits, where
 discs fit the others: more than half of such targets is hidden, whatever their size."""
 SIZES, SHAPES = 1.0, 2.0
 """What images are judged by: their sizes alone, or whether they are long and whether a disc fits them too."""
@@ -94,7 +94,7 @@ class MatchData(NamedTuple):
 
 
 class Hypothesis(NamedTuple):
-    """The hypothesis in hand."""
+    """The current hypothesis."""
 
     members: Any
     """(c,) ray of each camera, or -1."""
@@ -117,7 +117,7 @@ class Hypotheses(NamedTuple):
 
 @step
 def new_hypothesis(cameras):
-    """Return arrays for a hypothesis in hand."""
+    """Return arrays for a hypothesis."""
     return Hypothesis(np.empty(cameras, dtype=np.int64), np.ones((cameras, RANKS)), np.zeros(VALUES))
 
 
@@ -159,8 +159,8 @@ def solve(hypothesis, steps, data):
 def judge_sizes(hypothesis, data):
     """Set each member's trust from the size of its image; returns the target's diameter from its largest image.
 
-    As long as no typical size is known, the second largest of four and more is the whole one: the largest may be of
-    two targets, and beside it all others would appear half hidden.
+    While no typical size is known, the second largest of four and more images is taken as unoccluded: the largest
+    may be of two targets.
     """
     members, ranks, values = hypothesis
     rules = data.rules[0]

@@ -23,7 +23,7 @@ from mosca.data.tracks import Points
 from mosca.numba_support.decorators import kernel
 
 USUAL = 0.25
-"""Share of images that are long, or stand alone without a fit, from which that is no evidence against an image:
+"""Share of images that are elongated, or isolated without a fit, from which that is no evidence against an image:
 targets are flat or fast, fits were not tried."""
 EVERYWHERE = (np.full(3, -np.inf), np.full(3, np.inf))
 """A volume without bounds."""
@@ -37,7 +37,7 @@ class Matched:
     considered: int
     """How many hypotheses there were."""
     left_open: int
-    """How many pairs were not taken because another that meets about as well has one of their images."""
+    """Number of ambiguous pairs: another with about the same residual has one of their images."""
 
 
 def match(
@@ -49,9 +49,9 @@ def match(
 ) -> Points:
     """Return the points whose rays meet, from a consistent set of hypotheses.
 
-    A hypothesis is worth its likelihood against clutter and that of the track that predicts it (each track supports
-    one hypothesis). A pair without a track is taken only where no other such pair that meets about as well has one of
-    its rays: two cameras leave that ambiguous, later frame sets resolve it.
+    A hypothesis is scored by its likelihood ratio against clutter and that of the track that predicts it (each track
+    supports one hypothesis). A pair without a track is accepted only where no other such pair with about the same
+    residual has one of its rays: two cameras leave that ambiguous, later frame sets resolve it.
 
     Parameters
     ----------

@@ -10,7 +10,8 @@ from mosca.data.rays import ANGLE, DENSITY, SIGMA, WHITE
 from mosca.numba_support.decorators import bare_step, inlined_step
 
 FEW_CELLS = 2
-"""More cells than these beside the first are searched only where the error ellipse itself, not its bound, asks so."""
+"""More cells than these beside the first are searched only where the error ellipse itself, not its bound, covers
+them."""
 FIRST_ORDER = 1.01
 """Factor on gates that are computed to first order in the errors."""
 SAME_SIDE = 0.9995

@@ -1,8 +1,8 @@
 """Which hypotheses are targets: compiled steps of ``mosca.correspondence.match``, after
 ``mosca.correspondence.candidates``.
 
-Hypotheses are taken by their likelihood against clutter, best first, so that no image is used twice; one that loses
-images to a better one is tried again with those it has left. What two cameras alone leave ambiguous is left open.
+Greedy selection by likelihood ratio against clutter, best first, each image used once; a hypothesis that loses images
+to a better one is tried again with those that remain. Pairs that are ambiguous in two cameras are left open.
 """
 
 import numpy as np
@@ -30,8 +30,8 @@ from mosca.numba_support.linalg3 import Symmetric3, mahalanobis3
 from mosca.triangulation.triangulate import TRUST
 
 CLEARLY_WORSE = 9.0
-"""Chi-square, 3 standard deviations, by which a pair must be worse than another to leave that uncontested: larger
-leaves more pairs open, smaller takes more wrong ones."""
+"""Chi-square, 3 standard deviations, by which competing pairs must be worse for a pair to be unambiguous: larger
+leaves more pairs open, smaller accepts more wrong ones."""
 PRIOR_SEEN = 5.0
 """Prior of the detection probability, as so many images detected and as many missed (Laplace smoothing)."""
 OPEN, TAKEN, GONE = 0, 1, 2
@@ -131,9 +131,9 @@ def _seen_and_missing(g, values, members, views):
 
 @bare_step
 def _best_track(values, xyz, covariance, assigned, gate, density, found, near):
-    """Return the track that best predicts a hypothesis, of the first ``near`` of ``found``, or -1, and its worth.
+    """Return the track that best predicts a hypothesis, of the first ``near`` of ``found``, or -1, and its score.
 
-    The worth is the log-likelihood ratio of "this track's target" against "a hypothesis anywhere": small for a track
+    The score is the log-likelihood ratio of "this track's target" against "a hypothesis anywhere": small for a track
     that has not been seen for long, whose prediction is uncertain.
     """
     best, worth, gate2 = -1, 0.0, gate * gate
@@ -190,7 +190,7 @@ def _take(g, kept, track, used, assigned, data):
 
 @bare_step
 def _shrink(g, kept, used, hypothesis, data):
-    """Take the rays that are used from a hypothesis and solve it anew; False where no target is left."""
+    """Remove the used rays from a hypothesis and solve it again; False where no target is left."""
     values, members = kept.values, kept.members
     mates, ranks, solved = hypothesis
     count, lost = NONE, False
@@ -216,7 +216,7 @@ def _shrink(g, kept, used, hypothesis, data):
 
 @step
 def _take_uncontested(values, members, state, used):
-    """Take the hypotheses whose rays no other open one contests that meets about as well."""
+    """Accept the hypotheses that share no ray with another open one of about the same residual."""
     # for each ray the best hypothesis that has it, and the best of those with another set of rays
     first = np.full(used.shape[0], -1, dtype=np.int64)
     second = np.full(used.shape[0], -1, dtype=np.int64)
@@ -243,7 +243,7 @@ def _take_uncontested(values, members, state, used):
 
 @bare_step
 def _contested(g, values, members, used, first, second):
-    """Whether a ray of a hypothesis is used, or another hypothesis that meets about as well has it."""
+    """Whether a ray of a hypothesis is used, or belongs to another hypothesis of about the same residual."""
     for c in range(members.shape[1]):
         k = members[g, c]
         if k >= 0:
@@ -288,7 +288,7 @@ def columns(kept, state, rays, start):
             xyz[n, p] = values[g, XYZ + p]
             for q in range(3):
                 covariance[n, p, q] = values[g, COVARIANCE + 3 * p + q]
-        # the variance of its images' mean weight turns whitened errors into px: poor images add little
+        # the variance at its images' mean weight converts whitened errors to px: poor images add little
         residual[n] = np.sqrt(count[n] / weight * values[g, CHI2] / (2.0 * count[n]))
         diameter[n] = values[g, DIAMETER]
         n += 1

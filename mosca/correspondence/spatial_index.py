@@ -3,7 +3,7 @@ neighbours in constant time.
 
 Two of them. Intervals on a line in buckets: the rays of two cameras by the angle of their epipolar plane about the
 base, or tracks by one coordinate. Rays of a camera in the cells of a plane: directions by stereographic projection
-from the camera's axis, which is finite for every direction but straight behind and turns circles into circles.
+from the camera's axis, which is finite for every direction but straight behind and maps circles to circles.
 """
 
 from typing import Any, NamedTuple
@@ -103,7 +103,7 @@ def cells(rays, views, start):
     """Sort the rays (n, COLUMNS) of all cameras into cells of about one ray; rays without a direction into none.
 
     Returns each camera's frame (c, FRAME), and the cells: number k holds ``items[first[k]:first[k + 1]]``, whose
-    places (n, 2) in the plane follow in the same order.
+    coordinates (n, 2) in the plane follow in the same order.
     """
     cameras, n = views.shape[0], rays.shape[0]
     place, cell, frame = np.empty((n, 2)), np.full(n, -1, dtype=np.int64), np.zeros((cameras, FRAME))
@@ -144,7 +144,7 @@ def cells(rays, views, start):
 
 @bare_step
 def cell_of(value, corner, scale, side):
-    """Return the row or column of a place, the end ones for what lies beyond."""
+    """Return the row or column of a coordinate, clamped to the first and last."""
     return int(min(max((value - corner) * scale, 0.0), side - 1.0))
 
 

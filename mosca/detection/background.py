@@ -1,4 +1,4 @@
-"""Images of what does not move, taken off before detection. Guide to motion capture, "Marker Detection"."""
+"""Images of the static scene, subtracted before detection. Guide to motion capture, "Marker Detection"."""
 
 from collections.abc import Iterable, Iterator
 

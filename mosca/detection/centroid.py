@@ -28,17 +28,17 @@ class Noise(NamedTuple):
 
 
 class CentroidRule(NamedTuple):
-    """How the centroid of a region is taken."""
+    """How the centroid of a region is computed."""
 
     local: bool
-    """The local background is taken off and the mask grown; else the region is measured as it is."""
+    """The local background is subtracted and the mask grown; else the region is measured as it is."""
     dilation_px: int
     """How far the mask is grown."""
     noise: Noise
 
 
 class Background(NamedTuple):
-    """Sum [DN] and number of the pixels that give a background; 0 and 1 stand for none."""
+    """Sum [DN] and number of the pixels that give a background; (0, 1): none."""
 
     total: Any
     n: Any
@@ -113,7 +113,7 @@ def disc_diameter(flux: float, contrast: float, spread_px2: float) -> float:
 
 @bare_step
 def is_own(runs: Array, y: int, x: int) -> bool:
-    """Tell whether a pixel belongs to the region that has these runs."""
+    """Return whether a pixel belongs to the region that has these runs."""
     own = False
     for i in range(len(runs)):
         own |= runs[i, 0] == y and runs[i, 1] <= x < runs[i, 2]
@@ -207,7 +207,7 @@ def measure(
         x = (grey[1] * bg_n - mask[1] * bg_sum) / flux
         y = (grey[2] * bg_n - mask[2] * bg_sum) / flux
     if not (0.0 <= x < right - left and 0.0 <= y < len(rows)):
-        # A surround brighter than the target: it has no background to take off.
+        # A surround brighter than the target: no background to subtract.
         bg_sum, bg_n, flux = 0, 1, grey[0]
         x, y = grey[1] / flux, grey[2] / flux
     out[X] = left + x

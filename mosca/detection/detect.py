@@ -1,18 +1,17 @@
 """Detection: from an image to sub-pixel targets. Mosca paper, section 3.1.
 
-What a target is. The image is cut at falling thresholds h, from ``Imax - B/2`` (Imax: the largest value the
-camera can give) in steps of s as long as h is above h_min; from a threshold that no pixel has, the count goes
-on at the next lower grey value that occurs (step 3; the paper prints "until HIST[h] = 0", which must read
-"while"). The regions of a threshold are the 8-connected components of ``I > h``. A region is accepted when
-(step 6)
+What a target is. The image is thresholded at falling h, from ``Imax - B/2`` (Imax: the largest value the camera can
+give) in steps of s as long as h is above h_min; a threshold that no pixel has is replaced by the next lower grey
+value that occurs (step 3; the paper prints "until HIST[h] = 0", which must read "while"). The regions of a threshold
+are the 8-connected components of ``I > h``. A region is accepted when (step 6)
 
 - both sides of its box, in pixels, lie strictly between D_min and D_max,
 - ``Bmax - Bmin > B``, with the largest and smallest grey value inside it,
 - ``N < 2``: of the targets accepted at higher thresholds, it holds at most one. N counts the connected
   components of the output image R so far that lie inside the region. So a target that grows from one
-  threshold to the next stays one, and two that were accepted apart stay two when their regions merge lower
-  down. (Counted against the previous threshold's regions alone, as step 5 can be read, the merged blob would
-  be accepted one step later.)
+  threshold to the next stays one, and two that were accepted separately stay two when their regions merge at a
+  lower threshold. (Compared with the previous threshold's regions alone, as step 5 can be read, the merged blob
+  would be accepted one step later.)
 
 R is the union of the accepted regions; its components are the targets (step 9): each is the largest accepted
 region around its summit. A target that touches the image's border is cut off and is not reported.
@@ -85,12 +84,23 @@ def detect(
 ) -> Detections:
     """Return the targets in an image (H, W) of uint8 or uint16, in the order of their topmost rows.
 
-    ``bit_depth`` is the number of significant bits of a pixel (8 to 16), ``camera`` the name that the
-    detections carry. ``background`` (H, W), of the image's type, is taken off first, negative values becoming
-    0 (guide to motion capture, "Marker Detection"; see ``mean_background`` and ``minimum_background``).
-    ``statistics``: of earlier frames, see ``detect_with_statistics``.
-
     Raises InputError for an image, a background or a bit depth that do not fit each other.
+
+    Parameters
+    ----------
+    image
+        (H, W) uint8 or uint16.
+    camera
+        Name in the detections.
+    settings
+        Thresholds, sizes and the kind of centre.
+    bit_depth
+        Number of significant bits of a pixel (8 to 16).
+    background
+        (H, W), of the image's type: subtracted first, negative values becoming 0 (guide to motion capture, "Marker
+        Detection"; see ``mean_background`` and ``minimum_background``).
+    statistics
+        Of earlier frames, see ``detect_with_statistics``.
     """
     backgrounds = None if background is None else [background]
     return detect_set([image], [camera], settings, bit_depth, backgrounds, None, statistics)[0]

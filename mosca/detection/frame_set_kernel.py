@@ -1,8 +1,7 @@
 """Detection in all images of a frame set, compiled as one kernel: scan, regions, centres, columns of the result.
 
-Called by ``mosca.detection.detect``. Free of the GIL from the first pixel to the last: each return to Python has to
-win the GIL back from the thread that matches and tracks, and would wait for that longer than most of these steps
-take.
+Called by ``mosca.detection.detect``. Releases the GIL throughout: re-acquiring it between steps, against the thread
+that matches and tracks, would take longer than most of the steps.
 """
 
 import math
@@ -100,10 +99,10 @@ def detect_frame_set(
 def measure_unrefined(
     images: ImageSet, found: FoundRegions, rule: CentroidRule, table: Array, region_of: Array
 ) -> None:
-    """Give the rows of ``table`` whose fit failed the centroid by ``rule``, above the local background.
+    """Replace the centre of rows of ``table`` whose fit failed by the centroid by ``rule``, above local background.
 
-    What cannot be fitted mostly touches a neighbour, whose light draws the centroid. The uncertainty of a region
-    that stands alone grows with how much it is longer than wide: its middle is that of no target.
+    Most of these touch a neighbour, whose light biases the centroid. The uncertainty of an isolated region grows
+    with its elongation.
     """
     for n in range(len(table)):
         flags = int(table[n, FLAGS])
@@ -123,9 +122,9 @@ def measure_unrefined(
 
 @short_kernel
 def columns(table: Array, image_of: Array, n_images: int) -> tuple[Array, Array, Array, Array, Array, Array, Array]:
-    """Return the columns of ``Detections`` of all images in turn, and where each image's begin (n + 1).
+    """Return the columns of ``Detections`` of all images, concatenated, and where each image's begin (n + 1).
 
-    Keeps the GIL: to win it back from another thread would take longer than this does.
+    Keeps the GIL: re-acquiring it would take longer than this does.
     """
     n = len(table)
     xy, covariance, flags = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty(n, np.uint8)

@@ -155,7 +155,7 @@ class DelayedStatistics:
     """One camera's statistics: those of a set are added after ``DELAY`` sets and used from the next update on."""
 
     def __init__(self, camera: str) -> None:
-        # cameras with consecutive numbers are updated at different sets: no set pays for all
+        # cameras with consecutive numbers are updated at different sets, to spread the cost
         self._phase = sum(camera.encode()) % UPDATE_PERIOD
         self._used = self._summed = NO_STATISTICS
         self._pending: deque[tuple[int, CameraStatistics]] = deque()

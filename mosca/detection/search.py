@@ -47,7 +47,7 @@ class FoundRegions(NamedTuple):
 
 @bare_step
 def is_target(size_x: int, size_y: int, contrast: int, search: Search) -> bool:
-    """Tell whether a region passes the limits of size and contrast (step 6)."""
+    """Return whether a region passes the limits of size and contrast (step 6)."""
     return (
         search.smallest_px < size_x < search.largest_px
         and search.smallest_px < size_y < search.largest_px

@@ -1,6 +1,4 @@
-"""What is a target and how it is measured: settings of ``mosca.detection.detect`` in the units of people and of
-kernels.
-"""
+"""Settings of ``mosca.detection.detect``, in the units of users and of kernels."""
 
 import math
 from functools import lru_cache

@@ -154,7 +154,7 @@ def survey(
 
 @bare_step
 def falls_between(highest: Array, most: float) -> bool:
-    """Tell whether a sequence falls by more than ``most`` and rises by as much again."""
+    """Return whether a sequence falls by more than ``most`` and rises by as much again."""
     summit = valley = highest[0]
     for k in range(1, len(highest)):
         value = highest[k]
@@ -168,7 +168,7 @@ def falls_between(highest: Array, most: float) -> bool:
 
 @step
 def passes_below(runs: Array, values: Array, box: tuple[int, int, int, int], most: float) -> bool:
-    """Tell whether two summits of a blob are parted by a dip of more than ``most`` below the lower one.
+    """Return whether two summits of a blob are parted by a dip of more than ``most`` below the lower one.
 
     Exactly, by the highest pass between them: pixels are added in the order of falling grey values, and the pixel at
     which two components meet is the pass between their summits. ``box``: left, end column, top, end row.
@@ -176,7 +176,7 @@ def passes_below(runs: Array, values: Array, box: tuple[int, int, int, int], mos
     left, right, top, bottom = box
     width = right - left + 2
     n, darkest, peak = 0, values[runs[0, PLACE]], values[runs[0, PLACE]]
-    # a whole row or column between two summits that no pixel of it comes near to settles it
+    # shortcut: a row or column between two summits, all of it far below both, proves the dip
     highest = np.zeros(bottom - top + right - left, np.int32)
     across, down = highest[: bottom - top], highest[bottom - top :]
     for i in range(len(runs)):
@@ -188,7 +188,7 @@ def passes_below(runs: Array, values: Array, box: tuple[int, int, int, int], mos
             n += 1
     if falls_between(across, most) or falls_between(down, most):
         return True
-    # a place in the box, with one pixel of rim, for each pixel; sorted by falling grey value
+    # index of each pixel in the box, with one pixel of rim; sorted by falling grey value
     start = np.zeros(peak - darkest + 2, np.int32)
     for i in range(len(runs)):
         for k in range(runs[i, PLACE], runs[i, PLACE] + runs[i, END] - runs[i, FIRST]):
@@ -255,7 +255,7 @@ def find_regions(
             continue  # likewise
         whole = is_target(size_x, size_y, peak - darkest, search)
         if whole and dip > search.contrast + 1:
-            # the noise of a bright target makes simple paths dip: look for the best
+            # the noise of a bright target makes simple paths dip: find the best path
             box = (left, right, runs[begin, ROW], runs[end - 1, ROW] + 1)
             whole = not passes_below(runs[begin:end], values, box, search.contrast + 1)
         if whole:

@@ -1,1 +1,1 @@
-"""What residuals say about cameras: noise that matching uses, and faults for people."""
+"""Residual diagnostics of cameras: a noise model for matching, and faults for the operator."""

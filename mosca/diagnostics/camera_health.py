@@ -1,4 +1,4 @@
-"""Health of a running rig, camera by camera, for people: residuals, connected detections, dropouts, clock offsets.
+"""Health of a running rig, camera by camera: residuals, connected detections, dropouts, clock offsets.
 
 A camera that exposes d seconds late shows every point u d farther along its motion, u its image's speed: d follows
 from the residuals by least squares. A delay that all cameras share is a shift of time that no residual shows: offsets

@@ -1,4 +1,4 @@
-"""Labels for tracks: which marker of a model each track is, from the distances between tracks.
+"""Labels for tracks: assigns tracks to the markers of a model by the distances between tracks.
 
 A beam search names the tracks of the fullest stretch: marker after marker, each with many firm links to those before,
 is given every track or none, and the cheapest assignments are kept (Lowerre 1976). A link's cost is the mean squared
@@ -22,7 +22,7 @@ LINKS = 12
 LEAST_FIRM = 2
 """Firm links, within a limb, that a marker's name must rest on (all where the model has fewer)."""
 NEUTRAL = 1.0
-"""Cost of a link that is as it should be on average, and of one that nothing is known of."""
+"""Mean cost of a correct link, and cost of an unknown one."""
 
 
 @dataclass(frozen=True, config=SETTINGS)
@@ -51,7 +51,7 @@ DEFAULTS = LabelSettings()
 
 
 def label_tracks(tracks: Tracks, model: MarkerModel, settings: LabelSettings = DEFAULTS) -> Tracks:
-    """Return ``tracks`` with the model's names as labels; tracks that cannot be told, or are no marker, keep theirs.
+    """Return ``tracks`` with the model's names as labels; ambiguous tracks, and those of no marker, keep theirs.
 
     A track has one label all its life, and no two tracks have the same at once.
     """
@@ -64,7 +64,7 @@ def label_tracks(tracks: Tracks, model: MarkerModel, settings: LabelSettings = D
 
 
 def marker_of_tracks(tracks: Tracks, model: MarkerModel, settings: LabelSettings = DEFAULTS) -> dict[int, int]:
-    """Return track -> index of the model's marker that it is, of those that can be told."""
+    """Return track -> index of the model's marker, for the tracks that can be identified."""
     measured = tracks.select(tracks.status == "measured")
     if not len(measured):
         return {}
@@ -140,8 +140,8 @@ def _firm_cost(
 
 
 def _beam(xyz: Array, first: Array, second: Array, model: MarkerModel, settings: LabelSettings) -> Array:
-    """Return which track (m,) of ``xyz`` (t, n, 3) each marker is, -1 where there is none or it cannot be told."""
-    still = xyz[np.isfinite(xyz).all(axis=2).sum(axis=1).argmax()]  # sides are told from the fullest frame
+    """Return the track (m,) of ``xyz`` (t, n, 3) of each marker, -1 where there is none or it is ambiguous."""
+    still = xyz[np.isfinite(xyz).all(axis=2).sum(axis=1).argmax()]  # sides are decided in the fullest frame
     m, n = len(model.names), xyz.shape[1]
     order = _order(model)
     chosen, cost = np.full((1, m), -1), np.zeros(1)
@@ -159,7 +159,7 @@ def _beam(xyz: Array, first: Array, second: Array, model: MarkerModel, settings:
         chosen, cost = chosen[parent], total[best]
         chosen[:, i] = np.where(track < n, track, -1)
     near = chosen[cost < cost[0] + settings.margin]
-    # another track in an assignment about as good: the marker cannot be told; a missing one is no other track
+    # another track in an assignment about as good: the marker is ambiguous; a missing one is no other track
     doubtful = ((near != chosen[0]) & (near >= 0)).any(axis=0)
     return np.where(doubtful, -1, chosen[0])
 
@@ -233,7 +233,7 @@ def _side_costs(
         rows = np.flatnonzero((chosen[:, others] >= 0).all(axis=1))
         corners = still[chosen[np.ix_(rows, others)]]
         place = quad.index(i)
-        # the new marker goes last; moving it there past an odd number of places turns the sign
+        # the new marker goes last; an odd permutation flips the sign
         sign = -1.0 if (3 - place) % 2 else 1.0
         a, b, c = (corners[:, None, k] for k in range(3))
         seen = sign * np.sum(np.cross(b - a, c - a) * (still[None] - a), axis=2)
@@ -244,7 +244,7 @@ def _side_costs(
 
 
 def _name_the_rest(xyz: Array, there: Array, of_column: Array, model: MarkerModel, settings: LabelSettings) -> None:
-    """Name tracks ``of_column`` (n,) that have no marker yet, the surest first, until none is sure."""
+    """Name tracks ``of_column`` (n,) that have no marker yet, the most certain first, until none is certain."""
     while True:
         best: tuple[float, int, int] | None = None
         for k in np.flatnonzero((of_column < 0) & (there.sum(axis=0) >= settings.least_samples)):

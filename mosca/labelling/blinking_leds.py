@@ -2,8 +2,8 @@
 
 A lamp shows its number's 16 bits over and over, one bit for ``frames_per_bit`` pulses, in step with them
 (``mosca.data.lamp_codes``). A track that bridges the dark bits has a sample where its lamp is lit. Each number, and
-each start where that is unknown, is weighed by the likelihood of what was seen: lit bits are missed now and then
-(hidden, late), dark ones hardly ever seen. The surest number is taken where it is far more likely than the next.
+each start where that is unknown, has the likelihood of the observations under a missed-detection and a
+false-alarm probability. The most likely number is accepted where its likelihood ratio to the next is large enough.
 """
 
 import math
@@ -52,7 +52,7 @@ DEFAULTS = BlinkSettings()
 
 
 def lamp_numbers(tracks: Tracks, settings: BlinkSettings = DEFAULTS, pulses: Array | None = None) -> dict[int, int]:
-    """Return track -> number of the lamp that it is, of those that can be told.
+    """Return track -> number of its lamp, for the tracks that can be identified.
 
     ``pulses`` (p,): the pulses whose frame sets were there; by default those with a measured sample of any track. A
     track counts from its first measured sample to its last, and as dark where it has none.

@@ -61,18 +61,20 @@ def coded_label(number: int) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _Table:
-    """Rays of n numbers in c cameras, NaN or -1 where a camera has none.
-
-    ``origin`` (c, 3); ``row`` (n, c) of the detection; ``direction`` (n, c, 3); ``white`` (n, c, 2, 3) whitened
-    reprojection error by direction; ``sigma_px`` and ``angle`` (n, c): error and the dot's diameter [rad].
-    """
+    """Rays of n numbers in c cameras, NaN or -1 where a camera has none."""
 
     origin: Array
+    """(c, 3)"""
     row: Array
+    """(n, c) of the detection."""
     direction: Array
+    """(n, c, 3)"""
     white: Array
+    """(n, c, 2, 3) whitened reprojection error by direction."""
     sigma_px: Array
+    """(n, c)"""
     angle: Array
+    """(n, c) the dot's diameter [rad]."""
 
     @classmethod
     def of(cls, rig: Rig, seen: Sequence[CodedDetections | None], every: Array, camera_sigma_px: float) -> "_Table":

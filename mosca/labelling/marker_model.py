@@ -1,8 +1,8 @@
 """A marker model: which markers a subject carries, how far they are from each other, and how much that changes.
 
 Learned from a labelled stretch of tracks. Within a limb distances hardly change; across limbs they have a wide range,
-which still tells a head from a foot. Distances do not tell a subject from its mirror image, so that sets of four
-markers whose volume keeps its sign say which side is which.
+which still separates a head from a foot. Distances are the same for the mirror image of a subject, so that the sides
+are decided by sets of four markers whose volume keeps its sign.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ RIGID_M = 0.01
 BEYOND, BEYOND_SHARE = 2.0, 0.1
 """Other motions reach farther than those learned from: by this factor, and this share of the distance."""
 FLAT = 0.03
-"""Four markers with less volume than this share of a box of their longest edges tell no sides."""
+"""Sets of four markers with less volume than this share of a box of their longest edges are not used for sides."""
 STEADY = 4.0
 """A volume that is this many of its standard deviations away from zero keeps its sign."""
 NEIGHBOURS = 6
@@ -32,19 +32,20 @@ NEIGHBOURS = 6
 
 @dataclass(frozen=True, eq=False)
 class MarkerModel:
-    """Markers ``names`` (m) of one subject.
-
-    ``mean_m`` and ``sigma_m`` (m, m) of their distances [m], NaN where two were never seen together; ``quads``
-    (q, 4) markers whose volume ``(b - a) x (c - a) . (d - a)`` is ``volume_m3`` (q,) [m^3]; ``limbs``: limb -> its
-    markers, empty where none were told.
-    """
+    """Markers of one subject."""
 
     names: tuple[str, ...]
+    """(m)"""
     mean_m: Array
+    """(m, m) mean distances [m], NaN where two markers were never seen together."""
     sigma_m: Array
+    """(m, m) their standard deviations [m]."""
     quads: Array
+    """(q, 4) sets of four markers a, b, c, d."""
     volume_m3: Array
+    """(q,) their volume ``(b - a) x (c - a) . (d - a)`` [m^3]."""
     limbs: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """Limb -> its markers; empty where none were given."""
 
     @property
     def rigid(self) -> Array:

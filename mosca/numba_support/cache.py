@@ -39,7 +39,7 @@ def kept(dispatcher: Any) -> Any:
 
 
 def is_compiled(dispatcher: Any) -> bool:
-    """Tell whether a kernel's code for this processor is kept and up to date."""
+    """Return whether a kernel's code for this processor is kept and up to date."""
     if dispatcher.signatures:
         return True
     from numba.core.registry import cpu_target

@@ -49,10 +49,10 @@ def _decorator(cached: bool, **options: Any) -> Decorator:
 kernel = _decorator(True)
 """Called by Python, free of the GIL, kept compiled."""
 short_kernel = _decorator(True, nogil=False)
-"""As ``kernel``, but keeps the GIL: to win it back from another thread would take longer than what is done."""
+"""As ``kernel``, but keeps the GIL: for functions shorter than the time to re-acquire it."""
 step = _decorator(False, _nrt=True, **_ONLY_COMPILED)
-"""Compiled into the kernels that call it; Python must not. Reference counting is asked for: left open, it would be as
-in the bare step that happens to call it first."""
+"""Compiled into the kernels that call it; not callable from Python. ``_nrt`` is set explicitly: otherwise it would
+be inherited from the first caller."""
 bare_step = _decorator(False, _nrt=False, **_ONLY_COMPILED)
 """As ``step``, without reference counting."""
 inlined_step = _decorator(False, _nrt=False, forceinline=True, **_ONLY_COMPILED)

@@ -1,6 +1,6 @@
 """LLVM instructions for compiled kernels: 64 pixels compared or 16 copied at a time, and arrays at an address.
 
-The only place with LLVM IR. What it gains, measured side by side with plain loops in its stead on one core of a
+The only module with LLVM IR. What it gains, measured side by side with plain loops in its stead on one core of a
 shared machine, images to tracks of 4 x 656 x 491 pixels and 200 markers / detection in 15.5 megapixels, as times
 without it over times with it: ``bright_mask`` with the two bit counts 1.26 / 4.0; ``copy_16`` 1.07 / 1.0, where runs
 of the same code differ by 0.04.

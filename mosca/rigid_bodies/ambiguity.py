@@ -1,7 +1,7 @@
-"""Bodies that could be taken for themselves turned, or for each other: refused before they are used.
+"""Rejects rigid bodies whose markers are ambiguous: nearly symmetric under a rotation, or like another body's.
 
-Two arrangements of markers are as unlike as the largest distance that remains between paired markers after the best
-proper rotation and shift of one onto the other (Kabsch 1976); mirror images are unlike, for no body turns into one.
+The difference of two arrangements of markers is the largest distance that remains between paired markers after the
+best proper rotation and translation (Kabsch 1976); mirror images differ, since no rigid motion maps one to the other.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,14 +13,14 @@ from mosca.data.bodies import RigidBody
 from mosca.errors import InputError
 
 ALIKE_M = 0.005
-"""Arrangements that differ by less [m] look alike: ten times what a marker's place is usually off."""
+"""Arrangements that differ by less [m] are ambiguous: ten times the usual error of a marker's position."""
 MOST_ARRANGEMENTS = 20000
 
 
 def check_bodies(bodies: Sequence[RigidBody], alike_m: float = ALIKE_M) -> None:
-    """Raise InputError where names stand twice, or a body looks like itself turned or like another one.
+    """Raise InputError for duplicate names, and for bodies ambiguous under rotation or with each other.
 
-    The line names the body, which markers could be taken for which, by how many mm they differ, and what to move.
+    The message names the body, the markers that can be confused, their difference [mm], and what to move.
     """
     names = [body.name for body in bodies]
     markers = [marker for body in bodies for marker in body.markers]
@@ -116,7 +116,7 @@ def _check_pair(one: RigidBody, body: RigidBody, alike_m: float) -> None:
 
 
 def _advice(body: RigidBody, other: RigidBody, alike_m: float) -> str:
-    """Say which marker of ``body`` to move, and how far, so that it is unlike ``other`` and itself."""
+    """Return the advice which marker of ``body`` to move, and how far, to resolve the ambiguity."""
     for steps in (2, 4, 8, 16):
         best: tuple[float, str] = (alike_m, "")
         for k, marker in enumerate(body.markers):
@@ -140,7 +140,7 @@ def _advice(body: RigidBody, other: RigidBody, alike_m: float) -> str:
 
 
 def _unlike(body: RigidBody, other: RigidBody, beyond_m: float) -> float:
-    """Return by how much [m] ``body`` differs from itself turned and from ``other``, ``beyond_m`` at most."""
+    """Return by how much [m] ``body`` differs from itself rotated and from ``other``, ``beyond_m`` at most."""
     small, large = (body, other) if len(body.markers) <= len(other.markers) else (other, body)
     found = [nearest(a, b, beyond_m) for a, b in {(body, body), (small, large)}]
     return min((f[0] for f in found if f is not None), default=beyond_m)

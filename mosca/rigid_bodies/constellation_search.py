@@ -36,7 +36,7 @@ class SearchRules(NamedTuple):
     """What counts as found."""
 
     sigma2: float
-    """Variance of a marker's place on each axis [m^2]."""
+    """Variance of a marker's position per axis [m^2]."""
     slack2: float
     """Added to it in gates."""
     sigmas: float
@@ -65,9 +65,9 @@ class _Best(NamedTuple):
 
 @kernel
 def claim(place, pose, points, gate2, rows):
-    """Give each marker the free point nearest to where it should be; fills rows (m,), -1 for none.
+    """Assign each marker the free point nearest to its predicted position; fills rows (m,), -1 for none.
 
-    ``gate2`` (n,) square of how far each point may lie [m^2]. A point wanted by two goes to the nearer. Markers
+    ``gate2`` (n,): squared gate of each point [m^2]. A point nearest to two markers goes to the nearer. Markers
     that have a row keep it. Returns how many have one.
     """
     xyz, m, n = points.xyz, place.shape[0], points.xyz.shape[0]
@@ -104,7 +104,7 @@ def claim(place, pose, points, gate2, rows):
 
 @kernel
 def find(place, triples, points, rules, rows, score):
-    """Look for a constellation; fills rows (2, m) and score (2, 2) of the two best poses that are not the same.
+    """Search for a constellation; fills rows (2, m) and score (2, 2) of the two best distinct poses.
 
     ``place`` (m, 3); ``triples`` (t, 3) of its markers. ``score``: markers found (0 for no pose), chi-square.
     """
@@ -168,7 +168,7 @@ def _verify(place, points, gate2, rules, pose, best):
     """Claim points for all markers, fit them, and rank the pose among the two best."""
     m = place.shape[0]
     mine = np.full(m, -1)
-    # a triple's pose is the less certain the farther a marker lies off it: a wide gate first, then a fit
+    # the error of a triple's pose grows with the distance from it: a wide gate first, then a fit
     if claim(place, pose, points, WIDE_GATE2 * gate2, mine) < 3:
         return
     spread, chi2, total = np.empty((6, 6)), np.empty(m), -1.0
@@ -256,7 +256,7 @@ def _apart(p, q):
 
 @step
 def _triad(corner, three, pose):
-    """Pose that lays a triangle on another: their first edges and planes agree; False for triangles that are flat."""
+    """Pose that maps a triangle onto another by first edge and plane; False for degenerate triangles."""
     rotation, translation = pose.rotation, pose.translation
     one, two = np.empty((3, 3)), np.empty((3, 3))
     if not (_axes(corner, one) and _axes(three, two)):

@@ -1,7 +1,7 @@
 """A rigid body's definition learned from tracks: the shape that all frames of a stretch agree on best.
 
-Generalised Procrustes analysis (Gower 1975) with the samples' covariances: in turn the body's pose in every frame by
-the shape so far, and each marker's place as the weighted mean of its samples carried into the body's frame.
+Generalised Procrustes analysis (Gower 1975) with the samples' covariances, alternating between the body's pose in
+every frame and each marker's position as the weighted mean of its samples in the body's frame.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ from mosca.rigid_bodies.pose_kernels import fit_pose
 ROUNDS = 50
 SETTLED_M = 1e-7
 NOT_RIGID_M = 0.003
-"""A marker whose rms distance from its place is more [m] is not fixed to the others."""
+"""A marker whose rms distance from its mean position is more [m] is not fixed to the others."""
 
 
 def learn_body(
@@ -28,9 +28,9 @@ def learn_body(
     """Return the rigid body that the tracks ``ids`` are the markers of, from all frames that show three or more.
 
     ``markers``: their names; by default ``name/1``, ``name/2``, ... The body's origin is the markers' centroid, its
-    axes are the world's in the first frame that shows them all; ``sigma_m`` is what the samples' scatter leaves
-    uncertain of a place. Raises InputError where no frame shows them all, the markers move against each other, lie in
-    a line, or the body looks like itself turned.
+    axes are the world's in the first frame that shows them all; ``sigma_m`` is the standard error of a marker's
+    position from the samples' scatter. Raises InputError where no frame shows them all, the markers move against each
+    other or lie in a line, or the body is ambiguous under rotation.
     """
     names = tuple(markers) if markers is not None else tuple(f"{name}/{k + 1}" for k in range(len(ids)))
     if len(names) != len(ids) or len(ids) < FEWEST_MARKERS:
@@ -56,7 +56,7 @@ def learn_body(
             "others: leave it out or learn from a stretch where it is fixed"
         )
     seen = np.isfinite(residuals).all(axis=2).sum(axis=0)
-    # a pose takes up 6 of the 3 m values of a frame, and the shape's own freedom is small against it
+    # degrees of freedom: a pose takes 6 of the 3 m values of a frame; those of the shape are neglected
     share = max(1.0 - 2.0 / len(ids), 1.0 / 3.0)
     sigma = float(np.sqrt(np.mean(rms**2 / 3.0 / share / seen)))
     try:
@@ -89,7 +89,7 @@ def _loosest(xyz: Array) -> int:
 
 
 def _shape(places: Array, xyz: Array, covariance: Array) -> tuple[Array, Array]:
-    """Return the places (m, 3) [m] in the body's frame, and each sample's residual (t, m, 3) in it."""
+    """Return the marker positions (m, 3) [m] in the body's frame, and each sample's residual (t, m, 3) in it."""
     seen = np.asarray(np.isfinite(xyz).all(axis=2))
     frames = np.flatnonzero(seen.sum(axis=1) >= 3)
     residuals = np.full(xyz.shape, np.nan)

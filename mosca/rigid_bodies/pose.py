@@ -1,8 +1,8 @@
 """One body and the points of one instant: its pose from points that are known, or the search for it among all.
 
-A pose is withheld rather than guessed. Fewer than three markers, or three in a line, leave it open; and where the
-markers seen could be others of the body (their distances are alike), the poses are compared by their likelihood:
-a second one within ``flip_chi2`` of the first is as good as it, and only the pose before can tell.
+A pose is withheld rather than guessed. Fewer than three markers, or three in a line, do not determine it. Where the
+visible markers could be others of the body (similar distances), the poses are compared by their likelihood: a second
+one within ``flip_chi2`` of the first makes it ambiguous, and only the previous pose can decide.
 """
 
 from collections.abc import Mapping
@@ -22,9 +22,10 @@ from mosca.rigid_bodies.constellation_search import BodyTransform, Candidates, S
 from mosca.rigid_bodies.pose_kernels import fit_pose
 
 HIDDEN_SHARE = 0.3
-"""A point that is off draws the pose towards it and so hides up to two thirds of its error, with few markers."""
+"""Share of its gate from which the worst point is also tested against the pose of the others: with few markers a fit
+absorbs up to two thirds of an outlier's error."""
 UNKNOWN_M = 0.001
-"""Standard deviation of a point on each axis [m] where nobody says."""
+"""Standard deviation of a point per axis [m] where its covariance is unknown."""
 
 
 @dataclass(frozen=True, config=SETTINGS)
@@ -32,9 +33,9 @@ class BodySettings:
     """When a body counts as found, and how it moves."""
 
     gate_sigma: Positive = 4.5
-    """How many standard deviations a marker may lie off its place."""
+    """Gate of a marker, in standard deviations."""
     slack_m: NotNegative = 0.0005
-    """Variation of a marker's place besides the stated errors, an axis (bent holders); for gates only."""
+    """Variation of a marker's position per axis besides the stated errors (bent holders); for gates only."""
     alike_m: Positive = ALIKE_M
     """Arrangements of markers that differ by less are ambiguous."""
     flip_chi2: NotNegative = 25.0
@@ -95,7 +96,7 @@ class BodyPoseFit:
         return int((self.rows >= 0).sum())
 
     def residual_m(self, body: RigidBody, seen: InstantPoints) -> float:
-        """Return the rms distance of the points from the markers' places [m]."""
+        """Return the rms distance of the points from the markers [m]."""
         used = self.rows >= 0
         there = body.positions[used] @ self.rotation.T + self.translation
         return float(np.sqrt(np.mean(np.sum((seen.xyz[self.rows[used]] - there) ** 2, axis=1))))
@@ -154,7 +155,7 @@ class Constellation:
         return self.fit(seen, fewer)
 
     def _agree(self, fit: BodyPoseFit, seen: InstantPoints) -> bool:
-        """Tell whether every point lies within its gate, the worst one also by the pose of the others alone."""
+        """Return whether every point lies within its gate, the worst one also by the pose of the others alone."""
         used = np.flatnonzero(fit.rows >= 0)
         there = self._place[used] @ fit.rotation.T + fit.translation
         away = np.linalg.norm(seen.xyz[fit.rows[used]] - there, axis=1)
@@ -172,7 +173,7 @@ class Constellation:
         return bool(np.linalg.norm(seen.xyz[row] - there) < gate)
 
     def _gates(self, seen: InstantPoints) -> Array:
-        """Return how far each point (n,) may lie from a marker's place [m]."""
+        """Return the gate of each point (n,) [m]."""
         variance = seen.variance + (self._sigma2 + self.settings.slack_m**2)
         return np.asarray(self.settings.gate_sigma * np.sqrt(variance))
 
@@ -187,7 +188,7 @@ class Constellation:
         return mine
 
     def find(self, seen: InstantPoints, free: Array) -> tuple[BodyPoseFit | None, int]:
-        """Look for the body among the points ``free`` (n,); returns its pose and how many markers were found.
+        """Search for the body among the points ``free`` (n,); returns its pose and how many markers were found.
 
         No pose, but a count, where another one explains the points as well.
         """
@@ -227,7 +228,7 @@ class Constellation:
         return found
 
     def settled(self, fit: BodyPoseFit) -> bool:
-        """Tell whether the rotation is known well enough to be handed out."""
+        """Return whether the rotation is known well enough to be reported."""
         return rotation_sigma(fit) < self.settings.largest_turn_rad
 
 
@@ -255,7 +256,7 @@ def instant_points(
 
 
 def predicted(rotation: Array, translation: Array, rates: Array, step_s: float) -> tuple[Array, Array]:
-    """Carry a pose on by ``step_s`` [s] with ``rates`` (6,): velocity [m/s], turn about the world's axes [rad/s]."""
+    """Predict a pose by ``step_s`` [s] with ``rates`` (6,): velocity [m/s], angular velocity [rad/s], world axes."""
     return rotation_from_vector(step_s * rates[3:]) @ rotation, translation + step_s * rates[:3]
 
 
@@ -270,7 +271,7 @@ def vector_of(rotation: Array) -> Array:
 
 
 def angle_between(one: Array, other: Array) -> float:
-    """Return the angle [rad] of the turn from one rotation (3, 3) to another."""
+    """Return the angle [rad] between two rotations (3, 3)."""
     return float(np.arccos(np.clip((np.trace(one @ other.T) - 1) / 2, -1.0, 1.0)))
 
 

@@ -28,7 +28,7 @@ def fit_pose(place, xyz, covariance, sigma2, rotation, translation, spread, chi2
     """Fit x_world = R place + t to points; fills R (3, 3), t (3,), covariance (6, 6) and chi2 (k,) of each point.
 
     ``place`` (k, 3) in the body's frame, ``xyz`` (k, 3) with ``covariance`` (k, 3, 3), ``sigma2`` [m^2] variance of
-    a place on each axis. Returns the sum of chi2, or -1 where the points leave the pose open.
+    a marker position per axis. Returns the sum of chi2, or -1 where the points do not determine the pose.
     """
     k = place.shape[0]
     if k < 3:
@@ -199,7 +199,7 @@ def _rotate_by(rotation, u, v, w):
 
 @step
 def _cholesky(n):
-    """Factor the lower triangle of n (6, 6) in place; False where a pivot has all but vanished."""
+    """Factor the lower triangle of n (6, 6) in place; False where it is numerically singular."""
     for j in range(6):
         own = n[j, j]
         s = own

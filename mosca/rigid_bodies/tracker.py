@@ -33,7 +33,7 @@ DEFAULTS = BodySettings()
 FRESH = 0.5
 """Share of the newest step in the body's velocity."""
 FLIPPED_RAD = 0.5
-"""A pose farther than this from its prediction is not told from another by it."""
+"""A pose farther than this from its prediction cannot be disambiguated by it."""
 
 
 @dataclass(eq=False)
@@ -57,9 +57,9 @@ class _Answer:
 
 
 class BodyTracker:
-    """Follows rigid bodies. The state is its own; hand it points in order of time.
+    """Tracks rigid bodies. Stateful: pass points in order of time.
 
-    Raises InputError for bodies that could be taken for themselves turned or for each other.
+    Raises InputError for bodies that are ambiguous under rotation or with each other.
     """
 
     def __init__(self, bodies: Sequence[RigidBody], settings: BodySettings = DEFAULTS) -> None:
@@ -74,7 +74,7 @@ class BodyTracker:
         """Return the poses of all bodies of which markers are seen at one instant.
 
         ``points``: triangulated points, or the tracker's samples, of which those of another frame and those that are
-        not measured are left out. Labels of markers, where there are any, are believed unless they disagree.
+        not measured are left out. Labels of markers, where present, are used unless they contradict the geometry.
         """
         seen = _of_instant(points, frame)
         answers = self.attend(seen, time_ns * 1e-9)
@@ -129,7 +129,7 @@ class BodyTracker:
         return _Answer(fit, fit.count)
 
     def _completed(self, one: Constellation, seen: InstantPoints, free: Array, fit: BodyPoseFit) -> BodyPoseFit:
-        """Return the pose with the free points that stand where its other markers should be."""
+        """Return the pose refitted with the free points at the predicted positions of its other markers."""
         reach = one.span_m * rotation_sigma(fit)
         rows = one.claim(seen, free, fit.rotation, fit.translation, fit.rows, reach)
         more = one.sound_fit(seen, rows) if (rows != fit.rows).any() else None
@@ -142,7 +142,7 @@ class BodyTracker:
         return start + strength * step_s**2 / 2
 
     def _found(self, lost: list[int], seen: InstantPoints, free: Array) -> Iterator[tuple[int, _Answer]]:
-        """Look for lost bodies among the free points; the one that explains most takes its points first."""
+        """Search for lost bodies among the free points; the one that explains most points claims them first."""
         while lost and free.sum() >= 3:
             fits = {}
             for k in lost:
@@ -171,7 +171,7 @@ class BodyTracker:
 def body_poses(tracks: Tracks, bodies: Sequence[RigidBody], settings: BodySettings = DEFAULTS) -> BodyPoses:
     """Return the poses of ``bodies`` in every frame of ``tracks``, labelled or not.
 
-    Only measured samples are used. Raises InputError for bodies that look alike.
+    Only measured samples are used. Raises InputError for ambiguous bodies.
     """
     return _over_tracks(tracks, bodies, settings)[0]
 

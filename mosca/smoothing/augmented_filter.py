@@ -57,7 +57,7 @@ class TrackMeasurements(NamedTuple):
 
 
 class Prior(NamedTuple):
-    """What is known of motion a priori."""
+    """Prior of the motion."""
 
     speed2: float
     """Variance of a first velocity."""

@@ -46,7 +46,7 @@ class LagSettings:
 
 
 class _Waiting(NamedTuple):
-    """What else is known of the earlier positions: columns of ``Samples`` by slot, (s, w) each."""
+    """Further columns of ``Samples`` for the earlier positions, (s, w) each."""
 
     frame: Array
     time_ns: Array
@@ -64,7 +64,7 @@ class _Slots(NamedTuple):
 
 
 class FixedLag:
-    """Smooths samples on their way. It keeps state: give it what leaves the tracker, frame set by frame set."""
+    """Smooths samples online. Stateful: pass the tracker's samples frame set by frame set."""
 
     def __init__(self, settings: LagSettings | None = None) -> None:
         self.settings = LagSettings() if settings is None else settings
@@ -89,9 +89,9 @@ class FixedLag:
     def step(self, frame: int, samples: Samples) -> Samples:
         """Take the samples that left the tracker at ``frame``; return those of ``frame - lag`` and before, smoothed.
 
-        Samples of one track come in order of time; one that is not after its track's last (no tracker gives such)
-        leaves at once, as it was measured. The covariance is that of the smoothed position; its errors are correlated
-        in time. Samples that are not measured leave at once too.
+        Samples of one track must be in order of time; one that is not is returned at once, as measured. The
+        covariance is that of the smoothed position; its errors are correlated in time. Samples that are not measured
+        are returned at once too.
         """
         usable, rows = samples.status == 0, np.empty(0, np.int64)
         passed = samples.select(~usable)

@@ -26,7 +26,7 @@ TRIALS = 12
 ENOUGH = 30
 """Intervals that must have been tried before a covariance is made smaller than the model's."""
 LASTING_S = 0.1
-"""How long a half-hidden target stays so, and its error with it: that of limbs which pass each other."""
+"""Typical duration of a partial occlusion [s], over which its error is correlated: limbs that pass each other."""
 CHI2_95 = 7.815
 """95 % quantile of the chi-square distribution with 3 degrees of freedom."""
 
@@ -58,8 +58,8 @@ def filled(tracks: Tracks, settings: SmoothSettings | None = None) -> Tracks:
 def _with_lasting_errors(path: TrackInstants) -> TrackInstants:
     """Return ``path`` with wider covariances where a target is measured worse than it mostly is.
 
-    It is half hidden there, as it is before a gap and after it, and errs alike from one frame to the next: many
-    such frames hold no more information than one in ``LASTING_S`` does.
+    It is partly occluded there, as before and after a gap, and its errors are correlated: frames within
+    ``LASTING_S`` hold no more information than one.
     """
     size = np.trace(path.covariance, axis1=1, axis2=2)
     usual = np.median(size[path.measured])
@@ -117,7 +117,7 @@ def _factor(squares: Array, shares: Array, length: int) -> float:
     whole = max(float(squares.mean()) / 3.0, float(np.quantile(squares, 0.95)) / CHI2_95)
     whole *= 1.0 + np.sqrt(2.0 * length / (3.0 * len(squares)))  # few intervals leave it uncertain by this much
     own = float(shares.mean())
-    # to take the measurements' share off where it is most of it would be guessing: narrower by the whole, never more
+    # where the measurements' share dominates, subtracting it is unreliable: narrow by the total factor at most
     factor = whole if whole < 1.0 else (whole - (1.0 - own)) / own
     result: float = factor if len(squares) >= ENOUGH * length else max(1.0, factor)
     return result
@@ -129,9 +129,9 @@ def _longest(measured: Array) -> int:
 
 
 def _left_out(measured: Array, length: int) -> Array:
-    """Return the mask of up to TRIALS intervals of ``length`` within what was measured, with room around each.
+    """Return the mask of up to TRIALS measured intervals of ``length``, with a margin around each.
 
-    They are spread over the whole track: how it moves changes on its way.
+    They are spread over the whole track, since its motion varies.
     """
     starts, at = [], 2 * length + 1
     while at + 3 * length < len(measured):

@@ -140,10 +140,21 @@ class _Filtered(NamedTuple):
 def smooth_one(xyz, covariance, measured, move, noise, speed2, variance):
     """Smooth one trajectory of t instants.
 
-    ``xyz`` (t, 3), ``covariance`` (t, 3, 3) count where ``measured`` (t,); the first instant must be. ``move``,
-    ``noise`` (t, 3, 3): one axis' transition and noise from the instant before, for ``variance`` of acceleration 1;
-    the first is not used. ``speed2``: variance of the first velocity. Returns positions (t, 3), covariances
-    (t, 3, 3), -2 log-likelihood and mean normalised innovation squared.
+    Returns positions (t, 3), covariances (t, 3, 3), -2 log-likelihood and mean normalised innovation squared.
+
+    Parameters
+    ----------
+    xyz, covariance
+        (t, 3), (t, 3, 3): used where ``measured``.
+    measured
+        (t,), the first one True.
+    move, noise
+        (t, 3, 3): one axis' transition and noise from the previous instant, for unit variance of acceleration; the
+        first is not used.
+    speed2
+        Variance of the first velocity.
+    variance
+        Of the acceleration.
     """
     t = xyz.shape[0]
     filtered = _Filtered(

@@ -1,4 +1,4 @@
-"""Which tracks of different zones are one target: by place and velocity where both see it, else by what follows."""
+"""Association of tracks between zones: by position and velocity where both see a target, else by continuation."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,22 +16,23 @@ Group = tuple[Key, ...]
 NEAR_SHARE = 0.5
 """Share of the common instants at which two tracks must be near each other to be compared at all."""
 ENDS = 5
-"""Samples at a track's end that its place and velocity there are taken from."""
+"""Samples at a track's end from which its position and velocity there are estimated."""
 BRIDGE_CHI2 = 22.5
 """99.9 % quantile of the chi-square distribution with 6 degrees of freedom."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two tracks on their common instants: ``time_s`` (n,), ``apart`` (n, 3) second minus first [m], ``covariance``
-    (n, 3, 3) of that [m^2].
-    """
+    """Two tracks on their common instants."""
 
     one: int
     two: int
     time_s: Array
+    """(n,)"""
     apart: Array
+    """(n, 3) second minus first [m]."""
     covariance: Array
+    """(n, 3, 3) of that [m^2]."""
 
 
 def pairs_of(one: Tracks, two: Tracks, gate_m: float, least_common: int) -> list[Pair]:
@@ -60,7 +61,7 @@ def pairs_of(one: Tracks, two: Tracks, gate_m: float, least_common: int) -> list
 
 
 def same_target(pair: Pair, gate_sigma: float, gate_m: float, gate_mps: float) -> float:
-    """Return how much speaks for one target, 0 where its places or velocities do not fit the covariances."""
+    """Return the score of one target, 0 where positions or velocities disagree beyond the covariances."""
     squares = np.einsum("ni,nij,nj->n", pair.apart, np.linalg.inv(pair.covariance), pair.apart)
     typical = float(np.median(squares))
     rms = float(np.sqrt(np.mean(np.median(pair.apart**2, axis=0).sum())))
@@ -77,7 +78,7 @@ def same_target(pair: Pair, gate_sigma: float, gate_m: float, gate_mps: float) -
 
 
 def placed_like(zones: Mapping[str, Tracks], links: Sequence[tuple[float, Key, Key]]) -> list[Group]:
-    """Return targets by ``links`` (worth, track, track), the worthiest first; none is twice in one zone at once."""
+    """Return targets by ``links`` (score, track, track), best first; none has two tracks of a zone at one instant."""
     frames = {key: rows for name, tracks in zones.items() for key, rows in _frames_of(name, tracks).items()}
     group_of: dict[Key, list[Key]] = {key: [key] for key in frames}
     for _, one, two in sorted(links, key=lambda link: -link[0]):
@@ -115,7 +116,7 @@ def bridged(
 
 @dataclass(frozen=True, eq=False)
 class _End:
-    """Place and velocity (6,) at a track's end and their covariance (6, 6), from samples over ``span_s``."""
+    """Position and velocity (6,) at a track's end and their covariance (6, 6), from samples over ``span_s``."""
 
     time_s: float
     span_s: float
@@ -141,7 +142,7 @@ def _end(tracks: Tracks, track: int, last: bool) -> _End:
 
 
 def _chi2(end: _End, start: _End, step_s: float, acceleration_mps2: float, gate_m: float) -> float:
-    """Return how badly a start fits an end ``step_s`` before, by place and velocity."""
+    """Return the chi-square of a start as continuation of an end ``step_s`` before, by position and velocity."""
     move = np.eye(6)
     move[:3, 3:] = step_s * np.eye(3)
     away = start.state - move @ end.state
@@ -151,7 +152,7 @@ def _chi2(end: _End, start: _End, step_s: float, acceleration_mps2: float, gate_
     noise[:3, :3], noise[3:, 3:] = (step_s**4 / 4) * np.eye(3), (step_s**2) * np.eye(3)
     noise[:3, 3:] = noise[3:, :3] = (step_s**3 / 2) * np.eye(3)
     for span in (end.span_s, start.span_s):
-        # a straight line through a bent stretch: at its end it is off by a T^2 / 12, its slope by a T / 2
+        # a straight line through an accelerated stretch errs at its end by a T^2 / 12, its slope by a T / 2
         noise[:3, :3] += (span**2 / 12) ** 2 * np.eye(3)
         noise[3:, 3:] += (span / 2) ** 2 * np.eye(3)
     spread = move @ end.covariance @ move.T + start.covariance + acceleration_mps2**2 * noise

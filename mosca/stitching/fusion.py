@@ -1,4 +1,4 @@
-"""Samples of several zones as one set: what two zones saw of one target is weighted by its covariances."""
+"""Samples of several zones as one set: those of one target in two zones are fused by their covariances."""
 
 from collections.abc import Mapping, Sequence
 
@@ -19,8 +19,8 @@ def merged(zones: Mapping[str, Tracks], groups: Sequence[Group], gate_sigma: flo
     """Return one set of tracks, numbered as ``groups``; how many samples were merged, and how many did not fit.
 
     Samples of one target and instant become the mean weighted by inverse covariances, whose covariance is the inverse
-    of the weights' sum; measured ones count before filled ones. Where two differ by more than ``gate_sigma`` of their
-    covariances the one with less variance stands alone. Cameras add up; residuals are the cameras' rms.
+    of the weights' sum; measured ones take precedence over filled ones. Where two differ by more than ``gate_sigma``
+    standard deviations only the one with less variance is kept. Camera counts add up; residuals are the cameras' rms.
     """
     number = {key: k for k, group in enumerate(groups) for key in group}
     parts = []
@@ -57,7 +57,7 @@ def merged(zones: Mapping[str, Tracks], groups: Sequence[Group], gate_sigma: flo
 
 
 def _weighted(xyz: Array, covariance: Array, gate_sigma: float) -> tuple[Array, Array, Array]:
-    """Return mean, covariance and which samples (n, 3) it is of: all, or the surest where they do not fit."""
+    """Return mean, covariance and the samples (n, 3) used: all, or that of least variance where they disagree."""
     surest = int(np.trace(covariance, axis1=1, axis2=2).argmin())
     for k in range(len(xyz)):
         away = xyz[k] - xyz[surest]

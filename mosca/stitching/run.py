@@ -1,4 +1,4 @@
-"""Zones side by side: one look at all frames, then each zone matches and tracks what its own cameras saw."""
+"""Zones in parallel: one detection pass over all frames, then correspondence and tracking for each zone."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,12 +19,14 @@ Seen = tuple[FrameSet, Mapping[str, Detections], float]
 
 @dataclass(frozen=True, eq=False)
 class Zone:
-    """A volume with cameras of its own, ``rig``; ``low_m``, ``high_m``: the box of its targets [m, world]."""
+    """A capture volume with cameras of its own."""
 
     name: str
     rig: Rig
     low_m: tuple[float, float, float]
+    """Lower corner of the box of its targets [m, world]."""
     high_m: tuple[float, float, float]
+    """Upper corner."""
 
 
 def run_zones(
@@ -32,9 +34,9 @@ def run_zones(
 ) -> Iterator[Step]:
     """Turn frame sets with the detections of all cameras into tracks, zone by zone; one Step a pulse, of all zones.
 
-    A step's samples are numbered so that ``of_zones`` tells whose they are; a target that two zones see is there
-    twice until its tracks are stitched (``mosca.stitching.stitch``). ``seconds`` are the zones' sums. ``healths``:
-    of each zone. InputError where two zones share a camera: their errors would not be independent.
+    A step's track numbers encode the zone (see ``of_zones``); a target that two zones see occurs twice until its
+    tracks are stitched (``mosca.stitching.stitch``). ``seconds`` are the zones' sums. ``healths``: of each zone.
+    InputError where two zones share a camera: their errors would not be independent.
     """
     check_zones(zones)
     shares = tee(seen, len(zones))
@@ -69,7 +71,7 @@ def of_zones(tracks: Tracks, zones: Sequence[Zone]) -> dict[str, Tracks]:
 
 
 def _share(seen: Iterable[Seen], zone: Zone) -> Iterator[Seen]:
-    """Yield what a zone's cameras saw, with their share of the time that looking took."""
+    """Yield the detections of a zone's cameras, with their share of the detection time."""
     names = frozenset(zone.rig.names)
     for frame_set, detections, seconds in seen:
         share = sum(name in names for name in detections) / max(len(detections), 1)
@@ -93,7 +95,7 @@ def _joined(steps: Sequence[Step]) -> Step:
 
 
 def _points(steps: Sequence[Step]) -> Points:
-    """Return the points of all zones; ``rays`` index the detections of each zone's cameras in turn."""
+    """Return the points of all zones; ``rays`` index the concatenated detections of the zones' cameras."""
     parts = [step.points for step in steps]
     widths = [np.asarray(part.rays).shape[1] for part in parts]
     rays = np.full((sum(map(len, parts)), sum(widths)), -1)

@@ -4,10 +4,10 @@
 number of dedicated cameras that only capture markers within that zone. This data can be stitched together to get the
 complete information for the entire movement." (Roesler, A Guide to Optical Motion Capture.)
 
-Zones share the pulses and the world frame; their volumes overlap. Tracks of two zones are one target where they are
-in the same place with the same velocity at the same time, as far as their covariances tell, or where one goes on as
-the other would have. A constant shift between two zones' frames is estimated from what both see, told and taken out.
-Samples of two zones of one target and instant are merged, weighted by their covariances.
+Zones share the pulses and the world frame; their volumes overlap. Tracks of two zones are one target where their
+positions and velocities at common instants agree within their covariances, or where one continues the other. A
+constant shift between two zones' frames is estimated from common targets, reported and corrected. Samples of one
+target and instant in two zones are fused, weighted by their covariances.
 """
 
 from collections.abc import Mapping, Sequence
@@ -39,7 +39,7 @@ class ZoneSettings:
     least_common: PositiveInt = 5
     """Instants that two tracks must share to be compared."""
     bridge_s: NotNegative = 0.2
-    """For how long a target may be in no zone on its way."""
+    """Longest time between zones without a sample."""
     acceleration_mps2: NotNegative = 20.0
     """Its acceleration meanwhile."""
     reported_m: NotNegative = 0.001
@@ -53,30 +53,33 @@ NEARLY = 0.7
 
 @plain_dataclass(frozen=True, eq=False)
 class ZoneShift:
-    """What zone ``two`` measures minus what zone ``one`` measures of the same targets.
-
-    ``shift_m`` (3,), ``covariance_m2`` (3, 3) of it, ``targets`` it rests on; ``real``: more than calibrations err.
-    """
+    """Positions measured by zone ``two`` minus those by zone ``one`` of the same targets."""
 
     one: str
     two: str
     shift_m: Array
+    """(3,)"""
     covariance_m2: Array
+    """(3, 3)"""
     targets: int
+    """Number of common targets."""
     real: bool
+    """Larger than the errors of the calibrations."""
 
 
 @plain_dataclass(frozen=True, eq=False)
 class Stitched:
-    """One set of ``tracks``; ``shifts`` between zones that share targets; how many samples were ``merged`` from two
-    and more, how many targets were ``handed_over``; ``notes``: what must be known, a line each.
-    """
+    """The tracks of all zones as one set."""
 
     tracks: Tracks
     shifts: tuple[ZoneShift, ...]
+    """Between zones that share targets."""
     merged: int
+    """Number of samples fused from two and more."""
     handed_over: int
+    """Number of targets that occur in several zones."""
     notes: tuple[str, ...]
+    """Warnings, a line each."""
 
 
 def stitched(zones: Mapping[str, Tracks], settings: ZoneSettings = DEFAULTS) -> Stitched:
@@ -136,13 +139,14 @@ def _shift_between(one: Tracks, two: Tracks, name: str, other: str, settings: Zo
     near = np.linalg.norm(means[:, None] - means, axis=2) < reach
     # pairs of one target agree with each other, pairs of neighbours point everywhere
     votes = (near * np.array([len(pair.apart) for pair in found], float)).sum(axis=1)
-    # neighbours agree too where they are as far apart everywhere: what hardly fewer say of less shift is believed
+    # pairs of different targets agree too where their spacing is regular: of the shifts with nearly as many votes
+    # (NEARLY) the smallest is taken
     likely = np.where(votes >= NEARLY * votes.max(), np.linalg.norm(means, axis=1), np.inf)
     kept = near[int(likely.argmin())]
     weights = np.linalg.inv(spreads[kept])
     covariance = np.linalg.inv(weights.sum(axis=0))
     shift = covariance @ (weights @ means[kept][:, :, None]).sum(axis=0)[:, 0]
-    # what the pairs themselves scatter by, where that is more: calibrations err differently from place to place
+    # or the pairs' own scatter, where larger: calibration errors vary with position
     k = int(kept.sum())
     away = means[kept] - shift
     covariance = covariance + away.T @ away / (k * max(k - 1, 1))

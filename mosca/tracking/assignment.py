@@ -48,7 +48,7 @@ def best_pairs(left, right, score, n_left, n_right):
 
 @step
 def _solve(pairs, left, right, score, row_of_left, column_of_right, partner):
-    """Solve one component; rows are its lefts, columns its rights and for each row one that stands for none."""
+    """Solve one component; rows are its lefts, columns its rights and, for each row, a dummy for "unassigned"."""
     lefts, rights = np.empty(pairs.shape[0], np.int64), np.empty(pairs.shape[0], np.int64)
     n = m = 0
     for k in pairs:

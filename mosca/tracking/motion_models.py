@@ -13,18 +13,17 @@ SHORT = 1e-2
 
 
 class TransitionModel(NamedTuple):
-    """A step of the state's change: transition and noise of one axis, the noise for unit variance of acceleration.
-
-    ``order``: 2 (position, velocity) or 3 (and acceleration). ``pv``, ``pa``, ``va``, ``aa``: how position,
-    velocity and acceleration follow; ``q...``: covariance of what the step adds.
-    """
+    """One time step: transition and noise of one axis, the noise for unit variance of acceleration."""
 
     order: int
+    """2 (position, velocity) or 3 (and acceleration)."""
     pv: float
+    """Transition: position by velocity; the following likewise."""
     pa: float
     va: float
     aa: float
     qpp: float
+    """Process noise: variance of position; the following are the other (co)variances."""
     qpv: float
     qpa: float
     qvv: float

@@ -1,6 +1,6 @@
 """The tracker's state as columns, one row (*slot*) a track, so that compiled kernels work on all tracks at once.
 
-A slot belongs to one track from its first point until it is deleted; ``serial`` tells two owners of a slot apart.
+A slot belongs to one track from its first point until it is deleted; ``serial`` distinguishes successive owners.
 All positions in the world frame, SI units.
 """
 

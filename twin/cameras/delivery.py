@@ -1,8 +1,8 @@
 """Delivery: what becomes of a frame between the sensor and the reader.
 
 Frames get lost, one by one or in bursts, come late, twice, after their successor or damaged, and a camera may die
-and come back. What happens to a frame follows from (seed, camera, frame number) alone, so that the bytes depend on
-no worker and one trouble moves no other.
+and come back. What happens to a frame follows from (seed, camera, frame number) alone, so that the bytes do not
+depend on the workers, nor one fault on another.
 """
 
 import math
@@ -59,7 +59,7 @@ FAULTLESS = Delivery()
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """A frame as the sensor gave it; when its first row opened, and when that was due, session clock [s]."""
+    """A frame of the sensor; when its first row opened, and when that was due, session clock [s]."""
 
     frame: Frame
     opened_s: float

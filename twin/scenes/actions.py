@@ -1,6 +1,6 @@
-"""What a person without a recording does besides walking: boxing, dancing, jumping, without end.
+"""Actions of a person without a recording, besides walking: boxing, dancing, jumping, as endless loops.
 
-Each action is a loop of postures at 200 Hz, drawn once (order, places, timing, handedness), turned into joint
+Each action is a loop of postures at 200 Hz, drawn once (order, positions, timing, handedness), converted to joint
 rotations and played as a periodic C2 spline. Limbs hide markers as they do in recorded people: hands
 before chest and face, crossed arms, crouches.
 """
@@ -36,7 +36,7 @@ _OBLIQUE = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Action:
-    """A loop of a moving person; made by ``act``. ``loop``: root place and rotations over ``length_s``."""
+    """A loop of a moving person; made by ``act``. ``loop``: root position and rotations over ``length_s``."""
 
     loop: CubicSpline
     length_s: float
@@ -72,7 +72,7 @@ def _heading(rng: np.random.Generator) -> float:
 
 
 def _placed(motion: Motion, heading: float, box: Box) -> Motion:
-    """Return ``motion`` turned by ``heading`` [rad] and with the middle of its limbs over the box's."""
+    """Return ``motion`` rotated by ``heading`` [rad], with the middle of its limbs over the box's."""
     half = heading / 2
     turn = np.array([np.cos(half), 0.0, 0.0, np.sin(half)])
     rotations = motion.rotations.copy()

@@ -1,4 +1,4 @@
-"""A human actor: limbs that hide, markers on the skin, moved by a recording, by a built-in walk or action.
+"""A human actor: limbs that occlude, markers on the skin, moved by a recording or a built-in walk or action.
 
 The model is the skeleton itself: one body a joint with a ball joint at its rest offset, under a free
 root. A configuration is the root's position and every joint's rotation, so that bones keep their length
@@ -77,21 +77,32 @@ def build_actor(
 ) -> Scene:
     """Return an actor with ``markers`` (30..60) ball markers in a working space, on the floor z = 0.
 
-    With ``motion_file`` (.amc with its ``skeleton_file`` .asf, or .bvh) the recording is played from
-    ``start_s`` (converted BVH files need some frames to leave an added T-pose). ``metres_per_unit``,
-    ``frame_rate_hz`` and ``drop_frames`` stand in for what the file lacks (defaults: ASF from its
-    length, 120 Hz; BVH 0.01, the file's rate, 1 frame dropped). ``placement`` "center" turns the
-    recording by ``heading_deg`` about the vertical, puts the middle of the part played over the middle of
-    the box and its lowest heel or ball on the floor; "file" leaves it where it was. ``keep_in_box``: a
-    recording that leaves the box is an error. Between frames the motion is a C2 spline. A recording's
-    limbs may pass a little into each other (hands on hips): nothing pushes them apart.
+    The scene's rigid bodies are the parts with three markers or more. Raises InputError naming what is wrong.
 
-    Without it the actor of ``stature_m`` does ``action``. "walk": ``gait`` "in_place", "circle" (the largest
-    in the box) or "back_and_forth" along the box's longer side, at ``speed_mps``, first step and start by
-    ``rng``. "boxing", "dance", "jump": a loop over the middle of the box, drawn by ``rng``.
-
-    ``lamps``: those of worn cameras, which come after the markers. ``bodies``: every part that carries three markers
-    or more. Raises InputError naming what is wrong.
+    Parameters
+    ----------
+    duration_s, box_center_m, box_size_m, floor
+        Length of the scene, working space ((3,) each), and whether there is a floor.
+    markers, marker_diameter_m
+        Number and size of the ball markers.
+    rng
+        Draws start and first step of a walk, and the loops of the other actions.
+    motion_file, skeleton_file
+        Recording (.amc with .asf, or .bvh), interpolated by a C2 spline; its limbs may intersect slightly.
+    start_s
+        Start in the recording (converted BVH files need some frames to leave an added T-pose).
+    metres_per_unit, frame_rate_hz, drop_frames
+        What the file lacks (defaults: ASF from its length, 120 Hz; BVH 0.01, the file's rate, 1 frame dropped).
+    placement, heading_deg
+        "center": the recording is rotated by the heading about the vertical, the middle of the part played is put
+        over the middle of the box and its lowest heel or ball on the floor; "file": unchanged.
+    keep_in_box
+        A recording that leaves the box is an error.
+    action, gait, speed_mps, stature_m
+        Without a recording. "walk": "in_place", "circle" (the largest in the box) or "back_and_forth" along the box's
+        longer side; "boxing", "dance", "jump": a loop over the middle of the box.
+    lamps
+        Those of worn cameras, which come after the markers.
     """
     box = Box(box_center_m, box_size_m)
     positive({"duration_s": duration_s, "marker_diameter_m": marker_diameter_m})

@@ -1,4 +1,4 @@
-"""The actor's marker set: where each of up to 60 markers sits on the body, most wanted first.
+"""The actor's marker set: positions of up to 60 markers on the body, by priority.
 
 Names are those of the usual full-body sets (Vicon Plug-in Gait) where they exist. Each marker is seated
 by a ray from inside its body part: it leaves the part's own shapes at the skin.
@@ -18,31 +18,32 @@ FEWEST, MOST = 30, 60
 
 @dataclass(frozen=True)
 class MarkerSite:
-    """A marker on ``part``: a ray from the line ``start`` -> ``end`` (named points) outward.
-
-    ``along``: where on the line the ray starts, as a share of its length. ``shift``: then moved by
-    (outward from the midline, forward, up) in metres of a 1.75 m person. ``toward``: the ray's direction
-    in the same three axes; on limbs only its share across the limb counts.
-    """
+    """A marker on a part of the body: where a ray from a line between two points meets the skin."""
 
     name: str
     part: str
     start: str
+    """Named points at the line's ends."""
     end: str
     along: float
+    """Start of the ray on the line, as a share of its length."""
     toward: tuple[float, float, float]
+    """Direction of the ray (outward from the midline, forward, up); on limbs its component across the limb."""
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Of the start, in the same axes, in metres of a 1.75 m person."""
     across: bool = True
 
 
 @dataclass(frozen=True, eq=False)
 class Seat:
-    """Where a marker sits: ``surface`` (3,) on the skin in rest pose coordinates [m], unit ``normal`` (3,)."""
+    """Position of a marker on the skin."""
 
     name: str
     part: str
     surface: Array
+    """(3,) rest pose coordinates [m]."""
     normal: Array
+    """(3,) unit vector."""
 
 
 def _both(name: str, part: str, start: str, end: str, along: float, toward: tuple[float, float, float],
@@ -116,7 +117,7 @@ MARKER_SITES: tuple[MarkerSite, ...] = (
 
 
 def seats(anatomy: Anatomy, shapes: dict[str, list[Shape]], markers: int) -> list[Seat]:
-    """Return where the first ``markers`` of the set sit; InputError outside 30..60."""
+    """Return the positions of the first ``markers`` of the set; InputError outside 30..60."""
     if not FEWEST <= markers <= MOST:
         raise InputError(f"markers = {markers} given; {FEWEST} to {MOST} fit on an actor")
     return [_seat(site, anatomy, shapes) for site in MARKER_SITES[:markers]]

@@ -46,18 +46,15 @@ _SHORTEST_M = 0.01  # a bone shorter than this is a joint that the file keeps wi
 
 @dataclass(frozen=True, eq=False)
 class Anatomy:
-    """A skeleton read as a person.
-
-    ``parts``: part name -> index of the joint at which it starts ("pelvis", "l_thigh", ...); parts that a
-    skeleton need not have ("l_wrist", "l_toes") are absent. ``points``: name -> rest position (3,) [m],
-    joints under their part's name and "hips", "head_center", "l_fingers", "l_heel", "l_ball", ...
-    ``scale``: size against a person of 1.75 m.
-    """
+    """A skeleton read as a person."""
 
     skeleton: Skeleton
     parts: Mapping[str, int]
+    """Part ("pelvis", "l_thigh", ...) -> index of its first joint; "l_wrist", "l_toes", ... may be absent."""
     points: Mapping[str, Array]
+    """Name -> rest position (3,) [m]: joints by their part's name, "hips", "head_center", "l_heel", ..."""
     scale: float
+    """Size relative to a person of 1.75 m."""
 
     def part_or(self, part: str, other: str) -> str:
         """Return ``part`` where the skeleton has it, else ``other``."""

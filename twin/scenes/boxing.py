@@ -27,20 +27,21 @@ _LEFT_HANDED = 0.2
 
 @dataclass(frozen=True)
 class Strike:
-    """A strike of the hand ``side``: by way of ``load`` to ``reach``; what the body adds, and how long it takes.
-
-    ``elbow``: to which the elbow points at the end. ``pelvis`` and ``spine``: their turns then. ``shift``:
-    the weight (left, forward). ``pivot``: the foot of that side on its ball (turn outward, heel up).
-    """
+    """A strike of one hand: by way of ``load`` to ``reach``, and the motion of the body with it."""
 
     side: str
     reach: tuple[float, float, float]
     elbow: tuple[float, float, float]
+    """Direction of the elbow at the end."""
     twist: float
     pelvis: float
+    """Its rotation at the end."""
     spine: float
+    """Likewise."""
     shift: tuple[float, float]
+    """Of the weight (left, forward)."""
     pivot: tuple[float, float]
+    """Of the foot of that side on its ball (rotation outward, heel up)."""
     out_s: float
     load: tuple[float, float, float] | None = None
 
@@ -70,7 +71,7 @@ _BEFORE_S, _BACK_S, _LOAD_S = 0.05, 0.26, 0.20
 
 
 def boxing(performer: Performer, rng: np.random.Generator) -> Motion:
-    """Return a loop: all combinations, in an order, at places and with timing drawn by ``rng``.
+    """Return a loop: all combinations, in an order, at positions and with timing drawn by ``rng``.
 
     Every fifth boxer leads with the right.
     """

@@ -1,7 +1,7 @@
-"""The channels of a person's score: where the body is, what hands and feet do; steps; and their postures.
+"""The channels of a person's movement sequence: position of the body, hands and feet; steps; and their postures.
 
 All lengths are those of a person of 1.75 m [m], angles [rad]. ``place`` (x, y, turn to the left from -y)
-carries pelvis and hands; feet stand in the world on their own and are stepped from place to place.
+carries pelvis and hands; feet are fixed in the world and moved step by step.
 """
 
 from collections.abc import Mapping, Sequence
@@ -42,7 +42,7 @@ FEET_TOGETHER: Stance = {"l": (0.11, 0.14, 0.12), "r": (-0.11, 0.14, -0.12)}
 
 
 def begin(stance: Stance, **start: Values) -> MovementSequence:
-    """Return a score of someone who stands; ``start``: channels that start otherwise ("l_hand", "height")."""
+    """Return the sequence of a standing person; ``start``: channels that start otherwise ("l_hand", "height")."""
     sequence = MovementSequence()
     sided = {f"{side}_{name}": value for name, value in _SIDED.items() for side in "lr"}
     feet = {f"{side}_foot": footing((0.0, 0.0, 0.0), stance, side) for side in "lr"}
@@ -51,7 +51,7 @@ def begin(stance: Stance, **start: Values) -> MovementSequence:
 
 
 def footing(place: Sequence[float] | Array, stance: Stance, side: str) -> Array:
-    """Return where a foot (x, y, turn) of someone at ``place`` stands."""
+    """Return the pose (x, y, turn) of a foot of a person at ``place``."""
     left, forward, turn = stance[side]
     c, s = np.cos(place[2]), np.sin(place[2])
     return np.array([place[0] + c * left + s * forward, place[1] + s * left - c * forward, place[2] + turn])

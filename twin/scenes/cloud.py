@@ -1,9 +1,9 @@
 """Free ball markers all over a working space of any size, each on a smooth path of its own.
 
-The markers stand in the cells of a lattice. Each is off its cell's middle and swings about there by sums
-of sinusoids, but never further than ``LEEWAY`` of half a cell along each axis, so that no two markers come
-closer than (1 - LEEWAY) of the shortest cell edge. The lattice as a whole turns about the vertical and
-drifts, which changes no distance, so that every marker crosses many pixels.
+There is one marker in a cell of a lattice. Each is offset from its cell's middle and oscillates by sums of sinusoids,
+within ``LEEWAY`` of half a cell along each axis, so that no two markers come closer than (1 - LEEWAY) of the shortest
+cell edge. The lattice as a whole rotates about the vertical and drifts, which keeps all distances, so that every
+marker crosses many pixels.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from twin.scenes.scene import Scene
 from twin.scenes.world import SEAT_M, Box, add_ball_marker, compiled, new_stage, positive
 
 LEEWAY = 0.5
-_OFFSET_SHARE = 0.4  # of the leeway: standing still; the rest is motion
+_OFFSET_SHARE = 0.4  # of the leeway: constant offset; the rest is motion
 _TURN_RAD = np.deg2rad(15.0)
 _DRIFT_SHARE = 0.05  # of each edge, to both sides
 _WAVES = 3
@@ -25,21 +25,24 @@ _WAVES = 3
 
 @dataclass(frozen=True, eq=False)
 class CloudPath:
-    """Positions of n markers at any time [s], as qpos (3 n,): three slides each from the box's centre.
-
-    ``cells`` (n, 3) mean places in the lattice [m]; ``amplitudes``, ``frequencies`` [rad/s] and ``phases``
-    (w, n, 3) of the markers' own waves; ``drift`` and ``drift_phase`` (3,), ``turn_rate`` [rad/s] and
-    ``drift_rate`` (3,) [rad/s] of the whole.
-    """
+    """Positions of n markers at any time [s], as qpos (3 n,): three slides each from the box's centre."""
 
     cells: Array
+    """(n, 3) mean positions in the lattice [m]."""
     amplitudes: Array
+    """(w, n, 3) of the markers' own waves [m]."""
     frequencies: Array
+    """(w, n, 3) [rad/s]"""
     phases: Array
+    """(w, n, 3)"""
     drift: Array
+    """(3,) of the whole lattice."""
     drift_rate: Array
+    """(3,) [rad/s]"""
     drift_phase: Array
+    """(3,)"""
     turn_rate: float
+    """Rotation of the whole lattice about the vertical [rad/s]."""
     turn_phase: float
 
     def __call__(self, time_s: float) -> Array:
@@ -96,7 +99,7 @@ def closest_approach_m(box_size_m: Array, n: int, marker_diameter_m: float) -> f
 
 def _lattice(box: Box, n: int, diameter: float) -> tuple[Array, Array]:
     """Return how many cells (3,) along each axis and their edges (3,) [m]."""
-    # The block of cells, turned and drifted as far as it goes, must stay inside the box.
+    # The block of cells, rotated and at its largest drift, must stay inside the box.
     free = box.size * (1 - 2 * _DRIFT_SHARE) - diameter
     c, s = np.cos(_TURN_RAD), np.sin(_TURN_RAD)
     shrink = min(free[0] / (box.size[0] * c + box.size[1] * s), free[1] / (box.size[0] * s + box.size[1] * c))

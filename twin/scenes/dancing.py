@@ -1,7 +1,7 @@
 """A dancer: turns on one foot, arms overhead, arms that cross before the chest, squats, steps to the side.
 
-Every figure starts and ends standing with hanging arms, so that their order is free. A turn is danced as if it
-did not turn, then turned as a whole about the ball of the foot that it stands on.
+Every figure starts and ends standing with hanging arms, so that their order is free. The motion of a turn is made
+without rotation, then rotated as a whole about the ball of the standing foot.
 """
 
 from collections.abc import Callable
@@ -178,7 +178,7 @@ def _turn(sequence: MovementSequence, clock: float, beat: float, side: str, rng:
 
 
 def _turned(motion: Motion, time_s: Array, turns: list[Turn], scale: float) -> Motion:
-    """Return ``motion`` turned as a whole about each turn's pivot; between turns it is as it was."""
+    """Return ``motion`` rotated as a whole about each turn's pivot; between turns it is unchanged."""
     root, rotations = motion.root_xyz.copy(), motion.rotations.copy()
     for turn in turns:
         angle = turn.sign * 2 * np.pi * minimum_jerk((time_s - turn.start_s) / (turn.end_s - turn.start_s))

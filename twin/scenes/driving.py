@@ -48,7 +48,7 @@ def noise(
     """Return the paper's white noise, each command held for ``hold_s``.
 
     Rule that keeps the robot in the working space: where its centre is within ``margin_m`` of the box's side and the
-    average drawn would drive it further out, the average's sign is turned. The magnitude stays as drawn, and so does
+    average drawn would drive it further out, the average is negated. The magnitude stays as drawn, and so does
     the sequence of random numbers.
     """
     held = max(round(hold_s / PHYSICS_STEP_S), 1)
@@ -66,7 +66,7 @@ def noise(
 
 
 def given(lines: Sequence[tuple[int, str]], box: Box) -> Sides:
-    """Return the commands in ``lines``: session time [ns] and text, each held until the next; it stands before.
+    """Return the commands in ``lines``: session time [ns] and text, each held until the next; at rest before.
 
     Raises InputError for a text that is no command; the function returned, where they drive the robot out of ``box``.
     """
@@ -106,7 +106,7 @@ def drive(model: mujoco.MjModel, start_m: Array, heading_rad: float, duration_s:
     """Return a run from -0.1 s to ``duration_s`` + 0.1 s; commands start at 0 s.
 
     ``model``: qpos starts with the robot's free joint; actuators are the left wheels, then the right wheels, with PWM
-    as control. ``start_m`` (2,) and ``heading_rad``: where it stands until then.
+    as control. ``start_m`` (2,) and ``heading_rad``: its pose until then.
     """
     begin = -0.1 - _SETTLE_S
     steps = int(np.ceil((duration_s + 0.1 - begin) / PHYSICS_STEP_S)) + 1

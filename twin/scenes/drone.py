@@ -40,7 +40,7 @@ _RIM_PIECES = 12
 _YAW_ARM_M = 0.016  # rotor drag moment over thrust
 _MARGIN_M = np.array([0.45, 0.45, 0.15])  # half the drone's diagonal and the tracking error
 
-# Where the markers sit: a ray from the first point along the direction, in body axes. D1-D5 below, as in
+# Positions of the markers: a ray from the first point along the direction, in body axes. D1-D5 below, as in
 # the Mosca paper's figure 5, the others above; the set has no symmetry.
 _MARKER_RAYS: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] = (
     ((_MOTOR_M, _MOTOR_M, 0.0), (0, 0, -1)),

@@ -10,7 +10,7 @@ from mosca.data.arrays import Array
 
 GlowKind = Literal["plain", "retro", "paper", "lamp"]
 ALL_SIDES_DEG = 180.0
-"""``Glow.half_deg`` of a lamp that shines alike to all sides."""
+"""``Glow.half_deg`` of a lamp that shines equally to all sides."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ class Glow:
 def lit(blink: Blink, t0: float, t1: float) -> Array:
     """Return when a lamp is lit between ``t0`` <= ``t1`` [s]: intervals (k, 2) [s], rising and apart.
 
-    Exact: an edge is start_s + k * bit_s rounded once for each k, wherever it is asked for, so that windows
-    that meet share their edges to the last bit. Bits lit one after the other make one interval.
+    Exact: an edge is start_s + k * bit_s rounded once for each k, so that adjoining windows share their edges to the
+    last bit. Successive lit bits make one interval.
     """
     if not -math.inf < t0 <= t1 < math.inf:
         raise ValueError(f"t0 = {t0:g}, t1 = {t1:g} given; finite and t0 <= t1 is wanted")

@@ -53,7 +53,7 @@ def lay_out_field(
 ) -> LaidOutField:
     """Return ``n`` coded targets, 4 to 507, on a structure that fills a box of ``size_m`` (3,).
 
-    ``rng`` draws numbers, places in the faces' cells, and how each plate is rolled. ``dot_radius_m``: by
+    ``rng`` draws numbers, positions in the faces' cells, and how each plate is rolled. ``dot_radius_m``: by
     default as large as the cells allow. Raises InputError for targets that do not fit.
     """
     if layout not in FIELD_LAYOUTS:
@@ -100,7 +100,7 @@ def _cells(face: Face, cell: float) -> list[tuple[float, float]]:
 
 
 def _largest_cell(faces: tuple[Face, ...], n: int) -> float:
-    """Return the largest edge of a square cell such that ``n`` of them find room on the faces."""
+    """Return the largest edge of a square cell such that ``n`` of them fit on the faces."""
     edges = np.array([edge for face in faces for edge in (face.width, face.height)])
     fitting = np.unique(edges[:, None] / np.arange(1, 2 * n + 1))[::-1]  # only there does a row more fit
     for cell in fitting * (1 - 1e-12):
@@ -113,7 +113,7 @@ def _tower(size: Array) -> tuple[tuple[Face, ...], tuple[Shape, ...]]:
     """Return a stepped pyramid: each step's four sides and what the next one leaves free of its top."""
     faces, shapes = [], []
     high = (size[2] - FILM_M) / STEPS
-    room = size[:2] - 2 * FILM_M  # the targets stand off the sides
+    room = size[:2] - 2 * FILM_M  # the targets are off the sides
     for step in range(STEPS):
         x, y = room * (1 - step / STEPS) / 2
         inner_x, inner_y = room * (1 - (step + 1) / STEPS) / 2

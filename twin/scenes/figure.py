@@ -18,13 +18,12 @@ JOIN = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """``pieces`` (n, 7): kind, then x0, y0, x1, y1, 0 of a line or cx, cy, radius, angle0, angle1 [rad] of an arc,
-    then the gain of the contour that it belongs to. Pieces of a contour join end to end, the inside on their
-    left (counter-clockwise seen from +z). ``radius`` encloses all of them about the origin [m].
-    """
+    """Contours whose pieces join end to end, the inside on their left (counter-clockwise seen from +z)."""
 
     pieces: Array
+    """(n, 7) kind; x0, y0, x1, y1, 0 of a line or cx, cy, radius, angle0, angle1 [rad] of an arc; contour's gain."""
     radius: float
+    """Of the circle about the origin that encloses all of them [m]."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pieces", read_only(self.pieces, (None, 7), "pieces"))

@@ -71,21 +71,19 @@ def walker_skeleton(stature_m: float) -> Skeleton:
 
 @dataclass(frozen=True, eq=False)
 class Gait:
-    """Walking as a function of time; made by ``walk``.
-
-    ``center`` (2,) of the path [m], ``extent`` (2,): the circle's radius twice, or the vector from the
-    middle of the lane to its end [m]. ``stride``: one stride's joint rotations and root height as a
-    periodic C2 spline over its phase (0..2 pi), from 256 poses of the closed forms.
-    """
+    """Walking as a function of time; made by ``walk``."""
 
     path: GaitPath
     center: Array
+    """(2,) of the path [m]."""
     extent: Array
+    """(2,) the circle's radius twice, or the vector from the middle of the lane to its end [m]."""
     speed_mps: float
     stride_hz: float
     phase: float
     heading: float
     stride: CubicSpline
+    """Joint rotations and root height of one stride, a periodic C2 spline over its phase (0..2 pi)."""
 
     def at(self, time_s: float) -> tuple[Array, Array]:
         """Return the root's position (3,) [m] and all joints' rotations (j, 4) wxyz at ``time_s``."""
@@ -99,7 +97,7 @@ class Gait:
         return np.array([place[0], place[1], values[0]]), rotations
 
     def _track(self, time_s: float) -> tuple[Array, float]:
-        """Return the root's place (2,) [m] and its heading [rad]."""
+        """Return the root's position (2,) [m] and its heading [rad]."""
         if self.path == "in_place":
             return self.center, self.heading
         if self.path == "circle":
@@ -124,8 +122,7 @@ def walk(
     """Return a walk about ``center`` (2,) whose limbs and markers stay within ``half_box`` (2,) [m] of it.
 
     ``rng`` draws the phase of the first step, where on the path it starts and, in place, the heading.
-    A lane too short to reach ``speed_mps`` is walked more slowly. Raises InputError where the box has no
-    room.
+    A lane too short to reach ``speed_mps`` is walked more slowly. Raises InputError where the box is too small.
     """
     phase, heading = rng.uniform(0, 2 * np.pi, 2)
     leg = -float(np.sum(skeleton.offsets[[skeleton.index("ltibia"), skeleton.index("lfoot")], 2]))
@@ -167,7 +164,7 @@ def _pose(skeleton: Skeleton, phases: Array, swing: float) -> Array:
     turn("lowerneck", "ZX", 0.06 * np.cos(phases), -0.03)
     turn("head", "ZX", 0.04 * np.cos(phases - 0.3), 0.02 * np.sin(2 * phases))
     for side, own, mirror in (("l", phases, 1.0), ("r", phases + np.pi, -1.0)):
-        # Facing -y, a limb that hangs down swings forward by a negative turn about x.
+        # Facing -y, a limb that hangs down swings forward by a negative rotation about x.
         hip = swing * np.cos(own) + 0.06
         knee = 0.12 + (0.45 + swing) * ((1 - np.sin(own)) / 2) ** 2
         ankle = knee - hip + 0.05 * np.sin(own)

@@ -139,7 +139,7 @@ def _turn_round(sequence: MovementSequence, clock: float, place: Array, angle: f
     sequence.move("place", clock, clock + steps * _STEP_S, place + [0.0, 0.0, angle])
     sides = "lr" if angle > 0 else "rl"  # the foot inside the turn goes first
     for k in range(steps):
-        # A foot is put down as the body will be turned in the middle of its stand.
+        # A foot is put down with the heading that the body has in the middle of its stance.
         share = 1.0 if k >= steps - 2 else float(minimum_jerk(np.array((k + 1.5) / steps)))
         turned = place + [0.0, 0.0, angle * share]
         side = sides[k % 2]
@@ -161,7 +161,7 @@ def _led(
 ) -> Array:
     """Return where the centre of mass is to be (n, 3) [m]; ``feet_m`` (2, 3): where the jumps start."""
     standing = performer.balance.center_of_mass(posed(performer, _first(postures), rate))[0]
-    before = float(feet_m[0, 1] - standing[1])  # how far it is before the place on which someone stands
+    before = float(feet_m[0, 1] - standing[1])  # distance in front of the standing position
     place, advance, rise = (
         np.tile(feet_m[0, :2], (len(time_s), 1)),
         np.full(len(time_s), before),

@@ -75,15 +75,16 @@ def spline_path(time_s: Array, qpos: Array, quaternions: Array, *, start_s: floa
 class StepPath:
     """Physics steps joined by cubic Hermite arcs that keep each step's position and velocity: C1.
 
-    Rotations run along cubic arcs of the rotation vector from one step's attitude to the next's.
-    ``steps`` hold n configurations ``qpos`` (n, nq) and ``qvel`` (n, nv), ``step_s`` apart from
-    ``first_s`` on.
+    Rotations follow cubic arcs of the rotation vector from one step's attitude to the next's.
     """
 
     first_s: float
+    """Time of the first step."""
     step_s: float
     qpos: Array
+    """(n, nq) configurations."""
     qvel: Array
+    """(n, nv)"""
     linear: tuple[Array, Array]  # addresses in qpos and qvel of all that is no quaternion
     angular: tuple[Array, Array]
     turns: Array  # (n - 1, k, 3) rotation vector from a step to the next, in the body's axes

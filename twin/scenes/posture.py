@@ -31,30 +31,32 @@ _SIDES = (("l", 1.0), ("r", -1.0))
 
 @dataclass(frozen=True, eq=False)
 class Postures:
-    """A person at n instants, floor z = 0 [m, rad]; second axis of limbs: left, right.
-
-    ``pelvis_xyz`` (n, 3) of the root. ``facing`` (n,): turn to the left from -y. ``pelvis`` and ``spine``
-    (n, 3): turn to the left, lean forward, bend to the left; of the pelvis against ``facing``, of the chest
-    against the pelvis. ``gaze`` (n, 2): turn and nod of the head against ``facing``. ``hands`` (n, 2, 3):
-    wrists from the middle of the shoulders, (outward, forward, up) along ``facing``; ``elbows`` (n, 2, 3):
-    the direction, in the same axes, to which an elbow points. ``forearms`` (n, 2): twist; ``wrists``
-    (n, 2): flexion. ``balls`` (n, 2, 3): the balls of the feet in the world, z above where they stand;
-    ``feet`` (n, 2, 2): turn to the left in the world, and pitch (heel up). ``knees`` (n, 2): turn outward of
-    the knee against the foot.
-    """
+    """A person at n instants, floor z = 0 [m, rad]; second axis of limbs: left, right."""
 
     pelvis_xyz: Array
+    """(n, 3) of the root."""
     facing: Array
+    """(n,) heading: angle to the left from -y."""
     pelvis: Array
+    """(n, 3) rotation to the left, lean forward, bend to the left; relative to ``facing``."""
     spine: Array
+    """(n, 3) likewise, of the chest relative to the pelvis."""
     gaze: Array
+    """(n, 2) rotation and nod of the head relative to ``facing``."""
     hands: Array
+    """(n, 2, 3) wrists from the middle of the shoulders, (outward, forward, up) along ``facing``."""
     elbows: Array
+    """(n, 2, 3) direction of the elbow in the same axes."""
     forearms: Array
+    """(n, 2) twist."""
     wrists: Array
+    """(n, 2) flexion."""
     balls: Array
+    """(n, 2, 3) balls of the feet in the world, z above the floor."""
     feet: Array
+    """(n, 2, 2) rotation to the left in the world, and pitch (heel up)."""
     knees: Array
+    """(n, 2) rotation outward of the knee relative to the foot."""
 
     def mirrored(self) -> "Postures":
         """Return the same with left and right exchanged."""
@@ -87,9 +89,9 @@ class Balance:
 
 @dataclass(frozen=True, eq=False)
 class Performer:
-    """Who moves: a ``gait.walker_skeleton``, ``scale`` times 1.75 m tall, and what its bones carry.
+    """A moving person: a ``gait.walker_skeleton``, ``scale`` times 1.75 m tall, and the masses of its bones.
 
-    ``sole_m``: height of the ball joint of a foot that stands [m].
+    ``sole_m``: height of the ball joint of a foot on the floor [m].
     """
 
     skeleton: Skeleton
@@ -130,8 +132,8 @@ def posed(performer: Performer, p: Postures, frame_rate_hz: float) -> Motion:
 def balanced(performer: Performer, p: Postures, frame_rate_hz: float, wanted: Array) -> Motion:
     """Return the motion through ``p`` with the pelvis moved so that the centre of mass is at ``wanted`` (n, 3).
 
-    Repeated correction by what is missing. The legs, which stay where they stand, make a correction fall short
-    by 0 to 40 %: it is made a quarter larger, and seven leave micrometres.
+    Fixed-point iteration on the remaining error. Since the feet stay in place, a correction falls short by 0 to 40 %:
+    it is over-relaxed by a quarter, and seven iterations leave micrometres.
     """
     for _ in range(_BALANCE_STEPS):
         motion = posed(performer, p, frame_rate_hz)
@@ -148,7 +150,7 @@ def _trunk(p: Postures) -> dict[str, Array]:
 
 
 def _head(p: Postures) -> dict[str, Array]:
-    """Return the rotations of neck and head that look along ``gaze``, whatever the trunk does."""
+    """Return the rotations of neck and head for ``gaze``, independent of the trunk."""
     wanted = p.gaze - (p.pelvis + p.spine)[:, :2]
     return {"lowerneck": _euler("ZX", 0.45 * wanted), "head": _euler("ZX", 0.45 * wanted)}
 

@@ -1,12 +1,11 @@
 """A four-wheeled skid-steered robot like the Mosca paper's Hercules, with 13 flat targets on its deck.
 
-0.36 m long, 0.32 m wide, 4 kg. It stands on contact physics: turning drags its wheels sideways over the
-floor, which is what makes its model worth identifying. Body axes: x forward, y left, z up, origin on the
-floor under the deck's centre.
+0.36 m long, 0.32 m wide, 4 kg. Simulated with contact physics: turning drags its wheels sideways over the floor, so
+that its dynamics are not trivial to identify. Body axes: x forward, y left, z up, origin on the floor under the
+deck's centre.
 
 Targets (paper, figure 8): #8 in the centre; #6 and #10 on the x axis, #3 and #13 on the y axis. The paper
-prints no drawing of the others; here they stand in rows 1-5, 6-10 and 11-13, so that the pattern has no
-symmetry.
+has no drawing of the others; here they are in rows 1-5, 6-10 and 11-13, so that the pattern has no symmetry.
 """
 
 from collections.abc import Sequence
@@ -50,7 +49,7 @@ _DECK_M = np.array([0.34, 0.25, 0.006])
 _FRICTION = 0.5
 _ROTOR_INERTIA_KG_M2 = 0.01  # of motor and gear, seen at the wheel
 _TURN_BACK_M = 0.15
-"""The robot is turned back when it could reach the side of the box within this."""
+"""Safety margin of the distance from the box's side at which the robot's direction is reversed."""
 
 TARGET_XY_M: tuple[tuple[float, float], ...] = (
     *((x, 0.10) for x in (-0.15, -0.075, 0.0, 0.075, 0.15)),
@@ -75,12 +74,26 @@ def build_robot(
 ) -> Scene:
     """Return a robot that white noise, or ``commands``, drive about the working space, on the floor z = 0.
 
-    ``average_pwm`` a_m and ``difference_pwm`` d_m of -255..255, each command held for ``hold_s``;
-    ``target_diameter_m`` of the flat targets T1..T13 of the rigid body "robot". ``commands`` holds
-    pwm_average, pwm_difference, pwm_left, pwm_right from 0 s on. ``rng`` draws the first heading and the
-    commands. Near the side of the box an average that would drive it out has its sign turned (see
-    ``driving.noise``). ``commands``: session time [ns] and line of text of each (see ``driving.given``), in place of
-    noise. ``heading_rad``: of its x axis against the world's at the start. Raises InputError naming what is wrong.
+    The scene's commands hold pwm_average, pwm_difference, pwm_left, pwm_right from 0 s on. Raises InputError naming
+    what is wrong.
+
+    Parameters
+    ----------
+    duration_s, box_center_m, box_size_m
+        Length of the scene, and working space ((3,) each).
+    rng
+        Draws the first heading and the noise.
+    average_pwm, difference_pwm
+        Amplitudes a_m and d_m of the noise, of 255; near the side of the box an average that would drive the robot
+        out is negated (see ``driving.noise``).
+    hold_s
+        Duration of each command.
+    target_diameter_m
+        Of the flat targets T1..T13 of the rigid body "robot".
+    commands
+        Session time [ns] and line of text of each (see ``driving.given``), instead of noise.
+    heading_rad
+        Of its x axis relative to the world's at the start.
     """
     box = Box(box_center_m, box_size_m)
     positive({"duration_s": duration_s, "hold_s": hold_s, "target_diameter_m": target_diameter_m})

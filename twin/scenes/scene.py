@@ -89,16 +89,16 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class SceneState:
-    """Where everything is at one instant, world frame [m].
-
-    ``marker_xyz`` (m, 3) centres; ``marker_axis`` (m, 3) unit +z of each marker's geom (a flat target's
-    normal); ``geom_xyz`` (g, 3) and ``geom_rotation`` (g, 3, 3) of every geom of the model.
-    """
+    """Markers and geoms at one instant, world frame [m]."""
 
     marker_xyz: Array
+    """(m, 3) centres."""
     marker_axis: Array
+    """(m, 3) unit +z of each marker's geom (a flat target's normal)."""
     geom_xyz: Array
+    """(g, 3)"""
     geom_rotation: Array
+    """(g, 3, 3)"""
 
 
 class SceneSampler:

@@ -41,9 +41,9 @@ def build_board(
     """Return ``board`` (by default 9 x 6 squares, a third of the box) carried through the working space.
 
     ``speed_mps``: rms speed of its middle; ``turn_rad_s``: rms rate of its tilt and roll. ``facing`` (3,):
-    where its face looks at rest, off by ``tilt_rad`` at most; None: it looks all round, a turn about the
+    direction of its face at rest, tilted by ``tilt_rad`` at most; None: all directions, a revolution about the
     vertical in 2 pi / turn_rad_s. ``rng`` draws the path. The only marker is "board". Raises InputError where
-    the box has no room for it.
+    it does not fit into the box.
     """
     box = Box(box_center_m, box_size_m)
     positive({"duration_s": duration_s, "speed_mps": speed_mps, "turn_rad_s": turn_rad_s, "tilt_rad": tilt_rad})

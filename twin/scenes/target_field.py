@@ -1,4 +1,4 @@
-"""A test field before the cameras: targets at known places of one rigid body, standing or turned."""
+"""A test field before the cameras: targets at known positions on one rigid body, at rest or rotating."""
 
 from pathlib import Path
 
@@ -34,10 +34,10 @@ def build_field(
 ) -> Scene:
     """Return a test field of ``n`` coded targets that fills the working space, or the one in ``target_file``.
 
-    ``layout`` and ``dot_radius_m``: see ``lay_out_field``. ``turn_rad_s``: rate at which it is turned about
-    the vertical through the box's middle [rad/s]; a field that turns is made small enough to stay inside.
+    ``layout`` and ``dot_radius_m``: see ``lay_out_field``. ``turn_rad_s``: rotation rate about the vertical through
+    the box's middle [rad/s]; a rotating field is made small enough to stay inside.
     Targets are named by their numbers, "code/017", on the rigid body "field". Raises InputError for a file
-    that cannot be used or a field that has no room.
+    that cannot be used or a field that does not fit.
     """
     box = Box(box_center_m, box_size_m)
     positive({"duration_s": duration_s})
@@ -88,7 +88,7 @@ def read_field(path: Path) -> TestField:
 
 
 def turning_room(box: Box) -> Array:
-    """Return the size (3,) [m] of the largest square prism that can be turned about the box's vertical axis."""
+    """Return the size (3,) [m] of the largest square prism that can rotate about the box's vertical axis."""
     edge = min(box.size[0], box.size[1]) / np.sqrt(2)
     return np.array([edge, edge, box.size[2]])
 

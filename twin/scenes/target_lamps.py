@@ -81,7 +81,7 @@ def build_light_marker(
 
     It shows the maximum length sequence of ``order`` (2^order - 1 bits of ``bit_s``; by default 10 s), from
     session time -0.1 s on: ``order`` bits read in a row identify the instant, whatever clock a camera has.
-    ``diameter_m``: by default 1.2 % of the box's shortest edge. Raises InputError where it has no room.
+    ``diameter_m``: by default 1.2 % of the box's shortest edge. Raises InputError where it does not fit.
     """
     box = Box(box_center_m, box_size_m)
     diameter = _SIZE_SHARE * float(box.size.min()) if diameter_m is None else diameter_m

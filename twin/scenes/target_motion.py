@@ -1,4 +1,4 @@
-"""How a target is carried through the working space: by hand, on a turntable, from stand to stand, or not at all.
+"""Motion of a target through the working space: by hand, on a turntable, from pose to pose, or at rest.
 
 A hand's path is a sum of sinusoids in each coordinate and each angle: smooth, without beginning or end, and
 with nothing above ``highest_hz``.
@@ -18,29 +18,34 @@ from twin.scenes.scene import Scene
 from twin.scenes.world import Box, compiled
 
 WAVES = 3
-_SHARES = np.array([0.7, 0.2, 0.1])  # of the room along each coordinate
+_SHARES = np.array([0.7, 0.2, 0.1])  # of the range along each coordinate
 _RATES = np.array([1.0, 1.9, 3.1])  # of the first wave's
 _RATE_SPREAD = 0.15
 
 
 @dataclass(frozen=True, eq=False)
 class CarriedPath:
-    """Pose of a free body at any time, as qpos (7,): place [m] and attitude wxyz.
+    """Pose of a free body at any time t, as qpos (7,): position [m] and attitude wxyz.
 
-    Place: ``center`` (3,) + sum of ``swing`` (w, 3) sin(``rates`` t + ``phases``). Attitude: ``rest`` wxyz (4,)
-    turned in its own axes by the rotation vector sum of ``sway`` (w, 3) sin(``sway_rates`` t + ``sway_phases``)
-    [rad], and then about the world's z by ``spin`` t + ``spin_phase`` [rad/s, rad].
+    Position: ``center`` + sum of ``swing`` sin(``rates`` t + ``phases``). Attitude: ``rest``, rotated in its own axes
+    by the rotation vector sum of ``sway`` sin(``sway_rates`` t + ``sway_phases``), then about the world's z by
+    ``spin`` t + ``spin_phase``.
     """
 
     center: Array
+    """(3,) [m]"""
     swing: Array
+    """(w, 3) [m]"""
     rates: Array
     phases: Array
     rest: Array
+    """(4,) wxyz"""
     sway: Array
+    """(w, 3) [rad]"""
     sway_rates: Array
     sway_phases: Array
     spin: float
+    """[rad/s]"""
     spin_phase: float
 
     def __post_init__(self) -> None:
@@ -71,13 +76,13 @@ class CarriedPath:
 
     @property
     def highest_hz(self) -> float:
-        """Highest frequency of place and rotation vector [Hz]."""
+        """Highest frequency of position and rotation vector [Hz]."""
         rates = np.concatenate([self.rates, self.sway_rates]) * (np.concatenate([self.swing, self.sway]) != 0)
         return float(rates.max(initial=0.0) / (2 * np.pi))
 
 
 def standing(center: Array, rotation: Array | None = None, spin: float = 0.0, phase: float = 0.0) -> CarriedPath:
-    """Return a body that stands at ``center`` (3,) or turns there about the vertical by ``spin`` [rad/s]."""
+    """Return a body at rest at ``center`` (3,), or rotating there about the vertical by ``spin`` [rad/s]."""
     rest = quaternion_from_rotation(np.eye(3) if rotation is None else rotation)
     none = np.zeros((0, 3))
     return CarriedPath(center, none, none, none, rest, none, none, none, spin, phase)
@@ -123,7 +128,7 @@ def carried_body(spec: mujoco.MjSpec, name: str) -> mujoco.MjsBody:
     """Add a free body to ``spec`` whose pose a ``CarriedPath`` gives."""
     body = spec.worldbody.add_body(name=name)
     body.add_freejoint(name=name)
-    # a moving body must weigh something; nothing here is simulated
+    # MuJoCo requires a mass of moving bodies; nothing here is simulated
     body.mass, body.inertia, body.explicitinertial = 1e-3, [1e-6, 1e-6, 1e-6], True
     return body
 
@@ -159,17 +164,16 @@ def _at_rate(amplitudes: Array, rates: Array, wanted: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class SteppedPath:
-    """Pose of a free body that is put from one stand to the next and stands still there, as qpos (7,).
-
-    ``stands`` (s, 7): place [m] and attitude wxyz at each; ``hold_s``: how long each lasts; the last one lasts on.
-    ``lead_s``: how much earlier than that it is put there, so that no exposure sees it go. ``first_s``: how much
-    longer than the others the first one lasts.
-    """
+    """Pose of a free body that rests at one pose after the other, as qpos (7,)."""
 
     stands: Array
+    """(s, 7) positions [m] and attitudes wxyz."""
     hold_s: float
+    """Duration of each; the last one does not end."""
     lead_s: float
+    """How much earlier it is moved there, so that no exposure shows the step."""
     first_s: float = 0.0
+    """Additional duration of the first."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "stands", read_only(self.stands, (None, 7), "stands"))
@@ -191,10 +195,10 @@ def put_from_stand_to_stand(
     rng: np.random.Generator,
     first_s: float = 0.0,
 ) -> SteppedPath:
-    """Return a body that stands upright at ``center`` (3,) first, and at random places and attitudes about it then.
+    """Return a body that rests upright at ``center`` (3,) first, then at random positions and attitudes about it.
 
-    ``shift_m`` (3,): how far to both sides along each axis; ``tilt_rad``: how far it leans at most; its turn about
-    the vertical is spread evenly over the stands. ``first_s``: how much longer it stands at the first.
+    ``shift_m`` (3,): largest shift along each axis; ``tilt_rad``: largest tilt; the angles about the vertical are
+    evenly spaced. ``first_s``: additional duration of the first pose.
     """
     rows = [np.concatenate([center, [1.0, 0.0, 0.0, 0.0]])]
     for k in range(1, stands):

@@ -1,7 +1,7 @@
 """Targets as geoms: plates that carry a figure, discs and balls, each with its centre exactly where it is specified.
 
-A plate is a sheet so thin (2 um) that its face, its centre and its back are one place; what carries it stands
-``FILM_M`` behind. White parts have gain 1; black ones send nothing, or ``INK`` of it where they are printed.
+A plate is a sheet so thin (2 um) that its face, centre and back coincide; its carrier is ``FILM_M`` behind. White
+parts have gain 1, black ones 0, or ``INK`` where they are printed.
 """
 
 from collections.abc import Sequence
@@ -27,15 +27,15 @@ from twin.scenes.world import (
 SHEET_HALF_M = 1e-6
 """Half the thickness of a plate's sheet [m]."""
 FILM_M = 0.0002
-"""How far a plate or disc stands before the face that carries it [m]."""
+"""Distance of a plate or disc from the face that carries it [m]."""
 INK = 0.04
-"""What printed black sends of what white paper sends."""
+"""Reflectance of printed black relative to white paper."""
 RETRO, PAPER = Glow("retro"), Glow("paper")
 _BLACK = (0.02, 0.02, 0.02, 1.0)
 
 
 def black_of(glow: Glow) -> float:
-    """Return what the black parts of a target send, as a share of the white ones' light."""
+    """Return the light of a target's black parts, as a share of the white ones' light."""
     return INK if glow.kind == "paper" else 0.0
 
 

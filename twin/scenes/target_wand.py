@@ -1,7 +1,7 @@
 """Wand, scale bar and L-frame before the cameras.
 
-Balls stand on thin stems off the bar that carries them, so that it hides little of them from the front; their
-centres are exactly where the vocabulary has them.
+Balls are on thin stems at a distance from the bar, so that it occludes little of them from the front; their centres
+are exactly those of the target definition.
 """
 
 from collections.abc import Sequence
@@ -39,9 +39,9 @@ def build_wand(
 ) -> Scene:
     """Return ``wand`` (by default three balls, a third of the box long) waved through the working space.
 
-    ``speed_mps``: rms speed of its middle; ``turn_rad_s``: rms rate of its tilt, and rate of its turn about
+    ``speed_mps``: rms speed of its middle; ``turn_rad_s``: rms rate of its tilt, and rate of its rotation about
     the vertical. ``rng`` draws the path. Markers wand/1, wand/2, ... of the rigid body "wand". Raises
-    InputError where the box has no room for it.
+    InputError where it does not fit into the box.
     """
     box = Box(box_center_m, box_size_m)
     wand = default_wand(box) if wand is None else wand
@@ -70,7 +70,7 @@ def build_scale_bar(
     """Return ``bar`` (by default coded targets 0 and 1, a third of the box apart) waved through the working space.
 
     Other parameters as for ``build_wand``; the rigid body is "scale_bar". The bar is exactly as long as its
-    certificate states. Raises InputError where the box has no room for it.
+    certificate states. Raises InputError where it does not fit into the box.
     """
     box = Box(box_center_m, box_size_m)
     bar = default_scale_bar(box) if bar is None else bar
@@ -106,9 +106,8 @@ def build_l_frame(
 ) -> Scene:
     """Return ``l_frame`` standing at the bottom of the working space, its middle in the box's middle.
 
-    ``azimuth_rad``: how far it is turned about the vertical. Markers have their names after "l_frame/", the
-    rigid body is "l_frame"; its origin's place and turn in the world are what a reader of it has to find.
-    Raises InputError where it does not fit.
+    ``azimuth_rad``: rotation about the vertical. Markers are named "l_frame/..." on the rigid body "l_frame", whose
+    pose in the world is to be estimated. Raises InputError where it does not fit.
     """
     box = Box(box_center_m, box_size_m)
     positive({"duration_s": duration_s})
@@ -135,7 +134,7 @@ def build_l_frame(
 
 
 def default_wand(box: Box) -> Wand:
-    """Return three balls at unlike distances, a third of the box's shortest edge from end to end."""
+    """Return three balls at different distances, a third of the box's shortest edge from end to end."""
     length = float(box.size.min()) / 3
     return Wand((0.0, 0.4 * length, length), 0.04 * length)
 

@@ -18,7 +18,7 @@ from twin.scenes.scene import MARKER_GROUP, UNSEEN_GROUP
 from twin.scenes.world import add_ball_marker, add_flat_target
 
 _TIE_M = 1e-6
-_SPHERE_SUBDIVISIONS = 5  # faces 0.02 of the radius long: a marker's place is that coarse on round shapes
+_SPHERE_SUBDIVISIONS = 5  # faces 0.02 of the radius long: the resolution of a marker's position on round shapes
 
 
 class OwnMarker(Table):
@@ -66,13 +66,13 @@ def _rows(path: Path) -> list[dict[str, Any]]:
     for k, row in enumerate(rows, 2):
         if None in row or None in row.values():
             raise InputError(f"{path}: row {k} has not as many cells as the header; fill it up")
-    # An empty cell stands for the default.
+    # An empty cell means the default.
     return [{key: cell.strip() for key, cell in row.items() if cell.strip()} for row in rows]
 
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """What a compiled model's bodies look like: triangle meshes in each body's axes."""
+    """Visible surfaces of a compiled model's bodies: triangle meshes in each body's axes."""
 
     meshes: dict[str, trimesh.Trimesh]
 

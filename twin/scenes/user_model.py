@@ -1,7 +1,7 @@
 """A user's own model, MJCF or URDF with its meshes, with markers on it.
 
-What is seen is what MuJoCo's viewer shows: geom groups 0 to 2. Geoms of other groups (collision shapes)
-neither show nor hide; where a URDF link has visuals, its collision shapes do not either.
+Visible is what MuJoCo's viewer shows: geom groups 0 to 2. Geoms of other groups (collision shapes) are neither
+visible nor occlude; nor do the collision shapes of a URDF link with visuals.
 """
 
 import re
@@ -46,14 +46,26 @@ def build_own(
 ) -> Scene:
     """Return the model in ``model_file`` (MJCF .xml or .urdf) with the markers of ``markers_file`` on it.
 
-    ``motion``: "turntable": the whole model, joints at rest, is carried about the box at up to
-    ``speed_mps`` per axis and turned at ``turn_rad_s`` [rad/s] while it tilts (start by ``rng``);
-    "physics": the model is let go from its first keyframe, else its rest pose, at -0.1 s;
-    "table": ``motion_file`` is a CSV with header, column 1 the time [s] and then all of qpos.
-    ``floor``: add the plane z = 0 unless the model brings a plane. ``bodies``: every body with markers.
+    The scene's rigid bodies are all bodies with markers. Raises InputError for files that MuJoCo cannot load, unknown
+    bodies, a box too small for a turntable, a table that does not fit, physics that diverges.
 
-    Raises InputError for files that MuJoCo cannot load, unknown bodies, a box too small for a turntable,
-    a table that does not fit, physics that diverges.
+    Parameters
+    ----------
+    duration_s, box_center_m, box_size_m
+        Length of the scene, and working space ((3,) each).
+    rng
+        Draws the start of the turntable.
+    model_file, markers_file
+        Model and table of its markers.
+    motion
+        "turntable": the whole model, joints at rest, moves about the box, rotates and tilts; "physics": simulated
+        from its first keyframe, else its rest pose, at -0.1 s; "table": ``motion_file``.
+    motion_file
+        CSV with header, column 1 the time [s], then all of qpos.
+    speed_mps, turn_rad_s
+        Of the turntable: largest speed per axis, and rotation rate.
+    floor
+        Add the plane z = 0 unless the model has a plane.
     """
     model_file, markers_file = Path(model_file), Path(markers_file)
     box = Box(box_center_m, box_size_m)
@@ -92,19 +104,20 @@ def build_own(
 
 @dataclass(frozen=True, eq=False)
 class Turntable:
-    """The configuration of a free body carried about ``center`` (3,) by ``swing`` (3,) [m] and turned.
-
-    ``rates`` (3,) [rad/s] of the swing along each axis; ``pivot`` (3,) the body's middle in its own axes
-    [m]; ``rest`` qpos of what is mounted on it.
-    """
+    """The configuration of a free body that is moved about a point and rotated."""
 
     center: Array
+    """(3,) [m]"""
     swing: Array
+    """(3,) amplitude of the motion along each axis [m]."""
     rates: Array
+    """(3,) of the swing [rad/s]."""
     phases: Array
     turn_rad_s: float
     pivot: Array
+    """(3,) the body's middle in its own axes [m]."""
     rest: Array
+    """qpos of what is mounted on it."""
 
     def __call__(self, time_s: float) -> Array:
         """Return qpos (nq,) at session time ``time_s``."""
@@ -121,7 +134,7 @@ class Turntable:
 
 
 def _load(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """Return the specification in ``path`` and the model as it stands in it, collision shapes unseen."""
+    """Return the specification and the model in ``path``, collision shapes invisible."""
     if not path.is_file():
         raise InputError(f"{path}: no such file; an MJCF (.xml) or URDF (.urdf) model is wanted")
     try:

@@ -1,4 +1,4 @@
-"""The stage: floor, working space, solid shapes, and markers that sit on them.
+"""Floor, working space, solid shapes, and markers on them.
 
 Everything that shows, hides or carries a marker is a MuJoCo primitive added through MjSpec. Markers are
 geoms that touch nothing and weigh nothing; their names in the model begin with ``marker/``.

@@ -6,12 +6,11 @@ together, whose edge at the distance r from the centre (x, y) is
     I(r) = b + A / 2 erfc((r - R) / (s sqrt 2))
 
 the straight edge under a Gaussian blur, bent to a circle; where the target is small beside the blur it goes over into
-a bell. Elliptic targets are made round first, by their second moments. Maximum likelihood with the pixel noise of
+a bell. Elliptic targets are first mapped to round ones by their second moments. Maximum likelihood with the noise of
 EMVA 1288, ``var(I) = read^2 + gain (I - b) + 1/12``, by Gauss-Newton steps for x, y, A, b, R and s, whose normal
 matrix gives the covariance. The centre is uncorrelated with the other four for a window that is symmetric about
-the target, so that they cost it nothing. The blur has a prior from the frames before, without which a target of
-2 px could be a small one of much blur or a large one of little. Pixels that are saturated, or that a neighbour
-lights up, are left out.
+the target, so that they do not add to its variance. The blur has a prior from earlier frames, since radius and blur
+of a target of 2 px are nearly collinear. Saturated pixels and those of neighbours are left out.
 
 No point spread function is given. What is estimated from the frames, camera by camera (``CameraStatistics``):
 
@@ -21,12 +20,11 @@ No point spread function is given. What is estimated from the frames, camera by 
   lens' point spread function, whatever the target's size: a displacement that calibration takes for
   distortion. A fit of a symmetric edge to an asymmetric image (coma) lies elsewhere, by an amount that depends on
   the target's size. ``(1, 1/R, 1/R^2, R) x (1, u, v)`` is fitted to centroid less fit; all terms but those in R
-  are put onto the fit. Those in R are not: a brightness that falls across the target draws its centroid off by
-  ``g R / 4``, proportional to R, and is no displacement of its middle. The two are told apart by the sizes that
-  a camera sees; where all are of one size, and where shading differs from target to target, they are not, and the
-  centre is that of the fit, or of the light's centroid.
+  are added to the fitted centre. Those in R are not: a brightness gradient g across the target shifts its centroid
+  by ``g R / 4``, proportional to R, without shifting its centre. The two are separable only where a camera sees
+  targets of several sizes with the same shading; otherwise the centre is that of the fit, or the light's centroid.
 
-The offsets are used once they are certain: from ``ENOUGH`` centroids on, and where chance does not explain them.
+The offsets are used from ``ENOUGH`` centroids on, where they are statistically significant (``CHANCE``).
 """
 
 from collections.abc import Mapping, Sequence
@@ -53,10 +51,10 @@ SPREAD = 0.15
 USUAL_ROUGHNESS = 4e-4
 """Misfit beyond the noise of a camera without statistics, over the squared amplitude: (2 %)^2."""
 FEW, ENOUGH, MEMORY = 3.0, 400.0, 20_000.0
-"""Clean targets from which the blur is taken over; centroids from which offsets are; targets after which older
+"""Clean targets from which the blur is used; centroids from which offsets are; targets after which older
 ones are weighted down."""
 CHANCE = 12.0
-"""Chi-square that a term of the offset must bring, an axis; what chance does not give in 2,000 tries."""
+"""Least chi-square of a term of the offset, per axis: false-positive rate below 1 / 2,000."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +107,7 @@ class CameraStatistics:
         return self._priors[names]
 
     def solve(self) -> None:
-        """Compute what the fits of these cameras start from, for which the first fit would wait otherwise."""
+        """Compute the priors of these cameras' fits ahead of the first fit, which would wait for them otherwise."""
         for name in self.names:
             one = self._parts.get(name, self)
             one.priors(one.names)
@@ -175,10 +173,10 @@ def _priors(statistics: CameraStatistics) -> Priors:
 
 
 def _offsets(normal: Array, right_side: Array) -> Array:
-    """Return for n cameras the terms (n, 12, 2) of the offset that chance does not explain, 0 otherwise.
+    """Return for n cameras the significant terms (n, 12, 2) of the offset, 0 for the others.
 
     Of the sets of terms allowed the one whose chi-square, less CHANCE a term, is largest, axis by axis: terms in R
-    and (1, 1/R, 1/R^2) are so much alike that needless ones would only bring noise.
+    and (1, 1/R, 1/R^2) are so strongly correlated that superfluous ones only add noise.
     """
     out = np.zeros(right_side.shape)
     best = np.zeros((len(out), 2))
@@ -195,8 +193,8 @@ def _offsets(normal: Array, right_side: Array) -> Array:
     return out
 
 
-# A ridge [px^-2] that acts only on directions which the sizes and positions seen leave open: what may be either
-# goes to the terms without R.
+# A ridge [px^-2] that acts only on combinations which the observed sizes and positions leave undetermined: these are
+# assigned to the terms without R.
 _RIDGE = 1 / np.where(np.arange(N_TERMS) < 9, 0.3, 0.1) ** 2
 _TERM_SETS = [
     (np.array(terms), np.diag(_RIDGE[terms]))

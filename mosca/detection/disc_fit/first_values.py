@@ -11,9 +11,9 @@ from mosca.numba_support.decorators import bare_step
 
 ROUND, ROUND_PX = 0.04, 1.5
 """A region of n pixels whose second moments differ by less than ``ROUND + ROUND_PX / n`` of their mean is taken for
-round: pixels and noise do as much. More corrects fewer ellipses, less stretches round targets by chance."""
+round: sampling and noise cause as much. Larger values correct fewer ellipses, smaller ones distort round targets."""
 MOST_STRETCHED = 0.85
-"""Largest difference of moments that is corrected, as a share of their mean; beyond, pixels would lie too sparse."""
+"""Largest difference of moments that is corrected, as a share of their mean; beyond, pixels are too sparse."""
 LEAST_RADIUS = 0.4
 """Least radius that a fit starts from, in blurs."""
 CLIPPED_GAIN = 1.5
@@ -89,8 +89,7 @@ def central_moments(sums_of_light: Any) -> tuple[float, float, float, float, flo
 def stretch(xx: float, xy: float, yy: float, blur2: float, n: int) -> tuple[float, float, float]:
     """Return the symmetric matrix (xx, xy, yy) of determinant 1 that makes an elliptic target round.
 
-    From its second moments less those of the blur. What pixels and noise do to a round target is left alone:
-    the unit matrix.
+    From its second moments less those of the blur; the unit matrix where sampling and noise explain the difference.
     """
     size = max(0.5 * (xx + yy) - blur2, 0.5 * blur2)
     p, q = 0.5 * (xx - yy) / size, xy / size
@@ -110,7 +109,7 @@ def stretch(xx: float, xy: float, yy: float, blur2: float, n: int) -> tuple[floa
 def light_of(
     region: Region, background: float, peak: Any, sums: Any, crowded: bool, blur: float, full_dn: float
 ) -> Light:
-    """Return what the sums (1, x, y, xx, xy, yy) of a region's light above the background give of its shape."""
+    """Return a region's shape from the sums (1, x, y, xx, xy, yy) of its light above the background."""
     x, y, xx, xy, yy = central_moments(sums)
     pull_x, pull_y = (xx - yy) / (xx + yy), 2.0 * xy / (xx + yy)
     return Light(

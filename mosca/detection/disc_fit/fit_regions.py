@@ -57,26 +57,25 @@ squared amplitude, and the difference of the region's principal moments over the
 N_COLUMNS = 14
 
 TOUCHING = 0.03
-"""Error of a centroid that a neighbour's light draws, standard deviation as a share of the diameter (measured)."""
+"""Standard deviation of a centroid biased by a neighbour's light, as a share of the diameter (measured)."""
 WORST_FIT = 2.0
-"""A fit with a standard deviation above so many times that of such a centroid is given up for it."""
+"""A fit with a standard deviation above so many times that of such a centroid is replaced by the centroid."""
 STRAY_PX, STRAY_SHARE = 0.3, 0.15
-"""A fit that ends farther from its region's light than this [px] plus this share of the region's size has found
-something else."""
+"""A fit that ends farther from its region's light than this [px] plus this share of the region's size is rejected."""
 MISFIT_MEAN, MISFIT_SIGMAS = 1.3, 5.0
-"""A disc does not hold where chi-square per pixel exceeds the first plus so many standard deviations of chance,"""
+"""The disc model is rejected where chi-square per pixel exceeds the first plus so many of its standard deviations,"""
 MISFIT_FACTOR, MISFIT_LEAST = 8.0, 0.01
 """and its excess so many times the camera's usual one and this share (10 %)^2 of the squared amplitude."""
 LONG = 0.2
-"""Difference of principal moments over their sum from which a region that no disc holds for may be two targets."""
+"""Difference of principal moments over their sum from which a region that no disc fits may be two targets."""
 ROUGH_FACTOR, ROUGH_FLOOR = 4.0, 1e-4
 """A single target counts for the camera's usual misfit with at most so many times that, plus (1 %)^2."""
 BLUR_SIGMA_2 = 9e-4
 """Variance (0.03 px)^2 added to a target's own: no single target outweighs others by its brightness."""
 EACH = 8
-"""Every so many targets the light's centroid is taken."""
+"""The light's centroid is computed for every so many targets."""
 MORE_PX = 30
-"""How much larger than the largest region the widest window is to either side: the blur that a fit may reach."""
+"""Margin of the widest window around the largest region, on each side; limits the blur of a fit."""
 
 
 class Priors(NamedTuple):
@@ -120,7 +119,7 @@ class Centre(NamedTuple):
 
 @bare_step(fastmath=FAST)
 def centre_of(middle: tuple[int, int], light: Light, fit: DiscFit) -> Centre:
-    """Return a fitted disc in the image: out of the matrix in which it is round."""
+    """Return a fitted disc in image coordinates, undoing the map in which it is round."""
     m0, m1, m2 = light.shape
     det = m0 * m2 - m1 * m1
     i0, i1, i2 = m2 / det, -m1 / det, m0 / det
@@ -135,12 +134,12 @@ def centre_of(middle: tuple[int, int], light: Light, fit: DiscFit) -> Centre:
 
 @bare_step(fastmath=FAST)
 def is_good(region: Region, light: Light, fit: DiscFit, centre: Centre) -> bool:
-    """Tell whether a fit converged, on its region's light, and is better than that light's centroid."""
+    """Return whether a fit converged, on its region's light, and is better than that light's centroid."""
     size = max(region.right - region.left + 1, region.bottom - region.top + 1)
     middle = ((region.left + region.right + 1) // 2, (region.top + region.bottom + 1) // 2)
     shift = math.sqrt((centre.x - middle[0] - light.x) ** 2 + (centre.y - middle[1] - light.y) ** 2)
     good = fit.converged and shift < STRAY_PX + STRAY_SHARE * size
-    # with most of it left out for a neighbour's sake, the fit may know less than the centroid
+    # with most pixels masked as a neighbour's, the fit may be less certain than the centroid
     c = fit.covariance
     return good and c[0] + c[2] < 2.0 * (WORST_FIT * TOUCHING * fit.radius) ** 2
 
@@ -155,7 +154,7 @@ def write_row(region: Region, light: Light, fit: DiscFit, centre: Centre, good: 
     out[ELONGATION] = max(size_x, size_y) / min(size_x, size_y)
     out[FLAGS] = (SATURATED if light.saturated else 0) + (0 if good else UNREFINED + (MERGED if light.crowded else 0))
     if odd:
-        # the model does not hold: the centre is as uncertain as the misfit says
+        # the model does not fit: scale the centre's covariance by the misfit
         misfit = out[MISFIT]
         out[FLAGS] += PARTIAL + (MERGED if out[PULL] > LONG else 0)
         out[XX], out[XY], out[YY] = misfit * out[XX], misfit * out[XY], misfit * out[YY]

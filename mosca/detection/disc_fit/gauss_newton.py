@@ -27,10 +27,10 @@ TINY = f32(1e-6)  # keeps distances from the centre above zero [px^2]
 
 MOST_STEPS = 9
 NEAR, NEAR_LIGHT, NEAR_2, SETTLED_2 = 0.1, 0.05, 4.0, 1.0
-"""A start is near, so that one straight step ends the fit, where that moves the place by no more than the root of
-``NEAR_2`` of its errors, radius and blur by such a share of the blur, and the brightness by such a share of itself:
-with twice as much the errors of places begin to grow (by 2 %). Else steps end where one has moved the place by less
-than the root of ``SETTLED_2``: what they still lack goes with the square of that."""
+"""Convergence. The fit ends after one step where that moves the centre by at most ``sqrt(NEAR_2)`` standard
+deviations, radius and blur by at most ``NEAR`` of the blur, and the amplitude by at most ``NEAR_LIGHT`` of itself;
+with twice these limits the centre's errors grow by 2 %. Else it ends once a step moves the centre by less than
+``sqrt(SETTLED_2)`` standard deviations; the remaining error is of second order in that step."""
 
 
 class Model(NamedTuple):
@@ -62,9 +62,9 @@ class DiscFit(NamedTuple):
 def sums(n: int, pixels: Array, at: tuple[Any, Any, Any, Any, Any, Any], dark: Any, gain: Any) -> Any:
     """Return the normal equations of one Gauss-Newton step over n pixels.
 
-    ``pixels`` (5, n or more): x, y, how much sharper than ``at`` says the edge is there, 1, or 0 for pixels that are
-    padding, and grey value. ``at``: x0, y0, amplitude, background, radius, blur. The place and the other four
-    unknowns are at right angles for a window that is symmetric about the target, and are solved apart.
+    ``pixels`` (5, n or more): x, y, factor by which the edge is sharper there than the blur of ``at``, 1 (0 for
+    padding), and grey value. ``at``: x0, y0, amplitude, background, radius, blur. For a window that is symmetric
+    about the target the centre is uncorrelated with the other four unknowns, and is solved separately.
     """
     x, y, sharper, there, v = pixels[0], pixels[1], pixels[2], pixels[3], pixels[4]
     x0, y0, a, b, radius, blur = at
@@ -173,12 +173,12 @@ def solve_all(
 ) -> tuple[Any, ...]:
     """Solve for all six unknowns at once, for a window that is not symmetric about the target.
 
-    ``prior``: information on the blur, and prior mean less the present one. The amplitude too has a prior here,
-    ``peak``: with a side missing it is hard to tell from the radius. ``work`` (6, 7) is scratch. Returns the
-    corrections (x, y, amplitude, background, radius, blur), the place's variances (xx, xy, yy), the variance that the
-    data alone give the blur, and whether there is a solution.
+    ``prior``: information on the blur, and prior mean less the present one; ``peak``: the same of the amplitude,
+    nearly collinear with the radius where a side is missing. ``work`` (6, 7): working memory. Returns the
+    corrections (x, y, amplitude, background, radius, blur), the centre's covariance (xx, xy, yy), the variance of the
+    blur from the data alone, and whether there is a solution.
     """
-    # in the order amplitude, background, radius, blur, x, y: the last rows of the factor hold the place's variance
+    # in the order amplitude, background, radius, blur, x, y: the factor's last rows hold the centre's covariance
     k = 0
     for j in range(4):
         for i in range(j, 4):
@@ -244,9 +244,20 @@ def fit_disc(
 ) -> DiscFit:
     """Fit a blurred disc to n pixels by Gauss-Newton steps until the centre moves by less than its error.
 
-    ``start``: x0, y0, amplitude, background, radius; ``blur``: its prior mean and standard deviation;
-    ``symmetric``: whether the pixels lie all around the target, so that the centre can be solved apart; ``work``
-    (6, 7): working memory.
+    Parameters
+    ----------
+    n, pixels
+        The pixels as in ``sums``.
+    start
+        x0, y0, amplitude, background, radius.
+    blur
+        Prior mean and standard deviation.
+    model
+        Pixel noise and saturation.
+    symmetric
+        Whether the pixels lie all around the target, so that the centre can be solved separately.
+    work
+        (6, 7) working memory.
     """
     x0, y0, a, b, radius = start
     mean, prior = blur[0], 1.0 / (blur[1] * blur[1])

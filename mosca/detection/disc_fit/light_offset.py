@@ -1,4 +1,4 @@
-"""Compiled sums of what an image says of its camera: how far the light's centroids lie from the fitted centres.
+"""Compiled sums for a camera's bias: how far the light's centroids lie from the fitted centres.
 
 The model: ``mosca.detection.disc_fit.camera_statistics``. Compiled into the kernel in
 ``mosca.detection.disc_fit.fit_regions``.
@@ -16,12 +16,12 @@ from mosca.numba_support.decorators import bare_step
 N_TARGETS, BLUR_SUM, BLUR_WEIGHT, ROUGH_SUM, N_LIGHT = range(5)
 N_TALLIES, N_TERMS = 5, 12
 N_OFFSET_TERMS = 9
-"""Terms of the offset that are put onto the fit; those in R are shading."""
+"""Terms of the offset that are added to the fitted centre; those in R are shading."""
 
 LIGHT_BLURS = 4.5
 """How far beyond the disc's edge, in blurs, a target's whole light is summed."""
 RING_PX, FEWEST_IN_RING = 1.2, 8.0
-"""Width of the outermost ring of that window, which gives the background, and pixels wanted in it."""
+"""Width of the outermost ring of that window, which gives the background, and the fewest pixels in it."""
 OFFSET_SIGMA_2, FAR_2 = 1e-4, 0.04
 """Variance [px^2] added to that of an offset of the light, and the squared offset from which its weight falls."""
 

@@ -29,7 +29,7 @@ class RoundWindows(NamedTuple):
     """Pixels of round windows, one for each size of region that occurs in an image."""
 
     lanes: Array
-    """(size,) float32: the pixels (5, n) of all windows of an image in turn, n padded to a multiple of 8."""
+    """(size,) float32: pixels (5, n) of all windows of an image, concatenated, n padded to a multiple of 8."""
     half: Array
     """(1 + sizes, most rows) int32: how far each row of a size's window reaches to both sides [px]."""
     known: Array
@@ -132,7 +132,7 @@ def reach_of(size: int, blur: float) -> float:
 
 @bare_step(fastmath=FAST)
 def is_inside(image: Array, centre: tuple[int, int], reach: float) -> bool:
-    """Tell whether the round window about a pixel lies inside the image, with ``OVER`` pixels after it."""
+    """Return whether the round window about a pixel lies inside the image, with ``OVER`` pixels after it."""
     height, width = image.shape
     far = int(reach)
     middle = centre[1] * width + centre[0]
@@ -196,7 +196,7 @@ def gather_unmarked(
             x[n], y[n] = f32(shape[0] * dx + shape[1] * dy), f32(shape[1] * dx + shape[2] * dy)
             v[n] = f32(line[i])
             n += out[at + i] == 0
-    # mapped with the target, the round blur becomes narrower to one side, wider to the other
+    # the map that makes the target round makes the blur elliptic
     m0, m1, m2, ax, ay = f32(shape[0]), f32(shape[1]), f32(shape[2]), f32(around[0]), f32(around[1])
     for i in range(n):
         qx, qy = x[i] - ax, y[i] - ay
@@ -282,7 +282,7 @@ def dilate(marks: Array, grown: Array, n: int, side: int) -> None:
     """Write to ``grown`` the marks (n,) of a window and those of their 8 neighbours, 0 in the first and last row."""
     for k in range(side + 1):
         grown[k] = grown[n - 1 - k] = 0
-    # of unsigned numbers none counts from the end, so that the compiler may take many at once
+    # unsigned indices cannot be negative, so that the compiler can vectorise
     one, row = np.uint64(1), np.uint64(side)
     for k in range(n - 2 * side - 2):
         i = np.uint64(k)
@@ -300,7 +300,7 @@ def window_sums(n: int, pixels: Array, threshold: int, level: float) -> tuple[An
     x, y, v = pixels[X], pixels[Y], pixels[V]
     limit, base = f32(threshold), f32(level)
     count = s = sx = sy = sxx = sxy = syy = ZERO
-    peak = np.int32(0)  # the largest of whole numbers is found many at once, that of others is not
+    peak = np.int32(0)  # the maximum of integers vectorises, that of floats does not
     for i in range(n):
         inside = ONE if v[i] > limit else ZERO
         light = inside * (v[i] - base)

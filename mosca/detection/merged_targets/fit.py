@@ -14,7 +14,7 @@ from mosca.numba_support.decorators import bare_step, step
 
 TURNS = 25
 SMALL = 0.01
-"""Chi-square that a step must promise: steps below a tenth of the error are not taken."""
+"""Least predicted decrease of chi-square of a step: steps below a tenth of the error are not taken."""
 FLAT = 4.0
 """Blurs from an edge beyond which it is taken for flat."""
 A1, A2, A3, A4, A5 = 0.319381530, -0.356563782, 1.781477937, -1.821255978, 1.330274429
@@ -22,10 +22,10 @@ A1, A2, A3, A4, A5 = 0.319381530, -0.356563782, 1.781477937, -1.821255978, 1.330
 PAIR, SWEPT, ELLIPSE = range(3)
 UNKNOWNS = (10, 8, 8)
 MOST_NODES = 16
-"""Instants of a swept disc, at most; they are a blur apart, which is as good as a steady motion."""
+"""Instants of a swept disc, at most; spaced a blur apart, they approximate continuous motion."""
 FORESEEN = 4.0
-"""A fit that is only asked whether it gets below a chi-square ends where that is this many times as far as its next
-step promises."""
+"""A fit that need only show whether it gets below a chi-square ends where the remaining decrease is this many times
+that predicted for its next step."""
 
 
 class FitTask(NamedTuple):
@@ -53,7 +53,7 @@ def edge(t: float) -> tuple[float, float]:
 
 _AT, _SHARE = np.polynomial.legendre.leggauss(6)
 SEEN = 3.2
-"""Blurs from an edge beyond which nothing of it is seen: 0.07 % of the brightness."""
+"""Blurs from an edge beyond which it is neglected: 0.07 % of the brightness."""
 
 
 @bare_step(fastmath=FAST)
@@ -155,17 +155,17 @@ def light_of(kind: int, p: Array, x: float, y: float, slope: Array) -> float:
 
 @step(fastmath=FAST)
 def fit(kind: int, p: Array, pixels: Array, n: int, task: FitTask, enough: float) -> tuple[float, Array, bool]:
-    """Fit the unknowns ``p`` in place; return chi-square, the inverse normal matrix, whether it has come to rest.
+    """Fit the unknowns ``p`` in place; return chi-square, the inverse normal matrix, whether it has converged.
 
-    ``enough``: a chi-square of which only matters whether it is reached: the fit ends where that is known. The noise
-    of one long target is taken from the pixels as they are: weights of a model that does not fit would move with it.
+    ``enough``: the fit ends once it is known whether this chi-square is reached. The noise of one long target is
+    computed from the measured grey values: weights from a model that does not fit would be biased by the misfit.
     """
     blur, spread, model, work = task.blur, task.spread, task.model, task.work
     m = UNKNOWNS[kind]
     slope, change, off = np.empty(m), np.empty((m, n)), np.empty(n)
     normal, right, inverse = np.empty((m, m)), np.empty(m), np.zeros((m, m))
     fresh, pulled = np.empty((m, m)), np.empty(m)
-    # where one long target starts, from two discs, a full step goes too far
+    # one long target starts from the values of two discs: a full first step overshoots
     trial, damping, at_rest = p.copy(), 1e-3 if kind == PAIR else 0.3, False
     last = math.inf
     for _turn in range(TURNS):

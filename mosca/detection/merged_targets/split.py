@@ -1,21 +1,21 @@
-"""Two targets whose images have grown together: a joint fit of two discs, where their region's shape says two.
+"""Two targets with merged images: a joint fit of two discs, where the shape of their region suggests two.
 
 The model is that of ``mosca.detection.disc_fit.camera_statistics`` with two discs, the farther one hidden where the
 nearer one lies,
 
     I = b + A1 e1 + A2 (e2 - e12),   e = Phi(t),   t = (R - r) / s,
 
-for places, brightnesses and radii of both, the background and one blur: ten unknowns by damped Gauss-Newton steps
-with the weights of EMVA 1288, either one in front, what fits better. e12 is what both cover, seen through the blur:
+for positions, brightnesses and radii of both, the background and one blur: ten unknowns by damped Gauss-Newton steps
+with the weights of EMVA 1288, in the order of depth that fits better. e12 is the area that both cover, blurred:
 of two straight edges it is the bivariate normal integral Phi2(t1, t2; rho), rho the cosine of the angle between their
 normals (edges that face each other: nothing before they meet), by quadrature (Drezner and Wesolowsky 1990). The
 normal matrix gives the covariance.
 
-Who is asked: regions that nearly touch; and regions alone whose fit by one disc failed or does not hold, or that are
-long where few are. What is long is not yet two: a disc that moved while it was exposed (swept along a line) and an
-ellipse are fitted to the same pixels, and two are taken where they explain these better than both by ``DECISIVE``
-of chi-square, leave no more than ``MOST_ROUGH`` (squared, over the noise) of the brightness unexplained, and are
-alike in size and brightness and farther apart than ``NEAREST`` diameters.
+Candidates are regions that nearly touch, and single regions whose fit by one disc failed or was rejected, or that
+are elongated where few others are. As alternative hypotheses a disc with motion blur (swept along a line) and an
+ellipse are fitted to the same pixels. Two discs are accepted where their chi-square is lower than both by
+``DECISIVE``, their misfit beyond the noise is at most ``MOST_ROUGH`` of the squared brightness, and they are alike
+in size and brightness and farther apart than ``NEAREST`` diameters.
 """
 
 import math
@@ -37,28 +37,29 @@ from mosca.detection.search import END_RUN, FIRST_RUN, IMAGE, FoundRegions
 from mosca.numba_support.decorators import bare_step, kernel, step
 
 DECISIVE = 30.0
-"""Chi-square by which two discs must explain the pixels better than one long target, two unknowns dearer."""
+"""Least decrease of chi-square from one long target to two discs, which have two more unknowns."""
 MOST_ROUGH = 3e-3
 """Misfit of two discs beyond the noise over their squared brightness; half-hidden and other shapes have more."""
 NEAREST, FARTHEST = 0.45, 1.6
-"""Separations in mean diameters: nearer ones cannot be told from one, farther ones do not touch."""
+"""Separations in mean diameters: closer pairs cannot be resolved, farther ones do not touch."""
 ALIKE = 1.7
 """Ratio of the radii, and its square of the brightnesses, up to which two discs are two targets."""
 SMALLEST = 1.0
-"""Least radius [px] of each: below it the shape of a region tells nothing."""
+"""Least radius [px] of each: below it the shape of a region carries no information."""
 LONGER, LONG, FEW = 0.12, 0.3, 0.03
 """Least share of its second moments by which a region is longer than wide: one whose fit failed, and one whose fit
-holds, which is asked where no more than ``FEW`` of all are so long."""
+was accepted, which is a candidate only where no more than ``FEW`` of all are so long."""
 TOUCHING_PX = 2.7
-"""Rim to rim, two regions nearer than this are fitted together: windows of their own would lose too much of their
-light. At 2 px that costs a factor of 4 to 10 of what the pixels tell."""
+"""Two regions with a gap below this are fitted together: separate windows would mask too many of their pixels (at
+2 px, a factor of 4 to 10 of the information)."""
 MISMATCH_PX = 0.8
-"""What the straight edge's blur, bent round, is wrong by for small discs, which beside another one moves the place:
-standard deviation an axis over the fourth power of blur by radius (measured at diameters of 4 to 12 px)."""
+"""Model error of the blurred edge for small discs, which next to another disc biases the position: standard
+deviation per axis over the fourth power of blur by radius (measured at diameters of 4 to 12 px)."""
 
 
 EXCESS, EXCESS_SIGMAS = 0.3, 5.0
-"""Excess of chi-square per degree of freedom up to which two discs hold: this and so many standard deviations."""
+"""Excess of chi-square per degree of freedom up to which two discs are accepted: this and so many standard
+deviations."""
 FEWEST_PIXELS = 30
 """Fewer pixels than three for each unknown are not fitted."""
 
@@ -149,7 +150,7 @@ def fit_pairs(
 
 @bare_step(fastmath=FAST)
 def plausible(p: Array, chi2: float, n: int, model: Model) -> bool:
-    """Tell whether two discs are alike, as far apart as two that touch, and explain the pixels."""
+    """Return whether two discs are alike, as far apart as two that touch, and explain the pixels."""
     if not math.isfinite(chi2):
         return False
     apart, across = math.hypot(p[0] - p[1], p[2] - p[3]), p[4] + p[5]
@@ -166,7 +167,7 @@ def plausible(p: Array, chi2: float, n: int, model: Model) -> bool:
 
 @step(fastmath=FAST)
 def better_than_one(pair: FittedPair, pixels: Array, task: FitTask) -> bool:
-    """Tell whether two discs explain the pixels decisively better than one that moved and than an ellipse."""
+    """Return whether two discs explain the pixels decisively better than one that moved and than an ellipse."""
     p, chi2, n = pair.p, pair.chi2, pair.n
     dx, dy = 0.5 * (p[1] - p[0]), 0.5 * (p[3] - p[2])
     x, y, half = p[0] + dx, p[2] + dy, math.hypot(dx, dy)
@@ -224,9 +225,9 @@ def candidates_of(table: Array, image_of: Array) -> Array:
 
 
 def split_pairs(measured: Measured, images: ImageSet, found: FoundRegions, priors: Priors, model: Model) -> Measured:
-    """Return the targets with two rows for each two that one fit or two fits side by side took for something else.
+    """Return the targets with the rows of each accepted pair replaced by those of its joint fit.
 
-    A row that is in two pairs goes with the first one that holds.
+    A row that is in two pairs belongs to the first one accepted.
     """
     table, region_of, image_of = measured
     rows_of = candidates_of(table, image_of)

@@ -1,4 +1,4 @@
-"""What a target's light does to a camera: how much a pixel that it fully covers collects, and when.
+"""Light of a target on a camera: the electrons of a pixel that it fully covers, and when it shines.
 
 The amount follows from the target's ``Glow``, its distance and its angle to the camera. Every lobe is a power
 of the cosine, ``cos(a)^n`` with ``n = log(1/2) / log(cos(half))``: smooth, one half at the angle ``half``, zero at

@@ -1,8 +1,7 @@
 """The mount: how the camera body moves.
 
-A rotation of the camera is given in pixels: how far it moves the image of what is far away, right and down. The
-pose is a function of continuous time, so that what moves within an exposure blurs; only the white shake stands still
-within a frame.
+A rotation of the camera is given in pixels: the shift of the image of distant objects, right and down. The pose is a
+function of continuous time, so that motion within an exposure blurs; only the white shake is constant within a frame.
 """
 
 import math
@@ -52,7 +51,7 @@ class Mount:
     bump_rise_s: float = 0.01
     """Duration of the bump."""
     body: str | None = None
-    """The scene's body that carries the camera (None: it stands in the world); the rig's ``world_from_camera`` is
+    """The scene's body that carries the camera (None: fixed in the world); the rig's ``world_from_camera`` is
     then read as ``body_from_camera``."""
 
     def __post_init__(self) -> None:
@@ -66,7 +65,7 @@ class Mount:
                 raise InputError(f"mount: {name} = {getattr(self, name):g} given; a number above 0 is wanted")
 
     def fastest_hz(self, from_s: float, to_s: float) -> float:
-        """Return the highest frequency at which the camera moves in a while [1/s]; 0 where it moves slowly."""
+        """Return the highest frequency of the camera's motion in an interval [1/s]; 0 where it moves slowly."""
         vibration = self.vibration_hz[1] if self.vibration_px > 0.0 else 0.0
         if self.bump_s is None or to_s < self.bump_s or from_s > self.bump_s + self.bump_rise_s:
             return vibration
@@ -75,33 +74,31 @@ class Mount:
 
 @dataclass(frozen=True, eq=False)
 class CameraSupport:
-    """A mounted camera during a session: its pose at any instant, a pure function of (seed, name, frame, time).
-
-    ``pose``: world_from_camera, or body_from_camera of a camera that rides. ``tones`` (2, n, 3): frequency [1/s],
-    amplitude [px] and phase of the vibration's sinusoids along the image's x and y. ``walk`` (2, k): the random
-    walk's positions, WANDER_STEP_S apart [px].
-    """
+    """A mounted camera during a session: its pose at any instant, a pure function of (seed, name, frame, time)."""
 
     mount: Mount
     name: str
     pose: Pose
+    """``world_from_camera``, or ``body_from_camera`` of a camera on a moving body."""
     px_per_radian: float
     seed: int
     tones: Array = field(repr=False)
+    """(2, n, 3) frequency [1/s], amplitude [px] and phase of the vibration's sinusoids along the image's x and y."""
     walk: Array = field(repr=False)
+    """(2, k) positions of the random walk, WANDER_STEP_S apart [px]."""
 
     @classmethod
     def of(
         cls, mount: Mount, name: str, pose: Pose, px_per_radian: float, seed: int, duration_s: float
     ) -> "CameraSupport":
-        """Return the camera's mount for a session of ``duration_s`` (a longer one begins alike)."""
+        """Return the camera's mount for a session of ``duration_s`` (a longer one begins identically)."""
         return cls(
             mount, name, pose, px_per_radian, seed, _tones(mount, name, seed), _walk(mount, name, seed, duration_s)
         )
 
     @cached_property
     def steady(self) -> bool:
-        """Whether the camera stands still within a frame and does not ride."""
+        """Whether the camera is at rest within a frame and on no moving body."""
         m = self.mount
         still = m.vibration_px == 0.0 and m.wander_px == 0.0 and m.drift_px_per_s == (0.0, 0.0)
         return still and m.bump_s is None and m.body is None
@@ -152,7 +149,7 @@ class CameraSupport:
 
 
 def pixels_per_radian(lens: Array) -> float:
-    """Return how far the image moves for a small turn of the camera, at the middle of the view [px/rad]."""
+    """Return how far the image moves for a small rotation of the camera, at the middle of the view [px/rad]."""
     _u, _v, ux, _uy, _uz, _vx, vy, _vz, _ok = project(lens, 0.0, 0.0, 1.0)
     return float(np.sqrt(ux * ux + vy * vy) / np.sqrt(2.0))
 

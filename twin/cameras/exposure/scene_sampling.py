@@ -1,4 +1,4 @@
-"""The scene's geometry about one pulse, evaluated once for all cameras whose exposures lie alike.
+"""The scene's geometry about one pulse, evaluated once for all cameras with similar exposure windows.
 
 Forward kinematics at every camera's every instant is expensive; over the few milliseconds of an exposure everything
 moves along a polynomial. So an *interval* of time is sampled at Chebyshev's nodes and interpolated by Lagrange's
@@ -56,7 +56,7 @@ class SampledInterval:
     """Number of Chebyshev nodes."""
 
     def holds(self, from_s: float, to_s: float) -> bool:
-        """Whether all of a while lies in it."""
+        """Whether it contains the time from ``from_s`` to ``to_s``."""
         half = 0.5 * self.length_s
         return self.middle_s - half <= from_s and to_s <= self.middle_s + half
 
@@ -177,7 +177,7 @@ class View:
 
 
 def seen_from(rotation: Array, position: Array, poses: GeomPoses, targets: Array, solids: Array, count: int) -> View:
-    """Return what a camera has before it at the first ``count`` instants of ``poses``.
+    """Return targets and solids in a camera's frame at the first ``count`` instants of ``poses``.
 
     ``rotation`` (k, 3, 3), ``position`` (k, 3): its ``world_from_camera``; ``targets`` (m,) and ``solids`` (s,):
     numbers of the geoms of ``poses``.

@@ -1,4 +1,4 @@
-"""The shutter: when each row of a frame collects light, and what the camera states of that time.
+"""The shutter: when each row of a frame collects light, and the time stamps of the camera.
 
 A camera is triggered (a frame a pulse) or runs free at a rate of its own. All rows expose for the same length,
 at once (global shutter) or each a row time after the one above it (rolling shutter). A strobe shorter than the
@@ -248,6 +248,6 @@ def _stamp_ns(timing: Timing, name: str, number: int, event_s: float, seed: int)
             # an exponential number from a uniform one in (0, 1]
             uniform = (key(seed, f"camera/{name}/arrival", number) + 1) / 2.0**64
             event_s -= timing.stamp_jitter_s * math.log(uniform)
-        # the epoch is added as an integer: a float of 1.8e9 s knows no nanoseconds
+        # the epoch is added as an integer: a float of 1.8e9 s cannot resolve nanoseconds
         stamp = round(timing.clock_offset_s * 1e9) + round(event_s * (1.0 + 1e-6 * timing.clock_drift_ppm) * 1e9)
     return stamp // timing.stamp_resolution_ns * timing.stamp_resolution_ns

@@ -13,7 +13,7 @@ the pipeline's models cannot express, the *gap*, comes on top of the model, in t
    fisheye has odd powers up to the 9th: there it is T11, and s counts from the image circle of 190 deg where that
    lies in the image. Both explode outside: light that the model puts beyond s = 1.5 (outside that circle: s = 1)
    is not imaged.
-4. Tilt. The sensor plane is turned about x and then y (signs as OpenCV's tauX and tauY) through the principal point,
+4. Tilt. The sensor plane is rotated about x and then y (signs as OpenCV's tauX and tauY) through the principal point,
    as seen from the exit pupil.
 """
 
@@ -71,12 +71,12 @@ GAPS: Mapping[str, GapTerms] = MappingProxyType(
         "stress": GapTerms(0.25, (0.03, -0.02), 0.0005),
     }
 )
-"""Terms that each ``model_gap`` stands for.
+"""Terms of each ``model_gap``.
 
 What they leave over an image and 2.5-7 m after the best fit of the pipeline's model of the same kind, rms px
 (measured / stress): 656 x 491 at 7.5 mm 0.028 / 0.14, 2 MP at 8 mm 0.031 / 0.16, 12 MP at 12 mm 0.035 / 0.17, 16 MP
 at 12.5 mm 0.039 / 0.20, fisheyes at 1-7 m 0.034 / 0.17. Tilt and pupil shift grow with the principal distance in px
-and the field; most of a tilt is a turn of the camera, so that with a free pose about 0.03 / 0.14 are left everywhere.
+and the field; most of a tilt is a rotation of the camera, so that with a free pose about 0.03 / 0.14 remain.
 """
 
 
@@ -98,7 +98,7 @@ class TwinLens:
     ) -> "TwinLens":
         """Return the lens of a rig file's numbers with the gap of ``optics``; cold (see ``warmed``).
 
-        A number, or ``gap_px``, stands for higher radial orders of that amplitude alone.
+        A number, or ``gap_px``, gives higher radial orders of that amplitude alone.
         """
         given = optics if gap_px is None else gap_px
         terms = GapTerms(float(given)) if isinstance(given, int | float) else given

@@ -231,7 +231,7 @@ def onto_plane(lens: Array, at: int, x: float, y: float) -> Any:
 
 @inlined_step
 def off_plane(lens: Array, at: int, p: float, q: float) -> Any:
-    """Inverse of ``onto_plane``: the two linear equations that it stands for; NaN behind the lens."""
+    """Inverse of ``onto_plane`` by its two linear equations; NaN behind the lens."""
     a, b = lens[at] - p * lens[at + 4], lens[at + 1] - p * lens[at + 5]
     c, d = lens[at + 2] - q * lens[at + 4], lens[at + 3] - q * lens[at + 5]
     det = a * d - b * c

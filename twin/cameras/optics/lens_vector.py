@@ -14,7 +14,7 @@
     30      PUPIL      entrance-pupil shift at a field of 45 deg [m]
     31      RARE       1 where the pupil shifts or the sensor is tilted
     32-37   PLANE      the tilted sensor plane, see ``plane_of``
-    38-41   PIVOT      what that plane turns about: distances of the exit pupil and principal point [px] (x, y; u, v)
+    38-41   PIVOT      pivot of that plane: distances of the exit pupil and principal point [px] (x, y; u, v)
 
 Distances along the axis are in m, as the positions that ``twin.cameras.optics.lens.land`` takes.
 """
@@ -75,11 +75,11 @@ def vector_of(
 
 
 def plane_of(tilt_x: float, tilt_y: float) -> tuple[float, float, float, float, float, float]:
-    """Return a, b, c, d, g, h of a sensor plane turned by ``tilt_x`` and then ``tilt_y`` about its axes [rad].
+    """Return a, b, c, d, g, h of a sensor plane rotated by ``tilt_x`` and then ``tilt_y`` about its axes [rad].
 
     The plane goes through the principal point, at distance 1 from the exit pupil. Light that would meet the upright
     plane at (x, y) meets it at ((a x + b y) / w, (c x + d y) / w), w = 1 + g x + h y, in its own axes: with the
-    turn's matrix R (sensor from camera) the meeting point is R33 / (R p)_3 * (R p) less its foot, and a rotation's
+    rotation R (sensor from camera) the intersection is R33 / (R p)_3 * (R p) less its foot, and a rotation's
     elements are their own cofactors, so that the numerators are (R22 x - R21 y) and (R11 y - R12 x). Signs and
     order are those of OpenCV's tauX and tauY.
     """
@@ -92,8 +92,8 @@ def plane_of(tilt_x: float, tilt_y: float) -> tuple[float, float, float, float, 
 def _gap_reach(lens: Lens, width: int, height: int) -> tuple[float, float]:
     """Return the radius of the gap and the one beyond which it images nothing [px].
 
-    The polynomial is at home within half the image's diagonal, and explodes outside; a fisheye whose image circle
-    lies in the image fills only that.
+    The polynomial is bounded within half the image's diagonal and diverges outside; for a fisheye whose image circle
+    lies in the image, within that circle.
     """
     half_diagonal = math.hypot(width, height) / 2
     if isinstance(lens, FisheyeLens):
@@ -107,7 +107,7 @@ def _gap_reach(lens: Lens, width: int, height: int) -> tuple[float, float]:
 
 
 def first_turn(lens: Lens) -> float:
-    """Where the radial mapping first turns back (infinity: never), in the variable that the kernels test.
+    """First maximum of the radial mapping (infinity: none), in the variable that the kernels test.
 
     A real lens's image ends there, even where the polynomial rises again farther out; a fisheye's straight
     behind it at the latest.

@@ -1,10 +1,10 @@
-"""How a lens spreads the light of a point: the pupil in patches, each blurred alike.
+"""Point spread function of a lens: the pupil in patches, each with the same blur.
 
 The light through one patch of the pupil lands beside the ideal image: by defocus, in proportion to the
 position in the pupil; by coma, with its square and with the field (the ray aberrations of Seidel's theory). All
-patches are blurred by one Gaussian, which stands for diffraction and what else is small. So every spread is a sum of
-shifted Gaussian images, exact for any target, and no table of pictures is needed. The mean displacement is
-taken off: the position of the light's centroid is the lens model's (``twin.cameras.optics.lens``).
+patches are blurred by one Gaussian, which models diffraction and small residual aberrations. So every point spread
+function is a sum of shifted Gaussians, exact for any target, without tabulated images. The mean displacement is
+subtracted: the position of the light's centroid is the lens model's (``twin.cameras.optics.lens``).
 """
 
 import math

@@ -1,7 +1,7 @@
 """Occluders between the camera and a marker: analytic rays against MuJoCo's primitives.
 
 All in the camera frame, rays from its origin. Meshes are left to ``mj_multiRay`` (see ``mesh_occlusion``). Planes and
-height fields are floors: they hide nothing that is above them from a camera above them and are passed over.
+height fields are floors: they occlude nothing above them for a camera above them and are skipped.
 """
 
 import math

@@ -33,22 +33,22 @@ BEFORE = 1.0 - 1e-9
 
 
 class Scan(NamedTuple):
-    """How a target's image is scanned: ``rows`` rows ``step_px`` apart, each in ``pieces`` pieces of ``piece_px``.
-
-    Rays are scaled to even spacing along a row: with a fisheye (``gnomonic``) onto a plane at ``distance_m``.
-    ``lattice`` (3, 3, 3): rays at the box's corners, edges and middle, between which the rays of a ``small`` image
-    are interpolated.
-    """
+    """How a target's image is scanned; rays are scaled to even spacing along a row."""
 
     box: ImageBox
     rows: int
+    """Number of rows, ``step_px`` apart."""
     step_px: float
     pieces: int
+    """Pieces of a row, ``piece_px`` long each."""
     piece_px: float
     distance_m: float
+    """Distance of the plane onto which the rays of a fisheye (``gnomonic``) are scaled."""
     gnomonic: bool
     small: bool
+    """Whether rays are interpolated in the lattice."""
     lattice: Array
+    """(3, 3, 3) rays at the box's corners, edges and middle."""
 
 
 @kernel
@@ -69,7 +69,7 @@ def scan_hidden(
     lit_u, lit_step = np.empty(most_lit), np.empty(most_lit)
     low, high = np.empty(scan.pieces * near.found), np.empty(scan.pieces * near.found)
     edges, lit_edges = np.empty((64, 3)), np.empty((64, 3))
-    # whole numbers, no constants: each constant handed to a function would have it compiled once more
+    # integer variables, no literals: Numba would compile the function once for each literal argument
     edge_count = lit_count = np.int64(0)
     hidden_area = lit_area = 0.0
     for j in range(scan.rows):

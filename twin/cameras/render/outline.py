@@ -48,7 +48,7 @@ def position_at(path: Array, weights: Array) -> Any:
 
 @kernel
 def rotation_at(rotation: Array, weights: Array, out: Array) -> None:
-    """Interpolate rotations (K, 3, 3): sums of matrices, good to the square of the turn between nodes."""
+    """Interpolate rotations (K, 3, 3): sums of matrices, error of second order in the angle between nodes."""
     for i in range(3):
         for j in range(3):
             value = 0.0
@@ -123,7 +123,7 @@ def outline_steps(diameter: float, sigma: float) -> Any:
 
 @kernel
 def trace(lens: Array, target: TargetPose, pieces: Array, n: int, sense: float, out: Array) -> None:
-    """Write (u, v, dv) of the boundary into ``out`` (n, 3); ``sense``: +1 where the contours turn the image's way."""
+    """Write (u, v, dv) of the boundary into ``out`` (n, 3); ``sense``: +1 for contours oriented as the image."""
     shape, rotation, x, y, z, r = target
     if shape != FIGURE:
         circle = outline_circle(target, r)

@@ -31,7 +31,7 @@ class SampleGrid(NamedTuple):
 def sample_rays(lens: Array, target: TargetPose, per_px: int) -> Any:
     """Rays through a fine grid over the target's image, those that meet the target (a figure: its disc).
 
-    ``per_px``: samples a pixel each way, 0: as many as the size asks for. Returns directions (n, 3), the grid
+    ``per_px``: samples per pixel and axis, 0: chosen by size. Returns directions (n, 3), the grid
     cell (n, 2) that each goes through (column, row), and the grid.
     """
     shape, rotation, x, y, z, r = target

@@ -1,4 +1,4 @@
-"""Light on the sensor: every target's image integrated, not drawn.
+"""Light on the sensor: every target's image integrated over the pixels, not rasterised.
 
 Python's interface to the kernels (``target``). Where a mesh may hide a target, MuJoCo casts rays
 (``mesh_occlusion``).

@@ -1,8 +1,8 @@
 """One target after the other: its boundary, less what hides it, moved through the exposure, onto the pixels.
 
-Where and when a target is imaged: ``target_image``. Its boundary is traced through the lens (``outline``), what
-stands before it is taken off (``occlusion_scan``), and both move during the exposure while the rows of pixels
-integrate (``boundary_integral``), through each patch of the pupil (``psf``).
+Where and when a target is imaged: ``target_image``. Its boundary is traced through the lens (``outline``), the
+occluded part is subtracted (``occlusion_scan``), and both move during the exposure while the rows of pixels integrate
+(``boundary_integral``), through each patch of the pupil (``psf``).
 """
 
 import math
@@ -44,7 +44,7 @@ BY_PRIMITIVES, ONLY_SPAN, HIDDEN_GIVEN, REST_GIVEN = 0, 1, 2, 3
 """How a target is rendered: hidden by primitives; not at all, only when it is exposed; with the boundary of what is
 hidden, or of what is left, given (by mesh rays)."""
 LEAST_E = 1e-3
-"""Light below a thousandth of an electron is left out, so that dark pixels stay exactly dark."""
+"""Light below a thousandth of an electron is neglected, so that dark pixels stay exactly dark."""
 WHOLLY = 1.0 - 1e-6
 """Hidden share from which a target counts as hidden."""
 LARGEST_PX = 4000.0

@@ -26,28 +26,32 @@ BEYOND_IMAGE = 0.2
 
 
 class TargetImage(NamedTuple):
-    """A target in one exposure.
-
-    ``state``: IN_VIEW, or OUTSIDE, DARK or HIDDEN (a flat target from behind), in which case what follows
-    ``diameter`` means nothing. ``target`` at its rows' mid-exposure ``instant_s``, imaged at (``u``, ``v``) with
-    ``diameter`` [px]; ``stretch``: image length of a length across the line of sight [px/m]. ``patches`` (n, 3) of
-    the blur and their largest displacement ``spread``. Its rows are exposed and it shines from ``begin_s`` to
-    ``end_s``, while its image moves by ``motion_px`` and the target by ``moved_m``.
-    """
+    """A target in one exposure."""
 
     state: int
+    """IN_VIEW, or OUTSIDE, DARK or HIDDEN (a flat target from behind): fields after ``diameter`` are undefined."""
     target: TargetPose
+    """At ``instant_s``."""
     u: float
+    """Image of the centre (u, v) [px]."""
     v: float
     diameter: float
+    """[px]"""
     stretch: float
+    """Image length of a length across the line of sight [px/m]."""
     patches: Array
+    """(n, 3) of the blur."""
     spread: float
+    """Largest displacement of a patch."""
     begin_s: float
+    """Exposed and shining from here to ``end_s``."""
     instant_s: float
+    """Mid-exposure of its rows."""
     end_s: float
     motion_px: float
+    """Motion of the image meanwhile."""
     moved_m: float
+    """Motion of the target meanwhile."""
 
 
 @kernel
@@ -148,7 +152,7 @@ def _row_instant(
     row_time: float,
     height: int,
 ) -> Any:
-    """When the row ``shift`` below a moving target opens, plus ``late``; ``instant`` and ``row``: where to begin."""
+    """When the row ``shift`` below a moving target opens, plus ``late``; ``instant``, ``row``: initial values."""
     weights = np.empty(nodes.shape[0])
     t = instant
     for _ in range(60):
@@ -169,7 +173,7 @@ def _row_instant(
 def image_motion(lens: Array, nodes: Array, path: Array, begin: float, end: float) -> Any:
     """Length of the image of a path [px] (-1: not imaged), and how far the target goes [m].
 
-    A path that turns back or speeds up counts at its faster half's pace.
+    A path that reverses or accelerates counts with the speed of its faster half.
     """
     weights = np.empty(nodes.shape[0])
     lagrange_weights(nodes, begin, weights)
@@ -188,7 +192,7 @@ def image_motion(lens: Array, nodes: Array, path: Array, begin: float, end: floa
     if not ok_m:
         return chord, swing
     turned_back = 2.0 * math.sqrt(max((um - ua) ** 2 + (vm - va) ** 2, (ub - um) ** 2 + (vb - vm) ** 2))
-    # a path that is nearly straight and even keeps its chord; one that turns back or speeds up does not
+    # for a nearly straight, uniform path the chord; not for one that reverses or accelerates
     return (turned_back if turned_back > 1.2 * chord else chord), max(swing, 0.0)
 
 

@@ -1,8 +1,7 @@
 """Everything that a pixel collects besides the targets: background, glass, fixed patterns of the sensor, stray light.
 
-The mean of each pixel is rounded to the nearest of many close levels (0.15 of the noise apart), and that level
-*is* the
-pixel's light: nothing finer is meant. Pixels without a target then cost one look-up in their level's exact law.
+The mean of each pixel is rounded to the nearest of many levels (0.15 of the noise apart), and that level is the
+pixel's light by definition. Pixels without a target then cost one lookup in the exact distribution of their level.
 """
 
 import math
@@ -74,8 +73,8 @@ class Ambient:
     def with_extra(self, extra_e: Array | float) -> "Ambient":
         """Return this light and ``extra_e`` more [electrons, through the lens: times ``flat``], as of one frame.
 
-        ``extra_e``: one number, (H, W), or a coarser map (h, w) whose values stand at the middles of the h x w parts
-        of the image, between which it is linear. Deterministic, and safe in any thread.
+        ``extra_e``: one number, (H, W), or a coarser map (h, w) whose values are at the centres of the h x w parts of
+        the image, interpolated linearly. Deterministic, and thread-safe.
         """
         extra = np.atleast_2d(np.ascontiguousarray(extra_e, dtype=np.float32))
         shape = self.shape
@@ -210,7 +209,7 @@ def _uniforms(out: Array, key: np.uint64) -> None:
 def _fixed_pattern(
     more: Array, factor: Array, key: np.uint64, dsnu: float, prnu: float, hot: float, hot_e: float, dead: float
 ) -> None:
-    """Fill the electrons that each pixel has of itself, and its factor on light; every trait draws on its own."""
+    """Fill each pixel's dark electrons and its factor on light; each property has its own random stream."""
     for p in range(more.size):
         state = mix(key + np.uint64(p) * STEP)
         more[p] = dsnu * normal(mix(state + STEP))

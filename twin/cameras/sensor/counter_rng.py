@@ -1,4 +1,4 @@
-"""Random numbers for pixels: counted, not drawn in order, so that a pixel's depend on nothing but its own state.
+"""Counter-based random numbers for pixels: each pixel's numbers depend on its own state alone.
 
 A stream is a 64-bit state; each number is ``mix(state)`` after ``state += STEP`` (SplitMix64: Steele, Lea and Flood,
 OOPSLA 2014), and a pixel's stream begins at a state worked out from (key, pixel number). The integers are the

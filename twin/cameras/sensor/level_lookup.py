@@ -1,8 +1,8 @@
-"""Levels of light and the exact law of the counts that each gives: what a pixel without a target looks up.
+"""Levels of light and the exact distribution of the counts of each: a lookup table for pixels without a target.
 
 A level is a mean number of electrons. Its counts are Poisson electrons and Gaussian noise through the sensor's
 response, black level, gain, quantisation and saturation. The levels of one sensor lie on a fixed grid, so that a
-level's law depends on nothing but (sensor, anchor, level), whatever is asked first.
+level's distribution ("law") depends on (sensor, anchor, level) alone, not on the order of requests.
 """
 
 import math
@@ -29,7 +29,7 @@ _MOST_LEVELS = 2**16 - 1
 
 
 class LevelBank:
-    """The levels of a sensor and the laws of those in use; laws are added when asked for, by any thread.
+    """The levels of a sensor and the laws of those in use; laws are added on demand, by any thread.
 
     ``levels_e`` (n,) mean electrons, ascending; one is ``anchor_e`` exactly; the last is surely saturated, the
     first is 0, or as far below as the sensor's dark signal reaches (below 0: a lower offset without shot noise).
@@ -77,7 +77,7 @@ class LevelBank:
         return np.clip(away + anchor + 0.5, 0, len(self.levels_e) - 1).astype(np.uint16)
 
     def make(self, numbers: Array) -> None:
-        """Have the laws of the levels ``numbers`` (any shape) made, if they are not yet."""
+        """Compute the laws of the levels ``numbers`` (any shape) that are missing."""
         missing = np.unique(numbers)
         missing = missing[~self._made[missing]]
         if not len(missing):

@@ -29,8 +29,8 @@ def dark_table(sensor: Sensor) -> Ambient:
 def expose(light: Array, sensor: Sensor, key: int, ambient: Ambient | None = None) -> Array:
     """Return counts (H, W), uint8 or uint16, of the targets' light (H, W) float32 [electrons] on a sensor.
 
-    ``key``: the frame's own random key (64 bit). ``ambient``: what the pixels collect besides (None: the sensor's
-    even background). Same arguments, same bytes, in any thread; no pixel's count depends on another's light.
+    ``key``: the frame's own random key (64 bit). ``ambient``: further light of the pixels (None: the sensor's even
+    background). Same arguments, same bytes, in any thread; no pixel's count depends on another's light.
     Raises ValueError where sizes or sensors do not go together.
     """
     ambient = dark_table(sensor) if ambient is None else ambient

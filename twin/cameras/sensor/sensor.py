@@ -69,7 +69,7 @@ class Sensor:
         return electrons / self.quantum_efficiency
 
     def edges_e(self) -> Array:
-        """Return the electrons (top,) from which on a pixel counts 1, 2, ..., top: the response turned round.
+        """Return the electrons (top,) from which on a pixel counts 1, 2, ..., top: the inverse response.
 
         The response to e electrons is ``e - linearity e^2 / full_well`` above 0 and e below. Raises ValueError where
         ``linearity`` lets it fold back.

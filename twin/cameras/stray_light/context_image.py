@@ -3,8 +3,8 @@
 One ray a few pixels, through the lens's own rays, decides which surface is seen; it is shaded by Lambert's law in
 even ambient light and in the light of a lamp at the camera, which falls with the square of the distance. Markers are
 left out (they are integrated, see ``render``). Shadows, textures and mirror images are not made; the
-image is as sharp as its rays are dense, which stands in for the lens's blur. It is made at a stated rate: between two
-refreshes the last one is used, so fast limbs are a little behind, markers never.
+image's resolution is that of its rays, in place of the lens's blur. It is made at a stated rate: between two
+refreshes the last one is used, so that fast limbs lag slightly, markers never.
 """
 
 import math
@@ -38,7 +38,7 @@ class Cloth:
     pattern: str
     """As of file names: ``*``, ``?``."""
     reflectance: float
-    """Of a Lambert surface, in place of their colour's."""
+    """Of a Lambert surface; overrides that of the geoms' colour."""
     retro: float = 0.0
     """How many times brighter than a white Lambert surface it is under the camera's own lamp, seen head on
     (falling with cos^2): reflective tape has 100 and more."""
@@ -220,7 +220,7 @@ class Refreshed:
 
 
 def _ask_mujoco(view: ContextView, sampler: SceneSampler, rotation: Array, position: Array, met: Met) -> None:
-    """Let MuJoCo's exact ray caster answer the rays near meshes, height fields and the like, in place."""
+    """Replace the results of rays near meshes, height fields and the like by those of MuJoCo's exact ray caster."""
     asked = view.grid.rays[met.other]
     n = len(asked)
     if n == 0:

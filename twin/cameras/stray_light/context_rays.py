@@ -212,14 +212,14 @@ def _normal(kind: int, size: Array, xyz: Array, rotation: Array, g: int, px: flo
 
 
 class Covers(NamedTuple):
-    """What covers the geoms: ``base`` (k,) their own reflectance, ``wears`` (k, c) which cloths lie on each, and
-    ``cloths`` (c, 4): reflectance, retroreflection, from and to along the geom's z axis; the last one that covers a
-    point counts.
-    """
+    """What covers the k geoms."""
 
     base: Array
+    """(k,) their own reflectance."""
     wears: Array
+    """(k, c) which cloths lie on each; the last one that covers a point counts."""
     cloths: Array
+    """(c, 4) reflectance, retroreflection, range (from, to) along the geom's z axis."""
 
 
 class Illumination(NamedTuple):

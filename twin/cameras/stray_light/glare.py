@@ -15,12 +15,12 @@ PART_PX = 8
 
 @dataclass(frozen=True)
 class Glare:
-    """``share`` of the light on the image that comes again as haze (ISO 9358 veiling glare: 0.005 to 0.05 of a lens);
-    ``sigma`` of its Gaussian over the image's width.
-    """
+    """Veiling glare of a lens (ISO 9358)."""
 
     share: float = 0.0
+    """Share of the light on the image that returns as haze; 0.005 to 0.05 for real lenses."""
     sigma: float = 0.125
+    """Of its Gaussian, over the image's width."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.share < 1.0 or not 0.0 < self.sigma < np.inf:
@@ -33,9 +33,8 @@ class Glare:
 def veil(light: Array, glare: Glare) -> Array:
     """Return the haze (h, w) float32 [electrons a pixel] of ``light`` (H, W) float32.
 
-    It stands at the middles of h x w equal parts of the image, the form that ``Ambient.with_extra`` takes. What would
-    fall beside the image falls on it, mirrored at its borders, so that none is lost: the mean of the haze is
-    share x the mean of the light.
+    Values are at the centres of h x w equal parts of the image, as ``Ambient.with_extra`` takes them. Haze beyond the
+    image is reflected at its borders, so that none is lost: the mean of the haze is share x the mean of the light.
     """
     height, width = light.shape
     rows, columns = -(-height // PART_PX), -(-width // PART_PX)

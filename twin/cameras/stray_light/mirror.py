@@ -1,10 +1,10 @@
 """Mirrors: what a camera sees of targets by way of a plane rectangle that reflects.
 
-The image of a target in a plane mirror is a target behind the mirror, seen through the rectangle as through a
-window; just as well it is the target itself, seen by the camera's image behind the mirror. Where the image is, how
-large and how it turns is exact. How much of it is seen is judged at mid-exposure by 19 sight lines spread over its
-disc: a line counts if it passes the rectangle and the scene leaves free both the way to the mirror and the way on
-to the target. That share scales the light of the whole image. One reflection only: no mirror in a mirror.
+The image of a target in a plane mirror is a virtual target behind the mirror, seen through the rectangle as through a
+window; equivalently, it is the target seen by the camera's mirror image. Position, size and orientation of the image
+are exact. Its visible share is estimated at mid-exposure from 19 lines of sight spread over its disc: a line counts
+if it passes the rectangle and is occluded neither before the mirror nor between mirror and target. That share scales
+the light of the whole image. One reflection only: no mirror in a mirror.
 """
 
 import math
@@ -37,18 +37,21 @@ _DISC = np.array(
 
 @dataclass(frozen=True)
 class PlaneMirror:
-    """A reflecting rectangle about ``center_m`` (3,), seen from the side that ``normal`` (3,) points to.
+    """A reflecting rectangle.
 
-    ``x_axis`` (3,): direction of its first side, at right angles to the normal; ``size_m``: lengths of its sides;
-    ``reflectance``: share of light that it reflects. It hides nothing itself: a mirror that things can stand behind
-    has a geom of its own in the scene.
+    It occludes nothing itself: a mirror with objects behind it needs a geom of its own in the scene.
     """
 
     center_m: tuple[float, float, float]
+    """(3,)"""
     normal: tuple[float, float, float]
+    """(3,) points to the reflecting side."""
     x_axis: tuple[float, float, float]
+    """(3,) direction of the first side, perpendicular to the normal."""
     size_m: tuple[float, float]
+    """Lengths of the sides."""
     reflectance: float = 0.9
+    """Share of light that is reflected."""
 
     def __post_init__(self) -> None:
         lengths = np.linalg.norm(self.normal), np.linalg.norm(self.x_axis)
@@ -116,9 +119,9 @@ def mirrored(
     """Return the mirror images that a camera sees, in its frame; those that it does not see at all are left out.
 
     ``position`` (K, 3), ``rotation`` (K, 3, 3) camera -> world at the window's nodes. Light that the camera itself
-    has sent (to retroreflective targets) goes by the mirror twice. A figure's image wears the figure numbered
-    ``figures`` (how many there are) higher: see ``with_mirrored``. The renderer must draw images without occluders:
-    what hides them is judged here, and geoms behind the mirror do not stand before them.
+    has sent (to retroreflective targets) is reflected twice. A figure's image has the number of the figure plus
+    ``figures``, the number of figures: see ``with_mirrored``. The renderer must draw images without occluders:
+    their occlusion is judged here, and geoms behind the mirror do not occlude them.
     """
     middle = len(position) // 2
     share = seen_share(mirror, targets, position[middle], rays)
@@ -128,7 +131,7 @@ def mirrored(
     eye, eye_rotation = mirror.image(position), mirror.flip @ rotation
     passes = np.where(seen.glows.kind == RETRO, 2, 1)
     through_image = in_camera(seen, signal_e, eye, eye_rotation, share[chosen] * mirror.reflectance**passes)
-    # a reflection of axes is a rotation once the second axis is turned round (and the figure with it)
+    # a reflection of axes becomes a rotation when the second axis (and the figure) is inverted
     turned = through_image.rotation * np.array([1.0, -1.0, 1.0])
     figure = np.where(seen.figure >= 0, seen.figure + figures, -1)
     return replace(through_image, rotation=np.ascontiguousarray(turned), figure=figure)
@@ -170,7 +173,7 @@ def seen_share(mirror: PlaneMirror, targets: TargetsInWorld, eye: Array, rays: S
 
 
 def with_mirrored(figures: Sequence[Figure]) -> tuple[Figure, ...]:
-    """Return ``figures`` followed by their mirror images (y turned round): what images in mirrors wear."""
+    """Return ``figures`` followed by their mirror images (y inverted), for targets seen in mirrors."""
     return (*figures, *(_mirrored_figure(f) for f in figures))
 
 

@@ -29,32 +29,30 @@ from twin.cameras.stray_light.world import (
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What surrounds a rig and its subject; the default is nothing.
-
-    ``context``: scene and body in the images, or none; ``ring_light``: what cameras see of each other's lights, or
-    nothing; ``spots``: shiny spots; ``mirrors``; ``glare`` of the lenses.
-    """
+    """Stray light of a rig and its subject; the default is none."""
 
     context: Context | None = None
+    """Scene and body in the images."""
     ring_light: RingLight | None = None
+    """Ring lights of the cameras, as the others see them."""
     spots: tuple[ShinySpot, ...] = ()
     mirrors: tuple[PlaneMirror, ...] = ()
     glare: Glare = field(default_factory=Glare)
 
     @property
     def has_targets(self) -> bool:
-        """Whether ``stray_targets`` has anything to give."""
+        """Whether ``stray_targets`` returns any targets."""
         return self.ring_light is not None or bool(self.spots) or bool(self.mirrors)
 
 
 @dataclass(frozen=True, eq=False)
 class Stray:
-    """Stray light as targets: ``direct``, which the scene hides like its own (the renderer judges it), and
-    ``mirrored``, to be rendered without occluders (what hides mirror images is judged already).
-    """
+    """Stray light as targets."""
 
     direct: TargetsInCamera
+    """Occluded by the scene, which the renderer computes."""
     mirrored: TargetsInCamera
+    """To be rendered without occluders: the occlusion of mirror images is included."""
 
 
 def stray_targets(

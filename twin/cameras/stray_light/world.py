@@ -124,7 +124,7 @@ def in_camera(
 ) -> TargetsInCamera:
     """Return targets as a camera at ``position`` (K, 3), ``rotation`` (K, 3, 3) camera -> world, sees them.
 
-    ``signal_e`` as in ``target_light``, asked at the middle node; ``gain`` (m,): factor on the electrons.
+    ``signal_e`` as in ``target_light``, evaluated at the middle node; ``gain`` (m,): factor on the electrons.
     """
     middle = len(position) // 2
     light = target_light(
