@@ -44,7 +44,7 @@ REPEATABLE = (Command.WRITEREG, Command.WRITEMEM, Command.ACTION)
 
 @dataclass(frozen=True)
 class _Answered:
-    """The last command that changed something, and what was answered: a client that missed the answer asks again."""
+    """The last command with side effects and its acknowledgement, resent to a client that repeats the command."""
 
     client: Client
     datagram: bytes
@@ -170,7 +170,7 @@ class Control:
                     self._camera.privilege.check_read(client)
                 found += self._camera.registers.read(address, 4)
         except Refused as refusal:
-            # what was read before stands in the answer
+            # the acknowledgement holds what was read before
             return gige_vision.acknowledge(request, found, refusal.status)
         return gige_vision.acknowledge(request, found)
 

@@ -104,10 +104,10 @@ class EmulatedDevice:
 
 
 def pixels_of(frame: Frame, layout: ImageLayout, depth: int) -> Array:
-    """Return the part of ``frame``'s image that ``layout`` asks for, in its format.
+    """Return the region of ``frame``'s image that ``layout`` selects, in its pixel format.
 
-    ``depth``: significant bits of the source's pixels; as Mono8 the highest eight of them. A damaged frame has no
-    image: what arrives of it is dark.
+    ``depth``: significant bits of the source's pixels; Mono8 takes the highest eight. A damaged frame has no
+    image: its packets are black.
     """
     rows = slice(layout.offset_y, layout.offset_y + layout.height)
     columns = slice(layout.offset_x, layout.offset_x + layout.width)
@@ -145,7 +145,7 @@ class Served:
         self.line.start(rate_hz or self.rate_hz)
 
     def pulse(self, number: int, time_ns: int) -> None:
-        """Hand on pulse ``number`` of another generator than the own one; pulse 0 begins with frame 0."""
+        """Trigger the cameras with pulse ``number`` of an external generator; pulse 0 begins with frame 0."""
         if number == 0:
             self.store.rewind()
         if not self._ended(number):
@@ -230,7 +230,7 @@ def interface(text: str) -> IPv4Interface:
 
 
 def serial_at(place: IPv4Interface) -> str:
-    """Return the serial number of a camera at ``place``: clients identify cameras by it, also of two servers."""
+    """Return the serial number of the camera at index ``place``: clients identify cameras by it, across servers."""
     return f"TWIN{int(place.ip):08X}"
 
 
