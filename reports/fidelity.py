@@ -35,16 +35,18 @@ class Row:
 
 @dataclass(frozen=True)
 class Check:
-    """What one check found. ``compared``: what of the twin with what; ``witness``: who says what is right, and
-    ``own_error``: how wrong that one is itself; ``absent``: why it did not look, where it did not.
-    """
+    """Result of one check."""
 
     title: str
     compared: str
+    """The quantities of the twin that are compared, and with what."""
     witness: str
+    """The reference."""
     own_error: str
+    """The reference's own error."""
     rows: tuple[Row, ...]
     absent: str = ""
+    """Reason where the check was not run."""
 
     @property
     def met(self) -> bool:

@@ -1,4 +1,4 @@
-"""RunRecord: the result of one run at rest, looked at many times."""
+"""RunRecord: the stored result of one run."""
 
 import json
 import re
@@ -110,7 +110,7 @@ def read_record(path: Path) -> RunRecord:
 
 
 def _metric(fields: Mapping[str, Any]) -> Metric:
-    """Return the metric that its JSON object stands for; older records hold no blocks."""
+    """Return the metric of a JSON object; older records hold no blocks."""
     ci95, blocks = fields["ci95"], fields.get("blocks")
     return Metric(
         **{

@@ -262,7 +262,7 @@ def _write_statistics(recorder: Recorder, source: HardwareSource, intake: Intake
 def _outcome(
     source: HardwareSource, intake: Intake, run: ProgramRun | None, view: "LiveView | None", wanted: int | None
 ) -> CaptureOutcome:
-    """Sum up; ``wanted``: pulses that there should be, None where it was stopped by hand."""
+    """Return the summary; ``wanted``: number of expected pulses, None where it was stopped by hand."""
     pulses = wanted if wanted is not None else _whole_pulses(intake)
     rows = {}
     for name, seen in intake.cameras.items():

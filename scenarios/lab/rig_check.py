@@ -151,7 +151,7 @@ def edge_width_px(image: Array) -> float | None:
     """Return the blur of the steepest edges of an image (H, W) as a Gaussian's standard deviation [px].
 
     A step of height h, blurred by s, rises at most by h (2 Phi(1 / (2 s)) - 1) from one pixel to the next (Phi: the
-    normal distribution). None where nothing stands out of the noise.
+    normal distribution). None where no edge exceeds the noise.
     """
     grey = image.astype(np.float64)
     step = np.abs(np.diff(grey, axis=1))
