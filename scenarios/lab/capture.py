@@ -57,9 +57,10 @@ class CaptureRequest:
 
 @dataclass
 class CameraRow:
-    """What became of one camera's pulses: ``frames`` in the recording or processed, ``failed``, ``dropped``."""
+    """Counts of one camera's pulses."""
 
     frames: int = 0
+    """In the recording or processed."""
     failed: int = 0
     dropped: int = 0
     overrun: int = 0

@@ -45,15 +45,16 @@ EFFICIENCIES = frozenset({"efficiency", "efficiency_detection"})
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """Bounds of some pulses: ``pulses`` (p,); ``image_px2`` (p, m, c, 2, 2) of each image, NaN where a target is not
-    seen whole and apart from others; ``light_px`` (p, m, c, 2) the middle of each image's light, NaN where others
-    are near; ``point_m2`` (p, m, 3, 3), NaN where fewer than two cameras see it so or another one sees it otherwise.
-    """
+    """Bounds of some pulses."""
 
     pulses: Array
+    """(p,)"""
     image_px2: Array
+    """(p, m, c, 2, 2) of each image, NaN where a target is not seen whole and apart from others."""
     light_px: Array
+    """(p, m, c, 2) centroid of each image's light, NaN where others are near."""
     point_m2: Array
+    """(p, m, 3, 3), NaN where fewer than two cameras see it so or another one sees it otherwise."""
 
 
 def needs_bound(limits: Iterable[str]) -> bool:
