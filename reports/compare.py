@@ -54,15 +54,15 @@ Combination = Literal["mean", "root_mean", "extreme"]
 
 @dataclass(frozen=True)
 class Reading:
-    """How a metric is read: ``better`` is "less", "more" or the value it should have.
-
-    ``made_by``: how its blocks make the metric. "mean": sum(sums) / sum(weights). "root_mean": the
-    square root of that. "extreme": the largest of sums / weights. ``speed``: the machine is in it.
-    """
+    """How a metric is compared."""
 
     better: Literal["less", "more"] | float
+    """Direction, or the value that it should have."""
     made_by: Combination = "mean"
+    """How blocks give the metric. "mean": sum(sums) / sum(weights); "root_mean": its square root; "extreme": the
+    largest of sums / weights."""
     speed: bool = False
+    """Whether it depends on the machine."""
 
 
 READINGS: dict[str, Reading] = {
@@ -94,11 +94,7 @@ samples has weight 0."""
 
 @dataclass(frozen=True)
 class Regression:
-    """A metric that got worse. ``worse_by`` and ``half_width`` are in the metric's unit.
-
-    ``share``: worse_by over the baseline's size (infinite where that is 0). ``paired``: whether the
-    interval comes from pairs of blocks.
-    """
+    """A metric that got worse."""
 
     scenario: str
     name: str
@@ -106,9 +102,12 @@ class Regression:
     value: float
     baseline: float
     worse_by: float
+    """In the metric's unit, as ``half_width``."""
     half_width: float
     share: float
+    """``worse_by`` over the baseline's size (infinite where that is 0)."""
     paired: bool
+    """Whether the interval comes from pairs of blocks."""
 
     def __str__(self) -> str:
         (new, old, width), unit = shown((self.value, self.baseline, self.half_width), self.unit, self.name)

@@ -56,16 +56,17 @@ class Check:
 
 @dataclass(frozen=True, eq=False)
 class Crop:
-    """A picture of one disturbance: panels side by side, one of ``labels`` over each, in one grey ``image`` (H, W)
-    uint8. ``scenario``: name of the one that shows its effect on a measurement.
-    """
+    """A picture of one disturbance: panels side by side."""
 
     name: str
     title: str
     labels: tuple[str, ...]
+    """One over each panel."""
     image: Array
+    """(H, W) uint8, all panels."""
     caption: str
     scenario: str
+    """Name of the one that shows the effect on a measurement."""
 
 
 def all_met(checks: Sequence[Check]) -> bool:

@@ -91,13 +91,15 @@ _STYLE: Any = {
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of a page: inline ``svg``, its ``title``, a ``caption`` and ``alt``, its news in words."""
+    """A figure of a page."""
 
     name: str
     title: str
     caption: str
     alt: str
+    """Its main result in words."""
     svg: str
+    """Inline SVG."""
     wide: bool = True
 
 

@@ -34,18 +34,20 @@ SAME_NS = 1000
 
 @dataclass(frozen=True, eq=False)
 class ReferenceTrajectories:
-    """Where markers ``names`` (m) were: for each ``time_ns`` (t,) rising and ``xyz`` (t, 3) [m].
-
-    A marker that never moves has one instant and ``still``. ``sigma_m``: standard deviation of a coordinate, rms over
-    all rows; 0 where the file has none. ``path``: the file, for messages.
-    """
+    """Reference positions of markers."""
 
     names: tuple[str, ...]
+    """(m)"""
     time_ns: tuple[Array, ...]
+    """Of each marker (t,), rising."""
     xyz: tuple[Array, ...]
+    """Of each marker (t, 3) [m]."""
     still: bool
+    """A marker that never moves has one instant."""
     sigma_m: float
+    """Standard deviation of a coordinate, rms over all rows; 0 where the file has none."""
     path: Path
+    """The file, for messages."""
 
     def at(self, time_ns: Array) -> Truth:
         """Return it at instants (t,) as a truth without visibility; NaN where it has no samples."""
