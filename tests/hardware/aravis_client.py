@@ -117,7 +117,7 @@ class Client:
         else:
             self._camera("gv_set_packet_size", None, c.c_int(packet_bytes))
         size = self._camera("get_payload", c.c_uint)
-        # root's packet sockets see the streams of other processes until their filter stands: plain UDP is wanted
+        # root's packet sockets receive other processes' streams until their filter is set: use plain UDP
         self.aravis.call("camera_gv_set_stream_options", None, self.camera, c.c_int(NO_PACKET_SOCKET), fails=False)
         self.stream = P(self._camera("create_stream", P, None, None))
         set_property = self.aravis.gobject.g_object_set

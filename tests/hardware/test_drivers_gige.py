@@ -98,11 +98,11 @@ def test_by_address_and_not_found() -> None:
         one_line(caught.value, "camera 'a'", "OTHER", "FAKE4")
         by_serial = CameraHardware(driver="gige", serial="FAKE4", trigger="Off")
         open_camera("a", by_serial).close()
-        settings.end()  # while no other test's camera can stand at its address
+        settings.end()  # while no other test's camera can have its address
         with pytest.raises(DeviceError, match="sees no device") as caught:
             open_camera("a", by_address)
         one_line(caught.value, "camera 'a'", FAKE_ADDRESS)
-        # it was there when this program last looked
+        # it was there at this program's last check
         with pytest.raises(DeviceError, match="sees no device") as caught:
             open_camera("a", by_serial)
         one_line(caught.value, "camera 'a'", "FAKE4")
