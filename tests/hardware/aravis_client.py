@@ -124,7 +124,7 @@ class Client:
         set_property(self.stream, S(b"socket-buffer-size"), c.c_int(SOCKET_BYTES), None)
         # a busy machine may hold a sender up for longer than the 0.1 s after which Aravis gives a frame up
         set_property(self.stream, S(b"frame-retention"), c.c_uint(retention_us), None)
-        # and in the midst of a frame: what is not sent yet would be asked for, until no more may be
+        # and during a frame: unsent packets would be requested again, up to the limit
         set_property(self.stream, S(b"packet-timeout"), c.c_uint(TAIL_US), None)
         set_property(self.stream, S(b"packet-request-ratio"), c.c_double(1.0), None)
         for _ in range(buffers):

@@ -52,7 +52,7 @@ def test_frames_ids_and_clock(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_lost_packets_are_told_and_no_frame_is_left_out() -> None:
     # this camera never sends a packet again: what is lost stays lost
     with fake_gige_camera("FAKE3", lost_permille=10.0) as settings:
-        # each frame is asked for once something is here: no pause of this program or of the camera can lose one
+        # each frame is triggered after one has arrived: no pause of this program or of the camera can lose one
         wanted = settings(trigger="Software", packet_bytes=576)
         with closing(open_camera("a", wanted)) as camera:
             camera.configure(wanted)
