@@ -1,4 +1,4 @@
-"""How far the virtual cameras can be trusted: what the checks found, as a table, as JSON and as plain numbers."""
+"""Results of the checks of the virtual cameras, as a table, as JSON and as plain numbers."""
 
 import json
 from collections.abc import Mapping, Sequence

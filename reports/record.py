@@ -13,7 +13,7 @@ from mosca.errors import InputError
 
 @dataclass(frozen=True)
 class MetricBlocks:
-    """What a metric is made of, block of consecutive frames by block: for comparing runs in pairs.
+    """A metric's sums by blocks of consecutive frames: for paired comparison of runs.
 
     ``sums`` (b,) what was added up in each block, ``weights`` (b,) how much of it there was, so that
     sum(sums) / sum(weights) is the metric, or its square where the metric is a root mean square;

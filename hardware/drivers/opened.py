@@ -1,4 +1,4 @@
-"""What all drivers share: states and locks of an open camera, and the text of its errors."""
+"""Base of all drivers: states and locks of an open camera, and the text of its errors."""
 
 import contextlib
 import logging

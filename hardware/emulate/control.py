@@ -31,7 +31,7 @@ from hardware.emulate.stream import Stream
 from mosca.errors import InputError
 
 TICK_S = 0.05
-"""How often heartbeat and supply are checked when nothing arrives."""
+"""Interval at which heartbeat and supply are checked when nothing arrives."""
 STALLED_NS, GRACE_NS = 500_000_000, 2_000_000_000
 """After this thread was stalled for so long it cannot judge heartbeats; clients then get the grace time."""
 DISCOVERY_BYTES = 0xF8

@@ -1,4 +1,4 @@
-"""What goes wrong with an emulated camera, on demand and the same each time."""
+"""Injected faults of an emulated camera, reproducible."""
 
 from dataclasses import dataclass
 

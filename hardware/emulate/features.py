@@ -1,4 +1,4 @@
-"""What a client can read and set: the standard's bootstrap registers, and features by their SFNC names."""
+"""Registers for clients: the standard's bootstrap registers, and features by their SFNC names."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace

@@ -24,7 +24,7 @@ FASTEST_HZ = 10_000.0
 
 
 class Triggered(Protocol):
-    """What hangs on the line."""
+    """A device on the trigger line."""
 
     def pulse(self, number: int, time_ns: int) -> None:
         """Take pulse ``number``, whose edge is at the monotonic time ``time_ns``."""

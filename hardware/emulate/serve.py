@@ -56,7 +56,7 @@ class EmulatedDevice:
         return self.camera.identity
 
     def counts(self) -> Mapping[str, int]:
-        """Return what became of triggers, images and packets until now."""
+        """Return the counts of triggers, images and packets until now."""
         return {**self.camera.counts, **self._images, **self._stream.counts}
 
     def close(self) -> None:
@@ -188,11 +188,27 @@ def served(
 ) -> Served:
     """Return the cameras of ``source`` as GigE Vision devices, once ``ahead`` pulses of frames are in memory.
 
-    The cameras take successive addresses from ``first_address`` ("127.0.0.2", or "192.168.7.10/24" on an interface
-    that has them), or those of ``addresses`` by name; serials are made of the addresses (TWIN7F000002), or are those
-    of ``serials``. ``loop``: after the last frame comes the first. ``faults``: by camera. ``first_block``: the
-    stream's number of an acquisition's first frame. The source stays its owner's to close. Raises InputError for an
-    address that is not to be had, a name that the source does not have, or frames that cannot be sent.
+    Raises InputError for an address that is not available, a name that the source does not
+    have, or frames that cannot be sent.
+
+    Parameters
+    ----------
+    source
+        Frames to serve; it is not closed.
+    ahead
+        Pulses of frames to read into memory.
+    loop
+        Whether the first frame follows the last.
+    first_address
+        The cameras' addresses count up from it ("127.0.0.2", or "192.168.7.10/24" on an interface that has them).
+    addresses, serials
+        By camera; default serials are made of the addresses (TWIN7F000002).
+    faults
+        By camera.
+    first_block
+        Block id of an acquisition's first frame.
+    progress
+        Called while frames are read ahead.
     """
     infos = source.cameras
     names = tuple(info.name for info in infos)

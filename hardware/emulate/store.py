@@ -10,7 +10,7 @@ from mosca.errors import InputError
 MISSING_AFTER = 8
 """A frame is held for lost when the source has given frames of so many later pulses."""
 WAIT_S = 30.0
-"""How long a camera waits for a frame that is not there yet."""
+"""Time-out of a camera for a frame that is not there yet."""
 POLL_INTERVAL_S = 0.5
 
 
@@ -179,7 +179,7 @@ class FrameStore:
 
 
 class _Numbering:
-    """Which pulse a frame belongs to, in one reading of a source."""
+    """Pulse numbers of frames in one iteration over a source."""
 
     def __init__(self, infos: tuple[CameraInfo, ...]) -> None:
         self._one_clock = all(info.clock == "session" for info in infos)

@@ -107,7 +107,7 @@ def read_program(path: Path) -> Program:
 
 @dataclass(frozen=True)
 class Reply:
-    """What became of a command: ``text`` None where no answer came until ``came_ns``; times are the host's [ns]."""
+    """The result of a command: ``text`` None where no reply came until ``came_ns``; host times [ns]."""
 
     sent_ns: int
     came_ns: int

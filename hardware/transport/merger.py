@@ -18,7 +18,7 @@ class MergeSettings:
     """Waiting times of the merger."""
 
     deadline_s: float = 0.03
-    """How long a set waits for its cameras."""
+    """Longest time that a set waits for its cameras."""
     oldest_s: float = 0.25
     """Age at which a message is dropped."""
 
@@ -44,7 +44,7 @@ class Arrived:
 
 @dataclass(frozen=True, eq=False)
 class MergedSet:
-    """What all stations saw of one pulse."""
+    """All stations' detections of one pulse."""
 
     pulse: int
     time_ns: int

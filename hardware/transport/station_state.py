@@ -42,7 +42,7 @@ class Event:
 
 @dataclass
 class StationStatistics:
-    """What became of one station's messages, to be read at any time."""
+    """Counts of one station's messages, to be read at any time."""
 
     received: int = 0
     lost: int = 0
@@ -58,7 +58,7 @@ class StationStatistics:
     skipped: int = 0
     """Frames that it did not process, by its own count."""
     silent: int = 0
-    """How often it fell silent."""
+    """Number of its silences."""
     gone: int = 0
     """How often its token was withdrawn."""
     starts: int = 0
@@ -69,7 +69,7 @@ class StationStatistics:
 
 @dataclass
 class ReceiverStatistics:
-    """What became of all messages."""
+    """Counts of all messages."""
 
     stations: Mapping[str, StationStatistics]
     merge: MergeStatistics

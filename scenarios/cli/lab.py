@@ -102,7 +102,7 @@ def _tell(up: "Served") -> None:
 
 
 def _counts(up: "Served") -> Any:
-    """Return a table of what became of pulses and packets."""
+    """Return a table of the counts of pulses and packets."""
     columns = {
         "pulses": "pulses",
         "withheld": "withheld",

@@ -251,7 +251,7 @@ def _write_clocks(recorder: Recorder, source: HardwareSource, intake: Intake) ->
 
 
 def _write_statistics(recorder: Recorder, source: HardwareSource, intake: Intake) -> None:
-    """Write down what became of the buffers until now; the last one is of the end."""
+    """Record the counts of the buffers until now; the last record is of the end."""
     account = {
         "cameras": {name: asdict(one) for name, one in source.statistics.cameras.items()},
         "notes": list(source.statistics.notes),

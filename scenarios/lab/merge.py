@@ -35,7 +35,7 @@ def in_order(detections: Mapping[str, Detections], rig: Rig) -> dict[str, Detect
 
 
 class Delays:
-    """How long detections took from their frames' arrival at the station to their merged set [s]."""
+    """Latency from frames' arrival at the station to their merged set [s]."""
 
     def __init__(self) -> None:
         self._since_arrival: list[float] = []
@@ -95,7 +95,7 @@ def _parsed(station: str, text: str) -> RigFile:
 
 
 def summary_lines(statistics: ReceiverStatistics) -> list[str]:
-    """Return in words what became of pulses, cameras and stations; nothing is left out that was lost."""
+    """Return the summary of pulses, cameras and stations in words, with every loss."""
     merge = statistics.merge
     lines = [
         f"{merge.sets} sets merged, {merge.complete} of them complete; {merge.unseen} pulses between them that "

@@ -109,7 +109,7 @@ def _device(name: str, report: DeviceReport) -> str:
 
 
 def differing(reports: Mapping[str, DeviceReport]) -> list[str]:
-    """Return a line for each setting that cameras of one model took differently."""
+    """Return a line for each setting whose accepted values differ between cameras of one model."""
     models: dict[str, dict[str, Mapping[str, object]]] = defaultdict(dict)
     for name, report in reports.items():
         models[report.model][name] = report.settings
