@@ -62,9 +62,8 @@ class Features(Protocol):
 def put(features: Features, camera: str, name: str, value: Feature, key: str = "") -> Feature:
     """Set a feature and return the value that the device accepted; ``key``: the feature's name in the rig file.
 
-    DeviceError in one line (camera, feature, requested, accepted and allowed values) where
-    the device has no such feature, rejects the value or accepts another (numbers: further off than half a percent
-    and one increment).
+    DeviceError in one line (camera, feature, requested, accepted and allowed values) where the device has no such
+    feature, rejects the value or accepts another (numbers: further off than half a percent and one increment).
     """
     kind = features.kind(name)
     if kind is None:

@@ -188,8 +188,8 @@ def served(
 ) -> Served:
     """Return the cameras of ``source`` as GigE Vision devices, once ``ahead`` pulses of frames are in memory.
 
-    Raises InputError for an address that is not available, a name that the source does not
-    have, or frames that cannot be sent.
+    Raises InputError for an address that is not available, a name that the source does not have, or frames that
+    cannot be sent.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def served(
     first_block
         Block id of an acquisition's first frame.
     progress
-        Called while frames are read ahead.
+        Called with pulses done and to do while frames are read ahead.
     """
     infos = source.cameras
     names = tuple(info.name for info in infos)
