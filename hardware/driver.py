@@ -23,12 +23,12 @@ class DeviceError(MoscaError):
 
 @dataclass(frozen=True)
 class Capabilities:
-    """What a device can do, read from the device or known of its kind; False or None where it is not known."""
+    """Capabilities of a device, read from it or known of its kind; False or None where unknown."""
 
     device_clock: bool = False
     """Time stamps of the camera's own clock."""
     stamp_event: StampEvent = "exposure_start"
-    """What the stamps mark."""
+    """The event that the time stamps mark."""
     hardware_trigger: bool = False
     software_trigger: bool = False
     scheduled_action: bool = False

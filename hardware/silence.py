@@ -15,7 +15,7 @@ LONGEST_POLL_S = 2 * POLL_S
 
 @dataclass
 class PollingTime:
-    """Time that one camera was polled in vain since its last buffer."""
+    """Time that one camera was polled without result since its last buffer."""
 
     idle_s: float = 0.0
     """All polls since the last buffer."""

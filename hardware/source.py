@@ -145,7 +145,7 @@ class HardwareSource:
         return None if self._numbers is None else self._numbers.session_ns(host_ns)
 
     def trigger_report(self) -> dict[str, object]:
-        """Return what the trigger knows of its pulses."""
+        """Return the trigger's report on its pulses."""
         return self._trigger.report()
 
     def close(self) -> None:

@@ -1,1 +1,1 @@
-"""What people read: records, pages, plots, recordings for the viewer."""
+"""Output for people: records, pages, plots, recordings for the viewer."""

@@ -13,7 +13,7 @@ from reports.units import figure as number
 MOST_ARROWS = 700
 """Residual vectors a camera that are drawn."""
 MOST_CAMERAS = 12
-"""Cameras of which images are drawn; the rest stands in the tables."""
+"""Cameras of which images are drawn; the rest is in the tables."""
 ACROSS = 3
 ARROW_SHARE = 0.06
 """Of the image's width, that the 95 % residual is drawn."""

@@ -9,7 +9,7 @@ from mosca.data.arrays import Array
 from reports.plot_style import INK, MUTED
 
 SIZE_PT, WIDTH_PT, HEIGHT_PT = 8.0, 5.4, 10.0
-"""Of the type, and of a letter's place: wide enough for the fonts that a reader's machine may set instead."""
+"""Font size, and width per letter: wide enough for substitute fonts of the reader's machine."""
 DOT_PT = 3.5
 RINGS_PT = (5.0, 14.0, 24.0, 36.0, 50.0, 66.0, 84.0)
 DIRECTIONS = ((1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0), (0, 1), (0, -1))
@@ -18,7 +18,7 @@ LEADER_FROM_PT = 10.0
 
 
 def label_points(axes: Axes, places: Array, names: Sequence[str]) -> None:
-    """Write ``names`` beside ``places`` (n, 2) of a drawing whose limits are final."""
+    """Write ``names`` beside the points ``places`` (n, 2) of a drawing whose limits are final."""
     axes.apply_aspect()
     points_pt = axes.transData.transform(places) * 72 / axes.figure.dpi
     frame = axes.get_window_extent()
@@ -34,9 +34,9 @@ def label_points(axes: Axes, places: Array, names: Sequence[str]) -> None:
 
 
 def label_offsets(points_pt: Array, widths_pt: Sequence[float], low_pt: Array, high_pt: Array) -> Array:
-    """Return from where (n, 2) the middles of the left edges of labels stand off their points (n, 2), in pt.
+    """Return the offsets (n, 2) of the middles of labels' left edges from their points (n, 2), in pt.
 
-    The nearest place inside the box from ``low_pt`` to ``high_pt`` that is free of points and of the labels before;
+    The nearest candidate inside the box from ``low_pt`` to ``high_pt`` that is free of points and earlier labels;
     where there is none, the one that covers least.
     """
     dots = np.column_stack([points_pt - DOT_PT, points_pt + DOT_PT])
@@ -57,7 +57,7 @@ def label_offsets(points_pt: Array, widths_pt: Sequence[float], low_pt: Array, h
 
 
 def _offset(ring: float, direction: tuple[int, int], width: float) -> Array:
-    """Return where the left edge of a label stands that lies in a direction from its point, ``ring`` away."""
+    """Return the offset of the left edge of a label in a direction from its point, ``ring`` away."""
     x, y = direction
     return np.array([ring if x > 0 else -ring - width if x < 0 else -width / 2, y * (ring + HEIGHT_PT / 2 - 5)])
 

@@ -1,4 +1,4 @@
-"""The page of a calibration: one HTML file that opens offline and says whether, and how far, to believe it."""
+"""The report of a calibration: one offline HTML file with its verdict and uncertainty."""
 
 import math
 from dataclasses import asdict
@@ -17,7 +17,7 @@ from reports.page import templates
 from reports.units import figure, shown
 
 MOST_COLUMNS = 4
-"""Cameras that stand beside each other in a table of lens parameters; more get tables of their own."""
+"""Cameras per table of lens parameters; more get further tables."""
 SEVERITIES = {"refuse": ("Do not use", "bad"), "warn": ("Warning", "warn"), "note": ("Note", "")}
 
 

@@ -1,29 +1,27 @@
-"""Compare runs: what got worse than its baseline, and runs side by side.
+"""Compares runs: regressions against baselines, and runs side by side.
 
 The rule (pure; no randomness, no IO). A metric is a *regression* when it is worse than its baseline
 
 - by more than 2 % (``SMALLEST_SHARE``), and
 - by more than the half-width of the 95 % interval *of that worsening*.
 
-Whose interval? Two runs of one scenario with one seed see the same frames and the same noise, so their
-errors are paired. The interval of either run alone is about another *session*; it is
-often +-10 % and would hide a planted 5 %. What counts is the interval of the difference, taken from
-pairs: each record keeps what its metrics are made of block by block (``Blocks``), and the delete-one-block
-jackknife of the difference gives its standard error (Kuensch 1989, "The jackknife and the bootstrap for
-general stationary observations", Ann. Statist. 17(3), here with non-overlapping blocks), times
-Student's t. A uniform 5 % then stands far above its interval; a second run differs by nothing; noise that
-is not shared (a noise source was added) widens the interval by itself: the pairs then differ at random.
+Two runs of one scenario with one seed have the same frames and the same noise, so their errors are paired. The
+interval of either run alone is about another *session*; it is often +-10 % and would hide a 5 % change. The interval
+is that of the paired difference: each record keeps its metrics' sums by block (``Blocks``), and the delete-one-block
+jackknife of the difference gives its standard error (Kuensch 1989, "The jackknife and the bootstrap for general
+stationary observations", Ann. Statist. 17(3), here with non-overlapping blocks), times Student's t. A uniform 5 % is
+then far above its interval; a repeated run has no difference; noise that is not shared (a noise source was added)
+widens the interval.
 
-Without blocks in both, with other seeds or other cuts, the runs are two independent samples: the
-half-width is sqrt(h_new^2 + h_baseline^2) of the halves of both ``ci95`` that face each other, as for a
-difference of independent figures. A metric with neither is deterministic (a count, say) and only the 2 % apply.
+Without blocks in both, with other seeds or other cuts, the runs are two independent samples: the half-width is
+sqrt(h_new^2 + h_baseline^2) of the facing halves of both ``ci95``. A metric with neither is deterministic (a count,
+for example) and only the 2 % apply.
 
-Another processor, or another version of a numerical library, computes other last digits, and with them other noise
-from the same seed: such runs are independent samples too. A suite compares some hundreds of metrics, so that chance
-alone takes several of them beyond a 95 % interval; there the half-width is widened to an interval that all ``FAMILY``
-metrics of an unchanged product keep with 95 % (Bonferroni), and a metric without interval is left to its limit. Speed
-(``latency_p99``, ``frame_rate``) also depends on the machine: it is judged only between records of one
-platform, and only with intervals.
+Another processor, or another version of a numerical library, changes last digits, and with them the noise from the
+same seed: such runs are independent samples too. A suite compares some hundreds of metrics, several of which exceed a
+95 % interval by chance; there the half-width is widened to a joint 95 % interval of ``FAMILY`` metrics (Bonferroni),
+and a metric without interval is left to its limit. Speed (``latency_p99``, ``frame_rate``) also depends on the
+machine: it is judged only between records of one platform, and only with intervals.
 """
 
 from collections.abc import Sequence
@@ -42,7 +40,7 @@ from reports.units import figure, shown
 SMALLEST_SHARE = 0.02
 """Worsenings up to this share of the baseline are never regressions (the contract's 2 %)."""
 FEWEST_BLOCKS = 8
-"""With fewer pairs of blocks the jackknife's standard error says little."""
+"""With fewer pairs of blocks the jackknife's standard error is unreliable."""
 
 FAMILY = 1000
 """Comparisons of one suite, in round figures (the quick tier has 670 metrics)."""
@@ -56,15 +54,15 @@ Combination = Literal["mean", "root_mean", "extreme"]
 
 @dataclass(frozen=True)
 class Reading:
-    """How a metric is read: ``better`` is "less", "more" or the value it should have.
-
-    ``made_by``: how its blocks make the metric. "mean": sum(sums) / sum(weights). "root_mean": the
-    square root of that. "extreme": the largest of sums / weights. ``speed``: the machine is in it.
-    """
+    """How a metric is compared."""
 
     better: Literal["less", "more"] | float
+    """Direction, or the value that it should have."""
     made_by: Combination = "mean"
+    """How blocks give the metric. "mean": sum(sums) / sum(weights); "root_mean": its square root; "extreme": the
+    largest of sums / weights."""
     speed: bool = False
+    """Whether it depends on the machine."""
 
 
 READINGS: dict[str, Reading] = {
@@ -96,11 +94,7 @@ samples has weight 0."""
 
 @dataclass(frozen=True)
 class Regression:
-    """A metric that got worse. ``worse_by`` and ``half_width`` are in the metric's unit.
-
-    ``share``: worse_by over the baseline's size (infinite where that is 0). ``paired``: whether the
-    interval comes from pairs of blocks.
-    """
+    """A metric that got worse."""
 
     scenario: str
     name: str
@@ -108,9 +102,12 @@ class Regression:
     value: float
     baseline: float
     worse_by: float
+    """In the metric's unit, as ``half_width``."""
     half_width: float
     share: float
+    """``worse_by`` over the baseline's size (infinite where that is 0)."""
     paired: bool
+    """Whether the interval comes from pairs of blocks."""
 
     def __str__(self) -> str:
         (new, old, width), unit = shown((self.value, self.baseline, self.half_width), self.unit, self.name)
@@ -187,7 +184,7 @@ def _regression(record: RunRecord, new: Metric, baseline: RunRecord, old: Metric
 
 
 def _badness(how: Reading, value: float) -> float:
-    """Return ``value`` turned so that more is worse; no figure at all is the worst."""
+    """Return ``value`` with its sign such that more is worse; a missing value is the worst."""
     if np.isnan(value):
         return float("inf")
     if how.better == "less":

@@ -12,16 +12,16 @@ from mosca.data.tracks import Tracks
 
 @dataclass(frozen=True, eq=False)
 class ErrorTable:
-    """Errors of matched samples, one row a sample.
-
-    ``frame`` (k,) pulse; ``time_s`` (k,) the truth's instant [s from session start]; ``marker`` (k,) index
-    into the truth's names; ``error_xyz_m`` (k, 3) measured minus true position, world frame [m].
-    """
+    """Errors of matched samples, one row a sample."""
 
     frame: Array
+    """(k,) pulse."""
     time_s: Array
+    """(k,) the truth's instant [s from session start]."""
     marker: Array
+    """(k,) index into the truth's names."""
     error_xyz_m: Array
+    """(k, 3) measured minus true position, world frame [m]."""
 
     def __post_init__(self) -> None:
         k = len(np.asarray(self.frame))
@@ -38,16 +38,16 @@ class ErrorTable:
 
 @dataclass(frozen=True, eq=False)
 class MarkerCounts:
-    """What was there and what was found, one row a frame.
-
-    ``time_s`` (t,) [s from session start]; ``n_true_seen`` (t,) markers that could be seen; ``n_matched``
-    (t,) of them found; ``n_ghosts`` (t,) points that belong to no marker.
-    """
+    """Visible, found and false points, one row a frame."""
 
     time_s: Array
+    """(t,) [s from session start]."""
     n_true_seen: Array
+    """(t,) markers that could be seen."""
     n_matched: Array
+    """(t,) of them found."""
     n_ghosts: Array
+    """(t,) points that belong to no marker."""
 
     def __post_init__(self) -> None:
         t = len(np.asarray(self.time_s))
@@ -76,21 +76,23 @@ class CameraView:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What one run gave, to be drawn. Without truth (a real recording) the lower fields are None.
-
-    ``working_space_center`` and ``working_space_size`` (3,) its box in the world [m]. ``truth_time_ns`` (t,),
-    ``truth_xyz`` (t, m, 3) [m], ``truth_names`` (m). ``marker_seen`` (m,) frames in which each marker could be seen.
-    """
+    """Data of one run to be drawn. Without ground truth (a real recording) the truth's fields are None or empty."""
 
     rig: Rig
     working_space_center: Array
+    """(3,) of the box in the world [m]."""
     working_space_size: Array
+    """(3,) [m]."""
     tracks: Tracks
     views: tuple[CameraView, ...] = ()
     truth_time_ns: Array | None = None
+    """(t,)"""
     truth_xyz: Array | None = None
+    """(t, m, 3) [m]."""
     truth_names: tuple[str, ...] = ()
+    """(m)"""
     marker_seen: Array | None = None
+    """(m,) frames in which each marker could be seen."""
     errors: ErrorTable | None = None
     counts: MarkerCounts | None = None
 

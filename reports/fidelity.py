@@ -1,4 +1,4 @@
-"""How far the virtual cameras can be trusted: what the checks found, as a table, as JSON and as plain numbers."""
+"""Results of the checks of the virtual cameras, as a table, as JSON and as plain numbers."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -35,16 +35,18 @@ class Row:
 
 @dataclass(frozen=True)
 class Check:
-    """What one check found. ``compared``: what of the twin with what; ``witness``: who says what is right, and
-    ``own_error``: how wrong that one is itself; ``absent``: why it did not look, where it did not.
-    """
+    """Result of one check."""
 
     title: str
     compared: str
+    """The quantities of the twin that are compared, and with what."""
     witness: str
+    """The reference."""
     own_error: str
+    """The reference's own error."""
     rows: tuple[Row, ...]
     absent: str = ""
+    """Reason where the check was not run."""
 
     @property
     def met(self) -> bool:
@@ -54,16 +56,17 @@ class Check:
 
 @dataclass(frozen=True, eq=False)
 class Crop:
-    """A picture of one disturbance: panels side by side, one of ``labels`` over each, in one grey ``image`` (H, W)
-    uint8. ``scenario``: name of the one that shows its effect on a measurement.
-    """
+    """A picture of one disturbance: panels side by side."""
 
     name: str
     title: str
     labels: tuple[str, ...]
+    """One over each panel."""
     image: Array
+    """(H, W) uint8, all panels."""
     caption: str
     scenario: str
+    """Name of the one that shows the effect on a measurement."""
 
 
 def all_met(checks: Sequence[Check]) -> bool:

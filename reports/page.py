@@ -24,7 +24,7 @@ TILES = (
     ("reprojection_rms", "Reprojection residual, rms"),
     ("frame_rate", "Speed"),
 )
-"""The figures that stand large on a page: the first four of these that the record has."""
+"""The headline figures of a page: the first four of these that the record has."""
 
 
 def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
@@ -74,7 +74,7 @@ def _camera_row(name: str, one: Mapping[str, Any]) -> tuple[str, ...]:
 def write_comparison_page(path: Path, records: Sequence[RunRecord], labels: Sequence[str] = ()) -> None:
     """Write ``records`` side by side to ``path``: metrics by runs, each against the first run of its scenario.
 
-    ``labels``: what the runs are called (a folder's name, say), one each; else their numbers.
+    ``labels``: names of the runs (folder names, for example), one each; else their numbers.
     """
     names = list(labels) or [f"run {i + 1}" for i in range(len(records))]
     firsts = [next(r for r in records if r.scenario == record.scenario) for record in records]

@@ -1,4 +1,4 @@
-"""Shared plot style: palette, type, and figures turned into SVG that a page can hold.
+"""Shared plot style: palette, type, and conversion of figures to inline SVG.
 
 Colours are drawn as fixed hex values and leave as CSS variables, so that one picture serves light, dark
 and print. They are Okabe and Ito's (2008), distinct for colour-blind readers; the dark set is lighter.
@@ -91,13 +91,15 @@ _STYLE: Any = {
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of a page: inline ``svg``, its ``title``, a ``caption`` and ``alt``, its news in words."""
+    """A figure of a page."""
 
     name: str
     title: str
     caption: str
     alt: str
+    """Its main result in words."""
     svg: str
+    """Inline SVG."""
     wide: bool = True
 
 
@@ -175,7 +177,7 @@ def nice_step(span: float, parts: int = 5) -> float:
 
 
 def per_marker(names: Sequence[str], index: Array) -> list[Array]:
-    """Return for each name the rows at which ``index`` (k,) says its number."""
+    """Return for each name the rows at which ``index`` (k,) equals its number."""
     order = np.argsort(index, kind="stable")
     cuts = np.searchsorted(index[order], np.arange(1, len(names)))
     return np.split(order, cuts) if len(names) else []

@@ -1,4 +1,4 @@
-"""RunRecord: the result of one run at rest, looked at many times."""
+"""RunRecord: the stored result of one run."""
 
 import json
 import re
@@ -13,7 +13,7 @@ from mosca.errors import InputError
 
 @dataclass(frozen=True)
 class MetricBlocks:
-    """What a metric is made of, block of consecutive frames by block: for comparing runs in pairs.
+    """A metric's sums by blocks of consecutive frames: for paired comparison of runs.
 
     ``sums`` (b,) what was added up in each block, ``weights`` (b,) how much of it there was, so that
     sum(sums) / sum(weights) is the metric, or its square where the metric is a root mean square;
@@ -35,38 +35,30 @@ class MetricBlocks:
 
 @dataclass(frozen=True)
 class Metric:
-    """One figure with everything that is needed to read it.
-
-    ``unit``: of value, ci95 and limit ("1" for a ratio). ``n``: how many independent items it is
-    made of. ``ci95``: 95 % interval from a block bootstrap, or None. ``aligned_by``: what was fitted
-    before comparing ("none" for an unaligned comparison). ``limit`` and ``sense``: what the
-    scenario allows, at most or at least; ``passed`` is None where there is no limit. ``blocks``: what
-    it is made of over time, or None.
-    """
+    """One figure with everything that is needed to read it."""
 
     name: str
     value: float
     unit: str
+    """Of value, ci95 and limit ("1" for a ratio)."""
     n: int
+    """Number of independent items."""
     ci95: tuple[float, float] | None = None
+    """95 % interval from a block bootstrap, or None."""
     aligned_by: str = "none"
+    """What was fitted before comparing ("none" for an unaligned comparison)."""
     limit: float | None = None
+    """The scenario's, in the direction of ``sense``."""
     sense: Literal["at_most", "at_least"] = "at_most"
     passed: bool | None = None
+    """None where there is no limit."""
     blocks: MetricBlocks | None = None
+    """Its sums over time, or None."""
 
 
 @dataclass(frozen=True)
 class RunRecord:
-    """What one run of one scenario gave.
-
-    ``passed``: every limit met; for ``expect = "fail"``, that it failed for the stated reason.
-    ``not_judged``: metrics that the scenario limits and this source cannot give: such a run has not passed.
-    ``premises``: name -> {value, minimum or maximum, holds}. ``counts``: frames, sets, drops and the
-    like. ``cameras``: name -> how each did: residual, error besides detection noise, shares connected and missing,
-    clock offset. ``timings``: seconds, the only part that differs between two runs of the same seed and code.
-    ``provenance``: versions, platform, git, parameters.
-    """
+    """The result of one run of one scenario."""
 
     scenario: str
     title: str
@@ -75,14 +67,21 @@ class RunRecord:
     model_gap: str
     expect: str
     passed: bool
+    """Every limit met; for ``expect = "fail"``, that it failed for the stated reason."""
     verdict: str
     metrics: tuple[Metric, ...]
     premises: Mapping[str, Any] = field(default_factory=dict)
+    """Name -> {value, minimum or maximum, holds}."""
     counts: Mapping[str, Any] = field(default_factory=dict)
+    """Frames, sets, drops and the like."""
     cameras: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Name -> residual, error besides detection noise, shares connected and missing, clock offset."""
     timings: Mapping[str, float] = field(default_factory=dict)
+    """Seconds, the only part that differs between two runs of the same seed and code."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    """Versions, platform, git, parameters."""
     not_judged: tuple[str, ...] = ()
+    """Metrics that the scenario limits and this source cannot give: such a run has not passed."""
 
     def metric(self, name: str) -> Metric | None:
         """Return the metric called ``name``, or None."""
@@ -110,7 +109,7 @@ def read_record(path: Path) -> RunRecord:
 
 
 def _metric(fields: Mapping[str, Any]) -> Metric:
-    """Return the metric that its JSON object stands for; older records hold no blocks."""
+    """Return the metric of a JSON object; older records hold no blocks."""
     ci95, blocks = fields["ci95"], fields.get("blocks")
     return Metric(
         **{

@@ -1,4 +1,4 @@
-"""Plots of a recording without truth: what it can say of itself."""
+"""Plots of a recording without ground truth."""
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from reports.units import figure as number
 
 
 def residuals_picture(tracks: Tracks) -> Picture:
-    """Draw the distribution of reprojection residuals: what a recording without truth can say of itself."""
+    """Draw the distribution of reprojection residuals of a recording without ground truth."""
     values = tracks.residual_px[np.isfinite(tracks.residual_px)]
     rms, p95 = float(np.sqrt(np.mean(values**2))), float(np.percentile(values, 95))
     edges = np.linspace(0, max(2.0 * p95, 1e-6), 48)

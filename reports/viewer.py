@@ -27,7 +27,7 @@ from mosca.errors import InputError
 
 APPLICATION = "mosca"
 JPEG_QUALITY = 75
-"""Frames are to be looked at here, not measured: a sixth of the bytes of PNG."""
+"""Frames are for viewing here, not measuring: a sixth of the bytes of PNG."""
 
 
 class RerunLog:

@@ -1,4 +1,4 @@
-"""Values that a run hands from stage to stage: how it is run, what the pipeline gave, what it is worth."""
+"""Values passed between the stages of a run: options, results, scores."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class RunOptions:
 
 
 class TruthSource(FrameSource, Protocol):
-    """A frame source that knows the truth of its frames: the twin."""
+    """A frame source with ground truth: the twin."""
 
     scene: Scene
     virtual: tuple[VirtualCamera, ...]

@@ -1,4 +1,4 @@
-"""Which folder of a room imports from which: arrows between the entries of a package. Used by test_architecture."""
+"""Imports between the entries (files and folders) of a package, as a graph. Used by test_architecture."""
 
 import ast
 from collections import defaultdict
@@ -10,7 +10,7 @@ Arrows = dict[str, set[str]]
 def arrows(root: Path, package: str, inside_functions: bool = False) -> Arrows:
     """Return entry -> entries it imports from, of the files and folders directly below ``package`` (dotted).
 
-    Imports under ``if TYPE_CHECKING`` do not count; those inside functions only when asked for.
+    Imports under ``if TYPE_CHECKING`` do not count; those inside functions only if requested.
     """
     found: Arrows = defaultdict(set)
     folder = root.joinpath(*package.split("."))

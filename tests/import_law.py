@@ -6,7 +6,7 @@ from pathlib import Path
 ROOMS = ("mosca", "twin", "hardware", "reports", "scenarios", "witness")
 
 HARDWARE = ("hardware", "mosca.data", "mosca.errors")
-# room (longest prefix wins): rooms it may import from, rooms or modules it may not, third-party packages
+# package (longest prefix wins): packages it may import from, packages or modules it may not, third-party ones
 LAW: dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]] = {
     "mosca.data": (("mosca.data", "mosca.errors"), (), ("numpy", "scipy", "pydantic", "tomli_w")),
     "mosca": (

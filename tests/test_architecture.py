@@ -1,4 +1,4 @@
-"""The import law holds, and the test that says so bites."""
+"""The import rules hold, and their test detects violations."""
 
 import ast
 import importlib.util

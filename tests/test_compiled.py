@@ -1,7 +1,7 @@
-"""Bare steps: they count no users of arrays, so they must make none, return none, and be handed none to count.
+"""Bare steps (no reference counting): they must not allocate or return arrays, nor call functions that return one.
 
-Numba itself refuses a bare step that makes an array. One that returned an array, or took one from a step that had
-made it, would compile, and would free memory that is in use, or lose it.
+Numba itself refuses a bare step that allocates an array. One that returned an array, or took one from a step that had
+allocated it, would compile, and would free memory in use, or leak it.
 """
 
 import importlib
@@ -30,7 +30,7 @@ def is_bare(function: Dispatcher) -> bool:
 
 
 def returns_an_array(function: Dispatcher) -> bool:
-    """Tell it by the annotation; without one, by whether it makes any or takes one from a step that may return it."""
+    """Decide by the annotation; without one, by whether it allocates one or takes it from a step that may."""
     said = function.py_func.__annotations__.get("return")
     if said is not None or is_bare(function):
         return "Array" in str(said)

@@ -104,7 +104,7 @@ class AravisFeatures:
         try:
             return self._call(call, name, *arguments)
         except FeatureRefused as error:
-            # a description may leave bounds and steps out: then anything goes, as far as it knows
+            # bounds and increments are optional in the GenICam XML: without them every value is allowed
             if "node not found" not in str(error):
                 raise
             return None

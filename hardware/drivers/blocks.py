@@ -16,7 +16,7 @@ class BlockIds:
         self._turns = 0
 
     def unwrapped(self, raw: int) -> int:
-        """Return ``raw`` with the turns that the counter has made."""
+        """Return ``raw`` plus the overflows of the counter so far (unwrapped)."""
         last, self._last = self._last, raw
         if last is not None and max(raw, last) <= PERIOD:
             if last - raw > PERIOD // 2:

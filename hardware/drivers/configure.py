@@ -122,7 +122,7 @@ def exposure_ns(features: Features, settings: CameraHardware) -> int:
 
 
 def capabilities_of(features: Features, device_clock: bool | None = None) -> Capabilities:
-    """Return what a GenICam device can do by its feature tree; ``device_clock``: where the driver knows better."""
+    """Return a device's capabilities by its GenICam feature tree; ``device_clock`` overrides that of the tree."""
     sources = features.entries("TriggerSource") if features.kind("TriggerSource") == "enumeration" else ()
     clock = any(features.kind(name) is not None for name in CLOCKS)
     return Capabilities(

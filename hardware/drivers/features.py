@@ -60,11 +60,10 @@ class Features(Protocol):
 
 
 def put(features: Features, camera: str, name: str, value: Feature, key: str = "") -> Feature:
-    """Set a feature and return what the device took; ``key``: the rig file's name for it.
+    """Set a feature and return the value that the device accepted; ``key``: the feature's name in the rig file.
 
-    DeviceError in one line that names camera, feature, value asked for, value taken and what is allowed, where
-    the device has no such feature, refuses the value or takes another (numbers: further off than half a percent
-    and one step).
+    DeviceError in one line (camera, feature, requested, accepted and allowed values) where the device has no such
+    feature, rejects the value or accepts another (numbers: further off than half a percent and one increment).
     """
     kind = features.kind(name)
     if kind is None:
@@ -97,7 +96,7 @@ def put(features: Features, camera: str, name: str, value: Feature, key: str = "
 
 
 def hold(features: Features, where: str, name: str, asked: Feature, taken: Feature) -> None:
-    """Raise DeviceError, beginning with ``where``, if ``taken`` is another value than ``asked``."""
+    """Raise DeviceError, beginning with ``where``, if the accepted value ``taken`` is not the requested ``asked``."""
     if not agrees(features, name, asked, taken):
         raise DeviceError(
             f"{where} = {_shown(asked)} asked for, the device took {_shown(taken)}; "
@@ -106,7 +105,7 @@ def hold(features: Features, where: str, name: str, asked: Feature, taken: Featu
 
 
 def agrees(features: Features, name: str, asked: Feature, taken: Feature) -> bool:
-    """Whether the device's value is the one that was asked for."""
+    """Whether the device's value equals the requested one."""
     if isinstance(asked, float) and isinstance(taken, int | float):
         step = features.limits(name)[2]
         return abs(taken - asked) <= max(FLOAT_SHARE * abs(asked), step)
@@ -155,7 +154,7 @@ def _execute(features: Features, camera: str, name: str, value: Feature) -> bool
 
 
 def _fitting(features: Features, where: str, name: str, kind: Kind, value: Feature) -> Feature:
-    """Return ``value`` as the feature's kind wants it; switches are numbers or On/Off on some devices."""
+    """Return ``value`` in the feature's type; switches are numbers or On/Off enumerations on some devices."""
     if isinstance(value, bool):
         if kind == "boolean":
             return value
@@ -177,7 +176,7 @@ def _fitting(features: Features, where: str, name: str, kind: Kind, value: Featu
 
 
 def _within(features: Features, where: str, name: str, kind: Kind, value: Feature) -> None:
-    # asked before it is written: some devices clip in silence, others take what they then cannot do
+    # checked before writing: some devices clip silently, others accept values that they cannot apply
     if kind == "enumeration":
         fits = value in features.entries(name)
     elif kind in ("integer", "float") and isinstance(value, int | float):

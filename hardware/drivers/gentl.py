@@ -108,7 +108,7 @@ class Producer:
         return list(self.harvester.device_info_list)
 
     def update(self) -> None:
-        """Look for devices, unless one is open."""
+        """Enumerate devices, unless one is open."""
         if not self.open:
             self.harvester.update()
 

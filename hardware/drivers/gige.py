@@ -45,8 +45,8 @@ STREAM_PROPERTIES: tuple[tuple[str, str, float], ...] = (
     ("packet-resend", "int", 1),
     # a frame that is not whole so long after its last packet is given up [us]
     ("frame-retention", "uint", 200_000),
-    # the share of a frame's packets that may be asked for again; the library's quarter gives a frame up where a
-    # burst was lost
+    # the share of a frame's packets that may be requested again; the library's default, a quarter, gives up frames
+    # that lost a burst
     ("packet-request-ratio", "double", 1.0),
 )
 
@@ -73,7 +73,7 @@ def open_camera(name: str, settings: CameraHardware) -> "GigeCamera":
     aravis = load()
     device = chosen(_listed(aravis), settings)
     if device is None and settings.address:
-        # an address is asked directly: a broadcast does not reach other networks
+        # discovery by unicast: a broadcast does not reach other subnets
         device = Device("gige", "GigE Vision camera", "", settings.address)
     seen: dict[tuple[str, str], Device] = {}
     for _ in range(LOOKS):
@@ -188,7 +188,7 @@ class GigeCamera(GenICamCamera):
         # a stream of its own for each start: an old one takes ids that begin anew for late blocks and drops them
         aravis = self._aravis
         try:
-            # as root, packet sockets see other programs' streams, and take their ids for ours, until a filter stands
+            # as root, packet sockets receive other programs' streams, with ids like ours, until a filter is set
             aravis("camera_gv_set_stream_options", self._camera, NO_PACKET_SOCKET)
             stream = aravis("camera_create_stream", self._camera, None, None)
             if not stream:
@@ -261,7 +261,7 @@ class GigeCamera(GenICamCamera):
     def _stop(self) -> None:
         aravis = self._aravis
         try:
-            # a camera that is gone would be asked to stop until the library's patience ends
+            # stopping a camera that is gone would block until the library's time-out
             if aravis("gv_device_is_controller", self._device):
                 aravis("camera_stop_acquisition", self._camera)
         except AravisError as error:

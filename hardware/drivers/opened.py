@@ -1,4 +1,4 @@
-"""What all drivers share: states and locks of an open camera, and the text of its errors."""
+"""Base of all drivers: states and locks of an open camera, and the text of its errors."""
 
 import contextlib
 import logging
@@ -15,7 +15,7 @@ from hardware.settings import CameraHardware
 
 log = logging.getLogger("mosca.hardware.drivers")
 
-# while a grab waits, other threads get their turn this often
+# a waiting grab releases the lock to other threads at this interval
 SLICE_S = 0.05
 
 _claimed: dict[tuple[str, str], str] = {}
@@ -145,7 +145,7 @@ class OpenCamera(ABC):
             return (before + time.monotonic_ns()) // 2
 
     def clock(self) -> ClockReading | None:
-        """Return what the camera's clock shows now; None where it cannot be asked."""
+        """Return the camera's clock now; None where it cannot be latched."""
         with self._control:
             return self._read_clock() if self._open else None
 

@@ -1,12 +1,12 @@
-"""From a buffer of any pixel format to the one image that the pipeline reads: (H, W) of uint8 or uint16.
+"""Conversion of buffers of any pixel format to the pipeline's image: (H, W) of uint8 or uint16.
 
 Names and codes are the Pixel Format Naming Convention's (PFNC) and GigE Vision's. Packed pixels are unpacked to
-uint16 with their value in the low bits. One rule each makes colours mono:
+uint16 with their value in the low bits. Colours become mono:
 
 * **Bayer mosaics**: every pixel becomes the mean of its 3 x 3 neighbourhood, weighted 1 2 1 / 2 4 2 / 1 2 1 by 16.
-  At each place of any of the four mosaics that is red / 4 + green / 2 + blue / 4, so the order of the colours does
-  not matter. The image keeps its size, and each raw pixel's light spreads evenly around its own place: the
-  centroid of a marker is the centroid of the raw pixels, whereas a mean over 2 x 2 would shift it by half a pixel.
+  At each pixel of any of the four mosaics that is red / 4 + green / 2 + blue / 4, so the order of the colours does
+  not matter. The image keeps its size, and the kernel is symmetric: the centroid of a marker is the centroid of
+  the raw pixels, whereas a mean over 2 x 2 would shift it by half a pixel.
   Borders are mirrored without the border pixel, which keeps the colours' order.
 * **Colour pixels**: luma of ITU-R BT.601, (9798 R + 19235 G + 3735 B + 16384) / 32768 in integers. Of YUV the Y.
 """

@@ -1,8 +1,8 @@
-"""Webcams, and video files in their place, through OpenCV's VideoCapture.
+"""Webcams, or video files as cameras, through OpenCV's VideoCapture.
 
-A webcam is free-running and without a readable clock: its frames carry the host's, so sets of several webcams are
-as good as their arrival times. A file plays each time from its beginning, as fast as it is grabbed; after its last
-frame the camera is silent. Lossless files in grey (FFV1, pix_fmt gray) come bit for bit.
+A webcam is free-running and has no readable clock: its frames carry host time stamps, so frame sets of several
+webcams are as precise as their arrival times. A file is played from its beginning, as fast as it is grabbed; after
+its last frame no more frames come. Lossless grey files (FFV1, pix_fmt gray) are reproduced bit for bit.
 """
 
 import contextlib
@@ -76,7 +76,7 @@ def open_camera(name: str, settings: CameraHardware) -> "Webcam":
 
 
 class Webcam(OpenCamera):
-    """One webcam or video file. A thread reads it, because OpenCV cannot be asked to wait only so long.
+    """One webcam or video file. A thread reads it, because OpenCV's grab has no time-out.
 
     Where the receiver is slower than a webcam, frames are lost and counted (``overruns``), and ``block_id`` has
     gaps; a file waits.
@@ -224,7 +224,7 @@ class _Reader:
                 return
             except queue.Full:
                 if not self._waits:
-                    # the newest frame is worth more than the oldest
+                    # drop the oldest frame, keep the newest
                     with contextlib.suppress(queue.Empty):
                         self.frames.get_nowait()
                         self.overruns += 1

@@ -142,7 +142,7 @@ class PendingImage:
     session: int
     """Counts the stops of acquisition; an image of an earlier one is not sent any more."""
     chunks: bytes | None = None
-    """What follows the image, None without chunk data."""
+    """Chunk data behind the image, or None."""
 
 
 class Acquisition:

@@ -271,7 +271,7 @@ class EmulatedCamera:
         self._values["StreamPacketSize"] = value & DO_NOT_FRAGMENT | size
         self._stream.fragment(may=not value & DO_NOT_FRAGMENT)
         to = self.destination()
-        # where the size asked for is not to be had no test packet comes, and the client reads what it got
+        # an unavailable packet size gives no test packet, and the client reads back the actual size
         if value & FIRE_TEST_PACKET and to is not None and asked == size:
             self._stream.fire_test_packet(size, to)
 

@@ -31,7 +31,7 @@ from hardware.emulate.stream import Stream
 from mosca.errors import InputError
 
 TICK_S = 0.05
-"""How often heartbeat and supply are checked when nothing arrives."""
+"""Interval at which heartbeat and supply are checked when nothing arrives."""
 STALLED_NS, GRACE_NS = 500_000_000, 2_000_000_000
 """After this thread was stalled for so long it cannot judge heartbeats; clients then get the grace time."""
 DISCOVERY_BYTES = 0xF8
@@ -44,7 +44,7 @@ REPEATABLE = (Command.WRITEREG, Command.WRITEMEM, Command.ACTION)
 
 @dataclass(frozen=True)
 class _Answered:
-    """The last command that changed something, and what was answered: a client that missed the answer asks again."""
+    """The last command with side effects and its acknowledgement, resent to a client that repeats the command."""
 
     client: Client
     datagram: bytes
@@ -170,7 +170,7 @@ class Control:
                     self._camera.privilege.check_read(client)
                 found += self._camera.registers.read(address, 4)
         except Refused as refusal:
-            # what was read before stands in the answer
+            # the acknowledgement holds what was read before
             return gige_vision.acknowledge(request, found, refusal.status)
         return gige_vision.acknowledge(request, found)
 

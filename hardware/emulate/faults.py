@@ -1,4 +1,4 @@
-"""What goes wrong with an emulated camera, on demand and the same each time."""
+"""Injected faults of an emulated camera, reproducible."""
 
 from dataclasses import dataclass
 
@@ -75,7 +75,7 @@ class FaultDraws:
         return bool(self._faults.resend_refused) and self._requests.random() < self._faults.resend_refused
 
     def withheld(self, pulse: int) -> bool:
-        """Return whether line pulse ``pulse`` fails to reach the camera; the same however often it is asked."""
+        """Return whether line pulse ``pulse`` fails to reach the camera; repeated calls agree."""
         if self._faults.withheld == 0.0:
             return False
         return bool(self._generator("withheld", pulse).random() < self._faults.withheld)

@@ -1,4 +1,4 @@
-"""What a client can read and set: the standard's bootstrap registers, and features by their SFNC names."""
+"""Registers for clients: the standard's bootstrap registers, and features by their SFNC names."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -99,7 +99,7 @@ class Feature:
     """Features that depend on this selector."""
     tip: str = ""
     chunk: int = 0
-    """Number of the chunk behind each image that holds it, which it has in place of a register."""
+    """Id of the chunk that holds the value behind each image, instead of a register."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "entries", MappingProxyType(dict(self.entries)))

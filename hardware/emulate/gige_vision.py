@@ -63,7 +63,7 @@ EXTENDED_CHUNKS = 0x4000
 """Of the payload's type: chunks follow the image."""
 IMAGE_CHUNK, COUNTER_CHUNK = 0x0000C001, 0x0000C002
 CHUNK_TAIL_BYTES = 8
-"""What stands after a chunk's data: its number and its length."""
+"""Trailer of a chunk, behind its data: id and length."""
 
 FIRE_TEST_PACKET = 0x80000000
 DO_NOT_FRAGMENT = 0x40000000
@@ -74,7 +74,7 @@ FORMAT_OF_DEPTH = {8: "Mono8", 10: "Mono10", 12: "Mono12", 16: "Mono16"}
 
 
 class Refused(Exception):
-    """What a client asked for is not to be had; ``status`` goes into the acknowledgement."""
+    """A request cannot be met; ``status`` goes into the acknowledgement."""
 
     def __init__(self, status: Status) -> None:
         super().__init__(status.name)
@@ -162,7 +162,7 @@ def memory_write(payload: bytes) -> tuple[int, bytes]:
 
 
 def resend(payload: bytes) -> ResendRequest:
-    """Return what a PACKETRESEND asks for; packet numbers have 24 bits."""
+    """Return the block and packets that a PACKETRESEND requests; packet ids have 24 bits."""
     if len(payload) < 12:
         raise Refused(Status.INVALID_PARAMETER)
     _channel, block, first, last = struct.unpack_from(">HHII", payload)

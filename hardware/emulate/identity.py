@@ -19,7 +19,7 @@ CONTROL_CAPABILITY = (
     | 1 << 19  # IEEE 1588
     | 1 << 17  # scheduled actions
     | 1 << 6  # actions
-    | 1 << 2  # packets can be asked for again
+    | 1 << 2  # packet resend
     | 1 << 1  # WRITEMEM
     | 1  # several registers a command
 )

@@ -1,7 +1,7 @@
 """Sources of trigger pulses: a generator wired to Line1 of many cameras, and the serial generator, emulated.
 
-The serial one speaks ``hardware.triggers.pulse_protocol`` behind a pseudo-terminal, with a quartz that is off, and
-calls back at each pulse, so that emulated cameras can be wired to it.
+The serial one implements ``hardware.triggers.pulse_protocol`` on a pseudo-terminal, with a frequency error of its
+quartz, and calls back at each pulse, so that emulated cameras can be wired to it.
 """
 
 import math
@@ -24,7 +24,7 @@ FASTEST_HZ = 10_000.0
 
 
 class Triggered(Protocol):
-    """What hangs on the line."""
+    """A device on the trigger line."""
 
     def pulse(self, number: int, time_ns: int) -> None:
         """Take pulse ``number``, whose edge is at the monotonic time ``time_ns``."""
@@ -32,11 +32,11 @@ class Triggered(Protocol):
 
 
 class TriggerLine:
-    """Numbers pulses from 0 at each ``start`` and makes pulse k at t0 + k / rate: no sleep's error adds up.
+    """Numbers pulses from 0 at each ``start`` and makes pulse k at t0 + k / rate: sleep errors do not add up.
 
-    A pulse carries the time at which it is due. A machine that is late hands it on late, and the cameras still
-    expose at its time, as those behind a real generator would; ``stop`` makes those first that were due before it.
-    ``ended``: asked before each pulse whether it is one too many.
+    A pulse carries the time at which it is due. A busy machine delivers it late, but the cameras expose at the due
+    time, as with a real generator; ``stop`` first makes the pulses that were due before it.
+    ``ended``: called before each pulse; whether the pulses end before it.
     """
 
     def __init__(self, cameras: Iterable[Triggered], ended: Callable[[int], bool] = lambda number: False) -> None:
@@ -60,7 +60,7 @@ class TriggerLine:
         return self._thread is not None and self._thread.is_alive()
 
     def pulse(self, number: int, time_ns: int) -> None:
-        """Hand pulse ``number`` at the monotonic time ``time_ns`` to every camera; for other generators too."""
+        """Trigger every camera with pulse ``number`` at the monotonic time ``time_ns``; for other generators too."""
         for camera in self._cameras:
             camera.pulse(number, time_ns)
         self._emitted = number + 1

@@ -45,9 +45,9 @@ class Register:
 class RegisterFile:
     """Registers and one read-only file (the GenICam XML) in one address space.
 
-    ``values``: what the registers hold, by name. ``live``: registers whose value is asked for at each reading.
-    ``write`` is called with a register and the value that a client wants; it may raise Refused. Every
-    refusal carries the status that the standard has for it.
+    ``values``: contents of the registers, by name. ``live``: registers whose value is computed at each read.
+    ``write`` is called with a register and the value that a client writes; it may raise Refused. Every
+    refusal carries the status code of the standard.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class RegisterFile:
         return found[:length]
 
     def write(self, address: int, data: bytes) -> None:
-        """Write ``data`` to ``address``; a number wants all its bytes, a text may be shorter than its register."""
+        """Write ``data`` to ``address``; numbers must be complete, strings may be shorter than their register."""
         if address % WORD or len(data) % WORD or not data:
             raise Refused(Status.BAD_ALIGNMENT)
         if 0 <= address - self._file_start < len(self._file):

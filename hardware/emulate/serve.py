@@ -56,7 +56,7 @@ class EmulatedDevice:
         return self.camera.identity
 
     def counts(self) -> Mapping[str, int]:
-        """Return what became of triggers, images and packets until now."""
+        """Return the counts of triggers, images and packets until now."""
         return {**self.camera.counts, **self._images, **self._stream.counts}
 
     def close(self) -> None:
@@ -104,10 +104,10 @@ class EmulatedDevice:
 
 
 def pixels_of(frame: Frame, layout: ImageLayout, depth: int) -> Array:
-    """Return the part of ``frame``'s image that ``layout`` asks for, in its format.
+    """Return the region of ``frame``'s image that ``layout`` selects, in its pixel format.
 
-    ``depth``: significant bits of the source's pixels; as Mono8 the highest eight of them. A damaged frame has no
-    image: what arrives of it is dark.
+    ``depth``: significant bits of the source's pixels; Mono8 takes the highest eight. A damaged frame has no
+    image: its packets are black.
     """
     rows = slice(layout.offset_y, layout.offset_y + layout.height)
     columns = slice(layout.offset_x, layout.offset_x + layout.width)
@@ -145,7 +145,7 @@ class Served:
         self.line.start(rate_hz or self.rate_hz)
 
     def pulse(self, number: int, time_ns: int) -> None:
-        """Hand on pulse ``number`` of another generator than the own one; pulse 0 begins with frame 0."""
+        """Trigger the cameras with pulse ``number`` of an external generator; pulse 0 begins with frame 0."""
         if number == 0:
             self.store.rewind()
         if not self._ended(number):
@@ -188,11 +188,27 @@ def served(
 ) -> Served:
     """Return the cameras of ``source`` as GigE Vision devices, once ``ahead`` pulses of frames are in memory.
 
-    The cameras take successive addresses from ``first_address`` ("127.0.0.2", or "192.168.7.10/24" on an interface
-    that has them), or those of ``addresses`` by name; serials are made of the addresses (TWIN7F000002), or are those
-    of ``serials``. ``loop``: after the last frame comes the first. ``faults``: by camera. ``first_block``: the
-    stream's number of an acquisition's first frame. The source stays its owner's to close. Raises InputError for an
-    address that is not to be had, a name that the source does not have, or frames that cannot be sent.
+    Raises InputError for an address that is not available, a name that the source does not have, or frames that
+    cannot be sent.
+
+    Parameters
+    ----------
+    source
+        Frames to serve; it is not closed.
+    ahead
+        Pulses of frames to read into memory.
+    loop
+        Whether the first frame follows the last.
+    first_address
+        The cameras' addresses count up from it ("127.0.0.2", or "192.168.7.10/24" on an interface that has them).
+    addresses, serials
+        By camera; default serials are made of the addresses (TWIN7F000002).
+    faults
+        By camera.
+    first_block
+        Block id of an acquisition's first frame.
+    progress
+        Called with pulses done and to do while frames are read ahead.
     """
     infos = source.cameras
     names = tuple(info.name for info in infos)
@@ -230,7 +246,7 @@ def interface(text: str) -> IPv4Interface:
 
 
 def serial_at(place: IPv4Interface) -> str:
-    """Return the serial number of a camera at ``place``: clients identify cameras by it, also of two servers."""
+    """Return the serial number of the camera at index ``place``: clients identify cameras by it, across servers."""
     return f"TWIN{int(place.ip):08X}"
 
 

@@ -10,20 +10,19 @@ from mosca.errors import InputError
 MISSING_AFTER = 8
 """A frame is held for lost when the source has given frames of so many later pulses."""
 WAIT_S = 30.0
-"""How long a camera waits for a frame that is not there yet."""
+"""Time-out of a camera for a frame that is not there yet."""
 POLL_INTERVAL_S = 0.5
 
 
 class FrameStore:
-    """Frames of ``source`` by camera and pulse, at most ``ahead`` pulses of them (and as many that were asked for).
+    """Frames of ``source`` by camera and pulse, at most ``ahead`` pulses of them (and as many requested ones).
 
-    Where the whole source fits, it is kept, and may be looped and begun anew without reading it again; where it does
-    not, frames are read while pulses pass, and beginning anew iterates over the source anew. ``loop``: after the last
-    pulse comes the first.
+    A source that fits is kept, and looped or restarted without reading it again; of a longer one frames are read
+    while pulses pass, and a restart iterates over it anew. ``loop``: after the last pulse comes the first.
 
-    A camera's first frame is of the pulse of its index, where the source is in the session's clock (twin,
-    captures, folders of images), and the others of those of their stamps. With other clocks a pulse is found
-    from the time since the camera's frame before.
+    Where the source is in the session's clock (twin, captures, folders of images), a camera's first frame belongs to
+    the pulse of its index, later ones to the pulses of their time stamps. With other clocks the pulse follows from
+    the time since the camera's previous frame.
     """
 
     def __init__(self, source: FrameSource, ahead: int, loop: bool = False) -> None:
@@ -115,7 +114,7 @@ class FrameStore:
         self._thread.join()
 
     def _read(self) -> None:
-        """Iterate over the source, again and again where it is asked for anew, until closed."""
+        """Iterate over the source, again after each restart, until closed."""
         try:
             while self._read_once():
                 pass
@@ -180,7 +179,7 @@ class FrameStore:
 
 
 class _Numbering:
-    """Which pulse a frame belongs to, in one reading of a source."""
+    """Pulse numbers of frames in one iteration over a source."""
 
     def __init__(self, infos: tuple[CameraInfo, ...]) -> None:
         self._one_clock = all(info.clock == "session" for info in infos)

@@ -41,7 +41,7 @@ class ImageLayout:
 
 
 def chunk(number: int, data: bytes) -> bytes:
-    """Return a chunk as it stands behind an image, and behind the chunks before it."""
+    """Return a chunk as appended to an image and to the chunks before it."""
     return data + struct.pack(">II", number, len(data))
 
 
@@ -118,7 +118,7 @@ def _trailer(block: int, packet: int, height: int, kind: int) -> bytes:
 
 
 KEPT_BLOCKS = 100
-"""A second at 100 Hz: a client on a busy machine asks late."""
+"""A second at 100 Hz: a busy client requests packets late."""
 SEND_BUFFER = 4 << 20
 LARGEST_RESEND = 2048
 """Packets that one request is answered with at most."""
@@ -196,8 +196,8 @@ class Stream:
         self._socket.close()
 
     def _send(self, packet: Packet, to: Destination) -> None:
-        # one by one: a client that reads the network below UDP, as Aravis does for root, would see packets that were
-        # handed over together (segmentation offload) as one
+        # one by one: a client with packet sockets (Aravis as root) would receive packets sent together (segmentation
+        # offload) as one
         try:
             self._socket.sendto(packet, to)
         except OSError:

@@ -1,28 +1,27 @@
-"""Commands to a subject, its replies, and events from elsewhere, all on the clock of the frames.
+"""Commands to a subject, its replies, and external events, all on the clock of the frames.
 
-A program file (TOML) lists what is sent when, and what is received::
+A program file (TOML) lists commands with their times, and the sources of events::
 
     [[target]]
     name = "robot"
     kind = "tcp"                    # or "serial"
     address = "192.168.7.30:7000"   # serial: its port, e.g. /dev/ttyUSB0, and baud = 115200
-    reply_s = 1.0                   # how long an answer is waited for; 0 where none comes
+    reply_s = 1.0                   # time-out of the reply; 0: none expected
 
     [[event]]
     name = "imu"
-    kind = "udp"                    # datagrams that come to address; "tcp": lines from whom address names
+    kind = "udp"                    # datagrams received at address; "tcp": lines from that server
     address = "0.0.0.0:7001"
 
     [[program]]
     at_s = 1.0                      # from the first pulse on
     target = "robot"
-    command = { left = 120, right = 80 }     # a table goes out as a line of JSON, a text as it is
+    command = { left = 120, right = 80 }     # a table is sent as a line of JSON, a string as it is
 
 Everything is lines of UTF-8, ended by a newline. The channels of the recording, each message with ``host_ns``, this
-machine's monotonic time of it: ``commands`` (stamped when it was sent), ``replies`` (when its line was whole),
-``events`` (when it came). A line that is a JSON object stands under ``data``, any other under ``line``. Each target
-has a thread of its own: one that answers late delays no other target's commands; its own are then sent late, and the
-delay is noted (``late_ms``).
+machine's monotonic time: ``commands`` (when sent), ``replies`` (when the line was complete), ``events`` (when
+received). A line that is a JSON object is recorded as ``data``, any other as ``line``. Each target has a thread of
+its own: a late reply delays only its own target's commands, and the delay is recorded (``late_ms``).
 """
 
 import json
@@ -108,7 +107,7 @@ def read_program(path: Path) -> Program:
 
 @dataclass(frozen=True)
 class Reply:
-    """What became of a command: ``text`` None where no answer came until ``came_ns``; times are the host's [ns]."""
+    """The result of a command: ``text`` None where no reply came until ``came_ns``; host times [ns]."""
 
     sent_ns: int
     came_ns: int

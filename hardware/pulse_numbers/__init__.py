@@ -1,1 +1,1 @@
-"""Which trigger pulse a frame belongs to: stamps, clocks, trigger counters."""
+"""Trigger pulse numbers of frames, from time stamps, clocks, trigger counters."""

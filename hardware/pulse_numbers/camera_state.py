@@ -32,7 +32,7 @@ class NumberedBuffer:
 
 @dataclass
 class CameraState:
-    """What is known of one camera."""
+    """State of one camera."""
 
     name: str
     clock: DeviceClock

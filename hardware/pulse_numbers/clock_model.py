@@ -11,7 +11,7 @@ from dataclasses import dataclass
 PHASE_GAIN = 0.05
 PERIOD_GAIN = 0.0005
 LARGEST_DRIFT = 2e-3
-"""How far a camera's clock may run from the nominal rate; quartz keeps 1e-4."""
+"""Largest relative deviation of a camera's clock from the nominal rate; quartz keeps 1e-4."""
 LARGEST_RESIDUAL, RESIDUAL_PER_STEP, RESIDUAL_AT_MOST = 0.1, 1e-4, 0.2
 """Gate of a stamp about its pulse, as a share of a period; over missed pulses drift adds to it."""
 LONGEST_GAP = 2000

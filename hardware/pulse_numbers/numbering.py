@@ -1,19 +1,19 @@
 """The pulse number of each buffer, from the camera's device clock.
 
-A frame counter cannot tell a missed trigger from none, and a busy machine delays arrivals by more than a period. Time
-stamps can: they lie on the line of the pulses (``hardware.pulse_numbers.clock_model``). They do not show *which*
-pulse the first of them is. Where all device clocks can be read (``hardware.pulse_numbers.clock_sync``) the readings
-show it at once: at the start, and for a frame after a gap, which waits until its camera's clock was read once more.
-Else the earliest of a few arrivals decides (a vote), at the start and whenever a clock jumped:
+Frame counters do not show missed triggers, and a busy machine delays arrivals by more than a period. Device time
+stamps are a linear function of the pulse number (``hardware.pulse_numbers.clock_model``), except for *which* pulse
+the first one is. Where all device clocks can be read (``hardware.pulse_numbers.clock_sync``) the readings give it: at
+the start, and for a frame after a gap, which waits for the next reading of its camera's clock. Else the earliest of a
+few arrivals decides (a vote), at the start and whenever a clock jumped:
 
 - start (``hardware.pulse_numbers.starting``): cameras are armed before the pulses begin, so the earliest camera's
   first frame is the first pulse (unless ``start_ns``, when the pulses began, shows that all missed it); the others
   count from there.
-- a stamp that lies on no pulse, or before the last one (``hardware.pulse_numbers.running``): the camera restarted or
-  its clock was set; its next frames are pending until enough of them have voted, then all are released.
-- a stamp on the line but not on the next pulse, while its frame does not arrive as the other cameras' do: the clock
+- a time stamp that fits no pulse, or is before the last one (``hardware.pulse_numbers.running``): the camera
+  restarted or its clock was set; its next frames are pending until enough have voted, then all are released.
+- a time stamp that fits a later pulse, while its frame does not arrive as the other cameras' do: the clock
   may have jumped by whole periods, and the next frames vote. A busy machine is late for all cameras alike.
-- a buffer whose block id and stamp were lost waits for the next one, which shows where it belongs.
+- a buffer without block id and time stamp waits for the next one, from which its pulse follows.
 
 Nothing is dropped: each buffer comes out once, in order, with its pulse.
 """

@@ -11,7 +11,7 @@ READING_WAIT_S = 1.0
 
 
 class NumberingSettings(NamedTuple):
-    """What the phases of the numbering share."""
+    """Settings shared by the phases of the numbering."""
 
     period_ns: float
     """Nominal period of the pulses [ns]."""

@@ -18,7 +18,7 @@ LARGEST_SKEW = 1e-3
 
 
 class RemoteClock:
-    """Offset and skew of a remote clock; ``here`` turns its time into this machine's."""
+    """Offset and skew of a remote clock; ``here`` converts its time into this machine's."""
 
     def __init__(self) -> None:
         self._pings: deque[tuple[int, int, int]] = deque(maxlen=PINGS)
@@ -41,7 +41,7 @@ class RemoteClock:
         return self._fit[2]
 
     def take(self, asked_ns: int, remote_ns: int, received_ns: int) -> None:
-        """Take an answer: this machine's clock when it was asked for and received, what the other clock showed."""
+        """Add a reading: this machine's clock at request and reply, and the remote clock."""
         self._pings.append(((asked_ns + received_ns) // 2, remote_ns, received_ns - asked_ns))
         origin_here, origin_there, _ = self._pings[0]
         pings = np.array(

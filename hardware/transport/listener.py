@@ -162,7 +162,7 @@ class Listener:
         alignment: tuple[int, float],
         buffered: bool,
     ) -> None:
-        """Hand a message to the merger; ``alignment``: the station's shift, and the period of the pulses [ns]."""
+        """Pass a message to the merger; ``alignment``: the station's shift, and the period of the pulses [ns]."""
         shift, period_ns = alignment
         if self._owner.get(message.detections.camera) != state.name:
             return  # noted when its station listed its cameras
@@ -305,7 +305,7 @@ class Listener:
 
 
 def _overlap(known: Sequence[str], notes: Sequence[str]) -> int:
-    """Return how many of ``notes`` stood at the end of ``known``: a window that moves on."""
+    """Return how many of ``notes`` overlap with the end of ``known``: a sliding window."""
     for shared in range(min(len(known), len(notes)), 0, -1):
         if tuple(known[-shared:]) == tuple(notes[:shared]):
             return shared

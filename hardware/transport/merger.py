@@ -1,8 +1,8 @@
-"""Detections of many stations become sets, pulse by pulse. Knows no network and no clock: times are handed in.
+"""Merges detections of many stations to sets, pulse by pulse; pure: times are arguments.
 
-A set waits for its cameras, at most ``deadline_s`` from its first message. It waits for none that cannot come any
-more: a camera whose later pulse is here (each camera's messages come in order), or whose station is away. What comes
-after its set was closed, or is older than ``oldest_s``, is counted and thrown away: a live run is of the present.
+A set waits for its cameras, at most ``deadline_s`` from its first message, but not for cameras that cannot come any
+more: a later pulse of the camera was received (each camera's messages come in order), or its station is away.
+Messages after their set was closed, or older than ``oldest_s``, are counted and dropped.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,14 +18,14 @@ class MergeSettings:
     """Waiting times of the merger."""
 
     deadline_s: float = 0.03
-    """How long a set waits for its cameras."""
+    """Longest time that a set waits for its cameras."""
     oldest_s: float = 0.25
     """Age at which a message is dropped."""
 
 
 @dataclass(frozen=True, eq=False)
 class Arrived:
-    """A message in the session's terms; times are host times of this machine [ns] unless said otherwise."""
+    """A message in the session's terms; times are host times of this machine [ns] unless noted."""
 
     pulse: int
     """The session's pulse."""
@@ -44,7 +44,7 @@ class Arrived:
 
 @dataclass(frozen=True, eq=False)
 class MergedSet:
-    """What all stations saw of one pulse."""
+    """All stations' detections of one pulse."""
 
     pulse: int
     time_ns: int

@@ -1,7 +1,7 @@
-"""The reconstructing station's end: listens to all stations, finds out which pulse is which, and merges.
+"""The reconstructing station's end: receives from all stations, aligns their pulse numbers, and merges.
 
-One thread merges; one a station asks for its clock, its health and its rig file. Callbacks of the engine only queue.
-Events of a station are passed on (``on_event``) and kept (``events``); a lost station costs its cameras, no more.
+One thread merges; one per station queries its clock, health and rig file. Callbacks of the engine only queue.
+Events of a station are passed to ``on_event`` and kept (``events``); a lost station costs only its cameras.
 """
 
 import queue
@@ -96,7 +96,7 @@ class Receiver:
         return None if self._listener.pulses is None else self._listener.pulses.start_ns
 
     def rigs(self, timeout_s: float) -> dict[str, str]:
-        """Return the rig files (text) of the stations that have handed theirs in, waiting for all of them."""
+        """Wait for the rig files (text) of all stations; return those received."""
         until = time.monotonic() + timeout_s
         while len(self._listener.rigs) < len(self._heard_ns) and time.monotonic() < until:
             time.sleep(0.02)
@@ -156,7 +156,7 @@ class Receiver:
             return YES
         try:
             heard = self._listener.received_to_end(*unpack_heard(question))
-        except MessageError:  # no station asks so
+        except MessageError:  # not a query of a station
             return YES
         return YES if heard else NOT_YET
 

@@ -127,7 +127,7 @@ class Sender:
         )  # fmt: skip
 
     def close(self) -> None:
-        """Say that this was all, and leave; may be called twice."""
+        """Announce the end and disconnect; may be called twice."""
         if self._end.is_set():
             return
         self._end.set()

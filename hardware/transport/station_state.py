@@ -1,6 +1,4 @@
-"""What the reconstructing station knows of each other one: is it there, how does its clock run, what became of its
-messages.
-"""
+"""State of each other station at the reconstructing one: presence, clock model, and counts of its messages."""
 
 from collections import deque
 from collections.abc import Mapping
@@ -11,9 +9,9 @@ from hardware.transport.merger import MergeSettings, MergeStatistics
 from hardware.transport.messages import DetectionMessage, HealthMessage
 
 MOST_PENDING = 4000
-"""Messages that may wait until their station's clock and place are known; older ones are thrown away."""
+"""Messages that may wait until their station's clock and pulse shift are known; older ones are dropped."""
 CLOCK_SHARE = 0.1
-"""Share of a period to which a station's clock has to be certain before its frames are placed."""
+"""Required uncertainty of a station's clock, in periods, before its frames get pulse numbers."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +42,7 @@ class Event:
 
 @dataclass
 class StationStatistics:
-    """What became of one station's messages, to be read at any time."""
+    """Counts of one station's messages, to be read at any time."""
 
     received: int = 0
     lost: int = 0
@@ -60,7 +58,7 @@ class StationStatistics:
     skipped: int = 0
     """Frames that it did not process, by its own count."""
     silent: int = 0
-    """How often it fell silent."""
+    """Number of its silences."""
     gone: int = 0
     """How often its token was withdrawn."""
     starts: int = 0
@@ -71,7 +69,7 @@ class StationStatistics:
 
 @dataclass
 class ReceiverStatistics:
-    """What became of all messages."""
+    """Counts of all messages."""
 
     stations: Mapping[str, StationStatistics]
     merge: MergeStatistics

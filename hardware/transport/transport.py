@@ -1,12 +1,12 @@
-"""Interface of the engines that carry messages between stations, and the keys that are used.
+"""Interface of the messaging engines between stations, and their keys.
 
-| key | carries |
+| key | meaning |
 |---|---|
 | ``mosca/STATION/CAMERA/detections`` | published: one camera, one pulse (``hardware.transport.messages``) |
-| ``mosca/STATION/health`` | published and asked for: how the station is doing |
-| ``mosca/STATION/clock`` | asked for: what the station's clock shows |
-| ``mosca/STATION/rig`` | asked for: its rig file, calibrated or not |
-| ``mosca/STATION/start`` | asked: the session starts at this time of your clock |
+| ``mosca/STATION/health`` | published, and queried: state of the station |
+| ``mosca/STATION/clock`` | queried: the station's clock |
+| ``mosca/STATION/rig`` | queried: its rig file, calibrated or not |
+| ``mosca/STATION/start`` | query: start the session at this time of the station's clock |
 | ``mosca/STATION/alive`` | a liveliness token of the station's process |
 | ``mosca/heard`` | query: whether a station's last message was received (``hardware.transport.messages``) |
 
@@ -33,14 +33,14 @@ class TransportError(MoscaError):
 
 
 class Transport(Protocol):
-    """Publishes, asks and watches. Callbacks come on the engine's threads, one at a time for each subscription."""
+    """Publishes, queries and subscribes. Callbacks run on the engine's threads, one at a time per subscription."""
 
     def publish(self, key: str, payload: bytes) -> bool:
         """Send to all subscribers; dropped where the queue stays full. False where the engine refuses it."""
         ...
 
     def subscribe(self, pattern: str, take: Callable[[str, bytes], None]) -> None:
-        """Hand what is published under ``pattern`` to ``take(key, payload)``; ``*`` is one name, ``**`` any names."""
+        """Call ``take(key, payload)`` for publications under ``pattern``; ``*`` is one name, ``**`` any names."""
         ...
 
     def declare_queryable(self, key: str, reply: Callable[[bytes], bytes]) -> None:

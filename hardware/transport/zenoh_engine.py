@@ -77,7 +77,7 @@ class ZenohTransport:
         return True
 
     def subscribe(self, pattern: str, take: Callable[[str, bytes], None]) -> None:
-        """Hand what is published to ``take``."""
+        """Pass publications to ``take``."""
         self._keep(
             self._session.declare_subscriber(
                 pattern, lambda sample: take(str(sample.key_expr), sample.payload.to_bytes())

@@ -1,4 +1,4 @@
-"""What makes the pulses: a pulse generator, software, scheduled actions, a master camera, or something outside."""
+"""Trigger sources: a pulse generator, software, scheduled actions, a master camera, or an external one."""
 
 from collections.abc import Mapping
 

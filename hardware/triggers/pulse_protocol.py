@@ -1,6 +1,6 @@
 """Protocol of the serial pulse generator, and the fit of the host clock to its pulses. Needs no serial port.
 
-The protocol is lines of ASCII, 115,200 baud; the host asks, the generator answers at once:
+The protocol is lines of ASCII, 115,200 baud; the generator answers each request at once:
 
 | host | generator | meaning |
 |---|---|---|

@@ -42,13 +42,13 @@ def _undistorted(camera: Camera) -> Camera:
 
 
 def _scaled(camera: Camera, factor: float) -> Camera:
-    """Return the camera with its place scaled about the world's origin."""
+    """Return the camera with its position scaled about the world's origin."""
     pose = camera.world_from_camera
     return replace(camera, world_from_camera=Pose(pose.rotation, factor * pose.translation))
 
 
 def _moved(camera: Camera, shift_m: tuple[float, float, float]) -> Camera:
-    """Return the camera believed to stand elsewhere."""
+    """Return the camera with a wrong position."""
     pose = camera.world_from_camera
     return replace(camera, world_from_camera=Pose(pose.rotation, pose.translation + np.array(shift_m)))
 

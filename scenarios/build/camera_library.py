@@ -39,7 +39,7 @@ def with_chip(spec: Scenario) -> Cameras:
 def pitch_and_focal_mm(camera: Camera, chip: SensorEntry | None, pitch_mm: float) -> tuple[float, float]:
     """Return a camera's pixel pitch and principal distance [mm].
 
-    A Mosca lens has both; the others know pixels only: then the sensor's pitch counts, or ``pitch_mm``.
+    A Mosca lens has both; the others are in pixels: then the pitch is the sensor's, or ``pitch_mm``.
     """
     lens = camera.lens
     if isinstance(lens, MoscaLens):

@@ -1,4 +1,4 @@
-"""Where a rig's cameras stand and what they see: a ring of cameras, windows of images, rigs that cannot work."""
+"""Camera poses and fields of view: a ring of cameras, image windows (ROI), checks for unusable rigs."""
 
 from dataclasses import replace
 
@@ -45,7 +45,7 @@ def ring(spec: Cameras, space: WorkingSpace) -> Rig:
 
 
 def check_rig(rig: Rig, space: WorkingSpace) -> None:
-    """Raise InputError for a rig that cannot measure the working space; says why."""
+    """Raise InputError, with the reason, for a rig that cannot measure the working space."""
     centre, size = np.array(space.center_m), np.array(space.size_m)
     places = np.array([c.world_from_camera.translation for c in rig.cameras])
     for k, camera in enumerate(rig.cameras):
@@ -96,7 +96,7 @@ def sees(camera: Camera, points: Array) -> Array:
 
 
 def _looking(place: Array, target: Array, name: str) -> Pose:
-    """Return the pose of a camera at ``place`` that looks at ``target`` with its x axis level."""
+    """Return the pose of a camera at ``place`` that points at ``target`` with its x axis level."""
     forward = target - place
     distance = np.linalg.norm(forward)
     if distance < 1e-9:

@@ -52,7 +52,7 @@ class Calibrated:
 
 
 def true_rig(spec: Scenario, folder: Path) -> Rig:
-    """Return the rig as it stands; InputError where it cannot work."""
+    """Return the true rig; InputError where it cannot measure."""
     if spec.cameras.rig is not None:
         rig = read_rig(beside(spec.cameras.rig, folder))
     else:
@@ -64,7 +64,7 @@ def true_rig(spec: Scenario, folder: Path) -> Rig:
 
 
 def virtual_cameras(spec: Scenario, rig: Rig) -> tuple[VirtualCamera, ...]:
-    """Return the rig's cameras, then those that ride on bodies, with all that the scenario says of them."""
+    """Return the rig's cameras, then those on bodies, with all their settings in the scenario."""
     names = [camera.name for camera in spec.camera]
     for camera in spec.camera:
         if names.count(camera.name) > 1:
@@ -90,7 +90,7 @@ def virtual_cameras(spec: Scenario, rig: Rig) -> tuple[VirtualCamera, ...]:
 
 
 def twin_source(spec: Scenario, scene: Scene, cameras: tuple[VirtualCamera, ...], workers: int) -> TwinSource:
-    """Return the twin that films ``scene`` as the scenario says."""
+    """Return the scenario's twin of the cameras that film ``scene``."""
     return TwinSource(
         scene,
         cameras,
@@ -134,7 +134,7 @@ def _own(spec: Scenario, name: str) -> CameraSpec:
 
 
 def _merged(common: Table, own: Table) -> dict[str, Any]:
-    """Return what the common table says, with the keys that the camera's own one really writes."""
+    """Return the common table, overridden by the keys that the camera's own table sets."""
     return {**common.model_dump(), **own.model_dump(exclude_unset=True)}
 
 

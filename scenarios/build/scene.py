@@ -39,7 +39,7 @@ from twin.scenes.scene import Scene
 from twin.streams import rng
 
 MARGIN = 1.15
-"""Points are looked for in the working space grown by this factor, so that nothing real at its edge is cut."""
+"""Points are searched in the working space enlarged by this factor, so that none at its edge is cut."""
 PERSON_SPACE_M = 2.5
 WORST_SIGMA_M = 0.005
 TargetScene = FieldScene | BoardScene | WandScene | ScaleBarScene | LFrameScene | LightScene
@@ -48,7 +48,7 @@ Volume = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 
 def build_scene(spec: Scenario, folder: Path) -> Scene:
-    """Return the scene; files that the scenario names are looked for beside it (``folder``)."""
+    """Return the scene; the scenario's file names are relative to ``folder``."""
     made = _subject(spec, folder)
     glow_keys = {} if spec.glow is None else spec.glow.model_dump(exclude_unset=True)
     if glow_keys:
@@ -215,11 +215,11 @@ def pipeline_settings(spec: Scenario) -> PipelineSettings:
 
 
 def stage_settings(stages: StageTables, volume: Volume | None, edge_m: float | None = None) -> PipelineSettings:
-    """Return the pipeline's defaults with what ``stages`` gives in its tables detection, match and track.
+    """Return the pipeline's defaults overridden by the tables detection, match and track of ``stages``.
 
     The tracker's defaults are lengths and speeds of a person in 2.5 m; they are scaled to the volume's longest
-    edge, because things move as far as they have room. Points less certain than 0.2 % of it are withheld. ``edge_m``:
-    that edge, where it is not the volume's.
+    edge. Points with a larger uncertainty than 0.2 % of it are withheld. ``edge_m``: that edge, where it is not the
+    volume's.
     """
     track, match = TrackSettings(), MatchSettings()
     if volume is not None:

@@ -37,7 +37,7 @@ def worn_cameras(spec: Scenario, cameras: tuple[VirtualCamera, ...]) -> tuple[Vi
 def worn_rig(spec: Scenario, worn: tuple[VirtualCamera, ...]) -> Calibrated:
     """Return the rig in the body's frame, the pipeline's lens model fitted to the true lenses' rays.
 
-    Cameras on other bodies have no pose that anybody knows.
+    Poses of cameras on other bodies are unknown.
     """
     assert spec.continuous is not None
     found = fitted_cameras(spec, worn, 0.5 * spec.continuous.reach_m)
@@ -58,12 +58,12 @@ def worn_settings(spec: Scenario) -> PipelineSettings:
 
 
 def without_poses(rig: Rig, known: AbstractSet[str]) -> Rig:
-    """Return the rig with the poses of the cameras ``known`` alone; the others' are no more than a place to write."""
+    """Return the rig with the poses of the cameras ``known`` alone; the others' are placeholders."""
     return Rig(tuple(one if one.name in known else replace(one, world_from_camera=NO_POSE) for one in rig.cameras))
 
 
 def known_lamps(spec: Scenario, rig: Rig) -> tuple[tuple[str, ...], Lamps]:
-    """Return the cameras on the body itself, whose places are known, and all cameras' lamps; InputError without."""
+    """Return the cameras on the body itself, whose poses are known, and all cameras' lamps; InputError without."""
     assert spec.continuous is not None
     of_name = {own.name: own for own in spec.camera}
     numbers, places = [], []

@@ -36,9 +36,9 @@ def capture(
     settings: Path | None,
     program: Path | None,
 ) -> None:
-    """Record the cameras of a rig; Ctrl-C ends the take in order.
+    """Record the cameras of a rig; Ctrl-C ends the take properly.
 
-    Exit codes: 0 each pulse has a whole frame of each camera, 1 something was lost (the table says what).
+    Exit codes: 0 each pulse has a whole frame of each camera, 1 something was lost (see the table).
 
     \b
     Example:  mosca capture --rig rig.toml --out lab/take1 --seconds 30
@@ -56,7 +56,7 @@ def capture(
 
 
 def tell(outcome: "CaptureOutcome", out: Path) -> None:
-    """Print what became of each camera, and what there is to say."""
+    """Print the counts of each camera, and notes."""
     from rich.console import Console
     from rich.table import Table
 

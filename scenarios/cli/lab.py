@@ -45,7 +45,7 @@ SHARE = Number(0.0, 1.0)
 )
 @click.option("--workers", type=click.IntRange(1, 64), help="rendering threads  [default: all cores]")
 def twin_serve(**given: Any) -> None:
-    """Serve virtual cameras or a recording as GigE Vision cameras, for any client that speaks the standard.
+    """Serve virtual cameras or a recording as GigE Vision cameras, for any client of the standard.
 
     WHAT is a scenario (file or name), a recording, or a rig file whose [twin] table names one of them. The line's
     pulses begin, with pulse 0 and frame 0, once all cameras acquire, and stop when none does.
@@ -102,7 +102,7 @@ def _tell(up: "Served") -> None:
 
 
 def _counts(up: "Served") -> Any:
-    """Return a table of what became of pulses and packets."""
+    """Return a table of the counts of pulses and packets."""
     columns = {
         "pulses": "pulses",
         "withheld": "withheld",

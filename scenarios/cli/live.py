@@ -21,10 +21,10 @@ from scenarios.cli.options import FILE, LAG, POSITIVE, SET
 @SET
 @click.option("--workers", type=click.IntRange(1, 64), help="rendering threads of a scenario  [default: all cores]")
 def live(**given: Any) -> None:
-    """Track a source while it runs: never far behind, whole frame sets left out and told where it must be.
+    """Track a source in real time; an overloaded machine drops whole frame sets and reports them.
 
-    SOURCE is hardware:RIG.toml, recording:DIR, played at its rate, or a scenario, rendered beforehand. One line a
-    second; Ctrl-C ends it and the tracks are whole. With a scenario --set changes the scenario's keys.
+    SOURCE is hardware:RIG.toml, recording:DIR, played at its rate, or a scenario, rendered beforehand. Prints one
+    line a second; Ctrl-C ends it with complete tracks. With a scenario --set changes the scenario's keys.
 
     \b
     Example:  mosca live any_source --seconds 2 --out live.csv --record live.json

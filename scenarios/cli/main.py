@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-# Before numpy comes: small matrix products on threads of their own wait for each other's cores as soon as anything
-# else runs (measured: adjustments 10 to 100 times slower); what is worth threads here has its own.
+# Before numpy is imported: BLAS threads for small matrix products block each other as soon as anything else runs
+# (measured: adjustments 10 to 100 times slower); large computations here use threads of their own.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import click
@@ -36,7 +36,7 @@ EXIT_PASSED, EXIT_BROKEN, EXIT_ERROR = 0, 1, 2
 def cli(verbose: int, quiet: bool) -> None:
     """A digital-twin testbench for photogrammetric marker motion capture.
 
-    Exit codes: 0 every limit met, 1 a limit broken or not judged, 2 an error you can mend (told in one line).
+    Exit codes: 0 every limit met, 1 a limit broken or not judged, 2 an input error (message of one line).
     """
     log_to_stderr(verbose, quiet)
 
@@ -231,7 +231,7 @@ def report(runs: tuple[Path, ...], out: Path) -> None:
 @click.argument("run", type=FILE)
 @click.option("--web", is_flag=True, help="in a browser instead of a window")
 def view(run: Path, web: bool) -> None:
-    """Look at a run in the Rerun viewer: cameras, images, detections, tracks and truth on one timeline.
+    """Open a run in the Rerun viewer: cameras, images, detections, tracks and truth on one timeline.
 
     RUN is a run folder that was made with --rrd, or an .rrd file.
 
@@ -258,7 +258,7 @@ cli.add_command(cli_station.station)
 
 @cli.group()
 def twin() -> None:
-    """Look at the virtual cameras themselves."""
+    """Inspect the virtual cameras themselves."""
 
 
 @twin.command("fidelity")

@@ -57,10 +57,10 @@ from scenarios.cli.progress import Progress
     help="frame set in which field or board is the world  [default: the first]",
 )
 def calibrate(**given: Any) -> None:
-    """Calibrate cameras from images of a target: interior and exterior orientation, with precision and judgement.
+    """Calibrate cameras from images of a target: interior and exterior orientation, with precision and verdict.
 
-    The target file's kind says what is done: a test field or a board (the world is where it first stood), a wand
-    (focal lengths found, scale from its length; give --axes), or points that were measured in the images already.
+    The target file's kind selects the method: a test field or a board (its first pose is the world frame), a wand
+    (focal lengths estimated, scale from its length; give --axes), or points measured in the images before.
 
     \b
     Example:  mosca calibrate lab/field --target field.toml --out rig.toml
@@ -79,7 +79,7 @@ def calibrate(**given: Any) -> None:
 
 @click.group()
 def rig() -> None:
-    """Look at rig files, compare them, turn them into other programs' files."""
+    """Check rig files, compare them, convert them to other programs' files."""
 
 
 @rig.command("check")
@@ -94,7 +94,7 @@ def rig() -> None:
 )
 @click.option("--fps", type=POSITIVE, help="flash: frame rate of a recording that does not tell its own [Hz]")
 def rig_check(path: Path | None, devices: bool, live: bool, flash: Path | None, fps: float | None) -> None:
-    """Read a rig file and say what its cameras see of each other's views, or how its devices are doing.
+    """Read a rig file and report how its cameras' views overlap, or the state of its devices.
 
     --live exits with 1 where a pulse has no whole frame of each camera.
 

@@ -94,7 +94,7 @@ def _exclude(what: str, options: dict[str, object]) -> None:
     help="continuous: cameras are worn on limbs and carry lamps that blink numbers; where they are comes from these",
 )
 def reconstruct(**given: Any) -> None:
-    """Turn a recording of real (or rendered) images into tracks.
+    """Reconstruct tracks from a recording of real (or rendered) images.
 
     \b
     Example:  mosca reconstruct lab/take1 --rig rig.toml --out take1.csv --fps 100 --fill 0.2
@@ -238,7 +238,7 @@ def bodies() -> None:
 def learn_bodies(tracks: Path, out: Path, named: tuple[str, ...], frames: str | None) -> None:
     """Learn rigid bodies from a stretch of tracks that shows all their markers.
 
-    A body that could be taken for itself turned, or for another one, is refused.
+    A body that is symmetric, or too similar to another one, is refused.
 
     \b
     Example:  mosca bodies learn take1.csv --body drone=0,3,4,7 --out bodies.toml
@@ -275,10 +275,10 @@ def find_bodies(
 @click.option("--out", required=True, type=FILE, help="one set of tracks: .npz, .csv, .c3d or .trc")
 @click.option("--fps", type=POSITIVE, help="frame rate to state in .c3d and .trc  [default: from the samples' times]")
 def zones(tracks: tuple[Path, ...], out: Path, fps: float | None) -> None:
-    """Stitch the tracks of several zones into one set; all on the same pulses and in the same frame.
+    """Stitch the tracks of several zones into one set; all have the same pulses and the same frame.
 
-    A shift between the zones' frames is measured where they overlap, told and taken out: the first file's frame
-    holds.
+    A shift between the zones' frames is measured where they overlap, reported and corrected; the first file's frame
+    is the reference.
 
     \b
     Example:  mosca zones left.csv right.csv --out hall.csv

@@ -138,7 +138,7 @@ def _lamp_labels(names: tuple[str, ...]) -> dict[int, str]:
 
 
 def rate_of(tracks: Tracks, fps: float | None, path: Path) -> float:
-    """Return the frame rate [Hz]: what is given, else what the samples' times say."""
+    """Return the frame rate [Hz]: the given one, else that of the samples' times."""
     if fps is not None:
         return fps
     frames, first = np.unique(tracks.frame, return_index=True)

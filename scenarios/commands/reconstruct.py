@@ -1,4 +1,4 @@
-"""The verb for real images: turn a recording into tracks."""
+"""``mosca reconstruct``: from a recording of real images to tracks."""
 
 import logging
 from collections.abc import Callable
@@ -131,7 +131,7 @@ def reconstruct_recording(
 
 
 def _why_no_tracks(counts: Array, settings: PipelineSettings) -> str:
-    """Return where to look, by the first stage that gave nothing; ``counts``: sets, detections, points."""
+    """Return advice by the first stage without results; ``counts``: sets, detections, points."""
     if counts[1] == 0:
         return f"no detections: look at detection.contrast_dn ({settings.detection.contrast_dn:g})"
     if counts[2] == 0:
@@ -146,14 +146,14 @@ def _why_no_tracks(counts: Array, settings: PipelineSettings) -> str:
 
 
 def reconstruct_spec(path: Path | None, overrides: tuple[str, ...] = ()) -> ReconstructSpec:
-    """Return what a settings file and ``KEY=VALUE`` overrides say; InputError names file, key and value."""
+    """Return the settings of a file with ``KEY=VALUE`` overrides; InputError names file, key and value."""
     document = {} if path is None else read_toml(path)
     apply_overrides(document, overrides)
     return check(ReconstructSpec, document, path or "--set")
 
 
 def live_spec(path: Path | None, overrides: tuple[str, ...] = ()) -> ReconstructSpec:
-    """Return ``reconstruct_spec`` for frames that are seen once; InputError where it wants a first pass over them."""
+    """Return ``reconstruct_spec`` for frames that are seen once; InputError where it needs a first pass over them."""
     spec = reconstruct_spec(path, overrides)
     if spec.background.kind != "none":
         raise InputError(
@@ -168,7 +168,7 @@ def reconstruct_settings(spec: ReconstructSpec, path: Path | None = None) -> Pip
     volume = None if spec.volume is None else (spec.volume.low_m, spec.volume.high_m)
     try:
         return stage_settings(spec, volume)
-    except InputError as error:  # the stages know no files
+    except InputError as error:  # the stages do not name files
         raise InputError(f"{path or '--set'}: {error}") from None
 
 

@@ -34,16 +34,18 @@ HIGHEST_RATE_HZ = 10_000.0
 
 @dataclass(frozen=True)
 class ContinuousOptions:
-    """``rate_hz``: of the grid; None: the fastest camera's. ``clocks``: see ``AssociationSettings``. ``search_s``: by
-    how much cameras with clocks of their own may have been started apart. ``limbs``: whether constant distances are
-    used. ``worn``: file of the lamps that cameras on limbs carry; the rig's poses then count for those that it names.
-    """
+    """Options of ``mosca reconstruct --continuous``."""
 
     rate_hz: float | None = None
+    """Of the grid; None: the fastest camera's."""
     clocks: Literal["auto", "common", "own"] = "auto"
+    """See ``AssociationSettings``."""
     search_s: float = 10.0
+    """Largest difference of the start times of cameras with clocks of their own."""
     limbs: bool = True
+    """Whether constant distances are used."""
     worn: Path | None = None
+    """File of the lamps of cameras on limbs; of the rig's poses only those of cameras that it names are used."""
 
 
 def reconstruct_continuous(

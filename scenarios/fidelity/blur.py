@@ -20,7 +20,7 @@ SHARP = replace(FOCUSED, focus_m=None)
 MIDDLE, FIELD = (52.0, 33.0), (80.0, 58.0)
 CENTROID_PX, PIXEL = 0.001, 0.01
 Case = tuple[Optics, tuple[float, float], float, float | None, float]
-"""Lens, place in the image, diameter [px], tilt (None: a ball) and distance [m]."""
+"""Lens, image position, diameter [px], tilt (None: a ball) and distance [m]."""
 WORST = replace(FOCUSED, curvature_px=4.0, coma_px=3.0)
 CASES: dict[str, tuple[Case, ...]] = {
     "defocus (focused at 2 m)": (
@@ -83,7 +83,7 @@ def _expected(case: Case, radial: int = 9, angles: int = 26) -> Array:
     away = WITNESS.project(centre[None])[0] - middle
     field = np.hypot(*away) / (np.hypot(*SIZE) / 2)
     circle = optics.curvature_px * field**2
-    if optics.focus_m is not None:  # the plane of focus stands across the axis: depth counts
+    if optics.focus_m is not None:  # the plane of focus is normal to the axis: use the depth
         circle += blur_circle_px(centre[2], optics.focus_m, optics.f_mm, optics.f_number, optics.pixel_pitch_mm)
     points, weights = pupil(radial, angles)
     places = displacements(points, circle, optics.coma_px * field, away / np.hypot(*away))

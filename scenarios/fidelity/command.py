@@ -1,4 +1,4 @@
-"""What ``mosca twin fidelity`` does: look, and write down what was found."""
+"""``mosca twin fidelity``: run the checks and write the report."""
 
 import platform
 from collections.abc import Callable

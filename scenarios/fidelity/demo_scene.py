@@ -1,7 +1,7 @@
-"""A small stage for pictures: a few markers before one still camera, with one disturbance or without it.
+"""A small scene for pictures: a few markers before one still camera, with or without one disturbance.
 
-The camera stands in the origin and looks along z, x to the right and y down. ``by_px`` says where things stand in
-pixels from the image's middle, so that a picture is told as it is seen.
+The camera is at the origin, its axis along z, x to the right and y down. ``by_px`` gives positions in pixels from the
+image's middle.
 """
 
 from collections.abc import Sequence
@@ -30,11 +30,11 @@ GAP_PX, GAP_GREY = 8, 118
 """Between panels: a grey that is seen on white and on black."""
 CARRIED = "carried"
 BACK = np.diag([1.0, -1.0, -1.0])
-"""The carried body stands half a turn about x, so that its +z, along which lamps shine, points to the camera."""
+"""The carried body is rotated by 180 degrees about x: its +z, along which lamps shine, points to the camera."""
 
 
 def by_px(x: float, y: float, depth_m: float = DEPTH_M, f_px: float = F_PX) -> Array:
-    """Return the place (3,) [m] at ``depth_m`` whose image lies ``x`` to the right of and ``y`` below the middle."""
+    """Return the point (3,) [m] at ``depth_m`` whose image is ``x`` to the right of and ``y`` below the middle."""
     return np.array([x, y, f_px]) * depth_m / f_px
 
 
@@ -73,7 +73,7 @@ class Ball:
 
 @dataclass(frozen=True, eq=False)
 class Plate:
-    """A printed plate at ``at`` (3,) [m], its axes the columns of ``turn`` (3, 3); it is seen from its +z."""
+    """A printed plate at ``at`` (3,) [m], its axes the columns of ``turn`` (3, 3); visible from its +z."""
 
     at: Array
     turn: Array
@@ -89,7 +89,7 @@ def stage(
     solids: Sequence[Shape] = (),
     velocity_mps: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Scene:
-    """Return a scene in which markers and plates go along together and solids stand still."""
+    """Return a scene in which markers and plates move together and solids are still."""
     spec = new_stage(floor=False)
     body = carried_body(spec, CARRIED)
     for number, one in enumerate(balls):

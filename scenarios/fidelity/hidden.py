@@ -65,7 +65,7 @@ def occlusion(quick: bool) -> Check:
 
 
 def _rows(name: str, found: Array) -> list[Row]:
-    """Return the rows of what ``_compared`` found; its first column says how much is visible."""
+    """Return the rows of the result of ``_compared``; its first column is the visible share."""
     clear = found[:, 0] >= 0.3
     rows = [Row(f"{name}: share, largest", float(np.abs(found[:, 1]).max()), "", SHARE)]
     if clear.any():
@@ -74,7 +74,7 @@ def _rows(name: str, found: Array) -> list[Row]:
 
 
 def _beside(offset_px: float) -> Array:
-    """Return a place [m] whose image lies ``offset_px`` from the marker's."""
+    """Return a point [m] whose image is ``offset_px`` from the marker's."""
     away = offset_px * NEAR / F_PX * np.array([np.cos(0.35), np.sin(0.35)])
     return np.array([*(AT[:2] / AT[2] * NEAR + away), NEAR])
 
@@ -107,7 +107,7 @@ def _compared(world: World, instants: int = 1) -> tuple[float, float, float]:
 
 
 def _look(world: World) -> tuple[Array, float]:
-    """Return the twin's image of the marker and the share of it that the twin says is visible."""
+    """Return the twin's image of the marker and its visible share by the twin."""
     model, data = world.compile()
     geoms = tuple(int(g) for g in np.flatnonzero(model.geom_group == MARKER_GROUP))
     scene = Scene(model, tuple(f"m{g}" for g in geoms), geoms, lambda t: np.zeros(0), 1.0)

@@ -29,7 +29,7 @@ LENS, WITNESS = small_camera(SIZE, gl.FOCAL_PX)
 FREE_PX, HIDDEN_PX, PIXEL = 0.003, 0.01, 0.008
 """Bars: some twice what the peers themselves are off; of a marker nearly hidden they see a few fine pixels."""
 HIDDEN = [0, 4]
-"""Numbers of the markers that something stands before: balls first, then discs."""
+"""Indices of the partly hidden markers: balls first, then discs."""
 NO_GL = "no system OpenGL here: on Debian install libegl1, libopengl0 and libgl1-mesa-dri, or libosmesa6"
 
 
@@ -138,7 +138,7 @@ def _twin_image(lens: OpenCVLens) -> Array:
 
 
 def _hidden_world(number: int) -> World:
-    """Return what the ray caster needs to look at a partly hidden marker."""
+    """Return the ray caster's inputs for a partly hidden marker."""
     if number == 0:
         centre, radius = gl.BALLS[0]
         return World(fixed(np.array(centre)), radius).add(mujoco.mjtGeom.mjGEOM_BOX, gl.BOX[1], fixed(gl.BOX[0]))

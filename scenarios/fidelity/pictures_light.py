@@ -31,7 +31,7 @@ SMALL = (60, 45)
 
 
 def hot_and_dead_pixels() -> Crop:
-    """Pixels that say too much or nothing."""
+    """Hot and dead pixels."""
     scene = stage([Ball(by_px(-12.0, -6.0), metres(8.0)), Ball(by_px(13.0, 8.0), metres(5.0))])
     camera = quiet_camera(SMALL, sensor=Sensor(background_e=2_500.0))
     bad = change(camera, sensor=Sensor(background_e=2_500.0, hot_pixels=0.006, hot_e=6_000.0, dead_pixels=0.006))
@@ -83,7 +83,7 @@ def uneven_background() -> Crop:
 
 
 def ring_lights() -> Crop:
-    """Two cameras that look into this one."""
+    """Two cameras that shine into this one."""
     scene = stage([Ball(by_px(x, y), metres(7.0)) for x, y in ((-30.0, 20.0), (4.0, -8.0), (34.0, 26.0))])
     camera = quiet_camera()
     back = np.diag([-1.0, 1.0, -1.0])

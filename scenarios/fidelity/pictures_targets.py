@@ -24,7 +24,7 @@ from twin.scenes.target_plate import INK, coded_figure
 from twin.scenes.world import capsule
 
 FACING = BACK
-"""A plate that looks straight at the camera, upright."""
+"""An upright plate that faces the camera."""
 TILTED = Rotation.from_euler("y", 55.0, degrees=True).as_matrix() @ FACING
 
 

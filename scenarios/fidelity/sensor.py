@@ -15,13 +15,13 @@ from witness.emva import PhotonTransfer, dsnu_e, prnu, spatial, temporal
 SHAPE, STEPS, IMAGES = (200, 300), 27, 12
 """Image (H, W), exposure steps from dark to 4 % beyond saturation, images of a stack for the spatial variances."""
 GAIN, DARK_NOISE, SATURATION, PATTERN = 0.02, 0.05, 0.05, 0.04
-"""Bars, as shares of what the data sheet says."""
+"""Limits, as shares of the data sheet's values."""
 SHEETS = {
     8: Sensor(bits=8, full_well_e=8_000.0, read_noise_e=25.0, dsnu_e=20.0, prnu=0.012, quantum_efficiency=0.55),
     10: Sensor(bits=10, full_well_e=12_000.0, read_noise_e=12.0, dsnu_e=6.0, prnu=0.008),
     12: Sensor(bits=12, dsnu_e=5.0, prnu=0.01),
 }
-"""Cameras whose dark noise is more than the rounding, as the standard asks."""
+"""Cameras whose dark noise exceeds the quantisation noise, as the standard requires."""
 Grab = Callable[[float, int], Array]
 """A camera before even light: mean photons a pixel and number of the frame -> counts (H, W)."""
 

@@ -1,4 +1,4 @@
-"""Markers that stand still: where their images land, through every kind of lens."""
+"""Image positions of still markers, through every kind of lens."""
 
 from dataclasses import replace
 
@@ -69,7 +69,7 @@ def lens_models(quick: bool) -> Check:
         rays = witness.unproject(grid)
         forth = np.abs(twin.pixels(rays) - witness.project(rays)).max()
         seen = twin.directions(grid)
-        ahead = seen[:, 2] > 0.01  # OpenCV's fisheye knows nothing behind its own plane
+        ahead = seen[:, 2] > 0.01  # OpenCV's fisheye is undefined behind its own plane
         back = np.abs(witness.project(seen[ahead]) - grid[ahead]).max()
         rows.append(Row(f"{name}: direction to pixel", float(forth), "px", LENS_PX))
         rows.append(Row(f"{name}: pixel to direction", float(back), "px", LENS_PX))
@@ -88,12 +88,12 @@ def lens_models(quick: bool) -> Check:
 
 
 def _offs(lens: Lens, witness: WitnessLens, plain: WitnessLens, optics: Optics, quick: bool) -> Array:
-    """Return place, diameter, tilt and how far off the centroid is [px], a row each; object array."""
+    """Return position, diameter, tilt and error of the centroid [px], a row each; object array."""
     rows = []
     for place, xy in PLACES.items():
         for number, diameter in enumerate(DIAMETERS[::3] if quick else DIAMETERS):
             for tilt in TILTS[::3] if quick else TILTS:
-                nudge = 0.137 * number  # other places within a pixel
+                nudge = 0.137 * number  # other positions within a pixel
                 target, outline = marker(plain, (xy[0] + nudge, xy[1] - nudge / 2), diameter, tilt)
                 _area, centroid = area_and_centroid(witness.project(outline))
                 image, _seen = seen_by_twin(lens, (W, H), [target], optics)

@@ -1,6 +1,6 @@
-"""One target or several before one camera, as plain numbers: how the checks ask the twin.
+"""The checks' interface to the twin: targets before one camera, as plain numbers.
 
-What an image must be comes from the package ``witness``, which knows nothing of the twin.
+The expected images come from the package ``witness``, which is independent of the twin.
 """
 
 from collections.abc import Callable
@@ -65,12 +65,12 @@ class Target:
 
 
 def ball(centre: Array, radius: float, **more: Any) -> Target:
-    """Return a ball that stands still."""
+    """Return a still ball."""
     return Target(lambda t: np.asarray(centre, float), radius, **more)
 
 
 def disc(centre: Array, normal: Array, radius: float, **more: Any) -> Target:
-    """Return a flat round target that stands still."""
+    """Return a still, flat round target."""
     turn = turn_to(normal)
     return Target(lambda t: np.asarray(centre, float), radius, lambda t: turn, True, **more)
 
@@ -98,7 +98,7 @@ def seen_by_twin(
     geoms_at: Callable[[float], tuple[Array, Array]] | None = None,
     mesh_rays: MeshRays | None = None,
 ) -> tuple[Array, VisibleTargets]:
-    """Return the twin's noise-free image (H, W) over ELECTRONS, and what it says it saw.
+    """Return the twin's noise-free image (H, W) over ELECTRONS, and its truth.
 
     ``size``: width and height; ``geoms_at``: time -> the occluders' centres (k, 3) and rotations (k, 3, 3) in the
     camera frame.

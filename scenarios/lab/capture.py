@@ -57,9 +57,10 @@ class CaptureRequest:
 
 @dataclass
 class CameraRow:
-    """What became of one camera's pulses: ``frames`` in the recording or processed, ``failed``, ``dropped``."""
+    """Counts of one camera's pulses."""
 
     frames: int = 0
+    """In the recording or processed."""
     failed: int = 0
     dropped: int = 0
     overrun: int = 0
@@ -250,7 +251,7 @@ def _write_clocks(recorder: Recorder, source: HardwareSource, intake: Intake) ->
 
 
 def _write_statistics(recorder: Recorder, source: HardwareSource, intake: Intake) -> None:
-    """Write down what became of the buffers until now; the last one is of the end."""
+    """Record the counts of the buffers until now; the last record is of the end."""
     account = {
         "cameras": {name: asdict(one) for name, one in source.statistics.cameras.items()},
         "notes": list(source.statistics.notes),
@@ -262,7 +263,7 @@ def _write_statistics(recorder: Recorder, source: HardwareSource, intake: Intake
 def _outcome(
     source: HardwareSource, intake: Intake, run: ProgramRun | None, view: "LiveView | None", wanted: int | None
 ) -> CaptureOutcome:
-    """Sum up; ``wanted``: pulses that there should be, None where it was stopped by hand."""
+    """Return the summary; ``wanted``: number of expected pulses, None where it was stopped by hand."""
     pulses = wanted if wanted is not None else _whole_pulses(intake)
     rows = {}
     for name, seen in intake.cameras.items():

@@ -100,9 +100,9 @@ class FlashSync:
 
 
 def synchronise(source: FrameSource) -> FlashSync:
-    """Return how the stamps of a recording's cameras lie to each other, from the flashes that all of them filmed.
+    """Return the offsets of a recording's cameras' time stamps to each other, from flashes that all of them filmed.
 
-    ``source`` is read twice. Cameras and the place of the lamp stand still, or it is waved over a dark background.
+    ``source`` is read twice. Cameras and lamp are still, or the lamp is moved before a dark background.
     Raises InputError where a camera saw no flash, or where flashes come too evenly to be identified.
     """
     edges = {name: edges_of(name, seen) for name, seen in light_of_lamp(source).items()}

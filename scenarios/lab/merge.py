@@ -24,7 +24,7 @@ KEPT_DELAYS = 500_000
 def run_merged(
     sets: Iterable[MergedSet], rig: Rig, settings: PipelineSettings | None = None, health: Health | None = None
 ) -> Iterator[Step]:
-    """Turn merged detections into tracks, as ``mosca.pipeline.run_sets`` does with frame sets."""
+    """Reconstruct tracks from merged detections, as ``mosca.pipeline.run_sets`` does from frame sets."""
     seen = ((FrameSet(s.pulse, s.time_ns), in_order(s.detections, rig), 0.0) for s in sets)
     return run_seen(seen, rig, settings, health=health)
 
@@ -35,7 +35,7 @@ def in_order(detections: Mapping[str, Detections], rig: Rig) -> dict[str, Detect
 
 
 class Delays:
-    """How long detections took from their frames' arrival at the station to their merged set [s]."""
+    """Latency from frames' arrival at the station to their merged set [s]."""
 
     def __init__(self) -> None:
         self._since_arrival: list[float] = []
@@ -59,8 +59,8 @@ class Delays:
 def calibrated_rig(path: Path, from_stations: Callable[[], Mapping[str, str]]) -> tuple[Rig, list[str]]:
     """Return the rig of the file at ``path``, and notes.
 
-    A camera that the file does not calibrate is taken from the rig file of its station (``from_stations`` asks for
-    them: station -> text, and is only called then). InputError where none has it.
+    A camera that the file does not calibrate is taken from the rig file of its station (``from_stations`` fetches
+    them: station -> text; only called then). InputError where none has it.
     """
     file = read_rig_file(path)
     if all(table.lens is not None and table.pose is not None for table in file.camera):
@@ -95,7 +95,7 @@ def _parsed(station: str, text: str) -> RigFile:
 
 
 def summary_lines(statistics: ReceiverStatistics) -> list[str]:
-    """Return in words what became of pulses, cameras and stations; nothing is left out that was lost."""
+    """Return the summary of pulses, cameras and stations in words, with every loss."""
     merge = statistics.merge
     lines = [
         f"{merge.sets} sets merged, {merge.complete} of them complete; {merge.unseen} pulses between them that "
@@ -142,7 +142,7 @@ def summary_lines(statistics: ReceiverStatistics) -> list[str]:
 
 
 def all_whole(statistics: ReceiverStatistics) -> bool:
-    """Tell whether every pulse was seen by every camera."""
+    """Return whether every pulse was seen by every camera."""
     return (
         statistics.merge.sets > 0
         and statistics.merge.sets == statistics.merge.complete

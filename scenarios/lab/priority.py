@@ -57,7 +57,7 @@ def _set_session_nice(nice: int) -> None:
 
 @contextmanager
 def prompt() -> Iterator[None]:
-    """Let threads of this process change places quickly for the block, and keep the collector off what is here now.
+    """For the block, shorten the thread switch interval and freeze existing objects for the garbage collector.
 
     Modules and compiled code are some hundred thousand objects that stay; scanning them for garbage takes
     tens of milliseconds.

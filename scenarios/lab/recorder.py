@@ -52,7 +52,7 @@ class LostSets:
 
 @dataclass(eq=False)
 class _Waiting:
-    """A frame until the operating system has it: ``slot`` of the tail where it stands too, ``safe`` at the end."""
+    """A frame being written: ``slot`` of its copy in kept memory; ``safe`` once the operating system has it."""
 
     frame: Frame
     host_ns: int | None

@@ -109,7 +109,7 @@ def _device(name: str, report: DeviceReport) -> str:
 
 
 def differing(reports: Mapping[str, DeviceReport]) -> list[str]:
-    """Return a line for each setting that cameras of one model took differently."""
+    """Return a line for each setting whose accepted values differ between cameras of one model."""
     models: dict[str, dict[str, Mapping[str, object]]] = defaultdict(dict)
     for name, report in reports.items():
         models[report.model][name] = report.settings
@@ -151,7 +151,7 @@ def edge_width_px(image: Array) -> float | None:
     """Return the blur of the steepest edges of an image (H, W) as a Gaussian's standard deviation [px].
 
     A step of height h, blurred by s, rises at most by h (2 Phi(1 / (2 s)) - 1) from one pixel to the next (Phi: the
-    normal distribution). None where nothing stands out of the noise.
+    normal distribution). None where no edge exceeds the noise.
     """
     grey = image.astype(np.float64)
     step = np.abs(np.diff(grey, axis=1))

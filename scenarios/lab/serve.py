@@ -65,14 +65,16 @@ class InjectedFaults:
 
 @dataclass(frozen=True)
 class ServeRequest:
-    """What is asked for: ``ahead`` in pulses (None: what fits in memory), ``rate_hz`` None: the source's own."""
+    """Arguments of ``mosca twin serve``."""
 
     what: str
     address: str = FIRST_ADDRESS
     rate_hz: float | None = None
+    """None: the source's own."""
     seconds: float | None = None
     loop: bool = False
     ahead: int | None = None
+    """Pulses read ahead; None: as many as fit in memory."""
     trouble: InjectedFaults = InjectedFaults()
     rig_out: Path | None = None
     trigger: TriggerKind = "Line1"

@@ -58,9 +58,9 @@ class PacedRecording(WrappedSource):
 
 
 class StartGate:
-    """Where a station waits until all are ready: own pulses, and recordings, begin on the order.
+    """Start barrier of a station: own pulses, and recordings, begin on the order of the reconstructing station.
 
-    Only the station that reconstructs knows when that is. Give ``open`` to the HardwareSource.
+    Give ``open`` to the HardwareSource.
     """
 
     def __init__(self, opener: OpenTrigger = open_trigger) -> None:
@@ -106,7 +106,7 @@ class _Gated:
         self.report, self.close = trigger.report, trigger.close
 
     def start(self) -> int | None:
-        """Say that the cameras are armed; begin the pulses, where they are this station's, on the order."""
+        """Report that the cameras are armed; start the pulses, where they are this station's, on the order."""
         if not self._own_pulses:
             self._gate.station.set_state("armed")
             return self._trigger.start()

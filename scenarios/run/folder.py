@@ -1,4 +1,4 @@
-"""The run folder: asked for before a long run, written whole or not at all."""
+"""The run folder: checked before a long run, written whole or not at all."""
 
 import os
 import shutil

@@ -11,7 +11,7 @@ from types import FrameType
 def first_ctrl_c(on_first: Callable[[], None]) -> Iterator[None]:
     """Call ``on_first`` at the first Ctrl-C; a second one interrupts at once.
 
-    Outside the main thread, where Python hands out no signals, this does nothing.
+    Outside the main thread, where Python delivers no signals, this does nothing.
     """
     asked = False
 

@@ -44,7 +44,7 @@ def collected_of(
 ) -> Collected:
     """Run the pipeline to its end and keep what the record, the page and the viewer need.
 
-    ``twin``: the same source where it knows the truth.
+    ``twin``: the same source where it has ground truth.
     """
     assembly = Assembly()
     samples: list[Samples] = []
@@ -142,7 +142,7 @@ def _rerun_log(
 def _recorded(
     source: FrameSource, twin: TruthSource | None, options: RunOptions, spec: Scenario, stack: ExitStack
 ) -> FrameSource:
-    """Return ``source``, recorded where that is asked for, with the commands that drove its subject."""
+    """Return ``source``, recorded if requested, with the commands that drove its subject."""
     if options.record_to is None:
         return source
     writer = stack.enter_context(RecordingWriter(options.record_to, source.cameras))

@@ -76,7 +76,7 @@ def gaps_filled(tracks: Tracks, fill_s: float) -> Tracks:
 
 
 def with_gaps_filled(tracks: Tracks, fill_s: float) -> tuple[Tracks, str]:
-    """Return ``tracks`` with their gaps up to ``fill_s`` [s] filled, and a line that says how many samples."""
+    """Return ``tracks`` with their gaps up to ``fill_s`` [s] filled, and a line with the number of samples."""
     fills = gaps_filled(tracks, fill_s)
     return _joined(tracks, fills), filled_line(fills, fill_s)
 

@@ -15,7 +15,7 @@ from scenarios.spec.scenario import load_scenario
 PIPELINE = (("mosca.precompile", "points"), ("mosca.precompile", "look"))
 TWIN = (("scenarios.run.precompile",),)
 RICH = Path(__file__).parents[1] / "library" / "light" / "actor_in_context.toml"
-"""A scenario that asks for most of what the twin can do."""
+"""A scenario that uses most functions of the twin."""
 
 
 def compile_side_by_side(source: FrameSource) -> None:

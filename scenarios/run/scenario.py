@@ -76,7 +76,7 @@ class _Built:
 
 @dataclass(frozen=True, eq=False)
 class _Opened:
-    """Where the frames come from (``twin`` is the same source where it knows the truth), and its settings."""
+    """Source of the frames (``twin``: the same source where it has ground truth), and its settings."""
 
     source: FrameSource
     twin: TruthSource | None
@@ -84,7 +84,7 @@ class _Opened:
 
 
 def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | None = None) -> RunResult:
-    """Run ``spec``; files that it names are looked for in ``folder``. PremiseError where a premise fails."""
+    """Run ``spec``; its file names are relative to ``folder``. PremiseError where a premise fails."""
     options = options or RunOptions()
     LOG.info("%s: frames of %s", name, options.source)
     timings: dict[str, float] = {}
@@ -190,7 +190,7 @@ def _opened(spec: Scenario, built: _Built, options: RunOptions) -> _Opened:
 def _tracked(
     opened: _Opened, rig: Rig, spec: Scenario, options: RunOptions, stack: ExitStack
 ) -> tuple[Collected, Reconstructed | Worn | None]:
-    """Return what the pipeline gave, and the continuous reconstruction where the scenario wants one."""
+    """Return the pipeline's result, and the continuous reconstruction where the scenario has one."""
     if spec.continuous is None:
         return collected_of(opened.source, opened.twin, rig, opened.settings, spec, options, stack), None
     return collected_continuous(opened.source, opened.twin, rig, opened.settings, spec, options, stack)

@@ -43,7 +43,7 @@ def zone_steps(
     assembly: Assembly,
     healths: Sequence[Health],
 ) -> Iterator[Step]:
-    """Turn a source's frames into tracks, zone by zone; ``rig``: of all cameras."""
+    """Reconstruct tracks from a source's frames, zone by zone; ``rig``: of all cameras."""
     check_source(source, rig)
     sets = assemble(source, source.cameras, settings.assembly, assembly)
     look = FrameSetDetector(settings.detection, {info.name: info.bit_depth for info in source.cameras})

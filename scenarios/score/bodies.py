@@ -13,7 +13,7 @@ from twin.scenes.scene import Scene
 
 
 def rigid_bodies(scene: Scene) -> tuple[RigidBody, ...]:
-    """Return the scene's bodies that carry three markers and more, as they stand at the session's start.
+    """Return the scene's bodies with three markers or more, at their poses of the session's start.
 
     A body's frame has its origin in the middle of its markers and, at the start, the world's axes.
     """

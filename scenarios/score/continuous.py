@@ -49,7 +49,7 @@ def clock_scores(found: Reconstructed, truth: Truth) -> dict[str, Score]:
     true = {}
     for c, name in enumerate(truth.cameras):
         rows = truth.frames.camera == c
-        # frame by frame these stand only for cameras that run free
+        # per frame these exist only for free-running cameras
         if rows.sum() >= 2 and name in found.rig.names:
             true[name] = (truth.frames.stamp_ns[rows], truth.frames.exposure_mid_ns[rows])
     first = found.clocks[0]
@@ -75,7 +75,7 @@ def clock_scores(found: Reconstructed, truth: Truth) -> dict[str, Score]:
 
 
 def _line(clock: EstimatedClock, first_ns: int, stamp_ns: Array, true_ns: Array) -> tuple[float, float]:
-    """Return session time as offset and rate of a camera's own seconds since its origin: what its stamps should say.
+    """Return session time as offset and rate of a camera's own seconds since its origin: truth for its time stamps.
 
     ``first_ns``: mid-exposure of its first frame by its own stamp.
     """

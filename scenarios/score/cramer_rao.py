@@ -1,8 +1,8 @@
-"""The least error that a run's frames allow: Cramer-Rao bounds from the twin's own light, carried into space.
+"""Cramer-Rao bounds of a run's frames, from the twin's noise-free images, propagated into space.
 
-Of each image: the information matrix of a target's place, brightness and background against the noise that its
-pixels have, from images rendered without noise and with the image moved (Kay 1993, section 3.9 for a Gaussian of
-known variance). To the bound of the image come the random errors that belong to the scenario, not to the pipeline:
+Of each image: the Fisher information of a target's position, brightness and background under its pixels' noise, from
+images rendered without noise and with the image shifted (Kay 1993, section 3.9 for a Gaussian of known variance). To
+the bound of the image are added the random errors that belong to the scenario, not to the pipeline:
 the shake of the camera's body and the trigger's jitter times the target's speed. In space: ``(sum J' S^-1 J)^-1``
 over the cameras, where all that see the target see it whole. The target's diameter, which an estimator must find
 too, has no information on the position of a round image.
@@ -37,7 +37,7 @@ APART_PX = 3.0
 PAIRED_PX = 1.0
 """How far a detection may lie from a target's true image to be taken for it."""
 PULSES = 400
-"""Frame sets that are asked for their bound, at most. Bodies' shakes move all points of a set together, 3 numbers a
+"""Frame sets whose bound is computed, at most. Bodies' shakes move all points of a set together, 3 numbers a
 set: of 40 sets the efficiency scatters by 6 %, of 120 by 4, of 300 by 2."""
 EFFICIENCIES = frozenset({"efficiency", "efficiency_detection"})
 """Metrics that need the bound, which takes seconds: they are scored where a scenario limits them."""
@@ -45,15 +45,16 @@ EFFICIENCIES = frozenset({"efficiency", "efficiency_detection"})
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """Bounds of some pulses: ``pulses`` (p,); ``image_px2`` (p, m, c, 2, 2) of each image, NaN where a target is not
-    seen whole and apart from others; ``light_px`` (p, m, c, 2) the middle of each image's light, NaN where others
-    are near; ``point_m2`` (p, m, 3, 3), NaN where fewer than two cameras see it so or another one sees it otherwise.
-    """
+    """Bounds of some pulses."""
 
     pulses: Array
+    """(p,)"""
     image_px2: Array
+    """(p, m, c, 2, 2) of each image, NaN where a target is not seen whole and apart from others."""
     light_px: Array
+    """(p, m, c, 2) centroid of each image's light, NaN where others are near."""
     point_m2: Array
+    """(p, m, 3, 3), NaN where fewer than two cameras see it so or another one sees it otherwise."""
 
 
 def needs_bound(limits: Iterable[str]) -> bool:
@@ -62,7 +63,7 @@ def needs_bound(limits: Iterable[str]) -> bool:
 
 
 def pulses_asked(count: int, wanted: int = PULSES) -> Array:
-    """Return which of ``count`` pulses are asked: spread evenly, the first and last left out where there are more."""
+    """Return which of ``count`` pulses are sampled: evenly spaced, without first and last where there are more."""
     if count <= wanted:
         return np.arange(count)
     return np.unique(np.linspace(1, count - 2, wanted).round().astype(int))
@@ -152,9 +153,9 @@ def _image_errors(bounds: Array, true_xy: Array, found_xy: Array) -> tuple[Array
 
 
 def _image_bounds(frame: Expected, xy_px: Array, diameter_px: Array, visible: Array) -> tuple[Array, Array]:
-    """Return the least covariance (m, 2, 2) [px^2] of each target's place, and the middle (m, 2) [px] of its light.
+    """Return the bound (m, 2, 2) [px^2] of each target's position, and the centroid (m, 2) [px] of its light.
 
-    NaN where it is not seen whole and apart; the middle also where other light is within 1.5 margins.
+    NaN where it is not seen whole and apart; the centroid also where other light is within 1.5 margins.
     """
     bounds, light = np.full((len(xy_px), 2, 2), np.nan), np.full((len(xy_px), 2), np.nan)
     there = np.isfinite(xy_px).all(axis=1) & (visible > 0)
@@ -201,8 +202,8 @@ def _speed_px(truth: Truth, camera: int) -> Array:
 
 
 def _by_turn(camera: Camera, xyz: Array) -> Array:
-    """Return the covariances (..., 2, 2) of images of ``xyz`` (..., 3) where the body's shake moves the middle of the
-    image by 1 px an axis: a turn, which moves the rim more.
+    """Return the covariances (..., 2, 2) of images of ``xyz`` (..., 3) where the body's shake, a rotation, moves the
+    middle of the image by 1 px an axis (the rim more).
     """
     turned = project_with_jacobians(camera, xyz.reshape(-1, 3)).by_pose[:, :, 1::-1]
     turned = turned / np.array(principal_distances_px(camera.lens))
@@ -210,7 +211,7 @@ def _by_turn(camera: Camera, xyz: Array) -> Array:
 
 
 def _jacobian(camera: Camera, xyz: Array) -> Array:
-    """Return the change of a point's image with its place (n, 2, 3) [px/m]."""
+    """Return the Jacobian (n, 2, 3) [px/m] of a point's image by its position."""
     step = 1e-5
     return np.stack(
         [

@@ -34,21 +34,23 @@ SAME_NS = 1000
 
 @dataclass(frozen=True, eq=False)
 class ReferenceTrajectories:
-    """Where markers ``names`` (m) were: for each ``time_ns`` (t,) rising and ``xyz`` (t, 3) [m].
-
-    A marker that never moves has one instant and ``still``. ``sigma_m``: standard deviation of a coordinate, rms over
-    all rows; 0 where the file has none. ``path``: the file, for messages.
-    """
+    """Reference positions of markers."""
 
     names: tuple[str, ...]
+    """(m)"""
     time_ns: tuple[Array, ...]
+    """Of each marker (t,), rising."""
     xyz: tuple[Array, ...]
+    """Of each marker (t, 3) [m]."""
     still: bool
+    """A marker that never moves has one instant."""
     sigma_m: float
+    """Standard deviation of a coordinate, rms over all rows; 0 where the file has none."""
     path: Path
+    """The file, for messages."""
 
     def at(self, time_ns: Array) -> Truth:
-        """Return it at instants (t,) as a truth that no camera is known to have seen; NaN where it says nothing."""
+        """Return it at instants (t,) as a truth without visibility; NaN where it has no samples."""
         t, m = len(time_ns), len(self.names)
         xyz = np.full((t, m, 3), np.nan)
         for k, (own, places) in enumerate(zip(self.time_ns, self.xyz, strict=True)):
@@ -67,7 +69,7 @@ class ReferenceTrajectories:
 
 
 def requested_truth(options: RunOptions) -> Truth | ReferenceTrajectories | None:
-    """Return the truth that was asked for, else the one beside a recording, else None."""
+    """Return the requested truth, else the one beside a recording, else None."""
     if options.truth is not None:
         return read_reference(options.truth)
     kind, _, folder = options.source.partition(":")
@@ -150,7 +152,7 @@ def read_reference_csv(path: Path) -> ReferenceTrajectories:
 
 
 def _between(own_ns: Array, places: Array, wanted_ns: Array) -> Array:
-    """Return the places (n, 3) at instants, NaN where no stretch without a gap holds them."""
+    """Return the positions (n, 3) at instants, NaN where no stretch without a gap holds them."""
     out = np.full((len(wanted_ns), 3), np.nan)
     steps = np.diff(own_ns)
     ends = np.flatnonzero(steps > GAP * np.median(steps)) + 1 if len(steps) else np.empty(0, int)

@@ -1,10 +1,10 @@
-"""Metrics of a run that need no truth: claims that hold on a rig or recording as on the twin.
+"""Metrics of a run that need no ground truth: defined on a rig or recording as on the twin.
 
 - ``reprojection_rms``: reprojection error of the points' rays [px];
 - ``length_rms``, ``length_max``: measured minus certified lengths of a scale bar or wand, ``[[length]]`` in the
   scenario (the length measurement error of VDI/VDE 2634 part 1);
-- ``rigidity_rms``: how far the markers of rigid bodies are from their places in the body [m];
-- ``static_noise``: how far samples scatter about the mean of their own track, where nothing moves [m];
+- ``rigidity_rms``: distance of the markers of rigid bodies from their positions in the body [m];
+- ``static_noise``: scatter of samples about the mean of their own track, where nothing moves [m];
 - ``latency_p99`` [s], ``frame_rate`` [frame sets/s]: of the computing.
 
 They do not replace a truth: a rig whose scale is wrong passes all but the lengths.

@@ -20,13 +20,13 @@ from scenarios.types import Collected, Score
 from twin.scenes.scene import Scene
 
 NEAR_M = 0.02
-"""A curve that stays so near to a lamp's known place is that lamp's."""
+"""A curve that stays this close to a lamp's known position is that lamp's."""
 NEAR_PX = 2.0
 """An image point so near to where a lamp should be is that lamp's."""
 
 
 def relative_truth(truth: Truth, scene: Scene, body: str) -> Truth:
-    """Return the truth with the markers' places in the body's frame; its lamps are left out."""
+    """Return the truth with the markers' positions in the body's frame; its lamps are left out."""
     sampler = scene.sampler()
     at = [scene.model.body(k).name for k in range(scene.model.nbody)].index(body)
     xyz = np.empty(truth.xyz.shape)
@@ -47,7 +47,7 @@ def relative_truth(truth: Truth, scene: Scene, body: str) -> Truth:
 
 
 def lamp_positions(spec: Scenario, rig: Rig) -> dict[str, Array]:
-    """Return camera -> known place of its lamp in the body's frame [m]."""
+    """Return camera -> known position of its lamp in the body's frame [m]."""
     return {
         own.name: rig.camera(own.name).world_from_camera.transform(np.array([own.lamp_m]))[0]
         for own in spec.camera
@@ -148,7 +148,7 @@ def moving_lamp_scores(worn: Worn) -> dict[str, Score]:
 
 
 def true_poses(spec: Scenario, worn: Worn, truth: Truth, scene: Scene) -> tuple[Array, Array]:
-    """Return body_from_camera at the pulses: rotations (t, c, 3, 3) and places (t, c, 3) [m], without their shake."""
+    """Return body_from_camera at the pulses: rotations (t, c, 3, 3) and positions (t, c, 3) [m], without shake."""
     from scenarios.build.worn_lamps import rider_pose
 
     assert spec.continuous is not None
@@ -170,7 +170,7 @@ def true_poses(spec: Scenario, worn: Worn, truth: Truth, scene: Scene) -> tuple[
 
 
 def path_scores(worn: Worn, known: tuple[str, ...], true: tuple[Array, Array], time_ns: Array) -> dict[str, Score]:
-    """Return how far the paths of the cameras that were not ``known`` are off, rms: places [m], rotations [rad]."""
+    """Return the rms errors of the poses of the cameras that were not ``known``: positions [m], rotations [rad]."""
     found = worn.reconstructed
     assert found.cameras is not None
     moving = [c for c, name in enumerate(found.rig.names) if name not in known]

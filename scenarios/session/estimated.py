@@ -33,17 +33,15 @@ AT_ONCE = 2000
 
 @dataclass(frozen=True, eq=False)
 class SessionCalibration:
-    """A calibration from rendered images, and how far it is from the truth.
-
-    ``ray_px`` (n,): over all cameras' whole images, the distance between the place at the working space's distance
-    that a pixel really shows and the calibrated ray through it, poses and lenses together. ``volume_m`` (k,): the
-    errors of points on a grid in the working space, imaged without noise and triangulated with the rig.
-    """
+    """A calibration from rendered images, and its errors."""
 
     calibration: Calibration
     evidence: CalibrationEvidence
     ray_px: Array
+    """(n,), over all cameras' whole images: distance of the calibrated ray of a pixel from the point that it really
+    shows, at the working space's distance; poses and lenses together."""
     volume_m: Array
+    """(k,) errors of points on a grid in the working space, imaged without noise and triangulated with the rig."""
 
     def scores(self) -> dict[str, Score]:
         """Return the metrics of the calibration."""
@@ -85,11 +83,10 @@ def calibrate_in_session(
     workers: int,
     progress: Callable[[int], None] | None = None,
 ) -> SessionCalibration:
-    """Render the session of ``spec.calibration``, calibrate from its frames, judge the result and hold it against
-    the truth.
+    """Render the session of ``spec.calibration``, calibrate from it, judge the result and compare it with the truth.
 
-    ``earlier``: the true calibration, which stands for one made before where the scenario has one. CalibrationError
-    where the session does not do.
+    ``earlier``: the true calibration, used as the earlier one where the scenario has one. CalibrationError where the
+    session is insufficient.
     """
     wanted = spec.calibration
     assert wanted is not None

@@ -1,4 +1,4 @@
-"""What goes wrong in a calibration session: cameras that stand for each other, a camera that was moved."""
+"""Faults of a calibration session: swapped cameras, a camera that was moved."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,7 +14,7 @@ from twin.cameras.virtual_camera import VirtualCamera
 
 
 def turned(cameras: tuple[VirtualCamera, ...], name: str, turn_px: float) -> tuple[VirtualCamera, ...]:
-    """Return the cameras, one of them turned about its y axis so that its image moves by ``turn_px``."""
+    """Return the cameras, one of them rotated about its y axis so that its image moves by ``turn_px``."""
     names = [one.camera.name for one in cameras]
     if name not in names:
         raise InputError(f"calibration.fault.camera = '{name}' given; the rig has {', '.join(names)}")

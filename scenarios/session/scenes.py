@@ -28,7 +28,7 @@ BOARD_COLUMNS, BOARD_ROWS = 9, 6
 BOARD_SHARE, WAND_SHARE, BAR_SHARE = 0.5, 0.4, 0.3
 """Length of board, wand and bar over the working space's shortest edge."""
 SPEED_SHARE = 0.3
-"""How fast a target is carried by hand: shares of the working space's longest edge a second."""
+"""Speed of a target carried by hand: shares of the working space's longest edge a second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ def target_session(spec: Scenario, wanted: CalibrationSpec) -> Session[Calibrati
 
 
 def axes_session(spec: Scenario) -> Session[LFrame]:
-    """Return the L-frame that says where the world's axes are, at the bottom of the working space."""
+    """Return the L-frame that defines the world's axes, at the bottom of the working space."""
     where = _where(spec, AXES_FRAMES)
     box = Box(where["box_center_m"], where["box_size_m"])
     frame = default_l_frame(box)
@@ -117,7 +117,7 @@ def _scaled(placed: PlacedTarget, factor: float) -> CodedTarget:
 
 
 def _plate(size: Array, n: int, relief: float, draw: np.random.Generator) -> LaidOutField:
-    """Return targets in rows on an upright plate that looks along +x, standing off it by up to ``relief``."""
+    """Return targets in rows on an upright plate that faces +x, up to ``relief`` in front of it."""
     columns = int(np.ceil(np.sqrt(n * size[1] / size[2])))
     rows = int(np.ceil(n / columns))
     cell = min(size[1] / columns, size[2] / rows)

@@ -15,28 +15,28 @@ FIELD_ONLY = {"markers", "layout", "relief", "stands", "shift", "tilt_deg", "wor
 
 
 class WrongSizeFault(Table):
-    """The target is not as large as its file says, as a sheet that was printed scaled."""
+    """The target's size differs from its file's, as of a sheet that was printed scaled."""
 
     kind: Literal["wrong_size"]
     factor: Positive = Field(description="true lengths over those in the file")
 
 
 class WrongUnitsFault(Table):
-    """The marks' places stand in the file in another unit; the dots' sizes do not."""
+    """The marks' positions in the file have a wrong unit; the dots' sizes do not."""
 
     kind: Literal["wrong_units"]
     factor: Positive = Field(1000.0, description="places in the file over the true ones")
 
 
 class SwappedSessionFault(Table):
-    """Two cameras stand for each other in the session; an earlier calibration is at hand."""
+    """Two cameras are swapped in the session; an earlier calibration exists."""
 
     kind: Literal["swapped_cameras"]
     cameras: tuple[str, str]
 
 
 class MovedCameraFault(Table):
-    """A camera was turned since an earlier calibration, which the session is held against."""
+    """A camera was rotated since an earlier calibration, with which the session is compared."""
 
     kind: Literal["moved_camera"]
     camera: str

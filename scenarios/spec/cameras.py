@@ -109,7 +109,7 @@ class MountSpec(Table):
 
 
 class SensorSpec(Table):
-    """The sensor in EMVA 1288 terms; full well, dark noise, bits and background stand in [errors]."""
+    """The sensor in EMVA 1288 terms; full well, dark noise, bits and background are in [errors]."""
 
     name: str | None = Field(
         None, description="a sensor of the library: size, pitch, full well, noise, bits and row time are its own"
@@ -238,7 +238,7 @@ class RingLightSpec(Table):
 
 
 class ShinySpotSpec(Table):
-    """A fixed place that throws light back like a marker."""
+    """A fixed point that reflects light like a marker."""
 
     position_m: Vector
     radius_m: Positive
@@ -266,7 +266,7 @@ class GlareSpec(Table):
 
 
 class SurroundingsSpec(Table):
-    """What surrounds rig and subject; nothing where nothing is said."""
+    """Surroundings of rig and subject; none by default."""
 
     backdrop: BackdropSpec = BackdropSpec()
     context: ContextSpec | None = None

@@ -13,7 +13,7 @@ TEMPLATE = Path(__file__).with_name("template.toml.txt")
 
 @dataclass(frozen=True)
 class Entry:
-    """A scenario file and what it says."""
+    """A scenario file and its content."""
 
     path: Path
     name: str

@@ -99,7 +99,7 @@ class Capture(Table):
 
 
 class SwapFault(Table):
-    """The calibrations of two cameras stand swapped."""
+    """The calibrations of two cameras are swapped."""
 
     kind: Literal["swap_cameras"]
     cameras: tuple[str, str]
@@ -112,7 +112,7 @@ class LensFault(Table):
 
 
 class ClockFault(Table):
-    """Some cameras expose late, and their stamps do not say so."""
+    """Some cameras expose late, without effect on their time stamps."""
 
     kind: Literal["clock_shift"]
     cameras: tuple[str, ...] = Field(min_length=1)
@@ -120,7 +120,7 @@ class ClockFault(Table):
 
 
 class TurnFault(Table):
-    """One camera was turned since it was calibrated."""
+    """One camera was rotated since it was calibrated."""
 
     kind: Literal["turned_camera"]
     camera: str

@@ -13,7 +13,7 @@ Words = Mapping[str, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Rule:
-    """``keys`` of ``table`` do something only where ``works`` holds of a camera's words, that is, with ``wants``."""
+    """``keys`` of ``table`` have an effect only where ``works`` holds for a camera's keys; ``wants``: its name."""
 
     table: str
     keys: tuple[str, ...]

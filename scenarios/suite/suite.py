@@ -36,9 +36,9 @@ class Outcome:
 
 
 def run_suite(entries: Sequence[Entry], out: Path, jobs: int, told: Callable[[Outcome], None]) -> list[Outcome]:
-    """Run ``entries`` in ``jobs`` processes, each scenario into ``out``/name; ``told`` hears each as it ends.
+    """Run ``entries`` in ``jobs`` processes, each scenario into ``out``/name; ``told`` is called as each ends.
 
-    Outcomes come back in the order of the entries. Longest first, so that the cores end together.
+    Outcomes are in the order of the entries. The longest start first, so that all cores end at about the same time.
     """
     order = sorted(entries, key=_weight, reverse=True)
     done: dict[str, Outcome] = {}

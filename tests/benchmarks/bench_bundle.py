@@ -2,8 +2,8 @@
 
 4 cameras of 656 x 491 px see 1,000 frames of a two-ball wand at 80 %, 0.05 px noise; unknown are the poses, one focal
 length and k1 a camera, and the points (aniposelib's own set). All begin with the same values (aniposelib triangulates
-itself) and end at the same sum of squares, which is printed. One thread, except where a row says otherwise. Time on
-the processor is what to compare on a machine that others use, for rows of one thread.
+itself) and end at the same sum of squares, which is printed. One thread, except where a row states otherwise. On a
+shared machine compare processor times, for rows of one thread.
 Then the time of ours against the number of observations, up to a million.
 
 ``--aniposelib PYTHON``: the interpreter of an environment that has aniposelib; ``--ceres PROGRAM``: what

@@ -93,7 +93,7 @@ class Rendering:
 
 
 def rendered(what: Rendering) -> tuple[CodedDetections, TestField, Array, Array]:
-    """Return what is found, the field, its true image places (n, 2) and its eccentricities (n, 2) [px]."""
+    """Return the detections, the field, its true image points (n, 2) and its eccentricities (n, 2) [px]."""
     rng = np.random.default_rng([what.seed, int(10 * what.dot_px), int(what.tilt_deg)])
     field, _ = plates(what.dot_px, what.tilt_deg, rng)
     some = np.sort(rng.permutation(len(field.targets))[: what.most])
@@ -196,7 +196,7 @@ def print_clutter(views: int = 10_000, seed: int = 1) -> None:
 
 
 def painted_field(height: int, width: int, count: int) -> Array:
-    """Return an image of ``count`` targets of 6 to 20 px, as far as there is room for them, tilted up to 57 deg."""
+    """Return an image of at most ``count`` targets of 6 to 20 px, as many as fit, tilted up to 57 deg."""
     rng = np.random.default_rng(1)
     columns = int(np.ceil(np.sqrt(count * width / height)))
     cell = np.array([width / columns, height / np.ceil(count / columns)])

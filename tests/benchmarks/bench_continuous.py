@@ -1,4 +1,4 @@
-"""The second paper's tables 1 and 2, ours beside theirs: three cameras that take turns, CMU motions, exact points.
+"""The second paper's tables 1 and 2, ours beside theirs: three alternating cameras, CMU motions, exact points.
 
 Run: ``python tests/benchmarks/bench_continuous.py [--cameras known moving fixed] [--methods linear cubic neural ours]
 [--worn] [MOTION ...]``; motions as in ``tests.studies.unsynchronised.MOTIONS`` (default: all ten; the first
@@ -10,7 +10,7 @@ its distance to the second; errors after one similarity for the whole motion. "f
 camera. Camera: rms error of the projection centres after the same similarity. Floor: a cubic spline fitted to the
 truth itself with a knot each 4.5 frames, the most that the data can determine (six numbers each nine frames).
 ``--worn``: the cameras sit on belly, left wrist and right shin of the actor and move with them; errors after a
-similarity for each frame, for nothing ties such cameras to the room.
+similarity for each frame, because such cameras have no datum in the world.
 """
 
 import argparse
@@ -130,7 +130,7 @@ def table(title: str, rows: list[Row], floors: list[float], cameras: list[str], 
         cells = ""
         for kind in cameras:
             for epipoles, width in ((True, 22), (False, 14)):
-                # known cameras: epipoles have nothing to tell
+                # known cameras: epipoles have no information
                 key = (kind, method, epipoles or kind == "known")
                 cells += f"{1e3 * np.mean([row[key].rms_m for row in rows]):{width}.3f}"
         theirs = "".join(f"{value:{width}.3f}" for value, width in zip(paper.get(method, ()), (12, 9), strict=False))

@@ -5,7 +5,7 @@ Run: ``pip install trackpy optv`` and ``python tests/benchmarks/bench_detect_pee
 656 x 491 images of 200 discs (blur 0.7 px, SNR 50) with uniform noise, and with photon noise. Each detector is set
 as well as we know how: trackpy with the diameter, OpenCV's blob detector at five levels, OpenPTV's
 ``target_recognition`` with its half pixel taken off. Errors are of an axis, over the Cramer-Rao bound of a disc of
-unknown place, brightness, background and size, computed numerically for the noise that is there. One thread; times
+unknown position, brightness, background and size, computed numerically for the actual noise. One thread; times
 are processor time, the least of the rounds.
 """
 
@@ -48,7 +48,7 @@ def variance(light: np.ndarray, kind: str, contrast: float) -> np.ndarray:
 
 
 def bound_px(diameter: float, kind: str, contrast: float, rng: np.random.Generator) -> float:
-    """Return the Cramer-Rao bound [px] of a coordinate, rms over places within the pixel."""
+    """Return the Cramer-Rao bound [px] of a coordinate, rms over positions within the pixel."""
     side, variances = int(diameter) + 15, []
     for _ in range(12):
         at = np.array([side // 2 + rng.uniform(-0.5, 0.5), side // 2 + rng.uniform(-0.5, 0.5), diameter])
@@ -127,7 +127,7 @@ def peers(diameter: float, threshold: int) -> Mapping[str, Finder]:
 
 
 def least_ms(finders: Mapping[str, Finder], images: Images, rounds: int) -> dict[str, float]:
-    """Return each one's least processor time of an image [ms]; in turn, so that a busy machine disturbs all alike."""
+    """Return each one's least processor time of an image [ms]; interleaved, so that other load disturbs all alike."""
     least = dict.fromkeys(finders, np.inf)
     for turn in range(rounds):
         for image in images:
@@ -141,7 +141,7 @@ def least_ms(finders: Mapping[str, Finder], images: Images, rounds: int) -> dict
 
 
 def errors_px(find: Finder, images: Images, places: list[np.ndarray]) -> tuple[np.ndarray, int]:
-    """Return the errors (n, 2) of the discs that were found, and how many places are none."""
+    """Return the errors (n, 2) of the discs that were found, and the number of false detections."""
     errors, false = [], 0
     for image, true in zip(images, places, strict=True):
         found = find(image)

@@ -101,7 +101,7 @@ def report(case: str, results: list, seconds: float) -> None:
 
 
 def main() -> None:
-    """Run the cases asked for."""
+    """Run the requested cases."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("cases", nargs="*", default=CASES, metavar="CASE")
     parser.add_argument("--runs", type=int, default=200)

@@ -1,10 +1,10 @@
-"""How often a good calibration is refused or warned of: random rigs through the production entry point.
+"""False alarms of the calibration's verdict: random good rigs through the production entry point.
 
     python tests/benchmarks/bench_judgement.py [RIGS]
 
-Half of the rigs are calibrated from a field at five stands, a quarter from a field at one stand, a quarter from a
+Half of the rigs are calibrated from a field in five poses, a quarter from a field in one pose, a quarter from a
 board that is carried about; 3 to 6 cameras, noise 0.02 px, bodies that shake by 0.03 px, 1 % of the image points 5 px
-off. Every calibration is judged as ``mosca calibrate`` judges it. Good ones are left in peace: 0 findings are wanted.
+off. Every calibration is judged as by ``mosca calibrate``; 0 findings are expected.
 """
 
 import sys
@@ -24,7 +24,7 @@ from mosca.errors import CalibrationError
 
 
 def findings(seed: int) -> list[str]:
-    """Return what is told of the calibration of one random rig beyond notes."""
+    """Return the findings beyond notes of the calibration of one random rig."""
     rng = np.random.default_rng(seed)
     model = ("mosca", "opencv")[seed % 2]
     rig = some_rig(rng, int(rng.integers(3, 7)), model)
@@ -47,7 +47,7 @@ def findings(seed: int) -> list[str]:
 
 
 def main(rigs: int) -> None:
-    """Print what is told of good rigs, and how many of them are left in peace."""
+    """Print the findings of good rigs, and the number of rigs without any."""
     bad = 0
     for seed in range(rigs):
         told = findings(seed)

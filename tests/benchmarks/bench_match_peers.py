@@ -4,8 +4,8 @@
 
 By markers 10 to 1,000 and cameras 2 to 4 (it takes no more); then ours alone up to 32 cameras. One core, detections
 in memory; the least of several calls, of the thread's own time. OpenPTV only matches; ours includes the rays from
-pixels, and points with covariances. The volume grows with the markers, so that targets lie as dense in space, up to
-the room that all cameras see. Ours is shown without tracks (as theirs is) and with tracks that expect their targets
+pixels, and points with covariances. The volume grows with the markers at constant density of targets, up to
+the volume that all cameras see. Ours is shown without tracks (as theirs is) and with tracks that expect their targets
 to 1 mm. A group is right where all its images are of one target; a target of which no group is right is missed, if
 two cameras see it.
 """
@@ -37,7 +37,7 @@ Frame = tuple[np.ndarray, dict[str, Detections], dict[str, np.ndarray]]
 
 
 def ring(count: int) -> Rig:
-    """Return cameras about a room, without distortion."""
+    """Return cameras around a volume, without distortion."""
     rng, cameras = np.random.default_rng(3), []
     for k in range(count):
         turn = np.pi / 4 + k * (2 * np.pi / count if count > 2 else np.pi / 2) + rng.normal(0, 0.08)
@@ -65,7 +65,7 @@ class OpenPTV:
         media.set_n3(1.0)
         self.calibrations = []
         for camera in rig.cameras:
-            # its camera looks along -z, y up
+            # its camera's axis is -z, y up
             turn = camera.world_from_camera.rotation * (1.0, -1.0, -1.0)
             one = Calibration()
             one.set_pos(camera.world_from_camera.translation * 1000)

@@ -28,9 +28,9 @@ from twin.source import TwinSource
 
 
 class Held:
-    """Frames in memory as a source; ``rate_hz``: how fast it hands them out (None: as fast as it is asked).
+    """Frames in memory as a source; ``rate_hz``: its frame rate (None: without waiting).
 
-    ``polls``: waits for the time of a frame without sleeping, as drivers do where lateness costs more than a core.
+    ``polls``: waits for the time of a frame by polling, as drivers do where latency is more important than a core.
     """
 
     def __init__(

@@ -53,7 +53,7 @@ class Times:
 
 
 def times(work: Callable[[], int], rounds: int = ROUNDS) -> Times:
-    """Return the time a frame of ``work``, which says how many frames it made; one round before does not count."""
+    """Return the time per frame of ``work``, which returns its number of frames; after one round of warm-up."""
     work()
     taken, worked = [], []
     for _ in range(rounds):

@@ -1,15 +1,14 @@
-"""Four GigE Vision cameras at 100 Hz with everything that goes wrong: is any frame taken for another pulse's?
+"""Four GigE Vision cameras at 100 Hz with all kinds of faults: does any frame get a wrong pulse number?
 
     python tests/benchmarks/bench_rig.py [PULSES [TAKE]]
 
-TAKE: a recording of 60 pulses at 50 Hz that is served; without one it is rendered. A machine with other work wants
-``nice -n -10`` before the command, as a capture gives itself where the system lets it.
+TAKE: a recording of 60 pulses at 50 Hz that is served; without one it is rendered. On a machine with other load run
+it with ``nice -n -10``, as a capture gives itself where permitted.
 
 The twin serves a take in another process (``mosca twin serve``), losing 1 % of the packets and 0.5 % of the trigger
 pulses, with clocks that drift by up to 50 ppm and a camera that reboots; the rig is read through the source and the
-assembly that a capture uses, and each image is compared with the one that its pulse must show. The memory of both
-processes is looked at each second: how much it grows is a line through the means of ten parts of the run, the first
-part left out.
+assembly that a capture uses, and each image is compared with the expected one of its pulse. The memory of both
+processes is sampled each second: its growth is a line through the means of ten parts of the run, without the first.
 """
 
 import os
@@ -34,7 +33,7 @@ FAULTS = ("--loss", "0.01", "--withhold", "0.005", "--reboot", "cam2@8", "--drif
 
 
 def main(pulses: int, take: Path | None = None) -> None:
-    """Print what became of each camera's frames, and how many stand in a wrong set."""
+    """Print the counts of each camera's frames, and how many are in a wrong set."""
     with tempfile.TemporaryDirectory() as folder:
         rig = Path(folder) / "rig.toml"
         mosca = [sys.executable, "-m", "scenarios.cli.main"]

@@ -1,12 +1,12 @@
-"""How long detections take to be merged: two stations of four cameras, each in a network namespace of its own.
+"""Latency of merging detections: two stations of four cameras, each in a network namespace of its own.
 
 Run as root: ``python tests/benchmarks/bench_stations.py [--rate 100] [--seconds 20] [--targets 50] [--detect]
 [--pairs]``.
 Ready detections are sent as soon as their frames "arrive", so that the figure is transport and merging alone; with
-``--detect`` frames of 656 x 491 are drawn ahead and detected by the stations. Where the time goes is given too: from
-a frame's arrival to its message's departure (its station looks at its cameras one after the other), and from the
-last message's departure to the merged set. How late the
-machine's own wake-ups are is printed beside them: on a busy machine they are most of it; ``nice -n -15`` helps.
+``--detect`` frames of 656 x 491 are drawn ahead and detected by the stations. Printed are also its parts: from a
+frame's arrival to its message's departure (a station processes its cameras one after the other), and from the last
+message's departure to the merged set; and the delay of the machine's own wake-ups, the largest part on a busy
+machine; ``nice -n -15`` helps.
 """
 
 import argparse

@@ -117,14 +117,14 @@ class Client:
         else:
             self._camera("gv_set_packet_size", None, c.c_int(packet_bytes))
         size = self._camera("get_payload", c.c_uint)
-        # root's packet sockets see the streams of other processes until their filter stands: plain UDP is wanted
+        # root's packet sockets receive other processes' streams until their filter is set: use plain UDP
         self.aravis.call("camera_gv_set_stream_options", None, self.camera, c.c_int(NO_PACKET_SOCKET), fails=False)
         self.stream = P(self._camera("create_stream", P, None, None))
         set_property = self.aravis.gobject.g_object_set
         set_property(self.stream, S(b"socket-buffer-size"), c.c_int(SOCKET_BYTES), None)
         # a busy machine may hold a sender up for longer than the 0.1 s after which Aravis gives a frame up
         set_property(self.stream, S(b"frame-retention"), c.c_uint(retention_us), None)
-        # and in the midst of a frame: what is not sent yet would be asked for, until no more may be
+        # and during a frame: unsent packets would be requested again, up to the limit
         set_property(self.stream, S(b"packet-timeout"), c.c_uint(TAIL_US), None)
         set_property(self.stream, S(b"packet-request-ratio"), c.c_double(1.0), None)
         for _ in range(buffers):

@@ -11,7 +11,7 @@ EXPOSURE_NS = 1_000_000
 
 
 def picture(camera: int, number: int, shape: tuple[int, int], depth: int = 8) -> np.ndarray:
-    """Return the image of frame ``number``: noise that tells camera and number."""
+    """Return the image of frame ``number``: noise, unique for camera and number."""
     kind = np.uint8 if depth == 8 else np.uint16
     return np.random.default_rng([camera, number]).integers(0, 2**depth, shape, kind)
 

@@ -21,7 +21,7 @@ from hardware.drivers import gige
 from hardware.settings import CameraHardware
 from mosca.data.arrays import Array
 
-# read when pylon first looks for devices
+# read at pylon's first enumeration
 os.environ.setdefault("PYLON_CAMEMU", "4")
 
 WIDTH, HEIGHT = 160, 120
@@ -132,7 +132,7 @@ def gentl_driven(tmp_path: Path) -> Iterator[Driven]:
 
 @contextlib.contextmanager
 def webcam_driven(tmp_path: Path) -> Iterator[Driven]:
-    """A video file in place of a webcam; a file of no frames left is silent."""
+    """A video file instead of a webcam; no frames come after its end."""
     path = tmp_path / "webcam.mkv"
     write_video(path, pictures(6, 7, WIDTH, HEIGHT))
     settings = CameraHardware(driver="webcam", address=str(path), trigger="Off")

@@ -64,7 +64,7 @@ class Fake:
 
 
 class PulseThread(External):
-    """Pulses at a rate in a thread, each ``delay_s`` after it is due; ``fire`` hands one to the drivers."""
+    """Pulses at a rate in a thread, each ``delay_s`` after it is due; ``fire`` triggers the drivers."""
 
     delay_s = 0.0
 
@@ -95,7 +95,7 @@ class PulseThread(External):
         return self.begin_ns + round(number * 1e9 / self.rate_hz)
 
     def fire(self, number):
-        """Hand a pulse to the drivers; False ends the thread."""
+        """Trigger the drivers with a pulse; False ends the thread."""
         for driver in list(self.drivers.values()):
             driver.pulse(number)
         return True
@@ -111,7 +111,7 @@ class PulseThread(External):
 
 
 class FakeDevice:
-    """What all fake drivers have: a place on the line, a queue of frames, no settings."""
+    """Base of all fake drivers: an index on the trigger line, a queue of frames, no settings."""
 
     def __init__(self, name, line, size):
         self.name, self.line, self.size = name, line, size
@@ -174,7 +174,7 @@ class FakeDriver(FakeDevice):
         return ClockReading(self._stamp(before), before, time.monotonic_ns())
 
     def unnoticed(self, number):
-        """Tell whether pulses have to wait: it is gone, or back, and nobody has found that out yet."""
+        """Return whether pulses must wait: it is gone, or back, and the reader has not noticed yet."""
         gone = self.fake.gone
         if not gone:
             return False

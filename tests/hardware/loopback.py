@@ -1,4 +1,4 @@
-"""Addresses on loopback that no other test uses at the same time, and the control protocol by hand."""
+"""Addresses on loopback that no other test uses at the same time, and a minimal client of the control protocol."""
 
 import itertools
 import os
@@ -21,7 +21,7 @@ def until(met) -> None:
 
 
 def free_address() -> str:
-    """Return an address of this process with room for 200 cameras after it: 127.(20 to 239).x.1."""
+    """Return an address of this process, followed by 200 free ones: 127.(20 to 239).x.1."""
     block = (os.getpid() * 64 + next(_blocks)) % (220 * 250)
     return f"127.{20 + block // 250}.{block % 250}.1"
 

@@ -1,6 +1,6 @@
-"""Pulses for cameras whose frames somebody grabs: due at a generator's pace, made once the frames before are here.
+"""Trigger pulses at a generator's rate, each made only after the previous frames were grabbed.
 
-However this machine is held up, at most one frame of each camera is on its way: packets always find room.
+At most one frame of each camera is in flight, so that socket buffers never overflow on a busy machine.
 """
 
 import time

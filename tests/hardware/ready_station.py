@@ -1,8 +1,8 @@
-"""A station without cameras: detections that are ready, sent pulse by pulse; every target says whose and when it is.
+"""A station without cameras: prepared detections, sent pulse by pulse; targets encode their camera and pulse.
 
-As a program: ``python ready_station.py NAME ENDPOINT CAMERA,CAMERA PULSES RATE TARGETS``: says ``ready``, takes a
-line ``START_MONOTONIC_NS FIRST``, plays until PULSES are over or a line ``end`` comes, and says how many pulses were
-sent. With ``now`` after TARGETS frames arrive when this program gets to run.
+As a program: ``python ready_station.py NAME ENDPOINT CAMERA,CAMERA PULSES RATE TARGETS``: prints ``ready``, reads a
+line ``START_MONOTONIC_NS FIRST``, plays until PULSES are over or a line ``end`` comes, and prints the number of
+pulses sent. With ``now`` after TARGETS frames arrive when this program gets to run.
 """
 
 import sys

@@ -23,7 +23,7 @@ from scenarios.spec.catalog import find
 from scenarios.spec.scenario import load_scenario
 from scenarios.types import RunOptions
 
-# before any test asks pylon for its cameras
+# before pylon's first enumeration
 os.environ.setdefault("PYLON_CAMEMU", "4")
 
 SCENARIO = "rigs/any_source"
@@ -78,7 +78,7 @@ def test_gige_vision_devices(take: tuple[Path, Path], tmp_path: Path) -> None:
 
 
 def test_gige_vision_devices_on_a_pulse_generator(take: tuple[Path, Path], tmp_path: Path) -> None:
-    """Its pulses wait for nobody: what a machine that is held up loses is counted."""
+    """Its pulses do not wait: losses of a busy machine are counted."""
     needs_aravis()
     needs_module("serial", "serial")
     twin, recording = take
@@ -136,7 +136,7 @@ def test_a_vendor_s_own_software(take: tuple[Path, Path], tmp_path: Path) -> Non
 
 
 def test_a_frame_of_another_pulse_makes_another_record(take: tuple[Path, Path], tmp_path: Path) -> None:
-    """The control: one frame in the place of its neighbour does not pass for the same run."""
+    """The control: a run with one frame replaced by its neighbour is not the same."""
     twin, recording = take
     with open_recording(recording) as source:
         names = [info.name for info in source.cameras]

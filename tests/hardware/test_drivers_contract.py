@@ -1,4 +1,4 @@
-"""What every driver keeps to, whichever SDK stands behind it: run over all that are installed."""
+"""The contract of every driver, of any SDK: run over all that are installed."""
 
 import threading
 import time

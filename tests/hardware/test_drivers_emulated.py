@@ -49,10 +49,10 @@ def opened(devices: Served, name: str, **more: object) -> CameraDriver:
 def account(
     devices: Served, number: int, grabbed: list[Grabbed], frames: int, shape: tuple[int, int], bits: int = 8
 ) -> None:
-    """Assert that every exposure came once and in order, and that what came whole is its pulse's picture.
+    """Assert that every exposure came once and in order, and that complete frames are their pulses' images.
 
-    On a machine with too much other work the devices leave pulses out and say so, and a frame may come too late
-    to be whole: one in fifty at most.
+    On a busy machine the devices drop pulses and report it, and a frame may come too late to be complete: one in
+    fifty at most.
     """
     exposures = devices.device(f"cam{number}").counts()["exposures"]
     assert [g.block_id for g in grabbed] == list(range(1, exposures + 1))
@@ -65,7 +65,7 @@ def account(
     assert all(np.array_equal(g.image, pictures[pulse]) for g, pulse in zip(whole, pulses, strict=True))
     assert all(g.note == "" for g in whole)
     assert len(grabbed) - len(whole) <= len(grabbed) // 50
-    # the device's clock says which pulses those were, too
+    # the device's clock identifies those pulses, too
     stamps = np.array([g.device_ns for g in whole])
     assert np.array_equal(np.round(np.diff(stamps) / 1e7), np.diff(pulses))
 

@@ -76,7 +76,7 @@ def test_two_cameras_of_one_producer_at_a_time(camera: CameraDriver) -> None:
         other.configure(software_camera("2"))
         other.arm()
         assert other.grab(60.0) is not None
-        # another look at the producer must not close what is open
+        # another enumeration of the producer must not close open devices
         assert [device.serial for device in devices("gentl", viky())] == ["0", "1", "2"]
         assert camera.grab(60.0) is not None
     finally:
@@ -90,7 +90,7 @@ def test_an_incomplete_buffer_is_told_and_counted(camera: CameraDriver) -> None:
     # what harvesters calls when it throws an incomplete buffer away; the producer here never loses any
     acquirer = camera._acquirer  # type: ignore[attr-defined]
     acquirer._emit_callbacks(acquirer.Events.INCOMPLETE_BUFFER)
-    # it is told before the frames that came after it, however many of them wait
+    # it is reported before the frames that came after it, even if many are queued
     came = [camera.grab(60.0) for _ in range(3)]
     assert [(g.note, g.image is None) for g in came if g is not None] == [
         ("INCOMPLETE", True), ("", False), ("", False),

@@ -52,7 +52,7 @@ def test_frames_ids_and_clock(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_lost_packets_are_told_and_no_frame_is_left_out() -> None:
     # this camera never sends a packet again: what is lost stays lost
     with fake_gige_camera("FAKE3", lost_permille=10.0) as settings:
-        # each frame is asked for once something is here: no pause of this program or of the camera can lose one
+        # each frame is triggered after one has arrived: no pause of this program or of the camera can lose one
         wanted = settings(trigger="Software", packet_bytes=576)
         with closing(open_camera("a", wanted)) as camera:
             camera.configure(wanted)
@@ -98,11 +98,11 @@ def test_by_address_and_not_found() -> None:
         one_line(caught.value, "camera 'a'", "OTHER", "FAKE4")
         by_serial = CameraHardware(driver="gige", serial="FAKE4", trigger="Off")
         open_camera("a", by_serial).close()
-        settings.end()  # while no other test's camera can stand at its address
+        settings.end()  # while no other test's camera can have its address
         with pytest.raises(DeviceError, match="sees no device") as caught:
             open_camera("a", by_address)
         one_line(caught.value, "camera 'a'", FAKE_ADDRESS)
-        # it was there when this program last looked
+        # it was there at this program's last check
         with pytest.raises(DeviceError, match="sees no device") as caught:
             open_camera("a", by_serial)
         one_line(caught.value, "camera 'a'", "FAKE4")

@@ -109,7 +109,7 @@ def test_bayer_is_the_weighted_mean_of_nine(mosaic: Array) -> None:
 
 @pytest.mark.parametrize("colours", sorted(MOSAICS))
 def test_bayer_weighs_colours_alike_at_every_place_and_border(colours: str) -> None:
-    # one colour of light fills its own places of the mosaic
+    # one colour of light fills its own pixels of the mosaic
     places = np.array(list(MOSAICS[colours])).reshape(2, 2)
     for colour, weight in (("R", 0.25), ("G", 0.5), ("B", 0.25)):
         mosaic = np.tile(np.where(places == colour, 200, 0).astype(np.uint8), (4, 5))

@@ -1,4 +1,4 @@
-"""The webcam driver, with video files in place of a webcam."""
+"""The webcam driver, with video files instead of a webcam."""
 
 from pathlib import Path
 

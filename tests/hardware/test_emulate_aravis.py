@@ -312,6 +312,6 @@ def test_a_minute_of_four_cameras(loss, capsys):
     for own in seen:
         assert own["wrong"] == 0
         missing = set(range(counted["pulses"])) - set(own["pulses"])
-        # no packet is asked for again of a frame of which none came; only a kernel that ran out of room loses those
+        # no packet is requested again of a frame without any; only a full kernel buffer loses those
         assert not missing or overflowed
         assert len(missing) < counted["pulses"] // 100

@@ -20,7 +20,7 @@ MS = 1_000_000
 
 
 class Time:
-    """Stands where the module of this name would be: time passes when a test says so."""
+    """Replaces the module of this name: time passes under the test's control."""
 
     def __init__(self) -> None:
         self._now_ns = 3 * 10**12
@@ -47,7 +47,7 @@ WHO = Identity("cam0", "S1", IPv4Interface("127.0.0.9/8"), 64, 48, 12, 100.0, 10
 
 
 class NoStream:
-    """Stands where the stream's socket would be."""
+    """Replaces the stream's socket."""
 
     source_port = 5000
 

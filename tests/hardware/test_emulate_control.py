@@ -131,7 +131,7 @@ def test_a_write_of_several_tells_how_far_it_came(hands):
 
 
 class Ahead:
-    """Stands where the module ``time`` would be: this machine's clock, set ahead by hand."""
+    """Replaces the module ``time``: this machine's clock plus an offset."""
 
     def __init__(self) -> None:
         self.by_s = 0
@@ -280,7 +280,7 @@ def test_any_bytes_leave_the_device_alive(victim, datagrams):
 def test_noise_on_the_port_leaves_the_device_alive(up, hands):
     noise = np.random.default_rng(1)
     for _ in range(25):
-        for _ in range(20):  # not more than its socket has room for, however late it looks
+        for _ in range(20):  # not more than fit into its socket's buffer
             hands[0].send(noise.bytes(int(noise.integers(0, 600))))
         assert hands[1].read(VERSION) == 0x00020000
 

@@ -1,4 +1,4 @@
-"""Bytes on the wire against the standard's layout, worked out by hand."""
+"""Bytes on the wire against the standard's layout, computed independently."""
 
 import struct
 from contextlib import suppress

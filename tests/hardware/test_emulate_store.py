@@ -1,4 +1,4 @@
-"""Frames between a source and its cameras, and the line that asks for them."""
+"""The frame store between a source and its cameras, and the trigger line."""
 
 import time
 from collections.abc import Iterator
@@ -98,7 +98,7 @@ def test_missing_and_late_frames_shift_nothing(stores):
 
 
 class Captured(ArraySource):
-    """A capture: cam1 missed pulses 3 and 4, which its own counter does not count; in its stamps the gap stands."""
+    """A capture: cam1 missed pulses 3 and 4, which its own counter does not count; its time stamps have the gap."""
 
     def __iter__(self) -> Iterator[Frame]:
         for frame in super().__iter__():

@@ -1,4 +1,4 @@
-"""``mosca twin serve``: what it says, and that a client grabs what it serves."""
+"""``mosca twin serve``: its output, and a client that grabs the served frames."""
 
 import threading
 import time
@@ -99,7 +99,7 @@ def test_what_cannot_be_is_told(take, options, said):
 
 
 class Clock:
-    """Stands where the module ``time`` would be: the time of serving is over when a test says so."""
+    """Replaces the module ``time``: the test ends the time of serving."""
 
     sleep = staticmethod(time.sleep)
 

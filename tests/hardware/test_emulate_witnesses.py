@@ -12,7 +12,7 @@ from needs import needs_module
 from hardware.emulate.serve import served
 
 SHAPE = (240, 320)
-"""An image of it fits into any socket's room: who receives has no way to ask for what was lost."""
+"""An image of it fits into any socket's buffer: the receiver has no packet resend."""
 
 
 def address_of(device, name: str) -> int:
@@ -38,7 +38,7 @@ def test_pygigevision_grabs_bit_for_bit():
             receiver.start()
             client.write_reg(address_of(device, "AcquisitionStart"), 1)
             found, first_ns = [], time.monotonic_ns()
-            for number in range(100):  # each once the one before is here: nothing waits in the socket's room
+            for number in range(100):  # each after the previous one was received: the socket's buffer stays empty
                 up.pulse(number, first_ns + number * 10_000_000)
                 if (one := receiver.get_frame_with_info(timeout=60.0)) is not None:
                     found.append(one)

@@ -28,7 +28,7 @@ class Rig:
 
 
 def stream(rig, seed):
-    """Return (arrival, camera, true pulse, Grabbed) in order of arrival, as ``tests`` of numbering know them."""
+    """Return (arrival, camera, true pulse, Grabbed) in order of arrival."""
     rng = np.random.default_rng(seed)
     period, rows = 1 / rig.rate_hz, []
     for c in range(rig.cameras):

@@ -1,4 +1,4 @@
-"""Without the packages of the extras everything is imported, and what needs one says so in one line."""
+"""Without the extras' packages everything can be imported; what needs one fails with a message of one line."""
 
 import subprocess
 import sys

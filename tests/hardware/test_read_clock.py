@@ -1,4 +1,4 @@
-"""Pulses by the clocks that were read, on machines too busy for arrivals to tell anything."""
+"""Pulse numbers from clock readings, on machines too busy for arrival times to be of use."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def busy(rig, seed, late_s):
 
 
 def shown(points, host_ns, answer_ns, rng):
-    """Return what the clock through ``points`` (host, device) shows, asked at ``host_ns``."""
+    """Return the reading at ``host_ns`` of the clock through ``points`` (host, device)."""
     host, device = np.array(points).T
     k = int(np.clip(np.searchsorted(host, host_ns, side="right") - 1, 0, len(host) - 1))
     before = host_ns - round(rng.uniform(0, 1) * answer_ns)
@@ -65,7 +65,7 @@ def numbered_busy(rig, seed, late_s, answer_ns=2_000_000, start_ns=None):
     ids=["plain", "reboot", "clock set by two periods", "clock set back by whole periods"],
 )
 def test_frames_that_are_late_by_periods_get_their_pulse(rig, seed):
-    """Cameras are late by 0 to 6 periods, each differently: no arrival tells its pulse."""
+    """Cameras are late by 0 to 6 periods, each differently: arrivals do not identify pulses."""
     _, out, count = numbered_busy(rig, seed, (0.0, 0.02, 0.04, 0.06))
     assert len(out) == count
     first = min(true for _, _, true in out)

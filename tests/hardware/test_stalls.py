@@ -57,13 +57,13 @@ def test_frames_wait_for_cameras_that_deliver_and_for_no_other():
     assert came("b", 0) == [("a", 0), ("b", 0)]
     assert [came("a", pulse) for pulse in (1, 2, 3)] == [[], [], []]
     assert came("b", 2) == [("a", 1), ("a", 2), ("b", 2)]  # b has no frame of pulse 1
-    assert came("a", 4, "a") == [("a", 3), ("a", 4)]  # b was looked at in vain
+    assert came("a", 4, "a") == [("a", 3), ("a", 4)]  # b was polled without result
     assert [came("a", pulse) for pulse in range(5, 15)] == [[]] * 10
-    assert came("a", 15) == [("a", 5)]  # no room for more than ten
+    assert came("a", 15) == [("a", 5)]  # at most ten are buffered
 
 
 class Held(FakeDriver):
-    """A camera whose reader stands while the first 150 pulses pass."""
+    """A camera whose reader is stopped for the first 150 pulses."""
 
     def grab(self, timeout_s):
         while self.name == "b" and self.block and self.line.made < 150 and not self.line.ended.is_set():
@@ -115,7 +115,7 @@ def look_in_vain(trigger, seconds, began_ns):
 
 
 def fired(trigger, camera, count):
-    """Wait until the pulse ``count`` was told to the camera and its frame is awaited; return a time after that."""
+    """Wait until pulse ``count`` was sent to the camera and its frame is awaited; return a time after that."""
     camera.wait_for(count)
     until = time.monotonic() + 60
     while (since_ns := trigger.waiting_since_ns) is None:
@@ -168,7 +168,7 @@ class Slow:
 
 
 class Clock:
-    """Stands where the module ``time`` would be."""
+    """Replaces the module ``time``."""
 
     def __init__(self):
         self.now_ns = SECOND

@@ -132,7 +132,7 @@ def test_health_there_and_back_and_as_json():
     data = pack_health(sent)
     assert unpack_health(data) == sent
     assert json.loads(data[4:])["cameras"][0]["sent"] == 12
-    # a later program may say more
+    # a later version may add fields
     more = data[:4] + json.dumps(json.loads(data[4:]) | {"temperature": 40}).encode()
     assert unpack_health(more) == sent
 

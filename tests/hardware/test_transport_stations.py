@@ -45,7 +45,7 @@ class Station:
 
         def run():
             if pulses < LONG and name in CAMERAS:
-                # as real ones do: what is short may else be over before its clock was asked for
+                # as real ones do: a short run could end before its clock was queried
                 self.sender.set_state("armed")
                 assert self.sender.ordered(60.0)
             self.sent = play(self.sender, cameras, pulses, RATE, start_ns, 3, first, lambda: self._dead)

@@ -52,7 +52,7 @@ def witness(*steps):
         ([(0, 1, 1), (1, 4, 2), (2, 5, 3)], (0, 0, 2)),  # a switch that bounced twice
         ([(0, 1, 1), (3, 4, 4), (4, 5, 5)], (0, 0, 0)),  # exposed, and lost on the network
         ([(0, 7, 7), (5, 1, 1), (6, 2, 2)], (0, 0, 0)),  # began anew: nothing is known of what was between
-        ([(0, 1, None), (2, 3, None)], (0, 0, 0)),  # without numbers of frames nobody knows who lost it
+        ([(0, 1, None), (2, 3, None)], (0, 0, 0)),  # without frame counters the loss cannot be attributed
         ([(0, None, 1), (9, None, 2)], (0, 0, 0)),
     ],
 )
@@ -93,7 +93,7 @@ def numbered(late_ns, count, **jump):
         (0, None, True),
         (150_000_000, None, False),  # clock and arrival disagree: the next frames vote
         (150_000_000, "right", True),  # clock and counter agree
-        (150_000_000, "other", False),  # the counter speaks for itself alone: it decides nothing
+        (150_000_000, "other", False),  # the counter alone has no effect
     ],
 )
 def test_clock_and_counter_outweigh_a_late_arrival(late_ns, count, at_once):
@@ -140,7 +140,7 @@ class LineOf(External):
 
 
 def test_withheld_pulses_are_told_from_those_that_the_camera_ignored(tmp_path, monkeypatch):
-    """Device cam0 does not get a tenth of its pulses; the counts that come with its frames say so."""
+    """Device cam0 misses a tenth of its pulses; the counter values of its frames show it."""
     needs_aravis()
     wait_long_for_packets(monkeypatch)
     address, pulses = free_address(), 150
@@ -171,7 +171,7 @@ def test_withheld_pulses_are_told_from_those_that_the_camera_ignored(tmp_path, m
 
 
 def test_pulses_that_found_the_camera_busy_are_counted_as_such(tmp_path):
-    """Exposures of 15 ms at 100 Hz: each other pulse is ignored, which no stamp and no number of a frame tells."""
+    """Exposures of 15 ms at 100 Hz: every other pulse is ignored, which no time stamp or frame counter shows."""
     needs_aravis()
     address = free_address()
     rig = read_hardware(rig_file(tmp_path / "rig.toml", address, exposure_us=15_000.0))

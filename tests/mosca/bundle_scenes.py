@@ -10,7 +10,7 @@ WIDTH, HEIGHT = 1280, 1024
 
 
 def ring(n=4, radius=3.0, seed=0, **lens) -> list[Camera]:
-    """Return n cameras around the z axis that look at (0, 0, 1)."""
+    """Return n cameras around the z axis, aimed at (0, 0, 1)."""
     rng = np.random.default_rng(seed)
     cameras = []
     for k in range(n):

@@ -153,7 +153,7 @@ def board_calibration(seed, cameras=None, frames=25, poses=None, noise_px=NOISE_
 
 
 def overhead(rng, n=3, height=1.6) -> list[Camera]:
-    """Return cameras that look down on (0, 0, 1) from ``height`` above it."""
+    """Return cameras aimed down at (0, 0, 1) from ``height`` above it."""
     out = []
     for k, c in enumerate(good_rig(rng, n)):
         a = 2 * np.pi * k / n

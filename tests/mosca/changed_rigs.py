@@ -13,7 +13,7 @@ from mosca.data.rig import Camera, Pose, Rig
 
 
 def changed_rig(calibration: Calibration, change: Array) -> Rig:
-    """Return the rig with ``change`` (u,) added to the calibration's parameters: turns as R exp([w]x)."""
+    """Return the rig with ``change`` (u,) added to the calibration's parameters: rotations as R exp([w]x)."""
     step = dict(zip(calibration.parameters, np.asarray(change, dtype=float).tolist(), strict=True))
     rig = calibration.rig
     return Rig(

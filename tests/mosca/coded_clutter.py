@@ -150,5 +150,5 @@ KINDS: tuple[Callable[[np.random.Generator], np.ndarray], ...] = (
 
 
 def view(index: int, seed: int = 0) -> np.ndarray:
-    """Return view ``index`` (H, W) uint8; kinds take turns."""
+    """Return view ``index`` (H, W) uint8; kinds alternate."""
     return KINDS[index % len(KINDS)](np.random.default_rng([seed, index]))

@@ -1,7 +1,7 @@
-"""Coded targets painted by brute force for the tests: every pixel the mean of many samples of what lies there.
+"""Coded targets rendered by brute force for the tests: every pixel is the mean of many samples.
 
-Shares nothing with the code under test nor with the twin but the table of numbers: rays of a pinhole camera meet
-the plate's plane, and what is printed there is asked in polar coordinates.
+Shares only the table of code numbers with the code under test and the twin: rays of a pinhole camera meet
+the plate's plane, where the print is evaluated in polar coordinates.
 """
 
 from dataclasses import dataclass

@@ -24,7 +24,7 @@ def sines(seed, markers, fastest_hz=3.0):
 
 
 def limbs(seed, bodies=2):
-    """Rigid triangles that turn and swing, and one loose point; a function (t,) -> (t, 3 bodies + 1, 3)."""
+    """Rigid triangles that rotate and swing, and one loose point; a function (t,) -> (t, 3 bodies + 1, 3)."""
     rng = np.random.default_rng(seed)
     shapes = rng.uniform(-0.2, 0.2, (bodies, 3, 3))
     centres, turns, loose = sines(seed + 1, bodies), sines(seed + 2, bodies), sines(seed + 3, 1)

@@ -1,9 +1,9 @@
 """All cameras of a rig adjusted together to known points that were measured in their images.
 
-The single cameras' adjustment (``adjust``) takes the points as they are. Together the cameras can also tell what is
-wrong with the points: each may be off by ``point_sigma_m``, and a flat target that was moved along a traverse may
-have stood a little shifted and turned at each of its stands (``StandError``). Which of the cameras' errors belong to
-the target then shows, since one camera's lens cannot explain what all of them see.
+The single cameras' adjustment (``adjust``) holds the points. All cameras together can also determine errors of the
+points: each may be off by ``point_sigma_m``, and a flat target that was moved along a traverse may have a small shift
+and rotation at each of its stations (``StandError``). Errors common to all cameras are the target's, since one
+camera's lens cannot explain them.
 """
 
 from collections.abc import Sequence
@@ -30,9 +30,9 @@ from mosca.errors import InputError
 
 @dataclass(frozen=True)
 class StandError:
-    """How far a target on a traverse along ``axis`` (0, 1, 2: x, y, z) may stand off where it was told to.
+    """Standard errors of the poses of a target on a traverse along ``axis`` (0, 1, 2: x, y, z).
 
-    Standard deviations of each stand's turn about x, y, z ``turn_rad`` and shift ``shift_m`` along x, y, z, above 0.
+    Of each station's rotation about x, y, z ``turn_rad`` and shift ``shift_m`` along x, y, z, above 0.
     """
 
     axis: int

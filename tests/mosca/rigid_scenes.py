@@ -34,7 +34,7 @@ def some_rig(rng, n=4, model="mosca", radius=4.0, height=1.2, size=(656, 491)) -
 def seen(rig: Rig, marks, poses, rng, *, noise=0.02, shake=0.0, facing=None) -> Sightings:
     """Return what the cameras see of marks (m, 3) at each of ``poses`` (world_from_target), one a frame set.
 
-    ``shake``: of each exposure, by which the body turns about its x and y axes [px at the image's middle].
+    ``shake``: rotation of the camera's body about its x and y axes at each exposure [px at the image's middle].
     """
     parts = []
     for frame, pose in enumerate(poses):
@@ -60,7 +60,7 @@ def seen(rig: Rig, marks, poses, rng, *, noise=0.02, shake=0.0, facing=None) -> 
 
 
 def turned(camera: Camera, shake_px) -> Camera:
-    """Return a camera turned about its x and y axes so far that its image's middle moves by ``shake_px`` (2,)."""
+    """Return a camera rotated about its x and y axes such that its image's middle moves by ``shake_px`` (2,)."""
     fx, fy = principal_distances_px(camera.lens)
     turn = Rotation.from_rotvec([shake_px[1] / fy, -shake_px[0] / fx, 0.0]).as_matrix()
     pose = camera.world_from_camera
@@ -113,8 +113,8 @@ def carried(rng, frames: int) -> list[Pose]:
 def errors_of(calibration, rig: Rig, poses) -> dict[str, tuple[float, float]]:
     """Return error and stated standard deviation of each estimable parameter of cameras and lenses, by name.
 
-    The world of the estimate is the target at its reference stand: the truth is carried into it. Turns are about the
-    camera's own axes. Weakly determined and held parameters are left out: no interval is claimed for them.
+    The world of the estimate is the target's reference pose: the truth is transformed into it. Rotations are about
+    the camera's own axes. Weakly determined and held parameters are left out: no interval is claimed for them.
     """
     reference = poses[calibration.sightings.frame[calibration.placement < 0][0]]
     sigma = calibration.standard_deviations

@@ -35,7 +35,7 @@ def pixels(rig, points) -> np.ndarray:
 
 
 def ratio(found, covariance) -> np.ndarray:
-    """Return trace of what was found over trace of what was predicted, per place."""
+    """Return the trace of the empirical over that of the predicted covariance, per position."""
     seen = np.einsum("tni,tni->n", found, found) / len(found)
     return seen / np.trace(covariance, axis1=1, axis2=2)
 
@@ -46,7 +46,7 @@ def test_detection_is_what_disturbed_pixels_do(calibration, predicted):
     exact = pixels(calibration.rig, points)
     noisy = exact[None] + rng.normal(0, 0.1, (TRIALS, *exact.shape))
     found = triangulate(calibration.rig, noisy.reshape(-1, *exact.shape[1:]))[0].reshape(TRIALS, -1, 3) - points
-    # 300 trials of 3 unequal axes: a standard deviation of some 7 % each, 2 % over all places
+    # 300 trials of 3 unequal axes: a standard deviation of some 7 % each, 2 % over all positions
     share = ratio(found, predicted.detection.reshape(-1, 3, 3))
     assert np.all((share > 0.7) & (share < 1.35))
     assert share.mean() == pytest.approx(1, abs=0.08)

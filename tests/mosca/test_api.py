@@ -12,7 +12,7 @@ XYZ = np.array([[0.1, 0.0, 0.05], [-0.2, 0.1, 0.0], [0.0, -0.15, 0.1]])
 
 
 def ring(n: int = 3) -> mosca.Rig:
-    """Pinhole cameras on a circle of 2 m that look at the origin."""
+    """Pinhole cameras on a circle of 2 m, aimed at the origin."""
     cameras = []
     for k in range(n):
         angle = 2 * np.pi * k / n

@@ -1,4 +1,4 @@
-"""Lamps told by their blinks: every number, missed and stray samples, what is no lamp."""
+"""Lamps identified by their blink codes: every number, missed and stray samples, points that are no lamp."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def test_missed_and_stray_samples(number: int, start: int, per_bit: int, seed: i
     pulses = np.array(frames)
     if start % per_bit == 0:
         assert lamp_numbers(tracks, given, pulses)[5] == number
-    else:  # the bits do not begin where pulses are counted from: told or not, but never wrong
+    else:  # the bits do not begin at pulse 0: identified or not, but never wrongly
         assert lamp_numbers(tracks, given, pulses).get(5, number) == number
 
 
@@ -73,7 +73,7 @@ def test_what_is_no_lamp_gets_no_number() -> None:
     # two lamps one after the other on one track: neither
     swapped = shown(8, range(100)) + shown(9, range(100, 200))
     assert lamp_numbers(tracks_lit({0: always, 1: swapped})) == {}
-    # filled samples say nothing of the light
+    # filled samples have no information on the light
     assert lamp_numbers(tracks_lit({1: shown(8, range(100))}, "filled")) == {}
     assert lamp_numbers(Tracks.none()) == {}
 

@@ -103,7 +103,7 @@ def test_a_pose_without_noise_is_exact_and_as_scipy_has_it() -> None:
 
 
 def test_covariance_is_that_of_the_errors() -> None:
-    """Chi-square of 6 degrees of freedom over 2000 draws with unequal, tilted errors and uncertain places."""
+    """Chi-square of 6 degrees of freedom over 2000 draws with unequal, tilted errors and uncertain positions."""
     rng = np.random.default_rng(2)
     body = RigidBody("cup", CUP.markers, CUP.positions, 1e-4)
     one = Constellation(body, BodySettings())
@@ -193,7 +193,7 @@ def test_a_body_first_seen_with_three_markers_is_filled_in_backwards() -> None:
     assert poses.of("drone").frame.tolist() == list(range(40))
 
 
-# D2, D3 and D4 lie like D1, D2 and D3 to 0.1 mm: three visible markers do not say which three they are
+# D2, D3 and D4 lie like D1, D2 and D3 to 0.1 mm: three visible markers are ambiguous
 FLIPPING = RigidBody("flip", ("a", "b", "c", "d"), [[0.1, 0, 0], [0, 0.1, 0], [-0.1, 0, 0], [0, -0.1, 0.05]])
 
 
@@ -211,13 +211,13 @@ def test_three_markers_that_can_be_taken_otherwise_are_withheld() -> None:
 
 
 def test_no_flip_while_a_marker_is_hidden() -> None:
-    """The fourth marker, the only one that tells, is hidden for 0.2 s; tracks are given, and half-way swapped."""
+    """The fourth marker, which alone is distinctive, is hidden for 0.2 s; tracks are given, and half-way swapped."""
     rng = np.random.default_rng(7)
     tracks, truth = tracks_of(60, (FLIPPING,), rng)
     hidden = (tracks.frame >= 20) & (tracks.frame < 40) & (tracks.track == 3)
     for swap in (False, True):
         track = tracks.track.copy()
-        if swap:  # a and c exchange their identities: the pose that would follow is turned by 180 deg
+        if swap:  # a and c exchange their identities: the pose that would follow is rotated by 180 deg
             late = tracks.frame >= 30
             track[late] = np.array([2, 1, 0, 3])[track[late]]
         columns = {name: getattr(tracks, name) for name in Tracks.__dataclass_fields__} | {"track": track}
@@ -325,7 +325,7 @@ def test_learning_gives_the_shape_back() -> None:
     rng = np.random.default_rng(10)
     tracks, _ = tracks_of(200, (DRONE,), rng, hidden=0.1)
     body = learn_body(tracks, range(6), "drone", DRONE.markers)
-    # unlike in origin and axes; alike in shape: a place is the mean of 180 samples
+    # unlike in origin and axes; alike in shape: a position is the mean of 180 samples
     assert difference_m(body.positions, DRONE.positions) < 4 * SIGMA / np.sqrt(180)
     assert 0.5 < body.sigma_m / (SIGMA / np.sqrt(180)) < 1.6
     np.testing.assert_allclose(body.positions.mean(axis=0), 0, atol=1e-15)

@@ -1,5 +1,5 @@
-"""The bundle adjustment finds the optimum that other solvers find, from poor starts too, and says what it
-cannot find."""
+"""The bundle adjustment finds other solvers' optimum, from poor initial values too, and reports what is
+undetermined."""
 
 from dataclasses import replace
 
@@ -75,7 +75,7 @@ def without_single_rays(problem):
 
 
 def twice_seen(problem) -> np.ndarray:
-    """Return which observations are of points with a second ray; a point with one tells nothing."""
+    """Return which observations are of points with two rays or more; others have no information."""
     return np.bincount(problem.observations.point)[problem.observations.point] >= 2
 
 
@@ -140,7 +140,7 @@ def mosca_pixels(camera: Camera, points) -> np.ndarray:
 
 
 def scipys_resection(image, start, free, xy, points) -> tuple[Camera, np.ndarray, float]:
-    """Return scipy's camera, the Jacobian there by turn about the camera's axes, position and lens, and the cost."""
+    """Return scipy's camera, the Jacobian there by rotation about the camera's axes, position and lens, and cost."""
 
     def camera_of(base, z):
         pose = base.world_from_camera
@@ -149,7 +149,7 @@ def scipys_resection(image, start, free, xy, points) -> tuple[Camera, np.ndarray
         return replace(base, world_from_camera=Pose(turned, z[3:6]), lens=lens)
 
     found = start
-    for _ in range(2):  # the second time about the optimum, where the turn is zero
+    for _ in range(2):  # the second time about the optimum, where the rotation is zero
         base = found
         z = np.array([0, 0, 0, *base.world_from_camera.translation, *(getattr(base.lens, n) for n in free)])
         fit = least_squares(
@@ -233,7 +233,7 @@ def test_a_board_before_one_camera_is_opencvs_calibration():
     np.testing.assert_allclose([got.k1, got.k2, got.p1, got.p2], distortion.ravel()[:4], atol=1e-5)
     np.testing.assert_allclose(done.placements.translation, np.array(shifts)[:, :, 0], atol=1e-6)
     np.testing.assert_allclose(done.placements.rotation[3], cv2.Rodrigues(turns[3])[0], atol=1e-5)
-    # a camera carried through the room is the same with the roles exchanged: the room turns, its points weighted
+    # a camera moved through the scene is the same with the roles exchanged: the scene rotates, its points weighted
     weighted = ObjectPoints.weighted(points.xyz, 1e-6)
     again = solve(replace(problem, points=weighted), SHARP)
     assert again.cameras[0].lens.fx_px == pytest.approx(got.fx_px, abs=1e-2)
@@ -241,7 +241,7 @@ def test_a_board_before_one_camera_is_opencvs_calibration():
 
 
 def test_a_poor_start_leads_to_the_same_optimum():
-    """Focal lengths 20 % wrong, turns of 0.1 rad, 30 cm: some points begin behind cameras or nowhere near."""
+    """Focal lengths 20 % wrong, rotations 0.1 rad, positions 30 cm: some points begin behind cameras or far off."""
     cameras, _, near = wand_problem(frames=80, turn=0, shift=0, focal=1.0)
     best = solve(near, SHARP)
     for seed in range(6):
@@ -275,7 +275,7 @@ def test_the_datum_changes_no_distance_and_no_residual():
     i, j = np.triu_indices(len(points), 1)
     apart = [np.linalg.norm(one.points[i] - one.points[j], axis=1) for one in (held, network)]
     np.testing.assert_allclose(apart[0], apart[1], atol=1e-8)
-    # the network neither shifts nor turns against the given points; its size is the wand's
+    # the network neither shifts nor rotates against the given points; its scale is the wand's
     away = network.points - points
     np.testing.assert_allclose(away.mean(axis=0), 0, atol=1e-12)
     centred = points - points.mean(axis=0)

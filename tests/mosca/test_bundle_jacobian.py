@@ -229,7 +229,7 @@ def test_normal_equations_of_every_kind_of_unknown():
     np.testing.assert_allclose(matrix / np.outer(scale, scale), want / np.outer(scale, scale), atol=1e-5)
     want_slope = gradient[:u] - full[:u, u:] @ block_inverse @ gradient[u:]
     np.testing.assert_allclose(slope / scale, want_slope / scale, atol=1e-5 * np.abs(want_slope / scale).max())
-    # the names say which unknown is which
+    # the names identify the unknowns
     assert layout.names[:7] == (
         *(f"c0.{n}" for n in ("turn_x_rad", "turn_y_rad", "turn_z_rad", "X_m", "Y_m", "Z_m")),
         "c0.f_px",

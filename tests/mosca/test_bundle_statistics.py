@@ -1,4 +1,4 @@
-"""What the bundle adjustment says of its own errors is true: scatter, blunders, robust losses, priors, inner
+"""The bundle adjustment's stated errors are true: scatter, blunders, robust losses, priors, inner
 datum."""
 
 from dataclasses import replace
@@ -47,7 +47,7 @@ def wand_problem(frames, noise, cameras=None, first=HELD, datum="given"):
 
 
 def unknowns_of(cameras, held_first=True) -> np.ndarray:
-    """Return positions, f_px and k1 in the order in which they stand in ``parameters`` (turns left out)."""
+    """Return positions, f_px and k1 in their order in ``parameters`` (without rotations)."""
     out = []
     for k, c in enumerate(cameras):
         out += ([] if k == 0 and held_first else [*c.world_from_camera.translation]) + [c.lens.fx_px, c.lens.k1]
@@ -157,7 +157,7 @@ def test_blunders_are_found_and_named():
     see = problem.observations
     rays = np.bincount(see.point)[see.point]
     wrong = rng.choice(np.flatnonzero(rays >= 4), 25, replace=False)
-    # one a point at most, so that each is told from the others
+    # one per point at most, so that each can be separated
     wrong = wrong[np.unique(see.point[wrong], return_index=True)[1]]
     xy = see.xy_px.copy()
     xy[wrong] += rng.uniform(6, 40, (len(wrong), 1)) * np.array([[0.6, 0.8]])

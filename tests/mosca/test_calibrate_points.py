@@ -1,4 +1,4 @@
-"""Target files and the calibration from measured points: what is read, and what is said of what cannot be."""
+"""Target files and the calibration from measured points: reading, and error messages."""
 
 import contextlib
 from pathlib import Path
@@ -34,7 +34,7 @@ K = np.array([[2000.0, 0.0, 650.0], [0.0, 2010.0, 520.0], [0.0, 0.0, 1.0]])
 
 
 def write_recording(folder: Path, noise_px: float = 0.1) -> dict[str, np.ndarray]:
-    """Two cameras 2 m before a stepped target, one at each side; returns their places [m]."""
+    """Two cameras 2 m before a stepped target, one at each side; returns their positions [m]."""
     axis = np.linspace(-300.0, 300.0, 7)
     x, y = np.meshgrid(axis, axis)
     points = np.column_stack([x.ravel(), y.ravel(), 60.0 * (np.arange(x.size) % 4)])

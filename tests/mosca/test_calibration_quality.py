@@ -1,4 +1,4 @@
-"""Each failure of a calibration is told by its own code, and near its limit; good calibrations are left in peace."""
+"""Each failure of a calibration has a code of its own, raised near its limit; good calibrations have no findings."""
 
 from dataclasses import replace
 
@@ -61,7 +61,7 @@ def test_good_board_raises_nothing(seed):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_good_waved_points_raise_nothing(seed):
-    # as a wand gives them: places unknown, each seen in one frame only
+    # as a wand gives them: positions unknown, each seen in one frame only
     rng = np.random.default_rng(4000 + seed)
     cameras = good_rig(rng, 4)
     world = rng.uniform(-1, 1, (200, 3)) * [1.1, 1.1, 0.9] + [0, 0, 1]
@@ -293,7 +293,7 @@ def test_a_principal_distance_unlike_the_known_one(good, change, expected):
 
 
 def only(calibration, keep):
-    """Return the calibration as if the other points had not been placed."""
+    """Return the calibration as if the other points had no positions."""
     residuals = np.where(keep[:, None], calibration.residuals_px, np.nan)
     return replace(calibration, used=calibration.used & keep, residuals_px=residuals)
 

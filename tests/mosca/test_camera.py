@@ -170,7 +170,7 @@ def test_a_polynomial_that_rises_again_images_nothing_there():
     lens = OpenCVLens(300, 300, 160, 110, k1=-0.4, k2=0.06)
     xy = lens_pixels(lens, np.array([[1.08, 0.0, 1.0], [1.8, 0.0, 1.0], [2.5, 0.0, 1.0]]))
     np.testing.assert_array_equal(np.isfinite(xy).all(axis=1), [True, False, False])
-    # nor does a pixel farther out than 0.6643 x 300 px look anywhere
+    # nor does a pixel farther out than 0.6643 x 300 px have a ray
     v = lens_directions(lens, np.array([[160 + 190.0, 110.0], [160 + 210.0, 110.0], [160 + 400.0, 110.0]]))
     np.testing.assert_array_equal(np.isfinite(v[:, 0]), [True, False, False])
 

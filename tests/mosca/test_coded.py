@@ -26,7 +26,7 @@ SHAPE = (240, 320)
 
 
 def views(seed: int, dot_px: float, tilt_deg: float = 0.0, z: float = 100.0) -> list[View]:
-    """Return plates on a grid, each with a number, a place, a roll and a side to lean to of its own."""
+    """Return plates on a grid, each with its own number, position, roll and direction of tilt."""
     rng = np.random.default_rng(seed)
     cell = 5.6 * dot_px + 6
     columns, rows = int(SHAPE[1] / cell), int(SHAPE[0] / cell)
@@ -155,7 +155,7 @@ def test_a_mirrored_image_reads_no_number_but_those(axis):
     assert len(plates) - len(wanted) > 10
     found = find_coded(np.ascontiguousarray(np.flip(picture(plates), axis)), "left")
     assert found.number.tolist() == sorted(wanted)
-    # all 25 that a mirror makes a number, as the table says
+    # all 25 whose mirror image is a number, by the table
     chosen = list(read)
     plates = [View(n, (30 + 58 * (i % 5), 26 + 48 * (i // 5)), 8.0, roll=0.3 * i) for i, n in enumerate(chosen)]
     found = find_coded(np.ascontiguousarray(np.flip(paint((260, 320), plates, noise=0), axis)), "left")
@@ -163,7 +163,7 @@ def test_a_mirrored_image_reads_no_number_but_those(axis):
 
 
 def test_sectors_taken_the_wrong_way_round_would_be_noticed(monkeypatch):
-    """Control: with the sense of rotation turned, the same images are not read."""
+    """Control: with the sense of rotation reversed, the same images are not read."""
     plates = [v for v in views(10, 12) if number_of(code_bits(v.number)[::-1]) is None]
     image = picture(plates)
     assert find_coded(image, "left").number.tolist() == numbers(plates)
@@ -381,7 +381,7 @@ def test_smallest_sizes_through_the_twin():
 
 @pytest.mark.parametrize(("size", "tilt"), [(6.0, 0.0), (10.0, 30.0), (16.0, 60.0), (30.0, 30.0)])
 def test_centres_of_rendered_targets(size, tilt):
-    """Noise of 10 electrons, full well 20,000, steady camera: 0.01 px rms at the most, and as the covariance says."""
+    """Noise of 10 electrons, full well 20,000, steady camera: at most 0.01 px rms, consistent with the covariance."""
     sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
     from bench_coded import Rendering, centre_errors
 

@@ -40,7 +40,7 @@ def test_a_checkerboard_held_by_hand_is_found(name):
     apart = np.linalg.norm(found.xy_px[:, None] - theirs.reshape(-1, 2), axis=2).min(axis=1)
     assert apart.max() < 1.5
     assert np.median(apart) < 0.3
-    for columns, rows in ((9, 6), (8, 7), (7, 6), (6, 5), (9, 4)):  # told the wrong size: refused
+    for columns, rows in ((9, 6), (8, 7), (7, 6), (6, 5), (9, 4)):  # wrong size given: refused
         assert len(find_board(image, Board(columns, rows, 0.03, 0.03))) == 0
 
 
@@ -80,7 +80,7 @@ def test_a_charuco_board_is_found_where_caliscope_found_it():
 
 
 def test_a_board_seen_from_behind_is_refused():
-    """Camera 1 looks through the frame at the other side, printed as its mirror image."""
+    """Camera 1 sees the other side through the frame, printed as its mirror image."""
     read, image = cv2.VideoCapture(str(VIDEOS / "cam_1.mp4")).read()
     assert read
     grey = 255 - cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)

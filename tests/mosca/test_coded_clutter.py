@@ -35,7 +35,7 @@ def test_ten_thousand_views_of_clutter_are_no_target(seed):
 
 
 def test_the_same_plates_with_numbers_are_read():
-    """Control: the clutter that is hardest to tell from targets is read where its rings are numbers."""
+    """Control: the clutter that is most similar to targets is read where its rings are numbers."""
     rng = np.random.default_rng(3)
     read = total = 0
     for _ in range(12):

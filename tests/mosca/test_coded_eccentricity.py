@@ -107,7 +107,7 @@ def test_measured_centres_are_right_once_it_is_taken_off():
         view = View(17 + k, (120.0, 120.0), 40.0, np.deg2rad(55), k, 2.0 * k, z=20.0)
         found = find_coded(paint((240, 240), [view], noise=0, samples=4), "left")
         assert found.number.tolist() == [17 + k]
-        # the painter's own camera looks along the ray to the plate
+        # the renderer's own camera axis is the ray to the plate
         eye = camera(OpenCVLens(400.0, 400.0, 120.0, 120.0))
         off = eccentricity_px(eye, view.centre[None], view.rotation[:, 2][None], 1.0)[0]
         measured = found.xy_px[0] - view.xy

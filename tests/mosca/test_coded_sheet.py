@@ -129,7 +129,7 @@ def test_a_sheet_is_read_as_what_was_printed(tmp_path, ending, paths_of, colour)
     (file,) = write_target_sheets(tmp_path / f"sheet{ending}", TARGETS, colour=colour)
     found = find_coded(painted(paths_of(file)), "scan", CodedSettings(colour=colour, maximum_dot_px=60))
     assert found.number.tolist() == [target.number for target in TARGETS]
-    # true size and place: PER_MM pixels a millimetre
+    # true size and position: PER_MM pixels a millimetre
     np.testing.assert_allclose(found.semi_axes_px, 1000 * DOT_M * PER_MM, atol=0.3)
     (places,) = lay_out_sheets(TARGETS)
     at = np.array([[place.x_mm, PAGES_MM["A4"][1] - place.y_mm] for place in places]) * PER_MM - 0.5

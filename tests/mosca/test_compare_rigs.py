@@ -1,4 +1,4 @@
-"""Two calibrations compared: hand-made differences come out as they were put in."""
+"""Two calibrations compared: known differences are recovered."""
 
 from dataclasses import replace
 
@@ -61,7 +61,7 @@ def test_a_principal_point_shift_is_its_own_size():
     found = compare_rigs(RIG, changed(RIG, 1, cx_px=RIG.cameras[1].lens.cx_px + 0.5), align="none")
     assert found.cameras[1].rms_px == pytest.approx(0.5, rel=1e-6)
     assert found.cameras[0].rms_px < 1e-9
-    # a shift and a turn look nearly alike
+    # a shift and a rotation are nearly alike
     assert found.cameras[1].lens_rms_px < 0.15
 
 

@@ -79,7 +79,7 @@ def test_every_image_point_gets_its_marker(own_clock):
     of_marker = {}
     for c in range(3):
         own = np.flatnonzero(observations.camera == c)
-        # which image point it is: by its place in its frame
+        # index of the image point in its frame
         for k in own:
             one, frame = seen[c], observations.exposure[k]
             rows = np.arange(one.start[frame], one.start[frame + 1])
@@ -124,7 +124,7 @@ def test_stamps_must_rise():
 
 
 class _Straight:
-    """Two points that move straight on, with a covariance that says its time."""
+    """Two points in straight motion, with a covariance that encodes the time."""
 
     points = ("a", "b")
 
@@ -152,7 +152,7 @@ def test_samples_on_a_grid_say_what_vouches_for_them():
     instants = np.array([-0.1, 0.105, 0.45, 0.7, 2.0])
     tracks = tracks_on_grid(_Straight(), given, cameras, instants, np.arange(5) * 10, [0.02, 0.02, 0.02])
     assert isinstance(tracks, Tracks)
-    # before the first and after the last image point nothing is said; between them the curve carries on
+    # no values before the first and after the last image point; between them the curve is continued
     np.testing.assert_array_equal(np.unique(tracks.frame), [1, 2, 3])
     assert tracks.status[tracks.frame == 1].tolist() == ["measured"] * 2
     assert tracks.status[tracks.frame == 2].tolist() == ["filled"] * 2

@@ -1,4 +1,4 @@
-"""Curves from free-running cameras: as exact as stated, clocks found, limbs found, and what cannot be told is said.
+"""Curves from free-running cameras: errors as stated, clocks and limbs found, undetermined quantities reported.
 
 Truth is sums of sines, not curves of the estimate's own kind.
 """
@@ -134,7 +134,7 @@ def test_false_constant_distances_loosen_themselves_and_leave(monkeypatch):
     caught = estimate(observations, ring())
     assert caught.distances == ()
     assert rms(caught, path, within) < 1.1 * alone
-    # the control: held as rigid as they were said to be, they do harm
+    # the control: with the rigidity as stated, they increase the errors
     monkeypatch.setattr(whole, "learned", lambda pairs, *_: (pairs, np.ones(len(pairs), dtype=bool)))
     assert rms(estimate(observations, ring()), path, within) > 2 * alone
 
@@ -183,7 +183,7 @@ def test_unknown_cameras_that_stand_still_cost_little():
     error = np.linalg.norm(aligned(estimated.curves.at(within).reshape(-1, 3), truth) - truth, axis=1)
     known = rms(estimate(observations, ring(), PLAIN), path, within)
     unknown = np.sqrt((error**2).mean())
-    # the bound: what the stated covariance says cameras add, after the same similarity; a thousandth here
+    # the bound: the cameras' part by the stated covariance, after the same similarity; a thousandth here
     bound = np.hypot(known, added_by_cameras(estimated.curves, within)) / known
     assert bound < 1.01
     assert unknown < 1.02 * bound * known

@@ -1,4 +1,4 @@
-"""What is said of clocks: an offset that is one of several, stamps that do not fit what the images show."""
+"""Findings on clocks: an ambiguous offset, time stamps that contradict the images."""
 
 import re
 from types import SimpleNamespace
@@ -20,7 +20,7 @@ def test_another_top_of_like_height_is_a_rival():
 
 
 def told_of_ties(seen, ties) -> tuple[str, ...]:
-    """What is told where every image point has its marker and no image is missing."""
+    """Findings where every image point has its marker and no image is missing."""
     gathered = SimpleNamespace(count=SimpleNamespace(unusable={}), seen=seen, ties=ties)
     camera = np.concatenate([np.full(len(one.xy_px), c) for c, one in enumerate(seen)])
     return association_findings(gathered, observations_of(camera))
@@ -79,7 +79,7 @@ def test_a_late_camera_is_told_by_how_much():
     told = late_cameras(_Truth(), observed({1: 0.0004}), rig())
     assert len(told) == 1
     said = re.match(r"camera 'c1': its images show points ([\d.]+) ms", told[0])
-    # 0.01 ms is two of its standard deviations, and it is told to 0.01 ms
+    # 0.01 ms is two of its standard deviations, and it is reported to 0.01 ms
     assert said is not None
     assert abs(float(said[1]) - 0.4) < 0.02
     assert "after its stamps" in told[0]

@@ -154,7 +154,7 @@ def test_a_lamp_beside_the_lens_is_carried_by_turn_and_place():
 
 
 def test_epipoles_steady_moving_cameras():
-    """Camera places at each instant by itself, 0.3 px noise: at least halved, and swapped epipoles do not fit."""
+    """Camera positions at each instant by itself, 0.3 px noise: at least halved, and swapped epipoles do not fit."""
     truth = waving(points=15, frames=64)
     rig, see = synchronous(truth, noise=0.3)
     frames, still = shared_frames(see, truth), StillCameras.of(rig)

@@ -1,6 +1,6 @@
 """Worn cameras by each other's lamps: codes read from frames, poses from sightings alone, markers out of all of it.
 
-Images are computed here by the equidistant projection (radius = f x angle); two cameras stand, one is waved about.
+Images are computed here by the equidistant projection (radius = f x angle); two cameras are still, one is moved.
 """
 
 import numpy as np
@@ -27,7 +27,7 @@ LAMP_M = np.array([[0.0, 0.03, -0.02], [0.01, 0.03, 0.0], [0.0, -0.03, -0.01]])
 NUMBERS = (0, 3, 5)
 LATE_S = (0.0, 0.011, 0.006)
 SHIFT_S = 0.0083
-"""Where in a bit the lamps are at time 0: no camera knows."""
+"""Phase of the lamps' bit at time 0, unknown to the cameras."""
 
 
 STANDING = (looking_at([-0.5, -0.6, 0.2], [0.1, 0.2, 0.0]), looking_at([0.5, -0.6, 0.2], [-0.1, 0.2, 0.0]))
@@ -151,7 +151,7 @@ def test_sightings_of_lamps_alone_place_a_camera_exactly():
 
 
 def test_a_camera_that_sees_one_lamp_alone_is_not_placed():
-    """Its place is told by two others, but it may turn about the one ray."""
+    """Its position is determined by two others, but its rotation about the one ray is free."""
     sights = exact_sights(np.linspace(0.0, 1.0, 5))
     sights.rays[2, 2, 1] = np.nan
     placed = placed_by_lamps(sights, rig(known_pose=False), KNOWN, LAMP_M)
@@ -227,7 +227,7 @@ def test_markers_and_the_camera_on_a_limb_come_out_of_images_alone(session):
 
 
 def test_lamps_taken_for_others_are_refused(session):
-    """The control: numbers that are not the lamps' own place nobody."""
+    """The control: with wrong lamp numbers no camera gets a pose."""
     seen, _whose = session
     with pytest.raises(InputError, match="camera 'c2': lamps tell at 0 instants where it is"):
         solve_worn(

@@ -88,7 +88,7 @@ def test_fit_meets_smooth_curves():
     holed[0, 20] = np.nan
     nets = fitted(Nets.fresh(2, 3, (1.0, 3.0), 0.1, rng), t, holed)
     assert nets.at(t) == pytest.approx(values, abs=0.01)
-    # the hidden layer alone, frozen at zero, says nothing
+    # the hidden layer alone, frozen at zero, has no effect
     assert np.abs(Nets.fresh(2, 3, (1.0, 3.0), 0.1, rng).at(t)).max() == 0
 
 
@@ -140,7 +140,7 @@ def test_steady_cameras_move_by_their_slopes():
 
 @pytest.fixture(scope="module")
 def fast():
-    """Six points in motion that nine frames hardly resolve: 3.5 Hz, cameras that take turns."""
+    """Six points in motion that nine frames hardly resolve: 3.5 Hz, alternating cameras."""
     rng = np.random.default_rng(4)
     t = np.arange(150) / 120.0
     middle = rng.uniform([-0.4, -0.4, 0.2], [0.4, 0.4, 1.6], (10, 3))

@@ -80,5 +80,5 @@ def test_what_the_rig_says_of_its_lenses_is_stated():
     images = np.stack([project(camera, places) for camera in plain.cameras], axis=1)
     wanted = np.trace(triangulate(plain, images, 0.1)[1], axis1=1, axis2=2)
     stated = np.trace(estimated.curves.unheld, axis1=2, axis2=3).ravel()
-    # told half a second at a time, in which points move by 0.1 m
+    # given for half a second at a time, in which points move by 0.1 m
     np.testing.assert_allclose(np.sqrt(stated), np.sqrt(wanted), rtol=0.15)

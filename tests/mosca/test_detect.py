@@ -270,7 +270,7 @@ def test_transposing_the_image_swaps_x_and_y(seed, centroid, atol):
     for a in range(len(straight)):
         b = int(np.argmin(np.hypot(*(swapped.xy_px[:, ::-1] - straight.xy_px[a]).T)))
         if {int(straight.flags[a]), int(swapped.flags[b])} - {0, UNREFINED}:
-            continue  # grown together: which pixels a neighbour takes depends on the order of places
+            continue  # grown together: which pixels a neighbour takes depends on the order of positions
         np.testing.assert_allclose(swapped.xy_px[b, ::-1], straight.xy_px[a], rtol=0, atol=atol)
         np.testing.assert_allclose(
             swapped.covariance_px2[b, ::-1, ::-1], straight.covariance_px2[a], rtol=max(1e-9, 25 * atol), atol=1e-8
@@ -434,7 +434,7 @@ def cramer_rao_px(diameter, blur, contrast, read, gain):
 
 
 def errors_on_discs(diameter, blur, contrast, snr, n=864, **change):
-    """Detect n discs at random places: errors and predicted variances (n, 2), phases, diameters, bound."""
+    """Detect n discs at random positions: errors and predicted variances (n, 2), phases, diameters, bound."""
     read, black = 0.5, 4.0
     gain = ((contrast / snr) ** 2 - read**2) / contrast
     rng = np.random.default_rng([int(10 * diameter), int(10 * blur), contrast, snr])
@@ -464,7 +464,7 @@ def errors_on_discs(diameter, blur, contrast, snr, n=864, **change):
 
 
 # Measured (rms error over the bound): 1.04-1.32 for 3 to 8 px; a centroid cannot be better on a sharp disc of
-# 12 px with photon noise, whose middle tells nothing of its place: 1.33-1.50.
+# 12 px with photon noise, whose middle has no information on its position: 1.33-1.50.
 @pytest.mark.parametrize("snr", [50, 100])
 @pytest.mark.parametrize("blur", [0.5, 0.7])
 @pytest.mark.parametrize(("diameter", "limit"), [(3, 1.38), (5, 1.35), (8, 1.38), (12, 1.6)])

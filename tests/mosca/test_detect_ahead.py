@@ -1,4 +1,4 @@
-"""Looking ahead: who looks at a frame set, and what becomes of its errors."""
+"""Detection ahead of the caller: which thread detects a frame set, and how its errors are raised."""
 
 import threading
 from itertools import islice
@@ -22,7 +22,7 @@ def in_callers_thread():
 
 
 class Held(FrameSetDetector):
-    """The threads that look ahead are held until the caller has looked at a set itself."""
+    """The threads that detect ahead are held until the caller has detected a set itself."""
 
     def detect(self, frame_set, *more, **others):
         if in_callers_thread():

@@ -13,7 +13,7 @@ from mosca.detection.scheduler import DELAY, EARLY_SETS, EARLY_UPDATES, UPDATE_P
 
 @cache
 def lesson(name, k):
-    """One whose sum tells which are in it."""
+    """One whose sum identifies its members."""
     rng = np.random.default_rng(k)
     root = rng.normal(size=(1, N_TERMS, 40))
     tallies = np.full((1, N_TALLIES), 30.0) + rng.random((1, N_TALLIES))

@@ -75,7 +75,7 @@ def test_balls_are_measured_where_they_are(name):
         z /= np.linalg.norm(z)
         side = np.cross([0, 1.0, 0], z)
         side /= np.linalg.norm(side)
-        # turned aside, so that the balls lie off the axis
+        # rotated, so that the balls lie off the axis
         place = Pose(np.column_stack([side, np.cross(z, side), z]), np.array([x, -0.1 * k, 0.0]))
         cameras.append(Camera(f"c{k}", 1024, 1024, LENSES[name], place))
     rig = Rig(tuple(cameras))

@@ -63,7 +63,7 @@ def test_shakes_of_whole_images_do_not_turn_the_cameras(seed):
     poses = [Pose(np.eye(3), np.zeros(3))] * 3 + stood(rng, 3, 3)
     given = seen(rig, field.positions, poses, rng, noise=0.005, shake=0.03)
     found = calibrate_sightings(given, field, LENS)
-    # the true lens turned about a camera's axes is as good as a shift of all its images; twelve shakes average out
+    # the true lens rotated about a camera's axes is as good as a shift of all its images; twelve shakes average out
     for one, true in zip(found.rig.cameras, rig.cameras, strict=True):
         assert ray_rms_px(one, true, 2.0) < 0.15
     taken = given.xy_px - found.sightings.xy_px
@@ -208,7 +208,7 @@ def test_the_l_frame_sets_the_axes():
     rig = small_rig()
     field = field_of(0.5 * field_marks(rng, 60))
     found = calibrate_sightings(seen(rig, field.positions, stood(rng, 1, 2, 0, 0), rng, noise=0.005), field, LENS)
-    # the field's axes are the world's; the L-frame stands elsewhere, turned by a right angle
+    # the field's axes are the world's; the L-frame has another position, rotated by a right angle
     turn, place = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([0.1, -0.1, -0.2])
     there = FRAME.positions @ turn.T + place
     images = [[balls(camera, there, FRAME.diameter_m) for camera in rig.cameras]] * 3

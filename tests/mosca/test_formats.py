@@ -134,7 +134,7 @@ def test_markers_are_named_by_label_and_found_again() -> None:
         one_sample("head", (1, 0, 0), frame=2, track=4),
         one_sample("head", (2, 0, 0), frame=5, track=9),  # lost and found again: the same marker
         one_sample("knee", (3, 0, 0), frame=5, track=1),
-        one_sample("knee", (4, 0, 0), frame=5, track=2),  # two at once: told apart by number
+        one_sample("knee", (4, 0, 0), frame=5, track=2),  # two at once: distinguished by number
         one_sample("", (5, 0, 0), frame=3, track=7, status="filled"),
     )
     table = table_from_tracks(tracks, 50.0)
@@ -284,7 +284,7 @@ def test_real_c3d_through_tracks_and_back(tmp_path: Path, path: Path) -> None:
     table = read_c3d(path)
     raw = ezc3d.c3d(str(path))["data"]["points"]
     assert table.xyz.shape == (raw.shape[2], raw.shape[1], 3)
-    assert np.nanmax(np.abs(table.xyz)) < 20  # a room, in metres
+    assert np.nanmax(np.abs(table.xyz)) < 20  # a volume in metres
     tracks = tracks_from_table(table)
     write_tracks(tracks, tmp_path / "a.c3d", table.rate_hz)
     again = read_c3d(tmp_path / "a.c3d")

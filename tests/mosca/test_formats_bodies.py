@@ -240,7 +240,7 @@ def some_motion() -> Motion:
     )  # fmt: skip
     rng = np.random.default_rng(3)
     turns = Rotation.random(20 * 7, random_state=3).as_quat()[:, [3, 0, 1, 2]].reshape(20, 7, 4)
-    turns[:, [4, 5]] = [1, 0, 0, 0]  # ends do not turn
+    turns[:, [4, 5]] = [1, 0, 0, 0]  # ends do not rotate
     return Motion(skeleton, 120.0, rng.normal(0, 1, (20, 3)), turns)
 
 

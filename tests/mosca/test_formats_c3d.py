@@ -1,4 +1,4 @@
-"""C3D and TRC at their edges: damaged parameters, strange labels, more than 255 points, what nobody knows."""
+"""C3D and TRC at their edges: damaged parameters, strange labels, more than 255 points, unknown content."""
 
 import os
 from pathlib import Path

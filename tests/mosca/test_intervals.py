@@ -27,7 +27,7 @@ def ratios(case: str, runs: int) -> list[np.ndarray]:
         rig = some_rig(rng, n=3, model="opencv")
         settings = RigidSettings(LensChoice("opencv"), FREE)
         if case == "field":
-            # with lenses known, turns take up the shakes; without, they hide behind the principal point
+            # with lenses known, rotations absorb the shakes; without, the principal point does
             marks, poses = field_marks(rng, 90), still(12)
             settings = replace(settings, exterior_only=True)
         else:
@@ -43,7 +43,7 @@ def ratios(case: str, runs: int) -> list[np.ndarray]:
 @pytest.mark.parametrize(("case", "runs"), [("field", 40), ("board", 8)])
 def test_intervals_cover(case, runs):
     inside = [np.mean(np.abs(one) <= 1.96) for one in ratios(case, runs)]
-    # runs are independent, parameters of one are not: the spread over runs tells the mean's own
+    # runs are independent, parameters of one are not: the spread over runs gives the mean's own
     doubt = max(np.std(inside) / np.sqrt(runs), 0.01)
     assert abs(np.mean(inside) - 0.95) < 4 * doubt
     assert doubt < 0.03
@@ -108,7 +108,7 @@ def design_of(rig, problem) -> np.ndarray:
 
 
 def test_shakes_are_generalised_least_squares():
-    """Estimate and covariance are those of dense generalised least squares, V = noise^2 + turns of each image."""
+    """Estimate and covariance are those of dense generalised least squares, V = noise^2 + rotations of each image."""
     rig, problem, exposure = shaken_problem(1)
     plain = solve(problem)
     xy = steadied(problem, plain, exposure, SHAKE)
@@ -120,7 +120,7 @@ def test_shakes_are_generalised_least_squares():
     image = np.repeat(1000 * see.camera + exposure, 2)
     v = NOISE**2 * np.eye(len(image))
     for axis in (0, 1):
-        # a turn about the camera's own x or y axis, by which the image's middle moves by a pixel
+        # a rotation about the camera's own x or y axis, by which the image's middle moves by a pixel
         turns = sum(
             design[:, 8 * c + axis] / (camera.lens.fx_px, camera.lens.fy_px)[1 - axis]
             for c, camera in enumerate(rig.cameras)

@@ -1,4 +1,4 @@
-"""What is compiled without a wrapper for Python crashes where Python calls it: nobody does."""
+"""Functions compiled without a Python wrapper crash when called from Python: no code does so."""
 
 import importlib
 import pkgutil
@@ -9,7 +9,7 @@ import mosca
 
 
 def codes(code: CodeType) -> Iterator[CodeType]:
-    """Yield a code and all that stands in it."""
+    """Yield a code object and all nested ones."""
     yield code
     for one in code.co_consts:
         if isinstance(one, CodeType):
@@ -26,7 +26,7 @@ def functions(module: ModuleType) -> Iterator[CodeType]:
 
 
 def alone(one: object) -> bool:
-    """Tell whether an object is compiled for other kernels only."""
+    """Return whether an object is compiled for other kernels only."""
     return bool(getattr(one, "targetoptions", {}).get("no_cpython_wrapper"))
 
 

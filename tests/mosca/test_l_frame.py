@@ -1,4 +1,4 @@
-"""The L-frame says where the world is, whatever axes a calibration came in, and is not believed when it cannot be."""
+"""The L-frame defines the world frame, whatever a calibration's axes, and is rejected when it is inconsistent."""
 
 from dataclasses import replace
 
@@ -160,7 +160,7 @@ def test_the_calibration_s_own_uncertainty_is_in_the_size_s():
     found = calibrated(TRUE, seen(TRUE, waved(60, seed=5)))
     images, table = l_frame_images()
     with_it, without = (world_from_l_frame(one, images, FRAME).scale_sigma for one in (found, found.rig))
-    # 300 draws tell a standard deviation to 4 %
+    # 300 draws give a standard deviation to 4 %
     assert np.sqrt(with_it**2 - without**2) == pytest.approx(np.std(drawn_sizes(found, table)[0]), rel=0.15)
 
 

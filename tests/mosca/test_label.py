@@ -32,7 +32,7 @@ LIMBS = {"torso": tuple(TORSO)} | {
 
 
 def figure(times: np.ndarray) -> tuple[list[str], np.ndarray]:
-    """Names (m) and places (t, m, 3) of markers on somebody who swings arms and legs while turning and walking."""
+    """Names (m) and positions (t, m, 3) of markers on a person who swings arms and legs while turning and walking."""
     names, paths = list(TORSO), [np.tile(place, (len(times), 1)) for place in TORSO.values()]
     for limb, (joint, marks) in LEFT.items():
         for side, mirror, phase in (("l", 1, 0.0), ("r", -1, np.pi)):
@@ -49,7 +49,7 @@ def figure(times: np.ndarray) -> tuple[list[str], np.ndarray]:
 
 
 def as_tracks(xyz: np.ndarray, track: np.ndarray, label: np.ndarray, seen: np.ndarray) -> Tracks:
-    """Tracks of places (t, m, 3) where ``seen`` (t, m); ``track`` (t, m) and ``label`` (m)."""
+    """Tracks of positions (t, m, 3) where ``seen`` (t, m); ``track`` (t, m) and ``label`` (m)."""
     rows, columns = np.nonzero(seen)
     n = len(rows)
     return Tracks(

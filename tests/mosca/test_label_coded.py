@@ -1,4 +1,4 @@
-"""Coded targets as points with numbers: places, covariance by chi-square, misread numbers left out."""
+"""Coded targets as points with numbers: positions, covariance by chi-square, misread numbers left out."""
 
 import numpy as np
 from rigid_scenes import some_rig

@@ -78,7 +78,7 @@ def test_pixel_to_ray_to_pixel_with_prism_and_tilt(prism, tau, seed):
 
 
 def test_a_sensor_tilted_beyond_the_light_sees_nothing():
-    # turned by 1.2 rad about y, the sensor's plane is parallel to rays with the slope tan(pi/2 - 1.2) = 0.389 towards
+    # rotated by 1.2 rad about y, the sensor's plane is parallel to rays of slope tan(pi/2 - 1.2) = 0.389 towards
     # -x: r31 x + r33 = sin(1.2) x + cos(1.2)
     lens = OpenCVLens(100.0, 100.0, 320.0, 240.0, tauY=1.2)
     seen = np.isfinite(lens_pixels(lens, np.array([[0.0, 0, 1], [-0.38, 0, 1], [-0.40, 0, 1]]))).all(axis=1)
@@ -142,7 +142,7 @@ def test_nothing_comes_from_outside_the_image_circle():
     for lens, circle in (
         (FisheyeLens(100.0, 100.0, 320.0, 240.0), 100.0 * np.pi),
         (FisheyeLens(100.0, 100.0, 320.0, 240.0, -0.1), 100.0 * np.sqrt(1 / 0.3) * 2 / 3),
-        (FisheyeLens(100.0, 100.0, 320.0, 240.0, -0.1, 0.01), None),  # never turns: 1 - 0.3 s + 0.05 s^2 > 0
+        (FisheyeLens(100.0, 100.0, 320.0, 240.0, -0.1, 0.01), None),  # monotonic: 1 - 0.3 s + 0.05 s^2 > 0
     ):
         edge = circle or 100.0 * np.pi * (1 - 0.1 * np.pi**2 + 0.01 * np.pi**4)
         at = np.column_stack([320.0 + edge * steps, np.full(len(steps), 240.0)])

@@ -1,4 +1,4 @@
-"""Live runs: bounded delay, whole sets left out and counted, errors told where one iterates."""
+"""Live runs: bounded delay, whole sets left out and counted, errors raised in the iteration."""
 
 import threading
 import time

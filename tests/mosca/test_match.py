@@ -40,7 +40,7 @@ def detected(rig, points, rng, sigma=SIGMA, clutter=0, miss=0.0):
         noise = rng.uniform((0, 0), (655, 490), (clutter, 2))
         places = np.concatenate([xy[keep] + rng.normal(0, sigma, (len(keep), 2)), noise])
         n = len(places)
-        # the image of a ball of 14 mm; clutter looks like one at the middle of the room
+        # the image of a ball of 14 mm; clutter has the size of one at the volume's middle
         away = np.linalg.norm(points[keep] - camera.world_from_camera.translation, axis=1)
         diameter = 800.0 * 0.014 / np.concatenate([away, np.full(clutter, 3.0)])
         found[camera.name] = Detections(
@@ -158,7 +158,7 @@ def test_covariance_is_honest_with_few_cameras_and_a_bad_ray_dropped(count):
     rig, nees = rig_of(count), []
     for seed in range(30):
         rng = np.random.default_rng(seed)
-        # far from each other, so that two cameras can tell
+        # far from each other, so that two cameras can distinguish them
         truth3d = np.column_stack([rng.uniform(-0.3, 0.3, (8, 2)), np.linspace(-0.5, 0.5, 8)])
         found, behind = detected(rig, truth3d, rng)
         if count == 4:
@@ -282,7 +282,7 @@ def test_clutter_of_many_cameras_makes_no_ghosts():
     rig, truth3d = rig_of(16), rng.uniform(-0.5, 0.5, (60, 3))
     found, _ = detected(rig, truth3d, rng, clutter=10, miss=0.3)
     bundle = make_ray_table(rig, found, 0.0)
-    # what lies behind some of the cameras could be a target that few see: only the volume tells
+    # a point behind some of the cameras could be a target that few see: only the volume excludes it
     room = (np.full(3, -1.0), np.full(3, 1.0))
     points = match(bundle, Predicted.nothing(), MatchSettings(camera_sigma_px=0.0), room)
     assert len(points) == 60
@@ -315,7 +315,7 @@ def test_tracks_save_the_search_and_wrong_ones_mislead_nobody(count, sigma_m):
             points[k] += len(one)
             changed[k] += len(rows ^ alone)
             wrong[k] += sum(len(g) > 1 or -1 in g for g in members(rig, one, behind))
-    # a stray ray in place of a missing one passes now and then; tracks make no more of them
+    # a stray ray sometimes replaces a missing one; tracks do not increase their number
     assert wrong[0] <= 0.01 * points[0]
     assert (wrong[1:] <= wrong[0] + 1).all()
     assert (abs(points[1:] - points[0]) <= 2).all()

@@ -1,4 +1,4 @@
-"""The marker model's file: what is written is read back, what is wrong is said in one line."""
+"""The marker model's file: round trip, and error messages of one line."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ head = ["A", "B", "C"]
 
 
 def body(frames=60, markers=6, seed=2):
-    """Labelled tracks of a rigid set of markers that turns and moves."""
+    """Labelled tracks of a rigid set of markers that rotates and moves."""
     rng = np.random.default_rng(seed)
     places = rng.uniform(-0.2, 0.2, (markers, 3))
     angle = 0.03 * np.arange(frames)

@@ -112,7 +112,7 @@ def test_each_lens_model_calibrates_the_three_cameras(calibrated, lens):
         assert np.median(np.linalg.norm(adjustment.residuals_px, axis=1)) < limit
         # at most 7 of 432 points are blunders (up to 2.9 px off)
         assert len(adjustment.rejected) <= 8
-        # the cameras stand about half a metre before the 68 mm target, on its positive Z side
+        # the cameras are about half a metre before the 68 mm target, on its positive Z side
         assert 0.45 < adjustment.camera.world_from_camera.translation[2] < 0.7
 
 

@@ -1,4 +1,4 @@
-"""Chaining of views: poses put together over common views, and who is told apart where there are none."""
+"""Chaining of views: poses joined over common views, and separate groups where there are none."""
 
 import numpy as np
 import pytest

@@ -1,9 +1,9 @@
 """Real cameras before a water tank: the proPTV / OpenPTV / MyPTV comparison (MIT), four cameras, five target planes.
 
 Calibrated from the planes at 26, 150 and 274 mm and scored on those at 88 and 212 mm: the known marker positions are
-the witness. What the score is made of is measured here too: the image points are rounded to whole pixels, the
-target turned and shifted a little from plane to plane, and a lens alone cannot follow the refraction at the water's
-surface, whose law is written out below.
+the reference. The parts of the score are measured here too: the image points are rounded to whole pixels, the
+target was rotated and shifted a little from plane to plane, and a lens model alone cannot describe the refraction at
+the water's surface, whose law is written out below.
 """
 
 import os
@@ -90,7 +90,7 @@ def rms(values: np.ndarray) -> np.ndarray:
 
 
 def as_stands(error: np.ndarray, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return what a shift and turn of each plane explains of errors (n, 3), and these motions (s, 6)."""
+    """Return the part of errors (n, 3) explained by a shift and rotation of each plane, and these motions (s, 6)."""
     centres, stand = stand_centres(xyz, 2)
     explained, motions = np.empty_like(error), []
     for k, centre in enumerate(centres):
@@ -175,7 +175,7 @@ def test_what_the_held_out_error_is_made_of(markers, calibrated):
     for name, value in (("stands", rms(stands_mm)), ("rest", rms(rest_mm)), ("rounding", rounding_mm)):
         print(f"{name}_rms_mm", value.tolist())
     np.testing.assert_allclose(rounding_mm, (0.025, 0.025, 0.128), atol=0.002)
-    # the held-out planes stood a little turned and shifted themselves, which no calibration can know
+    # the held-out planes were a little rotated and shifted themselves, which no calibration can know
     assert ((rms(stands_mm)[:2] > 0.035) & (rms(stands_mm)[:2] < 0.06)).all()
     assert (rms(rest_mm)[:2] < 0.042).all()  # rounding 0.025, so the lens model's own misfit is 0.03 mm or less
     turns_mrad = motion[:, 5]
@@ -184,7 +184,7 @@ def test_what_the_held_out_error_is_made_of(markers, calibrated):
 
 
 def test_the_target_turned_along_its_traverse(markers, calibrated):
-    """Four cameras agree that the planes are turned by -1, 0 and +1 mrad about the traverse, as the held-out ones
+    """Four cameras agree that the planes are rotated by -1, 0 and +1 mrad about the traverse, as the held-out ones
     (between them) are by half as much.
     """
     free = adjusted(markers.on(TRAINED), STANDS)

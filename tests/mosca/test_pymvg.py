@@ -99,7 +99,7 @@ def test_half_of_the_frames_agree_with_all_within_their_own_bounds(calibration):
 def test_centres_agree_with_the_shipped_ones_as_far_as_these_go(calibration):
     """The shipped centres are good to about 3 % of the rig's size, ours to 0.1 %.
 
-    Measured: ours miss them by 3.0 % rms. What the shipped result says of itself: its cameras have skews up to 4 px
+    Measured: ours miss them by 3.0 % rms. The shipped result's own figures: its cameras have skews up to 4 px
     and pixels 0.8 % out of square, its residuals are 2.5 times ours, and it misses the surveyed centres that come
     with the session by 5.7 % where ours miss them by 5.0 %.
     """

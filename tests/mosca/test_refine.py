@@ -65,7 +65,7 @@ def pixels(image, ix, iy):
 
 
 def bound_px(diameter, blur, contrast, gain, **odd):
-    """Cramer-Rao bound (x, y) with place, contrast, background and diameter unknown."""
+    """Cramer-Rao bound (x, y) with position, contrast, background and diameter unknown."""
     image = fine_image(diameter, blur, **odd)
     n = len(image) // 2
     wider, smaller = (fine_image(diameter + step, blur, **odd) for step in (0.06, -0.06))
@@ -93,7 +93,7 @@ def bound_px(diameter, blur, contrast, gain, **odd):
 
 
 def frame(rng, diameter, blur, contrast, snr, n=400, **odd):
-    """n targets at random places: image, true places (n, 2), gain."""
+    """n targets at random positions: image, true positions (n, 2), gain."""
     image = fine_image(diameter, blur, **odd)
     side = len(image) // FINE
     across = max(600 // side, 1)
@@ -163,7 +163,7 @@ def test_small_large_and_blurred_targets_reach_the_bound(diameter, blur):
 
 
 def test_wrong_noise_makes_the_stated_error_wrong():
-    """The control: told a quarter of the noise, chi-square is far off."""
+    """The control: with a quarter of the noise stated, chi-square is far off."""
     rng = np.random.default_rng(3)
     image, truth, gain = frame(rng, 6.3, 0.7, 200, 50)
     error, variance = errors(detect(image, "a", settings_for(200, 50, gain / 4)), truth)

@@ -47,7 +47,7 @@ def frame(light, rng):
 
 
 def bounds_px2(shapes):
-    """Cramer-Rao bound of both places (2, 2, 2), all ten unknowns unknown: by central differences of images."""
+    """Cramer-Rao bound of both positions (2, 2, 2), all ten unknowns unknown: by central differences of images."""
     flat = np.array([value for shape in shapes for value in shape[:4]])
 
     def light(p):
@@ -103,7 +103,7 @@ def test_two_discs_reach_their_joint_bound(diameter, most, learned):
             squared.append(away[k] @ away[k])
             least.append(np.trace(bound))
             stated.append(away[k] @ np.linalg.solve(found.covariance_px2[k], away[k]))
-    # below 6 px what is common to both discs is not quite that of two straight edges; the covariance says so
+    # below 6 px what is common to both discs is not quite that of two straight edges; the covariance shows it
     assert np.sqrt(np.mean(squared) / np.mean(least)) < most
     # chi-square of 2 degrees of freedom: 20 of them have a mean of 2 +- 0.45
     assert 0.7 < np.mean(stated) < 3.2

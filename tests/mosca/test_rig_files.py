@@ -92,7 +92,7 @@ def test_reading_by_hand(tmp_path: Path) -> None:
     assert (left.width, left.height) == (1280, 1024)
     assert left.lens == OpenCVLens(1400.0, 1401.0, 640.0, 511.5, k1=-0.1)
     assert right.lens == MoscaLens(8.0, 640.0, 511.5, 0.005, 0.005, K1_per_mm2=1e-4)
-    # (0.5, -0.5, 0.5, -0.5) is the camera that looks along the world's +x, its x to -y, its y down.
+    # (0.5, -0.5, 0.5, -0.5) is the camera with its axis along the world's +x, its x to -y, its y down.
     np.testing.assert_allclose(left.world_from_camera.rotation, [[0, 0, 1], [-1, 0, 0], [0, -1, 0]], atol=1e-15)
     np.testing.assert_array_equal(left.world_from_camera.translation, [2.0, -1.5, 2.2])
     np.testing.assert_array_equal(right.world_from_camera.rotation, np.eye(3))

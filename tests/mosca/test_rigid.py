@@ -1,4 +1,4 @@
-"""Calibration from rigid targets: fields that stand, boards that are carried, all lens models, blunders, errors."""
+"""Calibration from rigid targets: still fields, moved boards, all lens models, blunders, errors."""
 
 from dataclasses import replace
 
@@ -94,7 +94,7 @@ def test_stands_with_marks_nearly_known_improve_the_marks():
     given = marks + rng.normal(0, sigma, marks.shape)
     done = calibrate_rigid(seen(rig, marks, poses, rng), RigidTarget("field", given, sigma), MOSCA)
     assert worst(done, rig, poses) < 4.5
-    # what is left after the frame's own shift and turn, which the images cannot know
+    # residuals after the frame's own shift and rotation, which images do not determine
     before, after = given - marks, done.marks_m - marks
     assert np.std(after - after.mean(axis=0)) < 0.5 * np.std(before)
     assert len(done.target_translation) == 3

@@ -1,4 +1,4 @@
-"""Self-calibration knows neither lengths nor focal lengths, and never returns a mirrored or impossible rig."""
+"""Self-calibration needs neither lengths nor focal lengths, and never returns a mirrored or impossible rig."""
 
 from dataclasses import replace
 
@@ -23,7 +23,7 @@ def test_a_waved_light_gives_the_rig_up_to_its_size(cameras, focals):
     found = self_calibrate(seen(true, world), np.random.default_rng(0), unknown(true))
     z, _ = normalised_errors(found, true, world, stretch=True)
     assert np.abs(z).max() < 4.5
-    # the errors of all focal lengths go together, so that one rig's rms says little (0.74 over eight rigs)
+    # the errors of all focal lengths go together, so that one rig's rms is of little use (0.74 over eight rigs)
     assert np.sqrt(np.mean(z**2)) < 1.9
     # a similarity has no reflection, so a mirrored rig would miss by metres
     assert found.scaled_by.startswith("nothing")

@@ -1,4 +1,4 @@
-"""Smoothing and filling: measured stays measured, errors shrink, what is filled says honestly how far to trust it."""
+"""Smoothing and filling: measured stays measured, errors shrink, filled samples have true covariances."""
 
 import numpy as np
 import pytest

@@ -13,7 +13,7 @@ RATE, SIGMA_M, HIDDEN_M = 100.0, 2e-4, 2e-3
 def track_with_gaps(rng: np.random.Generator, told: bool) -> tuple[Tracks, np.ndarray]:
     """Return a swinging target's track with gaps of 3 frames, half hidden for 6 frames on both sides of each.
 
-    Half hidden, its error is the same all the time, 2 mm an axis; ``told``: its covariance says so.
+    Half hidden, its error is the same all the time, 2 mm an axis; ``told``: its covariance includes that.
     """
     frame = np.arange(600)
     t = frame / RATE
@@ -43,7 +43,7 @@ def track_with_gaps(rng: np.random.Generator, told: bool) -> tuple[Tracks, np.nd
 
 @pytest.mark.parametrize(("told", "least", "most"), [(True, 0.8, 1.0), (False, 0.0, 0.6)])
 def test_coverage_beside_half_hidden_images(told: bool, least: float, most: float) -> None:
-    """With covariances that say so nine of ten samples are covered; the control, whose do not, is not."""
+    """With covariances that include it nine of ten samples are covered; the control, without, is not."""
     covered = []
     for seed in range(6):
         tracks, truth = track_with_gaps(np.random.default_rng(seed), told)

@@ -1,4 +1,4 @@
-"""Stands of a target: standing under shake, stop and go, slow creep, gaps."""
+"""Stationary intervals of a target: shake, stop and go, slow creep, gaps."""
 
 from dataclasses import replace
 
@@ -50,12 +50,12 @@ def test_a_slow_creep_is_a_motion_too():
     stands = stationary_intervals(made(shifts, np.random.default_rng(3)))
     assert stands.max() >= 2
     for k in range(stands.max() + 1):
-        # nowhere may one stand hold more than the limit and the noise of its first frame
+        # no interval's motion exceeds the limit plus the noise of its first frame
         assert 0.05 * (np.sum(stands == k) - 1) <= LEAST_MOVE_PX + 0.1
 
 
 def test_a_turn_about_the_middle_is_a_motion():
-    """The mean place stays, the marks do not."""
+    """The mean position stays, the marks' positions do not."""
     rng = np.random.default_rng(4)
     still = made(np.zeros((2, 2)), rng)
     xy, second = still.xy_px.copy(), still.frame == 1

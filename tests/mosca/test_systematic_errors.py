@@ -1,4 +1,4 @@
-"""Errors that are the same in each exposure of a target that stands still: found, and stated."""
+"""Errors that are the same in each exposure of a still target: found, and stated."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ SETTINGS = RigidSettings(LensChoice("mosca", 0.0099))
 
 
 def calibrated(seed, lasting_px, repeats=REPEATS):
-    """Return rig, poses and calibration from stands whose marks are each off by ``lasting_px`` in each camera."""
+    """Return rig, poses and calibration from still poses whose marks are off by ``lasting_px`` in each camera."""
     rng = np.random.default_rng(seed)
     rig = some_rig(rng, 3)
     marks = field_marks(rng, 40)
@@ -51,7 +51,7 @@ def test_the_covariance_holds_what_lasts(monkeypatch):
 
 
 def test_nothing_is_said_to_last_where_nothing_stood():
-    """Each exposure shows another stand: what lasts cannot be told from noise, which is stated instead."""
+    """Each exposure shows another pose: systematic errors are inseparable from noise, which is stated instead."""
     _, _, calibration = calibrated(2, 0.0, repeats=1)
     assert np.isnan(calibration.lasting_px).all()
     stated = [camera.residual_px for camera in with_residuals(calibration).cameras]

@@ -15,7 +15,7 @@ from mosca.errors import InputError
 
 
 def distances(code: CyclicCode) -> np.ndarray:
-    """Hamming distance (n, n, length) of each word from each other one turned by each number of places."""
+    """Hamming distance (n, n, length) of each word from each other one rotated by each number of bits."""
     table = np.array([code.bits(k) for k in range(len(code.words))], dtype=np.int64)
     ones = table.sum(axis=1)
     common = np.stack([table @ np.roll(table, turn, axis=1).T for turn in range(code.length)], axis=2)

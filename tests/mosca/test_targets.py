@@ -1,4 +1,4 @@
-"""Targets, boards, wands and frames: places by hand and by OpenCV, and what cannot be is refused."""
+"""Targets, boards, wands and frames: positions by hand and by OpenCV, and impossible ones are refused."""
 
 import re
 
@@ -28,7 +28,7 @@ S = np.sqrt(0.5)
     ("normal", "x_axis", "x", "y"),
     [
         ([0, 0, 2], None, [1, 0, 0], [0, 1, 0]),
-        ([1, 0, 0], None, [0, 1, 0], [0, 0, 1]),  # one who looks along -x has y at his right and z up
+        ([1, 0, 0], None, [0, 1, 0], [0, 0, 1]),  # seen along -x, y is to the right and z up
         ([0, 1, 0], None, [-1, 0, 0], [0, 0, 1]),
         ([0, -3, 0], None, [1, 0, 0], [0, 0, 1]),
         ([0, 0, -1], None, [1, 0, 0], [0, -1, 0]),

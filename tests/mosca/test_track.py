@@ -1,4 +1,4 @@
-"""Tracking: identities through noise, occlusion and crossing; nothing uncertain is handed out."""
+"""Tracking: identities through noise, occlusion and crossing; uncertain points are withheld."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def test_a_moving_target_is_one_track_from_its_first_frame():
     tracks = follow([points(p) for p in path])
     assert np.unique(tracks.track).tolist() == [0]
     assert tracks.frame.tolist() == list(range(60))
-    # measured points are handed out as they are
+    # measured points are returned unchanged
     np.testing.assert_array_equal(tracks.xyz, path)
 
 
@@ -71,7 +71,7 @@ def test_a_long_absence_ends_a_track():
 
 
 def test_crossing_targets_keep_their_identities():
-    # two targets pass at 3 cm, their nearest neighbours exchanged at each frame's old places
+    # two targets pass at 3 cm, their nearest neighbours exchanged at each frame's old positions
     k = np.arange(100)[:, None]
     one = np.hstack([0.02 * (k - 50), 0 * k + 0.015, 0 * k])
     two = np.hstack([-0.02 * (k - 50), 0 * k - 0.015, 0 * k])

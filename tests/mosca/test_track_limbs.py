@@ -76,7 +76,7 @@ def test_a_stray_point_near_the_limb_is_not_the_hidden_marker():
     path = limb_path(320)
     frames = []
     for k, x in enumerate(path):
-        # 4 cm beside the place of the hidden marker, for half a second
+        # 4 cm beside the hidden marker, for half a second
         frames.append(points(np.vstack([x[:3], x[3] + [0, 0.04, 0]]) if 200 <= k < 250 else x[:3] if k >= 150 else x))
     tracks = follow(frames)
     hidden = identity_at(tracks, 100, path[100, 3])
@@ -84,7 +84,7 @@ def test_a_stray_point_near_the_limb_is_not_the_hidden_marker():
 
 
 def leaving_its_limb(acceleration):
-    """The fist of a boxer: from 1 s on a marker's distances break, and its path says where it is (140, 4, 3)."""
+    """The fist of a boxer: from 1 s on a marker's distances break, only its path predicts it (140, 4, 3)."""
     t = np.arange(140) * 0.01
     path = np.tile(LIMB, (140, 1, 1))
     path[:, 3, 0] += 0.5 * acceleration * np.maximum(t - 1.0, 0.0) ** 2

@@ -1,4 +1,4 @@
-"""Triangulation: hand geometry, OpenCV, and a predicted error that the real error keeps, both ways."""
+"""Triangulation: hand geometry, OpenCV, and predicted errors that match the real ones."""
 
 import cv2
 import numpy as np

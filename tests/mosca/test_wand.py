@@ -1,4 +1,4 @@
-"""A wand calibrates cameras of unknown focal length, and says so when it was given no session of this wand."""
+"""A wand calibrates cameras of unknown focal length, and sessions that are not of this wand are refused."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ LENS = ("c_mm", "xp_px", "yp_px", "K1_per_mm2")
 
 
 def unknown(cameras):
-    """Return lenses that know only the pixels' size; the principal distance is off by a factor of two."""
+    """Return lenses with the right pixel size only; the principal distance is off by a factor of two."""
     return [replace(c.lens, c_mm=2 * c.lens.c_mm, xp_px=0.0, yp_px=0.0, K1_per_mm2=0.0) for c in cameras]
 
 

@@ -1,4 +1,4 @@
-"""A bumped camera raises an alarm by name, good data raise none, and the camera finds back to its place."""
+"""A bumped camera raises an alarm by name, good data raise none, and the camera's pose is re-estimated."""
 
 from dataclasses import replace
 
@@ -49,7 +49,7 @@ def frame(rig: Rig, true: Rig, rng, points=None, body_px=BODY_PX, matched=None, 
             rays[inside, k] = np.argsort(order)
     count = (rays >= 0).sum(axis=1)
     good = count >= 2
-    # near enough: the watch and the re-orientation place the points themselves
+    # approximate: the watch and the re-orientation triangulate the points themselves
     found = xyz + rng.normal(0, 1e-4, xyz.shape)
     n = int(good.sum())
     return detections, Points(

@@ -12,7 +12,7 @@ PERIOD_NS = 10_000_000
 
 
 def walk(frames, markers, seed=1, speed=1.5):
-    """Markers (t, m, 3) of a body that walks along x from -1.5 m on, each swinging about its own place."""
+    """Markers (t, m, 3) of a body that walks along x from -1.5 m on, each swinging about its own position."""
     rng = np.random.default_rng(seed)
     t = 0.01 * np.arange(frames)[:, None, None]
     place = rng.uniform([-0.25, -0.3, 0.2], [0.25, 0.3, 1.8], (markers, 3))
@@ -112,7 +112,7 @@ def test_what_the_calibrations_err_by_is_no_shift():
 
 
 def test_targets_go_on_where_no_zone_saw_them_for_a_moment():
-    # the volumes only touch: 0.1 s of nobody's land at 1.5 m/s
+    # the volumes only touch: a gap of 0.1 s at 1.5 m/s
     xyz, left, right = hall(overlap=-0.075)
     result = stitched({"left": left, "right": right})
     assert result.merged == 0

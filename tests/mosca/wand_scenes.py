@@ -24,7 +24,7 @@ def camera(name, rng, centre, target, c_mm=7.5) -> Camera:
 
 
 def rig(n=4, seed=0, focals=(7.5,), radius=4.0) -> tuple[Camera, ...]:
-    """Return n cameras around a volume of about 3 m that look into it."""
+    """Return n cameras around a volume of about 3 m, aimed inwards."""
     rng = np.random.default_rng(seed)
     out = []
     for k in range(n):
@@ -35,7 +35,7 @@ def rig(n=4, seed=0, focals=(7.5,), radius=4.0) -> tuple[Camera, ...]:
 
 
 def outward_ring(n=8, seed=0) -> tuple[Camera, ...]:
-    """Return n cameras on a small circle that look outwards: only neighbours see the same."""
+    """Return n cameras on a small circle, aimed outwards: only neighbours have common views."""
     rng = np.random.default_rng(seed)
     out = []
     for k in range(n):
@@ -56,7 +56,7 @@ def waved(frames, along=(0.0, 0.15, 0.5), size=(1.2, 1.2, 1.0), seed=1, middle=(
 
 
 def waved_around(frames, along=(0.0, 0.15, 0.5), seed=1, radius=(2.8, 5.0)):
-    """Return the balls of a wand carried around a ring of cameras that look outwards."""
+    """Return the balls of a wand carried around a ring of cameras aimed outwards."""
     rng = np.random.default_rng(seed)
     a, r = rng.uniform(0, 2 * np.pi, frames), rng.uniform(*radius, frames)
     centre = np.column_stack([r * np.cos(a), r * np.sin(a), rng.uniform(0.2, 2.2, frames)])

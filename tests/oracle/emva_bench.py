@@ -20,7 +20,7 @@ Grab = Callable[[float, int], Array]
 
 
 def by_levels(sensor: Sensor, key: int = 1, exposure_s: float = 0.0) -> Grab:
-    """Even light that fills the picture: every pixel is looked up in its level's law."""
+    """Even light that fills the image: every pixel is sampled from its level's tabulated distribution."""
 
     def grab(photons: float, frame: int) -> Array:
         lit = replace(sensor, background_e=sensor.electrons(photons))

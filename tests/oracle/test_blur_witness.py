@@ -1,6 +1,6 @@
 """The twin's defocus, field curvature and coma against a densely integrated pupil (``witness.pupil``).
 
-Asked for: centroid 0.001 px, pixel values 1 % of the peak.
+Required: centroid 0.001 px, pixel values 1 % of the peak.
 """
 
 from dataclasses import replace
@@ -32,7 +32,7 @@ def expected(optics: Optics, xy: tuple[float, float], diameter: float, tilt: flo
     away = WITNESS.project(centre[None])[0] - middle
     field = np.hypot(*away) / (np.hypot(*SIZE) / 2)
     circle = optics.curvature_px * field**2
-    if optics.focus_m is not None:  # the plane of focus stands across the axis: depth counts, not distance
+    if optics.focus_m is not None:  # the plane of focus is normal to the axis: use depth, not distance
         circle += blur_circle_px(centre[2], optics.focus_m, optics.f_mm, optics.f_number, optics.pixel_pitch_mm)
     points, weights = pupil(10, 28)
     places = displacements(points, circle, optics.coma_px * field, away / np.hypot(*away))
@@ -117,7 +117,7 @@ def variance(image: Array) -> Array:
 
 def test_the_pupil_witness_agrees_with_closed_forms():
     # uniform disc: mean of rho^2 1/2, of rho^4 1/3; the displacements' mean is taken off; coma reaches from the
-    # chief ray's place 0 to its length: the largest less the smallest along the field
+    # chief ray's position 0 to its length: the largest less the smallest along the field
     points, weights = pupil(12, 32)
     rho2 = (points**2).sum(axis=1)
     np.testing.assert_allclose([weights.sum(), weights @ rho2, weights @ rho2**2], [1.0, 0.5, 1 / 3], rtol=1e-12)

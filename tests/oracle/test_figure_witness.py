@@ -1,7 +1,7 @@
 """Printed figures, limb darkening and shading against their definitions.
 
-Figures: dense polygons (moments by the shoelace formula, pixels by Green's theorem) and scan lines that ask the
-pattern's definition. Asked for: light 1e-4, centroid 0.001 px, pixels 1e-3 of the peak; profiles 0.002 px.
+Figures: dense polygons (moments by the shoelace formula, pixels by Green's theorem) and scan lines that evaluate the
+pattern's definition. Required: light 1e-4, centroid 0.001 px, pixels 1e-3 of the peak; profiles 0.002 px.
 """
 
 import numpy as np
@@ -95,7 +95,7 @@ def plate_of(contours: list, centre: Array = CENTRE, turn: Array = TURN) -> Targ
 @pytest.mark.parametrize("name", FIGURES)
 def test_figure_is_what_its_definition_says(name, record_property):
     # measured: light 1.7e-4 of the small circle, else 6e-5; centroid 5e-5 px; pixels 4e-4 of the peak by polygons,
-    # by scan lines 9e-4, which is the lines' own (witness against witness says the same)
+    # by scan lines 9e-4, which is the lines' own (as witness against witness)
     contours, outlines, patterns = FIGURES[name]
     target = plate_of(contours)
     image, seen = seen_by_twin(LENS, SIZE, [target])

@@ -28,10 +28,10 @@ SIGMA = 0.6
 SIZE = (gl.WIDTH, gl.HEIGHT)
 LENS, WITNESS = small_camera(SIZE, gl.FOCAL_PX)
 CENTROID_PX, PIXEL = 0.003, 0.004
-"""What is asked of a peer: measured 1.3e-3 px and 1.6e-3 of a full pixel; the twin beside it may be off twice as
+"""Limits for a peer: measured 1.3e-3 px and 1.6e-3 of a full pixel; the twin beside it may be off twice as
 much: measured 1.3e-3 px (half hidden 3.2e-3) and 3.2e-3."""
 HIDDEN = (0, 4)
-"""Numbers of the markers that something stands before, in the order of ``markers``."""
+"""Indices of the partly hidden markers, in the order of ``markers``."""
 
 
 def platform() -> str:

@@ -1,6 +1,6 @@
-"""What hides a marker: the twin's visible share and image against MuJoCo's ray caster on scan lines.
+"""Occlusion of markers: the twin's visible share and image against MuJoCo's ray caster on scan lines.
 
-Still and moving, all primitives and meshes. Asked for: share 0.002, centroid 0.004 px rms.
+Still and moving, all primitives and meshes. Required: share 0.002, centroid 0.004 px rms.
 """
 
 import mujoco
@@ -49,7 +49,7 @@ SHARE, CENTROID_RMS, CENTROID_MAX, PIXEL = 0.002, 0.004, 0.01, 0.01
 
 
 def beside(offset_px: float, depth: float = NEAR, angle_deg: float = 20.0) -> Array:
-    """Return a place [m] whose image lies ``offset_px`` from the marker's, ``depth`` m away."""
+    """Return a point [m] whose image lies ``offset_px`` from the marker's, ``depth`` m away."""
     angle = np.deg2rad(angle_deg)
     away = offset_px * depth / 300.0 * np.array([np.cos(angle), np.sin(angle)])
     return np.array([*(AT[:2] / AT[2] * depth + away), depth])
@@ -283,7 +283,7 @@ FAULTS = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_are_noticed(fault):
-    # controls: the twin looks at a world slightly else than the witness does
+    # controls: the twin's world differs slightly from the witness's
     true = world() if "edge" in fault else world(None, moving(AT, (-5.0, 3.0)))
     put(true, "box", fixed(beside(21.0)) if "edge" in fault else moving(beside(21.0), (6.0, 2.0)))
     rays = seen_over_time(true, WITNESS, SIZE, SIGMA, 1 if "edge" in fault else 16)

@@ -1,6 +1,6 @@
-"""The twin's images of still markers against outlines worked out by OpenCV and against brute-force pixels.
+"""The twin's images of still markers against outlines computed by OpenCV and against brute-force pixels.
 
-Asked for: centroid 0.001 px rms, 0.004 px at most; measured figures stand beside each test.
+Required: centroid 0.001 px rms, 0.004 px at most; measured figures are beside each test.
 """
 
 import numpy as np
@@ -30,7 +30,7 @@ EXPECTED_RMS, EXPECTED_MAX = 0.001, 0.004
 SIGMA = 0.6
 EVEN = Optics(gap_px=0.0)
 GAP_ORDER = {"fisheye": 11}
-# what a tilted sensor turns about: principal point and, in place of the principal distance, the exit pupil's, which
+# centre of rotation of a tilted sensor: principal point and, for the principal distance, the exit pupil's, which
 # for a fisheye is six times as far
 MATRICES = {
     "paper": np.array([[6.5 / 0.00943, 0, 301.4], [0, 6.5 / 0.00944, 255.5], [0, 0, 1]]),
@@ -39,7 +39,7 @@ MATRICES = {
 
 
 def deviations(lens: Lens, witness: WitnessLens, plain: WitnessLens, optics: Optics) -> Array:
-    """Return a row for each place, diameter and tilt: centroid off (x, y) [px], area off (relative)."""
+    """Return a row for each position, diameter and tilt: error of centroid (x, y) [px] and area (relative)."""
     rows = []
     for xy in PLACES.values():
         for number, diameter in enumerate(DIAMETERS):

@@ -21,7 +21,7 @@ SHEETS = {
     10: Sensor(bits=10, full_well_e=12_000.0, read_noise_e=12.0, dsnu_e=6.0, prnu=0.008),
     12: Sensor(bits=12, dsnu_e=5.0, prnu=0.01),
 }
-"""Cameras whose dark noise is more than the rounding, as the standard asks."""
+"""Cameras whose dark noise exceeds the quantisation noise, as the standard requires."""
 
 
 def flat(level_e: float, sensor: Sensor, key: int, shape: tuple[int, int] = SHAPE) -> Array:
@@ -101,7 +101,7 @@ IMAGES_APART = 16
 
 
 def wrong(**change: float) -> Grab:
-    """Return a camera that is not as its 12-bit data sheet says."""
+    """Return a camera that deviates from its 12-bit data sheet."""
     return by_targets(replace(SHEETS[12], **change))
 
 
@@ -170,7 +170,7 @@ def test_the_standard_on_numbers_of_ones_own():
 @pytest.mark.parametrize("bits", [8, 10, 12])
 def test_black_level_and_background(bits):
     # mean of the dark = black + K background; at 8 bit a spread of 0.22 DN hardly dithers the quantiser,
-    # so that the mean of the exact law stands in place of the line
+    # so that the mean of the exact distribution replaces the line
     for background in (0.0, 200.0, 700.0):
         sensor = Sensor(bits=bits, background_e=background)
         pmf, first = law(sensor, background)
@@ -189,7 +189,7 @@ def test_saturation(bits):
     image = expose(np.full(SHAPE, 1e7, dtype=np.float32), sensor, 3)
     assert image.dtype == (np.uint8 if bits == 8 else np.uint16)
     assert image.min() == image.max() == top
-    # a full well (background included) stands at the last count: half of the pixels reach it, none wraps
+    # a full well (background included) is at the last count: half of the pixels reach it, none wraps
     full = flat(sensor.full_well_e - sensor.background_e, sensor, 4)
     spread = sensor.gain_dn_per_e * np.sqrt(sensor.full_well_e + sensor.read_noise_e**2)
     assert full.max() == top
@@ -213,7 +213,7 @@ SENSORS = [
 @pytest.mark.parametrize("light_e", [0.0, 1e-6], ids=["table", "drawn"])
 @pytest.mark.parametrize("sensor", SENSORS)
 def test_dark_counts_follow_the_mixture(sensor, light_e):
-    # pixels without light are looked up, pixels with next to none are drawn: both follow one law
+    # pixels without light are tabulated, pixels with little are drawn: both have one distribution
     counts = flat(light_e, sensor, 77, (400, 500))
     pmf, first = law(sensor, sensor.background_e + light_e)
     assert chi_square_p(counts, pmf, first) > LEAST_P

@@ -1,7 +1,7 @@
 """Moving targets behind global and rolling shutters and strobes, against integrals of instantaneous images.
 
 Every instant's image is exact (``witness.image.contour_image``); each row of pixels integrates its own window
-(``exposed``). Asked for: centroid 0.002 px rms, pixel values 1e-3 of the peak.
+(``exposed``). Required: centroid 0.002 px rms, pixel values 1e-3 of the peak.
 """
 
 from collections.abc import Callable
@@ -72,7 +72,7 @@ def expected(case: Case, outline: Callable[[float], Array]) -> Array:
 
 
 def rendered(case: Case, target: Target) -> tuple[Array, Array]:
-    """Return the twin's image and where it says the target's centre was imaged (2,)."""
+    """Return the twin's image and its true image point (2,) of the target's centre."""
     window = window_of(case.length, case.row_time, SIZE[1], case.light_s, case.nodes)
     image, seen = seen_by_twin(LENS, SIZE, [target], window=window)
     return image, seen.xy_px[0]
@@ -169,7 +169,7 @@ def test_an_unlit_target_gives_no_light():
 
 
 FAULTS: dict[str, tuple[str, dict, dict]] = {
-    # the case, what the twin's window and what its target are told instead
+    # the case, and the changed values of the twin's window and target
     "exposed half a window longer": ("global, 8 px ball", {"length": 1.5 * EXPOSURE}, {}),
     "target runs the other way": ("rolling, 8 px ball", {}, {"speed": (-6e3, 4e3)}),
     "row time 5 % off": ("rolling, 8 px ball", {"row_time": 1.05 * ROW_TIME}, {}),
@@ -180,7 +180,7 @@ FAULTS: dict[str, tuple[str, dict, dict]] = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_faults_are_noticed(fault):
-    # controls: the twin is told something slightly else than the witness
+    # controls: the twin's inputs differ slightly from the witness's
     name, window, other = FAULTS[fault]
     case = CASES[name]
     _target, outline = moving(case)

@@ -1,4 +1,4 @@
-"""A made-up run for the tests of the reports room: cameras in a ring, markers on circles, known errors."""
+"""A synthetic run for the tests of the package reports: cameras in a ring, markers on circles, known errors."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from reports.record import Metric, MetricBlocks, RunRecord
 
 
 def look_at(position: Array, target: Array) -> Pose:
-    """Return world_from_camera of a camera at ``position`` that looks at ``target`` with Z up."""
+    """Return world_from_camera of a camera at ``position`` that is aimed at ``target`` with Z up."""
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)

@@ -1,4 +1,4 @@
-"""The page of a calibration: complete, offline, the same for the same data, and it says no when it must."""
+"""The report of a calibration: complete, offline, deterministic, and with the right verdict."""
 
 import re
 from dataclasses import replace

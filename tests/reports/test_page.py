@@ -1,4 +1,4 @@
-"""The page: everything on it, nothing from outside, the same bytes again, and nobody's name breaks it."""
+"""The page: complete, self-contained, deterministic, with all names escaped."""
 
 import re
 import xml.etree.ElementTree as ElementTree

@@ -1,4 +1,4 @@
-"""Figures as people read them, by hand."""
+"""Formatted figures against values by hand."""
 
 import pytest
 

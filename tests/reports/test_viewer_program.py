@@ -11,7 +11,7 @@ from reports.viewer_program import show
 
 @pytest.fixture
 def seen(tmp_path, monkeypatch):
-    """A viewer that writes down what it is asked for; it fails where the file's name holds 'bad'."""
+    """A viewer that records its arguments; it fails where the file's name contains 'bad'."""
     program, out = tmp_path / "rerun", tmp_path / "seen"
     program.write_text(
         f"#!{sys.executable}\nimport sys\nopen({str(out)!r}, 'w').write(' '.join(sys.argv[1:]))\n"

@@ -44,9 +44,9 @@ def write_rig(path, names, size=SIZE, rate=RATE, more=""):
 
 
 def ctrl_c(when):
-    """Return a progress callback that presses Ctrl-C once, as soon as ``when()`` says so.
+    """Return a progress callback that sends SIGINT (Ctrl-C) once, as soon as ``when()`` is true.
 
-    Progress is told while pulses run. A timer could fire while cameras are opened: that would end the tests.
+    Progress is reported while pulses run. A timer could fire while cameras are opened: that would end the tests.
     """
     sent = False
 
@@ -62,7 +62,7 @@ def ctrl_c(when):
 class Line(PulseThread):
     """Pulses at a rate; ``misses``: camera -> pulses that it does not see; ``spoilt``: those that come damaged.
 
-    After pulse ``gone_at`` no camera answers; ``asked_in_vain``: those that were asked then.
+    After pulse ``gone_at`` no camera answers; ``asked_in_vain``: those that were queried then.
     """
 
     # a frame is here once it was exposed: one that is earlier is none of its stamp's
@@ -120,7 +120,7 @@ class Camera(FakeDevice):
 
 
 def openers(line, images=None, size=SIZE):
-    """Return what stands in for drivers and trigger; ``images``: camera -> images."""
+    """Return substitutes for drivers and trigger; ``images``: camera -> images."""
     shared = dark_noise(size=size) if images is None else None
 
     def open_camera(name, settings):

@@ -10,7 +10,7 @@ from scenarios.cli.main import main
 
 
 def mosca(*words, cwd):
-    """Run words of the command line in a folder; return exit code and what was told, as a process would."""
+    """Run a command line in a folder; return exit code and output, as of a process."""
     code, out, errors = 0, io.StringIO(), io.StringIO()
     line = ["mosca", *map(str, words)]
     with chdir(cwd), patch.object(sys, "argv", line), redirect_stdout(out), redirect_stderr(errors):

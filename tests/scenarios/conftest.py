@@ -69,7 +69,7 @@ def refused(lab_folder, monkeypatch, capsys):
 
 
 def tree(folder):
-    """Every file and folder, with what would change if somebody wrote to it."""
+    """Every file and folder, with the attributes that a write would change."""
     return {
         str(path): (path.stat().st_size, path.stat().st_mtime_ns) if path.is_file() else None
         for path in folder.rglob("*")
@@ -77,7 +77,7 @@ def tree(folder):
 
 
 def words(text):
-    """Split a command into words: what stands between two bars is one word."""
+    """Split a command into words: text between two bars is one word."""
     return [part[1:-1] if part.startswith("|") else part for part in re.findall(r"\|[^|]*\||\S+", text)]
 
 

@@ -1,7 +1,7 @@
 """A station with cameras of its own, as a program: frames that are drawn ahead, detected and sent by the product.
 
 ``python scene_station.py NAME ENDPOINT CAMERA,CAMERA FIRST ALL PULSES RATE TARGETS [PAIRS]``; cameras FIRST and on of
-a ring of ALL; PAIRS 0: those whose images touch are not fitted together. Says ``ready`` when it holds for the
+a ring of ALL; PAIRS 0: those whose images touch are not fitted together. Prints ``ready`` when it waits for the
 start.
 """
 

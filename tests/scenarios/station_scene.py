@@ -28,7 +28,7 @@ def rig(names=NAMES, size=SIZE, radius_m=2.5):
 
 
 def points(pulse, rate=RATE, count=5):
-    """Places (n, 3) [m] at a pulse."""
+    """Positions (n, 3) [m] at a pulse."""
     k = np.arange(count)
     turn = 2 * np.pi * (k / count + 0.2 * pulse / rate)
     return np.column_stack(

@@ -16,7 +16,7 @@ NOISE = 1e-4
 
 
 def take(path, n, seed, ids=(3, 1, 8, 5), loose=False):
-    """Write tracks of a flown body beside a fixed point (track 20); returns its rotations and places."""
+    """Write tracks of a flown body beside a fixed point (track 20); returns its rotations and positions."""
     rng = np.random.default_rng(seed)
     t = np.arange(n) * 0.01
     turn = Rotation.from_rotvec(np.column_stack([0.5 * np.sin(2 * t), 0.4 * np.cos(3 * t) - 0.4, t]))
@@ -46,7 +46,7 @@ def test_a_body_is_learned_and_found_in_another_take(tmp_path):
     assert "body 'drone': a pose in 80 of 80 frames, its markers 0." in told[0]
     poses = read_bodies_csv(tmp_path / "poses.csv")
     found = Rotation.from_quat(poses.quaternion[:, [1, 2, 3, 0]])
-    # the body's axes are its own: what it turned since the start is the truth's
+    # the body's axes are arbitrary: compare the rotation since the start
     off = (found * found[0].inv()) * (turn * turn[0].inv()).inv()
     assert np.sqrt(np.mean(off.magnitude() ** 2)) < 3 * NOISE / 0.1
     labels = read_tracks(tmp_path / "named.csv")

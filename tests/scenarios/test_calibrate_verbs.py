@@ -128,7 +128,7 @@ def lab(tmp_path_factory):
 
 
 def moved_rig(rig: Rig) -> Rig:
-    """Return the rig carried elsewhere as a whole, and cam2 turned by 8 px against the others."""
+    """Return the rig moved as a whole, and cam2 rotated by 8 px against the others."""
     motion = Pose(Rotation.from_rotvec([0.0, 0.02, 0.05]).as_matrix(), np.array([0.04, -0.03, 0.02]))
     return Rig(
         tuple(
@@ -143,7 +143,7 @@ def moved_rig(rig: Rig) -> Rig:
 
 
 def turned(camera, px):
-    """Return the camera turned about its y axis so that its image moves by ``px`` in the middle."""
+    """Return the camera rotated about its y axis so that its image moves by ``px`` in the middle."""
     turn = Rotation.from_rotvec([0.0, np.arctan(px * camera.lens.mx_mm_per_px / camera.lens.c_mm), 0.0])
     pose = camera.world_from_camera
     return replace(camera, world_from_camera=Pose(pose.rotation @ turn.as_matrix(), pose.translation))
@@ -182,7 +182,7 @@ def refused(mosca):
 
 @pytest.fixture(scope="module")
 def field_rig(lab):
-    """Return the rig file that ``mosca calibrate`` makes of the field's recording, and what it says."""
+    """Return the rig file of ``mosca calibrate`` from the field's recording, and its output."""
     from click.testing import CliRunner
 
     from scenarios.cli.main import cli
@@ -244,7 +244,7 @@ def test_exterior_alone_after_the_rig_was_moved(lab, field_rig, mosca, tmp_path)
     assert [c.lens for c in found.cameras] == [c.lens for c in before.cameras]
     assert max(rays_px(read_rig(lab / "moved_truth.toml"), found)) < 0.15
     assert min(rays_px(lab.truth, found)) > 5
-    # all cameras moved alike, cam2 was turned besides
+    # all cameras moved alike, cam2 was also rotated
     warned = [line for line in told.splitlines() if line.startswith("WARNING rig-moved")]
     assert len(warned) == 1
     assert "'cam2'" in warned[0]

@@ -216,7 +216,7 @@ def test_a_named_sensor_gives_size_pitch_and_electrons(tmp_path):
     assert made.camera.lens.mx_mm_per_px == made.optics.pixel_pitch_mm == pytest.approx(0.00586)
     sensor = made.sensor
     assert (sensor.full_well_e, sensor.bits, sensor.quantum_efficiency) == (32691.0, 12, 0.77)
-    assert sensor.read_noise_e == 9.0  # said, so not the library's 6.83
+    assert sensor.read_noise_e == 9.0  # given, so not the library's 6.83
 
 
 def test_a_named_lens_gives_the_principal_distance(tmp_path):

@@ -1,4 +1,4 @@
-"""Capture with cameras that are simulated in the test: whole, with gaps, too slow, stopped by hand."""
+"""Capture with simulated cameras: whole, with gaps, too slow, interrupted."""
 
 import os
 import shutil

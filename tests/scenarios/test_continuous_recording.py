@@ -1,6 +1,6 @@
-"""``mosca reconstruct --continuous``: free-running cameras to tracks, and what a user reads when it cannot be.
+"""``mosca reconstruct --continuous``: free-running cameras to tracks, and error messages.
 
-The images are drawn here: three pinhole cameras that look along z, Gaussian spots, each camera at its own instants.
+The images are drawn here: three pinhole cameras with axes along z, Gaussian spots, each camera at its own instants.
 """
 
 import json
@@ -147,7 +147,7 @@ def test_options_that_cannot_be_are_told_in_one_line(tmp_path, monkeypatch, caps
 
 
 def pictures(folder) -> None:
-    """A folder of numbered images a camera, without anything that says when they were taken."""
+    """A folder of numbered images per camera, without time stamps."""
     write_rig(rig(), folder / "rig.toml")
     for name, place in PLACES.items():
         (folder / "take" / name).mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""Worn cameras, their lamps, and how clocks are scored: against what is worked out by hand."""
+"""Worn cameras, their lamps, and the scoring of clocks, against values computed by hand."""
 
 from types import SimpleNamespace
 
@@ -74,7 +74,7 @@ def test_a_track_at_a_lamps_place_is_left_out():
 
 
 def test_clock_scores_are_the_worse_end_and_the_worst_camera():
-    """Camera b runs 100 ppm slow and began 0.25 s late; what is said of it is 1 ms and 50 ppm off."""
+    """Camera b runs 100 ppm slow and began 0.25 s late; its estimate is 1 ms and 50 ppm off."""
     stamps = np.arange(0, 2_000_000_001, 100_000_000)
     session = np.rint(0.25e9 + stamps * (1 + 1e-4)).astype(np.int64)
     frames = SimpleNamespace(

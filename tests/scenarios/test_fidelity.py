@@ -49,7 +49,7 @@ def test_the_quick_table_meets_its_bars(made):
         "Beside mujoco.Renderer",
         "Beside pyrender",
     }
-    # every check that looks has a planted fault of its own, and says how wrong its witness is
+    # every check that ran has a planted fault of its own, and states its reference's error
     for check in found["checks"]:
         assert check["absent"] or (any(row["control"] for row in check["rows"]) and check["own_error"])
     assert "planted faults caught" in done.output

@@ -144,8 +144,8 @@ def test_things_that_move_are_no_flash():
 
 
 def twin(blink, duration_s=1.0):
-    """Two cameras that run free, each on a clock of its own, before one lamp that stands still."""
-    slant = np.sqrt(0.5)  # the lamp shines upwards: the cameras look down on it
+    """Two cameras that run free, each on a clock of its own, before one still lamp."""
+    slant = np.sqrt(0.5)  # the lamp shines upwards: the cameras are above it
     looking = np.array([[1.0, 0, 0], [0, -slant, slant], [0, -slant, -slant]])
     lens = OpenCVLens(150.0, 150.0, 47.5, 35.5)
 

@@ -1,7 +1,7 @@
-"""From a folder of images to a tracks file, and what a user reads when something about it is wrong.
+"""From a folder of images to a tracks file, and error messages.
 
-The images are drawn here: three pinhole cameras side by side that look along z, so that a point's image is
-``c + f (X - O) / Z``; two points move past three lamps that stand still.
+The images are drawn here: three pinhole cameras side by side with axes along z, so that a point's image is
+``c + f (X - O) / Z``; two points move past three still lamps.
 """
 
 import sys

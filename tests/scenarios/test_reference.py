@@ -1,4 +1,4 @@
-"""A user's own reference: read, interpolated, scored against; what it cannot judge is said."""
+"""A user's own reference: read, interpolated, scored against; what it cannot judge is reported."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Scoring against numbers worked out by hand."""
+"""Scoring against numbers computed by hand."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is judged without a truth: lengths, rigidity, still scatter, residuals, against numbers made by hand."""
+"""Metrics without ground truth: lengths, rigidity, static noise, residuals, against numbers computed by hand."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def tracks_of(places, labels=None, first=0):
 
 
 def waved(n, length, seed=0):
-    """Both ends (n, 3) of a bar that is carried about and turned."""
+    """Both ends (n, 3) of a bar that is moved and rotated."""
     rng = np.random.default_rng(seed)
     middle = np.cumsum(rng.normal(0, 0.01, (n, 3)), axis=0)
     along = np.cumsum(rng.normal(0, 0.2, (n, 3)), axis=0) + [3.0, 0, 0]

@@ -1,4 +1,4 @@
-"""The calibration session of a scenario: its target file, what goes wrong in it, and what must be told of."""
+"""The calibration session of a scenario: its target file, its faults, and the findings expected of them."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -59,13 +59,13 @@ def spec(tmp_path: Path, calibration: str, top: str = "", limits: str = "positio
     return load_scenario(path)
 
 
-# what the target's file says
+# the target's file
 
 
 def test_a_fields_file_has_its_places_as_well_as_they_are_known(tmp_path):
     given_spec = spec(tmp_path, "markers = 150\nknown_to = 0.001")
     session = target_session(given_spec, given_spec.calibration)
-    # where the twin's field has its marks while it stands at the first place, which is the world's
+    # the marks of the twin's field in its first pose, which is the world's
     true = session.scene.sampler().at(0.0).marker_xyz
     off = session.target.positions - true
     assert session.target.sigma_m == pytest.approx(0.001)
@@ -86,7 +86,7 @@ def test_faults_of_a_fields_file(tmp_path):
     # true lengths are 1.25 times those in the file, the dots' too
     np.testing.assert_allclose(1.25 * small.positions, right.positions)
     assert 1.25 * small.targets[0].target.dot_radius_m == pytest.approx(right.targets[0].target.dot_radius_m)
-    # millimetres for metres: the places only
+    # millimetres for metres: the positions only
     np.testing.assert_allclose(units.positions, 1000 * right.positions)
     assert units.targets[0].target == right.targets[0].target
 
@@ -144,7 +144,7 @@ def test_no_exposure_sees_the_target_go_to_its_next_stand(stands, frames, rate_h
         rng=np.random.default_rng(seed),
         first_s=more / rate_hz,
     )
-    np.testing.assert_array_equal(path(0.0), [0, 0, 0, 1, 0, 0, 0])  # the first stand is the world's
+    np.testing.assert_array_equal(path(0.0), [0, 0, 0, 1, 0, 0, 0])  # the first pose is the world's
     np.testing.assert_allclose(np.linalg.norm(path.stands[:, 3:], axis=1), 1.0)
     assert (np.abs(path.stands[:, :3]) <= 1.0).all()
     for stand in range(stands):
@@ -205,12 +205,12 @@ def test_swapped_cameras_have_each_others_frames():
         swapped(Source(), ("a", "x"))
 
 
-# what is told of it
+# findings
 
 
 @pytest.fixture(scope="module")
 def sessions(tmp_path_factory):
-    """Return calibrations from small sessions: all well, and with places in the file in millimetres."""
+    """Return calibrations from small sessions: without fault, and with positions in the file in millimetres."""
     folder = tmp_path_factory.mktemp("sessions")
 
     def made(fault):
@@ -290,7 +290,7 @@ def test_the_pipeline_measures_with_the_estimated_rig(with_sessions, sessions, t
     assert {"rig.toml", "calibration.html"} <= {path.name for path in (tmp_path / "out").iterdir()}
 
 
-# what a scenario may say
+# what a scenario may contain
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Scenario files: what is wrong is said in one line that names file, key, value and what is allowed."""
+"""Scenario files: errors are one line that names file, key, value and what is allowed."""
 
 import json
 

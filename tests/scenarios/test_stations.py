@@ -142,7 +142,7 @@ def test_backgrounds_are_made_and_taken_off_as_in_a_local_run(tmp_path):
             thread.join()
     ready, live, none = seen.values()
     assert all(same(ready[s.frame_set.pulse][n], s.detections[n]) for s in local for n in NAMES)
-    assert min(live) >= 30  # what the background was made of is not looked at
+    assert min(live) >= 30  # frames of the initial background are not detected
     assert np.median([len(d["a1"]) for d in live.values()]) == np.median([len(d["a1"]) for d in ready.values()])
     assert np.median([len(d["a1"]) for d in none.values()]) != np.median([len(d["a1"]) for d in ready.values()])
 

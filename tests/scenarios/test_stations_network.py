@@ -106,9 +106,9 @@ def happened(here, *kinds):
 
 
 def check(sets, here):
-    """All pulses, each of one instant, and never without A, to which nothing happens.
+    """All pulses, each of one instant, and never without A, which has no fault.
 
-    Unless this machine does not run A for so long that it is told to be silent; return whether that is not so.
+    Return False where a busy machine paused A so long that it was reported silent.
     """
     steady = not any(e.station == "A" and e.kind in ("silent", "gone") for e in here.events)
     pulses = [s.pulse for s in sets]

@@ -1,4 +1,4 @@
-"""The suite: a second run is no regression, a planted 5 % is, and JUnit says what happened."""
+"""The suite: a second run is no regression, a planted 5 % is, and the JUnit file reports it."""
 
 import json
 import xml.etree.ElementTree as ElementTree

@@ -180,7 +180,7 @@ def test_worn_cameras_move_with_the_body_and_see_it():
 @needs_data
 @pytest.mark.data
 def test_unknown_cameras_cost_nothing_where_toes_jump():
-    # exact image points of cameras that stand still leave their poses open by micrometres (the normal equations at
+    # exact image points of still cameras leave their poses open by micrometres (the normal equations at
     # the truth: 1.00 times the error with known ones); image points of jumps must not stay out
     whole = read_points(DATA, "131_04")
     below = [k for k, name in enumerate(whole.names) if name in LEGS]

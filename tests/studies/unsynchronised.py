@@ -1,10 +1,10 @@
-"""The second paper's experiment as we read it: recorded motions seen by three cameras that take turns.
+"""The second paper's experiment as we read it: recorded motions seen by three alternating cameras.
 
 The paper states (section 5.1): motions of CMU's database, three cameras "at different positions", wide angle, that
 see each other, each "off by three frames", points without noise. Its figure 4 bears no scale. Stated here: every
 camera takes each ninth frame of 120 Hz, the second three frames after the first, the third three after that; the
-cameras stand still on a circle of 3 m round the middle of the motion (wider where somebody would come nearer than
-1.5 m to a camera), 120 degrees apart, 1.0, 1.6 and 2.2 m high, turned to the middle at 1 m; equidistant lenses of
+cameras are still, on a circle of 3 m round the middle of the motion (wider where the actor would come nearer than
+1.5 m to a camera), 120 degrees apart, 1.0, 1.6 and 2.2 m high, aimed at the middle at 1 m; equidistant lenses of
 656 x 491 pixels and 290 px/rad (130 x 97 degrees), so that each sees the other two 30 degrees from its axis.
 """
 
@@ -101,7 +101,7 @@ def surround(truth: PointMotion, cameras: int = 3) -> Rig:
 
 
 def wide_camera(name: str, centre: Array, aim: Array) -> Camera:
-    """Return a wide-angle camera at ``centre`` (3,) that looks at ``aim`` (3,) [m], upright."""
+    """Return a wide-angle camera at ``centre`` (3,) that is aimed at ``aim`` (3,) [m], upright."""
     z = (aim - centre) / np.linalg.norm(aim - centre)
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
@@ -122,9 +122,9 @@ def observe(
 ) -> TimedObservations:
     """Return what the cameras of ``rig`` see of a motion, camera k at frames ``apart * k + every * i``.
 
-    ``epipoles``: the cameras see each other's projection centres, too. ``paths``: cameras that move (default: as
-    the rig says). ``noise_px``: standard deviation an axis of normal errors; their covariance is stated as at least
-    0.01 px, so that exact points have a weight.
+    ``epipoles``: the cameras see each other's projection centres, too. ``paths``: cameras that move (default:
+    those of the rig). ``noise_px``: standard deviation an axis of normal errors; their covariance is stated as at
+    least 0.01 px, so that exact points have a weight.
     """
     moving: CameraPaths = paths or StillCameras.of(rig)
     rng = np.random.default_rng(seed)
@@ -166,7 +166,7 @@ Aligned = Literal["as is", "once", "each frame"]
 
 @dataclass(frozen=True)
 class Score:
-    """RMSE of all points over all shared frames [m], and the share of places that are known.
+    """RMSE of all points over all shared frames [m], and the share of positions that are known.
 
     ``camera_m``: rms error of the projection centres after the same alignment; 0 where they were known.
     """
@@ -183,7 +183,7 @@ def score(
     """Compare curves, and cameras if given, with a motion at its ``frames`` (f,).
 
     ``aligned``: by nothing, by one similarity for the whole motion, or by one for each frame (Umeyama, on the
-    points), which is all that cameras without a place of their own can be asked.
+    points), the only meaningful one for cameras without a datum of their own.
     """
     time_s = truth.time_s[frames]
     column = [curves.points.index(name) for name in truth.names]

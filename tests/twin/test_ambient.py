@@ -1,4 +1,4 @@
-"""The light besides the targets: its map by hand, its levels, what changes from frame to frame."""
+"""Ambient light: its map by hand, its levels, its changes from frame to frame."""
 
 import cv2
 import numpy as np

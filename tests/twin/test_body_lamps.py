@@ -1,4 +1,4 @@
-"""Lamps that worn cameras carry: alike to all sides, lit as their number says."""
+"""Lamps on worn cameras: isotropic, blinking by the code of their number."""
 
 import numpy as np
 import pytest

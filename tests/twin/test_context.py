@@ -29,7 +29,7 @@ FOCAL = 200.0
 LENS = OpenCVLens(FOCAL, FOCAL, (W - 1) / 2, (H - 1) / 2, -0.2, 0.05)
 PINHOLE = OpenCVLens(FOCAL, FOCAL, 80.0, 60.0)
 LOOKING = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
-"""World from camera of a camera that looks along +y."""
+"""World from camera of a camera with its axis along +y."""
 ORIGIN = np.zeros(3)
 FULL = 10_000.0
 GEOM = mujoco.mjtGeom

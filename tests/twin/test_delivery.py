@@ -81,7 +81,7 @@ def test_the_assembly_counts_what_was_injected(delivery: Delivery, counted: str,
     lost = injected if counted in ("dropped", "corrupt", "late") else 0
     assert count.delivered == pulses - lost
     assert len(sets) == pulses
-    # the others know nothing of it
+    # the others are unaffected
     for name in "ac":
         assert counts.cameras[name].delivered == pulses
     total = replace(count, delivered=0)

@@ -1,4 +1,4 @@
-"""The library of sensors and lenses: what it holds, where it says that from, and how it refuses."""
+"""The library of sensors and lenses: its values, their sources, and error messages."""
 
 import subprocess
 import sys

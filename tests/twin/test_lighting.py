@@ -1,4 +1,4 @@
-"""What targets send to a camera: half angles, inverse squares and codes, by hand."""
+"""Light from targets to a camera: half angles, inverse squares and codes, by hand."""
 
 import math
 
@@ -69,7 +69,7 @@ def test_a_retro_ball_has_its_lobe_as_limb_darkening():
 
 
 def test_shade_points_the_same_way_in_the_world():
-    # a camera that looks along +y: its x is the world's x, its y is down
+    # a camera with its axis along +y: its x is the world's x, its y is down
     looking = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
     table = glow_table([Glow(shade=0.4, shade_world=(0, 0, 5.0))], np.array([BALL]))
     light = target_light(table, SIGNAL, np.zeros((1, 3)), np.eye(3)[2:], np.array([0, -3.0, 0]), looking)

@@ -1,4 +1,4 @@
-"""The mount: spectra by Welch's method, places by hand, images by similar triangles."""
+"""The mount: spectra by Welch's method, positions by hand, images by similar triangles."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -26,14 +26,14 @@ def stand(mount: Mount, seed: int = SEED, duration_s: float = 100.0, name: str =
 
 
 def image_of(stand_: CameraSupport, times_s: Array, place: Array, frame: int = 0) -> Array:
-    """Image (k, 2) of a place in the world by a pinhole: similar triangles, from the middle of the view [px]."""
+    """Image (k, 2) of a point in the world by a pinhole: similar triangles, from the middle of the view [px]."""
     rotation, position = stand_.pose_at(times_s, frame)
     here = np.einsum("kji,kj->ki", rotation, place - position)
     return FOCAL_PX * here[:, :2] / here[:, 2:]
 
 
 def far_along(x: float = 0.0, y: float = 0.0) -> Array:
-    """A place far off that the steady camera sees ``x``, ``y`` px from the middle of its view."""
+    """A distant point that the steady camera sees ``x``, ``y`` px from the middle of its view."""
     return POSE.rotation @ np.array([x / FOCAL_PX, y / FOCAL_PX, 1.0]) * 1e6 + POSE.translation
 
 
@@ -108,7 +108,7 @@ def test_the_image_moves_as_the_shift_says() -> None:
     moving = replace(STEADY, vibration_px=0.5, drift_px_per_s=(0.3, -0.2), wander_px=0.2)
     times = np.linspace(0.0, 10.0, 50)
     shift = stand(moving).image_shift_px(times)
-    # small turns: 3 px of 800 differ from the tangent by 1e-5 of themselves
+    # small rotations: 3 px of 800 differ from the tangent by 1e-5 of themselves
     np.testing.assert_allclose(image_of(stand(moving), times, far_along()), shift, atol=2e-4)
 
 

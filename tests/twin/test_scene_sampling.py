@@ -42,7 +42,7 @@ def slider(position: object) -> Scene:
 
 
 class Counted:
-    """Counts how often a scene's configuration is asked for."""
+    """Counts the evaluations of a scene's configuration."""
 
     def __init__(self, scene: Scene) -> None:
         self.times: list[float] = []

@@ -112,7 +112,7 @@ def test_joints_stay_in_human_ranges(performed: dict[str, Sampled], action: str)
         return np.asarray(qpos[:, start : start + 4])
 
     def twist_deg(name: str, axis: int) -> Array:
-        """Return the turn about a rest axis of the joint."""
+        """Return the rotation about a rest axis of the joint."""
         wxyz = local(name)
         return (np.rad2deg(2 * np.arctan2(wxyz[:, 1 + axis], wxyz[:, 0])) + 180) % 360 - 180
 

@@ -1,4 +1,4 @@
-"""The actor: markers on the skin, limbs, walks in their box, recordings played as the reader says."""
+"""The actor: markers on the skin, limbs, walks in their box, recordings played as read."""
 
 import os
 from pathlib import Path
@@ -146,7 +146,7 @@ def test_a_walker_walks_at_the_speed_asked_for() -> None:
     root = np.array([scene.configuration_at(t)[:2] for t in np.arange(0, 5, 0.01)])
     way = np.linalg.norm(np.diff(root, axis=0), axis=1).sum()
     assert way == pytest.approx(0.8 * 4.99, rel=1e-3)
-    # It looks where it goes: the nose side (-y of the root) points along the path.
+    # It faces its direction of motion: the nose side (-y of the root) points along the path.
     qpos = scene.configuration_at(1.0)
     ahead = np.zeros(3)
     mujoco.mju_rotVecQuat(ahead, np.array([0.0, -1.0, 0.0]), qpos[3:7])

@@ -1,4 +1,4 @@
-"""The cloud: distances, speeds and places that its docstring promises, at every size of working space."""
+"""The cloud: distances, speeds and positions that its docstring promises, at every size of working space."""
 
 import numpy as np
 import pytest

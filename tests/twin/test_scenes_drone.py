@@ -26,7 +26,7 @@ def test_size_and_mass_are_the_papers() -> None:
     mujoco.mj_forward(model, data)
     assert model.body_mass.sum() == pytest.approx(0.366, abs=1e-12)
     np.testing.assert_allclose(data.subtree_com[1], [0, 0, data.subtree_com[1][2]], atol=1e-12)
-    # The hull's outermost points: rim capsules, whose ends stand on a polygon inside the true circle.
+    # The hull's outermost points: rim capsules, whose ends are on a polygon inside the true circle.
     reach = []
     for g in range(1, model.ngeom):
         if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_CAPSULE and model.geom_group[g] != MARKER_GROUP:

@@ -86,7 +86,7 @@ def test_motion_follows_the_commands(driven: Scene) -> None:
     assert np.corrcoef(difference, rate)[0, 1] > 0.9
     predicted = FREE_SPEED_RAD_S * 0.0675 / 255
     assert np.polyfit(average, speed, 1)[0] == pytest.approx(predicted, rel=0.05)
-    # Skidding: it turns by less than wheels on rails would (track 0.28 m), and the right way round.
+    # Skidding: it turns by less than without slip (track 0.28 m), in the right direction.
     no_slip = predicted / 0.28
     assert 0.05 * no_slip < np.polyfit(difference, rate, 1)[0] < no_slip
 

@@ -1,4 +1,4 @@
-"""The robot on commands that are given as lines of text: where they take it, by hand."""
+"""The robot on commands that are given as lines of text: its path, by hand."""
 
 import json
 
@@ -26,7 +26,7 @@ def robot(commands, duration_s=2.5, size=(3.0, 3.0, 1.0), heading=HEADING):
 
 
 def path(scene, times):
-    """Return the centre target's place (n, 2) [m] and the heading [rad] at ``times``."""
+    """Return the centre target's position (n, 2) [m] and the heading [rad] at ``times``."""
     sampler = scene.sampler()
     xyz = np.stack([sampler.at(t).marker_xyz for t in times])
     ahead = xyz[:, 9, :2] - xyz[:, 5, :2]

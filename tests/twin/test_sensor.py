@@ -56,7 +56,7 @@ def test_same_arguments_same_bytes_for_ever(bits):
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 5), (7, 9), (16, 16)])
 def test_any_size_and_a_prefix_is_a_prefix(shape):
-    # a pixel's number is its place in the row-major image: an image of one row more begins like the one without
+    # a pixel's number is its index in the row-major image: an image of one row more begins like the one without
     sensor = Sensor(bits=12)
     light = np.linspace(0, 300, shape[0] * shape[1], dtype=np.float32).reshape(shape)
     longer = np.vstack([light, light[:1] + 50])
@@ -64,7 +64,7 @@ def test_any_size_and_a_prefix_is_a_prefix(shape):
 
 
 def test_threads_make_the_same_bytes_in_any_order():
-    # levels nobody has asked for yet, by eight threads at once, and then again one after the other
+    # new levels, by eight threads at once, and then again one after the other
     sensor = Sensor(bits=12, read_noise_e=11.0)
     base = Ambient.of(sensor, 100.0, shape=(64, 64))
     light = np.zeros((64, 64), dtype=np.float32)

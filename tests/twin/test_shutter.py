@@ -1,4 +1,4 @@
-"""The shutter by hand: when rows collect light, and whether the stamps give the true mid-exposure back."""
+"""The shutter by hand: exposure windows of rows, and the true mid-exposure from the time stamps."""
 
 from dataclasses import replace
 from typing import Any, get_args

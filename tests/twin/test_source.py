@@ -57,7 +57,7 @@ def scene() -> Scene:
 
 
 def camera(name: str, x: float = 0.0, **parts: Any) -> VirtualCamera:
-    """Return a camera at (x, -2, 0) that looks along +y, image x along the world's x."""
+    """Return a camera at (x, -2, 0) with its axis along +y, image x along the world's x."""
     looking = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
     lens = OpenCVLens(FOCAL_PX, FOCAL_PX, (W - 1) / 2, (H - 1) / 2)
     view = Camera(name, W, H, lens, Pose(looking, np.array([x, -2.0, 0.0])))
@@ -130,7 +130,7 @@ def test_another_seed_makes_other_bytes():
 
 
 def test_cameras_differ_in_noise():
-    # two cameras at one place see the same light, never the same noise
+    # two cameras at one position see the same light, never the same noise
     frames, _truth = read(session((camera("a", **STEADY), camera("b", **STEADY)), pulses=1))
     noise = [frame.image[50:, :30].astype(float) for frame in frames if frame.image is not None]
     assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 4.5 / np.sqrt(noise[0].size)
@@ -185,7 +185,7 @@ def test_frames_are_what_a_camera_gives():
         assert frame.image.dtype == (np.uint8 if frame.camera == "left" else np.uint16)
         assert frame.image.max() < 4096
         assert not frame.image.flags.writeable
-        # the stamp is the pulse's; it knows nothing of jitter
+        # the time stamp is the pulse's, without jitter
         assert frame.time_ns == frame.index * 10_000_000
         assert frame.exposure_ns == 1_000_000
         assert mid_exposure_ns(frame) == frame.index * 10_000_000 + 500_000

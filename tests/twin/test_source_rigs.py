@@ -168,7 +168,7 @@ def test_a_rolling_shutter_shows_each_row_at_its_own_time() -> None:
             if 5 < u < W - 5 and 5 < v < H - 5:
                 np.testing.assert_allclose(truth.image_xy_px[frame.index, marker, 0], [u, v], atol=2e-4)
                 np.testing.assert_allclose(blob_centroid(frame, np.array([u, v]), 5), [u, v], atol=0.03)
-    # the truth's instant is the central row's, and the frame tells it
+    # the truth's instant is the central row's, as the frame states
     np.testing.assert_allclose(truth.exposure_mid_ns[:, 0], [mid_exposure_ns(f) for f in frames], atol=1)
     assert frames[0].row_time_ns == 80_000
 

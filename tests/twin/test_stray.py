@@ -38,7 +38,7 @@ from twin.scenes.figure import circle, figure, polygon, ring_sector
 SIGNAL = 1000.0
 NODES = 3
 LOOKING_MINUS_X = np.array([[0.0, 0, -1], [1, 0, 0], [0, -1, 0]])
-"""World from camera: looks along -x, image x along the world's y, z up."""
+"""World from camera: axis along -x, image x along the world's y, z up."""
 EYE = np.array([2.0, 0.0, 0.0])
 WALL = PlaneMirror((0.0, 0.0, 0.0), (1.0, 0, 0), (0, 1.0, 0), (3.0, 2.0), reflectance=0.8)
 """In the plane x = 0, seen from +x, 3 m along y and 2 m high."""
@@ -118,7 +118,7 @@ def test_a_mirror_shows_what_passes_its_rectangle():
     where = [(1.0, y, 0.0) for y in (-2.5, -2.2, 0.0, 2.2, 2.5)]
     share = seen_share(WALL, world_targets(where), EYE, rays_in())
     np.testing.assert_allclose(share, [0, 1, 1, 1, 0], atol=1e-12)
-    # on the edge: 19 places, about half of them pass
+    # on the edge: 19 points, about half of them pass
     edge = seen_share(WALL, world_targets([(1.0, 2.25, 0.0)], radius=0.1), EYE, rays_in())[0]
     assert 7 / 19 < edge < 12 / 19
     image = mirrored(WALL, world_targets([(1.0, 2.25, 0.0)], radius=0.1), SIGNAL, *still(), rays_in())
@@ -201,7 +201,7 @@ def rendered(targets: TargetsInCamera, figures: Figures | None = None) -> Array:
 
 @pytest.mark.parametrize("shape", [BALL, FLAT, FIGURE])
 def test_the_image_in_a_mirror_is_the_flipped_image_of_a_flipped_world(shape):
-    """A camera that looks straight into a mirror sees what its image behind it sees, left and right swapped."""
+    """A camera that faces a mirror sees what its image behind it sees, left and right swapped."""
     # the mirror is y = 1; a camera on y = 0.6 looks along +y; the world's image behind the mirror swaps y with 2 - y
     mirror = PlaneMirror((0.0, 1.0, 0.0), (0.0, -1.0, 0), (1.0, 0, 0), (4.0, 4.0), reflectance=1.0)
     looking = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
@@ -249,14 +249,14 @@ def test_a_camera_sees_the_lights_of_the_others():
     np.testing.assert_allclose(seen.path[0], [[0, 0, 4.0]] * NODES, atol=1e-15)
     np.testing.assert_allclose(seen.rotation[0, 0][:, 2], [0, 0, -1], atol=1e-15)
     assert seen.electrons[0] == pytest.approx(20 * SIGNAL)
-    assert seen.electrons[1] == 0.0  # it looks the other way
+    assert seen.electrons[1] == 0.0  # it faces the other way
     assert seen.lit_s.tolist() == [[2.0, 3.0], [4.0, 5.0]]
     assert set(seen.shape.tolist()) == {FLAT}
 
 
 def test_a_camera_sees_its_own_light_in_a_mirror():
     got = stray(Surroundings(ring_light=RingLight(), mirrors=(WALL,)))
-    # cameras 1 and 2 stand behind the wall's plane
+    # cameras 1 and 2 are behind the wall's plane
     np.testing.assert_allclose(got.mirrored.path[0, 1], [0, 0, 4.0], atol=1e-15)
     assert got.mirrored.electrons[0] == pytest.approx(0.8 * 20 * SIGNAL)
     assert got.mirrored.lit_s.tolist() == [[0.0, 1.0]]

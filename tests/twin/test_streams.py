@@ -1,4 +1,4 @@
-"""Named random streams: told apart by seed, name and index, the same on every machine."""
+"""Named random streams: distinct by seed, name and index, the same on every machine."""
 
 import numpy as np
 from hypothesis import given, settings

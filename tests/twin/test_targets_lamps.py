@@ -41,7 +41,7 @@ instant = st.floats(-6.0, 9.0)
 
 @given(blinks, instant, st.floats(0.0, 3.0))
 def test_lit_is_exact(blink, t0, length):
-    """Against rational arithmetic: all bits one by one, the edges as the doubles that stand for them."""
+    """Against rational arithmetic: all bits one by one, the edges as their doubles."""
     t1 = t0 + min(length, 40 * blink.bit_s)
     last = int((Fraction(t1) - Fraction(blink.start_s)) / Fraction(blink.bit_s)) + 2
     total = Fraction(0)

@@ -65,7 +65,7 @@ def positions(scene: Scene, times: np.ndarray = TIMES) -> np.ndarray:
 
 
 def pose(scene: Scene, time_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """Place (3,) and rotation (3, 3) of the one free body."""
+    """Position (3,) and rotation (3, 3) of the one free body."""
     qpos = scene.configuration_at(time_s)
     rotation = np.zeros(9)
     mujoco.mju_quat2Mat(rotation, qpos[3:])
@@ -130,7 +130,7 @@ def test_a_field_is_where_its_vocabulary_has_it(layout: Any, n: int) -> None:
 
 
 def _sights(layout: str, rotation: np.ndarray) -> np.ndarray:
-    """Directions (6, 3) to look from: 2 degrees off the normal (steps rise beside); for the corner, the open."""
+    """Directions of view (6, 3): 2 degrees off the normal (steps rise beside); for the corner, the open."""
     angle = np.arange(0, 2 * np.pi, np.pi / 3)
     off = np.deg2rad(2 if layout == "tower" else 30)
     axis = rotation if layout == "tower" else face_axes(np.ones(3))
@@ -234,7 +234,7 @@ def test_wands_bars_and_frames_have_their_lengths() -> None:
 
 
 def test_stems_and_bars_leave_the_balls_in_sight() -> None:
-    """From the front, up to 60 degrees off, nothing stands before any part of a ball."""
+    """From the front, up to 60 degrees off, no part of a ball is hidden."""
     scene = BUILDERS["wand"](7)
     sampler = scene.sampler()
     state = sampler.at(0.2)
