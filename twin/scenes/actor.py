@@ -75,34 +75,27 @@ def build_actor(
     lamps: tuple[BodyLamp, ...] = (),
     floor: bool = True,
 ) -> Scene:
-    """Return an actor with ``markers`` (30..60) ball markers in a working space, on the floor z = 0.
-
-    The scene's rigid bodies are the parts with three markers or more. Raises InputError naming what is wrong.
+    """Return an actor with ``markers`` (30..60) ball markers in a working space, on the floor z = 0; or InputError.
 
     Parameters
     ----------
     duration_s, box_center_m, box_size_m, floor
         Length of the scene, working space ((3,) each), and whether there is a floor.
-    markers, marker_diameter_m
-        Number and size of the ball markers.
+    markers, marker_diameter_m, lamps
+        Number and size of the ball markers; lamps of worn cameras, which come after the markers.
     rng
         Draws start and first step of a walk, and the loops of the other actions.
-    motion_file, skeleton_file
-        Recording (.amc with .asf, or .bvh), interpolated by a C2 spline; its limbs may intersect slightly.
-    start_s
-        Start in the recording (converted BVH files need some frames to leave an added T-pose).
+    motion_file, skeleton_file, start_s
+        Recording (.amc with .asf, or .bvh), interpolated by a C2 spline, and where it starts (converted BVH
+        files need some frames to leave an added T-pose).
     metres_per_unit, frame_rate_hz, drop_frames
         What the file lacks (defaults: ASF from its length, 120 Hz; BVH 0.01, the file's rate, 1 frame dropped).
-    placement, heading_deg
-        "center": the recording is rotated by the heading about the vertical, the middle of the part played is put
-        over the middle of the box and its lowest heel or ball on the floor; "file": unchanged.
-    keep_in_box
-        A recording that leaves the box is an error.
+    placement, heading_deg, keep_in_box
+        "center": rotated by the heading about the vertical, the middle of the part played over the middle of the box,
+        its lowest heel or ball on the floor; "file": unchanged. Whether a recording that leaves the box is an error.
     action, gait, speed_mps, stature_m
         Without a recording. "walk": "in_place", "circle" (the largest in the box) or "back_and_forth" along the box's
         longer side; "boxing", "dance", "jump": a loop over the middle of the box.
-    lamps
-        Those of worn cameras, which come after the markers.
     """
     box = Box(box_center_m, box_size_m)
     positive({"duration_s": duration_s, "marker_diameter_m": marker_diameter_m})

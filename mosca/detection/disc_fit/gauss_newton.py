@@ -252,12 +252,10 @@ def fit_disc(
         x0, y0, amplitude, background, radius.
     blur
         Prior mean and standard deviation.
-    model
-        Pixel noise and saturation.
     symmetric
         Whether the pixels lie all around the target, so that the centre can be solved separately.
-    work
-        (6, 7) working memory.
+    model, work
+        Pixel noise and saturation; (6, 7) working memory.
     """
     x0, y0, a, b, radius = start
     mean, prior = blur[0], 1.0 / (blur[1] * blur[1])
