@@ -48,6 +48,7 @@ def is_compiled(dispatcher: Any) -> bool:
     return any(here in key for key in dispatcher._cache._cache_file._load_index())
 
 
+@functools.cache
 def source_stamp(path: Path, root: Path = ROOT) -> str:
     """Return a digest of a source file and of all files below ``root`` that it imports, directly or not."""
     digest = hashlib.sha256()
