@@ -47,19 +47,19 @@ def pupil_blur(quick: bool) -> Check:
     """Blur that changes with distance and field: the image is the mean over the pupil's points."""
     rows: list[Row] = []
     for name, cases in CASES.items():
-        pairs = [(_rendered(case), _expected(case)) for case in (cases[:1] if quick else cases)]
+        pairs = [(rendered(case), expected(case)) for case in (cases[:1] if quick else cases)]
         off = np.array([centroids_apart(*pair) for pair in pairs])
         rows.append(Row(f"{name}: centroid, rms", rms(off), "px", CENTROID_PX))
         rows.append(Row(f"{name}: pixels, largest", max(pixels_apart(*p) for p in pairs), "of peak", PIXEL))
     case = CASES["field curvature and all together"][1]
-    fine, coarse = _expected(case), _expected(case, 6, 18)
+    fine, coarse = expected(case), expected(case, 6, 18)
     faults = {
         "defocus of the other sign": replace(WORST, focus_m=2.0 / 3.0),  # 1 m lies as far behind, in diopters
         "coma inwards": replace(WORST, coma_px=-3.0),
         "f-number a quarter off": replace(WORST, f_number=2.5),
     }
     for name, optics in faults.items():
-        off_peak = pixels_apart(_rendered((optics, *case[1:])), fine)
+        off_peak = pixels_apart(rendered((optics, *case[1:])), fine)
         rows.append(Row(f"fault: {name}: pixels", off_peak, "of peak", PIXEL, control=True))
     return Check(
         "Defocus and coma",
@@ -70,12 +70,14 @@ def pupil_blur(quick: bool) -> Check:
     )
 
 
-def _rendered(case: Case) -> Array:
+def rendered(case: Case) -> Array:
+    """Return the twin's image (H, W)."""
     optics, xy, diameter, tilt, distance = case
     return seen_by_twin(LENS, SIZE, [marker(WITNESS, xy, diameter, tilt, distance)[0]], optics)[0]
 
 
-def _expected(case: Case, radial: int = 9, angles: int = 26) -> Array:
+def expected(case: Case, radial: int = 9, angles: int = 26) -> Array:
+    """Return the image (H, W) by the pupil's mean over so many points."""
     optics, xy, diameter, tilt, distance = case
     target, outline = marker(WITNESS, xy, diameter, tilt, distance)
     polygon = WITNESS.project(outline[::10])

@@ -4,7 +4,7 @@ The camera is at the origin, its axis along z, x to the right and y down. ``by_p
 image's middle.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera, Lens, OpenCVLens, Pose
+from reports.fidelity import Crop
 from twin.cameras.exposure.mount import Mount
 from twin.cameras.exposure.shutter import Timing
 from twin.cameras.optics.blur_parameters import Optics
@@ -29,6 +30,8 @@ AHEAD = Pose(np.eye(3), np.zeros(3))
 GAP_PX, GAP_GREY = 8, 118
 """Between panels: a grey that is seen on white and on black."""
 CARRIED = "carried"
+WITHOUT = "without"
+"""Label of a panel that lacks the disturbance."""
 BACK = np.diag([1.0, -1.0, -1.0])
 """The carried body is rotated by 180 degrees about x: its +z, along which lamps shine, points to the camera."""
 
@@ -69,6 +72,11 @@ class Ball:
     at: Array
     diameter_m: float
     glow: Glow = field(default_factory=Glow)
+
+
+def markers(diameter_px: float, *places_px: tuple[float, float]) -> list[Ball]:
+    """Return balls of one size by their positions from the image's middle [px]."""
+    return [Ball(by_px(x, y), metres(diameter_px)) for x, y in places_px]
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,11 +152,6 @@ def photo(
     return image
 
 
-def change(camera: VirtualCamera, **more: Any) -> VirtualCamera:
-    """Return the camera with other parts."""
-    return replace(camera, **more)
-
-
 def grey(counts: Array, dark: float = 0.0, bright: float = 255.0, gamma: float = 1.0) -> Array:
     """Return counts as grey (H, W) uint8: ``dark`` black, ``bright`` white, in between to the power ``gamma``."""
     share = np.clip((counts.astype(float) - dark) / (bright - dark), 0.0, 1.0)
@@ -167,3 +170,38 @@ def side_by_side(*panels: Array, zoom: int) -> Array:
     for panel in panels:
         parts += [np.repeat(np.repeat(panel, zoom, axis=0), zoom, axis=1), gap]
     return np.concatenate(parts[:-1], axis=1)
+
+
+def pair(
+    scene: Scene,
+    camera: VirtualCamera,
+    levels: tuple[float, ...] = (),
+    taken: dict[str, Any] | None = None,
+    surroundings: Surroundings | None = None,
+    **changed: Any,
+) -> list[Array]:
+    """Return two panels: by ``camera``, and by the camera with parts ``changed``, within ``surroundings``.
+
+    ``levels``: of ``grey``; ``taken``: arguments of ``photo`` for both.
+    """
+    taken = taken or {}
+    with_it = photo(scene, replace(camera, **changed), surroundings=surroundings, **taken)
+    return [grey(photo(scene, camera, **taken), *levels), grey(with_it, *levels)]
+
+
+@dataclass(frozen=True, eq=False)
+class Panels:
+    """How a picture is made and what is said of it: ``Crop`` with its panels unmade."""
+
+    name: str
+    title: str
+    labels: tuple[str, ...]
+    caption: str
+    scenario: str
+    panels: Callable[[], Sequence[Array]]
+    zoom: int = 4
+
+    def __call__(self) -> Crop:
+        """Return the picture; the same bytes each time."""
+        image = side_by_side(*self.panels(), zoom=self.zoom)
+        return Crop(self.name, self.title, self.labels, image, self.caption, self.scenario)

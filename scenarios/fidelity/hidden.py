@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from mosca.data.arrays import Array
 from reports.fidelity import Check, Row
 from scenarios.fidelity.measure import about, rms
-from scenarios.fidelity.twin_adapter import Target, seen_by_twin
+from scenarios.fidelity.twin_adapter import ELECTRONS, Target, seen_by_twin
 from scenarios.fidelity.views import small_camera
 from twin.cameras.render.mesh_occlusion import MeshRays
 from twin.cameras.render.occluders import occluders_of
@@ -73,41 +73,44 @@ def _rows(name: str, found: Array) -> list[Row]:
     return rows
 
 
-def _beside(offset_px: float) -> Array:
+def beside(offset_px: float, depth_m: float = NEAR, angle_rad: float = 0.35) -> Array:
     """Return a point [m] whose image is ``offset_px`` from the marker's."""
-    away = offset_px * NEAR / F_PX * np.array([np.cos(0.35), np.sin(0.35)])
-    return np.array([*(AT[:2] / AT[2] * NEAR + away), NEAR])
+    away = offset_px * depth_m / F_PX * np.array([np.cos(angle_rad), np.sin(angle_rad)])
+    return np.array([*(AT[:2] / AT[2] * depth_m + away), depth_m])
 
 
 def _still(name: str, offset_px: float) -> World:
-    return _with(World(fixed(AT), RADIUS), name, fixed(_beside(offset_px)))
+    return put(World(fixed(AT), RADIUS), name, fixed(beside(offset_px)))
 
 
 def _moving(name: str, solid_px: tuple[float, float]) -> World:
-    return _with(World(_path(AT, (3.0, -3.0)), RADIUS), name, _path(_beside(17.0), solid_px))
+    return put(World(moving(AT, (3.0, -3.0)), RADIUS), name, moving(beside(17.0), solid_px))
 
 
-def _path(middle: Array, px: tuple[float, float]) -> Path:
+def moving(middle: Array, px: tuple[float, float]) -> Path:
+    """Return a path through ``middle`` half way in the exposure, ``px`` long in the image."""
     step = np.array([*px, 0.0]) * middle[2] / F_PX
     return lambda t: middle + step * (t - 0.5)
 
 
-def _with(world: World, name: str, at: Path) -> World:
+def put(world: World, name: str, at: Path, turn: Path | None = None) -> World:
+    """Add an occluder by its name, at a fixed rotation unless ``turn`` is given."""
+    turn = fixed(TURN) if turn is None else turn
     if name in MESHES:
-        return world.add_mesh(MESHES[name], at, fixed(TURN))
-    return world.add(*SOLIDS[name], at, fixed(TURN))
+        return world.add_mesh(MESHES[name], at, turn)
+    return world.add(*SOLIDS[name], at, turn)
 
 
 def _compared(world: World, instants: int = 1) -> tuple[float, float, float]:
     """Return the witness's share, the twin's less that, and how far the centroids are apart [px]."""
-    image, visible = _look(world)
+    image, visible = seen_in(world)
     rays = seen_over_time(world, WITNESS, SIZE, SIGMA, instants, 1.0, 24 if instants == 1 else 16)
     off = float(np.hypot(*(image_centroid(image) - rays.centroid))) if rays.share >= 0.3 else 0.0
     return rays.share, visible - rays.share, off
 
 
-def _look(world: World) -> tuple[Array, float]:
-    """Return the twin's image of the marker and its visible share by the twin."""
+def seen_in(world: World) -> tuple[Array, float]:
+    """Return the twin's image of the marker (geom 0) and its visible share by the twin; other markers are dark."""
     model, data = world.compile()
     geoms = tuple(int(g) for g in np.flatnonzero(model.geom_group == MARKER_GROUP))
     scene = Scene(model, tuple(f"m{g}" for g in geoms), geoms, lambda t: np.zeros(0), 1.0)
@@ -122,24 +125,29 @@ def _look(world: World) -> tuple[Array, float]:
     if has_meshes(occluders):
         _model, there = world.compile()
 
-        def look(t: float) -> tuple[mujoco.MjData, Array, Array]:
+        def state_at(t: float) -> tuple[mujoco.MjData, Array, Array]:
             world.move(model, there, t)
             return there, ROTATION, POSITION
 
-        more["mesh_rays"] = MeshRays(model, look, 0.5, occluders, geoms)
-    image, seen = seen_by_twin(LENS, SIZE, [Target(world.paths[0][0], RADIUS)], **more)
+        more["mesh_rays"] = MeshRays(model, state_at, 0.5, occluders, geoms)
+    targets = []
+    for g in geoms:
+        at, turn = world.paths[int(model.geom(g).name[1:])]
+        light = ELECTRONS if g == 0 else 0.0
+        targets.append(Target(at, model.geom_size[g, 0], turn, g == 0 and world.flat, electrons=light))
+    image, seen = seen_by_twin(LENS, SIZE, targets, **more)
     return image, float(seen.visible[0])
 
 
 def _faults() -> list[Row]:
     """Return how wrong a twin's share is whose world is slightly else than the witness's."""
     still = seen_over_time(_still("box", 18.0), WITNESS, SIZE, SIGMA).share
-    moving = seen_over_time(_moving("box", (6.0, 2.0)), WITNESS, SIZE, SIGMA, INSTANTS, 1.0, 16).share
-    stopped = _with(World(fixed(AT), RADIUS), "box", _path(_beside(17.0), (6.0, 2.0)))
-    early = _with(World(_path(AT, (3.0, -3.0)), RADIUS), "box", fixed(_path(_beside(17.0), (6.0, 2.0))(0.0)))
+    in_motion = seen_over_time(_moving("box", (6.0, 2.0)), WITNESS, SIZE, SIGMA, INSTANTS, 1.0, 16).share
+    stopped = put(World(fixed(AT), RADIUS), "box", moving(beside(17.0), (6.0, 2.0)))
+    early = put(World(moving(AT, (3.0, -3.0)), RADIUS), "box", fixed(moving(beside(17.0), (6.0, 2.0))(0.0)))
     faults = {
-        "an edge off by a tenth of a pixel": _look(_still("box", 17.9))[1] - still,
-        "a marker that stands still": _look(stopped)[1] - moving,
-        "an occluder judged at the exposure's start": _look(early)[1] - moving,
+        "an edge off by a tenth of a pixel": seen_in(_still("box", 17.9))[1] - still,
+        "a marker that stands still": seen_in(stopped)[1] - in_motion,
+        "an occluder judged at the exposure's start": seen_in(early)[1] - in_motion,
     }
     return [Row(f"fault: {name}", abs(off), "", SHARE, control=True) for name, off in faults.items()]

@@ -3,14 +3,10 @@
 from collections.abc import Callable
 
 from reports.fidelity import Crop
-from scenarios.fidelity import pictures_lens, pictures_light, pictures_targets, pictures_time
+from scenarios.fidelity import pictures_camera, pictures_light
+from scenarios.fidelity.demo_scene import Panels
 
-CROPS: tuple[Callable[[], Crop], ...] = (
-    *pictures_lens.CROPS,
-    *pictures_time.CROPS,
-    *pictures_light.CROPS,
-    *pictures_targets.CROPS,
-)
+CROPS: tuple[Panels, ...] = (*pictures_camera.CROPS, *pictures_light.CROPS)
 
 
 def all_crops(progress: Callable[[int, int], None] = lambda done, total: None) -> list[Crop]:

@@ -29,9 +29,9 @@ SQUARE, COLUMNS, ROWS, BLACK = 0.025, 5, 4, 0.1
 def figures(quick: bool) -> Check:
     """Circle, coded target and checkerboard, seen askew through a distorting lens."""
     rows: list[Row] = []
-    drawn = {"circle": _circle(), "coded target": _coded(), "checkerboard": _board()}
+    drawn = {"circle": disc_of_tape(), "coded target": coded(), "checkerboard": board()}
     for name, (contours, outlines) in drawn.items():
-        image = seen_by_twin(LENS, SIZE, [_plate(contours)])[0]
+        image = seen_by_twin(LENS, SIZE, [plate(contours)])[0]
         wanted, _light, centroid = outline_image(WITNESS, CENTRE, TURN, outlines, SIGMA, SIZE)
         off = float(np.hypot(*(image_centroid(image) - centroid)))
         rows.append(Row(f"{name}: centroid", off, "px", CENTROID_PX))
@@ -45,7 +45,7 @@ def figures(quick: bool) -> Check:
         "one sector 6 degrees too long": [*contours[:-1], _sector(4.0, 6.0)],
     }
     for name, faulty in faults.items():
-        off_peak = pixels_apart(seen_by_twin(LENS, SIZE, [_plate(faulty)])[0], wanted)
+        off_peak = pixels_apart(seen_by_twin(LENS, SIZE, [plate(faulty)])[0], wanted)
         rows.append(Row(f"fault: {name}: pixels", off_peak, "of peak", PIXEL, control=True))
     return Check(
         "Printed figures",
@@ -63,7 +63,7 @@ def profiles(quick: bool) -> Check:
     own = 0.0
     for diameter in (5.0, 20.0) if quick else (2.0, 5.0, 10.0, 20.0):
         for tilt in (None, 50.0):
-            target, normal = _profiled(diameter, tilt, limb, shade)
+            target, normal = profiled(diameter, tilt, limb, shade)
             image = seen_by_twin(LENS, SIZE, [target])[0]
             centre, radius = target.centre_at(0.0), target.radius
             face = spots(WITNESS, centre, radius, normal, 32, 160 if diameter < 20.0 else 320)
@@ -78,8 +78,8 @@ def profiles(quick: bool) -> Check:
             if diameter < 20.0:  # larger ones: the witness's spots would have to lie denser
                 wanted = points_image(face.xy, light, SIGMA, *SIZE)
                 rows.append(Row(f"{what}: pixels, largest", pixels_apart(image, wanted), "of peak", 2 * PIXEL))
-    true, _normal = _profiled(10.0, None, limb, shade)
-    flipped, _normal = _profiled(10.0, None, limb, (0.3, 0.2, 0.0))
+    true, _normal = profiled(10.0, None, limb, shade)
+    flipped, _normal = profiled(10.0, None, limb, (0.3, 0.2, 0.0))
     pair = [seen_by_twin(LENS, SIZE, [what])[0] for what in (true, flipped)]
     rows.append(Row("fault: shading with y flipped", centroids_apart(*pair), "px", PROFILE_PX, control=True))
     return Check(
@@ -91,7 +91,7 @@ def profiles(quick: bool) -> Check:
     )
 
 
-def _profiled(
+def profiled(
     diameter: float, tilt: float | None, limb: float, shade: tuple[float, float, float]
 ) -> tuple[Target, Array | None]:
     """Return a marker and its normal (None: a ball)."""
@@ -102,12 +102,14 @@ def _profiled(
     return disc(centre, normal, radius, limb=limb, shade=shade), normal
 
 
-def _plate(contours: list[Array]) -> Target:
+def plate(contours: list[Array], centre: Array = CENTRE) -> Target:
+    """Return a still target that carries a figure."""
     drawn = figure(contours)
-    return Target(lambda t: CENTRE, drawn.radius, lambda t: TURN, False, drawn)
+    return Target(lambda t: centre, drawn.radius, lambda t: TURN, False, drawn)
 
 
-def _circle() -> tuple[list[Array], Outlines]:
+def disc_of_tape() -> tuple[list[Array], Outlines]:
+    """Return a circle: contours for the twin, outlines with gains for the witness."""
     return [circle(0, 0, OUTER)], [(arc(OUTER, 0, 2 * np.pi, 2000)[:-1], 1.0)]
 
 
@@ -115,8 +117,8 @@ def _sector(start: float, end: float) -> Array:
     return ring_sector(0, 0, INNER, OUTER, start, end)
 
 
-def _coded() -> tuple[list[Array], Outlines]:
-    """Return a dot with ring sectors: contours for the twin, outlines with gains for the witness."""
+def coded() -> tuple[list[Array], Outlines]:
+    """Return the same of a dot with ring sectors."""
     outlines: Outlines = [(arc(DOT, 0, 2 * np.pi)[:-1], 1.0)]
     for start, end in SECTORS:
         outer, inner = arc(OUTER, start, end), arc(INNER, end, start)
@@ -126,10 +128,10 @@ def _coded() -> tuple[list[Array], Outlines]:
     return [circle(0, 0, DOT), *[_sector(a, b) for a, b in SECTORS]], outlines
 
 
-def _board() -> tuple[list[Array], Outlines]:
+def board() -> tuple[list[Array], Outlines]:
     """Return the same of black squares on a white plate."""
     half = np.array([COLUMNS + 1, ROWS + 1]) / 2 * SQUARE
-    plate = np.array([-half, [half[0], -half[1]], half, [-half[0], half[1]]])
+    paper = np.array([-half, [half[0], -half[1]], half, [-half[0], half[1]]])
     unit = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     black = [
         SQUARE * (np.array([i - COLUMNS / 2, j - ROWS / 2]) + unit)
@@ -137,5 +139,5 @@ def _board() -> tuple[list[Array], Outlines]:
         for j in range(ROWS)
         if (i + j) % 2 == 0
     ]
-    contours = [polygon(plate), *[polygon(corners, BLACK - 1.0) for corners in black]]
-    return contours, [(dense(plate), 1.0), *[(dense(corners), BLACK - 1.0) for corners in black]]
+    contours = [polygon(paper), *[polygon(corners, BLACK - 1.0) for corners in black]]
+    return contours, [(dense(paper), 1.0), *[(dense(corners), BLACK - 1.0) for corners in black]]

@@ -12,6 +12,7 @@ from reports.fidelity import Check, Row
 from scenarios.fidelity.measure import about, centroids_apart, pixels_apart, rms
 from scenarios.fidelity.twin_adapter import ALWAYS, Target, seen_by_twin, turn_to, window_of
 from scenarios.fidelity.views import small_camera
+from twin.cameras.render.render import VisibleTargets
 from witness.image import contour_image, exposed, row_windows
 from witness.render import ball_outline, disc_outline
 from witness.views import place, tilted_normal
@@ -70,7 +71,7 @@ def motion(quick: bool) -> Check:
         rows.append(Row(f"{name}: centroid, rms", rms(np.array([centroids_apart(*p) for p in pairs])), "px", RMS_PX))
         rows.append(Row(f"{name}: pixels, largest", max(pixels_apart(*p) for p in pairs), "of peak", PIXEL))
     fastest = CASES["rolling shutter"][0 if quick else 2]
-    fine, coarse = _expected(fastest, 2 * INSTANTS - 1), _expected(fastest)
+    fine, coarse = expected(fastest, 2 * INSTANTS - 1), expected(fastest)
     return Check(
         "Motion blur and rolling shutter",
         "centre of light, and every pixel, of moving targets",
@@ -81,10 +82,10 @@ def motion(quick: bool) -> Check:
 
 
 def _both(case: Case) -> tuple[Array, Array]:
-    return _rendered(case), _expected(case)
+    return rendered(case)[0], expected(case)
 
 
-def _path(case: Case) -> tuple[Callable[[float], Array], float, Array]:
+def path(case: Case) -> tuple[Callable[[float], Array], float, Array]:
     """Return where the target is at any instant, its radius [m] and, for a disc, its normal."""
     centre, radius, sight, one, other = place(WITNESS, MIDDLE, case.diameter, DISTANCE)
     metre = DISTANCE / F_PX  # of a pixel
@@ -97,17 +98,19 @@ def _path(case: Case) -> tuple[Callable[[float], Array], float, Array]:
     return at, radius, tilted_normal(case.tilt or 0.0, sight, one, other)
 
 
-def _rendered(case: Case) -> Array:
-    at, radius, normal = _path(case)
+def rendered(case: Case) -> tuple[Array, VisibleTargets]:
+    """Return the twin's image (H, W) of a case, and its truth."""
+    at, radius, normal = path(case)
     window = window_of(case.length_s, case.row_time_s, SIZE[1], case.light_s, case.nodes)
-    turn = turn_to(normal)
-    target = Target(at, radius, lambda t: turn, case.tilt is not None, lit_s=case.lit_s)
-    return seen_by_twin(LENS, SIZE, [target], window=window)[0]
+    rotation = turn_to(normal)
+    target = Target(at, radius, lambda t: rotation, case.tilt is not None, lit_s=case.lit_s)
+    return seen_by_twin(LENS, SIZE, [target], window=window)
 
 
 @lru_cache(maxsize=64)
-def _expected(case: Case, instants: int = INSTANTS) -> Array:
-    at, radius, normal = _path(case)
+def expected(case: Case, instants: int = INSTANTS) -> Array:
+    """Return the witness's image (H, W): each row's mean over its own window, from so many instants."""
+    at, radius, normal = path(case)
 
     def image_at(t: float) -> Array:
         outline = ball_outline(at(t), radius, 600) if case.tilt is None else disc_outline(at(t), normal, radius, 600)
@@ -133,7 +136,7 @@ def _faults() -> list[Row]:
     return [
         Row(
             f"fault: {name}",
-            centroids_apart(_rendered(replace(case, **changed)), _expected(case)),
+            centroids_apart(rendered(replace(case, **changed))[0], expected(case)),
             "px",
             RMS_PX,
             control=True,

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from mosca.data.rig import FisheyeLens, Lens, OpenCVLens
-from scenarios.fidelity.twin_adapter import ball, seen_by_twin
-from scenarios.fidelity.views import LENSES, MATRIX, PLACES, H, W, marker, shifted, small_camera
+from scenarios.fidelity.static_markers import DIAMETERS, MAX_PX, REAL, RMS_PX, TILTS
+from scenarios.fidelity.twin_adapter import EVEN, ball, seen_by_twin
+from scenarios.fidelity.views import LENSES, MATRIX, PLACES, TILT_MATRICES, H, W, marker, small_camera
 from twin.cameras.optics.blur_parameters import Optics
 from witness.image import Array, contour_image, lines_image, lines_moments, points_image, rectangle_image, scan
 from witness.profile import brightness, dense, spots
@@ -24,18 +25,8 @@ from witness.render import (
 )
 from witness.views import real_lens, tangent_circle
 
-DIAMETERS = (2.0, 3.1, 5.4, 8.0, 14.7, 25.3, 40.0)
-TILTS = (None, 0.0, 30.0, 60.0)
-EXPECTED_RMS, EXPECTED_MAX = 0.001, 0.004
 SIGMA = 0.6
-EVEN = Optics(gap_px=0.0)
 GAP_ORDER = {"fisheye": 11}
-# centre of rotation of a tilted sensor: principal point and, for the principal distance, the exit pupil's, which
-# for a fisheye is six times as far
-MATRICES = {
-    "paper": np.array([[6.5 / 0.00943, 0, 301.4], [0, 6.5 / 0.00944, 255.5], [0, 0, 1]]),
-    "fisheye": np.array([[6 * 270.0, 0, 322.0], [0, 6 * 271.0, 240.0], [0, 0, 1]]),
-}
 
 
 def deviations(lens: Lens, witness: WitnessLens, plain: WitnessLens, optics: Optics) -> Array:
@@ -71,15 +62,15 @@ def test_still_markers_land_where_their_outlines_do(gap, record_property):
         if gap != "no gap":
             witness, optics = with_gap(plain, 0.25, W, H, GAP_ORDER.get(name, 9)), Optics(gap_px=0.25)
         if gap == "real lens":
-            optics = Optics(gap_px=0.25, tilt_deg=(0.05, -0.04), pupil_shift_m=0.001)
-            witness = real_lens(witness, MATRICES.get(name, MATRIX), optics.tilt_deg, optics.pupil_shift_m)
+            optics = REAL
+            witness = real_lens(witness, TILT_MATRICES.get(name, MATRIX), optics.tilt_deg, optics.pupil_shift_m)
         rows = deviations(lens, witness, plain, optics)
         distance = np.hypot(rows[:, 0], rows[:, 1])
         rms = float(np.sqrt(np.mean(distance**2)))
         print(f"{gap:10s} {name:10s} rms {rms:.1e} px  max {distance.max():.1e} px  area {abs(rows[:, 2]).max():.1e}")
         record_property(f"{gap}, {name}: rms, max px", f"{rms:.2e}, {distance.max():.2e}")
-        assert rms < EXPECTED_RMS
-        assert distance.max() < EXPECTED_MAX
+        assert rms < RMS_PX
+        assert distance.max() < MAX_PX
         assert np.abs(rows[:, 2]).max() < 5e-4
 
 
@@ -90,7 +81,7 @@ def test_flat_target_seen_at_a_grazing_angle(diameter, tilt):
     target, outline = marker(witness, PLACES["centre"], diameter, tilt)
     area, centroid = area_and_centroid(witness.project(outline))
     image, _seen = seen_by_twin(lens, (W, H), [target])
-    assert np.hypot(*(image_centroid(image) - centroid)) < EXPECTED_RMS
+    assert np.hypot(*(image_centroid(image) - centroid)) < RMS_PX
     assert image.sum() == pytest.approx(area, rel=5e-4)
 
 
@@ -105,7 +96,7 @@ def test_fisheye_looks_behind_its_own_plane():
     centre = 1.5 * np.array([np.sin(angle), 0.1, np.cos(angle)])
     area, centroid = area_and_centroid(project(tangent_circle(centre, 0.05)))
     image, seen = seen_by_twin(FisheyeLens(150.0, 150.0, 328.0, 245.0), (W, H), [ball(centre, 0.05)])
-    assert np.hypot(*(image_centroid(image) - centroid)) < EXPECTED_RMS
+    assert np.hypot(*(image_centroid(image) - centroid)) < RMS_PX
     assert image.sum() == pytest.approx(area, rel=1e-4)
     np.testing.assert_allclose(seen.xy_px[0], project(centre[None])[0], atol=1e-9)
 
@@ -202,23 +193,3 @@ def test_the_image_witnesses_agree_with_closed_forms():
     far = spots(pinhole, np.array([0.0, 0.0, 1e4]), 1e4 * 5 / 300, None)
     assert far.area @ brightness(far, 1.0, (0.0, 0.0, 0.0)) == pytest.approx(2 * np.pi / 3 * 25, rel=1e-3)
     assert points_image(far.xy, far.area, SIGMA, 64, 64).sum() == pytest.approx(far.area.sum(), rel=1e-12)
-
-
-def test_gross_faults_are_noticed():
-    # control: each fault moves the centroid by more than ten times the limit
-    lens, witness = LENSES["rational"]
-    target, outline = marker(witness, PLACES["edge"], 8.0, None)
-    _area, centroid = area_and_centroid(witness.project(outline))
-    mirrored = ball(target.centre_at(0.0) * [1.0, -1.0, 1.0], target.radius)
-    for faulty_lens, faulty in ((shifted(lens, 0.5, 0.0), target), (lens, mirrored)):
-        image, _seen = seen_by_twin(faulty_lens, (W, H), [faulty])
-        assert np.hypot(*(image_centroid(image) - centroid)) > 10 * EXPECTED_MAX
-
-
-def test_the_smallest_fault_that_must_fail():
-    # control: a principal point off by three times the limit fails it
-    lens, witness = LENSES["rational"]
-    target, outline = marker(witness, PLACES["corner"], 8.0, 30.0)
-    _area, centroid = area_and_centroid(witness.project(outline))
-    image, _seen = seen_by_twin(shifted(lens, 0.0, 3 * EXPECTED_MAX), (W, H), [target])
-    assert np.hypot(*(image_centroid(image) - centroid)) > EXPECTED_MAX
