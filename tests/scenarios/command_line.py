@@ -19,3 +19,13 @@ def mosca(*words, cwd):
         except SystemExit as ended:
             code = ended.code
     return SimpleNamespace(returncode=code, stdout=out.getvalue(), stderr=errors.getvalue())
+
+
+def refusal(*words, cwd):
+    """Run a command line that must fail, with exit code 2 and one line; return that line."""
+    done = mosca(*words, cwd=cwd)
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    (line,) = done.stderr.strip().splitlines()
+    assert line.startswith("mosca: ")
+    return line

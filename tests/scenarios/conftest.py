@@ -40,6 +40,7 @@ def lab_folder(tmp_path_factory):
     (lab / "background.toml").write_text("[background]\nkind = 'mean'\n")
     (lab / "file.txt").write_text("mine")
     (lab / "bad.mcap").write_bytes(b"123")
+    (lab / "bad.npz").write_bytes(b"PK\x03\x04 no")
     for name in ("full", "full.csv", "full.json", "full.toml"):
         (lab / name).mkdir()
         (lab / name / "notes.txt").write_text("mine")

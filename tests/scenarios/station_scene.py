@@ -1,30 +1,28 @@
 """A few discs that move before four cameras, as frames of numpy arrays: no renderer, no truth but the projection."""
 
+import sys
+from pathlib import Path
+
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from rigs import ring
 
 from mosca.camera.projection import project
 from mosca.data.frames import CameraInfo, Frame
-from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
+from mosca.data.rig import OpenCVLens
 
 SIZE = (320, 240)
 RATE = 50.0
 NAMES = ("a1", "a2", "b1", "b2")
 
 
-def rig(names=NAMES, size=SIZE, radius_m=2.5):
+def rig(names=NAMES, size=SIZE):
     """Cameras on a ring, looking at the origin."""
-    cameras = []
-    for k, name in enumerate(names):
-        angle = 2 * np.pi * k / len(names) + 0.3
-        centre = np.array([radius_m * np.cos(angle), radius_m * np.sin(angle), 1.0])
-        forward = -centre / np.linalg.norm(centre)
-        right = np.cross(forward, [0, 0, 1])
-        right /= np.linalg.norm(right)
-        rotation = np.column_stack([right, np.cross(forward, right), forward])
-        f = 1.1 * size[0]
-        lens = OpenCVLens(f, f, (size[0] - 1) / 2, (size[1] - 1) / 2)
-        cameras.append(Camera(name, *size, lens, Pose(rotation, centre)))
-    return Rig(tuple(cameras))
+    f = 1.1 * size[0]
+    lens = OpenCVLens(f, f, (size[0] - 1) / 2, (size[1] - 1) / 2)
+    return ring(len(names), lens, radius_m=2.5, size=size, names=names)
 
 
 def points(pulse, rate=RATE, count=5):

@@ -5,10 +5,10 @@ were made with is what each verb has to find.
 """
 
 import json
-import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import command_line
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -20,7 +20,6 @@ from mosca.data.rig import OpenCVLens, Pose, Rig
 from mosca.data.targets import CodedTarget, TestField
 from mosca.recording import RecordingWriter
 from scenarios.build.cameras import true_rig, virtual_cameras
-from scenarios.cli.main import main
 from scenarios.session.scenes import Session, axes_session, bar_session, target_session
 from scenarios.spec.scenario import Scenario
 from twin.cameras.virtual_camera import VirtualCamera
@@ -149,54 +148,26 @@ def turned(camera, px):
     return replace(camera, world_from_camera=Pose(pose.rotation @ turn.as_matrix(), pose.translation))
 
 
-@pytest.fixture
-def mosca(monkeypatch, capsys):
-    """Return a function that runs the command line and returns exit code, output and error."""
-
-    def run(*args):
-        monkeypatch.setattr(sys, "argv", ["mosca", *map(str, args)])
-        code = 0
-        try:
-            main()
-        except SystemExit as done:
-            code = done.code
-        told = capsys.readouterr()
-        return code, told.out, told.err
-
-    return run
+def mosca(*args):
+    """Run the command line; return exit code, output and error."""
+    done = command_line.mosca(*args, cwd=".")
+    return done.returncode, done.stdout, done.stderr
 
 
-@pytest.fixture
-def refused(mosca):
-    """Return a function that runs a command line that must fail, and returns its only line."""
-
-    def run(*args):
-        code, _, err = mosca(*args)
-        assert code == 2, err
-        (line,) = err.strip().splitlines()
-        assert line.startswith("mosca: ")
-        return line
-
-    return run
+def refused(*args):
+    """Run a command line that must fail, and return its only line."""
+    return command_line.refusal(*args, cwd=".")
 
 
 @pytest.fixture(scope="module")
 def field_rig(lab):
     """Return the rig file of ``mosca calibrate`` from the field's recording, and its output."""
-    from click.testing import CliRunner
-
-    from scenarios.cli.main import cli
-
     out = lab / "rig.toml"
-    done = CliRunner().invoke(
-        cli,
-        [
-            "calibrate", str(lab / "field"), "--target", str(lab / "field.toml"), "--out", str(out),
-            "--pixel-pitch-mm", "0.0099",
-        ],
-    )  # fmt: skip
-    assert done.exit_code == 0, done.output
-    return out, done.output
+    code, told, err = mosca(
+        "calibrate", lab / "field", "--target", lab / "field.toml", "--out", out, "--pixel-pitch-mm", "0.0099"
+    )
+    assert code == 0, err
+    return out, told
 
 
 def rays_px(truth: Rig, found: Rig, align="none") -> list[float]:
@@ -217,7 +188,7 @@ def test_a_field_gives_the_rig_that_made_its_images(lab, field_rig):
     assert "<html" in page
 
 
-def test_the_comparison_names_the_camera_that_was_turned_by_a_pixel(lab, field_rig, mosca, tmp_path):
+def test_the_comparison_names_the_camera_that_was_turned_by_a_pixel(lab, field_rig, tmp_path):
     rig = read_rig(field_rig[0])
     write_rig(Rig(tuple(turned(c, 1.0) if c.name == "cam2" else c for c in rig.cameras)), tmp_path / "turned.toml")
     code, out, _ = mosca("rig", "compare", field_rig[0], tmp_path / "turned.toml", "--align", "none")
@@ -233,7 +204,7 @@ def test_the_comparison_names_the_camera_that_was_turned_by_a_pixel(lab, field_r
     assert max(rays_px(rig, read_rig(tmp_path / "carried.toml"), "rigid")) < 1e-6
 
 
-def test_exterior_alone_after_the_rig_was_moved(lab, field_rig, mosca, tmp_path):
+def test_exterior_alone_after_the_rig_was_moved(lab, field_rig, tmp_path):
     out = tmp_path / "new.toml"
     code, told, err = mosca(
         "calibrate", lab / "moved", "--target", lab / "field.toml", "--known", field_rig[0], "--exterior-only",
@@ -250,7 +221,7 @@ def test_exterior_alone_after_the_rig_was_moved(lab, field_rig, mosca, tmp_path)
     assert "'cam2'" in warned[0]
 
 
-def test_wand_and_l_frame(lab, mosca, tmp_path):
+def test_wand_and_l_frame(lab, tmp_path):
     out = tmp_path / "rig.toml"
     code, told, err = mosca(
         "calibrate", lab / "wand", "--target", lab / "wand.toml", "--axes", lab / "axes", lab / "l_frame.toml",
@@ -263,7 +234,7 @@ def test_wand_and_l_frame(lab, mosca, tmp_path):
     assert found.rms_m < 1.5e-3, found.lines()
 
 
-def test_a_refused_calibration_has_a_page_and_no_rig(lab, refused, tmp_path):
+def test_a_refused_calibration_has_a_page_and_no_rig(lab, tmp_path):
     field = read_field(lab / "field.toml")
     out, target = tmp_path / "rig.toml", tmp_path / "mm.toml"
     target.write_text(field_toml(scaled(field, 1000.0)))
@@ -298,7 +269,7 @@ def other_numbers(field: TestField) -> TestField:
     )
 
 
-def test_bad_input_is_one_line(lab, refused, tmp_path):
+def test_bad_input_is_one_line(lab, tmp_path):
     out, target = tmp_path / "rig.toml", lab / "field.toml"
 
     def line(*options, recording="field", target=target, out=out):
@@ -333,7 +304,7 @@ def test_bad_input_is_one_line(lab, refused, tmp_path):
     assert list(tmp_path.glob("rig.*")) == []
 
 
-def test_a_rig_is_described_camera_by_camera(lab, mosca, refused):
+def test_a_rig_is_described_camera_by_camera(lab):
     code, out, _ = mosca("rig", "check", lab / "truth.toml")
     lines = out.splitlines()
     assert code == 0
@@ -345,7 +316,7 @@ def test_a_rig_is_described_camera_by_camera(lab, mosca, refused):
 
 
 @pytest.mark.parametrize(("name", "file"), [("aniposelib", "a.toml"), ("opencv", "cameras"), ("mosca", "b.toml")])
-def test_a_rig_goes_to_another_program_and_back(lab, mosca, tmp_path, name, file):
+def test_a_rig_goes_to_another_program_and_back(lab, tmp_path, name, file):
     lens = OpenCVLens(505.0, 506.0, 240.0, 178.0, -0.1, 0.02, 1e-4, -2e-4)
     rig = Rig(tuple(replace(c, lens=lens) for c in lab.truth.cameras))
     write_rig(rig, tmp_path / "rig.toml")
@@ -358,7 +329,7 @@ def test_a_rig_goes_to_another_program_and_back(lab, mosca, tmp_path, name, file
     assert max(rays_px(rig, read_rig(back))) < 1e-4
 
 
-def test_a_target_is_printed(lab, mosca, refused, tmp_path):
+def test_a_target_is_printed(lab, tmp_path):
     small = TestField(read_field(lab / "field.toml").targets[:4])
     (tmp_path / "few.toml").write_text(field_toml(small))
     code, out, err = mosca("target", "sheet", tmp_path / "few.toml", "--out", tmp_path / "few.pdf")
@@ -374,7 +345,7 @@ def test_a_target_is_printed(lab, mosca, refused, tmp_path):
     assert "nothing to print" in refused("target", "sheet", tmp_path / "points.toml", "--out", tmp_path / "p.pdf")
 
 
-def test_the_schema_of_target_files_knows_every_kind(mosca):
+def test_the_schema_of_target_files_knows_every_kind():
     code, out, _ = mosca("schema", "target")
     assert code == 0
     kinds = json.loads(out)["discriminator"]["mapping"]
@@ -385,7 +356,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "docs/examples"
 
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("calibration_*.toml")), ids=lambda path: path.stem)
-def test_the_documented_target_files_can_be_used(path, mosca, tmp_path):
+def test_the_documented_target_files_can_be_used(path, tmp_path):
     from mosca.data.files.target_file import read_target_file
 
     made = read_target_file(path)

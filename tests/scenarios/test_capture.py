@@ -139,16 +139,6 @@ def test_lost_sets_are_named_in_ranges():
     assert (lost.count, lost.text(), lost.text(1)) == (6, "3-4, 9-11, 20", "3-4 and 2 more")
 
 
-def test_a_folder_that_is_there_is_refused_before_a_camera_is_touched(tmp_path, rig):
-    opened = []
-    (tmp_path / "take").mkdir()
-    (tmp_path / "take" / "notes.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"take: is there already; choose another"):
-        capture(CaptureRequest(rig, tmp_path / "take"), None, lambda name, settings: opened.append(name))
-    assert opened == []
-    assert [p.name for p in (tmp_path / "take").iterdir()] == ["notes.txt"]
-
-
 def test_a_camera_that_cannot_be_opened_leaves_no_folder(tmp_path, rig):
     def missing(name, settings):
         raise DeviceError(f"camera '{name}': not there")
@@ -399,9 +389,3 @@ def test_a_camera_that_is_not_there_fails_the_check(rig, monkeypatch):
     assert isinstance(result.exception, InputError)
     assert "its cameras not found: a" in str(result.exception)
     assert "check cable, power and network" in str(result.exception)
-
-
-def test_frames_and_seconds_exclude_each_other(tmp_path, rig):
-    arguments = ["--rig", str(rig), "--out", str(tmp_path / "x"), "--frames", "3", "--seconds", "1"]
-    result = CliRunner().invoke(cli_capture.capture, arguments)
-    assert isinstance(result.exception, InputError)

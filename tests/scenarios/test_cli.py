@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import mosca
+from command_line import mosca, refusal
 from tiny_scenario import write_tiny
 
 from mosca.recording import open_recording
@@ -27,13 +27,6 @@ def mosca_alone(*words, cwd):
     return subprocess.run(
         [*MOSCA, *map(str, words)], cwd=cwd, capture_output=True, text=True, timeout=1800, check=False
     )
-
-
-def one_line(result):
-    assert result.returncode == 2, result.stderr
-    lines = result.stderr.strip().splitlines()
-    assert len(lines) == 1, result.stderr
-    return lines[0]
 
 
 def test_run_writes_the_whole_folder_and_repeats_itself(tmp_path):
@@ -61,7 +54,7 @@ def test_verbosity(tmp_path):
     shown = {words: mosca(*words, "run", path, cwd=tmp_path).stderr for words in ((), ("-v",), ("-q",))}
     assert shown[()] == shown[("-q",)] == ""
     assert "INFO scenarios.run.scenario: frames_to_tracks: " in shown[("-v",)]
-    assert "exclude each other" in one_line(mosca("-q", "-v", "list", cwd=tmp_path))
+    assert "exclude each other" in refusal("-q", "-v", "list", cwd=tmp_path)
 
 
 def test_a_broken_limit_exits_1_and_a_caught_control_0(tmp_path):
@@ -118,7 +111,7 @@ def metrics_of(folder):
     ],
 )
 def test_impossible_rigs(tmp_path, cameras, says):
-    line = one_line(mosca("run", scenario(tmp_path, cameras=cameras), "--out", "x", cwd=tmp_path))
+    line = refusal("run", scenario(tmp_path, cameras=cameras), "--out", "x", cwd=tmp_path)
     assert says in line
     assert not (tmp_path / "x").exists()
     assert not list(tmp_path.glob(".x*"))
@@ -126,15 +119,15 @@ def test_impossible_rigs(tmp_path, cameras, says):
 
 def test_other_bad_input(tmp_path):
     path = scenario(tmp_path)
-    assert "unknown key" in one_line(mosca("run", path, "--set", "capture.speed=1", cwd=tmp_path))
-    assert "no such" in one_line(mosca("run", "nothing.toml", cwd=tmp_path))
-    assert "did you mean" in one_line(mosca("run", "acter", cwd=tmp_path))
-    assert "no such file" in one_line(mosca("run", path, "--source", "hardware:rig.toml", cwd=tmp_path))
-    assert "recording:DIR" in one_line(mosca("run", path, "--source", "tape", cwd=tmp_path))
-    assert "marker_px" in one_line(mosca("run", path, "--set", "premises.marker_px=50", cwd=tmp_path))
+    assert "unknown key" in refusal("run", path, "--set", "capture.speed=1", cwd=tmp_path)
+    assert "no such" in refusal("run", "nothing.toml", cwd=tmp_path)
+    assert "did you mean" in refusal("run", "acter", cwd=tmp_path)
+    assert "no such file" in refusal("run", path, "--source", "hardware:rig.toml", cwd=tmp_path)
+    assert "recording:DIR" in refusal("run", path, "--source", "tape", cwd=tmp_path)
+    assert "marker_px" in refusal("run", path, "--set", "premises.marker_px=50", cwd=tmp_path)
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("all I have")
-    assert "record.json" in one_line(mosca("run", path, "--out", "mine", cwd=tmp_path))
+    assert "record.json" in refusal("run", path, "--out", "mine", cwd=tmp_path)
     assert (tmp_path / "mine" / "thesis.tex").read_text() == "all I have"
 
 
@@ -192,7 +185,7 @@ def test_help_and_errors_import_nothing_heavy(tmp_path):
 
 def test_new_list_and_schema(tmp_path):
     assert mosca("new", "my.toml", cwd=tmp_path).returncode == 0
-    assert "exists already" in one_line(mosca("new", "my.toml", cwd=tmp_path))
+    assert "exists already" in refusal("new", "my.toml", cwd=tmp_path)
     listed = mosca("list", cwd=tmp_path)
     assert "subjects/actor" in listed.stdout
     assert json.loads(mosca("schema", "scenario", cwd=tmp_path).stdout)["title"] == "Scenario"

@@ -1,13 +1,10 @@
 """The file of worn cameras' lamps: what it gives, and one line for what it lacks."""
 
-import sys
-
 import numpy as np
 import pytest
 
 from mosca.data.rig import Camera, FisheyeLens, Pose, Rig
 from mosca.errors import InputError
-from scenarios.cli.main import main
 from scenarios.commands.lamp_file import read_lamps
 
 RIG = Rig(
@@ -67,12 +64,3 @@ def test_what_a_file_lacks_is_told_in_one_line_with_its_name(tmp_path, old, new,
     assert "lamps.toml" in line
     assert told in line
     assert "\n" not in line
-
-
-def test_worn_cameras_are_of_one_clock_and_it_is_said(tmp_path, monkeypatch, capsys):
-    given = ["mosca", "reconstruct", str(tmp_path), "--rig", "r.toml", "--out", "t.csv", "--continuous"]
-    monkeypatch.setattr(sys, "argv", [*given, "--worn", "lamps.toml", "--clocks", "own"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    assert "--clocks does not go with --worn, whose cameras are of one clock" in capsys.readouterr().err

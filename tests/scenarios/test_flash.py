@@ -202,19 +202,3 @@ def test_rig_check_says_how_cameras_of_a_recording_are_synchronised(tmp_path):
     )
     assert told is not None, done.output
     assert float(told[1]) == pytest.approx(250.0, abs=max(4 * float(told[2]), 0.03))
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        (["--flash", "nowhere"], "nowhere: no such folder"),
-        (["rig.toml", "--flash", "take"], "leave rig file, --devices and --live out"),
-        (["--devices", "--flash", "take"], "leave rig file, --devices and --live out"),
-        (["--devices", "--fps", "30"], "--fps goes with --flash"),
-        ([], "give a rig file, --devices for the cameras that are there, or --flash"),
-    ],
-)
-def test_rig_check_refuses_what_does_not_go_together(given, message):
-    error = CliRunner().invoke(rig_check, given).exception
-    assert isinstance(error, InputError)
-    assert message in str(error)

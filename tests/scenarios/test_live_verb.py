@@ -44,14 +44,6 @@ def done(*words: object) -> list[str]:
     return result.output.splitlines()
 
 
-def refused(*words: object) -> str:
-    result = CliRunner().invoke(cli, [str(word) for word in words])
-    assert isinstance(result.exception, InputError), result.output
-    text = str(result.exception)
-    assert "\n" not in text
-    return text
-
-
 def test_a_scenario_is_played_live_and_recorded(lab, tmp_path):
     told = []
     lines = run_live_command(
@@ -143,43 +135,6 @@ def test_zones_are_stitched_by_a_verb(lab, tmp_path):
     assert lines[0] == f"8 tracks with {len(whole)} samples in {tmp_path / 'hall.csv'}"
     assert lines[1].startswith("8 targets handed over between zones, 152 samples merged")
     np.testing.assert_allclose(hall.xyz, whole.xyz, atol=1e-12)
-
-
-def test_what_cannot_be_is_one_line(lab, tmp_path):
-    take, rig = f"recording:{lab / 'take'}", ("--rig", lab / "rig.toml")
-    out = tmp_path / "x.csv"
-    assert "--rig RIG.toml is wanted" in refused("live", take)
-    assert "did you mean" in refused("live", "any_sourc")
-    assert "a scenario has its own" in refused("live", lab / "tiny.toml", *rig)
-    assert "no first pass" in refused("live", take, *rig, "--set", "background.kind=mean")
-    assert "suffix '.doc'" in refused("live", take, *rig, "--out", tmp_path / "x.doc")
-    assert "no folder" in refused("live", take, *rig, "--out", tmp_path / "no" / "x.csv")
-    assert "a record is a .json file" in refused("live", take, *rig, "--record", tmp_path / "x.txt")
-    assert "lag = -1" in refused("live", take, *rig, "--lag", -1, "--out", out)
-    assert "devices run at" in refused("live", "hardware:rig.toml", "--rate", 10)
-    assert "1 file of tracks given" in refused("zones", out, "--out", out)
-    assert "no such file" in refused("zones", out, tmp_path / "y.csv", "--out", out)
-    assert "--fill 0" in refused("reconstruct", lab / "take", *rig, "--out", out, "--fill", 0)
-    assert list(tmp_path.iterdir()) == []
-    (tmp_path / "t.csv").write_text((",".join(read_header())) + "\n")
-    assert "no sample has a label" in refused("labels", "learn", tmp_path / "t.csv", "--out", tmp_path / "m.toml")
-    assert "TRACK=LABEL" in refused(
-        "labels", "learn", tmp_path / "t.csv", "--name", "x", "--out", tmp_path / "m.toml"
-    )
-    assert "has no track 3" in refused(
-        "labels", "learn", tmp_path / "t.csv", "--name", "3=A", "--out", tmp_path / "m.toml"
-    )
-    assert "FIRST:LAST" in refused(
-        "labels", "learn", tmp_path / "t.csv", "--frames", "9:3", "--out", tmp_path / "m.toml"
-    )
-    (tmp_path / "bad.npz").write_bytes(b"PK\x03\x04 no")
-    assert "holds no tracks" in refused("zones", tmp_path / "bad.npz", tmp_path / "t.csv", "--out", out)
-
-
-def read_header() -> tuple[str, ...]:
-    from mosca.formats.tracks.tracks_csv import COLUMNS
-
-    return COLUMNS
 
 
 def test_frames_come_when_they_are_due_and_stop_at_once():

@@ -5,7 +5,6 @@ import pytest
 
 from mosca.data.tracks import Samples, Tracks, table
 from mosca.data.truth import Truth
-from mosca.errors import InputError
 from mosca.formats.bodies.model_file import write_model
 from mosca.labelling.marker_model import learn_model
 from scenarios.run.postprocess import Postprocessing, Postprocessor, with_gaps_filled
@@ -116,21 +115,3 @@ def test_no_samples_are_no_trouble(tmp_path):
     finisher.take(0, Samples.none())
     tracks, _ = finisher.finished()
     assert len(tracks) == len(table([])) == 0
-
-
-@pytest.mark.parametrize(
-    ("finish", "said"),
-    [
-        (Postprocessing(fill_s=0.0), "--fill 0: the longest gap"),
-        (Postprocessing(fill_s=float("nan")), "--fill nan"),
-        (Postprocessing(lag=-2), "lag = -2 given"),
-    ],
-)
-def test_what_cannot_be_done_is_said_before_anything_is(finish, said):
-    with pytest.raises(InputError, match=said):
-        Postprocessor(finish)
-
-
-def test_a_missing_model_is_said_before_anything_is(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
-        Postprocessor(Postprocessing(labels=tmp_path / "model.toml"))

@@ -296,20 +296,3 @@ def test_the_verbs_from_recordings_to_tracks(tmp_path, monkeypatch):
     assert len(np.unique(tracks.track)) == 5
     assert (tmp_path / "got.toml").read_text() == bare
     assert results["A"][0].startswith(f"station A: {2 * PULSES} frames, {2 * PULSES} looked at, ")
-
-
-def test_user_errors_are_one_line(tmp_path):
-    needs_module("zenoh", "stations")
-    write_rig(WHOLE, tmp_path / "rig.toml")
-    listen = f"tcp/127.0.0.1:{free_port()}"
-    for arguments, text in (
-        (("--stations", "A,A", "--listen", listen), "one or more different names"),
-        (("--stations", "A", "--listen", "nonsense"), "endpoints look like tcp/"),
-        (("--stations", "A", "--listen", listen, "--out", "x.xyz"), "suffix '.xyz' given"),
-    ):
-        more = () if "--out" in arguments else ("--out", tmp_path / "t.csv")
-        got = invoke("reconstruct", "--rig", tmp_path / "rig.toml", *arguments, *more)
-        assert text in str(got.exception)
-        assert "\n" not in str(got.exception)
-    got = invoke("detect", "--rig", tmp_path / "rig.toml", "--name", "a b", "--connect", listen)
-    assert "station name 'a b' given" in str(got.exception)
