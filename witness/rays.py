@@ -34,15 +34,14 @@ def fixed(value: Any) -> Path:
 class World:
     """One marker (geom 0, ``marker``) and its occluders, moving as given."""
 
-    def __init__(self, at: Path, radius: float, normal: Array | None = None, turn: Path | None = None) -> None:
+    def __init__(self, at: Path, radius: float, normal: Array | None = None) -> None:
         self.spec, self.paths = mujoco.MjSpec(), list[tuple[Path, Path]]()
-        self.flat, self.radius = normal is not None or turn is not None, radius
-        kind, size = mujoco.mjtGeom.mjGEOM_SPHERE, [radius, 0, 0]
-        if self.flat:
-            kind, size = mujoco.mjtGeom.mjGEOM_CYLINDER, [radius, 1e-6, 0]
-            if turn is None:
-                turn = fixed(Rotation.align_vectors([normal], [[0, 0, 1.0]])[0].as_matrix())
-        self.add(kind, size, at, turn, MARKER_GROUP)
+        self.flat, self.radius = normal is not None, radius
+        if normal is None:
+            self.add(mujoco.mjtGeom.mjGEOM_SPHERE, [radius, 0, 0], at, None, MARKER_GROUP)
+        else:
+            turn = fixed(Rotation.align_vectors([normal], [[0, 0, 1.0]])[0].as_matrix())
+            self.add(mujoco.mjtGeom.mjGEOM_CYLINDER, [radius, 1e-6, 0], at, turn, MARKER_GROUP)
 
     def add(self, kind: Any, size: Any, at: Path, turn: Path | None = None, group: int = 0, **more: Any) -> "World":
         """Add a geom with positions ``at`` [m] and rotations ``turn`` over time, both in the camera frame."""

@@ -40,7 +40,7 @@ def ring(spec: Cameras, space: WorkingSpace) -> Rig:
             spec.P1_per_mm,
             spec.P2_per_mm,
         )
-        cameras.append(Camera(f"cam{k + 1}", width, rows, lens, _looking(place, target, f"cam{k + 1}")))
+        cameras.append(Camera(f"cam{k + 1}", width, rows, lens, looking_at(place, target, f"cam{k + 1}")))
     return Rig(tuple(cameras))
 
 
@@ -95,7 +95,7 @@ def sees(camera: Camera, points: Array) -> Array:
     return inside & (xy >= -0.5).all(axis=1) & (xy[:, 0] <= camera.width - 0.5) & (xy[:, 1] <= camera.height - 0.5)
 
 
-def _looking(place: Array, target: Array, name: str) -> Pose:
+def looking_at(place: Array, target: Array, name: str) -> Pose:
     """Return the pose of a camera at ``place`` that points at ``target`` with its x axis level."""
     forward = target - place
     distance = np.linalg.norm(forward)

@@ -87,32 +87,13 @@ def _subject(spec: Scenario, folder: Path) -> Scene:
             name: None if given is None else beside(given, folder)
             for name, given in (("motion_file", scene.motion), ("skeleton_file", scene.skeleton))
         }
-        return build_actor(
-            **where,
-            **motion,
-            start_s=scene.start_s,
-            metres_per_unit=scene.metres_per_unit,
-            frame_rate_hz=scene.motion_rate_hz,
-            heading_deg=scene.heading_deg,
-            keep_in_box=scene.keep_in_box,
-            action=scene.action,
-            gait=scene.gait,
-            speed_mps=scene.speed_mps,
-            markers=scene.markers,
-            marker_diameter_m=scene.marker_diameter_m,
-            lamps=worn_lamps(spec),
-        )
+        rest = scene.model_dump(exclude={"kind", "motion", "skeleton", "motion_rate_hz"})
+        return build_actor(**where, **motion, **rest, frame_rate_hz=scene.motion_rate_hz, lamps=worn_lamps(spec))
     check_no_lamps(spec)
     if isinstance(scene, DroneScene):
         from twin.scenes.drone import build_drone
 
-        return build_drone(
-            **where,
-            path=scene.path,
-            speed_mps=scene.speed_mps,
-            markers=scene.markers,
-            marker_diameter_m=scene.marker_diameter_m,
-        ).scene
+        return build_drone(**where, **scene.model_dump(exclude={"kind"})).scene
     if isinstance(scene, RobotScene):
         from scenarios.build.robot_commands import command_lines
         from twin.scenes.robot import build_robot
@@ -148,13 +129,8 @@ def _target(scene: TargetScene, where: dict[str, Any], folder: Path) -> Scene:
     if isinstance(scene, LightScene):
         from twin.scenes.target_lamps import build_light_marker
 
-        return build_light_marker(
-            **where,
-            bit_s=scene.bit_s,
-            order=scene.order,
-            diameter_m=scene.marker_diameter_m,
-            speed_mps=scene.speed_mps,
-        )
+        rest = scene.model_dump(exclude={"kind", "marker_diameter_m"})
+        return build_light_marker(**where, **rest, diameter_m=scene.marker_diameter_m)
     file = None if scene.target is None else beside(scene.target, folder)
     if isinstance(scene, FieldScene):
         from twin.scenes.target_field import build_field

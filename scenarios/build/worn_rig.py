@@ -43,11 +43,8 @@ def worn_rig(spec: Scenario, worn: tuple[VirtualCamera, ...]) -> Calibrated:
     found = fitted_cameras(spec, worn, 0.5 * spec.continuous.reach_m)
     if not spec.continuous.moving:
         return found
-    from scenarios.build.worn_rig import without_poses
-
-    return replace(
-        found, rig=without_poses(found.rig, {v.camera.name for v in worn if v.mount.body == spec.continuous.worn_on})
-    )
+    known = {v.camera.name for v in worn if v.mount.body == spec.continuous.worn_on}
+    return replace(found, rig=without_poses(found.rig, known))
 
 
 def worn_settings(spec: Scenario) -> PipelineSettings:

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 import click
 
 from mosca.errors import InputError
-from scenarios.cli.options import POSITIVE
+from scenarios.cli.options import FILE, POSITIVE, echo_lines, print_table, table
 from scenarios.cli.progress import Progress
 
 if TYPE_CHECKING:
     from scenarios.lab.capture import CaptureOutcome
 
-FILE = click.Path(path_type=Path)
 EXIT_LOST = 1
 
 
@@ -57,18 +56,10 @@ def capture(
 
 def tell(outcome: "CaptureOutcome", out: Path) -> None:
     """Print the counts of each camera, and notes."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False)
-    table.add_column("camera")
-    for heading in ("frames", "failed", "dropped", "overrun", "relocked", "reopened"):
-        table.add_column(heading, justify="right")
+    shown = table("camera", "frames", "failed", "dropped", "overrun", "relocked", "reopened")
     for name, row in outcome.cameras.items():
-        table.add_row(name, *map(str, (row.frames, row.failed, row.dropped, row.overrun, row.relocked, row.reopened)))
-    # a pipe gets whole lines instead of a guess at a terminal's width
-    Console(width=None if sys.stdout.isatty() else 140).print(table)
-    for note in outcome.notes:
-        click.echo(note)
+        shown.add_row(name, *map(str, (row.frames, row.failed, row.dropped, row.overrun, row.relocked, row.reopened)))
+    print_table(shown)
+    echo_lines(outcome.notes)
     ended = ", ended by hand" if outcome.stopped else ""
     click.echo(f"{outcome.pulses} pulses, {outcome.lost} frame sets lost{ended}; {out}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from mosca.errors import InputError
-from scenarios.cli.options import FILE, POSITIVE, Number
+from scenarios.cli.options import FILE, POSITIVE, Number, print_table, table
 from scenarios.cli.progress import Progress
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def twin_serve(**given: Any) -> None:
     request = _serve_request(**given)
     with Progress("rendering ahead") as shown:
         up = serve(request, shown, _tell)
-    _print(_counts(up))
+    print_table(_counts(up))
 
 
 def _serve_request(
@@ -87,7 +87,7 @@ def _reboot(text: str) -> tuple[str, float]:
 
 def _tell(up: "Served") -> None:
     """Print who answers where."""
-    shown = _table("camera", "address", "serial", "size", "format", "exposure")
+    shown = table("camera", "address", "serial", "size", "format", "exposure")
     for device in up.devices:
         who = device.identity
         shown.add_row(
@@ -98,7 +98,8 @@ def _tell(up: "Served") -> None:
             f"{who.bit_depth} bit",
             f"{who.exposure_us:g} us",
         )
-    _print(shown)
+    print_table(shown)
+    sys.stdout.flush()
 
 
 def _counts(up: "Served") -> Any:
@@ -113,26 +114,8 @@ def _counts(up: "Served") -> Any:
         "resent": "packets_resent",
         "reboots": "reboots",
     }
-    shown = _table("camera", *columns)
+    shown = table("camera", *columns)
     for device in up.devices:
         counts = device.counts()
         shown.add_row(device.identity.name, *(str(counts.get(key, 0)) for key in columns.values()))
     return shown
-
-
-def _table(first: str, *columns: str) -> Any:
-    from rich.table import Table
-
-    shown = Table(box=None, pad_edge=False)
-    shown.add_column(first)
-    for column in columns:
-        shown.add_column(column, justify="right")
-    return shown
-
-
-def _print(shown: Any) -> None:
-    from rich.console import Console
-
-    # a pipe gets whole lines instead of a guess at a terminal's width
-    Console(width=None if sys.stdout.isatty() else 140).print(shown)
-    sys.stdout.flush()

@@ -4,7 +4,7 @@ from typing import Any
 
 import click
 
-from scenarios.cli.options import FILE, LAG, POSITIVE, SET
+from scenarios.cli.options import FILE, LAG, POSITIVE, SET, echo_lines
 
 
 @click.command()
@@ -32,5 +32,4 @@ def live(**given: Any) -> None:
     from scenarios.commands.live import run_live_command
     from scenarios.commands.live_sources import LiveOptions
 
-    for line in run_live_command(LiveOptions(**given), click.echo):
-        click.echo(line)
+    echo_lines(run_live_command(LiveOptions(**given), click.echo))

@@ -21,7 +21,7 @@ from scenarios.cli import motion as cli_motion
 from scenarios.cli import rig as cli_rig
 from scenarios.cli import station as cli_station
 from scenarios.cli import tracks as cli_tracks
-from scenarios.cli.options import FILE, log_to_stderr
+from scenarios.cli.options import FILE, log_to_stderr, print_table, table
 from scenarios.cli.progress import Progress
 from scenarios.run.interrupt import was_interrupted
 
@@ -103,7 +103,7 @@ def run(
         if log is not None:
             log.unlink(missing_ok=True)
     _print_metrics(result.record)
-    _console().print(summary_table([result.record]))
+    print_table(summary_table([result.record]))
     click.echo(f"{name}: {result.record.verdict}; {target / 'report.html'}")
     sys.exit(EXIT_PASSED if result.record.passed else EXIT_BROKEN)
 
@@ -166,7 +166,7 @@ def suite(
         outcomes = work.compared(outcomes, compare or work.BASELINES)
     if junit is not None:
         work.write_junit(outcomes, junit)
-    _console().print(summary_table([o.record for o in outcomes if o.record is not None]))
+    print_table(summary_table([o.record for o in outcomes if o.record is not None]))
     bad = [line for o in outcomes for line in work.complaints(o)]
     for line in bad:
         click.echo(line, err=True)
@@ -184,16 +184,12 @@ def list_() -> None:
     \b
     Example:  mosca list
     """
-    from rich.table import Table
-
     from scenarios.spec.catalog import entries
 
-    shown = Table(box=None, pad_edge=False)
-    for heading in ("scenario", "tier", "expect", "what it claims"):
-        shown.add_column(heading)
+    shown = table("scenario", "tier", "expect", "what it claims", numbers=False)
     for entry in entries(()):
         shown.add_row(entry.name, entry.spec.tier, entry.spec.expect, entry.spec.title)
-    _console().print(shown)
+    print_table(shown)
 
 
 @cli.command()
@@ -277,7 +273,7 @@ def twin_fidelity(quick: bool, out: Path | None) -> None:
         prepare(out)
     with Progress("fidelity") as shown:
         found = look(quick, out is not None, shown)
-    _console().print(fidelity_table(found.checks))
+    print_table(fidelity_table(found.checks))
     click.echo(found.sentence)
     if out is not None:
         write(found, out)
@@ -299,21 +295,14 @@ def schema(kind: str) -> None:
     import json
 
     if kind == "scenario":
-        from scenarios.spec.scenario import scenario_schema
-
-        click.echo(json.dumps(scenario_schema(), indent=2))
+        from scenarios.spec.scenario import scenario_schema as made
     elif kind == "target":
-        from mosca.data.files.target_file import target_schema
-
-        click.echo(json.dumps(target_schema(), indent=2))
+        from mosca.data.files.target_file import target_schema as made
     elif kind == "marker-model":
-        from mosca.formats.bodies.model_file import model_schema
-
-        click.echo(json.dumps(model_schema(), indent=2))
+        from mosca.formats.bodies.model_file import model_schema as made
     else:
-        from mosca.data.files.rig_file import rig_schema
-
-        click.echo(json.dumps(rig_schema(), indent=2))
+        from mosca.data.files.rig_file import rig_schema as made
+    click.echo(json.dumps(made(), indent=2))
 
 
 def main() -> None:
@@ -342,26 +331,10 @@ def main() -> None:
         sys.exit(EXIT_ERROR)
 
 
-def _console() -> Any:
-    from rich.console import Console
-
-    # a pipe gets whole lines instead of a guess at a terminal's width
-    return Console(width=None if sys.stdout.isatty() else 140)
-
-
 def _print_metrics(record: Any) -> None:
     """Print each metric beside its limit."""
-    from rich.table import Table
-
-    shown = Table(box=None, pad_edge=False)
-    for heading, side in (
-        ("metric", "left"),
-        ("value", "right"),
-        ("95 %", "right"),
-        ("limit", "right"),
-        ("", "left"),
-    ):
-        shown.add_column(heading, justify=side)  # type: ignore[arg-type]
+    shown = table("metric", "value", "95 %", "limit", "")
+    shown.columns[-1].justify = "left"
     for metric in record.metrics:
         scale, unit = (1e3, "mm") if metric.unit == "m" else (1.0, "" if metric.unit == "1" else metric.unit)
         sign = "<=" if metric.sense == "at_most" else ">="
@@ -372,7 +345,7 @@ def _print_metrics(record: Any) -> None:
             "" if metric.limit is None else f"{sign} {metric.limit * scale:.4g} {unit}".strip(),
             "" if metric.passed is None else ("met" if metric.passed else "BROKEN"),
         )
-    _console().print(shown)
+    print_table(shown)
 
 
 if __name__ == "__main__":

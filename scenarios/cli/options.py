@@ -1,7 +1,9 @@
-"""Options that several verbs have, what options may hold, and what -v and -q do."""
+"""What several verbs have: options and their values, -v and -q, lines and tables on the terminal."""
 
 import logging
 import math
+import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -40,3 +42,26 @@ def log_to_stderr(verbose: int, quiet: bool) -> None:
         logger = logging.getLogger(name)
         logger.setLevel(logging.ERROR if quiet else LEVELS[min(verbose, len(LEVELS) - 1)])
         logger.handlers = [handler]
+
+
+def echo_lines(lines: Iterable[str]) -> None:
+    """Print lines."""
+    for line in lines:
+        click.echo(line)
+
+
+def table(*headings: str, numbers: bool = True) -> Any:
+    """Return a plain table; with ``numbers`` all columns but the first are flush right."""
+    from rich.table import Table
+
+    shown = Table(box=None, pad_edge=False)
+    for k, heading in enumerate(headings):
+        shown.add_column(heading, justify="right" if numbers and k else "left")
+    return shown
+
+
+def print_table(shown: Any) -> None:
+    """Print what ``rich`` renders; a pipe gets whole lines instead of a guess at a terminal's width."""
+    from rich.console import Console
+
+    Console(width=None if sys.stdout.isatty() else 140).print(shown)

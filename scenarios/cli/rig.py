@@ -1,12 +1,12 @@
 """The verbs for rigs and targets: calibrate, rig check, rig compare, rig convert, target sheet."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
 from mosca.errors import InputError
-from scenarios.cli.options import FILE, POSITIVE, Number
+from scenarios.cli.options import FILE, POSITIVE, Number, echo_lines
 from scenarios.cli.progress import Progress
 
 
@@ -73,8 +73,7 @@ def calibrate(**given: Any) -> None:
     options = CalibrateOptions(**given)
     with Progress(options.recording.name) as shown:
         lines = work(options, shown)
-    for line in lines:
-        click.echo(line)
+    echo_lines(lines)
 
 
 @click.group()
@@ -135,8 +134,7 @@ def rig_check(path: Path | None, devices: bool, live: bool, flash: Path | None, 
         from scenarios.commands.calibrate import describe_rig
 
         lines = list(describe_rig(path))
-    for line in lines:
-        click.echo(line)
+    echo_lines(lines)
     if absent:
         raise InputError(
             f"{path}: {len(absent)} of its cameras not found: {', '.join(absent)}; check cable, power and network, "
@@ -156,20 +154,16 @@ def rig_check(path: Path | None, devices: bool, live: bool, flash: Path | None, 
     show_default=True,
     help="common motion taken off before comparing",
 )
-def rig_compare(a: Path, b: Path, align: str) -> None:
+def rig_compare(a: Path, b: Path, align: Literal["similarity", "rigid", "none"]) -> None:
     """Compare two calibrations on their rays (px) and in the volume (mm); parameters may differ where rays agree.
 
     \b
     Example:  mosca rig compare monday.toml friday.toml
     """
-    from typing import Literal, cast
-
     from mosca.calibration.quality.compare_rigs import compare_rigs
     from mosca.formats.rigs.rig_formats import read_any_rig
 
-    motion = cast(Literal["similarity", "rigid", "none"], align)
-    for line in compare_rigs(read_any_rig(a)[0], read_any_rig(b)[0], align=motion).lines():
-        click.echo(line)
+    echo_lines(compare_rigs(read_any_rig(a)[0], read_any_rig(b)[0], align=align).lines())
 
 
 @rig.command("convert")
@@ -190,7 +184,7 @@ def rig_convert(
     source: Path,
     out: Path,
     format_: str | None,
-    unit: str | None,
+    unit: Literal["m", "mm"] | None,
     size_px: tuple[int, int] | None,
     pixel_mm: tuple[float, float] | None,
     max_residual_px: float,
@@ -202,19 +196,11 @@ def rig_convert(
     \b
     Example:  mosca rig convert Calib.qca.txt rig.toml
     """
-    from typing import Literal, cast
-
     from mosca.formats.rigs.rig_formats import RigFileOptions, read_any_rig, write_any_rig
 
-    options = RigFileOptions(
-        size_px=size_px,
-        unit=cast("Literal['m', 'mm'] | None", unit),
-        pixel_mm=pixel_mm,
-        max_residual_px=max_residual_px,
-    )
+    options = RigFileOptions(size_px=size_px, unit=unit, pixel_mm=pixel_mm, max_residual_px=max_residual_px)
     found, notes = read_any_rig(source, None, options)
-    for line in (*notes, *write_any_rig(found, out, format_ or "mosca", options)):
-        click.echo(line)
+    echo_lines((*notes, *write_any_rig(found, out, format_ or "mosca", options)))
     click.echo(f"{out} written: {len(found.cameras)} cameras")
 
 
@@ -228,21 +214,19 @@ def target() -> None:
 @click.option("--out", required=True, type=FILE, help="sheet to write: .pdf or .svg; more sheets get numbers")
 @click.option("--page", type=click.Choice(["A4", "A3", "A2", "letter"]), help="paper  [default: what it takes]")
 @click.option("--colour", type=click.Choice(["white", "black"]), default="white", show_default=True, help="of dots")
-def target_sheet(path: Path, out: Path, page: str | None, colour: str) -> None:
+def target_sheet(path: Path, out: Path, page: str | None, colour: Literal["white", "black"]) -> None:
     """Print a target file's coded targets or board, with a ruler that shows whether the printer kept the size.
 
     \b
     Example:  mosca target sheet field.toml --out field.pdf
     """
-    from typing import Literal, cast
-
     from mosca.data.files.target_file import PointsTarget, read_target_file
     from mosca.formats.sheets.target_sheet import write_sheets
 
     made = read_target_file(path)
     if isinstance(made, PointsTarget):
         raise InputError(f"{path}: kind = 'points' has nothing to print; a field, a board or a scale bar has")
-    for sheet in write_sheets(made, out, page, cast(Literal["white", "black"], colour)):
+    for sheet in write_sheets(made, out, page, colour):
         click.echo(f"{sheet} written; measure its ruler after printing")
 
 
@@ -265,7 +249,11 @@ def target_sheet(path: Path, out: Path, page: str | None, colour: str) -> None:
 )
 @click.option("--colour", type=click.Choice(["white", "black"]), default="white", show_default=True, help="of dots")
 def target_scale(
-    path: Path, ruler: tuple[float, float] | None, scan: tuple[Path, float] | None, page: str | None, colour: str
+    path: Path,
+    ruler: tuple[float, float] | None,
+    scan: tuple[Path, float] | None,
+    page: str | None,
+    colour: Literal["white", "black"],
 ) -> None:
     """Find the scale at which a sheet was printed, and the lengths that its target file must hold.
 
@@ -273,15 +261,12 @@ def target_scale(
     Example:  mosca target scale field.toml --ruler 148.9 150
               mosca target scale field.toml --scan sheet.png 600
     """
-    from typing import Literal, cast
-
     from scenarios.commands.targets import scale_from_ruler, scale_from_scan
 
     if ruler is not None and scan is None:
         lines = scale_from_ruler(path, *ruler)
     elif scan is not None and ruler is None:
-        lines = scale_from_scan(path, *scan, page, cast(Literal["white", "black"], colour))
+        lines = scale_from_scan(path, *scan, page, colour)
     else:
         raise InputError("target scale: give --ruler MEASURED PRINTED or --scan IMAGE DPI, one of the two")
-    for line in lines:
-        click.echo(line)
+    echo_lines(lines)

@@ -7,11 +7,9 @@ from pathlib import Path
 import click
 
 from mosca.errors import InputError
-from scenarios.cli.options import POSITIVE, Number
+from scenarios.cli.options import FILE, POSITIVE, SET, Number, echo_lines
 
-FILE = click.Path(path_type=Path)
 SETTINGS_HELP = "TOML file with [detection], [match], [track] and [volume]"
-SET_HELP = "change a setting, e.g. detection.contrast_dn=10"
 
 
 @click.group()
@@ -29,7 +27,7 @@ def station() -> None:
 @click.option("--fps", type=POSITIVE, help="frame rate of a recording that does not tell its own [Hz]")
 @click.option("--seconds", type=POSITIVE, help="end after this  [default: Ctrl-C]")
 @click.option("--settings", type=FILE, help=SETTINGS_HELP)
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help=SET_HELP)
+@SET
 def detect(
     rig: Path,
     name: str,
@@ -47,8 +45,7 @@ def detect(
     """
     from scenarios.lab.station_verbs import detect_on_station
 
-    for line in detect_on_station(rig, name, connect, recording, fps, seconds, settings, overrides, click.echo):
-        click.echo(line)
+    echo_lines(detect_on_station(rig, name, connect, recording, fps, seconds, settings, overrides, click.echo))
 
 
 @station.command("reconstruct")
@@ -65,7 +62,7 @@ def detect(
     help="a set waits so long for its cameras",
 )
 @click.option("--settings", type=FILE, help=SETTINGS_HELP)
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help=SET_HELP)
+@SET
 def reconstruct(
     rig: Path,
     stations: str,
@@ -87,8 +84,7 @@ def reconstruct(
     lines, whole = reconstruct_stations(
         rig, names, listen, out, seconds, deadline_ms * 1e-3, settings, overrides, click.echo
     )
-    for line in lines:
-        click.echo(line)
+    echo_lines(lines)
     sys.exit(0 if whole else 1)
 
 

@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import click
 
 from mosca.errors import InputError
-from scenarios.cli.options import FILE, LAG, POSITIVE, SET
+from scenarios.cli.options import FILE, LAG, POSITIVE, SET, echo_lines
 from scenarios.cli.progress import Progress
 
 
@@ -110,8 +110,7 @@ def reconstruct(**given: Any) -> None:
     options = ReconstructOptions(**given)
     with Progress(options.recording.name) as shown:
         lines = options.run(shown)
-    for line in lines:
-        click.echo(line)
+    echo_lines(lines)
 
 
 @click.group()
@@ -159,8 +158,7 @@ def apply(tracks: Path, model: Path, out: Path, fps: float | None) -> None:
     """
     from scenarios.commands.labels import apply_to
 
-    for line in apply_to(tracks, model, out, fps):
-        click.echo(line)
+    echo_lines(apply_to(tracks, model, out, fps))
 
 
 @labels.command()
@@ -186,8 +184,7 @@ def blink(
     from scenarios.commands.labels import label_blinking
 
     settings = BlinkSettings(frames_per_bit=frames_per_bit, in_step=in_step)
-    for line in label_blinking(tracks, out, settings, names, fps):
-        click.echo(line)
+    echo_lines(label_blinking(tracks, out, settings, names, fps))
 
 
 @labels.command()
@@ -202,7 +199,9 @@ def blink(
     show_default=True,
     help="of dots and sectors",
 )
-def coded(recording: Path, rig: Path, out: Path, fps: float | None, colour: str) -> None:
+def coded(
+    recording: Path, rig: Path, out: Path, fps: float | None, colour: Literal["white", "black", "both"]
+) -> None:
     """Track coded targets: the number of each is its identity and its correspondence.
 
     \b
@@ -211,11 +210,10 @@ def coded(recording: Path, rig: Path, out: Path, fps: float | None, colour: str)
     from mosca.coded_targets.detect import CodedSettings
     from scenarios.commands.labels import label_coded
 
-    settings = CodedSettings(colour=cast(Literal["white", "black", "both"], colour))
+    settings = CodedSettings(colour=colour)
     with Progress(recording.name) as shown:
         lines = label_coded(recording, rig, out, fps, settings, shown)
-    for line in lines:
-        click.echo(line)
+    echo_lines(lines)
 
 
 @click.group()
@@ -245,8 +243,7 @@ def learn_bodies(tracks: Path, out: Path, named: tuple[str, ...], frames: str | 
     """
     from scenarios.commands.bodies import learn_from
 
-    for line in learn_from(tracks, out, named, frames):
-        click.echo(line)
+    echo_lines(learn_from(tracks, out, named, frames))
 
 
 @bodies.command("find")
@@ -266,8 +263,7 @@ def find_bodies(
     """
     from scenarios.commands.bodies import find_in
 
-    for line in find_in(tracks, definitions, out, body, tracks_out, fps):
-        click.echo(line)
+    echo_lines(find_in(tracks, definitions, out, body, tracks_out, fps))
 
 
 @click.command()
@@ -287,5 +283,4 @@ def zones(tracks: tuple[Path, ...], out: Path, fps: float | None) -> None:
         raise InputError(f"zones: {len(tracks)} file of tracks given; 2 or more are to be stitched")
     from scenarios.commands.zones import stitch_files
 
-    for line in stitch_files(tracks, out, fps):
-        click.echo(line)
+    echo_lines(stitch_files(tracks, out, fps))

@@ -10,6 +10,7 @@ from mosca.data.arrays import Array
 from mosca.data.boards import Board
 from mosca.data.rig import Pose
 from mosca.data.targets import CodedTarget
+from scenarios.build.camera_ring import looking_at
 from scenarios.fidelity.demo_scene import (
     BACK,
     SIZE,
@@ -95,7 +96,9 @@ def _context() -> list[Array]:
         marker_diameter_m=0.016,
         gait="in_place",
     )
-    camera = quiet_camera((100, 150), 275.0, pose=_looking(np.array([3.2, 1.6, 1.3]), np.array([0.0, 0.0, 0.88])))
+    camera = quiet_camera(
+        (100, 150), 275.0, pose=looking_at(np.array([3.2, 1.6, 1.3]), np.array([0.0, 0.0, 0.88]), "camera")
+    )
     plain = Context(ambient=0.12, lamp=0.12, step_px=1)
     stripes = tuple(
         Cloth(f"?_{limb}/0", 0.5, retro=10.0, band_m=(-0.03, 0.03)) for limb in ("forearm", "shank", "upper_arm")
@@ -104,13 +107,6 @@ def _context() -> list[Array]:
         grey(photo(scene, camera, surroundings=Surroundings(context=context)), 3.0, 130.0, 0.6)
         for context in (None, plain, replace(plain, clothes=stripes))
     ]
-
-
-def _looking(centre: Array, target: Array) -> Pose:
-    forward = (target - centre) / np.linalg.norm(target - centre)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    return Pose(np.column_stack([right, np.cross(forward, right), forward]), centre)
 
 
 def _plates(

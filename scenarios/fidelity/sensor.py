@@ -1,7 +1,7 @@
 """The sensor, measured as one measures a camera: photon transfer and spatial noise after EMVA 1288."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from reports.fidelity import Check, Row
 from twin.cameras.sensor.background_light import Ambient, ambient_map
 from twin.cameras.sensor.readout import expose
 from twin.cameras.sensor.sensor import Sensor
-from witness.emva import PhotonTransfer, dsnu_e, prnu, spatial, temporal
+from witness.emva import PhotonTransfer, Spatial, dsnu_e, prnu, spatial, temporal
 
 SHAPE, STEPS, IMAGES = (200, 300), 27, 12
 """Image (H, W), exposure steps from dark to 4 % beyond saturation, images of a stack for the spatial variances."""
@@ -32,7 +32,7 @@ def sensors(quick: bool) -> Check:
     for bits, sheet in SHEETS.items():
         if quick and bits == 10:
             continue
-        found = _measured(_camera(sheet), sheet)
+        found = measured(camera(sheet), sheet.photons(sheet.full_well_e))
         rows += [Row(f"{bits} bit: {name} off by", off, "of it", bar) for name, off, bar in _off(found, sheet)]
     sheet = SHEETS[12]
     faults = {
@@ -41,7 +41,10 @@ def sensors(quick: bool) -> Check:
         "DSNU 12 % too large": (replace(sheet, dsnu_e=5.6), "DSNU"),
     }
     for name, (faulty, what) in faults.items():
-        off = {stated: (value, bar) for stated, value, bar in _off(_measured(_camera(faulty), sheet), sheet)}
+        off = {
+            stated: (value, bar)
+            for stated, value, bar in _off(measured(camera(faulty), sheet.photons(sheet.full_well_e)), sheet)
+        }
         rows.append(Row(f"fault: {name}", off[what][0], "of it", off[what][1], control=True))
     return Check(
         "Sensor (EMVA 1288)",
@@ -52,39 +55,58 @@ def sensors(quick: bool) -> Check:
     )
 
 
-def _off(found: tuple[PhotonTransfer, float, float], sheet: Sensor) -> list[tuple[str, float, float]]:
+def _off(found: "MeasuredSensor", sheet: Sensor) -> list[tuple[str, float, float]]:
     """Return name, relative deviation from the data sheet, and its bar."""
-    transfer, dsnu, nonuniformity = found
+    transfer = found.transfer
     pairs = [
         ("system gain K", transfer.gain, sheet.gain_dn_per_e, GAIN),
         ("quantum efficiency", transfer.quantum_efficiency, sheet.quantum_efficiency, GAIN),
         ("dark noise", transfer.dark_noise_e, sheet.read_noise_e, DARK_NOISE),
         ("saturation capacity", transfer.saturation_e, sheet.full_well_e, SATURATION),
-        ("DSNU", dsnu, sheet.dsnu_e, PATTERN),
-        ("PRNU", nonuniformity, sheet.prnu, PATTERN),
+        ("DSNU", found.dsnu_e, sheet.dsnu_e, PATTERN),
+        ("PRNU", found.prnu, sheet.prnu, PATTERN),
     ]
     return [(name, abs(value / stated - 1), bar) for name, value, stated, bar in pairs]
 
 
-def _measured(grab: Grab, sheet: Sensor) -> tuple[PhotonTransfer, float, float]:
-    """Return the photon transfer curve, DSNU [e-] and PRNU of a camera that saturates about where ``sheet`` does."""
-    full = sheet.photons(sheet.full_well_e)
-    photons = np.linspace(0.0, 1.04, STEPS) * full
+@dataclass(frozen=True, eq=False)
+class MeasuredSensor:
+    """A photon transfer curve, and the variances of stacks of images in the dark and half way to saturation."""
+
+    transfer: PhotonTransfer
+    dark: Spatial
+    half: Spatial
+
+    @property
+    def dsnu_e(self) -> float:
+        """Spread of the dark signal over the pixels [e-]."""
+        return dsnu_e(self.dark, self.transfer.gain)
+
+    @property
+    def prnu(self) -> float:
+        """Spread of the response over the pixels, a share."""
+        return prnu(self.dark, self.half)
+
+
+def measured(grab: Grab, full_photons: float, images: int = IMAGES) -> MeasuredSensor:
+    """Measure a camera that saturates at about ``full_photons`` a pixel, from stacks of so many images."""
+    photons = np.linspace(0.0, 1.04, STEPS) * full_photons
     pairs = [temporal(grab(p, 2 * k + 1), grab(p, 2 * k + 2)) for k, p in enumerate(photons)]
     transfer = PhotonTransfer(photons, *np.transpose(pairs))
     dark, half = (
-        spatial(np.stack([grab(p, 1000 * (i + 1) + k) for k in range(IMAGES)])) for i, p in enumerate((0.0, full / 2))
+        spatial(np.stack([grab(p, 1000 * (i + 1) + k) for k in range(images)]))
+        for i, p in enumerate((0.0, full_photons / 2))
     )
-    return transfer, dsnu_e(dark, transfer.gain), prnu(dark, half)
+    return MeasuredSensor(transfer, dark, half)
 
 
-def _camera(sensor: Sensor) -> Grab:
-    """Return the twin's camera before even light, as if from one large target."""
+def camera(sensor: Sensor, key: int = 1, exposure_s: float = 0.0) -> Grab:
+    """Return the twin's camera before even light, as if from one large target; ``key``: of its fixed patterns."""
     dark = replace(sensor, background_e=0.0)
-    ambient = Ambient.of(dark, *ambient_map(dark, SHAPE[1], SHAPE[0], key=1))
+    ambient = Ambient.of(dark, *ambient_map(dark, SHAPE[1], SHAPE[0], key=key, exposure_s=exposure_s))
 
     def grab(photons: float, frame: int) -> Array:
         light = np.full(SHAPE, max(sensor.electrons(photons), 1e-6), dtype=np.float32)
-        return expose(light, dark, 1_000_003 * frame + 1, ambient)
+        return expose(light, dark, 1_000_003 * frame + key, ambient)
 
     return grab

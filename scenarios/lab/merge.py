@@ -14,19 +14,16 @@ from mosca.data.files.rig_file import CameraTable, RigFile, camera_of, read_rig,
 from mosca.data.files.toml import check
 from mosca.data.frames import FrameSet
 from mosca.data.rig import Rig
-from mosca.diagnostics.camera_health import Health
 from mosca.errors import InputError
 from mosca.pipeline import PipelineSettings, Step, run_seen
 
 KEPT_DELAYS = 500_000
 
 
-def run_merged(
-    sets: Iterable[MergedSet], rig: Rig, settings: PipelineSettings | None = None, health: Health | None = None
-) -> Iterator[Step]:
+def run_merged(sets: Iterable[MergedSet], rig: Rig, settings: PipelineSettings) -> Iterator[Step]:
     """Reconstruct tracks from merged detections, as ``mosca.pipeline.run_sets`` does from frame sets."""
     seen = ((FrameSet(s.pulse, s.time_ns), in_order(s.detections, rig), 0.0) for s in sets)
-    return run_seen(seen, rig, settings, health=health)
+    return run_seen(seen, rig, settings)
 
 
 def in_order(detections: Mapping[str, Detections], rig: Rig) -> dict[str, Detections]:
@@ -102,43 +99,37 @@ def summary_lines(statistics: ReceiverStatistics) -> list[str]:
         "nobody saw"
     ]
     for name, c in merge.cameras.items():
-        parts = [
-            f"{number} {what}"
-            for number, what in (
-                (c.no_frame, "without a frame"),
-                (c.away, "while its station was away"),
-                (c.lost, "not in time"),
-            )
-            if number
-        ]
-        if parts:
-            lines.append(f"camera '{name}' is missing in {merge.sets - c.merged} sets: {', '.join(parts)}")
-        thrown = [f"{n} {what}" for n, what in ((c.late, "late"), (c.aged, "too old"), (c.doubled, "doubled")) if n]
-        if thrown:
-            lines.append(f"camera '{name}': messages thrown away: {', '.join(thrown)}")
+        missing = {"without a frame": c.no_frame, "while its station was away": c.away, "not in time": c.lost}
+        if counts := _counts(missing):
+            lines.append(f"camera '{name}' is missing in {merge.sets - c.merged} sets: {counts}")
+        if counts := _counts({"late": c.late, "too old": c.aged, "doubled": c.doubled}):
+            lines.append(f"camera '{name}': messages thrown away: {counts}")
     for name, s in statistics.stations.items():
-        parts = [
-            f"{number} {what}"
-            for number, what in (
-                (s.lost, "lost on the way"),
-                (s.skipped, "frames skipped by the station"),
-                (s.refused, "refused by its engine"),
-                (s.unplaced, "before its pulses were known"),
-                (s.stale, "of an earlier start"),
-                (s.spoilt, "unreadable"),
-                (s.silent, "times silent"),
-                (s.gone, "times gone"),
-                (max(s.starts - 1, 0), "times started again"),
-            )
-            if number
-        ]
+        counts = _counts(
+            {
+                "lost on the way": s.lost,
+                "frames skipped by the station": s.skipped,
+                "refused by its engine": s.refused,
+                "before its pulses were known": s.unplaced,
+                "of an earlier start": s.stale,
+                "unreadable": s.spoilt,
+                "times silent": s.silent,
+                "times gone": s.gone,
+                "times started again": max(s.starts - 1, 0),
+            }
+        )
         clock = f"clock to {s.clock_error_ns * 1e-6:.2f} ms, skew {s.clock_skew * 1e6:+.1f} ppm"
-        lines.append(f"station {name}: {s.received} messages ({clock})" + (f"; {', '.join(parts)}" if parts else ""))
+        lines.append(f"station {name}: {s.received} messages ({clock})" + (f"; {counts}" if counts else ""))
     if statistics.left_out:
         lines.append(f"{statistics.left_out} merged sets left out: the reconstruction was behind")
     if statistics.overrun:
         lines.append(f"{statistics.overrun} messages found no room: this PC was behind")
     return lines
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    """Return the counts that are not 0, each with its name."""
+    return ", ".join(f"{number} {what}" for what, number in counts.items() if number)
 
 
 def all_whole(statistics: ReceiverStatistics) -> bool:

@@ -2,7 +2,7 @@
 
 Frames wait where packing or disk fall behind. So that memory stays bounded, a frame set whose first frame finds the
 queue full is left out of the recording, all cameras of it, and listed; frames are never left out one by one. Each
-camera's frames stay in order. What was written reaches the operating system at least every ``flush_s``. A frame that
+camera's frames stay in order. What was written reaches the operating system at least every FLUSH_S. A frame that
 waits longer than KEPT_AFTER_S for that, behind a disk or a busy machine, is copied to memory that outlives this
 process; so are, as they come, those whose pulses are not known yet at the start.
 """
@@ -74,7 +74,6 @@ class Recorder:
         cameras: Sequence[CameraInfo],
         waiting_bytes: int = WAITING_BYTES,
         workers: int = 2,
-        flush_s: float = FLUSH_S,
     ) -> None:
         self.lost = LostSets()
         self.failed: BaseException | None = None
@@ -91,7 +90,6 @@ class Recorder:
         self._unkept: deque[_Waiting] = deque()
         self._written: list[_Waiting] = []
         self._admitted: OrderedDict[int, bool] = OrderedDict()
-        self._flush_s = flush_s
         self._pool = ThreadPoolExecutor(workers, "pack")
         self._jobs: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._write, name="write recording", daemon=True)
@@ -197,7 +195,7 @@ class Recorder:
         flushed, clean = time.monotonic(), True
         while True:
             try:
-                job = self._jobs.get(timeout=self._flush_s)
+                job = self._jobs.get(timeout=FLUSH_S)
             except queue.Empty:
                 job = _nothing
             if job is None:
@@ -206,7 +204,7 @@ class Recorder:
                 if self.failed is None:
                     job()
                     clean = clean and job is _nothing
-                    if not clean and time.monotonic() - flushed >= self._flush_s:
+                    if not clean and time.monotonic() - flushed >= FLUSH_S:
                         self._flush()
                         flushed, clean = time.monotonic(), True
             except BaseException as error:  # raised in the capturing thread

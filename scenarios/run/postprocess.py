@@ -1,6 +1,6 @@
 """What is done with tracks once they are measured: smoothed on the way, labelled, their gaps filled."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +58,8 @@ class Postprocessor:
             # names come from distances as they were measured
             labelled = label_tracks(measured, self._model)
             found = dict(zip(labelled.track.tolist(), labelled.label.tolist(), strict=True))
-            tracks, measured = _with_labels(tracks, found), labelled
+            label = np.array([found.get(track, "") for track in tracks.track.tolist()], dtype=np.str_)
+            tracks, measured = replace(tracks, label=label), labelled
             names = {name for name in found.values() if name}
             lines.append(f"{len(names)} of {len(self._model.names)} markers of {self._settings.labels} found")
         if self._settings.fill_s is not None:
@@ -88,11 +89,6 @@ def filled_line(fills: Tracks, fill_s: float) -> str:
         return line
     worst = float(np.sqrt(np.trace(fills.covariance, axis1=1, axis2=2).max()))
     return f"{line}; the least certain is known to {1e3 * worst:.2g} mm"
-
-
-def _with_labels(tracks: Tracks, label_of: dict[int, str]) -> Tracks:
-    labels = np.array([label_of.get(track, "") for track in tracks.track.tolist()], dtype=np.str_)
-    return Tracks(**({name: getattr(tracks, name) for name in Tracks.__dataclass_fields__} | {"label": labels}))
 
 
 def _joined(tracks: Tracks, more: Tracks) -> Tracks:

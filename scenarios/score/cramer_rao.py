@@ -62,11 +62,11 @@ def needs_bound(limits: Iterable[str]) -> bool:
     return not EFFICIENCIES.isdisjoint(limits)
 
 
-def pulses_asked(count: int, wanted: int = PULSES) -> Array:
+def pulses_asked(count: int) -> Array:
     """Return which of ``count`` pulses are sampled: evenly spaced, without first and last where there are more."""
-    if count <= wanted:
+    if count <= PULSES:
         return np.arange(count)
-    return np.unique(np.linspace(1, count - 2, wanted).round().astype(int))
+    return np.unique(np.linspace(1, count - 2, PULSES).round().astype(int))
 
 
 def bound(

@@ -1,6 +1,5 @@
 """The calibration session of a scenario: rendered, read and adjusted as in a lab, then held against the truth."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,11 +76,7 @@ def _score(value: float, n: int) -> Score:
 
 
 def calibrate_in_session(
-    spec: Scenario,
-    cameras: tuple[VirtualCamera, ...],
-    earlier: Rig,
-    workers: int,
-    progress: Callable[[int], None] | None = None,
+    spec: Scenario, cameras: tuple[VirtualCamera, ...], earlier: Rig, workers: int
 ) -> SessionCalibration:
     """Render the session of ``spec.calibration``, calibrate from it, judge the result and compare it with the truth.
 
@@ -117,7 +112,6 @@ def calibrate_in_session(
         lengths=shown(bar_session(spec), 2) if wanted.lengths else None,
         known=known,
         made_from=f"rendered images of a {wanted.target}, seed {spec.seed}",
-        progress=progress,
     )
     ray_px, volume_m = against_truth(calibration.rig, fixed, center, size)
     return SessionCalibration(calibration, evidence, ray_px, volume_m)

@@ -101,14 +101,19 @@ def _field(spec: Scenario, wanted: CalibrationSpec) -> Session[TestField]:
 
 def _believed(field: TestField, wanted: CalibrationSpec) -> TestField:
     """Return the field as a file with the scenario's fault describes it."""
-    if isinstance(wanted.fault, WrongUnitsFault):
-        factor, dots = wanted.fault.factor, 1.0
-    elif isinstance(wanted.fault, WrongSizeFault):
-        factor = dots = 1 / wanted.fault.factor
-    else:
+    factor = _length_factor(wanted)
+    if factor is None:
         return field
+    dots = 1.0 if isinstance(wanted.fault, WrongUnitsFault) else factor
     targets = tuple(replace(one, position=one.position * factor, target=_scaled(one, dots)) for one in field.targets)
     return TestField(targets, field.sigma_m * factor)
+
+
+def _length_factor(wanted: CalibrationSpec) -> float | None:
+    """Return the lengths in the target's file over the true ones; None where the file is right."""
+    if isinstance(wanted.fault, WrongUnitsFault):
+        return wanted.fault.factor
+    return 1 / wanted.fault.factor if isinstance(wanted.fault, WrongSizeFault) else None
 
 
 def _scaled(placed: PlacedTarget, factor: float) -> CodedTarget:
@@ -136,7 +141,7 @@ def _plate(size: Array, n: int, relief: float, draw: np.random.Generator) -> Lai
 
 
 def _board(spec: Scenario, wanted: CalibrationSpec) -> Session[Board]:
-    where = _where(spec, wanted.frames) | _room(spec, wanted)
+    where = _where(spec, wanted.frames, wanted.size_m)
     square = BOARD_SHARE * min(spec.working_space.size_m) / BOARD_COLUMNS
     board = Board(BOARD_COLUMNS, BOARD_ROWS, square, square)
     speed = SPEED_SHARE * float(where["box_size_m"].max())
@@ -151,15 +156,13 @@ def _board(spec: Scenario, wanted: CalibrationSpec) -> Session[Board]:
         floor=False,
     )
     described = replace(board, sigma_m=wanted.known_to * square * BOARD_COLUMNS)
-    if isinstance(wanted.fault, WrongSizeFault | WrongUnitsFault):
-        factor = wanted.fault.factor
-        factor = factor if isinstance(wanted.fault, WrongUnitsFault) else 1 / factor
+    if (factor := _length_factor(wanted)) is not None:
         described = replace(described, square_m=square * factor, margin_m=square * factor)
     return Session(scene, wanted.frames, described)
 
 
 def _wand(spec: Scenario, wanted: CalibrationSpec) -> Session[Wand]:
-    where = _where(spec, wanted.frames) | _room(spec, wanted)
+    where = _where(spec, wanted.frames, wanted.size_m)
     edge = min(spec.working_space.size_m)
     length = WAND_SHARE * edge
     wand = Wand((0.0, 0.35 * length, length), 0.02 * edge)
@@ -167,25 +170,16 @@ def _wand(spec: Scenario, wanted: CalibrationSpec) -> Session[Wand]:
     scene = build_wand(
         **where, rng=rng(spec.seed, "calibration"), wand=wand, speed_mps=speed, turn_rad_s=2.0, floor=False
     )
-    factor = 1.0
-    if isinstance(wanted.fault, WrongSizeFault):
-        factor = 1 / wanted.fault.factor
-    elif isinstance(wanted.fault, WrongUnitsFault):
-        factor = wanted.fault.factor
-    along = tuple(x * factor for x in wand.along_m)
+    along = tuple(x * (_length_factor(wanted) or 1.0) for x in wand.along_m)
     return Session(scene, wanted.frames, Wand(along, wand.diameter_m, wanted.known_to * length))
 
 
-def _room(spec: Scenario, wanted: CalibrationSpec) -> dict[str, Any]:
-    """Return the box in which a target is carried about."""
-    return {"box_size_m": np.array(wanted.size_m or spec.working_space.size_m)}
-
-
-def _where(spec: Scenario, pulses: int) -> dict[str, Any]:
+def _where(spec: Scenario, pulses: int, size_m: tuple[float, float, float] | None = None) -> dict[str, Any]:
+    """Return how long and where a target is moved: in the working space, or in a box of ``size_m`` at its centre."""
     space = spec.working_space
     assert spec.calibration is not None
     return {
         "duration_s": pulses / spec.calibration.rate_hz,
         "box_center_m": np.array(space.center_m),
-        "box_size_m": np.array(space.size_m),
+        "box_size_m": np.array(size_m or space.size_m),
     }

@@ -19,12 +19,11 @@ import numpy as np
 from mosca.data.frames import CameraInfo, Frame
 from mosca.data.tracks import table
 from mosca.pipeline import PipelineSettings, run
-from scenarios.build.cameras import calibrated, true_rig, virtual_cameras
+from scenarios.build.cameras import calibrated, true_rig, twin_source, virtual_cameras
 from scenarios.build.scene import build_scene, pipeline_settings
 from scenarios.score.tracks import metrics, pair
 from scenarios.spec.catalog import find
 from scenarios.spec.scenario import load_scenario
-from twin.source import TwinSource
 
 
 class Held:
@@ -76,10 +75,7 @@ def main() -> None:
     )
     rig = true_rig(spec, path.parent)
     virtual = virtual_cameras(spec, rig)
-    source = TwinSource(
-        build_scene(spec, path.parent), virtual, frame_rate_hz=100.0, exposure_s=spec.capture.exposure_s,
-        pulses=given.sets, seed=spec.seed, workers=2,
-    )  # fmt: skip
+    source = twin_source(spec, build_scene(spec, path.parent), virtual, 2)
     start = time.perf_counter()
     frames = list(source)
     truth = source.truth()

@@ -21,7 +21,7 @@ import cv2
 import mujoco
 import numpy as np
 
-from scenarios.build.cameras import deliveries, surroundings, true_rig, virtual_cameras
+from scenarios.build.cameras import true_rig, twin_source, virtual_cameras
 from scenarios.build.scene import build_scene
 from scenarios.spec.scenario import Scenario, load_scenario
 from twin.scenes.cloud import build_cloud
@@ -66,18 +66,9 @@ def times(work: Callable[[], int], rounds: int = ROUNDS) -> Times:
 
 def source_of(spec: Scenario, scene: Scene, pulses: int, workers: int) -> TwinSource:
     """Return the scenario's cameras before a scene."""
-    cameras = virtual_cameras(spec, true_rig(spec, ACTOR.parent))
-    return TwinSource(
-        scene,
-        cameras,
-        frame_rate_hz=spec.capture.frame_rate_hz,
-        exposure_s=spec.capture.exposure_s,
-        pulses=pulses,
-        seed=1,
-        workers=workers,
-        deliveries=deliveries(spec, cameras),
-        surroundings=surroundings(spec),
-    )
+    capture = spec.capture.model_copy(update={"duration_s": pulses / spec.capture.frame_rate_hz})
+    spec = spec.model_copy(update={"capture": capture, "seed": 1})
+    return twin_source(spec, scene, virtual_cameras(spec, true_rig(spec, ACTOR.parent)), workers)
 
 
 def with_cameras(spec: Scenario, **changes: Any) -> Scenario:

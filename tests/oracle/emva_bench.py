@@ -1,22 +1,19 @@
 """A measuring bench in the manner of EMVA 1288: a camera before even light, and its data sheet held against it."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
+from scenarios.fidelity.sensor import SHAPE, Grab, MeasuredSensor, measured
+from scenarios.fidelity.sensor import camera as by_targets
 from twin.cameras.sensor.background_light import Ambient, ambient_map
 from twin.cameras.sensor.readout import expose
 from twin.cameras.sensor.sensor import Sensor
-from witness.emva import Array, PhotonTransfer, Spatial, dsnu_e, prnu, spatial, temporal
+from witness.emva import Array
 
-SHAPE = (200, 300)
-STEPS = 27
-"""Exposure steps from dark to 4 % beyond saturation (the standard: at least 9 without, 50 with all curves)."""
-IMAGES = 16
-"""Images of a stack for the spatial variances."""
-Grab = Callable[[float, int], Array]
-"""A camera: mean photons a pixel and number of the frame -> counts (H, W)."""
+__all__ = ["SHAPE", "Grab", "by_levels", "by_targets", "complaints", "measure"]
+measure = partial(measured, images=16)
 
 
 def by_levels(sensor: Sensor, key: int = 1, exposure_s: float = 0.0) -> Grab:
@@ -30,48 +27,7 @@ def by_levels(sensor: Sensor, key: int = 1, exposure_s: float = 0.0) -> Grab:
     return grab
 
 
-def by_targets(sensor: Sensor, key: int = 1, exposure_s: float = 0.0) -> Grab:
-    """Even light as if from one large target: every pixel is drawn."""
-    dark = replace(sensor, background_e=0.0)
-    ambient = Ambient.of(dark, *ambient_map(dark, SHAPE[1], SHAPE[0], key, exposure_s=exposure_s))
-
-    def grab(photons: float, frame: int) -> Array:
-        light = np.full(SHAPE, max(sensor.electrons(photons), 1e-6), dtype=np.float32)
-        return expose(light, dark, 1_000_003 * frame + key, ambient)
-
-    return grab
-
-
-@dataclass(frozen=True)
-class Measured:
-    """What the bench found."""
-
-    transfer: PhotonTransfer
-    dark: Spatial
-    half: Spatial
-
-    @property
-    def dsnu_e(self) -> float:
-        return dsnu_e(self.dark, self.transfer.gain)
-
-    @property
-    def prnu(self) -> float:
-        return prnu(self.dark, self.half)
-
-
-def measure(grab: Grab, full_photons: float) -> Measured:
-    """Take the series and the two stacks; ``full_photons``: about saturation."""
-    photons = np.linspace(0.0, 1.04, STEPS) * full_photons
-    pairs = [temporal(grab(p, 2 * k + 1), grab(p, 2 * k + 2)) for k, p in enumerate(photons)]
-    means, variances = np.transpose(pairs)
-    stacks = [
-        spatial(np.stack([grab(p, 1000 * (i + 1) + k) for k in range(IMAGES)]))
-        for i, p in enumerate((0.0, full_photons / 2))
-    ]
-    return Measured(PhotonTransfer(photons, means, variances), *stacks)
-
-
-def complaints(found: Measured, claimed: Sensor) -> list[str]:
+def complaints(found: MeasuredSensor, claimed: Sensor) -> list[str]:
     """Return what on the data sheet does not hold; the limits are the bench's own."""
     top, black = 2**claimed.bits - 1, claimed.black_dn * 2 ** (claimed.bits - 8)
     gain = (top - black) / claimed.full_well_e

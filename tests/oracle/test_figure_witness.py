@@ -68,7 +68,7 @@ FIGURES = {
 
 
 @pytest.mark.parametrize("name", FIGURES)
-def test_figure_is_what_its_definition_says(name, record_property):
+def test_figure_is_what_its_definition_says(name):
     # measured: light 1.7e-4 of the small circle, else 6e-5; centroid 5e-5 px; pixels 4e-4 of the peak by polygons,
     # by scan lines 9e-4, which is the lines' own (as witness against witness)
     contours, outlines, patterns = FIGURES[name]
@@ -80,11 +80,6 @@ def test_figure_is_what_its_definition_says(name, record_property):
     pixel = pixels_apart(image, wanted)
     by_definition = np.abs(image - scanned).max() / wanted.max()
     own = np.abs(wanted - scanned).max() / wanted.max()
-    print(
-        f"\n{name:13s} light {image.sum() / light - 1:+.1e}  centroid {off:.1e} px  pixels {pixel:.1e} of the peak; "
-        f"by definition {by_definition:.1e}, witness against witness {own:.1e}"
-    )
-    record_property("light, centroid px, pixels of peak", f"{image.sum() / light - 1:.1e}, {off:.1e}, {pixel:.1e}")
     assert seen.visible[0] == pytest.approx(1.0)
     np.testing.assert_allclose(seen.xy_px[0], WITNESS.project(CENTRE[None])[0], atol=1e-6)
     assert own < 3 * PIXEL
@@ -127,7 +122,6 @@ def test_figure_that_moves_and_turns_in_the_exposure(row_time):
     wanted = exposed(at, *row_windows(SIZE[1], 1.0, row_time), instants=17)
     off = centroids_apart(image, wanted)
     pixel = pixels_apart(image, wanted)
-    print(f"\nrow time {row_time}: centroid {off:.1e} px  pixels {pixel:.1e} of the peak")
     assert off < CENTROID_PX
     assert pixel < PIXEL
 
@@ -150,7 +144,6 @@ def test_profile_of_brightness(diameter, tilt, profile):
     wanted = points_image(face.xy, light, SIGMA, *SIZE)
     off = np.hypot(*(image_centroid(image) - light @ face.xy / light.sum()))
     pixel = pixels_apart(image, wanted)
-    print(f"\n{diameter} px, {tilt}, {profile}: centroid {off:.1e} px  pixels {pixel:.1e} of the peak")
     assert off < (PROFILE_PX if diameter < 40.0 or tilt is not None else 0.003)
     assert image.sum() == pytest.approx(light.sum(), rel=1e-3)
     assert pixel < (2 * PIXEL if diameter < 40.0 else 0.02)

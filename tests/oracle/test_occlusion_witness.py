@@ -71,21 +71,14 @@ def compare(where: World, instants: int = 1, lines_per_px: int = 24) -> tuple[fl
     return (rays.share, visible - rays.share, light, off, float(np.abs(image - rays.image).max()))
 
 
-def assert_agree(
-    rows: list[tuple[float, float, float, float, float]], name: str, centroid_max: float = CENTROID_MAX
-) -> None:
-    """Print the table's line and hold it to the limits."""
+def assert_agree(rows: list[tuple[float, float, float, float, float]]) -> None:
+    """Hold rows of ``compare`` to the limits."""
     share, share_off, light_off, off, pixel = np.array(rows).T
     rms = float(np.sqrt(np.mean(off[share >= 0.3] ** 2))) if (share >= 0.3).any() else 0.0
-    print(
-        f"\n{name:30s} shares {share.min():.2f}-{share.max():.2f}  off by {np.abs(share_off).max():.1e}, light "
-        f"{np.abs(light_off).max():.1e}  centroid rms {rms:.1e} max {off.max():.1e} px  "
-        f"pixels {pixel.max():.1e}"
-    )
     assert np.abs(share_off).max() < SHARE
     assert np.abs(light_off).max() < SHARE
     assert rms < CENTROID_RMS
-    assert off.max() < centroid_max
+    assert off.max() < CENTROID_MAX
     assert pixel.max() < PIXEL
 
 
@@ -95,7 +88,7 @@ def test_each_solid_hides_what_the_rays_say(name, normal):
     # a sweep from in view over half hidden to hidden. Measured: primitives share 7e-4, centroid 2.7e-3 px at most;
     # meshes 6e-4, 5.2e-3 px
     rows = [compare(put(world(normal), name, fixed(beside(offset)))) for offset in SWEEP_PX]
-    assert_agree(rows, f"{name}, {'ball' if normal is None else 'flat'}")
+    assert_agree(rows)
     shares = [row[0] for row in rows]
     assert max(shares) == pytest.approx(1.0, abs=1e-3)
     assert min(shares) == 0.0 or name == "mesh torus"
@@ -121,14 +114,14 @@ def test_what_moves_in_the_exposure(name, move):
         where = world(normal, moving(AT, marker_px))
         put(where, name, moving(beside(offset), solid_px), spinning(TURN, rad))
         rows.append(compare(where, 20, 16))
-    assert_agree(rows, f"{name}, {move}")
+    assert_agree(rows)
 
 
 @pytest.mark.parametrize("name", ["capsule", "box"])
 def test_what_sweeps_across_the_marker(name):
     # 36 px in one exposure: the marker is seen, hidden, and seen again. Measured: 1e-4, 1e-3 px
     where = put(world(), name, moving(beside(4.0), (36.0, 5.0)))
-    assert_agree([compare(where, 64, 16)], f"{name} sweeps")
+    assert_agree([compare(where, 64, 16)])
 
 
 @settings(max_examples=30, deadline=None, derandomize=True)
@@ -154,7 +147,7 @@ def test_mesh_and_primitive_hide_together():
     where = put(world(), "mesh box", fixed(beside(13.0, NEAR, 0.0)), upright)
     put(where, "capsule", fixed(beside(15.0, 0.7, np.pi)), upright)
     rows = [compare(where)]
-    assert_agree(rows, "mesh box and capsule")
+    assert_agree(rows)
     assert 0.2 < rows[0][0] < 0.8
 
 
@@ -165,7 +158,7 @@ def test_a_marker_sunk_into_its_body():
     for across in (0.0, 0.6, 1.0, 1.2):
         limb = AT + 0.05 * np.array([np.sin(across), 0.0, np.cos(across)])
         rows.append(compare(world().add(CAPSULE, [0.05, 0.2, 0], fixed(limb), fixed(along_y))))
-    assert_agree(rows, "marker on a limb")
+    assert_agree(rows)
 
 
 def test_what_stands_behind_or_beside_hides_nothing():
@@ -191,7 +184,7 @@ def test_one_marker_hides_another(with_mesh):
     if with_mesh:
         put(where, "mesh box", fixed(beside(14.0, NEAR, np.deg2rad(200.0))), fixed(np.eye(3)))
     rows = [compare(where)]
-    assert_agree(rows, "marker before marker")
+    assert_agree(rows)
     assert 0.1 < rows[0][0] < 0.8
 
 

@@ -8,6 +8,7 @@ from emva_bench import SHAPE, Grab, by_levels, by_targets, complaints, measure
 from emva_law import chi_square_p, law
 from scipy.stats import kstest, norm, poisson
 
+from scenarios.fidelity.sensor import SHEETS
 from twin.cameras.sensor.background_light import Ambient
 from twin.cameras.sensor.level_lookup import level_bank
 from twin.cameras.sensor.readout import dark_table, expose
@@ -16,12 +17,6 @@ from witness.emva import Array, PhotonTransfer, linearity_error, spatial, tempor
 
 LEAST_P = 1e-3
 """One test in a thousand would fail by chance; the seeds are fixed, so that none fails twice."""
-SHEETS = {
-    8: Sensor(bits=8, full_well_e=8_000.0, read_noise_e=25.0, dsnu_e=20.0, prnu=0.012, quantum_efficiency=0.55),
-    10: Sensor(bits=10, full_well_e=12_000.0, read_noise_e=12.0, dsnu_e=6.0, prnu=0.008),
-    12: Sensor(bits=12, dsnu_e=5.0, prnu=0.01),
-}
-"""Cameras whose dark noise exceeds the quantisation noise, as the standard requires."""
 
 
 def flat(level_e: float, sensor: Sensor, key: int, shape: tuple[int, int] = SHAPE) -> Array:
