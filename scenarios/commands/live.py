@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,6 @@ from mosca.diagnostics.camera_health import Health, HealthSettings
 from mosca.errors import InputError
 from mosca.formats.tracks.tracks_file import TracksLog
 from mosca.live import run_live
-from mosca.pipeline import Step
 from mosca.precompile import warm_up
 from mosca.smoothing.fixed_lag import FixedLag, LagSettings
 from mosca.synchronisation import Assembly
@@ -134,7 +133,7 @@ def _follow(
         if smoother is not None:
             start = time.perf_counter()
             samples = smoother.step(step.frame_set.pulse, samples)
-            step = _with_stage(step, "smooth", time.perf_counter() - start)
+            step = replace(step, seconds={**step.seconds, "smooth": time.perf_counter() - start})
         for stage, seconds in step.seconds.items():
             stages.setdefault(stage, []).append(seconds)
         latency = sum(step.seconds.values())
@@ -156,10 +155,6 @@ def _follow(
     if smoother is not None and log is not None:
         log.write(smoother.rest())
     return stages, time.perf_counter() - begin
-
-
-def _with_stage(step: Step, name: str, seconds: float) -> Step:
-    return Step(step.frame_set, step.detections, step.points, step.samples, {**step.seconds, name: seconds})
 
 
 def _one_sample() -> Samples:

@@ -16,19 +16,8 @@ from mosca.data.rig import Rig
 from mosca.pipeline import PipelineSettings
 from mosca.synchronisation import Assembly
 from scenarios.build.worn_rig import known_lamps
-from scenarios.spec.continuous import ContinuousSpec
 from scenarios.spec.scenario import Scenario
 from scenarios.types import Collected
-
-
-def gather_settings(spec: ContinuousSpec, pipeline: PipelineSettings) -> AssociationSettings:
-    """Return how observations are gathered."""
-    return AssociationSettings(pipeline, spec.clocks, spec.search_s)
-
-
-def continuous_settings(spec: ContinuousSpec) -> ContinuousSettings:
-    """Return what is estimated."""
-    return ContinuousSettings(clocks=spec.estimate, limbs=spec.limbs, knot_s=spec.knot_s)
 
 
 def pulses_ns(spec: Scenario) -> Array:
@@ -47,16 +36,18 @@ def collect_continuous(
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Collected, Reconstructed | Worn]:
     """Run ``mosca.continuous`` on a source's frames; tracks at the pulses' instants."""
-    assert spec.continuous is not None
+    keys = spec.continuous
+    assert keys is not None
     begin = time.perf_counter()
 
     def attend(done: int) -> None:
         if progress is not None:
             progress(done, max(done, spec.capture.pulses * len(rig.cameras)))
 
-    gathering, wanted = gather_settings(spec.continuous, settings), continuous_settings(spec.continuous)
+    gathering = AssociationSettings(settings, keys.clocks, keys.search_s)
+    wanted = ContinuousSettings(clocks=keys.estimate, limbs=keys.limbs, knot_s=keys.knot_s)
     worn: Worn | None = None
-    if spec.continuous.moving:
+    if keys.moving:
         known, lamps = known_lamps(spec, rig)
         worn = reconstruct_worn(source, rig, known, lamps, gathering, wanted, attend=attend)
         found = worn.reconstructed

@@ -7,21 +7,17 @@ from pathlib import Path
 import numpy as np
 
 from mosca.calibration.monitoring.rig_keeper import RigKeeper
-from mosca.continuous.moving_cameras.body_worn import Worn
-from mosca.continuous.reconstruct import Reconstructed
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
 from mosca.data.tracks import Samples, table
 from mosca.diagnostics.camera_health import Health, HealthSettings
-from mosca.errors import InputError
 from mosca.pipeline import PipelineSettings, Step, run
 from mosca.recording import RecordingWriter
 from mosca.synchronisation import Assembly
 from reports.evidence import CameraView
 from scenarios.build.frame_sources import Recorded, SelectedCameras
 from scenarios.build.robot_commands import write_commands
-from scenarios.run.continuous import collect_continuous
 from scenarios.run.interrupt import between_steps
 from scenarios.run.zones import tracks_of_all, zone_steps, zones_of
 from scenarios.score.cramer_rao import needs_bound, pulses_asked
@@ -55,7 +51,7 @@ def collected_of(
     bound_pulses = set(pulses_asked(pulses).tolist()) if needs_bound(spec.limits) else set()
     detections: dict[int, Mapping[str, Detections]] = {}
     log = _rerun_log(options.rrd, rig, spec, twin, stack)
-    read = _recorded(source, twin, options, spec, stack)
+    read = recorded(source, twin, options, spec, stack)
     if any(info.name not in rig.names for info in read.cameras):
         read = SelectedCameras(read, rig.names)
     stop = stack.enter_context(between_steps())
@@ -101,22 +97,6 @@ def collected_of(
     return Collected(tracks, views, view_pulse, assembly, seconds, detections, cameras)
 
 
-def collected_continuous(
-    source: FrameSource,
-    twin: TruthSource | None,
-    rig: Rig,
-    settings: PipelineSettings,
-    spec: Scenario,
-    options: RunOptions,
-    stack: ExitStack,
-) -> tuple[Collected, Reconstructed | Worn]:
-    """Run ``mosca.continuous`` on the frames, which need no pulse in common."""
-    if options.rrd is not None:
-        raise InputError("--rrd shows frame sets, which a [continuous] scenario has none of; leave it out")
-    read = _recorded(source, twin, options, spec, stack)
-    return collect_continuous(read, rig, settings, spec, options.progress)
-
-
 def _rerun_log(
     path: Path | None, rig: Rig, spec: Scenario, twin: TruthSource | None, stack: ExitStack
 ) -> Callable[[Step], None]:
@@ -139,7 +119,7 @@ def _rerun_log(
     return write
 
 
-def _recorded(
+def recorded(
     source: FrameSource, twin: TruthSource | None, options: RunOptions, spec: Scenario, stack: ExitStack
 ) -> FrameSource:
     """Return ``source``, recorded if requested, with the commands that drove its subject."""

@@ -14,7 +14,7 @@ from mosca.data.frames import FrameSource
 from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks, table
 from mosca.data.truth import Truth, write_truth
-from mosca.errors import CalibrationError
+from mosca.errors import CalibrationError, InputError
 from mosca.pipeline import PipelineSettings
 from mosca.rigid_bodies.ambiguity import check_bodies
 from mosca.rigid_bodies.tracker import body_poses, labelled_by_bodies
@@ -27,7 +27,8 @@ from scenarios.build.frame_sources import opened as opened_source
 from scenarios.build.frame_sources import patient
 from scenarios.build.scene import build_scene, pipeline_settings
 from scenarios.build.worn_rig import worn_cameras, worn_rig, worn_settings
-from scenarios.run.pipeline import collected_continuous, collected_of
+from scenarios.run.continuous import collect_continuous
+from scenarios.run.pipeline import collected_of, recorded
 from scenarios.run.postprocess import with_gaps_filled
 from scenarios.run.precompile import compile_side_by_side
 from scenarios.run.record import evidence_of, record_of
@@ -193,7 +194,10 @@ def _tracked(
     """Return the pipeline's result, and the continuous reconstruction where the scenario has one."""
     if spec.continuous is None:
         return collected_of(opened.source, opened.twin, rig, opened.settings, spec, options, stack), None
-    return collected_continuous(opened.source, opened.twin, rig, opened.settings, spec, options, stack)
+    if options.rrd is not None:
+        raise InputError("--rrd shows frame sets, which a [continuous] scenario has none of; leave it out")
+    read = recorded(opened.source, opened.twin, options, spec, stack)
+    return collect_continuous(read, rig, opened.settings, spec, options.progress)
 
 
 def _all_scores(
