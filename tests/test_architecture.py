@@ -1,18 +1,20 @@
 """The import rules hold, and their test detects violations."""
 
 import ast
-import importlib.util
 from pathlib import Path
 
+import import_graph as graph
+import import_law as law
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-_spec = importlib.util.spec_from_file_location("import_law", Path(__file__).parent / "import_law.py")
-law = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(law)
-_spec = importlib.util.spec_from_file_location("import_graph", Path(__file__).parent / "import_graph.py")
-graph = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(graph)
+
+
+def trees():
+    """Yield the path and the syntax tree of every product file."""
+    for room in law.ROOMS:
+        for path in (ROOT / room).rglob("*.py"):
+            yield str(path.relative_to(ROOT)), ast.parse(path.read_text(encoding="utf-8"))
 
 
 def test_every_import_keeps_the_law():
@@ -112,25 +114,21 @@ def test_a_package_can_be_taken_in_at_a_glance(package, most):
 def test_no_two_public_classes_have_one_name():
     """One name, one thing: a reader who searches for a class finds one."""
     named: dict[str, list[str]] = {}
-    for room in law.ROOMS:
-        for path in (ROOT / room).rglob("*.py"):
-            for node in ast.parse(path.read_text(encoding="utf-8")).body:
-                if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                    named.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
+    for path, tree in trees():
+        for node in tree.body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                named.setdefault(node.name, []).append(path)
     assert {name: places for name, places in named.items() if len(places) > 1} == {}
 
 
 def test_functions_fit_a_page_and_take_few_arguments_by_position():
     """At most 80 lines and 10 positional parameters; more belong together in a structured value."""
     too_much = []
-    for room in law.ROOMS:
-        for path in (ROOT / room).rglob("*.py"):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                    lines = (node.end_lineno or node.lineno) - node.lineno + 1
-                    positional = len(node.args.posonlyargs) + len(node.args.args)
-                    if lines > 80 or positional > 10:
-                        too_much.append(
-                            f"{path.relative_to(ROOT)}: {node.name}: {lines} lines, {positional} parameters"
-                        )
+    for path, tree in trees():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                lines = (node.end_lineno or node.lineno) - node.lineno + 1
+                positional = len(node.args.posonlyargs) + len(node.args.args)
+                if lines > 80 or positional > 10:
+                    too_much.append(f"{path}: {node.name}: {lines} lines, {positional} parameters")
     assert too_much == []

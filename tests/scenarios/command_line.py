@@ -1,12 +1,15 @@
 """The command line in this process: a process of its own spends seconds on imports alone."""
 
 import io
+import subprocess
 import sys
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from types import SimpleNamespace
 from unittest.mock import patch
 
 from scenarios.cli.main import main
+
+MOSCA = [sys.executable, "-m", "scenarios.cli.main"]
 
 
 def mosca(*words, cwd):
@@ -19,6 +22,13 @@ def mosca(*words, cwd):
         except SystemExit as ended:
             code = ended.code
     return SimpleNamespace(returncode=code, stdout=out.getvalue(), stderr=errors.getvalue())
+
+
+def mosca_alone(*words, cwd=None):
+    """Run a command line in a process of its own."""
+    return subprocess.run(
+        [*MOSCA, *map(str, words)], cwd=cwd, capture_output=True, text=True, timeout=1800, check=False
+    )
 
 
 def refusal(*words, cwd):

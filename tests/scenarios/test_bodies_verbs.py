@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from track_tables import measured_tracks
 
-from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 from mosca.formats.bodies.bodies_csv import read_bodies_csv
 from mosca.formats.bodies.tum import read_tum
@@ -25,12 +25,7 @@ def take(path, n, seed, ids=(3, 1, 8, 5), loose=False):
     if loose:
         xyz[:, 2, 0] += 0.02 * np.sin(9 * t)
     xyz = np.concatenate([xyz, np.broadcast_to([2.0, 2.0, 0.0], (n, 1, 3))], axis=1) + rng.normal(0, NOISE, (n, 5, 3))
-    rows = n * 5
-    tracks = Tracks(
-        np.repeat(np.arange(n), 5), np.repeat(np.arange(n) * 10_000_000, 5), np.tile([*ids, 20], n),
-        np.full(rows, ""), xyz.reshape(-1, 3), np.tile(NOISE**2 * np.eye(3), (rows, 1, 1)), np.full(rows, 4),
-        np.full(rows, 0.1), np.full(rows, "measured"),
-    )  # fmt: skip
+    tracks = measured_tracks(np.repeat(np.arange(n), 5), np.tile([*ids, 20], n), xyz.reshape(-1, 3), sigma_m=NOISE)
     write_tracks(tracks, path, 100.0)
     return turn, place
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import MOSCA, mosca_alone
 from test_calibrate_verbs import FIELD, recorded, scenario
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "hardware"))
@@ -24,9 +25,7 @@ from scenarios.session.scenes import target_session
 
 def mosca(*words: object) -> str:
     """Run the command line in a process of its own, as a user does; its output. It must succeed."""
-    done = subprocess.run(
-        [sys.executable, "-m", "scenarios.cli.main", *map(str, words)], capture_output=True, text=True, check=False
-    )
+    done = mosca_alone(*words)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -43,8 +42,7 @@ def test_a_capture_of_devices_is_calibrated_as_the_images_themselves_are(tmp_pat
     served, take = tmp_path / "served.toml", tmp_path / "take"
     words = ["twin", "serve", tmp_path / "filmed", "--rig-out", served, "--trigger", "serial"]
     words += ["--address", free_address(), "--rate", "10", "--seconds", "120"]
-    command = [sys.executable, "-m", "scenarios.cli.main", *map(str, words)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as server:
+    with subprocess.Popen([*MOSCA, *map(str, words)], stdout=subprocess.DEVNULL) as server:
         try:
             deadline = time.monotonic() + 60
             while not served.exists():

@@ -129,16 +129,12 @@ def lab(tmp_path_factory):
 def moved_rig(rig: Rig) -> Rig:
     """Return the rig moved as a whole, and cam2 rotated by 8 px against the others."""
     motion = Pose(Rotation.from_rotvec([0.0, 0.02, 0.05]).as_matrix(), np.array([0.04, -0.03, 0.02]))
-    return Rig(
-        tuple(
-            replace(
-                turned(camera, 8.0) if camera.name == "cam2" else camera,
-                world_from_camera=motion
-                @ (turned(camera, 8.0) if camera.name == "cam2" else camera).world_from_camera,
-            )
-            for camera in rig.cameras
-        )
-    )
+    return carried(Rig(tuple(turned(c, 8.0) if c.name == "cam2" else c for c in rig.cameras)), motion)
+
+
+def carried(rig: Rig, motion: Pose) -> Rig:
+    """Return the rig moved as a whole."""
+    return Rig(tuple(replace(c, world_from_camera=motion @ c.world_from_camera) for c in rig.cameras))
 
 
 def turned(camera, px):
@@ -199,8 +195,7 @@ def test_the_comparison_names_the_camera_that_was_turned_by_a_pixel(lab, field_r
     assert rms["cam2"] == pytest.approx(1.0, abs=0.15)  # more towards the corners
     # the same rig carried elsewhere differs in nothing that a rigid motion does not take off
     motion = Pose(Rotation.from_rotvec([0.1, 0.2, -0.3]).as_matrix(), np.array([1.0, 0.5, -0.2]))
-    carried = Rig(tuple(replace(c, world_from_camera=motion @ c.world_from_camera) for c in rig.cameras))
-    write_rig(carried, tmp_path / "carried.toml")
+    write_rig(carried(rig, motion), tmp_path / "carried.toml")
     assert max(rays_px(rig, read_rig(tmp_path / "carried.toml"), "rigid")) < 1e-6
 
 

@@ -10,23 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import mosca, refusal
+from command_line import MOSCA, mosca, mosca_alone, refusal
 from tiny_scenario import write_tiny
 
 from mosca.recording import open_recording
 
-MOSCA = [sys.executable, "-m", "scenarios.cli.main"]
-
 
 def scenario(tmp_path, top="", cameras="", limits="position_rms = 0.01"):
     return write_tiny(tmp_path, top=top, cameras=cameras, limits=limits)
-
-
-def mosca_alone(*words, cwd):
-    """Run words of the command line in a process of their own."""
-    return subprocess.run(
-        [*MOSCA, *map(str, words)], cwd=cwd, capture_output=True, text=True, timeout=1800, check=False
-    )
 
 
 def test_run_writes_the_whole_folder_and_repeats_itself(tmp_path):

@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from track_tables import measured_tracks
 
 from mosca.continuous.reconstruct import EstimatedClock
 from mosca.data.lamp_codes import lamp_bits
-from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 from scenarios.build.cameras import true_rig, virtual_cameras
 from scenarios.build.worn_lamps import check_no_lamps, rider_pose, worn_lamps
@@ -65,10 +65,7 @@ def test_one_camera_on_the_body_is_too_few(worn):
 def test_a_track_at_a_lamps_place_is_left_out():
     n = 5
     xyz = np.concatenate([np.tile([0.3, 0.0, 0.0], (n, 1)), np.tile([0.35, 0.0, 0.0], (n, 1))])
-    tracks = Tracks(
-        np.tile(np.arange(n), 2), np.tile(np.arange(n) * 1000, 2), np.repeat([0, 1], n), np.full(2 * n, ""), xyz,
-        np.tile(1e-6 * np.eye(3), (2 * n, 1, 1)), np.full(2 * n, 3), np.zeros(2 * n), np.full(2 * n, "measured"),
-    )  # fmt: skip
+    tracks = measured_tracks(np.tile(np.arange(n), 2), np.repeat([0, 1], n), xyz)
     kept = without_lamps(tracks, {"a": np.array([0.31, 0.0, 0.0])})
     assert set(kept.track.tolist()) == {1}
 

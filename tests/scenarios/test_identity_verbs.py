@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 import pytest
 from command_line import mosca, refusal
+from track_tables import measured_tracks
 
 from mosca.data.files.rig_file import write_rig
 from mosca.data.lamp_codes import lamp_bits
 from mosca.data.motion.bvh import read_bvh
 from mosca.data.target_codes import SECTORS, code_bits
 from mosca.data.targets import CodedTarget
-from mosca.data.tracks import Tracks
 from mosca.formats.sheets.target_sheet import PAGES_MM, lay_out_sheets
 from mosca.formats.tracks.tracks_file import read_tracks, write_tracks
 from mosca.recording import RecordingWriter
@@ -32,12 +32,8 @@ FIELD = "kind = 'field'\ndot_radius_m = 0.004\n" + "".join(
 def test_lamps_are_named_by_their_blinks(tmp_path):
     numbers = {4: 12, 9: 30, 11: 5, 12: 44, 15: 61, 20: 70}
     lit = sorted((f, track) for track, number in numbers.items() for f in range(64) if lamp_bits(number)[f % 16])
-    n = len(lit)
-    tracks = Tracks(
-        [f for f, _ in lit], [f * 10_000_000 for f, _ in lit], [t for _, t in lit], np.full(n, ""),
-        np.zeros((n, 3)), np.tile(1e-6 * np.eye(3), (n, 1, 1)), np.full(n, 4), np.zeros(n), np.full(n, "measured"),
-    )  # fmt: skip
-    write_tracks(tracks, tmp_path / "take.csv", 100.0)
+    frame, track = np.array(lit).T
+    write_tracks(measured_tracks(frame, track, np.zeros((len(lit), 3))), tmp_path / "take.csv", 100.0)
     done = mosca(
         "labels", "blink", "take.csv", "--name", "12=LWRI", "--name", "13=RWRI", "--out", "named.csv", cwd=tmp_path
     )

@@ -1,9 +1,11 @@
 """What is done with tracks once they are measured: gaps filled and never scored, names, smoothing on the way."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from mosca.data.tracks import Samples, Tracks, table
+from mosca.data.tracks import Samples, table
 from mosca.data.truth import Truth
 from mosca.formats.bodies.model_file import write_model
 from mosca.labelling.marker_model import learn_model
@@ -99,8 +101,7 @@ def test_with_a_lag_the_same_samples_come_smoothed_and_gaps_are_filled_all_the_s
 def test_names_reach_smoothed_and_filled_samples(tmp_path):
     plain, _ = fed(Postprocessing()).finished()
     names = np.array([f"M{k}" for k in plain.track])
-    named = Tracks(**({n: getattr(plain, n) for n in Tracks.__dataclass_fields__} | {"label": names}))
-    write_model(learn_model(named), tmp_path / "model.toml")
+    write_model(learn_model(replace(plain, label=names)), tmp_path / "model.toml")
     for finish in (
         Postprocessing(labels=tmp_path / "model.toml", fill_s=0.2),
         Postprocessing(2, tmp_path / "model.toml", 0.2),

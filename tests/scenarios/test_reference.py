@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from track_tables import measured_tracks
 
 from mosca.data.rig import Rig
-from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 from mosca.synchronisation import Assembly
 from scenarios.run.record import record_of
@@ -120,11 +120,7 @@ def measured(shift_m=0.0, seed=3):
     frame = np.repeat(np.arange(200), 2)
     track = np.tile([4, 8], 200)
     xyz = np.where((track == 4)[:, None], wave(frame * 0.01), wave(frame * 0.01, 2)) + rng.normal(0, 1e-4, (400, 3))
-    n = len(frame)
-    tracks = Tracks(
-        frame, frame * STEP_NS, track, np.full(n, ""), xyz + [shift_m, 0, 0], np.tile(1e-8 * np.eye(3), (n, 1, 1)),
-        np.full(n, 4), np.full(n, 0.1), np.full(n, "measured"),
-    )  # fmt: skip
+    tracks = measured_tracks(frame, track, xyz + [shift_m, 0, 0], sigma_m=1e-4)
     collected = Collected(tracks, (), 0, Assembly(), {}, {})
     return MeasuredTracks(collected, Rig(()), (), lambda: tracks)
 

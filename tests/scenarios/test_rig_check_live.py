@@ -5,11 +5,8 @@ import math
 import numpy as np
 import pytest
 from capture_rig import Line, openers, write_rig
-from click.testing import CliRunner
 
 from hardware.driver import DeviceReport
-from mosca.errors import InputError
-from scenarios.cli.rig import rig as rig_verbs
 from scenarios.lab.rig_check import check_rig_live, differing, edge_width_px, focus, light
 
 SIZE = (160, 120)
@@ -60,9 +57,3 @@ def test_a_rig_is_checked_from_its_frames(tmp_path, missed):
     assert text.count("focus the lens") == 1
     assert "MB/s before packing" in lines[-1]  # 2 x 160 x 120 x 100
     assert "4 MB/s" in lines[-1]
-
-
-def test_live_wants_a_rig_file():
-    result = CliRunner().invoke(rig_verbs, ["check", "--live"])
-    assert isinstance(result.exception, InputError)
-    assert "give the rig file" in str(result.exception)

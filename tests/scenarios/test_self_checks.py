@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from track_tables import measured_tracks
 
 from mosca.data.bodies import BodyPoses
 from mosca.data.tracks import Tracks
@@ -19,14 +20,10 @@ RNG = np.random.default_rng(4)
 def tracks_of(places, labels=None, first=0):
     """places: track number -> (n, 3), NaN where it is not seen."""
     rows = [(f, k, *xyz) for k, own in places.items() for f, xyz in enumerate(own) if np.isfinite(xyz).all()]
-    frame, track, x, y, z = np.array(rows).T
-    n = len(rows)
-    frame, track = frame.astype(int) + first, track.astype(int)
+    table = np.array(rows)
+    frame, track = table[:, :2].astype(int).T
     label = np.array([(labels or {}).get(k, "") for k in track.tolist()])
-    return Tracks(
-        frame, frame * 10_000_000, track, label, np.column_stack([x, y, z]), np.tile(np.eye(3) * 1e-8, (n, 1, 1)),
-        np.full(n, 4), np.full(n, 0.1), np.full(n, "measured"),
-    )  # fmt: skip
+    return measured_tracks(frame + first, track, table[:, 2:], label=label, sigma_m=1e-4)
 
 
 def waved(n, length, seed=0):

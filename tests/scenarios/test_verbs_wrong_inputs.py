@@ -79,6 +79,7 @@ def test_a_port_that_somebody_listens_to(refused):
         ("run any_source --out file.txt --source hardware:rig.toml", "file.txt: is a file"),
         ("run any_source --out file.txt/x --source hardware:rig.toml", "file.txt"),
         ("rig check", "give a rig file, --devices for the cameras that are there, or"),
+        ("rig check --live", "give the rig file"),
         ("rig check --flash nope", "nope: no such folder"),
         ("rig check --flash full", "full: no recording in it"),
         ("rig check --flash take", "camera 'a1'"),
