@@ -93,9 +93,8 @@ def tied_clocks(
             named = ", ".join(f"'{seen[c].info.name}'" for c in waiting)
             raise InputError(
                 f"camera {named}: no time offset within {search_s:g} s makes its images meet those of "
-                "another camera; "
-                "check the rig's poses and that both film the same moving points, or give a wider "
-                "--search if they were started farther apart"
+                "another camera; check the rig's poses and that both film the same moving points, or give a "
+                "wider --search if they were started farther apart"
             )
         ties[best[1]] = best[2]
         waiting.remove(best[1])

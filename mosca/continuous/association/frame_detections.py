@@ -163,8 +163,7 @@ def _seen(note: _Notes) -> CameraDetections:
     if len(note.frame_ns) < FEWEST_FRAMES:
         raise InputError(
             f"camera '{note.info.name}': {len(note.frame_ns)} usable frames given, {FEWEST_FRAMES} are "
-            "needed to tell a "
-            "motion; record longer, or leave the camera out of the rig file"
+            "needed to tell a motion; record longer, or leave the camera out of the rig file"
         )
     found = note.found
     return CameraDetections(
