@@ -7,6 +7,8 @@ which assignments of about the same cost differ stays without a track. Tracks th
 named by their distances from those that have a name.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from pydantic import NonNegativeInt, PositiveInt
 from pydantic.dataclasses import dataclass
@@ -59,8 +61,7 @@ def label_tracks(tracks: Tracks, model: MarkerModel, settings: LabelSettings = D
     names = np.array(["", *model.names], dtype=object)
     mine = np.array([found.get(int(track), -1) for track in tracks.track], dtype=int)
     label = np.where(mine >= 0, names[mine + 1], tracks.label.astype(object)).astype(np.str_)
-    columns = {name: getattr(tracks, name) for name in Tracks.__dataclass_fields__}
-    return Tracks(**(columns | {"label": label}))
+    return replace(tracks, label=label)
 
 
 def marker_of_tracks(tracks: Tracks, model: MarkerModel, settings: LabelSettings = DEFAULTS) -> dict[int, int]:

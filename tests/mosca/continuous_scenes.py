@@ -2,10 +2,18 @@
 
 import numpy as np
 import rigs
+from scipy.spatial.transform import Rotation
 
 from mosca.camera.projection import project
+from mosca.continuous.model.estimated import ContinuousSettings
 from mosca.continuous.model.observations import TimedObservations, no_carriers
 from mosca.data.rig import OpenCVLens
+
+PLAIN = ContinuousSettings(limbs=False)
+
+
+def staggered(seconds=2.0, rate=50.0, cameras=3):
+    return [np.arange(0.004 * c, seconds, 1 / rate) for c in range(cameras)]
 
 
 def ring(n=3, away=2.5, focal=600.0):
@@ -30,8 +38,6 @@ def limbs(seed, bodies=2):
     centres, turns, loose = sines(seed + 1, bodies), sines(seed + 2, bodies), sines(seed + 3, 1)
 
     def at(t):
-        from scipy.spatial.transform import Rotation
-
         w = 4 * turns(t)
         rotation = Rotation.from_rotvec(w.reshape(-1, 3)).as_matrix().reshape(len(w), bodies, 3, 3)
         points = centres(t)[:, :, None] + np.einsum("tbij,bpj->tbpi", rotation, shapes)

@@ -50,14 +50,6 @@ def test_encoding_is_four_numbers_by_hand():
     )
 
 
-def test_output_is_the_formula():
-    nets = some_nets()
-    t = np.array([1.2, 2.9])
-    for k in range(2):
-        hidden = np.tanh(encoded((t - 1.0) / 2.0) @ nets.inner[k].T + nets.bias[k])
-        assert nets.at(t)[k] == pytest.approx(hidden @ nets.outer[k].T + nets.shift[k])
-
-
 def test_kernel_and_step_are_those_of_the_numerical_jacobian():
     rng = np.random.default_rng(5)
     nets = some_nets(count=1)

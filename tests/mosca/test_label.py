@@ -1,11 +1,11 @@
 """Labels from a marker model: an articulated figure that is the same on both sides, and CMU's walkers."""
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from track_points import made_tracks
 
 from mosca.data.motion.bvh import read_bvh
 from mosca.data.motion.motion import forward_kinematics
@@ -13,8 +13,6 @@ from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 from mosca.labelling.assign import label_tracks, marker_of_tracks
 from mosca.labelling.marker_model import learn_model, volumes_of
-
-DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data")) / "cmu_mocap"
 
 # limb -> joint it hangs on (m, x left, y back, z up) and its markers from there; right limbs mirror left ones
 TORSO = {
@@ -51,11 +49,7 @@ def figure(times: np.ndarray) -> tuple[list[str], np.ndarray]:
 def as_tracks(xyz: np.ndarray, track: np.ndarray, label: np.ndarray, seen: np.ndarray) -> Tracks:
     """Tracks of positions (t, m, 3) where ``seen`` (t, m); ``track`` (t, m) and ``label`` (m)."""
     rows, columns = np.nonzero(seen)
-    n = len(rows)
-    return Tracks(
-        rows, rows * 10_000_000, track[rows, columns], label[columns], xyz[rows, columns],
-        np.tile(1e-7 * np.eye(3), (n, 1, 1)), np.full(n, 4), np.full(n, 0.1), np.full(n, "measured"),
-    )  # fmt: skip
+    return made_tracks(rows, track[rows, columns], xyz[rows, columns], label=label[columns])
 
 
 def learned(times: np.ndarray, limbs: dict[str, tuple[str, ...]] | None):
@@ -144,17 +138,14 @@ def test_what_cannot_be_learned() -> None:
 
 @pytest.mark.data
 @pytest.mark.parametrize(("other", "least"), [("02_02", 0.95), ("02_03", 0.6)])
-def test_a_real_subject_with_markers_on_all_limbs(other: str, least: float) -> None:
+def test_a_real_subject_with_markers_on_all_limbs(other: str, least: float, data_dir: Path) -> None:
     """Markers fixed to CMU's bones: learned from a walk, labelled in another and in a run, 10 % of them missing."""
-    first, second = DATA / "bvh/02/02_01.bvh", DATA / f"bvh/02/{other}.bvh"
-    if not first.is_file() or not second.is_file():
-        pytest.skip(f"needs {first} and {second} of MOSCA_DATA")
     rng = np.random.default_rng(7)
     parts = ["hip", "chest", "head", *(f"{s}{p}" for p in ("Thigh", "Shin", "Shldr", "ForeArm") for s in "lr")]
     offsets = rng.uniform(-0.12, 0.12, (len(parts), 4, 3))
     paths = []
-    for path in (first, second):
-        motion = read_bvh(path, metres_per_unit=0.0104, drop_frames=1)
+    for name in ("02_01", other):
+        motion = read_bvh(data_dir / f"cmu_mocap/bvh/02/{name}.bvh", metres_per_unit=0.0104, drop_frames=1)
         position, turn = forward_kinematics(motion)
         rows = [motion.skeleton.index(p) for p in parts]
         markers = position[:, rows, None] + np.einsum("tpij,pkj->tpki", turn[:, rows], offsets)

@@ -72,13 +72,7 @@ def disc(rng):
 def learned():
     rng, known = np.random.default_rng(1), NO_STATISTICS
     for _ in range(2):
-        rows = [
-            [
-                image_of([(*(SIDE / 2 + rng.uniform(-0.5, 0.5, 2)), rng.uniform(2.5, 5), BRIGHT, None)])
-                for _ in range(5)
-            ]
-            for _ in range(5)
-        ]
+        rows = [[image_of([disc(rng)]) for _ in range(5)] for _ in range(5)]
         known = known.plus(detect_with_statistics([frame(np.block(rows), rng)], ["a"], statistics=known)[1])
     return known
 

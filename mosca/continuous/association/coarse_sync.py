@@ -79,7 +79,7 @@ def tied_clocks(
         for c in waiting:
             for known in ties:
                 pair = _Pair(
-                    rig.cameras[known], rig.cameras[c], seen[known], seen[c],
+                    rig.cameras[known], rig.cameras[c], max(seen[known].period_s, seen[c].period_s),
                     Tracklets.of(seen[known], tracklet[known], ties[known].common_s(own_s[known])), paths[c]
                 )  # fmt: skip
                 found = _searched(pair, search_s)
@@ -107,8 +107,8 @@ class _Pair:
 
     camera_a: Camera
     camera_b: Camera
-    seen_a: CameraDetections
-    seen_b: CameraDetections
+    period_s: float
+    """The longer of their frame periods."""
     path_a: Tracklets
     path_b: Tracklets
 
@@ -118,7 +118,7 @@ class _Pair:
 
     def speed_px(self) -> float:
         """Return the upper quartile of the speed of image points in the camera searched [px/s]."""
-        some = self.path_b.at(_spread(self.path_b.time_s, INSTANTS))
+        some = self.path_b.at(_inner(float(self.path_b.time_s.min()), float(self.path_b.time_s.max())))
         if not len(some.row):
             return 0.0
         return float(np.quantile(np.linalg.norm(some.speed_px, axis=1), 0.75))
@@ -143,14 +143,13 @@ class _Found:
 def _searched(pair: _Pair, search_s: float) -> _Found | None:
     """Return the shift between two cameras' clocks; None: unclear."""
     speed = pair.speed_px()
-    period = max(pair.seen_a.period_s, pair.seen_b.period_s)
     if speed <= 0.0:
         return None
-    step = float(np.clip(COARSE_PX / speed, 0.1 * period, 2.0 * period))
+    step = float(np.clip(COARSE_PX / speed, 0.1 * pair.period_s, 2.0 * pair.period_s))
     begin_a, end_a = float(pair.path_a.time_s.min()), float(pair.path_a.time_s.max())
     shifts = np.arange(-search_s, search_s + step, step)
     # compared where both may have run
-    votes, count = _votes(pair, np.linspace(begin_a, end_a, INSTANTS + 2)[1:-1], shifts, COARSE_PX)
+    votes, count = _votes(pair, _inner(begin_a, end_a), shifts, COARSE_PX)
     enough = count >= 0.25 * count.max()
     score = np.where(enough, votes / np.maximum(count, 1), 0.0)
     some = score[enough]
@@ -191,7 +190,7 @@ def _line(pair: _Pair, shift: float, step: float, speed: float) -> tuple[float, 
     for a, b in pairwise(edges):
         reach = 2.0 * step + WIDEST_DRIFT * length
         near = shift + np.arange(-reach, reach + fine, fine)
-        votes, count = _votes(pair, np.linspace(a, b, INSTANTS + 2)[1:-1], near, FINE_PX)
+        votes, count = _votes(pair, _inner(a, b), near, FINE_PX)
         score = votes / np.maximum(count, 1)
         if count.max() == 0:
             continue
@@ -228,7 +227,6 @@ def _top(shifts: Array, score: Array) -> float:
 
 def _votes(pair: _Pair, instants_a: Array, shifts: Array, width_px: float) -> tuple[Array, Array]:
     """Return for each shift how many rays of a find a partner in b (by nearness), and how many were tested."""
-    step = shifts[1] - shifts[0]
     a_world = _world(pair.camera_a, pair.path_a.at(instants_a))
     base = pair.camera_b.world_from_camera.translation - pair.camera_a.world_from_camera.translation
     base = base / np.linalg.norm(base)
@@ -253,7 +251,6 @@ def _votes(pair: _Pair, instants_a: Array, shifts: Array, width_px: float) -> tu
         at = theirs.instant[starts]
         votes[at] += np.exp(-0.5 * (nearest / width_px) ** 2).sum(axis=1)
         asked[at] += len(normal)
-    assert step > 0
     return votes, asked
 
 
@@ -275,5 +272,6 @@ def _world(camera: Camera, places: ImageInterpolation) -> _World:
     return _World(places.instant[known], directions[known])
 
 
-def _spread(time_s: Array, count: int) -> Array:
-    return np.linspace(float(time_s.min()), float(time_s.max()), count + 2)[1:-1]
+def _inner(begin_s: float, end_s: float) -> Array:
+    """Return the instants of a search, evenly within a span."""
+    return np.linspace(begin_s, end_s, INSTANTS + 2)[1:-1]

@@ -53,7 +53,8 @@ def essential(first: Array, second: Array, epipole: Array | None = None, other: 
     """
     if epipole is not None and other is not None:
         return _about_base(_unit(first), _unit(second), _unit(epipole), _unit(other))
-    return _equalised(fundamental(first, second, epipole, other))
+    u, _, vt = np.linalg.svd(fundamental(first, second, epipole, other))
+    return np.asarray(u @ np.diag([1.0, 1.0, 0.0]) @ vt)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +83,8 @@ def relative_pose(first: Array, second: Array, epipole: Array | None = None, oth
             seen += np.sign(-(pose.rotation.T @ pose.translation) @ epipole)
         if other is not None:
             seen += np.sign(pose.translation @ other)
-        share = float(np.mean(_in_front(pose, a, b)))
+        along_a, along_b = distances_along(pose, a, b)
+        share = float(np.mean((along_a > 0) & (along_b > 0)))
         if best is None or (seen, share) > best[:2]:
             best = (float(seen), share, pose)
     assert best is not None
@@ -108,11 +110,6 @@ def distances_along(pose: Pose, first: Array, second: Array) -> tuple[Array, Arr
         return (ab * bt - bb * at) / scale, (aa * bt - ab * at) / scale
 
 
-def _in_front(pose: Pose, first: Array, second: Array) -> Array:
-    s, r = distances_along(pose, first, second)
-    return (s > 0) & (r > 0)
-
-
 def _unit(rays: Array) -> Array:
     rays = np.asarray(rays, dtype=float)
     return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
@@ -135,11 +132,6 @@ def _enough(first: Array, epipoles: int) -> None:
             f"{len(first)} corresponding points with {epipoles} observed epipoles given, "
             f"{FEWEST[epipoles]} are needed"
         )
-
-
-def _equalised(matrix: Array) -> Array:
-    u, _, vt = np.linalg.svd(matrix)
-    return np.asarray(u @ np.diag([1.0, 1.0, 0.0]) @ vt)
 
 
 def _about_base(first: Array, second: Array, epipole: Array, other: Array) -> Array:

@@ -20,7 +20,6 @@ from mosca.continuous.estimator.initial_state import (
     grouped,
     moving_start,
     seen_from_to,
-    still_of,
 )
 from mosca.continuous.estimator.input_checks import check
 from mosca.continuous.estimator.motion_prior import ORDERS, expected_accelerations, liveliness, shrunk
@@ -28,6 +27,7 @@ from mosca.continuous.estimator.observation_equations import ImagePoints
 from mosca.continuous.estimator.residual_covariance import unheld
 from mosca.continuous.estimator.single_point import first_curves
 from mosca.continuous.estimator.state import StateLayout, TrajectoryState, layout
+from mosca.continuous.model.camera_paths import StillCameras
 from mosca.continuous.model.estimated import Clock, ConstantDistance, ContinuousEstimate, ContinuousSettings
 from mosca.continuous.model.observations import CameraPaths, Curves, TimedObservations
 from mosca.data.arrays import Array
@@ -77,7 +77,7 @@ def estimate(
     image = ImagePoints(used, rig)
     points = enough(used, told)
     spans = seen_from_to(used, used.time_s)
-    still = still_of(rig, observations.cameras)
+    still = StillCameras.of(rig, observations.cameras)
     knots = first_knots(used, settings)
     clock_free = clock_rules.free_unknowns(settings.clocks, len(observations.cameras))
     xyz = np.zeros((knots.count, len(observations.points), 3))

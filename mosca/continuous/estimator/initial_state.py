@@ -11,7 +11,6 @@ from mosca.continuous.model.camera_paths import PosedCameras, StillCameras
 from mosca.continuous.model.estimated import ContinuousSettings, SplinePaths
 from mosca.continuous.model.observations import CameraPaths, TimedObservations
 from mosca.data.arrays import Array
-from mosca.data.rig import Rig
 from mosca.errors import InputError
 
 DEGREE = 3
@@ -55,12 +54,6 @@ def seen_from_to(observations: TimedObservations, time_s: Array) -> Array:
         own = time_s[observations.point == p]
         spans[p] = own.min(), own.max()
     return spans
-
-
-def still_of(rig: Rig, names: tuple[str, ...]) -> StillCameras:
-    """Return the named cameras where the rig has them."""
-    poses = [rig.camera(name).world_from_camera for name in names]
-    return StillCameras(names, np.array([p.rotation for p in poses]), np.array([p.translation for p in poses]))
 
 
 def first_knots(observations: TimedObservations, settings: ContinuousSettings) -> Knots:

@@ -21,10 +21,11 @@ class StillCameras:
     centres: Array
 
     @classmethod
-    def of(cls, rig: Rig) -> "StillCameras":
-        """Return the cameras of a rig, stationary."""
-        poses = [camera.world_from_camera for camera in rig.cameras]
-        return cls(rig.names, np.array([p.rotation for p in poses]), np.array([p.translation for p in poses]))
+    def of(cls, rig: Rig, names: tuple[str, ...] | None = None) -> "StillCameras":
+        """Return the cameras ``names`` of a rig (None: all), stationary."""
+        names = rig.names if names is None else names
+        poses = [rig.camera(name).world_from_camera for name in names]
+        return cls(names, np.array([p.rotation for p in poses]), np.array([p.translation for p in poses]))
 
     def at(self, time_s: Array) -> tuple[Array, Array]:
         """Return world_from_camera: rotations (t, c, 3, 3) and centres (t, c, 3) [m]."""

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from mosca.camera.projection import lens_directions
+from mosca.camera.projection import cross_matrices, lens_directions
 from mosca.continuous.association.blink_codes import DARKEST
 from mosca.continuous.association.frame_detections import CameraDetections
 from mosca.continuous.association.tracklet_merging import parts_in_time
@@ -196,21 +196,15 @@ def _linearised(
     length = np.linalg.norm(way, axis=1)
     ahead = way / length[:, None]
     by_way = (np.eye(3) - ahead[:, :, None] * ahead[:, None, :]) / length[:, None, None]
+    crossed = cross_matrices(way)
     rows = np.zeros((len(viewer), 3, unknowns))
-    by_carrier_turn = -back @ turn[carrier] @ _cross(lamp_m[carrier])
+    by_carrier_turn = -back @ turn[carrier] @ cross_matrices(lamp_m[carrier])
     for n in range(len(viewer)):
         v, j = 6 * slot[viewer[n]], 6 * slot[carrier[n]]
         if v >= 0:
-            rows[n, :, v : v + 3] += by_way[n] @ _cross(way[n])
+            rows[n, :, v : v + 3] += by_way[n] @ crossed[n]
             rows[n, :, v + 3 : v + 6] -= by_way[n] @ back[n]
         if j >= 0:
             rows[n, :, j : j + 3] += by_way[n] @ by_carrier_turn[n]
             rows[n, :, j + 3 : j + 6] += by_way[n] @ back[n]
     return rays[viewer, carrier] - ahead, rows
-
-
-def _cross(v: Array) -> Array:
-    """Return [v]x (..., 3, 3) of vectors (..., 3)."""
-    x, y, z = v[..., 0], v[..., 1], v[..., 2]
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*v.shape[:-1], 3, 3)
