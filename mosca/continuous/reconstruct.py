@@ -10,6 +10,7 @@ from mosca.continuous.association.coarse_sync import ClockTie
 from mosca.continuous.association.correspondence import observed
 from mosca.continuous.estimator.estimate import ContinuousEstimate, ContinuousSettings, estimate
 from mosca.continuous.findings import association_findings, late_cameras, on_curves_clock
+from mosca.continuous.model.estimated import Clock
 from mosca.continuous.model.observations import CameraPaths, TimedObservations, UncertainCurves
 from mosca.continuous.resample import residuals_px, tracks_on_grid
 from mosca.data.arrays import Array
@@ -25,22 +26,15 @@ BETTER_PX = 0.1
 
 
 @dataclass(frozen=True)
-class EstimatedClock:
-    """A camera's clock.
+class EstimatedClock(Clock):
+    """A camera's clock by its stamps.
 
     An instant of the common clock [s], which counts from the first camera's ``origin_ns``, is
-    ``offset_s + (1 + drift) (stamp_ns - origin_ns) / 1e9 + row_time_s y``; sigmas are standard deviations, 0 where
-    the figure was held. ``row_time_s`` comes on top of what the frames state.
+    ``offset_s + (1 + drift) (stamp_ns - origin_ns) / 1e9 + row_time_s y``; ``row_time_s`` comes on top of what the
+    frames state.
     """
 
-    camera: str
-    origin_ns: int
-    offset_s: float
-    drift: float
-    row_time_s: float
-    offset_sigma_s: float
-    drift_sigma: float
-    row_time_sigma_s: float
+    origin_ns: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +111,7 @@ def reconstruct(
     if not len(found):
         raise InputError("no image point lies on its curve: the clocks or the rig do not fit the images")
     estimated = estimate(found, rig, settings, estimated.curves)
-    clocks = _clocks(rig, ties, estimated)
+    clocks = _clocks(ties, estimated)
     told = association_findings(gathered, found)
     if settings.clocks == "known":
         told += late_cameras(estimated.curves, found, rig)
@@ -138,11 +132,8 @@ def _tied(ties: tuple[ClockTie, ...], estimated: ContinuousEstimate) -> tuple[Cl
     )
 
 
-def _clocks(rig: Rig, ties: tuple[ClockTie, ...], estimated: ContinuousEstimate) -> tuple[EstimatedClock, ...]:
+def _clocks(ties: tuple[ClockTie, ...], estimated: ContinuousEstimate) -> tuple[EstimatedClock, ...]:
     return tuple(
-        EstimatedClock(
-            name, tie.origin_ns, tie.offset_s, tie.drift, clock.row_time_s,
-            clock.offset_sigma_s, clock.drift_sigma, clock.row_time_sigma_s
-        )
-        for name, tie, clock in zip(rig.names, _tied(ties, estimated), estimated.clocks, strict=True)
-    )  # fmt: skip
+        EstimatedClock(**vars(replace(clock, offset_s=tie.offset_s, drift=tie.drift)), origin_ns=tie.origin_ns)
+        for tie, clock in zip(_tied(ties, estimated), estimated.clocks, strict=True)
+    )

@@ -148,7 +148,7 @@ def solve_worn(
         *association_findings(gathered, found),
         *(line for line in estimated.findings if not line.startswith("scale:")),
     )
-    clocks = tuple(EstimatedClock(one.info.name, ties[0].origin_ns, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for one in seen)
+    clocks = tuple(EstimatedClock(one.info.name, origin_ns=ties[0].origin_ns) for one in seen)
     return Worn(
         Reconstructed(gathered, estimated, found, clocks, told, rig, estimated.paths),
         placed,

@@ -338,17 +338,6 @@ def region_sums(image: Array, runs: Array, centre: tuple[int, int], level: float
 
 
 @bare_step(fastmath=FAST)
-def box_of(runs: Array, begin: int, end: int) -> tuple[tuple[Any, Any, Any, Any], Any]:
-    """Return left, right, top and bottom pixel of the region of these runs, and its number of pixels."""
-    left, right, n = runs[begin, 1], runs[begin, 2], np.int64(0)
-    for i in range(begin, end):
-        left = min(left, runs[i, 1])
-        right = max(right, runs[i, 2])
-        n += runs[i, 2] - runs[i, 1]
-    return (np.int64(left), np.int64(right - 1), np.int64(runs[begin, 0]), np.int64(runs[end - 1, 0])), n
-
-
-@bare_step(fastmath=FAST)
 def corner_background(image: Array, box: tuple[Any, Any, Any, Any], floor: int) -> float:
     """Return the mean grey value of the dark pixels ``CORNER_PX`` off a box's corners, ``floor`` where none is."""
     left, right, top, bottom = box
