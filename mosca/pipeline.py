@@ -73,7 +73,6 @@ class Keeper(Protocol):
 
     def attend(self, frame: int, detections: Mapping[str, Detections], points: Points) -> None:
         """Take a frame set's points; ``rig`` is what the next frame set is to be measured with."""
-        ...
 
 
 def run(

@@ -36,7 +36,7 @@ def late_cameras(curves: Curves, observations: TimedObservations, rig: Rig) -> t
     camera differs from the others at least.
     """
     rest = residuals_px(curves, observations, rig)
-    told = []
+    lines = []
     for c, camera in enumerate(rig.cameras):
         own = np.flatnonzero((observations.camera == c) & np.isfinite(rest).all(axis=1))
         if not len(own):
@@ -49,11 +49,11 @@ def late_cameras(curves: Curves, observations: TimedObservations, rig: Rig) -> t
         usable = np.isfinite(flow).all(axis=1)
         delay, sigma = _delay(rest[own][usable], flow[usable], covariance[usable])
         if abs(delay) > LATE_SIGMA * sigma and abs(delay) > LATE_S:
-            told.append(
+            lines.append(
                 f"camera '{camera.name}': its images show points {1e3 * abs(delay):.2f} ms (+- {1.96e3 * sigma:.1g}) "
                 f"{'after' if delay > 0 else 'before'} its stamps: estimate the clocks (--clocks own)"
             )
-    return tuple(told)
+    return tuple(lines)
 
 
 def _delay(rest: Array, flow: Array, covariance: Array) -> tuple[float, float]:

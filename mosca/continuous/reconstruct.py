@@ -69,16 +69,11 @@ class Reconstructed:
         ``curves``: of the same markers, another method's; None: the estimated ones.
         """
         first = self.clocks[0]
-        own = (np.asarray(time_ns) - self.origin_ns) * 1e-9
-        return tracks_on_grid(
-            self.estimated.curves if curves is None else curves,
-            self.observations,
-            self.rig,
-            first.offset_s + (1.0 + first.drift) * own,
-            np.asarray(time_ns),
-            [one.period_s for one in self.gathered.seen],
-            self.cameras,
-        )
+        time_ns = np.asarray(time_ns)
+        instants_s = first.offset_s + (1.0 + first.drift) * ((time_ns - self.origin_ns) * 1e-9)
+        curves = self.estimated.curves if curves is None else curves
+        periods_s = [one.period_s for one in self.gathered.seen]
+        return tracks_on_grid(curves, self.observations, self.rig, instants_s, time_ns, periods_s, self.cameras)
 
     def residual_rms_px(self) -> float:
         """Return how far image points lie from their curves, rms an axis [px]."""
@@ -112,11 +107,11 @@ def reconstruct(
         raise InputError("no image point lies on its curve: the clocks or the rig do not fit the images")
     estimated = estimate(found, rig, settings, estimated.curves)
     clocks = _clocks(ties, estimated)
-    told = association_findings(gathered, found)
+    findings = association_findings(gathered, found)
     if settings.clocks == "known":
-        told += late_cameras(estimated.curves, found, rig)
+        findings += late_cameras(estimated.curves, found, rig)
     return Reconstructed(
-        gathered, estimated, on_curves_clock(found, estimated), clocks, (*told, *estimated.findings), rig
+        gathered, estimated, on_curves_clock(found, estimated), clocks, (*findings, *estimated.findings), rig
     )
 
 

@@ -15,9 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[1] / "mosca"))
 sys.path.insert(0, str(Path(__file__).parent))
 from bench_match import exponent, least_ms
+from rigs import looking_at
 from test_match import detected, members
 
 from mosca.camera.projection import project
@@ -25,7 +27,7 @@ from mosca.camera.ray_table import make_ray_table
 from mosca.correspondence.match import MatchSettings, match
 from mosca.data.detections import Detections
 from mosca.data.rays import Predicted
-from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
+from mosca.data.rig import Camera, OpenCVLens, Rig
 from mosca.data.tracks import Points
 
 SIGMA_PX = 0.03
@@ -38,17 +40,11 @@ Frame = tuple[np.ndarray, dict[str, Detections], dict[str, np.ndarray]]
 
 def ring(count: int) -> Rig:
     """Return cameras around a volume, without distortion."""
-    rng, cameras = np.random.default_rng(3), []
-    for k in range(count):
-        turn = np.pi / 4 + k * (2 * np.pi / count if count > 2 else np.pi / 2) + rng.normal(0, 0.08)
-        place = np.array([4.2 * np.cos(turn), 4.2 * np.sin(turn), 2.6])
-        z = np.array([0, 0, 1.0]) - place
-        z /= np.linalg.norm(z)
-        x = np.cross(z, [0, 0, 1.0])
-        x /= np.linalg.norm(x)
-        pose = Pose(np.column_stack([x, np.cross(z, x), z]), place)
-        cameras.append(Camera(f"c{k}", 656, 491, OpenCVLens(640.0, 640.0, 327.5, 245.0), pose))
-    return Rig(tuple(cameras))
+    step = 2 * np.pi / count if count > 2 else np.pi / 2
+    azimuths = np.pi / 4 + step * np.arange(count) + np.random.default_rng(3).normal(0, 0.08, count)
+    poses = [looking_at([4.2 * np.cos(a), 4.2 * np.sin(a), 2.6], [0, 0, 1.0]) for a in azimuths]
+    lens = OpenCVLens(640.0, 640.0, 327.5, 245.0)
+    return Rig(tuple(Camera(f"c{k}", 656, 491, lens, pose) for k, pose in enumerate(poses)))
 
 
 class OpenPTV:

@@ -287,17 +287,18 @@ def test_alikeness_is_what_remains_after_the_best_turn(seed: int, moved: float) 
     assert found[0] <= away + 1e-12
 
 
-def test_faults_of_a_body() -> None:
-    for places, message in (
-        ([[0, 0, 0], [1, 0, 0], [2, 0, 0]], "lie in a line"),
-        ([[0, 0, 0], [1, 0, 0], [np.nan, 0, 0]], "no finite number"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            RigidBody("b", "abc", places)
-    with pytest.raises(ValueError, match="marker 'a' stands twice"):
-        RigidBody("b", "aab", CUP.positions[:3])
-    with pytest.raises(ValueError, match="2 markers given"):
-        RigidBody("b", "ab", CUP.positions[:2])
+@pytest.mark.parametrize(
+    ("markers", "places", "message"),
+    [
+        ("abc", [[0, 0, 0], [1, 0, 0], [2, 0, 0]], "lie in a line"),
+        ("abc", [[0, 0, 0], [1, 0, 0], [np.nan, 0, 0]], "no finite number"),
+        ("aab", CUP.positions[:3], "marker 'a' stands twice"),
+        ("ab", CUP.positions[:2], "2 markers given"),
+    ],
+)
+def test_faults_of_a_body(markers, places, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        RigidBody("b", markers, places)
 
 
 def test_learning_gives_the_shape_back() -> None:

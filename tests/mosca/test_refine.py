@@ -105,7 +105,9 @@ def test_same_images_give_the_same_bytes_alone_or_in_a_set():
     again, _ = detect_with_statistics(images, ["a", "b", "c"], statistics=new)
     for i, name in enumerate("abc"):
         alone, taught = detect_with_statistics([images[i]], [name])
-        assert alone[0].xy_px.tobytes() == together[i].xy_px.tobytes()
+        assert alone[0].camera == together[i].camera == name
+        for key in ("xy_px", "covariance_px2", "diameter_px", "peak", "elongation"):
+            assert getattr(alone[0], key).tobytes() == getattr(together[i], key).tobytes()
         np.testing.assert_array_equal(taught.tallies[0], new.tallies[i])
         assert detect_set([images[i]], [name], statistics=new)[0].xy_px.tobytes() == again[i].xy_px.tobytes()
     split = detect_with_statistics(images[:1], ["a"])[1].plus(detect_with_statistics(images[1:], ["b", "c"])[1])

@@ -62,26 +62,6 @@ def test_smoothed_is_nearer_to_the_truth_and_measured_stays_as_it_is():
     np.testing.assert_array_equal(added.xyz, tracks.xyz)
 
 
-@pytest.mark.parametrize("length", [1, 4, 12])
-def test_filled_samples_are_marked_and_their_covariance_fits_their_errors(length):
-    xyz = motions(600, 6)
-    keep = gaps(600, 6, length)
-    tracks = tracks_of(xyz, keep)
-    together = filled(tracks, SmoothSettings(longest_gap_s=0.25))
-    new = together.select(together.status == "filled")
-    assert len(new) == (~keep).sum()
-    assert (new.n_cameras == 0).all()
-    assert np.isnan(new.residual_px).all()
-    nees = nees_of(new, xyz)
-    # samples of one gap err together: the band is that of the gaps' number
-    assert 1.0 < nees.mean() < 4.5
-    # measured rows are untouched
-    old = together.select(together.status == "measured")
-    np.testing.assert_array_equal(old.xyz, tracks.xyz)
-    widths = np.trace(new.covariance, axis1=1, axis2=2)
-    assert np.median(widths) > 3 * SIGMA**2 * (0.1 if length == 1 else 0.3)
-
-
 def wild(frames, markers, seed):
     """Random accelerations of 15 m/s^2 that last 0.15 s, within a spring's reach: nothing like sines."""
     rng = np.random.default_rng(seed)
@@ -97,14 +77,21 @@ def wild(frames, markers, seed):
 
 @pytest.mark.parametrize("motion", [motions, wild])
 @pytest.mark.parametrize("length", [1, 3, 8, 14])
-def test_filled_samples_cover_the_truth_as_often_as_they_say(motion, length):
+def test_filled_samples_are_marked_and_cover_the_truth_as_often_as_they_say(motion, length):
     inside, squares, count = 0.0, 0.0, 0
     for seed in (1, 2):
-        xyz = motion(700, 6, seed)
-        together = filled(tracks_of(xyz, gaps(700, 6, length), seed))
-        new = together.select(together.status == "filled")
+        xyz, keep = motion(700, 6, seed), gaps(700, 6, length)
+        tracks = tracks_of(xyz, keep, seed)
+        together = filled(tracks)
+        new, old = (together.select(together.status == status) for status in ("filled", "measured"))
+        np.testing.assert_array_equal(old.xyz, tracks.xyz)
+        assert len(new) == (~keep).sum()
+        assert (new.n_cameras == 0).all()
+        assert np.isnan(new.residual_px).all()
         nees = nees_of(new, xyz)
         inside, squares, count = inside + (nees <= 7.815).sum(), squares + nees.sum(), count + len(new)
+        widths = np.trace(new.covariance, axis1=1, axis2=2)
+        assert np.median(widths) > 3 * SIGMA**2 * (0.1 if length == 1 else 0.3)
     gaps_filled = count / length  # samples of a gap err together: 80 gaps, of which 95 % +- 2.4 %
     assert gaps_filled > 70
     assert inside / count > 0.95 - 3 * np.sqrt(0.95 * 0.05 / gaps_filled)

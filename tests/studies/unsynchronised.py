@@ -23,6 +23,7 @@ from mosca.data.motion.asf import read_asf_amc
 from mosca.data.motion.bvh import read_bvh
 from mosca.data.motion.motion import Motion, PointMotion, forward_kinematics
 from mosca.data.rig import Camera, FisheyeLens, Pose, Rig
+from tests.rigs import looking_at
 
 FRAME_RATE_HZ = 120.0
 EVERY, APART = 9, 3
@@ -102,11 +103,8 @@ def surround(truth: PointMotion, cameras: int = 3) -> Rig:
 
 def wide_camera(name: str, centre: Array, aim: Array) -> Camera:
     """Return a wide-angle camera at ``centre`` (3,) that is aimed at ``aim`` (3,) [m], upright."""
-    z = (aim - centre) / np.linalg.norm(aim - centre)
-    x = np.cross(z, [0.0, 0.0, 1.0])
-    x /= np.linalg.norm(x)
     lens = FisheyeLens(SCALE_PX, SCALE_PX, (WIDTH - 1) / 2, (HEIGHT - 1) / 2)
-    return Camera(name, WIDTH, HEIGHT, lens, Pose(np.column_stack([x, np.cross(z, x), z]), centre))
+    return Camera(name, WIDTH, HEIGHT, lens, looking_at(centre, aim))
 
 
 def observe(

@@ -75,19 +75,19 @@ def tied_clocks(
     paths = [Tracklets.of(one, tracklet[c], own_s[c]) for c, one in enumerate(seen)]
     waiting = list(range(1, len(seen)))
     while waiting:
-        best: tuple[float, int, ClockTie] | None = None
+        best: tuple[int, ClockTie] | None = None
         for c in waiting:
             for known in ties:
                 pair = _Pair(
                     rig.cameras[known], rig.cameras[c], max(seen[known].period_s, seen[c].period_s),
                     Tracklets.of(seen[known], tracklet[known], ties[known].common_s(own_s[known])), paths[c]
                 )  # fmt: skip
-                found = _searched(pair, search_s)
-                if found is not None and (best is None or found.clear > best[0]):
-                    best = (found.clear, c, found.tie(int(seen[c].frame_ns[0])))
-                if best is not None and best[1] == c and best[0] > 3 * CLEAR:
+                found = _searched(pair, search_s, int(seen[c].frame_ns[0]))
+                if found is not None and (best is None or found.clear > best[1].clear):
+                    best = c, found
+                if best is not None and best[0] == c and best[1].clear > 3 * CLEAR:
                     break
-            if best is not None and best[1] == c:
+            if best is not None and best[0] == c:
                 break
         if best is None:
             named = ", ".join(f"'{seen[c].info.name}'" for c in waiting)
@@ -96,8 +96,8 @@ def tied_clocks(
                 "another camera; check the rig's poses and that both film the same moving points, or give a "
                 "wider --search if they were started farther apart"
             )
-        ties[best[1]] = best[2]
-        waiting.remove(best[1])
+        ties[best[0]] = best[1]
+        waiting.remove(best[0])
     return tuple(ties[c] for c in range(len(seen)))
 
 
@@ -124,24 +124,8 @@ class _Pair:
         return float(np.quantile(np.linalg.norm(some.speed_px, axis=1), 0.75))
 
 
-@dataclass(frozen=True)
-class _Found:
-    """b's clock = shift_s + (1 + drift) a's; how clear it is, and a shift that is about as good."""
-
-    clear: float
-    shift_s: float
-    drift: float
-    rival_s: float | None
-
-    def tie(self, origin_ns: int) -> ClockTie:
-        """Return a's clock as b's has it: the equation inverted."""
-        rate = 1 / (1 + self.drift)
-        rival = None if self.rival_s is None else -self.rival_s * rate
-        return ClockTie(origin_ns, -self.shift_s * rate, rate - 1, self.clear, rival)
-
-
-def _searched(pair: _Pair, search_s: float) -> _Found | None:
-    """Return the shift between two cameras' clocks; None: unclear."""
+def _searched(pair: _Pair, search_s: float, origin_ns: int) -> ClockTie | None:
+    """Return the tie of b's clock, counted from ``origin_ns``, to a's; None: unclear."""
     speed = pair.speed_px()
     if speed <= 0.0:
         return None
@@ -160,8 +144,12 @@ def _searched(pair: _Pair, search_s: float) -> _Found | None:
     if clear < CLEAR or score[at] < middle + 0.1:
         return None
     other = rival(score - middle, at)
+    # b's clock = shift + (1 + drift) a's: inverted
     shift, drift = _line(pair, float(shifts[at]), step, speed)
-    return _Found(clear, shift, drift, None if other is None else float(shifts[other]))
+    rate = 1 / (1 + drift)
+    return ClockTie(
+        origin_ns, -shift * rate, rate - 1, clear, None if other is None else -float(shifts[other]) * rate
+    )
 
 
 def rival(score: Array, best: int) -> int | None:
@@ -227,13 +215,13 @@ def _top(shifts: Array, score: Array) -> float:
 
 def _votes(pair: _Pair, instants_a: Array, shifts: Array, width_px: float) -> tuple[Array, Array]:
     """Return for each shift how many rays of a find a partner in b (by nearness), and how many were tested."""
-    a_world = _world(pair.camera_a, pair.path_a.at(instants_a))
+    instant_of, directions = _world_rays(pair.camera_a, pair.path_a.at(instants_a))
     base = pair.camera_b.world_from_camera.translation - pair.camera_a.world_from_camera.translation
     base = base / np.linalg.norm(base)
     votes, asked = np.zeros(len(shifts)), np.zeros(len(shifts))
     random = np.random.default_rng(0)
     for k, instant in enumerate(instants_a):
-        mine = a_world.of(k)
+        mine = directions[instant_of == k]
         if not len(mine):
             continue
         if len(mine) > MOST_POINTS:
@@ -241,35 +229,23 @@ def _votes(pair: _Pair, instants_a: Array, shifts: Array, width_px: float) -> tu
         normal = np.cross(mine, base)
         length = np.linalg.norm(normal, axis=1)
         normal = normal[length > 0.05] / length[length > 0.05][:, None]
-        theirs = pair.path_b.at(instant + shifts)
-        if not len(theirs.row) or not len(normal):
+        theirs, rays = _world_rays(pair.camera_b, pair.path_b.at(instant + shifts))
+        if not len(theirs) or not len(normal):
             continue
-        rays = _world(pair.camera_b, theirs).rays
         off = np.abs(rays.astype(np.float32) @ normal.T.astype(np.float32)) * np.float32(pair.px_per_rad)
-        starts = np.flatnonzero(np.diff(theirs.instant, prepend=-1))
+        starts = np.flatnonzero(np.diff(theirs, prepend=-1))
         nearest = np.minimum.reduceat(off, starts, axis=0)
-        at = theirs.instant[starts]
+        at = theirs[starts]
         votes[at] += np.exp(-0.5 * (nearest / width_px) ** 2).sum(axis=1)
         asked[at] += len(normal)
     return votes, asked
 
 
-@dataclass(frozen=True, eq=False)
-class _World:
-    """Unit rays (r, 3) in the world, sorted by instant."""
-
-    instant: Array
-    rays: Array
-
-    def of(self, instant: int) -> Array:
-        low, high = np.searchsorted(self.instant, [instant, instant + 1])
-        return self.rays[low:high]
-
-
-def _world(camera: Camera, places: ImageInterpolation) -> _World:
+def _world_rays(camera: Camera, places: ImageInterpolation) -> tuple[Array, Array]:
+    """Return the rising instants (r,) of image points and their unit rays (r, 3) in the world."""
     directions = lens_directions(camera.lens, places.xy_px) @ camera.world_from_camera.rotation.T
     known = np.isfinite(directions).all(axis=1)
-    return _World(places.instant[known], directions[known])
+    return places.instant[known], directions[known]
 
 
 def _inner(begin_s: float, end_s: float) -> Array:

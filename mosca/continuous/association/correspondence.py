@@ -153,11 +153,8 @@ def odd_sizes_px(diameter_px: Array, away_m: Array, point: Array) -> Array:
     its radius. ``away_m`` (n,): how far the target was; its usual size is the median of its own images in the camera.
     """
     size = diameter_px * away_m
-    order = np.argsort(point, kind="stable")
-    usual = np.empty(len(point))
-    names, starts = np.unique(point[order], return_index=True)
-    for rows in np.split(order, starts[1:]) if len(names) else []:
-        usual[rows] = np.median(size[rows])
+    names, of = np.unique(point, return_inverse=True)
+    usual = np.array([np.median(size[of == k]) for k in range(len(names))])[of]
     share = np.abs(1.0 - (size / usual) ** 2)
     return np.where(share > ODD_SHARE, share * 0.5 * diameter_px, 0.0)
 

@@ -116,25 +116,20 @@ def _detect(note: _Notes, frame: Frame, settings: DetectionSettings, background:
     assert frame.image is not None
     first_row = mid_exposure_ns(frame) - frame.row_time_ns * (frame.rows - 1) // 2
     check_rise(frame.camera, note.index, note.frame_ns, frame.index, first_row)
-    found, taught = detect_with_statistics(
-        [frame.image],
-        [frame.camera],
-        settings,
-        note.info.bit_depth,
-        None if background is None else [background],
-        None,
-        note.learned,
+    backgrounds = None if background is None else [background]
+    (found,), taught = detect_with_statistics(
+        [frame.image], [frame.camera], settings, note.info.bit_depth, backgrounds, statistics=note.learned
     )
-    if len(found[0]) > MOST_DETECTIONS:
+    if len(found) > MOST_DETECTIONS:
         raise InputError(
-            f"camera '{frame.camera}', frame {frame.index}: {len(found[0])} detections, {MOST_DETECTIONS} are "
+            f"camera '{frame.camera}', frame {frame.index}: {len(found)} detections, {MOST_DETECTIONS} are "
             "allowed; noise is taken for targets: raise detection.contrast_dn, or give a background"
         )
     note.learned = note.learned.plus(taught)
     note.row_time_ns = frame.row_time_ns
     note.frame_ns.append(first_row)
     note.index.append(frame.index)
-    note.found.append(found[0])
+    note.found.append(found)
 
 
 def check_rise(camera: str, indices: list[int], times_ns: list[int], index: int, time_ns: int) -> None:

@@ -10,8 +10,6 @@ All image points are bearings: rays (n, 3) in the camera's frame, for an essenti
 the other camera is, not only on which line. (Homogeneous pixels (x, y, 1) are bearings, too, when estimating F.)
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mosca.data.arrays import Array
@@ -57,18 +55,8 @@ def essential(first: Array, second: Array, epipole: Array | None = None, other: 
     return np.asarray(u @ np.diag([1.0, 1.0, 0.0]) @ vt)
 
 
-@dataclass(frozen=True, eq=False)
-class Relative:
-    """Where a second camera is: ``second_from_first`` with a base of length 1, and the share of points in front of
-    both cameras, ``in_front``.
-    """
-
-    second_from_first: Pose
-    in_front: float
-
-
-def relative_pose(first: Array, second: Array, epipole: Array | None = None, other: Array | None = None) -> Relative:
-    """Return the relative pose of two calibrated cameras from corresponding unit rays (n, 3) and observed epipoles.
+def relative_pose(first: Array, second: Array, epipole: Array | None = None, other: Array | None = None) -> Pose:
+    """Return second_from_first, with a base of length 1, from corresponding unit rays (n, 3) and observed epipoles.
 
     Of the four poses of an essential matrix the one is taken that has most points at positive distances along both
     rays, which holds beyond 90 degrees from the axis too (Hartley and Zisserman 2003, 9.6.3, by ray instead of by
@@ -88,7 +76,7 @@ def relative_pose(first: Array, second: Array, epipole: Array | None = None, oth
         if best is None or (seen, share) > best[:2]:
             best = (float(seen), share, pose)
     assert best is not None
-    return Relative(best[2], best[1])
+    return best[2]
 
 
 def poses_of_essential(matrix: Array) -> tuple[Pose, ...]:

@@ -6,7 +6,6 @@ from mosca.calibration.initial.target_pose import poses_of
 from mosca.continuous.comparison_methods.epipoles import TooFewPointsError, relative_pose
 from mosca.continuous.comparison_methods.synchronous import Cameras, PosesAndPoints, Views, adjust, intersected
 from mosca.data.arrays import Array
-from mosca.data.rig import Pose
 from mosca.errors import InputError
 
 MOST_RAYS = 2000
@@ -68,10 +67,8 @@ def in_datum(scene: PosesAndPoints, views: Views) -> PosesAndPoints:
 
 def _moving(views: Views, rotations: Array, centres: Array, epipoles: bool) -> PosesAndPoints:
     """Adjust every instant from its own start and, where that ends badly, from its neighbours'."""
-    ready = np.asarray(np.isfinite(centres).all(axis=(1, 2)))
-    nearest = np.array(
-        [np.flatnonzero(ready)[np.argmin(np.abs(np.flatnonzero(ready) - i))] for i in range(len(ready))]
-    )
+    ready = np.flatnonzero(np.isfinite(centres).all(axis=(1, 2)))
+    nearest = ready[np.abs(ready - np.arange(len(centres))[:, None]).argmin(axis=1)]
     best = adjust(views, _scene(views, rotations[nearest], centres[nearest]), "moving", epipoles=epipoles)
     scene, rms = in_datum(best.scene, views), best.rms_px.copy()
     for _ in range(2):
@@ -117,9 +114,9 @@ def _still(views: Views, epipoles: bool) -> tuple[Array, Array] | None:
         found = relative_pose(a, b, toward if epipoles else None, back if epipoles else None)
     except TooFewPointsError:
         return None
-    poses = {first: Pose(np.eye(3), np.zeros(3)), second: found.second_from_first.inverse()}
+    pose = found.inverse()
     rotations, centres = np.tile(np.eye(3), (c, 1, 1)), np.zeros((c, 3))
-    rotations[second], centres[second] = poses[second].rotation, poses[second].translation
+    rotations[second], centres[second] = pose.rotation, pose.translation
     pair = Views(
         (views.cameras[first], views.cameras[second]), views.xy_px[:, [first, second]], views.carried_by,
         views.carried_at
@@ -128,7 +125,7 @@ def _still(views: Views, epipoles: bool) -> tuple[Array, Array] | None:
     both_r, both_c = rotations[[first, second]], centres[[first, second]]
     xyz = intersected(pair, np.tile(both_r, (t, 1, 1, 1)), np.tile(both_c, (t, 1, 1)))
     for k in range(c):
-        if k in poses:
+        if k in (first, second):
             continue
         good = np.asarray(seen[:, k] & np.isfinite(xyz).all(axis=-1))
         thin = _thinned(int(good.sum()))

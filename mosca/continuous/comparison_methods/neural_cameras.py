@@ -29,11 +29,9 @@ class PoseModel(CameraPaths, Protocol):
 
     def slopes(self, time_s: Array) -> Array:
         """Return (t, c, 6, u): rotation about the camera's own axes and position, by its own u unknowns."""
-        ...
 
     def moved(self, time_s: Array, z: Array) -> "PoseModel":
         """Return the cameras after a step z (c, u) of what ``slopes(time_s)`` belongs to; the first one stays."""
-        ...
 
 
 class SteadyPoses(StillCameras):

@@ -252,7 +252,7 @@ class _Task:
         image = project_moving(
             self.views.cameras[k], scene.rotations[at, k], scene.centres[at, k], scene.xyz[at, which]
         )
-        return at, which, *_errors(image, self.views.xy_px[at, k, self.free[which]])
+        return at, which, *image_errors(image, self.views.xy_px[at, k, self.free[which]])
 
     def _epipole(self, scene: PosesAndPoints, viewer: int, m: int, at: Array) -> tuple[ProjectedPoints, Array]:
         carrier = int(self.views.carried_by[m])
@@ -260,10 +260,11 @@ class _Task:
         image = project_moving(
             self.views.cameras[viewer], scene.rotations[at, viewer], scene.centres[at, viewer], lamp
         )
-        return _errors(image, self.views.xy_px[at, viewer, m])
+        return image_errors(image, self.views.xy_px[at, viewer, m])
 
 
-def _errors(image: ProjectedPoints, observed: Array) -> tuple[ProjectedPoints, Array]:
+def image_errors(image: ProjectedPoints, observed: Array) -> tuple[ProjectedPoints, Array]:
+    """Return images and their errors; without slopes and with an error of LOST_PX where a point is not imaged."""
     error = observed - image.xy_px
     lost = ~np.isfinite(error).all(axis=1)
     if not lost.any():

@@ -70,12 +70,12 @@ def estimate(
     began = stopwatch.perf_counter()
     settings = ContinuousSettings() if settings is None else settings
     check(observations, rig)
-    told: list[str] = []
+    findings: list[str] = []
     used = observations
     if settings.cameras == "known":
         used = observations.only(observations.carried_by[observations.point] < 0)
     image = ImagePoints(used, rig)
-    points = enough(used, told)
+    points = enough(used, findings)
     spans = seen_from_to(used, used.time_s)
     still = StillCameras.of(rig, observations.cameras)
     knots = first_knots(used, settings)
@@ -105,19 +105,18 @@ def estimate(
     solved, covariances, pairs = _rounds(image, state, places, covariances, settings, seen, spans)
     rng = np.random.default_rng(0)
     size = sigma0(solved, places, draws(solved, places, DRAWS, rng))
-    told += clock_rules.findings(observations.cameras, held)
+    findings += clock_rules.findings(observations.cameras, held)
     if settings.cameras != "known":
-        told.append("scale: no length is given, so that it is the start's; give a known distance to make it metres")
+        findings.append(
+            "scale: no length is given, so that it is the start's; give a known distance to make it metres"
+        )
     if size > LARGEST_SIGMA0:
-        told.append(f"image errors are {size:.1f} times as large as stated: look at clocks, calibration and names")
-    curves = curves_of(
-        solved,
-        places,
-        covariances,
-        observations,
-        seen_from_to(used, image.times(solved.state)),
-        unheld(image, solved, places, alone, points),
-    )
+        findings.append(
+            f"image errors are {size:.1f} times as large as stated: look at clocks, calibration and names"
+        )
+    spans = seen_from_to(used, image.times(solved.state))
+    missing = unheld(image, solved, places, alone, points)
+    curves = curves_of(solved, places, covariances, observations, spans, missing)
     names = observations.points
     found = tuple(
         ConstantDistance(names[i], names[j], float(d), float(s))
@@ -125,7 +124,7 @@ def estimate(
     )
     times = clock_rules.results(observations.cameras, places, solved.state.clocks, solved.covariance, held)
     return ContinuousEstimate(
-        curves, solved.state.paths, tuple(times), found, tuple(told), size, stopwatch.perf_counter() - began
+        curves, solved.state.paths, tuple(times), found, tuple(findings), size, stopwatch.perf_counter() - began
     )
 
 

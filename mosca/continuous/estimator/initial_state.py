@@ -23,7 +23,7 @@ CAMERA_START = (3.0, 1.0)
 """A-priori accelerations of a moving camera: rad/s^2 and m/s^2 in a band of one hertz."""
 
 
-def enough(observations: TimedObservations, told: list[str]) -> Array:
+def enough(observations: TimedObservations, findings: list[str]) -> Array:
     """Return the free points that two cameras see often enough, and report which are left out."""
     points = []
     for p in observations.free:
@@ -32,7 +32,7 @@ def enough(observations: TimedObservations, told: list[str]) -> Array:
         if own.sum() >= FEWEST_SIGHTINGS and seen_by >= 2:
             points.append(int(p))
         else:
-            told.append(
+            findings.append(
                 f"point '{observations.points[p]}' is left out: {own.sum()} image points by {seen_by} cameras, "
                 f"{FEWEST_SIGHTINGS} by 2 are needed"
             )

@@ -39,8 +39,8 @@ class _Between:
 
     from_s: float
     to_s: float
-    turns: Slerp | RotationSpline
-    places: BSpline | CubicSpline
+    rotations_at: Slerp | RotationSpline
+    centres_at: BSpline | CubicSpline
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +81,6 @@ class PosedCameras:
                 continue
             inside = (time_s >= between.from_s) & (time_s <= between.to_s)
             if inside.any():
-                rotations[inside, k] = between.turns(time_s[inside]).as_matrix()
-                centres[inside, k] = between.places(time_s[inside])
+                rotations[inside, k] = between.rotations_at(time_s[inside]).as_matrix()
+                centres[inside, k] = between.centres_at(time_s[inside])
         return rotations, centres

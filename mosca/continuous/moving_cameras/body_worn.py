@@ -143,14 +143,14 @@ def solve_worn(
         moving = replace(moving, paths=paths, valid_s=LONGEST_S)
         if now is quick:
             found, _row = observed(marked, ties, rig, start, gathered.sigma_px, BETTER_PX, moving)
-    told = (
+    findings = (
         f"frame and metre are those of {' and '.join(map(repr, known))}, whose poses were given",
         *association_findings(gathered, found),
         *(line for line in estimated.findings if not line.startswith("scale:")),
     )
     clocks = tuple(EstimatedClock(one.info.name, origin_ns=ties[0].origin_ns) for one in seen)
     return Worn(
-        Reconstructed(gathered, estimated, found, clocks, told, rig, estimated.paths),
+        Reconstructed(gathered, estimated, found, clocks, findings, rig, estimated.paths),
         placed,
         lamp,
         by_code,

@@ -148,23 +148,21 @@ def fill_window(
     """Copy the grey values about the pixel ``centre`` into the window (5, n) of this size; return how many."""
     far = int(reach)
     middle = centre[1] * image.shape[1] + centre[0]
-    n = windows.known[size, 1]
+    n: int = windows.known[size, 1]
     grey_values(image, middle, windows.half[size, : 2 * far + 1], pixels[V])
     for i in range(n, len(pixels[V])):
         pixels[V, i] = ZERO
-    result: int = n
-    return result
+    return n
 
 
 @bare_step(fastmath=FAST)
 def gather_at_border(image: Array, centre: tuple[int, int], reach: float, pixels: Array) -> int:
     """Copy the pixels of the image within ``reach`` of the pixel ``centre``, padded; return how many."""
-    n = gather(image, centre, reach * reach, pixels)
+    n: int = gather(image, centre, reach * reach, pixels)
     for i in range(n):
         pixels[SHARPER, i] = ONE
     pad(n, pixels)
-    result: int = n
-    return result
+    return n
 
 
 @bare_step(fastmath=FAST)
