@@ -95,18 +95,14 @@ def _without_misfits(
     chosen = chosen.copy()
     while (chosen >= 0).any():
         named = np.flatnonzero(chosen >= 0)
-        cost = _link_cost(
-            first[np.ix_(chosen[named], chosen[named])],
-            second[np.ix_(chosen[named], chosen[named])],
-            model.mean_m[np.ix_(named, named)],
-            model.sigma_m[np.ix_(named, named)],
-            settings,
-        )
-        sigma = model.sigma_m[np.ix_(named, named)] + np.diag(np.full(len(named), np.inf))
+        markers, tracks = np.ix_(named, named), np.ix_(chosen[named], chosen[named])
+        sigma = model.sigma_m[markers]
+        cost = _link_cost(first[tracks], second[tracks], model.mean_m[markers], sigma, settings)
+        sigma = sigma + np.diag(np.full(len(named), np.inf))
         tight = np.argsort(sigma, axis=1, kind="stable")[:, :TIGHTEST]
         each = np.take_along_axis(cost, tight, axis=1).mean(axis=1)
         # loose links alone name nothing where the model has firm ones
-        firm = model.rigid[np.ix_(named, named)].sum(axis=1)
+        firm = model.rigid[markers].sum(axis=1)
         each[firm < np.minimum(model.rigid[named].sum(axis=1), LEAST_FIRM)] = np.inf
         worst = int(each.argmax())
         if each[worst] < settings.margin and len(named) > 2:

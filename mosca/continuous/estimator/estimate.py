@@ -15,7 +15,7 @@ from mosca.continuous.estimator.constant_distances import NO_PAIRS, Pairs, find_
 from mosca.continuous.estimator.gauss_newton import Solved, curves_of, draws, sigma0, step
 from mosca.continuous.estimator.initial_state import (
     enough,
-    first_covariance,
+    first_covariances,
     first_knots,
     grouped,
     moving_start,
@@ -98,7 +98,7 @@ def estimate(
         state, strength, _ = first_curves(image, replace(state, order=ORDERS[0]), alone, points, None, False)
     groups = grouped(state, points, settings)
     places = layout(groups, len(still.cameras), settings.cameras, clock_free & ~held)
-    covariances = _first_covariances(points, strength, places)
+    covariances = first_covariances(points, strength, places)
     if places.moving:
         covariances[0][3 * len(points) :, 3 * len(points) :] = of_cameras
     seen = np.isin(np.arange(len(observations.points)), points)
@@ -128,11 +128,6 @@ def estimate(
     )
 
 
-def _first_covariances(points: Array, strength: Array, places: StateLayout) -> list[Array]:
-    of_point = dict(zip(points.tolist(), strength, strict=True))
-    return [first_covariance(of_point, places, g) for g in range(len(places.groups))]
-
-
 def _settled(
     image: ImagePoints, state: TrajectoryState, points: Array, settings: ContinuousSettings, strength: Array,
     noise: float, clock_free: Array
@@ -142,7 +137,7 @@ def _settled(
     """
     rng = np.random.default_rng(0)
     places = layout(grouped(state, points, settings), len(state.still.cameras), settings.cameras, clock_free)
-    covariances = _first_covariances(points, strength, places)
+    covariances = first_covariances(points, strength, places)
     for k in range(MOST_ROUNDS):
         solved = step(image, state, places, covariances, NO_PAIRS, noise)
         state = solved.state

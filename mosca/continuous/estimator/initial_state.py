@@ -115,10 +115,10 @@ def grouped(state: TrajectoryState, points: Array, settings: ContinuousSettings)
     return tuple(np.sort(part) for part in parts)
 
 
-def first_covariance(strengths: dict[int, float], places: StateLayout, group: int) -> Array:
-    """Return the initial covariance of a group's prior: diagonal, each point separately."""
-    own = np.repeat([np.exp(-strengths[p]) for p in places.groups[group].tolist()], 3)
-    if not places.moving:
-        return np.diag(own)
-    turn, move = CAMERA_START
-    return np.diag(np.concatenate([own, np.tile([turn**2] * 3 + [move**2] * 3, places.cameras)]))
+def first_covariances(points: Array, strength: Array, places: StateLayout) -> list[Array]:
+    """Return the initial covariance of each group's prior: diagonal, of points by their log ``strength``."""
+    of_point = dict(zip(points.tolist(), strength, strict=True))
+    rotation, centre = CAMERA_START
+    of_cameras = np.tile([rotation**2] * 3 + [centre**2] * 3, places.cameras if places.moving else 0)
+    own = [np.repeat([np.exp(-of_point[p]) for p in group.tolist()], 3) for group in places.groups]
+    return [np.diag(np.concatenate([of_points, of_cameras])) for of_points in own]

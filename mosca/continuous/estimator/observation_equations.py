@@ -6,7 +6,7 @@ import numpy as np
 
 from mosca.camera.projection import cross_matrices, lens_directions, project_with_jacobians
 from mosca.continuous.estimator.banded_normals import Rows
-from mosca.continuous.estimator.state import StateLayout, TrajectoryState, instants
+from mosca.continuous.estimator.state import StateLayout, TrajectoryState
 from mosca.continuous.model.bspline import values
 from mosca.continuous.model.observations import TimedObservations
 from mosca.data.arrays import Array
@@ -56,7 +56,8 @@ class ImagePoints:
     def times(self, state: TrajectoryState) -> Array:
         """Return when each image point was exposed [s]."""
         o = self.observations
-        return instants(o.camera, o.time_s, o.xy_px[:, 1], state.clocks)
+        offset, drift, row_time = state.clocks[o.camera].T
+        return np.asarray(offset + (1 + drift) * o.time_s + row_time * o.xy_px[:, 1])
 
     def _project(self, v: Array) -> tuple[Array, Array]:
         xy, by_v = np.empty((len(v), 2)), np.empty((len(v), 2, 3))
