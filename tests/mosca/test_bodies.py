@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from track_points import made_tracks, points
 
 from mosca.data.bodies import BodyPoses, RigidBody
-from mosca.data.tracks import Points, Samples, Tracks
+from mosca.data.tracks import Samples, Tracks
 from mosca.errors import InputError
 from mosca.rigid_bodies.ambiguity import check_bodies, difference_m, nearest
 from mosca.rigid_bodies.learn import learn_body
@@ -64,10 +64,6 @@ def errors_of(poses: BodyPoses, truth: list[tuple[np.ndarray, np.ndarray]]) -> n
     true = Rotation.from_matrix([truth[f][0] for f in poses.frame])
     places = np.array([truth[f][1] for f in poses.frame])
     return np.concatenate([places - poses.position, (true * turns.inv()).as_rotvec()], axis=1)
-
-
-def without_ids(tracks: Tracks, frame: int, rng: np.random.Generator) -> Points:
-    return points(tracks.xyz[rng.permutation(np.flatnonzero(tracks.frame == frame))])
 
 
 def test_a_pose_without_noise_is_exact_and_as_scipy_has_it() -> None:
@@ -129,7 +125,8 @@ def test_two_bodies_are_followed_through_clutter(ids: bool) -> None:
         poses = body_poses(tracks, [DRONE, CUP])
     else:
         tracker = BodyTracker([DRONE, CUP])
-        parts = [tracker.update(without_ids(tracks, f, rng), f, int(f * 1e7)) for f in range(80)]
+        rows = [rng.permutation(np.flatnonzero(tracks.frame == f)) for f in range(80)]
+        parts = [tracker.update(points(tracks.xyz[r]), f, int(f * 1e7)) for f, r in enumerate(rows)]
         columns = [np.concatenate([getattr(p, c) for p in parts]) for c in BodyPoses.__dataclass_fields__]
         poses = BodyPoses(*columns)
     d2 = []

@@ -208,15 +208,15 @@ def test_a_neighbour_two_pixels_off_is_not_taken_into_the_mask():
 # ---------------------------------------------------------------- properties
 
 
-def scene(seed, shape=(70, 91), n=8, noise=2.0):
+def scene(seed):
     rng = np.random.default_rng(seed)
-    light = np.full(shape, 6.0)
-    y, x = np.mgrid[: shape[0], : shape[1]]
-    for _ in range(n):
-        centre = rng.uniform(12, np.array(shape) - 12)
+    light = np.full((70, 91), 6.0)
+    y, x = np.mgrid[:70, :91]
+    for _ in range(8):
+        centre = rng.uniform(12, [58, 79])
         radius = rng.uniform(1.5, 5)
         light += rng.uniform(80, 200) * (np.hypot(y - centre[0], x - centre[1]) < radius)
-    light = ndimage.gaussian_filter(light, 0.7) + rng.normal(0, noise, shape)
+    light = ndimage.gaussian_filter(light, 0.7) + rng.normal(0, 2.0, light.shape)
     return np.clip(np.rint(light), 0, 240).astype(np.uint8)
 
 

@@ -186,10 +186,11 @@ def test_order_of_detections_does_not_matter():
     np.testing.assert_allclose(one.xyz[np.lexsort(one.xyz.T)], other.xyz[np.lexsort(other.xyz.T)], atol=1e-12)
 
 
-def flagged(rig, found, camera, row, flag):
-    flags = np.zeros(len(found[camera]), np.uint8)
-    flags[row] = flag
-    return dict(found, **{camera: replace(found[camera], flags=flags)})
+def flagged(found, flag):
+    """The same with a flag on the first detection of the first camera."""
+    flags = np.zeros(len(found["c0"]), np.uint8)
+    flags[0] = flag
+    return found | {"c0": replace(found["c0"], flags=flags)}
 
 
 def test_a_partly_hidden_image_counts_for_less():
@@ -197,7 +198,7 @@ def test_a_partly_hidden_image_counts_for_less():
     truth3d = np.array([[0.1, 0.0, 0.2]])
     found, _ = detected(rig, truth3d, rng, sigma=0.02)
     whole = grouped(rig, found)
-    partly = grouped(rig, flagged(rig, found, "c0", 0, PARTIAL))
+    partly = grouped(rig, flagged(found, PARTIAL))
     assert whole.n_cameras.tolist() == partly.n_cameras.tolist() == [3]
     assert partly.trusted[0] < whole.trusted[0]
     assert np.trace(partly.covariance[0]) > np.trace(whole.covariance[0])
@@ -206,14 +207,14 @@ def test_a_partly_hidden_image_counts_for_less():
 def test_an_image_alone_that_no_disc_fits_is_half_hidden_where_discs_fit_others():
     rig, rng = rig_of(3), np.random.default_rng(9)
     found, _ = detected(rig, rng.uniform(-0.4, 0.4, (12, 3)), rng, sigma=0.02)
-    whole, odd = grouped(rig, found), grouped(rig, flagged(rig, found, "c0", 0, UNREFINED))
+    whole, odd = grouped(rig, found), grouped(rig, flagged(found, UNREFINED))
     at = np.flatnonzero(odd.rays[:, 0] == 0)
     same = np.flatnonzero(whole.rays[:, 0] == 0)
     assert whole.trusted[same[0]] == pytest.approx(3.0)
     assert odd.trusted[at[0]] == pytest.approx(2.0)
     assert np.trace(odd.covariance[at[0]]) > np.trace(whole.covariance[same[0]])
     # controls: beside a neighbour the fit fails for its sake; where no fit was tried, none means nothing
-    crowded = grouped(rig, flagged(rig, found, "c0", 0, UNREFINED | MERGED))
+    crowded = grouped(rig, flagged(found, UNREFINED | MERGED))
     untried = grouped(rig, {n: replace(f, flags=np.full(len(f), UNREFINED, np.uint8)) for n, f in found.items()})
     assert crowded.trusted[crowded.rays[:, 0] == 0] == pytest.approx(3.0)
     assert untried.trusted == pytest.approx(np.full(12, 3.0))
@@ -260,7 +261,7 @@ def test_a_merged_image_serves_two_targets_that_tracks_expect():
     expected = expected_at(truth3d, 1e-5**0.5)
     settings = MatchSettings(camera_sigma_px=0.0, judge_sizes=False)
     plain = grouped(rig, found, settings, expected)
-    merged = grouped(rig, flagged(rig, found, "c0", 0, MERGED), settings, expected)
+    merged = grouped(rig, flagged(found, MERGED), settings, expected)
     assert sorted(plain.n_cameras) == [2, 3]
     assert sorted(merged.n_cameras) == [3, 3]
 

@@ -77,10 +77,10 @@ def learned():
     return known
 
 
-def pair_of(rng, apart, diameter, ratio=1.0):
+def pair_of(rng, apart, diameter):
     angle, middle = rng.uniform(0, 2 * np.pi), SIDE / 2 + rng.uniform(-0.5, 0.5, 2)
     half = 0.5 * apart * diameter * np.array([np.cos(angle), np.sin(angle)])
-    return [(*(middle + half), diameter / 2, ratio * BRIGHT, None), (*(middle - half), diameter / 2, BRIGHT, None)]
+    return [(*(middle + half), diameter / 2, BRIGHT, None), (*(middle - half), diameter / 2, BRIGHT, None)]
 
 
 @pytest.mark.parametrize(("diameter", "most"), [(5.0, 2.0), (6.5, 1.3), (8.0, 1.3)])

@@ -40,9 +40,9 @@ def lagged(steps, settings):
     return [*(smoother.step(frame, samples) for frame, samples in steps), smoother.rest()]
 
 
-def gappy(frames, markers, seed=4):
+def gappy(frames, markers):
     keep = np.ones((frames, markers), bool)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(4)
     for m in range(markers):
         for start in rng.integers(5, frames - 30, 4):
             keep[start : start + rng.integers(1, 25), m] = False
