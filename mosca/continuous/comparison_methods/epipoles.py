@@ -32,7 +32,11 @@ def fundamental(first: Array, second: Array, epipole: Array | None = None, other
     unit rays. Raises TooFewPointsError below 8, 5 or 3 points with no, one or two epipoles.
     """
     right, left = _basis(epipole), _basis(other)
-    _enough(first, (epipole is not None) + (other is not None))
+    seen = (epipole is not None) + (other is not None)
+    if len(first) < FEWEST[seen]:
+        raise TooFewPointsError(
+            f"{len(first)} corresponding points with {seen} observed epipoles given, {FEWEST[seen]} are needed"
+        )
     a, b = _unit(first) @ right, _unit(second) @ left
     rows = (b[:, :, None] * a[:, None, :]).reshape(len(a), -1)
     core = np.linalg.svd(rows, full_matrices=True)[2][-1].reshape(left.shape[1], right.shape[1])
@@ -112,14 +116,6 @@ def _basis(epipole: Array | None) -> Array:
     x = np.cross(e, side)
     x /= np.linalg.norm(x)
     return np.column_stack([x, np.cross(e, x)])
-
-
-def _enough(first: Array, epipoles: int) -> None:
-    if len(first) < FEWEST[epipoles]:
-        raise TooFewPointsError(
-            f"{len(first)} corresponding points with {epipoles} observed epipoles given, "
-            f"{FEWEST[epipoles]} are needed"
-        )
 
 
 def _about_base(first: Array, second: Array, epipole: Array, other: Array) -> Array:
