@@ -73,7 +73,6 @@ class Keeper(Protocol):
 
     def attend(self, frame: int, detections: Mapping[str, Detections], points: Points) -> None:
         """Take a frame set's points; ``rig`` is what the next frame set is to be measured with."""
-        ...
 
 
 def run(
@@ -125,7 +124,12 @@ def run_sets(
     """Turn frame sets of ``cameras`` into tracks; else as ``run``. Sets may be missing, never reordered."""
     settings = PipelineSettings() if settings is None else settings
     backgrounds = {} if backgrounds is None else backgrounds
-    _check_backgrounds(backgrounds, rig)
+    for name in backgrounds:
+        if name not in rig.names:
+            raise InputError(
+                f"background: camera '{name}' given; the rig has {', '.join(rig.names)}; "
+                "give the cameras the same names in both"
+            )
     look = FrameSetDetector(settings.detection, {info.name: info.bit_depth for info in cameras}, backgrounds)
     yield from run_seen(
         detect_ahead(look, sets, settings.workers, settings.split or 1), rig, settings, keeper, health
@@ -145,7 +149,8 @@ def run_seen(
     """
     settings = PipelineSettings() if settings is None else settings
     health = Health(rig, HealthSettings(start_px=settings.match.camera_sigma_px)) if health is None else health
-    volume = _box(settings.volume)
+    low, high = settings.volume or ((-np.inf,) * 3, (np.inf,) * 3)
+    volume = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     tracker = Tracker(settings.track) if settings.nearest is None else NearestTracker(settings.nearest)
     typical_diameter_m = 0.0
 
@@ -207,21 +212,6 @@ def check_source(source: FrameSource, rig: Rig) -> None:
                 f"camera '{camera.name}': images are {info.width} x {info.height}, the rig file says "
                 f"{camera.width} x {camera.height}; use the calibration made at this size"
             )
-
-
-def _check_backgrounds(backgrounds: Mapping[str, Array], rig: Rig) -> None:
-    for name in backgrounds:
-        if name not in rig.names:
-            raise InputError(
-                f"background: camera '{name}' given; the rig has {', '.join(rig.names)}; "
-                "give the cameras the same names in both"
-            )
-
-
-def _box(volume: tuple[tuple[float, float, float], tuple[float, float, float]] | None) -> tuple[Array, Array]:
-    if volume is None:
-        return np.full(3, -np.inf), np.full(3, np.inf)
-    return np.asarray(volume[0], dtype=float), np.asarray(volume[1], dtype=float)
 
 
 class _StageTimer:

@@ -29,11 +29,6 @@ def on_curves_clock(found: TimedObservations, estimated: ContinuousEstimate) -> 
     return replace(found, time_s=at + (1.0 + rate) * found.time_s + row * found.xy_px[:, 1])
 
 
-def _squared(rest: Array, covariance: Array) -> Array:
-    """Return squared residuals (n,) in the variances stated; NaN where there is none."""
-    return np.asarray(np.einsum("ni,ni->n", rest, np.linalg.solve(covariance, rest[:, :, None])[:, :, 0]))
-
-
 def late_cameras(curves: Curves, observations: TimedObservations, rig: Rig) -> tuple[str, ...]:
     """Return a line where cameras' stamps, taken as right, do not fit the images: points lie ahead or behind.
 
@@ -41,7 +36,7 @@ def late_cameras(curves: Curves, observations: TimedObservations, rig: Rig) -> t
     camera differs from the others at least.
     """
     rest = residuals_px(curves, observations, rig)
-    told = []
+    lines = []
     for c, camera in enumerate(rig.cameras):
         own = np.flatnonzero((observations.camera == c) & np.isfinite(rest).all(axis=1))
         if not len(own):
@@ -54,11 +49,11 @@ def late_cameras(curves: Curves, observations: TimedObservations, rig: Rig) -> t
         usable = np.isfinite(flow).all(axis=1)
         delay, sigma = _delay(rest[own][usable], flow[usable], covariance[usable])
         if abs(delay) > LATE_SIGMA * sigma and abs(delay) > LATE_S:
-            told.append(
+            lines.append(
                 f"camera '{camera.name}': its images show points {1e3 * abs(delay):.2f} ms (+- {1.96e3 * sigma:.1g}) "
                 f"{'after' if delay > 0 else 'before'} its stamps: estimate the clocks (--clocks own)"
             )
-    return tuple(told)
+    return tuple(lines)
 
 
 def _delay(rest: Array, flow: Array, covariance: Array) -> tuple[float, float]:
@@ -68,7 +63,9 @@ def _delay(rest: Array, flow: Array, covariance: Array) -> tuple[float, float]:
     """
     delay, sigma = 0.0, np.inf
     for _pass in range(PASSES):
-        held = _squared(rest - delay * flow, covariance) < GROSS
+        left = rest - delay * flow
+        squared = np.einsum("ni,ni->n", left, np.linalg.solve(covariance, left[:, :, None])[:, :, 0])
+        held = squared < GROSS
         weighed = np.linalg.solve(covariance[held], flow[held][:, :, None])[:, :, 0]
         known = float((weighed * flow[held]).sum())
         if known <= 0.0:

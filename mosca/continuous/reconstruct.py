@@ -10,6 +10,7 @@ from mosca.continuous.association.coarse_sync import ClockTie
 from mosca.continuous.association.correspondence import observed
 from mosca.continuous.estimator.estimate import ContinuousEstimate, ContinuousSettings, estimate
 from mosca.continuous.findings import association_findings, late_cameras, on_curves_clock
+from mosca.continuous.model.estimated import Clock
 from mosca.continuous.model.observations import CameraPaths, TimedObservations, UncertainCurves
 from mosca.continuous.resample import residuals_px, tracks_on_grid
 from mosca.data.arrays import Array
@@ -25,22 +26,15 @@ BETTER_PX = 0.1
 
 
 @dataclass(frozen=True)
-class EstimatedClock:
-    """A camera's clock.
+class EstimatedClock(Clock):
+    """A camera's clock by its stamps.
 
     An instant of the common clock [s], which counts from the first camera's ``origin_ns``, is
-    ``offset_s + (1 + drift) (stamp_ns - origin_ns) / 1e9 + row_time_s y``; sigmas are standard deviations, 0 where
-    the figure was held. ``row_time_s`` comes on top of what the frames state.
+    ``offset_s + (1 + drift) (stamp_ns - origin_ns) / 1e9 + row_time_s y``; ``row_time_s`` comes on top of what the
+    frames state.
     """
 
-    camera: str
-    origin_ns: int
-    offset_s: float
-    drift: float
-    row_time_s: float
-    offset_sigma_s: float
-    drift_sigma: float
-    row_time_sigma_s: float
+    origin_ns: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,16 +69,11 @@ class Reconstructed:
         ``curves``: of the same markers, another method's; None: the estimated ones.
         """
         first = self.clocks[0]
-        own = (np.asarray(time_ns) - self.origin_ns) * 1e-9
-        return tracks_on_grid(
-            self.estimated.curves if curves is None else curves,
-            self.observations,
-            self.rig,
-            first.offset_s + (1.0 + first.drift) * own,
-            np.asarray(time_ns),
-            [one.period_s for one in self.gathered.seen],
-            self.cameras,
-        )
+        time_ns = np.asarray(time_ns)
+        instants_s = first.offset_s + (1.0 + first.drift) * ((time_ns - self.origin_ns) * 1e-9)
+        curves = self.estimated.curves if curves is None else curves
+        periods_s = [one.period_s for one in self.gathered.seen]
+        return tracks_on_grid(curves, self.observations, self.rig, instants_s, time_ns, periods_s, self.cameras)
 
     def residual_rms_px(self) -> float:
         """Return how far image points lie from their curves, rms an axis [px]."""
@@ -117,12 +106,12 @@ def reconstruct(
     if not len(found):
         raise InputError("no image point lies on its curve: the clocks or the rig do not fit the images")
     estimated = estimate(found, rig, settings, estimated.curves)
-    clocks = _clocks(rig, ties, estimated)
-    told = association_findings(gathered, found)
+    clocks = _clocks(ties, estimated)
+    findings = association_findings(gathered, found)
     if settings.clocks == "known":
-        told += late_cameras(estimated.curves, found, rig)
+        findings += late_cameras(estimated.curves, found, rig)
     return Reconstructed(
-        gathered, estimated, on_curves_clock(found, estimated), clocks, (*told, *estimated.findings), rig
+        gathered, estimated, on_curves_clock(found, estimated), clocks, (*findings, *estimated.findings), rig
     )
 
 
@@ -138,11 +127,8 @@ def _tied(ties: tuple[ClockTie, ...], estimated: ContinuousEstimate) -> tuple[Cl
     )
 
 
-def _clocks(rig: Rig, ties: tuple[ClockTie, ...], estimated: ContinuousEstimate) -> tuple[EstimatedClock, ...]:
+def _clocks(ties: tuple[ClockTie, ...], estimated: ContinuousEstimate) -> tuple[EstimatedClock, ...]:
     return tuple(
-        EstimatedClock(
-            name, tie.origin_ns, tie.offset_s, tie.drift, clock.row_time_s,
-            clock.offset_sigma_s, clock.drift_sigma, clock.row_time_sigma_s
-        )
-        for name, tie, clock in zip(rig.names, _tied(ties, estimated), estimated.clocks, strict=True)
-    )  # fmt: skip
+        EstimatedClock(**vars(replace(clock, offset_s=tie.offset_s, drift=tie.drift)), origin_ns=tie.origin_ns)
+        for tie, clock in zip(_tied(ties, estimated), estimated.clocks, strict=True)
+    )

@@ -11,7 +11,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.detection.images import ImageSet, pixels_of
-from mosca.detection.search import END, END_RUN, FIRST, FIRST_RUN, IMAGE, PLACE, ROW, FoundRegions
+from mosca.detection.search import END, END_RUN, FIRST, FIRST_RUN, IMAGE, PLACE, ROW, FoundRegions, box_of
 from mosca.numba_support.decorators import bare_step, step
 from mosca.numba_support.intrinsics import bits_set, bright_mask, copy_16, trailing_zeros
 
@@ -213,13 +213,9 @@ def regions_within(found: FoundRegions, search: SearchBoxes) -> FoundRegions:
     regions, boxes, box_start = found.regions, search.boxes, search.start
     kept = np.zeros(len(regions), np.bool_)
     for r in range(len(regions)):
-        own = found.runs[regions[r, FIRST_RUN] : regions[r, END_RUN]]
-        top, bottom = own[0, 0], own[-1, 0]
-        left, right = own[0, 1], own[0, 2]
-        for i in range(1, len(own)):
-            left, right = min(left, own[i, 1]), max(right, own[i, 2])
+        (left, right, top, bottom), _ = box_of(found.runs, regions[r, FIRST_RUN], regions[r, END_RUN])
         for k in range(box_start[regions[r, IMAGE]], box_start[regions[r, IMAGE] + 1]):
-            if boxes[k, 1] < top and boxes[k, 3] > bottom and boxes[k, 0] < left and boxes[k, 2] >= right:
+            if boxes[k, 1] < top and boxes[k, 3] > bottom and boxes[k, 0] < left and boxes[k, 2] > right:
                 kept[r] = True
                 break
     return FoundRegions(found.runs, regions[kept], found.lowest)

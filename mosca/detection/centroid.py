@@ -11,7 +11,7 @@ import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.detection.images import ImageSet, image_of
-from mosca.detection.search import END_RUN, FIRST_RUN, IMAGE, THRESHOLD, FoundRegions
+from mosca.detection.search import END_RUN, FIRST_RUN, IMAGE, THRESHOLD, FoundRegions, box_of
 from mosca.numba_support.decorators import bare_step, step
 
 X, Y, XX, XY, YY, DIAMETER, PEAK, ELONGATION = range(8)
@@ -237,11 +237,7 @@ def measure_region(image: Array, runs: Array, threshold: int, floor: int, rule: 
     ``threshold``: that of the region; ``floor``: the image's lowest [DN].
     """
     height, width = image.shape
-    top, bottom = runs[0, 0], runs[-1, 0]
-    left, right = runs[0, 1], runs[0, 2] - 1
-    for i in range(1, len(runs)):
-        left = min(left, runs[i, 1])
-        right = max(right, runs[i, 2] - 1)
+    (left, right, top, bottom), _ = box_of(runs, 0, len(runs))
     if top == 0 or left == 0 or bottom == height - 1 or right == width - 1:
         return False
     grow, bg_sum, bg_n = 0, np.int64(0), np.int64(1)

@@ -141,7 +141,14 @@ def detect_with_statistics(
     ``statistics`` give the same centres, with any number of threads. Without, each call starts afresh. Only the
     "refined" centroid uses statistics.
     """
-    _check_counts(images, cameras, backgrounds, windows)
+    n = len(images)
+    n_backgrounds = n if backgrounds is None else len(backgrounds)
+    n_windows = n if windows is None else len(windows)
+    if not n == len(cameras) == n_backgrounds == n_windows:
+        raise InputError(
+            f"detection: {n} images, {len(cameras)} cameras, {n_backgrounds} backgrounds and {n_windows} lists of "
+            "windows given; give one of each for every camera"
+        )
     if not images:
         return [], NO_STATISTICS
     pixels = [
@@ -181,22 +188,6 @@ def target_regions(image: Array, settings: DetectionSettings = DEFAULTS, bit_dep
         for row, first, end in runs[first_run:end_run]:
             labels[row, first:end] = number
     return labels
-
-
-def _check_counts(
-    images: Sequence[Array],
-    cameras: Sequence[str],
-    backgrounds: Sequence[Array | None] | None,
-    windows: Sequence[Array | None] | None,
-) -> None:
-    n = len(images)
-    n_backgrounds = n if backgrounds is None else len(backgrounds)
-    n_windows = n if windows is None else len(windows)
-    if not n == len(cameras) == n_backgrounds == n_windows:
-        raise InputError(
-            f"detection: {n} images, {len(cameras)} cameras, {n_backgrounds} backgrounds and {n_windows} lists of "
-            "windows given; give one of each for every camera"
-        )
 
 
 def _foreground(image: Array, camera: str, bit_depth: int, background: Array | None) -> Array:

@@ -172,13 +172,10 @@ class DelayedStatistics:
         else:
             update = max(number - (number - self._phase) % UPDATE_PERIOD, EARLY_UPDATES[-1])
         if update > self._updated:
-            self._sum_up(update - DELAY)
+            while self._pending and self._pending[0][0] <= update - DELAY:
+                self._summed = self._summed.plus(self._pending.popleft()[1])
             self._updated, self._used = update, self._summed
         return self._used
-
-    def _sum_up(self, last: int) -> None:
-        while self._pending and self._pending[0][0] <= last:
-            self._summed = self._summed.plus(self._pending.popleft()[1])
 
 
 class _DelayedSums:

@@ -4,7 +4,9 @@ A *run* is a row of adjoining pixels above a threshold. A *region* is an accepte
 defines which regions are).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from mosca.data.arrays import Array
 from mosca.numba_support.decorators import bare_step
@@ -53,3 +55,14 @@ def is_target(size_x: int, size_y: int, contrast: int, search: Search) -> bool:
         and search.smallest_px < size_y < search.largest_px
         and contrast > search.contrast
     )
+
+
+@bare_step
+def box_of(runs: Array, begin: int, end: int) -> tuple[tuple[Any, Any, Any, Any], Any]:
+    """Return left, right, top and bottom pixel of the region of these runs, and its number of pixels."""
+    left, right, n = runs[begin, 1], runs[begin, 2], np.int64(0)
+    for i in range(begin, end):
+        left = min(left, runs[i, 1])
+        right = max(right, runs[i, 2])
+        n += runs[i, 2] - runs[i, 1]
+    return (np.int64(left), np.int64(right - 1), np.int64(runs[begin, 0]), np.int64(runs[end - 1, 0])), n

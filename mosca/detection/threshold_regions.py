@@ -14,6 +14,7 @@ from mosca.detection.bright_runs import BrightPixels
 from mosca.detection.region_growth import grow_regions
 from mosca.detection.search import END, FIRST, PLACE, ROW, FoundRegions, Search, is_target
 from mosca.numba_support.decorators import bare_step, step
+from mosca.numba_support.union_find import root_of, unite
 
 
 @step
@@ -57,15 +58,6 @@ def runs_above(runs: Array, values: Array, level: int) -> Array:
     return above[:n]
 
 
-@bare_step
-def root_of(parent: Array, i: int) -> int:
-    """Return the root of the set of ``i``, shortening the path to it."""
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
 @step
 def blobs_of(runs: Array) -> tuple[Array, Array]:
     """Return the runs sorted by 8-connected blob, and (n + 1) where each blob begins.
@@ -82,8 +74,7 @@ def blobs_of(runs: Array) -> tuple[Array, Array]:
             above += 1
         j = above
         while runs[j, ROW] == y - 1 and runs[j, FIRST] <= end:
-            a, b = root_of(parent, i), root_of(parent, j)
-            parent[max(a, b)] = min(a, b)
+            unite(parent, i, j)
             j += 1
     blob = np.empty(n, np.int32)
     start = np.zeros(n + 2, np.int32)

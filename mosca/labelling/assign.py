@@ -7,6 +7,8 @@ which assignments of about the same cost differ stays without a track. Tracks th
 named by their distances from those that have a name.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from pydantic import NonNegativeInt, PositiveInt
 from pydantic.dataclasses import dataclass
@@ -59,8 +61,7 @@ def label_tracks(tracks: Tracks, model: MarkerModel, settings: LabelSettings = D
     names = np.array(["", *model.names], dtype=object)
     mine = np.array([found.get(int(track), -1) for track in tracks.track], dtype=int)
     label = np.where(mine >= 0, names[mine + 1], tracks.label.astype(object)).astype(np.str_)
-    columns = {name: getattr(tracks, name) for name in Tracks.__dataclass_fields__}
-    return Tracks(**(columns | {"label": label}))
+    return replace(tracks, label=label)
 
 
 def marker_of_tracks(tracks: Tracks, model: MarkerModel, settings: LabelSettings = DEFAULTS) -> dict[int, int]:
@@ -94,18 +95,14 @@ def _without_misfits(
     chosen = chosen.copy()
     while (chosen >= 0).any():
         named = np.flatnonzero(chosen >= 0)
-        cost = _link_cost(
-            first[np.ix_(chosen[named], chosen[named])],
-            second[np.ix_(chosen[named], chosen[named])],
-            model.mean_m[np.ix_(named, named)],
-            model.sigma_m[np.ix_(named, named)],
-            settings,
-        )
-        sigma = model.sigma_m[np.ix_(named, named)] + np.diag(np.full(len(named), np.inf))
+        markers, tracks = np.ix_(named, named), np.ix_(chosen[named], chosen[named])
+        sigma = model.sigma_m[markers]
+        cost = _link_cost(first[tracks], second[tracks], model.mean_m[markers], sigma, settings)
+        sigma = sigma + np.diag(np.full(len(named), np.inf))
         tight = np.argsort(sigma, axis=1, kind="stable")[:, :TIGHTEST]
         each = np.take_along_axis(cost, tight, axis=1).mean(axis=1)
         # loose links alone name nothing where the model has firm ones
-        firm = model.rigid[np.ix_(named, named)].sum(axis=1)
+        firm = model.rigid[markers].sum(axis=1)
         each[firm < np.minimum(model.rigid[named].sum(axis=1), LEAST_FIRM)] = np.inf
         worst = int(each.argmax())
         if each[worst] < settings.margin and len(named) > 2:

@@ -8,7 +8,7 @@ false-alarm probability. The most likely number is accepted where its likelihood
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -81,8 +81,7 @@ def label_lamps(
     found = lamp_numbers(tracks, settings, pulses)
     of_track = {track: names[number] for track, number in found.items() if number in names}
     label = [of_track.get(t, old) for t, old in zip(tracks.track.tolist(), tracks.label.tolist(), strict=True)]
-    columns = {name: getattr(tracks, name) for name in Tracks.__dataclass_fields__}
-    return Tracks(**(columns | {"label": np.array(label, dtype=np.str_)}))
+    return replace(tracks, label=np.array(label, dtype=np.str_))
 
 
 def _number_of(seen: Array, known: Array, settings: BlinkSettings) -> int | None:
@@ -98,7 +97,7 @@ def _number_of(seen: Array, known: Array, settings: BlinkSettings) -> int | None
     first, second = np.argsort(best, kind="stable")[[-1, -2]]
     # a lamp always on, or a reflection that comes and goes, is less likely under any number than under chance
     share = lit.mean()
-    chance = _entropy(share) * len(lit)
+    chance = sum(p * math.log(p) for p in (share, 1 - share) if p > 0) * len(lit)
     if best[first] - best[second] < math.log(settings.odds) or best[first] - chance < math.log(settings.odds):
         return None
     return int(first)
@@ -112,8 +111,3 @@ def _likelihoods(on: Array, off: Array, settings: BlinkSettings) -> Array:
     starts = 1 if settings.in_step else LAMP_BITS
     each = [np.where(np.roll(bits, s, axis=1), if_lit, if_dark).sum(axis=1) for s in range(starts)]
     return np.asarray(np.max(each, axis=0))
-
-
-def _entropy(share: float) -> float:
-    """Return the mean log likelihood of a pulse that is lit with chance ``share`` whatever the bit."""
-    return sum(p * math.log(p) for p in (share, 1 - share) if p > 0)

@@ -33,16 +33,9 @@ def coded_points(
     used, count = used[met], used[met].sum(axis=1)
     away = np.linalg.norm(xyz[met, None] - table.origin, axis=2)
     square_px = np.where(used, table.sigma_px[met] ** 2, 0.0).sum(axis=1) / np.maximum(count, 1)
-    points = Points(
-        xyz[met],
-        covariance[met],
-        count,
-        np.sqrt(total[met] / (2 * np.maximum(count, 1)) * square_px),
-        np.where(used, table.row[met], -1),
-        np.where(used, table.angle[met] * away, 0.0).max(axis=1),
-        count.astype(float),
-    )
-    return points, every[met]
+    residual_px = np.sqrt(total[met] / (2 * np.maximum(count, 1)) * square_px)
+    row, diameter_m = np.where(used, table.row[met], -1), np.where(used, table.angle[met] * away, 0.0).max(axis=1)
+    return Points(xyz[met], covariance[met], count, residual_px, row, diameter_m, count.astype(float)), every[met]
 
 
 def coded_samples(points: Points, number: Array, frame: int, time_ns: int) -> Samples:

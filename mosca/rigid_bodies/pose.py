@@ -119,23 +119,12 @@ class Constellation:
         if len(used) < 3:
             return None
         points = rows[used]
-        rotation, translation = np.empty((3, 3)), np.empty(3)
-        spread, chi2 = np.empty((6, 6)), np.empty(len(used))
-        total = fit_pose(
-            self._place[used],
-            seen.xyz[points],
-            seen.covariance[points],
-            self._sigma2,
-            rotation,
-            translation,
-            spread,
-            chi2,
-        )
-        if total < 0:
+        out = np.empty((3, 3)), np.empty(3), np.empty((6, 6)), np.empty(len(used))
+        if fit_pose(self._place[used], seen.xyz[points], seen.covariance[points], self._sigma2, *out) < 0:
             return None
-        every = np.zeros(len(rows))
-        every[used] = chi2
-        return BodyPoseFit(rotation, translation, spread, rows.copy(), every)
+        chi2 = np.zeros(len(rows))
+        chi2[used] = out[3]
+        return BodyPoseFit(*out[:3], rows.copy(), chi2)
 
     def sound_fit(self, seen: InstantPoints, rows: Array) -> BodyPoseFit | None:
         """Return the pose of those of the points that agree: one that does not is left out, the worst first.

@@ -151,10 +151,8 @@ def _largest(n, vector):
                     n[k, p], n[k, q] = c * n[k, p] - s * n[k, q], s * n[k, p] + c * n[k, q]
                 for k in range(4):
                     n[p, k], n[q, k] = c * n[p, k] - s * n[q, k], s * n[p, k] + c * n[q, k]
-                    vectors[k, p], vectors[k, q] = (
-                        c * vectors[k, p] - s * vectors[k, q],
-                        s * vectors[k, p] + c * vectors[k, q],
-                    )
+                    u, v = vectors[k, p], vectors[k, q]
+                    vectors[k, p], vectors[k, q] = c * u - s * v, s * u + c * v
         if off < ANNIHILATED:
             break
     best = 0
@@ -167,21 +165,11 @@ def _largest(n, vector):
 
 @step
 def _matrix(w, x, y, z, rotation):
-    rotation[0, 0], rotation[0, 1], rotation[0, 2] = (
-        1 - 2 * (y * y + z * z),
-        2 * (x * y - w * z),
-        2 * (x * z + w * y),
-    )
-    rotation[1, 0], rotation[1, 1], rotation[1, 2] = (
-        2 * (x * y + w * z),
-        1 - 2 * (x * x + z * z),
-        2 * (y * z - w * x),
-    )
-    rotation[2, 0], rotation[2, 1], rotation[2, 2] = (
-        2 * (x * z - w * y),
-        2 * (y * z + w * x),
-        1 - 2 * (x * x + y * y),
-    )
+    rotation[0, 0], rotation[0, 1] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z)
+    rotation[0, 2], rotation[1, 0] = 2 * (x * z + w * y), 2 * (x * y + w * z)
+    rotation[1, 1], rotation[1, 2] = 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
+    rotation[2, 0], rotation[2, 1] = 2 * (x * z - w * y), 2 * (y * z + w * x)
+    rotation[2, 2] = 1 - 2 * (x * x + y * y)
 
 
 @step

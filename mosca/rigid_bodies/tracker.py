@@ -8,7 +8,7 @@ what is missing before a body is first found.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -109,8 +109,8 @@ class BodyTracker:
         if recent:
             rotation, translation = predicted(state.rotation, state.translation, state.rates, step)
             if (rows >= 0).sum() < 3:
-                reach = self._reach(one, state, step)
-                if reach < _half_nearest(one.body):
+                reach, distances = self._reach(one, state, step), one.body.distances()
+                if reach < distances[distances > 0].min() / 2:
                     rows = one.claim(seen, free, rotation, translation, rows, reach)
         count = int((rows >= 0).sum())
         fit = one.sound_fit(seen, rows)
@@ -199,8 +199,7 @@ def _over_tracks(tracks: Tracks, bodies: Sequence[RigidBody], settings: BodySett
             if answer.fit is not None:
                 used = np.flatnonzero(answer.fit.rows >= 0)
                 labels[groups[k][answer.fit.rows[used]]] = np.array(body.markers, dtype=object)[used]
-    columns = {name: getattr(tracks, name) for name in Tracks.__dataclass_fields__}
-    return joined_poses(parts), Tracks(**(columns | {"label": labels.astype(np.str_)}))
+    return joined_poses(parts), replace(tracks, label=labels.astype(np.str_))
 
 
 def _merged(ahead: list[_Answer], back: list[_Answer]) -> list[_Answer]:
@@ -239,11 +238,6 @@ def _by_track(track: Array, seen: InstantPoints, rows: Array) -> Array:
         if row >= 0 and row not in labelled:
             rows[k] = row
     return rows
-
-
-def _half_nearest(body: RigidBody) -> float:
-    distances = body.distances()
-    return float(distances[distances > 0].min() / 2)
 
 
 def _remember(state: _State, fit: BodyPoseFit, seen: InstantPoints, time_s: float, settings: BodySettings) -> None:

@@ -126,24 +126,16 @@ def _begin(measured, n, prior, filters, s):
     """Begin the filters of slot ``s`` with its first measurement."""
     for r in range(prior.ladder.shape[0]):
         filters.cost[s, r] = prior.start[r]
+        filters.axis_mean[s, r], filters.axis_spread[s, r] = 0.0, 0.0
         for a in range(3):
-            for i in range(3):
-                filters.axis_mean[s, r, a, i] = 0.0
-                for j in range(3):
-                    filters.axis_spread[s, r, a, i, j] = 0.0
             filters.axis_mean[s, r, a, 0] = measured.xyz[n, a]
             filters.axis_spread[s, r, a, 0, 0] = measured.covariance[n, a, a]
             filters.axis_spread[s, r, a, 1, 1] = prior.speed2
             filters.axis_spread[s, r, a, 2, 2] = prior.ladder[r]
     variance = prior.fixed if prior.fixed >= 0.0 else prior.ladder[np.argmin(prior.start)]
-    for i in range(9):
-        filters.mean[s, i] = 0.0
-        for j in range(9):
-            filters.spread[s, i, j] = 0.0
+    filters.mean[s], filters.spread[s] = 0.0, 0.0
+    filters.mean[s, :3], filters.spread[s, :3, :3] = measured.xyz[n], measured.covariance[n]
     for a in range(3):
-        filters.mean[s, a] = measured.xyz[n, a]
-        for b in range(3):
-            filters.spread[s, a, b] = measured.covariance[n, a, b]
         filters.spread[s, 3 + a, 3 + a], filters.spread[s, 6 + a, 6 + a] = prior.speed2, variance
     filters.kept[s] = 0
 

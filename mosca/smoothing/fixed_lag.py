@@ -5,7 +5,6 @@ tracks and the same acceleration the two are equal. Online a track's acceleratio
 likeliest of the ladder so far is used, with exponential forgetting.
 """
 
-from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -200,11 +199,3 @@ def _tables(n: int, w: int) -> tuple[_Slots, Filters, _Waiting]:
         np.zeros((n, w), np.int64), np.zeros((n, w), np.int64), np.zeros((n, w), np.int64), np.zeros((n, w))
     )
     return _Slots(np.full(n, -1), np.full(n, -1)), filters, waiting
-
-
-def lagged(steps: Iterable[tuple[int, Samples]], settings: LagSettings | None = None) -> Iterator[Samples]:
-    """Smooth the samples of (frame, samples) as they come; yield one part a step and, at the end, what waits."""
-    smoother = FixedLag(settings)
-    for frame, samples in steps:
-        yield smoother.step(frame, samples)
-    yield smoother.rest()

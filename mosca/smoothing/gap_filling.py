@@ -87,7 +87,7 @@ def _widening(paths: list[TrackInstants], variances: list[float], settings: Smoo
     """
     squares: dict[int, list[float]] = {}
     shares: dict[int, list[float]] = {}
-    longest = max((_longest(path.measured) for path in paths), default=0)
+    longest = max((int(np.diff(np.flatnonzero(path.measured)).max(initial=1)) - 1 for path in paths), default=0)
     lengths = [2**k for k in range(12) if 2**k < 2 * longest]
     for path, variance in zip(paths, variances, strict=True):
         for length in lengths:
@@ -121,11 +121,6 @@ def _factor(squares: Array, shares: Array, length: int) -> float:
     factor = whole if whole < 1.0 else (whole - (1.0 - own)) / own
     result: float = factor if len(squares) >= ENOUGH * length else max(1.0, factor)
     return result
-
-
-def _longest(measured: Array) -> int:
-    seen = np.flatnonzero(measured)
-    return int(np.diff(seen).max(initial=1)) - 1
 
 
 def _left_out(measured: Array, length: int) -> Array:

@@ -7,6 +7,7 @@ library's call costs more, and is slow to compile.
 """
 
 from dataclasses import dataclass as plain_dataclass
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -64,10 +65,7 @@ def smoothed(tracks: Tracks, settings: SmoothSettings | None = None) -> Tracks:
         path = instants_of(tracks, rows, np.empty(0, np.int64), np.empty(0, np.int64), settings)
         variance = likeliest_variance(path, settings)
         xyz[rows], covariance[rows], _, _ = smooth_track(path, path.measured, variance, settings)
-    return Tracks(
-        tracks.frame, tracks.time_ns, tracks.track, tracks.label, xyz, covariance,
-        tracks.n_cameras, tracks.residual_px, tracks.status,
-    )  # fmt: skip
+    return replace(tracks, xyz=xyz, covariance=covariance)
 
 
 def rows_of_tracks(tracks: Tracks) -> list[Array]:

@@ -71,8 +71,10 @@ class Tracker:
 
         ``jitter_s``: of each camera's trigger, standard deviation; it spreads moving points along their paths.
         """
-        self._make_room(len(points))
-        bank, rules, n = self._bank, self._rules, len(points)
+        n, used = len(points), int(self._bank.counters[SLOTS_USED])
+        if used + n > len(self._bank.state):
+            self._bank, self._neighbours = enlarged(self._bank, self._neighbours, 2 * (used + n))
+        bank, rules = self._bank, self._rules
         measured = Measurements(points.xyz, points.covariance, points.n_cameras, points.trusted)
         nameless, slot_of, serial, identity, covariance = update_tracks(
             bank, self._neighbours, measured, float(jitter_s), self._time_s, self._step_s, rules
@@ -93,11 +95,6 @@ class Tracker:
     def waiting(self) -> int:
         """How many samples wait for their track's identity; those at a run's end are left out."""
         return sum(len(samples) for samples, _ in self._waiting)
-
-    def _make_room(self, points: int) -> None:
-        need = int(self._bank.counters[SLOTS_USED]) + points
-        if need > len(self._bank.state):
-            self._bank, self._neighbours = enlarged(self._bank, self._neighbours, 2 * need)
 
     def _identified(self, slot_of: Array) -> dict[int, int]:
         """Give each unnamed confirmed track the identity of a lost one whose distances it fits, or a new one.

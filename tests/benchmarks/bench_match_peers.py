@@ -40,13 +40,11 @@ Frame = tuple[np.ndarray, dict[str, Detections], dict[str, np.ndarray]]
 
 def ring(count: int) -> Rig:
     """Return cameras around a volume, without distortion."""
-    rng, cameras = np.random.default_rng(3), []
-    for k in range(count):
-        turn = np.pi / 4 + k * (2 * np.pi / count if count > 2 else np.pi / 2) + rng.normal(0, 0.08)
-        place = np.array([4.2 * np.cos(turn), 4.2 * np.sin(turn), 2.6])
-        lens = OpenCVLens(640.0, 640.0, 327.5, 245.0)
-        cameras.append(Camera(f"c{k}", 656, 491, lens, looking_at(place, (0.0, 0.0, 1.0))))
-    return Rig(tuple(cameras))
+    step = 2 * np.pi / count if count > 2 else np.pi / 2
+    azimuths = np.pi / 4 + step * np.arange(count) + np.random.default_rng(3).normal(0, 0.08, count)
+    poses = [looking_at([4.2 * np.cos(a), 4.2 * np.sin(a), 2.6], [0, 0, 1.0]) for a in azimuths]
+    lens = OpenCVLens(640.0, 640.0, 327.5, 245.0)
+    return Rig(tuple(Camera(f"c{k}", 656, 491, lens, pose) for k, pose in enumerate(poses)))
 
 
 class OpenPTV:

@@ -2,22 +2,30 @@
 
 import numpy as np
 import rigs
+from scipy.spatial.transform import Rotation
 
 from mosca.camera.projection import project
+from mosca.continuous.model.estimated import ContinuousSettings
 from mosca.continuous.model.observations import TimedObservations, no_carriers
 from mosca.data.rig import OpenCVLens
 
+PLAIN = ContinuousSettings(limbs=False)
 
-def ring(n=3, away=2.5, focal=600.0):
+
+def staggered(seconds=2.0, rate=50.0, cameras=3):
+    return [np.arange(0.004 * c, seconds, 1 / rate) for c in range(cameras)]
+
+
+def ring(n=3, away=2.5):
     """n cameras of 656 x 491 around the origin, 68 degrees apart."""
-    lens, heights = OpenCVLens(focal, focal, 327.5, 245.0), 0.8 + 0.1 * np.arange(n)
+    lens, heights = OpenCVLens(600.0, 600.0, 327.5, 245.0), 0.8 + 0.1 * np.arange(n)
     return rigs.ring(n, lens, radius_m=away, height_m=heights, first_rad=0.3, step_rad=1.2)
 
 
-def sines(seed, markers, fastest_hz=3.0):
+def sines(seed, markers):
     """Points that move by sums of five sines an axis; a function (t,) -> (t, markers, 3)."""
     rng = np.random.default_rng(seed)
-    f = rng.uniform(0.2, fastest_hz, (markers, 3, 5))
+    f = rng.uniform(0.2, 3.0, (markers, 3, 5))
     phase, size = rng.uniform(0, 2 * np.pi, f.shape), rng.uniform(0, 0.12, f.shape) / (1 + f)
     base = rng.uniform(-0.5, 0.5, (markers, 3))
     return lambda t: base + (size * np.sin(2 * np.pi * f * np.asarray(t)[:, None, None, None] + phase)).sum(3)
@@ -30,8 +38,6 @@ def limbs(seed, bodies=2):
     centres, turns, loose = sines(seed + 1, bodies), sines(seed + 2, bodies), sines(seed + 3, 1)
 
     def at(t):
-        from scipy.spatial.transform import Rotation
-
         w = 4 * turns(t)
         rotation = Rotation.from_rotvec(w.reshape(-1, 3)).as_matrix().reshape(len(w), bodies, 3, 3)
         points = centres(t)[:, :, None] + np.einsum("tbij,bpj->tbpi", rotation, shapes)

@@ -48,6 +48,16 @@ def pinhole(camera: Camera, xyz: np.ndarray) -> np.ndarray:
     return FOCAL * v[..., :2] / v[..., 2:] + [(WIDTH - 1) / 2, (HEIGHT - 1) / 2]
 
 
+def as_detections(info: CameraInfo, frame_ns: np.ndarray, images, sigma_px: float) -> CameraDetections:
+    """Return round detections of one size at the image points (k, 2) of each frame."""
+    xy = np.concatenate(images)
+    start = np.concatenate([[0], np.cumsum([len(image) for image in images])])
+    covariance, each = np.tile(sigma_px**2 * np.eye(2), (len(xy), 1, 1)), np.ones(len(xy))
+    return CameraDetections(
+        info, frame_ns, start, xy, covariance, 6 * each, 200 * each, each, np.zeros(len(xy), np.uint8)
+    )
+
+
 def seen_by(
     camera: Camera, k: int, duration_s: float, own_clock: bool, motion: Motion = Motion()
 ) -> tuple[CameraDetections, np.ndarray, np.ndarray]:
@@ -62,14 +72,8 @@ def seen_by(
         inside = [p for p in order if 0 < image[p, 0] < WIDTH - 1 and 0 < image[p, 1] < HEIGHT - 1]
         rows.append(image[inside])
         names.append(np.array(inside))
-    n = sum(len(r) for r in rows)
-    start = np.concatenate([[0], np.cumsum([len(r) for r in rows])])
     info = CameraInfo(camera.name, WIDTH, HEIGHT, 8, RATE_HZ, "device" if own_clock else "session")
-    seen = CameraDetections(
-        info, stamp, start, np.concatenate(rows), np.tile(SIGMA_PX**2 * np.eye(2), (n, 1, 1)), np.full(n, 6.0),
-        np.full(n, 200.0), np.ones(n), np.zeros(n, np.uint8)
-    )  # fmt: skip
-    return seen, np.concatenate(names), true_s
+    return as_detections(info, stamp, rows, SIGMA_PX), np.concatenate(names), true_s
 
 
 def session(

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from track_points import made_tracks
 
 from mosca.data.lamp_codes import LAMP_NUMBERS, lamp_bits
 from mosca.data.tracks import Tracks
@@ -14,10 +15,7 @@ from mosca.labelling.blinking_leds import BlinkSettings, label_lamps, lamp_numbe
 def tracks_lit(lit: dict[int, list[int]], status: str = "measured") -> Tracks:
     pairs = sorted((f, t) for t, frames in lit.items() for f in frames)
     n = len(pairs)
-    return Tracks(
-        [f for f, _ in pairs], [f * 10_000_000 for f, _ in pairs], [t for _, t in pairs], np.full(n, ""),
-        np.zeros((n, 3)), np.zeros((n, 3, 3)), np.full(n, 4), np.zeros(n), np.full(n, status),
-    )  # fmt: skip
+    return made_tracks(*zip(*pairs, strict=True), np.zeros((n, 3)), status=np.full(n, status))
 
 
 def shown(number: int, frames: range, start: int = 0, per_bit: int = 1) -> list[int]:

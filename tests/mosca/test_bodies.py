@@ -1,14 +1,17 @@
 """Rigid bodies: poses against scipy and chi-square, finding, losing, flips, look-alikes, learning."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
+from track_points import made_tracks, points
 
 from mosca.data.bodies import BodyPoses, RigidBody
-from mosca.data.tracks import Points, Samples, Tracks
+from mosca.data.tracks import Samples, Tracks
 from mosca.errors import InputError
 from mosca.rigid_bodies.ambiguity import check_bodies, difference_m, nearest
 from mosca.rigid_bodies.learn import learn_body
@@ -36,12 +39,7 @@ def pose_at(t: float, sway: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tracks_of(
-    frames: int,
-    bodies: tuple[RigidBody, ...],
-    rng: np.random.Generator,
-    hidden: float = 0.0,
-    clutter: int = 0,
-    rate: float = 100.0,
+    frames: int, bodies: tuple[RigidBody, ...], rng: np.random.Generator, hidden: float = 0.0, clutter: int = 0
 ) -> tuple[Tracks, dict[str, list[tuple[np.ndarray, np.ndarray]]]]:
     """Tracks 0, 1, ... of the bodies' markers one after the other, then of points that wander about."""
     truth: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {body.name: [] for body in bodies}
@@ -50,20 +48,14 @@ def tracks_of(
     for f in range(frames):
         xyz = []
         for k, body in enumerate(bodies):
-            truth[body.name].append(pose_at(f / rate, 1.0 - 2.2 * k))
+            truth[body.name].append(pose_at(f / 100.0, 1.0 - 2.2 * k))
             turn, place = truth[body.name][-1]
             xyz.append(body.positions @ turn.T + place)
-        every = np.concatenate([*xyz, start + 0.2 * np.sin(f / rate + start)])
+        every = np.concatenate([*xyz, start + 0.2 * np.sin(f / 100.0 + start)])
         for track, point in enumerate(every):
             if rng.random() >= hidden:
                 rows.append((f, track, point + rng.normal(0, SIGMA, 3)))
-    frame = np.array([r[0] for r in rows])
-    n = len(rows)
-    return Tracks(
-        frame, np.round(frame * 1e9 / rate).astype(int), [r[1] for r in rows], np.full(n, ""),
-        [r[2] for r in rows], np.tile(SIGMA**2 * np.eye(3), (n, 1, 1)), np.full(n, 4), np.full(n, 0.1),
-        np.full(n, "measured"),
-    ), truth  # fmt: skip
+    return made_tracks(*zip(*rows, strict=True), SIGMA), truth
 
 
 def errors_of(poses: BodyPoses, truth: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
@@ -72,15 +64,6 @@ def errors_of(poses: BodyPoses, truth: list[tuple[np.ndarray, np.ndarray]]) -> n
     true = Rotation.from_matrix([truth[f][0] for f in poses.frame])
     places = np.array([truth[f][1] for f in poses.frame])
     return np.concatenate([places - poses.position, (true * turns.inv()).as_rotvec()], axis=1)
-
-
-def without_ids(tracks: Tracks, frame: int, rng: np.random.Generator) -> Points:
-    rows = rng.permutation(np.flatnonzero(tracks.frame == frame))
-    n = len(rows)
-    return Points(
-        tracks.xyz[rows], tracks.covariance[rows], np.full(n, 4), np.full(n, 0.1), np.zeros((n, 4)),
-        np.full(n, 0.01), np.full(n, 4.0),
-    )  # fmt: skip
 
 
 def test_a_pose_without_noise_is_exact_and_as_scipy_has_it() -> None:
@@ -142,7 +125,8 @@ def test_two_bodies_are_followed_through_clutter(ids: bool) -> None:
         poses = body_poses(tracks, [DRONE, CUP])
     else:
         tracker = BodyTracker([DRONE, CUP])
-        parts = [tracker.update(without_ids(tracks, f, rng), f, int(f * 1e7)) for f in range(80)]
+        rows = [rng.permutation(np.flatnonzero(tracks.frame == f)) for f in range(80)]
+        parts = [tracker.update(points(tracks.xyz[r]), f, int(f * 1e7)) for f, r in enumerate(rows)]
         columns = [np.concatenate([getattr(p, c) for p in parts]) for c in BodyPoses.__dataclass_fields__]
         poses = BodyPoses(*columns)
     d2 = []
@@ -164,8 +148,7 @@ def test_found_again_after_loss_with_new_tracks() -> None:
     tracks, truth = tracks_of(120, (DRONE, CUP), rng, clutter=10)
     gone = (tracks.frame >= 30) & (tracks.frame < 80) & (tracks.track < 10)
     later = np.where(tracks.frame >= 80, tracks.track + 100, tracks.track)
-    columns = {name: getattr(tracks, name) for name in Tracks.__dataclass_fields__} | {"track": later}
-    poses = body_poses(Tracks(**columns).select(~gone), [DRONE, CUP])
+    poses = body_poses(replace(tracks, track=later).select(~gone), [DRONE, CUP])
     for name in ("drone", "cup"):
         mine = poses.of(name)
         assert mine.frame.tolist() == [*range(30), *range(80, 120)]
@@ -198,13 +181,8 @@ FLIPPING = RigidBody("flip", ("a", "b", "c", "d"), [[0.1, 0, 0], [0, 0.1, 0], [-
 
 
 def test_three_markers_that_can_be_taken_otherwise_are_withheld() -> None:
-    seen = instant_points(FLIPPING.positions[:3], np.tile(SIGMA**2 * np.eye(3), (3, 1, 1)))
     check_bodies([FLIPPING])
-    n = 3
-    points = Points(
-        seen.xyz, seen.covariance, np.full(n, 4), np.zeros(n), np.zeros((n, 4)), np.ones(n), np.full(n, 4.0)
-    )
-    out = BodyTracker([FLIPPING], BodySettings(least_found=3)).update(points, 0, 0)
+    out = BodyTracker([FLIPPING], BodySettings(least_found=3)).update(points(FLIPPING.positions[:3]), 0, 0)
     assert out.status.tolist() == ["withheld"]
     assert out.n_markers.tolist() == [3]
     assert np.isnan(out.quaternion).all()
@@ -220,8 +198,7 @@ def test_no_flip_while_a_marker_is_hidden() -> None:
         if swap:  # a and c exchange their identities: the pose that would follow is rotated by 180 deg
             late = tracks.frame >= 30
             track[late] = np.array([2, 1, 0, 3])[track[late]]
-        columns = {name: getattr(tracks, name) for name in Tracks.__dataclass_fields__} | {"track": track}
-        poses = body_poses(Tracks(**columns).select(~hidden), [FLIPPING]).of("flip")
+        poses = body_poses(replace(tracks, track=track).select(~hidden), [FLIPPING]).of("flip")
         errors = errors_of(poses, truth["flip"])
         assert np.abs(errors[:, 3:]).max() < 0.05
         assert len(poses) >= (60 if not swap else 45)
@@ -232,8 +209,7 @@ def test_a_stray_point_is_left_out() -> None:
     tracks, truth = tracks_of(10, (DRONE,), rng)
     xyz = tracks.xyz.copy()
     xyz[(tracks.track == 2) & (tracks.frame > 3)] += [0.004, 0, 0.003]
-    columns = {name: getattr(tracks, name) for name in Tracks.__dataclass_fields__} | {"xyz": xyz}
-    poses = body_poses(Tracks(**columns), [DRONE]).of("drone")
+    poses = body_poses(replace(tracks, xyz=xyz), [DRONE]).of("drone")
     assert poses.n_markers.tolist() == [6] * 4 + [5] * 6
     assert np.abs(errors_of(poses, truth["drone"])[:, :3]).max() < 1e-3
 
@@ -308,17 +284,18 @@ def test_alikeness_is_what_remains_after_the_best_turn(seed: int, moved: float) 
     assert found[0] <= away + 1e-12
 
 
-def test_faults_of_a_body() -> None:
-    for places, message in (
-        ([[0, 0, 0], [1, 0, 0], [2, 0, 0]], "lie in a line"),
-        ([[0, 0, 0], [1, 0, 0], [np.nan, 0, 0]], "no finite number"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            RigidBody("b", "abc", places)
-    with pytest.raises(ValueError, match="marker 'a' stands twice"):
-        RigidBody("b", "aab", CUP.positions[:3])
-    with pytest.raises(ValueError, match="2 markers given"):
-        RigidBody("b", "ab", CUP.positions[:2])
+@pytest.mark.parametrize(
+    ("markers", "places", "message"),
+    [
+        ("abc", [[0, 0, 0], [1, 0, 0], [2, 0, 0]], "lie in a line"),
+        ("abc", [[0, 0, 0], [1, 0, 0], [np.nan, 0, 0]], "no finite number"),
+        ("aab", CUP.positions[:3], "marker 'a' stands twice"),
+        ("ab", CUP.positions[:2], "2 markers given"),
+    ],
+)
+def test_faults_of_a_body(markers, places, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        RigidBody("b", markers, places)
 
 
 def test_learning_gives_the_shape_back() -> None:

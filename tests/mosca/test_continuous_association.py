@@ -4,13 +4,16 @@ Points move on sums of sinusoids and are projected here by the pinhole equations
 its own and stamps them by a clock of its own.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from continuous_sessions import DRIFT, POINTS, RATE_HZ, pinhole, rig, session
+from continuous_sessions import DRIFT, POINTS, RATE_HZ, as_detections, pinhole, rig, session
+from track_points import made_tracks
 
 from mosca.continuous.association.associate import AssociationSettings, gather_seen
 from mosca.continuous.association.coarse_sync import common_clock, tied_clocks
-from mosca.continuous.association.frame_detections import CameraDetections, check_rise
+from mosca.continuous.association.frame_detections import check_rise
 from mosca.continuous.association.interpolated_tracks import SampledCurves
 from mosca.continuous.association.tracklet_merging import parts_in_time
 from mosca.continuous.association.tracklets_2d import Tracklets, tracklets
@@ -35,10 +38,8 @@ def test_between_exposures_a_path_is_the_curve_itself_to_third_order():
     t = np.array([0.0, 0.1, 0.25, 0.3, 0.42, 0.5])
     xy = np.column_stack([3 + 20 * t - 9 * t**2, 5 - 4 * t + 2 * t**2])
     n = len(t)
-    seen = CameraDetections(
-        CameraInfo("c", 10, 10, 8, 10.0), np.rint(t * 1e9).astype(np.int64), np.arange(n + 1), xy,
-        np.tile(np.eye(2), (n, 1, 1)), np.ones(n), np.ones(n), np.ones(n), np.zeros(n, np.uint8)
-    )  # fmt: skip
+    info = CameraInfo("c", 10, 10, 8, 10.0)
+    seen = as_detections(info, np.rint(t * 1e9).astype(np.int64), xy[:, None], 1.0)
     asked = np.array([0.11, 0.2, 0.3, 0.41])
     found = Tracklets.of(seen, np.zeros(n, np.int64), t).at(asked)
     np.testing.assert_array_equal(found.instant, [0, 1, 2, 3])
@@ -59,13 +60,7 @@ def test_clocks_that_know_nothing_of_each_other_are_tied_by_the_images():
 
 def test_clocks_of_still_points_cannot_be_tied():
     seen, _names, _true = session(2.0)
-    held = [
-        CameraDetections(
-            one.info, one.frame_ns, one.start, np.zeros_like(one.xy_px) + [[100.0, 100.0]], one.covariance_px2,
-            one.diameter_px, one.peak, one.elongation, one.flags
-        )
-        for one in seen
-    ]  # fmt: skip
+    held = [replace(one, xy_px=np.full_like(one.xy_px, 100.0)) for one in seen]
     with pytest.raises(InputError, match="no time offset within 1 s makes its images meet"):
         tied_clocks(held, [tracklets(one) for one in held], rig(), 1.0)
 
@@ -94,23 +89,14 @@ def test_every_image_point_gets_its_marker(own_clock):
 def test_clocks_taken_for_common_spoil_the_observations():
     """The control: free-running cameras that were started apart, believed to be of one clock."""
     seen, _names, _true = session(3.0)
-    apart = tuple(
-        CameraDetections(
-            one.info, one.frame_ns - one.frame_ns[0], one.start, one.xy_px, one.covariance_px2,
-            one.diameter_px, one.peak, one.elongation, one.flags
-        )
-        for one in seen
-    )  # fmt: skip
+    apart = tuple(replace(one, frame_ns=one.frame_ns - one.frame_ns[0]) for one in seen)
     with pytest.raises(InputError, match="no marker was followed by two cameras"):
         gather_seen(apart, rig(), AssociationSettings(clocks="common"))
 
 
 def test_cameras_that_never_ran_together_are_told():
     seen, _names, _true = session(2.0, own_clock=False)
-    late = CameraDetections(
-        seen[2].info, seen[2].frame_ns + 100_000_000_000, seen[2].start, seen[2].xy_px, seen[2].covariance_px2,
-        seen[2].diameter_px, seen[2].peak, seen[2].elongation, seen[2].flags
-    )  # fmt: skip
+    late = replace(seen[2], frame_ns=seen[2].frame_ns + 100_000_000_000)
     with pytest.raises(InputError, match=r"camera 'c2': filmed from 100.* at no time together"):
         gather_seen((seen[0], seen[1], late), rig(), AssociationSettings())
 
@@ -166,10 +152,7 @@ def test_samples_on_a_grid_say_what_vouches_for_them():
 def test_curves_through_samples_end_where_their_samples_do():
     t = np.array([0, 10, 20, 80, 90, 100]) * 1_000_000
     n = len(t)
-    tracks = Tracks(
-        np.arange(n), t, np.full(n, 7), np.full(n, ""), np.outer(t * 1e-9, [1.0, 2.0, 3.0]),
-        np.tile(np.eye(3), (n, 1, 1)), np.full(n, 2), np.zeros(n), np.full(n, "measured")
-    )  # fmt: skip
+    tracks = made_tracks(np.arange(n), np.full(n, 7), np.outer(t * 1e-9, [1.0, 2.0, 3.0]), time_ns=t)
     curves = SampledCurves.of(tracks, 6, 0.03)
     assert curves.points == ("m000",)
     asked = np.array([-0.001, 0.013, 0.05, 0.095, 0.101])

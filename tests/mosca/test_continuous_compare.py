@@ -19,7 +19,7 @@ def found() -> Reconstructed:
     seen, _names, _true = session(1.2, False, MOTION)
     cameras = rig()
     associated = gather_seen(tuple(seen), cameras, AssociationSettings(clocks="common"))
-    clocks = tuple(EstimatedClock(name, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for name in cameras.names)
+    clocks = tuple(EstimatedClock(name) for name in cameras.names)
     return Reconstructed(associated, None, associated.observations, clocks, (), cameras)
 
 

@@ -7,22 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from continuous_scenes import limbs, nees, ring, rms, sines, take
+from continuous_scenes import PLAIN, limbs, nees, ring, rms, sines, staggered, take
 from scipy.interpolate import BSpline
 
 import mosca.continuous.estimator.estimate as whole
 from mosca.continuous.estimator.constant_distances import Pairs
-from mosca.continuous.estimator.estimate import ContinuousSettings, estimate
+from mosca.continuous.estimator.estimate import estimate
 from mosca.continuous.estimator.input_checks import check
 from mosca.data.rig import Pose, Rig
 from mosca.data.rotations import rotation_from_vector
 from mosca.errors import InputError
-
-PLAIN = ContinuousSettings(limbs=False)
-
-
-def staggered(seconds=2.0, rate=50.0, cameras=3):
-    return [np.arange(0.004 * c, seconds, 1 / rate) for c in range(cameras)]
 
 
 def test_errors_are_small_and_as_large_as_stated():

@@ -22,9 +22,9 @@ from mosca.errors import InputError
 from tests.studies.unsynchronised import observe, score, shared_frames, surround
 
 
-def waving(points=12, frames=121, seed=0):
+def waving(points=12, frames=121):
     """Points that move about by sines, 1.7 m high, for a second at 120 Hz."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     t = np.arange(frames) / 120.0
     middle = rng.uniform([-0.4, -0.4, 0.1], [0.4, 0.4, 1.7], (points, 3))
     phase, size = rng.uniform(0, 6.3, (points, 3)), rng.uniform(0.05, 0.2, (points, 3))
@@ -32,9 +32,9 @@ def waving(points=12, frames=121, seed=0):
     return PointMotion(tuple(f"p{k}" for k in range(points)), t, xyz)
 
 
-def synchronous(truth, noise=0.0, epipoles=True, seed=0):
+def synchronous(truth, noise=0.0):
     rig = surround(truth)
-    return rig, observe(truth, rig, every=9, apart=0, epipoles=epipoles, noise_px=noise, seed=seed)
+    return rig, observe(truth, rig, every=9, apart=0, noise_px=noise)
 
 
 def true_scene(rig, truth, instants):

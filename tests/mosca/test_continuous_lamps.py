@@ -5,6 +5,7 @@ Images are computed here by the equidistant projection (radius = f x angle); two
 
 import numpy as np
 import pytest
+from continuous_sessions import as_detections
 from rigs import looking_at
 from scipy.spatial.transform import Rotation
 
@@ -22,7 +23,7 @@ from mosca.data.rig import Camera, FisheyeLens, Pose, Rig
 from mosca.errors import InputError
 from mosca.pipeline import PipelineSettings
 
-FOCAL, WIDTH, HEIGHT, RATE_HZ, LAST_S = 235.0, 656, 491, 60.0, 1.3
+FOCAL, WIDTH, HEIGHT, RATE_HZ, LAST_S, SIGMA_PX = 235.0, 656, 491, 60.0, 1.3, 0.05
 LAMP_M = np.array([[0.0, 0.03, -0.02], [0.01, 0.03, 0.0], [0.0, -0.03, -0.01]])
 NUMBERS = (0, 3, 5)
 LATE_S = (0.0, 0.011, 0.006)
@@ -70,36 +71,29 @@ def rig(known_pose: bool = True) -> Rig:
     return Rig(tuple(Camera(f"c{c}", WIDTH, HEIGHT, lens, pose) for c, pose in enumerate(poses)))
 
 
-def filmed(noise_px: float = 0.05) -> tuple[tuple[CameraDetections, ...], list[np.ndarray]]:
+@pytest.fixture(scope="module")
+def session() -> tuple[tuple[CameraDetections, ...], list[np.ndarray]]:
     """Return what the three cameras see, and of each image point the camera whose lamp it is, or -1."""
     rng = np.random.default_rng(5)
     found, whose = [], []
     for c in range(3):
         times = LATE_S[c] + np.arange(int(LAST_S * RATE_HZ)) / RATE_HZ
-        points, owners, counts = [], [], []
+        points, owners = [], []
         for t in times:
             poses = [pose_of(k, t) for k in range(3)]
             lamps = [k for k in range(3) if k != c and lit(NUMBERS[k], t)]
             xyz = np.array([*markers(t), *(poses[k].transform(LAMP_M[k][None])[0] for k in lamps)])
-            points.append(image(poses[c], xyz) + noise_px * rng.normal(size=(len(xyz), 2)))
+            points.append(image(poses[c], xyz) + SIGMA_PX * rng.normal(size=(len(xyz), 2)))
             owners.append([-1] * 9 + lamps)
-            counts.append(len(xyz))
-        xy = np.concatenate(points)
-        n = len(xy)
-        found.append(
-            CameraDetections(
-                CameraInfo(f"c{c}", WIDTH, HEIGHT, 8, RATE_HZ), np.rint(times * 1e9).astype(np.int64),
-                np.concatenate([[0], np.cumsum(counts)]), xy, np.tile(0.05**2 * np.eye(2), (n, 1, 1)),
-                np.full(n, 5.0), np.full(n, 100.0), np.ones(n), np.zeros(n, np.uint8)
-            )
-        )  # fmt: skip
+        info = CameraInfo(f"c{c}", WIDTH, HEIGHT, 8, RATE_HZ)
+        found.append(as_detections(info, np.rint(times * 1e9).astype(np.int64), points, SIGMA_PX))
         whose.append(np.concatenate(owners).astype(int))
     return tuple(found), whose
 
 
 @pytest.fixture(scope="module")
-def session():
-    return filmed()
+def seen(session):
+    return session[0]
 
 
 def test_lamps_are_told_by_what_they_blink_and_markers_are_none(session):
@@ -112,13 +106,11 @@ def test_lamps_are_told_by_what_they_blink_and_markers_are_none(session):
         assert told.sum() > 0.9 * (owner >= 0).sum()
 
 
-def test_a_number_that_nobody_shows_is_not_found(session):
-    seen, _whose = session
+def test_a_number_that_nobody_shows_is_not_found(seen):
     assert (blinking(seen[0], (20, 21, 22), LampSettings(1 / RATE_HZ)) == NO_LAMP).all()
 
 
-def test_frames_too_far_apart_to_see_every_bit_are_refused(session):
-    seen, _whose = session
+def test_frames_too_far_apart_to_see_every_bit_are_refused(seen):
     with pytest.raises(InputError, match=r"a frame each 16\.7 ms, but lamps show a bit for 10 ms"):
         blinking(seen[0], NUMBERS, LampSettings(0.01))
     with pytest.raises(InputError, match="bit_s = 0 given"):
@@ -205,8 +197,7 @@ GATHERING = AssociationSettings(PipelineSettings(match=MatchSettings(judge_sizes
 SETTINGS = ContinuousSettings(limbs=False, knot_s=0.033)
 
 
-def test_markers_and_the_camera_on_a_limb_come_out_of_images_alone(session):
-    seen, _whose = session
+def test_markers_and_the_camera_on_a_limb_come_out_of_images_alone(seen):
     worn = solve_worn(
         seen, rig(known_pose=False), ("c0", "c1"), Lamps(NUMBERS, LAMP_M, 1 / RATE_HZ), GATHERING, SETTINGS
     )
@@ -226,17 +217,15 @@ def test_markers_and_the_camera_on_a_limb_come_out_of_images_alone(session):
     assert worn.lamp_rms_px < 0.1
 
 
-def test_lamps_taken_for_others_are_refused(session):
+def test_lamps_taken_for_others_are_refused(seen):
     """The control: with wrong lamp numbers no camera gets a pose."""
-    seen, _whose = session
     with pytest.raises(InputError, match="camera 'c2': lamps tell at 0 instants where it is"):
         solve_worn(
             seen, rig(known_pose=False), ("c0", "c1"), Lamps((20, 21, 22), LAMP_M, 1 / RATE_HZ), GATHERING, SETTINGS
         )
 
 
-def test_one_camera_of_known_place_is_too_few(session):
-    seen, _whose = session
+def test_one_camera_of_known_place_is_too_few(seen):
     with pytest.raises(InputError, match="1 of known place given; two at least"):
         solve_worn(seen, rig(), ("c0",), Lamps(NUMBERS, LAMP_M, 1 / RATE_HZ), GATHERING, SETTINGS)
     with pytest.raises(InputError, match="each lamp needs a number of its own"):

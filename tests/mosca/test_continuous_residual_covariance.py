@@ -4,19 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from continuous_scenes import nees, ring, sines, take
+from continuous_scenes import PLAIN, nees, ring, sines, staggered, take
 
 from mosca.camera.projection import project
-from mosca.continuous.estimator.estimate import ContinuousSettings, estimate
+from mosca.continuous.estimator.estimate import estimate
 from mosca.data.rig import Rig
 from mosca.triangulation.triangulate import triangulate
 
-PLAIN = ContinuousSettings(limbs=False)
 WITHIN = np.linspace(0.1, 1.9, 400)
-
-
-def staggered(seconds=2.0, rate=50.0, cameras=3):
-    return [np.arange(0.004 * c, seconds, 1 / rate) for c in range(cameras)]
 
 
 def jittering(seed, markers, sigma_m):

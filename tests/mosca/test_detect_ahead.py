@@ -17,15 +17,11 @@ def dark_sets(n):
     return [FrameSet(k, k, {"cam1": Frame("cam1", k, k, 1_000, np.zeros((16, 16), np.uint8))}) for k in range(n)]
 
 
-def in_callers_thread():
-    return threading.current_thread() is threading.main_thread()
-
-
 class Held(FrameSetDetector):
     """The threads that detect ahead are held until the caller has detected a set itself."""
 
     def detect(self, frame_set, *more, **others):
-        if in_callers_thread():
+        if threading.current_thread() is threading.main_thread():
             caller_looked.set()
         else:
             assert caller_looked.wait(PATIENCE_S)

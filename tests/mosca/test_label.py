@@ -1,11 +1,11 @@
 """Labels from a marker model: an articulated figure that is the same on both sides, and CMU's walkers."""
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from track_points import made_tracks
 
 from mosca.data.motion.bvh import read_bvh
 from mosca.data.motion.motion import forward_kinematics
@@ -13,8 +13,6 @@ from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 from mosca.labelling.assign import label_tracks, marker_of_tracks
 from mosca.labelling.marker_model import learn_model, volumes_of
-
-DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data")) / "cmu_mocap"
 
 # limb -> joint it hangs on (m, x left, y back, z up) and its markers from there; right limbs mirror left ones
 TORSO = {
@@ -48,20 +46,18 @@ def figure(times: np.ndarray) -> tuple[list[str], np.ndarray]:
     return names, np.stack(walked, axis=1)
 
 
-def as_tracks(xyz: np.ndarray, track: np.ndarray, label: np.ndarray, seen: np.ndarray) -> Tracks:
-    """Tracks of positions (t, m, 3) where ``seen`` (t, m); ``track`` (t, m) and ``label`` (m)."""
-    rows, columns = np.nonzero(seen)
-    n = len(rows)
-    return Tracks(
-        rows, rows * 10_000_000, track[rows, columns], label[columns], xyz[rows, columns],
-        np.tile(1e-7 * np.eye(3), (n, 1, 1)), np.full(n, 4), np.full(n, 0.1), np.full(n, "measured"),
-    )  # fmt: skip
+def as_tracks(xyz: np.ndarray, label=None, track=None, seen=None) -> Tracks:
+    """Tracks of positions (t, m, 3) where ``seen`` (t, m); ``label`` (m) and ``track`` (t, m) of each marker."""
+    t, m = xyz.shape[:2]
+    label = np.full(m, "") if label is None else np.asarray(label)
+    track = np.tile(np.arange(m), (t, 1)) if track is None else track
+    rows, columns = np.nonzero(np.ones((t, m)) if seen is None else seen)
+    return made_tracks(rows, track[rows, columns], xyz[rows, columns], label=label[columns])
 
 
 def learned(times: np.ndarray, limbs: dict[str, tuple[str, ...]] | None):
     names, xyz = figure(times)
-    seen = np.ones(xyz.shape[:2], dtype=bool)
-    return learn_model(as_tracks(xyz, np.tile(np.arange(len(names)), (len(xyz), 1)), np.array(names), seen), limbs)
+    return learn_model(as_tracks(xyz, names), limbs)
 
 
 def scrambled(
@@ -82,7 +78,7 @@ def scrambled(
         track[frames // 2 :, k] = 500 + k
         seen[frames // 2 : frames // 2 + 10, k] = False
         what[500 + int(k)] = names[k]
-    return as_tracks(xyz, track, np.full(m + clutter, ""), seen), what
+    return as_tracks(xyz, None, track, seen), what
 
 
 @pytest.mark.parametrize(("pose", "least"), [("T-pose", 0.7), ("motion", 0.9)])
@@ -109,10 +105,7 @@ def test_the_mirror_image_is_not_taken_for_the_subject() -> None:
     names, xyz = figure(10 + np.arange(80) / 100)
     rng = np.random.default_rng(5)
     assert len(model.quads)
-    seen = np.ones(xyz.shape[:2], dtype=bool)
-    track = np.tile(np.arange(len(names)), (80, 1))
-    tracks = as_tracks(xyz + rng.normal(0, 5e-4, xyz.shape), track, np.full(len(names), ""), seen)
-    found = marker_of_tracks(tracks, model)
+    found = marker_of_tracks(as_tracks(xyz + rng.normal(0, 5e-4, xyz.shape)), model)
     at = [found[k] for k in range(len(names))]
     assert [model.names[k] for k in at] == names
     quads = volumes_of(xyz[:, np.argsort(at)], model.quads)
@@ -124,50 +117,41 @@ def test_others_keep_their_labels_and_nothing_gives_nothing() -> None:
     assert len(label_tracks(Tracks.none(), model)) == 0
     rng = np.random.default_rng(6)
     xyz = rng.uniform(-1, 1, (1, 8, 3)) + 0.01 * rng.normal(size=(60, 8, 3)).cumsum(axis=0)
-    label = np.array(["lamp", *[""] * 7])
-    tracks = as_tracks(xyz, np.tile(np.arange(8), (60, 1)), label, np.ones((60, 8), dtype=bool))
-    done = label_tracks(tracks, model)
+    done = label_tracks(as_tracks(xyz, ["lamp", *[""] * 7]), model)
     assert set(done.label[done.track == 0]) == {"lamp"}
     assert set(done.label[done.track > 0]) == {""}
 
 
 def test_what_cannot_be_learned() -> None:
     names, xyz = figure(np.linspace(0, 1, 5))
-    track = np.tile(np.arange(len(names)), (5, 1))
-    bare = as_tracks(xyz, track, np.full(len(names), ""), np.ones(track.shape, dtype=bool))
     with pytest.raises(InputError, match="0 labels in the stretch"):
-        learn_model(bare)
-    named = as_tracks(xyz, track, np.array(names), np.ones(track.shape, dtype=bool))
+        learn_model(as_tracks(xyz))
     with pytest.raises(InputError, match="limb 'tail': marker 'tip' is not in the stretch; it has ankle_l"):
-        learn_model(named, {"tail": ("tip",)})
+        learn_model(as_tracks(xyz, names), {"tail": ("tip",)})
 
 
 @pytest.mark.data
 @pytest.mark.parametrize(("other", "least"), [("02_02", 0.95), ("02_03", 0.6)])
-def test_a_real_subject_with_markers_on_all_limbs(other: str, least: float) -> None:
+def test_a_real_subject_with_markers_on_all_limbs(other: str, least: float, data_dir: Path) -> None:
     """Markers fixed to CMU's bones: learned from a walk, labelled in another and in a run, 10 % of them missing."""
-    first, second = DATA / "bvh/02/02_01.bvh", DATA / f"bvh/02/{other}.bvh"
-    if not first.is_file() or not second.is_file():
-        pytest.skip(f"needs {first} and {second} of MOSCA_DATA")
     rng = np.random.default_rng(7)
     parts = ["hip", "chest", "head", *(f"{s}{p}" for p in ("Thigh", "Shin", "Shldr", "ForeArm") for s in "lr")]
     offsets = rng.uniform(-0.12, 0.12, (len(parts), 4, 3))
     paths = []
-    for path in (first, second):
-        motion = read_bvh(path, metres_per_unit=0.0104, drop_frames=1)
+    for name in ("02_01", other):
+        motion = read_bvh(data_dir / f"cmu_mocap/bvh/02/{name}.bvh", metres_per_unit=0.0104, drop_frames=1)
         position, turn = forward_kinematics(motion)
         rows = [motion.skeleton.index(p) for p in parts]
         markers = position[:, rows, None] + np.einsum("tpij,pkj->tpki", turn[:, rows], offsets)
         paths.append(markers.reshape(len(markers), -1, 3)[:340:2])
     names = np.array([f"{p}{k}" for p in parts for k in range(4)])
     m = len(names)
-    whole = np.ones((len(paths[0]), m), dtype=bool)
-    model = learn_model(as_tracks(paths[0], np.tile(np.arange(m), (len(whole), 1)), names, whole))
+    model = learn_model(as_tracks(paths[0], names))
     xyz = paths[1] + rng.normal(0, 5e-4, paths[1].shape)
     order = rng.permutation(m)
     seen = rng.random(xyz.shape[:2]) > 0.05
     seen[:, rng.permutation(m)[: m // 10]] = False
-    found = marker_of_tracks(as_tracks(xyz, np.tile(order, (len(xyz), 1)), np.full(m, ""), seen), model)
+    found = marker_of_tracks(as_tracks(xyz, None, np.tile(order, (len(xyz), 1)), seen), model)
     true = names[np.argsort(order)]
     assert [t for t in found if model.names[found[t]] != true[t]] == []
     assert len(found) >= least * seen.any(axis=0).sum()

@@ -1,5 +1,7 @@
 """Coded targets as points with numbers: positions, covariance by chi-square, misread numbers left out."""
 
+from dataclasses import replace
+
 import numpy as np
 from rigid_scenes import some_rig
 from scipy import stats
@@ -13,14 +15,14 @@ PLACES = np.random.default_rng(0).uniform(-0.8, 0.8, (12, 3))
 NUMBERS = np.array([3, 7, 11, 19, 23, 42, 77, 100, 101, 200, 300, 506])
 
 
-def seen_by(rig, rng, sigma=SIGMA_PX, keep=1.0):
+def seen_by(rig, rng, keep=1.0):
     found = {}
     for camera in rig.cameras:
-        xy = project(camera, PLACES) + rng.normal(0, sigma, (12, 2))
+        xy = project(camera, PLACES) + rng.normal(0, SIGMA_PX, (12, 2))
         rows = np.flatnonzero(np.isfinite(xy).all(axis=1) & (rng.random(12) < keep))
         n = len(rows)
         found[camera.name] = CodedDetections(
-            camera.name, NUMBERS[rows], xy[rows], np.tile(sigma**2 * np.eye(2), (n, 1, 1)),
+            camera.name, NUMBERS[rows], xy[rows], np.tile(SIGMA_PX**2 * np.eye(2), (n, 1, 1)),
             np.full((n, 2), 5.0), np.zeros(n), np.zeros(n), np.ones(n), [],
         )  # fmt: skip
     return found
@@ -53,9 +55,7 @@ def test_a_misread_number_is_left_out() -> None:
     one = found[name]
     xy = one.xy_px.copy()
     xy[4] += [3.0, -2.0]
-    found[name] = CodedDetections(
-        name, one.number, xy, one.covariance_px2, one.semi_axes_px, one.angle_rad, one.roll_rad, one.confidence, []
-    )  # fmt: skip
+    found[name] = replace(one, xy_px=xy)
     points, number = coded_points(rig, found)
     row = int(np.flatnonzero(number == one.number[4])[0])
     assert points.rays[row, 1] == -1

@@ -87,23 +87,12 @@ def test_what_a_live_run_measures_is_what_a_patient_one_does():
         assert a.seconds["wait"] >= 0.0
 
 
-def test_looking_ahead_on_threads_changes_nothing():
+@pytest.mark.parametrize("threads", [{"workers": n} for n in (1, 2, 3, 8)] + [{"split": n} for n in (2, 3, 8)])
+def test_threads_change_nothing(threads):
     rig = _rig()
     alone = list(run(_Blobs(rig), rig))
-    for workers in (1, 2, 3, 8):
-        ahead = list(run(_Blobs(rig), rig, PipelineSettings(workers=workers)))
-        assert [s.frame_set.pulse for s in ahead] == [s.frame_set.pulse for s in alone]
-        for a, b in zip(ahead, alone, strict=True):
-            np.testing.assert_array_equal(a.points.xyz, b.points.xyz)
-            np.testing.assert_array_equal(a.points.covariance, b.points.covariance)
-
-
-def test_dividing_the_cameras_of_a_set_changes_nothing():
-    rig = _rig()
-    alone = list(run(_Blobs(rig), rig))
-    for split in (2, 3, 8):
-        divided = list(run(_Blobs(rig), rig, PipelineSettings(split=split)))
-        assert [list(s.detections) for s in divided] == [list(s.detections) for s in alone]
-        for a, b in zip(divided, alone, strict=True):
-            np.testing.assert_array_equal(a.points.xyz, b.points.xyz)
-            np.testing.assert_array_equal(a.points.covariance, b.points.covariance)
+    for other, one in zip(run(_Blobs(rig), rig, PipelineSettings(**threads)), alone, strict=True):
+        assert other.frame_set.pulse == one.frame_set.pulse
+        assert list(other.detections) == list(one.detections)
+        np.testing.assert_array_equal(other.points.xyz, one.points.xyz)
+        np.testing.assert_array_equal(other.points.covariance, one.points.covariance)

@@ -1,112 +1,12 @@
 """The fit against images made elsewhere: Fourier optics on a fine grid, bounds by numerical derivatives of them."""
 
-from functools import cache
-
 import numpy as np
 import pytest
-from scipy.special import j1
+from disc_images import READ, bound_px, errors, frame
 
 from mosca.data.detections import SATURATED, UNREFINED
 from mosca.detection.detect import NO_STATISTICS, DetectionSettings, detect, detect_set, detect_with_statistics
 from mosca.errors import InputError
-
-FINE = 16  # samples a pixel
-READ, BLACK = 0.5, 4.0
-
-
-@cache
-def fine_image(diameter, blur, circle=0.0, coma=0.0, shade=0.0):
-    """A disc of brightness 1 seen through Gaussian blur, defocus, coma and pixels, by its Fourier transform.
-
-    The disc's is D J1(pi D f) / 2 f, a pixel's sinc; coma as third-order displacements of a pupil's points, their
-    mean taken off; shade falls across the disc along x.
-    """
-    across = int(diameter + 8 * blur + circle + coma) // 2 * 2 + 10
-    n = across * FINE
-    f = np.fft.fftfreq(n, 1 / FINE)
-    fx, fy = f[None, :], f[:, None]
-    if shade:
-        place = (np.arange(n) - n // 2) / FINE
-        light = sum(
-            (np.hypot(place[None] + x, place[:, None] + y) < diameter / 2)
-            * (1 + shade * (place[None] + x) / (diameter / 2))
-            for x in (-1 / 48, 0, 1 / 48)
-            for y in (-1 / 48, 0, 1 / 48)
-        )
-        spectrum = np.fft.fft2(np.fft.ifftshift(light / 9)) / FINE**2
-    else:
-        k = np.pi * diameter * np.hypot(fx, fy)
-        k[0, 0] = 1e-9
-        spectrum = np.pi * diameter**2 / 2 * j1(k) / k
-    spectrum = spectrum * np.exp(-2 * (np.pi * blur) ** 2 * (fx**2 + fy**2)) * np.sinc(fx) * np.sinc(fy)
-    if circle:
-        k = np.pi * circle * np.hypot(fx, fy)
-        k[0, 0] = 1e-9
-        spectrum = spectrum * 2 * j1(k) / k
-    if coma:
-        nodes, weights = np.polynomial.legendre.leggauss(12)
-        rho2, angle = (1 + nodes[:, None]) / 2, 2 * np.pi * np.arange(32) / 32
-        dx = (coma / 3 * (rho2 * (2 + np.cos(2 * angle)) - 1)).ravel()
-        dy = (coma / 3 * rho2 * np.sin(2 * angle)).ravel()
-        weight = np.repeat(weights / 64, 32)
-        low = np.abs(f) < 2
-        pupil = np.zeros((n, n), complex)
-        wave_x, wave_y = (np.exp(-2j * np.pi * np.outer(dx, f[low])), np.exp(-2j * np.pi * np.outer(dy, f[low])))
-        pupil[np.ix_(low, low)] = (weight[:, None] * wave_y).T @ wave_x
-        spectrum = spectrum * pupil
-    return np.fft.fftshift(np.fft.ifft2(spectrum).real) * FINE**2
-
-
-def pixels(image, ix, iy):
-    """The image with its centre (ix, iy) fine samples off the middle pixel's centre."""
-    n = len(image)
-    at = np.arange(0, n, FINE)
-    return image[np.ix_((at - iy) % n, (at - ix) % n)]
-
-
-def bound_px(diameter, blur, contrast, gain, **odd):
-    """Cramer-Rao bound (x, y) with position, contrast, background and diameter unknown."""
-    image = fine_image(diameter, blur, **odd)
-    n = len(image) // 2
-    wider, smaller = (fine_image(diameter + step, blur, **odd) for step in (0.06, -0.06))
-
-    def cropped(other):
-        cut = (len(other) - 2 * n) // 2
-        return other[cut : len(other) - cut, cut : len(other) - cut] if cut > 0 else other
-
-    assert len(wider) == len(smaller) == len(image), "choose diameters away from a change of the window"
-    variances = []
-    for ix in range(0, FINE // 2 + 1, 4):
-        for iy in range(0, FINE // 2 + 1, 4):
-            shape = pixels(image, ix, iy)
-            columns = [
-                contrast * (pixels(image, ix + 1, iy) - pixels(image, ix - 1, iy)) * FINE / 2,
-                contrast * (pixels(image, ix, iy + 1) - pixels(image, ix, iy - 1)) * FINE / 2,
-                shape,
-                np.ones_like(shape),
-                contrast * (pixels(wider, ix, iy) - pixels(smaller, ix, iy)) / 0.12,
-            ]
-            jacobian = np.array([column.ravel() for column in columns])
-            noise = (READ**2 + gain * contrast * shape + 1 / 12).ravel()
-            variances.append(np.diag(np.linalg.inv(jacobian / noise @ jacobian.T))[:2])
-    return np.sqrt(np.mean(variances, axis=0))
-
-
-def frame(rng, diameter, blur, contrast, snr, n=400, **odd):
-    """n targets at random positions: image, true positions (n, 2), gain."""
-    image = fine_image(diameter, blur, **odd)
-    side = len(image) // FINE
-    across = max(600 // side, 1)
-    down = -(-n // across)
-    gain = ((contrast / snr) ** 2 - READ**2) / contrast
-    shift = rng.integers(-FINE // 2, FINE // 2, (down, across, 2))
-    light = contrast * np.vstack(
-        [np.hstack([pixels(image, *shift[r, c]) for c in range(across)]) for r in range(down)]
-    ).clip(0)
-    noisy = BLACK + rng.poisson(light / gain) * gain + rng.normal(0, READ, light.shape)
-    rows, columns = np.mgrid[:down, :across]
-    truth = np.stack([columns, rows], axis=-1) * side + side // 2 + shift / FINE
-    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8), truth.reshape(-1, 2), gain
 
 
 def settings_for(contrast, snr, gain, **change):
@@ -114,13 +14,6 @@ def settings_for(contrast, snr, gain, **change):
     return DetectionSettings(
         read_noise_dn=READ, gain_dn_per_e=gain, contrast_dn=least, maximum_size_px=60.0, **change
     )
-
-
-def errors(found, truth):
-    """Errors (n, 2) and stated variances of the targets that were found once."""
-    nearest = np.argmin(np.linalg.norm(found.xy_px[:, None] - truth[None], axis=2), axis=1)
-    assert len(np.unique(nearest)) == len(found) >= 0.98 * len(truth)
-    return found.xy_px - truth[nearest], found.covariance_px2[:, [0, 1], [0, 1]]
 
 
 def learned_errors(seed, sizes, blur, contrast, snr, rounds, **odd):
@@ -212,7 +105,9 @@ def test_same_images_give_the_same_bytes_alone_or_in_a_set():
     again, _ = detect_with_statistics(images, ["a", "b", "c"], statistics=new)
     for i, name in enumerate("abc"):
         alone, taught = detect_with_statistics([images[i]], [name])
-        assert alone[0].xy_px.tobytes() == together[i].xy_px.tobytes()
+        assert alone[0].camera == together[i].camera == name
+        for key in ("xy_px", "covariance_px2", "diameter_px", "peak", "elongation"):
+            assert getattr(alone[0], key).tobytes() == getattr(together[i], key).tobytes()
         np.testing.assert_array_equal(taught.tallies[0], new.tallies[i])
         assert detect_set([images[i]], [name], statistics=new)[0].xy_px.tobytes() == again[i].xy_px.tobytes()
     split = detect_with_statistics(images[:1], ["a"])[1].plus(detect_with_statistics(images[1:], ["b", "c"])[1])

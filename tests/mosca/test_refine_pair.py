@@ -72,21 +72,15 @@ def disc(rng):
 def learned():
     rng, known = np.random.default_rng(1), NO_STATISTICS
     for _ in range(2):
-        rows = [
-            [
-                image_of([(*(SIDE / 2 + rng.uniform(-0.5, 0.5, 2)), rng.uniform(2.5, 5), BRIGHT, None)])
-                for _ in range(5)
-            ]
-            for _ in range(5)
-        ]
+        rows = [[image_of([disc(rng)]) for _ in range(5)] for _ in range(5)]
         known = known.plus(detect_with_statistics([frame(np.block(rows), rng)], ["a"], statistics=known)[1])
     return known
 
 
-def pair_of(rng, apart, diameter, ratio=1.0):
+def pair_of(rng, apart, diameter):
     angle, middle = rng.uniform(0, 2 * np.pi), SIDE / 2 + rng.uniform(-0.5, 0.5, 2)
     half = 0.5 * apart * diameter * np.array([np.cos(angle), np.sin(angle)])
-    return [(*(middle + half), diameter / 2, ratio * BRIGHT, None), (*(middle - half), diameter / 2, BRIGHT, None)]
+    return [(*(middle + half), diameter / 2, BRIGHT, None), (*(middle - half), diameter / 2, BRIGHT, None)]
 
 
 @pytest.mark.parametrize(("diameter", "most"), [(5.0, 2.0), (6.5, 1.3), (8.0, 1.3)])

@@ -1,7 +1,11 @@
 """Smoothing and filling: measured stays measured, errors shrink, filled samples have true covariances."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from smooth_scenes import least_squares, motions, nees_of
+from track_points import made_tracks
 
 from mosca.data.tracks import Tracks
 from mosca.smoothing.gap_filling import filled
@@ -14,26 +18,7 @@ def tracks_of(xyz, keep, seed=0):
     """xyz (t, m, 3) true; keep (t, m): which are measured, with noise."""
     rng = np.random.default_rng(seed)
     frame, track = np.nonzero(keep)
-    n = len(frame)
-    return Tracks(
-        frame,
-        frame * 10_000_000,
-        track,
-        np.full(n, ""),
-        xyz[frame, track] + rng.normal(0, SIGMA, (n, 3)),
-        np.tile(SIGMA**2 * np.eye(3), (n, 1, 1)),
-        np.full(n, 4),
-        np.full(n, 0.05),
-        np.full(n, "measured"),
-    )
-
-
-def motions(frames, markers, seed=1):
-    """Smooth random motion: sums of sines up to 2 Hz."""
-    rng = np.random.default_rng(seed)
-    t = 0.01 * np.arange(frames)[:, None, None, None]
-    f = rng.uniform(0.2, 2.0, (1, markers, 3, 4))
-    return (rng.uniform(0, 0.1, f.shape) * np.sin(2 * np.pi * (f * t + rng.random(f.shape)))).sum(axis=3)
+    return made_tracks(frame, track, xyz[frame, track] + rng.normal(0, SIGMA, (len(frame), 3)), SIGMA)
 
 
 def gaps(frames, markers, length):
@@ -47,29 +32,20 @@ def gaps(frames, markers, length):
 def test_smoothing_equals_the_least_squares_of_all_measurements():
     # the same prior and noise written as one linear system: positions must agree
     rng = np.random.default_rng(3)
-    t, dt, q, speed2, var = 6, 0.1, 1.0, 4.0, 2.0
+    t, dt, speed2, var = 6, 0.1, 4.0, 2.0
     f = np.array([[1, dt, dt * dt / 2], [0, 1, dt], [0, 0, 0.8]])
     g = np.array([[0.3, 0.0, 0.0], [0.1, 0.4, 0.0], [0.05, 0.1, 0.5]])
-    noise = q * g @ g.T
+    noise = g @ g.T
     xyz, measured = rng.normal(0, 1, (t, 3)), np.array([True, True, False, False, True, True])
     covariance = np.tile(0.01 * np.eye(3), (t, 1, 1))
     place, spread, _, _ = smooth_one(
         xyz, covariance, measured, np.tile(f, (t, 1, 1)), np.tile(noise, (t, 1, 1)), speed2, var
     )
     for axis in range(3):
-        information, right = np.zeros((3 * t, 3 * t)), np.zeros(3 * t)
-        information[1, 1], information[2, 2] = 1 / speed2, 1 / var
-        for k in range(t):
-            if measured[k]:
-                information[3 * k, 3 * k] += 1 / 0.01
-                right[3 * k] += xyz[k, axis] / 0.01
-            if k:
-                rows = np.zeros((3, 3 * t))
-                rows[:, 3 * k - 3 : 3 * k], rows[:, 3 * k : 3 * k + 3] = -f, np.eye(3)
-                information += rows.T @ np.linalg.solve(var * noise, rows)
-        inverse = np.linalg.inv(information)
-        np.testing.assert_allclose(place[:, axis], (inverse @ right)[::3], atol=1e-9)
-        np.testing.assert_allclose(spread[:, axis, axis], np.diag(inverse)[::3], rtol=1e-8)
+        seen = np.where(measured, xyz[:, axis], np.nan)
+        wanted, variance = least_squares(seen, np.full(t, 0.01), [f] * (t - 1), [var * noise] * (t - 1), speed2, var)
+        np.testing.assert_allclose(place[:, axis], wanted, atol=1e-9)
+        np.testing.assert_allclose(spread[:, axis, axis], variance, rtol=1e-8)
 
 
 def test_smoothed_is_nearer_to_the_truth_and_measured_stays_as_it_is():
@@ -84,27 +60,6 @@ def test_smoothed_is_nearer_to_the_truth_and_measured_stays_as_it_is():
     assert (result.status == "measured").all()
     added = filled(tracks)
     np.testing.assert_array_equal(added.xyz, tracks.xyz)
-
-
-@pytest.mark.parametrize("length", [1, 4, 12])
-def test_filled_samples_are_marked_and_their_covariance_fits_their_errors(length):
-    xyz = motions(600, 6)
-    keep = gaps(600, 6, length)
-    tracks = tracks_of(xyz, keep)
-    together = filled(tracks, SmoothSettings(longest_gap_s=0.25))
-    new = together.select(together.status == "filled")
-    assert len(new) == (~keep).sum()
-    assert (new.n_cameras == 0).all()
-    assert np.isnan(new.residual_px).all()
-    away = new.xyz - xyz[new.frame, new.track]
-    nees = np.einsum("ni,ni->n", away, np.linalg.solve(new.covariance, away[:, :, None])[:, :, 0])
-    # samples of one gap err together: the band is that of the gaps' number
-    assert 1.0 < nees.mean() < 4.5
-    # measured rows are untouched
-    old = together.select(together.status == "measured")
-    np.testing.assert_array_equal(old.xyz, tracks.xyz)
-    widths = np.trace(new.covariance, axis1=1, axis2=2)
-    assert np.median(widths) > 3 * SIGMA**2 * (0.1 if length == 1 else 0.3)
 
 
 def wild(frames, markers, seed):
@@ -122,15 +77,21 @@ def wild(frames, markers, seed):
 
 @pytest.mark.parametrize("motion", [motions, wild])
 @pytest.mark.parametrize("length", [1, 3, 8, 14])
-def test_filled_samples_cover_the_truth_as_often_as_they_say(motion, length):
+def test_filled_samples_are_marked_and_cover_the_truth_as_often_as_they_say(motion, length):
     inside, squares, count = 0.0, 0.0, 0
     for seed in (1, 2):
-        xyz = motion(700, 6, seed)
-        together = filled(tracks_of(xyz, gaps(700, 6, length), seed))
-        new = together.select(together.status == "filled")
-        away = new.xyz - xyz[new.frame, new.track]
-        nees = np.einsum("ni,ni->n", away, np.linalg.solve(new.covariance, away[:, :, None])[:, :, 0])
+        xyz, keep = motion(700, 6, seed), gaps(700, 6, length)
+        tracks = tracks_of(xyz, keep, seed)
+        together = filled(tracks)
+        new, old = (together.select(together.status == status) for status in ("filled", "measured"))
+        np.testing.assert_array_equal(old.xyz, tracks.xyz)
+        assert len(new) == (~keep).sum()
+        assert (new.n_cameras == 0).all()
+        assert np.isnan(new.residual_px).all()
+        nees = nees_of(new, xyz)
         inside, squares, count = inside + (nees <= 7.815).sum(), squares + nees.sum(), count + len(new)
+        widths = np.trace(new.covariance, axis1=1, axis2=2)
+        assert np.median(widths) > 3 * SIGMA**2 * (0.1 if length == 1 else 0.3)
     gaps_filled = count / length  # samples of a gap err together: 80 gaps, of which 95 % +- 2.4 %
     assert gaps_filled > 70
     assert inside / count > 0.95 - 3 * np.sqrt(0.95 * 0.05 / gaps_filled)
@@ -141,8 +102,7 @@ def test_filled_samples_cover_the_truth_as_often_as_they_say(motion, length):
 def test_filled_samples_have_their_track_s_label():
     tracks = tracks_of(motions(200, 2), gaps(200, 2, 3))
     label = np.where(tracks.track == 1, "elbow", "")
-    tracks = Tracks(**({n: getattr(tracks, n) for n in Tracks.__dataclass_fields__} | {"label": label}))
-    together = filled(tracks)
+    together = filled(replace(tracks, label=label))
     assert (together.status == "filled").any()
     np.testing.assert_array_equal(together.label == "elbow", together.track == 1)
 

@@ -6,23 +6,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from smooth_scenes import least_squares, motions, nees_of
 
 from mosca.data.tracks import Samples, Tracks, table
 from mosca.errors import InputError
-from mosca.smoothing.fixed_lag import FixedLag, LagSettings, lagged
+from mosca.smoothing.fixed_lag import FixedLag, LagSettings
 from mosca.smoothing.rts import SmoothSettings, smoothed
 from mosca.tracking.motion_models import motion
 
 SIGMA = 1e-3
 PERIOD_NS = 10_000_000
-
-
-def motions(frames, markers, seed=1):
-    """Smooth random motion: sums of sines up to 2 Hz."""
-    rng = np.random.default_rng(seed)
-    t = 0.01 * np.arange(frames)[:, None, None, None]
-    f = rng.uniform(0.2, 2.0, (1, markers, 3, 4))
-    return (rng.uniform(0, 0.1, f.shape) * np.sin(2 * np.pi * (f * t + rng.random(f.shape)))).sum(axis=3)
 
 
 def samples_of(frame, xyz, there, rng):
@@ -41,14 +34,15 @@ def steps_of(xyz, keep, seed=0):
     return [(f, samples_of(f, xyz[f], keep[f], rng)) for f in range(len(xyz))]
 
 
-def nees_of(tracks, xyz):
-    away = tracks.xyz - xyz[tracks.frame, tracks.track]
-    return np.einsum("ni,ni->n", away, np.linalg.solve(tracks.covariance, away[:, :, None])[:, :, 0])
+def lagged(steps, settings):
+    """The parts that leave at each step, and what waits at the end."""
+    smoother = FixedLag(settings)
+    return [*(smoother.step(frame, samples) for frame, samples in steps), smoother.rest()]
 
 
-def gappy(frames, markers, seed=4):
+def gappy(frames, markers):
     keep = np.ones((frames, markers), bool)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(4)
     for m in range(markers):
         for start in rng.integers(5, frames - 30, 4):
             keep[start : start + rng.integers(1, 25), m] = False
@@ -58,7 +52,7 @@ def gappy(frames, markers, seed=4):
 def test_with_an_endless_lag_it_is_the_offline_smoother():
     xyz, keep = motions(200, 4), gappy(200, 4)
     steps = steps_of(xyz, keep)
-    ours = table(list(lagged(steps, LagSettings(lag=1000, acceleration_mps2=8.0))))
+    ours = table(lagged(steps, LagSettings(lag=1000, acceleration_mps2=8.0)))
     theirs = smoothed(table([s for _, s in steps]), SmoothSettings(acceleration_mps2=8.0))
     for name in ("frame", "time_ns", "track", "n_cameras", "residual_px", "status"):
         np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
@@ -81,32 +75,23 @@ def test_it_equals_the_least_squares_of_all_that_was_measured_until_then(lag):
     assert sorted(found) == [f for f in range(24 - lag) if keep[f, 0]]
     for f, (place, covariance, now) in found.items():
         seen = [k for k in range(now + 1) if keep[k, 0]]
-        n = len(seen)
+        singer = [motion("acceleration", 0.01 * (b - a), memory) for a, b in pairwise(seen)]
+        moves = [np.array([[1, m.pv, m.pa], [0, 1, m.va], [0, 0, m.aa]]) for m in singer]
+        noises = [np.array([[m.qpp, m.qpv, m.qpa], [m.qpv, m.qvv, m.qva], [m.qpa, m.qva, m.qaa]]) for m in singer]
+        noises = [acceleration**2 * noise for noise in noises]
         for axis in (0, 2):
-            information, right = np.zeros((3 * n, 3 * n)), np.zeros(3 * n)
-            information[1, 1], information[2, 2] = 1 / speed**2, 1 / acceleration**2
-            for k, frame in enumerate(seen):
-                weight = 1 / steps[frame][1].covariance[0, axis, axis]
-                information[3 * k, 3 * k] += weight
-                right[3 * k] += weight * steps[frame][1].xyz[0, axis]
-                if k:
-                    m = motion("acceleration", 0.01 * (frame - seen[k - 1]), memory)
-                    move = np.array([[1, m.pv, m.pa], [0, 1, m.va], [0, 0, m.aa]])
-                    noise = np.array([[m.qpp, m.qpv, m.qpa], [m.qpv, m.qvv, m.qva], [m.qpa, m.qva, m.qaa]])
-                    rows = np.zeros((3, 3 * n))
-                    rows[:, 3 * k - 3 : 3 * k], rows[:, 3 * k : 3 * k + 3] = -move, np.eye(3)
-                    information += rows.T @ np.linalg.solve(acceleration**2 * noise, rows)
-            inverse = np.linalg.inv(information)
-            at = 3 * seen.index(f)
-            assert place[axis] == pytest.approx((inverse @ right)[at], abs=1e-8)
-            assert covariance[axis, axis] == pytest.approx(inverse[at, at], rel=1e-6)
+            xyz_seen = np.array([steps[k][1].xyz[0, axis] for k in seen])
+            variances = np.array([steps[k][1].covariance[0, axis, axis] for k in seen])
+            wanted = least_squares(xyz_seen, variances, moves, noises, speed**2, acceleration**2)
+            assert place[axis] == pytest.approx(wanted[0][seen.index(f)], abs=1e-8)
+            assert covariance[axis, axis] == pytest.approx(wanted[1][seen.index(f)], rel=1e-6)
 
 
 def test_a_longer_lag_is_nearer_and_each_says_honestly_how_near():
     xyz, keep = motions(600, 8, seed=3), np.ones((600, 8), bool)
     rms = []
     for lag in (0, 2, 5, 10, 20):
-        tracks = table(list(lagged(steps_of(xyz, keep, 5), LagSettings(lag=lag))))
+        tracks = table(lagged(steps_of(xyz, keep, 5), LagSettings(lag=lag)))
         assert len(tracks) == keep.sum()
         later = tracks.select(tracks.frame >= 50)
         rms.append(np.sqrt(np.mean((later.xyz - xyz[later.frame, later.track]) ** 2)))
@@ -122,7 +107,7 @@ def test_samples_that_were_confirmed_late_leave_in_order_with_the_others():
     steps = steps_of(xyz, np.ones((60, 1), bool))
     held = Samples.joined([s for _, s in steps[:31]])
     fed = [(f, Samples.none()) for f in range(30)] + [(30, held), *steps[31:]]
-    parts = list(lagged(fed, LagSettings(lag=5, acceleration_mps2=8.0)))
+    parts = lagged(fed, LagSettings(lag=5, acceleration_mps2=8.0))
     assert parts[30].frame.tolist() == list(range(26))
     assert [p.frame.tolist() for p in parts[31:60]] == [[f - 5] for f in range(31, 60)]
     assert parts[60].frame.tolist() == list(range(55, 60))
@@ -157,7 +142,7 @@ def test_every_sample_leaves_once_and_none_before_its_time(lag, instants):
     rng = np.random.default_rng(1)
     there = [np.isin(np.arange(5), who) for who in instants]
     steps = [(f, samples_of(f, np.zeros((5, 3)), t, rng)) for f, t in enumerate(there)]
-    parts = list(lagged(steps, LagSettings(lag=lag)))
+    parts = lagged(steps, LagSettings(lag=lag))
     for f, part in enumerate(parts[:-1]):
         assert (part.frame == f - lag).all()
     got = table(parts)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from track_points import made_tracks
 
 from mosca.data.tracks import Tracks
 from mosca.smoothing.gap_filling import CHI2_95, filled
@@ -27,18 +28,14 @@ def track_with_gaps(rng: np.random.Generator, told: bool) -> tuple[Tracks, np.nd
             if told:
                 sigma[side] = np.hypot(SIGMA_M, HIDDEN_M)
         seen[start : start + 3] = False
-    n = int(seen.sum())
-    tracks = Tracks(
-        frame[seen], (1e9 * t[seen]).astype(np.int64), np.zeros(n, int), np.full(n, "a"), (truth + error)[seen],
-        np.eye(3) * sigma[seen, None, None] ** 2, np.full(n, 4), np.zeros(n), np.full(n, "measured"),
-    )  # fmt: skip
-    instants = Tracks(
-        frame, (1e9 * t).astype(np.int64), np.ones(len(frame), int), np.full(len(frame), "b"), truth + 1,
-        np.tile(np.eye(3) * SIGMA_M**2, (len(frame), 1, 1)), np.full(len(frame), 4), np.zeros(len(frame)),
-        np.full(len(frame), "measured"),
-    )  # fmt: skip
-    both = [np.concatenate([getattr(tracks, f), getattr(instants, f)]) for f in Tracks.__dataclass_fields__]
-    return Tracks(*both), truth
+    # a second track shows all instants
+    both = made_tracks(
+        np.append(frame[seen], frame),
+        np.repeat([0, 1], [seen.sum(), len(frame)]),
+        np.concatenate([(truth + error)[seen], truth + 1]),
+        covariance=np.eye(3) * np.append(sigma[seen], np.full(len(frame), SIGMA_M))[:, None, None] ** 2,
+    )
+    return both, truth
 
 
 @pytest.mark.parametrize(("told", "least", "most"), [(True, 0.8, 1.0), (False, 0.0, 0.6)])

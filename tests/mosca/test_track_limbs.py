@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
-from track_points import points
+from track_points import STEP_NS, follow, points
 
 from mosca.data.tracks import table
 from mosca.tracking.assignment import best_pairs
@@ -16,7 +16,6 @@ from mosca.tracking.motion_models import motion
 from mosca.tracking.nearest_neighbour import NearestTracker
 from mosca.tracking.tracker import Tracker, TrackSettings
 
-STEP_NS = 10_000_000
 LIMB = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.15, 0], [0.02, 0.03, 0.12]])
 
 
@@ -26,14 +25,6 @@ def limb_path(frames):
     turn = Rotation.from_euler("zx", np.column_stack([60 * np.sin(4 * t), 30 * np.sin(2.5 * t)]), degrees=True)
     move = np.column_stack([0.8 * t, 0.2 * np.sin(3 * t), 1 + 0 * t])
     return np.array([r.apply(LIMB) + m for r, m in zip(turn, move, strict=True)])
-
-
-def follow(frames, tracker=None):
-    tracker, samples = tracker or Tracker(TrackSettings()), []
-    for k, p in enumerate(frames):
-        tracker.predict(k * STEP_NS * 1e-9)
-        samples.append(tracker.update(p, k, k * STEP_NS))
-    return table(samples)
 
 
 def identity_at(tracks, frame, place):

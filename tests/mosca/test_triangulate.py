@@ -3,30 +3,14 @@
 import cv2
 import numpy as np
 import pytest
+from rigs import PINHOLE, ring
 from scipy.stats import chi2
 
 from mosca.camera.projection import project
-from mosca.data.rig import Camera, MoscaLens, OpenCVLens, Pose, Rig
+from mosca.data.rig import Camera, MoscaLens, Pose, Rig
 from mosca.triangulation.triangulate import triangulate
 
-
-def looking_at(place, lens, name):
-    place = np.asarray(place, float)
-    z = -place / np.linalg.norm(place)
-    x = np.cross(z, [0, 0, 1.0])
-    x /= np.linalg.norm(x)
-    return Camera(name, 656, 491, lens, Pose(np.column_stack([x, np.cross(z, x), z]), place))
-
-
-PINHOLE = OpenCVLens(800.0, 800.0, 327.5, 245.0)
 MOSCA = MoscaLens(8.0, 330.0, 240.0, 0.01, 0.01, -0.006, 1e-3, -1.5e-5, 0, 1e-4, 5e-5)
-
-
-def rig_of(count, lens=MOSCA, radius=3.0):
-    turns = np.linspace(0, 2 * np.pi, count, endpoint=False) + 0.3
-    return Rig(
-        tuple(looking_at([radius * np.cos(t), radius * np.sin(t), 1.0], lens, f"c{k}") for k, t in enumerate(turns))
-    )
 
 
 def images(rig, points):
@@ -35,7 +19,7 @@ def images(rig, points):
 
 @pytest.mark.parametrize("count", [2, 3, 5])
 def test_exact_images_give_exact_points(count):
-    rig = rig_of(count)
+    rig = ring(count, MOSCA)
     points = np.random.default_rng(0).uniform(-0.4, 0.4, (20, 3))
     xyz, _, residual = triangulate(rig, images(rig, points))
     np.testing.assert_allclose(xyz, points, atol=1e-9)
@@ -53,7 +37,7 @@ def test_two_cameras_depth_error_by_hand():
 
 
 def test_opencv_finds_the_same_point_from_exact_pinhole_images():
-    rig = rig_of(2, PINHOLE)
+    rig = ring(2)
     points = np.random.default_rng(1).uniform(-0.4, 0.4, (10, 3))
     matrix = np.array([[800.0, 0, 327.5], [0, 800.0, 245.0], [0, 0, 1]])
     projections = []
@@ -66,7 +50,7 @@ def test_opencv_finds_the_same_point_from_exact_pinhole_images():
 
 
 def test_predicted_covariance_is_honest():
-    rig, rng, sigma = rig_of(4), np.random.default_rng(2), 0.2
+    rig, rng, sigma = ring(4, MOSCA), np.random.default_rng(2), 0.2
     points = rng.uniform(-0.4, 0.4, (2000, 3))
     xyz, covariance, residual = triangulate(rig, images(rig, points) + rng.normal(0, sigma, (2000, 4, 2)), sigma)
     error = xyz - points
@@ -78,7 +62,7 @@ def test_predicted_covariance_is_honest():
 
 
 def test_a_point_seen_once_is_nan():
-    rig = rig_of(3)
+    rig = ring(3, MOSCA)
     xy = images(rig, np.zeros((1, 3)))
     xy[0, 1:] = np.nan
     assert np.isnan(triangulate(rig, xy)[0]).all()

@@ -32,9 +32,9 @@ LENSES = {
 COVARIANCE = np.array([[0.01, 0.004], [0.004, 0.02]])
 
 
-def detected(xy, covariance=COVARIANCE):
+def detected(xy):
     n = len(xy)
-    return Detections("c", xy, np.tile(covariance, (n, 1, 1)), np.full(n, 6.0), np.ones(n), np.ones(n))
+    return Detections("c", xy, np.tile(COVARIANCE, (n, 1, 1)), np.full(n, 6.0), np.ones(n), np.ones(n))
 
 
 def bundled(lens, xy, sigma=0.0):

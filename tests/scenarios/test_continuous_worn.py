@@ -82,8 +82,8 @@ def test_clock_scores_are_the_worse_end_and_the_worst_camera():
     truth = SimpleNamespace(frames=frames, cameras=("a", "b"))
     seen = [SimpleNamespace(frame_ns=stamps + late, period_s=0.1) for late in (0, 7)]
     clocks = (
-        EstimatedClock("a", 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-        EstimatedClock("b", 7, 0.251, 1.5e-4, 0.0, 1e-6, 1e-6, 0.0),
+        EstimatedClock("a"),
+        EstimatedClock("b", 0.251, 1.5e-4, offset_sigma_s=1e-6, drift_sigma=1e-6, origin_ns=7),
     )
     found = SimpleNamespace(clocks=clocks, gathered=SimpleNamespace(seen=seen), rig=SimpleNamespace(names=("a", "b")))
     scores = clock_scores(found, truth)

@@ -126,15 +126,8 @@ def markers_of(
         for one, of_point, tie in zip(seen, tracklet, ties, strict=True)
     ]
     done = sum(count.frames.values())
-    tracks, sigma = tracked(
-        seen,
-        paths,
-        common_instants(seen, ties),
-        rig,
-        settings.pipeline,
-        None if attend is None else lambda k: attend(done + k),
-        moving,
-    )
+    on = None if attend is None else lambda k: attend(done + k)
+    tracks, sigma = tracked(seen, paths, common_instants(seen, ties), rig, settings.pipeline, on, moving)
     track = settings.pipeline.track
     curves = curves_of(tracks, track.coast_s)
     found, row = observed(seen, ties, rig, curves, sigma, moving=moving)

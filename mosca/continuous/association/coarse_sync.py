@@ -75,30 +75,29 @@ def tied_clocks(
     paths = [Tracklets.of(one, tracklet[c], own_s[c]) for c, one in enumerate(seen)]
     waiting = list(range(1, len(seen)))
     while waiting:
-        best: tuple[float, int, ClockTie] | None = None
+        best: tuple[int, ClockTie] | None = None
         for c in waiting:
             for known in ties:
                 pair = _Pair(
-                    rig.cameras[known], rig.cameras[c], seen[known], seen[c],
+                    rig.cameras[known], rig.cameras[c], max(seen[known].period_s, seen[c].period_s),
                     Tracklets.of(seen[known], tracklet[known], ties[known].common_s(own_s[known])), paths[c]
                 )  # fmt: skip
-                found = _searched(pair, search_s)
-                if found is not None and (best is None or found.clear > best[0]):
-                    best = (found.clear, c, found.tie(int(seen[c].frame_ns[0])))
-                if best is not None and best[1] == c and best[0] > 3 * CLEAR:
+                found = _searched(pair, search_s, int(seen[c].frame_ns[0]))
+                if found is not None and (best is None or found.clear > best[1].clear):
+                    best = c, found
+                if best is not None and best[0] == c and best[1].clear > 3 * CLEAR:
                     break
-            if best is not None and best[1] == c:
+            if best is not None and best[0] == c:
                 break
         if best is None:
             named = ", ".join(f"'{seen[c].info.name}'" for c in waiting)
             raise InputError(
                 f"camera {named}: no time offset within {search_s:g} s makes its images meet those of "
-                "another camera; "
-                "check the rig's poses and that both film the same moving points, or give a wider "
-                "--search if they were started farther apart"
+                "another camera; check the rig's poses and that both film the same moving points, or give a "
+                "wider --search if they were started farther apart"
             )
-        ties[best[1]] = best[2]
-        waiting.remove(best[1])
+        ties[best[0]] = best[1]
+        waiting.remove(best[0])
     return tuple(ties[c] for c in range(len(seen)))
 
 
@@ -108,8 +107,8 @@ class _Pair:
 
     camera_a: Camera
     camera_b: Camera
-    seen_a: CameraDetections
-    seen_b: CameraDetections
+    period_s: float
+    """The longer of their frame periods."""
     path_a: Tracklets
     path_b: Tracklets
 
@@ -119,39 +118,22 @@ class _Pair:
 
     def speed_px(self) -> float:
         """Return the upper quartile of the speed of image points in the camera searched [px/s]."""
-        some = self.path_b.at(_spread(self.path_b.time_s, INSTANTS))
+        some = self.path_b.at(_inner(float(self.path_b.time_s.min()), float(self.path_b.time_s.max())))
         if not len(some.row):
             return 0.0
         return float(np.quantile(np.linalg.norm(some.speed_px, axis=1), 0.75))
 
 
-@dataclass(frozen=True)
-class _Found:
-    """b's clock = shift_s + (1 + drift) a's; how clear it is, and a shift that is about as good."""
-
-    clear: float
-    shift_s: float
-    drift: float
-    rival_s: float | None
-
-    def tie(self, origin_ns: int) -> ClockTie:
-        """Return a's clock as b's has it: the equation inverted."""
-        rate = 1 / (1 + self.drift)
-        rival = None if self.rival_s is None else -self.rival_s * rate
-        return ClockTie(origin_ns, -self.shift_s * rate, rate - 1, self.clear, rival)
-
-
-def _searched(pair: _Pair, search_s: float) -> _Found | None:
-    """Return the shift between two cameras' clocks; None: unclear."""
+def _searched(pair: _Pair, search_s: float, origin_ns: int) -> ClockTie | None:
+    """Return the tie of b's clock, counted from ``origin_ns``, to a's; None: unclear."""
     speed = pair.speed_px()
-    period = max(pair.seen_a.period_s, pair.seen_b.period_s)
     if speed <= 0.0:
         return None
-    step = float(np.clip(COARSE_PX / speed, 0.1 * period, 2.0 * period))
+    step = float(np.clip(COARSE_PX / speed, 0.1 * pair.period_s, 2.0 * pair.period_s))
     begin_a, end_a = float(pair.path_a.time_s.min()), float(pair.path_a.time_s.max())
     shifts = np.arange(-search_s, search_s + step, step)
     # compared where both may have run
-    votes, count = _votes(pair, np.linspace(begin_a, end_a, INSTANTS + 2)[1:-1], shifts, COARSE_PX)
+    votes, count = _votes(pair, _inner(begin_a, end_a), shifts, COARSE_PX)
     enough = count >= 0.25 * count.max()
     score = np.where(enough, votes / np.maximum(count, 1), 0.0)
     some = score[enough]
@@ -162,8 +144,12 @@ def _searched(pair: _Pair, search_s: float) -> _Found | None:
     if clear < CLEAR or score[at] < middle + 0.1:
         return None
     other = rival(score - middle, at)
+    # b's clock = shift + (1 + drift) a's: inverted
     shift, drift = _line(pair, float(shifts[at]), step, speed)
-    return _Found(clear, shift, drift, None if other is None else float(shifts[other]))
+    rate = 1 / (1 + drift)
+    return ClockTie(
+        origin_ns, -shift * rate, rate - 1, clear, None if other is None else -float(shifts[other]) * rate
+    )
 
 
 def rival(score: Array, best: int) -> int | None:
@@ -192,7 +178,7 @@ def _line(pair: _Pair, shift: float, step: float, speed: float) -> tuple[float, 
     for a, b in pairwise(edges):
         reach = 2.0 * step + WIDEST_DRIFT * length
         near = shift + np.arange(-reach, reach + fine, fine)
-        votes, count = _votes(pair, np.linspace(a, b, INSTANTS + 2)[1:-1], near, FINE_PX)
+        votes, count = _votes(pair, _inner(a, b), near, FINE_PX)
         score = votes / np.maximum(count, 1)
         if count.max() == 0:
             continue
@@ -229,14 +215,13 @@ def _top(shifts: Array, score: Array) -> float:
 
 def _votes(pair: _Pair, instants_a: Array, shifts: Array, width_px: float) -> tuple[Array, Array]:
     """Return for each shift how many rays of a find a partner in b (by nearness), and how many were tested."""
-    step = shifts[1] - shifts[0]
-    a_world = _world(pair.camera_a, pair.path_a.at(instants_a))
+    instant_of, directions = _world_rays(pair.camera_a, pair.path_a.at(instants_a))
     base = pair.camera_b.world_from_camera.translation - pair.camera_a.world_from_camera.translation
     base = base / np.linalg.norm(base)
     votes, asked = np.zeros(len(shifts)), np.zeros(len(shifts))
     random = np.random.default_rng(0)
     for k, instant in enumerate(instants_a):
-        mine = a_world.of(k)
+        mine = directions[instant_of == k]
         if not len(mine):
             continue
         if len(mine) > MOST_POINTS:
@@ -244,37 +229,25 @@ def _votes(pair: _Pair, instants_a: Array, shifts: Array, width_px: float) -> tu
         normal = np.cross(mine, base)
         length = np.linalg.norm(normal, axis=1)
         normal = normal[length > 0.05] / length[length > 0.05][:, None]
-        theirs = pair.path_b.at(instant + shifts)
-        if not len(theirs.row) or not len(normal):
+        theirs, rays = _world_rays(pair.camera_b, pair.path_b.at(instant + shifts))
+        if not len(theirs) or not len(normal):
             continue
-        rays = _world(pair.camera_b, theirs).rays
         off = np.abs(rays.astype(np.float32) @ normal.T.astype(np.float32)) * np.float32(pair.px_per_rad)
-        starts = np.flatnonzero(np.diff(theirs.instant, prepend=-1))
+        starts = np.flatnonzero(np.diff(theirs, prepend=-1))
         nearest = np.minimum.reduceat(off, starts, axis=0)
-        at = theirs.instant[starts]
+        at = theirs[starts]
         votes[at] += np.exp(-0.5 * (nearest / width_px) ** 2).sum(axis=1)
         asked[at] += len(normal)
-    assert step > 0
     return votes, asked
 
 
-@dataclass(frozen=True, eq=False)
-class _World:
-    """Unit rays (r, 3) in the world, sorted by instant."""
-
-    instant: Array
-    rays: Array
-
-    def of(self, instant: int) -> Array:
-        low, high = np.searchsorted(self.instant, [instant, instant + 1])
-        return self.rays[low:high]
-
-
-def _world(camera: Camera, places: ImageInterpolation) -> _World:
+def _world_rays(camera: Camera, places: ImageInterpolation) -> tuple[Array, Array]:
+    """Return the rising instants (r,) of image points and their unit rays (r, 3) in the world."""
     directions = lens_directions(camera.lens, places.xy_px) @ camera.world_from_camera.rotation.T
     known = np.isfinite(directions).all(axis=1)
-    return _World(places.instant[known], directions[known])
+    return places.instant[known], directions[known]
 
 
-def _spread(time_s: Array, count: int) -> Array:
-    return np.linspace(float(time_s.min()), float(time_s.max()), count + 2)[1:-1]
+def _inner(begin_s: float, end_s: float) -> Array:
+    """Return the instants of a search, evenly within a span."""
+    return np.linspace(begin_s, end_s, INSTANTS + 2)[1:-1]

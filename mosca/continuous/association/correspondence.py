@@ -52,10 +52,9 @@ def common_instants(seen: Sequence[CameraDetections], ties: Sequence[ClockTie]) 
         shared = np.minimum(ends[c], ends[others]) - np.maximum(begins[c], begins[others])
         if not len(shared) or shared.max() <= 0.0:
             raise InputError(
-                f"camera '{one.info.name}': filmed from {begins[c]:.3f} to {ends[c]:.3f} s, at no time together with "
-                "another camera; check its stamps, say --clocks own where each camera has a clock of its "
-                "own, or leave "
-                "it out of the rig file"
+                f"camera '{one.info.name}': filmed from {begins[c]:.3f} to {ends[c]:.3f} s, at no time "
+                "together with another camera; check its stamps, say --clocks own where each camera has a "
+                "clock of its own, or leave it out of the rig file"
             )
     fastest = int(np.argmin([one.period_s for one in seen]))
     t = times[fastest]
@@ -108,9 +107,8 @@ def curves_of(tracks: Tracks, coast_s: float) -> SampledCurves:
     curves = SampledCurves.of(tracks, FEWEST_SAMPLES, coast_s)
     if not curves.points:
         raise InputError(
-            "no marker was followed by two cameras: check the rig, that the stamps are of one clock "
-            "(else --clocks own), "
-            "and the settings match.camera_sigma_px, match.worst_sigma_m and [volume]"
+            "no marker was followed by two cameras: check the rig, that the stamps are of one clock (else "
+            "--clocks own), and the settings match.camera_sigma_px, match.worst_sigma_m and [volume]"
         )
     return curves
 
@@ -155,11 +153,8 @@ def odd_sizes_px(diameter_px: Array, away_m: Array, point: Array) -> Array:
     its radius. ``away_m`` (n,): how far the target was; its usual size is the median of its own images in the camera.
     """
     size = diameter_px * away_m
-    order = np.argsort(point, kind="stable")
-    usual = np.empty(len(point))
-    names, starts = np.unique(point[order], return_index=True)
-    for rows in np.split(order, starts[1:]) if len(names) else []:
-        usual[rows] = np.median(size[rows])
+    names, of = np.unique(point, return_inverse=True)
+    usual = np.array([np.median(size[of == k]) for k in range(len(names))])[of]
     share = np.abs(1.0 - (size / usual) ** 2)
     return np.where(share > ODD_SHARE, share * 0.5 * diameter_px, 0.0)
 

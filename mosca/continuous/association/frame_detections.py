@@ -6,6 +6,7 @@ instant: mid-exposure by its own stamp (``mosca.data.frames``), of each image po
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,8 @@ FEWEST_FRAMES = 8
 """Frames of a camera from which on a trajectory can be distinguished from a few isolated points."""
 MOST_DETECTIONS = 5000
 """Image points that a frame may have; more are noise."""
+COLUMNS = ("xy_px", "covariance_px2", "diameter_px", "peak", "elongation", "flags")
+"""What ``CameraDetections`` holds of each image point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,20 +88,13 @@ def detect_in_frames(
     count: FrameCount | None = None,
     attend: Callable[[int], None] | None = None,
 ) -> tuple[CameraDetections, ...]:
-    """Return what the cameras ``names`` saw, in that order; frames of other cameras are passed over.
+    """Return what the cameras ``names`` of the source saw, in that order; frames of others are passed over.
 
     ``backgrounds``: camera -> image taken off first. ``attend``: called with the number of frames so far. InputError
     where a camera sends nothing, too little, or frames whose stamps do not rise.
     """
     infos = {info.name: info for info in source.cameras}
-    notes = {}
-    for name in names:
-        if name not in infos:
-            raise InputError(
-                f"camera '{name}' of the rig sends no frames; the source has {', '.join(infos)}; "
-                "give the cameras the same names in both"
-            )
-        notes[name] = _Notes(infos[name])
+    notes = {name: _Notes(infos[name]) for name in names}
     counts = FrameCount() if count is None else count
     done = 0
     for frame in source:
@@ -118,29 +114,22 @@ def detect_in_frames(
 
 def _detect(note: _Notes, frame: Frame, settings: DetectionSettings, background: Array | None) -> None:
     assert frame.image is not None
-    half_readout = frame.row_time_ns * (frame.rows - 1) // 2
-    middle = mid_exposure_ns(frame)
-    first_row = middle if frame.row_time_ns == 0 else middle - half_readout
+    first_row = mid_exposure_ns(frame) - frame.row_time_ns * (frame.rows - 1) // 2
     check_rise(frame.camera, note.index, note.frame_ns, frame.index, first_row)
-    found, taught = detect_with_statistics(
-        [frame.image],
-        [frame.camera],
-        settings,
-        note.info.bit_depth,
-        None if background is None else [background],
-        None,
-        note.learned,
+    backgrounds = None if background is None else [background]
+    (found,), taught = detect_with_statistics(
+        [frame.image], [frame.camera], settings, note.info.bit_depth, backgrounds, statistics=note.learned
     )
-    if len(found[0]) > MOST_DETECTIONS:
+    if len(found) > MOST_DETECTIONS:
         raise InputError(
-            f"camera '{frame.camera}', frame {frame.index}: {len(found[0])} detections, {MOST_DETECTIONS} are "
+            f"camera '{frame.camera}', frame {frame.index}: {len(found)} detections, {MOST_DETECTIONS} are "
             "allowed; noise is taken for targets: raise detection.contrast_dn, or give a background"
         )
     note.learned = note.learned.plus(taught)
     note.row_time_ns = frame.row_time_ns
     note.frame_ns.append(first_row)
     note.index.append(frame.index)
-    note.found.append(found[0])
+    note.found.append(found)
 
 
 def check_rise(camera: str, indices: list[int], times_ns: list[int], index: int, time_ns: int) -> None:
@@ -163,19 +152,13 @@ def _seen(note: _Notes) -> CameraDetections:
     if len(note.frame_ns) < FEWEST_FRAMES:
         raise InputError(
             f"camera '{note.info.name}': {len(note.frame_ns)} usable frames given, {FEWEST_FRAMES} are "
-            "needed to tell a "
-            "motion; record longer, or leave the camera out of the rig file"
+            "needed to tell a motion; record longer, or leave the camera out of the rig file"
         )
-    found = note.found
+    columns: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in note.found]) for name in COLUMNS}
     return CameraDetections(
         note.info,
         np.array(note.frame_ns, dtype=np.int64),
-        np.concatenate([[0], np.cumsum([len(one) for one in found])]),
-        np.concatenate([one.xy_px for one in found]),
-        np.concatenate([one.covariance_px2 for one in found]),
-        np.concatenate([one.diameter_px for one in found]),
-        np.concatenate([one.peak for one in found]),
-        np.concatenate([one.elongation for one in found]),
-        np.concatenate([one.flags for one in found]),
-        note.row_time_ns * 1e-9,
+        np.concatenate([[0], np.cumsum([len(one) for one in note.found])]),
+        row_time_s=note.row_time_ns * 1e-9,
+        **columns,
     )

@@ -39,7 +39,8 @@ class SampledCurves:
         start = np.concatenate([[0], np.cumsum(count[kept])]).astype(np.int64)
         at = np.concatenate(rows) if rows else np.empty(0, np.int64)
         names = tuple(f"m{k:03d}" for k in range(len(kept)))
-        speed = np.concatenate([_speed(time_s[r], xyz[r]) for r in rows]) if rows else np.empty((0, 3))
+        speeds = [np.gradient(xyz[r], time_s[r], axis=0) for r in rows]
+        speed = np.concatenate(speeds) if rows else np.empty((0, 3))
         return cls(names, numbers[kept], start, time_s[at], xyz[at], speed, longest_s)
 
     def at(self, time_s: Array) -> Array:
@@ -58,7 +59,3 @@ class SampledCurves:
             place = (1 + 2 * u) * (1 - u) ** 2 * p[left] + u * (1 - u) ** 2 * h * v[left]
             out[inside, k] = place + u**2 * (3 - 2 * u) * p[left + 1] - u**2 * (1 - u) * h * v[left + 1]
         return out
-
-
-def _speed(time_s: Array, xyz: Array) -> Array:
-    return np.gradient(xyz, time_s, axis=0)

@@ -7,6 +7,7 @@ shows that they are one, where the first ends before the second begins and a mot
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -52,8 +53,7 @@ def joined(
             first = into[first]
         heir[int(number[b])] = int(number[first])
     track = np.array([heir.get(t, t) for t in tracks.track.tolist()], dtype=np.int64)
-    columns = {name: getattr(tracks, name) for name in Tracks.__dataclass_fields__}
-    return Tracks(**(columns | {"track": track}))
+    return replace(tracks, track=track)
 
 
 def _votes(found: TimedObservations, tracklet: Sequence[Array], row: Array) -> Counter[tuple[int, int]]:

@@ -10,8 +10,6 @@ All image points are bearings: rays (n, 3) in the camera's frame, for an essenti
 the other camera is, not only on which line. (Homogeneous pixels (x, y, 1) are bearings, too, when estimating F.)
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mosca.data.arrays import Array
@@ -34,7 +32,11 @@ def fundamental(first: Array, second: Array, epipole: Array | None = None, other
     unit rays. Raises TooFewPointsError below 8, 5 or 3 points with no, one or two epipoles.
     """
     right, left = _basis(epipole), _basis(other)
-    _enough(first, (epipole is not None) + (other is not None))
+    seen = (epipole is not None) + (other is not None)
+    if len(first) < FEWEST[seen]:
+        raise TooFewPointsError(
+            f"{len(first)} corresponding points with {seen} observed epipoles given, {FEWEST[seen]} are needed"
+        )
     a, b = _unit(first) @ right, _unit(second) @ left
     rows = (b[:, :, None] * a[:, None, :]).reshape(len(a), -1)
     core = np.linalg.svd(rows, full_matrices=True)[2][-1].reshape(left.shape[1], right.shape[1])
@@ -53,21 +55,12 @@ def essential(first: Array, second: Array, epipole: Array | None = None, other: 
     """
     if epipole is not None and other is not None:
         return _about_base(_unit(first), _unit(second), _unit(epipole), _unit(other))
-    return _equalised(fundamental(first, second, epipole, other))
+    u, _, vt = np.linalg.svd(fundamental(first, second, epipole, other))
+    return np.asarray(u @ np.diag([1.0, 1.0, 0.0]) @ vt)
 
 
-@dataclass(frozen=True, eq=False)
-class Relative:
-    """Where a second camera is: ``second_from_first`` with a base of length 1, and the share of points in front of
-    both cameras, ``in_front``.
-    """
-
-    second_from_first: Pose
-    in_front: float
-
-
-def relative_pose(first: Array, second: Array, epipole: Array | None = None, other: Array | None = None) -> Relative:
-    """Return the relative pose of two calibrated cameras from corresponding unit rays (n, 3) and observed epipoles.
+def relative_pose(first: Array, second: Array, epipole: Array | None = None, other: Array | None = None) -> Pose:
+    """Return second_from_first, with a base of length 1, from corresponding unit rays (n, 3) and observed epipoles.
 
     Of the four poses of an essential matrix the one is taken that has most points at positive distances along both
     rays, which holds beyond 90 degrees from the axis too (Hartley and Zisserman 2003, 9.6.3, by ray instead of by
@@ -82,11 +75,12 @@ def relative_pose(first: Array, second: Array, epipole: Array | None = None, oth
             seen += np.sign(-(pose.rotation.T @ pose.translation) @ epipole)
         if other is not None:
             seen += np.sign(pose.translation @ other)
-        share = float(np.mean(_in_front(pose, a, b)))
+        along_a, along_b = distances_along(pose, a, b)
+        share = float(np.mean((along_a > 0) & (along_b > 0)))
         if best is None or (seen, share) > best[:2]:
             best = (float(seen), share, pose)
     assert best is not None
-    return Relative(best[2], best[1])
+    return best[2]
 
 
 def poses_of_essential(matrix: Array) -> tuple[Pose, ...]:
@@ -108,11 +102,6 @@ def distances_along(pose: Pose, first: Array, second: Array) -> tuple[Array, Arr
         return (ab * bt - bb * at) / scale, (aa * bt - ab * at) / scale
 
 
-def _in_front(pose: Pose, first: Array, second: Array) -> Array:
-    s, r = distances_along(pose, first, second)
-    return (s > 0) & (r > 0)
-
-
 def _unit(rays: Array) -> Array:
     rays = np.asarray(rays, dtype=float)
     return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
@@ -127,19 +116,6 @@ def _basis(epipole: Array | None) -> Array:
     x = np.cross(e, side)
     x /= np.linalg.norm(x)
     return np.column_stack([x, np.cross(e, x)])
-
-
-def _enough(first: Array, epipoles: int) -> None:
-    if len(first) < FEWEST[epipoles]:
-        raise TooFewPointsError(
-            f"{len(first)} corresponding points with {epipoles} observed epipoles given, "
-            f"{FEWEST[epipoles]} are needed"
-        )
-
-
-def _equalised(matrix: Array) -> Array:
-    u, _, vt = np.linalg.svd(matrix)
-    return np.asarray(u @ np.diag([1.0, 1.0, 0.0]) @ vt)
 
 
 def _about_base(first: Array, second: Array, epipole: Array, other: Array) -> Array:

@@ -1,12 +1,13 @@
 """Cameras without known poses: where to begin. Two views by their essential matrix, the others by resection."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from mosca.calibration.initial.target_pose import poses_of
 from mosca.continuous.comparison_methods.epipoles import TooFewPointsError, relative_pose
 from mosca.continuous.comparison_methods.synchronous import Cameras, PosesAndPoints, Views, adjust, intersected
 from mosca.data.arrays import Array
-from mosca.data.rig import Pose
 from mosca.errors import InputError
 
 MOST_RAYS = 2000
@@ -42,7 +43,7 @@ def first_scene(views: Views, cameras: Cameras, *, epipoles: bool = True) -> Pos
     for i in sorted(range(t), key=lambda i: (i % STEP != 0, i)):
         if i % STEP and np.isfinite(centres).any():
             break
-        one = _still(_instants(views, np.array([i])), epipoles)
+        one = _still(replace(views, xy_px=views.xy_px[[i]]), epipoles)
         if one is not None:
             rotations[i], centres[i] = one
     if not np.isfinite(centres).any():
@@ -68,10 +69,8 @@ def in_datum(scene: PosesAndPoints, views: Views) -> PosesAndPoints:
 
 def _moving(views: Views, rotations: Array, centres: Array, epipoles: bool) -> PosesAndPoints:
     """Adjust every instant from its own start and, where that ends badly, from its neighbours'."""
-    ready = np.asarray(np.isfinite(centres).all(axis=(1, 2)))
-    nearest = np.array(
-        [np.flatnonzero(ready)[np.argmin(np.abs(np.flatnonzero(ready) - i))] for i in range(len(ready))]
-    )
+    ready = np.flatnonzero(np.isfinite(centres).all(axis=(1, 2)))
+    nearest = ready[np.abs(ready - np.arange(len(centres))[:, None]).argmin(axis=1)]
     best = adjust(views, _scene(views, rotations[nearest], centres[nearest]), "moving", epipoles=epipoles)
     scene, rms = in_datum(best.scene, views), best.rms_px.copy()
     for _ in range(2):
@@ -80,7 +79,7 @@ def _moving(views: Views, rotations: Array, centres: Array, epipoles: bool) -> P
             again = np.flatnonzero((rms > WORSE * np.median(rms)) & (rms > rms[beside]))
             if not len(again):
                 continue
-            part = _instants(views, again)
+            part = replace(views, xy_px=views.xy_px[again])
             start = _scene(part, scene.rotations[beside[again]], scene.centres[beside[again]])
             trial = adjust(part, start, "moving", epipoles=epipoles)
             better = trial.rms_px < rms[again]
@@ -95,10 +94,6 @@ def _scene(views: Views, rotations: Array, centres: Array) -> PosesAndPoints:
     if rotations.ndim == 3:
         rotations, centres = np.tile(rotations, (t, 1, 1, 1)), np.tile(centres, (t, 1, 1))
     return PosesAndPoints(rotations, centres, intersected(views, rotations, centres))
-
-
-def _instants(views: Views, which: Array) -> Views:
-    return Views(views.cameras, views.xy_px[which], views.carried_by, views.carried_at)
 
 
 def _still(views: Views, epipoles: bool) -> tuple[Array, Array] | None:
@@ -117,18 +112,16 @@ def _still(views: Views, epipoles: bool) -> tuple[Array, Array] | None:
         found = relative_pose(a, b, toward if epipoles else None, back if epipoles else None)
     except TooFewPointsError:
         return None
-    poses = {first: Pose(np.eye(3), np.zeros(3)), second: found.second_from_first.inverse()}
+    pose = found.inverse()
     rotations, centres = np.tile(np.eye(3), (c, 1, 1)), np.zeros((c, 3))
-    rotations[second], centres[second] = poses[second].rotation, poses[second].translation
-    pair = Views(
-        (views.cameras[first], views.cameras[second]), views.xy_px[:, [first, second]], views.carried_by,
-        views.carried_at
-    )  # fmt: skip
+    rotations[second], centres[second] = pose.rotation, pose.translation
+    both_cameras = views.cameras[first], views.cameras[second]
+    pair = replace(views, cameras=both_cameras, xy_px=views.xy_px[:, [first, second]])
     t = len(views.xy_px)
     both_r, both_c = rotations[[first, second]], centres[[first, second]]
     xyz = intersected(pair, np.tile(both_r, (t, 1, 1, 1)), np.tile(both_c, (t, 1, 1)))
     for k in range(c):
-        if k in poses:
+        if k in (first, second):
             continue
         good = np.asarray(seen[:, k] & np.isfinite(xyz).all(axis=-1))
         thin = _thinned(int(good.sum()))

@@ -48,15 +48,9 @@ class ImageTracks:
             breaks = np.flatnonzero((np.diff(see.point[mine]) != 0) | (np.diff(see.time_s[mine]) > longest))
             for piece in np.split(mine, breaks + 1):
                 t = see.time_s[piece]
-                inside = (time_s >= t[0] - 1e-9) & (time_s <= t[-1] + 1e-9)
-                if len(piece) < 2:
-                    continue
-                line = (
-                    make_interp_spline(t, see.xy_px[piece], k=1)
-                    if self.kind == "linear"
-                    else CubicSpline(t, see.xy_px[piece])
-                )
-                xy[inside, k, see.point[piece[0]]] = line(time_s[inside])
+                if len(piece) >= 2:
+                    inside, found = _on_line(self.kind, t, see.xy_px[piece], time_s)
+                    xy[inside, k, see.point[piece[0]]] = found
         order = tuple(self.rig.camera(name) for name in see.cameras)
         return Views(order, xy, see.carried_by, see.carried_at)
 
@@ -149,8 +143,13 @@ def _between(instants: Array, xyz: Array, time_s: Array, kind: Kind) -> Array:
         for start, end in edges.reshape(-1, 2):
             if end - start < 2:
                 continue
-            t, values = instants[start:end], xyz[start:end, n]
-            inside = (time_s >= t[0] - 1e-9) & (time_s <= t[-1] + 1e-9)
-            line = make_interp_spline(t, values, k=1) if kind == "linear" else CubicSpline(t, values)
-            found[inside, n] = line(time_s[inside])
+            inside, values = _on_line(kind, instants[start:end], xyz[start:end, n], time_s)
+            found[inside, n] = values
     return found
+
+
+def _on_line(kind: Kind, t: Array, values: Array, time_s: Array) -> tuple[Array, Array]:
+    """Return which of ``time_s`` lie within ``t`` (n,), and what ``values`` (n, k) interpolated are there."""
+    inside = (time_s >= t[0] - 1e-9) & (time_s <= t[-1] + 1e-9)
+    line = make_interp_spline(t, values, k=1) if kind == "linear" else CubicSpline(t, values)
+    return inside, line(time_s[inside])

@@ -18,7 +18,7 @@ from mosca.continuous.comparison_methods.interpolated import Interpolated
 from mosca.continuous.comparison_methods.moving_projection import project_moving
 from mosca.continuous.comparison_methods.neural_cameras import NetPoses, PoseModel, SteadyPoses
 from mosca.continuous.comparison_methods.neural_net import Nets, Tangent, damped_solve, fitted
-from mosca.continuous.comparison_methods.synchronous import Cameras
+from mosca.continuous.comparison_methods.synchronous import Cameras, image_errors
 from mosca.continuous.model.observations import TimedObservations
 from mosca.data.arrays import Array
 from mosca.data.rig import Rig
@@ -183,14 +183,10 @@ class _Task:
             if not own.any():
                 continue
             at = self.when[row[own]]
-            image = project_moving(camera, rotations[at, k], centres[at, k], points[own])
-            rest = see.xy_px[row[own]] - image.xy_px
-            lost = ~np.isfinite(rest).all(axis=1)
-            # a trial that loses a point must not count as a fit
-            error[own] = np.where(lost[:, None], 1e4, rest)
-            by_point[own] = np.where(lost[:, None, None], 0.0, image.by_point)
-            turn = np.where(lost[:, None, None], 0.0, image.by_rotation)
-            pose[own] = np.concatenate([turn, -by_point[own]], axis=2)
+            projected = project_moving(camera, rotations[at, k], centres[at, k], points[own])
+            image, error[own] = image_errors(projected, see.xy_px[row[own]])
+            by_point[own] = image.by_point
+            pose[own] = np.concatenate([image.by_rotation, -image.by_point], axis=2)
         return error, by_point, pose
 
     def stepped(self, state: Neural, linear: _Linear, damping: float) -> Neural:

@@ -14,49 +14,28 @@ from scipy.spatial.transform import Rotation
 from mosca.camera.projection import cross_matrices
 from mosca.continuous.comparison_methods.moving_projection import rotated
 from mosca.continuous.comparison_methods.neural_net import Nets, Tangent, fitted
+from mosca.continuous.model.camera_paths import StillCameras
+from mosca.continuous.model.observations import CameraPaths
 from mosca.data.arrays import Array
 
 MOST_PATTERNS, LEAST_SHARE = 40, 1e-7
 """Patterns of a network that are kept at most, and the smallest eigenvalue's share of the largest."""
-
-
 STILL = 1e-6
 """Least spread of a component [rad, m]."""
 
 
-class PoseModel(Protocol):
+class PoseModel(CameraPaths, Protocol):
     """Poses world_from_camera of c cameras over time; z (c, 6 r) are the unknowns."""
-
-    @property
-    def cameras(self) -> tuple[str, ...]:
-        """Names."""
-        ...
-
-    def at(self, time_s: Array) -> tuple[Array, Array]:
-        """Return rotations (t, c, 3, 3) and centres (t, c, 3) [m] at ``time_s`` (t,)."""
-        ...
 
     def slopes(self, time_s: Array) -> Array:
         """Return (t, c, 6, u): rotation about the camera's own axes and position, by its own u unknowns."""
-        ...
 
     def moved(self, time_s: Array, z: Array) -> "PoseModel":
         """Return the cameras after a step z (c, u) of what ``slopes(time_s)`` belongs to; the first one stays."""
-        ...
 
 
-@dataclass(frozen=True, eq=False)
-class SteadyPoses:
-    """Cameras that do not move: ``rotations`` (c, 3, 3), ``centres`` (c, 3)."""
-
-    cameras: tuple[str, ...]
-    rotations: Array
-    centres: Array
-
-    def at(self, time_s: Array) -> tuple[Array, Array]:
-        """As PoseModel."""
-        t = len(time_s)
-        return np.tile(self.rotations, (t, 1, 1, 1)), np.tile(self.centres, (t, 1, 1))
+class SteadyPoses(StillCameras):
+    """Cameras that do not move."""
 
     def slopes(self, time_s: Array) -> Array:
         """As PoseModel: the six of the pose itself."""

@@ -17,6 +17,8 @@ from mosca.data.arrays import Array
 HIDDEN = 256
 FREQUENCIES = (1.0, 2.0)
 """Half periods of the encoding over the whole recording."""
+RIDGE = 1e-6
+"""How firmly a fit holds the weights where they were, by the kernel's mean diagonal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,11 +127,8 @@ def damped_solve(kernel: Array, damping: Array, right: Array) -> Array:
     return solved
 
 
-def fitted(nets: Nets, time_s: Array, values: Array, *, steps: int = 8, ridge: float = 1e-6) -> Nets:
-    """Return the networks brought to ``values`` (p, t, o) at instants (t,): damped Gauss-Newton steps.
-
-    ``ridge``: how firmly the weights stay where they were, by the kernel's mean diagonal. NaN values are left out.
-    """
+def fitted(nets: Nets, time_s: Array, values: Array, *, steps: int = 8) -> Nets:
+    """Return the networks brought to ``values`` (p, t, o) at instants (t,): damped Gauss-Newton steps."""
     p, t, o = values.shape
     known = np.asarray(np.isfinite(values).all(axis=2))
     onto = np.where(known[:, :, None, None], np.eye(o), 0.0)
@@ -143,7 +142,7 @@ def fitted(nets: Nets, time_s: Array, values: Array, *, steps: int = 8, ridge: f
         cost = now
         tangent = Tangent.of(nets, times, onto)
         kernel = tangent.kernel()
-        damping = ridge * np.einsum("paa->p", kernel) / max(t * o, 1) + 1e-300
+        damping = RIDGE * np.einsum("paa->p", kernel) / max(t * o, 1) + 1e-300
         dual = damped_solve(kernel, damping, rest.reshape(p, -1, 1))[..., 0]
         trial = tangent.moved(dual)
         after = np.where(known[..., None], values - trial.at(time_s), 0.0)

@@ -16,7 +16,7 @@ from typing import Literal
 
 import numpy as np
 
-from mosca.camera.projection import lens_directions
+from mosca.camera.projection import cross_matrices, lens_directions
 from mosca.continuous.comparison_methods.moving_projection import ProjectedPoints, project_moving, rotated
 from mosca.data.arrays import Array
 from mosca.data.rig import Camera
@@ -25,6 +25,8 @@ Cameras = Literal["known", "fixed", "moving"]
 STEPS, WORST_DAMPING, TINY = 60, 1e12, 1e-12
 SETTLED = 1e-9
 """Relative decrease of the cost below which the iteration has converged."""
+LOST_PX = 1e4
+"""Error of a point which a trial pose does not image at all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +178,9 @@ class _Task:
             slope = np.zeros((len(at), 2, size))
             slope[:, :, 6 * viewer : 6 * viewer + 3] = image.by_rotation
             slope[:, :, 6 * viewer + 3 : 6 * viewer + 6] = -image.by_point
-            slope[:, :, 6 * carrier : 6 * carrier + 3] = self._by_carriers_rotation(scene, carrier, m, at, image)
+            # d (R exp([w]x) a) / dw = -R [a]x
+            cross = cross_matrices(self.views.carried_at[[m]])[0]
+            slope[:, :, 6 * carrier : 6 * carrier + 3] = -image.by_point @ scene.rotations[at, carrier] @ cross
             slope[:, :, 6 * carrier + 3 : 6 * carrier + 6] = image.by_point
             camera[at] += np.swapaxes(slope, 1, 2) @ slope
             camera_right[at] += np.einsum("kpi,kp->ki", slope, error)
@@ -225,8 +229,7 @@ class _Task:
         # the first camera is the datum
         solved = np.linalg.solve(reduced[:, 6:, 6:], (system.camera_right - taken_right)[:, 6:, None])
         moved[:, 6:] = solved[..., 0]
-        result: Array = moved
-        return result
+        return np.asarray(moved)
 
     def cost(self, scene: PosesAndPoints) -> Array:
         cost = np.zeros(len(scene.xyz))
@@ -249,7 +252,7 @@ class _Task:
         image = project_moving(
             self.views.cameras[k], scene.rotations[at, k], scene.centres[at, k], scene.xyz[at, which]
         )
-        return at, which, *_errors(image, self.views.xy_px[at, k, self.free[which]])
+        return at, which, *image_errors(image, self.views.xy_px[at, k, self.free[which]])
 
     def _epipole(self, scene: PosesAndPoints, viewer: int, m: int, at: Array) -> tuple[ProjectedPoints, Array]:
         carrier = int(self.views.carried_by[m])
@@ -257,22 +260,11 @@ class _Task:
         image = project_moving(
             self.views.cameras[viewer], scene.rotations[at, viewer], scene.centres[at, viewer], lamp
         )
-        return _errors(image, self.views.xy_px[at, viewer, m])
-
-    def _by_carriers_rotation(
-        self, scene: PosesAndPoints, carrier: int, m: int, at: Array, image: ProjectedPoints
-    ) -> Array:
-        """Return d image / d rotation of the carrier (k, 2, 3): d (R exp([w]x) a) / dw = -R [a]x."""
-        a = self.views.carried_at[m]
-        cross = np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
-        return np.asarray(-image.by_point @ scene.rotations[at, carrier] @ cross)
+        return image_errors(image, self.views.xy_px[at, viewer, m])
 
 
-LOST_PX = 1e4
-"""Error of a point which a trial pose does not image at all."""
-
-
-def _errors(image: ProjectedPoints, observed: Array) -> tuple[ProjectedPoints, Array]:
+def image_errors(image: ProjectedPoints, observed: Array) -> tuple[ProjectedPoints, Array]:
+    """Return images and their errors; without slopes and with an error of LOST_PX where a point is not imaged."""
     error = observed - image.xy_px
     lost = ~np.isfinite(error).all(axis=1)
     if not lost.any():

@@ -15,12 +15,11 @@ from mosca.continuous.estimator.constant_distances import NO_PAIRS, Pairs, find_
 from mosca.continuous.estimator.gauss_newton import Solved, curves_of, draws, sigma0, step
 from mosca.continuous.estimator.initial_state import (
     enough,
-    first_covariance,
+    first_covariances,
     first_knots,
     grouped,
     moving_start,
     seen_from_to,
-    still_of,
 )
 from mosca.continuous.estimator.input_checks import check
 from mosca.continuous.estimator.motion_prior import ORDERS, expected_accelerations, liveliness, shrunk
@@ -28,6 +27,7 @@ from mosca.continuous.estimator.observation_equations import ImagePoints
 from mosca.continuous.estimator.residual_covariance import unheld
 from mosca.continuous.estimator.single_point import first_curves
 from mosca.continuous.estimator.state import StateLayout, TrajectoryState, layout
+from mosca.continuous.model.camera_paths import StillCameras
 from mosca.continuous.model.estimated import Clock, ConstantDistance, ContinuousEstimate, ContinuousSettings
 from mosca.continuous.model.observations import CameraPaths, Curves, TimedObservations
 from mosca.data.arrays import Array
@@ -70,14 +70,14 @@ def estimate(
     began = stopwatch.perf_counter()
     settings = ContinuousSettings() if settings is None else settings
     check(observations, rig)
-    told: list[str] = []
+    findings: list[str] = []
     used = observations
     if settings.cameras == "known":
         used = observations.only(observations.carried_by[observations.point] < 0)
     image = ImagePoints(used, rig)
-    points = enough(used, told)
+    points = enough(used, findings)
     spans = seen_from_to(used, used.time_s)
-    still = still_of(rig, observations.cameras)
+    still = StillCameras.of(rig, observations.cameras)
     knots = first_knots(used, settings)
     clock_free = clock_rules.free_unknowns(settings.clocks, len(observations.cameras))
     xyz = np.zeros((knots.count, len(observations.points), 3))
@@ -98,26 +98,25 @@ def estimate(
         state, strength, _ = first_curves(image, replace(state, order=ORDERS[0]), alone, points, None, False)
     groups = grouped(state, points, settings)
     places = layout(groups, len(still.cameras), settings.cameras, clock_free & ~held)
-    covariances = _first_covariances(points, strength, places)
+    covariances = first_covariances(points, strength, places)
     if places.moving:
         covariances[0][3 * len(points) :, 3 * len(points) :] = of_cameras
     seen = np.isin(np.arange(len(observations.points)), points)
     solved, covariances, pairs = _rounds(image, state, places, covariances, settings, seen, spans)
     rng = np.random.default_rng(0)
     size = sigma0(solved, places, draws(solved, places, DRAWS, rng))
-    told += clock_rules.findings(observations.cameras, held)
+    findings += clock_rules.findings(observations.cameras, held)
     if settings.cameras != "known":
-        told.append("scale: no length is given, so that it is the start's; give a known distance to make it metres")
+        findings.append(
+            "scale: no length is given, so that it is the start's; give a known distance to make it metres"
+        )
     if size > LARGEST_SIGMA0:
-        told.append(f"image errors are {size:.1f} times as large as stated: look at clocks, calibration and names")
-    curves = curves_of(
-        solved,
-        places,
-        covariances,
-        observations,
-        seen_from_to(used, image.times(solved.state)),
-        unheld(image, solved, places, alone, points),
-    )
+        findings.append(
+            f"image errors are {size:.1f} times as large as stated: look at clocks, calibration and names"
+        )
+    spans = seen_from_to(used, image.times(solved.state))
+    missing = unheld(image, solved, places, alone, points)
+    curves = curves_of(solved, places, covariances, observations, spans, missing)
     names = observations.points
     found = tuple(
         ConstantDistance(names[i], names[j], float(d), float(s))
@@ -125,13 +124,8 @@ def estimate(
     )
     times = clock_rules.results(observations.cameras, places, solved.state.clocks, solved.covariance, held)
     return ContinuousEstimate(
-        curves, solved.state.paths, tuple(times), found, tuple(told), size, stopwatch.perf_counter() - began
+        curves, solved.state.paths, tuple(times), found, tuple(findings), size, stopwatch.perf_counter() - began
     )
-
-
-def _first_covariances(points: Array, strength: Array, places: StateLayout) -> list[Array]:
-    of_point = dict(zip(points.tolist(), strength, strict=True))
-    return [first_covariance(of_point, places, g) for g in range(len(places.groups))]
 
 
 def _settled(
@@ -143,7 +137,7 @@ def _settled(
     """
     rng = np.random.default_rng(0)
     places = layout(grouped(state, points, settings), len(state.still.cameras), settings.cameras, clock_free)
-    covariances = _first_covariances(points, strength, places)
+    covariances = first_covariances(points, strength, places)
     for k in range(MOST_ROUNDS):
         solved = step(image, state, places, covariances, NO_PAIRS, noise)
         state = solved.state

@@ -68,8 +68,7 @@ def step(
         band = Band(knots.count, knots.degree + 1, width, places.shared)
         for rows in (own, limb, frame_rows(state, places, g)):
             # a step from x and the whole of x are the same equations; the prior needs all of x
-            whole = rows.rest + rows.applied(x, width)
-            band.add(Rows(rows.first, rows.weights, rows.columns, rows.values, rows.shared, whole))
+            band.add(rows._replace(rest=rows.rest + rows.applied(x, width)))
         corner += own.shared.T @ own.shared
         corner_right += own.shared.T @ (own.rest + own.applied(x, width))
         add_prior(band, state, places, g, covariances[g])
@@ -188,7 +187,7 @@ def _of_group(
         table[k:base:3] = np.where(begin >= 0, begin + k, -1)
     if places.moving:
         table[base:-1] = 3 * len(places.groups[group]) + np.arange(6 * places.cameras)
-    return Rows(rows.first, rows.weights, table[rows.columns], rows.values, rows.shared, rows.rest)
+    return rows._replace(columns=table[rows.columns])
 
 
 def _shared_prior(places: StateLayout, state: TrajectoryState) -> tuple[Array, Array]:

@@ -11,7 +11,6 @@ from mosca.continuous.model.camera_paths import PosedCameras, StillCameras
 from mosca.continuous.model.estimated import ContinuousSettings, SplinePaths
 from mosca.continuous.model.observations import CameraPaths, TimedObservations
 from mosca.data.arrays import Array
-from mosca.data.rig import Rig
 from mosca.errors import InputError
 
 DEGREE = 3
@@ -24,7 +23,7 @@ CAMERA_START = (3.0, 1.0)
 """A-priori accelerations of a moving camera: rad/s^2 and m/s^2 in a band of one hertz."""
 
 
-def enough(observations: TimedObservations, told: list[str]) -> Array:
+def enough(observations: TimedObservations, findings: list[str]) -> Array:
     """Return the free points that two cameras see often enough, and report which are left out."""
     points = []
     for p in observations.free:
@@ -33,7 +32,7 @@ def enough(observations: TimedObservations, told: list[str]) -> Array:
         if own.sum() >= FEWEST_SIGHTINGS and seen_by >= 2:
             points.append(int(p))
         else:
-            told.append(
+            findings.append(
                 f"point '{observations.points[p]}' is left out: {own.sum()} image points by {seen_by} cameras, "
                 f"{FEWEST_SIGHTINGS} by 2 are needed"
             )
@@ -55,12 +54,6 @@ def seen_from_to(observations: TimedObservations, time_s: Array) -> Array:
         own = time_s[observations.point == p]
         spans[p] = own.min(), own.max()
     return spans
-
-
-def still_of(rig: Rig, names: tuple[str, ...]) -> StillCameras:
-    """Return the named cameras where the rig has them."""
-    poses = [rig.camera(name).world_from_camera for name in names]
-    return StillCameras(names, np.array([p.rotation for p in poses]), np.array([p.translation for p in poses]))
 
 
 def first_knots(observations: TimedObservations, settings: ContinuousSettings) -> Knots:
@@ -122,10 +115,10 @@ def grouped(state: TrajectoryState, points: Array, settings: ContinuousSettings)
     return tuple(np.sort(part) for part in parts)
 
 
-def first_covariance(strengths: dict[int, float], places: StateLayout, group: int) -> Array:
-    """Return the initial covariance of a group's prior: diagonal, each point separately."""
-    own = np.repeat([np.exp(-strengths[p]) for p in places.groups[group].tolist()], 3)
-    if not places.moving:
-        return np.diag(own)
-    turn, move = CAMERA_START
-    return np.diag(np.concatenate([own, np.tile([turn**2] * 3 + [move**2] * 3, places.cameras)]))
+def first_covariances(points: Array, strength: Array, places: StateLayout) -> list[Array]:
+    """Return the initial covariance of each group's prior: diagonal, of points by their log ``strength``."""
+    of_point = dict(zip(points.tolist(), strength, strict=True))
+    rotation, centre = CAMERA_START
+    of_cameras = np.tile([rotation**2] * 3 + [centre**2] * 3, places.cameras if places.moving else 0)
+    own = [np.repeat([np.exp(-of_point[p]) for p in group.tolist()], 3) for group in places.groups]
+    return [np.diag(np.concatenate([of_points, of_cameras])) for of_points in own]

@@ -6,7 +6,7 @@ import numpy as np
 
 from mosca.camera.projection import cross_matrices, lens_directions, project_with_jacobians
 from mosca.continuous.estimator.banded_normals import Rows
-from mosca.continuous.estimator.state import StateLayout, TrajectoryState, instants
+from mosca.continuous.estimator.state import StateLayout, TrajectoryState
 from mosca.continuous.model.bspline import values
 from mosca.continuous.model.observations import TimedObservations
 from mosca.data.arrays import Array
@@ -56,7 +56,8 @@ class ImagePoints:
     def times(self, state: TrajectoryState) -> Array:
         """Return when each image point was exposed [s]."""
         o = self.observations
-        return instants(o.camera, o.time_s, o.xy_px[:, 1], state.clocks)
+        offset, drift, row_time = state.clocks[o.camera].T
+        return np.asarray(offset + (1 + drift) * o.time_s + row_time * o.xy_px[:, 1])
 
     def _project(self, v: Array) -> tuple[Array, Array]:
         xy, by_v = np.empty((len(v), 2)), np.empty((len(v), 2, 3))
@@ -65,30 +66,33 @@ class ImagePoints:
             xy[own], by_v[own] = projected.xy_px, projected.by_point
         return xy, by_v
 
+    def _poses(self, state: TrajectoryState, time_s: Array) -> tuple[Array, Array, Array, Array]:
+        """Return all cameras' rotations (k, c, 3, 3), centres and estimated rotation vectors (k, c, 3) at k instants,
+        and which of them each of ``time_s`` (n,) is.
+        """
+        if state.moving is None:
+            still = state.still
+            none = np.zeros((1, *still.centres.shape))
+            return still.rotations[None], still.centres[None], none, np.zeros(len(time_s), np.int64)
+        # all points of an exposure share its instant, at which every camera's pose is evaluated once
+        instant, which = np.unique(time_s, return_inverse=True)
+        return *state.moving.at(instant), values(state.knots, state.moving.coefficients, instant)[..., :3], which
+
     def _near(self, state: TrajectoryState, time_s: Array) -> _Near:
         o = self.observations
         first, weight = state.knots.weights(time_s)
         reached = first[:, None] + np.arange(weight.shape[1])
         world = np.einsum("na,nai->ni", weight, state.xyz[reached, o.point[:, None]])
-        if state.moving is None:
-            rotations, centres = state.still.rotations, state.still.centres
-            rotation, centre = rotations[o.camera], centres[o.camera]
-            other, other_centre = rotations[self.carrier], centres[self.carrier]
-            turn = other_turn = np.zeros((0, 3))
-        else:
-            # all points of an exposure share its instant, at which every camera's pose is evaluated once
-            instant, which = np.unique(time_s, return_inverse=True)
-            all_rotations, all_centres = state.moving.at(instant)
-            rotation, centre = all_rotations[which, o.camera], all_centres[which, o.camera]
-            other, other_centre = all_rotations[which, self.carrier], all_centres[which, self.carrier]
-            change = values(state.knots, state.moving.coefficients, instant)
-            turn, other_turn = change[which, o.camera, :3], change[which, self.carrier, :3]
+        rotations, centres, turns, which = self._poses(state, time_s)
+        own, other = (which, o.camera), (which, self.carrier)
+        rotation = rotations[own]
         is_carried = self.carrier >= 0
         if is_carried.any():
             at = o.carried_at[o.point]
-            world = np.where(is_carried[:, None], other_centre + np.einsum("nij,nj->ni", other, at), world)
-        v = np.einsum("nji,nj->ni", rotation, world - centre)
-        return _Near(v, rotation, other, turn, other_turn)
+            carried = centres[other] + np.einsum("nij,nj->ni", rotations[other], at)
+            world = np.where(is_carried[:, None], carried, world)
+        v = np.einsum("nji,nj->ni", rotation, world - centres[own])
+        return _Near(v, rotation, rotations[other], turns[own], turns[other])
 
     def rays(self, state: TrajectoryState, depth: Array) -> LinearisedImages:
         """Return equations linear in the points: how far rays pass by, in the image at a ``depth`` (n,) [m]."""
@@ -98,14 +102,9 @@ class ImagePoints:
         for camera, own in zip(self.lenses, self.mask, strict=True):
             directions[own] = lens_directions(camera.lens, o.xy_px[own])
         by_v = self._project(directions)[1] / depth[:, None, None]
-        if state.moving is None:
-            rotation, centre = state.still.rotations[o.camera], state.still.centres[o.camera]
-        else:
-            instant, which = np.unique(time_s, return_inverse=True)
-            all_rotations, all_centres = state.moving.at(instant)
-            rotation, centre = all_rotations[which, o.camera], all_centres[which, o.camera]
-        by_point = self.whitening @ by_v @ np.swapaxes(rotation, 1, 2)
-        rest = np.einsum("nij,nj->ni", by_point, centre)
+        rotations, centres, _turns, which = self._poses(state, time_s)
+        by_point = self.whitening @ by_v @ np.swapaxes(rotations[which, o.camera], 1, 2)
+        rest = np.einsum("nij,nj->ni", by_point, centres[which, o.camera])
         return LinearisedImages(rest, self._rows(state, time_s, by_point, rest, np.zeros((len(o), 2, 0))))
 
     def depths(self, state: TrajectoryState) -> Array:
@@ -193,10 +192,9 @@ def weighted(rows: Rows, weight: Array) -> Rows:
     """Return equations (2 n,) with image points' weights (n,); those of weight 0 are left out."""
     root = np.repeat(np.sqrt(weight), 2)
     keep = root > 0
-    return Rows(
-        rows.first[keep], rows.weights[keep], rows.columns[keep], rows.values[keep] * root[keep, None],
-        rows.shared[keep] * root[keep, None], rows.rest[keep] * root[keep]
-    )  # fmt: skip
+    first, weights, columns, by, shared, rest = (column[keep] for column in rows)
+    root = root[keep]
+    return Rows(first, weights, columns, by * root[:, None], shared * root[:, None], rest * root)
 
 
 def _right_jacobians(turns: Array) -> Array:

@@ -128,13 +128,13 @@ def _each_alone(by: Array, at: tuple[Array, ...], share: Array, shape: tuple[int
 
     ``by`` (n, 2, 3) whitened derivatives; ``at`` bin, point and camera of each image point; ``shape`` their numbers.
     """
-    told, count = np.zeros((*shape, 3, 3)), np.zeros(shape)
-    np.add.at(told, at, np.swapaxes(by, 1, 2) @ by)
+    information, count = np.zeros((*shape, 3, 3)), np.zeros(shape)
+    np.add.at(information, at, np.swapaxes(by, 1, 2) @ by)
     np.add.at(count, at, 1)
     # where fewer than two cameras see a point: what cameras see of it at other times
     few = (count > 0).sum(axis=2) < 2
-    ever = told.sum(axis=0) / np.maximum(count.sum(axis=0), 1)[..., None, None]
-    mean = np.where(few[..., None, None, None], ever, told / np.maximum(count, 1)[..., None, None])
+    ever = information.sum(axis=0) / np.maximum(count.sum(axis=0), 1)[..., None, None]
+    mean = np.where(few[..., None, None, None], ever, information / np.maximum(count, 1)[..., None, None])
     enough = (count.sum(axis=0) > 0).sum(axis=1) >= 2
     result = np.zeros((*shape[:2], 3, 3))
     inverse = np.linalg.inv(mean.sum(axis=2)[:, enough] + np.eye(3) / FARTHEST_M**2)
@@ -159,20 +159,20 @@ def _with_poses(
     np.put_along_axis(spread, np.repeat(np.where(columns < 0, width, columns)[:, None], 2, axis=1), by, axis=2)
     pair, of = np.unique(camera * (int(point.max(initial=0)) + 1) + point, return_inverse=True)
     of = of.reshape(-1)
-    told, count = np.zeros((bins, len(pair), 2, width)), np.zeros((bins, len(pair)))
-    np.add.at(told, (bin_of, of), spread[:, :, :width])
+    total, count = np.zeros((bins, len(pair), 2, width)), np.zeros((bins, len(pair)))
+    np.add.at(total, (bin_of, of), spread[:, :, :width])
     np.add.at(count, (bin_of, of), 1)
-    ever = told.sum(axis=0) / count.sum(axis=0)[:, None, None]
+    ever = total.sum(axis=0) / count.sum(axis=0)[:, None, None]
     owner, seer = np.zeros((2, len(pair)), dtype=np.int64)
     owner[of], seer[of] = point, camera
     loose = np.append(np.full(3 * points, FARTHEST_M**-2), np.zeros(width - 3 * points))
     result = np.zeros((bins, points, 3, 3))
     for b in range(bins):
         views = np.bincount(owner, count[b] > 0, int(point.max(initial=0)) + 1)[owner]
-        mean = np.where((views < 2)[:, None, None], ever, told[b] / np.maximum(count[b], 1)[:, None, None])
-        looks = mean.reshape(-1, width)
-        whole = looks.T @ looks + held[b].T @ held[b] + np.diag(loose)
-        lasts = looks * np.repeat(np.sqrt(share[seer]), 2)[:, None]
+        mean = np.where((views < 2)[:, None, None], ever, total[b] / np.maximum(count[b], 1)[:, None, None])
+        equations = mean.reshape(-1, width)
+        whole = equations.T @ equations + held[b].T @ held[b] + np.diag(loose)
+        lasts = equations * np.repeat(np.sqrt(share[seer]), 2)[:, None]
         change = np.linalg.solve(whole, lasts.T)[: 3 * points].reshape(points, 3, -1)
         result[b] = change @ np.swapaxes(change, 1, 2)
     return result

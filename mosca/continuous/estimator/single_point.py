@@ -44,8 +44,7 @@ def first_curves(
             usable = np.isfinite(seen.residual).all(axis=1).astype(float)
             # maximum-likelihood noise: a smooth curve, against which gross errors show
             state = _each_point(image, seen, state, usable, points, True)[0]
-    seen = image.linearised(state, places)
-    seen = LinearisedImages(seen.residual, _whole(seen.rows, state.xyz, len(image.observations.points)))
+    seen = _of_whole_points(image, state, places)
     weight = robust_weights(seen.residual)
     tried = [_each_point(image, seen, replace(state, order=order), weight, points, noise_free) for order in ORDERS]
     best, strength, noise, _ = min(tried, key=lambda one: one[3])
@@ -58,8 +57,7 @@ def smoothest_noise(
     """Return of ``points``, each made as smooth as the highest order has it: how many times larger than stated its
     image errors then are, the mean square of an image coordinate's derivative by position [1/m^2], and their number.
     """
-    seen = image.linearised(state, places)
-    seen = LinearisedImages(seen.residual, _whole(seen.rows, state.xyz, len(image.observations.points)))
+    seen = _of_whole_points(image, state, places)
     smooth = replace(state, order=max(ORDERS))
     # jumps are rare and far larger than what is left elsewhere: found by a first pass, they count less in the second
     once = _each_point(image, seen, smooth, robust_weights(seen.residual), points, True)[0]
@@ -86,13 +84,13 @@ def _each_point(
     return replace(state, xyz=xyz), strength, noise, total
 
 
-def _whole(rows: Rows, xyz: Array, points: int) -> Rows:
-    """Return equations in the points' coefficients instead of their increments."""
-    only = Rows(
-        rows.first, rows.weights, rows.columns[:, :3], rows.values[:, :3], np.zeros((len(rows.rest), 0)), rows.rest
-    )
-    rest = rows.rest + only.applied(xyz.reshape(len(xyz), -1).ravel(), 3 * points)
-    return Rows(only.first, only.weights, only.columns, only.values, only.shared, rest)
+def _of_whole_points(image: ImagePoints, state: TrajectoryState, places: StateLayout) -> LinearisedImages:
+    """Return equations at ``state`` in the points' coefficients instead of their increments."""
+    seen = image.linearised(state, places)
+    rows = seen.rows
+    only = rows._replace(columns=rows.columns[:, :3], values=rows.values[:, :3], shared=np.zeros((len(rows.rest), 0)))
+    rest = rows.rest + only.applied(state.xyz.ravel(), 3 * len(image.observations.points))
+    return LinearisedImages(seen.residual, only._replace(rest=rest))
 
 
 def _middle_distance(state: TrajectoryState, time_s: Array) -> float:

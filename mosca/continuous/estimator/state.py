@@ -100,9 +100,3 @@ def replaced(
         still = StillCameras(still.cameras, np.array(turned), still.centres + step[:, 3:])
     clocks = state.clocks + np.where(places.clock >= 0, np.append(shared, 0.0)[places.clock], 0.0)
     return replace(state, xyz=xyz, still=still, moving=moving, clocks=clocks)
-
-
-def instants(camera: Array, time_s: Array, row_px: Array, clocks: Array) -> Array:
-    """Return when image points were exposed [s]: offset + (1 + drift) time_s + row time * row."""
-    offset, drift, row = clocks[camera].T
-    return np.asarray(offset + (1 + drift) * time_s + row * row_px)

@@ -21,10 +21,11 @@ class StillCameras:
     centres: Array
 
     @classmethod
-    def of(cls, rig: Rig) -> "StillCameras":
-        """Return the cameras of a rig, stationary."""
-        poses = [camera.world_from_camera for camera in rig.cameras]
-        return cls(rig.names, np.array([p.rotation for p in poses]), np.array([p.translation for p in poses]))
+    def of(cls, rig: Rig, names: tuple[str, ...] | None = None) -> "StillCameras":
+        """Return the cameras ``names`` of a rig (None: all), stationary."""
+        names = rig.names if names is None else names
+        poses = [rig.camera(name).world_from_camera for name in names]
+        return cls(names, np.array([p.rotation for p in poses]), np.array([p.translation for p in poses]))
 
     def at(self, time_s: Array) -> tuple[Array, Array]:
         """Return world_from_camera: rotations (t, c, 3, 3) and centres (t, c, 3) [m]."""
@@ -38,8 +39,8 @@ class _Between:
 
     from_s: float
     to_s: float
-    turns: Slerp | RotationSpline
-    places: BSpline | CubicSpline
+    rotations_at: Slerp | RotationSpline
+    centres_at: BSpline | CubicSpline
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +81,6 @@ class PosedCameras:
                 continue
             inside = (time_s >= between.from_s) & (time_s <= between.to_s)
             if inside.any():
-                rotations[inside, k] = between.turns(time_s[inside]).as_matrix()
-                centres[inside, k] = between.places(time_s[inside])
+                rotations[inside, k] = between.rotations_at(time_s[inside]).as_matrix()
+                centres[inside, k] = between.centres_at(time_s[inside])
         return rotations, centres

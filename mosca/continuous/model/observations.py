@@ -78,11 +78,9 @@ class Curves(Protocol):
     @property
     def points(self) -> tuple[str, ...]:
         """Their names."""
-        ...
 
     def at(self, time_s: Array) -> Array:
         """Return the positions (t, points, 3) at the instants ``time_s`` (t,)."""
-        ...
 
 
 class UncertainCurves(Curves, Protocol):
@@ -90,7 +88,6 @@ class UncertainCurves(Curves, Protocol):
 
     def covariance_at(self, time_s: Array) -> Array:
         """Return the covariances (t, points, 3, 3) [m^2] at the instants ``time_s`` (t,)."""
-        ...
 
 
 class CameraPaths(Protocol):
@@ -99,8 +96,6 @@ class CameraPaths(Protocol):
     @property
     def cameras(self) -> tuple[str, ...]:
         """Their names."""
-        ...
 
     def at(self, time_s: Array) -> tuple[Array, Array]:
         """Return world_from_camera: rotations (t, cameras, 3, 3) and centres (t, cameras, 3) [m]."""
-        ...

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from mosca.camera.projection import lens_pixels
 from mosca.continuous.model.observations import CameraPaths, Curves
@@ -40,16 +41,8 @@ class MovingRig:
 
     def there(self, time_s: Array) -> Array:
         """Return at which of ``time_s`` (t,) each camera's pose is known (t, c)."""
-        columns = []
-        for known in self.known_s:
-            if not len(known):
-                columns.append(np.zeros(len(time_s), dtype=bool))
-                continue
-            after = np.clip(np.searchsorted(known, time_s), 1, max(len(known) - 1, 1)) if len(known) > 1 else 0
-            before = np.maximum(np.asarray(after) - 1, 0)
-            away = np.minimum(np.abs(known[after] - time_s), np.abs(known[before] - time_s))
-            columns.append(away <= self.valid_s)
-        return np.column_stack(columns)
+        away = [cKDTree(known[:, None]).query(time_s[:, None])[0] for known in self.known_s]
+        return np.column_stack(away) <= self.valid_s
 
 
 class RigAtEach:
@@ -73,8 +66,8 @@ def images_at(camera: Camera, c: int, paths: CameraPaths | None, time_s: Array, 
         pose = camera.world_from_camera
         rotation, centre = pose.rotation[None], pose.translation[None]
     else:
-        turns, places = paths.at(time_s)
-        rotation, centre = turns[:, c], places[:, c]
+        rotations, centres = paths.at(time_s)
+        rotation, centre = rotations[:, c], centres[:, c]
     inside = np.einsum("tji,tmj->tmi", np.broadcast_to(rotation, (len(xyz), 3, 3)), xyz - centre[:, None])
     return np.asarray(lens_pixels(camera.lens, inside.reshape(-1, 3)).reshape(*xyz.shape[:2], 2))
 

@@ -18,7 +18,7 @@ from mosca.continuous.association.associate import AssociationSettings, check_lo
 from mosca.continuous.association.blink_codes import LampSettings, blinking
 from mosca.continuous.association.coarse_sync import common_clock
 from mosca.continuous.association.correspondence import common_instants, observed
-from mosca.continuous.association.frame_detections import CameraDetections, FrameCount, detect_in_frames
+from mosca.continuous.association.frame_detections import COLUMNS, CameraDetections, FrameCount, detect_in_frames
 from mosca.continuous.association.tracklets_2d import tracklets
 from mosca.continuous.estimator.estimate import ContinuousSettings, estimate
 from mosca.continuous.findings import association_findings
@@ -143,14 +143,14 @@ def solve_worn(
         moving = replace(moving, paths=paths, valid_s=LONGEST_S)
         if now is quick:
             found, _row = observed(marked, ties, rig, start, gathered.sigma_px, BETTER_PX, moving)
-    told = (
+    findings = (
         f"frame and metre are those of {' and '.join(map(repr, known))}, whose poses were given",
         *association_findings(gathered, found),
         *(line for line in estimated.findings if not line.startswith("scale:")),
     )
-    clocks = tuple(EstimatedClock(one.info.name, ties[0].origin_ns, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for one in seen)
+    clocks = tuple(EstimatedClock(one.info.name, origin_ns=ties[0].origin_ns) for one in seen)
     return Worn(
-        Reconstructed(gathered, estimated, found, clocks, told, rig, estimated.paths),
+        Reconstructed(gathered, estimated, found, clocks, findings, rig, estimated.paths),
         placed,
         lamp,
         by_code,
@@ -179,8 +179,8 @@ def _known_first(
 def _carriers(one: CameraDetections, lamps: Lamps) -> Array:
     """Return the camera (n,) whose lamp each image point is by its code, or -1."""
     of_number = {number: c for c, number in enumerate(lamps.numbers)}
-    own = lamps.numbers
-    return np.array([of_number.get(k, -1) for k in blinking(one, own, LampSettings(lamps.bit_s)).tolist()], int)
+    found = blinking(one, lamps.numbers, LampSettings(lamps.bit_s))
+    return np.array([of_number.get(k, -1) for k in found.tolist()], int)
 
 
 def _moving(rig: Rig, placed: MutualPoses, valid_s: float) -> MovingRig:
@@ -225,10 +225,8 @@ def _without(one: CameraDetections, lamp: Array) -> CameraDetections:
     """Return what a camera saw but for lamps."""
     keep = lamp < 0
     count = np.bincount(one.frame[keep], minlength=len(one.frame_ns))
-    columns = ("xy_px", "covariance_px2", "diameter_px", "peak", "elongation", "flags")
-    return replace(
-        one, start=np.concatenate([[0], np.cumsum(count)]), **{name: getattr(one, name)[keep] for name in columns}
-    )
+    kept = {name: getattr(one, name)[keep] for name in COLUMNS}
+    return replace(one, start=np.concatenate([[0], np.cumsum(count)]), **kept)
 
 
 def with_lamps(

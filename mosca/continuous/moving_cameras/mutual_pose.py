@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from mosca.camera.projection import lens_directions
+from mosca.camera.projection import cross_matrices, lens_directions
 from mosca.continuous.association.blink_codes import DARKEST
 from mosca.continuous.association.frame_detections import CameraDetections
 from mosca.continuous.association.tracklet_merging import parts_in_time
@@ -125,13 +125,13 @@ def _seeded(rays: Array, rotations: Array, centres: Array, known: Array, lamp_m:
             if len(by) < 2 or len(to) < 2:
                 continue
             own = _meeting(centres[by], np.einsum("cij,cj->ci", rotations[by], rays[by, k]))
-            turn = np.eye(3)
+            rotation = np.eye(3)
             for _pass in range(SEED_PASSES):
-                centre = own - turn @ lamp_m[k]
+                centre = own - rotation @ lamp_m[k]
                 away = lamps[to] - centre
                 away /= np.linalg.norm(away, axis=1)[:, None]
-                turn = Rotation.align_vectors(away, rays[k, to])[0].as_matrix()
-            rotations[k], centres[k] = turn, own - turn @ lamp_m[k]
+                rotation = Rotation.align_vectors(away, rays[k, to])[0].as_matrix()
+            rotations[k], centres[k] = rotation, own - rotation @ lamp_m[k]
             placed[k] = waiting = True
 
 
@@ -152,17 +152,17 @@ def _adjusted(
     slot = np.full(len(known), -1)
     slot[free] = np.arange(len(free))
     viewer, carrier = np.nonzero(np.isfinite(rays[..., 0]) & begun[:, None] & begun[None, :])
-    turn, place = rotations.copy(), centres.copy()
-    first_turn, first_place = rotations[free], centres[free]
+    rotation, centre = rotations.copy(), centres.copy()
+    first_rotation, first_centre = rotations[free], centres[free]
     weight = np.ones(len(viewer))
     for _step in range(STEPS):
-        rest, rows = _linearised(rays, turn, place, lamp_m, viewer, carrier, slot, 6 * len(free))
+        rest, rows = _linearised(rays, rotation, centre, lamp_m, viewer, carrier, slot, 6 * len(free))
         # Cauchy: a sighting of something else does not bend the poses
         weight = 1.0 / (1.0 + (np.linalg.norm(rest, axis=1) / FARTHEST_RAD) ** 2)
         near = np.array(
             [
                 np.append((Rotation.from_matrix(a).inv() * Rotation.from_matrix(b)).as_rotvec(), q - p)
-                for a, b, p, q in zip(turn[free], first_turn, place[free], first_place, strict=True)
+                for a, b, p, q in zip(rotation[free], first_rotation, centre[free], first_centre, strict=True)
             ]
         ).reshape(-1, 6)
         loose = np.tile(np.repeat(np.array(LOOSE) ** -2.0, 3), len(free))
@@ -170,47 +170,41 @@ def _adjusted(
         matrix = np.einsum("nki,nkj->ij", rows, scaled) + np.diag(loose)
         change = np.linalg.solve(matrix, np.einsum("nki,nk->i", scaled, rest) + loose * near.ravel())
         for n, k in enumerate(free):
-            turn[k] = turn[k] @ Rotation.from_rotvec(change[6 * n : 6 * n + 3]).as_matrix()
-            place[k] += change[6 * n + 3 : 6 * n + 6]
+            rotation[k] = rotation[k] @ Rotation.from_rotvec(change[6 * n : 6 * n + 3]).as_matrix()
+            centre[k] += change[6 * n + 3 : 6 * n + 6]
         if np.abs(change).max(initial=0.0) < 1e-6:
             break
     if len(free):
         sigma = np.sqrt(np.diag(np.linalg.inv(matrix))).reshape(-1, 2, 3).max(axis=2)
         for n, k in enumerate(free):
             if sigma[n, 0] > KNOWN[0] or sigma[n, 1] > KNOWN[1]:
-                turn[k], place[k] = np.nan, np.nan
-    turn[~begun], place[~begun] = np.nan, np.nan
+                rotation[k], centre[k] = np.nan, np.nan
+    rotation[~begun], centre[~begun] = np.nan, np.nan
     rms = float(np.sqrt((weight[:, None] * rest**2).sum() / max(2.0 * weight.sum(), 1.0)))
-    return turn, place, rms
+    return rotation, centre, rms
 
 
 def _linearised(
-    rays: Array, turn: Array, place: Array, lamp_m: Array, viewer: Array, carrier: Array, slot: Array, unknowns: int
+    rays: Array, rotation: Array, centre: Array, lamp_m: Array, viewer: Array, carrier: Array, slot: Array, count: int
 ) -> tuple[Array, Array]:
-    """Return observed minus predicted directions (n, 3) and their derivatives (n, 3, unknowns): of each free camera
+    """Return observed minus predicted directions (n, 3) and their derivatives (n, 3, count): of each free camera
     its rotation about its own axes and its position.
     """
-    back = np.swapaxes(turn[viewer], 1, 2)
-    lamp = place[carrier] + np.einsum("nij,nj->ni", turn[carrier], lamp_m[carrier])
-    way = np.einsum("nij,nj->ni", back, lamp - place[viewer])
+    back = np.swapaxes(rotation[viewer], 1, 2)
+    lamp = centre[carrier] + np.einsum("nij,nj->ni", rotation[carrier], lamp_m[carrier])
+    way = np.einsum("nij,nj->ni", back, lamp - centre[viewer])
     length = np.linalg.norm(way, axis=1)
     ahead = way / length[:, None]
     by_way = (np.eye(3) - ahead[:, :, None] * ahead[:, None, :]) / length[:, None, None]
-    rows = np.zeros((len(viewer), 3, unknowns))
-    by_carrier_turn = -back @ turn[carrier] @ _cross(lamp_m[carrier])
+    crossed = cross_matrices(way)
+    rows = np.zeros((len(viewer), 3, count))
+    by_carrier_rotation = -back @ rotation[carrier] @ cross_matrices(lamp_m[carrier])
     for n in range(len(viewer)):
         v, j = 6 * slot[viewer[n]], 6 * slot[carrier[n]]
         if v >= 0:
-            rows[n, :, v : v + 3] += by_way[n] @ _cross(way[n])
+            rows[n, :, v : v + 3] += by_way[n] @ crossed[n]
             rows[n, :, v + 3 : v + 6] -= by_way[n] @ back[n]
         if j >= 0:
-            rows[n, :, j : j + 3] += by_way[n] @ by_carrier_turn[n]
+            rows[n, :, j : j + 3] += by_way[n] @ by_carrier_rotation[n]
             rows[n, :, j + 3 : j + 6] += by_way[n] @ back[n]
     return rays[viewer, carrier] - ahead, rows
-
-
-def _cross(v: Array) -> Array:
-    """Return [v]x (..., 3, 3) of vectors (..., 3)."""
-    x, y, z = v[..., 0], v[..., 1], v[..., 2]
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*v.shape[:-1], 3, 3)

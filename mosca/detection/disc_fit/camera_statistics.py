@@ -27,7 +27,7 @@ No point spread function is given. What is estimated from the frames, camera by 
 The offsets are used from ``ENOUGH`` centroids on, where they are statistically significant (``CHANCE``).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -77,19 +77,12 @@ class CameraStatistics:
         if self.names != other.names:
             names = self.names + tuple(name for name in other.names if name not in self.names)
             return self._of(names).plus(other._of(names)) if self.names else other
-        if max(self.tallies[:, N_TARGETS].tolist(), default=0.0) <= MEMORY:
-            return CameraStatistics(
-                self.names,
-                self.tallies + other.tallies,
-                self.normal + other.normal,
-                self.right_side + other.right_side,
-            )
-        keep = np.minimum(1.0, MEMORY / np.maximum(self.tallies[:, N_TARGETS], 1.0))
+        tallies, normal, right_side = self.tallies, self.normal, self.right_side
+        if max(tallies[:, N_TARGETS].tolist(), default=0.0) > MEMORY:
+            keep = np.minimum(1.0, MEMORY / np.maximum(tallies[:, N_TARGETS], 1.0))[:, None]
+            tallies, normal, right_side = keep * tallies, keep[:, None] * normal, keep[:, None] * right_side
         return CameraStatistics(
-            self.names,
-            keep[:, None] * self.tallies + other.tallies,
-            keep[:, None, None] * self.normal + other.normal,
-            keep[:, None, None] * self.right_side + other.right_side,
+            self.names, tallies + other.tallies, normal + other.normal, right_side + other.right_side
         )
 
     def blur_px(self, name: str) -> float:
@@ -101,7 +94,8 @@ class CameraStatistics:
         if names not in self._priors:
             parts = [self._parts[name] for name in names if name in self._parts]
             if len(parts) == len(names) > 0:
-                self._priors[names] = _stacked([one.priors(one.names) for one in parts])
+                each = [one.priors(one.names) for one in parts]
+                self._priors[names] = Priors(*(np.concatenate(column) for column in zip(*each, strict=True)))
             else:
                 self._priors[names] = _priors(self if names == self.names else self._of(names))
         return self._priors[names]
@@ -145,14 +139,6 @@ def joined(parts: Mapping[str, CameraStatistics]) -> CameraStatistics:
         np.concatenate([one.normal for one in known.values()]),
         np.concatenate([one.right_side for one in known.values()]),
         _parts=known,
-    )
-
-
-def _stacked(ones: Sequence[Priors]) -> Priors:
-    return Priors(
-        np.concatenate([one.blurs for one in ones]),
-        np.concatenate([one.offsets for one in ones]),
-        np.concatenate([one.roughness for one in ones]),
     )
 
 

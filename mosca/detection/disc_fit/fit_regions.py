@@ -30,7 +30,6 @@ from mosca.detection.disc_fit.light_offset import (
 from mosca.detection.disc_fit.pixels import (
     OVER,
     RoundWindows,
-    box_of,
     corner_background,
     fill_window,
     gather_at_border,
@@ -46,7 +45,7 @@ from mosca.detection.disc_fit.pixels import (
     window_sums,
 )
 from mosca.detection.images import ImageSet, image_of
-from mosca.detection.search import END_RUN, FIRST_RUN, IMAGE, THRESHOLD, FoundRegions
+from mosca.detection.search import END_RUN, FIRST_RUN, IMAGE, THRESHOLD, FoundRegions, box_of
 from mosca.numba_support.decorators import bare_step, step
 from mosca.numba_support.intrinsics import array_at
 

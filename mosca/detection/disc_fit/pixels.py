@@ -148,23 +148,21 @@ def fill_window(
     """Copy the grey values about the pixel ``centre`` into the window (5, n) of this size; return how many."""
     far = int(reach)
     middle = centre[1] * image.shape[1] + centre[0]
-    n = windows.known[size, 1]
+    n: int = windows.known[size, 1]
     grey_values(image, middle, windows.half[size, : 2 * far + 1], pixels[V])
     for i in range(n, len(pixels[V])):
         pixels[V, i] = ZERO
-    result: int = n
-    return result
+    return n
 
 
 @bare_step(fastmath=FAST)
 def gather_at_border(image: Array, centre: tuple[int, int], reach: float, pixels: Array) -> int:
     """Copy the pixels of the image within ``reach`` of the pixel ``centre``, padded; return how many."""
-    n = gather(image, centre, reach * reach, pixels)
+    n: int = gather(image, centre, reach * reach, pixels)
     for i in range(n):
         pixels[SHARPER, i] = ONE
     pad(n, pixels)
-    result: int = n
-    return result
+    return n
 
 
 @bare_step(fastmath=FAST)
@@ -335,17 +333,6 @@ def region_sums(image: Array, runs: Array, centre: tuple[int, int], level: float
             syy += light * py * py
             peak = max(peak, value)
     return peak, (s, sx, sy, sxx, sxy, syy)
-
-
-@bare_step(fastmath=FAST)
-def box_of(runs: Array, begin: int, end: int) -> tuple[tuple[Any, Any, Any, Any], Any]:
-    """Return left, right, top and bottom pixel of the region of these runs, and its number of pixels."""
-    left, right, n = runs[begin, 1], runs[begin, 2], np.int64(0)
-    for i in range(begin, end):
-        left = min(left, runs[i, 1])
-        right = max(right, runs[i, 2])
-        n += runs[i, 2] - runs[i, 1]
-    return (np.int64(left), np.int64(right - 1), np.int64(runs[begin, 0]), np.int64(runs[end - 1, 0])), n
 
 
 @bare_step(fastmath=FAST)
