@@ -54,6 +54,9 @@ class Metric:
     """None where there is no limit."""
     blocks: MetricBlocks | None = None
     """Its sums over time, or None."""
+    spread: float | None = None
+    """In a baseline: the largest change of the value among runs of the same product with other processor features
+    (last digits), or None where that was not measured."""
 
 
 @dataclass(frozen=True)

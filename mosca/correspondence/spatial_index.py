@@ -70,8 +70,9 @@ def buckets(middle, half):
 
 @bare_step
 def bucket_of(value, low, step, n):
-    """Return the bucket of a value, the end ones for what lies beyond."""
-    return int(min(max((value - low) / step, 0.0), n + 0.0))
+    """Return the bucket of a value, the end ones for what lies beyond, the first for NaN."""
+    at = (value - low) / step
+    return int(min(at, n + 0.0)) if at > 0.0 else 0
 
 
 @bare_step
@@ -120,7 +121,8 @@ def cells(rays, views, start):
                 if np.isfinite(place[i, k]):
                     low, high = min(low, place[i, k]), max(high, place[i, k])
             side = max(1.0, np.floor(np.sqrt(start[c + 1] - start[c])))
-            frame[c, CORNER + k], frame[c, SCALE + k] = low, side / (high - low) if high > low else 0.0
+            frame[c, CORNER + k] = low if high >= low else 0.0
+            frame[c, SCALE + k] = side / (high - low) if high > low else 0.0
         frame[c, CELLS], frame[c, FIRST] = side, total
         total += int(side * side)
         for i in range(start[c], start[c + 1]):
@@ -144,8 +146,9 @@ def cells(rays, views, start):
 
 @bare_step
 def cell_of(value, corner, scale, side):
-    """Return the row or column of a coordinate, clamped to the first and last."""
-    return int(min(max((value - corner) * scale, 0.0), side - 1.0))
+    """Return the row or column of a coordinate, clamped to the first and last; the first for NaN."""
+    at = (value - corner) * scale
+    return int(min(at, side - 1.0)) if at > 0.0 else 0
 
 
 @bare_step

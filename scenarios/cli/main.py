@@ -119,6 +119,14 @@ def run(
 @click.option(
     "--baselines", type=FILE, help="folder that --update-baselines writes to  [default: the committed ones]"
 )
+@click.option(
+    "--spread",
+    "replicates",
+    type=FILE,
+    multiple=True,
+    help="with --update-baselines: folder of a run of the same product with other processor features "
+    "(.ci/processors makes them); how far metrics differ is stated in the baselines and tolerated  [repeatable]",
+)
 def suite(
     paths: tuple[Path, ...],
     tier: str,
@@ -128,6 +136,7 @@ def suite(
     compare: Path | None,
     update_baselines: bool,
     baselines: Path | None,
+    replicates: tuple[Path, ...],
 ) -> None:
     """Run all scenarios of a tier (or those in PATH ...) on all cores, and compare with the baselines.
 
@@ -138,6 +147,8 @@ def suite(
 
     if baselines is not None and not update_baselines:
         raise InputError("--baselines goes with --update-baselines; to compare with a folder give --compare")
+    if replicates and not update_baselines:
+        raise InputError("--spread goes with --update-baselines; to compare with a folder give --compare")
     if compare is not None and update_baselines:
         raise InputError("--compare and --update-baselines exclude each other; give one of them")
     entries = catalog.entries(paths, tier)
@@ -160,7 +171,7 @@ def suite(
 
         outcomes = work.run_suite(entries, out, jobs or os.cpu_count() or 1, report)
     if update_baselines:
-        work.update_baselines(outcomes, baselines or work.BASELINES)
+        work.update_baselines(outcomes, baselines or work.BASELINES, replicates)
         click.echo(f"{len(outcomes)} baselines written to {baselines or work.BASELINES}; say why in CHANGELOG.md")
     else:
         outcomes = work.compared(outcomes, compare or work.BASELINES)

@@ -8,6 +8,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from junitparser import Error, Failure, JUnitXml, TestCase, TestSuite
 
 from mosca.errors import InputError, MoscaError
@@ -68,16 +69,35 @@ def compared(outcomes: Sequence[Outcome], baselines: Path) -> list[Outcome]:
     return [_compared(outcome, baselines) for outcome in outcomes]
 
 
-def update_baselines(outcomes: Sequence[Outcome], baselines: Path) -> None:
-    """Write the records as the new baselines; refuses while any scenario failed."""
+def update_baselines(outcomes: Sequence[Outcome], baselines: Path, replicates: Sequence[Path] = ()) -> None:
+    """Write the records as the new baselines; refuses while any scenario failed.
+
+    ``replicates``: folders of suite runs of the same product with other processor features; each metric's spread
+    among them goes into its baseline.
+    """
     failed = [o.name for o in outcomes if o.record is None or not o.record.passed]
     if failed:
         raise InputError(f"baselines are not updated while {', '.join(failed)} failed; mend that first")
-    for outcome in outcomes:
-        path = baseline_path(outcome.name, baselines)
+    records = [o.record for o in outcomes if o.record is not None]
+    stated = [_with_spread(r, [read_record(f / r.scenario / "record.json") for f in replicates]) for r in records]
+    for record in stated:
+        path = baseline_path(record.scenario, baselines)
         path.parent.mkdir(parents=True, exist_ok=True)
-        assert outcome.record is not None
-        write_record(replace(outcome.record, timings={}), path)
+        write_record(replace(record, timings={}), path)
+
+
+def _with_spread(record: RunRecord, others: Sequence[RunRecord]) -> RunRecord:
+    """Return the record with each metric's largest change among other runs of the same product."""
+    if not others:
+        return record
+    metrics = []
+    for metric in record.metrics:
+        values = [found.value for other in others if (found := other.metric(metric.name)) is not None]
+        if len(values) < len(others):
+            raise InputError(f"{record.scenario}: a run for --spread has no metric '{metric.name}'; run all anew")
+        changes = np.abs(np.subtract(values, metric.value))
+        metrics.append(replace(metric, spread=float(changes.max()) if np.isfinite(changes).all() else None))
+    return replace(record, metrics=tuple(metrics))
 
 
 def baseline_path(name: str, baselines: Path) -> Path:

@@ -255,6 +255,31 @@ def test_another_processors_noise_is_another_sample_and_an_unchanged_product_pas
     assert regressions(elsewhere(new), BASE) == ()
 
 
+def with_spread(record: RunRecord, spread: float) -> RunRecord:
+    return replace(record, metrics=tuple(replace(m, spread=spread) for m in record.metrics))
+
+
+def test_with_a_spread_in_the_baseline_five_percent_are_found_on_another_processor() -> None:
+    base = with_spread(BASE, 0.001 * BASE.metrics[0].value)
+    (found,) = regressions(elsewhere(run_with(rms_of(1.05 * session(1)))), base)
+    assert found.paired
+    assert found.share == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("processor", ["", "skylake X86_V3"])
+def test_what_last_digits_change_is_no_regression(processor: str) -> None:
+    new = run_with(rms_of(1.03 * session(1)))
+    new = elsewhere(new, processor) if processor else new
+    assert regressions(new, with_spread(BASE, 0.02 * BASE.metrics[0].value)) == ()
+    assert len(regressions(new, with_spread(BASE, 0.01 * BASE.metrics[0].value))) == 1
+
+
+def test_a_count_without_interval_is_judged_on_another_processor_by_its_spread() -> None:
+    switches = Metric("identity_switches", 4.0, "1", 100, spread=1.0)
+    assert regressions(elsewhere(run_with(replace(switches, value=6.0))), run_with(switches)) == ()
+    assert len(regressions(elsewhere(run_with(replace(switches, value=7.0))), run_with(switches))) == 1
+
+
 def test_a_gross_fault_is_found_on_another_processor_too() -> None:
     (found,) = regressions(elsewhere(run_with(rms_of(1.4 * session(1)))), BASE)
     assert not found.paired

@@ -53,10 +53,31 @@ def test_a_planted_five_per_cent_is_a_regression(with_baseline):
     assert ElementTree.parse(with_baseline / "out/junit.xml").find(".//failure") is not None
 
 
+def test_baselines_state_what_other_processors_change_and_tolerate_twice_of_it(with_baseline):
+    record = json.loads((with_baseline / "base/tiny.json").read_text())
+    for metric in record["metrics"]:
+        metric["value"] *= 1.03
+    other = with_baseline / "other_processor/tiny"
+    other.mkdir(parents=True)
+    (other / "record.json").write_text(json.dumps(record))
+    made = suite(with_baseline, "--update-baselines", "--baselines", "stated", "--spread", "other_processor")
+    assert made.returncode == 0, made.stderr
+    stated = {m["name"]: m for m in json.loads((with_baseline / "stated/tiny.json").read_text())["metrics"]}
+    for name in ("position_rms", "completeness", "hota"):
+        assert stated[name]["spread"] == pytest.approx(0.03 * stated[name]["value"])
+    shaken(with_baseline, 0.0336)
+    assert "position_rms" not in suite(with_baseline, "--compare", "stated").stderr
+    shaken(with_baseline, 0.0336 * 1.05)
+    assert "regression: tiny: position_rms" in suite(with_baseline, "--compare", "stated").stderr
+    shaken(with_baseline, 0.03)
+
+
 def test_bad_calls(with_baseline):
     for args, says in (
         (["--compare", "nowhere"], "no such folder of baselines"),
         (["--compare", "base", "--update-baselines"], "exclude each other"),
         (["--baselines", "base"], "--compare"),
+        (["--spread", "base"], "--update-baselines"),
+        (["--update-baselines", "--baselines", "new", "--spread", "nowhere"], "nowhere"),
     ):
         assert says in refusal("suite", "scenarios", *args, cwd=with_baseline)
