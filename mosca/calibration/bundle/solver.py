@@ -1,4 +1,4 @@
-"""Bundle adjustment: the one solver for wands, test fields, boards, self-calibration and body-worn cameras.
+"""Bundle adjustment: the one solver for wands, test fields, boards and body-worn cameras.
 
 A ``Problem`` states what is unknown and what was observed, ``solve`` returns the ``Adjustment``:
 

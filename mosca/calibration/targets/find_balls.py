@@ -1,4 +1,4 @@
-"""Find a wand's balls among the targets of one image, and a single light for sessions without a wand.
+"""Find a wand's balls among the targets of one image.
 
 A straight wand's image is straight, up to the lens, and the position of an inner ball between the outer ones follows
 from the wand and from how much nearer one end is than the other. Three balls leave that ratio of distances free, so
@@ -15,8 +15,7 @@ from mosca.data.sightings import Part
 from mosca.data.wands import Wand
 
 ALIKE_ENDS = 0.05
-"""A wand symmetric within this share of its length has ends that cannot be distinguished.
-"""
+"""A wand symmetric within this share of its length has ends that cannot be distinguished."""
 
 
 @dataclass(frozen=True)
@@ -65,31 +64,8 @@ def read_wand(
         return None
     rows = np.array(found[0][1])
     mark = np.full(balls, -1) if symmetric else np.arange(balls)
-    return _part(detections, rows, mark, camera, frame)
-
-
-def read_light(detections: Detections, camera: int, frame: int, clear: float = 3.0) -> Part | None:
-    """Return the single light of one image: its only target, or the brightest by far, else None.
-
-    Brightness: peak times area; the second must be ``clear`` times weaker.
-    """
-    if len(detections) == 0:
-        return None
-    light = np.asarray(detections.peak * detections.diameter_px**2)
-    order = np.argsort(-light)
-    if len(order) > 1 and not light[order[0]] >= clear * light[order[1]]:
-        return None
-    return _part(detections, order[:1], np.zeros(1), camera, frame)
-
-
-def _part(detections: Detections, rows: Array, mark: Array, camera: int, frame: int) -> Part:
     return Part(
-        camera,
-        frame,
-        np.asarray(mark, dtype=np.int64),
-        detections.xy_px[rows],
-        detections.covariance_px2[rows],
-        detections.diameter_px[rows],
+        camera, frame, mark, detections.xy_px[rows], detections.covariance_px2[rows], detections.diameter_px[rows]
     )
 
 

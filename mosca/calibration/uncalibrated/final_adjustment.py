@@ -1,4 +1,4 @@
-"""The last adjustment of a self-calibration: all image points, all lens parameters that the data determine."""
+"""The last adjustment of a wand calibration: all image points, all lens parameters that the data determine."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -28,6 +28,8 @@ EXTRA: dict[str, tuple[Free, ...]] = {
 """Those that join, group by group for all cameras, where they lower the sum of squares significantly."""
 FOCAL_NAME = {"mosca": "c_mm", "opencv": FOCAL}
 SIGNIFICANT = 1e-3
+BLUNDER_SIGNIFICANCE = 0.05
+"""Chance that a good image point is rejected, in the whole session."""
 # residuals beyond so many robust standard deviations are blunders at first sight
 GROSS_SIGMAS = 6.0
 ROUNDS = 3
@@ -41,14 +43,9 @@ class FinalNetwork:
     free: Free
 
 
-def finished(
-    start: Network, tracks: PointViews, lenses: tuple[Lens, ...], significance: float | None
-) -> FinalNetwork:
-    """Return the network of all image points with lenses of the models of ``lenses``.
-
-    ``significance``: chance that a good image point is rejected; None rejects only gross blunders.
-    """
-    cameras = {k: _in_model(camera, lenses[k]) for k, camera in start.cameras.items()}
+def finished(start: Network, tracks: PointViews) -> FinalNetwork:
+    """Return the network of all image points with lenses of the models of ``tracks.lenses``."""
+    cameras = {k: _in_model(camera, tracks.lenses[k]) for k, camera in start.cameras.items()}
     model = {k: camera.lens.model for k, camera in cameras.items()}
     usable = cleaned(imaged(tracks, cameras), cameras, CLEAR_SIGMAS * start.spread)
     usable = usable.of_cameras(cameras)
@@ -68,7 +65,7 @@ def finished(
         gain = (one.adjustment.cost - trial.adjustment.cost) / trial.adjustment.sigma0**2
         if trial.adjustment.converged and not _held_more(trial, one) and chi2.sf(gain, joined) < SIGNIFICANT:
             one, free = trial, richer
-    last = BundleSettings(blunder_significance=significance)
+    last = BundleSettings(blunder_significance=BLUNDER_SIGNIFICANCE)
     return FinalNetwork(network(usable, one.cameras, free, last, points=one.points), free[min(free)])
 
 

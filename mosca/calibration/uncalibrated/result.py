@@ -1,4 +1,4 @@
-"""Checks of a self-calibration and its report: an implausible rig is refused, a doubtful one gets findings."""
+"""Checks of a wand calibration and its report: an implausible rig is refused, a doubtful one gets findings."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -120,16 +120,11 @@ def findings_of(final: FinalNetwork, tracks: PointViews) -> tuple[Finding, ...]:
 
 
 def calibration_of(
-    final: FinalNetwork,
-    tracks: PointViews,
-    sightings: Sightings,
-    target: str,
-    scaled_by: str,
-    scale_sigma: float | None,
+    final: FinalNetwork, tracks: PointViews, sightings: Sightings, scaled_by: str, scale_sigma: float
 ) -> Calibration:
     """Return the report; each mark of its sightings is one point of the world, a mark of one frame.
 
-    ``scale_sigma``: relative standard deviation of the length that scales, None where nothing does.
+    ``scale_sigma``: relative standard deviation of the length that scales.
     """
     one, adjusted = final.network, final.network.adjustment
     precision = adjusted.precision
@@ -152,7 +147,7 @@ def calibration_of(
     places = np.vstack([one.points, np.full((1, 3), np.nan)])
     return Calibration(
         rig,
-        target,
+        "wand",
         replace(sightings, mark=np.where(marks >= 0, marks, len(places) - 1)),
         adjusted.parameters,
         covariance,
@@ -187,8 +182,6 @@ def _shake(final: FinalNetwork) -> tuple[float, float]:
     share wholly leave it the weight of one: variances rise by 1 + (k - 1) rho (Kish 1965).
     """
     one, adjusted = final.network, final.network.adjustment
-    if len(one.tracks.rods) == 0:
-        return 0.0, 1.0
     group = np.arange(one.tracks.points)
     np.minimum.at(group, one.tracks.rods.second, one.tracks.rods.first)
     good = adjusted.used & np.isfinite(one.residuals_px).all(axis=1)
