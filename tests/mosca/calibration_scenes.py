@@ -18,7 +18,7 @@ from mosca.calibration.bundle.solver import (
     Problem,
     solve,
 )
-from mosca.camera.projection import project, project_with_jacobians
+from mosca.camera.projection import project_with_jacobians
 from mosca.data.calibration import Calibration
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 from mosca.data.sightings import Sightings
@@ -175,7 +175,3 @@ def bar_sightings(cameras, length, frames, rng, noise_px=NOISE_PX) -> Sightings:
         tuple(c.name for c in cameras), np.array([(c.width, c.height) for c in cameras]), frames, table[:, 0],
         table[:, 1], table[:, 2], table[:, 4:6], np.tile(noise_px**2 * np.eye(2), (len(table), 1, 1)), table[:, 6]
     )  # fmt: skip
-
-
-def exact(camera, points):
-    return project(camera, points)

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mosca.calibration.bundle.layout import POSE_NAMES
-from mosca.calibration.quality.jacobian import BOTH_FOCAL, aspect, lens_owner
+from mosca.calibration.bundle.problem import FOCAL
+from mosca.calibration.quality.jacobian import aspect, lens_owner
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration
 from mosca.data.rig import Camera, Pose, Rig
@@ -28,7 +29,7 @@ def _changed(camera: Camera, owner: str, step: dict[str, float]) -> Camera:
     old, lens = camera.world_from_camera, camera.lens
     turned = old.rotation @ Rotation.from_rotvec(pose[:3]).as_matrix()
     values = {f.name: getattr(lens, f.name) + step.get(f"{owner}.{f.name}", 0.0) for f in fields(lens)}
-    both = step.get(f"{owner}.{BOTH_FOCAL}", 0.0)
+    both = step.get(f"{owner}.{FOCAL}", 0.0)
     if both:
         values["fy_px"] += both * aspect(lens)
         values["fx_px"] += both

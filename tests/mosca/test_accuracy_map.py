@@ -23,7 +23,7 @@ def calibration():
 
 @pytest.fixture(scope="module")
 def predicted(calibration):
-    return accuracy_map(calibration, (-0.6, -0.6, 0.6), (0.6, 0.6, 1.4), (3, 3, 2), 0.1, 3)
+    return accuracy_map(calibration, (-0.6, -0.6, 0.6), (0.6, 0.6, 1.4), (3, 3, 2), 0.1)
 
 
 def places(grid) -> np.ndarray:
@@ -34,10 +34,9 @@ def pixels(rig, points) -> np.ndarray:
     return np.stack([project(camera, points) for camera in rig.cameras], axis=1)
 
 
-def ratio(found, covariance) -> np.ndarray:
+def ratio(found, sigma_m) -> np.ndarray:
     """Return the trace of the empirical over that of the predicted covariance, per position."""
-    seen = np.einsum("tni,tni->n", found, found) / len(found)
-    return seen / np.trace(covariance, axis1=1, axis2=2)
+    return np.einsum("tni,tni->n", found, found) / len(found) / sigma_m.ravel() ** 2
 
 
 def test_detection_is_what_disturbed_pixels_do(calibration, predicted):
@@ -47,7 +46,7 @@ def test_detection_is_what_disturbed_pixels_do(calibration, predicted):
     noisy = exact[None] + rng.normal(0, 0.1, (TRIALS, *exact.shape))
     found = triangulate(calibration.rig, noisy.reshape(-1, *exact.shape[1:]))[0].reshape(TRIALS, -1, 3) - points
     # 300 trials of 3 unequal axes: a standard deviation of some 7 % each, 2 % over all positions
-    share = ratio(found, predicted.detection.reshape(-1, 3, 3))
+    share = ratio(found, predicted.detection_m)
     assert np.all((share > 0.7) & (share < 1.35))
     assert share.mean() == pytest.approx(1, abs=0.08)
 
@@ -58,20 +57,14 @@ def test_calibration_is_what_disturbed_parameters_do(calibration, predicted):
     exact = pixels(calibration.rig, points)
     changes = rng.multivariate_normal(np.zeros(len(calibration.parameters)), calibration.covariance, TRIALS)
     found = np.array([triangulate(changed_rig(calibration, change), exact)[0] - points for change in changes])
-    share = ratio(found, predicted.calibration.reshape(-1, 3, 3))
+    share = ratio(found, predicted.calibration_m)
     assert np.all((share > 0.7) & (share < 1.35))
     assert share.mean() == pytest.approx(1, abs=0.12)
-
-
-def test_both_parts_are_kept_apart_and_add(predicted):
-    assert np.allclose(predicted.sigma_m**2, predicted.detection_sigma_m**2 + predicted.calibration_sigma_m**2)
-    assert (predicted.n_cameras == 3).all()
 
 
 def test_where_nothing_looks_there_is_no_figure(calibration):
     far = accuracy_map(calibration, (50, 50, 50), (60, 60, 60), (2, 2, 2), 0.1)
     assert np.isnan(far.sigma_m).all()
-    assert (far.n_cameras < 2).all()
 
 
 def test_derivatives_are_those_of_the_changed_rig(calibration):

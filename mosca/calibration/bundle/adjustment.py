@@ -79,19 +79,9 @@ class Adjustment:
             raise ValueError("the adjustment was made without precision; set settings.precision")
         return dict(zip(self.parameters, np.sqrt(np.diag(self.precision.covariance)).tolist(), strict=True))
 
-    @property
-    def correlation(self) -> Array:
-        """Correlations (u, u) of the unknowns of cameras, lenses and kept points."""
-        if self.precision is None:
-            raise ValueError("the adjustment was made without precision; set settings.precision")
-        sigma = np.sqrt(np.diag(self.precision.covariance))
-        return np.asarray(self.precision.covariance / np.outer(sigma, sigma))
-
 
 def tested(layout: NormalsLayout, solution: Solution, loss: Loss) -> tuple[Array, Array]:
-    """Return the cofactors of the blocks, flat, and the tests (n, 7) of the sorted image points
-    (``precise``).
-    """
+    """Return the cofactors of the blocks, flat, and the tests (n, 7) of the sorted image points (``precise``)."""
     see = layout.observations._replace(weight=solution.weight)
     inverse = ReducedInverse(np.pad(solution.cofactors, (0, 1)), layout.index, solution.inverse)
     cofactors, tests = np.empty_like(solution.inverse), np.empty((len(layout.order), 7))

@@ -37,8 +37,7 @@ def datum_mask(problem: Problem, layout: NormalsLayout, inverse: Array) -> Array
 def onto_given(
     problem: Problem, layout: NormalsLayout, solution: Solution, given: ParameterValues
 ) -> ParameterValues:
-    """Return the network moved so that its datum points neither shift, rotate nor stretch against their given
-    values.
+    """Return the network moved so that its datum points neither shift, rotate nor stretch against their given values.
 
     Minimises the sum of the squared distances.
     """

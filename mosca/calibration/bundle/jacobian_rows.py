@@ -79,9 +79,7 @@ def project(c: Array, lanes: int, w: Array, out: Array) -> None:
 
 @step(fastmath=FAST)
 def _opencv_plain(q: Array, lanes: int, w: Array) -> float:
-    """``lenses``' OpenCV model without its rarely used coefficients, over a batch; return how many
-    points are not imaged.
-    """
+    """``lenses``' OpenCV model without its rarely used coefficients, over a batch; return how many are not imaged."""
     fx, fy, cx, cy, k1, k2, p1, p2, k3, fold = q[0], q[1], q[2], q[3], q[4], q[5], q[6], q[7], q[8], q[FOLD]
     missing = 0.0
     for i in range(lanes):
@@ -120,9 +118,7 @@ def _opencv_plain(q: Array, lanes: int, w: Array) -> float:
 def weighted_residuals(
     m: int, count: int, lanes: int, weight: Array, loss: Loss, w: Array, residual: Array
 ) -> tuple[float, int]:
-    """Write the residuals, then weighted ones at E and their weights; return the cost and how many are
-    unseen.
-    """
+    """Write the residuals, then weighted ones at E and their weights; return the cost and how many are unseen."""
     cost, unseen = 0.0, 0
     for i in range(lanes):
         x, y = w[E + i] - w[SEEN + i], w[E + LANES + i] - w[SEEN + LANES + i]

@@ -187,8 +187,7 @@ def _known(
 def _alike_together(dim: Array, point_blocks: int, block: Array, camera: Array) -> Array:
     """Return new numbers (blocks,) by which blocks of one size seen by the same cameras follow each other.
 
-    Points stay before placements. Of more than 62 cameras some count as the same, which costs time, nothing
-    else.
+    Points stay before placements. Of more than 62 cameras some count as the same, which costs time, nothing else.
     """
     seen_by = np.zeros(len(dim), dtype=np.int64)
     np.bitwise_or.at(seen_by, block, np.left_shift(1, camera % 62))

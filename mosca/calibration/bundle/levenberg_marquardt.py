@@ -57,9 +57,7 @@ class AdjustmentTask:
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Where a descent ended: state, normal equations there, cost, steps taken, unseen points, whether it
-    converged.
-    """
+    """Where a descent ended: state, normal equations there, cost, steps, unseen points, whether it converged."""
 
     state: ParameterValues
     normals: NormalEquations
@@ -73,9 +71,8 @@ class Descent:
 class Solution:
     """A finished descent with the inverse of its normal equations, from which precision is computed.
 
-    ``weight`` (n,) 1/sigma of the sorted image points, 0 where left out; ``cofactors`` (u, u) of the reduced
-    system in any datum; ``inverse`` of the blocks; ``motions`` the number of common motions that nothing
-    fixes.
+    ``weight`` (n,) 1/sigma of the sorted image points, 0 where left out; ``cofactors`` (u, u) of the reduced system
+    in any datum; ``inverse`` of the blocks; ``motions`` the number of common motions that nothing fixes.
     """
 
     descent: Descent
@@ -179,9 +176,7 @@ def reduced(
 
 
 def descend(task: AdjustmentTask, start: ParameterValues, weight: Array) -> Descent:
-    """Descend from ``start`` to the least cost; ``weight`` (n,) 1/sigma of the sorted image points, 0 where left
-    out.
-    """
+    """Descend from ``start`` to the least cost; ``weight`` (n,) 1/sigma of the sorted image points, 0 if left out."""
     layout = task.layout
     normals, inverse = empty_normals(layout), np.empty(int((layout.blocks.size**2).sum()))
     state = start
@@ -261,9 +256,7 @@ def _step(
 def moved(
     layout: NormalsLayout, state: ParameterValues, group_step: Array, block_step: Array
 ) -> ParameterValues | None:
-    """Return ``state`` after steps of the groups (groups, K) and blocks; None for a scale of a lens not above
-    0.
-    """
+    """Return ``state`` after steps of the groups (groups, K) and blocks; None for a scale of a lens not above 0."""
     cameras, points, placements = state
     cameras = cameras.copy()
     steps = group_step[: len(cameras)]

@@ -1,6 +1,4 @@
-"""A-priori observations of the unknowns of the reduced system: lenses, camera poses, kept
-points.
-"""
+"""A-priori observations of the unknowns of the reduced system: lenses, camera poses, kept points."""
 
 from dataclasses import dataclass
 
@@ -53,9 +51,7 @@ def free_lens_parameters(problem: Problem, layout: NormalsLayout) -> list[tuple[
 def pulls(
     problem: Problem, layout: NormalsLayout, priors: Priors, state: ParameterValues
 ) -> tuple[tuple[Array, Array] | None, float]:
-    """Return normal matrix (u, u) and slope (u,) of all a-priori observations, and its cost; None if
-    nothing is.
-    """
+    """Return normal matrix (u, u) and slope (u,) of all a-priori observations, and its cost; None if nothing is."""
     weighted = [c for c, one in enumerate(problem.cameras) if any(0 < sigma < np.inf for sigma in one.pose_sigma)]
     information = problem.points.information
     if not (priors or weighted or len(layout.kept_rods) or (len(layout.kept) and information is not None)):
@@ -108,9 +104,7 @@ def _kept_rods(layout: NormalsLayout, points: Array, normals: Array, slope: Arra
 
 
 def count(problem: Problem, layout: NormalsLayout, priors: Priors) -> int:
-    """Return how many observations beside image points the adjustment has: lengths and a-priori
-    values.
-    """
+    """Return how many observations beside image points the adjustment has: lengths and a-priori values."""
     poses = sum(0 < sigma < np.inf for one in problem.cameras for sigma in one.pose_sigma)
     lengths = len(layout.known.distances) + len(layout.kept_rods)
     placements = int((layout.known.pose_weight[layout.placed] > 0).sum()) if layout.known.pose_weight.size else 0

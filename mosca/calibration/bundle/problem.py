@@ -19,8 +19,7 @@ FREE = (float("inf"),) * 6
 HELD = (0.0,) * 6
 """A pose held as it is."""
 FOCAL = "f_px"
-"""Free lens parameter that moves fx and fy together and keeps their ratio (OpenCV's and the fisheye model).
-"""
+"""Free lens parameter that moves fx and fy together and keeps their ratio (OpenCV's and the fisheye model)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,10 +229,9 @@ NO_DISTANCES = Distances(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
 class Problem:
     """A bundle adjustment: its unknowns with starting values, its observations and its datum.
 
-    ``datum``: "given": what is held or weighted fixes the coordinate system; "points": a free network, whose
-    datum is that its points ``datum_points`` (p,) bool (default: all points of the world that are seen)
-    neither shift, rotate nor, where no length is known, stretch against their given values (inner constraints,
-    Meissl 1962).
+    ``datum``: "given": what is held or weighted fixes the coordinate system; "points": a free network, whose datum is
+    that its points ``datum_points`` (p,) bool (default: all points of the world that are seen) neither shift, rotate
+    nor, where no length is known, stretch against their given values (inner constraints, Meissl 1962).
     """
 
     cameras: tuple[CameraUnknowns, ...]

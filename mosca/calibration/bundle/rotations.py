@@ -9,9 +9,7 @@ from mosca.numba_support.decorators import kernel, step
 
 @kernel
 def rotate_by(rotation: Array, step: Array) -> None:
-    """Rotate (n, 9 or more; the first nine, row by row) in place about their own axes by vectors (n, 3):
-    R exp([w]x).
-    """
+    """Rotate (n, 9 or more; the first nine, row by row) in place about their own axes by vectors (n, 3)."""
     e, r = np.empty((3, 3)), np.empty(9)
     for n in range(rotation.shape[0]):
         x, y, z = step[n, 0], step[n, 1], step[n, 2]
@@ -78,9 +76,7 @@ def observed_pose(pose: Array, given: Array, weight: Array, normals: Array, slop
 def observed_blocks(
     state: ParameterValues, blocks: EliminatedBlocks, known: Known, normals: NormalEquations
 ) -> float:
-    """Add the observed coordinates of eliminated points and the observed poses of placements; return their
-    cost.
-    """
+    """Add the observed coordinates of eliminated points and the observed poses of placements; return their cost."""
     points, given, information = state.points, known.points, known.information
     dim, at_v, at_g, member = blocks.size, blocks.normals_at, blocks.slope_at, blocks.members
     pose_block, pose_weight = known.pose_block, known.pose_weight

@@ -179,15 +179,16 @@ def _solution_at(task: AdjustmentTask, solution: Solution) -> Solution:
     """Return the solution with the normal equations of its state, which was moved since."""
     normals = empty_normals(task.layout)
     linearised(task, solution.descent.state, solution.weight, normals)
-    descent = replace(solution.descent, normals=normals)
+    return _inverted(task, replace(solution.descent, normals=normals), solution.weight)
+
+
+def _inverted(task: AdjustmentTask, descent: Descent, weight: Array) -> Solution:
     matrix, inverse, motions = _normal_matrix(task, descent)
-    return Solution(descent, solution.weight, _inverse(task.layout, matrix), inverse, motions)
+    return Solution(descent, weight, _inverse(task.layout, matrix), inverse, motions)
 
 
 def _normal_matrix(task: AdjustmentTask, descent: Descent) -> tuple[Array, Array, int]:
-    """Return the reduced normal matrix with the datum fixed, the inverse blocks, and how many motions were
-    loose.
-    """
+    """Return the reduced normal matrix with the datum fixed, the inverse blocks, and how many motions were loose."""
     pull, _ = pulls(task.problem, task.layout, task.priors, descent.state)
     inverse = np.empty_like(descent.normals.blocks)
     matrix, _ = reduced(task.layout, descent.normals, pull, 0.0, inverse)
@@ -233,9 +234,7 @@ def _snooped(task: AdjustmentTask, solution: Solution, significance: float) -> t
     """Return the solution without blunders, and which sorted image points (n,) were rejected."""
 
     def solve_again(before: Solution, weight: Array) -> Solution:
-        descent = descend(task, before.descent.state, weight)
-        matrix, inverse, motions = _normal_matrix(task, descent)
-        return Solution(descent, weight, _inverse(task.layout, matrix), inverse, motions)
+        return _inverted(task, descend(task, before.descent.state, weight), weight)
 
     def test(one: Solution) -> tuple[Array, float, int]:
         variance, redundancy = _variance(task, one)

@@ -5,13 +5,12 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from mosca.calibration.bundle.layout import POSE_NAMES
+from mosca.calibration.bundle.problem import FOCAL
 from mosca.camera.projection import project_with_jacobians
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration
 from mosca.data.rig import Lens, MoscaLens, Rig, principal_distances_px
-
-POSE_NAMES = ("turn_x_rad", "turn_y_rad", "turn_z_rad", "X_m", "Y_m", "Z_m")
-BOTH_FOCAL = "f_px"
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +43,7 @@ def sensitivity(rig: Rig, camera: int, parameters: Sequence[str], points: Array)
             derivative = projection.by_pose[:, :, POSE_NAMES.index(what)]
         elif whose == owner and what in of_lens:
             derivative = projection.by_lens[:, :, of_lens.index(what)]
-        elif whose == owner and what == BOTH_FOCAL:
+        elif whose == owner and what == FOCAL:
             derivative = projection.by_lens[:, :, 0] + projection.by_lens[:, :, 1] * aspect(one.lens)
         else:
             continue
@@ -90,7 +89,7 @@ def sigma_of_principal_distance(calibration: Calibration, camera: int) -> float 
 def principal_distance_column(calibration: Calibration, camera: int) -> int | None:
     """Return which parameter is the principal distance of camera number ``camera``; None where it was held."""
     owner = lens_owner(calibration.rig, camera, calibration.parameters)
-    for name in ("c_mm", BOTH_FOCAL, "fx_px"):
+    for name in ("c_mm", FOCAL, "fx_px"):
         if f"{owner}.{name}" in calibration.parameters:
             return calibration.parameters.index(f"{owner}.{name}")
     return None

@@ -57,9 +57,8 @@ def few_views(calibration: Calibration, settings: QualityLimits) -> tuple[Findin
         if unknowns and 2 * points < settings.least_equations * unknowns:
             text = (
                 f"{where}: {points} image points for {unknowns} unknowns, at least "
-                f"{settings.least_equations * unknowns / 2:.0f} are wanted; a mistake would spread instead of "
-                "showing: "
-                "take more pictures of the target"
+                f"{settings.least_equations * unknowns / 2:.0f} are wanted; a mistake would spread instead "
+                "of showing: take more pictures of the target"
             )
             found.append(warn("few-views", text, camera.name))
     return tuple(found)
@@ -249,8 +248,7 @@ def little_coverage(
         share = float(volume_coverage(calibration, *volume).mean())
         text = (
             f"the target was seen in {share:.0%} of the volume, {settings.noted_coverage:.0%} wanted; "
-            "measurements in "
-            "the rest are extrapolated: show the target there"
+            "measurements in the rest are extrapolated: show the target there"
         )
         if share < settings.noted_coverage:
             found.append((warn if share < settings.warned_coverage else note)("little-coverage", text))

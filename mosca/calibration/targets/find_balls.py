@@ -5,8 +5,6 @@ from the wand and from how much nearer one end is than the other. Three balls le
 it must lie within what a wand can have before a camera; each further ball is a check (the cross-ratio).
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mosca.data.arrays import Array
@@ -18,32 +16,23 @@ ALIKE_ENDS = 0.05
 """A wand symmetric within this share of its length has ends that cannot be distinguished."""
 
 
-@dataclass(frozen=True)
-class WandReading:
-    """Settings of wand detection.
-
-    ``largest_depth_ratio``: how many times farther than the near end the far end may be; ``bend``: how far from the
-    line of the outer balls an inner one may be seen, as a share of their distance, beyond ``slack_px``; lenses bend
-    lines a little. ``largest_diameter_ratio``: of the balls' images, beyond what their distances explain.
-    ``clear``: the second best choice must be so many times worse.
-    """
-
-    largest_depth_ratio: float = 1.6
-    bend: float = 0.02
-    slack_px: float = 1.0
-    largest_diameter_ratio: float = 1.8
-    clear: float = 2.0
+LARGEST_DEPTH_RATIO = 1.6
+"""How many times farther than the near end the far end may be."""
+BEND, SLACK_PX = 0.02, 1.0
+"""How far from the line of the outer balls an inner one may be seen, as a share of their distance, and beyond; lenses
+bend lines a little."""
+LARGEST_DIAMETER_RATIO = 1.8
+"""Of the balls' images, beyond what their distances explain."""
+CLEAR = 2.0
+"""How many times worse the second best choice must be."""
 
 
-def read_wand(
-    detections: Detections, wand: Wand, camera: int, frame: int, reading: WandReading | None = None
-) -> Part | None:
+def read_wand(detections: Detections, wand: Wand, camera: int, frame: int) -> Part | None:
     """Return the wand's balls in one image, or None where it is not seen whole or could be two ways.
 
     Rows are in their order along the wand; ``mark`` is their number, or -1 where the two ends cannot be distinguished
     (two balls, or a symmetric wand).
     """
-    reading = reading or WandReading()
     balls, n = len(wand.along_m), len(detections)
     if n < balls:
         return None
@@ -54,13 +43,13 @@ def read_wand(
         for first in range(n)
         for second in range(n)
         if first != second and not (symmetric and first > second)
-        for choice in _between(detections, first, second, along, reading)
+        for choice in _between(detections, first, second, along)
     ]
     if not found:
         return None
     found.sort()
     # choices that share balls compete, others mean that two wands are seen
-    if len(found) > 1 and found[1][0] < reading.clear * max(found[0][0], 0.25):
+    if len(found) > 1 and found[1][0] < CLEAR * max(found[0][0], 0.25):
         return None
     rows = np.array(found[0][1])
     mark = np.full(balls, -1) if symmetric else np.arange(balls)
@@ -69,25 +58,23 @@ def read_wand(
     )
 
 
-def _between(
-    detections: Detections, first: int, second: int, along: Array, reading: WandReading
-) -> list[tuple[float, tuple[int, ...]]]:
+def _between(detections: Detections, first: int, second: int, along: Array) -> list[tuple[float, tuple[int, ...]]]:
     """Return the choices of balls with these two as ends, each with its badness (1: at the limit of the allowed)."""
     start, end = detections.xy_px[first], detections.xy_px[second]
     line = end - start
     length = float(np.linalg.norm(line))
-    if length < 3 * reading.slack_px:
+    if length < 3 * SLACK_PX:
         return []
     relative = (detections.xy_px - start) / length
     unit = line / length
     u = relative @ unit
     beside = np.abs(relative @ np.array([-unit[1], unit[0]]))
-    off = reading.bend + reading.slack_px / length
+    off = BEND + SLACK_PX / length
     inner = np.flatnonzero((u > 0) & (u < 1) & (beside <= off))
     inner = inner[(inner != first) & (inner != second)]
     diameter = detections.diameter_px
-    most = np.log(reading.largest_depth_ratio)
-    limit = np.log(reading.largest_diameter_ratio)
+    most = np.log(LARGEST_DEPTH_RATIO)
+    limit = np.log(LARGEST_DIAMETER_RATIO)
     choices: list[tuple[int, ...]] = [()]
     for t in along[1:-1]:
         # where the ball may lie with either end the nearer one
