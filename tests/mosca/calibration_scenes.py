@@ -8,8 +8,6 @@ from rigs import looking_at
 from scipy.spatial.transform import Rotation
 
 from mosca.calibration.bundle.solver import (
-    FREE,
-    HELD,
     BundleSettings,
     CameraUnknowns,
     ObjectPoints,
@@ -54,9 +52,7 @@ def calibration_of(cameras, start, free, rows, marks, target, placements=(), hel
     """Solve and return the calibration; ``marks`` fixed, cameras free."""
     table = np.array(rows)
     camera, frame, mark, placement = (table[:, k].astype(int) for k in range(4))
-    unknowns = tuple(
-        CameraUnknowns(c, free, pose_sigma=HELD if held_first and k == 0 else FREE) for k, c in enumerate(start)
-    )
+    unknowns = tuple(CameraUnknowns(c, free, held=held_first and k == 0) for k, c in enumerate(start))
     points = ObjectPoints.free(marks) if free_marks else ObjectPoints.fixed(marks)
     things = Placements.of(placements)
     see = Observations(camera, mark, table[:, 4:6], placement, noise_px)

@@ -1,7 +1,5 @@
 """The predicted accuracy against Monte Carlo: pixels disturbed for detection, parameters for the calibration."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from calibration_scenes import field_calibration, good_rig
@@ -10,7 +8,6 @@ from changed_rigs import changed_rig
 from mosca.calibration.quality.accuracy_map import accuracy_map, triangulated_points
 from mosca.calibration.quality.jacobian import sensitivity
 from mosca.camera.projection import project
-from mosca.data.rig import MoscaLens, Rig
 from mosca.triangulation.triangulate import triangulate
 
 TRIALS = 300
@@ -80,23 +77,6 @@ def test_derivatives_are_those_of_the_changed_rig(calibration):
             numeric = (ahead - behind) / (2 * step)
             assert np.allclose(one.by_parameter[:, :, column], numeric, rtol=1e-4, atol=1e-6 * np.abs(numeric).max())
         assert camera.name in calibration.parameters[one.columns[0]]
-
-
-def test_a_shared_lens_is_changed_in_both_cameras(calibration):
-    lens = MoscaLens(10.0, 640, 510, 0.01, 0.01)
-    cameras = tuple(replace(c, lens=lens) for c in calibration.rig.cameras[:2])
-    names = tuple(f"{c.name}.{n}" for c in cameras for n in ("turn_x_rad", "X_m"))
-    shared = replace(
-        calibration,
-        rig=Rig(cameras),
-        parameters=(*names, "c0.c_mm"),
-        covariance=np.eye(5),
-        sigma_px=np.ones((2, 2)),
-        sigma_m=np.ones((2, 2)),
-    )
-    moved = changed_rig(shared, [0, 0, 0, 0, 0.5])
-    assert [c.lens.c_mm for c in moved.cameras] == [10.5, 10.5]
-    assert list(sensitivity(shared.rig, 1, shared.parameters, np.array([[0, 0, 1.0]])).columns) == [2, 3, 4]
 
 
 def test_measured_points_are_those_of_the_triangulation(calibration):

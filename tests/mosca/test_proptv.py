@@ -45,8 +45,6 @@ ROUNDING_PX = 1 / np.sqrt(12)
 # OpenCV's model without its rational part and tilt: what a lens alone can do here. The water's surface is a prism to
 # a slanting camera, hence s1 to s4
 FREE = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "k3", "p1", "p2", "s1", "s2", "s3", "s4")
-# each plane may be rotated about x, y, z and shifted along them by so much [rad, m]
-STAND_SIGMA = (1e-3, 1e-3, 1e-3, 2e-5, 2e-5, 1e-4)
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ def stand_centres(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def adjusted(train: Markers, stands: bool = False) -> Adjustment:
-    """Adjust all cameras together; with ``stands`` each plane's pose, too, which starts parallel to the world.
+    """Adjust all cameras together; with ``stands`` the poses of all planes but the first, too.
 
     Errors common to all cameras are the target's, since one camera's lens cannot explain them.
     """
@@ -90,18 +88,19 @@ def adjusted(train: Markers, stands: bool = False) -> Adjustment:
     rngs = np.random.default_rng(1).spawn(cameras)
     starts = [resected_camera(f"c{k}", train.xy_px[k], train.xyz, rngs[k]) for k in range(cameras)]
     centres, stand = stand_centres(train.xyz)
-    poses = [Pose(np.eye(3), centre) for centre in centres] if stands else []
+    free = stand > 0 if stands else np.zeros(n, dtype=bool)
+    poses = [Pose(np.eye(3), centre) for centre in centres[1:]] if stands else []
     problem = Problem(
         tuple(CameraUnknowns(one, free=FREE) for one in starts),
         Observations(
             np.repeat(np.arange(cameras), n),
             np.tile(np.arange(n), cameras),
             train.xy_px.reshape(-1, 2),
-            np.tile(stand, cameras) if stands else None,
+            np.tile(np.where(free, stand - 1, -1), cameras),
             ROUNDING_PX,
         ),
-        ObjectPoints.fixed(train.xyz - centres[stand] if stands else train.xyz),
-        Placements.of(poses, np.tile(STAND_SIGMA, (len(poses), 1))),
+        ObjectPoints.fixed(np.where(free[:, None], train.xyz - centres[stand], train.xyz)),
+        Placements.of(poses),
     )
     return solve(problem, BundleSettings(precision=False, blunder_significance=None if stands else 0.01))
 
@@ -229,7 +228,7 @@ def test_the_target_turned_along_its_traverse(markers, calibrated):
     free = adjusted(markers.on(TRAINED), stands=True)
     turns = 1e3 * Rotation.from_matrix(free.placements.rotation).as_rotvec()[:, 2]
     print("turns_mrad", turns.tolist())
-    np.testing.assert_allclose(turns, (-1.03, 0.03, 1.00), atol=0.05)
+    np.testing.assert_allclose(turns, (1.06, 2.03), atol=0.07)  # against the first plane
     assert free.sigma0 < 0.92 * calibrated.sigma0
 
 

@@ -99,7 +99,7 @@ def precision_of(
     state = solution.descent.state
     reduced_cofactors, block_cofactors = solution.cofactors, _by_point(layout, cofactors)
     if problem.datum == "points":
-        reduced_cofactors, block_cofactors = in_free_network(problem, layout, solution, block_cofactors)
+        reduced_cofactors, block_cofactors = in_free_network(layout, solution, block_cofactors)
     loose = undetermined(layout, solution.inverse)
     points = np.zeros((len(problem.points), 3, 3))
     # points without observations keep their a-priori covariance
@@ -154,7 +154,7 @@ def _by_camera(
     away = placed_points(layout, state, slice(None)) - table[camera, 9:LENS]
     axis_depth = np.einsum("ni,ni->n", away, table[:, [2, 5, 8]][camera])
     depth = np.where(_is_fisheye(problem)[camera], np.linalg.norm(away, axis=1), axis_depth)
-    focal = np.array([principal_distances_px(c.lens) for c in adjusted_cameras(problem, layout, state)])
+    focal = np.array([principal_distances_px(c.lens) for c in adjusted_cameras(problem, state)])
     good = used & np.isfinite(tests[:, 0])
     cameras = len(problem.cameras)
 

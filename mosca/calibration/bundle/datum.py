@@ -110,7 +110,7 @@ def weak_directions(
     known = {one.column for one in priors}
     weak = [k for k in map(int, np.flatnonzero(open_share > 1)) if k not in known]
     worst: dict[int, LensPrior] = {}
-    for column, camera, parameter, _ in free_lens_parameters(problem, layout):
+    for column, camera, parameter in free_lens_parameters(layout):
         before = worst.get(camera)
         if column in known or open_share[column] < (
             LEAST_OPEN_SHARE if before is None else open_share[before.column]

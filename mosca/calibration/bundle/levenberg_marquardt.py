@@ -108,7 +108,7 @@ def placed_again(
         return None
     points = state.points.copy()
     points[lost] = np.nan
-    cameras = adjusted_cameras(task.problem, layout, state)
+    cameras = adjusted_cameras(task.problem, state)
     again = state._replace(points=intersected(cameras, layout, points, state.points))
     before, after = (
         np.bincount(layout.observations.point, one**2, len(points))
@@ -132,24 +132,24 @@ def residuals(layout: NormalsLayout, state: ParameterValues) -> Array:
     return out
 
 
-def adjusted_cameras(problem: Problem, layout: NormalsLayout, state: ParameterValues) -> tuple[Camera, ...]:
+def adjusted_cameras(problem: Problem, state: ParameterValues) -> tuple[Camera, ...]:
     """Return the cameras of a state."""
     table = state.cameras
     return tuple(
         replace(
             one.camera,
-            lens=lens_of(table[owner, LENS:], problem.cameras[owner].camera.lens),
+            lens=lens_of(table[c, LENS:], one.camera.lens),
             world_from_camera=Pose(table[c, :9].reshape(3, 3), table[c, 9:LENS]),
         )
-        for c, (one, owner) in enumerate(zip(problem.cameras, layout.columns.owner, strict=True))
+        for c, one in enumerate(problem.cameras)
     )
 
 
 def state_of(problem: Problem, cameras: Sequence[Camera], points: Array, placements: Placements) -> ParameterValues:
     """Return a state of these cameras, points and placements."""
     table = [
-        np.concatenate([pose.rotation.ravel(), pose.translation, lens_row(cameras[k].lens, problem.cameras[k].free)])
-        for camera, k in zip(cameras, problem.lens_owner(), strict=True)
+        np.concatenate([pose.rotation.ravel(), pose.translation, lens_row(camera.lens, one.free)])
+        for camera, one in zip(cameras, problem.cameras, strict=True)
         for pose in [camera.world_from_camera]
     ]
     poses = np.column_stack([placements.rotation.reshape(-1, 9), placements.translation])
@@ -223,7 +223,7 @@ def linearised(
     layout = task.layout
     see = layout.observations._replace(weight=weight)
     cost, unseen = linearise(state, see, layout.columns, layout.blocks, layout.known, task.loss, normals)
-    if layout.known.information.size or layout.known.pose_weight.size:
+    if layout.known.information.size:
         cost += observed_blocks(state, layout.blocks, layout.known, normals)
     pull, more = pulls(task.problem, layout, task.priors, state)
     return float(cost) + more, int(unseen), pull
@@ -267,7 +267,6 @@ def moved(
         cameras[group, LENS + parameter] += layout.lens_factors * group_step[group, place]
         if not set_folds(cameras[:, LENS:]):
             return None
-        cameras[:, LENS:] = cameras[layout.columns.owner, LENS:]
     if len(layout.members) + len(layout.kept):
         points = points.copy()
         eliminated = 3 * len(layout.members)

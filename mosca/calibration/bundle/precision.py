@@ -190,14 +190,13 @@ def _test(
 @kernel(fastmath=FAST)
 def by_unknowns(out: Array, columns: LensColumns, camera: int, j: Array) -> None:
     """Write the pixel's derivative by the unknowns of its camera's group (2, K): pose, then free lens parameters."""
-    lens, count, first, second, factor = columns
-    own = lens[camera]
-    free = count[own]
+    count, first, second, factor = columns
+    free = count[camera]
     for k in range(2):
         for i in range(6):
             j[k, i] = out[k, BY_POSE + i]
         for i in range(free):
-            j[k, 6 + i] = out[k, L + first[own, i]] + factor[own, i] * out[k, L + second[own, i]]
+            j[k, 6 + i] = out[k, L + first[camera, i]] + factor[camera, i] * out[k, L + second[camera, i]]
         for i in range(6 + free, j.shape[1]):
             j[k, i] = 0.0
 

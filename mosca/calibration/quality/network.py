@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from scipy.spatial import ConvexHull, Delaunay, QhullError
 
 from mosca.calibration.quality.findings import note, refuse, warn
-from mosca.calibration.quality.jacobian import lens_owner, own_lens_parameters, principal_distance_column
+from mosca.calibration.quality.jacobian import own_lens_parameters, principal_distance_column
 from mosca.calibration.quality.limits import QualityLimits
 from mosca.camera.projection import project
 from mosca.data.arrays import Array
@@ -231,8 +231,7 @@ def little_coverage(
     """Return the cameras whose image, and whether the ``volume`` (low, high) [m], was covered in part only."""
     found = []
     for k, camera in enumerate(calibration.rig.cameras):
-        owner = lens_owner(calibration.rig, k, calibration.parameters)
-        if not own_lens_parameters(owner, calibration.parameters):
+        if not own_lens_parameters(camera.name, calibration.parameters):
             continue  # a lens that was held needs no points in the corners
         covered = coverage(calibration, k, settings.cells)
         share = float(covered.mean())
