@@ -5,12 +5,11 @@ is smooth, elliptic as the dot, and centred on the centre c itself, so that its 
 
     sum_p w(p - c) (I(p) - b(p)) (p - c) = 0
 
-with b the light of the plate. Where the window is flat this is the plain centroid; Newton's method finds c, with
-``J = sum (I - b) (w 1 + d grad w^T)``, d = p - c. Pixel noise goes through at first order:
-``C = J^-1 (sum w^2 var(I) d d^T) J^-T``, ``var(I) = dark + gain (I - b)`` (as in ``mosca.detection.detect``). The
-covariance is the random error, to a third. What remains besides, measured on rendered targets at blurs of 0.4 to
-0.9 px, is below 0.002 px rms where the dot's shorter axis is 7 px or more, 0.004 px from 5 px on, and up to 0.009
-px below.
+with b the light of the plate. Where the window is flat this is the plain centroid; Newton's method finds c, with ``J
+= sum (I - b) (w 1 + d grad w^T)``, d = p - c. Pixel noise goes through at first order: ``C = J^-1 (sum w^2 var(I) d
+d^T) J^-T``, ``var(I) = dark + gain (I - b)`` (as in ``mosca.detection.detect``). The covariance is the random error,
+to a third. What remains besides, measured on rendered targets at blurs of 0.4 to 0.9 px, is below 0.002 px rms where
+the dot's shorter axis is 7 px or more, 0.004 px from 5 px on, and up to 0.009 px below.
 
 A brightness gradient across a plate, from a near lamp or vignetting, biases a centroid too. It is estimated on plate
 and ring where these are wide enough, and corrected; vignetting of 30 % in the image's corners leaves up to 0.006 px,

@@ -1,8 +1,7 @@
 """Identification of coded targets: from an image to numbered sub-pixel centres. Mosca paper, section 2.2.
 
 A coded target is a dot within a ring of 20 sectors on a plate of the other colour (``mosca.data.targets``,
-``target_codes``); targets of this kind automated the paper's calibration (its reference Knyaz and Sibiryakov
-1998).
+``target_codes``); targets of this kind automated the paper's calibration (its reference Knyaz and Sibiryakov 1998).
 
 1. Patches (``coded_patches``). A pixel is bright when it exceeds the middle between the smallest and the largest
    grey value of the 15 x 15 px around it and these differ by more than the contrast B: a threshold of its own
@@ -79,27 +78,23 @@ class CodedSettings:
     """As in ``DetectionSettings``."""
 
     def __post_init__(self) -> None:
-        if self.colour not in ("white", "black", "both"):
-            raise _out_of_range("colour", self.colour, "'white', 'black' or 'both'")
         if self.numbers is not None:
             object.__setattr__(self, "numbers", frozenset(self.numbers))
-        if not 0 < self.contrast_dn < 255:
-            raise _out_of_range("contrast_dn", self.contrast_dn, "more than 0 and less than 255")
-        if not 3 <= self.maximum_dot_px < math.inf:
-            raise _out_of_range("maximum_dot_px", self.maximum_dot_px, "3 or more")
-        if not 1.2 <= self.ring_inner < self.ring_outer <= 0.45 * self.plate < math.inf:
-            given = (self.ring_inner, self.ring_outer, self.plate)
-            raise _out_of_range(
-                "ring_inner, ring_outer, plate", given, "1.2 <= ring_inner < ring_outer <= 0.45 plate"
-            )
-        if not 0 < self.flattest < 1:
-            raise _out_of_range("flattest", self.flattest, "more than 0 and less than 1")
-        if not 0 <= self.least_confidence < 1:
-            raise _out_of_range("least_confidence", self.least_confidence, "0 to below 1")
-        for key in ("read_noise_dn", "gain_dn_per_e"):
-            value = getattr(self, key)
-            if not (value >= 0 and math.isfinite(value)):
-                raise _out_of_range(key, value, "0 or more")
+        ring = 1.2 <= self.ring_inner < self.ring_outer <= 0.45 * self.plate < math.inf
+        for keys, sound, allowed in (
+            (("colour",), self.colour in ("white", "black", "both"), "'white', 'black' or 'both'"),
+            (("contrast_dn",), 0 < self.contrast_dn < 255, "more than 0 and less than 255"),
+            (("maximum_dot_px",), 3 <= self.maximum_dot_px < math.inf, "3 or more"),
+            (("ring_inner", "ring_outer", "plate"), ring, "1.2 <= ring_inner < ring_outer <= 0.45 plate"),
+            (("flattest",), 0 < self.flattest < 1, "more than 0 and less than 1"),
+            (("least_confidence",), 0 <= self.least_confidence < 1, "0 to below 1"),
+            (("read_noise_dn",), 0 <= self.read_noise_dn < math.inf, "0 or more"),
+            (("gain_dn_per_e",), 0 <= self.gain_dn_per_e < math.inf, "0 or more"),
+        ):
+            if not sound:
+                values = tuple(getattr(self, key) for key in keys)
+                given = values if len(keys) > 1 else values[0]
+                raise InputError(f"coded targets: key '{', '.join(keys)}': {given!r} given; {allowed} is allowed")
 
 
 DEFAULTS = CodedSettings()
@@ -221,7 +216,3 @@ def _check(image: Array, camera: str, bit_depth: int) -> None:
             f"coded targets: camera '{camera}': bit_depth {bit_depth} given for an image of {image.dtype}; "
             f"8 to {8 * image.dtype.itemsize} is allowed"
         )
-
-
-def _out_of_range(key: str, value: object, allowed: str) -> InputError:
-    return InputError(f"coded targets: key '{key}': {value!r} given; {allowed} is allowed")

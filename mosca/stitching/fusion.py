@@ -1,6 +1,7 @@
 """Samples of several zones as one set: those of one target in two zones are fused by their covariances."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,8 +12,7 @@ from mosca.stitching.association import Group
 
 def shifted(tracks: Tracks, by_m: Array) -> Tracks:
     """Return ``tracks`` moved by ``by_m`` (3,)."""
-    columns = {name: getattr(tracks, name) for name in Tracks.__dataclass_fields__}
-    return Tracks(**(columns | {"xyz": tracks.xyz + by_m}))
+    return replace(tracks, xyz=tracks.xyz + by_m)
 
 
 def merged(zones: Mapping[str, Tracks], groups: Sequence[Group], gate_sigma: float) -> tuple[Tracks, int, int]:

@@ -65,8 +65,7 @@ def of_zones(tracks: Tracks, zones: Sequence[Zone]) -> dict[str, Tracks]:
     found = {}
     for k, zone in enumerate(zones):
         own = tracks.select(tracks.track % len(zones) == k)
-        columns = {name: getattr(own, name) for name in Tracks.__dataclass_fields__}
-        found[zone.name] = Tracks(**(columns | {"track": own.track // len(zones)}))
+        found[zone.name] = replace(own, track=own.track // len(zones))
     return found
 
 

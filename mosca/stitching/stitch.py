@@ -17,6 +17,7 @@ from itertools import combinations
 import numpy as np
 from pydantic import PositiveInt
 from pydantic.dataclasses import dataclass
+from scipy.sparse.csgraph import connected_components
 
 from mosca.data.arrays import Array
 from mosca.data.files.toml import SETTINGS, NotNegative, Positive
@@ -168,17 +169,9 @@ def _places(names: Sequence[str], shifts: Sequence[ZoneShift]) -> dict[str, Arra
         right[j] += weight * value
         right[i] -= weight * value
     # the first zone of each connected set keeps its frame
-    loose = set(range(n))
-    while loose:
-        first = min(loose)
-        reached, edge = {first}, [first]
-        while edge:
-            for k in np.flatnonzero(normal[edge.pop()]).tolist():
-                if k not in reached:
-                    reached.add(k)
-                    edge.append(k)
+    component = connected_components(normal != 0, directed=False)[1]
+    for first in np.unique(component, return_index=True)[1]:
         normal[first, first] += max(float(np.trace(normal)), 1.0)
-        loose -= reached
     solved = np.linalg.solve(normal, right)
     return {name: solved[at[name]] for name in names}
 

@@ -257,7 +257,7 @@ def cost_with(problem, cameras: np.ndarray) -> float:
     """Return the least cost that the points can reach with the given cameras (4, 10) held."""
     from dataclasses import replace
 
-    from mosca.calibration.bundle.solver import HELD, BundleSettings, solve
+    from mosca.calibration.bundle.solver import BundleSettings, solve
     from mosca.data.rig import OpenCVLens, Pose
 
     held = []
@@ -265,7 +265,7 @@ def cost_with(problem, cameras: np.ndarray) -> float:
         turn = cv2.Rodrigues(c[:3])[0]
         lens, pose = OpenCVLens(c[6], c[6], c[8], c[9], c[7]), Pose(turn.T, -turn.T @ c[3:6])
         camera = replace(one.camera, lens=lens, world_from_camera=pose)
-        held.append(replace(one, camera=camera, free=(), pose_sigma=HELD))
+        held.append(replace(one, camera=camera, free=(), held=True))
     settings = BundleSettings(precision=False)
     return solve(replace(problem, cameras=tuple(held), datum="given"), settings).cost
 

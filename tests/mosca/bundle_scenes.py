@@ -1,9 +1,13 @@
 """Scenes for the tests of the bundle adjustment; the pixels come from OpenCV's projectPoints."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from rigs import looking_at
+from scipy.spatial.transform import Rotation
 
+from mosca.calibration.bundle.solver import CameraUnknowns, Distances, ObjectPoints, Problem
 from mosca.data.rig import Camera, OpenCVLens, Pose
 
 WIDTH, HEIGHT = 1280, 1024
@@ -56,11 +60,16 @@ def wand_points(frames, length=0.5, seed=2) -> np.ndarray:
 
 def moved(camera: Camera, rng, turn_rad=0.0, shift_m=0.0, **lens) -> Camera:
     """Return the camera with a disturbed pose and the named lens parameters."""
-    from dataclasses import replace
-
-    from scipy.spatial.transform import Rotation
-
     pose = camera.world_from_camera
     turn = Rotation.from_rotvec(rng.normal(0, 1, 3) * turn_rad / np.sqrt(3)).as_matrix()
     new = Pose(pose.rotation @ turn, pose.translation + rng.normal(0, 1, 3) * shift_m / np.sqrt(3))
     return replace(camera, world_from_camera=new, lens=replace(camera.lens, **lens))
+
+
+def wand_problem(starts, see, points, *, rod_sigma_m, free=("f_px", "k1"), datum="given", hold_first=True) -> Problem:
+    """Return the problem of a wand of 0.5 m whose ends are points 2k and 2k + 1 (array, or their number)."""
+    points = ObjectPoints.free(points)
+    unknowns = tuple(CameraUnknowns(c, free, held=hold_first and k == 0) for k, c in enumerate(starts))
+    ends = np.arange(0, len(points), 2)
+    rods = Distances(ends, ends + 1, np.full(len(ends), 0.5), np.full(len(ends), rod_sigma_m))
+    return Problem(unknowns, see, points, distances=rods, datum=datum)

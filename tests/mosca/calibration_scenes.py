@@ -8,8 +8,6 @@ from rigs import looking_at
 from scipy.spatial.transform import Rotation
 
 from mosca.calibration.bundle.solver import (
-    FREE,
-    HELD,
     BundleSettings,
     CameraUnknowns,
     ObjectPoints,
@@ -18,7 +16,7 @@ from mosca.calibration.bundle.solver import (
     Problem,
     solve,
 )
-from mosca.camera.projection import project, project_with_jacobians
+from mosca.camera.projection import project_with_jacobians
 from mosca.data.calibration import Calibration
 from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
 from mosca.data.sightings import Sightings
@@ -54,9 +52,7 @@ def calibration_of(cameras, start, free, rows, marks, target, placements=(), hel
     """Solve and return the calibration; ``marks`` fixed, cameras free."""
     table = np.array(rows)
     camera, frame, mark, placement = (table[:, k].astype(int) for k in range(4))
-    unknowns = tuple(
-        CameraUnknowns(c, free, pose_sigma=HELD if held_first and k == 0 else FREE) for k, c in enumerate(start)
-    )
+    unknowns = tuple(CameraUnknowns(c, free, held=held_first and k == 0) for k, c in enumerate(start))
     points = ObjectPoints.free(marks) if free_marks else ObjectPoints.fixed(marks)
     things = Placements.of(placements)
     see = Observations(camera, mark, table[:, 4:6], placement, noise_px)
@@ -175,7 +171,3 @@ def bar_sightings(cameras, length, frames, rng, noise_px=NOISE_PX) -> Sightings:
         tuple(c.name for c in cameras), np.array([(c.width, c.height) for c in cameras]), frames, table[:, 0],
         table[:, 1], table[:, 2], table[:, 4:6], np.tile(noise_px**2 * np.eye(2), (len(table), 1, 1)), table[:, 6]
     )  # fmt: skip
-
-
-def exact(camera, points):
-    return project(camera, points)

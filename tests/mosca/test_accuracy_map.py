@@ -1,7 +1,5 @@
 """The predicted accuracy against Monte Carlo: pixels disturbed for detection, parameters for the calibration."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from calibration_scenes import field_calibration, good_rig
@@ -10,7 +8,6 @@ from changed_rigs import changed_rig
 from mosca.calibration.quality.accuracy_map import accuracy_map, triangulated_points
 from mosca.calibration.quality.jacobian import sensitivity
 from mosca.camera.projection import project
-from mosca.data.rig import MoscaLens, Rig
 from mosca.triangulation.triangulate import triangulate
 
 TRIALS = 300
@@ -23,7 +20,7 @@ def calibration():
 
 @pytest.fixture(scope="module")
 def predicted(calibration):
-    return accuracy_map(calibration, (-0.6, -0.6, 0.6), (0.6, 0.6, 1.4), (3, 3, 2), 0.1, 3)
+    return accuracy_map(calibration, (-0.6, -0.6, 0.6), (0.6, 0.6, 1.4), (3, 3, 2), 0.1)
 
 
 def places(grid) -> np.ndarray:
@@ -34,10 +31,9 @@ def pixels(rig, points) -> np.ndarray:
     return np.stack([project(camera, points) for camera in rig.cameras], axis=1)
 
 
-def ratio(found, covariance) -> np.ndarray:
+def ratio(found, sigma_m) -> np.ndarray:
     """Return the trace of the empirical over that of the predicted covariance, per position."""
-    seen = np.einsum("tni,tni->n", found, found) / len(found)
-    return seen / np.trace(covariance, axis1=1, axis2=2)
+    return np.einsum("tni,tni->n", found, found) / len(found) / sigma_m.ravel() ** 2
 
 
 def test_detection_is_what_disturbed_pixels_do(calibration, predicted):
@@ -47,7 +43,7 @@ def test_detection_is_what_disturbed_pixels_do(calibration, predicted):
     noisy = exact[None] + rng.normal(0, 0.1, (TRIALS, *exact.shape))
     found = triangulate(calibration.rig, noisy.reshape(-1, *exact.shape[1:]))[0].reshape(TRIALS, -1, 3) - points
     # 300 trials of 3 unequal axes: a standard deviation of some 7 % each, 2 % over all positions
-    share = ratio(found, predicted.detection.reshape(-1, 3, 3))
+    share = ratio(found, predicted.detection_m)
     assert np.all((share > 0.7) & (share < 1.35))
     assert share.mean() == pytest.approx(1, abs=0.08)
 
@@ -58,20 +54,14 @@ def test_calibration_is_what_disturbed_parameters_do(calibration, predicted):
     exact = pixels(calibration.rig, points)
     changes = rng.multivariate_normal(np.zeros(len(calibration.parameters)), calibration.covariance, TRIALS)
     found = np.array([triangulate(changed_rig(calibration, change), exact)[0] - points for change in changes])
-    share = ratio(found, predicted.calibration.reshape(-1, 3, 3))
+    share = ratio(found, predicted.calibration_m)
     assert np.all((share > 0.7) & (share < 1.35))
     assert share.mean() == pytest.approx(1, abs=0.12)
-
-
-def test_both_parts_are_kept_apart_and_add(predicted):
-    assert np.allclose(predicted.sigma_m**2, predicted.detection_sigma_m**2 + predicted.calibration_sigma_m**2)
-    assert (predicted.n_cameras == 3).all()
 
 
 def test_where_nothing_looks_there_is_no_figure(calibration):
     far = accuracy_map(calibration, (50, 50, 50), (60, 60, 60), (2, 2, 2), 0.1)
     assert np.isnan(far.sigma_m).all()
-    assert (far.n_cameras < 2).all()
 
 
 def test_derivatives_are_those_of_the_changed_rig(calibration):
@@ -87,23 +77,6 @@ def test_derivatives_are_those_of_the_changed_rig(calibration):
             numeric = (ahead - behind) / (2 * step)
             assert np.allclose(one.by_parameter[:, :, column], numeric, rtol=1e-4, atol=1e-6 * np.abs(numeric).max())
         assert camera.name in calibration.parameters[one.columns[0]]
-
-
-def test_a_shared_lens_is_changed_in_both_cameras(calibration):
-    lens = MoscaLens(10.0, 640, 510, 0.01, 0.01)
-    cameras = tuple(replace(c, lens=lens) for c in calibration.rig.cameras[:2])
-    names = tuple(f"{c.name}.{n}" for c in cameras for n in ("turn_x_rad", "X_m"))
-    shared = replace(
-        calibration,
-        rig=Rig(cameras),
-        parameters=(*names, "c0.c_mm"),
-        covariance=np.eye(5),
-        sigma_px=np.ones((2, 2)),
-        sigma_m=np.ones((2, 2)),
-    )
-    moved = changed_rig(shared, [0, 0, 0, 0, 0.5])
-    assert [c.lens.c_mm for c in moved.cameras] == [10.5, 10.5]
-    assert list(sensitivity(shared.rig, 1, shared.parameters, np.array([[0, 0, 1.0]])).columns) == [2, 3, 4]
 
 
 def test_measured_points_are_those_of_the_triangulation(calibration):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bundle_scenes import HEIGHT, WIDTH, ring
+from bundle_scenes import HEIGHT, WIDTH
 from calibration_scenes import (
     DIAMETER_M,
     bar_sightings,
@@ -41,20 +41,14 @@ def turned(camera: Camera, rad: float, shift_m: float = 0.0) -> Camera:
     return replace(camera, world_from_camera=Pose(pose.rotation @ turn, pose.translation + [shift_m, 0, 0]))
 
 
-@pytest.mark.parametrize("seed", range(22))
-def test_good_field_raises_nothing(seed):
-    rng = np.random.default_rng(1000 + seed)
-    cameras = good_rig(rng)
-    calibration = field_calibration(seed, cameras)
-    findings = check_calibration(calibration, known=Rig(tuple(cameras)), target_diameters_m=DIAMETER_M)
-    assert codes(findings) == set(), findings
-
-
-@pytest.mark.parametrize("seed", range(14))
-def test_good_board_raises_nothing(seed):
-    rng = np.random.default_rng(2000 + seed)
-    cameras = overhead(rng)
-    calibration = board_calibration(seed, cameras)
+@pytest.mark.parametrize(
+    ("rig_of", "calibrated", "first", "seed"),
+    [(good_rig, field_calibration, 1000, k) for k in range(22)]
+    + [(overhead, board_calibration, 2000, k) for k in range(14)],
+)
+def test_a_good_field_or_board_raises_nothing(rig_of, calibrated, first, seed):
+    cameras = rig_of(np.random.default_rng(first + seed))
+    calibration = calibrated(seed, cameras)
     findings = check_calibration(calibration, known=Rig(tuple(cameras)), target_diameters_m=DIAMETER_M)
     assert codes(findings) == set(), findings
 
@@ -104,15 +98,9 @@ def test_perspective_decides_the_pose_and_so_do_other_views():
 def shallow(relief, free=("f_px",), noise_px=0.1):
     rng = np.random.default_rng(6)
     points = field_points(rng, (2.6, 2.2, relief), (6, 6, 3))
+    lens = OpenCVLens(1000.0, 1000.0, 640, 510)
     cameras = [
-        Camera(
-            f"c{k}",
-            WIDTH,
-            HEIGHT,
-            OpenCVLens(1000.0, 1000.0, 640, 510),
-            looking_at([0.3 * k, 0.02, 3.6], [0.3 * k, 0, 1]),
-        )
-        for k in range(2)
+        Camera(f"c{k}", WIDTH, HEIGHT, lens, looking_at([0.3 * k, 0.02, 3.6], [0.3 * k, 0, 1])) for k in range(2)
     ]
     return field_calibration(6, cameras, points, noise_px, free)
 
@@ -122,31 +110,25 @@ def test_little_depth_is_told_with_its_correlation():
     findings = check_calibration(flat)
     assert codes(findings) == {"little-depth"}
     assert depth_range(flat, 0) < 0.05
-    assert distance_correlation(flat, 0)[0] > 0.99 or distance_correlation(flat, 0)[0] < -0.99
+    assert abs(distance_correlation(flat, 0)[0]) > 0.99
     assert codes(check_calibration(shallow(0.8))) == set()
 
 
 def test_few_points_leave_nothing_to_notice_mistakes_by():
     rng = np.random.default_rng(7)
     cameras = good_rig(rng, 2)
-    few = field_points(rng, (1.4, 1.4, 1.0), (2, 2, 2))
-    assert "few-views" in codes(
-        check_calibration(field_calibration(7, cameras, few, free=("f_px", "cx_px", "cy_px")))
-    )
-    more = field_points(rng, n=(3, 3, 3))
-    assert "few-views" not in codes(
-        check_calibration(field_calibration(7, cameras, more, free=("f_px", "cx_px", "cy_px")))
-    )
+    few, more = field_points(rng, (1.4, 1.4, 1.0), (2, 2, 2)), field_points(rng, n=(3, 3, 3))
+    for points, told in ((few, True), (more, False)):
+        calibration = field_calibration(7, cameras, points, free=("f_px", "cx_px", "cy_px"))
+        assert ("few-views" in codes(check_calibration(calibration))) == told
 
 
 @pytest.mark.parametrize(("frames", "severity"), [(2, "refuse"), (4, "warn"), (8, None)])
 def test_few_views_of_a_board(frames, severity):
     rng = np.random.default_rng(8)
     poses = board_poses(rng, frames, 0.6, 0.3)
-    findings = [
-        f for f in check_calibration(board_calibration(8, poses=poses, free=("f_px",))) if f.code == "few-views"
-    ]
-    assert {f.severity for f in findings} == ({severity} if severity else set())
+    findings = check_calibration(board_calibration(8, poses=poses, free=("f_px",)))
+    assert {f.severity for f in findings if f.code == "few-views"} == ({severity} if severity else set())
 
 
 @pytest.mark.parametrize(("scale", "expected"), [(1.10, {"wrong-size"}), (0.95, {"wrong-size"}), (1.02, set())])
@@ -157,17 +139,18 @@ def test_wrong_size_shows_in_the_marks_images(scale, expected):
     assert codes(check_calibration(calibration, target_diameters_m=DIAMETER_M)) == expected
 
 
-@pytest.mark.parametrize("scale", [1000.0, 100.0, 1 / 1000, 39.37])
-def test_mixed_units(scale):
-    findings = check_calibration(field_calibration(10, scale=scale), target_diameters_m=DIAMETER_M)
+@pytest.mark.parametrize(
+    ("scale", "diameter_m", "severity"),
+    [
+        *((scale, DIAMETER_M, "refuse") for scale in (1000.0, 100.0, 1 / 1000, 39.37)),
+        # a file all in millimetres: the target stands too far away
+        (1000.0, 1000 * DIAMETER_M, "warn"),
+    ],
+)
+def test_mixed_units(scale, diameter_m, severity):
+    findings = check_calibration(field_calibration(10, scale=scale), target_diameters_m=diameter_m)
     assert codes(findings) == {"mixed-units"}
-    assert findings[0].severity == "refuse"
-
-
-def test_a_file_all_in_millimetres_stands_too_far_away():
-    assert codes(check_calibration(field_calibration(10, scale=1000.0), target_diameters_m=1000 * DIAMETER_M)) == {
-        "mixed-units"
-    }
+    assert findings[0].severity == severity
 
 
 @pytest.mark.parametrize(("scale", "expected"), [(1.0, set()), (1.0001, set()), (1.0006, {"scale-error"})])
@@ -235,13 +218,8 @@ def test_a_moved_camera_is_named(rad, expected):
     rng = np.random.default_rng(26)
     cameras = good_rig(rng, 4)
     known = Rig((*cameras[:2], turned(cameras[2], rad), cameras[3]))
-    findings = [
-        f
-        for f in check_calibration(field_calibration(26, cameras, noise_px=0.02), known=known)
-        if f.severity != "note"
-    ]
-    assert codes(findings) == expected
-    assert {f.camera for f in findings} == ({"c2"} if expected else set())
+    findings = check_calibration(field_calibration(26, cameras, noise_px=0.02), known=known)
+    assert {(f.code, f.camera) for f in findings if f.severity != "note"} == {(code, "c2") for code in expected}
 
 
 def with_lens(calibration, index=0, **values):
@@ -272,9 +250,8 @@ def good():
 )
 def test_an_interior_orientation_that_no_camera_has(good, values, bad):
     free = {"k1": 0.0, "k2": 0.0} | values
-    found = {f for f in check_calibration(with_lens(good, **free)) if f.severity != "note"}
-    assert codes(found) == ({"interior-ran-away"} if bad else set())
-    assert all(f.camera == "c0" for f in found)
+    found = {(f.code, f.camera) for f in check_calibration(with_lens(good, **free)) if f.severity != "note"}
+    assert found == ({("interior-ran-away", "c0")} if bad else set())
 
 
 def test_an_uncertain_principal_distance_ran_away(good):
@@ -286,9 +263,8 @@ def test_an_uncertain_principal_distance_ran_away(good):
 
 @pytest.mark.parametrize(("change", "expected"), [(1.04, {"interior-ran-away"}), (1.01, set())])
 def test_a_principal_distance_unlike_the_known_one(good, change, expected):
-    known = with_lens(
-        good, 1, fx_px=good.rig.cameras[1].lens.fx_px * change, fy_px=good.rig.cameras[1].lens.fy_px * change
-    )
+    lens = good.rig.cameras[1].lens
+    known = with_lens(good, 1, fx_px=lens.fx_px * change, fy_px=lens.fy_px * change)
     assert codes(check_calibration(good, known=known.rig)) - {"rig-moved"} == expected
 
 
@@ -318,21 +294,17 @@ def test_cameras_joined_by_few_points(good, common, expected):
 
 
 def test_boards_join_cameras_by_views():
-    def who(f):
-        return {0, 1} if f < 10 else {1, 2} if f < 20 else {0, 1, 2}
-
-    assert codes(check_calibration(board_calibration(31, frames=22, who=who))) == set()
-    assert codes(check_calibration(board_calibration(31, frames=21, who=lambda f: {0, 1} if f < 19 else {1, 2}))) >= {
-        "weak-link"
-    }
+    well = board_calibration(31, frames=22, who=lambda f: {0, 1} if f < 10 else {1, 2} if f < 20 else {0, 1, 2})
+    assert codes(check_calibration(well)) == set()
+    poorly = board_calibration(31, frames=21, who=lambda f: {0, 1} if f < 19 else {1, 2})
+    assert codes(check_calibration(poorly)) >= {"weak-link"}
 
 
 def test_a_target_seen_in_the_middle_only():
     rng = np.random.default_rng(32)
     cameras = good_rig(rng, 3)
-    findings = check_calibration(
-        field_calibration(32, cameras, field_points(rng, (0.9, 0.9, 0.9)), 0.02, ("f_px", "k1"))
-    )
+    points = field_points(rng, (0.9, 0.9, 0.9))
+    findings = check_calibration(field_calibration(32, cameras, points, 0.02, ("f_px", "k1")))
     assert codes(findings) == {"little-coverage"}
     assert "corners without any: top left, top right, bottom left, bottom right" in findings[0].message
 
@@ -387,7 +359,3 @@ def test_findings_are_one_line_and_known():
         assert finding.code in CODES
         assert "\n" not in finding.message
         assert finding.message[0].islower() or finding.message[0].isdigit()
-
-
-def test_ring_is_what_the_tests_think():
-    assert [c.name for c in ring(3)] == ["c0", "c1", "c2"]

@@ -190,12 +190,17 @@ def test_roll_is_where_the_plates_x_axis_points(tilt_deg):
 # ---------------------------------------------------------------- where it is
 
 
+def centre_errors(found, plates: list[View]) -> np.ndarray:
+    """Return the errors (n, 2) [px] of the centres found."""
+    true = {view.number: view.xy for view in plates}
+    return found.xy_px - [true[int(number)] for number in found.number]
+
+
 @pytest.mark.parametrize(("dot_px", "tilt_deg", "limit"), [(6, 0, 0.02), (12, 0, 0.01), (12, 60, 0.02)])
 def test_centres_are_where_they_were_painted(dot_px, tilt_deg, limit):
-    plates = {v.number: v for v in views(12, dot_px, tilt_deg, z=2000.0)}  # hardly any eccentricity
-    found = find_coded(picture(list(plates.values()), noise=0.3, samples=8), "left")
-    true = np.array([plates[int(n)].xy for n in found.number])
-    assert np.sqrt(np.mean((found.xy_px - true) ** 2)) < limit
+    plates = views(12, dot_px, tilt_deg, z=2000.0)  # hardly any eccentricity
+    found = find_coded(picture(plates, noise=0.3, samples=8), "left")
+    assert np.sqrt(np.mean(centre_errors(found, plates) ** 2)) < limit
 
 
 def test_centres_agree_with_the_pipelines_detector():
@@ -214,12 +219,11 @@ def test_centres_agree_with_the_pipelines_detector():
 )
 def test_no_bias_without_noise(dot_px, tilt_deg, blur, limit):
     """A mask of whole pixels is up to 0.012 px off here. 16 bits: no rounding; painting itself leaves 0.003."""
-    plates = {v.number: v for v in views(16, dot_px, tilt_deg, z=2000.0)}
-    raw = paint(SHAPE, list(plates.values()), blur=blur, samples=8, raw=True)
+    plates = views(16, dot_px, tilt_deg, z=2000.0)
+    raw = paint(SHAPE, plates, blur=blur, samples=8, raw=True)
     found = find_coded(np.rint(256 * raw).astype(np.uint16), "left", bit_depth=16)
     assert len(found) >= 0.9 * len(plates)
-    off = found.xy_px - [plates[int(n)].xy for n in found.number]
-    assert np.sqrt(np.mean(off**2)) < limit
+    assert np.sqrt(np.mean(centre_errors(found, plates) ** 2)) < limit
 
 
 @pytest.mark.parametrize(
@@ -228,18 +232,16 @@ def test_no_bias_without_noise(dot_px, tilt_deg, blur, limit):
 )
 def test_light_that_falls_across_a_dot_does_not_draw_its_centre(dot_px, limit, colour):
     """0.15 % a pixel: centroids of white dots move by 0.0015 R^2 / 4 (0.013 and 0.054 px), of black ones by more."""
-    plates = {v.number: v for v in views(17, dot_px, z=2000.0)}
+    plates = views(17, dot_px, z=2000.0)
     white, black = (200.0, 8.0) if colour == "white" else (20.0, 200.0)
 
     def light(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         return 1.15 - 0.0015 * (0.6 * x + 0.8 * y)
 
-    raw = paint(
-        SHAPE, list(plates.values()), white=white, black=black, around=black, light=light, samples=8, raw=True
-    )
+    raw = paint(SHAPE, plates, white=white, black=black, around=black, light=light, samples=8, raw=True)
     found = find_coded(np.rint(200 * raw).astype(np.uint16), "left", CodedSettings(colour=colour), bit_depth=16)
     assert len(found) == len(plates)
-    off = found.xy_px - [plates[int(n)].xy for n in found.number]
+    off = centre_errors(found, plates)
     assert np.sqrt(np.mean(off**2)) < limit
     assert np.abs(off.mean(axis=0)).max() < limit
 
@@ -247,9 +249,9 @@ def test_light_that_falls_across_a_dot_does_not_draw_its_centre(dot_px, limit, c
 def test_errors_are_as_large_as_the_covariance_says():
     errors, variances = [], []
     for seed in range(3):
-        plates = {v.number: v for v in views(20 + seed, 10, z=2000.0)}
-        found = find_coded(picture(list(plates.values()), seed, noise=8.0), "left")
-        errors.append(found.xy_px - [plates[int(n)].xy for n in found.number])
+        plates = views(20 + seed, 10, z=2000.0)
+        found = find_coded(picture(plates, seed, noise=8.0), "left")
+        errors.append(centre_errors(found, plates))
         variances.append(np.trace(found.covariance_px2, axis1=1, axis2=2) / 2)
     ratio = np.mean(np.concatenate(errors) ** 2) / np.mean(np.concatenate(variances))
     assert 0.6 < ratio < 2.0

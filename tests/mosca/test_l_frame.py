@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from test_wand import calibrated
 from wand_scenes import NOISE_PX, rig, seen, waved
 
-from mosca.calibration.uncalibrated.self_calibration import self_calibrate
 from mosca.calibration.world_frame.l_frame import in_axes, world_from_l_frame
 from mosca.camera.projection import project
 from mosca.data.detections import Detections
@@ -24,16 +23,17 @@ FRAME = LFrame(NAMES, PLACES, 0.02)
 TRUE = rig(4, seed=7)
 
 
-def shown(places=PLACES, clutter=2, noise_px=NOISE_PX, seed=0) -> list[Detections]:
+def shown(places=PLACES, clutter=2, noise_px=NOISE_PX, seed=0) -> dict[str, Detections]:
     """Return what the true cameras see of the L-frame and of ``clutter`` reflections each."""
     rng = np.random.default_rng(seed)
-    out = []
+    out = {}
     for camera in TRUE:
         xy = project(camera, places) + rng.normal(0, noise_px, (len(places), 2))
         xy = np.vstack([xy, rng.uniform(0, 1, (clutter, 2)) * (656, 491)])
         xy, n = xy[rng.permutation(len(xy))], len(xy)
         ones = np.ones(n)
-        out.append(Detections(camera.name, xy, np.tile(np.eye(2) * noise_px**2, (n, 1, 1)), 8 * ones, ones, ones))
+        covariance = np.tile(np.eye(2) * noise_px**2, (n, 1, 1))
+        out[camera.name] = Detections(camera.name, xy, covariance, 8 * ones, ones, ones)
     return out
 
 
@@ -63,14 +63,8 @@ def test_the_rig_comes_home():
 
 
 def test_exactly_where_nothing_is_noisy():
-    axes = world_from_l_frame(elsewhere(), {one.camera: one for one in shown(noise_px=1e-9)}, FRAME)
+    axes = world_from_l_frame(elsewhere(), shown(noise_px=1e-9), FRAME)
     assert_true(axes.rig.cameras, 1e-6)
-
-
-def test_arbitrary_lengths_become_metres():
-    axes = world_from_l_frame(elsewhere(scale=0.317), shown(), FRAME, lengths_known=False)
-    assert_true(axes.rig.cameras, 1e-2)
-    assert axes.scale == pytest.approx(1 / 0.317, rel=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -100,7 +94,7 @@ def test_too_few_balls_are_refused():
     with pytest.raises(CalibrationError, match="balls found that two cameras see"):
         world_from_l_frame(elsewhere(), shown(PLACES[:2], clutter=0), FRAME)
     with pytest.raises(CalibrationError, match="0 balls found"):
-        world_from_l_frame(elsewhere(), [], FRAME)
+        world_from_l_frame(elsewhere(), {}, FRAME)
 
 
 def test_two_figures_alike_are_refused():
@@ -130,12 +124,15 @@ def test_a_wand_calibration_is_carried_into_the_axes_with_its_covariance():
     assert np.median(off) < 3e-3
 
 
-def l_frame_images(noise_px=NOISE_PX) -> tuple[list[Detections], np.ndarray]:
+def l_frame_images(noise_px=NOISE_PX) -> tuple[dict[str, Detections], np.ndarray]:
     """Return the L-frame's images in each camera, and the same as a table (ball, camera, 2) [px]."""
     rng = np.random.default_rng(8)
     table = np.stack([project(one, PLACES) + rng.normal(0, noise_px, (4, 2)) for one in TRUE], axis=1)
     ones, covariance = np.ones(4), np.tile(np.eye(2) * noise_px**2, (4, 1, 1))
-    return [Detections(one.name, table[:, k], covariance, 8 * ones, ones, ones) for k, one in enumerate(TRUE)], table
+    images = {
+        one.name: Detections(one.name, table[:, k], covariance, 8 * ones, ones, ones) for k, one in enumerate(TRUE)
+    }
+    return images, table
 
 
 def drawn_sizes(found, table, draws=300) -> tuple[np.ndarray, np.ndarray]:
@@ -162,30 +159,3 @@ def test_the_calibration_s_own_uncertainty_is_in_the_size_s():
     with_it, without = (world_from_l_frame(one, images, FRAME).scale_sigma for one in (found, found.rig))
     # 300 draws give a standard deviation to 4 %
     assert np.sqrt(with_it**2 - without**2) == pytest.approx(np.std(drawn_sizes(found, table)[0]), rel=0.15)
-
-
-def test_the_lengths_of_a_self_calibration_are_as_uncertain_as_the_scale_makes_them():
-    lenses = [one.lens for one in TRUE]
-    found = self_calibrate(seen(TRUE, waved(250, along=(0.0,), seed=4)), np.random.default_rng(0), lenses)
-    images, table = l_frame_images()
-    home = in_axes(found, world_from_l_frame(found, images, FRAME, lengths_known=False))
-    detection = world_from_l_frame(found.rig, images, FRAME, lengths_known=False)
-    a, b = (home.rig.cameras[k].world_from_camera.translation for k in (0, 2))
-    slope, length = np.zeros(len(found.parameters)), np.linalg.norm(a - b)
-    for axis, part in zip("XYZ", (a - b) / length, strict=True):
-        slope[found.parameters.index(f"cam1.{axis}_m")] = part
-        slope[found.parameters.index(f"cam3.{axis}_m")] = -part
-    sizes, apart = drawn_sizes(found, table)
-    own = detection.scale_sigma / detection.measured_over_known * length
-    expected = np.hypot(np.std(apart / sizes), own)
-    assert np.sqrt(slope @ home.covariance @ slope) == pytest.approx(expected, rel=0.15)
-
-
-def test_a_self_calibration_gets_its_size_from_the_l_frame():
-    world = waved(250, along=(0.0,), seed=4)
-    found = self_calibrate(seen(TRUE, world), np.random.default_rng(0), [c.lens for c in TRUE])
-    axes = world_from_l_frame(found.rig, shown(), FRAME, lengths_known=False)
-    home = in_axes(found, axes)
-    assert_true(home.rig.cameras, 2e-2)
-    assert home.scaled_by == "the L-frame's distances"
-    assert home.standard_deviations["cam1.X_m"] > found.standard_deviations["cam1.X_m"]

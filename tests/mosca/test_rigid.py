@@ -159,32 +159,31 @@ def two_groups(rng):
     return rig, marks, sightings.only(early == (sightings.camera < 2))
 
 
-def test_errors_are_one_line_and_say_what_to_do():
-    rng = np.random.default_rng(9)
-    rig, marks, sightings = two_groups(rng)
-    target = RigidTarget("board", marks)
-    with pytest.raises(CalibrationError, match="cam1, cam2 and cam3, cam4 never saw") as told:
-        calibrate_rigid(sightings, target, MOSCA)
-    messages = [str(told.value)]
-    few = sightings.only((sightings.frame == 0) | (sightings.frame == 25))
-    with pytest.raises(CalibrationError, match="at least 3 are wanted; hold it before the camera") as told:
-        calibrate_rigid(few, target, MOSCA)
-    messages.append(str(told.value))
-    exterior = replace(MOSCA, exterior_only=True)
-    with pytest.raises(CalibrationError, match="needs the rig whose lenses") as told:
-        calibrate_rigid(sightings, target, exterior)
-    messages.append(str(told.value))
-    with pytest.raises(CalibrationError, match="'cam4' is not in the known rig") as told:
-        calibrate_rigid(sightings, target, exterior, known=Rig(rig.cameras[:3]))
-    messages.append(str(told.value))
-    other = Rig(tuple(replace(c, width=800) for c in rig.cameras))
-    with pytest.raises(CalibrationError, match="656 x 491 px, the known rig has 800 x 491") as told:
-        calibrate_rigid(sightings, target, exterior, known=other)
-    messages.append(str(told.value))
-    with pytest.raises(CalibrationError, match="frame set 30: the target") as told:
-        calibrate_rigid(sightings.only(sightings.frame != 30), target, replace(exterior, reference=30), known=rig)
-    messages.append(str(told.value))
-    assert not any("\n" in one for one in messages)
+EXTERIOR = replace(MOSCA, exterior_only=True)
+
+
+@pytest.mark.parametrize(
+    ("settings", "known", "kept", "said"),
+    [
+        (MOSCA, None, lambda frame: frame >= 0, "cam1, cam2 and cam3, cam4 never saw"),
+        (MOSCA, None, lambda frame: frame % 25 == 0, "at least 3 are wanted; hold it before the camera"),
+        (EXTERIOR, None, lambda frame: frame >= 0, "needs the rig whose lenses"),
+        (EXTERIOR, lambda rig: rig[:3], lambda frame: frame >= 0, "'cam4' is not in the known rig"),
+        (
+            EXTERIOR,
+            lambda rig: [replace(c, width=800) for c in rig],
+            lambda frame: frame >= 0,
+            "656 x 491 px, the known rig has 800 x 491",
+        ),
+        (replace(EXTERIOR, reference=30), list, lambda frame: frame != 30, "frame set 30: the target"),
+    ],
+)
+def test_errors_are_one_line_and_say_what_to_do(settings, known, kept, said):
+    rig, marks, sightings = two_groups(np.random.default_rng(9))
+    given = None if known is None else Rig(tuple(known(rig.cameras)))
+    with pytest.raises(CalibrationError, match=said) as error:
+        calibrate_rigid(sightings.only(kept(sightings.frame)), RigidTarget("board", marks), settings, known=given)
+    assert "\n" not in str(error.value)
 
 
 def test_a_field_seen_with_too_few_marks():

@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
-from wand_scenes import outward_ring, rig, seen, similarity, waved, waved_around
+from wand_scenes import HEIGHT, WIDTH, outward_ring, rig, seen, similarity, waved, waved_around
 
+from mosca.calibration.initial.projective import fundamental
 from mosca.calibration.uncalibrated.end_order import ordered
 from mosca.calibration.uncalibrated.wand import calibrate_wand
 from mosca.data.calibration import Calibration
@@ -26,7 +28,7 @@ def calibrated(cameras, sightings, wand=WAND) -> Calibration:
     return calibrate_wand(sightings, wand, np.random.default_rng(0), unknown(cameras))
 
 
-def normalised_errors(calibration, cameras, world, stretch=False):
+def normalised_errors(calibration, cameras, world):
     """Return errors over standard deviations of all lens parameters and positions, and the scale's error.
 
     The points carry the comparison; of those that two cameras see, a blunder along their rays cannot be noticed.
@@ -39,7 +41,7 @@ def normalised_errors(calibration, cameras, world, stretch=False):
         off = np.linalg.norm(scale * points @ turn.T + shift - true, axis=1)
         good = off < 6 * np.median(off)
         points, true = points[good], true[good]
-    scale, turn, shift = similarity(points, true, stretch)
+    scale, turn, shift = similarity(points, true, False)
     sigma, out = calibration.standard_deviations, []
     for found, is_ in zip(calibration.rig.cameras, cameras, strict=True):
         for name in LENS:
@@ -183,3 +185,30 @@ def test_bad_sightings_are_named():
         calibrated(true, replace(sightings, mark=half))
     with pytest.raises(InputError, match="lenses: 2 given for 3"):
         calibrate_wand(sightings, WAND, np.random.default_rng(0), unknown(true)[:2])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_points_by_chance_are_refused(seed):
+    rng = np.random.default_rng(seed)
+    true = rig(4, seed=seed)
+    sightings = seen(true, waved(150, seed=seed))
+    chance = rng.uniform(0, 1, (len(sightings), 2)) * (WIDTH, HEIGHT)
+    with pytest.raises(CalibrationError):
+        calibrated(true, replace(sightings, xy_px=chance))
+
+
+def test_fundamental_matrix_is_opencvs_in_spite_of_blunders():
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1, 1, (200, 3)) + [0, 0, 5]
+    turn = cv2.Rodrigues(np.array([0.1, 0.4, -0.05]))[0]
+    x = points[:, :2] / points[:, 2:]
+    moved = points @ turn.T + [1.0, 0.2, 0.1]
+    y = moved[:, :2] / moved[:, 2:]
+    clean = cv2.findFundamentalMat(x, y, cv2.FM_8POINT)[0]
+    dirty = y.copy()
+    dirty[:50] += rng.normal(0, 0.2, (50, 2))
+    found = fundamental(x, dirty, rng)
+    assert not found.inliers[:50].all()
+    assert found.inliers[50:].mean() > 0.95
+    clean = clean / np.linalg.norm(clean)
+    assert np.abs(found.matrix * np.sign((found.matrix * clean).sum()) - clean).max() < 1e-6

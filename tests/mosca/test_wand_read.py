@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wand_scenes import rig, seen, waved
 
-from mosca.calibration.targets.find_balls import read_light, read_wand
+from mosca.calibration.targets.find_balls import read_wand
 from mosca.data.detections import Detections
 from mosca.data.wands import Wand
 
@@ -81,18 +81,6 @@ def test_two_wands_are_none():
     one = np.array([[0.0, 0], [30, 0], [100, 0]])
     assert read_wand(targets(one), WAND, 0, 0) is not None
     assert read_wand(targets(np.vstack([one, one + [0, 200]])), WAND, 0, 0) is None
-
-
-def test_a_light_is_the_only_one_or_the_brightest_by_far():
-    assert read_light(targets(np.zeros((0, 2))), 0, 0) is None
-    only = read_light(targets([[5, 6]]), 0, 1)
-    assert only is not None
-    assert only.mark.tolist() == [0]
-    both = targets([[5, 6], [50, 60]], peak=np.array([200.0, 40.0]))
-    bright = read_light(both, 0, 1)
-    assert bright is not None
-    assert bright.xy_px.tolist() == [[5, 6]]
-    assert read_light(targets([[5, 6], [50, 60]]), 0, 1) is None
 
 
 @settings(max_examples=60, deadline=None)

@@ -65,7 +65,7 @@ def watched(rig, true, frames, seed=0, first=0, watch=None, **kw):
     rng = np.random.default_rng(seed)
     watch = watch or BumpDetector(rig, BumpSettings(camera_sigma_px=0.0))
     for k in range(first, first + frames):
-        alarm = watch.update_points(k, *frame(rig, true, rng, **kw))
+        alarm = watch.update(k, *frame(rig, true, rng, **kw))
         if alarm is not None:
             return alarm, watch
     return None, watch
@@ -173,7 +173,7 @@ def test_a_camera_that_merely_looks_elsewhere_is_not_lost():
         clutter = Detections(
             "c3", rng.uniform(0, 1000, (n, 2)), np.tile(0.01 * np.eye(2), (n, 1, 1)), *np.ones((3, n))
         )
-        assert watch.update_points(k, detections | {"c3": clutter}, points) is None
+        assert watch.update(k, detections | {"c3": clutter}, points) is None
 
 
 def check_pose(found, true, body_share):

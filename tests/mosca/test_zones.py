@@ -1,5 +1,7 @@
 """Zones: two volumes that each see a part of the same motion become one set of tracks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -46,6 +48,12 @@ def hall(frames=220, markers=12, overlap=0.3, **right):
     return xyz, left, zone(xyz, xyz[:, :, 0] > -overlap, markers - 1 - names, 2, **right)
 
 
+def joined(**how):
+    """Return the true positions in a hall, and the tracks of its two zones as one set."""
+    xyz, left, right = hall(**how)
+    return xyz, stitched({"left": left, "right": right})
+
+
 def markers_of(tracks, xyz):
     """The true marker that each sample is, by distance."""
     away = np.linalg.norm(tracks.xyz[:, None] - xyz[tracks.frame], axis=2)
@@ -76,8 +84,7 @@ def test_each_target_has_one_identity_and_one_sample_an_instant():
 
 def test_double_samples_are_weighted_by_their_covariances():
     # sigma 1 and 3 on one axis: variance 1 / (1 + 1/9) = 0.9; equal on the others: 0.5
-    xyz, left, right = hall(sigma=(3.0, 1.0, 1.0))
-    result = stitched({"left": left, "right": right})
+    xyz, result = joined(sigma=(3.0, 1.0, 1.0))
     doubled = result.tracks.select(result.tracks.n_cameras == 8)
     assert len(doubled) == result.merged > 300
     np.testing.assert_allclose(
@@ -90,8 +97,7 @@ def test_double_samples_are_weighted_by_their_covariances():
 
 def test_a_shift_between_the_frames_is_told_and_taken_out():
     true = np.array([0.005, -0.002, 0.001])
-    xyz, left, right = hall(shift=true)
-    result = stitched({"left": left, "right": right})
+    xyz, result = joined(shift=true)
     (shift,) = result.shifts
     assert shift.real
     assert shift.targets == 12
@@ -105,8 +111,7 @@ def test_a_shift_between_the_frames_is_told_and_taken_out():
 
 
 def test_what_the_calibrations_err_by_is_no_shift():
-    _, left, right = hall(shift=(0.0004, 0.0, 0.0))
-    result = stitched({"left": left, "right": right})
+    _, result = joined(shift=(0.0004, 0.0, 0.0))
     assert not result.shifts[0].real
     assert result.notes == ()
 
@@ -125,16 +130,15 @@ def test_targets_go_on_where_no_zone_saw_them_for_a_moment():
 def test_targets_in_one_place_one_after_the_other_stay_two():
     # as near as can be where one ends and the other begins, but one goes left and one goes right
     t = 0.01 * np.arange(60)[:, None, None]
-    coming, going = np.concatenate([t * [1.0, 0, 0]] * 1, axis=1), (1.2 - t) * [1.0, 0, 0]
+    coming, going = t * [1.0, 0, 0], (1.2 - t) * [1.0, 0, 0]
     names = np.zeros((60, 1), int)
-    there = np.arange(60)[:, None] < 60
-    one = zone(coming, there & (t[:, :, 0] < 0.5), names, 1)
-    two = zone(going, there & (t[:, :, 0] > 0.55), names, 2)
+    one = zone(coming, t[:, :, 0] < 0.5, names, 1)
+    two = zone(going, t[:, :, 0] > 0.55, names, 2)
     assert len(np.unique(stitched({"a": one, "b": two}).tracks.track)) == 2
 
 
 def test_a_target_that_a_zone_lost_and_named_anew_is_one_by_the_other_zone():
-    xyz, left, right = hall()
+    xyz = walk(220, 12)
     names = np.where((np.arange(220) < 110)[:, None], np.arange(12), 100 + np.arange(12))
     left = zone(xyz, xyz[:, :, 0] < 0.6, names, 1)
     right = zone(xyz, xyz[:, :, 0] > -0.9, np.tile(np.arange(12), (220, 1)), 2)
@@ -179,8 +183,7 @@ def test_three_zones_in_a_row_come_into_the_first_one_s_frame():
 def test_labels_reach_all_of_a_target():
     xyz, left, right = hall()
     label = np.where(left.track == 3, "head", "")
-    left = Tracks(**({n: getattr(left, n) for n in Tracks.__dataclass_fields__} | {"label": label}))
-    result = stitched({"left": left, "right": right}).tracks
+    result = stitched({"left": replace(left, label=label), "right": right}).tracks
     head = result.select(result.label == "head")
     assert set(markers_of(head, xyz)) == {3}
     assert len(head) == (markers_of(result, xyz) == 3).sum()
@@ -193,7 +196,7 @@ def test_what_cannot_be_stitched():
     _, _, later = hall(late_ns=3 * PERIOD_NS)
     with pytest.raises(InputError, match=r"zones 'left' and 'right': frame \d+ was taken 30 ms apart"):
         stitched({"left": left, "right": later})
-    bare = Tracks(**(vars(right) | {"covariance": np.full((len(right), 3, 3), np.nan)}))
+    bare = replace(right, covariance=np.full((len(right), 3, 3), np.nan))
     with pytest.raises(InputError, match="zone 'right': its samples have no covariances"):
         stitched({"left": left, "right": bare})
     result = stitched({"left": left, "right": Tracks.none()})

@@ -1,4 +1,4 @@
-"""Scenes for the tests of wand and self-calibration: rigs, waved wands, and what cameras see of them."""
+"""Scenes for the tests of wand calibration: rigs, waved wands, and what cameras see of them."""
 
 import numpy as np
 from rigs import looking_at

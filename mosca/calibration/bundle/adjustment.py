@@ -79,19 +79,9 @@ class Adjustment:
             raise ValueError("the adjustment was made without precision; set settings.precision")
         return dict(zip(self.parameters, np.sqrt(np.diag(self.precision.covariance)).tolist(), strict=True))
 
-    @property
-    def correlation(self) -> Array:
-        """Correlations (u, u) of the unknowns of cameras, lenses and kept points."""
-        if self.precision is None:
-            raise ValueError("the adjustment was made without precision; set settings.precision")
-        sigma = np.sqrt(np.diag(self.precision.covariance))
-        return np.asarray(self.precision.covariance / np.outer(sigma, sigma))
-
 
 def tested(layout: NormalsLayout, solution: Solution, loss: Loss) -> tuple[Array, Array]:
-    """Return the cofactors of the blocks, flat, and the tests (n, 7) of the sorted image points
-    (``precise``).
-    """
+    """Return the cofactors of the blocks, flat, and the tests (n, 7) of the sorted image points (``precise``)."""
     see = layout.observations._replace(weight=solution.weight)
     inverse = ReducedInverse(np.pad(solution.cofactors, (0, 1)), layout.index, solution.inverse)
     cofactors, tests = np.empty_like(solution.inverse), np.empty((len(layout.order), 7))
@@ -109,7 +99,7 @@ def precision_of(
     state = solution.descent.state
     reduced_cofactors, block_cofactors = solution.cofactors, _by_point(layout, cofactors)
     if problem.datum == "points":
-        reduced_cofactors, block_cofactors = in_free_network(problem, layout, solution, block_cofactors)
+        reduced_cofactors, block_cofactors = in_free_network(layout, solution, block_cofactors)
     loose = undetermined(layout, solution.inverse)
     points = np.zeros((len(problem.points), 3, 3))
     # points without observations keep their a-priori covariance
@@ -164,7 +154,7 @@ def _by_camera(
     away = placed_points(layout, state, slice(None)) - table[camera, 9:LENS]
     axis_depth = np.einsum("ni,ni->n", away, table[:, [2, 5, 8]][camera])
     depth = np.where(_is_fisheye(problem)[camera], np.linalg.norm(away, axis=1), axis_depth)
-    focal = np.array([principal_distances_px(c.lens) for c in adjusted_cameras(problem, layout, state)])
+    focal = np.array([principal_distances_px(c.lens) for c in adjusted_cameras(problem, state)])
     good = used & np.isfinite(tests[:, 0])
     cameras = len(problem.cameras)
 

@@ -24,20 +24,14 @@ Test = Callable[[Solution], tuple[Array, float, int]]
 
 
 def without_undetermined(layout: NormalsLayout, weight: Array) -> Array:
-    """Return the weights (n,) with 0 for the image points of points and placements that too few of them
-    determine.
-    """
+    """Return the weights (n,) with 0 for the image points of points and placements that too few of them determine."""
     dim, member = layout.blocks.size, layout.blocks.members
     block, used = layout.block_of, weight > 0
     enough = 2 * np.bincount(block[used], minlength=len(dim)) + np.diff(layout.known.first_distance)
-    information, pose_weight = layout.known.information, layout.known.pose_weight
+    information = layout.known.information
     if information.size:
         weighted = (information[member[:, 0]] != 0).any(axis=(1, 2))
         enough += 3 * np.bincount(member[weighted, 1], minlength=len(dim))
-    if pose_weight.size:
-        pose_block = layout.known.pose_block
-        there = pose_block > 0
-        enough[pose_block[there]] += (pose_weight[there] > 0).sum(axis=1)
     weight = np.where((enough >= dim)[block], weight, 0.0)
     # a point that a distance joins to others needs two rays of its own, too
     point = layout.observations.point

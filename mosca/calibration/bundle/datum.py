@@ -27,9 +27,7 @@ LEAST_OPEN_SHARE = 0.1
 
 
 def point_motions(points: Array) -> Array:
-    """Return how points (n, 3) move (n, 3, 7) by a common shift, small rotation about the world's axes, and
-    stretch.
-    """
+    """Return how points (n, 3) move (n, 3, 7) by a common shift, small rotation about the world's axes, stretch."""
     motions = np.zeros((len(points), 3, MOTIONS))
     motions[:, :, :3] = np.eye(3)
     x, y, z = points.T
@@ -82,9 +80,7 @@ def null_generators(scaled: Array, motions: Array) -> Array:
 
 
 def check_datum(problem: Problem, loose: int) -> None:
-    """Raise CalibrationError where the number of common motions that nothing fixes does not suit the datum
-    asked for.
-    """
+    """Raise CalibrationError where the number of common motions that nothing fixes does not suit the datum."""
     if problem.datum == "points" and loose not in (6, 7):
         raise CalibrationError(
             f"datum 'points': {7 - loose} of shift (3), turn (3) and stretch (1) are fixed already by what is "
@@ -101,8 +97,7 @@ def check_datum(problem: Problem, loose: int) -> None:
 def weak_directions(
     problem: Problem, layout: NormalsLayout, state: ParameterValues, matrix: Array, variance: float, priors: Priors
 ) -> tuple[tuple[str, ...], Priors]:
-    """Return the names of weakly determined unknowns, and a prior for the worst parameter of each lens with
-    some.
+    """Return the names of weakly determined unknowns, and a prior for the worst parameter of each lens with some.
 
     The reduced normal ``matrix`` (u, u) is scaled by what is plausible of each unknown a priori: an
     eigenvalue below 1 is a direction of which the data, with a ``variance`` of unit weight, determine less well than
@@ -115,7 +110,7 @@ def weak_directions(
     known = {one.column for one in priors}
     weak = [k for k in map(int, np.flatnonzero(open_share > 1)) if k not in known]
     worst: dict[int, LensPrior] = {}
-    for column, camera, parameter, _ in free_lens_parameters(problem, layout):
+    for column, camera, parameter in free_lens_parameters(layout):
         before = worst.get(camera)
         if column in known or open_share[column] < (
             LEAST_OPEN_SHARE if before is None else open_share[before.column]

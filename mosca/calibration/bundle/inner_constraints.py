@@ -6,7 +6,6 @@ from mosca.calibration.bundle.datum import generators, point_motions
 from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.calibration.bundle.levenberg_marquardt import Solution
 from mosca.calibration.bundle.precision import carry_down, carry_up
-from mosca.calibration.bundle.problem import Problem
 from mosca.calibration.bundle.tables import ParameterValues
 from mosca.calibration.common.robust_fit import similarity
 from mosca.data.arrays import Array
@@ -28,22 +27,13 @@ def undetermined(layout: NormalsLayout, inverse: Array) -> Array:
     return np.concatenate([loose[:points].reshape(-1, 3).any(axis=1), loose[points:].reshape(-1, 6).any(axis=1)])
 
 
-def datum_mask(problem: Problem, layout: NormalsLayout, inverse: Array) -> Array:
-    """Return which eliminated points (m,) carry the datum of a free network: chosen, and determined."""
-    mask = ~undetermined(layout, inverse)[: len(layout.members)]
-    return mask if problem.datum_points is None else mask & problem.datum_points[layout.members]
-
-
-def onto_given(
-    problem: Problem, layout: NormalsLayout, solution: Solution, given: ParameterValues
-) -> ParameterValues:
-    """Return the network moved so that its datum points neither shift, rotate nor stretch against their given
-    values.
+def onto_given(layout: NormalsLayout, solution: Solution, given: ParameterValues) -> ParameterValues:
+    """Return the network moved so that its datum points neither shift, rotate nor stretch against their given values.
 
     Minimises the sum of the squared distances.
     """
     table, points, placements = solution.descent.state
-    chosen = layout.members[datum_mask(problem, layout, solution.inverse)]
+    chosen = layout.members[~undetermined(layout, solution.inverse)[: len(layout.members)]]
     if len(chosen) < 3:
         raise CalibrationError(f"datum 'points': {len(chosen)} determined points carry it; three at least are wanted")
     target, source = given.points.take(chosen, axis=0), points.take(chosen, axis=0)
@@ -64,9 +54,7 @@ def onto_given(
     return ParameterValues(table, points, placements)
 
 
-def in_free_network(
-    problem: Problem, layout: NormalsLayout, solution: Solution, by_point: Array
-) -> tuple[Array, Array]:
+def in_free_network(layout: NormalsLayout, solution: Solution, by_point: Array) -> tuple[Array, Array]:
     """Carry cofactors into the datum of the points (S-transformation, Baarda 1973): x' = x - G (G_d^T G_d)^-1
     G_d^T x_d.
 
@@ -75,7 +63,7 @@ def in_free_network(
     state, mixed, inverse = solution.descent.state, solution.descent.normals.mixed, solution.inverse
     moves = generators(layout, state)[:, : solution.motions]
     point_moves = point_motions(state.points[layout.members])[:, :, : solution.motions]
-    mask = datum_mask(problem, layout, inverse)
+    mask = ~undetermined(layout, inverse)[: len(layout.members)]
     chosen = np.where(mask[:, None, None], point_moves, 0.0)
     normal = np.einsum("mij,mik->jk", chosen, chosen)
     functional = np.zeros((int(layout.blocks.size.sum()), solution.motions))

@@ -79,9 +79,7 @@ def project(c: Array, lanes: int, w: Array, out: Array) -> None:
 
 @step(fastmath=FAST)
 def _opencv_plain(q: Array, lanes: int, w: Array) -> float:
-    """``lenses``' OpenCV model without its rarely used coefficients, over a batch; return how many
-    points are not imaged.
-    """
+    """``lenses``' OpenCV model without its rarely used coefficients, over a batch; return how many are not imaged."""
     fx, fy, cx, cy, k1, k2, p1, p2, k3, fold = q[0], q[1], q[2], q[3], q[4], q[5], q[6], q[7], q[8], q[FOLD]
     missing = 0.0
     for i in range(lanes):
@@ -120,9 +118,7 @@ def _opencv_plain(q: Array, lanes: int, w: Array) -> float:
 def weighted_residuals(
     m: int, count: int, lanes: int, weight: Array, loss: Loss, w: Array, residual: Array
 ) -> tuple[float, int]:
-    """Write the residuals, then weighted ones at E and their weights; return the cost and how many are
-    unseen.
-    """
+    """Write the residuals, then weighted ones at E and their weights; return the cost and how many are unseen."""
     cost, unseen = 0.0, 0
     for i in range(lanes):
         x, y = w[E + i] - w[SEEN + i], w[E + LANES + i] - w[SEEN + LANES + i]
@@ -153,7 +149,7 @@ def derive(c: Array, camera: int, columns: LensColumns, lanes: int, w: Array, j:
     """Write the weighted derivatives by the camera's unknowns into ``j`` and by the point in the world at
     BLOCK; return how many unknowns, made even by one of which nothing depends.
     """
-    lens, count, first, second, factor = columns
+    count, first, second, factor = columns
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = c[0], c[1], c[2], c[3], c[4], c[5], c[6], c[7], c[8]
     for axis in range(2):
         to, by, block = axis * LANES, A + 3 * axis * LANES, BLOCK + axis * LANES
@@ -166,15 +162,14 @@ def derive(c: Array, camera: int, columns: LensColumns, lanes: int, w: Array, j:
             b0, b1, b2 = a0 * r0 + a1 * r1 + a2 * r2, a0 * r3 + a1 * r4 + a2 * r5, a0 * r6 + a1 * r7 + a2 * r8
             j[to + 6 * LANES + i], j[to + 8 * LANES + i], j[to + 10 * LANES + i] = -b0, -b1, -b2
             w[block + i], w[block + 2 * LANES + i], w[block + 4 * LANES + i] = b0, b1, b2
-    own = lens[camera]
-    for k in range(count[own]):
-        f = factor[own, k]
+    for k in range(count[camera]):
+        f = factor[camera, k]
         for axis in range(2):
             to, lens_rows = (2 * (6 + k) + axis) * LANES, LY if axis else LX
-            one, two = lens_rows + first[own, k] * LANES, lens_rows + second[own, k] * LANES
+            one, two = lens_rows + first[camera, k] * LANES, lens_rows + second[camera, k] * LANES
             for i in range(lanes):
                 j[to + i] = w[WEIGHT + i] * (w[one + i] + f * w[two + i])
-    used = 6 + count[own]
+    used = 6 + count[camera]
     if used % 2:
         j[2 * used * LANES : 2 * (used + 1) * LANES] = 0
         used += 1

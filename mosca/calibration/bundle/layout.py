@@ -69,8 +69,6 @@ class _Assignment(NamedTuple):
     """(p,) block of each point."""
     offset: Array
     """(p,) first unknown of each point in its block."""
-    pose_block: Array
-    """(f,) block of each placement, 0 for none."""
     members: Array
     placed: Array
 
@@ -146,7 +144,7 @@ def _assigned(problem: Problem, eliminated: Array, label: Array, joined: bool) -
     block, dim[rank] = rank[block], dim.copy()
     home, pose_block = rank[home], rank[pose_block]
     members = members[np.argsort(home[members] * (3 * MOST_JOINED_POINTS) + offset[members])]
-    return _Assignment(dim, block, home, offset, pose_block, members, placed[np.argsort(pose_block[placed])])
+    return _Assignment(dim, block, home, offset, members, placed[np.argsort(pose_block[placed])])
 
 
 def _blocks(
@@ -172,14 +170,9 @@ def _known(
 ) -> tuple[Known, Distances]:
     """Return the a-priori values of the blocks, and the distances that touch only kept points."""
     rod_arrays, kept_rods = _rods(rods, assigned.point_block, assigned.offset, eliminated, kept, len(assigned.size))
-    information, sigma = problem.points.information, problem.placements.sigma
+    information = problem.points.information
     known = Known(
-        problem.points.xyz,
-        looked_at(np.zeros((0, 3, 3))) if information is None else information,
-        assigned.pose_block,
-        np.column_stack([problem.placements.rotation.reshape(-1, 9), problem.placements.translation]),
-        np.zeros((0, 6)) if sigma is None else 1 / sigma,
-        *rod_arrays,
+        problem.points.xyz, looked_at(np.zeros((0, 3, 3))) if information is None else information, *rod_arrays
     )
     return known, kept_rods
 
@@ -187,8 +180,7 @@ def _known(
 def _alike_together(dim: Array, point_blocks: int, block: Array, camera: Array) -> Array:
     """Return new numbers (blocks,) by which blocks of one size seen by the same cameras follow each other.
 
-    Points stay before placements. Of more than 62 cameras some count as the same, which costs time, nothing
-    else.
+    Points stay before placements. Of more than 62 cameras some count as the same, which costs time, nothing else.
     """
     seen_by = np.zeros(len(dim), dtype=np.int64)
     np.bitwise_or.at(seen_by, block, np.left_shift(1, camera % 62))
@@ -230,7 +222,7 @@ def _slots(block: Array, camera: Array, kept_group: Array, groups: int) -> _Slot
 def _every_camera_sees(problem: Problem) -> None:
     counts = np.bincount(problem.observations.camera, minlength=len(problem.cameras))
     for one, count in zip(problem.cameras, counts, strict=True):
-        if count == 0 and any(sigma == np.inf for sigma in one.pose_sigma):
+        if count == 0 and not one.held:
             raise CalibrationError(
                 f"camera '{one.camera.name}': no observation, its pose is not determined; leave it out or hold it"
             )
@@ -315,25 +307,20 @@ class _Groups:
 
 def _groups(problem: Problem, kept: Array) -> _Groups:
     """Return the columns of the groups, their names, the kept points, and how lens parameters map to columns."""
-    owner = problem.lens_owner()
-    most = max((len(problem.cameras[k].free) for k in owner), default=0)
+    most = max((len(one.free) for one in problem.cameras), default=0)
     width = LANE * -(-(6 + most) // LANE)
     cameras = len(problem.cameras)
     index = np.full((cameras + len(kept), width), -1, dtype=np.int64)
     first = np.zeros((cameras, width - 6), dtype=np.int64)
     second, factor = np.zeros((cameras, width - 6), dtype=np.int64), np.zeros((cameras, width - 6))
-    count = np.array([len(problem.cameras[k].free) for k in owner], dtype=np.int64)
+    count = np.array([len(one.free) for one in problem.cameras], dtype=np.int64)
     names: list[str] = []
     places: list[tuple[int, int, int]] = []
     factors: list[float] = []
     for c, one in enumerate(problem.cameras):
-        for k, name in enumerate(POSE_NAMES):
-            if one.pose_sigma[k] > 0:
-                index[c, k] = len(names)
-                names.append(f"{one.camera.name}.{name}")
-        if owner[c] != c:
-            index[c, 6:] = index[owner[c], 6:]
-            continue
+        if not one.held:
+            index[c, :6] = len(names) + np.arange(6)
+            names += [f"{one.camera.name}.{name}" for name in POSE_NAMES]
         lens = one.camera.lens
         of_lens = [f.name for f in fields(lens)]
         for k, name in enumerate(one.free):
@@ -351,6 +338,6 @@ def _groups(problem: Problem, kept: Array) -> _Groups:
     for k, point in enumerate(kept):
         index[cameras + k, :3] = len(names) + np.arange(3)
         names += [f"point {point}.{axis}_m" for axis in "XYZ"]
-    columns = LensColumns(owner, count, first, second, factor)
+    columns = LensColumns(count, first, second, factor)
     of_lenses = np.array(places, dtype=np.int64).reshape(-1, 3)
     return _Groups(index, tuple(names), kept, columns, of_lenses, np.array(factors))

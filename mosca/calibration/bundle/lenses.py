@@ -42,9 +42,7 @@ def lens_of(row: Array, like: Lens) -> Lens:
 
 @kernel
 def set_fold(q):
-    """Write where the mapping of lens row q folds back: bracketed by steps of a third of a degree, then
-    halved.
-    """
+    """Write where the mapping of lens row q folds back: bracketed by steps of a third of a degree, then halved."""
     q[FOLD] = np.inf
     last = np.pi if q[MODEL] == FISHEYE else np.pi / 2 - 1e-3
     unit = q[0] if q[MODEL] == MOSCA else 1.0
@@ -92,8 +90,7 @@ def image(q, v0, v1, v2, out):
 
 @kernel
 def influence(q, reach_px):
-    """Return how far, at most, each lens parameter (18,) moves image points ``reach_px`` off the axis, per
-    unit.
+    """Return how far, at most, each lens parameter (18,) moves image points ``reach_px`` off the axis, per unit.
 
     Points that the lens does not image count half as far out, and so on.
     """

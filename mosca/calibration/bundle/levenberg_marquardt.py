@@ -57,9 +57,7 @@ class AdjustmentTask:
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """Where a descent ended: state, normal equations there, cost, steps taken, unseen points, whether it
-    converged.
-    """
+    """Where a descent ended: state, normal equations there, cost, steps, unseen points, whether it converged."""
 
     state: ParameterValues
     normals: NormalEquations
@@ -73,9 +71,8 @@ class Descent:
 class Solution:
     """A finished descent with the inverse of its normal equations, from which precision is computed.
 
-    ``weight`` (n,) 1/sigma of the sorted image points, 0 where left out; ``cofactors`` (u, u) of the reduced
-    system in any datum; ``inverse`` of the blocks; ``motions`` the number of common motions that nothing
-    fixes.
+    ``weight`` (n,) 1/sigma of the sorted image points, 0 where left out; ``cofactors`` (u, u) of the reduced system
+    in any datum; ``inverse`` of the blocks; ``motions`` the number of common motions that nothing fixes.
     """
 
     descent: Descent
@@ -111,7 +108,7 @@ def placed_again(
         return None
     points = state.points.copy()
     points[lost] = np.nan
-    cameras = adjusted_cameras(task.problem, layout, state)
+    cameras = adjusted_cameras(task.problem, state)
     again = state._replace(points=intersected(cameras, layout, points, state.points))
     before, after = (
         np.bincount(layout.observations.point, one**2, len(points))
@@ -135,24 +132,24 @@ def residuals(layout: NormalsLayout, state: ParameterValues) -> Array:
     return out
 
 
-def adjusted_cameras(problem: Problem, layout: NormalsLayout, state: ParameterValues) -> tuple[Camera, ...]:
+def adjusted_cameras(problem: Problem, state: ParameterValues) -> tuple[Camera, ...]:
     """Return the cameras of a state."""
     table = state.cameras
     return tuple(
         replace(
             one.camera,
-            lens=lens_of(table[owner, LENS:], problem.cameras[owner].camera.lens),
+            lens=lens_of(table[c, LENS:], one.camera.lens),
             world_from_camera=Pose(table[c, :9].reshape(3, 3), table[c, 9:LENS]),
         )
-        for c, (one, owner) in enumerate(zip(problem.cameras, layout.columns.owner, strict=True))
+        for c, one in enumerate(problem.cameras)
     )
 
 
 def state_of(problem: Problem, cameras: Sequence[Camera], points: Array, placements: Placements) -> ParameterValues:
     """Return a state of these cameras, points and placements."""
     table = [
-        np.concatenate([pose.rotation.ravel(), pose.translation, lens_row(cameras[k].lens, problem.cameras[k].free)])
-        for camera, k in zip(cameras, problem.lens_owner(), strict=True)
+        np.concatenate([pose.rotation.ravel(), pose.translation, lens_row(camera.lens, one.free)])
+        for camera, one in zip(cameras, problem.cameras, strict=True)
         for pose in [camera.world_from_camera]
     ]
     poses = np.column_stack([placements.rotation.reshape(-1, 9), placements.translation])
@@ -179,9 +176,7 @@ def reduced(
 
 
 def descend(task: AdjustmentTask, start: ParameterValues, weight: Array) -> Descent:
-    """Descend from ``start`` to the least cost; ``weight`` (n,) 1/sigma of the sorted image points, 0 where left
-    out.
-    """
+    """Descend from ``start`` to the least cost; ``weight`` (n,) 1/sigma of the sorted image points, 0 if left out."""
     layout = task.layout
     normals, inverse = empty_normals(layout), np.empty(int((layout.blocks.size**2).sum()))
     state = start
@@ -228,7 +223,7 @@ def linearised(
     layout = task.layout
     see = layout.observations._replace(weight=weight)
     cost, unseen = linearise(state, see, layout.columns, layout.blocks, layout.known, task.loss, normals)
-    if layout.known.information.size or layout.known.pose_weight.size:
+    if layout.known.information.size:
         cost += observed_blocks(state, layout.blocks, layout.known, normals)
     pull, more = pulls(task.problem, layout, task.priors, state)
     return float(cost) + more, int(unseen), pull
@@ -261,9 +256,7 @@ def _step(
 def moved(
     layout: NormalsLayout, state: ParameterValues, group_step: Array, block_step: Array
 ) -> ParameterValues | None:
-    """Return ``state`` after steps of the groups (groups, K) and blocks; None for a scale of a lens not above
-    0.
-    """
+    """Return ``state`` after steps of the groups (groups, K) and blocks; None for a scale of a lens not above 0."""
     cameras, points, placements = state
     cameras = cameras.copy()
     steps = group_step[: len(cameras)]
@@ -274,7 +267,6 @@ def moved(
         cameras[group, LENS + parameter] += layout.lens_factors * group_step[group, place]
         if not set_folds(cameras[:, LENS:]):
             return None
-        cameras[:, LENS:] = cameras[layout.columns.owner, LENS:]
     if len(layout.members) + len(layout.kept):
         points = points.copy()
         eliminated = 3 * len(layout.members)

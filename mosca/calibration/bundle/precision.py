@@ -97,9 +97,7 @@ def _block_by_block(mixed: Array, at: int, n: int, count: int, wide: int) -> Arr
 
 @step(fastmath=FAST)
 def _times_inverse(inverse: Array, at: int, n: int, blocks: int, matrix: Array, out: Array) -> None:
-    """Write V^-1 times the rows of ``matrix`` (blocks n, q), block by block from ``inverse[at:]`` on, into
-    ``out``.
-    """
+    """Write V^-1 times the rows of ``matrix`` (blocks n, q), block by block from ``inverse[at:]``, to ``out``."""
     width = matrix.shape[1]
     for b in range(blocks):
         for i in range(n):
@@ -191,26 +189,21 @@ def _test(
 
 @kernel(fastmath=FAST)
 def by_unknowns(out: Array, columns: LensColumns, camera: int, j: Array) -> None:
-    """Write the pixel's derivative by the unknowns of its camera's group (2, K): pose, then free lens
-    parameters.
-    """
-    lens, count, first, second, factor = columns
-    own = lens[camera]
-    free = count[own]
+    """Write the pixel's derivative by the unknowns of its camera's group (2, K): pose, then free lens parameters."""
+    count, first, second, factor = columns
+    free = count[camera]
     for k in range(2):
         for i in range(6):
             j[k, i] = out[k, BY_POSE + i]
         for i in range(free):
-            j[k, 6 + i] = out[k, L + first[own, i]] + factor[own, i] * out[k, L + second[own, i]]
+            j[k, 6 + i] = out[k, L + first[camera, i]] + factor[camera, i] * out[k, L + second[camera, i]]
         for i in range(6 + free, j.shape[1]):
             j[k, i] = 0.0
 
 
 @kernel(fastmath=FAST)
 def carry_down(blocks: EliminatedBlocks, mixed: Array, inverse: Array, index: Array, z: Array) -> Array:
-    """Return V^-1 W^T z of all blocks (all their unknowns, q), for z (u + 1, q) of the reduced system, last
-    row zero.
-    """
+    """Return V^-1 W^T z of all blocks (all their unknowns, q), for z (u + 1, q) of the reduced system, last row 0."""
     dim, runs, slot_first, slot_group = blocks.size, blocks.runs, blocks.first_slot, blocks.slot_group
     at_v, at_g, at_w, width = blocks.normals_at, blocks.slope_at, blocks.mixed_at, index.shape[1]
     out = np.zeros((dim.sum(), z.shape[1]))

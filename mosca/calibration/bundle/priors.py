@@ -1,6 +1,4 @@
-"""A-priori observations of the unknowns of the reduced system: lenses, camera poses, kept
-points.
-"""
+"""A-priori observations of the unknowns of the reduced system: lenses, kept points."""
 
 from dataclasses import dataclass
 
@@ -9,7 +7,6 @@ import numpy as np
 from mosca.calibration.bundle.kernels import LENS
 from mosca.calibration.bundle.layout import NormalsLayout
 from mosca.calibration.bundle.problem import Problem
-from mosca.calibration.bundle.rotations import observed_pose
 from mosca.calibration.bundle.tables import ParameterValues
 from mosca.data.arrays import Array
 
@@ -28,37 +25,24 @@ class LensPrior:
 Priors = tuple[LensPrior, ...]
 
 
-def lens_priors(problem: Problem, layout: NormalsLayout) -> Priors:
-    """Return the priors that the problem states of lens parameters."""
-    found = []
-    for column, camera, parameter, name in free_lens_parameters(problem, layout):
-        if name in problem.cameras[camera].priors:
-            value, sigma = problem.cameras[camera].priors[name]
-            found.append(LensPrior(column, camera, parameter, value, sigma))
-    return tuple(found)
-
-
-def free_lens_parameters(problem: Problem, layout: NormalsLayout) -> list[tuple[int, int, int, str]]:
-    """Return column, camera, parameter and name of each free lens parameter; of "f_px" the parameter is fx."""
+def free_lens_parameters(layout: NormalsLayout) -> list[tuple[int, int, int]]:
+    """Return column, camera and parameter of each free lens parameter; of "f_px" the parameter is fx."""
     found = []
     seen: set[int] = set()
     for camera, place, parameter in layout.lens_places:
         column = int(layout.index[camera, place])
         if column not in seen:
             seen.add(column)
-            found.append((column, int(camera), int(parameter), problem.cameras[camera].free[place - 6]))
+            found.append((column, int(camera), int(parameter)))
     return found
 
 
 def pulls(
     problem: Problem, layout: NormalsLayout, priors: Priors, state: ParameterValues
 ) -> tuple[tuple[Array, Array] | None, float]:
-    """Return normal matrix (u, u) and slope (u,) of all a-priori observations, and its cost; None if
-    nothing is.
-    """
-    weighted = [c for c, one in enumerate(problem.cameras) if any(0 < sigma < np.inf for sigma in one.pose_sigma)]
+    """Return normal matrix (u, u) and slope (u,) of all a-priori observations, and its cost; None if nothing is."""
     information = problem.points.information
-    if not (priors or weighted or len(layout.kept_rods) or (len(layout.kept) and information is not None)):
+    if not (priors or len(layout.kept_rods) or (len(layout.kept) and information is not None)):
         return None, 0.0
     cameras, points, _ = state
     unknowns = len(layout.names)
@@ -68,17 +52,6 @@ def pulls(
         normals[one.column, one.column] += 1 / one.sigma**2
         slope[one.column] += residual / one.sigma
         cost += residual**2
-    for c in weighted:
-        sigma = np.array(problem.cameras[c].pose_sigma)
-        pose = problem.cameras[c].camera.world_from_camera
-        own_normals, own_slope = np.zeros((6, 6)), np.zeros(6)
-        weight = np.divide(1.0, sigma, out=np.zeros(6), where=sigma > 0)
-        given = np.concatenate([pose.rotation.ravel(), pose.translation])
-        cost += observed_pose(cameras[c], given, weight, own_normals, own_slope)
-        free = np.flatnonzero(layout.index[c, :6] >= 0)
-        columns = layout.index[c, free]
-        normals[np.ix_(columns, columns)] += own_normals[np.ix_(free, free)]
-        slope[columns] += own_slope[free]
     if len(layout.kept) and information is not None:
         columns = layout.index[len(problem.cameras) :, :3]
         away = points[layout.kept] - problem.points.xyz[layout.kept]
@@ -108,15 +81,11 @@ def _kept_rods(layout: NormalsLayout, points: Array, normals: Array, slope: Arra
 
 
 def count(problem: Problem, layout: NormalsLayout, priors: Priors) -> int:
-    """Return how many observations beside image points the adjustment has: lengths and a-priori
-    values.
-    """
-    poses = sum(0 < sigma < np.inf for one in problem.cameras for sigma in one.pose_sigma)
+    """Return how many observations beside image points the adjustment has: lengths and a-priori values."""
     lengths = len(layout.known.distances) + len(layout.kept_rods)
-    placements = int((layout.known.pose_weight[layout.placed] > 0).sum()) if layout.known.pose_weight.size else 0
     points = 0
     if problem.points.information is not None:
         own = np.concatenate([layout.members, layout.kept])
         ranks = np.linalg.matrix_rank(problem.points.information[own], hermitian=True) if len(own) else [0]
         points = int(np.sum(ranks))
-    return len(priors) + poses + lengths + placements + points
+    return len(priors) + lengths + points

@@ -1,11 +1,7 @@
-"""Input of a bundle adjustment: cameras, object points, poses of moving things, observations, lengths, datum.
+"""Input of a bundle adjustment: cameras, object points, poses of moving things, observations, lengths, datum."""
 
-One convention for every unknown: its standard deviation a priori. 0 holds it at its given value, infinity
-leaves it free, anything between weights the given value as an observation of its own.
-"""
-
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import numpy as np
@@ -14,36 +10,25 @@ from mosca.data.arrays import Array, read_only
 from mosca.data.rig import Camera, Pose
 from mosca.errors import InputError
 
-FREE = (float("inf"),) * 6
-"""A pose with all six unknowns free."""
-HELD = (0.0,) * 6
-"""A pose held as it is."""
 FOCAL = "f_px"
-"""Free lens parameter that moves fx and fy together and keeps their ratio (OpenCV's and the fisheye model).
-"""
+"""Free lens parameter that moves fx and fy together and keeps their ratio (OpenCV's and the fisheye model)."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraUnknowns:
     """A camera, or a camera at one time: starting values and unknowns.
 
-    Raises ValueError for inconsistent values, InputError for an unknown parameter.
+    Raises InputError for a lens parameter that cannot be free.
     """
 
     camera: Camera
     free: tuple[str, ...] = ()
     """Lens parameters to estimate, or "f_px" (fx and fy together)."""
-    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """name -> (value, standard deviation) of free lens parameters, in their units."""
-    pose_sigma: tuple[float, ...] = FREE
-    """(6,) a-priori standard deviations of the rotation about the camera's own x, y, z axes [rad] and of its position
-    [m] from the starting pose (FREE, HELD or between)."""
-    lens_as: str | None = None
-    """Name of a previous camera whose lens, ``free`` and ``priors`` this one shares."""
+    held: bool = False
+    """Whether the pose stays as it is."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "free", tuple(self.free))
-        object.__setattr__(self, "pose_sigma", tuple(float(s) for s in self.pose_sigma))
         where, lens = f"camera '{self.camera.name}'", self.camera.lens
         names = [one.name for one in fields(lens)]
         allowed = names + ([FOCAL] if "fx_px" in names else [])
@@ -58,14 +43,6 @@ class CameraUnknowns:
             raise InputError(
                 f"{where}: c_mm, mx_mm_per_px and my_mm_per_px have two degrees of freedom; hold mx_mm_per_px"
             )
-        for name, (value, sigma) in self.priors.items():
-            if name not in self.free or not np.isfinite(value) or not 0 < sigma < np.inf:
-                raise InputError(
-                    f"{where}: prior {value:g} +- {sigma:g} of '{name}' given; a finite value and a standard "
-                    f"deviation above 0 of a free parameter are wanted ({', '.join(self.free) or 'none is free'})"
-                )
-        if len(self.pose_sigma) != 6 or not all(s >= 0 for s in self.pose_sigma):
-            raise ValueError(f"{where}: pose_sigma = {self.pose_sigma}: six numbers not below 0 are wanted")
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,33 +113,26 @@ class ObjectPoints:
 class Placements:
     """Poses ``world_from_thing`` of rigid things (a board, a wand, a body), one per thing and frame: unknown.
 
-    ``rotation`` (f, 3, 3), ``translation`` (f, 3) [m]: starting values; ``sigma`` (f, 6): a-priori standard
-    deviations of the rotation about the thing's own axes [rad] and of its position [m], infinite where free
-    (default), never 0. A moving camera is modelled with the roles exchanged: the camera fixed at the origin, the
-    scene moving.
+    ``rotation`` (f, 3, 3), ``translation`` (f, 3) [m]: starting values. A moving camera is modelled with the roles
+    exchanged: the camera fixed at the origin, the scene moving.
     """
 
     rotation: Array
     translation: Array
-    sigma: Array | None = None
 
     def __post_init__(self) -> None:
         n = len(self.translation)
         object.__setattr__(self, "rotation", read_only(self.rotation, (n, 3, 3), "rotation"))
         object.__setattr__(self, "translation", read_only(self.translation, (n, 3), "translation"))
-        if self.sigma is not None:
-            object.__setattr__(self, "sigma", read_only(self.sigma, (n, 6), "sigma"))
-            if not (np.asarray(self.sigma) > 0).all():
-                raise ValueError("sigma: above 0 is wanted; a held pose is no placement, move its points instead")
 
     def __len__(self) -> int:
         return len(self.translation)
 
     @classmethod
-    def of(cls, poses: Sequence[Pose], sigma: Array | None = None) -> "Placements":
+    def of(cls, poses: Sequence[Pose]) -> "Placements":
         """Return placements with starting values ``poses``."""
         rotations = np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3)
-        return cls(rotations, np.array([pose.translation for pose in poses]).reshape(-1, 3), sigma)
+        return cls(rotations, np.array([pose.translation for pose in poses]).reshape(-1, 3))
 
     def pose(self, index: int) -> Pose:
         """Return one pose."""
@@ -230,10 +200,9 @@ NO_DISTANCES = Distances(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
 class Problem:
     """A bundle adjustment: its unknowns with starting values, its observations and its datum.
 
-    ``datum``: "given": what is held or weighted fixes the coordinate system; "points": a free network, whose
-    datum is that its points ``datum_points`` (p,) bool (default: all points of the world that are seen)
-    neither shift, rotate nor, where no length is known, stretch against their given values (inner constraints,
-    Meissl 1962).
+    ``datum``: "given": what is held or weighted fixes the coordinate system; "points": a free network, whose datum is
+    that its points of the world that are seen neither shift, rotate nor, where no length is known, stretch
+    against their given values (inner constraints, Meissl 1962).
     """
 
     cameras: tuple[CameraUnknowns, ...]
@@ -242,7 +211,6 @@ class Problem:
     placements: Placements = NO_PLACEMENTS
     distances: Distances = NO_DISTANCES
     datum: Literal["given", "points"] = "given"
-    datum_points: Array | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", tuple(self.cameras))
@@ -260,21 +228,3 @@ class Problem:
         for k, one in enumerate(self.cameras):
             if names.index(one.camera.name) < k:
                 raise InputError(f"camera name '{one.camera.name}' stands twice; give each camera its own name")
-            if one.lens_as is not None:
-                owner = names.index(one.lens_as) if one.lens_as in names[:k] else None
-                if owner is None or self.cameras[owner].lens_as is not None:
-                    raise InputError(
-                        f"camera '{one.camera.name}': lens_as = '{one.lens_as}'; the name of a camera before it that "
-                        "has a lens of its own is wanted"
-                    )
-        if self.datum_points is not None:
-            chosen = read_only(self.datum_points, (len(self.points),), "datum_points", np.bool_)
-            object.__setattr__(self, "datum_points", chosen)
-
-    def lens_owner(self) -> Array:
-        """Return the camera (c,) whose lens each camera has: its own index where it shares none."""
-        names = [one.camera.name for one in self.cameras]
-        return np.array(
-            [k if one.lens_as is None else names.index(one.lens_as) for k, one in enumerate(self.cameras)],
-            dtype=np.int64,
-        )

@@ -12,16 +12,14 @@ from mosca.data.arrays import Array
 from mosca.numba_support.decorators import kernel, step
 
 SINGULAR_PIVOT = 1e-13
-"""Share of its diagonal that a pivot of a block must keep; below it the direction is undetermined and stays.
-"""
+"""Share of its diagonal that a pivot of a block must keep; below it the direction is undetermined and stays."""
 MOST_ROWS = 384
 """Unknowns of a run, so that its matrices stay near the processor."""
 
 
 @step(fastmath=FAST)
 def invert(matrix: Array, at: int, n: int, damping: float, lower: Array, inverse: Array) -> None:
-    """Invert the symmetric n x n block at ``matrix[at:]``, its diagonal times 1 + damping, by Cholesky's
-    method.
+    """Invert the symmetric n x n block at ``matrix[at:]``, its diagonal times 1 + damping, by Cholesky's method.
 
     Writes the inverse to the same offset of ``inverse``; ``lower`` is a work array. A direction that the block
     does not determine (SINGULAR_PIVOT) is held: its rows of the inverse are zero.
@@ -213,9 +211,7 @@ def back_substitute(
     group_step: Array,
     block_step: Array,
 ) -> float:
-    """Write the step of every block, given that of the groups (groups, K); return the blocks' promised
-    decrease.
-    """
+    """Write the step of every block, given that of the groups (groups, K); return the blocks' promised decrease."""
     dim, runs, slot_first, slot_group = blocks.size, blocks.runs, blocks.first_slot, blocks.slot_group
     at_v, at_g, at_w = blocks.normals_at, blocks.slope_at, blocks.mixed_at
     mixed, block_normals, block_slope = normals.mixed, normals.blocks, normals.block_slope
@@ -262,9 +258,7 @@ def sorted_by(key: Array, size: int, before: Array) -> Array:
 
 @kernel
 def find_runs(dim: Array, slot_first: Array, slot_group: Array) -> Array:
-    """Return where the runs of blocks begin, and their end: same size, same groups, at most MOST_ROWS
-    unknowns.
-    """
+    """Return where the runs of blocks begin, and their end: same size, same groups, at most MOST_ROWS unknowns."""
     starts = np.empty(dim.size + 1, dtype=np.int64)
     count = 0
     # block 0 has no unknowns and stays by itself
@@ -289,9 +283,7 @@ def find_runs(dim: Array, slot_first: Array, slot_group: Array) -> Array:
 
 @kernel
 def pair_table(slot_first: Array, slot_group: Array, kept: Array, cameras: Array, groups: int) -> tuple[Array, int]:
-    """Number the pairs of groups (groups, groups), lower first, that a block or observation joins; -1
-    elsewhere.
-    """
+    """Number the pairs of groups (groups, groups), lower first, that a block or observation joins; -1 elsewhere."""
     pair_of = np.full((groups, groups), -1, dtype=np.int64)
     for a in range(groups):
         pair_of[a, a] = a

@@ -1,4 +1,4 @@
-"""Bundle adjustment: the one solver for wands, test fields, boards, self-calibration and body-worn cameras.
+"""Bundle adjustment: the one solver for wands, test fields, boards and body-worn cameras.
 
 A ``Problem`` states what is unknown and what was observed, ``solve`` returns the ``Adjustment``:
 
@@ -40,11 +40,9 @@ from mosca.calibration.bundle.levenberg_marquardt import (
     residuals,
     state_of,
 )  # fmt: skip
-from mosca.calibration.bundle.priors import Priors, count, lens_priors, pulls
+from mosca.calibration.bundle.priors import Priors, count, pulls
 from mosca.calibration.bundle.problem import (
     FOCAL,
-    FREE,
-    HELD,
     CameraUnknowns,
     Distances,
     ObjectPoints,
@@ -57,7 +55,7 @@ from mosca.data.arrays import Array, read_only
 from mosca.errors import CalibrationError
 
 __all__ = [
-    "FOCAL", "FREE", "HELD", "Adjustment", "BundleSettings", "CameraUnknowns", "Distances", "ObjectPoints",
+    "FOCAL", "Adjustment", "BundleSettings", "CameraUnknowns", "Distances", "ObjectPoints",
     "Observations", "Placements", "Precision", "Problem", "solve"
 ]  # fmt: skip
 LOSSES = {"least squares": LEAST_SQUARES, "huber": HUBER, "cauchy": CAUCHY}
@@ -95,17 +93,15 @@ def solve(problem: Problem, settings: BundleSettings | None = None, start: Adjus
     layout = layout_of(problem)
     state = first_state(problem, layout) if start is None else _state_of(problem, layout, start)
     loss = Loss(LOSSES[settings.loss], settings.loss_scale**2)
-    task = AdjustmentTask(
-        problem, layout, lens_priors(problem, layout), loss, settings.tolerance, settings.most_steps
-    )
+    task = AdjustmentTask(problem, layout, (), loss, settings.tolerance, settings.most_steps)
     weight = without_undetermined(layout, layout.observations.weight)
     task, solution, weak, steps = _solved(task, state, weight, settings.hold_weak)
-    held = tuple(layout.names[one.column] for one in task.priors[len(lens_priors(problem, layout)) :])
+    held = tuple(layout.names[one.column] for one in task.priors)
     rejected = np.zeros(len(layout.order), dtype=bool)
     if settings.blunder_significance is not None:
         solution, rejected = _snooped(task, solution, settings.blunder_significance)
     if problem.datum == "points":
-        in_datum = onto_given(problem, layout, solution, state)
+        in_datum = onto_given(layout, solution, state)
         solution = replace(solution, descent=replace(solution.descent, state=in_datum))
     variance, redundancy = _variance(task, solution)
     precision = None
@@ -122,7 +118,7 @@ def solve(problem: Problem, settings: BundleSettings | None = None, start: Adjus
     out[layout.order], residual[layout.order] = rejected, -own
     _, points, placed = descent.state
     return Adjustment(
-        adjusted_cameras(problem, layout, descent.state),
+        adjusted_cameras(problem, descent.state),
         read_only(points, (None, 3), "points"),
         Placements(placed[:, :9].reshape(-1, 3, 3), placed[:, 9:]),
         read_only(residual, (None, 2), "residuals_px"),
@@ -179,15 +175,16 @@ def _solution_at(task: AdjustmentTask, solution: Solution) -> Solution:
     """Return the solution with the normal equations of its state, which was moved since."""
     normals = empty_normals(task.layout)
     linearised(task, solution.descent.state, solution.weight, normals)
-    descent = replace(solution.descent, normals=normals)
+    return _inverted(task, replace(solution.descent, normals=normals), solution.weight)
+
+
+def _inverted(task: AdjustmentTask, descent: Descent, weight: Array) -> Solution:
     matrix, inverse, motions = _normal_matrix(task, descent)
-    return Solution(descent, solution.weight, _inverse(task.layout, matrix), inverse, motions)
+    return Solution(descent, weight, _inverse(task.layout, matrix), inverse, motions)
 
 
 def _normal_matrix(task: AdjustmentTask, descent: Descent) -> tuple[Array, Array, int]:
-    """Return the reduced normal matrix with the datum fixed, the inverse blocks, and how many motions were
-    loose.
-    """
+    """Return the reduced normal matrix with the datum fixed, the inverse blocks, and how many motions were loose."""
     pull, _ = pulls(task.problem, task.layout, task.priors, descent.state)
     inverse = np.empty_like(descent.normals.blocks)
     matrix, _ = reduced(task.layout, descent.normals, pull, 0.0, inverse)
@@ -233,9 +230,7 @@ def _snooped(task: AdjustmentTask, solution: Solution, significance: float) -> t
     """Return the solution without blunders, and which sorted image points (n,) were rejected."""
 
     def solve_again(before: Solution, weight: Array) -> Solution:
-        descent = descend(task, before.descent.state, weight)
-        matrix, inverse, motions = _normal_matrix(task, descent)
-        return Solution(descent, weight, _inverse(task.layout, matrix), inverse, motions)
+        return _inverted(task, descend(task, before.descent.state, weight), weight)
 
     def test(one: Solution) -> tuple[Array, float, int]:
         variance, redundancy = _variance(task, one)

@@ -47,8 +47,6 @@ class SortedObservations(NamedTuple):
 class LensColumns(NamedTuple):
     """How the free lens parameters of each camera's group follow from its lens row."""
 
-    owner: Array
-    """(c,) camera whose lens each camera has."""
     free: Array
     """(c,) number of free lens parameters."""
     first: Array
@@ -83,18 +81,12 @@ class EliminatedBlocks(NamedTuple):
 
 
 class Known(NamedTuple):
-    """A-priori values of eliminated points and placements, and distances within blocks."""
+    """A-priori values of eliminated points, and distances within blocks."""
 
     points: Array
     """(p, 3) given coordinates [m]."""
     information: Array
     """(p, 3, 3) inverse covariance of these [1/m^2]; empty where none is weighted."""
-    pose_block: Array
-    """(f,) block of each placement, 0 for none."""
-    placements: Array
-    """(f, 12) given poses."""
-    pose_weight: Array
-    """(f, 6) 1 / sigma of these; empty where none is weighted."""
     first_distance: Array
     """(b + 1,) first distance of each block."""
     distances: Array

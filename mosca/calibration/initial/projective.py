@@ -1,8 +1,8 @@
-"""Projective geometry of uncalibrated views: fundamental matrices, projection matrices, points.
+"""Projective geometry of uncalibrated views: fundamental matrices and homographies.
 
 Robust by random samples scored by the median (Rousseeuw 1984), each followed by concentration steps (Rousseeuw and
 Van Driessen 1999): no threshold has to be known, and up to about a third of the pairs may be wrong. Image
-coordinates are plain ones (``Tracks.plain``), of size one; formulas after Hartley and Zisserman 2004.
+coordinates are plain ones (``PointViews.plain``), of size one; formulas after Hartley and Zisserman 2004.
 """
 
 from collections.abc import Callable
@@ -66,44 +66,6 @@ def plane_misfit(first: Array, second: Array, rng: np.random.Generator) -> float
 def epipolar_distance(matrix: Array, first: Array, second: Array) -> Array:
     """Return Sampson's distances (n,) of image points (n, 2) from F (3, 3)."""
     result: Array = _sampson(matrix[None], _h(first), _h(second))[0]
-    return result
-
-
-def projection(points: Array, xy: Array, rng: np.random.Generator, samples: int = SAMPLES) -> Robust:
-    """Return the projection matrix (3, 4) of homogeneous points (n, 4) and image points (n, 2), n >= 6."""
-    unit = points / np.linalg.norm(points, axis=1, keepdims=True)
-    _, sizes, right = np.linalg.svd(unit, full_matrices=False)
-    white = right.T / np.maximum(sizes, 1e-12 * sizes[0]) * np.sqrt(len(points))
-    x = unit @ white
-
-    def fit(chosen: Array) -> Array:
-        return _least(_camera_rows(x[chosen], xy[chosen])).reshape(-1, 3, 4)
-
-    found = _robust(len(x), 6, samples, fit, lambda m, k: _transfer(m, x[k], xy[k]), rng)
-    matrix = found.matrix @ white.T
-    return Robust(matrix / np.linalg.norm(matrix), found.inliers, found.median)
-
-
-def intersect(matrices: Array, xy: Array) -> Array:
-    """Return homogeneous points (p, 4) of unit length, from projection matrices (c, 3, 4) and image points
-    (c, p, 2), NaN where a camera did not see one; NaN where fewer than two did.
-    """
-    seen = np.asarray(np.isfinite(xy).all(axis=2))
-    x = np.where(seen[:, :, None], xy, 0.0)
-    size = np.linalg.norm(matrices[:, 2, :3], axis=1)[:, None, None] + SMALL
-    unit = matrices / size
-    normal = np.zeros((xy.shape[1], 4, 4))
-    for c in range(len(matrices)):
-        rows = x[c][:, :, None] * unit[c, 2] - unit[c, :2]
-        rows = rows * seen[c][:, None, None]
-        normal += np.swapaxes(rows, 1, 2) @ rows
-    points = np.linalg.eigh(normal)[1][:, :, 0]
-    return np.where((seen.sum(axis=0) >= 2)[:, None], points, np.nan)
-
-
-def transfer(matrix: Array, points: Array, xy: Array) -> Array:
-    """Return the distances (n,) of the images of points (n, 4) under ``matrix`` (3, 4) from ``xy`` (n, 2)."""
-    result: Array = _transfer(matrix[None], points, xy)[0]
     return result
 
 

@@ -53,7 +53,8 @@ def resect(where: str, xy_px: Array, xyz: Array, rng: np.random.Generator) -> Re
     a plane or on a line, mirrored points, points on both sides of the camera, or no camera that fits.
     """
     xy, world = _checked(where, xy_px, xyz)
-    centre, scale = xy.mean(axis=0), _extent(xy)
+    centre = xy.mean(axis=0)
+    scale = float(max(np.sqrt(np.mean((xy - centre) ** 2)), 1e-12))
     image = np.column_stack([(xy - centre) / scale, np.ones(len(xy))])
     matrix, inliers = _robust_matrix(where, image, world, rng)
     back = np.array([[scale, 0, centre[0]], [0, scale, centre[1]], [0, 0, 1.0]])
@@ -150,10 +151,6 @@ def _checked(where: str, xy_px: Array, xyz: Array) -> tuple[Array, Array]:
             "points at another height or pictures of the target at another distance"
         )
     return xy, world
-
-
-def _extent(values: Array) -> float:
-    return float(max(np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)), 1e-12))
 
 
 def _robust_matrix(

@@ -7,9 +7,9 @@ their covariance. A bump too large for the matching shows as a camera whose imag
 
     watch = BumpDetector(rig)
     for step in run(source, rig):
-        alarm = watch.update(step)
+        alarm = watch.update(step.frame_set.pulse, step.detections, step.points)
         if alarm and alarm.camera:
-            ...  # watch_pose.reorient(...)
+            ...  # reorient.reoriented(...)
 """
 
 from collections import deque
@@ -25,7 +25,6 @@ from mosca.data.arrays import Array
 from mosca.data.detections import Detections
 from mosca.data.rig import Rig
 from mosca.data.tracks import Points
-from mosca.pipeline import Step
 
 
 @dataclass(frozen=True)
@@ -97,12 +96,10 @@ class BumpDetector:
         self._count = 0
         self._limit = float(chi2.isf(self.settings.significance, 3))
 
-    def update(self, step: Step) -> Alarm | None:
-        """Take one frame set of the pipeline; return an alarm if a camera was bumped."""
-        return self.update_points(step.frame_set.pulse, step.detections, step.points)
-
-    def update_points(self, frame: int, detections: Mapping[str, Detections], points: Points) -> Alarm | None:
-        """Take the points of frame number ``frame`` and the detections that they were made of."""
+    def update(self, frame: int, detections: Mapping[str, Detections], points: Points) -> Alarm | None:
+        """Take the points of frame number ``frame`` and the detections that they were made of; return an alarm if a
+        camera was bumped.
+        """
         s = self.settings
         self._count += 1
         self._frames.append(frame_sums(self.rig, frame, detections, points, s.camera_sigma_px, s.body_px))

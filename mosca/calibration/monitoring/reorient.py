@@ -129,12 +129,10 @@ def common_shift(rig: Rig, name: str, detections: Mapping[str, Detections], poin
     return float(x), float(y)
 
 
-def reorient(
-    camera: Camera, seen: CameraObservations, body_px: float = 0.03, significance_sigmas: float = OUTLIER_SIGMAS
-) -> Reorientation:
+def reorient(camera: Camera, seen: CameraObservations, body_px: float = 0.03) -> Reorientation:
     """Resect ``camera`` from ``seen``, its lens held, from its old pose on.
 
-    Weights from the image's and the point's covariances; wrong pairs are left out beyond ``significance_sigmas``.
+    Weights from the image's and the point's covariances; wrong pairs are left out.
     ``body_px``: shake of a whole image, which all points of a frame share. CalibrationError for fewer than
     12 points, points on a line, or a pose that does not fit.
     """
@@ -154,7 +152,7 @@ def reorient(
         squared = np.einsum("ni,nij,nj->n", rest, weight, rest)
         # from a poor initial pose all residuals are large: wrong points are those with larger ones than the others
         scale = max(float(np.median(squared)) * SIGMA_BY_MEDIAN_2D**2, 1.0)
-        used = np.isfinite(squared) & (squared < 2 * significance_sigmas**2 * scale)
+        used = np.isfinite(squared) & (squared < 2 * OUTLIER_SIGMAS**2 * scale)
         normal = np.einsum("nki,nkl,nlj->ij", slope[used], weight[used], slope[used])
         right = np.einsum("nki,nkl,nl->i", slope[used], weight[used], rest[used])
         size = 1 / np.sqrt(np.diag(normal))
@@ -229,9 +227,8 @@ def reoriented(rig: Rig, name: str, seen: CameraObservations, body_px: float = 0
     """Return the rig with camera ``name`` in its new pose. InputError for a rig of fewer than three cameras."""
     if len(rig.cameras) < 3:
         raise InputError(
-            f"camera '{name}': a rig of {len(rig.cameras)} cameras cannot re-orient one from the others' points, "
-            "3 are "
-            "needed; calibrate the exterior orientation anew with the target"
+            f"camera '{name}': a rig of {len(rig.cameras)} cameras cannot re-orient one from the others' "
+            "points, 3 are needed; calibrate the exterior orientation anew with the target"
         )
     new = reorient(rig.camera(name), seen, body_px)
     return Rig(tuple(new.camera if c.name == name else c for c in rig.cameras)), new

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.calibration.monitoring.bump_detector import Alarm, BumpDetector, BumpSettings
+from mosca.calibration.monitoring.bump_detector import Alarm, BumpDetector
 from mosca.calibration.monitoring.reorient import CameraObservations, Reorientation, common_shift, gather, reoriented
 from mosca.data.detections import Detections
 from mosca.data.rig import Rig
@@ -48,12 +48,10 @@ class Incident:
 class RigKeeper:
     """A keeper of the pipeline: the current ``rig`` and the ``incidents`` so far."""
 
-    def __init__(self, rig: Rig, settings: BumpSettings | None = None, mend: bool = True) -> None:
+    def __init__(self, rig: Rig) -> None:
         self.rig = rig
         self.incidents: list[Incident] = []
-        self._watch = BumpDetector(rig, settings)
-        self._mend = mend
-        self._body_px = self._watch.settings.body_px
+        self._watch = BumpDetector(rig)
         self._recent: deque[tuple[int, Mapping[str, Detections], Points]] = deque(maxlen=REORIENT_FRAMES)
         self._open: Incident | None = None
 
@@ -65,11 +63,11 @@ class RigKeeper:
             if frame - self._open.alarm.since >= REORIENT_FRAMES:
                 self._reorient(frame)
             return
-        alarm = self._watch.update_points(frame, detections, points)
+        alarm = self._watch.update(frame, detections, points)
         if alarm is None:
             return
         incident = Incident(alarm, frame)
-        if self._mend and alarm.camera is not None:
+        if alarm.camera is not None:
             self._open = incident
         else:
             self.incidents.append(incident)
@@ -93,7 +91,7 @@ class RigKeeper:
                 parts.append(gather(self.rig, name, number, detections, points, shift))
         self._open = None
         try:
-            self.rig, new = reoriented(self.rig, name, CameraObservations.joined(parts), self._body_px)
+            self.rig, new = reoriented(self.rig, name, CameraObservations.joined(parts), self._watch.settings.body_px)
         except MoscaError as error:  # the run goes on with the old rig; the incident gives the reason
             self.incidents.append(Incident(incident.alarm, incident.at, why_not=str(error)))
         else:

@@ -11,45 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from mosca.calibration.quality.jacobian import sensitivity
-from mosca.data.arrays import Array, read_only
+from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration
+from mosca.data.calibration_evidence import AccuracyGrid
 from mosca.data.rig import Rig
 from mosca.triangulation.triangulate import triangulate
 
 SEEN_FROM = 1e-9
 """Least ratio of eigenvalues of N: below it the rays do not meet."""
-
-
-@dataclass(frozen=True, eq=False)
-class AccuracyMap:
-    """Predicted accuracy on a grid.
-
-    ``x``, ``y``, ``z``: the grid's axes [m, world]; ``n_cameras`` (nx, ny, nz) that see each point; ``detection`` and
-    ``calibration`` (nx, ny, nz, 3, 3) covariances of a measured point [m^2] from either, NaN where fewer than the
-    required number of cameras see it.
-    """
-
-    x: Array
-    y: Array
-    z: Array
-    n_cameras: Array
-    detection: Array
-    calibration: Array
-
-    @property
-    def detection_sigma_m(self) -> Array:
-        """Standard deviation (nx, ny, nz) in space from detection [m]: root of the covariance's trace."""
-        return np.asarray(np.sqrt(np.trace(self.detection, axis1=3, axis2=4)))
-
-    @property
-    def calibration_sigma_m(self) -> Array:
-        """Standard deviation (nx, ny, nz) in space from the calibration [m]."""
-        return np.asarray(np.sqrt(np.trace(self.calibration, axis1=3, axis2=4)))
-
-    @property
-    def sigma_m(self) -> Array:
-        """Standard deviation (nx, ny, nz) in space of both together [m]."""
-        return np.asarray(np.hypot(self.detection_sigma_m, self.calibration_sigma_m))
 
 
 def accuracy_map(
@@ -58,8 +27,7 @@ def accuracy_map(
     high: Sequence[float],
     n: tuple[int, int, int],
     detection_sigma_px: float,
-    minimum_cameras: int = 2,
-) -> AccuracyMap:
+) -> AccuracyGrid:
     """Return the predicted accuracy on ``n`` (nx, ny, nz) points of the box ``low`` (3,) to ``high`` (3,) [m].
 
     ``detection_sigma_px``: standard deviation of an image coordinate, an axis. Occlusion is not considered: a camera
@@ -79,20 +47,15 @@ def accuracy_map(
         moved = np.swapaxes(by_point, 1, 2) @ one.by_parameter[seen] / detection_sigma_px
         pull[np.ix_(np.flatnonzero(seen), np.arange(3), one.columns)] += moved
         count[seen] += 1
-    good = (count >= max(minimum_cameras, 2)) & _solvable(total)
+    good = (count >= 2) & _solvable(total)
     detection, common = (np.full((len(grid), 3, 3), np.nan) for _ in range(2))
     detection[good] = np.linalg.inv(total[good])
     by_parameter = -detection[good] @ pull[good]
     common[good] = by_parameter @ calibration.covariance @ np.swapaxes(by_parameter, 1, 2)
-    shape = tuple(n)
-    return AccuracyMap(
-        read_only(axes[0], (None,), "x"),
-        read_only(axes[1], (None,), "y"),
-        read_only(axes[2], (None,), "z"),
-        read_only(count.reshape(shape), shape, "n_cameras", np.int64),
-        read_only(detection.reshape(*shape, 3, 3), (*shape, 3, 3), "detection"),
-        read_only(common.reshape(*shape, 3, 3), (*shape, 3, 3), "calibration"),
+    of_detection, of_calibration = (
+        np.sqrt(np.trace(one, axis1=1, axis2=2)).reshape(n) for one in (detection, common)
     )
+    return AccuracyGrid(axes[0], axes[1], axes[2], of_detection, of_calibration, detection_sigma_px)
 
 
 @dataclass(frozen=True, eq=False)

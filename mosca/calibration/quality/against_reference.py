@@ -57,10 +57,9 @@ def exchanged(calibration: Calibration, known: Rig, settings: QualityLimits) -> 
     if found is None:
         return ()
     text = (
-        f"cameras '{found[0]}' and '{found[1]}' stand for each other: with their names exchanged the earlier rig "
-        "fits to "
-        f"{total:.3g} px, as they are to {_overall(asis):.3g} px only; exchange the two in the recording (or the "
-        "cables), then calibrate again"
+        f"cameras '{found[0]}' and '{found[1]}' stand for each other: with their names exchanged the earlier "
+        f"rig fits to {total:.3g} px, as they are to {_overall(asis):.3g} px only; exchange the two in the "
+        "recording (or the cables), then calibrate again"
     )
     return (refuse("swapped-cameras", text, found[0]),)
 

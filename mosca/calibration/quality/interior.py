@@ -2,13 +2,9 @@
 
 import numpy as np
 
+from mosca.calibration.bundle.layout import POSE_NAMES
 from mosca.calibration.quality.findings import note, refuse, warn
-from mosca.calibration.quality.jacobian import (
-    POSE_NAMES,
-    aspect,
-    principal_distance_column,
-    sigma_of_principal_distance,
-)
+from mosca.calibration.quality.jacobian import aspect, principal_distance_column, sigma_of_principal_distance
 from mosca.calibration.quality.limits import QualityLimits
 from mosca.camera.projection import image_grid, lens_directions, lens_pixels
 from mosca.data.arrays import Array
@@ -61,9 +57,8 @@ def changed_interior(calibration: Calibration, known: Rig, settings: QualityLimi
                 refuse(
                     "interior-ran-away",
                     f"camera '{camera.name}': the principal distance is {now:.1f} px, {change:+.1%} from the "
-                    f"{before:.1f} px of the earlier rig, {settings.changed_share:.0%} allowed; if nobody turned "
-                    "zoom "
-                    "or focus the new calibration is wrong: repeat it",
+                    f"{before:.1f} px of the earlier rig, {settings.changed_share:.0%} allowed; if nobody "
+                    "turned zoom or focus the new calibration is wrong: repeat it",
                     camera.name,
                 )
             )
@@ -86,11 +81,10 @@ def little_depth(calibration: Calibration, settings: QualityLimits) -> tuple[Fin
         found.append(
             raise_(
                 "little-depth",
-                f"camera '{camera.name}': the target's points differ in distance by {shown:.1%} only, so that "
-                f"principal distance ({sigma:.1%} uncertain, {settings.warned_sigma_c:.1%} allowed) and distance "
-                "look "
-                f"alike (correlation {correlation:.4f}, variance inflated {inflation:.0f} times); show the "
-                "target at other distances and tilted, or hold the principal distance",
+                f"camera '{camera.name}': the target's points differ in distance by {shown:.1%} only, so "
+                f"that principal distance ({sigma:.1%} uncertain, {settings.warned_sigma_c:.1%} allowed) and "
+                f"distance look alike (correlation {correlation:.4f}, variance inflated {inflation:.0f} "
+                "times); show the target at other distances and tilted, or hold the principal distance",
                 camera.name,
             )
         )
@@ -225,10 +219,9 @@ def _impossible_distortion(calibration: Calibration, index: int, settings: Quali
         return [
             raise_(
                 "interior-ran-away",
-                f"camera '{camera.name}': the distortion folds back {radius:.0f} px from the principal point, inside "
-                f"the image (points were measured out to {reach:.0f} px); show the target out to the image's "
-                "corners, "
-                "or estimate fewer distortion parameters",
+                f"camera '{camera.name}': the distortion folds back {radius:.0f} px from the principal "
+                f"point, inside the image (points were measured out to {reach:.0f} px); show the target out "
+                "to the image's corners, or estimate fewer distortion parameters",
                 camera.name,
             )
         ]

@@ -5,13 +5,12 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from mosca.calibration.bundle.layout import POSE_NAMES
+from mosca.calibration.bundle.problem import FOCAL
 from mosca.camera.projection import project_with_jacobians
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration
 from mosca.data.rig import Lens, MoscaLens, Rig, principal_distances_px
-
-POSE_NAMES = ("turn_x_rad", "turn_y_rad", "turn_z_rad", "X_m", "Y_m", "Z_m")
-BOTH_FOCAL = "f_px"
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,21 +29,19 @@ class Sensitivity:
 def sensitivity(rig: Rig, camera: int, parameters: Sequence[str], points: Array) -> Sensitivity:
     """Return pixels and derivatives of world points (n, 3) [m] in camera number ``camera`` of ``rig``.
 
-    ``parameters``: the calibration's names. A camera without lens parameters of its own whose lens is that of
-    another shares that one's.
+    ``parameters``: the calibration's names.
     """
     one = rig.cameras[camera]
     projection = project_with_jacobians(one, points)
     of_lens = [field.name for field in fields(one.lens)]
-    owner = lens_owner(rig, camera, parameters)
     chosen, derivatives = [], []
     for k, name in enumerate(parameters):
         whose, _, what = name.rpartition(".")
         if whose == one.name and what in POSE_NAMES:
             derivative = projection.by_pose[:, :, POSE_NAMES.index(what)]
-        elif whose == owner and what in of_lens:
+        elif whose == one.name and what in of_lens:
             derivative = projection.by_lens[:, :, of_lens.index(what)]
-        elif whose == owner and what == BOTH_FOCAL:
+        elif whose == one.name and what == FOCAL:
             derivative = projection.by_lens[:, :, 0] + projection.by_lens[:, :, 1] * aspect(one.lens)
         else:
             continue
@@ -58,17 +55,6 @@ def aspect(lens: Lens) -> float:
     """Return the principal distance in pixel heights over that in pixel widths: 1 for square pixels."""
     fx, fy = principal_distances_px(lens)
     return fy / fx
-
-
-def lens_owner(rig: Rig, camera: int, parameters: Sequence[str]) -> str:
-    """Return the name of the camera under which the lens parameters of camera number ``camera`` are listed."""
-    one = rig.cameras[camera]
-    if own_lens_parameters(one.name, parameters):
-        return one.name
-    for other in rig.cameras[:camera]:
-        if other.lens == one.lens and own_lens_parameters(other.name, parameters):
-            return other.name
-    return one.name
 
 
 def own_lens_parameters(name: str, parameters: Sequence[str]) -> tuple[str, ...]:
@@ -89,8 +75,8 @@ def sigma_of_principal_distance(calibration: Calibration, camera: int) -> float 
 
 def principal_distance_column(calibration: Calibration, camera: int) -> int | None:
     """Return which parameter is the principal distance of camera number ``camera``; None where it was held."""
-    owner = lens_owner(calibration.rig, camera, calibration.parameters)
-    for name in ("c_mm", BOTH_FOCAL, "fx_px"):
+    owner = calibration.rig.names[camera]
+    for name in ("c_mm", FOCAL, "fx_px"):
         if f"{owner}.{name}" in calibration.parameters:
             return calibration.parameters.index(f"{owner}.{name}")
     return None

@@ -8,7 +8,7 @@ from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from scipy.spatial import ConvexHull, Delaunay, QhullError
 
 from mosca.calibration.quality.findings import note, refuse, warn
-from mosca.calibration.quality.jacobian import lens_owner, own_lens_parameters, principal_distance_column
+from mosca.calibration.quality.jacobian import own_lens_parameters, principal_distance_column
 from mosca.calibration.quality.limits import QualityLimits
 from mosca.camera.projection import project
 from mosca.data.arrays import Array
@@ -57,9 +57,8 @@ def few_views(calibration: Calibration, settings: QualityLimits) -> tuple[Findin
         if unknowns and 2 * points < settings.least_equations * unknowns:
             text = (
                 f"{where}: {points} image points for {unknowns} unknowns, at least "
-                f"{settings.least_equations * unknowns / 2:.0f} are wanted; a mistake would spread instead of "
-                "showing: "
-                "take more pictures of the target"
+                f"{settings.least_equations * unknowns / 2:.0f} are wanted; a mistake would spread instead "
+                "of showing: take more pictures of the target"
             )
             found.append(warn("few-views", text, camera.name))
     return tuple(found)
@@ -232,8 +231,7 @@ def little_coverage(
     """Return the cameras whose image, and whether the ``volume`` (low, high) [m], was covered in part only."""
     found = []
     for k, camera in enumerate(calibration.rig.cameras):
-        owner = lens_owner(calibration.rig, k, calibration.parameters)
-        if not own_lens_parameters(owner, calibration.parameters):
+        if not own_lens_parameters(camera.name, calibration.parameters):
             continue  # a lens that was held needs no points in the corners
         covered = coverage(calibration, k, settings.cells)
         share = float(covered.mean())
@@ -249,8 +247,7 @@ def little_coverage(
         share = float(volume_coverage(calibration, *volume).mean())
         text = (
             f"the target was seen in {share:.0%} of the volume, {settings.noted_coverage:.0%} wanted; "
-            "measurements in "
-            "the rest are extrapolated: show the target there"
+            "measurements in the rest are extrapolated: show the target there"
         )
         if share < settings.noted_coverage:
             found.append((warn if share < settings.warned_coverage else note)("little-coverage", text))

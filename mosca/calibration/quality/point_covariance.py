@@ -12,20 +12,19 @@ from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration
 
 
-def calibration_covariance(calibration: Calibration, xyz: Array, seen: Array, sigma_px: Array | float = 1.0) -> Array:
+def calibration_covariance(calibration: Calibration, xyz: Array, seen: Array) -> Array:
     """Return the covariance (n, 3, 3) [m^2] that the calibration's own error gives to points ``xyz`` (n, 3) [m].
 
-    ``seen`` (n, c): which cameras measured each point (``points.rays >= 0``); ``sigma_px``: standard deviation of
-    each image (n, c), or one for all; only ratios matter. NaN where fewer than two cameras saw a point.
+    ``seen`` (n, c): which cameras measured each point (``points.rays >= 0``),
+    all equally well. NaN where fewer than two cameras saw a point.
     """
     xyz, seen = np.asarray(xyz, dtype=float).reshape(-1, 3), np.asarray(seen, dtype=bool)
-    weight = 1.0 / np.broadcast_to(np.asarray(sigma_px, dtype=float), seen.shape) ** 2
     total = np.zeros((len(xyz), 3, 3))
     pull = np.zeros((len(xyz), 3, len(calibration.parameters)))
     for c in range(len(calibration.rig.cameras)):
         rows = np.flatnonzero(seen[:, c])
         one = sensitivity(calibration.rig, c, calibration.parameters, xyz[rows])
-        weighted = np.swapaxes(one.by_point, 1, 2) * weight[rows, c, None, None]
+        weighted = np.swapaxes(one.by_point, 1, 2)
         total[rows] += weighted @ one.by_point
         pull[np.ix_(rows, np.arange(3), one.columns)] += weighted @ one.by_parameter
     good = seen.sum(axis=1) >= 2

@@ -22,42 +22,35 @@ def evidence_of(
     calibration: Calibration,
     *,
     volume: tuple[Sequence[float], Sequence[float]] | None = None,
-    detection_sigma_px: float | None = None,
     lengths: LengthErrors | None = None,
-    comparison: Sequence[str] = (),
     made_from: str = "",
     rigid_target: bool = False,
-    settings: QualityLimits | None = None,
 ) -> CalibrationEvidence:
     """Return the evidence for ``calibration``.
 
-    ``volume`` (low, high) [m, world] of the accuracy map: default the box of the target's points (1 to 99 %);
-    ``detection_sigma_px``: error of an image coordinate when measuring, default the calibration's own and
-    the shake of whole images. The
-    other arguments as for ``check_calibration``.
+    ``volume`` (low, high) [m, world] of the accuracy map: default the box of the target's points (1 to 99 %).
+    The other arguments as for ``check_calibration``.
     """
-    settings = settings or QualityLimits()
     strength = links(calibration, rigid_target)
-    covered = np.array([coverage(calibration, k, settings.cells) for k in range(len(calibration.rig.cameras))])
+    covered = np.array([coverage(calibration, k, QualityLimits().cells) for k in range(len(calibration.rig.cameras))])
     groups = connected_components(coo_array(strength), directed=False)[1]
     return CalibrationEvidence(
         covered,
         strength,
         groups,
         np.array([pair[:2] for pair in missing_links(calibration, groups)]),
-        _accuracy(calibration, volume, detection_sigma_px),
+        _accuracy(calibration, volume),
         None
         if lengths is None
         else HeldOutLengths(
             lengths.length_m, lengths.sigma_m, lengths.true_m, lengths.scale_error, lengths.scale_sigma
         ),
-        tuple(comparison),
-        made_from,
+        made_from=made_from,
     )
 
 
 def _accuracy(
-    calibration: Calibration, volume: tuple[Sequence[float], Sequence[float]] | None, sigma_px: float | None
+    calibration: Calibration, volume: tuple[Sequence[float], Sequence[float]] | None
 ) -> AccuracyGrid | None:
     if len(calibration.rig.cameras) < 2:
         return None
@@ -69,10 +62,8 @@ def _accuracy(
     extent = high - low
     if not (extent > 0).all():
         return None
-    if sigma_px is None:
-        known = calibration.sigma_px[np.isfinite(calibration.sigma_px).all(axis=1)]
-        # later measurements are affected by the cameras' shake, too
-        sigma_px = float(np.sqrt(np.mean(known**2) + calibration.body_px**2)) if len(known) else 0.1
+    known = calibration.sigma_px[np.isfinite(calibration.sigma_px).all(axis=1)]
+    # later measurements are affected by the cameras' shake, too
+    sigma_px = float(np.sqrt(np.mean(known**2) + calibration.body_px**2)) if len(known) else 0.1
     count = [max(LEAST_GRID, int(GRID * edge / extent.max()) // 2 * 2 + 1) for edge in extent]
-    found = accuracy_map(calibration, low, high, (count[0], count[1], count[2]), sigma_px)
-    return AccuracyGrid(found.x, found.y, found.z, found.detection_sigma_m, found.calibration_sigma_m, sigma_px)
+    return accuracy_map(calibration, low, high, (count[0], count[1], count[2]), sigma_px)

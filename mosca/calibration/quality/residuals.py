@@ -4,7 +4,7 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from mosca.calibration.quality.findings import refuse, warn
-from mosca.calibration.quality.jacobian import lens_owner, own_lens_parameters
+from mosca.calibration.quality.jacobian import own_lens_parameters
 from mosca.calibration.quality.limits import QualityLimits
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
@@ -40,8 +40,7 @@ def lens_misfit(calibration: Calibration, settings: QualityLimits) -> tuple[Find
     """Return the cameras whose residuals have a pattern over the image beyond chance."""
     found = []
     for k, camera in enumerate(calibration.rig.cameras):
-        owner = lens_owner(calibration.rig, k, calibration.parameters)
-        free = len(own_lens_parameters(owner, calibration.parameters))
+        free = len(own_lens_parameters(camera.name, calibration.parameters))
         size, chance, sigma = residual_pattern(calibration, k, settings.cells, free)
         least = max(settings.pattern_px, settings.pattern_sigmas * sigma)
         if chance >= settings.pattern_significance or size <= least:

@@ -50,11 +50,10 @@ def sizes(
     if abs(ratio - 1) <= max(allowed, 3 * sigma):
         return ()
     text = (
-        f"the marks look {abs(ratio - 1):.1%} (+- {sigma:.1%}) {'larger' if ratio > 1 else 'smaller'} than the "
-        "calibrated "
-        f"geometry says, {allowed:.1%} allowed; measure a mark and a distance between two of them: either the "
-        "diameters in the target's file are "
-        "wrong, or its lengths, and then every length measured with this rig is"
+        f"the marks look {abs(ratio - 1):.1%} (+- {sigma:.1%}) {'larger' if ratio > 1 else 'smaller'} than "
+        f"the calibrated geometry says, {allowed:.1%} allowed; measure a mark and a distance between two of "
+        "them: either the diameters in the target's file are wrong, or its lengths, and then every length "
+        "measured with this rig is"
     )
     return (refuse("wrong-size", text),)
 
@@ -196,8 +195,7 @@ def scale_error(errors: LengthErrors, settings: QualityLimits | None = None) -> 
     text = (
         f"{len(errors.frame)} held-out lengths come out {100 * errors.scale_error:+.3f} % (+- "
         f"{100 * errors.scale_sigma:.3f} %) wrong, {100 * allowed:.3f} % allowed; measure the target (or the "
-        "wand) that "
-        "gave the scale, and the bar"
+        "wand) that gave the scale, and the bar"
     )
     return (refuse("scale-error", text),)
 

@@ -5,7 +5,7 @@ Starting values come from ``resection``. Which lens parameters are estimated is 
 """
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -219,8 +219,3 @@ def _checked(
         float(sigma_m[1]),
         chosen,
     )
-
-
-def lens_values(lens: Lens) -> dict[str, float]:
-    """Return the lens parameters by name."""
-    return dict(zip((f.name for f in fields(lens)), astuple(lens), strict=True))

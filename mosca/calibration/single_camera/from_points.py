@@ -1,11 +1,11 @@
 """Calibration from measured points: a target file and its text files in, a rig and its quality out."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
-from mosca.calibration.single_camera.adjust import AdjustmentSettings, CameraAdjustment, adjust_camera, lens_values
+from mosca.calibration.single_camera.adjust import AdjustmentSettings, CameraAdjustment, adjust_camera
 from mosca.data.files.target_file import PointsTarget, read_measured_points
 from mosca.data.rig import Rig
 from mosca.errors import InputError
@@ -63,7 +63,7 @@ def _camera_summary(adjustment: CameraAdjustment) -> str:
     ]
     lines += [
         f"  {name:<14} {value:>14.7g}" + (f"  +- {sigma[name]:.2g}" if name in sigma else "  held")
-        for name, value in lens_values(camera.lens).items()
+        for name, value in asdict(camera.lens).items()
     ]
     position = camera.world_from_camera.translation
     lines += [

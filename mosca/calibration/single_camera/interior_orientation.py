@@ -12,7 +12,6 @@ import numpy as np
 
 from mosca.calibration.bundle.solver import (
     FOCAL,
-    HELD,
     BundleSettings,
     CameraUnknowns,
     ObjectPoints,
@@ -128,7 +127,7 @@ def _from_plane(shown: CameraViews, lens: LensChoice) -> Camera:
     )
     poses = Placements.of([pose for _, pose in both])
     for free in _stages(lens.model):
-        unknowns = CameraUnknowns(camera, free=free, pose_sigma=HELD)
+        unknowns = CameraUnknowns(camera, free=free, held=True)
         problem = Problem((unknowns,), observations, ObjectPoints.fixed(marks_m), poses)
         result = solve(problem, BundleSettings(loss="huber", loss_scale=2.0, precision=False))
         camera, poses = result.cameras[0], result.placements

@@ -12,7 +12,7 @@ import numpy as np
 from mosca.calibration.bundle.solver import BundleSettings, CameraUnknowns, ObjectPoints, Observations, Problem, solve
 from mosca.camera.projection import project, project_with_jacobians
 from mosca.data.arrays import Array
-from mosca.data.rig import Camera, Lens
+from mosca.data.rig import Camera
 from mosca.errors import CalibrationError
 
 POSE_PARAMETERS = ("turn_x_rad", "turn_y_rad", "turn_z_rad", "X_m", "Y_m", "Z_m")
@@ -74,14 +74,16 @@ def fit_camera(
     residuals, jacobian = linearised(camera, free, xy_px, xyz)
     root = np.sqrt(weights)
     cofactors = _cofactors(jacobian, root) if determined else None
-    return CameraFit(camera, tuple(free), residuals, jacobian, cofactors, _cost(residuals, root))
+    cost = float(np.sum((residuals * root[:, None]) ** 2))
+    return CameraFit(camera, tuple(free), residuals, jacobian, cofactors, cost)
 
 
 def linearised(camera: Camera, free: Sequence[str], xy_px: Array, xyz: Array) -> tuple[Array, Array]:
     """Return the residuals (n, 2) of ``residuals_of`` and the projection's Jacobian (n, 2, p) as in ``CameraFit``."""
     projection = project_with_jacobians(camera, xyz)
     rest = np.nan_to_num(xy_px - projection.xy_px, nan=UNSEEN_PX)
-    by_lens = projection.by_lens[:, :, _columns(camera.lens, free)]
+    names = [field.name for field in fields(camera.lens)]
+    by_lens = projection.by_lens[:, :, [names.index(name) for name in free]]
     return rest, np.nan_to_num(np.concatenate([projection.by_pose, by_lens], axis=2))
 
 
@@ -89,15 +91,6 @@ def residuals_of(camera: Camera, xy_px: Array, xyz: Array) -> Array:
     """Return observed minus projected pixels (n, 2), UNSEEN_PX where a point is not imaged."""
     result: Array = np.nan_to_num(xy_px - project(camera, xyz), nan=UNSEEN_PX)
     return result
-
-
-def _columns(lens: Lens, free: Sequence[str]) -> list[int]:
-    names = [field.name for field in fields(lens)]
-    return [names.index(name) for name in free]
-
-
-def _cost(residuals: Array, root: Array) -> float:
-    return float(np.sum((residuals * root[:, None]) ** 2))
 
 
 def _cofactors(jacobian: Array, root: Array) -> Array | None:

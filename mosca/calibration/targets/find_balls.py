@@ -1,11 +1,9 @@
-"""Find a wand's balls among the targets of one image, and a single light for sessions without a wand.
+"""Find a wand's balls among the targets of one image.
 
 A straight wand's image is straight, up to the lens, and the position of an inner ball between the outer ones follows
 from the wand and from how much nearer one end is than the other. Three balls leave that ratio of distances free, so
 it must lie within what a wand can have before a camera; each further ball is a check (the cross-ratio).
 """
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,36 +13,26 @@ from mosca.data.sightings import Part
 from mosca.data.wands import Wand
 
 ALIKE_ENDS = 0.05
-"""A wand symmetric within this share of its length has ends that cannot be distinguished.
-"""
+"""A wand symmetric within this share of its length has ends that cannot be distinguished."""
 
 
-@dataclass(frozen=True)
-class WandReading:
-    """Settings of wand detection.
-
-    ``largest_depth_ratio``: how many times farther than the near end the far end may be; ``bend``: how far from the
-    line of the outer balls an inner one may be seen, as a share of their distance, beyond ``slack_px``; lenses bend
-    lines a little. ``largest_diameter_ratio``: of the balls' images, beyond what their distances explain.
-    ``clear``: the second best choice must be so many times worse.
-    """
-
-    largest_depth_ratio: float = 1.6
-    bend: float = 0.02
-    slack_px: float = 1.0
-    largest_diameter_ratio: float = 1.8
-    clear: float = 2.0
+LARGEST_DEPTH_RATIO = 1.6
+"""How many times farther than the near end the far end may be."""
+BEND, SLACK_PX = 0.02, 1.0
+"""How far from the line of the outer balls an inner one may be seen, as a share of their distance, and beyond; lenses
+bend lines a little."""
+LARGEST_DIAMETER_RATIO = 1.8
+"""Of the balls' images, beyond what their distances explain."""
+CLEAR = 2.0
+"""How many times worse the second best choice must be."""
 
 
-def read_wand(
-    detections: Detections, wand: Wand, camera: int, frame: int, reading: WandReading | None = None
-) -> Part | None:
+def read_wand(detections: Detections, wand: Wand, camera: int, frame: int) -> Part | None:
     """Return the wand's balls in one image, or None where it is not seen whole or could be two ways.
 
     Rows are in their order along the wand; ``mark`` is their number, or -1 where the two ends cannot be distinguished
     (two balls, or a symmetric wand).
     """
-    reading = reading or WandReading()
     balls, n = len(wand.along_m), len(detections)
     if n < balls:
         return None
@@ -55,63 +43,38 @@ def read_wand(
         for first in range(n)
         for second in range(n)
         if first != second and not (symmetric and first > second)
-        for choice in _between(detections, first, second, along, reading)
+        for choice in _between(detections, first, second, along)
     ]
     if not found:
         return None
     found.sort()
     # choices that share balls compete, others mean that two wands are seen
-    if len(found) > 1 and found[1][0] < reading.clear * max(found[0][0], 0.25):
+    if len(found) > 1 and found[1][0] < CLEAR * max(found[0][0], 0.25):
         return None
     rows = np.array(found[0][1])
     mark = np.full(balls, -1) if symmetric else np.arange(balls)
-    return _part(detections, rows, mark, camera, frame)
-
-
-def read_light(detections: Detections, camera: int, frame: int, clear: float = 3.0) -> Part | None:
-    """Return the single light of one image: its only target, or the brightest by far, else None.
-
-    Brightness: peak times area; the second must be ``clear`` times weaker.
-    """
-    if len(detections) == 0:
-        return None
-    light = np.asarray(detections.peak * detections.diameter_px**2)
-    order = np.argsort(-light)
-    if len(order) > 1 and not light[order[0]] >= clear * light[order[1]]:
-        return None
-    return _part(detections, order[:1], np.zeros(1), camera, frame)
-
-
-def _part(detections: Detections, rows: Array, mark: Array, camera: int, frame: int) -> Part:
     return Part(
-        camera,
-        frame,
-        np.asarray(mark, dtype=np.int64),
-        detections.xy_px[rows],
-        detections.covariance_px2[rows],
-        detections.diameter_px[rows],
+        camera, frame, mark, detections.xy_px[rows], detections.covariance_px2[rows], detections.diameter_px[rows]
     )
 
 
-def _between(
-    detections: Detections, first: int, second: int, along: Array, reading: WandReading
-) -> list[tuple[float, tuple[int, ...]]]:
+def _between(detections: Detections, first: int, second: int, along: Array) -> list[tuple[float, tuple[int, ...]]]:
     """Return the choices of balls with these two as ends, each with its badness (1: at the limit of the allowed)."""
     start, end = detections.xy_px[first], detections.xy_px[second]
     line = end - start
     length = float(np.linalg.norm(line))
-    if length < 3 * reading.slack_px:
+    if length < 3 * SLACK_PX:
         return []
     relative = (detections.xy_px - start) / length
     unit = line / length
     u = relative @ unit
     beside = np.abs(relative @ np.array([-unit[1], unit[0]]))
-    off = reading.bend + reading.slack_px / length
+    off = BEND + SLACK_PX / length
     inner = np.flatnonzero((u > 0) & (u < 1) & (beside <= off))
     inner = inner[(inner != first) & (inner != second)]
     diameter = detections.diameter_px
-    most = np.log(reading.largest_depth_ratio)
-    limit = np.log(reading.largest_diameter_ratio)
+    most = np.log(LARGEST_DEPTH_RATIO)
+    limit = np.log(LARGEST_DIAMETER_RATIO)
     choices: list[tuple[int, ...]] = [()]
     for t in along[1:-1]:
         # where the ball may lie with either end the nearer one

@@ -1,15 +1,16 @@
 """From the frames of a calibration session to sightings: every image is read for the target's marks."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from itertools import islice
 from typing import Protocol
 
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.data.frames import FrameSet, FrameSource
+from mosca.data.frames import FrameSource
 from mosca.data.sightings import Part, Sightings
 from mosca.errors import InputError
-from mosca.synchronisation import Assembly, assemble
+from mosca.synchronisation import assemble
 
 Progress = Callable[[int], None]
 
@@ -23,11 +24,7 @@ class MarkReader(Protocol):
 
 
 def read_sightings(
-    source: FrameSource,
-    reader: MarkReader,
-    every: int = 1,
-    progress: Progress | None = None,
-    assembly: Assembly | None = None,
+    source: FrameSource, reader: MarkReader, every: int = 1, progress: Progress | None = None
 ) -> Sightings:
     """Return what the frame sets of a source show of a target; each ``every``-th set is examined.
 
@@ -40,7 +37,7 @@ def read_sightings(
     sizes = np.array([(info.width, info.height) for info in infos])
     parts: list[Part] = []
     frames = 0
-    for number, frame_set in enumerate(_chosen(source, every, assembly)):
+    for number, frame_set in enumerate(islice(assemble(source, infos), 0, None, every)):
         frames = number + 1
         for camera, info in enumerate(infos):
             frame = frame_set.frames.get(info.name)
@@ -57,9 +54,3 @@ def read_sightings(
             "and focus (the marks need contrast and a few pixels)"
         )
     return sightings
-
-
-def _chosen(source: FrameSource, every: int, assembly: Assembly | None) -> Iterator[FrameSet]:
-    for number, frame_set in enumerate(assemble(source, source.cameras, assembly=assembly)):
-        if number % every == 0:
-            yield frame_set

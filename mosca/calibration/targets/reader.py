@@ -48,7 +48,7 @@ class FieldReader:
     White dots on black plates, or the other way round: whichever the first image with targets shows.
     """
 
-    def __init__(self, target: TestField | ScaleBar, settings: CodedSettings | None = None) -> None:
+    def __init__(self, target: TestField | ScaleBar) -> None:
         targets = target.targets if isinstance(target, TestField) else target.placed()
         coded = [(k, one.target) for k, one in enumerate(targets) if isinstance(one.target, CodedTarget)]
         if not coded:
@@ -58,7 +58,7 @@ class FieldReader:
         self.mark_of = {one.number: k for k, one in coded}
         first = coded[0][1]
         r = first.dot_radius_m
-        self._settings = settings or CodedSettings(
+        self._settings = CodedSettings(
             colour="both",
             numbers=frozenset(self.mark_of),
             ring_inner=first.ring_inner_m / r,

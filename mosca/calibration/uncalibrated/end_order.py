@@ -22,7 +22,7 @@ ROUNDS = 3
 TIMES_WORSE, CLEARLY = 4.0, 6.0
 
 
-def ordered(sightings: Sightings, balls: int, lenses: Sequence[Lens] | None, rng: np.random.Generator) -> Sightings:
+def ordered(sightings: Sightings, balls: int, lenses: Sequence[Lens], rng: np.random.Generator) -> Sightings:
     """Return the sightings with unknown marks (-1) numbered along the wand, alike in all cameras of a frame.
 
     The rows of an image are in their order along the line. Which end has number 0 is chance; images whose order
@@ -56,9 +56,7 @@ def ordered(sightings: Sightings, balls: int, lenses: Sequence[Lens] | None, rng
     return replace(sightings, mark=mark)
 
 
-def _middles(
-    sightings: Sightings, frame: Array, camera: Array, ends: Array, lenses: Sequence[Lens] | None
-) -> PointViews:
+def _middles(sightings: Sightings, frame: Array, camera: Array, ends: Array, lenses: Sequence[Lens]) -> PointViews:
     """Return the middles of the balls' images as tracks, one a frame."""
     n = len(frame)
     middles = replace(

@@ -1,7 +1,7 @@
-"""The last adjustment of a self-calibration: all image points, all lens parameters that the data determine."""
+"""The last adjustment of a wand calibration: all image points, all lens parameters that the data determine."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.stats import chi2
@@ -28,27 +28,16 @@ EXTRA: dict[str, tuple[Free, ...]] = {
 """Those that join, group by group for all cameras, where they lower the sum of squares significantly."""
 FOCAL_NAME = {"mosca": "c_mm", "opencv": FOCAL}
 SIGNIFICANT = 1e-3
+BLUNDER_SIGNIFICANCE = 0.05
+"""Chance that a good image point is rejected, in the whole session."""
 # residuals beyond so many robust standard deviations are blunders at first sight
 GROSS_SIGMAS = 6.0
 ROUNDS = 3
 
 
-@dataclass(frozen=True, eq=False)
-class FinalNetwork:
-    """The final network, and what lens parameters were estimated."""
-
-    network: Network
-    free: Free
-
-
-def finished(
-    start: Network, tracks: PointViews, lenses: tuple[Lens, ...], significance: float | None
-) -> FinalNetwork:
-    """Return the network of all image points with lenses of the models of ``lenses``.
-
-    ``significance``: chance that a good image point is rejected; None rejects only gross blunders.
-    """
-    cameras = {k: _in_model(camera, lenses[k]) for k, camera in start.cameras.items()}
+def finished(start: Network, tracks: PointViews) -> Network:
+    """Return the network of all image points with lenses of the models of ``tracks.lenses``."""
+    cameras = {k: _in_model(camera, tracks.lenses[k]) for k, camera in start.cameras.items()}
     model = {k: camera.lens.model for k, camera in cameras.items()}
     usable = cleaned(imaged(tracks, cameras), cameras, CLEAR_SIGMAS * start.spread)
     usable = usable.of_cameras(cameras)
@@ -68,8 +57,8 @@ def finished(
         gain = (one.adjustment.cost - trial.adjustment.cost) / trial.adjustment.sigma0**2
         if trial.adjustment.converged and not _held_more(trial, one) and chi2.sf(gain, joined) < SIGNIFICANT:
             one, free = trial, richer
-    last = BundleSettings(blunder_significance=significance)
-    return FinalNetwork(network(usable, one.cameras, free, last, points=one.points), free[min(free)])
+    last = BundleSettings(blunder_significance=BLUNDER_SIGNIFICANCE)
+    return network(usable, one.cameras, free, last, points=one.points)
 
 
 def _held_more(trial: Network, one: Network) -> bool:
@@ -107,20 +96,19 @@ def _in_model(camera: Camera, wanted: Lens) -> Camera:
     return replace(camera, lens=radial)
 
 
-def focal_sigmas(final: FinalNetwork) -> Mapping[int, float]:
+def focal_sigmas(one: Network) -> Mapping[int, float]:
     """Return the standard deviation of each camera's focal length over the focal length."""
-    sigma = final.network.adjustment.standard_deviations
+    sigma = one.adjustment.standard_deviations
     out = {}
-    for k, camera in final.network.cameras.items():
+    for k, camera in one.cameras.items():
         name = FOCAL_NAME[camera.lens.model]
         value = camera.lens.c_mm if isinstance(camera.lens, MoscaLens) else camera.lens.fx_px
         out[k] = sigma[f"{camera.name}.{name}"] / value
     return out
 
 
-def depths(final: FinalNetwork) -> Array:
+def depths(one: Network) -> Array:
     """Return the depth (n,) of each used image point in front of its camera."""
-    one = final.network
     out = np.full(len(one.tracks), np.nan)
     for k, camera in one.cameras.items():
         mine = (one.tracks.camera == k) & one.adjustment.used

@@ -1,4 +1,4 @@
-"""Image points of a self-calibration, arranged by camera and object point, in pixels and in plain coordinates."""
+"""Image points of a wand calibration, arranged by camera and object point, in pixels and in plain coordinates."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -121,12 +121,11 @@ class PointViews:
 
 
 def point_views(
-    sightings: Sightings, marks: int, lenses: Sequence[Lens] | None, rods: Distances | None = None
+    sightings: Sightings, marks: int, lenses: Sequence[Lens], rods: Distances | None = None
 ) -> PointViews:
     """Return the sightings as tracks; object point ``frame * marks + mark``, unknown marks (-1) left out.
 
-    ``lenses``: of each camera; default square pixels and OpenCV's model. InputError where a mark occurs twice in
-    an image or the lenses do not suit.
+    ``lenses``: of each camera. InputError where a mark occurs twice in an image or the lenses do not suit.
     """
     known = np.flatnonzero(sightings.mark >= 0)
     point = sightings.frame[known] * marks + sightings.mark[known]
@@ -138,14 +137,9 @@ def point_views(
             f"sightings: camera '{sightings.cameras[sightings.camera[first]]}' has a mark twice in one frame; each "
             "mark of the target is seen once at the most, so leave the doubtful one out"
         )
-    given = (
-        tuple(OpenCVLens(1.0, 1.0, (w - 1) / 2, (h - 1) / 2) for w, h in sightings.sizes)
-        if lenses is None
-        else tuple(lenses)
-    )
-    if len(given) != len(sightings.cameras):
-        raise InputError(f"lenses: {len(given)} given for {len(sightings.cameras)} cameras; give one for each")
-    for name, lens in zip(sightings.cameras, given, strict=True):
+    if len(lenses) != len(sightings.cameras):
+        raise InputError(f"lenses: {len(lenses)} given for {len(sightings.cameras)} cameras; give one for each")
+    for name, lens in zip(sightings.cameras, lenses, strict=True):
         if not isinstance(lens, MoscaLens | OpenCVLens):
             raise InputError(
                 f"camera '{name}': lens model '{lens.model}' cannot be found without a known target; allowed: mosca, "
@@ -155,7 +149,7 @@ def point_views(
     return PointViews(
         sightings.cameras,
         sightings.sizes,
-        given,
+        tuple(lenses),
         camera,
         point,
         sightings.xy_px[known],

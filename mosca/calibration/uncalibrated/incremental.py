@@ -68,8 +68,6 @@ def _next(
                 return _joined(one, tracks, k, _resected(tracks, k, points, bend, rng)), {}
         except CalibrationError as failure:
             failures[k] = failure
-        if len(tracks.rods) == 0:
-            continue
         try:
             camera_beside = _beside(one, tracks, k, bend, rng)
             if camera_beside is not None:

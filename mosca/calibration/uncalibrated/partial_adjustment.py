@@ -53,15 +53,12 @@ class Network:
         return SIGMA_BY_MEDIAN_2D * float(np.median(np.nan_to_num(far, nan=1e6)))
 
 
-def rough(
-    tracks: PointViews, cameras: Mapping[int, Camera], free: tuple[str, ...], points: Array | None = None
-) -> Network:
+def rough(tracks: PointViews, cameras: Mapping[int, Camera], free: tuple[str, ...]) -> Network:
     """Adjust some cameras robustly from poor starting values; residuals of the size they start with are let in."""
     usable = imaged(tracks.of_cameras(cameras), cameras)
     if len(np.unique(usable.camera)) < len(cameras):
         raise CalibrationError("few-views: a camera's points have no rays in the lens that was guessed")
-    first = _misfit(usable, cameras, points)
-    done = network(usable, cameras, free, FIRST, max(first, 1.0), points)
+    done = network(usable, cameras, free, FIRST, max(_misfit(usable, cameras), 1.0))
     clean = cleaned(imaged(usable, done.cameras), done.cameras, CLEAR_SIGMAS * done.spread)
     clean = clean.of_cameras(cameras)
     if len(np.unique(clean.camera)) < len(cameras):
@@ -105,7 +102,7 @@ def rods_between(tracks: PointViews, inflate: float) -> Distances:
     """
     rays = np.bincount(tracks.point, minlength=tracks.points)
     rods = tracks.rods
-    both = (rays[rods.first] >= 2) & (rays[rods.second] >= 2) if len(rods) else np.zeros(0, dtype=bool)
+    both = (rays[rods.first] >= 2) & (rays[rods.second] >= 2)
     return Distances(rods.first[both], rods.second[both], rods.length_m[both], rods.sigma_m[both] * inflate)
 
 
@@ -169,8 +166,6 @@ def cleaned(tracks: PointViews, cameras: Mapping[int, Camera], limit: float) -> 
 def _of_wrong_length(tracks: PointViews, points: Array) -> Array:
     """Return which points (p,) are ends of rods whose length is far from what it is, in robust sigmas of all."""
     rods, out = tracks.rods, np.zeros(tracks.points, dtype=bool)
-    if len(rods) == 0:
-        return out
     off = np.linalg.norm(points[rods.first] - points[rods.second], axis=1) / rods.length_m
     known = np.isfinite(off)
     if not known.any():
@@ -190,11 +185,8 @@ def residuals(tracks: PointViews, cameras: Mapping[int, Camera], points: Array) 
     return out
 
 
-def _misfit(tracks: PointViews, cameras: Mapping[int, Camera], points: Array | None) -> float:
+def _misfit(tracks: PointViews, cameras: Mapping[int, Camera]) -> float:
     """Return the robust size of the residuals before an adjustment, in a-priori standard deviations."""
-    at = intersected(tracks, cameras)
-    if points is not None:
-        at = np.where(np.isfinite(points), points, at)
-    far = np.linalg.norm(residuals(tracks, cameras, at), axis=1) / tracks.sigma_px
+    far = np.linalg.norm(residuals(tracks, cameras, intersected(tracks, cameras)), axis=1) / tracks.sigma_px
     # what is not imaged counts as far away, not as nothing
     return SIGMA_BY_MEDIAN_2D * float(np.median(np.where(np.isfinite(far), far, np.nanmax([*far, 1.0]))))

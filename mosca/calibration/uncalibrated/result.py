@@ -1,4 +1,4 @@
-"""Checks of a self-calibration and its report: an implausible rig is refused, a doubtful one gets findings."""
+"""Checks of a wand calibration and its report: an implausible rig is refused, a doubtful one gets findings."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from mosca.calibration.quality.findings import note, warn
-from mosca.calibration.uncalibrated.final_adjustment import FinalNetwork, depths, focal_sigmas
+from mosca.calibration.uncalibrated.final_adjustment import depths, focal_sigmas
 from mosca.calibration.uncalibrated.image_points import PointViews
-from mosca.calibration.uncalibrated.partial_adjustment import residuals
+from mosca.calibration.uncalibrated.partial_adjustment import Network, residuals
 from mosca.calibration.uncalibrated.view_graph import FEWEST_POINTS
 from mosca.data.arrays import Array
 from mosca.data.calibration import Calibration, Finding
@@ -27,10 +27,9 @@ WORST_RMS_WIDTHS = 0.003
 FEW_LINKS = 100
 
 
-def check(final: FinalNetwork, tracks: PointViews) -> None:
+def check(one: Network, tracks: PointViews) -> None:
     """Raise CalibrationError where the result cannot be a rig of real cameras."""
-    one = final.network
-    sigma = focal_sigmas(final)
+    sigma = focal_sigmas(one)
     tracks = tracks.of_cameras(one.cameras)
     for k, camera in one.cameras.items():
         focal, middle = _interior(camera)
@@ -69,7 +68,7 @@ def check(final: FinalNetwork, tracks: PointViews) -> None:
                 f"lens-model: {where}: residuals of {rms:.1f} px rms remain; check that its images are its own and "
                 "of the same instants, or calibrate a very wide lens with a test field"
             )
-    behind = float(np.mean(depths(final) <= 0))
+    behind = float(np.mean(depths(one) <= 0))
     if behind > 0:
         raise CalibrationError(
             f"interior-ran-away: {100 * behind:.1f} % of the points would lie behind cameras; wave longer, through "
@@ -81,9 +80,8 @@ def check(final: FinalNetwork, tracks: PointViews) -> None:
         )
 
 
-def findings_of(final: FinalNetwork, tracks: PointViews) -> tuple[Finding, ...]:
+def findings_of(one: Network, tracks: PointViews) -> tuple[Finding, ...]:
     """Return the warnings and notes on a rig that passed ``check``."""
-    one = final.network
     tracks = tracks.of_cameras(one.cameras)
     out: list[Finding] = []
     common = tracks.common()
@@ -120,19 +118,13 @@ def findings_of(final: FinalNetwork, tracks: PointViews) -> tuple[Finding, ...]:
 
 
 def calibration_of(
-    final: FinalNetwork,
-    tracks: PointViews,
-    sightings: Sightings,
-    target: str,
-    scaled_by: str,
-    scale_sigma: float | None,
+    one: Network, tracks: PointViews, sightings: Sightings, scaled_by: str, scale_sigma: float
 ) -> Calibration:
     """Return the report; each mark of its sightings is one point of the world, a mark of one frame.
 
-    ``scale_sigma``: relative standard deviation of the length that scales, None where nothing does.
+    ``scale_sigma``: relative standard deviation of the length that scales.
     """
-    one, adjusted = final.network, final.network.adjustment
-    precision = adjusted.precision
+    adjusted, precision = one.adjustment, one.adjustment.precision
     assert precision is not None  # finished() asks for it
     rig = Rig(tuple(one.cameras[k] for k in sorted(one.cameras)))
     n = len(sightings)
@@ -142,7 +134,7 @@ def calibration_of(
     used[one.tracks.row] = adjusted.used
     marks = np.full(n, -1)
     marks[tracks.row] = tracks.point
-    body, inflation = _shake(final)
+    body, inflation = _shake(one)
     covariance = np.asarray(precision.covariance) * inflation
     if scale_sigma:
         covariance = covariance + scale_sigma**2 * _stretch(adjusted.parameters, one.cameras, one.points)
@@ -152,7 +144,7 @@ def calibration_of(
     places = np.vstack([one.points, np.full((1, 3), np.nan)])
     return Calibration(
         rig,
-        target,
+        "wand",
         replace(sightings, mark=np.where(marks >= 0, marks, len(places) - 1)),
         adjusted.parameters,
         covariance,
@@ -169,7 +161,7 @@ def calibration_of(
         adjusted.held,
         body,
         scaled_by,
-        findings_of(final, tracks),
+        findings_of(one, tracks),
     )
 
 
@@ -180,15 +172,13 @@ def _interior(camera: Camera) -> tuple[float, float]:
     return focal / camera.width, off / camera.width
 
 
-def _shake(final: FinalNetwork) -> tuple[float, float]:
+def _shake(one: Network) -> tuple[float, float]:
     """Return by how much whole images shake [px rms, an axis], and the factor by which that raises variances.
 
     From the mean product of the residuals of different balls in one image. Errors that the k balls of an image
     share wholly leave it the weight of one: variances rise by 1 + (k - 1) rho (Kish 1965).
     """
-    one, adjusted = final.network, final.network.adjustment
-    if len(one.tracks.rods) == 0:
-        return 0.0, 1.0
+    adjusted = one.adjustment
     group = np.arange(one.tracks.points)
     np.minimum.at(group, one.tracks.rods.second, one.tracks.rods.first)
     good = adjusted.used & np.isfinite(one.residuals_px).all(axis=1)

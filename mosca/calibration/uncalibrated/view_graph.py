@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from mosca.calibration.initial.projective import Robust, fundamental, plane_misfit
 from mosca.calibration.uncalibrated.image_points import PointViews
@@ -34,21 +35,10 @@ def check_links(tracks: PointViews) -> None:
                 f"no-link: camera '{name}' shares {points} points with other cameras, {FEWEST_POINTS} at least are "
                 "needed; wave longer where it and another camera both see, or leave it out"
             )
-    group = joined_group(common, int(np.argmax(common.sum(axis=1))))
-    if len(group) < len(tracks.names):
-        refuse_groups(tracks.names, group)
-
-
-def joined_group(common: Array, first: int) -> set[int]:
-    """Return the cameras that a chain of common views joins to ``first``."""
-    group, waiting = {first}, [first]
-    while waiting:
-        here = waiting.pop()
-        for other in map(int, np.flatnonzero(common[here] >= FEWEST_COMMON)):
-            if other not in group:
-                group.add(other)
-                waiting.append(other)
-    return group
+    groups, group_of = connected_components(common >= FEWEST_COMMON, directed=False)
+    if groups > 1:
+        most_seen = group_of[np.argmax(common.sum(axis=1))]
+        refuse_groups(tracks.names, set(np.flatnonzero(group_of == most_seen).tolist()))
 
 
 def refuse_groups(names: Sequence[str], group: set[int], why: str = "no common view joins") -> None:
@@ -61,18 +51,12 @@ def refuse_groups(names: Sequence[str], group: set[int], why: str = "no common v
     )
 
 
-def common_points(tracks: PointViews, first: int, second: int) -> Array:
-    """Return the object points (m,) that both cameras saw."""
-    table = tracks.table()
-    return np.flatnonzero((table[first] >= 0) & (table[second] >= 0))
-
-
 def pair_geometry(
     tracks: PointViews, first: int, second: int, bend: float, rng: np.random.Generator, samples: int = 300
 ) -> tuple[Array, Array, Array, Robust]:
     """Return common points (m,), their plain image points (m, 2) in both cameras, and the fundamental matrix."""
     table = tracks.table()
-    both = common_points(tracks, first, second)
+    both = np.flatnonzero((table[first] >= 0) & (table[second] >= 0))
     x, y = (tracks.plain(k, tracks.xy_px[table[k, both]], bend) for k in (first, second))
     return both, x, y, fundamental(x, y, rng, samples)
 

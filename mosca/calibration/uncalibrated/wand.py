@@ -12,7 +12,6 @@ from mosca.calibration.uncalibrated.incremental import grow
 from mosca.calibration.uncalibrated.initial_pair import wand_start
 from mosca.calibration.uncalibrated.partial_adjustment import CLEAR_SIGMAS, cleaned, intersected
 from mosca.calibration.uncalibrated.result import calibration_of, check
-from mosca.calibration.uncalibrated.self_calibration import MOST_WHILE_GROWING, SelfSettings
 from mosca.calibration.uncalibrated.view_graph import FEWEST_COMMON, check_links, common_bend
 from mosca.data.calibration import Calibration
 from mosca.data.rig import Camera, Lens
@@ -20,19 +19,15 @@ from mosca.data.sightings import Sightings
 from mosca.data.wands import Wand
 from mosca.errors import CalibrationError
 
+MOST_WHILE_GROWING = 1200
+"""Image points a camera that the start and the growth work with; the last adjustment has all."""
 # relative standard deviation of a distance that is stated as exact
 EXACT = 1e-5
 # share by which one distance on a wand may be off against its length
 WRONG_SHAPE = 0.004
 
 
-def calibrate_wand(
-    sightings: Sightings,
-    wand: Wand,
-    rng: np.random.Generator,
-    lenses: Sequence[Lens] | None = None,
-    settings: SelfSettings | None = None,
-) -> Calibration:
+def calibrate_wand(sightings: Sightings, wand: Wand, rng: np.random.Generator, lenses: Sequence[Lens]) -> Calibration:
     """Calibrate cameras of unknown focal length from sightings of a wand.
 
     ``sightings``: marks are the wand's balls; where its order is not known (-1), the rows of an image are in
@@ -40,7 +35,6 @@ def calibrate_wand(
     pixels count, all else is estimated. Lengths are the wand's; axes are near those of one of the cameras.
     CalibrationError where cameras are not joined by common views, or where the result cannot be a rig.
     """
-    settings = settings or SelfSettings()
     balls = len(wand.along_m)
     sightings = ordered(sightings, balls, lenses, rng)
     tracks = point_views(sightings, balls, lenses, _rods(wand, sightings.frames))
@@ -49,11 +43,11 @@ def calibrate_wand(
     bend = common_bend(some, rng)
     start = grow(wand_start(some, bend, rng), some, bend, rng)
     _check_shape(cleaned(tracks, start.cameras, CLEAR_SIGMAS * start.spread), start.cameras, wand)
-    final = finished(start, tracks, tracks.lenses, settings.blunder_significance)
+    final = finished(start, tracks)
     check(final, tracks)
     length = wand.along_m[-1] - wand.along_m[0]
     return calibration_of(
-        final, tracks, sightings, "wand", f"the wand's length {length:g} m", wand.sigma_m * np.sqrt(2) / length
+        final, tracks, sightings, f"the wand's length {length:g} m", wand.sigma_m * np.sqrt(2) / length
     )
 
 
