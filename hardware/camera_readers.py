@@ -136,8 +136,10 @@ class CameraReaders:
 
     def _reopened(self, name: str) -> bool:
         """Close and reopen the camera until it answers; False when the take ends before."""
-        self._drivers[name].close()
-        while not self._stop.wait(REOPEN_S):
+        while True:
+            self._drivers[name].close()  # also one that was opened but could not be configured or armed
+            if self._stop.wait(REOPEN_S):
+                return False
             try:
                 self._reopen(name)
             except DeviceError as error:
@@ -145,4 +147,3 @@ class CameraReaders:
                 continue
             self._statistics.note(f"camera '{name}': answers again")
             return True
-        return False

@@ -56,7 +56,6 @@ class _GValue(ctypes.Structure):
 _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...], bool]] = {
     "update_device_list": (None, (), False),
     "get_n_devices": (c_uint, (), False),
-    "get_device_id": (c_char_p, (c_uint,), False),
     "get_device_model": (c_char_p, (c_uint,), False),
     "get_device_serial_nbr": (c_char_p, (c_uint,), False),
     "get_device_address": (c_char_p, (c_uint,), False),
@@ -80,33 +79,14 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...], bool]] = {
     "device_get_genicam_xml": (c_void_p, (c_void_p, POINTER(c_size_t)), False),
     "device_is_feature_available": (c_int, (c_void_p, c_char_p), True),
     "device_execute_command": (None, (c_void_p, c_char_p), True),
-    "device_get_boolean_feature_value": (c_int, (c_void_p, c_char_p), True),
-    "device_set_boolean_feature_value": (None, (c_void_p, c_char_p, c_int), True),
-    "device_get_integer_feature_value": (c_int64, (c_void_p, c_char_p), True),
-    "device_set_integer_feature_value": (None, (c_void_p, c_char_p, c_int64), True),
-    "device_get_integer_feature_bounds": (None, (c_void_p, c_char_p, POINTER(c_int64), POINTER(c_int64)), True),
-    "device_get_integer_feature_increment": (c_int64, (c_void_p, c_char_p), True),
-    "device_get_float_feature_value": (c_double, (c_void_p, c_char_p), True),
-    "device_set_float_feature_value": (None, (c_void_p, c_char_p, c_double), True),
-    "device_get_float_feature_bounds": (None, (c_void_p, c_char_p, POINTER(c_double), POINTER(c_double)), True),
-    "device_get_float_feature_increment": (c_double, (c_void_p, c_char_p), True),
-    "device_get_string_feature_value": (c_char_p, (c_void_p, c_char_p), True),
-    "device_set_string_feature_value": (None, (c_void_p, c_char_p, c_char_p), True),
     "device_dup_available_enumeration_feature_values_as_strings": (
         c_void_p,
         (c_void_p, c_char_p, POINTER(c_uint)),
         True,
     ),
     "gc_feature_node_get_actual_access_mode": (c_int, (c_void_p,), False),
-    "gc_enumeration_get_type": (c_size_t, (), False),
-    "gc_boolean_get_type": (c_size_t, (), False),
-    "gc_command_get_type": (c_size_t, (), False),
-    "gc_integer_get_type": (c_size_t, (), False),
-    "gc_float_get_type": (c_size_t, (), False),
-    "gc_string_get_type": (c_size_t, (), False),
     "stream_push_buffer": (None, (c_void_p, c_void_p), False),
     "stream_timeout_pop_buffer": (c_void_p, (c_void_p, c_uint64), False),
-    "stream_try_pop_buffer": (c_void_p, (c_void_p,), False),
     "stream_get_n_infos": (c_uint, (c_void_p,), False),
     "stream_get_info_name": (c_char_p, (c_void_p, c_uint), False),
     "stream_get_info_uint64": (c_uint64, (c_void_p, c_uint), False),
@@ -122,6 +102,15 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...], bool]] = {
     "buffer_get_image_padding": (None, (c_void_p, POINTER(c_int), POINTER(c_int)), False),
     "buffer_get_image_pixel_format": (ctypes.c_uint32, (c_void_p,), False),
 }
+for _kind in ("enumeration", "boolean", "command", "integer", "float", "string"):
+    _SIGNATURES[f"gc_{_kind}_get_type"] = (c_size_t, (), False)
+for _kind, _type in (("boolean", c_int), ("integer", c_int64), ("float", c_double), ("string", c_char_p)):
+    _SIGNATURES[f"device_get_{_kind}_feature_value"] = (_type, (c_void_p, c_char_p), True)
+    _SIGNATURES[f"device_set_{_kind}_feature_value"] = (None, (c_void_p, c_char_p, _type), True)
+    if _kind in ("integer", "float"):
+        bounds = (c_void_p, c_char_p, POINTER(_type), POINTER(_type))
+        _SIGNATURES[f"device_get_{_kind}_feature_bounds"] = (None, bounds, True)
+        _SIGNATURES[f"device_get_{_kind}_feature_increment"] = (_type, (c_void_p, c_char_p), True)
 
 
 _GLIB: dict[str, tuple[Any, ...]] = {

@@ -16,6 +16,7 @@ from hardware.driver import Capabilities, Device, DeviceError, DeviceReport, Gra
 from hardware.drivers.blocks import BlockIds
 from hardware.drivers.configure import capabilities_of
 from hardware.drivers.features import FeatureRefused, Kind, number
+from hardware.drivers.gentl_features import first_line
 from hardware.drivers.opened import GenICamCamera, chosen, claim, described, not_found, release
 from hardware.drivers.pixels import whole_image
 from hardware.settings import CameraHardware, Feature
@@ -61,7 +62,7 @@ def open_camera(name: str, settings: CameraHardware) -> "PylonCamera":
         release(device)
         if isinstance(error, _pylon_error(pylon)):
             raise DeviceError(
-                f"camera '{name}': {described(device)} does not open ({_first_line(error)}); "
+                f"camera '{name}': {described(device)} does not open ({first_line(error)}); "
                 "does another program have it?"
             ) from None
         raise
@@ -75,11 +76,6 @@ def _device(info: Any) -> Device:
 def _pylon_error(pylon: ModuleType) -> type[Exception]:
     error: type[Exception] = pylon.GenericException
     return error
-
-
-def _first_line(error: BaseException) -> str:
-    # GenICam adds where in its source an exception was thrown
-    return " ".join(str(error).split(" : ")[0].split())
 
 
 class PylonFeatures:
@@ -153,7 +149,7 @@ class PylonFeatures:
         try:
             return question()
         except self._error as error:
-            raise FeatureRefused(_first_line(error)) from None
+            raise FeatureRefused(first_line(error)) from None
 
 
 class PylonCamera(GenICamCamera):
@@ -199,14 +195,14 @@ class PylonCamera(GenICamCamera):
         try:
             self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
         except self._error_type as error:
-            raise self._error(f"does not start ({_first_line(error)})") from None
+            raise self._error(f"does not start ({first_line(error)})") from None
 
     def _fetch(self, timeout_s: float) -> Grabbed | None:
         pylon = self._pylon
         try:
             result = self._camera.RetrieveResult(max(0, round(timeout_s * 1000)), pylon.TimeoutHandling_Return)
         except self._error_type as error:
-            raise self._gone(_first_line(error)) from None
+            raise self._gone(first_line(error)) from None
         host_ns = time.monotonic_ns()
         if not result.IsValid():
             if self._camera.IsCameraDeviceRemoved():
@@ -251,7 +247,7 @@ class PylonCamera(GenICamCamera):
                 for _ in range(READY_LOOKS)
             )
         except self._error_type as error:
-            raise self._gone(_first_line(error)) from None
+            raise self._gone(first_line(error)) from None
         if not ready:
             raise self._error(f"was not ready for a trigger within {READY_MS} ms")
 
@@ -259,7 +255,7 @@ class PylonCamera(GenICamCamera):
         try:
             self._camera.StopGrabbing()
         except self._error_type as error:
-            raise self._error(f"does not stop ({_first_line(error)})") from None
+            raise self._error(f"does not stop ({first_line(error)})") from None
 
     def _counts(self) -> Mapping[str, int]:
         streams = self._camera.GetStreamGrabberNodeMap()

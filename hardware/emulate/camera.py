@@ -302,4 +302,5 @@ class EmulatedCamera:
         """Begin with the settings that the camera has when its supply comes."""
         self.clock = EmulatedClock(at_ns, self.faults.clock_offset_ns, self.faults.drift_ppm)
         self._ptp = ("Disabled", 0)
+        self.registers.clear()
         self._values.update(boot_values(self.identity, self._xml_bytes, self._stream.source_port))

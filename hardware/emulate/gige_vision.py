@@ -48,7 +48,6 @@ class Status(IntEnum):
 
 ACKNOWLEDGE = 0x01
 """Flag of every command: an answer is wanted."""
-ALLOW_BROADCAST_ACK = 0x10
 EXTENDED_ID = 0x10
 """Flag of PACKETRESEND: 64 bit block numbers, which this device does not use."""
 SCHEDULED = 0x80

@@ -62,10 +62,15 @@ class RegisterFile:
         self._live, self._write = live, write
         self._file_start, content = file
         self._file = content.ljust(-(-len(content) // WORD) * WORD, b"\0")
-        self.values: dict[str, Value] = {r.name: "" if r.kind == "text" else 0 for r in self._registers}
+        self.values: dict[str, Value] = {}
+        self.clear()
         for one, after in zip(self._registers, self._registers[1:], strict=False):
             if one.address + one.length > after.address:
                 raise ValueError(f"registers {one.name} and {after.name} overlap at 0x{after.address:x}")
+
+    def clear(self) -> None:
+        """Set all values to 0 or empty."""
+        self.values.update({r.name: "" if r.kind == "text" else 0 for r in self._registers})
 
     def named(self, name: str) -> Register:
         """Return register ``name``."""

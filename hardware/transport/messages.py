@@ -31,11 +31,12 @@ exact to the last bit: merged detections equal local ones.
 
 import json
 import struct
-from dataclasses import asdict, dataclass, field
-from typing import Annotated, Any, Literal
+from dataclasses import asdict, dataclass
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass as checked_dataclass
 
 from mosca.data.detections import Detections
 from mosca.errors import MoscaError
@@ -74,36 +75,43 @@ class DetectionMessage:
     detections: Detections
 
 
-@dataclass(frozen=True)
+Count = Annotated[int, Field(ge=0)]
+_CHECKED = ConfigDict(extra="ignore", allow_inf_nan=False)
+
+
+@checked_dataclass(frozen=True, config=_CHECKED)
 class StationCamera:
     """A camera of a station, and the number of messages that its station has sent of it."""
 
-    name: str
-    width: int
-    height: int
-    bit_depth: int
-    rate_hz: float
-    sent: int = 0
+    name: Annotated[str, Field(min_length=1, max_length=255)]
+    width: Annotated[int, Field(ge=1)]
+    height: Annotated[int, Field(ge=1)]
+    bit_depth: Annotated[int, Field(ge=1, le=16)]
+    rate_hz: Annotated[float, Field(gt=0)]
+    sent: Count = 0
 
 
-@dataclass(frozen=True)
+@checked_dataclass(frozen=True, config=_CHECKED)
 class HealthMessage:
     """State and counts of a station."""
 
-    station: str
-    epoch: int
-    sent_ns: int
+    station: Annotated[str, Field(min_length=1, max_length=60)]
+    epoch: Annotated[int, Field(ge=0, lt=1 << 64)]
+    sent_ns: Annotated[int, Field(ge=-(1 << 63), lt=1 << 63)]
     """Time of its own clock [ns]."""
     state: State
     """``holding``: makes the pulses, waits for the start command; ``armed``: waits for frames; ``failed``: see
     ``notes``."""
     cameras: tuple[StationCamera, ...] = ()
-    refused: int = 0
+    refused: Count = 0
     """Messages that the engine did not take."""
-    skipped: int = 0
+    skipped: Count = 0
     """Frames that the station did not process because it was behind."""
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
     """The latest notes."""
+
+
+_HEALTH = TypeAdapter(HealthMessage)
 
 
 def pack_detections(message: DetectionMessage) -> bytes:
@@ -170,28 +178,6 @@ def unpack_detections(data: bytes) -> DetectionMessage:
     )
 
 
-class _CameraTable(BaseModel):
-    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
-    name: Annotated[str, Field(min_length=1, max_length=255)]
-    width: Annotated[int, Field(ge=1)]
-    height: Annotated[int, Field(ge=1)]
-    bit_depth: Annotated[int, Field(ge=1, le=16)]
-    rate_hz: Annotated[float, Field(gt=0)]
-    sent: Annotated[int, Field(ge=0)] = 0
-
-
-class _HealthTable(BaseModel):
-    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
-    station: Annotated[str, Field(min_length=1, max_length=60)]
-    epoch: Annotated[int, Field(ge=0, lt=1 << 64)]
-    sent_ns: Annotated[int, Field(ge=-(1 << 63), lt=1 << 63)]
-    state: State
-    cameras: tuple[_CameraTable, ...] = ()
-    refused: Annotated[int, Field(ge=0)] = 0
-    skipped: Annotated[int, Field(ge=0)] = 0
-    notes: tuple[str, ...] = ()
-
-
 def pack_health(message: HealthMessage) -> bytes:
     """Return ``message`` as bytes."""
     return MAGIC + bytes((VERSION, HEALTH)) + json.dumps(asdict(message)).encode()
@@ -201,12 +187,9 @@ def unpack_health(data: bytes) -> HealthMessage:
     """Return the message that ``data`` holds; MessageError for anything else."""
     _check_start(data, HEALTH)
     try:
-        read = _HealthTable.model_validate_json(data[4:])
+        return _HEALTH.validate_json(data[4:])
     except ValidationError as error:
         raise MessageError(f"health: {error.errors()[0]['msg']}") from None
-    fields: dict[str, Any] = read.model_dump()
-    fields["cameras"] = tuple(StationCamera(**camera) for camera in fields["cameras"])
-    return HealthMessage(**fields)
 
 
 def pack_clock(epoch: int, clock_ns: int) -> bytes:

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from needs import needs_aravis, needs_module
 
-from hardware.driver import CameraDriver
+from hardware.driver import CameraDriver, DeviceError
 from hardware.drivers import gige
 from hardware.settings import CameraHardware
 from mosca.data.arrays import Array
@@ -58,6 +58,14 @@ def one_line(error: BaseException, *words: str) -> None:
     assert "\n" not in text
     for word in words:
         assert word in text, f"'{word}' is not in: {text}"
+
+
+@contextlib.contextmanager
+def refused(*words: str) -> Iterator[None]:
+    """Assert that the block raises a DeviceError of one line that holds ``words``."""
+    with pytest.raises(DeviceError) as caught:
+        yield
+    one_line(caught.value, *words)
 
 
 def wait_long_for_packets(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -98,12 +98,17 @@ def finished(run, session, n):
     run.close()
 
 
+def started(session, given):
+    run = ProgramRun(given, session.session_ns, session.write)
+    run.start()
+    return run
+
+
 def test_command_and_reply_lie_on_the_frames_clock():
     session = Session().begins()
     commands = [(0.3, {"left": 100, "right": 80}), (0.2, "stop"), (0.4, "go")]
     with robot(delay_s=0.02) as (address, heard):
-        run = ProgramRun(program(address, commands), session.session_ns, session.write)
-        run.start()
+        run = started(session, program(address, commands))
         finished(run, session, 6)
     assert [line for _, line in heard] == ["stop", '{"left": 100, "right": 80}', "go"]
     sent = session.of("commands")
@@ -132,8 +137,7 @@ def test_an_answer_in_json_is_data_and_none_is_told():
                 CommandTable(at_s=0.2, target="mute", command="b"),
             ],
         )
-        run = ProgramRun(both, session.session_ns, session.write)
-        run.start()
+        run = started(session, both)
         until(lambda: any("no answer" in note for note in run.notes))
         finished(run, session, 3)
     assert [d["data"] for _, d in session.of("replies")] == [{"battery": 11.9}]
@@ -150,8 +154,7 @@ def test_a_late_answer_is_not_taken_for_the_next_ones():
 
     with robot(answer, answered=answered) as (address, heard):
         commands = [(0.1, "one"), (0.5, "two")]
-        run = ProgramRun(program(address, commands, reply_s=0.05), session.session_ns, session.write)
-        run.start()
+        run = started(session, program(address, commands, reply_s=0.05))
         until(lambda: any("no answer to the command of 0.1 s" in note for note in run.notes))
         told.set()
         assert answered.wait(PATIENT_S)
@@ -167,8 +170,7 @@ def test_a_late_answer_is_not_taken_for_the_next_ones():
 def test_a_slow_target_makes_its_own_commands_late_and_says_so():
     session = Session().begins()
     with robot(delay_s=0.2) as (address, _):
-        run = ProgramRun(program(address, [(0.1, "one"), (0.15, "two")]), session.session_ns, session.write)
-        run.start()
+        run = started(session, program(address, [(0.1, "one"), (0.15, "two")]))
         finished(run, session, 4)
     assert session.of("commands")[1][1]["late_ms"] > 100
     assert any("the command of 0.15 s went" in note for note in run.notes)

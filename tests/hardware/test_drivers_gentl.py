@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from driven import one_line, viky
+from driven import refused, viky
 from needs import needs_module
 
 from hardware.driver import CameraDriver, DeviceError
@@ -109,8 +109,7 @@ def test_a_producer_that_is_none_is_refused_in_one_line(tmp_path: Path) -> None:
     text = tmp_path / "text.cti"
     text.write_text("no library", encoding="utf-8")
     for path in (none, text):
-        with pytest.raises(DeviceError, match="producer") as caught:
+        with refused("producer", "camera 'a'", str(path), "producer"):
             open_camera("a", software_camera(producer=str(path)))
-        one_line(caught.value, "camera 'a'", str(path), "producer")
     with pytest.raises(DeviceError, match="producer"):
         devices("gentl")

@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from driven import one_line, pictures, write_video
+from driven import pictures, refused, write_video
 
 from hardware.driver import DeviceError
 from hardware.drivers import open_camera
@@ -78,17 +78,15 @@ def test_what_a_webcam_cannot_is_refused(tmp_path: Path) -> None:
         ({"features": {"CAP_PROP_NOPE": 1}}, ("CAP_PROP_NOPE",)),
         ({"features": {"CAP_PROP_FPS": "fast"}}, ("numbers",)),
     ):
-        with pytest.raises(DeviceError) as caught:
+        with refused("camera 'a'", *words):
             camera.configure(played(tmp_path / "grey.mkv", **change))
-        one_line(caught.value, "camera 'a'", *words)
     camera.close()
 
 
 def test_what_is_no_video_is_refused(tmp_path: Path) -> None:
     broken = tmp_path / "broken.mkv"
     broken.write_bytes(b"no video")
-    with pytest.raises(DeviceError, match="can read") as caught:
+    with refused("can read", "camera 'a'", "broken.mkv"):
         open_camera("a", played(broken))
-    one_line(caught.value, "camera 'a'", "broken.mkv")
     with pytest.raises(DeviceError, match="serial"):
         open_camera("a", CameraHardware(driver="webcam", serial="1", trigger="Off"))

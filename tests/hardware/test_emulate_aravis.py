@@ -17,7 +17,6 @@ from loopback import PATIENT_S, free_address
 from needs import needs_aravis
 from paced import PERIOD_NS, make_pulses
 
-from hardware.emulate.faults import FaultDraws, Faults
 from hardware.emulate.serve import Served, served
 
 FULL = (491, 656)
@@ -72,13 +71,8 @@ def grab_all(
     return found
 
 
-def numbers(images: list[Image]) -> list[int]:
-    """Return the pulse of each image by the camera's clock, the first being 0."""
-    return [round((image.device_ns - images[0].device_ns) / PERIOD_NS) for image in images]
-
-
-def equal(image: Image, camera: int, number: int, shape=FULL, depth: int = 8) -> bool:
-    return image.status == SUCCESS and np.array_equal(image.pixels, picture(camera, number, shape, depth))
+def equal(image: Image, camera: int, number: int, shape=(48, 64)) -> bool:
+    return image.status == SUCCESS and np.array_equal(image.pixels, picture(camera, number, shape))
 
 
 def test_cameras_are_discovered():
@@ -107,50 +101,6 @@ def test_the_feature_tree_is_read_and_set():
         with pytest.raises(RuntimeError):
             client.set(Width=4000)
         client.close()
-
-
-def test_four_cameras_at_100_hz_on_the_line():
-    pulses = 200
-    with rig(ArraySource(4, 50, FULL), ahead=50, loop=True) as (up, clients):
-        found = grab_all(clients, pulses, up=up)
-        assert [len(images) for images in found] == [pulses] * 4
-        assert all(equal(images[n], k, n % 50) for k, images in enumerate(found) for n in range(pulses))
-        for images in found:
-            assert numbers(images) == list(range(pulses))
-            assert [image.frame_id for image in images] == list(range(1, pulses + 1))
-
-
-@pytest.mark.parametrize(("packet_bytes", "count"), [(1500, 20), (8000, 40)])
-def test_lost_packets_are_all_sent_again(packet_bytes, count):
-    faults = {f"cam{k}": Faults(packet_loss=0.01, seed=k) for k in range(2)}
-    options = {"ahead": 20, "loop": True, "packet_bytes": packet_bytes, "faults": faults}
-    with rig(ArraySource(2, 20, FULL), **options) as (up, clients):
-        found = grab_all(clients, count, up=up)
-        assert [len(images) for images in found] == [count] * 2
-        assert all(equal(images[n], k, n % 20) for k, images in enumerate(found) for n in range(count))
-        for device, client in zip(up.devices, clients, strict=True):
-            counts = device.counts()
-            assert counts["packets_lost"] > 2  # of 1,600 and more
-            assert counts["packets_resent"] >= counts["packets_lost"] - counts["resend_requests"]
-            assert client.statistics()["n_failures"] == 0
-
-
-def test_a_withheld_pulse_shifts_no_image():
-    faults = {"cam0": Faults(withheld=0.2, seed=3)}
-    with rig(ArraySource(1, 60), faults=faults) as (up, clients):
-        luck = FaultDraws(faults["cam0"], up.devices[0].identity.serial)
-        there = [k for k in range(60) if not luck.withheld(k)]
-        (images,) = grab_all(clients, len(there), up, set(range(60)) - set(there))
-        assert numbers(images) == [k - there[0] for k in there]
-        assert all(equal(image, 0, k, (48, 64)) for image, k in zip(images, there, strict=True))
-        assert [image.frame_id for image in images] == list(range(1, len(there) + 1))
-
-
-def test_block_numbers_wrap():
-    with rig(ArraySource(1, 60), first_block=65520) as (up, clients):
-        (images,) = grab_all(clients, 60, up)
-        assert [image.frame_id for image in images] == [*range(65520, 65536), *range(1, 45)]
-        assert all(equal(image, 0, k, (48, 64)) for k, image in enumerate(images))
 
 
 def test_dropped_frames_are_not_sent_and_corrupt_ones_fail():
@@ -187,7 +137,7 @@ def test_software_triggers():
                 client.execute("TriggerSoftware")
                 image = client.grab(PATIENT_S)
                 assert image is not None
-                assert equal(image, k, number, (48, 64))
+                assert equal(image, k, number)
 
 
 def test_a_camera_runs_free():
@@ -198,55 +148,7 @@ def test_a_camera_runs_free():
         assert len(ids) == 30
         assert (np.diff(ids) >= 1).all()
         assert (np.diff([image.device_ns for image in images]) >= PERIOD_NS * np.diff(ids)).all()
-        assert all(equal(image, 0, (image.frame_id - 1) % 200, (48, 64)) for image in images)
-
-
-def test_drifting_clocks_drift_and_jump():
-    faults = {
-        "cam0": Faults(drift_ppm=2000.0),
-        "cam1": Faults(clock_offset_ns=10**15),
-        "cam2": Faults(jump_at_s=0.5, jump_ns=10**9),
-    }
-    with rig(ArraySource(3, 100), faults=faults) as (up, clients):
-        fast, late, jumped = grab_all(clients, 100, up=up)
-        assert fast[-1].device_ns - fast[0].device_ns == pytest.approx(99 * PERIOD_NS * 1.002, abs=2)
-        assert late[0].device_ns > 10**15
-        steps = np.diff([image.device_ns for image in jumped]).tolist()
-        # the jump comes half a second after the camera was armed, which may be before the first pulse
-        assert set(steps) <= {PERIOD_NS, PERIOD_NS + 10**9}
-        clock = up.devices[2].camera.clock
-        early = clock.jumps[0].mono_ns <= clock.when(jumped[0].device_ns)
-        assert steps.count(PERIOD_NS + 10**9) == (0 if early else 1)
-
-
-def test_a_rebooted_camera_has_to_be_opened_again():
-    faults = {"cam0": Faults(reboot_gone_s=0.3)}
-    with rig(ArraySource(1, 4000), faults=faults) as (up, clients):
-        (before,) = grab_all(clients, 30, up)
-        assert all(equal(image, 0, k, (48, 64)) for k, image in enumerate(before))
-        assert len(before) == 30
-        up.start(100.0)
-        first_ns = up.line.first_ns
-        back_ns = time.monotonic_ns() + 300_000_000
-        up.devices[0].camera.reboot()
-        while not up.devices[0].camera.linked(time.monotonic_ns()):
-            time.sleep(0.01)
-        with pytest.raises(RuntimeError):
-            clients[0].set(ExposureTime=500.0)
-        again = Client(str(up.devices[0].identity.address.ip))
-        again.trigger_on("Line1")
-        again.arm()
-        image = again.grab(PATIENT_S)
-        assert image is not None
-        assert image.frame_id == 1
-        assert image.device_ns < before[-1].device_ns + 40 * 10**9
-        # the pulses went on: the image is that of the pulse, not the next one after the last
-        back = [n for n in range(4000) if equal(image, 0, n, (48, 64))]
-        assert len(back) == 1
-        assert back[0] >= (back_ns - first_ns) / PERIOD_NS
-        again.close()
-        clients[0].aravis.unref(clients[0].stream)
-        clients[0].stream = None
+        assert all(equal(image, 0, (image.frame_id - 1) % 200) for image in images)
 
 
 def long_run(seconds: int, faults: dict) -> tuple[dict, list[dict]]:

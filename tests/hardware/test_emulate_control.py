@@ -183,14 +183,19 @@ def test_nothing_is_sent_where_the_stream_goes_nowhere(up, hands):
     assert up.devices[0].counts()["packets_unsent"] == 1
 
 
-def test_packets_asked_for_again(up, hands):
-    one = hands[0]
+def packets_of_one_frame(up: Served, one: Hand) -> list[bytes | None]:
+    """Take control and let the camera run free for one frame; return leader, 3072 bytes in 3, and trailer."""
     in_control(one)
     one.write(SCDA, 0x7F000001)
     one.write(SCP, one.port)
     one.write(address_of(up, "AcquisitionMode"), 1)
-    one.write(address_of(up, "AcquisitionStart"), 1)  # runs free: one frame
-    packets = [one.receive() for _ in range(5)]  # leader, 3072 bytes in 3, trailer
+    one.write(address_of(up, "AcquisitionStart"), 1)
+    return [one.receive() for _ in range(5)]
+
+
+def test_packets_asked_for_again(up, hands):
+    one = hands[0]
+    packets = packets_of_one_frame(up, one)
     assert [struct.unpack(">I", p[4:8])[0] for p in packets] == [
         0x01000000, 0x03000001, 0x03000002, 0x03000003, 0x02000004,
     ]  # fmt: skip
@@ -207,13 +212,7 @@ def test_resends_are_refused_on_demand():
     faults = {"cam0": Faults(resend_refused=1.0)}
     with served(ArraySource(1, 8), first_address=free_address(), faults=faults) as up:
         one = Hand(str(up.devices[0].identity.address.ip))
-        in_control(one)
-        one.write(SCDA, 0x7F000001)
-        one.write(SCP, one.port)
-        one.write(address_of(up, "AcquisitionMode"), 1)
-        one.write(address_of(up, "AcquisitionStart"), 1)
-        for _ in range(5):
-            one.receive()
+        packets_of_one_frame(up, one)
         one.send(struct.pack(">BBHHHHHII", 0x42, 0, 0x40, 12, 77, 0, 1, 2, 3))
         assert one.receive() == bytes.fromhex("800c 0001 03000002")
         assert up.devices[0].counts()["resends_refused"] == 1

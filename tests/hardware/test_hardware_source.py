@@ -21,13 +21,15 @@ def rig_file(tmp_path, names, more="", size=SIZE):
     return write_rig(tmp_path / "rig.toml", names, size, RATE, more)
 
 
-def source(tmp_path, fakes, pulses=60, software=False, **kwargs):
+def source(tmp_path, fakes, pulses=60, software=False, driver=FakeDriver, silence_s=None, **kwargs):
     line = FakeLine(RATE)
-    rig = read_hardware(rig_file(tmp_path, fakes, **kwargs))
+    path = rig_file(tmp_path, fakes, **kwargs)
+    if silence_s is not None:
+        path.write_text(path.read_text().replace("[hardware]\n", f"[hardware]\nsilence_s = {silence_s}\n", 1))
     return HardwareSource(
-        rig,
+        read_hardware(path),
         pulses,
-        lambda name, settings: FakeDriver(name, settings, fakes[name], line),
+        lambda name, settings: driver(name, settings, fakes[name], line),
         (lambda rig, drivers: SoftwareTrigger(drivers, RATE)) if software else (lambda rig, drivers: line),
     )
 
@@ -77,6 +79,29 @@ def test_a_camera_that_goes_comes_back_at_the_right_pulse(tmp_path, monkeypatch)
     assert indices == sorted(set(indices))
 
 
+def test_a_camera_that_cannot_be_configured_again_is_closed_before_the_next_try(tmp_path, monkeypatch):
+    monkeypatch.setattr("hardware.camera_readers.REOPEN_S", 0.05)
+    opened, open_then = [], []
+
+    class Stubborn(FakeDriver):
+        def __init__(self, *given):
+            super().__init__(*given)
+            open_then.append(sum(not driver.closed for driver in opened))
+            opened.append(self)
+
+        def configure(self, settings):
+            if 2 <= len(opened) <= 3:  # the first time, and once more, that it is opened again
+                raise DeviceError("camera 'a': Gain was refused")
+            return super().configure(settings)
+
+    with source(tmp_path, {"a": Fake(gone=range(20, 22))}, driver=Stubborn) as rig:
+        list(rig)
+    assert open_then == [0] * len(open_then)
+    assert len(opened) >= 4
+    assert all(driver.closed for driver in opened)
+    assert rig.statistics.cameras["a"].reopened == 1
+
+
 def test_a_take_is_logged_with_its_losses_and_nothing_is_printed(tmp_path, monkeypatch, caplog, capfd):
     monkeypatch.setattr("hardware.camera_readers.REOPEN_S", 0.05)
     fakes = {"a": Fake(), "b": Fake(gone=range(20, 40))}
@@ -119,13 +144,7 @@ def test_software_trigger_pairs_cameras_without_a_clock(tmp_path):
 
 def test_a_silent_camera_is_told(tmp_path):
     fakes = {"a": Fake(), "b": Fake(misses=frozenset(range(10_000)))}
-    path = rig_file(tmp_path, fakes)
-    path.write_text(path.read_text().replace("[hardware]\n", "[hardware]\nsilence_s = 0.3\n", 1))
-    line = FakeLine(RATE)
-    rig = HardwareSource(
-        read_hardware(path), 300, lambda n, s: FakeDriver(n, s, fakes[n], line), lambda rig, drivers: line
-    )
-    with rig:
+    with source(tmp_path, fakes, 300, silence_s=0.3) as rig:
         frames = list(rig)
     assert {f.camera for f in frames} == {"a"}
     assert sum("camera 'b': silent" in note for note in rig.statistics.notes) == 1

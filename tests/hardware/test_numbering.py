@@ -62,14 +62,15 @@ def stream(rig, seed):
 
 def numbered(rig, seed, **settings):
     rows = stream(rig, seed)
-    names = [f"c{c}" for c in range(rig.cameras)]
-    numbers = PulseNumbers(names, rig.rate_hz, **settings)
-    truth = {id(row[3]): row[2] for row in rows}
-    out = []
-    for _, name, _, buffer in rows:
-        out += numbers.take(name, buffer)
-    out += numbers.rest()
-    return numbers, [(n.camera, n.pulse, truth[id(n.buffer)], n) for n in out], len(rows)
+    numbers = PulseNumbers([f"c{c}" for c in range(rig.cameras)], rig.rate_hz, **settings)
+    return numbers, taken(numbers, rows), len(rows)
+
+
+def taken(numbers, rows):
+    """Number all rows of ``stream``; return (camera, pulse, true pulse, NumberedBuffer)."""
+    truth = {id(buffer): pulse for _, _, pulse, buffer in rows}
+    out = [one for _, name, _, buffer in rows for one in numbers.take(name, buffer)] + list(numbers.rest())
+    return [(one.camera, one.pulse, truth[id(one.buffer)], one) for one in out]
 
 
 CASES = {
@@ -151,9 +152,8 @@ def test_pulses_that_all_cameras_missed_are_known_from_the_start_time():
     rows = stream(Rig(pulses=200), 4)
     cut = [row for row in rows if row[2] >= 3]
     numbers = PulseNumbers(["c0", "c1", "c2", "c3"], 100.0, start_ns=7_000_000_000)
-    truth = {id(row[3]): row[2] for row in cut}
-    out = [n for _, name, _, buffer in cut for n in numbers.take(name, buffer)] + list(numbers.rest())
-    assert all(n.pulse == truth[id(n.buffer)] for n in out)
+    out = taken(numbers, cut)
+    assert all(pulse == true for _, pulse, true, _ in out)
     assert len(out) == len(cut)
 
 
@@ -190,8 +190,7 @@ def test_a_machine_that_is_busy_for_a_while_is_no_clock_that_jumped(seed):
             moved.append((ns + late, name, pulse, Grabbed(b.block_id, b.device_ns, ns + late, b.exposure_ns, None)))
         moved.sort(key=lambda row: row[0])
         numbers = PulseNumbers(["c0", "c1", "c2", "c3"], 100.0)
-        truth = {id(row[3]): row[2] for row in moved}
-        out = [n for _, name, _, buffer in moved for n in numbers.take(name, buffer)] + list(numbers.rest())
-        first = min(truth.values())
-        assert all(n.pulse == truth[id(n.buffer)] - first for n in out)
+        out = taken(numbers, moved)
+        first = min(true for _, _, true, _ in out)
+        assert all(pulse == true - first for _, pulse, true, _ in out)
         assert len(out) == len(rows)

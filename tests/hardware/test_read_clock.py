@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_numbering import Rig, stream
+from test_numbering import Rig, stream, taken
 
 from hardware.driver import ClockReading, Grabbed
 from hardware.pulse_numbers.clock_sync import ClockReadings
@@ -97,10 +97,8 @@ def test_a_take_that_ends_before_a_clock_was_read_again_believes_the_stamps():
 def test_without_readings_such_arrivals_mislead():
     """The control."""
     rows, _ = busy(Rig(pulses=1500, missed=0.01, lost=0.01), 1, (0.0, 0.02, 0.04, 0.06))
-    truth = {id(b): pulse for _, _, pulse, b in rows}
-    numbers = PulseNumbers(NAMES, 100.0)
-    out = [one for _, name, _, b in rows for one in numbers.take(name, b)] + list(numbers.rest())
-    assert np.mean([one.pulse == truth[id(one.buffer)] for one in out]) < 0.8
+    out = taken(PulseNumbers(NAMES, 100.0), rows)
+    assert np.mean([pulse == true for _, pulse, true, _ in out]) < 0.8
 
 
 def test_the_first_frames_are_numbered_when_all_cameras_have_one():

@@ -6,18 +6,16 @@ import time
 import numpy as np
 import pytest
 from array_source import ArraySource
-from fake_rig import Fake, FakeDriver, FakeLine
+from fake_rig import Fake, FakeDriver
 from loopback import Hand, free_address
 from needs import needs_module
-from test_hardware_source import RATE, pulse_in, rig_file
+from test_hardware_source import pulse_in, source
 
 from hardware.driver import Capabilities, Grabbed
 from hardware.emulate.pulse_generators import PulseBox, TriggerLine
 from hardware.emulate.serve import served
 from hardware.reorder_buffer import ReorderBuffer
-from hardware.settings import read_hardware
 from hardware.silence import LONGEST_POLL_S, POLL_S, PollingTime
-from hardware.source import HardwareSource
 from hardware.triggers.serial_box import SerialTrigger
 from hardware.triggers.software import FRAME_TIMEOUT_S, MISSES_TO_IGNORE, SoftwareTrigger
 from mosca.data.frames import Frame
@@ -73,14 +71,8 @@ class Held(FakeDriver):
 
 def test_a_reader_that_stands_for_a_while_costs_its_camera_no_frame_set(tmp_path):
     fakes = {"a": Fake(), "b": Fake(offset_s=9)}
-    line = FakeLine(RATE)
-    path = rig_file(tmp_path, fakes)
-    path.write_text(path.read_text().replace("[hardware]\n", "[hardware]\nsilence_s = 0.5\n", 1))
-    source = HardwareSource(
-        read_hardware(path), 200, lambda n, s: Held(n, s, fakes[n], line), lambda rig, drivers: line
-    )
     assembly = Assembly()
-    with source as rig:
+    with source(tmp_path, fakes, 200, driver=Held, silence_s=0.5) as rig:
         sets = list(assemble(rig, rig.cameras, assembly=assembly))
     assert [s.pulse for s in sets] == list(range(200))
     assert all({pulse_in(f) for f in s.frames.values()} == {s.pulse} for s in sets)

@@ -103,11 +103,6 @@ def pinhole_by_hand(xyz: Array, x: float) -> Array:
 # same seed, same bytes
 
 
-@pytest.mark.parametrize("workers", [2, 3])
-def test_workers_change_no_byte(workers):
-    assert digests(session(pulses=20, workers=workers)) == digests(session(pulses=20, workers=1))
-
-
 def test_another_process_makes_the_same_bytes():
     here = Path(__file__).resolve()
     code = f"import sys; sys.path.insert(0, {str(here.parent)!r})\n"
@@ -217,15 +212,9 @@ def test_truth_tells_who_was_seen():
     _frames, truth = read(session(pulses=2))
     np.testing.assert_array_equal(truth.visible[:, :2], 1.0)
     np.testing.assert_array_equal(truth.visible[:, 2:], 0.0)
-    assert np.isnan(truth.image_xy_px[:, 4]).all()
-
-
-def test_truth_gives_no_image_of_what_is_not_seen():
-    _frames, truth = read(session(pulses=2))
-    assert np.isnan(truth.image_xy_px[truth.visible == 0]).all()
-    assert np.isnan(truth.diameter_px[truth.visible == 0]).all()
-    assert np.isfinite(truth.image_xy_px[truth.visible > 0]).all()
-    assert np.isfinite(truth.diameter_px[truth.visible > 0]).all()
+    for table in (truth.image_xy_px, truth.diameter_px):
+        assert np.isnan(table[truth.visible == 0]).all()
+        assert np.isfinite(table[truth.visible > 0]).all()
 
 
 def test_trigger_jitter_is_20_us_rms():

@@ -88,11 +88,6 @@ def test_workers_change_no_byte_of_a_mixed_rig(workers: int) -> None:
         np.testing.assert_array_equal(getattr(one.truth(), name), getattr(more.truth(), name))
 
 
-def test_mixed_neighbours_change_no_byte() -> None:
-    alone, joined = digests(session(pulses=4)), digests(session((*RIG, *MIXED), pulses=4))
-    assert {name: joined[name] for name in alone} == alone
-
-
 @pytest.mark.parametrize("workers", [2, 3])
 def test_surroundings_change_no_byte_either(workers: int) -> None:
     around = Surroundings(Context(rate_hz=30.0), RingLight(), glare=Glare(0.02))

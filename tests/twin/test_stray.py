@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from test_targets_figures import light_of
 
 from mosca.data.arrays import Array
 from mosca.data.rig import OpenCVLens
@@ -159,17 +160,6 @@ def test_mirrors_that_mean_nothing_are_refused():
         PlaneMirror((0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1), reflectance=1.2)
 
 
-def area(pieces: Array) -> float:
-    """Signed area of contours by Green's theorem, arcs in closed form."""
-    total = 0.0
-    for kind, a, b, c, d, e, gain in pieces:
-        if kind == 0:
-            total += gain * (a * d - c * b) / 2
-        else:
-            total += gain * (c * c * (e - d) + c * (a * (np.sin(e) - np.sin(d)) - b * (np.cos(e) - np.cos(d)))) / 2
-    return total
-
-
 def test_a_mirrored_figure_keeps_its_area_and_turns_round():
     printed = figure([
         polygon(np.array([[0.0, 0], [0.3, 0], [0.3, 0.1]])),
@@ -178,7 +168,7 @@ def test_a_mirrored_figure_keeps_its_area_and_turns_round():
     ])  # fmt: skip
     original, turned = with_mirrored([printed])
     assert original is printed
-    assert area(turned.pieces) == pytest.approx(area(printed.pieces), rel=1e-12)
+    assert light_of(turned) == pytest.approx(light_of(printed), rel=1e-12)
     assert (turned.radius, len(turned.pieces)) == (printed.radius, len(printed.pieces))
     twice = with_mirrored([turned])[1]
     np.testing.assert_allclose(twice.pieces, printed.pieces, atol=1e-15)

@@ -57,7 +57,7 @@ def act(name: ActionName, skeleton: Skeleton, balance: Balance, box: Box, rng: n
     scale = float(np.linalg.norm(skeleton.offsets[skeleton.index("ltibia")])) / (0.245 * STATURE_M)
     performer = Performer(skeleton, scale, FOOT_RADIUS_M * scale + _CLEARANCE_M, balance)
     motion = _placed(_PERFORMED[name](performer, rng), _heading(rng), box)
-    _check_inside(motion, box, name)
+    check_inside(motion, box, _SKIN_M, f"action = '{name}': the person", "enlarge it or take action = 'walk'")
     values = np.concatenate([motion.root_xyz, motion.rotations.reshape(len(motion.root_xyz), -1)], axis=1)
     if not np.allclose(values[0], values[-1], atol=1e-6):
         raise ValueError(f"the action {name} does not end as it starts")
@@ -86,14 +86,17 @@ def _placed(motion: Motion, heading: float, box: Box) -> Motion:
     return Motion(motion.skeleton, motion.frame_rate_hz, root + shift, rotations)
 
 
-def _check_inside(motion: Motion, box: Box, name: str) -> None:
+def check_inside(motion: Motion, box: Box, skin_m: float, who: str, remedy: str) -> None:
+    """Raise InputError, with ``who`` moves and the ``remedy``, where limbs leave the box at a side or at the top.
+
+    ``skin_m``: how far skin and markers reach beyond the joints.
+    """
     positions, _ = forward_kinematics(motion)
-    low, high = positions.min(axis=(0, 1)) - _SKIN_M, positions.max(axis=(0, 1)) + _SKIN_M
+    low, high = positions.min(axis=(0, 1)) - skin_m, positions.max(axis=(0, 1)) + skin_m
     # The floor bounds a person from below, not the box.
     if (low[:2] < box.low[:2]).any() or (high > box.high).any():
         needs = " x ".join(f"{edge:.2f}" for edge in high[:2] - low[:2])
         raise InputError(
-            f"action = '{name}': the person moves through {needs} m up to {high[2]:.2f} m; the box is "
-            f"{' x '.join(f'{edge:g}' for edge in box.size)} m up to {box.high[2]:.2f} m: enlarge it or take "
-            "action = 'walk'"
+            f"{who} moves through {needs} m up to {high[2]:.2f} m; the box is "
+            f"{' x '.join(f'{edge:g}' for edge in box.size)} m up to {box.high[2]:.2f} m: {remedy}"
         )

@@ -23,7 +23,7 @@ from mosca.data.motion.motion import (
     rest_positions,
 )
 from mosca.errors import InputError
-from twin.scenes.actions import ACTIONS, Action, ActionName, act
+from twin.scenes.actions import ACTIONS, Action, ActionName, act, check_inside
 from twin.scenes.actor_markers import Seat, seats
 from twin.scenes.anatomy import FOOT_RADIUS_M, Anatomy, limb_shapes, read_anatomy
 from twin.scenes.emission import ALL_SIDES_DEG, Blink, Glow
@@ -109,7 +109,13 @@ def build_actor(
         _check_length(motion, start_s, duration_s, str(motion_file))
         motion = _placed(motion, anatomy, box, start_s, duration_s, placement, heading_deg)
         if keep_in_box:
-            _check_inside(motion, box, start_s, duration_s, str(motion_file))
+            check_inside(
+                _played(motion, start_s, duration_s),
+                box,
+                _SKIN_M,
+                f"{motion_file}: from {start_s} s for {duration_s} s the actor",
+                "enlarge it, turn the motion by heading_deg, play less of it, or set keep_in_box = false",
+            )
     shapes = limb_shapes(anatomy)
     seated = seats(anatomy, shapes, markers)
     spec, joints = _specify(anatomy, shapes, seated, marker_diameter_m, floor)
@@ -284,16 +290,3 @@ def _placed(
             lowest = min(lowest, float((positions[:, foot] + world_from_joint[:, foot] @ arm)[:, 2].min()))
     shift = np.array([box.center[0] - middle[0], box.center[1] - middle[1], radius - lowest])
     return Motion(motion.skeleton, motion.frame_rate_hz, root + shift, rotations)
-
-
-def _check_inside(motion: Motion, box: Box, start_s: float, duration_s: float, source: str) -> None:
-    positions, _ = forward_kinematics(_played(motion, start_s, duration_s))
-    low, high = positions.min(axis=(0, 1)) - _SKIN_M, positions.max(axis=(0, 1)) + _SKIN_M
-    # The floor bounds an actor from below, not the box.
-    if (low[:2] < box.low[:2]).any() or (high > box.high).any():
-        needs = " x ".join(f"{edge:.2f}" for edge in high[:2] - low[:2])
-        raise InputError(
-            f"{source}: from {start_s} s for {duration_s} s the actor moves through {needs} m up to "
-            f"{high[2]:.2f} m; the box is {' x '.join(f'{e:g}' for e in box.size)} m up to {box.high[2]:.2f} m: "
-            "enlarge it, turn the motion by heading_deg, play less of it, or set keep_in_box = false"
-        )

@@ -14,15 +14,7 @@ from mosca.data.target_codes import SECTORS, code_bits
 from mosca.data.targets import BallTarget, CodedTarget, PlacedTarget, RoundTarget
 from twin.scenes.emission import Glow
 from twin.scenes.figure import Figure, circle, figure, polygon, ring_sector
-from twin.scenes.scene import MARKER_GROUP
-from twin.scenes.world import (
-    FLAT_HALF_THICKNESS_M,
-    MARKER_PREFIX,
-    SEAT_M,
-    add_ball_marker,
-    add_flat_target,
-    quaternion_from,
-)
+from twin.scenes.world import FLAT_HALF_THICKNESS_M, SEAT_M, add_ball_marker, add_flat_target, add_marker
 
 SHEET_HALF_M = 1e-6
 """Half the thickness of a plate's sheet [m]."""
@@ -73,18 +65,8 @@ def add_plate(
     body: mujoco.MjsBody, name: str, half_width: float, half_height: float, center: Array, rotation: Array
 ) -> None:
     """Add a marker plate at ``center`` (3,) whose axes are the columns of ``rotation`` (3, 3), facing +z."""
-    body.add_geom(
-        name=MARKER_PREFIX + name,
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[half_width, half_height, SHEET_HALF_M],
-        pos=np.asarray(center),
-        quat=quaternion_from(rotation),
-        contype=0,
-        conaffinity=0,
-        mass=0,
-        group=MARKER_GROUP,
-        rgba=_BLACK,
-    )
+    size = [half_width, half_height, SHEET_HALF_M]
+    add_marker(body, name, mujoco.mjtGeom.mjGEOM_BOX, size, np.asarray(center), rotation, _BLACK)
 
 
 def add_ball_at(body: mujoco.MjsBody, name: str, center: Array, diameter: float) -> None:

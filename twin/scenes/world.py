@@ -174,7 +174,7 @@ def add_shape(
 def add_ball_marker(body: mujoco.MjsBody, name: str, surface: Array, normal: Array, diameter: float) -> None:
     """Add a ball of ``diameter`` [m] on the skin: on its base, off ``surface`` (3,) along ``normal`` (3,)."""
     center = np.asarray(surface) + (diameter / 2 + SEAT_M) * np.asarray(normal)
-    _add_marker(body, name, mujoco.mjtGeom.mjGEOM_SPHERE, [diameter / 2, 0, 0], center, np.eye(3))
+    add_marker(body, name, mujoco.mjtGeom.mjGEOM_SPHERE, [diameter / 2, 0, 0], center, np.eye(3))
 
 
 def add_flat_target(body: mujoco.MjsBody, name: str, surface: Array, normal: Array, diameter: float) -> None:
@@ -182,7 +182,7 @@ def add_flat_target(body: mujoco.MjsBody, name: str, surface: Array, normal: Arr
     normal = np.asarray(normal, dtype=np.float64) / np.linalg.norm(normal)
     center = np.asarray(surface) + FLAT_HALF_THICKNESS_M * normal
     size = [diameter / 2, FLAT_HALF_THICKNESS_M, 0]
-    _add_marker(body, name, mujoco.mjtGeom.mjGEOM_CYLINDER, size, center, rotation_to(normal))
+    add_marker(body, name, mujoco.mjtGeom.mjGEOM_CYLINDER, size, center, rotation_to(normal))
 
 
 def compiled(
@@ -217,9 +217,16 @@ def _along(kind: mujoco.mjtGeom, start: Array, end: Array, radius: float) -> Sha
     return Shape(kind, np.array([radius, length / 2, 0.0]), (a + b) / 2, rotation)
 
 
-def _add_marker(
-    body: mujoco.MjsBody, name: str, kind: mujoco.mjtGeom, size: list[float], center: Array, rotation: Array
+def add_marker(
+    body: mujoco.MjsBody,
+    name: str,
+    kind: mujoco.mjtGeom,
+    size: list[float],
+    center: Array,
+    rotation: Array,
+    rgba: tuple[float, float, float, float] = _WHITE,
 ) -> None:
+    """Add a marker at ``center`` (3,), turned by ``rotation`` (3, 3): without mass, and touching nothing."""
     body.add_geom(
         name=MARKER_PREFIX + name,
         type=kind,
@@ -230,5 +237,5 @@ def _add_marker(
         conaffinity=0,
         mass=0,
         group=MARKER_GROUP,
-        rgba=_WHITE,
+        rgba=rgba,
     )

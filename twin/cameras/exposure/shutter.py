@@ -12,9 +12,8 @@ from typing import Literal
 
 from mosca.data.frames import StampEvent
 from mosca.errors import InputError
+from twin.cameras.exposure.lighting import ALWAYS
 from twin.streams import key, rng
-
-ALWAYS = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True)

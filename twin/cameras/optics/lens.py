@@ -87,22 +87,9 @@ class TwinLens:
     vector: Array
 
     @classmethod
-    def of(
-        cls,
-        lens: Lens,
-        width: int,
-        height: int,
-        optics: Optics | GapTerms | float = 0.0,
-        *,
-        gap_px: float | None = None,
-    ) -> "TwinLens":
-        """Return the lens of a rig file's numbers with the gap of ``optics``; cold (see ``warmed``).
-
-        A number, or ``gap_px``, gives higher radial orders of that amplitude alone.
-        """
-        given = optics if gap_px is None else gap_px
-        terms = GapTerms(float(given)) if isinstance(given, int | float) else given
-        return cls(vector_of(lens, width, height, terms.gap_px, terms.tilt_deg, terms.pupil_shift_m))
+    def of(cls, lens: Lens, width: int, height: int, optics: Optics | GapTerms = GAPS["none"]) -> "TwinLens":
+        """Return the lens of a rig file's numbers with the gap of ``optics``; cold (see ``warmed``)."""
+        return cls(vector_of(lens, width, height, optics.gap_px, optics.tilt_deg, optics.pupil_shift_m))
 
     def pixels(self, points: Array) -> Array:
         """Point (n, 3) in the camera frame [m] -> pixel (n, 2); NaN where the lens does not image it.

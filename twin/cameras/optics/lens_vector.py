@@ -57,9 +57,11 @@ def vector_of(
             vector[PRISM] = any((*prism, lens.tauX, lens.tauY))
             vector[PRISM + 1 : PRISM + 5] = prism
             vector[OPENCV_PLANE : OPENCV_PLANE + 6] = plane_of(lens.tauX, lens.tauY)
-        else:
+        elif isinstance(lens, FisheyeLens):
             kind = FISHEYE
             own += [lens.k1, lens.k2, lens.k3, lens.k4]
+        else:
+            raise TypeError(f"lens model {type(lens).__name__}: the virtual cameras have no formulas for it")
     vector[KIND] = kind
     vector[OWN : OWN + len(own)] = own
     vector[ENDS] = first_turn(lens)

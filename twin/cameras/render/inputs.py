@@ -10,9 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mosca.data.arrays import Array
+from twin.cameras.exposure.lighting import ALWAYS
 from twin.scenes.figure import Figure
-
-ALWAYS = (-np.inf, np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,22 +68,6 @@ class TargetsInCamera:
     """(m,): share of brightness that the rim lacks."""
     shade: Array
     """(m, 3): change of brightness from the middle to the rim."""
-
-    @classmethod
-    def plain(cls, path: Array, rotation: Array, radius: Array, shape: Array, electrons: Array) -> "TargetsInCamera":
-        """Return balls and flat targets that are evenly bright and shine all the time."""
-        m = len(path)
-        return cls(
-            np.ascontiguousarray(path, dtype=float),
-            np.ascontiguousarray(rotation, dtype=float),
-            np.ascontiguousarray(radius, dtype=float),
-            np.ascontiguousarray(shape, dtype=np.int64),
-            np.full(m, -1, dtype=np.int64),
-            np.ascontiguousarray(electrons, dtype=float),
-            np.tile(np.array(ALWAYS), (m, 1)),
-            np.zeros(m),
-            np.zeros((m, 3)),
-        )
 
 
 class RowTiming(NamedTuple):

@@ -85,32 +85,8 @@ def render_targets(
     mesh_rays
         Occlusion by meshes, if there are any, at as many instants as their motion past the target needs.
     """
-    inputs = _inputs(lens, psf, window, targets, occluders, geom_xyz, geom_rotation, figures)
-    count = len(targets.radius)
-    mesh = np.zeros(count, dtype=np.int64) if mesh_rays is None else mesh_rays.candidates(targets)
-    seen, state, spans = render_all(light, inputs, mesh)
-    if mesh_rays is not None:
-        for m in np.flatnonzero(state == MESH_NEAR):
-            edges, first, share, rest = mesh_rays.hidden(int(m), lens, targets, inputs.nodes_s, spans[m])
-            mode = REST_GIVEN if rest else HIDDEN_GIVEN
-            seen[m] = render_one(light, inputs, int(m), mode, GivenBoundary(edges, first, share), spans[m])[:4]
-    seen[seen[:, 0] == 0.0, 1:] = np.nan
-    return VisibleTargets(seen[:, 0], seen[:, 1:3], seen[:, 3])
-
-
-def _inputs(
-    lens: Array,
-    psf: Psf,
-    window: Window,
-    targets: TargetsInCamera,
-    occluders: Occluders,
-    geom_xyz: Array,
-    geom_rotation: Array,
-    figures: Figures,
-) -> RenderInputs:
-    """Return what ``render_targets`` is given in the form that the kernels take."""
     on, off = window.light_s
-    return RenderInputs(
+    inputs = RenderInputs(
         lens,
         psf.kernel.table,
         psf.kernel.reach,
@@ -138,6 +114,16 @@ def _inputs(
             motion_bounds(occluders.kind, occluders.size, geom_xyz, geom_rotation),
         ),
     )
+    count = len(targets.radius)
+    mesh = np.zeros(count, dtype=np.int64) if mesh_rays is None else mesh_rays.candidates(targets)
+    seen, state, spans = render_all(light, inputs, mesh)
+    if mesh_rays is not None:
+        for m in np.flatnonzero(state == MESH_NEAR):
+            edges, first, share, rest = mesh_rays.hidden(int(m), lens, targets, inputs.nodes_s, spans[m])
+            mode = REST_GIVEN if rest else HIDDEN_GIVEN
+            seen[m] = render_one(light, inputs, int(m), mode, GivenBoundary(edges, first, share), spans[m])[:4]
+    seen[seen[:, 0] == 0.0, 1:] = np.nan
+    return VisibleTargets(seen[:, 0], seen[:, 1:3], seen[:, 3])
 
 
 def has_meshes(occluders: Occluders) -> bool:
