@@ -1,6 +1,5 @@
 """The rig file, and the calibrations of aniposelib, Caliscope and Pose2Sim."""
 
-import dataclasses
 import os
 import tomllib
 from pathlib import Path
@@ -13,16 +12,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from mosca.camera.projection import project
-from mosca.data.files.rig_file import (
-    FisheyeLensTable,
-    MoscaLensTable,
-    OpenCVLensTable,
-    read_rig,
-    read_rig_file,
-    rig_schema,
-    write_rig,
-)
-from mosca.data.rig import LENS_MODELS, Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose, Rig
+from mosca.data.files.rig_file import read_rig, read_rig_file, rig_schema, write_rig
+from mosca.data.rig import Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose, Rig
 from mosca.data.rotations import (
     nearest_rotation,
     quaternion_from_rotation,
@@ -151,16 +142,6 @@ def test_missing_and_empty_files(tmp_path: Path) -> None:
         read_rig(tmp_path / "none.toml")
     with pytest.raises(InputError, match="key 'camera' is missing"):
         rig_of(tmp_path, "")
-
-
-def test_tables_have_the_fields_of_the_lenses() -> None:
-    tables = {"mosca": MoscaLensTable, "opencv": OpenCVLensTable, "fisheye": FisheyeLensTable}
-    for model, lens in LENS_MODELS.items():
-        fields = {f.name: f.default for f in dataclasses.fields(lens)}
-        assert set(tables[model].model_fields) == {"model", *fields}
-        for name, default in fields.items():
-            if default is not dataclasses.MISSING:
-                assert tables[model].model_fields[name].default == default
 
 
 @settings(max_examples=60, deadline=None)
