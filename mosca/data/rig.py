@@ -11,9 +11,9 @@ import numpy as np
 from pydantic import Field
 
 from mosca.data.arrays import Array, read_only
-from mosca.data.files.toml import Positive
 from mosca.errors import InputError
 
+Positive = Annotated[float, Field(gt=0)]
 Tilt = Annotated[float, Field(ge=-1.5, le=1.5, description="tilt of the sensor [rad], below 90 deg")]
 
 

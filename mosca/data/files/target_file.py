@@ -95,17 +95,13 @@ class MeasuredPoints:
         object.__setattr__(self, "xyz", read_only(self.xyz, (n, 3), "xyz"))
 
 
-def read_target(path: Path) -> PointsTarget:
-    """Read a target file of measured points; InputError names the key, the value and what is allowed."""
-    document = read_toml(Path(path))
-    _kind_of(document, path, ("points",))
-    return check(PointsTarget, document, path)
-
-
 def read_target_file(path: Path) -> PointsTarget | CalibrationTarget:
     """Read a target file of any kind; InputError names the key, the value and what is allowed."""
     document = read_toml(Path(path))
-    kind = _kind_of(document, path, ("points", *TABLES))
+    kind, allowed = document.get("kind"), ("points", *TABLES)
+    if not isinstance(kind, str) or kind not in allowed:
+        given = "no 'kind'" if kind is None else f"kind = {kind!r}"
+        raise InputError(f"{path}: {given} given; allowed: {', '.join(map(repr, allowed))}")
     if kind == "points":
         return check(PointsTarget, document, path)
     table: CalibrationTable = check(TABLES[kind], document, path)
@@ -119,14 +115,6 @@ def target_schema() -> dict[str, Any]:
     """Return the JSON schema of the target file of all kinds, for editors that complete and check it."""
     every = Annotated[PointsTarget | CalibrationTable, Field(discriminator="kind")]
     return TypeAdapter(every).json_schema()
-
-
-def _kind_of(document: dict[str, Any], path: Path, allowed: tuple[str, ...]) -> str:
-    kind = document.get("kind")
-    if not isinstance(kind, str) or kind not in allowed:
-        given = "no 'kind'" if kind is None else f"kind = {kind!r}"
-        raise InputError(f"{path}: {given} given; allowed: {', '.join(map(repr, allowed))}")
-    return kind
 
 
 def read_measured_points(path: Path, target: PointsTarget) -> MeasuredPoints:
