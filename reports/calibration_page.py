@@ -9,7 +9,7 @@ import numpy as np
 
 from mosca.data.calibration import Calibration, Finding
 from mosca.data.calibration_evidence import CalibrationEvidence
-from mosca.data.files.whole_file import whole_file
+from mosca.data.files.whole_file import write_text
 from mosca.data.rig import Camera
 from mosca.data.rotations import quaternion_from_rotation
 from reports.calibration_plots import calibration_pictures
@@ -43,8 +43,7 @@ def write_calibration_page(path: Path, calibration: Calibration, evidence: Calib
             pictures=calibration_pictures(calibration, evidence),
         )
     )
-    with whole_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, text)
 
 
 def verdict(findings: tuple[Finding, ...]) -> dict[str, str]:

@@ -7,7 +7,7 @@ from typing import Any
 
 import cv2
 
-from mosca.data.files.whole_file import whole_file
+from mosca.data.files.whole_file import write_text
 from reports.fidelity import Check, Crop, Row, all_met, cells, verdict
 from reports.page import templates
 
@@ -48,8 +48,7 @@ def write_fidelity_page(path: Path, checks: Sequence[Check], crops: Sequence[Cro
             made_by=made_by,
         )
     )
-    with whole_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, text)
 
 
 def write_documentation(folder: Path, checks: Sequence[Check], crops: Sequence[Crop], made_by: str) -> None:
@@ -69,8 +68,7 @@ def write_documentation(folder: Path, checks: Sequence[Check], crops: Sequence[C
             made_by=made_by,
         )
     )
-    with whole_file(folder / "fidelity.md") as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(folder / "fidelity.md", text)
 
 
 def _summary(check: Check) -> dict[str, Any]:

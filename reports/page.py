@@ -7,7 +7,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from mosca.data.files.whole_file import whole_file
+from mosca.data.files.whole_file import write_text
 from reports.compare import regressions, total_seconds
 from reports.evidence import Evidence
 from reports.plots import pictures
@@ -53,8 +53,7 @@ def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
             provenance=json.dumps(record.provenance, indent=2, default=str, ensure_ascii=False),
         )
     )
-    with whole_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, text)
 
 
 def _camera_row(name: str, one: Mapping[str, Any]) -> tuple[str, ...]:
@@ -109,8 +108,7 @@ def write_comparison_page(path: Path, records: Sequence[RunRecord], labels: Sequ
     text = f"{passed} of {len(records)} runs are as claimed; {found or 'no'} regression{'' if found == 1 else 's'}"
     text += " against the first run of the same scenario."
     page = templates().get_template("comparison.html.j2").render(runs=runs, rows=rows, sentence=text)
-    with whole_file(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_text(path, page)
 
 
 def badge(record: RunRecord) -> dict[str, str]:

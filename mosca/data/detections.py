@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mosca.data.arrays import Array, read_only
+from mosca.data.arrays import Array, read_only, set_read_only
 
 SATURATED, MERGED, PARTIAL, UNREFINED = 1, 2, 4, 8
 """Bits of ``Detections.flags``: some of its pixels are saturated; two merged targets; a partly occluded target; a
@@ -36,14 +36,7 @@ class Detections:
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.xy_px))
-        for name, shape in (
-            ("xy_px", (None, 2)),
-            ("covariance_px2", (n, 2, 2)),
-            ("diameter_px", (n,)),
-            ("peak", (n,)),
-            ("elongation", (n,)),
-        ):
-            object.__setattr__(self, name, read_only(getattr(self, name), shape, name))
+        set_read_only(self, xy_px=(None, 2), covariance_px2=(n, 2, 2), diameter_px=(n,), peak=(n,), elongation=(n,))
         flags = self.flags if len(self.flags) else np.zeros(n, np.uint8)
         object.__setattr__(self, "flags", read_only(flags, (n,), "flags", np.uint8))
 

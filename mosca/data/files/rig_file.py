@@ -31,7 +31,7 @@ from pydantic import Field, create_model, field_validator
 
 from mosca.data.files.caliscope import is_caliscope, rig_from_caliscope
 from mosca.data.files.toml import Table, check, read_toml
-from mosca.data.files.whole_file import whole_file
+from mosca.data.files.whole_file import write_text
 from mosca.data.rig import (
     LENS_MODELS,
     Camera,
@@ -174,8 +174,7 @@ def write_rig(
 
     ``hardware`` and ``twin`` map camera name -> table to be kept beside lens and pose.
     """
-    with whole_file(Path(path)) as temporary:
-        temporary.write_text(rig_toml(rig, hardware, twin), encoding="utf-8")
+    write_text(Path(path), rig_toml(rig, hardware, twin))
 
 
 def rig_toml(

@@ -23,7 +23,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, TypeAdapter, model_validator
 
-from mosca.data.arrays import Array, read_only
+from mosca.data.arrays import Array, set_read_only
 from mosca.data.files.target_tables import TABLES, CalibrationTable, CalibrationTarget
 from mosca.data.files.toml import Table, check, read_toml
 from mosca.errors import InputError
@@ -91,8 +91,7 @@ class MeasuredPoints:
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.xy_px))
-        object.__setattr__(self, "xy_px", read_only(self.xy_px, (n, 2), "xy_px"))
-        object.__setattr__(self, "xyz", read_only(self.xyz, (n, 3), "xyz"))
+        set_read_only(self, xy_px=(n, 2), xyz=(n, 3))
 
 
 def read_target_file(path: Path) -> PointsTarget | CalibrationTarget:

@@ -24,7 +24,7 @@ import tomli_w
 from pydantic import Field, model_validator
 
 from mosca.data.files.toml import NotNegative, Positive, Table, check, read_toml
-from mosca.data.files.whole_file import whole_file
+from mosca.data.files.whole_file import write_text
 from mosca.labelling.marker_model import SOFT_M, MarkerModel
 
 MOST_MARKERS = 1000
@@ -112,8 +112,7 @@ def write_model(model: MarkerModel, path: Path) -> None:
     if model.limbs:
         document["limbs"] = {limb: list(members) for limb, members in model.limbs.items()}
     check(ModelTable, document, path)
-    with whole_file(Path(path)) as temporary:
-        temporary.write_text(_rows(tomli_w.dumps(document, indent=2)), encoding="utf-8")
+    write_text(Path(path), _rows(tomli_w.dumps(document, indent=2)))
 
 
 def model_schema() -> dict[str, Any]:

@@ -7,7 +7,7 @@ body, no frame numbers and no errors. Time stamps are written to the nanosecond.
 from pathlib import Path
 
 from mosca.data.bodies import BodyPoses
-from mosca.data.files.whole_file import whole_file
+from mosca.data.files.whole_file import write_text
 from mosca.errors import InputError
 
 COLUMNS = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
@@ -33,5 +33,4 @@ def write_tum(poses: BodyPoses, path: Path, body: str | None = None) -> None:
         sign, (seconds, rest) = "-" if time_ns < 0 else "", divmod(abs(time_ns), 10**9)
         numbers = " ".join(repr(value) for value in (*xyz, q[1], q[2], q[3], q[0]))
         lines.append(f"{sign}{seconds}.{rest:09d} {numbers}")
-    with whole_file(Path(path)) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(Path(path), "\n".join(lines) + "\n")

@@ -9,12 +9,11 @@ from mosca.data.boards import Board
 from mosca.data.found_targets import CodedDetections
 from mosca.data.targets import CodedTarget
 from mosca.errors import InputError
-from mosca.formats.sheets.target_sheet import OnSheet
+from mosca.formats.sheets.target_sheet import MM_PER_INCH, OnSheet
 
 FARTHEST_OFF = 0.1
 """Share by which a printer may miss the size; beyond it the measurement or the input is wrong."""
 LEAST_TARGETS = 3
-MM_PER_INCH = 25.4
 
 
 @dataclass(frozen=True)
