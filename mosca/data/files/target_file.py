@@ -25,7 +25,7 @@ from pydantic import Field, TypeAdapter, model_validator
 
 from mosca.data.arrays import Array, set_read_only
 from mosca.data.files.target_tables import TABLES, CalibrationTable, CalibrationTarget
-from mosca.data.files.toml import Table, check, read_toml
+from mosca.data.files.toml import Positive, Table, check, read_toml
 from mosca.errors import InputError
 
 Column = Literal["u", "v", "X", "Y", "Z", "-"]
@@ -37,7 +37,6 @@ PIXEL_ORIGINS = {"centre": 0.0, "corner": 0.5, "one": 1.0}
 
 LensModel = Literal["mosca", "opencv", "fisheye"]
 Size = tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
-Positive = Annotated[float, Field(gt=0)]
 
 
 class PointsCamera(Table):

@@ -77,7 +77,8 @@ def write_any_rig(rig: Rig, path: Path, format: str, options: RigFileOptions | N
     """
     chosen = FORMATS[_known(format)]
     if chosen.write is None:
-        raise InputError(f"{path}: format '{format}' is only read; written are {', '.join(_written())}")
+        written = ", ".join(one.name for one in _TABLE if one.write is not None)
+        raise InputError(f"{path}: format '{format}' is only read; written are {written}")
     return chosen.write(rig.cameras, Path(path), options or RigFileOptions())
 
 
@@ -112,10 +113,6 @@ def _known(name: str) -> str:
     if name not in FORMATS:
         raise InputError(f"calibration format '{name}' is unknown; there are {', '.join(FORMATS)}")
     return name
-
-
-def _written() -> list[str]:
-    return [one.name for one in _TABLE if one.write is not None]
 
 
 def _what() -> str:
