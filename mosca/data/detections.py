@@ -12,10 +12,6 @@ SATURATED, MERGED, PARTIAL, UNREFINED = 1, 2, 4, 8
 position without sub-pixel refinement (and with the covariance of one)."""
 
 
-def _no_flags() -> Array:
-    return np.empty(0, np.uint8)
-
-
 @dataclass(frozen=True, eq=False)
 class Detections:
     """Targets found in one image."""
@@ -31,7 +27,7 @@ class Detections:
     """(n,) largest grey value [DN]."""
     elongation: Array
     """(n,) longer over shorter side of the region's box (1 for a disc)."""
-    flags: Array = field(default_factory=_no_flags)
+    flags: Array = field(default_factory=lambda: np.empty(0, np.uint8))
     """(n,) uint8, bits as above, 0 where nothing is odd (the default for all)."""
 
     def __post_init__(self) -> None:

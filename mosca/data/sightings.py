@@ -47,15 +47,8 @@ class Sightings:
 
     def only(self, keep: Array) -> "Sightings":
         """Return the image points ``keep`` (mask or indices), cameras and frames counted as before."""
-        return replace(
-            self,
-            camera=self.camera[keep],
-            frame=self.frame[keep],
-            mark=self.mark[keep],
-            xy_px=self.xy_px[keep],
-            covariance_px2=self.covariance_px2[keep],
-            diameter_px=self.diameter_px[keep],
-        )
+        points = ("camera", "frame", "mark", "xy_px", "covariance_px2", "diameter_px")
+        return replace(self, **{name: getattr(self, name)[keep] for name in points})
 
     @classmethod
     def joined(cls, cameras: tuple[str, ...], sizes: Array, frames: int, parts: Sequence["Part"]) -> "Sightings":

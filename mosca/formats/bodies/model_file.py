@@ -16,6 +16,7 @@
 A pair without a link was never observed together.
 """
 
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -130,17 +131,9 @@ def _check_markers(where: str, names: tuple[str, ...], known: set[str]) -> None:
 
 def _rows(text: str) -> str:
     """Return the TOML with each link and side on one line of its own."""
-    lines: list[str] = []
-    parts: list[str] = []
-    inner = False
-    for line in text.splitlines():
-        if line == "  [":
-            inner, parts = True, []
-        elif inner and line == "  ],":
-            inner = False
-            lines.append(f"  [{' '.join(parts).removesuffix(',')}],")
-        elif inner:
-            parts.append(line.strip())
-        else:
-            lines.append(line)
-    return "\n".join(lines) + "\n"
+
+    def row(found: re.Match[str]) -> str:
+        cells = " ".join(cell.strip() for cell in found[1].split("\n")[:-1])
+        return f"  [{cells.removesuffix(',')}],"
+
+    return re.sub(r"^  \[\n((?:    .*\n)+)  \],$", row, text, flags=re.MULTILINE)
