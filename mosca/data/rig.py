@@ -1,20 +1,14 @@
 """Lens, Camera, Rig: parameters and poses, no projection (that is ``mosca.camera.projection`` and
 ``twin.cameras.optics.lens``).
-
-The limits of a lens's fields are those of the rig file (``mosca.data.files.rig_file``), checked where it is read.
 """
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
 
 from mosca.data.arrays import Array, read_only
 from mosca.errors import InputError
-
-Positive = Annotated[float, Field(gt=0)]
-Tilt = Annotated[float, Field(ge=-1.5, le=1.5, description="tilt of the sensor [rad], below 90 deg")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +51,11 @@ class MoscaLens:
     """
 
     model: ClassVar[Literal["mosca"]] = "mosca"
-    c_mm: Positive
+    c_mm: float
     xp_px: float
     yp_px: float
-    mx_mm_per_px: Positive
-    my_mm_per_px: Positive
+    mx_mm_per_px: float
+    my_mm_per_px: float
     a: float = 0.0
     K1_per_mm2: float = 0.0
     K2_per_mm4: float = 0.0
@@ -80,8 +74,8 @@ class OpenCVLens:
     """
 
     model: ClassVar[Literal["opencv"]] = "opencv"
-    fx_px: Positive
-    fy_px: Positive
+    fx_px: float
+    fy_px: float
     cx_px: float
     cy_px: float
     k1: float = 0.0
@@ -96,8 +90,8 @@ class OpenCVLens:
     s2: float = 0.0
     s3: float = 0.0
     s4: float = 0.0
-    tauX: Tilt = 0.0
-    tauY: Tilt = 0.0
+    tauX: float = 0.0
+    tauY: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -109,8 +103,8 @@ class FisheyeLens:
     """
 
     model: ClassVar[Literal["fisheye"]] = "fisheye"
-    fx_px: Positive
-    fy_px: Positive
+    fx_px: float
+    fy_px: float
     cx_px: float
     cy_px: float
     k1: float = 0.0

@@ -30,7 +30,7 @@ import tomli_w
 from pydantic import Field, create_model, field_validator
 
 from mosca.data.files.caliscope import is_caliscope, rig_from_caliscope
-from mosca.data.files.toml import Table, check, read_toml
+from mosca.data.files.toml import Positive, Table, check, read_toml
 from mosca.data.files.whole_file import write_text
 from mosca.data.rig import (
     LENS_MODELS,
@@ -49,17 +49,25 @@ from mosca.errors import InputError
 LARGEST_POSITION_M = 1000.0
 """A camera farther from the world's origin than this was measured in millimetres."""
 
+Tilt = Annotated[float, Field(ge=-1.5, le=1.5, description="tilt of the sensor [rad], below 90 deg")]
+LIMITS = {
+    **dict.fromkeys(("c_mm", "mx_mm_per_px", "my_mm_per_px", "fx_px", "fy_px"), Positive),
+    **dict.fromkeys(("tauX", "tauY"), Tilt),
+}
+"""Of the lenses' fields that have any."""
 Pixels = Annotated[int, Field(gt=0, le=65535)]
 
 
 class LensTable(Table):
-    """``[camera.lens]``: the fields of the lens's dataclass in ``mosca.data.rig``, with their limits."""
+    """``[camera.lens]``: the fields of the lens's dataclass in ``mosca.data.rig``, within LIMITS."""
 
     model: str
 
 
 def _table_of(lens: type[Lens], text: str) -> type[LensTable]:
-    columns: dict[str, Any] = {f.name: (f.type, ... if f.default is MISSING else f.default) for f in fields(lens)}
+    columns: dict[str, Any] = {
+        f.name: (LIMITS.get(f.name, f.type), ... if f.default is MISSING else f.default) for f in fields(lens)
+    }
     columns["model"] = (Literal[lens.model], ...)
     return create_model(f"{lens.__name__}Table", __base__=LensTable, __doc__=text, **columns)
 
