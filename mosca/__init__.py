@@ -40,40 +40,11 @@ Conventions:
 - One seed a run, split into named streams; no global random state.
 """
 
+# ruff: noqa: F405
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mosca.api import (
-        Calibration,
-        CalibrationError,
-        Camera,
-        Detections,
-        DetectionSettings,
-        FisheyeLens,
-        InputError,
-        MatchSettings,
-        MoscaLens,
-        OpenCVLens,
-        PipelineSettings,
-        Points,
-        Pose,
-        Rig,
-        Tracks,
-        TrackSettings,
-        Triangulated,
-        calibrate,
-        detect,
-        match,
-        open_recording,
-        project,
-        read_rig,
-        read_tracks,
-        reconstruct,
-        track,
-        triangulate,
-        write_rig,
-        write_tracks,
-    )
+    from mosca.api import *  # noqa: F403  (its __all__ has the names below)
 
 __version__ = "0.2.0"
 __all__ = [

@@ -9,11 +9,10 @@ import numpy as np
 
 from mosca.data.calibration import Calibration, Finding
 from mosca.data.calibration_evidence import CalibrationEvidence
-from mosca.data.files.whole_file import whole_file
 from mosca.data.rig import Camera
 from mosca.data.rotations import quaternion_from_rotation
 from reports.calibration_plots import calibration_pictures
-from reports.page import templates
+from reports.page import write_rendered
 from reports.units import figure, shown
 
 MOST_COLUMNS = 4
@@ -26,25 +25,21 @@ def write_calibration_page(path: Path, calibration: Calibration, evidence: Calib
 
     Nothing is loaded from outside; the same data give the same bytes.
     """
-    text = (
-        templates()
-        .get_template("calibration.html.j2")
-        .render(
-            title=f"Calibration of {len(calibration.rig.cameras)} camera{_s(len(calibration.rig.cameras))}",
-            badge=verdict(calibration.findings),
-            sentence=sentence(calibration, evidence),
-            facts=_facts(calibration, evidence),
-            tiles=_tiles(calibration, evidence),
-            findings=[_finding(one) for one in calibration.findings],
-            precision=_precision(calibration),
-            interior=_interior(calibration),
-            exterior=_exterior(calibration),
-            comparison=evidence.comparison,
-            pictures=calibration_pictures(calibration, evidence),
-        )
+    write_rendered(
+        path,
+        "calibration.html.j2",
+        title=f"Calibration of {len(calibration.rig.cameras)} camera{_s(len(calibration.rig.cameras))}",
+        badge=verdict(calibration.findings),
+        sentence=sentence(calibration, evidence),
+        facts=_facts(calibration, evidence),
+        tiles=_tiles(calibration, evidence),
+        findings=[_finding(one) for one in calibration.findings],
+        precision=_precision(calibration),
+        interior=_interior(calibration),
+        exterior=_exterior(calibration),
+        comparison=evidence.comparison,
+        pictures=calibration_pictures(calibration, evidence),
     )
-    with whole_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def verdict(findings: tuple[Finding, ...]) -> dict[str, str]:

@@ -26,6 +26,7 @@ from reports.plot_style import (
     WIDE,
     Picture,
     canvas,
+    colour_bar,
     house_style,
     strided,
     svg_text,
@@ -135,7 +136,7 @@ def accuracy_picture(grid: AccuracyGrid) -> Picture:
         axes.set_title(title)
         axes.set_xlabel(f"{names[0]} [m]")
         axes.set_ylabel(f"{names[1]} [m]", labelpad=1)
-    _colour_bar(drawing, low, high, "mm")
+    colour_bar(drawing, low, high, "mm")
     nothing = float(np.mean(~np.isfinite(sigma)))
     parts = [1e3 * float(np.nanmedian(part)) if len(finite) else float("nan")
              for part in (grid.detection_m, grid.calibration_m)]  # fmt: skip
@@ -224,18 +225,6 @@ def correlation_picture(calibration: Calibration) -> Picture:
         svg_text(drawing, "correlation", alt),
         across > 1,
     )
-
-
-def _colour_bar(drawing: Figure, low: float, high: float, unit: str) -> None:
-    bar = drawing.add_axes((0.945, 0.2, 0.012, 0.6))
-    bar.imshow(
-        HEAT(np.linspace(0, 1, 64))[:, None], extent=(0, 1, low, high), origin="lower", aspect="auto",
-        interpolation="none",
-    )  # fmt: skip
-    bar.grid(False)
-    bar.set_xticks([])
-    bar.yaxis.tick_right()
-    bar.set_title(unit, loc="left", fontsize=8, color=MUTED)
 
 
 def _colour_bar_signed(drawing: Figure) -> None:

@@ -189,11 +189,7 @@ def _regression(record: RunRecord, new: Metric, baseline: RunRecord, old: Metric
 
 def _badness(how: Reading, value: float) -> float:
     """Return ``value`` with its sign such that more is worse; a missing value is the worst."""
-    if np.isnan(value):
-        return float("inf")
-    if how.better == "less":
-        return value
-    return -value if how.better == "more" else abs(value - float(how.better))
+    return float("inf") if np.isnan(value) else float(_turned(how, np.asarray(value)))
 
 
 def _speed_comparable(record: RunRecord, new: Metric, baseline: RunRecord, old: Metric) -> bool:

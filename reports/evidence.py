@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.data.arrays import Array, read_only, read_only_image
+from mosca.data.arrays import Array, read_only_image, set_read_only
 from mosca.data.detections import Detections
 from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
@@ -25,10 +25,8 @@ class ErrorTable:
 
     def __post_init__(self) -> None:
         k = len(np.asarray(self.frame))
-        object.__setattr__(self, "frame", read_only(self.frame, (k,), "frame", np.int64))
-        object.__setattr__(self, "time_s", read_only(self.time_s, (k,), "time_s"))
-        object.__setattr__(self, "marker", read_only(self.marker, (k,), "marker", np.int64))
-        object.__setattr__(self, "error_xyz_m", read_only(self.error_xyz_m, (k, 3), "error_xyz_m"))
+        set_read_only(self, np.int64, frame=(k,), marker=(k,))
+        set_read_only(self, time_s=(k,), error_xyz_m=(k, 3))
 
     def distance_m(self) -> Array:
         """Return the length of each error (k,) [m]."""
@@ -51,9 +49,8 @@ class MarkerCounts:
 
     def __post_init__(self) -> None:
         t = len(np.asarray(self.time_s))
-        object.__setattr__(self, "time_s", read_only(self.time_s, (t,), "time_s"))
-        for name in ("n_true_seen", "n_matched", "n_ghosts"):
-            object.__setattr__(self, name, read_only(getattr(self, name), (t,), name, np.int64))
+        set_read_only(self, time_s=(t,))
+        set_read_only(self, np.int64, n_true_seen=(t,), n_matched=(t,), n_ghosts=(t,))
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +68,7 @@ class CameraView:
     def __post_init__(self) -> None:
         object.__setattr__(self, "image", read_only_image(self.image))
         if self.true_xy_px is not None:
-            object.__setattr__(self, "true_xy_px", read_only(self.true_xy_px, (None, 2), "true_xy_px"))
+            set_read_only(self, true_xy_px=(None, 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,19 +94,18 @@ class Evidence:
     counts: MarkerCounts | None = None
 
     def __post_init__(self) -> None:
-        for name in ("working_space_center", "working_space_size"):
-            object.__setattr__(self, name, read_only(getattr(self, name), (3,), name))
+        set_read_only(self, working_space_center=(3,), working_space_size=(3,))
         object.__setattr__(self, "views", tuple(self.views))
         object.__setattr__(self, "truth_names", tuple(self.truth_names))
         if (self.truth_time_ns is None) != (self.truth_xyz is None):
             raise ValueError("evidence: truth_time_ns and truth_xyz belong together")
         if self.truth_xyz is not None and self.truth_time_ns is not None:
             t, m = len(np.asarray(self.truth_time_ns)), len(self.truth_names)
-            object.__setattr__(self, "truth_time_ns", read_only(self.truth_time_ns, (t,), "truth_time_ns", np.int64))
-            object.__setattr__(self, "truth_xyz", read_only(self.truth_xyz, (t, m, 3), "truth_xyz"))
+            set_read_only(self, np.int64, truth_time_ns=(t,))
+            set_read_only(self, truth_xyz=(t, m, 3))
         if self.marker_seen is not None:
             m = len(self.truth_names)
-            object.__setattr__(self, "marker_seen", read_only(self.marker_seen, (m,), "marker_seen", np.int64))
+            set_read_only(self, np.int64, marker_seen=(m,))
         if self.errors is not None:
             markers = self.errors.marker
             if self.truth_xyz is None:

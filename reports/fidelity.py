@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mosca.data.arrays import Array
-from mosca.data.files.whole_file import whole_file
+from mosca.data.files.whole_file import write_text
 from reports.units import figure
 
 
@@ -124,5 +124,4 @@ def write_fidelity_json(path: Path, checks: Sequence[Check], provenance: Mapping
         ],
         "provenance": dict(provenance),
     }
-    with whole_file(path) as temporary:
-        temporary.write_text(json.dumps(document, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(document, indent=2, ensure_ascii=False) + "\n")

@@ -7,9 +7,8 @@ from typing import Any
 
 import cv2
 
-from mosca.data.files.whole_file import whole_file
 from reports.fidelity import Check, Crop, Row, all_met, cells, verdict
-from reports.page import templates
+from reports.page import write_rendered
 
 SCENARIOS = "../scenarios"
 """Where the documentation's page finds scenario files."""
@@ -25,31 +24,27 @@ def png(crop: Crop) -> bytes:
 def write_fidelity_page(path: Path, checks: Sequence[Check], crops: Sequence[Crop], made_by: str) -> None:
     """Write the page to ``path``, whole or not at all. ``made_by``: versions and machine, in a line."""
     good = all_met(checks)
-    text = (
-        templates()
-        .get_template("fidelity.html.j2")
-        .render(
-            sentence=verdict(checks),
-            badge={"text": "All bars met", "sign": "✓", "tone": "good"}
-            if good
-            else {"text": "A bar is broken", "sign": "✗", "tone": "bad"},
-            checks=[_summary(check) for check in checks],
-            crops=[
-                {
-                    "crop": crop,
-                    "wide": len(crop.labels) > 2,
-                    "data": base64.b64encode(png(crop)).decode("ascii"),
-                    "alt": f"{crop.title}: {'; '.join(crop.labels)}",
-                    "width": crop.image.shape[1],
-                    "height": crop.image.shape[0],
-                }
-                for crop in crops
-            ],
-            made_by=made_by,
-        )
+    write_rendered(
+        path,
+        "fidelity.html.j2",
+        sentence=verdict(checks),
+        badge={"text": "All bars met", "sign": "✓", "tone": "good"}
+        if good
+        else {"text": "A bar is broken", "sign": "✗", "tone": "bad"},
+        checks=[_summary(check) for check in checks],
+        crops=[
+            {
+                "crop": crop,
+                "wide": len(crop.labels) > 2,
+                "data": base64.b64encode(png(crop)).decode("ascii"),
+                "alt": f"{crop.title}: {'; '.join(crop.labels)}",
+                "width": crop.image.shape[1],
+                "height": crop.image.shape[0],
+            }
+            for crop in crops
+        ],
+        made_by=made_by,
     )
-    with whole_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def write_documentation(folder: Path, checks: Sequence[Check], crops: Sequence[Crop], made_by: str) -> None:
@@ -58,19 +53,15 @@ def write_documentation(folder: Path, checks: Sequence[Check], crops: Sequence[C
     pictures.mkdir(parents=True, exist_ok=True)
     for crop in crops:
         (pictures / f"{crop.name}.png").write_bytes(png(crop))
-    text = (
-        templates()
-        .get_template("fidelity.md.j2")
-        .render(
-            checks=[_summary(check) for check in checks],
-            crops=crops,
-            scenarios=SCENARIOS,
-            sentence=verdict(checks),
-            made_by=made_by,
-        )
+    write_rendered(
+        folder / "fidelity.md",
+        "fidelity.md.j2",
+        checks=[_summary(check) for check in checks],
+        crops=crops,
+        scenarios=SCENARIOS,
+        sentence=verdict(checks),
+        made_by=made_by,
     )
-    with whole_file(folder / "fidelity.md") as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def _summary(check: Check) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from mosca.data.files.whole_file import whole_file
+from mosca.data.files.whole_file import write_text
 from reports.compare import regressions, total_seconds
 from reports.evidence import Evidence
 from reports.plots import pictures
@@ -33,28 +33,24 @@ def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
     The same record and evidence give the same bytes (timings are part of the record). Nothing is loaded
     from outside; pictures are inline SVG.
     """
-    text = (
-        templates()
-        .get_template("template.html.j2")
-        .render(
-            record=record,
-            badge=badge(record),
-            sentence=sentence(record),
-            tiles=_tiles(record),
-            metrics=[
-                *(_metric_row(metric) for metric in record.metrics),
-                *(_not_judged_row(name) for name in record.not_judged),
-            ],
-            premises=[_premise_row(name, value) for name, value in record.premises.items()],
-            pictures=pictures(record, evidence),
-            counts=[(_words(name), _plain(value)) for name, value in record.counts.items()],
-            cameras=[_camera_row(name, one) for name, one in record.cameras.items()],
-            timings=[(_words(name), duration(float(value))) for name, value in record.timings.items()],
-            provenance=json.dumps(record.provenance, indent=2, default=str, ensure_ascii=False),
-        )
+    write_rendered(
+        path,
+        "template.html.j2",
+        record=record,
+        badge=badge(record),
+        sentence=sentence(record),
+        tiles=_tiles(record),
+        metrics=[
+            *(_metric_row(metric) for metric in record.metrics),
+            *(_not_judged_row(name) for name in record.not_judged),
+        ],
+        premises=[_premise_row(name, value) for name, value in record.premises.items()],
+        pictures=pictures(record, evidence),
+        counts=[(_words(name), _plain(value)) for name, value in record.counts.items()],
+        cameras=[_camera_row(name, one) for name, one in record.cameras.items()],
+        timings=[(_words(name), duration(float(value))) for name, value in record.timings.items()],
+        provenance=json.dumps(record.provenance, indent=2, default=str, ensure_ascii=False),
     )
-    with whole_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def _camera_row(name: str, one: Mapping[str, Any]) -> tuple[str, ...]:
@@ -108,9 +104,7 @@ def write_comparison_page(path: Path, records: Sequence[RunRecord], labels: Sequ
     passed, found = sum(r.passed for r in records), sum(len(w) for w in worse)
     text = f"{passed} of {len(records)} runs are as claimed; {found or 'no'} regression{'' if found == 1 else 's'}"
     text += " against the first run of the same scenario."
-    page = templates().get_template("comparison.html.j2").render(runs=runs, rows=rows, sentence=text)
-    with whole_file(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_rendered(path, "comparison.html.j2", runs=runs, rows=rows, sentence=text)
 
 
 def badge(record: RunRecord) -> dict[str, str]:
@@ -152,9 +146,9 @@ def sentence(record: RunRecord) -> str:
     return text + _ended(record.verdict)
 
 
-def templates() -> Environment:
-    """Return the pages' templates."""
-    return Environment(
+def write_rendered(path: Path, template: str, **values: Any) -> None:
+    """Write a template of the pages, filled with ``values``, to ``path``, whole or not at all."""
+    templates = Environment(
         loader=PackageLoader("reports", package_path=""),
         autoescape=True,
         undefined=StrictUndefined,
@@ -162,6 +156,7 @@ def templates() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+    write_text(path, templates.get_template(template).render(**values))
 
 
 def _tiles(record: RunRecord) -> list[dict[str, str]]:

@@ -162,6 +162,19 @@ def legend_above(axes: Axes, columns: int = 6) -> None:
     )
 
 
+def colour_bar(drawing: Figure, low: float, high: float, unit: str) -> None:
+    """Draw the scale of HEAT at the right edge of a figure WIDE."""
+    bar = drawing.add_axes((0.945, 0.2, 0.012, 0.6))
+    bar.imshow(
+        HEAT(np.linspace(0, 1, 64))[:, None], extent=(0, 1, low, high), origin="lower", aspect="auto",
+        interpolation="none",
+    )  # fmt: skip
+    bar.grid(False)
+    bar.set_xticks([])
+    bar.yaxis.tick_right()
+    bar.set_title(unit, loc="left", fontsize=8, color=MUTED)
+
+
 def strided(n: int, most: int) -> slice:
     """Return the slice that keeps at most about ``most`` of ``n`` items, evenly."""
     return slice(None, None, max(1, -(-n // most)))

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from mosca.data.files.whole_file import whole_file
+from mosca.data.files.whole_file import write_text
 from mosca.errors import InputError
 
 
@@ -94,8 +94,7 @@ class RunRecord:
 def write_record(record: RunRecord, path: Path) -> None:
     """Write ``record`` as JSON, whole or not at all."""
     text = _numbers_on_one_line(json.dumps(asdict(record), indent=2, allow_nan=False)) + "\n"
-    with whole_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, text)
 
 
 def read_record(path: Path) -> RunRecord:

@@ -22,6 +22,7 @@ from reports.plot_style import (
     WIDE,
     Picture,
     canvas,
+    colour_bar,
     nice_step,
     svg_text,
 )
@@ -97,18 +98,7 @@ def volume_picture(evidence: Evidence) -> Picture | None:
         axes.set_xlabel(f"{'xyz'[h]} [m]")
         axes.set_ylabel(f"{'xyz'[v]} [m]", labelpad=1)
         axes.set_axisbelow(True)
-    bar = drawing.add_axes((0.945, 0.2, 0.012, 0.6))
-    bar.imshow(
-        HEAT(np.linspace(0, 1, 64))[:, None],
-        extent=(0, 1, smallest, largest),
-        origin="lower",
-        aspect="auto",
-        interpolation="none",
-    )
-    bar.grid(False)
-    bar.set_xticks([])
-    bar.yaxis.tick_right()
-    bar.set_title("mm", loc="left", fontsize=8, color=MUTED)
+    colour_bar(drawing, smallest, largest, "mm")
     mean = float(errors_mm.mean())
     alt = (
         f"Mean error in the volume from three sides; over all {number(mean)} mm, colour scale from "

@@ -97,6 +97,14 @@ class Conversion:
     max_px: float
     worst_xy_px: tuple[float, float]
 
+    @classmethod
+    def of(cls, lens: Lens, residuals: Array, xy_px: Array) -> "Conversion":
+        """Return what residuals (2 n,) at pixels (n, 2) come to."""
+        distance = np.linalg.norm(residuals.reshape(-1, 2), axis=1)
+        worst = xy_px[int(np.argmax(distance))]
+        rms = float(np.sqrt(np.mean(distance**2)))
+        return cls(lens, rms, float(distance.max()), (float(worst[0]), float(worst[1])))
+
 
 def fit_lens(model: str, xy_px: Array, directions: Array, start: Lens | None = None) -> Conversion:
     """Fit a lens of ``model`` to pixels (n, 2) and their directions (n, 3), least squares in the image.
@@ -142,10 +150,7 @@ def fit_lens(model: str, xy_px: Array, directions: Array, start: Lens | None = N
     fit = least_squares(
         residuals, values[free], jac=jacobian, method="lm", x_scale="jac", ftol=1e-14, xtol=1e-14, gtol=1e-14
     )
-    distance = np.linalg.norm(fit.fun.reshape(-1, 2), axis=1)
-    worst = xy[int(np.argmax(distance))]
-    rms = float(np.sqrt(np.mean(distance**2)))
-    return Conversion(lens_of(fit.x), rms, float(distance.max()), (float(worst[0]), float(worst[1])))
+    return Conversion.of(lens_of(fit.x), fit.fun, xy)
 
 
 def convert_lens(lens: Lens, model: str, width: int, height: int, step_px: float = 16.0) -> Conversion:

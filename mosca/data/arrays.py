@@ -33,6 +33,12 @@ def read_only(values: Any, shape: tuple[int | None, ...], name: str, dtype: DTyp
     return given
 
 
+def set_read_only(owner: object, dtype: DTypeLike = np.float64, /, **shapes: tuple[int | None, ...]) -> None:
+    """Make attributes of a frozen dataclass read-only arrays of ``dtype``, each checked against its shape."""
+    for name, shape in shapes.items():
+        object.__setattr__(owner, name, read_only(getattr(owner, name), shape, name, dtype))
+
+
 def read_only_image(pixels: Any) -> Array:
     """Return an image (H, W) of uint8 or uint16, made read-only.
 

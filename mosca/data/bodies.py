@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.data.arrays import Array, read_only
+from mosca.data.arrays import Array, set_read_only
 from mosca.data.targets import not_below_zero
 
 BODY_STATUSES = ("measured", "withheld")
@@ -31,7 +31,7 @@ class RigidBody:
     def __post_init__(self) -> None:
         object.__setattr__(self, "markers", tuple(self.markers))
         m = len(self.markers)
-        object.__setattr__(self, "positions", read_only(self.positions, (m, 3), "positions"))
+        set_read_only(self, positions=(m, 3))
         not_below_zero("sigma_m", self.sigma_m)
         if not FEWEST_MARKERS <= m <= MOST_MARKERS:
             raise ValueError(f"body '{self.name}': {m} markers given; {FEWEST_MARKERS} to {MOST_MARKERS} are allowed")
@@ -76,18 +76,9 @@ class BodyPoses:
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.frame))
-        for name, shape, dtype in (
-            ("frame", (n,), np.int64),
-            ("time_ns", (n,), np.int64),
-            ("body", (n,), np.str_),
-            ("quaternion", (n, 4), np.float64),
-            ("position", (n, 3), np.float64),
-            ("covariance", (n, 6, 6), np.float64),
-            ("n_markers", (n,), np.int64),
-            ("residual_m", (n,), np.float64),
-            ("status", (n,), np.str_),
-        ):
-            object.__setattr__(self, name, read_only(getattr(self, name), shape, name, dtype))
+        set_read_only(self, np.int64, frame=(n,), time_ns=(n,), n_markers=(n,))
+        set_read_only(self, np.str_, body=(n,), status=(n,))
+        set_read_only(self, quaternion=(n, 4), position=(n, 3), covariance=(n, 6, 6), residual_m=(n,))
         unknown = set(np.unique(self.status)) - set(BODY_STATUSES)
         if unknown:
             raise ValueError(f"status: {sorted(unknown)} given, {BODY_STATUSES} allowed")

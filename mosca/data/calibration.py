@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from mosca.data.arrays import Array, read_only
+from mosca.data.arrays import Array, set_read_only
 from mosca.data.rig import Rig
 from mosca.data.sightings import Sightings
 
@@ -75,19 +75,10 @@ class Calibration:
     def __post_init__(self) -> None:
         n, u, c = len(self.sightings), len(self.parameters), len(self.rig.cameras)
         f = len(np.asarray(self.target_translation))
-        for name, shape, dtype in (
-            ("covariance", (u, u), np.float64),
-            ("residuals_px", (n, 2), np.float64),
-            ("used", (n,), np.bool_),
-            ("marks_m", (None, 3), np.float64),
-            ("placement", (n,), np.int64),
-            ("target_rotation", (f, 3, 3), np.float64),
-            ("target_translation", (f, 3), np.float64),
-            ("sigma_px", (c, 2), np.float64),
-            ("sigma_m", (c, 2), np.float64),
-            ("lasting_px", (None,), np.float64),
-        ):
-            object.__setattr__(self, name, read_only(getattr(self, name), shape, name, dtype))
+        set_read_only(self, covariance=(u, u), residuals_px=(n, 2), marks_m=(None, 3), lasting_px=(None,))
+        set_read_only(self, target_rotation=(f, 3, 3), target_translation=(f, 3), sigma_px=(c, 2), sigma_m=(c, 2))
+        set_read_only(self, np.bool_, used=(n,))
+        set_read_only(self, np.int64, placement=(n,))
         object.__setattr__(self, "findings", tuple(self.findings))
 
     @property

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.data.arrays import Array, read_only
+from mosca.data.arrays import Array, set_read_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,11 +23,9 @@ class AccuracyGrid:
     detection_sigma_px: float
 
     def __post_init__(self) -> None:
-        for name in ("x", "y", "z"):
-            object.__setattr__(self, name, read_only(getattr(self, name), (None,), name))
+        set_read_only(self, x=(None,), y=(None,), z=(None,))
         shape = (len(self.x), len(self.y), len(self.z))
-        for name in ("detection_m", "calibration_m"):
-            object.__setattr__(self, name, read_only(getattr(self, name), shape, name))
+        set_read_only(self, detection_m=shape, calibration_m=shape)
 
     @property
     def sigma_m(self) -> Array:
@@ -49,8 +47,8 @@ class HeldOutLengths:
     scale_sigma: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "length_m", read_only(self.length_m, (None,), "length_m"))
-        object.__setattr__(self, "sigma_m", read_only(self.sigma_m, (len(self.length_m),), "sigma_m"))
+        set_read_only(self, length_m=(None,))
+        set_read_only(self, sigma_m=(len(self.length_m),))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +72,6 @@ class CalibrationEvidence:
 
     def __post_init__(self) -> None:
         count = len(np.asarray(self.covered))
-        object.__setattr__(self, "covered", read_only(self.covered, (count, None, None), "covered", np.bool_))
-        object.__setattr__(self, "links", read_only(self.links, (count, count), "links", np.int64))
-        object.__setattr__(self, "groups", read_only(self.groups, (count,), "groups", np.int64))
-        object.__setattr__(self, "missing", read_only(self.missing, (None, 2), "missing", np.int64))
+        set_read_only(self, np.bool_, covered=(count, None, None))
+        set_read_only(self, np.int64, links=(count, count), groups=(count,), missing=(None, 2))
         object.__setattr__(self, "comparison", tuple(self.comparison))

@@ -5,15 +5,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mosca.data.arrays import Array, read_only
+from mosca.data.arrays import Array, read_only, set_read_only
 
 SATURATED, MERGED, PARTIAL, UNREFINED = 1, 2, 4, 8
 """Bits of ``Detections.flags``: some of its pixels are saturated; two merged targets; a partly occluded target; a
 position without sub-pixel refinement (and with the covariance of one)."""
-
-
-def _no_flags() -> Array:
-    return np.empty(0, np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,19 +27,12 @@ class Detections:
     """(n,) largest grey value [DN]."""
     elongation: Array
     """(n,) longer over shorter side of the region's box (1 for a disc)."""
-    flags: Array = field(default_factory=_no_flags)
+    flags: Array = field(default_factory=lambda: np.empty(0, np.uint8))
     """(n,) uint8, bits as above, 0 where nothing is odd (the default for all)."""
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.xy_px))
-        for name, shape in (
-            ("xy_px", (None, 2)),
-            ("covariance_px2", (n, 2, 2)),
-            ("diameter_px", (n,)),
-            ("peak", (n,)),
-            ("elongation", (n,)),
-        ):
-            object.__setattr__(self, name, read_only(getattr(self, name), shape, name))
+        set_read_only(self, xy_px=(None, 2), covariance_px2=(n, 2, 2), diameter_px=(n,), peak=(n,), elongation=(n,))
         flags = self.flags if len(self.flags) else np.zeros(n, np.uint8)
         object.__setattr__(self, "flags", read_only(flags, (n,), "flags", np.uint8))
 

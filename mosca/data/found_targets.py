@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.data.arrays import Array, read_only
+from mosca.data.arrays import Array, set_read_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,18 +31,10 @@ class CodedDetections:
     """(m,) numbers that were read at more than one position: ambiguous, so none of them is reported."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "number", read_only(self.number, (None,), "number", np.int64))
-        object.__setattr__(self, "twice", read_only(self.twice, (None,), "twice", np.int64))
+        set_read_only(self, np.int64, number=(None,), twice=(None,))
         n = len(self.number)
-        for name, shape in (
-            ("xy_px", (n, 2)),
-            ("covariance_px2", (n, 2, 2)),
-            ("semi_axes_px", (n, 2)),
-            ("angle_rad", (n,)),
-            ("roll_rad", (n,)),
-            ("confidence", (n,)),
-        ):
-            object.__setattr__(self, name, read_only(getattr(self, name), shape, name))
+        set_read_only(self, xy_px=(n, 2), covariance_px2=(n, 2, 2), semi_axes_px=(n, 2))
+        set_read_only(self, angle_rad=(n,), roll_rad=(n,), confidence=(n,))
 
     def __len__(self) -> int:
         return len(self.number)
@@ -63,10 +55,9 @@ class BoardDetections:
     refused: str = ""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "corner", read_only(self.corner, (None,), "corner", np.int64))
+        set_read_only(self, np.int64, corner=(None,))
         n = len(self.corner)
-        object.__setattr__(self, "xy_px", read_only(self.xy_px, (n, 2), "xy_px"))
-        object.__setattr__(self, "covariance_px2", read_only(self.covariance_px2, (n, 2, 2), "covariance_px2"))
+        set_read_only(self, xy_px=(n, 2), covariance_px2=(n, 2, 2))
 
     def __len__(self) -> int:
         return len(self.corner)

@@ -46,12 +46,6 @@ def lamp_bits(number: int) -> tuple[bool, ...]:
     return lamp_code().bits(number)
 
 
-def lamp_number_of(bits: tuple[bool, ...]) -> int | None:
-    """Return the lamp that shows ``bits``, from any start; None for anything that is not exactly a lamp's."""
-    found = lamp_code().find(bits)
-    return None if found is None else found[0]
-
-
 def m_sequence(order: int) -> tuple[bool, ...]:
     """Return the 2^order - 1 bits of a maximum length sequence, ``order`` from 3 to 12.
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mosca.data.arrays import Array, read_only
+from mosca.data.arrays import Array, set_read_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,16 +31,8 @@ class Sightings:
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", tuple(self.cameras))
         n, c = len(self.xy_px), len(self.cameras)
-        for name, shape, dtype in (
-            ("sizes", (c, 2), np.int64),
-            ("camera", (n,), np.int64),
-            ("frame", (n,), np.int64),
-            ("mark", (n,), np.int64),
-            ("xy_px", (n, 2), np.float64),
-            ("covariance_px2", (n, 2, 2), np.float64),
-            ("diameter_px", (n,), np.float64),
-        ):
-            object.__setattr__(self, name, read_only(getattr(self, name), shape, name, dtype))
+        set_read_only(self, np.int64, sizes=(c, 2), camera=(n,), frame=(n,), mark=(n,))
+        set_read_only(self, xy_px=(n, 2), covariance_px2=(n, 2, 2), diameter_px=(n,))
         for name, index, end in (("camera", self.camera, c), ("frame", self.frame, self.frames)):
             if len(index) and (index.min() < 0 or index.max() >= end):
                 raise ValueError(f"{name}: {index.min()} to {index.max()} given, 0 to {end - 1} allowed")
@@ -55,15 +47,8 @@ class Sightings:
 
     def only(self, keep: Array) -> "Sightings":
         """Return the image points ``keep`` (mask or indices), cameras and frames counted as before."""
-        return replace(
-            self,
-            camera=self.camera[keep],
-            frame=self.frame[keep],
-            mark=self.mark[keep],
-            xy_px=self.xy_px[keep],
-            covariance_px2=self.covariance_px2[keep],
-            diameter_px=self.diameter_px[keep],
-        )
+        points = ("camera", "frame", "mark", "xy_px", "covariance_px2", "diameter_px")
+        return replace(self, **{name: getattr(self, name)[keep] for name in points})
 
     @classmethod
     def joined(cls, cameras: tuple[str, ...], sizes: Array, frames: int, parts: Sequence["Part"]) -> "Sightings":

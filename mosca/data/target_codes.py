@@ -37,9 +37,3 @@ def code_bits(number: int) -> tuple[bool, ...]:
     if not 0 <= number < NUMBERS:
         raise InputError(f"number = {number} given; coded targets have numbers 0 to {NUMBERS - 1}")
     return ring_code().bits(number)
-
-
-def number_of(bits: tuple[bool, ...]) -> int | None:
-    """Return the number whose sectors, counter-clockwise from any start, are ``bits``; None for any other."""
-    found = ring_code().find(bits)
-    return None if found is None else found[0]

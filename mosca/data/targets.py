@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from mosca.data.arrays import Array, read_only
+from mosca.data.arrays import Array, read_only, set_read_only
 from mosca.data.target_codes import NUMBERS
 
 RING_INNER, RING_OUTER, PLATE = 2.0, 3.0, 8.0
@@ -89,7 +89,7 @@ class PlacedTarget:
     x_axis: Array | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "position", read_only(self.position, (3,), "position"))
+        set_read_only(self, position=(3,))
         x, _, z = face_axes(self.normal, self.x_axis).T
         object.__setattr__(self, "normal", read_only(z, (3,), "normal"))
         object.__setattr__(self, "x_axis", read_only(x, (3,), "x_axis"))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mosca.data.arrays import Array, read_only
+from mosca.data.arrays import Array, set_read_only
 from mosca.data.files.npz import from_npz
 
 STATUSES = ("measured", "filled", "predicted")
@@ -33,13 +33,8 @@ class Points:
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.xyz))
-        object.__setattr__(self, "xyz", read_only(self.xyz, (None, 3), "xyz"))
-        object.__setattr__(self, "covariance", read_only(self.covariance, (n, 3, 3), "covariance"))
-        object.__setattr__(self, "n_cameras", read_only(self.n_cameras, (n,), "n_cameras", np.int64))
-        object.__setattr__(self, "residual_px", read_only(self.residual_px, (n,), "residual_px"))
-        object.__setattr__(self, "rays", read_only(self.rays, (n, None), "rays", np.int64))
-        object.__setattr__(self, "diameter_m", read_only(self.diameter_m, (n,), "diameter_m"))
-        object.__setattr__(self, "trusted", read_only(self.trusted, (n,), "trusted"))
+        set_read_only(self, xyz=(None, 3), covariance=(n, 3, 3), residual_px=(n,), diameter_m=(n,), trusted=(n,))
+        set_read_only(self, np.int64, n_cameras=(n,), rays=(n, None))
 
     def __len__(self) -> int:
         return len(self.xyz)
@@ -116,18 +111,9 @@ class Tracks:
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.frame))
-        for name, shape, dtype in (
-            ("frame", (n,), np.int64),
-            ("time_ns", (n,), np.int64),
-            ("track", (n,), np.int64),
-            ("label", (n,), np.str_),
-            ("xyz", (n, 3), np.float64),
-            ("covariance", (n, 3, 3), np.float64),
-            ("n_cameras", (n,), np.int64),
-            ("residual_px", (n,), np.float64),
-            ("status", (n,), np.str_),
-        ):
-            object.__setattr__(self, name, read_only(getattr(self, name), shape, name, dtype))
+        set_read_only(self, np.int64, frame=(n,), time_ns=(n,), track=(n,), n_cameras=(n,))
+        set_read_only(self, np.str_, label=(n,), status=(n,))
+        set_read_only(self, xyz=(n, 3), covariance=(n, 3, 3), residual_px=(n,))
         unknown = set(np.unique(self.status)) - set(STATUSES)
         if unknown:
             raise ValueError(f"status: {sorted(unknown)} given, {STATUSES} allowed")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mosca.data.arrays import Array, read_only
+from mosca.data.arrays import Array, set_read_only
 from mosca.data.files.npz import from_npz
 
 NO_FRAME = int(np.iinfo(np.int64).min)
@@ -41,18 +41,9 @@ class FramesTruth:
     def __post_init__(self) -> None:
         n = len(np.asarray(self.camera))
         m = np.shape(self.visible)[1]
-        for name in ("camera", "index", "stamp_ns", "exposure_mid_ns"):
-            object.__setattr__(self, name, read_only(getattr(self, name), (n,), name, np.int64))
-        shapes = {
-            "xyz": (n, m, 3),
-            "visible": (n, m),
-            "image_xy_px": (n, m, 2),
-            "diameter_px": (n, m),
-            "camera_rotation": (n, 3, 3),
-            "camera_position": (n, 3),
-        }
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, read_only(getattr(self, name), shape, name))
+        set_read_only(self, np.int64, camera=(n,), index=(n,), stamp_ns=(n,), exposure_mid_ns=(n,))
+        set_read_only(self, xyz=(n, m, 3), visible=(n, m), image_xy_px=(n, m, 2), diameter_px=(n, m))
+        set_read_only(self, camera_rotation=(n, 3, 3), camera_position=(n, 3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,22 +82,12 @@ class Truth:
         t, m, c = len(np.asarray(self.time_ns)), len(self.names), len(self.cameras)
         object.__setattr__(self, "names", tuple(self.names))
         object.__setattr__(self, "cameras", tuple(self.cameras))
-        shapes = {
-            "xyz": (t, m, 3),
-            "visible": (t, m, c),
-            "image_xy_px": (t, m, c, 2),
-            "diameter_px": (t, m, c),
-            "camera_rotation": (t, c, 3, 3),
-            "camera_position": (t, c, 3),
-        }
-        for name, shape in shapes.items():
-            given = getattr(self, name)
-            if given is not None:
-                object.__setattr__(self, name, read_only(given, shape, name))
-        object.__setattr__(self, "time_ns", read_only(self.time_ns, (t,), "time_ns", np.int64))
-        object.__setattr__(
-            self, "exposure_mid_ns", read_only(self.exposure_mid_ns, (t, c), "exposure_mid_ns", np.int64)
-        )
+        set_read_only(self, np.int64, time_ns=(t,), exposure_mid_ns=(t, c))
+        set_read_only(self, xyz=(t, m, 3), visible=(t, m, c), image_xy_px=(t, m, c, 2), diameter_px=(t, m, c))
+        if self.camera_rotation is not None:
+            set_read_only(self, camera_rotation=(t, c, 3, 3))
+        if self.camera_position is not None:
+            set_read_only(self, camera_position=(t, c, 3))
 
 
 def write_truth(truth: Truth, path: Path) -> None:

@@ -5,7 +5,7 @@ from itertools import pairwise, permutations
 
 import numpy as np
 
-from mosca.data.arrays import Array, read_only
+from mosca.data.arrays import Array, set_read_only
 from mosca.data.targets import above_zero, not_below_zero
 
 TELL_APART = 0.02
@@ -67,7 +67,7 @@ class LFrame:
     def __post_init__(self) -> None:
         object.__setattr__(self, "names", tuple(self.names))
         n = len(self.names)
-        object.__setattr__(self, "positions", read_only(self.positions, (n, 3), "positions"))
+        set_read_only(self, positions=(n, 3))
         above_zero("diameter_m", self.diameter_m)
         not_below_zero("sigma_m", self.sigma_m)
         if not 3 <= n <= MOST_FRAME_MARKERS:

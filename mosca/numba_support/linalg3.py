@@ -1,4 +1,4 @@
-"""Linear algebra of three dimensions for compiled code: symmetric 3 x 3 matrices, vectors and rotations as scalars.
+"""Linear algebra of three dimensions for compiled code: symmetric 3 x 3 matrices and vectors as scalars.
 
 Matrices are NamedTuples of numbers, which Numba keeps in registers: no array is made and none is counted, so that
 bare steps may make and return them. All are inlined: as calls they cost matching 8 %. Inverses are by cofactors:
@@ -7,12 +7,7 @@ good to about the condition number times 1e-16, far better than covariances of s
 
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from mosca.numba_support.decorators import inlined_step
-
-SMALL_ANGLE_RAD = 1e-4
-"""Below this angle sin(a)/a and (1 - cos(a))/a^2 are taken from their series, exact there to 1e-17."""
 
 
 class Symmetric3(NamedTuple):
@@ -23,20 +18,6 @@ class Symmetric3(NamedTuple):
     xz: float
     yy: float
     yz: float
-    zz: float
-
-
-class Matrix3(NamedTuple):
-    """A 3 x 3 matrix, row by row."""
-
-    xx: float
-    xy: float
-    xz: float
-    yx: float
-    yy: float
-    yz: float
-    zx: float
-    zy: float
     zz: float
 
 
@@ -124,41 +105,3 @@ def mahalanobis3(covariance: Symmetric3, x: float, y: float, z: float) -> tuple[
     cofactors = cofactors3(covariance)
     determinant = determinant3(covariance, cofactors)
     return quadratic_form3(cofactors, x, y, z) / determinant, determinant
-
-
-@inlined_step
-def cross3(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> tuple[float, float, float]:
-    """Return the cross product a x b."""
-    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-
-
-@inlined_step
-def rodrigues_factors(angle2: float) -> tuple[float, float]:
-    """Return sin(a) / a and (1 - cos(a)) / a^2 of a rotation by an angle given squared [rad^2]."""
-    angle = np.sqrt(angle2)
-    if angle < SMALL_ANGLE_RAD:
-        return 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
-    return np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle2
-
-
-@inlined_step
-def rotation3(x: float, y: float, z: float) -> Matrix3:
-    """Return the rotation exp([w]x) about w = (x, y, z) by its length [rad] (Rodrigues' formula)."""
-    s, c = rodrigues_factors(x * x + y * y + z * z)
-    return Matrix3(
-        1 - c * (y * y + z * z),
-        c * x * y - s * z,
-        c * x * z + s * y,
-        c * x * y + s * z,
-        1 - c * (x * x + z * z),
-        c * y * z - s * x,
-        c * x * z - s * y,
-        c * y * z + s * x,
-        1 - c * (x * x + y * y),
-    )
-
-
-@inlined_step
-def rotate3(r: Matrix3, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return r (x, y, z)'."""
-    return r.xx * x + r.xy * y + r.xz * z, r.yx * x + r.yy * y + r.yz * z, r.zx * x + r.zy * y + r.zz * z

@@ -67,7 +67,10 @@ def _open_numbered(path: Path, rig: Rig | None, fps: float | None) -> NumberedRe
         stated = None if use_folders else stated_rate_hz(next(iter(found.values())))
         said = f" (the video states {stated:g})" if stated else ""
         raise InputError(f"{path}: no frames.csv says when its frames were taken; pass --fps{said}")
-    table_stamps = _read_table(table, found, fps) if table.exists() else None
+    table_stamps = None
+    if table.exists():
+        entries_of = {entry.name if entry.is_dir() else entry.stem: name for name, entry in found.items()}
+        table_stamps = read_stamps(table, entries_of, fps)
     rate_hz = table_stamps.rate_hz if table_stamps is not None else fps or 0.0
     feeds: list[FolderFeed | VideoFeed] = []
     notes = []
@@ -82,10 +85,6 @@ def _open_numbered(path: Path, rig: Rig | None, fps: float | None) -> NumberedRe
     first, last = _span(feeds, table_stamps, path)
     stamps: Stamps = table_stamps if table_stamps is not None else EvenStamps(rate_hz, first)
     return NumberedRecording(tuple(feeds), first, last, stamps, tuple(notes))
-
-
-def _read_table(table: Path, found: dict[str, Path], fps: float | None) -> TableStamps:
-    return read_stamps(table, {_name(entry): name for name, entry in found.items()}, fps)
 
 
 def _span(feeds: Sequence[FolderFeed | VideoFeed], table: TableStamps | None, path: Path) -> tuple[int, int]:
@@ -126,10 +125,6 @@ def _match(name: str, entries: Sequence[str], path: Path) -> str:
 
 def _all_found(entries: dict[str, Path], names: Sequence[str]) -> bool:
     return all(any(entry.endswith(name) for entry in entries) for name in names)
-
-
-def _name(entry: Path) -> str:
-    return entry.name if entry.is_dir() else entry.stem
 
 
 def _sorted(path: Path) -> list[Path]:

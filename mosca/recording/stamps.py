@@ -12,13 +12,13 @@ from bisect import bisect_left
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Protocol, cast, get_args
 
 from mosca.data.frames import FrameStatus
 from mosca.errors import InputError
 
 COLUMNS = ("frame", "camera", "time_ns", "exposure_ns", "status")
-STATUSES = ("ok", "dropped", "corrupt")
+STATUSES = get_args(FrameStatus)
 
 
 @dataclass(frozen=True)

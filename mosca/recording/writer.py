@@ -17,7 +17,7 @@ from mcap.writer import CompressionType, Writer
 
 from mosca.data.arrays import Array
 from mosca.data.detections import Detections
-from mosca.data.files.whole_file import whole_file
+from mosca.data.files.whole_file import write_text
 from mosca.data.frames import CameraInfo, Frame, FrameSet
 from mosca.errors import InputError
 from mosca.recording import mcap_format as layout
@@ -193,8 +193,7 @@ class RecordingWriter:
         with self._disk():
             self._end_file()
             (self.path / PART_NAME).replace(self.path / MCAP_NAME)
-            with whole_file(self.path / TOML_NAME) as temporary:
-                temporary.write_text(self._toml(), encoding="utf-8")
+            write_text(self.path / TOML_NAME, self._toml())
         self._close_tail()
 
     def abandon(self) -> None:

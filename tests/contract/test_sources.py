@@ -1,7 +1,7 @@
 """What every FrameSource keeps, whatever it is made of.
 
 To add a source: write a function ``(folder) -> FrameSource`` that gives two cameras ``a`` and ``b`` of 64x48 px
-at 100 frames/s, eight pulses, with at least one frame lost, and put it into ``sources()``; into ``LIVE`` too where it
+at 100 frames/s, eight pulses, with at least one frame lost, and put it into ``SOURCES``; into ``LIVE`` too where it
 can be iterated once only, and a second take needs another source.
 """
 
@@ -121,25 +121,20 @@ def rig_source(folder: Path) -> FrameSource:
 LIVE = ("rig",)
 
 
-def sources() -> dict[str, Factory]:
-    """Every source under contract."""
-    return {
-        "folder": folder_source,
-        "video": video_source,
-        "mcap": mcap_source,
-        "twin": twin_source,
-        "rig": rig_source,
-    }
+SOURCES: dict[str, Factory] = {
+    "folder": folder_source, "video": video_source, "mcap": mcap_source, "twin": twin_source, "rig": rig_source,
+}  # fmt: skip
+"""Every source under contract."""
 
 
-@pytest.fixture(params=list(sources()))
+@pytest.fixture(params=list(SOURCES))
 def kind(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
 @pytest.fixture
 def source(kind: str, tmp_path: Path) -> Iterator[FrameSource]:
-    made = sources()[kind](tmp_path / "recording")
+    made = SOURCES[kind](tmp_path / "recording")
     yield made
     made.close()
 
@@ -147,7 +142,7 @@ def source(kind: str, tmp_path: Path) -> Iterator[FrameSource]:
 @pytest.fixture
 def again(kind: str, source: FrameSource, tmp_path: Path) -> Iterator[FrameSource]:
     """What gives the frames of ``source`` once more: itself, or of a live one another take."""
-    made = sources()[kind](tmp_path / "again") if kind in LIVE else source
+    made = SOURCES[kind](tmp_path / "again") if kind in LIVE else source
     yield made
     made.close()
 
@@ -228,7 +223,7 @@ def test_leaving_early_frees_everything(source: FrameSource, again: FrameSource)
 
 @pytest.mark.parametrize("name", LIVE)
 def test_a_live_source_refuses_a_second_iteration(name: str, tmp_path: Path) -> None:
-    with sources()[name](tmp_path / "recording") as source:
+    with SOURCES[name](tmp_path / "recording") as source:
         for _ in source:
             break
         with pytest.raises(DeviceError, match="open it again for another take"):
@@ -250,7 +245,7 @@ def test_it_closes_on_an_error(source: FrameSource) -> None:
 
 @pytest.mark.parametrize("name", ["folder", "video", "mcap"])
 def test_recordings_give_the_very_pixels(name: str, tmp_path: Path) -> None:
-    with sources()[name](tmp_path / "recording") as source:
+    with SOURCES[name](tmp_path / "recording") as source:
         first = min(frame.index for frame in source)
         frames = [f for f in source if f.status == "ok"]
     assert len(frames) == 2 * PULSES - 1

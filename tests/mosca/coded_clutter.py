@@ -7,7 +7,7 @@ import numpy as np
 from coded_views import View, paint
 from scipy import ndimage
 
-from mosca.data.target_codes import SECTORS, number_of, ring_code
+from mosca.data.target_codes import SECTORS, ring_code
 
 SHAPE = (120, 160)
 FINE = 4
@@ -69,7 +69,7 @@ def other_rings(rng: np.random.Generator) -> np.ndarray:
     views = []
     for x, y in ((40, 32), (120, 32), (40, 88), (120, 88)):
         bits = tuple(bool(b) for b in rng.integers(0, 2, SECTORS))
-        while number_of(bits) is not None:
+        while ring_code().find(bits) is not None:
             bits = tuple(bool(b) for b in rng.integers(0, 2, SECTORS))
         at = (x + rng.uniform(-3, 3), y + rng.uniform(-3, 3))
         tilt, lean, roll = rng.uniform(0, 1.2), *rng.uniform(0, 2 * np.pi, 2)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rigs import ring
 
 import mosca
 from mosca.errors import InputError
@@ -11,17 +12,10 @@ from mosca.errors import InputError
 XYZ = np.array([[0.1, 0.0, 0.05], [-0.2, 0.1, 0.0], [0.0, -0.15, 0.1]])
 
 
-def ring(n: int = 3) -> mosca.Rig:
-    """Pinhole cameras on a circle of 2 m, aimed at the origin."""
-    cameras = []
-    for k in range(n):
-        angle = 2 * np.pi * k / n
-        forward = -np.array([np.cos(angle), np.sin(angle), 0.0])
-        right = np.array([-np.sin(angle), np.cos(angle), 0.0])
-        pose = mosca.Pose(np.column_stack([right, np.cross(forward, right), forward]), -2 * forward)
-        lens = mosca.OpenCVLens(1000.0, 1000.0, 319.5, 239.5)
-        cameras.append(mosca.Camera(f"cam{k + 1}", 640, 480, lens, pose))
-    return mosca.Rig(tuple(cameras))
+RIG = ring(
+    3, mosca.OpenCVLens(1000.0, 1000.0, 319.5, 239.5), radius_m=2.0, height_m=0.0, first_rad=0.0, size=(640, 480),
+    names=("cam1", "cam2", "cam3"),
+)  # fmt: skip
 
 
 def disc(x: float, y: float) -> np.ndarray:
@@ -52,45 +46,43 @@ def test_sixteen_bit_images_need_no_word_about_their_depth() -> None:
 
 
 def test_pixels_by_name_become_points_with_the_covariance_of_the_normal_equations() -> None:
-    rig = ring()
-    pixels = {camera.name: mosca.project(camera, XYZ) for camera in rig.cameras}
+    pixels = {camera.name: mosca.project(camera, XYZ) for camera in RIG.cameras}
     pixels["cam3"][1] = np.nan
-    points = mosca.triangulate(rig, pixels, sigma_px=0.1)
+    points = mosca.triangulate(RIG, pixels, sigma_px=0.1)
     assert points.xyz == pytest.approx(XYZ, abs=1e-9)
     assert points.residual_px == pytest.approx(np.zeros(3), abs=1e-6)
     step = 1e-6
     for k, seen in ((0, (0, 1, 2)), (1, (0, 1))):
         normal = np.zeros((3, 3))
         for c in seen:
-            moved = [mosca.project(rig.cameras[c], XYZ[k : k + 1] + step * axis)[0] for axis in np.eye(3)]
-            jacobian = (np.array(moved) - mosca.project(rig.cameras[c], XYZ[k : k + 1])[0]).T / step
+            moved = [mosca.project(RIG.cameras[c], XYZ[k : k + 1] + step * axis)[0] for axis in np.eye(3)]
+            jacobian = (np.array(moved) - mosca.project(RIG.cameras[c], XYZ[k : k + 1])[0]).T / step
             normal += jacobian.T @ jacobian / 0.1**2
         assert points.covariance[k] == pytest.approx(np.linalg.inv(normal), rel=1e-3)
 
 
 def test_a_camera_may_be_left_out_and_a_wrong_one_is_named() -> None:
-    rig = ring()
-    pixels = {camera.name: mosca.project(camera, XYZ) for camera in rig.cameras[:2]}
-    assert mosca.triangulate(rig, pixels).xyz == pytest.approx(XYZ, abs=1e-9)
+    pixels = {camera.name: mosca.project(camera, XYZ) for camera in RIG.cameras[:2]}
+    assert mosca.triangulate(RIG, pixels).xyz == pytest.approx(XYZ, abs=1e-9)
     with pytest.raises(InputError, match="camera 'left' given; the rig has cam1, cam2, cam3"):
-        mosca.triangulate(rig, {"left": pixels["cam1"]})
+        mosca.triangulate(RIG, {"left": pixels["cam1"]})
     with pytest.raises(InputError, match="cam1 3, cam2 2 rows given"):
-        mosca.triangulate(rig, {"cam1": pixels["cam1"], "cam2": pixels["cam2"][:2]})
+        mosca.triangulate(RIG, {"cam1": pixels["cam1"], "cam2": pixels["cam2"][:2]})
 
 
 def test_detections_are_matched_and_tracked_without_a_setting() -> None:
-    rig, speed, instants = ring(), np.array([0.2, 0.0, 0.0]), []
+    speed, instants = np.array([0.2, 0.0, 0.0]), []
     for frame in range(12):
         true = XYZ + frame * 0.01 * speed
         seen = {}
-        for camera in rig.cameras:
+        for camera in RIG.cameras:
             xy = mosca.project(camera, true)
             n = len(xy)
             covariance = np.tile(1e-4 * np.eye(2), (n, 1, 1))
             seen[camera.name] = mosca.Detections(
                 camera.name, xy, covariance, np.full(n, 4.0), np.full(n, 99.0), np.ones(n)
             )
-        points = mosca.match(rig, seen, volume=((-1, -1, -1), (1, 1, 1)))
+        points = mosca.match(RIG, seen, volume=((-1, -1, -1), (1, 1, 1)))
         assert sorted(points.xyz.round(6).tolist()) == sorted(true.round(6).tolist())
         instants.append((frame * 10_000_000, points))
     tracks = mosca.track(instants)
@@ -98,9 +90,9 @@ def test_detections_are_matched_and_tracked_without_a_setting() -> None:
 
 
 def test_files_are_str_or_path(tmp_path: Path) -> None:
-    rig, path = ring(), tmp_path / "rig.toml"
-    mosca.write_rig(rig, str(path))
-    assert mosca.read_rig(str(path)).names == mosca.read_rig(path).names == rig.names
+    path = tmp_path / "rig.toml"
+    mosca.write_rig(RIG, str(path))
+    assert mosca.read_rig(str(path)).names == mosca.read_rig(path).names == RIG.names
     with pytest.raises(InputError, match="no such"):
         mosca.reconstruct(str(tmp_path / "nothing"), str(path))
     with pytest.raises(InputError, match=r"no_target\.toml"):

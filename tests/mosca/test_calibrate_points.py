@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from mosca.calibration.single_camera.adjust import AdjustmentSettings
 from mosca.calibration.single_camera.from_points import calibrate_from_points, summary
-from mosca.data.files.target_file import MeasuredPoints, read_measured_points, read_target
+from mosca.data.files.target_file import MeasuredPoints, read_measured_points, read_target_file
 from mosca.errors import CalibrationError, InputError
 
 TARGET = """
@@ -55,7 +55,7 @@ def write_recording(folder: Path, noise_px: float = 0.1) -> dict[str, np.ndarray
 
 def target_of(folder: Path, text: str = TARGET):
     (folder / "target.toml").write_text(text)
-    return read_target(folder / "target.toml")
+    return read_target_file(folder / "target.toml")
 
 
 def test_two_cameras_from_files(tmp_path):
@@ -182,4 +182,4 @@ def test_any_bytes_are_read_or_refused(tmp_path, content):
         assert isinstance(read_measured_points(tmp_path / "any", target), MeasuredPoints)
     (tmp_path / "any.toml").write_bytes(content)
     with pytest.raises(InputError):
-        read_target(tmp_path / "any.toml")
+        read_target_file(tmp_path / "any.toml")

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from rigs import ring
 
 from mosca.camera.projection import project
 from mosca.camera.ray_table import make_ray_table
 from mosca.data.detections import Detections
 from mosca.data.frames import FrameSet
-from mosca.data.rig import Camera, MoscaLens, Pose, Rig
+from mosca.data.rig import MoscaLens
 from mosca.data.tracks import Points
 from mosca.diagnostics.camera_health import Health
 from mosca.triangulation.triangulate import triangulate
@@ -16,18 +17,7 @@ NOISE_PX = 0.01
 RATE_HZ = 100.0
 
 
-def rig_of(count=4):
-    cameras = []
-    for k in range(count):
-        angle = 2 * np.pi * k / count + 0.3
-        forward = -np.array([np.cos(angle), np.sin(angle), 0.1 * (-1) ** k])
-        forward /= np.linalg.norm(forward)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        rotation = np.column_stack([right, np.cross(forward, right), forward])
-        lens = MoscaLens(6.0, 327.5, 245.0, 0.0099, 0.0099)
-        cameras.append(Camera(f"c{k}", 656, 491, lens, Pose(rotation, -2.0 * forward)))
-    return Rig(tuple(cameras))
+RIG = ring(4, MoscaLens(6.0, 327.5, 245.0, 0.0099, 0.0099), radius_m=1.99, height_m=(0.2, -0.2, 0.2, -0.2))
 
 
 def watched(
@@ -35,9 +25,9 @@ def watched(
 ):
     """Health after frame sets whose images shake (rms of each camera), with trigger errors; m/s speeds."""
     rng = np.random.default_rng(seed)
-    rig, health = rig_of(), Health(rig_of())
+    health = Health(RIG)
     start, speed = rng.uniform(-0.3, 0.3, (markers, 3)), rng.normal(0, 1.0, (markers, 3))
-    names = {c.name: c for c in rig.cameras}
+    names = {c.name: c for c in RIG.cameras}
     for pulse in range(sets):
         t = pulse / RATE_HZ
         # back and forth, so that markers stay; the speed at any time is known
@@ -56,13 +46,13 @@ def watched(
                 name, np.concatenate([xy, stray]), np.tile(NOISE_PX**2 * np.eye(2), (n, 1, 1)),
                 np.full(n, 6.0), np.full(n, 200.0), np.ones(n),
             )  # fmt: skip
-        xyz, covariance, residual = triangulate(rig, image, 0.05)
+        xyz, covariance, residual = triangulate(RIG, image, 0.05)
         seen = np.isfinite(image[:, :, 0])
         rays = np.where(seen, np.arange(markers)[:, None], -1)
         views = seen.sum(axis=1)
         points = Points(xyz, covariance, views, residual, rays, np.full(markers, 0.01), views)
-        bundle = None if handed is None else make_ray_table(rig, found, handed)
-        health.attend(rig, FrameSet(pulse, round(t * 1e9)), found, points, bundle)
+        bundle = None if handed is None else make_ray_table(RIG, found, handed)
+        health.attend(RIG, FrameSet(pulse, round(t * 1e9)), found, points, bundle)
     return health
 
 
@@ -108,7 +98,7 @@ def test_rays_that_are_handed_on_tell_the_same_however_they_are_whitened():
 
 
 def test_still_points_tell_nothing_of_clocks():
-    health = Health(rig_of())
+    health = Health(RIG)
     assert all(np.isnan(c.late_s) for c in health.cameras())
     assert health.findings() == ()
 

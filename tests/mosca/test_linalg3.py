@@ -6,18 +6,14 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial.transform import Rotation
 
 from mosca.numba_support.linalg3 import (
     cofactors3,
-    cross3,
     determinant3,
     inverse3,
     mahalanobis3,
     plus_identity3,
     quadratic_form3,
-    rotate3,
-    rotation3,
     scaled3,
     store3,
     sum3,
@@ -46,11 +42,6 @@ def forms(a, v):  # type: ignore[no-untyped-def]
         mahalanobis3(s, v[0], v[1], v[2]),
         times3(s, v[0], v[1], v[2]),
     )
-
-
-@numba.njit(error_model="numpy")
-def turned(w, v):  # type: ignore[no-untyped-def]
-    return rotate3(rotation3(w[0], w[1], w[2]), v[0], v[1], v[2]), cross3(w[0], w[1], w[2], v[0], v[1], v[2])
 
 
 @numba.njit
@@ -84,14 +75,6 @@ def test_symmetric_matrices_as_numpy_has_them(a: np.ndarray) -> None:
     assert_allclose(form, v @ a @ v, rtol=1e-12)
     assert_allclose(distance2, v @ np.linalg.solve(a, v), rtol=close)
     assert_allclose(product, a @ v, rtol=1e-12, atol=1e-12 * np.abs(a).max())
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 9.9e-5, 1.01e-4, 0.3, 3.0])
-def test_rotations_as_scipy_has_them(angle: float) -> None:
-    w, v = angle * np.array([0.6, -0.48, 0.64]), np.array([1.0, 2.0, -0.5])
-    rotated, crossed = turned(w, v)
-    assert_allclose(rotated, Rotation.from_rotvec(w).apply(v), rtol=0, atol=1e-15 * 4)
-    assert_allclose(crossed, np.cross(w, v), rtol=1e-15)
 
 
 def test_disjoint_sets_are_the_connected_components_and_their_roots_the_smallest_elements() -> None:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from mosca.data.motion.asf import read_asf_amc
 from mosca.data.motion.bvh import read_bvh
 from mosca.data.motion.joint_csv import read_points_csv
-from mosca.data.motion.motion import forward_kinematics
+from mosca.data.motion.motion import Motion, forward_kinematics
 from mosca.errors import InputError
 
 DATA = Path(os.environ.get("MOSCA_DATA", Path(__file__).parents[3] / "shared" / "data")) / "cmu_mocap"
@@ -160,43 +160,40 @@ def test_bvh_agrees_with_scipy_for_every_channel_order(
     np.testing.assert_allclose(rotations[0, 1], (up * knee * up.inv()).as_matrix(), atol=1e-12)
 
 
+def _read(folder: Path, bvh: str | bytes = "", asf: str | bytes = ASF, amc: str | bytes = AMC) -> Motion:
+    """Read a BVH, or an ASF with its AMC where there is none."""
+    if bvh:
+        return read_bvh(_write(folder, "a.bvh", bvh))
+    return read_asf_amc(_write(folder, "a.asf", asf), _write(folder, "a.amc", amc))
+
+
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("kind", "old", "new", "said"),
     [
-        ("Frames: 2", "Frames: 3", "cut short"),
-        ("Frames: 2", "Frames: 99999999999999", "a number within"),
-        ("Frame Time: 0.01", "Frame Time: 0", "seconds above zero"),
-        ("90 0 0 90", "90 0 nan 90", "a number within"),
-        ("90 0 0 90", "90 0 ups 90", "a number wanted"),
-        ("OFFSET 0 1 0\n    CH", "CH", "'knee' has no OFFSET"),
-        ("CHANNELS 3", "CHANNELS 4", "CHANNELS must be"),
-        ("JOINT knee", "JOINT hip", "used twice"),
-        ("JOINT knee\n  {", "JOINT knee", "line 7: 'OFFSET' outside"),
-        ("MOTION", "NOTION", "no 'MOTION'"),
+        ("bvh", "Frames: 2", "Frames: 3", "cut short"),
+        ("bvh", "Frames: 2", "Frames: 99999999999999", "a number within"),
+        ("bvh", "Frame Time: 0.01", "Frame Time: 0", "seconds above zero"),
+        ("bvh", "90 0 0 90", "90 0 nan 90", "a number within"),
+        ("bvh", "90 0 0 90", "90 0 ups 90", "a number wanted"),
+        ("bvh", "OFFSET 0 1 0\n    CH", "CH", "'knee' has no OFFSET"),
+        ("bvh", "CHANNELS 3", "CHANNELS 4", "CHANNELS must be"),
+        ("bvh", "JOINT knee", "JOINT hip", "used twice"),
+        ("bvh", "JOINT knee\n  {", "JOINT knee", "line 7: 'OFFSET' outside"),
+        ("bvh", "MOTION", "NOTION", "no 'MOTION'"),
+        ("amc", "\n2\n", "\n3\n", "frame 3 follows 1"),
+        ("amc", "b 40 50 60", "", "other bones than the first"),
+        ("amc", "b 40 50 60", "b 40 50", "3 numbers wanted"),
+        ("amc", "b 40 50 60", "c 40 50 60", "a bone of the ASF file wanted"),
+        ("amc", "a 90", "a x", "a number wanted"),
     ],
 )
-def test_bvh_errors_say_what_is_wrong(tmp_path: Path, old: str, new: str, said: str) -> None:
-    path = _write(tmp_path, "a.bvh", TWO_BONES.replace(old, new, 1))
+def test_errors_say_what_is_wrong(tmp_path: Path, kind: str, old: str, new: str, said: str) -> None:
+    good = {"bvh": TWO_BONES, "amc": AMC}[kind]
+    assert old in good
     with pytest.raises(InputError, match=said) as error:
-        read_bvh(path)
-    assert str(path) in str(error.value)
+        _read(tmp_path, **{kind: good.replace(old, new, 1)})
+    assert str(tmp_path / f"a.{kind}") in str(error.value)
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("\n2\n", "\n3\n", "frame 3 follows 1"),
-        ("b 40 50 60", "", "other bones than the first"),
-        ("b 40 50 60", "b 40 50", "3 numbers wanted"),
-        ("b 40 50 60", "c 40 50 60", "a bone of the ASF file wanted"),
-        ("a 90", "a x", "a number wanted"),
-    ],
-)
-def test_amc_errors_say_what_is_wrong(tmp_path: Path, old: str, new: str, said: str) -> None:
-    asf, amc = _write(tmp_path, "a.asf", ASF), _write(tmp_path, "a.amc", AMC.replace(old, new, 1))
-    with pytest.raises(InputError, match=said):
-        read_asf_amc(asf, amc)
 
 
 def test_other_errors(tmp_path: Path) -> None:
@@ -244,27 +241,16 @@ fuzz = settings(
 )
 
 
+@pytest.mark.parametrize(("kind", "good"), [("bvh", TWO_BONES), ("asf", ASF), ("amc", AMC)])
 @fuzz
-@given(content=st.one_of(st.binary(max_size=200), _damaged(TWO_BONES)))
-def test_any_bytes_as_bvh(tmp_path: Path, content: bytes) -> None:
+@given(data=st.data())
+def test_any_bytes_as_motion(tmp_path: Path, kind: str, good: str, data: st.DataObject) -> None:
+    content = data.draw(st.one_of(st.binary(min_size=1, max_size=200), _damaged(good).filter(len)))
     try:
-        motion = read_bvh(_write(tmp_path, "a.bvh", content))
+        motion = _read(tmp_path, **{kind: content})
     except InputError:
         return
     assert np.isfinite(forward_kinematics(motion)[0]).all()
-
-
-@fuzz
-@given(skeleton=st.one_of(st.binary(max_size=200), _damaged(ASF)), content=_damaged(AMC))
-def test_any_bytes_as_asf_and_amc(tmp_path: Path, skeleton: bytes, content: bytes) -> None:
-    good_asf, good_amc = _write(tmp_path, "g.asf", ASF), _write(tmp_path, "g.amc", AMC)
-    asf, amc = _write(tmp_path, "a.asf", skeleton), _write(tmp_path, "a.amc", content)
-    for pair in ((asf, good_amc), (good_asf, amc)):
-        try:
-            motion = read_asf_amc(*pair)
-        except InputError:
-            continue
-        assert np.isfinite(forward_kinematics(motion)[0]).all()
 
 
 @fuzz

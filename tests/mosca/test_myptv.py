@@ -20,7 +20,7 @@ from mosca.calibration.single_camera.from_points import calibrate_from_points
 from mosca.camera.projection import project, rays
 from mosca.data.detections import Detections
 from mosca.data.files.rig_file import read_rig
-from mosca.data.files.target_file import PointsTarget, read_target
+from mosca.data.files.target_file import PointsTarget, read_target_file
 from mosca.data.rig import Rig
 from mosca.detection.detect import DetectionSettings, detect
 from mosca.formats.tracks.tracks_csv import read_tracks_csv
@@ -56,7 +56,7 @@ def target(tmp_path: Path, lens: str) -> PointsTarget:
     cameras = "\n".join(f'[[camera]]\nname = "{name}"\nfile = "Calibration/{name}_cal_points"' for name in CAMERAS)
     path = tmp_path / "target.toml"
     path.write_text(f'kind = "points"\nunit = "mm"\nlens = "{lens}"\nsize_px = [1280, 1024]\n{cameras}\n')
-    return read_target(path)
+    return read_target_file(path)
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,11 @@ import pytest
 import tomli_w
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from target_files import field_toml
 
 from mosca.data.boards import Board
-from mosca.data.files.target_file import PointsTarget, read_target, read_target_file, target_schema
-from mosca.data.files.target_tables import TABLES, field_toml
+from mosca.data.files.target_file import PointsTarget, read_target_file, target_schema
+from mosca.data.files.target_tables import TABLES
 from mosca.data.targets import BallTarget, CodedTarget, PlacedTarget, RoundTarget, ScaleBar, TestField
 from mosca.data.wands import LFrame, Wand
 from mosca.errors import InputError
@@ -77,17 +78,9 @@ def test_a_board_a_wand_a_frame_and_bars(tmp_path):
     assert read(tmp_path, plain) == ScaleBar(1.00012, 5e-6, (RoundTarget(0.02), RoundTarget(0.02)))
 
 
-def test_measured_points_are_read_as_before(tmp_path):
+def test_measured_points(tmp_path):
     text = 'kind = "points"\nunit = "mm"\nsize_px = [8, 8]\n[[camera]]\nname = "a"\nfile = "a.txt"\n'
-    target = read(tmp_path, text)
-    assert isinstance(target, PointsTarget)
-    assert target == read_target(tmp_path / "target.toml")
-
-
-def test_measured_points_alone_are_wanted_where_they_are(tmp_path):
-    read(tmp_path, WAND)
-    with pytest.raises(InputError, match=r"kind = 'wand' given; allowed: 'points'$"):
-        read_target(tmp_path / "target.toml")
+    assert isinstance(read(tmp_path, text), PointsTarget)
 
 
 @pytest.mark.parametrize(
@@ -156,12 +149,6 @@ def test_a_field_is_written_and_read_again(tmp_path, rows):
     np.testing.assert_array_equal(again.positions, field.positions)
     for a, b in zip(again.targets, field.targets, strict=True):
         np.testing.assert_allclose(a.rotation, b.rotation, atol=1e-12)
-
-
-def test_a_field_of_two_sizes_has_no_file():
-    field = TestField(tuple(PlacedTarget(f"t{k}", RoundTarget(0.01 * (k + 1)), np.zeros(3)) for k in range(2)))
-    with pytest.raises(ValueError, match="of one size"):
-        field_toml(field)
 
 
 @quiet

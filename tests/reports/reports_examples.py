@@ -3,29 +3,18 @@
 from dataclasses import replace
 
 import numpy as np
+from rigs import ring
 
-from mosca.data.arrays import Array
 from mosca.data.detections import Detections
-from mosca.data.rig import Camera, OpenCVLens, Pose, Rig
+from mosca.data.rig import OpenCVLens, Rig
 from mosca.data.tracks import Tracks
 from reports.evidence import CameraView, ErrorTable, Evidence, MarkerCounts
 from reports.record import Metric, MetricBlocks, RunRecord
 
 
-def look_at(position: Array, target: Array) -> Pose:
-    """Return world_from_camera of a camera at ``position`` that is aimed at ``target`` with Z up."""
-    forward = (target - position) / np.linalg.norm(target - position)
-    right = np.cross(forward, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    return Pose(np.column_stack([right, np.cross(forward, right), forward]), position)
-
-
-def example_rig(n: int = 6, radius: float = 3.2) -> Rig:
+def example_rig(n: int = 6) -> Rig:
     lens = OpenCVLens(800.0, 800.0, 327.5, 245.0, k1=-0.08)
-    angles = 2 * np.pi * np.arange(n) / n + 0.3
-    places = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), np.full(n, 2.4)])
-    target = np.array([0.0, 0.0, 0.9])
-    return Rig(tuple(Camera(f"cam{i}", 656, 491, lens, look_at(p, target)) for i, p in enumerate(places)))
+    return ring(n, lens, radius_m=3.2, height_m=2.4, target=(0.0, 0.0, 0.9), names="cam{}")
 
 
 def example_view(rng: np.random.Generator, camera: str = "cam0", n: int = 40) -> CameraView:

@@ -2,10 +2,10 @@
 
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from html_checker import checked
 
 from mosca.data.calibration import Calibration, Finding
 from mosca.data.calibration_evidence import AccuracyGrid, CalibrationEvidence, HeldOutLengths
@@ -13,7 +13,6 @@ from mosca.data.rig import Camera, FisheyeLens, MoscaLens, OpenCVLens, Pose, Rig
 from mosca.data.sightings import Sightings
 from reports.calibration_page import verdict, with_sigma, write_calibration_page
 
-VOID = {"meta", "br", "img", "link", "input", "hr"}
 FACING = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
 
 
@@ -62,23 +61,6 @@ def evidence(count, accuracy=True, lengths=True, missing=()) -> CalibrationEvide
     )  # fmt: skip
 
 
-class Nesting(HTMLParser):
-    def __init__(self):
-        super().__init__()
-        self.open, self.wrong = [], []
-
-    def handle_starttag(self, tag, attrs):
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag, attrs):
-        pass
-
-    def handle_endtag(self, tag):
-        if not self.open or self.open.pop() != tag:
-            self.wrong.append(tag)
-
-
 def page(tmp_path, *args) -> str:
     write_calibration_page(tmp_path / "page.html", *args)
     return (tmp_path / "page.html").read_text(encoding="utf-8")
@@ -109,12 +91,8 @@ def test_the_page_is_one_offline_file_in_order(tmp_path):
     text = page(tmp_path, calibration(LENSES), evidence(3))
     assert not re.search(r'(src|href)="(https?:)?//', text)
     assert "<script" not in text
-    ids = re.findall(r'\sid="([^"]+)"', text)
+    ids = checked(tmp_path / "page.html").ids
     assert len(ids) == len(set(ids))
-    nesting = Nesting()
-    nesting.feed(text)
-    assert nesting.wrong == []
-    assert nesting.open == []
     assert page(tmp_path, calibration(LENSES), evidence(3)) == text
 
 

@@ -48,17 +48,9 @@ def test_a_planted_five_percent_is_reported_although_one_runs_interval_is_wider(
     assert "worse by 5.0 %" in str(found)
 
 
-def test_the_same_run_again_is_no_regression() -> None:
-    assert regressions(BASE, BASE) == ()
-
-
-def test_one_point_nine_percent_is_no_regression() -> None:
-    assert regressions(run_with(rms_of(1.019 * session(1))), BASE) == ()
-    assert len(regressions(run_with(rms_of(1.021 * session(1))), BASE)) == 1
-
-
-def test_an_improvement_is_no_regression() -> None:
-    assert regressions(run_with(rms_of(0.5 * session(1))), BASE) == ()
+@pytest.mark.parametrize(("factor", "found"), [(1.0, 0), (1.019, 0), (1.021, 1), (0.5, 0)])
+def test_two_percent_are_a_regression_and_an_improvement_is_none(factor: float, found: int) -> None:
+    assert len(regressions(run_with(rms_of(factor * session(1))), BASE)) == found
 
 
 def test_other_noise_of_the_same_size_is_rarely_a_regression() -> None:
@@ -99,14 +91,11 @@ def test_without_blocks_the_facing_halves_of_both_intervals_count() -> None:
     assert not found.paired
 
 
-def test_runs_of_other_seeds_are_not_paired() -> None:
-    assert regressions(run_with(rms_of(1.05 * session(1)), seed=8), BASE) == ()
-
-
-def test_few_or_different_blocks_are_not_paired() -> None:
-    assert regressions(run_with(rms_of(1.05 * session(1), blocks=19)), BASE) == ()
-    few = run_with(rms_of(session(1), blocks=7))
-    assert regressions(run_with(rms_of(1.05 * session(1), blocks=7)), few) == ()
+def test_runs_of_other_seeds_and_few_or_different_blocks_are_not_paired() -> None:
+    worse = 1.05 * session(1)
+    assert regressions(run_with(rms_of(worse), seed=8), BASE) == ()
+    assert regressions(run_with(rms_of(worse, blocks=19)), BASE) == ()
+    assert regressions(run_with(rms_of(worse, blocks=7)), run_with(rms_of(session(1), blocks=7))) == ()
 
 
 def test_blocks_without_samples_are_left_out() -> None:

@@ -14,10 +14,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "hardware"))
 
 from loopback import free_address
 from needs import needs_aravis, needs_module
+from target_files import field_toml
 
 from mosca.calibration.quality.compare_rigs import compare_rigs
 from mosca.data.files.rig_file import read_rig
-from mosca.data.files.target_tables import field_toml
 from mosca.recording import open_recording
 from scenarios.build.cameras import true_rig, virtual_cameras
 from scenarios.session.scenes import target_session

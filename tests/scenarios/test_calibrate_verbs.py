@@ -12,10 +12,10 @@ import command_line
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from target_files import field_toml
 
 from mosca.calibration.quality.compare_rigs import compare_rigs
 from mosca.data.files.rig_file import read_rig, write_rig
-from mosca.data.files.target_tables import field_toml
 from mosca.data.rig import OpenCVLens, Pose, Rig
 from mosca.data.targets import CodedTarget, TestField
 from mosca.recording import RecordingWriter

@@ -7,9 +7,9 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from target_files import field_toml
 
 from mosca.data.boards import Board
-from mosca.data.files.target_tables import field_toml
 from mosca.data.targets import BallTarget, CodedTarget, RoundTarget, ScaleBar, face_axes
 from mosca.data.wands import LFrame, Wand
 from mosca.errors import InputError

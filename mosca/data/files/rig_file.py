@@ -21,82 +21,71 @@ is not calibrated yet has no lens or pose; ``read_rig_file`` returns it, ``read_
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import MISSING, asdict, fields
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
 
 import numpy as np
 import tomli_w
-from pydantic import Field, field_validator
+from pydantic import Field, create_model, field_validator
 
 from mosca.data.files.caliscope import is_caliscope, rig_from_caliscope
-from mosca.data.files.toml import Table, check, read_toml
-from mosca.data.files.whole_file import whole_file
-from mosca.data.rig import LENS_MODELS, Camera, FisheyeLens, Lens, MoscaLens, OpenCVLens, Pose, Rig
+from mosca.data.files.toml import Positive, Table, check, read_toml
+from mosca.data.files.whole_file import write_text
+from mosca.data.rig import (
+    LENS_MODELS,
+    Camera,
+    FisheyeLens,
+    Lens,
+    MoscaLens,
+    OpenCVLens,
+    Pose,
+    Rig,
+    principal_point_px,
+)
 from mosca.data.rotations import quaternion_from_rotation, rotation_from_quaternion
 from mosca.errors import InputError
 
 LARGEST_POSITION_M = 1000.0
 """A camera farther from the world's origin than this was measured in millimetres."""
 
-Positive = Annotated[float, Field(gt=0)]
 Tilt = Annotated[float, Field(ge=-1.5, le=1.5, description="tilt of the sensor [rad], below 90 deg")]
+LIMITS = {
+    **dict.fromkeys(("c_mm", "mx_mm_per_px", "my_mm_per_px", "fx_px", "fy_px"), Positive),
+    **dict.fromkeys(("tauX", "tauY"), Tilt),
+}
+"""Of the lenses' fields that have any."""
 Pixels = Annotated[int, Field(gt=0, le=65535)]
 
 
-class MoscaLensTable(Table):
-    """``model = "mosca"``: principal distance, principal point, pixel pitch, affinity, K1-K3, P1, P2."""
+class LensTable(Table):
+    """``[camera.lens]``: the fields of the lens's dataclass in ``mosca.data.rig``, within LIMITS."""
 
-    model: Literal["mosca"]
-    c_mm: Positive
-    xp_px: float
-    yp_px: float
-    mx_mm_per_px: Positive
-    my_mm_per_px: Positive
-    a: float = 0.0
-    K1_per_mm2: float = 0.0
-    K2_per_mm4: float = 0.0
-    K3_per_mm6: float = 0.0
-    P1_per_mm: float = 0.0
-    P2_per_mm: float = 0.0
+    model: str
 
 
-class OpenCVLensTable(Table):
-    """``model = "opencv"``: radial k1-k6, tangential p1, p2, thin prism s1-s4, tilt tauX, tauY, as in OpenCV."""
-
-    model: Literal["opencv"]
-    fx_px: Positive
-    fy_px: Positive
-    cx_px: float
-    cy_px: float
-    k1: float = 0.0
-    k2: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
-    k3: float = 0.0
-    k4: float = 0.0
-    k5: float = 0.0
-    k6: float = 0.0
-    s1: float = 0.0
-    s2: float = 0.0
-    s3: float = 0.0
-    s4: float = 0.0
-    tauX: Tilt = 0.0
-    tauY: Tilt = 0.0
+def _table_of(lens: type[Lens], text: str) -> type[LensTable]:
+    columns: dict[str, Any] = {
+        f.name: (LIMITS.get(f.name, f.type), ... if f.default is MISSING else f.default) for f in fields(lens)
+    }
+    columns["model"] = (Literal[lens.model], ...)
+    return create_model(f"{lens.__name__}Table", __base__=LensTable, __doc__=text, **columns)
 
 
-class FisheyeLensTable(Table):
-    """``model = "fisheye"``: equidistant with k1-k4, as ``cv2.fisheye`` has them."""
-
-    model: Literal["fisheye"]
-    fx_px: Positive
-    fy_px: Positive
-    cx_px: float
-    cy_px: float
-    k1: float = 0.0
-    k2: float = 0.0
-    k3: float = 0.0
-    k4: float = 0.0
+if TYPE_CHECKING:
+    AnyLensTable = LensTable
+else:
+    AnyLensTable = Union[  # noqa: UP007  (of what is made here)
+        _table_of(
+            MoscaLens,
+            '``model = "mosca"``: principal distance, principal point, pixel pitch, affinity, K1-K3, P1, P2.',
+        ),
+        _table_of(
+            OpenCVLens,
+            '``model = "opencv"``: radial k1-k6, tangential p1, p2, thin prism s1-s4, tilt tauX, tauY, as in OpenCV.',
+        ),
+        _table_of(FisheyeLens, '``model = "fisheye"``: equidistant with k1-k4, as ``cv2.fisheye`` has them.'),
+    ]
 
 
 class PoseTable(Table):
@@ -130,7 +119,7 @@ class CameraTable(Table):
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_ .-]*$", description="letters, digits, _ . -")]
     size: Annotated[tuple[Pixels, Pixels], Field(description="[width, height] in px")]
-    lens: Annotated[MoscaLensTable | OpenCVLensTable | FisheyeLensTable | None, Field(discriminator="model")] = None
+    lens: Annotated[AnyLensTable | None, Field(discriminator="model")] = None
     pose: PoseTable | None = None
     residual_px: Annotated[
         float, Field(ge=0, description="what the lens model leaves of the images, rms an axis [px]")
@@ -193,8 +182,7 @@ def write_rig(
 
     ``hardware`` and ``twin`` map camera name -> table to be kept beside lens and pose.
     """
-    with whole_file(Path(path)) as temporary:
-        temporary.write_text(rig_toml(rig, hardware, twin), encoding="utf-8")
+    write_text(Path(path), rig_toml(rig, hardware, twin))
 
 
 def rig_toml(
@@ -237,15 +225,11 @@ def camera_of(table: CameraTable, path: Path) -> Camera:
 
 def _check_plausible(camera: Camera, path: Path) -> None:
     """Raise InputError for a principal point more than half an image outside: wrong units or wrong size."""
-    match camera.lens:
-        case MoscaLens(xp_px=x, yp_px=y):
-            keys = ("lens.xp_px", "lens.yp_px")
-        case OpenCVLens(cx_px=x, cy_px=y) | FisheyeLens(cx_px=x, cy_px=y):
-            keys = ("lens.cx_px", "lens.cy_px")
-    for key, value, size in zip(keys, (x, y), (camera.width, camera.height), strict=True):
+    keys = ("xp_px", "yp_px") if isinstance(camera.lens, MoscaLens) else ("cx_px", "cy_px")
+    for key, value, size in zip(keys, principal_point_px(camera.lens), (camera.width, camera.height), strict=True):
         if not -0.5 * size <= value <= 1.5 * size:
             raise InputError(
-                f"{path}: camera '{camera.name}': {key} = {value:g} is far outside the image of "
+                f"{path}: camera '{camera.name}': lens.{key} = {value:g} is far outside the image of "
                 f"{camera.width}x{camera.height} px; allowed is {-0.5 * size:g} to {1.5 * size:g}; "
                 "check its unit (px) and the camera's size"
             )

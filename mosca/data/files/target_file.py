@@ -23,9 +23,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, TypeAdapter, model_validator
 
-from mosca.data.arrays import Array, read_only
+from mosca.data.arrays import Array, set_read_only
 from mosca.data.files.target_tables import TABLES, CalibrationTable, CalibrationTarget
-from mosca.data.files.toml import Table, check, read_toml
+from mosca.data.files.toml import Positive, Table, check, read_toml
 from mosca.errors import InputError
 
 Column = Literal["u", "v", "X", "Y", "Z", "-"]
@@ -37,7 +37,6 @@ PIXEL_ORIGINS = {"centre": 0.0, "corner": 0.5, "one": 1.0}
 
 LensModel = Literal["mosca", "opencv", "fisheye"]
 Size = tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]
-Positive = Annotated[float, Field(gt=0)]
 
 
 class PointsCamera(Table):
@@ -91,21 +90,16 @@ class MeasuredPoints:
 
     def __post_init__(self) -> None:
         n = len(np.asarray(self.xy_px))
-        object.__setattr__(self, "xy_px", read_only(self.xy_px, (n, 2), "xy_px"))
-        object.__setattr__(self, "xyz", read_only(self.xyz, (n, 3), "xyz"))
-
-
-def read_target(path: Path) -> PointsTarget:
-    """Read a target file of measured points; InputError names the key, the value and what is allowed."""
-    document = read_toml(Path(path))
-    _kind_of(document, path, ("points",))
-    return check(PointsTarget, document, path)
+        set_read_only(self, xy_px=(n, 2), xyz=(n, 3))
 
 
 def read_target_file(path: Path) -> PointsTarget | CalibrationTarget:
     """Read a target file of any kind; InputError names the key, the value and what is allowed."""
     document = read_toml(Path(path))
-    kind = _kind_of(document, path, ("points", *TABLES))
+    kind, allowed = document.get("kind"), ("points", *TABLES)
+    if not isinstance(kind, str) or kind not in allowed:
+        given = "no 'kind'" if kind is None else f"kind = {kind!r}"
+        raise InputError(f"{path}: {given} given; allowed: {', '.join(map(repr, allowed))}")
     if kind == "points":
         return check(PointsTarget, document, path)
     table: CalibrationTable = check(TABLES[kind], document, path)
@@ -119,14 +113,6 @@ def target_schema() -> dict[str, Any]:
     """Return the JSON schema of the target file of all kinds, for editors that complete and check it."""
     every = Annotated[PointsTarget | CalibrationTable, Field(discriminator="kind")]
     return TypeAdapter(every).json_schema()
-
-
-def _kind_of(document: dict[str, Any], path: Path, allowed: tuple[str, ...]) -> str:
-    kind = document.get("kind")
-    if not isinstance(kind, str) or kind not in allowed:
-        given = "no 'kind'" if kind is None else f"kind = {kind!r}"
-        raise InputError(f"{path}: {given} given; allowed: {', '.join(map(repr, allowed))}")
-    return kind
 
 
 def read_measured_points(path: Path, target: PointsTarget) -> MeasuredPoints:

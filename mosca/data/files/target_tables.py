@@ -34,10 +34,9 @@
     dot_radius_m = 0.008
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-import tomli_w
 from pydantic import Field
 
 from mosca.data.boards import Board
@@ -211,37 +210,3 @@ TABLES: dict[str, type[CalibrationTable]] = {
     "l_frame": LFrameTable,
     "scale_bar": ScaleBarTable,
 }
-
-
-def field_toml(field: TestField) -> str:
-    """Return the text of the description file of a test field, every number at full precision.
-
-    Raises ValueError for a field whose coded targets (or plain discs) are not all of one size.
-    """
-    coded = {
-        (t.dot_radius_m, t.ring_inner_m, t.ring_outer_m, t.plate_m)
-        for placed in field.targets
-        if isinstance(t := placed.target, CodedTarget)
-    }
-    plain = {placed.target.radius_m for placed in field.targets if isinstance(placed.target, RoundTarget)}
-    if len(coded) > 1 or len(plain) > 1 or any(isinstance(p.target, BallTarget) for p in field.targets):
-        raise ValueError("a field's file holds coded targets of one size and plain discs of one size")
-    document: dict[str, Any] = {"kind": "field", "sigma_m": field.sigma_m}
-    if coded:
-        keys = ("dot_radius_m", "ring_inner_m", "ring_outer_m", "plate_m")
-        document |= dict(zip(keys, coded.pop(), strict=True))
-    if plain:
-        document["plain_radius_m"] = plain.pop()
-        document.setdefault("dot_radius_m", document["plain_radius_m"])
-    document["target"] = [_target_table(placed) for placed in field.targets]
-    return tomli_w.dumps(document)
-
-
-def _target_table(placed: PlacedTarget) -> dict[str, Any]:
-    number = {"number": placed.target.number} if isinstance(placed.target, CodedTarget) else {}
-    return number | {
-        "name": placed.name,
-        "position_m": placed.position.tolist(),
-        "normal": placed.normal.tolist(),
-        "x_axis": placed.rotation[:, 0].tolist(),
-    }

@@ -25,6 +25,12 @@ def whole_file(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write ``text`` as UTF-8 to ``path`` as ``whole_file`` does."""
+    with whole_file(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def check_writable(path: Path) -> None:
     """Raise InputError where ``whole_file`` could not write ``path``: asked before long work, not after it."""
     _begun(path).unlink()

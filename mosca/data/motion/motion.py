@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mosca.data.arrays import Array, read_only
+from mosca.data.arrays import Array, read_only, set_read_only
 from mosca.errors import InputError
 
 WORLD_FROM_Y_UP = read_only([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]], (3, 3), "world_from_y_up")
@@ -40,8 +40,8 @@ class Skeleton:
     def __post_init__(self) -> None:
         j = len(self.names)
         object.__setattr__(self, "names", tuple(self.names))
-        object.__setattr__(self, "parents", read_only(self.parents, (j,), "parents", np.int64))
-        object.__setattr__(self, "offsets", read_only(self.offsets, (j, 3), "offsets"))
+        set_read_only(self, np.int64, parents=(j,))
+        set_read_only(self, offsets=(j, 3))
         object.__setattr__(self, "orders", tuple(self.orders) or ("",) * j)
         if len(set(self.names)) != j or not j:
             raise ValueError("skeleton: joint names must differ and there must be one at least")
@@ -73,10 +73,7 @@ class Motion:
 
     def __post_init__(self) -> None:
         t = len(np.asarray(self.root_xyz))
-        object.__setattr__(self, "root_xyz", read_only(self.root_xyz, (t, 3), "root_xyz"))
-        object.__setattr__(
-            self, "rotations", read_only(self.rotations, (t, len(self.skeleton.names), 4), "rotations")
-        )
+        set_read_only(self, root_xyz=(t, 3), rotations=(t, len(self.skeleton.names), 4))
         if not (np.isfinite(self.frame_rate_hz) and self.frame_rate_hz > 0):
             raise ValueError(f"frame_rate_hz: {self.frame_rate_hz} given, a positive number wanted")
 
@@ -96,9 +93,8 @@ class PointMotion:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "names", tuple(self.names))
-        object.__setattr__(self, "time_s", read_only(self.time_s, (None,), "time_s"))
-        n = (len(self.time_s), len(self.names), 3)
-        object.__setattr__(self, "xyz", read_only(self.xyz, n, "xyz"))
+        set_read_only(self, time_s=(None,))
+        set_read_only(self, xyz=(len(self.time_s), len(self.names), 3))
 
 
 def forward_kinematics(motion: Motion) -> tuple[Array, Array]:

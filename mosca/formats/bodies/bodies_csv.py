@@ -9,11 +9,8 @@ withheld.
 from itertools import combinations_with_replacement
 from pathlib import Path
 
-import numpy as np
-
-from mosca.data.bodies import BODY_STATUSES, BodyPoses
-from mosca.errors import InputError
-from mosca.formats.tracks.csv_columns import integers, one_of, parsed, read_columns, reals, write_columns
+from mosca.data.bodies import BodyPoses
+from mosca.formats.tracks.csv_columns import integers, reals, write_columns
 
 _ELEMENTS = tuple(combinations_with_replacement(range(6), 2))
 _COVARIANCE = tuple(f"c{'xyzuvw'[i]}{'xyzuvw'[j]}" for i, j in _ELEMENTS)
@@ -35,32 +32,3 @@ def write_bodies_csv(poses: BodyPoses, path: Path) -> None:
         poses.status.tolist(),
     ]
     write_columns(path, COLUMNS, columns)
-
-
-def read_bodies_csv(path: Path) -> BodyPoses:
-    """Read a ``bodies.csv``. Raises InputError naming the line or column and what is allowed."""
-    path = Path(path)
-    cells = read_columns(path, COLUMNS, "bodies.csv")
-    status = one_of(cells["status"], "status", BODY_STATUSES, path)
-    pose = np.stack([parsed(cells[name], name, float, path) for name in _POSE], axis=1)
-    for row in np.flatnonzero(status == "measured").tolist():
-        # written so that NaN and infinity fail as well
-        if not (abs(np.linalg.norm(pose[row, :4]) - 1.0) < 1e-6 and np.isfinite(pose[row]).all()):
-            raise InputError(
-                f"{path}, row {row + 2}: a measured pose has a unit quaternion and a place; given are "
-                f"{', '.join(f'{name} = {cells[name][row][:20]}' for name in _POSE)}"
-            )
-    covariance = np.empty((len(status), 6, 6))
-    for (i, j), name in zip(_ELEMENTS, _COVARIANCE, strict=True):
-        covariance[:, i, j] = covariance[:, j, i] = parsed(cells[name], name, float, path)
-    return BodyPoses(
-        frame=parsed(cells["frame"], "frame", int, path),
-        time_ns=parsed(cells["time_ns"], "time_ns", int, path),
-        body=np.array(cells["body"], dtype=np.str_),
-        quaternion=pose[:, :4],
-        position=pose[:, 4:],
-        covariance=covariance,
-        n_markers=parsed(cells["n_markers"], "n_markers", int, path),
-        residual_m=parsed(cells["residual_m"], "residual_m", float, path),
-        status=status,
-    )

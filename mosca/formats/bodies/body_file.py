@@ -22,7 +22,7 @@ from pydantic import Field
 from mosca.data.bodies import FEWEST_MARKERS, MOST_MARKERS, RigidBody
 from mosca.data.files.target_tables import Name, Place, Sigma
 from mosca.data.files.toml import Table, check, read_toml
-from mosca.data.files.whole_file import whole_file
+from mosca.data.files.whole_file import write_text
 from mosca.errors import InputError
 from mosca.rigid_bodies.ambiguity import ALIKE_M, check_bodies
 
@@ -93,5 +93,4 @@ def write_bodies(bodies: Sequence[RigidBody], path: Path) -> None:
         ],
     }
     check(BodiesTable, document, path)
-    with whole_file(Path(path)) as temporary:
-        temporary.write_text(tomli_w.dumps(document), encoding="utf-8")
+    write_text(Path(path), tomli_w.dumps(document))

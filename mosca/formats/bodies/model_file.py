@@ -16,6 +16,7 @@
 A pair without a link was never observed together.
 """
 
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,7 +25,7 @@ import tomli_w
 from pydantic import Field, model_validator
 
 from mosca.data.files.toml import NotNegative, Positive, Table, check, read_toml
-from mosca.data.files.whole_file import whole_file
+from mosca.data.files.whole_file import write_text
 from mosca.labelling.marker_model import SOFT_M, MarkerModel
 
 MOST_MARKERS = 1000
@@ -112,8 +113,7 @@ def write_model(model: MarkerModel, path: Path) -> None:
     if model.limbs:
         document["limbs"] = {limb: list(members) for limb, members in model.limbs.items()}
     check(ModelTable, document, path)
-    with whole_file(Path(path)) as temporary:
-        temporary.write_text(_rows(tomli_w.dumps(document, indent=2)), encoding="utf-8")
+    write_text(Path(path), _rows(tomli_w.dumps(document, indent=2)))
 
 
 def model_schema() -> dict[str, Any]:
@@ -131,17 +131,9 @@ def _check_markers(where: str, names: tuple[str, ...], known: set[str]) -> None:
 
 def _rows(text: str) -> str:
     """Return the TOML with each link and side on one line of its own."""
-    lines: list[str] = []
-    parts: list[str] = []
-    inner = False
-    for line in text.splitlines():
-        if line == "  [":
-            inner, parts = True, []
-        elif inner and line == "  ],":
-            inner = False
-            lines.append(f"  [{' '.join(parts).removesuffix(',')}],")
-        elif inner:
-            parts.append(line.strip())
-        else:
-            lines.append(line)
-    return "\n".join(lines) + "\n"
+
+    def row(found: re.Match[str]) -> str:
+        cells = " ".join(cell.strip() for cell in found[1].split("\n")[:-1])
+        return f"  [{cells.removesuffix(',')}],"
+
+    return re.sub(r"^  \[\n((?:    .*\n)+)  \],$", row, text, flags=re.MULTILINE)

@@ -12,7 +12,7 @@ import numpy as np
 import tomli_w
 
 from mosca.data.files.rig_file import read_rig
-from mosca.data.files.whole_file import whole_file
+from mosca.data.files.whole_file import write_text
 from mosca.data.rig import Camera
 from mosca.errors import InputError
 from mosca.formats.rigs.lens_conversion import Notes, RigFileOptions, opencv_parts
@@ -36,7 +36,7 @@ def write_aniposelib(cameras: tuple[Camera, ...], path: Path, options: RigFileOp
         document[f"cam_{k}"] = {"name": camera.name, **table}
         notes += more
     document["metadata"] = {"adjusted": True, "error": 0.0}
-    _write(document, path)
+    write_text(path, tomli_w.dumps(document))
     return notes
 
 
@@ -50,7 +50,7 @@ def write_caliscope(cameras: tuple[Camera, ...], path: Path, options: RigFileOpt
         notes += more
         if camera.name != f"cam_{k}":
             notes += (f"camera '{camera.name}' becomes number {k}: Caliscope's cameras have no names",)
-    _write({"cameras": document}, path)
+    write_text(path, tomli_w.dumps({"cameras": document}))
     return notes
 
 
@@ -66,8 +66,3 @@ def _table(camera: Camera, options: RigFileOptions) -> tuple[dict[str, Any], Not
         "translation": camera_from_world.translation.tolist(),
     }
     return table, notes
-
-
-def _write(document: dict[str, Any], path: Path) -> None:
-    with whole_file(path) as temporary:
-        temporary.write_text(tomli_w.dumps(document), encoding="utf-8")

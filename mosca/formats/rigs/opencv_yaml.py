@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from mosca.data.arrays import Array
-from mosca.data.files.whole_file import whole_file
+from mosca.data.files.whole_file import write_text
 from mosca.data.rig import Camera, Pose
 from mosca.data.rotations import rotation_from_vector
 from mosca.errors import InputError
@@ -100,8 +100,7 @@ def write_opencv(cameras: tuple[Camera, ...], path: Path, options: RigFileOption
         _put_pose(storage, cameras[1].world_from_camera.inverse() @ cameras[0].world_from_camera, "", unit)
         _put_pose(storage, first, "_world", unit)
     text = storage.releaseAndGetString()
-    with whole_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_text(path, text)
     return notes
 
 

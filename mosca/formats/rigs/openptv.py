@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mosca.data.arrays import Array
-from mosca.data.files.whole_file import whole_file
+from mosca.data.files.whole_file import write_text
 from mosca.data.rig import Camera, MoscaLens, Pose
 from mosca.errors import InputError
 from mosca.formats.rigs.lens_conversion import (
@@ -76,10 +76,10 @@ def write_openptv(cameras: tuple[Camera, ...], path: Path, options: RigFileOptio
         if exchanged.fit is not None:
             model = "OpenPTV's model, with one shape of pixels for all cameras"
             notes += (fit_note(camera, exchanged.fit, model, options),)
-        _write(path / f"{camera.name}.ori", _ori(camera, interior, exchanged.roll_rad))
+        write_text(path / f"{camera.name}.ori", _ori(camera, interior, exchanged.roll_rad))
         added = (interior.k1, interior.k2, interior.k3, interior.p1, interior.p2, interior.scx, interior.she)
-        _write(path / f"{camera.name}.addpar", " ".join(repr(float(value)) for value in added) + "\n")
-    _write(path / "ptv.par", _ptv_par(cameras, pixel_mm))
+        write_text(path / f"{camera.name}.addpar", " ".join(repr(float(value)) for value in added) + "\n")
+    write_text(path / "ptv.par", _ptv_par(cameras, pixel_mm))
     return notes
 
 
@@ -207,8 +207,3 @@ def _ptv_par(cameras: tuple[Camera, ...], pixel_mm: tuple[float, float]) -> str:
     # highpass, all cameras, tiff; size and pitch; field; three refractive indices and the glass's thickness
     lines = [str(len(cameras)), *names, "1", "0", "1", *size, "0", "1.0", "1.0", "1.0", "0.0"]
     return "\n".join(lines) + "\n"
-
-
-def _write(path: Path, text: str) -> None:
-    with whole_file(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")

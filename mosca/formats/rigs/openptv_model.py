@@ -186,11 +186,7 @@ def from_lens(lens: Lens, size_px: tuple[int, int], pixel_mm: tuple[float, float
 
     begin = (first / scale)[free]
     fit = least_squares(residuals, begin, method="lm", x_scale="jac", ftol=1e-14, xtol=1e-14, gtol=1e-14)
-    distance = np.linalg.norm(fit.fun.reshape(-1, 2), axis=1)
-    worst = grid[int(np.argmax(distance))]
-    rms = float(np.sqrt(np.mean(distance**2)))
-    found = Conversion(plain, rms, float(distance.max()), (float(worst[0]), float(worst[1])))
-    return Exchanged(lens, interior(fit.x), roll, found)
+    return Exchanged(lens, interior(fit.x), roll, Conversion.of(plain, fit.fun, grid))
 
 
 def _she(lens: Lens) -> float:

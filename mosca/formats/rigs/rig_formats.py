@@ -3,8 +3,10 @@
     rig, notes = read_any_rig(Path("calibration.qca.txt"))
     notes = write_any_rig(rig, Path("calibration.toml"), "aniposelib")
 
-``FORMATS`` lists what each format cannot hold. A lens model that a format lacks is fitted over the image, the
-residual stated in the notes and refused above ``RigFileOptions.max_residual_px``.
+A lens model that a format lacks is fitted over the image, the residual stated in the notes and refused above
+``RigFileOptions.max_residual_px``: Mosca lenses by OpenCV's model; for QTM all but OpenCV's k1, k2, k3, p1, p2; for
+OpenPTV cameras of different fx/fy. Fisheyes do not go into QTM's and OpenPTV's files, names not into Caliscope's,
+images of different sizes not into OpenPTV's, and more than a stereo pair takes a folder of OpenCV's.
 """
 
 from dataclasses import dataclass
@@ -26,15 +28,12 @@ HEAD = 4096
 
 @dataclass(frozen=True)
 class RigFormat:
-    """A file format: its ``name``, ``suffix`` ("" for a folder), how it is read and written (None: it is not), and
-    what it ``cannot_hold``.
-    """
+    """A file format: its ``name``, ``suffix`` ("" for a folder), how it is read and written (None: it is not)."""
 
     name: str
     suffix: str
     read: Reader
     write: Writer | None
-    cannot_hold: str
 
 
 def _write_mosca(cameras: tuple[Camera, ...], path: Path, options: RigFileOptions) -> Notes:
@@ -43,44 +42,13 @@ def _write_mosca(cameras: tuple[Camera, ...], path: Path, options: RigFileOption
 
 
 _TABLE = (
-    RigFormat("mosca", ".toml", read_toml_rig, _write_mosca, "nothing is lost"),
-    RigFormat(
-        "aniposelib",
-        ".toml",
-        read_toml_rig,
-        write_aniposelib,
-        "Mosca lenses (fitted by OpenCV's model); also read and written by Pose2Sim",
-    ),
-    RigFormat(
-        "caliscope",
-        ".toml",
-        read_toml_rig,
-        write_caliscope,
-        "Mosca lenses (fitted by OpenCV's model); names of cameras",
-    ),
-    RigFormat(
-        "opencv",
-        ".yml",
-        read_opencv,
-        write_opencv,
-        "Mosca lenses (fitted by OpenCV's model); more than one camera, or a stereo pair, a file: a folder then; the "
-        "unit of length",
-    ),
-    RigFormat(
-        "qtm",
-        ".qca.txt",
-        read_qtm,
-        write_qtm,
-        "lenses other than OpenCV's with k1, k2, k3, p1, p2 (fitted by that); fisheyes",
-    ),
-    RigFormat(
-        "openptv",
-        "",
-        read_openptv,
-        write_openptv,
-        "images of different sizes; cameras of different fx/fy (fitted, the residual is told); fisheyes",
-    ),
-    RigFormat("multicamselfcal", "", read_selfcal, None, "is only read"),
+    RigFormat("mosca", ".toml", read_toml_rig, _write_mosca),
+    RigFormat("aniposelib", ".toml", read_toml_rig, write_aniposelib),
+    RigFormat("caliscope", ".toml", read_toml_rig, write_caliscope),
+    RigFormat("opencv", ".yml", read_opencv, write_opencv),
+    RigFormat("qtm", ".qca.txt", read_qtm, write_qtm),
+    RigFormat("openptv", "", read_openptv, write_openptv),
+    RigFormat("multicamselfcal", "", read_selfcal, None),
 )
 FORMATS: dict[str, RigFormat] = {one.name: one for one in _TABLE}
 """Name -> format; "aniposelib" is Pose2Sim's too."""
@@ -109,7 +77,8 @@ def write_any_rig(rig: Rig, path: Path, format: str, options: RigFileOptions | N
     """
     chosen = FORMATS[_known(format)]
     if chosen.write is None:
-        raise InputError(f"{path}: format '{format}' is only read; written are {', '.join(_written())}")
+        written = ", ".join(one.name for one in _TABLE if one.write is not None)
+        raise InputError(f"{path}: format '{format}' is only read; written are {written}")
     return chosen.write(rig.cameras, Path(path), options or RigFileOptions())
 
 
@@ -144,10 +113,6 @@ def _known(name: str) -> str:
     if name not in FORMATS:
         raise InputError(f"calibration format '{name}' is unknown; there are {', '.join(FORMATS)}")
     return name
-
-
-def _written() -> list[str]:
-    return [one.name for one in _TABLE if one.write is not None]
 
 
 def _what() -> str:

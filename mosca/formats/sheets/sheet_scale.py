@@ -9,12 +9,11 @@ from mosca.data.boards import Board
 from mosca.data.found_targets import CodedDetections
 from mosca.data.targets import CodedTarget
 from mosca.errors import InputError
-from mosca.formats.sheets.target_sheet import OnSheet
+from mosca.formats.sheets.target_sheet import MM_PER_INCH, OnSheet
 
 FARTHEST_OFF = 0.1
 """Share by which a printer may miss the size; beyond it the measurement or the input is wrong."""
 LEAST_TARGETS = 3
-MM_PER_INCH = 25.4
 
 
 @dataclass(frozen=True)
@@ -78,10 +77,5 @@ def as_printed(target: CodedTarget | Board, scale: float) -> CodedTarget | Board
     if isinstance(target, Board):
         marker = None if target.marker_m is None else target.marker_m * scale
         return replace(target, square_m=target.square_m * scale, margin_m=target.margin_m * scale, marker_m=marker)
-    return replace(
-        target,
-        dot_radius_m=target.dot_radius_m * scale,
-        ring_inner_m=target.ring_inner_m * scale,
-        ring_outer_m=target.ring_outer_m * scale,
-        plate_m=target.plate_m * scale,
-    )
+    lengths = ("dot_radius_m", "ring_inner_m", "ring_outer_m", "plate_m")
+    return replace(target, **{name: getattr(target, name) * scale for name in lengths})

@@ -83,17 +83,7 @@ def read_c3d(path: Path) -> MarkerTable:
         unit = parameters["UNITS"]["value"][0].strip().lower() if parameters["UNITS"]["value"] else "mm"
         first_frame = int(document["header"]["points"]["first_frame"])
         n_bytes = _bytes_needed(document, path)
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        IndexError,
-        RuntimeError,
-        MemoryError,
-        ZeroDivisionError,
-        OverflowError,
-        struct.error,
-    ) as error:
+    except _DAMAGE as error:
         raise InputError(f"{path}: cannot be read as C3D: {error}") from None
     if n_bytes > path.stat().st_size:
         raise InputError(f"{path}: cannot be read as C3D: cut short, {path.stat().st_size} of {n_bytes} bytes")

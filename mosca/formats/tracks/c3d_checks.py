@@ -12,7 +12,8 @@ KEY = 0x50
 PROCESSORS = {84: "<", 85: "<", 86: ">"}
 TYPES = {0xFF: 1, 1: 1, 2: 2, 4: 4}
 """Bytes of a value: characters, bytes, 16-bit whole numbers, floats."""
-NEEDED = {"POINT": (("USED", 2), ("SCALE", 4), ("RATE", 4), ("DATA_START", 2), ("FRAMES", 2))}
+NEEDED = {"USED": 2, "SCALE": 4, "RATE": 4, "DATA_START": 2, "FRAMES": 2}
+"""Parameters of the group POINT, and bytes of their value at least."""
 MOST_DIMENSIONS = 7
 
 
@@ -74,9 +75,8 @@ def _fault_of_names(groups: dict[int, str], parameters: list[tuple[int, str, int
         if group not in groups:
             return f"parameter {name!r} is in group {group}, which is not there"
         held[groups[group], name] = kind, count
-    for group_name, names in NEEDED.items():
-        for name, width in names:
-            kind, count = held.get((group_name, name), (0, 0))
-            if count != 1 or TYPES[kind] not in (2, 4) or (width == 4 and kind != 4):
-                return f"parameter {group_name}:{name} is missing or is no number"
+    for name, width in NEEDED.items():
+        kind, count = held.get(("POINT", name), (0, 0))
+        if count != 1 or TYPES[kind] not in (2, 4) or (width == 4 and kind != 4):
+            return f"parameter POINT:{name} is missing or is no number"
     return ""

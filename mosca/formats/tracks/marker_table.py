@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mosca.data.arrays import Array, read_only
+from mosca.data.arrays import Array, set_read_only
 from mosca.data.tracks import Tracks
 from mosca.errors import InputError
 
@@ -31,10 +31,8 @@ class MarkerTable:
 
     def __post_init__(self) -> None:
         m = len(self.names)
-        object.__setattr__(self, "xyz", read_only(self.xyz, (None, m, 3), "xyz"))
-        shape = (len(self.xyz), m)
-        object.__setattr__(self, "measured", read_only(self.measured, shape, "measured", np.bool_))
-        object.__setattr__(self, "deviation_m", read_only(self.deviation_m, shape, "deviation_m"))
+        set_read_only(self, xyz=(None, m, 3), deviation_m=(len(self.xyz), m))
+        set_read_only(self, np.bool_, measured=(len(self.xyz), m))
 
 
 def table_from_tracks(tracks: Tracks, rate_hz: float) -> MarkerTable:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mosca.data.files.whole_file import whole_file
+from mosca.data.files.whole_file import write_text
 from mosca.errors import InputError
 from mosca.formats.tracks.marker_table import MarkerTable, plain_names
 
@@ -35,8 +35,7 @@ def write_trc(table: MarkerTable, path: Path) -> None:
         frame = table.first_frame + k
         cells = "\t".join("" if value != value else repr(value) for value in row)
         lines.append(f"{frame}\t{frame / table.rate_hz!r}\t{cells}")
-    with whole_file(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def read_trc(path: Path) -> MarkerTable:
