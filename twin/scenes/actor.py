@@ -36,6 +36,7 @@ from twin.scenes.world import Box, Shape, add_ball_marker, add_shape, compiled, 
 
 _SKIN_M = 0.12
 """How far skin and markers reach beyond the joints [m], for the working space."""
+STAY_INSIDE = "enlarge it, turn the motion by heading_deg, play less of it, or set keep_in_box = false"
 
 
 @dataclass(frozen=True)
@@ -109,13 +110,8 @@ def build_actor(
         _check_length(motion, start_s, duration_s, str(motion_file))
         motion = _placed(motion, anatomy, box, start_s, duration_s, placement, heading_deg)
         if keep_in_box:
-            check_inside(
-                _played(motion, start_s, duration_s),
-                box,
-                _SKIN_M,
-                f"{motion_file}: from {start_s} s for {duration_s} s the actor",
-                "enlarge it, turn the motion by heading_deg, play less of it, or set keep_in_box = false",
-            )
+            about = f"{motion_file}: from {start_s} s for {duration_s} s the actor"
+            check_inside(_played(motion, start_s, duration_s), box, _SKIN_M, about, STAY_INSIDE)
     shapes = limb_shapes(anatomy)
     seated = seats(anatomy, shapes, markers)
     spec, joints = _specify(anatomy, shapes, seated, marker_diameter_m, floor)
@@ -124,16 +120,16 @@ def build_actor(
     model, geoms = compiled(spec, names)
     carried = {part: tuple(s.name for s in seated if s.part == part) for part in shapes}
     bodies = {part: those for part, those in carried.items() if len(those) >= 3}
-    if motion_file is None:
+    path: BuiltInConfiguration | SplinePath
+    if motion_file is not None:
+        path = _recorded(model, joints, motion, start_s)
+    else:
         moved: Gait | Action
         if action == "walk":
             moved = walk(skeleton, gait, box.center[:2], box.size[:2] / 2, speed_mps, rng)
         else:
             moved = act(action, skeleton, _balance(model, joints, len(skeleton.names)), box, rng)
-        path: BuiltInConfiguration | SplinePath
         path = BuiltInConfiguration(moved, _addresses(model, joints), model.nq)
-    else:
-        path = _recorded(model, joints, motion, start_s)
     glows = {one.name: Glow("lamp", half_deg=ALL_SIDES_DEG, blink=one.blink) for one in lamps if one.blink}
     return Scene(model, names, geoms, path, duration_s, bodies, glows=glows)
 
