@@ -17,6 +17,7 @@ GROSS = 16.0
 LATE_SIGMA, LATE_S = 8.0, 1e-4
 """Report a time offset above this: in standard deviations, and in time."""
 STEP_S = 1e-3
+"""Half the step of the numerical derivative of an image position by time [s]."""
 PASSES = 5
 
 

@@ -18,6 +18,7 @@ from mosca.data.rig import Rig
 from mosca.data.tracks import Tracks
 
 LONGEST_FILL_S = 1.0
+"""Longest gap in a curve's observations [s] over which it is sampled."""
 CHUNK = 1000
 """Instants whose covariances are computed at a time."""
 

@@ -18,6 +18,7 @@ from mosca.rigid_bodies.pose_kernels import fit_pose
 
 ROUNDS = 50
 SETTLED_M = 1e-7
+"""Largest move of a model's marker [m] in a round of its estimation below which it has converged."""
 NOT_RIGID_M = 0.003
 """A marker whose rms distance from its mean position is more [m] is not fixed to the others."""
 

@@ -24,6 +24,7 @@ PLAUSIBLE_SHARE = 0.1
 """Plausible a-priori range of a lens parameter: it moves no image point by more than this share of half the image's
 diagonal; of a rotation so many rad, of a position this share of the distance to the points."""
 LEAST_OPEN_SHARE = 0.1
+"""Least variance along the weak directions, over what is plausible, for which a lens parameter gets a prior."""
 
 
 def point_motions(points: Array) -> Array:

@@ -46,6 +46,7 @@ LEAST_SHARE = 1e-3
 LEAST_NOISE = 1e-6
 """Least variance of the noise, as a share of the variance of unit weight before the shakes are taken off."""
 LEAST_WEIGHT = 1e-30
+"""Guards a division by zero."""
 COLUMNS = 512
 
 

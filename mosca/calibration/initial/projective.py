@@ -19,6 +19,7 @@ SAMPLES, KEPT, CONCENTRATIONS, MOST_SCORED = 300, 8, 3, 300
 # distances of good pairs beyond so many robust standard deviations are improbable
 INLIER_SIGMAS = 4.0
 SMALL = 1e-300
+"""Guards divisions by zero."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,6 +26,7 @@ SAMPLES_A_FIELD_ANGLE = 60
 KEPT_SAMPLES = 10
 CONCENTRATION_STEPS = 3
 INLIER_SIGMAS = 4.0
+"""Robust standard deviations up to which an image is an inlier."""
 # a median residual beyond this share of the image's extent is no camera at all, whatever its distortion
 WORST_MEDIAN_SHARE = 0.05
 FISHEYE_HALF_ANGLES_DEG = range(20, 125, 10)

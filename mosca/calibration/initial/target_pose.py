@@ -22,9 +22,12 @@ FEWEST_SOLID = 6
 LEAST_RELIEF = 0.05
 """Third over first extent of points below which they are treated as a plane with some relief."""
 FLAT = 1e-6
+"""Ratio of the least to the largest singular value below which points lie in a plane."""
 STEPS = 30
 SAME_RAD = 1e-3
+"""Angle below which two poses are one solution [rad]."""
 TUKEY = 4.685
+"""Tuning constant of Tukey's biweight: 95 % efficiency for normal errors (Huber 1981)."""
 
 
 @dataclass(frozen=True, eq=False)

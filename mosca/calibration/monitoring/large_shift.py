@@ -14,7 +14,9 @@ from mosca.data.rig import Rig
 from mosca.data.tracks import Points
 
 REACH_PX = 80.0
+"""Largest shift that is searched for [px]: the histogram's cost grows with its square."""
 BIN_PX = 2.0
+"""Width of the bins of the histogram of shifts [px]; the shift is refined afterwards."""
 LEAST_EXPECTED = 20
 """Points that a camera was expected to see in the frames examined, for its absence to count."""
 LEAST_VOTES = 8.0

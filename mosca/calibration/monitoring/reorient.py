@@ -20,9 +20,11 @@ from mosca.triangulation.triangulate import triangulate
 FEWEST_POINTS = 12
 STEPS = 30
 OUTLIER_SIGMAS = 4.0
+"""Robust standard deviations from which a pair is left out."""
 LEAST_RELIEF = 0.02
 """Least over largest extent of the points, below which a line of points determines no pose."""
 PAIRED_PX = 3.0
+"""Largest distance of an image from a point's projection [px] for a pair, after the coarse shift."""
 
 
 @dataclass(frozen=True, eq=False)

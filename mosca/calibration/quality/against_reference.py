@@ -23,6 +23,7 @@ MOST_POINTS = 60
 MOST_PAIRS = 40
 """Exchanges that are tried."""
 UNSEEN_PX = 1e4
+"""Difference [px] counted where a lens does not image a point."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from mosca.data.calibration import Calibration, Finding
 from mosca.data.rig import Camera
 
 FLAT = 1e-3
+"""Ratio of the least to the largest extent below which object points lie in a plane."""
 CORNERS = {"top left": (0, 0), "top right": (0, -1), "bottom left": (-1, 0), "bottom right": (-1, -1)}
 VOLUME_CELLS = 6
 

@@ -25,6 +25,7 @@ from mosca.data.rig import Camera
 TUKEY = 4.685
 ROBUST_ROUNDS = 8
 GROSS_SIGMAS = 6.0
+"""Robust standard deviations from which an image is a gross error."""
 # residuals below this are rounding, whatever their ratio to each other
 ROUNDING_PX = 1e-6
 LEAST_REDUNDANCY = 3

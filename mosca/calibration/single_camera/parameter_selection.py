@@ -45,6 +45,7 @@ LOWER = {
 DECENTRING = ("P1_per_mm", "P2_per_mm")
 COMPETING = (("xp_px", "yp_px"), ("a",))
 LARGEST_INFLATION = 100.0
+"""Variance inflation above which parameters are not separable (10 is called high, Belsley et al. 1980)."""
 
 
 def groups_of(model: str, prism: bool = True) -> tuple[Group, ...]:

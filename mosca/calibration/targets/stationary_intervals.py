@@ -8,6 +8,7 @@ from mosca.data.sightings import Sightings
 LEAST_MOVE_PX = 0.35
 """Largest shake of a camera's body between two exposures: ten times the usual 0.03 px."""
 SIGMAS = 6.0
+"""Standard deviations of the mean position's noise from which a target has moved."""
 
 
 def stationary_intervals(sightings: Sightings) -> Array:

@@ -28,6 +28,7 @@ EXTRA: dict[str, tuple[Free, ...]] = {
 """Those that join, group by group for all cameras, where they lower the sum of squares significantly."""
 FOCAL_NAME = {"mosca": "c_mm", "opencv": FOCAL}
 SIGNIFICANT = 1e-3
+"""Significance level of the likelihood-ratio test for further lens parameters."""
 BLUNDER_SIGNIFICANCE = 0.05
 """Chance that a good image point is rejected, in the whole session."""
 # residuals beyond so many robust standard deviations are blunders at first sight

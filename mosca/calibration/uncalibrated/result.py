@@ -23,7 +23,9 @@ MIDDLE_SHARE = 0.2
 WORST_FOCAL = 0.03
 """Relative standard deviation beyond which a focal length counts as undetermined."""
 WORST_LEFT_OUT, MANY_LEFT_OUT = 0.3, 0.1
+"""Shares of a camera's images left out as outliers that are an error, and a warning."""
 WORST_RMS_WIDTHS = 0.003
+"""Largest rms of residuals over the image's width; a wrong solution's is larger."""
 FEW_LINKS = 100
 
 

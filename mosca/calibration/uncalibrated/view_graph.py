@@ -17,6 +17,7 @@ FEWEST_POINTS = 30
 BENDS = (-0.35, -0.25, -0.16, -0.1, -0.05, -0.02, 0.0, 0.02, 0.06)
 """Bends of lenses that are tried (``PointViews.plain``): from a wide lens's barrel to a slight cushion."""
 LEAST_INLIERS = 0.5
+"""Least share of a pair's common images that its epipolar geometry must explain."""
 # how much worse a homography must fit than the fundamental matrix, and how badly at least [half diagonals]
 FLAT, LEAST_PARALLAX = 5.0, 2e-3
 LITTLE_DEPTH = (

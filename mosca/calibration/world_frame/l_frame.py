@@ -22,7 +22,9 @@ FITS = 0.01
 NEAR = 0.05
 """Scale error up to which lengths are searched for as they are; beyond, any size is tried."""
 WRONG_SCALE, DOUBTFUL_SCALE = 0.02, 0.001
+"""Relative differences of the L-frame's lengths that are an error, and a warning."""
 UNITS = {1e3: "mm for m", 1e-3: "m for mm", 1e2: "cm for m", 1e-2: "m for cm", 39.37: "inch for m"}
+"""What a wrong factor of scale would come from."""
 
 
 @dataclass(frozen=True, eq=False)

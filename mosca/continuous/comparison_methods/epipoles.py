@@ -18,6 +18,7 @@ from mosca.data.rig import Pose
 FEWEST = {0: 8, 1: 5, 2: 3}
 """Correspondences that a matrix needs at least, by the number of observed epipoles."""
 QUARTER_ROTATION = np.array([[0.0, -1.0], [1.0, 0.0]])
+"""Rotation by 90 degrees in the image."""
 
 
 class TooFewPointsError(ValueError):

@@ -23,6 +23,7 @@ from mosca.data.rig import Camera
 
 Cameras = Literal["known", "fixed", "moving"]
 STEPS, WORST_DAMPING, TINY = 60, 1e12, 1e-12
+"""Levenberg-Marquardt: most steps, damping at which it gives up, and the least diagonal element."""
 SETTLED = 1e-9
 """Relative decrease of the cost below which the iteration has converged."""
 LOST_PX = 1e4

@@ -14,6 +14,7 @@ from mosca.data.arrays import Array
 BEFORE = (0.1, 1e-3, 1e-4)
 """Standard deviations before any data: offset [s], drift, row time [s/px]."""
 LEAST_GAIN = 5.0
+"""A clock counts as unobserved if the observations did not reduce its prior standard deviation by this factor."""
 KINDS = ("offset", "drift", "row time")
 FREE = {"known": 0, "offset": 1, "drift": 2, "rolling": 3}
 

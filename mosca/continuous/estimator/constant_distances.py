@@ -24,6 +24,7 @@ JUMPS = 0.05
 between exposures the errors of curves exceed their covariance, and one such instant would reject the most rigid
 pair."""
 SMALLEST_SLACK_M = 1e-4
+"""Least standard deviation of a distance that is taken for constant [m]."""
 MOST_LOOSENED = 10.0
 """Largest ratio of a slack to the observed variation of its distance."""
 FEWEST_INSTANTS = 8

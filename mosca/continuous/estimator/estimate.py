@@ -37,6 +37,8 @@ __all__ = ["Clock", "ConstantDistance", "ContinuousEstimate", "ContinuousSetting
 DRAWS = 12
 """Posterior samples of the curves per round; each has hundreds of accelerations."""
 LARGEST_SIGMA0 = 1.5
+"""A posteriori standard deviation of unit weight above which a finding says that the errors are larger than
+stated."""
 JOINED_AT = 1
 """Round from which the joint prior is good enough to test distances."""
 SPOILT = 0.1
@@ -49,6 +51,7 @@ FEWEST_ROUNDS = 4
 STILL = 1e-3
 """The smallest acceleration that moving cameras are taken to have: rad/s^2 or m/s^2 in a band of one hertz."""
 AT_REST_M = 2e-4
+"""Largest move of a curve in a round [m] below which the rounds may end."""
 NEARLY_ONE = 1.1
 """Clocks and poses are settled when curves move less than this, and image errors are about as large as stated."""
 

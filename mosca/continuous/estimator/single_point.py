@@ -14,6 +14,7 @@ from mosca.data.arrays import Array
 
 RAY_PASSES = 2
 NEAREST_M = 0.05
+"""Least depth [m] that an image's weight is computed with: points are not nearer to a lens."""
 
 
 def first_curves(

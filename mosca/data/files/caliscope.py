@@ -26,7 +26,9 @@ from mosca.errors import InputError
 Vector = tuple[float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 LARGEST_TRANSLATION_M = 1000.0
+"""Cameras farther from the origin are in other units than metres."""
 LARGEST_TILT_RAD = 1.5
+"""Largest tilt of a sensor: the tilt's projection ends at 90 deg."""
 
 
 class CaliscopeCamera(BaseModel):

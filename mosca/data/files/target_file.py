@@ -30,6 +30,7 @@ from mosca.errors import InputError
 
 Column = Literal["u", "v", "X", "Y", "Z", "-"]
 METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+"""Metres in the units that a target file may state."""
 NEEDED_COLUMNS: tuple[Column, ...] = ("u", "v", "X", "Y", "Z")
 SKIPPED_COLUMN = "-"
 # the top-left pixel's centre in the file's own pixel coordinates

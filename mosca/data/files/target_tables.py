@@ -61,6 +61,7 @@ FARTHEST_M = 1000.0
 
 Length = Annotated[float, Field(gt=0, le=FARTHEST_M)]
 Sigma = Annotated[float, Field(ge=0, le=1.0, description="standard deviation [m]")]
+"""A stated standard deviation [m]; above 1 m it is another unit."""
 Coordinate = Annotated[float, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
 Place = tuple[Coordinate, Coordinate, Coordinate]
 Number = Annotated[int, Field(ge=0, lt=NUMBERS)]

@@ -26,6 +26,7 @@ from mosca.errors import InputError
 
 _CHANNELS = {f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")}
 _LARGEST_STRETCH_M = 1e-3
+"""Largest change of a bone's length by position channels [m] that is rounding in the file."""
 
 
 @dataclass

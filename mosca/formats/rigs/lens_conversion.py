@@ -23,7 +23,9 @@ COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3"
 """OpenCV's order."""
 COUNTS = (4, 5, 8, 12, 14)
 LARGEST_TILT_RAD = 1.5
+"""Largest tilt of a sensor: the tilt's projection ends at 90 deg."""
 LARGEST_MISFIT = 1e-3
+"""Largest difference of a file's rotation, printed with few digits, from the nearest rotation matrix."""
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_ .-]*")
 
 

@@ -30,11 +30,16 @@ from mosca.formats.rigs.lens_conversion import (
 from mosca.formats.rigs.openptv_model import OpenPTVInterior, from_lens, pixel_shape, rolled, to_lens
 
 FLIP = np.diag([1.0, -1.0, -1.0])
+"""OpenPTV's camera looks along -z with y up; here it looks along z with y down."""
 IMAGES = (".tif", ".tiff", ".bmp", ".png", ".jpg")
 DEFAULT_PIXEL_MM = 0.01
+"""Width of a pixel where no file states one: a common scale of all lengths in the camera, which cancels."""
 LARGEST_ANGLE_MISFIT = 1e-4
+"""Largest difference of the file's matrix, printed with 7 digits, from that of its angles."""
 SAME_HEIGHT = 1e-9
+"""Relative difference of two pixel heights that is rounding."""
 AIR = 1.001
+"""Largest refractive index of a medium that is taken for air (air: 1.0003)."""
 GLASS = "0.0 0.0 1.0"
 Sensor = tuple[tuple[int, int], tuple[float, float]]
 

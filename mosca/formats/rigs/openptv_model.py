@@ -31,7 +31,9 @@ from mosca.errors import InputError
 
 STEPS = 100
 CONVERGED_MM = 1e-13
+"""Step of the inverse distortion [mm] that is rounding."""
 SAME_SHAPE = 1e-12
+"""Relative difference of two pixel shapes that is rounding."""
 
 
 @dataclass(frozen=True)

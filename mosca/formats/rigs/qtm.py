@@ -18,6 +18,7 @@ from mosca.errors import InputError
 from mosca.formats.rigs.lens_conversion import Notes, RigFileOptions, as_opencv, checked_camera, rotation_of
 
 SUBPIXELS = 64.0
+"""QTM states intrinsic parameters in 1/64 of a pixel."""
 # QTM's optical axis is -z with y up; ours is z with y down
 FLIP = np.diag([1.0, -1.0, -1.0])
 KEYS = ("radialDistortion1", "radialDistortion2", "tangentalDistortion1", "tangentalDistortion2", "radialDistortion3")

@@ -25,12 +25,18 @@ from mosca.errors import InputError
 from mosca.formats.sheets.board_cells import black_cells
 
 PAGES_MM = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "A2": (420.0, 594.0), "letter": (215.9, 279.4)}
+"""Width and height of the pages (ISO 216), upright."""
 LARGER = ("A4", "A3", "A2")
 MARGIN_MM, FOOT_MM, GAP_MM, LABEL_MM = 10.0, 14.0, 3.0, 4.0
+"""White border (more than printers leave blank), height of the foot with the ruler, gap between cells, label
+height."""
 LONGEST_RULER_MM, TICK_MM = 150.0, 10.0
+"""The ruler that shows the scale of the print: its largest length, and the distance of its ticks."""
 FORMATS = (".svg", ".pdf")
 MM_PER_INCH, POINTS_PER_MM = 25.4, 72 / 25.4
+"""The typographic point is 1/72 inch."""
 HAIRLINE_PT = 0.2
+"""Width [pt] of outlines that mark where to cut."""
 SECTOR_DEG = 360 / SECTORS
 Size = tuple[float, float]
 

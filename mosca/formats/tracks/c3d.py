@@ -26,6 +26,7 @@ LARGEST_COUNT = 65535
 LONGEST_LABEL = 120
 """Characters: a dimension is one byte, and some readers take it for a signed one."""
 METRES_PER = {"mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "m": 1.0, "in": 0.0254}
+"""Metres in the units that POINT:UNITS may state."""
 
 
 def write_c3d(table: MarkerTable, path: Path) -> None:

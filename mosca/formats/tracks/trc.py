@@ -13,6 +13,7 @@ from mosca.errors import InputError
 from mosca.formats.tracks.marker_table import MarkerTable, plain_names
 
 METRES_PER = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+"""Metres in the units that a TRC file may state."""
 _MISSING = ("", "nan")
 
 
