@@ -87,16 +87,13 @@ def update_baselines(outcomes: Sequence[Outcome], baselines: Path, replicates: S
 
 
 def _with_spread(record: RunRecord, others: Sequence[RunRecord]) -> RunRecord:
-    """Return the record with each metric's largest change among other runs of the same product."""
-    if not others:
-        return record
+    """Return the record with each metric's largest change among other runs of the same product, where all have it."""
     metrics = []
     for metric in record.metrics:
         values = [found.value for other in others if (found := other.metric(metric.name)) is not None]
-        if len(values) < len(others):
-            raise InputError(f"{record.scenario}: a run for --spread has no metric '{metric.name}'; run all anew")
         changes = np.abs(np.subtract(values, metric.value))
-        metrics.append(replace(metric, spread=float(changes.max()) if np.isfinite(changes).all() else None))
+        known = 0 < len(values) == len(others) and bool(np.isfinite(changes).all())
+        metrics.append(replace(metric, spread=float(changes.max()) if known else None))
     return replace(record, metrics=tuple(metrics))
 
 
