@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
+from dataclasses import asdict
 from typing import Self
 
 from hardware.camera_readers import QUEUED_BYTES, CameraReaders
@@ -143,6 +144,14 @@ class HardwareSource:
     def session_ns(self, host_ns: int) -> int | None:
         """Return a host time (monotonic) in the frames' clock [ns]; None before frames are numbered."""
         return None if self._numbers is None else self._numbers.session_ns(host_ns)
+
+    def account(self) -> dict[str, object]:
+        """Return what each camera received, the trigger's report and the notes, for a run's record."""
+        return {
+            "cameras": {name: asdict(one) for name, one in self.statistics.cameras.items()},
+            "trigger": self.trigger_report(),
+            "notes": list(self.statistics.notes),
+        }
 
     def trigger_report(self) -> dict[str, object]:
         """Return the trigger's report on its pulses."""

@@ -69,6 +69,8 @@ class CameraCount:
     """Implausible time stamp."""
     counter_jumps: int = 0
     """Counter and time disagree."""
+    last_pulse: int = -1
+    """Set of the last usable frame in time; -1: none."""
 
 
 @dataclass
@@ -264,6 +266,7 @@ class _Window:
                 self._counts.note("corrupt", frame, frame.note or "corrupt")
             else:
                 count.delivered += 1
+                count.last_pulse = number
                 usable[name] = frame
                 times.append(time_ns)
         self._counts.sets += 1

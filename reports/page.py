@@ -47,14 +47,14 @@ def write_page(path: Path, record: RunRecord, evidence: Evidence) -> None:
         premises=[_premise_row(name, value) for name, value in record.premises.items()],
         pictures=pictures(record, evidence),
         counts=[(_words(name), _plain(value)) for name, value in record.counts.items()],
-        cameras=[_camera_row(name, one) for name, one in record.cameras.items()],
+        cameras=[_camera_row(name, one, record.counts.get("expected_sets")) for name, one in record.cameras.items()],
         timings=[(_words(name), duration(float(value))) for name, value in record.timings.items()],
         provenance=json.dumps(record.provenance, indent=2, default=str, ensure_ascii=False),
     )
 
 
-def _camera_row(name: str, one: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return a row of the cameras' table: name, residual, extra error, connected, missing, clock offset."""
+def _camera_row(name: str, one: Mapping[str, Any], expected: int | None) -> tuple[str, ...]:
+    """Return a row of the cameras' table: name, residual, extra error, connected, frames of so many, clock offset."""
     late, sigma = one.get("late_s"), one.get("late_sigma_s")
     clock = "not known" if late is None or sigma is None else f"{1e3 * late:+.3f} ± {2e3 * sigma:.3f} ms"
     return (
@@ -62,7 +62,7 @@ def _camera_row(name: str, one: Mapping[str, Any]) -> tuple[str, ...]:
         f"{one['residual_px']:.3f} px",
         f"{one['extra_px']:.3f} px",
         f"{100 * one['connected']:.1f} %",
-        f"{100 * one['missing']:.1f} %",
+        f"{100 * one['missing']:.1f} % missing" if expected is None else f"{one['delivered']} of {expected}",
         clock,
     )
 

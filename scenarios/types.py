@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -83,6 +83,8 @@ class Collected:
     detections: Mapping[int, Mapping[str, Detections]]
     """Pulse -> camera -> detections, of the pulses for which the Cramer-Rao bound is computed."""
     cameras: tuple[CameraHealth, ...] = ()
+    account: Mapping[str, Any] = field(default_factory=dict)
+    """The source's own account of what it received."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,5 +1,6 @@
 """Cameras of a scenario: the true rig, the virtual cameras, the calibration that the pipeline gets."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -99,14 +100,13 @@ def twin_source(spec: Scenario, scene: Scene, cameras: tuple[VirtualCamera, ...]
         pulses=spec.capture.pulses,
         seed=spec.seed,
         workers=workers,
-        deliveries=deliveries(spec, cameras),
+        deliveries=deliveries(spec, (v.camera.name for v in cameras)),
         surroundings=surroundings(spec),
     )
 
 
-def deliveries(spec: Scenario, cameras: tuple[VirtualCamera, ...]) -> dict[str, Delivery]:
+def deliveries(spec: Scenario, names: Iterable[str]) -> dict[str, Delivery]:
     """Return what goes wrong on the way of each camera's frames."""
-    names = [v.camera.name for v in cameras]
     return {name: Delivery(**_merged(spec.delivery, _own(spec, name).delivery)) for name in names}
 
 

@@ -13,8 +13,9 @@ from mosca.data.truth import Truth
 from mosca.diagnostics.camera_health import CameraHealth
 from reports.evidence import CameraView, ErrorTable, Evidence, MarkerCounts
 from reports.record import Metric, MetricBlocks, RunRecord
-from scenarios.build.cameras import Calibrated
+from scenarios.build.cameras import Calibrated, deliveries
 from scenarios.run.provenance import provenance
+from scenarios.score.delivery import expected_share, losses
 from scenarios.score.tracks import limits_met
 from scenarios.spec.scenario import METRICS, Scenario
 from scenarios.types import Collected, Score, Scored
@@ -25,13 +26,20 @@ def record_of(
 ) -> RunRecord:
     """Return the record of a run of ``source``; ``known``: the nominal calibration."""
     scores, collected, not_judged = worth.scores, worth.collected, worth.not_judged
-    limits = {metric: limit for metric, limit in spec.limits.items() if metric not in not_judged}
+    limits = {metric: limit for metric, limit in _limits(spec, worth).items() if metric not in not_judged}
     met = limits_met(scores, limits, lambda metric: METRICS[metric][1])
-    rows = tuple(_metric(metric, score, spec, met) for metric, score in scores.items() if np.isfinite(score.value))
+    rows = tuple(
+        _metric(metric, score, limits.get(metric), met)
+        for metric, score in scores.items()
+        if np.isfinite(score.value)
+    )
     broken = [metric for metric, ok in met.items() if not ok]
     notes = " ".join(collected.assembly.notes.values())
     unnoticed = [phrase for phrase in spec.told if phrase not in notes]
     passed, verdict = _verdict(spec, broken, not_judged)
+    if "sets_complete" in broken and "sets_complete" not in spec.fails_on:
+        missing = losses(collected.assembly, spec.capture.pulses, spec.capture.frame_rate_hz)
+        passed, verdict = False, f"{verdict}; {missing}"
     if unnoticed and not not_judged:
         passed, verdict = False, f"{verdict}; not noticed: {'; '.join(unnoticed)}"
     return RunRecord(
@@ -45,8 +53,8 @@ def record_of(
         verdict=verdict,
         metrics=rows,
         premises=worth.premises,
-        counts=_counts(collected),
-        cameras={one.name: health_record(one) for one in collected.cameras},
+        counts=_counts(collected, spec.capture.pulses),
+        cameras=_cameras(collected),
         timings={key: float(value) for key, value in timings.items()},
         not_judged=not_judged,
         provenance={
@@ -58,10 +66,18 @@ def record_of(
     )
 
 
-def _metric(name: str, score: Score, spec: Scenario, met: Mapping[str, bool]) -> Metric:
+def _limits(spec: Scenario, worth: Scored) -> dict[str, float]:
+    """Return the scenario's limits; all frame sets must be complete but for the losses that it states."""
+    if "sets_complete" not in worth.scores:
+        return dict(spec.limits)
+    stated = deliveries(spec, worth.collected.assembly.cameras)
+    return {"sets_complete": expected_share(stated, spec.capture.pulses, spec.capture.duration_s)} | spec.limits
+
+
+def _metric(name: str, score: Score, limit: float | None, met: Mapping[str, bool]) -> Metric:
     unit, sense = METRICS[name]
     return Metric(
-        name, score.value, unit, score.n, score.ci95, "none", spec.limits.get(name),
+        name, score.value, unit, score.n, score.ci95, "none", limit,
         "at_most" if sense == "at_most" else "at_least", met.get(name),
         MetricBlocks(score.sums, score.weights) if score.sums else None,
     )  # fmt: skip
@@ -82,10 +98,11 @@ def _verdict(spec: Scenario, broken: list[str], not_judged: tuple[str, ...]) -> 
     return True, f"fails as it must: {', '.join(spec.fails_on)} broken"
 
 
-def _counts(collected: Collected) -> dict[str, Any]:
+def _counts(collected: Collected, pulses: int) -> dict[str, Any]:
     assembly = collected.assembly
     tracks = collected.tracks
     return {
+        "expected_sets": pulses,
         "frames": assembly.frames,
         "frame_sets": assembly.sets,
         "complete_sets": assembly.complete_sets,
@@ -97,6 +114,16 @@ def _counts(collected: Collected) -> dict[str, Any]:
         "samples": len(tracks),
         "skipped_sets": assembly.skipped_sets,
         "notes": dict(assembly.notes),
+        **({"source": dict(collected.account)} if collected.account else {}),
+    }
+
+
+def _cameras(collected: Collected) -> dict[str, dict[str, Any]]:
+    """Return each camera's health, and what became of its frames."""
+    counts = collected.assembly.cameras
+    return {
+        one.name: health_record(one) | (asdict(counts[one.name]) if one.name in counts else {})
+        for one in collected.cameras
     }
 
 

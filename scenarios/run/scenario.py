@@ -34,6 +34,7 @@ from scenarios.run.precompile import compile_side_by_side
 from scenarios.run.record import evidence_of, record_of
 from scenarios.score.bodies import rigid_bodies
 from scenarios.score.continuous import as_worn
+from scenarios.score.delivery import account, sets_complete
 from scenarios.score.reference import requested_truth
 from scenarios.score.score_run import scored
 from scenarios.score.without_truth import self_checks
@@ -106,6 +107,7 @@ def run_scenario(spec: Scenario, name: str, folder: Path, options: RunOptions | 
                 compile_side_by_side(opened.twin)
         with _timed(timings, "frames_to_tracks"):
             collected, continuous = _tracked(opened, believed, spec, options, stack)
+            collected = replace(collected, account=account(opened.source))
         # the scenario defines where its markers are on a body, whatever the source of the frames
         bodies = rigid_bodies(built.scene or build_scene(spec, folder)) if spec.pipeline.bodies else ()
         poses = None
@@ -213,8 +215,9 @@ def _all_scores(
     without_truth, notes = self_checks(spec, collected.tracks, poses, seconds, collected.assembly.sets)
     for k, line in enumerate(notes):
         collected.assembly.notes[f"length {k + 1}"] = line
+    complete = {} if spec.continuous else {"sets_complete": sets_complete(collected.assembly, spec.capture.pulses)}
     # with a truth, ray residuals are of the points that exist, not of ghosts: the later mapping wins
-    return {**without_truth, **worth.scores, **({} if own is None else own.scores())}
+    return {**complete, **without_truth, **worth.scores, **({} if own is None else own.scores())}
 
 
 def _with_bodies(collected: Collected, bodies: tuple[RigidBody, ...]) -> tuple[Collected, BodyPoses]:

@@ -33,6 +33,7 @@ METRICS = {
     "position_p95": ("m", "at_most"),
     "position_max": ("m", "at_most"),
     "relative_accuracy": ("1", "at_most"),
+    "sets_complete": ("1", "at_least"),
     "completeness": ("1", "at_least"),
     "ghosts_per_frame": ("1", "at_most"),
     "identity_switches": ("1", "at_most"),

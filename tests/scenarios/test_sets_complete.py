@@ -1,0 +1,103 @@
+"""A run that measured less than it claims has not passed: frames that end, cameras that die, pulses withheld."""
+
+from dataclasses import replace
+
+import pytest
+from command_line import mosca
+from tiny_scenario import write_tiny
+
+import scenarios.run.scenario as runner
+from mosca.recording import open_recording
+from scenarios.build.frame_sources import WrappedSource
+from scenarios.score.delivery import expected_share
+from scenarios.spec.scenario import load_scenario
+from scenarios.types import RunOptions
+from twin.cameras.delivery import Delivery
+
+PULSES = 30
+
+
+class Lossy(WrappedSource):
+    """A recording of which only the frames come that ``arrives`` lets pass."""
+
+    def __init__(self, source, arrives):
+        super().__init__(source)
+        self._arrives = arrives
+
+    def __iter__(self):
+        return (frame for frame in self._source if self._arrives(frame))
+
+    def account(self):
+        return {"notes": ["the source's own words"]}
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tiny")
+    path = write_tiny(folder, limits="position_rms = 0.01\nreprojection_rms = 1.0")
+    assert mosca("run", path.name, "--record", "take", "--out", "twin", cwd=folder).returncode == 0
+    return path
+
+
+def record_of(path, arrives, monkeypatch, **limits):
+    take = path.parent / "take"
+    monkeypatch.setattr(runner, "opened_source", lambda *_: Lossy(open_recording(take), arrives))
+    spec = load_scenario(path)
+    spec = spec.model_copy(update={"limits": spec.limits | limits})
+    options = RunOptions(source="recording:take", truth=take / "truth.npz")
+    return runner.run_scenario(spec, "tiny", path.parent, options).record
+
+
+def test_all_of_it_passes(tiny, monkeypatch):
+    record = record_of(tiny, lambda _: True, monkeypatch)
+    assert record.passed, record.verdict
+    assert (record.metric("sets_complete").value, record.metric("sets_complete").limit) == (1.0, 1.0)
+    assert (record.counts["expected_sets"], record.counts["complete_sets"]) == (PULSES, PULSES)
+
+
+CUTS = {
+    "killed rig": (lambda f: f.index < 12, 12, "12 of 30 pulses gave a complete set; frames ended after 12 pulses"),
+    "killed camera": (lambda f: f.camera != "cam2" or f.index < 20, 20, "camera cam2: 10 frames missing"),
+    "dead from the start": (lambda f: f.camera != "cam3", 0, "camera cam3: 30 frames missing, none came"),
+    "withheld pulse": (lambda f: f.index != 7, 29, "camera cam1: 1 frames missing, the last at 0.29 s"),
+    "one frame": (lambda f: (f.camera, f.index) != ("cam4", 15), 29, "camera cam4: 1 frames missing"),
+}
+
+
+@pytest.mark.parametrize("cut", CUTS)
+def test_less_than_claimed_fails_and_says_what_lacks(tiny, monkeypatch, cut):
+    arrives, complete, words = CUTS[cut]
+    record = record_of(tiny, arrives, monkeypatch)
+    assert not record.passed
+    assert "sets_complete" in record.verdict
+    assert words in record.verdict
+    assert record.metric("sets_complete").value == pytest.approx(complete / PULSES)
+    assert record.counts["source"]["notes"] == ["the source's own words"]
+    for name, camera in record.cameras.items():
+        assert camera["delivered"] == PULSES - sum(
+            not arrives(f) for f in open_recording(tiny.parent / "take") if f.camera == name
+        )
+
+
+def test_a_loss_that_the_scenario_allows_passes(tiny, monkeypatch):
+    assert record_of(tiny, CUTS["one frame"][0], monkeypatch, sets_complete=0.9).passed
+
+
+def test_a_recording_shorter_than_the_scenario_fails(tiny):
+    words = ("run", tiny.name, "--source", "recording:take", "--truth", "take/truth.npz", "--out", "short")
+    done = mosca(*words, "--set", "capture.duration_s=0.6", cwd=tiny.parent)
+    assert done.returncode == 1
+    assert "frames ended after 30 pulses" in done.stdout
+
+
+def test_losses_that_a_scenario_states_are_not_expected():
+    none, dead = Delivery(), Delivery(dies_s=3.0)
+    assert expected_share({"a": none, "b": none}, 1000, 10.0) == 1.0
+    assert expected_share({"a": none, "b": dead}, 1000, 10.0) == pytest.approx(0.3, abs=0.003)
+    assert expected_share({"a": replace(dead, returns_s=5.0)}, 1000, 10.0) == pytest.approx(0.8, abs=0.003)
+    # two cameras that lose a tenth of their frames: 0.81, less four standard deviations of a binomial share
+    lossy = Delivery(dropped_share=0.1)
+    assert expected_share({"a": lossy, "b": lossy}, 10_000, 100.0) == pytest.approx(0.81 - 4 * 0.00392, abs=1e-4)
+    # bursts of 25 are 25 times fewer events
+    burst = Delivery(burst_share=0.1, burst_frames=25)
+    assert expected_share({"a": burst}, 10_000, 100.0) == pytest.approx(0.9 - 4 * 0.015, abs=1e-4)
