@@ -77,6 +77,8 @@ class RunRecord:
     """Name -> {value, minimum or maximum, holds}."""
     counts: Mapping[str, Any] = field(default_factory=dict)
     """Frames, sets, drops and the like."""
+    source_account: Mapping[str, Any] = field(default_factory=dict)
+    """What devices and trigger report of the take; empty for other sources."""
     cameras: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     """Name -> residual, error besides detection noise, shares connected and missing, clock offset."""
     timings: Mapping[str, float] = field(default_factory=dict)

@@ -55,6 +55,7 @@ def record_of(
         premises=worth.premises,
         counts=_counts(collected, spec.capture.pulses),
         cameras=_cameras(collected),
+        source_account=collected.account,
         timings={key: float(value) for key, value in timings.items()},
         not_judged=not_judged,
         provenance={
@@ -114,7 +115,6 @@ def _counts(collected: Collected, pulses: int) -> dict[str, Any]:
         "samples": len(tracks),
         "skipped_sets": assembly.skipped_sets,
         "notes": dict(assembly.notes),
-        **({"source": dict(collected.account)} if collected.account else {}),
     }
 
 

@@ -28,7 +28,7 @@ os.environ.setdefault("PYLON_CAMEMU", "4")
 
 SCENARIO = "rigs/any_source"
 PULSES = 60
-ONLY_SOURCE_AND_TIMING = ("source", "timings")
+ONLY_SOURCE_AND_TIMING = ("source", "source_account", "timings")
 
 
 @pytest.fixture(scope="module")

@@ -72,7 +72,7 @@ def test_less_than_claimed_fails_and_says_what_lacks(tiny, monkeypatch, cut):
     assert "sets_complete" in record.verdict
     assert words in record.verdict
     assert record.metric("sets_complete").value == pytest.approx(complete / PULSES)
-    assert record.counts["source"]["notes"] == ["the source's own words"]
+    assert record.source_account["notes"] == ["the source's own words"]
     for name, camera in record.cameras.items():
         assert camera["delivered"] == PULSES - sum(
             not arrives(f) for f in open_recording(tiny.parent / "take") if f.camera == name
