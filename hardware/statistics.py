@@ -33,6 +33,8 @@ class RigStatistics:
     """Counts of all cameras, and what happened."""
 
     cameras: dict[str, BufferCounts] = field(default_factory=dict)
+    skipped_pulses: int = 0
+    """Pulses that this machine could not send in their periods (``hardware.pulse_grid``)."""
     notes: list[str] = field(default_factory=list)
     """Events, one line each, in the order in which they happened."""
 

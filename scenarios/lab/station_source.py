@@ -103,6 +103,8 @@ class _Gated:
         self._trigger, self._gate, self._own_pulses = trigger, gate, own_pulses
         self.stop, self.pulse_at, self.frame_arrived = trigger.stop, trigger.pulse_at, trigger.frame_arrived
         self.poll_timed_out, self.camera_lost = trigger.poll_timed_out, trigger.camera_lost
+        self.pulse_of, self.session_ns, self.new_pulses = trigger.pulse_of, trigger.session_ns, trigger.new_pulses
+        self.skipped, self.notes = trigger.skipped, trigger.notes
         self.report, self.close = trigger.report, trigger.close
 
     def start(self) -> int | None:
