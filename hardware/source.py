@@ -125,6 +125,7 @@ class HardwareSource:
                 self.rig.shared.rate_hz,
                 start_ns,
                 free=free_running(self.rig.cameras, self._drivers),
+                played=[name for name, driver in self._drivers.items() if not driver.capabilities.real_time],
             )
             for received in self._received(numbers):
                 if received is not None:
@@ -289,7 +290,7 @@ class HardwareSource:
             return
         certain = self._trigger.pulse_of(name, buffer)
         if certain is not None:
-            yield NumberedBuffer(name, certain.pulse, certain.residual_ns, buffer)
+            yield NumberedBuffer(name, certain.pulse, certain.residual_ns, buffer, "trigger")
         else:
             yield from numbers.take(name, buffer)
 
@@ -299,6 +300,7 @@ class HardwareSource:
             camera = self.statistics.cameras[one.camera]
             camera.whole += one.buffer.image is not None
             camera.failed += one.buffer.image is None
+            camera.unproven += one.found == "arrival"
             self._buffer.advance(one.camera, one.pulse)
             if self._end.is_past(one.pulse):
                 self._past_end.add(one.camera)

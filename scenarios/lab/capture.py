@@ -66,6 +66,8 @@ class CameraRow:
     overrun: int = 0
     relocked: int = 0
     reopened: int = 0
+    unproven: int = 0
+    """Frames whose pulses are not certain."""
 
 
 @dataclass
@@ -76,6 +78,8 @@ class CaptureOutcome:
     lost: int = 0
     """Frame sets that this machine was too slow for."""
     lost_text: str = ""
+    skipped: int = 0
+    """Pulses that this machine could not send in their periods."""
     stopped: bool = False
     shown: int = 0
     cameras: dict[str, CameraRow] = field(default_factory=dict)
@@ -83,8 +87,9 @@ class CaptureOutcome:
 
     @property
     def whole(self) -> bool:
-        """Whether each pulse has a whole frame of each camera."""
-        return not self.lost and not any(c.failed or c.dropped or c.overrun for c in self.cameras.values())
+        """Whether each pulse has a whole frame of each camera, which is certainly of it."""
+        rows = self.cameras.values()
+        return not self.lost and not any(c.failed or c.dropped or c.overrun or c.unproven for c in rows)
 
 
 def capture(
@@ -254,6 +259,7 @@ def _write_statistics(recorder: Recorder, source: HardwareSource, intake: Intake
     """Record the counts of the buffers until now; the last record is of the end."""
     account = {
         "cameras": {name: asdict(one) for name, one in source.statistics.cameras.items()},
+        "skipped_pulses": source.statistics.skipped_pulses,
         "notes": list(source.statistics.notes),
         "lost_sets": [list(pair) for pair in intake.lost.ranges],
     }
@@ -270,7 +276,13 @@ def _outcome(
         kept = source.statistics.cameras[name]
         dropped = max(pulses - seen.pulses, 0)
         rows[name] = CameraRow(
-            seen.whole - seen.left_out, seen.failed, dropped, kept.overrun, kept.relocked, kept.reopened
+            seen.whole - seen.left_out,
+            seen.failed,
+            dropped,
+            kept.overrun,
+            kept.relocked,
+            kept.reopened,
+            kept.unproven,
         )
     notes = list(source.statistics.notes)
     lost = intake.lost
@@ -283,7 +295,15 @@ def _outcome(
         notes += run.notes
     if view is not None and view.failed is not None:
         notes.append(f"view: ended early ({view.failed})")
-    return CaptureOutcome(pulses, lost.count, lost.text(), False, 0 if view is None else view.shown, rows, notes)
+    return CaptureOutcome(
+        pulses,
+        lost.count,
+        lost.text(),
+        source.statistics.skipped_pulses,
+        shown=0 if view is None else view.shown,
+        cameras=rows,
+        notes=notes,
+    )
 
 
 def _whole_pulses(intake: Intake) -> int:
@@ -306,6 +326,7 @@ def _about(source: HardwareSource, outcome: CaptureOutcome) -> dict[str, Any]:
     return {
         "ended": datetime.now(UTC).isoformat(timespec="seconds"),
         "pulses": outcome.pulses,
+        "skipped_pulses": outcome.skipped,
         "stopped_by_hand": outcome.stopped,
         "lost_sets": outcome.lost,
         "lost_set_numbers": outcome.lost_text,
