@@ -15,6 +15,10 @@ LATEST_TIME = 0.45
 """A frame's time is its pulse's plus this share of a period at most: readers take the pulse that is nearest."""
 
 
+UNREAD_PULSES = 100_000
+"""So many pulses are remembered for a recording that does not read them."""
+
+
 class HostClock:
     """The computer's monotonic clock, and waiting by it; tests pass another."""
 

@@ -113,8 +113,8 @@ class HardwareSource:
         """Arm, start the pulses and yield frames, pulse by pulse, until ``pulses`` are over or ``stop``."""
         return (frame for frame, _ in self.with_buffers())
 
-    def with_buffers(self) -> Iterator[tuple[Frame, Grabbed]]:
-        """Yield as ``iter`` does, each frame with its buffer: when it arrived, the device's own stamp and count."""
+    def with_buffers(self) -> Iterator[tuple[Frame, NumberedBuffer]]:
+        """Yield as ``iter`` does, each frame with its buffer and its pulse, and how that was found."""
         if self._started:
             raise DeviceError("the source of this rig was iterated before; open it again for another take")
         self._started = True
@@ -305,7 +305,7 @@ class HardwareSource:
             if self._end.is_past(one.pulse):
                 self._past_end.add(one.camera)
             else:
-                self._buffer.push(one.pulse, self._frames.frame(one), one.buffer)
+                self._buffer.push(one.pulse, self._frames.frame(one), one)
         self._clocks.ask(numbers)
         if numbers.notes:  # each clock that was aligned again left one
             for name, relocks in numbers.relocks.items():

@@ -122,9 +122,10 @@ class CountedPulses:
         )
 
     def _excess(self, camera: CameraState, pulse: int, buffer: Grabbed) -> float:
-        """Return how many periods later than usual a buffer arrived for a pulse."""
+        """Return how many periods later than the others a buffer arrived for a pulse; below 0 it is too early."""
         delay_ns = buffer.host_ns - buffer.exposure_ns - camera.latency_ns - self._times.at(pulse)
-        return (delay_ns - self._usual_delay_ns(camera)) / self._settings.period_ns
+        alike_ns = min(max(self._usual_delay_ns(camera), 0.0), max(delay_ns, 0.0))
+        return (delay_ns - alike_ns) / self._settings.period_ns
 
     def _number(self, camera: CameraState, pulses: list[int]) -> Iterator[NumberedBuffer]:
         """Number the first pending buffers."""

@@ -13,7 +13,7 @@ import time
 from collections import deque
 
 from hardware.driver import DeviceError
-from hardware.pulse_grid import HostClock, PulseGrid, SentPulse
+from hardware.pulse_grid import UNREAD_PULSES, HostClock, PulseGrid, SentPulse
 from hardware.settings import TriggerTable
 from hardware.trigger import External
 
@@ -33,7 +33,7 @@ class ActionTrigger(External):
         self._table = table
         self._clock = clock or HostClock()
         self._grid = PulseGrid(rate_hz, self._clock)
-        self._new: deque[SentPulse] = deque()
+        self._new: deque[SentPulse] = deque(maxlen=UNREAD_PULSES)
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
         self._pulses = 0

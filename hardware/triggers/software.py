@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from hardware.driver import CameraDriver, DeviceError, Grabbed
-from hardware.pulse_grid import LATEST_TIME, HostClock, PulseGrid, SentPulse
+from hardware.pulse_grid import LATEST_TIME, UNREAD_PULSES, HostClock, PulseGrid, SentPulse
 from hardware.pulse_numbers.clock_model import StampPulse
 from hardware.silence import PollingTime
 
@@ -55,7 +55,7 @@ class SoftwareTrigger:
         self._grid = PulseGrid(rate_hz, self._clock)
         self._made = _Commands()
         self._commands = {name: _Commands() for name in drivers}
-        self._new: deque[SentPulse] = deque()
+        self._new: deque[SentPulse] = deque(maxlen=UNREAD_PULSES)
         self._awaited: set[str] = set()
         self._lost: set[str] = set()
         self._resting_until_ns = dict.fromkeys(drivers, 0)

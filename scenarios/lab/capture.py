@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from hardware.drivers import open_camera
 from hardware.onboard.commands import ProgramRun, read_program
+from hardware.pulse_grid import SentPulse
 from hardware.settings import RigHardware, read_hardware
 from hardware.source import HardwareSource, OpenCamera, OpenTrigger
 from hardware.triggers import open_trigger
@@ -244,15 +245,16 @@ def _now_ns(source: HardwareSource) -> int:
 
 
 def _write_clocks(recorder: Recorder, source: HardwareSource, intake: Intake) -> None:
-    """Write down the raw stamps of the latest frames, and one instant in all clocks of this machine."""
+    """Write down the latest pulses and raw stamps of frames, and one instant in all clocks of this machine."""
     now_ns = time.monotonic_ns()
     session_ns = source.session_ns(now_ns)
     if session_ns is None:
         return
-    stamps = intake.new_stamps()
-    if stamps:
+    stamps, sent = intake.new_stamps(), source.new_pulses()
+    if stamps or sent:
         clocks = {"host_ns": now_ns, "utc_ns": time.time_ns(), "session_ns": session_ns}
-        recorder.write_message("clock", session_ns, {**clocks, "cameras": stamps})
+        pulses = {key: [getattr(one, key) for one in sent] for key in SentPulse._fields}
+        recorder.write_message("clock", session_ns, {**clocks, "pulses": pulses, "cameras": stamps})
 
 
 def _write_statistics(recorder: Recorder, source: HardwareSource, intake: Intake) -> None:

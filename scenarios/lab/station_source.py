@@ -135,8 +135,8 @@ class RigOfStation(WrappedSource):
     def __iter__(self) -> Iterator[Frame]:
         if self.hardware.rig.shared.trigger.source == "master" and not self.gate.hold():
             return
-        for frame, buffer in self.hardware.with_buffers():
-            self._latest = frame, buffer.host_ns
+        for frame, numbered in self.hardware.with_buffers():
+            self._latest = frame, numbered.buffer.host_ns
             yield frame
 
     def arrival_ns(self, frame: Frame) -> int:

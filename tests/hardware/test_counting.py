@@ -118,6 +118,16 @@ def test_a_machine_that_is_busy_for_longer_is_never_silently_wrong(seed, names):
 
 
 @pytest.mark.parametrize("seed", range(3))
+def test_readers_of_other_cameras_that_are_late_change_nothing(seed):
+    def late_ns(name, pulse):
+        return 30_000_000 * (name != "c1" and 400 <= pulse < 500)
+
+    numbers, out = numbered(without_stamps(stream(Rig(pulses=1200, stalls=0.0), seed), ["c1"], late_ns))
+    assert [one for one in out if one[1] != one[2]] == []
+    assert numbers.notes == []
+
+
+@pytest.mark.parametrize("seed", range(3))
 def test_a_camera_that_began_anew_is_found_by_its_arrivals(seed):
     rows = without_stamps(stream(Rig(pulses=1000, reboot=True, stalls=0.0), seed), ["c2"])
     numbers, out = numbered(rows)
