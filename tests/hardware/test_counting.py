@@ -10,6 +10,7 @@ from test_numbering import Rig, stream
 
 from hardware.driver import Grabbed
 from hardware.pulse_numbers.numbering import PulseNumbers
+from scenarios.build.frame_sources import device_notes
 
 NAMES = ["c0", "c1", "c2", "c3"]
 PERIOD_NS = 10_000_000
@@ -198,5 +199,6 @@ def test_a_rig_whose_pulses_are_not_known_says_so(tmp_path):
         frames = [frame for frame in rig if frame.camera == "b"]
     assert rig.statistics.cameras["b"].unproven >= len(frames) > 0
     assert rig.statistics.cameras["a"].unproven == 0
+    assert device_notes(rig)["unproven"].endswith(f"{rig.statistics.cameras['b'].unproven} of camera 'b'")
     (note,) = rig.statistics.notes
     assert note.startswith("camera b: has no time stamps, and its frames came 0.70 periods after those of pulse 0")

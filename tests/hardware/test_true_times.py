@@ -13,6 +13,7 @@ from hardware.pulse_grid import LATEST_START, LATEST_TIME, HostClock, PulseGrid
 from hardware.settings import TriggerTable
 from hardware.triggers.action import ActionTrigger
 from hardware.triggers.software import SoftwareTrigger
+from scenarios.build.frame_sources import device_notes
 
 MS = 1_000_000
 RATE, PERIOD_NS = 100.0, 10 * MS
@@ -208,3 +209,6 @@ def test_skipped_pulses_are_an_alarm_of_the_source(tmp_path, caplog):
     assert any("pulses are skipped" in note for note in rig.statistics.notes)
     assert any(f"{skipped} of 60 pulses were skipped" in note for note in rig.statistics.notes)
     assert [r.getMessage() for r in caplog.records] == rig.statistics.notes
+    told = device_notes(rig)  # in the record of a run
+    assert told["skipped pulses"] == f"{skipped} pulses were skipped"
+    assert set(rig.statistics.notes) < set(told.values())
